@@ -25,7 +25,7 @@
 # make bench-sitl-speed      how fast one simulated vehicle runs, without and with its camera
 # make bench-calibration DATA=DIR  the calibration tools on made-up truth, and on real logs and photos
 # make bench-experiments     Fig. 14 over twenty seeds: MPC, the paper's recursion and PID on one reference
-# make bench-vision DATA=DIR the eyes: recall, errors, clutter, flips, speed; on real photos with DATA
+# make bench-vision DATA=DIR the vision: recall, errors, clutter, flips, speed; on real photos with DATA
 # make bench-ahrs DATA=DIR   orientation over trials of BROAD, beside other projects' filters
 PYTHON ?= python3
 VENV   ?= .venv
@@ -59,14 +59,22 @@ $(VENV)/.dev: $(VENV)/.run
 sitl: $(VENV)/.run
 	$(BIN)/companion --sitl --record flights/$$(date +%Y%m%d-%H%M%S)
 
+# side by side: mypy takes half a minute from scratch, on one core
 lint: $(VENV)/.dev
+	@$(MAKE) --no-print-directory --jobs 2 types style
+
+.PHONY: types style
+types:
+	$(BIN)/mypy
+
+style:
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# the tests start our programs many times: what the first compiles, the others take from its cache
 test: lint
-	$(BIN)/python -m pytest
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest
 
 # fetches Debian roots into DEPLOY and keeps them there; what this machine cannot do is skipped, with the reason
 .PHONY: test-deploy
@@ -134,13 +142,14 @@ bench-response: $(VENV)/.dev
 bench-faults: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.faults.bench_faults --jobs 2
 
-# need the machine to themselves: real time, two processes
+# needs the machine to itself: real time, two processes
 bench-service: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.service.bench_service
 
 bench-page: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.service.bench_page
 
+# three quarters of an hour, likewise; give it again after an interruption, and it goes on
 bench-interruptions: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.service.bench_interruptions --trials 20
 

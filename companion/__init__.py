@@ -1,1 +1,1 @@
-"""Lands a multirotor by eye, softly, on a pad that moves: the onboard computer's application."""
+"""Lands a multirotor by vision, softly, on a pad that moves: the onboard computer's application."""

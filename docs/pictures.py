@@ -2,9 +2,10 @@
 
     python -m docs.pictures flights/circle --to docs/images
 
-reads flights/circle/flight.mcap and writes landing.png, the flight's path in three dimensions (in the style
-of the paper's Fig. 14), and view.png, what the camera sees of the pad from 7 m, 2 m and 0.5 m with the
-markers that the pose was fitted to. NED, metres; drawn with up upwards.
+reads flights/circle/flight.mcap and writes landing.gif, camera and side view of the landing in real time,
+landing.png, the flight's path in three dimensions (in the style of the paper's Fig. 14), and view.png, what
+the camera sees of the pad from 7 m, 2 m and 0.5 m with the markers that the pose was fitted to. NED, metres;
+drawn with up upwards.
 """
 
 from __future__ import annotations
@@ -35,12 +36,13 @@ from companion.base.geometry import (
     subtract,
     vector3,
 )
-from companion.config import CameraConfig, VehicleConfig, VisionConfig, find_file, load_model
+from companion.config import CameraConfig, ConfigError, VehicleConfig, VisionConfig, find_file, load_model
 from companion.pad import load_pad
 from companion.sense.vision.aruco import PadDetector
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.pose import PoseFit, estimate_pose
 from companion.sense.vision.search import SearchPlanner
+from docs.landing_gif import draw_landing_gif
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
 
@@ -222,6 +224,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not log.is_file():
         parser.error(f"{log}: no such file; expected a folder that `companion --record` has left")
     chosen.to.mkdir(parents=True, exist_ok=True)
+    try:
+        draw_landing_gif(log, chosen.to / "landing.gif")
+    except ConfigError as error:
+        parser.error(str(error))
     draw_landing(log, chosen.to / "landing.png")
     draw_view(chosen.to / "view.png")
 

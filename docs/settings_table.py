@@ -4,7 +4,7 @@
 
 Name, unit, default and bounds come from the pydantic models (`companion.config`, `sitl.scenario.scenario`);
 what a setting means comes from docs/meanings.yaml, or from the comment beside the field. A setting without
-either stops the writing with a line that names it; meanings of settings that are gone are told. A table
+either stops the writing with a line that names it; meanings of settings that are gone are reported. A table
 stands between `<!-- table:NAME -->` and `<!-- end -->`; the rest of a page is left alone.
 """
 
@@ -26,11 +26,13 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from companion.config import (
+    AxisResponse,
     Box,
     CameraConfig,
     CompanionConfig,
     ConfigError,
     Cylinder,
+    KindResponse,
     VehicleConfig,
     read_yaml,
 )
@@ -213,10 +215,14 @@ def tables() -> dict[str, dict[str, list[Setting]]]:
         motion.model_fields["kind"].annotation.__args__[0]: motion for motion in get_args(PadMotionSettings)
     }
     times = groups_of(FaultTimes)[""]
+    vehicle = {g: s for g, s in groups_of(VehicleConfig).items() if not g.startswith("responses.")}
+    # alike for each autopilot, kind of setpoint and direction
+    vehicle["responses.AUTOPILOT.KIND"] = groups_of(KindResponse)[""]
+    vehicle["responses.AUTOPILOT.KIND.DIRECTION"] = groups_of(AxisResponse)[""]
     return {
         "companion": groups_of(CompanionConfig),
         "camera": groups_of(CameraConfig),
-        "vehicle": groups_of(VehicleConfig),
+        "vehicle": vehicle,
         "pad": {**groups_of(Pad), "markers": groups_of(Marker)[""]},
         "scenario": groups_of(Scenario),
         "motion": {kind: groups_of(motion).get("", []) for kind, motion in motions.items()},

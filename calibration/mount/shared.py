@@ -1,4 +1,4 @@
-"""Shared by the subcommands of `calibrate-mount`: options, sensors, the verdict, the output file."""
+"""Shared by the subcommands of `calibrate-mount`: sensors, the verdict, the output file."""
 
 from __future__ import annotations
 
@@ -6,17 +6,16 @@ from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Final
 
 import typer
 import yaml
 
 from calibration.command_line import RefusedError
+from calibration.mount.options import NAME
 from calibration.mount.record.devices import MountSensors, open_sensors
 from companion.base.clock import start_unix_s
 from companion.base.files import write_atomically
 from companion.config import (
-    CONFIG_FOLDER,
     CompanionConfig,
     ConfigError,
     InertialCalibration,
@@ -26,13 +25,6 @@ from companion.config import (
 from companion.flightlog.log_file import LOG_NAMES
 from companion.flightlog.record import FlightLog
 
-NAME: Final = "calibrate-mount"
-ConfigOption = Annotated[Path, typer.Option("--config", help="The app's settings.", metavar="FILE")]
-OutputOption = Annotated[Path, typer.Option("--output", "-o", help="File to write.", metavar="FILE")]
-ForceOption = Annotated[
-    bool, typer.Option("--force", help="Write the file even if it is refused; the file says so.")
-]
-SETTINGS: Final = CONFIG_FOLDER / "companion.yaml"
 SensorOpener = Callable[[CompanionConfig, bool], AbstractAsyncContextManager[MountSensors]]
 
 
@@ -95,16 +87,6 @@ def write_file(path: Path, calibration: StrictModel, setting: str) -> None:
         path, f"# Written by {NAME}; the app reads it by the setting {setting.format(path)}\n{text}"
     )
     typer.echo(f"written       {path}; the settings then say {setting.format(path)}")
-
-
-def check_output(path: Path) -> None:
-    """Make sure before the work that its result can be written after it.
-
-    Raises:
-        ConfigError: it cannot.
-    """
-    if path.is_dir() or not path.parent.is_dir():
-        raise ConfigError(f"-o {path}: expected a file in an existing folder")
 
 
 def now() -> str:

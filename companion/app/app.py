@@ -48,6 +48,7 @@ from companion.control.controller import Controller
 from companion.control.response.fitting import misfits
 from companion.control.setpoints import resolved
 from companion.flightlog.record import FlightLog
+from companion.link.autopilot_setup import loss_warnings
 from companion.plan.planner import PlanInputs
 
 LINK_TICK_S: Final = 0.05
@@ -245,8 +246,9 @@ class App:
                 setup=setup,
             )
             flown = resolved(self._config.control, autopilot_kind)
-            for misfit in misfits(flown, self._vehicle, setup, autopilot_kind):
-                self.announcer.notify("setup", misfit, "warning")
+            own = misfits(flown, self._vehicle, setup, autopilot_kind)
+            for warning in (*own, *loss_warnings(setup, autopilot_kind)):
+                self.announcer.notify("setup", warning, "warning")
         return self._controller
 
     def _plan(self, vehicle: VehicleState | None, pad: PadState | None, now_s: float) -> PlanStep:

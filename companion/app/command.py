@@ -81,31 +81,31 @@ def fly_the_vehicle(config_path: Path, output: Output) -> int:
             "expected true, which allows the app to arm and take off"
         )
     latch = FlightLatch(output.record or state_folder())
-    standby = latch.begin(unattended=unattended())
+    standby = latch.refusal(unattended=unattended())
     folder = None if output.record is None else next_flight_folder(output.record)
     _make_room(output.record, config)
     log = new_log(folder, virtual=False, keeps=False)  # nothing on board scores the flight
     try:
         with StatusView(output.console, config.vehicle, live=output.live) as view:
-            phase, idle = asyncio.run(_vehicle_flight(config, log, view, standby))
+            phase, idle = asyncio.run(_vehicle_flight(config, log, view, latch, standby))
     except ConfigError:
         log.discard()
-        if standby is None:
-            latch.end("by an error in the settings")
+        latch.end("by an error in the settings")
         raise
     finally:
         log.close()
-    if standby is None:
-        latch.end(phase.value)
+    latch.end(phase.value)
     return 0 if phase is Phase.LANDED or idle else EXIT_CODES[Outcome.ABORTED]
 
 
 async def _vehicle_flight(
-    config: CompanionConfig, log: FlightLog, view: StatusView, standby: str | None
+    config: CompanionConfig, log: FlightLog, view: StatusView, latch: FlightLatch, standby: str | None
 ) -> tuple[Phase, bool]:
     page = LivePage(config, log)
     async with open_hardware(config, waits=True) as hardware:
         app = App(config, hardware, log, make_actions, view, standby=standby)
+        if standby is None:
+            latch.begin()
         async with page.served(app):
             with stopping_on_signals(app.request_stop):
                 return await app.run(), standby is not None and app.missions.stopped_idle
@@ -147,8 +147,9 @@ async def _service(
 
         async with served(socket_path(), report, app.missions.give, clock), page.served(app):
             with stopping_on_signals(app.request_stop):
-                await app.run()
-    return 0 if app.missions.stopped_idle else EXIT_CODES[Outcome.ABORTED]
+                phase = await app.run()
+    done = phase is Phase.LANDED or app.missions.stopped_idle
+    return 0 if done else EXIT_CODES[Outcome.ABORTED]
 
 
 def _make_room(record: Path | None, config: CompanionConfig) -> None:

@@ -91,7 +91,7 @@ class FrameProcessor(Protocol):
 class Estimates(Protocol):
     """Where samples go: the estimator, or a tool that takes them as they are."""
 
-    def add_imu(self, sample: ImuSample) -> object: ...
+    def add_imu(self, sample: ImuSample, received_s: float = ...) -> object: ...
     def add_mag(self, sample: MagSample) -> object: ...
     def add_gps(self, fix: GpsFix) -> object: ...
     def add_range(self, sample: RangeSample) -> object: ...
@@ -214,7 +214,7 @@ class Sensing:
     def _take_inertial(self, imu_samples: list[ImuSample], mag_samples: list[MagSample]) -> None:
         now_s = self._clock.now_s()
         for imu in imu_samples:
-            self._estimator.add_imu(imu)
+            self._estimator.add_imu(imu, now_s)
             self._log.write("imu", imu, now_s)
         for mag in mag_samples:
             self._estimator.add_mag(mag)

@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module, metadata
+from itertools import zip_longest
 from typing import Annotated, Any, Final, NoReturn, TextIO
 
 import typer
@@ -31,6 +32,7 @@ USER_ERROR: Final = 2
 INTERRUPTED: Final = 130
 # of what we print, which has no file name: a full disk or quota, the device's end, a closed output
 NOT_WRITTEN: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF}
+OUR_PACKAGES: Final = {"", "companion", "sitl", "calibration"}
 PIPE_CLOSED: Final = 141  # as a shell reports a program that SIGPIPE has ended
 
 
@@ -87,7 +89,7 @@ def lazy_app(
 def _with_values(args: list[str], values: Mapping[str, str], commands: Mapping[str, Command]) -> list[str]:
     """The arguments with a value after each option that stands alone, which Typer does not know."""
     filled = list[str]()
-    for word, following in zip(args, [*args[1:], None], strict=True):
+    for word, following in zip_longest(args, args[1:]):
         filled.append(word)
         if word in values and (following is None or following.startswith("-") or following in commands):
             filled.append(values[word])
@@ -171,13 +173,27 @@ def _run(
         context = getattr(error, "ctx", None)
         asked = program if context is None else context.command_path
         return print_error(program, f"{said}; see {asked} --help", USER_ERROR)
-    except ConfigError as error:
-        return print_error(program, str(error), USER_ERROR)
-    except RecursionError:
-        return print_error(program, "a file that it read is nested too deeply", USER_ERROR)
+    except (ConfigError, RecursionError, ModuleNotFoundError) as error:
+        return print_error(program, _said_of(error), USER_ERROR)
     except tuple(endings) as error:
         ending = next(end for kind, end in endings.items() if isinstance(error, kind))
         return _end(program, ending, str(error))
+
+
+def _said_of(error: ConfigError | RecursionError | ModuleNotFoundError) -> str:
+    """What a user can correct.
+
+    Raises:
+        ModuleNotFoundError: what is missing is a module of ours, which is a fault of ours.
+    """
+    if isinstance(error, RecursionError):
+        return "a file that it read is nested too deeply"
+    if isinstance(error, ConfigError):
+        return str(error)
+    missing = (error.name or "").partition(".")[0]
+    if missing in OUR_PACKAGES:
+        raise error
+    return f"needs {missing}; expected it installed, see docs/package.md"
 
 
 def _end(program: str, ending: Ending, text: str) -> int:

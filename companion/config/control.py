@@ -71,10 +71,8 @@ class ControlConfig(StrictModel):
     maximum_velocity_correction_m_s: float = Field(default=0.6, ge=0.0, le=3.0)
     horizontal_reach_m: float = Field(default=2.0, gt=0.0, le=20.0)  # a reference farther off is drawn nearer
     vertical_reach_m: float = Field(default=0.7, gt=0.0, le=20.0)
-    pad_acceleration_decay_s: float = Field(default=1.0, ge=0.05, le=10.0)
     ground_descent_m_s: float = Field(default=1.0, ge=0.1, le=1.5)
     ground_acceleration_m_s2: float = Field(default=2.0, ge=0.0, le=3.0)
-    ground_thrust: float = Field(default=0.0, ge=0.0, le=0.3)  # ArduPilot has landed at none alone
     maximum_iterations: int = Field(default=400, ge=50, le=10000)
     solve_limit_s: float = Field(default=0.01, gt=0.0, le=0.1)  # by the clock; past it the last plan goes on
     horizontal: TrackingConfig = TrackingConfig(

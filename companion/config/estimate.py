@@ -23,12 +23,6 @@ class OrientationConfig(StrictModel):
     """The orientation pre-filter (eqs. 14-16); error rates are of the quaternion: half of rad/s."""
 
     kind: Literal["complementary", "madgwick"] = "complementary"
-    gyro_error_rate: float = Field(default=0.01, gt=0.0, le=1.0)
-    heading_error_rate: float = Field(default=0.01, gt=0.0, le=1.0)
-    accel_average_s: float = Field(default=2.0, ge=0.0, le=20.0)
-    accel_gate_m_s2: float = Field(default=0.8, gt=0.0, le=10.0)
-    mag_gate: float = Field(default=0.15, gt=0.0, le=1.0)  # share of the field's size
-    dip_gate_deg: float = Field(default=10.0, gt=0.0, le=90.0)
 
 
 class EkfConfig(StrictModel):
@@ -39,32 +33,18 @@ class EkfConfig(StrictModel):
     accel_noise_m_s2: float = Field(default=0.05, gt=0.0, le=20.0)
     mag_rate_hz: float = Field(default=25.0, ge=1.0, le=100.0)
     mag_noise_ut: float = Field(default=5.0, gt=0.0, le=20.0)
-    mag_dip_noise_ut: float = Field(default=20.0, gt=0.0, le=100.0)  # of the field along its own plane
     mag_wander_s: float = Field(default=0.4, ge=0.0, le=100.0)  # for so long a field's error stays
-    mag_patience_s: float = Field(default=20.0, gt=0.0, le=600.0)  # refused for so long: doubt the heading
-    orientation_rate_hz: float = Field(default=10.0, ge=0.5, le=50.0)
-    orientation_tilt_noise_deg: float = Field(default=12.0, gt=0.0, le=90.0)
-    orientation_heading_noise_deg: float = Field(default=20.0, gt=0.0, le=180.0)
     orientation_patience_s: float = Field(default=3.0, gt=0.0, le=60.0)  # refused for so long: start from it
     gps_accuracy_factor: float = Field(default=0.3, gt=0.0, le=5.0)  # standard deviation of what is claimed
     gps_position_noise_m: float = Field(default=1.0, gt=0.0, le=50.0)  # floor
     gps_wander_s: float = Field(default=60.0, ge=0.0, le=1000.0)  # for so long a position's error stays
     gps_velocity_noise_m_s: float = Field(default=0.085, gt=0.0, le=5.0)  # floor; the NEO-6M: 0.1 m/s CEP
-    gps_time_error_s: float = Field(default=0.05, ge=0.0, le=1.0)  # of a fix's time
-    gps_patience_s: float = Field(default=2.0, gt=0.0, le=60.0)  # refused for so long: start again from GPS
-    gps_timeout_s: float = Field(default=2.0, gt=0.0, le=60.0)
     remember_s: float = Field(default=0.6, ge=0.1, le=3.0)  # how late a measurement may come
-    gyro_scale_error: float = Field(default=0.005, ge=0.0, le=0.1)  # scale and misalignment, of the turn
     shaking_bound_m_s2: float = Field(default=2.0, gt=0.0, le=50.0)  # of the force from sample to sample
-    shaking_share: float = Field(default=0.5, ge=0.0, le=5.0)  # of what is more: so far may its mean be off
     unaided_speed_m_s: float = Field(default=1.0, gt=0.0, le=100.0)  # before the first fix; each reading
     accel_bias_std_m_s2: float = Field(default=0.1, gt=0.0, le=2.0)
-    accel_bias_walk_m_s2_rts: float = Field(default=0.0005, ge=0.0, le=1.0)
-    gyro_bias_walk_rad_s_rts: float = Field(default=2e-5, ge=0.0, le=0.1)
     field_std_ut: float = Field(default=0.3, gt=0.0, le=20.0)
-    field_walk_ut_rts: float = Field(default=0.005, ge=0.0, le=5.0)
     mag_bias_std_ut: float = Field(default=1.0, gt=0.0, le=50.0)
-    mag_bias_walk_ut_rts: float = Field(default=0.02, ge=0.0, le=5.0)
 
 
 WavePeriod = Annotated[float, Field(ge=1.0, le=30.0)]
@@ -74,40 +54,21 @@ class PadFilterConfig(StrictModel):
     """The relative motion of the pad; `_rthz` is a density per root of hertz."""
 
     # horizontally: a pad that drives straight on, one that speeds up or brakes, one that turns
-    steady_acceleration_std_m_s2: float = Field(default=0.15, gt=0.0, le=5.0)
-    steady_time_constant_s: float = Field(default=1.0, ge=0.1, le=100.0)
     manoeuvre_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
-    manoeuvre_time_constant_s: float = Field(default=1.5, ge=0.1, le=100.0)
     turn_jerk_m_s3_rthz: float = Field(default=0.25, gt=0.0, le=50.0)
-    turn_time_constant_s: float = Field(default=20.0, ge=0.1, le=1000.0)
     sway_period_s: WavePeriod = 3.5
-    sway_damping: float = Field(default=0.2, gt=0.0, lt=1.0)
     sway_acceleration_std_m_s2: float = Field(default=0.2, gt=0.0, le=10.0)
     # vertically: a pad that stays level, and seas of these periods
-    rest_acceleration_std_m_s2: float = Field(default=0.05, gt=0.0, le=5.0)
     wave_periods_s: tuple[WavePeriod, ...] = Field(default=(7.0, 4.5, 2.8), min_length=1, max_length=6)
-    wave_damping: float = Field(default=0.12, gt=0.0, lt=1.0)  # how far real periods stray from these
     wave_acceleration_std_m_s2: float = Field(default=0.5, gt=0.0, le=10.0)
-    model_dwell_s: float = Field(default=5.0, ge=0.1, le=100.0)  # a motion keeps its model so long on average
-    vehicle_acceleration_noise_m_s2_rthz: float = Field(default=0.02, gt=0.0, le=5.0)
-    heading_acceleration_rad_s2_rthz: float = Field(default=0.3, gt=0.0, le=20.0)
     lean_acceleration_rad_s2_rthz: float = Field(default=0.1, gt=0.0, le=20.0)
-    heading_noise_deg: float = Field(default=0.5, ge=0.0, le=45.0)  # added to what the sighting says
     sighting_noise_scale: float = Field(default=1.0, ge=0.1, le=20.0)
-    sighting_noise_floor_m: float = Field(default=0.0002, ge=0.0, le=1.0)
-    attitude_jitter_deg: float = Field(default=0.03, ge=0.0, le=10.0)  # the attitude error's fast part
     camera_delay_std_s: float = Field(
         default=0.01, ge=0.0, le=0.05
     )  # of the stamps, learnt in flight; 0: known
     exposure_jitter_s: float = Field(default=0.003, ge=0.0, le=0.1)  # of the exposure against the IMU's clock
     first_speed_std_m_s: float = Field(default=2.0, gt=0.0, le=20.0)
-    first_climb_std_m_s: float = Field(default=0.4, gt=0.0, le=20.0)  # pads drive, but hardly rise
     range_noise_m: float = Field(default=0.03, gt=0.0, le=1.0)
-    range_maximum_height_m: float = Field(default=2.5, gt=0.0, le=10.0)
-    range_maximum_tilt_deg: float = Field(default=20.0, gt=0.0, le=60.0)
-    attitude_wander_rad_s: float = Field(
-        default=0.3, ge=0.0, le=10.0
-    )  # how fast the horizon's error changes, a share of itself a second
     patience_s: float = Field(default=0.5, gt=0.0, le=10.0)  # sightings refused for so long: start again
     remember_s: float = Field(default=1.0, ge=0.1, le=5.0)
     forget_s: float = Field(default=10.0, ge=1.0, le=60.0)  # unseen for so long: no pad
@@ -118,7 +79,6 @@ class EstimateConfig(StrictModel):
 
     madgwick_gain: float = Field(default=0.041, ge=0.0, le=2.0)
     magnetic_field_ned_ut: Vector = (20.9, 0.6, 42.9)
-    acceleration_filter_s: float = Field(default=0.02, ge=0.0, le=1.0)
     alignment: AlignmentConfig = AlignmentConfig()
     orientation: OrientationConfig = OrientationConfig()
     ekf: EkfConfig = EkfConfig()

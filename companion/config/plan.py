@@ -80,7 +80,6 @@ class GuidanceConfig(StrictModel):
     horizontal_acceleration_m_s2: float = Field(default=2.0, gt=0.0, le=5.0)
     vertical_acceleration_m_s2: float = Field(default=0.8, gt=0.0, le=5.0)
     heading_rate_deg_s: float = Field(default=30.0, gt=0.0, le=180.0)
-    stray_m: float = Field(default=0.8, ge=0.1, le=5.0)  # reference to estimate, beyond it starts afresh
 
 
 class SearchConfig(StrictModel):
@@ -97,10 +96,7 @@ class SearchConfig(StrictModel):
     climb_m: float = Field(default=6.0, ge=0.0, le=30.0)
     floor_m: float = Field(default=1.5, ge=0.5, le=10.0)  # over home and the last echoes, the pad unseen
     sightings: int = Field(default=5, ge=1, le=100)
-    sightings_window_s: float = Field(default=0.5, ge=0.1, le=5.0)
     velocity_std_m_s: float = Field(default=0.5, gt=0.0, le=5.0)  # the pad's velocity, to take it up
-    stopping_m_s2: float = Field(default=2.0, gt=0.0, le=10.0)  # braking over the pad, it shall stay in view:
-    view_slope: float = Field(default=0.4, gt=0.0, le=2.0)  # metres aside for each metre of height
 
 
 class LandingConfig(StrictModel):
@@ -115,8 +111,6 @@ class LandingConfig(StrictModel):
     retries: int = Field(default=3, ge=0, le=20)
     pause_unseen_s: float = Field(default=0.5, gt=0.0, le=5.0)
     lost_unseen_s: float = Field(default=5.0, gt=0.0, le=10.0)
-    ground_near_m: float = Field(default=1.5, gt=0.0, le=4.0)  # echoes this near, and the pad thought to lie
-    ground_doubt_m: float = Field(default=0.8, gt=0.1, le=4.0)  # so much lower: break off, climb and search
 
 
 class TouchdownConfig(StrictModel):

@@ -1,4 +1,4 @@
-"""Settings of the sensors: buses, ports, rates and the eyes."""
+"""Settings of the sensors: buses, ports, rates and vision."""
 
 from __future__ import annotations
 
@@ -146,8 +146,6 @@ class VisionConfig(StrictModel):
     pose: Literal["joint", "paper"] = "joint"
     minimum_side_px: float = Field(default=12.0, ge=8.0, le=100.0)  # smaller markers are not looked for
     maximum_markers: int = Field(default=8, ge=1, le=100)  # refined and used in one frame
-    region_margin_px: float = Field(default=14.0, ge=4.0, le=200.0)  # about where the pad is expected
-    region_margin_sigma: float = Field(default=3.0, ge=1.0, le=10.0)  # of the expected position
     corner_noise_px: float = Field(default=0.005, gt=0.0, le=5.0)
     scale_error: float = Field(
         default=0.003, ge=0.0, le=0.1
@@ -158,7 +156,6 @@ class VisionConfig(StrictModel):
     relative_climb_std_m_s: float = Field(default=0.2, gt=0.0, le=20.0)  # near the pad, for the same
     turn_rate_std_rad_s: float = Field(default=0.1, gt=0.0, le=10.0)
     vibration_mrad: float = Field(default=0.035, gt=0.0, le=10.0)
-    maximum_reprojection_error_px: float = Field(default=2.0, gt=0.0, le=10.0)
 
     @property
     def lean_std_deg(self) -> float:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -46,6 +47,8 @@ from companion.control.setpoints import (
 )
 from companion.control.tracker import make_tracker
 from companion.control.tracking import Target, TrackingSolution, needed_inputs
+
+PAD_ACCELERATION_DECAY_S: Final = 1.0  # a pad's measured acceleration is believed to fade so fast
 
 # a pause after which what was commanded before no longer says anything
 RESTART_AFTER_S = 0.5
@@ -264,7 +267,7 @@ class Controller:
             from_s, prediction = vehicle.time_s, origin_at_rest(len(times_s))
             motion = Motion(vehicle.position_ned_m, vehicle.velocity_ned_m_s, acceleration)
         else:
-            from_s, prediction = pad.time_s, predict_pad(pad, times_s, self._config.pad_acceleration_decay_s)
+            from_s, prediction = pad.time_s, predict_pad(pad, times_s, PAD_ACCELERATION_DECAY_S)
             # the frame begins where the pad was estimated: the vehicle is at minus its relative position
             velocity = subtract(pad.velocity_ned_m_s, pad.relative_velocity_ned_m_s)
             motion = Motion(scale(pad.relative_position_ned_m, -1.0), velocity, acceleration)

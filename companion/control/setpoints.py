@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, norm, subtract
@@ -27,6 +28,8 @@ from companion.control.attitude import (
     thrust_from_acceleration,
 )
 from companion.control.response.flight_model import advance
+
+GROUND_THRUST: Final = 0.0  # on the ground: ArduPilot has landed at none alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +136,7 @@ def ground_setpoint(now_s: float, config: ControlConfig, pad: PadState | None, h
             velocity_ned_m_s=along,
             heading_rad=heading.heading_rad,
             attitude=attitude_from_acceleration(ZERO3, heading.heading_rad),
-            thrust=config.ground_thrust,
+            thrust=GROUND_THRUST,
         )
     return Setpoint(
         time_s=now_s,

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -55,6 +56,10 @@ from companion.estimate.pad.pad_filter import (
 )
 from companion.estimate.vehicle.vehicle_estimator import FUTURE_S, VehicleEstimator
 
+RANGE_MAXIMUM_TILT_DEG: Final = 20.0  # echoes come back aslant beyond this
+ATTITUDE_JITTER_DEG: Final = 0.03  # the fast part of the attitude's error
+ATTITUDE_WANDER_RAD_S: Final = 0.3  # how fast the horizon's error changes: a share of itself a second
+
 READOUT_S = 0.02  # about what a camera takes from its first row to its last
 CALIBRATION_SHARE = 0.99  # of a sighting's least variance, at most; the rest keeps its covariance positive
 LARGEST_RATE_RAD_S = 70.0  # an MPU9250 measures 35 rad/s and 157 m/s² at most: more is a fault of the line
@@ -88,11 +93,12 @@ class StateEstimator:
 
     # ------------------------------------------------------------ inputs
 
-    def add_imu(self, sample: ImuSample) -> bool:
-        """Take one sample; they must come in order of time."""
+    def add_imu(self, sample: ImuSample, received_s: float = math.inf) -> bool:
+        """Take one sample; they must come in order of time, and none is of the time after its receipt."""
         rate, force = sample.rate_body_rad_s, sample.specific_force_body_m_s2
         usable = (
             _finite((sample.time_s, *rate, *force))
+            and sample.time_s <= received_s + FUTURE_S
             and max(map(abs, rate)) <= LARGEST_RATE_RAD_S
             and max(map(abs, force)) <= LARGEST_FORCE_M_S2
         )
@@ -149,7 +155,7 @@ class StateEstimator:
         if attitude is None or not self._usable(sample.time_s, (sample.distance_m,)):
             return self._count("range", False)
         tilt_rad = tilt_from_quat(attitude)
-        if tilt_rad > math.radians(self._config.pad.range_maximum_tilt_deg):
+        if tilt_rad > math.radians(RANGE_MAXIMUM_TILT_DEG):
             return self._count("range", False)
         # a wide beam measures to the nearest point, a narrow one the point on its axis: take the height
         # under the axis, with the difference as its noise
@@ -281,7 +287,7 @@ class StateEstimator:
         """
         rotation = matrix_from_quat(attitude)
         position = quat_rotate(attitude, sighting.pad_position_body_m)
-        jitter = math.radians(self._config.pad.attitude_jitter_deg) ** 2
+        jitter = math.radians(ATTITUDE_JITTER_DEG) ** 2
         jitter += self._motion.turned_rad(sighting.time_s, self._config.pad.exposure_jitter_s) ** 2
         x, y, z = position
         lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
@@ -304,9 +310,7 @@ class StateEstimator:
 
     def _covariance(self, estimate: CombinedEstimate) -> FloatArray:
         rotation = self._vehicle.rotation_covariance()
-        return estimate.covariance(
-            np.zeros((3, 3)) if rotation is None else rotation, self._config.pad.attitude_wander_rad_s
-        )
+        return estimate.covariance(np.zeros((3, 3)) if rotation is None else rotation, ATTITUDE_WANDER_RAD_S)
 
     # ------------------------------------------------------------ what may come in
 

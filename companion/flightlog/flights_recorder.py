@@ -1,7 +1,8 @@
 """The log of a service: one folder a flight, from the minute before it was ordered to its end.
 
 In standby the last minute is kept in memory, and nothing goes to the card. A flight's log begins with it,
-written by the log's own thread: the control loop hands over the whole minute at once.
+written by the log's own thread: the control loop hands over the whole minute at once. Its files are opened in
+a thread too, and what comes meanwhile joins the minute.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -44,6 +46,8 @@ class FlightsRecorder(FlightLog):
         """`make_room` is called after each flight's log, in a thread: a card may take long to remove one."""
         super().__init__(None, start_unix_s)
         self._root, self._make_room = folder, make_room
+        self._opener = ThreadPoolExecutor(1, thread_name_prefix="flight-log-opener")
+        self._opening: Future[FlightLog] | None = None
         self._flight: FlightLog | None = None
         self._ending: FlightLog | None = None  # whose last messages are being written
         self._minute: deque[_Kept] = deque(maxlen=MOST_KEPT)
@@ -55,34 +59,48 @@ class FlightsRecorder(FlightLog):
     @property
     def flight_folder(self) -> Path | None:
         """Where the flight under way is recorded."""
-        return None if self._flight is None else self._flight.folder
+        flight = self._opened()
+        return None if flight is None else flight.folder
 
     @property
     def problem(self) -> str | None:
         """See `FlightLog`; a flight without a log because none could be made counts too."""
-        return self._failed if self._flight is None else self._flight.problem
+        flight = self._opened()
+        return self._failed if flight is None else flight.problem
 
     def begin(self) -> None:
         """A flight begins; it is flown also where it cannot be recorded, and `problem` says so."""
         self._failed = None
-        if self._root is None or self._flight is not None:
+        if self._root is None or self._flight is not None or self._opening is not None:
             return
-        try:
-            if self._ending is not None:
-                self._ending.join()  # long since written
-            self._flight = FlightLog(next_flight_folder(self._root), self._start_unix_s, keeps=False)
-        except (ConfigError, OSError) as error:
-            self._failed = str(error)
-            return
-        self._flight.write_settings(**self._settings)
-        minute, self._minute = tuple(self._minute), deque(maxlen=MOST_KEPT)
-        self._flight.write_before([(kept.method, kept.arguments) for kept in minute])
+        self._opening = self._opener.submit(self._open, self._root, self._ending)
+
+    def _open(self, root: Path, ending: FlightLog | None) -> FlightLog:
+        if ending is not None:
+            ending.join()
+        return FlightLog(next_flight_folder(root), self._start_unix_s, keeps=False)
+
+    def _opened(self, *, wait: bool = False) -> FlightLog | None:
+        """The log under way, once its files are open; it is given what has been kept until now."""
+        if self._opening is not None and (wait or self._opening.done()):
+            opening, self._opening = self._opening, None
+            try:
+                flight = opening.result()
+            except (ConfigError, OSError) as error:
+                self._failed = str(error)
+                return None
+            flight.write_settings(**self._settings)
+            minute, self._minute = tuple(self._minute), deque(maxlen=MOST_KEPT)
+            flight.write_before([(kept.method, kept.arguments) for kept in minute])
+            self._flight = flight
+        return self._flight
 
     def end(self) -> None:
         """The flight under way has ended; its files are finished by the log's thread."""
-        if self._flight is not None:
-            self._flight.close(wait=False)
-            self._ending, self._flight = self._flight, None
+        flight = self._opened(wait=True)
+        if flight is not None:
+            flight.close(wait=False)
+            self._ending, self._flight = flight, None
             if self._make_room is not None:
                 threading.Thread(target=self._make_room, name="flights", daemon=True).start()
 
@@ -91,21 +109,18 @@ class FlightsRecorder(FlightLog):
     def write(self, topic: str, message: Any, time_s: float) -> None:
         """See `FlightLog`."""
         self.meter.note(topic, message, time_s)
-        if self.tap is not None:
-            self.tap.note(topic, message, time_s)
+        self.tap.note(topic, message, time_s)
         self._pass_on("write", (topic, message, time_s), time_s)
 
     def write_settings(self, **settings: BaseModel) -> None:
         """See `FlightLog`; every flight's log gets them."""
         self._settings |= settings
-        if self.tap is not None:
-            self.tap.know(settings)
+        self.tap.know(settings)
 
     def write_frame(self, frame: Frame, time_s: float) -> None:
         """See `FlightLog`."""
-        if self.tap is not None:
-            self.tap.frame(frame)
-        if self._flight is None:
+        self.tap.frame(frame)
+        if self._opened() is None:
             if time_s - self._kept_frame_s < KEPT_FRAME_PERIOD_S:
                 return
             self._kept_frame_s = time_s
@@ -118,6 +133,7 @@ class FlightsRecorder(FlightLog):
     def close(self, *, wait: bool = True) -> None:
         """See `FlightLog`."""
         self.end()
+        self._opener.shutdown()
         if wait and self._ending is not None:
             self._ending.join()
 
@@ -131,8 +147,8 @@ class FlightsRecorder(FlightLog):
         arguments: tuple[Any, ...],
         time_s: float,
     ) -> None:
-        if self._flight is not None:
-            getattr(self._flight, method)(*arguments)
+        if (flight := self._opened()) is not None:
+            getattr(flight, method)(*arguments)
         elif self._root is not None:
             minute = self._minute
             minute.append(_Kept(time_s, method, arguments))

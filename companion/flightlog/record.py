@@ -18,7 +18,7 @@ import struct
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, Final, Literal, Protocol
+from typing import IO, Any, Final, Literal
 
 import yaml
 from mcap.writer import CompressionType, Writer
@@ -40,6 +40,7 @@ from companion.flightlog.log_file import (
     SETTINGS_RECORD,
     VERSIONS_RECORD,
 )
+from companion.flightlog.tap import NoTap, Tap
 from companion.flightlog.version import versions
 
 # What the score and the plots read again; the rest (IMU samples, frames) would only fill the memory.
@@ -56,14 +57,6 @@ FLUSHED_S: Final = 0.5
 MCAP_CHUNK_BYTES: Final = 64 * 1024
 MAVLINK2_MAGIC: Final = 0xFD
 MAVLINK1_MAGIC: Final = 0xFE
-
-
-class Tap(Protocol):
-    """Who hears of all that is logged, on the control loop: whatever it does delays control."""
-
-    def know(self, settings: Mapping[str, BaseModel]) -> None: ...
-    def note(self, topic: str, message: Any, time_s: float) -> None: ...
-    def frame(self, frame: Frame) -> None: ...
 
 
 class FlightLog:
@@ -98,7 +91,7 @@ class FlightLog:
         self._made_folder = folder is not None and not folder.exists()
         self._files: _Files | None = None
         self._ended_with: str | None = None
-        self.tap: Tap | None = None
+        self.tap: Tap = NoTap()
         self.join: Callable[[], None] = lambda: None  # until a log that was closed without waiting is written
         if folder is not None:
             try:
@@ -122,8 +115,7 @@ class FlightLog:
 
     def write(self, topic: str, message: Any, time_s: float) -> None:
         """Log one message (a dataclass of companion.base.messages) under a topic."""
-        if self.tap is not None:
-            self.tap.note(topic, message, time_s)
+        self.tap.note(topic, message, time_s)
         if self._keeps and topic in KEPT_TOPICS:
             self.kept[topic].append(message)
         if (files := self._files) is not None:
@@ -135,15 +127,13 @@ class FlightLog:
 
         They also stand in a file of their own, `settings.yaml`.
         """
-        if self.tap is not None:
-            self.tap.know(settings)
+        self.tap.know(settings)
         if (files := self._files) is not None:
             files.disk.put(files.write_settings, settings)
 
     def write_frame(self, frame: Frame, time_s: float) -> None:
         """Log a camera frame as a compressed image, at the log's own rate."""
-        if self.tap is not None:
-            self.tap.frame(frame)
+        self.tap.frame(frame)
         if (files := self._files) is None or time_s < self._next_frame_s:
             return
         self._next_frame_s = time_s + self._frame_period_s
@@ -165,12 +155,14 @@ class FlightLog:
     def write_before(self, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
         """Log what happened before the log began: names of the methods here, with their arguments.
 
-        The log's thread does all of it: a minute of messages takes a second of computing.
+        The log's thread does all of it, and writes it through to the card once: by its messages' times a
+        minute would be due a hundred times, while the flight waits to be logged.
         """
         if (files := self._files) is not None:
             files.disk.put(self._write_all, files, calls)
 
     def _write_all(self, files: _Files, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
+        files.pause_flushing()
         for method, arguments in calls:
             if method == "write":
                 topic, message, time_s = arguments
@@ -181,6 +173,7 @@ class FlightLog:
             else:
                 data, time_s, direction = arguments
                 files.tlog.write(data, self._unix_ns(time_s) // 1000, direction)
+        files.flush()
 
     def close(self, *, wait: bool = True) -> None:
         """Finish the files, without waiting for the disk if so wished; the log takes nothing after that."""
@@ -213,9 +206,10 @@ class _FlushDue:
     def __init__(self, every_s: float) -> None:
         self._every_s = every_s
         self._last_s = -math.inf
+        self.paused = False
 
     def at(self, time_s: float) -> bool:
-        if not time_s - self._last_s >= self._every_s:
+        if self.paused or not time_s - self._last_s >= self._every_s:
             return False
         self._last_s = time_s
         return True
@@ -226,7 +220,7 @@ class _McapFile:
 
     def __init__(self, path: Path, flushed_s: float) -> None:
         self._stream = path.open("xb")
-        self._flush_due = _FlushDue(flushed_s)
+        self.flush_due = _FlushDue(flushed_s)
         self._writer = Writer(self._stream, chunk_size=MCAP_CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library="companion")
         self._channels: dict[str, int] = {}
@@ -243,9 +237,12 @@ class _McapFile:
         self._writer.add_message(channel, log_time=unix_ns, publish_time=unix_ns, data=encode(message))
         for known in self._translator.message(message, unix_ns):
             self._write_known(known, unix_ns, unix_ns)
-        if self._flush_due.at(1e-9 * unix_ns):
-            self._writer.flush()  # type: ignore[no-untyped-call]
-            os.fsync(self._stream.fileno())
+        if self.flush_due.at(1e-9 * unix_ns):
+            self.flush()
+
+    def flush(self) -> None:
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        os.fsync(self._stream.fileno())
 
     def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
         self._writer.add_metadata(name, dict(values))
@@ -276,7 +273,7 @@ class _TlogFile:
 
     def __init__(self, path: Path, flushed_s: float) -> None:
         self._stream: IO[bytes] = path.open("xb")
-        self._flush_due = _FlushDue(flushed_s)
+        self.flush_due = _FlushDue(flushed_s)
         self._rest = {"in": b"", "out": b""}
 
     def write(self, data: bytes, unix_us: int, direction: str) -> None:
@@ -284,9 +281,12 @@ class _TlogFile:
         packets, self._rest[direction] = split_packets(self._rest[direction] + data)
         for packet in packets:
             self._stream.write(stamp + packet)
-        if self._flush_due.at(1e-6 * unix_us):
-            self._stream.flush()
-            os.fsync(self._stream.fileno())
+        if self.flush_due.at(1e-6 * unix_us):
+            self.flush()
+
+    def flush(self) -> None:
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
 
     def close(self) -> None:
         self._stream.close()
@@ -300,6 +300,16 @@ class _Files:
     mcap: _McapFile
     tlog: _TlogFile
     folder: Path
+
+    def pause_flushing(self) -> None:
+        """Nothing is written through to the card until `flush`."""
+        self.mcap.flush_due.paused = self.tlog.flush_due.paused = True
+
+    def flush(self) -> None:
+        """Write through to the card, and when it is due from now on."""
+        self.mcap.flush()
+        self.tlog.flush()
+        self.mcap.flush_due.paused = self.tlog.flush_due.paused = False
 
     def write_settings(self, settings: Mapping[str, BaseModel]) -> None:
         """Into the metadata, and beside the log for people; asking git for the revision takes a moment."""

@@ -9,10 +9,14 @@ from companion.base.messages import AutopilotSetup
 from companion.link.parameters import ParameterRequest, ParameterRequests
 
 NAMES: Final[dict[AutopilotKind, tuple[str, ...]]] = {
-    "px4": ("MPC_TILTMAX_AIR", "MPC_THR_HOVER"),
-    "ardupilot": ("ANGLE_MAX", "WPNAV_ACCEL", "PSC_JERK_XY", "MOT_THST_HOVER"),
+    "px4": ("MPC_TILTMAX_AIR", "MPC_THR_HOVER", "COM_OF_LOSS_T", "COM_OBL_RC_ACT"),
+    "ardupilot": ("ANGLE_MAX", "WPNAV_ACCEL", "PSC_JERK_XY", "MOT_THST_HOVER", "GUID_TIMEOUT"),
 }
 _CENTI: Final = 0.01
+# how long an autopilot should fly on without setpoints; what PX4's COM_OBL_RC_ACT then asks for
+SHORTEST_TIMEOUT_S, LONGEST_TIMEOUT_S = 0.3, 1.0
+STICK_ACTIONS: Final = {0: "Position", 1: "Altitude", 2: "Stabilized"}
+MOTOR_STOP_ACTIONS: Final = {6: "Terminate", 7: "Disarm"}
 
 
 class SetupReader:
@@ -39,13 +43,50 @@ class SetupReader:
             return None
         value = {name: request.value for name, request in self._asked.items()}
         if self._autopilot_kind == "px4":
-            return AutopilotSetup(tilt_deg=value["MPC_TILTMAX_AIR"], hover_thrust=value["MPC_THR_HOVER"])
+            action = value["COM_OBL_RC_ACT"]
+            return AutopilotSetup(
+                tilt_deg=value["MPC_TILTMAX_AIR"],
+                hover_thrust=value["MPC_THR_HOVER"],
+                setpoint_timeout_s=value["COM_OF_LOSS_T"],
+                setpoints_lost_action=None if action is None else round(action),
+            )
         return AutopilotSetup(
             tilt_deg=_scaled(value["ANGLE_MAX"]),
             hover_thrust=value["MOT_THST_HOVER"],
             acceleration_m_s2=_scaled(value["WPNAV_ACCEL"]),
             jerk_m_s3=value["PSC_JERK_XY"],
+            setpoint_timeout_s=value["GUID_TIMEOUT"],
         )
+
+
+def motors_stop(setup: AutopilotSetup) -> str:
+    """Why the loss of setpoints would stop the motors in the air; empty when it would not."""
+    action = setup.setpoints_lost_action
+    title = MOTOR_STOP_ACTIONS.get(-1 if action is None else action)
+    if title is None:
+        return ""
+    return (
+        f"COM_OBL_RC_ACT is {action} ({title}): the motors stop in the air when setpoints do; "
+        "expected 5 (Hold) or 4 (Land)"
+    )
+
+
+def loss_warnings(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> list[str]:
+    """What is not safe about the loss of setpoints, as of the link, by the autopilot's parameters."""
+    found = []
+    action, timeout_s = setup.setpoints_lost_action, setup.setpoint_timeout_s
+    if action is not None and action in STICK_ACTIONS:
+        found.append(
+            f"link loss: COM_OBL_RC_ACT is {action} ({STICK_ACTIONS[action]}): with nobody at the sticks it "
+            "comes down with the speed over ground it has; expected 5 (Hold) or 4 (Land)"
+        )
+    if timeout_s is not None and timeout_s > LONGEST_TIMEOUT_S:
+        name = "COM_OF_LOSS_T" if autopilot_kind == "px4" else "GUID_TIMEOUT"
+        found.append(
+            f"link loss: {name} is {timeout_s:g}: so long the last setpoint is kept; expected "
+            f"{SHORTEST_TIMEOUT_S:g} to {LONGEST_TIMEOUT_S:g} s"
+        )
+    return found
 
 
 def _scaled(hundredths: float | None) -> float | None:

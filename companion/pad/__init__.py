@@ -1,4 +1,4 @@
-"""The pad as data: the eyes, the renderer and the printer all read the same layout.
+"""The pad as data: the vision, the renderer and the printer all read the same layout.
 
 Pad frame: origin at the centre of the surface, x along the pad's heading, y to its right, z down; metres.
 Loading a pad checks it: what cannot be printed, or could not be told apart from the air, is refused.

@@ -8,6 +8,7 @@ no I/O, no clock. NED, m, s, rad; references are relative to the pad as soon as 
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from companion.base.geometry import ned_from_geodetic
 from companion.base.messages import ActionKind, LandedState, Notice, Phase, PlanStep, Refusal
@@ -17,6 +18,7 @@ from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.machine import StateMachine
+from companion.plan.mission.mode_monitor import in_land
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.states import Circumstances, DetectedEvent, Effect, MissionEvent, State
 from companion.plan.mission.table import FINAL, impossible
@@ -25,6 +27,8 @@ from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.steering import PhaseSteering
 from companion.plan.trajectory.guidance import ReferenceGenerator, SpeedLaw
 from companion.plan.trajectory.waypoints import check_places
+
+SIGHTINGS_WINDOW_S: Final = 0.5  # in which `search.sightings` have to come
 
 __all__ = ["PlanInputs", "Planner"]
 
@@ -55,7 +59,7 @@ class Planner:
         self._fence_m, self._fence_told = mission.fence_m, False
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
         self._monitor = FailsafeMonitor(mission, self._machine)
-        self._pad = PadKnowledge(search.sightings, search.sightings_window_s)
+        self._pad = PadKnowledge(search.sightings, SIGHTINGS_WINDOW_S)
         self._ground = Ground(vehicle.range_position_body_m)
         avoidance = Avoidance(config, vehicle.radius_m)
         self._generator = ReferenceGenerator(config.guidance, law, horizon_steps, step_s, avoidance)
@@ -183,7 +187,9 @@ class Planner:
             on_surface=self._steering.on_pad or landed is LandedState.ON_GROUND,
             airborne=landed is LandedState.IN_AIR,
             disarm_asked=self._requests.asked(ActionKind.DISARM),
-            land_granted=self._requests.granted(ActionKind.LAND),
+            heard=inputs.autopilot.connected,
+            # a request that is asked afresh is not granted yet, while the autopilot lands all the same
+            land_granted=self._requests.granted(ActionKind.LAND) or in_land(inputs.autopilot),
             may_finish=self._battery.finish_descent,
         )
 

@@ -292,10 +292,9 @@ class PhaseSteering:
 
     def _ground_near(self) -> DetectedEvent | None:
         """Whether the echoes contradict the pad's estimated height."""
-        c, surface_m, sight = self._config.landing, self._ground.surface_m, self._pad.sight
-        if sight is None or surface_m is None or surface_m > c.ground_near_m:
-            return None
-        if sight.height_m - surface_m < c.ground_doubt_m:
+        sight = self._pad.sight
+        surface_m = None if sight is None else self._ground.above(sight.height_m)
+        if sight is None or surface_m is None:
             return None
         self._pad.distrust()
         self.search.locator.distrust()

@@ -70,6 +70,7 @@ def profiles_command(
     seed: Seed = 0,
     flights: Annotated[int, typer.Option(min=1, help="Of each law in each scenario.")] = 3,
     jobs: Annotated[int, typer.Option(min=1, help="Processes that fly.")] = 1,
+    fixed_speed: Annotated[float, typer.Option(min=0.2, max=3.0, help="Of the fixed law, m/s.")] = 0.9,
     output: Picture = Path("profiles.png"),
 ) -> None:
     """Descents by the fuzzy speed controller, a fixed speed and a log polynomial, in whole flights."""
@@ -82,11 +83,31 @@ def profiles_command(
     from companion.research import profiles  # noqa: PLC0415
 
     console, count = Console(), len(profiles.LAWS) * len(scenarios) * flights
-    flown = profiles.fly_all(scenarios, range(seed, seed + flights), jobs)
+    flown = profiles.fly_all(scenarios, range(seed, seed + flights), jobs, fixed_speed)
     descents = list(track(flown, "flying", total=count, console=console, disable=not console.is_terminal))
     profiles.draw(descents, output)
     console.print(profiles.table(descents))
     finish(console, profiles.bars(descents), output)
+
+
+@app.command("table1")
+def table1_command(
+    *,
+    pad: Annotated[str, typer.Option(help="A name in configs/pads, or a file.")] = "moving_1300",
+    camera: Annotated[str, typer.Option(help="A name in configs/cameras, or a file.")] = "hd_1280x720",
+    frames: Annotated[int, typer.Option(min=10, help="From each height.")] = 100,
+    seed: Seed = 0,
+) -> None:
+    """Table 1: several markers against a single one, recall and precision in rendered frames."""
+    find_file("pads", pad)
+    find_file("cameras", camera)
+    from rich.console import Console  # noqa: PLC0415
+
+    from companion.research import table1  # noqa: PLC0415
+
+    console, cells = Console(), table1.look(pad, camera, frames, seed)
+    console.print(table1.table(cells))
+    finish(console, table1.bars(cells))
 
 
 @app.command("pad-recall")
@@ -136,14 +157,15 @@ def tune_command(
     tune_flight_pid.show(pid, console)
 
 
-def finish(console: Console, bars: Mapping[str, bool], output: Path) -> None:
-    """Say which bars hold and where the picture is; the exit status is 0 when all do.
+def finish(console: Console, bars: Mapping[str, bool], output: Path | None = None) -> None:
+    """Say which bars hold and where the picture is, if there is one; the exit status is 0 when all do.
 
     Raises:
         typer.Exit: always.
     """
     words = ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in bars.items())
-    console.print(f"picture: {output}", highlight=False, soft_wrap=True, markup=False)
+    if output is not None:
+        console.print(f"picture: {output}", highlight=False, soft_wrap=True, markup=False)
     console.print(f"bars: {words}", highlight=False, soft_wrap=True)
     raise typer.Exit(0 if all(bars.values()) else 1)
 

@@ -9,7 +9,7 @@ that took no part in the fit, and another camera, judge it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -23,6 +23,7 @@ from scipy.optimize import minimize
 
 from companion.base.geometry import (
     FloatArray,
+    Vector3,
     add,
     quat_conjugate,
     quat_from_euler,
@@ -115,14 +116,23 @@ def _look_at(
         stroke_px = rng.uniform(0.0, LONGEST_STROKE_CELLS) * cell_px if k % 2 else 0.0
         height_m = camera.fx_px * marker.cell_m / cell_px
         speed_m_s = stroke_px * height_m / (camera.fx_px * camera.exposure_s)
-        frame, prior = _picture(model, vehicle, height_m, speed_m_s, rng)
-        read = vision.step(frame, prior).sighting is not None
+        shown = show(model, vehicle, height_m, speed_m_s, rng)
+        read = vision.step(shown.frame, shown.prior).sighting is not None
         yield cell_px, optics.blur_px(camera.fx_px, height_m, stroke_px), float(read)
 
 
-def _picture(
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A frame of a board, where vision expects it, and where it is in the body at a time (s): truth."""
+
+    frame: Frame
+    prior: PadPrior
+    pad_position_body_m: Callable[[float], Vector3]
+
+
+def show(
     model: CameraModel, vehicle: VehicleConfig, height_m: float, speed_m_s: float, rng: np.random.Generator
-) -> tuple[Frame, PadPrior]:
+) -> Shown:
     """A frame of the board, and where vision expects it: as in flight, not quite there."""
     roll, pitch = rng.normal(0.0, math.radians(TILT_STD_DEG), 2).tolist()
     yaw, heading, course = rng.uniform(-math.pi, math.pi, 3).tolist()
@@ -149,7 +159,11 @@ def _picture(
         quat_multiply(to_body, quat_from_euler(0.0, 0.0, heading)),
         std_m,
     )
-    return Frame(0.0, 0.0, 0, model.render(0.0, scene)), prior
+    return Shown(
+        Frame(0.0, 0.0, 0, model.render(0.0, scene)),
+        prior,
+        lambda time_s: quat_rotate(to_body, subtract(board, scene(time_s).vehicle_position_ned_m)),
+    )
 
 
 def fit(looks: Looks) -> RecallModel:

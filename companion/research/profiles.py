@@ -25,9 +25,10 @@ from scipy.signal import savgol_filter
 
 from companion.base.geometry import FloatArray
 from companion.base.messages import Outcome, Phase
-from companion.config import PlanConfig
+from companion.config import GuidanceConfig, PlanConfig
 from companion.flightlog.errors import TruthTrack
 from companion.plan.speed.laws import load_speed_law
+from companion.research.authority import Authority, authority
 from companion.research.flown import EndedFlight, fly_scenario
 
 mpl.use("Agg")
@@ -63,17 +64,19 @@ class Descent:
     overshoot_m: float = np.nan
     contact_m_s: float = np.nan
     lateral_contact_m: float = np.nan
+    authority: Authority = field(default_factory=Authority)
     course: FloatArray = field(default_factory=lambda: np.zeros((3, 0)))
 
 
-def fly(case: tuple[str, str, int]) -> Descent:
-    """Fly one law over one scenario and seed, and measure it.
+def fly(case: tuple[str, str, int, float]) -> Descent:
+    """Fly one law over one scenario and seed, with the speed (m/s) of the fixed law, and measure it.
 
     Raises:
         ConfigError: no such scenario or law.
     """
-    law, scenario, seed = case
-    return measure(fly_scenario(scenario, seed, {"plan": {"speed_law": law}}), law)
+    law, scenario, seed, fixed_m_s = case
+    settings = {"plan": {"speed_law": law, "fixed_speed_m_s": fixed_m_s}}
+    return measure(fly_scenario(scenario, seed, settings), law)
 
 
 def measure(flown: EndedFlight, law: str) -> Descent:
@@ -104,6 +107,7 @@ def measure(flown: EndedFlight, law: str) -> Descent:
         overshoot_m=_overshoot(times, lateral),
         contact_m_s=np.nan if touchdown is None else touchdown.vertical_speed_m_s,
         lateral_contact_m=np.nan if touchdown is None else touchdown.lateral_error_m,
+        authority=authority(flown.kept["plan"], GuidanceConfig().minimum_time_s),
         course=np.stack([times - began_s, height, lateral]),
     )
 
@@ -125,13 +129,13 @@ def _overshoot(times_s: FloatArray, lateral_m: FloatArray) -> float:
     return np.nan if np.isnan(centred_s) else float(lateral_m[times_s >= centred_s].max())
 
 
-def fly_all(scenarios: Sequence[str], seeds: Sequence[int], jobs: int) -> Iterator[Descent]:
+def fly_all(scenarios: Sequence[str], seeds: Sequence[int], jobs: int, fixed_m_s: float) -> Iterator[Descent]:
     """All laws over all scenarios and seeds, as they end, in a fixed order.
 
     Raises:
         ConfigError: no such scenario.
     """
-    cases = [(law, scenario, seed) for scenario in scenarios for seed in seeds for law in LAWS]
+    cases = [(law, scenario, seed, fixed_m_s) for scenario in scenarios for seed in seeds for law in LAWS]
     if jobs == 1:
         yield from map(fly, cases)
         return
@@ -170,6 +174,7 @@ def table(descents: Sequence[Descent]) -> Table:
     made = Table(title="from taking the pad up: median (greatest)", title_justify="left")
     made.add_column("law")
     made.add_column("landed", justify="right")
+    made.add_column("cycles decided", justify="right")
     for name, _, _ in FIGURES:
         made.add_column(name, justify="right")
     for law in LAWS:
@@ -179,7 +184,9 @@ def table(descents: Sequence[Descent]) -> Table:
             values = [figure(d) for d in own if np.isfinite(figure(d))]
             worst = form.format(max(values)) if values else "-"
             cells.append(f"{form.format(median(own, figure))} ({worst})")
-        made.add_row(law, f"{sum(d.landed for d in own)} of {len(own)}", *cells)
+        decided, cycles = (sum(getattr(d.authority, name) for d in own) for name in ("decided", "cycles"))
+        landed = f"{sum(d.landed for d in own)} of {len(own)}"
+        made.add_row(law, landed, f"{decided} of {cycles}", *cells)
     return made
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from companion.app.command import EXIT_CODES, Output, new_log, writable
 from companion.app.terminal import StatusView
@@ -13,9 +13,8 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.command_line import print_error
 from companion.base.errors import ConfigError
 from companion.base.files import write_atomically
-from companion.base.messages import Outcome
+from companion.base.messages import Outcome, Truth
 from companion.flightlog.report.command import write_report
-from companion.flightlog.report.plots import write_plots
 from companion.flightlog.report.tables import result_table, title_of
 from companion.flightlog.result import Result, from_start
 from companion.sense.vision.opencv import prepare_opencv
@@ -85,10 +84,22 @@ def fly_in_sitl(config_path: Path, trial: Trial, output: Output, *, fast: bool) 
     publish(trial, result, flight, output)
     if output.record is not None:
         kept, truth = from_start(log.kept, flight.report.truth)
-        write_plots(output.record, kept, truth, trial.scenario.obstacles, title_of(result))
+        _draw_plots(trial, result, output.record, kept, truth)
         _write_page(trial, output.record)
         output.console.print(f"logs and plots in {output.record}", highlight=False, soft_wrap=True)
     return EXIT_CODES[result.outcome]
+
+
+def _draw_plots(
+    trial: Trial, result: Result, folder: Path, kept: dict[str, list[Any]], truth: list[Truth]
+) -> None:
+    """The plots, where the library that draws them is installed: a flight needs none."""
+    try:
+        from companion.flightlog.report.plots import write_plots  # noqa: PLC0415 - loads matplotlib
+    except ModuleNotFoundError as error:
+        print(f"companion: no plots: they need {error.name}; expected it installed", file=sys.stderr)
+        return
+    write_plots(folder, kept, truth, trial.scenario.obstacles, title_of(result))
 
 
 def _write_page(trial: Trial, folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""The user's own autopilot in a flight on the desk: where it is, as the command line's options have it."""
+"""The user's own autopilot in a SITL flight: where it is, from the command line's options."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Flights on the desk with their score, and many of them in one process: what a campaign's workers run.
+"""SITL flights with their score, and many of them in one process: what a campaign's workers run.
 
 `companion flights` reads one request a line from its standard input and answers each with one line on its
 standard output, both JSON: {"scenario": ..., "seed": ..., "config": ...} and an `Answer`. Flights are in

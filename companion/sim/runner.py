@@ -1,4 +1,4 @@
-"""Flights on the desk: the app against the bundled simulator, in virtual or in real time.
+"""SITL flights: the app against the bundled simulator, in virtual or in real time.
 
 Virtual (`--fast`): app and simulator share one process and one virtual-time loop, MAVLink goes through an
 in-process pipe. Real: the simulator is a process of its own; MAVLink goes over UDP, the serial sensors

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from sitl.faults import faults
 from sitl.faults.injection import INJECT, FaultTargets
@@ -36,6 +37,17 @@ class Moments:
         return now_s if low else None
 
 
+class Schedule(Protocol):
+    """What a simulation steps."""
+
+    @property
+    def all_begun(self) -> bool:
+        """Whether no fault is still to come."""
+
+    def step(self, now_s: float) -> None:
+        """Once per physics step, before the sensors' step."""
+
+
 class FaultSchedule:
     """Begins and ends the faults."""
 
@@ -59,6 +71,12 @@ class FaultSchedule:
     def all_begun(self) -> bool:
         """Whether no fault is still to come."""
         return not self._waiting and not self._due
+
+    def due_s(self, now_s: float) -> float | None:
+        """When the fault begins that `step` would let begin now; None: none does."""
+        if self._waiting:
+            self._look(now_s)
+        return min((begins_s for begins_s, _ in self._due if begins_s <= now_s), default=None)
 
     def step(self, now_s: float) -> None:
         """Once per physics step, before the sensors' step."""

@@ -1,7 +1,7 @@
 """A simulated vehicle in the caller's own process and on its loop, in virtual time or in real time.
 
-The app's drivers get what hardware gives them: a register bus, two serial lines and a camera. For flights on
-the desk, for campaigns, and for tools with a vehicle that stands or is carried by hand:
+The app's drivers get what hardware gives them: a register bus, two serial lines and a camera. For flights in
+SITL, for campaigns, and for tools with a vehicle that stands or is carried by hand:
 
     async def main() -> None:
         async with carried("static", seed=0, motion="tumble") as vehicle:

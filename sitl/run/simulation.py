@@ -9,7 +9,7 @@ Simulation time starts at 0; stamps that leave it (frames, truth) are loop time.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Final
 
@@ -24,9 +24,10 @@ from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import DevicePort
 from sitl.faults.computer import ComputerFaults
+from sitl.faults.faults import Fault
 from sitl.faults.injection import FaultTargets
 from sitl.faults.outside_injection import OutsideTargets
-from sitl.faults.schedule import FaultSchedule, Moments
+from sitl.faults.schedule import FaultSchedule, Moments, Schedule
 from sitl.firmware.errors import FirmwareError
 from sitl.firmware.spec import FirmwareSpec
 from sitl.firmware.vehicle import IMU_FILTER, FirmwareVehicle
@@ -108,8 +109,7 @@ class Simulation:
         self._scenario = scenario
         self._timer = TickTimer(TICK_S)
         self._link = link
-        self._camera_wanted = camera_wanted
-        self._deliver_frame = deliver_frame
+        self._camera_wanted, self._deliver_frame = camera_wanted, deliver_frame
         self._keep_truth = keep_truth
         self._truth: list[Truth] = []
         self._world = world = _world(scenario, seed, motion, hands_wait)
@@ -134,7 +134,8 @@ class Simulation:
         self.app_words = AppWords()
         line.listeners.append(self.app_words.hear)
         self.on_step: Callable[[], None] | None = None  # after each step of the physics: for benches
-        self.faults = self._fault_schedule(sensors, computer)
+        self._fault_targets = self._targets(sensors, computer)
+        self.faults: Schedule = self.fault_schedule(scenario.faults)
 
     @property
     def imu_bus(self) -> Mpu9250Device:
@@ -161,6 +162,17 @@ class Simulation:
     def world(self) -> World:
         """The truth now: for tests and benches."""
         return self._world
+
+    def fault_schedule(self, faults: Sequence[Fault]) -> FaultSchedule:
+        """A schedule of faults of this vehicle; it acts once it is stepped, as `faults` is.
+
+        Raises:
+            ConfigError: a fault has nothing here that it could act on.
+        """
+        world = self._world
+        return FaultSchedule(
+            faults, self._fault_targets, Moments(self.app_words, lambda: world.feet_over_pad_m)
+        )
 
     def begin_motion(self) -> None:
         """Start the hand motion, if it waits."""
@@ -244,9 +256,7 @@ class Simulation:
         truth = TruthMessages(autopilot, self._world, self._scenario.place) if serve_truth else None
         return Network(autopilot, sensors, station, signing, unix_at_start_s, truth)
 
-    def _fault_schedule(
-        self, sensors: SimulatedAutopilotSensors, computer: ComputerFaults | None
-    ) -> FaultSchedule:
+    def _targets(self, sensors: SimulatedAutopilotSensors, computer: ComputerFaults | None) -> FaultTargets:
         world, line, network = self._world, self.line, self.line.network
         autopilot = self._flight_controller
         outside = OutsideTargets(
@@ -258,8 +268,7 @@ class Simulation:
             computer,
         )
         devices = (self._rack, sensors, self._frame_line, world.motors, line.to_app, line.to_vehicle)
-        moments = Moments(self.app_words, lambda: world.feet_over_pad_m)
-        return FaultSchedule(self._scenario.faults, FaultTargets(*devices, outside), moments)
+        return FaultTargets(*devices, outside)
 
     # ------------------------------------------------------------ one tick
 

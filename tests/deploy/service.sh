@@ -29,6 +29,12 @@ inside() {
         PIP_FIND_LINKS=/wheels PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin "$@"
 }
 
+# what is there, but for what is no file of the system's, and its own logs
+list_files() {
+    inside find / -xdev \( -path /proc -o -path /sys -o -path /dev -o -path /run -o -path /tmp -o -path /src \
+        -o -path /wheels -o -path /var/log -o -path /var/tmp -o -path /root/.cache \) -prune -o -print | sort
+}
+
 # waits for a command inside to succeed
 until_well() {
     local until=$((SECONDS + PATIENCE_S))
@@ -105,6 +111,7 @@ step "boot"
 boot || skip "systemd does not boot in a container here: $(tail -n 1 "$FOLDER/boot.log")"
 
 step "install.sh, enable"
+list_files >"$FOLDER/before"
 inside bash /src/systemd/install.sh >"$FOLDER/install.log" 2>&1 || fail "install.sh: $(tail -n 1 "$FOLDER/install.log")"
 inside systemctl enable --quiet companion
 inside systemd-analyze verify /etc/systemd/system/companion.service || fail "systemd-analyze verify"
@@ -164,4 +171,9 @@ inside bash /src/systemd/install.sh --remove >"$FOLDER/install.log" 2>&1 || fail
 left="$(inside sh -c 'ls -d /opt/companion /etc/systemd/system/companion.service /usr/local/bin/companion* 2>/dev/null; pgrep -u companion -f companion.cli' || true)"
 [ -z "$left" ] || fail "removed, and still there: $left"
 [ -e "$ROOT/var/lib/companion" ] && [ -L "$ROOT/etc/companion/companion.yaml" ] || fail "logs or settings are gone"
+# `vehicle` and the backups of passwd and group are not ours
+list_files >"$FOLDER/after"
+left="$(comm -13 "$FOLDER/before" "$FOLDER/after" | grep -v -e '^/etc/companion\(/\|$\)' -e '^/var/lib/companion\(/\|$\)' \
+    -e '/vehicle.service$' -e '^/etc/\(passwd\|group\|shadow\|gshadow\)-$' -e '^/var/lib/systemd/' || true)"
+[ -z "$left" ] || fail "removed, and still there: $left"
 step "install, boot, restarts, check and removal are well"

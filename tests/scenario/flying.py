@@ -1,19 +1,31 @@
-"""Flights as a user starts them: the command in a process of its own, with its exit code and its files."""
+"""Flights as a user starts them: the command with its exit code and its files.
+
+`run` is a process of its own; `fly` runs the same command in this process, which saves seconds of imports.
+That it is the same flight, to the bit, test_landings.py shows.
+"""
 
 from __future__ import annotations
 
+import functools
+import gc
+import io
 import json
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
+import pytest
 import yaml
 
+from companion.base.command_line import run_program
+from companion.cli import PROGRAM, cli
 from companion.config import CONFIG_FOLDER, merge
 
 COMMAND = (sys.executable, "-m", "companion.cli")
@@ -57,15 +69,53 @@ def run(*arguments: str | Path, result: Path | None = None, variables: dict[str,
         timeout=FLIGHT_TIMEOUT_S,
         check=False,
     )
-    content = None if result is None or not result.exists() else json.loads(result.read_text())
-    return Flown(words, done.returncode, done.stdout, done.stderr, content)
+    return Flown(words, done.returncode, done.stdout, done.stderr, read_result(result))
+
+
+def read_result(path: Path | None) -> dict[str, Any] | None:
+    """A result file's content, if there is one."""
+    return None if path is None or not path.exists() else json.loads(path.read_text())
+
+
+def run_here(*arguments: str | Path, result: Path | None = None) -> Flown:
+    """Run `companion` in this process."""
+    words = tuple(str(argument) for argument in arguments)
+    with (
+        redirect_stdout(io.StringIO()) as stdout,
+        redirect_stderr(io.StringIO()) as stderr,
+        patch.dict(os.environ, environment()),
+        pytest.raises(SystemExit) as ended,
+    ):
+        run_program(cli, PROGRAM, words)
+    gc.collect()  # a flight's tasks refer to one another: its world of 30 MB goes now, or many pile up
+    assert isinstance(ended.value.code, int)
+    return Flown(words, ended.value.code, stdout.getvalue(), stderr.getvalue(), read_result(result))
+
+
+def flight_words(scenario: str | Path, seed: int, result: Path) -> tuple[str | Path, ...]:
+    """The arguments of a flight in virtual time that leaves its result in a file."""
+    return ("--sitl", "--fast", "--no-ui", "--scenario", scenario, "--seed", str(seed), "--json", result)
 
 
 def fly(scenario: str | Path, seed: int, folder: Path, *options: str | Path) -> Flown:
-    """Fly a scenario in virtual time; its result is left in `folder`."""
+    """Fly a scenario in virtual time, in this process; its result is left in `folder`."""
     path = folder / f"result-{Path(scenario).stem}-{seed}.json"
-    where = ("--sitl", "--fast", "--no-ui", "--scenario", scenario, "--seed", str(seed), "--json", path)
-    return run(*where, *options, result=path)
+    return run_here(*flight_words(scenario, seed, path), *options, result=path)
+
+
+@functools.cache
+def flown(scenario: str, seed: int) -> Flown:
+    """A shipped scenario's flight, which several tests look at: flown once in a process."""
+    with tempfile.TemporaryDirectory() as folder:
+        return fly(scenario, seed, Path(folder))
+
+
+def figures(flight: Flown) -> dict[str, Any]:
+    """The result of a flight but for what depends on the machine."""
+    assert flight.result is not None, flight
+    result = dict(flight.result)
+    assert result.pop("sim").keys() == {"real_time_factor"}
+    return result
 
 
 def environment() -> dict[str, str]:

@@ -52,10 +52,30 @@ class Tapped:
 class Field:
     """What a story sees and does."""
 
-    def __init__(self, app: App, vehicle: InProcess, tapped: Tapped, to_app: MemoryTransport) -> None:
-        self.app, self.vehicle, self._tapped, self._to_app = app, vehicle, tapped, to_app
+    def __init__(
+        self, start: Callable[[], App], vehicle: InProcess, tapped: Tapped, to_app: MemoryTransport
+    ) -> None:
+        self._start, self.vehicle, self._tapped, self._to_app = start, vehicle, tapped, to_app
         self._codec = Codec(GROUND, 190)
         self.clock = Clock()
+        self.app = start()
+        self.running = asyncio.create_task(self.app.run())
+
+    async def restart(self) -> None:
+        """End the app as a kill does, in the middle of whatever it does, and start another."""
+        self.running.cancel()
+        await asyncio.wait([self.running])
+        self.app = self._start()
+        self.running = asyncio.create_task(self.app.run())
+
+    async def until_it_ends(self) -> None:
+        """Wait for the app's end, which is a failure; a restart is none."""
+        while True:
+            await asyncio.wait([self.running])
+            if not self.running.cancelled():
+                self.running.result()
+                return
+            await asyncio.sleep(LOOK_S)
 
     @property
     def autopilot(self) -> Any:
@@ -74,6 +94,10 @@ class Field:
             for m in self._tapped.sent
             if m.get_type() == "COMMAND_ACK" and m.command == number and m.target_system == GROUND
         ]
+
+    def forget(self) -> None:
+        """Drop what was kept for the story, which would fill up the memory of a long one."""
+        self._tapped.sent.clear()
 
     def commands(self) -> list[int]:
         """The commands that the app sent the autopilot, but for requests of messages."""
@@ -97,9 +121,10 @@ class Field:
         await self.until(lambda: self.autopilot.ready_to_arm, 60.0, "ready to arm")
         await self.until(lambda: self.autopilot.ekf_ready is not False, 60.0, "the autopilot's estimate")
         await self.until(lambda: self.autopilot.home is not None, 60.0, "home")
-        await self.until(self._aligned, 60.0, "aligned")
+        await self.until(self.aligned, 60.0, "aligned")
 
-    def _aligned(self) -> bool:
+    def aligned(self) -> bool:
+        """Whether our own estimate is there."""
         vehicle = self.app.estimator.vehicle(self.clock.now_s())
         return vehicle is not None and vehicle.aligned and vehicle.origin is not None
 
@@ -188,7 +213,12 @@ async def _stand_by(
     app_end, vehicle_end = memory_pair()
     tapped = Tapped(app_end)
     vehicle = InProcess(
-        scenario, 0, link=vehicle_end, gps_baud=config.sense.gps.baud, range_baud=config.sense.range.baud
+        scenario,
+        0,
+        link=vehicle_end,
+        gps_baud=config.sense.gps.baud,
+        range_baud=config.sense.range.baud,
+        keep_truth=False,
     )
     hardware = Hardware(
         tapped,
@@ -198,20 +228,26 @@ async def _stand_by(
         range_port=vehicle.range_port,
     )
     log = FlightsRecorder(record, 1.7e9)
-    app = App(config, hardware, log, make_own_actions, stays=True)
+
+    def start() -> App:
+        return App(config, hardware, log, make_own_actions, stays=True)
+
     with closing(vehicle.simulation), closing(log):
-        tasks = [asyncio.create_task(vehicle.simulation.run()), asyncio.create_task(app.run())]
-        told = asyncio.create_task(_told(story, Field(app, vehicle, tapped, vehicle_end)))
+        world = asyncio.create_task(vehicle.simulation.run())
+        field = Field(start, vehicle, tapped, vehicle_end)
+        watched = [world, asyncio.create_task(field.until_it_ends())]
+        told = asyncio.create_task(_told(story, field))
         try:
-            await asyncio.wait([*tasks, told], return_when=asyncio.FIRST_COMPLETED)
-            for task in tasks:
+            await asyncio.wait([*watched, told], return_when=asyncio.FIRST_COMPLETED)
+            for task in watched:
                 if task.done():
                     task.result()  # a failure of the app's or the world's is the story's
             await told
         finally:
-            for task in (*tasks, told):
+            ended: list[asyncio.Task[Any]] = [*watched, field.running, told]
+            for task in ended:
                 task.cancel()
-            await asyncio.gather(*tasks, told, return_exceptions=True)
+            await asyncio.gather(*ended, return_exceptions=True)
 
 
 async def _told(story: Story, field: Field) -> None:

@@ -1,65 +1,16 @@
-"""`calibrate-mount accelerometer` and `gyro`: static intervals in, the IMU calibration file out."""
+"""`calibrate-mount accelerometer` and `gyro`: their options and help."""
 
 from __future__ import annotations
 
-import asyncio
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
 
-from calibration.command_line import RefusedError
-from calibration.mount.imu.live import six_faces_live, still_live
-from calibration.mount.imu.result import (
-    accelerometer_calibration,
-    accelerometer_lines,
-    gyro_calibration,
-    gyro_lines,
-    mounting_line,
-)
-from calibration.mount.imu.six_faces import (
-    FACES,
-    accelerometer_reasons,
-    faces_down,
-    fit_accelerometer,
-    fit_gyro,
-    fitting_mountings,
-    gyro_reasons,
-    mounting_matrix,
-)
-from calibration.mount.imu.static_intervals import StaticInterval, find_static_intervals
-from calibration.mount.record.recording import inertial_of, read_log
-from calibration.mount.record.samples import ImuSamples
-from calibration.mount.record.table import read_table
-from calibration.mount.report.result import provenance
-from calibration.mount.shared import (
-    SETTINGS,
-    ConfigOption,
-    ForceOption,
-    OutputOption,
-    SensorOpener,
-    check_output,
-    connected_sensors,
-    inertial_file,
-    judge,
-    new_log,
-    now,
-    write_file,
-)
-from companion.base.messages import ImuSample
-from companion.config import (
-    CompanionConfig,
-    ConfigError,
-    ImuConfig,
-    InertialCalibration,
-    VehicleConfig,
-    find_file,
-    load_config,
-    load_model,
-)
-from companion.flightlog.log_file import LOG_NAMES
-from companion.pad import load_pad
+from calibration.mount.imu import FACES
+from calibration.mount.options import SETTINGS, ConfigOption, ForceOption, OutputOption, check_output
+from companion.base.errors import ConfigError
+from companion.base.files import must_be_readable, must_exist
 
 ACCELEROMETER_HELP: Final = """Calibrate accelerometer offset, scale and skew on six faces, and the gyro bias.
 
@@ -76,10 +27,6 @@ GYRO_HELP: Final = """Calibrate the gyro bias only, while the vehicle is still. 
 calibrate-mount gyro -o inertial.yaml
 calibrate-mount gyro still.csv -o inertial.yaml
 """
-ACCELEROMETER_OF: Final = "accelerometer of "
-LONGEST_FACES_S: Final = 600.0
-GYRO_STILL_S: Final = 10.0
-LONGEST_STILL_S: Final = 120.0
 
 KeepOption = Annotated[
     Path | None, typer.Option("--keep", help="Live: also save the samples here.", metavar="DIR")
@@ -98,21 +45,6 @@ RateOption = Annotated[
 LogArgument = Annotated[
     Path | None, typer.Argument(metavar="[LOG]", help="Recording. Default: live.", show_default=False)
 ]
-
-
-@dataclass(frozen=True, slots=True)
-class StaticRecording:
-    """Static intervals in sensor axes, their source, and for a live run the faces that were asked for."""
-
-    rests: list[StaticInterval]
-    source: str
-    imu: ImuConfig
-    asked: tuple[str, ...] = ()
-    answers: tuple[StaticInterval, ...] = ()
-
-    def unasked(self) -> StaticRecording:
-        """The same without the faces asked for: the mounting is not checked."""
-        return replace(self, asked=(), answers=())
 
 
 def accelerometer_command(
@@ -137,47 +69,10 @@ def accelerometer_command(
         RefusedError: it is not good enough.
     """
     check_output(output)
-    settings = load_config(config)
-    if log is None:
-        rested = asyncio.run(faces_from(settings, keep, connected_sensors, virtual=False))
-    else:
-        rested = _rested(log, settings.sense.imu, columns, rate, gyro_unit)
-        if order is not None:
-            rested = _ordered(rested, order)
-    calibrate_accelerometer(rested, output, force=force)
+    _check(log, config, gyro_unit)
+    from calibration.mount.imu.job import ImuJob, calibrate_on_faces  # noqa: PLC0415 - once the files are there
 
-
-def calibrate_accelerometer(rested: StaticRecording, output: Path, *, force: bool) -> None:
-    """Fit, judge and write.
-
-    Raises:
-        ConfigError: the file cannot be written.
-        RefusedError: it is not good enough.
-    """
-    if not rested.rests:
-        raise RefusedError(
-            f"{rested.source}: it never lay still; expected rests of 2 s and more on six faces"
-        )
-    fit, gyro = fit_accelerometer(rested.rests), fit_gyro(rested.rests)
-    faces = faces_down(rested.rests, mounting_matrix(rested.imu.body_from_sensor_deg))
-    against = accelerometer_reasons(fit, rested.rests, faces)
-    wrong = mounting_line(rested.asked, rested.answers, rested.imu.body_from_sensor_deg)
-    if rested.asked and wrong is not None:
-        against = (wrong, *against)
-    if rested.asked and not fitting_mountings(rested.asked, rested.answers):
-        typer.echo(
-            "note: the faces came in another order than asked: the mounting of the chip was not checked"
-        )
-    for line in (*accelerometer_lines(fit, faces), *gyro_lines(gyro)):
-        typer.echo(line)
-    judge(against, force=force)
-    calibration = InertialCalibration(
-        accelerometer=accelerometer_calibration(fit, faces),
-        gyro=gyro_calibration(gyro),
-        forced=against,
-        provenance=provenance(rested.source, now(), sum(rest.samples for rest in rested.rests), 0),
-    )
-    write_file(output, calibration, "sense: {{imu: {{inertial_calibration: {}}}}}")
+    calibrate_on_faces(ImuJob(log, config, output, columns, rate, gyro_unit, keep, force=force), order)
 
 
 def gyro_command(
@@ -198,131 +93,16 @@ def gyro_command(
         RefusedError: it is not good enough.
     """
     check_output(output)
-    settings = load_config(config)
-    before = inertial_file(output) if output.exists() else None
-    if log is None:
-        rested = asyncio.run(stillness_from(settings, keep, connected_sensors, virtual=False))
-    else:
-        rested = _rested(log, settings.sense.imu, columns, rate, gyro_unit)
-    if not rested.rests:
-        raise RefusedError(f"{rested.source}: it never lay still; expected a rest of 2 s and more")
-    fit = fit_gyro(rested.rests)
-    against = gyro_reasons(fit, rested.rests)
-    for line in gyro_lines(fit):
-        typer.echo(line)
-    judge(against, force=force)
-    # what the accelerometer's part was forced through stays said, and where that part is from
-    kept = None if before is None or before.accelerometer is None else before
-    source = rested.source if kept is None else f"{rested.source}; {_accelerometer_of(kept)}"
-    calibration = InertialCalibration(
-        accelerometer=None if kept is None else kept.accelerometer,
-        gyro=gyro_calibration(fit),
-        forced=tuple(dict.fromkeys((*(() if kept is None else kept.forced), *against))),
-        provenance=provenance(source, now(), sum(rest.samples for rest in rested.rests), 0),
-    )
-    write_file(output, calibration, "sense: {{imu: {{inertial_calibration: {}}}}}")
+    _check(log, config, gyro_unit)
+    from calibration.mount.imu.job import ImuJob, calibrate_gyro_bias  # noqa: PLC0415 - once the files are there
+
+    calibrate_gyro_bias(ImuJob(log, config, output, columns, rate, gyro_unit, keep, force=force))
 
 
-def _accelerometer_of(before: InertialCalibration) -> str:
-    """The source of a file's accelerometer part, named once however often the bias was renewed."""
-    _, mark, origin = before.provenance.source.partition(ACCELEROMETER_OF)
-    return ACCELEROMETER_OF + (origin if mark else f"{before.provenance.source}, {before.provenance.date}")
-
-
-async def faces_from(
-    config: CompanionConfig, keep: Path | None, sensors_of: SensorOpener, *, virtual: bool
-) -> StaticRecording:
-    """Static intervals on six faces, live."""
-    imu = config.sense.imu
-    async with sensors_of(config, False) as sensors:
-        with _SampleLog(config, keep, virtual=virtual) as kept:
-            samples, guide = await six_faces_live(imu, sensors, typer.echo, LONGEST_FACES_S, kept.take)
-    return StaticRecording(
-        find_static_intervals(samples), imu.bus, imu, tuple(guide.asked), tuple(guide.rests)
-    )
-
-
-async def stillness_from(
-    config: CompanionConfig, keep: Path | None, sensors_of: SensorOpener, *, virtual: bool
-) -> StaticRecording:
-    """One static interval, live."""
-    imu = config.sense.imu
-    async with sensors_of(config, False) as sensors:
-        with _SampleLog(config, keep, virtual=virtual) as kept:
-            samples = await still_live(imu, sensors, typer.echo, GYRO_STILL_S, LONGEST_STILL_S, kept.take)
-    return StaticRecording(find_static_intervals(samples), imu.bus, imu)
-
-
-class _SampleLog:
-    """A log of a live run's samples, in a folder if one was given."""
-
-    def __init__(self, config: CompanionConfig, folder: Path | None, *, virtual: bool) -> None:
-        self._log = None if folder is None else new_log(folder, virtual=virtual)
-        if self._log is not None:
-            imu = config.sense.imu.model_copy(update={"inertial_calibration": None})
-            sense = config.sense.model_copy(update={"imu": imu})
-            self._log.write_settings(
-                config=config.model_copy(update={"sense": sense}),
-                vehicle=load_model(VehicleConfig, find_file("vehicles", config.vehicle)),
-                pad=load_pad(config.pad),
-            )
-
-    def __enter__(self) -> _SampleLog:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if self._log is None:
-            return
-        if kind is None:
-            self._log.close()
-        else:  # Ctrl-C as well: half a recording is none
-            self._log.discard()
-
-    def take(self, sample: ImuSample, now_s: float) -> None:
-        """Log one."""
-        if self._log is not None:
-            self._log.write("imu", sample, now_s)
-
-
-def _rested(
-    log: Path, imu: ImuConfig, columns: str | None, rate_hz: float | None, gyro_unit: str | None
-) -> StaticRecording:
-    """The static intervals of a file."""
+def _check(log: Path | None, config: Path, gyro_unit: str | None) -> None:
+    """Whether all that is named is there: what calibrates takes long to import."""
     if gyro_unit not in {None, "rad/s", "deg/s"}:
         raise ConfigError(f"--gyro-unit {gyro_unit}: expected rad/s or deg/s")
-    if not log.is_dir() and log.suffix != ".mcap":
-        samples = read_table(log, columns, rate_hz, gyro_unit)
-        return StaticRecording(find_static_intervals(samples), str(log), imu)
-    file = log / LOG_NAMES[0] if log.is_dir() else log
-    record = read_log(file)
-    if record.rig is not None and record.rig.config.sense.source != "boards":
-        raise ConfigError(
-            f"{file}: its inertial samples are the autopilot's; expected a recording of the board's "
-            "(sense.source: boards)"
-        )
-    imu = imu if record.rig is None else record.rig.config.sense.imu
-    if imu.inertial_calibration is not None:
-        raise ConfigError(
-            f"{file}: its samples were calibrated by {imu.inertial_calibration}; expected a recording "
-            "without sense.imu.inertial_calibration"
-        )
-    body = inertial_of(record, file)
-    turn = mounting_matrix(imu.body_from_sensor_deg)
-    samples = ImuSamples(body.time_s, body.rate @ turn, body.force @ turn, body.temperature_c)
-    return StaticRecording(find_static_intervals(samples), str(log), imu)
-
-
-def _ordered(rested: StaticRecording, order: str) -> StaticRecording:
-    """With the faces in the order that the user gives.
-
-    Raises:
-        ConfigError: a name is no face's, or there are not as many rests.
-    """
-    names = tuple(name.strip() for name in order.split(","))
-    if unknown := [name for name in names if name not in FACES]:
-        raise ConfigError(f"--order: no face '{unknown[0]}'; expected some of {', '.join(FACES)}")
-    if len(names) != len(rested.rests):
-        raise ConfigError(
-            f"--order: {len(names)} faces, but it lay still {len(rested.rests)} times; expected one for each"
-        )
-    return StaticRecording(rested.rests, rested.source, rested.imu, names, tuple(rested.rests))
+    must_be_readable(config)
+    if log is not None:
+        must_exist(log, "expected a flight.mcap, or a table of t, ax, ay, az, gx, gy, gz")

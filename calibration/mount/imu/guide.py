@@ -11,7 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from calibration.mount.imu.six_faces import ASKED, FACES, face_of
+from calibration.mount.imu import FACES
+from calibration.mount.imu.six_faces import ASKED, face_of
 from calibration.mount.imu.static_intervals import StaticInterval, find_static_intervals
 from calibration.mount.record.samples import ImuSamples
 from companion.base.geometry import FloatArray

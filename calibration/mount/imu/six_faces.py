@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import least_squares
 
+from calibration.mount.imu import FACES
 from calibration.mount.imu.static_intervals import StaticInterval
 from companion.base.geometry import (
     GRAVITY_M_S2,
@@ -35,15 +36,6 @@ SCALE_STD: Final = 0.02
 SKEW_STD: Final = 0.01
 FACE_DEG: Final = 30.0
 
-# body axes (FRD): which way is down when the vehicle lies on that face
-FACES: Final[dict[str, Vector3]] = {
-    "level": (0.0, 0.0, 1.0),
-    "upside-down": (0.0, 0.0, -1.0),
-    "nose-down": (1.0, 0.0, 0.0),
-    "nose-up": (-1.0, 0.0, 0.0),
-    "right-down": (0.0, 1.0, 0.0),
-    "left-down": (0.0, -1.0, 0.0),
-}
 ASKED: Final[dict[str, str]] = {
     "level": "lay it down level, as it flies",
     "upside-down": "lay it upside down",

@@ -97,7 +97,7 @@ class Unknowns:
     def shutter_turn(self, closing_1_s: FloatArray, roll_rad_s: FloatArray) -> FloatArray:
         """What a rolling shutter adds to poses (k, 3), a small rotation about the camera's axes.
 
-        The eyes' pose takes out that the image drifts while its rows are read. What is left: that it grows
+        Vision's pose takes out that the image drifts while its rows are read. What is left: that it grows
         (`closing_1_s`, speed along the optical axis over distance) looks like a lean about the image's
         horizontal, and that it turns (`roll_rad_s`, about the optical axis) like half a lean about the
         vertical. Rows k (in focal lengths) are read k s later, so grown and turned points are off by

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Final
@@ -31,11 +31,12 @@ class LatchState(StrEnum):
     UNREADABLE = "unreadable"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class FlightLatch:
     """The latch in a folder, which is made."""
 
     folder: Path
+    _begun: bool = field(default=False, init=False)
 
     @property
     def path(self) -> Path:
@@ -52,23 +53,27 @@ class FlightLatch:
         except (OSError, ValueError, KeyError, TypeError):
             return LatchState.UNREADABLE, ""
 
-    def begin(self, *, unattended: bool) -> str | None:
-        """Begin a flight; returns why it may not be one, None when it may.
+    def refusal(self, *, unattended: bool) -> str | None:
+        """Why this start may not fly, None when it may; a permission is used up by `begin` alone.
 
         `unattended`: a service manager started the app, not a person.
+        """
+        return _refusal(*self.read(), unattended=unattended)
+
+    def begin(self) -> None:
+        """Begin a flight: all that it needs is there.
 
         Raises:
             ConfigError: the latch cannot be written: a flight whose begin nobody remembers is not flown.
         """
-        state, words = self.read()
-        reason = _refusal(state, words, unattended=unattended)
-        if reason is None:
-            self._write(LatchState.BEGUN, "")
-        return reason
+        self._write(LatchState.BEGUN, "")
+        self._begun = True
 
     def end(self, words: str) -> None:
-        """The flight that `begin` began has ended, and how."""
-        self._write(LatchState.ENDED, words)
+        """The flight has ended, and how; nothing is noted of a start that began none."""
+        if self._begun:
+            self._write(LatchState.ENDED, words)
+            self._begun = False
 
     def permit(self) -> None:
         """Let the next start fly.

@@ -1,7 +1,7 @@
 """What systemd is told: that the app is ready, that its control loop is alive, and what it does.
 
 The protocol of sd_notify(3): one datagram of KEY=VALUE lines to the socket named in NOTIFY_SOCKET.
-Without that variable (on the desk) nothing is sent.
+Without that variable (in SITL, or started by hand) nothing is sent.
 """
 
 from __future__ import annotations

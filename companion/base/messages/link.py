@@ -13,13 +13,16 @@ from companion.base.geometry import Quaternion, Vector3
 class AutopilotSetup:
     """What the autopilot's parameters say of how it obeys; None: unknown.
 
-    `acceleration_m_s2` and `jerk_m_s3` bind velocity setpoints sideways.
+    `acceleration_m_s2` and `jerk_m_s3` bind velocity setpoints sideways. When setpoints stop, it keeps the
+    last one for `setpoint_timeout_s`; then `setpoints_lost_action` follows (PX4's COM_OBL_RC_ACT).
     """
 
     tilt_deg: float | None = None
     hover_thrust: float | None = None
     acceleration_m_s2: float | None = None
     jerk_m_s3: float | None = None
+    setpoint_timeout_s: float | None = None
+    setpoints_lost_action: int | None = None
 
 
 class LandedState(StrEnum):

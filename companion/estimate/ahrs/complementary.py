@@ -31,7 +31,14 @@ from companion.base.geometry import (
     quat_rotate,
     scale,
 )
-from companion.config import OrientationConfig
+
+# of the quaternion, which turns half as fast as the body: a gyroscope that errs by 1.1 deg/s
+GYRO_ERROR_RATE: Final = 0.01
+HEADING_ERROR_RATE: Final = 0.01  # the same about the vertical
+ACCEL_AVERAGE_S: Final = 2.0  # manoeuvres shorter than this average out of the specific force
+ACCEL_GATE_M_S2: Final = 0.8  # averages that differ more from gravity say nothing of the horizon
+MAG_GATE: Final = 0.15  # share of the field's size
+DIP_GATE_DEG: Final = 10.0
 
 GRAVITY_FORCE_NED: Final[Vector3] = (0.0, 0.0, -GRAVITY_M_S2)
 
@@ -71,8 +78,7 @@ class OrientationFilter:
     `gravity_error_m_s2` and `mag_trusted` show the EKF how far to trust the output.
     """
 
-    def __init__(self, config: OrientationConfig, field_ned_ut: Vector3, attitude: Quaternion) -> None:
-        self._config = config
+    def __init__(self, field_ned_ut: Vector3, attitude: Quaternion) -> None:
         self._declination_rad = math.atan2(field_ned_ut[1], field_ned_ut[0])
         self._field_ut = norm(field_ned_ut)
         self._dip_rad = math.asin(field_ned_ut[2] / self._field_ut)
@@ -89,15 +95,15 @@ class OrientationFilter:
         """Attitude after one bias-free gyroscope and accelerometer sample, dt_s after the last."""
         q = quat_integrate(self.attitude, rate_body_rad_s, dt_s)
         fx, fy, fz = quat_rotate(q, specific_force_m_s2)
-        k = dt_s / (self._config.accel_average_s + dt_s)
+        k = dt_s / (ACCEL_AVERAGE_S + dt_s)
         sx, sy, sz = self._force_ned_m_s2
         force = (sx + k * (fx - sx), sy + k * (fy - sy), sz + k * (fz - sz))
         self._force_ned_m_s2 = force
         size = norm(force)
-        if abs(size - GRAVITY_M_S2) < self._config.accel_gate_m_s2:
+        if abs(size - GRAVITY_M_S2) < ACCEL_GATE_M_S2:
             turn = shortest_turn(scale(force, 1.0 / size), (0.0, 0.0, -1.0))
             before = q
-            q = blend(q, quat_multiply(turn, q), self._config.gyro_error_rate, dt_s)
+            q = blend(q, quat_multiply(turn, q), GYRO_ERROR_RATE, dt_s)
             # the average is in the frame that has just been turned
             undone = quat_multiply(q, (before[0], -before[1], -before[2], -before[3]))
             self._force_ned_m_s2 = quat_rotate(undone, force)
@@ -108,14 +114,14 @@ class OrientationFilter:
         """Attitude after one magnetometer sample, dt_s after the last: turns the heading, never the tilt."""
         north, east, down = quat_rotate(self.attitude, field_body_ut)
         size = norm(field_body_ut)
-        self.mag_trusted = abs(size - self._field_ut) < self._config.mag_gate * self._field_ut and abs(
+        self.mag_trusted = abs(size - self._field_ut) < MAG_GATE * self._field_ut and abs(
             math.asin(max(-1.0, min(1.0, down / size))) - self._dip_rad
-        ) < math.radians(self._config.dip_gate_deg)
+        ) < math.radians(DIP_GATE_DEG)
         if self.mag_trusted:
             half = 0.5 * math.remainder(self._declination_rad - math.atan2(east, north), math.tau)
             turn = (math.cos(half), 0.0, 0.0, math.sin(half))
             before = self.attitude
-            self.attitude = blend(before, quat_multiply(turn, before), self._config.heading_error_rate, dt_s)
+            self.attitude = blend(before, quat_multiply(turn, before), HEADING_ERROR_RATE, dt_s)
             done = quat_multiply(self.attitude, (before[0], -before[1], -before[2], -before[3]))
             self._force_ned_m_s2 = quat_rotate(done, self._force_ned_m_s2)
         return self.attitude

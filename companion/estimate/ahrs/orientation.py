@@ -6,9 +6,12 @@ import math
 from typing import Final, Protocol
 
 from companion.base.geometry import GRAVITY_M_S2, Quaternion, Vector3
-from companion.config import EkfConfig, EstimateConfig
+from companion.config import EstimateConfig
 from companion.estimate.ahrs.complementary import OrientationFilter
 from companion.estimate.ahrs.madgwick import MadgwickFilter
+
+ORIENTATION_TILT_NOISE_DEG: Final = 12.0  # of the pre-filter's attitude in flight
+ORIENTATION_HEADING_NOISE_DEG: Final = 20.0
 
 # the pre-filter corrects a bad start slowly, the EKF at once: until then it shall not hold the EKF back
 SETTLING_NOISE_RAD: Final = 1.0
@@ -43,23 +46,21 @@ def new_orientation(config: EstimateConfig, attitude: Quaternion) -> Orientation
     field = config.magnetic_field_ned_ut
     if config.orientation.kind == "madgwick":
         return MadgwickFilter(config.madgwick_gain, math.atan2(field[1], field[0]), attitude)
-    return OrientationFilter(config.orientation, field, attitude)
+    return OrientationFilter(field, attitude)
 
 
-def tilt_noise_rad(
-    orientation: Orientation, disturbance_m_s2: float, settled: bool, config: EkfConfig
-) -> float:
+def tilt_noise_rad(orientation: Orientation, disturbance_m_s2: float, settled: bool) -> float:
     """By how much a pre-filter's tilt may be off.
 
     In flight the accelerometer measures thrust and drag, not gravity: the noise grows with the difference.
     """
-    base = math.radians(config.orientation_tilt_noise_deg) + _unsettled_rad(settled)
+    base = math.radians(ORIENTATION_TILT_NOISE_DEG) + _unsettled_rad(settled)
     return base + 3.0 * (disturbance_m_s2 + orientation.gravity_error_m_s2) / GRAVITY_M_S2
 
 
-def heading_noise_rad(mag_trusted: bool, settled: bool, config: EkfConfig) -> float:
+def heading_noise_rad(mag_trusted: bool, settled: bool) -> float:
     """By how much its heading may be off; without a trusted field nothing is known of it."""
-    base = math.radians(config.orientation_heading_noise_deg) + _unsettled_rad(settled)
+    base = math.radians(ORIENTATION_HEADING_NOISE_DEG) + _unsettled_rad(settled)
     return base if mag_trusted else base + 3.0
 
 

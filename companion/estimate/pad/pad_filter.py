@@ -38,6 +38,13 @@ from companion.estimate.pad.pad_types import (
     PadSnapshot,
 )
 
+MODEL_DWELL_S: Final = 5.0  # a motion keeps its model so long on average
+HEADING_ACCELERATION_RAD_S2_RTHZ: Final = 0.3  # process noise of the pad's turn rate
+HEADING_NOISE_DEG: Final = 0.5  # added to what a sighting says
+SIGHTING_NOISE_FLOOR_M: Final = 0.0002
+FIRST_CLIMB_STD_M_S: Final = 0.4  # at the first sighting: pads drive, but hardly rise
+RANGE_MAXIMUM_HEIGHT_M: Final = 2.5  # an ultrasonic's cone of 30° is then 1.3 m wide, as a pad is
+
 __all__ = ["CombinedEstimate", "HeightMeasurement", "PadFilter", "PadInput", "PadMeasurement", "PadSnapshot"]
 
 _EYE3: Final = np.eye(3)
@@ -56,8 +63,8 @@ class PadFilter:
         self._plane, self._climb = HorizontalModels(config), VerticalModels(config)
         self._names = (*HORIZONTAL, *vertical_names(config))
         m, n = len(HORIZONTAL), self._climb.count
-        self._horizontal = ModelBank(np.full(m, 1.0 / m), config.model_dwell_s, 8, seen=2)
-        self._vertical = ModelBank(np.full(n, 1.0 / n), config.model_dwell_s, 4, seen=1)
+        self._horizontal = ModelBank(np.full(m, 1.0 / m), MODEL_DWELL_S, 8, seen=2)
+        self._vertical = ModelBank(np.full(n, 1.0 / n), MODEL_DWELL_S, 4, seen=1)
         self._turn = Turn()
         self._heading, self._lean = HeadingState(), LEVEL
         self.time_s = -math.inf
@@ -114,7 +121,7 @@ class PadFilter:
         plane, climb = self._steps(snapshot.time_s, time_s, snapshot.turn)
         horizontal = blend(advance(snapshot.horizontal, plane))
         vertical = blend(advance(snapshot.vertical, climb))
-        density = self._config.heading_acceleration_rad_s2_rthz
+        density = HEADING_ACCELERATION_RAD_S2_RTHZ
         heading = snapshot.heading.after(time_s - snapshot.time_s, density)
         x, P = _joined(horizontal, vertical)
         probabilities = (*snapshot.horizontal.probabilities, *snapshot.vertical.probabilities)
@@ -140,7 +147,7 @@ class PadFilter:
         plane, climb = self._steps(self.time_s, time_s, self._turn)
         self._horizontal.predict(dt_s, plane)
         self._vertical.predict(dt_s, climb)
-        self._heading = self._heading.after(dt_s, self._config.heading_acceleration_rad_s2_rthz)
+        self._heading = self._heading.after(dt_s, HEADING_ACCELERATION_RAD_S2_RTHZ)
         self._lean = self._lean.after(dt_s, self._config.lean_acceleration_rad_s2_rthz)
         self.time_s = time_s
 
@@ -158,7 +165,7 @@ class PadFilter:
 
     def _take_sighting(self, time_s: float, sample: PadMeasurement) -> None:
         R = self._config.sighting_noise_scale**2 * sample.covariance_ned_m2
-        R = R + self._config.sighting_noise_floor_m**2 * _EYE3
+        R = R + SIGHTING_NOISE_FLOOR_M**2 * _EYE3
         if not self.started or time_s - self.seen_time_s > self._config.forget_s:
             # of a pad that is forgotten nothing is expected, and the vehicle's way since then is, too
             self._start(time_s, sample, R)
@@ -178,7 +185,7 @@ class PadFilter:
 
     def _take_heading(self, sample: PadMeasurement) -> None:
         innovation = wrap_angle(sample.heading_rad - self._heading.heading_rad)
-        noise = sample.heading_std_rad**2 + math.radians(self._config.heading_noise_deg) ** 2
+        noise = sample.heading_std_rad**2 + math.radians(HEADING_NOISE_DEG) ** 2
         passed = innovation * innovation <= CHI_SQUARE_999[1] * (self._heading.heading_variance + noise)
         self._record("heading", passed)
         if passed:
@@ -201,7 +208,7 @@ class PadFilter:
         north, east, north_variance, _, east_variance = _expected_place(self._horizontal.state)
         offset = math.hypot(north - sample.sensor_offset_ned_m[0], east - sample.sensor_offset_ned_m[1])
         spread = math.sqrt(north_variance + east_variance)
-        low = _expected_height(self._vertical.state)[0] < self._config.range_maximum_height_m
+        low = _expected_height(self._vertical.state)[0] < RANGE_MAXIMUM_HEIGHT_M
         return low and offset + spread < self._half_width_m
 
     def _passes_sighting(self, sample: PadMeasurement, R: FloatArray) -> bool:
@@ -241,7 +248,7 @@ class PadFilter:
         self._horizontal.start(np.array([north, east, -vn, -ve, 0.0, 0.0, 0.0, 0.0]), across)
         up = np.zeros((self._climb.count, 4, 4))
         up[:, 0, 0] = R[2, 2]
-        up[:, 1, 1] = self._config.first_climb_std_m_s**2
+        up[:, 1, 1] = FIRST_CLIMB_STD_M_S**2
         up[:, 2, 2], up[:, 3, 3] = self._climb.acceleration_variance, self._climb.jerk_variance
         self._vertical.start(np.array([down, -vd, 0.0, 0.0]), up)
         self._turn, self._slow_share = Turn(), sample.slow_share

@@ -34,6 +34,15 @@ from companion.base.geometry import FloatArray
 from companion.config import PadFilterConfig
 from companion.estimate.pad.model_bank import ModelTransition
 
+STEADY_ACCELERATION_STD_M_S2: Final = 0.15  # a pad that drives straight on: bumps, and the horizon's error
+STEADY_TIME_CONSTANT_S: Final = 1.0
+MANOEUVRE_TIME_CONSTANT_S: Final = 1.5  # one that speeds up or brakes does so for so long
+TURN_TIME_CONSTANT_S: Final = 20.0  # one that turns
+SWAY_DAMPING: Final = 0.2  # how far real periods stray from the models'
+WAVE_DAMPING: Final = 0.12
+REST_ACCELERATION_STD_M_S2: Final = 0.05  # vertically, of a pad that rides no waves
+VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ: Final = 0.02  # of the vehicle's measured acceleration
+
 # below this speed the course says little about how it turns
 MINIMUM_SPEED_M_S: Final = 0.3
 # how far a pad's heading and its course may turn apart, and how fast courses turn at all
@@ -93,17 +102,13 @@ class HorizontalModels:
     """Steady, manoeuvre and turn, for a given turn rate."""
 
     def __init__(self, config: PadFilterConfig) -> None:
-        fades_s = (
-            config.steady_time_constant_s,
-            config.manoeuvre_time_constant_s,
-            config.turn_time_constant_s,
-        )
-        steady = 2.0 * config.steady_acceleration_std_m_s2**2 / config.steady_time_constant_s
+        fades_s = (STEADY_TIME_CONSTANT_S, MANOEUVRE_TIME_CONSTANT_S, TURN_TIME_CONSTANT_S)
+        steady = 2.0 * STEADY_ACCELERATION_STD_M_S2**2 / STEADY_TIME_CONSTANT_S
         jerks = (steady, config.manoeuvre_jerk_m_s3_rthz**2, config.turn_jerk_m_s3_rthz**2)
         variance = config.sway_acceleration_std_m_s2**2
         w0 = math.tau / config.sway_period_s
-        vehicle = config.vehicle_acceleration_noise_m_s2_rthz**2
-        self._fade = 1.0 / config.turn_time_constant_s
+        vehicle = VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ**2
+        self._fade = 1.0 / TURN_TIME_CONSTANT_S
         self.count = len(HORIZONTAL)
         self.acceleration_variance = np.array(
             [*(0.5 * q * fade for q, fade in zip(jerks, fades_s, strict=True)), variance]
@@ -112,7 +117,7 @@ class HorizontalModels:
         fading = [
             _fading(1.0 / fade, q, vehicle, w0, variance) for q, fade in zip(jerks, fades_s, strict=True)
         ]
-        kinds = [*fading, _waving(w0, config.sway_damping, variance, vehicle)]
+        kinds = [*fading, _waving(w0, SWAY_DAMPING, variance, vehicle)]
         chains, noises = zip(*((_on_plane(A), _on_plane(W)) for A, W in kinds), strict=True)
         self._series = _Series(chains, noises)
         self._more_jerk = _Series([chains[TURN]], [_on_plane(np.diag([0.0, 0.0, 1.0, 0.0]))])
@@ -143,13 +148,13 @@ class VerticalModels:
     """Still, and waves of each period."""
 
     def __init__(self, config: PadFilterConfig) -> None:
-        vehicle = config.vehicle_acceleration_noise_m_s2_rthz**2
-        rest, variance = config.rest_acceleration_std_m_s2**2, config.wave_acceleration_std_m_s2**2
-        fade = 1.0 / config.steady_time_constant_s
+        vehicle = VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ**2
+        rest, variance = REST_ACCELERATION_STD_M_S2**2, config.wave_acceleration_std_m_s2**2
+        fade = 1.0 / STEADY_TIME_CONSTANT_S
         rates = [math.tau / period_s for period_s in config.wave_periods_s]
         middle = sum(rates) / len(rates)
         kinds = [_fading(fade, 2.0 * rest * fade, vehicle, middle, variance)]
-        kinds += [_waving(w0, config.wave_damping, variance, vehicle) for w0 in rates]
+        kinds += [_waving(w0, WAVE_DAMPING, variance, vehicle) for w0 in rates]
         chains, noises = zip(*kinds, strict=True)
         self._series = _Series(chains, noises)
         self.count = len(chains)

@@ -39,6 +39,12 @@ from companion.estimate.vehicle.ekf_start import InitialState
 from companion.estimate.vehicle.ekf_state import EYE, EYE3, EkfSnapshot, EkfState
 from companion.estimate.vehicle.gyro_bias_check import BiasStep
 
+MAG_DIP_NOISE_UT: Final = 20.0  # of the field in its own vertical plane, which gives no heading
+MAG_PATIENCE_S: Final = 20.0  # magnetometer refused for so long: the heading's uncertainty grows
+GPS_TIME_ERROR_S: Final = 0.05  # of a fix's time: a quarter of the interval at 5 Hz
+GPS_PATIENCE_S: Final = 2.0  # fixes refused for so long: start again from GPS
+GPS_TIMEOUT_S: Final = 2.0  # no fix for so long: the state has no GPS
+
 UNKNOWN_SPEED_M_S: Final = 10.0  # a fix whose velocity component is more uncertain does not count
 STEP_STD_RAD_S: Final = math.radians(0.3)  # of a bias that a second gyroscope shows
 STEP_TURN_STD_RAD: Final = math.radians(0.5)
@@ -159,7 +165,7 @@ class VehicleEkf(EkfState):
         """
         if not self.watch.misfits:
             return
-        fixes_fit = self.time_s - self.gps_time_s < self._config.gps_timeout_s
+        fixes_fit = self.time_s - self.gps_time_s < GPS_TIMEOUT_S
         if not self.watch.doubted_lately:
             self.watch = self.watch.renewed()._replace(doubted_s=self.time_s)
             tilt = 0.0 if fixes_fit else apart[0] ** 2 + apart[1] ** 2
@@ -179,7 +185,7 @@ class VehicleEkf(EkfState):
         innovation, east = np.array(field_body_ut) - expected, self._magnetic_east()
         self._update("mag", innovation, C, self._mag_noise(east), self._mag_gate_noise)
         gate = self.gates["mag"]
-        if gate.shut_out(self.time_s, self._config.mag_patience_s):
+        if gate.shut_out(self.time_s, MAG_PATIENCE_S):
             # a field that fits in size and dip for so long is right, and the heading wrong
             self._inflate_rotation(np.diag((0.0, 0.0, math.radians(30.0) ** 2)))
             self.gates = {**self.gates, "mag": Gate(gate.accepted, gate.refused)}
@@ -198,7 +204,7 @@ class VehicleEkf(EkfState):
         config = self._config
         alike = max(2.0 * config.mag_wander_s * config.mag_rate_hz, 1.0)
         across = alike * config.mag_noise_ut**2
-        along = max(alike * config.mag_dip_noise_ut**2, across)
+        along = max(alike * MAG_DIP_NOISE_UT**2, across)
         return along * EYE3 - (along - across) * np.outer(east, east)
 
     def _suspect_bias(self) -> None:
@@ -224,13 +230,13 @@ class VehicleEkf(EkfState):
         self._update("still", -self.x[states], C, R, None)
 
     def _take_gps(self, time_s: float, fix: GpsStep) -> None:
-        patience_s, later_s = self._config.gps_patience_s, time_s - self.time_s
+        patience_s, later_s = GPS_PATIENCE_S, time_s - self.time_s
         if not self.has_position:
             self._start_from(time_s, fix, keep_speed=False)
             return
         expected, C = model.gps_velocity_model(self.x, self._antenna_body_m, later_s)
         # a fix whose time is off is off by what the vehicle's velocity has changed meanwhile
-        lag = self._config.gps_time_error_s * self.x[model.ACCELERATION]
+        lag = GPS_TIME_ERROR_S * self.x[model.ACCELERATION]
         R = np.diag(np.square(fix.velocity_std_m_s)) + np.outer(lag, lag)
         innovation = np.array(fix.velocity_ned_m_s) - expected
         self._watch_fix(innovation, C @ self.P @ C.T + R)

@@ -14,6 +14,12 @@ from companion.estimate.ahrs.alignment import InitialAlignment
 from companion.estimate.ahrs.madgwick import align
 from companion.estimate.vehicle import ekf_model as model
 
+# random walks: an MEMS sensor's bias drifts with its temperature, the field with iron and currents nearby
+ACCEL_BIAS_WALK_M_S2_RTS: Final = 0.0005
+GYRO_BIAS_WALK_RAD_S_RTS: Final = 2e-5
+FIELD_WALK_UT_RTS: Final = 0.005
+MAG_BIAS_WALK_UT_RTS: Final = 0.02
+
 # keeps the covariance positive definite along the quaternion's length and the Euler angles, which are
 # functions of other states (1e-5 rad)
 TINY_VARIANCE: Final = 1e-10
@@ -52,13 +58,13 @@ def start_state(time_s: float, found: InitialAlignment, config: EstimateConfig) 
     )
 
 
-def noise_density(config: EkfConfig) -> FloatArray:
+def noise_density() -> FloatArray:
     """Diagonal (31,) of the white process noise per second, without the IMU's."""
     density = np.zeros(model.STATES)
-    density[model.ACCEL_BIAS] = config.accel_bias_walk_m_s2_rts**2
-    density[model.GYRO_BIAS] = config.gyro_bias_walk_rad_s_rts**2
-    density[model.FIELD] = config.field_walk_ut_rts**2
-    density[model.MAG_BIAS] = config.mag_bias_walk_ut_rts**2
+    density[model.ACCEL_BIAS] = ACCEL_BIAS_WALK_M_S2_RTS**2
+    density[model.GYRO_BIAS] = GYRO_BIAS_WALK_RAD_S_RTS**2
+    density[model.FIELD] = FIELD_WALK_UT_RTS**2
+    density[model.MAG_BIAS] = MAG_BIAS_WALK_UT_RTS**2
     return density
 
 

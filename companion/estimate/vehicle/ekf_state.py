@@ -29,6 +29,8 @@ from companion.estimate.vehicle.fix_watch import FixWatch
 from companion.estimate.vehicle.imu_noise import STEADY, StepNoise
 from companion.estimate.vehicle.innovation_watch import InnovationWatch
 
+GYRO_SCALE_ERROR: Final = 0.005  # scale and misalignment as a share of the rate that lasts for seconds
+
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
 UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
 UNSEEN_ACCELERATION_M_S2: Final = 4.0
@@ -63,7 +65,7 @@ class EkfState:
 
     def __init__(self, config: EkfConfig, start: InitialState) -> None:
         self._config = config
-        self._noise = noise_density(config)
+        self._noise = noise_density()
         self.time_s = start.time_s
         self.x = initial_state(start)
         self.P = initial_covariance(config, start)
@@ -150,7 +152,7 @@ class EkfState:
         unseen_s = max(dt_s - LONGEST_STEP_S, 0.0)
         lasting = noise.lasting_rate_rad_s
         turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples
-        turn += config.gyro_scale_error**2 * dot(lasting, lasting) * dt_s
+        turn += GYRO_SCALE_ERROR**2 * dot(lasting, lasting) * dt_s
         velocity = (config.accel_noise_m_s2 * dt_s) ** 2 / samples
         velocity += (noise.force_density_m2_s3 + noise.force_error_m_s2**2 * FORCE_ERROR_S) * dt_s
         rate = min(UNSEEN_RATE_RAD_S, UNSEEN_TURN_RAD_S2 * unseen_s)

@@ -18,6 +18,7 @@ from typing import Final, NamedTuple
 from companion.base.geometry import ZERO3, Vector3, add, dot, scale, subtract
 from companion.config import EkfConfig
 
+SHAKING_SHARE: Final = 0.5  # of the vibration beyond the bound: so far may the force's mean be off
 MEMORY_S: Final = 0.2
 BLOCK_S: Final = 0.02  # motion of the vehicle is slower, vibration that matters for the velocity is not
 BLOCK_MEMORY_S: Final = 1.0
@@ -99,6 +100,6 @@ class ImuNoise:
         config = self._config
         return StepNoise(
             self._density_m2_s3,
-            self._vibration.error_m_s2(config.shaking_bound_m_s2, config.shaking_share),
+            self._vibration.error_m_s2(config.shaking_bound_m_s2, SHAKING_SHARE),
             self._rate,
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from companion.base.geometry import (
     GRAVITY_M_S2,
     IDENTITY,
@@ -16,9 +18,11 @@ from companion.base.geometry import (
     subtract,
 )
 from companion.base.messages import ImuSample
-from companion.config import EstimateConfig
+from companion.estimate.ahrs.complementary import ACCEL_AVERAGE_S
 from companion.estimate.ahrs.orientation import Orientation
 from companion.estimate.motion import MotionHistory
+
+ACCELERATION_FILTER_S: Final = 0.02  # low-pass of the acceleration given to planner and controller
 
 
 class VectorMean:
@@ -46,8 +50,7 @@ class InertialMotion:
     `disturbance_m_s2` is the largest acceleration within the time over which the pre-filter averages.
     """
 
-    def __init__(self, config: EstimateConfig, history: MotionHistory) -> None:
-        self._config = config
+    def __init__(self, history: MotionHistory) -> None:
         self._history = history
         self.attitude: Quaternion = IDENTITY
         self.rate_body_rad_s: Vector3 = ZERO3
@@ -74,13 +77,13 @@ class InertialMotion:
         acceleration = _acceleration(self.attitude, force)
         span_s = None if sample.interval_s is None else dt_s
         self._history.add(sample.time_s, self.attitude, acceleration, span_s)
-        k = dt_s / (self._config.acceleration_filter_s + dt_s)
+        k = dt_s / (ACCELERATION_FILTER_S + dt_s)
         self.acceleration_ned_m_s2 = _approached(self.acceleration_ned_m_s2, acceleration, k)
         # the pre-filter remembers an acceleration for as long as it averages; taken with its own attitude, so
         # that a wrong one of the EKF does not look like an acceleration and shut out what would correct it
         own = _acceleration(orientation.attitude, force)
         self._by_orientation = _approached(self._by_orientation, own, k)
-        fade = 1.0 - min(dt_s / max(self._config.orientation.accel_average_s, dt_s), 1.0)
+        fade = 1.0 - min(dt_s / max(ACCEL_AVERAGE_S, dt_s), 1.0)
         self.disturbance_m_s2 = max(norm(self._by_orientation), self.disturbance_m_s2 * fade)
 
     def turned(self, attitude: Quaternion, dt_s: float) -> Quaternion:

@@ -9,6 +9,7 @@ NED and FRD, SI units, µT.
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from companion.base.geometry import (
     ZERO3,
@@ -45,7 +46,7 @@ from companion.estimate.vehicle.attitude_reset import (
     Correction,
     EstimatedAttitude,
 )
-from companion.estimate.vehicle.ekf import VehicleEkf
+from companion.estimate.vehicle.ekf import GPS_TIMEOUT_S, VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuStep, gps_step
 from companion.estimate.vehicle.ekf_start import start_state
 from companion.estimate.vehicle.ekf_state import EkfSnapshot
@@ -55,6 +56,7 @@ from companion.estimate.vehicle.inertial_motion import InertialMotion, VectorMea
 from companion.estimate.vehicle.innovation_watch import TroubleReport
 from companion.estimate.vehicle.strapdown import Strapdown
 
+ORIENTATION_RATE_HZ: Final = 10.0  # the pre-filter's error lasts: more often would say nothing new
 IMU_TIMEOUT_S = 0.5  # without the IMU for longer there is no state to report
 LOST_S = 2.0  # and after so long it starts again: where it has turned meanwhile is unknown
 _AGREES_S = 0.5  # two samples so near each other agree on a time that is far from what was
@@ -85,7 +87,7 @@ class VehicleEstimator:
         self.corrections: tuple[str, ...] = ()  # of the attitude, in words, not yet reported
         self._last_raw: tuple[Vector3, Vector3] | None = None
         self._span_s: float | None = None  # of the samples not yet given to the EKF, by their own clock
-        self._inertial, self._trouble = InertialMotion(config, motion), TroubleReport()
+        self._inertial, self._trouble = InertialMotion(motion), TroubleReport()
         self._resting = self._still_block = False
         self._mag_s = self._field_step_s = self._orientation_step_s = -math.inf
         self._mag_trusted_s = self._settled_s = -math.inf
@@ -247,7 +249,7 @@ class VehicleEstimator:
             velocity_std_m_s=math.sqrt(float(variance[model.VELOCITY].sum())),
             position_std_m=math.sqrt(float(variance[model.POSITION].sum())),
             aligned=attitude_std_rad < ALIGNED_STD_RAD,
-            has_gps=now_s - ekf.gps_time_s < self._config.ekf.gps_timeout_s,
+            has_gps=now_s - ekf.gps_time_s < GPS_TIMEOUT_S,
             origin=self.origin,
             imu_age_s=max(imu_age_s, 0.0),
         )
@@ -303,8 +305,8 @@ class VehicleEstimator:
         assert self._timeline is not None
         assert self._ekf is not None
         assert self._orientation is not None
-        time_s, mean, config = sample.time_s, self._strapdown.take(), self._config.ekf
-        with_attitude = time_s - self._orientation_step_s >= 1.0 / config.orientation_rate_hz
+        time_s, mean = sample.time_s, self._strapdown.take()
+        with_attitude = time_s - self._orientation_step_s >= 1.0 / ORIENTATION_RATE_HZ
         settled, trusted = time_s >= self._settled_s, time_s - self._mag_trusted_s < MAG_TIMEOUT_S
         step = ImuStep(
             rate_body_rad_s=mean.rate_body_rad_s,
@@ -313,10 +315,8 @@ class VehicleEstimator:
             noise=self._noise.now,
             field_body_ut=self._field_at(time_s),
             attitude=self._orientation_at(time_s) if with_attitude else None,
-            tilt_noise_rad=tilt_noise_rad(
-                self._orientation, self._inertial.disturbance_m_s2, settled, config
-            ),
-            heading_noise_rad=heading_noise_rad(trusted, settled, config),
+            tilt_noise_rad=tilt_noise_rad(self._orientation, self._inertial.disturbance_m_s2, settled),
+            heading_noise_rad=heading_noise_rad(trusted, settled),
             still=self._resting and self._still_block,
             at_rest=self._resting and self._still_block and not self._ekf.has_position,
             span_s=self._span_s,

@@ -103,7 +103,7 @@ class Translator:
 
     def _vehicle_state(self, state: VehicleState, unix_ns: int) -> Iterator[WellKnown]:
         self._place = state.position_ned_m
-        if 1e-9 * unix_ns - self._still_s >= STILL_PERIOD_S:
+        if _due(self._still_s, unix_ns, STILL_PERIOD_S):
             self._still_s = 1e-9 * unix_ns
             yield from self._what_stands_still(unix_ns)
         yield transform(unix_ns, LOCAL, VEHICLE, state.position_ned_m, state.attitude)
@@ -125,7 +125,7 @@ class Translator:
         yield pose_in(unix_ns, "pad/pose", LOCAL, self._pad_place, turn)
 
     def _scene(self, report: ControlReport, unix_ns: int) -> Iterator[WellKnown]:
-        if 1e-9 * unix_ns - self._scene_s < SCENE_PERIOD_S:
+        if not _due(self._scene_s, unix_ns, SCENE_PERIOD_S):
             return
         self._scene_s = 1e-9 * unix_ns
         entities = [obstacle_entity(unix_ns, k, shape) for k, shape in enumerate(self._obstacles)]
@@ -167,6 +167,11 @@ def _location(fix: GpsFix, unix_ns: int) -> WellKnown:
         "position_covariance_type": 1,
     }
     return WellKnown("location", "foxglove.LocationFix", message)
+
+
+def _due(last_s: float, unix_ns: int, period_s: float) -> bool:
+    """Whether a period is over: to a millisecond, since a period is a whole number of control cycles."""
+    return 1e-9 * unix_ns - last_s >= period_s - 1e-3
 
 
 def _log(notice: Notice, unix_ns: int) -> WellKnown:

@@ -159,7 +159,6 @@ def draw_attitude(figure: Figure, drawing: _Drawing) -> None:
             )
     grid[3].set_ylabel("error (°)")
     _finish(grid, "Attitude")
-    grid[3].legend(loc="upper left", ncols=4, fontsize=7)
 
 
 def draw_vector(figure: Figure, drawing: _Drawing, name: TrackName, title: str, unit: str) -> None:
@@ -183,7 +182,7 @@ def draw_pad(figure: Figure, drawing: _Drawing) -> None:
     _draw_components(grid[:, 1], drawing, "pad_velocity", "m/s")
     grid[0][0].set_title("Pad minus vehicle, NED")
     grid[0][1].set_title("Pad's velocity, NED")
-    grid[0][0].legend(loc="upper left", ncols=3, fontsize=7)
+    figure.legend(*grid[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=7)
     for axes in grid[-1]:
         axes.set_xlabel("time (s)")
 
@@ -239,8 +238,14 @@ def _broad(axes: Any, times: FloatArray, values: FloatArray, colour: str, label:
 
 
 def _finish(grid: Sequence[Any], title: str) -> None:
-    grid[0].set_title(title)
+    grid[0].set_title(title, loc="right")
     grid[-1].set_xlabel("time (s)")
-    for axes in (grid[0], grid[-1]):
+    for axes in dict.fromkeys((grid[0], grid[-1])):
         if axes.get_legend_handles_labels()[1]:
-            axes.legend(loc="upper left", ncols=4, fontsize=7)
+            _legend_above(axes)
+
+
+def _legend_above(axes: Any) -> None:
+    """Over the axes, at the left of the title: in them it would hide what is drawn."""
+    place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2, "frameon": False}
+    axes.legend(ncols=4, fontsize=7, handletextpad=0.4, columnspacing=1.0, **place)

@@ -13,10 +13,11 @@ from typing import Final, Protocol
 
 from companion.base.clock import Clock
 from companion.base.geometry import Vector3
-from companion.base.messages import Action, ActionKind, ActionResult
+from companion.base.messages import Action, ActionKind, ActionResult, AutopilotSetup
 from companion.config import LinkConfig
 from companion.link.actions.dialogue import Dialogue
 from companion.link.actions.performing import Handler, Performances, Refused, Unanswered
+from companion.link.autopilot_setup import motors_stop
 from companion.link.codec import mavlink
 from companion.link.commands import request_message
 from companion.link.modes import CONTROL_MODE, HOLD_MODE, LAND_MODE, STICK_MODES
@@ -103,7 +104,7 @@ class PymavlinkActions:
     # ------------------------------------------------------------ the actions
 
     async def _arm(self, action: Action) -> None:
-        await self.require_thrust()  # on the ground is the better place to hear that control will be refused
+        await self.require_setup()  # on the ground is the better place to hear that control will be refused
         if self.dialogue.autopilot_kind() == "ardupilot":
             await self.dialogue.set_mode("GUIDED")  # it takes off in this mode only
         await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0))
@@ -133,7 +134,7 @@ class PymavlinkActions:
 
         PX4 refuses unless setpoints have been coming already.
         """
-        await self.require_thrust()
+        await self.require_setup()
         autopilot_kind, before = self.dialogue.autopilot_kind(), self._session.state.mode
         mode = CONTROL_MODE[autopilot_kind]
 
@@ -196,7 +197,17 @@ class PymavlinkActions:
         hint = "" if stranger is None else f" (system {stranger} tells one; link.ground_system_id is another)"
         raise Refused(f"the ground station's answer: {outcome}{hint}")
 
-    async def require_thrust(self) -> None:
+    async def require_setup(self) -> None:
+        """See to it that the autopilot's parameters let us fly it.
+
+        Raises:
+            Refused: they do not, and may not be or were not changed.
+        """
+        if why := motors_stop(self._session.setup or AutopilotSetup()):
+            raise Refused(why)
+        await self._require_thrust()
+
+    async def _require_thrust(self) -> None:
         """See to it that an attitude setpoint's thrust is thrust: to ArduPilot it is a climb rate by default.
 
         Raises:

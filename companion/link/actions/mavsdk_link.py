@@ -171,7 +171,7 @@ class MavsdkActions:
 
     async def _arm(self, action: Action) -> None:
         await self._connect()
-        await self._own.require_thrust()
+        await self._own.require_setup()
         if self._own.dialogue.autopilot_kind() == "ardupilot":
             await self._own.dialogue.set_mode("GUIDED")  # it takes off in this mode only
         await self._try(self._action.arm())

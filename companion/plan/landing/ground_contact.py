@@ -1,4 +1,4 @@
-"""What lies below, whatever the eyes say: the ultrasonic's echoes and the height over home.
+"""What lies below, whatever vision says: the ultrasonic's echoes and the height over home.
 
 The pad's predicted height drifts while the pad is unseen; these two do not depend on it. Heights are of the
 vehicle's reference point, m; down is the EKF's NED; s.
@@ -17,6 +17,8 @@ from companion.base.messages import AutopilotState, RangeSample, VehicleState
 _ECHOES: Final = 3
 _SPREAD_M: Final = 0.3
 _FRESH_S: Final = 0.5
+_NEAR_M: Final = 1.5  # an echo this near, and the pad thought to lie
+_LOWER_M: Final = 0.8  # so much lower: what is below is not the pad
 
 
 class Ground:
@@ -33,6 +35,11 @@ class Ground:
     def stands_here(self, vehicle: VehicleState | None) -> None:
         """Remember home's height by our own estimate: the vehicle is about to take off."""
         self._home_down_m = None if vehicle is None else vehicle.position_ned_m[2]
+
+    def above(self, height_m: float) -> float | None:
+        """`surface_m`, if it is near and a pad that is estimated `height_m` below lies well beneath it."""
+        near_m = self.surface_m
+        return near_m if near_m is not None and near_m <= _NEAR_M and height_m - near_m >= _LOWER_M else None
 
     def update(
         self, vehicle: VehicleState | None, autopilot: AutopilotState, echo: RangeSample | None, now_s: float

@@ -34,6 +34,8 @@ _TOO_FAST_S = 0.1
 _LEAN_S = 0.25
 _LEVEL_BEFORE_S = 0.31
 _LEVEL_FOR_S = 0.42
+# From the decision to level off until the lean has begun to fall: command, dead time and the gate of jerk.
+_LEANS_ON_S = 0.2
 _FOOT_DROP_M = 0.02
 # Near the pad the air carries, and the sink slows below what is planned; below this share of it not for long.
 _SLOWEST_SINK = 0.5
@@ -296,9 +298,13 @@ class TouchdownSequence:
             return
         planned_m_s = self._config.contact_speed_m_s
         slowest_m_s = planned_m_s if self._level_from_s is None else _SLOWEST_SINK * planned_m_s
-        left_m = max(0.0, sight.height_m - self._vehicle.leg_height_m - _FOOT_DROP_M)
-        self._level_due_s = now_s + left_m / max(slowest_m_s, sight.sink_m_s)
-        if self._level_from_s is None and now_s >= self._level_due_s - _LEVEL_BEFORE_S:
+        sink_m_s = max(slowest_m_s, sight.sink_m_s)
+        over_m = sight.height_m - self._vehicle.leg_height_m
+        self._level_due_s = now_s + max(0.0, over_m - _FOOT_DROP_M) / sink_m_s
+        # the foot that hangs lower must not touch before the lean has begun to fall
+        hangs_m = self._vehicle.foot_reach_m * math.sin(self._tilt_rad)
+        near = now_s >= self._level_due_s - _LEVEL_BEFORE_S or over_m - hangs_m <= sink_m_s * _LEANS_ON_S
+        if self._level_from_s is None and near:
             self._level_from_s = now_s
             level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(self._config.contact_tilt_deg))
             self._level_excess_m_s2 = max(0.0, math.hypot(*self._lean_m_s2) - level_m_s2)

@@ -34,6 +34,11 @@ def short_name(mode: str) -> str:
     return mode.upper().rsplit(".", 1)[-1].replace(" ", "_")
 
 
+def in_land(autopilot: AutopilotState) -> bool:
+    """Whether the autopilot says that it lands."""
+    return autopilot.connected and short_name(autopilot.mode or "") == _LAND
+
+
 class ModeMonitor:
     """Call `taken_over` once a cycle while the autopilot is received."""
 

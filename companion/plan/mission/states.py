@@ -122,6 +122,7 @@ class Guard(StrEnum):
     TRIES_LEFT = "tries left"
     DISARM_NOT_ASKED = "no disarm asked yet"
     LAND_GRANTED = "the autopilot is in LAND"
+    UNHEARD = "the autopilot is not heard"
     MAY_FINISH = "the settings let a descent finish"
 
 
@@ -144,6 +145,7 @@ class Circumstances:
     on_surface: bool = False
     disarm_asked: bool = False
     land_granted: bool = False
+    heard: bool = True
     airborne: bool = False
     may_finish: bool = False
 
@@ -159,6 +161,7 @@ class Circumstances:
             Guard.TRIES_LEFT: self.tries_left,
             Guard.DISARM_NOT_ASKED: not self.disarm_asked,
             Guard.LAND_GRANTED: self.land_granted,
+            Guard.UNHEARD: not self.heard,
             Guard.MAY_FINISH: self.may_finish,
         }[guard]
 

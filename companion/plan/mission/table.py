@@ -4,10 +4,11 @@ Its rules:
   every pair of a state and an event has one row, or means nothing there, or is impossible;
   an impossible pair ends in a hold by the autopilot itself, and is announced;
   every state ends by time but the two last (LANDED, ABORT), STANDBY, which waits for an order, and
-  AUTO_LAND, which presses down and asks on: a mission that ended there would leave the motors running;
+  AUTO_LAND while the autopilot is heard: it presses down and asks on, and ended it would leave the motors on;
   released for good is released: whatever happens then, nothing more is asked of the autopilot;
-  STOP, a lost estimate and overtime return control to the autopilot, which holds its position; a vehicle
-  that a pilot flew when the landing was ordered, and that was never ours, stays in the pilot's mode.
+  STOP, a lost estimate and overtime return control to the autopilot, which holds its position, where all
+  but the lost estimate leave the time to, clear of the pad; a vehicle that a pilot flew when the landing was
+  ordered, and that was never ours, stays in the pilot's mode.
 No clock, no I/O: the failsafe monitor and the phases detect events, and here stands what follows.
 """
 
@@ -40,6 +41,7 @@ ON_PAD: Final = frozenset({S.STAND, S.AUTO_LAND})
 LAST_CENTIMETRES: Final = frozenset({S.SINK, S.SET_DOWN})
 COMMITTED: Final = ON_PAD | LAST_CENTIMETRES
 TOUCHDOWN: Final = OVER_PAD | COMMITTED
+LOW: Final = OVER_PAD | {S.DESCEND}  # it may be just over the pad, and has not committed
 HOLDING: Final = frozenset({S.HOLD, S.AWAIT_LINK})
 # the pad's estimate carries the vehicle
 BY_THE_PAD: Final = TOUCHDOWN | {S.APPROACH, S.DESCEND}
@@ -85,6 +87,8 @@ _NEXT_TRY: Final = (
     Branch(S.APPROACH, effects=(Effect.COUNT_TRY,), guard=Guard.TRIES_LEFT),
     Branch(S.HOLD, effects=(Effect.COUNT_TRY,)),
 )
+# Just over the pad the autopilot would hold in its way: the hold by our own setpoints climbs clear first.
+_HOLD_CLEAR: Final = (_end(_LAND, guard=Guard.ON_SURFACE), Branch(S.HOLD))
 # Without the pad or our own estimate: LAND holds the vehicle level, and goes on down.
 _SET_DOWN: Final = Branch(S.SET_DOWN, (_LAND,))
 IMPOSSIBLE: Final = (
@@ -100,6 +104,7 @@ _STANDS = "it stands on the pad"
 _NOTHING_ASKED = "nothing is requested yet; an armed vehicle ends the mission in any mode"
 _WAITS_FOR_OPERATOR = "it waits for an order, and asks for nothing"
 _LANDS = "the autopilot lands already"
+_CLEARS = "it climbs clear of the pad and comes to rest; its time returns control"
 
 ROWS: Final = (
     # ---- ordered
@@ -171,33 +176,43 @@ ROWS: Final = (
     _row(E.TIMEOUT, {S.WAYPOINT, S.ROUTE}, Branch(S.SEARCH)),
     _row(E.TIMEOUT, S.APPROACH, _SEARCH_AGAIN),
     _row(E.TIMEOUT, S.DESCEND, *_NEXT_TRY),
-    _row(E.TIMEOUT, HOLDING | OVER_PAD | {S.SEARCH}, *_RETURN_CONTROL),
+    _row(E.TIMEOUT, OVER_PAD, *_HOLD_CLEAR),
+    _row(E.TIMEOUT, HOLDING | {S.SEARCH}, *_RETURN_CONTROL),
     _row(E.TIMEOUT, S.SINK, _SET_DOWN),
     _row(E.TIMEOUT, {S.SET_DOWN, S.STAND}, Branch(S.AUTO_LAND, (_LAND,))),
-    _row(E.TIMEOUT, S.AUTO_LAND, Branch(None, (_LAND, _DISARM), effects=(Effect.ASK_AFRESH,))),
+    # without a link nothing arrives: its own failsafe has long taken it, and what then flies is not ours
+    _row(
+        E.TIMEOUT,
+        S.AUTO_LAND,
+        _end(guard=Guard.UNHEARD),
+        Branch(None, (_LAND, _DISARM), effects=(Effect.ASK_AFRESH,)),
+    ),
     # ---- anywhere
+    _row(E.OVERTIME, LOW, *_HOLD_CLEAR),
     _row(
         E.OVERTIME,
-        IN_AIR - COMMITTED,
+        IN_AIR - COMMITTED - LOW - {S.HOLD},
         *_RETURN_CONTROL,
         except_={
             **_all(ON_GROUND, _NOT_YET),
+            S.HOLD: _CLEARS,
             **_all(LAST_CENTIMETRES, _FINISHES),
             **_all(ON_PAD, _STANDS),
         },
     ),
     _row(
         E.BATTERY_CRITICAL,
-        IN_AIR - COMMITTED - OVER_PAD - {S.DESCEND},
+        IN_AIR - COMMITTED - LOW - {S.HOLD},
         *_RETURN_CONTROL,
         except_={
             **_all({S.STANDBY, S.CONNECT}, _NOTHING_ASKED),
+            S.HOLD: _CLEARS,
             S.ARM: "the autopilot's own checks decide",
             **_all(LAST_CENTIMETRES, _FINISHES),
             **_all(ON_PAD, _STANDS),
         },
     ),
-    _row(E.BATTERY_CRITICAL, OVER_PAD | {S.DESCEND}, Branch(None, guard=Guard.MAY_FINISH), *_RETURN_CONTROL),
+    _row(E.BATTERY_CRITICAL, LOW, Branch(None, guard=Guard.MAY_FINISH), *_HOLD_CLEAR),
     _row(
         E.OUT_OF_BOUNDS,
         IN_AIR - COMMITTED,
@@ -220,11 +235,12 @@ ROWS: Final = (
     ),
     _row(E.STOP, {S.STANDBY, S.CONNECT}, _GIVE_UP),
     _row(E.STOP, S.ARM, _end(_DISARM)),
+    _row(E.STOP, LOW, *_HOLD_CLEAR),
     _row(
         E.STOP,
-        IN_AIR,
+        IN_AIR - LOW,
         *_RETURN_CONTROL,
-        except_={**_all(LAST_CENTIMETRES, _FINISHES), **_all(ON_PAD, _STANDS)},
+        except_={S.HOLD: _CLEARS, **_all(LAST_CENTIMETRES, _FINISHES), **_all(ON_PAD, _STANDS)},
     ),
     _row(
         E.PILOT_TOOK_OVER,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 from companion.base.geometry import Vector3
 from companion.base.messages import PadBeacon, PadState
@@ -17,6 +18,9 @@ from companion.plan.debounce import Debounce
 from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.search.pad_locator import Lead, PadLocator
 from companion.plan.trajectory.guidance import ReferenceGenerator
+
+STOPPING_M_S2: Final = 2.0  # braking over the pad, as `guidance` may; the pad shall stay in view:
+VIEW_SLOPE: Final = 0.4  # metres aside a metre of height; half the view of 640x480 at fx 533 ends at 0.45
 
 # The reference is at a corner when this close, and goes on to the next without a halt.
 _CORNER_M = 1.0
@@ -131,9 +135,9 @@ class Search:
     def _stays_in_view(self, sight: PadState) -> bool:
         c = self._config
         (x, y, _), (vx, vy, _) = sight.relative_position_ned_m, sight.relative_velocity_ned_m_s
-        stop_s = math.hypot(vx, vy) / (2.0 * c.stopping_m_s2)
+        stop_s = math.hypot(vx, vy) / (2.0 * STOPPING_M_S2)
         overshoot_m = math.hypot(x + stop_s * vx, y + stop_s * vy)
-        return sight.velocity_std_m_s <= c.velocity_std_m_s and overshoot_m <= c.view_slope * sight.height_m
+        return sight.velocity_std_m_s <= c.velocity_std_m_s and overshoot_m <= VIEW_SLOPE * sight.height_m
 
     def step(self, actual: Motion, in_control: bool, pad: PadKnowledge, now_s: float) -> SearchStep:
         """One cycle; `actual` is the vehicle in the EKF's NED."""

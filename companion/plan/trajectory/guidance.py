@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Final, Literal
 
 from companion.base.geometry import Vector3, add, dot, norm, scale, subtract, wrap_angle
 from companion.base.messages import DescentCone, LevelOff, Reference
@@ -25,6 +25,8 @@ from companion.plan.trajectory.course import Course, Way
 from companion.plan.trajectory.frames import STILL
 from companion.plan.trajectory.limits import within_limits
 from companion.plan.trajectory.min_jerk import Trajectory, brake, carried, plan
+
+STRAY_M: Final = 0.8  # reference to estimate: beyond it the reference starts afresh
 
 ReferenceFrame = Literal["pad", "local"]
 SpeedLaw = Callable[[float, float, float], float]
@@ -124,7 +126,7 @@ class ReferenceGenerator:
     def keep_near(self, actual: Motion, now_s: float) -> float:
         """Take the estimate up when the reference is too far from it; returns how far (m), else 0."""
         distance_m = norm(subtract(self.at(now_s).position_m, actual.position_m))
-        if distance_m <= self._config.stray_m:
+        if distance_m <= STRAY_M:
             return 0.0
         self.take_up(actual, now_s)
         return distance_m

@@ -192,7 +192,7 @@ class CameraHealth:
             return "silent"
         good_s = self._opened_s if self._good_s is None else self._good_s
         fault = self._fault
-        # one whose frames are of use is not taken from the eyes: in the dark, black is what empty looks like
+        # one whose frames are of use is not kept from vision: in the dark, black is what empty looks like
         if fault is not None and not fault.usable and now_s - good_s > patience.content_s:
             return fault.kind
         return None

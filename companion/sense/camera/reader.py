@@ -236,6 +236,6 @@ def check_size(width_px: int, height_px: int, camera: CaptureConfig) -> None:
 
 
 def grey(image: Any) -> NDArray[np.uint8]:
-    """An image as the eyes want it: (height, width); in colour it is taken for blue, green, red."""
+    """An image as vision takes it: (height, width); in colour it is taken for blue, green, red."""
     array = np.asarray(image, dtype=np.uint8)
     return array if array.ndim == 2 else np.asarray(cv2.cvtColor(array, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

@@ -52,6 +52,8 @@ from companion.sense.vision.pose_noise import (
     whitening,
 )
 
+MAXIMUM_REPROJECTION_ERROR_PX: Final = 2.0  # a marker with more is dropped
+
 ITERATIONS: Final = 6
 CONVERGED: Final = 1e-4
 # a landing's speed of approach, as a share of the distance a second
@@ -144,7 +146,7 @@ def estimate_pose(
         if fit is None:
             return None
         errors_px = np.hypot(fit.misses[0], fit.misses[1]).reshape(-1, 4) * lens.focal_px
-        limits = [max(config.maximum_reprojection_error_px, RELATIVE_ERROR * d.side_px) for d in candidates]
+        limits = [max(MAXIMUM_REPROJECTION_ERROR_PX, RELATIVE_ERROR * d.side_px) for d in candidates]
         excess = np.sqrt((errors_px**2).mean(axis=1)) / limits
         if excess.max() <= 1.0:
             return None if _is_tilted(problem, fit) else _accept(problem, fit, candidates, errors_px, config)

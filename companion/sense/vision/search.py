@@ -20,6 +20,9 @@ from companion.pad import Pad
 from companion.sense.vision.aruco import GROUPS, SearchPass
 from companion.sense.vision.lens import Lens
 
+REGION_MARGIN_PX: Final = 14.0  # about the pad's expected place in the image
+REGION_MARGIN_SIGMA: Final = 3.0  # the same in standard deviations of the expected position
+
 # pixels a cell of the code should keep when the image is shrunk, and the shrinkings that are tried
 CELL_PX: Final = 3.1
 SHRINKINGS: Final = (6, 4, 3, 2, 1)
@@ -77,7 +80,7 @@ class SearchPlanner:
         Of the pad's centre (3,) and its standard deviation, each axis: it may be farther than expected.
         """
         distance = float(np.linalg.norm(pad_position_camera_m))
-        distance += self._config.region_margin_sigma * position_std_m
+        distance += REGION_MARGIN_SIGMA * position_std_m
         return self._lens.focal_px * self._finest_m >= 2.0 * CELL_PX * distance
 
     def widened(self, look: SearchPass) -> tuple[SearchPass, ...]:
@@ -114,7 +117,7 @@ class SearchPlanner:
         points = self._corners.reshape(-1, 3) @ camera_from_pad.T + pad_position_camera_m
         pixels, depth = self._lens.project(points)
         nearest = max(float(depth.min()), 0.05)
-        margin = self._config.region_margin_sigma * position_std_m * self._lens.focal_px / nearest
+        margin = REGION_MARGIN_SIGMA * position_std_m * self._lens.focal_px / nearest
         pixels = pixels.reshape(-1, 4, 2)
         # what should be cut off by the frame's edge may be whole within the expectation's uncertainty
         views = self._views(pixels, 0.0) or self._views(pixels, margin)
@@ -123,7 +126,7 @@ class SearchPlanner:
         if first is None:
             return ()
         rank = GROUPS.index(first.group)
-        wide = margin + self._config.region_margin_px
+        wide = margin + REGION_MARGIN_PX
         look = self._pass(first, wide)
         if first.cell_px < CELL_PX:
             # hardly legible: one larger marker that may be in view is worth more than all of these

@@ -221,10 +221,10 @@ def _whose_scale(climb_m: float, echo_climb_m: float, evidence: Evidence, mounti
         return f"{pad}; or {echo}"
     up_m = abs(evidence.lift[1].displacement_m[2])
     by_camera, by_echo = abs(abs(climb_m) / up_m - 1.0), abs(abs(echo_climb_m) / up_m - 1.0)
-    told = (
+    detail = (
         f"raised by {up_m:.2f} m by the IMU, {abs(climb_m):.2f} m by the camera, "
         f"{abs(echo_climb_m):.2f} m by the ultrasonic"
     )
     if abs(by_camera - by_echo) < UNDECIDED:
-        return f"{told}: {pad}; or {echo}"
-    return f"{told}: {pad if by_camera > by_echo else echo}"
+        return f"{detail}: {pad}; or {echo}"
+    return f"{detail}: {pad if by_camera > by_echo else echo}"

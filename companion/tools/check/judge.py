@@ -48,13 +48,13 @@ LEAST_IMU_WAY_M: Final = 0.08  # a shorter way has no direction, integrated twic
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One answer: `told` is what was measured, `blamed` what may be wrong (nothing: all is well).
+    """One answer: `detail` is what was measured, `blamed` what may be wrong (nothing: all is well).
 
     `values` are the numbers, for the record.
     """
 
     name: str
-    told: str
+    detail: str
     blamed: tuple[Part, ...] = ()
     values: dict[str, float] = field(default_factory=dict)
 
@@ -80,19 +80,19 @@ def judge_level(rest: StandstillMeans) -> Finding:
     roll, pitch = math.degrees(math.atan2(y, z)), math.degrees(math.atan2(-x, math.hypot(y, z)))
     tilt = angle_between((x, y, z), (0.0, 0.0, 1.0))
     size = norm(rest.force_m_s2)
-    told = f"the accelerometer says roll {roll:+.0f}°, pitch {pitch:+.0f}°, gravity {size:.1f} m/s²"
+    detail = f"the accelerometer says roll {roll:+.0f}°, pitch {pitch:+.0f}°, gravity {size:.1f} m/s²"
     values = {"roll_deg": roll, "pitch_deg": pitch, "gravity_m_s2": size}
     good = tilt < LEVEL_RAD and abs(size - GRAVITY_M_S2) < GRAVITY_SHARE * GRAVITY_M_S2
-    return Finding("level is level", told, () if good else ("imu",), values)
+    return Finding("level is level", detail, () if good else ("imu",), values)
 
 
 def judge_pad_level(rest: StandstillMeans, *, imu_is_level: bool = True) -> Finding:
     """Camera and accelerometer agree about down, over a pad that lies level."""
     apart = angle_between(down_by_force(rest), down_by_pad(rest))
-    told = f"down by the pad and by the accelerometer are {math.degrees(apart):.1f}° apart"
+    detail = f"down by the pad and by the accelerometer are {math.degrees(apart):.1f}° apart"
     values = {"apart_deg": math.degrees(apart)}
     blamed: tuple[Part, ...] = ("pad",) if imu_is_level else ("imu",)
-    return Finding("camera and horizon agree", told, () if apart < PAD_LEVEL_RAD else blamed, values)
+    return Finding("camera and horizon agree", detail, () if apart < PAD_LEVEL_RAD else blamed, values)
 
 
 def judge_height(rest: StandstillMeans, range_position_body_m: Vector3, place: str) -> Finding:
@@ -101,10 +101,10 @@ def judge_height(rest: StandstillMeans, range_position_body_m: Vector3, place: s
     height_m = height_by_camera(rest, range_position_body_m)
     if rest.range_m is None:
         return Finding(name, f"camera {height_m:.2f} m, ultrasonic: no echo", ("range",))
-    told = f"camera {height_m:.2f} m, ultrasonic {rest.range_m:.2f} m"
+    detail = f"camera {height_m:.2f} m, ultrasonic {rest.range_m:.2f} m"
     values = {"camera_m": height_m, "ultrasonic_m": rest.range_m}
     good = _alike(height_m, rest.range_m, HEIGHT)
-    return Finding(name, told, () if good else ("scale",), values)
+    return Finding(name, detail, () if good else ("scale",), values)
 
 
 def height_by_camera(rest: StandstillMeans, range_position_body_m: Vector3) -> float:
@@ -119,13 +119,13 @@ def judge_compass(rest: StandstillMeans, field_ned_ut: Vector3) -> Finding:
     strength_ut, expected_ut = norm(rest.field_ut), norm(field_ned_ut)
     dip = 0.5 * math.pi - angle_between(rest.field_ut, down_by_force(rest))
     expected_dip = math.asin(field_ned_ut[2] / expected_ut)
-    told = (
+    detail = (
         f"{strength_ut:.0f} µT, dip {math.degrees(dip):.0f}°; "
         f"{expected_ut:.0f} µT and {math.degrees(expected_dip):.0f}° are expected"
     )
     good = abs(strength_ut - expected_ut) < FIELD_SHARE * expected_ut and abs(dip - expected_dip) < DIP_RAD
     values = {"field_ut": strength_ut, "dip_deg": math.degrees(dip)}
-    return Finding("compass", told, () if good else ("compass",), values)
+    return Finding("compass", detail, () if good else ("compass",), values)
 
 
 # ---------------------------------------------------------------- moved
@@ -133,28 +133,28 @@ def judge_compass(rest: StandstillMeans, field_ned_ut: Vector3) -> Finding:
 
 def judge_shift(name: str, asked: Vector3, camera: Move, imu: Move, *, imu_is_level: bool = True) -> Finding:
     """A way (level axes) that was asked for, by the camera and by the IMU."""
-    told = f"camera: {way_words(camera.displacement_m)}; IMU: {way_words(imu.displacement_m)}"
+    detail = f"camera: {way_words(camera.displacement_m)}; IMU: {way_words(imu.displacement_m)}"
     values = _values("camera_m", camera.displacement_m) | _values("imu_m", imu.displacement_m)
     astray = [angle_between(move.displacement_m, asked) > ASTRAY_RAD for move in (camera, imu)]
     vague = norm(imu.displacement_m) < LEAST_IMU_WAY_M
     alike = angle_between(camera.displacement_m, imu.displacement_m) < ASTRAY_RAD
     return Finding(
-        name, told, _blamed(astray[0], astray[1] and not vague, alike=alike and imu_is_level), values
+        name, detail, _blamed(astray[0], astray[1] and not vague, alike=alike and imu_is_level), values
     )
 
 
 def judge_turn(name: str, asked: Vector3, camera: Move, imu: Move, *, imu_is_level: bool = True) -> Finding:
     """A rotation (body axes) that was asked for, by the camera and by the gyroscope."""
-    told = f"camera: {turn_words(camera.rotation_rad)}; gyroscope: {turn_words(imu.rotation_rad)}"
+    detail = f"camera: {turn_words(camera.rotation_rad)}; gyroscope: {turn_words(imu.rotation_rad)}"
     values = _values("camera_rad", camera.rotation_rad) | _values("gyro_rad", imu.rotation_rad)
     astray = [angle_between(move.rotation_rad, asked) > ASTRAY_RAD for move in (camera, imu)]
     apart = angle_between(camera.rotation_rad, imu.rotation_rad)
     blamed = _blamed(*astray, alike=apart < ASTRAY_RAD and imu_is_level)
     if not blamed and apart > ALIKE_RAD:
-        return Finding(name, f"{told}; about axes {math.degrees(apart):.0f}° apart", ("camera",), values)
+        return Finding(name, f"{detail}; about axes {math.degrees(apart):.0f}° apart", ("camera",), values)
     if not blamed and not _alike(norm(camera.rotation_rad), norm(imu.rotation_rad), ALIKE_SIZE):
-        return Finding(name, f"{told}; not as far", ("imu",), values)
-    return Finding(name, told, blamed, values)
+        return Finding(name, f"{detail}; not as far", ("imu",), values)
+    return Finding(name, detail, blamed, values)
 
 
 def judge_compass_turn(before: StandstillMeans, after: StandstillMeans, imu: Move) -> Finding:
@@ -164,10 +164,10 @@ def judge_compass_turn(before: StandstillMeans, after: StandstillMeans, imu: Mov
         return Finding(name, "no samples of the magnetometer", ("compass",))
     turned = _turned_about_down(before, after)
     about_down = dot(imu.rotation_rad, down_by_force(before))
-    told = f"compass {math.degrees(turned):+.0f}°, gyroscope {math.degrees(about_down):+.0f}°"
+    detail = f"compass {math.degrees(turned):+.0f}°, gyroscope {math.degrees(about_down):+.0f}°"
     values = {"compass_deg": math.degrees(turned), "gyro_deg": math.degrees(about_down)}
     good = _alike(turned, about_down, COMPASS_TURN)
-    return Finding(name, told, () if good else ("compass",), values)
+    return Finding(name, detail, () if good else ("compass",), values)
 
 
 def judge_tilt(

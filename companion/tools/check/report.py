@@ -15,7 +15,7 @@ def report_table(report: Report) -> Table:
     for heading in ("", "question", "measured"):
         table.add_column(heading)
     for finding in report.findings:
-        table.add_row("[green]ok[/]" if finding.passed else "[bold red]NO[/]", finding.name, finding.told)
+        table.add_row("[green]ok[/]" if finding.passed else "[bold red]NO[/]", finding.name, finding.detail)
     return table
 
 
@@ -38,12 +38,12 @@ def verdict_line(report: Report) -> str:
 
 
 def report_json(report: Report) -> str:
-    """The result as JSON: `passed`, and for each question `name`, `passed`, `told`, `values`, `cause`."""
+    """The result as JSON: `passed`, and for each question `name`, `passed`, `detail`, `values`, `cause`."""
     checks = [
         {
             "name": finding.name,
             "passed": finding.passed,
-            "told": finding.told,
+            "detail": finding.detail,
             "blamed": list(finding.blamed),
             "cause": report.causes.get(finding.name),
             "values": {name: round(value, 4) for name, value in finding.values.items()},

@@ -6,6 +6,7 @@ Body axes are FRD, units SI, field µT; times are of measurement. Stands where t
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Final, TypeVar
 
@@ -32,7 +33,7 @@ class RecentSamples:
         self.range: deque[RangeSample] = deque()
         self.sightings: deque[PadSighting] = deque()
 
-    def add_imu(self, sample: ImuSample) -> None:
+    def add_imu(self, sample: ImuSample, received_s: float = math.inf) -> None:
         """One of gyroscope and accelerometer."""
         _keep(self.imu, sample)
 

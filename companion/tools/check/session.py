@@ -81,7 +81,7 @@ class PadCheck:
         camera = load_model(CameraConfig, find_file("cameras", config.camera))
         self._pad = load_pad(config.pad)
         self._vision = Vision(self._pad, camera, vehicle, config.sense.vision)
-        self._eyes = MirrorWatch(self._vision)
+        self._mirror = MirrorWatch(self._vision)
         self._samples = RecentSamples() if samples is None else samples
         by_telemetry = config.sense.source == "autopilot"
         self._session = Session(config.link, config.sense if by_telemetry else None)
@@ -90,7 +90,7 @@ class PadCheck:
         self._sensing = Sensing(
             config,
             replace(hardware, gps_port=None),
-            self._eyes,
+            self._mirror,
             self._samples,
             self._session.onboard,
             clock=self._clock,
@@ -134,7 +134,7 @@ class PadCheck:
         wizard = self._wizard = Wizard(self._mounting, self._clock.now_s())
         while not wizard.finished:
             self._refuse_armed()
-            for said in wizard.step(self._samples, self._clock.now_s(), mirrored=self._eyes.mirrored):
+            for said in wizard.step(self._samples, self._clock.now_s(), mirrored=self._mirror.mirrored):
                 self._outlets.say(said)
             await asyncio.sleep(STEP_PERIOD_S)
         return wizard.report()
@@ -189,18 +189,18 @@ class PadCheck:
             await asyncio.sleep(STEP_PERIOD_S)
             ages_s.append(self._sensing.last_frame.received_s - self._sensing.last_frame.time_s)
         rate_hz = (self._sensing.frame_count - before) / CAMERA_LOOK_S
-        told = f"camera: {rate_hz:.1f} frames/s looked at, {1e3 * median(ages_s):.0f} ms old on arrival"
+        detail = f"camera: {rate_hz:.1f} frames/s looked at, {1e3 * median(ages_s):.0f} ms old on arrival"
         if isinstance(self._frames, KeptCamera):
-            told += f"; the driver says: {self._frames.read_back}"
-        self._outlets.say(Say(told))
+            detail += f"; the driver says: {self._frames.read_back}"
+        self._outlets.say(Say(detail))
 
     async def _picture_task(self) -> None:
         page = self._outlets.page
         assert page is not None
         while True:
             await asyncio.sleep(PICTURE_PERIOD_S)
-            if page.viewer_count and self._eyes.last is not None and self._wizard is not None:
-                frame, seen = self._eyes.last
+            if page.viewer_count and self._mirror.last is not None and self._wizard is not None:
+                frame, seen = self._mirror.last
                 page.show(draw(frame, seen.sighting, self._vision, self._pad, self._wizard))
 
     async def _guard(self, name: str, work: Callable[[], Awaitable[None]]) -> None:

@@ -198,7 +198,7 @@ class Wizard:
         finding = self._finding(step, moves, longest_gap_s(imu, before.end_s, after.start_s))
         if finding.blamed in REPEATED and self._repeats < MOST_REPEATS:
             self._repeats += 1
-            self._say(f"{step.name}: {finding.told}; once more", "bad")
+            self._say(f"{step.name}: {finding.detail}; once more", "bad")
             self._bring_back(after, self._number, now_s)
             return
         self._repeats = 0
@@ -283,18 +283,18 @@ class Wizard:
 
     def _give_up(self, why: str, now_s: float) -> None:
         """Go on without the step; without the first rest there is nothing to go on with."""
-        told = f"not done within {STEP_TIMEOUT_S:g} s: {why}"
+        detail = f"not done within {STEP_TIMEOUT_S:g} s: {why}"
         if self.stage is CheckStage.START:
-            self._end_blind(told, "sight")
+            self._end_blind(detail, "sight")
         elif self.stage is CheckStage.OUT:
-            self._found(Finding(STEPS[self._number].name, told, ("sight",)))
+            self._found(Finding(STEPS[self._number].name, detail, ("sight",)))
             self._go_out(self._number + 1, now_s)
         else:
             self._base = self._away_from
             self._go_out(self._upcoming, now_s)
 
-    def _end_blind(self, told: str, part: Part) -> None:
-        self._found(Finding("the pad is seen", told, (part,)))
+    def _end_blind(self, detail: str, part: Part) -> None:
+        self._found(Finding("the pad is seen", detail, (part,)))
         self._end()
 
     def _end(self) -> None:
@@ -309,7 +309,7 @@ class Wizard:
 
     def _found(self, finding: Finding) -> None:
         self._findings.append(finding)
-        self._say(f"{finding.name}: {finding.told}", "good" if finding.passed else "bad")
+        self._say(f"{finding.name}: {finding.detail}", "good" if finding.passed else "bad")
 
     def _say(self, text: str, kind: SayKind) -> None:
         self._said.append(Say(text, kind))

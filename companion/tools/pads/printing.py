@@ -8,7 +8,7 @@ lower left corner.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 from typing import Final
@@ -31,6 +31,9 @@ LINE_MM: Final = 2.2
 CHARACTER_MM: Final = 1.0
 PLAN_MARGIN_MM: Final = 15.0
 PLAN_HEAD_MM: Final = 25.0
+# of "sheet 35" in 7 pt, and from the sheet's edges
+NUMBER_MM: Final = (10.0, 2.6)
+PLAN_GAP_MM: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,6 +173,27 @@ def _draw_foot(page: Page, pad: Pad, sheet: Tile, count: int, told: list[Marker]
 # ---------------------------------------------------------------- the plan
 
 
+def _number_place(pad: Pad, sheet: Tile, on_plan: Callable[[Point], Point]) -> Point:
+    """Upper left corner of a sheet's number on the plan: in the first of its corners that no marker takes."""
+    left, top = on_plan((sheet.along_m[1], sheet.across_m[0]))
+    right, bottom = on_plan((sheet.along_m[0], sheet.across_m[1]))
+    width, height = NUMBER_MM
+    places = [
+        (x, y)
+        for y in (top - PLAN_GAP_MM, bottom + PLAN_GAP_MM + height)
+        for x in (left + PLAN_GAP_MM, right - PLAN_GAP_MM - width)
+    ]
+    markers = [extent(tuple(on_plan(corner) for corner in marker.square_pad_m())) for marker in pad.markers]
+
+    def is_free(place: Point) -> bool:
+        x, y = place
+        return not any(
+            x < x1 and x0 < x + width and y - height < y1 and y0 < y for (x0, x1), (y0, y1) in markers
+        )
+
+    return next((place for place in places if is_free(place)), places[0])
+
+
 def _plan(pad: Pad, tiling: Tiling, sheets: Sequence[Tile]) -> Page:
     """Where each sheet and each marker goes, to no scale."""
     paper = pad.sheet.paper
@@ -189,8 +213,7 @@ def _plan(pad: Pad, tiling: Tiling, sheets: Sequence[Tile]) -> Page:
     page.lines([[on_plan((cut, -y)), on_plan((cut, y))] for cut in tiling.along_m], dashed=True)
     page.lines([[on_plan((-x, cut)), on_plan((x, cut))] for cut in tiling.across_m], dashed=True)
     for sheet in sheets:
-        corner = on_plan((sheet.along_m[1], sheet.across_m[0]))
-        page.text((corner[0] + 1.0, corner[1] - 1.0), f"sheet {sheet.number}", 7, ha="left", grey=0.4)
+        page.text(_number_place(pad, sheet, on_plan), f"sheet {sheet.number}", 7, ha="left", grey=0.4)
     for marker in pad.markers:
         corners = [on_plan(corner) for corner in marker.square_pad_m()]
         page.lines([[*corners, corners[0]]], 0.6)

@@ -23,7 +23,7 @@ from companion.link.session import Session
 from companion.link.signing import read_signing_key
 from companion.link.transport import Transport, open_transport
 from companion.tools.preflight import telemetry
-from companion.tools.preflight.findings import Finding, Teller
+from companion.tools.preflight.findings import Finding, FindingGroup
 from companion.tools.preflight.losses import FrameCounter
 from companion.tools.preflight.parameters import GROUP, Wanted, judge_parameters, parameter_names
 from companion.tools.preflight.telemetry import Heard
@@ -34,7 +34,7 @@ SETTLING_S: Final = 3.0
 LOOK_S: Final = 5.0
 TICK_S: Final = 0.05
 WATCH_S: Final = 1.0
-_TELL: Final = Teller("link")
+_GROUP: Final = FindingGroup("link")
 _NO_HEARTBEAT: Final = "no autopilot is heard"
 
 
@@ -50,11 +50,11 @@ async def check_link(config: CompanionConfig, vehicle: VehicleConfig | None) -> 
         hint = (
             "see link.connection and link.signing_key; does another program, or the service, have the port?"
         )
-        return [_TELL.fail("heartbeat", str(error), hint), *_without_autopilot("the link is not open")]
+        return [_GROUP.fail("heartbeat", str(error), hint), *_without_autopilot("the link is not open")]
     except OSError as error:
         hint = "is the autopilot powered, and the line plugged in?"
         return [
-            _TELL.fail("heartbeat", f"{connection}: {error}", hint),
+            _GROUP.fail("heartbeat", f"{connection}: {error}", hint),
             *_without_autopilot("the link was lost"),
         ]
     found = telemetry.judge(heard, config)
@@ -65,49 +65,49 @@ async def check_link(config: CompanionConfig, vehicle: VehicleConfig | None) -> 
             if kind is None
             else "the vehicle's file is not usable"
         )
-        return [*found, Teller(GROUP).skip("parameters", why)]
+        return [*found, FindingGroup(GROUP).skip("parameters", why)]
     return found + judge_parameters(kind, heard.parameters, Wanted.of(config, vehicle, kind))
 
 
 def without_link(why: str) -> list[Finding]:
     """The findings when the link is not to be opened."""
-    return [_TELL.skip("heartbeat", why), *_without_autopilot(why)]
+    return [_GROUP.skip("heartbeat", why), *_without_autopilot(why)]
 
 
 def _without_autopilot(why: str) -> list[Finding]:
-    return [Teller("telemetry").skip("rates", why), Teller(GROUP).skip("parameters", why)]
+    return [FindingGroup("telemetry").skip("rates", why), FindingGroup(GROUP).skip("parameters", why)]
 
 
 def _silence(listener: _Listener, connection: str) -> Finding:
     """What a link without the autopilot's heartbeat has instead."""
-    session, told = listener.session, f"{connection}: no heartbeat within {HEARTBEAT_PATIENCE_S:g} s"
+    session, detail = listener.session, f"{connection}: no heartbeat within {HEARTBEAT_PATIENCE_S:g} s"
     counters = session.counters
     if session.stranger is not None:
-        return _TELL.fail(
+        return _GROUP.fail(
             "heartbeat",
-            f"{told}, but system {session.stranger}'s",
+            f"{detail}, but system {session.stranger}'s",
             "set link.system_id to the vehicle's, or to 0",
         )
     if counters.refused:
-        return _TELL.fail(
+        return _GROUP.fail(
             "heartbeat",
-            f"{told}, but {counters.refused} frames without our signature",
+            f"{detail}, but {counters.refused} frames without our signature",
             "the autopilot signs with another key, or not at all: see link.signing_key",
         )
     if counters.decoded + counters.passed_over:
-        return _TELL.fail(
+        return _GROUP.fail(
             "heartbeat",
-            f"{told}, but other MAVLink",
+            f"{detail}, but other MAVLink",
             "is this line the autopilot's? see SERIALx_PROTOCOL, MAV_x_CONFIG",
         )
     if counters.skipped_bytes:
-        return _TELL.fail(
+        return _GROUP.fail(
             "heartbeat",
-            f"{told}, but {counters.skipped_bytes} bytes that are no MAVLink 2",
+            f"{detail}, but {counters.skipped_bytes} bytes that are no MAVLink 2",
             "the baud rate, in link.connection and in the autopilot; MAV_PROTO_VER, SERIALx_PROTOCOL 2",
         )
-    return _TELL.fail(
-        "heartbeat", f"{told}, not one byte", "power, TX and RX crossed, the port's name, link.connection"
+    return _GROUP.fail(
+        "heartbeat", f"{detail}, not one byte", "power, TX and RX crossed, the port's name, link.connection"
     )
 
 

@@ -23,12 +23,12 @@ from companion.config import (
 )
 from companion.config.calibration import Provenance
 from companion.pad import load_pad
-from companion.tools.preflight.findings import Finding, Teller
+from companion.tools.preflight.findings import Finding, FindingGroup
 
 OLDEST: Final = timedelta(days=365)
 OLDEST_COMPASS: Final = timedelta(days=180)  # whatever is bolted on near it changes it
 T = TypeVar("T")
-_SETTINGS, _TELL = Teller("settings"), Teller("calibration")
+_SETTINGS, _GROUP = FindingGroup("settings"), FindingGroup("calibration")
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,86 +77,88 @@ def _camera(config: CompanionConfig, camera: CameraConfig, now: datetime) -> Fin
     made, size = camera.calibration, f"{camera.width_px}x{camera.height_px}"
     if made is None:
         hint = "calibrate-camera: heights and the touchdown are off by as much as its numbers are"
-        return _TELL.warn("camera", f"'{camera.name}' {size}: not written by calibrate-camera", hint)
-    told = f"'{camera.name}' {size}, {made.rms_px:.2f} px, {_date(made.provenance)}"
+        return _GROUP.warn("camera", f"'{camera.name}' {size}: not written by calibrate-camera", hint)
+    detail = f"'{camera.name}' {size}, {made.rms_px:.2f} px, {_date(made.provenance)}"
     if made.verdict:
-        return _forced("camera", told, made.verdict, "calibrate-camera")
+        return _forced("camera", detail, made.verdict, "calibrate-camera")
     source, used = made.provenance.source, config.sense.vision.source
     if _is_device(source) and _is_device(used) and source != used:
-        return _TELL.warn(
-            "camera", f"{told}: taken with {source}, sense.vision.source is {used}", "is it the same camera?"
+        return _GROUP.warn(
+            "camera",
+            f"{detail}: taken with {source}, sense.vision.source is {used}",
+            "is it the same camera?",
         )
-    return _aged("camera", told, made.provenance, now, OLDEST, "calibrate-camera")
+    return _aged("camera", detail, made.provenance, now, OLDEST, "calibrate-camera")
 
 
 def _mount(config: CompanionConfig, camera: CameraConfig, now: datetime) -> Finding:
     try:
         made = load_mount(config.mount, config.camera)
     except ConfigError as error:
-        return _TELL.fail("mount", str(error), "calibrate-mount camera, with the camera's present file")
+        return _GROUP.fail("mount", str(error), "calibrate-mount camera, with the camera's present file")
     if made is None:
         hint = "calibrate-mount record and camera; till then the vehicle's file has the camera's angles"
-        return _TELL.warn("mount", "none named ('mount')", hint)
+        return _GROUP.warn("mount", "none named ('mount')", hint)
     offset_ms = 1e3 * made.time_offset_s
-    told = f"yaw {made.camera_yaw_deg:.1f}°, stamps {offset_ms:+.0f} ms, {_date(made.provenance)}"
+    detail = f"yaw {made.camera_yaw_deg:.1f}°, stamps {offset_ms:+.0f} ms, {_date(made.provenance)}"
     if made.forced:
-        return _forced("mount", told, made.forced, "calibrate-mount camera")
+        return _forced("mount", detail, made.forced, "calibrate-mount camera")
     if camera.calibration is not None:
         mounted, calibrated = _when(made.provenance), _when(camera.calibration.provenance)
         if mounted is not None and calibrated is not None and mounted < calibrated:
             hint = "calibrate-mount camera again: it was found with the camera's former numbers"
-            return _TELL.warn("mount", f"{told}: older than the camera's calibration", hint)
-    return _aged("mount", told, made.provenance, now, OLDEST, "calibrate-mount camera")
+            return _GROUP.warn("mount", f"{detail}: older than the camera's calibration", hint)
+    return _aged("mount", detail, made.provenance, now, OLDEST, "calibrate-mount camera")
 
 
 def _inertial(config: CompanionConfig, now: datetime) -> Finding:
     try:
         made = load_inertial(config.sense)
     except ConfigError as error:
-        return _TELL.fail("inertial", str(error), "calibrate-mount accelerometer")
+        return _GROUP.fail("inertial", str(error), "calibrate-mount accelerometer")
     if made is None:
         hint = "calibrate-mount accelerometer, then sense.imu.inertial_calibration"
-        return _TELL.warn("inertial", "none named (sense.imu.inertial_calibration)", hint)
-    told = f"{made.provenance.source}, {_date(made.provenance)}"
+        return _GROUP.warn("inertial", "none named (sense.imu.inertial_calibration)", hint)
+    detail = f"{made.provenance.source}, {_date(made.provenance)}"
     if made.forced:
-        return _forced("inertial", told, made.forced, "calibrate-mount accelerometer")
-    return _aged("inertial", told, made.provenance, now, OLDEST, "calibrate-mount accelerometer")
+        return _forced("inertial", detail, made.forced, "calibrate-mount accelerometer")
+    return _aged("inertial", detail, made.provenance, now, OLDEST, "calibrate-mount accelerometer")
 
 
 def _magnetometer(config: CompanionConfig, now: datetime) -> Finding:
     try:
         made = load_used_magnetometer(config.sense)
     except ConfigError as error:
-        return _TELL.fail("magnetometer", str(error), "calibrate-magnetometer")
+        return _GROUP.fail("magnetometer", str(error), "calibrate-magnetometer")
     if made is None:
         if config.sense.source == "autopilot":
-            return _TELL.ok("magnetometer", "the autopilot's own")
+            return _GROUP.ok("magnetometer", "the autopilot's own")
         hint = "calibrate-magnetometer, then sense.imu.magnetometer_calibration; else the heading drifts"
-        return _TELL.warn("magnetometer", "none named (sense.imu.magnetometer_calibration)", hint)
-    told = f"{made.quality.verdict}, {_date(made.provenance)}"
+        return _GROUP.warn("magnetometer", "none named (sense.imu.magnetometer_calibration)", hint)
+    detail = f"{made.quality.verdict}, {_date(made.provenance)}"
     if made.quality.verdict == "refused":
-        return _forced("magnetometer", told, made.quality.reasons, "calibrate-magnetometer")
-    return _aged("magnetometer", told, made.provenance, now, OLDEST_COMPASS, "calibrate-magnetometer")
+        return _forced("magnetometer", detail, made.quality.reasons, "calibrate-magnetometer")
+    return _aged("magnetometer", detail, made.provenance, now, OLDEST_COMPASS, "calibrate-magnetometer")
 
 
 # ---------------------------------------------------------------- what they have in common
 
 
-def _forced(name: str, told: str, reasons: tuple[str, ...], tool: str) -> Finding:
-    return _TELL.warn(name, f"{told}: written by force: {'; '.join(reasons)}", f"{tool} again")
+def _forced(name: str, detail: str, reasons: tuple[str, ...], tool: str) -> Finding:
+    return _GROUP.warn(name, f"{detail}: written by force: {'; '.join(reasons)}", f"{tool} again")
 
 
-def _aged(name: str, told: str, made: Provenance, now: datetime, oldest: timedelta, tool: str) -> Finding:
+def _aged(name: str, detail: str, made: Provenance, now: datetime, oldest: timedelta, tool: str) -> Finding:
     when = _when(made)
     if when is None:
-        return _TELL.warn(name, f"{told}: without a date", f"{tool} again")
+        return _GROUP.warn(name, f"{detail}: without a date", f"{tool} again")
     if when > now + timedelta(days=1):
-        return _TELL.warn(name, f"{told}: in the future", "the clock is wrong, now or when it was made")
+        return _GROUP.warn(name, f"{detail}: in the future", "the clock is wrong, now or when it was made")
     if now - when > oldest:
-        return _TELL.warn(
-            name, f"{told}: {(now - when).days} days old", f"{tool} again, at the latest after a crash"
+        return _GROUP.warn(
+            name, f"{detail}: {(now - when).days} days old", f"{tool} again, at the latest after a crash"
         )
-    return _TELL.ok(name, told)
+    return _GROUP.ok(name, detail)
 
 
 def _when(made: Provenance) -> datetime | None:

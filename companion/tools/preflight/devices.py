@@ -28,7 +28,7 @@ from companion.sense.imu.mpu9250 import IDENTITIES, WHO_AM_I, Mpu9250
 from companion.sense.range.echo_pins import EchoPins
 from companion.sense.range.range_finder import make_range_finder
 from companion.sense.serial_port import SerialPort
-from companion.tools.preflight.findings import Finding, Teller
+from companion.tools.preflight.findings import Finding, FindingGroup
 
 LOOK_S: Final = 3.0
 FIRST_FRAME_S: Final = 5.0
@@ -48,14 +48,19 @@ IMU_HINT: Final = "sense.imu.bus; dtparam=i2c_arm=on (or spi=on) in config.txt, 
 GPS_HINT: Final = "sense.gps.port: ls /dev/ttyAMA*; the UART in config.txt, group dialout"
 RANGE_HINT: Final = "sense.range.kind and port (or pins): ls /dev/ttyAMA*; group dialout (gpio)"
 
-_CAMERA, _IMU, _GPS, _RANGE = Teller("camera"), Teller("IMU"), Teller("GPS"), Teller("range")
+_CAMERA, _IMU, _GPS, _RANGE = (
+    FindingGroup("camera"),
+    FindingGroup("IMU"),
+    FindingGroup("GPS"),
+    FindingGroup("range"),
+)
 _Check = Callable[[], Awaitable[list[Finding]]]
 
 
 async def check_devices(config: CompanionConfig, camera: CameraConfig | None) -> list[Finding]:
     """All devices that the settings name, at once; `camera` is None when its file cannot be read."""
     sense = config.sense
-    checks: list[tuple[Teller, str, _Check]] = []
+    checks: list[tuple[FindingGroup, str, _Check]] = []
     if camera is not None:
         checks.append((_CAMERA, CAMERA_HINT, lambda: _camera(config, camera)))
     if sense.source == "boards":
@@ -74,7 +79,7 @@ def without_devices(config: CompanionConfig, why: str, hint: str) -> list[Findin
     return [teller.skip("opens", why, hint) for teller in tellers]
 
 
-async def _guarded(teller: Teller, hint: str, check: _Check) -> list[Finding]:
+async def _guarded(teller: FindingGroup, hint: str, check: _Check) -> list[Finding]:
     """A device that cannot be opened, or is lost, is a finding like others."""
     try:
         return await check()
@@ -128,21 +133,23 @@ def _frame_rate(frames: list[Frame], camera: CameraConfig, spec: str) -> Finding
     rate_hz = (frames[-1].sequence - frames[0].sequence) / span_s if span_s > 0.0 else 0.0
     age_s = median(frame.received_s - frame.time_s for frame in frames)
     size = f"{camera.width_px}x{camera.height_px}"
-    told = f"{spec}: {size}, {rate_hz:.1f} frames/s, {1e3 * age_s:.0f} ms old on arrival"
+    detail = f"{spec}: {size}, {rate_hz:.1f} frames/s, {1e3 * age_s:.0f} ms old on arrival"
     if rate_hz >= LEAST_RATE * camera.rate_hz:
-        return _CAMERA.ok("frames", told)
+        return _CAMERA.ok("frames", detail)
     hint = "the camera's mode, USB bandwidth, pixel_format, an exposure longer than a frame; docs/cameras.md"
-    return _CAMERA.warn("frames", f"{told}; expected {camera.rate_hz:g}", hint)
+    return _CAMERA.warn("frames", f"{detail}; expected {camera.rate_hz:g}", hint)
 
 
 def _exposure(read_back: ReadBack, camera: CameraConfig) -> Finding:
     asked_ms = 1e3 * camera.exposure_s
     if read_back.exposure_s is None:
         return _CAMERA.skip("exposure", f"the source does not tell it; exposure_s is {asked_ms:g} ms")
-    told = f"{read_back}; asked for {asked_ms:g} ms"
+    detail = f"{read_back}; asked for {asked_ms:g} ms"
     if abs(read_back.exposure_s - camera.exposure_s) <= EXPOSURE_DIFFERS * camera.exposure_s:
-        return _CAMERA.ok("exposure", told)
-    return _CAMERA.warn("exposure", told, "a longer one blurs what moves; the driver's automatic must be off")
+        return _CAMERA.ok("exposure", detail)
+    return _CAMERA.warn(
+        "exposure", detail, "a longer one blurs what moves; the driver's automatic must be off"
+    )
 
 
 def _picture(frames: list[Frame], faults: set[str]) -> Finding:
@@ -150,14 +157,14 @@ def _picture(frames: list[Frame], faults: set[str]) -> Finding:
         return _CAMERA.fail("picture", "; ".join(sorted(faults)), "cable, driver, lens cap; docs/cameras.md")
     image = frames[-1].image
     mean, clipped = float(image.mean()), float(np.mean(image >= 255))
-    told = f"mean grey {mean:.0f} of 255, {clipped:.0%} clipped"
+    detail = f"mean grey {mean:.0f} of 255, {clipped:.0%} clipped"
     if mean < DARK:
         return _CAMERA.warn(
-            "picture", f"{told}: dark", "lens cap, light, gain; exposure_s in the camera's file"
+            "picture", f"{detail}: dark", "lens cap, light, gain; exposure_s in the camera's file"
         )
     if mean > BRIGHT or clipped > CLIPPED_SHARE:
-        return _CAMERA.warn("picture", f"{told}: overexposed", "a shorter exposure_s, or less gain")
-    return _CAMERA.ok("picture", told)
+        return _CAMERA.warn("picture", f"{detail}: overexposed", "a shorter exposure_s, or less gain")
+    return _CAMERA.ok("picture", detail)
 
 
 # ---------------------------------------------------------------- IMU
@@ -198,17 +205,17 @@ def _inertial(samples: list[ImuSample], problems: set[str], rate_hz: float) -> l
     mean = np.mean([sample.specific_force_body_m_s2 for sample in samples], axis=0)
     size = float(np.linalg.norm(mean))
     tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, -float(mean[2]) / max(size, 1e-9)))))
-    told = f"|f| {size:.2f} m/s², {tilt_deg:.0f}° off level"
+    detail = f"|f| {size:.2f} m/s², {tilt_deg:.0f}° off level"
     rate = _IMU.ok("samples", f"{came_hz:.0f} Hz")
     if came_hz < LEAST_RATE * rate_hz:
         rate = _IMU.warn(
             "samples", f"{came_hz:.0f} Hz; expected {rate_hz:g}", "i2c_arm_baudrate=400000; sense.imu.read"
         )
     if abs(size - GRAVITY_M_S2) > AT_REST_M_S2:
-        return [rate, _IMU.warn("at rest", told, "keep it still; calibrate-mount accelerometer")]
+        return [rate, _IMU.warn("at rest", detail, "keep it still; calibrate-mount accelerometer")]
     if tilt_deg > LEVEL_DEG:
-        return [rate, _IMU.warn("at rest", told, "set it down level; else sense.imu.body_from_sensor_deg")]
-    return [rate, _IMU.ok("at rest", told)]
+        return [rate, _IMU.warn("at rest", detail, "set it down level; else sense.imu.body_from_sensor_deg")]
+    return [rate, _IMU.ok("at rest", detail)]
 
 
 def _magnetometer(fields: list[MagSample], problem: str | None) -> Finding:
@@ -216,12 +223,12 @@ def _magnetometer(fields: list[MagSample], problem: str | None) -> Finding:
         hint = "a clone without an AK8963, or the other sense.imu.mag_path"
         return _IMU.fail("magnetometer", problem or "no samples", hint)
     size_ut = median(norm(sample.field_body_ut) for sample in fields)
-    told = f"{size_ut:.0f} µT as it comes"
+    detail = f"{size_ut:.0f} µT as it comes"
     if not EARTH_UT[0] <= size_ut <= EARTH_UT[1]:
         return _IMU.warn(
-            "magnetometer", told, f"expected {EARTH_UT[0]:g} to {EARTH_UT[1]:g}: iron or current nearby"
+            "magnetometer", detail, f"expected {EARTH_UT[0]:g} to {EARTH_UT[1]:g}: iron or current nearby"
         )
-    return _IMU.ok("magnetometer", told)
+    return _IMU.ok("magnetometer", detail)
 
 
 # ---------------------------------------------------------------- GPS and echo
@@ -249,10 +256,10 @@ async def _gps(config: CompanionConfig) -> list[Finding]:
 
 def _fix(fixes: list[GpsFix]) -> Finding:
     last = fixes[-1]
-    told = f"{last.satellites} satellites, {last.horizontal_accuracy_m:.1f} m"
+    detail = f"{last.satellites} satellites, {last.horizontal_accuracy_m:.1f} m"
     if last.horizontal_accuracy_m > GOOD_FIX_M:
-        return _GPS.warn("fix", told, f"expected {GOOD_FIX_M:g} m or better: sky view, and patience")
-    return _GPS.ok("fix", told)
+        return _GPS.warn("fix", detail, f"expected {GOOD_FIX_M:g} m or better: sky view, and patience")
+    return _GPS.ok("fix", detail)
 
 
 async def _range(config: CompanionConfig) -> list[Finding]:

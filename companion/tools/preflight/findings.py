@@ -21,33 +21,33 @@ class State(StrEnum):
 class Finding:
     """One line of the table: its group, its name, the state, what was found, and what to do about it.
 
-    `told` of what was not checked says why not.
+    `detail` of what was not checked says why not.
     """
 
     group: str
     name: str
     state: State
-    told: str
+    detail: str
     hint: str = NO_HINT
 
 
 @dataclass(frozen=True, slots=True)
-class Teller:
+class FindingGroup:
     """Makes the findings of one group."""
 
     group: str
 
-    def ok(self, name: str, told: str) -> Finding:
+    def ok(self, name: str, detail: str) -> Finding:
         """All is well."""
-        return Finding(self.group, name, State.OK, told)
+        return Finding(self.group, name, State.OK, detail)
 
-    def warn(self, name: str, told: str, hint: str) -> Finding:
+    def warn(self, name: str, detail: str, hint: str) -> Finding:
         """It may fly; a person should know."""
-        return Finding(self.group, name, State.WARNING, told, hint)
+        return Finding(self.group, name, State.WARNING, detail, hint)
 
-    def fail(self, name: str, told: str, hint: str) -> Finding:
+    def fail(self, name: str, detail: str, hint: str) -> Finding:
         """It should not fly like that."""
-        return Finding(self.group, name, State.FAIL, told, hint)
+        return Finding(self.group, name, State.FAIL, detail, hint)
 
     def skip(self, name: str, why: str, hint: str = NO_HINT) -> Finding:
         """It was not looked at."""

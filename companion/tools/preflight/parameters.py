@@ -15,18 +15,23 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.config import CompanionConfig, VehicleConfig
 from companion.control.response.fitting import HOVER_DIFFERS
 from companion.control.setpoints import resolved
+from companion.link.autopilot_setup import (
+    LONGEST_TIMEOUT_S,
+    MOTOR_STOP_ACTIONS,
+    SHORTEST_TIMEOUT_S,
+    STICK_ACTIONS,
+)
 from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST
-from companion.tools.preflight.findings import Finding, State, Teller
+from companion.tools.preflight.findings import Finding, FindingGroup, State
 
 GROUP: Final = "autopilot's parameters"
-_TELL: Final = Teller(GROUP)
+_GROUP: Final = FindingGroup(GROUP)
 _CENTI: Final = 0.01
-_TERMINATE, _DISARM, _STABILIZED = 6, 7, 2  # of COM_OBL_RC_ACT
 _OVERRIDE_OFFBOARD: Final = 2  # COM_RC_OVERRIDE bit 1
 _EXCEPT_OFFBOARD: Final = 4  # COM_RCL_EXCEPT bit 2
 _CONTINUE_GUIDED: Final = 4  # FS_OPTIONS bit 2
 _FASTEST_LAND_CM_S: Final = 70.0
-SHORT_S, LONG_S, TOO_LONG_S = 0.3, 1.0, 3.0
+TOO_LONG_S: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,20 +77,23 @@ def _warn(text: str) -> Verdict:
 
 def _timeout(value: float, _: Wanted) -> Verdict:
     """How long an autopilot flies on without setpoints."""
-    if SHORT_S <= value <= LONG_S:
+    if SHORTEST_TIMEOUT_S <= value <= LONGEST_TIMEOUT_S:
         return None
-    expected = f"expected {SHORT_S:g} to {LONG_S:g} s"
-    if value < SHORT_S:
+    expected = f"expected {SHORTEST_TIMEOUT_S:g} to {LONGEST_TIMEOUT_S:g} s"
+    if value < SHORTEST_TIMEOUT_S:
         return _warn(f"{expected}: a link that drops a few setpoints ends the landing")
     why = f"{expected}: so long it keeps the last lean when the app hangs"
     return _fail(why) if value > TOO_LONG_S else _warn(why)
 
 
 def _offboard_loss(value: float, _: Wanted) -> Verdict:
-    if value in (_TERMINATE, _DISARM):
-        return _fail("expected 0 (Position), 4 (Land) or 5 (Hold): the motors stop when the app does")
-    if value == _STABILIZED:
-        return _warn("expected 0 (Position), 4 (Land) or 5 (Hold): it falls to the throttle stick's position")
+    if value in MOTOR_STOP_ACTIONS:
+        return _fail("expected 5 (Hold) or 4 (Land): the motors stop when the app does; control is refused")
+    if value in STICK_ACTIONS:
+        return _warn(
+            f"expected 5 (Hold) or 4 (Land): {STICK_ACTIONS[round(value)]} is for a pilot at the sticks; "
+            "with nobody there it comes down with the speed over ground it has"
+        )
     return None
 
 
@@ -210,8 +218,8 @@ def judge_parameters(
 
 def _finding(name: str, value: float | None, judge: _Judge, wanted: Wanted) -> Finding:
     if value is None:
-        return _TELL.skip(name, "the autopilot does not tell it: another version's name, or a slow link")
+        return _GROUP.skip(name, "the autopilot does not tell it: another version's name, or a slow link")
     verdict = judge(value, wanted)
     if verdict is None:
-        return _TELL.ok(name, f"{value:g}")
+        return _GROUP.ok(name, f"{value:g}")
     return Finding(GROUP, name, verdict[0], f"{value:g}", verdict[1])

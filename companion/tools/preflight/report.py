@@ -36,16 +36,16 @@ def findings_table(findings: list[Finding]) -> Table:
 
 
 def _words(finding: Finding) -> Text:
-    words = Text(finding.told)
+    words = Text(finding.detail)
     return words.append(f"\n→ {finding.hint}", "italic") if finding.hint else words
 
 
 def summary_line(findings: list[Finding]) -> str:
     """All in one line, with the names of what failed."""
     counts = Counter(finding.state for finding in findings)
-    told = ", ".join(f"{counts[state]} {state}" for state in State if counts[state])
+    detail = ", ".join(f"{counts[state]} {state}" for state in State if counts[state])
     failed = [f"{finding.group}: {finding.name}" for finding in findings if finding.state is State.FAIL]
-    return f"{told}; not ready to fly: {', '.join(failed)}" if failed else f"{told}; nothing fails"
+    return f"{detail}; not ready to fly: {', '.join(failed)}" if failed else f"{detail}; nothing fails"
 
 
 def findings_json(findings: list[Finding]) -> str:

@@ -11,16 +11,16 @@ from companion.config import CompanionConfig
 from companion.link.codec import mavlink
 from companion.link.dialect import CURRENT_MODE
 from companion.link.streams import OWN_RATES_HZ, TELEMETRY_RATES_HZ
-from companion.tools.preflight.findings import Finding, Teller
+from companion.tools.preflight.findings import Finding, FindingGroup
 from companion.tools.preflight.losses import FrameCounter
 
 HONOURED_SHARE: Final = 0.6  # of a rate asked for
 # PX4 sends its mode when it changes and twice a second, whatever is asked for (CURRENT_MODE.hpp)
 ON_CHANGE_HZ: Final = {CURRENT_MODE: 2.0}
 LOST_SHARE: Final = 0.02
-_LINK: Final = Teller("link")
-_TELEMETRY: Final = Teller("telemetry")
-_SENSORS: Final = Teller("autopilot's sensors")
+_LINK: Final = FindingGroup("link")
+_TELEMETRY: Final = FindingGroup("telemetry")
+_SENSORS: Final = FindingGroup("autopilot's sensors")
 _LOCAL: Final = ("serial:", "udp:127.", "udpin:127.", "tcp:127.", "udp:localhost", "tcp:localhost")
 _RATE_HINT: Final = (
     "a faster baud rate, or a higher MAV_x_RATE with MAV_x_MODE Onboard (PX4), SRx_ (ArduPilot); "
@@ -120,12 +120,12 @@ def _signing(refused: int, config: CompanionConfig) -> Finding:
 def _losses(line: FrameCounter) -> Finding:
     sent = line.lost + line.frames
     share = line.lost / max(1, sent)
-    told = f"{line.lost} of {sent} messages lost, {line.stray_bytes} bytes of none"
+    detail = f"{line.lost} of {sent} messages lost, {line.stray_bytes} bytes of none"
     if share > LOST_SHARE:
         return _LINK.warn(
-            "losses", told, "ground wire, cable length, baud rate; flow control on telemetry ports"
+            "losses", detail, "ground wire, cable length, baud rate; flow control on telemetry ports"
         )
-    return _LINK.ok("losses", told)
+    return _LINK.ok("losses", detail)
 
 
 def _clock(*, clock_settled: bool) -> Finding:
@@ -147,8 +147,8 @@ def _rates(heard: Heard) -> list[Finding]:
         elif rate_hz == 0.0:
             slow.append(_TELEMETRY.fail(name, f"does not come; asked for {asked_hz:g} Hz", _RATE_HINT))
         else:
-            told = f"{rate_hz:.1f} Hz; asked for {asked_hz:g}"
-            slow.append(_TELEMETRY.warn(name, told, _RATE_HINT))
+            detail = f"{rate_hz:.1f} Hz; asked for {asked_hz:g}"
+            slow.append(_TELEMETRY.warn(name, detail, _RATE_HINT))
     return [*slow, _TELEMETRY.ok("rates", f"{', '.join(well)} Hz")] if well else slow
 
 
@@ -165,7 +165,9 @@ def _sensors(heard: Heard, config: CompanionConfig) -> list[Finding]:
         found.append(_SENSORS.warn("GPS", "no fix that can be used", "sky view; the start waits for it"))
     if config.sense.range_by_telemetry:
         echoes_hz = heard.samples_hz[RangeSample]
-        told = f"{echoes_hz:.0f} distances/s"
+        detail = f"{echoes_hz:.0f} distances/s"
         hint = "it must look down, and the ground be within sense.range.minimum_m and maximum_m"
-        found.append(_SENSORS.ok("range", told) if echoes_hz else _SENSORS.warn("range", "none to use", hint))
+        found.append(
+            _SENSORS.ok("range", detail) if echoes_hz else _SENSORS.warn("range", "none to use", hint)
+        )
     return found

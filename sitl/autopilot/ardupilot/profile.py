@@ -193,6 +193,7 @@ ARDUPILOT = AutopilotProfile(
         writes_in_place=True,
         restarts=True,
         partial_lists=True,
+        guided_items=True,
         takes_off_before_mission=False,
         waits_for_start=True,
         uses_yaw_parameter=False,

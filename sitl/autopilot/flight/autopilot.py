@@ -90,6 +90,11 @@ class SimulatedAutopilot(FlightLoop):
             self._commander.begin(Task.GO_TO)
         return result
 
+    def go_to_where_guided(self, place: Vector3, over_home: bool) -> bool:
+        """A waypoint with current = 2: `go_to`, in the mode that takes such orders; whether it does."""
+        takes_orders = self.mode == self.profile.after_take_off_mode
+        return takes_orders and self.go_to(place, over_home) is CommandResult.ACCEPTED
+
     def precision_land(self) -> CommandResult:
         """NAV_PRECLAND, where there is a mode for it."""
         mode = next((mode for mode in self.profile.modes if mode.task is Task.PRECISION_LAND), None)

@@ -82,7 +82,10 @@ class FlightLoop(FlightState):
         now.has_flown = now.has_flown or self._cascade.airborne
         now.tilt_rad = tilt_from_quat(self.estimate.attitude)
         now.setpoint_age_s = setpoint_age_s
-        now.setpoint_timeout_s = self.parameters.si(self.profile.parameter_map.setpoint_timeout)
+        parameters = self.profile.parameter_map
+        now.setpoint_timeout_s = self.parameters.si(parameters.setpoint_timeout)
+        if parameters.setpoints_lost_action is not None:
+            now.setpoints_lost_action = round(self.parameters.si(parameters.setpoints_lost_action))
         self._watch_mission()
         self._manual_control.watch(now, self.task, self._now_s)
         self._runner.started = self._runner.started or now.throttle_up

@@ -130,7 +130,8 @@ class MissionRules:
     the same client restarts it at any time, else only before the first item. `takes_off_before_mission`: on
     the ground it climbs to its take-off height before a first item that is none. `waits_for_start`: armed on
     the ground it waits for MISSION_START or a raised throttle. `uses_yaw_parameter`: parameter 4 of a
-    waypoint is a heading.
+    waypoint is a heading. `guided_items`: a waypoint sent with current = 2 belongs to no mission, it is flown
+    to at once.
     """
 
     flown: frozenset[int]
@@ -143,6 +144,7 @@ class MissionRules:
     writes_in_place: bool
     restarts: bool
     partial_lists: bool
+    guided_items: bool
     takes_off_before_mission: bool
     waits_for_start: bool
     uses_yaw_parameter: bool

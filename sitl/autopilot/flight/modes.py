@@ -84,7 +84,8 @@ class VehicleStatus:
     """Input of checks and failsafes; times in seconds, `setpoint_age_s` since the last streamed one.
 
     `rc_available`: RC input is received; `rc_lost`: it was received and no longer is. `mission_ready`:
-    there is one to fly, `mission_climbs`: and it begins with a take-off.
+    there is one to fly, `mission_climbs`: and it begins with a take-off. `setpoints_lost_action`: what the
+    autopilot's parameter says of it.
     """
 
     armed: bool = False
@@ -102,6 +103,7 @@ class VehicleStatus:
     tilt_rad: float = 0.0
     setpoint_age_s: float = inf
     setpoint_timeout_s: float = 1.0
+    setpoints_lost_action: int = 0
     streaming: bool = False
 
 

@@ -72,6 +72,7 @@ class ParameterMap:
     take_off_height: ParameterRef | None = None
     still_speed: ParameterRef | None = None
     guided_options: ParameterRef | None = None
+    setpoints_lost_action: ParameterRef | None = None
 
 
 @dataclass(frozen=True, slots=True)

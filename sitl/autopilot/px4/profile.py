@@ -57,6 +57,22 @@ def _number(main: int, sub: int = 0) -> int:
     return main << 16 | sub << 24
 
 
+def _offboard_lost(
+    values: tuple[int, ...], title: str, *, mode: str = "", task: Task | None = None
+) -> Failsafe:
+    """What follows when setpoints stop, where COM_OBL_RC_ACT has one of the values."""
+    return Failsafe(
+        "offboard lost",
+        lambda now: setpoints_stopped(now) and now.setpoints_lost_action in values,
+        0.0,
+        FailsafeAction.LEAVE_MODE if mode else FailsafeAction.DISARM,
+        Severity.CRITICAL,
+        f"Failsafe activated: No offboard control signal, switching to {title}",
+        mode=mode,
+        task=task,
+    )
+
+
 PX4 = AutopilotProfile(
     name="px4",
     autopilot_id=12,
@@ -140,6 +156,7 @@ PX4 = AutopilotProfile(
     unsupported_request=CommandResult.UNSUPPORTED,
     parameter_map=ParameterMap(
         setpoint_timeout=ParameterRef("COM_OF_LOSS_T"),
+        setpoints_lost_action=ParameterRef("COM_OBL_RC_ACT"),
         cruise_speed=ParameterRef("MPC_XY_CRUISE"),
         top_speed=ParameterRef("MPC_XY_VEL_MAX"),
         climb_speed=ParameterRef("MPC_Z_V_AUTO_UP"),
@@ -189,16 +206,12 @@ PX4 = AutopilotProfile(
         ArmingCheck(mode_armable, "Arming denied: Mode not suitable for takeoff"),
     ),
     failsafes=(
-        Failsafe(
-            "offboard lost",
-            setpoints_stopped,
-            0.0,
-            FailsafeAction.LEAVE_MODE,
-            Severity.CRITICAL,
-            "Failsafe activated: No offboard control signal, switching to Position",
-            mode="POSCTL",
-            task=Task.DESCEND,
-        ),
+        # nobody is at the sticks that Position, Altitude and Stabilized are for
+        _offboard_lost((0, 1, 2), "Position", mode="POSCTL", task=Task.DESCEND),
+        _offboard_lost((3,), "Return", mode="AUTO_RTL"),
+        _offboard_lost((4,), "Land", mode="AUTO_LAND"),
+        _offboard_lost((5,), "Hold", mode="AUTO_LOITER"),
+        _offboard_lost((6, 7), "Disarm"),
         Failsafe(
             "radio lost",
             rc_lost,
@@ -251,6 +264,7 @@ PX4 = AutopilotProfile(
         writes_in_place=False,
         restarts=False,
         partial_lists=False,
+        guided_items=False,
         takes_off_before_mission=True,
         waits_for_start=False,
         uses_yaw_parameter=True,

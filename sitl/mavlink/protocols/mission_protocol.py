@@ -17,6 +17,7 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from companion.base.geometry import Vector3
 from sitl.autopilot.flight.mission_items import (
     PLACES,
     ItemFrame,
@@ -34,6 +35,7 @@ _MISSION: Final = mavlink.MAV_MISSION_TYPE_MISSION
 _EMPTY_TYPES: Final = (mavlink.MAV_MISSION_TYPE_FENCE, mavlink.MAV_MISSION_TYPE_RALLY)
 _ALL_TYPES: Final = mavlink.MAV_MISSION_TYPE_ALL
 _DEGREES_E7: Final = 1e-7
+_FLY_TO_IT_NOW: Final = 2  # in the field `current`
 # an autopilot that requests integers also sends integer frames
 _INTEGER_FRAMES: Final[dict[int, int]] = {
     ItemFrame.GLOBAL: mavlink.MAV_FRAME_GLOBAL_INT,
@@ -57,8 +59,9 @@ class _Upload:
 class MissionProtocol:
     """One link's end of the protocol."""
 
-    def __init__(self, store: MissionStore) -> None:
-        self._store = store
+    def __init__(self, store: MissionStore, go_to: Callable[[Vector3, bool], bool] | None = None) -> None:
+        """`go_to` flies to latitude, longitude and altitude (deg, deg, m; over home or above sea level)."""
+        self._store, self._go_to = store, go_to
         self._upload: _Upload | None = None
         self._completed_last: tuple[Partner, int] | None = None
         self._reported = store.reached_total
@@ -143,6 +146,21 @@ class MissionProtocol:
         return store.uploader is not None and store.uploader is not self and not silent
 
     def _on_item(self, m: Message, now_s: float) -> list[Message]:
+        if m.current == _FLY_TO_IT_NOW and self._store.rules.guided_items:
+            return [_ack(m, self._guided(m))]
+        return self._on_item_of_a_list(m, now_s)
+
+    def _guided(self, m: Message) -> MissionResult:
+        """An item of no list: ArduPilot's way to send a vehicle somewhere, which DroneKit uses."""
+        item = item_from_message(m)
+        checked = self._store.rules.check(item, m.frame)
+        if checked is not MissionResult.ACCEPTED:
+            return checked
+        flies, place = item.command == mavlink.MAV_CMD_NAV_WAYPOINT, (item.x, item.y, item.z)
+        accepted = flies and self._go_to is not None and self._go_to(place, item.frame is ItemFrame.RELATIVE)
+        return MissionResult.ACCEPTED if accepted else MissionResult.ERROR
+
+    def _on_item_of_a_list(self, m: Message, now_s: float) -> list[Message]:
         upload, rules = self._upload, self._store.rules
         if upload is None:
             repeated = (_sender(m), m.seq) == self._completed_last  # our acknowledgement was lost

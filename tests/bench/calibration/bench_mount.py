@@ -31,7 +31,7 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
-from calibration.mount.imu.command import calibrate_accelerometer, faces_from
+from calibration.mount.imu.job import calibrate_accelerometer, faces_from
 from calibration.mount.record.recording import read_recording
 from calibration.mount.report.result import configured_rotation, mount_calibration, prior_of, shutter_s
 from calibration.mount.solve.rotations import log

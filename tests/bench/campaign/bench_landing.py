@@ -30,6 +30,7 @@ from sitl.campaign.pool import fly_locally
 from sitl.campaign.progress import Meter
 from sitl.campaign.rows import Row, RunsFile, make_row, pending
 from sitl.campaign.tables import print_worst
+from tests.bench.campaign.ending import judged, run_bench
 from tests.bench.campaign.landing_cases import Case, peer_cases, random_landings, write_flights
 
 # measured on the real firmware: landed (%), median lateral error (cm), vertical speed (m/s), time (s)
@@ -166,14 +167,8 @@ def main() -> int:
         bars += random_bars(rows) if case.name == "random" else peer_bars(case.name, rows)
     console.print(table(groups))
     print_worst(console, [row for name, rows in groups.items() if "," not in name for row in rows])
-    console.print(f"bars: {', '.join(map(str, bars))}", highlight=False, soft_wrap=True)
-    return 0 if bars and all(bar.holds for bar in bars) else 1
+    return judged(console, bars)
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except ConfigError as problem:
-        sys.exit(str(problem))
-    except KeyboardInterrupt:
-        sys.exit("stopped; the same command goes on")
+    run_bench(main)

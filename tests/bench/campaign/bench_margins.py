@@ -16,10 +16,10 @@ from pathlib import Path
 from rich.console import Console
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.config import ConfigError
 from sitl.campaign.rows import Row
 from sitl.campaign.tables import print_worst
 from tests.bench.campaign.bench_landing import fly, landed_share
+from tests.bench.campaign.ending import judged, run_bench
 from tests.bench.campaign.landing_cases import write_flights
 from tests.bench.campaign.margins_cases import margin_cases
 from tests.bench.firmware.bench_firmware import line, table
@@ -53,14 +53,8 @@ def main() -> int:
         flown += rows
     console.print(table(lines))
     print_worst(console, flown)
-    console.print(f"bars: {', '.join(map(str, bars))}", highlight=False, soft_wrap=True)
-    return 0 if bars and all(bar.holds for bar in bars) else 1
+    return judged(console, bars)
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except ConfigError as problem:
-        sys.exit(str(problem))
-    except KeyboardInterrupt:
-        sys.exit("stopped; the same command goes on")
+    run_bench(main)

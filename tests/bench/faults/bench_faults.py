@@ -2,22 +2,21 @@
 
     python -m tests.bench.faults.bench_faults --jobs 2 --out flights/bench-faults
 
-Flies the scenarios `line` and `circle` under five seeds, rendered, in virtual time. Each flight is written
-down when it ends; give the same command again after an interruption, and it goes on. Flights of another state
-of the code, the settings, the cases or the judge are not counted.
+Flies the scenarios `line` and `circle` under five seeds, rendered, in virtual time; `--each 1` takes one
+flight of each fault in each phase, with scenarios and seeds in turn. What flights have in common before their
+fault is flown once. Each flight is written down when it ends; give the same command again after an
+interruption, and it goes on. Flights of another state of the code, the settings, the cases or the judge are
+not counted.
 """
 
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import os
 import sys
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from functools import partial
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -26,66 +25,93 @@ from rich.console import Console
 from rich.table import Table
 
 from sitl.campaign.figures import Bar
-from tests.bench.faults.cases import CASES, PHASES, Run, all_runs, sampled
-from tests.bench.faults.fault_flight import fly_run
-from tests.bench.faults.judge import OUTCOMES
+from tests.bench.faults.cases import CASES, PHASES, Run, all_runs, one_each
+from tests.bench.faults.fault_flight import fly_run, fly_together, on_disk
+from tests.bench.faults.forks import Forks
+from tests.bench.faults.judge import OUTCOMES, Verdict
 from tests.bench.faults.runs_file import Row, RunsFile, flights_key
+from tests.bench.faults.witness import FlightRecord
 
 SCENARIOS: Final = ("line", "circle")
 SEEDS: Final = 5
 LANDED_SHARE: Final = 0.95
 
 
-def fly_row(run: Run, code: str) -> Row:
-    """Fly one."""
-    verdict, record = fly_run(run)
+Take = Callable[[Run, Row | None], None]
+
+
+def row_of(run: Run, code: str, verdict: Verdict, record: FlightRecord) -> Row:
+    """What is written down of a flight."""
     said = record.texts[-1].text if record.texts else ""
     ended_s = round(record.app_ended_s or record.samples[-1].time_s, 1)
     return Row(*run, code, int(record.fault_began), verdict.outcome, "; ".join(verdict.unsafe), ended_s, said)
 
 
-def tried(run: Run, row: Callable[[], Row]) -> tuple[Run, Row | None]:
-    """The row of a run; None, with the fault printed, when the bench itself failed: that judges no flight."""
+def print_failure(run: Run) -> None:
+    """The bench's own fault."""
+    traceback.print_exc()
+    print(f"not flown: {', '.join(map(str, run))}", file=sys.stderr)
+
+
+def fly_group(runs: Sequence[Run], code: str, forks: Forks, take: Take) -> None:
+    """Fly runs of one scenario and seed; what the bench itself fails at judges no flight."""
     try:
-        return run, row()
+        flown = [
+            (run, row_of(run, code, verdict, record)) for run, verdict, record in fly_together(runs, forks)
+        ]
     except Exception as error:
         traceback.print_exc()
-        print(f"not flown: {', '.join(map(str, run))}: {type(error).__name__}: {error}", file=sys.stderr)
-        return run, None
+        flying = runs if forks.mine is None else [forks.mine]
+        print(
+            f"not flown: {', '.join(map(str, flying[0]))}: {type(error).__name__}: {error}", file=sys.stderr
+        )
+        flown = []
+    if forks.mine is not None:
+        forks.deliver(flown[0][1] if flown else None)
+    for run, row in flown:
+        take(run, row)
 
 
-def fly_all(runs: Sequence[Run], code: str, jobs: int) -> Iterator[tuple[Run, Row | None]]:
-    """Fly, so many at a time; they come as they end."""
-    os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")  # the flights share the cores
-    if jobs == 1:
-        yield from (tried(run, partial(fly_row, run, code)) for run in runs)
-        return
-    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
+def fly_alone(run: Run, code: str) -> Row | None:
+    """Fly one from its start; None, with the fault printed, when the bench itself failed."""
     try:
-        flights = {pool.submit(fly_row, run, code): run for run in runs}
-        for future in as_completed(flights):
-            yield tried(flights[future], future.result)
+        return row_of(run, code, *fly_run(run))
+    except Exception:
+        print_failure(run)
+        return None
+
+
+def fly_all(runs: Sequence[Run], code: str, jobs: int, take: Take) -> None:
+    """Fly, so many at a time; `take` gets each as it ends."""
+    forks = Forks(jobs, take)
+    try:
+        for kind in dict.fromkeys((run.scenario, run.seed) for run in runs):
+            group = [run for run in runs if (run.scenario, run.seed) == kind]
+            if together := [run for run in group if not on_disk(run)]:
+                fly_group(together, code, forks, take)
+            for run in filter(on_disk, group):
+                if forks.begin(run):
+                    forks.deliver(fly_alone(run, code))
+        forks.wait()
     finally:
-        pool.shutdown(cancel_futures=True)
+        forks.stop()
 
 
-def fly_left(
-    left: Sequence[Run], code: str, jobs: int, file: RunsFile, console: Console
-) -> Iterator[tuple[Run, Row]]:
+def fly_left(left: Sequence[Run], code: str, jobs: int, file: RunsFile, console: Console) -> dict[Run, Row]:
     """Fly and write down; what the bench could not fly is flown once more."""
-    for again in (False, True):
-        failed = []
-        for number, (run, row) in enumerate(fly_all(left, code, jobs), 1):
-            if row is None:
-                failed.append(run)
-                continue
-            file.append(row)
-            where = f"{row.fault}, {row.phase}, {row.scenario} {row.seed}"
-            console.print(f"{number}/{len(left)} {where}: {row.outcome} {row.unsafe}", highlight=False)
-            yield run, row
-        if again or not failed:
+    rows: dict[Run, Row] = {}
+
+    def take(run: Run, row: Row | None) -> None:
+        if row is None:
             return
-        left = failed
+        file.append(row)
+        rows[run] = row
+        where = f"{row.fault}, {row.phase}, {row.scenario} {row.seed}"
+        console.print(f"{len(rows)}/{len(left)} {where}: {row.outcome} {row.unsafe}", highlight=False)
+
+    for _ in range(2):
+        fly_all([run for run in left if run not in rows], code, jobs, take)
+    return rows
 
 
 # ---------------------------------------------------------------- what is shown
@@ -150,13 +176,19 @@ def main() -> int:
     parser.add_argument("--phases", type=lambda text: _names(text, phases), default=phases, help="'a;b'")
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--scenarios", nargs="+", default=SCENARIOS)
-    parser.add_argument("--sample", type=int, metavar="N", help="a fixed random sample of N flights")
+    parser.add_argument(
+        "--each",
+        type=int,
+        metavar="N",
+        help="N flights of each fault in each phase, over seeds and scenarios",
+    )
     parser.add_argument("--out", type=Path, default=Path("flights/bench-faults"))
     options = parser.parse_args()
     console = Console(width=None if sys.stdout.isatty() else 150)
     file, code = RunsFile(options.out / "runs.csv"), flights_key()
-    whole = list(all_runs(options.faults, options.phases, options.scenarios, options.seeds))
-    asked = whole if options.sample is None else sampled(whole, options.sample)
+    choice = (options.faults, options.phases, options.scenarios, options.seeds)
+    whole = list(all_runs(*choice))
+    asked = whole if options.each is None else one_each(*choice, options.each)
     done = {row.run: row for row in file.read(code)}
     left = [run for run in asked if run not in done]
     console.print(f"{len(asked)} flights, {len(left)} to fly")

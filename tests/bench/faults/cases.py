@@ -5,12 +5,13 @@ Under each seed a fault begins at another moment of its phase.
 
 from __future__ import annotations
 
-import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final, Literal, NamedTuple
 
 from companion.config import merge
+from sitl.faults.faults import Fault
 from sitl.scenario.scenario import Scenario, load_scenario
 
 PhaseName = Literal["start", "search", "approach", "descend", "last_metre", "on_pad"]
@@ -20,7 +21,6 @@ TO_THE_END: Final[tuple[PhaseName, ...]] = (*IN_AIR, "on_pad")
 LOW: Final[tuple[PhaseName, ...]] = ("last_metre", "on_pad")
 # whatever happens, the app has given up by then
 TIME_LIMIT_S: Final = 220.0
-SAMPLE_SEED: Final = 1
 
 _DELAYS_S: Final = (0.3, 0.8, 1.3, 2.0, 0.0)
 _HEIGHTS_M: Final = (0.6, 0.3, 0.15, 0.95, 0.05)
@@ -146,11 +146,18 @@ def all_runs(
                         yield Run(name, phase, scenario, seed)
 
 
-def sampled(runs: Sequence[Run], count: int) -> list[Run]:
-    """So many of the runs, drawn by `SAMPLE_SEED`; a larger sample holds the smaller ones."""
-    drawn = list(runs)
-    random.Random(SAMPLE_SEED).shuffle(drawn)
-    return drawn[:count]
+def one_each(
+    faults: Sequence[str], phases: Sequence[str], scenarios: Sequence[str], seeds: int, flights: int
+) -> list[Run]:
+    """So many flights of each fault in each phase, of all scenarios and seeds in turn, none twice."""
+    kinds = [(scenario, seed) for seed in range(seeds) for scenario in scenarios]
+    pairs = [(name, phase) for name in faults for phase in CASES[name].phases if phase in phases]
+    turns = {(name, phase): 3 * list(CASES).index(name) + 7 * PHASES.index(phase) for name, phase in pairs}
+    return [
+        Run(name, phase, *kinds[(turns[name, phase] + again) % len(kinds)])
+        for again in range(min(flights, len(kinds)))
+        for name, phase in pairs
+    ]
 
 
 def beginning(phase: PhaseName, seed: int) -> dict[str, Any]:
@@ -164,17 +171,33 @@ def beginning(phase: PhaseName, seed: int) -> dict[str, Any]:
     return {"phase": phase, "delay_s": _DELAYS_S[seed % len(_DELAYS_S)]}
 
 
+def faults_of(run: Run) -> list[Fault]:
+    """The run's faults, with their beginnings."""
+    return list(scenario_of(run).faults)
+
+
+@cache
 def scenario_of(run: Run) -> Scenario:
     """The run's scenario.
 
     Raises:
         ConfigError: the scenario's file is missing or wrong.
     """
-    shipped = load_scenario(run.scenario)
     when = beginning(run.phase, run.seed)
     if run.phase == "start" and run.fault.startswith("pilot"):
         when = {"phase": "take off", "delay_s": 2.0}  # before control is ours
-    faults = [{**fault, **when} for fault in CASES[run.fault].faults]
-    content = shipped.model_dump(by_alias=True, exclude_unset=True)
-    changes = {"faults": faults, "time_limit_s": TIME_LIMIT_S}
-    return Scenario.model_validate(merge(content, changes))
+    return _with_faults(run.scenario, [{**fault, **when} for fault in CASES[run.fault].faults])
+
+
+def faultless(scenario: str) -> Scenario:
+    """A scenario in which nothing fails: what its runs have in common.
+
+    Raises:
+        ConfigError: the scenario's file is missing or wrong.
+    """
+    return _with_faults(scenario, [])
+
+
+def _with_faults(scenario: str, faults: list[dict[str, Any]]) -> Scenario:
+    content = load_scenario(scenario).model_dump(by_alias=True, exclude_unset=True)
+    return Scenario.model_validate(merge(content, {"faults": faults, "time_limit_s": TIME_LIMIT_S}))

@@ -61,10 +61,10 @@ def applied(faults: ComputerFaults) -> Iterator[None]:
     def faulty_tracker(*arguments: Any, **named: Any) -> FaultyTracker:
         return FaultyTracker(make_tracker(*arguments, **named), faults)
 
-    def faulty_imu(estimator: StateEstimator, sample: ImuSample) -> bool:
+    def faulty_imu(estimator: StateEstimator, sample: ImuSample, received_s: float = math.inf) -> bool:
         if faults.imu_nan:
             sample = replace(sample, rate_body_rad_s=NO_NUMBERS, specific_force_body_m_s2=NO_NUMBERS)
-        return add_imu(estimator, sample)
+        return add_imu(estimator, sample, received_s)
 
     def faulty_disk(writer: Any, *arguments: Any, **named: Any) -> None:
         if faults.disk_full:

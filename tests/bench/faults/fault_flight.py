@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +16,7 @@ from typing import Any, Final
 from companion.app.app import App
 from companion.app.hardware import Hardware, make_own_actions
 from companion.base.clock import run_in_virtual_time
-from companion.config import CONFIG_FOLDER, CompanionConfig
+from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError
 from companion.flightlog.record import FlightLog
 from companion.link.inbox import memory_pair
 from companion.sense.vision.opencv import prepare_opencv
@@ -24,30 +24,69 @@ from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
 from sitl.faults.computer import ComputerFaults
 from sitl.run.in_process import InProcess
+from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario
-from tests.bench.faults.cases import CASES, Run, scenario_of
+from tests.bench.faults.branches import Branches
+from tests.bench.faults.cases import CASES, Run, faultless, scenario_of
 from tests.bench.faults.computer import applied
+from tests.bench.faults.forks import Forks
 from tests.bench.faults.judge import HOLD_MODES, Bounds, Verdict, judge
 from tests.bench.faults.witness import FlightRecord, Witness
 
 HELD_S: Final = 4.0
 AFTERMATH_S: Final = 60.0
 LOOK_S: Final = 0.1
+# what stands on the pad so long with its motors on, nothing disarms: longer than the touchdown's time-out
+STANDS_S: Final = 55.0
 # a pad that has just braked rocks what stands on it
 SETTLES_S: Final = 5.0
 # where no setting says how high the vehicle may fly
 DEFAULT_CEILING_M: Final = 40.0
 
 
+# docs/autopilot-parameters.md: what PX4 is to do when setpoints stop, 5: hold
+SETPOINTS_LOST: Final = ("COM_OBL_RC_ACT", 5.0)
+
+
+def _as_is(_simulation: Simulation) -> None:
+    """The scenario's own faults."""
+
+
 def fly_run(run: Run) -> tuple[Verdict, FlightRecord]:
-    """Fly one and judge it."""
+    """Fly one from its start and judge it."""
     prepare_opencv()
-    scenario = scenario_of(run)
-    on_disk = any(fault["kind"].startswith("disk") for fault in CASES[run.fault].faults)
-    record, config = fly(scenario, run.seed, on_disk=on_disk)
-    # where the flight was over before it, the end is not the pilot's
+    record, config = fly(scenario_of(run), run.seed, on_disk=on_disk(run))
+    return judged(run, record, config), record
+
+
+def fly_together(runs: Sequence[Run], forks: Forks) -> Iterator[tuple[Run, Verdict, FlightRecord]]:
+    """Fly runs of one scenario and seed, each from its fault on in a process of its own.
+
+    Yields in each process what was flown there: in a child its run, in the first the runs whose fault has
+    never begun.
+    """
+    prepare_opencv()
+    branches: list[Branches] = []
+
+    def branch(simulation: Simulation) -> None:
+        branches.append(Branches(simulation, runs, forks))
+        simulation.faults = branches[0]
+
+    record, config = fly(faultless(runs[0].scenario), runs[0].seed, prepare=branch)
+    for run in branches[0].left if forks.mine is None else [forks.mine]:
+        yield run, judged(run, record, config), record
+
+
+def on_disk(run: Run) -> bool:
+    """Whether its flight is logged on disk; that log has a thread, which no fork takes along."""
+    return any(fault["kind"].startswith("disk") for fault in CASES[run.fault].faults)
+
+
+def judged(run: Run, record: FlightRecord, config: CompanionConfig) -> Verdict:
+    """How it ended."""
+    # where the flight was over before the fault, the end is not the pilot's
     record.pilot_took_over = run.fault.startswith("pilot") and record.fault_began
-    return judge(record, bounds_of(config)), record
+    return judge(record, bounds_of(config))
 
 
 def bounds_of(config: CompanionConfig) -> Bounds:
@@ -57,13 +96,15 @@ def bounds_of(config: CompanionConfig) -> Bounds:
     return Bounds(config.control.limits, mission.fence_m, ceiling_m)
 
 
-def fly(scenario: Scenario, seed: int, *, on_disk: bool = False) -> tuple[FlightRecord, CompanionConfig]:
+def fly(
+    scenario: Scenario, seed: int, *, on_disk: bool = False, prepare: Callable[[Simulation], None] = _as_is
+) -> tuple[FlightRecord, CompanionConfig]:
     """Fly a scenario to its end; returns what was seen and the settings that it was flown with."""
     trial = Trial(Path(f"{scenario.name}.yaml"), scenario, seed)
     config = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
     faults = ComputerFaults()
     with _log(on_disk) as log, applied(faults):
-        record = run_in_virtual_time(_fly(trial, config, log, faults))
+        record = run_in_virtual_time(_fly(trial, config, log, faults, prepare))
         faults.clear_faults()  # what is left of the log is written
         log.close()
     return record, config
@@ -78,7 +119,13 @@ def _log(on_disk: bool) -> Iterator[FlightLog]:
         yield FlightLog(Path(folder), start_unix_s=0.0)
 
 
-async def _fly(trial: Trial, config: CompanionConfig, log: FlightLog, faults: ComputerFaults) -> FlightRecord:
+async def _fly(
+    trial: Trial,
+    config: CompanionConfig,
+    log: FlightLog,
+    faults: ComputerFaults,
+    prepare: Callable[[Simulation], None],
+) -> FlightRecord:
     app_end, vehicle_end = memory_pair()
     vehicle = InProcess(
         trial.scenario,
@@ -89,6 +136,9 @@ async def _fly(trial: Trial, config: CompanionConfig, log: FlightLog, faults: Co
         computer=faults,
     )
     simulation = vehicle.simulation
+    if not simulation.autopilot.parameters.set(*SETPOINTS_LOST):
+        raise ConfigError(f"{SETPOINTS_LOST[0]}: expected a parameter of the autopilot")
+    prepare(simulation)
     witness = Witness(simulation.world, simulation.autopilot)
     simulation.on_step = witness.step
     simulation.line.listeners.append(witness.hear)
@@ -115,10 +165,13 @@ async def _fly(trial: Trial, config: CompanionConfig, log: FlightLog, faults: Co
 
 
 async def _run_app(app: App, limit_s: float, vehicle: InProcess, record: FlightRecord) -> None:
-    """Let it run to its end, to a crash or to the limit; an app that fails is noted."""
+    """Let it run to its end, to a crash, to the limit or to what will not change; a failed app is noted."""
     flight = asyncio.create_task(app.run())
-    world = vehicle.simulation.world
-    while not flight.done() and world.time_s < limit_s and not world.crashed:
+    world, autopilot = vehicle.simulation.world, vehicle.simulation.autopilot
+    moved_s = 0.0
+    while not flight.done() and world.time_s < min(limit_s, moved_s + STANDS_S) and not world.crashed:
+        if not (world.at_rest_on_pad and autopilot.armed):
+            moved_s = world.time_s
         await asyncio.wait([flight], timeout=LOOK_S)
     if flight.done() or world.crashed:
         record.app_ended_s = world.time_s

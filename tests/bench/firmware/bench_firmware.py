@@ -28,6 +28,7 @@ from sitl.campaign.rows import Row
 from sitl.campaign.tables import print_worst
 from sitl.firmware.spec import FirmwareSpec
 from tests.bench.campaign.bench_landing import fly, landed_share
+from tests.bench.campaign.ending import judged, run_bench
 from tests.bench.firmware.firmware_cases import CASES, SETPOINTS, FirmwareCase, write_flights
 
 LEAST_LANDED: Final = 0.98
@@ -121,14 +122,8 @@ def judge(specs: Sequence[FirmwareSpec], options: argparse.Namespace, console: C
         bars.append(landed_share(f"{spec.kind} {setpoint} landed", of_kind, LEAST_LANDED))
     console.print(table(lines))
     print_worst(console, rows)
-    console.print(f"bars: {', '.join(map(str, bars))}", highlight=False, soft_wrap=True)
-    return 0 if bars and all(bar.holds for bar in bars) else 1
+    return judged(console, bars)
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except ConfigError as problem:
-        sys.exit(str(problem))
-    except KeyboardInterrupt:
-        sys.exit("stopped; the same command goes on")
+    run_bench(main)

@@ -1,61 +1,138 @@
-"""The service's budget: start to standby, CPU in standby and in a landing, memory, and ten orders in one run.
+"""The service's budget: start to standby, CPU, memory, latency, and ten orders in one run.
 
-    python -m tests.bench.service.bench_service
+    python -m tests.bench.service.bench_service --part landing
 
-Real time, app and simulator as two processes; the app's CPU is that of its process as the kernel counts it.
+`landing`: real time, app and simulator as two processes, for two minutes; the app's CPU is that of its
+process as the kernel counts it. Latency is from a frame's exposure to the first setpoint that used it, by the
+flight's own log, without what the camera took to hand the frame over, and without what `compute` models for
+vision and control on a Raspberry Pi.
+`orders`: virtual time, for a few minutes: landings in one run, among refusals and pilots who take over. What
+the app holds is counted after each.
+
 Prints the figures beside the bars, and ends in one line that says which hold; the exit status matches.
 """
 
 from __future__ import annotations
 
 import argparse
+import asyncio
 import gc
+import json
 import os
 import resource
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+from mcap.reader import make_reader
+
 from companion.base.messages import Phase
+from companion.config import ComputeConfig
 from tests.bench.cpu.bench_cpu import Bar
-from tests.bench.service.running import Stage, stage
+from tests.bench.service.running import NEAR, Stage, stage
 from tests.scenario.standing_by import Field, stand_by
 
 START_S: Final = 4.0
 STANDBY_PERCENT: Final = 25.0
 LANDING_PERCENT: Final = 40.0
 MEMORY_MB: Final = 300.0
+LATENCY_MS: Final = 20.0
 GROWTH_MB: Final = 10.0
 STANDBY_WATCHED_S: Final = 20.0
 ORDERS: Final = 10
 GROUND: Final = frozenset({"standby", "connect", "arm"})
+PARTS: Final = ("landing", "orders")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--scenario", default="static")
+    parser.add_argument("--part", choices=PARTS, help="else both, one after the other")
+    parser.add_argument("--scenario", default="static", help="of the landing")
     parser.add_argument("--orders", type=int, default=ORDERS)
     chosen = parser.parse_args(arguments)
-    with (
-        tempfile.TemporaryDirectory(prefix="service-") as folder,
-        stage(Path(folder), chosen.scenario, 0) as on,
-    ):
-        bars = [Bar("start to standby", on.start_service(), START_S, "s")]
-        on.wait_until(None, healthy=True)
-        standby = _standby_percent(on)
-        bars.append(Bar("CPU in standby", standby, STANDBY_PERCENT, "% of a core"))
-        bars.append(Bar("CPU in a landing", _landing_percent(on), LANDING_PERCENT, "% of a core"))
-        bars.append(Bar("memory, largest", _memory_mb(on), MEMORY_MB, "MB"))
-    bars += _many_orders(chosen.orders)
+    bars: list[Bar] = []
+    if chosen.part in (None, "landing"):
+        bars += _landing(chosen.scenario)
+    if chosen.part in (None, "orders"):
+        bars += _many_orders(chosen.orders)
     for bar in bars:
         print(bar)
     failed = [bar.name for bar in bars if not bar.holds]
     print(f"bars: {'all hold' if not failed else 'FAILED: ' + ', '.join(failed)}")
     return 1 if failed else 0
+
+
+# ---------------------------------------------------------------- one landing, real time
+
+
+def _landing(scenario: str) -> list[Bar]:
+    with (
+        tempfile.TemporaryDirectory(prefix="service-") as folder,
+        stage(Path(folder), scenario, 0) as on,
+    ):
+        bars = [Bar("start to standby", on.start_service(), START_S, "s")]
+        on.wait_until(None, healthy=True)
+        bars.append(Bar("CPU in standby", _standby_percent(on), STANDBY_PERCENT, "% of a core"))
+        bars.append(Bar("CPU in a landing", _landing_percent(on), LANDING_PERCENT, "% of a core"))
+        bars.append(Bar("memory, largest", _memory_mb(on), MEMORY_MB, "MB"))
+        on.end_service()  # which finishes the log
+        delays = read_delays(Path(folder) / "flights" / "flight-0001" / "flight.mcap")
+    for line in delays.lines():
+        print(line)
+    return [
+        *bars,
+        Bar("exposure to setpoint p99, beyond camera and model", delays.beyond_ms, LATENCY_MS, "ms"),
+    ]
+
+
+@dataclass(frozen=True)
+class Delays:
+    """Of each frame that a setpoint used (ms), an entry a frame."""
+
+    camera_ms: np.ndarray
+    vision_ms: np.ndarray
+    waited_ms: np.ndarray  # from the frame's result to the setpoint
+
+    @property
+    def beyond_ms(self) -> float:
+        """The 99th percentile of what neither the camera nor the model accounts for."""
+        model = ComputeConfig()
+        return float(np.percentile(self.vision_ms + self.waited_ms, 99)) - 1e3 * (
+            model.vision_s + model.control_s
+        )
+
+    def lines(self) -> list[str]:
+        """Where the time goes, a line a part."""
+        whole = {
+            "exposure to frame": self.camera_ms,
+            "frame to result": self.vision_ms,
+            "result to setpoint": self.waited_ms,
+            "exposure to setpoint": self.camera_ms + self.vision_ms + self.waited_ms,
+        }
+        ranks = {name: np.percentile(values, (50, 99)) for name, values in whole.items()}
+        return [f"{name}: p50 {p50:.1f} ms, p99 {p99:.1f} ms" for name, (p50, p99) in ranks.items()]
+
+
+def read_delays(path: Path) -> Delays:
+    """The delays of a flight, from its log."""
+    frames: dict[float, tuple[float, float]] = {}
+    sent: dict[float, float] = {}
+    with path.open("rb") as stream:
+        for _, channel, message in make_reader(stream).iter_messages(topics=["/frame_report", "/setpoint"]):
+            told = json.loads(message.data)
+            if channel.topic == "/frame_report":
+                frames[told["time_s"]] = told["received_s"], told["done_s"]
+            elif told.get("exposure_time_s") is not None:
+                sent.setdefault(told["exposure_time_s"], told["time_s"])
+    rows = [(exposed, *frames[exposed], sent_s) for exposed, sent_s in sent.items() if exposed in frames]
+    return Delays(*(1e3 * np.diff(np.array(rows), axis=1).T))
 
 
 def _standby_percent(on: Stage) -> float:
@@ -94,20 +171,45 @@ def _memory_mb(on: Stage) -> float:
     return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM:")) / 1e3
 
 
-def _own_memory_mb() -> float:
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
+# ---------------------------------------------------------------- many orders, virtual time
+
+
+@dataclass(frozen=True)
+class Held:
+    """What the process holds between two orders."""
+
+    tasks: int
+    threads: int
+    files: int
+    memory_mb: float
+
+    @classmethod
+    def now(cls) -> Held:
+        """Count; what is garbage is none."""
+        gc.collect()
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return cls(
+            tasks=len(asyncio.all_tasks()),
+            threads=threading.active_count(),
+            files=sum(1 for _ in Path("/proc/self/fd").iterdir()),
+            memory_mb=pages * resource.getpagesize() / 1e6,
+        )
+
+    def more_than(self, first: Held) -> int:
+        """How many tasks, threads and files more."""
+        pairs = ((self.tasks, first.tasks), (self.threads, first.threads), (self.files, first.files))
+        return sum(max(0, now - before) for now, before in pairs)
 
 
 def _many_orders(count: int) -> list[Bar]:
-    """Landings in one run, in virtual time: refused on the ground, taken by the pilot, landed."""
-    landed, memory_mb = 0, []
+    """Landings in one run: refused on the ground, every other one taken by the pilot first, landed."""
+    held: list[Held] = []
 
     async def story(field: Field) -> None:
-        nonlocal landed
         await field.ready()
         for number in range(count):
             field.order()
-            await field.take_off()
+            await field.take_off(4.0)
             if number % 2:
                 field.order()
                 await field.phase(Phase.APPROACH)
@@ -115,15 +217,20 @@ def _many_orders(count: int) -> list[Bar]:
                 await field.phase(Phase.STANDBY, 30.0)
             field.order()
             await field.landed()
-            landed += 1
-            gc.collect()
-            memory_mb.append(_own_memory_mb())
+            await asyncio.sleep(3.0)  # the log's last messages, and its thread
+            field.forget()
+            held.append(Held.now())
+            print(f"landing {number + 1}: {held[-1]}", file=sys.stderr, flush=True)
 
-    stand_by(story)
-    grown_mb = memory_mb[-1] - memory_mb[1]
+    with tempfile.TemporaryDirectory(prefix="service-") as folder:
+        stand_by(story, record=Path(folder), base=str(NEAR))
+        recorded = len(list(Path(folder).glob("flight-*/flight.mcap")))
+    first, last = held[0], held[-1]
     return [
-        Bar(f"of {count} ordered landings not flown", count - landed, 0.0, ""),
-        Bar("memory gained from the second landing to the last", grown_mb, GROWTH_MB, "MB"),
+        Bar(f"of {count} ordered landings not flown", count - len(held), 0.0, ""),
+        Bar("flights without a log", count + count // 2 - recorded, 0.0, ""),
+        Bar("tasks, threads and files gained since the first", last.more_than(first), 0.0, ""),
+        Bar("memory gained since the first", last.memory_mb - first.memory_mb, GROWTH_MB, "MB"),
     ]
 
 

@@ -146,8 +146,7 @@ def run_madgwick(trial: Trial) -> FloatArray:
 
 def run_prefilter(trial: Trial) -> FloatArray:
     """The complementary pre-filter alone: without the EKF, and so without a gyroscope bias."""
-    config = EstimateConfig().orientation
-    return run_filter(trial, lambda attitude, field: OrientationFilter(config, field, attitude))
+    return run_filter(trial, lambda attitude, field: OrientationFilter(field, attitude))
 
 
 def run_ekf(trial: Trial) -> FloatArray:

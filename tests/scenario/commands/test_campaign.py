@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from sitl.campaign.rows import CSV_NAME, RESULT_KEYS, Row, read_rows
-from tests.scenario.flying import COMMAND, FLIGHT_TIMEOUT_S, ROOT, environment, fly, scenario_file
+from tests.scenario.flying import COMMAND, FLIGHT_TIMEOUT_S, ROOT, environment, flown, scenario_file
 
 
 def campaign(*words: str | int | Path) -> subprocess.CompletedProcess[str]:
@@ -59,8 +59,7 @@ def test_a_row_is_the_flight_that_its_command_flies(tmp_path: Path) -> None:
         "never touched down",
     )
     assert second.command == "companion --sitl --fast --scenario static --seed 0"
-    flown = fly("static", 0, tmp_path)
-    assert figures(second) == expected(flown.landing)
+    assert figures(second) == expected(flown("static", 0).landing)
     along, across, off = second.touchdown_along_m, second.touchdown_across_m, second.touchdown_lateral_m
     assert along is not None
     assert across is not None

@@ -31,8 +31,8 @@ def checked(settings: Path, *words: str) -> tuple[int, Findings]:
         check=False,
     )
     assert done.stderr == ""
-    told = json.loads(done.stdout)["findings"]
-    return done.returncode, {(finding["group"], finding["name"]): finding for finding in told}
+    detail = json.loads(done.stdout)["findings"]
+    return done.returncode, {(finding["group"], finding["name"]): finding for finding in detail}
 
 
 def changed(settings: Path, name: str, overrides: dict[str, Any]) -> Path:
@@ -68,8 +68,8 @@ def test_a_px4_vehicle_that_stands_there(tmp_path: Path) -> None:
     groups = {group for group, _ in not_well(findings, "fail")}
     assert groups <= {"camera", "telemetry"}, findings
     assert code == bool(groups)
-    assert findings["link", "heartbeat"]["told"].startswith("PX4, mode ")
-    assert findings["autopilot's parameters", "COM_RC_OVERRIDE"]["told"] == "1"
+    assert findings["link", "heartbeat"]["detail"].startswith("PX4, mode ")
+    assert findings["autopilot's parameters", "COM_RC_OVERRIDE"]["detail"] == "1"
     assert findings["autopilot's parameters", "COM_RC_OVERRIDE"]["state"] == "warning"
     assert findings["autopilot's parameters", "COM_OF_LOSS_T"]["state"] == "ok"
     well = {("IMU", "identity"), ("IMU", "magnetometer"), ("GPS", "fix"), ("range", "echo")}
@@ -85,8 +85,8 @@ def test_a_px4_vehicle_that_stands_there(tmp_path: Path) -> None:
         ("range", "opens"),
         ("link", "heartbeat"),
     }
-    assert "expected the calibration's 1280x720" in mistaken["camera", "opens"]["told"]
-    assert "but system 1's" in mistaken["link", "heartbeat"]["told"]
+    assert "expected the calibration's 1280x720" in mistaken["camera", "opens"]["detail"]
+    assert "but system 1's" in mistaken["link", "heartbeat"]["detail"]
     assert not_well(mistaken, "not checked") >= {
         ("telemetry", "rates"),
         ("autopilot's parameters", "parameters"),
@@ -109,9 +109,9 @@ def test_an_ardupilot_vehicle_by_its_telemetry_alone(tmp_path: Path) -> None:
         code, findings = checked(settings)
     assert code == 1
     assert not_well(findings, "fail") == {("autopilot's parameters", "GUID_OPTIONS")}
-    assert findings["autopilot's parameters", "GUID_OPTIONS"]["told"] == "0"
+    assert findings["autopilot's parameters", "GUID_OPTIONS"]["detail"] == "0"
     assert findings["autopilot's parameters", "GUID_OPTIONS"]["hint"].startswith("expected 8 (bit 3)")
-    assert findings["link", "heartbeat"]["told"].startswith("ArduPilot, mode ")
+    assert findings["link", "heartbeat"]["detail"].startswith("ArduPilot, mode ")
     assert not_well(findings, "ok") >= {
         ("autopilot's sensors", "IMU and compass"),
         ("autopilot's sensors", "range"),
@@ -136,7 +136,7 @@ def test_a_line_of_noise_is_told_from_a_silent_one(tmp_path: Path) -> None:
         threading.Thread(target=answer, daemon=True).start()
         code, findings = checked(settings)
     assert code == 1
-    assert "3000 bytes that are no MAVLink 2" in findings["link", "heartbeat"]["told"]
+    assert "3000 bytes that are no MAVLink 2" in findings["link", "heartbeat"]["detail"]
     assert "baud" in findings["link", "heartbeat"]["hint"]
 
 
@@ -151,8 +151,8 @@ def test_the_result_goes_to_a_file_beside_the_table(
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 1
-    told = json.loads(result.read_text())
-    assert told["state"] == "fail"
+    detail = json.loads(result.read_text())
+    assert detail["state"] == "fail"
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1].endswith("not ready to fly: camera: opens")
     assert any("not checked" in line and "--no-link" in line for line in lines)

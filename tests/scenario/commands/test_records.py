@@ -7,7 +7,7 @@ import pytest
 from mcap.reader import make_reader
 from pymavlink import mavutil
 
-from tests.scenario.flying import Flown, fly, run
+from tests.scenario.flying import Flown, flight_words, run
 
 PLOTS = {"path.png", "height.png", "lateral.png", "detections.png", "estimators.png"}
 LOGS = {"flight.mcap", "flight.tlog", "result.json", "report.html", "settings.yaml"}
@@ -21,7 +21,8 @@ TOPICS = {
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flown]:
     folder = tmp_path_factory.mktemp("recorded")
     record = folder / "flights" / "first"
-    return record, fly("static", 0, folder, "--record", record)
+    result = folder / "result.json"
+    return record, run(*flight_words("static", 0, result), "--record", record, result=result)
 
 
 def test_all_files_are_there(recorded: tuple[Path, Flown]) -> None:

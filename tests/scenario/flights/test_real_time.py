@@ -148,7 +148,7 @@ def test_killed_before_it_armed_the_next_start_arms_nothing_until_it_is_permitte
             wait_for_line(permitted, "arm:")
             permitted.send_signal(signal.SIGTERM)
             permitted.communicate(timeout=END_TIMEOUT_S)
-        simulator.communicate("finish aborted\n", timeout=20.0)
+        simulator.communicate("finish abort\n", timeout=20.0)
 
 
 def test_the_service_stands_by_lands_when_it_is_ordered_to_and_stands_by_again(tmp_path: Path) -> None:

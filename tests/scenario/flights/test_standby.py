@@ -84,6 +84,27 @@ def test_a_pilot_takes_over_a_stop_holds_and_each_time_it_stands_by_again() -> N
     stand_by(story)
 
 
+def test_restarted_in_flight_it_asks_for_nothing_and_follows_the_next_order() -> None:
+    async def story(field: Field) -> None:
+        await field.ready()
+        await field.take_off()
+        field.order()
+        await field.phase(Phase.DESCEND)
+        await field.restart()
+        sent = field.setpoints(), field.commands()
+        await field.until(lambda: field.autopilot.mode == "POSCTL", 5.0, "the autopilot's failsafe")
+        field.pilot_mode("AUTO.LOITER")
+        field.vehicle.wants_frames = False  # rendering takes most of the time
+        await field.until(field.aligned, 40.0, "aligned in the air")
+        field.vehicle.wants_frames = True
+        assert field.app.phase is Phase.STANDBY
+        assert (field.setpoints(), field.commands()) == sent
+        field.order()
+        await field.landed()
+
+    stand_by(story)
+
+
 def test_refused_control_leaves_the_vehicle_in_its_mode() -> None:
     async def story(field: Field) -> None:
         await field.ready()

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +16,11 @@ from companion.config import CompanionConfig
 from companion.control.tracking import Target, TrackingSolution
 from sitl.faults.computer import ComputerFaults
 from tests.bench.faults import fault_flight
-from tests.bench.faults.bench_faults import bars, cell, main
-from tests.bench.faults.cases import CASES, PHASES, Run, all_runs, sampled, scenario_of
+from tests.bench.faults.bench_faults import Take, bars, cell, main
+from tests.bench.faults.cases import CASES, PHASES, Run, all_runs, one_each, scenario_of
 from tests.bench.faults.computer import FaultyTracker
+from tests.bench.faults.forks import Forks
+from tests.bench.faults.judge import Verdict
 from tests.bench.faults.runs_file import Row, RunsFile, flights_key
 from tests.bench.faults.witness import FlightRecord, Sample
 
@@ -104,16 +110,22 @@ def test_what_is_written_is_read_again_and_a_torn_line_is_not(tmp_path: Path) ->
     assert file.read("another state of the code") == []
 
 
+def landings(flown: list[Run]) -> Callable[..., None]:
+    """A `fly_group` whose flights all land."""
+
+    def fly(runs: Sequence[Run], code: str, _forks: Forks, take: Take) -> None:
+        for run in runs:
+            flown.append(run)
+            take(run, Row(*run, code, 1, "landed", "", 30.0, "landed: disarmed"))
+
+    return fly
+
+
 def test_flights_that_are_there_are_not_flown_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    flown = []
-
-    def fly(run: Run, code: str) -> Row:
-        flown.append(run)
-        return Row(*run, code, 1, "landed", "", 30.0, "landed: disarmed")
-
-    monkeypatch.setattr("tests.bench.faults.bench_faults.fly_row", fly)
+    flown: list[Run] = []
+    monkeypatch.setattr("tests.bench.faults.bench_faults.fly_group", landings(flown))
     asked = ["bench", "--jobs", "1", "--faults", "GPS lost;30 uT", "--phases", "descend"]
     monkeypatch.setattr("sys.argv", [*asked, "--seeds", "1", "--out", str(tmp_path)])
     assert main() == 0
@@ -130,14 +142,15 @@ def test_a_flight_that_the_bench_could_not_fly_is_flown_again_and_not_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     tries: list[Run] = []
+    record = FlightRecord(samples=[Sample(30.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, True, False, "LAND")])
 
-    def fly(run: Run, code: str) -> Row:
-        tries.append(run)
-        if run.scenario == "circle" or len(tries) == 1:
+    def fly(runs: Sequence[Run], _forks: Forks) -> Iterator[tuple[Run, Verdict, FlightRecord]]:
+        tries.append(runs[0])
+        if runs[0].scenario == "circle" or len(tries) == 1:
             raise MemoryError("no room")
-        return Row(*run, code, 1, "landed", "", 30.0, "landed: disarmed")
+        yield runs[0], Verdict("landed"), record
 
-    monkeypatch.setattr("tests.bench.faults.bench_faults.fly_row", fly)
+    monkeypatch.setattr("tests.bench.faults.bench_faults.fly_together", fly)
     asked = ["bench", "--jobs", "1", "--faults", "GPS lost", "--phases", "descend", "--seeds", "1"]
     monkeypatch.setattr("sys.argv", [*asked, "--out", str(tmp_path)])
     assert main() == 1
@@ -146,23 +159,64 @@ def test_a_flight_that_the_bench_could_not_fly_is_flown_again_and_not_kept(
     assert [row.scenario for row in RunsFile(tmp_path / "runs.csv").read(flights_key())] == ["line"]
 
 
-def test_a_sample_is_a_fixed_part_of_the_whole(
+def test_one_flight_of_each_fault_in_each_phase_takes_scenarios_and_seeds_in_turn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    whole = list(all_runs(list(CASES), PHASES, ["line", "circle"], 5))
-    small, large = sampled(whole, 20), sampled(whole, 60)
-    assert small == sampled(whole, 20) == large[:20]
-    assert len(set(large)) == 60
-    assert set(large) <= set(whole)
-    assert len({run.fault for run in large}) > 20
-
-    def fly(run: Run, code: str) -> Row:
-        return Row(*run, code, 1, "landed", "", 30.0, "landed: disarmed")
-
-    monkeypatch.setattr("tests.bench.faults.bench_faults.fly_row", fly)
-    monkeypatch.setattr("sys.argv", ["bench", "--jobs", "1", "--sample", "20", "--out", str(tmp_path)])
+    whole = set(all_runs(list(CASES), PHASES, ["line", "circle"], 5))
+    choice = (list(CASES), PHASES, ["line", "circle"], 5)
+    once, twice = one_each(*choice, 1), one_each(*choice, 2)
+    pairs = {(run.fault, run.phase) for run in whole}
+    assert sorted((run.fault, run.phase) for run in once) == sorted(pairs)
+    assert twice[: len(once)] == once
+    assert len(set(twice)) == 2 * len(pairs)
+    assert set(one_each(*choice, 99)) == whole
+    for phase in PHASES:  # no phase is flown in one scenario or under one seed alone
+        kinds = {(run.scenario, run.seed) for run in once if run.phase == phase}
+        assert len(kinds) >= 5
+    monkeypatch.setattr("tests.bench.faults.bench_faults.fly_group", landings([]))
+    # those with the disk are flown from their start
+    asked = ["bench", "--jobs", "1", "--each", "1", "--out", str(tmp_path), "--faults", "GPS lost;30 uT"]
+    monkeypatch.setattr("sys.argv", asked)
     assert main() == 0
-    assert f"flown: 20 of the whole {len(whole)}" in capsys.readouterr().out
+    assert "flown: 10 of the whole 100" in capsys.readouterr().out
+
+
+# ---------------------------------------------------------------- children
+
+FORKED = """
+from tests.bench.faults import cases
+from tests.bench.faults.bench_faults import fly_all, fly_alone
+from tests.bench.faults.cases import Run
+
+cases.TIME_LIMIT_S = 8.0
+runs = [Run("pilot: Hold", "start", "line", 0), Run("refuses arm", "start", "line", 0)]
+runs.append(Run("GPS lost", "on_pad", "line", 0))
+rows = {}
+fly_all(runs, "abc", 1, rows.__setitem__)
+assert rows == {run: fly_alone(run, "abc") for run in runs}, rows
+print(*(rows[run].outcome for run in runs), *(rows[run].began for run in runs), sep=",")
+"""
+
+
+def test_a_flight_that_goes_on_in_a_child_is_the_one_flown_from_its_start() -> None:
+    flown = subprocess.run(
+        [sys.executable, "-c", FORKED], capture_output=True, text=True, check=False, timeout=300
+    )
+    assert flown.stderr == ""
+    assert flown.stdout.strip() == "pilot,unsafe,unsafe,1,1,0"  # cut short: two have no end
+
+
+def test_a_child_that_ends_without_a_row_is_no_flight() -> None:
+    taken: dict[Run, Row | None] = {}
+    forks = Forks(2, taken.__setitem__)
+    runs = [Run("GPS lost", "descend", "line", seed) for seed in range(3)]
+    for run in runs:
+        if forks.begin(run):
+            if run.seed == 1:
+                os._exit(3)
+            forks.deliver(row("landed", seed=run.seed))
+    forks.wait()
+    assert taken == {run: None if run.seed == 1 else row("landed", seed=run.seed) for run in runs}
 
 
 def test_the_key_of_the_results_covers_the_judge_the_cases_and_the_settings(tmp_path: Path) -> None:

@@ -40,12 +40,16 @@ NOT_FOUND = {
         ["--config", "nope.yaml"],
         ["--sitl", "--scenario", "nope"],
         ["--sitl", "--config", "nope.yaml"],
+        ["check", "--config", "nope.yaml"],
+        ["check", "--pad", "--config", "nope.yaml"],
         ["detect", "nope.jpg"],
         ["detect", "photo.png", "--pad", "nope"],
         ["detect", "photo.png", "--camera", "nope.yaml"],
         ["fuzzy", "nope"],
         ["identify", "nope"],
         ["identify", "photo.png", "--check", "nope"],
+        ["logs", "convert", "nope"],
+        ["logs", "export", "nope"],
         ["logs", "repair", "nope"],
         ["pad", "nope"],
         ["pad", "--coverage", "--camera", "nope"],
@@ -70,6 +74,14 @@ NOT_FOUND = {
     ],
     "calibrate-camera": [["nope"]],
     "calibrate-magnetometer": [["nope"], ["photo.png", "--config", "nope.yaml"]],
+    "calibrate-mount": [
+        ["nope"],
+        ["accelerometer", "nope.csv"],
+        ["camera", "nope"],
+        ["camera", "photo.png", "--camera", "nope"],
+        ["gyro", "--config", "nope.yaml"],
+        ["record", "swayed", "--config", "nope.yaml"],
+    ],
 }
 MODULES = {
     "companion": "companion.cli",
@@ -77,6 +89,7 @@ MODULES = {
     "companion-experiments": "companion.research.command",
     "calibrate-camera": "calibration.camera.command",
     "calibrate-magnetometer": "calibration.magnetometer.command",
+    "calibrate-mount": "calibration.mount.command",
 }
 SCRIPT = """
 import importlib, json, sys

@@ -22,6 +22,7 @@ from companion.control.setpoints import (
     velocity_setpoint,
 )
 from tests.unit.control.control_plants import vehicle_config
+from tests.unit.control.controller_inputs import vehicle_state
 
 LAGS_S = (0.11, 0.11, 0.04)
 
@@ -92,20 +93,12 @@ def test_on_the_pad_no_integral_of_the_autopilots_leans_the_vehicle(kind: str, h
 
 
 def _vehicle(time_s: float, velocity: Vector3, acceleration: Vector3, lean: Vector3) -> VehicleState:
-    return VehicleState(
-        time_s=time_s,
-        attitude=attitude_from_acceleration(lean, 1.0),
-        rate_body_rad_s=ZERO3,
+    return vehicle_state(
+        time_s,
         position_ned_m=ZERO3,
+        attitude=attitude_from_acceleration(lean, 1.0),
         velocity_ned_m_s=velocity,
         acceleration_ned_m_s2=acceleration,
-        gyro_bias_rad_s=ZERO3,
-        accel_bias_m_s2=ZERO3,
-        attitude_std_rad=0.01,
-        velocity_std_m_s=0.05,
-        position_std_m=0.5,
-        aligned=True,
-        has_gps=True,
     )
 
 

@@ -122,6 +122,23 @@ def test_one_stamp_from_the_future_is_refused_and_costs_nothing_else(ahead_s: fl
     assert poisoned.refused["imu_unusable"] > clean.refused.get("imu_unusable", 0)
 
 
+@pytest.mark.parametrize("ahead_s", [0.2, 3.0, 3600.0])
+def test_stamps_that_agree_on_a_time_after_their_receipt_are_not_believed_either(ahead_s: float) -> None:
+    clean, poisoned = new_estimator(), new_estimator()
+    for arrival_s, sample in FLOWN.samples:
+        if arrival_s >= 12.0:
+            break
+        feed(clean, sample)
+        feed(poisoned, sample)
+        if 10.0 <= arrival_s < 10.1 and isinstance(sample, ImuSample):
+            for k in range(3):
+                stamp_s = arrival_s + ahead_s + 0.001 * k
+                wrong = ImuSample(stamp_s, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8), 25.0)
+                assert not poisoned.add_imu(wrong, arrival_s)
+    assert poisoned.vehicle(12.0) == clean.vehicle(12.0)
+    assert poisoned.vehicle(12.0) is not None
+
+
 def test_the_very_first_stamp_may_be_the_wrong_one() -> None:
     estimator = new_estimator()
     assert estimator.add_imu(ImuSample(3600.0, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8), 25.0))

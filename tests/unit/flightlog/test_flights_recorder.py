@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,8 @@ from mcap.reader import make_reader
 
 from companion.base.messages import Frame, Notice
 from companion.config import CompanionConfig
+from companion.flightlog import flights_recorder
+from companion.flightlog.flights import next_flight_folder
 from companion.flightlog.flights_recorder import KEPT_S, FlightsRecorder
 from companion.flightlog.meter import WINDOW_S, Meter
 
@@ -27,6 +31,14 @@ def tell(log: FlightsRecorder, time_s: float) -> None:
     log.write("notice", Notice(time_s, "test", f"at {time_s:g}"), time_s)
 
 
+def until(holds: Callable[[], bool]) -> None:
+    """Wait for what a thread does."""
+    by_s = time.monotonic() + 10.0
+    while not holds():
+        assert time.monotonic() < by_s
+        time.sleep(0.01)
+
+
 def test_each_flight_begins_with_the_minute_before_it(tmp_path: Path) -> None:
     log = FlightsRecorder(tmp_path, 1.7e9)
     log.write_settings(config=CompanionConfig())
@@ -34,7 +46,7 @@ def test_each_flight_begins_with_the_minute_before_it(tmp_path: Path) -> None:
         tell(log, float(second))
     assert list(tmp_path.iterdir()) == []
     log.begin()
-    assert log.flight_folder == tmp_path / "flight-0001"
+    until(lambda: log.flight_folder == tmp_path / "flight-0001")
     tell(log, 100.0)
     log.end()
     tell(log, 150.0)
@@ -47,6 +59,26 @@ def test_each_flight_begins_with_the_minute_before_it(tmp_path: Path) -> None:
         with (folder / "flight.mcap").open("rb") as stream:
             names = [record.name for record in make_reader(stream).iter_metadata()]
         assert "settings" in names
+
+
+def test_the_minute_before_is_written_through_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[int] = []
+    monkeypatch.setattr("os.fsync", written.append)
+    log = FlightsRecorder(tmp_path, 1.7e9)
+    for second in range(50):
+        tell(log, float(second))
+        log.write_mavlink(b"\xfe\x00\x00\x01\x01\x00\x00\x00", float(second), "in")
+    log.begin()
+    log.end()
+    log.close()
+    assert len(written) == 2  # each file
+    log = FlightsRecorder(tmp_path, 1.7e9)
+    log.begin()
+    until(lambda: log.flight_folder is not None)
+    for second in range(50):
+        tell(log, float(second))
+    log.close()
+    assert len(written) > 50
 
 
 def test_pictures_and_mavlink_of_the_minute_are_there_too(tmp_path: Path) -> None:
@@ -70,8 +102,40 @@ def test_a_card_that_cannot_be_written_is_told_and_ends_no_flight(tmp_path: Path
     log = FlightsRecorder(blocked, 1.7e9)
     log.begin()
     tell(log, 1.0)
-    assert "cannot be written" in (log.problem or "")
+    until(lambda: "cannot be written" in (log.problem or ""))
     log.end()
+
+
+def test_a_card_that_hangs_holds_nobody_up_and_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = threading.Event()
+
+    def slow_folder(root: Path) -> Path:
+        assert answers.wait(10.0)
+        return next_flight_folder(root)
+
+    monkeypatch.setattr(flights_recorder, "next_flight_folder", slow_folder)
+    log = FlightsRecorder(tmp_path, 1.7e9)
+    tell(log, 0.0)
+    log.begin()
+    tell(log, 1.0)
+    assert (log.flight_folder, log.problem) == (None, None)
+    answers.set()
+    until(lambda: log.flight_folder is not None)
+    tell(log, 2.0)
+    log.close()
+    assert texts(tmp_path / "flight-0001") == ["at 0", "at 1", "at 2"]
+
+
+def test_a_flight_that_ends_before_its_log_is_open_is_logged(tmp_path: Path) -> None:
+    log = FlightsRecorder(tmp_path, 1.7e9)
+    for number in (1, 2):
+        tell(log, 10.0 * number)
+        log.begin()
+        log.end()
+    log.close()
+    assert [texts(tmp_path / f"flight-000{number}") for number in (1, 2)] == [["at 10"], ["at 20"]]
 
 
 def test_room_is_made_after_each_flight(tmp_path: Path) -> None:

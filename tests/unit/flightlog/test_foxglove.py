@@ -42,6 +42,7 @@ from companion.config import (
 )
 from companion.flightlog.foxglove.parts import ENU_FROM_NED
 from companion.flightlog.foxglove.schemas import SCHEMAS
+from companion.flightlog.foxglove.translator import Translator
 from companion.flightlog.record import FlightLog
 from companion.pad import load_pad
 from tests.unit.flightlog.foxglove_official import as_proto, official
@@ -237,6 +238,14 @@ def test_the_scene_holds_pad_path_touchdown_and_obstacles(log: Path) -> None:
     assert xyz(wall["pose"]["position"]) == (0.0, 0.0, -2.0)
     turn = wall["pose"]["orientation"]
     assert (turn["w"], *xyz(turn)) == pytest.approx(quat_from_euler(0.0, 0.0, math.radians(90.0)))
+
+
+def test_the_scene_comes_every_sixth_cycle_whenever_the_flight_began() -> None:
+    for start_s in (1.7e9, 1764037200.1234567, 1764037200.7654321):
+        foxglove, report = Translator(), ControlReport(1.0, True, 9, 0.001)
+        stamps_ns = [round(1e9 * (start_s + k / 30.0)) for k in range(61)]
+        scenes = [sum(said.topic == "scene" for said in foxglove.message(report, ns)) for ns in stamps_ns]
+        assert scenes == [int(k % 6 == 0) for k in range(61)]
 
 
 def test_markers_are_drawn_where_opencv_projects_them(log: Path) -> None:

@@ -6,13 +6,14 @@ import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.messages import AutopilotSetup
-from companion.link.autopilot_setup import NAMES, SetupReader
+from companion.link.autopilot_setup import NAMES, SetupReader, loss_warnings, motors_stop
 from companion.link.codec import mavlink
 from companion.link.parameters import ParameterRequests
 
 TOLD: dict[str, float] = {
     "ANGLE_MAX": 3000.0, "WPNAV_ACCEL": 250.0, "PSC_JERK_XY": 5.0,
     "MOT_THST_HOVER": 0.36, "MPC_TILTMAX_AIR": 45.0, "MPC_THR_HOVER": 0.5,
+    "COM_OF_LOSS_T": 0.5, "GUID_TIMEOUT": 0.6,
 }  # fmt: skip
 
 
@@ -45,9 +46,38 @@ def test_an_autopilot_without_these_parameters_is_taken_as_it_is_set(autopilot_k
 
 
 def test_both_autopilots_say_it_in_si_units() -> None:
-    assert read("px4", TOLD) == AutopilotSetup(tilt_deg=45.0, hover_thrust=0.5)
-    assert read("ardupilot", TOLD) == AutopilotSetup(30.0, 0.36, 2.5, 5.0)
+    assert read("px4", TOLD) == AutopilotSetup(tilt_deg=45.0, hover_thrust=0.5, setpoint_timeout_s=0.5)
+    assert read("ardupilot", TOLD) == AutopilotSetup(30.0, 0.36, 2.5, 5.0, setpoint_timeout_s=0.6)
 
 
 def test_every_parameter_has_a_name_that_mavlink_can_carry() -> None:
     assert all(len(name) <= 16 for names in NAMES.values() for name in names)
+
+
+# ---------------------------------------------------------------- the loss of setpoints
+
+
+@pytest.mark.parametrize("action", [None, 3, 4, 5])
+def test_a_failsafe_that_holds_or_lands_is_no_matter(action: int | None) -> None:
+    setup = AutopilotSetup(setpoint_timeout_s=0.5, setpoints_lost_action=action)
+    assert motors_stop(setup) == ""
+    assert loss_warnings(setup, "px4") == []
+
+
+def test_a_failsafe_for_a_pilot_at_the_sticks_is_warned_of() -> None:
+    (warning,) = loss_warnings(AutopilotSetup(setpoints_lost_action=0), "px4")
+    assert warning.startswith("link loss: COM_OBL_RC_ACT is 0 (Position)")
+    assert motors_stop(AutopilotSetup(setpoints_lost_action=0)) == ""
+
+
+@pytest.mark.parametrize(("kind", "name"), [("px4", "COM_OF_LOSS_T"), ("ardupilot", "GUID_TIMEOUT")])
+def test_setpoints_that_are_kept_for_long_are_warned_of(kind: AutopilotKind, name: str) -> None:
+    (warning,) = loss_warnings(AutopilotSetup(setpoint_timeout_s=3.0), kind)
+    assert warning.startswith(f"link loss: {name} is 3")
+
+
+@pytest.mark.parametrize("action", [6, 7])
+def test_a_failsafe_that_stops_the_motors_is_no_way_to_fly(action: int) -> None:
+    assert motors_stop(AutopilotSetup(setpoints_lost_action=action)).startswith(
+        f"COM_OBL_RC_ACT is {action} ("
+    )

@@ -112,20 +112,28 @@ async def test_a_file_that_is_no_port_is_told_in_one_line(tmp_path: os.PathLike[
         SerialPort(path, 9600)
 
 
+async def hears(port: SerialPort, expected: bytes) -> None:
+    received = b""
+    while len(received) < len(expected):
+        received += await asyncio.wait_for(port.read(), PATIENCE_S)
+    assert received == expected
+
+
+async def receives(line: PtyPort, expected: bytes) -> None:
+    sent = b""
+    while len(sent) < len(expected):
+        await asyncio.sleep(0.005)
+        sent += line.receive()
+    assert sent == expected
+
+
 async def test_simulated_line_and_port_talk_both_ways() -> None:
     line = PtyPort(115200)
     port = SerialPort(line.path, 115200)
     line.send(b"from the device")
-    received = b""
-    while len(received) < 15:
-        received += await asyncio.wait_for(port.read(), PATIENCE_S)
-    assert received == b"from the device"
+    await hears(port, b"from the device")
     port.write(b"\xb5\x62 from the app")
-    sent = b""
-    while len(sent) < 15:
-        await asyncio.sleep(0.005)
-        sent += line.receive()
-    assert sent == b"\xb5\x62 from the app"
+    await receives(line, b"\xb5\x62 from the app")
     line.close()
     with pytest.raises(OSError, match="serial port"):
         await asyncio.wait_for(port.read(), PATIENCE_S)
@@ -141,16 +149,9 @@ async def test_at_another_rate_there_is_garbage_until_the_rate_is_set() -> None:
     await asyncio.sleep(0.05)
     port.set_baud(9600)
     line.send(b"$GPRMC,191418.00,V\r\n")
-    received = b""
-    while len(received) < 20:
-        received += await asyncio.wait_for(port.read(), PATIENCE_S)
-    assert received == b"$GPRMC,191418.00,V\r\n"
+    await hears(port, b"$GPRMC,191418.00,V\r\n")
     port.write(b"command")
-    sent = b""
-    while len(sent) < 7:
-        await asyncio.sleep(0.005)
-        sent += line.receive()
-    assert sent == b"command"
+    await receives(line, b"command")
     port.close()
     with pytest.raises(OSError, match="closed"):
         port.set_baud(38400)

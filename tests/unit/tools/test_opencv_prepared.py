@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import pytest
 
-from companion.config import CONFIG_FOLDER, ConfigError
+from companion.config import ConfigError
 from companion.tools.check.command import check_command
 from companion.tools.pads.command import pad_command
 
@@ -21,7 +23,9 @@ def test_the_pad_command_has_one_thread(two_threads: None) -> None:
     assert cv2.getNumThreads() == 1
 
 
-def test_the_check_has_one_thread(two_threads: None) -> None:
-    with pytest.raises(ConfigError):
-        check_command(pad=True, config=CONFIG_FOLDER / "nope.yaml")
+def test_the_check_has_one_thread(two_threads: None, tmp_path: Path) -> None:
+    settings = tmp_path / "mine.yaml"
+    settings.write_text("sense: {source: autopilot}\n")
+    with pytest.raises(ConfigError, match="--no-link"):
+        check_command(pad=True, config=settings, no_link=True)
     assert cv2.getNumThreads() == 1

@@ -5,8 +5,10 @@ import os
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
+from companion.app.command import Output, fly_the_vehicle
 from companion.app.service.latch import FILE_NAME, FlightLatch, LatchState, state_folder, unattended
 from companion.base.errors import ConfigError
 from companion.cli import cli
@@ -17,12 +19,28 @@ def latch(tmp_path: Path) -> FlightLatch:
     return FlightLatch(tmp_path / "flights")
 
 
+def begin(latch: FlightLatch, *, unattended: bool) -> str | None:
+    """Begin a flight where that may be; returns why not."""
+    reason = latch.refusal(unattended=unattended)
+    if reason is None:
+        latch.begin()
+    return reason
+
+
+def test_a_start_that_begins_no_flight_uses_no_permission_up(latch: FlightLatch) -> None:
+    latch.permit()
+    for _ in range(3):  # each ends in an error of the settings
+        assert latch.refusal(unattended=True) is None
+        latch.end("by an error in the settings")
+    assert latch.read()[0] is LatchState.PERMITTED
+
+
 def test_a_first_start_by_a_person_may_fly_and_the_next_after_its_end_too(latch: FlightLatch) -> None:
-    assert latch.begin(unattended=False) is None
+    assert begin(latch, unattended=False) is None
     assert latch.read()[0] is LatchState.BEGUN
     latch.end("landed")
     assert latch.read() == (LatchState.ENDED, "landed")
-    assert latch.begin(unattended=False) is None
+    assert begin(latch, unattended=False) is None
 
 
 @pytest.mark.parametrize("by_service", [False, True])
@@ -30,24 +48,24 @@ def test_after_a_flight_that_never_ended_only_the_operator_s_word_helps(
     latch: FlightLatch, by_service: bool
 ) -> None:
     latch.permit()
-    assert latch.begin(unattended=by_service) is None  # and then it is killed
+    assert begin(latch, unattended=by_service) is None  # and then it is killed
     for _ in range(3):
-        reason = latch.begin(unattended=by_service)
+        reason = begin(latch, unattended=by_service)
         assert reason is not None
         assert "never ended" in reason
         assert "companion permit" in reason
     latch.permit()
-    assert latch.begin(unattended=by_service) is None
+    assert begin(latch, unattended=by_service) is None
 
 
 def test_under_a_service_manager_each_flight_needs_its_own_permission(latch: FlightLatch) -> None:
-    refused = latch.begin(unattended=True)
+    refused = begin(latch, unattended=True)
     assert refused is not None
     assert "service manager" in refused
     latch.permit()
-    assert latch.begin(unattended=True) is None
+    assert begin(latch, unattended=True) is None
     latch.end("landed")
-    refused = latch.begin(unattended=True)
+    refused = begin(latch, unattended=True)
     assert refused is not None
     assert "the last one ended: landed" in refused
 
@@ -59,14 +77,14 @@ def test_a_file_that_nobody_understands_is_no_permission(latch: FlightLatch, con
     latch.permit()
     latch.path.write_text(content, encoding="utf-8")
     for by_service in (False, True):
-        assert latch.begin(unattended=by_service) is not None
+        assert begin(latch, unattended=by_service) is not None
 
 
 def test_the_file_is_replaced_as_a_whole(latch: FlightLatch) -> None:
     latch.permit()
     held = latch.path.open(encoding="utf-8")
     with held:
-        latch.end("landed")
+        latch.begin()
         assert json.load(held)["state"] == "permitted"  # the old one, complete
     assert [path.name for path in latch.folder.iterdir()] == [FILE_NAME]
 
@@ -75,7 +93,7 @@ def test_the_file_is_replaced_as_a_whole(latch: FlightLatch) -> None:
 def test_a_latch_that_cannot_be_written_ends_in_one_line(latch: FlightLatch) -> None:
     latch.folder.mkdir(mode=0o500)
     with pytest.raises(ConfigError, match="cannot be written"):
-        latch.begin(unattended=False)
+        begin(latch, unattended=False)
 
 
 def test_a_folder_that_is_a_file_ends_in_one_line(tmp_path: Path) -> None:
@@ -100,8 +118,21 @@ def test_systemd_is_known_by_its_socket(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_the_command_says_what_stood_there(tmp_path: Path) -> None:
-    FlightLatch(tmp_path).begin(unattended=False)
+    begin(FlightLatch(tmp_path), unattended=False)
     result = CliRunner().invoke(cli, ["permit", "--record", str(tmp_path)])
     assert result.exit_code == 0
     assert result.output.endswith("the next start may fly (the last flight never ended)\n")
     assert FlightLatch(tmp_path).read()[0] is LatchState.PERMITTED
+
+
+def test_a_permitted_start_that_ends_in_a_settings_error_leaves_the_next_one_permitted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = tmp_path / "companion.yaml"
+    settings.write_text("plan: {mission: {may_arm: true}}\nvehicle: nobody_s\n", encoding="utf-8")
+    monkeypatch.setenv("NOTIFY_SOCKET", "/run/systemd/notify")
+    latch = FlightLatch(tmp_path)
+    latch.permit()
+    with pytest.raises(ConfigError, match="nobody_s"):
+        fly_the_vehicle(settings, Output(Console(quiet=True), tmp_path, None, live=False))
+    assert latch.read()[0] is LatchState.PERMITTED

@@ -6,6 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from companion.app.command import EXIT_CODES
+from companion.base.messages import Outcome
+
 FOLDER = Path(__file__).resolve().parents[4] / "systemd"
 
 
@@ -26,6 +29,13 @@ def test_the_unit_starts_the_command_that_is_installed() -> None:
     unit = (FOLDER / "companion.service").read_text()
     assert "ExecStart=/opt/companion/.venv/bin/companion " in unit
     assert "KillSignal=SIGINT" in unit
+
+
+def test_a_stop_in_flight_is_no_failure_and_wrong_settings_are_not_tried_again() -> None:
+    unit = (FOLDER / "companion.service").read_text().splitlines()
+    assert f"SuccessExitStatus={EXIT_CODES[Outcome.ABORTED]}" in unit
+    assert "RestartPreventExitStatus=2" in unit
+    assert "Restart=always" in unit
 
 
 def test_the_install_script_is_sound_bash() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from calibration.command_line import run
 from calibration.mount.command import cli
-from calibration.mount.shared import NAME
+from calibration.mount.options import NAME
 
 
 def calibrate(*words: str | Path) -> int:

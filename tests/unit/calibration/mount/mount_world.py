@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from calibration.mount.command import record
 from calibration.mount.record.devices import MountSensors
+from calibration.mount.record.job import record
 from calibration.mount.shared import SensorOpener
 from calibration.mount.solve.rotations import exp, log, nearest_rotation
 from calibration.mount.solve.solve import MountSolution

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from calibration.mount import command
-from calibration.mount.imu.command import calibrate_accelerometer, faces_from
+from calibration.mount.imu.job import calibrate_accelerometer, faces_from
 from calibration.mount.record.coverage import MotionCoverage, MotionProgress
 from calibration.mount.record.recording import read_recording
 from calibration.mount.report.result import shutter_s
@@ -85,7 +84,9 @@ def test_a_refused_one_is_written_only_when_forced(
     recording = read_recording(folder)
     place = np.array(recording.vehicle.camera_position_body_m)
     found = solve(recording.inertial, recording.sightings, place, shutter_s(recording))
-    monkeypatch.setattr(command, "solve", lambda *_: found)  # twice the same: once is enough
+    monkeypatch.setattr(
+        "calibration.mount.solve.job.solve", lambda *_: found
+    )  # twice the same: once is enough
     output = tmp_path / "mount.yaml"
     words = ("camera", folder, "-o", output, "--max-rotation-deg", "1")
     assert calibrate(*words) == 1
@@ -139,8 +140,8 @@ def test_faces_are_calibrated_live_against_the_simulated_chip(tmp_path: Path) ->
 
 def test_interrupted_rests_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     held = Held(scenario_of({}), 0, "still")
-    monkeypatch.setattr("calibration.mount.imu.command.connected_sensors", held.boards)
-    monkeypatch.setattr("calibration.mount.imu.command.asyncio.run", run_in_virtual_time)
+    monkeypatch.setattr("calibration.mount.imu.job.connected_sensors", held.boards)
+    monkeypatch.setattr("calibration.mount.imu.job.asyncio.run", run_in_virtual_time)
 
     def interrupted(*_: object) -> str:
         raise KeyboardInterrupt
@@ -170,6 +171,7 @@ def test_an_autopilot_s_rests_are_not_the_chip_s(tmp_path: Path, capsys: pytest.
         (("camera", "absent"), "cannot be read"),
         (("camera", "README.md"), "not a flight log of ours"),
         (("accelerometer", "README.md"), "expected a table"),
+        (("accelerometer", "absent.csv"), "cannot be read"),
         (("accelerometer", "absent.csv", "--gyro-unit", "rpm"), "--gyro-unit rpm: expected rad/s or deg/s"),
         (("record", "full"), "holds a recording already"),
         (("camera",), "Missing argument 'LOG'"),
@@ -187,8 +189,8 @@ def test_what_a_user_can_mend_is_one_line(
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "flight.mcap").write_bytes(b"")
     held = Held(scenario_of({}), 0, "still")
-    monkeypatch.setattr(command, "connected_sensors", held.boards)
-    monkeypatch.setattr("calibration.mount.command.asyncio.run", run_in_virtual_time)
+    monkeypatch.setattr("calibration.mount.record.job.connected_sensors", held.boards)
+    monkeypatch.setattr("calibration.mount.record.job.asyncio.run", run_in_virtual_time)
     assert calibrate(*words) == 2
     told = capsys.readouterr().err
     assert line in told
@@ -208,8 +210,8 @@ def test_an_interrupted_recording_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     held = Held(scenario_of({}), 0, "still")
-    monkeypatch.setattr(command, "connected_sensors", held.boards)
-    monkeypatch.setattr("calibration.mount.command.asyncio.run", run_in_virtual_time)
+    monkeypatch.setattr("calibration.mount.record.job.connected_sensors", held.boards)
+    monkeypatch.setattr("calibration.mount.record.job.asyncio.run", run_in_virtual_time)
 
     def interrupted(_self: MotionCoverage) -> MotionProgress:
         raise KeyboardInterrupt
@@ -224,8 +226,8 @@ def test_a_card_that_is_full_at_the_end_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     held = Held(scenario_of({}), 0, "still")
-    monkeypatch.setattr(command, "connected_sensors", held.boards)
-    monkeypatch.setattr("calibration.mount.command.asyncio.run", run_in_virtual_time)
+    monkeypatch.setattr("calibration.mount.record.job.connected_sensors", held.boards)
+    monkeypatch.setattr("calibration.mount.record.job.asyncio.run", run_in_virtual_time)
 
     def full(_file: object) -> None:
         raise OSError(28, "No space left on device")

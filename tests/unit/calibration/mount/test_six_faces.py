@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import yaml
 
+from calibration.mount.imu import FACES
 from calibration.mount.imu.guide import FaceGuide
 from calibration.mount.imu.result import accelerometer_calibration, gyro_calibration, mounting_line
 from calibration.mount.imu.six_faces import (
-    FACES,
     accelerometer_reasons,
     face_of,
     faces_down,

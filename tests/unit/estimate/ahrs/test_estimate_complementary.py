@@ -20,7 +20,6 @@ from companion.base.geometry import (
     tilt_from_quat,
     yaw_from_quat,
 )
-from companion.config import OrientationConfig
 from companion.estimate.ahrs.complementary import OrientationFilter, blend, shortest_turn
 
 FIELD = (20.9, 0.6, 42.9)
@@ -33,7 +32,7 @@ def between_deg(a: Quaternion, b: Quaternion) -> float:
 
 
 def new_filter(attitude: Quaternion = IDENTITY) -> OrientationFilter:
-    return OrientationFilter(OrientationConfig(), FIELD, attitude)
+    return OrientationFilter(FIELD, attitude)
 
 
 def test_blend_weighs_by_the_ratio_of_error_rates() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from companion.base.geometry import FloatArray
 from companion.config import PadFilterConfig
+from companion.estimate.estimator import ATTITUDE_WANDER_RAD_S
 from companion.estimate.gating import Gate, Timeline
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.pad_filter import CombinedEstimate, HeightMeasurement, PadFilter
@@ -21,7 +22,7 @@ BLIND_S: Final = (0.5, 1.0, 2.0)
 WARM_S: Final = 2.0
 # 95 % band of the mean of 20 runs' normalised squared errors of six states: chi-square of 120 over 20
 NEES_BAND: Final = (4.57, 7.60)
-WANDER_RAD_S: Final = PadFilterConfig().attitude_wander_rad_s
+WANDER_RAD_S: Final = ATTITUDE_WANDER_RAD_S
 
 
 def new_filter(motion: MotionHistory) -> PadFilter:

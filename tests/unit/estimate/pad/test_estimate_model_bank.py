@@ -21,7 +21,15 @@ from companion.estimate.pad.model_bank import (
     change_chances,
     mix,
 )
-from companion.estimate.pad.pad_models import HorizontalModels, Turn, VerticalModels, course_turn
+from companion.estimate.pad.pad_models import (
+    TURN_TIME_CONSTANT_S,
+    VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ,
+    WAVE_DAMPING,
+    HorizontalModels,
+    Turn,
+    VerticalModels,
+    course_turn,
+)
 
 DT_S = 1.0 / 30.0
 DWELL_S = 3.0
@@ -120,9 +128,9 @@ def by_matrix_exponential(A: FloatArray, W: FloatArray, t: float) -> tuple[Float
 @pytest.mark.parametrize("t", [0.001, 1 / 30, 0.1, 0.5, 2.0, 10.0])
 def test_waves_move_exactly_over_any_time(t: float) -> None:
     config = PadFilterConfig(wave_periods_s=(4.0,))
-    w0, zeta = math.tau / 4.0, config.wave_damping
+    w0, zeta = math.tau / 4.0, WAVE_DAMPING
     A = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [0, 0, -w0 * w0, -2 * zeta * w0]], dtype=float)
-    white = config.vehicle_acceleration_noise_m_s2_rthz**2
+    white = VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ**2
     W = np.diag([0.0, white, 0.0, 4 * zeta * w0**3 * config.wave_acceleration_std_m_s2**2])
     F, Q = by_matrix_exponential(A, W, t)
     step = VerticalModels(config).step(t)
@@ -133,7 +141,7 @@ def test_waves_move_exactly_over_any_time(t: float) -> None:
 @pytest.mark.parametrize("t", [1 / 30, 0.4, 2.0])
 def test_a_turning_acceleration_moves_exactly(t: float) -> None:
     config, omega = PadFilterConfig(), 0.5
-    turn = np.array([[0.0, -omega], [omega, 0.0]]) - np.eye(2) / config.turn_time_constant_s
+    turn = np.array([[0.0, -omega], [omega, 0.0]]) - np.eye(2) / TURN_TIME_CONSTANT_S
     A = np.zeros((6, 6))
     A[0:2, 2:4] = A[2:4, 4:6] = np.eye(2)
     A[4:6, 4:6] = turn

@@ -88,20 +88,27 @@ def threads_of_this_process() -> set[str]:
     return {task.name for task in Path("/proc/self/task").iterdir()}
 
 
+FLIGHT = (
+    Action(ActionKind.ARM),
+    Action(ActionKind.TAKE_OFF, height_m=7.0),
+    Action(ActionKind.GO_TO, position=(47.0001, 8.0, 7.0)),
+    Action(ActionKind.HOLD),
+    Action(ActionKind.TAKE_CONTROL),
+    Action(ActionKind.LAND),
+)
+
+
+async def accepted(actions: Any, action: Action) -> None:
+    result = await asyncio.wait_for(actions.perform(action), 10.0)
+    assert (action.kind, result.accepted, result.text) == (action.kind, True, "")
+
+
 @pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)
 async def test_a_whole_flight_is_accepted(autopilot_kind: AutopilotKind) -> None:
     autopilot = autopilot_of(autopilot_kind)
     async with connected(autopilot) as actions:
-        for action in (
-            Action(ActionKind.ARM),
-            Action(ActionKind.TAKE_OFF, height_m=7.0),
-            Action(ActionKind.GO_TO, position=(47.0001, 8.0, 7.0)),
-            Action(ActionKind.HOLD),
-            Action(ActionKind.TAKE_CONTROL),
-            Action(ActionKind.LAND),
-        ):
-            result = await asyncio.wait_for(actions.perform(action), 10.0)
-            assert (action.kind, result.accepted, result.text) == (action.kind, True, "")
+        for action in FLIGHT:
+            await accepted(actions, action)
     assert autopilot.armed
     by = {m.command: m.get_srcComponent() for m in autopilot.heard if m.get_type().startswith("COMMAND_")}
     assert by[mavlink.MAV_CMD_NAV_TAKEOFF] == by[mavlink.MAV_CMD_DO_REPOSITION] == 192
@@ -118,16 +125,8 @@ async def test_flights_in_virtual_time_have_the_same_effect_on_the_autopilot(
         autopilot = autopilot_of(autopilot_kind)
         states = []
         async with connected(autopilot, kind=kind) as actions:
-            for action in (
-                Action(ActionKind.ARM),
-                Action(ActionKind.TAKE_OFF, height_m=7.0),
-                Action(ActionKind.GO_TO, position=(47.0001, 8.0, 7.0)),
-                Action(ActionKind.HOLD),
-                Action(ActionKind.TAKE_CONTROL),
-                Action(ActionKind.LAND),
-            ):
-                result = await asyncio.wait_for(actions.perform(action), 10.0)
-                assert (action.kind, result.accepted, result.text) == (action.kind, True, "")
+            for action in FLIGHT:
+                await accepted(actions, action)
                 await asyncio.sleep(0.1)
                 states.append((autopilot.mode, autopilot.armed))
         return states

@@ -1,12 +1,13 @@
-"""What thrust means to ArduPilot: the bit of GUID_OPTIONS is read, set and required."""
+"""Parameters without which nothing begins: ArduPilot's meaning of thrust, PX4's failsafe of setpoints."""
 
 from __future__ import annotations
 
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.messages import Action, ActionKind, ActionResult
+from companion.base.messages import Action, ActionKind, ActionResult, AutopilotSetup
 from companion.config import LinkConfig
+from companion.link.session import Session
 from tests.unit.link.actions.action_flight import autopilot_of, cancel_after, perform
 from tests.unit.link.fake_autopilot import FakeAutopilot
 
@@ -94,3 +95,17 @@ def test_where_thrust_is_thrust_or_is_not_sent_no_parameter_is_asked_for(
     [result] = perform(autopilot, Action(ActionKind.TAKE_CONTROL), attitude_setpoints=attitude_setpoints)
     assert result.accepted
     assert sent(autopilot, "PARAM_REQUEST_READ") == []
+
+
+@pytest.mark.parametrize("kind", [ActionKind.ARM, ActionKind.TAKE_CONTROL])
+def test_where_the_motors_would_stop_with_the_setpoints_nothing_begins(
+    kind: ActionKind, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setup = AutopilotSetup(setpoints_lost_action=6)
+    monkeypatch.setattr(Session, "setup", property(lambda _session: setup))
+    autopilot = autopilot_of("px4")
+    before = (autopilot.mode, autopilot.armed)
+    [result] = perform(autopilot, Action(kind), attitude_setpoints=False)
+    assert not result.accepted
+    assert result.text.startswith("COM_OBL_RC_ACT is 6 (Terminate): the motors stop in the air")
+    assert (autopilot.mode, autopilot.armed) == before

@@ -207,6 +207,22 @@ def test_it_levels_off_shortly_before_the_contact_and_is_not_told_to_earlier() -
     assert level.tilt_rad == pytest.approx(math.radians(CONFIG.contact_tilt_deg))
 
 
+@pytest.mark.parametrize(
+    ("lean_deg", "above_m"),
+    # level, the contact as seen decides; leaning far, the foot that hangs 0.18 m sin(lean) lower, 0.2 s ahead
+    [(0.0, 0.02 + 0.31 * 0.2), (20.0, 0.18 * math.sin(math.radians(20.0)) + 0.2 * 0.2)],
+)
+def test_leaning_far_it_levels_off_before_the_foot_that_hangs_lower_touches(
+    lean_deg: float, above_m: float
+) -> None:
+    for over_m, levels in ((above_m + 0.004, False), (above_m - 0.004, True)):
+        touchdown = levelling(0.0)
+        touchdown.note_lean(quat_from_euler(math.radians(lean_deg), 0.0, 0.0), 1.0)
+        near = sight(height=LEG_M + over_m, velocity=(0.0, 0.0, 0.2))
+        touchdown.step(near, None, LandedState.IN_AIR, 1.0)
+        assert (touchdown.level_off() is not None) == levels
+
+
 @pytest.mark.parametrize(("excess_m_s2", "longer_s"), [(0.0, 0.8), (0.5, 0.24), (0.8, 0.15)])
 def test_a_contact_that_comes_late_keeps_it_level_while_that_makes_little_speed(
     excess_m_s2: float, longer_s: float

@@ -1,10 +1,12 @@
 """Which modes are ours, and which are a pilot's word, in every state and for both autopilots."""
 
+from dataclasses import replace
+
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.messages import AutopilotState
-from companion.plan.mission.mode_monitor import TAKES_S, ModeMonitor
+from companion.plan.mission.mode_monitor import TAKES_S, ModeMonitor, in_land
 from companion.plan.mission.states import Authority, State
 from companion.plan.mission.table import LIVE
 
@@ -143,3 +145,12 @@ def test_returned_to_the_autopilot_the_hold_is_ours() -> None:
 
 def test_what_has_no_name_says_nothing() -> None:
     assert not Modes().taken_over("", State.SEARCH)
+
+
+@pytest.mark.parametrize(
+    ("mode", "lands"), [("AUTO.LAND", True), ("LAND", True), ("OFFBOARD", False), ("", False)]
+)
+def test_an_autopilot_in_land_says_so(mode: str, lands: bool) -> None:
+    autopilot = AutopilotState(0.0, connected=True, autopilot_kind="px4", mode=mode)
+    assert in_land(autopilot) is lands
+    assert not in_land(replace(autopilot, connected=False))  # what it said before is old

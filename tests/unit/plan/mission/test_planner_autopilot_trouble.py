@@ -7,7 +7,7 @@ from companion.base.geometry import Vector3
 from companion.base.messages import Action, ActionKind, ActionResult, Phase, PlanStep
 from companion.config import MissionConfig, PlanConfig
 from tests.unit.plan.mission.planner_world import world
-from tests.unit.plan.pad_paths import still
+from tests.unit.plan.pad_paths import heave, still
 from tests.unit.plan.plan_harness import LEG_M, World
 
 
@@ -200,3 +200,17 @@ def test_every_change_of_phase_is_told() -> None:
     flight = world().fly(90.0)
     told = [text.split(":")[0].replace(" ", "_") for text in flight.told("phase")]
     assert told == [phase.value for _, phase in flight.phases[1:]]
+
+
+def test_stopped_just_over_a_heaving_pad_it_climbs_clear_of_it_before_it_is_returned() -> None:
+    w = world(heave(0.25))
+    w.fly(90.0, until=lambda w: w.flight.phase is Phase.TOUCHDOWN)
+    low_m = w.flight.heights_m[-1]
+    w.stop = True
+    w.fly(20.0)
+    assert w.flight.phase is Phase.ABORT
+    assert [kind for _, kind in w.autopilot.heard][-1] is ActionKind.HOLD
+    assert low_m < 0.7
+    # the pad heaves by 0.25 m either way beneath what the autopilot holds
+    assert w.flight.heights_m[-1] > 1.0
+    assert any("clear of the pad" in text for text in w.flight.told("climb"))

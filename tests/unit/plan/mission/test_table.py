@@ -25,7 +25,7 @@ from tests.unit.plan.mission.table_walk import E, S, kinds, taken
 
 NOT_BY_TIME = {S.STANDBY, S.AUTO_LAND}  # it waits for the operator; it stands, and asks on
 EVERY_CIRCUMSTANCE = [
-    Circumstances(authority, *flags) for authority in Authority for flags in product((False, True), repeat=6)
+    Circumstances(authority, *flags) for authority in Authority for flags in product((False, True), repeat=8)
 ]
 
 
@@ -52,14 +52,14 @@ def test_what_may_happen_anywhere_is_handled_in_every_state_or_excepted_with_a_r
 @pytest.mark.parametrize(
     ("event", "excepted"),
     [
-        (E.STOP, COMMITTED),
+        (E.STOP, COMMITTED | {S.HOLD}),
         (E.PILOT_TOOK_OVER, {S.STANDBY, S.CONNECT}),
         (E.LINK_LOST, ON_GROUND | COMMITTED | {S.HOLD, S.AWAIT_LINK}),
         (E.ESTIMATE_LOST, ON_GROUND | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
         (E.DISARMED, ON_GROUND),
-        (E.OVERTIME, ON_GROUND | COMMITTED),
+        (E.OVERTIME, ON_GROUND | COMMITTED | {S.HOLD}),
         (E.LINK_LATE, ON_GROUND | COMMITTED | {S.TAKE_OFF, S.WAYPOINT}),
-        (E.BATTERY_CRITICAL, ON_GROUND | COMMITTED),
+        (E.BATTERY_CRITICAL, ON_GROUND | COMMITTED | {S.HOLD}),
         (E.OUT_OF_BOUNDS, ON_GROUND | COMMITTED),
         (E.PAD_TOO_FAST, LIVE - {S.APPROACH, S.DESCEND, S.WAIT, S.RISE}),
         (E.TIMEOUT, {S.STANDBY}),
@@ -141,7 +141,29 @@ def test_too_low_to_rise_and_nothing_to_follow_it_is_set_down_in_land(event: Mis
 def test_with_a_critical_battery_a_descent_is_finished_if_the_settings_say_so(state: State) -> None:
     finishing = taken(state, E.BATTERY_CRITICAL, Circumstances(Authority.OURS, may_finish=True))
     assert (finishing.to, finishing.actions) == (None, ())
-    assert kinds(taken(state, E.BATTERY_CRITICAL)) == [ActionKind.HOLD]
+    assert taken(state, E.BATTERY_CRITICAL).to is S.HOLD  # clear of the pad first
+
+
+@pytest.mark.parametrize("event", [E.STOP, E.OVERTIME, E.BATTERY_CRITICAL])
+@pytest.mark.parametrize("state", sorted({S.WAIT, S.RISE, S.DESCEND}))
+def test_just_over_the_pad_it_climbs_clear_before_control_is_returned(
+    state: State, event: MissionEvent
+) -> None:
+    machine = StateMachine(retries=2)
+    machine.state, machine.authority = state, Authority.OURS
+    branch = machine.follows(event, Circumstances())
+    assert branch is not None
+    assert (branch.to, branch.actions, branch.authority) == (S.HOLD, (), None)
+    machine.take(branch)
+    assert machine.follows(event, Circumstances()) is None  # it goes on for as long as it holds
+    ending = machine.follows(E.TIMEOUT, Circumstances())
+    assert ending is not None
+    assert (ending.to, ending.authority, kinds(ending)) == (S.ABORT, Authority.RELEASED, [ActionKind.HOLD])
+
+
+def test_on_the_pad_without_a_link_it_asks_nobody_for_ever() -> None:
+    branch = taken(S.AUTO_LAND, E.TIMEOUT, Circumstances(Authority.OURS, heard=False))
+    assert (branch.to, branch.authority, branch.actions) == (S.ABORT, Authority.RELEASED, ())
 
 
 def test_seen_off_the_pad_in_land_it_comes_down_in_land() -> None:

@@ -159,6 +159,31 @@ def test_px4_leaves_offboard_when_setpoints_stop_and_comes_back_with_them() -> N
     assert flight.autopilot.mode == "OFFBOARD"
 
 
+@pytest.mark.parametrize(
+    ("action", "mode"), [(0, "POSCTL"), (3, "AUTO_RTL"), (4, "AUTO_LAND"), (5, "AUTO_LOITER")]
+)
+def test_px4_does_what_its_parameter_says_when_setpoints_stop(action: int, mode: str) -> None:
+    flight = in_the_air("px4")
+    flight.autopilot.parameters.set("COM_OBL_RC_ACT", float(action))
+    flight.run(2.0, velocity(1.0))
+    flight.run(1.3)
+    assert flight.autopilot.mode == mode
+    assert flight.autopilot.in_failsafe
+    flight.run(3.0)
+    if action in (4, 5):  # neither goes on with the speed over ground that it had
+        assert math.hypot(*flight.vehicle.velocity[:2]) < 0.1
+
+
+@pytest.mark.parametrize("action", [6, 7])
+def test_px4_stops_its_motors_in_the_air_where_its_parameter_says_so(action: int) -> None:
+    flight = in_the_air("px4")
+    flight.autopilot.parameters.set("COM_OBL_RC_ACT", float(action))
+    flight.run(0.5, STAND_STILL)
+    assert flight.autopilot.armed
+    flight.run(1.3)
+    assert not flight.autopilot.armed
+
+
 def test_a_mode_command_ends_the_failsafe_for_good() -> None:
     flight = in_the_air("px4")
     flight.run(1.5)

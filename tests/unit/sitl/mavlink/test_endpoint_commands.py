@@ -40,6 +40,39 @@ def test_a_whole_flight_by_commands(autopilot_kind: AutopilotKind) -> None:
     assert of(link.heard, "EXTENDED_SYS_STATE")[-1].landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
 
 
+@BOTH
+def test_a_waypoint_of_no_mission_is_flown_to_at_once_where_ardupilot_does(
+    autopilot_kind: AutopilotKind,
+) -> None:
+    link = Link(autopilot_kind)
+    autopilot = link.flight.autopilot
+
+    def send(current: int, latitude: float) -> Any:
+        """As DroneKit's simple_goto: a MISSION_ITEM, with an altitude over home."""
+        _, longitude, altitude = autopilot.geodetic((8.0, 3.0, -6.0))
+        place = (latitude, longitude, altitude - HOME[2])
+        frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT
+        item = mavlink.MAVLink_mission_item_message(
+            1, 1, 0, frame, mavlink.MAV_CMD_NAV_WAYPOINT, current, 0, 0, 0, 0, 0, *place
+        )
+        return of(link.send(item), "MISSION_ACK")[0].type
+
+    there = autopilot.geodetic((8.0, 3.0, -6.0))[0]
+    assert send(2, there) == mavlink.MAV_MISSION_ERROR  # on the ground
+    link.flight.take_off()
+    link.run(5.0)
+    assert send(2, math.nan) != mavlink.MAV_MISSION_ACCEPTED
+    assert send(0, there) == mavlink.MAV_MISSION_ERROR
+    if autopilot_kind == "px4":
+        assert send(2, there) == mavlink.MAV_MISSION_ERROR
+        return
+    assert send(2, there) == mavlink.MAV_MISSION_ACCEPTED
+    link.run(9.0)
+    assert math.dist(link.flight.vehicle.position, (8.0, 3.0, -6.0)) < 0.3
+    assert link.command(mavlink.MAV_CMD_NAV_LAND).result == 0
+    assert send(2, there) == mavlink.MAV_MISSION_ERROR  # no longer GUIDED
+
+
 def test_force_disarming_takes_the_magic_number() -> None:
     link = Link("px4")
     link.flight.take_off()

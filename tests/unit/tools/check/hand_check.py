@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -84,7 +85,7 @@ class Heard(RecentSamples):
     def _note(self, sample: Any) -> None:
         self.all.append((self._clock.now_s(), sample))
 
-    def add_imu(self, sample: ImuSample) -> None:
+    def add_imu(self, sample: ImuSample, received_s: float = math.inf) -> None:
         """See `RecentSamples`."""
         self._note(sample)
         super().add_imu(sample)

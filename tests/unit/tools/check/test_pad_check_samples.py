@@ -70,10 +70,10 @@ def test_on_a_right_vehicle_all_is_well() -> None:
         order for order in orders if order.startswith(("Raise it", "Move", "Turn", "Roll", "Raise its"))
     ] == [step.order for step in STEPS]
     assert "right is right" in verdict_line(checked.report)
-    told = json.loads(report_json(checked.report))
-    assert told["passed"] is True
-    assert [row["name"] for row in told["checks"]] == list(QUESTIONS)
-    turned = next(row for row in told["checks"] if row["name"] == "turn right")["values"]
+    detail = json.loads(report_json(checked.report))
+    assert detail["passed"] is True
+    assert [row["name"] for row in detail["checks"]] == list(QUESTIONS)
+    turned = next(row for row in detail["checks"] if row["name"] == "turn right")["values"]
     assert turned["gyro_rad_z"] == pytest.approx(turned["camera_rad_z"], abs=0.03)
 
 
@@ -307,7 +307,7 @@ def test_a_move_that_the_imu_missed_is_asked_for_again_and_another_move_is_no_an
     report = again(losing, said)
     assert any("samples of the IMU are missing for 0.3" in line.text for line in said)
     assert "agree on another move" in report.causes["right is right"]
-    assert "forward" in next(f.told for f in report.findings if f.name == "right is right")
+    assert "forward" in next(f.detail for f in report.findings if f.name == "right is right")
 
 
 def test_moves_that_are_not_made_end_by_time() -> None:
@@ -328,4 +328,4 @@ def test_moves_that_are_not_made_end_by_time() -> None:
         said += wizard.step(samples, now_s)
     assert wizard.finished
     assert {step.name for step in STEPS} <= failed(wizard.report())
-    assert all("not done within" in f.told for f in wizard.report().findings if f.name == "right is right")
+    assert all("not done within" in f.detail for f in wizard.report().findings if f.name == "right is right")

@@ -58,11 +58,11 @@ def found(config: CompanionConfig, now: datetime = NOW) -> dict[str, Finding]:
 
 
 def test_fresh_calibrations_are_well(tmp_path: Path) -> None:
-    told = found(written(tmp_path))
-    well = {name for name, finding in told.items() if finding.state is State.OK}
+    detail = found(written(tmp_path))
+    well = {name for name, finding in detail.items() if finding.state is State.OK}
     assert well == {"settings file", "calibration camera", "calibration mount", "calibration inertial"}
-    assert told["settings vehicle"].state is State.WARNING  # the shipped, simulated one
-    assert told["calibration magnetometer"].state is State.WARNING  # none named
+    assert detail["settings vehicle"].state is State.WARNING  # the shipped, simulated one
+    assert detail["calibration magnetometer"].state is State.WARNING  # none named
 
 
 @pytest.mark.parametrize(
@@ -79,20 +79,20 @@ def test_what_is_not_fresh_is_told(
 ) -> None:
     finding = found(written(tmp_path, **dates), now)[f"calibration {name}"]
     assert finding.state is State.WARNING
-    assert words in finding.told
+    assert words in finding.detail
     assert "calibrate-" in finding.hint or "clock" in finding.hint
 
 
 def test_a_camera_calibrated_on_another_device_is_told(tmp_path: Path) -> None:
     config = written(tmp_path, settings={"sense": {"vision": {"source": "picamera2:0"}}})
-    assert "sense.vision.source is picamera2:0" in found(config)["calibration camera"].told
+    assert "sense.vision.source is picamera2:0" in found(config)["calibration camera"].detail
 
 
 def test_a_mount_of_another_camera_fails(tmp_path: Path) -> None:
     config = written(tmp_path, settings={"camera": "hd_1280x720"})
-    told = found(config)
-    assert told["settings vehicle"].state is State.FAIL
-    assert told["calibration mount"].state is State.FAIL
+    detail = found(config)
+    assert detail["settings vehicle"].state is State.FAIL
+    assert detail["calibration mount"].state is State.FAIL
 
 
 def test_files_that_are_missing_or_wrong_fail_one_by_one(tmp_path: Path) -> None:
@@ -101,4 +101,4 @@ def test_files_that_are_missing_or_wrong_fail_one_by_one(tmp_path: Path) -> None
     assert files.camera is None
     fails = {f.name for f in findings if f.state is State.FAIL}
     assert fails == {"camera", "pad"}
-    assert all("\n" not in f.told for f in findings)
+    assert all("\n" not in f.detail for f in findings)

@@ -28,8 +28,8 @@ def found(
     now: datetime = NOW,
 ) -> dict[str, Finding]:
     """The findings where these programs answer so."""
-    told = {"timedatectl": "yes\n", "vcgencmd": "throttled=0x0\n", **(answers or {})}
-    monkeypatch.setattr(machine, "output_of", lambda *words: told.get(words[0]) or None)
+    detail = {"timedatectl": "yes\n", "vcgencmd": "throttled=0x0\n", **(answers or {})}
+    monkeypatch.setattr(machine, "output_of", lambda *words: detail.get(words[0]) or None)
     return {finding.name: finding for finding in machine.check_machine(folder, state, now)}
 
 
@@ -58,7 +58,7 @@ def test_what_the_programs_answer_counts(
 
 def test_a_clock_before_the_installation_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     clock = found(monkeypatch, tmp_path, now=datetime(1970, 1, 1, tzinfo=UTC))["clock"]
-    assert (clock.state, clock.told) == (
+    assert (clock.state, clock.detail) == (
         State.WARNING,
         "1970-01-01 00:00 UTC, before this was installed",
     )
@@ -96,5 +96,5 @@ def test_what_a_running_service_has_is_left_alone(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(doctor, "check_devices", opened)
     monkeypatch.setattr(doctor, "check_link", opened)
     findings = asyncio.run(doctor.preflight(CompanionConfig(), Path("x.yaml"), tmp_path))
-    left = {finding.group for finding in findings if "the service is running" in finding.told}
+    left = {finding.group for finding in findings if "the service is running" in finding.detail}
     assert left == {"camera", "IMU", "GPS", "range", "link", "telemetry", "autopilot's parameters"}

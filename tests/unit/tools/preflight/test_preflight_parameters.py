@@ -57,6 +57,7 @@ def test_good_values_are_well_and_all_are_asked_for(kind: AutopilotKind) -> None
         ("px4", "COM_OBL_RC_ACT", 6, State.FAIL),
         ("px4", "COM_OBL_RC_ACT", 7, State.FAIL),
         ("px4", "COM_OBL_RC_ACT", 2, State.WARNING),
+        ("px4", "COM_OBL_RC_ACT", 0, State.WARNING),
         ("px4", "COM_RC_OVERRIDE", 1, State.WARNING),
         ("px4", "COM_RCL_EXCEPT", 4, State.WARNING),
         ("px4", "COM_DISARM_LAND", -1.0, State.WARNING),

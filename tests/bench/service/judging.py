@@ -1,0 +1,114 @@
+"""What is unsafe of an interrupted flight, by what passed on the line and what is in the log. Pure.
+
+Times are seconds, monotonic, as the witness has them. Each judge returns what it found wrong, in words.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+
+from mcap.stream_reader import StreamReader
+
+from tests.bench.service.witness import OFFBOARD, Beat, Seen
+
+# what was in flight on the line, and what the kernel still held
+GRACE_S: Final = 0.3
+# PX4 leaves OFFBOARD after COM_OF_LOSS_T (1 s) without setpoints, and its heartbeat comes once a second
+FAILSAFE_S: Final = 3.5
+HEARTBEAT_S: Final = 1.5
+MISSING_S: Final = 1.0
+ENDS_WITHIN_S: Final = 15.0
+STOPPED_IN_STANDBY, STOPPED_IN_FLIGHT = 0, 4
+
+
+def ours(beat: Beat) -> bool:
+    """Whether setpoints fly the vehicle."""
+    return beat.armed and beat.mode == OFFBOARD
+
+
+def left_after_s(seen: Seen, since_s: float) -> float | None:
+    """How long after a moment the autopilot had left OFFBOARD, or disarmed; None: never."""
+    later = (beat.time_s for beat in seen.beats if beat.time_s > since_s and not ours(beat))
+    return next((time_s - since_s for time_s in later), None)
+
+
+def killed(seen: Seen, killed_s: float) -> list[str]:
+    """kill -9 and the start after it: nothing is ordered any more, and the autopilot helps itself."""
+    return _nothing_after(seen, killed_s + GRACE_S) + _failsafe(seen, killed_s) + _armed_after(seen, killed_s)
+
+
+def stopped(seen: Seen, stopped_s: float, resumed_s: float) -> list[str]:
+    """SIGSTOP, and SIGCONT: silence, the failsafe, and nothing against the mode that it chose."""
+    before, then = seen.at(stopped_s), seen.at(resumed_s)
+    late = [at_s for at_s in seen.setpoints if stopped_s + GRACE_S < at_s < resumed_s]
+    found = [f"{len(late)} setpoints while it was stopped"] if late else []
+    found += _failsafe(seen, stopped_s)
+    if ours(before) and not ours(then):
+        found += _nothing_after(seen, resumed_s) + _armed_after(seen, resumed_s)
+    return found
+
+
+def terminated(seen: Seen, ended_s: float, took_s: float, code: int, *, standby: bool) -> list[str]:
+    """SIGTERM: it hands back, ends in time with the right code, and nothing comes after it."""
+    found = [] if took_s <= ENDS_WITHIN_S else [f"ended after {took_s:.0f} s"]
+    if code not in ((STOPPED_IN_STANDBY,) if standby else (STOPPED_IN_STANDBY, STOPPED_IN_FLIGHT)):
+        found.append(f"ended with {code}")
+    return found + _nothing_after(seen, ended_s) + _failsafe(seen, ended_s) + _armed_after(seen, ended_s)
+
+
+def log_missing(folder: Path, ordered_unix_s: float, killed_unix_s: float) -> list[str]:
+    """Whether a killed flight's log in `folder` reads back up to a second before the kill.
+
+    The flight begins with its order: what was to be logged of the minute before is not counted.
+    """
+    logs = sorted(folder.glob("flight-*/flight.mcap"))
+    newest_s = max([ordered_unix_s, *(_newest_s(path) for path in logs)])
+    missing_s = killed_unix_s - newest_s
+    if missing_s <= MISSING_S:
+        return []
+    return [f"log misses {missing_s:.1f} s" if logs else f"no log of {missing_s:.1f} s"]
+
+
+def _newest_s(path: Path) -> float:
+    """The newest stamp (s since 1970) that a log reads back with; the last record may be cut."""
+    newest_ns = 0
+    try:
+        with path.open("rb") as stream:
+            for record in StreamReader(stream).records:
+                newest_ns = max(newest_ns, getattr(record, "log_time", 0))
+    except Exception as error:
+        # whatever the reader makes of a cut record; what came before it is read
+        if not newest_ns:
+            print(f"{path}: {type(error).__name__}: {error}", file=sys.stderr)
+    return 1e-9 * newest_ns
+
+
+def _nothing_after(seen: Seen, after_s: float) -> list[str]:
+    """What was ordered after a moment after which nothing may be."""
+    late = sum(at_s > after_s for at_s in seen.setpoints)
+    commands = sorted({command.number for command in seen.commands if command.time_s > after_s})
+    found = [f"{late} setpoints"] if late else []
+    return found + ([f"commands {_listed(commands)}"] if commands else [])
+
+
+def _failsafe(seen: Seen, since_s: float) -> list[str]:
+    """Setpoints that stop leave the vehicle to the autopilot's failsafe."""
+    if not ours(seen.at(since_s)):
+        return []
+    left_s = left_after_s(seen, since_s)
+    return [] if left_s is not None and left_s <= FAILSAFE_S else ["the autopilot's failsafe did not act"]
+
+
+def _armed_after(seen: Seen, since_s: float) -> list[str]:
+    """A vehicle that was or became disarmed stays so; what was asked before may take a heartbeat to show."""
+    settled_s = since_s + HEARTBEAT_S
+    armed = [seen.at(settled_s).armed, *(beat.armed for beat in seen.beats if beat.time_s > settled_s)]
+    return ["armed"] if any(now and not before for before, now in pairwise(armed)) else []
+
+
+def _listed(numbers: Iterable[int]) -> str:
+    return ", ".join(map(str, numbers))

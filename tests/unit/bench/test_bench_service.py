@@ -1,0 +1,38 @@
+"""The service's bench: delays from a flight's log, and what is held between two orders."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from companion.base.messages import FrameReport, Setpoint
+from companion.config import ComputeConfig
+from companion.flightlog.record import FlightLog
+from tests.bench.service.bench_service import Held, read_delays
+
+
+def test_delays_are_those_of_the_first_setpoint_that_used_a_frame(tmp_path: Path) -> None:
+    log = FlightLog(tmp_path, 1.7e9)
+    for number in range(100):
+        exposed_s = 0.1 * number
+        received_s, done_s = exposed_s + 0.045, exposed_s + 0.055
+        report = FrameReport(exposed_s, received_s, done_s, number, {}, seen=True, searched_whole_frame=False)
+        log.write("frame_report", report, done_s)
+        for sent_s in (done_s + 0.020, done_s + 0.053):
+            log.write("setpoint", Setpoint(sent_s, exposure_time_s=exposed_s), sent_s)
+    log.write("setpoint", Setpoint(20.0), 20.0)  # before the pad was seen
+    log.close()
+    delays = read_delays(tmp_path / "flight.mcap")
+    assert delays.camera_ms == pytest.approx([45.0] * 100)
+    assert delays.vision_ms == pytest.approx([10.0] * 100)
+    assert delays.waited_ms == pytest.approx([20.0] * 100)
+    model = ComputeConfig()
+    assert delays.beyond_ms == pytest.approx(30.0 - 1e3 * (model.vision_s + model.control_s))
+    assert delays.lines()[-1] == "exposure to setpoint: p50 75.0 ms, p99 75.0 ms"
+
+
+def test_what_is_held_more_is_counted_and_what_is_less_makes_up_for_nothing() -> None:
+    first = Held(tasks=10, threads=4, files=20, memory_mb=100.0)
+    assert Held(tasks=12, threads=3, files=20, memory_mb=150.0).more_than(first) == 2
+    assert first.more_than(first) == 0
