@@ -98,8 +98,8 @@ async def test_an_end_after_it_ran_well_is_told_again_and_one_soon_after_waits_l
 
     monkeypatch.setattr(page, "WELL_S", well_s)
     monkeypatch.setattr(page, "FIRST_PAUSE_S", 1.0)
-    monkeypatch.setattr(page.PageProcess, "_one_life", life)
-    monkeypatch.setattr(page.asyncio, "sleep", pause)
+    monkeypatch.setattr(PageProcess, "_one_life", life)
+    monkeypatch.setattr(asyncio, "sleep", pause)
     on = Running()
     with pytest.raises(asyncio.CancelledError):
         await on.process.run()
