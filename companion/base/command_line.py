@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module, metadata
+from itertools import zip_longest
 from typing import Annotated, Any, Final, NoReturn, TextIO
 
 import typer
@@ -88,7 +89,7 @@ def lazy_app(
 def _with_values(args: list[str], values: Mapping[str, str], commands: Mapping[str, Command]) -> list[str]:
     """The arguments with a value after each option that stands alone, which Typer does not know."""
     filled = list[str]()
-    for word, following in zip(args, [*args[1:], None], strict=True):
+    for word, following in zip_longest(args, args[1:]):
         filled.append(word)
         if word in values and (following is None or following.startswith("-") or following in commands):
             filled.append(values[word])

@@ -50,6 +50,7 @@ from companion.config.reading import (
     merge,
     read_yaml,
     validate,
+    validate_recorded,
 )
 from companion.config.record import RecordConfig
 from companion.config.response import (
@@ -136,6 +137,7 @@ __all__ = [
     "merge",
     "read_yaml",
     "validate",
+    "validate_recorded",
 ]
 
 

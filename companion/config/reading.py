@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,6 +15,7 @@ from companion.base.files import cannot_read
 from companion.config.near_names import near_name
 
 _LONGEST_FOUND = 80
+_NAMED = 4
 # pydantic's words for these name its own types
 _EXPECTED = {
     "missing": "expected a value, found none",
@@ -85,6 +87,31 @@ def validate(model: type[Model], data: dict[str, Any], source: str) -> Model:
         raise ConfigError(_one_line(error, source, data, model)) from error
 
 
+def validate_recorded(
+    model: type[Model], data: dict[str, Any], source: str, notes: list[str] | None = None
+) -> Model:
+    """Build a model from settings that an earlier version recorded: keys that it no longer has are left out.
+
+    What is left out is named in `notes`: the flight was flown with it, and what reads it now is without.
+
+    Raises:
+        ConfigError: see `validate`.
+    """
+    data = copy.deepcopy(data)
+    gone: list[str] = []
+    try:
+        model.model_validate(data)
+    except ValidationError as error:
+        for problem in error.errors(include_url=False):
+            if problem["type"] == "extra_forbidden":
+                gone += _leave_out(problem["loc"], data)
+    if gone and notes is not None:
+        more = f" and {len(gone) - _NAMED} more" if len(gone) > _NAMED else ""
+        named = ", ".join(sorted(gone)[:_NAMED])
+        notes.append(f"{source}: {named}{more}: not in this version, left out")
+    return validate(model, data, source)
+
+
 def load_model(model: type[Model], path: Path) -> Model:
     """Read one settings file into its model.
 
@@ -133,6 +160,17 @@ def _one_line(error: ValidationError, source: str, data: Any, model: type[BaseMo
     return f"{where}: {text}{found}{tail}"
 
 
+def _leave_out(location: tuple[int | str, ...], data: Any) -> list[str]:
+    """Delete the key there; returns its name, or nothing where it has gone already."""
+    *way, last = parts = _parts(location, data)
+    for part in way:
+        data = data[part]
+    if not isinstance(data, dict) or last not in data:
+        return []
+    del data[last]
+    return [".".join(map(str, parts))]
+
+
 def _short(found: Any) -> str:
     """What was found instead, or its beginning: a whole section is no line to read."""
     text = repr(found)
@@ -149,8 +187,13 @@ def _expected(error: ErrorDetails) -> str:
 
 
 def _key(location: tuple[int | str, ...], data: Any) -> str:
-    """The key as it stands in the file: without what pydantic adds for the kind that it tried."""
-    parts, here = list[str](), data
+    """The key as it stands in the file."""
+    return ".".join(map(str, _parts(location, data)))
+
+
+def _parts(location: tuple[int | str, ...], data: Any) -> list[int | str]:
+    """The way to a key in the file: without what pydantic adds for the kind that it tried."""
+    parts, here = list[int | str](), data
     for i, part in enumerate(location):
         inside = isinstance(here, dict) and part in here
         inside |= isinstance(here, (list, tuple)) and isinstance(part, int) and part < len(here)
@@ -158,5 +201,5 @@ def _key(location: tuple[int | str, ...], data: Any) -> str:
             here = here[part]
         elif i < len(location) - 1 or not isinstance(here, dict):
             continue
-        parts.append(str(part))
-    return ".".join(parts)
+        parts.append(part)
+    return parts

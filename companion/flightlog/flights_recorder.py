@@ -139,20 +139,17 @@ class FlightsRecorder(FlightLog):
     def write(self, topic: str, message: Any, time_s: float) -> None:
         """See `FlightLog`."""
         self.meter.note(topic, message, time_s)
-        if self.tap is not None:
-            self.tap.note(topic, message, time_s)
+        self.tap.note(topic, message, time_s)
         self._pass_on("write", (topic, message, time_s), time_s)
 
     def write_settings(self, **settings: BaseModel) -> None:
         """See `FlightLog`; every flight's log gets them."""
         self._settings |= settings
-        if self.tap is not None:
-            self.tap.know(settings)
+        self.tap.know(settings)
 
     def write_frame(self, frame: Frame, time_s: float) -> None:
         """See `FlightLog`."""
-        if self.tap is not None:
-            self.tap.frame(frame)
+        self.tap.frame(frame)
         if self._opened() is None:
             if time_s - self._kept_frame_s < KEPT_FRAME_PERIOD_S:
                 return

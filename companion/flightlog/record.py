@@ -18,7 +18,7 @@ import struct
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, Final, Literal, Protocol
+from typing import IO, Any, Final, Literal
 
 import yaml
 from mcap.writer import CompressionType, Writer
@@ -40,6 +40,7 @@ from companion.flightlog.log_file import (
     SETTINGS_RECORD,
     VERSIONS_RECORD,
 )
+from companion.flightlog.tap import NoTap, Tap
 from companion.flightlog.version import versions
 
 # What the score and the plots read again; the rest (IMU samples, frames) would only fill the memory.
@@ -56,14 +57,6 @@ FLUSHED_S: Final = 0.5
 MCAP_CHUNK_BYTES: Final = 64 * 1024
 MAVLINK2_MAGIC: Final = 0xFD
 MAVLINK1_MAGIC: Final = 0xFE
-
-
-class Tap(Protocol):
-    """Who hears of all that is logged, on the control loop: whatever it does delays control."""
-
-    def know(self, settings: Mapping[str, BaseModel]) -> None: ...
-    def note(self, topic: str, message: Any, time_s: float) -> None: ...
-    def frame(self, frame: Frame) -> None: ...
 
 
 class FlightLog:
@@ -98,7 +91,7 @@ class FlightLog:
         self._made_folder = folder is not None and not folder.exists()
         self._files: _Files | None = None
         self._ended_with: str | None = None
-        self.tap: Tap | None = None
+        self.tap: Tap = NoTap()
         self.join: Callable[[], None] = lambda: None  # until a log that was closed without waiting is written
         if folder is not None:
             try:
@@ -122,8 +115,7 @@ class FlightLog:
 
     def write(self, topic: str, message: Any, time_s: float) -> None:
         """Log one message (a dataclass of companion.base.messages) under a topic."""
-        if self.tap is not None:
-            self.tap.note(topic, message, time_s)
+        self.tap.note(topic, message, time_s)
         if self._keeps and topic in KEPT_TOPICS:
             self.kept[topic].append(message)
         if (files := self._files) is not None:
@@ -135,15 +127,13 @@ class FlightLog:
 
         They also stand in a file of their own, `settings.yaml`.
         """
-        if self.tap is not None:
-            self.tap.know(settings)
+        self.tap.know(settings)
         if (files := self._files) is not None:
             files.disk.put(files.write_settings, settings)
 
     def write_frame(self, frame: Frame, time_s: float) -> None:
         """Log a camera frame as a compressed image, at the log's own rate."""
-        if self.tap is not None:
-            self.tap.frame(frame)
+        self.tap.frame(frame)
         if (files := self._files) is None or time_s < self._next_frame_s:
             return
         self._next_frame_s = time_s + self._frame_period_s

@@ -29,7 +29,7 @@ M = TypeVar("M", VehicleState, PadState)
 
 
 class LiveFeed:
-    """Takes what the log takes (`companion.flightlog.record.Tap`)."""
+    """Takes what the log takes (`companion.flightlog.tap.Tap`)."""
 
     def __init__(self, rate_hz: float, meter: Meter | None = None) -> None:
         """At most `rate_hz` pictures a second; `meter` counts already, else one is kept here."""

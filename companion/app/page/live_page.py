@@ -23,6 +23,7 @@ from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply
 from companion.config import CameraConfig, CompanionConfig, VehicleConfig
 from companion.flightlog.flights_recorder import FlightsRecorder
 from companion.flightlog.record import FlightLog
+from companion.flightlog.tap import NoTap
 from companion.pad import Pad
 
 SOURCE: Final = "the live page"
@@ -82,7 +83,7 @@ class LivePage:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-            self._log.tap = None
+            self._log.tap = NoTap()
 
     def _start(self, access: Access) -> Start:
         settings = self._feed.settings

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from mcap.records import Channel, Message, Metadata
+from pydantic import BaseModel
 
 from companion.base.geometry import subtract
 from companion.base.message_json import decode
@@ -27,7 +28,7 @@ from companion.base.messages import (
     Truth,
     VehicleState,
 )
-from companion.config import CameraConfig, CompanionConfig, ConfigError, VehicleConfig, validate
+from companion.config import CameraConfig, CompanionConfig, ConfigError, VehicleConfig, validate_recorded
 from companion.flightlog.log_file import SETTINGS_RECORD, VERSIONS_RECORD, records
 from companion.flightlog.replay.flight_record import (
     Ask,
@@ -52,6 +53,7 @@ SAMPLES: Final = {
 }
 STATES: Final = {"/vehicle": VehicleState, "/pad": PadState}
 T = TypeVar("T")
+Settings = TypeVar("Settings", bound=BaseModel)
 
 
 def read_mcap(path: Path) -> FlightRecord:
@@ -160,13 +162,15 @@ class _Reading:
         if missing:
             raise ConfigError(f"{source}: expected {', '.join(sorted(missing))} among them")
         return ReplaySetup(
-            validate(CompanionConfig, json.loads(settings["config"]), f"{source}: config"),
-            validate(VehicleConfig, json.loads(settings["vehicle"]), f"{source}: vehicle"),
-            validate(Pad, json.loads(settings["pad"]), f"{source}: pad"),
-            validate(CameraConfig, json.loads(settings["camera"]), f"{source}: camera")
-            if "camera" in settings
-            else None,
+            self._recorded(CompanionConfig, settings, "config"),
+            self._recorded(VehicleConfig, settings, "vehicle"),
+            self._recorded(Pad, settings, "pad"),
+            self._recorded(CameraConfig, settings, "camera") if "camera" in settings else None,
         )
+
+    def _recorded(self, model: type[Settings], settings: dict[str, str], name: str) -> Settings:
+        data = json.loads(settings[name])
+        return validate_recorded(model, data, f"{self._path}: settings: {name}", self._notes)
 
 
 # ---------------------------------------------------------------- what it is held against

@@ -18,7 +18,7 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.files import cannot_read
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.base.messages import Phase
-from companion.config import CompanionConfig, ConfigError, ControlConfig, VehicleConfig, validate
+from companion.config import CompanionConfig, ConfigError, ControlConfig, VehicleConfig, validate_recorded
 from companion.control.response.flight_model import lags, velocity_gains
 from companion.control.response.identification import IdentifiedResponse, ResponseRecord
 from companion.control.setpoints import resolved
@@ -79,8 +79,8 @@ def read_flight(path: Path) -> IdentificationLog:
         raise cannot_read(path, error, expected="a flight.mcap") from error
     if not {"config", "vehicle"} <= settings.keys():
         raise ConfigError(f"{path}: no settings in it; expected a flight.mcap that `--record` left")
-    config = validate(CompanionConfig, json.loads(settings["config"]), f"{path}: config")
-    vehicle = validate(VehicleConfig, json.loads(settings["vehicle"]), f"{path}: vehicle")
+    config = validate_recorded(CompanionConfig, json.loads(settings["config"]), f"{path}: config")
+    vehicle = validate_recorded(VehicleConfig, json.loads(settings["vehicle"]), f"{path}: vehicle")
     # in a flight by `auto` the setpoints show whose autopilot it was: PX4 is sent no attitudes then
     by_attitude = any(row.get("attitude") is not None for row in messages["/setpoint"])
     autopilot_kind: AutopilotKind = (

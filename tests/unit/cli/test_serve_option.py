@@ -21,6 +21,7 @@ def parsed(*words: str) -> object:
 @pytest.mark.parametrize(
     ("words", "address"),
     [
+        ((), None),
         (("--sitl",), None),
         (("--serve",), SERVE_ADDRESS),
         (("--serve", "--sitl"), SERVE_ADDRESS),

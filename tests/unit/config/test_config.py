@@ -17,6 +17,7 @@ from companion.config import (
     load_config,
     load_model,
     merge,
+    validate_recorded,
 )
 from companion.pad import load_pad
 
@@ -158,3 +159,20 @@ def test_a_list_that_is_too_long_is_told_in_plain_words(tmp_path: Path) -> None:
     path.write_text(f"plan: {{obstacles: [{pole}]}}", encoding="utf-8")
     with pytest.raises(ConfigError, match=r"centre_ned_m: expected at most 2 items, found 3$"):
         load_config(path)
+
+
+def test_settings_of_an_earlier_version_are_read_without_what_is_gone() -> None:
+    recorded = CompanionConfig().model_dump(mode="json")
+    recorded["estimate"]["ekf"]["gone_long_since"] = 1.0
+    recorded["sense"]["also_gone"] = {"a": 1}
+    notes: list[str] = []
+    assert validate_recorded(CompanionConfig, recorded, "the log", notes) == CompanionConfig()
+    assert notes == ["the log: estimate.ekf.gone_long_since, sense.also_gone: not in this version, left out"]
+
+
+def test_a_recorded_setting_that_is_wrong_is_refused_all_the_same() -> None:
+    recorded = CompanionConfig().model_dump(mode="json")
+    recorded["sense"]["also_gone"] = 1
+    recorded["control"]["rate_hz"] = -1.0
+    with pytest.raises(ConfigError, match=r"^the log: control\.rate_hz: expected"):
+        validate_recorded(CompanionConfig, recorded, "the log")

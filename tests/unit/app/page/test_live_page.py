@@ -17,6 +17,7 @@ from companion.app.page.process import PageProcess
 from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply
 from companion.config import CompanionConfig, ConfigError, validate
 from companion.flightlog.record import FlightLog
+from companion.flightlog.tap import NoTap
 
 
 class Desk:
@@ -145,6 +146,6 @@ async def test_pictures_are_made_while_somebody_looks_and_the_plots_begin_with_w
 async def test_without_an_address_the_log_has_no_tap() -> None:
     log = FlightLog(None, 0.0)
     page_of(log, address=None)
-    assert log.tap is None
+    assert isinstance(log.tap, NoTap)
     with pytest.raises(ConfigError, match="expected a token"):
         page_of(log, address="0.0.0.0:0")
