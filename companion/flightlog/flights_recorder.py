@@ -115,7 +115,7 @@ class FlightsRecorder(FlightLog):
         """The flight under way has ended; its files are finished by the log's thread."""
         flight, self._flight = self._opened(), None
         if flight is not None:
-            self._finish(flight)
+            self._opener.submit(self._finish, flight)
         elif self._opening is not None:
             opening, self._opening = self._opening, None
             self._opener.submit(self._end_late, opening, self._take_minute())
@@ -128,6 +128,7 @@ class FlightsRecorder(FlightLog):
             self._finish(flight)
 
     def _finish(self, flight: FlightLog) -> None:
+        """In the opener's thread: where the card hangs, the log's queue is full and takes its end later."""
         flight.close(wait=False)
         self._ending = flight
         if self._make_room is not None:

@@ -162,6 +162,34 @@ def test_a_card_that_hangs_beyond_the_flight_s_end_holds_nobody_up(
     assert texts(tmp_path / "flight-0002") == ["at 20", "at 21"]
 
 
+def test_a_card_that_hangs_in_a_flight_does_not_hold_its_end_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hangs, answers = threading.Event(), threading.Event()
+
+    def hang(_: int) -> None:
+        hangs.set()
+        assert answers.wait(10.0)
+
+    monkeypatch.setattr("companion.flightlog.disk.QUEUE_SIZE", 4)
+    monkeypatch.setattr("os.fsync", hang)
+    log = FlightsRecorder(tmp_path, 1.7e9)
+    log.begin()
+    until(lambda: log.flight_folder is not None)
+    assert hangs.wait(10.0)
+    for second in range(20):
+        tell(log, float(second))
+    assert "lost" in (log.problem or "")  # the queue is full
+    ending = threading.Thread(target=log.end, daemon=True)
+    ending.start()
+    ending.join(5.0)
+    waited = ending.is_alive()
+    answers.set()
+    ending.join()
+    log.close()
+    assert not waited
+
+
 def test_no_fault_of_the_opening_reaches_who_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def no_thread(*_: object) -> None:
         raise RuntimeError("can't start new thread")
