@@ -2,7 +2,8 @@
 
 In standby the last minute is kept in memory, and nothing goes to the card. A flight's log begins with it,
 written by the log's own thread: the control loop hands over the whole minute at once. Its files are opened in
-a thread too, and what comes meanwhile joins the minute.
+a thread too, and what comes meanwhile joins the minute. Nothing here waits for the card in a flight or at its
+end, and no failure to open a log reaches whoever writes to it: that is the control loop.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -47,6 +49,8 @@ class FlightsRecorder(FlightLog):
         super().__init__(None, start_unix_s)
         self._root, self._make_room = folder, make_room
         self._opener = ThreadPoolExecutor(1, thread_name_prefix="flight-log-opener")
+        if folder is not None:
+            self._opener.submit(lambda: None)  # starts its thread now: a flight's begin needs no new one
         self._opening: Future[FlightLog] | None = None
         self._flight: FlightLog | None = None
         self._ending: FlightLog | None = None  # whose last messages are being written
@@ -73,35 +77,62 @@ class FlightsRecorder(FlightLog):
         self._failed = None
         if self._root is None or self._flight is not None or self._opening is not None:
             return
-        self._opening = self._opener.submit(self._open, self._root, self._ending)
+        self._opening = self._opener.submit(self._open, self._root)
 
-    def _open(self, root: Path, ending: FlightLog | None) -> FlightLog:
-        if ending is not None:
-            ending.join()
+    def _open(self, root: Path) -> FlightLog:
+        if self._ending is not None:
+            self._ending.join()
         return FlightLog(next_flight_folder(root), self._start_unix_s, keeps=False)
 
-    def _opened(self, *, wait: bool = False) -> FlightLog | None:
+    def _opened(self) -> FlightLog | None:
         """The log under way, once its files are open; it is given what has been kept until now."""
-        if self._opening is not None and (wait or self._opening.done()):
+        if self._opening is not None and self._opening.done():
             opening, self._opening = self._opening, None
-            try:
-                flight = opening.result()
-            except (ConfigError, OSError) as error:
-                self._failed = str(error)
-                return None
-            flight.write_settings(**self._settings)
-            minute, self._minute = tuple(self._minute), deque(maxlen=MOST_KEPT)
-            flight.write_before([(kept.method, kept.arguments) for kept in minute])
-            self._flight = flight
+            self._flight = self._result(opening)
+            if self._flight is not None:
+                self._give(self._flight, self._take_minute())
         return self._flight
+
+    def _result(self, opening: Future[FlightLog]) -> FlightLog | None:
+        try:
+            return opening.result()
+        except (ConfigError, OSError) as error:
+            self._failed = str(error)
+        except Exception as error:
+            # whatever it is, such as no memory for a thread: whoever writes here is flying
+            self._failed = f"no flight log: {type(error).__name__}: {error}"
+        return None
+
+    def _take_minute(self) -> tuple[_Kept, ...]:
+        minute, self._minute = tuple(self._minute), deque(maxlen=MOST_KEPT)
+        return minute
+
+    def _give(self, flight: FlightLog, minute: tuple[_Kept, ...]) -> None:
+        flight.write_settings(**self._settings)
+        flight.write_before([(kept.method, kept.arguments) for kept in minute])
 
     def end(self) -> None:
         """The flight under way has ended; its files are finished by the log's thread."""
-        flight = self._opened(wait=True)
+        flight, self._flight = self._opened(), None
         if flight is not None:
-            flight.close(wait=False)
-            self._ending, self._flight = flight, None
-            if self._make_room is not None:
+            self._opener.submit(self._finish, flight)
+        elif self._opening is not None:
+            opening, self._opening = self._opening, None
+            self._opener.submit(self._end_late, opening, self._take_minute())
+
+    def _end_late(self, opening: Future[FlightLog], minute: tuple[_Kept, ...]) -> None:
+        """In the opener's thread, after the opening: the flight has ended before its files were open."""
+        flight = self._result(opening)
+        if flight is not None:
+            self._give(flight, minute)
+            self._finish(flight)
+
+    def _finish(self, flight: FlightLog) -> None:
+        """In the opener's thread: where the card hangs, the log's queue is full and takes its end later."""
+        flight.close(wait=False)
+        self._ending = flight
+        if self._make_room is not None:
+            with suppress(RuntimeError):  # no thread is to be had; there is room after the next flight
                 threading.Thread(target=self._make_room, name="flights", daemon=True).start()
 
     # ------------------------------------------------------------ as a FlightLog

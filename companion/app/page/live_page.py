@@ -29,8 +29,8 @@ from companion.pad import Pad
 SOURCE: Final = "the live page"
 # flying is ordered by those who stand at the machine or have a ground station
 ORDERS: Final = {"land": OrderKind.LAND, "stop": OrderKind.STOP}
+# both of one kind: no other may hold a STOP up; each refusal goes to the log and the ground station
 MOST_OPEN_ORDERS: Final = 4
-# of one kind: each refusal goes to the log and the ground station
 ORDER_PERIOD_S: Final = 0.5
 STATE_PERIOD_S: Final = 0.5
 WITHOUT_CAMERA_S: Final = 0.25
@@ -53,7 +53,7 @@ class LivePage:
         self._held_back: tuple[str, ...] | None = None
         self._viewers = 0
         self._looked_at = asyncio.Event()
-        self._open: set[int] = set()
+        self._open: dict[int, OrderKind] = {}
         self._ordered_s: dict[OrderKind, float] = {}
         self._newcomers = False
         meter = log.meter if isinstance(log, FlightsRecorder) else None
@@ -179,15 +179,15 @@ class LivePage:
             return
         now_s = self._clock.now_s()
         soon = now_s - self._ordered_s.get(kind, float("-inf")) < ORDER_PERIOD_S
-        if soon or len(self._open) >= MOST_OPEN_ORDERS:
+        if soon or list(self._open.values()).count(kind) >= MOST_OPEN_ORDERS:
             process.put(Reply(number, name, OrderOutcome.TEMPORARILY_REJECTED.value, "too many orders"))
             return
         self._ordered_s[kind] = now_s
-        self._open.add(number)
+        self._open[number] = kind
 
         def answer(reply: OrderReply) -> None:
             if reply.outcome is not OrderOutcome.IN_PROGRESS:
-                self._open.discard(number)
+                self._open.pop(number, None)
             process.put(Reply(number, name, reply.outcome.value, reply.text))
 
         app.missions.give(Order(now_s, kind, SOURCE), answer)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from companion.base.geometry import Quaternion, Vector3
@@ -20,7 +20,7 @@ class Start:
 
     host: str
     port: int
-    token: str | None
+    token: str | None = field(repr=False)
     allow_commands: bool
     host_names: tuple[str, ...]
     most_viewers: int

@@ -20,11 +20,14 @@ from typing import Any, Final
 from companion.app.page.access import TOKEN_VARIABLE
 from companion.app.page.look import Look, Reply, Start, Text
 from companion.app.page.sender import Sender
+from companion.base.clock import Clock
 
 LONGEST_LINE: Final = 1024
 # doubled from failure to failure: starting it costs a second of a core
 FIRST_PAUSE_S: Final = 5.0
 LONGEST_PAUSE_S: Final = 60.0
+# after so long its end is a new failure: told again, and followed by the first pause
+WELL_S: Final = 60.0
 END_S: Final = 2.0
 # between its lines: however many it writes, the control loop hears few
 LINE_PAUSE_S: Final = 0.01
@@ -42,10 +45,10 @@ class PageProcess:
     def __init__(
         self, start: Start, on_line: Callable[[Line], None], on_problem: Callable[[str], None]
     ) -> None:
-        """`on_line` takes what it says, `on_problem` why it ended; the same problem again is not told."""
+        """`on_line` takes what it says, `on_problem` why it ended; the same soon again is not told."""
         self._start, self._on_line, self._on_problem = start, on_line, on_problem
         self._sender: Sender | None = None
-        self._told, self._listened = "", False
+        self._told = ""
 
     def put(self, message: Look | Text | Reply) -> None:
         """Send the newest; nothing while there is no process."""
@@ -54,16 +57,18 @@ class PageProcess:
 
     async def run(self) -> None:
         """Keep it running."""
-        pause_s = FIRST_PAUSE_S
+        clock, pause_s = Clock(), FIRST_PAUSE_S
         while True:
-            self._listened = False
+            start_s = clock.now_s()
             problem = await self._one_life()
             self._on_line({"viewers": 0})
+            if clock.now_s() - start_s >= WELL_S:
+                self._told, pause_s = "", FIRST_PAUSE_S
             if problem != self._told:
                 self._told = problem
                 self._on_problem(problem)
-            pause_s = FIRST_PAUSE_S if self._listened else min(2.0 * pause_s, LONGEST_PAUSE_S)
             await asyncio.sleep(pause_s)
+            pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
 
     async def _one_life(self) -> str:
         """Start it and take what it says until it ends; returns why it did."""
@@ -99,7 +104,6 @@ class PageProcess:
             if not isinstance(line, dict):
                 return "said what nobody understands"
             problem = str(line.get("problem", problem))
-            self._listened |= "listening" in line
             self._on_line(line)
             await asyncio.sleep(LINE_PAUSE_S)
 

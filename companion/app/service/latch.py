@@ -1,9 +1,9 @@
 """The latch on disk: a flight was permitted, begun or ended. Without it a restart would fly again, unasked.
 
-A file beside the flights. `begin` writes "begun" before anything else is done, `end` writes how it ended; a
-process that is killed, or a battery that is pulled, leaves "begun". Then only the operator's word, `companion
-permit`, lets the next start fly. A service manager starts the app by itself, at boot and after a crash: under
-one every start needs that word.
+A file beside the flights. `begin` writes "begun" before anything is asked of the vehicle, `end` how it ended;
+a process that is killed, or a battery that is pulled, leaves "begun". Then only the operator's word,
+`companion permit`, lets the next start fly. A service manager starts the app by itself, at boot and after a
+crash: under one every start needs that word.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ class FlightLatch:
 
     folder: Path
     _begun: bool = field(default=False, init=False)
+    _unattended: bool = field(default=False, init=False)
 
     @property
     def path(self) -> Path:
@@ -58,14 +59,19 @@ class FlightLatch:
 
         `unattended`: a service manager started the app, not a person.
         """
+        self._unattended = unattended
         return _refusal(*self.read(), unattended=unattended)
 
     def begin(self) -> None:
         """Begin a flight: all that it needs is there.
 
         Raises:
-            ConfigError: the latch cannot be written: a flight whose begin nobody remembers is not flown.
+            ConfigError: the latch cannot be written: a flight whose begin nobody remembers is not flown; or
+                another start has used the permission up since `refusal` was asked.
         """
+        reason = _refusal(*self.read(), unattended=self._unattended)
+        if reason is not None:
+            raise ConfigError(f"{self.path}: another start has changed it meanwhile: {reason}")
         self._write(LatchState.BEGUN, "")
         self._begun = True
 

@@ -138,6 +138,75 @@ def test_a_flight_that_ends_before_its_log_is_open_is_logged(tmp_path: Path) -> 
     assert [texts(tmp_path / f"flight-000{number}") for number in (1, 2)] == [["at 10"], ["at 20"]]
 
 
+def test_a_card_that_hangs_beyond_the_flight_s_end_holds_nobody_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = threading.Event()
+
+    def slow_folder(root: Path) -> Path:
+        assert answers.wait(10.0)
+        return next_flight_folder(root)
+
+    monkeypatch.setattr(flights_recorder, "next_flight_folder", slow_folder)
+    log = FlightsRecorder(tmp_path, 1.7e9)
+    for number in (1, 2):
+        tell(log, 10.0 * number)
+        log.begin()
+        tell(log, 10.0 * number + 1.0)
+        log.end()  # would wait for ever: the card answers only after it
+    tell(log, 30.0)
+    assert list(tmp_path.iterdir()) == []
+    answers.set()
+    log.close()
+    assert texts(tmp_path / "flight-0001") == ["at 10", "at 11"]
+    assert texts(tmp_path / "flight-0002") == ["at 20", "at 21"]
+
+
+def test_a_card_that_hangs_in_a_flight_does_not_hold_its_end_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hangs, answers = threading.Event(), threading.Event()
+
+    def hang(_: int) -> None:
+        hangs.set()
+        assert answers.wait(10.0)
+
+    monkeypatch.setattr("companion.flightlog.disk.QUEUE_SIZE", 4)
+    monkeypatch.setattr("os.fsync", hang)
+    log = FlightsRecorder(tmp_path, 1.7e9)
+    log.begin()
+    until(lambda: log.flight_folder is not None)
+    assert hangs.wait(10.0)
+    for second in range(20):
+        tell(log, float(second))
+    assert "lost" in (log.problem or "")  # the queue is full
+    ending = threading.Thread(target=log.end, daemon=True)
+    ending.start()
+    ending.join(5.0)
+    waited = ending.is_alive()
+    answers.set()
+    ending.join()
+    log.close()
+    assert not waited
+
+
+def test_no_fault_of_the_opening_reaches_who_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_thread(*_: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    log = FlightsRecorder(tmp_path, 1.7e9)
+    with monkeypatch.context() as patch:
+        patch.setattr("threading.Thread.start", no_thread)
+        log.begin()
+        tell(log, 1.0)
+        until(lambda: "can't start new thread" in (log.problem or ""))
+        log.end()
+    log.begin()
+    tell(log, 2.0)
+    log.close()
+    assert texts(tmp_path / "flight-0002") == ["at 1", "at 2"]
+
+
 def test_room_is_made_after_each_flight(tmp_path: Path) -> None:
     made = threading.Semaphore(0)
     log = FlightsRecorder(tmp_path, 1.7e9, made.release)

@@ -99,16 +99,18 @@ async def test_nobody_arms_from_the_page(line: dict[str, Any]) -> None:
 
 
 @pytest.mark.usefixtures("_token")
-async def test_open_orders_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_open_orders_are_counted_and_hold_no_stop_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live_page, "ORDER_PERIOD_S", 0.0)
     page, desk = page_of(allow_commands=True), Desk()
     for number in range(MOST_OPEN_ORDERS):
         assert take(page, {"order": "land", "number": number}, desk) == []
-    (reply,) = take(page, {"order": "stop", "number": 9}, desk)
+    (reply,) = take(page, {"order": "land", "number": 9}, desk)
     assert isinstance(reply, Reply)
     assert (reply.outcome, len(desk.given)) == ("temporarily_rejected", MOST_OPEN_ORDERS)
     desk.answer(OrderOutcome.TEMPORARILY_REJECTED, "on the ground")
-    assert take(page, {"order": "stop", "number": 10}, desk) == []
+    assert take(page, {"order": "land", "number": 10}, desk) == []
+    assert take(page, {"order": "stop", "number": 11}, desk) == []
+    assert desk.given[-1][0].kind is OrderKind.STOP
 
 
 @pytest.mark.usefixtures("_token")

@@ -66,6 +66,7 @@ async def test_it_serves_and_its_token_is_seen_nowhere(monkeypatch: pytest.Monke
             assert b"NOTIFY_SOCKET" not in content
     assert not alive(child)
     assert TOKEN not in str(on.lines)
+    assert TOKEN not in repr(start(token=TOKEN))
 
 
 async def test_one_that_is_killed_is_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -77,6 +78,32 @@ async def test_one_that_is_killed_is_started_again(monkeypatch: pytest.MonkeyPat
         await on.until("listening", times=2)
         assert on.problems == ["ended"]
         assert {"viewers": 0} in on.lines
+
+
+@pytest.mark.parametrize(
+    ("well_s", "told", "paused_s"), [(60.0, 1, [1.0, 2.0, 4.0]), (0.0, 3, [1.0, 1.0, 1.0])]
+)
+async def test_an_end_after_it_ran_well_is_told_again_and_one_soon_after_waits_longer(
+    well_s: float, told: int, paused_s: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pauses: list[float] = []
+
+    async def life(_: PageProcess) -> str:
+        return "ended"
+
+    async def pause(pause_s: float) -> None:
+        pauses.append(pause_s)
+        if len(pauses) == 3:
+            raise asyncio.CancelledError
+
+    monkeypatch.setattr(page, "WELL_S", well_s)
+    monkeypatch.setattr(page, "FIRST_PAUSE_S", 1.0)
+    monkeypatch.setattr(PageProcess, "_one_life", life)
+    monkeypatch.setattr(asyncio, "sleep", pause)
+    on = Running()
+    with pytest.raises(asyncio.CancelledError):
+        await on.process.run()
+    assert (on.problems, pauses) == (["ended"] * told, paused_s)
 
 
 async def test_a_port_that_is_taken_is_told_once_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:

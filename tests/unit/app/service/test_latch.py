@@ -35,6 +35,19 @@ def test_a_start_that_begins_no_flight_uses_no_permission_up(latch: FlightLatch)
     assert latch.read()[0] is LatchState.PERMITTED
 
 
+@pytest.mark.parametrize("by_service", [False, True])
+def test_two_starts_have_one_permission_between_them(latch: FlightLatch, by_service: bool) -> None:
+    other = FlightLatch(latch.folder)
+    latch.permit()
+    assert latch.refusal(unattended=by_service) is None
+    assert other.refusal(unattended=by_service) is None  # both open their devices, which takes a while
+    latch.begin()
+    with pytest.raises(ConfigError, match="another start"):
+        other.begin()
+    other.end("by an error in the settings")
+    assert latch.read()[0] is LatchState.BEGUN
+
+
 def test_a_first_start_by_a_person_may_fly_and_the_next_after_its_end_too(latch: FlightLatch) -> None:
     assert begin(latch, unattended=False) is None
     assert latch.read()[0] is LatchState.BEGUN
