@@ -136,7 +136,8 @@ async def _fly(
         computer=faults,
     )
     simulation = vehicle.simulation
-    if not simulation.autopilot.parameters.set(*SETPOINTS_LOST):
+    px4 = trial.scenario.autopilot == "px4"
+    if px4 and not simulation.autopilot.parameters.set(*SETPOINTS_LOST):
         raise ConfigError(f"{SETPOINTS_LOST[0]}: expected a parameter of the autopilot")
     prepare(simulation)
     witness = Witness(simulation.world, simulation.autopilot)

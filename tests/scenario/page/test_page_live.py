@@ -148,7 +148,7 @@ async def test_a_landing_is_watched_and_stopped_from_a_phone(tmp_path: Path) -> 
             answer = "document.getElementById('answer').textContent"
             await tab.wait_for(f"{answer}.startsWith('land: temporarily rejected: busy')")
             await tab.evaluate("document.getElementById('stop').click()")
-            await landing.says("abort: stop")
+            await landing.says("hold: stop requested")
             await tab.wait_for("document.getElementById('phase').textContent === 'abort'")
             assert await landing.ended() == 4
             await tab.wait_for("document.getElementById('alarm').textContent.includes('NO DATA')")

@@ -10,7 +10,7 @@ from mcap.reader import SeekingReader
 
 from companion.base.message_json import decode, encode
 from companion.base.messages import ImuSample, Notice, PadSighting, VehicleState
-from companion.config import ConfigError
+from companion.config import CompanionConfig, VehicleConfig
 from companion.flightlog.record import FlightLog
 from companion.flightlog.replay.compare import Comparison, repetition
 from companion.flightlog.replay.flight_record import FlightRecord
@@ -113,12 +113,21 @@ def test_an_older_log_without_settings_is_replayed_under_the_shipped_ones(tmp_pa
     assert choice.field.ned_ut == FIELD_NED_UT
 
 
-def test_settings_of_another_version_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_settings_that_this_version_does_not_have_are_left_out_and_noted(tmp_path: Path) -> None:
+    class Earlier(VehicleConfig):
+        gone_since: float = 3.0
+
+    rig = own_rig()
+    earlier = Earlier.model_validate(rig.vehicle.model_dump())
     log = FlightLog(tmp_path, 0.0)
-    log.write_settings(config=own_rig().vehicle, vehicle=own_rig().vehicle, pad=own_rig().pad)
+    log.write_settings(config=CompanionConfig(), vehicle=earlier, pad=rig.pad)
     log.close()
-    with pytest.raises(ConfigError, match=r"settings: config: unknown key"):
-        read_mcap(tmp_path / "flight.mcap")
+    record = read_mcap(tmp_path / "flight.mcap")
+    assert record.rig is not None
+    assert record.rig.vehicle == rig.vehicle
+    assert record.notes == [
+        f"{tmp_path / 'flight.mcap'}: settings: vehicle: gone_since: not in this version, left out"
+    ]
 
 
 def test_messages_that_the_disk_lost_are_told(tmp_path: Path) -> None:
