@@ -100,7 +100,7 @@ async function look(data) {
   if (data.byteLength > 4 + length) {
     const image = await createImageBitmap(new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" }));
     picturedMs = performance.now();
-    if (waiting) waiting.image.close();
+    if (waiting) waiting.image?.close();
     waiting = { image, header };
   } else if (!waiting) waiting = { image: null, header };
   requestAnimationFrame(draw);
@@ -195,7 +195,9 @@ function freshness() {
   const now = performance.now(), silentMs = now - heardMs, stale = startless || silentMs > STALE_MS;
   document.body.classList.toggle("stale", stale);
   at("blind").hidden = now - picturedMs < 2 * STALE_MS;
-  for (const button of [at("land"), at("stop")]) button.disabled = stale;
+  at("land").disabled = stale;
+  // a stop may still arrive where nothing comes back
+  at("stop").disabled = startless || !socket || socket.readyState !== WebSocket.OPEN;
   const since = Number.isFinite(silentMs) ? `: NO DATA for ${(silentMs / 1000).toFixed(0)} s` : "";
   const text = startless ? trouble + since : stale ? `the app says nothing${since}` : problems.join("; ");
   write("alarm", text);
