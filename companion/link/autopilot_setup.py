@@ -26,21 +26,29 @@ class SetupReader:
         self._requests = requests
         self._autopilot_kind: AutopilotKind | None = None
         self._asked: dict[str, ParameterRequest] = {}
+        self._known: AutopilotSetup | None = None
 
     def begin(self, autopilot_kind: AutopilotKind | None) -> None:
         """An autopilot has been received; another one is asked again."""
         if autopilot_kind is None or autopilot_kind == self._autopilot_kind:
             return
-        self._autopilot_kind = autopilot_kind
-        self._asked = {name: ParameterRequest(name) for name in NAMES[autopilot_kind]}
+        self._autopilot_kind, self._known, self._asked = autopilot_kind, None, {}
+        self.renew()
+
+    def renew(self) -> None:
+        """Ask afresh: an operator may have changed them. What is known counts until all are answered."""
+        if self._autopilot_kind is None:
+            return
+        self._known = self.setup
+        self._asked = {name: ParameterRequest(name) for name in NAMES[self._autopilot_kind]}
         for request in self._asked.values():
             self._requests.submit(request)
 
     @property
     def setup(self) -> AutopilotSetup | None:
         """What is known of it; a parameter that it does not have is unknown."""
-        if self._autopilot_kind is None or any(request.outcome is None for request in self._asked.values()):
-            return None
+        if not self._asked or any(request.outcome is None for request in self._asked.values()):
+            return self._known
         value = {name: request.value for name, request in self._asked.items()}
         if self._autopilot_kind == "px4":
             action = value["COM_OBL_RC_ACT"]

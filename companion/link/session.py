@@ -107,6 +107,10 @@ class Session:
         """What its parameters say of how it obeys; None until they have been read."""
         return self._setup.setup
 
+    def renew_setup(self) -> None:
+        """Ask for the parameters behind `setup` afresh."""
+        self._setup.renew()
+
     @property
     def system_id(self) -> int:
         """The vehicle's system id, which is ours too; 0 while none has been received and none is set."""

@@ -204,6 +204,7 @@ class PymavlinkActions:
             Refused: they do not, and may not be or were not changed.
         """
         if why := motors_stop(self._session.setup or AutopilotSetup()):
+            self._session.renew_setup()  # corrected, it is known by the next request
             raise Refused(why)
         await self._require_thrust()
 

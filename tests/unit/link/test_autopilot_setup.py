@@ -17,20 +17,42 @@ TOLD: dict[str, float] = {
 }  # fmt: skip
 
 
-def read(autopilot_kind: AutopilotKind, told: dict[str, float]) -> AutopilotSetup | None:
-    """What a reader knows that has been answered for three seconds."""
-    requests = ParameterRequests()
-    reader = SetupReader(requests)
-    reader.begin(autopilot_kind)
+def answer(
+    reader: SetupReader, requests: ParameterRequests, kind: AutopilotKind, told: dict[str, float]
+) -> None:
+    """Three seconds in which the autopilot answers."""
     for k in range(30):
         for message in requests.to_send(0.1 * k, 1):
             assert message.get_type() != "PARAM_SET"
             name = str(message.param_id)
             if name in told:
-                answer = mavlink.MAVLink_param_value_message(name.encode(), told[name], 9, 1, 0)
-                answer.param_id = name
-                requests.heard(answer, autopilot_kind)
+                reply = mavlink.MAVLink_param_value_message(name.encode(), told[name], 9, 1, 0)
+                reply.param_id = name
+                requests.heard(reply, kind)
+
+
+def read(autopilot_kind: AutopilotKind, told: dict[str, float]) -> AutopilotSetup | None:
+    """What a reader knows that has been answered for three seconds."""
+    requests = ParameterRequests()
+    reader = SetupReader(requests)
+    reader.begin(autopilot_kind)
+    answer(reader, requests, autopilot_kind, told)
     return reader.setup
+
+
+def test_a_parameter_that_was_corrected_is_known_once_asked_for_afresh() -> None:
+    requests = ParameterRequests()
+    reader = SetupReader(requests)
+    reader.begin("ardupilot")
+    answer(reader, requests, "ardupilot", TOLD | {"GUID_TIMEOUT": 3.0})
+    before = reader.setup
+    assert before is not None
+    reader.renew()
+    assert reader.setup == before  # until it has been answered
+    answer(reader, requests, "ardupilot", TOLD)
+    assert reader.setup == AutopilotSetup(30.0, 0.36, 2.5, 5.0, setpoint_timeout_s=0.6)
+    reader.begin("px4")
+    assert reader.setup is None  # nothing of the other one's counts
 
 
 def test_nothing_is_known_before_the_answers() -> None:
