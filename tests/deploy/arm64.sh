@@ -72,7 +72,7 @@ run -m companion.cli check --json - >"$FOLDER/check.json" || code=$?
 import json, sys
 fails = [f for f in json.load(open(sys.argv[1]))["findings"] if f["state"] == "fail"]
 for f in fails:
-    print(f"  fail  {f['group']}: {f['name']}: {f['told']}")
+    print(f"  fail  {f['group']}: {f['name']}: {f['detail']}")
 absent = {"camera", "IMU", "GPS", "range", "link"}
 sys.exit({f["group"] for f in fails} != absent and "expected these alone to fail: " + ", ".join(sorted(absent)))
 END

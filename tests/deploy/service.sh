@@ -160,8 +160,8 @@ inside companion check --config /etc/companion/companion.yaml --json - >"$FOLDER
 import json, sys
 told = {(f["group"], f["name"]): f for f in json.load(open(sys.argv[1]))["findings"]}
 service = told["computer", "service"]
-print(f"  {service['state']:8} service: {service['told']}")
-left = {group for (group, _), f in told.items() if "the service is running" in f["told"]}
+print(f"  {service['state']:8} service: {service['detail']}")
+left = {group for (group, _), f in told.items() if "the service is running" in f["detail"]}
 wrong = service["state"] != "ok" or not {"camera", "IMU", "GPS", "range", "link"} <= left or sys.argv[2] != "0"
 sys.exit(f"expected an enabled service whose devices are left alone, found {service}, {sorted(left)}" if wrong else 0)
 END
