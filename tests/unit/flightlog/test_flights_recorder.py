@@ -106,9 +106,8 @@ def test_a_card_that_cannot_be_written_is_told_and_ends_no_flight(tmp_path: Path
     log.end()
 
 
-def test_a_card_that_hangs_holds_nobody_up_and_loses_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def hanging_card(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """No flight's folder is made before the event is set."""
     answers = threading.Event()
 
     def slow_folder(root: Path) -> Path:
@@ -116,6 +115,13 @@ def test_a_card_that_hangs_holds_nobody_up_and_loses_nothing(
         return next_flight_folder(root)
 
     monkeypatch.setattr(flights_recorder, "next_flight_folder", slow_folder)
+    return answers
+
+
+def test_a_card_that_hangs_holds_nobody_up_and_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = hanging_card(monkeypatch)
     log = FlightsRecorder(tmp_path, 1.7e9)
     tell(log, 0.0)
     log.begin()
@@ -141,13 +147,7 @@ def test_a_flight_that_ends_before_its_log_is_open_is_logged(tmp_path: Path) -> 
 def test_a_card_that_hangs_beyond_the_flight_s_end_holds_nobody_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    answers = threading.Event()
-
-    def slow_folder(root: Path) -> Path:
-        assert answers.wait(10.0)
-        return next_flight_folder(root)
-
-    monkeypatch.setattr(flights_recorder, "next_flight_folder", slow_folder)
+    answers = hanging_card(monkeypatch)
     log = FlightsRecorder(tmp_path, 1.7e9)
     for number in (1, 2):
         tell(log, 10.0 * number)
