@@ -47,7 +47,7 @@ BENCH_STATE = $(BIN)/python -m tests.bench.state.bench_state --seeds $(STATE_SEE
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) -e .
+	$(PIP) -e '.[report]'
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.run
