@@ -64,7 +64,8 @@ class _Area:
 class Fence:
     """The list as it was uploaded, and what it means.
 
-    `unite`: one of the areas to stay in is enough, as with PX4; else the vehicle has to be in all of them.
+    With PX4 areas `unite`: one to stay in is enough. With ArduPilot they do not: the vehicle has to be in all
+    of them, and a circle without a radius is an error.
     """
 
     unite: bool
@@ -82,9 +83,10 @@ class Fence:
         return wrong_place(item.x, item.y, 0.0) or MissionResult.ACCEPTED
 
     def replace(self, items: Sequence[MissionItem]) -> bool:
-        """Take a complete list; False, and nothing changes, where a polygon lacks corners."""
+        """Take a complete list; False, and nothing changes, where a polygon or circle is not whole."""
         areas = tuple(_areas(items))
-        if None in areas:
+        sizes = (i.parameter(1) for i in items if i.command in _CIRCLES)
+        if None in areas or not (self.unite or all(size > 0.0 for size in sizes)):
             return False
         self.items = list(items)
         self._areas = tuple(area for area in areas if area is not None)

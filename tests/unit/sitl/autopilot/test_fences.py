@@ -109,6 +109,15 @@ def test_a_polygon_that_lacks_corners_is_refused_and_the_old_fence_stays(
     assert len(station.download(FENCE)) == 4
 
 
+@pytest.mark.parametrize(("autopilot_kind", "result"), [("px4", 0), ("ardupilot", 1)])
+def test_mavsdks_circle_of_no_size_is_an_error_to_an_ardupilot(
+    autopilot_kind: AutopilotKind, result: int
+) -> None:
+    """MAVSDK's example sends one for "no circle"; the real ArduCopter refuses it."""
+    circle = item(FenceCommand.STAY_IN_CIRCLE, seq=4, frame=5, mission_type=FENCE)
+    assert Station(autopilot_kind).upload([*polygon(FenceCommand.STAY_IN_POLYGON), circle], FENCE) == result
+
+
 # ---------------------------------------------------------------- in flight
 
 
