@@ -258,7 +258,7 @@ PX4 = AutopilotProfile(
         ),
         # servo, ROI, mounts, camera, gimbal: PX4 takes them whether or not there is one
         without_effect=frozenset(
-            {183, 187, 195, 197, 201, 204, 205, 206, 214, 530, 531, 532, 1000, 2000, 2001}
+            {183, 187, 195, 197, 201, 204, 205, 206, 214, 530, 531, 532, 1000, 1001, 2000, 2001}
         )
         | frozenset({2500, 2501}),
         max_items=2000,
