@@ -76,7 +76,7 @@ class ControlConfig(StrictModel):
     maximum_iterations: int = Field(default=400, ge=50, le=10000)
     solve_limit_s: float = Field(default=0.01, gt=0.0, le=0.1)  # by the clock; past it the last plan goes on
     horizontal: TrackingConfig = TrackingConfig(
-        position_m=0.2, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.0, effort_change_m_s2=4.0
+        position_m=0.145, velocity_m_s=0.4, acceleration_m_s2=4.0, effort_m_s2=1.0, effort_change_m_s2=4.0
     )
     vertical: TrackingConfig = TrackingConfig(
         position_m=0.12, velocity_m_s=0.4, acceleration_m_s2=4.0, effort_m_s2=1.2, effort_change_m_s2=4.0

@@ -224,6 +224,7 @@ class StateEstimator:
             seen_time_s=estimate.seen_time_s,
             covariance=tuple(tuple(row) for row in covariance.tolist()),
             turn_rate_rad_s=estimate.turn_rate_rad_s,
+            jerk_ned_m_s3=(*estimate.jerk_m_s3, 0.0),
             models=estimate.models,
             lean_rad=estimate.lean.lean_rad,
             lean_rate_rad_s=estimate.lean.rate_rad_s,
