@@ -41,7 +41,8 @@ class PadState:
     Relative means pad minus vehicle (reference point), NED axes: straight above the pad the relative
     position is (0, 0, +height). `covariance`, six rows of six, is that of relative position and velocity,
     the horizon's and the calibration's errors included. `turn_rate_rad_s` is that of the pad's course,
-    `jerk_ned_m_s3` what its acceleration changes by beyond turning, `models` the probability of each model of its motion.
+    `jerk_ned_m_s3` what its acceleration changes by beyond turning, `models` the probability of each model
+    of its motion.
 
     The lean is the horizontal part (north, east) of the pad's normal, which points down: its tilt for small
     angles. It swings about its mean by `lean_swing_rad` (root mean square, both axes together) at

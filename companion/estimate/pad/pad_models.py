@@ -9,7 +9,7 @@ plays no part, for
 
 and besides
 
-    turn       lasting, and turning with the course: a' = -a / tau + omega x a + j, j' = -j / tau_j + omega x j
+    turn       turning with the course: a' = -a / tau + omega x a + j, j' = -j / tau_j + omega x j; both last
     sway       waves, as below: horizontal motion of a pad at sea
 
 That a turn is written as jerk = omega x a, rather than as a = omega x v, keeps it free of the pad's absolute
