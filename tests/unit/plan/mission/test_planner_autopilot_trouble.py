@@ -213,4 +213,6 @@ def test_stopped_just_over_a_heaving_pad_it_climbs_clear_of_it_before_it_is_retu
     assert low_m < 0.7
     # the pad heaves by 0.25 m either way beneath what the autopilot holds
     assert w.flight.heights_m[-1] > 1.0
+    # clear of it and at rest, not when the hold's time is up
+    assert w.flight.entered(Phase.ABORT) - w.flight.entered(Phase.HOLD) < 8.0
     assert any("clear of the pad" in text for text in w.flight.told("climb"))

@@ -60,7 +60,7 @@ def test_what_may_happen_anywhere_is_handled_in_every_state_or_excepted_with_a_r
         (E.OVERTIME, ON_GROUND | COMMITTED | {S.HOLD}),
         (E.LINK_LATE, ON_GROUND | COMMITTED | {S.TAKE_OFF, S.WAYPOINT}),
         (E.BATTERY_CRITICAL, ON_GROUND | COMMITTED | {S.HOLD}),
-        (E.OUT_OF_BOUNDS, ON_GROUND | COMMITTED),
+        (E.OUT_OF_BOUNDS, ON_GROUND | COMMITTED | {S.HOLD}),
         (E.PAD_TOO_FAST, LIVE - {S.APPROACH, S.DESCEND, S.WAIT, S.RISE}),
         (E.TIMEOUT, {S.STANDBY}),
     ],
@@ -144,10 +144,13 @@ def test_with_a_critical_battery_a_descent_is_finished_if_the_settings_say_so(st
     assert taken(state, E.BATTERY_CRITICAL).to is S.HOLD  # clear of the pad first
 
 
-@pytest.mark.parametrize("event", [E.STOP, E.OVERTIME, E.BATTERY_CRITICAL])
+@pytest.mark.parametrize("ends", [E.CLEAR, E.TIMEOUT])
+@pytest.mark.parametrize(
+    "event", [E.STOP, E.OVERTIME, E.BATTERY_CRITICAL, E.OUT_OF_BOUNDS, E.PAD_TOO_FAST]
+)
 @pytest.mark.parametrize("state", sorted({S.WAIT, S.RISE, S.DESCEND}))
 def test_just_over_the_pad_it_climbs_clear_before_control_is_returned(
-    state: State, event: MissionEvent
+    state: State, event: MissionEvent, ends: MissionEvent
 ) -> None:
     machine = StateMachine(retries=2)
     machine.state, machine.authority = state, Authority.OURS
@@ -156,9 +159,26 @@ def test_just_over_the_pad_it_climbs_clear_before_control_is_returned(
     assert (branch.to, branch.actions, branch.authority) == (S.HOLD, (), None)
     machine.take(branch)
     assert machine.follows(event, Circumstances()) is None  # it goes on for as long as it holds
-    ending = machine.follows(E.TIMEOUT, Circumstances())
+    ending = machine.follows(ends, Circumstances())
     assert ending is not None
     assert (ending.to, ending.authority, kinds(ending)) == (S.ABORT, Authority.RELEASED, [ActionKind.HOLD])
+
+
+@pytest.mark.parametrize("state", sorted({S.WAIT, S.RISE, S.DESCEND}))
+def test_a_late_link_is_no_line_to_climb_by(state: State) -> None:
+    branch = taken(state, E.LINK_LATE)
+    assert (branch.to, branch.authority, kinds(branch)) == (S.ABORT, Authority.RELEASED, [ActionKind.HOLD])
+
+
+@pytest.mark.parametrize(
+    ("state", "event"),
+    [(S.SINK, E.TIMEOUT), (S.STAND, E.TIMEOUT), (S.SET_DOWN, E.TIMEOUT), (S.STAND, E.UNPROVEN)]
+    + [(S.SINK, E.PAD_GONE), (S.SINK, E.ESTIMATE_LOST)],
+)
+def test_land_has_its_own_time_however_late_it_is_asked_for(state: State, event: MissionEvent) -> None:
+    branch = taken(state, event)
+    assert kinds(branch) == [ActionKind.LAND]
+    assert Effect.COUNT_AFRESH in branch.effects
 
 
 def test_on_the_pad_without_a_link_it_asks_nobody_for_ever() -> None:
