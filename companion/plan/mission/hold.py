@@ -17,7 +17,7 @@ from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge, vehicle_motion
 from companion.plan.mission.states import DetectedEvent, MissionEvent
 from companion.plan.notices import NoticeSink
-from companion.plan.trajectory.guidance import ReferenceGenerator
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 _WORTH_CLIMBING_M: Final = 0.2
 # At rest, as far as gusts let it be: what the autopilot's hold takes over without a swing.
