@@ -33,6 +33,7 @@ def permit_command(
     before = {
         LatchState.NONE: "no flight before",
         LatchState.PERMITTED: "permitted already",
+        LatchState.TAKEN: "a start took the last permission, and has begun no flight",
         LatchState.BEGUN: "the last flight never ended",
         LatchState.ENDED: f"the last flight ended: {words}",
         LatchState.UNREADABLE: "the file could not be read",

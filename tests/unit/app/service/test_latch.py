@@ -27,7 +27,7 @@ def begin(latch: FlightLatch, *, unattended: bool) -> str | None:
     return reason
 
 
-def test_a_start_that_begins_no_flight_uses_no_permission_up(latch: FlightLatch) -> None:
+def test_a_start_that_ends_in_order_before_its_flight_uses_no_permission_up(latch: FlightLatch) -> None:
     latch.permit()
     for _ in range(3):  # each ends in an error of the settings
         assert latch.refusal(unattended=True) is None
@@ -35,13 +35,35 @@ def test_a_start_that_begins_no_flight_uses_no_permission_up(latch: FlightLatch)
     assert latch.read()[0] is LatchState.PERMITTED
 
 
+def test_a_start_that_dies_before_its_flight_leaves_no_permission(latch: FlightLatch) -> None:
+    latch.permit()
+    assert latch.refusal(unattended=True) is None  # and then it is killed, or fails in a way it should not
+    for by_service in (False, True):
+        reason = FlightLatch(latch.folder).refusal(unattended=by_service)
+        assert reason is not None
+        assert "begun no flight" in reason
+
+
+def test_a_permission_that_another_start_took_over_is_not_given_back_twice(latch: FlightLatch) -> None:
+    latch.permit()
+    assert latch.refusal(unattended=True) is None
+    other = FlightLatch(latch.folder)
+    other.permit()
+    assert other.refusal(unattended=True) is None
+    latch.end("by an error in the settings")
+    with pytest.raises(ConfigError, match="another start"):
+        latch.begin()
+    other.begin()
+    assert latch.read()[0] is LatchState.BEGUN
+
+
 @pytest.mark.parametrize("by_service", [False, True])
 def test_two_starts_have_one_permission_between_them(latch: FlightLatch, by_service: bool) -> None:
     other = FlightLatch(latch.folder)
     latch.permit()
     assert latch.refusal(unattended=by_service) is None
-    assert other.refusal(unattended=by_service) is None  # both open their devices, which takes a while
-    latch.begin()
+    assert other.refusal(unattended=by_service) is not None
+    latch.begin()  # opening the devices took a while
     with pytest.raises(ConfigError, match="another start"):
         other.begin()
     other.end("by an error in the settings")
@@ -149,3 +171,21 @@ def test_a_permitted_start_that_ends_in_a_settings_error_leaves_the_next_one_per
     with pytest.raises(ConfigError, match="nobody_s"):
         fly_the_vehicle(settings, Output(Console(quiet=True), tmp_path, None, live=False))
     assert latch.read()[0] is LatchState.PERMITTED
+
+
+def test_a_permitted_start_that_fails_in_a_way_it_should_not_leaves_the_next_one_in_standby(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_memory(*_: object) -> None:
+        raise MemoryError
+
+    settings = tmp_path / "companion.yaml"
+    settings.write_text("plan: {mission: {may_arm: true}}\n", encoding="utf-8")
+    monkeypatch.setenv("NOTIFY_SOCKET", "/run/systemd/notify")
+    monkeypatch.setattr("companion.app.command.LivePage", no_memory)
+    latch = FlightLatch(tmp_path)
+    latch.permit()
+    with pytest.raises(MemoryError):
+        fly_the_vehicle(settings, Output(Console(quiet=True), tmp_path, None, live=False))
+    assert latch.read()[0] is not LatchState.PERMITTED
+    assert latch.refusal(unattended=True) is not None
