@@ -1,7 +1,5 @@
 """The planner in a closed loop: low over the pad it climbs clear before control is returned."""
 
-import pytest
-
 from companion.base.geometry import geodetic_from_ned
 from companion.base.messages import ActionKind, Phase
 from companion.config import PlanConfig

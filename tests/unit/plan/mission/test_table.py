@@ -145,9 +145,7 @@ def test_with_a_critical_battery_a_descent_is_finished_if_the_settings_say_so(st
 
 
 @pytest.mark.parametrize("ends", [E.CLEAR, E.TIMEOUT])
-@pytest.mark.parametrize(
-    "event", [E.STOP, E.OVERTIME, E.BATTERY_CRITICAL, E.OUT_OF_BOUNDS, E.PAD_TOO_FAST]
-)
+@pytest.mark.parametrize("event", [E.STOP, E.OVERTIME, E.BATTERY_CRITICAL, E.OUT_OF_BOUNDS, E.PAD_TOO_FAST])
 @pytest.mark.parametrize("state", sorted({S.WAIT, S.RISE, S.DESCEND}))
 def test_just_over_the_pad_it_climbs_clear_before_control_is_returned(
     state: State, event: MissionEvent, ends: MissionEvent
@@ -172,8 +170,11 @@ def test_a_late_link_is_no_line_to_climb_by(state: State) -> None:
 
 @pytest.mark.parametrize(
     ("state", "event"),
-    [(S.SINK, E.TIMEOUT), (S.STAND, E.TIMEOUT), (S.SET_DOWN, E.TIMEOUT), (S.STAND, E.UNPROVEN)]
-    + [(S.SINK, E.PAD_GONE), (S.SINK, E.ESTIMATE_LOST)],
+    [
+        *((state, E.TIMEOUT) for state in (S.SINK, S.STAND, S.SET_DOWN)),
+        *((S.SINK, event) for event in (E.PAD_GONE, E.ESTIMATE_LOST)),
+        (S.STAND, E.UNPROVEN),
+    ],
 )
 def test_land_has_its_own_time_however_late_it_is_asked_for(state: State, event: MissionEvent) -> None:
     branch = taken(state, event)
