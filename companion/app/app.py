@@ -225,7 +225,7 @@ class App:
         self._log.write("vehicle", vehicle, now_s)
         if pad is not None:
             self._log.write("pad", pad, now_s)
-        if plan.reference is None:
+        if plan.reference is None or self.session.setup is None:
             return
         self.session.align(vehicle.attitude, vehicle.time_s)
         controlled = self._control().step(plan, vehicle, pad, now_s, obeyed=self.session.state.offboard)

@@ -90,7 +90,7 @@ class Session:
             self._codec.sign(signing_key)
         self._commands = CommandQueue(config.command_patience_s, config.command_tries)
         self._parameters = ParameterRequests(config.command_patience_s, config.command_tries)
-        self._reads_setup = reads_setup
+        self.reads_setup = reads_setup
         self._setup = SetupReader(self._parameters)
         self._rates = TelemetryRates()
         self._texts = StatusTexts()
@@ -202,7 +202,7 @@ class Session:
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._heartbeat_heard_s = now_s
             self.heartbeats += 1
-            if self._reads_setup:
+            if self.reads_setup:
                 self._setup.begin(self.state.autopilot_kind)
             self._rates.want(OWN_RATES_HZ.get(self.state.autopilot_kind, {}) | self.orders.rates_hz)
             if self.onboard is not None:
