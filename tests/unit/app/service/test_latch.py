@@ -12,6 +12,7 @@ from companion.app.command import Output, fly_the_vehicle
 from companion.app.service.latch import FILE_NAME, FlightLatch, LatchState, state_folder, unattended
 from companion.base.errors import ConfigError
 from companion.cli import cli
+from tests.unit.link.transport.transport_ends import free_port
 
 
 @pytest.fixture
@@ -164,7 +165,10 @@ def test_a_permitted_start_that_ends_in_a_settings_error_leaves_the_next_one_per
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = tmp_path / "companion.yaml"
-    settings.write_text("plan: {mission: {may_arm: true}}\nvehicle: nobody_s\n", encoding="utf-8")
+    link = f"link: {{connection: 'udpin:127.0.0.1:{free_port()}'}}"
+    settings.write_text(
+        f"plan: {{mission: {{may_arm: true}}}}\nvehicle: nobody_s\n{link}\n", encoding="utf-8"
+    )
     monkeypatch.setenv("NOTIFY_SOCKET", "/run/systemd/notify")
     latch = FlightLatch(tmp_path)
     latch.permit()
