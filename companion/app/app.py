@@ -31,8 +31,6 @@ from companion.app.supervision import supervised
 from companion.base.clock import Clock
 from companion.base.garbage_collection import infrequent_collection
 from companion.base.messages import (
-    Action,
-    ActionKind,
     ActionResult,
     AutopilotSetup,
     ControlReport,
@@ -161,14 +159,14 @@ class App:
     # ------------------------------------------------------------ plan and control
 
     async def _controlled(self) -> Phase:
-        """The control task; when it fails, the autopilot is asked to hold before the failure is told."""
+        """The control task; when it fails, the vehicle is handed back before the failure is told."""
         try:
             return await self._control_task()
         except Exception:
             self.loop_monitor.end()
             if self.session.state.offboard:
                 self._action_queue.clear()
-                hold = self._actions.perform(Action(ActionKind.HOLD))
+                hold = self._actions.perform(self.missions.last_word)
                 with suppress(TimeoutError):
                     self._take_result(await asyncio.wait_for(hold, LAST_HOLD_S))
             raise

@@ -21,7 +21,7 @@ from companion.plan.mission.mode_monitor import in_land
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Circumstances, DetectedEvent, Effect, MissionEvent, State
-from companion.plan.mission.table import FINAL, impossible
+from companion.plan.mission.table import COMMITTED, FINAL, impossible
 from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.steering import PhaseSteering
@@ -86,6 +86,11 @@ class Planner:
     def refused(self) -> Refusal | None:
         """Why this cycle's order is not followed; None when it is, and without one."""
         return self._steering.refused
+
+    @property
+    def committed(self) -> bool:
+        """Whether it is on the pad, or so low over it that to come down is gentler than to hold."""
+        return self._machine.state in COMMITTED
 
     @property
     def waiting(self) -> bool:
