@@ -2,15 +2,17 @@
 
 A file beside the flights. `begin` writes "begun" before anything is asked of the vehicle, `end` how it ended;
 a process that is killed, or a battery that is pulled, leaves "begun". Then only the operator's word,
-`companion permit`, lets the next start fly. A service manager starts the app by itself, at boot and after a
-crash: under one every start needs that word. It is used up as it is read, so that a start that dies in
-whatever way before its flight leaves none; an error that is told in order gives it back.
+`companion permit`, lets the next start fly. What starts the app by itself, at boot, after a crash or after a
+flight (systemd, a container's restart policy, cron), has no terminal: every such start needs that word. It is
+used up as it is read, so that a start that dies in whatever way before its flight leaves none; an error that
+is told in order gives it back.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import sys
 import uuid
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -61,7 +63,7 @@ class FlightLatch:
     def refusal(self, *, unattended: bool) -> str | None:
         """Why this start may not fly, None when it may; a permission is taken, for this start alone.
 
-        `unattended`: a service manager started the app, not a person.
+        `unattended`: a service manager or a script started the app, not a person.
 
         Raises:
             ConfigError: there is a permission, and the latch cannot be written.
@@ -144,7 +146,7 @@ def _refusal(state: LatchState, words: str, *, unattended: bool) -> str | None:
         return f"nobody knows how the last flight ended: {FILE_NAME} cannot be read; {PERMIT_HINT}"
     if unattended:
         ended = f" (the last one ended: {words})" if words else ""
-        return f"started by the service manager, and no flight is permitted{ended}; {PERMIT_HINT}"
+        return f"not started at a terminal, and no flight is permitted{ended}; {PERMIT_HINT}"
     return None
 
 
@@ -158,5 +160,5 @@ def state_folder() -> Path:
 
 
 def unattended() -> bool:
-    """Whether a service manager started this process (sd_notify(3))."""
-    return bool(os.environ.get("NOTIFY_SOCKET"))
+    """Whether a service manager, a container or a script started this process: no person at a terminal."""
+    return bool(os.environ.get("NOTIFY_SOCKET")) or sys.stdin is None or not sys.stdin.isatty()

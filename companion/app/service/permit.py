@@ -11,8 +11,8 @@ from companion.app.service.latch import FlightLatch, LatchState, state_folder
 
 HELP: Final = """Let the next start of the app fly.
 
-After a crash, a kill or a power cut, and whenever a service manager starts it, the app stays in standby until
-this was said. It holds for one start.
+After a crash, a kill or a power cut, and whenever it is not started at a terminal, the app stays in standby
+until this was said. It holds for one start.
 """
 
 

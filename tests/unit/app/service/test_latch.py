@@ -2,6 +2,8 @@
 
 import json
 import os
+import pty
+import sys
 from pathlib import Path
 
 import pytest
@@ -97,7 +99,7 @@ def test_after_a_flight_that_never_ended_only_the_operator_s_word_helps(
 def test_under_a_service_manager_each_flight_needs_its_own_permission(latch: FlightLatch) -> None:
     refused = begin(latch, unattended=True)
     assert refused is not None
-    assert "service manager" in refused
+    assert "not started at a terminal" in refused
     latch.permit()
     assert begin(latch, unattended=True) is None
     latch.end("landed")
@@ -146,10 +148,19 @@ def test_without_a_record_it_is_in_the_state_directory(monkeypatch: pytest.Monke
     assert state_folder() == Path("/somewhere/companion")
 
 
-def test_systemd_is_known_by_its_socket(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_a_person_at_a_terminal_attends(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    assert not unattended()
-    monkeypatch.setenv("NOTIFY_SOCKET", "/run/systemd/notify")
+    with Path(os.devnull).open(encoding="utf-8") as nothing:  # a container, cron, a script
+        monkeypatch.setattr(sys, "stdin", nothing)
+        assert unattended()
+    main, terminal = pty.openpty()
+    with os.fdopen(terminal, encoding="utf-8") as typed:
+        monkeypatch.setattr(sys, "stdin", typed)
+        assert not unattended()
+        monkeypatch.setenv("NOTIFY_SOCKET", "/run/systemd/notify")
+        assert unattended()
+    os.close(main)
+    monkeypatch.setattr(sys, "stdin", None)
     assert unattended()
 
 
