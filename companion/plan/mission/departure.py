@@ -106,6 +106,10 @@ class Departure:
         charge = "" if share is None else f": {100.0 * share:.0f} % left, low at {100.0 * low:.0f} %"
         return (
             (f"the autopilot{refused_words(autopilot)}", autopilot.connected),
+            (
+                "a PX4 or ArduPilot that flies a multirotor",
+                not autopilot.connected or autopilot.autopilot_kind is not None,
+            ),
             ("its home position", autopilot.home is not None),
             ("it to be ready to arm", autopilot.ready_to_arm),
             ("its estimate of position", autopilot.ekf_ready is not False),

@@ -52,6 +52,8 @@ def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> It
 def _autopilot(autopilot: AutopilotState, mission: MissionConfig) -> Iterator[str]:
     if not autopilot.connected:
         yield f"no heartbeat from the autopilot{refused_words(autopilot)}"
+    elif autopilot.autopilot_kind is None:
+        yield "the autopilot is neither PX4's nor ArduPilot's of a multirotor"
     if not autopilot.armed:
         yield "the vehicle is not armed"
     if autopilot.landed is LandedState.ON_GROUND:
