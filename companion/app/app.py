@@ -100,7 +100,7 @@ class App:
         self._service = ServiceNotifier()
         self._latency_ms: float | None = None
         self._last_exposure_s: float | None = None
-        self._stop_requested = self._on_pad = False
+        self._stop_requested = self._on_pad = self._control_failed = False
         self._start_s = self._clock.now_s()
 
     @property
@@ -206,7 +206,7 @@ class App:
         self._controller = self._latency_ms = None
         self._action_queue.clear()
         self._action_results.clear()
-        self._on_pad = False
+        self._on_pad = self._control_failed = False
         return False
 
     async def _control_step(self, now_s: float, late_s: float) -> None:
@@ -227,6 +227,7 @@ class App:
             return
         self.session.align(vehicle.attitude, vehicle.time_s)
         controlled = self._control().step(plan, vehicle, pad, now_s, obeyed=self.session.state.offboard)
+        self._control_failed = controlled is not None and controlled[1].failed
         await self._clock.spend(self._config.compute.control_s)
         if controlled is not None:
             setpoint, report = controlled
@@ -260,6 +261,7 @@ class App:
             results=results,
             stop_requested=self._stop_requested,
             camera_problem=self.sensing.camera_problem,
+            control_failed=self._control_failed,
         )
         before, plan = self.phase, self.missions.step(inputs, now_s)
         # a disarming that was asked for on the pad is none for a vehicle that has left it

@@ -93,6 +93,7 @@ class MissionEvent(StrEnum):
     LINK_UP = "link_up"
     LINK_LATE = "link_late"  # answers come, but too late to fly by
     ESTIMATE_LOST = "estimate_lost"
+    CONTROL_FAILED = "control_failed"  # the controller finds no plan, and has long commanded to stop
     VELOCITY_UNKNOWN = "velocity_unknown"  # our estimate is there, but its velocity is too uncertain
     BATTERY_CRITICAL = "battery_critical"
     OUT_OF_BOUNDS = "out_of_bounds"  # the fence or the ceiling, with room to stop before it

@@ -7,8 +7,9 @@ Its rules:
   AUTO_LAND while the autopilot is heard: it presses down and asks on, and ended it would leave the motors on;
   released for good is released: whatever happens then, nothing more is asked of the autopilot;
   STOP, the bounds and overtime return control to the autopilot, which holds its position: low over the pad
-  once it has climbed clear. A lost estimate and a late link leave no time for that; a vehicle that a pilot
-  flew when the landing was ordered, and that was never ours, stays in the pilot's mode.
+  once it has climbed clear. A lost estimate, a controller without a plan and a late link leave no time for
+  that; a vehicle that a pilot flew when the landing was ordered, and that was never ours, stays in the
+  pilot's mode.
 No clock, no I/O: the failsafe monitor and the phases detect events, and here stands what follows.
 """
 
@@ -45,10 +46,11 @@ LOW: Final = OVER_PAD | {S.DESCEND}  # it may be just over the pad, and has not 
 HOLDING: Final = frozenset({S.HOLD, S.AWAIT_LINK})
 # the pad's estimate carries the vehicle
 BY_THE_PAD: Final = TOUCHDOWN | {S.APPROACH, S.DESCEND}
+BLIND: Final = (E.ESTIMATE_LOST, E.CONTROL_FAILED)  # setpoints of ours lead nowhere
 # what may be detected in any state: each state has a row or a reason for none
 ANYWHERE: Final = (
     *(E.DISARMED, E.PILOT_TOOK_OVER, E.STOP, E.LINK_LOST, E.LINK_UP, E.LINK_LATE),
-    *(E.ESTIMATE_LOST, E.VELOCITY_UNKNOWN, E.BATTERY_CRITICAL),
+    *(E.ESTIMATE_LOST, E.CONTROL_FAILED, E.VELOCITY_UNKNOWN, E.BATTERY_CRITICAL),
     *(E.OUT_OF_BOUNDS, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT),
 )
 
@@ -106,6 +108,7 @@ _STANDS = "it stands on the pad"
 _NOTHING_ASKED = "nothing is requested yet; an armed vehicle ends the mission in any mode"
 _WAITS_FOR_OPERATOR = "it waits for an order, and asks for nothing"
 _LANDS = "the autopilot lands already"
+_GO_ON: Final = {**_all(LAST_CENTIMETRES, _FINISHES), **_all(ON_PAD, _STANDS)}
 _CLEARS = "it climbs clear of the pad and comes to rest, which returns control; so does its time"
 
 ROWS: Final = (
@@ -199,8 +202,7 @@ ROWS: Final = (
         except_={
             **_all(ON_GROUND, _NOT_YET),
             S.HOLD: _CLEARS,
-            **_all(LAST_CENTIMETRES, _FINISHES),
-            **_all(ON_PAD, _STANDS),
+            **_GO_ON,
         },
     ),
     _row(
@@ -211,8 +213,7 @@ ROWS: Final = (
             **_all({S.STANDBY, S.CONNECT}, _NOTHING_ASKED),
             S.HOLD: _CLEARS,
             S.ARM: "the autopilot's own checks decide",
-            **_all(LAST_CENTIMETRES, _FINISHES),
-            **_all(ON_PAD, _STANDS),
+            **_GO_ON,
         },
     ),
     _row(E.BATTERY_CRITICAL, LOW, Branch(None, guard=Guard.MAY_FINISH), *_HOLD_CLEAR),
@@ -225,8 +226,7 @@ ROWS: Final = (
         except_={
             **_all(ON_GROUND, _NOT_YET),
             S.HOLD: _CLEARS,
-            **_all(LAST_CENTIMETRES, _FINISHES),
-            **_all(ON_PAD, _STANDS),
+            **_GO_ON,
         },
     ),
     _row(E.PAD_TOO_FAST, LOW, *_HOLD_CLEAR),
@@ -236,8 +236,7 @@ ROWS: Final = (
         *_RETURN_CONTROL,
         except_={
             **_all(LIVE - BY_THE_PAD, "it does not follow the pad"),
-            **_all(LAST_CENTIMETRES, _FINISHES),
-            **_all(ON_PAD, _STANDS),
+            **_GO_ON,
         },
     ),
     _row(E.STOP, {S.STANDBY, S.CONNECT}, _GIVE_UP),
@@ -247,7 +246,7 @@ ROWS: Final = (
         E.STOP,
         IN_AIR - LOW,
         *_RETURN_CONTROL,
-        except_={S.HOLD: _CLEARS, **_all(LAST_CENTIMETRES, _FINISHES), **_all(ON_PAD, _STANDS)},
+        except_={S.HOLD: _CLEARS, **_GO_ON},
     ),
     _row(
         E.PILOT_TOOK_OVER,
@@ -265,8 +264,7 @@ ROWS: Final = (
         except_={
             **_all(ON_GROUND, _NOT_YET),
             **_all(HOLDING, "it holds already"),
-            **_all(LAST_CENTIMETRES, _FINISHES),
-            **_all(ON_PAD, _STANDS),
+            **_GO_ON,
         },
     ),
     _row(
@@ -286,22 +284,24 @@ ROWS: Final = (
         except_={
             **_all(ON_GROUND, _NOT_YET),
             **_all(BY_AUTOPILOT, _FLIES_ITSELF),
-            **_all(LAST_CENTIMETRES, _FINISHES),
-            **_all(ON_PAD, _STANDS),
+            **_GO_ON,
         },
     ),
-    _row(
-        E.ESTIMATE_LOST,
-        IN_AIR - {S.SINK},
-        *_RETURN_CONTROL,
-        except_={
-            **_all(ON_GROUND, _NOT_YET),
-            **_all(BY_AUTOPILOT, _FLIES_ITSELF),
-            S.SET_DOWN: _LANDS,
-            **_all(ON_PAD, _STANDS),
-        },
+    *(
+        _row(
+            event,
+            IN_AIR - {S.SINK},
+            *_RETURN_CONTROL,
+            except_={
+                **_all(ON_GROUND, _NOT_YET),
+                **_all(BY_AUTOPILOT, _FLIES_ITSELF),
+                S.SET_DOWN: _LANDS,
+                **_all(ON_PAD, _STANDS),
+            },
+        )
+        for event in BLIND
     ),
-    _row(E.ESTIMATE_LOST, S.SINK, _SET_DOWN),
+    *(_row(event, S.SINK, _SET_DOWN) for event in BLIND),
     _row(
         E.VELOCITY_UNKNOWN,
         IN_AIR,

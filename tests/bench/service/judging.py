@@ -14,6 +14,7 @@ from typing import Final
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
+from companion.link.codec import mavlink
 from tests.bench.service.witness import OFFBOARD, Beat, Seen
 
 # what was in flight on the line, and what the kernel still held
@@ -23,7 +24,7 @@ FAILSAFE_S: Final = 3.5
 HEARTBEAT_S: Final = 1.5
 MISSING_S: Final = 1.0
 ENDS_WITHIN_S: Final = 30.0  # TimeoutStopSec of the unit: then systemd kills it
-SET_MODE: Final = 176
+HANDS_BACK: Final = frozenset({mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_NAV_LAND})
 STOPPED_IN_STANDBY, STOPPED_IN_FLIGHT = 0, 4
 
 
@@ -100,7 +101,7 @@ def _handed_back(seen: Seen, asked_s: float, ended_s: float) -> list[str]:
     settled_s = ended_s + HEARTBEAT_S
     if not seen.at(settled_s).armed:
         return []
-    asked = [c for c in seen.commands if c.number == SET_MODE and asked_s < c.time_s <= ended_s]
+    asked = [c for c in seen.commands if c.number in HANDS_BACK and asked_s < c.time_s <= ended_s]
     found = [] if asked else ["control was not handed back"]
     later = {beat.mode for beat in seen.beats if beat.armed and beat.time_s > settled_s}
     return found + (["the mode changed after the end"] if later - {seen.at(settled_s).mode} else [])

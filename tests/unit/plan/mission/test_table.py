@@ -56,6 +56,7 @@ def test_what_may_happen_anywhere_is_handled_in_every_state_or_excepted_with_a_r
         (E.PILOT_TOOK_OVER, {S.STANDBY, S.CONNECT}),
         (E.LINK_LOST, ON_GROUND | COMMITTED | {S.HOLD, S.AWAIT_LINK}),
         (E.ESTIMATE_LOST, ON_GROUND | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
+        (E.CONTROL_FAILED, ON_GROUND | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
         (E.DISARMED, ON_GROUND),
         (E.OVERTIME, ON_GROUND | COMMITTED | {S.HOLD}),
         (E.LINK_LATE, ON_GROUND | COMMITTED | {S.TAKE_OFF, S.WAYPOINT}),
@@ -129,7 +130,7 @@ def test_a_vehicle_that_was_never_ours_stays_in_its_pilot_s_mode(event: MissionE
     assert [action.kind for action in asked] in ([], [ActionKind.TAKE_CONTROL])
 
 
-@pytest.mark.parametrize("event", [E.ESTIMATE_LOST, E.PAD_GONE, E.TIMEOUT])
+@pytest.mark.parametrize("event", [E.ESTIMATE_LOST, E.CONTROL_FAILED, E.PAD_GONE, E.TIMEOUT])
 def test_too_low_to_rise_and_nothing_to_follow_it_is_set_down_in_land(event: MissionEvent) -> None:
     branch = taken(S.SINK, event)
     assert branch.to is S.SET_DOWN

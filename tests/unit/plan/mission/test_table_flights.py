@@ -52,7 +52,10 @@ CLIMBS_CLEAR = {E.STOP, E.OVERTIME, E.OUT_OF_BOUNDS, E.PAD_TOO_FAST}
 
 @pytest.mark.parametrize(
     "event",
-    [E.STOP, E.OVERTIME, E.ESTIMATE_LOST, E.VELOCITY_UNKNOWN, E.OUT_OF_BOUNDS, E.PAD_TOO_FAST],
+    [
+        *(E.STOP, E.OVERTIME, E.ESTIMATE_LOST, E.CONTROL_FAILED),
+        *(E.VELOCITY_UNKNOWN, E.OUT_OF_BOUNDS, E.PAD_TOO_FAST),
+    ],
 )
 @pytest.mark.parametrize("state", sorted(IN_AIR - COMMITTED))
 def test_stop_overtime_and_a_lost_estimate_return_control_holding(state: State, event: MissionEvent) -> None:
