@@ -252,3 +252,12 @@ def test_the_autopilot_goes_on_to_the_waypoint_and_what_is_committed_lands() -> 
     w.autopilot.round_trip_s = 1.0
     w.fly(20.0)
     assert w.flight.phase is Phase.LANDED
+
+
+def test_nobody_takes_off_beside_another_companion_with_the_same_ids() -> None:
+    w = world(still())
+    w.autopilot.twin_until_s = 12.0
+    flight = w.fly(20.0)
+    assert any("another companion with our ids to go" in text for text in flight.told("waiting"))
+    arms = [t for t, kind in w.autopilot.heard if kind is ActionKind.ARM]
+    assert min(arms) > 12.0 + 5.0
