@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from companion.base.messages import AutopilotState, LandedState, Order, OrderKind, Refusal, VehicleState
 from companion.config import MissionConfig, PlanConfig
 from companion.plan.mission.bounds import Bounds
-from companion.plan.mission.departure import refused_words
+from companion.plan.mission.departure import TWIN_GONE_S, refused_words
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import MissionEvent
 
@@ -40,6 +40,8 @@ def _not_flying(inputs: PlanInputs, config: PlanConfig) -> Refusal | None:
 
 def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> Iterator[str]:
     yield from _autopilot(inputs.autopilot, config.mission)
+    if now_s - inputs.autopilot.twin_time_s <= TWIN_GONE_S:
+        yield "another companion with our ids is on the link; expected one"
     if inputs.camera_problem is not None:
         yield f"no pad camera: {inputs.camera_problem}"
     yield from _estimate(inputs.vehicle, config.mission, now_s)
@@ -52,6 +54,8 @@ def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> It
 def _autopilot(autopilot: AutopilotState, mission: MissionConfig) -> Iterator[str]:
     if not autopilot.connected:
         yield f"no heartbeat from the autopilot{refused_words(autopilot)}"
+    elif autopilot.autopilot_kind is None:
+        yield "the autopilot is neither PX4's nor ArduPilot's of a multirotor"
     if not autopilot.armed:
         yield "the vehicle is not armed"
     if autopilot.landed is LandedState.ON_GROUND:
