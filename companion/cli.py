@@ -30,7 +30,7 @@ COMMANDS: Final = {
         "Identify the vehicle's response from a flight.",
     ),
     "check": Command(
-        "companion.tools.check.command:check_command",
+        "companion.tools.pad_check.command:check_command",
         "Check everything before a flight; --pad: sensors and axes, by hand.",
     ),
     "detect": Command(

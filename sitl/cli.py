@@ -38,6 +38,7 @@ WITH_FIRMWARE: Final = (
 )  # fmt: skip
 WITH_EXTERNAL: Final = ("scenario", "seed", "folder", "child", "external")
 
+HAND_HELD: Final = "sitl.run.hand_held_command:hand_held_command"
 COMMANDS: Final = {
     "scenarios": Command(
         "sitl.scenario.commands:scenarios_command", "List the scenarios, or print one.", "SCENARIOS_HELP"
@@ -47,7 +48,8 @@ COMMANDS: Final = {
     ),
     "campaign": Command("sitl.campaign.command:campaign_command", "Fly scenarios under many seeds."),
     "view": Command("sitl.run.view_command:view_command", "Show or record the frames that a socket serves."),
-    "hold": Command("sitl.run.hold_command:hold_command", "Serve a vehicle that is carried by hand."),
+    "hand-held": Command(HAND_HELD, "Serve a vehicle that is carried by hand."),
+    "hold": Command(HAND_HELD, "The earlier name of hand-held.", hidden=True),
 }
 cli = lazy_app(COMMANDS)
 

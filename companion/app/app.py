@@ -29,7 +29,7 @@ from companion.app.stages import build_stages
 from companion.app.status import STATUS_PERIOD_S, FrameRate, Status
 from companion.app.supervision import supervised
 from companion.base.clock import Clock
-from companion.base.collecting import collecting_little
+from companion.base.garbage_collection import infrequent_collection
 from companion.base.messages import (
     Action,
     ActionKind,
@@ -124,7 +124,7 @@ class App:
         await self._actions.start()
         try:
             # in virtual time nothing waits for a collection, and others share the process
-            with nullcontext() if self._clock.virtual else collecting_little():
+            with nullcontext() if self._clock.virtual else infrequent_collection():
                 return await self._run_tasks()
         except ExceptionGroup as group:
             mendable, _ = group.split(ConfigError)

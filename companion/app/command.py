@@ -14,9 +14,9 @@ from rich.console import Console
 from companion.app.app import App
 from companion.app.hardware import make_actions, open_hardware
 from companion.app.page.live_page import LivePage
+from companion.app.service.computer_status import ComputerWatch, throttled
 from companion.app.service.latch import FlightLatch, state_folder, unattended
 from companion.app.service.local_socket import served, socket_path
-from companion.app.service.machine_state import MachineWatch, throttled
 from companion.app.service.state_report import state_report
 from companion.app.signals import stopping_on_signals
 from companion.app.terminal import StatusView
@@ -134,7 +134,7 @@ async def _service(
 ) -> int:
     clock = Clock()
     start_s = clock.now_s()
-    machine, page = MachineWatch(start_s), LivePage(config, log)
+    machine, page = ComputerWatch(start_s), LivePage(config, log)
     async with open_hardware(config, waits=True) as hardware:
         app = App(config, hardware, log, make_actions, view, stays=True)
 

@@ -30,8 +30,8 @@ from companion.link.orders import ORDER_MESSAGES, OrderListener
 from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.link.signing import SigningKey
 from companion.link.streams import HEARD, OWN_RATES_HZ, TelemetryRates
-from companion.link.telemetry.alignment import HeadingAlignment
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, Sample, TelemetrySensors
+from companion.link.telemetry.heading_offset import HeadingOffset
 from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state
 from companion.link.timing.boot_clock import BootClock
 from companion.link.timing.timesync import TimeSync, clock_ns
@@ -73,7 +73,7 @@ class Session:
         """
         self.state = AutopilotState(time_s=-math.inf)
         self.beacon: PadBeacon | None = None
-        self.alignment = HeadingAlignment()
+        self.heading_offset = HeadingOffset()
         self.timesync = TimeSync()
         self._boot_clock = BootClock(self.timesync)
         self.onboard = None if sense is None else TelemetrySensors(sense, self._boot_clock)
@@ -255,11 +255,11 @@ class Session:
         """Take our own attitude, often: setpoints are turned into the autopilot's heading by it."""
         state = self.state
         if state.attitude is not None:
-            self.alignment.update(state.attitude, state.attitude_time_s, attitude, time_s)
+            self.heading_offset.update(state.attitude, state.attitude_time_s, attitude, time_s)
 
     def send_setpoint(self, setpoint: Setpoint, now_s: float) -> bytes:
         """A setpoint in our NED as bytes, turned into the autopilot's heading as far as that is known."""
-        rotated = self.alignment.rotate(setpoint)
+        rotated = self.heading_offset.rotate(setpoint)
         return self._codec.encode(codec.setpoint_message(rotated, now_s, self._codec.system_id))
 
     def send_notice(self, text: str, severity: Severity) -> bytes:

@@ -17,16 +17,16 @@ from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
-from companion.plan.mission.machine import StateMachine
 from companion.plan.mission.mode_monitor import in_land
 from companion.plan.mission.orders import not_ready
 from companion.plan.mission.requests import Requests
+from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Circumstances, DetectedEvent, Effect, MissionEvent, State
 from companion.plan.mission.table import FINAL, impossible
 from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.steering import PhaseSteering
-from companion.plan.trajectory.guidance import ReferenceGenerator, SpeedLaw
+from companion.plan.trajectory.reference_generator import ReferenceGenerator, SpeedLaw
 from companion.plan.trajectory.waypoints import check_places
 
 SIGHTINGS_WINDOW_S: Final = 0.5  # in which `search.sightings` have to come

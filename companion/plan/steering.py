@@ -15,21 +15,21 @@ from companion.base.geometry import yaw_from_quat
 from companion.base.messages import Action, ActionKind, DescentCone, LevelOff, Phase, Refusal
 from companion.base.motion import Motion
 from companion.config import PlanConfig, VehicleConfig
-from companion.plan.landing.approach import Landing, Unseen
+from companion.plan.landing.approach_descent import Landing, Unseen
 from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge, vehicle_motion
 from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.departure import Departure
 from companion.plan.mission.inputs import PlanInputs
-from companion.plan.mission.machine import StateMachine
 from companion.plan.mission.orders import ORDER_EVENTS, refusal
 from companion.plan.mission.requests import Requests
+from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Branch, DetectedEvent, Effect, MissionEvent, State
 from companion.plan.mission.table import BY_THE_PAD, COMMITTED, ON_PAD, OVER_PAD
 from companion.plan.notices import NoticeSink
 from companion.plan.obstacles.obstacle_monitor import ObstacleMonitor
 from companion.plan.search.search import Search
-from companion.plan.trajectory.guidance import ReferenceGenerator
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from companion.plan.trajectory.waypoints import Waypoints
 
 _LAST_TRY_SLACK: Final = 1.6

@@ -2,7 +2,8 @@
 
 A fault acts on a sensor's input, its chip, its line or on a frame's transport (`sitl.faults.injection`),
 never on anything the app computes. Every sensor can be lost, freeze, step aside (a bias) and spike. Axes are
-the body's (FRD). When a fault begins: `sitl.faults.times`; what is no sensor: `sitl.faults.outside`.
+the body's (FRD). When a fault begins: `sitl.faults.times`; what is no sensor:
+`sitl.faults.non_sensor_faults`.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from sitl.faults.outside import OutsideFault
+from sitl.faults.non_sensor_faults import NonSensorFault
 from sitl.faults.times import FaultTimes
 
 Component = Annotated[float, Field(ge=-1000.0, le=1000.0)]
@@ -300,5 +301,5 @@ Fault = (
     | LinkLoss
     | LinkDelay
     | MotorWeak
-    | OutsideFault
+    | NonSensorFault
 )

@@ -1,7 +1,8 @@
 """Fault injection: one function per fault of a sensor, a line or a motor.
 
 `sitl.faults.schedule` clears all faults when one starts or ends and applies the active ones again, so that
-faults may overlap. SI units, body axes (FRD). Pad, autopilot and computer: `sitl.faults.outside_injection`.
+faults may overlap. SI units, body axes (FRD). Pad, autopilot and computer:
+`sitl.faults.non_sensor_injection`.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from sitl.camera.frame_line import FrameLine
 from sitl.devices.rack import SensorRack
 from sitl.faults import faults
 from sitl.faults.faulty_link import LinkWay
-from sitl.faults.outside import AutopilotReboots
-from sitl.faults.outside_injection import OUTSIDE, OutsideTargets
+from sitl.faults.non_sensor_faults import AutopilotReboots
+from sitl.faults.non_sensor_injection import NON_SENSOR, NonSensorTargets
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.actuators import Motors
 
@@ -32,10 +33,10 @@ class FaultTargets:
         motors: Motors,
         to_app: LinkWay,
         to_vehicle: LinkWay,
-        outside: OutsideTargets | None = None,
+        non_sensor: NonSensorTargets | None = None,
     ) -> None:
-        """`autopilot_sensors`: faults of the environment act on them too; `outside`: what is no sensor."""
-        self.outside = outside
+        """`autopilot_sensors`: faults of the environment act on them too; `non_sensor`: what is no sensor."""
+        self.non_sensor = non_sensor
         self.inertial, self.magnetometer, self.echo = rack.inertial, rack.magnetometer, rack.echo
         self.gps, self.bus, self.range, self.position = rack.gps, rack.imu, rack.range, rack.position
         self.autopilot_sensors = autopilot_sensors
@@ -64,8 +65,8 @@ class FaultTargets:
         self.motors.clear_faults()
         self.to_app.clear_faults()
         self.to_vehicle.clear_faults()
-        if self.outside is not None:
-            self.outside.clear_faults()
+        if self.non_sensor is not None:
+            self.non_sensor.clear_faults()
 
 
 # ---------------------------------------------------------------- IMU
@@ -307,5 +308,5 @@ INJECT: Final[dict[str, Callable[[Any, FaultTargets], None]]] = {
     "link_blackout": black_out_link,
     "motor_weak": weaken_motor,
     "autopilot_reboots": silence_link,
-    **OUTSIDE,
+    **NON_SENSOR,
 }

@@ -11,7 +11,7 @@ from typing import Protocol
 
 from sitl.faults import faults
 from sitl.faults.injection import INJECT, FaultTargets
-from sitl.faults.outside_injection import BEGIN, END, OutsideTargets
+from sitl.faults.non_sensor_injection import BEGIN, END, NonSensorTargets
 from sitl.faults.times import FaultTimes
 from sitl.mavlink.app_words import AppWords
 
@@ -64,8 +64,8 @@ class FaultSchedule:
         self._waiting = list(plan)
         self._due: list[tuple[float, faults.Fault]] = []
         self._present: list[tuple[float, faults.Fault]] = []  # until when, in the order of their beginnings
-        if targets.outside is not None:
-            targets.outside.check({fault.kind for fault in plan})
+        if targets.non_sensor is not None:
+            targets.non_sensor.check({fault.kind for fault in plan})
 
     @property
     def all_begun(self) -> bool:
@@ -105,10 +105,10 @@ class FaultSchedule:
                 self._due.append((since_s + fault.delay_s, fault))
 
     def _happen(self, begun: list[faults.Fault], ended: list[faults.Fault], now_s: float) -> None:
-        outside: OutsideTargets | None = self._targets.outside
-        if outside is None:
+        non_sensor: NonSensorTargets | None = self._targets.non_sensor
+        if non_sensor is None:
             return
         for table, those in ((END, ended), (BEGIN, begun)):
             for fault in those:
                 if fault.kind in table:
-                    table[fault.kind](fault, outside, now_s)
+                    table[fault.kind](fault, non_sensor, now_s)

@@ -26,7 +26,7 @@ from sitl.devices.ports import DevicePort
 from sitl.faults.computer import ComputerFaults
 from sitl.faults.faults import Fault
 from sitl.faults.injection import FaultTargets
-from sitl.faults.outside_injection import OutsideTargets
+from sitl.faults.non_sensor_injection import NonSensorTargets
 from sitl.faults.schedule import FaultSchedule, Moments, Schedule
 from sitl.firmware.errors import FirmwareError
 from sitl.firmware.spec import FirmwareSpec
@@ -259,7 +259,7 @@ class Simulation:
     def _targets(self, sensors: SimulatedAutopilotSensors, computer: ComputerFaults | None) -> FaultTargets:
         world, line, network = self._world, self.line, self.line.network
         autopilot = self._flight_controller
-        outside = OutsideTargets(
+        non_sensor = NonSensorTargets(
             self._camera.model,
             load_pad(self._scenario.pad.name),
             world.pad_motion,
@@ -268,7 +268,7 @@ class Simulation:
             computer,
         )
         devices = (self._rack, sensors, self._frame_line, world.motors, line.to_app, line.to_vehicle)
-        return FaultTargets(*devices, outside)
+        return FaultTargets(*devices, non_sensor)
 
     # ------------------------------------------------------------ one tick
 

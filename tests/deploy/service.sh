@@ -138,7 +138,7 @@ Before=companion.service
 [Service]
 User=companion
 RuntimeDirectory=vehicle
-ExecStart=/opt/companion/.venv/bin/python -m sitl.cli hold --motion still --folder /run/vehicle --settings /run/vehicle/companion.yaml
+ExecStart=/opt/companion/.venv/bin/python -m sitl.cli hand-held --motion still --folder /run/vehicle --settings /run/vehicle/companion.yaml
 WorkingDirectory=/opt/companion
 Environment=PYTHONUNBUFFERED=1 OPENBLAS_NUM_THREADS=1
 ExecStartPost=/bin/sh -c 'until [ -s /run/vehicle/companion.yaml ]; do sleep 0.2; done'

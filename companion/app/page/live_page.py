@@ -15,7 +15,7 @@ from companion.app.page.access import Access, read_access
 from companion.app.page.feed import LiveFeed
 from companion.app.page.look import Reply, Start, Text
 from companion.app.page.process import Line, PageProcess
-from companion.app.service.machine_state import MachineWatch, throttled
+from companion.app.service.computer_status import ComputerWatch, throttled
 from companion.app.service.state_report import state_report
 from companion.app.supervision import supervised
 from companion.base.clock import Clock, start_unix_s
@@ -49,7 +49,7 @@ class LivePage:
         self._config, self._log, self._clock = config.serve, log, Clock()
         self._access = read_access(config.serve)
         self._start_s = self._clock.now_s()
-        self._machine = MachineWatch(self._start_s)
+        self._machine = ComputerWatch(self._start_s)
         self._held_back: tuple[str, ...] | None = None
         self._viewers = 0
         self._looked_at = asyncio.Event()

@@ -15,7 +15,7 @@ import numpy as np
 from companion.app.page.look import Look, Start
 from companion.base.geometry import quat_conjugate, quat_rotate
 from companion.base.messages import Frame
-from companion.flightlog.foxglove.eye import Eye
+from companion.flightlog.foxglove.camera import CameraAnnotations
 
 WIDEST_PX: Final = 960
 JPEG_QUALITY: Final = 70
@@ -28,7 +28,7 @@ class Painter:
     """Makes each look into one binary message: 4 bytes of length, JSON, and JPEG where there is a picture."""
 
     def __init__(self, start: Start) -> None:
-        self._eye = Eye(start.camera, start.vehicle, start.pad)
+        self._overlay = CameraAnnotations(start.camera, start.vehicle, start.pad)
         self._start_s, self._start_unix_s = start.start_s, start.start_unix_s
         self._number = 0
 
@@ -55,7 +55,7 @@ class Painter:
 
     def _drawing(self, look: Look, frame: Frame, scale: float) -> dict[str, Any]:
         """What belongs to the frame; pixels are those of the JPEG."""
-        outlines = [] if look.sighting is None else self._eye.outlines(look.sighting)
+        outlines = [] if look.sighting is None else self._overlay.outlines(look.sighting)
         return {
             "exposed_unix_ms": 1000.0 * (self._start_unix_s + frame.time_s),
             "outlines": [
@@ -70,9 +70,9 @@ class Painter:
         if look.touchdown_ned_m is None or look.attitude is None:
             return None
         body = np.array(quat_rotate(quat_conjugate(look.attitude), look.touchdown_ned_m))
-        (pixel,) = self._eye.pixels(body[None])
+        (pixel,) = self._overlay.pixels(body[None])
         if not np.isfinite(pixel).all():
-            pixel = self._eye.beyond(body)
+            pixel = self._overlay.beyond(body)
         place: list[float] = (scale * pixel).round(PIXEL_DIGITS).tolist()
         return place
 

@@ -8,7 +8,7 @@ from typing import Final
 from pydantic import BaseModel, ConfigDict
 
 from companion.app.app import App
-from companion.app.service.machine_state import MachineState
+from companion.app.service.computer_status import ComputerStatus
 from companion.base.messages import Notice
 from companion.flightlog.meter import Meter, Rate
 
@@ -73,14 +73,14 @@ class StateReport(_Model):
     pad_height_m: float | None
     latency: dict[str, Latency]
     late_cycles_percent: float
-    machine: MachineState
+    machine: ComputerStatus
     recording: str | None
     events: tuple[Event, ...]
     problems: tuple[str, ...]
 
 
 def state_report(
-    app: App, meter: Meter, machine: MachineState, recording: str | None, now_s: float, start_s: float
+    app: App, meter: Meter, machine: ComputerStatus, recording: str | None, now_s: float, start_s: float
 ) -> StateReport:
     """The app's state now; times are the loop's (s)."""
     autopilot, vehicle, pad = app.session.state, app.estimator.vehicle(now_s), app.estimator.pad(now_s)
@@ -124,7 +124,7 @@ def _event(notice: Notice, start_s: float) -> Event:
     return Event(time_s=notice.time_s - start_s, severity=notice.severity, text=notice.text)
 
 
-def _problems(app: App, rates: dict[str, Rate], machine: MachineState, now_s: float) -> list[str]:
+def _problems(app: App, rates: dict[str, Rate], machine: ComputerStatus, now_s: float) -> list[str]:
     found = app.missions.not_ready(now_s)
     if app.sensing.camera_problem is None and "frame_report" not in rates:
         found.append("camera: no frame yet")

@@ -22,7 +22,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import CameraConfig, CompanionConfig, Shape, VehicleConfig
-from companion.flightlog.foxglove import eye
+from companion.flightlog.foxglove import camera
 from companion.flightlog.foxglove.parts import (
     CAMERA,
     ENU_FROM_NED,
@@ -55,7 +55,7 @@ class Translator:
         self._vehicle: VehicleConfig | None = None
         self._pad: Pad | None = None
         self._obstacles: tuple[Shape, ...] = ()
-        self._eye: eye.Eye | None = None
+        self._overlay: camera.CameraAnnotations | None = None
         self._place: Vector3 = ZERO3
         self._pad_place: Vector3 | None = None
         self._pad_state: PadState | None = None
@@ -75,14 +75,14 @@ class Translator:
             elif isinstance(model, CompanionConfig):
                 self._obstacles = model.plan.obstacles
         if self._camera is not None and self._vehicle is not None and self._pad is not None:
-            self._eye = eye.Eye(self._camera, self._vehicle, self._pad)
+            self._overlay = camera.CameraAnnotations(self._camera, self._vehicle, self._pad)
 
     def frame(self, frame: Frame, exposure_unix_ns: int) -> Iterator[WellKnown]:
         """A camera frame that is logged."""
         self._exposures_ns[frame.sequence] = exposure_unix_ns
         while len(self._exposures_ns) > OPEN_FRAMES:
             self._exposures_ns.popitem(last=False)
-        yield eye.image(frame, exposure_unix_ns)
+        yield camera.image(frame, exposure_unix_ns)
 
     def message(self, message: Any, unix_ns: int) -> Iterator[WellKnown]:
         """What one of our messages, written at a time, says to Foxglove; mostly nothing."""
@@ -115,7 +115,7 @@ class Translator:
             mount = self._vehicle.camera_position_body_m
             yield transform(unix_ns, VEHICLE, CAMERA, mount, body_from_camera(self._vehicle))
         if self._camera is not None:
-            yield eye.calibration(unix_ns, self._camera)
+            yield camera.calibration(unix_ns, self._camera)
 
     def _pad_moved(self, state: PadState, unix_ns: int) -> Iterator[WellKnown]:
         self._pad_state = state
@@ -149,9 +149,9 @@ class Translator:
         exposure_ns = self._exposures_ns[message.sequence]
         if isinstance(message, FrameReport):
             if not message.seen:
-                yield eye.nothing_seen(exposure_ns)
-        elif self._eye is not None:
-            yield self._eye.annotations(message, exposure_ns)
+                yield camera.nothing_seen(exposure_ns)
+        elif self._overlay is not None:
+            yield self._overlay.annotations(message, exposure_ns)
 
 
 def _location(fix: GpsFix, unix_ns: int) -> WellKnown:

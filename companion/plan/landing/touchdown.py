@@ -23,7 +23,7 @@ from companion.plan.landing.level_moment import level_at
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle, stopping_m
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import DetectedEvent, MissionEvent, State
-from companion.plan.trajectory.guidance import ReferenceGenerator
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 # Time constant with which the reference's height follows the vehicle's.
 _GIVE_WAY_S = 0.3

@@ -13,8 +13,8 @@ from companion.config import MissionConfig
 from companion.plan.mission.bounds import Bounds
 from companion.plan.mission.departure import refused_words
 from companion.plan.mission.inputs import PlanInputs
-from companion.plan.mission.machine import StateMachine
 from companion.plan.mission.mode_monitor import ModeMonitor
+from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import DetectedEvent, MissionEvent
 from companion.plan.mission.table import FINAL, ON_GROUND
 

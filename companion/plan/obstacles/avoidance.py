@@ -30,8 +30,8 @@ from companion.plan.obstacles.obstacles import (
     route,
     way_cost,
 )
+from companion.plan.trajectory.coordinate_frames import STILL, in_space, predicted_places, space_seen_from
 from companion.plan.trajectory.course import Course, Way, halting, paced
-from companion.plan.trajectory.frames import STILL, in_space, predicted_places, space_seen_from
 from companion.plan.trajectory.min_jerk import Trajectory, brake, carried
 
 # Corners are first passed with this much spare room, so that a smooth curve fits.

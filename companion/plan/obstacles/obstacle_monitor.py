@@ -15,7 +15,7 @@ from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.notices import NoticeSink
 from companion.plan.obstacles.avoidance import Avoidance
-from companion.plan.trajectory.guidance import ReferenceGenerator
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 _TELL_AGAIN_S: Final = 2.0
 _WORDS: Final = {

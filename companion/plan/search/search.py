@@ -17,7 +17,7 @@ from companion.config import SearchConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.search.pad_locator import Lead, PadLocator
-from companion.plan.trajectory.guidance import ReferenceGenerator
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 STOPPING_M_S2: Final = 2.0  # braking over the pad, as `guidance` may; the pad shall stay in view:
 VIEW_SLOPE: Final = 0.4  # metres aside a metre of height; half the view of 640x480 at fx 533 ends at 0.45

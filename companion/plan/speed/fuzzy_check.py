@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.base.geometry import FloatArray
 from companion.plan.speed.fuzzy_rules import INPUTS, FuzzyRules, mamdani
-from companion.plan.speed.fuzzy_velocity import SpeedTable
+from companion.plan.speed.speed_table import SpeedTable
 
 LARGEST_ERROR: Final = 0.01
 # so far beyond the grid on either side, as a share of its width

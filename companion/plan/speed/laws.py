@@ -19,8 +19,8 @@ from typing import Final
 import numpy as np
 
 from companion.config import PlanConfig
-from companion.plan.speed.fuzzy_velocity import SpeedTable, load_table
-from companion.plan.trajectory.guidance import SpeedLaw
+from companion.plan.speed.speed_table import SpeedTable, load_table
+from companion.plan.trajectory.reference_generator import SpeedLaw
 
 DEGREE: Final = 3
 FITTED_POINTS: Final = 200

@@ -16,7 +16,7 @@ from companion.base.motion import Motion
 from companion.config import ConfigError, MissionConfig, PlanConfig
 from companion.plan.mission.states import DetectedEvent, MissionEvent
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m
-from companion.plan.trajectory.guidance import ReferenceGenerator
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 # The reference passes through a point exactly: this near to it, it has.
 _PASSED_M: Final = 0.5

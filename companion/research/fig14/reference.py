@@ -19,7 +19,7 @@ import numpy as np
 from companion.base.geometry import FloatArray, Vector3, add, dot, norm, scale, subtract
 from companion.base.motion import Motion
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m, route
-from companion.plan.speed.fuzzy_velocity import SpeedTable, load_table
+from companion.plan.speed.speed_table import SpeedTable, load_table
 from companion.plan.trajectory.course import Course, through
 from companion.research.fig14.world import FLOWN_S, START_NED_M, SURFACE_HEIGHT_M, LandingScene, draw_world
 

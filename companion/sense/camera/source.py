@@ -10,7 +10,7 @@ Sources, as in `sense.vision.source`:
     picamera2:0                       libcamera's first camera                camera_picamera2
     video:flight.mp4                  a video file, in real time              camera_replay
     images:frames                     a folder of images, in real time        camera_replay
-    socket:/run/companion/frames      another process (docs/frames.md)        camera_socket
+    socket:/run/companion/frames      another process (docs/camera-frames.md) camera_socket
     tcp:127.0.0.1:5600                the same over TCP
 """
 

@@ -21,6 +21,7 @@ from pyubx2 import UBXReader
 
 from companion.base.messages import GpsFix
 from companion.config import GpsConfig
+from companion.sense.gps.baud_rate import SILENCE_S, BaudRate
 from companion.sense.gps.commands import (
     FIX_MESSAGES,
     TRUST_MESSAGES,
@@ -29,8 +30,7 @@ from companion.sense.gps.commands import (
     port_command,
 )
 from companion.sense.gps.fixes import EpochClock, fix_from_nmea, fix_from_sol, fix_from_ubx, has_fix
-from companion.sense.gps.frames import UBX_OVERHEAD, FrameSplitter, GpsMessage
-from companion.sense.gps.line import SILENCE_S, LineRate
+from companion.sense.gps.framing import UBX_OVERHEAD, FrameSplitter, GpsMessage
 
 ANSWER_TIMEOUT_S: Final = 1.0  # at 9600 baud a receiver's second of NMEA stands before the answer
 TRIES: Final = 5
@@ -65,7 +65,7 @@ class Neo6m:
 
     def __init__(self, config: GpsConfig) -> None:
         self._config = config
-        self._line = LineRate(config.baud)
+        self._line = BaudRate(config.baud)
         self._splitter = FrameSplitter(config.baud)
         self._commands = configuration(config, config.baud)
         self._next = 0

@@ -1,7 +1,7 @@
 """The downward ultrasonic, whichever it is: distances along its axis, without spikes.
 
 `SerialRange` joins a serial line and the driver of what talks on it (`ultrasonic`, `us100`); `EchoRange`
-times pulses on GPIO pins (`echo_pins`). Both pass what they find through a `RangeGate`.
+times pulses on GPIO pins (`echo_pins`). Both pass what they find through a `SpikeFilter`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from companion.base.messages import RangeSample
 from companion.config import RangeConfig
 from companion.sense.imu.i2c import SensorError
 from companion.sense.range.echo_pins import EchoPins, EchoPulse
-from companion.sense.range.gate import RangeGate
+from companion.sense.range.spike_filter import SpikeFilter
 from companion.sense.range.ultrasonic import Ultrasonic
 from companion.sense.range.us100 import Us100
 
@@ -67,7 +67,7 @@ class SerialRange:
         self._port = port
         self._driver: Ultrasonic | Us100 = Us100(config) if config.kind == "polled" else Ultrasonic(config)
         self._patience_s = 0.25 / config.rate_hz if config.kind == "polled" else None
-        self._gate = RangeGate(config)
+        self._filter = SpikeFilter(config)
         self._clock = clock
 
     @property
@@ -89,7 +89,7 @@ class SerialRange:
         except TimeoutError:
             return []
         samples = self._driver.feed(data, self._clock.now_s())
-        return [good for sample in samples if (good := self._gate.step(sample)) is not None]
+        return [good for sample in samples if (good := self._filter.step(sample)) is not None]
 
 
 class EchoRange:
@@ -99,7 +99,7 @@ class EchoRange:
         self._pins = pins
         self._config = config
         self._clock = clock
-        self._gate = RangeGate(config)
+        self._filter = SpikeFilter(config)
         self._speed_m_s = _SOUND_AT_0_C_M_S + _SOUND_PER_C_M_S * config.air_temperature_c
         self._next_s = -math.inf
         self._heard_s: float | None = None
@@ -123,7 +123,7 @@ class EchoRange:
             return []
         self._heard_s = self._clock.now_s()
         sample = self._sample(pulse)
-        good = None if sample is None else self._gate.step(sample)
+        good = None if sample is None else self._filter.step(sample)
         return [] if good is None else [good]
 
     def _sample(self, pulse: EchoPulse) -> RangeSample | None:

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from companion.plan.speed.fuzzy_rules import INPUTS, OUTPUT, FuzzyRules, Terms, in_order
-from companion.plan.speed.fuzzy_velocity import SpeedTable
+from companion.plan.speed.speed_table import SpeedTable
 
 mpl.use("Agg")
 

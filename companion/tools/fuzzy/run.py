@@ -12,7 +12,7 @@ from rich.table import Table
 from companion.config import ConfigError
 from companion.plan.speed.fuzzy_check import LARGEST_ERROR, TableError, table_error, worst_slips_m_s
 from companion.plan.speed.fuzzy_rules import FuzzyRules, in_order, load_rules
-from companion.plan.speed.fuzzy_velocity import MONOTONE_TOLERANCE_M_S, SpeedTable, load_table, write_table
+from companion.plan.speed.speed_table import MONOTONE_TOLERANCE_M_S, SpeedTable, load_table, write_table
 from companion.tools.fuzzy.plots import draw
 
 SENSE: Final = {

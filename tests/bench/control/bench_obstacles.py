@@ -25,7 +25,7 @@ from companion.base.motion import Motion
 from companion.config import Box, Cylinder, PlanConfig, Shape
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m, route
-from companion.plan.trajectory.guidance import ReferenceGenerator
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.bench.progress import watched
 
 CYCLE_S: Final = 1.0 / 30.0

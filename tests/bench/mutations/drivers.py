@@ -20,7 +20,7 @@ from companion.config import GpsConfig, ImuConfig, RangeConfig
 from companion.sense.gps.neo6m import Neo6m
 from companion.sense.imu.i2c import SensorError
 from companion.sense.imu.mpu9250 import Mpu9250
-from companion.sense.range.gate import RangeGate
+from companion.sense.range.spike_filter import SpikeFilter
 from companion.sense.range.ultrasonic import Ultrasonic
 from companion.sense.range.us100 import Us100
 from sitl.devices.ak8963 import Ak8963Device
@@ -197,7 +197,7 @@ def ultrasonic(rng: random.Random) -> Iterator[None]:
     while True:
         config = RangeConfig()
         drivers: tuple[Any, ...] = (Ultrasonic(config), Us100(config))
-        gate, now_s = RangeGate(config), 0.0
+        gate, now_s = SpikeFilter(config), 0.0
         for _ in range(NEW_AFTER):
             now_s += rng.choice((0.0, 0.001, 0.05, 1.0))
             high, low = rng.randrange(20), rng.randrange(256)

@@ -63,7 +63,8 @@ NOT_FOUND = {
         ["scenarios", "nope"],
         ["campaign", "--scenarios", "line", "nope"],
         ["campaign", "--config", "nope.yaml"],
-        ["hold", "--motion", "still", "--scenario", "nope"],
+        ["hand-held", "--motion", "still", "--scenario", "nope"],
+        ["hold", "--motion", "still", "--scenario", "nope"],  # its earlier name, for scripts
         ["view", "nope"],
     ],
     "companion-experiments": [

@@ -58,7 +58,7 @@ def test_every_program_has_version_help_and_completion(
         ("companion", ["pad", "--wings"], "companion pad"),
         ("companion", ["pad", "moving_1300", "--tilt", "x"], "companion pad"),
         ("companion-sitl", ["campaign", "--wings"], "companion-sitl campaign"),
-        ("companion-sitl", ["hold"], "companion-sitl hold"),
+        ("companion-sitl", ["hand-held"], "companion-sitl hand-held"),
         ("companion-experiments", ["fig13", "--wings"], "companion-experiments fig13"),
         ("companion-experiments", ["fig99"], "companion-experiments"),
         ("calibrate-camera", ["--wings"], "calibrate-camera"),

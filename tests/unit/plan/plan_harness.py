@@ -30,7 +30,7 @@ from companion.base.messages import (
 )
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.planner import PlanInputs, Planner
-from companion.plan.speed.fuzzy_velocity import load_table
+from companion.plan.speed.speed_table import load_table
 from tests.unit.plan.pad_paths import Heading, Path, derivative
 from tests.unit.plan.plan_autopilot import HOME, FakeAutopilot
 

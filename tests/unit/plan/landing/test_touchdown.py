@@ -10,7 +10,7 @@ from companion.base.motion import Motion
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import contact_signs
 from companion.plan.mission.states import MissionEvent
-from companion.plan.trajectory.guidance import ReferenceGenerator
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.plan.landing.touchdown_attempt import (
     CONFIG,
     CYCLE_S,

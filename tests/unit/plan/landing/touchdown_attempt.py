@@ -10,7 +10,7 @@ from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import Circumstances, DetectedEvent, MissionEvent, State
 from companion.plan.mission.table import COMMITTED, ON_PAD, TOUCHDOWN, follows
-from companion.plan.trajectory.guidance import ReferenceGenerator
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
 CONFIG = TouchdownConfig()

@@ -6,7 +6,7 @@ from companion.base.messages import AutopilotState
 from companion.config import MissionConfig, PhaseTimesConfig
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
-from companion.plan.mission.machine import StateMachine
+from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Circumstances, MissionEvent, State
 from companion.plan.mission.table import FINAL, IN_AIR, follows
 from tests.unit.plan.pad_paths import still

@@ -5,7 +5,7 @@ from itertools import product
 import pytest
 
 from companion.base.messages import ActionKind, Phase
-from companion.plan.mission.machine import StateMachine
+from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Circumstances, Effect, Guard, MissionEvent, State
 from companion.plan.mission.table import (
     ANYWHERE,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from companion.base.messages import ActionKind
-from companion.plan.mission.machine import StateMachine
+from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Circumstances, Effect, MissionEvent, State
 from companion.plan.mission.table import (
     COMMITTED,

@@ -9,8 +9,8 @@ from companion.base.motion import Motion
 from companion.config import Box, Cylinder, PlanConfig, Shape
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.obstacles.obstacles import Obstacle, _graph, clearance_m
-from companion.plan.trajectory.guidance import ReferenceGenerator
 from companion.plan.trajectory.min_jerk import plan
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 CYCLE_S = 1.0 / 30.0
 RADIUS_M = 0.4

@@ -9,7 +9,7 @@ from companion.base.motion import Motion
 from companion.config import GuidanceConfig
 from companion.plan.search.pad_locator import Lead, PadLocator, turn_rate
 from companion.plan.search.search import Search, square_spiral
-from companion.plan.trajectory.guidance import ReferenceGenerator
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.plan.search.search_words import CONFIG, ORIGIN, UNSEEN, beacon
 
 

@@ -10,7 +10,7 @@ from companion.base.motion import Motion
 from companion.config import GuidanceConfig
 from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.search.search import Search
-from companion.plan.trajectory.guidance import ReferenceGenerator
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.plan.pad_paths import still
 from tests.unit.plan.plan_harness import World
 from tests.unit.plan.search.search_words import CONFIG, ORIGIN, UNSEEN, beacon

@@ -7,7 +7,7 @@ import pytest
 
 from companion.plan.speed.fuzzy_check import sample_points, table_error, worst_slips_m_s
 from companion.plan.speed.fuzzy_rules import INPUTS, load_rules
-from companion.plan.speed.fuzzy_velocity import SpeedTable, load_table
+from companion.plan.speed.speed_table import SpeedTable, load_table
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from companion.config import ConfigError, PlanConfig
-from companion.plan.speed.fuzzy_velocity import SpeedTable, load_table
 from companion.plan.speed.laws import LogPolynomial, load_speed_law
+from companion.plan.speed.speed_table import SpeedTable, load_table
 
 TABLE = load_table("landing")[0]
 

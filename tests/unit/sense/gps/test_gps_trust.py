@@ -9,7 +9,7 @@ import pytest
 
 from companion.base.messages import GpsFix
 from companion.config import GpsConfig
-from companion.sense.gps.line import SILENCE_S
+from companion.sense.gps.baud_rate import SILENCE_S
 from companion.sense.gps.neo6m import Neo6m
 from sitl.devices.neo6m import nmea, ubx
 

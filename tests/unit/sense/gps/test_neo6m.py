@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.base.messages import GpsFix
+from companion.sense.gps.baud_rate import SILENCE_S
 from companion.sense.gps.fixes import EpochClock
-from companion.sense.gps.frames import FrameSplitter
-from companion.sense.gps.line import SILENCE_S
+from companion.sense.gps.framing import FrameSplitter
 from companion.sense.gps.neo6m import Neo6m
 from sitl.devices.neo6m import nmea, ubx
 from tests.unit.sense.gps.nmea import BYTE_S, CONFIG, gga, rmc

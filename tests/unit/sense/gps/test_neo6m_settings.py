@@ -10,8 +10,8 @@ import pytest
 
 from companion.base.geometry import Vector3, ned_from_geodetic
 from companion.base.messages import GpsFix
+from companion.sense.gps.baud_rate import SILENCE_S
 from companion.sense.gps.commands import configuration
-from companion.sense.gps.line import SILENCE_S
 from companion.sense.gps.neo6m import Neo6m
 from sitl.devices.neo6m import Neo6mDevice, ubx
 from sitl.sensors.sensors import NO_GPS_ERRORS, GpsSensor

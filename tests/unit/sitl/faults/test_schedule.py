@@ -20,8 +20,8 @@ from sitl.devices.rack import SensorRack
 from sitl.faults.faults import FrameBlack
 from sitl.faults.faulty_link import LinkSettings, LinkWay
 from sitl.faults.injection import FaultTargets
-from sitl.faults.outside import AutopilotReboots, DiskFull
-from sitl.faults.outside_injection import OutsideTargets
+from sitl.faults.non_sensor_faults import AutopilotReboots, DiskFull
+from sitl.faults.non_sensor_injection import NonSensorTargets
 from sitl.faults.schedule import FaultSchedule, Moments
 from sitl.mavlink.app_words import AppWords
 from sitl.scenario.scenario import Scenario
@@ -38,18 +38,18 @@ def said(text: str, text_id: int = 1) -> bytes:
     return b"".join(bytes(m.pack(ENCODER)) for m in codec.status_texts(text, "info", text_id))
 
 
-def targets(outside: OutsideTargets | None = None) -> FaultTargets:
-    return asyncio.run(_targets(outside))
+def targets(non_sensor: NonSensorTargets | None = None) -> FaultTargets:
+    return asyncio.run(_targets(non_sensor))
 
 
-async def _targets(outside: OutsideTargets | None) -> FaultTargets:
+async def _targets(non_sensor: NonSensorTargets | None) -> FaultTargets:
     """In a loop, for the ports want one."""
     rng = np.random.default_rng(0)
     gps, echo = MemoryPort(9600), MemoryPort(9600)
     rack = SensorRack(0, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, gps_port=gps, range_port=echo)
     onboard = SimulatedAutopilotSensors(rng, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, imu_filter=2)
     ways = (LinkWay(LinkSettings(), rng), LinkWay(LinkSettings(), rng))
-    return FaultTargets(rack, onboard, FrameLine(rng), Motors(), *ways, outside)
+    return FaultTargets(rack, onboard, FrameLine(rng), Motors(), *ways, non_sensor)
 
 
 def black(**when: Any) -> FrameBlack:
@@ -144,10 +144,10 @@ def test_a_text_of_whole_chunks_ends_with_an_empty_one() -> None:
 # ---------------------------------------------------------------- what is not there cannot fail
 
 
-def outside_of(world: World, **more: Any) -> OutsideTargets:
+def non_sensor_of(world: World, **more: Any) -> NonSensorTargets:
     pad = load_pad("moving_1300")
     model = CameraModel(CAMERA, VEHICLE, pad, ImagingSettings(), np.random.default_rng(0))
-    return OutsideTargets(model, pad, world.pad_motion, **more)
+    return NonSensorTargets(model, pad, world.pad_motion, **more)
 
 
 @pytest.mark.parametrize(
@@ -160,4 +160,4 @@ def outside_of(world: World, **more: Any) -> OutsideTargets:
 def test_a_fault_of_what_is_not_simulated_is_refused(fault: Any, words: str) -> None:
     world = World(Scenario(name="x", description="x"), 0)
     with pytest.raises(ConfigError, match=words):
-        FaultSchedule([fault], targets(outside_of(world)))
+        FaultSchedule([fault], targets(non_sensor_of(world)))

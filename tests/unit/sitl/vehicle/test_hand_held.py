@@ -251,14 +251,14 @@ def test_what_is_wrong_is_said_in_one_line(
     words: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(("hold", *words))
+        main(("hand-held", *words))
     assert ended.value.code == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"companion-sitl: {expected}")
 
 
 def test_it_is_served_as_a_process(tmp_path: Path) -> None:
-    words = ("-m", "sitl.cli", "hold", "--child", "--motion", "sway", "--folder", str(tmp_path))
+    words = ("-m", "sitl.cli", "hand-held", "--child", "--motion", "sway", "--folder", str(tmp_path))
     with subprocess.Popen(
         (sys.executable, *words),
         cwd=CONFIG_FOLDER.parent,

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from companion.cli import cli
 from companion.config import ConfigError
-from companion.plan.speed.fuzzy_velocity import load_table
+from companion.plan.speed.speed_table import load_table
 
 FEW = ("--points", "200")
 

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from companion.plan.speed.fuzzy_rules import load_rules
-from companion.plan.speed.fuzzy_velocity import load_table
+from companion.plan.speed.speed_table import load_table
 from companion.tools.fuzzy import plots
 
 

@@ -1,0 +1,89 @@
+"""What the machine under the app is like: its load, temperature and disk."""
+
+from __future__ import annotations
+
+import resource
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Final
+
+from pydantic import BaseModel, ConfigDict
+
+_THERMAL: Final = Path("/sys/class/thermal/thermal_zone0/temp")
+_VCGENCMD_S: Final = 1.0
+# bits of `vcgencmd get_throttled` that hold now (Raspberry Pi documentation)
+_THROTTLED: Final = {0: "under-voltage", 1: "frequency capped", 2: "throttled", 3: "soft temperature limit"}
+
+
+class ComputerStatus(BaseModel):
+    """`cpu_percent` of one core, since the last time it was asked; None: not known here."""
+
+    model_config = ConfigDict(frozen=True)
+
+    cpu_percent: float | None = None
+    memory_mb: float
+    temperature_deg_c: float | None = None
+    throttled: tuple[str, ...] | None = None
+    disk_free_mb: float | None = None
+
+
+class ComputerWatch:
+    """Call `state` now and then; the CPU's share is that of the time between."""
+
+    def __init__(self, now_s: float) -> None:
+        self._asked_s, self._used_s = now_s, _cpu_s()
+
+    def state(
+        self, now_s: float, folder: Path | None, held_back: tuple[str, ...] | None = None
+    ) -> ComputerStatus:
+        """The state now; `folder` is where flights are recorded, `held_back` what `throttled` gave."""
+        used_s, elapsed_s = _cpu_s(), now_s - self._asked_s
+        share = 100.0 * (used_s - self._used_s) / elapsed_s if elapsed_s > 0.5 else None
+        if share is not None:
+            self._asked_s, self._used_s = now_s, used_s
+        return ComputerStatus(
+            cpu_percent=share,
+            memory_mb=_memory_mb(),
+            temperature_deg_c=_temperature_deg_c(),
+            throttled=held_back,
+            disk_free_mb=_disk_free_mb(folder),
+        )
+
+
+def throttled() -> tuple[str, ...] | None:
+    """What holds the Raspberry Pi's processor back now; None on another machine. Takes some milliseconds."""
+    program = shutil.which("vcgencmd")
+    if program is None:
+        return None
+    try:
+        said = subprocess.run(
+            [program, "get_throttled"], capture_output=True, text=True, timeout=_VCGENCMD_S, check=True
+        ).stdout
+        bits = int(said.strip().removeprefix("throttled="), 16)
+    except (OSError, ValueError, subprocess.SubprocessError):
+        return None
+    return tuple(words for bit, words in _THROTTLED.items() if bits >> bit & 1)
+
+
+def _cpu_s() -> float:
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return usage.ru_utime + usage.ru_stime
+
+
+def _memory_mb() -> float:
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * resource.getpagesize() / 1e6
+
+
+def _temperature_deg_c() -> float | None:
+    try:
+        return int(_THERMAL.read_text(encoding="ascii")) / 1000.0
+    except (OSError, ValueError):
+        return None
+
+
+def _disk_free_mb(folder: Path | None) -> float | None:
+    while folder is not None and not folder.exists():
+        folder = folder.parent if folder.parent != folder else None
+    return None if folder is None else shutil.disk_usage(folder).free / 1e6

@@ -1,0 +1,144 @@
+"""Approach down a slope to above the pad, then descent inside a cone.
+
+The reference's frame is the pad's: vehicle minus pad, NED axes, m and s; heights of targets count from the
+vehicle's reference point. Descent stops while the vehicle is outside the cone. While the pad is unseen the
+reference is in the EKF's NED: over the pad's predicted place, but at a height that does not depend on it,
+since the prediction of a height from few sightings sinks or rises without end.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from companion.base.messages import DescentCone, PadState
+from companion.base.motion import Motion
+from companion.config import LandingConfig, VehicleConfig
+from companion.plan.landing.relative_state import PadKnowledge
+from companion.plan.mission.states import DetectedEvent, MissionEvent
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
+
+_CENTRED_MARGIN_M = 0.7
+_CENTRED_SPEED_M_S = 0.6
+_LOW_MARGIN_M = 0.08
+# Once outside the cone the vehicle comes back this far inside before it descends again.
+_BACK_INSIDE = 0.8
+_FLOOR_M = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class Unseen:
+    """What the vehicle goes by while the pad is unseen: its likely place, and a floor; EKF's NED."""
+
+    place: Motion
+    lowest_down_m: float
+
+
+class Landing:
+    """Approach and descent; `begin` at each approach."""
+
+    def __init__(self, config: LandingConfig, vehicle: VehicleConfig, generator: ReferenceGenerator) -> None:
+        self._config, self._generator = config, generator
+        self._leg_m = vehicle.leg_height_m
+        self.goal_m = self._leg_m + config.approach_height_m
+        self.paused = False
+        self._begun_s = 0.0
+        self._blind_down_m = math.inf
+        self.climb_m = 0.0  # a climb that begins with this cycle since the pad is unseen
+
+    def begin(self, height_m: float, again: bool, now_s: float) -> None:
+        """Start an approach from a height; `again` after a failed touchdown: only as high as that needs.
+
+        A first approach never climbs.
+        """
+        c = self._config
+        first_m = min(height_m, self._leg_m + c.approach_height_m)
+        self.goal_m = self._leg_m + c.retry_height_m if again else first_m
+        self.paused = False
+        self._begun_s = now_s
+
+    def approach(self, pad: PadKnowledge, unseen: Unseen, now_s: float) -> DetectedEvent | None:
+        """Towards the point above the pad, down a slope that keeps the pad in view."""
+        sight = pad.sight
+        if sight is None or min(sight.age_s, now_s - self._begun_s) > self._config.lost_unseen_s:
+            return self._lost(sight)
+        if not self._by_sight(pad, sight, self.goal_m, unseen, now_s):
+            return None
+        self._go(self._slope_m(sight, now_s), now_s)
+        near = abs(sight.height_m - self.goal_m) <= min(_CENTRED_MARGIN_M, 0.25 * self.goal_m)
+        if near and self._inside(sight) and sight.lateral_speed_m_s <= _CENTRED_SPEED_M_S:
+            return MissionEvent.CENTRED, f"{sight.height_m:.1f} m above the pad"
+        return None
+
+    def _slope_m(self, sight: PadState, now_s: float) -> float:
+        """The height to fly at: on the slope, never above the present one unless the goal is."""
+        x, y, z = self._generator.at(now_s).position_m
+        aside_m = max(math.hypot(x, y), sight.lateral_m)
+        return max(self.goal_m, min(-z, aside_m / self._config.approach_slope))
+
+    def descend(self, pad: PadKnowledge, unseen: Unseen, now_s: float) -> DetectedEvent | None:
+        """Straight down to where touchdown starts, only inside the cone and with the pad in view."""
+        sight = pad.sight
+        if sight is None or sight.age_s > self._config.lost_unseen_s:
+            return self._lost(sight)
+        wait_m = self._leg_m + self._config.wait_height_m
+        if not self._by_sight(pad, sight, 0.0, unseen, now_s):
+            self.paused = True
+            return None
+        go_on = self._inside(sight, _BACK_INSIDE if self.paused else 1.0)
+        if go_on:
+            self._go(wait_m, now_s)
+        else:
+            self._generator.fly_level(Motion((0.0, 0.0, -sight.height_m)), math.inf, now_s)
+        self.paused = not go_on
+        if sight.height_m <= wait_m + _LOW_MARGIN_M:
+            return MissionEvent.LOW, f"{100.0 * (sight.height_m - self._leg_m):.0f} cm over the pad"
+        return None
+
+    def minimum_height_m(self, now_s: float) -> float:
+        """What the controller may not go below; never above where the reference is."""
+        return max(0.0, min(self._leg_m + _FLOOR_M, -self._generator.at(now_s).position_m[2] - 0.05))
+
+    @property
+    def cone(self) -> DescentCone:
+        """Where the controller is to keep a descent: a little wider than where the plan stops going down."""
+        c = self._config
+        return DescentCone(c.cone_slope, c.cone_floor_m, self._leg_m)
+
+    def _by_sight(
+        self, pad: PadKnowledge, sight: PadState, goal_m: float, unseen: Unseen, now_s: float
+    ) -> bool:
+        """Whether the pad is in view; if not, the vehicle flies on level over its predicted place.
+
+        A climb to goal_m over the pad that was under way is ended, at the height as it was last seen.
+        """
+        assert pad.motion is not None
+        self.climb_m = 0.0
+        if sight.age_s <= self._config.pause_unseen_s:
+            self._generator.change_frame("pad", pad.motion, now_s)
+            self._blind_down_m = math.inf
+            return True
+        if self._generator.origin == "pad":
+            self._generator.change_frame("local", pad.motion, now_s)
+            self._blind_down_m = self._goal_down_m(pad.motion, goal_m, now_s)
+        self.climb_m = self._generator.fly_level(
+            unseen.place, min(unseen.lowest_down_m, self._blind_down_m), now_s
+        )
+        return False
+
+    def _goal_down_m(self, pad: Motion, goal_m: float, now_s: float) -> float:
+        """Down of the goal, if that is higher than here, by no more than a retry climbs."""
+        here_m = self._generator.at(now_s).position_m[2]
+        return max(pad.position_m[2] - goal_m, here_m - self._config.retry_height_m)
+
+    def _go(self, height_m: float, now_s: float) -> None:
+        self._generator.fly_to(Motion((0.0, 0.0, -height_m)), now_s)
+
+    def _inside(self, sight: PadState, share: float = 1.0) -> bool:
+        above_m = max(0.0, sight.height_m - self._leg_m)
+        return sight.lateral_m <= share * max(self._config.cone_floor_m, self._config.cone_slope * above_m)
+
+    def _lost(self, sight: PadState | None) -> DetectedEvent | None:
+        if sight is None:
+            return MissionEvent.PAD_LOST, "no estimate of the pad"
+        return MissionEvent.PAD_LOST, f"not seen for {sight.age_s:.1f} s"

@@ -1,0 +1,117 @@
+"""What `companion check` does once its options are right: checks, shows and writes."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Final
+
+import typer
+from rich.console import Console
+from rich.text import Text
+
+from companion.app.calibration_warnings import forced_calibrations
+from companion.app.hardware import open_hardware
+from companion.base.files import write_atomically
+from companion.base.formats.mjpeg import MjpegServer
+from companion.config import CompanionConfig, ConfigError, load_config
+from companion.sense.vision.opencv import prepare_opencv
+from companion.tools.pad_check.command import STANDARD_OUTPUT
+from companion.tools.pad_check.report import cause_lines, report_json, report_table, verdict_line
+from companion.tools.pad_check.session import Outlets, PadCheck
+from companion.tools.pad_check.steps import Say
+from companion.tools.pad_check.wizard import Report
+from companion.tools.preflight.findings import Finding, State, worst
+from companion.tools.preflight.report import STYLES, findings_json, findings_table, summary_line
+from companion.tools.preflight.run import preflight
+
+_STYLES: Final = {
+    "order": ("→ ", "bold"),
+    "good": ("  ok  ", "green"),
+    "bad": ("  NO  ", "bold red"),
+    "note": ("  ", ""),
+}
+
+
+def check_vehicle(config: Path, json_file: Path | None, record: Path | None, *, linked: bool) -> None:
+    """The preflight check.
+
+    Raises:
+        ConfigError: something the user can correct.
+        Exit: with 1 when something is not well.
+    """
+    prepare_opencv()
+    found = asyncio.run(preflight(load_config(config), config, record, linked=linked))
+    show_findings(found, json_file)
+    raise typer.Exit(1 if worst(found) is State.FAIL else 0)
+
+
+def show_findings(found: list[Finding], json_file: Path | None) -> None:
+    """The table and one line for all; as JSON instead when that is for standard output."""
+    if json_file == STANDARD_OUTPUT:
+        print(findings_json(found), end="")
+        return
+    console = Console()
+    console.print(findings_table(found))
+    console.print(Text(summary_line(found), STYLES[worst(found)]), soft_wrap=True)
+    if json_file is not None:
+        write_atomically(json_file, findings_json(found))
+
+
+def check_over_pad(config: Path, json_file: Path | None, *, linked: bool, port: int | None) -> None:
+    """The check held over the pad; `port` shows the picture there.
+
+    Raises:
+        ConfigError: something the user can correct.
+        Exit: with 1 when something is not well.
+    """
+    prepare_opencv()
+    settings = load_config(config)
+    if not linked and (settings.sense.source == "autopilot" or settings.sense.range_by_telemetry):
+        raise ConfigError("--no-link: sense.source is autopilot; expected boards, or the autopilot's link")
+    console = Console(stderr=json_file == STANDARD_OUTPUT)
+    for doubt in forced_calibrations(settings):
+        console.print(f"warning: {doubt}", style="yellow", highlight=False, markup=False, soft_wrap=True)
+    report = asyncio.run(_check(settings, console, linked=linked, port=port))
+    show(report, console)
+    if json_file == STANDARD_OUTPUT:
+        print(report_json(report), end="")
+    elif json_file is not None:
+        write_atomically(json_file, report_json(report))
+    raise typer.Exit(0 if report.passed else 1)
+
+
+async def _check(config: CompanionConfig, console: Console, *, linked: bool, port: int | None) -> Report:
+    page = None if port is None else MjpegServer()
+    try:
+        if page is not None:
+            console.print(f"picture at http://127.0.0.1:{await _open(page, port or 0)}", highlight=False)
+        async with open_hardware(config, linked=linked) as hardware:
+            outlets = Outlets(lambda said: console.print(line(said), highlight=False, soft_wrap=True), page)
+            return await PadCheck(config, hardware, outlets, linked=linked).run()
+    finally:
+        if page is not None:
+            await page.close()
+
+
+async def _open(page: MjpegServer, port: int) -> int:
+    try:
+        return await page.start(port)
+    except OSError as error:
+        raise ConfigError(
+            f"--serve {port}: cannot be listened at: {error.strerror}; expected a free port"
+        ) from error
+
+
+def show(report: Report, console: Console) -> None:
+    """The table, the likely causes and the verdict."""
+    console.print(report_table(report))
+    for cause in cause_lines(report):
+        console.print(Text(cause), soft_wrap=True)
+    console.print(Text(verdict_line(report), style="green" if report.passed else "bold red"), soft_wrap=True)
+
+
+def line(said: Say) -> Text:
+    """One line for a person."""
+    lead, style = _STYLES[said.kind]
+    return Text(f"{lead}{said.text}", style=style)

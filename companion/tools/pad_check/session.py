@@ -1,0 +1,229 @@
+"""The check's shell: the app's own sensing into the wizard, and the wizard's words out.
+
+    frames ─► vision ──┐
+    mpu9250 ───────────┼─► samples ─► wizard ─► words, picture
+    ultrasonic ────────┘
+    autopilot ─► armed?  (its own IMU, compass and rangefinder where the settings say so)
+
+Nothing is asked of the autopilot but its telemetry, and nothing goes on while it is armed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, replace
+from statistics import median
+from typing import Final
+
+from companion.app.hardware import Hardware
+from companion.app.sensing import Sensing
+from companion.base.clock import Clock
+from companion.base.formats.mjpeg import MjpegServer
+from companion.config import (
+    CameraConfig,
+    CompanionConfig,
+    ConfigError,
+    VehicleConfig,
+    find_file,
+    load_model,
+    load_vehicle,
+)
+from companion.flightlog.record import FlightLog
+from companion.link.codec import Severity
+from companion.link.session import Session
+from companion.pad import load_pad
+from companion.sense.camera.keeper import KeptCamera
+from companion.sense.vision.pipeline import Vision
+from companion.tools.pad_check.causes import Mounting
+from companion.tools.pad_check.mirror import MirrorWatch
+from companion.tools.pad_check.picture import draw
+from companion.tools.pad_check.samples import RecentSamples
+from companion.tools.pad_check.steps import Say
+from companion.tools.pad_check.wizard import Report, Wizard
+
+STEP_PERIOD_S: Final = 0.1
+LINK_PERIOD_S: Final = 0.05
+LINK_PATIENCE_S: Final = 10.0
+PICTURE_PERIOD_S: Final = 0.1
+CAMERA_LOOK_S: Final = 2.0  # over which its rate is counted
+ARMED: Final = "the autopilot says armed; expected a disarmed vehicle, best with its propellers off"
+
+
+@dataclass(frozen=True, slots=True)
+class Outlets:
+    """Where the check shows itself."""
+
+    say: Callable[[Say], None]
+    page: MjpegServer | None = None
+
+
+class PadCheck:
+    """One check over the pad. Make it inside the running loop."""
+
+    def __init__(
+        self,
+        config: CompanionConfig,
+        hardware: Hardware,
+        outlets: Outlets,
+        *,
+        linked: bool = True,
+        samples: RecentSamples | None = None,
+    ) -> None:
+        """Wire it; `linked`: an autopilot is there and has to be disarmed. `samples`: where they are kept.
+
+        Raises:
+            ConfigError: a settings file named in the configuration is missing or wrong.
+        """
+        self._config, self._outlets, self._linked = config, outlets, linked
+        self._clock = Clock()
+        vehicle = load_vehicle(config.vehicle, config.mount, config.camera)
+        camera = load_model(CameraConfig, find_file("cameras", config.camera))
+        self._pad = load_pad(config.pad)
+        self._vision = Vision(self._pad, camera, vehicle, config.sense.vision)
+        self._mirror = MirrorWatch(self._vision)
+        self._samples = RecentSamples() if samples is None else samples
+        by_telemetry = config.sense.source == "autopilot"
+        self._session = Session(config.link, config.sense if by_telemetry else None)
+        self._transport, self._frames = hardware.transport, hardware.frames
+        # where it is on earth is not asked here
+        self._sensing = Sensing(
+            config,
+            replace(hardware, gps_port=None),
+            self._mirror,
+            self._samples,
+            self._session.onboard,
+            clock=self._clock,
+            log=FlightLog(None, start_unix_s=0.0),
+            notify=self._tell,
+            frame_time_offset_s=vehicle.camera_time_offset_s,
+        )
+        self._mounting = _mounting(config, vehicle)
+        self._wizard: Wizard | None = None
+        self._heard_s = self._clock.now_s()
+
+    async def run(self) -> Report:
+        """Check; ends by itself, after at most a minute a step.
+
+        Raises:
+            ConfigError: the autopilot is armed or silent, or a sensor's settings are wrong.
+        """
+        works = {**self._sensing.tasks(), "camera's figures": self._camera_task}
+        if self._linked:
+            works |= {"autopilot link": self._receive_task, "heartbeat": self._link_task}
+        if self._outlets.page is not None:
+            works["picture"] = self._picture_task
+        try:
+            async with asyncio.TaskGroup() as group:
+                workers = [
+                    group.create_task(self._guard(name, work), name=name) for name, work in works.items()
+                ]
+                report = await group.create_task(self._ask(), name="wizard")
+                for worker in workers:
+                    worker.cancel()
+        except ExceptionGroup as failures:
+            mendable, _ = failures.split(ConfigError)
+            raise (failures if mendable is None else mendable.exceptions[0]) from None
+        return report
+
+    async def _ask(self) -> Report:
+        """Step the wizard until it has asked all."""
+        if self._linked:
+            await self._await_autopilot()
+        self._heard_s = self._clock.now_s()
+        wizard = self._wizard = Wizard(self._mounting, self._clock.now_s())
+        while not wizard.finished:
+            self._refuse_armed()
+            for said in wizard.step(self._samples, self._clock.now_s(), mirrored=self._mirror.mirrored):
+                self._outlets.say(said)
+            await asyncio.sleep(STEP_PERIOD_S)
+        return wizard.report()
+
+    # ------------------------------------------------------------ the autopilot
+
+    async def _await_autopilot(self) -> None:
+        until_s = self._clock.now_s() + LINK_PATIENCE_S
+        while not self._session.state.connected:
+            if self._clock.now_s() > until_s:
+                raise ConfigError(
+                    f"link.connection {self._config.link.connection}: no autopilot heard within "
+                    f"{LINK_PATIENCE_S:g} s; expected its heartbeat, or --no-link"
+                )
+            await asyncio.sleep(STEP_PERIOD_S)
+
+    def _refuse_armed(self) -> None:
+        """Nobody is led about an armed vehicle, nor about one of which that is not known any more."""
+        state, now_s = self._session.state, self._clock.now_s()
+        if state.connected and state.armed:
+            raise ConfigError(ARMED)
+        if state.connected or not self._linked:
+            self._heard_s = now_s
+        elif now_s - self._heard_s > LINK_PATIENCE_S:
+            raise ConfigError(
+                f"link.connection {self._config.link.connection}: the autopilot has fallen silent for "
+                f"{LINK_PATIENCE_S:g} s; expected its heartbeat, or --no-link"
+            )
+
+    async def _receive_task(self) -> None:
+        while True:
+            data = await self._transport.read()
+            self._session.receive(data, self._clock.now_s())
+            self._sensing.take_samples(self._session.take_samples())
+
+    async def _link_task(self) -> None:
+        """Heartbeats, and requests for the telemetry that the settings want."""
+        while True:
+            if due := self._session.tick(self._clock.now_s()):
+                self._transport.write(due)
+            await asyncio.sleep(LINK_PERIOD_S)
+
+    # ------------------------------------------------------------ people
+
+    async def _camera_task(self) -> None:
+        """Say once how the camera does: its rate, its frames' age on arrival, what its driver says."""
+        while self._sensing.last_frame is None:  # noqa: ASYNC110 - it has no event
+            await asyncio.sleep(STEP_PERIOD_S)
+        before, ages_s = self._sensing.frame_count, list[float]()
+        until_s = self._clock.now_s() + CAMERA_LOOK_S
+        while self._clock.now_s() < until_s:
+            await asyncio.sleep(STEP_PERIOD_S)
+            ages_s.append(self._sensing.last_frame.received_s - self._sensing.last_frame.time_s)
+        rate_hz = (self._sensing.frame_count - before) / CAMERA_LOOK_S
+        detail = f"camera: {rate_hz:.1f} frames/s looked at, {1e3 * median(ages_s):.0f} ms old on arrival"
+        if isinstance(self._frames, KeptCamera):
+            detail += f"; the driver says: {self._frames.read_back}"
+        self._outlets.say(Say(detail))
+
+    async def _picture_task(self) -> None:
+        page = self._outlets.page
+        assert page is not None
+        while True:
+            await asyncio.sleep(PICTURE_PERIOD_S)
+            if page.viewer_count and self._mirror.last is not None and self._wizard is not None:
+                frame, seen = self._mirror.last
+                page.show(draw(frame, seen.sighting, self._vision, self._pad, self._wizard))
+
+    async def _guard(self, name: str, work: Callable[[], Awaitable[None]]) -> None:
+        """A device that is gone is reported; the wizard says what it lacks."""
+        try:
+            await work()
+        except OSError as error:
+            self._tell("device_lost", f"{name} lost: {error}", "error")
+
+    def _tell(self, kind: str, text: str, severity: Severity) -> None:
+        self._outlets.say(Say(text, "note" if severity == "info" else "bad"))
+
+
+def _mounting(config: CompanionConfig, vehicle: VehicleConfig) -> Mounting:
+    """How the settings say that things sit."""
+    boards = config.sense.source == "boards"
+    return Mounting(
+        vehicle=config.vehicle,
+        camera=config.camera,
+        pad=config.pad,
+        camera_yaw_deg=vehicle.camera_yaw_deg,
+        camera_tilt_deg=vehicle.camera_tilt_deg,
+        body_from_sensor_deg=config.sense.imu.body_from_sensor_deg if boards else None,
+        range_position_body_m=vehicle.range_position_body_m,
+        field_ned_ut=config.estimate.magnetic_field_ned_ut,
+    )

@@ -1,0 +1,270 @@
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from companion.base.geometry import norm, subtract
+from companion.base.motion import Motion
+from companion.config import GuidanceConfig, PlanConfig
+from companion.plan.obstacles.avoidance import Avoidance
+from companion.plan.trajectory.course import Way, paced
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
+
+CYCLE_S = 1.0 / 30.0
+CONFIG = GuidanceConfig()
+
+
+def constant_law(_d: float, _v: float, _a: float) -> float:
+    return 1.0
+
+
+def generator(config: GuidanceConfig = CONFIG) -> ReferenceGenerator:
+    return ReferenceGenerator(config, constant_law, 20, 0.1)
+
+
+def test_the_time_to_go_is_distance_over_speed_plus_the_least_time() -> None:
+    g = generator()
+    g.start("pad", Motion((0.0, 0.0, -7.0)), 0.0)
+    g.fly_to(Motion((3.0, 4.0, -7.0)), 0.0)
+    # eq. 37, where no limit asks for more
+    assert g.time_to_go_s == pytest.approx(5.0 / 1.0 + CONFIG.minimum_time_s)
+    assert g.speed_m_s == 1.0
+
+
+def test_the_law_is_asked_with_distance_closing_speed_and_closing_acceleration() -> None:
+    asked: list[tuple[float, float, float]] = []
+
+    def law(d: float, v: float, a: float) -> float:
+        asked.append((d, v, a))
+        return 1.0
+
+    g = ReferenceGenerator(CONFIG, law, 20, 0.1)
+    g.start("pad", Motion((0.0, 0.0, 0.0), (0.6, 0.8, 0.0), (-0.3, -0.4, 0.0)), 0.0)
+    g.fly_to(Motion((3.0, 4.0, 0.0), (0.0, 0.5, 0.0)), 0.0)
+    # along (0.6, 0.8): closing at 1.0 less the target's own 0.4, and slowing at 0.5
+    assert asked == [pytest.approx((5.0, 0.6, -0.5))]
+
+
+def test_replanning_every_cycle_never_steps_in_position_velocity_or_acceleration() -> None:
+    g = generator()
+    g.start("pad", Motion((2.0, -1.0, -7.0), (1.5, 0.5, 0.0), (0.5, 0.0, 0.2)), 0.0)
+    target = Motion((0.0, 0.0, -3.0))
+    for k in range(1, 300):
+        now = k * CYCLE_S
+        if k == 100:
+            target = Motion((1.0, 2.0, -1.0))
+        before = g.at(now)
+        g.fly_to(target, now)
+        after = g.at(now)
+        assert after.position_m == pytest.approx(before.position_m, abs=1e-9)
+        assert after.velocity_m_s == pytest.approx(before.velocity_m_s, abs=1e-9)
+        assert after.acceleration_m_s2 == pytest.approx(before.acceleration_m_s2, abs=1e-9)
+    assert norm(subtract(g.at(10.0).position_m, target.position_m)) < 0.02
+
+
+def test_speed_and_acceleration_stay_within_their_limits_however_fast_the_law() -> None:
+    g = ReferenceGenerator(CONFIG, lambda _d, _v, _a: 50.0, 20, 0.1)
+    g.start("pad", Motion((0.0, 0.0, -10.0)), 0.0)
+    for k in range(600):
+        now = k * CYCLE_S
+        g.fly_to(Motion((12.0, -9.0, -2.0)), now)
+        v, a = g.at(now).velocity_m_s, g.at(now).acceleration_m_s2
+        assert math.hypot(v[0], v[1]) <= 1.1 * CONFIG.horizontal_speed_m_s
+        assert abs(v[2]) <= 1.1 * CONFIG.vertical_speed_m_s
+        assert math.hypot(a[0], a[1]) <= 1.1 * CONFIG.horizontal_acceleration_m_s2
+        assert abs(a[2]) <= 1.1 * CONFIG.vertical_acceleration_m_s2
+    assert norm(subtract(g.at(20.0).position_m, (12.0, -9.0, -2.0))) < 0.05
+
+
+def test_descending_onto_a_height_overshoots_it_by_centimetres_at_most() -> None:
+    g = generator()
+    g.start("pad", Motion((0.0, 0.0, -3.2)), 0.0)
+    lowest = math.inf
+    for k in range(400):
+        g.fly_to(Motion((0.0, 0.0, -0.53)), k * CYCLE_S)
+        lowest = min(lowest, -g.at(k * CYCLE_S).position_m[2])
+    assert 0.48 < lowest <= 0.531
+
+
+def test_a_moving_target_is_met_at_its_own_velocity() -> None:
+    g = generator()
+    g.start("local", Motion((0.0, 0.0, -7.0)), 0.0)
+    for k in range(400):
+        now = k * CYCLE_S
+        g.fly_to(Motion((5.0 + 1.5 * now, -2.0 * now, -7.0), (1.5, -2.0, 0.0)), now)
+    now = 400 * CYCLE_S
+    assert g.at(now).position_m == pytest.approx((5.0 + 1.5 * now, -2.0 * now, -7.0), abs=0.02)
+    assert g.at(now).velocity_m_s == pytest.approx((1.5, -2.0, 0.0), abs=0.02)
+
+
+def test_changing_the_frame_keeps_the_motion_in_space() -> None:
+    pad = Motion((10.0, -3.0, 0.5), (1.0, 2.0, -0.2), (0.3, 0.0, 0.1))
+    start = Motion((4.0, 5.0, -6.0), (0.5, -0.5, 0.1), (0.1, 0.2, 0.0))
+    g = generator()
+    g.start("local", start, 3.0)
+    g.change_frame("pad", pad, 3.0)
+    assert g.origin == "pad"
+    assert g.at(3.0).position_m == pytest.approx((-6.0, 8.0, -6.5))
+    assert g.at(3.0).velocity_m_s == pytest.approx((-0.5, -2.5, 0.3))
+    g.change_frame("local", pad, 3.0)
+    assert g.at(3.0).position_m == pytest.approx(start.position_m)
+    assert g.at(3.0).velocity_m_s == pytest.approx(start.velocity_m_s)
+    assert g.at(3.0).acceleration_m_s2 == pytest.approx(start.acceleration_m_s2)
+
+
+def test_only_an_estimate_beyond_the_bound_is_taken_up() -> None:
+    g = generator()
+    g.start("pad", Motion((0.0, 0.0, -3.0)), 0.0)
+    assert g.keep_near(Motion((0.79, 0.0, -3.0)), 1.0) == 0.0
+    assert g.at(1.0).position_m == (0.0, 0.0, -3.0)
+    assert g.keep_near(Motion((0.81, 0.0, -3.0), (0.2, 0.0, 0.0)), 1.0) == pytest.approx(0.81)
+    assert g.at(1.0).position_m == (0.81, 0.0, -3.0)
+    assert g.at(1.0).velocity_m_s == pytest.approx((0.2, 0.0, 0.0))
+
+
+def test_sinking_blends_into_a_constant_speed_that_goes_on_below_the_surface() -> None:
+    g = generator()
+    g.start("pad", Motion((0.01, -0.02, -0.53)), 0.0)
+    depth = g.sink(0.22, 0.8, 0.0)
+    assert depth == pytest.approx(0.088)
+    assert g.at(0.8).position_m == pytest.approx((0.0, 0.0, -0.53 + 0.088), abs=1e-9)
+    assert g.at(5.0).velocity_m_s == pytest.approx((0.0, 0.0, 0.22))
+    assert g.at(5.0).position_m[2] > 0.0
+
+
+@pytest.mark.parametrize("quarter", range(4))
+@pytest.mark.parametrize("offset_deg", [-100.0, 100.0])
+def test_the_heading_slews_the_short_way_at_its_rate(quarter: int, offset_deg: float) -> None:
+    start = math.radians(90.0 * quarter)
+    wanted = start + math.radians(offset_deg)
+    g = generator()
+    g.heading_rad = start
+    g.turn(wanted, 0.0)
+    g.turn(wanted, 1.0)
+    turned = math.degrees(math.remainder(g.heading_rad - start, math.tau))
+    assert turned == pytest.approx(math.copysign(30.0, offset_deg))
+    for k in range(1, 4):
+        g.turn(wanted, 1.0 + k)
+    assert math.remainder(g.heading_rad - wanted, math.tau) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_without_a_wish_the_heading_stays_and_no_rate_is_saved_up() -> None:
+    g = generator()
+    g.turn(None, 0.0)
+    g.turn(None, 60.0)
+    g.turn(1.0, 60.1)
+    assert g.heading_rad == pytest.approx(math.radians(3.0))
+
+
+def test_the_reference_holds_the_horizon_from_now_on() -> None:
+    g = generator()
+    assert g.reference(0.0, None) is None
+    g.start("pad", Motion((1.0, 2.0, -5.0), (0.5, 0.0, 0.0)), 4.0)
+    reference = g.reference(4.5, 0.33)
+    assert reference is not None
+    assert reference.position_m.shape == (21, 3)
+    assert reference.time_s == 4.5
+    assert reference.minimum_height_m == 0.33
+    for k in (0, 7, 20):
+        np.testing.assert_allclose(reference.position_m[k], g.at(4.5 + 0.1 * k).position_m, atol=1e-9)
+
+
+def test_asking_for_the_state_of_no_reference_is_an_error() -> None:
+    g = generator()
+    g.start("pad", Motion((0.0, 0.0, 0.0)), 0.0)
+    g.stop()
+    assert not g.active
+    with pytest.raises(RuntimeError, match="no reference"):
+        g.at(0.0)
+
+
+def level_flight(lowest_down_m: float) -> tuple[ReferenceGenerator, list[Motion]]:
+    """From a climb or sink of 1 m/s on, towards a point that moves and (by its own word) rises."""
+    g = generator()
+    g.start("local", Motion((0.0, 0.0, -4.0), (0.5, 0.0, 0.0)), 0.0)
+    g.sink(1.0, 0.3, 0.0)
+    way = []
+    for k in range(9, 240):
+        now = k * CYCLE_S
+        g.fly_level(Motion((3.0 + 0.5 * now, 1.0, 9.0), (0.5, 0.0, -2.0)), lowest_down_m, now)
+        way.append(g.at(now))
+    return g, way
+
+
+def test_level_flight_stops_a_sink_at_once_and_goes_on_horizontally() -> None:
+    _, way = level_flight(math.inf)
+    begun_m = way[0].position_m[2]
+    assert max(m.position_m[2] for m in way) < begun_m + 0.45
+    # within a second it stands, and then keeps that height to the millimetre
+    settled = [m.position_m[2] for m in way[30:]]
+    assert max(settled) - min(settled) < 1e-3
+    assert way[-1].position_m[:2] == pytest.approx((3.0 + 0.5 * 239 * CYCLE_S, 1.0), abs=0.05)
+    assert way[-1].velocity_m_s[0] == pytest.approx(0.5, abs=0.02)
+
+
+def test_level_flight_climbs_to_its_floor_without_a_step() -> None:
+    g, way = level_flight(-5.0)
+    assert way[-1].position_m[2] == pytest.approx(-5.0, abs=0.02)
+    assert min(m.position_m[2] for m in way) > -5.05
+    assert max(abs(m.velocity_m_s[2]) for m in way) <= CONFIG.vertical_speed_m_s + 0.01
+    for before, after in pairwise(way):
+        assert norm(subtract(after.velocity_m_s, before.velocity_m_s)) < 4.0 * CYCLE_S
+    now = 239 * CYCLE_S
+    reference = g.reference(now, None)
+    assert reference is not None
+    for k, row in enumerate(reference.position_m):
+        assert row == pytest.approx(g.at(now + k * reference.step_s).position_m, abs=1e-9)
+
+
+def test_level_flight_ends_with_the_next_plan() -> None:
+    g, way = level_flight(math.inf)
+    now = 240 * CYCLE_S
+    g.fly_to(Motion((5.0, 1.0, -6.0)), now)
+    assert g.at(now).position_m[2] == pytest.approx(way[-1].position_m[2], abs=1e-3)
+    assert g.resting_place_m() == pytest.approx((5.0, 1.0, -6.0))
+
+
+def test_an_acceleration_at_the_start_beyond_the_limits_does_not_draw_the_way_out_for_ever() -> None:
+    g = generator()
+    # as after a climb that was broken off: still rising, and pushed down harder than the plan may
+    g.start("local", Motion((0.0, 0.0, -0.5), (-1.3, 0.6, -0.3), (0.3, 0.2, 1.4)), 0.0)
+    lowest_m = -0.5
+    for k in range(1, 200):
+        g.fly_to(Motion((20.0, 5.0, -6.0), (1.0, 0.0, 0.0)), k * CYCLE_S)
+        lowest_m = max(lowest_m, g.at(k * CYCLE_S).position_m[2])
+        assert g.time_to_go_s < 200.0
+    assert lowest_m < 0.3
+    assert g.at(200 * CYCLE_S).velocity_m_s[2] < 0.0
+
+
+def test_a_way_round_obstacles_keeps_its_own_heights() -> None:
+    start, target = Motion((0.0, 0.0, -5.0)), Motion((10.0, 0.0, -5.0))
+    course = paced(start, [(5.0, 0.0, -3.0)], target, 0.0, CONFIG)
+
+    class Leading(Avoidance):
+        def way(self, *_: object, **__: object) -> Way:
+            return course
+
+    led = ReferenceGenerator(CONFIG, constant_law, 20, 0.1, Leading(PlanConfig(), 0.3))
+    led.start("local", start, 0.0)
+    for k in range(40):
+        now_s = 0.1 * k
+        led.fly_to(target, now_s)
+        assert led.at(now_s).position_m == pytest.approx(course.at(now_s).position_m)
+
+
+@pytest.mark.parametrize("upwards", [1.0, -1.0])
+def test_a_climb_or_sink_at_the_start_is_stopped_before_the_way_to_a_goal_on_the_other_side(
+    upwards: float,
+) -> None:
+    g = generator()
+    # as after a hold that stopped a descent: pushed up, harder than the plan may, the pad far below
+    g.start("pad", Motion((0.2, -0.1, -5.0), (0.3, 0.2, -0.9 * upwards), (-0.5, 0.4, -2.6 * upwards)), 0.0)
+    farthest_m = 0.0
+    for k in range(1, 600):
+        now = k * CYCLE_S
+        g.fly_to(Motion((0.0, 0.0, -5.0 + 4.0 * upwards)), now)
+        farthest_m = max(farthest_m, upwards * (-5.0 - g.at(now).position_m[2]))
+    assert farthest_m < 1.0
+    assert g.at(600 * CYCLE_S).position_m == pytest.approx((0.0, 0.0, -5.0 + 4.0 * upwards), abs=0.02)

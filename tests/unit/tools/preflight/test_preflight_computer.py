@@ -1,0 +1,100 @@
+"""The computer: clock, disk, power, service; and what a running service does to the check."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+from collections import namedtuple
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from companion.config import CompanionConfig
+from companion.tools.preflight import computer, run
+from companion.tools.preflight.computer import ServiceState
+from companion.tools.preflight.findings import Finding, State
+
+NOW = datetime(2099, 1, 1, tzinfo=UTC)
+RUNNING = ServiceState("loaded", "enabled", "active")
+Usage = namedtuple("Usage", "total used free")
+
+
+def found(
+    monkeypatch: pytest.MonkeyPatch,
+    folder: Path,
+    answers: dict[str, str] | None = None,
+    state: ServiceState | None = RUNNING,
+    now: datetime = NOW,
+) -> dict[str, Finding]:
+    """The findings where these programs answer so."""
+    detail = {"timedatectl": "yes\n", "vcgencmd": "throttled=0x0\n", **(answers or {})}
+    monkeypatch.setattr(computer, "output_of", lambda *words: detail.get(words[0]) or None)
+    return {finding.name: finding for finding in computer.check_computer(folder, state, now)}
+
+
+def test_a_good_computer_is_well(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    states = {finding.state for finding in found(monkeypatch, tmp_path).values()}
+    assert states == {State.OK}
+
+
+@pytest.mark.parametrize(
+    ("answers", "name", "state"),
+    [
+        ({"timedatectl": "no\n"}, "clock", State.WARNING),
+        ({"timedatectl": ""}, "clock", State.NOT_CHECKED),
+        ({"vcgencmd": "throttled=0x50005\n"}, "power", State.FAIL),
+        ({"vcgencmd": "throttled=0x50000\n"}, "power", State.WARNING),
+        ({"vcgencmd": "throttled=0x8\n"}, "power", State.WARNING),
+        ({"vcgencmd": "VCHI initialization failed"}, "power", State.NOT_CHECKED),
+        ({"vcgencmd": ""}, "power", State.NOT_CHECKED),
+    ],
+)
+def test_what_the_programs_answer_counts(
+    answers: dict[str, str], name: str, state: State, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    assert found(monkeypatch, tmp_path, answers)[name].state is state
+
+
+def test_a_clock_before_the_installation_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    clock = found(monkeypatch, tmp_path, now=datetime(1970, 1, 1, tzinfo=UTC))["clock"]
+    assert (clock.state, clock.detail) == (
+        State.WARNING,
+        "1970-01-01 00:00 UTC, before this was installed",
+    )
+
+
+@pytest.mark.parametrize(("free_mb", "state"), [(100, State.FAIL), (1000, State.WARNING), (9000, State.OK)])
+def test_room_on_the_disk_counts_for_a_folder_that_is_not_there_yet(
+    free_mb: int, state: State, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(0, 0, free_mb * 1_000_000))
+    assert found(monkeypatch, tmp_path / "not" / "yet")["disk"].state is state
+
+
+@pytest.mark.parametrize(
+    ("service", "state"),
+    [
+        (None, State.NOT_CHECKED),
+        (ServiceState("not-found", "", "inactive"), State.WARNING),
+        (ServiceState("loaded", "disabled", "inactive"), State.WARNING),
+        (ServiceState("loaded", "enabled", "failed"), State.FAIL),
+        (ServiceState("loaded", "enabled", "inactive"), State.OK),
+    ],
+)
+def test_the_service_is_to_be_installed_and_enabled(
+    service: ServiceState | None, state: State, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    assert found(monkeypatch, tmp_path, state=service)["service"].state is state
+
+
+def test_what_a_running_service_has_is_left_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    async def opened(*_: object) -> list[Finding]:
+        raise AssertionError("a device was opened")
+
+    monkeypatch.setattr(run, "service_state", lambda: RUNNING)
+    monkeypatch.setattr(run, "check_devices", opened)
+    monkeypatch.setattr(run, "check_link", opened)
+    findings = asyncio.run(run.preflight(CompanionConfig(), Path("x.yaml"), tmp_path))
+    left = {finding.group for finding in findings if "the service is running" in finding.detail}
+    assert left == {"camera", "IMU", "GPS", "range", "link", "telemetry", "autopilot's parameters"}
