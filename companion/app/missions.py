@@ -59,6 +59,7 @@ class Missions:
         self._askers: dict[Order, Callable[[OrderReply], None]] = {}
         self._ended_s: float | None = None
         self._end_words = ""
+        self._inputs: PlanInputs | None = None  # of the last cycle
         self.stopped_idle = False
         self.phase = self._planner.phase
         session.orders.stand_by(clock.now_s())
@@ -74,6 +75,10 @@ class Missions:
         stands = self._planner.committed or self._session.state.landed is LandedState.ON_GROUND
         return Action(ActionKind.LAND if stands else ActionKind.HOLD)
 
+    def not_ready(self, now_s: float) -> list[str]:
+        """Why an order to land would be refused, beside that the vehicle stands on the ground."""
+        return ["starting"] if self._inputs is None else self._planner.not_ready(self._inputs, now_s)
+
     def give(self, order: Order, on_reply: Callable[[OrderReply], None]) -> None:
         """Give an order beside those of the link; `on_reply` receives its answers, the last one last."""
         self._askers[order] = on_reply
@@ -81,6 +86,7 @@ class Missions:
 
     def step(self, inputs: PlanInputs, now_s: float) -> PlanStep:
         """One cycle of the planner, with the order that has come, if one has."""
+        self._inputs = inputs
         self._desk.take(self._session.orders.take())
         order = self._desk.next_order(self.phase, now_s)
         stop = inputs.stop_requested or self._desk.stop_requested

@@ -59,12 +59,12 @@ def predict_pad(pad: PadState, times_s: FloatArray, decay_s: float) -> PadPredic
     elif abs(v) >= MINIMUM_BRAKING_SPEED_M_S and (a / v).real < 0.0:
         plane = _braking(v, a, t, decay_s)
     else:
-        plane = tuple(columns[:, 0] + 1j * columns[:, 1] for columns in (displacement, speed, change))
-    if plane[1].all():  # one that halts is not driven on by its jerk
-        jerk = complex(pad.jerk_ned_m_s3[0], pad.jerk_ned_m_s3[1])
-        plane = tuple(row + jerk * gain for row, gain in zip(plane, _jerk_gains(t, decay_s), strict=True))
-    for columns, row in zip((displacement, speed, change), plane, strict=True):
-        columns[:, 0], columns[:, 1] = row.real, row.imag
+        plane = _complex(displacement), _complex(speed), _complex(change)
+    # one that halts is not driven on by its jerk
+    jerk = complex(pad.jerk_ned_m_s3[0], pad.jerk_ned_m_s3[1]) if plane[1].all() else 0j
+    for columns, row, gain in zip((displacement, speed, change), plane, _jerk_gains(t, decay_s), strict=True):
+        moved = row + jerk * gain
+        columns[:, 0], columns[:, 1] = moved.real, moved.imag
     return PadPrediction(displacement, speed, change)
 
 
@@ -82,6 +82,10 @@ def _decaying(
     column = t[:, None]
     gained = decay_s * (1.0 - fade)
     return v * column + a * decay_s * (column - gained), v + a * gained, a * fade
+
+
+def _complex(columns: FloatArray) -> ComplexArray:
+    return np.asarray(columns[:, 0] + 1j * columns[:, 1])
 
 
 def _jerk_gains(t: FloatArray, decay_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:

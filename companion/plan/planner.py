@@ -18,6 +18,7 @@ from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.mode_monitor import in_land
+from companion.plan.mission.orders import not_ready
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Circumstances, DetectedEvent, Effect, MissionEvent, State
@@ -53,7 +54,8 @@ class Planner:
             ConfigError: the take-off or a waypoint is too near to an obstacle.
         """
         check_places(config, vehicle.radius_m)
-        mission, search = config.mission, config.search
+        self._mission = mission = config.mission
+        search = config.search
         self._machine = StateMachine(config.landing.retries, may_fly=standby is None)
         self._battery, self._battery_told = mission.battery, False
         self._notices: list[Notice] = []
@@ -96,6 +98,10 @@ class Planner:
     def waiting(self) -> bool:
         """Whether something asked of the autopilot is still open."""
         return self._requests.open
+
+    def not_ready(self, inputs: PlanInputs, now_s: float) -> list[str]:
+        """What stands against an order to land, wherever the vehicle is."""
+        return list(not_ready(inputs, self._mission, now_s))
 
     def step(self, inputs: PlanInputs, now_s: float) -> PlanStep:
         """One cycle at now_s: at most one event, then the reference, actions and notices."""
