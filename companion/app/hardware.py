@@ -16,6 +16,7 @@ from companion.app.devices import (
     SerialLine,
     opened_if_there,
 )
+from companion.app.service.autopilot_lock import only_app_at
 from companion.base.clock import Clock
 from companion.base.errors import DeviceMissing
 from companion.config import CameraConfig, CompanionConfig, LinkConfig, RangeConfig, find_file, load_model
@@ -57,7 +58,8 @@ async def open_hardware(
     device that is missing is opened as soon as it is there.
 
     Raises:
-        ConfigError: a port, bus or camera is taken or misspelt, or missing; one line says which.
+        ConfigError: a port, bus or camera is taken or misspelt, or missing, or another app on this machine is
+            at the autopilot; one line says which.
     """
     camera = load_model(CameraConfig, find_file("cameras", config.camera))
     sense = config.sense
@@ -65,6 +67,7 @@ async def open_hardware(
         link = config.link
         transport: Transport = memory_pair()[0]
         if linked:
+            opened.enter_context(only_app_at(link.connection))
             transport = opened.enter_context(closing(await _open_line(link, waits=waits)))
         imu_bus: RegisterBus | None = None
         gps_port: SerialLine | None = None

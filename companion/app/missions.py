@@ -13,7 +13,16 @@ from typing import Final
 from companion.app.announcer import Announcer
 from companion.app.service.order_desk import OrderDesk
 from companion.base.clock import Clock
-from companion.base.messages import Order, OrderOutcome, OrderReply, Phase, PlanStep
+from companion.base.messages import (
+    Action,
+    ActionKind,
+    LandedState,
+    Order,
+    OrderOutcome,
+    OrderReply,
+    Phase,
+    PlanStep,
+)
 from companion.flightlog.flights_recorder import FlightsRecorder
 from companion.flightlog.record import FlightLog
 from companion.link.session import Session
@@ -50,6 +59,7 @@ class Missions:
         self._askers: dict[Order, Callable[[OrderReply], None]] = {}
         self._ended_s: float | None = None
         self._end_words = ""
+        self._inputs: PlanInputs | None = None  # of the last cycle
         self.stopped_idle = False
         self.phase = self._planner.phase
         session.orders.stand_by(clock.now_s())
@@ -59,6 +69,16 @@ class Missions:
         """The order that is being followed."""
         return self._desk.followed
 
+    @property
+    def last_word(self) -> Action:
+        """What the autopilot is asked for when control has failed; one that stands a hold would lift off."""
+        stands = self._planner.committed or self._session.state.landed is LandedState.ON_GROUND
+        return Action(ActionKind.LAND if stands else ActionKind.HOLD)
+
+    def not_ready(self, now_s: float) -> list[str]:
+        """Why an order to land would be refused, beside that the vehicle stands on the ground."""
+        return ["starting"] if self._inputs is None else self._planner.not_ready(self._inputs, now_s)
+
     def give(self, order: Order, on_reply: Callable[[OrderReply], None]) -> None:
         """Give an order beside those of the link; `on_reply` receives its answers, the last one last."""
         self._askers[order] = on_reply
@@ -66,6 +86,7 @@ class Missions:
 
     def step(self, inputs: PlanInputs, now_s: float) -> PlanStep:
         """One cycle of the planner, with the order that has come, if one has."""
+        self._inputs = inputs
         self._desk.take(self._session.orders.take())
         order = self._desk.next_order(self.phase, now_s)
         stop = inputs.stop_requested or self._desk.stop_requested

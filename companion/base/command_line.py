@@ -162,7 +162,7 @@ def _run(
 ) -> int:
     """The exit code; what went wrong has been said."""
     try:
-        code = typer.main.get_command(app)(args=words, prog_name=program, standalone_mode=False) or 0
+        code = _typer_code(app, program, words)
         # typer's own answer to Ctrl-C
         return _end(program, interrupted, "") if code == INTERRUPTED else int(code)
     except (KeyboardInterrupt, typer.Abort):
@@ -178,6 +178,20 @@ def _run(
     except tuple(endings) as error:
         ending = next(end for kind, end in endings.items() if isinstance(error, kind))
         return _end(program, ending, str(error))
+
+
+def _typer_code(app: typer.Typer, program: str, words: Sequence[str] | None) -> Any:
+    """What the command returns.
+
+    Raises:
+        BrokenPipeError: nobody reads what it prints, even where Rich has made an exit with status 1 of that.
+    """
+    try:
+        return typer.main.get_command(app)(args=words, prog_name=program, standalone_mode=False) or 0
+    except SystemExit as error:
+        if isinstance(error.__context__, BrokenPipeError):
+            raise error.__context__ from None
+        raise
 
 
 def _said_of(error: ConfigError | RecursionError | ModuleNotFoundError) -> str:

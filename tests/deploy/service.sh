@@ -2,16 +2,20 @@
 # The service under a real systemd: a Debian 12 container that boots it.
 #   sudo tests/deploy/service.sh [FOLDER]   FOLDER (else /var/tmp/companion-service) is kept, for the next time
 # install.sh from this checkout, enable, boot: active beside a simulated vehicle that stands on its pad; kill -9 and
-# SIGSTOP: restarted, nothing armed; the preflight check leaves its devices alone; removed, nothing but logs and
-# settings is left. PYTHON: the Python whose pip fetches the wheels (else python3). Exit codes: 0 all well,
-# 1 something is not, 77 skipped, with one line that says why.
+# SIGSTOP: restarted, nothing armed; the preflight check leaves its devices alone; a pilot's flights, by pilot.py:
+# devices that come late, landings, kill -9 and SIGSTOP in each phase; removed, nothing but logs and settings is left.
+# PYTHON: the Python whose pip fetches the wheels (else python3). FLIGHTS: the parts to fly (else "land kill stop").
+# FLY_WITH: words put before the command of each part, which flies in real time for two to three minutes.
+# Exit codes: 0 all well, 1 something is not, 77 skipped, with one line that says why.
 set -euo pipefail
 readonly SOURCE="$(cd "$(dirname "$0")/../.." && pwd)"
 readonly FOLDER="$(realpath -m "${1:-/var/tmp/companion-service}")"
 readonly ROOT="$FOLDER/root"
 readonly PYTHON="${PYTHON:-python3}"
 readonly MIRROR="${MIRROR:-http://deb.debian.org/debian}"
+readonly FLIGHTS="${FLIGHTS-land kill stop}"
 readonly PATIENCE_S=120
+read -ra fly_with <<<"${FLY_WITH:-}"
 container="" leader=""
 
 skip() { echo "service: skipped: $*"; exit 77; }
@@ -24,9 +28,17 @@ for program in debootstrap systemd-nspawn nsenter; do
 done
 "$PYTHON" -m pip --version >/dev/null 2>&1 || skip "$PYTHON has no pip"
 
-inside() {
-    nsenter --target "$leader" --all -- env --ignore-environment HOME=/root PIP_NO_INDEX=1 \
-        PIP_FIND_LINKS=/wheels PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin "$@"
+# the words after the first run what follows them inside
+enter() { entering=(nsenter --target "$leader" --all -- env --ignore-environment HOME=/root PIP_NO_INDEX=1
+    PIP_FIND_LINKS=/wheels PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin); }
+
+inside() { enter; "${entering[@]}" "$@"; }
+
+# a part of pilot.py
+fly() {
+    enter
+    "${fly_with[@]}" "${entering[@]}" PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 OPENBLAS_NUM_THREADS=1 \
+        sh -c 'cd /src && exec /opt/companion/.venv/bin/python -m tests.deploy.pilot "$1"' sh "$1"
 }
 
 # what is there, but for what is no file of the system's, and its own logs
@@ -103,7 +115,7 @@ for glibc in 17 24 27 28 31 34; do platforms+=(--platform "manylinux_2_${glibc}_
     || fail "the wheels: $(grep -m 1 ERROR "$FOLDER/pip.log")"
 rm -rf "$ROOT/src"
 install -d "$ROOT/src"
-for name in companion sitl calibration configs systemd pyproject.toml constraints.txt README.md LICENSE; do
+for name in companion sitl calibration configs systemd tests pyproject.toml constraints.txt README.md LICENSE; do
     cp -r "$SOURCE/$name" "$ROOT/src/"
 done
 
@@ -126,7 +138,7 @@ Before=companion.service
 [Service]
 User=companion
 RuntimeDirectory=vehicle
-ExecStart=/opt/companion/.venv/bin/python -m sitl.cli hold --motion still --folder /run/vehicle --settings /run/vehicle/companion.yaml
+ExecStart=/opt/companion/.venv/bin/python -m sitl.cli hand-held --motion still --folder /run/vehicle --settings /run/vehicle/companion.yaml
 WorkingDirectory=/opt/companion
 Environment=PYTHONUNBUFFERED=1 OPENBLAS_NUM_THREADS=1
 ExecStartPost=/bin/sh -c 'until [ -s /run/vehicle/companion.yaml ]; do sleep 0.2; done'
@@ -166,14 +178,29 @@ wrong = service["state"] != "ok" or not {"camera", "IMU", "GPS", "range", "link"
 sys.exit(f"expected an enabled service whose devices are left alone, found {service}, {sorted(left)}" if wrong else 0)
 END
 
+if [ -n "$FLIGHTS" ]; then
+    step "boot a third time, without devices"
+    rm "$ROOT/etc/companion/companion.yaml"
+    inside systemctl disable --quiet vehicle
+    inside sh -c 'cd /src && /opt/companion/.venv/bin/python -m tests.deploy.pilot settings' \
+        >"$ROOT/etc/companion/companion.yaml" || fail "the settings"
+    shut_down
+    boot || fail "it does not boot without devices: $(tail -n 1 "$FOLDER/boot.log")"
+    until_well systemctl is-active companion || fail "not active: $(inside systemctl status companion | tail -n 3)"
+fi
+for part in $FLIGHTS; do
+    step "a pilot flies: $part"
+    fly "$part" || fail "a pilot flies: $part: $(inside journalctl --unit companion --no-pager | tail -n 20)"
+done
+
 step "install.sh --remove"
 inside bash /src/systemd/install.sh --remove >"$FOLDER/install.log" 2>&1 || fail "remove: $(tail -n 1 "$FOLDER/install.log")"
 left="$(inside sh -c 'ls -d /opt/companion /etc/systemd/system/companion.service /usr/local/bin/companion* 2>/dev/null; pgrep -u companion -f companion.cli' || true)"
 [ -z "$left" ] || fail "removed, and still there: $left"
-[ -e "$ROOT/var/lib/companion" ] && [ -L "$ROOT/etc/companion/companion.yaml" ] || fail "logs or settings are gone"
+[ -e "$ROOT/var/lib/companion" ] && [ -e "$ROOT/etc/companion/companion.yaml" -o -L "$ROOT/etc/companion/companion.yaml" ] || fail "logs or settings are gone"
 # `vehicle` and the backups of passwd and group are not ours
 list_files >"$FOLDER/after"
 left="$(comm -13 "$FOLDER/before" "$FOLDER/after" | grep -v -e '^/etc/companion\(/\|$\)' -e '^/var/lib/companion\(/\|$\)' \
     -e '/vehicle.service$' -e '^/etc/\(passwd\|group\|shadow\|gshadow\)-$' -e '^/var/lib/systemd/' || true)"
 [ -z "$left" ] || fail "removed, and still there: $left"
-step "install, boot, restarts, check and removal are well"
+step "install, boot, restarts, check, flights and removal are well"

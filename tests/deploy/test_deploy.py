@@ -10,6 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from companion.config import load_config
+from tests.deploy import pilot
+
 HERE = Path(__file__).resolve().parent
 SCRIPTS = sorted(path.name for path in HERE.glob("*.sh"))
 SKIPPED = 77
@@ -43,6 +46,15 @@ def test_without_what_it_needs_a_script_skips_in_one_line(name: str, tmp_path: P
     (line,) = done.stdout.splitlines()
     assert line.startswith(f"{name.removesuffix('.sh')}: skipped: n")  # no ..., needs ...
     assert not (tmp_path / "work").exists()
+
+
+def test_the_pilots_settings_lead_to_devices_that_are_plugged_in_later(tmp_path: Path) -> None:
+    path = tmp_path / "companion.yaml"
+    path.write_text(pilot.settings_text())
+    config = load_config(path)
+    assert not config.plan.mission.may_arm
+    assert config.sense.gps.port == f"{pilot.PLUGGED}/gps"
+    assert config.sense.vision.source == f"socket:{pilot.PLUGGED}/camera"
 
 
 @pytest.mark.timeout(LONGEST_S)

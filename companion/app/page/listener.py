@@ -14,7 +14,7 @@ from aiohttp import web
 
 from companion.app.page.look import Look, Reply, Start, Text
 from companion.app.page.picture import Painter
-from companion.app.page.server import MOST_CONNECTIONS, PageServer
+from companion.app.page.server import PageServer
 from companion.config.service import LOCALHOST
 from companion.sense.vision.opencv import prepare_opencv
 
@@ -43,7 +43,7 @@ async def _serve(pipe: Connection, start: Start) -> None:
     loop = asyncio.get_running_loop()
     try:
         host = "127.0.0.1" if start.host == LOCALHOST else start.host
-        listening = await loop.create_server(lambda: _protocol(runner), host, start.port)
+        listening = await loop.create_server(lambda: _protocol(runner, server), host, start.port)
     except OSError as error:
         say({"problem": f"cannot listen on {start.host}:{start.port}: {os.strerror(error.errno or 0)}"})
         return
@@ -55,10 +55,10 @@ async def _serve(pipe: Connection, start: Start) -> None:
     await ended.wait()
 
 
-def _protocol(runner: web.AppRunner) -> asyncio.Protocol:
-    """For one more connection; beyond the most it is closed at once."""
+def _protocol(runner: web.AppRunner, server: PageServer) -> asyncio.Protocol:
+    """For one more connection; where there is no room it is closed at once."""
     assert runner.server is not None
-    return runner.server() if len(runner.server.connections) < MOST_CONNECTIONS else _Full()
+    return runner.server() if server.make_room(runner.server.connections) else _Full()
 
 
 class _Full(asyncio.Protocol):

@@ -53,7 +53,7 @@ class LivePage:
         self._held_back: tuple[str, ...] | None = None
         self._viewers = 0
         self._looked_at = asyncio.Event()
-        self._open: dict[int, OrderKind] = {}
+        self._open: dict[int, Order] = {}  # by the numbers of the page's present process
         self._ordered_s: dict[OrderKind, float] = {}
         self._newcomers = False
         meter = log.meter if isinstance(log, FlightsRecorder) else None
@@ -170,24 +170,31 @@ class LivePage:
             self._looked_at.set()
         else:
             self._looked_at.clear()
+            self._open.clear()  # nobody waits for an answer any more
 
     def _order(self, name: str, number: int, app: App, process: PageProcess) -> None:
-        """Give an order as `companion order` does; its answers go back by number."""
+        """Give an order as `companion order` does; its answers go back by number, to those who still wait.
+
+        The next process of the page numbers afresh: what was ordered through the one before answers nobody.
+        """
         kind = ORDERS.get(name)
         if not self._config.allow_commands or kind is None:
             process.put(Reply(number, name, OrderOutcome.DENIED.value, "not allowed by serve.allow_commands"))
             return
         now_s = self._clock.now_s()
         soon = now_s - self._ordered_s.get(kind, float("-inf")) < ORDER_PERIOD_S
-        if soon or list(self._open.values()).count(kind) >= MOST_OPEN_ORDERS:
+        open_ones = sum(order.kind is kind for order in self._open.values())
+        if soon or open_ones >= MOST_OPEN_ORDERS or number in self._open:
             process.put(Reply(number, name, OrderOutcome.TEMPORARILY_REJECTED.value, "too many orders"))
             return
         self._ordered_s[kind] = now_s
-        self._open[number] = kind
+        self._open[number] = order = Order(now_s, kind, SOURCE)
 
         def answer(reply: OrderReply) -> None:
+            if self._open.get(number) is not order:
+                return
             if reply.outcome is not OrderOutcome.IN_PROGRESS:
-                self._open.pop(number, None)
+                del self._open[number]
             process.put(Reply(number, name, reply.outcome.value, reply.text))
 
-        app.missions.give(Order(now_s, kind, SOURCE), answer)
+        app.missions.give(order, answer)

@@ -1,10 +1,14 @@
-"""The page's server: three files, and a WebSocket for everything else."""
+"""The page's server: three files, and a WebSocket for everything else.
+
+Whoever has not shown the token takes no viewer's place, and keeps no connection from anybody: the oldest of
+them makes room for a new one.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -55,7 +59,7 @@ class PageServer:
         self._start, self._say, self._clock = start, say, Clock()
         self._names = own_names(start.host_names)
         self._viewers: set[Viewer] = set()
-        self._sockets = 0  # those who have not shown their token yet count too
+        self._admitted: set[web.RequestHandler] = set()  # the viewers' connections
         self._orders: dict[int, Viewer] = {}
         self._ordered = 0
         self._contents = {path: (STATIC / name).read_bytes() for path, (name, _) in FILES.items()}
@@ -66,6 +70,19 @@ class PageServer:
         app.add_routes([web.get(path, self._file) for path in FILES])
         app.router.add_get("/live", self._live)
         return app
+
+    def make_room(self, connections: Sequence[web.RequestHandler]) -> bool:
+        """Whether there is room for one more connection beside these, oldest first.
+
+        The oldest that are no viewer's are closed for it; of a burst some may be open for a moment.
+        """
+        living = [c for c in connections if c.transport is not None and not c.transport.is_closing()]
+        strangers = [c.transport for c in living if c not in self._admitted]
+        too_many = max(0, len(living) + 1 - MOST_CONNECTIONS)
+        for transport in strangers[:too_many]:
+            if transport is not None:
+                transport.abort()
+        return too_many <= len(strangers)
 
     # ------------------------------------------------------------ what the app's process sends
 
@@ -111,18 +128,19 @@ class PageServer:
             return web.Response(status=403, text="opened by a page from elsewhere\n")
         socket = web.WebSocketResponse(max_msg_size=LONGEST_MESSAGE, heartbeat=HEARTBEAT_S, compress=False)
         await socket.prepare(request)
-        if self._sockets >= self._start.most_viewers:
+        if not await self._shows_token(socket):
+            await socket.close(code=WRONG_TOKEN, message=b"wrong token")
+        elif len(self._viewers) >= self._start.most_viewers:
             await socket.close(code=TOO_MANY, message=b"too many viewers")
-            return socket
-        self._sockets += 1
-        try:
-            if await self._admitted(socket):
+        else:
+            self._admitted.add(request.protocol)
+            try:
                 await self._show(socket)
-        finally:
-            self._sockets -= 1
+            finally:
+                self._admitted.discard(request.protocol)
         return socket
 
-    async def _admitted(self, socket: web.WebSocketResponse) -> bool:
+    async def _shows_token(self, socket: web.WebSocketResponse) -> bool:
         """Whether its first message is the token, where there is one."""
         token = self._start.token
         if token is None:
@@ -133,7 +151,6 @@ class PageServer:
             if isinstance(first, dict) and same_token(first.get("token"), token):
                 return True
             await asyncio.sleep(WRONG_TOKEN_S)
-        await socket.close(code=WRONG_TOKEN, message=b"wrong token")
         return False
 
     async def _show(self, socket: web.WebSocketResponse) -> None:

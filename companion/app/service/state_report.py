@@ -125,15 +125,8 @@ def _event(notice: Notice, start_s: float) -> Event:
 
 
 def _problems(app: App, rates: dict[str, Rate], machine: ComputerStatus, now_s: float) -> list[str]:
-    found = []
-    autopilot, vehicle = app.session.state, app.estimator.vehicle(now_s)
-    if not autopilot.connected:
-        found.append("no heartbeat from the autopilot")
-    if vehicle is None or not vehicle.aligned:
-        found.append("no estimate of the vehicle: not aligned")
-    if app.sensing.camera_problem is not None:
-        found.append(f"camera: {app.sensing.camera_problem}")
-    elif "frame_report" not in rates:
+    found = app.missions.not_ready(now_s)
+    if app.sensing.camera_problem is None and "frame_report" not in rates:
         found.append("camera: no frame yet")
     for topic, (name, oldest_s) in INPUTS.items():
         if topic in rates and rates[topic].age_s > oldest_s:

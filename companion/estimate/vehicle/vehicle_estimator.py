@@ -45,9 +45,10 @@ from companion.estimate.vehicle.attitude_reset import (
     AttitudeReset,
     Correction,
     EstimatedAttitude,
+    apart,
 )
 from companion.estimate.vehicle.ekf import GPS_TIMEOUT_S, VehicleEkf
-from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuStep, gps_step
+from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, HeadingStep, ImuStep, gps_step
 from companion.estimate.vehicle.ekf_start import start_state
 from companion.estimate.vehicle.ekf_state import EkfSnapshot
 from companion.estimate.vehicle.gyro_bias_check import SecondGyro
@@ -64,6 +65,7 @@ FUTURE_S = 0.1  # whose stamp is further ahead has a wrong time
 ALIGNED_STD_RAD = math.radians(20.0)  # an attitude known less well is none to fly by
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
 SETTLING_S = 30.0  # of the orientation pre-filter after a start in motion
+OTHER_COMPASS_STD_RAD = math.radians(3.0)  # of the autopilot's heading at rest
 LONGEST_STEP_S = 0.1  # between two samples of the magnetometer that the pre-filter takes in
 
 
@@ -89,6 +91,7 @@ class VehicleEstimator:
         self._span_s: float | None = None  # of the samples not yet given to the EKF, by their own clock
         self._inertial, self._trouble = InertialMotion(motion), TroubleReport()
         self._resting = self._still_block = False
+        self._other_compass: float | None = None
         self._mag_s = self._field_step_s = self._orientation_step_s = -math.inf
         self._mag_trusted_s = self._settled_s = -math.inf
 
@@ -166,6 +169,8 @@ class VehicleEstimator:
         if sample.same_imu:
             self._reset_to(sample)
             return True
+        if self._resting and self._other_compass is None:
+            self._compare_compasses(sample)
         step = self._second_gyro.add_attitude(sample.time_s, sample.attitude, self._inertial.gyro_bias_rad_s)
         if step is not None:
             self._timeline.add(self.newest_s, step)
@@ -173,6 +178,15 @@ class VehicleEstimator:
             back = quat_from_rotation_vector(scale(step.turned_rad, -1.0))
             self._orientation.attitude = quat_normalise(quat_multiply(self._orientation.attitude, back))
         return True
+
+    def _compare_compasses(self, report: AutopilotAttitude) -> None:
+        """Take the autopilot's heading once, at rest: its compass errs as ours does, and by another error."""
+        assert self._timeline is not None
+        assert self._orientation is not None
+        _, ours_ahead_rad = apart(self._inertial.attitude, report.attitude)
+        self._other_compass = ours_ahead_rad
+        self._timeline.add(self.newest_s, HeadingStep(-ours_ahead_rad, OTHER_COMPASS_STD_RAD))
+        self._read_ekf()
 
     def _reset_to(self, report: AutopilotAttitude) -> None:
         """Correct the attitude by the autopilot's, where that has to be."""

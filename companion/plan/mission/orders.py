@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from companion.base.messages import AutopilotState, LandedState, Order, OrderKind, Refusal, VehicleState
 from companion.config import MissionConfig, PlanConfig
 from companion.plan.mission.bounds import Bounds
-from companion.plan.mission.departure import refused_words
+from companion.plan.mission.departure import TWIN_GONE_S, refused_words
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import MissionEvent
 
@@ -38,24 +38,38 @@ def _not_flying(inputs: PlanInputs, config: PlanConfig) -> Refusal | None:
     return None
 
 
-def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> Iterator[str]:
-    yield from _autopilot(inputs.autopilot, config.mission)
+def not_ready(inputs: PlanInputs, mission: MissionConfig, now_s: float) -> Iterator[str]:
+    """What stands against a landing wherever the vehicle is; on the ground it can be ready too."""
+    yield from _autopilot(inputs.autopilot, mission)
+    if now_s - inputs.autopilot.twin_time_s <= TWIN_GONE_S:
+        yield "another companion with our ids is on the link; expected one"
     if inputs.camera_problem is not None:
         yield f"no pad camera: {inputs.camera_problem}"
-    yield from _estimate(inputs.vehicle, config.mission, now_s)
+    yield from _estimate(inputs.vehicle, mission, now_s)
+
+
+def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> Iterator[str]:
+    if inputs.autopilot.connected:
+        yield from _not_in_the_air(inputs.autopilot)
+    yield from not_ready(inputs, config.mission, now_s)
     if config.obstacles:
         yield "plan.obstacles count from the place of a take-off, which was not ours"
     for _, words in Bounds(config.mission).detect(inputs.vehicle, None, inputs.autopilot, now_s):
         yield f"beyond the {words}"
 
 
-def _autopilot(autopilot: AutopilotState, mission: MissionConfig) -> Iterator[str]:
-    if not autopilot.connected:
-        yield f"no heartbeat from the autopilot{refused_words(autopilot)}"
+def _not_in_the_air(autopilot: AutopilotState) -> Iterator[str]:
     if not autopilot.armed:
         yield "the vehicle is not armed"
     if autopilot.landed is LandedState.ON_GROUND:
         yield "the vehicle is on the ground"
+
+
+def _autopilot(autopilot: AutopilotState, mission: MissionConfig) -> Iterator[str]:
+    if not autopilot.connected:
+        yield f"no heartbeat from the autopilot{refused_words(autopilot)}"
+    elif autopilot.autopilot_kind is None:
+        yield "the autopilot is neither PX4's nor ArduPilot's of a multirotor"
     if autopilot.motors_cut:
         yield "kill switch, emergency stop or flight termination"
     if autopilot.home is None:

@@ -124,8 +124,11 @@ class Commander:
                 mode = self._left_mode
                 self._forget_failsafe()
                 self._enter(mode)
-            return
+                return
         for index, failsafe in enumerate(self._profile.failsafes):
+            # one mode is left at a time, but what a failsafe has landed is disarmed as ever
+            if self._left_by is not None and failsafe.response is not FailsafeAction.DISARM:
+                continue
             if not failsafe.condition(self.situation):
                 if failsafe.over is None or failsafe.over(self.situation) or self._held_s[index] > -inf:
                     self._held_s[index] = 0.0

@@ -24,6 +24,7 @@ import sys
 import tempfile
 import threading
 import time
+from bisect import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +45,8 @@ LANDING_PERCENT: Final = 40.0
 MEMORY_MB: Final = 300.0
 LATENCY_MS: Final = 20.0
 GROWTH_MB: Final = 10.0
+# half of it is more than the rows of any of our cameras lie about the frame's middle, and less than a period
+READOUT_S: Final = 1.0 / 60.0
 STANDBY_WATCHED_S: Final = 20.0
 ORDERS: Final = 10
 GROUND: Final = frozenset({"standby", "connect", "arm"})
@@ -114,6 +117,7 @@ class Delays:
             "exposure to frame": self.camera_ms,
             "frame to result": self.vision_ms,
             "result to setpoint": self.waited_ms,
+            "frame to setpoint": self.vision_ms + self.waited_ms,
             "exposure to setpoint": self.camera_ms + self.vision_ms + self.waited_ms,
         }
         ranks = {name: np.percentile(values, (50, 99)) for name, values in whole.items()}
@@ -122,17 +126,30 @@ class Delays:
 
 def read_delays(path: Path) -> Delays:
     """The delays of a flight, from its log."""
-    frames: dict[float, tuple[float, float]] = {}
+    frames: list[Stamps] = []
     sent: dict[float, float] = {}
     with path.open("rb") as stream:
         for _, channel, message in make_reader(stream).iter_messages(topics=["/frame_report", "/setpoint"]):
             told = json.loads(message.data)
             if channel.topic == "/frame_report":
-                frames[told["time_s"]] = told["received_s"], told["done_s"]
+                frames.append((told["time_s"], told["received_s"], told["done_s"]))
             elif told.get("exposure_time_s") is not None:
                 sent.setdefault(told["exposure_time_s"], told["time_s"])
-    rows = [(exposed, *frames[exposed], sent_s) for exposed, sent_s in sent.items() if exposed in frames]
+    used = ((_frame_of(seen_s, frames), sent_s) for seen_s, sent_s in sent.items())
+    rows = [(*frame, sent_s) for frame, sent_s in used if frame is not None]
+    if not rows:
+        raise RuntimeError(f"{path}: no setpoint used a frame")
     return Delays(*(1e3 * np.diff(np.array(rows), axis=1).T))
+
+
+Stamps = tuple[float, float, float]  # of a frame (s): exposed, received, done
+
+
+def _frame_of(seen_s: float, frames: list[Stamps]) -> Stamps | None:
+    """The frame in which the pad was seen then: rows are exposed before and after the frame's own time."""
+    after = bisect([exposed_s for exposed_s, *_ in frames], seen_s)
+    near = [frame for frame in frames[max(0, after - 1) : after + 1] if abs(frame[0] - seen_s) < READOUT_S]
+    return min(near, key=lambda frame: abs(frame[0] - seen_s), default=None)
 
 
 def _standby_percent(on: Stage) -> float:

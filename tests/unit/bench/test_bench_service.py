@@ -20,8 +20,11 @@ def test_delays_are_those_of_the_first_setpoint_that_used_a_frame(tmp_path: Path
         report = FrameReport(exposed_s, received_s, done_s, number, {}, seen=True, searched_whole_frame=False)
         log.write("frame_report", report, done_s)
         for sent_s in (done_s + 0.020, done_s + 0.053):
-            log.write("setpoint", Setpoint(sent_s, exposure_time_s=exposed_s), sent_s)
+            # rolling shutter: the pad's rows are exposed before or after the frame's middle
+            seen_s = exposed_s + (0.005 if number % 2 else -0.005)
+            log.write("setpoint", Setpoint(sent_s, exposure_time_s=seen_s), sent_s)
     log.write("setpoint", Setpoint(20.0), 20.0)  # before the pad was seen
+    log.write("setpoint", Setpoint(21.0, exposure_time_s=20.9), 21.0)  # of a frame that is not in the log
     log.close()
     delays = read_delays(tmp_path / "flight.mcap")
     assert delays.camera_ms == pytest.approx([45.0] * 100)

@@ -114,6 +114,23 @@ async def test_open_orders_are_counted_and_hold_no_stop_up(monkeypatch: pytest.M
 
 
 @pytest.mark.usefixtures("_token")
+async def test_the_next_process_numbers_afresh_and_hears_no_answer_to_an_order_of_the_last(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(live_page, "ORDER_PERIOD_S", 0.0)
+    page, desk, outlet = page_of(allow_commands=True), Desk(), Outlet()
+    app, process = cast(App, SimpleNamespace(missions=desk)), cast(PageProcess, outlet)
+    page._take({"order": "land", "number": 1}, app, process)
+    _, answer_the_first = desk.given[0]
+    page._take({"viewers": 0}, app, process)  # as it is told when a process has ended
+    page._take({"order": "stop", "number": 1}, app, process)
+    answer_the_first(OrderReply(1.0, OrderKind.LAND, "", OrderOutcome.CANCELLED, "stopped"))
+    assert outlet.sent == []
+    desk.answer(OrderOutcome.ACCEPTED)
+    assert outlet.sent == [Reply(1, "stop", "accepted", "")]
+
+
+@pytest.mark.usefixtures("_token")
 async def test_orders_of_a_kind_that_come_too_fast_are_refused_and_a_stop_is_not_held_up_by_them() -> None:
     page, desk = page_of(allow_commands=True), Desk()
     assert take(page, {"order": "land", "number": 1}, desk) == []

@@ -6,15 +6,16 @@ import asyncio
 import json
 import struct
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from typing import Any
 
 import aiohttp
 import pytest
-from aiohttp import WSMsgType
+from aiohttp import WSMsgType, web
 from aiohttp.test_utils import TestClient, TestServer
 
 from companion.app.page import server as page
+from companion.app.page.listener import _protocol
 from companion.app.page.look import Reply, Start, Text
 from companion.app.page.picture import Painter
 from companion.app.page.server import FILES, LONGEST_MESSAGE, STATIC, TOO_MANY, WRONG_TOKEN, PageServer
@@ -170,11 +171,53 @@ async def test_more_than_so_many_viewers_are_turned_away_until_one_leaves() -> N
         await on.enter()
 
 
-async def test_those_without_a_token_yet_count_as_viewers() -> None:
-    async with served(most_viewers=2, token=TOKEN) as on:
-        waiting = [await on.open() for _ in range(2)]
-        assert await end(await on.open()) == TOO_MANY
-        assert len(waiting) == 2
+async def test_those_without_a_token_yet_take_no_viewer_s_place() -> None:
+    async with served(most_viewers=1, token=TOKEN) as on:
+        silent = [await on.open() for _ in range(3)]
+        await enter_with_token(await on.open())
+        late = silent[0]
+        assert await heard(late) == {"kind": "token"}
+        await late.send_json({"token": TOKEN})
+        assert await end(late) == TOO_MANY
+
+
+async def enter_with_token(socket: Socket) -> None:
+    assert await heard(socket) == {"kind": "token"}
+    await socket.send_json({"token": TOKEN})
+    assert (await heard(socket))["kind"] == "hello"
+
+
+async def test_a_stranger_s_connection_makes_room_for_a_new_one_and_a_viewer_s_never(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(page, "MOST_CONNECTIONS", 3)
+    server = PageServer(start(token=TOKEN, most_viewers=3), lambda _: None)
+    runner = web.AppRunner(server.application())
+    await runner.setup()
+    assert runner.server is not None
+    loop = asyncio.get_running_loop()
+    listening = await loop.create_server(lambda: _protocol(runner, server), "127.0.0.1", 0)
+    address = f"127.0.0.1:{listening.sockets[0].getsockname()[1]}"
+    live, origin = f"http://{address}/live", {"Origin": f"http://{address}"}
+    looking: list[Socket] = []
+    async with aiohttp.ClientSession() as session:
+        for viewers in (1, 2, 3):  # while strangers come again and again
+            strangers = [await asyncio.open_connection(*address.split(":")) for _ in range(5)]
+            looking.append(await session.ws_connect(live, headers=origin))
+            await enter_with_token(looking[-1])
+            for reader, _ in strangers[: 2 + viewers]:
+                with suppress(ConnectionError):
+                    assert await asyncio.wait_for(reader.read(), 5.0) == b""
+            assert not any(reader.at_eof() for reader, _ in strangers[2 + viewers :])
+            for _, writer in strangers:
+                writer.close()
+            for _ in range(500):
+                if len(runner.server.connections) > viewers:
+                    await asyncio.sleep(0.01)
+        with pytest.raises(aiohttp.ClientError):  # three viewers: the house is full
+            await session.ws_connect(live, headers=origin)
+    listening.close()
+    await runner.cleanup()
 
 
 async def test_a_slow_viewer_misses_pictures_and_gets_the_newest() -> None:

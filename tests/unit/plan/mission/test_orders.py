@@ -68,6 +68,7 @@ REFUSALS: dict[str, tuple[Callable[[World], None], str]] = {
     "no link": (lambda w: setattr(w.autopilot, "connected", False), "no heartbeat"),
     "disarmed": (lambda w: setattr(w.autopilot, "armed", False), "not armed"),
     "on the ground": (on_the_ground, "on the ground"),
+    "a twin": (lambda w: setattr(w.autopilot, "twin_until_s", 1e9), "another companion with our ids"),
     "no home": (lambda w: setattr(w, "home", lambda _t: None), "no home position"),
     "no estimate": (lambda w: setattr(w, "vehicle_known", False), "no fresh estimate"),
     "battery": (lambda w: setattr(w.autopilot, "battery_share", 0.1), "battery critical: 10 % left"),
@@ -79,11 +80,15 @@ REFUSALS: dict[str, tuple[Callable[[World], None], str]] = {
 @pytest.mark.parametrize("case", REFUSALS)
 def test_what_stands_against_a_landing_is_said(case: str) -> None:
     w = flown_by_a_pilot()
+    assert w.planner.not_ready(w.inputs(), w.now_s) == []
     change, words = REFUSALS[case]
     change(w)
     refused = order(w)
     assert refused is not None
     assert words in refused
+    # what an operator is told beforehand; on the ground a vehicle can be ready
+    beforehand = [refused] if case not in {"disarmed", "on the ground", "fence", "ceiling"} else []
+    assert w.planner.not_ready(w.inputs(), w.now_s) == beforehand
     assert w.planner.phase is Phase.STANDBY
     assert asked(w) == []
 

@@ -174,6 +174,16 @@ def test_px4_does_what_its_parameter_says_when_setpoints_stop(action: int, mode:
         assert math.hypot(*flight.vehicle.velocity[:2]) < 0.1
 
 
+@pytest.mark.parametrize("action", [0, 4])
+def test_px4_disarms_what_its_failsafe_has_landed_while_setpoints_stay_away(action: int) -> None:
+    flight = in_the_air("px4")
+    flight.autopilot.parameters.set("COM_OBL_RC_ACT", float(action))
+    flight.run(1.0, STAND_STILL)
+    flight.run(25.0)
+    assert flight.texts[-2:] == ["Landing detected", "Disarmed by landing"]
+    assert not flight.autopilot.armed
+
+
 @pytest.mark.parametrize("action", [6, 7])
 def test_px4_stops_its_motors_in_the_air_where_its_parameter_says_so(action: int) -> None:
     flight = in_the_air("px4")
