@@ -69,7 +69,7 @@ class PhaseSteering:
             obstacle_monitor=self.obstacle_monitor,
             say=say,
         )
-        self.search = Search(config.search, generator)
+        self.search = Search(config.search, generator, config.mission.pad_speed_m_s)
         self._landing = Landing(config.landing, vehicle, generator)
         self._touchdown = TouchdownSequence(
             config.touchdown, vehicle, config.landing.wait_height_m, generator

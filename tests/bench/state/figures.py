@@ -130,7 +130,7 @@ def _since_start(s: Samples) -> FloatArray:
 
 def bars(flights: Sequence[Flight], by_case: dict[FlightCase, dict[str, Consistency]]) -> dict[str, bool]:
     """Which bars hold; of figure-8 one by one for each vibration."""
-    held = {}
+    held: dict[str, bool] = {}
     for case, figures in by_case.items():
         bar_deg = case.attitude_bar_deg
         if bar_deg is None:
