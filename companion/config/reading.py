@@ -78,6 +78,8 @@ def read_yaml(path: Path, key: str | None = None) -> dict[str, Any]:
         where = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not readable"
         raise ConfigError(f"{path}{where}: broken YAML: {problem}") from error
+    except ValueError as error:  # a date that there is not
+        raise ConfigError(f"{path}: broken YAML: {error}") from error
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: expected a mapping of keys to values, found {type(data).__name__}")
     return data
