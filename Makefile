@@ -9,6 +9,7 @@
 # make bench-long-life       an hour of virtual flight in one run: memory and the control step's cost
 # make bench-mpc             what a step of the MPC costs, beside setting it up anew
 # make bench-response PX4=BIN ARDUCOPTER=BIN  how the autopilots answer setpoints, beside what is believed
+# make bench-descents RUNS=100  descents of random landings by the fuzzy speed controller and by fixed speeds
 # make bench-margins         landings with a response, a delay, stamps and a mass other than believed
 # make bench-campaign        how much faster a campaign is on two jobs
 # make bench-precision       the autopilots' own precision landing, beside what the real firmware did
@@ -42,7 +43,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.state.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-cpu bench-long-life bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-service bench-page bench-interruptions bench-mutations bench-mutants bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
+.PHONY: sitl test lint bench bench-cpu bench-long-life bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-descents bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-service bench-page bench-interruptions bench-mutations bench-mutants bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -119,6 +120,10 @@ bench-margins: $(VENV)/.dev
 
 bench-mpc: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.control.bench_mpc
+
+# half an hour of a core for sixty; give it again after an interruption, and it goes on
+bench-descents: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.control.bench_descents --runs $(RUNS)
 
 # needs the machine to itself, for half an hour
 bench-campaign: $(VENV)/.dev

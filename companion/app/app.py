@@ -31,8 +31,6 @@ from companion.app.supervision import supervised
 from companion.base.clock import Clock
 from companion.base.garbage_collection import infrequent_collection
 from companion.base.messages import (
-    Action,
-    ActionKind,
     ActionResult,
     AutopilotSetup,
     ControlReport,
@@ -102,7 +100,7 @@ class App:
         self._service = ServiceNotifier()
         self._latency_ms: float | None = None
         self._last_exposure_s: float | None = None
-        self._stop_requested = self._on_pad = False
+        self._stop_requested = self._on_pad = self._control_failed = False
         self._start_s = self._clock.now_s()
 
     @property
@@ -161,14 +159,14 @@ class App:
     # ------------------------------------------------------------ plan and control
 
     async def _controlled(self) -> Phase:
-        """The control task; when it fails, the autopilot is asked to hold before the failure is told."""
+        """The control task; when it fails, the vehicle is handed back before the failure is told."""
         try:
             return await self._control_task()
         except Exception:
             self.loop_monitor.end()
             if self.session.state.offboard:
                 self._action_queue.clear()
-                hold = self._actions.perform(Action(ActionKind.HOLD))
+                hold = self._actions.perform(self.missions.last_word)
                 with suppress(TimeoutError):
                     self._take_result(await asyncio.wait_for(hold, LAST_HOLD_S))
             raise
@@ -208,7 +206,7 @@ class App:
         self._controller = self._latency_ms = None
         self._action_queue.clear()
         self._action_results.clear()
-        self._on_pad = False
+        self._on_pad = self._control_failed = False
         return False
 
     async def _control_step(self, now_s: float, late_s: float) -> None:
@@ -225,10 +223,11 @@ class App:
         self._log.write("vehicle", vehicle, now_s)
         if pad is not None:
             self._log.write("pad", pad, now_s)
-        if plan.reference is None:
+        if plan.reference is None or self.session.setup is None:
             return
         self.session.align(vehicle.attitude, vehicle.time_s)
         controlled = self._control().step(plan, vehicle, pad, now_s, obeyed=self.session.state.offboard)
+        self._control_failed = controlled is not None and controlled[1].failed
         await self._clock.spend(self._config.compute.control_s)
         if controlled is not None:
             setpoint, report = controlled
@@ -262,6 +261,7 @@ class App:
             results=results,
             stop_requested=self._stop_requested,
             camera_problem=self.sensing.camera_problem,
+            control_failed=self._control_failed,
         )
         before, plan = self.phase, self.missions.step(inputs, now_s)
         # a disarming that was asked for on the pad is none for a vehicle that has left it

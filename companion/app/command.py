@@ -81,11 +81,11 @@ def fly_the_vehicle(config_path: Path, output: Output) -> int:
             "expected true, which allows the app to arm and take off"
         )
     latch = FlightLatch(output.record or state_folder())
-    standby = latch.refusal(unattended=unattended())
     folder = None if output.record is None else next_flight_folder(output.record)
     _make_room(output.record, config)
     log = new_log(folder, virtual=False, keeps=False)  # nothing on board scores the flight
     try:
+        standby = latch.refusal(unattended=unattended())
         with StatusView(output.console, config.vehicle, live=output.live) as view:
             phase, idle = asyncio.run(_vehicle_flight(config, log, view, latch, standby))
     except ConfigError:

@@ -13,7 +13,16 @@ from typing import Final
 from companion.app.announcer import Announcer
 from companion.app.service.order_desk import OrderDesk
 from companion.base.clock import Clock
-from companion.base.messages import Order, OrderOutcome, OrderReply, Phase, PlanStep
+from companion.base.messages import (
+    Action,
+    ActionKind,
+    LandedState,
+    Order,
+    OrderOutcome,
+    OrderReply,
+    Phase,
+    PlanStep,
+)
 from companion.flightlog.flights_recorder import FlightsRecorder
 from companion.flightlog.record import FlightLog
 from companion.link.session import Session
@@ -59,6 +68,12 @@ class Missions:
     def order(self) -> Order | None:
         """The order that is being followed."""
         return self._desk.followed
+
+    @property
+    def last_word(self) -> Action:
+        """What the autopilot is asked for when control has failed; one that stands a hold would lift off."""
+        stands = self._planner.committed or self._session.state.landed is LandedState.ON_GROUND
+        return Action(ActionKind.LAND if stands else ActionKind.HOLD)
 
     def not_ready(self, now_s: float) -> list[str]:
         """Why an order to land would be refused, beside that the vehicle stands on the ground."""

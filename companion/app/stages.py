@@ -60,7 +60,14 @@ def build_stages(
     if config.link.signing_key is not None:
         key = read_signing_key(config.link.signing_key, unix_time_s())
     sense = config.sense if by_telemetry else None
-    session = Session(config.link, sense, reads_setup=True, signing_key=key, orders=config.orders)
+    session = Session(
+        config.link,
+        sense,
+        reads_setup=True,
+        signing_key=key,
+        orders=config.orders,
+        process=int(1e3 * unix_time_s()) % 2**32,
+    )
     estimator = StateEstimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
     sensing = Sensing(
         config,

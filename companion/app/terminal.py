@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Final
 
@@ -22,13 +24,17 @@ GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 
 
 class StatusView:
-    """Shows the app's status; on a terminal as a live panel, elsewhere as one line a notice."""
+    """Shows the app's status; on a terminal as a live panel, elsewhere as one line a notice.
+
+    A terminal or pipe that goes away is written to no more: a flight does not end for want of a reader.
+    """
 
     def __init__(self, console: Console, title: str, *, live: bool) -> None:
         self._console = console
         self._title = title
         self._notices: deque[Notice] = deque(maxlen=NOTICES_SHOWN)
         self._live = Live(console=console, auto_refresh=False) if live and console.is_terminal else None
+        self._read = True
 
     def __enter__(self) -> StatusView:
         if self._live is not None:
@@ -39,10 +45,28 @@ class StatusView:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._live is not None:
-            self._live.stop()
+            with self._whoever_reads():
+                self._live.stop()
 
     def __call__(self, status: Status) -> None:
         """Take a new status."""
+        if self._read:
+            with self._whoever_reads():
+                self._show(status)
+
+    @contextmanager
+    def _whoever_reads(self) -> Iterator[None]:
+        """Rich makes an exit of a broken pipe; a terminal that hangs up and a full disk are plain errors."""
+        try:
+            yield
+        except OSError:
+            self._read = False
+        except SystemExit as error:
+            if not isinstance(error.__context__, BrokenPipeError):
+                raise
+            self._read = False
+
+    def _show(self, status: Status) -> None:
         for notice in status.notices:
             self._notices.append(notice)
             if self._live is None:

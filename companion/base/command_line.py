@@ -169,7 +169,7 @@ def _run(
         return _end(program, interrupted, "")
     except TyperException as error:
         # a list of choices takes several lines
-        said = " ".join(error.format_message().split()).rstrip(".")
+        said = " ".join(error.format_message().split()).rstrip(".").replace("Value error, ", "")
         context = getattr(error, "ctx", None)
         asked = program if context is None else context.command_path
         return print_error(program, f"{said}; see {asked} --help", USER_ERROR)

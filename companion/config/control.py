@@ -69,14 +69,16 @@ class ControlConfig(StrictModel):
     acceleration_estimate_lag_s: float = Field(default=0.035, ge=0.001, le=0.2)  # sensor and its filters
     maximum_disturbance_m_s2: float = Field(default=5.0, ge=0.0, le=8.0)
     maximum_velocity_correction_m_s: float = Field(default=0.6, ge=0.0, le=3.0)
-    horizontal_reach_m: float = Field(default=2.0, gt=0.0, le=20.0)  # a reference farther off is drawn nearer
+    horizontal_reach_m: float = Field(
+        default=1.65, gt=0.0, le=20.0
+    )  # a reference farther off is drawn nearer
     vertical_reach_m: float = Field(default=0.7, gt=0.0, le=20.0)
     ground_descent_m_s: float = Field(default=1.0, ge=0.1, le=1.5)
     ground_acceleration_m_s2: float = Field(default=2.0, ge=0.0, le=3.0)
     maximum_iterations: int = Field(default=400, ge=50, le=10000)
     solve_limit_s: float = Field(default=0.01, gt=0.0, le=0.1)  # by the clock; past it the last plan goes on
     horizontal: TrackingConfig = TrackingConfig(
-        position_m=0.2, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.0, effort_change_m_s2=4.0
+        position_m=0.145, velocity_m_s=0.4, acceleration_m_s2=4.0, effort_m_s2=1.0, effort_change_m_s2=4.0
     )
     vertical: TrackingConfig = TrackingConfig(
         position_m=0.12, velocity_m_s=0.4, acceleration_m_s2=4.0, effort_m_s2=1.2, effort_change_m_s2=4.0

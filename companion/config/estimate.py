@@ -55,7 +55,7 @@ class PadFilterConfig(StrictModel):
 
     # horizontally: a pad that drives straight on, one that speeds up or brakes, one that turns
     manoeuvre_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
-    turn_jerk_m_s3_rthz: float = Field(default=0.25, gt=0.0, le=50.0)
+    turn_snap_m_s4_rthz: float = Field(default=0.3, gt=0.0, le=50.0)
     sway_period_s: WavePeriod = 3.5
     sway_acceleration_std_m_s2: float = Field(default=0.2, gt=0.0, le=10.0)
     # vertically: a pad that stays level, and seas of these periods

@@ -112,6 +112,13 @@ class LandingConfig(StrictModel):
     pause_unseen_s: float = Field(default=0.5, gt=0.0, le=5.0)
     lost_unseen_s: float = Field(default=5.0, gt=0.0, le=10.0)
 
+    @model_validator(mode="after")
+    def _waits_lowest(self) -> Self:
+        for name in ("approach_height_m", "retry_height_m"):
+            if getattr(self, name) < self.wait_height_m:
+                raise ValueError(f"{name}: expected at least wait_height_m ({self.wait_height_m:g})")
+        return self
+
 
 class TouchdownConfig(StrictModel):
     """The last third of a metre: when to commit, how fast, and what counts as contact."""

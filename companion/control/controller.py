@@ -217,7 +217,7 @@ class Controller:
         target = replace(target, hover_thrust=self._plant.hover_thrust)
         pad_acceleration = vector3(start.prediction.acceleration_m_s2[0].tolist())
         missing = self._feedforward.missing_m_s2(pad_acceleration)
-        disturbance = subtract(self._plant.disturbance_ned_m_s2, missing)
+        disturbance = subtract(self._plant.disturbance_ahead_ned_m_s2, missing)
         began_s = self._stopwatch()
         solution = self._tracker.solve(
             start.motion, target, disturbance, self._plant.last_input(start.motion)

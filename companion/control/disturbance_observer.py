@@ -15,7 +15,17 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, horizontal_acceleration
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    ZERO3,
+    Quaternion,
+    Vector3,
+    add,
+    horizontal_acceleration,
+    norm,
+    scale,
+    subtract,
+)
 from companion.control.response.flight_model import advance_axis
 
 # the measured acceleration's bias (of attitude or accelerometer) shows in the velocity, at this bandwidth
@@ -115,10 +125,13 @@ class LastingObserver:
 class WindObserver:
     """The wind's disturbance sideways, from the vehicle's tilt and acceleration. NED, m/s2.
 
-    An attitude that is off cancels: the acceleration was turned by it, too.
+    An attitude that is off cancels: the acceleration was turned by it, too. It is known late, and acted upon
+    later still; a gust lasts, so its trend carries it on.
     """
 
     SMOOTHING_S: Final = 0.06
+    TREND_S: Final = 0.3
+    MOST_CHANGE_M_S2: Final = 1.0  # a steeper trend is a gust that is over before
 
     def __init__(self, sensor_lag_s: float, maximum_m_s2: float) -> None:
         """`sensor_lag_s` is how late the measured acceleration is: what the tilt makes is delayed as much."""
@@ -131,6 +144,15 @@ class WindObserver:
         self.thrust_ned_m_s2: Vector3 = ZERO3
         self.late_thrust_ned_m_s2: Vector3 = ZERO3
         self.wind_ned_m_s2: Vector3 = ZERO3
+        self._trend_ned_m_s3: Vector3 = ZERO3
+
+    def ahead_ned_m_s2(self, ahead_s: float) -> Vector3:
+        """The wind's part `ahead_s` from now, by its trend; what it is late by is added."""
+        change = scale(self._trend_ned_m_s3, ahead_s + self._lag_s + self.SMOOTHING_S)
+        size = norm(change)
+        change = scale(change, min(1.0, self.MOST_CHANGE_M_S2 / size) if size > 0.0 else 0.0)
+        x, y, _ = add(self.wind_ned_m_s2, change)
+        return (_clamp(x, self._maximum_m_s2), _clamp(y, self._maximum_m_s2), 0.0)
 
     def step(self, attitude: Quaternion, acceleration_ned_m_s2: Vector3, elapsed_s: float) -> None:
         """Take in attitude and acceleration, the last were `elapsed_s` ago.
@@ -144,12 +166,19 @@ class WindObserver:
         by_tilt, carried = horizontal_acceleration(attitude), 1.0 - z / GRAVITY_M_S2
         now = (by_tilt[0] * carried, by_tilt[1] * carried, z)
         first = self._late is None
-        late = self._late = now if self._late is None else _follow(self._late, now, elapsed_s / self._lag_s)
+        late = self._late = (
+            now
+            if self._late is None
+            else _follow_line(self._late, self.thrust_ned_m_s2, now, elapsed_s / self._lag_s)
+        )
         self.thrust_ned_m_s2, self.late_thrust_ned_m_s2 = now, (late[0], late[1], z)
         bound = self._maximum_m_s2
         wind = (_clamp(x - late[0], bound), _clamp(y - late[1], bound), 0.0)
         smoothing = math.inf if first else elapsed_s / self.SMOOTHING_S
-        self.wind_ned_m_s2 = _follow(self.wind_ned_m_s2, wind, smoothing)
+        before, self.wind_ned_m_s2 = self.wind_ned_m_s2, _follow(self.wind_ned_m_s2, wind, smoothing)
+        if elapsed_s > 0.0 and not first:
+            slope = scale(subtract(self.wind_ned_m_s2, before), 1.0 / elapsed_s)
+            self._trend_ned_m_s3 = _follow(self._trend_ned_m_s3, slope, elapsed_s / self.TREND_S)
 
 
 class ThrustScale:
@@ -179,6 +208,17 @@ class ThrustScale:
 def _follow(state: Vector3, measured: Vector3, exponent: float) -> Vector3:
     share = _share(exponent)
     x, y, z = (a + share * (b - a) for a, b in zip(state, measured, strict=True))
+    return (x, y, z)
+
+
+def _follow_line(state: Vector3, before: Vector3, now: Vector3, exponent: float) -> Vector3:
+    """A first-order lag over a time in which its input goes straight from `before` to `now`."""
+    if exponent <= 0.0:
+        return state
+    kept = math.exp(-exponent)
+    mean = (1.0 - kept) / exponent
+    old, new = mean - kept, 1.0 - mean
+    x, y, z = (kept * s + old * a + new * b for s, a, b in zip(state, before, now, strict=True))
     return (x, y, z)
 
 

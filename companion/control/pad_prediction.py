@@ -2,9 +2,9 @@
 
 A pad on a curve turns its velocity and acceleration at the rate omega = (v x a)_z / |v|^2; one that is too
 slow, or brakes rather than turns, for that to be well determined keeps its velocity while its acceleration
-dies away. The vertical acceleration always dies away. A pad that brakes comes to a halt, and does not drive
-backwards from there. NED axes, SI units; the origin is where the pad was
-estimated.
+dies away. What its acceleration changes by beyond that, in or out of a bend, dies away as well. The vertical
+acceleration always dies away. A pad that brakes comes to a halt, and does not drive backwards from there. NED
+axes, SI units; the origin is where the pad was estimated.
 """
 
 from __future__ import annotations
@@ -59,9 +59,12 @@ def predict_pad(pad: PadState, times_s: FloatArray, decay_s: float) -> PadPredic
     elif abs(v) >= MINIMUM_BRAKING_SPEED_M_S and (a / v).real < 0.0:
         plane = _braking(v, a, t, decay_s)
     else:
-        return PadPrediction(displacement, speed, change)
-    for columns, row in zip((displacement, speed, change), plane, strict=True):
-        columns[:, 0], columns[:, 1] = row.real, row.imag
+        plane = _complex(displacement), _complex(speed), _complex(change)
+    # one that halts is not driven on by its jerk
+    jerk = complex(pad.jerk_ned_m_s3[0], pad.jerk_ned_m_s3[1]) if plane[1].all() else 0j
+    for columns, row, gain in zip((displacement, speed, change), plane, _jerk_gains(t, decay_s), strict=True):
+        moved = row + jerk * gain
+        columns[:, 0], columns[:, 1] = moved.real, moved.imag
     return PadPrediction(displacement, speed, change)
 
 
@@ -79,6 +82,17 @@ def _decaying(
     column = t[:, None]
     gained = decay_s * (1.0 - fade)
     return v * column + a * decay_s * (column - gained), v + a * gained, a * fade
+
+
+def _complex(columns: FloatArray) -> ComplexArray:
+    return np.asarray(columns[:, 0] + 1j * columns[:, 1])
+
+
+def _jerk_gains(t: FloatArray, decay_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Displacement, velocity and acceleration (n,) that a jerk of 1 has made which dies away."""
+    change = decay_s * -np.expm1(-t / decay_s)
+    speed = decay_s * (t - change)
+    return decay_s * (0.5 * t * t - speed), speed, change
 
 
 def _turning(

@@ -199,18 +199,30 @@ class StateEstimator:
     # ------------------------------------------------------------ outputs
 
     def vehicle(self, now_s: float) -> VehicleState | None:
-        """The vehicle, predicted to now_s; None before the alignment and when the IMU has gone silent."""
-        return self._vehicle.state(now_s)
+        """The vehicle, predicted to now_s; None before the alignment and when the IMU has gone silent.
+
+        A state with anything in it that is not finite is none: comparisons with NaN warn of nothing.
+        """
+        state = self._vehicle.state(now_s)
+        if state is None:
+            return None
+        moves = (*state.position_ned_m, *state.velocity_ned_m_s, *state.acceleration_ned_m_s2)
+        return state if _finite((*moves, *state.attitude, *state.rate_body_rad_s)) else None
 
     def pad(self, now_s: float) -> PadState | None:
-        """The pad, predicted to now_s; None before the first sighting and when unseen for too long."""
+        """The pad, predicted to now_s; None before the first sighting and when unseen for too long.
+
+        None too where the estimate is not finite, as for the vehicle.
+        """
         estimate = self._pad_at(now_s)
-        if estimate is None:
+        if estimate is None or not _finite((*estimate.x, estimate.heading_rad, estimate.heading_rate_rad_s)):
             return None
         position = vector3(estimate.x[0:3])
         relative_velocity = vector3(estimate.x[3:6])
         covariance = self._covariance(estimate)
         variance = covariance.diagonal()
+        if not (variance[:3].sum() >= 0.0 and variance[3:].sum() >= 0.0):
+            return None
         return PadState(
             time_s=now_s,
             relative_position_ned_m=position,
@@ -224,6 +236,7 @@ class StateEstimator:
             seen_time_s=estimate.seen_time_s,
             covariance=tuple(tuple(row) for row in covariance.tolist()),
             turn_rate_rad_s=estimate.turn_rate_rad_s,
+            jerk_ned_m_s3=(*estimate.jerk_m_s3, 0.0),
             models=estimate.models,
             lean_rad=estimate.lean.lean_rad,
             lean_rate_rad_s=estimate.lean.rate_rad_s,

@@ -2,7 +2,8 @@
 
 `put` never waits in flight. What does not fit is dropped, counted and told: bulky data (samples, frames,
 MAVLink) first, while there is still room for what explains a flight. In virtual time the flight waits for the
-disk instead, so that nothing is lost. An error of the card ends the log, not the flight.
+disk instead, so that nothing is lost. An error of the card ends the log, not the flight; what cannot be
+written for any other reason is left out, counted and told. However the log ends, its files are closed.
 """
 
 from __future__ import annotations
@@ -30,6 +31,9 @@ class DiskWriter:
         self._lock = threading.Lock()
         self._bytes = 0
         self.lost = 0
+        self.failed = 0
+        self._first_failed = ""
+        self._closers: tuple[Callable[[], None], ...] = ()
         self._thread = threading.Thread(target=self._work, name="flight-log", daemon=True)
         self._thread.start()
 
@@ -38,6 +42,8 @@ class DiskWriter:
         """What was not written, if anything."""
         if self._failure is not None:
             return f"the flight log on disk ends here: {self._failure}"
+        if self.failed:
+            return f"{self.failed} messages could not be written to the log: {self._first_failed}"
         return f"the disk does not keep up: {self.lost} messages lost from the log" if self.lost else None
 
     def put(
@@ -58,8 +64,12 @@ class DiskWriter:
             return
         self._count(size_bytes)
 
-    def finish(self, *, wait: bool = True) -> None:
-        """Write what is left, and end; without `wait` call `join` before the process ends."""
+    def finish(self, *closers: Callable[[], None], wait: bool = True) -> None:
+        """Write what is left, call `closers` whatever has failed, and end.
+
+        Without `wait` call `join` before the process ends.
+        """
+        self._closers = closers
         self._queue.put(None)
         if wait:
             self._thread.join()
@@ -78,7 +88,16 @@ class DiskWriter:
             write, arguments, size_bytes = item
             self._count(-size_bytes)
             if self._failure is None:
-                try:
-                    write(*arguments)
-                except OSError as error:
-                    self._failure = error.strerror or str(error)
+                self._call(write, arguments)
+        for close in self._closers:
+            self._call(close, ())
+
+    def _call(self, write: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+        try:
+            write(*arguments)
+        except OSError as error:
+            self._failure = self._failure or error.strerror or str(error)
+        except Exception as error:
+            # whatever it is: this thread is the only one that would tell, and the flight goes on
+            self._first_failed = self._first_failed or f"{type(error).__name__}: {error}"
+            self.failed += 1

@@ -90,7 +90,7 @@ class FlightLog:
         self._folder = folder
         self._made_folder = folder is not None and not folder.exists()
         self._files: _Files | None = None
-        self._ended_with: str | None = None
+        self._disk: DiskWriter | None = None
         self.tap: Tap = NoTap()
         self.join: Callable[[], None] = lambda: None  # until a log that was closed without waiting is written
         if folder is not None:
@@ -101,7 +101,8 @@ class FlightLog:
                 tlog = _TlogFile(folder / LOG_NAMES[1], flushed_s)
             except OSError as error:
                 raise ConfigError(f"--record {folder}: cannot be written: {error.strerror}") from error
-            self._files = _Files(DiskWriter(waits=virtual), mcap, tlog, folder)
+            self._disk = DiskWriter(waits=virtual)
+            self._files = _Files(self._disk, mcap, tlog, folder)
 
     @property
     def folder(self) -> Path | None:
@@ -111,7 +112,7 @@ class FlightLog:
     @property
     def problem(self) -> str | None:
         """What has stopped the log on disk, or made it lose messages; None when it is whole."""
-        return self._ended_with if self._files is None else self._files.disk.problem
+        return None if self._disk is None else self._disk.problem
 
     def write(self, topic: str, message: Any, time_s: float) -> None:
         """Log one message (a dataclass of companion.base.messages) under a topic."""
@@ -137,15 +138,8 @@ class FlightLog:
         if (files := self._files) is None or time_s < self._next_frame_s:
             return
         self._next_frame_s = time_s + self._frame_period_s
-        exposed_ns, size_bytes = self._unix_ns(frame.time_s), frame.image.nbytes
-        files.disk.put(
-            files.mcap.write_image,
-            frame,
-            exposed_ns,
-            self._unix_ns(time_s),
-            bulky=True,
-            size_bytes=size_bytes,
-        )
+        arguments = frame, self._unix_ns(frame.time_s), self._unix_ns(time_s)
+        files.disk.put(files.mcap.write_image, *arguments, bulky=True, size_bytes=frame.image.nbytes)
 
     def write_mavlink(self, data: bytes, time_s: float, direction: Literal["in", "out"]) -> None:
         """Log MAVLink bytes as they came or went; a packet cut by a read is joined with its rest."""
@@ -179,12 +173,7 @@ class FlightLog:
         """Finish the files, without waiting for the disk if so wished; the log takes nothing after that."""
         if (files := self._files) is not None:
             self._files = None
-            if files.disk.lost:
-                files.disk.put(files.mcap.write_metadata, LOSSES_RECORD, {"messages": str(files.disk.lost)})
-            files.disk.put(files.mcap.close)
-            files.disk.put(files.tlog.close)
-            files.disk.finish(wait=wait)
-            self._ended_with = files.disk.problem
+            files.disk.finish(files.write_losses, files.mcap.close, files.tlog.close, wait=wait)
             self.join = files.disk.join
 
     def discard(self) -> None:
@@ -252,8 +241,10 @@ class _McapFile:
             self._write_known(known, exposure_unix_ns, unix_ns)
 
     def close(self) -> None:
-        self._writer.finish()  # type: ignore[no-untyped-call]
-        self._stream.close()
+        try:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        finally:
+            self._stream.close()
 
     def _write_known(self, known: WellKnown, publish_unix_ns: int, unix_ns: int) -> None:
         channel = self._channels.get(known.topic)
@@ -310,6 +301,11 @@ class _Files:
         self.mcap.flush()
         self.tlog.flush()
         self.mcap.flush_due.paused = self.tlog.flush_due.paused = False
+
+    def write_losses(self) -> None:
+        """How much is missing, if anything is."""
+        if missing := self.disk.lost + self.disk.failed:
+            self.mcap.write_metadata(LOSSES_RECORD, {"messages": str(missing)})
 
     def write_settings(self, settings: Mapping[str, BaseModel]) -> None:
         """Into the metadata, and beside the log for people; asking git for the revision takes a moment."""

@@ -83,15 +83,23 @@ def loss_warnings(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> list[
     """What is not safe about the loss of setpoints, as of the link, by the autopilot's parameters."""
     found = []
     action, timeout_s = setup.setpoints_lost_action, setup.setpoint_timeout_s
+    timeout_name = "COM_OF_LOSS_T" if autopilot_kind == "px4" else "GUID_TIMEOUT"
+    untold = [timeout_name] if timeout_s is None else []
+    if action is None and autopilot_kind == "px4":
+        untold.append("COM_OBL_RC_ACT")
+    if untold:
+        found.append(
+            f"link loss: the autopilot does not tell {' and '.join(untold)}: "
+            "what it does when setpoints stop is not known"
+        )
     if action is not None and action in STICK_ACTIONS:
         found.append(
             f"link loss: COM_OBL_RC_ACT is {action} ({STICK_ACTIONS[action]}): with nobody at the sticks it "
             "comes down with the speed over ground it has; expected 5 (Hold) or 4 (Land)"
         )
     if timeout_s is not None and timeout_s > LONGEST_TIMEOUT_S:
-        name = "COM_OF_LOSS_T" if autopilot_kind == "px4" else "GUID_TIMEOUT"
         found.append(
-            f"link loss: {name} is {timeout_s:g}: so long the last setpoint is kept; expected "
+            f"link loss: {timeout_name} is {timeout_s:g}: so long the last setpoint is kept; expected "
             f"{SHORTEST_TIMEOUT_S:g} to {LONGEST_TIMEOUT_S:g} s"
         )
     return found

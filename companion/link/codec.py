@@ -212,6 +212,13 @@ def autopilot_heard(data: bytes, system_id: int) -> int | None:
     return next((system for system in found if system_id in (0, system)), None)
 
 
+def is_twins_heartbeat(message: Message, us: tuple[int, int], process: int) -> bool:
+    """Whether another process sent it under our system and component ids; an echo of ours is none."""
+    source = message.get_srcSystem(), message.get_srcComponent()
+    is_heartbeat = message.get_msgId() == mavlink.MAVLINK_MSG_ID_HEARTBEAT
+    return is_heartbeat and source == us and message.custom_mode != process
+
+
 def has_command(data: bytes) -> bool:
     """Whether whole frames in `data` hold a command or change a mode."""
     return bool(Codec(0, wanted=_COMMANDS).decode(data))
@@ -220,11 +227,14 @@ def has_command(data: bytes) -> bool:
 # ---------------------------------------------------------------- messages we build
 
 
-def heartbeat() -> Message:
-    """HEARTBEAT of an onboard computer: no autopilot, or mavlink-router would not forward to it."""
-    return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
-    )
+def heartbeat(process: int = 0) -> Message:
+    """HEARTBEAT of an onboard computer: no autopilot, or mavlink-router would not forward to it.
+
+    `process` stands in the custom mode, which means nothing else there: by it two companions that have the
+    same ids know each other from an echo.
+    """
+    kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
+    return mavlink.MAVLink_heartbeat_message(kind, none, 0, process, mavlink.MAV_STATE_ACTIVE, 3)
 
 
 def setpoint_message(

@@ -66,8 +66,11 @@ class Session:
         reads_setup: bool = False,
         signing_key: SigningKey | None = None,
         orders: OrdersConfig | None = None,
+        process: int = 0,
     ) -> None:
-        """`reads_setup`: the parameters on which our loop depends are asked for as soon as it is received.
+        """`process` (32 bits) tells this one's heartbeats from those of another with the same ids.
+
+        `reads_setup`: the parameters on which our loop depends are asked for as soon as it is received.
 
         With a key all is signed, and nothing is taken that is not.
         """
@@ -90,7 +93,8 @@ class Session:
             self._codec.sign(signing_key)
         self._commands = CommandQueue(config.command_patience_s, config.command_tries)
         self._parameters = ParameterRequests(config.command_patience_s, config.command_tries)
-        self._reads_setup = reads_setup
+        self.reads_setup = reads_setup
+        self._process = process
         self._setup = SetupReader(self._parameters)
         self._rates = TelemetryRates()
         self._texts = StatusTexts()
@@ -130,7 +134,7 @@ class Session:
 
     def receive(self, data: bytes, now_s: float) -> None:
         """Take bytes that arrived now."""
-        refused = self.counters.refused
+        refused, us = self.counters.refused, (self._codec.system_id, self._codec.component_id)
         for message in self._codec.decode(data):
             message_id = message.get_msgId()
             if message_id == mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET:
@@ -139,10 +143,11 @@ class Session:
                 # a gimbal or a ground station may not answer in the autopilot's place
                 if message.get_srcComponent() != AUTOPILOT_COMPONENT:
                     continue
-                us = (self._codec.system_id, self._codec.component_id)
                 self._commands.acknowledged(message, us, now_s)
             elif message_id in ORDER_MESSAGES:
                 self.orders.hear_command(message, self._codec.system_id, now_s)
+            elif codec.is_twins_heartbeat(message, us, self._process):
+                self.state = replace(self.state, twin_time_s=now_s)
             elif self._is_our_autopilot(message):
                 self._hear_autopilot(message, message_id, now_s)
         if self.counters.refused != refused:
@@ -202,7 +207,7 @@ class Session:
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._heartbeat_heard_s = now_s
             self.heartbeats += 1
-            if self._reads_setup:
+            if self.reads_setup:
                 self._setup.begin(self.state.autopilot_kind)
             self._rates.want(OWN_RATES_HZ.get(self.state.autopilot_kind, {}) | self.orders.rates_hz)
             if self.onboard is not None:
@@ -243,7 +248,7 @@ class Session:
         messages, self._replies = [*self._replies, *self.orders.answers()], []
         if now_s >= self._heartbeat_due_s:
             self._heartbeat_due_s = now_s + _HEARTBEAT_S
-            messages.append(codec.heartbeat())
+            messages.append(codec.heartbeat(self._process))
         if self.state.connected:
             self._synchronise(messages, now_s)
             self._ask(now_s)

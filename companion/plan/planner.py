@@ -22,7 +22,7 @@ from companion.plan.mission.orders import not_ready
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Circumstances, DetectedEvent, Effect, MissionEvent, State
-from companion.plan.mission.table import FINAL, impossible
+from companion.plan.mission.table import COMMITTED, FINAL, impossible
 from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.steering import PhaseSteering
@@ -30,6 +30,7 @@ from companion.plan.trajectory.reference_generator import ReferenceGenerator, Sp
 from companion.plan.trajectory.waypoints import check_places
 
 SIGHTINGS_WINDOW_S: Final = 0.5  # in which `search.sightings` have to come
+GAP_S: Final = 10.0  # a link that is silent for longer has gone for good
 
 __all__ = ["PlanInputs", "Planner"]
 
@@ -58,6 +59,7 @@ class Planner:
         self._machine = StateMachine(config.landing.retries, may_fly=standby is None)
         self._battery, self._battery_told = mission.battery, False
         self._notices: list[Notice] = []
+        self._heard_s = -math.inf
         self._fence_m, self._fence_told = mission.fence_m, False
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
         self._monitor = FailsafeMonitor(mission, self._machine)
@@ -86,6 +88,11 @@ class Planner:
     def refused(self) -> Refusal | None:
         """Why this cycle's order is not followed; None when it is, and without one."""
         return self._steering.refused
+
+    @property
+    def committed(self) -> bool:
+        """Whether it is on the pad, or so low over it that to come down is gentler than to hold."""
+        return self._machine.state in COMMITTED
 
     @property
     def waiting(self) -> bool:
@@ -120,6 +127,8 @@ class Planner:
         )
 
     def _see(self, inputs: PlanInputs, now_s: float) -> None:
+        if inputs.autopilot.connected:
+            self._heard_s = now_s
         self._pad.update(inputs.pad, inputs.vehicle, now_s)
         self._ground.update(inputs.vehicle, inputs.autopilot, inputs.range, now_s)
         self._steering.obstacle_monitor.update(self._pad)
@@ -187,13 +196,13 @@ class Planner:
         self._battery_told = self._machine.no_new_try = True
         self._say("battery", f"low, {100.0 * share:.0f} % left: no new try", now_s, "warning")
 
-    def _circumstances(self, inputs: PlanInputs) -> Circumstances:
+    def _circumstances(self, inputs: PlanInputs, now_s: float) -> Circumstances:
         landed = inputs.autopilot.landed
         return Circumstances(
             on_surface=self._steering.on_pad or landed is LandedState.ON_GROUND,
             airborne=landed is LandedState.IN_AIR,
             disarm_asked=self._requests.asked(ActionKind.DISARM),
-            heard=inputs.autopilot.connected,
+            heard=now_s - self._heard_s <= GAP_S,
             # a request that is asked afresh is not granted yet, while the autopilot lands all the same
             land_granted=self._requests.granted(ActionKind.LAND) or in_land(inputs.autopilot),
             may_finish=self._battery.finish_descent,
@@ -202,7 +211,7 @@ class Planner:
     def _take(self, event: MissionEvent, reason: str, inputs: PlanInputs, now_s: float) -> None:
         """Take the table's branch for an event: change the state, send its requests."""
         machine, state, had = self._machine, self._machine.state, self._machine.authority
-        branch = machine.follows(event, self._circumstances(inputs))
+        branch = machine.follows(event, self._circumstances(inputs, now_s))
         if branch is None:
             return
         if impossible(state, event):
@@ -214,6 +223,8 @@ class Planner:
                 self._requests.forget()
                 self._monitor.phase_begins(now_s)
             self._steering.enter(branch, state, had, inputs, now_s)
+        if Effect.COUNT_AFRESH in branch.effects:
+            self._monitor.phase_begins(now_s)
         if Effect.ASK_AFRESH in branch.effects:
             self._requests.forget()
             self._monitor.phase_begins(now_s)

@@ -20,6 +20,7 @@ from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge, vehicle_motion
 from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.departure import Departure
+from companion.plan.mission.hold import Hold
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.orders import ORDER_EVENTS, refusal
 from companion.plan.mission.requests import Requests
@@ -68,13 +69,13 @@ class PhaseSteering:
             obstacle_monitor=self.obstacle_monitor,
             say=say,
         )
-        self.search = Search(config.search, generator)
+        self.search = Search(config.search, generator, config.mission.pad_speed_m_s)
         self._landing = Landing(config.landing, vehicle, generator)
         self._touchdown = TouchdownSequence(
             config.touchdown, vehicle, config.landing.wait_height_m, generator
         )
+        self._held = Hold(config, vehicle.leg_height_m, generator=generator, pad=pad, ground=ground, say=say)
         self._begun_s = 0.0
-        self._retreat: Motion | None = None
         self._steered_by: dict[Phase, Callable[[PlanInputs, float], DetectedEvent | None]] = {
             Phase.STANDBY: self._stand_by,
             Phase.CONNECT: self._depart,
@@ -154,7 +155,7 @@ class PhaseSteering:
             return  # ESTIMATE_LOST ends this in the next cycle
         self._generator.heading_rad = yaw_from_quat(inputs.vehicle.attitude)
         self._begun_s = now_s
-        self._stand_still(inputs, now_s)
+        self._held.stand_still(inputs.vehicle, now_s)
         self._waypoints.begin(with_first=previous is State.TAKE_OFF)
 
     def _enter_search(self, previous: State, inputs: PlanInputs, now_s: float) -> None:
@@ -162,7 +163,7 @@ class PhaseSteering:
             return  # ESTIMATE_LOST ends this in the next cycle
         if not self._generator.active:
             self._generator.heading_rad = yaw_from_quat(inputs.vehicle.attitude)
-        self._stand_still(inputs, now_s)
+        self._held.stand_still(inputs.vehicle, now_s)
         missing_m = 0.0 if previous in {State.WAYPOINT, State.ROUTE} else self._missing_m()
         climb_m = self.search.begin(missing_m, self._lowest_down_m(), now_s)
         if climb_m > _WORTH_TELLING_M:
@@ -191,31 +192,14 @@ class PhaseSteering:
             self._say("climb", f"back to {height_m:.1f} m over the pad to try again", now_s, "warning")
 
     def _enter_hold(self, previous: State, had: Authority, inputs: PlanInputs, now_s: float) -> None:
-        """Come to rest; a hold just over the pad goes up first, since the pad may move or heave."""
-        low = previous in BY_THE_PAD - {State.APPROACH}
-        height_m = self._pad.sight.height_m if self._pad.sight is not None else math.inf
-        climb_m = max(0.0, self._leg_m + self._config.landing.retry_height_m - height_m)
-        self._retreat = None
+        """Come to rest by our own setpoints, where they fly the vehicle."""
         flown = had is Authority.OURS or (had is Authority.RELEASED and self._generator.active)
         if not flown or not inputs.autopilot.armed or inputs.vehicle is None:
             self._generator.stop()
+            self._held.end()
             return
-        self._stand_still(inputs, now_s)
-        if self._machine.phase is Phase.HOLD and low and climb_m > _WORTH_TELLING_M:
-            x, y, z = self._generator.resting_place_m()
-            self._retreat = Motion((x, y, z - climb_m))
-            self._say("climb", f"climbing {climb_m:.1f} m clear of the pad", now_s, "warning")
-
-    def _stand_still(self, inputs: PlanInputs, now_s: float) -> None:
-        """Come to rest in the EKF's NED, from the reference's own motion when there is one."""
-        assert inputs.vehicle is not None
-        pad = self._pad.motion
-        if not self._generator.active or (self._generator.origin == "pad" and pad is None):
-            self._generator.start("local", vehicle_motion(inputs.vehicle, now_s), now_s)
-            return
-        if pad is not None:
-            self._generator.change_frame("local", pad, now_s)
-        self._generator.rest(self._generator.at(now_s), now_s)
+        low = self._machine.phase is Phase.HOLD and previous in BY_THE_PAD - {State.APPROACH}
+        self._held.begin(inputs.vehicle, now_s, over_pad=low)
 
     def _leave_pad(self, actual: Motion, now_s: float) -> None:
         """Go on without the pad: from the vehicle's own motion, and no more sideways than that."""
@@ -313,9 +297,11 @@ class PhaseSteering:
         return self._touchdown.step(state, self._pad.sight, inputs, now_s)
 
     def _hold(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
-        if self._retreat is not None and self._generator.active:
-            self._generator.fly_to(self._retreat, now_s)
-        return self._end(inputs, now_s)
+        at_rest = self._held.step(inputs.vehicle, now_s)
+        self._end(inputs, now_s)
+        # what has been released already, or waits for the link, ends otherwise
+        ours = self._machine.state is State.HOLD and self._machine.authority is Authority.OURS
+        return at_rest if ours else None
 
     def _end(self, inputs: PlanInputs, _now_s: float) -> DetectedEvent | None:
         """Hold by our own setpoints until the autopilot has control."""

@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
+from matplotlib.ticker import MaxNLocator
 
 from companion.pad import Pad, load_pad
 from sitl.campaign.figures import by_scenario, share, values
@@ -215,18 +216,26 @@ def draw_touchdowns(
     whole.set_title("Touchdowns on the pad; dashed: passes within")
     whole.set_xlabel("to the right of the pad's heading (m)")
     whole.set_ylabel("along the pad's heading (m)")
+    # all on one scale, so that they can be compared
+    reach_m = max(_close_reach_m(group, scenarios[name]) for name, group in groups.items())
     for place, (name, group) in enumerate(groups.items()):
         axes: Any = figure.add_subplot(panels[divmod(place, columns)])
         bound_m = scenarios[name].pass_bounds.lateral_error_m
-        met = [row for row in group if row.touchdown_along_m is not None]
-        farthest = [max(abs(row.touchdown_along_m or 0), abs(row.touchdown_across_m or 0)) for row in met]
-        reach_m = shown_width(farthest, [CLOSE_BOUNDS * bound_m])
         draw_places(axes, {name: group}, looks, scenarios, pads, reach_m)
-        axes.set_title(f"{name}: passes within {100.0 * bound_m:g} cm", fontsize=10)
+        axes.set_title(f"{name} (cm): passes within {100.0 * bound_m:g} cm", fontsize=10)
         axes.tick_params(labelsize=7)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(MaxNLocator(5, symmetric=True))
+            axis.set_major_formatter(lambda metres, _place: f"{100.0 * metres:g}")
     handles, labels = whole.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(6, len(groups)), frameon=False)
     return figure
+
+
+def _close_reach_m(group: Sequence[Row], scenario: Scenario) -> float:
+    met = [row for row in group if row.touchdown_along_m is not None]
+    farthest = [max(abs(row.touchdown_along_m or 0), abs(row.touchdown_across_m or 0)) for row in met]
+    return shown_width(farthest, [CLOSE_BOUNDS * scenario.pass_bounds.lateral_error_m])
 
 
 def draw_places(

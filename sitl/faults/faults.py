@@ -89,6 +89,13 @@ class AccelClips(FaultTimes):
     vibration_factor: float = Field(default=4.0, ge=1.0, le=20.0)  # On the rotors' vibration meanwhile
 
 
+class Vibration(FaultTimes):
+    """A propeller is chipped, a frame resonates: the rotors' vibration grows, on the autopilot's IMU too."""
+
+    kind: Literal["vibration"]
+    factor: float = Field(default=4.0, ge=1.0, le=20.0)  # On the rotors' vibration
+
+
 # ---------------------------------------------------------------- magnetometer
 
 
@@ -278,6 +285,7 @@ Fault = (
     | AccelBiasStep
     | AccelSpikes
     | AccelClips
+    | Vibration
     | MagLost
     | MagFrozen
     | MagDisturbed

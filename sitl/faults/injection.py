@@ -48,7 +48,7 @@ class FaultTargets:
         self.bus.wake()
         self.inertial.rate_offset_rad_s = self.inertial.force_offset_m_s2 = ZERO3
         self.inertial.accel_limit_m_s2 = math.inf
-        self.inertial.vibration_factor = 1.0
+        self.inertial.vibration_factor = self.autopilot_sensors.inertial.vibration_factor = 1.0
         self.inertial.gyro_glitches.clear_faults()
         self.inertial.accel_glitches.clear_faults()
         self.magnetometer.stray_field_ut = ZERO3
@@ -119,6 +119,12 @@ def clip_accelerometer(fault: faults.AccelClips, targets: FaultTargets) -> None:
     limit_m_s2 = fault.range_g * GRAVITY_M_S2
     targets.inertial.accel_limit_m_s2 = min(targets.inertial.accel_limit_m_s2, limit_m_s2)
     targets.inertial.vibration_factor *= fault.vibration_factor
+
+
+def shake(fault: faults.Vibration, targets: FaultTargets) -> None:
+    """More vibration, of all that is on board."""
+    targets.inertial.vibration_factor *= fault.factor
+    targets.autopilot_sensors.inertial.vibration_factor *= fault.factor
 
 
 # ---------------------------------------------------------------- magnetometer
@@ -284,6 +290,7 @@ INJECT: Final[dict[str, Callable[[Any, FaultTargets], None]]] = {
     "accel_bias_step": step_accel_bias,
     "accel_spikes": spike_accel,
     "accel_clips": clip_accelerometer,
+    "vibration": shake,
     "mag_lost": lose_magnetometer,
     "mag_frozen": freeze_magnetometer,
     "mag_disturbed": disturb_magnetometer,

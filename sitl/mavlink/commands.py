@@ -171,6 +171,14 @@ def _set_home(sender: Sender, request: CommandRequest, now_s: float) -> CommandR
     return sender.autopilot.set_home((latitude, longitude, altitude), request.frame in _OVER_HOME)
 
 
+def _enable_fence(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+    switch = sender.autopilot.profile.parameter_map.fence_enabled
+    if switch is None:
+        return CommandResult.UNSUPPORTED
+    accepted = sender.autopilot.parameters.set(switch.name, request.parameters[0])
+    return CommandResult.ACCEPTED if accepted else CommandResult.FAILED
+
+
 def _terminate(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.terminate() if request.parameters[0] > 0.5 else CommandResult.DENIED
 
@@ -232,6 +240,7 @@ HANDLERS: Final[dict[int, Handler]] = {
     mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
     mavlink.MAV_CMD_CONDITION_YAW: _turn,
     mavlink.MAV_CMD_DO_SET_HOME: _set_home,
+    mavlink.MAV_CMD_DO_FENCE_ENABLE: _enable_fence,
     mavlink.MAV_CMD_DO_FLIGHTTERMINATION: _terminate,
     mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
     mavlink.MAV_CMD_PREFLIGHT_STORAGE: _store_parameters,

@@ -83,7 +83,7 @@ class MavlinkEndpoint:
             mavlink.MAVLINK_MSG_ID_SETUP_SIGNING: self._on_setup_signing,
         }
         self._parameters = ParameterProtocol(autopilot)
-        self._mission = MissionProtocol(autopilot.mission, autopilot.go_to_where_guided)
+        self._mission = MissionProtocol(autopilot.mission, autopilot.fence, autopilot.go_to_where_guided)
         for protocol in (self._parameters, self._mission):
             for message_id in protocol.message_ids:
                 self._handlers[message_id] = partial(self._answer_by, protocol)

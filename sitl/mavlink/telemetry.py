@@ -102,10 +102,14 @@ def sys_status(autopilot: SimulatedAutopilot, now_s: float, unhealthy: int = 0) 
     if autopilot.ready_to_arm:
         health |= mavlink.MAV_SYS_STATUS_PREARM_CHECK
     # without a fence it is not breached: a ground station takes a missing bit for a breach
-    health |= mavlink.MAV_SYS_STATUS_GEOFENCE
+    if not autopilot.fence_broken:
+        health |= mavlink.MAV_SYS_STATUS_GEOFENCE
+    if autopilot.fence.items:
+        present |= mavlink.MAV_SYS_STATUS_GEOFENCE
+    enabled = present if autopilot.fence_enabled else present & ~mavlink.MAV_SYS_STATUS_GEOFENCE
     battery = autopilot.battery
     return mavlink.MAVLink_sys_status_message(
-        present, present, health, 300, round(1e3 * battery.voltage_v), round(1e2 * battery.current_a),
+        present, enabled, health, 300, round(1e3 * battery.voltage_v), round(1e2 * battery.current_a),
         autopilot.battery_percent, 0, 0, 0, 0, 0, 0,
     )  # fmt: skip
 

@@ -66,13 +66,14 @@ def sensor_errors(settings: SensorSettings) -> SensorErrors:
     """The data sheets' figures times the scenario's factors."""
     imu, mag, gps, echo = ImuErrors(), MagErrors(), GpsErrors(), RangeErrors()
     k, g = settings.imu_noise_factor, settings.gps_noise_factor
+    shaking = k * settings.vibration_factor
     return SensorErrors(
         imu=replace(
             imu,
             gyro_noise_rad_s_rthz=imu.gyro_noise_rad_s_rthz * k,
             accel_noise_m_s2_rthz=imu.accel_noise_m_s2_rthz * k,
-            vibration_m_s2=imu.vibration_m_s2 * k,
-            vibration_rad_s=imu.vibration_rad_s * k,
+            vibration_m_s2=imu.vibration_m_s2 * shaking,
+            vibration_rad_s=imu.vibration_rad_s * shaking,
             calibrated=settings.calibrated,
         ),
         magnetometer=replace(

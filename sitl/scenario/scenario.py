@@ -97,6 +97,7 @@ class SensorSettings(StrictModel):
 
     calibrated: bool = True
     imu_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
+    vibration_factor: float = Field(default=1.0, ge=0.0, le=50.0)
     mag_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
     gps_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
     range_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)

@@ -95,7 +95,7 @@ class SimulatedAutopilotSensors:
         """Make them; each draws from a generator of its own."""
         imu_rng, mag_rng, gps_rng, range_rng = rng.spawn(4)
         body_axes = np.eye(3)
-        self._imu = ImuSensor(imu_errors or ImuErrors(), imu_rng, dt_s, body_axes, imu_filter)
+        self.inertial = ImuSensor(imu_errors or ImuErrors(), imu_rng, dt_s, body_axes, imu_filter)
         self._mag = MagSensor(mag_errors or MagErrors(), mag_rng, body_axes)
         self._gps = GpsSensor(gps_errors or GpsErrors(), gps_rng, home)
         self._range = RangeSensor(range_errors or RangeErrors(), range_rng)
@@ -119,8 +119,8 @@ class SimulatedAutopilotSensors:
     def truth(self) -> BoardTruth:
         """True calibration errors of IMU and compass, in body axes."""
         return BoardTruth(
-            self._imu.accel_calibration_errors,
-            self._imu.gyro_calibration_errors,
+            self.inertial.accel_calibration_errors,
+            self.inertial.gyro_calibration_errors,
             self._mag.calibration_errors,
             np.eye(3),
         )
@@ -146,7 +146,7 @@ class SimulatedAutopilotSensors:
         self._receive(now_s, state)
         if not self._enabled:
             return
-        force, rate = self._imu.sample(state.specific_force_body_m_s2, state.rate_body_rad_s, throttle)
+        force, rate = self.inertial.sample(state.specific_force_body_m_s2, state.rate_body_rad_s, throttle)
         self.imu = ImuReading(now_s, force, rate)
         if now_s >= self._mag_due_s - _EARLY_S:
             self._mag_due_s = max(self._mag_due_s, now_s - MAG_PERIOD_S) + MAG_PERIOD_S

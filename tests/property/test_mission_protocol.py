@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilot import PROFILES
+from sitl.autopilot.flight.fence import Fence
 from sitl.autopilot.flight.mission_items import MissionStore
 from sitl.mavlink.protocols.mission_protocol import MissionProtocol
 
 SMALL = st.integers(0, 4)
 NUMBERS = st.sampled_from([0.0, 1.0, -1.0, 5.0, 90.0, 1e30, -1e30, math.nan, math.inf])
-COMMANDS = st.sampled_from([16, 17, 18, 19, 20, 21, 22, 93, 112, 115, 177, 178, 189, 42_000])
+COMMANDS = st.sampled_from([16, 17, 18, 19, 20, 21, 22, 93, 112, 115, 177, 178, 189, 5001, 5003, 42_000])
 TYPES = st.sampled_from([0, 0, 0, 0, 1, 2, 255, 7])
 
 
@@ -53,7 +54,8 @@ STEPS = st.lists(st.tuples(MESSAGES, st.integers(0, 1), st.floats(0.0, 3.0)), ma
 @given(autopilot_kind=MANNER, steps=STEPS)
 def test_any_conversation_over_two_links_is_survived(autopilot_kind: Any, steps: Steps) -> None:
     store = MissionStore(PROFILES[autopilot_kind].mission)
-    links = (MissionProtocol(store), MissionProtocol(store))
+    fence = Fence(unite=True)
+    links = (MissionProtocol(store, fence), MissionProtocol(store, fence))
     us, now_s = mavlink.MAVLink(None, srcSystem=255, srcComponent=190), 0.0
     for message, index, later_s in steps:
         now_s += later_s
@@ -64,6 +66,7 @@ def test_any_conversation_over_two_links_is_survived(autopilot_kind: Any, steps:
         assert all(bytes(answer.pack(us)) for answer in answers)
         assert 0 <= store.current < max(1, len(store))
         assert len(store) <= 5
+        assert len(fence.items) <= 5
 
 
 @settings(max_examples=40, deadline=None)
@@ -72,7 +75,7 @@ def test_an_upload_with_losses_ends_complete_or_is_given_up(
     autopilot_kind: Any, count: int, lost: list[bool]
 ) -> None:
     store = MissionStore(PROFILES[autopilot_kind].mission)
-    link = MissionProtocol(store)
+    link = MissionProtocol(store, Fence(unite=True))
     us, now_s = mavlink.MAVLink(None, srcSystem=255, srcComponent=190), 0.0
     drops = iter(lost)
     waiting: Any = mavlink.MAVLink_mission_count_message(1, 1, count, 0)

@@ -2,14 +2,18 @@
 
 A file beside the flights. `begin` writes "begun" before anything is asked of the vehicle, `end` how it ended;
 a process that is killed, or a battery that is pulled, leaves "begun". Then only the operator's word,
-`companion permit`, lets the next start fly. A service manager starts the app by itself, at boot and after a
-crash: under one every start needs that word.
+`companion permit`, lets the next start fly. What starts the app by itself, at boot, after a crash or after a
+flight (systemd, a container's restart policy, cron), has no terminal: every such start needs that word. It is
+used up as it is read, so that a start that dies in whatever way before its flight leaves none; an error that
+is told in order gives it back.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import sys
+import uuid
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -26,6 +30,7 @@ class LatchState(StrEnum):
 
     NONE = "none"
     PERMITTED = "permitted"
+    TAKEN = "taken"  # by a start that has begun no flight yet; the words are its own
     BEGUN = "begun"
     ENDED = "ended"
     UNREADABLE = "unreadable"
@@ -37,6 +42,7 @@ class FlightLatch:
 
     folder: Path
     _begun: bool = field(default=False, init=False)
+    _taken: str | None = field(default=None, init=False)
     _unattended: bool = field(default=False, init=False)
 
     @property
@@ -55,12 +61,20 @@ class FlightLatch:
             return LatchState.UNREADABLE, ""
 
     def refusal(self, *, unattended: bool) -> str | None:
-        """Why this start may not fly, None when it may; a permission is used up by `begin` alone.
+        """Why this start may not fly, None when it may; a permission is taken, for this start alone.
 
-        `unattended`: a service manager started the app, not a person.
+        `unattended`: a service manager or a script started the app, not a person.
+
+        Raises:
+            ConfigError: there is a permission, and the latch cannot be written.
         """
         self._unattended = unattended
-        return _refusal(*self.read(), unattended=unattended)
+        state, words = self.read()
+        if state is LatchState.PERMITTED:
+            self._taken = uuid.uuid4().hex
+            self._write(LatchState.TAKEN, self._taken)
+            return None
+        return _refusal(state, words, unattended=unattended)
 
     def begin(self) -> None:
         """Begin a flight: all that it needs is there.
@@ -69,17 +83,28 @@ class FlightLatch:
             ConfigError: the latch cannot be written: a flight whose begin nobody remembers is not flown; or
                 another start has used the permission up since `refusal` was asked.
         """
-        reason = _refusal(*self.read(), unattended=self._unattended)
+        reason = None if self._is_ours() else _refusal(*self.read(), unattended=self._unattended)
         if reason is not None:
             raise ConfigError(f"{self.path}: another start has changed it meanwhile: {reason}")
         self._write(LatchState.BEGUN, "")
-        self._begun = True
+        self._begun, self._taken = True, None
 
     def end(self, words: str) -> None:
-        """The flight has ended, and how; nothing is noted of a start that began none."""
+        """The flight has ended, and how; a start that began none gives the permission that it took back.
+
+        Raises:
+            ConfigError: the latch cannot be written.
+        """
         if self._begun:
             self._write(LatchState.ENDED, words)
             self._begun = False
+        elif self._is_ours():
+            self._write(LatchState.PERMITTED, "")
+            self._taken = None
+
+    def _is_ours(self) -> bool:
+        """Whether the permission is the one that this start took."""
+        return self._taken is not None and self.read() == (LatchState.TAKEN, self._taken)
 
     def permit(self) -> None:
         """Let the next start fly.
@@ -113,13 +138,15 @@ class FlightLatch:
 def _refusal(state: LatchState, words: str, *, unattended: bool) -> str | None:
     if state is LatchState.PERMITTED:
         return None
+    if state is LatchState.TAKEN:
+        return f"a start took the permission, and has begun no flight; {PERMIT_HINT}"
     if state is LatchState.BEGUN:
         return f"the last flight was begun and never ended; {PERMIT_HINT}"
     if state is LatchState.UNREADABLE:
         return f"nobody knows how the last flight ended: {FILE_NAME} cannot be read; {PERMIT_HINT}"
     if unattended:
         ended = f" (the last one ended: {words})" if words else ""
-        return f"started by the service manager, and no flight is permitted{ended}; {PERMIT_HINT}"
+        return f"not started at a terminal, and no flight is permitted{ended}; {PERMIT_HINT}"
     return None
 
 
@@ -133,5 +160,5 @@ def state_folder() -> Path:
 
 
 def unattended() -> bool:
-    """Whether a service manager started this process (sd_notify(3))."""
-    return bool(os.environ.get("NOTIFY_SOCKET"))
+    """Whether a service manager, a container or a script started this process: no person at a terminal."""
+    return bool(os.environ.get("NOTIFY_SOCKET")) or sys.stdin is None or not sys.stdin.isatty()

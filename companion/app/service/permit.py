@@ -11,8 +11,8 @@ from companion.app.service.latch import FlightLatch, LatchState, state_folder
 
 HELP: Final = """Let the next start of the app fly.
 
-After a crash, a kill or a power cut, and whenever a service manager starts it, the app stays in standby until
-this was said. It holds for one start.
+After a crash, a kill or a power cut, and whenever it is not started at a terminal, the app stays in standby
+until this was said. It holds for one start.
 """
 
 
@@ -33,6 +33,7 @@ def permit_command(
     before = {
         LatchState.NONE: "no flight before",
         LatchState.PERMITTED: "permitted already",
+        LatchState.TAKEN: "a start took the last permission, and has begun no flight",
         LatchState.BEGUN: "the last flight never ended",
         LatchState.ENDED: f"the last flight ended: {words}",
         LatchState.UNREADABLE: "the file could not be read",

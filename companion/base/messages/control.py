@@ -54,3 +54,8 @@ class ControlReport:
     obeyed: bool = True
     blind: bool = False
     cycle_late_s: float = 0.0
+
+    @property
+    def failed(self) -> bool:
+        """Whether no plan was flown: a stop, or what the last gate made of something that is no number."""
+        return self.stopped or "not_finite" in self.limited

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from companion.base.geometry import Quaternion, Vector3, scale
+from companion.base.geometry import ZERO3, Quaternion, Vector3, scale
 from companion.base.motion import Motion
 
 
@@ -41,7 +41,8 @@ class PadState:
     Relative means pad minus vehicle (reference point), NED axes: straight above the pad the relative
     position is (0, 0, +height). `covariance`, six rows of six, is that of relative position and velocity,
     the horizon's and the calibration's errors included. `turn_rate_rad_s` is that of the pad's course,
-    `models` the probability of each model of its motion.
+    `jerk_ned_m_s3` what its acceleration changes by beyond turning, `models` the probability of each model
+    of its motion.
 
     The lean is the horizontal part (north, east) of the pad's normal, which points down: its tilt for small
     angles. It swings about its mean by `lean_swing_rad` (root mean square, both axes together) at
@@ -60,6 +61,7 @@ class PadState:
     seen_time_s: float
     covariance: tuple[tuple[float, ...], ...] = field(default=(), metadata={"columns": 6})
     turn_rate_rad_s: float = 0.0
+    jerk_ned_m_s3: Vector3 = ZERO3
     models: dict[str, float] = field(default_factory=dict)
     lean_rad: tuple[float, float] = (0.0, 0.0)
     lean_rate_rad_s: tuple[float, float] = (0.0, 0.0)

@@ -44,8 +44,9 @@ class AutopilotState:
     nothing of the kind is reported (PX4). `battery_share` is the remaining charge, 0 to 1; None: not known.
     `motors_cut`: by the pilot's kill switch, the emergency stop, or the flight's termination.
     `round_trip_s`: how long a question and its answer take on the link, the quickest of the last three, at
-    `round_trip_time_s`; None: not known. `refused_frames`: what came without a right signature, where the
-    link demands one.
+    `round_trip_time_s`; None: not known. `twin_time_s`: when another companion with our ids was last
+    received, whose setpoints and requests would be taken for ours. `refused_frames`: what came without a
+    right signature, where the link demands one.
     """
 
     time_s: float
@@ -70,6 +71,7 @@ class AutopilotState:
     refused_frames: int = 0
     round_trip_s: float | None = None
     round_trip_time_s: float = float("-inf")
+    twin_time_s: float = float("-inf")
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,7 @@ class Plant:
     ) -> None:
         """`lags_s` are `flight_model.lags`."""
         self._by_attitude, self._by_velocity = config.setpoint == "attitude", config.setpoint == "velocity"
-        self._lags_s = lags_s
+        self._lags_s, self._answers_s = lags_s, config.command_delay_s + lags_s[0]
         self._gains = {
             heard: velocity_gains(vehicle, config, autopilot_kind, sideways=heard) for heard in (True, False)
         }
@@ -54,6 +54,12 @@ class Plant:
     def disturbance_ned_m_s2(self) -> Vector3:
         """What disturbs it besides the command (m/s2, NED)."""
         return add(self._wind.wind_ned_m_s2, self._lasting.lasting_ned_m_s2)
+
+    @property
+    def disturbance_ahead_ned_m_s2(self) -> Vector3:
+        """The same (m/s2, NED) when what is commanded now is flown."""
+        wind = self._wind.ahead_ned_m_s2(self._answers_s)
+        return add(wind, self._lasting.lasting_ned_m_s2)
 
     @property
     def lasting_disturbance_ned_m_s2(self) -> Vector3:

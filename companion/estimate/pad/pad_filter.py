@@ -24,6 +24,7 @@ from companion.estimate.pad.lean_filter import LEVEL, LeanState
 from companion.estimate.pad.model_bank import BankState, Blend, ModelBank, ModelTransition, advance, blend
 from companion.estimate.pad.pad_models import (
     HORIZONTAL,
+    TURN,
     HorizontalModels,
     Turn,
     VerticalModels,
@@ -119,7 +120,8 @@ class PadFilter:
         if snapshot.horizontal is None or snapshot.vertical is None:
             return None
         plane, climb = self._steps(snapshot.time_s, time_s, snapshot.turn)
-        horizontal = blend(advance(snapshot.horizontal, plane))
+        moved = advance(snapshot.horizontal, plane)
+        horizontal = blend(moved)
         vertical = blend(advance(snapshot.vertical, climb))
         density = HEADING_ACCELERATION_RAD_S2_RTHZ
         heading = snapshot.heading.after(time_s - snapshot.time_s, density)
@@ -134,6 +136,7 @@ class PadFilter:
             seen_time_s=snapshot.seen_time_s,
             turn_rate_rad_s=snapshot.turn.rate_rad_s,
             slow_share=snapshot.slow_share,
+            jerk_m_s3=tuple((moved.probabilities[TURN] * moved.means[TURN, 6:8]).tolist()),
             models=dict(zip(self._names, map(float, probabilities), strict=True)),
             lean=snapshot.lean.after(
                 time_s - snapshot.time_s, self._config.lean_acceleration_rad_s2_rthz

@@ -1,16 +1,20 @@
 """How pads may move: the models that the pad filter's two banks hold.
 
 On each axis the state is (p, v, a, j): position and velocity relative to the vehicle, the pad's own
-acceleration and its rate. Horizontal, both axes of each state side by side; a' = -a / tau + omega x a + white
-jerk, and j plays no part, for
+acceleration and its rate. Horizontal, both axes of each state side by side; a' = -a / tau + white jerk, and j
+plays no part, for
 
     steady     small and short-lived: constant velocity
     manoeuvre  large, fading in a second or two: constant acceleration
-    turn       lasting, and turning with the course: coordinated turn
+
+and besides
+
+    turn       turning with the course: a' = -a / tau + omega x a + j, j' = -j / tau_j + omega x j; both last
     sway       waves, as below: horizontal motion of a pad at sea
 
 That a turn is written as jerk = omega x a, rather than as a = omega x v, keeps it free of the pad's absolute
-velocity, hence of GPS: only the turn rate, a scalar, has to be known.
+velocity, hence of GPS: only the turn rate, a scalar, has to be known. Its j is what the acceleration changes
+by beyond turning: where a bend begins or ends. Without it the acceleration is known 0.2 to 0.5 s late there.
 
 Vertical:
 
@@ -38,6 +42,9 @@ STEADY_ACCELERATION_STD_M_S2: Final = 0.15  # a pad that drives straight on: bum
 STEADY_TIME_CONSTANT_S: Final = 1.0
 MANOEUVRE_TIME_CONSTANT_S: Final = 1.5  # one that speeds up or brakes does so for so long
 TURN_TIME_CONSTANT_S: Final = 20.0  # one that turns
+TURN_ACCELERATION_STD_M_S2: Final = 0.8
+TURN_JERK_M_S3_RTHZ: Final = 0.05  # bumps, besides the jerk that lasts
+TURN_JERK_TIME_CONSTANT_S: Final = 3.0  # a bend begins, and ends, within so long
 SWAY_DAMPING: Final = 0.2  # how far real periods stray from the models'
 WAVE_DAMPING: Final = 0.12
 REST_ACCELERATION_STD_M_S2: Final = 0.05  # vertically, of a pad that rides no waves
@@ -102,22 +109,22 @@ class HorizontalModels:
     """Steady, manoeuvre and turn, for a given turn rate."""
 
     def __init__(self, config: PadFilterConfig) -> None:
-        fades_s = (STEADY_TIME_CONSTANT_S, MANOEUVRE_TIME_CONSTANT_S, TURN_TIME_CONSTANT_S)
+        fades_s = (STEADY_TIME_CONSTANT_S, MANOEUVRE_TIME_CONSTANT_S)
         steady = 2.0 * STEADY_ACCELERATION_STD_M_S2**2 / STEADY_TIME_CONSTANT_S
-        jerks = (steady, config.manoeuvre_jerk_m_s3_rthz**2, config.turn_jerk_m_s3_rthz**2)
+        jerks = (steady, config.manoeuvre_jerk_m_s3_rthz**2)
         variance = config.sway_acceleration_std_m_s2**2
         w0 = math.tau / config.sway_period_s
-        vehicle = VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ**2
-        self._fade = 1.0 / TURN_TIME_CONSTANT_S
+        vehicle, snap = VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ**2, config.turn_snap_m_s4_rthz**2
         self.count = len(HORIZONTAL)
-        self.acceleration_variance = np.array(
-            [*(0.5 * q * fade for q, fade in zip(jerks, fades_s, strict=True)), variance]
-        )
+        fading = (0.5 * q * fade for q, fade in zip(jerks, fades_s, strict=True))
+        self.acceleration_variance = np.array([*fading, TURN_ACCELERATION_STD_M_S2**2, variance])
         self.jerk_variance = np.full(self.count, variance * w0**2)
-        fading = [
-            _fading(1.0 / fade, q, vehicle, w0, variance) for q, fade in zip(jerks, fades_s, strict=True)
+        self.jerk_variance[TURN] = 0.5 * snap * TURN_JERK_TIME_CONSTANT_S
+        kinds = [
+            *(_fading(1.0 / fade, q, vehicle, w0, variance) for q, fade in zip(jerks, fades_s, strict=True)),
+            _bending(vehicle, snap),
+            _waving(w0, SWAY_DAMPING, variance, vehicle),
         ]
-        kinds = [*fading, _waving(w0, SWAY_DAMPING, variance, vehicle)]
         chains, noises = zip(*((_on_plane(A), _on_plane(W)) for A, W in kinds), strict=True)
         self._series = _Series(chains, noises)
         self._more_jerk = _Series([chains[TURN]], [_on_plane(np.diag([0.0, 0.0, 1.0, 0.0]))])
@@ -135,13 +142,18 @@ class HorizontalModels:
         return _doubled(F, Q, doublings)
 
     def _turn(self, F: FloatArray, t: float, turn_rate_rad_s: float) -> None:
-        """An acceleration exp(s t) in the complex plane, s = -1/tau + i omega, and its two integrals."""
-        pole = complex(-self._fade, turn_rate_rad_s)
-        grown = cmath.exp(pole * t)
-        speed = (grown - 1.0) / pole
-        for row, value in ((0, (speed - t) / pole), (2, speed), (4, grown)):
-            F[row, 4] = F[row + 1, 5] = value.real
-            F[row, 5], F[row + 1, 4] = -value.imag, value.imag
+        """What acceleration and jerk become: exp(s t) and exp(r t) in the complex plane, and their integrals.
+
+        s = -1/tau + i omega, r = -1/tau_j + i omega; the jerk's share of the acceleration is
+        (exp(s t) - exp(r t)) / (s - r).
+        """
+        s = complex(-1.0 / TURN_TIME_CONSTANT_S, turn_rate_rad_s)
+        r = complex(-1.0 / TURN_JERK_TIME_CONSTANT_S, turn_rate_rad_s)
+        by_acceleration, fading = _integrals(s, t), _integrals(r, t)
+        for row, grown, faded in zip((0, 2, 4), by_acceleration, fading, strict=True):
+            _put(F, row, 4, grown)
+            _put(F, row, 6, (grown - faded) / (s - r))
+        _put(F, 6, 6, fading[-1])
 
 
 class VerticalModels:
@@ -219,6 +231,26 @@ def _fading(
     A = np.eye(4, k=1)
     A[2, 2], A[2, 3], A[3, 3] = -fade, 0.0, -wait
     return A, np.diag([0.0, vehicle, jerk, 2.0 * wait_variance * wait**3])
+
+
+def _bending(vehicle: float, snap: float) -> tuple[FloatArray, FloatArray]:
+    """A and W (4, 4) of an acceleration whose jerk lasts, driven by white snap; not turning."""
+    A = np.eye(4, k=1)
+    A[2, 2], A[3, 3] = -1.0 / TURN_TIME_CONSTANT_S, -1.0 / TURN_JERK_TIME_CONSTANT_S
+    return A, np.diag([0.0, vehicle, TURN_JERK_M_S3_RTHZ**2, snap])
+
+
+def _integrals(pole: complex, t: float) -> tuple[complex, complex, complex]:
+    """exp(pole t) integrated twice, once, and itself."""
+    grown = cmath.exp(pole * t)
+    once = (grown - 1.0) / pole
+    return (once - t) / pole, once, grown
+
+
+def _put(F: FloatArray, row: int, column: int, value: complex) -> None:
+    """A complex factor as the 2 x 2 block that multiplies by it."""
+    F[row, column] = F[row + 1, column + 1] = value.real
+    F[row, column + 1], F[row + 1, column] = -value.imag, value.imag
 
 
 def _waving(w0: float, damping: float, variance: float, vehicle: float) -> tuple[FloatArray, FloatArray]:

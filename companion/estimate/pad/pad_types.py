@@ -80,6 +80,7 @@ class CombinedEstimate:
 
     P is the filter's own; `covariance` adds what all of its measurements have in common. `slow_share` is the
     calibration's error as a share of the distance, `models` the probability of each model of motion by name.
+    `jerk_m_s3` (north, east) is what the acceleration changes by beyond turning.
     """
 
     x: FloatArray
@@ -92,6 +93,7 @@ class CombinedEstimate:
     slow_share: float = 0.0
     models: dict[str, float] = field(default_factory=dict)
     lean: Lean = NOT_LEANING
+    jerk_m_s3: tuple[float, float] = (0.0, 0.0)
 
     @property
     def position_std_m(self) -> float:

@@ -34,10 +34,11 @@ from companion.base.geometry import (
 from companion.config import EkfConfig
 from companion.estimate.gating import Gate, normalised_innovation_squared
 from companion.estimate.vehicle import ekf_model as model
-from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, GpsStep, ImuStep
+from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, GpsStep, HeadingStep, ImuStep
 from companion.estimate.vehicle.ekf_start import InitialState
 from companion.estimate.vehicle.ekf_state import EYE, EYE3, EkfSnapshot, EkfState
 from companion.estimate.vehicle.gyro_bias_check import BiasStep
+from companion.estimate.vehicle.imu_noise import StepNoise
 
 MAG_DIP_NOISE_UT: Final = 20.0  # of the field in its own vertical plane, which gives no heading
 MAG_PATIENCE_S: Final = 20.0  # magnetometer refused for so long: the heading's uncertainty grows
@@ -77,9 +78,18 @@ class VehicleEkf(EkfState):
         if isinstance(item, AttitudeStep):
             self._take_anchor(item)
             return
+        if isinstance(item, HeadingStep):
+            self._take_heading(item)
+            return
         u = model.InertialInput(item.rate_body_rad_s, item.specific_force_body_m_s2)
-        self.predict(time_s, u, item.samples, item.noise, item.span_s)
+        self.predict(time_s, u, item.samples, self._shown_by_fixes(item.noise), item.span_s)
         self._take_measured(item)
+
+    def _shown_by_fixes(self, noise: StepNoise) -> StepNoise:
+        """Vibration says how much the force's mean may be off; while fixes come, they show whether it is."""
+        if self.time_s - self.gps_time_s > GPS_TIMEOUT_S:
+            return noise
+        return noise._replace(force_error_m_s2=min(noise.force_error_m_s2, self.fix_watch.force_error_m_s2))
 
     def carried(
         self, base: EkfSnapshot, later: Sequence[EkfSnapshot], time_s: float, item: EkfInput
@@ -223,6 +233,12 @@ class VehicleEkf(EkfState):
         P = self.P.copy()
         P[model.VELOCITY, model.VELOCITY] += (GRAVITY_M_S2 * turned_rad * WRONG_FOR_S) ** 2 * EYE3
         self.P = P
+
+    def _take_heading(self, step: HeadingStep) -> None:
+        C = np.zeros((1, model.STATES))
+        C[:, model.QUATERNION] = model.rotation_from_quaternion(self.attitude)[2]
+        R = np.array([[step.std_rad**2]])
+        self._update("heading", np.array([step.ahead_rad]), C, R, R)
 
     def _take_zero(self, states: slice, R: FloatArray) -> None:
         C = np.zeros((3, model.STATES))

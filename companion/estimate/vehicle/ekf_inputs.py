@@ -51,7 +51,14 @@ class AttitudeStep(NamedTuple):
     heading_std_rad: float
 
 
-EkfInput = ImuStep | GpsStep | BiasStep | AttitudeStep
+class HeadingStep(NamedTuple):
+    """Another compass has the heading further to the east by `ahead_rad`, to a standard deviation (rad)."""
+
+    ahead_rad: float
+    std_rad: float
+
+
+EkfInput = ImuStep | GpsStep | BiasStep | AttitudeStep | HeadingStep
 
 
 def gps_step(fix: GpsFix, origin: Vector3, config: EkfConfig) -> GpsStep:

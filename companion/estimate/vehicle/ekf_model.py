@@ -247,9 +247,15 @@ def attitude_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def attitude_covariance(q: Quaternion, rotation_ned_covariance: FloatArray) -> FloatArray:
     """Covariance (4, 4) of a quaternion from that of a small rotation (3, 3) about NED axes (rad²)."""
-    G = 0.5 * right_matrix(q)[:, 1:]
+    G = quaternion_jacobian(q)
     covariance: FloatArray = G @ rotation_ned_covariance @ G.T
     return covariance
+
+
+def quaternion_jacobian(q: Quaternion) -> FloatArray:
+    """dq/d(small rotation about NED axes, rad) at q, (4, 3)."""
+    jacobian: FloatArray = 0.5 * right_matrix(q)[:, 1:]
+    return jacobian
 
 
 def rotation_covariance(q: Quaternion, quaternion_covariance: FloatArray) -> FloatArray:

@@ -8,7 +8,15 @@ from typing import Final
 
 import numpy as np
 
-from companion.base.geometry import ZERO3, FloatArray, Quaternion, Vector3, euler_from_quat
+from companion.base.geometry import (
+    ZERO3,
+    FloatArray,
+    Quaternion,
+    Vector3,
+    euler_from_quat,
+    quat_rotate_inverse,
+    vector3,
+)
 from companion.config import EkfConfig, EstimateConfig
 from companion.estimate.ahrs.alignment import InitialAlignment
 from companion.estimate.ahrs.madgwick import align
@@ -27,7 +35,10 @@ TINY_VARIANCE: Final = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class InitialState:
-    """What standing still before the flight has shown."""
+    """What standing still before the flight has shown.
+
+    `heading_std_rad` is beyond what biases of the magnetometer and of the field make of it.
+    """
 
     time_s: float
     attitude: Quaternion
@@ -53,7 +64,7 @@ def start_state(time_s: float, found: InitialAlignment, config: EstimateConfig) 
         gyro_bias_rad_s=found.rate_body_rad_s if found.still else ZERO3,
         field_ned_ut=field,
         tilt_std_rad=math.radians(2.0 if found.still else 15.0),
-        heading_std_rad=math.radians(4.0 if found.still else 40.0),
+        heading_std_rad=math.radians(1.5 if found.still else 40.0),
         gyro_bias_std_rad_s=gyro_std if found.still else math.radians(1.0),
     )
 
@@ -79,16 +90,13 @@ def initial_state(start: InitialState) -> FloatArray:
 
 
 def initial_covariance(config: EkfConfig, start: InitialState) -> FloatArray:
-    """Covariance (31, 31) to go with `initial_state`."""
+    """Covariance (31, 31) to go with `initial_state`.
+
+    The heading is the magnetometer's: what its bias and the field are off by, east of the field, has turned
+    it, by that over the horizontal field. So they are correlated.
+    """
     P = np.zeros((model.STATES, model.STATES))
-    rotation = np.diag([start.tilt_std_rad**2, start.tilt_std_rad**2, start.heading_std_rad**2])
-    P[model.QUATERNION, model.QUATERNION] = model.attitude_covariance(start.attitude, rotation)
-    J = model.euler_jacobian(start.attitude)
-    P[model.EULER, model.QUATERNION] = J @ P[model.QUATERNION, model.QUATERNION]
-    P[model.QUATERNION, model.EULER] = P[model.EULER, model.QUATERNION].T
-    P[model.EULER, model.EULER] = P[model.EULER, model.QUATERNION] @ J.T
     diagonal = P.reshape(-1)[:: model.STATES + 1]
-    diagonal[:7] += TINY_VARIANCE
     diagonal[model.RATE] = 0.1**2
     diagonal[model.POSITION] = 1.0
     diagonal[model.VELOCITY] = 0.1**2
@@ -97,4 +105,19 @@ def initial_covariance(config: EkfConfig, start: InitialState) -> FloatArray:
     diagonal[model.GYRO_BIAS] = start.gyro_bias_std_rad_s**2
     diagonal[model.FIELD] = config.field_std_ut**2
     diagonal[model.MAG_BIAS] = config.mag_bias_std_ut**2
+    north, east, _ = start.field_ned_ut
+    turned_by = np.array((-east, north, 0.0)) / (north**2 + east**2)  # rad/µT
+    # how the attitude's error, a small rotation about NED axes, comes of the other states'
+    turns = np.zeros((3, model.STATES))
+    turns[2, model.FIELD] = turned_by
+    turns[2, model.MAG_BIAS] = quat_rotate_inverse(start.attitude, vector3(turned_by))
+    rotation = turns @ P @ turns.T
+    rotation += np.diag([start.tilt_std_rad**2, start.tilt_std_rad**2, start.heading_std_rad**2])
+    J = np.vstack((np.eye(4), model.euler_jacobian(start.attitude))) @ model.quaternion_jacobian(
+        start.attitude
+    )
+    P[model.ATTITUDE] = J @ turns @ P
+    P[:, model.ATTITUDE] = P[model.ATTITUDE].T
+    P[model.ATTITUDE, model.ATTITUDE] = J @ rotation @ J.T
+    diagonal[model.ATTITUDE] += TINY_VARIANCE
     return P

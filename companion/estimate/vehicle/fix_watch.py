@@ -20,6 +20,9 @@ DIRECTION_SHARE: Final = 0.2  # and in that of the direction
 BOUND: Final = 4.5  # of the tests' mean, a degree of freedom; 1 when all is well
 LARGEST_TEST: Final = 10.0  # one outlier counts as no more
 ONE_SIDED: Final = 0.75  # the mean's square against the mean square: 1 when all point the same way
+_CHANCE: Final = DIRECTION_SHARE / (2.0 - DIRECTION_SHARE)
+CHANCE_MARGIN: Final = 2.0
+DRIFT_S: Final = 0.2  # a force that is off leads the velocity away for so long before a fix shows it
 PAUSE_S: Final = 3.0  # for the last suspicion to have its effect
 MOST_REFUSED: Final = 5  # in a row; a jump needs more to show its direction
 
@@ -49,6 +52,15 @@ class FixWatch(NamedTuple):
     def noise_factor(self) -> float:
         """By how much the variance of the next fix's velocity exceeds what is claimed, 1 at least."""
         return 1.0 if self._one_sided else max(self.scatter, 1.0)
+
+    @property
+    def force_error_m_s2(self) -> float:
+        """By how much the force's mean is off, as far as the fixes keep to one side for it.
+
+        Of innovations without a direction the mean's square is `_CHANCE` of the mean square.
+        """
+        excess = dot(self.mean_m_s, self.mean_m_s) - CHANCE_MARGIN * _CHANCE * self.mean_square
+        return math.sqrt(max(excess, 0.0)) / DRIFT_S
 
     @property
     def _one_sided(self) -> bool:

@@ -45,15 +45,17 @@ from companion.estimate.vehicle.attitude_reset import (
     AttitudeReset,
     Correction,
     EstimatedAttitude,
+    apart,
 )
-from companion.estimate.vehicle.ekf import GPS_TIMEOUT_S, VehicleEkf
-from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuStep, gps_step
+from companion.estimate.vehicle.ekf import VehicleEkf
+from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, HeadingStep, ImuStep, gps_step
 from companion.estimate.vehicle.ekf_start import start_state
 from companion.estimate.vehicle.ekf_state import EkfSnapshot
 from companion.estimate.vehicle.gyro_bias_check import SecondGyro
 from companion.estimate.vehicle.imu_noise import ImuNoise
 from companion.estimate.vehicle.inertial_motion import InertialMotion, VectorMean
 from companion.estimate.vehicle.innovation_watch import TroubleReport
+from companion.estimate.vehicle.state_output import vehicle_state
 from companion.estimate.vehicle.strapdown import Strapdown
 
 ORIENTATION_RATE_HZ: Final = 10.0  # the pre-filter's error lasts: more often would say nothing new
@@ -61,9 +63,9 @@ IMU_TIMEOUT_S = 0.5  # without the IMU for longer there is no state to report
 LOST_S = 2.0  # and after so long it starts again: where it has turned meanwhile is unknown
 _AGREES_S = 0.5  # two samples so near each other agree on a time that is far from what was
 FUTURE_S = 0.1  # whose stamp is further ahead has a wrong time
-ALIGNED_STD_RAD = math.radians(20.0)  # an attitude known less well is none to fly by
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
 SETTLING_S = 30.0  # of the orientation pre-filter after a start in motion
+OTHER_COMPASS_STD_RAD = math.radians(3.0)  # of the autopilot's heading at rest
 LONGEST_STEP_S = 0.1  # between two samples of the magnetometer that the pre-filter takes in
 
 
@@ -89,6 +91,7 @@ class VehicleEstimator:
         self._span_s: float | None = None  # of the samples not yet given to the EKF, by their own clock
         self._inertial, self._trouble = InertialMotion(motion), TroubleReport()
         self._resting = self._still_block = False
+        self._other_compass: float | None = None
         self._mag_s = self._field_step_s = self._orientation_step_s = -math.inf
         self._mag_trusted_s = self._settled_s = -math.inf
 
@@ -166,6 +169,8 @@ class VehicleEstimator:
         if sample.same_imu:
             self._reset_to(sample)
             return True
+        if self._resting and self._other_compass is None:
+            self._compare_compasses(sample)
         step = self._second_gyro.add_attitude(sample.time_s, sample.attitude, self._inertial.gyro_bias_rad_s)
         if step is not None:
             self._timeline.add(self.newest_s, step)
@@ -173,6 +178,15 @@ class VehicleEstimator:
             back = quat_from_rotation_vector(scale(step.turned_rad, -1.0))
             self._orientation.attitude = quat_normalise(quat_multiply(self._orientation.attitude, back))
         return True
+
+    def _compare_compasses(self, report: AutopilotAttitude) -> None:
+        """Take the autopilot's heading once, at rest: its compass errs as ours does, and by another error."""
+        assert self._timeline is not None
+        assert self._orientation is not None
+        _, ours_ahead_rad = apart(self._inertial.attitude, report.attitude)
+        self._other_compass = ours_ahead_rad
+        self._timeline.add(self.newest_s, HeadingStep(-ours_ahead_rad, OTHER_COMPASS_STD_RAD))
+        self._read_ekf()
 
     def _reset_to(self, report: AutopilotAttitude) -> None:
         """Correct the attitude by the autopilot's, where that has to be."""
@@ -231,28 +245,9 @@ class VehicleEstimator:
         ekf, imu_age_s = self._ekf, now_s - self.newest_s
         if ekf is None or not -FUTURE_S <= imu_age_s <= IMU_TIMEOUT_S:
             return None
-        place, speed = self.motion.moved(ekf.time_s, now_s)
-        velocity = vector3(ekf.x[model.VELOCITY])
-        position = add(vector3(ekf.x[model.POSITION]), scale(velocity, now_s - ekf.time_s))
-        variance = ekf.P.diagonal()
-        attitude_std_rad = 2.0 * math.sqrt(float(variance[model.QUATERNION].sum()))
-        return VehicleState(
-            time_s=now_s,
-            attitude=self._attitude_near(max(now_s, self.newest_s)),
-            rate_body_rad_s=self._inertial.rate_body_rad_s if imu_age_s <= PREDICTED_S else ZERO3,
-            position_ned_m=add(position, place),
-            velocity_ned_m_s=add(velocity, speed),
-            acceleration_ned_m_s2=self._inertial.acceleration_ned_m_s2,
-            gyro_bias_rad_s=self._inertial.gyro_bias_rad_s,
-            accel_bias_m_s2=self._inertial.accel_bias_m_s2,
-            attitude_std_rad=attitude_std_rad,
-            velocity_std_m_s=math.sqrt(float(variance[model.VELOCITY].sum())),
-            position_std_m=math.sqrt(float(variance[model.POSITION].sum())),
-            aligned=attitude_std_rad < ALIGNED_STD_RAD,
-            has_gps=now_s - ekf.gps_time_s < GPS_TIMEOUT_S,
-            origin=self.origin,
-            imu_age_s=max(imu_age_s, 0.0),
-        )
+        moved = self.motion.moved(ekf.time_s, now_s)
+        attitude = self._attitude_near(max(now_s, self.newest_s))
+        return vehicle_state(ekf, self._inertial, moved, attitude, now_s, imu_age_s, self.origin)
 
     # ------------------------------------------------------------ alignment
 

@@ -210,7 +210,9 @@ def draw_refused(figure: Figure, drawing: _Drawing) -> None:
     for kind in sorted(kind for kind, count in counts[-1].items() if count):
         axes.step(times, [refused.get(kind, 0) for refused in counts], where="post", label=kind)
     axes.set_ylabel("refused so far")
-    _finish((axes,), "Measurements refused: not usable, or by the innovation test (_gate)")
+    axes.set_xlabel("time (s)")
+    axes.set_title("Measurements refused: not usable, or by the innovation test (_gate)")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=7)
 
 
 def _draw_components(grid: Sequence[Any], drawing: _Drawing, name: TrackName, unit: str) -> None:

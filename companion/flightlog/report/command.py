@@ -10,7 +10,7 @@ import typer
 
 from companion.base.files import must_be_readable
 from companion.config import ConfigError
-from companion.flightlog.log_file import log_file
+from companion.flightlog.log_file import LOG_NAMES, log_file
 
 HELP: Final = """Write a flight's report: one HTML page with verdict, events, plots to zoom and pictures.
 
@@ -20,6 +20,7 @@ The page needs no network and no other file, so it can be sent by mail.
 companion report flights/circle
 companion report flights/flight-0007 -o flight.html
 """
+EXPECTED: Final = "a flight's folder or its flight.mcap"
 NO_PLOTLY: Final = "needs plotly; expected it installed: pip install 'companion[report]'"
 
 
@@ -40,6 +41,8 @@ def report_command(
     """
     file = log_file(folder)
     must_be_readable(file)
+    if file.name != LOG_NAMES[0]:
+        raise ConfigError(f"{folder}: another file; expected {EXPECTED}")
     typer.echo(write_report(file.parent, output))
 
 

@@ -76,9 +76,14 @@ def draw_path(figure: Figure, track: TruthTrack, obstacles: Sequence[Shape] = ()
     space: Any = figure.add_subplot(grid[0], projection="3d")
     ground = figure.add_subplot(grid[1])
     vehicle, pad = track.at("position", track.time_s), track.at("pad_position", track.time_s)
-    for path, colour, name in ((vehicle, VEHICLE_COLOUR, "vehicle"), (pad, PAD_COLOUR, "pad")):
-        space.plot(path[:, 1], path[:, 0], -path[:, 2], color=colour, label=f"{name} (truth)")
-        ground.plot(path[:, 1], path[:, 0], color=colour)
+    # the pad's is broad and below: over the pad both are the same
+    for path, colour, name, width in (
+        (pad, PAD_COLOUR, "pad", 4.0),
+        (vehicle, VEHICLE_COLOUR, "vehicle", 1.4),
+    ):
+        look: dict[str, Any] = {"color": colour, "linewidth": width}
+        space.plot(path[:, 1], path[:, 0], -path[:, 2], label=f"{name} (truth)", **look)
+        ground.plot(path[:, 1], path[:, 0], **look)
     for shape in obstacles:
         north, east = outline_m(shape)
         sides = np.array([[0.0], [shape.height_m]]) * np.ones_like(north)
@@ -121,7 +126,7 @@ def draw_height(figure: Figure, track: TruthTrack, kept: Mapping[str, Sequence[A
     top, bottom = _over_time(figure, 2, kept)
     times = track.time_s
     height = track.at("pad_position", times)[:, 2] - track.at("position", times)[:, 2]
-    top.plot(times, height, color=VEHICLE_COLOUR, label="truth")
+    top.plot(times, height, color=VEHICLE_COLOUR, linewidth=1.0, zorder=4, label="truth")
     pads = kept.get("pad", ())
     _dots(top, [pad.time_s for pad in pads], [pad.height_m for pad in pads], ESTIMATE_COLOUR, "pad filter")
     top.set_ylabel("height over the pad (m)")

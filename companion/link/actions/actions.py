@@ -25,6 +25,8 @@ from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST
 from companion.link.session import Session
 
 _SILENT_S: Final = 0.5  # attitudes come many times a second
+_SETUP_S: Final = 5.0  # each of its parameters is asked for four times, half a second apart
+_LOOK_S: Final = 0.05
 _FORCE: Final = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM: whatever the checks say
 
 
@@ -68,7 +70,7 @@ class PymavlinkActions:
         attitude_setpoints: bool,
     ) -> None:
         self.dialogue = Dialogue(session, send, clock)
-        self._session = session
+        self._session, self._clock = session, clock
         self._config = config
         self._attitude_setpoints = attitude_setpoints
         self._performances = Performances(session, clock)
@@ -203,10 +205,24 @@ class PymavlinkActions:
         Raises:
             Refused: they do not, and may not be or were not changed.
         """
-        if why := motors_stop(self._session.setup or AutopilotSetup()):
+        if why := motors_stop(await self._setup()):
             self._session.renew_setup()  # corrected, it is known by the next request
             raise Refused(why)
         await self._require_thrust()
+
+    async def _setup(self) -> AutopilotSetup:
+        """What its parameters say; waits until they have been read, or given up.
+
+        Raises:
+            Refused: neither in time.
+        """
+        by_s = self.dialogue.now_s() + _SETUP_S
+        while self._session.reads_setup and self._session.setup is None:
+            now_s = self.dialogue.now_s()
+            if now_s >= by_s:
+                raise Refused("the autopilot's parameters are not read yet")
+            await self._clock.sleep_until(now_s + _LOOK_S)
+        return self._session.setup or AutopilotSetup()
 
     async def _require_thrust(self) -> None:
         """See to it that an attitude setpoint's thrust is thrust: to ArduPilot it is a climb rate by default.

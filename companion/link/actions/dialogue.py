@@ -56,7 +56,7 @@ class Dialogue:
         if not state.connected:
             raise Refused("no autopilot is heard")
         if state.autopilot_kind is None:
-            raise Refused("the autopilot is neither PX4 nor ArduPilot")
+            raise Refused("the autopilot is neither PX4's nor ArduPilot's of a multirotor")
         return state.autopilot_kind
 
     async def set_mode(self, mode: str, void: Callable[[], str] = _wanted_still) -> None:

@@ -24,6 +24,19 @@ _AUTOPILOT_KINDS: Final[dict[int, AutopilotKind]] = {
     mavlink.MAV_AUTOPILOT_PX4: "px4",
     mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
 }
+# What our setpoints, take-off and landing are made for. A VTOL flies as a plane at a mode's change.
+_MULTIROTORS: Final = frozenset(
+    {
+        mavlink.MAV_TYPE_QUADROTOR,
+        mavlink.MAV_TYPE_COAXIAL,
+        mavlink.MAV_TYPE_HELICOPTER,
+        mavlink.MAV_TYPE_HEXAROTOR,
+        mavlink.MAV_TYPE_OCTOROTOR,
+        mavlink.MAV_TYPE_TRICOPTER,
+        mavlink.MAV_TYPE_DODECAROTOR,
+        mavlink.MAV_TYPE_DECAROTOR,
+    }
+)
 _LANDED: Final[dict[int, LandedState]] = {
     mavlink.MAV_LANDED_STATE_ON_GROUND: LandedState.ON_GROUND,
     mavlink.MAV_LANDED_STATE_IN_AIR: LandedState.IN_AIR,
@@ -83,7 +96,8 @@ class StatusTexts:
 
 
 def _heartbeat(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
-    autopilot_kind = _AUTOPILOT_KINDS.get(message.autopilot)
+    known = message.type in _MULTIROTORS
+    autopilot_kind = _AUTOPILOT_KINDS.get(message.autopilot) if known else None
     mode = "" if autopilot_kind is None else mode_name(autopilot_kind, message.custom_mode)
     # PX4 says it here, ArduPilot in SYS_STATUS
     terminated = message.system_status == mavlink.MAV_STATE_FLIGHT_TERMINATION

@@ -1,14 +1,17 @@
-"""The level moment of a deck that swings: it is met when it will lean little at contact.
+"""The level moment: of a deck that swings, and of the vehicle that leans with a pad and against the wind.
 
 A swing goes on as it is for a part of its period: from the mean, by the lean and its rate at the swing's own
-frequency. Rad, s.
+frequency. The vehicle's lean against the wind stays, that for the pad's acceleration turns with its course:
+over a pad on a circle there is a moment at which the two are against one another. NED, rad, m/s², s.
 """
 
 from __future__ import annotations
 
+import cmath
 import math
 from typing import Final
 
+from companion.base.geometry import Quaternion, horizontal_acceleration, tilt_from_quat
 from companion.base.messages import PadState
 
 # a pad that swings less, root mean square, hardly leans by 5 deg, and our own error swings by as much as 0.6
@@ -35,3 +38,33 @@ def lean_in_rad(sight: PadState, ahead_s: float) -> float:
 def level_at(sight: PadState, ahead_s: float, most_rad: float) -> bool:
     """Whether a contact so much later meets the pad level enough; a pad that does not swing is as it is."""
     return sight.lean_swing_rad < SWINGS_RAD or lean_in_rad(sight, ahead_s) <= most_rad
+
+
+class LeanForecast:
+    """How far the vehicle leans, and will have to, as the horizontal acceleration that its thrust makes."""
+
+    SMOOTHING_S: Final = 0.25
+
+    def __init__(self) -> None:
+        self.tilt_rad = 0.0
+        # complex: north + i east
+        self._lasting_m_s2, self._with_pad_m_s2, self._turn_rad_s = 0j, 0j, 0.0
+        self._noted_s: float | None = None
+
+    def note(self, attitude: Quaternion, sight: PadState | None, now_s: float) -> None:
+        """Take in the vehicle's attitude; an unseen pad goes on as it did."""
+        if sight is not None:
+            self._with_pad_m_s2 = complex(*sight.acceleration_ned_m_s2[:2])
+            self._turn_rad_s = sight.turn_rate_rad_s
+        self.tilt_rad = tilt_from_quat(attitude)
+        lasting = complex(*horizontal_acceleration(attitude)) - self._with_pad_m_s2
+        first = self._noted_s is None
+        elapsed_s = 0.0 if self._noted_s is None else max(0.0, now_s - self._noted_s)
+        share = 1.0 if first else -math.expm1(-elapsed_s / self.SMOOTHING_S)
+        self._noted_s = now_s
+        self._lasting_m_s2 += share * (lasting - self._lasting_m_s2)
+
+    def at_m_s2(self, ahead_s: float) -> float:
+        """How much it will take (m/s²) so much later."""
+        turned = cmath.rect(1.0, self._turn_rad_s * ahead_s)
+        return abs(self._lasting_m_s2 + self._with_pad_m_s2 * turned)

@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import math
 
-from companion.base.geometry import GRAVITY_M_S2, Quaternion, horizontal_acceleration, tilt_from_quat
+from companion.base.geometry import GRAVITY_M_S2
 from companion.base.messages import LandedState, LevelOff, PadState, RangeSample
 from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import FRESH_S, SIGNS_NEEDED, ContactSigns, Standing, contact_signs
-from companion.plan.landing.level_moment import level_at
+from companion.plan.landing.level_moment import LeanForecast, level_at
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle, stopping_m
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import DetectedEvent, MissionEvent, State
@@ -29,9 +29,8 @@ from companion.plan.trajectory.reference_generator import ReferenceGenerator
 _GIVE_WAY_S = 0.3
 _LONGEST_CYCLE_S = 0.1
 _TOO_FAST_S = 0.1
-# Low-pass of the lean; and the window of level attitude about the contact: the attitude takes about 0.3 s to
-# follow, and the contact comes early or late by some tenths.
-_LEAN_S = 0.25
+# The window of level attitude about the contact: the attitude takes about 0.3 s to follow, and the contact
+# comes early or late by some tenths.
 _LEVEL_BEFORE_S = 0.31
 _LEVEL_FOR_S = 0.42
 # From the decision to level off until the lean has begun to fall: command, dead time and the gate of jerk.
@@ -69,8 +68,7 @@ class TouchdownSequence:
         self._tolerance = Tolerance(self._config, now_s, slack)
         self._settled, self._touching = Debounce(), Debounce()
         self._too_fast, self._far_aside, self._deeper = Debounce(), Debounce(), Debounce()
-        self._lean_m_s2, self._tilt_rad = (0.0, 0.0), 0.0
-        self._leaned_s: float | None = None
+        self.lean = LeanForecast()
         self._level_due_s: float | None = None
         self._level_from_s: float | None = None
         self._level_excess_m_s2 = 0.0
@@ -94,7 +92,7 @@ class TouchdownSequence:
     ) -> DetectedEvent | None:
         """Steer for one cycle; returns what is detected, and why."""
         if inputs.vehicle is not None:
-            self.note_lean(inputs.vehicle.attitude, now_s)
+            self.lean.note(inputs.vehicle.attitude, sight, now_s)
         if state is State.SINK:
             return self._sink(sight, inputs, now_s)
         if state is State.SET_DOWN:
@@ -105,15 +103,6 @@ class TouchdownSequence:
         if event is None and state is State.RISE and not self._generator.rising(now_s):
             return MissionEvent.RISEN, "on the way back up"
         return event
-
-    def note_lean(self, attitude: Quaternion, now_s: float) -> None:
-        """Take in how the vehicle leans: what it takes to go with the pad and against the wind."""
-        x, y = horizontal_acceleration(attitude)
-        self._tilt_rad = tilt_from_quat(attitude)
-        share = 1.0 if self._leaned_s is None else -math.expm1(-max(0.0, now_s - self._leaned_s) / _LEAN_S)
-        self._leaned_s = now_s
-        lx, ly = self._lean_m_s2
-        self._lean_m_s2 = (lx + share * (x - lx), ly + share * (y - ly))
 
     def level_off(self) -> LevelOff | None:
         """That the vehicle may lean no further than it may at contact; None until the contact is near.
@@ -146,7 +135,7 @@ class TouchdownSequence:
             and not tolerance.aside(sight, now_s)
             and (tolerance.impatience(now_s) >= 1.0 or gentle(sight, c))
             and level_at(sight, self._contact_in_s(), tolerance.most_lean_rad(now_s))
-            and math.hypot(*self._lean_m_s2) <= tolerance.most_lean_m_s2(now_s)
+            and self.lean.at_m_s2(self._contact_in_s() - c.settled_s) <= tolerance.most_lean_m_s2(now_s)
             and self._generator.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self._way_down_s())
         )
         if waited_s >= c.giving_up_s:
@@ -266,7 +255,7 @@ class TouchdownSequence:
             now_s,
             config=self._config,
             vehicle=self._vehicle,
-            lean_rad=0.0 if far_aside else self._tilt_rad,
+            lean_rad=0.0 if far_aside else self.lean.tilt_rad,
         )
 
     def _escapes(self, sight: PadState) -> bool:
@@ -279,8 +268,10 @@ class TouchdownSequence:
         fast = fresh and sight.sink_m_s > self._config.fastest_contact_m_s
         if self._too_fast.held_s(fast, now_s) >= _TOO_FAST_S:
             return "sinking too fast"
-        if math.hypot(*self._lean_m_s2) > _TOO_MUCH_LEAN * self._tolerance.most_lean_m_s2(now_s):
-            return "leaning too far"
+        due_s = self._contact_due_s if self._level_due_s is None else self._level_due_s
+        lean_m_s2 = self.lean.at_m_s2(max(0.0, due_s - now_s))
+        if lean_m_s2 > _TOO_MUCH_LEAN * self._tolerance.most_lean_m_s2(now_s):
+            return "too much lean at contact"
         far = fresh and self._tolerance.aside(sight, now_s)
         if self._far_aside.held_s(far, now_s) >= _TOO_FAST_S:
             return f"{100.0 * sight.lateral_m:.0f} cm aside at {sight.lateral_speed_m_s:.2f} m/s"
@@ -288,7 +279,7 @@ class TouchdownSequence:
 
     def _has_room(self, height_m: float, sink_m_s: float) -> bool:
         """Whether it can stop and rise before a foot touches what is so far below."""
-        lean_rad = max(self._tilt_rad, math.radians(self._config.contact_tilt_deg))
+        lean_rad = max(self.lean.tilt_rad, math.radians(self._config.contact_tilt_deg))
         room_m = stopping_m(sink_m_s, lean_rad, self._vehicle.foot_reach_m)
         return height_m - self._vehicle.leg_height_m > max(self._config.break_off_above_m, room_m)
 
@@ -303,7 +294,7 @@ class TouchdownSequence:
         if self._level_from_s is None and near:
             self._level_from_s = now_s
             level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(self._config.contact_tilt_deg))
-            self._level_excess_m_s2 = max(0.0, math.hypot(*self._lean_m_s2) - level_m_s2)
+            self._level_excess_m_s2 = max(0.0, self.lean.at_m_s2(0.0) - level_m_s2)
 
     def _see_contact_near(self, sight: PadState, now_s: float) -> bool:
         """Take in when the feet will touch; whether the foot that hangs lower would before the lean falls."""
@@ -312,7 +303,7 @@ class TouchdownSequence:
         sink_m_s = max(slowest_m_s, sight.sink_m_s)
         over_m = sight.height_m - self._vehicle.leg_height_m
         self._level_due_s = now_s + max(0.0, over_m - _FOOT_DROP_M) / sink_m_s
-        hangs_m = self._vehicle.foot_reach_m * math.sin(self._tilt_rad)
+        hangs_m = self._vehicle.foot_reach_m * math.sin(self.lean.tilt_rad)
         return over_m - hangs_m <= sink_m_s * _LEANS_ON_S
 
     def _give_way(self, sight: PadState | None, now_s: float) -> None:

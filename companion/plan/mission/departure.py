@@ -21,6 +21,7 @@ from companion.plan.notices import NoticeSink
 from companion.plan.obstacles.obstacle_monitor import ObstacleMonitor
 from companion.plan.trajectory.waypoints import Waypoints
 
+TWIN_GONE_S = 5.0  # heartbeats come once a second
 _REMIND_S = 10.0
 _NEARLY_UP_M = 0.5
 _SETTLED_SHARE = 0.7
@@ -86,7 +87,7 @@ class Departure:
     ) -> DetectedEvent | None:
         if autopilot.connected and autopilot.armed:
             return MissionEvent.ALREADY_ARMED, "not by this app"
-        missing = [text for text, there in self._needs(vehicle, autopilot) if not there]
+        missing = [text for text, there in self._needs(vehicle, autopilot, now_s) if not there]
         if not missing:
             return MissionEvent.READY, "ready to arm"
         self.remind("waiting", f"waiting for {', '.join(missing)}", now_s)
@@ -98,7 +99,9 @@ class Departure:
             self._reminded_s = now_s
             self._say(kind, text, now_s, "info")
 
-    def _needs(self, vehicle: VehicleState | None, autopilot: AutopilotState) -> tuple[tuple[str, bool], ...]:
+    def _needs(
+        self, vehicle: VehicleState | None, autopilot: AutopilotState, now_s: float
+    ) -> tuple[tuple[str, bool], ...]:
         low, share = self._config.battery.low, autopilot.battery_share
         late_s, most_s = autopilot.round_trip_s, self._config.largest_round_trip_s
         late = "" if late_s is None else f": answers after {late_s:.2f} s, at most {most_s:g} are flown by"
@@ -106,6 +109,10 @@ class Departure:
         charge = "" if share is None else f": {100.0 * share:.0f} % left, low at {100.0 * low:.0f} %"
         return (
             (f"the autopilot{refused_words(autopilot)}", autopilot.connected),
+            (
+                "a PX4 or ArduPilot that flies a multirotor",
+                not autopilot.connected or autopilot.autopilot_kind is not None,
+            ),
             ("its home position", autopilot.home is not None),
             ("it to be ready to arm", autopilot.ready_to_arm),
             ("its estimate of position", autopilot.ekf_ready is not False),
@@ -113,6 +120,7 @@ class Departure:
             ("GPS", vehicle is not None and vehicle.has_gps and vehicle.origin is not None),
             (f"a charged battery{charge}", charged),
             (f"a quicker link{late}", late_s is None or late_s <= most_s),
+            ("another companion with our ids to go", now_s - autopilot.twin_time_s > TWIN_GONE_S),
         )
 
     def _take_off(

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 from companion.base.messages import AutopilotState, Phase, VehicleState
 from companion.config import MissionConfig
+from companion.plan.debounce import Debounce
 from companion.plan.mission.bounds import Bounds
 from companion.plan.mission.departure import refused_words
 from companion.plan.mission.inputs import PlanInputs
@@ -20,6 +21,8 @@ from companion.plan.mission.table import FINAL, ON_GROUND
 
 _STALE_ESTIMATE_S = 0.5
 _OLDEST_ROUND_TRIP_S = 3.0
+# Beyond this a stop has been flown, and the wind decides.
+_NO_PLAN_S = 1.0
 
 
 class FailsafeMonitor:
@@ -29,6 +32,7 @@ class FailsafeMonitor:
         self._config, self._machine = config, machine
         self._modes = ModeMonitor(config.take_off_height_m)
         self._bounds = Bounds(config)
+        self._no_plan = Debounce()
         self._took_off_s: float | None = None
         self._phase_since_s: float | None = None
 
@@ -92,7 +96,7 @@ class FailsafeMonitor:
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
         found += [*self._late(autopilot, now_s), *self._estimate(inputs.vehicle, now_s)]
-        found += self._battery(autopilot)
+        found += [*self._control(inputs.control_failed, now_s), *self._battery(autopilot)]
         found += [*self._bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s), *self._time(now_s)]
         if heard:
             found.append((MissionEvent.LINK_UP, "heartbeat again"))
@@ -104,6 +108,10 @@ class FailsafeMonitor:
         known = autopilot.connected and now_s - autopilot.round_trip_time_s <= _OLDEST_ROUND_TRIP_S
         if known and late_s is not None and late_s > most_s:
             yield MissionEvent.LINK_LATE, f"answers after {late_s:.2f} s, at most {most_s:g} are flown by"
+
+    def _control(self, failed: bool, now_s: float) -> Iterator[DetectedEvent]:
+        if self._no_plan.held_s(failed, now_s) >= _NO_PLAN_S:
+            yield MissionEvent.CONTROL_FAILED, "the controller finds no plan to fly"
 
     def _battery(self, autopilot: AutopilotState) -> Iterator[DetectedEvent]:
         if autopilot.battery_share is not None and autopilot.battery_share <= self._config.battery.critical:

@@ -17,7 +17,10 @@ from companion.base.messages import (
 
 @dataclass(frozen=True, slots=True)
 class PlanInputs:
-    """The newest of everything the planner goes by; `results` holds each answer once, `order` comes once."""
+    """The newest of everything the planner goes by; `results` holds each answer once, `order` comes once.
+
+    `control_failed`: the last setpoint was a stop for want of a plan, or would have been no number.
+    """
 
     vehicle: VehicleState | None
     pad: PadState | None
@@ -28,3 +31,4 @@ class PlanInputs:
     stop_requested: bool = False
     order: Order | None = None
     camera_problem: str | None = None
+    control_failed: bool = False

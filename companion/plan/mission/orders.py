@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from companion.base.messages import AutopilotState, LandedState, Order, OrderKind, Refusal, VehicleState
 from companion.config import MissionConfig, PlanConfig
 from companion.plan.mission.bounds import Bounds
-from companion.plan.mission.departure import refused_words
+from companion.plan.mission.departure import TWIN_GONE_S, refused_words
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import MissionEvent
 
@@ -41,6 +41,8 @@ def _not_flying(inputs: PlanInputs, config: PlanConfig) -> Refusal | None:
 def not_ready(inputs: PlanInputs, mission: MissionConfig, now_s: float) -> Iterator[str]:
     """What stands against a landing wherever the vehicle is; on the ground it can be ready too."""
     yield from _autopilot(inputs.autopilot, mission)
+    if now_s - inputs.autopilot.twin_time_s <= TWIN_GONE_S:
+        yield "another companion with our ids is on the link; expected one"
     if inputs.camera_problem is not None:
         yield f"no pad camera: {inputs.camera_problem}"
     yield from _estimate(inputs.vehicle, mission, now_s)
@@ -66,6 +68,8 @@ def _not_in_the_air(autopilot: AutopilotState) -> Iterator[str]:
 def _autopilot(autopilot: AutopilotState, mission: MissionConfig) -> Iterator[str]:
     if not autopilot.connected:
         yield f"no heartbeat from the autopilot{refused_words(autopilot)}"
+    elif autopilot.autopilot_kind is None:
+        yield "the autopilot is neither PX4's nor ArduPilot's of a multirotor"
     if autopilot.motors_cut:
         yield "kill switch, emergency stop or flight termination"
     if autopilot.home is None:

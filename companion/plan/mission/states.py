@@ -71,6 +71,7 @@ class MissionEvent(StrEnum):
     CENTRED = "centred"  # above the pad, within the descent cone
     LOW = "low"  # at the height from which touchdown is one straight go
     COMMIT = "commit"  # aligned over a pad that is gentle, for a moment
+    CLEAR = "clear"  # at rest by our setpoints, and clear of the pad
     BREAK_OFF = "break_off"  # on the last way down, with room to stop
     RISEN = "risen"  # climbing after a break-off
     CONTACT = "contact"  # several signs say that the feet stand on the pad
@@ -92,6 +93,7 @@ class MissionEvent(StrEnum):
     LINK_UP = "link_up"
     LINK_LATE = "link_late"  # answers come, but too late to fly by
     ESTIMATE_LOST = "estimate_lost"
+    CONTROL_FAILED = "control_failed"  # the controller finds no plan, and has long commanded to stop
     VELOCITY_UNKNOWN = "velocity_unknown"  # our estimate is there, but its velocity is too uncertain
     BATTERY_CRITICAL = "battery_critical"
     OUT_OF_BOUNDS = "out_of_bounds"  # the fence or the ceiling, with room to stop before it
@@ -122,7 +124,7 @@ class Guard(StrEnum):
     TRIES_LEFT = "tries left"
     DISARM_NOT_ASKED = "no disarm asked yet"
     LAND_GRANTED = "the autopilot is in LAND"
-    UNHEARD = "the autopilot is not heard"
+    UNHEARD = "the autopilot has not been heard for long"
     MAY_FINISH = "the settings let a descent finish"
 
 
@@ -133,6 +135,7 @@ class Effect(StrEnum):
     ASK_PAD_POSITION = "ask the ground station for the pad's position"
     STOP_SETPOINTS = "stop setpoints"
     ASK_AFRESH = "forget what was answered, count the phase's time again"
+    COUNT_AFRESH = "count the phase's time again"
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,10 @@ Its rules:
   every state ends by time but the two last (LANDED, ABORT), STANDBY, which waits for an order, and
   AUTO_LAND while the autopilot is heard: it presses down and asks on, and ended it would leave the motors on;
   released for good is released: whatever happens then, nothing more is asked of the autopilot;
-  STOP, a lost estimate and overtime return control to the autopilot, which holds its position, where all
-  but the lost estimate leave the time to, clear of the pad; a vehicle that a pilot flew when the landing was
-  ordered, and that was never ours, stays in the pilot's mode.
+  STOP, the bounds and overtime return control to the autopilot, which holds its position: low over the pad
+  once it has climbed clear. A lost estimate, a controller without a plan and a late link leave no time for
+  that; a vehicle that a pilot flew when the landing was ordered, and that was never ours, stays in the
+  pilot's mode.
 No clock, no I/O: the failsafe monitor and the phases detect events, and here stands what follows.
 """
 
@@ -45,10 +46,11 @@ LOW: Final = OVER_PAD | {S.DESCEND}  # it may be just over the pad, and has not 
 HOLDING: Final = frozenset({S.HOLD, S.AWAIT_LINK})
 # the pad's estimate carries the vehicle
 BY_THE_PAD: Final = TOUCHDOWN | {S.APPROACH, S.DESCEND}
+BLIND: Final = (E.ESTIMATE_LOST, E.CONTROL_FAILED)  # setpoints of ours lead nowhere
 # what may be detected in any state: each state has a row or a reason for none
 ANYWHERE: Final = (
     *(E.DISARMED, E.PILOT_TOOK_OVER, E.STOP, E.LINK_LOST, E.LINK_UP, E.LINK_LATE),
-    *(E.ESTIMATE_LOST, E.VELOCITY_UNKNOWN, E.BATTERY_CRITICAL),
+    *(E.ESTIMATE_LOST, E.CONTROL_FAILED, E.VELOCITY_UNKNOWN, E.BATTERY_CRITICAL),
     *(E.OUT_OF_BOUNDS, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT),
 )
 
@@ -90,7 +92,9 @@ _NEXT_TRY: Final = (
 # Just over the pad the autopilot would hold in its way: the hold by our own setpoints climbs clear first.
 _HOLD_CLEAR: Final = (_end(_LAND, guard=Guard.ON_SURFACE), Branch(S.HOLD))
 # Without the pad or our own estimate: LAND holds the vehicle level, and goes on down.
-_SET_DOWN: Final = Branch(S.SET_DOWN, (_LAND,))
+_SET_DOWN: Final = Branch(S.SET_DOWN, (_LAND,), effects=(Effect.COUNT_AFRESH,))
+# However late it is asked for: LAND takes its time to be answered, and to come down.
+_AUTO_LAND: Final = Branch(S.AUTO_LAND, (_LAND,), effects=(Effect.COUNT_AFRESH,))
 IMPOSSIBLE: Final = (
     _NEVER_OURS,
     Branch(S.HOLD, (_LAND,), Authority.RELEASED, guard=Guard.ON_SURFACE),
@@ -104,7 +108,8 @@ _STANDS = "it stands on the pad"
 _NOTHING_ASKED = "nothing is requested yet; an armed vehicle ends the mission in any mode"
 _WAITS_FOR_OPERATOR = "it waits for an order, and asks for nothing"
 _LANDS = "the autopilot lands already"
-_CLEARS = "it climbs clear of the pad and comes to rest; its time returns control"
+_GO_ON: Final = {**_all(LAST_CENTIMETRES, _FINISHES), **_all(ON_PAD, _STANDS)}
+_CLEARS = "it climbs clear of the pad and comes to rest, which returns control; so does its time"
 
 ROWS: Final = (
     # ---- ordered
@@ -149,7 +154,7 @@ ROWS: Final = (
     _row(
         E.UNPROVEN,
         ON_PAD,
-        Branch(S.AUTO_LAND, (_LAND,), guard=Guard.DISARM_NOT_ASKED),
+        replace(_AUTO_LAND, guard=Guard.DISARM_NOT_ASKED),
         except_={S.AUTO_LAND: "LAND is asked for already"},
     ),
     _row(E.PAD_GONE, S.SINK, _SET_DOWN),
@@ -178,8 +183,9 @@ ROWS: Final = (
     _row(E.TIMEOUT, S.DESCEND, *_NEXT_TRY),
     _row(E.TIMEOUT, OVER_PAD, *_HOLD_CLEAR),
     _row(E.TIMEOUT, HOLDING | {S.SEARCH}, *_RETURN_CONTROL),
+    _row(E.CLEAR, S.HOLD, *_RETURN_CONTROL),
     _row(E.TIMEOUT, S.SINK, _SET_DOWN),
-    _row(E.TIMEOUT, {S.SET_DOWN, S.STAND}, Branch(S.AUTO_LAND, (_LAND,))),
+    _row(E.TIMEOUT, {S.SET_DOWN, S.STAND}, _AUTO_LAND),
     # without a link nothing arrives: its own failsafe has long taken it, and what then flies is not ours
     _row(
         E.TIMEOUT,
@@ -196,8 +202,7 @@ ROWS: Final = (
         except_={
             **_all(ON_GROUND, _NOT_YET),
             S.HOLD: _CLEARS,
-            **_all(LAST_CENTIMETRES, _FINISHES),
-            **_all(ON_PAD, _STANDS),
+            **_GO_ON,
         },
     ),
     _row(
@@ -208,29 +213,30 @@ ROWS: Final = (
             **_all({S.STANDBY, S.CONNECT}, _NOTHING_ASKED),
             S.HOLD: _CLEARS,
             S.ARM: "the autopilot's own checks decide",
-            **_all(LAST_CENTIMETRES, _FINISHES),
-            **_all(ON_PAD, _STANDS),
+            **_GO_ON,
         },
     ),
     _row(E.BATTERY_CRITICAL, LOW, Branch(None, guard=Guard.MAY_FINISH), *_HOLD_CLEAR),
+    # the hold brakes at once, within the room that a bound leaves, and climbs no higher than the ceiling
+    _row(E.OUT_OF_BOUNDS, LOW, *_HOLD_CLEAR),
     _row(
         E.OUT_OF_BOUNDS,
-        IN_AIR - COMMITTED,
+        IN_AIR - COMMITTED - LOW - {S.HOLD},
         *_RETURN_CONTROL,
         except_={
             **_all(ON_GROUND, _NOT_YET),
-            **_all(LAST_CENTIMETRES, _FINISHES),
-            **_all(ON_PAD, _STANDS),
+            S.HOLD: _CLEARS,
+            **_GO_ON,
         },
     ),
+    _row(E.PAD_TOO_FAST, LOW, *_HOLD_CLEAR),
     _row(
         E.PAD_TOO_FAST,
-        {S.APPROACH, S.DESCEND} | OVER_PAD,
+        S.APPROACH,
         *_RETURN_CONTROL,
         except_={
             **_all(LIVE - BY_THE_PAD, "it does not follow the pad"),
-            **_all(LAST_CENTIMETRES, _FINISHES),
-            **_all(ON_PAD, _STANDS),
+            **_GO_ON,
         },
     ),
     _row(E.STOP, {S.STANDBY, S.CONNECT}, _GIVE_UP),
@@ -240,7 +246,7 @@ ROWS: Final = (
         E.STOP,
         IN_AIR - LOW,
         *_RETURN_CONTROL,
-        except_={S.HOLD: _CLEARS, **_all(LAST_CENTIMETRES, _FINISHES), **_all(ON_PAD, _STANDS)},
+        except_={S.HOLD: _CLEARS, **_GO_ON},
     ),
     _row(
         E.PILOT_TOOK_OVER,
@@ -258,8 +264,7 @@ ROWS: Final = (
         except_={
             **_all(ON_GROUND, _NOT_YET),
             **_all(HOLDING, "it holds already"),
-            **_all(LAST_CENTIMETRES, _FINISHES),
-            **_all(ON_PAD, _STANDS),
+            **_GO_ON,
         },
     ),
     _row(
@@ -270,7 +275,8 @@ ROWS: Final = (
         Branch(S.SEARCH, guard=Guard.STILL_FLIES),
         except_=_all(LIVE - {S.AWAIT_LINK}, "no link is awaited"),
     ),
-    # setpoints that come late make the vehicle swing, higher and higher
+    # Setpoints that come late make the vehicle swing, higher and higher: a climb by them just over the pad is
+    # the greater danger than the autopilot's own hold there.
     _row(
         E.LINK_LATE,
         IN_AIR - COMMITTED - BY_AUTOPILOT,
@@ -278,22 +284,24 @@ ROWS: Final = (
         except_={
             **_all(ON_GROUND, _NOT_YET),
             **_all(BY_AUTOPILOT, _FLIES_ITSELF),
-            **_all(LAST_CENTIMETRES, _FINISHES),
-            **_all(ON_PAD, _STANDS),
+            **_GO_ON,
         },
     ),
-    _row(
-        E.ESTIMATE_LOST,
-        IN_AIR - {S.SINK},
-        *_RETURN_CONTROL,
-        except_={
-            **_all(ON_GROUND, _NOT_YET),
-            **_all(BY_AUTOPILOT, _FLIES_ITSELF),
-            S.SET_DOWN: _LANDS,
-            **_all(ON_PAD, _STANDS),
-        },
+    *(
+        _row(
+            event,
+            IN_AIR - {S.SINK},
+            *_RETURN_CONTROL,
+            except_={
+                **_all(ON_GROUND, _NOT_YET),
+                **_all(BY_AUTOPILOT, _FLIES_ITSELF),
+                S.SET_DOWN: _LANDS,
+                **_all(ON_PAD, _STANDS),
+            },
+        )
+        for event in BLIND
     ),
-    _row(E.ESTIMATE_LOST, S.SINK, _SET_DOWN),
+    *(_row(event, S.SINK, _SET_DOWN) for event in BLIND),
     _row(
         E.VELOCITY_UNKNOWN,
         IN_AIR,

@@ -1,7 +1,8 @@
 """Looking for the pad: hold, ask the ground station where it is, fly there, spiral (Algorithm 1, else).
 
-The search ends only with a pad that will stay in view: the vehicle flies back to one seen in passing. All is
-in the EKF's NED, m, s and rad; the height is chosen on entry and kept, but for a floor that rises.
+The search ends only with a pad that will stay in view: the vehicle flies back to one seen in passing. One
+that is told to be faster than any that is followed is waited for, not chased. All is in the EKF's NED, m, s
+and rad; the height is chosen on entry and kept, but for a floor that rises.
 """
 
 from __future__ import annotations
@@ -62,8 +63,11 @@ class SearchStep:
 class Search:
     """One search after another: `begin`, then `step` every cycle. Steers the reference in the EKF's NED."""
 
-    def __init__(self, config: SearchConfig, generator: ReferenceGenerator) -> None:
-        self._config, self._generator = config, generator
+    def __init__(
+        self, config: SearchConfig, generator: ReferenceGenerator, fastest_m_s: float = math.inf
+    ) -> None:
+        self._config, self._generator, self._fastest_m_s = config, generator, fastest_m_s
+        self._waits = False
         self.locator = PadLocator(config)
         self._down_m = 0.0
         self._corner = 0
@@ -154,6 +158,7 @@ class Search:
         request = not pad.steady(now_s) and self._request_due(now_s)
         held_s = now_s - max(self._begun_s, self._control_s)
         flying = held_s >= self._config.hold_s or self.locator.seen_lately(now_s)
+        flying = not self._waits_for_it(now_s) and flying
         if flying:
             self._generator.fly_to(self._target(now_s), now_s)
         elif in_control and now_s - self._begun_s >= _STOPPED_S:
@@ -162,6 +167,15 @@ class Search:
         if tell:
             self._told_s = now_s
         return SearchStep(request_pad=request, worth_telling=tell, flying=flying)
+
+    def _waits_for_it(self, now_s: float) -> bool:
+        """Whether the pad is too fast to be followed; the reference comes to rest when that begins."""
+        fast = math.hypot(*self.locator.likely(now_s).velocity_m_s[:2]) > self._fastest_m_s
+        if fast and not self._waits:
+            self._generator.rest(self._generator.at(now_s), now_s)
+            self._hold_m = self._generator.resting_place_m()
+        self._waits = fast
+        return fast
 
     def _target(self, now_s: float) -> Motion:
         """The pad's likely place first, then the corners of a spiral about it, moving as it does."""

@@ -61,7 +61,7 @@ async def check_link(config: CompanionConfig, vehicle: VehicleConfig | None) -> 
     kind = heard.state.autopilot_kind
     if kind is None or vehicle is None:
         why = (
-            "the autopilot is neither PX4 nor ArduPilot"
+            "the autopilot is neither PX4's nor ArduPilot's of a multirotor"
             if kind is None
             else "the vehicle's file is not usable"
         )

@@ -31,6 +31,7 @@ _LEAST_SHARE = 0.2
 # full scale of the thrust field where it means a climb rate (ArduPilot's default speeds)
 _CLIMB_RATE_M_S = 2.5
 _DESCENT_RATE_M_S = 1.5
+_HOLDS_HEIGHT = 0.5  # a thrust that is a climb rate
 _DESCENDING_M_S = 0.05
 
 
@@ -84,10 +85,15 @@ class Cascade:
         """Leave the ground: the motors spool up over the next second."""
         self._detector.lift_off()
 
-    def wants_up(self, setpoint: MotionSetpoint | AttitudeSetpoint, estimate: SimulatedEstimator) -> bool:
+    def wants_up(
+        self,
+        setpoint: MotionSetpoint | AttitudeSetpoint,
+        estimate: SimulatedEstimator,
+        thrust_is_climb_rate: bool = False,
+    ) -> bool:
         """Whether a setpoint commands a climb, as for a take-off."""
         if isinstance(setpoint, AttitudeSetpoint):
-            return setpoint.thrust > 1.02 * self._hover
+            return setpoint.thrust > 1.02 * (_HOLDS_HEIGHT if thrust_is_climb_rate else self._hover)
         return (
             setpoint.velocity_ned_m_s[2] < -0.1
             or setpoint.position_ned_m[2] < estimate.position_ned_m[2] - 0.3
@@ -177,7 +183,7 @@ class Cascade:
             self.thrust = min(1.0, share / lean_cosine(estimate.attitude)) if upward else share
             self._throttle = self.thrust
             return share < 0.85 * self._hover
-        climb = 2.0 * (share - 0.5)
+        climb = 2.0 * (share - _HOLDS_HEIGHT)
         climb *= _CLIMB_RATE_M_S if climb > 0.0 else _DESCENT_RATE_M_S
         position, velocity = estimate.position_ned_m, estimate.velocity_ned_m_s
         acceleration = estimate.acceleration_ned_m_s2

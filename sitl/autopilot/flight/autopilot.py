@@ -229,11 +229,14 @@ class SimulatedAutopilot(FlightLoop):
 
     def stream(self, setpoint: MotionSetpoint | AttitudeSetpoint, now_s: float) -> None:
         """Take a streamed setpoint: stored always, flown in OFFBOARD or GUIDED only."""
+        mode, moves = self._commander.mode, isinstance(setpoint, MotionSetpoint)
         if isinstance(setpoint, MotionSetpoint):
             setpoint = dataclasses.replace(setpoint, streamed=True)
         self._setpoint, self._setpoint_s = setpoint, now_s
         self._commander.situation.setpoint_age_s = 0.0
-        if self._commander.mode.takes_setpoints and not self._cascade.landed:
+        if mode.by_attitude and moves:
+            self._commander.begin(mode.task)
+        elif mode.takes_setpoints and (mode.by_attitude or not self._cascade.landed):
             self._commander.begin(Task.SETPOINT)
 
 

@@ -5,6 +5,8 @@ Attitude and rates at every call (400 Hz), the outer loop at the profile's rate.
 
 from __future__ import annotations
 
+import math
+
 from companion.base.geometry import (
     tilt_from_quat,
     yaw_from_quat,
@@ -20,6 +22,7 @@ from sitl.autopilot.flight.modes import Severity, StickMode, Task
 
 _EARLY_S = 1e-6
 _THRUST_OPTION = 8
+_NO_ATTITUDE = AttitudeSetpoint(None, 0.0)
 
 
 class FlightLoop(FlightState):
@@ -86,6 +89,8 @@ class FlightLoop(FlightState):
         now.setpoint_timeout_s = self.parameters.si(parameters.setpoint_timeout)
         if parameters.setpoints_lost_action is not None:
             now.setpoints_lost_action = round(self.parameters.si(parameters.setpoints_lost_action))
+        now.fence_broken = self.fence_broken
+        now.fence_action = round(self.parameters.si(parameters.fence_action))
         self._watch_mission()
         self._manual_control.watch(now, self.task, self._now_s)
         self._runner.started = self._runner.started or now.throttle_up
@@ -104,11 +109,13 @@ class FlightLoop(FlightState):
         setpoint = self.wanted = self._wanted()
         cascade, texts = self._cascade, self.profile.texts
         if cascade.landed:
-            by_setpoint = self.task is Task.SETPOINT and self.profile.takes_off_by_setpoint
+            lifts = self.profile.takes_off_by_setpoint or self._commander.mode.by_attitude
+            by_setpoint = self.task is Task.SETPOINT and lifts
             may_lift = (
                 by_setpoint or self._manual_control.stick_mode or self._commander.flown is Task.TAKE_OFF
             )
-            if not may_lift or not cascade.wants_up(setpoint, self.estimate):
+            by_climb_rate = self._thrust_is_climb_rate()
+            if not may_lift or not cascade.wants_up(setpoint, self.estimate, by_climb_rate):
                 return
             cascade.lift_off()
             self._commander.send_text(Severity.INFO, texts.lifted)
@@ -130,6 +137,9 @@ class FlightLoop(FlightState):
             self._navigator.let_go()  # the next hold starts at a new position
             now = self._commander.situation
             return self.profile.as_aged(self._setpoint, now.setpoint_age_s, now.setpoint_timeout_s, heading)
+        if self.task is Task.HOLD and self._commander.mode.by_attitude:
+            self._navigator.let_go()
+            return self.profile.as_aged(_NO_ATTITUDE, math.inf, 0.0, heading)
         by_sticks = self._manual_control.setpoint(
             self._commander.mode, heading, self._now_s, self.profile.outer_period_s
         )

@@ -27,6 +27,7 @@ from sitl.autopilot.control.mixer import Motors
 from sitl.autopilot.control.rate_control import RateGains
 from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
 from sitl.autopilot.flight.commander import Commander, Text
+from sitl.autopilot.flight.fence import Fence
 from sitl.autopilot.flight.manual_control import ManualControl
 from sitl.autopilot.flight.mission import MissionRunner
 from sitl.autopilot.flight.mission_items import ItemFrame, MissionCommand, MissionItem, MissionStore
@@ -61,6 +62,7 @@ class FlightState:
         self.parameters = Parameters(self.profile.parameters)
         self.estimate = SimulatedEstimator(errors or EstimatorErrors(), rng)
         self.mission = MissionStore(self.profile.mission, home=self._home_item)
+        self.fence = Fence(self.profile.mission.fences_unite)
         self.boots = 0
         self._airframe, self._rates = airframe, rates
         self._origin = home
@@ -153,6 +155,20 @@ class FlightState:
             return LandedState.TAKEOFF
         landing = self._commander.flown in (Task.LAND, Task.PRECISION_LAND)
         return LandedState.LANDING if landing else LandedState.IN_AIR
+
+    @property
+    def fence_enabled(self) -> bool:
+        """There is a fence, and it is switched on."""
+        switch = self.profile.parameter_map.fence_enabled
+        return bool(self.fence.items) and (switch is None or self.parameters.si(switch) != 0.0)
+
+    @property
+    def fence_broken(self) -> bool:
+        """The vehicle is outside a fence that is switched on."""
+        if not self.fence_enabled or not self.aligned:
+            return False
+        latitude, longitude, _ = self.geodetic(self.estimate.position_ned_m)
+        return self.fence.broken_at(latitude, longitude)
 
     @property
     def battery_percent(self) -> int:

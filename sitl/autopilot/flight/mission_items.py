@@ -131,7 +131,7 @@ class MissionRules:
     the ground it climbs to its take-off height before a first item that is none. `waits_for_start`: armed on
     the ground it waits for MISSION_START or a raised throttle. `uses_yaw_parameter`: parameter 4 of a
     waypoint is a heading. `guided_items`: a waypoint sent with current = 2 belongs to no mission, it is flown
-    to at once.
+    to at once. `fences_unite`: to be in one of a fence's areas is enough, else in all.
     """
 
     flown: frozenset[int]
@@ -148,6 +148,7 @@ class MissionRules:
     takes_off_before_mission: bool
     waits_for_start: bool
     uses_yaw_parameter: bool
+    fences_unite: bool
     rewinds_on_disarm: bool
     received_text: str
     timeout_text: str
@@ -170,9 +171,13 @@ class MissionRules:
         if item.command not in PLACES:
             jump = item.command == MissionCommand.DO_JUMP
             return MissionResult.INVALID_PARAM1 if jump and item.whole(1, -1) < 0 else MissionResult.ACCEPTED
-        coordinates = zip((item.x, item.y, item.z), _MOST, _OUT_OF_PLACE, strict=True)
-        wrong = (result for value, most, result in coordinates if not abs(value) <= most)
-        return next(wrong, MissionResult.ACCEPTED)
+        return wrong_place(item.x, item.y, item.z) or MissionResult.ACCEPTED
+
+
+def wrong_place(latitude_deg: float, longitude_deg: float, altitude_m: float) -> MissionResult | None:
+    """The answer to a place that is none; None to one that is."""
+    coordinates = zip((latitude_deg, longitude_deg, altitude_m), _MOST, _OUT_OF_PLACE, strict=True)
+    return next((result for value, most, result in coordinates if not abs(value) <= most), None)
 
 
 def item_frame(frame: int) -> ItemFrame | None:

@@ -58,7 +58,8 @@ class Mode:
     """One flight mode: HEARTBEAT's custom_mode, base_mode without the armed bit, and what it may do.
 
     `title` is its name in texts. A mode with `sticks` is flown by them once there are any, and holds until
-    then. One that is not `available` is known and always refused.
+    then. One `by_attitude` is flown by streamed attitudes alone: one that climbs lifts off, and without any
+    it holds level at its height, not at its place. One that is not `available` is known and always refused.
     """
 
     name: str
@@ -67,6 +68,7 @@ class Mode:
     task: Task
     takes_setpoints: bool = False
     takes_positions: bool = False
+    by_attitude: bool = False
     armable: bool = True
     in_flight: bool = True
     sticks: StickMode | None = None
@@ -85,7 +87,7 @@ class VehicleStatus:
 
     `rc_available`: RC input is received; `rc_lost`: it was received and no longer is. `mission_ready`:
     there is one to fly, `mission_climbs`: and it begins with a take-off. `setpoints_lost_action`: what the
-    autopilot's parameter says of it.
+    autopilot's parameter says of it; `fence_action` the same of a `fence_broken`.
     """
 
     armed: bool = False
@@ -104,6 +106,8 @@ class VehicleStatus:
     setpoint_age_s: float = inf
     setpoint_timeout_s: float = 1.0
     setpoints_lost_action: int = 0
+    fence_broken: bool = False
+    fence_action: int = 0
     streaming: bool = False
 
 

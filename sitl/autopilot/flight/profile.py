@@ -27,8 +27,10 @@ from sitl.autopilot.flight.modes import (
     ArmingCheck,
     CommandResult,
     Failsafe,
+    FailsafeAction,
     Mode,
     ModeCheck,
+    Severity,
     Task,
     VehicleStatus,
 )
@@ -45,8 +47,8 @@ class ParameterMap:
     """Which parameter holds which setting; None: the autopilot has none for it.
 
     `landing_speed` holds down to `final_landing_height` (one of 0 is the descent speed), then the final one.
-    `rc_loss_enabled` at 0 lets a lost radio be; `rc_loss_exceptions` are bits of modes that a lost radio does
-    not end: 1 mission, 2 hold, 4 external.
+    A fence without `fence_enabled` is on as long as there is one. `rc_loss_enabled` at 0 lets a lost radio
+    be; `rc_loss_exceptions` are bits of modes that a lost radio does not end: 1 mission, 2 hold, 4 external.
     """
 
     setpoint_timeout: ParameterRef
@@ -66,6 +68,8 @@ class ParameterMap:
     stick_descent: ParameterRef
     stick_tilt: ParameterRef
     stick_yaw_rate: ParameterRef
+    fence_action: ParameterRef
+    fence_enabled: ParameterRef | None = None
     rc_loss_exceptions: ParameterRef | None = None
     rc_loss_enabled: ParameterRef | None = None
     gcs_system_id: ParameterRef | None = None
@@ -214,6 +218,20 @@ def not_from_flight(mode: Mode, now: VehicleStatus) -> bool:
 def rc_lost(now: VehicleStatus) -> bool:
     """RC input was received, and no longer is."""
     return now.rc_lost
+
+
+def fence_left(title: str, values: tuple[int, ...], mode: str) -> Failsafe:
+    """What follows outside a geofence, where the autopilot's parameter has one of the values."""
+    return Failsafe(
+        "fence",
+        lambda now: now.fence_broken and not now.landed and now.fence_action in values,
+        0.2,
+        FailsafeAction.LEAVE_MODE,
+        Severity.CRITICAL,
+        title,
+        mode=mode,
+        over=lambda now: not now.fence_broken,
+    )
 
 
 def setpoints_stopped(now: VehicleStatus) -> bool:

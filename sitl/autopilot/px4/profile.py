@@ -34,6 +34,7 @@ from sitl.autopilot.flight.profile import (
     ParameterMap,
     Texts,
     aligned,
+    fence_left,
     landed_after_flight,
     level,
     mission_missing,
@@ -175,6 +176,7 @@ PX4 = AutopilotProfile(
         stick_yaw_rate=ParameterRef("MPC_MAN_Y_MAX", math.pi / 180.0),
         rc_loss_exceptions=ParameterRef("COM_RCL_EXCEPT"),
         still_speed=ParameterRef("LNDMC_Z_VEL_MAX"),
+        fence_action=ParameterRef("GF_ACTION"),
         take_off_height=ParameterRef("MIS_TAKEOFF_ALT"),
     ),
     texts=Texts(
@@ -222,6 +224,9 @@ PX4 = AutopilotProfile(
             mode="AUTO_RTL",
             over=lambda now: now.rc_available,
         ),
+        fence_left("Failsafe activated: Geofence violated, switching to Hold", (2,), "AUTO_LOITER"),
+        fence_left("Failsafe activated: Geofence violated, switching to Return", (3,), "AUTO_RTL"),
+        fence_left("Failsafe activated: Geofence violated, switching to Land", (5,), "AUTO_LAND"),
         Failsafe(
             "landed", landed_after_flight, 2.0, FailsafeAction.DISARM, Severity.INFO, "Disarmed by landing"
         ),
@@ -253,7 +258,7 @@ PX4 = AutopilotProfile(
         ),
         # servo, ROI, mounts, camera, gimbal: PX4 takes them whether or not there is one
         without_effect=frozenset(
-            {183, 187, 195, 197, 201, 204, 205, 206, 214, 530, 531, 532, 1000, 2000, 2001}
+            {183, 187, 195, 197, 201, 204, 205, 206, 214, 530, 531, 532, 1000, 1001, 2000, 2001}
         )
         | frozenset({2500, 2501}),
         max_items=2000,
@@ -267,6 +272,7 @@ PX4 = AutopilotProfile(
         guided_items=False,
         takes_off_before_mission=True,
         waits_for_start=False,
+        fences_unite=True,
         uses_yaw_parameter=True,
         rewinds_on_disarm=False,
         received_text="",

@@ -1,10 +1,10 @@
 """MAVLink's mission protocol, sans I/O: upload, download, clear, set current, and what has been reached.
 
-One object a link: it keeps that link's transfer, the list itself is in the autopilot's `MissionStore`.
+One object a link: it keeps that link's transfer, the lists are in the autopilot's `MissionStore` and `Fence`.
 `handle` takes a message and returns the answers, `due` what has to be sent or requested again by now. An
 upload goes MISSION_COUNT, then MISSION_REQUEST(_INT) and MISSION_ITEM(_INT) for each, then MISSION_ACK. Both
 kinds of item are taken. Downloads are answered item by item without a state: none can get stuck.
-Fences and rally points are not simulated: their lists are empty and stay so.
+Rally points are not simulated: their list is empty and stays so.
 Source: mavlink.io's mission protocol; results and time-outs as in `MissionRules`.
 """
 
@@ -18,6 +18,7 @@ from typing import Any, Final
 from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.geometry import Vector3
+from sitl.autopilot.flight.fence import FENCE_COMMANDS, Fence
 from sitl.autopilot.flight.mission_items import (
     PLACES,
     ItemFrame,
@@ -32,8 +33,11 @@ Message = Any  # pymavlink's classes are generated without types
 Partner = tuple[int, int]
 
 _MISSION: Final = mavlink.MAV_MISSION_TYPE_MISSION
-_EMPTY_TYPES: Final = (mavlink.MAV_MISSION_TYPE_FENCE, mavlink.MAV_MISSION_TYPE_RALLY)
+_FENCE: Final = mavlink.MAV_MISSION_TYPE_FENCE
+_EMPTY: Final = mavlink.MAV_MISSION_TYPE_RALLY
+_KNOWN: Final = (_MISSION, _FENCE, _EMPTY)
 _ALL_TYPES: Final = mavlink.MAV_MISSION_TYPE_ALL
+_IN_DEGREES: Final = PLACES | FENCE_COMMANDS
 _DEGREES_E7: Final = 1e-7
 _FLY_TO_IT_NOW: Final = 2  # in the field `current`
 # an autopilot that requests integers also sends integer frames
@@ -45,9 +49,10 @@ _INTEGER_FRAMES: Final[dict[int, int]] = {
 
 @dataclass(slots=True)
 class _Upload:
-    """An upload in progress: sender, next and last item, times of the last item and request."""
+    """An upload in progress: sender, list, next and last item, times of the last item and request."""
 
     partner: Partner
+    mission_type: int
     next: int
     last: int
     draft: list[MissionItem]
@@ -59,9 +64,11 @@ class _Upload:
 class MissionProtocol:
     """One link's end of the protocol."""
 
-    def __init__(self, store: MissionStore, go_to: Callable[[Vector3, bool], bool] | None = None) -> None:
+    def __init__(
+        self, store: MissionStore, fence: Fence, go_to: Callable[[Vector3, bool], bool] | None = None
+    ) -> None:
         """`go_to` flies to latitude, longitude and altitude (deg, deg, m; over home or above sea level)."""
-        self._store, self._go_to = store, go_to
+        self._store, self._fence, self._go_to = store, fence, go_to
         self._upload: _Upload | None = None
         self._completed_last: tuple[Partner, int] | None = None
         self._reported = store.reached_total
@@ -99,8 +106,8 @@ class MissionProtocol:
 
     def _on_count(self, m: Message, now_s: float) -> list[Message]:
         store, rules, busy = self._store, self._store.rules, self._upload
-        if m.mission_type != _MISSION:
-            empty = m.mission_type in _EMPTY_TYPES and m.count == 0
+        if m.mission_type not in (_MISSION, _FENCE):
+            empty = m.mission_type == _EMPTY and m.count == 0
             return [_ack(m, MissionResult.ACCEPTED if empty else MissionResult.UNSUPPORTED)]
         if self._other_link_uploads(now_s) or (busy is not None and busy.partner != _sender(m)):
             return [_ack(m, MissionResult.DENIED if rules.restarts else MissionResult.ERROR)]
@@ -110,9 +117,10 @@ class MissionProtocol:
         if m.count > rules.max_items:
             return [_ack(m, MissionResult.NO_SPACE)]
         if m.count == 0:
-            store.clear()
+            self._clear(m.mission_type)
             return [_ack(m, MissionResult.ACCEPTED)]
-        return self._begin(m, 0, m.count - 1, store.begin_upload(m.count), now_s)
+        draft = store.begin_upload(m.count) if m.mission_type == _MISSION else []
+        return self._begin(m, 0, m.count - 1, draft, now_s)
 
     def _on_partial_list(self, m: Message, now_s: float) -> list[Message]:
         if not self._store.rules.partial_lists:
@@ -131,7 +139,7 @@ class MissionProtocol:
     ) -> list[Message]:
         self._completed_last = None
         self._store.uploader, self._store.uploader_heard_s = self, now_s
-        self._upload = _Upload(_sender(m), first, last, draft, first, now_s, now_s)
+        self._upload = _Upload(_sender(m), m.mission_type, first, last, draft, first, now_s, now_s)
         return [self._ask(self._upload, now_s)]
 
     def _end(self) -> None:
@@ -167,13 +175,14 @@ class MissionProtocol:
             return [_ack(m, MissionResult.ACCEPTED if repeated else MissionResult.ERROR)]
         if upload.partner != _sender(m):
             return [_ack(m, MissionResult.DENIED)]
-        if m.mission_type != _MISSION:
+        if m.mission_type != upload.mission_type:
             return [_ack(m, MissionResult.ERROR)]
         upload.heard_s = self._store.uploader_heard_s = now_s
         if m.seq != upload.next:
             return [_ack(m, MissionResult.INVALID_SEQUENCE)] if rules.restarts else [self._ask(upload, now_s)]
         item = item_from_message(m)
-        result = rules.check(item, m.frame)
+        mission = upload.mission_type == _MISSION
+        result = rules.check(item, m.frame) if mission else self._fence.check(item, item_frame(m.frame))
         if result is not MissionResult.ACCEPTED:
             self._end()
             return [_ack(m, result)]
@@ -184,6 +193,10 @@ class MissionProtocol:
     def _complete(self, m: Message, upload: _Upload) -> list[Message]:
         self._end()
         self._completed_last = (upload.partner, upload.last)
+        if upload.mission_type == _FENCE:
+            return [
+                _ack(m, MissionResult.ACCEPTED if self._fence.replace(upload.draft) else MissionResult.ERROR)
+            ]
         self._store.finish_upload(upload.draft)
         return [_ack(m, MissionResult.ACCEPTED)]
 
@@ -193,7 +206,7 @@ class MissionProtocol:
             self._end()
             self._store.send_text(Severity.WARNING, rules.timeout_text)
             cancelled = mavlink.MAVLink_mission_ack_message(
-                *upload.partner, MissionResult.OPERATION_CANCELLED, _MISSION
+                *upload.partner, MissionResult.OPERATION_CANCELLED, upload.mission_type
             )
             return [cancelled]
         return [self._ask(upload, now_s)] if now_s - upload.asked_s >= rules.retry_s else []
@@ -206,7 +219,7 @@ class MissionProtocol:
             if integers
             else mavlink.MAVLink_mission_request_message
         )
-        return kind(*upload.partner, upload.next, _MISSION)
+        return kind(*upload.partner, upload.next, upload.mission_type)
 
     def _on_ack(self, m: Message, now_s: float) -> list[Message]:
         upload = self._upload
@@ -221,38 +234,46 @@ class MissionProtocol:
     # ------------------------------------------------------------ download
 
     def _on_request_list(self, m: Message, now_s: float) -> list[Message]:
-        known = m.mission_type == _MISSION or m.mission_type in _EMPTY_TYPES
-        return [self._count(m)] if known else [_ack(m, MissionResult.UNSUPPORTED)]
+        return [self._count(m)] if m.mission_type in _KNOWN else [_ack(m, MissionResult.UNSUPPORTED)]
 
     def _on_request(self, m: Message, now_s: float) -> list[Message]:
+        mission = m.mission_type == _MISSION
         try:
-            if m.mission_type != _MISSION:
-                raise IndexError(m.seq)
-            item = self._store.item(m.seq)
+            item = self._store.item(m.seq) if mission else self._others(m.mission_type)[m.seq]
         except IndexError:
             # a request beyond the end is answered with the count
             return [self._count(m), _ack(m, MissionResult.ERROR)]
         integers = m.get_msgId() == mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT
-        current = m.seq == self._store.current
+        current = mission and m.seq == self._store.current
         frame: int = item.frame
         if integers and self._store.rules.asks_for_integers:
             frame = _INTEGER_FRAMES.get(frame, frame)
-        return [message_from_item(item, _sender(m), m.seq, (frame, current), integers=integers)]
+        place = (m.seq, m.mission_type)
+        return [message_from_item(item, _sender(m), place, (frame, current), integers=integers)]
+
+    def _others(self, mission_type: int) -> list[MissionItem]:
+        return self._fence.items if mission_type == _FENCE else []
 
     def _count(self, m: Message) -> Message:
-        count = len(self._store) if m.mission_type == _MISSION else 0
+        count = len(self._store if m.mission_type == _MISSION else self._others(m.mission_type))
         return mavlink.MAVLink_mission_count_message(*_sender(m), count, m.mission_type)
 
     # ------------------------------------------------------------ the rest
 
     def _on_clear(self, m: Message, now_s: float) -> list[Message]:
-        if m.mission_type not in (_MISSION, _ALL_TYPES, *_EMPTY_TYPES):
+        if m.mission_type not in (_ALL_TYPES, *_KNOWN):
             return [_ack(m, MissionResult.UNSUPPORTED)]
         if self._upload is not None or self._other_link_uploads(now_s):
             return [_ack(m, MissionResult.ERROR)]
-        if m.mission_type not in _EMPTY_TYPES:
-            self._store.clear()
+        for mission_type in _KNOWN if m.mission_type == _ALL_TYPES else (m.mission_type,):
+            self._clear(mission_type)
         return [_ack(m, MissionResult.ACCEPTED)]
+
+    def _clear(self, mission_type: int) -> None:
+        if mission_type == _MISSION:
+            self._store.clear()
+        elif mission_type == _FENCE:
+            self._fence.replace(())
 
     def _on_set_current(self, m: Message, now_s: float) -> list[Message]:
         self._store.select(m.seq)
@@ -262,7 +283,7 @@ class MissionProtocol:
 def item_from_message(m: Message) -> MissionItem:
     """The item in a MISSION_ITEM or MISSION_ITEM_INT; an unknown frame is left for `MissionRules.check`."""
     x, y = float(m.x), float(m.y)
-    if m.get_msgId() == mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT and m.command in PLACES:
+    if m.get_msgId() == mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT and m.command in _IN_DEGREES:
         x, y = x * _DEGREES_E7, y * _DEGREES_E7
     frame = item_frame(m.frame)
     return MissionItem(
@@ -277,19 +298,25 @@ def item_from_message(m: Message) -> MissionItem:
 
 
 def message_from_item(
-    item: MissionItem, to: Partner, seq: int, frame_and_current: tuple[int, bool], *, integers: bool
+    item: MissionItem,
+    to: Partner,
+    place: tuple[int, int],
+    frame_and_current: tuple[int, bool],
+    *,
+    integers: bool,
 ) -> Message:
-    """MISSION_ITEM_INT or MISSION_ITEM of one item, with a MAV_FRAME and the current flag."""
+    """MISSION_ITEM_INT or MISSION_ITEM: number and MAV_MISSION_TYPE, MAV_FRAME and the current flag."""
+    seq, mission_type = place
     frame, current = frame_and_current
     flags = (frame, item.command, int(current), int(item.autocontinue))
     if not integers:
         return mavlink.MAVLink_mission_item_message(
-            *to, seq, *flags, *item.parameters, item.x, item.y, item.z, _MISSION
+            *to, seq, *flags, *item.parameters, item.x, item.y, item.z, mission_type
         )
-    scale = 1.0 / _DEGREES_E7 if item.command in PLACES else 1.0
+    scale = 1.0 / _DEGREES_E7 if item.command in _IN_DEGREES else 1.0
     x, y = (_int32(value * scale) for value in (item.x, item.y))
     return mavlink.MAVLink_mission_item_int_message(
-        *to, seq, *flags, *item.parameters, x, y, item.z, _MISSION
+        *to, seq, *flags, *item.parameters, x, y, item.z, mission_type
     )
 
 

@@ -165,16 +165,19 @@ def _kill(on: Stage, ordered_unix_s: float, phase: str) -> Found:
     return killed_s, found
 
 
-def _stop(on: Stage, _ordered_unix_s: float, _phase: str) -> Found:
+def _stop(on: Stage, ordered_unix_s: float, phase: str) -> Found:
     """SIGSTOP for 5 s: what it orders then may not be against the mode that holds."""
     assert on.service is not None
-    stopped_s = time.monotonic()
+    stopped_unix_s, stopped_s = time.time(), time.monotonic()
     on.service.send_signal(signal.SIGSTOP)
     time.sleep(STOPPED_S)
     resumed_s = time.monotonic()
     on.service.send_signal(signal.SIGCONT)
     time.sleep(WATCHED_S)
-    return stopped_s, judging.stopped(on.witness.seen, stopped_s, resumed_s)
+    found = judging.stopped(on.witness.seen, stopped_s, resumed_s)
+    if phase != "standby":
+        found += judging.log_missing(on.folder / "flights", ordered_unix_s, stopped_unix_s)
+    return stopped_s, found
 
 
 def _term(on: Stage, ordered_unix_s: float, phase: str) -> Found:
@@ -182,11 +185,11 @@ def _term(on: Stage, ordered_unix_s: float, phase: str) -> Found:
     assert on.service is not None
     asked_unix_s, asked_s = time.time(), time.monotonic()
     on.service.send_signal(signal.SIGTERM)
-    code = on.service.wait(timeout=4.0 * judging.ENDS_WITHIN_S)
+    code = on.service.wait(timeout=2.0 * judging.ENDS_WITHIN_S)
     ended_s = time.monotonic()
     time.sleep(ENDED_WATCHED_S)
     standby = phase == "standby"
-    found = judging.terminated(on.witness.seen, ended_s, ended_s - asked_s, code, standby=standby)
+    found = judging.terminated(on.witness.seen, asked_s, ended_s, code, standby=standby)
     if not standby:
         found += judging.log_missing(on.folder / "flights", ordered_unix_s, asked_unix_s)
     return asked_s, found

@@ -2,7 +2,8 @@
 
     python -m tests.bench.state.bench_state --seeds 20 --jobs 2 --pictures pictures
 
-Flies each scenario under many seeds in virtual time with rendering, then measures from take-off to touchdown
+Flies each scenario under many seeds in virtual time with rendering, figure-8 under twice and four times the
+vibration, too, then measures from take-off to touchdown
 with the truth: attitude, velocity, the pad's velocity while seen for 2 s, and the NEES of both filters with
 the 95 % band of its mean over the seeds; then the faults in closed loop; then the costs. Ends in one line
 that says which bars hold; the exit status is 0 when all do. `--streams` keeps the flights: those already
@@ -27,7 +28,16 @@ from tests.bench.state import pictures
 from tests.bench.state.consistency import Consistency
 from tests.bench.state.costs import measure
 from tests.bench.state.fault_flights import CASES, FaultFlight, trial_of
-from tests.bench.state.figures import Flight, bars, consistencies, cost_bars, fault_bars
+from tests.bench.state.figures import (
+    VIBRATION,
+    Flight,
+    FlightCase,
+    bars,
+    cases_of,
+    consistencies,
+    cost_bars,
+    fault_bars,
+)
 from tests.bench.state.streams import Stream, fly_stream, load, rerun, save, settings_of, stream_path
 from tests.bench.state.tables import consistency_table, cost_table, error_table, fault_table
 
@@ -48,11 +58,11 @@ def obtain(trial: Trial, name: str, folder: Path | None) -> Stream:
     return stream
 
 
-def flown(scenario: str, seed: int, folder: Path | None) -> Flight:
+def flown(case: FlightCase, seed: int, folder: Path | None) -> Flight:
     """One flight, measured."""
-    trial = Trial.load(scenario, seed)
-    stream = obtain(trial, scenario, folder)
-    return Flight(scenario, seed, stream.outcome, rerun(stream, settings_of(trial)))
+    trial = case.trial(seed)
+    stream = obtain(trial, case.slug, folder)
+    return Flight(case, seed, stream.outcome, rerun(stream, settings_of(trial)))
 
 
 def flown_with_fault(index: int, seed: int, folder: Path | None) -> FaultFlight:
@@ -66,15 +76,15 @@ def flown_with_fault(index: int, seed: int, folder: Path | None) -> FaultFlight:
 def draw(
     folder: Path,
     flights: Sequence[Flight],
-    by_scenario: dict[str, dict[str, Consistency]],
+    by_case: dict[FlightCase, dict[str, Consistency]],
     faulted: Sequence[FaultFlight],
 ) -> None:
     """All pictures into a folder."""
-    for name, figures in by_scenario.items():
-        first = next(flight for flight in flights if flight.scenario == name)
-        title = f"{name}, seed {first.seed}: truth minus estimate"
-        pictures.draw_errors(first.samples, title, folder / f"errors_{name}.png")
-        pictures.draw_consistency(figures, name, folder / f"nees_{name}.png")
+    for case, figures in by_case.items():
+        first = next(flight for flight in flights if flight.case == case)
+        title = f"{case.name}, seed {first.seed}: truth minus estimate"
+        pictures.draw_errors(first.samples, title, folder / f"errors_{case.slug}.png")
+        pictures.draw_consistency(figures, case.name, folder / f"nees_{case.slug}.png")
     if faulted:
         curves = [
             (f"{f.case.name}", f.times_s, f.errors()["attitude °"], f.errors()["velocity m/s"])
@@ -88,6 +98,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(prog="bench_state", description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--scenarios", nargs="+", default=list(SCENARIOS))
+    parser.add_argument("--vibration", nargs="+", type=float, default=list(VIBRATION), help="of figure_8")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--fault-seeds", type=int, default=3)
     parser.add_argument("--jobs", type=int, default=2)
@@ -99,11 +110,10 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status."""
     chosen, console = parse(arguments), Console()
+    cases = cases_of(chosen.scenarios, chosen.vibration)
     with ProcessPoolExecutor(chosen.jobs) as pool:
         waiting = [
-            pool.submit(flown, scenario, seed, chosen.streams)
-            for scenario in chosen.scenarios
-            for seed in range(chosen.seeds)
+            pool.submit(flown, case, seed, chosen.streams) for case in cases for seed in range(chosen.seeds)
         ]
         more = [
             pool.submit(flown_with_fault, index, seed, chosen.streams)
@@ -112,21 +122,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ]
         flights = [f.result() for f in watched(waiting, "flights")]
         faulted = [f.result() for f in watched(more, "faults")]
-    by_scenario = {
-        name: consistencies([flight for flight in flights if flight.scenario == name])
-        for name in chosen.scenarios
-    }
-    console.print(error_table(flights), consistency_table(by_scenario))
-    held = bars(flights, by_scenario)
+    by_case = {case: consistencies([flight for flight in flights if flight.case == case]) for case in cases}
+    console.print(error_table(flights), consistency_table(by_case))
+    held = bars(flights, by_case)
     if faulted:
         console.print(fault_table(faulted))
         held |= fault_bars(faulted)
-    trial = Trial.load(chosen.scenarios[0], 0)
-    costs = measure(obtain(trial, chosen.scenarios[0], chosen.streams), settings_of(trial))
+    trial = cases[0].trial(0)
+    costs = measure(obtain(trial, cases[0].slug, chosen.streams), settings_of(trial))
     console.print(cost_table(costs))
     held |= cost_bars(costs)
     if chosen.pictures is not None:
-        draw(chosen.pictures, flights, by_scenario, faulted)
+        draw(chosen.pictures, flights, by_case, faulted)
     words = ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in held.items())
     console.print(f"bars: {words}", highlight=False, soft_wrap=True)
     return 0 if all(held.values()) else 1

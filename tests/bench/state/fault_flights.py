@@ -23,7 +23,7 @@ from tests.bench.state.samples import Samples
 
 BASE: Final = "figure_8"
 LARGEST_ATTITUDE_DEG: Final = 5.0
-RECOVERY_S: Final = 5.0
+RECOVERY_S: Final = 2.0
 USUAL_MARGIN: Final = 1.25  # two flights differ, fault or not
 # the autopilot flies there in about half a minute
 FAR: Final[dict[str, Any]] = {
@@ -75,7 +75,26 @@ CASES: Final = (
         {"kind": "accel_clips", "start_s": 16.0, "duration_s": 5.0},
         judged_from_s=21.0,
     ),
+    FaultCase(
+        "4 x vibration for 3 s",
+        FAR,
+        {"kind": "vibration", "start_s": 16.0, "duration_s": 3.0, "factor": 4.0},
+        judged_from_s=19.0,
+    ),
+    FaultCase(
+        "10 x vibration for 3 s",
+        FAR,
+        {"kind": "vibration", "start_s": 16.0, "duration_s": 3.0, "factor": 10.0},
+        judged_from_s=19.0,
+    ),
     FaultCase("none, near", NEAR, None, pad=True),
+    FaultCase(
+        "10 x vibration for 3 s, near",
+        NEAR,
+        {"kind": "vibration", "start_s": 16.0, "duration_s": 3.0, "factor": 10.0},
+        judged_from_s=19.0,
+        pad=True,
+    ),
     FaultCase(
         "range spikes, 30 % of the echoes",
         NEAR,

@@ -20,7 +20,7 @@ from companion.base.autopilot_kind import AutopilotKind
 from tests.scenario.clients.serving import serving
 
 MAVPROXY = Path(sys.executable).parent / "mavproxy.py"
-MODULES = "link,param,mode,arm,wp,misc,cmdlong,rc"
+MODULES = "link,param,mode,arm,wp,fence,misc,cmdlong,rc"
 PATIENCE_S = 60.0  # on a busy machine the vehicle slows down
 
 
@@ -91,8 +91,28 @@ WORDS: dict[AutopilotKind, tuple[str, str, str]] = {
 }
 
 
+# a square of a kilometre about either autopilot's usual home, far from where it flies
+CORNERS: dict[AutopilotKind, tuple[float, float]] = {
+    "px4": (47.3977, 8.5456),
+    "ardupilot": (-35.3633, 149.1652),
+}
+HALF_DEG = 0.005
+
+
+def fence_file(autopilot_kind: AutopilotKind, folder: Path) -> Path:
+    """A fence as MAVProxy's `fence save` and QGroundControl's plain text have it."""
+    latitude, longitude = CORNERS[autopilot_kind]
+    lines = [
+        f"{number}\t0\t3\t5001\t4\t0\t0\t0\t{latitude + y * HALF_DEG}\t{longitude + x * HALF_DEG}\t0\t1"
+        for number, (x, y) in enumerate(((-1, -1), (-1, 1), (1, 1), (1, -1)))
+    ]
+    path = folder / "fence.txt"
+    path.write_text("\n".join(("QGC WPL 110", *lines)) + "\n")
+    return path
+
+
 def fly(autopilot_kind: AutopilotKind, folder: Path) -> None:
-    """Parameters, modes, waypoints, arm, take off, return."""
+    """Parameters, modes, waypoints, a fence, arm, take off, return."""
     change, mode, come_back = WORDS[autopilot_kind]
     with serving(autopilot_kind) as served, mavproxy(served.tcp_port, folder) as client:
         client.has_said("Detected vehicle 1:1")
@@ -100,6 +120,8 @@ def fly(autopilot_kind: AutopilotKind, folder: Path) -> None:
         client.type("param fetch", r"Received \d+ parameters")
         client.type("wp list", r"Requesting \d+ waypoints")
         client.has_said("GPS lock")
+        client.type(f"fence load {fence_file(autopilot_kind, folder)}", "TYPE_FENCE: ACCEPTED")
+        client.type("fence list", "Requesting 4 fence items")
         client.type("mode", f"Available modes:.*{mode}")
         client.type(change, "DO_SET_MODE: ACCEPTED")
         client.type("arm throttle", "COMPONENT_ARM_DISARM: ACCEPTED")
@@ -111,6 +133,7 @@ def fly(autopilot_kind: AutopilotKind, folder: Path) -> None:
     said = "".join(client.said)
     assert f"Mode {mode}" in said
     assert "no link" not in said
+    assert "breach" not in said
     assert "link 1 down" not in said
 
 

@@ -135,6 +135,7 @@ def test_killed_before_it_armed_the_next_start_arms_nothing_until_it_is_permitte
     flights = tmp_path / "flights"
     fly = ("--fly", "--no-ui", "--config", settings, "--record", flights)
     with simulator:
+        assert run("permit", "--record", flights).code == 0  # nobody sits at a terminal here
         with started(*fly) as killed:
             wait_for_line(killed, "waiting for")
         with started(*fly) as again:

@@ -90,6 +90,11 @@ def test_a_creeping_rise_has_to_be_announced_as_well() -> None:
     assert len(found(flown(lambda _: 0.08))) == 1
 
 
+def test_a_height_that_wanders_with_the_receiver_s_is_no_climb_until_it_leads_far_up() -> None:
+    assert found(flown(lambda _: 0.06, until_s=45.0)) == []
+    assert len(found(flown(lambda _: 0.06, until_s=55.0))) == 1
+
+
 def test_what_the_autopilot_flew_meanwhile_is_not_the_apps() -> None:
     samples = flown(one_climb)
     own = [sample for sample in samples if not 9.9 <= sample.time_s < 14.0]

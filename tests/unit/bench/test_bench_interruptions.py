@@ -13,7 +13,7 @@ from companion.link.codec import Codec, command_long, mavlink
 from sitl.scenario.scenario import load_scenario
 from tests.bench.service import judging
 from tests.bench.service.bench_interruptions import NotFlown, main
-from tests.bench.service.running import NEAR
+from tests.bench.service.running import NEAR, ROOT
 from tests.bench.service.trials import KINDS, PHASES, Kind, Trial, TrialsFile, moment, reached
 from tests.bench.service.witness import OFFBOARD, POSCTL, Beat, Command, Seen
 
@@ -109,19 +109,42 @@ def test_a_stopped_process_that_goes_on_orders_nothing_against_the_failsafe() ->
     assert judging.stopped(seen(*modes, setpoints=[0.9]), 1.0, 6.0) == []
     assert judging.stopped(seen(*modes, setpoints=[2.0]), 1.0, 6.0) == ["1 setpoints while it was stopped"]
     assert judging.stopped(seen(*modes, commands=[6.1]), 1.0, 6.0) == ["commands 176"]
+    # granted just before, which the next heartbeat shows
+    taken = (HOLD, HOLD, FLIES, FAILSAFE, *[FAILSAFE] * 5)
+    assert judging.stopped(seen(*taken, commands=[6.1]), 1.5, 6.0) == ["commands 176"]
     # before control was ours it may go on with what it was ordered to
     assert judging.stopped(seen(*[HOLD] * 8, commands=[6.1]), 1.0, 6.0) == []
 
 
 def test_a_service_that_is_ended_hands_back_in_time_with_its_exit_code() -> None:
-    handed_back = seen(FLIES, FLIES, HOLD, HOLD, setpoints=[0.5])
-    assert judging.terminated(handed_back, 1.2, 0.3, 4, standby=False) == []
-    assert judging.terminated(handed_back, 1.2, 0.3, 4, standby=True) == ["ended with 4"]
-    assert judging.terminated(handed_back, 1.2, 0.3, -6, standby=False) == ["ended with -6"]
-    assert judging.terminated(handed_back, 1.2, 16.0, 0, standby=False) == ["ended after 16 s"]
-    assert judging.terminated(seen(FLIES, HOLD, commands=[2.0]), 1.2, 0.3, 0, standby=False) == [
-        "commands 176"
-    ]
+    handed_back = seen(FLIES, FLIES, HOLD, HOLD, HOLD, setpoints=[0.5], commands=[1.1])
+    assert judging.terminated(handed_back, 0.9, 1.2, 4, standby=False) == []
+    assert judging.terminated(handed_back, 0.9, 1.2, 4, standby=True) == ["ended with 4"]
+    assert judging.terminated(handed_back, 0.9, 1.2, -6, standby=False) == ["ended with -6"]
+    assert judging.terminated(handed_back, -30.0, 1.2, 0, standby=False) == ["ended after 31 s"]
+    assert judging.terminated(seen(STANDS, STANDS), 0.1, 0.3, 0, standby=True) == []
+
+
+@pytest.mark.parametrize(
+    ("wrong", "found"),
+    [
+        (seen(FLIES, FLIES, HOLD, HOLD, commands=[1.1, 2.0]), ["commands 176"]),
+        # its setpoints stopped, and the failsafe had to act
+        (seen(FLIES, FLIES, FAILSAFE, FAILSAFE), ["control was not handed back"]),
+        # what was asked before the end was asked for is no handing back either
+        (seen(FLIES, FLIES, HOLD, HOLD, commands=[0.5]), ["control was not handed back"]),
+        (seen(FLIES, FLIES, HOLD, FAILSAFE, commands=[1.1]), ["the mode changed after the end"]),
+        (seen(FLIES, FLIES, *[FLIES] * 5, commands=[1.1]), ["the autopilot's failsafe did not act"]),
+        (seen(FLIES, FLIES, commands=[1.1]), ["nothing heard of the vehicle any more"]),
+    ],
+)
+def test_a_service_that_is_ended_is_unsafe_when(wrong: Seen, found: list[str]) -> None:
+    assert judging.terminated(wrong, 0.9, 1.2, 4, standby=False) == found
+
+
+def test_the_end_may_take_as_long_as_the_unit_waits() -> None:
+    unit = (ROOT / "systemd" / "companion.service").read_text(encoding="utf-8")
+    assert f"TimeoutStopSec={judging.ENDS_WITHIN_S:.0f}\n" in unit
 
 
 def log(path: Path, last_unix_s: float) -> bytes:
@@ -144,8 +167,9 @@ def test_a_killed_flights_log_has_to_read_back_to_its_last_second(tmp_path: Path
     assert judging.log_missing(tmp_path, 90.0, 100.0) == ["no log of 10.0 s"]
     path = tmp_path / "flight-0001" / "flight.mcap"
     whole = log(path, 99.6)
-    assert judging.log_missing(tmp_path, 90.0, 100.0) == []
-    assert judging.log_missing(tmp_path, 90.0, 102.0) == ["log misses 2.4 s"]
+    assert judging.log_missing(tmp_path, 95.0, 100.0) == []
+    assert judging.log_missing(tmp_path, 95.0, 102.0) == ["log misses 2.4 s"]
+    assert judging.log_missing(tmp_path, 92.0, 100.0) == ["log misses 3.6 s"]  # its beginning
     path.write_bytes(whole[: len(whole) // 2])
     (found,) = judging.log_missing(tmp_path, 90.0, 100.0)
     assert found.startswith("log misses")

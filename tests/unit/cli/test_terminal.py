@@ -1,8 +1,10 @@
 """The status in the terminal: what a person sees, with and without a pad in sight."""
 
 import io
+import os
 from dataclasses import replace
 
+import pytest
 from rich.console import Console
 
 from companion.app.status import Status
@@ -74,3 +76,34 @@ def test_where_there_is_no_terminal_each_notice_is_one_line() -> None:
 def test_no_ui_prints_notices_on_a_terminal_too() -> None:
     text = shown(status(PAD, Notice(3.0, "phase", "arm", "info")), terminal=True, live=False)
     assert text.strip() == "3.0 s  arm"
+
+
+class Gone(io.StringIO):
+    """A reader that has gone away."""
+
+    def __init__(self, error: OSError) -> None:
+        super().__init__()
+        self.error, self.writes = error, 0
+
+    def write(self, text: str) -> int:
+        self.writes += 1
+        raise self.error
+
+    def flush(self) -> None:
+        raise self.error
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+@pytest.mark.parametrize("error", [BrokenPipeError(), OSError(5, "Input/output error")])
+def test_a_reader_that_goes_away_ends_no_flight(
+    error: OSError, terminal: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    screen = Gone(error)
+    console = Console(file=screen, force_terminal=terminal, width=140, color_system=None)
+    monkeypatch.setattr(os, "dup2", lambda *_: None)  # Rich would take the tests' own output away
+    notice = Notice(1.0, "phase", "landed", "info")
+    with StatusView(console, "circle, seed 1", live=False) as view:
+        view(status(PAD, notice))
+        assert screen.writes <= 1
+        view(status(PAD, notice))
+        assert screen.writes <= 1

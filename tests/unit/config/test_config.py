@@ -141,6 +141,14 @@ def test_every_shipped_settings_file_loads() -> None:
         ("sense: {range: {minimum_m: 0.5, maximum_m: 0.5}}\n", "expected more than minimum_m"),
         ("control: {rate_hz: 50}\n", "expected that of plan.rate_hz, 30"),
         ("plan: {touchdown: {lateral_m: 0.15}}\n", "expected no less than lateral_m, 0.15"),
+        (
+            "plan: {landing: {retry_height_m: 0.3}}\n",
+            "retry_height_m: expected at least wait_height_m (0.35)",
+        ),
+        (
+            "plan: {landing: {approach_height_m: 1, wait_height_m: 1.2}}\n",
+            "approach_height_m: expected at least wait_height_m (1.2)",
+        ),
         ("plan: {touchdown: {patience_s: 9}}\n", "mission.phases.touchdown_s 45: expected at least 60.1"),
         ("sense: 3\n", "sense: expected keys with values, found 3"),
     ],

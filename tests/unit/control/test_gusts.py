@@ -68,3 +68,36 @@ def test_it_stays_within_its_bound() -> None:
     assert feel(WindObserver(SENSOR_LAG_S, 3.0), level, (9.0, -9.0, 0.0), 1.0) == pytest.approx(
         (3.0, -3.0, 0.0)
     )
+
+
+def test_a_gust_that_grows_is_known_for_when_it_is_met() -> None:
+    level, slope_m_s3, ahead_s = quat_from_euler(0.0, 0.0, 0.0), 0.8, 0.15
+    wind, felt = WindObserver(SENSOR_LAG_S, 5.0), 0.0
+    for k in range(75):
+        blows = slope_m_s3 * k * PERIOD_S
+        felt = blows - slope_m_s3 * SENSOR_LAG_S if blows > slope_m_s3 * SENSOR_LAG_S else 0.0
+        wind.step(level, (felt, 0.0, 0.0), PERIOD_S)
+    met = slope_m_s3 * (74 * PERIOD_S + ahead_s)
+    assert wind.ahead_ned_m_s2(ahead_s)[0] == pytest.approx(met, abs=0.04)
+    assert wind.wind_ned_m_s2[0] < met - 0.15
+
+
+def test_a_jolt_is_not_carried_on_for_long() -> None:
+    level = quat_from_euler(0.0, 0.0, 0.0)
+    wind = WindObserver(SENSOR_LAG_S, 5.0)
+    feel(wind, level, (0.0, 0.0, 0.0), 1.0)
+    wind.step(level, (5.0, 0.0, 0.0), PERIOD_S)
+    assert wind.ahead_ned_m_s2(0.15)[0] <= wind.wind_ned_m_s2[0] + WindObserver.MOST_CHANGE_M_S2
+
+
+def test_a_lean_that_the_loop_itself_makes_is_no_wind() -> None:
+    """Swinging at the loop's own ringing, measured as late as the sensor is."""
+    rate_rad_s, fine = 10.0, 16
+    wind, felt, most = WindObserver(SENSOR_LAG_S, 5.0), 0.0, 0.0
+    for k in range(1, 120):
+        for i in range(fine):
+            flown = math.sin(rate_rad_s * PERIOD_S * (k - 1 + (i + 1) / fine))
+            felt += (flown - felt) * -math.expm1(-PERIOD_S / fine / SENSOR_LAG_S)
+        wind.step(attitude_from_acceleration((flown, 0.0, 0.0), 0.0), (felt, 0.0, 0.0), PERIOD_S)
+        most = max(most, abs(wind.wind_ned_m_s2[0])) if k > 30 else 0.0
+    assert most < 0.02

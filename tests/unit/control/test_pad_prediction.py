@@ -1,11 +1,12 @@
 """The pad's path over the horizon."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from companion.base.geometry import Vector3, rotate_yaw
+from companion.base.geometry import ZERO3, Vector3, rotate_yaw
 from companion.base.messages import PadState
 from companion.control.pad_prediction import origin_at_rest, predict_pad, turn_rate
 from tests.unit.control.control_plants import PadMotion, circle, line, still
@@ -39,16 +40,31 @@ def test_turning_left_and_right_at_every_course(yaw_deg: float) -> None:
     assert turn_rate(velocity, (-right[0], -right[1], 0.0)) == pytest.approx(-0.3)
 
 
+def test_a_bend_that_begins_is_carried_on_by_the_jerk_and_a_halt_is_not_driven_on() -> None:
+    plain, bending = (
+        _pad((2.0, 0.0, 0.0), ZERO3),
+        replace(_pad((2.0, 0.0, 0.0), ZERO3), jerk_ned_m_s3=(0.0, 0.8, 0.0)),
+    )
+    soon = np.array([0.2])
+    assert predict_pad(plain, soon, 1.0).acceleration_m_s2[0] == pytest.approx(ZERO3)
+    assert predict_pad(bending, soon, 1.0).acceleration_m_s2[0] == pytest.approx((0.0, 0.145, 0.0), abs=1e-3)
+    braking = replace(_pad((0.5, 0.0, 0.0), (-2.0, 0.0, 0.0)), jerk_ned_m_s3=(-3.0, 0.0, 0.0))
+    assert predict_pad(braking, TIMES_S, 1.0).velocity_m_s[-1] == pytest.approx(ZERO3)
+
+
 def test_turn_rate_needs_speed_and_a_sensible_value() -> None:
     assert turn_rate((0.2, 0.0, 0.0), (0.0, 0.5, 0.0)) is None
     assert turn_rate((1.0, 0.0, 0.0), (0.5, 0.0, 0.0)) is None
     assert turn_rate((0.5, 0.0, 0.0), (0.0, 5.0, 0.0)) is None
 
 
+@pytest.mark.parametrize("jerk", [(0.0, 0.0, 0.0), (-0.2, 0.5, 0.0)])
 @pytest.mark.parametrize("velocity", [(0.0, 0.0, 0.2), (1.5, 0.0, 0.2)])
-def test_rows_are_consistent_derivatives_and_unturned_acceleration_dies_away(velocity: Vector3) -> None:
+def test_rows_are_consistent_derivatives_and_unturned_acceleration_dies_away(
+    velocity: Vector3, jerk: Vector3
+) -> None:
     fine = np.linspace(0.0, 2.0, 2001)
-    path = predict_pad(_pad(velocity, (0.3, 0.4, -0.5)), fine, 1.0)
+    path = predict_pad(replace(_pad(velocity, (0.3, 0.4, -0.5)), jerk_ned_m_s3=jerk), fine, 1.0)
     dt = fine[1]
     np.testing.assert_allclose(
         np.gradient(path.displacement_m, dt, axis=0)[1:-1], path.velocity_m_s[1:-1], atol=1e-5

@@ -121,7 +121,7 @@ def test_a_hold_brakes_by_the_autopilots_own_loop_and_not_by_wind() -> None:
     config = ControlConfig(setpoint="acceleration")
     plant = Plant(config, vehicle_config(), LAGS_S)
     gain = velocity_gains(vehicle_config(), config)[0]
-    speed, flown, worst = 2.0, 0.0, 0.0
+    speed, flown, felt, worst = 2.0, 0.0, 0.0, 0.0
     plant.begin(_vehicle(0.0, (speed, 0.0, 0.0), ZERO3, ZERO3))
     step_s = 1.0 / config.rate_hz
     for k in range(1, 40):
@@ -130,7 +130,8 @@ def test_a_hold_brakes_by_the_autopilots_own_loop_and_not_by_wind() -> None:
             wanted = -gain * speed if k > 1 else 0.0
             flown += (wanted - flown) * -math.expm1(-0.1 * step_s / LAGS_S[0])
             speed += flown * 0.1 * step_s
-        plant.observe(_vehicle(k * step_s, (speed, 0.0, 0.0), (flown, 0.0, 0.0), (flown, 0.0, 0.0)), step_s)
+            felt += (flown - felt) * -math.expm1(-0.1 * step_s / config.acceleration_estimate_lag_s)
+        plant.observe(_vehicle(k * step_s, (speed, 0.0, 0.0), (felt, 0.0, 0.0), (flown, 0.0, 0.0)), step_s)
         worst = max(worst, abs(plant.disturbance_ned_m_s2[0]))
     assert speed < 0.5
     assert worst < 0.4

@@ -18,6 +18,7 @@ from companion.base.geometry import (
     vector3,
 )
 from companion.base.messages import GpsFix, ImuSample, MagSample
+from companion.estimate.pad.pad_types import CombinedEstimate
 from companion.estimate.vehicle.fix_watch import FixWatch
 from companion.estimate.vehicle.imu_noise import VibrationMonitor
 from tests.unit.estimate.estimate_flight import Flight, circle, feed, new_estimator
@@ -228,3 +229,32 @@ def test_a_field_of_the_wrong_size_is_counted_as_refused() -> None:
         beside_iron = isinstance(sample, MagSample) and arrival_s > 10.0
         feed(estimator, MagSample(sample.time_s, (60.0, 0.0, 60.0)) if beside_iron else sample)
     assert estimator.refused["field_gate"] > 50
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf])
+@pytest.mark.parametrize("name", ["position_ned_m", "velocity_ned_m_s", "attitude", "rate_body_rad_s"])
+def test_a_state_that_is_no_number_is_no_state(
+    name: str, wrong: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    estimator = new_estimator()
+    for arrival_s, sample in FLOWN.samples:
+        if arrival_s < FROM_S:
+            feed(estimator, sample)
+    state = estimator.vehicle(FROM_S)
+    assert state is not None
+    spoilt = replace(state, **{name: (wrong, *getattr(state, name)[1:])})  # type: ignore[arg-type]
+    monkeypatch.setattr(estimator._vehicle, "state", lambda _now_s: spoilt)
+    assert estimator.vehicle(FROM_S) is None
+
+
+@pytest.mark.parametrize("place", [0, 3, 8])
+def test_a_pad_that_is_nowhere_is_no_pad(place: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    estimator = new_estimator()
+    x, sure = np.zeros(9), np.eye(9)
+    estimate = CombinedEstimate(x, sure, 0.0, 0.0, 0.1, seen_time_s=1.0)
+    monkeypatch.setattr(estimator, "_pad_at", lambda _time_s: estimate)
+    assert estimator.pad(1.0) is not None
+    x[place] = math.nan
+    assert estimator.pad(1.0) is None
+    x[place], sure[0, 0] = 0.0, -9.0  # a covariance that is none
+    assert estimator.pad(1.0) is None

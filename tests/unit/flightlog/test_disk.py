@@ -118,3 +118,42 @@ def test_a_full_card_ends_the_log_and_nothing_else() -> None:
     writer.finish()
     assert written == []
     assert writer.problem == "the flight log on disk ends here: No space left on device"
+
+
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), ValueError("NaN")])
+def test_whatever_a_write_raises_it_is_counted_told_and_the_files_are_closed(error: Exception) -> None:
+    def fails(*_: object) -> None:
+        raise error
+
+    closed: list[str] = []
+    writer = DiskWriter()
+    writer.put(fails, "a")
+    writer.put(fails, "b")
+    writer.finish(fails, lambda: closed.append("mcap"), lambda: closed.append("tlog"))
+    assert closed == ["mcap", "tlog"]
+    assert writer.problem is not None
+    assert ("No space left" if isinstance(error, OSError) else "3 messages") in writer.problem
+
+
+def test_what_cannot_be_written_leaves_the_rest_of_the_log_whole() -> None:
+    def no_number(_item: object) -> None:
+        raise ValueError("not a number")
+
+    written: list[object] = []
+    writer = DiskWriter()
+    writer.put(no_number, "a")
+    writer.put(written.append, "b")
+    writer.finish()
+    assert written == ["b"]
+    assert writer.problem == ("1 messages could not be written to the log: ValueError: not a number")
+
+
+def test_a_full_queue_keeps_no_file_from_being_closed(card: SlowCard) -> None:
+    writer = held_up(card)
+    for k in range(disk.QUEUE_SIZE - 1):
+        writer.put(card.write, k)
+    closed: list[str] = []
+    writer.finish(lambda: closed.append("mcap"), wait=False)
+    card.goes_on.set()
+    writer.join()
+    assert closed == ["mcap"]

@@ -308,23 +308,7 @@ def test_a_schema_tells_elements_units_and_axes() -> None:
     assert "description" in schema_of(PadSighting)["properties"]["covariance"]
 
 
-# ---------------------------------------------------------------- layout and tables
-
-
-def test_the_shipped_layout_shows_topics_that_are_logged(log: Path) -> None:
-    text = (CONFIG_FOLDER / "foxglove" / "landing.json").read_text()
-    words = json.loads(text)
-    named = {word.partition(".")[0] for word in strings(words) if word.startswith("/")}
-    assert named <= {topic for topic, _, _ in messages(log)}
-    assert {"/scene", "/camera", "/camera/annotations", "/log"} <= named
-
-
-def strings(plain: Any) -> list[str]:
-    if isinstance(plain, dict):
-        return [word for key, value in plain.items() for word in (key, *strings(value))]
-    if isinstance(plain, list):
-        return [word for value in plain for word in strings(value)]
-    return [plain] if isinstance(plain, str) else []
+# ---------------------------------------------------------------- tables
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])

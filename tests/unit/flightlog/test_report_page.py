@@ -143,6 +143,9 @@ def test_settings_that_differ_are_named_by_their_dotted_keys() -> None:
 def test_what_is_no_flight_is_told_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"flight\.mcap: cannot be read"):
         run("report", str(tmp_path))
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(ConfigError, match=r"notes\.txt: another file; expected a flight's folder"):
+        run("report", str(tmp_path / "notes.txt"))
     FlightLog(tmp_path / "empty", 0.0).close()
     with pytest.raises(ConfigError, match="holds no flight"):
         run("report", str(tmp_path / "empty"))

@@ -79,22 +79,30 @@ def test_every_parameter_has_a_name_that_mavlink_can_carry() -> None:
 # ---------------------------------------------------------------- the loss of setpoints
 
 
-@pytest.mark.parametrize("action", [None, 3, 4, 5])
+@pytest.mark.parametrize("action", [3, 4, 5])
 def test_a_failsafe_that_holds_or_lands_is_no_matter(action: int | None) -> None:
     setup = AutopilotSetup(setpoint_timeout_s=0.5, setpoints_lost_action=action)
     assert motors_stop(setup) == ""
     assert loss_warnings(setup, "px4") == []
 
 
+def test_what_is_not_told_is_warned_of() -> None:
+    assert motors_stop(AutopilotSetup()) == ""
+    (warning,) = loss_warnings(AutopilotSetup(), "px4")
+    assert "does not tell COM_OF_LOSS_T and COM_OBL_RC_ACT" in warning
+    (warning,) = loss_warnings(AutopilotSetup(), "ardupilot")
+    assert "does not tell GUID_TIMEOUT:" in warning
+
+
 def test_a_failsafe_for_a_pilot_at_the_sticks_is_warned_of() -> None:
-    (warning,) = loss_warnings(AutopilotSetup(setpoints_lost_action=0), "px4")
+    (warning,) = loss_warnings(AutopilotSetup(setpoint_timeout_s=0.5, setpoints_lost_action=0), "px4")
     assert warning.startswith("link loss: COM_OBL_RC_ACT is 0 (Position)")
     assert motors_stop(AutopilotSetup(setpoints_lost_action=0)) == ""
 
 
 @pytest.mark.parametrize(("kind", "name"), [("px4", "COM_OF_LOSS_T"), ("ardupilot", "GUID_TIMEOUT")])
 def test_setpoints_that_are_kept_for_long_are_warned_of(kind: AutopilotKind, name: str) -> None:
-    (warning,) = loss_warnings(AutopilotSetup(setpoint_timeout_s=3.0), kind)
+    (warning,) = loss_warnings(AutopilotSetup(setpoint_timeout_s=3.0, setpoints_lost_action=5), kind)
     assert warning.startswith(f"link loss: {name} is 3")
 
 

@@ -236,3 +236,19 @@ def test_connections_of_other_forms_are_refused(connection: str) -> None:
 def test_mavsdk_and_we_cannot_be_the_same_component() -> None:
     with pytest.raises(ValidationError, match="differ"):
         LinkConfig(component_id=192)
+
+
+def test_another_companion_with_our_ids_is_noticed_and_an_echo_is_none() -> None:
+    flight = Flight()
+    flight.run(2.0)
+    ids = (flight.session.system_id, LinkConfig().component_id)
+    (_, ours), *_ = flight.sent_of("HEARTBEAT")
+    for beat in (
+        Codec(*ids).encode(ours),  # a router that sends back what it gets
+        Codec(ids[0], 154).encode(heartbeat(7)),  # a gimbal
+        Codec(ids[0] + 1, ids[1]).encode(heartbeat(7)),  # the companion of another vehicle
+    ):
+        flight.session.receive(beat, flight.now_s)
+    assert flight.session.state.twin_time_s == -math.inf
+    flight.session.receive(Codec(*ids).encode(heartbeat(7)), flight.now_s)
+    assert flight.session.state.twin_time_s == flight.now_s

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from companion.base.geometry import ZERO3, Vector3, ned_from_geodetic
@@ -33,6 +34,7 @@ class FakeAutopilot:
     doubts: bool = False  # never finds that it has landed
     battery_share: float | None = None
     round_trip_s: float | None = None
+    twin_until_s: float = -math.inf
 
     def answer(self, action: Action, position: Vector3, now_s: float) -> ActionResult | None:
         kind = action.kind

@@ -200,6 +200,7 @@ class World:
             battery_share=a.battery_share,
             round_trip_s=a.round_trip_s,
             round_trip_time_s=self.now_s,
+            twin_time_s=min(self.now_s, a.twin_until_s),
         )
 
     def _sense(self) -> None:

@@ -12,6 +12,7 @@ import pytest
 
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m
 from companion.research.command import main
+from companion.research.fig14 import CASE_NAMES
 from companion.research.fig14 import figure as fig14
 from companion.research.fig14.figure import BY_NAME, FlightScore, flight_of, judge, load_settings
 from companion.research.fig14.flight import FlownTrack, fly
@@ -191,3 +192,7 @@ def test_what_a_user_gets_wrong_is_told_in_a_line(
 def test_the_seeds_that_tuned_are_not_those_that_judge() -> None:
     assert min(seed for _, seeds in TRAINING for seed in seeds) >= 1000
     assert fig14.PAPER_STEPS == 100
+
+
+def test_the_command_names_the_cases_that_are_flown() -> None:
+    assert tuple(case.name for case in CASES) == CASE_NAMES

@@ -2,6 +2,8 @@
 
 import json
 import os
+import pty
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from companion.app.command import Output, fly_the_vehicle
 from companion.app.service.latch import FILE_NAME, FlightLatch, LatchState, state_folder, unattended
 from companion.base.errors import ConfigError
 from companion.cli import cli
+from tests.unit.link.transport.transport_ends import free_port
 
 
 @pytest.fixture
@@ -27,7 +30,7 @@ def begin(latch: FlightLatch, *, unattended: bool) -> str | None:
     return reason
 
 
-def test_a_start_that_begins_no_flight_uses_no_permission_up(latch: FlightLatch) -> None:
+def test_a_start_that_ends_in_order_before_its_flight_uses_no_permission_up(latch: FlightLatch) -> None:
     latch.permit()
     for _ in range(3):  # each ends in an error of the settings
         assert latch.refusal(unattended=True) is None
@@ -35,13 +38,35 @@ def test_a_start_that_begins_no_flight_uses_no_permission_up(latch: FlightLatch)
     assert latch.read()[0] is LatchState.PERMITTED
 
 
+def test_a_start_that_dies_before_its_flight_leaves_no_permission(latch: FlightLatch) -> None:
+    latch.permit()
+    assert latch.refusal(unattended=True) is None  # and then it is killed, or fails in a way it should not
+    for by_service in (False, True):
+        reason = FlightLatch(latch.folder).refusal(unattended=by_service)
+        assert reason is not None
+        assert "begun no flight" in reason
+
+
+def test_a_permission_that_another_start_took_over_is_not_given_back_twice(latch: FlightLatch) -> None:
+    latch.permit()
+    assert latch.refusal(unattended=True) is None
+    other = FlightLatch(latch.folder)
+    other.permit()
+    assert other.refusal(unattended=True) is None
+    latch.end("by an error in the settings")
+    with pytest.raises(ConfigError, match="another start"):
+        latch.begin()
+    other.begin()
+    assert latch.read()[0] is LatchState.BEGUN
+
+
 @pytest.mark.parametrize("by_service", [False, True])
 def test_two_starts_have_one_permission_between_them(latch: FlightLatch, by_service: bool) -> None:
     other = FlightLatch(latch.folder)
     latch.permit()
     assert latch.refusal(unattended=by_service) is None
-    assert other.refusal(unattended=by_service) is None  # both open their devices, which takes a while
-    latch.begin()
+    assert other.refusal(unattended=by_service) is not None
+    latch.begin()  # opening the devices took a while
     with pytest.raises(ConfigError, match="another start"):
         other.begin()
     other.end("by an error in the settings")
@@ -74,7 +99,7 @@ def test_after_a_flight_that_never_ended_only_the_operator_s_word_helps(
 def test_under_a_service_manager_each_flight_needs_its_own_permission(latch: FlightLatch) -> None:
     refused = begin(latch, unattended=True)
     assert refused is not None
-    assert "service manager" in refused
+    assert "not started at a terminal" in refused
     latch.permit()
     assert begin(latch, unattended=True) is None
     latch.end("landed")
@@ -123,10 +148,19 @@ def test_without_a_record_it_is_in_the_state_directory(monkeypatch: pytest.Monke
     assert state_folder() == Path("/somewhere/companion")
 
 
-def test_systemd_is_known_by_its_socket(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_a_person_at_a_terminal_attends(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    assert not unattended()
-    monkeypatch.setenv("NOTIFY_SOCKET", "/run/systemd/notify")
+    with Path(os.devnull).open(encoding="utf-8") as nothing:  # a container, cron, a script
+        monkeypatch.setattr(sys, "stdin", nothing)
+        assert unattended()
+    main, terminal = pty.openpty()
+    with os.fdopen(terminal, encoding="utf-8") as typed:
+        monkeypatch.setattr(sys, "stdin", typed)
+        assert not unattended()
+        monkeypatch.setenv("NOTIFY_SOCKET", "/run/systemd/notify")
+        assert unattended()
+    os.close(main)
+    monkeypatch.setattr(sys, "stdin", None)
     assert unattended()
 
 
@@ -142,10 +176,31 @@ def test_a_permitted_start_that_ends_in_a_settings_error_leaves_the_next_one_per
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = tmp_path / "companion.yaml"
-    settings.write_text("plan: {mission: {may_arm: true}}\nvehicle: nobody_s\n", encoding="utf-8")
+    link = f"link: {{connection: 'udpin:127.0.0.1:{free_port()}'}}"
+    settings.write_text(
+        f"plan: {{mission: {{may_arm: true}}}}\nvehicle: nobody_s\n{link}\n", encoding="utf-8"
+    )
     monkeypatch.setenv("NOTIFY_SOCKET", "/run/systemd/notify")
     latch = FlightLatch(tmp_path)
     latch.permit()
     with pytest.raises(ConfigError, match="nobody_s"):
         fly_the_vehicle(settings, Output(Console(quiet=True), tmp_path, None, live=False))
     assert latch.read()[0] is LatchState.PERMITTED
+
+
+def test_a_permitted_start_that_fails_in_a_way_it_should_not_leaves_the_next_one_in_standby(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_memory(*_: object) -> None:
+        raise MemoryError
+
+    settings = tmp_path / "companion.yaml"
+    settings.write_text("plan: {mission: {may_arm: true}}\n", encoding="utf-8")
+    monkeypatch.setenv("NOTIFY_SOCKET", "/run/systemd/notify")
+    monkeypatch.setattr("companion.app.command.LivePage", no_memory)
+    latch = FlightLatch(tmp_path)
+    latch.permit()
+    with pytest.raises(MemoryError):
+        fly_the_vehicle(settings, Output(Console(quiet=True), tmp_path, None, live=False))
+    assert latch.read()[0] is not LatchState.PERMITTED
+    assert latch.refusal(unattended=True) is not None

@@ -91,12 +91,15 @@ def test_what_is_learnt_over_a_turning_pad_leaves_the_margins(
         assert found.gain_down >= LEAST_GAIN
 
 
-def _late_answer(case: MarginCase) -> float:
-    """What the MPC itself, constraints and all, still commands half a minute after a kick (m/s2)."""
+def _answer(case: MarginCase, from_s: float) -> float:
+    """The most that the MPC itself, constraints and all, commands later than `from_s` after a kick (m/s2).
+
+    One that swings up to its limits may fail to solve in the end, and stops.
+    """
     kicks = np.zeros(round(30.0 * case.control.rate_hz))
     kicks[3] = KICK_M_S2
     answers = np.abs(respond(case, kicks, controller="mpc"))
-    return float(answers[-200:].max())
+    return float(answers[round(from_s * case.control.rate_hz) :].max())
 
 
 @pytest.mark.parametrize(
@@ -111,10 +114,10 @@ def test_the_mpc_that_flies_swings_where_the_margins_say(
     case_of: tuple[str, AutopilotKind, Kind, int],
 ) -> None:
     case, found = _case(*case_of), _margins(case_of)
-    assert _late_answer(replace(case, extra_delay_s=0.85 * found.delay_s)) < 0.01 * KICK_M_S2
-    assert _late_answer(replace(case, extra_delay_s=1.15 * found.delay_s)) > KICK_M_S2
-    assert _late_answer(replace(case, gain=0.9 * found.gain_up)) < 0.01 * KICK_M_S2
-    assert _late_answer(replace(case, gain=1.1 * found.gain_up)) > KICK_M_S2
+    assert _answer(replace(case, extra_delay_s=0.85 * found.delay_s), 23.0) < 0.01 * KICK_M_S2
+    assert _answer(replace(case, extra_delay_s=1.15 * found.delay_s), 5.0) > KICK_M_S2
+    assert _answer(replace(case, gain=0.9 * found.gain_up), 23.0) < 0.01 * KICK_M_S2
+    assert _answer(replace(case, gain=1.1 * found.gain_up), 5.0) > KICK_M_S2
 
 
 def test_the_margins_of_a_textbook_loop() -> None:

@@ -22,6 +22,8 @@ from companion.estimate.pad.model_bank import (
     mix,
 )
 from companion.estimate.pad.pad_models import (
+    TURN,
+    TURN_JERK_TIME_CONSTANT_S,
     TURN_TIME_CONSTANT_S,
     VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ,
     WAVE_DAMPING,
@@ -141,19 +143,23 @@ def test_waves_move_exactly_over_any_time(t: float) -> None:
 @pytest.mark.parametrize("t", [1 / 30, 0.4, 2.0])
 def test_a_turning_acceleration_moves_exactly(t: float) -> None:
     config, omega = PadFilterConfig(), 0.5
-    turn = np.array([[0.0, -omega], [omega, 0.0]]) - np.eye(2) / TURN_TIME_CONSTANT_S
-    A = np.zeros((6, 6))
-    A[0:2, 2:4] = A[2:4, 4:6] = np.eye(2)
-    A[4:6, 4:6] = turn
-    F, _ = by_matrix_exponential(A, np.zeros((6, 6)), t)
+    turn = np.array([[0.0, -omega], [omega, 0.0]])
+    A = np.eye(8, k=2)
+    A[4:6, 4:6] = turn - np.eye(2) / TURN_TIME_CONSTANT_S
+    A[6:8, 6:8] = turn - np.eye(2) / TURN_JERK_TIME_CONSTANT_S
+    F, _ = by_matrix_exponential(A, np.zeros((8, 8)), t)
     step = HorizontalModels(config).step(t, Turn(omega, 0.0, 0.0))
-    assert step.F[2, :6, :6] == pytest.approx(F, rel=1e-9, abs=1e-11)
+    assert step.F[TURN] == pytest.approx(F, rel=1e-9, abs=1e-11)
 
 
 def test_accelerations_keep_the_spread_that_they_start_with() -> None:
     plane, climb = HorizontalModels(PadFilterConfig()), VerticalModels(PadFilterConfig())
     across, up = plane.step(300.0, NO_TURN), climb.step(300.0)
-    assert across.Q[:, 4, 4] == pytest.approx(plane.acceleration_variance, rel=1e-3)
+    lasting = [model for model in range(plane.count) if model != TURN]
+    assert across.Q[lasting, 4, 4] == pytest.approx(plane.acceleration_variance[lasting], rel=1e-3)
+    # of a turn the jerk lasts, and an acceleration that is seen no more may become any
+    assert across.Q[TURN, 6, 6] == pytest.approx(plane.jerk_variance[TURN], rel=1e-3)
+    assert across.Q[TURN, 4, 4] > plane.acceleration_variance[TURN]
     assert up.Q[:, 2, 2] == pytest.approx(climb.acceleration_variance, rel=1e-3)
     assert up.Q[:, 3, 3] == pytest.approx(climb.jerk_variance, rel=1e-3)
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.messages import Action, ActionKind, ActionResult, AutopilotSetup
 from companion.config import LinkConfig
+from companion.link.actions.actions import PymavlinkActions
 from companion.link.session import Session
-from tests.unit.link.actions.action_flight import autopilot_of, cancel_after, perform
+from tests.unit.link.actions.action_flight import autopilot_of, cancel_after, fly, perform
 from tests.unit.link.fake_autopilot import FakeAutopilot
 
 
@@ -109,3 +112,27 @@ def test_where_the_motors_would_stop_with_the_setpoints_nothing_begins(
     assert not result.accepted
     assert result.text.startswith("COM_OBL_RC_ACT is 6 (Terminate): the motors stop in the air")
     assert (autopilot.mode, autopilot.armed) == before
+
+
+@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("kind", [ActionKind.ARM, ActionKind.TAKE_CONTROL])
+def test_before_the_parameters_are_read_nothing_begins(
+    kind: ActionKind, told: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # GIVEN parameters that are read a second after the request, or never
+    known: list[AutopilotSetup] = []
+    monkeypatch.setattr(Session, "setup", property(lambda _session: known[0] if known else None))
+    autopilot = autopilot_of("px4")
+    before = (autopilot.mode, autopilot.armed)
+
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        session.reads_setup = True
+        asked = asyncio.ensure_future(actions.perform(Action(kind)))
+        await asyncio.sleep(1.0)
+        assert (autopilot.mode, autopilot.armed) == before
+        known.extend([AutopilotSetup(setpoints_lost_action=5)] * told)
+        return [await asked]
+
+    [result] = fly(autopilot, story)
+    assert result.accepted is told
+    assert told or "not read yet" in result.text

@@ -46,6 +46,22 @@ def test_arducopter_modes_have_their_names(mode: str) -> None:
     assert state.offboard == (mode == "GUIDED")
 
 
+@pytest.mark.parametrize(
+    ("vehicle", "kind"),
+    [
+        (mavlink.MAV_TYPE_HEXAROTOR, "px4"),
+        (mavlink.MAV_TYPE_FIXED_WING, None),
+        (mavlink.MAV_TYPE_GROUND_ROVER, None),
+        (mavlink.MAV_TYPE_VTOL_TILTROTOR, None),
+        (mavlink.MAV_TYPE_GENERIC, None),
+    ],
+)
+def test_what_is_no_multirotor_is_not_flown(vehicle: int, kind: str | None) -> None:
+    state = after(mavlink.MAVLink_heartbeat_message(vehicle, mavlink.MAV_AUTOPILOT_PX4, 1, 6 << 16, 4, 3))
+    assert state.connected
+    assert (state.autopilot_kind, state.offboard) == (kind, kind is not None)
+
+
 def test_well_known_numbers_of_modes() -> None:
     assert custom_mode("px4", "OFFBOARD") == 393216
     assert custom_mode("px4", "AUTO.LAND") == 100925440

@@ -162,7 +162,7 @@ def test_a_gust_on_the_way_down_breaks_it_off() -> None:
     before = touchdown.committed
     waited(touchdown, 3.0, 0.5, 1.2)
     assert (before, touchdown.committed) == (True, False)
-    assert touchdown.broken_off_by == "leaning too far"
+    assert touchdown.broken_off_by == "too much lean at contact"
     assert touchdown.level_off() is None
 
 

@@ -1,9 +1,13 @@
 """When it commits to the last way down: alignment, tilt, drift, and patience with all three."""
 
+import math
+from dataclasses import replace
+
 import pytest
 
 from companion.base.messages import LandedState, PadState
 from companion.config import TouchdownConfig
+from companion.control.attitude import attitude_from_acceleration
 from companion.plan.landing.tolerance import aligned, gentle
 from companion.plan.mission.states import MissionEvent
 from tests.unit.plan.landing.touchdown_attempt import (
@@ -94,6 +98,28 @@ def test_impatience_bears_more_lean_by_and_by() -> None:
     assert not touchdown.committed
     waited(touchdown, 1.35 * CONFIG.gentle_lean_m_s2, 2.9 * CONFIG.patience_s, 3.0 * CONFIG.patience_s + 1.0)
     assert touchdown.committed
+
+
+@pytest.mark.parametrize(("turn_deg_s", "commits"), [(0.0, False), (80.0, True), (-80.0, True)])
+def test_a_lean_that_the_pads_turn_takes_back_by_contact_is_borne(turn_deg_s: float, commits: bool) -> None:
+    touchdown = fresh()
+    # GIVEN 1.2 m/s2 with the pad and 0.8 against the wind, now in one direction, at contact about opposite
+    turning = replace(
+        sight(), acceleration_ned_m_s2=(0.0, 1.2, 0.0), turn_rate_rad_s=math.radians(turn_deg_s)
+    )
+    for k in range(round(1.5 * CONFIG.patience_s / CYCLE_S)):
+        touchdown.note_lean(attitude_from_acceleration((0.0, 2.0, 0.0), 1.0), k * CYCLE_S, turning)
+        touchdown.step(turning, None, LandedState.IN_AIR, k * CYCLE_S)
+    assert touchdown.committed is commits
+
+
+def test_a_lean_that_the_pads_turn_brings_by_the_contact_is_not() -> None:
+    touchdown = fresh()
+    turning = replace(sight(), acceleration_ned_m_s2=(0.0, -1.0, 0.0), turn_rate_rad_s=math.radians(80.0))
+    for k in range(round(1.5 * CONFIG.patience_s / CYCLE_S)):
+        touchdown.note_lean(attitude_from_acceleration((0.0, 0.2, 0.0), 1.0), k * CYCLE_S, turning)
+        touchdown.step(turning, None, LandedState.IN_AIR, k * CYCLE_S)
+    assert not touchdown.committed
 
 
 def test_what_would_break_it_off_at_once_is_no_moment_to_commit() -> None:

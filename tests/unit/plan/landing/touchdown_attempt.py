@@ -38,7 +38,7 @@ class Attempt:
         self.state = State.WAIT
         self.broken_off_by = ""
         self.contact_s = math.nan
-        self.note_lean, self.level_off = sequence.note_lean, sequence.level_off
+        self.level_off = sequence.level_off
 
     @property
     def committed(self) -> bool:
@@ -47,6 +47,9 @@ class Attempt:
     @property
     def on_pad(self) -> bool:
         return self.state in ON_PAD
+
+    def note_lean(self, attitude: Quaternion, now_s: float, seen: PadState | None = None) -> None:
+        self._sequence.lean.note(attitude, seen, now_s)
 
     def step(
         self, seen: PadState | None, echo: RangeSample | None, landed: LandedState, now_s: float

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from companion.base.messages import AutopilotState
+from companion.base.messages import AutopilotState, ControlReport
 from companion.config import MissionConfig, PhaseTimesConfig
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
@@ -184,3 +184,26 @@ def test_an_estimate_that_is_old_counts_as_lost() -> None:
     assert gravest(unaligned) is MissionEvent.ESTIMATE_LOST
     # not needed where the autopilot navigates
     assert gravest(old, State.WAYPOINT, Authority.NONE) is None
+
+
+def test_a_controller_without_a_plan_for_a_second_ends_the_flight_by_setpoints() -> None:
+    watch, _ = monitor()
+    failed, told = replace(inputs(), control_failed=True), []
+    for cycle in range(60):
+        found = watch.detect(failed if cycle != 20 else inputs(), 50.0 + cycle / 30.0, control_granted=False)
+        told.append(MissionEvent.CONTROL_FAILED in [event for event, _ in found])
+    assert told.index(True) == 51  # counted from the last plan on
+    assert all(told[51:])
+
+
+@pytest.mark.parametrize(
+    ("report", "failed"),
+    [
+        (ControlReport(0.0, True, 9, 0.0), False),
+        (ControlReport(0.0, False, 9, 0.0), False),  # the last plan is flown on
+        (ControlReport(0.0, False, 9, 0.0, stopped=True), True),
+        (ControlReport(0.0, True, 9, 0.0, limited=("jerk", "not_finite")), True),
+    ],
+)
+def test_a_stop_and_what_is_no_number_are_no_plan(report: ControlReport, failed: bool) -> None:
+    assert report.failed is failed

@@ -68,6 +68,7 @@ REFUSALS: dict[str, tuple[Callable[[World], None], str]] = {
     "no link": (lambda w: setattr(w.autopilot, "connected", False), "no heartbeat"),
     "disarmed": (lambda w: setattr(w.autopilot, "armed", False), "not armed"),
     "on the ground": (on_the_ground, "on the ground"),
+    "a twin": (lambda w: setattr(w.autopilot, "twin_until_s", 1e9), "another companion with our ids"),
     "no home": (lambda w: setattr(w, "home", lambda _t: None), "no home position"),
     "no estimate": (lambda w: setattr(w, "vehicle_known", False), "no fresh estimate"),
     "battery": (lambda w: setattr(w.autopilot, "battery_share", 0.1), "battery critical: 10 % left"),

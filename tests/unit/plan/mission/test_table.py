@@ -56,11 +56,12 @@ def test_what_may_happen_anywhere_is_handled_in_every_state_or_excepted_with_a_r
         (E.PILOT_TOOK_OVER, {S.STANDBY, S.CONNECT}),
         (E.LINK_LOST, ON_GROUND | COMMITTED | {S.HOLD, S.AWAIT_LINK}),
         (E.ESTIMATE_LOST, ON_GROUND | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
+        (E.CONTROL_FAILED, ON_GROUND | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
         (E.DISARMED, ON_GROUND),
         (E.OVERTIME, ON_GROUND | COMMITTED | {S.HOLD}),
         (E.LINK_LATE, ON_GROUND | COMMITTED | {S.TAKE_OFF, S.WAYPOINT}),
         (E.BATTERY_CRITICAL, ON_GROUND | COMMITTED | {S.HOLD}),
-        (E.OUT_OF_BOUNDS, ON_GROUND | COMMITTED),
+        (E.OUT_OF_BOUNDS, ON_GROUND | COMMITTED | {S.HOLD}),
         (E.PAD_TOO_FAST, LIVE - {S.APPROACH, S.DESCEND, S.WAIT, S.RISE}),
         (E.TIMEOUT, {S.STANDBY}),
     ],
@@ -129,7 +130,7 @@ def test_a_vehicle_that_was_never_ours_stays_in_its_pilot_s_mode(event: MissionE
     assert [action.kind for action in asked] in ([], [ActionKind.TAKE_CONTROL])
 
 
-@pytest.mark.parametrize("event", [E.ESTIMATE_LOST, E.PAD_GONE, E.TIMEOUT])
+@pytest.mark.parametrize("event", [E.ESTIMATE_LOST, E.CONTROL_FAILED, E.PAD_GONE, E.TIMEOUT])
 def test_too_low_to_rise_and_nothing_to_follow_it_is_set_down_in_land(event: MissionEvent) -> None:
     branch = taken(S.SINK, event)
     assert branch.to is S.SET_DOWN
@@ -144,10 +145,11 @@ def test_with_a_critical_battery_a_descent_is_finished_if_the_settings_say_so(st
     assert taken(state, E.BATTERY_CRITICAL).to is S.HOLD  # clear of the pad first
 
 
-@pytest.mark.parametrize("event", [E.STOP, E.OVERTIME, E.BATTERY_CRITICAL])
+@pytest.mark.parametrize("ends", [E.CLEAR, E.TIMEOUT])
+@pytest.mark.parametrize("event", [E.STOP, E.OVERTIME, E.BATTERY_CRITICAL, E.OUT_OF_BOUNDS, E.PAD_TOO_FAST])
 @pytest.mark.parametrize("state", sorted({S.WAIT, S.RISE, S.DESCEND}))
 def test_just_over_the_pad_it_climbs_clear_before_control_is_returned(
-    state: State, event: MissionEvent
+    state: State, event: MissionEvent, ends: MissionEvent
 ) -> None:
     machine = StateMachine(retries=2)
     machine.state, machine.authority = state, Authority.OURS
@@ -156,9 +158,29 @@ def test_just_over_the_pad_it_climbs_clear_before_control_is_returned(
     assert (branch.to, branch.actions, branch.authority) == (S.HOLD, (), None)
     machine.take(branch)
     assert machine.follows(event, Circumstances()) is None  # it goes on for as long as it holds
-    ending = machine.follows(E.TIMEOUT, Circumstances())
+    ending = machine.follows(ends, Circumstances())
     assert ending is not None
     assert (ending.to, ending.authority, kinds(ending)) == (S.ABORT, Authority.RELEASED, [ActionKind.HOLD])
+
+
+@pytest.mark.parametrize("state", sorted({S.WAIT, S.RISE, S.DESCEND}))
+def test_a_late_link_is_no_line_to_climb_by(state: State) -> None:
+    branch = taken(state, E.LINK_LATE)
+    assert (branch.to, branch.authority, kinds(branch)) == (S.ABORT, Authority.RELEASED, [ActionKind.HOLD])
+
+
+@pytest.mark.parametrize(
+    ("state", "event"),
+    [
+        *((state, E.TIMEOUT) for state in (S.SINK, S.STAND, S.SET_DOWN)),
+        *((S.SINK, event) for event in (E.PAD_GONE, E.ESTIMATE_LOST)),
+        (S.STAND, E.UNPROVEN),
+    ],
+)
+def test_land_has_its_own_time_however_late_it_is_asked_for(state: State, event: MissionEvent) -> None:
+    branch = taken(state, event)
+    assert kinds(branch) == [ActionKind.LAND]
+    assert Effect.COUNT_AFRESH in branch.effects
 
 
 def test_on_the_pad_without_a_link_it_asks_nobody_for_ever() -> None:

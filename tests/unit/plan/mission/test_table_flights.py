@@ -47,14 +47,20 @@ def test_a_pilot_who_takes_over_keeps_the_vehicle(state: State) -> None:
     assert Effect.STOP_SETPOINTS in branch.effects
 
 
+CLIMBS_CLEAR = {E.STOP, E.OVERTIME, E.OUT_OF_BOUNDS, E.PAD_TOO_FAST}
+
+
 @pytest.mark.parametrize(
     "event",
-    [E.STOP, E.OVERTIME, E.ESTIMATE_LOST, E.VELOCITY_UNKNOWN, E.OUT_OF_BOUNDS, E.PAD_TOO_FAST],
+    [
+        *(E.STOP, E.OVERTIME, E.ESTIMATE_LOST, E.CONTROL_FAILED),
+        *(E.VELOCITY_UNKNOWN, E.OUT_OF_BOUNDS, E.PAD_TOO_FAST),
+    ],
 )
 @pytest.mark.parametrize("state", sorted(IN_AIR - COMMITTED))
 def test_stop_overtime_and_a_lost_estimate_return_control_holding(state: State, event: MissionEvent) -> None:
     if TABLE[state, event]:
-        if not (state in LOW and event in {E.STOP, E.OVERTIME}):  # they climb clear of the pad first
+        if not (state in LOW and event in CLIMBS_CLEAR):
             assert taken(state, event).to is S.ABORT
             assert kinds(taken(state, event)) == [ActionKind.HOLD]
         # one that stands would lift off to hold a position

@@ -74,7 +74,7 @@ def test_a_pad_in_view_ends_the_search_without_a_request() -> None:
 def test_it_flies_to_the_beacon_and_goes_along_with_it() -> None:
     search, generator = searching()
     along = 0
-    for k in range(450):
+    for k in range(600):
         now = k / 30.0
         if k % 90 == 30:
             search.hear(beacon(now, 12.0 + 1.0 * now, -6.0, (1.0, 0.0, 0.0)), ORIGIN)
@@ -195,3 +195,23 @@ def test_each_corner_is_sought_before_it_is_given_up_for_an_obstacle() -> None:
             # THEN they are given up one after another, each with time for a way to it to be found
             assert 3 <= search._corner <= 10
     assert corners == set(range(max(corners) + 1))
+
+
+@pytest.mark.parametrize(("speed_m_s", "followed"), [(4.0, True), (6.0, False)])
+def test_a_pad_that_is_told_to_be_too_fast_is_waited_for_not_chased(speed_m_s: float, followed: bool) -> None:
+    generator = ReferenceGenerator(GuidanceConfig(), lambda _d, _v, _a: 1.5, 20, 0.1)
+    generator.start("local", Motion((0.0, 0.0, -7.0)), 0.0)
+    search = Search(CONFIG, generator, fastest_m_s=5.0)
+    search.begin(0.0, math.inf, 0.0)
+    for k in range(600):
+        now = k / 30.0
+        if k % 30 == 0:  # a beacon a second: away to the east, and from 10 s on it stands
+            told = min(now, 10.0)
+            moves = speed_m_s if now < 10.0 else 0.0
+            search.hear(beacon(now, 3.0, speed_m_s * told, velocity=(0.0, moves, 0.0)), ORIGIN)
+        search.step(generator.at(now), True, UNSEEN, now)
+        if k == 290:
+            assert (generator.at(now).position_m[1] > 20.0) is followed
+            assert (math.hypot(*generator.at(now).velocity_m_s) < 0.1) is not followed
+    # it has come to rest, and is flown to
+    assert generator.at(20.0).velocity_m_s[1] > 0.5 or followed

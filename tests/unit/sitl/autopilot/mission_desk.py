@@ -52,17 +52,20 @@ class Station:
         """Send a COMMAND_LONG or COMMAND_INT; returns the result in its COMMAND_ACK."""
         return int(next(m for m in self.send(command) if m.get_type() == "COMMAND_ACK").result)
 
-    def upload(self, items: list[Any]) -> int:
+    def upload(self, items: list[Any], mission_type: int = 0) -> int:
         """A whole upload as the protocol has it; returns the MISSION_ACK's result."""
-        answers = self.send(mavlink.MAVLink_mission_count_message(1, 1, len(items)))
+        answers = self.send(mavlink.MAVLink_mission_count_message(1, 1, len(items), mission_type))
         while answers and answers[-1].get_type().startswith("MISSION_REQUEST"):
             answers = self.send(items[answers[-1].seq])
         return int(answers[-1].type)
 
-    def download(self) -> list[Any]:
+    def download(self, mission_type: int = 0) -> list[Any]:
         """All items."""
-        count = self.send(mavlink.MAVLink_mission_request_list_message(1, 1))[-1].count
-        return [self.send(mavlink.MAVLink_mission_request_int_message(1, 1, n))[-1] for n in range(count)]
+        count = self.send(mavlink.MAVLink_mission_request_list_message(1, 1, mission_type))[-1].count
+        return [
+            self.send(mavlink.MAVLink_mission_request_int_message(1, 1, number, mission_type))[-1]
+            for number in range(count)
+        ]
 
     def fly(self, items: list[Any]) -> None:
         """Upload, arm and start; home goes first where it has to."""

@@ -1,4 +1,4 @@
-"""The simulated flight controller keeps the real ones' rules: arming, modes, failsafes, the ground."""
+"""The simulated flight controller keeps the real ones' rules: arming, modes, failsafes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from companion.base.geometry import (
 from companion.base.messages import LandedState
 from sitl.autopilot import (
     CommandResult,
-    EstimatorErrors,
     LocalFrame,
     StreamedMotion,
 )
@@ -239,41 +238,3 @@ def test_it_says_when_it_has_landed_and_disarmed_by_itself() -> None:
     flight.run(12.0, velocity(0.0, 0.0, 0.3))
     assert flight.texts.index("Landing detected") < flight.texts.index("Disarmed by landing")
     assert not flight.autopilot.armed
-
-
-# ---------------------------------------------------------------- the ground
-
-
-@BOTH
-def test_a_landing_by_setpoints_is_noticed_and_then_disarming_is_allowed(
-    autopilot_kind: AutopilotKind,
-) -> None:
-    flight = in_the_air(autopilot_kind)
-    while flight.vehicle.height_m > 0.0:
-        flight.run(0.1, velocity(0.0, 0.0, 0.5))
-    assert landed_state(flight) is not LandedState.ON_GROUND
-    flight.run(1.0 if autopilot_kind == "ardupilot" else 5.0, velocity(0.0, 0.0, 0.3))
-    assert landed_state(flight) is not LandedState.ON_GROUND  # as in the recordings: 2 s, and 6 s and more
-    flight.run(1.5 if autopilot_kind == "ardupilot" else 4.5, velocity(0.0, 0.0, 0.3))
-    assert landed_state(flight) is LandedState.ON_GROUND
-    assert flight.autopilot.disarm() is CommandResult.ACCEPTED
-
-
-@BOTH
-def test_a_slow_descent_in_the_air_is_not_taken_for_the_ground(autopilot_kind: AutopilotKind) -> None:
-    flight = in_the_air(autopilot_kind, errors=EstimatorErrors())
-    for _ in range(20):
-        flight.run(0.5, velocity(0.0, 0.0, 0.15))
-        assert landed_state(flight) is LandedState.IN_AIR
-    assert flight.vehicle.velocity[2] == pytest.approx(0.15, abs=0.15)
-
-
-@BOTH
-def test_it_rides_a_moving_pad_once_landed(autopilot_kind: AutopilotKind) -> None:
-    flight = in_the_air(autopilot_kind)
-    flight.vehicle.floor_velocity_ned_m_s = (1.0, 0.0, 0.0)
-    while flight.vehicle.height_m > 0.0:
-        flight.run(0.1, velocity(1.0, 0.0, 0.5))
-    flight.run(10.0, velocity(1.0, 0.0, 0.3))
-    assert landed_state(flight) is LandedState.ON_GROUND
-    assert flight.vehicle.height_m == 0.0

@@ -180,10 +180,11 @@ def test_conditions_and_circles_are_ardupilots_alone() -> None:
 def test_lists_too_long_fences_and_rally_points(autopilot_kind: AutopilotKind) -> None:
     station = Station(autopilot_kind, 0.1)
     assert results(station.send(count(60_000))) == [4]
+    assert results(station.send(count(60_000, 1))) == [4]
+    assert results(station.send(count(3, 2))) == [3]  # rally points are not simulated
     for kind in (1, 2):
         assert station.send(mavlink.MAVLink_mission_request_list_message(1, 1, kind))[-1].count == 0
         assert results(station.send(count(0, kind))) == [0]
-        assert results(station.send(count(3, kind))) == [3]
         assert results(station.send(mavlink.MAVLink_mission_clear_all_message(1, 1, kind))) == [0]
     assert results(station.send(count(1, 7))) == [3]
     assert station.send(mavlink.MAVLink_mission_request_int_message(1, 1, 5))[-1].type == 1

@@ -23,6 +23,7 @@ from sitl.autopilot.control.setpoints import (
     StreamedMotion,
 )
 from sitl.autopilot.px4 import setpoints as px4_setpoints
+from tests.unit.sitl.autopilot.autopilot_flight import Flight, velocity
 
 HERE: Vector3 = (10.0, 20.0, -5.0)
 MASKS = range(1 << 12)
@@ -283,3 +284,24 @@ def test_ardupilots_setpoints_age_into_a_stop_a_place_or_level_flight() -> None:
     assert isinstance(level, AttitudeSetpoint)
     assert level.attitude == pytest.approx(quat_from_euler(0.0, 0.0, math.radians(90.0)))
     assert level.thrust == 0.5
+
+
+# ---------------------------------------------------------------- GUIDED_NOGPS
+
+
+def test_guided_nogps_lifts_off_by_an_attitude_that_climbs_and_then_holds_level() -> None:
+    flight, level = Flight("ardupilot"), quat_from_euler(0.0, 0.0, 0.0)
+    flight.run(6.0)
+    assert flight.autopilot.set_mode(20) == 0
+    assert flight.autopilot.arm() == 0
+    flight.run(2.0, AttitudeSetpoint(level, 0.5))
+    assert flight.vehicle.height_m == 0.0
+    flight.run(4.0, AttitudeSetpoint(level, 0.7))  # 1 m/s
+    assert 1.5 < flight.vehicle.height_m < 4.0
+    flight.run(2.0, AttitudeSetpoint(quat_from_euler(0.0, -0.1, 0.0), 0.5))
+    north, *_ = flight.vehicle.position
+    assert north > 0.5
+    # nothing but attitudes moves it, and without a place to hold it coasts on, level
+    flight.run(3.0, velocity(-3.0))
+    assert flight.vehicle.position[0] > north + 0.5
+    assert flight.vehicle.attitude == pytest.approx(level, abs=0.02)

@@ -1,0 +1,88 @@
+"""A hold by our own setpoints: come to rest, and just over the pad climb clear of it first.
+
+The pad may move or heave beneath a vehicle that stays low. At rest and clear it has done its part, and the
+autopilot's own hold is as good. EKF's NED; m, s.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from companion.base.geometry import Vector3, norm, subtract
+from companion.base.messages import VehicleState
+from companion.base.motion import Motion
+from companion.config import PlanConfig
+from companion.plan.landing.ground_contact import Ground
+from companion.plan.landing.relative_state import PadKnowledge, vehicle_motion
+from companion.plan.mission.states import DetectedEvent, MissionEvent
+from companion.plan.notices import NoticeSink
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
+
+_WORTH_CLIMBING_M: Final = 0.2
+# At rest, as far as gusts let it be: what the autopilot's hold takes over without a swing.
+_SLOW_M_S: Final = 0.3
+_NEAR_M: Final = 0.3
+
+
+class Hold:
+    """Steers the reference to rest; `begin` at each hold, `step` in each of its cycles."""
+
+    def __init__(
+        self,
+        config: PlanConfig,
+        leg_m: float,
+        *,
+        generator: ReferenceGenerator,
+        pad: PadKnowledge,
+        ground: Ground,
+        say: NoticeSink,
+    ) -> None:
+        self._clear_m = leg_m + config.landing.retry_height_m
+        self._ceiling_m = config.mission.ceiling_m
+        self._generator, self._pad, self._ground, self._say = generator, pad, ground, say
+        self._place: Vector3 | None = None
+        self._climbs = False
+
+    def stand_still(self, vehicle: VehicleState, now_s: float) -> None:
+        """Come to rest, from the reference's own motion when there is one."""
+        pad = self._pad.motion
+        if not self._generator.active or (self._generator.origin == "pad" and pad is None):
+            self._generator.start("local", vehicle_motion(vehicle, now_s), now_s)
+            return
+        if pad is not None:
+            self._generator.change_frame("local", pad, now_s)
+        self._generator.rest(self._generator.at(now_s), now_s)
+
+    def begin(self, vehicle: VehicleState, now_s: float, *, over_pad: bool) -> None:
+        """Come to rest; `over_pad`: it may be just over the pad, and goes up first."""
+        climb_m = self._climb_m() if over_pad else 0.0
+        self.stand_still(vehicle, now_s)
+        x, y, z = self._generator.resting_place_m()
+        self._climbs = climb_m > _WORTH_CLIMBING_M
+        self._place = (x, y, z - climb_m if self._climbs else z)
+        if self._climbs:
+            self._say("climb", f"climbing {climb_m:.1f} m clear of the pad", now_s, "warning")
+
+    def end(self) -> None:
+        """There is nothing to hold by."""
+        self._place, self._climbs = None, False
+
+    def step(self, vehicle: VehicleState | None, now_s: float) -> DetectedEvent | None:
+        """Go on; detects that the vehicle is at rest where it holds."""
+        if self._place is None or vehicle is None or not self._generator.active:
+            return None
+        if self._climbs:
+            self._generator.fly_to(Motion(self._place), now_s)
+        actual = vehicle_motion(vehicle, now_s)
+        near = norm(subtract(actual.position_m, self._place)) <= _NEAR_M
+        if near and norm(actual.velocity_m_s) <= _SLOW_M_S:
+            return MissionEvent.CLEAR, "clear of the pad, at rest" if self._climbs else "at rest"
+        return None
+
+    def _climb_m(self) -> float:
+        """How far (m) up it is clear of the pad; never beyond the ceiling."""
+        height_m = self._pad.sight.height_m if self._pad.sight is not None else math.inf
+        over_home_m = self._ground.over_home_m
+        room_m = math.inf if over_home_m is None else self._ceiling_m - over_home_m
+        return max(0.0, min(self._clear_m - height_m, room_m))
