@@ -73,8 +73,11 @@ style:
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 
-# the tests start our programs many times: what the first compiles, the others take from its cache
-test: lint
+# types and import rules are tests too (tests/architecture), beside the others; the tests start our programs many
+# times: what the first compiles, the others take from its cache
+test: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest
 
 # fetches Debian roots into DEPLOY and keeps them there; what this machine cannot do is skipped, with the reason

@@ -31,7 +31,7 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class _Loader(yaml.SafeLoader):
+class _UniqueKeys(yaml.constructor.SafeConstructor):
     """As YAML has it, a key may stand in a mapping once; the plain loader takes the last one silently."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
@@ -47,6 +47,14 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
+class _Loader(_UniqueKeys, yaml.SafeLoader):
+    """PyYAML's own: it words what is wrong."""
+
+
+class _QuickLoader(_UniqueKeys, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """By libyaml where PyYAML was built with it: the same values in a tenth of the time."""
+
+
 Model = TypeVar("Model", bound=BaseModel)
 Vector = tuple[float, float, float]
 
@@ -58,7 +66,7 @@ def read_yaml(path: Path, key: str | None = None) -> dict[str, Any]:
         ConfigError: unreadable, not YAML (with line and column), or not a mapping.
     """
     try:
-        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
+        data = _load(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise cannot_read(path, error, key) from error
     except UnicodeDecodeError as error:
@@ -70,9 +78,18 @@ def read_yaml(path: Path, key: str | None = None) -> dict[str, Any]:
         where = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not readable"
         raise ConfigError(f"{path}{where}: broken YAML: {problem}") from error
+    except ValueError as error:  # a date that there is not
+        raise ConfigError(f"{path}: broken YAML: {error}") from error
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: expected a mapping of keys to values, found {type(data).__name__}")
     return data
+
+
+def _load(text: str) -> Any:
+    try:
+        return yaml.load(text, Loader=_QuickLoader)
+    except yaml.YAMLError:
+        return yaml.load(text, Loader=_Loader)
 
 
 def validate(model: type[Model], data: dict[str, Any], source: str) -> Model:

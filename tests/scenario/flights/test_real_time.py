@@ -19,7 +19,7 @@ from pymavlink import mavutil
 
 from companion.sim.command import LATE_S
 from sitl.run.report import read_report
-from tests.scenario.flying import ROOT, Flown, alive, children, run, started, wait_for_line
+from tests.scenario.flying import ROOT, Flown, alive, children, load_on_a_core, run, started, wait_for_line
 
 DESK = ("--sitl", "--no-ui", "--scenario", "line", "--seed", "0")
 LATE = "too busy a machine for real time"
@@ -29,9 +29,8 @@ END_TIMEOUT_S = 30.0
 @pytest.fixture(autouse=True)
 def machine_with_time_to_spare() -> None:
     """Real time cannot be kept on a machine with twice the work it has cores for."""
-    load, cores = os.getloadavg()[0], os.cpu_count() or 1
-    if load > 2.0 * cores:
-        pytest.skip(f"load {load:.1f} on {cores} cores: too busy for real time")
+    if (load := load_on_a_core()) > 2.0:
+        pytest.skip(f"load {load:.1f} on each core: too busy for real time")
 
 
 def fly_in_real_time(folder: Path) -> Flown:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import re
 from pathlib import Path
 from typing import Any, Final
@@ -12,7 +11,7 @@ import pytest
 import yaml
 
 from tests.browser import DESK, PHONE, Tab, browser, program
-from tests.scenario.flying import COMMAND, ROOT, environment
+from tests.scenario.flying import COMMAND, ROOT, environment, load_on_a_core
 
 TOKEN: Final = "the token of a test, long enough"
 PATIENCE_S: Final = 60.0
@@ -45,9 +44,8 @@ SIDEWAYS: Final = "document.documentElement.scrollWidth - document.documentEleme
 def a_browser_on_a_machine_with_time_to_spare() -> None:
     if program() is None:
         pytest.skip("Chromium is not installed here: apt-get install chromium")
-    load, cores = os.getloadavg()[0], os.cpu_count() or 1
-    if load > 2.0 * cores:
-        pytest.skip(f"load {load:.1f} on {cores} cores: too busy for real time")
+    if (load := load_on_a_core()) > 2.0:
+        pytest.skip(f"load {load:.1f} on each core: too busy for real time")
 
 
 def settings(folder: Path) -> Path:

@@ -136,6 +136,7 @@ def test_every_shipped_settings_file_loads() -> None:
         ("pad: a\npad: b\n", ":2:1: broken YAML: 'pad' stands here twice"),
         (f"pad: [{'x' * 500}]\n", f"pad: expected a valid string, found ['{'x' * 78}..."),
         ("? [a, b]\n: 1\n", "broken YAML: found unhashable key"),
+        ("pad: 2020-13-45\n", "broken YAML: month must be in 1..12"),
         ("sense: {source: boards}\nplan: {}\nsense: {source: autopilot}\n", "'sense' stands here twice"),
         ("estimate: {magnetic_field_ned_ut: [20900, 600, 42900]}\n", "expected a size of 15 to 100 µT"),
         ("sense: {range: {minimum_m: 0.5, maximum_m: 0.5}}\n", "expected more than minimum_m"),

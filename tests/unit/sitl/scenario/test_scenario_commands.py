@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -75,8 +76,15 @@ def test_the_shipped_schema_is_current(capsys: pytest.CaptureFixture[str]) -> No
 def test_a_shipped_scenario_names_the_schema_and_uses_its_words(name: str) -> None:
     text = (CONFIG_FOLDER / "scenarios" / f"{name}.yaml").read_text(encoding="utf-8")
     assert text.splitlines()[0] == FIRST_LINE
-    schema = json.loads(schema_text())
+    schema = read_schema()
     assert unknown_words(yaml.safe_load(text), schema, schema) == []
+
+
+@cache
+def read_schema() -> dict[str, Any]:
+    """The schema, made once."""
+    schema: dict[str, Any] = json.loads(schema_text())
+    return schema
 
 
 def unknown_words(data: dict[str, Any], part: dict[str, Any], schema: dict[str, Any]) -> list[str]:
