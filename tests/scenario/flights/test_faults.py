@@ -20,7 +20,7 @@ from companion.sim.trial import Trial
 from sitl.devices.mpu9250 import Mpu9250Device
 
 # by then the vehicle is on its way down to the pad
-IN_DESCENT_S = 26.0
+IN_DESCENT_S = 21.0
 
 
 def fly_static() -> tuple[SitlFlight, FlightLog]:

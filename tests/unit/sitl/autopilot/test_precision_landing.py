@@ -14,7 +14,7 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import IDENTITY, Vector3, quat_conjugate, quat_rotate, subtract
 from sitl.autopilot.flight.landing_target import AxisFilter, direction_from_angles
 from sitl.autopilot.px4.precision_landing import PrecLandState, Px4PrecisionLanding
-from tests.unit.sitl.autopilot.mission_desk import Station
+from tests.unit.sitl.autopilot.missions.mission_desk import Station
 
 BODY_FRD, LOCAL_NED = mavlink.MAV_FRAME_BODY_FRD, mavlink.MAV_FRAME_LOCAL_NED
 Pad = Callable[[float], Vector3]

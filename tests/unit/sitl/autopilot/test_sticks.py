@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import tilt_from_quat, yaw_from_quat
-from tests.unit.sitl.autopilot.mission_desk import Station
+from tests.unit.sitl.autopilot.missions.mission_desk import Station
 
 BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 VELOCITY_MODE = {"px4": "POSCTL", "ardupilot": "LOITER"}

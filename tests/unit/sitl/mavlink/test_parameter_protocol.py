@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.autopilot_kind import AutopilotKind
 from sitl.autopilot import PROFILES
-from tests.unit.sitl.autopilot.mission_desk import Station
+from tests.unit.sitl.autopilot.missions.mission_desk import Station
 
 BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 INT8, INT16, INT32, REAL32 = 2, 4, 6, 9

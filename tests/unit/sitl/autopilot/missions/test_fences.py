@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from companion.base.autopilot_kind import AutopilotKind
 from sitl.autopilot.flight.fence import Fence, FenceCommand
 from sitl.autopilot.flight.mission_items import ItemFrame, MissionItem, MissionResult
-from tests.unit.sitl.autopilot.mission_desk import Station, item
+from tests.unit.sitl.autopilot.missions.mission_desk import Station, item
 
 BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 FENCE: Final = mavlink.MAV_MISSION_TYPE_FENCE

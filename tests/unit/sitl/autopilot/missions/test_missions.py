@@ -10,8 +10,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.autopilot_kind import AutopilotKind
 from sitl.mavlink.endpoint import MavlinkEndpoint
-from tests.unit.sitl.autopilot.mission_desk import Station, item, mission, plain
-from tests.unit.sitl.autopilot.mission_items import BOTH, LAND, TAKE_OFF, WAYPOINT
+from tests.unit.sitl.autopilot.missions.mission_desk import Station, item, mission, plain
+from tests.unit.sitl.autopilot.missions.mission_items import BOTH, LAND, TAKE_OFF, WAYPOINT
 
 
 def count(number: int, mission_type: int = 0) -> Any:

@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import yaw_from_quat
-from tests.unit.sitl.autopilot.mission_desk import Station, item, mission, plain
-from tests.unit.sitl.autopilot.mission_items import BOTH, LAND, RETURN, TAKE_OFF, WAYPOINT
+from tests.unit.sitl.autopilot.missions.mission_desk import Station, item, mission, plain
+from tests.unit.sitl.autopilot.missions.mission_items import BOTH, LAND, RETURN, TAKE_OFF, WAYPOINT
 
 
 @BOTH
