@@ -24,8 +24,8 @@ for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_
     os.environ.setdefault(_library, "1")
 
 WORKERS: Final = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-# the niceness of a worker that computes
-GIVES_WAY: Final = 5
+# the niceness of a worker that computes, over that of this run
+COMPUTES_AT: Final = os.nice(0) + 5
 # of a file of flights that is not listed: a new one shall not be left to the end
 FLIGHTS_S: Final = 40.0
 # files whose tests wait by the clock: simulators, autopilots and browsers in real time; rough seconds
@@ -110,7 +110,7 @@ def share_out(
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """A worker that computes gives way to the one in real time, which may be this one up to here."""
     if WORKERS > 2 and file_of(item) not in REAL_TIME_S:
-        os.nice(max(0, GIVES_WAY - os.nice(0)))
+        os.nice(max(0, COMPUTES_AT - os.nice(0)))
 
 
 def pytest_collection_finish() -> None:

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from companion.base.messages import Phase, PlanStep, Reference
+from companion.plan.trajectory.trajectory_time import trajectory_time_s
 
 DESCENTS: Final = frozenset({Phase.APPROACH, Phase.DESCEND})
 SAME_SHARE: Final = 0.01  # of T
@@ -43,7 +44,7 @@ def _law_s(plan: PlanStep, minimum_time_s: float) -> float | None:
     reference, planned = plan.reference, plan.speed_m_s > 0.0 and plan.time_to_go_s > 0.0
     if reference is None or reference.origin != "pad" or plan.phase not in DESCENTS or not planned:
         return None
-    return way_to_go_m(reference, plan.time_to_go_s) / plan.speed_m_s + minimum_time_s
+    return trajectory_time_s(way_to_go_m(reference, plan.time_to_go_s), plan.speed_m_s, minimum_time_s)
 
 
 def way_to_go_m(reference: Reference, time_to_go_s: float) -> float:

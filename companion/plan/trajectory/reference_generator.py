@@ -25,6 +25,7 @@ from companion.plan.trajectory.coordinate_frames import STILL
 from companion.plan.trajectory.course import Course, Way
 from companion.plan.trajectory.limits import within_limits
 from companion.plan.trajectory.min_jerk import Trajectory, brake, carried, plan
+from companion.plan.trajectory.trajectory_time import trajectory_time_s
 
 STRAY_M: Final = 0.8  # reference to estimate: beyond it the reference starts afresh
 
@@ -184,7 +185,7 @@ class ReferenceGenerator:
         gaining = subtract(start.acceleration_m_s2, target.acceleration_m_s2)
         speed = self._law(distance, dot(closing, unit), dot(gaining, unit))
         moving = Motion(scale(offset, -1.0), closing, gaining)
-        duration_s = distance / speed + self._config.minimum_time_s
+        duration_s = trajectory_time_s(distance, speed, self._config.minimum_time_s)
         asked_s = max(duration_s, self._left_s(now_s))
         slowest_s = distance / min(speed, self._config.vertical_speed_m_s)
         stopping_s = norm(closing) / self._config.vertical_acceleration_m_s2

@@ -21,6 +21,7 @@ from companion.base.motion import Motion
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m, route
 from companion.plan.speed.speed_table import SpeedTable, load_table
 from companion.plan.trajectory.course import Course, through
+from companion.plan.trajectory.trajectory_time import trajectory_time_s
 from companion.research.fig14.world import FLOWN_S, START_NED_M, SURFACE_HEIGHT_M, LandingScene, draw_world
 
 ITERATION_S: Final = 0.1
@@ -177,7 +178,7 @@ def _time_to_go_s(motion: Motion, via: list[Vector3], pad: Motion) -> float:
     unit = scale(ahead, 1.0 / max(norm(ahead), 1e-6))
     closing = dot(subtract(motion.velocity_m_s, pad.velocity_m_s), unit)
     speed = fuzzy_speed()(distance_m, closing, dot(motion.acceleration_m_s2, unit))
-    return distance_m / speed + MINIMUM_TIME_S
+    return trajectory_time_s(distance_m, speed, MINIMUM_TIME_S)
 
 
 def _durations(motion: Motion, via: list[Vector3], pad: Motion) -> list[float]:

@@ -1,0 +1,13 @@
+"""How long a trajectory takes: T = |Δ| / V + T_min, eq. 37 of the paper.
+
+V is the speed law's (`companion.plan.speed`), T_min the setting `plan.guidance.minimum_time_s`. The reference
+generator asks for this time; `limits.within_limits` lengthens it where speed or acceleration would exceed its
+limit.
+"""
+
+from __future__ import annotations
+
+
+def trajectory_time_s(distance_m: float, speed_m_s: float, minimum_time_s: float) -> float:
+    """T (s) of a way |Δ| (m) at an average speed V (m/s)."""
+    return distance_m / speed_m_s + minimum_time_s
