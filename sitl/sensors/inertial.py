@@ -4,12 +4,11 @@ Bias, scale, misalignment, noise, the rotors' vibration, then the filter with th
 and delay. Pure; body axes FRD, SI units. The sensor sits at the centre of mass: no lever arm.
 
 Vibration: four rotors, each at a speed of its own, shake once a turn (imbalance) and twice (blades). The
-lines beat, and move with the throttle. What the filter leaves of the blades' line is beyond half the rate at
-which the app reads (200 Hz): it comes in by aliasing, near zero where the rotors turn at 100 Hz. The
-accelerometer rectifies: its mean shifts by a share of the vibration's square. A real flight (log171 of
-ArduPilot's: a 20 Hz filter, 50 Hz) has 0.25 m/s² rms an axis from 3 to 25 Hz, as flat as lines that have
-moved and folded; through that filter the vibration here is as flat, and 0.02 m/s²: a factor of 13 makes them
-equal.
+lines beat, and move with the throttle; above 100 Hz they come in folded, since the app reads at 200 Hz.
+Little is left of the blades': sampled with the physics, the filter has a zero at 200 Hz. The accelerometer
+rectifies: its mean shifts by a share of the vibration's square. A real flight (log171 of ArduPilot's: a 20 Hz
+filter, 50 Hz) has 0.25 m/s² rms an axis from 3 to 25 Hz, as flat as lines that have moved and folded; through
+that filter the vibration here is as flat, and 0.02 m/s²: a factor of 13 makes them equal.
 
 Figures: MPU-9250 product specification PS-MPU-9250A-01 rev. 1.1 (tables 1 and 2), register map
 RM-MPU-9250A-00 rev. 1.6 (filters). What a start-up or six-position calibration takes out is left out

@@ -16,6 +16,7 @@ from companion.flightlog.replay.compare import ReplayResult, build_result
 from companion.flightlog.replay.flight_record import FlightRecord
 from companion.flightlog.replay.plots import replay_lines, replay_table, write_plots
 from companion.flightlog.replay.reading import read_log
+from companion.flightlog.replay.refusal import why_unaligned
 from companion.flightlog.replay.run import Replayed, replay
 from companion.flightlog.replay.settings import Choice, choose
 from companion.flightlog.version import versions
@@ -49,13 +50,8 @@ def replay_and_show(log: Path, output: Path | None, config: Path | None) -> None
 
 def _result(log: Path, record: FlightRecord, replayed: Replayed, choice: Choice) -> ReplayResult:
     if not replayed.vehicles:
-        seconds = record.events[-1].arrival_s - record.events[0].arrival_s
-        alignment = choice.rig.config.estimate.alignment
-        raise ConfigError(
-            f"{log}: the estimators never aligned in its {seconds:.1f} s; expected {alignment.still_s:g} s "
-            f"at rest, or more than {alignment.timeout_s + alignment.still_s:g} s in motion, with IMU and "
-            "magnetometer"
-        )
+        why = why_unaligned(record.events, choice.rig.config.estimate.alignment)
+        raise ConfigError(f"{log}: the estimators never aligned: {why}")
     if record.kind == "companion" and record.rig is None:
         record.notes.append(f"the log holds no settings (an older version's): replayed under {choice.name}")
     result = build_result(

@@ -7,9 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3
+from companion.base.geometry import GRAVITY_M_S2, IDENTITY, ZERO3, Vector3, vector3
 from companion.config import EkfConfig
-from companion.estimate.vehicle.imu_noise import ImuNoise
+from companion.estimate.vehicle import ekf_model as model
+from companion.estimate.vehicle.ekf import VehicleEkf
+from companion.estimate.vehicle.ekf_inputs import GpsStep, ImuStep
+from companion.estimate.vehicle.ekf_start import InitialState
+from companion.estimate.vehicle.fix_watch import FixWatch
+from companion.estimate.vehicle.imu_noise import ImuNoise, StepNoise
 
 DT_S = 0.005
 RESTING: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
@@ -49,3 +54,41 @@ def test_only_a_turn_that_lasts_counts(period_s: float, least: float, most: floa
         noise.add((rate, 0.0, 0.0), RESTING, DT_S)
         largest = max(largest, noise.now.lasting_rate_rad_s[0])
     assert least <= largest <= most
+
+
+# ------------------------------------------------------------ what fixes say of the force
+
+
+def watched(innovations: np.ndarray) -> FixWatch:
+    """After innovations (n, 3) in m/s."""
+    watch = FixWatch()
+    for innovation in innovations.tolist():
+        watch = watch.after(vector3(innovation), 1.0)
+    return watch
+
+
+def test_fixes_that_scatter_show_no_error_of_the_force() -> None:
+    rng = np.random.default_rng(5)
+    shown = [watched(0.13 * rng.standard_normal((25, 3))).force_error_m_s2 for _ in range(200)]
+    assert np.median(shown) == 0.0
+    assert np.percentile(shown, 90) < 0.4
+
+
+def test_fixes_that_keep_to_one_side_show_it() -> None:
+    rng = np.random.default_rng(5)
+    assert watched((0.3, 0.0, 0.0) + 0.1 * rng.standard_normal((25, 3))).force_error_m_s2 > 0.8
+
+
+@pytest.mark.parametrize(("fixes", "least_m_s", "most_m_s"), [(True, 0.03, 0.12), (False, 1.0, 3.0)])
+def test_vibration_makes_the_velocity_uncertain_only_without_fixes(
+    fixes: bool, least_m_s: float, most_m_s: float
+) -> None:
+    level = InitialState(0.0, IDENTITY, ZERO3, (20.9, 0.6, 42.9), 0.01, 0.05, 5e-4)
+    ekf = VehicleEkf(EkfConfig(), ZERO3, level)
+    fix = GpsStep(ZERO3, ZERO3, (1.0, 1.0, 1.5), (0.085, 0.085, 0.12))
+    ekf.apply(0.0, fix)
+    for k in range(1, 501):
+        ekf.apply(0.01 * k, ImuStep(ZERO3, RESTING, 2, noise=StepNoise(0.0, 0.8)))
+        if fixes and k % 20 == 0:
+            ekf.apply(0.01 * k, fix)
+    assert least_m_s < math.sqrt(ekf.P[model.VELOCITY, model.VELOCITY][0, 0]) < most_m_s

@@ -23,6 +23,7 @@ from sitl.faults.faults import (
     ImuBusError,
     MagDisturbed,
     RangeSpikes,
+    Vibration,
 )
 from sitl.scenario.scenario import load_scenario
 from tests.unit.sitl.devices.sensor_desk import Heard, fly
@@ -74,6 +75,15 @@ def test_a_clipping_accelerometer_reads_less_than_gravity_for_it_loses_the_peaks
     assert min(down) > -1.2 * GRAVITY_M_S2
     assert np.mean(down) > mean(during(healthy.imu), "specific_force_body_m_s2")[2] + 0.3
     assert np.std(down) > 2.0 * np.std([s.specific_force_body_m_s2[2] for s in during(healthy.imu)])
+
+
+def test_stronger_vibration_shakes_and_leaves_the_mean(healthy: Heard) -> None:
+    heard = fly(3, SECONDS, [Vibration(kind="vibration", factor=4.0, **TIMES)])
+    before, shaken = (
+        np.array([sample.specific_force_body_m_s2 for sample in during(h.imu)]) for h in (healthy, heard)
+    )
+    assert 3.0 < np.std(shaken[:, 0]) / np.std(before[:, 0]) < 5.0
+    assert shaken.mean(axis=0) == pytest.approx(before.mean(axis=0), abs=0.1)
 
 
 def test_spikes_are_echoes_from_in_between(healthy: Heard) -> None:

@@ -75,6 +75,31 @@ def test_vibration_comes_with_the_throttle_and_is_damped_by_the_filter() -> None
     assert hover.mean(axis=0) == pytest.approx(REST, abs=0.05)
 
 
+def test_vibration_is_lines_of_four_rotors_that_beat_and_move_with_the_throttle() -> None:
+    only = replace(NO_IMU_ERRORS, vibration_m_s2=1.5, vibration_rad_s=0.04)
+    for throttle in (0.4, 0.6):
+        force, _ = imu_run(only, 8000, throttle)
+        power = np.abs(np.fft.rfft(force[:, 0] * np.hanning(8000))) ** 2
+        hertz = np.fft.rfftfreq(8000, DT_S)
+        expected_hz = 130.0 * math.sqrt(throttle)
+        near = np.abs(hertz - expected_hz) < 0.08 * expected_hz
+        assert power[near].sum() > 0.99 * power[hertz > 5.0].sum()
+        # four lines, not one: the strongest has less than all
+        lone = np.abs(hertz - hertz[power.argmax()]) < 0.3
+        assert power[lone].sum() < 0.7 * power[near].sum()
+
+
+def test_an_accelerometer_rectifies_by_the_square_of_the_vibration() -> None:
+    def shift_m_s2(factor: float) -> float:
+        errors = replace(NO_IMU_ERRORS, vibration_m_s2=1.5 * factor, accel_rectification_g_g2=0.005)
+        plain = replace(errors, accel_rectification_g_g2=0.0)
+        bent, straight = imu_run(errors, 4000, 0.5)[0], imu_run(plain, 4000, 0.5)[0]
+        return float(np.linalg.norm((bent - straight).mean(axis=0)))
+
+    assert shift_m_s2(20.0) == pytest.approx(4.0 * shift_m_s2(10.0), rel=0.05)
+    assert 0.01 < shift_m_s2(20.0) < 0.5
+
+
 @pytest.mark.parametrize("table", [GYRO_FILTER, ACCEL_FILTER])
 @pytest.mark.parametrize("dlpf", [2, 3, 4])
 def test_the_filter_delays_a_ramp_by_the_data_sheets_time(

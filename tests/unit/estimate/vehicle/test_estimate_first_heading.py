@@ -1,0 +1,99 @@
+"""The first heading: the magnetometer's own bias turns it, and the autopilot's compass is heard beside it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    ZERO3,
+    quat_from_euler,
+    quat_multiply,
+    quat_rotate_inverse,
+    vector3,
+    yaw_from_quat,
+)
+from companion.base.messages import AutopilotAttitude, ImuSample, MagSample
+from companion.config import EkfConfig
+from companion.estimate.estimator import StateEstimator
+from companion.estimate.vehicle import ekf_model as model
+from companion.estimate.vehicle.ekf import VehicleEkf
+from companion.estimate.vehicle.ekf_inputs import HeadingStep
+from companion.estimate.vehicle.ekf_start import InitialState
+from tests.unit.estimate.estimate_flight import FIELD_NED_UT, new_estimator
+
+DEGREE = math.radians(1.0)
+YAW = 70.0 * DEGREE
+HORIZONTAL_UT = math.hypot(FIELD_NED_UT[0], FIELD_NED_UT[1])
+# horizontal and square to the field: of a bias only this turns the heading
+EAST = np.array((-FIELD_NED_UT[1], FIELD_NED_UT[0], 0.0)) / HORIZONTAL_UT
+
+
+def standing() -> VehicleEkf:
+    attitude = quat_from_euler(0.0, 0.0, YAW)
+    start = InitialState(0.0, attitude, ZERO3, FIELD_NED_UT, 2 * DEGREE, 1.5 * DEGREE, 5e-4)
+    return VehicleEkf(EkfConfig(), ZERO3, start)
+
+
+def bias_to_the_east(ekf: VehicleEkf) -> float:
+    body = np.array(quat_rotate_inverse(ekf.attitude, vector3(EAST)))
+    return float(body @ ekf.x[model.MAG_BIAS])
+
+
+def test_the_first_headings_error_is_the_magnetometers_bias_and_its_own() -> None:
+    config, ekf = EkfConfig(), standing()
+    of_field = (config.mag_bias_std_ut**2 + config.field_std_ut**2) / HORIZONTAL_UT**2
+    assert ekf.rotation_covariance()[2, 2] == pytest.approx(of_field + (1.5 * DEGREE) ** 2, rel=1e-3)
+
+
+def test_a_heading_from_elsewhere_shows_the_magnetometers_bias_too() -> None:
+    """Truth is ahead of the estimate by b / B of a bias b to the east."""
+    ekf = standing()
+    ekf.apply(0.0, HeadingStep(4.0 * DEGREE, 0.1 * DEGREE))
+    assert yaw_from_quat(ekf.attitude) - YAW == pytest.approx(4.0 * DEGREE, rel=0.02)
+    whole = 4.0 * DEGREE * HORIZONTAL_UT
+    assert 0.6 * whole < bias_to_the_east(ekf) < whole
+
+
+def test_a_heading_that_cannot_be_is_refused() -> None:
+    ekf = standing()
+    ekf.apply(0.0, HeadingStep(40.0 * DEGREE, 3.0 * DEGREE))
+    assert yaw_from_quat(ekf.attitude) == pytest.approx(YAW, abs=1e-6)
+    assert ekf.gates["heading"].refused == 1
+
+
+def heard(their_yaw: float, same_imu: bool = False, turning: bool = False) -> StateEstimator:
+    """After four seconds of sensors that are right, and of an autopilot that says `their_yaw`."""
+    estimator, attitude = new_estimator(), quat_from_euler(0.0, 0.0, YAW)
+    theirs = quat_multiply(quat_from_euler(0.0, 0.0, their_yaw - YAW), attitude)
+    field = quat_rotate_inverse(attitude, FIELD_NED_UT)
+    for k in range(800):
+        t = 0.005 * k
+        rocking = 0.3 * math.sin(20.0 * t) if turning and t > 2.3 else 0.0
+        estimator.add_imu(ImuSample(t, (rocking, 0.0, 0.0), (0.0, 0.0, -GRAVITY_M_S2), 20.0))
+        if k % 2 == 0:
+            estimator.add_mag(MagSample(t, field))
+        if k % 8 == 0 and (not turning or t > 2.6):
+            estimator.add_autopilot_attitude(AutopilotAttitude(t - 0.01, theirs, same_imu))
+    return estimator
+
+
+def ahead_deg(estimator: StateEstimator) -> float:
+    state = estimator.vehicle(3.995)
+    assert state is not None
+    return (yaw_from_quat(state.attitude) - YAW) / DEGREE
+
+
+def test_two_compasses_meet_about_halfway() -> None:
+    assert 1.2 < ahead_deg(heard(YAW + 5.0 * DEGREE)) < 3.5
+
+
+def test_their_heading_by_our_own_imu_is_no_second_compass() -> None:
+    assert abs(ahead_deg(heard(YAW + 5.0 * DEGREE, same_imu=True))) < 0.3
+
+
+def test_their_heading_is_not_heard_in_motion() -> None:
+    assert abs(ahead_deg(heard(YAW + 5.0 * DEGREE, turning=True))) < 0.5
