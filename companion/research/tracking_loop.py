@@ -26,6 +26,7 @@ from companion.base.geometry import (
     add,
     quat_rotate,
     scale,
+    side_force,
     subtract,
     vector3,
 )
@@ -202,6 +203,7 @@ class TrackingLoop:
             position_std_m=1.0,
             aligned=True,
             has_gps=True,
+            side_force_ned_m_s2=side_force(state.attitude, state.specific_force_body_m_s2),
         )
         told = PadState(
             time_s=now_s,

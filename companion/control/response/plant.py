@@ -87,7 +87,7 @@ class Plant:
         With velocity setpoints the autopilot's own integral goes on to meet that wind.
         """
         self._wind.reset()
-        self._wind.step(vehicle.attitude, vehicle.acceleration_ned_m_s2, 0.0)
+        self._wind.step(vehicle, 0.0)
         met = scale(self._wind.wind_ned_m_s2, -1.0) if self._by_velocity else ZERO3
         self._lasting.start(vehicle.velocity_ned_m_s, subtract(self._wind.thrust_ned_m_s2, met), met)
         self._observed_s = vehicle.time_s
@@ -99,7 +99,7 @@ class Plant:
             self._lasting.predict(self._wanted(command, vehicle), duration_s)
         self._observed_s = max(self._observed_s, vehicle.time_s)
         acceleration = vehicle.acceleration_ned_m_s2
-        self._wind.step(vehicle.attitude, acceleration, elapsed_s)
+        self._wind.step(vehicle, elapsed_s)
         self._lasting.correct(
             vehicle.velocity_ned_m_s, acceleration, self._wind.late_thrust_ned_m_s2, elapsed_s
         )

@@ -139,8 +139,8 @@ class TouchdownSequence:
             aligned(sight, self._wait_height_m, tolerance.slack_by_now(now_s), c)
             and not tolerance.aside(sight, now_s)
             and (tolerance.impatience(now_s) >= 1.0 or gentle(sight, c))
-            and level_at(sight, self._contact_in_s(), tolerance.most_lean_rad(now_s))
-            and self.lean.at_m_s2(self._contact_in_s() - c.settled_s) <= tolerance.most_lean_m_s2(now_s)
+            and level_at(sight, self._sinks_for_s(), tolerance.most_lean_rad(now_s))
+            and self.lean.at_m_s2(self._sinks_for_s()) <= tolerance.most_lean_m_s2(now_s)
             and self._generator.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self._way_down_s())
         )
         if waited_s >= c.giving_up_s:
@@ -154,13 +154,13 @@ class TouchdownSequence:
 
     def _way_down_s(self) -> float:
         """How long from here until the feet stand and the motors are off."""
-        return self._contact_in_s() + self._config.land_after_s
+        return self._config.settled_s + self._sinks_for_s() + self._config.land_after_s
 
-    def _contact_in_s(self) -> float:
-        """How long from here until the feet touch."""
+    def _sinks_for_s(self) -> float:
+        """How long from the commit until the feet touch; the blend covers half of what the speed would."""
         c = self._config
-        sinking_s = (self._wait_height_m - self._vehicle.leg_height_m) / c.contact_speed_m_s
-        return c.settled_s + c.blend_s + sinking_s
+        drop_m = self._wait_height_m - self._vehicle.leg_height_m
+        return max(c.blend_s, 0.5 * c.blend_s + drop_m / c.contact_speed_m_s)
 
     # ------------------------------------------------------------ sink
 
@@ -273,7 +273,7 @@ class TouchdownSequence:
         fast = fresh and sight.sink_m_s > self._config.fastest_contact_m_s
         if self._too_fast.held_s(fast, now_s) >= _TOO_FAST_S:
             return "sinking too fast"
-        due_s = self._contact_due_s if self._level_due_s is None else self._level_due_s
+        due_s = self._contact_due_s if self._level_from_s is None else self._level_due_s or now_s
         lean_m_s2 = self.lean.at_m_s2(max(0.0, due_s - now_s))
         if lean_m_s2 > _TOO_MUCH_LEAN * self._tolerance.most_lean_m_s2(now_s):
             return "too much lean at contact"

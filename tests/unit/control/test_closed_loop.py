@@ -176,4 +176,4 @@ def test_leaning_over_and_back_neither_sinks_nor_climbs() -> None:
 
 
 def _kicked(time_s: float) -> tuple[Vector3, Vector3, Vector3]:
-    return (0.0 if time_s < 3.0 else 1.8, 0.0, -3.0), ZERO3, ZERO3
+    return (0.0 if time_s < 3.0 else 2.0, 0.0, -3.0), ZERO3, ZERO3
