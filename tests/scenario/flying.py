@@ -118,13 +118,6 @@ def figures(flight: Flown) -> dict[str, Any]:
     return result
 
 
-def load_on_a_core() -> float:
-    """Processes that want a core of this machine, for each core; workers that give way to real time aside."""
-    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    giving_way = workers - 1 if workers > 2 else 0  # tests/conftest.py
-    return (os.getloadavg()[0] - giving_way) / (os.cpu_count() or 1)
-
-
 def environment() -> dict[str, str]:
     """The environment of a user whose terminal is wide."""
     return {**os.environ, "COLUMNS": "200", "OPENBLAS_NUM_THREADS": "1"}

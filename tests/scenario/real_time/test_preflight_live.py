@@ -15,7 +15,7 @@ import yaml
 
 from companion.cli import main
 from companion.config import merge
-from tests.scenario.commands.hand_held import PATIENCE_S, ROOT, held
+from tests.scenario.real_time.hand_held import PATIENCE_S, ROOT, held
 
 Findings = dict[tuple[str, str], dict[str, str]]
 
