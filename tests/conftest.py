@@ -12,10 +12,13 @@ from __future__ import annotations
 import gc
 import hashlib
 import os
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import pytest
 from xdist.scheduler import LoadScopeScheduling
+
+if TYPE_CHECKING:
+    from tests.scenario.flying import SharedFlights
 
 for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
     os.environ.setdefault(_library, "1")
@@ -95,6 +98,17 @@ def pytest_collection_finish() -> None:
     """A full garbage collection walks every object: those of imports and of the tests stay anyway."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(scope="session")
+def shared_flights(tmp_path_factory: pytest.TempPathFactory) -> SharedFlights:
+    """Flights that this run's workers have in common."""
+    from tests.scenario.flying import SharedFlights  # which imports numpy: after what is set above
+
+    folder = tmp_path_factory.getbasetemp()
+    shared = (folder.parent if WORKERS > 1 else folder) / "flights"
+    shared.mkdir(exist_ok=True)
+    return SharedFlights(shared)
 
 
 @pytest.fixture(autouse=True)
