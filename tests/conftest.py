@@ -65,7 +65,7 @@ def took_s(file: str) -> float:
     return SLOW_S.get(file, FLIGHTS_S if file.startswith("scenario/flights/") else 0.0)
 
 
-class ByFile(LoadScopeScheduling):
+class ByFile(LoadScopeScheduling):  # type: ignore[misc]
     """Gives whole files to workers, and all that is in real time to one."""
 
     def _split_scope(self, nodeid: str) -> str:

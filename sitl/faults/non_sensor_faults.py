@@ -117,7 +117,7 @@ class AutopilotPositionLost(FaultTimes):
 
 
 class Battery(FaultTimes):
-    """The battery's remaining charge, as told in SYS_STATUS and BATTERY_STATUS."""
+    """The battery's remaining charge, as reported in SYS_STATUS and BATTERY_STATUS."""
 
     kind: Literal["battery"]
     remaining_percent: int = Field(default=15, ge=-1, le=100)  # -1: the autopilot does not know

@@ -96,7 +96,7 @@ class Wizard:
         self._imu_is_level = True
         self._away_from: StandstillMeans | None = None
         self._rests: list[StandstillMeans] = []  # apart from one another, for the gyroscope's zero
-        self._started_s = self._missing_told_s = self._asked_s = self._reminded_s = now_s
+        self._started_s = self._missing_reported_s = self._asked_s = self._reminded_s = now_s
         self._ask(START_ORDER, now_s)
 
     @property
@@ -272,8 +272,8 @@ class Wizard:
         if self.finished:
             return
         missing = missing_part(samples, now_s)
-        if missing is not None and now_s - max(self._missing_told_s, self._started_s) >= UNSEEN_S:
-            self._missing_told_s = now_s
+        if missing is not None and now_s - max(self._missing_reported_s, self._started_s) >= UNSEEN_S:
+            self._missing_reported_s = now_s
             self._say(missing, "note")
         if now_s - self._asked_s >= STEP_TIMEOUT_S:
             self._give_up(missing or "no such move was seen", now_s)

@@ -212,13 +212,13 @@ def parameter_names(autopilot_kind: AutopilotKind) -> tuple[str, ...]:
 def judge_parameters(
     autopilot_kind: AutopilotKind, values: Mapping[str, float | None], wanted: Wanted
 ) -> list[Finding]:
-    """A finding each; None is a parameter that the autopilot did not tell."""
+    """A finding each; None is a parameter that the autopilot did not report."""
     return [_finding(name, values.get(name), judge, wanted) for name, judge in JUDGES[autopilot_kind].items()]
 
 
 def _finding(name: str, value: float | None, judge: _Judge, wanted: Wanted) -> Finding:
     if value is None:
-        return _GROUP.skip(name, "the autopilot does not tell it: another version's name, or a slow link")
+        return _GROUP.skip(name, "the autopilot does not report it: another version's name, or a slow link")
     verdict = judge(value, wanted)
     if verdict is None:
         return _GROUP.ok(name, f"{value:g}")

@@ -66,7 +66,7 @@ def test_it_lands_and_every_sensor_was_heard(tmp_path: Path, wiring: str) -> Non
         assert log.counts[kind] > 0.7 * rate_hz * duration_s, kind
 
 
-def test_a_wiring_that_the_settings_contradict_is_told_before_the_flight(tmp_path: Path) -> None:
+def test_a_wiring_that_the_settings_contradict_is_reported_before_the_flight(tmp_path: Path) -> None:
     sensors = {"imu_interface": "spi"}
     with pytest.raises(ConfigError, match="expected master on SPI"):
         fly_static(tmp_path, sensors, {"imu": {"mag_path": "bypass"}})

@@ -56,7 +56,7 @@ def test_what_the_programs_answer_counts(
     assert found(monkeypatch, tmp_path, answers)[name].state is state
 
 
-def test_a_clock_before_the_installation_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_clock_before_the_installation_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     clock = found(monkeypatch, tmp_path, now=datetime(1970, 1, 1, tzinfo=UTC))["clock"]
     assert (clock.state, clock.detail) == (
         State.WARNING,

@@ -74,7 +74,7 @@ def test_fresh_calibrations_are_well(tmp_path: Path) -> None:
         ({"mount": "yesterday"}, NOW, "inertial", "without a date"),
     ],
 )
-def test_what_is_not_fresh_is_told(
+def test_what_is_not_fresh_is_reported(
     dates: dict[str, Any], now: datetime, name: str, words: str, tmp_path: Path
 ) -> None:
     finding = found(written(tmp_path, **dates), now)[f"calibration {name}"]
@@ -83,7 +83,7 @@ def test_what_is_not_fresh_is_told(
     assert "calibrate-" in finding.hint or "clock" in finding.hint
 
 
-def test_a_camera_calibrated_on_another_device_is_told(tmp_path: Path) -> None:
+def test_a_camera_calibrated_on_another_device_is_reported(tmp_path: Path) -> None:
     config = written(tmp_path, settings={"sense": {"vision": {"source": "picamera2:0"}}})
     assert "sense.vision.source is picamera2:0" in found(config)["calibration camera"].detail
 

@@ -114,7 +114,7 @@ def test_missing_frames_and_stray_bytes_are_counted() -> None:
     assert frames == 298
 
 
-def test_a_line_that_loses_frames_is_told() -> None:
+def test_a_line_that_loses_frames_is_reported() -> None:
     line = FrameCounter()
     line.feed(b"".join(FRAMES[:10] + FRAMES[30:60]))
     assert found(replace(WELL, line=line)) == {"losses": State.WARNING}
