@@ -47,8 +47,8 @@ class Tracking:
 class Gains:
     """What of the answer depends on neither reference nor drift, for i = 0..N-1.
 
-    K_i (N, m, n) of eq. 40, P_{i+1} (N, n, n) of eq. 41, P_{i+1} B_i (N, n, m), and (R + B'PB)⁻¹ B' (N, m, n),
-    which makes the feed-forward of g.
+    K_i (N, m, n) of eq. 40, P_{i+1} (N, n, n) of eq. 41, P_{i+1} B_i (N, n, m), and (R + B'PB)⁻¹ B'
+    (N, m, n), which makes the feed-forward of g.
     """
 
     K: FloatArray

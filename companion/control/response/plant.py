@@ -15,12 +15,13 @@ from companion.base.motion import Motion
 from companion.config import ControlConfig, VehicleConfig
 from companion.control.disturbance_observer import LastingObserver, ThrustScale, WindObserver
 from companion.control.response.fitting import loop_rad_s
-from companion.control.response.flight_model import velocity_gains
+from companion.control.response.flight_model import flown_kind, velocity_gains
 from companion.control.response.history import CommandHistory, SentCommand
 
 # how fast what no wind explains is trusted, as a share of the loop's own frequency: see `margins`
 LASTING_SHARE: Final = 0.25
-LASTING_DOWN_SHARE: Final = 0.3
+# along down that is all there is to meet the air under the rotors; the autopilot's own velocity loop damps it
+LASTING_DOWN_SHARE: Final = {"velocity": 0.25, "acceleration": 1.5, "attitude": 0.3}
 
 
 class Plant:
@@ -43,8 +44,8 @@ class Plant:
         self._history = CommandHistory(config.command_delay_s)
         sensor_lag_s, most = config.acceleration_estimate_lag_s, config.maximum_disturbance_m_s2
         sideways = LASTING_SHARE * loop_rad_s(config.horizontal)
-        share = LASTING_DOWN_SHARE if self._by_attitude else LASTING_SHARE
-        bandwidths = (sideways, sideways, share * loop_rad_s(config.vertical))
+        down = LASTING_DOWN_SHARE[flown_kind(config)] * loop_rad_s(config.vertical)
+        bandwidths = (sideways, sideways, down)
         self._lasting = LastingObserver(lags_s, sensor_lag_s, most, bandwidths)
         self._wind = WindObserver(sensor_lag_s, most)
         self._thrust_scale = ThrustScale()
