@@ -116,7 +116,7 @@ class AutopilotPositionLost(FaultTimes):
     kind: Literal["autopilot_position_lost"]
 
 
-class Battery(FaultTimes):
+class BatteryCharge(FaultTimes):
     """The battery's remaining charge, as reported in SYS_STATUS and BATTERY_STATUS."""
 
     kind: Literal["battery"]
@@ -177,7 +177,7 @@ NonSensorFault = (
     | PilotMode
     | AutopilotReboots
     | AutopilotPositionLost
-    | Battery
+    | BatteryCharge
     | ImuNan
     | SolverInfeasible
     | SolverLate

@@ -22,7 +22,7 @@ from companion.link.autopilot_setup import (
     STICK_ACTIONS,
 )
 from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST
-from companion.tools.preflight.findings import Finding, FindingGroup, State
+from companion.tools.preflight.findings import Finding, FindingGroup, FindingState
 
 GROUP: Final = "autopilot's parameters"
 _GROUP: Final = FindingGroup(GROUP)
@@ -63,16 +63,16 @@ class Wanted:
 
 
 # (state, what was expected and why it matters); None: all is well
-Verdict = tuple[State, str] | None
+Verdict = tuple[FindingState, str] | None
 _Judge = Callable[[float, Wanted], Verdict]
 
 
 def _fail(text: str) -> Verdict:
-    return State.FAIL, text
+    return FindingState.FAIL, text
 
 
 def _warn(text: str) -> Verdict:
-    return State.WARNING, text
+    return FindingState.WARNING, text
 
 
 def _timeout(value: float, _: Wanted) -> Verdict:
