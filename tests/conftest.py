@@ -30,28 +30,34 @@ COMPUTES_AT: Final = os.nice(0) + 5
 REAL_TIME: Final = "scenario/real_time/"
 # of a file of flights that is not listed: a new one shall not be left to the end
 FLIGHTS_S: Final = 40.0
-# rough seconds of a file; a new file of some ten seconds belongs here too
+# rough seconds of a core; a new file of some ten seconds belongs here too
 SLOW_S: Final = {
-    "scenario/flights/test_landings.py": 200,
-    "scenario/flights/test_autopilot_sensors.py": 95,
-    "scenario/flights/test_standby.py": 100,
-    "scenario/flights/test_link_first.py": 90,
-    "scenario/flights/test_no_landing.py": 40,
-    "scenario/commands/test_campaign.py": 60,
-    "unit/tools/pad_check/test_pad_check.py": 30,
-    "unit/tools/pad_check/test_pad_check_samples.py": 30,
-    "unit/test_docs.py": 100,
+    "scenario/flights/test_landings.py": 150,
+    "scenario/flights/test_standby.py": 90,
+    "unit/test_docs.py": 90,
+    "scenario/flights/test_autopilot_sensors.py": 80,
     "architecture/test_types.py": 60,
-    "scenario/commands/test_records.py": 47,
-    "unit/estimate/test_estimate_flight.py": 46,
-    "unit/control/response/test_margins.py": 40,
-    "scenario/flights/test_wirings.py": 39,
-    "scenario/flights/test_faults.py": 37,
-    "unit/control/test_closed_loop.py": 30,
+    "scenario/commands/test_campaign.py": 50,
+    "unit/control/response/test_margins.py": 41,
+    "scenario/flights/test_link_first.py": 35,
+    "scenario/commands/test_records.py": 35,
+    "scenario/flights/test_faults.py": 32,
     "scenario/flights/test_firmware_flights.py": 27,
-    "scenario/commands/test_streams.py": 20,
+    "unit/control/test_closed_loop.py": 24,
+    "scenario/flights/test_no_landing.py": 20,
+    "scenario/flights/test_wirings.py": 20,
+    "unit/estimate/test_estimate_flight.py": 17,
+    "scenario/flights/test_fault_phases.py": 16,
+    "unit/bench/test_bench_mutants.py": 16,
+    "scenario/commands/test_streams.py": 15,
+    "unit/tools/pad_check/test_pad_check_samples.py": 15,
+    "unit/tools/pad_check/test_pad_check.py": 14,
+    "unit/flightlog/replay/test_replay_command.py": 14,
     "unit/control/mpc/test_mpc.py": 13,
-    "unit/control/test_calm.py": 13,
+    "unit/base/test_service_packages.py": 12,
+    "unit/bench/test_bench_mutations.py": 12,
+    "unit/calibration/mount/test_mount_command.py": 12,
+    "unit/bench/test_bench_faults_runs.py": 11,
 }
 
 
