@@ -208,9 +208,9 @@ class ExternalSimulation:
         height_m, tilt_rad = OUT_OF_RANGE_M if distance is None else distance, tilt_from_quat(pose.attitude)
         self._ultrasonic.receive(port.receive())
         port.send(self._ultrasonic.step(now_s, height_m, tilt_rad))
-        told = self._rangefinder.due(now_s, height_m, tilt_rad)
-        if told is not None:
-            data = self.client.encode(told)
+        range_message = self._rangefinder.due(now_s, height_m, tilt_rad)
+        if range_message is not None:
+            data = self.client.encode(range_message)
             self._connections.link.write(data)
             self._connections.relay.write(data)
 

@@ -113,8 +113,8 @@ class TouchdownSequence:
         It goes level shortly before the contact is due, whatever the pad and the wind do meanwhile, and not
         for long: what the level vehicle cannot follow becomes speed over the pad. A contact that comes late
         is waited for while that speed is no more than one may start down with; and so low that a lean would
-        put a foot on the pad, longer. The controller is not told before: it would lean further until then, to
-        be ahead of the pad, and a contact that comes a tenth of a second early meets that lean.
+        put a foot on the pad, longer. The controller does not know it before: it would lean further until
+        then, to be ahead of the pad, and a contact that comes a tenth of a second early meets that lean.
         """
         from_s = self._level_from_s
         if self._level_due_s is None or from_s is None:

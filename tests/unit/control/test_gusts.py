@@ -45,7 +45,7 @@ def test_a_push_beyond_the_lean_is_found_within_a_fifth_of_a_second(heading_deg:
     assert feel(wind, lean, (1.8, -1.4, 0.0), 0.2) == pytest.approx((1.0, -1.0, 0.0), abs=0.15)
 
 
-def test_a_wind_that_lasts_is_told_all_the_time() -> None:
+def test_a_wind_that_lasts_is_reported_all_the_time() -> None:
     lean = attitude_from_acceleration((2.0, 0.0, 0.0), 0.3)
     assert feel(WindObserver(SENSOR_LAG_S, 5.0), lean, (0.0, 0.0, 0.0), 30.0) == pytest.approx(
         (-2.0, 0.0, 0.0)

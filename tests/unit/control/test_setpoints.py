@@ -158,7 +158,7 @@ def test_an_upset_vehicle_is_not_thrown_up_and_no_number_counts_for_nothing() ->
     assert math.isfinite(tilt_compensation((math.nan, 0.0, 0.0), ZERO3, 0.5))
 
 
-def test_what_was_boosted_can_be_told_without_it() -> None:
+def test_what_was_boosted_can_be_given_without_it() -> None:
     setpoint = Setpoint(0.0, acceleration_ned_m_s2=(1.0, 2.0, 0.3), thrust=0.5)
     more = boosted(setpoint, 1.1)
     assert more.thrust == pytest.approx(0.55)

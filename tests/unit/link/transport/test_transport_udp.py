@@ -144,7 +144,7 @@ async def test_a_caller_survives_that_nobody_listens_yet() -> None:
         listener.close()
 
 
-async def test_a_port_in_use_is_told_in_one_line() -> None:
+async def test_a_port_in_use_is_reported_in_one_line() -> None:
     port = free_port()
     first = await open_transport(f"udpin:127.0.0.1:{port}")
     try:

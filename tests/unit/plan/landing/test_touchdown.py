@@ -188,7 +188,7 @@ def levelling(lean_m_s2: float) -> Attempt:
     return touchdown
 
 
-def test_it_levels_off_shortly_before_the_contact_and_is_not_told_to_earlier() -> None:
+def test_it_levels_off_shortly_before_the_contact_and_not_earlier() -> None:
     touchdown = levelling(0.0)
     sink_m_s, level = CONFIG.contact_speed_m_s, None
     due_s = 1.0 + (0.3 - 0.02) / sink_m_s  # low on one side
