@@ -54,6 +54,10 @@ def test_a_good_link_is_well() -> None:
         (replace(WELL, state=replace(STATE, connected=False)), {"heartbeat": State.FAIL}),
         (replace(WELL, state=replace(STATE, armed=True)), {"disarmed": State.FAIL}),
         (replace(WELL, state=replace(STATE, ready_to_arm=False)), {"ready to arm": State.WARNING}),
+        (
+            replace(WELL, state=replace(STATE, ready_to_arm=False, mode="OFFBOARD", offboard=True)),
+            {"ready to arm": State.WARNING},
+        ),
         (replace(WELL, state=replace(STATE, ekf_ready=False)), {"ready to arm": State.WARNING}),
         (replace(WELL, state=replace(STATE, battery_share=0.2)), {"battery": State.FAIL}),
         (replace(WELL, state=replace(STATE, battery_share=None)), {"battery": State.NOT_CHECKED}),
