@@ -21,7 +21,7 @@ from companion.control.response.history import CommandHistory, SentCommand
 # how fast what no wind explains is trusted, as a share of the loop's own frequency: see `margins`
 LASTING_SHARE: Final = 0.25
 # along down that is all there is to meet the air under the rotors; the autopilot's own velocity loop damps it
-LASTING_DOWN_SHARE: Final = {"velocity": 0.25, "acceleration": 1.0, "attitude": 0.3}
+LASTING_DOWN_SHARE: Final = {"velocity": 0.25, "acceleration": 1.5, "attitude": 0.3}
 
 
 class Plant:
