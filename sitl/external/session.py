@@ -74,6 +74,7 @@ class ExternalSimulation:
         self.client = VehicleClient(tell)
         self.world = ExternalWorld(scenario, seed)
         self.ready = asyncio.Event()
+        self.place: Vector3 | None = None  # of the world's origin (deg, deg, m AMSL), once it is known
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
         *rngs, rangefinder_rng = np.random.default_rng((seed, STREAM)).spawn(7)
         streams = iter(rngs)
@@ -172,6 +173,7 @@ class ExternalSimulation:
             ground = self.client.home
             self._tell("WARNING: the vehicle is armed already; the ground is taken to be at its home")
         self.world.begin(ground)
+        self.place = ground
         self._origin_source = self.client.source
         self._station = GroundStation.of(self._beacon, self._station_rng, ground)
         self._tell(

@@ -178,4 +178,4 @@ def test_a_wind_that_takes_more_than_the_bounds_allow_is_leant_against_all_the_s
         aside = _round((k + 1) * period_s).position_m[0] - motion.position_m
         farthest_m = max(farthest_m, float(np.linalg.norm(aside)))
     assert cut > 0
-    assert farthest_m < 0.6
+    assert farthest_m < CONFIG.horizontal_reach_m

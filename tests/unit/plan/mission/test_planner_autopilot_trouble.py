@@ -78,6 +78,12 @@ def test_an_autopilot_that_is_not_ready_is_not_asked_and_what_is_missing_is_repo
     assert len(flight.told("waiting")) <= 10
 
 
+def test_a_px4_left_in_offboard_by_the_last_landing_is_named_as_the_reason() -> None:
+    w = world()
+    w.autopilot.ready_from_s, w.autopilot.mode = 1e9, "OFFBOARD"
+    assert "in OFFBOARD PX4 is not, without setpoints" in w.fly(60.0).told("waiting")[-1]
+
+
 def test_a_refused_waypoint_does_not_end_the_mission() -> None:
     w = world(still(2.0, 1.0))
     w.autopilot.refuse = {ActionKind.GO_TO: 99}

@@ -54,6 +54,10 @@ def test_a_good_link_is_well() -> None:
         (replace(WELL, state=replace(STATE, connected=False)), {"heartbeat": FindingState.FAIL}),
         (replace(WELL, state=replace(STATE, armed=True)), {"disarmed": FindingState.FAIL}),
         (replace(WELL, state=replace(STATE, ready_to_arm=False)), {"ready to arm": FindingState.WARNING}),
+        (
+            replace(WELL, state=replace(STATE, ready_to_arm=False, mode="OFFBOARD", offboard=True)),
+            {"ready to arm": FindingState.WARNING},
+        ),
         (replace(WELL, state=replace(STATE, ekf_ready=False)), {"ready to arm": FindingState.WARNING}),
         (replace(WELL, state=replace(STATE, battery_share=0.2)), {"battery": FindingState.FAIL}),
         (replace(WELL, state=replace(STATE, battery_share=None)), {"battery": FindingState.NOT_CHECKED}),
