@@ -137,7 +137,8 @@ def test_what_turns_gets_as_far_as_its_arc() -> None:
     assert moved_m((3.0, 4.0, 9.0), 0.0, 2.0) == (6.0, 8.0)
     # a quarter of a circle of 2 m to the right of north
     north, east = moved_m((1.0, 0.0, 0.0), 0.5, math.pi)
-    assert (north, east) == (pytest.approx(2.0), pytest.approx(2.0))
+    assert north == pytest.approx(2.0)
+    assert east == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize(
