@@ -141,7 +141,7 @@ class TouchdownSequence:
             and (tolerance.impatience(now_s) >= 1.0 or gentle(sight, c))
             and level_at(sight, self._sinks_for_s(), tolerance.most_lean_rad(now_s))
             and self.lean.at_m_s2(self._sinks_for_s()) <= tolerance.most_lean_m_s2(now_s)
-            and self._generator.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self._way_down_s())
+            and self._generator.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self.way_down_s())
         )
         if waited_s >= c.giving_up_s:
             return (
@@ -152,7 +152,7 @@ class TouchdownSequence:
             return MissionEvent.COMMIT, "committed to land: sinking"
         return None
 
-    def _way_down_s(self) -> float:
+    def way_down_s(self) -> float:
         """How long from here until the feet stand and the motors are off."""
         return self._config.settled_s + self._sinks_for_s() + self._config.land_after_s
 

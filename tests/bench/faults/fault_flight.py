@@ -31,7 +31,7 @@ from tests.bench.faults.cases import CASES, Run, faultless, scenario_of
 from tests.bench.faults.computer import applied
 from tests.bench.faults.forks import Forks
 from tests.bench.faults.judge import HOLD_MODES, Bounds, Verdict, judge
-from tests.bench.faults.witness import FlightRecord, Witness
+from tests.bench.faults.witness import Commanded, FlightRecord, Witness
 
 HELD_S: Final = 4.0
 AFTERMATH_S: Final = 60.0
@@ -159,6 +159,11 @@ async def _fly(
     finally:
         await _cancel(world)
     record = witness.record
+    record.commanded = [
+        Commanded(plan.time_s, plan.reference.origin, float(plan.reference.position_m[0, 2]))
+        for plan in log.kept["plan"]
+        if plan.reference is not None
+    ]
     record.fault_began = simulation.faults.all_begun
     record.texts = list(simulation.app_words.texts)
     record.crashed, record.at_rest_on_pad = simulation.world.crashed, simulation.world.at_rest_on_pad
