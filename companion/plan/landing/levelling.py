@@ -4,7 +4,8 @@ It goes level shortly before the contact is due, whatever the pad and the wind d
 long: what the level vehicle cannot follow becomes speed over the pad. A contact that comes late is waited for
 while that speed is no more than one may start down with; and so low that a lean would put a foot on the pad,
 longer. The controller does not know of it before: it would lean further until then, to be ahead of the pad,
-and a contact that comes a tenth of a second early meets that lean. NED, SI units.
+and a contact that comes a tenth of a second early meets that lean. For as long a gust is not met by more than
+a little beyond the lean that pad and wind have needed so far. NED, SI units.
 """
 
 from __future__ import annotations
@@ -28,6 +29,9 @@ AFTER_S: Final = 0.11
 FOOT_DROP_M: Final = 0.02  # of the foot that hangs lower, about level
 # Near the pad the air carries, and the sink slows below what is planned; below this share of it not for long.
 SLOWEST_SINK: Final = 0.5
+# So long before the contact the lean is bounded by what has been needed, and so much.
+STEADY_S: Final = 0.7
+BEYOND_M_S2: Final = 0.6
 # Of the speed over the pad that one may start down with; what is gentle on the feet is a bit more.
 FASTEST_DRIFT: Final = 2.0
 
@@ -47,6 +51,7 @@ class Levelling:
         self._from_s: float | None = None
         self._lead_s = self._needed_m_s2 = 0.0
         self._too_low_s = -math.inf
+        self._steady: LevelOff | None = None
 
     @property
     def begun(self) -> bool:
@@ -54,9 +59,9 @@ class Levelling:
         return self._from_s is not None
 
     def window(self) -> LevelOff | None:
-        """That the vehicle may lean no further than it may at contact; None until the contact is near."""
+        """Until when the vehicle may lean how far at most; None until the contact is near."""
         if self._from_s is None:
-            return None
+            return self._steady
         late_s = max(0.0, self.due_s - self._lead_s - self._from_s)
         excess_m_s2 = self._needed_m_s2 - self._level_m_s2
         if excess_m_s2 > 0.0:
@@ -78,6 +83,10 @@ class Levelling:
         lead_s = self._levelling_s(lean.tilt_rad)
         if not self.begun and now_s >= self.due_s - lead_s:
             self._from_s, self._lead_s, self._needed_m_s2 = now_s, lead_s, lean.at_m_s2(0.0)
+        self._steady = None
+        if now_s >= self.due_s - STEADY_S:
+            most_m_s2 = max(self._level_m_s2, lean.at_m_s2(0.0) + BEYOND_M_S2)
+            self._steady = LevelOff(now_s, now_s + STEADY_S, math.atan(most_m_s2 / GRAVITY_M_S2))
         # no lean that would put a foot on the pad, unless the level vehicle drifts so fast that this is worse
         slow = sight.lateral_speed_m_s <= FASTEST_DRIFT * self._config.lateral_speed_m_s
         hangs_m = self._vehicle.foot_reach_m * math.sin(math.atan(self._needed_m_s2 / GRAVITY_M_S2))

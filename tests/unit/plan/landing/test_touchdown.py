@@ -200,8 +200,8 @@ def test_it_levels_off_shortly_before_the_contact_and_not_earlier() -> None:
         down = sight(height=height_m, velocity=(0.0, 0.0, sink_m_s))
         touchdown.step(down, None, LandedState.IN_AIR, now_s)
         level = touchdown.level_off()
-        assert (level is not None) == (now_s >= due_s - LEAD_S)
-        if level is not None:
+        assert touchdown.levels_off == (now_s >= due_s - LEAD_S)
+        if touchdown.levels_off:
             break
     assert level is not None
     assert level.from_s == pytest.approx(due_s - LEAD_S, abs=CYCLE_S)
@@ -221,8 +221,8 @@ def test_a_pad_out_of_view_in_the_last_second_is_met_level_when_it_was_due(unsee
         down = sight(height=LEG_M + over_m, velocity=(0.0, 0.0, sink_m_s), age=now_s - seen_s)
         assert touchdown.step(down, None, LandedState.IN_AIR, now_s) is None
         level = touchdown.level_off()
-        assert (level is not None) == (now_s >= due_s - LEAD_S)
-        if level is not None:
+        assert touchdown.levels_off == (now_s >= due_s - LEAD_S)
+        if touchdown.levels_off and level is not None:
             assert level.from_s <= now_s
             assert level.until_s >= due_s + 0.1
             return
@@ -243,7 +243,20 @@ def test_leaning_far_it_begins_to_level_off_sooner(lean_deg: float, lead_s: floa
         touchdown.note_lean(quat_from_euler(math.radians(lean_deg), 0.0, 0.0), 1.0)
         near = sight(height=LEG_M + over_m, velocity=(0.0, 0.0, 0.2))
         touchdown.step(near, None, LandedState.IN_AIR, 1.0)
-        assert (touchdown.level_off() is not None) == levels
+        assert touchdown.levels_off == levels
+
+
+@pytest.mark.parametrize("needed_m_s2", [0.0, 1.0, 2.0])
+def test_shortly_before_it_levels_off_a_gust_is_met_by_a_little_more_lean_at_most(needed_m_s2: float) -> None:
+    level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
+    for over_m, near in ((0.25, False), (0.14, True)):
+        touchdown = levelling(needed_m_s2)
+        touchdown.step(sight(height=LEG_M + over_m), None, LandedState.IN_AIR, 1.0)
+        assert not touchdown.levels_off
+        bound = touchdown.level_off()
+        assert (bound is not None) == near
+    assert bound is not None
+    assert GRAVITY_M_S2 * math.tan(bound.tilt_rad) == pytest.approx(max(level_m_s2, needed_m_s2 + 0.6))
 
 
 @pytest.mark.parametrize(("excess_m_s2", "longer_s"), [(0.0, 0.95), (0.5, 0.24), (0.8, 0.15)])
