@@ -1,4 +1,4 @@
-"""What people are told: each notice goes into the log and on to whoever listens, and is kept for a while."""
+"""Notices to people: each goes into the log and on to whoever listens, and is kept for a while."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Announcer:
     def __init__(self, clock: Clock, log: FlightLog, deliver: Callable[[Notice], None]) -> None:
         self._clock, self._log, self._deliver = clock, log, deliver
         self._new: list[Notice] = []
-        self._log_problem_told = False
-        self._told_once: set[str] = set()
+        self._log_problem_reported = False
+        self._notified_once: set[str] = set()
         self.recent: deque[Notice] = deque(maxlen=KEPT)
 
     def notify(self, kind: str, text: str, severity: Severity) -> None:
@@ -30,8 +30,8 @@ class Announcer:
 
     def notify_once(self, kind: str, text: str, severity: Severity) -> None:
         """Tell something that holds on; what was told before goes into the log alone: each flight has it."""
-        if text not in self._told_once:
-            self._told_once.add(text)
+        if text not in self._notified_once:
+            self._notified_once.add(text)
             self.notify(kind, text, severity)
         else:
             now_s = self._clock.now_s()
@@ -52,6 +52,6 @@ class Announcer:
     def watch_log(self) -> None:
         """Tell once that the log on disk has a gap or has ended; the flight goes on."""
         problem = self._log.problem
-        told, self._log_problem_told = self._log_problem_told, problem is not None
-        if problem is not None and not told:
+        reported, self._log_problem_reported = self._log_problem_reported, problem is not None
+        if problem is not None and not reported:
             self.notify("record", problem, "warning")

@@ -142,7 +142,7 @@ class TouchdownConfig(StrictModel):
     escape_lateral_m: float = Field(default=0.18, gt=0.0, le=1.0)
     contact_margin_m: float = Field(default=0.02, gt=0.0, le=0.2)
     contact_s: float = Field(default=0.15, ge=0.0, le=1.0)
-    land_after_s: float = Field(default=2.0, ge=0.5, le=30.0)
+    land_after_s: float = Field(default=1.0, ge=0.5, le=30.0)  # motors on meanwhile
 
     @property
     def giving_up_s(self) -> float:

@@ -97,6 +97,11 @@ class PhaseSteering:
         """Whether the feet stand on the pad."""
         return self._machine.state in ON_PAD
 
+    @property
+    def way_down_s(self) -> float:
+        """How long (s) the last way down takes, until the motors are off."""
+        return self._touchdown.way_down_s()
+
     def steer(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Steer the reference for this cycle; returns what is detected."""
         self.refused = None

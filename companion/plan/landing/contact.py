@@ -28,6 +28,9 @@ _AWAY_S = 0.3
 # Without thrust it falls at g; a third of that is no deck's motion.
 _FALLS_M_S2 = GRAVITY_M_S2 / 3.0
 _FALLS_S = 0.15  # a bump of the pad is over sooner; a fall is 11 cm by then
+# Where nothing shows the feet down, for so long and so long after the contact: no landing is proven.
+_UNSHOWN_S = 2.0
+_UNSHOWN_AFTER_S = 4.0
 # Leaning more than this it is not about to stand, whatever is near.
 _MOST_FOOT_LEAN_RAD = math.radians(15.0)
 
@@ -111,13 +114,12 @@ class Standing:
         agrees = inputs.autopilot.landed is LandedState.ON_GROUND
         down = self._shown_down(sight, inputs.range, now_s)
         rested_s = self._rested_s(inputs.vehicle, now_s, down=down)
-        after_s = self._config.land_after_s
         if agrees:
             return MissionEvent.LANDING_DETECTED, "the autopilot reports landed"
-        if rested_s >= after_s:
+        if rested_s >= self._config.land_after_s:
             return MissionEvent.AT_REST, f"for {rested_s:.1f} s on the pad"
         unshown_s = self._unshown.held_s(not down, now_s)
-        if unshown_s >= after_s and now_s - self._since_s >= 2.0 * after_s:
+        if unshown_s >= _UNSHOWN_S and now_s - self._since_s >= _UNSHOWN_AFTER_S:
             return MissionEvent.UNPROVEN, f"nothing shows the feet down for {unshown_s:.1f} s"
         return None
 

@@ -39,6 +39,8 @@ _FOOT_DROP_M = 0.02
 # Near the pad the air carries, and the sink slows below what is planned; below this share of it not for long.
 _SLOWEST_SINK = 0.5
 _TOO_MUCH_LEAN = 1.3
+# Of the speed over the pad that one may start down with; what is gentle on the feet is a bit more.
+_FASTEST_DRIFT = 2.0
 # Echoes so much deeper than the unseen pad's estimate, for so long: the pad is not below any more.
 _DEEPER_M = 0.25
 _DEEPER_S = 0.15
@@ -71,7 +73,8 @@ class TouchdownSequence:
         self.lean = LeanForecast()
         self._level_due_s: float | None = None
         self._level_from_s: float | None = None
-        self._level_excess_m_s2 = 0.0
+        self._needed_m_s2 = 0.0
+        self._too_low_s = -math.inf
 
     def enter(self, state: State, now_s: float) -> None:
         """Begin with one of the states within a try."""
@@ -82,7 +85,7 @@ class TouchdownSequence:
         elif state is State.SET_DOWN:
             self._generator.sink(self._config.contact_speed_m_s, self._config.blend_s, now_s)
             self._level_due_s = self._level_from_s = now_s
-            self._level_excess_m_s2 = 0.0
+            self._needed_m_s2 = 0.0
         elif state is State.STAND:
             self._standing.begin(now_s)
             self._stay_down(now_s)
@@ -109,18 +112,20 @@ class TouchdownSequence:
 
         It goes level shortly before the contact is due, whatever the pad and the wind do meanwhile, and not
         for long: what the level vehicle cannot follow becomes speed over the pad. A contact that comes late
-        is waited for while that speed is no more than one may start down with. The controller is not told
-        before: it would lean further until then, to be ahead of the pad, and a contact that comes a tenth of
-        a second early meets that lean.
+        is waited for while that speed is no more than one may start down with; and so low that a lean would
+        put a foot on the pad, longer. The controller does not know it before: it would lean further until
+        then, to be ahead of the pad, and a contact that comes a tenth of a second early meets that lean.
         """
         from_s = self._level_from_s
         if self._level_due_s is None or from_s is None:
             return None
         tilt_rad = math.radians(self._config.contact_tilt_deg)
         late_s = max(0.0, self._level_due_s - _LEVEL_BEFORE_S - from_s)
-        if self._level_excess_m_s2 > 0.0:
-            late_s = min(late_s, self._config.lateral_speed_m_s / self._level_excess_m_s2)
-        return LevelOff(from_s, from_s + _LEVEL_FOR_S + late_s, tilt_rad)
+        excess_m_s2 = self._needed_m_s2 - GRAVITY_M_S2 * math.tan(tilt_rad)
+        if excess_m_s2 > 0.0:
+            late_s = min(late_s, self._config.lateral_speed_m_s / excess_m_s2)
+        until_s = max(from_s + late_s, self._too_low_s) + _LEVEL_FOR_S
+        return LevelOff(from_s, until_s, tilt_rad)
 
     # ------------------------------------------------------------ wait, and rise to where it waits
 
@@ -134,9 +139,9 @@ class TouchdownSequence:
             aligned(sight, self._wait_height_m, tolerance.slack_by_now(now_s), c)
             and not tolerance.aside(sight, now_s)
             and (tolerance.impatience(now_s) >= 1.0 or gentle(sight, c))
-            and level_at(sight, self._contact_in_s(), tolerance.most_lean_rad(now_s))
-            and self.lean.at_m_s2(self._contact_in_s() - c.settled_s) <= tolerance.most_lean_m_s2(now_s)
-            and self._generator.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self._way_down_s())
+            and level_at(sight, self._sinks_for_s(), tolerance.most_lean_rad(now_s))
+            and self.lean.at_m_s2(self._sinks_for_s()) <= tolerance.most_lean_m_s2(now_s)
+            and self._generator.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self.way_down_s())
         )
         if waited_s >= c.giving_up_s:
             return (
@@ -147,15 +152,15 @@ class TouchdownSequence:
             return MissionEvent.COMMIT, "committed to land: sinking"
         return None
 
-    def _way_down_s(self) -> float:
+    def way_down_s(self) -> float:
         """How long from here until the feet stand and the motors are off."""
-        return self._contact_in_s() + self._config.land_after_s
+        return self._config.settled_s + self._sinks_for_s() + self._config.land_after_s
 
-    def _contact_in_s(self) -> float:
-        """How long from here until the feet touch."""
+    def _sinks_for_s(self) -> float:
+        """How long from the commit until the feet touch; the blend covers half of what the speed would."""
         c = self._config
-        sinking_s = (self._wait_height_m - self._vehicle.leg_height_m) / c.contact_speed_m_s
-        return c.settled_s + c.blend_s + sinking_s
+        drop_m = self._wait_height_m - self._vehicle.leg_height_m
+        return max(c.blend_s, 0.5 * c.blend_s + drop_m / c.contact_speed_m_s)
 
     # ------------------------------------------------------------ sink
 
@@ -268,7 +273,7 @@ class TouchdownSequence:
         fast = fresh and sight.sink_m_s > self._config.fastest_contact_m_s
         if self._too_fast.held_s(fast, now_s) >= _TOO_FAST_S:
             return "sinking too fast"
-        due_s = self._contact_due_s if self._level_due_s is None else self._level_due_s
+        due_s = self._contact_due_s if self._level_from_s is None else self._level_due_s or now_s
         lean_m_s2 = self.lean.at_m_s2(max(0.0, due_s - now_s))
         if lean_m_s2 > _TOO_MUCH_LEAN * self._tolerance.most_lean_m_s2(now_s):
             return "too much lean at contact"
@@ -293,8 +298,19 @@ class TouchdownSequence:
         near = hangs_near or (due_s is not None and now_s >= due_s - _LEVEL_BEFORE_S)
         if self._level_from_s is None and near:
             self._level_from_s = now_s
-            level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(self._config.contact_tilt_deg))
-            self._level_excess_m_s2 = max(0.0, self.lean.at_m_s2(0.0) - level_m_s2)
+            self._needed_m_s2 = self.lean.at_m_s2(0.0)
+        if self._level_from_s is not None and self._too_low_to_lean(sight):
+            self._too_low_s = now_s
+
+    def _too_low_to_lean(self, sight: PadState) -> bool:
+        """Whether the lean that the pad and the wind need would put a foot on the pad.
+
+        Not while the level vehicle drifts so fast that the lean is the lesser evil.
+        """
+        hangs_m = self._vehicle.foot_reach_m * math.sin(math.atan(self._needed_m_s2 / GRAVITY_M_S2))
+        over_m = sight.height_m - self._vehicle.leg_height_m
+        slow = sight.lateral_speed_m_s <= _FASTEST_DRIFT * self._config.lateral_speed_m_s
+        return sight.age_s <= FRESH_S and slow and over_m <= hangs_m + self._config.contact_margin_m
 
     def _see_contact_near(self, sight: PadState, now_s: float) -> bool:
         """Take in when the feet will touch; whether the foot that hangs lower would before the lean falls."""
@@ -317,6 +333,7 @@ class TouchdownSequence:
         """Rise at once; waiting goes on from the reference's own state."""
         self._generator.rise(now_s)
         self._level_due_s = self._level_from_s = None
+        self._too_low_s = -math.inf
         self._settled, self._too_fast, self._far_aside = Debounce(), Debounce(), Debounce()
         self._deeper = Debounce()
 

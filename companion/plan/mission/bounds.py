@@ -7,12 +7,14 @@ deceleration a that both autopilots reach in it. m, s; NED.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Iterator
 from typing import Final
 
 from companion.base.geometry import Vector3, ned_from_geodetic
 from companion.base.messages import AutopilotState, PadState, VehicleState
+from companion.base.motion import Motion
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
 from companion.plan.mission.states import DetectedEvent, MissionEvent
@@ -23,12 +25,25 @@ _OBEYED_S: Final = 0.8
 _BRAKES_M_S2: Final = 2.0
 # An estimate passes the bound for a moment when the pad is first seen.
 _TOO_FAST_S: Final = 0.5
+# A slower turn than this is a straight line over the seconds of a landing.
+_STRAIGHT_RAD_S: Final = 0.02
 
 
 def stopping_m(speed_m_s: float) -> float:
     """How far (m) the vehicle still gets at a speed towards a bound; 0 when it flies away from it."""
     speed = max(0.0, speed_m_s)
     return speed * _OBEYED_S + speed * speed / (2.0 * _BRAKES_M_S2)
+
+
+def moved_m(velocity_ned_m_s: Vector3, turn_rate_rad_s: float, duration_s: float) -> tuple[float, float]:
+    """How far (m, north and east) what keeps its speed and its turn gets in a time."""
+    velocity = complex(*velocity_ned_m_s[:2])
+    if abs(turn_rate_rad_s) < _STRAIGHT_RAD_S:
+        way = velocity * duration_s
+    else:
+        turned = cmath.exp(1j * turn_rate_rad_s * duration_s)
+        way = velocity * (turned - 1.0) / (1j * turn_rate_rad_s)
+    return way.real, way.imag
 
 
 class Bounds:
@@ -46,6 +61,22 @@ class Bounds:
         if vehicle is not None and vehicle.origin is not None and autopilot.home is not None:
             yield from self._space(vehicle, self._home_local(autopilot.home, vehicle.origin))
         yield from self._pad(pad, now_s)
+
+    def inside_after(
+        self,
+        duration_s: float,
+        pad: Motion | None,
+        turn_rate_rad_s: float,
+        vehicle: VehicleState | None,
+        autopilot: AutopilotState,
+    ) -> bool:
+        """Whether the pad (EKF's NED) is still inside the fence then, if it drives and turns on as now."""
+        if pad is None or vehicle is None or vehicle.origin is None or autopilot.home is None:
+            return True
+        home = self._home_local(autopilot.home, vehicle.origin)
+        way = moved_m(pad.velocity_m_s, turn_rate_rad_s, duration_s)
+        north, east = (p + w - h for p, w, h in zip(pad.position_m[:2], way, home[:2], strict=True))
+        return math.hypot(north, east) <= self._config.fence_m
 
     def _home_local(self, home: Vector3, origin: Vector3) -> Vector3:
         """Home in the EKF's NED; worked out once for a home and an origin."""

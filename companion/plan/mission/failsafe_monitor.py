@@ -31,7 +31,7 @@ class FailsafeMonitor:
     def __init__(self, config: MissionConfig, machine: StateMachine) -> None:
         self._config, self._machine = config, machine
         self._modes = ModeMonitor(config.take_off_height_m)
-        self._bounds = Bounds(config)
+        self.bounds = Bounds(config)
         self._no_plan = Debounce()
         self._took_off_s: float | None = None
         self._phase_since_s: float | None = None
@@ -97,7 +97,7 @@ class FailsafeMonitor:
         found = [(event, reason) for holds, event, reason in signs if holds]
         found += [*self._late(autopilot, now_s), *self._estimate(inputs.vehicle, now_s)]
         found += [*self._control(inputs.control_failed, now_s), *self._battery(autopilot)]
-        found += [*self._bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s), *self._time(now_s)]
+        found += [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s), *self._time(now_s)]
         if heard:
             found.append((MissionEvent.LINK_UP, "heartbeat again"))
         return tuple(found)

@@ -126,6 +126,7 @@ class Guard(StrEnum):
     LAND_GRANTED = "the autopilot is in LAND"
     UNHEARD = "the autopilot has not been heard for long"
     MAY_FINISH = "the settings let a descent finish"
+    ENDS_INSIDE = "the pad is inside the fence until the landing ends"
 
 
 class Effect(StrEnum):
@@ -151,6 +152,7 @@ class Circumstances:
     heard: bool = True
     airborne: bool = False
     may_finish: bool = False
+    ends_inside: bool = True
 
     def allow(self, guard: Guard) -> bool:
         """Whether a guard holds."""
@@ -166,6 +168,7 @@ class Circumstances:
             Guard.LAND_GRANTED: self.land_granted,
             Guard.UNHEARD: not self.heard,
             Guard.MAY_FINISH: self.may_finish,
+            Guard.ENDS_INSIDE: self.ends_inside,
         }[guard]
 
 

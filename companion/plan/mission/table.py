@@ -142,7 +142,7 @@ ROWS: Final = (
     _row(E.PAD_LOST, OVER_PAD | {S.SINK}, *_NEXT_TRY),
     _row(E.GROUND_NEAR, {S.APPROACH, S.DESCEND} | OVER_PAD, _SEARCH_AGAIN),
     # ---- onto the pad
-    _row(E.COMMIT, OVER_PAD, Branch(S.SINK)),
+    _row(E.COMMIT, OVER_PAD, Branch(S.SINK, guard=Guard.ENDS_INSIDE)),
     _row(E.BREAK_OFF, S.SINK, Branch(S.RISE)),
     _row(E.RISEN, S.RISE, Branch(S.WAIT)),
     _row(E.MISALIGNED, OVER_PAD | {S.SINK}, *_NEXT_TRY),

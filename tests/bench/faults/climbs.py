@@ -1,10 +1,13 @@
 """Climbs by the app's setpoints that no text announced, in the record of a flight.
 
+A climb is a rise of the vehicle, in truth, by 0.7 m that the app commands: its reference has risen as much
+since the lowest, however slowly. One that it does not command counts when it takes less than 10 s.
+
 A climb begins at the last moment before the rise at which the vehicle climbed with less than 0.1 m/s, and
 goes on until it has not risen for half a second; a shorter pause is none once it has risen 0.2 m. A text that
 announces a climb covers all of one that begins from 1 s before the text to 3 s after it.
 
-What rises more slowly than 0.7 m in 10 s follows the receiver, whose height wanders by 1.5 m (standard
+What rises more slowly over a level reference follows the receiver, whose height wanders by 1.5 m (standard
 deviation) in a minute: the app, which has no other height once the pad is out of view, flies level by all it
 knows. Of that the judge allows what it allows of fence and ceiling.
 """
@@ -18,7 +21,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 from sitl.mavlink.app_words import AppText
-from tests.bench.faults.witness import SAMPLE_S, Sample
+from tests.bench.faults.witness import SAMPLE_S, Commanded, Sample
 
 CLIMB_M: Final = 0.7
 WITHIN_S: Final = 10.0
@@ -34,17 +37,35 @@ ANNOUNCES: Final = re.compile(
 )
 
 
-def unannounced_climbs(flown: Iterable[Sample], texts: Sequence[AppText]) -> Iterator[str]:
+def unannounced_climbs(
+    flown: Iterable[Sample], texts: Sequence[AppText], commanded: Sequence[Commanded] = ()
+) -> Iterator[str]:
     """The first rise by more than `CLIMB_M` of what the app has `flown` that nothing announced."""
+    reference = _Reference(commanded)
     announced_s = [text.time_s for text in texts if ANNOUNCES.search(text.text)]
     climb = _Climb()
     for sample in flown:
-        if not climb.step(sample):
+        if not climb.step(sample, reference.up_m(sample.time_s)):
             continue
         if not any(-ANNOUNCED_BEFORE_S <= t - climb.begun_s <= ANNOUNCED_AFTER_S for t in announced_s):
             yield f"climbed from {climb.begun_s:.1f} s, unannounced"
             return
         climb.known = True
+
+
+class _Reference:
+    """How far the reference has risen; what differs between two frames is no rise."""
+
+    def __init__(self, commanded: Sequence[Commanded]) -> None:
+        self._commanded, self._next, self._up_m = commanded, 0, 0.0
+
+    def up_m(self, time_s: float) -> float:
+        """Its height (m) over where it began; the times never run backwards."""
+        while self._next < len(self._commanded) and self._commanded[self._next].time_s <= time_s:
+            now, before = self._commanded[self._next], self._commanded[max(0, self._next - 1)]
+            self._up_m += before.down_m - now.down_m if now.origin == before.origin else 0.0
+            self._next += 1
+        return self._up_m
 
 
 class _Climb:
@@ -54,14 +75,19 @@ class _Climb:
         self.begun_s = 0.0
         self.known = False
         self._lowest_down_m = -math.inf
+        self._lowest_commanded_m = math.inf
         self._lately: deque[tuple[float, float]] = deque()  # time and down, the lowest first, then rising
         self._seen_s = self._still_since_s = -math.inf
 
-    def step(self, sample: Sample) -> bool:
-        """Whether the vehicle climbs: it has risen by so much, lately or at all since the app flies it."""
+    def step(self, sample: Sample, commanded_m: float) -> bool:
+        """Whether the vehicle climbs: it has risen by so much, lately or at all since the app flies it.
+
+        `commanded_m`: the reference's height, from anywhere.
+        """
         now_s, down_m = sample.time_s, sample.position_ned_m[2]
         if now_s - self._seen_s > 1.5 * SAMPLE_S:  # meanwhile the autopilot flew it, or it stood
             self.begun_s, self.known, self._lowest_down_m = now_s, False, down_m
+            self._lowest_commanded_m = commanded_m
             self._lately.clear()
             self._still_since_s = now_s
         self._seen_s = now_s
@@ -70,10 +96,12 @@ class _Climb:
         if now_s - self._still_since_s >= PAUSE_S:
             self.begun_s, self.known = now_s, False
         self._lowest_down_m = down_m if self.known else max(self._lowest_down_m, down_m)
+        self._lowest_commanded_m = commanded_m if self.known else min(self._lowest_commanded_m, commanded_m)
         rise_m = self._lowest_lately_m(now_s, down_m) - down_m
         if still and not self.known and rise_m <= DRIFT_M:
             self.begun_s = now_s
-        return rise_m >= CLIMB_M or self._lowest_down_m - down_m >= WANDER_M
+        risen_m, ordered_m = self._lowest_down_m - down_m, commanded_m - self._lowest_commanded_m
+        return rise_m >= CLIMB_M or risen_m >= (CLIMB_M if ordered_m >= CLIMB_M else WANDER_M)
 
     def _lowest_lately_m(self, now_s: float, down_m: float) -> float:
         """The largest down within `WITHIN_S`, or since what is known."""

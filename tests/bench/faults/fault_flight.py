@@ -31,7 +31,7 @@ from tests.bench.faults.cases import CASES, Run, faultless, scenario_of
 from tests.bench.faults.computer import applied
 from tests.bench.faults.forks import Forks
 from tests.bench.faults.judge import HOLD_MODES, Bounds, Verdict, judge
-from tests.bench.faults.witness import FlightRecord, Witness
+from tests.bench.faults.witness import Commanded, FlightRecord, Witness
 
 HELD_S: Final = 4.0
 AFTERMATH_S: Final = 60.0
@@ -59,7 +59,7 @@ def fly_run(run: Run) -> tuple[Verdict, FlightRecord]:
     return judged(run, record, config), record
 
 
-def fly_together(runs: Sequence[Run], forks: Forks) -> Iterator[tuple[Run, Verdict, FlightRecord]]:
+def fly_together(runs: Sequence[Run], forks: Forks[Any]) -> Iterator[tuple[Run, Verdict, FlightRecord]]:
     """Fly runs of one scenario and seed, each from its fault on in a process of its own.
 
     Yields in each process what was flown there: in a child its run, in the first the runs whose fault has
@@ -159,6 +159,11 @@ async def _fly(
     finally:
         await _cancel(world)
     record = witness.record
+    record.commanded = [
+        Commanded(plan.time_s, plan.reference.origin, float(plan.reference.position_m[0, 2]))
+        for plan in log.kept["plan"]
+        if plan.reference is not None
+    ]
     record.fault_began = simulation.faults.all_begun
     record.texts = list(simulation.app_words.texts)
     record.crashed, record.at_rest_on_pad = simulation.world.crashed, simulation.world.at_rest_on_pad

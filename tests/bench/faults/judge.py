@@ -1,4 +1,6 @@
-"""How a flight with a fault ended, and whether anything in it was unsafe: by the simulator's record alone.
+"""How a flight with a fault ended, and whether anything in it was unsafe: by the simulator's record.
+
+Of the app the judge reads one thing, its reference's height: what that climbs has to be announced.
 
 Unsafe is a crash; touching anything but the pad faster than 0.3 m/s sideways or 0.7 m/s down; disarming in
 the air; flying outside fence or ceiling by the app's setpoints; a climb that was not announced; a setpoint
@@ -73,7 +75,7 @@ def judge(record: FlightRecord, bounds: Bounds) -> Verdict:
         *_touches(record),
         *_disarmings(record),
         *_strayed(record, bounds),
-        *unannounced_climbs(_obeyed(record), record.texts),
+        *unannounced_climbs(_obeyed(record), record.texts, record.commanded),
         *broken_limits(record, bounds.limits),
         *_silent_end(record),
     )

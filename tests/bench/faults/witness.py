@@ -1,4 +1,4 @@
-"""What the judge reads of a flight: all from the simulator's side, nothing from the app's own log.
+"""What the judge reads of a flight: from the simulator's side, but for the height of the app's reference.
 
 The truth and the autopilot's state at 50 Hz, each touch of the ground by the state before it, each change of
 arming, every setpoint as it left the app, and every text that the app sent. NED, SI.
@@ -69,6 +69,14 @@ class SentSetpoint(NamedTuple):
     finite: bool = True
 
 
+class Commanded(NamedTuple):
+    """The height of the app's reference: down (m) in the frame `origin`, over the pad or in its own NED."""
+
+    time_s: float
+    origin: str
+    down_m: float
+
+
 @dataclass
 class FlightRecord:
     """All of a flight that the judge reads."""
@@ -78,6 +86,7 @@ class FlightRecord:
     disarmings: list[Disarming] = field(default_factory=list)
     setpoints: list[SentSetpoint] = field(default_factory=list)
     texts: list[AppText] = field(default_factory=list)
+    commanded: list[Commanded] = field(default_factory=list)
     crashed: bool = False
     at_rest_on_pad: bool = False
     app_ended_s: float | None = None

@@ -8,7 +8,7 @@ import pytest
 
 from sitl.mavlink.app_words import AppText
 from tests.bench.faults.climbs import unannounced_climbs
-from tests.bench.faults.witness import SAMPLE_S, Sample
+from tests.bench.faults.witness import SAMPLE_S, Commanded, Sample
 
 
 def flown(speed_up_m_s: Callable[[float], float], until_s: float = 20.0) -> list[Sample]:
@@ -100,3 +100,32 @@ def test_what_the_autopilot_flew_meanwhile_is_not_the_apps() -> None:
     own = [sample for sample in samples if not 9.9 <= sample.time_s < 14.0]
     assert found(own) == []
     assert len(found([sample for sample in samples if not 9.9 <= sample.time_s < 11.0])) == 1
+
+
+def test_a_rise_that_the_app_commands_is_a_climb_however_slow() -> None:
+    samples = flown(lambda _: 0.06)
+    rising = [Commanded(s.time_s, "local", s.position_ned_m[2]) for s in samples]
+    level = [place._replace(down_m=-5.0) for place in rising]
+    sinking = [place._replace(down_m=0.1 * place.time_s) for place in rising]
+    assert len(list(unannounced_climbs(samples, [], rising))) == 1
+    assert list(unannounced_climbs(samples, [], level)) == []
+    assert list(unannounced_climbs(samples, [], sinking)) == []
+    # commanded and not flown: the receiver wandered the other way
+    assert list(unannounced_climbs(flown(lambda _: 0.0), [], rising)) == []
+
+
+def test_another_frame_of_the_reference_is_no_climb() -> None:
+    samples = flown(lambda _: 0.06)
+    frames = [
+        Commanded(s.time_s, "local" if s.time_s < 5.0 else "pad", -5.0 if s.time_s < 5.0 else -9.0)
+        for s in samples
+    ]
+    assert list(unannounced_climbs(samples, [], frames)) == []
+
+
+def test_a_commanded_climb_that_was_announced_covers_itself_alone() -> None:
+    samples = flown(one_climb)
+    commanded = [Commanded(s.time_s, "local", s.position_ned_m[2]) for s in samples]
+    said = [AppText(9.9, 4, "climbing 4.0 m to look for the pad")]
+    assert list(unannounced_climbs(samples, said, commanded)) == []
+    assert list(unannounced_climbs(samples, [], commanded)) == ["climbed from 10.0 s, unannounced"]

@@ -188,7 +188,7 @@ def levelling(lean_m_s2: float) -> Attempt:
     return touchdown
 
 
-def test_it_levels_off_shortly_before_the_contact_and_is_not_told_to_earlier() -> None:
+def test_it_levels_off_shortly_before_the_contact_and_not_earlier() -> None:
     touchdown = levelling(0.0)
     sink_m_s, level = CONFIG.contact_speed_m_s, None
     due_s = 1.0 + (0.3 - 0.02) / sink_m_s  # low on one side
@@ -248,9 +248,9 @@ def test_a_contact_that_comes_late_keeps_it_level_while_that_makes_little_speed(
 ) -> None:
     level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
     touchdown = levelling(level_m_s2 + excess_m_s2)
-    near = sight(height=LEG_M + 0.05, velocity=(0.0, 0.0, 0.4))
+    near = sight(height=LEG_M + 0.065, velocity=(0.0, 0.0, 0.4))
     now_s = 1.0
-    for _ in range(34):  # 5 cm up all the time
+    for _ in range(34):  # 6.5 cm up all the time
         touchdown.step(near, None, LandedState.IN_AIR, now_s)
         now_s += CYCLE_S
     level = touchdown.level_off()
@@ -259,6 +259,22 @@ def test_a_contact_that_comes_late_keeps_it_level_while_that_makes_little_speed(
     assert level.until_s - level.from_s - 0.42 == pytest.approx(
         longer_s, abs=0.15 if longer_s > 0.5 else 1e-3
     )
+
+
+@pytest.mark.parametrize(
+    ("over_m", "speed_m_s", "stays"), [(0.04, 0.2, True), (0.07, 0.2, False), (0.04, 0.3, False)]
+)
+def test_so_low_that_a_lean_would_touch_it_stays_level_unless_it_drifts_fast(
+    over_m: float, speed_m_s: float, stays: bool
+) -> None:
+    touchdown = levelling(GRAVITY_M_S2 * math.tan(math.radians(11.0)))  # a foot hangs 3.4 cm lower
+    for k in range(34):  # the sink stalls
+        now_s = 1.0 + k * CYCLE_S
+        low = sight(height=LEG_M + over_m, velocity=(speed_m_s, 0.0, 0.08))
+        touchdown.step(low, None, LandedState.IN_AIR, now_s)
+    level = touchdown.level_off()
+    assert level is not None
+    assert (level.until_s == pytest.approx(now_s + 0.42)) == stays
 
 
 def test_a_sink_that_slows_once_it_is_level_is_a_later_contact() -> None:

@@ -7,8 +7,9 @@ import pytest
 
 from companion.base.geometry import Vector3, add, geodetic_from_ned
 from companion.base.messages import ActionKind, AutopilotState, PadState, Phase, VehicleState
+from companion.base.motion import Motion
 from companion.config import MissionConfig, PlanConfig
-from companion.plan.mission.bounds import Bounds, stopping_m
+from companion.plan.mission.bounds import Bounds, moved_m, stopping_m
 from companion.plan.mission.states import MissionEvent
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import line, still
@@ -97,6 +98,47 @@ def test_a_pad_that_leads_away_is_left_before_the_fence() -> None:
     assert any("fence of 30 m" in text for text in flight.told("phase"))
     assert [kind for _, kind in w.autopilot.heard][-1] is ActionKind.HOLD
     assert farthest_m <= 30.0
+
+
+def test_no_landing_begins_on_a_pad_that_is_beyond_the_fence_before_it_ends() -> None:
+    # low over a pad that drives away at 2 m/s, 5 m before the fence: the landing would end outside
+    w = world(line(2.0))
+    w.fly(90.0, until=lambda w: w.flight.phase is Phase.TOUCHDOWN)
+    fence_m = math.hypot(*w.position[:2]) + 5.0
+    low = world(line(2.0), PlanConfig.model_validate({"mission": {"fence_m": fence_m}}))
+    flight = low.fly(120.0)
+    low.fly(6.0, until=lambda _w: False)
+    assert flight.phase is Phase.ABORT
+    assert any("the pad leaves the fence" in text for text in flight.told("fence"))
+    assert flight.told("commit") == []
+    assert any(f"fence of {fence_m:.0f} m" in text for text in flight.told("phase"))
+    assert math.hypot(*low.position[:2]) <= fence_m
+
+
+def test_a_pad_that_drives_home_is_landed_on_however_near_to_the_fence() -> None:
+    bounds, autopilot = Bounds(CONFIG), AutopilotState(5.0, connected=True, home=HOME)
+    vehicle = vehicle_at((49.0, 0.0, -0.5), (0.0, 0.0, 0.0))
+    place = add((49.0, 0.0, 0.0), tuple(-p for p in ORIGIN_NED_M))  # type: ignore[arg-type]
+
+    def inside(north_m_s: float, turn_rate_rad_s: float = 0.0) -> bool:
+        pad = Motion(place, (north_m_s, 0.0, 0.0))
+        return bounds.inside_after(4.0, pad, turn_rate_rad_s, vehicle, autopilot)
+
+    assert inside(-2.0)
+    assert inside(0.2)
+    assert not inside(0.3)
+    # once round in the time
+    assert inside(2.0, math.tau / 4.0)
+    assert bounds.inside_after(4.0, None, 0.0, vehicle, autopilot)
+    assert bounds.inside_after(4.0, Motion(place, (9.0, 0.0, 0.0)), 0.0, vehicle, AutopilotState(5.0))
+
+
+def test_what_turns_gets_as_far_as_its_arc() -> None:
+    assert moved_m((3.0, 4.0, 9.0), 0.0, 2.0) == (6.0, 8.0)
+    # a quarter of a circle of 2 m to the right of north
+    north, east = moved_m((1.0, 0.0, 0.0), 0.5, math.pi)
+    assert north == pytest.approx(2.0)
+    assert east == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize(
