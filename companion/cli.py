@@ -17,7 +17,7 @@ import typer
 
 from companion.base.command_line import Command, VersionOption, lazy_app, run_program
 from companion.base.errors import ConfigError
-from companion.base.files import CONFIG_FOLDER, find_file, must_be_readable
+from companion.base.files import DEFAULT_SETTINGS, find_file, must_be_readable
 from sitl.firmware.options import FirmwareOption, FirmwareParamOption, FirmwarePathOption
 
 PROGRAM: Final = "companion"
@@ -73,7 +73,7 @@ def companion(
     ] = False,
     config: Annotated[
         Path, typer.Option("--config", help="The app's settings.", metavar="FILE")
-    ] = CONFIG_FOLDER / "companion.yaml",
+    ] = DEFAULT_SETTINGS,
     scenario: Annotated[
         str | None,
         typer.Option("--scenario", help="With --sitl: a name in configs/scenarios, or a file; else 'line'."),

@@ -63,3 +63,4 @@ install -m 0644 "$SOURCE/systemd/companion.service" "$UNIT"
 systemctl daemon-reload
 echo "installed; look through $SETTINGS/companion.yaml, then: systemctl enable --now companion"
 echo "it stands by and flies nothing unasked: companion status, companion order land; see docs/service.md"
+echo "root and the group companion may ask it: usermod -aG companion ${SUDO_USER:-USER}, and a new login"

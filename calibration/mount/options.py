@@ -8,7 +8,7 @@ from typing import Annotated, Final
 import typer
 
 from companion.base.errors import ConfigError
-from companion.base.files import CONFIG_FOLDER
+from companion.base.files import DEFAULT_SETTINGS
 
 NAME: Final = "calibrate-mount"
 ConfigOption = Annotated[Path, typer.Option("--config", help="The app's settings.", metavar="FILE")]
@@ -16,7 +16,7 @@ OutputOption = Annotated[Path, typer.Option("--output", "-o", help="File to writ
 ForceOption = Annotated[
     bool, typer.Option("--force", help="Write the file even if it is refused; the file says so.")
 ]
-SETTINGS: Final = CONFIG_FOLDER / "companion.yaml"
+SETTINGS: Final = DEFAULT_SETTINGS
 
 
 def check_output(path: Path) -> None:

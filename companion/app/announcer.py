@@ -21,11 +21,21 @@ class Announcer:
         self._clock, self._log, self._deliver = clock, log, deliver
         self._new: list[Notice] = []
         self._log_problem_reported = False
+        self._notified_once: set[str] = set()
         self.recent: deque[Notice] = deque(maxlen=KEPT)
 
     def notify(self, kind: str, text: str, severity: Severity) -> None:
         """Tell something that happens now."""
         self.publish(Notice(self._clock.now_s(), kind, text, severity))
+
+    def notify_once(self, kind: str, text: str, severity: Severity) -> None:
+        """Tell something that holds on; what was told before goes into the log alone: each flight has it."""
+        if text not in self._notified_once:
+            self._notified_once.add(text)
+            self.notify(kind, text, severity)
+        else:
+            now_s = self._clock.now_s()
+            self._log.write("notice", Notice(now_s, kind, text, severity), now_s)
 
     def publish(self, notice: Notice) -> None:
         """Tell the log, the terminal and the ground station."""

@@ -247,7 +247,7 @@ class App:
             flown = resolved(self._config.control, autopilot_kind)
             own = misfits(flown, self._vehicle, setup, autopilot_kind)
             for warning in (*own, *loss_warnings(setup, autopilot_kind)):
-                self.announcer.notify("setup", warning, "warning")
+                self.announcer.notify_once("setup", warning, "warning")
         return self._controller
 
     def _plan(self, vehicle: VehicleState | None, pad: PadState | None, now_s: float) -> PlanStep:

@@ -8,6 +8,7 @@ failsafe, or the pilot, chose another. Then it waits for a heartbeat that comes 
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Callable
 from typing import Final
 
@@ -18,6 +19,7 @@ from companion.link.transport import backlog_read
 # PX4 leaves OFFBOARD after COM_OF_LOSS_T (1 s) without setpoints; Linux' usual buffer holds more than this.
 STALL_S: Final = 1.0
 _LOOK_S: Final = 0.02
+CYCLES: Final = 600  # twenty seconds at 30 Hz
 
 
 class LoopMonitor:
@@ -30,13 +32,12 @@ class LoopMonitor:
         self._session, self._clock = session, clock
         self.heard = 0
         self._turned_s: float | None = None
-        self._cycles = self._late = 0
+        self._recent: deque[bool] = deque(maxlen=CYCLES)
 
     def turn(self, late_s: float, period_s: float) -> None:
         """A cycle begins, so late."""
         self._turned_s = self._clock.now_s()
-        self._cycles += 1
-        self._late += late_s > 0.5 * period_s
+        self._recent.append(late_s > 0.5 * period_s)
 
     def end(self) -> None:
         """The loop has ended: what is to be sent after it does not wait for it."""
@@ -44,8 +45,8 @@ class LoopMonitor:
 
     @property
     def late_share(self) -> float:
-        """Share of the cycles so far that came late by more than half a period."""
-        return self._late / max(1, self._cycles)
+        """Share of the last `CYCLES` that came late by more than half a period: of the machine as it is now."""
+        return sum(self._recent) / max(1, len(self._recent))
 
     @property
     def silent(self) -> bool:

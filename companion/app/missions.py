@@ -58,7 +58,7 @@ class Missions:
         self._desk = OrderDesk(self._replied)
         self._askers: dict[Order, Callable[[OrderReply], None]] = {}
         self._ended_s: float | None = None
-        self._end_words = ""
+        self._held_words = self._end_words = ""
         self._inputs: PlanInputs | None = None  # of the last cycle
         self.stopped_idle = False
         self.phase = self._planner.phase
@@ -96,11 +96,20 @@ class Missions:
             if refused is None and isinstance(self._log, FlightsRecorder):
                 self._log.begin()
             self._desk.decided(order, refused, now_s)
-        if self._ended_s is None and plan.phase in END_PHASES:
-            self._ended_s, self.stopped_idle = now_s, self.phase is Phase.STANDBY
-            self._end_words = next((n.text for n in reversed(plan.notices) if n.kind == "phase"), "")
+        self._note_phase(plan, now_s)
         self.phase = plan.phase
         return plan
+
+    def _note_phase(self, plan: PlanStep, now_s: float) -> None:
+        """Keep the words for whoever ordered it: how it ended, and why it held before."""
+        words = next((n.text for n in reversed(plan.notices) if n.kind == "phase"), "")
+        if plan.phase is Phase.HOLD:
+            self._held_words = words or self._held_words
+        elif plan.phase not in END_PHASES:
+            self._held_words = ""
+        elif self._ended_s is None:
+            self._ended_s, self.stopped_idle = now_s, self.phase is Phase.STANDBY
+            self._end_words = "; ".join(filter(None, (self._held_words, words)))
 
     def finished(self, *, busy: bool) -> bool:
         """Whether the mission is over and nothing asked of the autopilot is open, or has been for too long.
@@ -118,7 +127,8 @@ class Missions:
     def stand_by(self) -> None:
         """Begin anew: nothing of the last mission is left, but what the sensors and the link tell."""
         self._planner = self._make_planner(self._standby)
-        self.phase, self._ended_s, self._end_words = self._planner.phase, None, ""
+        self.phase, self._ended_s = self._planner.phase, None
+        self._held_words = self._end_words = ""
         self._session.orders.stand_by(self._clock.now_s())
         self.tell()
         if isinstance(self._log, FlightsRecorder):

@@ -42,8 +42,7 @@ async def supervised(
                 raise
             text = str(error)
         except Exception as error:
-            kind = "" if isinstance(error, OSError) else f"{type(error).__name__}: "
-            text = f"{kind}{error}"
+            text = _words(error)
         finally:
             if back is not None:
                 back.cancel()
@@ -53,3 +52,11 @@ async def supervised(
             notify("device_lost", f"{name} lost: {text}{again}", "error")
             reported = text
         await asyncio.sleep(RESTART_PAUSE_S)
+
+
+def _words(error: Exception) -> str:
+    """What a person reads of it; the operating system's errors without their number."""
+    if not isinstance(error, OSError):
+        return f"{type(error).__name__}: {error}"
+    reason = error.strerror or str(error)
+    return reason if error.filename is None else f"{error.filename}: {reason}"

@@ -9,6 +9,7 @@ address or a name that is ours. Source: RFC 6455, section 10.2, and OWASP's WebS
 from __future__ import annotations
 
 import hmac
+import ipaddress
 import os
 import socket
 import stat
@@ -84,6 +85,13 @@ def own_names(host_names: tuple[str, ...]) -> frozenset[str]:
     """The names by which a browser may call us, beside IP addresses."""
     here = socket.gethostname().lower()
     return frozenset({LOCALHOST, here, f"{here}.local", *(name.lower() for name in host_names)})
+
+
+def url_of(host: str, port: int) -> str:
+    """What is typed into a browser; a page on every address is called by our name."""
+    if is_ip(host) and ipaddress.ip_address(host).is_unspecified:
+        host = socket.gethostname()
+    return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
 
 
 def host_is_ours(host: str | None, names: frozenset[str]) -> bool:

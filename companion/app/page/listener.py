@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from aiohttp import web
 
+from companion.app.page.access import url_of
 from companion.app.page.look import Look, Reply, Start, Text
 from companion.app.page.picture import Painter
 from companion.app.page.server import PageServer
@@ -48,8 +49,7 @@ async def _serve(pipe: Connection, start: Start) -> None:
         say({"problem": f"cannot listen on {start.host}:{start.port}: {os.strerror(error.errno or 0)}"})
         return
     port = listening.sockets[0].getsockname()[1]
-    shown = f"[{start.host}]" if ":" in start.host else start.host
-    say({"listening": f"http://{shown}:{port}/"})
+    say({"listening": url_of(start.host, port)})
     ended = asyncio.Event()
     threading.Thread(target=_read, args=(pipe, Painter(start), server, loop, ended), daemon=True).start()
     await ended.wait()

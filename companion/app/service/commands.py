@@ -31,6 +31,8 @@ plan.mission.may_arm allows it; 'stop' returns control to the autopilot. Exit co
 carried out), 1: refused or failed, 2: no service answers.
 """
 UNHEALTHY: Final = 1
+RUNNING: Final = "a running companion, see 'systemctl status companion'"
+OF_THE_GROUP: Final = "sudo, or 'sudo usermod -aG companion USER' and a new login"
 ANSWER_S: Final = 5.0
 WATCH_S: Final = 1.0
 SocketOption = Annotated[
@@ -128,9 +130,8 @@ def _connected(path: Path | None) -> Iterator[_Asking]:
             connection.connect(str(where))
         except OSError as error:
             reason = error.strerror or str(error)
-            raise ConfigError(
-                f"{where}: {reason}; expected a running companion, see 'systemctl status companion'"
-            ) from error
+            denied = isinstance(error, PermissionError)
+            raise ConfigError(f"{where}: {reason}; expected {OF_THE_GROUP if denied else RUNNING}") from error
         yield _Asking(where, connection)
 
 
@@ -155,7 +156,7 @@ def _rows(r: dict[str, Any]) -> Iterator[tuple[str, str | Text]]:
     armed = "armed" if r["armed"] else "disarmed"
     yield "autopilot", f"{r['autopilot']}, {r['mode']}, {armed}{battery}" if r["autopilot"] else "-"
     for entry in r["inputs"]:
-        yield entry["name"], f"{entry['rate_hz']:.0f} Hz, {_age(entry['age_s'])}"
+        yield entry["name"], _input(entry)
     yield "estimate", _estimate(r)
     yield "pad", _pad(r)
     for name, latency in r["latency"].items():
@@ -167,7 +168,15 @@ def _rows(r: dict[str, Any]) -> Iterator[tuple[str, str | Text]]:
     yield "machine", _machine(r["machine"])
     yield "recording", r["recording"] or "-"
     for event in r["events"]:
-        yield f"{event['time_s']:.1f} s", event["text"]
+        yield _age(r["up_s"] - event["time_s"]), event["text"]
+
+
+def _input(entry: dict[str, Any]) -> str:
+    if entry["silent"]:
+        return "silent" if entry["age_s"] < 1.0 else f"silent for {_duration(entry['age_s'])}"
+    # there is no rate before the first seconds are over
+    rate = f"{entry['rate_hz']:.0f} Hz" if entry["rate_hz"] > 0.0 else "begins"
+    return f"{rate}, {_age(entry['age_s'])}"
 
 
 def _estimate(r: dict[str, Any]) -> str:

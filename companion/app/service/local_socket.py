@@ -39,8 +39,8 @@ def socket_path() -> Path:
 
 def where_to_ask() -> Path:
     """Where a client looks: the system's service first, then the user's own."""
-    system = SYSTEM_FOLDER / FILE_NAME
-    return system if system.exists() else socket_path()
+    # the folder is there while the service runs; who is not of its group sees nothing in it
+    return SYSTEM_FOLDER / FILE_NAME if SYSTEM_FOLDER.is_dir() else socket_path()
 
 
 @asynccontextmanager

@@ -132,7 +132,8 @@ def _problems(app: App, rates: dict[str, Rate], machine: ComputerStatus, now_s: 
         found.append("camera: no frame yet")
     for topic, (name, oldest_s) in INPUTS.items():
         if topic in rates and rates[topic].age_s > oldest_s:
-            found.append(f"{name}: silent for {rates[topic].age_s:.1f} s")
+            age_s = rates[topic].age_s
+            found.append(f"{name}: silent for {age_s:.{0 if age_s >= 10.0 else 1}f} s")
     if app.loop_monitor.late_share > LATE_SHARE:
         found.append(f"{100.0 * app.loop_monitor.late_share:.0f} % of the control cycles come late")
     if machine.throttled:

@@ -80,11 +80,13 @@ def page(flight: LoggedFlight, bounds: Mapping[str, float]) -> str:
 
 
 def _said(flight: LoggedFlight) -> str:
-    """The mission's own last word, and when it flew."""
+    """The mission's own last word, with why it held before it gave up, and when it flew."""
     phases = [notice.text for notice in flight.kept.get("notice", ()) if notice.kind == "phase"]
+    held = len(phases) > 1 and phases[-1].startswith("abort:") and phases[-2].startswith("hold:")
+    words = "; ".join(phases[-2 if held else -1 :]) or "no phase began"
     cut = "; the log is cut short" if flight.cut else ""
     started = datetime.fromtimestamp(flight.start_unix_s, UTC)
-    return f"{phases[-1] if phases else 'no phase began'}{cut}. {started:%Y-%m-%d %H:%M:%S} UTC"
+    return f"{words}{cut}. {started:%Y-%m-%d %H:%M:%S} UTC"
 
 
 def _footer(flight: LoggedFlight) -> str:
@@ -138,7 +140,7 @@ def sensor_rows(sensors: Mapping[str, SensorRecord]) -> list[Sequence[str]]:
 
 def _events(flight: LoggedFlight) -> str:
     notices = flight.kept.get("notice", ())
-    rows = [(f"{n.time_s:.1f} s", n.kind, n.text) for n in notices]
+    rows = [(f"{max(n.time_s, 0.0):.1f} s", n.kind, n.text) for n in notices]  # the first by a hair before 0
     return _table(("time", "kind", "text"), rows, [n.severity for n in notices])
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Final
 import typer
 
 from companion.base.errors import ConfigError
-from companion.base.files import CONFIG_FOLDER, find_file, must_be_readable, must_exist
+from companion.base.files import DEFAULT_SETTINGS, find_file, must_be_readable, must_exist
 
 HELP: Final = """Find the pad in your own photos and videos, by the vision that flies.
 
@@ -47,7 +47,7 @@ def detect_command(
     ] = None,
     config: Annotated[
         Path, typer.Option("--config", help="The app's settings.", metavar="FILE")
-    ] = CONFIG_FOLDER / "companion.yaml",
+    ] = DEFAULT_SETTINGS,
     out: Annotated[
         Path | None, typer.Option("--out", help="Write the overlays to this folder.", metavar="DIR")
     ] = None,

@@ -8,7 +8,7 @@ from typing import Annotated, Final
 import typer
 
 from companion.base.errors import ConfigError
-from companion.base.files import CONFIG_FOLDER, must_be_readable
+from companion.base.files import DEFAULT_SETTINGS, must_be_readable
 
 STANDARD_OUTPUT: Final = Path("-")
 HELP: Final = """Check, before a flight, all that can be checked of a vehicle that stands there disarmed.
@@ -37,7 +37,7 @@ def check_command(
     pad: Annotated[bool, typer.Option("--pad", help="Held by hand over the pad.")] = False,
     config: Annotated[
         Path, typer.Option("--config", help="The app's settings.", metavar="FILE")
-    ] = CONFIG_FOLDER / "companion.yaml",
+    ] = DEFAULT_SETTINGS,
     no_link: Annotated[
         bool, typer.Option("--no-link", help="Without an autopilot, which else has to be there and disarmed.")
     ] = False,

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from companion.app.loop_monitor import STALL_S, LoopMonitor
+from companion.app.loop_monitor import CYCLES, STALL_S, LoopMonitor
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.config import LinkConfig
 from companion.link.session import Session
@@ -45,6 +45,9 @@ def test_late_cycles_are_counted_from_half_a_period_on() -> None:
         for late_s in (0.0, 0.4 * PERIOD_S, 0.6 * PERIOD_S, 3.0):
             monitor.turn(late_s, PERIOD_S)
         assert monitor.late_share == 0.5
+        for _ in range(CYCLES):
+            monitor.turn(0.0, PERIOD_S)
+        assert monitor.late_share == 0.0  # what was late long ago says nothing of now
 
     monitored(work)
 

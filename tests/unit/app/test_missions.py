@@ -1,4 +1,4 @@
-"""What the app asks for when control has failed."""
+"""What the app asks for when control has failed, and what whoever ordered a landing is told at its end."""
 
 from dataclasses import replace
 
@@ -7,11 +7,22 @@ import pytest
 from companion.app.announcer import Announcer
 from companion.app.missions import Missions
 from companion.base.clock import Clock, run_in_virtual_time
-from companion.base.messages import ActionKind, LandedState
+from companion.base.messages import (
+    ActionKind,
+    AutopilotState,
+    LandedState,
+    Notice,
+    Order,
+    OrderKind,
+    OrderReply,
+    Phase,
+    PlanStep,
+)
 from companion.config import LinkConfig
 from companion.flightlog.record import FlightLog
 from companion.link.session import Session
 from companion.plan.mission.states import State
+from companion.plan.planner import PlanInputs, Planner
 from tests.unit.plan.mission.planner_world import world
 
 
@@ -41,3 +52,50 @@ def test_a_vehicle_that_stands_or_is_about_to_is_not_ordered_to_hold(
         return missions.last_word.kind
 
     assert run_in_virtual_time(word()) is asked
+
+
+class Scripted(Planner):
+    """A planner whose phases are given, each with its notice."""
+
+    phase, refused, waiting = Phase.STANDBY, None, False
+
+    def __init__(self, *steps: tuple[Phase, str]) -> None:
+        self._steps = iter(steps)
+
+    def step(self, inputs: PlanInputs, now_s: float) -> PlanStep:
+        phase, text = next(self._steps)
+        return PlanStep(now_s, phase, notices=(Notice(now_s, "phase", text),) if text else ())
+
+
+@pytest.mark.parametrize(
+    ("steps", "told"),
+    [
+        (
+            [(Phase.HOLD, "hold: stop requested"), (Phase.HOLD, ""), (Phase.ABORT, "abort: clear: at rest")],
+            "hold: stop requested; abort: clear: at rest",
+        ),
+        ([(Phase.ABORT, "abort: pilot took over")], "abort: pilot took over"),
+        (
+            [(Phase.HOLD, "hold: link lost"), (Phase.SEARCH, "search: again"), (Phase.LANDED, "landed")],
+            "landed",
+        ),
+    ],
+)
+def test_who_ordered_a_landing_is_told_why_it_held_and_how_it_ended(
+    steps: list[tuple[Phase, str]], told: str
+) -> None:
+    replies = list[OrderReply]()
+
+    async def flight() -> None:
+        clock, session, log = Clock(), Session(LinkConfig()), FlightLog(None, 0.0)
+        planner = Scripted((Phase.SEARCH, "search: land ordered"), *steps)
+        announcer = Announcer(clock, log, lambda _notice: None)
+        missions = Missions(lambda _why: planner, session, log, announcer, clock, standby=None, stays=True)
+        missions.give(Order(0.0, OrderKind.LAND, "a test"), replies.append)
+        for _ in range(1 + len(steps)):
+            missions.step(PlanInputs(None, None, AutopilotState(0.0)), clock.now_s())
+        await clock.sleep_until(clock.now_s() + 2.0)
+        assert missions.finished(busy=False)
+
+    run_in_virtual_time(flight())
+    assert [reply.text for reply in replies] == ["", told]

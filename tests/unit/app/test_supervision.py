@@ -42,6 +42,22 @@ def test_it_is_started_again_after_a_pause() -> None:
     assert [t - first_s for t in task.started_s] == pytest.approx([0.0, RESTART_PAUSE_S, 2 * RESTART_PAUSE_S])
 
 
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (OSError(5, "serial port /dev/ttyAMA0: unplugged"), "serial port /dev/ttyAMA0: unplugged"),
+        (
+            FileNotFoundError(2, "No such file or directory", "/dev/i2c-1"),
+            "/dev/i2c-1: No such file or directory",
+        ),
+    ],
+)
+def test_the_operating_systems_errors_are_told_without_their_numbers(error: OSError, told: str) -> None:
+    task = FailingTask(error)
+    task.run(on_ground=False)
+    assert task.notices == [f"GPS lost: {told}"]
+
+
 def test_a_failure_that_stays_is_reported_once() -> None:
     task = FailingTask(*(OSError("unplugged") for _ in range(5)))
     task.run(on_ground=False)

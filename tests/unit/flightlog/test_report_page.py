@@ -111,6 +111,14 @@ def test_a_real_flight_without_truth_and_result_is_judged_by_its_last_phase(tmp_
     }
 
 
+def test_its_last_word_says_why_it_held_before_it_gave_up(tmp_path: Path) -> None:
+    log = write_flight(tmp_path, truth=False, close=False)
+    for text in ("hold: stop requested", "abort: clear: at rest"):
+        log.write("notice", Notice(11.0, "phase", text), 11.0)
+    log.close()
+    assert "hold: stop requested; abort: clear: at rest. 2023-" in write_report(tmp_path).read_text()
+
+
 def test_a_log_cut_short_gives_a_page_as_far_as_it_goes(tmp_path: Path) -> None:
     write_flight(tmp_path)
     log = tmp_path / "flight.mcap"

@@ -9,7 +9,7 @@ const INPUTS = ["camera", "IMU", "magnetometer", "GPS", "ultrasonic"];
 const at = (id) => document.getElementById(id);
 const picture = new Picture(at("picture")), plots = new Plots(at("plots"));
 
-let socket = null, token = null, heardMs = -Infinity, picturedMs = -Infinity, plottedMs = -Infinity, trouble = "connecting", problems = [], startless = true;
+let socket = null, token = null, heardMs = -Infinity, picturedMs = -Infinity, plottedMs = -Infinity, trouble = "connecting", alarm = "", problems = [], startless = true;
 // what a test or a benchmark reads: from exposure to the pixel, by this machine's clock
 window.companion = { latenciesMs: [], drawn: 0 };
 
@@ -32,8 +32,8 @@ function connect() {
     socket = null;
     startless = true;
     at("orders").hidden = true;
-    trouble = code === TOO_MANY ? "too many viewers" : code === WRONG_TOKEN ? "wrong token" : "not connected";
     if (code === WRONG_TOKEN) ask();
+    trouble = code === TOO_MANY ? "too many viewers" : code === WRONG_TOKEN ? "wrong token" : at("ask").hidden ? "not connected" : "needs the token";
     if (!document.hidden && at("ask").hidden) setTimeout(connect, RETRY_MS);
     freshness();
   };
@@ -71,7 +71,7 @@ function hear(message) {
   switch (message.kind) {
     case "token":
       if (token) say({ token });
-      else { trouble = "needs the token"; ask(); socket.close(); }
+      else { ask(); socket.close(); }
       break;
     case "hello":
       startless = false;
@@ -147,7 +147,7 @@ function show(state) {
   const mode = state.autopilot ? `${state.mode} · ${state.armed ? "ARMED" : "disarmed"}` : "no autopilot";
   write("vehicle", [mode, battery].filter(Boolean).join(" · "));
   lights(state);
-  events(state.events);
+  events(state);
   const m = state.machine, latency = state.latency.setpoint || state.latency.frame;
   write("machine", [
     m.cpu_percent === null ? "" : `${m.cpu_percent.toFixed(0)} % of a core`,
@@ -167,13 +167,19 @@ function lights(state) {
   const rows = [light("autopilot", state.autopilot || "no heartbeat", state.autopilot ? "" : "silent")];
   for (const name of INPUTS) {
     const input = found.get(name);
-    const age = input && input.age_s >= 1 ? `, ${duration(input.age_s)} ago` : "";
-    rows.push(input ? light(name, `${input.rate_hz.toFixed(0)} Hz${age}`, input.silent ? "silent" : "") : light(name, "nothing yet", "absent"));
+    rows.push(input ? light(name, liveliness(input), input.silent ? "silent" : "") : light(name, "nothing yet", "absent"));
   }
   rows.push(light("estimate", state.aligned ? `±${state.attitude_std_deg.toFixed(1)}°, ±${state.velocity_std_m_s.toFixed(2)} m/s` : "not aligned", state.aligned ? "" : "silent"));
   const seen = state.pad_seen_s;
   rows.push(light("pad", seen === null ? "not seen" : seen < 1 ? "in sight" : `seen ${duration(seen)} ago`, seen === null ? "absent" : seen < 1 ? "" : "silent"));
   at("lights").replaceChildren(...rows);
+}
+
+// as in companion status; there is no rate before the first seconds are over
+function liveliness(input) {
+  if (input.silent) return input.age_s < 1 ? "silent" : `silent for ${duration(input.age_s)}`;
+  const age = input.age_s >= 1 ? `, ${duration(input.age_s)} ago` : "";
+  return (input.rate_hz > 0 ? `${input.rate_hz.toFixed(0)} Hz` : "begins") + age;
 }
 
 function light(name, words, kind) {
@@ -183,10 +189,10 @@ function light(name, words, kind) {
   return row;
 }
 
-function events(list) {
+function events({ events: list, up_s: upS }) {
   at("events").replaceChildren(...[...list].reverse().map((event) => {
-    const row = element("li", "", event.severity);
-    row.append(element("time", `${event.time_s.toFixed(1)} s`), element("span", event.text));
+    const row = element("li", "", event.severity), ageS = upS - event.time_s;
+    row.append(element("time", ageS < 1 ? "now" : `${duration(ageS)} ago`), element("span", event.text));
     return row;
   }));
 }
@@ -199,9 +205,11 @@ function freshness() {
   // a stop may still arrive where nothing comes back
   at("stop").disabled = startless || !socket || socket.readyState !== WebSocket.OPEN;
   const since = Number.isFinite(silentMs) ? `: NO DATA for ${(silentMs / 1000).toFixed(0)} s` : "";
-  const text = startless ? trouble + since : stale ? `the app says nothing${since}` : problems.join("; ");
-  write("alarm", text);
-  at("alarm").hidden = !text;
+  const lines = startless ? [trouble + since] : stale ? [`the app says nothing${since}`] : problems;
+  at("alarm").hidden = !lines.length;
+  if (alarm === lines.join("\n")) return;
+  alarm = lines.join("\n");
+  at("alarm").replaceChildren(...lines.map((line) => element("p", line)));
 }
 
 function element(tag, text, kind = "") {

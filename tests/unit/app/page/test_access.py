@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from companion.app.page.access import (
     read_access,
     same_origin,
     same_token,
+    url_of,
 )
 from companion.base.errors import ConfigError
 from companion.config import ServeConfig, validate
@@ -39,6 +41,23 @@ def test_an_address_is_an_ip_address_and_a_port(address: str) -> None:
 def test_anything_else_is_refused_in_one_line(address: str) -> None:
     with pytest.raises(ConfigError, match=r"^serve: address: expected ADDRESS:PORT[^\n]*$"):
         config(address=address)
+
+
+@pytest.mark.parametrize(
+    ("host", "shown"),
+    [
+        ("127.0.0.1", "127.0.0.1"),
+        ("::1", "[::1]"),
+        ("localhost", "localhost"),
+        ("192.168.4.1", "192.168.4.1"),
+    ],
+)
+def test_the_address_that_is_told_can_be_typed_into_a_browser(host: str, shown: str) -> None:
+    assert url_of(host, 8080) == f"http://{shown}:8080/"
+    for every in ("0.0.0.0", "::"):
+        url = url_of(every, 8080)
+        assert url == f"http://{socket.gethostname()}:8080/"
+        assert host_is_ours(url.removeprefix("http://").rstrip("/"), NAMES)
 
 
 def test_without_an_address_there_is_no_page() -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
+import os
 import socket
 import stat
 from collections.abc import AsyncIterator, Callable
@@ -14,6 +16,7 @@ from typing import Any
 import pytest
 import typer
 
+from companion.app.service import local_socket
 from companion.app.service.commands import order_command, status_command
 from companion.app.service.local_socket import served
 from companion.base.clock import Clock
@@ -28,7 +31,11 @@ REPORT: dict[str, Any] = {
     "mode": "AUTO.LOITER",
     "armed": False,
     "battery_percent": 80.0,
-    "inputs": [{"name": "IMU", "rate_hz": 199.7, "age_s": 0.01}],
+    "inputs": [
+        {"name": "IMU", "rate_hz": 199.7, "age_s": 0.01, "silent": False},
+        {"name": "GPS", "rate_hz": 0.0, "age_s": 0.1, "silent": False},
+        {"name": "ultrasonic", "rate_hz": 3.0, "age_s": 8.0, "silent": True},
+    ],
     "aligned": True,
     "attitude_std_deg": 0.42,
     "velocity_std_m_s": 0.05,
@@ -126,6 +133,8 @@ async def test_status_shows_it_and_its_exit_code_says_healthy_or_not(
     assert code == 0
     for expected in ("healthy", "standby, up 2 h", "200 Hz, now", "p50 41 ms, p99 63 ms", "battery 80 %"):
         assert expected in words
+    for expected in ("begins, now", "silent for 8 s", "2 h ago"):  # a GPS that has just come, the first event
+        assert expected in words
     service.report["problems"] = ["camera: no frame yet"]
     code, words = await command(service, path, lambda: status_command(False, True, path), capsys)
     assert (code, json.loads(words)["problems"]) == (1, ["camera: no frame yet"])
@@ -161,6 +170,25 @@ async def test_order_says_what_became_of_it(
     path = tmp_path / "socket"
     found = await command(Service(*outcomes), path, lambda: order_command(OrderKind.LAND, wait, path), capsys)
     assert found == (code, "".join(f"{line}\n" for line in said))
+
+
+def test_who_may_not_ask_is_told_which_group_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # root may enter any folder: the system's answer stands in for its refusal
+    def refused(_self: socket.socket, _address: str) -> None:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(socket.socket, "connect", refused)
+    with pytest.raises(ConfigError, match=r"Permission denied; expected sudo, or .*usermod -aG companion"):
+        status_command(False, False, tmp_path / "socket")
+
+
+def test_the_services_socket_is_asked_while_its_folder_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(local_socket, "SYSTEM_FOLDER", tmp_path)
+    assert local_socket.where_to_ask() == tmp_path / local_socket.FILE_NAME  # seen or not
+    monkeypatch.setattr(local_socket, "SYSTEM_FOLDER", tmp_path / "gone")
+    assert local_socket.where_to_ask() == local_socket.socket_path()
 
 
 def test_without_a_service_it_is_said_in_one_line(tmp_path: Path) -> None:
