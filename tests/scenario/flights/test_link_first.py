@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from companion.base.clock import Clock
 from companion.config import merge
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, mavlink
 from companion.link.dialect import CURRENT_MODE
@@ -19,7 +20,7 @@ from companion.link.inbox import MemoryTransport, memory_pair
 from companion.link.modes import CONTROL_MODE, custom_mode
 from sitl.scenario.scenario import Scenario
 from tests.bench.faults import fault_flight
-from tests.bench.faults.cases import Run, scenario_of
+from tests.bench.faults.cases import Run, faultless, scenario_of
 from tests.bench.faults.witness import FlightRecord
 
 PROMPT_S = 0.1
@@ -126,3 +127,40 @@ def test_a_link_that_cannot_be_read_any_more_ends_the_flight_in_the_autopilots_h
     assert not record.crashed
     assert record.samples[-1].mode not in {"OFFBOARD", "GUIDED"}
     assert max(listener.setpoints_s) < record.app_ended_s
+
+
+def wakes_at(monkeypatch: pytest.MonkeyPatch, woken_s: float) -> None:
+    """The machine was suspended for an hour just before: no clock of the loop shows it."""
+    monkeypatch.setattr(Clock, "suspended_s", lambda clock: 3600.0 if clock.now_s() >= woken_s else 0.0)
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "ended"),
+    [("px4", "abort: pilot took over: mode AUTO.LOITER"), ("ardupilot", "abort: estimate lost")],
+)
+def test_a_machine_that_was_suspended_in_the_descent_flies_by_nothing_that_it_knew(
+    monkeypatch: pytest.MonkeyPatch, autopilot: str, ended: str
+) -> None:
+    woken_s = 27.0
+    wakes_at(monkeypatch, woken_s)
+    content = faultless("line").model_dump(by_alias=True, exclude_unset=True)
+    scenario = Scenario.model_validate(merge(content, {"autopilot": autopilot}))
+    record, listener = fly(monkeypatch, scenario)
+    words = [said.text for said in record.texts]
+    before = [said.text for said in record.texts if said.time_s < woken_s]
+    assert any(text.startswith("descend: ") for text in before), words
+    assert any("stood still for 3600" in text for text in words), words
+    assert any(text.startswith(ended) for text in words), words
+    assert max(listener.setpoints_s) <= woken_s + PROMPT_S
+    assert record.samples[-1].mode in {"AUTO_LOITER", "BRAKE"}
+    assert not record.crashed
+
+
+def test_a_machine_that_was_suspended_before_the_take_off_does_not_take_off(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    wakes_at(monkeypatch, 2.0)
+    record, listener = fly(monkeypatch, faultless("line"))
+    assert not any(sample.armed for sample in record.samples)
+    assert listener.setpoints_s == []
+    assert any(said.text.startswith("abort: stop requested") for said in record.texts), record.texts
