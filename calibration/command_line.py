@@ -1,7 +1,7 @@
 """What the calibration programs have in common: how they end.
 
 Exit codes: 0 calibrated (or made what was asked for), 1 refused: the line says why, 2 something the user can
-mend, told in one line on standard error, 130 interrupted.
+mend, reported in one line on standard error, 130 interrupted.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ Colour = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class CameraShot:
     """A camera image in colour, with the used markers outlined, and when (s, UTC) it was exposed."""
 
     time_s: float
@@ -64,7 +64,7 @@ class Shot:
 class Recorded:
     """What is drawn: `times_s` (n,), tracks in east and up (n, 2), lean to the east (n,), all by truth."""
 
-    shots: list[Shot]
+    shots: list[CameraShot]
     times_s: NDArray[np.float64]
     vehicle: NDArray[np.float64]
     pad: NDArray[np.float64]
@@ -154,10 +154,12 @@ def _lean(attitude: list[float]) -> float:
     return math.atan2(-east, down)
 
 
-def _shots(images: list[dict[str, Any]], annotations: list[dict[str, Any]], offset_s: float) -> list[Shot]:
+def _shots(
+    images: list[dict[str, Any]], annotations: list[dict[str, Any]], offset_s: float
+) -> list[CameraShot]:
     drawn_in = {_stamp(points): shown for shown in annotations for points in shown["points"][:1]}
     return [
-        Shot(_stamp(image) - offset_s, _camera_picture(image, drawn_in.get(_stamp(image))))
+        CameraShot(_stamp(image) - offset_s, _camera_picture(image, drawn_in.get(_stamp(image))))
         for image in images
     ]
 

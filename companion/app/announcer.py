@@ -1,4 +1,4 @@
-"""What people are told: each notice goes into the log and on to whoever listens, and is kept for a while."""
+"""Notices to people: each goes into the log and on to whoever listens, and is kept for a while."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Announcer:
     def __init__(self, clock: Clock, log: FlightLog, deliver: Callable[[Notice], None]) -> None:
         self._clock, self._log, self._deliver = clock, log, deliver
         self._new: list[Notice] = []
-        self._log_problem_told = False
+        self._log_problem_reported = False
         self.recent: deque[Notice] = deque(maxlen=KEPT)
 
     def notify(self, kind: str, text: str, severity: Severity) -> None:
@@ -42,6 +42,6 @@ class Announcer:
     def watch_log(self) -> None:
         """Tell once that the log on disk has a gap or has ended; the flight goes on."""
         problem = self._log.problem
-        told, self._log_problem_told = self._log_problem_told, problem is not None
-        if problem is not None and not told:
+        reported, self._log_problem_reported = self._log_problem_reported, problem is not None
+        if problem is not None and not reported:
             self.notify("record", problem, "warning")

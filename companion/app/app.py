@@ -155,7 +155,7 @@ class App:
     # ------------------------------------------------------------ plan and control
 
     async def _controlled(self) -> Phase:
-        """The control task; when it fails, the vehicle is handed back before the failure is told."""
+        """The control task; when it fails, control is returned before the failure is reported."""
         try:
             return await self._control_task()
         except Exception:

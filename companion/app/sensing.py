@@ -139,7 +139,7 @@ class Sensing:
         self.last_range: RangeSample | None = None
         self.last_frame: FrameReport | None = None
         self.frame_count = 0
-        self._fault_told_s = self._attitude_s = float("-inf")
+        self._fault_reported_s = self._attitude_s = float("-inf")
         # a camera that is kept judges its frames itself
         kept = isinstance(hardware.frames, KeptCamera)
         self._frame_judge = None if kept else FrameJudge(oldest_s=math.inf)
@@ -190,7 +190,7 @@ class Sensing:
     # ------------------------------------------------------------ inertial
 
     async def _imu_task(self, driver: Mpu9250) -> None:
-        """Poll the MPU9250; the driver sets the chip up anew after a fault, which is told once."""
+        """Poll the MPU9250; the driver sets the chip up anew after a fault, which is reported once."""
         period_s = 1.0 / self._config.sense.imu.poll_hz
         next_s, fault = self._clock.now_s(), driver.problem
         while True:
@@ -205,9 +205,9 @@ class Sensing:
             next_s = max(next_s + period_s, self._clock.now_s())
             await self._clock.sleep_until(next_s)
 
-    def _notify_change(self, problem: str | None, told: str | None) -> str | None:
-        """Notify a problem that is not the one told last; returns what counts as told."""
-        if problem is not None and problem != told:
+    def _notify_change(self, problem: str | None, reported: str | None) -> str | None:
+        """Notify a problem that is not the one reported last; returns what counts as reported."""
+        if problem is not None and problem != reported:
             self._notify("sensor", problem, "warning")
         return problem
 
@@ -221,7 +221,7 @@ class Sensing:
             self._log.write("mag", mag, now_s)
 
     def take_attitude(self, autopilot: AutopilotState) -> None:
-        """The newest attitude that the autopilot has told, once."""
+        """The newest attitude that the autopilot has reported, once."""
         if autopilot.attitude is None or autopilot.attitude_time_s <= self._attitude_s:
             return
         self._attitude_s = autopilot.attitude_time_s
@@ -245,7 +245,7 @@ class Sensing:
 
     async def _gps_configuration_task(self, port: SerialLine) -> None:
         """Find the receiver's rate; send what it has not acknowledged yet, and all again when it forgets."""
-        # a port that is gone is told by the task that reads it
+        # a port that is gone is reported by the task that reads it
         with contextlib.suppress(OSError):
             while True:
                 question = self._gps.pending(self._clock.now_s())
@@ -268,12 +268,12 @@ class Sensing:
 
     async def _watch_task(self) -> None:
         """Notify what is wrong with the sensors, each problem once while it lasts."""
-        told: list[str | None] = []
+        reported: list[str | None] = []
         while True:
             await asyncio.sleep(WATCH_PERIOD_S)
             problems = self._problems(self._clock.now_s())
-            told = told or [None] * len(problems)
-            told = [self._notify_change(*pair) for pair in zip(problems, told, strict=True)]
+            reported = reported or [None] * len(problems)
+            reported = [self._notify_change(*pair) for pair in zip(problems, reported, strict=True)]
 
     def _problems(self, now_s: float) -> list[str | None]:
         """What is wrong with each of the sensors that are used and do not speak for themselves."""
@@ -343,6 +343,6 @@ class Sensing:
     def _notify_fault(self, text: str) -> None:
         """Notify a fault that may come with every frame, but not more often than is of use."""
         now_s = self._clock.now_s()
-        if now_s - self._fault_told_s >= FAULT_PERIOD_S:
-            self._fault_told_s = now_s
+        if now_s - self._fault_reported_s >= FAULT_PERIOD_S:
+            self._fault_reported_s = now_s
             self._notify("sensor", text, "warning")

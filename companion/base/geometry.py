@@ -278,3 +278,18 @@ def horizontal_acceleration(attitude: Quaternion) -> tuple[float, float]:
     down = quat_rotate(attitude, (0.0, 0.0, 1.0))
     pull = GRAVITY_M_S2 / max(down[2], MINIMUM_DOWN_COMPONENT)
     return (-down[0] * pull, -down[1] * pull)
+
+
+def side_force(attitude: Quaternion, specific_force_body_m_s2: Vector3) -> Vector3:
+    """The horizontal acceleration (m/s2, NED) that no thrust along body up makes: of wind and drag.
+
+    A thrust that would explain the force along down explains a part sideways; this is the rest. Only what the
+    accelerometer feels across body up counts, so that a thrust, of whatever instant, cancels. Upside down or
+    on its side the vehicle has none.
+    """
+    x, y, _ = specific_force_body_m_s2
+    north, east, down = quat_rotate(attitude, (x, y, 0.0))
+    axis = quat_rotate(attitude, (0.0, 0.0, 1.0))
+    if axis[2] < MINIMUM_DOWN_COMPONENT:
+        return ZERO3
+    return (north - down * axis[0] / axis[2], east - down * axis[1] / axis[2], 0.0)

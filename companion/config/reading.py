@@ -52,7 +52,7 @@ class _Loader(_UniqueKeys, yaml.SafeLoader):
 
 
 class _QuickLoader(_UniqueKeys, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """By libyaml where PyYAML was built with it: the same values in a tenth of the time."""
+    """By libyaml where PyYAML was built with it: the same values in a seventh of the time."""
 
 
 Model = TypeVar("Model", bound=BaseModel)

@@ -66,7 +66,7 @@ class ImuConfig(StrictModel):
 class GpsConfig(StrictModel):
     """NEO-6M on a serial port.
 
-    It may talk at any rate when we come: it is found, and then told to use `baud`. `latency_s` is from the
+    It may talk at any rate when we come: it is found, and then set to `baud`. `latency_s` is from the
     instant a fix is valid to the first bit of its first message, at the quickest.
     """
 

@@ -223,7 +223,7 @@ class Controller:
             start.motion, target, disturbance, self._plant.last_input(start.motion)
         )
         solve_s = self._stopwatch() - began_s
-        self._failures = 0 if solution.solved else self._failures + 1
+        self._failures = 0 if solution.solved or solution.cut else self._failures + 1
         self._learn(start, target, disturbance, solution)
         setpoint = _seen(self._setpoint(start.motion, solution, now_s), reference, pad)
         boost = self._boost(start.motion, solution)

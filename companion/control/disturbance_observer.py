@@ -1,8 +1,8 @@
 """What disturbs the vehicle besides the command, by what is measured and how fast that may be trusted.
 
-- The wind's disturbance sideways (`WindObserver`): a multirotor's thrust lies along its up axis, so what it
-  accelerates beyond what its tilt makes is the wind's doing. Both are measured and made equally late; no
-  model of the autopilot comes between, and no loop closes through one.
+- The wind's disturbance sideways (`WindObserver`): a multirotor's thrust lies along its up axis, so what its
+  accelerometer feels across that axis is the wind's doing. No model of the autopilot comes between, and no
+  loop closes through one.
 - What is left between the command and what the thrust makes (`LastingObserver`): the autopilot's attitude is
   not quite ours, its integrals wind up, thrust differs from what was assumed. That closes a loop through
   the autopilot's lag, so it is trusted slowly: `margins` shows how slowly.
@@ -18,7 +18,6 @@ from typing import Final
 from companion.base.geometry import (
     GRAVITY_M_S2,
     ZERO3,
-    Quaternion,
     Vector3,
     add,
     horizontal_acceleration,
@@ -26,6 +25,7 @@ from companion.base.geometry import (
     scale,
     subtract,
 )
+from companion.base.messages import VehicleState
 from companion.control.response.flight_model import advance_axis
 
 # the measured acceleration's bias (of attitude or accelerometer) shows in the velocity, at this bandwidth
@@ -123,24 +123,25 @@ class LastingObserver:
 
 
 class WindObserver:
-    """The wind's disturbance sideways, from the vehicle's tilt and acceleration. NED, m/s2.
+    """The wind's disturbance sideways: the side force that the accelerometer feels. NED, m/s2.
 
-    An attitude that is off cancels: the acceleration was turned by it, too. It is known late, and acted upon
-    later still; a gust lasts, so its trend carries it on.
+    No attitude of one instant is set against an acceleration of another, so the vehicle's own manoeuvres,
+    however late they are measured, are no wind. It is known late, and acted upon later still; a gust lasts,
+    so its trend carries it on.
     """
 
-    SMOOTHING_S: Final = 0.06
+    SMOOTHING_S: Final = 0.03
     TREND_S: Final = 0.3
     MOST_CHANGE_M_S2: Final = 1.0  # a steeper trend is a gust that is over before
 
     def __init__(self, sensor_lag_s: float, maximum_m_s2: float) -> None:
-        """`sensor_lag_s` is how late the measured acceleration is: what the tilt makes is delayed as much."""
+        """`sensor_lag_s` is how late the side force is measured."""
         self._lag_s, self._maximum_m_s2 = sensor_lag_s, maximum_m_s2
         self.reset()
 
     def reset(self) -> None:
         """Start again: the first measurement is taken as it is."""
-        self._late: Vector3 | None = None
+        self._begun = False
         self.thrust_ned_m_s2: Vector3 = ZERO3
         self.late_thrust_ned_m_s2: Vector3 = ZERO3
         self.wind_ned_m_s2: Vector3 = ZERO3
@@ -154,31 +155,27 @@ class WindObserver:
         x, y, _ = add(self.wind_ned_m_s2, change)
         return (_clamp(x, self._maximum_m_s2), _clamp(y, self._maximum_m_s2), 0.0)
 
-    def step(self, attitude: Quaternion, acceleration_ned_m_s2: Vector3, elapsed_s: float) -> None:
-        """Take in attitude and acceleration, the last were `elapsed_s` ago.
+    def step(self, vehicle: VehicleState, elapsed_s: float) -> None:
+        """Take in attitude, acceleration and side force, the last were `elapsed_s` ago.
 
-        `thrust_ned_m_s2` is then what the tilt makes now, `late_thrust_ned_m_s2` the same as late as the
-        acceleration, and `wind_ned_m_s2` the wind's part. Along down all of the acceleration is thrust.
+        `thrust_ned_m_s2` is then what the tilt makes now, `late_thrust_ned_m_s2` what the thrust made when
+        the acceleration was measured, and `wind_ned_m_s2` the wind's part. Along down all of the acceleration
+        is thrust.
         """
-        x, y, z = acceleration_ned_m_s2
-        if not all(map(math.isfinite, (x, y, z, *attitude))):
+        (x, y, z), (a, b, _) = vehicle.acceleration_ned_m_s2, vehicle.side_force_ned_m_s2
+        if not all(map(math.isfinite, (x, y, z, a, b, *vehicle.attitude))):
             return
-        by_tilt, carried = horizontal_acceleration(attitude), 1.0 - z / GRAVITY_M_S2
-        now = (by_tilt[0] * carried, by_tilt[1] * carried, z)
-        first = self._late is None
-        late = self._late = (
-            now
-            if self._late is None
-            else _follow_line(self._late, self.thrust_ned_m_s2, now, elapsed_s / self._lag_s)
-        )
-        self.thrust_ned_m_s2, self.late_thrust_ned_m_s2 = now, (late[0], late[1], z)
-        bound = self._maximum_m_s2
-        wind = (_clamp(x - late[0], bound), _clamp(y - late[1], bound), 0.0)
-        smoothing = math.inf if first else elapsed_s / self.SMOOTHING_S
-        before, self.wind_ned_m_s2 = self.wind_ned_m_s2, _follow(self.wind_ned_m_s2, wind, smoothing)
-        if elapsed_s > 0.0 and not first:
+        by_tilt, carried = horizontal_acceleration(vehicle.attitude), 1.0 - z / GRAVITY_M_S2
+        self.thrust_ned_m_s2 = (by_tilt[0] * carried, by_tilt[1] * carried, z)
+        self.late_thrust_ned_m_s2 = (x - a, y - b, z)
+        bound, before = self._maximum_m_s2, self.wind_ned_m_s2
+        wind = (_clamp(a, bound), _clamp(b, bound), 0.0)
+        smoothing = elapsed_s / self.SMOOTHING_S if self._begun else math.inf
+        self.wind_ned_m_s2 = _follow(before, wind, smoothing)
+        if elapsed_s > 0.0 and self._begun:
             slope = scale(subtract(self.wind_ned_m_s2, before), 1.0 / elapsed_s)
             self._trend_ned_m_s3 = _follow(self._trend_ned_m_s3, slope, elapsed_s / self.TREND_S)
+        self._begun = True
 
 
 class ThrustScale:
@@ -208,17 +205,6 @@ class ThrustScale:
 def _follow(state: Vector3, measured: Vector3, exponent: float) -> Vector3:
     share = _share(exponent)
     x, y, z = (a + share * (b - a) for a, b in zip(state, measured, strict=True))
-    return (x, y, z)
-
-
-def _follow_line(state: Vector3, before: Vector3, now: Vector3, exponent: float) -> Vector3:
-    """A first-order lag over a time in which its input goes straight from `before` to `now`."""
-    if exponent <= 0.0:
-        return state
-    kept = math.exp(-exponent)
-    mean = (1.0 - kept) / exponent
-    old, new = mean - kept, 1.0 - mean
-    x, y, z = (kept * s + old * a + new * b for s, a, b in zip(state, before, now, strict=True))
     return (x, y, z)
 
 

@@ -46,9 +46,10 @@ class Target:
 
 @dataclass(frozen=True)
 class TrackingSolution:
-    """Inputs (N, 3) in m/s2 and the predicted states (N, 9); `solved` is false for a shifted old solution.
+    """Inputs (N, 3) in m/s2 and the predicted states (N, 9); `solved` is false for what takes their place.
 
-    `late`: the stopwatch ended the search.
+    That is the optimum without constraints, cut to the inputs' bounds (`cut`), where the iterations ran out,
+    else the old solution, shifted. `late`: the stopwatch ended the search.
     """
 
     inputs_m_s2: FloatArray
@@ -56,6 +57,7 @@ class TrackingSolution:
     solved: bool
     iterations: int
     late: bool = False
+    cut: bool = False
 
 
 def needed_inputs(target: Target, disturbance_m_s2: Vector3, lags_s: Vector3, step_s: float) -> FloatArray:

@@ -87,7 +87,7 @@ class StateEstimator:
         self._timeline: Timeline[PadSnapshot, PadInput] = Timeline(self._pad, config.pad.remember_s)
         self._camera_delay = CameraDelay(self._motion, config.pad.camera_delay_std_s)
         self._mount_check = MountCheck(self._motion, vehicle.camera_position_body_m)
-        self._camera_yaw_deg, self._mount_told = vehicle.camera_yaw_deg, False
+        self._camera_yaw_deg, self._mount_reported = vehicle.camera_yaw_deg, False
         self._early: list[PadSighting] = []  # of what the IMU has not come up to
         self._unusable: dict[str, int] = {}
 
@@ -136,9 +136,9 @@ class StateEstimator:
         corrections, self._vehicle.corrections = self._vehicle.corrections, ()
         notices = tuple(("attitude", words) for words in corrections)
         error_rad = self._mount_check.yaw_error_rad
-        if self._mount_told or error_rad is None:
+        if self._mount_reported or error_rad is None:
             return notices
-        self._mount_told = True
+        self._mount_reported = True
         return (*notices, ("camera", self._mount_words(math.degrees(error_rad))))
 
     def _mount_words(self, error_deg: float) -> str:

@@ -1,9 +1,9 @@
 """The thread that writes the flight log: a card that stalls must not stall the control loop.
 
-`put` never waits in flight. What does not fit is dropped, counted and told: bulky data (samples, frames,
+`put` never waits in flight. What does not fit is dropped, counted and reported: bulky data (samples, frames,
 MAVLink) first, while there is still room for what explains a flight. In virtual time the flight waits for the
 disk instead, so that nothing is lost. An error of the card ends the log, not the flight; what cannot be
-written for any other reason is left out, counted and told. However the log ends, its files are closed.
+written for any other reason is left out, counted and reported. However the log ends, its files are closed.
 """
 
 from __future__ import annotations

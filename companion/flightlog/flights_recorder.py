@@ -32,7 +32,7 @@ MOST_KEPT: Final = 120_000  # messages, whatever their stamps say
 
 @dataclass(frozen=True, slots=True)
 class _Kept:
-    """What a log is to be told of later: the name of its method, and what with."""
+    """A call to a log that is made later: the name of its method, and what with."""
 
     time_s: float
     method: Literal["write", "write_frame", "write_mavlink"]

@@ -113,7 +113,7 @@ def list_flights(root: Path) -> None:
     Raises:
         ConfigError: the folder cannot be read.
     """
-    from companion.flightlog.flights import recorded_flights  # noqa: PLC0415 - the wrong name is told first
+    from companion.flightlog.flights import recorded_flights  # noqa: PLC0415 - a wrong name is reported first
     from companion.flightlog.summary import summary_of  # noqa: PLC0415
 
     try:
@@ -125,20 +125,20 @@ def list_flights(root: Path) -> None:
     total = 0
     for folder in flights:
         try:
-            told = summary_of(folder)
+            summary = summary_of(folder)
         except (OSError, ValueError, KeyError) as error:
             typer.echo(f"{folder.name:<18} cannot be read: {error}")
             continue
-        total += told.size_bytes
+        total += summary.size_bytes
         date = "no date (clock)"
-        if told.start_unix_s is not None:
-            date = f"{datetime.fromtimestamp(told.start_unix_s, UTC):%Y-%m-%d %H:%M}"
-        about = "~" if told.estimated else ""
-        error_text = "-" if told.lateral_m is None else f"{about}{100.0 * told.lateral_m:.1f} cm"
-        cut = ", log cut short" if told.cut else ""
+        if summary.start_unix_s is not None:
+            date = f"{datetime.fromtimestamp(summary.start_unix_s, UTC):%Y-%m-%d %H:%M}"
+        about = "~" if summary.estimated else ""
+        error_text = "-" if summary.lateral_m is None else f"{about}{100.0 * summary.lateral_m:.1f} cm"
+        cut = ", log cut short" if summary.cut else ""
         typer.echo(
-            f"{folder.name:<18} {date:<16} {told.seconds:5.0f} s {error_text:>10} "
-            f"{told.size_bytes / MEGABYTE:6.0f} MB  {told.outcome}{cut}"
+            f"{folder.name:<18} {date:<16} {summary.seconds:5.0f} s {error_text:>10} "
+            f"{summary.size_bytes / MEGABYTE:6.0f} MB  {summary.outcome}{cut}"
         )
     count = "1 flight" if len(flights) == 1 else f"{len(flights)} flights"
     typer.echo(f"{count} in {root}, {total / MEGABYTE:.0f} MB; times in UTC; ~: by the pad filter's estimate")
@@ -176,7 +176,7 @@ def convert_log(log: Path, output: Path | None, form: str) -> None:
     """
     source = log / "flight.mcap" if log.is_dir() else log
     must_be_readable(source)
-    from companion.flightlog.tables import TableFormat, convert  # noqa: PLC0415 - told first
+    from companion.flightlog.tables import TableFormat, convert  # noqa: PLC0415 - reported first
 
     folder = output or source.with_name("tables")
     written = convert(source, folder, TableFormat(form))
@@ -194,7 +194,7 @@ def repair_log(log: Path, output: Path | None) -> None:
     target = output or source.with_name(REPAIRED_NAME)
     if target.exists():
         raise ConfigError(f"{target}: exists already; expected a new file, by --output")
-    from companion.flightlog.repair import repair  # noqa: PLC0415 - the wrong name is told without it
+    from companion.flightlog.repair import repair  # noqa: PLC0415 - a wrong name is reported without it
 
     saved = repair(source, target)
     was = "cut short" if saved.cut else "whole"

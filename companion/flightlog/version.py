@@ -38,7 +38,7 @@ def revision() -> str | None:
         return None
     command = ("git", "-C", str(ROOT), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*")
     try:
-        told = subprocess.run(
+        described = subprocess.run(
             command,
             capture_output=True,
             text=True,
@@ -48,4 +48,4 @@ def revision() -> str | None:
         )
     except (OSError, subprocess.SubprocessError):
         return None
-    return told.stdout.strip() or None
+    return described.stdout.strip() or None

@@ -84,12 +84,12 @@ def loss_warnings(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> list[
     found = []
     action, timeout_s = setup.setpoints_lost_action, setup.setpoint_timeout_s
     timeout_name = "COM_OF_LOSS_T" if autopilot_kind == "px4" else "GUID_TIMEOUT"
-    untold = [timeout_name] if timeout_s is None else []
+    unknown = [timeout_name] if timeout_s is None else []
     if action is None and autopilot_kind == "px4":
-        untold.append("COM_OBL_RC_ACT")
-    if untold:
+        unknown.append("COM_OBL_RC_ACT")
+    if unknown:
         found.append(
-            f"link loss: the autopilot does not tell {' and '.join(untold)}: "
+            f"link loss: the autopilot does not report {' and '.join(unknown)}: "
             "what it does when setpoints stop is not known"
         )
     if action is not None and action in STICK_ACTIONS:

@@ -29,7 +29,7 @@ _INTEGERS: Final = {
 }
 
 
-def told_value(message: Message, autopilot_kind: AutopilotKind | None) -> float:
+def reported_value(message: Message, autopilot_kind: AutopilotKind | None) -> float:
     """The value in a PARAM_VALUE, whichever way its autopilot sends integers."""
     value: float = message.param_value
     form = _INTEGERS.get(message.param_type) if autopilot_kind == "px4" else None
@@ -83,7 +83,7 @@ class ParameterRequests:
 
     def heard(self, message: Message, autopilot_kind: AutopilotKind | None) -> None:
         """Take a PARAM_VALUE of our autopilot's."""
-        value = told_value(message, autopilot_kind)
+        value = reported_value(message, autopilot_kind)
         if not math.isfinite(value):
             return
         for request in self._waiting:

@@ -65,6 +65,8 @@ class UdpTransport(asyncio.DatagramProtocol):
         self._system_id = system_id
         self._peer_heard_s = -math.inf
         self.strangers = 0
+        self._first_stranger_s = 0.0
+        self._stranger_told = False
         self._inbox = Inbox()
         self._socket: asyncio.DatagramTransport | None = None
         self._peer: tuple[str, int] | None = None
@@ -89,7 +91,7 @@ class UdpTransport(asyncio.DatagramProtocol):
         now_s = self._clock.now_s()
         # a calling socket is connected: the system passes on what the peer sent and nothing else
         if not self._calls and addr != self._peer and not self._may_follow(data, now_s):
-            self._ignore(addr)
+            self._ignore(addr, now_s)
             return
         self._peer, self._peer_heard_s = addr, now_s
         self._inbox.put(data)
@@ -128,9 +130,13 @@ class UdpTransport(asyncio.DatagramProtocol):
         self._system_id = system_id or self._system_id
         return system_id is not None
 
-    def _ignore(self, address: tuple[str, int]) -> None:
+    def _ignore(self, address: tuple[str, int], now_s: float) -> None:
         self.strangers += 1
         if self.strangers == 1:
+            self._first_stranger_s = now_s
+        # the peer itself is a stranger until its first heartbeat, which comes once a second
+        if not self._stranger_told and now_s - self._first_stranger_s > _PEER_SILENCE_S:
+            self._stranger_told = True
             wanted = f"of system {self._system_id}" if self._system_id else "of an autopilot"
             _log.warning("link: %s:%d is not heard: no heartbeat %s", *address[:2], wanted)
 

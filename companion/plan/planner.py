@@ -57,10 +57,10 @@ class Planner:
         self._mission = mission = config.mission
         search = config.search
         self._machine = StateMachine(config.landing.retries, may_fly=standby is None)
-        self._battery, self._battery_told = mission.battery, False
+        self._battery, self._battery_reported = mission.battery, False
         self._notices: list[Notice] = []
         self._heard_s = -math.inf
-        self._fence_m, self._fence_told, self._leaving_told = mission.fence_m, False, False
+        self._fence_m, self._fence_reported, self._leaving_reported = mission.fence_m, False, False
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
         self._monitor = FailsafeMonitor(mission, self._machine)
         self._pad = PadKnowledge(search.sightings, SIGHTINGS_WINDOW_S)
@@ -149,8 +149,8 @@ class Planner:
             return False
         north, east, _ = ned_from_geodetic(beacon.latitude_deg, beacon.longitude_deg, beacon.altitude_m, home)
         distance_m, fence_m = math.hypot(north, east), self._fence_m
-        if distance_m > fence_m and not self._fence_told:
-            self._fence_told = True
+        if distance_m > fence_m and not self._fence_reported:
+            self._fence_reported = True
             words = f"pad beacon {distance_m:.0f} m from home, outside the fence of {fence_m:.0f} m: ignored"
             self._say("fence", words, beacon.time_s, "warning")
         return distance_m <= fence_m
@@ -189,11 +189,11 @@ class Planner:
     def _watch_battery(self, inputs: PlanInputs, now_s: float) -> None:
         """With a low battery no new try is begun; said once. It stays low, whatever the load does to it."""
         share = inputs.autopilot.battery_share
-        if share is None or share > self._battery.low or self._battery_told:
+        if share is None or share > self._battery.low or self._battery_reported:
             return
         if self.phase in {Phase.STANDBY, Phase.CONNECT}:
             return  # departure says what it waits for
-        self._battery_told = self._machine.no_new_try = True
+        self._battery_reported = self._machine.no_new_try = True
         self._say("battery", f"low, {100.0 * share:.0f} % left: no new try", now_s, "warning")
 
     def _circumstances(self, inputs: PlanInputs, now_s: float) -> Circumstances:
@@ -222,8 +222,8 @@ class Planner:
         machine, state, had = self._machine, self._machine.state, self._machine.authority
         branch = machine.follows(event, self._circumstances(inputs, now_s))
         if branch is None:
-            if event is MissionEvent.COMMIT and not self._leaving_told:
-                self._leaving_told = True
+            if event is MissionEvent.COMMIT and not self._leaving_reported:
+                self._leaving_reported = True
                 words = f"the pad leaves the fence of {self._fence_m:.0f} m before a landing ends: waiting"
                 self._say("fence", words, now_s, "warning")
             return

@@ -22,21 +22,21 @@ SAME_SHARE: Final = 0.01  # of T
 
 
 @dataclass(frozen=True, slots=True)
-class Authority:
+class RuleAuthority:
     """Cycles that planned a way to the pad, and those of them whose time was the law's."""
 
     cycles: int = 0
     decided: int = 0
 
 
-def authority(plans: Sequence[PlanStep], minimum_time_s: float) -> Authority:
+def authority(plans: Sequence[PlanStep], minimum_time_s: float) -> RuleAuthority:
     """Count them over a flight's plan, by its T_min (s)."""
     decided = [
         abs(law_s - plan.time_to_go_s) <= SAME_SHARE * plan.time_to_go_s
         for plan in plans
         if (law_s := _law_s(plan, minimum_time_s)) is not None
     ]
-    return Authority(len(decided), sum(decided))
+    return RuleAuthority(len(decided), sum(decided))
 
 
 def _law_s(plan: PlanStep, minimum_time_s: float) -> float | None:

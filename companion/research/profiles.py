@@ -28,7 +28,7 @@ from companion.base.messages import Outcome, Phase
 from companion.config import GuidanceConfig, PlanConfig
 from companion.flightlog.errors import TruthTrack
 from companion.plan.speed.laws import load_speed_law
-from companion.research.authority import Authority, authority
+from companion.research.authority import RuleAuthority, authority
 from companion.research.flown import EndedFlight, fly_scenario
 
 mpl.use("Agg")
@@ -64,7 +64,7 @@ class Descent:
     overshoot_m: float = np.nan
     contact_m_s: float = np.nan
     lateral_contact_m: float = np.nan
-    authority: Authority = field(default_factory=Authority)
+    authority: RuleAuthority = field(default_factory=RuleAuthority)
     course: FloatArray = field(default_factory=lambda: np.zeros((3, 0)))
 
 

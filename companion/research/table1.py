@@ -3,7 +3,7 @@
 The same rendered frames of a pad (rolling shutter, noise, blur of the motion; drawn aim, tilt, heading and
 speed, but no vibration) are shown to vision in several ways: with all markers, by the joint pose that flies;
 with all, by the paper's rule (each marker alone, eq. 1, mean); and for each group with one of its markers
-known alone. Vision is told where the pad is expected, as in flight. Precision is the root mean square error
+known alone. Vision knows where the pad is expected, as in flight. Precision is the root mean square error
 of the pad's position, all axes together.
 """
 

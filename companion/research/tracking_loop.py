@@ -26,6 +26,7 @@ from companion.base.geometry import (
     add,
     quat_rotate,
     scale,
+    side_force,
     subtract,
     vector3,
 )
@@ -173,12 +174,12 @@ class TrackingLoop:
     def _control(self, way: Trajectory, now_s: float) -> None:
         rows = way.rows(now_s, HORIZON_ROWS, ROW_STEP_S)
         reference = Reference(now_s, "pad", ROW_STEP_S, *rows, heading_rad=0.0)
-        vehicle, pad = self._told(now_s)
+        vehicle, pad = self._estimates(now_s)
         answer = self._controller.step(PlanStep(now_s, Phase.DESCEND, reference), vehicle, pad, now_s)
         if answer is not None:
             self._pending.append((now_s + self._link_delay_s, _streamed(answer[0])))
 
-    def _told(self, now_s: float) -> tuple[VehicleState, PadState]:
+    def _estimates(self, now_s: float) -> tuple[VehicleState, PadState]:
         """Vehicle and pad as good estimators would have them."""
         state, pad = self._world.state, self._world.pad_state
         noise = self._rng.standard_normal((4, 3))
@@ -202,8 +203,9 @@ class TrackingLoop:
             position_std_m=1.0,
             aligned=True,
             has_gps=True,
+            side_force_ned_m_s2=side_force(state.attitude, state.specific_force_body_m_s2),
         )
-        told = PadState(
+        estimated = PadState(
             time_s=now_s,
             relative_position_ned_m=add(scale(self._offset_m(), -1.0), scale(away, POSITION_NOISE_M)),
             relative_velocity_ned_m_s=relative,
@@ -215,7 +217,7 @@ class TrackingLoop:
             velocity_std_m_s=VELOCITY_NOISE_M_S,
             seen_time_s=now_s,
         )
-        return vehicle, told
+        return vehicle, estimated
 
 
 def _streamed(setpoint: Setpoint) -> MotionSetpoint:

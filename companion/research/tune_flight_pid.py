@@ -31,7 +31,7 @@ ROUNDS: Final = 3
 NARROWING: Final = 0.4  # of the box, from round to round
 DIGITS: Final = 2
 
-Told = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 def gains_of(shape: FloatArray) -> PidGains:
@@ -63,8 +63,8 @@ class _Best:
             self.shape, self.error_m = shape, error_m
 
 
-def tune(draws: int, seed: int, tell: Told) -> PidConfig:
-    """The best gains of `draws` draws a round; `tell` takes a line of progress."""
+def tune(draws: int, seed: int, report: Report) -> PidConfig:
+    """The best gains of `draws` draws a round; `report` takes a line of progress."""
     middle = 0.5 * (LOWEST + HIGHEST)
     best = (_Best(middle), _Best(middle))
     sampler = qmc.LatinHypercube(d=6, rng=np.random.default_rng(seed))
@@ -79,7 +79,7 @@ def tune(draws: int, seed: int, tell: Told) -> PidConfig:
             for found, shape, error_m in zip(best, shapes, rmse_m(config, TRAINING_SEEDS), strict=True):
                 found.hear(shape, float(error_m))
         errors = ", ".join(f"{100.0 * b.error_m:.1f} cm" for b in best)
-        tell(f"round {step + 1} of {ROUNDS}: horizontal, vertical {errors}")
+        report(f"round {step + 1} of {ROUNDS}: horizontal, vertical {errors}")
     return _config(best[0].shape, best[1].shape).pid
 
 

@@ -30,7 +30,7 @@ class SimulatorError(Exception):
 
 
 def _world_options(trial: Trial) -> tuple[str, ...]:
-    """How the simulator is told of the user's autopilot, or of the firmware that flies."""
+    """How the simulator learns of the user's autopilot, or of the firmware that flies."""
     if trial.external is not None:
         return ("--external", trial.external.world or trial.external.app)
     return () if trial.firmware is None else trial.firmware.options

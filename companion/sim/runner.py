@@ -81,7 +81,7 @@ async def _fly(app: App, time_limit_s: float, world: asyncio.Task[None]) -> Phas
 
 
 async def _cancel(task: asyncio.Task[Any]) -> None:
-    """End a task and wait for it; a failure of its own is dropped, since another one is being told."""
+    """End a task and wait for it; a failure of its own is dropped, since another one is being reported."""
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)
 

@@ -42,7 +42,7 @@ SIMULATED_HARDWARE: Final[dict[str, Any]] = {
 # of what two vehicles differ in
 MOST_NAMED: Final = 4
 
-# what the app is to be told when its IMU, compass and GPS are those of the user's own autopilot
+# the app's settings when its IMU, compass and GPS are those of the user's own autopilot
 _BY_TELEMETRY: Final[dict[str, Any]] = {
     "sense": {"source": "autopilot", "autopilot": {"range_source": "boards"}},
     # it is a simulator's: nobody is surprised by what is set there
@@ -66,8 +66,8 @@ def sitl_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionCo
     hardware = merge(merge(SIMULATED_HARDWARE, link), _wiring(trial.scenario))
     # where somebody else's vehicle stands is not the scenario's to say
     scenario = trial.scenario
-    told = scenario.companion if trial.external else scenario.operator_settings
-    overrides = merge(merge(hardware, _MAY_ARM), told)
+    given = scenario.companion if trial.external else scenario.operator_settings
+    overrides = merge(merge(hardware, _MAY_ARM), given)
     if fast:
         # MAVSDK has threads and a clock of its own; the same actions by our own messages in virtual time
         overrides = merge(overrides, {"link": {"actions": "pymavlink"}})
@@ -92,7 +92,7 @@ def vehicle_differs(config: CompanionConfig, trial: Trial) -> str | None:
 
     None as well where there is no such airframe: the simulator says that.
 
-    Errors of the file may be what a flight is to show, so this is told and not refused.
+    Errors of the file may be what a flight is to show, so this is reported and not refused.
 
     Raises:
         ConfigError: one of the files is wrong.

@@ -92,7 +92,7 @@ def campaign_command(
 
 
 def _must_exist(sources: Sequence[str], config: Path | None) -> None:
-    """What is missing is told before anything heavy is imported."""
+    """What is missing is reported before anything heavy is imported."""
     for source in sources:
         if source != ALL:
             find_file("scenarios", source)

@@ -21,7 +21,7 @@ from sitl.campaign.rows import Row
 LINES_IN_ALL: Final = 10
 
 
-class Meter:
+class CampaignMeter:
     """Counts runs and landings; prints each run that did not land, and the command that repeats it."""
 
     def __init__(self, console: Console, rows: Sequence[Row], total: int, *, quiet: bool) -> None:
@@ -32,7 +32,7 @@ class Meter:
         self._landed = sum(row.landed for row in rows)
         self._bar = None if quiet or not console.is_terminal else _bar(console)
 
-    def __enter__(self) -> Meter:
+    def __enter__(self) -> CampaignMeter:
         if self._bar is not None:
             self._bar.start()
             self._task = self._bar.add_task(

@@ -17,7 +17,7 @@ from companion.base.files import write_atomically
 from companion.config import ConfigError
 from sitl.campaign.manifest import MANIFEST_NAME, CampaignRun, Plan, check_goes_on, make_plan, read_manifest
 from sitl.campaign.pool import fly_locally
-from sitl.campaign.progress import Meter
+from sitl.campaign.progress import CampaignMeter
 from sitl.campaign.rows import CSV_NAME, Row, RunsFile, make_row, pending, read_rows, write_parquet
 from sitl.campaign.worker import RunResult
 from sitl.firmware.spec import FirmwareSpec
@@ -134,7 +134,7 @@ def _fly(plan: Plan, runs: RunsFile, options: Options, console: Console) -> None
         return
     with (
         contextlib.closing(_flown(left, options)) as ended,
-        Meter(console, runs.rows, len(flights), quiet=options.quiet) as meter,
+        CampaignMeter(console, runs.rows, len(flights), quiet=options.quiet) as meter,
     ):
         for flown in ended:
             row = make_row(flown, f"{plan.manifest.version}+{plan.manifest.code}")

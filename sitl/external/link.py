@@ -105,7 +105,7 @@ class TcpEnd:
         self._inbox = _Inbox()
         self._writer: asyncio.StreamWriter | None = None
         self._tell = tell
-        self._told = False
+        self._warned = False
         self._task = asyncio.create_task(self._stay_connected(host, port), name=self._name)
 
     async def read(self) -> bytes:
@@ -128,8 +128,8 @@ class TcpEnd:
         while True:
             try:
                 reader, self._writer = await asyncio.open_connection(host, port)
-                if self._told:
-                    self._told = False
+                if self._warned:
+                    self._warned = False
                     self._tell(f"{self._name}: connected again")
                 while data := await reader.read(_READ_BYTES):
                     self._inbox.put(data)
@@ -144,8 +144,8 @@ class TcpEnd:
 
     def _complain(self, reason: str) -> None:
         """Report a problem once while it lasts."""
-        if not self._told:
-            self._told = True
+        if not self._warned:
+            self._warned = True
             self._tell(f"{self._name}: {reason}; trying again every {RETRY_S:g} s")
 
 
@@ -211,7 +211,7 @@ async def pump(source: ExternalLink, *sinks: Callable[[bytes], None], tell: Tell
     Invalid values from the vehicle do not end the simulation: `tell` gets the first
     such problem, and the bytes are ignored.
     """
-    told = False
+    warned = False
     with contextlib.suppress(asyncio.CancelledError):
         while True:
             data = await source.read()
@@ -219,6 +219,6 @@ async def pump(source: ExternalLink, *sinks: Callable[[bytes], None], tell: Tell
                 try:
                     sink(data)
                 except (ArithmeticError, ValueError) as error:
-                    if not told:
-                        told = True
+                    if not warned:
+                        warned = True
                         tell(f"WARNING: ignored invalid data ({error})")

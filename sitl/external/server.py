@@ -25,6 +25,7 @@ from sitl.external.link import check_connection, open_link, open_relay
 from sitl.external.session import ExternalConnections, ExternalSimulation
 from sitl.run.process_control import final_phase, print_json, run_until_finished
 from sitl.run.server import REPORT_NAME, SENSOR_BAUD
+from sitl.scenario.home import magnetic_field_ned_ut
 from sitl.scenario.scenario import Scenario
 
 
@@ -74,7 +75,11 @@ def _endpoints(relay_port: int, range_path: str, frames: str) -> dict[str, Any]:
 
 async def _tell_once_found(simulation: ExternalSimulation, endpoints: dict[str, Any]) -> None:
     await simulation.ready.wait()
-    print_json(endpoints)
+    assert simulation.place is not None  # chosen with the first pose
+    # both autopilots' simulators take their field from the magnetic model at the place where they stand;
+    # with another place's field the app's heading would be wrong by the difference of the declinations
+    field_ned_ut = magnetic_field_ned_ut(simulation.place)
+    print_json({**endpoints, "estimate": {"magnetic_field_ned_ut": list(field_ned_ut)}})
 
 
 def _stop_signals() -> asyncio.Event:

@@ -74,6 +74,7 @@ class ExternalSimulation:
         self.client = VehicleClient(tell)
         self.world = ExternalWorld(scenario, seed)
         self.ready = asyncio.Event()
+        self.place: Vector3 | None = None  # of the world's origin (deg, deg, m AMSL), once it is known
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
         *rngs, rangefinder_rng = np.random.default_rng((seed, STREAM)).spawn(7)
         streams = iter(rngs)
@@ -172,6 +173,7 @@ class ExternalSimulation:
             ground = self.client.home
             self._tell("WARNING: the vehicle is armed already; the ground is taken to be at its home")
         self.world.begin(ground)
+        self.place = ground
         self._origin_source = self.client.source
         self._station = GroundStation.of(self._beacon, self._station_rng, ground)
         self._tell(
@@ -208,9 +210,9 @@ class ExternalSimulation:
         height_m, tilt_rad = OUT_OF_RANGE_M if distance is None else distance, tilt_from_quat(pose.attitude)
         self._ultrasonic.receive(port.receive())
         port.send(self._ultrasonic.step(now_s, height_m, tilt_rad))
-        told = self._rangefinder.due(now_s, height_m, tilt_rad)
-        if told is not None:
-            data = self.client.encode(told)
+        range_message = self._rangefinder.due(now_s, height_m, tilt_rad)
+        if range_message is not None:
+            data = self.client.encode(range_message)
             self._connections.link.write(data)
             self._connections.relay.write(data)
 

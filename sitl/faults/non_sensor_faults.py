@@ -116,8 +116,8 @@ class AutopilotPositionLost(FaultTimes):
     kind: Literal["autopilot_position_lost"]
 
 
-class Battery(FaultTimes):
-    """The battery's remaining charge, as told in SYS_STATUS and BATTERY_STATUS."""
+class BatteryCharge(FaultTimes):
+    """The battery's remaining charge, as reported in SYS_STATUS and BATTERY_STATUS."""
 
     kind: Literal["battery"]
     remaining_percent: int = Field(default=15, ge=-1, le=100)  # -1: the autopilot does not know
@@ -177,7 +177,7 @@ NonSensorFault = (
     | PilotMode
     | AutopilotReboots
     | AutopilotPositionLost
-    | Battery
+    | BatteryCharge
     | ImuNan
     | SolverInfeasible
     | SolverLate

@@ -99,7 +99,7 @@ def lose_position(_fault: non_sensor_faults.AutopilotPositionLost, targets: NonS
     targets.bundled.position_lost = True
 
 
-def drain_battery(fault: non_sensor_faults.Battery, targets: NonSensorTargets) -> None:
+def drain_battery(fault: non_sensor_faults.BatteryCharge, targets: NonSensorTargets) -> None:
     """Less charge."""
     targets.bundled.battery.false_share = 0.01 * fault.remaining_percent
 

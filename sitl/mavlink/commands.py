@@ -36,7 +36,7 @@ _WITH_PLACE: Final = {
 _NAV_PRECLAND: Final = 23  # PX4's own, where MAVLink's dialects have NAV_LAND_LOCAL
 
 
-class Sender(Protocol):
+class CommandSender(Protocol):
     """The endpoint's functions that commands use, and the autopilot."""
 
     autopilot: SimulatedAutopilot
@@ -81,7 +81,7 @@ def request_from_message(message: Any) -> CommandRequest:
     return CommandRequest(m.command, (*first, latitude, longitude, m.z), m.frame)
 
 
-def _arm_or_disarm(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _arm_or_disarm(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     force = request.whole(2) in (FORCE_MAGIC, _ARDUPILOT_FORCE_ARM)
     if request.parameters[0] == 1.0:
         return sender.autopilot.arm(force)
@@ -90,30 +90,30 @@ def _arm_or_disarm(sender: Sender, request: CommandRequest, now_s: float) -> Com
     return CommandResult.UNSUPPORTED
 
 
-def _set_mode(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _set_mode(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     flags, main, sub = request.whole(1), request.whole(2), request.whole(3)
     if flags < 0 or not flags & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED or main < 0:
         return CommandResult.DENIED
     return sender.autopilot.set_mode(sender.autopilot.profile.custom_mode(main, max(sub, 0)))
 
 
-def _take_off(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _take_off(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.take_off(request.parameters[6])
 
 
-def _land(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _land(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.set_mode_named(sender.autopilot.profile.land_mode)
 
 
-def _return(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _return(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.set_mode_named(sender.autopilot.profile.return_mode)
 
 
-def _hold(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _hold(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.set_mode_named(sender.autopilot.profile.hold_mode)
 
 
-def _reposition(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _reposition(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     speed, yaw = request.parameters[0], request.parameters[3]
     if request.frame not in _GLOBAL_FRAMES:
         return CommandResult.DENIED
@@ -129,39 +129,39 @@ def _reposition(sender: Sender, request: CommandRequest, now_s: float) -> Comman
     )
 
 
-def _start_mission(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _start_mission(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.start_mission(request.whole(1) if request.whole(1) > 0 else -1)
 
 
-def _select_item(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _select_item(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.select_mission_item(request.whole(1))
 
 
-def _land_by_mission(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _land_by_mission(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.land_by_mission()
 
 
-def _precision_land(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _precision_land(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.precision_land()
 
 
-def _pause(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _pause(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     if request.whole(1) not in (0, 1):
         return CommandResult.DENIED
     return sender.autopilot.pause(request.whole(1) == 0)
 
 
-def _change_speed(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _change_speed(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.change_speed(request.whole(1), request.parameters[1])
 
 
-def _turn(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _turn(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     if not sender.autopilot.profile.turns_by_command:
         return CommandResult.UNSUPPORTED
     return sender.autopilot.turn_to(request.parameters)
 
 
-def _set_home(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _set_home(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     if request.whole(1) == 1:
         return sender.autopilot.set_home(None)
     latitude, longitude, altitude = request.place()
@@ -171,7 +171,7 @@ def _set_home(sender: Sender, request: CommandRequest, now_s: float) -> CommandR
     return sender.autopilot.set_home((latitude, longitude, altitude), request.frame in _OVER_HOME)
 
 
-def _enable_fence(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _enable_fence(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     switch = sender.autopilot.profile.parameter_map.fence_enabled
     if switch is None:
         return CommandResult.UNSUPPORTED
@@ -179,15 +179,15 @@ def _enable_fence(sender: Sender, request: CommandRequest, now_s: float) -> Comm
     return CommandResult.ACCEPTED if accepted else CommandResult.FAILED
 
 
-def _terminate(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _terminate(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.terminate() if request.parameters[0] > 0.5 else CommandResult.DENIED
 
 
-def _reboot(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _reboot(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.reboot() if request.whole(1) in _REBOOT else CommandResult.UNSUPPORTED
 
 
-def _store_parameters(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _store_parameters(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     """PREFLIGHT_STORAGE: 0 and 1 (load, save) have no effect here; 2 resets."""
     if sender.autopilot.armed or request.whole(1) not in (0, 1, 2):
         return CommandResult.DENIED
@@ -196,35 +196,35 @@ def _store_parameters(sender: Sender, request: CommandRequest, now_s: float) -> 
     return CommandResult.ACCEPTED
 
 
-def _prearm(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _prearm(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     return CommandResult.TEMPORARILY_REJECTED if sender.autopilot.armed else CommandResult.ACCEPTED
 
 
-def _request_message(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _request_message(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     if sender.send_once(request.whole(1), now_s):
         return CommandResult.ACCEPTED
     return sender.autopilot.profile.unsupported_request
 
 
-def _set_interval(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _set_interval(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     accepted = sender.set_interval(request.whole(1), request.parameters[1])
     return CommandResult.ACCEPTED if accepted else CommandResult.FAILED
 
 
-def _get_interval(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def _get_interval(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     sender.send_message_interval(request.whole(1))
     return CommandResult.ACCEPTED
 
 
 def _sender_of(message_id: int) -> Handler:
-    def send(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+    def send(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
         sender.send_once(message_id, now_s)
         return CommandResult.ACCEPTED
 
     return send
 
 
-Handler = Callable[[Sender, CommandRequest, float], CommandResult]
+Handler = Callable[[CommandSender, CommandRequest, float], CommandResult]
 HANDLERS: Final[dict[int, Handler]] = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_or_disarm,
     mavlink.MAV_CMD_DO_SET_MODE: _set_mode,
@@ -254,7 +254,7 @@ HANDLERS: Final[dict[int, Handler]] = {
 }
 
 
-def execute(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+def execute(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     """Execute a command; one that is not in the table is UNSUPPORTED."""
     handler = HANDLERS.get(request.command)
     return CommandResult.UNSUPPORTED if handler is None else handler(sender, request, now_s)

@@ -203,7 +203,9 @@ class MavlinkEndpoint:
 
     def _has(self, message_id: int) -> bool:
         others = (self._sensors, self._truth)
-        return message_id in self._builders or any(told is not None and message_id in told for told in others)
+        return message_id in self._builders or any(
+            other is not None and message_id in other for other in others
+        )
 
     def send_text(self, severity: Severity, text: str) -> None:
         data = text.encode("ascii", "replace")

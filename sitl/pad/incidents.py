@@ -62,7 +62,7 @@ class Drive(NamedTuple):
         )
 
 
-class Lean(NamedTuple):
+class RollRamp(NamedTuple):
     """A roll that goes from one angle to another at a constant rate."""
 
     begun_s: float
@@ -86,7 +86,7 @@ class IncidentMotion:
     def __init__(self, motion: Moving) -> None:
         self._motion = motion
         self._drive: Drive | None = None
-        self._lean: Lean | None = None
+        self._lean: RollRamp | None = None
         self._usual_m_s = 0.0
         self._gone: PadTruth | None = None
 
@@ -136,7 +136,7 @@ class IncidentMotion:
     def lean(self, now_s: float, roll_rad: float, rate_rad_s: float) -> None:
         """Lean to a roll beyond the deck's own, at a rate."""
         begins = 0.0 if self._lean is None else self._lean.at(now_s)[0]
-        self._lean = Lean(now_s, begins, roll_rad, rate_rad_s)
+        self._lean = RollRamp(now_s, begins, roll_rad, rate_rad_s)
 
     def vanish(self, now_s: float) -> None:
         """It is gone from now on."""

@@ -37,9 +37,9 @@ def listing(width: int | None = None) -> str:
 
 def _narrow(scenario: Scenario, width: int) -> str:
     faults = fault_words(scenario)
-    told = [f"pad {pad_words(scenario)}", f"wind {wind_words(scenario.wind)}"]
-    told += [f"faults {faults}"] if faults != "-" else []
-    texts = (scenario.description, "; ".join(told))
+    parts = [f"pad {pad_words(scenario)}", f"wind {wind_words(scenario.wind)}"]
+    parts += [f"faults {faults}"] if faults != "-" else []
+    texts = (scenario.description, "; ".join(parts))
     lines = [wrap(text, width, initial_indent=INDENT, subsequent_indent=INDENT) for text in texts]
     return "\n".join((scenario.name, *lines[0], *lines[1])) + "\n"
 

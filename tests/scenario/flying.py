@@ -1,24 +1,23 @@
 """Flights as a user starts them: the command with its exit code and its files.
 
 `run` is a process of its own; `fly` runs the same command in this process, which saves seconds of imports.
-That it is the same flight, to the bit, test_landings.py shows.
+That it is the same flight, to the bit, test_docs.py shows.
 """
 
 from __future__ import annotations
 
-import functools
+import fcntl
 import gc
 import io
 import json
 import os
 import subprocess
 import sys
-import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 from unittest.mock import patch
 
 import pytest
@@ -32,6 +31,9 @@ COMMAND = (sys.executable, "-m", "companion.cli")
 # a flight of a minute takes a quarter of it in virtual time; the rest is for a busy machine
 FLIGHT_TIMEOUT_S = 300.0
 ROOT = CONFIG_FOLDER.parent
+# of the flights that tests share the one that is recorded
+RECORDED: Final = ("static", 0)
+RECORD, FLOWN = Path("flights") / "first", "flown.json"
 
 
 @dataclass(frozen=True)
@@ -103,11 +105,48 @@ def fly(scenario: str | Path, seed: int, folder: Path, *options: str | Path) -> 
     return run_here(*flight_words(scenario, seed, path), *options, result=path)
 
 
-@functools.cache
-def flown(scenario: str, seed: int) -> Flown:
-    """A shipped scenario's flight, which several tests look at: flown once in a process."""
-    with tempfile.TemporaryDirectory() as folder:
-        return fly(scenario, seed, Path(folder))
+class SharedFlights:
+    """Flights of shipped scenarios that tests of several files look at: each is flown once in a run.
+
+    A lock on a file beside lets the other workers wait for the one that flies it.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """`folder` is there, and the same for all workers."""
+        self._folder = folder
+
+    def flown(self, scenario: str, seed: int) -> Flown:
+        """A flight in virtual time."""
+        if (scenario, seed) == RECORDED:
+            return self.recorded()[1]
+        folder = self._once(f"{scenario}-{seed}", lambda folder: fly(scenario, seed, folder))
+        return read_flown(folder)
+
+    def recorded(self) -> tuple[Path, Flown]:
+        """The folder that `--record` made, and the flight: as a user flies it, in a process of its own."""
+
+        def record(folder: Path) -> Flown:
+            result = folder / "result.json"
+            return run(*flight_words(*RECORDED, result), "--record", folder / RECORD, result=result)
+
+        folder = self._once("recorded", record)
+        return folder / RECORD, read_flown(folder)
+
+    def _once(self, name: str, make: Callable[[Path], Flown]) -> Path:
+        folder = self._folder / name
+        with (self._folder / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not (folder / FLOWN).exists():
+                folder.mkdir(exist_ok=True)
+                flown = json.dumps(asdict(make(folder)))
+                (folder / FLOWN).write_text(flown)
+        return folder
+
+
+def read_flown(folder: Path) -> Flown:
+    """The flight that a worker left in a folder."""
+    kept = json.loads((folder / FLOWN).read_text())
+    return Flown(**(kept | {"arguments": tuple(kept["arguments"])}))
 
 
 def figures(flight: Flown) -> dict[str, Any]:
@@ -116,13 +155,6 @@ def figures(flight: Flown) -> dict[str, Any]:
     result = dict(flight.result)
     assert result.pop("sim").keys() == {"real_time_factor"}
     return result
-
-
-def load_on_a_core() -> float:
-    """Processes that want a core of this machine, for each core; workers that give way to real time aside."""
-    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    giving_way = workers - 1 if workers > 2 else 0  # tests/conftest.py
-    return (os.getloadavg()[0] - giving_way) / (os.cpu_count() or 1)
 
 
 def environment() -> dict[str, str]:

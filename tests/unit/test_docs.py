@@ -8,11 +8,13 @@ scenario and target exist.
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import re
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +43,7 @@ from docs import settings_table
 from sitl.campaign import SCENARIOS
 from sitl.cli import cli as sitl_cli
 from sitl.scenario.scenario import Scenario, load_scenario
+from tests.scenario.flying import SharedFlights, figures
 
 ROOT = CONFIG_FOLDER.parent
 PAGES = {page.name: page for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))}
@@ -157,7 +160,9 @@ def check_without_running(words: list[str]) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in PAGES if commands(TEXTS[name])])
-def test_every_command_of_a_page_works(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_command_of_a_page_works(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shared_flights: SharedFlights
+) -> None:
     monkeypatch.chdir(tmp_path)
     for file_name, body in EXAMPLE_FILE.findall(TEXTS[name]):
         (tmp_path / file_name).write_text(body)
@@ -169,6 +174,10 @@ def test_every_command_of_a_page_works(name: str, tmp_path: Path, monkeypatch: p
         assert done.returncode == 0, f"{shlex.join(words)}\n{done.stdout}{done.stderr}"
     if name == "README.md":
         assert_flight_is_as_documented(tmp_path)
+        # the same seed gives the same flight, to the bit, also in another process
+        here = shared_flights.flown("circle", 0)
+        circle = json.loads((tmp_path / "circle.json").read_text())
+        assert figures(replace(here, result=circle)) == figures(here)
 
 
 def assert_flight_is_as_documented(folder: Path) -> None:

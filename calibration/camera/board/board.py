@@ -103,7 +103,7 @@ class CalibrationBoard(StrictModel):
 
     @property
     def surface(self) -> Surface:
-        """The pattern as it is told to be, for the calibration to start from."""
+        """The pattern as it is specified, for the calibration to start from."""
         marker = (self.marker_m, self.marker_m + self.gap_m) if self.pattern == "grid" else None
         return Surface(self.size_m, marker)
 

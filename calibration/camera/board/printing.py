@@ -65,8 +65,8 @@ def _draw(board: CalibrationBoard, sheet: tuple[float, float]) -> Page:
         outlines.append([(a, b), (c, b), (c, d), (a, d)])
     page.fill(outlines)
     page.ruler(0.5 * (sheet[0] - RULER_MM), MARGIN_MM)
-    told = f"{board.text}.  Print at 100 %: the ruler is {RULER_MM} mm long.  Glue it to something flat."
-    page.text((0.5 * sheet[0], MARGIN_MM - 1.5), told, 6)
+    caption = f"{board.text}.  Print at 100 %: the ruler is {RULER_MM} mm long.  Glue it to something flat."
+    page.text((0.5 * sheet[0], MARGIN_MM - 1.5), caption, 6)
     return page
 
 

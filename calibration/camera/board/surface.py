@@ -4,7 +4,7 @@ No board is flat. One of A4 that is bowed by half a millimetre makes the focal l
 same way in every view, so that nothing in the residuals tells. Its bend is therefore solved for: depth
 z = b0 (1 - u²) + b1 (1 - v²) + b2 u v with u, v from -1 to 1 across the board, b in metres.
 
-The markers of a grid are never as large as they are told to be: ink runs, light bleeds into black, the gap
+The markers of a grid are never as large as specified: ink runs, light bleeds into black, the gap
 was measured with a ruler. How much larger each is about its own middle is solved for as well (`spread`, a
 share of its side; the middles stay where they are). Where four squares meet, nothing of the kind can happen.
 """
@@ -42,7 +42,7 @@ class Surface:
         return BEND_COUNT + (self.marker_m is not None)
 
     def flat(self) -> Surface:
-        """The board as it was told to be."""
+        """The board as specified."""
         return replace(self, numbers=np.zeros(self.count))
 
     def stepped(self, step: FloatArray) -> Surface:
@@ -50,7 +50,7 @@ class Surface:
         return replace(self, numbers=self.numbers + step)
 
     def of(self, points_m: FloatArray) -> FloatArray:
-        """Where points (n, 3) of the board as it was told to be really are."""
+        """Where points (n, 3) of the board as specified really are."""
         return np.asarray(points_m + self.shapes(points_m) @ self.numbers)
 
     def shapes(self, points_m: FloatArray) -> FloatArray:
@@ -72,12 +72,12 @@ class Surface:
 
     @property
     def spread(self) -> float | None:
-        """By what share of their side a grid's markers are larger than told; None on other boards."""
+        """By what share of their side a grid's markers are larger than specified; None on other boards."""
         return None if self.marker_m is None else float(self.numbers[BEND_COUNT])
 
     @property
     def gap_m(self) -> float | None:
-        """Between markers, if these have the side that was told: what a ruler should have shown."""
+        """Between markers, if these have the side that was specified: what a ruler should have shown."""
         if self.marker_m is None or self.spread is None:
             return None
         side, pitch = self.marker_m

@@ -157,8 +157,8 @@ def _of_one_size(
     size, count = sizes.most_common(1)[0]
     for view, other in found:
         if other != size:
-            told = f"{other[0]}x{other[1]}, expected the {size[0]}x{size[1]} of {count} others"
-            tell(f"{view.name}: left out: images of {told}")
+            mismatch = f"{other[0]}x{other[1]}, expected the {size[0]}x{size[1]} of {count} others"
+            tell(f"{view.name}: left out: images of {mismatch}")
     views = [view for view, other in found if other == size]
     if len(views) > MOST_VIEWS:
         tell(f"{len(views)} views: every {len(views) / MOST_VIEWS:.1f}th is used")

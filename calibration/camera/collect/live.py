@@ -89,7 +89,7 @@ class _Capture:
         self._options = options
         self._server = server
         self._tell = tell
-        self._told = ""
+        self._reported = ""
         self._overlay_s = float("-inf")
 
     async def run(self, source: FrameSource) -> None:
@@ -108,7 +108,7 @@ class _Capture:
                 break
 
     async def _is_good(self) -> bool:
-        """Whether the views calibrate the camera; if not, why is told, and more are taken."""
+        """Whether the views calibrate the camera; if not, why is reported, and more are taken."""
         board, size = self._board, self.session.size_px
         try:
             found = await asyncio.to_thread(
@@ -122,8 +122,8 @@ class _Capture:
         return not found.reasons
 
     def _say(self, text: str) -> None:
-        if text != self._told:
-            self._told = text
+        if text != self._reported:
+            self._reported = text
             self._tell(text)
 
     async def _show(self, image: NDArray[np.uint8], view: BoardView | None, text: str, time_s: float) -> None:

@@ -39,10 +39,10 @@ def draw(
     _tilt_marks(picture, session, unit)
     bar = round(30 * unit)
     cv2.rectangle(picture, (0, height - bar), (width, height), (0, 0, 0), -1)
-    told = f"{len(session.views)} views, {100 * session.coverage.share:.0f} % seen: {text}"
+    status = f"{len(session.views)} views, {100 * session.coverage.share:.0f} % seen: {text}"
     at = (round(8 * unit), height - round(9 * unit))
     cv2.putText(
-        picture, told, at, cv2.FONT_HERSHEY_SIMPLEX, 0.6 * unit, WHITE, max(1, round(unit)), cv2.LINE_AA
+        picture, status, at, cv2.FONT_HERSHEY_SIMPLEX, 0.6 * unit, WHITE, max(1, round(unit)), cv2.LINE_AA
     )
     return np.asarray(picture, dtype=np.uint8)
 

@@ -16,7 +16,7 @@ from companion.config.calibration import CameraCalibration, Provenance
 
 NAMES: Final = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 WORST_VIEWS: Final = 3
-# a grid whose markers are as much larger than told was measured wrongly; less may be ink and light
+# a grid whose markers are as much larger than specified was measured wrongly; less may be ink and light
 WRONG_SPREAD: Final = 0.03
 
 
@@ -124,9 +124,8 @@ def _marker_lines(surface: Surface) -> list[str]:
     if surface.spread is None or surface.marker_m is None or not surface.spread:
         return []
     side, pitch = surface.marker_m
-    line = f"the markers are {100 * surface.spread:+.1f} % larger than told"
+    line = f"the markers are {100 * surface.spread:+.1f} % larger than specified"
     if surface.gap_m is not None and abs(surface.spread) > WRONG_SPREAD:
-        line += (
-            f": {1e3 * surface.gap_m:.1f} mm apart, if they are {1e3 * side:g}; told {1e3 * (pitch - side):g}"
-        )
+        specified = 1e3 * (pitch - side)
+        line += f": {1e3 * surface.gap_m:.1f} mm apart, if they are {1e3 * side:g}; specified {specified:g}"
     return [line]

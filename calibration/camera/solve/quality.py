@@ -162,9 +162,9 @@ def _fits(found: Assessment) -> list[str]:
         )
     brown = found.brown_held_out_rms_px
     if brown is not None and (held_out is None or held_out >= brown):
-        told = "no figure" if held_out is None else f"{held_out:.3f} px"
+        left_out = "no figure" if held_out is None else f"{held_out:.3f} px"
         reasons.append(
-            f"the rational model overfits: {told} on views held out, {brown:.3f} px with five numbers; "
+            f"the rational model overfits: {left_out} on views held out, {brown:.3f} px with five numbers; "
             "expected --model brown"
         )
     return reasons

@@ -45,7 +45,7 @@ def solve(
     Args:
         views: the board in several images, each of another name.
         size_px: width and height of the images.
-        board: as it was told to be.
+        board: as specified.
         model: of the distortion.
 
     Raises:

@@ -33,7 +33,7 @@ Size = tuple[int, int]
 def hint(board: CalibrationBoard, images: Sequence[Image]) -> str | None:
     """What board is in images in which the one described was not found; None if none is.
 
-    A plain chessboard is told only where it is larger: a part of the one described is no news.
+    A plain chessboard is reported only where it is larger: a part of the one described is no news.
     """
     small = [_reduced(image) for image in images]
     if board.pattern != "chessboard":

@@ -64,8 +64,8 @@ async def collect(source: LiveCompass, limits: CollectionLimits, console: Consol
     if limits.picture is not None and now.samples:
         # samples that took minutes are not given up for a picture
         saved = cv2.imwrite(str(limits.picture), picture(now))
-        told = f"coverage in {limits.picture}" if saved else f"{limits.picture}: cannot be written"
-        console.print(told, highlight=False, markup=False)
+        line = f"coverage in {limits.picture}" if saved else f"{limits.picture}: cannot be written"
+        console.print(line, highlight=False, markup=False)
     return source.recording()
 
 
@@ -98,11 +98,11 @@ class _Lines:
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._told_s = -_LINE_S
+        self._reported_s = -_LINE_S
 
     def show(self, now: CoverageProgress, elapsed_s: float) -> None:
-        if elapsed_s - self._told_s >= _LINE_S or now.share >= ENOUGH:
-            self._told_s = elapsed_s
+        if elapsed_s - self._reported_s >= _LINE_S or now.share >= ENOUGH:
+            self._reported_s = elapsed_s
             self._console.print(_line(now, elapsed_s), highlight=False, markup=False)
 
 

@@ -1,7 +1,7 @@
 """While the vehicle is turned about: how much of the sphere is covered, what is missing, how to turn there.
 
 Directions are the field's in body axes (FRD), raw fields in µT. A rotation of the vehicle about its own axes
-is told as a person does it: roll, nose up or down, turn.
+is given as a person does it: roll, nose up or down, turn.
 """
 
 from __future__ import annotations

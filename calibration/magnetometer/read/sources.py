@@ -85,8 +85,8 @@ def _of_table(
         raise ConfigError(f"--unit {unit}: expected one of {', '.join(UT_PER)}, counts")
     if known is None:
         known = _by_size(recording.raw, field_ut, rng)
-        told = "counts of the sensor, so nothing is said of its scale" if known == COUNTS else known
-        recording.notes.append(f"unit by the field's size: {told}; --unit takes another")
+        unit_text = "counts of the sensor, so nothing is said of its scale" if known == COUNTS else known
+        recording.notes.append(f"unit by the field's size: {unit_text}; --unit takes another")
     if known == COUNTS:
         recording.unit = "counts"
     else:

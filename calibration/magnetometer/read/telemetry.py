@@ -18,7 +18,7 @@ from companion.base.messages import ImuSample, MagSample
 from companion.config import ConfigError
 from companion.flightlog.replay.flight_record import RecordingPlace
 from companion.link.codec import Message, is_autopilot_heartbeat, mavlink
-from companion.link.parameters import told_value
+from companion.link.parameters import reported_value
 from companion.link.telemetry import readings
 from companion.link.telemetry.autopilot_sensors import IMU_MESSAGES
 
@@ -63,7 +63,7 @@ class Telemetry:
         elif self.system_id and message.get_srcSystem() != self.system_id:
             return
         elif number == _PARAMETER:
-            self.parameters[message.param_id] = told_value(message, self.autopilot_kind)
+            self.parameters[message.param_id] = reported_value(message, self.autopilot_kind)
         elif number == _POSITION:
             if message.lat or message.lon:
                 self._place = (message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)

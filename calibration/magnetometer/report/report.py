@@ -45,8 +45,8 @@ def result_table(done: Calibrated, field: TrueField | None) -> Table:
         table.add_row(name, f"{_numbers(row, '8.4f')}" + (f"  (± {fit.matrix_std:.2%})" if name else ""))
     table.add_row("field as measured", f"{fit.radius:.4g} {unit}")
     if field is not None:
-        told = f"{field.strength_ut:.2f} µT, dip {field.dip_deg:.1f}°: {field.source}"
-        table.add_row("field there is", told)
+        found = f"{field.strength_ut:.2f} µT, dip {field.dip_deg:.1f}°: {field.source}"
+        table.add_row("field there is", found)
     if figures.dip is not None:
         spread = f"± {figures.dip.spread_deg:.1f}° over {figures.dip.samples} calm samples"
         table.add_row("dip", f"{figures.dip.median_deg:.1f}° {spread}")

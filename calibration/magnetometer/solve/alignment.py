@@ -65,7 +65,7 @@ def dip_of(directions: FloatArray, force: FloatArray) -> Dip | None:
 def align(directions: FloatArray, force: FloatArray) -> AxisMisalignment | None:
     """The rotation that makes the dip constant over the calm samples; None: too few of them.
 
-    Chips in one housing stand within degrees of one another: that is told to the fit (`_PRIOR_RAD`), so that
+    Chips in one housing stand within degrees of one another: the fit knows that (`_PRIOR_RAD`), so that
     attitudes that say nothing of an axis leave it be. What is off by more than `_TRIM_SIGMA` was accelerated.
     """
     still = calm(force)

@@ -37,13 +37,13 @@ async def six_faces_live(
 
     async def watch() -> None:
         start_s = clock.now_s()
-        told_s, told = -REMIND_S, ""
+        advised_s, advised = -REMIND_S, ""
         while not guide.done:
             if clock.now_s() - start_s > longest_s:
                 raise ConfigError(f"no end after {longest_s:g} s; expected: {guide.advice}")
-            if guide.advice != told or clock.now_s() - told_s >= REMIND_S:
-                told_s, told = clock.now_s(), guide.advice
-                tell(told)
+            if guide.advice != advised or clock.now_s() - advised_s >= REMIND_S:
+                advised_s, advised = clock.now_s(), guide.advice
+                tell(advised)
             await asyncio.sleep(LOOK_S)
             if (line := guide.take(samples.since(guide.after_s))) is not None:
                 tell(line)

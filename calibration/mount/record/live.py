@@ -44,7 +44,7 @@ ShowImage = Callable[[NDArray[np.uint8]], None]
 
 
 async def read_imu(driver: Mpu9250, config: ImuConfig, take: TakeImu, tell: Callable[[str], None]) -> None:
-    """Poll the inertial sensor until cancelled; gaps are told.
+    """Poll the inertial sensor until cancelled; gaps are reported.
 
     Raises:
         ConfigError: it has not answered for SILENCE_S.

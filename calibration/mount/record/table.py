@@ -1,7 +1,7 @@
 """Inertial samples from a table: CSV of many dialects, or .npz, in the sensor's own axes.
 
 Columns are found by their names (ax, acc_x, "Accel X (g)", gyr_y, ...), or given in order. A time may be
-missing when a rate is given. The accelerometer's unit is told by what rests in it feel: g, mg or m/s²; a
+missing when a rate is given. The accelerometer's unit shows in what it measures at rest: g, mg or m/s²; a
 time's that the header leaves open by its steps: s, ms, µs or ns.
 """
 
@@ -61,8 +61,8 @@ def read_table(path: Path, columns: str | None, rate_hz: float | None, gyro_unit
 def _inertial(path: Path, found: dict[str, FloatArray], gyro_unit: str | None) -> ImuSamples:
     lengths = {name: len(found[name]) for name in NAMES}
     if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{name} {count}" for name, count in lengths.items())
-        raise ConfigError(f"{path}: columns of different lengths ({told}); expected equal ones")
+        lengths_text = ", ".join(f"{name} {count}" for name, count in lengths.items())
+        raise ConfigError(f"{path}: columns of different lengths ({lengths_text}); expected equal ones")
     rows = np.column_stack([found[name] for name in NAMES])
     rows = rows[np.isfinite(rows).all(axis=1)]
     rows = rows[np.concatenate(([True], np.diff(rows[:, 0]) > 0.0))] if len(rows) else rows

@@ -1,6 +1,6 @@
 """A tap on the log: keeps the newest of what the page shows, and a minute or two of plots and phases.
 
-It is told of every message on the control loop, so it keeps references and computes nothing: a picture is
+It gets every message on the control loop, so it keeps references and computes nothing: a picture is
 put together when one is due and somebody looks.
 """
 
@@ -82,7 +82,7 @@ class LiveFeed:
         return Look(self._point(now_s), self._phase)
 
     def lacks_pictures(self, now_s: float) -> bool:
-        """Whether none came for so long that the rest is to be told without one."""
+        """Whether none came for so long that the rest is to be sent without one."""
         return now_s > self._next_picture_s + 2.0 * self._period_s
 
     @property

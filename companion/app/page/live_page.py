@@ -63,7 +63,7 @@ class LivePage:
 
     @asynccontextmanager
     async def served(self, app: App) -> AsyncIterator[None]:
-        """Serve the page while inside. Whatever fails in it is told, and ends nothing else."""
+        """Serve the page while inside. Whatever fails in it is reported, and ends nothing else."""
         if self._access is None:
             yield
             return

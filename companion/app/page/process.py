@@ -26,7 +26,7 @@ LONGEST_LINE: Final = 1024
 # doubled from failure to failure: starting it costs a second of a core
 FIRST_PAUSE_S: Final = 5.0
 LONGEST_PAUSE_S: Final = 60.0
-# after so long its end is a new failure: told again, and followed by the first pause
+# after so long its end is a new failure: reported again, and followed by the first pause
 WELL_S: Final = 60.0
 END_S: Final = 2.0
 # between its lines: however many it writes, the control loop hears few
@@ -45,10 +45,10 @@ class PageProcess:
     def __init__(
         self, start: Start, on_line: Callable[[Line], None], on_problem: Callable[[str], None]
     ) -> None:
-        """`on_line` takes what it says, `on_problem` why it ended; the same soon again is not told."""
+        """`on_line` takes what it says, `on_problem` why it ended; the same soon again is not reported."""
         self._start, self._on_line, self._on_problem = start, on_line, on_problem
         self._sender: Sender | None = None
-        self._told = ""
+        self._reported = ""
 
     def put(self, message: Look | Text | Reply) -> None:
         """Send the newest; nothing while there is no process."""
@@ -63,9 +63,9 @@ class PageProcess:
             problem = await self._one_life()
             self._on_line({"viewers": 0})
             if clock.now_s() - start_s >= WELL_S:
-                self._told, pause_s = "", FIRST_PAUSE_S
-            if problem != self._told:
-                self._told = problem
+                self._reported, pause_s = "", FIRST_PAUSE_S
+            if problem != self._reported:
+                self._reported = problem
                 self._on_problem(problem)
             await asyncio.sleep(pause_s)
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)

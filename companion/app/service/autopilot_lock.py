@@ -63,8 +63,8 @@ def _holder(name: str) -> str:
         asking.setblocking(False)
         try:
             asking.connect(name)
-            told = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+            credentials = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
         except OSError:
             return ""
-    process, _, _ = _CREDENTIALS.unpack(told)
+    process, _, _ = _CREDENTIALS.unpack(credentials)
     return f" (process {process})" if process > 0 else ""

@@ -5,8 +5,8 @@ a process that is killed, or a battery that is pulled, leaves "begun". Then only
 `companion permit`, lets the next start fly. What starts the app by itself, at boot, after a crash or after a
 flight (systemd, a container's restart policy, cron), has no terminal: every such start needs that word. It is
 used up as it is read, so that a start that dies in whatever way before its flight leaves none; an error that
-is told in order gives it back. It holds for an hour and until the computer starts anew: whoever powers the
-vehicle up tomorrow has not given it.
+is reported in order gives it back. It holds for an hour and until the computer starts anew: whoever powers
+the vehicle up tomorrow has not given it.
 """
 
 from __future__ import annotations

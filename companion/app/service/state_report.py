@@ -38,7 +38,7 @@ class InputReport(_Model):
     silent: bool
 
 
-class Latency(_Model):
+class LatencyReport(_Model):
     """From exposure (ms)."""
 
     p50_ms: float
@@ -71,7 +71,7 @@ class StateReport(_Model):
     pad_seen_s: float | None
     pad_lateral_m: float | None
     pad_height_m: float | None
-    latency: dict[str, Latency]
+    latency: dict[str, LatencyReport]
     late_cycles_percent: float
     machine: ComputerStatus
     recording: str | None
@@ -111,7 +111,9 @@ def state_report(
         pad_seen_s=None if pad is None else now_s - pad.seen_time_s,
         pad_lateral_m=None if pad is None else pad.lateral_m,
         pad_height_m=None if pad is None else pad.height_m,
-        latency={name: Latency(p50_ms=p50, p99_ms=p99) for name, (p50, p99) in meter.latency_ms().items()},
+        latency={
+            name: LatencyReport(p50_ms=p50, p99_ms=p99) for name, (p50, p99) in meter.latency_ms().items()
+        },
         late_cycles_percent=100.0 * app.loop_monitor.late_share,
         machine=machine,
         recording=recording,

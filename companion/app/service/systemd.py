@@ -1,4 +1,4 @@
-"""What systemd is told: that the app is ready, that its control loop is alive, and what it does.
+"""What systemd is notified of: that the app is ready, that its control loop is alive, and what it does.
 
 The protocol of sd_notify(3): one datagram of KEY=VALUE lines to the socket named in NOTIFY_SOCKET.
 Without that variable (in SITL, or started by hand) nothing is sent.

@@ -15,6 +15,7 @@ class VehicleState:
 
     `position_ned_m` counts from `origin` (latitude deg, longitude deg, altitude m), which is the first GPS
     fix and None before it. Over the time since the newest IMU sample, `imu_age_s`, it is predicted.
+    `side_force_ned_m_s2` is the part of the acceleration that no thrust makes (see `geometry.side_force`).
     """
 
     time_s: float
@@ -32,6 +33,7 @@ class VehicleState:
     has_gps: bool
     origin: Vector3 | None = None
     imu_age_s: float = 0.0
+    side_force_ned_m_s2: Vector3 = ZERO3
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,6 +43,20 @@ class Tracking:
     feedforward: FloatArray
 
 
+@dataclass(frozen=True)
+class Gains:
+    """What of the answer depends on neither reference nor drift, for i = 0..N-1.
+
+    K_i (N, m, n) of eq. 40, P_{i+1} (N, n, n) of eq. 41, P_{i+1} B_i (N, n, m), and (R + B'PB)⁻¹ B'
+    (N, m, n), which makes the feed-forward of g.
+    """
+
+    K: FloatArray
+    P: FloatArray
+    PB: FloatArray
+    forward: FloatArray
+
+
 def solve_tracking(
     start: FloatArray,
     A: FloatArray,
@@ -52,6 +66,7 @@ def solve_tracking(
     *,
     trim: FloatArray | None = None,
     drift: FloatArray | None = None,
+    gains: Gains | None = None,
 ) -> Tracking:
     """The inputs that minimise eq. 39 over the horizon, and where they lead.
 
@@ -64,6 +79,7 @@ def solve_tracking(
         trim: input of the linearisation (m,) or (N, m), which costs nothing; none is zero.
         drift: w (n,) or (N, n), what moves the state besides: a disturbance or the remainder of a
             linearisation; none is zero, as in the paper.
+        gains: `tracking_gains` of these A, B and weights, where they are kept from call to call.
 
     Raises:
         ValueError: shapes do not fit one another.
@@ -73,34 +89,54 @@ def solve_tracking(
     steps_A, steps_B = np.broadcast_to(A, (N, n, n)), np.broadcast_to(B, (N, n, m))
     w = np.broadcast_to(np.zeros(n) if drift is None else drift, (N, n))
     trims = np.broadcast_to(np.zeros(m) if trim is None else trim, (N, m))
-    gains, feedforward = _sweep_back(steps_A, steps_B, w, reference, weights)
+    if gains is None:
+        gains = tracking_gains(steps_A, steps_B, weights, N)
+    feedforward = _feedforward(steps_A, gains, w, reference, weights)
     states, relative = np.empty((N + 1, n)), np.empty((N, m))
     states[0] = start
     for i in range(N):
-        relative[i] = feedforward[i] - gains[i] @ states[i]
+        relative[i] = feedforward[i] - gains.K[i] @ states[i]
         states[i + 1] = steps_A[i] @ states[i] + steps_B[i] @ relative[i] + w[i]
-    return Tracking(relative + trims, states, gains, feedforward)
+    return Tracking(relative + trims, states, gains.K, feedforward)
 
 
-def _sweep_back(
-    A: FloatArray, B: FloatArray, w: FloatArray, Z: FloatArray, weights: Weights
-) -> tuple[FloatArray, FloatArray]:
-    """K (N, m, n) and feed-forward (N, m) of eq. 40, by eqs. 41 and 42 from the end to the start."""
-    C, R = weights.C, weights.R
-    V = C.T @ weights.Q @ C
-    pulls = Z @ (weights.Q @ C)  # rows (W Z_i)', since Q is symmetric
-    N, n, m = B.shape
-    gains, feedforward = np.empty((N, m, n)), np.empty((N, m))
-    P, g = C.T @ weights.S @ C, C.T @ (weights.S @ Z[-1])
-    for i in range(N - 1, -1, -1):
+def tracking_gains(A: FloatArray, B: FloatArray, weights: Weights, steps: int) -> Gains:
+    """Eq. 41 swept from the end of `steps` steps to their start.
+
+    Args:
+        A: (n, n) for all steps, or (N, n, n).
+        B: (n, m) for all steps, or (N, n, m).
+        weights: as in `solve_tracking`.
+        steps: N.
+
+    Raises:
+        numpy.linalg.LinAlgError: R + B'PB is singular.
+    """
+    n, m = B.shape[-2:]
+    A, B = np.broadcast_to(A, (steps, n, n)), np.broadcast_to(B, (steps, n, m))
+    C = weights.C
+    V, P = C.T @ weights.Q @ C, C.T @ weights.S @ C
+    swept = Gains(
+        np.empty((steps, m, n)), np.empty((steps, n, n)), np.empty((steps, n, m)), np.empty((steps, m, n))
+    )
+    for i in range(steps - 1, -1, -1):
         a, b = A[i], B[i]
-        g = g - P @ w[i]
         PA, PB = P @ a, P @ b
-        right = np.column_stack((PB.T @ a, b.T @ g))
-        solved = np.linalg.solve(R + b.T @ PB, right)
-        K = gains[i] = solved[:, :n]
-        feedforward[i] = solved[:, n]
+        solved = np.linalg.solve(weights.R + b.T @ PB, np.hstack((PB.T @ a, b.T)))
+        K = solved[:, :n]
+        swept.K[i], swept.P[i], swept.PB[i], swept.forward[i] = K, P, PB, solved[:, n:]
         P = V + a.T @ (PA - PB @ K)
         P = 0.5 * (P + P.T)  # else rounding makes it drift from symmetry over a hundred steps
-        g = pulls[i] + a.T @ (g - PB @ feedforward[i])
-    return gains, feedforward
+    return swept
+
+
+def _feedforward(A: FloatArray, gains: Gains, w: FloatArray, Z: FloatArray, weights: Weights) -> FloatArray:
+    """The feed-forward (N, m) of eq. 40, by eq. 42 from the end to the start."""
+    pulls = Z @ (weights.Q @ weights.C)  # rows (W Z_i)', since Q is symmetric
+    found = np.empty(gains.K.shape[:2])
+    g = weights.C.T @ (weights.S @ Z[-1])
+    for i in range(len(found) - 1, -1, -1):
+        g = g - gains.P[i] @ w[i]
+        found[i] = gains.forward[i] @ g
+        g = pulls[i] + A[i].T @ (g - gains.PB[i] @ found[i])
+    return found

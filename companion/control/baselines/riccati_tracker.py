@@ -16,13 +16,13 @@ import numpy as np
 from companion.base.geometry import FloatArray, Vector3
 from companion.base.motion import Motion
 from companion.config import ControlConfig
-from companion.control.baselines.riccati import Weights, solve_tracking
+from companion.control.baselines.riccati import Weights, solve_tracking, tracking_gains
 from companion.control.mpc.qp import axis_costs, step_matrices
 from companion.control.tracking import Target, TrackingSolution, needed_inputs
 
 
 class RiccatiTracker:
-    """The recursion on the flight model. Nothing is kept from one call to the next."""
+    """The recursion on the flight model. From one call to the next its gains alone are kept."""
 
     def __init__(self, config: ControlConfig, lags_s: Vector3) -> None:
         """`lags_s` are `flight_model.lags`."""
@@ -31,6 +31,7 @@ class RiccatiTracker:
         self._B = step_matrices(self._dt, lags_s)[1]
         self._model = _with_memory(*step_matrices(self._dt, lags_s))
         self._weights = _weights(config, lags_s)
+        self._gains = tracking_gains(*self._model, self._weights, self._N)
 
     def reset(self) -> None:
         """Begin a flight: there is nothing to forget."""
@@ -52,7 +53,7 @@ class RiccatiTracker:
             return TrackingSolution(
                 np.zeros((self._N, 3)), np.zeros((self._N, 9)), solved=False, iterations=0
             )
-        answer = solve_tracking(state, *self._model, reference, self._weights, drift=drift)
+        answer = solve_tracking(state, *self._model, reference, self._weights, drift=drift, gains=self._gains)
         states = answer.states[1:]
         return TrackingSolution(needed + states[:, 9:], states[:, :9], solved=True, iterations=0)
 

@@ -17,9 +17,9 @@ class FreeOptimum:
 
     def __init__(self, P_upper: sparse.csc_matrix, A: sparse.csc_matrix) -> None:
         """`P_upper` (n, n) is P's upper triangle; `A` (m, n)."""
-        P = P_upper + sparse.triu(P_upper, k=1).T
-        self._factors = splu(sparse.bmat([[P, A.T], [A, None]], format="csc"))
-        self._n = P.shape[0]
+        self.P = P_upper + sparse.triu(P_upper, k=1).T
+        self._factors = splu(sparse.bmat([[self.P, A.T], [A, None]], format="csc"))
+        self._n = self.P.shape[0]
 
     def solve(self, q: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
         """z (n,) and the multipliers y (m,)."""

@@ -50,9 +50,9 @@ def hover_thrust(vehicle: VehicleConfig, setup: AutopilotSetup, autopilot_kind: 
 
     PX4 does not report what it learns; its parameter is what a person has entered.
     """
-    told = setup.hover_thrust
-    learnt = autopilot_kind == "ardupilot" and told is not None and LEAST_HOVER <= told <= MOST_HOVER
-    return told if learnt and told is not None else vehicle.hover_thrust
+    own = setup.hover_thrust
+    learnt = autopilot_kind == "ardupilot" and own is not None and LEAST_HOVER <= own <= MOST_HOVER
+    return own if learnt and own is not None else vehicle.hover_thrust
 
 
 def misfits(
@@ -60,10 +60,10 @@ def misfits(
 ) -> list[str]:
     """What of the settings does not fit the autopilot's own, a line each; `config` is the resolved one."""
     found = []
-    told, taken = setup.hover_thrust, hover_thrust(vehicle, setup, autopilot_kind)
-    if told is not None and not abs(told / vehicle.hover_thrust - 1.0) <= HOVER_DIFFERS:
+    own, taken = setup.hover_thrust, hover_thrust(vehicle, setup, autopilot_kind)
+    if own is not None and not abs(own / vehicle.hover_thrust - 1.0) <= HOVER_DIFFERS:
         found.append(
-            f"hover thrust: the autopilot's is {told:.2f}, vehicle '{vehicle.name}' says "
+            f"hover thrust: the autopilot's is {own:.2f}, vehicle '{vehicle.name}' says "
             f"{vehicle.hover_thrust:.2f}; {taken:.2f} is taken"
         )
     if setup.tilt_deg is not None and setup.tilt_deg < config.limits.tilt_deg:

@@ -55,7 +55,10 @@ FREQUENCIES: Final = 2000
 
 @dataclass(frozen=True)
 class MarginCase:
-    """A loop: settings, whose autopilot, the axis, the response, and how far off the assumed one it is."""
+    """A loop: settings, whose autopilot, the axis, the response, and how far off the assumed one it is.
+
+    `sensor_late_s`: the acceleration is measured so much later than the settings say.
+    """
 
     control: ControlConfig
     vehicle: VehicleConfig
@@ -64,6 +67,7 @@ class MarginCase:
     response: AxisResponse
     extra_delay_s: float = 0.0
     gain: float = 1.0
+    sensor_late_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -96,8 +100,14 @@ class _Flown:
         self._step_s, self._integral = step_s, 0.0
         self._line = deque([0.0] * (late + 1), maxlen=late + 1)
         self.state = np.zeros(4)
-        self.shown_m_s2 = self._asked = 0.0
+        self._felt_m_s2 = self._asked = 0.0
+        self._shown = deque([0.0], maxlen=1 + round(case.sensor_late_s / step_s))
         self._share = -math.expm1(-step_s / case.control.acceleration_estimate_lag_s)
+
+    @property
+    def shown_m_s2(self) -> float:
+        """The acceleration as it is measured."""
+        return self._shown[0]
 
     def fly(self, acceleration_m_s2: float, velocity_m_s: float) -> float:
         """One period; returns what the setpoint asked for in it, the velocity that it flies left out."""
@@ -108,7 +118,8 @@ class _Flown:
             self._line.append(asked - gain * speed + self._integral)
             self._integral += integral * (velocity_m_s - speed) * self._step_s
             self.state = self._A @ self.state + self._B * self._line[0]
-            self.shown_m_s2 += self._share * (float(self.state[2]) - self.shown_m_s2)
+            self._felt_m_s2 += self._share * (float(self.state[2]) - self._felt_m_s2)
+            self._shown.append(self._felt_m_s2)
         self._asked += integral * velocity_m_s * self._step_s * STEPS_A_PERIOD
         return asked + self._asked
 

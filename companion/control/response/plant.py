@@ -15,12 +15,13 @@ from companion.base.motion import Motion
 from companion.config import ControlConfig, VehicleConfig
 from companion.control.disturbance_observer import LastingObserver, ThrustScale, WindObserver
 from companion.control.response.fitting import loop_rad_s
-from companion.control.response.flight_model import velocity_gains
+from companion.control.response.flight_model import flown_kind, velocity_gains
 from companion.control.response.history import CommandHistory, SentCommand
 
 # how fast what no wind explains is trusted, as a share of the loop's own frequency: see `margins`
 LASTING_SHARE: Final = 0.25
-LASTING_DOWN_SHARE: Final = 0.3
+# along down that is all there is to meet the air under the rotors; the autopilot's own velocity loop damps it
+LASTING_DOWN_SHARE: Final = {"velocity": 0.25, "acceleration": 1.5, "attitude": 0.3}
 
 
 class Plant:
@@ -43,8 +44,8 @@ class Plant:
         self._history = CommandHistory(config.command_delay_s)
         sensor_lag_s, most = config.acceleration_estimate_lag_s, config.maximum_disturbance_m_s2
         sideways = LASTING_SHARE * loop_rad_s(config.horizontal)
-        share = LASTING_DOWN_SHARE if self._by_attitude else LASTING_SHARE
-        bandwidths = (sideways, sideways, share * loop_rad_s(config.vertical))
+        down = LASTING_DOWN_SHARE[flown_kind(config)] * loop_rad_s(config.vertical)
+        bandwidths = (sideways, sideways, down)
         self._lasting = LastingObserver(lags_s, sensor_lag_s, most, bandwidths)
         self._wind = WindObserver(sensor_lag_s, most)
         self._thrust_scale = ThrustScale()
@@ -86,7 +87,7 @@ class Plant:
         With velocity setpoints the autopilot's own integral goes on to meet that wind.
         """
         self._wind.reset()
-        self._wind.step(vehicle.attitude, vehicle.acceleration_ned_m_s2, 0.0)
+        self._wind.step(vehicle, 0.0)
         met = scale(self._wind.wind_ned_m_s2, -1.0) if self._by_velocity else ZERO3
         self._lasting.start(vehicle.velocity_ned_m_s, subtract(self._wind.thrust_ned_m_s2, met), met)
         self._observed_s = vehicle.time_s
@@ -98,7 +99,7 @@ class Plant:
             self._lasting.predict(self._wanted(command, vehicle), duration_s)
         self._observed_s = max(self._observed_s, vehicle.time_s)
         acceleration = vehicle.acceleration_ned_m_s2
-        self._wind.step(vehicle.attitude, acceleration, elapsed_s)
+        self._wind.step(vehicle, elapsed_s)
         self._lasting.correct(
             vehicle.velocity_ned_m_s, acceleration, self._wind.late_thrust_ned_m_s2, elapsed_s
         )

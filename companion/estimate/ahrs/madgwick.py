@@ -41,7 +41,7 @@ def align(specific_force_m_s2: Vector3, field_body_ut: Vector3, declination_rad:
     roll = math.atan2(-fy, -fz)
     level_x, level_y, _ = quat_rotate(quat_from_euler(roll, pitch, 0.0), field_body_ut)
     if math.hypot(level_x, level_y) < 1e-6:
-        raise ValueError("no horizontal magnetic field: north cannot be told")
+        raise ValueError("no horizontal magnetic field: north is undetermined")
     yaw = wrap_angle(math.atan2(-level_y, level_x) + declination_rad)
     return quat_from_euler(roll, pitch, yaw)
 

@@ -1,27 +1,30 @@
-"""Interacting multiple models (IMM) on filterpy: Kalman filters of one state that share their uncertainty.
+"""Interacting multiple models (IMM): Kalman filters of one state that share their uncertainty.
 
 Every model has the same state and sees the same measurement, but moves it by its own F and Q. Before a step
 each model starts from the blend of all that the chance of a change to it gives; after a measurement the
 models' probabilities follow from how well each expected it (Bar-Shalom, Li and Kirubarajan 2001, 11.6.6).
 
-filterpy's cost is in its calls, not in its sums, and its own `IMMEstimator` blends in Python loops. So the
-models are combined here in one `KalmanFilter` whose matrices are block-diagonal, and are blended by
-array operations: the same numbers (a test compares them with `IMMEstimator`'s) at a fraction of the time.
+A bank holds several groups of models, each of a motion of its own: models change within their group only,
+and a group's probabilities sum to 1. All are carried through one array operation, whatever their number: the
+cost of small arrays is in the calls, not in the sums. A test compares the numbers with those of filterpy's
+`IMMEstimator`, which does the same one model at a time.
 
-Arrays: m models of an n-state, means (m, n), covariances (m, n, n), probabilities (m,). Nothing that a
-`BankState` holds is ever written to again.
+Arrays: m models of an n-state in g groups, means (m, n), covariances (m, n, n), probabilities (m,). Nothing
+that a `BankState` holds is ever written to again.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
-from numpy.lib.stride_tricks import as_strided
 
 from companion.base.geometry import FloatArray
+
+_SEEN: Final = 2  # the first so many states are what a measurement says
+_ADJUGATE: Final = np.array([[1.0, -1.0], [-1.0, 1.0]])
 
 
 class BankState(NamedTuple):
@@ -33,47 +36,33 @@ class BankState(NamedTuple):
 
 
 class ModelTransition(NamedTuple):
-    """How the models move: F and Q (m, n, n), and what is added to every mean (n,)."""
+    """How the models move: F and Q (m, n, n), and what is added to the means (m, n)."""
 
     F: FloatArray
     Q: FloatArray
     moved: FloatArray
 
 
+class Innovation(NamedTuple):
+    """A measurement minus what each model expected (m, 2), with its covariance (m, 2, 2)."""
+
+    y: FloatArray
+    S: FloatArray
+
+
 class Blend(NamedTuple):
-    """One mean (n,) and covariance (n, n) for all models."""
+    """One mean (g, n) and covariance (g, n, n) for all models of each group."""
 
     mean: FloatArray
     covariance: FloatArray
 
 
-def blend(state: BankState) -> Blend:
-    """The mixture's first two moments."""
-    mean = state.probabilities @ state.means
-    away = state.means - mean
-    m, n = state.means.shape
-    own = (state.probabilities @ state.covariances.reshape(m, n * n)).reshape(n, n)
-    return Blend(mean, own + (away.T * state.probabilities) @ away)
-
-
-def change_chances(prior: FloatArray, dwell_s: float, dt_s: float) -> FloatArray:
-    """Chance (m, m) that the model of a row has become that of a column after dt_s.
-
-    A motion keeps its model for `dwell_s` in the mean, then draws one from the prior. Two steps give what one
-    of their sum gives, so irregular frames need no care.
-    """
-    stay = math.exp(-dt_s / dwell_s)
-    chances: FloatArray = (1.0 - stay) * prior + stay * np.eye(len(prior))
-    return chances
-
-
 def mix(state: BankState, chances: FloatArray) -> BankState:
     """What each model starts from, given the chances of a change."""
-    joint = state.probabilities[:, None] * chances
-    probabilities = joint.sum(axis=0)
-    weights = (joint / probabilities).T
+    probabilities = state.probabilities @ chances
+    weights = (state.probabilities[:, None] * chances / probabilities).T
     means = weights @ state.means
-    away = state.means[None, :, :] - means[:, None, :]
+    away = state.means - means[:, None, :]
     m, n = state.means.shape
     covariances = (weights @ state.covariances.reshape(m, n * n)).reshape(m, n, n)
     covariances += (away * weights[:, :, None]).transpose(0, 2, 1) @ away
@@ -81,37 +70,39 @@ def mix(state: BankState, chances: FloatArray) -> BankState:
 
 
 def advance(state: BankState, step: ModelTransition) -> BankState:
-    """Every model moved by itself, without a change of models: for predictions."""
+    """Every model moved by itself, without a change of models."""
     means = (step.F @ state.means[:, :, None])[:, :, 0] + step.moved
-    return BankState(
-        means, step.F @ state.covariances @ step.F.transpose(0, 2, 1) + step.Q, state.probabilities
-    )
+    covariances = step.F @ state.covariances @ step.F.transpose(0, 2, 1)
+    covariances += step.Q
+    return BankState(means, covariances, state.probabilities)
+
+
+def innovation(state: BankState, z: FloatArray, R: FloatArray) -> Innovation:
+    """Of a measurement of the first two states, for each model: z (m, 2) with noise R (m, 2, 2)."""
+    return Innovation(z - state.means[:, :_SEEN], state.covariances[:, :_SEEN, :_SEEN] + R)
 
 
 class ModelBank:
-    """m models of n states that measure k of them: one block-diagonal filterpy filter."""
+    """m models in g groups, of each of which nothing is known at first."""
 
-    def __init__(self, prior: FloatArray, dwell_s: float, state_size: int, seen: int) -> None:
-        """`seen`: the first so many states are what a measurement says; 1 or 2."""
-        m, n, k = len(prior), state_size, seen
-        self._prior, self._dwell_s = prior, dwell_s
-        self._m, self._n, self._k = m, n, k
-        self._filter = KalmanFilter(dim_x=m * n, dim_z=m * k)
-        # what moves one state moves all models' states, and one measurement is everyone's
-        self._filter.B = np.tile(np.eye(n), (m, 1))
-        self._filter.H = np.kron(np.eye(m), np.eye(k, n))
-        self._P, self._F, self._Q = (_Blocks(m, n) for _ in range(3))
-        self._R, self._z = _Blocks(m, k), np.zeros((m, k, 1))
-        self._state = BankState(np.zeros((m, n)), np.zeros((m, n, n)), prior)
-        self._loaded: BankState | None = None
+    def __init__(self, groups: Sequence[slice], dwell_s: float) -> None:
+        """`groups`: each one's models, in order."""
+        self._groups, self._dwell_s = groups, dwell_s
+        sizes = np.array([group.stop - group.start for group in groups])
+        self.group_of = np.repeat(np.arange(len(groups)), sizes)
+        self._members = np.equal.outer(np.arange(len(groups)), self.group_of).astype(np.float64)
+        self._prior = 1.0 / sizes[self.group_of]
+        self._change = self._members[self.group_of] * self._prior
+        self._state: BankState | None = None
 
-    def start(self, mean: FloatArray, covariances: FloatArray) -> None:
-        """One mean (n,) for all models, and each one's covariance (m, n, n)."""
-        self._state = BankState(np.tile(mean, (self._m, 1)), covariances, self._prior)
+    def start(self, means: FloatArray, covariances: FloatArray) -> None:
+        """From the means (g, n) of each group and the covariances (m, n, n) of each model."""
+        self._state = BankState(means[self.group_of], covariances, self._prior)
 
     @property
     def state(self) -> BankState:
-        """All of it."""
+        """All of it, once started."""
+        assert self._state is not None
         return self._state
 
     def restore(self, state: BankState) -> None:
@@ -119,60 +110,70 @@ class ModelBank:
         self._state = state
 
     def predict(self, dt_s: float, step: ModelTransition) -> None:
-        """Blend, then move every model."""
-        mixed = mix(self._state, change_chances(self._prior, self._dwell_s, dt_s))
-        self._load(mixed)
-        self._F.view[...], self._Q.view[...] = step.F, step.Q
-        self._filter.predict(u=step.moved[:, None], F=self._F.matrix, Q=self._Q.matrix)
-        self._take(mixed.probabilities)
+        """Mix within each group, then move every model."""
+        self._state = advance(mix(self.state, self.change_chances(dt_s)), step)
 
-    def update(self, z: FloatArray, R: FloatArray) -> None:
-        """Take a measurement (k,) with noise (k, k); the models that expected it gain."""
-        self._load(self._state)
-        self._z[...], self._R.view[...] = z[:, None], R
-        self._filter.update(self._z.reshape(-1, 1), R=self._R.matrix)
-        weights = self._state.probabilities * self._likelihoods()
-        self._take(weights / weights.sum())
+    def change_chances(self, dt_s: float) -> FloatArray:
+        """Chance (m, m) that the model of a row has become that of a column after dt_s.
 
-    def _load(self, state: BankState) -> None:
-        if state is not self._loaded:
-            self._P.view[...] = state.covariances
-            self._filter.x, self._filter.P = state.means.reshape(-1, 1), self._P.matrix
+        A motion keeps its model for `dwell_s` in the mean, then draws one of its group, each as likely. Two
+        steps give what one of their sum gives, so irregular frames need no care.
+        """
+        stay = math.exp(-dt_s / self._dwell_s)
+        chances: FloatArray = (1.0 - stay) * self._change
+        chances.reshape(-1)[:: len(chances) + 1] += stay
+        return chances
 
-    def _take(self, probabilities: FloatArray) -> None:
-        means = self._filter.x.reshape(self._m, self._n)
-        self._state = BankState(means, self._P.of(self._filter.P), probabilities)
-        self._loaded = self._state
+    def blend(self, state: BankState) -> Blend:
+        """The first two moments of each group's mixture, of a state or of a part of it."""
+        m, n = state.means.shape
+        weights = self._members * state.probabilities
+        mean = weights @ state.means
+        away = state.means - mean[self.group_of]
+        spread = state.covariances + away[:, :, None] * away[:, None, :]
+        return Blend(mean, (weights @ spread.reshape(m, n * n)).reshape(-1, n, n))
 
-    def _likelihoods(self) -> FloatArray:
-        """Of the last measurement by each model (m,), the greatest 1, so that no surprise underflows."""
-        # plain floats: arrays of two cost more than their sums
-        misses = self._filter.y.reshape(self._m, self._k).tolist()
-        spreads = self._R.of(self._filter.S).tolist()
-        logarithms = [_log_likelihood(y, S) for y, S in zip(misses, spreads, strict=True)]
-        best = max(logarithms)
-        return np.array([math.exp(value - best) for value in logarithms])
+    def update(self, seen: Innovation, group: int | None = None) -> None:
+        """Take a measurement; the models that expected it gain. `group`: of that group alone."""
+        if group is None:
+            self._state = self._corrected(self.state, seen, self._groups)
+            return
+        models = self._groups[group]
+        part = BankState(*(array[models] for array in self.state))
+        part = self._corrected(part, Innovation(*(array[models] for array in seen)), [slice(None)])
+        whole = BankState(*(array.copy() for array in self.state))
+        for array, changed in zip(whole, part, strict=True):
+            array[models] = changed
+        self._state = whole
+
+    @staticmethod
+    def _corrected(state: BankState, seen: Innovation, groups: Sequence[slice]) -> BankState:
+        """x + K y, P - K S K' with K = P H' S^-1; S^-1 by Cramer's rule."""
+        y, S = seen.y[:, :, None], seen.S
+        volume = S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] * S[:, 1, 0]
+        inverse = S[:, ::-1, ::-1] * _ADJUGATE / volume[:, None, None]
+        seen_with = state.covariances[:, :, :_SEEN]
+        weighed = inverse @ y
+        means = state.means + (seen_with @ weighed)[:, :, 0]
+        covariances = state.covariances - seen_with @ inverse @ seen_with.transpose(0, 2, 1)
+        # this form, unlike Joseph's, makes more of what rounding has left unsymmetric
+        covariances = 0.5 * (covariances + covariances.transpose(0, 2, 1))
+        unlikely = (seen.y[:, None, :] @ weighed)[:, 0, 0] + np.log(volume)
+        return BankState(means, covariances, _gained(state.probabilities, unlikely, groups))
 
 
-def _log_likelihood(y: list[float], S: list[list[float]]) -> float:
-    """Of a miss of one or two numbers, but for a constant."""
-    if len(y) == 1:
-        return -0.5 * (y[0] * y[0] / S[0][0] + math.log(S[0][0]))
-    (a, b), (_, c) = S
-    volume = a * c - b * b
-    return -0.5 * ((c * y[0] * y[0] - 2.0 * b * y[0] * y[1] + a * y[1] * y[1]) / volume + math.log(volume))
+def _gained(probabilities: FloatArray, unlikely: FloatArray, groups: Sequence[slice]) -> FloatArray:
+    """The probabilities after a measurement; `unlikely`: -2 ln(likelihood) + constant.
 
-
-class _Blocks:
-    """A block-diagonal matrix, its m blocks as a view (m, n, n), and the same blocks of other matrices."""
-
-    def __init__(self, m: int, n: int) -> None:
-        self.matrix = np.zeros((m * n, m * n))
-        down, along = self.matrix.strides
-        self.view = as_strided(self.matrix, (m, n, n), (n * (down + along), down, along))
-        rows = np.arange(m * n).reshape(m, n)
-        self._places = rows[:, :, None] * (m * n) + rows[:, None, :]
-
-    def of(self, matrix: FloatArray) -> FloatArray:
-        """A copy of a matrix's blocks."""
-        return matrix.take(self._places)
+    In plain floats: arrays so small cost more than their sums.
+    """
+    before, misfits, after = probabilities.tolist(), unlikely.tolist(), []
+    for models in groups:
+        # of each group's likeliest model 1, so that no surprise underflows
+        least = min(misfits[models])
+        weights = [
+            p * math.exp(0.5 * (least - u)) for p, u in zip(before[models], misfits[models], strict=True)
+        ]
+        total = sum(weights)
+        after += [weight / total for weight in weights]
+    return np.array(after)

@@ -9,8 +9,8 @@ what is left of the pad's positions
 and of the vehicle's own motion between them, which the IMU has measured, is the pad's acceleration and noise
 (q: the sighting from the camera's place, body axes; R: attitude). It is linear in x = (cos psi, sin psi), so
 that x is a least-squares estimate: (1, 0) for a camera that sits right. Its length is nobody's assumption:
-one that is far from 1 says that something else is wrong, and then no angle is told. A vehicle that neither
-tilts nor moves against the pad shows nothing. NED, SI units.
+one that is far from 1 says that something else is wrong, and then no angle is reported. A vehicle that
+neither tilts nor moves against the pad shows nothing. NED, SI units.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LEAST_SIGNAL: Final = 4.0
 # three tell the same; and the pad's acceleration goes on from one to the next
 SHARED: Final = 3.0
 FORGETTING_S: Final = 120.0  # a mount keeps; a pad that manoeuvred is to fade
-# an angle is told that is larger, known so well, of a vector of about the length 1, by so many comparisons
+# a reported angle is larger, known so well, of a vector of about the length 1, by so many comparisons
 LEAST_DEG: Final = 15.0
 SURE_SIGMA: Final = 5.0
 LENGTH: Final = (0.6, 1.5)
@@ -48,7 +48,7 @@ class _Seen(NamedTuple):
 
 
 class MountCheck:
-    """Feed it every sighting; `yaw_error_rad` is what is to be added to the camera's yaw, once it is told."""
+    """Feed it every sighting; `yaw_error_rad`, once it is reported, is to be added to the camera's yaw."""
 
     def __init__(self, motion: MotionHistory, camera_position_body_m: Vector3) -> None:
         self._motion = motion

@@ -29,14 +29,12 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from companion.base.geometry import FloatArray
 from companion.config import PadFilterConfig
-from companion.estimate.pad.model_bank import ModelTransition
 
 STEADY_ACCELERATION_STD_M_S2: Final = 0.15  # a pad that drives straight on: bumps, and the horizon's error
 STEADY_TIME_CONSTANT_S: Final = 1.0
@@ -60,6 +58,17 @@ TURN: Final = 2
 # with poles of some 1/s, ten terms at a tenth of a second leave 1e-12
 SHORT_S: Final = 0.1
 TERMS: Final = 10
+
+_EXPONENTS: Final = np.arange(float(TERMS))
+_BOTH: Final = np.eye(2)
+_FIRST: Final = np.diag([1.0, 0.0])
+# where, in a flat (8, 8), the complex factors of acceleration and jerk stand, as blocks that multiply by them
+_TURNED: Final = [
+    8 * (row + down) + column + along
+    for row, column in ((0, 4), (2, 4), (4, 4), (0, 6), (2, 6), (4, 6), (6, 6))
+    for down in (0, 1)
+    for along in (0, 1)
+]
 
 
 class Turn(NamedTuple):
@@ -105,78 +114,62 @@ def vertical_names(config: PadFilterConfig) -> tuple[str, ...]:
     return ("still", *(f"waves_{period_s:g}s" for period_s in config.wave_periods_s))
 
 
-class HorizontalModels:
-    """Steady, manoeuvre and turn, for a given turn rate."""
+class _Kinds(NamedTuple):
+    """Models of one axis: A and W (m, 4, 4), and the variances (m,) that acceleration and jerk start with."""
+
+    A: FloatArray
+    W: FloatArray
+    acceleration_variance: FloatArray
+    jerk_variance: FloatArray
+
+
+class PadModels:
+    """All models, the horizontal ones first, for a given turn rate.
+
+    The vertical ones have a second axis, too, on which there is nothing: so all have states of one size.
+    """
 
     def __init__(self, config: PadFilterConfig) -> None:
-        fades_s = (STEADY_TIME_CONSTANT_S, MANOEUVRE_TIME_CONSTANT_S)
-        steady = 2.0 * STEADY_ACCELERATION_STD_M_S2**2 / STEADY_TIME_CONSTANT_S
-        jerks = (steady, config.manoeuvre_jerk_m_s3_rthz**2)
-        variance = config.sway_acceleration_std_m_s2**2
-        w0 = math.tau / config.sway_period_s
-        vehicle, snap = VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ**2, config.turn_snap_m_s4_rthz**2
-        self.count = len(HORIZONTAL)
-        fading = (0.5 * q * fade for q, fade in zip(jerks, fades_s, strict=True))
-        self.acceleration_variance = np.array([*fading, TURN_ACCELERATION_STD_M_S2**2, variance])
-        self.jerk_variance = np.full(self.count, variance * w0**2)
-        self.jerk_variance[TURN] = 0.5 * snap * TURN_JERK_TIME_CONSTANT_S
-        kinds = [
-            *(_fading(1.0 / fade, q, vehicle, w0, variance) for q, fade in zip(jerks, fades_s, strict=True)),
-            _bending(vehicle, snap),
-            _waving(w0, SWAY_DAMPING, variance, vehicle),
-        ]
-        chains, noises = zip(*((_on_plane(A), _on_plane(W)) for A, W in kinds), strict=True)
-        self._series = _Series(chains, noises)
-        self._more_jerk = _Series([chains[TURN]], [_on_plane(np.diag([0.0, 0.0, 1.0, 0.0]))])
+        across, up = _horizontal(config), _vertical(config)
+        self.count = len(across.A) + len(up.A)
+        self.groups = (slice(0, len(across.A)), slice(len(across.A), self.count))
+        self.acceleration_variance = np.concatenate((across.acceleration_variance, up.acceleration_variance))
+        self.jerk_variance = np.concatenate((across.jerk_variance, up.jerk_variance))
+        # the last is what a turn gathers by jerk alone
+        A = _on_axes(np.concatenate((across.A, up.A, across.A[[TURN]])), _BOTH)
+        jerk = np.diag([0.0, 0.0, 1.0, 0.0])[None]
+        W = np.concatenate((_on_axes(across.W, _BOTH), _on_axes(up.W, _FIRST), _on_axes(jerk, _BOTH)))
+        self._series = _Series(A, W)
 
-    def step(self, dt_s: float, turn: Turn) -> ModelTransition:
-        """F and Q (4, 8, 8) over dt_s; the caller fills in how the vehicle moved.
+    def step(self, dt_s: float, turn: Turn) -> tuple[FloatArray, FloatArray]:
+        """F and Q (m, 8, 8) over dt_s.
 
         The turn rate's variance acts on the acceleration as jerk: an error that lasts is as harmful as a
         white one of that density after a second. Within a short time Q leaves out that noise turns, too.
         """
         short_s, doublings = _shortened(dt_s)
         F, Q = self._series.at(short_s)
-        Q[TURN] += turn.variance * turn.acceleration_m_s2**2 * self._more_jerk.noise(short_s)[0]
-        self._turn(F[TURN], short_s, turn.rate_rad_s)
-        return _doubled(F, Q, doublings)
+        F, Q, by_jerk = F[:-1], Q[:-1], Q[-1]
+        Q[TURN] += turn.variance * turn.acceleration_m_s2**2 * by_jerk
+        self._turn(F, short_s, turn.rate_rad_s)
+        for _ in range(doublings):
+            Q = F @ Q @ F.transpose(0, 2, 1) + Q
+            F = F @ F
+        return F, Q
 
-    def _turn(self, F: FloatArray, t: float, turn_rate_rad_s: float) -> None:
+    @staticmethod
+    def _turn(F: FloatArray, t: float, turn_rate_rad_s: float) -> None:
         """What acceleration and jerk become: exp(s t) and exp(r t) in the complex plane, and their integrals.
 
         s = -1/tau + i omega, r = -1/tau_j + i omega; the jerk's share of the acceleration is
-        (exp(s t) - exp(r t)) / (s - r).
+        (exp(s t) - exp(r t)) / (s - r), which has no imaginary part: the two turn alike.
         """
         s = complex(-1.0 / TURN_TIME_CONSTANT_S, turn_rate_rad_s)
         r = complex(-1.0 / TURN_JERK_TIME_CONSTANT_S, turn_rate_rad_s)
-        by_acceleration, fading = _integrals(s, t), _integrals(r, t)
-        for row, grown, faded in zip((0, 2, 4), by_acceleration, fading, strict=True):
-            _put(F, row, 4, grown)
-            _put(F, row, 6, (grown - faded) / (s - r))
-        _put(F, 6, 6, fading[-1])
-
-
-class VerticalModels:
-    """Still, and waves of each period."""
-
-    def __init__(self, config: PadFilterConfig) -> None:
-        vehicle = VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ**2
-        rest, variance = REST_ACCELERATION_STD_M_S2**2, config.wave_acceleration_std_m_s2**2
-        fade = 1.0 / STEADY_TIME_CONSTANT_S
-        rates = [math.tau / period_s for period_s in config.wave_periods_s]
-        middle = sum(rates) / len(rates)
-        kinds = [_fading(fade, 2.0 * rest * fade, vehicle, middle, variance)]
-        kinds += [_waving(w0, WAVE_DAMPING, variance, vehicle) for w0 in rates]
-        chains, noises = zip(*kinds, strict=True)
-        self._series = _Series(chains, noises)
-        self.count = len(chains)
-        self.acceleration_variance = np.array([rest, *[variance] * len(rates)])
-        self.jerk_variance = variance * np.square([middle, *rates])
-
-    def step(self, dt_s: float) -> ModelTransition:
-        """F and Q (m, 4, 4) over dt_s; the caller fills in how the vehicle moved."""
-        short_s, doublings = _shortened(dt_s)
-        return _doubled(*self._series.at(short_s), doublings)
+        apart = 1.0 / (s.real - r.real)
+        (a, b, c), (d, e, f) = _integrals(s, t), _integrals(r, t)
+        factors = (a, b, c, (a - d) * apart, (b - e) * apart, (c - f) * apart, f)
+        F[TURN].put(_TURNED, [part for z in factors for part in (z.real, -z.imag, z.imag, z.real)])
 
 
 class _Series:
@@ -185,40 +178,58 @@ class _Series:
     From F' = A F and Q' = A Q + Q A' + W, term by term.
     """
 
-    def __init__(self, chains: Sequence[FloatArray], noises: Sequence[FloatArray]) -> None:
-        A, W = np.array(chains), np.array(noises)
+    def __init__(self, A: FloatArray, W: FloatArray) -> None:
         F, Q = [np.broadcast_to(np.eye(A.shape[1]), A.shape)], [np.zeros_like(A), W]
         for k in range(1, TERMS):
             F.append(A @ F[-1] / k)
         for k in range(2, TERMS):
             Q.append((A @ Q[-1] + Q[-1] @ A.transpose(0, 2, 1)) / k)
-        self._shape = A.shape
-        self._F, self._Q = (np.array(terms).reshape(TERMS, -1) for terms in (F, Q))
+        self._shape = (2, *A.shape)
+        self._terms = np.hstack([np.array(terms).reshape(TERMS, -1) for terms in (F, Q)])
 
-    def at(self, t: float) -> tuple[FloatArray, FloatArray]:
-        """F and Q (m, n, n) at a short time."""
-        powers = t**_EXPONENTS
-        return (powers @ self._F).reshape(self._shape), (powers @ self._Q).reshape(self._shape)
-
-    def noise(self, t: float) -> FloatArray:
-        """Q alone."""
-        return np.asarray((t**_EXPONENTS @ self._Q).reshape(self._shape))
+    def at(self, t: float) -> FloatArray:
+        """F and Q (2, m, n, n) at a short time."""
+        return (t**_EXPONENTS @ self._terms).reshape(self._shape)
 
 
-_EXPONENTS: Final = np.arange(float(TERMS))
+def _horizontal(config: PadFilterConfig) -> _Kinds:
+    """Steady, manoeuvre, turn and sway; the turn without its turning."""
+    fades_s = (STEADY_TIME_CONSTANT_S, MANOEUVRE_TIME_CONSTANT_S)
+    steady = 2.0 * STEADY_ACCELERATION_STD_M_S2**2 / STEADY_TIME_CONSTANT_S
+    jerks = (steady, config.manoeuvre_jerk_m_s3_rthz**2)
+    variance = config.sway_acceleration_std_m_s2**2
+    w0 = math.tau / config.sway_period_s
+    vehicle, snap = VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ**2, config.turn_snap_m_s4_rthz**2
+    kinds = [
+        *(_fading(1.0 / fade, q, vehicle, w0, variance) for q, fade in zip(jerks, fades_s, strict=True)),
+        _bending(vehicle, snap),
+        _waving(w0, SWAY_DAMPING, variance, vehicle),
+    ]
+    fading = (0.5 * q * fade for q, fade in zip(jerks, fades_s, strict=True))
+    jerk_variance = np.full(len(kinds), variance * w0**2)
+    jerk_variance[TURN] = 0.5 * snap * TURN_JERK_TIME_CONSTANT_S
+    A, W = map(np.array, zip(*kinds, strict=True))
+    return _Kinds(A, W, np.array([*fading, TURN_ACCELERATION_STD_M_S2**2, variance]), jerk_variance)
+
+
+def _vertical(config: PadFilterConfig) -> _Kinds:
+    """Still, and waves of each period."""
+    vehicle = VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ**2
+    rest, variance = REST_ACCELERATION_STD_M_S2**2, config.wave_acceleration_std_m_s2**2
+    fade = 1.0 / STEADY_TIME_CONSTANT_S
+    rates = [math.tau / period_s for period_s in config.wave_periods_s]
+    middle = sum(rates) / len(rates)
+    kinds = [_fading(fade, 2.0 * rest * fade, vehicle, middle, variance)]
+    kinds += [_waving(w0, WAVE_DAMPING, variance, vehicle) for w0 in rates]
+    A, W = map(np.array, zip(*kinds, strict=True))
+    spread = np.array([rest, *[variance] * len(rates)])
+    return _Kinds(A, W, spread, variance * np.square([middle, *rates]))
 
 
 def _shortened(dt_s: float) -> tuple[float, int]:
     """A short time, and how often to double it."""
     doublings = max(0, math.ceil(math.log2(dt_s / SHORT_S))) if dt_s > SHORT_S else 0
     return math.ldexp(dt_s, -doublings), doublings
-
-
-def _doubled(F: FloatArray, Q: FloatArray, times: int) -> ModelTransition:
-    for _ in range(times):
-        Q = F @ Q @ F.transpose(0, 2, 1) + Q
-        F = F @ F
-    return ModelTransition(F, Q, np.zeros(F.shape[1]))
 
 
 def _fading(
@@ -247,12 +258,6 @@ def _integrals(pole: complex, t: float) -> tuple[complex, complex, complex]:
     return (once - t) / pole, once, grown
 
 
-def _put(F: FloatArray, row: int, column: int, value: complex) -> None:
-    """A complex factor as the 2 x 2 block that multiplies by it."""
-    F[row, column] = F[row + 1, column + 1] = value.real
-    F[row, column + 1], F[row + 1, column] = -value.imag, value.imag
-
-
 def _waving(w0: float, damping: float, variance: float, vehicle: float) -> tuple[FloatArray, FloatArray]:
     """A and W (4, 4) of an acceleration that oscillates at w0 (rad/s), with this stationary variance."""
     A = np.eye(4, k=1)
@@ -260,6 +265,6 @@ def _waving(w0: float, damping: float, variance: float, vehicle: float) -> tuple
     return A, np.diag([0.0, vehicle, 0.0, 4.0 * damping * w0**3 * variance])
 
 
-def _on_plane(matrix: FloatArray) -> FloatArray:
-    """The same on north and east."""
-    return np.asarray(np.kron(matrix, np.eye(2)), dtype=np.float64)
+def _on_axes(matrices: FloatArray, axes: FloatArray) -> FloatArray:
+    """The same (m, 4, 4) on two axes (m, 8, 8), as far as `axes` (2, 2) says."""
+    return np.asarray(np.kron(matrices, axes), dtype=np.float64)

@@ -62,8 +62,7 @@ class PadSnapshot(NamedTuple):
     """All of the filter; the arrays are never written to again."""
 
     time_s: float
-    horizontal: BankState | None
-    vertical: BankState | None
+    models: BankState | None
     turn: Turn
     heading: HeadingState
     gates: dict[str, Gate]

@@ -1,5 +1,7 @@
 """State and covariance of the 31-state EKF: prediction and correction (eq. 17), and how it is put back.
 
+The correction is filterpy's. The prediction is not: it leaves out the states that do not move.
+
 `x` and `P` are replaced and never changed in place, so that a snapshot costs nothing. NED and FRD, SI, µT.
 
 The IMU drives the motion, and its noise enters where its biases do. White noise also drives the biases and
@@ -12,7 +14,7 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dposv
+from filterpy.kalman import ExtendedKalmanFilter
 
 from companion.base.geometry import FloatArray, Quaternion, dot, euler_from_quat, quat_normalise
 from companion.config import EkfConfig
@@ -66,6 +68,7 @@ class EkfState:
     def __init__(self, config: EkfConfig, start: InitialState) -> None:
         self._config = config
         self._noise = noise_density()
+        self._filter = ExtendedKalmanFilter(model.STATES, dim_z=3)
         self.time_s = start.time_s
         self.x = initial_state(start)
         self.P = initial_covariance(config, start)
@@ -166,27 +169,21 @@ class EkfState:
 
         The two differ where R is larger to make up for errors that are alike in many samples.
         """
-        PCt = self.P @ C.T
-        S = C @ PCt
         if gate_noise is not None:
-            test = normalised_innovation_squared(innovation, S + gate_noise)
+            test = normalised_innovation_squared(innovation, C @ self.P @ C.T + gate_noise)
             passed = test <= CHI_SQUARE_999[len(innovation)]
             self.gates = {**self.gates, kind: self.gates.get(kind, Gate()).after(passed, self.time_s)}
             if not passed:
                 return False
-        self._correct(innovation, C, PCt, S + R)
+        self._correct(innovation, C, R)
         return True
 
-    def _correct(self, innovation: FloatArray, C: FloatArray, PCt: FloatArray, S: FloatArray) -> None:
-        """x⁺ = x⁻ + K y, P⁺ = P⁻ - K S Kᵀ, K = P Cᵀ S⁻¹; then the quaternion's share is corrected.
-
-        Raises:
-            numpy.linalg.LinAlgError: S is not positive definite.
-        """
-        _, Kt, failed = dposv(S, PCt.T)
-        if failed:
-            raise np.linalg.LinAlgError(f"innovation covariance: {failed}")
-        x, P, L = self.x + innovation @ Kt, self.P - PCt @ Kt, EYE - Kt.T @ C
+    def _correct(self, innovation: FloatArray, C: FloatArray, R: FloatArray) -> None:
+        """x⁺ = x⁻ + K y, P⁺ = (I - K C) P⁻ (I - K C)ᵀ + K R Kᵀ; then the quaternion's share is corrected."""
+        ekf = self._filter
+        ekf.x, ekf.P = self.x, self.P
+        ekf.update(innovation, lambda _: C, lambda _: 0.0, R)
+        x, P, L = ekf.x, ekf.P, EYE - ekf.K @ C
         J = self._normalise(x)
         P[model.QUATERNION] = J @ P[model.QUATERNION]
         P[:, model.QUATERNION] = P[:, model.QUATERNION] @ J.T

@@ -15,6 +15,7 @@ from companion.base.geometry import (
     quat_integrate,
     quat_rotate,
     scale,
+    side_force,
     subtract,
 )
 from companion.base.messages import ImuSample
@@ -22,7 +23,7 @@ from companion.estimate.ahrs.complementary import ACCEL_AVERAGE_S
 from companion.estimate.ahrs.orientation import Orientation
 from companion.estimate.motion import MotionHistory
 
-ACCELERATION_FILTER_S: Final = 0.02  # low-pass of the acceleration given to planner and controller
+ACCELERATION_FILTER_S: Final = 0.02  # low-pass of acceleration and side force given to planner and controller
 
 
 class VectorMean:
@@ -45,7 +46,7 @@ class VectorMean:
 
 
 class InertialMotion:
-    """Attitude, rate and acceleration at the newest sample; each sample goes to the history, too.
+    """Attitude, rate, acceleration and side force at the newest sample; each sample goes to the history, too.
 
     `disturbance_m_s2` is the largest acceleration within the time over which the pre-filter averages.
     """
@@ -55,6 +56,7 @@ class InertialMotion:
         self.attitude: Quaternion = IDENTITY
         self.rate_body_rad_s: Vector3 = ZERO3
         self.acceleration_ned_m_s2: Vector3 = ZERO3
+        self.side_force_ned_m_s2: Vector3 = ZERO3
         self.gyro_bias_rad_s: Vector3 = ZERO3
         self.accel_bias_m_s2: Vector3 = ZERO3
         self.disturbance_m_s2 = 0.0
@@ -79,6 +81,8 @@ class InertialMotion:
         self._history.add(sample.time_s, self.attitude, acceleration, span_s)
         k = dt_s / (ACCELERATION_FILTER_S + dt_s)
         self.acceleration_ned_m_s2 = _approached(self.acceleration_ned_m_s2, acceleration, k)
+        pushed = side_force(self.attitude, force)
+        self.side_force_ned_m_s2 = _approached(self.side_force_ned_m_s2, pushed, k)
         # the pre-filter remembers an acceleration for as long as it averages; taken with its own attitude, so
         # that a wrong one of the EKF does not look like an acceleration and shut out what would correct it
         own = _acceleration(orientation.attitude, force)

@@ -66,7 +66,7 @@ class TroubleReport:
     """Puts what the filter has done about its own misfit in words, each time once."""
 
     def __init__(self) -> None:
-        self._told_s = {"doubted": -math.inf, "fixes": -math.inf, "restarted": -math.inf}
+        self._reported_s = {"doubted": -math.inf, "fixes": -math.inf, "restarted": -math.inf}
 
     def news(self, watch: InnovationWatch, fixes: FixWatch) -> tuple[str, ...]:
         """What was not said before."""
@@ -75,6 +75,6 @@ class TroubleReport:
             "fixes": (fixes.suspected_s, "attitude doubted: GPS keeps to one side of the velocity"),
             "restarted": (watch.restarted_s, "attitude started again from the orientation filter"),
         }
-        fresh = {kind: what for kind, what in happened.items() if what[0] > self._told_s[kind]}
-        self._told_s |= {kind: when_s for kind, (when_s, _) in fresh.items()}
+        fresh = {kind: what for kind, what in happened.items() if what[0] > self._reported_s[kind]}
+        self._reported_s |= {kind: when_s for kind, (when_s, _) in fresh.items()}
         return tuple(words for _, words in fresh.values())

@@ -56,4 +56,5 @@ def vehicle_state(
         has_gps=now_s - ekf.gps_time_s < GPS_TIMEOUT_S,
         origin=origin,
         imu_age_s=max(imu_age_s, 0.0),
+        side_force_ned_m_s2=inertial.side_force_ned_m_s2,
     )

@@ -42,7 +42,7 @@ from companion.sense.vision.pipeline import body_from_camera
 # what stands still, and the scene, are said again this often: a reader that jumps in time finds them
 STILL_PERIOD_S: Final = 1.0
 SCENE_PERIOD_S: Final = 0.2
-# frames whose markers may still be told
+# frames whose markers may still come
 OPEN_FRAMES: Final = 16
 LEVELS: Final = {"info": 2, "warning": 3, "error": 4}
 

@@ -174,8 +174,8 @@ class _Reading:
     def _gps_latency_s(self) -> float:
         """From the fix to its arrival, by the parameter of whichever version wrote the log."""
         names = ("GPS1_DELAY_MS", "GPS_DELAY_MS", "EKF_VEL_DELAY")
-        told = [self.parameters[name] for name in names if self.parameters.get(name, 0.0) > 0.0]
-        return 1e-3 * told[0] if told else GPS_LATENCY_S
+        given = [self.parameters[name] for name in names if self.parameters.get(name, 0.0) > 0.0]
+        return 1e-3 * given[0] if given else GPS_LATENCY_S
 
     def _take_range(self, m: Any, time_s: float) -> None:
         orientation = getattr(m, "Orient", getattr(m, "Orient1", DOWNWARD))

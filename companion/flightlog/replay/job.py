@@ -34,8 +34,8 @@ def replay_and_show(log: Path, output: Path | None, config: Path | None) -> None
     record = read_log(log)
     choice = choose(record, config)
     folder = _new_folder(output or Path("replay") / log_name(log))
-    with _progress(console, str(log)) as told:
-        replayed = replay(record.events, choice.rig, told)
+    with _progress(console, str(log)) as report:
+        replayed = replay(record.events, choice.rig, report)
     result = _result(log, record, replayed, choice)
     try:
         _write(folder / RESULT_NAME, result.model_dump_json(indent=2) + "\n")

@@ -72,7 +72,7 @@ def replay(
         on_progress: called now and then with the share (0..1) that is done.
     """
     estimator, result = new_estimator(rig), Replayed()
-    told_s, asked_s, every = -math.inf, -math.inf, max(len(events) // 100, 1)
+    refused_s, asked_s, every = -math.inf, -math.inf, max(len(events) // 100, 1)
     has_asks = any(isinstance(event.item, Ask) for event in events)
     for k, (_, item) in enumerate(events if has_asks else asked_regularly(events)):
         if not isinstance(item, Ask):
@@ -80,9 +80,9 @@ def replay(
         else:
             asked_s = item.time_s
             _ask(estimator, asked_s, result)
-            if item.time_s - told_s >= REFUSED_PERIOD_S:
-                told_s = item.time_s
-                result.refused.append((told_s, estimator.refused))
+            if item.time_s - refused_s >= REFUSED_PERIOD_S:
+                refused_s = item.time_s
+                result.refused.append((refused_s, estimator.refused))
         if on_progress is not None and k % every == 0:
             on_progress(min(k / len(events), 1.0))
     result.refused.append((asked_s, estimator.refused))

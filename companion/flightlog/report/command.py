@@ -58,7 +58,7 @@ def write_report(folder: Path, output: Path | None = None, bounds: Mapping[str, 
         if (error.name or "").partition(".")[0] != "plotly":
             raise
         raise ConfigError(f"the report {NO_PLOTLY}") from None
-    from companion.flightlog.report.logged_flight import read_flight  # noqa: PLC0415 - told first
+    from companion.flightlog.report.logged_flight import read_flight  # noqa: PLC0415 - reported first
 
     path = output or folder / PAGE_NAME
     write_page(read_flight(folder), path, bounds)

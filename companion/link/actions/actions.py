@@ -196,7 +196,7 @@ class PymavlinkActions:
         if outcome == "accepted":
             return
         stranger = self._session.beacon_stranger
-        hint = "" if stranger is None else f" (system {stranger} tells one; link.ground_system_id is another)"
+        hint = "" if stranger is None else f" (system {stranger} has one; link.ground_system_id is another)"
         raise Refused(f"the ground station's answer: {outcome}{hint}")
 
     async def require_setup(self) -> None:
@@ -250,10 +250,10 @@ class PymavlinkActions:
         """Latitude (deg), longitude (deg), altitude (m AMSL) of home.
 
         Raises:
-            Refused: the autopilot has not told it.
+            Refused: the autopilot has not reported it.
         """
         if self._session.state.home is None:
-            raise Refused("the autopilot has not told its home position")
+            raise Refused("the autopilot has not reported its home position")
         return self._session.state.home
 
     def _ground_altitude_m(self) -> float:

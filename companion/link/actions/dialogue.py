@@ -123,7 +123,7 @@ class Dialogue:
         """
         await self.outcome(request)
         if request.value is None:
-            raise Refused(f"the autopilot does not tell its {request.name}")
+            raise Refused(f"the autopilot does not report its {request.name}")
         return round(request.value)
 
     async def outcome(

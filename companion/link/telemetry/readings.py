@@ -36,8 +36,8 @@ _RATE_BITS, _FORCE_BITS, _FIELD_BITS = 0b111_000, 0b111, 0b111_000_000
 _TEMPERATURE_BIT: Final = 1 << 12
 _UNKNOWN_U8, _UNKNOWN_U16 = 0xFF, 0xFFFF
 _RANGE_ERROR_M: Final = 2.5  # of a receiver that reports its dilution alone
-_UNTOLD_DILUTION: Final = 4.0
-_UNTOLD_SPEED_ACCURACY_M_S: Final = 0.5
+_DEFAULT_DILUTION: Final = 4.0
+_DEFAULT_SPEED_ACCURACY_M_S: Final = 0.5
 _SIGNAL_INVALID: Final = 1  # 0 is "unknown": PX4's simulator and older autopilots never fill it in
 _LARGEST_VARIANCE_CM2: Final = 36  # MAVLink: a standard deviation of 6 cm at most
 
@@ -62,8 +62,10 @@ def imu_sample(message: Message, time_s: float, interval_s: float | None = None)
         fresh = fields & _RATE_BITS == _RATE_BITS and fields & _FORCE_BITS == _FORCE_BITS
         if not fresh or not _finite(rate + force):
             return None
-        told = fields & _TEMPERATURE_BIT and math.isfinite(message.temperature)
-        return ImuSample(time_s, rate, force, float(message.temperature) if told else 0.0, interval_s)
+        has_temperature = fields & _TEMPERATURE_BIT and math.isfinite(message.temperature)
+        return ImuSample(
+            time_s, rate, force, float(message.temperature) if has_temperature else 0.0, interval_s
+        )
     if max(map(abs, rate + force)) >= _SATURATED:
         return None
     return ImuSample(
@@ -134,19 +136,19 @@ def _velocity(message: Message) -> tuple[Vector3, float]:
     """Velocity over ground (NED, down as 0) and its accuracy; without a course it may point anywhere."""
     if message.vel == _UNKNOWN_U16:
         return ZERO3, UNKNOWN_SPEED_M_S
-    speed, told = message.vel * 0.01, message.vel_acc * 1e-3
-    accuracy = told if told > 0.0 else _UNTOLD_SPEED_ACCURACY_M_S
+    speed, given = message.vel * 0.01, message.vel_acc * 1e-3
+    accuracy = given if given > 0.0 else _DEFAULT_SPEED_ACCURACY_M_S
     if message.cog == _UNKNOWN_U16:
         return ZERO3, accuracy if speed <= accuracy else UNKNOWN_SPEED_M_S
     course = math.radians(message.cog * 0.01)
     return (speed * math.cos(course), speed * math.sin(course), 0.0), accuracy
 
 
-def _accuracy_m(told_mm: int, dilution_e2: int) -> float:
+def _accuracy_m(reported_mm: int, dilution_e2: int) -> float:
     """What the receiver says, else what its dilution of precision makes of a usual range error."""
-    if told_mm > 0:
-        return told_mm * 1e-3
-    dilution = _UNTOLD_DILUTION if dilution_e2 in (0, _UNKNOWN_U16) else dilution_e2 * 0.01
+    if reported_mm > 0:
+        return reported_mm * 1e-3
+    dilution = _DEFAULT_DILUTION if dilution_e2 in (0, _UNKNOWN_U16) else dilution_e2 * 0.01
     return _RANGE_ERROR_M * dilution
 
 

@@ -1,6 +1,6 @@
 """Another clock's offset and rate against ours, estimated together from round trips. Pure.
 
-A round trip from a to b of our time in which that clock told c bounds its offset, c - b <= offset <= c - a,
+A round trip from a to b of our time in which that clock read c bounds its offset, c - b <= offset <= c - a,
 whatever delayed it on its way. Within these bounds a Kalman filter of offset and rate weighs the quickest
 trips most: delays only ever add, so the longest trip is the least accurate. An estimate outside the bounds is
 not noise. A little outside, the clock's rate has changed; far outside, that clock has stood still or was set

@@ -90,9 +90,9 @@ class TimeSync:
         newest = self._newest
         if newest is None or trip.sent_s < newest.received_s:
             return False  # the questions were under way together: the answers may come in any order
-        told_s = trip.theirs_s - newest.theirs_s
+        theirs_s = trip.theirs_s - newest.theirs_s
         passed_s = trip.received_s - newest.sent_s
-        return told_s < -_BACK_S or abs(told_s - passed_s) > _RESTART_S + trip.length_s + newest.length_s
+        return theirs_s < -_BACK_S or abs(theirs_s - passed_s) > _RESTART_S + trip.length_s + newest.length_s
 
 
 def clock_ns(now_s: float) -> int:

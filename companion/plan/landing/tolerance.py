@@ -19,7 +19,7 @@ _BORNE_PER_TIME = 0.35
 # The tolerance aside never exceeds this, unless the setting does.
 _FARTHEST_ASIDE_M = 0.12
 # A gust that has just begun shows in the speed first; a correction takes about so long to tell. Of 69 random
-# landings this told the four that ended more than 8 cm off, half a second before contact.
+# landings this identified the four that ended more than 8 cm off, half a second before contact.
 _DRIFT_S = 0.22
 # A sink is stopped within this delay and at this rate: without that room no break-off begins.
 _STOPS_AFTER_S = 0.2

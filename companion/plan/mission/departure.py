@@ -35,6 +35,17 @@ def refused_words(autopilot: AutopilotState) -> str:
     return f" ({count} frames refused: no right signature, see link.signing_key)" if count else ""
 
 
+def offboard_words(autopilot: AutopilotState) -> str:
+    """Why a PX4 that stands in OFFBOARD is not ready to arm, to follow other words; "" for any other.
+
+    After a landing it stays in that mode, and its checks are those of the mode: it wants setpoints
+    (`mode_req_offboard_signal` of its failsafe_flags).
+    """
+    if autopilot.autopilot_kind != "px4" or not autopilot.offboard:
+        return ""
+    return " (in OFFBOARD PX4 is not, without setpoints: change its mode, for example to Hold)"
+
+
 class Departure:
     """Connect, arm, take off and go to the waypoint."""
 
@@ -114,7 +125,7 @@ class Departure:
                 not autopilot.connected or autopilot.autopilot_kind is not None,
             ),
             ("its home position", autopilot.home is not None),
-            ("it to be ready to arm", autopilot.ready_to_arm),
+            (f"it to be ready to arm{offboard_words(autopilot)}", autopilot.ready_to_arm),
             ("its estimate of position", autopilot.ekf_ready is not False),
             ("our own alignment", vehicle is not None and vehicle.aligned),
             ("GPS", vehicle is not None and vehicle.has_gps and vehicle.origin is not None),

@@ -2,7 +2,7 @@
 
 An action is sent once, again `retry_s` after a refusal or `answer_s` after silence, and `attempts` times
 at most. Arming alone is asked for until its phase ends by time: an autopilot that cannot yet arm is waited
-for, not hammered, and what it lacks is told whenever that is news. Pure: time is an argument.
+for, not hammered, and what it lacks is reported whenever that changes. Pure: time is an argument.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Requests:
         self._retry_s, self._answer_s, self._attempts = retry_s, answer_s, attempts
         self._pending: dict[ActionKind, _Pending] = {}
         self._accepted: set[ActionKind] = set()
-        self._told: list[Action] = []
+        self._reports: list[Action] = []
         self._news: list[str] = []
 
     @property
@@ -52,7 +52,7 @@ class Requests:
 
     def tell(self, action: Action) -> None:
         """Send an action once, without waiting for an answer."""
-        self._told.append(action)
+        self._reports.append(action)
 
     def forget(self) -> None:
         """Drop what is open and what was granted: a new phase asks anew."""
@@ -93,8 +93,8 @@ class Requests:
             self._pending[p.action.kind] = replace(
                 p, due_s=float("inf"), sent=p.sent + 1, answer_by_s=now_s + self._answer_s
             )
-        told, self._told = self._told, []
-        return (*told, *(p.action for p in ready))
+        reports, self._reports = self._reports, []
+        return (*reports, *(p.action for p in ready))
 
     def _put_off(self, pending: _Pending, now_s: float, why: str) -> None:
         kind = pending.action.kind

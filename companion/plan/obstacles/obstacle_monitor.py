@@ -32,7 +32,7 @@ class ObstacleMonitor:
     def __init__(self, generator: ReferenceGenerator, ground: Ground, say: NoticeSink) -> None:
         self._generator, self._ground, self._say = generator, ground, say
         self._stood_ned_m: Vector3 | None = None
-        self._told_of, self._told_s = "clear", -math.inf
+        self._reported_way, self._reported_s = "clear", -math.inf
         self.home_ned_m: Vector3 | None = None
 
     def stands_here(self, vehicle: VehicleState | None) -> None:
@@ -61,10 +61,10 @@ class ObstacleMonitor:
     def tell(self, now_s: float) -> None:
         """Announce a detour, that there is none, and when the path is straight again."""
         way = _way(self._generator.avoidance)
-        if way == self._told_of or now_s - self._told_s < _TELL_AGAIN_S:
+        if way == self._reported_way or now_s - self._reported_s < _TELL_AGAIN_S:
             return
         self._say(way, _WORDS[way], now_s, "warning" if way in {"blocked", "waiting_over"} else "info")
-        self._told_of, self._told_s = way, now_s
+        self._reported_way, self._reported_s = way, now_s
 
 
 def _way(avoidance: Avoidance) -> str:

@@ -1,7 +1,7 @@
 """Looking for the pad: hold, ask the ground station where it is, fly there, spiral (Algorithm 1, else).
 
 The search ends only with a pad that will stay in view: the vehicle flies back to one seen in passing. One
-that is told to be faster than any that is followed is waited for, not chased. All is in the EKF's NED, m, s
+reported to be faster than any that is followed is waited for, not chased. All is in the EKF's NED, m, s
 and rad; the height is chosen on entry and kept, but for a floor that rises.
 """
 
@@ -72,7 +72,7 @@ class Search:
         self._down_m = 0.0
         self._corner = 0
         self._arrived_s: float | None = None
-        self._begun_s = self._control_s = self._next_request_s = self._told_s = self._turned_s = -math.inf
+        self._begun_s = self._control_s = self._next_request_s = self._reported_s = self._turned_s = -math.inf
         self._had_control = False
         self._in_view = Debounce()
 
@@ -98,7 +98,7 @@ class Search:
         climb_m = here[2] - self._down_m
         self._most_up_m = self._down_m - self._config.climb_m
         self._corner, self._arrived_s = 0, None
-        self._begun_s, self._told_s = now_s, -math.inf
+        self._begun_s, self._reported_s = now_s, -math.inf
         self._in_view = Debounce()
         return climb_m
 
@@ -163,9 +163,9 @@ class Search:
             self._generator.fly_to(self._target(now_s), now_s)
         elif in_control and now_s - self._begun_s >= _STOPPED_S:
             self._generator.fly_to(Motion((*self._hold_m[:2], self._down_m)), now_s)
-        tell = request and now_s - self._told_s >= _TELL_S
+        tell = request and now_s - self._reported_s >= _TELL_S
         if tell:
-            self._told_s = now_s
+            self._reported_s = now_s
         return SearchStep(request_pad=request, worth_telling=tell, flying=flying)
 
     def _waits_for_it(self, now_s: float) -> bool:

@@ -2,10 +2,10 @@
 
 Times in s of the loop's clock, handed in. A frame is good when it is newer than the last one by its stamp,
 is not older than it can be, is not the last image over again, is not of one grey, and is not torn. Without a
-good one for `Patience.trouble_s` the camera is in trouble, and why is told; trouble that lasts makes it lost,
-and it is to be opened anew.
+good one for `Patience.trouble_s` the camera is in trouble, and why is reported; trouble that lasts makes it
+lost, and it is to be opened anew.
 
-What is told of images rests on noise: no sensor gives the same number for thousands of pixels twice. A lower
+Judgements of images rest on noise: no sensor gives the same number for thousands of pixels twice. A lower
 part that is all white is none that is empty: glare is just that.
 """
 
@@ -26,7 +26,7 @@ FLAT_GREY: Final = 2  # spread of an image that shows nothing
 FUTURE_S: Final = 0.05
 LEAST_TORN: Final = 0.1  # share of the rows at the lower edge
 WHITE: Final = 255
-FIRST_TOLD_S: Final = 2.0  # without a first frame, though more may be waited for
+FIRST_REPORT_S: Final = 2.0  # without a first frame, though more may be waited for
 
 Kind = Literal["silent", "content", "stamp"]
 
@@ -35,7 +35,7 @@ Kind = Literal["silent", "content", "stamp"]
 class Patience:
     """How long what may last: see `patience_with`."""
 
-    trouble_s: float  # without a good frame: told
+    trouble_s: float  # without a good frame: reported
     silent_s: float  # without any frame: opened anew
     content_s: float  # with frames of no use: opened anew
     first_s: float  # for the first frame, instead of the first two
@@ -45,7 +45,7 @@ class Patience:
 def patience_with(camera: CaptureConfig, source: Literal["device", "socket", "recording"]) -> Patience:
     """What a camera of that rate may be allowed.
 
-    Trouble is told within 0.3 s at any rate. A connection that is silent is not mended by parting, so a
+    Trouble is reported within 0.3 s at any rate. A connection that is silent is not mended by parting, so a
     socket's may be so for longer, and before its first frame for ever: its server may still be starting. A
     recording is what it is, and opening it anew would play it from its beginning.
     """
@@ -174,7 +174,7 @@ class CameraHealth:
         """What is wrong, once it has lasted."""
         if self._frame_s is None:
             waited_s = now_s - self._opened_s
-            late = waited_s > max(FIRST_TOLD_S, self._patience.trouble_s)
+            late = waited_s > max(FIRST_REPORT_S, self._patience.trouble_s)
             return f"no frame in {waited_s:.0f} s since it was opened" if late else None
         good_s = self._opened_s if self._good_s is None else self._good_s
         if now_s - good_s <= self._patience.trouble_s:

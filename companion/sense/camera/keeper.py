@@ -3,7 +3,7 @@
     device or socket ─► health ─► newest frame ─► vision
                           └─► reports: notices, status
 
-Who waits for a frame simply goes on waiting while there is no camera; what is wrong is told by `report`.
+Who waits for a frame simply goes on waiting while there is no camera; what is wrong goes to `report`.
 Nothing here waits for a driver: one that hangs is left alone with its thread (`camera_thread`).
 """
 
@@ -83,8 +83,8 @@ class KeptCamera:
         self._reports: asyncio.Queue[CameraReport] = asyncio.Queue()
         self._hanging: list[LiveSource] = []
         self._problem: str | None = None
-        self._told: set[str] = set()  # of the present trouble
-        self._told_notes: set[str] = set()  # a camera that is opened again has the same to say
+        self._reported: set[str] = set()  # of the present trouble
+        self._reported_notes: set[str] = set()  # a camera that is opened again has the same to say
         self._trouble_s = 0.0
         self._pause_s = FIRST_PAUSE_S
         self._last_sequence = -1
@@ -206,9 +206,9 @@ class KeptCamera:
 
     def _tell_notes(self, source: LiveSource) -> None:
         for note in source.take_notes():
-            if note in self._told_notes:
+            if note in self._reported_notes:
                 continue
-            self._told_notes.add(note)
+            self._reported_notes.add(note)
             self._reports.put_nowait(CameraReport(f"camera: {note}", "warning"))
 
     def _tell_trouble(self, health: CameraHealth) -> None:
@@ -219,18 +219,18 @@ class KeptCamera:
         elif self._problem is not None and good_s is not None and now_s - good_s >= GOOD_AGAIN_S:
             self._problem = None
             self._pause_s = FIRST_PAUSE_S
-            self._told.clear()
+            self._reported.clear()
             text = f"camera: frames again after {good_s - self._trouble_s:.1f} s"
             self._reports.put_nowait(CameraReport(text, "info"))
 
     def _set_trouble(self, text: str) -> None:
-        """Note what is wrong, and tell it unless the same has been told of this trouble, numbers aside."""
+        """Note what is wrong; report it unless this trouble has had the same report, numbers aside."""
         if self._problem is None:
             self._trouble_s = self._clock.now_s()
         self._problem = text
         shape = NUMBER.sub("", text)
-        if shape not in self._told:
-            self._told.add(shape)
+        if shape not in self._reported:
+            self._reported.add(shape)
             self._reports.put_nowait(CameraReport(f"camera: {text}", "error"))
 
 

@@ -1,7 +1,7 @@
 """A camera whose driver blocks, read by a thread of its own; the loop never waits for it.
 
 The thread opens the device, reads it and closes it, so that a driver that hangs in any of the three hangs
-alone: it is told to stop and given up on. As a daemon it cannot keep the app from ending either.
+alone: it is asked to stop and given up on. As a daemon it cannot keep the app from ending either.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ async def open_camera(spec: str, camera: CaptureConfig, unstamped_latency_s: flo
 async def keep_camera(
     spec: str, camera: CaptureConfig, unstamped_latency_s: float = 0.0, *, waits: bool = False
 ) -> KeptCamera:
-    """Open the source named by `spec` for a flight: whatever goes wrong later is told, and it is reopened.
+    """Open the source named by `spec` for a flight: what goes wrong later is reported, and it is reopened.
 
     With `waits` one that is missing now is opened as soon as it is there.
 

@@ -29,7 +29,7 @@ from companion.sense.camera.stamps import StampPoint, StampReader
 MANUAL_EXPOSURE: Final = 1  # V4L2_EXPOSURE_MANUAL
 EXPOSURE_UNIT_S: Final = 1e-4  # of V4L2_CID_EXPOSURE_ABSOLUTE
 UNSUPPORTED: Final = -1.0  # what OpenCV answers for a control that a driver has not got
-SETTLED: Final = 0.1  # a driver may round what it is told by this share
+SETTLED: Final = 0.1  # a driver may round what it is set to by this share
 # so many frames in a row that cannot be had: one may be a damaged JPEG
 MOST_FAILURES: Final = 3
 DRIVERS: Final = Path("/sys/class/video4linux")

@@ -56,5 +56,5 @@ class OutputRegisters:
         return 1
 
     def read(self, frames: int) -> bytes:
-        """The sample that `waiting` has told of; `frames` is 1."""
+        """The sample that `waiting` has found; `frames` is 1."""
         return self._sample * frames

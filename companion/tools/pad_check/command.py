@@ -18,7 +18,7 @@ service: a line each, with what to do about it. Nothing is written to the autopi
 fails, 1: something does, 2: it could not be checked.
 
 With --pad, before a first flight, that right is right, forward is forward and down is down: take the
-propellers off, keep the vehicle disarmed and hold it over the pad. You are told what to do (hold, raise,
+propellers off, keep the vehicle disarmed and hold it over the pad. Instructions say what to do (hold, raise,
 move right and forward, turn, tilt), each move is recognised by itself, and camera, IMU, ultrasonic and
 compass are held against it and against one another. What is wrong is named with the setting that mends it.
 

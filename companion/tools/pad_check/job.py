@@ -21,7 +21,7 @@ from companion.tools.pad_check.report import cause_lines, report_json, report_ta
 from companion.tools.pad_check.session import Outlets, PadCheck
 from companion.tools.pad_check.steps import Say
 from companion.tools.pad_check.wizard import Report
-from companion.tools.preflight.findings import Finding, State, worst
+from companion.tools.preflight.findings import Finding, FindingState, worst
 from companion.tools.preflight.report import STYLES, findings_json, findings_table, summary_line
 from companion.tools.preflight.run import preflight
 
@@ -43,7 +43,7 @@ def check_vehicle(config: Path, json_file: Path | None, record: Path | None, *, 
     prepare_opencv()
     found = asyncio.run(preflight(load_config(config), config, record, linked=linked))
     show_findings(found, json_file)
-    raise typer.Exit(1 if worst(found) is State.FAIL else 0)
+    raise typer.Exit(1 if worst(found) is FindingState.FAIL else 0)
 
 
 def show_findings(found: list[Finding], json_file: Path | None) -> None:

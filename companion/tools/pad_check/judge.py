@@ -47,7 +47,7 @@ LEAST_IMU_WAY_M: Final = 0.08  # a shorter way has no direction, integrated twic
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class CheckAnswer:
     """One answer: `detail` is what was measured, `blamed` what may be wrong (nothing: all is well).
 
     `values` are the numbers, for the record.
@@ -74,7 +74,7 @@ def angle_between(a: Vector3, b: Vector3) -> float:
 # ---------------------------------------------------------------- at rest
 
 
-def judge_level(rest: StandstillMeans) -> Finding:
+def judge_level(rest: StandstillMeans) -> CheckAnswer:
     """Level reads level by the accelerometer, and gravity is as large as it is."""
     x, y, z = down_by_force(rest)
     roll, pitch = math.degrees(math.atan2(y, z)), math.degrees(math.atan2(-x, math.hypot(y, z)))
@@ -83,28 +83,28 @@ def judge_level(rest: StandstillMeans) -> Finding:
     detail = f"the accelerometer says roll {roll:+.0f}°, pitch {pitch:+.0f}°, gravity {size:.1f} m/s²"
     values = {"roll_deg": roll, "pitch_deg": pitch, "gravity_m_s2": size}
     good = tilt < LEVEL_RAD and abs(size - GRAVITY_M_S2) < GRAVITY_SHARE * GRAVITY_M_S2
-    return Finding("level is level", detail, () if good else ("imu",), values)
+    return CheckAnswer("level is level", detail, () if good else ("imu",), values)
 
 
-def judge_pad_level(rest: StandstillMeans, *, imu_is_level: bool = True) -> Finding:
+def judge_pad_level(rest: StandstillMeans, *, imu_is_level: bool = True) -> CheckAnswer:
     """Camera and accelerometer agree about down, over a pad that lies level."""
     apart = angle_between(down_by_force(rest), down_by_pad(rest))
     detail = f"down by the pad and by the accelerometer are {math.degrees(apart):.1f}° apart"
     values = {"apart_deg": math.degrees(apart)}
     blamed: tuple[Part, ...] = ("pad",) if imu_is_level else ("imu",)
-    return Finding("camera and horizon agree", detail, () if apart < PAD_LEVEL_RAD else blamed, values)
+    return CheckAnswer("camera and horizon agree", detail, () if apart < PAD_LEVEL_RAD else blamed, values)
 
 
-def judge_height(rest: StandstillMeans, range_position_body_m: Vector3, place: str) -> Finding:
+def judge_height(rest: StandstillMeans, range_position_body_m: Vector3, place: str) -> CheckAnswer:
     """The camera's height over the pad against the ultrasonic's."""
     name = f"height, {place}"
     height_m = height_by_camera(rest, range_position_body_m)
     if rest.range_m is None:
-        return Finding(name, f"camera {height_m:.2f} m, ultrasonic: no echo", ("range",))
+        return CheckAnswer(name, f"camera {height_m:.2f} m, ultrasonic: no echo", ("range",))
     detail = f"camera {height_m:.2f} m, ultrasonic {rest.range_m:.2f} m"
     values = {"camera_m": height_m, "ultrasonic_m": rest.range_m}
     good = _alike(height_m, rest.range_m, HEIGHT)
-    return Finding(name, detail, () if good else ("scale",), values)
+    return CheckAnswer(name, detail, () if good else ("scale",), values)
 
 
 def height_by_camera(rest: StandstillMeans, range_position_body_m: Vector3) -> float:
@@ -112,10 +112,10 @@ def height_by_camera(rest: StandstillMeans, range_position_body_m: Vector3) -> f
     return dot(down_by_pad(rest), subtract(rest.pad_position_body_m, range_position_body_m))
 
 
-def judge_compass(rest: StandstillMeans, field_ned_ut: Vector3) -> Finding:
+def judge_compass(rest: StandstillMeans, field_ned_ut: Vector3) -> CheckAnswer:
     """A field of about the earth's strength, that dips about as it does; nothing finer than gross."""
     if rest.field_ut is None:
-        return Finding("compass", "no samples of the magnetometer", ("compass",))
+        return CheckAnswer("compass", "no samples of the magnetometer", ("compass",))
     strength_ut, expected_ut = norm(rest.field_ut), norm(field_ned_ut)
     dip = 0.5 * math.pi - angle_between(rest.field_ut, down_by_force(rest))
     expected_dip = math.asin(field_ned_ut[2] / expected_ut)
@@ -125,25 +125,29 @@ def judge_compass(rest: StandstillMeans, field_ned_ut: Vector3) -> Finding:
     )
     good = abs(strength_ut - expected_ut) < FIELD_SHARE * expected_ut and abs(dip - expected_dip) < DIP_RAD
     values = {"field_ut": strength_ut, "dip_deg": math.degrees(dip)}
-    return Finding("compass", detail, () if good else ("compass",), values)
+    return CheckAnswer("compass", detail, () if good else ("compass",), values)
 
 
 # ---------------------------------------------------------------- moved
 
 
-def judge_shift(name: str, asked: Vector3, camera: Move, imu: Move, *, imu_is_level: bool = True) -> Finding:
+def judge_shift(
+    name: str, asked: Vector3, camera: Move, imu: Move, *, imu_is_level: bool = True
+) -> CheckAnswer:
     """A way (level axes) that was asked for, by the camera and by the IMU."""
     detail = f"camera: {way_words(camera.displacement_m)}; IMU: {way_words(imu.displacement_m)}"
     values = _values("camera_m", camera.displacement_m) | _values("imu_m", imu.displacement_m)
     astray = [angle_between(move.displacement_m, asked) > ASTRAY_RAD for move in (camera, imu)]
     vague = norm(imu.displacement_m) < LEAST_IMU_WAY_M
     alike = angle_between(camera.displacement_m, imu.displacement_m) < ASTRAY_RAD
-    return Finding(
+    return CheckAnswer(
         name, detail, _blamed(astray[0], astray[1] and not vague, alike=alike and imu_is_level), values
     )
 
 
-def judge_turn(name: str, asked: Vector3, camera: Move, imu: Move, *, imu_is_level: bool = True) -> Finding:
+def judge_turn(
+    name: str, asked: Vector3, camera: Move, imu: Move, *, imu_is_level: bool = True
+) -> CheckAnswer:
     """A rotation (body axes) that was asked for, by the camera and by the gyroscope."""
     detail = f"camera: {turn_words(camera.rotation_rad)}; gyroscope: {turn_words(imu.rotation_rad)}"
     values = _values("camera_rad", camera.rotation_rad) | _values("gyro_rad", imu.rotation_rad)
@@ -151,28 +155,30 @@ def judge_turn(name: str, asked: Vector3, camera: Move, imu: Move, *, imu_is_lev
     apart = angle_between(camera.rotation_rad, imu.rotation_rad)
     blamed = _blamed(*astray, alike=apart < ASTRAY_RAD and imu_is_level)
     if not blamed and apart > ALIKE_RAD:
-        return Finding(name, f"{detail}; about axes {math.degrees(apart):.0f}° apart", ("camera",), values)
+        return CheckAnswer(
+            name, f"{detail}; about axes {math.degrees(apart):.0f}° apart", ("camera",), values
+        )
     if not blamed and not _alike(norm(camera.rotation_rad), norm(imu.rotation_rad), ALIKE_SIZE):
-        return Finding(name, f"{detail}; not as far", ("imu",), values)
-    return Finding(name, detail, blamed, values)
+        return CheckAnswer(name, f"{detail}; not as far", ("imu",), values)
+    return CheckAnswer(name, detail, blamed, values)
 
 
-def judge_compass_turn(before: StandstillMeans, after: StandstillMeans, imu: Move) -> Finding:
+def judge_compass_turn(before: StandstillMeans, after: StandstillMeans, imu: Move) -> CheckAnswer:
     """The compass follows a turn of the heading as the gyroscope does."""
     name = "compass turns along"
     if before.field_ut is None or after.field_ut is None:
-        return Finding(name, "no samples of the magnetometer", ("compass",))
+        return CheckAnswer(name, "no samples of the magnetometer", ("compass",))
     turned = _turned_about_down(before, after)
     about_down = dot(imu.rotation_rad, down_by_force(before))
     detail = f"compass {math.degrees(turned):+.0f}°, gyroscope {math.degrees(about_down):+.0f}°"
     values = {"compass_deg": math.degrees(turned), "gyro_deg": math.degrees(about_down)}
     good = _alike(turned, about_down, COMPASS_TURN)
-    return Finding(name, detail, () if good else ("compass",), values)
+    return CheckAnswer(name, detail, () if good else ("compass",), values)
 
 
 def judge_tilt(
     step: str, before: StandstillMeans, after: StandstillMeans, imu: Move, *, compass_is_good: bool = True
-) -> list[Finding]:
+) -> list[CheckAnswer]:
     """Gravity and the field turn in body axes as the gyroscope says that the body was tilted.
 
     A turn about the vertical shows the compass's horizontal part alone, and that in its own axes: one that
@@ -192,10 +198,10 @@ def judge_tilt(
 
 def _tilt_finding(
     sensor: str, step: str, off: float, tilted: float, tolerance: tuple[float, float], blamed: Part
-) -> Finding:
+) -> CheckAnswer:
     least, share = tolerance
     off_deg, tilted_deg = math.degrees(off), math.degrees(tilted)
-    return Finding(
+    return CheckAnswer(
         f"{sensor} tilts along, {step}",
         f"{off_deg:.0f}° off what the gyroscope's {tilted_deg:.0f}° make of it",
         () if off <= max(least, share * tilted) else (blamed,),

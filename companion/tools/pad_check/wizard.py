@@ -20,7 +20,7 @@ from typing import Final
 from companion.base.geometry import Vector3, add, norm, scale
 from companion.tools.pad_check.causes import Evidence, Mounting, likely_cause
 from companion.tools.pad_check.judge import (
-    Finding,
+    CheckAnswer,
     Part,
     judge_compass,
     judge_compass_turn,
@@ -67,7 +67,7 @@ class CheckStage(StrEnum):
 class Report:
     """The end: all findings in order, and the likely cause of each that is bad, by its name."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[CheckAnswer, ...]
     causes: dict[str, str]  # by the finding's name
 
     @property
@@ -85,7 +85,7 @@ class Wizard:
         self.axis: tuple[Kind, Vector3] | None = None
         self._mounting = mounting
         self._evidence = Evidence()
-        self._findings: list[Finding] = []
+        self._findings: list[CheckAnswer] = []
         self._said: list[Say] = []
         self._number = self._upcoming = self._repeats = 0
         self._base: StandstillMeans | None = None  # the last rest that counted
@@ -96,7 +96,7 @@ class Wizard:
         self._imu_is_level = True
         self._away_from: StandstillMeans | None = None
         self._rests: list[StandstillMeans] = []  # apart from one another, for the gyroscope's zero
-        self._started_s = self._missing_told_s = self._asked_s = self._reminded_s = now_s
+        self._started_s = self._missing_reported_s = self._asked_s = self._reminded_s = now_s
         self._ask(START_ORDER, now_s)
 
     @property
@@ -238,10 +238,10 @@ class Wizard:
             for finding in judge_tilt(step.name, before, after, imu, compass_is_good=good):
                 self._found(finding)
 
-    def _finding(self, step: RequestedMove, moves: tuple[Move, Move], gap_s: float) -> Finding:
+    def _finding(self, step: RequestedMove, moves: tuple[Move, Move], gap_s: float) -> CheckAnswer:
         """The answer to a step, moved so by camera and IMU, the IMU with a gap of so long."""
         if gap_s > LONGEST_GAP_S:
-            return Finding(step.name, f"samples of the IMU are missing for {gap_s:.2f} s", ("loss",))
+            return CheckAnswer(step.name, f"samples of the IMU are missing for {gap_s:.2f} s", ("loss",))
         judge = judge_turn if step.kind == "turn" else judge_shift
         return judge(step.name, step.axis, *moves, imu_is_level=self._imu_is_level)
 
@@ -272,8 +272,8 @@ class Wizard:
         if self.finished:
             return
         missing = missing_part(samples, now_s)
-        if missing is not None and now_s - max(self._missing_told_s, self._started_s) >= UNSEEN_S:
-            self._missing_told_s = now_s
+        if missing is not None and now_s - max(self._missing_reported_s, self._started_s) >= UNSEEN_S:
+            self._missing_reported_s = now_s
             self._say(missing, "note")
         if now_s - self._asked_s >= STEP_TIMEOUT_S:
             self._give_up(missing or "no such move was seen", now_s)
@@ -287,14 +287,14 @@ class Wizard:
         if self.stage is CheckStage.START:
             self._end_blind(detail, "sight")
         elif self.stage is CheckStage.OUT:
-            self._found(Finding(STEPS[self._number].name, detail, ("sight",)))
+            self._found(CheckAnswer(STEPS[self._number].name, detail, ("sight",)))
             self._go_out(self._number + 1, now_s)
         else:
             self._base = self._away_from
             self._go_out(self._upcoming, now_s)
 
     def _end_blind(self, detail: str, part: Part) -> None:
-        self._found(Finding("the pad is seen", detail, (part,)))
+        self._found(CheckAnswer("the pad is seen", detail, (part,)))
         self._end()
 
     def _end(self) -> None:
@@ -307,7 +307,7 @@ class Wizard:
         self._asked_s = self._reminded_s = now_s
         self._say(order, "order")
 
-    def _found(self, finding: Finding) -> None:
+    def _found(self, finding: CheckAnswer) -> None:
         self._findings.append(finding)
         self._say(f"{finding.name}: {finding.detail}", "good" if finding.passed else "bad")
 

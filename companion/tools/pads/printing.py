@@ -90,8 +90,8 @@ def draw_pad(pad: Pad) -> list[Page]:
     for sheet in sheets:
         page = Page(*(1e3 * side for side in tiling.page_m))
         _draw_tile(page, sheet, black, labels)
-        told = [marker for marker in unlabelled if sheet.holds(marker.position_pad_m)]
-        _draw_foot(page, pad, sheet, len(sheets), told)
+        unlabelled_here = [marker for marker in unlabelled if sheet.holds(marker.position_pad_m)]
+        _draw_foot(page, pad, sheet, len(sheets), unlabelled_here)
         pages.append(page)
     return [*pages, _plan(pad, tiling, sheets)] if len(sheets) > 1 else pages
 
@@ -152,7 +152,7 @@ def _draw_tile(
     page.text((0.5 * (left + right), top + MARK_MM[0]), "▲ front (x of the pad)", TEXT_PT, va="bottom")
 
 
-def _draw_foot(page: Page, pad: Pad, sheet: Tile, count: int, told: list[Marker]) -> None:
+def _draw_foot(page: Page, pad: Pad, sheet: Tile, count: int, labels: list[Marker]) -> None:
     margin_mm = 1e3 * pad.sheet.margin_m
     page.ruler(margin_mm, margin_mm)
     board = f"{pad.name}: {1e3 * pad.width_m:g} x {1e3 * pad.length_m:g} mm"
@@ -161,7 +161,7 @@ def _draw_foot(page: Page, pad: Pad, sheet: Tile, count: int, told: list[Marker]
         board + (where if count > 1 else "") + ".",
         f"Print at 100 %: the ruler is {RULER_MM} mm long. Cut from mark to mark"
         + ("; lay the sheets edge to edge." if count > 1 else "."),
-        *grouped(told),
+        *grouped(labels),
     ]
     left = margin_mm + RULER_MM + 8.0
     characters = int((page.size_mm[0] - margin_mm - left) / CHARACTER_MM)

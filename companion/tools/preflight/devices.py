@@ -143,7 +143,7 @@ def _frame_rate(frames: list[Frame], camera: CameraConfig, spec: str) -> Finding
 def _exposure(read_back: ReadBack, camera: CameraConfig) -> Finding:
     asked_ms = 1e3 * camera.exposure_s
     if read_back.exposure_s is None:
-        return _CAMERA.skip("exposure", f"the source does not tell it; exposure_s is {asked_ms:g} ms")
+        return _CAMERA.skip("exposure", f"the source does not report it; exposure_s is {asked_ms:g} ms")
     detail = f"{read_back}; asked for {asked_ms:g} ms"
     if abs(read_back.exposure_s - camera.exposure_s) <= EXPOSURE_DIFFERS * camera.exposure_s:
         return _CAMERA.ok("exposure", detail)

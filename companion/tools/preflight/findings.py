@@ -8,7 +8,7 @@ from enum import StrEnum
 NO_HINT = ""
 
 
-class State(StrEnum):
+class FindingState(StrEnum):
     """How it is; only FAIL keeps a vehicle on the ground."""
 
     OK = "ok"
@@ -26,7 +26,7 @@ class Finding:
 
     group: str
     name: str
-    state: State
+    state: FindingState
     detail: str
     hint: str = NO_HINT
 
@@ -39,22 +39,24 @@ class FindingGroup:
 
     def ok(self, name: str, detail: str) -> Finding:
         """All is well."""
-        return Finding(self.group, name, State.OK, detail)
+        return Finding(self.group, name, FindingState.OK, detail)
 
     def warn(self, name: str, detail: str, hint: str) -> Finding:
         """It may fly; a person should know."""
-        return Finding(self.group, name, State.WARNING, detail, hint)
+        return Finding(self.group, name, FindingState.WARNING, detail, hint)
 
     def fail(self, name: str, detail: str, hint: str) -> Finding:
         """It should not fly like that."""
-        return Finding(self.group, name, State.FAIL, detail, hint)
+        return Finding(self.group, name, FindingState.FAIL, detail, hint)
 
     def skip(self, name: str, why: str, hint: str = NO_HINT) -> Finding:
         """It was not looked at."""
-        return Finding(self.group, name, State.NOT_CHECKED, why, hint)
+        return Finding(self.group, name, FindingState.NOT_CHECKED, why, hint)
 
 
-def worst(findings: list[Finding]) -> State:
+def worst(findings: list[Finding]) -> FindingState:
     """The state of all together; what was not checked counts for nothing."""
     states = {finding.state for finding in findings}
-    return next((state for state in (State.FAIL, State.WARNING) if state in states), State.OK)
+    return next(
+        (state for state in (FindingState.FAIL, FindingState.WARNING) if state in states), FindingState.OK
+    )

@@ -22,7 +22,7 @@ from companion.link.autopilot_setup import (
     STICK_ACTIONS,
 )
 from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST
-from companion.tools.preflight.findings import Finding, FindingGroup, State
+from companion.tools.preflight.findings import Finding, FindingGroup, FindingState
 
 GROUP: Final = "autopilot's parameters"
 _GROUP: Final = FindingGroup(GROUP)
@@ -63,16 +63,16 @@ class Wanted:
 
 
 # (state, what was expected and why it matters); None: all is well
-Verdict = tuple[State, str] | None
+Verdict = tuple[FindingState, str] | None
 _Judge = Callable[[float, Wanted], Verdict]
 
 
 def _fail(text: str) -> Verdict:
-    return State.FAIL, text
+    return FindingState.FAIL, text
 
 
 def _warn(text: str) -> Verdict:
-    return State.WARNING, text
+    return FindingState.WARNING, text
 
 
 def _timeout(value: float, _: Wanted) -> Verdict:
@@ -212,13 +212,13 @@ def parameter_names(autopilot_kind: AutopilotKind) -> tuple[str, ...]:
 def judge_parameters(
     autopilot_kind: AutopilotKind, values: Mapping[str, float | None], wanted: Wanted
 ) -> list[Finding]:
-    """A finding each; None is a parameter that the autopilot did not tell."""
+    """A finding each; None is a parameter that the autopilot did not report."""
     return [_finding(name, values.get(name), judge, wanted) for name, judge in JUDGES[autopilot_kind].items()]
 
 
 def _finding(name: str, value: float | None, judge: _Judge, wanted: Wanted) -> Finding:
     if value is None:
-        return _GROUP.skip(name, "the autopilot does not tell it: another version's name, or a slow link")
+        return _GROUP.skip(name, "the autopilot does not report it: another version's name, or a slow link")
     verdict = judge(value, wanted)
     if verdict is None:
         return _GROUP.ok(name, f"{value:g}")

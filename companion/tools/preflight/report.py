@@ -10,13 +10,13 @@ from typing import Final
 from rich.table import Table
 from rich.text import Text
 
-from companion.tools.preflight.findings import Finding, State, worst
+from companion.tools.preflight.findings import Finding, FindingState, worst
 
 STYLES: Final = {
-    State.OK: "green",
-    State.WARNING: "yellow",
-    State.FAIL: "bold red",
-    State.NOT_CHECKED: "dim",
+    FindingState.OK: "green",
+    FindingState.WARNING: "yellow",
+    FindingState.FAIL: "bold red",
+    FindingState.NOT_CHECKED: "dim",
 }
 
 
@@ -43,8 +43,10 @@ def _words(finding: Finding) -> Text:
 def summary_line(findings: list[Finding]) -> str:
     """All in one line, with the names of what failed."""
     counts = Counter(finding.state for finding in findings)
-    detail = ", ".join(f"{counts[state]} {state}" for state in State if counts[state])
-    failed = [f"{finding.group}: {finding.name}" for finding in findings if finding.state is State.FAIL]
+    detail = ", ".join(f"{counts[state]} {state}" for state in FindingState if counts[state])
+    failed = [
+        f"{finding.group}: {finding.name}" for finding in findings if finding.state is FindingState.FAIL
+    ]
     return f"{detail}; not ready to fly: {', '.join(failed)}" if failed else f"{detail}; nothing fails"
 
 

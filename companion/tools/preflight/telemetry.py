@@ -11,6 +11,7 @@ from companion.config import CompanionConfig
 from companion.link.codec import mavlink
 from companion.link.dialect import CURRENT_MODE
 from companion.link.streams import OWN_RATES_HZ, TELEMETRY_RATES_HZ
+from companion.plan.mission.departure import offboard_words
 from companion.tools.preflight.findings import Finding, FindingGroup
 from companion.tools.preflight.losses import FrameCounter
 
@@ -81,7 +82,8 @@ def _disarmed(state: AutopilotState) -> Finding:
 def _ready(state: AutopilotState) -> Finding:
     if state.ready_to_arm and state.ekf_ready is not False:
         return _LINK.ok("ready to arm", "the autopilot's own checks pass")
-    why = "its filter has no position yet" if state.ready_to_arm else "its own checks do not pass"
+    checks = f"its own checks do not pass{offboard_words(state)}"
+    why = "its filter has no position yet" if state.ready_to_arm else checks
     said = f": {'; '.join(state.texts[-2:])}" if state.texts else ""
     return _LINK.warn(
         "ready to arm", f"{why}{said}", "indoors that is GPS; else see the ground station's messages"

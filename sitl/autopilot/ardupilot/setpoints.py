@@ -23,7 +23,7 @@ from sitl.autopilot.control.setpoints import (
     IgnoreAttitude,
     LocalFrame,
     MotionSetpoint,
-    Refusal,
+    SetpointRefusal,
     StreamedAttitude,
     StreamedMotion,
     is_finite,
@@ -38,7 +38,7 @@ _HOLDS_HEIGHT: Final = 0.5  # the thrust field as a climb rate
 
 def read_motion(
     fields: StreamedMotion, here_ned_m: Vector3, attitude: Quaternion, heading_rad: float
-) -> MotionSetpoint | Refusal:
+) -> MotionSetpoint | SetpointRefusal:
     """The setpoint of a message; STOP where ArduCopter stops."""
     mask = fields.mask
     position = None if mask & (Ignore.X | Ignore.Y | Ignore.Z) else fields.position_m
@@ -50,7 +50,7 @@ def read_motion(
     if not given or incomplete or force or not all(map(is_finite, given)) or not _known(fields, position):
         return STOP
     if position is not None and fields.is_global and fields.frame in OVER_TERRAIN:
-        return STOP if velocity is not None else Refusal()  # no terrain data
+        return STOP if velocity is not None else SetpointRefusal()  # no terrain data
     body = not fields.is_global and fields.frame in _BODY
     turn = heading_rad if body else 0.0
     if position is not None and not fields.is_global and fields.frame != LocalFrame.LOCAL_NED:
@@ -75,7 +75,7 @@ def _known(fields: StreamedMotion, position: Vector3 | None) -> bool:
     return fields.frame in set(LocalFrame)
 
 
-def read_attitude(fields: StreamedAttitude) -> AttitudeSetpoint | MotionSetpoint | Refusal:
+def read_attitude(fields: StreamedAttitude) -> AttitudeSetpoint | MotionSetpoint | SetpointRefusal:
     """Attitude, body rates or both; STOP without thrust, with some of the rates only, or a non-unit
     attitude."""
     mask, rates = fields.mask, fields.rate_body_rad_s

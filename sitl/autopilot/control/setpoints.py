@@ -53,7 +53,7 @@ class AttitudeSetpoint:
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal:
+class SetpointRefusal:
     """A rejected setpoint, and the text that reports it, if any."""
 
     text: str = ""

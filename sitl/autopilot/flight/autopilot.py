@@ -13,7 +13,7 @@ from sitl.autopilot.control.setpoints import (
     OVER_HOME,
     AttitudeSetpoint,
     MotionSetpoint,
-    Refusal,
+    SetpointRefusal,
     StreamedAttitude,
     StreamedMotion,
 )
@@ -221,8 +221,8 @@ class SimulatedAutopilot(FlightLoop):
         """SET_ATTITUDE_TARGET."""
         self._take(self.profile.read_attitude(fields), now_s)
 
-    def _take(self, wish: MotionSetpoint | AttitudeSetpoint | Refusal, now_s: float) -> None:
-        if isinstance(wish, Refusal):
+    def _take(self, wish: MotionSetpoint | AttitudeSetpoint | SetpointRefusal, now_s: float) -> None:
+        if isinstance(wish, SetpointRefusal):
             self._commander.send_text(Severity.CRITICAL, wish.text)
         else:
             self.stream(wish, now_s)

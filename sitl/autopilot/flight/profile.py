@@ -17,7 +17,7 @@ from sitl.autopilot.control.position_control import PositionControl
 from sitl.autopilot.control.setpoints import (
     AttitudeSetpoint,
     MotionSetpoint,
-    Refusal,
+    SetpointRefusal,
     StreamedAttitude,
     StreamedMotion,
 )
@@ -130,8 +130,8 @@ class AutopilotProfile:
     hold_mode: str
     land_mode: str
     return_mode: str
-    read_motion: Callable[[StreamedMotion, Vector3, Quaternion, float], MotionSetpoint | Refusal]
-    read_attitude: Callable[[StreamedAttitude], AnySetpoint | Refusal]
+    read_motion: Callable[[StreamedMotion, Vector3, Quaternion, float], MotionSetpoint | SetpointRefusal]
+    read_attitude: Callable[[StreamedAttitude], AnySetpoint | SetpointRefusal]
     as_aged: Callable[[AnySetpoint, float, float, float], AnySetpoint]
     external_needs_setpoints: bool
     takes_off_by_setpoint: bool

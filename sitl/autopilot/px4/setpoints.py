@@ -20,7 +20,7 @@ from sitl.autopilot.control.setpoints import (
     IgnoreAttitude,
     LocalFrame,
     MotionSetpoint,
-    Refusal,
+    SetpointRefusal,
     StreamedAttitude,
     StreamedMotion,
     unit_attitude,
@@ -35,18 +35,18 @@ _ACCELERATION: Final = Ignore.AX | Ignore.AY | Ignore.AZ
 
 def read_motion(
     fields: StreamedMotion, here_ned_m: Vector3, attitude: Quaternion, heading_rad: float
-) -> MotionSetpoint | Refusal:
+) -> MotionSetpoint | SetpointRefusal:
     """The setpoint of a message, or why it is rejected; PX4 does not use `here_ned_m`."""
     read = _global if fields.is_global else _local if fields.frame == LocalFrame.LOCAL_NED else _body
     vectors = read(fields, attitude, heading_rad)
-    if isinstance(vectors, Refusal):
+    if isinstance(vectors, SetpointRefusal):
         return vectors
     position, velocity, acceleration = vectors
     name = _GLOBAL if fields.is_global else _LOCAL
     if fields.mask & Ignore.FORCE and not _missing(acceleration):
-        return Refusal(f"{name} force not supported")
+        return SetpointRefusal(f"{name} force not supported")
     if all(map(_missing, vectors)):
-        return Refusal("" if fields.is_global else f"{name} invalid")
+        return SetpointRefusal("" if fields.is_global else f"{name} invalid")
     if not _complete(*vectors):
         return STOP
     yaw = nan if fields.mask & Ignore.YAW or not isfinite(fields.yaw_rad) else fields.yaw_rad
@@ -55,21 +55,21 @@ def read_motion(
     return MotionSetpoint(position, velocity, acceleration, yaw, rate)
 
 
-def read_attitude(fields: StreamedAttitude) -> AttitudeSetpoint | Refusal:
+def read_attitude(fields: StreamedAttitude) -> AttitudeSetpoint | SetpointRefusal:
     """The attitude or the body rates of a message; an ignored thrust is zero."""
     mask = fields.mask
     thrust = 0.0 if mask & IgnoreAttitude.THROTTLE else fields.thrust
     roll, pitch, yaw = fields.rate_body_rad_s
     yaw = 0.0 if mask & IgnoreAttitude.YAW_RATE or not isfinite(yaw) else yaw
     if mask & IgnoreAttitude.THRUST_BODY or not isfinite(thrust):
-        return Refusal()
+        return SetpointRefusal()
     if not mask & IgnoreAttitude.ATTITUDE:
         attitude = unit_attitude(fields.attitude)
-        return Refusal() if attitude is None else AttitudeSetpoint(attitude, thrust, yaw)
+        return SetpointRefusal() if attitude is None else AttitudeSetpoint(attitude, thrust, yaw)
     if mask & (IgnoreAttitude.ROLL_RATE | IgnoreAttitude.PITCH_RATE):
-        return Refusal()
+        return SetpointRefusal()
     if not (isfinite(roll) and isfinite(pitch)):
-        return Refusal()
+        return SetpointRefusal()
     return AttitudeSetpoint(None, thrust, rate_body_rad_s=(roll, pitch, yaw))
 
 
@@ -83,7 +83,7 @@ def as_aged(
 Three = tuple[Vector3, Vector3, Vector3]
 
 
-def _local(fields: StreamedMotion, attitude: Quaternion, heading_rad: float) -> Three | Refusal:
+def _local(fields: StreamedMotion, attitude: Quaternion, heading_rad: float) -> Three | SetpointRefusal:
     return (
         _masked(fields.position_m, fields.mask),
         _masked(fields.velocity_m_s, fields.mask >> 3),
@@ -91,26 +91,26 @@ def _local(fields: StreamedMotion, attitude: Quaternion, heading_rad: float) -> 
     )
 
 
-def _body(fields: StreamedMotion, attitude: Quaternion, heading_rad: float) -> Three | Refusal:
+def _body(fields: StreamedMotion, attitude: Quaternion, heading_rad: float) -> Three | SetpointRefusal:
     """Velocity turns with the heading, acceleration with the whole attitude; positions are not taken."""
     if fields.frame != LocalFrame.BODY_NED:
-        return Refusal(f"{_LOCAL} coordinate frame {fields.frame} unsupported")
+        return SetpointRefusal(f"{_LOCAL} coordinate frame {fields.frame} unsupported")
     velocity, acceleration = fields.velocity_m_s, fields.acceleration_m_s2
     velocity = NOT_GIVEN if fields.mask & _VELOCITY else rotate_yaw(velocity, heading_rad)
     acceleration = NOT_GIVEN if fields.mask & _ACCELERATION else quat_rotate(attitude, acceleration)
     return NOT_GIVEN, _masked(velocity, 0), _masked(acceleration, 0)
 
 
-def _global(fields: StreamedMotion, attitude: Quaternion, heading_rad: float) -> Three | Refusal:
+def _global(fields: StreamedMotion, attitude: Quaternion, heading_rad: float) -> Three | SetpointRefusal:
     """A position is taken complete or not at all, and only relative to sea level or home."""
     velocity = _masked(fields.velocity_m_s, fields.mask >> 3)
     acceleration = _masked(fields.acceleration_m_s2, fields.mask >> 6)
     if fields.mask & _POSITION:
         return NOT_GIVEN, velocity, acceleration
     if fields.frame == GlobalFrame.TERRAIN_ALT_INT:
-        return Refusal()  # no terrain data
+        return SetpointRefusal()  # no terrain data
     if fields.frame not in _GLOBAL_FRAMES:
-        return Refusal(f"{_GLOBAL} invalid coordinate frame {fields.frame}")
+        return SetpointRefusal(f"{_GLOBAL} invalid coordinate frame {fields.frame}")
     return _masked(fields.position_m, 0), velocity, acceleration
 
 

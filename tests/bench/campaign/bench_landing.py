@@ -27,7 +27,7 @@ from companion.config import ConfigError
 from sitl.campaign.figures import Bar, share, values
 from sitl.campaign.manifest import CampaignRun, code_digest
 from sitl.campaign.pool import fly_locally
-from sitl.campaign.progress import Meter
+from sitl.campaign.progress import CampaignMeter
 from sitl.campaign.rows import Row, RunsFile, make_row, pending
 from sitl.campaign.tables import print_worst
 from tests.bench.campaign.ending import judged, run_bench
@@ -55,7 +55,7 @@ def fly(flights: Sequence[CampaignRun], folder: Path, jobs: int, console: Consol
         if left:
             with (
                 closing(fly_locally(left, jobs)) as ended,
-                Meter(console, done, len(flights), quiet=False) as meter,
+                CampaignMeter(console, done, len(flights), quiet=False) as meter,
             ):
                 for flown in ended:
                     runs.append(make_row(flown, version))

@@ -53,7 +53,7 @@ def print_failure(run: Run) -> None:
     print(f"not flown: {', '.join(map(str, run))}", file=sys.stderr)
 
 
-def fly_group(runs: Sequence[Run], code: str, forks: Forks, take: Take) -> None:
+def fly_group(runs: Sequence[Run], code: str, forks: Forks[Row], take: Take) -> None:
     """Fly runs of one scenario and seed; what the bench itself fails at judges no flight."""
     try:
         flown = [
@@ -83,7 +83,7 @@ def fly_alone(run: Run, code: str) -> Row | None:
 
 def fly_all(runs: Sequence[Run], code: str, jobs: int, take: Take) -> None:
     """Fly, so many at a time; `take` gets each as it ends."""
-    forks = Forks(jobs, take)
+    forks = Forks[Row](jobs, take)
     try:
         for kind in dict.fromkeys((run.scenario, run.seed) for run in runs):
             group = [run for run in runs if (run.scenario, run.seed) == kind]

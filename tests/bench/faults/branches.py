@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from typing import Any
 
 from sitl.faults.faults import Fault
 from sitl.faults.schedule import FaultSchedule
@@ -28,7 +29,7 @@ class _Moment:
 class Branches:
     """The schedule of a flight that forks; in a child the simulation gets the run's own."""
 
-    def __init__(self, simulation: Simulation, runs: Sequence[Run], forks: Forks) -> None:
+    def __init__(self, simulation: Simulation, runs: Sequence[Run], forks: Forks[Any]) -> None:
         self._simulation, self._forks = simulation, forks
         self._moments = [
             _Moment(simulation.fault_schedule(faults_of(together[0])[:1]), together)

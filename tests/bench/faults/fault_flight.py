@@ -59,7 +59,7 @@ def fly_run(run: Run) -> tuple[Verdict, FlightRecord]:
     return judged(run, record, config), record
 
 
-def fly_together(runs: Sequence[Run], forks: Forks) -> Iterator[tuple[Run, Verdict, FlightRecord]]:
+def fly_together(runs: Sequence[Run], forks: Forks[Any]) -> Iterator[tuple[Run, Verdict, FlightRecord]]:
     """Fly runs of one scenario and seed, each from its fault on in a process of its own.
 
     Yields in each process what was flown there: in a child its run, in the first the runs whose fault has

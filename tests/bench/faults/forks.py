@@ -13,17 +13,18 @@ import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from typing import NoReturn
+from typing import Generic, NoReturn, TypeVar
 
 from tests.bench.faults.cases import Run
-from tests.bench.faults.runs_file import Row
+
+Answer = TypeVar("Answer")
 
 
-class Forks:
+class Forks(Generic[Answer]):
     """The children, each with a run of its own; so many processes fly at a time."""
 
-    def __init__(self, jobs: int, take: Callable[[Run, Row | None], None]) -> None:
-        """`take` is called with each child's row; None: the bench failed there."""
+    def __init__(self, jobs: int, take: Callable[[Run, Answer | None], None]) -> None:
+        """`take` is called with each child's answer; None: the bench failed there."""
         self.mine: Run | None = None  # what this process flies; None in the first
         self._jobs, self._take = jobs, take
         self._to_parent = -1
@@ -48,11 +49,11 @@ class Forks:
             self._reap()
         return False
 
-    def deliver(self, row: Row | None) -> NoReturn:
-        """End this child with its row."""
+    def deliver(self, answer: Answer | None) -> NoReturn:
+        """End this child with its answer, which is pickled."""
         try:
             with os.fdopen(self._to_parent, "wb") as pipe:
-                pickle.dump(row, pipe)
+                pickle.dump(answer, pipe)
             sys.stdout.flush()
             sys.stderr.flush()
         finally:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from sitl.campaign.rows import CSV_NAME, RESULT_KEYS, Row, read_rows
-from tests.scenario.flying import COMMAND, FLIGHT_TIMEOUT_S, ROOT, environment, flown, scenario_file
+from tests.scenario.flying import COMMAND, FLIGHT_TIMEOUT_S, ROOT, SharedFlights, environment, scenario_file
 
 
 def campaign(*words: str | int | Path) -> subprocess.CompletedProcess[str]:
@@ -47,7 +47,7 @@ def expected(result: dict[str, Any]) -> dict[str, Any]:
     return values
 
 
-def test_a_row_is_the_flight_that_its_command_flies(tmp_path: Path) -> None:
+def test_a_row_is_the_flight_that_its_command_flies(tmp_path: Path, shared_flights: SharedFlights) -> None:
     # one process flies another flight first: nothing of it may be left
     cut = scenario_file(tmp_path, "figure_8", {"time_limit_s": 6.0})
     done = campaign("--scenarios", cut, "static", "--runs", 1, "--jobs", 1, "--out", tmp_path / "out")
@@ -59,7 +59,7 @@ def test_a_row_is_the_flight_that_its_command_flies(tmp_path: Path) -> None:
         "never touched down",
     )
     assert second.command == "companion --sitl --fast --scenario static --seed 0"
-    assert figures(second) == expected(flown("static", 0).landing)
+    assert figures(second) == expected(shared_flights.flown("static", 0).landing)
     along, across, off = second.touchdown_along_m, second.touchdown_across_m, second.touchdown_lateral_m
     assert along is not None
     assert across is not None

@@ -11,7 +11,7 @@ import pytest
 from mcap.reader import make_reader
 
 from companion.config import CONFIG_FOLDER
-from tests.scenario.flying import flight_words, run
+from tests.scenario.flying import SharedFlights
 
 LAYOUT: Final = json.loads((CONFIG_FOLDER / "foxglove" / "landing.json").read_text())
 MODIFIER: Final = re.compile(r"\.@\w+$")  # arithmetic of a plotted path
@@ -22,12 +22,11 @@ Log = dict[str, tuple[str, list[Any]]]  # by topic: schema and messages
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
-    folder = tmp_path_factory.mktemp("recorded")
-    flown = run(*flight_words("static", 0, folder / "result.json"), "--record", folder / "flight")
+def log(shared_flights: SharedFlights) -> Log:
+    record, flown = shared_flights.recorded()
     assert flown.code == 0, flown
     topics: Log = {}
-    with (folder / "flight" / "flight.mcap").open("rb") as stream:
+    with (record / "flight.mcap").open("rb") as stream:
         for schema, channel, message in make_reader(stream).iter_messages():
             assert schema is not None
             topics.setdefault(channel.topic, (schema.name, []))[1].append(json.loads(message.data))

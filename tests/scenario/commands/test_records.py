@@ -7,7 +7,7 @@ import pytest
 from mcap.reader import make_reader
 from pymavlink import mavutil
 
-from tests.scenario.flying import Flown, flight_words, run
+from tests.scenario.flying import Flown, SharedFlights, run
 
 PLOTS = {"path.png", "height.png", "lateral.png", "detections.png", "estimators.png"}
 LOGS = {"flight.mcap", "flight.tlog", "result.json", "report.html", "settings.yaml"}
@@ -18,11 +18,8 @@ TOPICS = {
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flown]:
-    folder = tmp_path_factory.mktemp("recorded")
-    record = folder / "flights" / "first"
-    result = folder / "result.json"
-    return record, run(*flight_words("static", 0, result), "--record", record, result=result)
+def recorded(shared_flights: SharedFlights) -> tuple[Path, Flown]:
+    return shared_flights.recorded()
 
 
 def test_all_files_are_there(recorded: tuple[Path, Flown]) -> None:

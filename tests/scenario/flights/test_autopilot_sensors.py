@@ -104,7 +104,7 @@ def test_an_imu_stream_that_stops_in_the_descent_hands_the_vehicle_back(
 
 
 @pytest.mark.parametrize(("autopilot_kind", "name"), [("px4", "HIGHRES_IMU"), ("ardupilot", "RAW_IMU")])
-def test_an_imu_stream_that_never_comes_is_told_once_and_nothing_is_armed(
+def test_an_imu_stream_that_never_comes_is_reported_once_and_nothing_is_armed(
     autopilot_kind: AutopilotKind, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     missing = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")

@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import pytest
 
-from tests.bench.faults.cases import Run
-from tests.bench.faults.fault_flight import fly_run
+from tests.bench.faults.cases import PhaseName, Run
 from tests.bench.faults.judge import Verdict
+from tests.bench.faults.witness import FlightRecord
+from tests.scenario.flights.forked import fly_forked
+
+# fault and phase; the outcome, and words of its reason
+PAIRS: Final[dict[tuple[str, PhaseName], tuple[str, str]]] = {
+    ("link lost 1 s", "descend"): ("landed", "landed: "),
+    ("IMU NaN", "approach"): ("held", "estimate lost"),
+    ("link 0.5 s late", "approach"): ("held", "link late: answers after 1.0"),
+    ("pilot: Position", "last_metre"): ("pilot", "pilot took over"),
+}
+RUNS: Final = {pair: Run(*pair, "line", 0) for pair in PAIRS}
 
 
-@pytest.mark.parametrize(
-    ("fault", "phase", "outcome", "words"),
-    [
-        ("link lost 1 s", "descend", "landed", "landed: "),
-        ("IMU NaN", "approach", "held", "estimate lost"),
-        ("link 0.5 s late", "approach", "held", "link late: answers after 1.0"),
-        ("pilot: Position", "last_metre", "pilot", "pilot took over"),
-    ],
-)
+@pytest.fixture(scope="module")
+def flown() -> dict[Run, tuple[Verdict, FlightRecord]]:
+    return fly_forked(list(RUNS.values()), lambda verdict, record: (verdict, record))
+
+
+@pytest.mark.parametrize("pair", PAIRS)
 def test_a_fault_in_a_phase_ends_safely_and_with_a_reason(
-    fault: str, phase: str, outcome: str, words: str
+    pair: tuple[str, PhaseName], flown: dict[Run, tuple[Verdict, FlightRecord]]
 ) -> None:
-    verdict, record = fly_run(Run(fault, phase, "line", 0))  # type: ignore[arg-type]
+    outcome, words = PAIRS[pair]
+    verdict, record = flown[RUNS[pair]]
     assert record.fault_began
     assert verdict == Verdict(outcome)  # type: ignore[arg-type]
     assert any(words in said.text for said in record.texts), record.texts

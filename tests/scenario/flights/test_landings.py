@@ -1,7 +1,7 @@
 """The app lands in the five standard scenarios under two seeds, and in some with more in their way.
 
-A scenario with a seed is one flight, to the bit. How it fares in the other shipped ones is in
-docs/scenarios.md.
+A scenario with a seed is one flight, to the bit, also in another process (test_docs.py). How it fares in the
+other shipped ones is in docs/scenarios.md.
 """
 
 from pathlib import Path
@@ -11,7 +11,7 @@ import pytest
 
 from sitl.campaign import SCENARIOS
 from sitl.scenario.scenario import load_scenario
-from tests.scenario.flying import figures, flight_words, flown, fly, run, scenario_file
+from tests.scenario.flying import SharedFlights, fly, scenario_file
 
 HARDER = ("deck", "glare", "random_turns", "waypoints", "weak_motor")
 FLOWN = [(scenario, seed) for scenario in SCENARIOS for seed in (0, 1)] + [(name, 0) for name in HARDER]
@@ -23,21 +23,17 @@ ARDUPILOT: dict[str, Any] = {"autopilot": "ardupilot"}
 
 
 @pytest.mark.parametrize(("scenario", "seed"), FLOWN)
-def test_lands_within_the_bounds(scenario: str, seed: int) -> None:
-    flight = flown(scenario, seed)
+def test_lands_within_the_bounds(scenario: str, seed: int, shared_flights: SharedFlights) -> None:
+    flight = shared_flights.flown(scenario, seed)
     touchdown = flight.landing["touchdown"]
     for name, bound in load_scenario(scenario).pass_bounds.model_dump().items():
         assert touchdown[name] <= bound, f"{name}\n{flight}"
     assert touchdown["lateral_error_m"] <= LATERAL_M, flight
 
 
-def test_the_same_seed_gives_the_same_flight_to_the_bit_also_in_another_process(tmp_path: Path) -> None:
-    path = tmp_path / "result.json"
-    assert figures(run(*flight_words("circle", 0, path), result=path)) == figures(flown("circle", 0))
-
-
-def test_another_seed_gives_another_flight() -> None:
-    assert flown("circle", 1).landing["estimate"] != flown("circle", 0).landing["estimate"]
+def test_another_seed_gives_another_flight(shared_flights: SharedFlights) -> None:
+    one, other = (shared_flights.flown("circle", seed).landing for seed in (0, 1))
+    assert one["estimate"] != other["estimate"]
 
 
 @pytest.mark.parametrize(

@@ -7,13 +7,15 @@ an app that can receive nothing any more ends its flight.
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import pytest
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import Clock
-from companion.config import merge
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, mavlink
 from companion.link.dialect import CURRENT_MODE
 from companion.link.inbox import MemoryTransport, memory_pair
@@ -22,6 +24,7 @@ from sitl.scenario.scenario import Scenario
 from tests.bench.faults import fault_flight
 from tests.bench.faults.cases import Run, faultless, scenario_of
 from tests.bench.faults.witness import FlightRecord
+from tests.scenario.flights.forked import fly_forked
 
 PROMPT_S = 0.1
 SETPOINTS = ("SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET")
@@ -67,57 +70,86 @@ class Listener:
         self.end.close()
 
 
-def fly(
-    monkeypatch: pytest.MonkeyPatch, scenario: Scenario, **settings: Any
-) -> tuple[FlightRecord, Listener]:
+@dataclass(frozen=True)
+class Heard:
+    """What the record shows of a flight, and what its listener noted."""
+
+    record: FlightRecord
+    modes: list[tuple[float, int]]
+    setpoints_s: list[float]
+    failures: int
+
+
+@contextmanager
+def listening(**settings: Any) -> Iterator[Callable[[FlightRecord], Heard]]:
+    """Flights have a listener; yields what puts a flight's record together with what that has noted."""
     made: list[Listener] = []
 
     def heard_pair() -> tuple[Listener, MemoryTransport]:
         app_end, vehicle_end = memory_pair()
         made.append(Listener(app_end, **settings))
-        return made[0], vehicle_end
+        return made[-1], vehicle_end
 
-    monkeypatch.setattr(fault_flight, "memory_pair", heard_pair)
-    record, _ = fault_flight.fly(scenario, 0)
-    return record, made[0]
+    def heard(record: FlightRecord) -> Heard:
+        listener = made[-1]
+        return Heard(record, listener.modes, listener.setpoints_s, listener.failures)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fault_flight, "memory_pair", heard_pair)
+        yield heard
 
 
-@pytest.mark.parametrize(
-    ("phase", "autopilot", "mode"),
-    [
-        ("search", "px4", "position"),
-        ("approach", "px4", "position"),
-        ("descend", "px4", "return"),
-        ("descend", "ardupilot", "position"),
-        ("last_metre", "px4", "position"),
-        ("on_pad", "px4", "position"),
-    ],
-)
+# a pilot's mode and the phase in which it comes
+TAKEOVERS: Final = [
+    Run("pilot: Position", "search", "line", 0),
+    Run("pilot: Position", "approach", "line", 0),
+    Run("pilot: Return", "descend", "line", 0),
+    Run("pilot: Position", "last_metre", "line", 0),
+    Run("pilot: Position", "on_pad", "line", 0),
+]
+
+
+@pytest.fixture(scope="module")
+def taken_over() -> dict[Run, Heard]:
+    with listening(quick=False) as heard:
+        return fly_forked(TAKEOVERS, lambda _, record: heard(record))
+
+
+@pytest.mark.parametrize("run", TAKEOVERS, ids=lambda run: f"{run.phase}-{run.fault}")
 def test_a_pilots_mode_ends_our_setpoints_at_once_and_for_good(
-    monkeypatch: pytest.MonkeyPatch, phase: Any, autopilot: Any, mode: str
+    run: Run, taken_over: dict[Run, Heard]
 ) -> None:
-    scenario = scenario_of(Run("pilot: Position", phase, "line", 0))
-    changed = {"faults": [{**scenario.faults[0].model_dump(exclude_unset=True), "mode": mode}]}
-    content = scenario.model_dump(by_alias=True, exclude_unset=True)
-    scenario = Scenario.model_validate(merge(content, {**changed, "autopilot": autopilot}))
-    record, listener = fly(monkeypatch, scenario, quick=False)
-    assert record.fault_began
+    assert_prompt(taken_over[run], "px4")
+
+
+def test_so_does_an_ardupilots() -> None:
+    shipped = scenario_of(Run("pilot: Position", "descend", "line", 0))
+    content = shipped.model_dump(by_alias=True, exclude_unset=True)
+    scenario = Scenario.model_validate(content | {"autopilot": "ardupilot"})
+    with listening(quick=False) as heard:
+        record, _ = fault_flight.fly(scenario, 0)
+    assert_prompt(heard(record), "ardupilot")
+
+
+def assert_prompt(heard: Heard, autopilot: AutopilotKind) -> None:
+    """No setpoint left later than `PROMPT_S` after the pilot's mode was told."""
+    assert heard.record.fault_began
     # until control is ours PX4 flies in LOITER, which is no pilot's word
     ours = {custom_mode(autopilot, CONTROL_MODE[autopilot]), custom_mode("px4", "AUTO.LOITER")}
-    first_s = listener.setpoints_s[0]
-    other_s = next(time_s for time_s, heard in listener.modes if time_s > first_s and heard not in ours)
-    before = [time_s for time_s in listener.setpoints_s if time_s < other_s]
+    first_s = heard.setpoints_s[0]
+    other_s = next(time_s for time_s, mode in heard.modes if time_s > first_s and mode not in ours)
+    before = [time_s for time_s in heard.setpoints_s if time_s < other_s]
     assert other_s - before[-1] < 0.5, "setpoints were sent until the pilot's mode was told"
-    assert max(listener.setpoints_s) - other_s <= PROMPT_S
-    assert any("pilot took over" in said.text for said in record.texts)
+    assert max(heard.setpoints_s) - other_s <= PROMPT_S
+    assert any("pilot took over" in said.text for said in heard.record.texts)
 
 
-def test_a_link_that_cannot_be_read_any_more_ends_the_flight_in_the_autopilots_hold(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_link_that_cannot_be_read_any_more_ends_the_flight_in_the_autopilots_hold() -> None:
     scenario = scenario_of(Run("frames lost 0.2 s", "search", "line", 0))
-    record, listener = fly(monkeypatch, scenario, deaf_s=24.0)
-    assert listener.failures > 3, "the link's task is started again and again"
+    with listening(deaf_s=24.0) as put_together:
+        record, _ = fault_flight.fly(scenario, 0)
+    heard = put_together(record)
+    assert heard.failures > 3, "the link's task is started again and again"
     words = [said.text for said in record.texts]
     assert any("autopilot link lost: the line is gone" in text for text in words), words
     assert any(text.startswith("hold: link lost") for text in words), words
@@ -126,41 +158,38 @@ def test_a_link_that_cannot_be_read_any_more_ends_the_flight_in_the_autopilots_h
     assert record.app_failed == ""
     assert not record.crashed
     assert record.samples[-1].mode not in {"OFFBOARD", "GUIDED"}
-    assert max(listener.setpoints_s) < record.app_ended_s
+    assert max(heard.setpoints_s) < record.app_ended_s
 
 
-def wakes_at(monkeypatch: pytest.MonkeyPatch, woken_s: float) -> None:
-    """The machine was suspended for an hour just before: no clock of the loop shows it."""
-    monkeypatch.setattr(Clock, "suspended_s", lambda clock: 3600.0 if clock.now_s() >= woken_s else 0.0)
+@contextmanager
+def waking_at(woken_s: float) -> Iterator[None]:
+    """The machine was suspended for an hour just before: the loop's clock does not show it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Clock, "suspended_s", lambda clock: 3600.0 if clock.now_s() >= woken_s else 0.0)
+        yield
 
 
-@pytest.mark.parametrize(
-    ("autopilot", "ended"),
-    [("px4", "abort: pilot took over: mode AUTO.LOITER"), ("ardupilot", "abort: estimate lost")],
-)
-def test_a_machine_that_was_suspended_in_the_descent_flies_by_nothing_that_it_knew(
-    monkeypatch: pytest.MonkeyPatch, autopilot: str, ended: str
-) -> None:
+def test_a_machine_that_was_suspended_in_the_descent_flies_by_nothing_that_it_knew() -> None:
+    # ArduPilot stays in GUIDED meanwhile, so that its mode says nothing
     woken_s = 27.0
-    wakes_at(monkeypatch, woken_s)
     content = faultless("line").model_dump(by_alias=True, exclude_unset=True)
-    scenario = Scenario.model_validate(merge(content, {"autopilot": autopilot}))
-    record, listener = fly(monkeypatch, scenario)
+    scenario = Scenario.model_validate(content | {"autopilot": "ardupilot"})
+    with listening() as put_together, waking_at(woken_s):
+        record, _ = fault_flight.fly(scenario, 0)
+    heard = put_together(record)
     words = [said.text for said in record.texts]
     before = [said.text for said in record.texts if said.time_s < woken_s]
     assert any(text.startswith("descend: ") for text in before), words
     assert any("stood still for 3600" in text for text in words), words
-    assert any(text.startswith(ended) for text in words), words
-    assert max(listener.setpoints_s) <= woken_s + PROMPT_S
-    assert record.samples[-1].mode in {"AUTO_LOITER", "BRAKE"}
+    assert any(text.startswith("abort: estimate lost") for text in words), words
+    assert max(heard.setpoints_s) <= woken_s + PROMPT_S
+    assert record.samples[-1].mode == "BRAKE"
     assert not record.crashed
 
 
-def test_a_machine_that_was_suspended_before_the_take_off_does_not_take_off(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    wakes_at(monkeypatch, 2.0)
-    record, listener = fly(monkeypatch, faultless("line"))
+def test_a_machine_that_was_suspended_before_the_take_off_does_not_take_off() -> None:
+    with listening() as put_together, waking_at(2.0):
+        record, _ = fault_flight.fly(faultless("line"), 0)
     assert not any(sample.armed for sample in record.samples)
-    assert listener.setpoints_s == []
+    assert put_together(record).setpoints_s == []
     assert any(said.text.startswith("abort: stop requested") for said in record.texts), record.texts

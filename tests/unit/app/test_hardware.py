@@ -35,7 +35,9 @@ def opened(sense: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> tuple[list
     monkeypatch.setattr(hardware, "keep_camera", camera)
     monkeypatch.setattr(hardware, "open_bus", lambda bus: Opened(bus, names))
     monkeypatch.setattr(hardware, "SerialPort", lambda port, baud: Opened(port, names))
-    config = validate(CompanionConfig, {"sense": sense}, "test")
+    # an address where no companion of this machine is: two do not share one
+    link = {"connection": "udpin:127.0.0.1:1"}
+    config = validate(CompanionConfig, {"sense": sense, "link": link}, "test")
 
     async def main() -> hardware.Hardware:
         async with hardware.open_hardware(config) as found:

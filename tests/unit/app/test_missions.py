@@ -26,7 +26,7 @@ from tests.unit.plan.mission.planner_world import world
         (State.SEARCH, LandedState.ON_GROUND, ActionKind.LAND),
     ],
 )
-def test_a_vehicle_that_stands_or_is_about_to_is_not_told_to_hold(
+def test_a_vehicle_that_stands_or_is_about_to_is_not_ordered_to_hold(
     state: State, landed: LandedState, asked: ActionKind
 ) -> None:
     async def word() -> ActionKind:

@@ -33,7 +33,7 @@ PAD = load_pad("moving_1300")
 LOST_S, FOUND_S = 1.0, 2.5
 
 
-def test_the_pad_is_seen_again_and_people_are_told_when_the_camera_comes_back() -> None:
+def test_the_pad_is_seen_again_and_people_are_reported_when_the_camera_comes_back() -> None:
     told = list[tuple[float, str, str, str]]()
     samples, problems = RecentSamples(), dict[float, str | None]()
 

@@ -57,7 +57,7 @@ def test_what_the_user_can_correct_ends_the_app_on_the_ground_alone() -> None:
     assert task.notices == ["GPS lost: wrong port"]
 
 
-def test_what_runs_again_is_said_to_be_back_once_and_its_next_failure_is_told() -> None:
+def test_what_runs_again_is_said_to_be_back_once_and_its_next_failure_is_reported() -> None:
     notices: list[str] = []
     runs = iter([0.0, 0.0])
 

@@ -75,7 +75,7 @@ def test_it_lands_with_the_service_s_set_alone(tmp_path: Path) -> None:
     assert (record / "flight.mcap").stat().st_size > 1_000_000
 
 
-def test_what_is_missing_is_told_in_one_line(tmp_path: Path) -> None:
+def test_what_is_missing_is_reported_in_one_line(tmp_path: Path) -> None:
     done = companion_without_the_rest(tmp_path, "pad", "indoor_400", "-o", "pad.pdf")
     assert (done.returncode, done.stderr) == (
         2,

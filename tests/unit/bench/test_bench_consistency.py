@@ -45,7 +45,7 @@ def test_an_honest_filter_lies_in_its_band_and_is_there_most_of_the_time() -> No
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_a_filter_too_modest_or_too_sure_is_told_apart(factor: float) -> None:
+def test_a_filter_too_modest_or_too_sure_is_reported_apart(factor: float) -> None:
     found = consistency(3, flights(20, factor))
     assert not found.holds
     assert found.mean == pytest.approx(3.0 * factor**2, rel=0.05)

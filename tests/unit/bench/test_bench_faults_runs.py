@@ -113,7 +113,7 @@ def test_what_is_written_is_read_again_and_a_torn_line_is_not(tmp_path: Path) ->
 def landings(flown: list[Run]) -> Callable[..., None]:
     """A `fly_group` whose flights all land."""
 
-    def fly(runs: Sequence[Run], code: str, _forks: Forks, take: Take) -> None:
+    def fly(runs: Sequence[Run], code: str, _forks: Forks[Row], take: Take) -> None:
         for run in runs:
             flown.append(run)
             take(run, Row(*run, code, 1, "landed", "", 30.0, "landed: disarmed"))
@@ -144,7 +144,7 @@ def test_a_flight_that_the_bench_could_not_fly_is_flown_again_and_not_kept(
     tries: list[Run] = []
     record = FlightRecord(samples=[Sample(30.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, True, False, "LAND")])
 
-    def fly(runs: Sequence[Run], _forks: Forks) -> Iterator[tuple[Run, Verdict, FlightRecord]]:
+    def fly(runs: Sequence[Run], _forks: Forks[Row]) -> Iterator[tuple[Run, Verdict, FlightRecord]]:
         tries.append(runs[0])
         if runs[0].scenario == "circle" or len(tries) == 1:
             raise MemoryError("no room")
@@ -208,7 +208,7 @@ def test_a_flight_that_goes_on_in_a_child_is_the_one_flown_from_its_start() -> N
 
 def test_a_child_that_ends_without_a_row_is_no_flight() -> None:
     taken: dict[Run, Row | None] = {}
-    forks = Forks(2, taken.__setitem__)
+    forks = Forks[Row](2, taken.__setitem__)
     runs = [Run("GPS lost", "descend", "line", seed) for seed in range(3)]
     for run in runs:
         if forks.begin(run):

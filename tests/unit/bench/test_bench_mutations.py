@@ -20,7 +20,7 @@ def test_a_few_spoilt_inputs_raise_nothing(name: str) -> None:
     assert found.inputs >= 40
 
 
-def test_an_exception_is_told_with_its_seed_and_the_target_begins_anew(
+def test_an_exception_is_reported_with_its_seed_and_the_target_begins_anew(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def sometimes(rng: random.Random) -> Iterator[None]:

@@ -132,7 +132,9 @@ def test_help_and_version_import_no_library_of_the_flight(program: str, tmp_path
 
 
 @pytest.mark.parametrize("program", NOT_FOUND)
-def test_what_is_not_found_is_told_before_anything_heavy_is_imported(program: str, tmp_path: Path) -> None:
+def test_what_is_not_found_is_reported_before_anything_heavy_is_imported(
+    program: str, tmp_path: Path
+) -> None:
     (tmp_path / "photo.png").touch()
     # modules add up from run to run, so what one imports is still seen after the last
     for words, code, modules in ended(program, NOT_FOUND[program], tmp_path):

@@ -41,7 +41,7 @@ def test_none_is_none_and_both_are_a_firmware(px4: FirmwareSpec) -> None:
     )
 
 
-def test_a_path_is_told_from_wherever_the_command_was_given(
+def test_a_path_is_reported_from_wherever_the_command_was_given(
     px4: FirmwareSpec, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(px4.path.parent)

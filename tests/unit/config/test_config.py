@@ -162,7 +162,7 @@ def test_what_would_fly_otherwise_than_meant_is_refused(tmp_path: Path, text: st
     assert expected in str(caught.value)
 
 
-def test_a_list_that_is_too_long_is_told_in_plain_words(tmp_path: Path) -> None:
+def test_a_list_that_is_too_long_is_reported_in_plain_words(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     pole = "{kind: cylinder, centre_ned_m: [1, 2, 3], radius_m: 1, height_m: 2}"
     path.write_text(f"plan: {{obstacles: [{pole}]}}", encoding="utf-8")

@@ -44,7 +44,7 @@ def settings(tmp_path: Path, verdict: list[str], forced: list[str]) -> Companion
         ([], ["it moved"], ["inertial.yaml was written by force: it moved"]),
     ],
 )
-def test_forced_calibrations_are_told(
+def test_forced_calibrations_are_reported(
     verdict: list[str], forced: list[str], words: list[str], tmp_path: Path
 ) -> None:
     lines = list(forced_calibrations(settings(tmp_path, verdict, forced)))

@@ -14,12 +14,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.base.geometry import (
+    GRAVITY_M_S2,
     IDENTITY,
     ZERO3,
     FloatArray,
     Vector3,
     add,
+    quat_conjugate,
+    quat_rotate,
     scale,
+    side_force,
     subtract,
 )
 from companion.base.messages import (
@@ -205,7 +209,9 @@ class Loop:
         pad = self.pad(0.0)
         vehicle = Vehicle(add(pad[0], start), pad[1])
         self._seen: deque[tuple[float, Vector3, Vector3, Motion3]] = deque(maxlen=64)
-        self._shown: deque[Vector3] = deque([ZERO3], maxlen=1 + round(self.sensor_delay_s / PHYSICS_STEP_S))
+        length = 1 + round(self.sensor_delay_s / PHYSICS_STEP_S)
+        self._shown: deque[Vector3] = deque([ZERO3], maxlen=length)
+        self._pushed: deque[Vector3] = deque([ZERO3], maxlen=length)
         flight, pending = Flight(), deque[tuple[float, Setpoint]]()
         current = self._resting(vehicle)
         steps, control_s = round(duration_s / PHYSICS_STEP_S), 0.0
@@ -219,13 +225,15 @@ class Loop:
                 current = pending.popleft()[1]
             force = self.autopilot.force(vehicle, current, now_s, PHYSICS_STEP_S)
             vehicle.move(force, self.wind(now_s), PHYSICS_STEP_S)
-            self._sense(vehicle.acceleration)
+            self._sense(vehicle)
         return flight
 
-    def _sense(self, acceleration: Vector3) -> None:
+    def _sense(self, vehicle: Vehicle) -> None:
         share = PHYSICS_STEP_S / (PHYSICS_STEP_S + self.sensor_lag_s)
-        change = scale(subtract(acceleration, self._shown[-1]), share)
-        self._shown.append(add(self._shown[-1], change))
+        felt = subtract(add(vehicle.acceleration, self.acceleration_bias), (0.0, 0.0, GRAVITY_M_S2))
+        pushed = side_force(vehicle.attitude, quat_rotate(quat_conjugate(vehicle.attitude), felt))
+        for shown, value in ((self._shown, vehicle.acceleration), (self._pushed, pushed)):
+            shown.append(add(shown[-1], scale(subtract(value, shown[-1]), share)))
 
     def _resting(self, vehicle: Vehicle) -> Setpoint:
         if isinstance(self.autopilot, AttitudeAutopilot):
@@ -250,6 +258,7 @@ class Loop:
             position_std_m=0.5,
             aligned=True,
             has_gps=True,
+            side_force_ned_m_s2=add(self._pushed[0], (0.06 * float(noise[6]), 0.06 * float(noise[7]), 0.0)),
         )
         self._seen.append((now_s, vehicle.position, vehicle.velocity, pad))
         age_s = float(rng.uniform(*self.pad_age_s)) if self.pad_age_s[1] else 0.0

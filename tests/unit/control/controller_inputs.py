@@ -2,7 +2,16 @@
 
 from dataclasses import replace
 
-from companion.base.geometry import IDENTITY, ZERO3, Vector3
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    IDENTITY,
+    ZERO3,
+    Vector3,
+    quat_conjugate,
+    quat_rotate,
+    side_force,
+    subtract,
+)
 from companion.base.messages import PadState, Phase, PlanStep, Reference, VehicleState
 from tests.unit.control.control_plants import reference_rows
 
@@ -10,6 +19,7 @@ PERIOD_S = 1.0 / 30.0
 
 
 def vehicle_state(now_s: float, **changes: object) -> VehicleState:
+    """A vehicle that hovers, with changes; its accelerometer feels what its acceleration and attitude say."""
     state = VehicleState(
         time_s=now_s,
         attitude=IDENTITY,
@@ -25,7 +35,10 @@ def vehicle_state(now_s: float, **changes: object) -> VehicleState:
         aligned=True,
         has_gps=True,
     )
-    return replace(state, **changes)  # type: ignore[arg-type]
+    state = replace(state, **changes)  # type: ignore[arg-type]
+    felt = subtract(state.acceleration_ned_m_s2, (0.0, 0.0, GRAVITY_M_S2))
+    body = quat_rotate(quat_conjugate(state.attitude), felt)
+    return replace(state, side_force_ned_m_s2=side_force(state.attitude, body))
 
 
 def pad_state(now_s: float, relative: Vector3 = (0.0, 0.0, 2.0), velocity: Vector3 = ZERO3) -> PadState:

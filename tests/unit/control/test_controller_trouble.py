@@ -81,7 +81,7 @@ def test_after_a_pause_all_begins_anew() -> None:
 
 
 @pytest.mark.parametrize("kind", ["velocity", "attitude"])
-def test_without_the_imu_it_is_told_not_to_accelerate_until_samples_come_again(kind: str) -> None:
+def test_without_the_imu_it_is_reported_not_to_accelerate_until_samples_come_again(kind: str) -> None:
     fly = controller(setpoint=kind)
     drifting = (1.0, -0.5, 0.4)
     silent_from, silent_to = 10, 24

@@ -36,13 +36,13 @@ def test_finds_what_lasts_on_each_axis() -> None:
     assert _observe((1.0, -0.5, 0.2), 0.0, 20.0).lasting_ned_m_s2 == pytest.approx((1.0, -0.5, 0.2), abs=0.03)
 
 
-def test_it_is_believed_as_fast_as_told_and_no_faster() -> None:
+def test_it_is_believed_as_fast_as_reported_and_no_faster() -> None:
     x, _, z = _observe((1.0, 0.0, 1.0), 0.0, 1.0).lasting_ned_m_s2
     assert x == pytest.approx(1.0 - math.exp(-0.5), abs=0.1)
     assert z == pytest.approx(1.0 - math.exp(-2.0), abs=0.1)
 
 
-def test_a_biased_acceleration_is_told_by_the_velocity() -> None:
+def test_a_biased_acceleration_is_reported_by_the_velocity() -> None:
     observer = _observe((0.4, 0.4, 0.4), 0.15, 25.0)
     assert observer.lasting_ned_m_s2 == pytest.approx((0.4, 0.4, 0.4), abs=0.03)
     assert observer.bias_ned_m_s2 == pytest.approx((0.15, 0.15, 0.15), abs=0.01)

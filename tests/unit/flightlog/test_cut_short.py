@@ -106,7 +106,9 @@ def test_a_cut_log_is_repaired_beside_it_and_then_every_reader_takes_it(whole: b
 
 
 @pytest.mark.parametrize("content", [b"", b"no log at all", None])
-def test_what_is_no_log_is_told_in_one_line_and_leaves_nothing(content: bytes | None, tmp_path: Path) -> None:
+def test_what_is_no_log_is_reported_in_one_line_and_leaves_nothing(
+    content: bytes | None, tmp_path: Path
+) -> None:
     path = tmp_path / "flight.mcap"
     if content is not None:
         path.write_bytes(content)

@@ -121,7 +121,7 @@ def test_a_full_card_ends_the_log_and_nothing_else() -> None:
 
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), ValueError("NaN")])
-def test_whatever_a_write_raises_it_is_counted_told_and_the_files_are_closed(error: Exception) -> None:
+def test_whatever_a_write_raises_it_is_counted_reported_and_the_files_are_closed(error: Exception) -> None:
     def fails(*_: object) -> None:
         raise error
 

@@ -96,7 +96,7 @@ def test_pictures_and_mavlink_of_the_minute_are_there_too(tmp_path: Path) -> Non
     assert (tmp_path / "flight-0001" / "flight.tlog").stat().st_size == 100 * 16
 
 
-def test_a_card_that_cannot_be_written_is_told_and_ends_no_flight(tmp_path: Path) -> None:
+def test_a_card_that_cannot_be_written_is_reported_and_ends_no_flight(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("no folder")
     log = FlightsRecorder(blocked, 1.7e9)

@@ -194,7 +194,7 @@ def test_a_flight_is_exported_whole_by_its_number(tmp_path: Path, monkeypatch: p
         pytest.param(("--record", "nowhere"), "nowhere: cannot be read", id="no such root"),
     ],
 )
-def test_what_is_wrong_is_told_in_one_line(
+def test_what_is_wrong_is_reported_in_one_line(
     words: tuple[str, ...], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -156,7 +156,7 @@ def test_a_full_disk_ends_the_log_and_says_so_but_raises_nothing(
     assert log.kept["notice"] == [Notice(1.0, "a", "b")]
 
 
-def test_what_the_disk_lost_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_disk_lost_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = FlightLog(tmp_path, START_UNIX_S)
     monkeypatch.setattr("companion.flightlog.record._McapFile.write", _raise_full)
     log.write("imu", imu(0.0), 0.0)

@@ -128,7 +128,7 @@ def test_pictures_are_of_key_moments(tmp_path: Path) -> None:
     assert pictures[3].time_s == pytest.approx(7.5, abs=0.25)
 
 
-def test_a_sensor_is_told_by_rate_longest_gap_and_age() -> None:
+def test_a_sensor_is_reported_by_rate_longest_gap_and_age() -> None:
     record = SensorRecord([0.0, 0.1, 0.2, 0.7, 0.8], [0.02, 0.02, 0.02, 0.02, 0.5])
     (row,) = sensor_rows({"gps": record})
     assert row[:5] == ("GPS", "5", "5.0", "0.50 s", "20 ms")
@@ -140,7 +140,7 @@ def test_settings_that_differ_are_named_by_their_dotted_keys() -> None:
     assert differences(flown, flown) == []
 
 
-def test_what_is_no_flight_is_told_in_one_line(tmp_path: Path) -> None:
+def test_what_is_no_flight_is_reported_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"flight\.mcap: cannot be read"):
         run("report", str(tmp_path))
     (tmp_path / "notes.txt").touch()

@@ -86,12 +86,12 @@ def test_a_failsafe_that_holds_or_lands_is_no_matter(action: int | None) -> None
     assert loss_warnings(setup, "px4") == []
 
 
-def test_what_is_not_told_is_warned_of() -> None:
+def test_what_is_not_reported_is_warned_of() -> None:
     assert motors_stop(AutopilotSetup()) == ""
     (warning,) = loss_warnings(AutopilotSetup(), "px4")
-    assert "does not tell COM_OF_LOSS_T and COM_OBL_RC_ACT" in warning
+    assert "does not report COM_OF_LOSS_T and COM_OBL_RC_ACT" in warning
     (warning,) = loss_warnings(AutopilotSetup(), "ardupilot")
-    assert "does not tell GUID_TIMEOUT:" in warning
+    assert "does not report GUID_TIMEOUT:" in warning
 
 
 def test_a_failsafe_for_a_pilot_at_the_sticks_is_warned_of() -> None:

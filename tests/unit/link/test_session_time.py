@@ -69,7 +69,7 @@ def test_the_time_is_asked_for_five_times_a_second() -> None:
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.5, 1.6])
-def test_how_late_answers_come_is_told_within_seconds_and_forgotten_with_the_link(delay_s: float) -> None:
+def test_how_late_answers_come_is_reported_within_seconds_and_forgotten_with_the_link(delay_s: float) -> None:
     flight = Flight()
     flight.run(3.0)
     assert flight.session.state.round_trip_s == pytest.approx(2 * DELAY_S, abs=0.005)

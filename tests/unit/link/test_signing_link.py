@@ -102,7 +102,7 @@ def test_a_key_that_others_may_read_is_refused(tmp_path: Path, mode: int) -> Non
         read_signing_key(key_file(tmp_path, KEY, mode), UNIX_S)
 
 
-def test_a_key_that_is_missing_or_empty_is_told_in_one_line(tmp_path: Path) -> None:
+def test_a_key_that_is_missing_or_empty_is_reported_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"link.signing_key .*none: No such file"):
         read_signing_key(tmp_path / "none", UNIX_S)
     with pytest.raises(ConfigError, match=r"empty; expected 32 bytes or a passphrase"):

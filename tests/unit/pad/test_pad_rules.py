@@ -134,7 +134,7 @@ def test_a_square_sheet_that_is_too_small_tells_its_room_once(tmp_path: Path) ->
     assert line.endswith("expected one of at most 380x366 mm")
 
 
-def test_a_rule_of_the_whole_pad_is_told_without_a_key(tmp_path: Path) -> None:
+def test_a_rule_of_the_whole_pad_is_reported_without_a_key(tmp_path: Path) -> None:
     assert ".yaml: markers repeated" in refusal(tmp_path, marker(0), marker(0, 0.15))
 
 

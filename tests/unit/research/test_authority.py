@@ -7,7 +7,7 @@ import pytest
 from companion.base.messages import Phase, PlanStep, Reference
 from companion.base.motion import Motion
 from companion.plan.trajectory.min_jerk import plan
-from companion.research.authority import Authority, authority, way_to_go_m
+from companion.research.authority import RuleAuthority, authority, way_to_go_m
 
 START = Motion((3.0, -1.0, -6.0), (-0.4, 0.2, 0.5), (0.1, 0.3, -0.2))
 END = Motion((0.0, 0.0, -0.6))
@@ -32,10 +32,10 @@ def test_the_way_follows_from_the_beginning_of_it(time_s: float) -> None:
 def test_a_cycle_is_the_law_s_when_the_time_is() -> None:
     law_s = WAY_M / 0.9 + T_MIN_S
     plans = [step(law_s, 0.9), step(1.2 * law_s, 0.9), step(0.9 * law_s, 0.9), step(law_s, 0.8)]
-    assert authority(plans, T_MIN_S) == Authority(4, 1)
-    assert authority(plans, 0.5) == Authority(4, 0)
+    assert authority(plans, T_MIN_S) == RuleAuthority(4, 1)
+    assert authority(plans, 0.5) == RuleAuthority(4, 0)
 
 
 def test_cycles_without_a_way_to_the_pad_do_not_count() -> None:
     searching, resting = step(5.0, 0.9, Phase.SEARCH), step(5.0, 0.0)
-    assert authority([searching, resting, PlanStep(0.0, Phase.DESCEND)], T_MIN_S) == Authority()
+    assert authority([searching, resting, PlanStep(0.0, Phase.DESCEND)], T_MIN_S) == RuleAuthority()

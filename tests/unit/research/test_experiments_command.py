@@ -38,7 +38,7 @@ def test_mistakes_are_one_line(
     assert error.count("\n") == 1
 
 
-def test_a_picture_that_cannot_be_written_is_told_before_the_flight(
+def test_a_picture_that_cannot_be_written_is_reported_before_the_flight(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "folder.png"

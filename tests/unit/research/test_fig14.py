@@ -177,7 +177,7 @@ def test_table_line_and_picture(flight: PilotKnowledge, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("option", "said"), [("--case=storm", "no 'storm'"), ("--output=x.gif", "expected a .png")]
 )
-def test_what_a_user_gets_wrong_is_told_in_a_line(
+def test_what_a_user_gets_wrong_is_reported_in_a_line(
     option: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["companion-experiments", "fig14", option])

@@ -97,14 +97,14 @@ async def test_a_line_that_does_not_take_anything_is_an_error_and_no_growing_hea
     port.close()
 
 
-async def test_a_port_that_is_not_there_is_told_in_one_line() -> None:
+async def test_a_port_that_is_not_there_is_reported_in_one_line() -> None:
     with pytest.raises(
         ConfigError, match=r"^serial port /dev/ttyNONE: cannot be opened at 9600 baud: No such"
     ):
         SerialPort("/dev/ttyNONE", 9600)
 
 
-async def test_a_file_that_is_no_port_is_told_in_one_line(tmp_path: os.PathLike[str]) -> None:
+async def test_a_file_that_is_no_port_is_reported_in_one_line(tmp_path: os.PathLike[str]) -> None:
     path = os.path.join(tmp_path, "file")  # noqa: PTH118 - the setting is a string
     with open(path, "wb"):  # noqa: PTH123, ASYNC230
         pass

@@ -27,7 +27,7 @@ def test_a_request_that_cannot_be_flown_is_refused_in_one_line(line: bytes, word
     assert "\n" not in refused
 
 
-def test_a_fault_of_ours_is_told_and_shown_in_full(
+def test_a_fault_of_ours_is_reported_and_shown_in_full(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def fails(_request: Request) -> Answer:

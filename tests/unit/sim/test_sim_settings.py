@@ -9,12 +9,12 @@ from companion.sim.settings import sitl_settings, vehicle_differs
 from companion.sim.trial import Trial
 
 
-def test_a_vehicle_like_the_airframe_is_not_told() -> None:
+def test_a_vehicle_like_the_airframe_is_not_reported() -> None:
     trial = Trial.load("line", 0)
     assert vehicle_differs(sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True), trial) is None
 
 
-def test_a_vehicle_that_sits_otherwise_is_told_with_what_differs(tmp_path: Path) -> None:
+def test_a_vehicle_that_sits_otherwise_is_reported_with_what_differs(tmp_path: Path) -> None:
     text = (CONFIG_FOLDER / "vehicles" / "x500.yaml").read_text()
     other = tmp_path / "other.yaml"
     other.write_text(text.replace("camera_yaw_deg: 0.0", "camera_yaw_deg: 90.0"))

@@ -83,7 +83,7 @@ async def test_one_that_is_killed_is_started_again(monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize(
     ("well_s", "told", "paused_s"), [(60.0, 1, [1.0, 2.0, 4.0]), (0.0, 3, [1.0, 1.0, 1.0])]
 )
-async def test_an_end_after_it_ran_well_is_told_again_and_one_soon_after_waits_longer(
+async def test_an_end_after_it_ran_well_is_reported_again_and_one_soon_after_waits_longer(
     well_s: float, told: int, paused_s: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pauses: list[float] = []
@@ -106,7 +106,7 @@ async def test_an_end_after_it_ran_well_is_told_again_and_one_soon_after_waits_l
     assert (on.problems, pauses) == (["ended"] * told, paused_s)
 
 
-async def test_a_port_that_is_taken_is_told_once_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_port_that_is_taken_is_reported_once_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(page, "FIRST_PAUSE_S", 0.1)
     with closing(socket.socket()) as taken:
         taken.bind(("127.0.0.1", 0))

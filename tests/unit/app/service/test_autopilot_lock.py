@@ -37,7 +37,7 @@ def holder(connection: str) -> subprocess.Popen[str]:
     return process
 
 
-def test_a_second_app_is_told_who_is_there_and_a_kill_leaves_nothing_held() -> None:
+def test_a_second_app_is_reported_who_is_there_and_a_kill_leaves_nothing_held() -> None:
     connection = f"udp:127.0.0.1:{os.getpid()}"
     with holder(connection) as other:
         told = re.escape(f"link.connection {connection}: another companion (process {other.pid}) is at")

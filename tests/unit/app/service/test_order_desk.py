@@ -28,7 +28,7 @@ def order(source: str, kind: OrderKind = OrderKind.LAND) -> Order:
     return Order(1.0, kind, source)
 
 
-def test_an_order_is_followed_and_its_end_is_told() -> None:
+def test_an_order_is_followed_and_its_end_is_reported() -> None:
     d = Desk()
     d.desk.take([order("a")])
     taken = d.desk.next_order(Phase.STANDBY, 1.0)

@@ -96,7 +96,7 @@ def bits_of(dictionary: cv2.aruco.Dictionary, number: int) -> str:
     ("words", "told"),
     [("9x9_1", "expected a file"), ("nowhere.yml", "No such file"), ("broken.yml", "expected OpenCV's form")],
 )
-def test_what_is_no_dictionary_is_told(words: str, told: str, tmp_path: Path) -> None:
+def test_what_is_no_dictionary_is_reported(words: str, told: str, tmp_path: Path) -> None:
     (tmp_path / "broken.yml").write_text("nmarkers: 2\nmarkersize: 4\nmarker_0: '01'\n")
     with pytest.raises(ConfigError, match=told):
         read_dictionary(words if "." not in words else str(tmp_path / words))

@@ -196,7 +196,7 @@ async def test_live_it_captures_by_itself_and_stops_by_itself(
     assert again.fx_px == camera.fx_px
 
 
-async def test_live_images_of_another_size_are_told(
+async def test_live_images_of_another_size_are_reported(
     pictures: list[np.ndarray], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     async with serving(pictures) as server:
@@ -236,7 +236,7 @@ async def test_live_images_of_another_size_are_told(
         (("--make-board", "x.pdf", "--square-mm", "60", "--marker-mm", "40"), "does not fit"),
     ],
 )
-def test_what_is_wrong_is_told_in_one_line(
+def test_what_is_wrong_is_reported_in_one_line(
     words: tuple[str, ...],
     says: str,
     photos: Path,

@@ -58,7 +58,7 @@ def shown() -> dict[str, list[np.ndarray]]:
         ("chessboard", changed(CHESSBOARD, columns=8), "a chessboard of 9x6 inner corners, or more, is seen"),
     ],
 )
-def test_a_board_easily_taken_for_it_is_told(
+def test_a_board_easily_taken_for_it_is_reported(
     there: str, described: CalibrationBoard, says: str, shown: dict[str, list[np.ndarray]]
 ) -> None:
     told = hint(described, shown[there])
@@ -84,13 +84,13 @@ def test_a_board_easily_taken_for_it_is_told(
         ("grid", CHESSBOARD, "markers 0 to 19 of 6x6_50 are seen; expected chessboard 9x6"),
     ],
 )
-def test_what_is_seen_instead_is_told(
+def test_what_is_seen_instead_is_reported(
     there: str, described: CalibrationBoard, says: str, shown: dict[str, list[np.ndarray]]
 ) -> None:
     assert what_is_seen(described, shown[there]).startswith(says)
 
 
-def test_nothing_is_told_where_there_is_nothing() -> None:
+def test_nothing_is_reported_where_there_is_nothing() -> None:
     empty = [np.full((480, 640), 128, np.uint8)] * 2
     assert hint(CHARUCO, empty) is None
     assert hint(CHESSBOARD, empty) is None
@@ -118,7 +118,7 @@ def test_a_grid_with_a_wrong_gap_gives_the_camera_and_the_gap() -> None:
     assert found.rms_px < 0.09
     assert found.solution.camera.numbers[0] == pytest.approx(CAMERA.fx_px, rel=1e-3)
     assert found.solution.surface.gap_m == pytest.approx(0.005, abs=5e-5)
-    assert any("5.0 mm apart, if they are 37.5; told 8" in line for line in summary_lines(found))
+    assert any("5.0 mm apart, if they are 37.5; specified 8" in line for line in summary_lines(found))
 
 
 def test_the_corners_of_a_wide_lens_are_not_taken_for_misread() -> None:
@@ -149,7 +149,7 @@ def folder(tmp_path: Path, shown: dict[str, list[np.ndarray]]) -> Path:
     return tmp_path
 
 
-def test_one_bad_photo_of_several_is_left_out_and_told(folder: Path) -> None:
+def test_one_bad_photo_of_several_is_left_out_and_reported(folder: Path) -> None:
     (folder / "img_9.jpg").write_bytes(b"\xff\xd8half a photo")
     told: list[str] = []
     found = views_of_photos(CHARUCO, [folder], None, told.append)

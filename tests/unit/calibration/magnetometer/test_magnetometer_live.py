@@ -138,7 +138,7 @@ class DeadBus:
         raise OSError(121, "Remote I/O error")
 
 
-def test_a_chip_or_an_autopilot_that_is_not_there_is_told() -> None:
+def test_a_chip_or_an_autopilot_that_is_not_there_is_reported() -> None:
     async def chip() -> None:
         await collect(
             Mpu9250Compass(DeadBus(), ImuConfig()), CollectionLimits(60.0), Console(file=io.StringIO())

@@ -100,7 +100,7 @@ def test_a_calibration_goes_on_top_of_the_autopilots(autopilot_kind: AutopilotKi
     assert on_top == pytest.approx((CASE.raw - CASE.centre) @ CASE.matrix)
 
 
-def test_a_compass_that_is_turned_or_untold_is_not_guessed() -> None:
+def test_a_compass_that_is_turned_or_unknown_is_not_guessed() -> None:
     assert onboard_of("px4", {**PX4, "CAL_MAG0_ROT": 4.0}) is None
     assert onboard_of("ardupilot", {}) is None
     assert onboard_of("ardupilot", dict.fromkeys(ARDUPILOT, 0.0)) is not None  # 0 diagonals: none
@@ -234,7 +234,7 @@ def test_a_flight_with_a_calibration_is_read_as_if_without(tmp_path: Path) -> No
         ("a.mcap", lambda path: path.write_bytes(b"\x89MCAP0\r\n"), "no magnetometer samples in the log"),
     ],
 )
-def test_logs_without_a_compass_are_told_in_one_line(
+def test_logs_without_a_compass_are_reported_in_one_line(
     tmp_path: Path, name: str, write: Callable[[Path], object], expected: str
 ) -> None:
     path = tmp_path / name

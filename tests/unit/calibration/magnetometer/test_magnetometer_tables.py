@@ -95,7 +95,7 @@ def test_columns_can_be_named(tmp_path: Path, columns: str) -> None:
         ("mx,my,mz\n", 10.0, {"field_ut": 48.0}, "uT"),
     ],
 )
-def test_the_unit_is_told_or_worked_out(
+def test_the_unit_is_reported_or_worked_out(
     tmp_path: Path, heading: str, factor: float, options: dict[str, str | float], unit: str
 ) -> None:
     text = table(heading, factor * RAW, form="{:.9f}")
@@ -136,7 +136,7 @@ def test_numpys_arrays_are_read(tmp_path: Path) -> None:
         (table("mx,my,mz\n", RAW[:10]), {}, "10 magnetometer samples; expected 50 or more"),
     ],
 )
-def test_what_cannot_be_read_is_told_in_one_line(
+def test_what_cannot_be_read_is_reported_in_one_line(
     tmp_path: Path, text: str, options: dict[str, str], expected: str
 ) -> None:
     with pytest.raises(ConfigError, match=expected) as caught:
@@ -164,7 +164,7 @@ def test_files_that_are_not_there_or_not_what_they_seem(tmp_path: Path) -> None:
         {"mx": RAW[:, 0], "my": RAW[:, 1], "mz": RAW[1:, 2]},
     ],
 )
-def test_arrays_that_are_no_fields_are_told(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
+def test_arrays_that_are_no_fields_are_reported(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
     np.savez(tmp_path / "a.npz", **arrays)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="no magnetometer among m"):
         read_numpy_table(tmp_path / "a.npz")

@@ -222,7 +222,7 @@ def test_an_interrupted_recording_leaves_nothing(
     assert not (tmp_path / "new").exists()
 
 
-def test_a_card_that_is_full_at_the_end_is_told(
+def test_a_card_that_is_full_at_the_end_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     held = Held(scenario_of({}), 0, "still")

@@ -81,7 +81,7 @@ def test_gaps_in_the_inertial_samples_are_left_out(track: Track) -> None:
     assert abs(found.time_offset_s - track.flaws.time_offset_s) < 0.0005
 
 
-def test_no_sightings_are_told() -> None:
+def test_no_sightings_are_reported() -> None:
     short = Track(1, seconds=3.0)
     none = short.sightings().taken(np.zeros(0, dtype=int))
     with pytest.raises(NoSolutionError, match="no sightings"):
@@ -91,7 +91,7 @@ def test_no_sightings_are_told() -> None:
         solve(short.inertial(), late, PLACE)
 
 
-def test_what_no_mount_fits_is_told() -> None:
+def test_what_no_mount_fits_is_reported() -> None:
     # a track of its own: the noise of a shared one depends on which tests were before
     track = Track(9, Flaws(flipped=0.15), SECONDS)
     backwards = replace(track.inertial(), rate=-track.inertial().rate)
@@ -119,7 +119,7 @@ def test_a_good_one_is_not_refused(track: Track, solution: MountSolution) -> Non
     assert refused(solution, track) == ""
 
 
-def test_each_reason_is_told(track: Track, solution: MountSolution) -> None:
+def test_each_reason_is_reported(track: Track, solution: MountSolution) -> None:
     few = replace(solution, kept=solution.kept & (np.arange(len(solution.kept)) < 90))
     assert "too little was seen" in refused(few, track)
     assert "contradict the rest" in refused(few, track)

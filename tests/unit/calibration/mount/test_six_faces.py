@@ -105,7 +105,7 @@ def test_more_attitudes_give_the_skew() -> None:
     assert seen.T @ seen == pytest.approx(np.eye(3), abs=0.002)
 
 
-def test_what_is_not_good_enough_is_told() -> None:
+def test_what_is_not_good_enough_is_reported() -> None:
     rests = find_static_intervals(lying(faces=("level", "nose-down", "nose-up")))
     fit = fit_accelerometer(rests)
     told = accelerometer_reasons(fit, rests, faces_down(rests, mounting_matrix(USUAL)))
@@ -227,7 +227,7 @@ def test_a_time_s_unit_shows_in_its_steps(tmp_path: Path, unit: float) -> None:
     assert read_table(path, None, None, None).period_s == pytest.approx(0.005, rel=1e-6)
 
 
-def test_archives_are_read_or_told_in_one_line(tmp_path: Path) -> None:
+def test_archives_are_read_or_reported_in_one_line(tmp_path: Path) -> None:
     samples = lying(faces=("level",))
     force, rate, t = samples.force, samples.rate, samples.time_s
     apart = {f"a{axis}": force[:, k] for k, axis in enumerate("xyz")}
@@ -286,7 +286,7 @@ def test_the_driver_takes_the_file_of_the_settings(tmp_path: Path) -> None:
     assert math.dist(after.specific_force_body_m_s2, before.specific_force_body_m_s2) > 0.3
 
 
-def test_a_wrong_file_is_told(tmp_path: Path) -> None:
+def test_a_wrong_file_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "inertial.yaml"
     path.write_text("kind: mount\n")
     imu = ImuConfig(inertial_calibration=str(path))

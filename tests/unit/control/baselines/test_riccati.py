@@ -113,8 +113,8 @@ def test_one_pair_of_matrices_serves_all_steps_and_nothing_need_be_added() -> No
     made = problem(4)
     once = solve_tracking(made.start, made.A[0], made.B[0], made.reference, made.weights)
     A, B = (np.repeat(matrix[:1], len(made.trim), axis=0) for matrix in (made.A, made.B))
-    nothing = {"trim": np.zeros(2), "drift": np.zeros(5)}
-    each = solve_tracking(made.start, A, B, made.reference, made.weights, **nothing)
+    trim, drift = np.zeros(2), np.zeros(5)
+    each = solve_tracking(made.start, A, B, made.reference, made.weights, trim=trim, drift=drift)
     assert np.array_equal(once.inputs, each.inputs)
 
 

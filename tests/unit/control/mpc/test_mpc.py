@@ -90,7 +90,7 @@ def test_the_old_plan_runs_out_into_no_acceleration() -> None:
     assert np.abs(solution.inputs_m_s2[0]).max() < 1e-3
 
 
-def test_running_out_of_iterations_is_told_and_mended_by_going_on() -> None:
+def test_running_out_of_iterations_is_reported_and_mended_by_going_on() -> None:
     mpc = Mpc(ControlConfig(maximum_iterations=50), LAGS_S)
     start, target = Motion((2.0, -1.0, -2.7), (2.0, 1.0, 0.5), ZERO3), hover_at((0.0, 0.0, -2.0))
     solutions = [mpc.solve(start, target, ZERO3, ZERO3) for _ in range(40)]

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.base.geometry import GRAVITY_M_S2, ZERO3, FloatArray
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3, add, vector3
 from companion.base.motion import Motion
 from companion.config import LimitsConfig
-from companion.control.mpc.mpc import Mpc
+from companion.control.mpc.mpc import ACCEPTED_PRIMAL, Mpc
 from companion.control.mpc.target import within_reach
 from companion.control.response.flight_model import advance
-from companion.control.tracking import Cone
+from companion.control.tracking import Cone, Target
 from tests.unit.control.mpc.mpc_cases import CONFIG, DT, LAGS_S, N, hover_at
 
 
@@ -145,3 +145,37 @@ def test_the_flown_acceleration_keeps_within_the_inputs_and_what_pushes() -> Non
     flown = solution.states[:, 6:] - np.array(push)
     assert np.hypot(flown[:, 0], flown[:, 1]).max() <= CONFIG.limits.horizontal_acceleration_m_s2 + 1.0
     assert np.abs(flown[:, 2]).max() <= CONFIG.limits.vertical_acceleration_m_s2 + 5e-3
+
+
+def _round(time_s: float) -> Target:
+    """A pad 0.53 m below on a circle of 1.75 m at 1.55 m/s, in the cone of a descent."""
+    rate_rad_s = 1.55 / 1.75
+    turned = rate_rad_s * (time_s + DT * np.arange(N + 1))
+    zero = np.zeros(N + 1)
+    position = np.column_stack([1.75 * np.cos(turned), 1.75 * np.sin(turned), zero - 0.53])
+    velocity = 1.55 * np.column_stack([-np.sin(turned), np.cos(turned), zero])
+    acceleration = -(rate_rad_s**2) * position * [1.0, 1.0, 0.0]
+    cone = Cone(0.2, 0.1, np.add(position, (0.0, 0.0, 0.35)))
+    return Target(position, velocity, acceleration, cone=cone)
+
+
+@pytest.mark.parametrize("wind_m_s2", [4.0, 4.2])
+def test_a_wind_that_takes_more_than_the_bounds_allow_is_leant_against_all_the_same(wind_m_s2: float) -> None:
+    mpc, period_s, against = Mpc(CONFIG, LAGS_S), 1.0 / CONFIG.rate_hz, (0.0, -wind_m_s2, 0.0)
+    motion = Motion((1.75, 0.0, -0.53), (0.0, 1.55, 0.0), (-1.37, 0.0, 0.0))
+    last: Vector3 = (-1.37, 0.0, 0.0)
+    cut, farthest_m = 0, 0.0
+    for k in range(round(2.0 * math.tau / period_s)):  # two turns
+        target = within_reach(
+            _round(k * period_s), motion.position_m, CONFIG.horizontal_reach_m, CONFIG.vertical_reach_m
+        )
+        solution = mpc.solve(motion, target, against, last)
+        assert solution.solved or solution.cut
+        last = vector3(mpc.clip_input(solution.inputs_m_s2[0]).tolist())
+        assert solution.inputs_m_s2[0] == pytest.approx(last, abs=ACCEPTED_PRIMAL)
+        cut += solution.cut
+        motion = advance(motion, add(last, against), period_s, LAGS_S)
+        aside = _round((k + 1) * period_s).position_m[0] - motion.position_m
+        farthest_m = max(farthest_m, float(np.linalg.norm(aside)))
+    assert cut > 0
+    assert farthest_m < CONFIG.horizontal_reach_m

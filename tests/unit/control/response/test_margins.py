@@ -73,6 +73,18 @@ def test_every_shipped_loop_has_margins(
     assert found.gain_down >= LEAST_GAIN
 
 
+@pytest.mark.parametrize("late_s", [0.02, 0.05])
+@pytest.mark.parametrize(("autopilot_kind", "kind"), FLOWN)
+def test_an_acceleration_measured_later_than_believed_leaves_the_margins(
+    autopilot_kind: AutopilotKind, kind: Kind, late_s: float
+) -> None:
+    case = replace(_case("x500", autopilot_kind, kind, SIDEWAYS), sensor_late_s=late_s)
+    found = margins(*loop_transfer(case))
+    assert found.delay_s >= LEAST_DELAY_S
+    assert found.phase_deg >= LEAST_PHASE_DEG
+    assert found.gain_up >= LEAST_GAIN
+
+
 @pytest.mark.parametrize(("autopilot_kind", "kind"), FLOWN)
 @pytest.mark.parametrize("vehicle", VEHICLES)
 def test_what_is_learnt_over_a_turning_pad_leaves_the_margins(

@@ -1,4 +1,4 @@
-"""Several models in one filterpy filter: against filterpy's own IMM, and by the rules of probability."""
+"""All models in one array operation: against filterpy's own IMM, and by the rules of probability."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from companion.estimate.pad.model_bank import (
     ModelBank,
     ModelTransition,
     advance,
-    blend,
-    change_chances,
+    innovation,
     mix,
 )
 from companion.estimate.pad.pad_models import (
@@ -27,92 +26,164 @@ from companion.estimate.pad.pad_models import (
     TURN_TIME_CONSTANT_S,
     VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ,
     WAVE_DAMPING,
-    HorizontalModels,
+    PadModels,
     Turn,
-    VerticalModels,
     course_turn,
 )
 
 DT_S = 1.0 / 30.0
 DWELL_S = 3.0
 NO_TURN = Turn(0.0, 0.0, 0.0)
-START = np.array([1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+PLANE, CLIMB = 0, 1
+# the vertical models' first axis, of which they have states of their own
+UP = slice(0, 8, 2)
 
 
-def bank_and_step() -> tuple[ModelBank, ModelTransition, FloatArray]:
-    models = HorizontalModels(PadFilterConfig())
-    covariances = np.tile(np.diag([0.1, 0.1, 4.0, 4.0, 0.5, 0.5, 1.0, 1.0]), (4, 1, 1))
-    bank = ModelBank(np.full(4, 0.25), DWELL_S, 8, seen=2)
-    bank.start(START, covariances)
-    return bank, models.step(DT_S, Turn(0.4, 0.01, 1.0)), covariances
+class Bank:
+    """The pad's models over a circle of 5 m at 1.5 m/s, and the vehicle's own way."""
+
+    def __init__(self) -> None:
+        self.models = PadModels(PadFilterConfig())
+        self.rng = np.random.default_rng(3)
+        self.bank = ModelBank(self.models.groups, DWELL_S)
+        self.R = np.array([[[2e-4, 5e-5], [5e-5, 1e-4]], [[3e-4, 0.0], [0.0, 1.0]]])
+        across, up = (
+            np.diag([0.1, 0.1, 4.0, 4.0, 0.5, 0.5, 1.0, 1.0]),
+            np.diag([0.1, 0, 0.2, 0, 0.3, 0, 0.4, 0]),
+        )
+        self.means = np.array([[1.0, 2.0, *[0.0] * 6], [3.0, *[0.0] * 7]])
+        self.covariances = np.array([across, up])[self.bank.group_of]
+        self.bank.start(self.means, self.covariances)
+
+    def step(self, dt_s: float = DT_S) -> ModelTransition:
+        F, Q = self.models.step(dt_s, Turn(0.4, 0.01, 1.0))
+        moved = np.array([[0.01, -0.02, 0.1, 0.2, *[0.0] * 4], [0.03, 0.0, -0.1, *[0.0] * 5]])
+        return ModelTransition(F, Q, moved[self.bank.group_of])
+
+    def seen(self, k: int) -> FloatArray:
+        angle = 0.3 * k * DT_S
+        north, east = np.array([5.0 * math.sin(angle), 5.0 * math.cos(angle)]) + 0.01 * self.rng.normal(
+            size=2
+        )
+        return np.array([[north, east], [3.0 + 0.01 * self.rng.normal(), 0.0]])
+
+    def update(self, z: FloatArray, group: int | None = None) -> None:
+        rows = self.bank.group_of
+        self.bank.update(innovation(self.bank.state, z[rows], self.R[rows]), group)
 
 
-def seen(k: int, rng: np.random.Generator) -> FloatArray:
-    """A circle of 5 m at 1.5 m/s."""
-    angle = 0.3 * k * DT_S
-    return np.array([5.0 * math.sin(angle), 5.0 * math.cos(angle)]) + 0.01 * rng.normal(size=2)
-
-
-def test_bank_agrees_with_filterpys_interacting_multiple_models() -> None:
-    bank, step, covariances = bank_and_step()
-    R = np.array([[2e-4, 5e-5], [5e-5, 1e-4]])
+def textbook(bank: Bank, group: int, axes: slice, seen: int) -> IMMEstimator:
+    """filterpy's own, one filter a model, moved by the bank's F and Q."""
+    models = bank.models.groups[group]
+    step = bank.step()
     filters = []
-    for i in range(4):
-        one = KalmanFilter(dim_x=8, dim_z=2)
-        one.x, one.P = START.copy(), covariances[i].copy()
-        one.F, one.Q, one.H, one.R = step.F[i], step.Q[i], np.eye(2, 8), R
+    for model in range(models.start, models.stop):
+        one = KalmanFilter(dim_x=len(range(8)[axes]), dim_z=seen)
+        one.x, one.P = bank.means[group, axes].copy(), bank.covariances[model, axes, axes].copy()
+        one.F, one.Q = step.F[model, axes, axes], step.Q[model, axes, axes]
+        one.B, one.H, one.R = np.eye(one.dim_x), np.eye(seen, one.dim_x), bank.R[group, :seen, :seen]
         filters.append(one)
-    theirs = IMMEstimator(filters, [0.25] * 4, change_chances(np.full(4, 0.25), DWELL_S, DT_S))
-    rng = np.random.default_rng(3)
-    for k in range(1, 40):
-        z = seen(k, rng)
-        bank.predict(DT_S, step)
-        bank.update(z, R)
-        theirs.predict()
-        theirs.update(z)
-    ours = blend(bank.state)
-    assert bank.state.probabilities == pytest.approx(theirs.mu, abs=1e-9)
-    assert ours.mean == pytest.approx(theirs.x, abs=1e-9)
-    assert ours.covariance == pytest.approx(theirs.P, abs=1e-9)
+    chances = bank.bank.change_chances(DT_S)[models, models]
+    return IMMEstimator(filters, [1.0 / len(filters)] * len(filters), chances)
+
+
+@pytest.mark.parametrize(("group", "axes", "seen"), [(PLANE, slice(8), 2), (CLIMB, UP, 1)])
+def test_bank_agrees_with_filterpys_interacting_multiple_models(group: int, axes: slice, seen: int) -> None:
+    bank = Bank()
+    theirs = textbook(bank, group, axes, seen)
+    step = bank.step()
+    models = bank.models.groups[group]
+    for k in range(1, 150):
+        z = bank.seen(k)
+        bank.bank.predict(DT_S, step)
+        bank.update(z)
+        theirs.predict(step.moved[models.start, axes])
+        theirs.update(z[group, :seen])
+    state = bank.bank.state
+    ours = bank.bank.blend(state)
+    assert state.probabilities[models] == pytest.approx(theirs.mu, rel=1e-9)
+    assert ours.mean[group, axes] == pytest.approx(theirs.x, rel=1e-9, abs=1e-10)
+    scale = np.sqrt(np.outer(theirs.P.diagonal(), theirs.P.diagonal()))
+    assert ours.covariance[group, axes, axes] / scale == pytest.approx(theirs.P / scale, rel=1e-9, abs=1e-9)
+    for i, one in enumerate(theirs.filters):
+        assert state.covariances[models.start + i, axes, axes] == pytest.approx(one.P, rel=1e-8, abs=1e-12)
+
+
+def test_of_the_vertical_models_second_axis_nothing_ever_comes() -> None:
+    bank = Bank()
+    for k in range(1, 30):
+        bank.bank.predict(DT_S, bank.step())
+        bank.update(bank.seen(k))
+    means, covariances, _ = bank.bank.state
+    climb = bank.models.groups[CLIMB]
+    assert not means[climb, 1::2].any()
+    assert not covariances[climb, 1::2].any()
+    assert not covariances[climb, :, 1::2].any()
+
+
+def test_a_height_alone_leaves_the_plane_as_it_was() -> None:
+    bank, both = Bank(), Bank()
+    for each in (bank, both):
+        each.bank.predict(DT_S, each.step())
+    before, z = bank.bank.state, bank.seen(1)
+    bank.update(z, CLIMB)
+    both.update(z)
+    plane, climb = bank.models.groups
+    for mine, old, taken in zip(bank.bank.state, before, both.bank.state, strict=True):
+        assert (mine[plane] == old[plane]).all()
+        assert mine[climb] == pytest.approx(taken[climb], rel=1e-12)
+
+
+def test_covariances_stay_symmetric_and_positive() -> None:
+    bank = Bank()
+    for k in range(1, 300):
+        bank.bank.predict(DT_S, bank.step())
+        bank.update(bank.seen(k))
+    P = bank.bank.state.covariances
+    assert pytest.approx(P, rel=1e-12, abs=1e-18) == P.transpose(0, 2, 1)
+    assert np.linalg.eigvalsh(P[bank.models.groups[PLANE]]).min() > 0.0
 
 
 def test_two_short_steps_change_models_as_one_long_step() -> None:
-    prior = np.array([0.5, 0.3, 0.2])
-    twice = change_chances(prior, DWELL_S, 0.1) @ change_chances(prior, DWELL_S, 0.2)
-    assert twice == pytest.approx(change_chances(prior, DWELL_S, 0.3), abs=1e-12)
-    assert twice.sum(axis=1) == pytest.approx(np.ones(3))
+    bank = Bank().bank
+    twice = bank.change_chances(0.1) @ bank.change_chances(0.2)
+    assert twice == pytest.approx(bank.change_chances(0.3), abs=1e-12)
+    assert twice.sum(axis=1) == pytest.approx(np.ones(8))
+    assert not twice[:4, 4:].any()
 
 
 def test_mixing_leaves_the_blend_where_it_was() -> None:
-    rng = np.random.default_rng(1)
+    rng, bank = np.random.default_rng(1), ModelBank([slice(0, 3)], DWELL_S)
     roots = rng.normal(size=(3, 4, 4))
     state = BankState(rng.normal(size=(3, 4)), roots @ roots.transpose(0, 2, 1), np.array([0.6, 0.3, 0.1]))
-    mixed = mix(state, change_chances(np.array([0.2, 0.5, 0.3]), DWELL_S, 0.5))
-    assert blend(mixed).mean == pytest.approx(blend(state).mean)
-    assert blend(mixed).covariance == pytest.approx(blend(state).covariance)
+    chances = 0.4 * np.array([0.2, 0.5, 0.3]) + 0.6 * np.eye(3)
+    before, after = bank.blend(state), bank.blend(mix(state, chances))
+    assert after.mean == pytest.approx(before.mean)
+    assert after.covariance == pytest.approx(before.covariance)
 
 
 def test_a_state_is_never_written_to_again() -> None:
-    bank, step, _ = bank_and_step()
-    rng = np.random.default_rng(2)
-    bank.predict(DT_S, step)
-    bank.update(seen(1, rng), 1e-4 * np.eye(2))
-    held = bank.state
+    bank = Bank()
+    bank.bank.predict(DT_S, bank.step())
+    bank.update(bank.seen(1))
+    held = bank.bank.state
     before = json.dumps([part.tolist() for part in held])
     for k in range(2, 6):
-        bank.predict(DT_S, step)
-        bank.update(seen(k, rng), 1e-4 * np.eye(2))
-    bank.restore(held)
-    bank.predict(DT_S, step)
+        bank.bank.predict(DT_S, bank.step())
+        bank.update(bank.seen(k))
+        bank.update(bank.seen(k), CLIMB)
+    bank.bank.restore(held)
+    bank.bank.predict(DT_S, bank.step())
     assert json.dumps([part.tolist() for part in held]) == before
 
 
 def test_a_wild_measurement_leaves_probabilities_that_are_numbers() -> None:
-    bank, step, _ = bank_and_step()
-    bank.predict(DT_S, step)
-    bank.update(np.array([1e6, -1e6]), 1e-6 * np.eye(2))
-    assert bank.state.probabilities.sum() == pytest.approx(1.0)
-    assert np.isfinite(bank.state.means).all()
+    bank = Bank()
+    bank.bank.predict(DT_S, bank.step())
+    bank.update(np.array([[1e6, -1e6], [1e6, 0.0]]))
+    for group in bank.models.groups:
+        assert bank.bank.state.probabilities[group].sum() == pytest.approx(1.0)
+    assert np.isfinite(bank.bank.state.means).all()
 
 
 # ---------------------------------------------------------------- the models
@@ -135,9 +206,11 @@ def test_waves_move_exactly_over_any_time(t: float) -> None:
     white = VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ**2
     W = np.diag([0.0, white, 0.0, 4 * zeta * w0**3 * config.wave_acceleration_std_m_s2**2])
     F, Q = by_matrix_exponential(A, W, t)
-    step = VerticalModels(config).step(t)
-    assert step.F[1] == pytest.approx(F, rel=1e-8, abs=1e-10)
-    assert step.Q[1] == pytest.approx(Q, rel=1e-6, abs=1e-10)
+    models = PadModels(config)
+    ours_F, ours_Q = models.step(t, NO_TURN)
+    wave = models.groups[CLIMB].start + 1
+    assert ours_F[wave, UP, UP] == pytest.approx(F, rel=1e-8, abs=1e-10)
+    assert ours_Q[wave, UP, UP] == pytest.approx(Q, rel=1e-6, abs=1e-10)
 
 
 @pytest.mark.parametrize("t", [1 / 30, 0.4, 2.0])
@@ -148,27 +221,29 @@ def test_a_turning_acceleration_moves_exactly(t: float) -> None:
     A[4:6, 4:6] = turn - np.eye(2) / TURN_TIME_CONSTANT_S
     A[6:8, 6:8] = turn - np.eye(2) / TURN_JERK_TIME_CONSTANT_S
     F, _ = by_matrix_exponential(A, np.zeros((8, 8)), t)
-    step = HorizontalModels(config).step(t, Turn(omega, 0.0, 0.0))
-    assert step.F[TURN] == pytest.approx(F, rel=1e-9, abs=1e-11)
+    ours, _ = PadModels(config).step(t, Turn(omega, 0.0, 0.0))
+    assert ours[TURN] == pytest.approx(F, rel=1e-9, abs=1e-11)
 
 
 def test_accelerations_keep_the_spread_that_they_start_with() -> None:
-    plane, climb = HorizontalModels(PadFilterConfig()), VerticalModels(PadFilterConfig())
-    across, up = plane.step(300.0, NO_TURN), climb.step(300.0)
-    lasting = [model for model in range(plane.count) if model != TURN]
-    assert across.Q[lasting, 4, 4] == pytest.approx(plane.acceleration_variance[lasting], rel=1e-3)
+    models = PadModels(PadFilterConfig())
+    _, Q = models.step(300.0, NO_TURN)
+    lasting = [model for model in range(models.count) if model != TURN]
+    assert Q[lasting, 4, 4] == pytest.approx(models.acceleration_variance[lasting], rel=1e-3)
     # of a turn the jerk lasts, and an acceleration that is seen no more may become any
-    assert across.Q[TURN, 6, 6] == pytest.approx(plane.jerk_variance[TURN], rel=1e-3)
-    assert across.Q[TURN, 4, 4] > plane.acceleration_variance[TURN]
-    assert up.Q[:, 2, 2] == pytest.approx(climb.acceleration_variance, rel=1e-3)
-    assert up.Q[:, 3, 3] == pytest.approx(climb.jerk_variance, rel=1e-3)
+    assert Q[TURN, 6, 6] == pytest.approx(models.jerk_variance[TURN], rel=1e-3)
+    assert Q[TURN, 4, 4] > models.acceleration_variance[TURN]
+    climb = models.groups[CLIMB]
+    assert Q[climb, 6, 6] == pytest.approx(models.jerk_variance[climb], rel=1e-3)
 
 
 def test_prediction_takes_the_vehicles_motion_off_every_model() -> None:
-    bank, step, _ = bank_and_step()
-    moved = np.array([0.1, -0.2, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
-    still, driven = advance(bank.state, step), advance(bank.state, step._replace(moved=moved))
-    assert driven.means - still.means == pytest.approx(np.tile(moved, (4, 1)))
+    bank = Bank()
+    step = bank.step()
+    still, driven = (
+        advance(bank.bank.state, step._replace(moved=moved)) for moved in (0.0 * step.moved, step.moved)
+    )
+    assert driven.means - still.means == pytest.approx(step.moved)
 
 
 def test_course_turns_as_velocity_and_acceleration_say() -> None:

@@ -36,7 +36,7 @@ def checked(
 
 @pytest.mark.parametrize("turned_deg", [90.0, -90.0, 179.0, 45.0])
 @pytest.mark.parametrize("height_m", [1.5, 7.0])
-def test_a_camera_that_is_turned_is_told_with_its_angle(turned_deg: float, height_m: float) -> None:
+def test_a_camera_that_is_turned_is_reported_with_its_angle(turned_deg: float, height_m: float) -> None:
     told = checked(Sway(0.0, height_m, noise_m=0.002 * height_m), turned_deg)
     assert told == pytest.approx(turned_deg, abs=8.0)
 
@@ -55,11 +55,11 @@ def test_a_camera_that_is_turned_is_told_with_its_angle(turned_deg: float, heigh
     ],
     ids=str,
 )
-def test_a_camera_that_sits_right_is_not_told(sway: Sway) -> None:
+def test_a_camera_that_sits_right_is_not_reported(sway: Sway) -> None:
     assert checked(sway) is None
 
 
-def test_what_a_calibration_leaves_is_not_told() -> None:
+def test_what_a_calibration_leaves_is_not_reported() -> None:
     assert checked(Sway(0.0), turned_deg=0.5 * LEAST_DEG) is None
 
 

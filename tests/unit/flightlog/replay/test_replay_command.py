@@ -51,7 +51,7 @@ def test_a_flight_of_ours_leaves_numbers_and_plots(
 
 
 @pytest.mark.parametrize("write", [write_dataflash, write_ulog])
-def test_an_autopilots_log_leaves_them_where_told(
+def test_an_autopilots_log_leaves_them_where_asked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: object
 ) -> None:
     assert callable(write)

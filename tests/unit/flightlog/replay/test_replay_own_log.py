@@ -130,7 +130,7 @@ def test_settings_that_this_version_does_not_have_are_left_out_and_noted(tmp_pat
     ]
 
 
-def test_messages_that_the_disk_lost_are_told(tmp_path: Path) -> None:
+def test_messages_that_the_disk_lost_are_reported(tmp_path: Path) -> None:
     log = FlightLog(tmp_path, 0.0)
     log.write("notice", Notice(1.0, "record", "the disk does not keep up: 3 messages lost", "warning"), 1.0)
     log.close()

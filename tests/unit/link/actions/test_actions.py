@@ -88,7 +88,7 @@ def test_going_somewhere_names_the_place_the_altitude_and_the_heading(autopilot_
     assert (command.param2, command.param4) == pytest.approx((1.0, 0.5))
 
 
-def test_without_a_heading_px4_is_told_none() -> None:
+def test_without_a_heading_px4_is_reported_none() -> None:
     autopilot = autopilot_of("px4")
     perform(autopilot, Action(ActionKind.GO_TO, position=(47.0, 8.0, 7.0)))
     assert math.isnan(autopilot.commands(mavlink.MAV_CMD_DO_REPOSITION)[0].param4)
@@ -133,7 +133,7 @@ def test_before_any_heartbeat_everything_is_refused() -> None:
 def test_without_home_nobody_goes_anywhere() -> None:
     autopilot = FakeAutopilot(deaf_to={mavlink.MAV_CMD_REQUEST_MESSAGE: 99})
     [result] = perform(autopilot, Action(ActionKind.GO_TO, position=(47.0, 8.0, 7.0)))
-    assert (result.accepted, result.text) == (False, "the autopilot has not told its home position")
+    assert (result.accepted, result.text) == (False, "the autopilot has not reported its home position")
 
 
 def test_disarming_on_the_ground_needs_no_force() -> None:

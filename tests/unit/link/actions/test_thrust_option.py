@@ -75,11 +75,11 @@ def test_a_lost_question_for_a_parameter_is_repeated() -> None:
     assert len(sent(autopilot, "PARAM_REQUEST_READ")) == 3
 
 
-def test_a_parameter_that_is_not_told_is_a_refusal() -> None:
+def test_a_parameter_that_is_not_reported_is_a_refusal() -> None:
     autopilot = autopilot_of("ardupilot")
     autopilot.deaf_to_parameters = 99
     result = take_control_by_attitude(autopilot)
-    assert (result.accepted, result.text) == (False, "the autopilot does not tell its GUID_OPTIONS")
+    assert (result.accepted, result.text) == (False, "the autopilot does not report its GUID_OPTIONS")
 
 
 def test_cancelling_ends_the_question_for_a_parameter() -> None:

@@ -87,4 +87,4 @@ def test_a_beacon_of_another_system_is_no_answer_but_a_hint() -> None:
 
     [result] = perform(FakeAutopilot(), Action(ActionKind.REQUEST_PAD_POSITION), ground=answer)
     assert not result.accepted
-    assert "no answer (system 254 tells one; link.ground_system_id is another)" in result.text
+    assert "no answer (system 254 has one; link.ground_system_id is another)" in result.text

@@ -223,7 +223,7 @@ def test_what_comes_and_cannot_be_used_says_why() -> None:
     assert "HIGHRES_IMU comes but cannot be used" in str(onboard.sensors.watch(onboard.now_s))
 
 
-def test_an_imu_that_is_too_slow_gps_and_rangefinder_that_are_missing_are_told() -> None:
+def test_an_imu_that_is_too_slow_gps_and_rangefinder_that_are_missing_are_reported() -> None:
     slow = Onboard("ardupilot")
     slow.run(10.0, raw, rate_hz=10.0)
     assert "RAW_IMU comes at about 10 Hz; expected 50 Hz or more (ArduPilot: SRx" in str(

@@ -134,7 +134,7 @@ def test_the_receiver_shows_place_and_speed_of_the_flight(
             assert np.corrcoef(told[fast, axis], way[fast, axis])[0, 1] > 0.8
 
 
-def test_px4s_rangefinder_is_read_although_its_quality_is_not_told() -> None:
+def test_px4s_rangefinder_is_read_although_its_quality_is_not_reported() -> None:
     echoes = replay("px4", IMU["px4"])[RangeSample]
     distances = [echo.distance_m for echo in echoes]
     assert len(distances) > 20

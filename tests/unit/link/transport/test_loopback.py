@@ -58,7 +58,7 @@ def test_the_link_listens_at_this_computer_alone(config: LinkConfig) -> None:
     assert form["host"] is None or ip_address(form["host"]).is_loopback
 
 
-async def test_where_the_link_listens_is_where_it_was_told() -> None:
+async def test_where_the_link_listens_is_where_it_was_set() -> None:
     transport = await open_transport(f"udpin:127.0.0.1:{free_ports(1)[0]}")
     assert isinstance(transport, UdpTransport)
     assert addresses(os.getpid()) >= {"127.0.0.1"}

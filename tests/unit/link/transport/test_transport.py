@@ -43,7 +43,7 @@ def test_the_pipe_goes_both_ways() -> None:
     assert run_in_virtual_time(main()) == (b"there", b"back")
 
 
-def test_what_has_arrived_is_read_before_the_end_is_told() -> None:
+def test_what_has_arrived_is_read_before_the_end_is_reported() -> None:
     async def main() -> bytes:
         one, other = memory_pair()
         one.write(b"last")

@@ -90,7 +90,7 @@ async def test_a_stuck_line_drops_what_it_cannot_take() -> None:
         ("udp:127.0.0.1:99999", "."),
     ],
 )
-async def test_what_cannot_be_opened_is_told_in_one_line(spec: str, reason: str) -> None:
+async def test_what_cannot_be_opened_is_reported_in_one_line(spec: str, reason: str) -> None:
     with pytest.raises(ConfigError, match=rf"^link\.connection: .*{reason}") as caught:
         await open_transport(spec)
     assert "\n" not in str(caught.value)
@@ -129,6 +129,6 @@ async def test_tcp_drops_whole_writes_while_nobody_takes_them() -> None:
     server.close()
 
 
-async def test_a_tcp_port_where_nobody_listens_is_told_in_one_line() -> None:
+async def test_a_tcp_port_where_nobody_listens_is_reported_in_one_line() -> None:
     with pytest.raises(ConfigError, match=r"^link\.connection: tcp:127\.0\.0\.1:1: Connection refused$"):
         await open_transport("tcp:127.0.0.1:1")

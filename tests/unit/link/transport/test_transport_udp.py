@@ -119,6 +119,18 @@ def test_a_peer_that_has_fallen_silent_is_followed_by_the_next_heartbeats() -> N
     assert peers == [AUTOPILOT, AUTOPILOT, STRAY]
 
 
+def test_an_autopilot_that_speaks_before_its_heartbeat_is_no_stranger_to_warn_of(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    peers = answered_to((0.0, b"attitude", AUTOPILOT), (0.9, HEARTBEAT, AUTOPILOT))
+    assert (peers, caplog.messages) == ([None, AUTOPILOT], [])
+
+
+def test_a_stranger_that_goes_on_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    answered_to(*((0.5 * i, heartbeat_of(2), STRAY) for i in range(20)))
+    assert caplog.messages == ["link: 192.0.2.7:999 is not heard: no heartbeat of system 1"]
+
+
 def test_what_strangers_say_is_not_heard() -> None:
     async def main() -> tuple[bytes, int]:
         transport = UdpTransport(1)
@@ -144,7 +156,7 @@ async def test_a_caller_survives_that_nobody_listens_yet() -> None:
         listener.close()
 
 
-async def test_a_port_in_use_is_told_in_one_line() -> None:
+async def test_a_port_in_use_is_reported_in_one_line() -> None:
     port = free_port()
     first = await open_transport(f"udpin:127.0.0.1:{port}")
     try:

@@ -175,7 +175,7 @@ def test_on_the_pad_it_says_so_and_disarms_once_the_autopilot_agrees() -> None:
     assert flight.told("contact")
 
 
-def test_an_autopilot_that_never_finds_itself_landed_is_disarmed_by_force_and_never_told_to_land() -> None:
+def test_an_autopilot_that_never_finds_itself_landed_is_disarmed_by_force_and_never_ordered_to_land() -> None:
     w = world(heave())
     flight = w.fly(60.0, until=lambda x: x.flight.told("commit") != [])
     w.autopilot.doubts = True

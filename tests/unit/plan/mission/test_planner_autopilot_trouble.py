@@ -68,7 +68,7 @@ def test_a_take_off_whose_answers_are_lost_is_landed_not_left_in_the_air() -> No
     assert w.position[2] == pytest.approx(-LEG_M, abs=0.01)
 
 
-def test_an_autopilot_that_is_not_ready_is_not_asked_and_what_is_missing_is_told() -> None:
+def test_an_autopilot_that_is_not_ready_is_not_asked_and_what_is_missing_is_reported() -> None:
     w = world()
     w.autopilot.ready_from_s = 1e9
     flight = w.fly(120.0)
@@ -76,6 +76,12 @@ def test_an_autopilot_that_is_not_ready_is_not_asked_and_what_is_missing_is_told
     assert w.autopilot.heard == []
     assert flight.told("waiting")[-1] == "waiting for it to be ready to arm"
     assert len(flight.told("waiting")) <= 10
+
+
+def test_a_px4_left_in_offboard_by_the_last_landing_is_named_as_the_reason() -> None:
+    w = world()
+    w.autopilot.ready_from_s, w.autopilot.mode = 1e9, "OFFBOARD"
+    assert "in OFFBOARD PX4 is not, without setpoints" in w.fly(60.0).told("waiting")[-1]
 
 
 def test_a_refused_waypoint_does_not_end_the_mission() -> None:
@@ -196,7 +202,7 @@ def test_a_vehicle_that_is_found_armed_is_left_alone_even_when_it_is_disarmed_la
     assert w.autopilot.heard == []
 
 
-def test_every_change_of_phase_is_told() -> None:
+def test_every_change_of_phase_is_reported() -> None:
     flight = world().fly(90.0)
     told = [text.split(":")[0].replace(" ", "_") for text in flight.told("phase")]
     assert told == [phase.value for _, phase in flight.phases[1:]]

@@ -54,7 +54,7 @@ def test_after_its_attempts_it_is_given_up_with_the_autopilots_words() -> None:
     assert r.due(100.0) == ()
 
 
-def test_arming_is_never_given_up_and_each_new_reason_is_told_once() -> None:
+def test_arming_is_never_given_up_and_each_new_reason_is_reported_once() -> None:
     r = requests()
     r.ask(ARM, 0.0)
     told: list[tuple[str, ...]] = []
@@ -108,7 +108,7 @@ def test_different_actions_do_not_wait_for_each_other() -> None:
     assert not r.asked(ActionKind.LAND)
 
 
-def test_what_is_told_goes_out_once_and_awaits_nothing() -> None:
+def test_what_is_reported_goes_out_once_and_awaits_nothing() -> None:
     r = requests()
     r.tell(Action(ActionKind.REQUEST_PAD_POSITION))
     assert [a.kind for a in r.due(0.0)] == [ActionKind.REQUEST_PAD_POSITION]

@@ -110,7 +110,7 @@ def shut_in(north: float, east: float) -> tuple[Box, ...]:
     )
 
 
-def test_a_waypoint_to_which_no_way_leads_is_held_before_and_told_and_ends_by_time() -> None:
+def test_a_waypoint_to_which_no_way_leads_is_held_before_and_reported_and_ends_by_time() -> None:
     phase_times = PhaseTimesConfig(route_s=8.0, search_s=10.0)
     config = PlanConfig(obstacles=shut_in(10.0, 0.0), mission=MissionConfig(phases=phase_times))
     world = World(still(60.0, 60.0), config=config)

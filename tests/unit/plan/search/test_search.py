@@ -198,7 +198,9 @@ def test_each_corner_is_sought_before_it_is_given_up_for_an_obstacle() -> None:
 
 
 @pytest.mark.parametrize(("speed_m_s", "followed"), [(4.0, True), (6.0, False)])
-def test_a_pad_that_is_told_to_be_too_fast_is_waited_for_not_chased(speed_m_s: float, followed: bool) -> None:
+def test_a_pad_that_is_reported_to_be_too_fast_is_waited_for_not_chased(
+    speed_m_s: float, followed: bool
+) -> None:
     generator = ReferenceGenerator(GuidanceConfig(), lambda _d, _v, _a: 1.5, 20, 0.1)
     generator.start("local", Motion((0.0, 0.0, -7.0)), 0.0)
     search = Search(CONFIG, generator, fastest_m_s=5.0)

@@ -14,7 +14,7 @@ def _law(name: str, **changes: object) -> PlanConfig:
     return PlanConfig.model_validate({"speed_law": name, **changes})
 
 
-def test_the_fuzzy_pilot_flies_unless_told_otherwise() -> None:
+def test_the_fuzzy_pilot_flies_unless_set_otherwise() -> None:
     law = load_speed_law(PlanConfig())
     assert isinstance(law, SpeedTable)
     assert law == TABLE

@@ -105,7 +105,7 @@ def test_what_lasts_makes_the_camera_lost(fed: Fed) -> None:
     assert fed.health.lost(fed.now_s) == "content"
 
 
-def test_a_camera_that_still_shows_something_is_told_and_kept(fed: Fed) -> None:
+def test_a_camera_that_still_shows_something_is_reported_and_kept(fed: Fed) -> None:
     torn = with_lower_part(lambda _: 0)  # a hood, a leg or a marker's black in the dark looks the same
     while fed.now_s < fed.spoilt_s + 40.0:
         fed.feed(PERIOD_S, torn)
@@ -146,7 +146,7 @@ def test_silence_is_trouble_within_a_third_of_a_second_at_any_rate(
     assert health.lost(101.1) == "silent"
 
 
-def test_a_camera_that_never_begins_is_told_and_lost(camera: CameraConfig) -> None:
+def test_a_camera_that_never_begins_is_reported_and_lost(camera: CameraConfig) -> None:
     health = CameraHealth(patience_with(camera, "device"), opened_s=100.0)
     assert health.trouble(101.9) is None
     assert "since it was opened" in (health.trouble(102.1) or "")

@@ -110,7 +110,9 @@ def test_a_good_camera_is_handed_on_frame_by_frame_and_says_nothing(camera: Came
     assert seen.problems == [None] * 30
 
 
-def test_a_stall_is_told_within_a_third_of_a_second_and_ends_by_opening_anew(camera: CameraConfig) -> None:
+def test_a_stall_is_reported_within_a_third_of_a_second_and_ends_by_opening_anew(
+    camera: CameraConfig,
+) -> None:
     seen = run(camera, [until(2.0, silent), good], 6.0)
     (told_s,) = seen.told("no frame for")
     assert 2.0 < told_s <= 2.3
@@ -164,7 +166,7 @@ def test_a_camera_that_opens_and_gives_nothing_is_tried_with_growing_pauses_too(
         (lambda frame: replace(frame, time_s=2.0), "stand still"),
     ],
 )
-def test_garbage_is_told_kept_from_the_eyes_and_opened_anew(
+def test_garbage_is_reported_kept_from_the_eyes_and_opened_anew(
     camera: CameraConfig, spoil: Act, told: str
 ) -> None:
     seen = run(camera, [until(2.0, spoil), good], 6.0)
@@ -242,7 +244,7 @@ def test_images_of_another_size_in_flight_are_trouble_like_any_other(camera: Cam
     assert seen.frames_between(2.0, 4.0) > 50
 
 
-def test_the_end_of_a_recording_is_told_and_not_played_again(camera: CameraConfig) -> None:
+def test_the_end_of_a_recording_is_reported_and_not_played_again(camera: CameraConfig) -> None:
     def over(_: Frame) -> Frame:
         raise EndOfFrames("flight.mp4 has ended")
 
@@ -252,20 +254,22 @@ def test_the_end_of_a_recording_is_told_and_not_played_again(camera: CameraConfi
     assert seen.problems[-1] == "flight.mp4 has ended"
 
 
-def test_a_silent_server_is_told_as_soon_but_parted_from_later(camera: CameraConfig) -> None:
+def test_a_silent_server_is_reported_as_soon_but_parted_from_later(camera: CameraConfig) -> None:
     seen = run(camera, [until(1.0, silent), good], 9.0, socket=True)
     assert [time_s <= 1.3 for time_s in seen.told("no frame for")] == [True]
     assert seen.openings[1] > 5.5
 
 
-def test_short_gaps_are_told_once_each_and_the_camera_is_not_closed_for_them(camera: CameraConfig) -> None:
+def test_short_gaps_are_reported_once_each_and_the_camera_is_not_closed_for_them(
+    camera: CameraConfig,
+) -> None:
     gappy: Act = lambda frame: None if frame.time_s % 2.0 < 0.5 else frame  # noqa: E731
     seen = run(camera, [gappy], 10.0)
     assert len(seen.openings) == 1
     assert len(seen.told("no frame for")) == len(seen.told("frames again after")) == 4
 
 
-def test_what_a_driver_did_not_take_is_told_as_a_warning(camera: CameraConfig) -> None:
+def test_what_a_driver_did_not_take_is_reported_as_a_warning(camera: CameraConfig) -> None:
     async def main() -> CameraReport:
         source = ScriptedCamera(good)
         source.notes.append("gain 30 asked for, the driver says 0")
@@ -279,7 +283,7 @@ def test_what_a_driver_did_not_take_is_told_as_a_warning(camera: CameraConfig) -
     assert report == CameraReport("camera: gain 30 asked for, the driver says 0", "warning")
 
 
-def test_what_a_driver_never_takes_is_not_told_at_every_opening(camera: CameraConfig) -> None:
+def test_what_a_driver_never_takes_is_not_reported_at_every_opening(camera: CameraConfig) -> None:
     texts = list[str]()
 
     async def open_it() -> LiveSource:

@@ -159,7 +159,9 @@ async def test_the_stamp_is_the_end_of_the_first_row_s_exposure_by_either_clock(
 
 
 @pytest.mark.usefixtures("module")
-async def test_what_libcamera_made_of_the_settings_is_read_back_and_told_once(camera: CameraConfig) -> None:
+async def test_what_libcamera_made_of_the_settings_is_read_back_and_reported_once(
+    camera: CameraConfig,
+) -> None:
     device, pi = await opened(camera, gain=8.0)
     pi.metadata |= {"ExposureTime": 9990, "AnalogueGain": 1.5}
     for _ in range(2 * SETTLED_FRAMES):

@@ -120,7 +120,7 @@ async def test_who_comes_late_misses_frames(camera: CameraConfig, tmp_path: Path
     assert device.read().time_s == pytest.approx(first.time_s + 0.05)
 
 
-async def test_an_image_that_cannot_be_read_is_told_and_passed_over(
+async def test_an_image_that_cannot_be_read_is_reported_and_passed_over(
     camera: CameraConfig, tmp_path: Path
 ) -> None:
     write(tmp_path, ["1.png", "3.png"])
@@ -131,7 +131,7 @@ async def test_an_image_that_cannot_be_read_is_told_and_passed_over(
     assert "cannot be read" in device.notes[0]
 
 
-async def test_an_image_of_another_size_among_others_is_told_and_passed_over(
+async def test_an_image_of_another_size_among_others_is_reported_and_passed_over(
     camera: CameraConfig, tmp_path: Path
 ) -> None:
     write(tmp_path, ["1.png", "3.png"])

@@ -135,7 +135,7 @@ async def test_what_the_driver_did_not_take_is_one_line(
     assert told in note
 
 
-async def test_a_control_that_the_driver_has_not_got_is_told_only_when_it_is_wanted(
+async def test_a_control_that_the_driver_has_not_got_is_reported_only_when_it_is_wanted(
     camera: CameraConfig, plug_in: Install
 ) -> None:
     plug_in()
@@ -145,7 +145,9 @@ async def test_a_control_that_the_driver_has_not_got_is_told_only_when_it_is_wan
     ]
 
 
-async def test_a_rate_that_the_driver_does_not_make_is_told(camera: CameraConfig, plug_in: Install) -> None:
+async def test_a_rate_that_the_driver_does_not_make_is_reported(
+    camera: CameraConfig, plug_in: Install
+) -> None:
     plug_in(stubborn=(cv2.CAP_PROP_FPS,)).values[cv2.CAP_PROP_FPS] = 10.0
     assert "30 frames/s asked for, the driver says 10" in (await device(camera)).notes[0]
 
@@ -264,7 +266,7 @@ async def test_whatever_a_driver_raises_is_a_camera_that_is_gone(
         await asyncio.wait_for(source.next(), 5.0)
 
 
-async def test_a_driver_that_sends_another_size_than_it_promised_is_told(
+async def test_a_driver_that_sends_another_size_than_it_promised_is_reported(
     camera: CameraConfig, plug_in: Install
 ) -> None:
     plug_in(lambda _: np.zeros((720, 1280, 3), np.uint8))

@@ -127,7 +127,9 @@ async def test_a_frame_without_a_time_is_as_old_as_the_settings_say(
 
 
 @pytest.mark.parametrize("off_s", [-60.0, 3600.0])
-async def test_another_clock_than_ours_is_told(off_s: float, tmp_path: Path, camera: CameraConfig) -> None:
+async def test_another_clock_than_ours_is_reported(
+    off_s: float, tmp_path: Path, camera: CameraConfig
+) -> None:
     data = pack_frame(np.zeros((480, 640), np.uint8), 0, max(Clock().now_s() + off_s, 1e-9))
     with pytest.raises(ConfigError, match="expected CLOCK_MONOTONIC at mid-exposure, or 0"):
         await from_a_server_that_says(data, tmp_path, camera)

@@ -40,7 +40,7 @@ def test_a_driver_without_stamps_leaves_the_arrival_which_the_last_row_s_readout
     assert found == pytest.approx(100.0 - 0.5 * EXPOSURE_S - 0.5 * READOUT_S)
 
 
-def test_a_driver_without_stamps_is_told_once() -> None:
+def test_a_driver_without_stamps_is_reported_once() -> None:
     reader, told = StampReader(), list[int]()
     for number in range(5 * ENOUGH_UNSTAMPED):
         reader.read(0.0, 100.0 + number)

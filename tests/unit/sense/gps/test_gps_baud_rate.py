@@ -151,7 +151,7 @@ def test_a_receiver_that_does_not_change_its_rate_serves_at_the_one_it_has() -> 
     assert "NEO-6M: stays at 9600 baud, asked for 38400" in rig.problems
 
 
-def test_a_silent_line_is_told_and_tried_at_all_rates() -> None:
+def test_a_silent_line_is_reported_and_tried_at_all_rates() -> None:
     tried: set[int] = set()
 
     async def script(rig: Rig) -> None:

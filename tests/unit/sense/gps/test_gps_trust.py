@@ -93,7 +93,7 @@ def test_the_dilution_of_a_lost_fix_does_not_hold_up_the_next_one() -> None:
     assert len(line.whole()) == 1
 
 
-def test_fixes_that_are_not_believed_are_told() -> None:
+def test_fixes_that_are_not_believed_are_reported() -> None:
     line = Line()
     for _ in range(20):
         line.whole(dop(line.itow, 20.0))
@@ -107,7 +107,7 @@ def test_nmea_with_a_poor_dilution_is_no_position() -> None:
     assert len(Neo6m(GpsConfig()).feed(rmc + nmea(gga.format("5.50")), 1.0)) == 1
 
 
-def test_a_receiver_that_repeats_one_epoch_for_ever_gives_one_fix_and_is_told() -> None:
+def test_a_receiver_that_repeats_one_epoch_for_ever_gives_one_fix_and_is_reported() -> None:
     line = Line()
     for _ in range(30):
         line.epoch(posllh(START_MS), sol(START_MS), velned(START_MS))

@@ -53,7 +53,7 @@ def test_an_answer_to_something_else_is_no_answer() -> None:
     assert receiver.pending(1.1) == first
 
 
-def test_a_lost_answer_is_asked_for_again_and_silence_is_told() -> None:
+def test_a_lost_answer_is_asked_for_again_and_silence_is_reported() -> None:
     receiver = Neo6m(CONFIG)
     first = receiver.pending(0.0)
     for k in range(4):
@@ -76,7 +76,9 @@ def test_a_lost_answer_is_asked_for_again_and_silence_is_told() -> None:
         (ubx(5, 1, bytes((6, 0x13))), "no fix"),
     ],
 )
-def test_the_first_thing_that_is_missing_is_told_and_forgotten_when_it_comes(data: bytes, words: str) -> None:
+def test_the_first_thing_that_is_missing_is_reported_and_forgotten_when_it_comes(
+    data: bytes, words: str
+) -> None:
     receiver = Neo6m(CONFIG)
     for k in range(20):
         if data:
@@ -89,7 +91,7 @@ def test_the_first_thing_that_is_missing_is_told_and_forgotten_when_it_comes(dat
     assert receiver.problem is None
 
 
-def test_a_refused_command_is_told_and_passed_over() -> None:
+def test_a_refused_command_is_reported_and_passed_over() -> None:
     receiver = Neo6m(CONFIG)
     first = receiver.pending(0.0)
     receiver.feed(acknowledge(first, kind=0), 0.1)

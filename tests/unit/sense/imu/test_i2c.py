@@ -168,7 +168,7 @@ def test_a_bus_that_is_none_is_refused_with_what_is_expected(spec: str) -> None:
         open_bus(spec)
 
 
-def test_an_adapter_that_is_not_there_is_told_in_one_line() -> None:
+def test_an_adapter_that_is_not_there_is_reported_in_one_line() -> None:
     with pytest.raises(ConfigError, match=r"^bus 'i2c:250': /dev/i2c-250 cannot be opened: No such file"):
         open_bus("i2c:250")
 

@@ -34,7 +34,7 @@ def test_another_chip_is_refused_in_one_line() -> None:
     assert "\n" not in str(error.value)
 
 
-def test_an_empty_bus_is_told_in_one_line() -> None:
+def test_an_empty_bus_is_reported_in_one_line() -> None:
     rig = Rig(ImuConfig(address=0x69))
     with pytest.raises(SensorError, match=r"^MPU9250 at 0x69: Remote I/O error$"):
         rig.driver.configure()
@@ -57,7 +57,7 @@ def test_fifo_overflow_is_reported_once_and_sampling_goes_on() -> None:
 @pytest.mark.parametrize(
     ("fault", "words"), [("nack", "Remote I/O error"), ("ones", "all ones"), ("stuck", "no sample for")]
 )
-def test_a_fault_is_told_and_the_driver_recovers_by_itself(fault: str, words: str) -> None:
+def test_a_fault_is_reported_and_the_driver_recovers_by_itself(fault: str, words: str) -> None:
     rig = Rig()
     rig.run(1.0)
     rig.device.fault = fault  # type: ignore[assignment]
@@ -92,7 +92,7 @@ def test_the_same_sample_for_ever_is_a_dead_sensor() -> None:
     assert "stuck" in str(rig.faults[0])
 
 
-def test_settings_that_do_not_take_are_told() -> None:
+def test_settings_that_do_not_take_are_reported() -> None:
     rig = Rig()
     write = rig.device.write
 
@@ -136,7 +136,7 @@ def test_a_magnetometer_that_loses_its_settings_is_brought_up_anew() -> None:
 
 
 @pytest.mark.parametrize("dead", ["silent", "another chip"])
-def test_without_a_magnetometer_at_the_start_the_samples_flow_and_it_is_told(dead: str) -> None:
+def test_without_a_magnetometer_at_the_start_the_samples_flow_and_it_is_reported(dead: str) -> None:
     rig = Rig()
     if dead == "silent":
         rig.device.magnetometer.silent = True
@@ -238,7 +238,7 @@ def test_a_read_that_broke_off_within_a_frame_does_not_shift_the_ones_after_it()
         assert sample.specific_force_body_m_s2 == pytest.approx(REST, abs=0.05)
 
 
-def test_a_bus_that_stays_dead_is_told_after_a_few_polls() -> None:
+def test_a_bus_that_stays_dead_is_reported_after_a_few_polls() -> None:
     rig = Rig()
     rig.run(1.0)
     rig.device.fault = "nack"

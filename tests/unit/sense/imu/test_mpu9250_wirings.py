@@ -55,7 +55,7 @@ def test_stamps_are_the_instants_of_measurement(config: ImuConfig, clock_error: 
 
 
 @pytest.mark.parametrize("fault", ["nack", "ones", "stuck"])
-def test_a_fault_is_told_in_one_line_and_recovered_from(config: ImuConfig, fault: str) -> None:
+def test_a_fault_is_reported_in_one_line_and_recovered_from(config: ImuConfig, fault: str) -> None:
     rig = Rig(config)
     rig.run(1.0)
     rig.device.fault = fault  # type: ignore[assignment]
@@ -119,7 +119,7 @@ def test_magnetic_overflow_is_no_sample_and_leaves_the_rest_alone(config: ImuCon
 
 
 @pytest.mark.parametrize("fuses", [bytes(3), b"\xff\xff\xff"])
-def test_a_sensitivity_adjustment_that_reads_as_nothing_is_told(fuses: bytes) -> None:
+def test_a_sensitivity_adjustment_that_reads_as_nothing_is_reported(fuses: bytes) -> None:
     class Chip:
         """An AK8963 whose fuse ROM cannot be read."""
 

@@ -104,7 +104,7 @@ def test_a_chip_that_is_not_behind_the_chip_select_is_a_bus_fault(spidev: type[F
         SpiBus(0, 0).read(0x0C, 0x00, 1)
 
 
-def test_a_missing_module_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_module_is_reported_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "spidev", None)
     with pytest.raises(
         ConfigError,
@@ -113,13 +113,13 @@ def test_a_missing_module_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -
         open_bus("spi:0.0")
 
 
-def test_a_missing_device_is_told_in_one_line(spidev: type[FakeSpiDev]) -> None:
+def test_a_missing_device_is_reported_in_one_line(spidev: type[FakeSpiDev]) -> None:
     spidev.missing = FileNotFoundError(2, "No such file or directory")
     with pytest.raises(ConfigError, match=r"/dev/spidev1.2 cannot be opened: No such file"):
         open_bus("spi:1.2")
 
 
 @pytest.mark.parametrize("spec", ["spi:", "spi:0", "spi:0.", "spi:a.b", "spi:0.0.0"])
-def test_a_misspelt_bus_is_told(spec: str) -> None:
+def test_a_misspelt_bus_is_reported(spec: str) -> None:
     with pytest.raises(ConfigError, match=r"expected i2c:NUMBER, spi:BUS.SELECT or socket:PATH"):
         open_bus(spec)

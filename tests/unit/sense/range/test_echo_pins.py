@@ -144,7 +144,9 @@ async def test_a_spike_is_kept_out(sensor: Sensor) -> None:
 
 
 @pytest.mark.parametrize(("stuck", "words"), [(False, "does not rise"), (True, "stays high")])
-async def test_a_dead_echo_pin_is_told_and_recovered_from(sensor: Sensor, stuck: bool, words: str) -> None:
+async def test_a_dead_echo_pin_is_reported_and_recovered_from(
+    sensor: Sensor, stuck: bool, words: str
+) -> None:
     opened = pins(sensor)
     finder = EchoRange(opened, CONFIG, Clock())
     now_s = Clock().now_s()
@@ -189,7 +191,7 @@ async def test_the_settings_choose_it(sensor: Sensor) -> None:
     assert isinstance(make_range_finder(CONFIG, pins(sensor), Clock()), EchoRange)
 
 
-async def test_a_missing_module_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_missing_module_is_reported_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gpiozero", None)
     with pytest.raises(
         ConfigError, match=r"gpiozero is missing; expected: apt install python3-gpiozero python3-lgpio$"
@@ -197,7 +199,7 @@ async def test_a_missing_module_is_told_in_one_line(monkeypatch: pytest.MonkeyPa
         EchoPins(TRIGGER, ECHO, Clock())
 
 
-async def test_pins_that_cannot_be_had_are_told_in_one_line(sensor: Sensor) -> None:
+async def test_pins_that_cannot_be_had_are_reported_in_one_line(sensor: Sensor) -> None:
     first: Any = pins(sensor)
     with pytest.raises(ConfigError, match=r"^GPIO pins 23 and 24: cannot be opened: .*in use") as error:
         pins(sensor)

@@ -71,7 +71,7 @@ def test_distances_and_times_agree_with_the_descent(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_sensor_that_falls_silent_is_told_and_taken_up_again(kind: Kind) -> None:
+def test_a_sensor_that_falls_silent_is_reported_and_taken_up_again(kind: Kind) -> None:
     samples, problems = measure(kind, 5.9, silent_from_s=1.5, silent_until_s=4.2)
     assert problems == [None, None, "ultrasonic: nothing received", "ultrasonic: nothing received", None]
     assert not [s for s in samples if 1.7 < s.time_s < 4.1]

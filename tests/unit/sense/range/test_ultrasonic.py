@@ -88,7 +88,7 @@ def problem_at(parser: Ultrasonic, now_s: float) -> str | None:
     return parser.problem
 
 
-def test_a_sensor_that_says_nothing_is_told_and_forgotten_when_it_speaks() -> None:
+def test_a_sensor_that_says_nothing_is_reported_and_forgotten_when_it_speaks() -> None:
     parser = Ultrasonic(RangeConfig())
     assert problem_at(parser, 10.0) is None
     assert problem_at(parser, 10.9) is None
@@ -105,7 +105,7 @@ def test_no_echo_is_no_fault() -> None:
         assert problem_at(parser, 0.1 * k) is None
 
 
-def test_bytes_that_make_no_frame_are_told() -> None:
+def test_bytes_that_make_no_frame_are_reported() -> None:
     parser = Ultrasonic(RangeConfig())
     for k in range(30):
         parser.feed(b"\x12\x34", 0.1 * k)

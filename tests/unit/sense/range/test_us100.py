@@ -85,7 +85,7 @@ def problem_at(driver: Us100, now_s: float) -> str | None:
     return driver.problem
 
 
-def test_a_sensor_that_says_nothing_is_told_and_forgotten_when_it_speaks() -> None:
+def test_a_sensor_that_says_nothing_is_reported_and_forgotten_when_it_speaks() -> None:
     driver = Us100(CONFIG)
     assert problem_at(driver, 0.0) is None
     assert problem_at(driver, 0.9) is None

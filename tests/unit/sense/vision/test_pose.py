@@ -194,7 +194,7 @@ def rolled(
     return sheared
 
 
-def test_a_rolling_shutters_shear_is_told_apart_from_the_pose(
+def test_a_rolling_shutters_shear_is_reported_apart_from_the_pose(
     pad: Pad, camera: CameraConfig, lens: Lens
 ) -> None:
     rotation, position = camera_from_pad_at(0.3), np.array([0.01, 0.02, 0.25])
@@ -213,7 +213,7 @@ def test_a_rolling_shutters_shear_is_told_apart_from_the_pose(
 
 
 @pytest.mark.parametrize("rate", [(0.6, 0.1, 0.2), (0.8, 0.4, -0.3), (-0.8, -0.3, 0.2)])
-def test_how_the_camera_turns_is_told_apart_from_how_far_the_pad_is(
+def test_how_the_camera_turns_is_reported_apart_from_how_far_the_pad_is(
     pad: Pad, camera: CameraConfig, lens: Lens, rate: Vector3
 ) -> None:
     # GIVEN two markers of a pad 8 m off, near the edge of the view, that pass at up to 6 m/s

@@ -42,7 +42,7 @@ def test_it_stops_soon_however_long_it_could_not_fly_as_fast_as_asked(autopilot_
     assert math.dist(stopped[-1].velocity, ZERO3) < 0.3
 
 
-def test_ardupilots_lean_goes_on_at_its_limit_and_is_told() -> None:
+def test_ardupilots_lean_goes_on_at_its_limit_and_is_reported() -> None:
     control: Any = PROFILES["ardupilot"].position_control(HOVER)
     told = []
     for _ in range(300):  # held back by whatever it is

@@ -198,7 +198,7 @@ def test_a_heading_that_is_no_number_is_the_present_one(autopilot_kind: Autopilo
 
 
 @BOTH
-def test_homes_upon_homes_stay_within_what_can_be_told(autopilot_kind: AutopilotKind) -> None:
+def test_homes_upon_homes_stay_within_what_a_message_holds(autopilot_kind: AutopilotKind) -> None:
     station = Station(autopilot_kind)
     higher = mavlink.MAVLink_command_int_message(
         1, 1, 6, mavlink.MAV_CMD_DO_SET_HOME, 0, 0, 0.0, 0.0, 0.0, 0.0,

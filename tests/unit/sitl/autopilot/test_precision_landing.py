@@ -94,7 +94,7 @@ def moving(now_s: float) -> Vector3:
 
 
 @pytest.mark.parametrize(("options", "lag_m"), [(1.0, 0.1), (0.0, 0.5)])
-def test_ardupilot_follows_a_moving_pad_if_told_that_it_moves(options: float, lag_m: float) -> None:
+def test_ardupilot_follows_a_moving_pad_if_set_to(options: float, lag_m: float) -> None:
     landing = Landing("ardupilot", moving, PLND_OPTIONS=options, PLND_XY_DIST_MAX=0.1)
     landing.begin()
     landing.down(8.0)

@@ -18,7 +18,7 @@ from sitl.autopilot.control.setpoints import (
     IgnoreAttitude,
     LocalFrame,
     MotionSetpoint,
-    Refusal,
+    SetpointRefusal,
     StreamedAttitude,
     StreamedMotion,
 )
@@ -35,11 +35,11 @@ def fields(frame: int, mask: int, *, is_global: bool = False) -> StreamedMotion:
     return StreamedMotion(frame, mask, place, velocity, acceleration, 0.2, 0.3, is_global)
 
 
-def px4(message: StreamedMotion, heading: float = 0.0) -> MotionSetpoint | Refusal:
+def px4(message: StreamedMotion, heading: float = 0.0) -> MotionSetpoint | SetpointRefusal:
     return px4_setpoints.read_motion(message, HERE, quat_from_euler(0.0, 0.0, heading), heading)
 
 
-def ardupilot(message: StreamedMotion, heading: float = 0.0) -> MotionSetpoint | Refusal:
+def ardupilot(message: StreamedMotion, heading: float = 0.0) -> MotionSetpoint | SetpointRefusal:
     return ardupilot_setpoints.read_motion(message, HERE, quat_from_euler(0.0, 0.0, heading), heading)
 
 
@@ -50,14 +50,14 @@ def same(a: Vector3, b: Vector3) -> bool:
 # ---------------------------------------------------------------- PX4
 
 
-def px4_expects(mask: int) -> MotionSetpoint | Refusal:
+def px4_expects(mask: int) -> MotionSetpoint | SetpointRefusal:
     """PX4's rule in other words: each axis with its own kinds, north's as east's."""
     message = fields(LocalFrame.LOCAL_NED, mask)
     kinds = [[not mask >> (3 * kind + axis) & 1 for kind in range(3)] for axis in range(3)]
     if mask & Ignore.FORCE and any(axis[2] for axis in kinds):
-        return Refusal("SET_POSITION_TARGET_LOCAL_NED force not supported")
+        return SetpointRefusal("SET_POSITION_TARGET_LOCAL_NED force not supported")
     if not any(itertools.chain(*kinds)):
-        return Refusal("SET_POSITION_TARGET_LOCAL_NED invalid")
+        return SetpointRefusal("SET_POSITION_TARGET_LOCAL_NED invalid")
     if kinds[0] != kinds[1] or not all(any(axis) for axis in kinds):
         return STOP
     given = (message.position_m, message.velocity_m_s, message.acceleration_m_s2)
@@ -74,8 +74,8 @@ def px4_expects(mask: int) -> MotionSetpoint | Refusal:
     )
 
 
-def agree(read: MotionSetpoint | Refusal, expected: MotionSetpoint | Refusal) -> bool:
-    if isinstance(read, Refusal) or isinstance(expected, Refusal):
+def agree(read: MotionSetpoint | SetpointRefusal, expected: MotionSetpoint | SetpointRefusal) -> bool:
+    if isinstance(read, SetpointRefusal) or isinstance(expected, SetpointRefusal):
         return read == expected
     return (
         same(read.position_ned_m, expected.position_ned_m)
@@ -93,7 +93,7 @@ def test_px4_obeys_or_refuses_each_of_the_4096_masks_as_it_should() -> None:
 @pytest.mark.parametrize("frame", [0, 7, 9, 12, 20])
 def test_px4_answers_other_frames_with_a_text(frame: int) -> None:
     text = f"SET_POSITION_TARGET_LOCAL_NED coordinate frame {frame} unsupported"
-    assert {px4(fields(frame, mask)) for mask in MASKS} == {Refusal(text)}
+    assert {px4(fields(frame, mask)) for mask in MASKS} == {SetpointRefusal(text)}
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0, 180.0, 270.0])
@@ -104,9 +104,9 @@ def test_px4s_body_frame_takes_velocity_and_acceleration_whole_and_no_place(head
         velocity, acceleration = not mask & VELOCITY, not mask & ACCELERATION
         read = px4(fields(LocalFrame.BODY_NED, mask), heading)
         if mask & Ignore.FORCE and acceleration:
-            assert read == Refusal("SET_POSITION_TARGET_LOCAL_NED force not supported")
+            assert read == SetpointRefusal("SET_POSITION_TARGET_LOCAL_NED force not supported")
         elif not velocity and not acceleration:
-            assert read == Refusal("SET_POSITION_TARGET_LOCAL_NED invalid")
+            assert read == SetpointRefusal("SET_POSITION_TARGET_LOCAL_NED invalid")
         else:
             assert isinstance(read, MotionSetpoint)
             assert all(map(isnan, read.position_ned_m))
@@ -131,14 +131,16 @@ def test_px4_takes_a_global_place_whole_and_above_sea_or_home_alone(frame: int) 
         assert isinstance(with_place, MotionSetpoint)
         assert with_place.position_ned_m == (1.0, 2.0, -3.0)
     elif frame == GlobalFrame.TERRAIN_ALT_INT:
-        assert with_place == Refusal()
+        assert with_place == SetpointRefusal()
     else:
-        assert with_place == Refusal(f"SET_POSITION_TARGET_GLOBAL_INT invalid coordinate frame {frame}")
+        assert with_place == SetpointRefusal(
+            f"SET_POSITION_TARGET_GLOBAL_INT invalid coordinate frame {frame}"
+        )
     for part in range(1, 8):
         read = px4(fields(frame, part | ACCELERATION, is_global=True))
         assert isinstance(read, MotionSetpoint)
         assert all(map(isnan, read.position_ned_m))
-    assert px4(fields(frame, 0x1FF, is_global=True)) == Refusal()
+    assert px4(fields(frame, 0x1FF, is_global=True)) == SetpointRefusal()
 
 
 # ---------------------------------------------------------------- ArduPilot
@@ -187,7 +189,7 @@ def test_ardupilot_takes_global_places_in_every_frame_it_knows(frame: int) -> No
     place = ardupilot(fields(frame, VELOCITY | ACCELERATION, is_global=True))
     moving = ardupilot(fields(frame, ACCELERATION, is_global=True))
     if frame in (GlobalFrame.TERRAIN_ALT, GlobalFrame.TERRAIN_ALT_INT):
-        assert (place, moving) == (Refusal(), STOP)
+        assert (place, moving) == (SetpointRefusal(), STOP)
     elif frame in set(GlobalFrame):
         assert isinstance(place, MotionSetpoint)
         assert place.position_ned_m == (1.0, 2.0, -3.0)
@@ -224,7 +226,7 @@ def test_px4_reads_each_of_the_256_attitude_masks_as_it_should() -> None:
         read = px4_setpoints.read_attitude(attitude(mask))
         part = mask & (IgnoreAttitude.ROLL_RATE | IgnoreAttitude.PITCH_RATE)
         if mask & IgnoreAttitude.THRUST_BODY or (mask & IgnoreAttitude.ATTITUDE and part):
-            assert read == Refusal(), mask
+            assert read == SetpointRefusal(), mask
             continue
         assert isinstance(read, AttitudeSetpoint)
         yaw = 0.0 if mask & IgnoreAttitude.YAW_RATE else 0.3
@@ -251,7 +253,7 @@ def test_an_attitude_that_is_none_stops_ardupilot_and_is_nothing_to_px4(
     q: tuple[float, float, float, float],
 ) -> None:
     assert ardupilot_setpoints.read_attitude(attitude(7, q)) == STOP
-    assert px4_setpoints.read_attitude(attitude(7, q)) == Refusal()
+    assert px4_setpoints.read_attitude(attitude(7, q)) == SetpointRefusal()
 
 
 # ---------------------------------------------------------------- age

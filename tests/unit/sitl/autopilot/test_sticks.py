@@ -76,7 +76,7 @@ def test_the_throttle_is_thrust_in_the_simplest_mode(autopilot_kind: AutopilotKi
 
 
 @BOTH
-def test_channels_fly_as_the_joystick_does_and_are_told(autopilot_kind: AutopilotKind) -> None:
+def test_channels_fly_as_the_joystick_does_and_are_reported(autopilot_kind: AutopilotKind) -> None:
     station = hovering(autopilot_kind, VELOCITY_MODE)
     forward = 1300 if autopilot_kind == "ardupilot" else 1700
     hold(station, override(1500, forward, 1500, 1500), 3.0)

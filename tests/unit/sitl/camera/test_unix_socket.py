@@ -38,7 +38,7 @@ async def test_one_that_was_left_behind_is_replaced_and_anothers_is_not_removed(
     assert path.read_text() == "somebody else's"
 
 
-async def test_what_is_in_the_way_is_told(tmp_path: Path) -> None:
+async def test_what_is_in_the_way_is_reported(tmp_path: Path) -> None:
     (tmp_path / "camera").write_text("a file")
     with pytest.raises(ConfigError, match="is in the way of a socket"):
         await UnixServer.start(silent, tmp_path / "camera")

@@ -11,7 +11,7 @@ from rich.console import Console
 from companion.config import ConfigError
 from sitl.campaign.manifest import CampaignRun
 from sitl.campaign.plots import write_plots
-from sitl.campaign.progress import Meter
+from sitl.campaign.progress import CampaignMeter
 from sitl.campaign.rows import CSV_NAME, read_rows
 from tests.unit.sitl.campaign.campaign_command import options, run, seeds
 from tests.unit.sitl.campaign.campaign_parts import row
@@ -119,7 +119,7 @@ def test_a_refusal_of_the_apps_ends_it_with_what_is_flown_kept(
 
 def test_a_log_gets_a_line_a_tenth_and_every_run_that_did_not_land() -> None:
     out = io.StringIO()
-    with Meter(Console(file=out, width=80), [row(seed=0)], 41, quiet=True) as meter:
+    with CampaignMeter(Console(file=out, width=80), [row(seed=0)], 41, quiet=True) as meter:
         for seed in range(1, 41):
             meter.take(row(seed=seed, outcome="aborted" if seed == 20 else "landed", reason="why"))
     lines = out.getvalue().splitlines()
@@ -133,7 +133,7 @@ def test_a_log_gets_a_line_a_tenth_and_every_run_that_did_not_land() -> None:
 def test_a_terminal_gets_a_bar_with_the_landings() -> None:
     out = io.StringIO()
     console = Console(file=out, width=100, force_terminal=True)
-    with Meter(console, [], 4, quiet=False) as meter:
+    with CampaignMeter(console, [], 4, quiet=False) as meter:
         meter.take(row(seed=0))
     assert "1/4" in out.getvalue()
     assert "1 landed (100 %)" in out.getvalue()

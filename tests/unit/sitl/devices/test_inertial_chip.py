@@ -194,7 +194,7 @@ def make_magnetometer() -> Ak8963Device:
     return Ak8963Device(MagSensor(NO_MAG_ERRORS, np.random.default_rng(1), np.eye(3)), clock_error=0.0)
 
 
-def test_the_magnetometer_sleeps_until_it_is_told_to_measure() -> None:
+def test_the_magnetometer_sleeps_until_it_is_reported_to_measure() -> None:
     mag = make_magnetometer()
     assert mag.read(0x00, 1) == b"\x48"
     assert step_magnetometer(mag, 0.1) == 0

@@ -216,7 +216,7 @@ def test_an_attitude_that_is_nearly_of_unit_length_is_made_so() -> None:
     assert bench.client.take_samples()[-1].attitude == pytest.approx((1.0, 0.0, 0.0, 0.0))
 
 
-def test_a_vehicle_that_falls_silent_is_told_once_and_so_is_its_return() -> None:
+def test_a_vehicle_that_falls_silent_is_reported_once_and_so_is_its_return() -> None:
     bench = Bench(ARDUPILOT)
     truth = sim_state((0.0, 0.0, 0.0)), sim_state((0.0, 0.0, 0.0))
     bench.run(3.0, *truth)
@@ -230,7 +230,7 @@ def test_a_vehicle_that_falls_silent_is_told_once_and_so_is_its_return() -> None
     assert bench.texts[2:] == ["vehicle 1: received again"]
 
 
-def test_a_truth_that_comes_too_seldom_is_told() -> None:
+def test_a_truth_that_comes_too_seldom_is_reported() -> None:
     bench = Bench(ARDUPILOT)
     for _ in range(120):
         bench.run(0.1, beats=False)

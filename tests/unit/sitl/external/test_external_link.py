@@ -50,7 +50,7 @@ async def test_udp_calls_and_udpin_listens() -> None:
     relay.close()
 
 
-async def test_udpin_takes_a_port_and_a_port_in_use_is_told() -> None:
+async def test_udpin_takes_a_port_and_a_port_in_use_is_reported() -> None:
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as other:
         other.bind(("127.0.0.1", 0))
         with pytest.raises(ConfigError, match="in use; expected a free port"):
@@ -117,7 +117,7 @@ async def test_pumped_bytes_reach_every_sink() -> None:
     relay.close()
 
 
-async def test_what_makes_no_sense_is_told_once_and_the_rest_goes_on() -> None:
+async def test_what_makes_no_sense_is_reported_once_and_the_rest_goes_on() -> None:
     relay, port = await open_relay()
     caller = await open_link(f"udp:127.0.0.1:{port}", print)
     told: list[str] = []

@@ -17,10 +17,9 @@ from companion.base.messages import Outcome
 from companion.config import CONFIG_FOLDER
 from sitl.cli import main
 from sitl.run.report import read_report
+from sitl.scenario.home import magnetic_field_ned_ut
 from tests.unit.sitl.external.external_bench import Player
-from tests.unit.sitl.external.external_vehicle import (
-    PX4,
-)
+from tests.unit.sitl.external.external_vehicle import GROUND, PX4
 
 
 def test_what_is_no_connection_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
@@ -67,6 +66,8 @@ async def test_as_a_process_it_serves_and_judges(tmp_path: Path) -> None:
     assert process.stdout is not None
     endpoints = json.loads(await asyncio.wait_for(process.stdout.readline(), 20.0))
     assert endpoints["sense"]["source"] == "autopilot"
+    # by a heading of another place's declination the app would be told wrong
+    assert endpoints["estimate"]["magnetic_field_ned_ut"] == list(magnetic_field_ned_ut(GROUND))
     assert endpoints["sense"]["range"]["port"].startswith("/dev/")
     assert endpoints["sense"]["vision"]["source"] == f"socket:{tmp_path / 'camera'}"
     said, words = await asyncio.wait_for(process.communicate(b"finish search\n"), 20.0)

@@ -96,7 +96,7 @@ def test_spikes_are_echoes_from_in_between(healthy: Heard) -> None:
     ]
 
 
-def test_a_bus_that_fails_now_and_then_costs_no_sample_and_one_that_is_off_is_told() -> None:
+def test_a_bus_that_fails_now_and_then_costs_no_sample_and_one_that_is_off_is_reported() -> None:
     now_and_then = fly(3, SECONDS, [ImuBusError(kind="imu_bus_error", every=40, **TIMES)])
     assert len(during(now_and_then.imu)) == pytest.approx(380, abs=12)
     off = fly(3, SECONDS, [ImuBusError(kind="imu_bus_error", every=1, **TIMES)])
@@ -202,7 +202,9 @@ def test_a_scenario_lists_faults_by_kind(tmp_path: Path) -> None:
         ({"kind": "mag_disturbed", "start_s": 1.0, "field_ut": 3.0}, ["faults", "field_ut"]),
     ],
 )
-def test_a_slip_in_a_fault_is_told_in_a_line(tmp_path: Path, fault: dict[str, Any], words: list[str]) -> None:
+def test_a_slip_in_a_fault_is_reported_in_a_line(
+    tmp_path: Path, fault: dict[str, Any], words: list[str]
+) -> None:
     with pytest.raises(ConfigError) as caught:
         load_scenario(scenario_with(tmp_path, fault))
     assert "\n" not in str(caught.value)

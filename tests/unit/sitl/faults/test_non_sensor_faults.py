@@ -235,10 +235,11 @@ def test_without_its_position_the_autopilot_sends_none() -> None:
     assert local_position(flight.autopilot, 5.2) is not None
 
 
-def test_the_battery_is_told_in_both_messages() -> None:
+def test_the_battery_is_reported_in_both_messages() -> None:
     flight = Flight("px4")
     desk = Desk(
-        non_sensor_faults.Battery(kind="battery", remaining_percent=12, **times()), autopilot=flight.autopilot
+        non_sensor_faults.BatteryCharge(kind="battery", remaining_percent=12, **times()),
+        autopilot=flight.autopilot,
     )
     desk.schedule.step(1.0)
     assert sys_status(flight.autopilot, 1.0).battery_remaining == 12

@@ -40,7 +40,7 @@ from tests.unit.sitl.faults.fault_readings import (
 EPOCH_S = 0.21  # between two fixes
 
 
-def test_an_imu_that_is_lost_is_told_of_and_comes_back() -> None:
+def test_an_imu_that_is_lost_is_reported_of_and_comes_back() -> None:
     heard = fly(3, SECONDS, [ImuLost(kind="imu_lost", **TIMES)])
     assert len(during(heard.imu)) < 20
     assert any("Remote I/O error" in problem for problem in heard.problems)

@@ -73,7 +73,7 @@ def test_pulses_beyond_off_and_full_are_off_and_full(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- what it is told
 
 
-def test_it_is_told_of_sensors_and_state_in_si_units_ned_and_frd(tmp_path: Path) -> None:
+def test_it_is_reported_of_sensors_and_state_in_si_units_ned_and_frd(tmp_path: Path) -> None:
     program = fake("ardupilot", tmp_path)
     attitude = quat_from_euler(0.3, -0.2, 1.0)
     state = QuadrotorState((10.0, -20.0, -5.0), velocity_ned_m_s=(1.0, -2.0, 0.5), attitude=attitude)
@@ -87,7 +87,7 @@ def test_it_is_told_of_sensors_and_state_in_si_units_ned_and_frd(tmp_path: Path)
     assert told["no_time_sync"] == 1
 
 
-def test_it_is_told_where_it_stands_and_whom_to_talk_to(tmp_path: Path) -> None:
+def test_it_is_reported_where_it_stands_and_whom_to_talk_to(tmp_path: Path) -> None:
     program = fake("ardupilot", tmp_path)
     with running(program):
         pass
@@ -163,13 +163,13 @@ def test_without_a_free_instance_it_is_said_and_nothing_is_left(
 # ---------------------------------------------------------------- what goes wrong
 
 
-def test_one_that_ends_at_once_is_told_of_by_its_last_words(tmp_path: Path) -> None:
+def test_one_that_ends_at_once_is_reported_of_by_its_last_words(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught, running(fake("ardupilot", tmp_path, ends_after=-1)):
         pass
     assert str(caught.value) == "arducopter has ended (exit status 3): last words of arducopter"
 
 
-def test_one_that_never_says_anything_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_that_never_says_anything_is_reported_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ardupilot, "START_S", 0.5)
     program = fake("ardupilot", tmp_path, silent_after=-1)
     with pytest.raises(ConfigError) as caught, running(program):
@@ -178,7 +178,7 @@ def test_one_that_never_says_anything_is_told_of(tmp_path: Path, monkeypatch: py
     assert program.is_gone
 
 
-def test_one_that_ends_in_flight_is_told_of_by_its_last_words(tmp_path: Path) -> None:
+def test_one_that_ends_in_flight_is_reported_of_by_its_last_words(tmp_path: Path) -> None:
     with (
         running(fake("ardupilot", tmp_path, ends_after=10)) as firmware,
         pytest.raises(FirmwareError) as caught,
@@ -187,7 +187,7 @@ def test_one_that_ends_in_flight_is_told_of_by_its_last_words(tmp_path: Path) ->
     assert str(caught.value) == "arducopter has ended (exit status 3): last words of arducopter"
 
 
-def test_one_that_answers_no_more_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_that_answers_no_more_is_reported_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ardupilot, "ANSWER_S", 0.2)
     with (
         running(fake("ardupilot", tmp_path, silent_after=10)) as firmware,

@@ -236,7 +236,7 @@ time.sleep(60)
     assert soon(lambda: not runs(int(pid)) and not Path(folder).exists())
 
 
-def test_one_that_was_killed_is_told_of_by_the_signal() -> None:
+def test_one_that_was_killed_is_reported_of_by_the_signal() -> None:
     with closing(Process("a")) as child:
         child.start(["/bin/sh", "-c", "echo here; kill -9 $$"], os.environ)
         with pytest.raises(FirmwareError) as caught:

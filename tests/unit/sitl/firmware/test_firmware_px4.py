@@ -66,7 +66,7 @@ def test_while_it_boots_the_motors_are_off_and_nobody_waits_for_it(
         assert {firmware.step(at) for at in moments(20)} == {(0.0, 0.0, 0.0, 0.0)}
 
 
-def test_motors_come_front_right_rear_left_as_they_were_told_to_it(tmp_path: Path) -> None:
+def test_motors_come_front_right_rear_left_as_they_were_given(tmp_path: Path) -> None:
     with running(fake("px4", tmp_path, motors=[0.1, 0.2, 0.3, 0.4])) as firmware:
         assert firmware.step(moment(STEP_S)) == pytest.approx((0.1, 0.2, 0.3, 0.4))
 
@@ -160,7 +160,7 @@ def parameters(program: Fake) -> dict[str, float]:
     }
 
 
-def test_it_is_told_of_a_plus_frame_by_values_that_are_never_its_own_defaults(tmp_path: Path) -> None:
+def test_it_is_reported_of_a_plus_frame_by_values_that_are_never_its_own_defaults(tmp_path: Path) -> None:
     program = fake("px4", tmp_path)
     setup = setup_of(program.spec)
     # PX4's default for this one: told as it is, it would count as not set
@@ -178,7 +178,7 @@ def test_it_is_told_of_a_plus_frame_by_values_that_are_never_its_own_defaults(tm
     assert not {0.05, -0.05, 0.0} & set(turns)
 
 
-def test_it_is_told_of_the_hover_thrust_and_the_receivers_delay(tmp_path: Path) -> None:
+def test_it_is_reported_of_the_hover_thrust_and_the_receivers_delay(tmp_path: Path) -> None:
     program = fake("px4", tmp_path)
     setup = setup_of(program.spec, gps_delay_s=0.2)
     with running(program, setup):
@@ -272,14 +272,14 @@ def test_what_is_no_program_for_this_machine_is_said(tmp_path: Path) -> None:
         pass
 
 
-def test_one_that_ends_before_it_calls_is_told_of_by_its_last_words(tmp_path: Path) -> None:
+def test_one_that_ends_before_it_calls_is_reported_of_by_its_last_words(tmp_path: Path) -> None:
     program = fake("px4", tmp_path, ends_after=-1)
     with pytest.raises(ConfigError) as caught, running(program):
         pass
     assert str(caught.value) == "px4 has ended (exit status 3): last words of px4"
 
 
-def test_one_that_never_calls_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_that_never_calls_is_reported_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(px4, "CALL_S", 0.5)
     program = fake("px4", tmp_path, calls=False)
     with pytest.raises(ConfigError) as caught, running(program):
@@ -288,14 +288,14 @@ def test_one_that_never_calls_is_told_of(tmp_path: Path, monkeypatch: pytest.Mon
     assert program.is_gone
 
 
-def test_one_that_ends_in_flight_is_told_of_by_its_last_words(tmp_path: Path) -> None:
+def test_one_that_ends_in_flight_is_reported_of_by_its_last_words(tmp_path: Path) -> None:
     program = fake("px4", tmp_path, ends_after=10)
     with running(program) as firmware, pytest.raises(FirmwareError) as caught:
         step_on(firmware, 20)
     assert str(caught.value) == "px4 has ended (exit status 3): last words of px4"
 
 
-def test_one_that_answers_no_more_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_that_answers_no_more_is_reported_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(px4, "ANSWER_S", 0.2)
     with (
         running(fake("px4", tmp_path, silent_after=10, says="I am\n\nstuck  here\n \n")) as firmware,

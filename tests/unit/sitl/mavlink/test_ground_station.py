@@ -135,7 +135,7 @@ def test_another_component_of_its_system_is_somebody_else() -> None:
 # ---------------------------------------------------------------- a beacon's settings
 
 
-def test_a_pad_without_a_beacon_is_told_of_and_gives_no_answer() -> None:
+def test_a_pad_without_a_beacon_is_reported_of_and_gives_no_answer() -> None:
     ground = GroundStation.of(BeaconSettings(available=False), np.random.default_rng(1), HOME)
     ask(ground, 1.0)
     acknowledgement = next(m for m in listen(ground, 1.0) if m.get_type() == "COMMAND_ACK")

@@ -146,7 +146,7 @@ async def test_a_listener_named_by_its_host_is_one_client_only() -> None:
 
 
 @pytest.mark.parametrize("name", ["a..b", f"{'x' * 70}.com", "300.1.1.1"])
-async def test_an_address_that_is_none_is_told_of_in_one_line(name: str) -> None:
+async def test_an_address_that_is_none_is_reported_of_in_one_line(name: str) -> None:
     for server in (UdpServer(Host()), TcpServer(Host())):
         with pytest.raises(ConfigError, match="expected a free port at an address of this computer"):
             await server.open(name, 0)

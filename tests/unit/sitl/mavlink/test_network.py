@@ -106,7 +106,7 @@ def test_a_text_that_time_brings_goes_to_all() -> None:
         assert [m.text for m in client.heard("STATUSTEXT")][-1] == "Operation timeout"
 
 
-def test_a_parameter_that_one_sets_is_told_to_all() -> None:
+def test_a_parameter_that_one_sets_is_reported_to_all() -> None:
     desk = Desk()
     one, other = Client(desk.network, 255, 1), Client(desk.network, 254, 1)
     one.send(mavlink.MAVLink_param_set_message(1, 1, b"MIS_TAKEOFF_ALT", 7.0, 9))
@@ -191,7 +191,7 @@ def test_stream_groups_are_ardupilot_s() -> None:
 
 
 @BOTH
-def test_health_is_told_as_it_is(autopilot_kind: AutopilotKind) -> None:
+def test_health_is_reported_as_it_is(autopilot_kind: AutopilotKind) -> None:
     desk = Desk(autopilot_kind)
     client = Client(desk.network, 255, 1)
     state = resting_state((0.0, 0.0, -0.18), 0.0)

@@ -62,7 +62,7 @@ def test_tables_are_large_and_px4s_is_in_its_alphabetical_order() -> None:
         ("ardupilot", b"WPNAV_SPEED", REAL32),
     ],
 )
-def test_types_are_told(autopilot_kind: AutopilotKind, name: bytes, kind: int) -> None:
+def test_types_are_reported(autopilot_kind: AutopilotKind, name: bytes, kind: int) -> None:
     assert read(Station(autopilot_kind, 0.1), name)[0].param_type == kind
 
 
@@ -134,7 +134,7 @@ def test_values_and_mission_outlive_a_reboot_which_is_one(autopilot_kind: Autopi
 
 
 @BOTH
-def test_storage_resets_all_when_told_to(autopilot_kind: AutopilotKind) -> None:
+def test_storage_resets_all_when_ordered_to(autopilot_kind: AutopilotKind) -> None:
     station = Station(autopilot_kind, 0.1)
     name = "NAV_ACC_RAD" if autopilot_kind == "px4" else "WPNAV_RADIUS"
     before = station.flight.autopilot.parameters[name]

@@ -68,7 +68,7 @@ def test_a_port_in_use_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     )
 
 
-def test_it_says_where_it_listens_and_judges_when_told(tmp_path: Path) -> None:
+def test_it_says_where_it_listens_and_judges_when_asked(tmp_path: Path) -> None:
     with subprocess.Popen(
         (*COMMAND, "--child", "--folder", str(tmp_path)),
         cwd=CONFIG_FOLDER.parent,

@@ -58,7 +58,7 @@ def test_the_sensors_and_the_autopilot_are_at_that_place(settings: dict[str, Any
     assert quat_rotate(attitude, mean) == pytest.approx(expected, abs=left_by_calibration_ut)
 
 
-def test_the_app_is_told_the_field_of_the_place_unless_the_scenario_tells_it_otherwise() -> None:
+def test_the_app_is_reported_the_field_of_the_place_unless_the_scenario_tells_it_otherwise() -> None:
     path = CONFIG_FOLDER / "companion.yaml"
 
     def told(flown: Scenario, external: External | None = None) -> tuple[float, ...]:

@@ -49,7 +49,7 @@ def test_empty_it_stays_at_its_lowest_voltage() -> None:
     assert 2.8 * CELLS < battery.voltage_v < 3.3 * CELLS
 
 
-def test_a_flight_drains_what_is_told_in_both_messages() -> None:
+def test_a_flight_drains_what_is_reported_in_both_messages() -> None:
     flight = Flight("px4")
     flight.run(4.0)
     resting = sys_status(flight.autopilot, 4.0)

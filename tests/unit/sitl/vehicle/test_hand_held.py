@@ -154,7 +154,7 @@ def test_the_pad_stays_in_view(motion: HandMotion, length_s: float, share: float
     run_in_virtual_time(main())
 
 
-def test_a_world_that_fails_is_told() -> None:
+def test_a_world_that_fails_is_reported() -> None:
     async def main() -> None:
         async with carried(STATIC, 0, "still", camera=False) as vehicle:
             vehicle.simulation.world.step = broken  # type: ignore[method-assign,assignment]
@@ -180,7 +180,7 @@ def carried_on(world: HandHeldWorld, time_s: float) -> list[Vector3]:
     return places
 
 
-def test_hands_that_wait_begin_when_they_are_told_to_and_again_once_they_have_done_all() -> None:
+def test_hands_that_wait_begin_when_they_are_reported_to_and_again_once_they_have_done_all() -> None:
     world = HandHeldWorld(STATIC, 3, "over-pad", waits=True)
     waited = np.array(carried_on(world, 15.0))
     assert np.ptp(waited, axis=0).max() < 0.03  # they tremble
@@ -215,7 +215,7 @@ class Taking:
         """Nothing comes of it."""
 
 
-def test_a_client_that_comes_for_frames_or_registers_is_told(tmp_path: Path) -> None:
+def test_a_client_that_comes_for_frames_or_registers_is_reported(tmp_path: Path) -> None:
     async def main() -> list[str]:
         come: list[str] = []
         frames = FrameServer(tmp_path / "camera")

@@ -148,7 +148,7 @@ def test_photos_of_one_name_do_not_overwrite_each_other(
     assert {path.name for path in (tmp_path / "seen").iterdir()} == {"photo.png", "photo-2.png"}
 
 
-def test_no_pad_in_any_picture_is_told_by_the_exit_code(
+def test_no_pad_in_any_picture_is_reported_by_the_exit_code(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cv2.imwrite(str(tmp_path / "grey.png"), np.full((480, 640), 120, np.uint8))

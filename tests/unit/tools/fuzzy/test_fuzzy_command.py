@@ -50,7 +50,7 @@ def test_a_table_is_written_and_belongs_to_its_rules(tmp_path: Path) -> None:
     assert load_table(path)[1] == "stored"
 
 
-def test_rules_that_rush_are_told_and_fail(tmp_path: Path) -> None:
+def test_rules_that_rush_are_reported_and_fail(tmp_path: Path) -> None:
     rushed = {distance: row[::-1] for distance, row in RULES.items()}
     result = CliRunner().invoke(cli, ["fuzzy", str(mine(tmp_path, rushed)), *FEW])
     assert result.exit_code == 1

@@ -34,7 +34,7 @@ def test_a_mirrored_image_is_named() -> None:
     assert "mirrored" in checked.cause("the pad is seen")
 
 
-def test_a_pad_that_is_never_seen_ends_by_time_and_is_told() -> None:
+def test_a_pad_that_is_never_seen_ends_by_time_and_is_reported() -> None:
     def dark(frame: Frame) -> Frame:
         return replace(frame, image=np.zeros_like(frame.image))
 

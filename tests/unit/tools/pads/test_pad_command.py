@@ -21,7 +21,7 @@ markers:
 """
 
 
-def test_a_good_pad_is_told_in_a_few_lines() -> None:
+def test_a_good_pad_is_reported_in_a_few_lines() -> None:
     result = CliRunner().invoke(cli, ["pad", "indoor_400"])
     assert result.exit_code == 0
     assert result.output.splitlines() == [
@@ -41,7 +41,7 @@ def test_another_paper_takes_the_place_of_the_pad_s_own(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["pad-1.svg", "pad-2.svg", "pad-3.svg"]
 
 
-def test_the_coverage_is_told_and_drawn(tmp_path: Path) -> None:
+def test_the_coverage_is_reported_and_drawn(tmp_path: Path) -> None:
     picture = tmp_path / "coverage.png"
     words = ["pad", "indoor_400", "--coverage", "--camera", "hd_1280x720", "--offset", "0.01"]
     result = CliRunner().invoke(cli, [*words, "-o", str(picture)])

@@ -121,7 +121,7 @@ def test_the_same_pad_gives_the_same_file(tmp_path: Path) -> None:
         assert first == second, kind
 
 
-def test_labels_stand_outside_all_quiet_zones_and_what_has_no_room_is_told() -> None:
+def test_labels_stand_outside_all_quiet_zones_and_what_has_no_room_is_reported() -> None:
     pad = load_pad("moving_1300")
     labels, left_out = place_labels(pad, pad.tiling())
     assert len(labels) + len(left_out) == len(pad.markers)

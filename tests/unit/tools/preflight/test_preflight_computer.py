@@ -13,7 +13,7 @@ import pytest
 from companion.config import CompanionConfig
 from companion.tools.preflight import computer, run
 from companion.tools.preflight.computer import ServiceState
-from companion.tools.preflight.findings import Finding, State
+from companion.tools.preflight.findings import Finding, FindingState
 
 NOW = datetime(2099, 1, 1, tzinfo=UTC)
 RUNNING = ServiceState("loaded", "enabled", "active")
@@ -35,38 +35,40 @@ def found(
 
 def test_a_good_computer_is_well(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     states = {finding.state for finding in found(monkeypatch, tmp_path).values()}
-    assert states == {State.OK}
+    assert states == {FindingState.OK}
 
 
 @pytest.mark.parametrize(
     ("answers", "name", "state"),
     [
-        ({"timedatectl": "no\n"}, "clock", State.WARNING),
-        ({"timedatectl": ""}, "clock", State.NOT_CHECKED),
-        ({"vcgencmd": "throttled=0x50005\n"}, "power", State.FAIL),
-        ({"vcgencmd": "throttled=0x50000\n"}, "power", State.WARNING),
-        ({"vcgencmd": "throttled=0x8\n"}, "power", State.WARNING),
-        ({"vcgencmd": "VCHI initialization failed"}, "power", State.NOT_CHECKED),
-        ({"vcgencmd": ""}, "power", State.NOT_CHECKED),
+        ({"timedatectl": "no\n"}, "clock", FindingState.WARNING),
+        ({"timedatectl": ""}, "clock", FindingState.NOT_CHECKED),
+        ({"vcgencmd": "throttled=0x50005\n"}, "power", FindingState.FAIL),
+        ({"vcgencmd": "throttled=0x50000\n"}, "power", FindingState.WARNING),
+        ({"vcgencmd": "throttled=0x8\n"}, "power", FindingState.WARNING),
+        ({"vcgencmd": "VCHI initialization failed"}, "power", FindingState.NOT_CHECKED),
+        ({"vcgencmd": ""}, "power", FindingState.NOT_CHECKED),
     ],
 )
 def test_what_the_programs_answer_counts(
-    answers: dict[str, str], name: str, state: State, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    answers: dict[str, str], name: str, state: FindingState, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     assert found(monkeypatch, tmp_path, answers)[name].state is state
 
 
-def test_a_clock_before_the_installation_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_clock_before_the_installation_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     clock = found(monkeypatch, tmp_path, now=datetime(1970, 1, 1, tzinfo=UTC))["clock"]
     assert (clock.state, clock.detail) == (
-        State.WARNING,
+        FindingState.WARNING,
         "1970-01-01 00:00 UTC, before this was installed",
     )
 
 
-@pytest.mark.parametrize(("free_mb", "state"), [(100, State.FAIL), (1000, State.WARNING), (9000, State.OK)])
+@pytest.mark.parametrize(
+    ("free_mb", "state"), [(100, FindingState.FAIL), (1000, FindingState.WARNING), (9000, FindingState.OK)]
+)
 def test_room_on_the_disk_counts_for_a_folder_that_is_not_there_yet(
-    free_mb: int, state: State, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    free_mb: int, state: FindingState, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(0, 0, free_mb * 1_000_000))
     assert found(monkeypatch, tmp_path / "not" / "yet")["disk"].state is state
@@ -75,15 +77,15 @@ def test_room_on_the_disk_counts_for_a_folder_that_is_not_there_yet(
 @pytest.mark.parametrize(
     ("service", "state"),
     [
-        (None, State.NOT_CHECKED),
-        (ServiceState("not-found", "", "inactive"), State.WARNING),
-        (ServiceState("loaded", "disabled", "inactive"), State.WARNING),
-        (ServiceState("loaded", "enabled", "failed"), State.FAIL),
-        (ServiceState("loaded", "enabled", "inactive"), State.OK),
+        (None, FindingState.NOT_CHECKED),
+        (ServiceState("not-found", "", "inactive"), FindingState.WARNING),
+        (ServiceState("loaded", "disabled", "inactive"), FindingState.WARNING),
+        (ServiceState("loaded", "enabled", "failed"), FindingState.FAIL),
+        (ServiceState("loaded", "enabled", "inactive"), FindingState.OK),
     ],
 )
 def test_the_service_is_to_be_installed_and_enabled(
-    service: ServiceState | None, state: State, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    service: ServiceState | None, state: FindingState, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     assert found(monkeypatch, tmp_path, state=service)["service"].state is state
 

@@ -11,7 +11,7 @@ import yaml
 
 from companion.config import CONFIG_FOLDER, CompanionConfig, load_config
 from companion.tools.preflight.calibrations import check_files
-from companion.tools.preflight.findings import Finding, State
+from companion.tools.preflight.findings import Finding, FindingState
 from tests.unit.calibration.test_calibrations_on_record import INERTIAL, MOUNT
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
@@ -59,10 +59,10 @@ def found(config: CompanionConfig, now: datetime = NOW) -> dict[str, Finding]:
 
 def test_fresh_calibrations_are_well(tmp_path: Path) -> None:
     detail = found(written(tmp_path))
-    well = {name for name, finding in detail.items() if finding.state is State.OK}
+    well = {name for name, finding in detail.items() if finding.state is FindingState.OK}
     assert well == {"settings file", "calibration camera", "calibration mount", "calibration inertial"}
-    assert detail["settings vehicle"].state is State.WARNING  # the shipped, simulated one
-    assert detail["calibration magnetometer"].state is State.WARNING  # none named
+    assert detail["settings vehicle"].state is FindingState.WARNING  # the shipped, simulated one
+    assert detail["calibration magnetometer"].state is FindingState.WARNING  # none named
 
 
 @pytest.mark.parametrize(
@@ -74,16 +74,16 @@ def test_fresh_calibrations_are_well(tmp_path: Path) -> None:
         ({"mount": "yesterday"}, NOW, "inertial", "without a date"),
     ],
 )
-def test_what_is_not_fresh_is_told(
+def test_what_is_not_fresh_is_reported(
     dates: dict[str, Any], now: datetime, name: str, words: str, tmp_path: Path
 ) -> None:
     finding = found(written(tmp_path, **dates), now)[f"calibration {name}"]
-    assert finding.state is State.WARNING
+    assert finding.state is FindingState.WARNING
     assert words in finding.detail
     assert "calibrate-" in finding.hint or "clock" in finding.hint
 
 
-def test_a_camera_calibrated_on_another_device_is_told(tmp_path: Path) -> None:
+def test_a_camera_calibrated_on_another_device_is_reported(tmp_path: Path) -> None:
     config = written(tmp_path, settings={"sense": {"vision": {"source": "picamera2:0"}}})
     assert "sense.vision.source is picamera2:0" in found(config)["calibration camera"].detail
 
@@ -91,14 +91,14 @@ def test_a_camera_calibrated_on_another_device_is_told(tmp_path: Path) -> None:
 def test_a_mount_of_another_camera_fails(tmp_path: Path) -> None:
     config = written(tmp_path, settings={"camera": "hd_1280x720"})
     detail = found(config)
-    assert detail["settings vehicle"].state is State.FAIL
-    assert detail["calibration mount"].state is State.FAIL
+    assert detail["settings vehicle"].state is FindingState.FAIL
+    assert detail["calibration mount"].state is FindingState.FAIL
 
 
 def test_files_that_are_missing_or_wrong_fail_one_by_one(tmp_path: Path) -> None:
     config = written(tmp_path, settings={"pad": "no_such_pad", "camera": "none.yaml", "mount": None})
     files, findings = check_files(config, Path("mine.yaml"), NOW)
     assert files.camera is None
-    fails = {f.name for f in findings if f.state is State.FAIL}
+    fails = {f.name for f in findings if f.state is FindingState.FAIL}
     assert fails == {"camera", "pad"}
     assert all("\n" not in f.detail for f in findings)

@@ -16,7 +16,7 @@ from companion.config import (
     load_model,
     validate,
 )
-from companion.tools.preflight.findings import State
+from companion.tools.preflight.findings import FindingState
 from companion.tools.preflight.parameters import Wanted, judge_parameters, parameter_names
 
 VEHICLE = load_model(VehicleConfig, find_file("vehicles", "x500"))
@@ -35,11 +35,11 @@ GOOD: dict[AutopilotKind, dict[str, float | None]] = {
 
 def states(
     kind: AutopilotKind, changed: Mapping[str, float | None], settings: dict[str, Any] | None = None
-) -> dict[str, State]:
+) -> dict[str, FindingState]:
     """The states of all that are not well."""
     config = validate(CompanionConfig, settings or {}, "test")
     found = judge_parameters(kind, {**GOOD[kind], **changed}, Wanted.of(config, VEHICLE, kind))
-    return {finding.name: finding.state for finding in found if finding.state is not State.OK}
+    return {finding.name: finding.state for finding in found if finding.state is not FindingState.OK}
 
 
 @pytest.mark.parametrize("kind", ["px4", "ardupilot"])
@@ -51,55 +51,55 @@ def test_good_values_are_well_and_all_are_asked_for(kind: AutopilotKind) -> None
 @pytest.mark.parametrize(
     ("kind", "name", "value", "state"),
     [
-        ("px4", "COM_OF_LOSS_T", 5.0, State.FAIL),
-        ("px4", "COM_OF_LOSS_T", 0.1, State.WARNING),
-        ("px4", "COM_OF_LOSS_T", 1.5, State.WARNING),
-        ("px4", "COM_OBL_RC_ACT", 6, State.FAIL),
-        ("px4", "COM_OBL_RC_ACT", 7, State.FAIL),
-        ("px4", "COM_OBL_RC_ACT", 2, State.WARNING),
-        ("px4", "COM_OBL_RC_ACT", 0, State.WARNING),
-        ("px4", "COM_RC_OVERRIDE", 1, State.WARNING),
-        ("px4", "COM_RCL_EXCEPT", 4, State.WARNING),
-        ("px4", "COM_DISARM_LAND", -1.0, State.WARNING),
-        ("px4", "MPC_TILTMAX_AIR", 20.0, State.WARNING),
-        ("px4", "MPC_THR_HOVER", 0.3, State.WARNING),
-        ("px4", "MPC_USE_HTE", 0, State.WARNING),
-        ("px4", "MPC_Z_VEL_MAX_DN", 0.5, State.WARNING),
-        ("px4", "MPC_Z_VEL_MAX_UP", 0.5, State.WARNING),
-        ("ardupilot", "GUID_TIMEOUT", 5.0, State.FAIL),
-        ("ardupilot", "GUID_TIMEOUT", 3.0, State.WARNING),
-        ("ardupilot", "GUID_OPTIONS", 0, State.FAIL),
-        ("ardupilot", "GUID_OPTIONS", 7, State.FAIL),
-        ("ardupilot", "ANGLE_MAX", 2000, State.WARNING),
-        ("ardupilot", "MOT_THST_HOVER", 0.3, State.WARNING),
-        ("ardupilot", "FS_THR_ENABLE", 0, State.WARNING),
-        ("ardupilot", "FS_OPTIONS", 4, State.WARNING),
-        ("ardupilot", "DISARM_DELAY", 0, State.WARNING),
-        ("ardupilot", "LAND_SPEED", 150, State.WARNING),
-        ("px4", "COM_OBL_RC_ACT", None, State.NOT_CHECKED),
+        ("px4", "COM_OF_LOSS_T", 5.0, FindingState.FAIL),
+        ("px4", "COM_OF_LOSS_T", 0.1, FindingState.WARNING),
+        ("px4", "COM_OF_LOSS_T", 1.5, FindingState.WARNING),
+        ("px4", "COM_OBL_RC_ACT", 6, FindingState.FAIL),
+        ("px4", "COM_OBL_RC_ACT", 7, FindingState.FAIL),
+        ("px4", "COM_OBL_RC_ACT", 2, FindingState.WARNING),
+        ("px4", "COM_OBL_RC_ACT", 0, FindingState.WARNING),
+        ("px4", "COM_RC_OVERRIDE", 1, FindingState.WARNING),
+        ("px4", "COM_RCL_EXCEPT", 4, FindingState.WARNING),
+        ("px4", "COM_DISARM_LAND", -1.0, FindingState.WARNING),
+        ("px4", "MPC_TILTMAX_AIR", 20.0, FindingState.WARNING),
+        ("px4", "MPC_THR_HOVER", 0.3, FindingState.WARNING),
+        ("px4", "MPC_USE_HTE", 0, FindingState.WARNING),
+        ("px4", "MPC_Z_VEL_MAX_DN", 0.5, FindingState.WARNING),
+        ("px4", "MPC_Z_VEL_MAX_UP", 0.5, FindingState.WARNING),
+        ("ardupilot", "GUID_TIMEOUT", 5.0, FindingState.FAIL),
+        ("ardupilot", "GUID_TIMEOUT", 3.0, FindingState.WARNING),
+        ("ardupilot", "GUID_OPTIONS", 0, FindingState.FAIL),
+        ("ardupilot", "GUID_OPTIONS", 7, FindingState.FAIL),
+        ("ardupilot", "ANGLE_MAX", 2000, FindingState.WARNING),
+        ("ardupilot", "MOT_THST_HOVER", 0.3, FindingState.WARNING),
+        ("ardupilot", "FS_THR_ENABLE", 0, FindingState.WARNING),
+        ("ardupilot", "FS_OPTIONS", 4, FindingState.WARNING),
+        ("ardupilot", "DISARM_DELAY", 0, FindingState.WARNING),
+        ("ardupilot", "LAND_SPEED", 150, FindingState.WARNING),
+        ("px4", "COM_OBL_RC_ACT", None, FindingState.NOT_CHECKED),
     ],
 )
 def test_a_value_that_differs_is_found_alone(
-    kind: AutopilotKind, name: str, value: float | None, state: State
+    kind: AutopilotKind, name: str, value: float | None, state: FindingState
 ) -> None:
     assert states(kind, {name: value}) == {name: state}
 
 
 def test_what_is_expected_follows_the_settings() -> None:
     steep = {"control": {"limits": {"tilt_deg": 45.0}}}
-    assert states("ardupilot", {}, steep) == {"ANGLE_MAX": State.WARNING}
+    assert states("ardupilot", {}, steep) == {"ANGLE_MAX": FindingState.WARNING}
     velocity = {"control": {"setpoint": "velocity"}}
     assert states("ardupilot", {"GUID_OPTIONS": 0}, velocity) == {}
-    assert states("ardupilot", {"PSC_JERK_XY": 0.0}, velocity) == {"PSC_JERK_XY": State.WARNING}
+    assert states("ardupilot", {"PSC_JERK_XY": 0.0}, velocity) == {"PSC_JERK_XY": FindingState.WARNING}
     may_set = {"link": {"set_parameters": True}}
-    assert states("ardupilot", {"GUID_OPTIONS": 0}, may_set) == {"GUID_OPTIONS": State.WARNING}
+    assert states("ardupilot", {"GUID_OPTIONS": 0}, may_set) == {"GUID_OPTIONS": FindingState.WARNING}
 
 
 def test_every_hint_says_what_was_expected() -> None:
     bad: dict[str, float | None] = dict.fromkeys(GOOD["px4"], -1.0)
     config = CompanionConfig()
     for finding in judge_parameters("px4", bad, Wanted.of(config, VEHICLE, "px4")):
-        assert finding.state in (State.OK, State.NOT_CHECKED) or finding.hint.startswith(
+        assert finding.state in (FindingState.OK, FindingState.NOT_CHECKED) or finding.hint.startswith(
             ("expected", "the vehicle")
         )
 

@@ -14,7 +14,7 @@ from companion.config import CompanionConfig, validate
 from companion.link.codec import Codec, mavlink
 from companion.link.dialect import CURRENT_MODE
 from companion.link.streams import OWN_RATES_HZ, TELEMETRY_RATES_HZ
-from companion.tools.preflight.findings import State
+from companion.tools.preflight.findings import FindingState
 from companion.tools.preflight.losses import FrameCounter
 from companion.tools.preflight.telemetry import Heard, judge
 
@@ -33,10 +33,10 @@ WELL = Heard(
 )
 
 
-def found(heard: Heard, settings: dict[str, Any] | None = None) -> dict[str, State]:
+def found(heard: Heard, settings: dict[str, Any] | None = None) -> dict[str, FindingState]:
     """What is not well."""
     config = validate(CompanionConfig, settings or {}, "test")
-    return {f.name: f.state for f in judge(heard, config) if f.state is not State.OK}
+    return {f.name: f.state for f in judge(heard, config) if f.state is not FindingState.OK}
 
 
 def rates(changed: Mapping[int, float]) -> Heard:
@@ -51,39 +51,43 @@ def test_a_good_link_is_well() -> None:
 @pytest.mark.parametrize(
     ("heard", "expected"),
     [
-        (replace(WELL, state=replace(STATE, connected=False)), {"heartbeat": State.FAIL}),
-        (replace(WELL, state=replace(STATE, armed=True)), {"disarmed": State.FAIL}),
-        (replace(WELL, state=replace(STATE, ready_to_arm=False)), {"ready to arm": State.WARNING}),
-        (replace(WELL, state=replace(STATE, ekf_ready=False)), {"ready to arm": State.WARNING}),
-        (replace(WELL, state=replace(STATE, battery_share=0.2)), {"battery": State.FAIL}),
-        (replace(WELL, state=replace(STATE, battery_share=None)), {"battery": State.NOT_CHECKED}),
-        (replace(WELL, clock_settled=False), {"clock": State.WARNING}),
-        (rates({mavlink.MAVLINK_MSG_ID_ATTITUDE: 10.0}), {"ATTITUDE": State.WARNING}),
-        (rates({mavlink.MAVLINK_MSG_ID_ATTITUDE: 0.0}), {"ATTITUDE": State.FAIL}),
+        (replace(WELL, state=replace(STATE, connected=False)), {"heartbeat": FindingState.FAIL}),
+        (replace(WELL, state=replace(STATE, armed=True)), {"disarmed": FindingState.FAIL}),
+        (replace(WELL, state=replace(STATE, ready_to_arm=False)), {"ready to arm": FindingState.WARNING}),
+        (
+            replace(WELL, state=replace(STATE, ready_to_arm=False, mode="OFFBOARD", offboard=True)),
+            {"ready to arm": FindingState.WARNING},
+        ),
+        (replace(WELL, state=replace(STATE, ekf_ready=False)), {"ready to arm": FindingState.WARNING}),
+        (replace(WELL, state=replace(STATE, battery_share=0.2)), {"battery": FindingState.FAIL}),
+        (replace(WELL, state=replace(STATE, battery_share=None)), {"battery": FindingState.NOT_CHECKED}),
+        (replace(WELL, clock_settled=False), {"clock": FindingState.WARNING}),
+        (rates({mavlink.MAVLINK_MSG_ID_ATTITUDE: 10.0}), {"ATTITUDE": FindingState.WARNING}),
+        (rates({mavlink.MAVLINK_MSG_ID_ATTITUDE: 0.0}), {"ATTITUDE": FindingState.FAIL}),
         # as PX4 does, which sends it when it changes
         (rates({CURRENT_MODE: 2.0}), {}),
-        (rates({CURRENT_MODE: 0.5}), {"CURRENT_MODE": State.WARNING}),
+        (rates({CURRENT_MODE: 0.5}), {"CURRENT_MODE": FindingState.WARNING}),
     ],
 )
-def test_each_fault_is_found_alone(heard: Heard, expected: dict[str, State]) -> None:
+def test_each_fault_is_found_alone(heard: Heard, expected: dict[str, FindingState]) -> None:
     assert found(heard) == expected
 
 
 def test_signing_is_wanted_where_others_reach_the_link() -> None:
-    assert found(WELL, {"link": {"connection": "udpin:0.0.0.0:14540"}}) == {"signing": State.WARNING}
+    assert found(WELL, {"link": {"connection": "udpin:0.0.0.0:14540"}}) == {"signing": FindingState.WARNING}
     assert found(WELL, {"link": {"connection": "serial:/dev/ttyAMA2:921600"}}) == {}
     signed = {"link": {"signing_key": str(Path("key")), "actions": "pymavlink"}}
     assert found(WELL, signed) == {}
-    assert found(replace(WELL, refused=3), signed) == {"signing": State.WARNING}
+    assert found(replace(WELL, refused=3), signed) == {"signing": FindingState.WARNING}
 
 
 def test_the_autopilot_s_sensors_are_judged_where_they_are_used() -> None:
     used = {"sense": {"source": "autopilot"}}
     silent = replace(WELL, sensors_problem="autopilot's sensors: no HIGHRES_IMU comes")
     assert found(silent) == {}
-    assert found(silent, used) == {"telemetry": State.FAIL}
+    assert found(silent, used) == {"telemetry": FindingState.FAIL}
     blind = replace(WELL, samples_hz={**WELL.samples_hz, GpsFix: 0.0, RangeSample: 0.0})
-    assert found(blind, used) == {"GPS": State.WARNING, "range": State.WARNING}
+    assert found(blind, used) == {"GPS": FindingState.WARNING, "range": FindingState.WARNING}
 
 
 # ---------------------------------------------------------------- losses
@@ -114,7 +118,7 @@ def test_missing_frames_and_stray_bytes_are_counted() -> None:
     assert frames == 298
 
 
-def test_a_line_that_loses_frames_is_told() -> None:
+def test_a_line_that_loses_frames_is_reported() -> None:
     line = FrameCounter()
     line.feed(b"".join(FRAMES[:10] + FRAMES[30:60]))
-    assert found(replace(WELL, line=line)) == {"losses": State.WARNING}
+    assert found(replace(WELL, line=line)) == {"losses": FindingState.WARNING}

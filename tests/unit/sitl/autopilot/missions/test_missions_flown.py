@@ -59,7 +59,9 @@ def test_jumps_that_lead_nowhere_do_no_harm(autopilot_kind: AutopilotKind) -> No
 
 
 @BOTH
-def test_a_loop_with_nothing_to_fly_is_told_of_once_a_second_at_most(autopilot_kind: AutopilotKind) -> None:
+def test_a_loop_with_nothing_to_fly_is_reported_of_once_a_second_at_most(
+    autopilot_kind: AutopilotKind,
+) -> None:
     station = Station(autopilot_kind)
     first = 1 if autopilot_kind == "ardupilot" else 0
     station.fly([item(TAKE_OFF, 0, 0, 3), item(WAYPOINT, 0, 0, 3), plain(177, first, -1)])
@@ -154,7 +156,7 @@ def test_px4_climbs_by_itself_before_a_first_waypoint_and_ardupilot_wants_a_take
 
 
 @BOTH
-def test_landing_start_and_the_current_item_are_told(autopilot_kind: AutopilotKind) -> None:
+def test_landing_start_and_the_current_item_are_reported(autopilot_kind: AutopilotKind) -> None:
     station = Station(autopilot_kind)
     assert station.command(mavlink.MAV_CMD_DO_LAND_START) == 4
     station.fly([item(TAKE_OFF, 0, 0, 4), item(17, 20, 0, 4), item(189), item(LAND, 0, 0, 0)])

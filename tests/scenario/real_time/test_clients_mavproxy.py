@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
-from tests.scenario.clients.serving import serving
+from tests.scenario.real_time.serving import serving
 
 MAVPROXY = Path(sys.executable).parent / "mavproxy.py"
 MODULES = "link,param,mode,arm,wp,fence,misc,cmdlong,rc"

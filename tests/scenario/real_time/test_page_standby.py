@@ -11,8 +11,8 @@ from typing import Any, Final
 import aiohttp
 import yaml
 
-from tests.scenario.flights.test_real_time import simulated
 from tests.scenario.flying import started, wait_for_line
+from tests.scenario.real_time.test_real_time import simulated
 
 TOKEN: Final = "the token of a test, long enough"
 PATIENCE_S: Final = 30.0

@@ -12,7 +12,7 @@ import yaml
 from pymavlink import mavutil
 
 from companion.cli import main
-from tests.scenario.commands.hand_held import PATIENCE_S, ROOT, held
+from tests.scenario.real_time.hand_held import PATIENCE_S, ROOT, held
 
 FORCE = 21196
 

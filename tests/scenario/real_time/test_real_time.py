@@ -19,7 +19,8 @@ from pymavlink import mavutil
 
 from companion.sim.command import LATE_S
 from sitl.run.report import read_report
-from tests.scenario.flying import ROOT, Flown, alive, children, load_on_a_core, run, started, wait_for_line
+from tests.scenario.flying import ROOT, Flown, alive, children, run, started, wait_for_line
+from tests.scenario.real_time.quiet_machine import wait_for_quiet
 
 DESK = ("--sitl", "--no-ui", "--scenario", "line", "--seed", "0")
 LATE = "too busy a machine for real time"
@@ -28,9 +29,7 @@ END_TIMEOUT_S = 30.0
 
 @pytest.fixture(autouse=True)
 def machine_with_time_to_spare() -> None:
-    """Real time cannot be kept on a machine with twice the work it has cores for."""
-    if (load := load_on_a_core()) > 2.0:
-        pytest.skip(f"load {load:.1f} on each core: too busy for real time")
+    wait_for_quiet()
 
 
 def fly_in_real_time(folder: Path) -> Flown:

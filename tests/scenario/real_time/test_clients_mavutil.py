@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from pymavlink import mavutil
 
-from tests.scenario.clients.serving import serving
+from tests.scenario.real_time.serving import serving
 
 PATIENCE_S = 60.0  # on a busy machine the vehicle slows down
 HEIGHT_M = 2.0

@@ -11,7 +11,8 @@ import pytest
 import yaml
 
 from tests.browser import DESK, PHONE, Tab, browser, program
-from tests.scenario.flying import COMMAND, ROOT, environment, load_on_a_core
+from tests.scenario.flying import COMMAND, ROOT, environment
+from tests.scenario.real_time.quiet_machine import wait_for_quiet
 
 TOKEN: Final = "the token of a test, long enough"
 PATIENCE_S: Final = 60.0
@@ -44,8 +45,7 @@ SIDEWAYS: Final = "document.documentElement.scrollWidth - document.documentEleme
 def a_browser_on_a_machine_with_time_to_spare() -> None:
     if program() is None:
         pytest.skip("Chromium is not installed here: apt-get install chromium")
-    if (load := load_on_a_core()) > 2.0:
-        pytest.skip(f"load {load:.1f} on each core: too busy for real time")
+    wait_for_quiet()
 
 
 def settings(folder: Path) -> Path:

@@ -19,7 +19,8 @@ from sitl.devices.ports import MemoryPort
 from sitl.external.link import open_relay
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario, load_scenario
-from tests.scenario.flying import COMMAND, ROOT, environment, load_on_a_core, scenario_file
+from tests.scenario.flying import COMMAND, ROOT, environment, scenario_file
+from tests.scenario.real_time.quiet_machine import MOST, MOST_BESIDE_THREE, used_by_others, wait_for_quiet
 
 FLIGHT_TIMEOUT_S = 180.0
 LATE = "too busy a machine for real time"
@@ -31,9 +32,7 @@ SLOW_LINE: dict[str, Any] = {"pad": {"motion": {"speed_m_s": 0.4}}, "wind": {"me
 
 @pytest.fixture(autouse=True)
 def machine_with_time_to_spare() -> None:
-    """Three processes in real time want a core and a half: less forbearing than with two."""
-    if (load := load_on_a_core()) > 1.0:
-        pytest.skip(f"load {load:.1f} on each core: too busy for real time")
+    wait_for_quiet(MOST_BESIDE_THREE)
 
 
 def vehicles_world() -> Scenario:
@@ -85,8 +84,7 @@ def requests_of_the_app(path: Path) -> set[int]:
 async def test_it_takes_off_finds_the_pad_and_lands(tmp_path: Path) -> None:
     scenario = scenario_file(tmp_path, "line", SLOW_LINE)
     code, said, late_s = await fly(scenario, tmp_path)
-    busy = load_on_a_core() > 2.0
-    if code and (LATE in said or late_s > LATE_S or busy):
+    if code and (LATE in said or late_s > LATE_S or used_by_others() > MOST):
         pytest.skip(f"this machine does not keep up with real time: {said.strip()}, {late_s:.1f} s late")
     assert code == 0, said
     result = json.loads((tmp_path / "result.json").read_text())

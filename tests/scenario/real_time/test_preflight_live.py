@@ -15,7 +15,7 @@ import yaml
 
 from companion.cli import main
 from companion.config import merge
-from tests.scenario.commands.hand_held import PATIENCE_S, ROOT, held
+from tests.scenario.real_time.hand_held import PATIENCE_S, ROOT, held
 
 Findings = dict[tuple[str, str], dict[str, str]]
 
@@ -119,7 +119,7 @@ def test_an_ardupilot_vehicle_by_its_telemetry_alone(tmp_path: Path) -> None:
     assert not {"IMU", "GPS", "range"} & {group for group, _ in findings}
 
 
-def test_a_line_of_noise_is_told_from_a_silent_one(tmp_path: Path) -> None:
+def test_a_line_of_noise_is_reported_from_a_silent_one(tmp_path: Path) -> None:
     settings = tmp_path / "noise.yaml"
     devices = {"sense": {"source": "autopilot", "vision": {"source": f"images:{tmp_path}"}}}
     with socket.create_server(("127.0.0.1", 0)) as server:

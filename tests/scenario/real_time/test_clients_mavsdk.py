@@ -23,7 +23,7 @@ from mavsdk.plugins.mission_raw import MissionItem
 from mavsdk.plugins.offboard import AccelerationNed, Attitude, PositionNedYaw, VelocityNedYaw
 
 from companion.base.autopilot_kind import AutopilotKind
-from tests.scenario.clients.serving import serving
+from tests.scenario.real_time.serving import serving
 
 PATIENCE_S = 60.0  # on a busy machine the vehicle slows down
 HEIGHT_M = 3.0

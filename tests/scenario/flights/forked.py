@@ -1,0 +1,47 @@
+"""Flights of one scenario and seed that differ in their faults alone: what they have in common is flown once.
+
+That a flight which goes on in a child is the one flown from its start, test_bench_faults_runs.py shows.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from tests.bench.faults.cases import Run
+from tests.bench.faults.fault_flight import fly_together
+from tests.bench.faults.forks import Forks
+from tests.bench.faults.judge import Verdict
+from tests.bench.faults.witness import FlightRecord
+
+Seen = TypeVar("Seen")
+
+
+def fly_forked(runs: Sequence[Run], see: Callable[[Verdict, FlightRecord], Seen]) -> dict[Run, Seen]:
+    """Fly them, each from its fault on in a child; returns what `see` takes from each, which is pickled.
+
+    A run that failed in its child is not among them; why stands on standard error.
+    """
+    seen: dict[Run, Seen] = {}
+
+    def take(run: Run, answer: Seen | None) -> None:
+        if answer is not None:
+            seen[run] = answer
+
+    forks = Forks(1, take)
+    try:
+        for run, verdict, record in fly_together(runs, forks):
+            answer = see(verdict, record)
+            if forks.mine is not None:
+                forks.deliver(answer)
+            seen[run] = answer
+        forks.wait()
+    except BaseException:
+        if forks.mine is not None:
+            traceback.print_exc()
+            forks.deliver(None)  # no child goes on as another worker of these tests
+        raise
+    finally:
+        forks.stop()
+    return seen
