@@ -52,6 +52,8 @@ from companion.plan.planner import PlanInputs
 LINK_TICK_S: Final = 0.05
 LAST_HOLD_S: Final = 2.0
 NO_MORE_ACTIONS: Final = (*END_PHASES, Phase.HOLD)  # entering one of these clears the action queue
+# A flight is stopped after a suspension of the machine; here nothing flies, or the lost estimate ends it.
+NOT_STOPPED: Final = (Phase.STANDBY, Phase.DESCEND, Phase.TOUCHDOWN)
 # there an error in the settings ends the app
 ON_THE_GROUND: Final = (Phase.STANDBY, Phase.CONNECT, Phase.ARM)
 
@@ -84,13 +86,7 @@ class App:
         self._vehicle, self.session = stages.vehicle, stages.session
         self.estimator, self.sensing = stages.estimator, stages.sensing
         self.missions = Missions(
-            stages.make_planner,
-            self.session,
-            log,
-            self.announcer,
-            self._clock,
-            standby=standby,
-            stays=stays,
+            stages.make_planner, self.session, log, self.announcer, self._clock, standby=standby, stays=stays
         )
         self.loop_monitor = LoopMonitor(self.session, self._clock)
         self._controller: Controller | None = None  # made when it is known whose autopilot obeys
@@ -176,7 +172,7 @@ class App:
         period_s = 1.0 / self._config.plan.rate_hz
         due_s = self._clock.now_s()
         while not self._over():
-            late_s = self._clock.now_s() - due_s
+            late_s = self._clock.now_s() - due_s + self.loop_monitor.slept_s()
             if late_s > period_s:
                 await self._catch_up(late_s)
                 due_s = self._clock.now_s()  # what was missed is not made up for
@@ -217,6 +213,8 @@ class App:
         if self.session.setup is not None:
             self._control()  # takes a while to make, which is to pass on the ground
         vehicle, pad = self.estimator.vehicle(now_s), self.estimator.pad(now_s)
+        if self.loop_monitor.woke:  # they are from long ago
+            vehicle = pad = None
         plan = self._plan(vehicle, pad, now_s)
         if vehicle is None:
             return
@@ -259,7 +257,7 @@ class App:
             beacon=self.session.beacon,
             range=self.sensing.last_range,
             results=results,
-            stop_requested=self._stop_requested,
+            stop_requested=self._stop_requested or (self.loop_monitor.woke and self.phase not in NOT_STOPPED),
             camera_problem=self.sensing.camera_problem,
             control_failed=self._control_failed,
         )

@@ -1,8 +1,11 @@
-"""A process that was stopped and goes on: by SIGSTOP, a card that does not answer, a machine without memory.
+"""A process that was stopped and goes on: by SIGSTOP, a card that does not answer, a suspended laptop.
 
 The control loop reads what has arrived meanwhile before it plans. After `STALL_S` that is not enough: the
 socket's buffer keeps the oldest of what arrived, so the newest mode in it may be from before the autopilot's
 failsafe, or the pilot, chose another. Then it waits for a heartbeat that comes in now.
+
+The loop's clock stands still while the machine is suspended, so that nothing looks old afterwards; the clock
+here goes on (CLOCK_BOOTTIME).
 """
 
 from __future__ import annotations
@@ -32,11 +35,13 @@ class LoopMonitor:
         self._session, self._clock = session, clock
         self.heard = 0
         self._turned_s: float | None = None
+        self._slept_s = clock.suspended_s()
+        self.woke = False  # this cycle is the first after a suspension: what is known is from long before
         self._recent: deque[bool] = deque(maxlen=CYCLES)
 
     def turn(self, late_s: float, period_s: float) -> None:
         """A cycle begins, so late."""
-        self._turned_s = self._clock.now_s()
+        self._turned_s = self._now_s()
         self._recent.append(late_s > 0.5 * period_s)
 
     def end(self) -> None:
@@ -51,7 +56,17 @@ class LoopMonitor:
     @property
     def silent(self) -> bool:
         """Whether the control loop stands still: what other tasks send now would be by old knowledge."""
-        return self._turned_s is not None and self._clock.now_s() - self._turned_s > STALL_S
+        return self._turned_s is not None and self._now_s() - self._turned_s > STALL_S
+
+    def slept_s(self) -> float:
+        """How long (s) the machine has been suspended since this was asked last."""
+        before, self._slept_s = self._slept_s, self._clock.suspended_s()
+        slept_s = max(0.0, self._slept_s - before)
+        self.woke = slept_s > STALL_S
+        return slept_s
+
+    def _now_s(self) -> float:
+        return self._clock.now_s() + self._clock.suspended_s()
 
     async def catch_up(self, late_s: float, alive: Callable[[], None]) -> bool:
         """Read what has arrived; after a stall wait for the next heartbeat. Returns whether it was one.
@@ -64,7 +79,7 @@ class LoopMonitor:
         heard = self._session.heartbeats
         until_s = self._clock.now_s() + self._session.heartbeat_timeout_s
         while self._session.heartbeats == heard and self._clock.now_s() < until_s:
-            self._turned_s = self._clock.now_s()
+            self._turned_s = self._now_s()
             alive()
             await asyncio.sleep(_LOOK_S)
         return True

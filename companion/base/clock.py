@@ -76,6 +76,10 @@ class Clock:
         """Seconds of the loop's monotonic clock; CLOCK_MONOTONIC on the vehicle, from 0 in virtual time."""
         return self._loop.time()
 
+    def suspended_s(self) -> float:
+        """How long (s) the machine has been suspended since it booted: `now_s` does not count that time."""
+        return 0.0 if self.virtual else boot_clock_ahead_s()
+
     async def sleep_until(self, time_s: float) -> None:
         """Return at time_s, or at the loop's next turn when that has passed."""
         await asyncio.sleep(max(0.0, time_s - self.now_s()))
@@ -109,8 +113,17 @@ def sleep_s(duration_s: float) -> None:
 
 
 def boot_clock_ahead_s() -> float:
-    """How far (s) CLOCK_BOOTTIME is ahead of CLOCK_MONOTONIC: as long as the machine has been suspended."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC)
+    """How far (s) CLOCK_BOOTTIME is ahead of CLOCK_MONOTONIC: as long as the machine has been suspended.
+
+    0 where there is no such clock (it is Linux').
+    """
+    boot_clock = getattr(time, "CLOCK_BOOTTIME", None)
+    return 0.0 if boot_clock is None else time.clock_gettime(boot_clock) - time.monotonic()
+
+
+def up_s() -> float:
+    """How long (s) the machine has been up, suspensions included, by a clock that nobody sets."""
+    return time.monotonic() + boot_clock_ahead_s()
 
 
 def unix_time_s() -> float:

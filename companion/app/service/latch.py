@@ -5,12 +5,14 @@ a process that is killed, or a battery that is pulled, leaves "begun". Then only
 `companion permit`, lets the next start fly. What starts the app by itself, at boot, after a crash or after a
 flight (systemd, a container's restart policy, cron), has no terminal: every such start needs that word. It is
 used up as it is read, so that a start that dies in whatever way before its flight leaves none; an error that
-is reported in order gives it back.
+is reported in order gives it back. It holds for an hour and until the computer starts anew: whoever powers
+the vehicle up tomorrow has not given it.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import uuid
@@ -19,9 +21,12 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
+from companion.base.clock import up_s
 from companion.base.errors import ConfigError
 
 FILE_NAME: Final = "latch.json"
+PERMIT_S: Final = 3600.0
+BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")  # Linux': another one at each boot
 PERMIT_HINT: Final = "'companion permit' lets the next start fly"
 
 
@@ -43,6 +48,7 @@ class FlightLatch:
     folder: Path
     _begun: bool = field(default=False, init=False)
     _taken: str | None = field(default=None, init=False)
+    _permit: str = field(default="", init=False)
     _unattended: bool = field(default=False, init=False)
 
     @property
@@ -70,7 +76,8 @@ class FlightLatch:
         """
         self._unattended = unattended
         state, words = self.read()
-        if state is LatchState.PERMITTED:
+        if state is LatchState.PERMITTED and not _stale(words):
+            self._permit = words
             self._taken = uuid.uuid4().hex
             self._write(LatchState.TAKEN, self._taken)
             return None
@@ -99,7 +106,7 @@ class FlightLatch:
             self._write(LatchState.ENDED, words)
             self._begun = False
         elif self._is_ours():
-            self._write(LatchState.PERMITTED, "")
+            self._write(LatchState.PERMITTED, self._permit)
             self._taken = None
 
     def _is_ours(self) -> bool:
@@ -112,7 +119,7 @@ class FlightLatch:
         Raises:
             ConfigError: the latch cannot be written.
         """
-        self._write(LatchState.PERMITTED, "")
+        self._write(LatchState.PERMITTED, f"{_boot_id()} {up_s():.0f}")
 
     def _write(self, state: LatchState, words: str) -> None:
         """Replace the file so that a power cut leaves the old one or the new one."""
@@ -137,7 +144,7 @@ class FlightLatch:
 
 def _refusal(state: LatchState, words: str, *, unattended: bool) -> str | None:
     if state is LatchState.PERMITTED:
-        return None
+        return f"{stale}; {PERMIT_HINT}" if (stale := _stale(words)) else None
     if state is LatchState.TAKEN:
         return f"a start took the permission, and has begun no flight; {PERMIT_HINT}"
     if state is LatchState.BEGUN:
@@ -148,6 +155,24 @@ def _refusal(state: LatchState, words: str, *, unattended: bool) -> str | None:
         ended = f" (the last one ended: {words})" if words else ""
         return f"not started at a terminal, and no flight is permitted{ended}; {PERMIT_HINT}"
     return None
+
+
+def _stale(words: str) -> str:
+    """Why the permission does not hold, by the boot and the uptime written with it; "" when it does."""
+    boot, _, given_s = words.rpartition(" ")
+    age_s = up_s() - float(given_s) if given_s.isdecimal() else -math.inf
+    if boot != _boot_id() or age_s < -1.0:  # it is written in whole seconds
+        return "the permission was given before the computer started anew"
+    if age_s > PERMIT_S:
+        return f"the permission is older than {PERMIT_S / 60.0:.0f} min"
+    return ""
+
+
+def _boot_id() -> str:
+    try:
+        return BOOT_ID.read_text(encoding="ascii").strip()
+    except OSError:
+        return "unknown"
 
 
 def state_folder() -> Path:

@@ -12,7 +12,7 @@ from companion.app.service.latch import FlightLatch, LatchState, state_folder
 HELP: Final = """Let the next start of the app fly.
 
 After a crash, a kill or a power cut, and whenever it is not started at a terminal, the app stays in standby
-until this was said. It holds for one start.
+until this was said. It holds for one start, for an hour, and until the computer starts anew.
 """
 
 

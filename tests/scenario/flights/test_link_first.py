@@ -15,13 +15,14 @@ from typing import Any, Final
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.clock import Clock
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, mavlink
 from companion.link.dialect import CURRENT_MODE
 from companion.link.inbox import MemoryTransport, memory_pair
 from companion.link.modes import CONTROL_MODE, custom_mode
 from sitl.scenario.scenario import Scenario
 from tests.bench.faults import fault_flight
-from tests.bench.faults.cases import Run, scenario_of
+from tests.bench.faults.cases import Run, faultless, scenario_of
 from tests.bench.faults.witness import FlightRecord
 from tests.scenario.flights.forked import fly_forked
 
@@ -158,3 +159,37 @@ def test_a_link_that_cannot_be_read_any_more_ends_the_flight_in_the_autopilots_h
     assert not record.crashed
     assert record.samples[-1].mode not in {"OFFBOARD", "GUIDED"}
     assert max(heard.setpoints_s) < record.app_ended_s
+
+
+@contextmanager
+def waking_at(woken_s: float) -> Iterator[None]:
+    """The machine was suspended for an hour just before: the loop's clock does not show it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Clock, "suspended_s", lambda clock: 3600.0 if clock.now_s() >= woken_s else 0.0)
+        yield
+
+
+def test_a_machine_that_was_suspended_in_the_descent_flies_by_nothing_that_it_knew() -> None:
+    # ArduPilot stays in GUIDED meanwhile, so that its mode says nothing
+    woken_s = 27.0
+    content = faultless("line").model_dump(by_alias=True, exclude_unset=True)
+    scenario = Scenario.model_validate(content | {"autopilot": "ardupilot"})
+    with listening() as put_together, waking_at(woken_s):
+        record, _ = fault_flight.fly(scenario, 0)
+    heard = put_together(record)
+    words = [said.text for said in record.texts]
+    before = [said.text for said in record.texts if said.time_s < woken_s]
+    assert any(text.startswith("descend: ") for text in before), words
+    assert any("stood still for 3600" in text for text in words), words
+    assert any(text.startswith("abort: estimate lost") for text in words), words
+    assert max(heard.setpoints_s) <= woken_s + PROMPT_S
+    assert record.samples[-1].mode == "BRAKE"
+    assert not record.crashed
+
+
+def test_a_machine_that_was_suspended_before_the_take_off_does_not_take_off() -> None:
+    with listening() as put_together, waking_at(2.0):
+        record, _ = fault_flight.fly(faultless("line"), 0)
+    assert not any(sample.armed for sample in record.samples)
+    assert put_together(record).setpoints_s == []
+    assert any(said.text.startswith("abort: stop requested") for said in record.texts), record.texts

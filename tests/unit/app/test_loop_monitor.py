@@ -86,3 +86,23 @@ def test_without_a_heartbeat_it_goes_on_after_the_link_s_time_out() -> None:
         assert clock.now_s() - begun_s == pytest.approx(session.heartbeat_timeout_s, abs=0.05)
 
     monitored(work)
+
+
+def test_a_suspension_of_the_machine_counts_though_the_loop_s_clock_stood_still(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    suspended_s = 50.0  # before the app was started: no matter
+    monkeypatch.setattr(Clock, "suspended_s", lambda _clock: suspended_s)
+
+    async def work(monitor: LoopMonitor, _session: Session, _clock: Clock) -> None:
+        nonlocal suspended_s
+        monitor.turn(0.0, PERIOD_S)
+        found = []
+        for slept_s in (0.0, 3600.0, 0.0):
+            suspended_s += slept_s
+            silent = monitor.silent
+            found.append((silent, monitor.slept_s(), monitor.woke))
+            monitor.turn(0.0, PERIOD_S)
+        assert found == [(False, 0.0, False), (True, 3600.0, True), (False, 0.0, False)]
+
+    monitored(work)

@@ -11,7 +11,15 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from companion.app.command import Output, fly_the_vehicle
-from companion.app.service.latch import FILE_NAME, FlightLatch, LatchState, state_folder, unattended
+from companion.app.service import latch as latch_module
+from companion.app.service.latch import (
+    FILE_NAME,
+    PERMIT_S,
+    FlightLatch,
+    LatchState,
+    state_folder,
+    unattended,
+)
 from companion.base.errors import ConfigError
 from companion.cli import cli
 from tests.unit.link.transport.transport_ends import free_port
@@ -36,6 +44,37 @@ def test_a_start_that_ends_in_order_before_its_flight_uses_no_permission_up(latc
         assert latch.refusal(unattended=True) is None
         latch.end("by an error in the settings")
     assert latch.read()[0] is LatchState.PERMITTED
+
+
+def test_a_permission_of_another_boot_or_of_hours_ago_is_none(
+    latch: FlightLatch, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    now_s, boot = 100.0, tmp_path / "boot_id"
+    boot.write_text("first\n")
+    monkeypatch.setattr(latch_module, "up_s", lambda: now_s)
+    monkeypatch.setattr(latch_module, "BOOT_ID", boot)
+    latch.permit()
+    now_s += PERMIT_S
+    assert latch.refusal(unattended=True) is None
+    latch.end("by an error in the settings")  # given back, it is as old as it was
+    now_s += 2.0
+    for by_service in (False, True):
+        reason = latch.refusal(unattended=by_service)
+        assert reason is not None
+        assert "older than 60 min" in reason
+    now_s = 150.0
+    boot.write_text("second\n")
+    reason = latch.refusal(unattended=False)
+    assert reason is not None
+    assert "before the computer started anew" in reason
+    latch.permit()
+    assert latch.refusal(unattended=True) is None
+
+
+def test_a_permission_that_an_older_version_wrote_is_none(latch: FlightLatch) -> None:
+    latch.permit()
+    latch.path.write_text('{"state": "permitted", "words": ""}')
+    assert latch.refusal(unattended=True) is not None
 
 
 def test_a_start_that_dies_before_its_flight_leaves_no_permission(latch: FlightLatch) -> None:
