@@ -45,7 +45,7 @@ class LoopMonitor:
 
     @property
     def late_share(self) -> float:
-        """Share of the last `CYCLES` that came late by more than half a period: how it goes now."""
+        """Share of the last `CYCLES` that came late by more than half a period: as the machine is now."""
         return sum(self._recent) / max(1, len(self._recent))
 
     @property

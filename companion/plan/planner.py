@@ -17,7 +17,7 @@ from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
-from companion.plan.mission.mode_monitor import in_land
+from companion.plan.mission.mode_monitor import in_land, in_offboard
 from companion.plan.mission.orders import not_ready
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
@@ -206,6 +206,7 @@ class Planner:
             # a request that is asked afresh is not granted yet, while the autopilot lands all the same
             land_granted=self._requests.granted(ActionKind.LAND) or in_land(inputs.autopilot),
             may_finish=self._battery.finish_descent,
+            in_offboard=in_offboard(inputs.autopilot),
             ends_inside=self._ends_inside(inputs),
         )
 
@@ -242,6 +243,8 @@ class Planner:
             self._requests.forget()
             self._monitor.phase_begins(now_s)
             self._say("motors_on", "down, and the motors still run: LAND, disarm again", now_s, "error")
+        if ActionKind.LEAVE_OFFBOARD in {action.kind for action in branch.actions}:
+            self._say("leave_offboard", "from OFFBOARD to Hold, in which it can be armed again", now_s)
         for action in branch.actions:
             self._requests.ask(self._steering.departure.with_numbers(action, inputs.autopilot), now_s)
 

@@ -145,10 +145,9 @@ class Field:
     async def take_off(self, height_m: float = 6.0) -> None:
         """The pilot takes off, and the autopilot hovers."""
         guided = self.autopilot.autopilot_kind == "ardupilot"
-        # not in the mode of the last landing, which PX4 does not arm in
-        mode = "GUIDED" if guided else "AUTO.LOITER"
-        self.pilot_mode(mode)
-        await self.until(lambda: self.autopilot.mode == mode, 10.0, mode)
+        if guided:  # ArduPilot takes off in no other mode
+            self.pilot_mode("GUIDED")
+            await self.until(lambda: self.autopilot.mode == "GUIDED", 10.0, "GUIDED")
         self.pilot(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
         await self.until(lambda: self.autopilot.armed, 10.0, "armed")
         home_m = 0.0 if guided else self.autopilot.home[2]

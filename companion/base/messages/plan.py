@@ -44,6 +44,7 @@ class ActionKind(StrEnum):
     TAKE_OFF = "take_off"
     GO_TO = "go_to"
     TAKE_CONTROL = "take_control"
+    LEAVE_OFFBOARD = "leave_offboard"
     HOLD = "hold"
     LAND = "land"
     DISARM = "disarm"

@@ -55,10 +55,9 @@ class LeanState(NamedTuple):
 
     def after(self, dt_s: float, acceleration_rad_s2_rthz: float) -> LeanState:
         """The state dt_s later."""
-        return self._replace(
-            north=self.north.after(dt_s, acceleration_rad_s2_rthz),
-            east=self.east.after(dt_s, acceleration_rad_s2_rthz),
-        )
+        north = self.north.after(dt_s, acceleration_rad_s2_rthz)
+        east = self.east.after(dt_s, acceleration_rad_s2_rthz)
+        return LeanState(north, east, self.mean_rad, self.swing_square, self.rate_square, self.watched_s)
 
     def corrected(self, lean_rad: tuple[float, float], std_rad: float, since_s: float) -> LeanState:
         """With a sighting's lean, so long after the one before."""

@@ -158,7 +158,8 @@ class ModelBank:
         covariances = state.covariances - seen_with @ inverse @ seen_with.transpose(0, 2, 1)
         # this form, unlike Joseph's, makes more of what rounding has left unsymmetric
         covariances = 0.5 * (covariances + covariances.transpose(0, 2, 1))
-        unlikely = (seen.y[:, None, :] @ weighed)[:, 0, 0] + np.log(volume)
+        north, east = (seen.y * weighed[:, :, 0]).T
+        unlikely = north + east + np.log(volume)
         return BankState(means, covariances, _gained(state.probabilities, unlikely, groups))
 
 

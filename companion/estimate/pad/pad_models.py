@@ -60,8 +60,6 @@ SHORT_S: Final = 0.1
 TERMS: Final = 10
 
 _EXPONENTS: Final = np.arange(float(TERMS))
-_BOTH: Final = np.eye(2)
-_FIRST: Final = np.diag([1.0, 0.0])
 # where, in a flat (8, 8), the complex factors of acceleration and jerk stand, as blocks that multiply by them
 _TURNED: Final = [
     8 * (row + down) + column + along
@@ -98,15 +96,11 @@ def course_turn(
     """
     (vn, ve), (an, ae) = velocity_m_s, acceleration_m_s2
     speed_squared = vn * vn + ve * ve + MINIMUM_SPEED_M_S**2
-    estimates = (
-        ((vn * ae - ve * an) / speed_squared, max(acceleration_variance / speed_squared, 1e-4)),
-        (heading_rate_rad_s, heading_rate_variance + HEADING_IS_COURSE_RAD_S**2),
-        (0.0, STRAIGHT_ON_RAD_S**2),
-    )
-    weight = sum(1.0 / variance for _, variance in estimates)
-    return Turn(
-        sum(rate / variance for rate, variance in estimates) / weight, 1.0 / weight, math.hypot(an, ae)
-    )
+    by_course = 1.0 / max(acceleration_variance / speed_squared, 1e-4)
+    by_heading = 1.0 / (heading_rate_variance + HEADING_IS_COURSE_RAD_S**2)
+    variance = 1.0 / (by_course + by_heading + 1.0 / STRAIGHT_ON_RAD_S**2)
+    rate = by_course * (vn * ae - ve * an) / speed_squared + by_heading * heading_rate_rad_s
+    return Turn(variance * rate, variance, math.hypot(an, ae))
 
 
 def vertical_names(config: PadFilterConfig) -> tuple[str, ...]:
@@ -136,10 +130,9 @@ class PadModels:
         self.acceleration_variance = np.concatenate((across.acceleration_variance, up.acceleration_variance))
         self.jerk_variance = np.concatenate((across.jerk_variance, up.jerk_variance))
         # the last is what a turn gathers by jerk alone
-        A = _on_axes(np.concatenate((across.A, up.A, across.A[[TURN]])), _BOTH)
         jerk = np.diag([0.0, 0.0, 1.0, 0.0])[None]
-        W = np.concatenate((_on_axes(across.W, _BOTH), _on_axes(up.W, _FIRST), _on_axes(jerk, _BOTH)))
-        self._series = _Series(A, W)
+        A = np.concatenate((across.A, up.A, across.A[[TURN]]))
+        self._series = _Series(A, np.concatenate((across.W, up.W, jerk)))
 
     def step(self, dt_s: float, turn: Turn) -> tuple[FloatArray, FloatArray]:
         """F and Q (m, 8, 8) over dt_s.
@@ -148,9 +141,14 @@ class PadModels:
         white one of that density after a second. Within a short time Q leaves out that noise turns, too.
         """
         short_s, doublings = _shortened(dt_s)
-        F, Q = self._series.at(short_s)
-        F, Q, by_jerk = F[:-1], Q[:-1], Q[-1]
-        Q[TURN] += turn.variance * turn.acceleration_m_s2**2 * by_jerk
+        one_axis = self._series.at(short_s)
+        noise = one_axis[1]
+        noise[TURN] += turn.variance * turn.acceleration_m_s2**2 * noise[-1]
+        F, Q = both = np.zeros((2, self.count, 8, 8))
+        both[:, :, ::2, ::2] = one_axis[:, :-1]
+        F[:, 1::2, 1::2] = one_axis[0, :-1]
+        plane, _ = self.groups
+        Q[plane, 1::2, 1::2] = noise[plane]
         self._turn(F, short_s, turn.rate_rad_s)
         for _ in range(doublings):
             Q = F @ Q @ F.transpose(0, 2, 1) + Q
@@ -263,8 +261,3 @@ def _waving(w0: float, damping: float, variance: float, vehicle: float) -> tuple
     A = np.eye(4, k=1)
     A[3, 2], A[3, 3] = -w0 * w0, -2.0 * damping * w0
     return A, np.diag([0.0, vehicle, 0.0, 4.0 * damping * w0**3 * variance])
-
-
-def _on_axes(matrices: FloatArray, axes: FloatArray) -> FloatArray:
-    """The same (m, 4, 4) on two axes (m, 8, 8), as far as `axes` (2, 2) says."""
-    return np.asarray(np.kron(matrices, axes), dtype=np.float64)

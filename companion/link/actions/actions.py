@@ -79,6 +79,7 @@ class PymavlinkActions:
             ActionKind.TAKE_OFF: self._take_off,
             ActionKind.GO_TO: self._go_to,
             ActionKind.TAKE_CONTROL: self.take_control,
+            ActionKind.LEAVE_OFFBOARD: self.leave_offboard,
             ActionKind.HOLD: self.hold,
             ActionKind.LAND: self.land,
             ActionKind.DISARM: self.disarm,
@@ -150,6 +151,23 @@ class PymavlinkActions:
 
         await self.dialogue.set_mode(mode, void)
         await self.dialogue.confirm(lambda: self._session.state.offboard, mode, void)
+
+    async def leave_offboard(self, action: Action) -> None:
+        """Hold instead of OFFBOARD while disarmed; not sent once anybody chose another mode or has armed."""
+        kind = self.dialogue.autopilot_kind()
+
+        def void() -> str:
+            state = self._session.state
+            return "armed again" if state.armed else "" if state.offboard else f"it is in {state.mode}"
+
+        if not self._session.state.offboard:
+            return
+        try:
+            await self.dialogue.set_mode(HOLD_MODE[kind], void)
+        except Refused:
+            if self._session.state.offboard:
+                raise
+        await self.dialogue.confirm(lambda: not self._session.state.offboard, HOLD_MODE[kind], void)
 
     async def hold(self, action: Action) -> None:
         """Stop and stay, by the autopilot's own mode."""

@@ -77,6 +77,7 @@ class MavsdkActions:
             ActionKind.TAKE_OFF: self._take_off,
             ActionKind.GO_TO: self._go_to,
             ActionKind.TAKE_CONTROL: self._own.take_control,
+            ActionKind.LEAVE_OFFBOARD: self._own.leave_offboard,
             ActionKind.HOLD: self._hold,
             ActionKind.LAND: self._land,
             ActionKind.DISARM: self._disarm,

@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import math
 
-from companion.base.geometry import GRAVITY_M_S2
 from companion.base.messages import LandedState, LevelOff, PadState, RangeSample
 from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import FRESH_S, SIGNS_NEEDED, ContactSigns, Standing, contact_signs
 from companion.plan.landing.level_moment import LeanForecast, level_at
+from companion.plan.landing.levelling import Levelling
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle, stopping_m
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import DetectedEvent, MissionEvent, State
@@ -29,18 +29,7 @@ from companion.plan.trajectory.reference_generator import ReferenceGenerator
 _GIVE_WAY_S = 0.3
 _LONGEST_CYCLE_S = 0.1
 _TOO_FAST_S = 0.1
-# The window of level attitude about the contact: the attitude takes about 0.3 s to follow, and the contact
-# comes early or late by some tenths.
-_LEVEL_BEFORE_S = 0.31
-_LEVEL_FOR_S = 0.42
-# From the decision to level off until the lean has begun to fall: command, dead time and the gate of jerk.
-_LEANS_ON_S = 0.2
-_FOOT_DROP_M = 0.02
-# Near the pad the air carries, and the sink slows below what is planned; below this share of it not for long.
-_SLOWEST_SINK = 0.5
 _TOO_MUCH_LEAN = 1.3
-# Of the speed over the pad that one may start down with; what is gentle on the feet is a bit more.
-_FASTEST_DRIFT = 2.0
 # Echoes so much deeper than the unseen pad's estimate, for so long: the pad is not below any more.
 _DEEPER_M = 0.25
 _DEEPER_S = 0.15
@@ -71,10 +60,7 @@ class TouchdownSequence:
         self._settled, self._touching = Debounce(), Debounce()
         self._too_fast, self._far_aside, self._deeper = Debounce(), Debounce(), Debounce()
         self.lean = LeanForecast()
-        self._level_due_s: float | None = None
-        self._level_from_s: float | None = None
-        self._needed_m_s2 = 0.0
-        self._too_low_s = -math.inf
+        self._levelling = Levelling(self._config, self._vehicle)
 
     def enter(self, state: State, now_s: float) -> None:
         """Begin with one of the states within a try."""
@@ -84,8 +70,8 @@ class TouchdownSequence:
             self._break_off(now_s)
         elif state is State.SET_DOWN:
             self._generator.sink(self._config.contact_speed_m_s, self._config.blend_s, now_s)
-            self._level_due_s = self._level_from_s = now_s
-            self._needed_m_s2 = 0.0
+            self._levelling.reset()
+            self._levelling.stay(now_s)
         elif state is State.STAND:
             self._standing.begin(now_s)
             self._stay_down(now_s)
@@ -108,24 +94,8 @@ class TouchdownSequence:
         return event
 
     def level_off(self) -> LevelOff | None:
-        """That the vehicle may lean no further than it may at contact; None until the contact is near.
-
-        It goes level shortly before the contact is due, whatever the pad and the wind do meanwhile, and not
-        for long: what the level vehicle cannot follow becomes speed over the pad. A contact that comes late
-        is waited for while that speed is no more than one may start down with; and so low that a lean would
-        put a foot on the pad, longer. The controller does not know it before: it would lean further until
-        then, to be ahead of the pad, and a contact that comes a tenth of a second early meets that lean.
-        """
-        from_s = self._level_from_s
-        if self._level_due_s is None or from_s is None:
-            return None
-        tilt_rad = math.radians(self._config.contact_tilt_deg)
-        late_s = max(0.0, self._level_due_s - _LEVEL_BEFORE_S - from_s)
-        excess_m_s2 = self._needed_m_s2 - GRAVITY_M_S2 * math.tan(tilt_rad)
-        if excess_m_s2 > 0.0:
-            late_s = min(late_s, self._config.lateral_speed_m_s / excess_m_s2)
-        until_s = max(from_s + late_s, self._too_low_s) + _LEVEL_FOR_S
-        return LevelOff(from_s, until_s, tilt_rad)
+        """That the vehicle may lean no further than it may at contact; None until the contact is near."""
+        return self._levelling.window()
 
     # ------------------------------------------------------------ wait, and rise to where it waits
 
@@ -177,9 +147,7 @@ class TouchdownSequence:
         if self._touching.held_s(touching, now_s) >= self._config.contact_s:
             return MissionEvent.CONTACT, signs.in_words()
         if touching:
-            self._level_due_s = now_s  # no lean while contact is confirmed
-            if self._level_from_s is None:
-                self._level_from_s = now_s - _LEVEL_BEFORE_S
+            self._levelling.touching(now_s)
             return None
         lost = self._lost(sight, inputs.range, now_s)
         if lost is not None:
@@ -215,7 +183,7 @@ class TouchdownSequence:
 
     def _set_down(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Level, and on down in the EKF's NED, until something solid is below."""
-        self._level_due_s = now_s + _LEVEL_BEFORE_S
+        self._levelling.stay(now_s)
         if inputs.autopilot.landed is LandedState.ON_GROUND:
             return MissionEvent.LANDING_DETECTED, "the autopilot reports landed"
         signs = contact_signs(
@@ -239,7 +207,7 @@ class TouchdownSequence:
         # with the feet nearly down, climbing away would drag them over the pad
         high = sight.height_m > self._vehicle.leg_height_m + 2.0 * c.contact_margin_m
         self._give_way(sight if high else None, now_s)
-        self._expect_contact(sight, now_s)
+        self._levelling.expect(sight, self.lean, now_s)
         wrong = self._wrong(sight, now_s)
         if wrong and self._has_room(sight.height_m, sight.sink_m_s):
             return MissionEvent.BREAK_OFF, wrong
@@ -273,7 +241,7 @@ class TouchdownSequence:
         fast = fresh and sight.sink_m_s > self._config.fastest_contact_m_s
         if self._too_fast.held_s(fast, now_s) >= _TOO_FAST_S:
             return "sinking too fast"
-        due_s = self._contact_due_s if self._level_from_s is None else self._level_due_s or now_s
+        due_s = self._levelling.due_s if self._levelling.begun else self._contact_due_s
         lean_m_s2 = self.lean.at_m_s2(max(0.0, due_s - now_s))
         if lean_m_s2 > _TOO_MUCH_LEAN * self._tolerance.most_lean_m_s2(now_s):
             return "too much lean at contact"
@@ -288,40 +256,6 @@ class TouchdownSequence:
         room_m = stopping_m(sink_m_s, lean_rad, self._vehicle.foot_reach_m)
         return height_m - self._vehicle.leg_height_m > max(self._config.break_off_above_m, room_m)
 
-    def _expect_contact(self, sight: PadState, now_s: float) -> None:
-        """When the feet will touch: by the speed as planned, until it goes level; from then on as seen.
-
-        Unseen, what was expected last holds: it goes level by that.
-        """
-        hangs_near = sight.age_s <= FRESH_S and self._see_contact_near(sight, now_s)
-        due_s = self._level_due_s
-        near = hangs_near or (due_s is not None and now_s >= due_s - _LEVEL_BEFORE_S)
-        if self._level_from_s is None and near:
-            self._level_from_s = now_s
-            self._needed_m_s2 = self.lean.at_m_s2(0.0)
-        if self._level_from_s is not None and self._too_low_to_lean(sight):
-            self._too_low_s = now_s
-
-    def _too_low_to_lean(self, sight: PadState) -> bool:
-        """Whether the lean that the pad and the wind need would put a foot on the pad.
-
-        Not while the level vehicle drifts so fast that the lean is the lesser evil.
-        """
-        hangs_m = self._vehicle.foot_reach_m * math.sin(math.atan(self._needed_m_s2 / GRAVITY_M_S2))
-        over_m = sight.height_m - self._vehicle.leg_height_m
-        slow = sight.lateral_speed_m_s <= _FASTEST_DRIFT * self._config.lateral_speed_m_s
-        return sight.age_s <= FRESH_S and slow and over_m <= hangs_m + self._config.contact_margin_m
-
-    def _see_contact_near(self, sight: PadState, now_s: float) -> bool:
-        """Take in when the feet will touch; whether the foot that hangs lower would before the lean falls."""
-        planned_m_s = self._config.contact_speed_m_s
-        slowest_m_s = planned_m_s if self._level_from_s is None else _SLOWEST_SINK * planned_m_s
-        sink_m_s = max(slowest_m_s, sight.sink_m_s)
-        over_m = sight.height_m - self._vehicle.leg_height_m
-        self._level_due_s = now_s + max(0.0, over_m - _FOOT_DROP_M) / sink_m_s
-        hangs_m = self._vehicle.foot_reach_m * math.sin(self.lean.tilt_rad)
-        return over_m - hangs_m <= sink_m_s * _LEANS_ON_S
-
     def _give_way(self, sight: PadState | None, now_s: float) -> None:
         """Let the reference's height follow the vehicle's; not near the pad, where the vehicle may stand."""
         share = min(_LONGEST_CYCLE_S, now_s - self._sunk_s) / _GIVE_WAY_S
@@ -332,8 +266,7 @@ class TouchdownSequence:
     def _break_off(self, now_s: float) -> None:
         """Rise at once; waiting goes on from the reference's own state."""
         self._generator.rise(now_s)
-        self._level_due_s = self._level_from_s = None
-        self._too_low_s = -math.inf
+        self._levelling.reset()
         self._settled, self._too_fast, self._far_aside = Debounce(), Debounce(), Debounce()
         self._deeper = Debounce()
 

@@ -16,6 +16,7 @@ from companion.plan.debounce import Debounce
 from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge, vehicle_motion
 from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.mode_monitor import in_offboard
 from companion.plan.mission.states import DetectedEvent, MissionEvent, State
 from companion.plan.notices import NoticeSink
 from companion.plan.obstacles.obstacle_monitor import ObstacleMonitor
@@ -36,12 +37,8 @@ def refused_words(autopilot: AutopilotState) -> str:
 
 
 def offboard_words(autopilot: AutopilotState) -> str:
-    """Why a PX4 that stands in OFFBOARD is not ready to arm, to follow other words; "" for any other.
-
-    After a landing it stays in that mode, and its checks are those of the mode: it wants setpoints
-    (`mode_req_offboard_signal` of its failsafe_flags).
-    """
-    if autopilot.autopilot_kind != "px4" or not autopilot.offboard:
+    """Why a PX4 that was found in OFFBOARD is not ready to arm, to follow other words; "" for any other."""
+    if not in_offboard(autopilot):
         return ""
     return " (in OFFBOARD PX4 is not, without setpoints: change its mode, for example to Hold)"
 

@@ -39,6 +39,14 @@ def in_land(autopilot: AutopilotState) -> bool:
     return autopilot.connected and short_name(autopilot.mode or "") == _LAND
 
 
+def in_offboard(autopilot: AutopilotState) -> bool:
+    """Whether it is a PX4 in OFFBOARD, where it does not get ready to arm unless setpoints come.
+
+    (`mode_req_offboard_signal` of its failsafe_flags.) ArduPilot's GUIDED asks for none.
+    """
+    return autopilot.connected and autopilot.autopilot_kind == "px4" and autopilot.offboard
+
+
 class ModeMonitor:
     """Call `taken_over` once a cycle while the autopilot is received."""
 

@@ -124,6 +124,7 @@ class Guard(StrEnum):
     TRIES_LEFT = "tries left"
     DISARM_NOT_ASKED = "no disarm asked yet"
     LAND_GRANTED = "the autopilot is in LAND"
+    LEFT_IN_OFFBOARD = "control was ours, and PX4 is in OFFBOARD still"
     UNHEARD = "the autopilot has not been heard for long"
     MAY_FINISH = "the settings let a descent finish"
     ENDS_INSIDE = "the pad is inside the fence until the landing ends"
@@ -153,6 +154,7 @@ class Circumstances:
     airborne: bool = False
     may_finish: bool = False
     ends_inside: bool = True
+    in_offboard: bool = False
 
     def allow(self, guard: Guard) -> bool:
         """Whether a guard holds."""
@@ -166,6 +168,7 @@ class Circumstances:
             Guard.TRIES_LEFT: self.tries_left,
             Guard.DISARM_NOT_ASKED: not self.disarm_asked,
             Guard.LAND_GRANTED: self.land_granted,
+            Guard.LEFT_IN_OFFBOARD: self.in_offboard and self.authority is Authority.OURS,
             Guard.UNHEARD: not self.heard,
             Guard.MAY_FINISH: self.may_finish,
             Guard.ENDS_INSIDE: self.ends_inside,

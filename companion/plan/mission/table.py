@@ -9,7 +9,8 @@ Its rules:
   STOP, the bounds and overtime return control to the autopilot, which holds its position: low over the pad
   once it has climbed clear. A lost estimate, a controller without a plan and a late link leave no time for
   that; a vehicle that a pilot flew when the landing was ordered, and that was never ours, stays in the
-  pilot's mode.
+  pilot's mode;
+  a PX4 that is disarmed in our OFFBOARD is put into Hold, so that it can be armed again.
 No clock, no I/O: the failsafe monitor and the phases detect events, and here stands what follows.
 """
 
@@ -81,6 +82,10 @@ def _all(states: Iterable[State], reason: str) -> dict[State, str]:
 
 _GIVE_UP: Final = _end()
 _CONTROL_LOST: Final = Branch(S.ABORT, (), Authority.RELEASED, (Effect.STOP_SETPOINTS,))
+# A disarmed PX4 stays in OFFBOARD, where it does not get ready to arm again without setpoints.
+_LEAVE_OFFBOARD: Final = replace(
+    _CONTROL_LOST, actions=(Action(ActionKind.LEAVE_OFFBOARD),), guard=Guard.LEFT_IN_OFFBOARD
+)
 # Control returns to the autopilot. A vehicle that stands would lift off to hold a position: it lands.
 _NEVER_OURS: Final = _end(guard=Guard.NOT_TAKEN)
 _RETURN_CONTROL: Final = (_NEVER_OURS, _end(_LAND, guard=Guard.ON_SURFACE), _end(_HOLD))
@@ -199,11 +204,7 @@ ROWS: Final = (
         E.OVERTIME,
         IN_AIR - COMMITTED - LOW - {S.HOLD},
         *_RETURN_CONTROL,
-        except_={
-            **_all(ON_GROUND, _NOT_YET),
-            S.HOLD: _CLEARS,
-            **_GO_ON,
-        },
+        except_={**_all(ON_GROUND, _NOT_YET), S.HOLD: _CLEARS, **_GO_ON},
     ),
     _row(
         E.BATTERY_CRITICAL,
@@ -223,21 +224,14 @@ ROWS: Final = (
         E.OUT_OF_BOUNDS,
         IN_AIR - COMMITTED - LOW - {S.HOLD},
         *_RETURN_CONTROL,
-        except_={
-            **_all(ON_GROUND, _NOT_YET),
-            S.HOLD: _CLEARS,
-            **_GO_ON,
-        },
+        except_={**_all(ON_GROUND, _NOT_YET), S.HOLD: _CLEARS, **_GO_ON},
     ),
     _row(E.PAD_TOO_FAST, LOW, *_HOLD_CLEAR),
     _row(
         E.PAD_TOO_FAST,
         S.APPROACH,
         *_RETURN_CONTROL,
-        except_={
-            **_all(LIVE - BY_THE_PAD, "it does not follow the pad"),
-            **_GO_ON,
-        },
+        except_={**_all(LIVE - BY_THE_PAD, "it does not follow the pad"), **_GO_ON},
     ),
     _row(E.STOP, {S.STANDBY, S.CONNECT}, _GIVE_UP),
     _row(E.STOP, S.ARM, _end(_DISARM)),
@@ -254,18 +248,23 @@ ROWS: Final = (
         _CONTROL_LOST,
         except_={S.STANDBY: _WAITS_FOR_OPERATOR, S.CONNECT: _NOTHING_ASKED},
     ),
-    _row(E.DISARMED, IN_AIR - ON_PAD - {S.SET_DOWN}, _CONTROL_LOST, except_=_all(ON_GROUND, _NOT_YET)),
-    _row(E.DISARMED, ON_PAD | {S.SET_DOWN}, replace(_CONTROL_LOST, to=S.LANDED)),
+    _row(
+        E.DISARMED,
+        IN_AIR - ON_PAD - {S.SET_DOWN},
+        *(_LEAVE_OFFBOARD, _CONTROL_LOST),
+        except_=_all(ON_GROUND, _NOT_YET),
+    ),
+    _row(
+        E.DISARMED,
+        ON_PAD | {S.SET_DOWN},
+        *(replace(branch, to=S.LANDED) for branch in (_LEAVE_OFFBOARD, _CONTROL_LOST)),
+    ),
     _row(
         E.LINK_LOST,
         IN_AIR,
         _NEVER_OURS,
         Branch(S.AWAIT_LINK),
-        except_={
-            **_all(ON_GROUND, _NOT_YET),
-            **_all(HOLDING, "it holds already"),
-            **_GO_ON,
-        },
+        except_={**_all(ON_GROUND, _NOT_YET), **_all(HOLDING, "it holds already"), **_GO_ON},
     ),
     _row(
         E.LINK_UP,

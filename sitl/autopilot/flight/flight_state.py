@@ -34,7 +34,7 @@ from sitl.autopilot.flight.mission_items import ItemFrame, MissionCommand, Missi
 from sitl.autopilot.flight.modes import CommandResult, Mode, StickMode, Task
 from sitl.autopilot.flight.navigator import Navigator
 from sitl.autopilot.flight.parameters import Parameters
-from sitl.autopilot.flight.profile import AutopilotProfile
+from sitl.autopilot.flight.profile import AutopilotProfile, setpoints_stopped
 from sitl.autopilot.flight.sticks import RcInput
 from sitl.autopilot.px4.profile import PX4
 from sitl.vehicle.battery import Battery
@@ -135,10 +135,15 @@ class FlightState:
 
     @property
     def ready_to_arm(self) -> bool:
-        """What SYS_STATUS reports as the pre-arm check: level, and a known position if the mode needs one."""
+        """What SYS_STATUS reports as the pre-arm check: level, and what the mode needs is there.
+
+        That is a known position, and for PX4's OFFBOARD setpoints that keep coming.
+        """
         now, mode = self._commander.situation, self._commander.mode
         needs_position = mode.sticks in (None, StickMode.VELOCITY)
         known = now.aligned if needs_position else now.home_set
+        if self.profile.external_needs_setpoints and setpoints_stopped(now):
+            return False
         return known and (now.tilt_rad < math.radians(20.0) or not now.landed)
 
     @property

@@ -120,12 +120,15 @@ def test_refused_control_leaves_the_vehicle_in_its_mode() -> None:
     stand_by(story, {"faults": [{"kind": "autopilot_refuses", "what": "offboard", "start_s": 0.0}]})
 
 
-def test_the_whole_flight_where_it_is_allowed() -> None:
+def test_the_whole_flight_where_it_is_allowed_and_again() -> None:
     async def story(field: Field) -> None:
-        await field.ready()
-        field.order(mavlink.MAV_CMD_USER_1, 2.0)
-        await field.landed(180.0)
-        assert field.acks(mavlink.MAV_CMD_USER_1) == [IN_PROGRESS, ACCEPTED]
+        for number in (1, 2):
+            await field.ready()
+            field.order(mavlink.MAV_CMD_USER_1, 2.0)
+            await field.landed(180.0)
+            assert field.acks(mavlink.MAV_CMD_USER_1) == [IN_PROGRESS, ACCEPTED] * number
+            # in OFFBOARD it would not get ready for the next
+            assert (field.autopilot.mode, field.autopilot.ready_to_arm) == ("AUTO.LOITER", True)
 
     stand_by(story, settings={"plan": {"mission": {"may_arm": True}}})
 

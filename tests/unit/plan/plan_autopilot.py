@@ -66,6 +66,8 @@ class FakeAutopilot:
             self.mode, self.target_ned_m = self._own_mode("LOITER"), (north, east, -height)
         elif kind is ActionKind.TAKE_CONTROL:
             self.mode = self._own_mode("OFFBOARD")
+        elif kind is ActionKind.LEAVE_OFFBOARD:
+            self.mode = "LOITER"
         elif kind is ActionKind.HOLD:
             self.mode, self.target_ned_m = "LOITER", position
         elif kind is ActionKind.LAND:

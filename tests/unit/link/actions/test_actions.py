@@ -59,6 +59,23 @@ def test_modes_are_each_autopilots_own(autopilot_kind: AutopilotKind, kind: Acti
     assert autopilot.mode == MODES[autopilot_kind][kind]
 
 
+def test_a_disarmed_px4_leaves_offboard_for_hold() -> None:
+    autopilot = FakeAutopilot(mode="OFFBOARD")
+    [result] = perform(autopilot, Action(ActionKind.LEAVE_OFFBOARD))
+    assert (result.accepted, autopilot.mode) == (True, "AUTO.LOITER")
+
+
+@pytest.mark.parametrize(
+    ("mode", "armed", "accepted"),
+    [("POSCTL", False, True), ("POSCTL", True, True), ("OFFBOARD", True, False)],
+)
+def test_another_mode_and_an_armed_vehicle_are_let_be(mode: str, armed: bool, accepted: bool) -> None:
+    autopilot = FakeAutopilot(mode=mode, armed=armed)
+    [result] = perform(autopilot, Action(ActionKind.LEAVE_OFFBOARD))
+    assert (result.accepted, autopilot.mode) == (accepted, mode)
+    assert autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE) == []
+
+
 def test_ardupilot_is_armed_and_takes_off_in_guided_mode() -> None:
     autopilot = autopilot_of("ardupilot")
     perform(autopilot, Action(ActionKind.ARM))

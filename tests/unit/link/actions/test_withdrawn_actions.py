@@ -24,7 +24,8 @@ def test_cancelling_ends_any_action_at_once_and_nothing_of_it_is_repeated(kind: 
         mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
         mavlink.MAV_CMD_NAV_TAKEOFF,
     )
-    autopilot = FakeAutopilot(deaf_to=dict.fromkeys(numbers, 99))
+    mode = "OFFBOARD" if kind is ActionKind.LEAVE_OFFBOARD else "AUTO.LOITER"
+    autopilot = FakeAutopilot(mode=mode, deaf_to=dict.fromkeys(numbers, 99))
     [result] = cancel_after(autopilot, 0.1, Action(kind, height_m=5.0, force=True))
     assert (result.kind, result.accepted, result.text) == (kind, False, "withdrawn")
     asked_of_ground = [m for m in autopilot.commands(512) if m.target_system == 255]

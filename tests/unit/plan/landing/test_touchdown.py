@@ -9,6 +9,7 @@ from companion.base.messages import LandedState, PadState, RangeSample
 from companion.base.motion import Motion
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import contact_signs
+from companion.plan.landing.levelling import AFTER_S, EARLY_S, LEANS_ON_S
 from companion.plan.mission.states import MissionEvent
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.plan.landing.touchdown_attempt import (
@@ -24,6 +25,7 @@ from tests.unit.plan.landing.touchdown_attempt import (
 )
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
+LEAD_S = LEANS_ON_S + EARLY_S
 SINKING = Motion((0.0, 0.0, -LEG_M + 0.1), (0.0, 0.0, 0.22))
 
 
@@ -198,12 +200,12 @@ def test_it_levels_off_shortly_before_the_contact_and_not_earlier() -> None:
         down = sight(height=height_m, velocity=(0.0, 0.0, sink_m_s))
         touchdown.step(down, None, LandedState.IN_AIR, now_s)
         level = touchdown.level_off()
-        assert (level is not None) == (now_s >= due_s - 0.31)
-        if level is not None:
+        assert touchdown.levels_off == (now_s >= due_s - LEAD_S)
+        if touchdown.levels_off:
             break
     assert level is not None
-    assert level.from_s == pytest.approx(due_s - 0.31, abs=CYCLE_S)
-    assert level.until_s - level.from_s == pytest.approx(0.42, abs=CYCLE_S)
+    assert level.from_s == pytest.approx(due_s - LEAD_S, abs=CYCLE_S)
+    assert level.until_s == pytest.approx(due_s + AFTER_S, abs=CYCLE_S)
     assert level.tilt_rad == pytest.approx(math.radians(CONFIG.contact_tilt_deg))
 
 
@@ -219,30 +221,45 @@ def test_a_pad_out_of_view_in_the_last_second_is_met_level_when_it_was_due(unsee
         down = sight(height=LEG_M + over_m, velocity=(0.0, 0.0, sink_m_s), age=now_s - seen_s)
         assert touchdown.step(down, None, LandedState.IN_AIR, now_s) is None
         level = touchdown.level_off()
-        assert (level is not None) == (now_s >= due_s - 0.31)
-        if level is not None:
+        assert touchdown.levels_off == (now_s >= due_s - LEAD_S)
+        if touchdown.levels_off and level is not None:
             assert level.from_s <= now_s
             assert level.until_s >= due_s + 0.1
             return
 
 
 @pytest.mark.parametrize(
-    ("lean_deg", "above_m"),
-    # level, the contact as seen decides; leaning far, the foot that hangs 0.18 m sin(lean) lower, 0.2 s ahead
-    [(0.0, 0.02 + 0.31 * 0.2), (20.0, 0.18 * math.sin(math.radians(20.0)) + 0.2 * 0.2)],
+    ("lean_deg", "lead_s"),
+    # the lean has to fall to 7 deg, at 8 m/s3
+    [
+        (0.0, LEAD_S),
+        (20.0, LEAD_S + (9.81 * (math.tan(math.radians(20.0)) - math.tan(math.radians(7.0)))) / 8.0),
+    ],
 )
-def test_leaning_far_it_levels_off_before_the_foot_that_hangs_lower_touches(
-    lean_deg: float, above_m: float
-) -> None:
+def test_leaning_far_it_begins_to_level_off_sooner(lean_deg: float, lead_s: float) -> None:
+    above_m = 0.02 + lead_s * 0.2
     for over_m, levels in ((above_m + 0.004, False), (above_m - 0.004, True)):
         touchdown = levelling(0.0)
         touchdown.note_lean(quat_from_euler(math.radians(lean_deg), 0.0, 0.0), 1.0)
         near = sight(height=LEG_M + over_m, velocity=(0.0, 0.0, 0.2))
         touchdown.step(near, None, LandedState.IN_AIR, 1.0)
-        assert (touchdown.level_off() is not None) == levels
+        assert touchdown.levels_off == levels
 
 
-@pytest.mark.parametrize(("excess_m_s2", "longer_s"), [(0.0, 0.8), (0.5, 0.24), (0.8, 0.15)])
+@pytest.mark.parametrize("needed_m_s2", [0.0, 1.0, 2.0])
+def test_shortly_before_it_levels_off_a_gust_is_met_by_a_little_more_lean_at_most(needed_m_s2: float) -> None:
+    level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
+    for over_m, near in ((0.25, False), (0.14, True)):
+        touchdown = levelling(needed_m_s2)
+        touchdown.step(sight(height=LEG_M + over_m), None, LandedState.IN_AIR, 1.0)
+        assert not touchdown.levels_off
+        bound = touchdown.level_off()
+        assert (bound is not None) == near
+    assert bound is not None
+    assert GRAVITY_M_S2 * math.tan(bound.tilt_rad) == pytest.approx(max(level_m_s2, needed_m_s2 + 0.6))
+
+
+@pytest.mark.parametrize(("excess_m_s2", "longer_s"), [(0.0, 0.95), (0.5, 0.24), (0.8, 0.15)])
 def test_a_contact_that_comes_late_keeps_it_level_while_that_makes_little_speed(
     excess_m_s2: float, longer_s: float
 ) -> None:
@@ -256,7 +273,8 @@ def test_a_contact_that_comes_late_keeps_it_level_while_that_makes_little_speed(
     level = touchdown.level_off()
     assert level is not None
     assert level.from_s == pytest.approx(1.0)
-    assert level.until_s - level.from_s - 0.42 == pytest.approx(
+    lead_s = LEAD_S + excess_m_s2 / 8.0
+    assert level.until_s - level.from_s - lead_s - AFTER_S == pytest.approx(
         longer_s, abs=0.15 if longer_s > 0.5 else 1e-3
     )
 
@@ -274,7 +292,7 @@ def test_so_low_that_a_lean_would_touch_it_stays_level_unless_it_drifts_fast(
         touchdown.step(low, None, LandedState.IN_AIR, now_s)
     level = touchdown.level_off()
     assert level is not None
-    assert (level.until_s == pytest.approx(now_s + 0.42)) == stays
+    assert (level.until_s > now_s + LEAD_S) == stays
 
 
 def test_a_sink_that_slows_once_it_is_level_is_a_later_contact() -> None:
@@ -285,7 +303,7 @@ def test_a_sink_that_slows_once_it_is_level_is_a_later_contact() -> None:
     level = touchdown.level_off()
     assert level is not None
     assert level.from_s == pytest.approx(1.0)
-    assert level.until_s == pytest.approx(1.3 + 0.04 / 0.1 + 0.42 - 0.31)
+    assert level.until_s == pytest.approx(1.3 + 0.04 / 0.1 + AFTER_S)
 
 
 def test_while_contact_is_made_sure_of_it_stays_level() -> None:

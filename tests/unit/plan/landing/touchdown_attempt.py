@@ -45,6 +45,10 @@ class Attempt:
         return self.state in COMMITTED
 
     @property
+    def levels_off(self) -> bool:
+        return self._sequence._levelling.begun
+
+    @property
     def on_pad(self) -> bool:
         return self.state in ON_PAD
 

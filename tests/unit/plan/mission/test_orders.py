@@ -46,7 +46,7 @@ def test_ordered_in_the_air_it_takes_over_lands_and_disarms(pad: Callable[..., o
     assert flight.phase is Phase.LANDED
     assert flight.touch_lateral_m < 0.15
     assert asked(w)[0] is ActionKind.TAKE_CONTROL
-    assert asked(w)[-1] is ActionKind.DISARM
+    assert asked(w)[-2:] == [ActionKind.DISARM, ActionKind.LEAVE_OFFBOARD]
 
 
 def test_an_order_is_for_the_moment_it_is_not_kept() -> None:

@@ -84,6 +84,34 @@ def test_a_px4_left_in_offboard_by_the_last_landing_is_named_as_the_reason() -> 
     assert "in OFFBOARD PX4 is not, without setpoints" in w.fly(60.0).told("waiting")[-1]
 
 
+def test_a_px4_is_put_into_hold_once_it_is_disarmed_in_offboard() -> None:
+    w = world()
+    w.autopilot.refuse = {ActionKind.LEAVE_OFFBOARD: 1}
+    flight = w.fly(90.0)
+    assert (flight.phase, w.autopilot.mode) == (Phase.LANDED, "OFFBOARD")
+    w.fly(5.0, until=lambda _w: False)
+    assert w.autopilot.mode == "LOITER"
+    assert [kind for _, kind in w.autopilot.heard][-2:] == [ActionKind.LEAVE_OFFBOARD] * 2
+    assert flight.told("leave_offboard") == ["from OFFBOARD to Hold, in which it can be armed again"]
+
+
+def test_after_the_landing_a_pilots_mode_stays_and_so_does_guided() -> None:
+    for kind, mode in (("px4", "POSCTL"), ("ardupilot", "GUIDED")):
+        w = world()
+        w.autopilot.autopilot_kind = kind
+
+        def pilot(x: World, _: PlanStep, mode: str = mode) -> None:
+            if not x.autopilot.armed and x.flight.phase is Phase.TOUCHDOWN:
+                x.autopilot.mode = mode
+
+        w.each = pilot
+        w.fly(90.0)
+        w.fly(5.0, until=lambda _w: False)
+        assert not w.autopilot.armed
+        assert w.autopilot.mode == mode
+        assert ActionKind.LEAVE_OFFBOARD not in {kind for _, kind in w.autopilot.heard}
+
+
 def test_a_refused_waypoint_does_not_end_the_mission() -> None:
     w = world(still(2.0, 1.0))
     w.autopilot.refuse = {ActionKind.GO_TO: 99}

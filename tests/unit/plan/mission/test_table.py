@@ -25,7 +25,7 @@ from tests.unit.plan.mission.table_walk import E, S, kinds, taken
 
 NOT_BY_TIME = {S.STANDBY, S.AUTO_LAND}  # it waits for the operator; it stands, and asks on
 EVERY_CIRCUMSTANCE = [
-    Circumstances(authority, *flags) for authority in Authority for flags in product((False, True), repeat=8)
+    Circumstances(authority, *flags) for authority in Authority for flags in product((False, True), repeat=9)
 ]
 
 

@@ -111,6 +111,15 @@ def test_motors_off_on_the_pad_are_a_landing_and_before_that_none() -> None:
         assert taken(state, E.DISARMED).to is (S.LANDED if state in ON_PAD | {S.SET_DOWN} else S.ABORT)
 
 
+def test_disarmed_it_leaves_offboard_where_control_was_ours_and_asks_for_nothing_else() -> None:
+    for state in IN_AIR:
+        for authority in Authority:
+            branch = taken(state, E.DISARMED, Circumstances(authority, in_offboard=True))
+            ours = authority is Authority.OURS
+            assert kinds(branch) == ([ActionKind.LEAVE_OFFBOARD] if ours else [])
+        assert kinds(taken(state, E.DISARMED)) == []
+
+
 def test_land_is_asked_on_the_pad_only_where_no_disarm_is_open() -> None:
     assert kinds(taken(S.STAND, E.UNPROVEN)) == [ActionKind.LAND]
     assert follows(S.STAND, E.UNPROVEN, Circumstances(Authority.OURS, disarm_asked=True)) is None

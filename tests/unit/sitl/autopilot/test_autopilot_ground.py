@@ -7,7 +7,16 @@ import pytest
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.messages import LandedState
 from sitl.autopilot import CommandResult, EstimatorErrors
-from tests.unit.sitl.autopilot.autopilot_flight import in_the_air, landed_state, velocity
+from tests.unit.sitl.autopilot.autopilot_flight import (
+    AUTOPILOT_KINDS,
+    PX4_OFFBOARD,
+    STAND_STILL,
+    Flight,
+    in_the_air,
+    landed_state,
+    ready,
+    velocity,
+)
 
 BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 
@@ -25,6 +34,20 @@ def test_a_landing_by_setpoints_is_noticed_and_then_disarming_is_allowed(
     flight.run(1.5 if autopilot_kind == "ardupilot" else 4.5, velocity(0.0, 0.0, 0.3))
     assert landed_state(flight) is LandedState.ON_GROUND
     assert flight.autopilot.disarm() is CommandResult.ACCEPTED
+
+
+def test_in_offboard_px4_is_ready_to_arm_while_setpoints_come_and_ardupilot_in_guided_without() -> None:
+    for kind in AUTOPILOT_KINDS:
+        flight = Flight(kind)
+        flight.run(5.0)
+        flight.take_control()
+        flight.autopilot.set_mode(PX4_OFFBOARD if kind == "px4" else 4)
+        flight.run(1.0, STAND_STILL)
+        assert ready(flight)
+        flight.run(1.5)
+        assert ready(flight) is (kind == "ardupilot")
+        flight.run(0.5, STAND_STILL)
+        assert ready(flight)
 
 
 @BOTH

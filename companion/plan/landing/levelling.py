@@ -1,0 +1,111 @@
+"""When the vehicle goes level for the contact, and for how long.
+
+It goes level shortly before the contact is due, whatever the pad and the wind do meanwhile, and not for
+long: what the level vehicle cannot follow becomes speed over the pad. A contact that comes late is waited for
+while that speed is no more than one may start down with; and so low that a lean would put a foot on the pad,
+longer. The controller does not know of it before: it would lean further until then, to be ahead of the pad,
+and a contact that comes a tenth of a second early meets that lean. For as long a gust is not met by more than
+a little beyond the lean that pad and wind have needed so far. NED, SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from companion.base.geometry import GRAVITY_M_S2
+from companion.base.messages import LevelOff, PadState
+from companion.config import TouchdownConfig, VehicleConfig
+from companion.plan.landing.contact import FRESH_S
+from companion.plan.landing.level_moment import LeanForecast
+
+# From the decision to level off until the lean has begun to fall (command, dead time, the gate of jerk), how
+# fast it then falls, and what the contact may come early.
+LEANS_ON_S: Final = 0.2
+LEVELS_M_S3: Final = 8.0
+EARLY_S: Final = 0.05
+# The attitude stays level for so long after the contact was due.
+AFTER_S: Final = 0.11
+FOOT_DROP_M: Final = 0.02  # of the foot that hangs lower, about level
+# Near the pad the air carries, and the sink slows below what is planned; below this share of it not for long.
+SLOWEST_SINK: Final = 0.5
+# So long before the contact the lean is bounded by what has been needed, and so much.
+STEADY_S: Final = 0.7
+BEYOND_M_S2: Final = 0.6
+# Of the speed over the pad that one may start down with; what is gentle on the feet is a bit more.
+FASTEST_DRIFT: Final = 2.0
+
+
+class Levelling:
+    """One window of level attitude; `reset` for the next."""
+
+    def __init__(self, config: TouchdownConfig, vehicle: VehicleConfig) -> None:
+        self._config, self._vehicle = config, vehicle
+        self._tilt_rad = math.radians(config.contact_tilt_deg)
+        self._level_m_s2 = GRAVITY_M_S2 * math.tan(self._tilt_rad)
+        self.reset()
+
+    def reset(self) -> None:
+        """No contact is near."""
+        self.due_s = math.inf
+        self._from_s: float | None = None
+        self._lead_s = self._needed_m_s2 = 0.0
+        self._too_low_s = -math.inf
+        self._steady: LevelOff | None = None
+
+    @property
+    def begun(self) -> bool:
+        """Whether it goes level by now."""
+        return self._from_s is not None
+
+    def window(self) -> LevelOff | None:
+        """Until when the vehicle may lean how far at most; None until the contact is near."""
+        if self._from_s is None:
+            return self._steady
+        late_s = max(0.0, self.due_s - self._lead_s - self._from_s)
+        excess_m_s2 = self._needed_m_s2 - self._level_m_s2
+        if excess_m_s2 > 0.0:
+            late_s = min(late_s, self._config.lateral_speed_m_s / excess_m_s2)
+        until_s = max(self._from_s + late_s, self._too_low_s) + self._lead_s + AFTER_S
+        return LevelOff(self._from_s, until_s, self._tilt_rad)
+
+    def expect(self, sight: PadState, lean: LeanForecast, now_s: float) -> None:
+        """When the feet will touch: by the speed as planned, until it goes level; from then on as seen.
+
+        Unseen, what was expected last holds: it goes level by that.
+        """
+        fresh = sight.age_s <= FRESH_S
+        over_m = sight.height_m - self._vehicle.leg_height_m
+        if fresh:
+            planned_m_s = self._config.contact_speed_m_s
+            sink_m_s = max((SLOWEST_SINK if self.begun else 1.0) * planned_m_s, sight.sink_m_s)
+            self.due_s = now_s + max(0.0, over_m - FOOT_DROP_M) / sink_m_s
+        lead_s = self._levelling_s(lean.tilt_rad)
+        if not self.begun and now_s >= self.due_s - lead_s:
+            self._from_s, self._lead_s, self._needed_m_s2 = now_s, lead_s, lean.at_m_s2(0.0)
+        self._steady = None
+        if now_s >= self.due_s - STEADY_S:
+            most_m_s2 = max(self._level_m_s2, lean.at_m_s2(0.0) + BEYOND_M_S2)
+            self._steady = LevelOff(now_s, now_s + STEADY_S, math.atan(most_m_s2 / GRAVITY_M_S2))
+        # no lean that would put a foot on the pad, unless the level vehicle drifts so fast that this is worse
+        slow = sight.lateral_speed_m_s <= FASTEST_DRIFT * self._config.lateral_speed_m_s
+        hangs_m = self._vehicle.foot_reach_m * math.sin(math.atan(self._needed_m_s2 / GRAVITY_M_S2))
+        if self.begun and fresh and slow and over_m <= hangs_m + self._config.contact_margin_m:
+            self._too_low_s = now_s
+
+    def touching(self, now_s: float) -> None:
+        """No lean while contact is confirmed."""
+        self.due_s = now_s
+        if self._from_s is None:
+            self._from_s, self._lead_s = now_s - LEANS_ON_S, LEANS_ON_S
+
+    def stay(self, now_s: float) -> None:
+        """Level until told otherwise."""
+        if self._from_s is None:
+            self._from_s, self._lead_s = now_s, LEANS_ON_S + EARLY_S
+        self.due_s = now_s + self._lead_s
+
+    def _levelling_s(self, lean_rad: float) -> float:
+        """How long before the contact it has to begin to level off from a lean."""
+        excess_m_s2 = GRAVITY_M_S2 * math.tan(lean_rad) - self._level_m_s2
+        return LEANS_ON_S + EARLY_S + max(0.0, excess_m_s2) / LEVELS_M_S3
