@@ -213,7 +213,8 @@ class App:
         if self.session.setup is not None:
             self._control()  # takes a while to make, which is to pass on the ground
         vehicle, pad = self.estimator.vehicle(now_s), self.estimator.pad(now_s)
-        if self.loop_monitor.woke:  # they are from long ago
+        if self.loop_monitor.woke:  # they are from long ago, though the clock, which stood still, says fresh
+            self.estimator.start_over()
             vehicle = pad = None
         plan = self._plan(vehicle, pad, now_s)
         if vehicle is None:

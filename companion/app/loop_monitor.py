@@ -60,13 +60,17 @@ class LoopMonitor:
 
     def slept_s(self) -> float:
         """How long (s) the machine has been suspended since this was asked last."""
-        before, self._slept_s = self._slept_s, self._clock.suspended_s()
-        slept_s = max(0.0, self._slept_s - before)
+        before, self._slept_s = self._slept_s, self._suspended_s()
+        slept_s = self._slept_s - before
         self.woke = slept_s > STALL_S
         return slept_s
 
     def _now_s(self) -> float:
-        return self._clock.now_s() + self._clock.suspended_s()
+        return self._clock.now_s() + self._suspended_s()
+
+    def _suspended_s(self) -> float:
+        """Held up between the two clocks that it is read from, it would be too little."""
+        return max(self._slept_s, self._clock.suspended_s())
 
     async def catch_up(self, late_s: float, alive: Callable[[], None]) -> bool:
         """Read what has arrived; after a stall wait for the next heartbeat. Returns whether it was one.

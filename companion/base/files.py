@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Final
 
@@ -19,7 +20,7 @@ _SERVICE_SETTINGS: Final = Path("/etc/companion/companion.yaml")
 
 def default_settings() -> Path:
     """The settings of who names none: the service's for the program that it runs, else the shipped ones."""
-    installed = CONFIG_FOLDER.parent == _SERVICE_PREFIX and _SERVICE_SETTINGS.exists()
+    installed = CONFIG_FOLDER.parent == _SERVICE_PREFIX and os.access(_SERVICE_SETTINGS, os.F_OK)
     return _SERVICE_SETTINGS if installed else CONFIG_FOLDER / "companion.yaml"
 
 

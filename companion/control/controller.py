@@ -115,7 +115,7 @@ class Controller:
         self._nodes_s: FloatArray = config.step_s * np.arange(config.horizon_steps + 1, dtype=np.float64)
         self._stepped_s: float | None = None
         self._flying = False
-        self._failures = FAILURES_TO_STOP
+        self._failures, self._cuts = FAILURES_TO_STOP, 0
 
     def step(
         self,
@@ -167,7 +167,7 @@ class Controller:
         self._plant.begin(vehicle)
         self._tracker.reset()
         self._feedforward.reset()
-        self._failures = FAILURES_TO_STOP
+        self._failures, self._cuts = FAILURES_TO_STOP, 0
         self._flying = True
 
     def _wait_for_imu(
@@ -224,6 +224,7 @@ class Controller:
         )
         solve_s = self._stopwatch() - began_s
         self._failures = 0 if solution.solved or solution.cut else self._failures + 1
+        self._cuts = self._cuts + 1 if solution.cut else 0
         self._learn(start, target, disturbance, solution)
         setpoint = _seen(self._setpoint(start.motion, solution, now_s), reference, pad)
         boost = self._boost(start.motion, solution)
@@ -241,6 +242,7 @@ class Controller:
             late=solution.late,
             stopped=self._stopped,
             hover_thrust=self._plant.hover_thrust,
+            cut_s=self._cuts / self._config.rate_hz,
         )
 
     def _learn(self, start: _Start, target: Target, disturbance: Vector3, solution: TrackingSolution) -> None:

@@ -79,17 +79,26 @@ class StateEstimator:
         antenna_position_body_m: Vector3,
         board_half_width_m: float,
     ) -> None:
-        self._config = config
+        self._config, self._board_half_width_m = config, board_half_width_m
         self._range_position_body_m = vehicle.range_position_body_m
         self._motion = MotionHistory(config.pad.forget_s + 1.0)
         self._vehicle = VehicleEstimator(config, antenna_position_body_m, self._motion)
-        self._pad = PadFilter(config.pad, self._motion, board_half_width_m)
-        self._timeline: Timeline[PadSnapshot, PadInput] = Timeline(self._pad, config.pad.remember_s)
+        self._no_pad()
         self._camera_delay = CameraDelay(self._motion, config.pad.camera_delay_std_s)
         self._mount_check = MountCheck(self._motion, vehicle.camera_position_body_m)
         self._camera_yaw_deg, self._mount_reported = vehicle.camera_yaw_deg, False
-        self._early: list[PadSighting] = []  # of what the IMU has not come up to
         self._unusable: dict[str, int] = {}
+
+    def _no_pad(self) -> None:
+        config = self._config.pad
+        self._pad = PadFilter(config, self._motion, self._board_half_width_m)
+        self._timeline: Timeline[PadSnapshot, PadInput] = Timeline(self._pad, config.remember_s)
+        self._early: list[PadSighting] = []  # of what the IMU has not come up to
+
+    def start_over(self) -> None:
+        """Forget vehicle and pad: more time has gone by than any clock shows. The alignment begins again."""
+        self._vehicle.start_over()
+        self._no_pad()
 
     # ------------------------------------------------------------ inputs
 

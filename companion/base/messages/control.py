@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
@@ -28,6 +29,10 @@ class Setpoint:
     holds_horizontal_velocity: bool = True
 
 
+# a wind that takes more than the bounds allow is a gust, or it carries the vehicle away
+LONGEST_CUT_S: Final = 2.0
+
+
 @dataclass(frozen=True, slots=True)
 class ControlReport:
     """How a setpoint came about: for the log and the status line.
@@ -35,8 +40,9 @@ class ControlReport:
     Not `solved`: the last plan was flown on; `late`: the clock ended the search; `stopped`: for want of a
     plan the vehicle was commanded to stand still. `hover_thrust` is the share of full thrust that carries the
     weight, as learnt by then; while not `obeyed`, the autopilot receives setpoints without following them.
-    `blind`: for want of IMU samples the vehicle was commanded not to accelerate. `cycle_late_s` is how much
-    later than due the cycle began: the event loop's delay.
+    `blind`: for want of IMU samples the vehicle was commanded not to accelerate. `cut_s`: for how long in a
+    row what was flown is the optimum without constraints, cut to the inputs' bounds. `cycle_late_s` is how
+    much later than due the cycle began: the event loop's delay.
     """
 
     time_s: float
@@ -54,8 +60,9 @@ class ControlReport:
     obeyed: bool = True
     blind: bool = False
     cycle_late_s: float = 0.0
+    cut_s: float = 0.0
 
     @property
     def failed(self) -> bool:
-        """Whether no plan was flown: a stop, or what the last gate made of something that is no number."""
-        return self.stopped or "not_finite" in self.limited
+        """Whether no plan was flown: a stop, what the last gate made of no number, or cut ones for long."""
+        return self.stopped or "not_finite" in self.limited or self.cut_s >= LONGEST_CUT_S

@@ -64,6 +64,22 @@ def shrunk(input_m_s2: FloatArray, rows: FloatArray, lower: FloatArray, upper: F
     return input_m_s2 / max(1.0, float(np.max(np.where(reach > 0.0, reach / upper, reach / lower))))
 
 
+def cut_sideways(
+    input_m_s2: FloatArray, rows: FloatArray, lower: FloatArray, upper: FloatArray
+) -> FloatArray:
+    """The input (3,), its vertical part kept where it may be, and as much of the horizontal as then fits.
+
+    Height is what a vehicle near a pad cannot give up for a wind.
+    """
+    vertical = shrunk(np.array([0.0, 0.0, input_m_s2[2]]), rows, lower, upper)
+    base, reach = rows @ vertical, rows[:, :2] @ input_m_s2[:2]
+    some = np.abs(reach) > 1e-9
+    room = np.where(reach > 0.0, upper - base, base - lower)[some]
+    share = min(1.0, max(0.0, float(np.min(room / np.abs(reach[some]), initial=math.inf))))
+    horizontal: FloatArray = share * np.array([*input_m_s2[:2], 0.0])
+    return vertical + horizontal
+
+
 def _tangent(limits: LimitsConfig) -> float:
     return math.tan(math.radians(limits.tilt_deg))
 

@@ -30,6 +30,7 @@ from companion.control.mpc.input_bounds import (
     INPUT_ROWS,
     OCTAGON,
     OCTAGON_WITHIN_CIRCLE,
+    cut_sideways,
     input_bounds,
     input_rows,
     shrunk,
@@ -300,7 +301,7 @@ class Mpc:
         return primal <= ACCEPTED_PRIMAL and dual <= ACCEPTED_DUAL_SHARE * gradient
 
     def _cut(self, iterations: int) -> TrackingSolution:
-        """The optimum without constraints, its inputs cut to their bounds."""
+        """The optimum without constraints, its inputs cut to their bounds, sideways first."""
         rows, N = self._rows, self._N
         dynamics = self._l[rows["dynamics"]]
         best = self._free_optimum.solve(self._q, dynamics)[0][self._layout.inputs].reshape(N, 3)
@@ -310,7 +311,7 @@ class Mpc:
         inputs = self._last[self._layout.inputs].reshape(N, 3)
         states = self._last[self._layout.states].reshape(N, 9)
         for k, (lower, upper) in enumerate(bounds):
-            inputs[k] = shrunk(best[k], self._input_rows, lower, upper)
+            inputs[k] = cut_sideways(best[k], self._input_rows, lower, upper)
             moved = self._A @ states[k - 1] if k else 0.0
             states[k] = moved + self._B @ inputs[k] + dynamics[9 * k : 9 * k + 9]
         return replace(self._solution(solved=False, iterations=iterations, late=False), cut=True)

@@ -104,7 +104,7 @@ class VehicleEstimator:
         """
         elapsed_s = sample.time_s - self.newest_s
         if elapsed_s < -LOST_S and self._ekf is None and self.motion.newest_s is None:
-            self._start_over()  # the very first stamp was the wrong one
+            self.start_over()  # the very first stamp was the wrong one
             elapsed_s = math.inf
         if elapsed_s <= 0.0:
             return False
@@ -116,7 +116,7 @@ class VehicleEstimator:
         dt_s = elapsed_s if sample.interval_s is None else sample.interval_s
         self.newest_s = sample.time_s
         if max(dt_s, elapsed_s) > LOST_S and self._ekf is not None:
-            self._start_over()
+            self.start_over()
         block = self._detector.add(sample.time_s, sample.rate_body_rad_s, sample.specific_force_body_m_s2)
         if self._ekf is not None:
             if block is not None:
@@ -264,7 +264,8 @@ class VehicleEstimator:
         self._mag_trusted_s = time_s
         self._settled_s = time_s if found.still else time_s + SETTLING_S
 
-    def _start_over(self) -> None:
+    def start_over(self) -> None:
+        """Forget all but the time of the newest sample; the alignment begins again."""
         config = self._config.alignment
         self._detector, self._aligner = StillnessDetector(config), StaticAligner(config)
         self._orientation = self._ekf = self._timeline = self._last_raw = None

@@ -95,7 +95,7 @@ class Levelling:
 
     def touching(self, now_s: float) -> None:
         """No lean while contact is confirmed."""
-        self.due_s = now_s
+        self.due_s = self._too_low_s = now_s
         if self._from_s is None:
             self._from_s, self._lead_s = now_s - LEANS_ON_S, LEANS_ON_S
 

@@ -179,3 +179,21 @@ def test_a_wind_that_takes_more_than_the_bounds_allow_is_leant_against_all_the_s
         farthest_m = max(farthest_m, float(np.linalg.norm(aside)))
     assert cut > 0
     assert farthest_m < CONFIG.horizontal_reach_m
+
+
+@pytest.mark.parametrize("down_m_s2", [1.0, -1.0])
+def test_a_wind_beyond_the_bounds_takes_no_height(down_m_s2: float) -> None:
+    mpc, period_s, against = Mpc(CONFIG, LAGS_S), 1.0 / CONFIG.rate_hz, (0.0, -5.0, down_m_s2)
+    motion = Motion((1.75, 0.0, -0.53), (0.0, 1.55, 0.0), (-1.37, 0.0, 0.0))
+    last: Vector3 = (-1.37, 0.0, -down_m_s2)
+    cut = 0
+    for k in range(round(math.tau / period_s)):
+        target = within_reach(
+            _round(k * period_s), motion.position_m, CONFIG.horizontal_reach_m, CONFIG.vertical_reach_m
+        )
+        solution = mpc.solve(motion, target, against, last)
+        last = vector3(mpc.clip_input(solution.inputs_m_s2[0]).tolist())
+        cut += solution.cut
+        motion = advance(motion, add(last, against), period_s, LAGS_S)
+        assert motion.position_m[2] == pytest.approx(-0.53, abs=0.12)
+    assert cut > 0

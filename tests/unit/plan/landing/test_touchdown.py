@@ -9,7 +9,8 @@ from companion.base.messages import LandedState, PadState, RangeSample
 from companion.base.motion import Motion
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import contact_signs
-from companion.plan.landing.levelling import AFTER_S, EARLY_S, LEANS_ON_S
+from companion.plan.landing.level_moment import LeanForecast
+from companion.plan.landing.levelling import AFTER_S, EARLY_S, LEANS_ON_S, Levelling
 from companion.plan.mission.states import MissionEvent
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.plan.landing.touchdown_attempt import (
@@ -318,6 +319,22 @@ def test_while_contact_is_made_sure_of_it_stays_level() -> None:
         assert level is not None
         assert level.until_s > now_s + 0.1
     assert touchdown.on_pad
+
+
+def test_it_stays_level_while_it_touches_late_and_drifting() -> None:
+    levelling_off, lean = Levelling(CONFIG, VEHICLE), LeanForecast()
+    tilted = leaning(GRAVITY_M_S2 * math.tan(math.radians(15.0)))
+    for k in range(40):
+        now_s = 1.0 + k * CYCLE_S
+        lean.note(tilted, None, now_s)
+        levelling_off.expect(sight(height=LEG_M + 0.05, velocity=(0.3, 0.0, 0.1)), lean, now_s)
+    level = levelling_off.window()
+    assert level is not None
+    assert level.until_s < now_s  # what it could not follow has become too much speed
+    levelling_off.touching(now_s)
+    level = levelling_off.window()
+    assert level is not None
+    assert level.until_s > now_s + 0.1
 
 
 def test_leaning_back_from_far_aside_a_low_foot_is_no_contact() -> None:

@@ -203,6 +203,8 @@ def test_a_controller_without_a_plan_for_a_second_ends_the_flight_by_setpoints()
         (ControlReport(0.0, False, 9, 0.0), False),  # the last plan is flown on
         (ControlReport(0.0, False, 9, 0.0, stopped=True), True),
         (ControlReport(0.0, True, 9, 0.0, limited=("jerk", "not_finite")), True),
+        (ControlReport(0.0, False, 400, 0.0, cut_s=1.9), False),  # a gust
+        (ControlReport(0.0, False, 400, 0.0, cut_s=2.0), True),
     ],
 )
 def test_a_stop_and_what_is_no_number_are_no_plan(report: ControlReport, failed: bool) -> None:
