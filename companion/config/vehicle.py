@@ -110,6 +110,7 @@ class VehicleConfig(StrictModel):
         default=0.0, ge=-0.5, le=0.5
     )  # added to every frame's stamp: negative when stamps are late
     range_position_body_m: Vector
+    imu_position_body_m: Vector = (0.0, 0.0, 0.0)
     radius_m: float = Field(default=0.4, gt=0.0, le=3.0)  # to the farthest rotor's tip, for obstacles
     leg_height_m: float = Field(ge=0.02, le=1.0)
     foot_reach_m: float = Field(default=0.18, ge=0.0, le=2.0)  # aside of the middle, to the farthest foot

@@ -82,7 +82,8 @@ class StateEstimator:
         self._config, self._board_half_width_m = config, board_half_width_m
         self._range_position_body_m = vehicle.range_position_body_m
         self._motion = MotionHistory(config.pad.forget_s + 1.0)
-        self._vehicle = VehicleEstimator(config, antenna_position_body_m, self._motion)
+        imu_m = vehicle.imu_position_body_m
+        self._vehicle = VehicleEstimator(config, antenna_position_body_m, self._motion, imu_m)
         self._no_pad()
         self._camera_delay = CameraDelay(self._motion, config.pad.camera_delay_std_s)
         self._mount_check = MountCheck(self._motion, vehicle.camera_position_body_m)

@@ -11,6 +11,7 @@ from companion.base.geometry import (
     Quaternion,
     Vector3,
     add,
+    cross,
     norm,
     quat_integrate,
     quat_rotate,
@@ -51,8 +52,10 @@ class InertialMotion:
     `disturbance_m_s2` is the largest acceleration within the time over which the pre-filter averages.
     """
 
-    def __init__(self, history: MotionHistory) -> None:
-        self._history = history
+    def __init__(self, history: MotionHistory, imu_body_m: Vector3 = ZERO3) -> None:
+        """`imu_body_m`: the accelerometer from the centre of mass."""
+        self._history, self._imu_body_m = history, imu_body_m
+        self._last_rate: Vector3 | None = None
         self.attitude: Quaternion = IDENTITY
         self.rate_body_rad_s: Vector3 = ZERO3
         self.acceleration_ned_m_s2: Vector3 = ZERO3
@@ -76,6 +79,7 @@ class InertialMotion:
         orientation.update_imu(turned, subtract(mean_force, self.accel_bias_m_s2), dt_s)
         self.rate_body_rad_s = subtract(sample.rate_body_rad_s, self.gyro_bias_rad_s)
         force = subtract(sample.specific_force_body_m_s2, self.accel_bias_m_s2)
+        force = subtract(force, self._by_turning(dt_s))
         acceleration = _acceleration(self.attitude, force)
         span_s = None if sample.interval_s is None else dt_s
         self._history.add(sample.time_s, self.attitude, acceleration, span_s)
@@ -89,6 +93,15 @@ class InertialMotion:
         self._by_orientation = _approached(self._by_orientation, own, k)
         fade = 1.0 - min(dt_s / max(ACCEL_AVERAGE_S, dt_s), 1.0)
         self.disturbance_m_s2 = max(norm(self._by_orientation), self.disturbance_m_s2 * fade)
+
+    def _by_turning(self, dt_s: float) -> Vector3:
+        """What an accelerometer beside the centre of mass feels of a turn: alpha x r + w x (w x r)."""
+        rate, last = self.rate_body_rad_s, self._last_rate or self.rate_body_rad_s
+        self._last_rate = rate
+        if self._imu_body_m == ZERO3 or dt_s <= 0.0:
+            return ZERO3
+        tangential = cross(scale(subtract(rate, last), 1.0 / dt_s), self._imu_body_m)
+        return add(tangential, cross(rate, cross(rate, self._imu_body_m)))
 
     def turned(self, attitude: Quaternion, dt_s: float) -> Quaternion:
         """An attitude after dt_s at the newest sample's rate."""

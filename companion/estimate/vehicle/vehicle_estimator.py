@@ -72,7 +72,10 @@ LONGEST_STEP_S = 0.1  # between two samples of the magnetometer that the pre-fil
 class VehicleEstimator:
     """Alignment, then orientation pre-filter and EKF. `motion` is what the pad filter reads."""
 
-    def __init__(self, config: EstimateConfig, antenna_body_m: Vector3, motion: MotionHistory) -> None:
+    def __init__(
+        self, config: EstimateConfig, antenna_body_m: Vector3, motion: MotionHistory, imu_body_m: Vector3
+    ) -> None:
+        """`antenna_body_m` and `imu_body_m` are from the centre of mass, FRD."""
         self._config = config
         self._antenna_body_m = antenna_body_m
         self.motion = motion
@@ -89,7 +92,7 @@ class VehicleEstimator:
         self.corrections: tuple[str, ...] = ()  # of the attitude, in words, not yet reported
         self._last_raw: tuple[Vector3, Vector3] | None = None
         self._span_s: float | None = None  # of the samples not yet given to the EKF, by their own clock
-        self._inertial, self._trouble = InertialMotion(motion), TroubleReport()
+        self._inertial, self._trouble = InertialMotion(motion, imu_body_m), TroubleReport()
         self._resting = self._still_block = False
         self._other_compass: float | None = None
         self._mag_s = self._field_step_s = self._orientation_step_s = -math.inf
