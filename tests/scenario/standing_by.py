@@ -176,7 +176,8 @@ class Field:
         await self.until(lambda: self.app.phase is not Phase.STANDBY, 5.0, "taken")
         await self.phase(Phase.LANDED, most_s)
         assert not self.autopilot.armed
-        assert self.autopilot.landed is LandedState.ON_GROUND
+        # the motors may be off before the autopilot's own detector has made up its mind
+        await self.until(lambda: self.autopilot.landed is LandedState.ON_GROUND, 5.0, "on the ground")
         await self.phase(Phase.STANDBY, 20.0)
 
 
