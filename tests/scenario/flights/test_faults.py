@@ -64,7 +64,7 @@ def test_a_gps_that_is_unplugged_over_the_pad_does_not_keep_from_landing(
     monkeypatch.setattr(Neo6m, "feed", unplugged)
     flight, log = fly_static()
     assert flight.report.outcome is Outcome.LANDED, flight.report.failures
-    assert "gps lost: [Errno 5] unplugged" in texts(log)
+    assert "gps lost: unplugged" in texts(log)
 
 
 def test_bus_errors_now_and_then_do_not_keep_from_landing(monkeypatch: pytest.MonkeyPatch) -> None:
