@@ -65,6 +65,7 @@ _COUNTS_PER_DEG_C: Final = 333.87
 _MOST_TEMPERATURE_STEP_C: Final = 5.0
 _SILENT_S: Final = 0.25
 _STUCK_S: Final = 0.5
+_REPEATED_S: Final = 0.05  # and what repeats for longer than this is not handed on: it says nothing new
 _BUS_PATIENCE_POLLS: Final = 5  # so many polls may fail in a row: 50 ms at 100 Hz, of the FIFO's 180 ms
 # centre of an AK8963 measurement (7.2 ms long) before its end, and the mean wait until it is copied
 _MAG_MEASUREMENT_S: Final = 0.0036
@@ -246,6 +247,8 @@ class Mpu9250:
             times = self._clock.stamp(read_s, frames)
         else:
             times = [self._clock.stamp_newest(read_s)]
+        if self._same_frames > _REPEATED_S * self._config.rate_hz:
+            return []
         return [self._sample(time_s, words, 7 * k) for k, time_s in enumerate(times)]
 
     def _check_alive(self, data: bytes, frames: int) -> None:
@@ -257,7 +260,8 @@ class Mpu9250:
             return
         self._same_frames += frames
         if self._same_frames > _STUCK_S * self._config.rate_hz:
-            self._same_frames = 0
+            # set up anew it begins with the same, as often as not
+            self._same_frames = 1 + math.ceil(_REPEATED_S * self._config.rate_hz)
             raise SensorError(f"stuck: the same sample for {_STUCK_S} s")
 
     def _check_in_step(self, temperatures: tuple[int, ...]) -> None:

@@ -84,12 +84,16 @@ def test_a_power_cut_in_flight_is_noticed_and_mended() -> None:
 def test_the_same_sample_for_ever_is_a_dead_sensor() -> None:
     rig = Rig()
     rig.run(0.5)
+    alive = len(rig.imu)
     for _ in range(300):
         rig.now_s += POLL_S
         rig.device.push_sample((0.0, 0.0, 9.8), (0.0, 0.0, 0.0))
         rig.device.push_sample((0.0, 0.0, 9.8), (0.0, 0.0, 0.0))
         rig.poll(rig.now_s)
     assert "stuck" in str(rig.faults[0])
+    # what repeats is not handed on as if it were measured, neither before it is called stuck nor set up anew
+    assert len(rig.faults) > 1
+    assert len(rig.imu) - alive <= 0.1 * ImuConfig().rate_hz
 
 
 def test_settings_that_do_not_take_are_reported() -> None:
