@@ -218,8 +218,10 @@ def marker_figure(flight: LoggedFlight) -> go.Figure | None:
         return None
     figure = make_subplots(rows=1, cols=1)
     for group, colour in GROUP_COLOURS.items():
-        counts = [report.marker_count.get(group, 0) for report in reports]
-        _dots(figure, reports, counts, colour, f"{group} ({GROUP_NAMES[group]})", 1)
+        seen = [report for report in reports if report.marker_count.get(group)]
+        counts = [report.marker_count[group] for report in seen]
+        _dots(figure, seen, counts, colour, f"{group} ({GROUP_NAMES[group]})", 1)
+    figure.update_yaxes(rangemode="tozero")
     _label_rows(figure, "markers")
     return _over_time(figure, flight)
 
@@ -234,15 +236,18 @@ def latency_figure(flight: LoggedFlight) -> go.Figure | None:
     }
     if not any(delays_s.values()):
         return None
-    figure = make_subplots(rows=1, cols=3, subplot_titles=list(delays_s))
-    for column, values in enumerate(delays_s.values(), start=1):
-        milliseconds = 1e3 * np.array(values)
-        figure.add_histogram(x=milliseconds, nbinsx=60, marker_color=ESTIMATE_COLOUR, row=1, col=column)
+    # under one another: a phone has no room for more
+    figure = make_subplots(rows=3, cols=1, subplot_titles=list(delays_s), vertical_spacing=0.16)
+    for row, values in enumerate(delays_s.values(), start=1):
+        milliseconds = np.round(1e3 * np.array(values), 3)
+        figure.add_histogram(x=milliseconds, nbinsx=60, marker_color=ESTIMATE_COLOUR, row=row, col=1)
+        longest = float(milliseconds.max(initial=0.0))
+        figure.update_xaxes(range=[0.0, max(1.05 * longest, 1.0)], row=row, col=1)
         if len(milliseconds):
             p99 = float(np.percentile(milliseconds, 99))
-            figure.add_vline(x=p99, line={"color": VEHICLE_COLOUR, "dash": "dot"}, row=1, col=column)
-        figure.update_xaxes(title_text="ms; dotted: p99", row=1, col=column)
-    figure.update_layout(showlegend=False, height=HEIGHT_PX)
+            figure.add_vline(x=p99, line={"color": VEHICLE_COLOUR, "dash": "dot"}, row=row, col=1)
+    figure.update_xaxes(title_text="ms; dotted: p99", row=3, col=1)
+    figure.update_layout(showlegend=False, height=2 * HEIGHT_PX)
     return _plain(figure)
 
 
