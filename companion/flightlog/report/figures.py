@@ -29,8 +29,9 @@ from companion.flightlog.report.plots import (
 )
 from companion.flightlog.result import setpoint_delays_s
 
-HEIGHT_PX: Final = 300
+HEIGHT_PX: Final = 330
 PATH_HEIGHT_PX: Final = 560
+NAMES_PX: Final = 95  # over the plots, for the phases' names
 # a band that is narrower than this share of the flight has its name in the hover text alone
 NAMED_SHARE: Final = 0.045
 AXES: Final = ("north", "east", "down")
@@ -312,8 +313,8 @@ def _over_time(figure: go.Figure, flight: LoggedFlight) -> go.Figure:
         )
         if span.end_s - span.start_s > NAMED_SHARE * seconds:
             figure.add_annotation(**_name_of(span))
-    figure.update_layout(hovermode="x unified")
-    return _plain(figure)
+    _plain(figure).update_layout(hovermode="x unified", margin_t=NAMES_PX)
+    return figure
 
 
 def _name_of(span: PhaseSpan) -> dict[str, Any]:
@@ -324,6 +325,7 @@ def _name_of(span: PhaseSpan) -> dict[str, Any]:
         "yref": "paper",
         "yanchor": "bottom",
         "text": span.name,
+        "textangle": -90,  # on a phone a band is narrower than its name is long
         "showarrow": False,
         "font": {"size": 11, "color": "#566573"},
     }
