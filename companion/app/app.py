@@ -261,6 +261,7 @@ class App:
             results=results,
             stop_requested=self._stop_requested or (self.loop_monitor.woke and self.phase not in NOT_STOPPED),
             camera_problem=self.sensing.camera_problem,
+            camera_turned_rad=self.estimator.camera_turned_rad,
             control_failed=self._control_failed,
         )
         before, plan = self.phase, self.missions.step(inputs, now_s)
