@@ -1,12 +1,11 @@
 """When the vehicle goes level for the contact, and for how long.
 
-It goes level shortly before the contact is due, whatever the pad and the wind do meanwhile, and not for
-long: what the level vehicle cannot follow becomes speed over the pad. A contact that comes late is waited for
-while that speed is no more than one may start down with; and so low that a lean would put a foot on the pad,
-longer. The controller does not know of it before: it would lean further until then, to be ahead of the pad,
-and a contact that comes a tenth of a second early meets that lean. For as long a gust is not met by more than
-a little beyond the lean that pad and wind have needed so far. The more lean is levelled off, the firmer it
-sets down: less time to drift in. NED, SI units.
+The vehicle levels shortly before contact, and briefly: a level vehicle cannot follow the pad and drifts. If
+contact comes late it stays level while the drift is small, and longer where it is so low that a lean would
+put a foot on the pad. The controller does not know of it before: it would lean further until then, to be
+ahead of the pad, and a contact that comes 0.1 s early would meet that lean. In that time the lean is bounded
+to a little more than pad and wind have needed so far. The more lean is levelled off, the firmer it sets down:
+less time to drift in. NED, SI units.
 """
 
 from __future__ import annotations
