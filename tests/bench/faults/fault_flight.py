@@ -132,7 +132,6 @@ async def _fly(
         trial.seed,
         link=vehicle_end,
         gps_baud=config.sense.gps.baud,
-        range_baud=config.sense.range.baud,
         computer=faults,
     )
     simulation = vehicle.simulation
