@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 from pydantic import BaseModel
 
-from companion.config import CameraConfig, CompanionConfig, VehicleConfig
+from companion.config import CameraConfig, CompanionConfig, VehicleConfig, read_yaml
 from docs import settings_table
 from sitl.scenario.scenario import Scenario
 
 
 def test_every_setting_of_the_app_says_when_one_would_change_it() -> None:
-    meanings = settings_table.read_yaml(settings_table.MEANINGS)
+    meanings = read_yaml(settings_table.MEANINGS)
     assert settings_table.without_advice(meanings) == []
     meanings["companion"]["plan.landing.retries"] = "Tries after the first; more is worse"
     assert settings_table.without_advice(meanings) == ["plan.landing.retries"]
