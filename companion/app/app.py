@@ -169,7 +169,7 @@ class App:
 
     async def _control_task(self) -> Phase:
         """Plan, control and send at a fixed rate until the mission has ended."""
-        period_s = 1.0 / self._config.plan.rate_hz
+        period_s = 1.0 / self._config.control.rate_hz
         due_s = self._clock.now_s()
         while not self._over():
             late_s = self._clock.now_s() - due_s + self.loop_monitor.slept_s()

@@ -173,7 +173,6 @@ class TouchdownConfig(StrictModel):
 class PlanConfig(StrictModel):
     """The planner."""
 
-    rate_hz: float = Field(default=30.0, ge=10.0, le=100.0)
     speed_law: Literal["fuzzy", "fixed", "log_polynomial"] = "fuzzy"
     fuzzy: str = "landing"
     fixed_speed_m_s: float = Field(default=0.9, ge=0.2, le=3.0)
