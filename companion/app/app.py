@@ -225,8 +225,14 @@ class App:
         if plan.reference is None or self.session.setup is None:
             return
         self.session.align(vehicle.attitude, vehicle.time_s)
-        control, state = self._control(), self.session.state
-        controlled = control.step(plan, vehicle, pad, now_s, obeyed=state.offboard, heard=state.heard(now_s))
+        controlled = self._control().step(
+            plan,
+            vehicle,
+            pad,
+            now_s,
+            obeyed=self.session.state.offboard,
+            silent_s=now_s - self.session.heard_s,
+        )
         self._control_failed = controlled is not None and controlled[1].failed
         await self._clock.spend(self._config.compute.control_s)
         if controlled is not None:

@@ -30,8 +30,6 @@ FOOT_DROP_M: Final = 0.02  # of the foot that hangs lower, about level
 # The height of the contact is known so well: pose and feet to 2 cm, and a sink that wind and ground effect
 # change by 0.1 m/s in the 0.3 s of levelling off.
 KNOWN_M: Final = 0.05
-# A contact comes so early or late.
-KNOWN_S: Final = 0.15
 # Near the pad the air carries, and the sink slows below what is planned; below this share of it not for long.
 SLOWEST_SINK: Final = 0.5
 # So long before the contact the lean is bounded by what has been needed, and so much.
@@ -57,24 +55,24 @@ class Levelling:
         self._lead_s = self._needed_m_s2 = 0.0
         self._too_low_s = -math.inf
         self._steady: LevelOff | None = None
-        self._planned_m_s = self._config.contact_speed_m_s
+        self.planned_m_s = self._config.contact_speed_m_s
 
     def sink_m_s(self, needed_m_s2: float) -> float:
-        """The sink rate for a contact at which pad and wind need so much lean; no slower than before.
+        """The sink rate for a contact at which pad and wind need so much lean.
 
         What the level vehicle lacks of it makes it drift for as long as the contact is late: firm enough that
         the drift stays small.
         """
         c = self._config
         excess_m_s2 = needed_m_s2 - self._level_m_s2
-        firm_m_s = min(c.firm_contact_m_s, excess_m_s2 * KNOWN_M / c.lateral_speed_m_s)
-        self._planned_m_s = max(self._planned_m_s, firm_m_s)
-        return self._planned_m_s
+        return max(c.contact_speed_m_s, min(c.firm_contact_m_s, excess_m_s2 * KNOWN_M / c.lateral_speed_m_s))
 
     @property
     def most_lean_m_s2(self) -> float:
         """The most lean that can be levelled off: the rest makes it drift while the contact may be late."""
-        return self._level_m_s2 + FASTEST_DRIFT * self._config.lateral_speed_m_s / KNOWN_S
+        c = self._config
+        firmest_m_s = max(c.contact_speed_m_s, c.firm_contact_m_s)
+        return self._level_m_s2 + FASTEST_DRIFT * c.lateral_speed_m_s * firmest_m_s / KNOWN_M
 
     @property
     def begun(self) -> bool:
@@ -100,7 +98,7 @@ class Levelling:
         fresh = sight.age_s <= FRESH_S
         over_m = sight.height_m - self._vehicle.leg_height_m
         if fresh:
-            planned_m_s = (SLOWEST_SINK if self.begun else 1.0) * self._planned_m_s
+            planned_m_s = (SLOWEST_SINK if self.begun else 1.0) * self.planned_m_s
             sink_m_s = max(planned_m_s, sight.sink_m_s)
             self.due_s = now_s + max(0.0, over_m - FOOT_DROP_M) / sink_m_s
         lead_s = self._levelling_s(lean.tilt_rad)
