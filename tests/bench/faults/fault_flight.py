@@ -133,7 +133,6 @@ async def _fly(
         trial.seed,
         link=vehicle_end,
         gps_baud=config.sense.gps.baud,
-        range_baud=config.sense.range.baud,
         computer=faults,
     )
     simulation = vehicle.simulation
