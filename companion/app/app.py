@@ -169,7 +169,7 @@ class App:
 
     async def _control_task(self) -> Phase:
         """Plan, control and send at a fixed rate until the mission has ended."""
-        period_s = 1.0 / self._config.plan.rate_hz
+        period_s = 1.0 / self._config.control.rate_hz
         due_s = self._clock.now_s()
         while not self._over():
             late_s = self._clock.now_s() - due_s + self.loop_monitor.slept_s()
@@ -225,7 +225,8 @@ class App:
         if plan.reference is None or self.session.setup is None:
             return
         self.session.align(vehicle.attitude, vehicle.time_s)
-        controlled = self._control().step(plan, vehicle, pad, now_s, obeyed=self.session.state.offboard)
+        control, state = self._control(), self.session.state
+        controlled = control.step(plan, vehicle, pad, now_s, obeyed=state.offboard, heard=state.heard(now_s))
         self._control_failed = controlled is not None and controlled[1].failed
         await self._clock.spend(self._config.compute.control_s)
         if controlled is not None:
@@ -260,6 +261,7 @@ class App:
             results=results,
             stop_requested=self._stop_requested or (self.loop_monitor.woke and self.phase not in NOT_STOPPED),
             camera_problem=self.sensing.camera_problem,
+            camera_turned_rad=self.estimator.camera_turned_rad,
             control_failed=self._control_failed,
         )
         before, plan = self.phase, self.missions.step(inputs, now_s)

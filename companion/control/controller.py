@@ -125,13 +125,15 @@ class Controller:
         now_s: float,
         *,
         obeyed: bool = True,
+        heard: bool = True,
     ) -> tuple[Setpoint, ControlReport] | None:
         """The setpoint that leaves at `now_s`; None when the plan has no reference.
 
         `vehicle` and `pad` are the estimates carried to about now. A reference in the pad's frame without a
         pad is answered by a stop. While the autopilot does not obey setpoints yet (PX4 wants to receive some
         before it does), each step starts again from how the vehicle moves: what was asked for in vain
-        explains nothing, and the take-over is without a jump.
+        explains nothing, and the take-over is without a jump. While the autopilot is not `heard`, it may have
+        left our setpoints: what they do not explain is not learnt.
         """
         if plan.reference is None:
             self._stepped_s = None
@@ -147,7 +149,7 @@ class Controller:
             setpoint, report = self._wait_for_imu(plan.reference, vehicle, pad, now_s)
             return setpoint, replace(report, obeyed=obeyed)
         if self._flying and not self._stopped:
-            self._plant.observe(vehicle, elapsed_s)
+            self._plant.observe(vehicle, elapsed_s, heard=heard)
         else:
             self._begin(vehicle)
         setpoint, report = self._fly(plan.reference, vehicle, pad, now_s)

@@ -63,6 +63,10 @@ class _Axis:
         fresh = _clamp(left, LARGEST_ACCELERATION_INNOVATION_M_S2)
         self.lasting = _clamp(self.lasting + _share(self.bandwidth_rad_s * elapsed_s) * fresh, bound)
 
+    def fade(self, velocity: float, elapsed_s: float) -> None:
+        self.velocity = velocity
+        self.lasting -= _share(self.bandwidth_rad_s * elapsed_s) * self.lasting
+
 
 class LastingObserver:
     """What lasts between the acceleration commanded and the one that the thrust makes."""
@@ -116,6 +120,12 @@ class LastingObserver:
         if all(math.isfinite(value) for vector in measured for value in vector):
             for axis, v, a, f in zip(self._axes, *measured, strict=True):
                 axis.correct(v, a, f, elapsed_s, self._maximum_m_s2)
+
+    def fade(self, velocity_ned_m_s: Vector3, elapsed_s: float) -> None:
+        """Forget what lasts, as fast as it was learnt: whether the commands are flown is not known."""
+        if all(map(math.isfinite, velocity_ned_m_s)):
+            for axis, velocity in zip(self._axes, velocity_ned_m_s, strict=True):
+                axis.fade(velocity, elapsed_s)
 
     def relieve_vertical(self, covered_m_s2: float) -> None:
         """Take off along down what the thrust scale covers from now on."""

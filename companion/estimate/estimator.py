@@ -27,7 +27,6 @@ from companion.base.geometry import (
     quat_rotate_inverse,
     tilt_from_quat,
     vector3,
-    wrap_angle,
     yaw_from_quat,
 )
 from companion.base.messages import (
@@ -86,8 +85,8 @@ class StateEstimator:
         self._vehicle = VehicleEstimator(config, antenna_position_body_m, self._motion, imu_m)
         self._no_pad()
         self._camera_delay = CameraDelay(self._motion, config.pad.camera_delay_std_s)
-        self._mount_check = MountCheck(self._motion, vehicle.camera_position_body_m)
-        self._camera_yaw_deg, self._mount_reported = vehicle.camera_yaw_deg, False
+        self._mount_check = MountCheck(self._motion, vehicle.camera_position_body_m, vehicle.camera_yaw_deg)
+        self._mount_reported = False
         self._unusable: dict[str, int] = {}
 
     def _no_pad(self) -> None:
@@ -145,19 +144,18 @@ class StateEstimator:
         """What was found since the last call, kind and words: a correction of the attitude, a wrong mount."""
         corrections, self._vehicle.corrections = self._vehicle.corrections, ()
         notices = tuple(("attitude", words) for words in corrections)
-        error_rad = self._mount_check.yaw_error_rad
-        if self._mount_reported or error_rad is None:
+        mount = None if self._mount_reported else self._mount_check.words()
+        if mount is None:
             return notices
         self._mount_reported = True
-        return (*notices, ("camera", self._mount_words(math.degrees(error_rad))))
+        return (*notices, ("camera", mount))
 
-    def _mount_words(self, error_deg: float) -> str:
-        turned_deg = round(math.degrees(wrap_angle(math.radians(self._camera_yaw_deg + error_deg))))
-        return (
-            f"the pad moves as if the camera were turned by {error_deg:.0f} deg against the vehicle's file; "
-            f"expected camera_yaw_deg near {turned_deg} instead of {self._camera_yaw_deg:g}: "
-            "see companion check --pad"
-        )
+    @property
+    def camera_turned_rad(self) -> float | None:
+        """By how much the camera is turned against the vehicle's file (rad, clockwise from above); None: it
+        is not, or nobody knows.
+        """
+        return self._mount_check.yaw_error_rad
 
     def add_range(self, sample: RangeSample) -> bool:
         """Take one echo; it counts when the pad filter knows that the sensor is over the board and low."""

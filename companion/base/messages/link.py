@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Quaternion, Vector3
+
+# fifteen of its attitudes missing in a row; PX4 leaves our setpoints 1 s after the last
+SILENT_S: Final = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +76,10 @@ class AutopilotState:
     round_trip_s: float | None = None
     round_trip_time_s: float = float("-inf")
     twin_time_s: float = float("-inf")
+
+    def heard(self, now_s: float) -> bool:
+        """Whether its attitude, which is asked for at 50 Hz, has come lately."""
+        return now_s - self.attitude_time_s < SILENT_S
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from companion.base.geometry import Vector3, add, norm, quat_rotate, scale, subtract
+from companion.base.geometry import Vector3, add, norm, quat_rotate, scale, subtract, wrap_angle
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_delay import second_difference
 
@@ -50,9 +50,11 @@ class _Seen(NamedTuple):
 class MountCheck:
     """Feed it every sighting; `yaw_error_rad`, once it is reported, is to be added to the camera's yaw."""
 
-    def __init__(self, motion: MotionHistory, camera_position_body_m: Vector3) -> None:
+    def __init__(
+        self, motion: MotionHistory, camera_position_body_m: Vector3, camera_yaw_deg: float = 0.0
+    ) -> None:
         self._motion = motion
-        self._camera = camera_position_body_m
+        self._camera, self._camera_yaw_deg = camera_position_body_m, camera_yaw_deg
         self._seen: list[_Seen] = []
         self._compared_s = self._updated_s = -math.inf
         self._n11 = self._n12 = self._n22 = self._b1 = self._b2 = 0.0
@@ -105,6 +107,18 @@ class MountCheck:
         variance = (u * u * self._n22 - 2.0 * u * v * self._n12 + v * v * self._n11) / determinant
         least = max(math.radians(LEAST_DEG), SURE_SIGMA * math.sqrt(variance) / length)
         return angle if abs(angle) > least else None
+
+    def words(self) -> str | None:
+        """What is wrong with the mount, and the setting that would be right; None as for `yaw_error_rad`."""
+        error_rad = self.yaw_error_rad
+        if error_rad is None:
+            return None
+        turned_rad = wrap_angle(math.radians(self._camera_yaw_deg) + error_rad)
+        return (
+            f"the pad moves as if the camera were turned by {math.degrees(error_rad):.0f} deg against the "
+            f"vehicle's file; expected camera_yaw_deg near {math.degrees(turned_rad):.0f} instead of "
+            f"{self._camera_yaw_deg:g}: see companion check --pad"
+        )
 
     def _before(self, time_s: float, before_s: float, apart_s: float) -> _Seen | None:
         nearest = min(self._seen, key=lambda seen: abs(time_s - before_s - seen.time_s))

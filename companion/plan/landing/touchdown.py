@@ -28,6 +28,8 @@ from companion.plan.trajectory.reference_generator import ReferenceGenerator
 # Time constant with which the reference's height follows the vehicle's.
 _GIVE_WAY_S = 0.3
 _LONGEST_CYCLE_S = 0.1
+# Levelling off it comes to the firmer sink within this.
+_FIRMER_S = 0.25
 _TOO_FAST_S = 0.1
 _TOO_MUCH_LEAN = 1.3
 # Echoes so much deeper than the unseen pad's estimate, for so long: the pad is not below any more.
@@ -110,7 +112,7 @@ class TouchdownSequence:
             and not tolerance.aside(sight, now_s)
             and (tolerance.impatience(now_s) >= 1.0 or gentle(sight, c))
             and level_at(sight, self._sinks_for_s(), tolerance.most_lean_rad(now_s))
-            and self.lean.at_m_s2(self._sinks_for_s()) <= tolerance.most_lean_m_s2(now_s)
+            and self.lean.at_m_s2(self._sinks_for_s()) <= self._most_lean_m_s2(1.0, now_s)
             and self._generator.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self.way_down_s())
         )
         if waited_s >= c.giving_up_s:
@@ -121,6 +123,9 @@ class TouchdownSequence:
         if self._settled.held_s(ready, now_s) >= c.settled_s:
             return MissionEvent.COMMIT, "committed to land: sinking"
         return None
+
+    def _most_lean_m_s2(self, share: float, now_s: float) -> float:
+        return min(share * self._tolerance.most_lean_m_s2(now_s), self._levelling.most_lean_m_s2)
 
     def way_down_s(self) -> float:
         """How long from here until the feet stand and the motors are off."""
@@ -137,9 +142,10 @@ class TouchdownSequence:
     def _commit(self, now_s: float) -> None:
         c = self._config
         self._sunk_s = now_s
-        blended_m = self._generator.sink(c.contact_speed_m_s, c.blend_s, now_s)
+        speed_m_s = self._levelling.sink_m_s(self.lean.at_m_s2(self._sinks_for_s()))
+        blended_m = self._generator.sink(speed_m_s, c.blend_s, now_s)
         left_m = self._generator.at(now_s).position_m[2] + blended_m + self._vehicle.leg_height_m
-        self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / c.contact_speed_m_s
+        self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / speed_m_s
 
     def _sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         signs = self._signs(sight, inputs, now_s)
@@ -207,7 +213,10 @@ class TouchdownSequence:
         # with the feet nearly down, climbing away would drag them over the pad
         high = sight.height_m > self._vehicle.leg_height_m + 2.0 * c.contact_margin_m
         self._give_way(sight if high else None, now_s)
+        leans_on = not self._levelling.begun
         self._levelling.expect(sight, self.lean, now_s)
+        if leans_on and self._levelling.begun:
+            self._generator.sink(self._levelling.sink_m_s(self.lean.at_m_s2(0.0)), _FIRMER_S, now_s)
         wrong = self._wrong(sight, now_s)
         if wrong and self._has_room(sight.height_m, sight.sink_m_s):
             return MissionEvent.BREAK_OFF, wrong
@@ -243,7 +252,7 @@ class TouchdownSequence:
             return "sinking too fast"
         due_s = self._levelling.due_s if self._levelling.begun else self._contact_due_s
         lean_m_s2 = self.lean.at_m_s2(max(0.0, due_s - now_s))
-        if lean_m_s2 > _TOO_MUCH_LEAN * self._tolerance.most_lean_m_s2(now_s):
+        if lean_m_s2 > self._most_lean_m_s2(_TOO_MUCH_LEAN, now_s):
             return "too much lean at contact"
         far = fresh and self._tolerance.aside(sight, now_s)
         if self._far_aside.held_s(far, now_s) >= _TOO_FAST_S:

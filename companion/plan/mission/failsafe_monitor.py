@@ -6,6 +6,7 @@ did not request is a pilot's word or a failsafe of the autopilot, and that is fi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from companion.base.messages import AutopilotState, Phase, VehicleState
@@ -23,6 +24,8 @@ _STALE_ESTIMATE_S = 0.5
 _OLDEST_ROUND_TRIP_S = 3.0
 # Beyond this a stop has been flown, and the wind decides.
 _NO_PLAN_S = 1.0
+# Every correction goes astray by it; it is taken off the loop's phase margin, of which 45 deg are promised.
+_CAMERA_TURNED_RAD = math.radians(30.0)
 
 
 class FailsafeMonitor:
@@ -97,6 +100,7 @@ class FailsafeMonitor:
         found = [(event, reason) for holds, event, reason in signs if holds]
         found += [*self._late(autopilot, now_s), *self._estimate(inputs.vehicle, now_s)]
         found += [*self._control(inputs.control_failed, now_s), *self._battery(autopilot)]
+        found += self._camera(inputs.camera_turned_rad)
         found += [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s), *self._time(now_s)]
         if heard:
             found.append((MissionEvent.LINK_UP, "heartbeat again"))
@@ -112,6 +116,11 @@ class FailsafeMonitor:
     def _control(self, failed: bool, now_s: float) -> Iterator[DetectedEvent]:
         if self._no_plan.held_s(failed, now_s) >= _NO_PLAN_S:
             yield MissionEvent.CONTROL_FAILED, "the controller finds no plan to fly"
+
+    def _camera(self, turned_rad: float | None) -> Iterator[DetectedEvent]:
+        if turned_rad is not None and abs(turned_rad) > _CAMERA_TURNED_RAD:
+            turned = f"by {math.degrees(turned_rad):.0f} deg against the vehicle's file"
+            yield MissionEvent.CAMERA_TURNED, f"{turned}: see companion check --pad"
 
     def _battery(self, autopilot: AutopilotState) -> Iterator[DetectedEvent]:
         if autopilot.battery_share is not None and autopilot.battery_share <= self._config.battery.critical:

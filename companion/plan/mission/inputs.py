@@ -19,6 +19,7 @@ from companion.base.messages import (
 class PlanInputs:
     """The newest of everything the planner goes by; `results` holds each answer once, `order` comes once.
 
+    `camera_turned_rad`: against the vehicle's file, as far as the pad's motion shows it.
     `control_failed`: the last setpoint was a stop for want of a plan, or would have been no number.
     """
 
@@ -31,4 +32,5 @@ class PlanInputs:
     stop_requested: bool = False
     order: Order | None = None
     camera_problem: str | None = None
+    camera_turned_rad: float | None = None
     control_failed: bool = False

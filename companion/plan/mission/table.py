@@ -4,7 +4,8 @@ Its rules:
   every pair of a state and an event has one row, or means nothing there, or is impossible;
   an impossible pair ends in a hold by the autopilot itself, and is announced;
   every state ends by time but the two last (LANDED, ABORT), STANDBY, which waits for an order, and
-  AUTO_LAND while the autopilot is heard: it presses down and asks on, and ended it would leave the motors on;
+  AUTO_LAND while the autopilot is heard: it keeps requesting LAND and disarm, and its end would leave the
+  motors on;
   released for good is released: whatever happens then, nothing more is asked of the autopilot;
   STOP, the bounds and overtime return control to the autopilot, which holds its position: low over the pad
   once it has climbed clear. A lost estimate, a controller without a plan and a late link leave no time for
@@ -47,12 +48,14 @@ LOW: Final = OVER_PAD | {S.DESCEND}  # it may be just over the pad, and has not 
 HOLDING: Final = frozenset({S.HOLD, S.AWAIT_LINK})
 # the pad's estimate carries the vehicle
 BY_THE_PAD: Final = TOUCHDOWN | {S.APPROACH, S.DESCEND}
+UNFOLLOWED: Final = (E.CAMERA_TURNED, E.PAD_TOO_FAST)  # the pad's estimate leads astray, or too fast
+OUTSIDE: Final = (E.OUT_OF_BOUNDS, E.OVERTIME)  # of the mission's space or time
 BLIND: Final = (E.ESTIMATE_LOST, E.CONTROL_FAILED)  # setpoints of ours lead nowhere
 # what may be detected in any state: each state has a row or a reason for none
 ANYWHERE: Final = (
     *(E.DISARMED, E.PILOT_TOOK_OVER, E.STOP, E.LINK_LOST, E.LINK_UP, E.LINK_LATE),
     *(E.ESTIMATE_LOST, E.CONTROL_FAILED, E.VELOCITY_UNKNOWN, E.BATTERY_CRITICAL),
-    *(E.OUT_OF_BOUNDS, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT),
+    *(E.OUT_OF_BOUNDS, E.CAMERA_TURNED, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT),
 )
 
 _ARM, _TAKE_OFF, _GO_TO = Action(ActionKind.ARM), Action(ActionKind.TAKE_OFF), Action(ActionKind.GO_TO)
@@ -199,13 +202,6 @@ ROWS: Final = (
         Branch(None, (_LAND, _DISARM), effects=(Effect.ASK_AFRESH,)),
     ),
     # ---- anywhere
-    _row(E.OVERTIME, LOW, *_HOLD_CLEAR),
-    _row(
-        E.OVERTIME,
-        IN_AIR - COMMITTED - LOW - {S.HOLD},
-        *_RETURN_CONTROL,
-        except_={**_all(ON_GROUND, _NOT_YET), S.HOLD: _CLEARS, **_GO_ON},
-    ),
     _row(
         E.BATTERY_CRITICAL,
         IN_AIR - COMMITTED - LOW - {S.HOLD},
@@ -219,19 +215,25 @@ ROWS: Final = (
     ),
     _row(E.BATTERY_CRITICAL, LOW, Branch(None, guard=Guard.MAY_FINISH), *_HOLD_CLEAR),
     # the hold brakes at once, within the room that a bound leaves, and climbs no higher than the ceiling
-    _row(E.OUT_OF_BOUNDS, LOW, *_HOLD_CLEAR),
-    _row(
-        E.OUT_OF_BOUNDS,
-        IN_AIR - COMMITTED - LOW - {S.HOLD},
-        *_RETURN_CONTROL,
-        except_={**_all(ON_GROUND, _NOT_YET), S.HOLD: _CLEARS, **_GO_ON},
+    *(_row(event, LOW, *_HOLD_CLEAR) for event in OUTSIDE),
+    *(
+        _row(
+            event,
+            IN_AIR - COMMITTED - LOW - {S.HOLD},
+            *_RETURN_CONTROL,
+            except_={**_all(ON_GROUND, _NOT_YET), S.HOLD: _CLEARS, **_GO_ON},
+        )
+        for event in OUTSIDE
     ),
-    _row(E.PAD_TOO_FAST, LOW, *_HOLD_CLEAR),
-    _row(
-        E.PAD_TOO_FAST,
-        S.APPROACH,
-        *_RETURN_CONTROL,
-        except_={**_all(LIVE - BY_THE_PAD, "it does not follow the pad"), **_GO_ON},
+    *(_row(event, LOW, *_HOLD_CLEAR) for event in UNFOLLOWED),
+    *(
+        _row(
+            event,
+            S.APPROACH,
+            *_RETURN_CONTROL,
+            except_={**_all(LIVE - BY_THE_PAD, "it does not follow the pad"), **_GO_ON},
+        )
+        for event in UNFOLLOWED
     ),
     _row(E.STOP, {S.STANDBY, S.CONNECT}, _GIVE_UP),
     _row(E.STOP, S.ARM, _end(_DISARM)),

@@ -105,6 +105,7 @@ class World:
         self.stop = False
         self.order: Order | None = None  # given once
         self.camera_problem: str | None = None
+        self.camera_turned_rad: float | None = None
         self.flight = Flight()
         self.rng = np.random.default_rng(0)
         self._drift = np.zeros(3)
@@ -160,6 +161,7 @@ class World:
             stop_requested=self.stop,
             order=self.order,
             camera_problem=self.camera_problem,
+            camera_turned_rad=self.camera_turned_rad,
         )
 
     # ------------------------------------------------------------ what the planner is told

@@ -86,3 +86,4 @@ def test_the_estimator_tells_it_once_with_the_setting(monkeypatch: pytest.Monkey
     assert "turned by -90 deg against the vehicle's file" in words
     assert "expected camera_yaw_deg near 0 instead of 90" in words
     assert estimator.take_notices() == ()
+    assert estimator.camera_turned_rad == math.radians(-89.7)  # for as long as it is so

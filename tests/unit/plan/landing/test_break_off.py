@@ -24,11 +24,11 @@ from tests.unit.plan.plan_harness import LEG_M
 @pytest.mark.parametrize(
     ("height", "sink_m_s", "broken"),
     [
-        (LEG_M + 0.2, 0.36, True),
-        (LEG_M + 0.2, 0.34, False),
-        # it needs some 13 cm to stop from that, foot and all, and 18 from half a metre a second
-        (LEG_M + 0.12, 0.36, False),
-        (LEG_M + 0.14, 0.36, True),
+        (LEG_M + 0.2, 0.43, True),
+        (LEG_M + 0.2, 0.41, False),
+        # it needs some 15 cm to stop from that, foot and all, and 18 from half a metre a second
+        (LEG_M + 0.14, 0.43, False),
+        (LEG_M + 0.165, 0.43, True),
         (LEG_M + 0.17, 0.5, False),
     ],
 )

@@ -126,7 +126,7 @@ def test_what_would_break_it_off_at_once_is_no_moment_to_commit() -> None:
     touchdown, told = fresh(), 0
     for k in range(round(29.0 / CYCLE_S)):
         was = touchdown.committed
-        touchdown.note_lean(leaning(3.0), k * CYCLE_S)
+        touchdown.note_lean(leaning(2.7), k * CYCLE_S)
         touchdown.step(sight(), None, LandedState.IN_AIR, k * CYCLE_S)
         told += touchdown.committed is not was
         if touchdown.committed:

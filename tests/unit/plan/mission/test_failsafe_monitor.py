@@ -1,8 +1,9 @@
+import math
 from dataclasses import replace
 
 import pytest
 
-from companion.base.messages import AutopilotState, ControlReport
+from companion.base.messages import AutopilotState, ControlReport, PadState
 from companion.config import MissionConfig, PhaseTimesConfig
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
@@ -40,6 +41,27 @@ def gravest(
     events = [event for event, _ in watch.detect(given, 50.0, control_granted=False)]
     circumstances = Circumstances(machine.authority)
     return next((e for e in events if follows(state, e, circumstances) is not None), None)
+
+
+@pytest.mark.parametrize(
+    ("turned_deg", "flown"), [(None, True), (-29.0, True), (-31.0, False), (179.0, False)]
+)
+def test_a_camera_that_is_turned_is_named_before_the_pad_that_seems_too_fast(
+    turned_deg: float | None, flown: bool
+) -> None:
+    watch, machine = monitor()
+    zero = (0.0, 0.0, 0.0)
+    fast = PadState(50.0, zero, zero, (6.2, 0.0, 0.0), zero, 0.0, 0.0, 0.1, 0.1, seen_time_s=50.0)
+    turned_rad = None if turned_deg is None else math.radians(turned_deg)
+    given = replace(inputs(), pad=fast, camera_turned_rad=turned_rad)
+    watch.detect(given, 49.0, control_granted=False)
+    found = watch.detect(given, 50.0, control_granted=False)
+    meant = [e for e, _ in found if follows(machine.state, e, Circumstances(machine.authority)) is not None]
+    assert meant[0] is (MissionEvent.PAD_TOO_FAST if flown else MissionEvent.CAMERA_TURNED)
+    if not flown:
+        assert (
+            f"by {turned_deg:.0f} deg against the vehicle's file" in dict(found)[MissionEvent.CAMERA_TURNED]
+        )
 
 
 def taken_over(watch: FailsafeMonitor, autopilot: AutopilotState, *, granted: bool = False) -> bool:

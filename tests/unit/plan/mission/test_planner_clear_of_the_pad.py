@@ -32,6 +32,17 @@ def test_stopped_where_nothing_is_to_be_climbed_it_is_returned_once_at_rest() ->
     assert w.flight.told("climb") == []
 
 
+def test_a_camera_that_shows_turned_just_over_the_pad_climbs_clear_first() -> None:
+    w = low_over_the_pad()
+    w.camera_turned_rad = 1.5
+    w.fly(20.0)
+    ended_by_hold(w)
+    assert any(
+        "camera turned: by 86 deg against the vehicle's file" in said for said in w.flight.told("phase")
+    )
+    assert w.flight.heights_m[-1] > 1.0
+
+
 def test_at_the_fence_just_over_the_pad_it_climbs_clear_first() -> None:
     w = low_over_the_pad(PlanConfig.model_validate({"mission": {"fence_m": 30.0}}))
     w.home = lambda _t: geodetic_from_ned((60.0, 0.0, 0.0), HOME)  # the autopilot has set another home

@@ -62,6 +62,7 @@ def test_what_may_happen_anywhere_is_handled_in_every_state_or_excepted_with_a_r
         (E.LINK_LATE, ON_GROUND | COMMITTED | {S.TAKE_OFF, S.WAYPOINT}),
         (E.BATTERY_CRITICAL, ON_GROUND | COMMITTED | {S.HOLD}),
         (E.OUT_OF_BOUNDS, ON_GROUND | COMMITTED | {S.HOLD}),
+        (E.CAMERA_TURNED, LIVE - {S.APPROACH, S.DESCEND, S.WAIT, S.RISE}),
         (E.PAD_TOO_FAST, LIVE - {S.APPROACH, S.DESCEND, S.WAIT, S.RISE}),
         (E.TIMEOUT, {S.STANDBY}),
     ],
@@ -146,7 +147,10 @@ def test_with_a_critical_battery_a_descent_is_finished_if_the_settings_say_so(st
 
 
 @pytest.mark.parametrize("ends", [E.CLEAR, E.TIMEOUT])
-@pytest.mark.parametrize("event", [E.STOP, E.OVERTIME, E.BATTERY_CRITICAL, E.OUT_OF_BOUNDS, E.PAD_TOO_FAST])
+@pytest.mark.parametrize(
+    "event",
+    [E.STOP, E.OVERTIME, E.BATTERY_CRITICAL, E.OUT_OF_BOUNDS, E.CAMERA_TURNED, E.PAD_TOO_FAST],
+)
 @pytest.mark.parametrize("state", sorted({S.WAIT, S.RISE, S.DESCEND}))
 def test_just_over_the_pad_it_climbs_clear_before_control_is_returned(
     state: State, event: MissionEvent, ends: MissionEvent
