@@ -4,7 +4,8 @@
 
 Name, unit, default and bounds come from the pydantic models (`companion.config`, `sitl.scenario.scenario`);
 what a setting means comes from docs/meanings.yaml, or from the comment beside the field. A setting without
-either stops the writing with a line that names it; meanings of settings that are gone are reported. A table
+either stops the writing with a line that names it, and so does a setting of the app whose meaning does not
+say when one would change it; meanings of settings that are gone are reported. A table
 stands between `<!-- table:NAME -->` and `<!-- end -->`; the rest of a page is left alone.
 """
 
@@ -53,6 +54,10 @@ UNITS: Final = {
     "rad_s_rts": "rad/s/√s",
     "m_s2_rts": "m/s²/√s",
     "ut_rts": "µT/√s",
+    "n_m_s2": "N·m·s²",
+    "n_s2": "N·s²",
+    "kg_m2": "kg·m²",
+    "kg": "kg",
     "deg_s": "°/s",
     "rad_s": "rad/s",
     "m_s2": "m/s²",
@@ -73,6 +78,12 @@ UNITS: Final = {
     "s": "s",
 }
 BOUND_SIGNS: Final = {"ge": "≥ {:g}", "gt": "> {:g}", "le": "≤ {:g}", "lt": "< {:g}"}
+# how a meaning says when one would change the setting: "raise it for ...", "set them where ..."
+ADVICE: Final = re.compile(
+    r"\b(set|change|raise|lower|lengthen|turn|tune|measure|list) (it|them|these|both)\b",
+    re.IGNORECASE,
+)
+ADVISED: Final = "companion"  # the table whose settings a user tunes; the others describe what was measured
 TABLE: Final = re.compile(r"(<!-- table:(\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -274,6 +285,13 @@ def page_text(text: str) -> str:
     return TABLE.sub(lambda m: m[1] + markdown(made[m[2]], meanings.get(m[2], {})) + m[3], text)
 
 
+def without_advice(meanings: dict[str, Any]) -> list[str]:
+    """Settings of the app whose meaning does not say when one would change them."""
+    rows = [(group, s) for group, settings in tables()[ADVISED].items() for s in settings]
+    meant = {f"{group}.{s.key}".lstrip("."): s.comment for group, s in rows} | meanings[ADVISED]
+    return [key for key, meaning in meant.items() if ADVICE.search(meaning) is None]
+
+
 def left_over() -> list[str]:
     """Meanings of settings that are gone."""
     gone = []
@@ -290,6 +308,10 @@ def main() -> None:
         for name in PAGES:
             page = DOCS / name
             page.write_text(page_text(page.read_text(encoding="utf-8")), encoding="utf-8")
+        if silent := without_advice(read_yaml(MEANINGS)):
+            raise ConfigError(
+                f"docs/meanings.yaml: {silent[0]}: expected when one would change it ('raise it for ...')"
+            )
         for key in left_over():
             print(f"docs/meanings.yaml: {key}: there is no such setting any more")
     except ConfigError as error:

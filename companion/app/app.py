@@ -169,7 +169,7 @@ class App:
 
     async def _control_task(self) -> Phase:
         """Plan, control and send at a fixed rate until the mission has ended."""
-        period_s = 1.0 / self._config.plan.rate_hz
+        period_s = 1.0 / self._config.control.rate_hz
         due_s = self._clock.now_s()
         while not self._over():
             late_s = self._clock.now_s() - due_s + self.loop_monitor.slept_s()
@@ -225,7 +225,14 @@ class App:
         if plan.reference is None or self.session.setup is None:
             return
         self.session.align(vehicle.attitude, vehicle.time_s)
-        controlled = self._control().step(plan, vehicle, pad, now_s, obeyed=self.session.state.offboard)
+        controlled = self._control().step(
+            plan,
+            vehicle,
+            pad,
+            now_s,
+            obeyed=self.session.state.offboard,
+            silent_s=now_s - self.session.heard_s,
+        )
         self._control_failed = controlled is not None and controlled[1].failed
         await self._clock.spend(self._config.compute.control_s)
         if controlled is not None:

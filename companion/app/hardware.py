@@ -29,6 +29,7 @@ from companion.link.transport import Transport, open_transport
 from companion.sense.camera.source import FrameSource, keep_camera
 from companion.sense.imu.i2c import RegisterBus, open_bus
 from companion.sense.range.echo_pins import EchoPins
+from companion.sense.range.ultrasonic import RANGE_BAUD
 from companion.sense.serial_port import SerialPort
 
 ActionsFactory = Callable[[Session, Callable[[bytes], None], Clock, CompanionConfig], VehicleActions]
@@ -109,7 +110,7 @@ def _open_port(path: str, baud: int, *, waits: bool) -> SerialLine:
 def _open_range_port(config: RangeConfig, *, waits: bool) -> SerialLine | EchoPins:
     if config.kind == "gpio":
         return EchoPins(config.trigger_pin, config.echo_pin, Clock())
-    return _open_port(config.port, config.baud, waits=waits)
+    return _open_port(config.port, RANGE_BAUD, waits=waits)
 
 
 def make_actions(

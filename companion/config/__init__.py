@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from companion.base.errors import ConfigError
 from companion.base.files import CONFIG_FOLDER, YAML_SUFFIXES, find_file
@@ -177,13 +177,6 @@ class CompanionConfig(StrictModel):
     compute: ComputeConfig = ComputeConfig()
     record: RecordConfig = RecordConfig()
     serve: ServeConfig = ServeConfig()
-
-    @model_validator(mode="after")
-    def _one_rate(self) -> CompanionConfig:
-        ours, wanted = self.control.rate_hz, self.plan.rate_hz
-        if ours != wanted:
-            raise ValueError(f"control.rate_hz {ours:g}: expected that of plan.rate_hz, {wanted:g}")
-        return self
 
 
 def load_config(path: Path, overrides: dict[str, Any] | None = None) -> CompanionConfig:

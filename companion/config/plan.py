@@ -16,6 +16,7 @@ Waypoint = tuple[Place, Place] | tuple[Place, Place, Height]
 
 
 _ROOM_M: Final = 2.0  # to stop in before fence and ceiling
+_GUST_M_S: Final = 0.08  # what a gust adds to a planned sink
 
 
 class PhaseTimesConfig(StrictModel):
@@ -133,7 +134,8 @@ class TouchdownConfig(StrictModel):
     contact_lean_deg: float = Field(default=5.0, ge=1.0, le=30.0)  # of a deck that swings
     patience_s: float = Field(default=5.0, ge=0.5, le=60.0)
     contact_speed_m_s: float = Field(default=0.19, ge=0.05, le=0.4)
-    fastest_contact_m_s: float = Field(default=0.35, ge=0.05, le=1.0)  # sinking faster,
+    firm_contact_m_s: float = Field(default=0.32, ge=0.05, le=0.4)  # where it leans far: the most planned
+    fastest_contact_m_s: float = Field(default=0.42, ge=0.05, le=1.0)  # sinking faster,
     break_off_lateral_m: float = Field(default=0.07, gt=0.0, le=0.5)  # or farther aside, higher up than this:
     break_off_above_m: float = Field(default=0.06, ge=0.03, le=1.0)  # rise and wait again
     blend_s: float = Field(default=0.8, ge=0.2, le=3.0)
@@ -156,6 +158,12 @@ class TouchdownConfig(StrictModel):
                 f"break_off_lateral_m {self.break_off_lateral_m:g}: expected no less than lateral_m, "
                 f"{self.lateral_m:g}"
             )
+        planned_m_s = max(self.contact_speed_m_s, self.firm_contact_m_s)
+        if self.fastest_contact_m_s < planned_m_s + _GUST_M_S:
+            raise ValueError(
+                f"fastest_contact_m_s {self.fastest_contact_m_s:g}: expected {planned_m_s + _GUST_M_S:g} or "
+                f"more, {_GUST_M_S:g} above contact_speed_m_s and firm_contact_m_s"
+            )
         if self.break_off_above_m <= 2.0 * self.contact_margin_m:
             raise ValueError(
                 f"break_off_above_m {self.break_off_above_m:g}: expected more than twice contact_margin_m, "
@@ -167,7 +175,6 @@ class TouchdownConfig(StrictModel):
 class PlanConfig(StrictModel):
     """The planner."""
 
-    rate_hz: float = Field(default=30.0, ge=10.0, le=100.0)
     speed_law: Literal["fuzzy", "fixed", "log_polynomial"] = "fuzzy"
     fuzzy: str = "landing"
     fixed_speed_m_s: float = Field(default=0.9, ge=0.2, le=3.0)

@@ -89,7 +89,6 @@ class RangeConfig(StrictModel):
 
     kind: Literal["frames", "polled", "gpio"] = "frames"
     port: str = "/dev/ttyAMA1"
-    baud: Literal[9600] = 9600
     trigger_pin: int = Field(default=23, ge=0, le=27)
     echo_pin: int = Field(default=24, ge=0, le=27)
     rate_hz: float = Field(default=12.5, ge=2.0, le=16.0)

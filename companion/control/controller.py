@@ -58,6 +58,10 @@ LONGEST_PREDICTION_S = 0.4
 BLIND_S = 0.1
 # after so many solves in a row without a solution the old plan is worth nothing
 FAILURES_TO_STOP = 10
+# Its attitude alone is sent at 50 Hz. PX4 leaves our setpoints 1 s after the last one, ArduPilot GUID_TIMEOUT
+# after it (0.5 s as documented), and neither can say so meanwhile.
+SILENT_S = 0.3
+GIVEN_UP_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,13 +129,16 @@ class Controller:
         now_s: float,
         *,
         obeyed: bool = True,
+        silent_s: float = 0.0,
     ) -> tuple[Setpoint, ControlReport] | None:
         """The setpoint that leaves at `now_s`; None when the plan has no reference.
 
         `vehicle` and `pad` are the estimates carried to about now. A reference in the pad's frame without a
         pad is answered by a stop. While the autopilot does not obey setpoints yet (PX4 wants to receive some
         before it does), each step starts again from how the vehicle moves: what was asked for in vain
-        explains nothing, and the take-over is without a jump.
+        explains nothing, and the take-over is without a jump. An autopilot that has sent nothing for
+        `silent_s` may not hear us either: soon nothing is learnt from what it does, and later it counts as
+        one that does not obey.
         """
         if plan.reference is None:
             self._stepped_s = None
@@ -140,17 +147,17 @@ class Controller:
         self._heading.step(plan.reference.heading_rad, elapsed_s)
         if plan.on_ground:
             return self._rest(plan.reference, pad, now_s)
-        if not obeyed:
+        if not obeyed or silent_s >= GIVEN_UP_S:
             self._gate.reset()
             self._flying = False
         if vehicle.imu_age_s > BLIND_S:
             setpoint, report = self._wait_for_imu(plan.reference, vehicle, pad, now_s)
             return setpoint, replace(report, obeyed=obeyed)
         if self._flying and not self._stopped:
-            self._plant.observe(vehicle, elapsed_s)
+            self._plant.observe(vehicle, elapsed_s, learns=silent_s < SILENT_S)
         else:
             self._begin(vehicle)
-        setpoint, report = self._fly(plan.reference, vehicle, pad, now_s)
+        setpoint, report = self._fly(plan.reference, vehicle, pad, now_s, learns=silent_s < SILENT_S)
         return setpoint, replace(report, obeyed=obeyed)
 
     def _elapsed(self, vehicle: VehicleState, now_s: float) -> float:
@@ -203,7 +210,13 @@ class Controller:
         return setpoint, ControlReport(now_s, solved=True, iterations=0, solve_s=0.0, limited=limited)
 
     def _fly(
-        self, reference: Reference, vehicle: VehicleState, pad: PadState | None, now_s: float
+        self,
+        reference: Reference,
+        vehicle: VehicleState,
+        pad: PadState | None,
+        now_s: float,
+        *,
+        learns: bool,
     ) -> tuple[Setpoint, ControlReport]:
         if reference.origin == "pad" and pad is None:
             reference = stop_reference(now_s, vehicle.position_ned_m, reference.heading_rad)
@@ -225,7 +238,8 @@ class Controller:
         solve_s = self._stopwatch() - began_s
         self._failures = 0 if solution.solved or solution.cut else self._failures + 1
         self._cuts = self._cuts + 1 if solution.cut else 0
-        self._learn(start, target, disturbance, solution)
+        if learns:
+            self._learn(start, target, disturbance, solution)
         setpoint = _seen(self._setpoint(start.motion, solution, now_s), reference, pad)
         boost = self._boost(start.motion, solution)
         setpoint, limited = self._gate.apply(boosted(setpoint, boost), now_s)

@@ -117,6 +117,12 @@ class LastingObserver:
             for axis, v, a, f in zip(self._axes, *measured, strict=True):
                 axis.correct(v, a, f, elapsed_s, self._maximum_m_s2)
 
+    def keep(self, velocity_ned_m_s: Vector3) -> None:
+        """Keep what lasts: whether the commands are flown is not known."""
+        if all(map(math.isfinite, velocity_ned_m_s)):
+            for axis, velocity in zip(self._axes, velocity_ned_m_s, strict=True):
+                axis.velocity = velocity
+
     def relieve_vertical(self, covered_m_s2: float) -> None:
         """Take off along down what the thrust scale covers from now on."""
         self._axes[2].lasting -= covered_m_s2

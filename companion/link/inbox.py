@@ -1,50 +1,11 @@
-"""What came over a transport and was not read yet, and the pipe within a process that is made of two."""
+"""A pipe within the process: the transport to a simulated autopilot in the same event loop."""
 
 from __future__ import annotations
 
 import asyncio
 from collections import deque
-from typing import Final
 
-READ_QUEUE_BYTES: Final = 1 << 16
-
-
-class Inbox:
-    """What came and was not read yet; for one reader."""
-
-    def __init__(self) -> None:
-        self._data = bytearray()
-        self._changed = asyncio.Event()
-        self._error: OSError | None = None
-        self.dropped_bytes = 0
-
-    def put(self, data: bytes) -> None:
-        """Take bytes in; unread ones are dropped when the queue is full."""
-        if len(self._data) + len(data) > READ_QUEUE_BYTES:
-            self.dropped_bytes += len(self._data)
-            self._data.clear()
-        self._data += data
-        self._changed.set()
-
-    def fail(self, error: OSError) -> None:
-        """The transport is gone: who reads gets the error once the queue is empty."""
-        self._error = self._error or error
-        self._changed.set()
-
-    async def read(self) -> bytes:
-        """Wait for one byte or more.
-
-        Raises:
-            OSError: the transport is gone.
-        """
-        while not self._data:
-            if self._error is not None:
-                raise self._error
-            await self._changed.wait()
-            self._changed.clear()
-        data = bytes(self._data)
-        self._data.clear()
-        return data
+from companion.base.udp_socket import Inbox
 
 
 class MemoryTransport:

@@ -8,7 +8,7 @@ from typing import Final
 
 import serial
 
-from companion.link.inbox import Inbox
+from companion.base.udp_socket import Inbox
 
 WRITE_QUEUE_BYTES: Final = 2048  # 0.36 s of a line at 57600 baud
 READ_BYTES: Final = 4096

@@ -100,6 +100,7 @@ class Session:
         self._texts = StatusTexts()
         self._replies: list[Message] = []
         self._heartbeat_heard_s = -math.inf
+        self.heard_s = -math.inf  # when anything of the autopilot's came
         self._heartbeat_due_s = -math.inf
         self._timesync_due_s = -math.inf
         self._home_due_s = -math.inf
@@ -177,6 +178,7 @@ class Session:
 
     def _hear_autopilot(self, message: Message, message_id: int, now_s: float) -> None:
         self._rates.heard(message_id)
+        self.heard_s = now_s
         if message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
             for text in self._texts.receive(message):
                 self.state = add_text(self.state, text, now_s)

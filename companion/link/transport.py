@@ -19,9 +19,9 @@ import serial
 
 from companion.base.clock import Clock
 from companion.base.errors import ConfigError, DeviceMissing
+from companion.base.udp_socket import UdpSocket
 from companion.config import CONNECTION_FORM
 from companion.link.codec import autopilot_heard
-from companion.link.inbox import Inbox
 from companion.link.serial_transport import READ_BYTES, WRITE_QUEUE_BYTES, SerialTransport
 
 _PEER_SILENCE_S: Final = 3.0
@@ -51,7 +51,7 @@ class Transport(Protocol):
         """Give the port back; a waiting `read` ends with OSError."""
 
 
-class UdpTransport(asyncio.DatagramProtocol):
+class UdpTransport(UdpSocket):
     """UDP: calling a fixed peer, or listening for one. Made by `open_transport`.
 
     A listener's peer is the first address that an autopilot's heartbeat comes from (of `system_id`; 0: of the
@@ -61,65 +61,22 @@ class UdpTransport(asyncio.DatagramProtocol):
     """
 
     def __init__(self, system_id: int = 0) -> None:
+        super().__init__()
         self._clock = Clock()
         self._system_id = system_id
         self._peer_heard_s = -math.inf
         self.strangers = 0
         self._first_stranger_s = 0.0
         self._stranger_told = False
-        self._inbox = Inbox()
-        self._socket: asyncio.DatagramTransport | None = None
-        self._peer: tuple[str, int] | None = None
-        self._calls = False
 
-    async def open(self, host: str, port: int, *, listen: bool) -> None:
-        """Bind to (listen) or call host and port.
-
-        Raises:
-            OSError: the port is taken, or the host is not known.
-        """
-        self._calls = not listen
-        address = (host, port)
-        self._socket, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-            lambda: self,
-            local_addr=address if listen else None,
-            remote_addr=None if listen else address,
-        )
-
-    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        """asyncio: a datagram came."""
+    def accepts(self, data: bytes, address: tuple[str, int]) -> bool:
+        """Whether it comes from the peer, or from the next one that may be it."""
         now_s = self._clock.now_s()
-        # a calling socket is connected: the system passes on what the peer sent and nothing else
-        if not self._calls and addr != self._peer and not self._may_follow(data, now_s):
-            self._ignore(addr, now_s)
-            return
-        self._peer, self._peer_heard_s = addr, now_s
-        self._inbox.put(data)
-
-    def error_received(self, exc: Exception) -> None:
-        """asyncio: the peer is not there yet (ICMP refused); it may come, so go on."""
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """asyncio: the socket is closed."""
-        self._inbox.fail(OSError(f"the UDP socket is closed{f': {exc}' if exc else ''}"))
-
-    async def read(self) -> bytes:
-        """See `Transport`."""
-        return await self._inbox.read()
-
-    def write(self, data: bytes) -> None:
-        """See `Transport`; a listener that has no peer yet drops it."""
-        if self._socket is None or not data or self._socket.is_closing():
-            return
-        if self._calls:
-            self._socket.sendto(data)
-        elif self._peer is not None:
-            self._socket.sendto(data, self._peer)
-
-    def close(self) -> None:
-        """See `Transport`."""
-        if self._socket is not None:
-            self._socket.close()
+        if address != self._peer and not self._may_follow(data, now_s):
+            self._ignore(address, now_s)
+            return False
+        self._peer_heard_s = now_s
+        return True
 
     def _may_follow(self, data: bytes, now_s: float) -> bool:
         """Whether who sent this may be the peer from now on."""

@@ -98,7 +98,6 @@ async def _virtual_flight(
         trial.seed,
         link=vehicle_end,
         gps_baud=config.sense.gps.baud,
-        range_baud=config.sense.range.baud,
         firmware=trial.firmware,
     )
     with closing(vehicle.simulation):

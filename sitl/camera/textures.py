@@ -45,10 +45,9 @@ class TextureLevel:
 
 @dataclass(frozen=True, slots=True)
 class Texture:
-    """The scales of one surface, finest first. `tile_m` is the period, or None for a bounded board."""
+    """The scales of one surface, finest first."""
 
     levels: tuple[TextureLevel, ...]
-    tile_m: float | None = None
 
     def level_for(self, pixels_per_m: float) -> TextureLevel:
         """The finest scale that a camera resolving `pixels_per_m` on the surface samples without aliasing."""
@@ -104,7 +103,7 @@ def ground_texture(seed: int) -> Texture:
         s = side / GROUND_TILE_M
         affine = np.array([[0.0, s, -0.5], [-s, 0.0, -0.5], [0.0, 0.0, 1.0]])
         levels.append(TextureLevel(np.tile(np.asarray(image, dtype=np.uint8), (2, 2)), s, affine))
-    return Texture(tuple(levels), GROUND_TILE_M)
+    return Texture(tuple(levels))
 
 
 def _board_level(image: GreyImage, width_m: float, length_m: float) -> TextureLevel:

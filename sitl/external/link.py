@@ -13,88 +13,14 @@ import os
 from collections.abc import Callable
 from typing import Final
 
+from companion.base.udp_socket import Inbox, UdpSocket
 from companion.config import CONNECTION_FORM, ConfigError
 
 RETRY_S: Final = 1.0
-_INBOX_CHUNKS: Final = 1000
 _READ_BYTES: Final = 4096
 _WRITE_BYTES: Final = 1 << 16
 
 Tell = Callable[[str], None]
-
-
-class _Inbox:
-    """Received bytes that were not read yet; the oldest are dropped without a reader."""
-
-    def __init__(self) -> None:
-        self._chunks: asyncio.Queue[bytes] = asyncio.Queue(maxsize=_INBOX_CHUNKS)
-
-    def put(self, data: bytes) -> None:
-        if self._chunks.full():
-            self._chunks.get_nowait()
-        self._chunks.put_nowait(data)
-
-    async def read(self) -> bytes:
-        """Wait for bytes; all that has come is returned in one."""
-        data = await self._chunks.get()
-        while not self._chunks.empty():
-            data += self._chunks.get_nowait()
-        return data
-
-
-class UdpEnd(asyncio.DatagramProtocol):
-    """One UDP socket: to a fixed peer, or listening and answering the last sender."""
-
-    def __init__(self) -> None:
-        self._inbox = _Inbox()
-        self._socket: asyncio.DatagramTransport | None = None
-        self._calls = False
-        self._peer: tuple[str, int] | None = None
-
-    @property
-    def has_peer(self) -> bool:
-        """Whether anybody has spoken."""
-        return self._peer is not None
-
-    async def open(self, host: str, port: int, *, listen: bool) -> int:
-        """Bind (listen) or call; returns our port.
-
-        Raises:
-            OSError: the port is taken, or the host is not known.
-        """
-        self._calls = not listen
-        where = (host, port)
-        self._socket, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-            lambda: self, local_addr=where if listen else None, remote_addr=None if listen else where
-        )
-        ours: tuple[str, int] = self._socket.get_extra_info("sockname")
-        return ours[1]
-
-    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        """asyncio: a datagram came."""
-        self._peer = addr
-        self._inbox.put(data)
-
-    def error_received(self, exc: Exception) -> None:
-        """asyncio: no listener there yet."""
-
-    async def read(self) -> bytes:
-        """Wait for bytes."""
-        return await self._inbox.read()
-
-    def write(self, data: bytes) -> None:
-        """Send to the peer; dropped while there is none."""
-        if self._socket is None or not data or self._socket.is_closing():
-            return
-        if self._calls:
-            self._socket.sendto(data)
-        elif self._peer is not None:
-            self._socket.sendto(data, self._peer)
-
-    def close(self) -> None:
-        """Give the port back."""
-        if self._socket is not None:
-            self._socket.close()
 
 
 class TcpEnd:
@@ -102,7 +28,7 @@ class TcpEnd:
 
     def __init__(self, host: str, port: int, tell: Tell) -> None:
         self._name = f"tcp:{host}:{port}"
-        self._inbox = _Inbox()
+        self._inbox = Inbox()
         self._writer: asyncio.StreamWriter | None = None
         self._tell = tell
         self._warned = False
@@ -149,7 +75,7 @@ class TcpEnd:
             self._tell(f"{self._name}: {reason}; trying again every {RETRY_S:g} s")
 
 
-ExternalLink = UdpEnd | TcpEnd
+ExternalLink = UdpSocket | TcpEnd
 
 
 def check_connection(spec: str, option: str) -> None:
@@ -186,7 +112,7 @@ async def open_link(spec: str, tell: Tell) -> ExternalLink:
     host, port = form["host"], int(form["port"])
     if form["kind"] == "tcp":
         return TcpEnd(host, port, tell)
-    end = UdpEnd()
+    end = UdpSocket()
     try:
         await end.open(host, port, listen=form["kind"] == "udpin")
     except OSError as error:
@@ -199,20 +125,20 @@ def _reason(error: OSError) -> str:
     return os.strerror(error.errno) if error.errno is not None and error.errno > 0 else str(error)
 
 
-async def open_relay() -> tuple[UdpEnd, int]:
+async def open_relay() -> tuple[UdpSocket, int]:
     """A UDP port of the loopback for the app, and its number."""
-    relay = UdpEnd()
+    relay = UdpSocket()
     return relay, await relay.open("127.0.0.1", 0, listen=True)
 
 
 async def pump(source: ExternalLink, *sinks: Callable[[bytes], None], tell: Tell = print) -> None:
-    """Forward what arrives, until cancelled.
+    """Forward what arrives, until cancelled or the source is closed.
 
     Invalid values from the vehicle do not end the simulation: `tell` gets the first
     such problem, and the bytes are ignored.
     """
     warned = False
-    with contextlib.suppress(asyncio.CancelledError):
+    with contextlib.suppress(asyncio.CancelledError, OSError):
         while True:
             data = await source.read()
             for sink in sinks:

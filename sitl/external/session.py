@@ -19,13 +19,14 @@ from rich.table import Table
 from companion.base.clock import Clock
 from companion.base.geometry import Vector3, tilt_from_quat
 from companion.base.messages import Frame, Phase, Truth
+from companion.base.udp_socket import UdpSocket
 from companion.config import VehicleConfig, find_file, load_model
 from sitl.camera.frame_line import FrameLine
 from sitl.camera.frame_server import FrameServer
 from sitl.devices.ports import PtyPort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
 from sitl.external.client import VehicleClient
-from sitl.external.link import ExternalLink, UdpEnd, pump
+from sitl.external.link import ExternalLink, pump
 from sitl.external.pose import LONGEST_GUESS_S
 from sitl.external.rangefinder import RangefinderMessages
 from sitl.external.world import ExternalWorld
@@ -51,7 +52,7 @@ class ExternalConnections:
     """The connected parts; the caller closes the ports."""
 
     link: ExternalLink
-    relay: UdpEnd
+    relay: UdpSocket
     range_port: PtyPort
     frames: FrameServer
 

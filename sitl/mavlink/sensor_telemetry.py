@@ -55,7 +55,7 @@ class SensorMessages:
         self._autopilot = autopilot
         self._sensors = sensors
         self._unix_at_start_s = unix_at_start_s
-        self._field_sent_s = self._fix_sent_s = self._echo_sent_s = -math.inf
+        self._field_sent_s = self._echo_sent_s = -math.inf
         of_imu: dict[str, tuple[int, Builder]] = {
             "HIGHRES_IMU": (mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, self._highres_imu),
             "RAW_IMU": (mavlink.MAVLINK_MSG_ID_RAW_IMU, self._raw_imu),

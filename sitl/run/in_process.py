@@ -67,7 +67,6 @@ class InProcess:
         motion: HandMotion | None = None,
         link: ByteLink | None = None,
         gps_baud: int = GPS_BAUD,
-        range_baud: int = RANGE_BAUD,
         firmware: FirmwareSpec | None = None,
         computer: ComputerFaults | None = None,
         keep_truth: bool = True,
@@ -83,7 +82,7 @@ class InProcess:
         """
         self.wants_frames = True
         self.frames = MemoryFrames()
-        gps_line, range_line = MemoryPort(gps_baud), MemoryPort(range_baud)
+        gps_line, range_line = MemoryPort(gps_baud), MemoryPort(RANGE_BAUD)
         self.gps_port: AppEnd = gps_line.app
         self.range_port: AppEnd = range_line.app
         self.simulation = Simulation(

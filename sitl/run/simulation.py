@@ -15,6 +15,7 @@ from typing import Final
 
 import numpy as np
 
+from companion.base.geometry import Vector3
 from companion.base.messages import Frame, Phase, Truth
 from companion.config import VehicleConfig, find_file, load_model
 from companion.pad import load_pad
@@ -157,6 +158,11 @@ class Simulation:
     def sensor_truth(self) -> SensorTruth:
         """The true errors of the sensors: for tests and benches."""
         return SensorTruth(self._rack.truth, self._autopilot_sensors.truth, self._camera.truth)
+
+    @property
+    def receiver_wander_ned_m(self) -> Vector3:
+        """How far the GPS receiver is off by its slow wander: for benches."""
+        return self._rack.position.wander_ned_m
 
     @property
     def world(self) -> World:

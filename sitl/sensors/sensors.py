@@ -141,6 +141,12 @@ class GpsSensor:
         self.glitches = Glitches(rng.spawn(1)[0])
         self.frozen = False
 
+    @property
+    def wander_ned_m(self) -> Vector3:
+        """How far the solution is off by its slow wander."""
+        north, east, down = map(float, self._wander)
+        return (north, east, down)
+
     def sample(self, now_s: float, position_ned_m: Vector3, velocity_ned_m_s: Vector3) -> GpsReading:
         """The solution for the antenna at `position_ned_m` from home."""
         elapsed_s = 0.0 if self._last_s is None else now_s - self._last_s

@@ -217,7 +217,6 @@ async def _stand_by(
         0,
         link=vehicle_end,
         gps_baud=config.sense.gps.baud,
-        range_baud=config.sense.range.baud,
         keep_truth=False,
     )
     hardware = Hardware(

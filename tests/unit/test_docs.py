@@ -31,9 +31,7 @@ from companion.app.command import EXIT_CODES
 from companion.cli import cli
 from companion.config import (
     CONFIG_FOLDER,
-    CameraConfig,
     CompanionConfig,
-    VehicleConfig,
     load_config,
     validate,
 )
@@ -327,18 +325,3 @@ def test_every_example_in_yaml_is_valid(name: str, example: dict[str, Any]) -> N
 
 def test_the_shipped_settings_file_sets_nothing_but_defaults() -> None:
     assert load_config(CONFIG_FOLDER / "companion.yaml") == CompanionConfig()
-
-
-@pytest.mark.parametrize("model", [CompanionConfig, CameraConfig, VehicleConfig, Scenario])
-def test_every_setting_with_a_unit_in_its_name_shows_it(model: type[BaseModel]) -> None:
-    names = {s.key.rsplit(".")[-1]: s.unit for s in settings_table.settings_of(model)}
-    assert names.get("connection", "") == ""
-    assert [
-        name for name, unit in names.items() if name.endswith(("_m", "_s", "_deg", "_hz", "_px")) and not unit
-    ] == []
-
-
-def test_a_comment_beside_a_field_is_found() -> None:
-    comments = settings_table.field_comments(CameraConfig)
-    assert comments["exposure_s"].startswith("short and fixed")
-    assert "name" not in comments

@@ -99,11 +99,12 @@ def views_of_photos(
     without: list[str] = []
     for photo in read_photos(paths, tell):
         count += 1
-        view = finder.find(photo.image, photo.name)
+        seen = finder.find_or_why(photo.image, photo.name)
+        view = seen if isinstance(seen, BoardView) else None
         if view is None:
             missed.add(photo)
         if photo.time_s is None:
-            without += [Path(photo.name).name] if view is None else []
+            without += [f"{Path(photo.name).name}: left out: {seen}"] if isinstance(seen, str) else []
         else:
             session = sessions.setdefault(photo.size_px, CaptureSession(photo.size_px))
             view = view if session.step(photo.time_s, view).kept else None
@@ -117,9 +118,8 @@ def views_of_photos(
     source = ", ".join(map(str, sources))
     if not found:
         raise ConfigError(f"{source}: {_why_none(board, missed, count, moving=bool(sessions))}")
-    if without:
-        little = "not the whole board" if board.pattern == "chessboard" else "no board, or too little of it,"
-        tell(f"{little} in {len(without)} of {count}: {', '.join(without)}")
+    for line in without:
+        tell(line)
     if len(without) > USUAL_MISSES * count and (other := hint(board, missed.images)):
         tell(f"of those that were looked at again: {other}")
     return _of_one_size(found, source, tell)

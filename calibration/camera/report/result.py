@@ -100,11 +100,9 @@ def summary_lines(found: Assessment) -> list[str]:
         f"{len(solution.seen)} views; {found.rms_all_px:.3f} with outliers"
         + ("" if held is None else f"; {held:.3f} on views held out")
     )
-    if solution.dropped_views or solution.dropped_corners:
-        dropped = f"left out as outliers: {solution.dropped_corners} corners"
-        if solution.dropped_views:
-            dropped += f" and {len(solution.dropped_views)} views ({', '.join(solution.dropped_views)})"
-        lines.append(dropped)
+    if solution.dropped_corners:
+        lines.append(f"left out as outliers: {solution.dropped_corners} corners")
+    lines += [f"{name}: left out: does not fit the others" for name in solution.dropped_views]
     worst = sorted(solution.seen, key=lambda s: -s.rms_px)[:WORST_VIEWS]
     lines.append("largest errors: " + ", ".join(f"{s.view.name} {s.rms_px:.3f} px" for s in worst))
     lines.append(

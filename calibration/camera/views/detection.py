@@ -69,20 +69,32 @@ class BoardFinder:
 
     def find(self, image: NDArray[np.uint8], name: str = "") -> BoardView | None:
         """The board in a grey image (height, width), or None where too little of it is seen."""
+        found = self.find_or_why(image, name)
+        return found if isinstance(found, BoardView) else None
+
+    def find_or_why(self, image: NDArray[np.uint8], name: str = "") -> BoardView | str:
+        """The board in a grey image (height, width), or why it is not usable in it."""
         ids, corners = self._coarse(image)
         inside = ((corners > 1.0) & (corners < np.array(image.shape[::-1]) - 2.0)).all(axis=1)
         ids, corners = ids[inside], corners[inside]
         if len(ids) < FEWEST_POINTS:
-            return None
+            return self._too_few(len(ids))
         points = self.board.points_m[ids]
         spread = np.linalg.svd(points[:, :2] - points[:, :2].mean(axis=0), compute_uv=False)
         if spread[1] < THINNEST * spread[0]:
-            return None
+            return "the corners seen lie on one line; expected more of the board"
         fits = on_a_plane(points, corners, image.shape[::-1])
         if np.count_nonzero(fits) < max(FEWEST_POINTS, FEWEST_FITTING * len(fits)):
-            return None
+            return "the corners seen fit no flat board: another board, or a misread one"
         corners = _refine(image, corners, self._window_px(points[fits], corners[fits]))
         return BoardView(name, ids, points, corners, edge_width_px(image, corners))
+
+    def _too_few(self, corners: int) -> str:
+        if self.board.pattern == "chessboard":
+            return "not the whole board"
+        if corners == 0:
+            return "no board"
+        return f"{corners} corners of the board's {self.board.corner_count}; expected {FEWEST_POINTS} or more"
 
     def _coarse(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.int64], FloatArray]:
         """Ids (n,) and corners (n, 2) as they are found, each id once."""

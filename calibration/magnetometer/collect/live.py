@@ -16,10 +16,10 @@ from typing import Final, Protocol
 import numpy as np
 
 from calibration.magnetometer.read.onboard import NAMES
-from calibration.magnetometer.read.recording import MagnetometerRecording, paired
+from calibration.magnetometer.read.recording import MagnetometerRecording, mounting, paired
 from calibration.magnetometer.read.telemetry import HEARD, Telemetry
 from companion.base.clock import Clock
-from companion.base.geometry import FloatArray, matrix_from_quat, quat_from_euler
+from companion.base.geometry import FloatArray
 from companion.base.messages import ImuSample, MagSample
 from companion.config import ConfigError, ImuConfig
 from companion.link.codec import Codec, heartbeat, mavlink
@@ -73,8 +73,7 @@ class Mpu9250Compass:
 
     def __init__(self, bus: RegisterBus, config: ImuConfig) -> None:
         unturned = config.model_copy(update={"body_from_sensor_deg": (0.0, 0.0, 0.0)})
-        angles = (math.radians(angle) for angle in config.body_from_sensor_deg)
-        self.body_from_sensor: FloatArray = matrix_from_quat(quat_from_euler(*angles))
+        self.body_from_sensor = mounting(config.body_from_sensor_deg)
         self._driver = Mpu9250(bus, unturned)
         self._name = f"MPU9250 on {config.bus}"
         self._poll_s = 1.0 / config.poll_hz
@@ -111,7 +110,8 @@ class Mpu9250Compass:
     def recording(self) -> MagnetometerRecording:
         """See `LiveCompass`."""
         raw, force = paired(self._mags, self._imus)
-        return MagnetometerRecording(self._name, "mpu9250", raw, force=force).checked()
+        turn = self.body_from_sensor
+        return MagnetometerRecording(self._name, "mpu9250", raw, force=force, body_from_sensor=turn).checked()
 
 
 # ---------------------------------------------------------------- autopilot

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import math
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,9 +21,9 @@ import numpy as np
 from pyulog import ULog
 
 from calibration.magnetometer.read.onboard import UT_PER_GAUSS, UT_PER_MGAUSS, onboard_of
-from calibration.magnetometer.read.recording import MagnetometerRecording, paired
+from calibration.magnetometer.read.recording import MagnetometerRecording, mounting, paired
 from calibration.magnetometer.read.telemetry import HEARD, Telemetry
-from companion.base.geometry import FloatArray, matrix_from_quat, quat_from_euler, vector3
+from companion.base.geometry import vector3
 from companion.base.messages import GpsFix, ImuSample, MagSample
 from companion.config import CompanionConfig, ConfigError
 from companion.config.magnetometer import load_magnetometer_calibration
@@ -174,15 +173,10 @@ def read_own_log(path: Path) -> MagnetometerRecording:
     if config.sense.source == "autopilot":
         recording.sensor = "autopilot"
     else:
-        body_from_sensor = _mounting(config)
+        recording.body_from_sensor = body_from_sensor = mounting(config.sense.imu.body_from_sensor_deg)
         recording.raw = body @ body_from_sensor
         recording.force = None if force is None else force @ body_from_sensor
     return _uncalibrated(recording, config)
-
-
-def _mounting(config: CompanionConfig) -> FloatArray:
-    angles = (math.radians(angle) for angle in config.sense.imu.body_from_sensor_deg)
-    return matrix_from_quat(quat_from_euler(*angles))
 
 
 def _uncalibrated(recording: MagnetometerRecording, config: CompanionConfig) -> MagnetometerRecording:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from calibration.magnetometer.read.onboard import Onboard
-from companion.base.geometry import FloatArray
+from companion.base.geometry import FloatArray, Vector3, matrix_from_quat, quat_from_euler
 from companion.base.messages import ImuSample, MagSample
 from companion.config import ConfigError
 from companion.config.magnetometer import AXES_OF, Axes, RawUnit, Sensor
@@ -28,6 +29,7 @@ class MagnetometerRecording:
         raw: (n, 3) in `unit`, in `axes`.
         force: (n, 3) specific force in the same axes (+g upwards at rest), in any unit; None: not measured.
         place: where and when, if the recording says so.
+        body_from_sensor: (3, 3) how the sensor is mounted, from `axes` to FRD; None: not known.
         onboard: what the autopilot does to its compass before anybody hears it; None: it is no autopilot's,
             or not known.
         notes: what a reader of the result should know.
@@ -39,6 +41,7 @@ class MagnetometerRecording:
     unit: RawUnit = "uT"
     force: FloatArray | None = None
     place: RecordingPlace | None = None
+    body_from_sensor: FloatArray | None = None
     onboard: Onboard | None = None
     notes: list[str] = field(default_factory=list)
 
@@ -84,3 +87,9 @@ def paired(mags: list[MagSample], imus: list[ImuSample]) -> tuple[FloatArray, Fl
     force = forces[nearest]
     force[np.abs(times[nearest] - wanted) > _PAIRED_S] = np.nan
     return raw, force
+
+
+def mounting(body_from_sensor_deg: Vector3) -> FloatArray:
+    """Rotation (3, 3) from a chip's axes into the body's (FRD), of its roll, pitch and yaw."""
+    angles = (math.radians(angle) for angle in body_from_sensor_deg)
+    return matrix_from_quat(quat_from_euler(*angles))

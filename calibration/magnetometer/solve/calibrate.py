@@ -14,6 +14,7 @@ from calibration.magnetometer.ellipsoid.fit import EllipsoidFit, Objective, fit_
 from calibration.magnetometer.read.onboard import parameters_for
 from calibration.magnetometer.read.recording import MagnetometerRecording
 from calibration.magnetometer.solve.alignment import AxisMisalignment, align, dip_of
+from calibration.magnetometer.solve.missing_turns import beside_plane, least_seen
 from calibration.magnetometer.solve.quality import FLATTEST, Figures, flatness, judge
 from companion.base.geometry import FloatArray, Vector3, vector3
 from companion.config.calibration import Provenance
@@ -78,7 +79,7 @@ def calibrate(
     Raises:
         UnfitError: there is no fit at all to judge.
     """
-    fit = _fit(recording.raw, rng, objective)
+    fit = _fit(recording, rng, objective)
     sphere = fit.ellipsoid.apply(recording.raw)
     alignment = _alignment(recording, fit, sphere) if aligned else None
     rotation = np.eye(3) if alignment is None else alignment.rotation
@@ -123,12 +124,14 @@ def _figures(
         used = fit.kept & np.isfinite(recording.force).all(axis=1)
         dip = dip_of(_directions(sphere[used]), recording.force[used])
     deviation = fit.ellipsoid.deviation(recording.raw)
+    directions = _directions(sphere[fit.kept])
     return Figures(
         samples=len(recording.raw),
         kept=int(fit.kept.sum()),
         residual=_rms(deviation),
         residual_kept=_rms(deviation[fit.kept]),
-        coverage=covered_share(_directions(sphere[fit.kept])),
+        coverage=covered_share(directions),
+        next_turn=least_seen(directions, _mounting(recording)),
         strength_ratio=None
         if field is None or recording.unit == "counts"
         else fit.radius / field.strength_ut,
@@ -143,15 +146,24 @@ def _directions(sphere: FloatArray) -> FloatArray:
     return unit
 
 
-def _fit(raw: FloatArray, rng: np.random.Generator, objective: Objective | None) -> EllipsoidFit:
+def _mounting(recording: MagnetometerRecording) -> FloatArray:
+    """Not known, the sensor's axes are taken for the vehicle's."""
+    return np.eye(3) if recording.body_from_sensor is None else recording.body_from_sensor
+
+
+def _fit(
+    recording: MagnetometerRecording, rng: np.random.Generator, objective: Objective | None
+) -> EllipsoidFit:
+    raw, mounting = recording.raw, _mounting(recording)
     try:
         fit = fit_ellipsoid(raw, rng, objective or "auto")
     except NoEllipsoidError as error:
-        raise UnfitError(f"{error}: turn it about all three axes") from error
+        raise UnfitError(f"{error}; next: {beside_plane(raw, mounting)}") from error
     if fit.kept.mean() < _LEAST_KEPT or not np.isfinite(fit.covariance).all():
         raise UnfitError("the samples are on no ellipsoid: was it turned about at all?")
     if flatness(raw[fit.kept]) < FLATTEST:
-        raise UnfitError("the samples lie in one plane or on a narrow band: turn it about the other axes too")
+        turns = beside_plane(raw[fit.kept], mounting)
+        raise UnfitError(f"the samples lie in one plane or on a narrow band; next: {turns}")
     return fit
 
 

@@ -49,6 +49,7 @@ class Figures:
     residual: float
     residual_kept: float
     coverage: float
+    next_turn: str = "turn it further"
     strength_ratio: float | None = None  # as measured to what it should be
     dip: Dip | None = None
     true_dip_deg: float | None = None
@@ -78,8 +79,8 @@ def _coverage(figures: Figures) -> list[Finding]:
     if figures.samples < LEAST_SAMPLES:
         found.append((True, f"{figures.samples} samples; expected {LEAST_SAMPLES} or more"))
     if figures.coverage < WHOLE:
-        text = f"{figures.coverage:.0%} of the sphere is covered; expected {WHOLE:.0%}: turn it further"
-        found.append((figures.coverage < LEAST_COVERAGE, text))
+        text = f"{figures.coverage:.0%} of the sphere is covered; expected {WHOLE:.0%}"
+        found.append((figures.coverage < LEAST_COVERAGE, f"{text}; next: {figures.next_turn}"))
     return found
 
 

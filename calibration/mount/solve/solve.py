@@ -63,9 +63,9 @@ class MountSolution:
 
     `kept` (k,) says which sightings were used, and `odd_segments` in how many segments most were not;
     `residuals` (k, 6) are all sightings' residuals in their own standard deviations; `scatter` is how large
-    those are against what was expected; `correlated` by how much the information was divided because they
-    hang together (both 1 for white noise as stated). `halves` (4,) is by how much the recording's first half
-    would have it otherwise than the second: rotation about the body's axes (rad) and time offset (s).
+    those are against what was expected (1 for noise as stated). `halves` (4,) is by how much the recording's
+    first half would have it otherwise than the second: rotation about the body's axes (rad)
+    and time offset (s).
     """
 
     unknowns: Unknowns
@@ -75,7 +75,6 @@ class MountSolution:
     kept: Mask
     residuals: FloatArray
     scatter: float
-    correlated: float
     halves: FloatArray
     segments: int
     odd_segments: int
@@ -331,7 +330,6 @@ class _Fit:
             kept=self._kept,
             residuals=linear.residuals,
             scatter=float(np.sqrt(self._scatter2)),
-            correlated=self._correlated,
             halves=_halves(reduced, covariance)[[0, 1, 2, OFFSET.start]],
             segments=len(self._initial_starts.position_m),
             odd_segments=int(np.sum(np.bincount(which, self._kept) < 0.5 * np.bincount(which))),

@@ -93,13 +93,20 @@ class Plant:
         self._observed_s = vehicle.time_s
         self._history.clear()
 
-    def observe(self, vehicle: VehicleState, elapsed_s: float) -> None:
-        """Compare what the vehicle does with what was commanded; the last call was `elapsed_s` ago."""
+    def observe(self, vehicle: VehicleState, elapsed_s: float, *, learns: bool = True) -> None:
+        """Compare what the vehicle does with what was commanded; the last call was `elapsed_s` ago.
+
+        Without `learns` what was commanded may explain nothing: only the wind, which no command explains, is
+        learnt.
+        """
         for duration_s, command in self._history.segments(self._observed_s, vehicle.time_s):
             self._lasting.predict(self._wanted(command, vehicle), duration_s)
         self._observed_s = max(self._observed_s, vehicle.time_s)
         acceleration = vehicle.acceleration_ned_m_s2
         self._wind.step(vehicle, elapsed_s)
+        if not learns:
+            self._lasting.keep(vehicle.velocity_ned_m_s)
+            return
         self._lasting.correct(
             vehicle.velocity_ned_m_s, acceleration, self._wind.late_thrust_ned_m_s2, elapsed_s
         )

@@ -29,8 +29,9 @@ from companion.flightlog.report.plots import (
 )
 from companion.flightlog.result import setpoint_delays_s
 
-HEIGHT_PX: Final = 300
+HEIGHT_PX: Final = 330
 PATH_HEIGHT_PX: Final = 560
+NAMES_PX: Final = 95  # over the plots, for the phases' names
 # a band that is narrower than this share of the flight has its name in the hover text alone
 NAMED_SHARE: Final = 0.045
 AXES: Final = ("north", "east", "down")
@@ -218,8 +219,10 @@ def marker_figure(flight: LoggedFlight) -> go.Figure | None:
         return None
     figure = make_subplots(rows=1, cols=1)
     for group, colour in GROUP_COLOURS.items():
-        counts = [report.marker_count.get(group, 0) for report in reports]
-        _dots(figure, reports, counts, colour, f"{group} ({GROUP_NAMES[group]})", 1)
+        seen = [report for report in reports if report.marker_count.get(group)]
+        counts = [report.marker_count[group] for report in seen]
+        _dots(figure, seen, counts, colour, f"{group} ({GROUP_NAMES[group]})", 1)
+    figure.update_yaxes(rangemode="tozero")
     _label_rows(figure, "markers")
     return _over_time(figure, flight)
 
@@ -234,15 +237,18 @@ def latency_figure(flight: LoggedFlight) -> go.Figure | None:
     }
     if not any(delays_s.values()):
         return None
-    figure = make_subplots(rows=1, cols=3, subplot_titles=list(delays_s))
-    for column, values in enumerate(delays_s.values(), start=1):
-        milliseconds = 1e3 * np.array(values)
-        figure.add_histogram(x=milliseconds, nbinsx=60, marker_color=ESTIMATE_COLOUR, row=1, col=column)
+    # under one another: a phone has no room for more
+    figure = make_subplots(rows=3, cols=1, subplot_titles=list(delays_s), vertical_spacing=0.16)
+    for row, values in enumerate(delays_s.values(), start=1):
+        milliseconds = np.round(1e3 * np.array(values), 3)
+        figure.add_histogram(x=milliseconds, nbinsx=60, marker_color=ESTIMATE_COLOUR, row=row, col=1)
+        longest = float(milliseconds.max(initial=0.0))
+        figure.update_xaxes(range=[0.0, max(1.05 * longest, 1.0)], row=row, col=1)
         if len(milliseconds):
             p99 = float(np.percentile(milliseconds, 99))
-            figure.add_vline(x=p99, line={"color": VEHICLE_COLOUR, "dash": "dot"}, row=1, col=column)
-        figure.update_xaxes(title_text="ms; dotted: p99", row=1, col=column)
-    figure.update_layout(showlegend=False, height=HEIGHT_PX)
+            figure.add_vline(x=p99, line={"color": VEHICLE_COLOUR, "dash": "dot"}, row=row, col=1)
+    figure.update_xaxes(title_text="ms; dotted: p99", row=3, col=1)
+    figure.update_layout(showlegend=False, height=2 * HEIGHT_PX)
     return _plain(figure)
 
 
@@ -307,8 +313,8 @@ def _over_time(figure: go.Figure, flight: LoggedFlight) -> go.Figure:
         )
         if span.end_s - span.start_s > NAMED_SHARE * seconds:
             figure.add_annotation(**_name_of(span))
-    figure.update_layout(hovermode="x unified")
-    return _plain(figure)
+    _plain(figure).update_layout(hovermode="x unified", margin_t=NAMES_PX)
+    return figure
 
 
 def _name_of(span: PhaseSpan) -> dict[str, Any]:
@@ -319,6 +325,7 @@ def _name_of(span: PhaseSpan) -> dict[str, Any]:
         "yref": "paper",
         "yanchor": "bottom",
         "text": span.name,
+        "textangle": -90,  # on a phone a band is narrower than its name is long
         "showarrow": False,
         "font": {"size": 11, "color": "#566573"},
     }

@@ -28,8 +28,15 @@ from companion.plan.trajectory.reference_generator import ReferenceGenerator
 # Time constant with which the reference's height follows the vehicle's.
 _GIVE_WAY_S = 0.3
 _LONGEST_CYCLE_S = 0.1
+# Levelling off it comes to the firmer sink within this.
+_FIRMER_S = 0.25
 _TOO_FAST_S = 0.1
+# A planned sink may be exceeded by this.
+_FASTER_M_S = 0.16
+# It breaks off at this share of the lean tolerated at the commit; it commits to this share of the lean that
+# can be levelled off at all, or it would break off at once.
 _TOO_MUCH_LEAN = 1.3
+_COMMITS_BELOW = 0.9
 # Echoes so much deeper than the unseen pad's estimate, for so long: the pad is not below any more.
 _DEEPER_M = 0.25
 _DEEPER_S = 0.15
@@ -55,7 +62,7 @@ class TouchdownSequence:
 
     def begin(self, now_s: float, slack: float) -> None:
         """Start a try; `slack` widens its tolerances."""
-        self._since_s = self._sunk_s = self._contact_due_s = now_s
+        self._since_s = self._sunk_s = self._contact_due_s = self._blended_s = now_s
         self._tolerance = Tolerance(self._config, now_s, slack)
         self._settled, self._touching = Debounce(), Debounce()
         self._too_fast, self._far_aside, self._deeper = Debounce(), Debounce(), Debounce()
@@ -110,36 +117,51 @@ class TouchdownSequence:
             and not tolerance.aside(sight, now_s)
             and (tolerance.impatience(now_s) >= 1.0 or gentle(sight, c))
             and level_at(sight, self._sinks_for_s(), tolerance.most_lean_rad(now_s))
-            and self.lean.at_m_s2(self._sinks_for_s()) <= tolerance.most_lean_m_s2(now_s)
+            and self._lean_at_contact_m_s2() <= self._lean_to_commit_m_s2(now_s)
             and self._generator.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self.way_down_s())
         )
         if waited_s >= c.giving_up_s:
             return (
                 MissionEvent.MISALIGNED,
-                f"no moment to land in {waited_s:.0f} s, {100.0 * sight.lateral_m:.0f} cm aside at last",
+                f"no moment to land in {waited_s:.0f} s, {100.0 * sight.lateral_m:.0f} cm aside at last, "
+                f"tilt {math.degrees(self.lean.tilt_rad):.0f} deg",
             )
         if self._settled.held_s(ready, now_s) >= c.settled_s:
             return MissionEvent.COMMIT, "committed to land: sinking"
         return None
 
+    def _lean_to_commit_m_s2(self, now_s: float) -> float:
+        return min(self._tolerance.most_lean_m_s2(now_s), _COMMITS_BELOW * self._levelling.most_lean_m_s2)
+
+    def _lean_at_contact_m_s2(self) -> float:
+        return self.lean.at_m_s2(self._sinks_for_s())
+
     def way_down_s(self) -> float:
-        """How long from here until the feet stand and the motors are off."""
-        return self._config.settled_s + self._sinks_for_s() + self._config.land_after_s
+        """How long from here until the feet stand and the motors are off, at most."""
+        slowest_m_s = self._config.contact_speed_m_s
+        return self._config.settled_s + self._way_s(slowest_m_s) + self._config.land_after_s
 
     def _sinks_for_s(self) -> float:
-        """How long from the commit until the feet touch; the blend covers half of what the speed would."""
+        """How long from the commit until the feet touch, by the sink that the lean by then asks for."""
+        slowest_s = self._way_s(self._config.contact_speed_m_s)
+        return self._way_s(self._levelling.sink_m_s(self.lean.at_m_s2(slowest_s)))
+
+    def _way_s(self, sink_m_s: float) -> float:
+        """The way down at that speed; the blend covers half of what the speed would."""
         c = self._config
         drop_m = self._wait_height_m - self._vehicle.leg_height_m
-        return max(c.blend_s, 0.5 * c.blend_s + drop_m / c.contact_speed_m_s)
+        return max(c.blend_s, 0.5 * c.blend_s + drop_m / sink_m_s)
 
     # ------------------------------------------------------------ sink
 
     def _commit(self, now_s: float) -> None:
         c = self._config
         self._sunk_s = now_s
-        blended_m = self._generator.sink(c.contact_speed_m_s, c.blend_s, now_s)
+        speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(self._lean_at_contact_m_s2())
+        self._blended_s = now_s + c.blend_s
+        blended_m = self._generator.sink(speed_m_s, c.blend_s, now_s)
         left_m = self._generator.at(now_s).position_m[2] + blended_m + self._vehicle.leg_height_m
-        self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / c.contact_speed_m_s
+        self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / speed_m_s
 
     def _sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         signs = self._signs(sight, inputs, now_s)
@@ -168,7 +190,7 @@ class TouchdownSequence:
         gone = self._deeper.held_s(deeper, now_s) >= _DEEPER_S
         if not gone and sight is not None and sight.age_s <= c.blind_s:
             return None
-        sink_m_s = c.contact_speed_m_s if sight is None else sight.sink_m_s
+        sink_m_s = self._levelling.planned_m_s if sight is None else sight.sink_m_s
         if not self._has_room(below_m if echo_m is None else echo_m, sink_m_s):
             return MissionEvent.PAD_GONE, "pad not seen, and no room to rise"
         self._generator.rise(now_s)
@@ -207,7 +229,10 @@ class TouchdownSequence:
         # with the feet nearly down, climbing away would drag them over the pad
         high = sight.height_m > self._vehicle.leg_height_m + 2.0 * c.contact_margin_m
         self._give_way(sight if high else None, now_s)
+        leans_on = not self._levelling.begun
         self._levelling.expect(sight, self.lean, now_s)
+        if leans_on and self._levelling.begun and sight.age_s <= FRESH_S:
+            self._sink_firmer(now_s)
         wrong = self._wrong(sight, now_s)
         if wrong and self._has_room(sight.height_m, sight.sink_m_s):
             return MissionEvent.BREAK_OFF, wrong
@@ -216,6 +241,13 @@ class TouchdownSequence:
             self._generator.rise(now_s)
             return MissionEvent.MISALIGNED, f"{100.0 * sight.lateral_m:.0f} cm aside while sinking"
         return None
+
+    def _sink_firmer(self, now_s: float) -> None:
+        """Levelling off begins: by the lean there is now, which a gust may have made since the commit."""
+        firm_m_s = self._levelling.sink_m_s(self.lean.at_m_s2(0.0))
+        if firm_m_s > self._levelling.planned_m_s:
+            self._levelling.planned_m_s = firm_m_s
+            self._generator.sink(firm_m_s, max(_FIRMER_S, self._blended_s - now_s), now_s)
 
     def _signs(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> ContactSigns:
         # far aside it leans because it flies back or escapes: it is not about to stand
@@ -238,12 +270,14 @@ class TouchdownSequence:
     def _wrong(self, sight: PadState, now_s: float) -> str:
         """Why this landing would be hard or off the mark; "" while it is fine."""
         fresh = sight.age_s <= FRESH_S
-        fast = fresh and sight.sink_m_s > self._config.fastest_contact_m_s
+        fastest_m_s = min(self._config.fastest_contact_m_s, self._levelling.planned_m_s + _FASTER_M_S)
+        fast = fresh and sight.sink_m_s > fastest_m_s
         if self._too_fast.held_s(fast, now_s) >= _TOO_FAST_S:
             return "sinking too fast"
         due_s = self._levelling.due_s if self._levelling.begun else self._contact_due_s
         lean_m_s2 = self.lean.at_m_s2(max(0.0, due_s - now_s))
-        if lean_m_s2 > _TOO_MUCH_LEAN * self._tolerance.most_lean_m_s2(now_s):
+        most_m_s2 = _TOO_MUCH_LEAN * self._tolerance.most_lean_m_s2(now_s)
+        if lean_m_s2 > min(most_m_s2, self._levelling.most_lean_m_s2):
             return "too much lean at contact"
         far = fresh and self._tolerance.aside(sight, now_s)
         if self._far_aside.held_s(far, now_s) >= _TOO_FAST_S:

@@ -1,8 +1,7 @@
 """Fig. 14: MPC, the paper's recursion and PID on the same minimum-jerk reference to a moving pad.
 
 Flies every case under every seed, on as many processes as asked for, and judges the bars. What a seed draws
-and who gets what is in `fig14_world`, `fig14_reference` and `fig14_pilots`; tables and pictures are
-`fig14_report`'s.
+and who gets what is in `world`, `reference` and `pilots`; `report` makes tables and pictures.
 """
 
 from __future__ import annotations

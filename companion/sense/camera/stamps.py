@@ -38,8 +38,8 @@ def mid_exposure_s(stamp_s: float, point: StampPoint, exposure_s: float, readout
 class StampReader:
     """Finds out whether a driver stamps by our clock; from the first stamp that can be right on, all count.
 
-    A later one that cannot be right is handed on as it is: who watches the camera has to see it
-    (`camera_health`), where a silent change to the time of arrival would shift the pad by the latency.
+    A later one that cannot be right is handed on as it is: `health` has to see it, where a silent change to
+    the time of arrival would shift the pad by the latency.
     """
 
     def __init__(self, other_clock_ahead_s: float = 0.0) -> None:

@@ -1,9 +1,9 @@
 """The NEO-6M GPS receiver: its settings as UBX commands, its bytes to fixes. No input or output here.
 
-It wakes up at 1 Hz with NMEA at 9600 baud; its baud rate is found and moved to `config.baud` (`gps_line`),
+It wakes up at 1 Hz with NMEA at 9600 baud; its baud rate is found and moved to `config.baud` (`baud_rate`),
 then it is asked for NAV-POSLLH, -VELNED, -SOL, -STATUS and -DOP at `config.rate_hz` and no NMEA
-(`gps_commands`; u-blox 6 Receiver Description GPS.G6-SW-10018). The messages of one epoch carry the same time
-of week (iTOW) and make one fix (`gps_fixes`). Until the commands are obeyed, or on a receiver that does not
+(`commands`; u-blox 6 Receiver Description GPS.G6-SW-10018). The messages of one epoch carry the same time
+of week (iTOW) and make one fix (`fixes`). Until the commands are obeyed, or on a receiver that does not
 know them, NMEA's RMC and GGA serve; on one that sends NAV-SOL and no other position, that.
 """
 

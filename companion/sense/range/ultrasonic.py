@@ -13,6 +13,7 @@ from typing import Final
 from companion.base.messages import RangeSample
 from companion.config import RangeConfig
 
+RANGE_BAUD: Final = 9600  # fixed in these sensors and in the US-100
 FRAME_BYTES: Final = 4
 SILENCE_S: Final = 1.0  # ten frames and more: it sends them whether or not there is an echo
 SPEED_OF_SOUND_M_S: Final = 340.0  # what the sensor itself reckons with
@@ -30,7 +31,7 @@ class Ultrasonic:
     def __init__(self, config: RangeConfig) -> None:
         self._minimum_m = config.minimum_m
         self._maximum_m = config.maximum_m
-        self._byte_s = _BITS_PER_BYTE / config.baud
+        self._byte_s = _BITS_PER_BYTE / RANGE_BAUD
         self._buffer = bytearray()
         self._started_s: float | None = None
         self._heard_s = self._frame_s = -math.inf  # when the last one came

@@ -13,6 +13,7 @@ from typing import Final
 
 from companion.base.messages import RangeSample
 from companion.config import RangeConfig
+from companion.sense.range.ultrasonic import RANGE_BAUD
 
 ASK: Final = b"\x55"
 ANSWER_BYTES: Final = 2
@@ -32,7 +33,7 @@ class Us100:
         self._minimum_m = config.minimum_m
         self._maximum_m = config.maximum_m
         self._period_s = 1.0 / config.rate_hz
-        self._byte_s = _BITS_PER_BYTE / config.baud
+        self._byte_s = _BITS_PER_BYTE / RANGE_BAUD
         self._buffer = bytearray()
         self._asked_s = -math.inf
         self._waiting = False

@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 
 from companion.base.geometry import FloatArray
 
-Float32Array = NDArray[np.float32]
-
 NORMALS: Final = 12  # along each side
 TAPS: Final = 13  # along each normal
 MOST_ROUNDS: Final = 5

@@ -27,6 +27,7 @@ from companion.sense.imu.i2c import SensorError, open_bus
 from companion.sense.imu.mpu9250 import IDENTITIES, WHO_AM_I, Mpu9250
 from companion.sense.range.echo_pins import EchoPins
 from companion.sense.range.range_finder import make_range_finder
+from companion.sense.range.ultrasonic import RANGE_BAUD
 from companion.sense.serial_port import SerialPort
 from companion.tools.preflight.findings import Finding, FindingGroup
 
@@ -286,4 +287,4 @@ async def _range(config: CompanionConfig) -> list[Finding]:
 def _range_port(bounds: RangeConfig, clock: Clock) -> SerialPort | EchoPins:
     if bounds.kind == "gpio":
         return EchoPins(bounds.trigger_pin, bounds.echo_pin, clock)
-    return SerialPort(bounds.port, bounds.baud)
+    return SerialPort(bounds.port, RANGE_BAUD)

@@ -64,7 +64,7 @@ ARDUPILOT = AutopilotProfile(
         Mode("STABILIZE", 0, _STICKS, Task.HOLD, in_flight=False, sticks=StickMode.ANGLE_AND_THRUST),
         Mode("ALT_HOLD", 2, _STICKS, Task.HOLD, sticks=StickMode.ANGLE_AND_CLIMB),
         Mode("AUTO", 3, _GUIDED, Task.MISSION, armable=False),
-        Mode("GUIDED", 4, _GUIDED, Task.HOLD, takes_setpoints=True, takes_positions=True),
+        Mode("GUIDED", 4, _GUIDED, Task.HOLD, takes_setpoints=True),
         Mode("LOITER", 5, _STICKS, Task.HOLD, sticks=StickMode.VELOCITY),
         Mode("RTL", 6, _GUIDED, Task.RETURN, armable=False),
         Mode("LAND", 9, _GUIDED, Task.LAND, armable=False),

@@ -137,7 +137,6 @@ class SimulatedAutopilot(FlightLoop):
 
     def recover(self, now_s: float) -> None:
         """A watchdog's reset: the motors stay on, the time since boot begins again, and it holds."""
-        self.boots += 1
         self.booted_s, self._setpoint, self._setpoint_s = now_s, None, -inf
         self._commander.recover()
 

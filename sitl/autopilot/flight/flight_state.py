@@ -63,7 +63,6 @@ class FlightState:
         self.estimate = SimulatedEstimator(errors or EstimatorErrors(), rng)
         self.mission = MissionStore(self.profile.mission, home=self._home_item)
         self.fence = Fence(self.profile.mission.fences_unite)
-        self.boots = 0
         self._airframe, self._rates = airframe, rates
         self._origin = home
         self.battery = Battery(airframe.max_thrust_n)
@@ -80,7 +79,6 @@ class FlightState:
 
     def _boot(self) -> None:
         """Reset everything but the parameters and the mission, as a reboot does."""
-        self.boots += 1
         self.booted_s: float | None = None
         self._commander = Commander(self.profile)
         self._navigator = Navigator(self.profile, self.parameters)

@@ -67,7 +67,6 @@ class Mode:
     base_mode: int
     task: Task
     takes_setpoints: bool = False
-    takes_positions: bool = False
     by_attitude: bool = False
     armable: bool = True
     in_flight: bool = True

@@ -129,7 +129,6 @@ async def fly(minutes: int, steps_s: list[float], *, logs: bool = True) -> tuple
         trial.seed,
         link=vehicle_end,
         gps_baud=config.sense.gps.baud,
-        range_baud=config.sense.range.baud,
         keep_truth=False,
     )
     frames = Interrupted(vehicle)

@@ -7,9 +7,11 @@ A climb begins at the last moment before the rise at which the vehicle climbed w
 goes on until it has not risen for half a second; a shorter pause is none once it has risen 0.2 m. A text that
 announces a climb covers all of one that begins from 1 s before the text to 3 s after it.
 
-What rises more slowly over a level reference follows the receiver, whose height wanders by 1.5 m (standard
-deviation) in a minute: the app, which has no other height once the pad is out of view, flies level by all it
-knows. Of that the judge allows what it allows of fence and ceiling.
+What rises over a level reference as the receiver wanders, by 1.5 m (standard deviation) in a minute, is flown
+level by all that the app knows: it has no other height once the pad is out of view. So what does not count
+in 10 s is how far the app's believed height has fallen behind the true one, as far as the receiver's own
+error, which the simulator knows, explains it. Of a slow rise the judge allows what it allows of fence and
+ceiling.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ WANDER_M: Final = 3.0
 DRIFT_M: Final = 0.2
 RISING_M_S: Final = 0.1
 PAUSE_S: Final = 0.5
+FOLLOWS_S: Final = 3.0  # so late the app's height follows the receiver's
 ANNOUNCED_BEFORE_S: Final = 3.0
 ANNOUNCED_AFTER_S: Final = 1.0
 # what the app says when it is about to climb; the name of a phase alone says nothing of it
@@ -77,6 +80,7 @@ class _Climb:
         self._lowest_down_m = -math.inf
         self._lowest_commanded_m = math.inf
         self._lately: deque[tuple[float, float]] = deque()  # time and down, the lowest first, then rising
+        self._samples: deque[Sample] = deque()  # of that time, and of what the app may follow late
         self._seen_s = self._still_since_s = -math.inf
 
     def step(self, sample: Sample, commanded_m: float) -> bool:
@@ -100,8 +104,19 @@ class _Climb:
         rise_m = self._lowest_lately_m(now_s, down_m) - down_m
         if still and not self.known and rise_m <= DRIFT_M:
             self.begun_s = now_s
+        self._samples.append(sample)
+        while now_s - self._samples[0].time_s > WITHIN_S + FOLLOWS_S:
+            self._samples.popleft()
         risen_m, ordered_m = self._lowest_down_m - down_m, commanded_m - self._lowest_commanded_m
-        return rise_m >= CLIMB_M or risen_m >= (CLIMB_M if ordered_m >= CLIMB_M else WANDER_M)
+        quick = rise_m >= CLIMB_M and rise_m - self._misled_m(self._lately[0][0]) >= CLIMB_M
+        return quick or risen_m >= (CLIMB_M if ordered_m >= CLIMB_M else WANDER_M)
+
+    def _misled_m(self, since_s: float) -> float:
+        """How far the app rose since then because the receiver misled it."""
+        meanwhile = [s for s in self._samples if s.time_s >= since_s]
+        receiver = [s.receiver_low_m for s in self._samples if s.time_s >= since_s - FOLLOWS_S]
+        behind_m = meanwhile[-1].believed_low_m - meanwhile[0].believed_low_m
+        return max(0.0, min(behind_m, max(receiver) - min(receiver)))
 
     def _lowest_lately_m(self, now_s: float, down_m: float) -> float:
         """The largest down within `WITHIN_S`, or since what is known."""

@@ -16,6 +16,7 @@ from typing import Any, Final
 from companion.app.app import App
 from companion.app.hardware import Hardware, make_own_actions
 from companion.base.clock import run_in_virtual_time
+from companion.base.messages import VehicleState
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError
 from companion.flightlog.record import FlightLog
 from companion.link.inbox import memory_pair
@@ -31,7 +32,7 @@ from tests.bench.faults.cases import CASES, Run, faultless, scenario_of
 from tests.bench.faults.computer import applied
 from tests.bench.faults.forks import Forks
 from tests.bench.faults.judge import HOLD_MODES, Bounds, Verdict, judge
-from tests.bench.faults.witness import Commanded, FlightRecord, Witness
+from tests.bench.faults.witness import Commanded, FlightRecord, Sample, Witness
 
 HELD_S: Final = 4.0
 AFTERMATH_S: Final = 60.0
@@ -132,7 +133,6 @@ async def _fly(
         trial.seed,
         link=vehicle_end,
         gps_baud=config.sense.gps.baud,
-        range_baud=config.sense.range.baud,
         computer=faults,
     )
     simulation = vehicle.simulation
@@ -140,7 +140,7 @@ async def _fly(
     if px4 and not simulation.autopilot.parameters.set(*SETPOINTS_LOST):
         raise ConfigError(f"{SETPOINTS_LOST[0]}: expected a parameter of the autopilot")
     prepare(simulation)
-    witness = Witness(simulation.world, simulation.autopilot)
+    witness = Witness(simulation)
     simulation.on_step = witness.step
     simulation.line.listeners.append(witness.hear)
     hardware = Hardware(
@@ -164,10 +164,22 @@ async def _fly(
         for plan in log.kept["plan"]
         if plan.reference is not None
     ]
+    record.samples = list(with_belief(record.samples, log.kept["vehicle"]))
     record.fault_began = simulation.faults.all_begun
     record.texts = list(simulation.app_words.texts)
     record.crashed, record.at_rest_on_pad = simulation.world.crashed, simulation.world.at_rest_on_pad
     return record
+
+
+def with_belief(samples: Sequence[Sample], believed: Sequence[VehicleState]) -> Iterator[Sample]:
+    """The samples with how much too low the app believes itself by its newest estimate."""
+    following = iter((*believed, None))
+    state, after = None, next(following)
+    for sample in samples:
+        while after is not None and after.time_s <= sample.time_s:
+            state, after = after, next(following)
+        low_m = 0.0 if state is None else state.position_ned_m[2] - sample.position_ned_m[2]
+        yield sample._replace(believed_low_m=low_m)
 
 
 async def _run_app(app: App, limit_s: float, vehicle: InProcess, record: FlightRecord) -> None:

@@ -11,10 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
 from companion.base.geometry import Vector3, horizontal_acceleration, tilt_from_quat, yaw_from_quat
-from sitl.autopilot import SimulatedAutopilot
 from sitl.mavlink.app_words import AppText
 from sitl.mavlink.framing import FrameReader, MavFrame, dialect
-from sitl.world.world import World
+from sitl.run.simulation import Simulation
 
 mavlink: Any = dialect
 
@@ -24,7 +23,11 @@ _YAW_IGNORED: Final = 1 << 10
 
 
 class Sample(NamedTuple):
-    """The truth at a time. `feet_over_surface_m`: over what is beneath, board or ground."""
+    """The truth at a time. `feet_over_surface_m`: over what is beneath, board or ground.
+
+    So much too low the GPS receiver has its height, and the app believes itself: `receiver_low_m` and
+    `believed_low_m`, whose zero may be anywhere.
+    """
 
     time_s: float
     position_ned_m: Vector3
@@ -33,6 +36,8 @@ class Sample(NamedTuple):
     touching: bool
     armed: bool
     mode: str
+    receiver_low_m: float = 0.0
+    believed_low_m: float = 0.0
 
 
 class GroundTouch(NamedTuple):
@@ -98,9 +103,11 @@ class FlightRecord:
 class Witness:
     """Fills a record: `step` after every step of the physics, `hear` with what the app sends."""
 
-    def __init__(self, world: World, autopilot: SimulatedAutopilot) -> None:
+    def __init__(self, simulation: Simulation) -> None:
         self.record = FlightRecord()
-        self._world, self._autopilot = world, autopilot
+        self._simulation = simulation
+        self._world, self._autopilot = simulation.world, simulation.autopilot
+        world = self._world
         self._before = world.state
         self._armed = False
         self._next_s = 0.0
@@ -130,7 +137,10 @@ class Witness:
         touching = world.contact.touching
         place, velocity = state.position_ned_m, state.velocity_ned_m_s
         armed, mode = self._autopilot.armed, self._autopilot.mode
-        self.record.samples.append(Sample(now_s, place, velocity, self._feet_m(), touching, armed, mode))
+        low_m = self._simulation.receiver_wander_ned_m[2]
+        self.record.samples.append(
+            Sample(now_s, place, velocity, self._feet_m(), touching, armed, mode, low_m)
+        )
 
     def hear(self, data: bytes, now_s: float) -> None:
         """Take what the app has just sent."""

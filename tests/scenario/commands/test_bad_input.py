@@ -103,13 +103,13 @@ def test_the_command_itself_ends_so(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        ("plan: {rate_hz: [", "settings.yaml:1:18: broken YAML"),
+        ("control: {rate_hz: [", "settings.yaml:1:21: broken YAML"),
         ("wings: 2", "settings.yaml: unknown key 'wings'"),
         (
-            "plan: {rate_hz: 1000}",
-            "settings.yaml: plan.rate_hz: expected less than or equal to 100",
+            "control: {rate_hz: 1000}",
+            "settings.yaml: control.rate_hz: expected less than or equal to 100",
         ),
-        ("plan: {rate_hz: quick}", "settings.yaml: plan.rate_hz: expected a valid number"),
+        ("control: {rate_hz: quick}", "settings.yaml: control.rate_hz: expected a valid number"),
         ("camera: nikon", "cameras: no 'nikon'; expected the path of a .yaml file or one of: "),
         ("pad: lily", "pads: no 'lily'; expected the path of a .yaml file or one of: "),
         ("vehicle: balloon", "vehicles: no 'balloon'; expected the path of a .yaml file or one of: "),

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
+from companion.base.geometry import ZERO3
 from sitl.mavlink.app_words import AppText
 from tests.bench.faults.climbs import unannounced_climbs
+from tests.bench.faults.fault_flight import with_belief
 from tests.bench.faults.witness import SAMPLE_S, Commanded, Sample
+from tests.unit.control.controller_inputs import vehicle_state
 
 
 def flown(speed_up_m_s: Callable[[float], float], until_s: float = 20.0) -> list[Sample]:
@@ -93,6 +97,31 @@ def test_a_creeping_rise_has_to_be_announced_as_well() -> None:
 def test_a_height_that_wanders_with_the_receiver_s_is_no_climb_until_it_leads_far_up() -> None:
     assert found(flown(lambda _: 0.06, until_s=45.0)) == []
     assert len(found(flown(lambda _: 0.06, until_s=55.0))) == 1
+
+
+@pytest.mark.parametrize(
+    ("behind_m_s", "receiver_m_s", "counts"),
+    [
+        (0.06, 0.06, False),  # it follows the receiver, and of 1 m it knows of 0.4
+        (0.02, 0.06, True),  # of 0.8 m it knows
+        (0.06, 0.0, True),  # its own mistake, which no receiver explains
+        (-0.06, -0.06, True),
+    ],
+)
+def test_no_climb_is_what_the_receiver_misleads_the_app_to(
+    behind_m_s: float, receiver_m_s: float, counts: bool
+) -> None:
+    samples = [
+        s._replace(believed_low_m=behind_m_s * s.time_s, receiver_low_m=receiver_m_s * s.time_s)
+        for s in flown(lambda _: 0.1)
+    ]
+    assert (len(found(samples)) == 1) is counts
+
+
+def test_the_belief_of_a_sample_is_the_newest_before_it() -> None:
+    samples = [Sample(t, (0.0, 0.0, -5.0), ZERO3, 5.0, False, True, "OFFBOARD") for t in (0.0, 1.0, 2.0)]
+    believed = [replace(vehicle_state(t), position_ned_m=(0.0, 0.0, -4.0 - t)) for t in (0.5, 0.9, 2.0)]
+    assert [s.believed_low_m for s in with_belief(samples, believed)] == pytest.approx([0.0, 0.1, -1.0])
 
 
 def test_what_the_autopilot_flew_meanwhile_is_not_the_apps() -> None:

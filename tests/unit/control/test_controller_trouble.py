@@ -7,7 +7,7 @@ from itertools import count
 import numpy as np
 import pytest
 
-from companion.base.geometry import ZERO3, Vector3, quat_from_euler, tilt_from_quat
+from companion.base.geometry import ZERO3, Vector3, norm, quat_from_euler, tilt_from_quat
 from companion.base.messages import Setpoint
 from companion.control.attitude import attitude_from_acceleration
 from companion.control.controller import FAILURES_TO_STOP
@@ -182,8 +182,11 @@ def test_what_was_no_number_at_the_very_first_is_survived_too() -> None:
         assert _all_finite(answer[0])
 
 
+@pytest.mark.parametrize("silent", [False, True])
 @pytest.mark.parametrize("kind", ["acceleration", "attitude"])
-def test_taking_over_keeps_the_lean_however_long_the_setpoints_were_not_obeyed(kind: str) -> None:
+def test_taking_over_keeps_the_lean_however_long_the_setpoints_were_not_obeyed(
+    kind: str, silent: bool
+) -> None:
     fly = controller(setpoint=kind)
     leaning = attitude_from_acceleration((1.5, -0.8, 0.0), 0.0)
     for k in range(40):
@@ -193,8 +196,23 @@ def test_taking_over_keeps_the_lean_however_long_the_setpoints_were_not_obeyed(k
             vehicle_state(now, attitude=leaning),
             pad_state(now),
             now,
-            obeyed=obeyed,
+            obeyed=obeyed or silent,
+            silent_s=1.0 if silent and not obeyed else 0.0,
         )
         assert answer is not None
         assert answer[0].acceleration_ned_m_s2 == pytest.approx((1.5, -0.8, 0.0), abs=0.05)
-        assert answer[1].obeyed is obeyed
+        assert answer[1].obeyed is (obeyed or silent)
+
+
+@pytest.mark.parametrize("kind", ["acceleration", "attitude", "velocity"])
+def test_what_a_silent_autopilot_does_not_do_is_no_disturbance(kind: str) -> None:
+    """It may hold by itself since the link was lost; what is asked for in vain would throw it afterwards."""
+    heeded, believed = controller(setpoint=kind), controller(setpoint=kind)
+    for k in range(150):
+        now = k * PERIOD_S
+        step = plan_step(now, hover_reference(now)), vehicle_state(now), pad_state(now, (3.0, 0.0, 3.0)), now
+        unheard, heard = heeded.step(*step, silent_s=max(0.0, now - 0.3)), believed.step(*step)
+    assert unheard is not None
+    assert heard is not None
+    assert norm(heard[1].disturbance_ned_m_s2) > 1.0
+    assert norm(unheard[1].disturbance_ned_m_s2) < 0.2

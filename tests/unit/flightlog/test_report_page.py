@@ -210,3 +210,21 @@ def test_the_path_has_one_scale_on_all_axes_and_fits_the_view(tmp_path: Path) ->
     # 10 m to the north, 0.5 m aside, which is shown as a metre at least
     assert sides[1] == pytest.approx(10.0, abs=0.1)
     assert sides[0] == 1.0
+
+
+def test_a_group_of_which_no_marker_was_seen_is_no_dot(tmp_path: Path) -> None:
+    write_flight(tmp_path)
+    dots = [trace.y for trace in figures(read_flight(tmp_path))["markers"][1].data]
+    assert dots
+    assert all(min(counts) > 0 for counts in dots)
+
+
+def test_latencies_start_at_nothing_and_span_a_millisecond_at_least(tmp_path: Path) -> None:
+    write_flight(tmp_path)
+    figure = figures(read_flight(tmp_path))["latency"][1]
+    longest = [max(trace.x, default=0.0) for trace in figure.data]
+    ranges = [axis.range for axis in (figure.layout.xaxis, figure.layout.xaxis2, figure.layout.xaxis3)]
+    assert [first for first, _ in ranges] == [0.0] * 3
+    assert all(last >= max(1.0, most) for (_, last), most in zip(ranges, longest, strict=True))
+    # the cycles of the virtual loop are off by rounding alone
+    assert ranges[2][1] == 1.0

@@ -126,13 +126,13 @@ def test_what_would_break_it_off_at_once_is_no_moment_to_commit() -> None:
     touchdown, told = fresh(), 0
     for k in range(round(29.0 / CYCLE_S)):
         was = touchdown.committed
-        touchdown.note_lean(leaning(3.0), k * CYCLE_S)
+        touchdown.note_lean(leaning(2.4), k * CYCLE_S)
         touchdown.step(sight(), None, LandedState.IN_AIR, k * CYCLE_S)
         told += touchdown.committed is not was
         if touchdown.committed:
             break
     assert told == 1
-    assert k * CYCLE_S > 4.0 * CONFIG.patience_s
+    assert k * CYCLE_S > 3.4 * CONFIG.patience_s
 
 
 def test_it_does_not_start_down_into_a_drift_that_would_break_it_off() -> None:

@@ -247,6 +247,36 @@ def test_leaning_far_it_begins_to_level_off_sooner(lean_deg: float, lead_s: floa
         assert touchdown.levels_off == levels
 
 
+@pytest.mark.parametrize(
+    ("excess_m_s2", "sink_m_s"),
+    # 5 cm of contact not known, a drift of 0.12 m/s meanwhile
+    [(-1.0, 0.19), (0.4, 0.19), (0.6, 0.25), (0.85, 0.32)],
+)
+def test_the_more_lean_it_levels_off_the_firmer_it_sets_down(excess_m_s2: float, sink_m_s: float) -> None:
+    level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
+    touchdown = levelling(max(0.0, level_m_s2 + excess_m_s2))
+    for k in range(12):
+        now_s = 1.0 + k * CYCLE_S
+        low = sight(height=LEG_M + 0.06, velocity=(0.0, 0.0, CONFIG.contact_speed_m_s))
+        touchdown.step(low, None, LandedState.IN_AIR, now_s)
+    assert touchdown.levels_off
+    assert touchdown._generator.at(now_s).velocity_m_s[2] == pytest.approx(sink_m_s, abs=1e-3)
+
+
+def test_a_lean_that_cannot_be_levelled_off_is_waited_out_however_long_it_lasts() -> None:
+    level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
+    # 0.24 m/s of drift in the 0.15 s by which a contact may be late
+    for excess_m_s2, breaks_off in ((1.5, False), (1.7, True)):
+        touchdown = fresh()
+        waited(touchdown, 0.0, 0.0, 0.5)
+        assert touchdown.committed
+        late_s = 5.0 * CONFIG.patience_s
+        touchdown.note_lean(leaning(level_m_s2 + excess_m_s2), late_s)
+        touchdown._sequence._contact_due_s = late_s
+        touchdown.step(sight(height=LEG_M + 0.3), None, LandedState.IN_AIR, late_s)
+        assert (touchdown.broken_off_by == "too much lean at contact") == breaks_off
+
+
 @pytest.mark.parametrize("needed_m_s2", [0.0, 1.0, 2.0])
 def test_shortly_before_it_levels_off_a_gust_is_met_by_a_little_more_lean_at_most(needed_m_s2: float) -> None:
     level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))

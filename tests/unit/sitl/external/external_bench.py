@@ -6,8 +6,8 @@ import asyncio
 from typing import Any
 
 from companion.base.clock import Clock
+from companion.base.udp_socket import UdpSocket
 from companion.link.codec import Codec
-from sitl.external.link import UdpEnd
 from tests.unit.sitl.external.external_vehicle import (
     ARDUPILOT,
     Flight,
@@ -25,7 +25,7 @@ class Player:
         self.port = 0
         self.start_s = 0.0
         self._autopilot, self._flight, self._disarm_s = autopilot, flight, disarm_s
-        self._end, self._sender = UdpEnd(), Sender()
+        self._end, self._sender = UdpSocket(), Sender()
 
     async def run(self, still_s: float, seconds: float) -> None:
         """Stand for a while and then fly; poses at 100 Hz, heartbeats at 5 Hz."""

@@ -1,0 +1,64 @@
+"""When rest alone proves a landing: the motors stop a second after the contact, and no sooner."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from companion.base.geometry import GRAVITY_M_S2
+from companion.base.messages import ActionKind, AutopilotState, LandedState, PadState, Phase, VehicleState
+from companion.config import TouchdownConfig
+from companion.plan.landing.contact import Standing
+from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.states import MissionEvent
+from tests.unit.control.controller_inputs import vehicle_state
+from tests.unit.plan.landing.touchdown_attempt import CYCLE_S, sight
+from tests.unit.plan.mission.planner_world import world
+from tests.unit.plan.pad_paths import line
+from tests.unit.plan.plan_harness import LEG_M, VEHICLE
+
+Seen = Callable[[float], PadState | None]
+FALL: VehicleState = vehicle_state(0.0, acceleration_ned_m_s2=(0.0, 0.0, GRAVITY_M_S2))
+
+
+def rests_at_s(seen: Seen, falls: Callable[[float], bool] = lambda _t: False) -> float:
+    """When standing since 0 s is proven by rest; inf when not within 5 s."""
+    standing = Standing(TouchdownConfig(), VEHICLE)
+    standing.begin(0.0)
+    for k in range(150):
+        now_s = k * CYCLE_S
+        vehicle = FALL if falls(now_s) else vehicle_state(now_s)
+        inputs = PlanInputs(vehicle, None, AutopilotState(now_s, landed=LandedState.IN_AIR))
+        found = standing.step(seen(now_s), inputs, now_s)
+        if found is not None:
+            return now_s if found[0] is MissionEvent.AT_REST else float("inf")
+    return float("inf")
+
+
+def test_a_second_of_rest_with_the_feet_seen_down_is_enough_and_less_is_not() -> None:
+    assert rests_at_s(lambda _t: sight(height=LEG_M)) == pytest.approx(1.0, abs=CYCLE_S)
+
+
+def test_the_second_begins_again_when_the_feet_are_not_shown_down() -> None:
+    assert rests_at_s(lambda t: None if 0.4 < t < 0.6 else sight(height=LEG_M)) == pytest.approx(
+        1.6, abs=0.05
+    )
+    assert rests_at_s(lambda _t: sight(height=LEG_M + 0.3)) == float("inf")
+    assert rests_at_s(lambda _t: sight(height=LEG_M, age=2.0)) == float("inf")
+
+
+def test_what_falls_does_not_rest_and_a_bump_of_the_pad_is_no_fall() -> None:
+    seen = sight(height=LEG_M)
+    assert rests_at_s(lambda _t: seen, lambda t: 0.4 < t < 0.7) == pytest.approx(1.7, abs=0.05)
+    assert rests_at_s(lambda _t: seen, lambda t: 0.4 < t < 0.5) == pytest.approx(1.0, abs=CYCLE_S)
+
+
+def test_the_motors_are_stopped_a_second_after_the_contact_though_the_autopilot_doubts_it() -> None:
+    w = world(line(1.0))
+    w.autopilot.doubts = True
+    flight = w.fly(120.0)
+    assert flight.phase is Phase.LANDED
+    contact_s = next(step.time_s for step in flight.steps if step.on_ground)
+    asked_s = next(time_s for time_s, kind in w.autopilot.heard if kind is ActionKind.DISARM)
+    assert asked_s - contact_s == pytest.approx(1.0, abs=0.1)
