@@ -19,8 +19,7 @@ from typing import Final
 from rich.console import Console
 from rich.table import Table
 
-from companion.base.messages import PadSighting, Phase
-from companion.flightlog.result import Outcome
+from companion.base.messages import Outcome, PadSighting, Phase
 from companion.sim.trial import Trial
 from tests.bench.progress import watched
 from tests.bench.state.streams import Stream, fly_stream
