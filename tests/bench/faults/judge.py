@@ -1,6 +1,7 @@
 """How a flight with a fault ended, and whether anything in it was unsafe: by the simulator's record.
 
-Of the app the judge reads one thing, its reference's height: what that climbs has to be announced.
+Of the app the judge reads two heights: that of its reference, whose climbs have to be announced, and the
+vehicle's as the app believes it.
 
 Unsafe is a crash; touching anything but the pad faster than 0.3 m/s sideways or 0.7 m/s down; disarming in
 the air; flying outside fence or ceiling by the app's setpoints; a climb that was not announced; a setpoint

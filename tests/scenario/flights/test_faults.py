@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,13 +19,14 @@ from companion.sim.runner import SitlFlight, fly
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
 from sitl.devices.mpu9250 import Mpu9250Device
+from tests.scenario.flying import scenario_file
 
 # by then the vehicle is on its way down to the pad
 IN_DESCENT_S = 21.0
 
 
-def fly_static() -> tuple[SitlFlight, FlightLog]:
-    trial = Trial.load("static", 0)
+def fly_static(scenario: str | Path = "static") -> tuple[SitlFlight, FlightLog]:
+    trial = Trial.load(str(scenario), 0)
     log = FlightLog(None, start_unix_s=0.0)
     settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
     return fly(settings, trial, log, lambda _status: None, fast=True), log
@@ -92,3 +94,17 @@ def test_a_control_loop_that_fails_leaves_the_vehicle_holding(monkeypatch: pytes
     assert caught.group_contains(RuntimeError, match="a bug")
     held = [result for result in log.kept["action_result"] if result.kind is ActionKind.HOLD]
     assert [result.accepted for result in held] == [True]
+
+
+def test_an_imu_that_freezes_is_believed_for_50_ms_and_the_estimate_is_given_up_for_good(
+    tmp_path: Path,
+) -> None:
+    # GIVEN a flight WHEN the IMU repeats its sample from then on, however often it is set up anew
+    fault = {"kind": "imu_frozen", "start_s": IN_DESCENT_S}
+    flight, log = fly_static(scenario_file(tmp_path, "static", {"faults": [fault]}))
+    # THEN no estimate rests on what it says more than 50 ms later, and the flight ends without one
+    assert flight.report.outcome is Outcome.ABORTED, flight.report.failures
+    rest_on_s = [state.time_s - state.imu_age_s for state in log.kept["vehicle"]]
+    assert IN_DESCENT_S < max(rest_on_s) < IN_DESCENT_S + 0.05 + 0.02  # and a poll or two
+    assert "estimate lost: no fresh estimate of the vehicle" in texts(log)
+    assert "stuck: the same sample" in texts(log)

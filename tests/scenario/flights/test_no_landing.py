@@ -1,7 +1,14 @@
 """Flights that cannot end in a landing end by time, in order, and say so in one line."""
 
+import math
 from pathlib import Path
 
+from companion.base.messages import Outcome
+from companion.config import CONFIG_FOLDER
+from companion.flightlog.record import FlightLog
+from companion.sim.runner import fly as fly_here
+from companion.sim.settings import sitl_settings
+from companion.sim.trial import Trial
 from tests.scenario.flying import fly, scenario_file
 
 ENDS = {4: "aborted", 5: "timeout"}
@@ -36,3 +43,20 @@ def test_a_bound_that_is_broken_is_named(tmp_path: Path) -> None:
     assert flown.result is not None
     assert flown.result["outcome"] == "missed"
     assert flown.stderr.startswith("companion: missed: lateral error 0.0")
+
+
+def test_no_landing_begins_that_would_end_outside_the_fence(tmp_path: Path) -> None:
+    """Without a fence this flight commits 15 m from home, and the pad takes it to 18 m until it stands."""
+    fence_m = 17.0
+    changes = {"companion": {"plan": {"mission": {"fence_m": fence_m}}}}
+    trial = Trial.load(str(scenario_file(tmp_path, "line", changes)), 0)
+    log = FlightLog(None, start_unix_s=0.0)
+    settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
+    report = fly_here(settings, trial, log, lambda _status: None, fast=True).report
+    assert report.outcome is Outcome.ABORTED, report.failures
+    assert report.touchdown is None
+    assert [notice.text for notice in log.kept["notice"] if notice.kind == "commit"] == []
+    texts = " ".join(notice.text for notice in log.kept["notice"])
+    assert f"the pad leaves the fence of {fence_m:.0f} m before a landing ends: waiting" in texts
+    farthest_m = max(math.hypot(*truth.vehicle_position_ned_m[:2]) for truth in report.truth)
+    assert farthest_m < fence_m + 1.0  # the autopilot's own position is off by its GPS
