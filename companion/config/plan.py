@@ -148,7 +148,7 @@ class TouchdownConfig(StrictModel):
 
     @property
     def giving_up_s(self) -> float:
-        """So long a try may last until it has failed; the last way down may still follow."""
+        """So long a try may last until it has failed; the final descent may still follow."""
         return 6.0 * self.patience_s
 
     @model_validator(mode="after")

@@ -99,7 +99,7 @@ class PhaseSteering:
 
     @property
     def way_down_s(self) -> float:
-        """How long (s) the last way down takes, until the motors are off."""
+        """How long (s) the final descent takes, until the motors are off."""
         return self._touchdown.way_down_s()
 
     def steer(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
@@ -122,7 +122,7 @@ class PhaseSteering:
         return self._landing.cone if descending and self._generator.origin == "pad" else None
 
     def level_off(self) -> LevelOff | None:
-        """When the vehicle is to be level, on its last way down."""
+        """When the vehicle is to be level, in its final descent."""
         return self._touchdown.level_off() if self._machine.state in COMMITTED else None
 
     # ------------------------------------------------------------ entering a state

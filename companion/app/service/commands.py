@@ -191,7 +191,9 @@ def _estimate(r: dict[str, Any]) -> str:
 def _pad(r: dict[str, Any]) -> str:
     if r["pad_seen_s"] is None:
         return "not seen"
-    return f"{r['pad_lateral_m']:.2f} m aside, {r['pad_height_m']:.2f} m below, {_age(r['pad_seen_s'])}"
+    return (
+        f"lateral offset {r['pad_lateral_m']:.2f} m, {r['pad_height_m']:.2f} m below, {_age(r['pad_seen_s'])}"
+    )
 
 
 def _machine(m: dict[str, Any]) -> str:

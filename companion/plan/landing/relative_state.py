@@ -96,4 +96,4 @@ class PadKnowledge:
         """Where it is, for a notice."""
         if self.sight is None:
             return "in sight"
-        return f"{self.sight.lateral_m:.1f} m aside, {self.sight.height_m:.1f} m below"
+        return f"lateral offset {self.sight.lateral_m:.1f} m, {self.sight.height_m:.1f} m below"

@@ -1,4 +1,4 @@
-"""The last third of a metre: wait, sink at a constant speed, rise again, stand.
+"""The final descent, over the last third of a metre: wait, sink at a constant speed, rise again, stand.
 
 Heights count from the vehicle's reference point: with the feet on the pad it is leg_height over it.
 Relative to the pad, NED axes, m and s. The mission's table decides which of the four.
@@ -123,8 +123,8 @@ class TouchdownSequence:
         if waited_s >= c.giving_up_s:
             return (
                 MissionEvent.MISALIGNED,
-                f"no moment to land in {waited_s:.0f} s, {100.0 * sight.lateral_m:.0f} cm aside at last, "
-                f"tilt {math.degrees(self.lean.tilt_rad):.0f} deg",
+                f"no moment to land in {waited_s:.0f} s, at last lateral offset "
+                f"{100.0 * sight.lateral_m:.0f} cm, tilt {math.degrees(self.lean.tilt_rad):.0f} deg",
             )
         if self._settled.held_s(ready, now_s) >= c.settled_s:
             return MissionEvent.COMMIT, "committed to land: sinking"
@@ -239,7 +239,7 @@ class TouchdownSequence:
         if high and sight.age_s <= FRESH_S and self._escapes(sight):
             # even without room: a foot that touches on the way up is better than one beside a small pad
             self._generator.rise(now_s)
-            return MissionEvent.MISALIGNED, f"{100.0 * sight.lateral_m:.0f} cm aside while sinking"
+            return MissionEvent.MISALIGNED, f"lateral offset {100.0 * sight.lateral_m:.0f} cm while sinking"
         return None
 
     def _sink_firmer(self, now_s: float) -> None:
@@ -281,7 +281,7 @@ class TouchdownSequence:
             return "too much lean at contact"
         far = fresh and self._tolerance.aside(sight, now_s)
         if self._far_aside.held_s(far, now_s) >= _TOO_FAST_S:
-            return f"{100.0 * sight.lateral_m:.0f} cm aside at {sight.lateral_speed_m_s:.2f} m/s"
+            return f"lateral offset {100.0 * sight.lateral_m:.0f} cm at {sight.lateral_speed_m_s:.2f} m/s"
         return ""
 
     def _has_room(self, height_m: float, sink_m_s: float) -> bool:

@@ -72,13 +72,13 @@ class MissionEvent(StrEnum):
     LOW = "low"  # at the height from which touchdown is one straight go
     COMMIT = "commit"  # aligned over a pad that is gentle, for a moment
     CLEAR = "clear"  # at rest by our setpoints, and clear of the pad
-    BREAK_OFF = "break_off"  # on the last way down, with room to stop
+    BREAK_OFF = "break_off"  # in the final descent, with room to stop
     RISEN = "risen"  # climbing after a break-off
     CONTACT = "contact"  # several signs say that the feet stand on the pad
     LANDING_DETECTED = "landing_detected"  # by the autopilot
     AT_REST = "at_rest"  # shown to rest on the pad, without the autopilot's word
     UNPROVEN = "unproven"  # neither, and nothing shows the feet down
-    PAD_GONE = "pad_gone"  # on the last way down, where there is no room to rise either
+    PAD_GONE = "pad_gone"  # in the final descent, where there is no room to rise either
     OFF_PAD = "off_pad"  # the pad is well below the feet again
     PAD_LOST = "pad_lost"
     GROUND_NEAR = "ground_near"  # echoes far nearer than the pad's estimate: the estimate is wrong

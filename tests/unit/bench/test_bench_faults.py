@@ -27,7 +27,7 @@ NAN = math.nan
 SAID = (
     (4.0, "take off: armed: motors on"),
     (10.0, "search: arrived: 0.6 m from the waypoint"),
-    (15.0, "approach: pad seen: 3.3 m aside, 7.0 m below"),
+    (15.0, "approach: pad seen: lateral offset 3.3 m, 7.0 m below"),
     (20.0, "descend: centred: 3.9 m above the pad"),
     (30.0, "touchdown: low: 42 cm over the pad"),
     (36.0, "landed: disarmed: motors off"),

@@ -1,4 +1,4 @@
-"""When the last way down is broken off, and how it climbs then."""
+"""When the final descent is broken off, and how it climbs then."""
 
 import math
 
@@ -97,14 +97,14 @@ def test_one_fast_sample_is_no_reason_to_break_off() -> None:
         (CONFIG.break_off_lateral_m + 0.002, LEG_M + CONFIG.break_off_above_m - 0.01, False),
     ],
 )
-def test_aside_on_the_last_way_down_it_waits_again_over_the_pad(
+def test_aside_on_the_final_descent_it_waits_again_over_the_pad(
     aside: float, height: float, broken: bool
 ) -> None:
     touchdown = sinking()
     for k in range(6):
         assert touchdown.step(sight(aside, height), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S) is None
     assert touchdown.committed is not broken
-    assert (f"{100.0 * aside:.0f} cm aside" in touchdown.broken_off_by) is broken
+    assert (f"lateral offset {100.0 * aside:.0f} cm" in touchdown.broken_off_by) is broken
 
 
 @pytest.mark.parametrize(("lean_deg", "broken"), [(0.0, True), (5.0, True), (12.0, False)])
@@ -167,7 +167,7 @@ def test_a_gust_on_the_way_down_breaks_it_off() -> None:
 
 
 @pytest.mark.parametrize("lateral_m", [0.0, 0.19])
-def test_who_gives_the_last_way_down_up_climbs_at_once(lateral_m: float) -> None:
+def test_who_gives_the_final_descent_up_climbs_at_once(lateral_m: float) -> None:
     touchdown = sinking()
     late_s = 1.0 if lateral_m else 20.0
     low = sight(lateral_m, LEG_M + 0.05, velocity=(0.0, 0.0, 0.19))

@@ -1,4 +1,4 @@
-"""When it commits to the last way down: alignment, tilt, drift, and patience with all three."""
+"""When it commits to the final descent: alignment, tilt, drift, and patience with all three."""
 
 import math
 from dataclasses import replace

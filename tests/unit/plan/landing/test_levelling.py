@@ -25,7 +25,7 @@ LEAD_S = LEANS_ON_S + EARLY_S
 
 
 def levelling(lean_m_s2: float) -> Attempt:
-    """A vehicle on its last way down, 0.3 m over the pad at 1 s, that leans so."""
+    """A vehicle in its final descent, 0.3 m over the pad at 1 s, that leans so."""
     touchdown = fresh()
     waited(touchdown, 0.0, 0.0, 0.5)
     for now_s in (0.5, 10.0):  # so long that the smoothed lean is there

@@ -1,4 +1,4 @@
-"""The last way down: blindness, signs of contact, standing, and levelling off before the contact."""
+"""The final descent: blindness, signs of contact, standing, and levelling off before the contact."""
 
 import math
 
@@ -23,7 +23,7 @@ from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 SINKING = Motion((0.0, 0.0, -LEG_M + 0.1), (0.0, 0.0, 0.22))
 
 
-def test_half_a_second_of_blindness_on_the_last_way_down_is_borne_and_two_are_not() -> None:
+def test_half_a_second_of_blindness_on_the_final_descent_is_borne_and_two_are_not() -> None:
     touchdown = sinking()
     assert touchdown.step(sight(height=0.4, age=1.4), None, LandedState.IN_AIR, 1.0) is None
     found = touchdown.step(sight(height=0.4, age=1.6), None, LandedState.IN_AIR, 1.1)
@@ -31,7 +31,7 @@ def test_half_a_second_of_blindness_on_the_last_way_down_is_borne_and_two_are_no
     assert found[0] is MissionEvent.PAD_LOST
 
 
-def test_far_aside_on_the_last_way_down_it_climbs_while_still_high_only() -> None:
+def test_far_aside_on_the_final_descent_it_climbs_while_still_high_only() -> None:
     high = sinking().step(sight(aside=0.19, height=0.4), None, LandedState.IN_AIR, 1.0)
     assert high is not None
     assert high[0] is MissionEvent.MISALIGNED
@@ -156,7 +156,7 @@ def descent(touchdown: Attempt, lags_m: float, sink_m_s: float, count: int = 15)
     return generator
 
 
-def test_on_the_last_way_down_the_reference_gives_way_to_the_vehicles_height_but_not_its_speed() -> None:
+def test_on_the_final_descent_the_reference_gives_way_to_the_vehicles_height_but_not_its_speed() -> None:
     free, held = sinking(), sinking()
     lower = descent(free, 0.0, 0.2)
     higher = descent(held, 0.05, 0.2)

@@ -136,7 +136,7 @@ def test_a_link_is_late_beyond_its_bound_while_that_is_fresh(
         # a pilot is asked before the one at the keyboard, and a lost link knows no mode
         (inputs(HELD, stop=True), State.APPROACH, MissionEvent.PILOT_TOOK_OVER),
         (inputs(replace(HELD, connected=False)), State.APPROACH, MissionEvent.LINK_LOST),
-        # on the last way down a stop waits, and what else is wrong does not
+        # in the final descent a stop waits, and what else is wrong does not
         (inputs(stop=True), State.WAIT, MissionEvent.STOP),
         (inputs(stop=True), State.SINK, None),
         (inputs(replace(FLYING, connected=False)), State.SINK, None),

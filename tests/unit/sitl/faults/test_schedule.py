@@ -68,7 +68,9 @@ def black_from_to(fault: FrameBlack, words: AppWords, heights_m: dict[float, flo
         if second == 10:
             words.hear(said("search: arrived: 0.6 m from the waypoint"), 10.0)
         if second == 20:
-            words.hear(said("approach: pad seen: 3.3 m aside, 7.0 m below, and a long tail of words"), 20.0)
+            words.hear(
+                said("approach: pad seen: lateral offset 3.3 m, 7.0 m below, and a long tail of words"), 20.0
+            )
         if second == 25:
             words.hear(said("search: pad lost: unseen for 5 s"), 25.0)
         schedule.step(float(second))
