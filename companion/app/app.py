@@ -225,14 +225,8 @@ class App:
         if plan.reference is None or self.session.setup is None:
             return
         self.session.align(vehicle.attitude, vehicle.time_s)
-        controlled = self._control().step(
-            plan,
-            vehicle,
-            pad,
-            now_s,
-            obeyed=self.session.state.offboard,
-            silent_s=now_s - self.session.heard_s,
-        )
+        obeyed, silent_s = self.session.state.offboard, now_s - self.session.heard_s
+        controlled = self._control().step(plan, vehicle, pad, now_s, obeyed=obeyed, silent_s=silent_s)
         self._control_failed = controlled is not None and controlled[1].failed
         await self._clock.spend(self._config.compute.control_s)
         if controlled is not None:
@@ -244,11 +238,7 @@ class App:
             autopilot_kind = self.session.state.autopilot_kind or "px4"
             setup = self.session.setup or AutopilotSetup()
             self._controller = Controller(
-                self._config.control,
-                self._vehicle,
-                self._clock.now_s,
-                autopilot_kind=autopilot_kind,
-                setup=setup,
+                self._config.control, self._vehicle, self._clock.now_s, autopilot_kind, setup
             )
             flown = resolved(self._config.control, autopilot_kind)
             own = misfits(flown, self._vehicle, setup, autopilot_kind)

@@ -22,7 +22,6 @@ from companion.base.errors import DeviceMissing
 from companion.config import CameraConfig, CompanionConfig, LinkConfig, RangeConfig, find_file, load_model
 from companion.control.setpoints import resolved
 from companion.link.actions.actions import PymavlinkActions, VehicleActions
-from companion.link.actions.mavsdk_link import MavsdkActions
 from companion.link.inbox import memory_pair
 from companion.link.session import Session
 from companion.link.transport import Transport, open_transport
@@ -116,9 +115,16 @@ def _open_range_port(config: RangeConfig, *, waits: bool) -> SerialLine | EchoPi
 def make_actions(
     session: Session, send: Callable[[bytes], None], clock: Clock, config: CompanionConfig
 ) -> VehicleActions:
-    """Actions by what `link.actions` names."""
-    kind = MavsdkActions if config.link.actions == "mavsdk" else PymavlinkActions
-    return kind(session, send, clock, config.link, attitude_setpoints=_sends_attitudes(config))
+    """Actions by what `link.actions` names.
+
+    Raises:
+        ModuleNotFoundError: MAVSDK, if it was left out of the installation.
+    """
+    if config.link.actions == "pymavlink":
+        return make_own_actions(session, send, clock, config)
+    from companion.link.actions.mavsdk_link import MavsdkActions  # noqa: PLC0415 - may be left out
+
+    return MavsdkActions(session, send, clock, config.link, attitude_setpoints=_sends_attitudes(config))
 
 
 def make_own_actions(

@@ -4,8 +4,7 @@ Its rules:
   every pair of a state and an event has one row, or means nothing there, or is impossible;
   an impossible pair ends in a hold by the autopilot itself, and is announced;
   every state ends by time but the two last (LANDED, ABORT), STANDBY, which waits for an order, and
-  AUTO_LAND while the autopilot is heard: it keeps requesting LAND and disarm, and its end would leave the
-  motors on;
+  AUTO_LAND while the autopilot is heard: it goes on to request LAND and disarm, or the motors would stay on;
   released for good is released: whatever happens then, nothing more is asked of the autopilot;
   STOP, the bounds and overtime return control to the autopilot, which holds its position: low over the pad
   once it has climbed clear. A lost estimate, a controller without a plan and a late link leave no time for

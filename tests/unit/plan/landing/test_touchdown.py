@@ -4,13 +4,10 @@ import math
 
 import pytest
 
-from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
 from companion.base.messages import LandedState, PadState, RangeSample
 from companion.base.motion import Motion
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import contact_signs
-from companion.plan.landing.level_moment import LeanForecast
-from companion.plan.landing.levelling import AFTER_S, EARLY_S, LEANS_ON_S, Levelling
 from companion.plan.mission.states import MissionEvent
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.plan.landing.touchdown_attempt import (
@@ -18,15 +15,11 @@ from tests.unit.plan.landing.touchdown_attempt import (
     CYCLE_S,
     WAIT_M,
     Attempt,
-    fresh,
-    leaning,
     sight,
     sinking,
-    waited,
 )
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
-LEAD_S = LEANS_ON_S + EARLY_S
 SINKING = Motion((0.0, 0.0, -LEG_M + 0.1), (0.0, 0.0, 0.22))
 
 
@@ -179,202 +172,3 @@ def test_next_to_the_pad_the_reference_goes_on_so_that_standing_shows() -> None:
         now = 1.0 + k * CYCLE_S
         touchdown.step(sight(height=LEG_M + 0.03), None, LandedState.IN_AIR, now)
     assert touchdown._generator.at(3.0).position_m[2] > -LEG_M + 0.05
-
-
-def levelling(lean_m_s2: float) -> Attempt:
-    """A vehicle on its last way down, 0.3 m over the pad at 1 s, that leans so."""
-    touchdown = fresh()
-    waited(touchdown, 0.0, 0.0, 0.5)
-    for now_s in (0.5, 10.0):  # so long that the smoothed lean is there
-        touchdown.note_lean(leaning(lean_m_s2), now_s)
-    touchdown.step(sight(height=LEG_M + 0.3), None, LandedState.IN_AIR, 1.0)
-    return touchdown
-
-
-def test_it_levels_off_shortly_before_the_contact_and_not_earlier() -> None:
-    touchdown = levelling(0.0)
-    sink_m_s, level = CONFIG.contact_speed_m_s, None
-    due_s = 1.0 + (0.3 - 0.02) / sink_m_s  # low on one side
-    for k in range(60):
-        now_s = 1.0 + k * CYCLE_S
-        height_m = LEG_M + 0.3 - sink_m_s * (now_s - 1.0)
-        down = sight(height=height_m, velocity=(0.0, 0.0, sink_m_s))
-        touchdown.step(down, None, LandedState.IN_AIR, now_s)
-        level = touchdown.level_off()
-        assert touchdown.levels_off == (now_s >= due_s - LEAD_S)
-        if touchdown.levels_off:
-            break
-    assert level is not None
-    assert level.from_s == pytest.approx(due_s - LEAD_S, abs=CYCLE_S)
-    assert level.until_s == pytest.approx(due_s + AFTER_S, abs=CYCLE_S)
-    assert level.tilt_rad == pytest.approx(math.radians(CONFIG.contact_tilt_deg))
-
-
-@pytest.mark.parametrize("unseen_from_m", [0.25, 0.15, 0.11])
-def test_a_pad_out_of_view_in_the_last_second_is_met_level_when_it_was_due(unseen_from_m: float) -> None:
-    touchdown = levelling(0.0)
-    sink_m_s = CONFIG.contact_speed_m_s
-    due_s, seen_s = 1.0 + (0.3 - 0.02) / sink_m_s, 1.0
-    for k in range(60):
-        now_s = 1.0 + k * CYCLE_S
-        over_m = 0.3 - sink_m_s * (now_s - 1.0)
-        seen_s = now_s if over_m >= unseen_from_m else seen_s
-        down = sight(height=LEG_M + over_m, velocity=(0.0, 0.0, sink_m_s), age=now_s - seen_s)
-        assert touchdown.step(down, None, LandedState.IN_AIR, now_s) is None
-        level = touchdown.level_off()
-        assert touchdown.levels_off == (now_s >= due_s - LEAD_S)
-        if touchdown.levels_off and level is not None:
-            assert level.from_s <= now_s
-            assert level.until_s >= due_s + 0.1
-            return
-
-
-@pytest.mark.parametrize(
-    ("lean_deg", "lead_s"),
-    # the lean has to fall to 7 deg, at 8 m/s3
-    [
-        (0.0, LEAD_S),
-        (20.0, LEAD_S + (9.81 * (math.tan(math.radians(20.0)) - math.tan(math.radians(7.0)))) / 8.0),
-    ],
-)
-def test_leaning_far_it_begins_to_level_off_sooner(lean_deg: float, lead_s: float) -> None:
-    above_m = 0.02 + lead_s * 0.2
-    for over_m, levels in ((above_m + 0.004, False), (above_m - 0.004, True)):
-        touchdown = levelling(0.0)
-        touchdown.note_lean(quat_from_euler(math.radians(lean_deg), 0.0, 0.0), 1.0)
-        near = sight(height=LEG_M + over_m, velocity=(0.0, 0.0, 0.2))
-        touchdown.step(near, None, LandedState.IN_AIR, 1.0)
-        assert touchdown.levels_off == levels
-
-
-@pytest.mark.parametrize(
-    ("excess_m_s2", "sink_m_s"),
-    # 5 cm of contact not known, a drift of 0.12 m/s meanwhile
-    [(-1.0, 0.19), (0.4, 0.19), (0.6, 0.25), (0.85, 0.32)],
-)
-def test_the_more_lean_it_levels_off_the_firmer_it_sets_down(excess_m_s2: float, sink_m_s: float) -> None:
-    level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
-    touchdown = levelling(max(0.0, level_m_s2 + excess_m_s2))
-    for k in range(12):
-        now_s = 1.0 + k * CYCLE_S
-        low = sight(height=LEG_M + 0.06, velocity=(0.0, 0.0, CONFIG.contact_speed_m_s))
-        touchdown.step(low, None, LandedState.IN_AIR, now_s)
-    assert touchdown.levels_off
-    assert touchdown._generator.at(now_s).velocity_m_s[2] == pytest.approx(sink_m_s, abs=1e-3)
-
-
-def test_a_lean_that_cannot_be_levelled_off_is_waited_out_however_long_it_lasts() -> None:
-    level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
-    # 0.24 m/s of drift in the 0.15 s by which a contact may be late
-    for excess_m_s2, breaks_off in ((1.5, False), (1.7, True)):
-        touchdown = fresh()
-        waited(touchdown, 0.0, 0.0, 0.5)
-        assert touchdown.committed
-        late_s = 5.0 * CONFIG.patience_s
-        touchdown.note_lean(leaning(level_m_s2 + excess_m_s2), late_s)
-        touchdown._sequence._contact_due_s = late_s
-        touchdown.step(sight(height=LEG_M + 0.3), None, LandedState.IN_AIR, late_s)
-        assert (touchdown.broken_off_by == "too much lean at contact") == breaks_off
-
-
-@pytest.mark.parametrize("needed_m_s2", [0.0, 1.0, 2.0])
-def test_shortly_before_it_levels_off_a_gust_is_met_by_a_little_more_lean_at_most(needed_m_s2: float) -> None:
-    level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
-    for over_m, near in ((0.25, False), (0.14, True)):
-        touchdown = levelling(needed_m_s2)
-        touchdown.step(sight(height=LEG_M + over_m), None, LandedState.IN_AIR, 1.0)
-        assert not touchdown.levels_off
-        bound = touchdown.level_off()
-        assert (bound is not None) == near
-    assert bound is not None
-    assert GRAVITY_M_S2 * math.tan(bound.tilt_rad) == pytest.approx(max(level_m_s2, needed_m_s2 + 0.6))
-
-
-@pytest.mark.parametrize(("excess_m_s2", "longer_s"), [(0.0, 0.95), (0.5, 0.24), (0.8, 0.15)])
-def test_a_contact_that_comes_late_keeps_it_level_while_that_makes_little_speed(
-    excess_m_s2: float, longer_s: float
-) -> None:
-    level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
-    touchdown = levelling(level_m_s2 + excess_m_s2)
-    near = sight(height=LEG_M + 0.065, velocity=(0.0, 0.0, 0.4))
-    now_s = 1.0
-    for _ in range(34):  # 6.5 cm up all the time
-        touchdown.step(near, None, LandedState.IN_AIR, now_s)
-        now_s += CYCLE_S
-    level = touchdown.level_off()
-    assert level is not None
-    assert level.from_s == pytest.approx(1.0)
-    lead_s = LEAD_S + excess_m_s2 / 8.0
-    assert level.until_s - level.from_s - lead_s - AFTER_S == pytest.approx(
-        longer_s, abs=0.15 if longer_s > 0.5 else 1e-3
-    )
-
-
-@pytest.mark.parametrize(
-    ("over_m", "speed_m_s", "stays"), [(0.04, 0.2, True), (0.07, 0.2, False), (0.04, 0.3, False)]
-)
-def test_so_low_that_a_lean_would_touch_it_stays_level_unless_it_drifts_fast(
-    over_m: float, speed_m_s: float, stays: bool
-) -> None:
-    touchdown = levelling(GRAVITY_M_S2 * math.tan(math.radians(11.0)))  # a foot hangs 3.4 cm lower
-    for k in range(34):  # the sink stalls
-        now_s = 1.0 + k * CYCLE_S
-        low = sight(height=LEG_M + over_m, velocity=(speed_m_s, 0.0, 0.08))
-        touchdown.step(low, None, LandedState.IN_AIR, now_s)
-    level = touchdown.level_off()
-    assert level is not None
-    assert (level.until_s > now_s + LEAD_S) == stays
-
-
-def test_a_sink_that_slows_once_it_is_level_is_a_later_contact() -> None:
-    touchdown = levelling(0.0)
-    for now_s, sink_m_s in ((1.0, CONFIG.contact_speed_m_s), (1.3, 0.1)):
-        near = sight(height=LEG_M + 0.06, velocity=(0.0, 0.0, sink_m_s))
-        touchdown.step(near, None, LandedState.IN_AIR, now_s)
-    level = touchdown.level_off()
-    assert level is not None
-    assert level.from_s == pytest.approx(1.0)
-    assert level.until_s == pytest.approx(1.3 + 0.04 / 0.1 + AFTER_S)
-
-
-def test_while_contact_is_made_sure_of_it_stays_level() -> None:
-    touchdown = levelling(0.0)
-    down = sight(height=LEG_M)
-    for k in range(30):
-        now_s = 1.0 + k * CYCLE_S
-        touchdown.step(down, RangeSample(now_s, LEG_M - 0.08), LandedState.IN_AIR, now_s)
-        level = touchdown.level_off()
-        if touchdown.on_pad:
-            break
-        assert level is not None
-        assert level.until_s > now_s + 0.1
-    assert touchdown.on_pad
-
-
-def test_it_stays_level_while_it_touches_late_and_drifting() -> None:
-    levelling_off, lean = Levelling(CONFIG, VEHICLE), LeanForecast()
-    tilted = leaning(GRAVITY_M_S2 * math.tan(math.radians(15.0)))
-    for k in range(40):
-        now_s = 1.0 + k * CYCLE_S
-        lean.note(tilted, None, now_s)
-        levelling_off.expect(sight(height=LEG_M + 0.05, velocity=(0.3, 0.0, 0.1)), lean, now_s)
-    level = levelling_off.window()
-    assert level is not None
-    assert level.until_s < now_s  # what it could not follow has become too much speed
-    levelling_off.touching(now_s)
-    level = levelling_off.window()
-    assert level is not None
-    assert level.until_s > now_s + 0.1
-
-
-def test_leaning_back_from_far_aside_a_low_foot_is_no_contact() -> None:
-    for aside_m, found in ((0.25, MissionEvent.MISALIGNED), (0.08, MissionEvent.CONTACT)):
-        touchdown, finding = sinking(), None
-        low = sight(aside_m, LEG_M + 0.05, velocity=(0.0, 0.0, 0.05))
-        for k in range(12):
-            now_s = 1.0 + k * CYCLE_S
-            touchdown.note_lean(quat_from_euler(math.radians(12.0), 0.0, 0.0), now_s)
-            echo = RangeSample(now_s, LEG_M + 0.05 - VEHICLE.range_position_body_m[2])
-            finding = finding or touchdown.step(low, echo, LandedState.IN_AIR, now_s)
-        assert finding is not None
-        assert finding[0] is found
