@@ -3,7 +3,8 @@
 # make test-deploy DEPLOY=DIR  the service in a container that boots systemd, the app on arm64 by qemu; needs root
 # make bench   where the time goes, the estimators' bars and the landing campaign's; or one alone:
 # make bench-state           the estimators in flight: errors, consistency, faults, costs
-# make bench-pad             the pad filter over made-up tracks
+# make bench-deck          landings on a rolling ship: seen, landed, lean at contact
+# make bench-deck bench-pad             the pad filter over made-up tracks
 # make bench-obstacles       ways round random obstacles: clearance, what is held before, cost
 # make bench-cpu             what the app costs in a landing, by part, and what blocks its event loop
 # make bench-long-life       an hour of virtual flight in one run: memory and the control step's cost
@@ -98,6 +99,9 @@ bench: $(VENV)/.dev
 
 bench-state: $(VENV)/.dev
 	$(BENCH_STATE)
+
+bench-deck: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.state.bench_deck --seeds $(SEEDS)
 
 # half an hour's flights on two processes take about ten minutes; Fig. 14's picture is left beside
 bench-experiments: $(VENV)/.dev

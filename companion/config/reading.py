@@ -16,6 +16,8 @@ from companion.config.near_names import near_name
 
 _LONGEST_FOUND = 80
 _NAMED = 4
+# The shipped files nest seven deep. Far deeper, libyaml's composer overruns the stack: the process dies.
+_DEEPEST = 100
 # pydantic's words for these name its own types
 _EXPECTED = {
     "missing": "expected a value, found none",
@@ -87,9 +89,23 @@ def read_yaml(path: Path, key: str | None = None) -> dict[str, Any]:
 
 def _load(text: str) -> Any:
     try:
+        _check_depth(text)
         return yaml.load(text, Loader=_QuickLoader)
     except yaml.YAMLError:
         return yaml.load(text, Loader=_Loader)
+
+
+def _check_depth(text: str) -> None:
+    """Read the events alone, which takes no recursion.
+
+    Raises:
+        RecursionError: more than `_DEEPEST` collections stand in one another.
+    """
+    depth = 0
+    for event in yaml.parse(text, Loader=_QuickLoader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > _DEEPEST:
+            raise RecursionError
 
 
 def validate(model: type[Model], data: dict[str, Any], source: str) -> Model:

@@ -10,8 +10,9 @@ from aiohttp import web
 
 from companion.base.clock import Clock
 
-# pictures under way: one being drawn, one on the line. A slow line or phone gets fewer, not older ones
-MOST_UNDER_WAY: Final = 2
+# Pictures under way: of two, a busy browser's second waits behind the first and is older by a fifth. A slow
+# line or phone gets fewer, not older ones.
+MOST_UNDER_WAY: Final = 1
 MOST_REPLIES: Final = 8
 # whoever takes nothing for so long has gone
 SENDING_S: Final = 10.0

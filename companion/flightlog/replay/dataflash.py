@@ -68,6 +68,8 @@ def read_dataflash(path: Path) -> FlightRecord:
             wanted = [*reading.takers]
             while (message := log.recv_match(type=wanted)) is not None:
                 reading.take(message)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from error
         except Exception as error:
             # the library meets garbage with whatever Python raises there
             raise ConfigError(f"{path}: not a DataFlash log that can be read: {error}") from error
@@ -260,7 +262,11 @@ def _time_s(m: Any) -> float:
         return 1e-6 * float(m.TimeUS)
     if m.get_type() == "GPS":
         return 1e-3 * float(m.T)
-    return 1e-3 * float(getattr(m, "TimeMS", 0.0))
+    if m.get_type() == "PARM":
+        return 0.0  # as before all else: versions before 3.3 do not say
+    if not hasattr(m, "TimeMS"):
+        raise ConfigError(f"{m.get_type()} has no time; expected a log of ArduPilot 3.2 (2014) or newer")
+    return 1e-3 * float(m.TimeMS)
 
 
 def _year(m: Any) -> float:

@@ -34,7 +34,10 @@ from companion.flightlog.replay.flight_record import (
 UT_PER_GAUSS: Final = 100.0
 # PX4's RELATIVE_TIMESTAMP_INVALID
 NO_TIMESTAMP: Final = 0x7FFFFFFF
-GPS_DELAY_MS: Final = 110.0  # EKF2_GPS_DELAY's default
+GPS_DELAY_MS: Final = 110.0  # the default of either name
+# renamed in 2026, the newest first
+GPS_DELAYS: Final = ("SENS_GPS0_DELAY", "EKF2_GPS_DELAY")
+ANTENNAS: Final = ("SENS_GPS0_OFF", "EKF2_GPS_POS_")
 DOWNWARD: Final = 25  # MAV_SENSOR_ROTATION_PITCH_270
 SECONDS_PER_YEAR: Final = 365.2425 * 86_400.0
 HEADER_BYTES: Final = 16
@@ -150,7 +153,8 @@ class _Reading:
         data = self._gps_data()
         if data is None:
             return
-        latency_s = 1e-3 * self._parameters.get("EKF2_GPS_DELAY", GPS_DELAY_MS)
+        known = (self._parameters[name] for name in GPS_DELAYS if name in self._parameters)
+        latency_s = 1e-3 * next(known, GPS_DELAY_MS)
         places, velocities = _places(data), _columns(data, "vel_n_m_s", "vel_e_m_s", "vel_d_m_s")
         accuracies = _columns(data, "eph", "epv", "s_variance_m_s")
         rows = zip(_times(data), places.tolist(), velocities.tolist(), accuracies.tolist(), strict=True)
@@ -193,10 +197,11 @@ class _Reading:
         return None
 
     def antenna(self) -> Vector3 | None:
-        if "EKF2_GPS_POS_X" not in self._parameters:
-            return None
-        x, y, z = (float(self._parameters[f"EKF2_GPS_POS_{axis}"]) for axis in "XYZ")
-        return (x, y, z)
+        for prefix in ANTENNAS:
+            if f"{prefix}X" in self._parameters:
+                x, y, z = (float(self._parameters[f"{prefix}{axis}"]) for axis in "XYZ")
+                return (x, y, z)
+        return None
 
     def references(self) -> dict[Source, RecordedReference]:
         found: dict[Source, RecordedReference] = {}

@@ -107,11 +107,12 @@ def test_a_folder_where_a_file_is_wanted_is_said(
     assert said.count("\n") == 1
 
 
+@pytest.mark.parametrize("text", ["[" * 5000, "[" * 100_000, "{a: " * 200 + "}" * 200, "- " * 200])
 def test_a_file_that_is_nested_too_deeply_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "deep.yaml"
-    path.write_text("[" * 5000)
+    path.write_text(text)
     assert run("companion", "--config", str(path), monkeypatch=monkeypatch) == 2
     assert capsys.readouterr().err == f"companion: {path}: nested too deeply; expected settings\n"
 

@@ -229,12 +229,11 @@ async def test_a_slow_viewer_misses_pictures_and_gets_the_newest() -> None:
             assert int.from_bytes(got, "big") == number
             await quick.send_json({"drawn": number})
             await asyncio.sleep(0)
-        first = [int.from_bytes((await slow.receive_bytes(timeout=5.0))[:4], "big") for _ in range(2)]
-        assert first == [1, 2]
+        assert int.from_bytes((await slow.receive_bytes(timeout=5.0))[:4], "big") == 1
         with pytest.raises(TimeoutError):
             await slow.receive(timeout=0.1)
-        assert MOST_UNDER_WAY == 2
-        await slow.send_json({"drawn": 2})
+        assert MOST_UNDER_WAY == 1
+        await slow.send_json({"drawn": 1})
         assert int.from_bytes((await slow.receive_bytes(timeout=5.0))[:4], "big") == 60
 
 

@@ -34,7 +34,8 @@ def held(face: str, rng: np.random.Generator) -> FloatArray:
     east = np.cross(down, north)
     angle = np.linspace(0.0, 2.0 * np.pi, 300)[:, None]
     across = np.cos(angle) * north + np.sin(angle) * east
-    return np.asarray(FIELD_NED_UT[0] * across + FIELD_NED_UT[2] * down, dtype=np.float64)
+    field: FloatArray = FIELD_NED_UT[0] * across + FIELD_NED_UT[2] * down
+    return field
 
 
 def faces(words: str) -> list[str]:
