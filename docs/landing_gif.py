@@ -61,7 +61,7 @@ class CameraShot:
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class RecordedLanding:
     """What is drawn: `times_s` (n,), tracks in east and up (n, 2), lean to the east (n,), all by truth."""
 
     shots: list[CameraShot]
@@ -109,7 +109,7 @@ def _palette() -> Image.Image:
 # ---------------------------------------------------------------- the log
 
 
-def read_landing(log: Path) -> Recorded:
+def read_landing(log: Path) -> RecordedLanding:
     """Read the log.
 
     Raises:
@@ -130,7 +130,7 @@ def read_landing(log: Path) -> Recorded:
     away = np.array([np.subtract(t["vehicle_position_ned_m"], t["pad_position_ned_m"])[:2] for t in truth])
     # the app's clock over UTC: a plan is written in the cycle that made it
     offset_s = min(step["logged_s"] - step["time_s"] for step in plan)
-    return Recorded(
+    return RecordedLanding(
         shots=_shots(messages["/camera"], messages["/camera/annotations"], offset_s),
         times_s=times_s,
         vehicle=_east_up([t["vehicle_position_ned_m"] for t in truth]),
@@ -183,7 +183,7 @@ def _camera_picture(image: dict[str, Any], annotation: dict[str, Any] | None) ->
     return picture
 
 
-def _shown_s(recorded: Recorded) -> tuple[float, float]:
+def _shown_s(recorded: RecordedLanding) -> tuple[float, float]:
     """From the last approach that came to the ground until a moment after the contact (s)."""
     shown = np.array([phase in SHOWN_PHASES for phase in recorded.phases])
     before = np.flatnonzero(~shown)
@@ -195,7 +195,7 @@ def _shown_s(recorded: Recorded) -> tuple[float, float]:
 # ---------------------------------------------------------------- the picture
 
 
-def draw_frame(recorded: Recorded, time_s: float) -> Colour:
+def draw_frame(recorded: RecordedLanding, time_s: float) -> Colour:
     """The camera's picture, the side view and a line of words under them, at one moment."""
     now = int(np.searchsorted(recorded.times_s, time_s).clip(0, len(recorded.times_s) - 1))
     seen = [shot for shot in recorded.shots if shot.time_s <= time_s] or recorded.shots[:1]
@@ -212,7 +212,7 @@ def draw_frame(recorded: Recorded, time_s: float) -> Colour:
     return np.asarray(np.vstack((views, words)), dtype=np.uint8)
 
 
-def _side_view(recorded: Recorded, now: int, since_s: float) -> Colour:
+def _side_view(recorded: RecordedLanding, now: int, since_s: float) -> Colour:
     """Ground, pad, the way so far by phase, and the vehicle with its lean; looking north."""
     width, height = (SUPERSAMPLED * side for side in SIDE_PX)
     canvas = np.full((height, width, 3), 255, np.uint8)

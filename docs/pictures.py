@@ -135,7 +135,7 @@ def _draw_board(axes: Any, truth: dict[str, Any]) -> None:
 # ---------------------------------------------------------------- the camera
 
 
-class PadView:
+class PadRenderer:
     """The simulated camera, the eyes' detector and their pose, over the shipped pad."""
 
     def __init__(self) -> None:
@@ -207,7 +207,7 @@ def _labelled(picture: Colour, text: str) -> Colour:
 
 def draw_view(picture: Path) -> None:
     """Compose the views from all heights into one picture."""
-    viewer = PadView()
+    viewer = PadRenderer()
     views = [viewer.view(height_m) for height_m in HEIGHTS_M]
     gap = np.full((views[0].shape[0], 8, 3), 255, np.uint8)
     row = np.hstack([part for view in views for part in (view, gap)][:-1])

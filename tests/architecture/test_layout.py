@@ -1,7 +1,7 @@
 """How large a folder, a file and a function may grow: a reader takes in each at a time."""
 
 import ast
-from collections import Counter
+from collections import Counter, defaultdict
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -13,7 +13,7 @@ MOST_LINES_IN_A_FUNCTION = 60
 
 def modules(*tops: str) -> list[Path]:
     found = [path.relative_to(ROOT) for top in tops for path in sorted((ROOT / top).rglob("*.py"))]
-    assert len(found) > 10 * len(tops)
+    assert len(found) > 100
     return found
 
 
@@ -42,3 +42,12 @@ def test_no_function_is_longer_than_a_screen_but_the_lists_of_options() -> None:
                 if lines > MOST_LINES_IN_A_FUNCTION:
                     long[f"{path}:{node.name}"] = lines
     assert long == {}
+
+
+def test_the_name_of_a_public_class_stands_for_one_thing() -> None:
+    places: defaultdict[str, list[str]] = defaultdict(list)
+    for path in modules(*CODE, "docs"):
+        for node in ast.parse((ROOT / path).read_text()).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places[node.name].append(str(path))
+    assert {name: files for name, files in places.items() if len(files) > 1} == {}

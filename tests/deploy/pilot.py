@@ -39,7 +39,7 @@ from sitl.scenario.scenario import load_scenario
 from tests.bench.service import judging
 from tests.bench.service.running import NEAR, ask
 from tests.bench.service.trials import reached
-from tests.bench.service.witness import Beat, Witness
+from tests.bench.service.witness import Beat, UdpWitness
 
 SIGNALS: Final = {"kill": signal.SIGKILL, "stop": signal.SIGSTOP}
 PLUGGED: Final = Path("/run/vehicle")
@@ -55,7 +55,7 @@ COMMITTED: Final = "committed"  # as the service's event begins
 LOITER: Final = 4 << 16 | 3 << 24
 
 
-class Wrong(Exception):  # noqa: N818 - it reads as what happened
+class DeploymentError(Exception):
     """Something is not as it should be."""
 
 
@@ -82,7 +82,7 @@ def step(words: str) -> None:
 
 
 @contextmanager
-def plugged_in() -> Iterator[Witness]:
+def plugged_in() -> Iterator[UdpWitness]:
     """The vehicle with its devices at their places, and a witness on its line; all gone at the end."""
     PLUGGED.mkdir()
     shutil.chown(PLUGGED, "companion", "companion")
@@ -91,7 +91,7 @@ def plugged_in() -> Iterator[Witness]:
         try:
             for name, port in _ports(process).items():
                 (PLUGGED / name).symlink_to(port)
-            with closing(Witness(VEHICLE_PORT, SERVICE_PORT)) as witness:
+            with closing(UdpWitness(VEHICLE_PORT, SERVICE_PORT)) as witness:
                 yield witness
         finally:
             process.terminate()
@@ -108,7 +108,7 @@ def _ports(process: subprocess.Popen[str]) -> dict[str, str]:
             found[{"GPS": "gps", "ultrasonic": "range"}[named[1]]] = named[2]
         if line.startswith("Ctrl-C"):
             return found
-    raise Wrong("the vehicle does not start")
+    raise DeploymentError("the vehicle does not start")
 
 
 # ---------------------------------------------------------------- the service
@@ -154,7 +154,7 @@ async def until(holds: Callable[[], object], what: str, most_s: float = PATIENCE
     begun_s = time.monotonic()
     while not holds():
         if time.monotonic() - begun_s > most_s:
-            raise Wrong(f"not within {most_s:g} s: {what}; phase '{phase()}', {problems()}")
+            raise DeploymentError(f"not within {most_s:g} s: {what}; phase '{phase()}', {problems()}")
         await asyncio.sleep(0.05)
     return time.monotonic() - begun_s
 
@@ -164,17 +164,17 @@ async def late_devices() -> None:
     since_s = 1e-6 * int(unit("ActiveEnterTimestampMonotonic"))
     await asyncio.sleep(max(0.0, since_s + LATE_S - time.monotonic()))
     if unit("ActiveState") != "active" or phase() != "standby":
-        raise Wrong(f"without devices: {unit('ActiveState')}, phase '{phase()}'")
+        raise DeploymentError(f"without devices: {unit('ActiveState')}, phase '{phase()}'")
     step(f"in standby {LATE_S:g} s without any device: {'; '.join(problems())}")
 
 
 # ---------------------------------------------------------------- the pilot
 
 
-class Pilot:
+class ScriptedPilot:
     """Flies by MAVSDK, orders by MAVLink."""
 
-    def __init__(self, system: Any, witness: Witness) -> None:
+    def __init__(self, system: Any, witness: UdpWitness) -> None:
         self.action, self.telemetry = ActionAsync(system), TelemetryAsync(system)
         self.witness = witness
         self._ground = mavutil.mavlink_connection(
@@ -197,7 +197,7 @@ class Pilot:
         await _first(self.telemetry.subscribe_position(), lambda p: p.relative_altitude_m > HEIGHT_M - 0.4)
         await until(lambda: self.beat.mode == LOITER, "hold after the take-off")
         if sent != (len(self.witness.seen.setpoints), len(self.witness.seen.commands)):
-            raise Wrong("the service has ordered something in standby")
+            raise DeploymentError("the service has ordered something in standby")
 
     async def order(self) -> None:
         """Ask the service to land; it is followed, or the order is wrong."""
@@ -223,7 +223,7 @@ class Pilot:
                 if ack.command == LAND and ack.get_srcComponent() == 191:
                     answers.append(ack.result)
             if any(answer not in (IN_PROGRESS, result) for answer in answers):
-                raise Wrong(f"the order was answered {answers}, expected {result}")
+                raise DeploymentError(f"the order was answered {answers}, expected {result}")
             return result in answers
 
         await until(came, f"answer {result} to the order", most_s)
@@ -247,7 +247,7 @@ async def connected() -> AsyncIterator[Any]:
         await mavsdk.add_any_connection(f"udpin://127.0.0.1:{CLIENT_PORT}")
         system = await mavsdk.first_autopilot(PATIENCE_S)
         if system is None:
-            raise Wrong("MAVSDK finds no autopilot")
+            raise DeploymentError("MAVSDK finds no autopilot")
         yield system
     finally:
         await asyncio.to_thread(mavsdk.destroy)
@@ -256,7 +256,7 @@ async def connected() -> AsyncIterator[Any]:
 # ---------------------------------------------------------------- the parts
 
 
-async def land(pilot: Pilot) -> None:
+async def land(pilot: ScriptedPilot) -> None:
     """Two landings in one run; stopped in a third flight."""
     process = unit("MainPID")
     for _ in range(2):
@@ -264,7 +264,7 @@ async def land(pilot: Pilot) -> None:
         await pilot.order()
         await pilot.landed()
     if unit("MainPID") != process:
-        raise Wrong("the service was restarted between the landings")
+        raise DeploymentError("the service was restarted between the landings")
     await pilot.take_off()
     await pilot.order()
     await until(lambda: reached(phase(), "approach"), "approach")
@@ -285,11 +285,11 @@ async def _systemctl(word: str, result: str) -> None:
     states = {"start": "active", "stop": "inactive"}
     found = unit("ActiveState"), unit("Result")
     if found != (states[word], result):
-        raise Wrong(f"systemctl {word} in '{before}': {found}")
+        raise DeploymentError(f"systemctl {word} in '{before}': {found}")
     step(f"systemctl {word} in '{before}': {found[0]}, {found[1]}, exit code {unit('ExecMainStatus')}")
 
 
-async def interrupted(pilot: Pilot, number: signal.Signals, wanted: str) -> None:
+async def interrupted(pilot: ScriptedPilot, number: signal.Signals, wanted: str) -> None:
     """A signal in a phase: restarted into standby, with nothing armed or ordered."""
     await pilot.take_off()
     await pilot.order()
@@ -306,7 +306,7 @@ async def interrupted(pilot: Pilot, number: signal.Signals, wanted: str) -> None
     seen = pilot.witness.seen
     found = judging.killed(seen, signalled_s)
     if found or phase() != "standby":
-        raise Wrong(f"{number.name} in {there}: {'; '.join(found)}, phase '{phase()}'")
+        raise DeploymentError(f"{number.name} in {there}: {'; '.join(found)}, phase '{phase()}'")
     await until(lambda: not pilot.beat.armed, "landed by the autopilot's failsafe")
     left_s = judging.left_after_s(seen, signalled_s) or 0.0
     step(f"{number.name} in {there}: failsafe after {left_s:.1f} s, standby after {took_s:.0f} s, silent")
@@ -318,7 +318,7 @@ async def fly(part: str) -> None:
         await late_devices()
     with plugged_in() as witness:
         async with connected() as system:
-            pilot = Pilot(system, witness)
+            pilot = ScriptedPilot(system, witness)
             took_s = await until(lambda: not problems(), "healthy")
             step(f"vehicle plugged in: all devices found, healthy after {took_s:.0f} s")
             if part == "land":
@@ -338,7 +338,7 @@ def main(words: list[str]) -> int:
         return 0
     try:
         asyncio.run(fly(words[0]))
-    except Wrong as error:
+    except DeploymentError as error:
         print(f"pilot: {words[0]}: {error}")
         return 1
     return 0

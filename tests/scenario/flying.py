@@ -37,7 +37,7 @@ RECORD, FLOWN = Path("flights") / "first", "flown.json"
 
 
 @dataclass(frozen=True)
-class Flown:
+class FlownCommand:
     """How a command ended. `str()` of it says what repeats it and what it said."""
 
     arguments: tuple[str, ...]
@@ -59,7 +59,9 @@ class Flown:
         return self.result
 
 
-def run(*arguments: str | Path, result: Path | None = None, variables: dict[str, str] | None = None) -> Flown:
+def run(
+    *arguments: str | Path, result: Path | None = None, variables: dict[str, str] | None = None
+) -> FlownCommand:
     """Run `companion` with these arguments (and environment variables) to its end."""
     words = tuple(str(argument) for argument in arguments)
     done = subprocess.run(
@@ -71,7 +73,7 @@ def run(*arguments: str | Path, result: Path | None = None, variables: dict[str,
         timeout=FLIGHT_TIMEOUT_S,
         check=False,
     )
-    return Flown(words, done.returncode, done.stdout, done.stderr, read_result(result))
+    return FlownCommand(words, done.returncode, done.stdout, done.stderr, read_result(result))
 
 
 def read_result(path: Path | None) -> dict[str, Any] | None:
@@ -79,7 +81,7 @@ def read_result(path: Path | None) -> dict[str, Any] | None:
     return None if path is None or not path.exists() else json.loads(path.read_text())
 
 
-def run_here(*arguments: str | Path, result: Path | None = None) -> Flown:
+def run_here(*arguments: str | Path, result: Path | None = None) -> FlownCommand:
     """Run `companion` in this process."""
     words = tuple(str(argument) for argument in arguments)
     with (
@@ -91,7 +93,7 @@ def run_here(*arguments: str | Path, result: Path | None = None) -> Flown:
         run_program(cli, PROGRAM, words)
     gc.collect()  # a flight's tasks refer to one another: its world of 30 MB goes now, or many pile up
     assert isinstance(ended.value.code, int)
-    return Flown(words, ended.value.code, stdout.getvalue(), stderr.getvalue(), read_result(result))
+    return FlownCommand(words, ended.value.code, stdout.getvalue(), stderr.getvalue(), read_result(result))
 
 
 def flight_words(scenario: str | Path, seed: int, result: Path) -> tuple[str | Path, ...]:
@@ -99,7 +101,7 @@ def flight_words(scenario: str | Path, seed: int, result: Path) -> tuple[str | P
     return ("--sitl", "--fast", "--no-ui", "--scenario", scenario, "--seed", str(seed), "--json", result)
 
 
-def fly(scenario: str | Path, seed: int, folder: Path, *options: str | Path) -> Flown:
+def fly(scenario: str | Path, seed: int, folder: Path, *options: str | Path) -> FlownCommand:
     """Fly a scenario in virtual time, in this process; its result is left in `folder`."""
     path = folder / f"result-{Path(scenario).stem}-{seed}.json"
     return run_here(*flight_words(scenario, seed, path), *options, result=path)
@@ -115,24 +117,24 @@ class SharedFlights:
         """`folder` is there, and the same for all workers."""
         self._folder = folder
 
-    def flown(self, scenario: str, seed: int) -> Flown:
+    def flown(self, scenario: str, seed: int) -> FlownCommand:
         """A flight in virtual time."""
         if (scenario, seed) == RECORDED:
             return self.recorded()[1]
         folder = self._once(f"{scenario}-{seed}", lambda folder: fly(scenario, seed, folder))
         return read_flown(folder)
 
-    def recorded(self) -> tuple[Path, Flown]:
+    def recorded(self) -> tuple[Path, FlownCommand]:
         """The folder that `--record` made, and the flight: as a user flies it, in a process of its own."""
 
-        def record(folder: Path) -> Flown:
+        def record(folder: Path) -> FlownCommand:
             result = folder / "result.json"
             return run(*flight_words(*RECORDED, result), "--record", folder / RECORD, result=result)
 
         folder = self._once("recorded", record)
         return folder / RECORD, read_flown(folder)
 
-    def _once(self, name: str, make: Callable[[Path], Flown]) -> Path:
+    def _once(self, name: str, make: Callable[[Path], FlownCommand]) -> Path:
         folder = self._folder / name
         with (self._folder / f"{name}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
@@ -143,13 +145,13 @@ class SharedFlights:
         return folder
 
 
-def read_flown(folder: Path) -> Flown:
+def read_flown(folder: Path) -> FlownCommand:
     """The flight that a worker left in a folder."""
     kept = json.loads((folder / FLOWN).read_text())
-    return Flown(**(kept | {"arguments": tuple(kept["arguments"])}))
+    return FlownCommand(**(kept | {"arguments": tuple(kept["arguments"])}))
 
 
-def figures(flight: Flown) -> dict[str, Any]:
+def figures(flight: FlownCommand) -> dict[str, Any]:
     """The result of a flight but for what depends on the machine."""
     assert flight.result is not None, flight
     result = dict(flight.result)

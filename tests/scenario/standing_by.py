@@ -49,7 +49,7 @@ class Tapped:
         self._end.close()
 
 
-class Field:
+class StoryField:
     """What a story sees and does."""
 
     def __init__(
@@ -182,7 +182,7 @@ class Field:
 
 
 _NOWHERE: Final = (float("nan"), float("nan"))
-Story = Callable[[Field], Awaitable[None]]
+Story = Callable[[StoryField], Awaitable[None]]
 
 
 def stand_by(
@@ -233,7 +233,7 @@ async def _stand_by(
 
     with closing(vehicle.simulation), closing(log):
         world = asyncio.create_task(vehicle.simulation.run())
-        field = Field(start, vehicle, tapped, vehicle_end)
+        field = StoryField(start, vehicle, tapped, vehicle_end)
         watched = [world, asyncio.create_task(field.until_it_ends())]
         told = asyncio.create_task(_told(story, field))
         try:
@@ -249,5 +249,5 @@ async def _stand_by(
             await asyncio.gather(*ended, return_exceptions=True)
 
 
-async def _told(story: Story, field: Field) -> None:
+async def _told(story: Story, field: StoryField) -> None:
     await story(field)

@@ -16,7 +16,7 @@ import numpy as np
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import FloatArray
-from tests.bench.autopilot.autopilot_record import ON_GROUND, Record
+from tests.bench.autopilot.autopilot_record import ON_GROUND, AutopilotRecord
 
 Figures = dict[str, float | None]
 BEFORE_S: Final = 0.5
@@ -36,7 +36,7 @@ class Manoeuvre:
     end_s: float
 
 
-def manoeuvres(record: Record) -> list[Manoeuvre]:
+def manoeuvres(record: AutopilotRecord) -> list[Manoeuvre]:
     """Runs of equal setpoints, in order."""
     found: list[Manoeuvre] = []
     for time_s, m, _ in record.sent:
@@ -56,7 +56,7 @@ def _content(m: Any) -> tuple[Any, ...]:
     return (m.get_type(), *(str(v) for k, v in m.to_dict().items() if k != "time_boot_ms"))
 
 
-def figures(record: Record, autopilot_kind: AutopilotKind) -> Figures:
+def figures(record: AutopilotRecord, autopilot_kind: AutopilotKind) -> Figures:
     """All rows of the table.
 
     Raises:
@@ -134,7 +134,7 @@ def _northward(speed: float) -> Callable[[Any], bool]:
 # ---------------------------------------------------------------- the manoeuvres
 
 
-def _positions(record: Record, runs: list[Manoeuvre]) -> Figures:
+def _positions(record: AutopilotRecord, runs: list[Manoeuvre]) -> Figures:
     far = _first(runs, lambda m: _flies_position(m) and m.x == 5.0)
     near = _first(runs, lambda m: _flies_position(m) and m.x == 5.0 and m.y > 0.0)
     found = _step(record.motion, 1, far, 5.0, "position 5 m")
@@ -143,7 +143,7 @@ def _positions(record: Record, runs: list[Manoeuvre]) -> Figures:
     return found | _step(record.motion, 2, near, near.message.y, "position 0.3 m")
 
 
-def _velocities(record: Record, runs: list[Manoeuvre]) -> Figures:
+def _velocities(record: AutopilotRecord, runs: list[Manoeuvre]) -> Figures:
     found: Figures = {}
     for speed in (0.5, 2.0):
         run = _first(runs, _northward(speed))
@@ -158,17 +158,17 @@ def _velocities(record: Record, runs: list[Manoeuvre]) -> Figures:
     return found
 
 
-def _down(record: Record, runs: list[Manoeuvre]) -> Figures:
+def _down(record: AutopilotRecord, runs: list[Manoeuvre]) -> Figures:
     run = _first(runs, lambda m: _flies_velocity(m) and m.vz == 0.5)
     return _step(record.motion, 6, run, 0.5, "down 0.5 m/s")
 
 
-def _yaw(record: Record, runs: list[Manoeuvre]) -> Figures:
+def _yaw(record: AutopilotRecord, runs: list[Manoeuvre]) -> Figures:
     run = _first(runs, lambda m: _flies_velocity(m) and m.yaw > 1.0)
     return _step(record.attitude, 3, run, run.message.yaw, "yaw 90 deg")
 
 
-def _frames(record: Record, runs: list[Manoeuvre]) -> Figures:
+def _frames(record: AutopilotRecord, runs: list[Manoeuvre]) -> Figures:
     """The last two seconds of four: how fast to the right of north, the nose pointing east, and how deep."""
     found: Figures = {}
     for number, name in ((8, "BODY_NED"), (9, "BODY_OFFSET_NED")):
@@ -179,7 +179,7 @@ def _frames(record: Record, runs: list[Manoeuvre]) -> Figures:
     return found
 
 
-def _acceleration(record: Record, runs: list[Manoeuvre]) -> Figures:
+def _acceleration(record: AutopilotRecord, runs: list[Manoeuvre]) -> Figures:
     run = _first(runs, lambda m: m.type_mask & 0x1C0 == 0 and m.afx == 1.0)
     found: Figures = {}
     for after_s in (1.0, 2.0):
@@ -190,7 +190,7 @@ def _acceleration(record: Record, runs: list[Manoeuvre]) -> Figures:
     return found
 
 
-def _attitude(record: Record, runs: list[Manoeuvre]) -> Figures:
+def _attitude(record: AutopilotRecord, runs: list[Manoeuvre]) -> Figures:
     forward = _first(runs, lambda m: m.q[2] < -0.05, "ATTITUDE")
     back = _after(runs, forward)
     to = math.radians(-8.0)
@@ -203,7 +203,7 @@ def _attitude(record: Record, runs: list[Manoeuvre]) -> Figures:
     return found
 
 
-def _loss(record: Record, runs: list[Manoeuvre]) -> Figures:
+def _loss(record: AutopilotRecord, runs: list[Manoeuvre]) -> Figures:
     run = _first(runs, _northward(1.0))
     flown = _cut(record.motion, run.last_s - 1.0, run.last_s)[:, 4].mean()
     after = _cut(record.motion, run.last_s, run.end_s)
@@ -216,7 +216,7 @@ def _loss(record: Record, runs: list[Manoeuvre]) -> Figures:
     }
 
 
-def _landing(record: Record, runs: list[Manoeuvre]) -> Figures:
+def _landing(record: AutopilotRecord, runs: list[Manoeuvre]) -> Figures:
     fast = _first(runs, lambda m: _flies_velocity(m) and abs(m.vz - 0.7) < 1e-3)
     slow = _after(runs, fast)
     sinking = _cut(record.motion, fast.start_s + 2.0, fast.start_s + 8.0)
@@ -230,12 +230,12 @@ def _landing(record: Record, runs: list[Manoeuvre]) -> Figures:
     return found
 
 
-def _landed_s(record: Record, slow: Manoeuvre) -> float | None:
+def _landed_s(record: AutopilotRecord, slow: Manoeuvre) -> float | None:
     words = [said for said in record.heard("landed", slow.start_s) if said.what == ON_GROUND]
     return words[0].time_s if words else None
 
 
-def _disarming(record: Record, runs: list[Manoeuvre], autopilot_kind: AutopilotKind) -> Figures:
+def _disarming(record: AutopilotRecord, runs: list[Manoeuvre], autopilot_kind: AutopilotKind) -> Figures:
     """PX4 disarms by itself once it has landed, ArduCopter when it is told to land."""
     off = [said.time_s for said in record.heard("armed", runs[-1].start_s) if not said.what]
     if autopilot_kind == "px4":
@@ -247,7 +247,7 @@ def _disarming(record: Record, runs: list[Manoeuvre], autopilot_kind: AutopilotK
     return {f"touchdown: {name} to disarmed (s)": value}
 
 
-def _hover(record: Record, runs: list[Manoeuvre]) -> Figures:
+def _hover(record: AutopilotRecord, runs: list[Manoeuvre]) -> Figures:
     """How far place and velocity wander while places are held, each axis about its setpoint."""
     away, speeds = [], []
     for run in runs[1:]:  # the first one climbs

@@ -45,7 +45,7 @@ class Said(NamedTuple):
 
 
 @dataclass
-class Record:
+class AutopilotRecord:
     """One flight: `motion` (n, 7) of time, position and velocity NED, `attitude` (n, 4) of time, roll, pitch,
     yaw; it booted at `booted_s`."""
 
@@ -65,7 +65,7 @@ class Record:
         return held[-1].what if held else None
 
 
-def read_tlog(path: Path) -> Record:
+def read_tlog(path: Path) -> AutopilotRecord:
     """The record of one file.
 
     Raises:
@@ -75,10 +75,10 @@ def read_tlog(path: Path) -> Record:
     return record_of(_messages(_tlog_frames(path.read_bytes(), path.name)))
 
 
-def record_of(messages: Iterable[Stamped], start_s: float | None = None) -> Record:
+def record_of(messages: Iterable[Stamped], start_s: float | None = None) -> AutopilotRecord:
     """Sort messages of both sides into a record; `start_s` is its time zero, or else the first stamp."""
     rows: dict[str, list[tuple[float, ...]]] = {"LOCAL_POSITION_NED": [], "ATTITUDE": []}
-    record = Record()
+    record = AutopilotRecord()
     held: dict[str, Any] = {}
     for stamp_s, message, frame in messages:
         start_s = stamp_s if start_s is None else start_s

@@ -60,7 +60,7 @@ REAL: Final[dict[AutopilotKind, dict[str, str]]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class PrecisionCase:
     """A pad's motion and the wind."""
 
     name: str
@@ -75,15 +75,15 @@ def line(speed_m_s: float) -> dict[str, Any]:
 
 
 CASES: Final = (
-    *(Case(f"line {v:g} m/s", "line" if v else "static", line(v)) for v in (0.0, 1.0, 2.1, 4.2)),
-    Case("circle 5 m, 1.5 m/s", "turn", {"kind": "circle", "speed_m_s": 1.5, "radius_m": 5.0}),
-    Case("figure 8, 2 m/s", "turn", {"kind": "figure_8", "speed_m_s": 2.0, "half_length_m": 8.0}),
-    *(Case(f"line {v:g} m/s, wind 8 m/s", "wind", line(v), 8.0) for v in (0.0, 1.0, 2.1, 4.2)),
+    *(PrecisionCase(f"line {v:g} m/s", "line" if v else "static", line(v)) for v in (0.0, 1.0, 2.1, 4.2)),
+    PrecisionCase("circle 5 m, 1.5 m/s", "turn", {"kind": "circle", "speed_m_s": 1.5, "radius_m": 5.0}),
+    PrecisionCase("figure 8, 2 m/s", "turn", {"kind": "figure_8", "speed_m_s": 2.0, "half_length_m": 8.0}),
+    *(PrecisionCase(f"line {v:g} m/s, wind 8 m/s", "wind", line(v), 8.0) for v in (0.0, 1.0, 2.1, 4.2)),
 )
 
 
 @dataclass(frozen=True, slots=True)
-class Landing:
+class PrecisionLandingResult:
     """How one went; the numbers are NaN without a touchdown."""
 
     landed: bool
@@ -92,10 +92,10 @@ class Landing:
     seconds: float
 
 
-class Flight:
+class PrecisionFlight:
     """One world with its autopilot, and the operator's and the target's ends of the link."""
 
-    def __init__(self, autopilot_kind: AutopilotKind, case: Case, seed: int) -> None:
+    def __init__(self, autopilot_kind: AutopilotKind, case: PrecisionCase, seed: int) -> None:
         self.world = World(_scenario(case), seed)
         generators = np.random.default_rng((seed, 77)).spawn(2)
         self.autopilot = SimulatedAutopilot(autopilot_kind, self.world.airframe.body, generators[0], HOME)
@@ -170,7 +170,7 @@ class Flight:
         )
 
 
-def _scenario(case: Case) -> Scenario:
+def _scenario(case: PrecisionCase) -> Scenario:
     meet = {"point_ned_m": [10.0, 0.0], "time_s": 22.0, "spread_m": 0.0}
     return Scenario.model_validate(
         {
@@ -182,9 +182,9 @@ def _scenario(case: Case) -> Scenario:
     )
 
 
-def fly(autopilot_kind: AutopilotKind, case: Case, seed: int) -> Landing:
+def fly(autopilot_kind: AutopilotKind, case: PrecisionCase, seed: int) -> PrecisionLandingResult:
     """One flight: set up, up, over the pad, and down by the autopilot's own means."""
-    flight = Flight(autopilot_kind, case, seed)
+    flight = PrecisionFlight(autopilot_kind, case, seed)
     _set_up(flight)
     _take_off(flight)
     began_s = _meet_pad(flight)
@@ -195,7 +195,7 @@ def fly(autopilot_kind: AutopilotKind, case: Case, seed: int) -> Landing:
     return _judged(flight, began_s)
 
 
-def _set_up(flight: Flight) -> None:
+def _set_up(flight: PrecisionFlight) -> None:
     for name, (value, kind) in PARAMETERS[flight.autopilot.profile.name].items():
         flight.send(mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, kind))
     flight.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1)
@@ -203,7 +203,7 @@ def _set_up(flight: Flight) -> None:
         pass
 
 
-def _take_off(flight: Flight) -> None:
+def _take_off(flight: PrecisionFlight) -> None:
     if flight.autopilot.profile.name == "ardupilot":
         flight.command(mavlink.MAV_CMD_DO_SET_MODE, 1, 4)
     flight.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
@@ -214,7 +214,7 @@ def _take_off(flight: Flight) -> None:
         pass
 
 
-def _meet_pad(flight: Flight) -> float:
+def _meet_pad(flight: PrecisionFlight) -> float:
     """Fly over the pad and along with it; returns when that has gone well for a second."""
     good_s = 0.0
     for tick, now_s in enumerate(flight.run(LIMIT_S - LANDING_LIMIT_S)):
@@ -232,7 +232,7 @@ def _meet_pad(flight: Flight) -> float:
     return flight.world.time_s
 
 
-def _judged(flight: Flight, began_s: float) -> Landing:
+def _judged(flight: PrecisionFlight, began_s: float) -> PrecisionLandingResult:
     world = flight.world
     verdict = judge(
         world.touchdown,
@@ -244,12 +244,16 @@ def _judged(flight: Flight, began_s: float) -> Landing:
     )
     touch = world.touchdown
     if touch is None:
-        return Landing(False, math.nan, math.nan, math.nan)
+        return PrecisionLandingResult(False, math.nan, math.nan, math.nan)
     landed = verdict.outcome is Outcome.LANDED
-    return Landing(landed, touch.lateral_error_m, touch.vertical_speed_m_s, touch.time_s - began_s)
+    return PrecisionLandingResult(
+        landed, touch.lateral_error_m, touch.vertical_speed_m_s, touch.time_s - began_s
+    )
 
 
-def row(autopilot_kind: AutopilotKind, case: Case, landings: list[Landing]) -> tuple[str, ...]:
+def row(
+    autopilot_kind: AutopilotKind, case: PrecisionCase, landings: list[PrecisionLandingResult]
+) -> tuple[str, ...]:
     """A line of the table."""
     touched = [landing for landing in landings if not math.isnan(landing.lateral_m)]
     middles = ("-", "-", "-")

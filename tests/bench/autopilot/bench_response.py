@@ -24,7 +24,7 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import FloatArray
 from companion.config import ConfigError, Kind, VehicleConfig, find_file, load_model
 from sitl.firmware.spec import FirmwareSpec
-from tests.bench.autopilot.response_flight import Record, fly
+from tests.bench.autopilot.response_flight import AnswerRecord, fly
 
 FINER: Final = 4  # dead times fall between rows
 SETTLING_ROWS: Final = 240
@@ -77,7 +77,7 @@ def fit(columns: list[FloatArray], flown: FloatArray, free: list[FloatArray], pe
     return [*np.abs(best.x).tolist(), explained, *gains[: len(columns)].tolist()]
 
 
-def along(record: Record, axis: int, kind: Kind) -> list[float]:
+def along(record: AnswerRecord, axis: int, kind: Kind) -> list[float]:
     """The fit along one axis while it was excited."""
     rows = record.axis == axis
     period_s = float(np.median(np.diff(record.time_s)))
@@ -92,7 +92,7 @@ def along(record: Record, axis: int, kind: Kind) -> list[float]:
 
 
 def rows_of(
-    vehicle: VehicleConfig, autopilot_kind: AutopilotKind, kind: Kind, record: Record
+    vehicle: VehicleConfig, autopilot_kind: AutopilotKind, kind: Kind, record: AnswerRecord
 ) -> list[list[str]]:
     """Found beside what is believed."""
     believed, rows = vehicle.responses.of(autopilot_kind, kind), []

@@ -29,7 +29,7 @@ from rich.table import Table
 
 from companion.base.autopilot_kind import AutopilotKind
 from tests.bench.autopilot.answers import Figures, figures
-from tests.bench.autopilot.autopilot_record import Record, read_tlog
+from tests.bench.autopilot.autopilot_record import AutopilotRecord, read_tlog
 from tests.bench.autopilot.setpoint_flight import fly
 from tests.bench.autopilot.what_was_said import Saying, sayings
 
@@ -43,7 +43,7 @@ HOVER: Final = "hover"
 
 
 @dataclass(frozen=True)
-class Row:
+class ComparisonRow:
     """One figure: recorded, ours over the seeds, how far apart they may be, and by which rule."""
 
     name: str
@@ -60,11 +60,11 @@ class Row:
         return abs(self.ours - self.recorded) <= self.limit
 
 
-def row(name: str, recorded: float | None, ours: Sequence[float | None], share: float) -> Row:
+def row(name: str, recorded: float | None, ours: Sequence[float | None], share: float) -> ComparisonRow:
     """Judge one figure."""
     shown = [value for value in ours if value is not None]
     if recorded is None or len(shown) < len(ours):
-        return Row(name, recorded, fmean(shown) if shown else None, 0.0, "lost")
+        return ComparisonRow(name, recorded, fmean(shown) if shown else None, 0.0, "lost")
     mean = fmean(shown)
     # the hover rows say whether ours scatters as much, so they may not lean on that scatter
     wanders = len(shown) > 1 and not name.startswith(HOVER)
@@ -73,18 +73,20 @@ def row(name: str, recorded: float | None, ours: Sequence[float | None], share: 
     limits = {f"{share:.0%}": share * abs(recorded), "resolution": resolution, "scatter": scatter}
     rule = max(limits, key=lambda key: limits[key])
     if rule == "scatter" and scatter > abs(recorded):
-        return Row(name, recorded, mean, scatter, "lost")
-    return Row(name, recorded, mean, limits[rule], rule)
+        return ComparisonRow(name, recorded, mean, scatter, "lost")
+    return ComparisonRow(name, recorded, mean, limits[rule], rule)
 
 
-def compare(autopilot_kind: AutopilotKind, recorded: Record, seeds: int) -> tuple[list[Row], list[Saying]]:
+def compare(
+    autopilot_kind: AutopilotKind, recorded: AutopilotRecord, seeds: int
+) -> tuple[list[ComparisonRow], list[Saying]]:
     """Fly and judge one autopilot."""
     flights = [fly(autopilot_kind, recorded, seed) for seed in range(seeds)]
     theirs, ours = figures(recorded, autopilot_kind), [figures(flight, autopilot_kind) for flight in flights]
     return _rows(theirs, ours, SHARES[autopilot_kind]), sayings(autopilot_kind, recorded, flights[0])
 
 
-def _rows(theirs: Figures, ours: Sequence[Figures], share: float) -> list[Row]:
+def _rows(theirs: Figures, ours: Sequence[Figures], share: float) -> list[ComparisonRow]:
     return [row(name, value, [figure[name] for figure in ours], share) for name, value in theirs.items()]
 
 
@@ -92,7 +94,7 @@ def _rows(theirs: Figures, ours: Sequence[Figures], share: float) -> list[Row]:
 
 
 def show(
-    console: Console, autopilot_kind: AutopilotKind, rows: Sequence[Row], said: Sequence[Saying]
+    console: Console, autopilot_kind: AutopilotKind, rows: Sequence[ComparisonRow], said: Sequence[Saying]
 ) -> None:
     """One table an autopilot."""
     table = Table(title=f"{autopilot_kind}: recorded, and ours by the same setpoints")
@@ -116,7 +118,9 @@ def _word(holds: bool | None) -> str:
     return "-" if holds is None else "yes" if holds else "NO"
 
 
-def verdict(autopilot_kind: AutopilotKind, rows: Sequence[Row], said: Sequence[Saying]) -> tuple[bool, str]:
+def verdict(
+    autopilot_kind: AutopilotKind, rows: Sequence[ComparisonRow], said: Sequence[Saying]
+) -> tuple[bool, str]:
     """Whether all holds, and a few words about it."""
     judged: list[tuple[str, bool | None]] = [(r.name, r.holds) for r in rows]
     judged += [(s.name, s.holds) for s in said]

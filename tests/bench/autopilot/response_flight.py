@@ -53,7 +53,7 @@ AXES: Final = ("north", "east", "down", "heading")
 
 
 @dataclass(frozen=True)
-class Record:
+class AnswerRecord:
     """Rows at even times: what was sent last by then, and how the vehicle moved; `axis` (n,) is excited."""
 
     time_s: FloatArray
@@ -69,7 +69,7 @@ class Record:
 
 def fly(
     autopilot_kind: AutopilotKind, airframe: str, kind: Kind, seed: int, firmware: FirmwareSpec | None = None
-) -> Record:
+) -> AnswerRecord:
     """One flight.
 
     Raises:
@@ -86,7 +86,7 @@ def fly(
     return run_in_virtual_time(_flown(scenario, kind, seed, firmware))
 
 
-async def _flown(scenario: Scenario, kind: Kind, seed: int, firmware: FirmwareSpec | None) -> Record:
+async def _flown(scenario: Scenario, kind: Kind, seed: int, firmware: FirmwareSpec | None) -> AnswerRecord:
     app_end, vehicle_end = memory_pair()
     vehicle = InProcess(scenario, seed, link=vehicle_end, firmware=firmware)
     vehicle.wants_frames = False
@@ -176,7 +176,7 @@ class _Sender:
         """A setpoint without jumps."""
         await self._send(None)
 
-    async def excite(self) -> Record:
+    async def excite(self) -> AnswerRecord:
         """Jump along each axis in turn."""
         self._place = np.array(self._world.state.position_ned_m)
         for axis in range(len(AXES)):
@@ -185,7 +185,7 @@ class _Sender:
                 await self._send(axis)
         rows = np.array(self._rows)
         cut = np.split(rows, [1, 2, 5, 8, 9, 12, 15, 18], axis=1)
-        return Record(*(part[:, 0] if part.shape[1] == 1 else part for part in cut))
+        return AnswerRecord(*(part[:, 0] if part.shape[1] == 1 else part for part in cut))
 
     async def _send(self, axis: int | None) -> None:
         now_s, state = self._clock.now_s(), self._world.state

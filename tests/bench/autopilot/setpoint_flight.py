@@ -19,7 +19,7 @@ from sitl.scenario.home import magnetic_field_ned_ut
 from sitl.scenario.scenario import PadSettings, Scenario
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.world.world import World
-from tests.bench.autopilot.autopilot_record import Record, Stamped, decoder, record_of
+from tests.bench.autopilot.autopilot_record import AutopilotRecord, Stamped, decoder, record_of
 
 STEPS_PER_TALK: Final = 2
 AFTER_S: Final = 3.0
@@ -28,7 +28,7 @@ AIRFRAMES: Final[dict[AutopilotKind, str]] = {"px4": "sih", "ardupilot": "arduco
 ESTIMATOR_OF: Final[dict[AutopilotKind, EstimatorName]] = {"px4": "sih", "ardupilot": "arducopter_sitl"}
 
 
-def fly(autopilot_kind: AutopilotKind, recorded: Record, seed: int) -> Record:
+def fly(autopilot_kind: AutopilotKind, recorded: AutopilotRecord, seed: int) -> AutopilotRecord:
     """Fly our vehicle by what was sent in a recording; it boots as long before as the recorded one did."""
     scenario = Scenario(
         name="setpoints",

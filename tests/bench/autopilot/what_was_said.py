@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from companion.base.autopilot_kind import AutopilotKind
-from tests.bench.autopilot.autopilot_record import ON_GROUND, Record
+from tests.bench.autopilot.autopilot_record import ON_GROUND, AutopilotRecord
 
 SET_MESSAGE_INTERVAL: Final = 511
 HEARTBEAT_S: Final = 1.2
@@ -32,7 +32,7 @@ class Saying:
     holds: bool
 
 
-def sayings(autopilot_kind: AutopilotKind, recorded: Record, ours: Record) -> list[Saying]:
+def sayings(autopilot_kind: AutopilotKind, recorded: AutopilotRecord, ours: AutopilotRecord) -> list[Saying]:
     """All rows of words."""
     rows = _answers(recorded, ours) + _modes(recorded, ours)
     states = (_states(recorded), _states(ours))
@@ -43,7 +43,7 @@ def sayings(autopilot_kind: AutopilotKind, recorded: Record, ours: Record) -> li
     return rows
 
 
-def _answers(recorded: Record, ours: Record) -> list[Saying]:
+def _answers(recorded: AutopilotRecord, ours: AutopilotRecord) -> list[Saying]:
     """What became of each command; requests for streams in one row, told apart by their answers."""
     rows, streams = [], [0, 0]
     for index, (theirs, our) in enumerate(zip(_acks(recorded), _acks(ours), strict=False)):
@@ -58,7 +58,7 @@ def _answers(recorded: Record, ours: Record) -> list[Saying]:
     return [Saying("answers to stream requests", f"{streams[0]}", same, streams[0] == streams[1]), *rows]
 
 
-def _acks(record: Record) -> list[tuple[int, int]]:
+def _acks(record: AutopilotRecord) -> list[tuple[int, int]]:
     """The answers in order; one given twice in a row (PX4 does) counts once for each command sent."""
     asked = [s for s in record.sent if s.message.get_type() == "COMMAND_LONG"]
     answers: list[tuple[int, int]] = []
@@ -69,7 +69,7 @@ def _acks(record: Record) -> list[tuple[int, int]]:
     return answers
 
 
-def _modes(recorded: Record, ours: Record) -> list[Saying]:
+def _modes(recorded: AutopilotRecord, ours: AutopilotRecord) -> list[Saying]:
     end_s = _disarmed_s(recorded)
     theirs, our = _mode_changes(recorded, end_s), _mode_changes(ours, end_s + HEARTBEAT_S)
     rows = []
@@ -81,27 +81,27 @@ def _modes(recorded: Record, ours: Record) -> list[Saying]:
     return rows
 
 
-def _client_s(record: Record) -> float:
+def _client_s(record: AutopilotRecord) -> float:
     """When the client began to stream setpoints."""
     return next(s.time_s for s in record.sent if s.message.get_type() == "SET_POSITION_TARGET_LOCAL_NED")
 
 
-def _disarmed_s(record: Record) -> float:
+def _disarmed_s(record: AutopilotRecord) -> float:
     """When the motors had stopped after the flight, as told by the heartbeat."""
     stopped = [s.time_s for s in record.heard("armed", _client_s(record) + 60.0) if not s.what]
     return stopped[0] if stopped else float(record.motion[-1, 0])
 
 
-def _mode_changes(record: Record, end_s: float) -> list[tuple[float, Any]]:
+def _mode_changes(record: AutopilotRecord, end_s: float) -> list[tuple[float, Any]]:
     """After the client's first setpoints, before the end."""
     return [(s.time_s, s.what) for s in record.heard("mode", _client_s(record) + 5.0, end_s)]
 
 
-def _says(record: Record, text: str) -> str:
+def _says(record: AutopilotRecord, text: str) -> str:
     return "said" if text in {said.what for said in record.heard("text")} else "not said"
 
 
-def _states(record: Record) -> str:
+def _states(record: AutopilotRecord) -> str:
     states: list[int] = []
     for said in record.heard("landed"):
         if (not states or states[-1] != said.what) and said.what:

@@ -43,7 +43,7 @@ BOWS_M: Final = (0.0, 0.0005)
 
 
 @dataclass(frozen=True)
-class Run:
+class CalibrationRun:
     """One calibration: errors of the camera's numbers (9,), how large they are said to be, and NEES."""
 
     errors: FloatArray
@@ -52,7 +52,7 @@ class Run:
     found: Assessment
 
 
-def calibrated(camera: CameraConfig, board: CalibrationBoard, bow_m: float, seed: int) -> Run:
+def calibrated(camera: CameraConfig, board: CalibrationBoard, bow_m: float, seed: int) -> CalibrationRun:
     """Take pictures, find the board, calibrate, and hold it against the truth."""
     rng = np.random.default_rng(seed)
     painter, finder = BoardPainter(board, camera, bow_m), BoardFinder(board)
@@ -71,7 +71,7 @@ def calibrated(camera: CameraConfig, board: CalibrationBoard, bow_m: float, seed
     truth = np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion])
     errors = found.solution.camera.numbers - truth
     nees = float(errors @ np.linalg.solve(found.uncertainty.covariance, errors))
-    return Run(errors, found.uncertainty.std, nees, found)
+    return CalibrationRun(errors, found.uncertainty.std, nees, found)
 
 
 def nees_band(runs: int, numbers: int) -> tuple[float, float]:
@@ -80,7 +80,7 @@ def nees_band(runs: int, numbers: int) -> tuple[float, float]:
     return float(low) / runs, float(high) / runs
 
 
-def table(rows: dict[float, list[Run]], camera: CameraConfig) -> Table:
+def table(rows: dict[float, list[CalibrationRun]], camera: CameraConfig) -> Table:
     """Errors beside the bars."""
     grid = Table(title=f"Camera calibration, {VIEWS} rendered views of 1280x720: errors (worst of the runs)")
     band = nees_band(len(next(iter(rows.values()))), 9)

@@ -43,7 +43,7 @@ from companion.config import CompanionConfig, InertialCalibration, MountCalibrat
 from tests.bench.progress import watched
 from tests.bench.state.consistency import band
 from tests.scenario.flying import fly, scenario_file
-from tests.unit.calibration.mount.mount_world import Held, mount_errors, record_sway, scenario_of
+from tests.unit.calibration.mount.mount_world import HandHeld, mount_errors, record_sway, scenario_of
 
 ROTATION_DEG: Final = 0.3
 OFFSET_S: Final = 0.002
@@ -56,7 +56,7 @@ FLIGHT_STAMP_S: Final = 0.02
 
 
 @dataclass(frozen=True)
-class Row:
+class MountRow:
     """One recording's outcome: errors, solution, verdict.
 
     `off_level_deg` is the camera's tilt against what the accelerometer takes for level: with its six faces,
@@ -93,7 +93,7 @@ def settings(inertial: Path) -> CompanionConfig:
     return validate(CompanionConfig, {"sense": sense}, "bench")
 
 
-def rested(held: Held, output: Path) -> Path:
+def rested(held: HandHeld, output: Path) -> Path:
     """The six faces, as the program does it; returns the file."""
     with redirect_stdout(StringIO()):
         # the hand lays it down in an order of its own: what was asked does not count here
@@ -102,26 +102,26 @@ def rested(held: Held, output: Path) -> Path:
     return output
 
 
-def off_level_deg(held: Held, found: MountSolution, calibrated: InertialCalibration | None) -> float:
+def off_level_deg(held: HandHeld, found: MountSolution, calibrated: InertialCalibration | None) -> float:
     """The camera's tilt against what the accelerometer, calibrated so, takes for level."""
     right = held.felt_level(calibrated) @ held.body_from_camera
     apart = log(found.unknowns.body_from_camera @ right.T)
     return float(np.degrees(np.linalg.norm(apart[:2])))
 
 
-def swayed(seed: int, folder: Path) -> Row:
+def swayed(seed: int, folder: Path) -> MountRow:
     """Record and solve one."""
     mount_deg, stamp_s = mount_errors(seed)
     camera = {"mount_error_deg": mount_deg, "stamp_error_s": stamp_s, "calibration_error": LENS_ERROR}
     scenario = scenario_of({"camera": camera})
-    held = Held(scenario, seed, "sway")
+    held = HandHeld(scenario, seed, "sway")
     folder.mkdir()
-    inertial = rested(Held(scenario, seed, "faces"), folder / "inertial.yaml")
+    inertial = rested(HandHeld(scenario, seed, "faces"), folder / "inertial.yaml")
     with redirect_stdout(StringIO()):
         record_sway(held, settings(inertial), folder / "swayed", RECORDING_S)
     found, against = solved(folder / "swayed")[:2]
     calibrated = load_model(InertialCalibration, inertial)
-    return Row(
+    return MountRow(
         seed,
         *held.rotation_errors(found),
         (off_level_deg(held, found, calibrated), off_level_deg(held, found, None)),
@@ -142,7 +142,7 @@ def solved(folder: Path) -> tuple[MountSolution, tuple[str, ...], MountCalibrati
     return found, against, mount_calibration(found, recording, against, "2026-01-01")
 
 
-def table(rows: Sequence[Row]) -> Table:
+def table(rows: Sequence[MountRow]) -> Table:
     """The recordings."""
     grid = Table(
         title=f"60 s of sway at most: mount off by up to 4°, stamps by up to 30 ms, lens by {LENS_ERROR:g}"
@@ -181,7 +181,7 @@ def table(rows: Sequence[Row]) -> Table:
 
 def six_faces(seed: int, folder: Path) -> tuple[float, float, float]:
     """Errors of a shop-fresh accelerometer's offset and scale, and of the bias of the gyroscope (deg/s)."""
-    held = Held(scenario_of({"sensors": {"calibrated": False}}), seed, "faces")
+    held = HandHeld(scenario_of({"sensors": {"calibrated": False}}), seed, "faces")
     found = load_model(InertialCalibration, rested(held, folder / f"inertial_{seed}.yaml"))
     assert held.vehicle is not None
     assert found.accelerometer is not None
@@ -197,7 +197,7 @@ def six_faces(seed: int, folder: Path) -> tuple[float, float, float]:
 def flights(folder: Path, seeds: int) -> list[tuple[str, list[dict[str, Any]]]]:
     """Landings with the camera askew and late stamps: by the settings as they were, and by the mount file."""
     camera = {"mount_error_deg": FLIGHT_MOUNT_DEG, "stamp_error_s": FLIGHT_STAMP_S}
-    held = Held(scenario_of({"camera": camera}), 0, "sway")
+    held = HandHeld(scenario_of({"camera": camera}), 0, "sway")
     with redirect_stdout(StringIO()):
         record_sway(held, CompanionConfig(), folder / "askew", RECORDING_S)
     mount = folder / "mount.yaml"
@@ -227,7 +227,7 @@ def hovered(folder: Path) -> str:
     )
 
 
-def worst_line(rows: Sequence[Row]) -> str:
+def worst_line(rows: Sequence[MountRow]) -> str:
     """What to remember of the table."""
     air = np.degrees([np.linalg.norm(row.to_body) for row in rows])
     level = np.array([row.off_level_deg for row in rows])

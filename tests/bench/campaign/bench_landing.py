@@ -31,7 +31,7 @@ from sitl.campaign.progress import CampaignMeter
 from sitl.campaign.rows import Row, RunsFile, make_row, pending
 from sitl.campaign.tables import print_worst
 from tests.bench.campaign.ending import judged, run_bench
-from tests.bench.campaign.landing_cases import Case, peer_cases, random_landings, write_flights
+from tests.bench.campaign.landing_cases import LandingCase, peer_cases, random_landings, write_flights
 
 # measured on the real firmware: landed (%), median lateral error (cm), vertical speed (m/s), time (s)
 PEER: Final = {"line": "100 %, 1-2 cm, 0.47 m/s, 20 s", "turn": "0 % (0.56 m behind)", "wind": "20 to 60 %"}
@@ -136,7 +136,7 @@ def table(groups: dict[str, list[Row]]) -> Table:
     return shown
 
 
-def by_motion(case: Case, rows: Sequence[Row]) -> dict[str, list[Row]]:
+def by_motion(case: LandingCase, rows: Sequence[Row]) -> dict[str, list[Row]]:
     """The random landings by the pad's motion, and all."""
     kinds = {content["name"]: content["pad"]["motion"]["kind"] for content, _ in case.flights}
     groups: dict[str, list[Row]] = {}

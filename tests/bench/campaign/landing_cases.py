@@ -37,19 +37,21 @@ STRAIGHT_M_S: Final = (0.0, 1.0, 2.1, 4.2)
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class LandingCase:
     """Flights that are judged together: a scenario for each, with its seed."""
 
     name: str
     flights: tuple[tuple[dict[str, Any], int], ...]
 
 
-def random_landings(count: int, first: int = 0) -> Case:
+def random_landings(count: int, first: int = 0) -> LandingCase:
     """Random landings `first` to `first + count - 1`."""
-    return Case("random", tuple((_random_landing(number), number) for number in range(first, first + count)))
+    return LandingCase(
+        "random", tuple((_random_landing(number), number) for number in range(first, first + count))
+    )
 
 
-def peer_cases(seeds: int) -> tuple[Case, ...]:
+def peer_cases(seeds: int) -> tuple[LandingCase, ...]:
     """The cases in which ArduCopter's own precision landing was measured, each under so many seeds."""
     turns: dict[str, dict[str, Any]] = {
         "circle": {"kind": "circle", "speed_m_s": 1.5, "radius_m": 5.0},
@@ -61,12 +63,12 @@ def peer_cases(seeds: int) -> tuple[Case, ...]:
         *((f"line_{v:g}_wind_8", _line(v), STRONGEST_WIND_M_S) for v in STRAIGHT_M_S),
     ]
     return tuple(
-        Case(name, tuple((_peer_case(name, motion, wind), seed) for seed in range(seeds)))
+        LandingCase(name, tuple((_peer_case(name, motion, wind), seed) for seed in range(seeds)))
         for name, motion, wind in cases
     )
 
 
-def write_flights(case: Case, folder: Path) -> list[CampaignRun]:
+def write_flights(case: LandingCase, folder: Path) -> list[CampaignRun]:
     """Write each flight's scenario into a folder, for the command that repeats it; returns the flights."""
     flights, code = [], code_digest()
     for content, seed in case.flights:

@@ -13,7 +13,7 @@ import yaml
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import find_file, merge, read_yaml
-from tests.bench.campaign.landing_cases import PASS, Case
+from tests.bench.campaign.landing_cases import PASS, LandingCase
 
 SCENARIOS: Final = ("static", "line", "circle", "figure_8", "heave")
 VEHICLE: Final = "x500"
@@ -26,7 +26,7 @@ BOUNDS: Final = {
 }
 
 
-def margin_cases(autopilot_kind: AutopilotKind, seeds: range, folder: Path) -> tuple[Case, ...]:
+def margin_cases(autopilot_kind: AutopilotKind, seeds: range, folder: Path) -> tuple[LandingCase, ...]:
     """All of them, with one autopilot's profile; the vehicle's files are left in `folder`."""
     believed = read_yaml(find_file("vehicles", VEHICLE))
     changes: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
@@ -49,7 +49,7 @@ def margin_cases(autopilot_kind: AutopilotKind, seeds: range, folder: Path) -> t
             for scenario in SCENARIOS
             for seed in seeds
         ]
-        cases.append(Case(f"{autopilot_kind}-{name}", tuple(flights)))
+        cases.append(LandingCase(f"{autopilot_kind}-{name}", tuple(flights)))
     return tuple(cases)
 
 

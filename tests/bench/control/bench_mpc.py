@@ -42,7 +42,7 @@ Course = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
 
 
 @dataclass
-class Figures:
+class MpcFigures:
     """What was measured on one reference (ms, iterations); `anew_ms` are a sample of the steps."""
 
     step_ms: list[float] = field(default_factory=list)
@@ -83,9 +83,9 @@ def far_steps(times_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 COURSES: Final[dict[str, Course]] = {"circle": circle, "descent": descent, "far steps": far_steps}
 
 
-def fly(course: Course, steps: int, config: ControlConfig) -> Figures:
+def fly(course: Course, steps: int, config: ControlConfig) -> MpcFigures:
     """One reference, in gusts."""
-    rng, found = np.random.default_rng(1), Figures()
+    rng, found = np.random.default_rng(1), MpcFigures()
     mpc, period_s = Mpc(config, LAGS_S), 1.0 / config.rate_hz
     nodes_s: FloatArray = config.step_s * np.arange(config.horizon_steps + 1, dtype=np.float64)
     first = course(nodes_s)
@@ -114,7 +114,7 @@ def _target(
     return within_reach(target, motion.position_m, config.horizontal_reach_m, config.vertical_reach_m)
 
 
-def _anew(problem: QuadraticProgram, inputs: FloatArray, found: Figures, config: ControlConfig) -> None:
+def _anew(problem: QuadraticProgram, inputs: FloatArray, found: MpcFigures, config: ControlConfig) -> None:
     """The same problem from nothing."""
     began_s = time.thread_time()
     solver = osqp.OSQP()
@@ -127,7 +127,7 @@ def _anew(problem: QuadraticProgram, inputs: FloatArray, found: Figures, config:
     found.difference_m_s2 = max(found.difference_m_s2, off) if math.isfinite(off) else math.inf
 
 
-def table(all_found: dict[str, Figures]) -> Table:
+def table(all_found: dict[str, MpcFigures]) -> Table:
     """All of it."""
     grid = Table(title="A step of the flight MPC, 20 steps of 0.1 s")
     for heading in ("reference", "p50 ms", f"p99 ms (<= {STEP_P99_MS:g})", "worst ms"):

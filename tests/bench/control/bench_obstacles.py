@@ -36,7 +36,7 @@ ROUTE_MS: Final = 2.0
 KEPT_SHARE: Final = 0.95
 
 
-class Flown(NamedTuple):
+class SceneFlight(NamedTuple):
     """One scene's flight by the reference alone."""
 
     clearance_m: float
@@ -69,7 +69,7 @@ def scene(rng: np.random.Generator) -> tuple[Shape, ...]:
     return tuple(shapes)
 
 
-def fly(shapes: tuple[Shape, ...], goal: Vector3) -> Flown:
+def fly(shapes: tuple[Shape, ...], goal: Vector3) -> SceneFlight:
     """From the south to the goal."""
     config = PlanConfig(obstacles=shapes, obstacle_margin_m=MARGIN_M, obstacle_ceiling_m=9.0)
     generator = ReferenceGenerator(
@@ -85,7 +85,7 @@ def fly(shapes: tuple[Shape, ...], goal: Vector3) -> Flown:
         places.append(generator.at((k + 1) * CYCLE_S).position_m)
     nearest = float(np.min(clearance_m(np.array(places), [Obstacle.of(shape) for shape in shapes])))
     reached = math.dist(places[-1], goal) < 0.3
-    return Flown(nearest - RADIUS_M, reached, generator.avoidance.blocked, 1e3 * slowest_s)
+    return SceneFlight(nearest - RADIUS_M, reached, generator.avoidance.blocked, 1e3 * slowest_s)
 
 
 def route_ms(rng: np.random.Generator, questions: int) -> float:
@@ -100,7 +100,7 @@ def route_ms(rng: np.random.Generator, questions: int) -> float:
     return 1e3 * float(np.median(times))
 
 
-def report(name: str, flights: list[Flown], table: Table) -> None:
+def report(name: str, flights: list[SceneFlight], table: Table) -> None:
     """A row of the table."""
     clearances = [flown.clearance_m for flown in flights]
     table.add_row(

@@ -68,7 +68,7 @@ class FlightSpan:
 
 
 @dataclass(frozen=True)
-class Bar:
+class CostBar:
     """A figure and the most that it may be."""
 
     name: str
@@ -109,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return report(_bars(span, log, trial, fast=chosen.fast), flight)
 
 
-def report(bars: list[Bar], flight: SitlFlight) -> int:
+def report(bars: list[CostBar], flight: SitlFlight) -> int:
     """Print the bars and the verdict; returns the exit status."""
     for bar in bars:
         print(bar)
@@ -140,8 +140,8 @@ def _share(span: FlightSpan, *, fast: bool) -> float:
     return (sum(span.spent_s.values()) if fast else span.cpu_s) / span.flown_s
 
 
-def _bars(span: FlightSpan, log: FlightLog, trial: Trial, *, fast: bool) -> list[Bar]:
-    bars = [Bar("CPU", 100.0 * _share(span, fast=fast), CORE_PERCENT, "% of a core")]
+def _bars(span: FlightSpan, log: FlightLog, trial: Trial, *, fast: bool) -> list[CostBar]:
+    bars = [CostBar("CPU", 100.0 * _share(span, fast=fast), CORE_PERCENT, "% of a core")]
     if fast:
         return bars
     delays = latency(log.kept["setpoint"], log.kept["control_report"])
@@ -158,8 +158,8 @@ def _bars(span: FlightSpan, log: FlightLog, trial: Trial, *, fast: bool) -> list
     print(f"longest callbacks, ms: {shown}; {held} of {len(longest)} above {LOOP_MS:g} ms")
     return [
         *bars,
-        Bar("exposure to setpoint p99", exposure_p99 - camera_ms, LATENCY_MS, "ms"),
-        Bar("event loop's delay p99", delays.cycle_late_p99, LOOP_MS, "ms"),
+        CostBar("exposure to setpoint p99", exposure_p99 - camera_ms, LATENCY_MS, "ms"),
+        CostBar("event loop's delay p99", delays.cycle_late_p99, LOOP_MS, "ms"),
     ]
 
 

@@ -31,7 +31,7 @@ from sitl.run.simulation import PHYSICS_STEP_S, Simulation
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.world.contact import Contact
 from sitl.world.world import World
-from tests.bench.cpu.speed_flight import HIGH_M, Client, SpeedFlight, fly
+from tests.bench.cpu.speed_flight import HIGH_M, SpeedClient, SpeedFlight, fly
 
 BARE_FACTOR: Final = 40.0
 CAMERA_FACTOR: Final = 8.0
@@ -47,12 +47,12 @@ PARTS: Final[dict[str, tuple[tuple[type[Any], str], ...]]] = {
     "autopilot's own sensors": ((SimulatedAutopilotSensors, "step"),),
     "MAVLink": (*((Network, "receive"), (Network, "transmit")),),
     "rendering": ((CameraModel, "render"),),
-    "client": ((Client, "write"), (Client, "stream")),
+    "client": ((SpeedClient, "write"), (SpeedClient, "stream")),
     REST: ((Simulation, "_tick"),),
 }
 
 
-class Bar(NamedTuple):
+class SpeedBar(NamedTuple):
     """A figure and the least that it may be."""
 
     name: str
@@ -140,23 +140,23 @@ def _print_parts(parts: dict[bool, dict[str, float]]) -> None:
     Console().print(table)
 
 
-def _bars(flights: dict[bool, SpeedFlight]) -> list[Bar]:
+def _bars(flights: dict[bool, SpeedFlight]) -> list[SpeedBar]:
     bare, rendered = flights[False], flights[True]
     return [
-        Bar("without camera, x real time", bare.whole.real_time_factor, BARE_FACTOR),
+        SpeedBar("without camera, x real time", bare.whole.real_time_factor, BARE_FACTOR),
         *(
-            Bar(f"640x480 at 30 fps from {name}, x real time", stage.real_time_factor, CAMERA_FACTOR)
+            SpeedBar(f"640x480 at 30 fps from {name}, x real time", stage.real_time_factor, CAMERA_FACTOR)
             for name, stage in rendered.stages.items()
         ),
-        Bar("physics, Hz", 1.0 / PHYSICS_STEP_S, LEAST_PHYSICS_HZ),
+        SpeedBar("physics, Hz", 1.0 / PHYSICS_STEP_S, LEAST_PHYSICS_HZ),
         # that it was flown at all, and to the places where it is measured
-        Bar("highest, m", bare.highest_m, HIGH_M - 1.0),
-        Bar("over the pad, m to spare", FLOWN_M - max(bare.away_m.values()), 0.0),
-        Bar("frames a second", rendered.frames / rendered.seconds, 29.0),
+        SpeedBar("highest, m", bare.highest_m, HIGH_M - 1.0),
+        SpeedBar("over the pad, m to spare", FLOWN_M - max(bare.away_m.values()), 0.0),
+        SpeedBar("frames a second", rendered.frames / rendered.seconds, 29.0),
     ]
 
 
-def report(bars: Sequence[Bar], rendered: SpeedFlight) -> int:
+def report(bars: Sequence[SpeedBar], rendered: SpeedFlight) -> int:
     """Print the bars and the verdict; returns the exit status."""
     table = Table(title=f"one vehicle, flown for {rendered.whole.simulated_s:.0f} s")
     for column in ("bar", "measured", "at least", ""):

@@ -47,7 +47,7 @@ _GUIDED: Final = (4.0, 0.0)
 _VELOCITY: Final = 0b10111_000_111
 
 
-class Stage(NamedTuple):
+class FlightStage(NamedTuple):
     """A stretch of the flight: how long it was in the world, and what the vehicle cost in it."""
 
     simulated_s: float
@@ -63,8 +63,8 @@ class Stage(NamedTuple):
 class SpeedFlight:
     """What was measured; `digest` is of the bytes that the vehicle sent and the sums of its frames."""
 
-    whole: Stage
-    stages: dict[str, Stage]
+    whole: FlightStage
+    stages: dict[str, FlightStage]
     seconds: float
     frames: int
     highest_m: float
@@ -93,7 +93,7 @@ def scenario(autopilot_kind: AutopilotKind) -> Scenario:
     )
 
 
-class Client:
+class SpeedClient:
     """Both ends of the line: the vehicle's, and a ground station that flies it. Counts its own costs."""
 
     def __init__(self, autopilot_kind: AutopilotKind) -> None:
@@ -186,7 +186,7 @@ def fly(autopilot_kind: AutopilotKind, seed: int, *, camera: bool) -> SpeedFligh
 
 
 async def _fly(autopilot_kind: AutopilotKind, seed: int, *, camera: bool) -> SpeedFlight:
-    client, clock, frames = Client(autopilot_kind), Clock(), 0
+    client, clock, frames = SpeedClient(autopilot_kind), Clock(), 0
 
     def deliver(frame: Frame) -> None:
         nonlocal frames
@@ -232,15 +232,15 @@ async def _fly(autopilot_kind: AutopilotKind, seed: int, *, camera: bool) -> Spe
     with suppress(asyncio.CancelledError):
         await world
     stages = {name: _stage(costs, *times) for name, times in STAGES.items()}
-    whole = Stage(clock.now_s() - READY_S, ended_s - begun_s)
+    whole = FlightStage(clock.now_s() - READY_S, ended_s - begun_s)
     return SpeedFlight(whole, stages, END_S, frames, highest_m, away, client.digest.hexdigest())
 
 
-def _vehicle_s(client: Client) -> float:
+def _vehicle_s(client: SpeedClient) -> float:
     return time.process_time() - client.spent_s
 
 
-def _stage(costs: dict[float, float], start_s: float, end_s: float) -> Stage:
+def _stage(costs: dict[float, float], start_s: float, end_s: float) -> FlightStage:
     inside = [(now_s, cost_s) for now_s, cost_s in costs.items() if start_s <= now_s <= end_s]
     (first_s, first), (last_s, last) = inside[0], inside[-1]
-    return Stage(last_s - first_s, last - first)
+    return FlightStage(last_s - first_s, last - first)

@@ -25,35 +25,37 @@ from rich.console import Console
 from rich.table import Table
 
 from sitl.campaign.figures import Bar
-from tests.bench.faults.cases import CASES, PHASES, Run, all_runs, one_each
+from tests.bench.faults.cases import CASES, PHASES, FaultRun, all_runs, one_each
 from tests.bench.faults.fault_flight import fly_run, fly_together, on_disk
 from tests.bench.faults.forks import Forks
-from tests.bench.faults.judge import OUTCOMES, Verdict
-from tests.bench.faults.runs_file import Row, RunsFile, flights_key
-from tests.bench.faults.witness import FlightRecord
+from tests.bench.faults.judge import OUTCOMES, SafetyVerdict
+from tests.bench.faults.runs_file import FaultRow, FaultRunsFile, flights_key
+from tests.bench.faults.witness import WitnessedFlight
 
 SCENARIOS: Final = ("line", "circle")
 SEEDS: Final = 5
 LANDED_SHARE: Final = 0.95
 
 
-Take = Callable[[Run, Row | None], None]
+Take = Callable[[FaultRun, FaultRow | None], None]
 
 
-def row_of(run: Run, code: str, verdict: Verdict, record: FlightRecord) -> Row:
+def row_of(run: FaultRun, code: str, verdict: SafetyVerdict, record: WitnessedFlight) -> FaultRow:
     """What is written down of a flight."""
     said = record.texts[-1].text if record.texts else ""
     ended_s = round(record.app_ended_s or record.samples[-1].time_s, 1)
-    return Row(*run, code, int(record.fault_began), verdict.outcome, "; ".join(verdict.unsafe), ended_s, said)
+    return FaultRow(
+        *run, code, int(record.fault_began), verdict.outcome, "; ".join(verdict.unsafe), ended_s, said
+    )
 
 
-def print_failure(run: Run) -> None:
+def print_failure(run: FaultRun) -> None:
     """The bench's own fault."""
     traceback.print_exc()
     print(f"not flown: {', '.join(map(str, run))}", file=sys.stderr)
 
 
-def fly_group(runs: Sequence[Run], code: str, forks: Forks[Row], take: Take) -> None:
+def fly_group(runs: Sequence[FaultRun], code: str, forks: Forks[FaultRow], take: Take) -> None:
     """Fly runs of one scenario and seed; what the bench itself fails at judges no flight."""
     try:
         flown = [
@@ -72,7 +74,7 @@ def fly_group(runs: Sequence[Run], code: str, forks: Forks[Row], take: Take) -> 
         take(run, row)
 
 
-def fly_alone(run: Run, code: str) -> Row | None:
+def fly_alone(run: FaultRun, code: str) -> FaultRow | None:
     """Fly one from its start; None, with the fault printed, when the bench itself failed."""
     try:
         return row_of(run, code, *fly_run(run))
@@ -81,9 +83,9 @@ def fly_alone(run: Run, code: str) -> Row | None:
         return None
 
 
-def fly_all(runs: Sequence[Run], code: str, jobs: int, take: Take) -> None:
+def fly_all(runs: Sequence[FaultRun], code: str, jobs: int, take: Take) -> None:
     """Fly, so many at a time; `take` gets each as it ends."""
-    forks = Forks[Row](jobs, take)
+    forks = Forks[FaultRow](jobs, take)
     try:
         for kind in dict.fromkeys((run.scenario, run.seed) for run in runs):
             group = [run for run in runs if (run.scenario, run.seed) == kind]
@@ -97,11 +99,13 @@ def fly_all(runs: Sequence[Run], code: str, jobs: int, take: Take) -> None:
         forks.stop()
 
 
-def fly_left(left: Sequence[Run], code: str, jobs: int, file: RunsFile, console: Console) -> dict[Run, Row]:
+def fly_left(
+    left: Sequence[FaultRun], code: str, jobs: int, file: FaultRunsFile, console: Console
+) -> dict[FaultRun, FaultRow]:
     """Fly and write down; what the bench could not fly is flown once more."""
-    rows: dict[Run, Row] = {}
+    rows: dict[FaultRun, FaultRow] = {}
 
-    def take(run: Run, row: Row | None) -> None:
+    def take(run: FaultRun, row: FaultRow | None) -> None:
         if row is None:
             return
         file.append(row)
@@ -117,7 +121,7 @@ def fly_left(left: Sequence[Run], code: str, jobs: int, file: RunsFile, console:
 # ---------------------------------------------------------------- what is shown
 
 
-def cell(rows: Sequence[Row]) -> str:
+def cell(rows: Sequence[FaultRow]) -> str:
     """How the flights of one fault in one phase ended."""
     count = Counter(row.outcome for row in rows)
     words = [f"{name} {count[name]}" for name in OUTCOMES if count[name]]
@@ -125,7 +129,7 @@ def cell(rows: Sequence[Row]) -> str:
     return ", ".join(words) + (f" ({idle} before the fault)" if idle else "")
 
 
-def table(rows: Sequence[Row]) -> Table:
+def table(rows: Sequence[FaultRow]) -> Table:
     """Fault x phase: how it ended."""
     shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     phases = [phase for phase in PHASES if any(row.phase == phase for row in rows)]
@@ -140,7 +144,7 @@ def table(rows: Sequence[Row]) -> Table:
     return shown
 
 
-def bars(rows: Sequence[Row]) -> list[Bar]:
+def bars(rows: Sequence[FaultRow]) -> list[Bar]:
     """No unsafe end, and landings where the fault leaves one possible."""
     unsafe = sum(row.outcome == "unsafe" for row in rows)
     found = [Bar("unsafe ends", f"{unsafe} of {len(rows)}", unsafe == 0)]
@@ -151,7 +155,7 @@ def bars(rows: Sequence[Row]) -> list[Bar]:
     return found
 
 
-def print_unsafe(console: Console, rows: Sequence[Row]) -> None:
+def print_unsafe(console: Console, rows: Sequence[FaultRow]) -> None:
     """Each unsafe flight in a line, with what was unsafe and what the app said last."""
     for row in rows:
         if row.outcome == "unsafe":
@@ -185,7 +189,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("flights/bench-faults"))
     options = parser.parse_args()
     console = Console(width=None if sys.stdout.isatty() else 150)
-    file, code = RunsFile(options.out / "runs.csv"), flights_key()
+    file, code = FaultRunsFile(options.out / "runs.csv"), flights_key()
     choice = (options.faults, options.phases, options.scenarios, options.seeds)
     whole = list(all_runs(*choice))
     asked = whole if options.each is None else one_each(*choice, options.each)

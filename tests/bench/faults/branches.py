@@ -14,7 +14,7 @@ from typing import Any
 from sitl.faults.faults import Fault
 from sitl.faults.schedule import FaultSchedule
 from sitl.run.simulation import Simulation
-from tests.bench.faults.cases import Run, faults_of
+from tests.bench.faults.cases import FaultRun, faults_of
 from tests.bench.faults.forks import Forks
 
 
@@ -23,13 +23,13 @@ class _Moment:
     """Runs whose faults begin at the same moment, by a schedule that is never stepped."""
 
     schedule: FaultSchedule
-    runs: tuple[Run, ...]
+    runs: tuple[FaultRun, ...]
 
 
-class Branches:
+class ForkedSchedule:
     """The schedule of a flight that forks; in a child the simulation gets the run's own."""
 
-    def __init__(self, simulation: Simulation, runs: Sequence[Run], forks: Forks[Any]) -> None:
+    def __init__(self, simulation: Simulation, runs: Sequence[FaultRun], forks: Forks[Any]) -> None:
         self._simulation, self._forks = simulation, forks
         self._moments = [
             _Moment(simulation.fault_schedule(faults_of(together[0])[:1]), together)
@@ -42,7 +42,7 @@ class Branches:
         return False
 
     @property
-    def left(self) -> list[Run]:
+    def left(self) -> list[FaultRun]:
         """The runs whose fault has not begun yet."""
         return [run for moment in self._moments for run in moment.runs]
 
@@ -58,14 +58,14 @@ class Branches:
                     self._go_on(run, begins_s, now_s)
                     return
 
-    def _go_on(self, run: Run, begins_s: float, now_s: float) -> None:
+    def _go_on(self, run: FaultRun, begins_s: float, now_s: float) -> None:
         faults = [_at(fault, begins_s) for fault in faults_of(run)]
         self._simulation.faults = self._simulation.fault_schedule(faults)
         self._simulation.faults.step(now_s)
 
 
-def _by_moment(runs: Sequence[Run]) -> list[tuple[Run, ...]]:
-    def moment(run: Run) -> str:
+def _by_moment(runs: Sequence[FaultRun]) -> list[tuple[FaultRun, ...]]:
+    def moment(run: FaultRun) -> str:
         fault = faults_of(run)[0]
         return repr((fault.start_s, fault.phase, fault.below_m, fault.delay_s))
 

@@ -28,7 +28,7 @@ _ON_PAD_DELAYS_S: Final = (0.05, 0.2, 0.4, 0.0, 0.8)
 
 
 @dataclass(frozen=True, slots=True)
-class FaultCase:
+class FaultRowCase:
     """A fault (or several at once) by the name of its row; `lands`: a landing is possible all the same."""
 
     faults: tuple[dict[str, Any], ...]
@@ -36,19 +36,19 @@ class FaultCase:
     lands: bool = False
 
 
-def _case(phases: tuple[PhaseName, ...], *faults: dict[str, Any], lands: bool = False) -> FaultCase:
-    return FaultCase(faults, phases, lands)
+def _case(phases: tuple[PhaseName, ...], *faults: dict[str, Any], lands: bool = False) -> FaultRowCase:
+    return FaultRowCase(faults, phases, lands)
 
 
-def _one(kind: str, phases: tuple[PhaseName, ...] = TO_THE_END, /, **settings: Any) -> FaultCase:
-    return FaultCase(({"kind": kind, **settings},), phases)
+def _one(kind: str, phases: tuple[PhaseName, ...] = TO_THE_END, /, **settings: Any) -> FaultRowCase:
+    return FaultRowCase(({"kind": kind, **settings},), phases)
 
 
-def _refused(phases: tuple[PhaseName, ...], *what: str) -> FaultCase:
-    return FaultCase(tuple({"kind": "autopilot_refuses", "what": one} for one in what), phases)
+def _refused(phases: tuple[PhaseName, ...], *what: str) -> FaultRowCase:
+    return FaultRowCase(tuple({"kind": "autopilot_refuses", "what": one} for one in what), phases)
 
 
-_CAMERA: Final[dict[str, FaultCase]] = {
+_CAMERA: Final[dict[str, FaultRowCase]] = {
     "frames lost 0.2 s": _case(TO_THE_END, {"kind": "frame_lost", "duration_s": 0.2}, lands=True),
     "frames lost 1 s": _case(TO_THE_END, {"kind": "frame_lost", "duration_s": 1.0}, lands=True),
     "frames lost": _one("frame_lost"),
@@ -59,7 +59,7 @@ _CAMERA: Final[dict[str, FaultCase]] = {
     "pad covered": _one("pad_covered"),
     "pad twin": _one("pad_twin"),
 }
-_SENSORS: Final[dict[str, FaultCase]] = {
+_SENSORS: Final[dict[str, FaultRowCase]] = {
     "IMU lost": _one("imu_lost"),
     "IMU frozen": _one("imu_frozen"),
     "IMU NaN": _one("imu_nan"),
@@ -72,7 +72,7 @@ _SENSORS: Final[dict[str, FaultCase]] = {
     "range lost": _one("range_lost"),
     "range other echo": _one("range_other_echo"),
 }
-_LINK: Final[dict[str, FaultCase]] = {
+_LINK: Final[dict[str, FaultRowCase]] = {
     "link lost 1 s": _case(TO_THE_END, {"kind": "link_blackout", "duration_s": 1.0}, lands=True),
     "link lost 5 s": _one("link_blackout", duration_s=5.0),
     "link lost": _one("link_blackout"),
@@ -81,7 +81,7 @@ _LINK: Final[dict[str, FaultCase]] = {
     "link half lost": _one("link_loss"),
     "link 0.5 s late": _one("link_delay"),
 }
-_PAD: Final[dict[str, FaultCase]] = {
+_PAD: Final[dict[str, FaultRowCase]] = {
     "pad stops": _one("pad_stops"),
     "pad brakes": _one("pad_brakes"),
     "pad turns back": _one("pad_turns_back"),
@@ -89,12 +89,12 @@ _PAD: Final[dict[str, FaultCase]] = {
     "pad vanishes": _one("pad_vanishes", IN_AIR),
     "pad tilts 15 deg": _one("pad_tilts"),
 }
-_SOLVER: Final[dict[str, FaultCase]] = {
+_SOLVER: Final[dict[str, FaultRowCase]] = {
     "MPC infeasible": _one("solver_infeasible"),
     "MPC late": _one("solver_late"),
     "MPC NaN": _one("solver_nan"),
 }
-_AUTOPILOT: Final[dict[str, FaultCase]] = {
+_AUTOPILOT: Final[dict[str, FaultRowCase]] = {
     "refuses arm": _refused(("start",), "arm"),
     "refuses take-off": _refused(("start",), "take_off"),
     "refuses offboard": _refused(("start",), "offboard"),
@@ -110,11 +110,11 @@ _AUTOPILOT: Final[dict[str, FaultCase]] = {
     "battery low": _one("battery", remaining_percent=18),
     "battery critical": _one("battery", remaining_percent=6),
 }
-_DISK: Final[dict[str, FaultCase]] = {
+_DISK: Final[dict[str, FaultRowCase]] = {
     "disk full": _one("disk_full"),
     "disk slow": _one("disk_slow"),
 }
-CASES: Final[dict[str, FaultCase]] = {
+CASES: Final[dict[str, FaultRowCase]] = {
     **_CAMERA,
     **_SENSORS,
     **_LINK,
@@ -125,7 +125,7 @@ CASES: Final[dict[str, FaultCase]] = {
 }
 
 
-class Run(NamedTuple):
+class FaultRun(NamedTuple):
     """One flight: what fails, when, and in which scenario under which seed."""
 
     fault: str
@@ -136,25 +136,25 @@ class Run(NamedTuple):
 
 def all_runs(
     faults: Sequence[str], phases: Sequence[str], scenarios: Sequence[str], seeds: int
-) -> Iterator[Run]:
+) -> Iterator[FaultRun]:
     """Every fault in every phase in which it can happen; the first seed of all before the second."""
     for seed in range(seeds):
         for scenario in scenarios:
             for name in faults:
                 for phase in CASES[name].phases:
                     if phase in phases:
-                        yield Run(name, phase, scenario, seed)
+                        yield FaultRun(name, phase, scenario, seed)
 
 
 def one_each(
     faults: Sequence[str], phases: Sequence[str], scenarios: Sequence[str], seeds: int, flights: int
-) -> list[Run]:
+) -> list[FaultRun]:
     """So many flights of each fault in each phase, of all scenarios and seeds in turn, none twice."""
     kinds = [(scenario, seed) for seed in range(seeds) for scenario in scenarios]
     pairs = [(name, phase) for name in faults for phase in CASES[name].phases if phase in phases]
     turns = {(name, phase): 3 * list(CASES).index(name) + 7 * PHASES.index(phase) for name, phase in pairs}
     return [
-        Run(name, phase, *kinds[(turns[name, phase] + again) % len(kinds)])
+        FaultRun(name, phase, *kinds[(turns[name, phase] + again) % len(kinds)])
         for again in range(min(flights, len(kinds)))
         for name, phase in pairs
     ]
@@ -171,13 +171,13 @@ def beginning(phase: PhaseName, seed: int) -> dict[str, Any]:
     return {"phase": phase, "delay_s": _DELAYS_S[seed % len(_DELAYS_S)]}
 
 
-def faults_of(run: Run) -> list[Fault]:
+def faults_of(run: FaultRun) -> list[Fault]:
     """The run's faults, with their beginnings."""
     return list(scenario_of(run).faults)
 
 
 @cache
-def scenario_of(run: Run) -> Scenario:
+def scenario_of(run: FaultRun) -> Scenario:
     """The run's scenario.
 
     Raises:

@@ -23,7 +23,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 from sitl.mavlink.app_words import AppText
-from tests.bench.faults.witness import SAMPLE_S, Commanded, Sample
+from tests.bench.faults.witness import SAMPLE_S, Commanded, TruthSample
 
 CLIMB_M: Final = 0.7
 WITHIN_S: Final = 10.0
@@ -41,7 +41,7 @@ ANNOUNCES: Final = re.compile(
 
 
 def unannounced_climbs(
-    flown: Iterable[Sample], texts: Sequence[AppText], commanded: Sequence[Commanded] = ()
+    flown: Iterable[TruthSample], texts: Sequence[AppText], commanded: Sequence[Commanded] = ()
 ) -> Iterator[str]:
     """The first rise by more than `CLIMB_M` of what the app has `flown` that nothing announced."""
     reference = _Reference(commanded)
@@ -80,10 +80,10 @@ class _Climb:
         self._lowest_down_m = -math.inf
         self._lowest_commanded_m = math.inf
         self._lately: deque[tuple[float, float]] = deque()  # time and down, the lowest first, then rising
-        self._samples: deque[Sample] = deque()  # of that time, and of what the app may follow late
+        self._samples: deque[TruthSample] = deque()  # of that time, and of what the app may follow late
         self._seen_s = self._still_since_s = -math.inf
 
-    def step(self, sample: Sample, commanded_m: float) -> bool:
+    def step(self, sample: TruthSample, commanded_m: float) -> bool:
         """Whether the vehicle climbs: it has risen by so much, lately or at all since the app flies it.
 
         `commanded_m`: the reference's height, from anywhere.

@@ -27,12 +27,12 @@ from sitl.faults.computer import ComputerFaults
 from sitl.run.in_process import InProcess
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario
-from tests.bench.faults.branches import Branches
-from tests.bench.faults.cases import CASES, Run, faultless, scenario_of
+from tests.bench.faults.branches import ForkedSchedule
+from tests.bench.faults.cases import CASES, FaultRun, faultless, scenario_of
 from tests.bench.faults.computer import applied
 from tests.bench.faults.forks import Forks
-from tests.bench.faults.judge import HOLD_MODES, Bounds, Verdict, judge
-from tests.bench.faults.witness import Commanded, FlightRecord, Sample, Witness
+from tests.bench.faults.judge import HOLD_MODES, SafetyBounds, SafetyVerdict, judge
+from tests.bench.faults.witness import Commanded, FaultWitness, TruthSample, WitnessedFlight
 
 HELD_S: Final = 4.0
 AFTERMATH_S: Final = 60.0
@@ -53,24 +53,26 @@ def _as_is(_simulation: Simulation) -> None:
     """The scenario's own faults."""
 
 
-def fly_run(run: Run) -> tuple[Verdict, FlightRecord]:
+def fly_run(run: FaultRun) -> tuple[SafetyVerdict, WitnessedFlight]:
     """Fly one from its start and judge it."""
     prepare_opencv()
     record, config = fly(scenario_of(run), run.seed, on_disk=on_disk(run))
     return judged(run, record, config), record
 
 
-def fly_together(runs: Sequence[Run], forks: Forks[Any]) -> Iterator[tuple[Run, Verdict, FlightRecord]]:
+def fly_together(
+    runs: Sequence[FaultRun], forks: Forks[Any]
+) -> Iterator[tuple[FaultRun, SafetyVerdict, WitnessedFlight]]:
     """Fly runs of one scenario and seed, each from its fault on in a process of its own.
 
     Yields in each process what was flown there: in a child its run, in the first the runs whose fault has
     never begun.
     """
     prepare_opencv()
-    branches: list[Branches] = []
+    branches: list[ForkedSchedule] = []
 
     def branch(simulation: Simulation) -> None:
-        branches.append(Branches(simulation, runs, forks))
+        branches.append(ForkedSchedule(simulation, runs, forks))
         simulation.faults = branches[0]
 
     record, config = fly(faultless(runs[0].scenario), runs[0].seed, prepare=branch)
@@ -78,28 +80,28 @@ def fly_together(runs: Sequence[Run], forks: Forks[Any]) -> Iterator[tuple[Run, 
         yield run, judged(run, record, config), record
 
 
-def on_disk(run: Run) -> bool:
+def on_disk(run: FaultRun) -> bool:
     """Whether its flight is logged on disk; that log has a thread, which no fork takes along."""
     return any(fault["kind"].startswith("disk") for fault in CASES[run.fault].faults)
 
 
-def judged(run: Run, record: FlightRecord, config: CompanionConfig) -> Verdict:
+def judged(run: FaultRun, record: WitnessedFlight, config: CompanionConfig) -> SafetyVerdict:
     """How it ended."""
     # where the flight was over before the fault, the end is not the pilot's
     record.pilot_took_over = run.fault.startswith("pilot") and record.fault_began
     return judge(record, bounds_of(config))
 
 
-def bounds_of(config: CompanionConfig) -> Bounds:
+def bounds_of(config: CompanionConfig) -> SafetyBounds:
     """What the settings promise."""
     mission = config.plan.mission
     ceiling_m = float(getattr(mission, "ceiling_m", DEFAULT_CEILING_M))
-    return Bounds(config.control.limits, mission.fence_m, ceiling_m)
+    return SafetyBounds(config.control.limits, mission.fence_m, ceiling_m)
 
 
 def fly(
     scenario: Scenario, seed: int, *, on_disk: bool = False, prepare: Callable[[Simulation], None] = _as_is
-) -> tuple[FlightRecord, CompanionConfig]:
+) -> tuple[WitnessedFlight, CompanionConfig]:
     """Fly a scenario to its end; returns what was seen and the settings that it was flown with."""
     trial = Trial(Path(f"{scenario.name}.yaml"), scenario, seed)
     config = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
@@ -126,7 +128,7 @@ async def _fly(
     log: FlightLog,
     faults: ComputerFaults,
     prepare: Callable[[Simulation], None],
-) -> FlightRecord:
+) -> WitnessedFlight:
     app_end, vehicle_end = memory_pair()
     vehicle = InProcess(
         trial.scenario,
@@ -140,7 +142,7 @@ async def _fly(
     if px4 and not simulation.autopilot.parameters.set(*SETPOINTS_LOST):
         raise ConfigError(f"{SETPOINTS_LOST[0]}: expected a parameter of the autopilot")
     prepare(simulation)
-    witness = Witness(simulation)
+    witness = FaultWitness(simulation)
     simulation.on_step = witness.step
     simulation.line.listeners.append(witness.hear)
     hardware = Hardware(
@@ -171,7 +173,7 @@ async def _fly(
     return record
 
 
-def with_belief(samples: Sequence[Sample], believed: Sequence[VehicleState]) -> Iterator[Sample]:
+def with_belief(samples: Sequence[TruthSample], believed: Sequence[VehicleState]) -> Iterator[TruthSample]:
     """The samples with how much too low the app believes itself by its newest estimate."""
     following = iter((*believed, None))
     state, after = None, next(following)
@@ -182,7 +184,7 @@ def with_belief(samples: Sequence[Sample], believed: Sequence[VehicleState]) -> 
         yield sample._replace(believed_low_m=low_m)
 
 
-async def _run_app(app: App, limit_s: float, vehicle: InProcess, record: FlightRecord) -> None:
+async def _run_app(app: App, limit_s: float, vehicle: InProcess, record: WitnessedFlight) -> None:
     """Let it run to its end, to a crash, to the limit or to what will not change; a failed app is noted."""
     flight = asyncio.create_task(app.run())
     world, autopilot = vehicle.simulation.world, vehicle.simulation.autopilot
@@ -204,7 +206,7 @@ def _words(failure: BaseException) -> str:
     return f"{type(failure).__name__}: {failure}"
 
 
-async def _aftermath(vehicle: InProcess, record: FlightRecord) -> None:
+async def _aftermath(vehicle: InProcess, record: WitnessedFlight) -> None:
     """Go on until it is disarmed and at rest, has held for a while, or has crashed."""
     world, autopilot = vehicle.simulation.world, vehicle.simulation.autopilot
     ended_s = held_s = world.time_s

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Generic, NoReturn, TypeVar
 
-from tests.bench.faults.cases import Run
+from tests.bench.faults.cases import FaultRun
 
 Answer = TypeVar("Answer")
 
@@ -23,14 +23,16 @@ Answer = TypeVar("Answer")
 class Forks(Generic[Answer]):
     """The children, each with a run of its own; so many processes fly at a time."""
 
-    def __init__(self, jobs: int, take: Callable[[Run, Answer | None], None]) -> None:
+    def __init__(self, jobs: int, take: Callable[[FaultRun, Answer | None], None]) -> None:
         """`take` is called with each child's answer; None: the bench failed there."""
-        self.mine: Run | None = None  # what this process flies; None in the first
+        self.mine: FaultRun | None = None  # what this process flies; None in the first
         self._jobs, self._take = jobs, take
         self._to_parent = -1
-        self._flying: dict[int, tuple[int, Run]] = {}  # by the pipe from it: its process, and what it flies
+        self._flying: dict[
+            int, tuple[int, FaultRun]
+        ] = {}  # by the pipe from it: its process, and what it flies
 
-    def begin(self, run: Run) -> bool:
+    def begin(self, run: FaultRun) -> bool:
         """Fork for a run: True in the child, which ends in `deliver`, and False in the parent."""
         loop = asyncio._get_running_loop()
         sys.stdout.flush()

@@ -19,7 +19,7 @@ from typing import Final, Literal
 from companion.config import LimitsConfig
 from tests.bench.faults.climbs import unannounced_climbs
 from tests.bench.faults.sent_limits import OBEYED_MODES, broken_limits
-from tests.bench.faults.witness import FlightRecord, Sample
+from tests.bench.faults.witness import TruthSample, WitnessedFlight
 
 Outcome = Literal["landed", "held", "pilot", "returned", "stands", "not flown", "unsafe"]
 OUTCOMES: Final[tuple[Outcome, ...]] = (
@@ -53,7 +53,7 @@ _WARNING: Final = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
+class SafetyBounds:
     """What a flight has to keep: the gate's limits, fence and ceiling (m from home, over home)."""
 
     limits: LimitsConfig
@@ -62,14 +62,14 @@ class Bounds:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class SafetyVerdict:
     """How it ended, and each unsafe thing with its time."""
 
     outcome: Outcome
     unsafe: tuple[str, ...] = ()
 
 
-def judge(record: FlightRecord, bounds: Bounds) -> Verdict:
+def judge(record: WitnessedFlight, bounds: SafetyBounds) -> SafetyVerdict:
     """Judge a flight that is over."""
     unsafe = (
         *_crash(record),
@@ -80,10 +80,10 @@ def judge(record: FlightRecord, bounds: Bounds) -> Verdict:
         *broken_limits(record, bounds.limits),
         *_silent_end(record),
     )
-    return Verdict("unsafe", unsafe) if unsafe else Verdict(_ending(record))
+    return SafetyVerdict("unsafe", unsafe) if unsafe else SafetyVerdict(_ending(record))
 
 
-def _ending(record: FlightRecord) -> Outcome:
+def _ending(record: WitnessedFlight) -> Outcome:
     last = record.samples[-1]
     if not any(sample.feet_over_surface_m > FLOWN_M for sample in record.samples):
         return "not flown"
@@ -99,12 +99,12 @@ def _ending(record: FlightRecord) -> Outcome:
 # ---------------------------------------------------------------- each unsafe kind
 
 
-def _crash(record: FlightRecord) -> Iterator[str]:
+def _crash(record: WitnessedFlight) -> Iterator[str]:
     if record.crashed:
         yield "crash"
 
 
-def _touches(record: FlightRecord) -> Iterator[str]:
+def _touches(record: WitnessedFlight) -> Iterator[str]:
     """The worst touch of the ground, once."""
     off_s = max((d.time_s for d in record.disarmings), default=math.inf)
     counted = [t for t in record.touches if t.armed or t.time_s <= off_s + AFTER_DISARMING_S]
@@ -116,18 +116,18 @@ def _touches(record: FlightRecord) -> Iterator[str]:
         yield f"ground {down.down_m_s:.2f} m/s down at {down.time_s:.1f} s"
 
 
-def _disarmings(record: FlightRecord) -> Iterator[str]:
+def _disarmings(record: WitnessedFlight) -> Iterator[str]:
     for off in record.disarmings:
         if not off.touching and off.feet_over_surface_m > ON_SURFACE_M:
             yield f"disarmed {off.feet_over_surface_m:.2f} m up at {off.time_s:.1f} s"
 
 
-def _obeyed(record: FlightRecord) -> Iterator[Sample]:
+def _obeyed(record: WitnessedFlight) -> Iterator[TruthSample]:
     """The samples in which the vehicle flies by the app's setpoints; what stands on the pad goes with it."""
     return (s for s in record.samples if s.armed and s.mode in OBEYED_MODES and not s.touching)
 
 
-def _strayed(record: FlightRecord, bounds: Bounds) -> Iterator[str]:
+def _strayed(record: WitnessedFlight, bounds: SafetyBounds) -> Iterator[str]:
     farthest = max(_obeyed(record), key=_away_m, default=None)
     if farthest is not None and _away_m(farthest) > bounds.fence_m + PLACE_ERROR_M:
         yield f"{_away_m(farthest):.0f} m from home at {farthest.time_s:.1f} s, outside the fence"
@@ -136,18 +136,18 @@ def _strayed(record: FlightRecord, bounds: Bounds) -> Iterator[str]:
         yield f"{-highest.position_ned_m[2]:.0f} m up at {highest.time_s:.1f} s, over the ceiling"
 
 
-def _away_m(sample: Sample) -> float:
+def _away_m(sample: TruthSample) -> float:
     return math.hypot(sample.position_ned_m[0], sample.position_ned_m[1])
 
 
-def _stands_and_shouts(record: FlightRecord) -> bool:
+def _stands_and_shouts(record: WitnessedFlight) -> bool:
     """Whether it stands on the pad, and the app keeps saying that it cannot be disarmed."""
     last_s = record.samples[-1].time_s
     shouts = (t for t in record.texts if t.severity <= _WARNING and t.time_s >= last_s - SHOUTS_EVERY_S)
     return record.at_rest_on_pad and any(shouts)
 
 
-def _silent_end(record: FlightRecord) -> Iterator[str]:
+def _silent_end(record: WitnessedFlight) -> Iterator[str]:
     if record.app_ended_s is None:
         if not _stands_and_shouts(record):
             yield "no end within the time limit"
@@ -159,7 +159,7 @@ def _silent_end(record: FlightRecord) -> Iterator[str]:
         yield "ended without a text that says why"
 
 
-def _says_why(record: FlightRecord) -> bool:
+def _says_why(record: WitnessedFlight) -> bool:
     """Whether the last phase that the app announced is an end, with its reason."""
     phases = [t.text for t in record.texts if PHASE_WORDS.match(t.text + " ")]
     return bool(phases) and END_WORDS.match(phases[-1]) is not None

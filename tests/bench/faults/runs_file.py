@@ -10,12 +10,12 @@ from typing import Final, cast
 
 from companion.config import CONFIG_FOLDER
 from sitl.campaign.manifest import code_digest
-from tests.bench.faults.cases import PhaseName, Run
+from tests.bench.faults.cases import FaultRun, PhaseName
 from tests.bench.faults.judge import Outcome
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class FaultRow:
     """One flight: what was flown by which state of the code, and how it ended.
 
     `code` is `flights_key`. `began` is 0 when the flight was over before the fault. `said` is the app's last
@@ -34,9 +34,9 @@ class Row:
     said: str
 
     @property
-    def run(self) -> Run:
+    def run(self) -> FaultRun:
         """What was flown."""
-        return Run(self.fault, cast(PhaseName, self.phase), self.scenario, self.seed)
+        return FaultRun(self.fault, cast(PhaseName, self.phase), self.scenario, self.seed)
 
     @property
     def ending(self) -> Outcome:
@@ -61,7 +61,7 @@ def flights_key(code: str | None = None, *, bench: Path = _BENCH, configs: Path 
     return total.hexdigest()[:_KEY_LENGTH]
 
 
-class RunsFile:
+class FaultRunsFile:
     """The file; a line that an interruption has cut short counts as not flown."""
 
     def __init__(self, path: Path) -> None:
@@ -72,19 +72,19 @@ class RunsFile:
         there = self._path.read_bytes() if self._path.exists() else b""
         return there[: there.rfind(b"\n") + 1]
 
-    def read(self, code: str) -> list[Row]:
+    def read(self, code: str) -> list[FaultRow]:
         """The flights of this state of the code."""
         lines = self._whole().decode("utf-8").splitlines()
         return [row for row in map(_row, csv.DictReader(lines)) if row is not None and row.code == code]
 
-    def append(self, row: Row) -> None:
+    def append(self, row: FaultRow) -> None:
         """Add one, at once."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
         whole = self._whole()
         with self._path.open("r+b" if self._path.exists() else "wb") as file:
             file.truncate(len(whole))
         with self._path.open("a", newline="", encoding="utf-8") as text:
-            writer = csv.DictWriter(text, [field.name for field in fields(Row)], lineterminator="\n")
+            writer = csv.DictWriter(text, [field.name for field in fields(FaultRow)], lineterminator="\n")
             if not whole:
                 writer.writeheader()
             writer.writerow({name: _in_a_line(value) for name, value in asdict(row).items()})
@@ -94,12 +94,12 @@ def _in_a_line(value: object) -> object:
     return " ".join(value.split()) if isinstance(value, str) else value
 
 
-def _row(line: dict[str, str]) -> Row | None:
+def _row(line: dict[str, str]) -> FaultRow | None:
     try:
         numbers = {"seed": int(line["seed"]), "began": int(line["began"]), "ended_s": float(line["ended_s"])}
         words = {
             name: line[name] for name in ("fault", "phase", "scenario", "code", "outcome", "unsafe", "said")
         }
-        return Row(**words, **numbers) if None not in words.values() else None  # type: ignore[arg-type]
+        return FaultRow(**words, **numbers) if None not in words.values() else None  # type: ignore[arg-type]
     except (KeyError, TypeError, ValueError):
         return None

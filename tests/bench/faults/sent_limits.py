@@ -14,7 +14,7 @@ from typing import Final
 
 from companion.base.geometry import norm, subtract, wrap_angle
 from companion.config import LimitsConfig
-from tests.bench.faults.witness import FlightRecord, Sample, SentSetpoint
+from tests.bench.faults.witness import SentSetpoint, TruthSample, WitnessedFlight
 
 OBEYED_MODES: Final = ("OFFBOARD", "GUIDED")
 # single precision on the wire, and an attitude put together from rounded parts
@@ -28,7 +28,7 @@ OBEYED_S: Final = 2.0
 ON_SURFACE_M: Final = 0.05
 
 
-def broken_limits(record: FlightRecord, limits: LimitsConfig) -> Iterator[str]:
+def broken_limits(record: WitnessedFlight, limits: LimitsConfig) -> Iterator[str]:
     """The first setpoint outside the limits."""
     where = _Where(record.samples)
     for sent in record.setpoints:
@@ -46,12 +46,12 @@ def broken_limits(record: FlightRecord, limits: LimitsConfig) -> Iterator[str]:
 class _Where:
     """What the vehicle does at a time; the times never run backwards."""
 
-    def __init__(self, samples: Sequence[Sample]) -> None:
+    def __init__(self, samples: Sequence[TruthSample]) -> None:
         self._samples = samples
         self._next = 0
         self._since_s = math.inf
 
-    def _at(self, time_s: float) -> Sample | None:
+    def _at(self, time_s: float) -> TruthSample | None:
         while self._next < len(self._samples) and self._samples[self._next].time_s <= time_s:
             sample = self._samples[self._next]
             obeys = sample.mode in OBEYED_MODES

@@ -22,7 +22,7 @@ _YAW_RATE_IGNORED: Final = 1 << 11
 _YAW_IGNORED: Final = 1 << 10
 
 
-class Sample(NamedTuple):
+class TruthSample(NamedTuple):
     """The truth at a time. `feet_over_surface_m`: over what is beneath, board or ground.
 
     So much too low the GPS receiver has its height, and the app believes itself: `receiver_low_m` and
@@ -83,10 +83,10 @@ class Commanded(NamedTuple):
 
 
 @dataclass
-class FlightRecord:
+class WitnessedFlight:
     """All of a flight that the judge reads."""
 
-    samples: list[Sample] = field(default_factory=list)
+    samples: list[TruthSample] = field(default_factory=list)
     touches: list[GroundTouch] = field(default_factory=list)
     disarmings: list[Disarming] = field(default_factory=list)
     setpoints: list[SentSetpoint] = field(default_factory=list)
@@ -100,11 +100,11 @@ class FlightRecord:
     fault_began: bool = False
 
 
-class Witness:
+class FaultWitness:
     """Fills a record: `step` after every step of the physics, `hear` with what the app sends."""
 
     def __init__(self, simulation: Simulation) -> None:
-        self.record = FlightRecord()
+        self.record = WitnessedFlight()
         self._simulation = simulation
         self._world, self._autopilot = simulation.world, simulation.autopilot
         world = self._world
@@ -139,7 +139,7 @@ class Witness:
         armed, mode = self._autopilot.armed, self._autopilot.mode
         low_m = self._simulation.receiver_wander_ned_m[2]
         self.record.samples.append(
-            Sample(now_s, place, velocity, self._feet_m(), touching, armed, mode, low_m)
+            TruthSample(now_s, place, velocity, self._feet_m(), touching, armed, mode, low_m)
         )
 
     def hear(self, data: bytes, now_s: float) -> None:

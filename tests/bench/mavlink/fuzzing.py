@@ -24,7 +24,7 @@ from sitl.mavlink.signing import Signing
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from tests.bench.mavlink.fuzz_orders import Orders
 from tests.bench.mavlink.garbage import GARBAGE_SYSTEM, KINDS, templates
-from tests.unit.sitl.autopilot.autopilot_flight import HOME, Flight
+from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
 
 mavlink: Any = dialect
 
@@ -37,7 +37,7 @@ LEGAL_SYSTEM: Final = 250
 
 
 @dataclass
-class Client:
+class FuzzingClient:
     """One client: what it has sent that is legal, and which answers have come."""
 
     packer: Any
@@ -105,7 +105,7 @@ class Fuzz:
         self, autopilot_kind: AutopilotKind, seed: int, key: bytes | None = None, *, orders: bool = False
     ) -> None:
         self.rng = np.random.default_rng(seed)
-        self.flight = Flight(autopilot_kind)
+        self.flight = AutopilotFlight(autopilot_kind)
         self.flight.take_off()
         self.flight.take_control()
         self.signing = Signing(autopilot_kind, key)
@@ -152,13 +152,13 @@ class Fuzz:
             self.signing.refused,
         )
 
-    def _client(self, component: int, key: bytes | None) -> Client:
+    def _client(self, component: int, key: bytes | None) -> FuzzingClient:
         packer = mavlink.MAVLink(None, srcSystem=LEGAL_SYSTEM, srcComponent=component)
         if key is not None:
             packer.signing.secret_key, packer.signing.sign_outgoing = key, True
             packer.signing.timestamp = int((1.7e9 - 1_420_070_400) * 1e5)
             packer.signing.allow_unsigned_callback = None
-        return Client(packer)
+        return FuzzingClient(packer)
 
     def _garbage(self) -> bytes:
         if self._orders is not None and self.rng.random() < ORDERS_SHARE:
@@ -168,7 +168,7 @@ class Fuzz:
         self._kinds[make.__name__.replace("_", " ")] += 1
         return make(self.rng, self._templates[int(self.rng.integers(len(self._templates)))])
 
-    def _legal(self, client: Client, number: int) -> bytes:
+    def _legal(self, client: FuzzingClient, number: int) -> bytes:
         self._kinds["legal"] += 1
         if self.rng.random() < 0.5:
             client.commands_sent += 1
@@ -182,7 +182,7 @@ class Fuzz:
             message = mavlink.MAVLink_timesync_message(0, stamp)
         return bytes(message.pack(client.packer))
 
-    def _send(self, client: Client, data: bytes) -> None:
+    def _send(self, client: FuzzingClient, data: bytes) -> None:
         if client is self.tcp:
             self._stream += data
             self._flush(int(self.rng.integers(len(self._stream) + 1)))

@@ -28,7 +28,7 @@ from rich.table import Table
 
 from companion.control import limits
 from sitl.campaign.figures import Bar
-from tests.bench.mutants.mutate import Branches, Mutant, mutants
+from tests.bench.mutants.mutate import BranchMarker, Mutant, mutants
 from tests.bench.mutants.survivors import SURVIVORS
 
 MODULE: Final = "companion.control.limits"
@@ -91,7 +91,7 @@ def _run(tests: Sequence[str]) -> int:
 
 def branches_missed(source: str, tests: Sequence[str]) -> tuple[int, list[str]]:
     """How many conditions there are, and which of them the tests never find true, or never false."""
-    noted = Branches()
+    noted = BranchMarker()
     tree = noted.visit(ast.parse(source))
     with tempfile.NamedTemporaryFile(prefix="bench-mutants-") as file:
         seen: set[tuple[int, bool]] = set()

@@ -162,7 +162,7 @@ def _called(node: ast.Call) -> Iterator[ast.AST]:
 # ---------------------------------------------------------------- branches
 
 
-class Branches(ast.NodeTransformer):
+class BranchMarker(ast.NodeTransformer):
     """Wraps every condition into `_branch(number, condition)`, so that its values can be noted."""
 
     def __init__(self) -> None:

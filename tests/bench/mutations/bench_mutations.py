@@ -45,7 +45,7 @@ _PAGE_MB: Final = resource.getpagesize() / 1e6
 
 
 @dataclass
-class Found:
+class TargetResult:
     """What became of one target."""
 
     name: str
@@ -61,9 +61,9 @@ def resident_mb() -> float:
     return int(Path("/proc/self/statm").read_text().split()[1]) * _PAGE_MB
 
 
-def run_target(name: str, target: Target, count: int, seed: int) -> Found:
+def run_target(name: str, target: Target, count: int, seed: int) -> TargetResult:
     """Give a target so many inputs."""
-    found, began_s, run = Found(name), wall_clock_s(), 0
+    found, began_s, run = TargetResult(name), wall_clock_s(), 0
     steps = target(random.Random(f"{seed} {name} {run}"))
     warm_mb, warm_at = resident_mb(), max(1, round(WARM_SHARE * count))
     while found.inputs < count:
@@ -84,7 +84,7 @@ def run_target(name: str, target: Target, count: int, seed: int) -> Found:
     return found
 
 
-def table(results: Sequence[Found]) -> Table:
+def table(results: Sequence[TargetResult]) -> Table:
     """A row a target."""
     made = Table("target", "inputs", "exceptions", "memory after a quarter", "time")
     for found in results:

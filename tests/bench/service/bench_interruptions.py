@@ -34,7 +34,7 @@ from sitl.run.report import read_report
 from tests.bench.faults.runs_file import flights_key
 from tests.bench.service import judging
 from tests.bench.service.running import NEAR, Stage, stage
-from tests.bench.service.trials import KINDS, Kind, Trial, TrialsFile, moment, reached
+from tests.bench.service.trials import KINDS, InterruptedTrial, Kind, TrialsFile, moment, reached
 
 OUT: Final = Path("flights/bench-interruptions")
 TRIALS: Final = 20
@@ -54,7 +54,9 @@ class NotFlown(Exception):  # noqa: N818 - it reads as what happened
     """The bench could not fly a trial, which judges nothing."""
 
 
-def main(arguments: Sequence[str] | None = None, fly: Callable[[Kind, int, str], Trial] | None = None) -> int:
+def main(
+    arguments: Sequence[str] | None = None, fly: Callable[[Kind, int, str], InterruptedTrial] | None = None
+) -> int:
     """Entry point; returns the exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--trials", type=int, default=TRIALS, help="of each kind")
@@ -67,7 +69,7 @@ def main(arguments: Sequence[str] | None = None, fly: Callable[[Kind, int, str],
     done = file.read(code)
     by_s = time.monotonic() + 60.0 * (chosen.minutes or 1e6)
 
-    def flown(key: tuple[Kind, int]) -> Trial | None:
+    def flown(key: tuple[Kind, int]) -> InterruptedTrial | None:
         if time.monotonic() > by_s:
             return None
         try:
@@ -88,7 +90,7 @@ def main(arguments: Sequence[str] | None = None, fly: Callable[[Kind, int, str],
     return report([done[key] for key in asked if key in done], len(asked))
 
 
-def report(trials: Sequence[Trial], asked: int) -> int:
+def report(trials: Sequence[InterruptedTrial], asked: int) -> int:
     """Print the table and the verdict; returns the exit status."""
     table = Table("kind", "seed", "phase", "after the order, s", "failsafe, s", "found")
     for trial in trials:
@@ -104,14 +106,14 @@ def report(trials: Sequence[Trial], asked: int) -> int:
     return 0 if holds else 1
 
 
-def _words(trial: Trial) -> str:
+def _words(trial: InterruptedTrial) -> str:
     return "; ".join(trial.found) or "safe"
 
 
 # ---------------------------------------------------------------- one trial
 
 
-def fly_trial(kind: Kind, seed: int, code: str) -> Trial:
+def fly_trial(kind: Kind, seed: int, code: str) -> InterruptedTrial:
     """One flight, interrupted.
 
     Raises:
@@ -139,7 +141,9 @@ def fly_trial(kind: Kind, seed: int, code: str) -> Trial:
             raise NotFlown(f"the simulator was {told.latest_tick_s:.1f} s late")
         if told.outcome == "crashed":
             found.append("the vehicle crashed")
-        return Trial(kind, seed, code, phase, round(interrupted_s - ordered_s, 2), left_s, tuple(found))
+        return InterruptedTrial(
+            kind, seed, code, phase, round(interrupted_s - ordered_s, 2), left_s, tuple(found)
+        )
 
 
 def _wait_for(on: Stage, phase: str) -> None:

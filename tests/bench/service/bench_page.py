@@ -28,7 +28,7 @@ from typing import Final
 import aiohttp
 from mcap.reader import make_reader
 
-from tests.bench.cpu.bench_cpu import Bar
+from tests.bench.cpu.bench_cpu import CostBar
 from tests.browser import PHONE, Tab, browser, program
 from tests.scenario.flying import COMMAND, ROOT, environment
 
@@ -46,7 +46,7 @@ class FlightSpoiltError(RuntimeError):
 
 
 @dataclass
-class Flight:
+class PageFlight:
     """What one landing cost, in the air."""
 
     viewers: str
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 async def _bench(chosen: argparse.Namespace) -> int:
-    bars: list[Bar] = []
+    bars: list[CostBar] = []
     if chosen.part != "pixel":
         bars += await _load_bars(chosen)
     if chosen.part != "load":
@@ -83,7 +83,7 @@ async def _bench(chosen: argparse.Namespace) -> int:
     return report(bars)
 
 
-def report(bars: Sequence[Bar]) -> int:
+def report(bars: Sequence[CostBar]) -> int:
     """Print the bars and the verdict; returns the exit status. What was not measured holds nothing."""
     for bar in bars:
         print(f"{bar.name}: not measured" if math.isnan(bar.measured) else bar)
@@ -95,20 +95,20 @@ def report(bars: Sequence[Bar]) -> int:
     return 1 if words else 0
 
 
-async def _load_bars(chosen: argparse.Namespace) -> list[Bar]:
-    flown: dict[int, list[Flight]] = {0: [], MANY: [], 1: []}
+async def _load_bars(chosen: argparse.Namespace) -> list[CostBar]:
+    flown: dict[int, list[PageFlight]] = {0: [], MANY: [], 1: []}
     for number in range(chosen.rounds):
         for viewers, flights in flown.items():
             flights.append(await _fly(chosen.scenario, chosen.seed + number, viewers))
             print(flights[-1], flush=True)
     return [
-        Bar("CPU of the page while nobody looks", _mean(flown[0], "page_percent"), IDLE_PERCENT, "%"),
-        Bar("CPU for one viewer", _viewer_percent(flown), VIEWER_PERCENT, "% of a core"),
+        CostBar("CPU of the page while nobody looks", _mean(flown[0], "page_percent"), IDLE_PERCENT, "%"),
+        CostBar("CPU for one viewer", _viewer_percent(flown), VIEWER_PERCENT, "% of a core"),
         _late_bar(flown[0], flown[MANY]),
     ]
 
 
-async def _pixel_bars(chosen: argparse.Namespace) -> list[Bar]:
+async def _pixel_bars(chosen: argparse.Namespace) -> list[CostBar]:
     ordered: list[float] = []
     if program() is None:
         print("Chromium is not installed; expected it for the delay to the pixel")
@@ -117,7 +117,7 @@ async def _pixel_bars(chosen: argparse.Namespace) -> list[Bar]:
         print(looked, flush=True)
         ordered = sorted(looked.latencies_ms)
     return [
-        Bar(
+        CostBar(
             f"from exposure to pixel, {name}",
             ordered[round(share * (len(ordered) - 1))] if ordered else math.nan,
             PIXEL_MS,
@@ -127,27 +127,27 @@ async def _pixel_bars(chosen: argparse.Namespace) -> list[Bar]:
     ]
 
 
-def _mean(flights: list[Flight], name: str) -> float:
+def _mean(flights: list[PageFlight], name: str) -> float:
     return float(sum(getattr(flight, name) for flight in flights) / len(flights))
 
 
-def _viewer_percent(flown: dict[int, list[Flight]]) -> float:
+def _viewer_percent(flown: dict[int, list[PageFlight]]) -> float:
     """What the page's process takes, and what the app's takes more than without a viewer, if it does."""
     more = _mean(flown[1], "app_percent") - _mean(flown[0], "app_percent")
     return _mean(flown[1], "page_percent") + max(0.0, more)
 
 
-def _late_bar(without: list[Flight], many: list[Flight]) -> Bar:
+def _late_bar(without: list[PageFlight], many: list[PageFlight]) -> CostBar:
     """Late cycles, no more than without viewers within two standard deviations of such counts."""
     few, lot = sum(f.late for f in without), sum(f.late for f in many)
     most = few + 2.0 * math.sqrt(few + lot)
-    return Bar(f"late cycles with {MANY} viewers (without: {few})", lot, most, "")
+    return CostBar(f"late cycles with {MANY} viewers (without: {few})", lot, most, "")
 
 
 # ---------------------------------------------------------------- one landing
 
 
-async def _fly(scenario: str, seed: int, viewers: int | None) -> Flight:
+async def _fly(scenario: str, seed: int, viewers: int | None) -> PageFlight:
     """A landing with so many viewers (None: one in Chromium); one that the machine spoilt is flown again."""
     for _ in range(TRIES - 1):
         with suppress(FlightSpoiltError):
@@ -155,8 +155,8 @@ async def _fly(scenario: str, seed: int, viewers: int | None) -> Flight:
     return await _try(scenario, seed, viewers)
 
 
-async def _try(scenario: str, seed: int, viewers: int | None) -> Flight:
-    flight = Flight("Chromium" if viewers is None else str(viewers))
+async def _try(scenario: str, seed: int, viewers: int | None) -> PageFlight:
+    flight = PageFlight("Chromium" if viewers is None else str(viewers))
     with tempfile.TemporaryDirectory(prefix="page-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         async with (
@@ -198,7 +198,7 @@ async def _line(process: asyncio.subprocess.Process, words: str) -> str:
     raise FlightSpoiltError(f"the flight ended before '{words}'")
 
 
-async def _measure(process: asyncio.subprocess.Process, flight: Flight) -> None:
+async def _measure(process: asyncio.subprocess.Process, flight: PageFlight) -> None:
     """CPU of the app and of its page from the take-off to the end of the landing."""
     await _line(process, "airborne")
     page = _page_of(process.pid)
@@ -223,7 +223,7 @@ def _cpu_s(pid: int) -> float:
     return sum(int(cell) for cell in cells[11:13]) / float(os.sysconf("SC_CLK_TCK"))
 
 
-def _count_cycles(path: Path, flight: Flight) -> None:
+def _count_cycles(path: Path, flight: PageFlight) -> None:
     with path.open("rb") as stream:
         for _, _, message in make_reader(stream).iter_messages(topics=["/control_report"]):
             flight.cycles += 1
@@ -234,7 +234,7 @@ def _count_cycles(path: Path, flight: Flight) -> None:
 
 
 @asynccontextmanager
-async def _looking(flight: Flight, folder: Path, url: str, viewers: int | None) -> AsyncIterator[None]:
+async def _looking(flight: PageFlight, folder: Path, url: str, viewers: int | None) -> AsyncIterator[None]:
     if viewers is None:
         async with browser(folder) as tab:
             await tab.resize(PHONE, 2.0)
@@ -251,7 +251,7 @@ async def _looking(flight: Flight, folder: Path, url: str, viewers: int | None) 
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def _view(flight: Flight, session: aiohttp.ClientSession, url: str) -> None:
+async def _view(flight: PageFlight, session: aiohttp.ClientSession, url: str) -> None:
     async with session.ws_connect(f"{url}live", headers={"Origin": url.rstrip("/")}) as socket:
         async for message in socket:
             if message.type is aiohttp.WSMsgType.BINARY:
@@ -260,7 +260,7 @@ async def _view(flight: Flight, session: aiohttp.ClientSession, url: str) -> Non
                 flight.pictures += 1
 
 
-async def _read(flight: Flight, tab: Tab) -> None:
+async def _read(flight: PageFlight, tab: Tab) -> None:
     """What the page has measured so far; the newest before it ends is all of it."""
     with suppress(OSError, RuntimeError, TimeoutError, KeyError):
         while True:

@@ -35,9 +35,9 @@ from mcap.reader import make_reader
 
 from companion.base.messages import Phase
 from companion.config import ComputeConfig
-from tests.bench.cpu.bench_cpu import Bar
+from tests.bench.cpu.bench_cpu import CostBar
 from tests.bench.service.running import NEAR, Stage, stage
-from tests.scenario.standing_by import Field, stand_by
+from tests.scenario.standing_by import StoryField, stand_by
 
 START_S: Final = 4.0
 STANDBY_PERCENT: Final = 25.0
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--scenario", default="static", help="of the landing")
     parser.add_argument("--orders", type=int, default=ORDERS)
     chosen = parser.parse_args(arguments)
-    bars: list[Bar] = []
+    bars: list[CostBar] = []
     if chosen.part in (None, "landing"):
         bars += _landing(chosen.scenario)
     if chosen.part in (None, "orders"):
@@ -75,23 +75,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
 # ---------------------------------------------------------------- one landing, real time
 
 
-def _landing(scenario: str) -> list[Bar]:
+def _landing(scenario: str) -> list[CostBar]:
     with (
         tempfile.TemporaryDirectory(prefix="service-") as folder,
         stage(Path(folder), scenario, 0) as on,
     ):
-        bars = [Bar("start to standby", on.start_service(), START_S, "s")]
+        bars = [CostBar("start to standby", on.start_service(), START_S, "s")]
         on.wait_until(None, healthy=True)
-        bars.append(Bar("CPU in standby", _standby_percent(on), STANDBY_PERCENT, "% of a core"))
-        bars.append(Bar("CPU in a landing", _landing_percent(on), LANDING_PERCENT, "% of a core"))
-        bars.append(Bar("memory, largest", _memory_mb(on), MEMORY_MB, "MB"))
+        bars.append(CostBar("CPU in standby", _standby_percent(on), STANDBY_PERCENT, "% of a core"))
+        bars.append(CostBar("CPU in a landing", _landing_percent(on), LANDING_PERCENT, "% of a core"))
+        bars.append(CostBar("memory, largest", _memory_mb(on), MEMORY_MB, "MB"))
         on.end_service()  # which finishes the log
         delays = read_delays(Path(folder) / "flights" / "flight-0001" / "flight.mcap")
     for line in delays.lines():
         print(line)
     return [
         *bars,
-        Bar("exposure to setpoint p99, beyond camera and model", delays.beyond_ms, LATENCY_MS, "ms"),
+        CostBar("exposure to setpoint p99, beyond camera and model", delays.beyond_ms, LATENCY_MS, "ms"),
     ]
 
 
@@ -192,7 +192,7 @@ def _memory_mb(on: Stage) -> float:
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldMemory:
     """What the process holds between two orders."""
 
     tasks: int
@@ -201,7 +201,7 @@ class Held:
     memory_mb: float
 
     @classmethod
-    def now(cls) -> Held:
+    def now(cls) -> HeldMemory:
         """Count; what is garbage is none."""
         gc.collect()
         pages = int(Path("/proc/self/statm").read_text().split()[1])
@@ -212,17 +212,17 @@ class Held:
             memory_mb=pages * resource.getpagesize() / 1e6,
         )
 
-    def more_than(self, first: Held) -> int:
+    def more_than(self, first: HeldMemory) -> int:
         """How many tasks, threads and files more."""
         pairs = ((self.tasks, first.tasks), (self.threads, first.threads), (self.files, first.files))
         return sum(max(0, now - before) for now, before in pairs)
 
 
-def _many_orders(count: int) -> list[Bar]:
+def _many_orders(count: int) -> list[CostBar]:
     """Landings in one run: refused on the ground, every other one taken by the pilot first, landed."""
-    held: list[Held] = []
+    held: list[HeldMemory] = []
 
-    async def story(field: Field) -> None:
+    async def story(field: StoryField) -> None:
         await field.ready()
         for number in range(count):
             field.order()
@@ -236,7 +236,7 @@ def _many_orders(count: int) -> list[Bar]:
             await field.landed()
             await asyncio.sleep(3.0)  # the log's last messages, and its thread
             field.forget()
-            held.append(Held.now())
+            held.append(HeldMemory.now())
             print(f"landing {number + 1}: {held[-1]}", file=sys.stderr, flush=True)
 
     with tempfile.TemporaryDirectory(prefix="service-") as folder:
@@ -244,10 +244,10 @@ def _many_orders(count: int) -> list[Bar]:
         recorded = len(list(Path(folder).glob("flight-*/flight.mcap")))
     first, last = held[0], held[-1]
     return [
-        Bar(f"of {count} ordered landings not flown", count - len(held), 0.0, ""),
-        Bar("flights without a log", count + count // 2 - recorded, 0.0, ""),
-        Bar("tasks, threads and files gained since the first", last.more_than(first), 0.0, ""),
-        Bar("memory gained since the first", last.memory_mb - first.memory_mb, GROWTH_MB, "MB"),
+        CostBar(f"of {count} ordered landings not flown", count - len(held), 0.0, ""),
+        CostBar("flights without a log", count + count // 2 - recorded, 0.0, ""),
+        CostBar("tasks, threads and files gained since the first", last.more_than(first), 0.0, ""),
+        CostBar("memory gained since the first", last.memory_mb - first.memory_mb, GROWTH_MB, "MB"),
     ]
 
 

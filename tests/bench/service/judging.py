@@ -15,7 +15,7 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
 from companion.link.codec import mavlink
-from tests.bench.service.witness import OFFBOARD, Beat, Seen
+from tests.bench.service.witness import OFFBOARD, Beat, SeenTraffic
 
 # what was in flight on the line, and what the kernel still held
 GRACE_S: Final = 0.3
@@ -33,18 +33,18 @@ def ours(beat: Beat) -> bool:
     return beat.armed and beat.mode == OFFBOARD
 
 
-def left_after_s(seen: Seen, since_s: float) -> float | None:
+def left_after_s(seen: SeenTraffic, since_s: float) -> float | None:
     """How long after a moment the autopilot had left OFFBOARD, or disarmed; None: never."""
     later = (beat.time_s for beat in seen.beats if beat.time_s > since_s and not ours(beat))
     return next((time_s - since_s for time_s in later), None)
 
 
-def killed(seen: Seen, killed_s: float) -> list[str]:
+def killed(seen: SeenTraffic, killed_s: float) -> list[str]:
     """kill -9 and the start after it: nothing is ordered any more, and the autopilot helps itself."""
     return _nothing_after(seen, killed_s + GRACE_S) + _failsafe(seen, killed_s) + _armed_after(seen, killed_s)
 
 
-def stopped(seen: Seen, stopped_s: float, resumed_s: float) -> list[str]:
+def stopped(seen: SeenTraffic, stopped_s: float, resumed_s: float) -> list[str]:
     """SIGSTOP, and SIGCONT: silence, the failsafe, and nothing against the mode that it chose."""
     late = [at_s for at_s in seen.setpoints if stopped_s + GRACE_S < at_s < resumed_s]
     found = [f"{len(late)} setpoints while it was stopped"] if late else []
@@ -56,7 +56,7 @@ def stopped(seen: Seen, stopped_s: float, resumed_s: float) -> list[str]:
     return found
 
 
-def terminated(seen: Seen, asked_s: float, ended_s: float, code: int, *, standby: bool) -> list[str]:
+def terminated(seen: SeenTraffic, asked_s: float, ended_s: float, code: int, *, standby: bool) -> list[str]:
     """SIGTERM: it hands back, ends in time with the right code, and nothing comes after it."""
     took_s = ended_s - asked_s
     found = [] if took_s <= ENDS_WITHIN_S else [f"ended after {took_s:.0f} s"]
@@ -96,7 +96,7 @@ def _stamps_s(path: Path) -> list[float]:
     return stamps
 
 
-def _handed_back(seen: Seen, asked_s: float, ended_s: float) -> list[str]:
+def _handed_back(seen: SeenTraffic, asked_s: float, ended_s: float) -> list[str]:
     """An armed vehicle is told its mode, and stays in it: setpoints that merely stop are no handing back."""
     settled_s = ended_s + HEARTBEAT_S
     if not seen.at(settled_s).armed:
@@ -107,7 +107,7 @@ def _handed_back(seen: Seen, asked_s: float, ended_s: float) -> list[str]:
     return found + (["the mode changed after the end"] if later - {seen.at(settled_s).mode} else [])
 
 
-def _nothing_after(seen: Seen, after_s: float) -> list[str]:
+def _nothing_after(seen: SeenTraffic, after_s: float) -> list[str]:
     """What was ordered after a moment after which nothing may be."""
     late = sum(at_s > after_s for at_s in seen.setpoints)
     commands = sorted({command.number for command in seen.commands if command.time_s > after_s})
@@ -115,14 +115,14 @@ def _nothing_after(seen: Seen, after_s: float) -> list[str]:
     return found + ([f"commands {_listed(commands)}"] if commands else [])
 
 
-def _failsafe(seen: Seen, since_s: float) -> list[str]:
+def _failsafe(seen: SeenTraffic, since_s: float) -> list[str]:
     """Setpoints that stop leave the vehicle to the autopilot's failsafe."""
     if not any(beat.time_s > since_s for beat in seen.beats):
         return ["nothing heard of the vehicle any more"]
     return ["the autopilot's failsafe did not act"] if ours(seen.at(since_s + FAILSAFE_S)) else []
 
 
-def _armed_after(seen: Seen, since_s: float) -> list[str]:
+def _armed_after(seen: SeenTraffic, since_s: float) -> list[str]:
     """A vehicle that was or became disarmed stays so; what was asked before may take a heartbeat to show."""
     settled_s = since_s + HEARTBEAT_S
     armed = [seen.at(settled_s).armed, *(beat.armed for beat in seen.beats if beat.time_s > settled_s)]

@@ -20,7 +20,7 @@ import yaml
 from companion.base.messages import Phase
 from companion.config import CONFIG_FOLDER, merge
 from sitl.scenario.scenario import load_scenario
-from tests.bench.service.witness import Witness
+from tests.bench.service.witness import UdpWitness
 
 ROOT: Final = CONFIG_FOLDER.parent
 PATIENCE_S: Final = 60.0
@@ -48,7 +48,7 @@ class Stage:
 
     folder: Path
     settings: Path
-    witness: Witness
+    witness: UdpWitness
     simulator: subprocess.Popen[str]
     service: subprocess.Popen[str] | None = None
 
@@ -116,7 +116,7 @@ def stage(folder: Path, scenario: str | Path, seed: int) -> Iterator[Stage]:
     )
     assert simulator.stdout is not None
     wired = json.loads(simulator.stdout.readline())
-    witness = Witness(int(wired["link"]["connection"].rpartition(":")[2]))
+    witness = UdpWitness(int(wired["link"]["connection"].rpartition(":")[2]))
     operator = load_scenario(scenario).operator_settings
     changes: dict[str, Any] = {
         "link": {"connection": f"udp:127.0.0.1:{witness.port}"},

@@ -30,17 +30,17 @@ ORDER: Final = ("descend", "standby", "touchdown", "approach", "take_off", "sear
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class InterruptionMoment:
     """When to interrupt: so long (s) after a phase, or a later one, has begun."""
 
     phase: str
     delay_s: float
 
 
-def moment(kind: Kind, seed: int) -> Moment:
+def moment(kind: Kind, seed: int) -> InterruptionMoment:
     """The moment of a trial."""
     phase = ORDER[(seed + 3 * KINDS.index(kind)) % len(ORDER)]
-    return Moment(phase, random.Random(f"{kind} {seed}").uniform(0.0, PHASES[phase]))
+    return InterruptionMoment(phase, random.Random(f"{kind} {seed}").uniform(0.0, PHASES[phase]))
 
 
 def reached(phase: str, wanted: str) -> bool:
@@ -50,7 +50,7 @@ def reached(phase: str, wanted: str) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class InterruptedTrial:
     """A trial that is done: what was interrupted, on which state of the code, and what was found unsafe.
 
     `failsafe_s` is how long the autopilot took to leave OFFBOARD; None where it was not in it.
@@ -71,13 +71,13 @@ class TrialsFile:
     def __init__(self, path: Path) -> None:
         self._path = path
 
-    def read(self, code: str) -> dict[tuple[Kind, int], Trial]:
+    def read(self, code: str) -> dict[tuple[Kind, int], InterruptedTrial]:
         """The trials of this state of the code."""
         lines = self._path.read_text(encoding="utf-8").splitlines() if self._path.exists() else []
         trials = [trial for trial in map(_trial, lines) if trial is not None and trial.code == code]
         return {(trial.kind, trial.seed): trial for trial in trials}
 
-    def append(self, trial: Trial) -> None:
+    def append(self, trial: InterruptedTrial) -> None:
         """Add one, at once."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
         cut = self._path.exists() and not self._path.read_bytes().endswith(b"\n")
@@ -85,9 +85,9 @@ class TrialsFile:
             file.write("\n" * cut + json.dumps(asdict(trial)) + "\n")
 
 
-def _trial(line: str) -> Trial | None:
+def _trial(line: str) -> InterruptedTrial | None:
     try:
         told = json.loads(line)
-        return Trial(**told | {"found": tuple(told["found"])})
+        return InterruptedTrial(**told | {"found": tuple(told["found"])})
     except (ValueError, TypeError, KeyError):
         return None

@@ -29,7 +29,7 @@ class Beat:
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class AppCommand:
     """A command of the app's to the autopilot."""
 
     time_s: float
@@ -37,11 +37,11 @@ class Command:
 
 
 @dataclass
-class Seen:
+class SeenTraffic:
     """What passed: the app's setpoints (s, monotonic) and commands, the autopilot's heartbeats."""
 
     setpoints: list[float] = field(default_factory=list)
-    commands: list[Command] = field(default_factory=list)
+    commands: list[AppCommand] = field(default_factory=list)
     beats: list[Beat] = field(default_factory=list)
 
     def take(self, message: Any, now_s: float, *, from_app: bool) -> None:
@@ -50,7 +50,7 @@ class Seen:
         if from_app and kind.startswith("SET_") and "TARGET" in kind:
             self.setpoints.append(now_s)
         elif from_app and kind in {"COMMAND_LONG", "COMMAND_INT"} and message.command not in ASKING:
-            self.commands.append(Command(now_s, message.command))
+            self.commands.append(AppCommand(now_s, message.command))
         elif not from_app and kind == "HEARTBEAT" and message.get_srcComponent() == 1:
             armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
             self.beats.append(Beat(now_s, message.custom_mode, armed))
@@ -60,11 +60,11 @@ class Seen:
         return next((b for b in reversed(self.beats) if b.time_s <= time_s), Beat(time_s, 0, armed=False))
 
 
-class Witness:
+class UdpWitness:
     """A UDP relay between the app, which calls `port`, and the simulated vehicle at `vehicle_port`."""
 
     def __init__(self, vehicle_port: int, port: int = 0) -> None:
-        self.seen = Seen()
+        self.seen = SeenTraffic()
         self._app_side = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._app_side.bind(("127.0.0.1", port))
         self._vehicle_side = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -54,7 +54,7 @@ HALF_TURN_X: Final = np.array([[0.0, 1.0, 0.0, 0.0]])
 
 
 @dataclass(frozen=True)
-class Trial:
+class AhrsTrial:
     """One recording, turned to FRD and NED; `truth` (n, 4) stands at the samples `judged`."""
 
     name: str
@@ -75,7 +75,7 @@ class Trial:
         return attitude, (math.hypot(north, east), 0.0, down)
 
 
-Run = Callable[[Trial], FloatArray]
+Run = Callable[[AhrsTrial], FloatArray]
 
 
 # ---------------------------------------------------------------- data and errors
@@ -93,7 +93,7 @@ def ned_from_enu(sensor_to_enu: FloatArray) -> FloatArray:
     return multiply(multiply(NED_FROM_ENU, sensor_to_enu), HALF_TURN_X)
 
 
-def load(path: Path) -> Trial:
+def load(path: Path) -> AhrsTrial:
     """Read one trial.
 
     Raises:
@@ -111,10 +111,10 @@ def load(path: Path) -> Trial:
         raise ValueError(f"{path}: expected a trial of BROAD as .npz: {error}") from error
     if not len(judged):
         raise ValueError(f"{path}: expected samples in movement with a reference, found none")
-    return Trial(path.stem, period_s, rates, forces, fields, judged, ned_from_enu(truth[judged]))
+    return AhrsTrial(path.stem, period_s, rates, forces, fields, judged, ned_from_enu(truth[judged]))
 
 
-def errors_deg(trial: Trial, estimate: FloatArray) -> tuple[float, float, float]:
+def errors_deg(trial: AhrsTrial, estimate: FloatArray) -> tuple[float, float, float]:
     """Total, heading and inclination error (deg), root mean square, of attitudes (n, 4) at every sample."""
     e = np.abs(multiply(trial.truth, estimate[trial.judged] * np.array([1.0, -1.0, -1.0, -1.0])))
     total = 2.0 * np.arccos(np.clip(e[:, 0], 0.0, 1.0))
@@ -127,7 +127,7 @@ def errors_deg(trial: Trial, estimate: FloatArray) -> tuple[float, float, float]
 # ---------------------------------------------------------------- ours
 
 
-def run_filter(trial: Trial, make: Callable[[Quaternion, Vector3], Any]) -> FloatArray:
+def run_filter(trial: AhrsTrial, make: Callable[[Quaternion, Vector3], Any]) -> FloatArray:
     """One of the orientation filters by itself."""
     attitude, field = trial.start
     own, dt_s = make(attitude, field), trial.period_s
@@ -139,17 +139,17 @@ def run_filter(trial: Trial, make: Callable[[Quaternion, Vector3], Any]) -> Floa
     return estimate
 
 
-def run_madgwick(trial: Trial) -> FloatArray:
+def run_madgwick(trial: AhrsTrial) -> FloatArray:
     """Madgwick's filter alone, at its peer's gain."""
     return run_filter(trial, lambda attitude, _field: MadgwickFilter(PEER_GAIN, 0.0, attitude))
 
 
-def run_prefilter(trial: Trial) -> FloatArray:
+def run_prefilter(trial: AhrsTrial) -> FloatArray:
     """The complementary pre-filter alone: without the EKF, and so without a gyroscope bias."""
     return run_filter(trial, lambda attitude, field: OrientationFilter(field, attitude))
 
 
-def run_ekf(trial: Trial) -> FloatArray:
+def run_ekf(trial: AhrsTrial) -> FloatArray:
     """The whole vehicle estimator at its shipped settings, without GPS."""
     attitude, field = trial.start
     config = EstimateConfig(magnetic_field_ned_ut=field)
@@ -192,7 +192,7 @@ def _upright(values: FloatArray) -> FloatArray:
     return np.ascontiguousarray(values * FLU_FROM_FRD)
 
 
-def _run_ahrs(trial: Trial, filter_class: Any) -> FloatArray:
+def _run_ahrs(trial: AhrsTrial, filter_class: Any) -> FloatArray:
     # this one's world frame is north, west, up: a quarter turn from ENU
     run = filter_class(
         gyr=_upright(trial.rates),
@@ -205,7 +205,7 @@ def _run_ahrs(trial: Trial, filter_class: Any) -> FloatArray:
     return ned_from_enu(multiply(quarter, np.asarray(run.Q)))
 
 
-def _run_vqf(trial: Trial, filter_class: Any) -> FloatArray:
+def _run_vqf(trial: AhrsTrial, filter_class: Any) -> FloatArray:
     run = filter_class(trial.period_s)
     result = run.updateBatch(_upright(trial.rates), _upright(trial.forces), _upright(trial.fields))
     return ned_from_enu(result["quat9D"])

@@ -33,7 +33,7 @@ from tests.unit.estimate.pad.pad_scores import (
     score,
     with_spikes,
 )
-from tests.unit.estimate.pad.pad_track import MOTIONS, Track
+from tests.unit.estimate.pad.pad_track import MOTIONS, PadTrack
 
 VELOCITY_M_S: Final = 0.12
 STEP_US: Final = 200.0
@@ -41,7 +41,7 @@ SPIKES_COST_M: Final = 0.03
 
 
 @dataclass(frozen=True)
-class Row:
+class PadFilterRow:
     """A filter over all runs of a motion."""
 
     motion: str
@@ -83,21 +83,21 @@ class Row:
         )
 
 
-def fly(seeds: range) -> list[Row]:
+def fly(seeds: range) -> list[PadFilterRow]:
     """Both filters over all motions."""
     rows = []
     for motion in MOTIONS:
-        tracks = [Track(motion, seed) for seed in seeds]
+        tracks = [PadTrack(motion, seed) for seed in seeds]
         makers: dict[str, NewFilter] = {"single": old_filter, "now": new_filter}
         for name, make in makers.items():
             scores = [score(track, make) for track in tracks]
             axis = 2 if motion == "heave" else 0
             lags = [lag_s(track, found, axis) for track, found in zip(tracks, scores, strict=True)]
-            rows.append(Row(motion, name, scores, float(np.mean(lags))))
+            rows.append(PadFilterRow(motion, name, scores, float(np.mean(lags))))
     return rows
 
 
-def step_us(track: Track) -> float:
+def step_us(track: PadTrack) -> float:
     """Median of what one sighting costs, prediction and update."""
     judged = new_filter(track.motion_history())
     spent_s = []
@@ -108,7 +108,7 @@ def step_us(track: Track) -> float:
     return 1e6 * float(np.median(spent_s))
 
 
-def table(rows: Sequence[Row]) -> Table:
+def table(rows: Sequence[PadFilterRow]) -> Table:
     """All of it."""
     grid = Table(title="Pad filter on made-up tracks: root mean square errors")
     for heading in (
@@ -134,9 +134,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rows = fly(range(chosen.first_seed, chosen.first_seed + seeds))
     Console(width=190).print(table(rows))
     ours = [row for row in rows if row.filter == "now"]
-    cost_us = step_us(Track("figure-8", 0))
-    late_m = late_frames_cost_m(Track("figure-8", 0))
-    tracks = [Track("heave", seed) for seed in range(min(seeds, 5))]
+    cost_us = step_us(PadTrack("figure-8", 0))
+    late_m = late_frames_cost_m(PadTrack("figure-8", 0))
+    tracks = [PadTrack("heave", seed) for seed in range(min(seeds, 5))]
     spikes = [with_spikes(track) for track in tracks]
     worst_m = max(found.worst_height_error_m for found in spikes)
     clean_m = max(with_spikes(track, spike_share=0.0).worst_height_error_m for track in tracks)

@@ -30,8 +30,8 @@ from tests.bench.state.costs import measure
 from tests.bench.state.fault_flights import CASES, FaultFlight, trial_of
 from tests.bench.state.figures import (
     VIBRATION,
-    Flight,
     FlightCase,
+    FlightErrors,
     bars,
     cases_of,
     consistencies,
@@ -58,11 +58,11 @@ def obtain(trial: Trial, name: str, folder: Path | None) -> Stream:
     return stream
 
 
-def flown(case: FlightCase, seed: int, folder: Path | None) -> Flight:
+def flown(case: FlightCase, seed: int, folder: Path | None) -> FlightErrors:
     """One flight, measured."""
     trial = case.trial(seed)
     stream = obtain(trial, case.slug, folder)
-    return Flight(case, seed, stream.outcome, rerun(stream, settings_of(trial)))
+    return FlightErrors(case, seed, stream.outcome, rerun(stream, settings_of(trial)))
 
 
 def flown_with_fault(index: int, seed: int, folder: Path | None) -> FaultFlight:
@@ -75,7 +75,7 @@ def flown_with_fault(index: int, seed: int, folder: Path | None) -> FaultFlight:
 
 def draw(
     folder: Path,
-    flights: Sequence[Flight],
+    flights: Sequence[FlightErrors],
     by_case: dict[FlightCase, dict[str, Consistency]],
     faulted: Sequence[FaultFlight],
 ) -> None:

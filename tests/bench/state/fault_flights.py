@@ -34,7 +34,7 @@ NEAR: Final[dict[str, Any]] = {}
 
 
 @dataclass(frozen=True)
-class FaultCase:
+class FlightFault:
     """One fault on one kind of flight.
 
     `judged_from_s` is when the recovery's time starts to count: the fault's end, or its start when it stays.
@@ -53,56 +53,56 @@ class FaultCase:
 
 
 CASES: Final = (
-    FaultCase("none, far", FAR, None),
-    FaultCase(
+    FlightFault("none, far", FAR, None),
+    FlightFault(
         "GPS gone for 30 s",
         FAR,
         {"kind": "gps_lost", "start_s": 12.0, "duration_s": 30.0},
         judged_from_s=42.0,
     ),
-    FaultCase(
+    FlightFault(
         "30 µT for 5 s",
         FAR,
         {"kind": "mag_disturbed", "start_s": 16.0, "duration_s": 5.0, "field_body_ut": [0.0, 30.0, 0.0]},
         judged_from_s=21.0,
     ),
-    FaultCase(
+    FlightFault(
         "gyro bias step of 2 °/s", FAR, {"kind": "gyro_bias_step", "start_s": 16.0}, judged_from_s=16.0
     ),
-    FaultCase(
+    FlightFault(
         "accelerometer clips for 5 s",
         FAR,
         {"kind": "accel_clips", "start_s": 16.0, "duration_s": 5.0},
         judged_from_s=21.0,
     ),
-    FaultCase(
+    FlightFault(
         "4 x vibration for 3 s",
         FAR,
         {"kind": "vibration", "start_s": 16.0, "duration_s": 3.0, "factor": 4.0},
         judged_from_s=19.0,
     ),
-    FaultCase(
+    FlightFault(
         "10 x vibration for 3 s",
         FAR,
         {"kind": "vibration", "start_s": 16.0, "duration_s": 3.0, "factor": 10.0},
         judged_from_s=19.0,
     ),
-    FaultCase("none, near", NEAR, None, pad=True),
-    FaultCase(
+    FlightFault("none, near", NEAR, None, pad=True),
+    FlightFault(
         "10 x vibration for 3 s, near",
         NEAR,
         {"kind": "vibration", "start_s": 16.0, "duration_s": 3.0, "factor": 10.0},
         judged_from_s=19.0,
         pad=True,
     ),
-    FaultCase(
+    FlightFault(
         "range spikes, 30 % of the echoes",
         NEAR,
         {"kind": "range_spikes", "start_s": 16.0, "share": 0.3},
         judged_from_s=16.0,
         pad=True,
     ),
-    FaultCase(
+    FlightFault(
         "every 10th frame 250 ms late",
         NEAR,
         {"kind": "frame_late", "start_s": 16.0, "duration_s": 5.0},
@@ -116,7 +116,7 @@ CASES: Final = (
 class FaultFlight:
     """One flight's errors, from take-off to touchdown."""
 
-    case: FaultCase
+    case: FlightFault
     seed: int
     outcome: str
     samples: Samples
@@ -161,7 +161,7 @@ class FaultFlight:
         return times
 
 
-def trial_of(case: FaultCase, seed: int) -> Trial:
+def trial_of(case: FlightFault, seed: int) -> Trial:
     """The base scenario with the case's changes and fault."""
     base = Trial.load(BASE, seed)
     plain = base.scenario.model_dump(mode="json", by_alias=True, exclude_unset=True)

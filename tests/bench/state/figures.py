@@ -64,7 +64,7 @@ def cases_of(scenarios: Sequence[str], vibration: Sequence[float]) -> list[Fligh
 
 
 @dataclass(frozen=True)
-class Flight:
+class FlightErrors:
     """One flight in the air, and while the pad has been seen for 2 s."""
 
     case: FlightCase
@@ -91,7 +91,7 @@ def pooled(parts: Sequence[Samples], value: Callable[[Samples], FloatArray]) -> 
 # ---------------------------------------------------------------- consistency
 
 
-def consistencies(flights: Sequence[Flight]) -> dict[str, Consistency]:
+def consistencies(flights: Sequence[FlightErrors]) -> dict[str, Consistency]:
     """The NEES of both filters, whole and in parts."""
     air, seen = [flight.air for flight in flights], [flight.seen for flight in flights]
     result = {}
@@ -128,7 +128,9 @@ def _since_start(s: Samples) -> FloatArray:
 # ---------------------------------------------------------------- bars
 
 
-def bars(flights: Sequence[Flight], by_case: dict[FlightCase, dict[str, Consistency]]) -> dict[str, bool]:
+def bars(
+    flights: Sequence[FlightErrors], by_case: dict[FlightCase, dict[str, Consistency]]
+) -> dict[str, bool]:
     """Which bars hold; of figure-8 one by one for each vibration."""
     held: dict[str, bool] = {}
     for case, figures in by_case.items():

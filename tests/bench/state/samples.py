@@ -74,7 +74,7 @@ def rms(rows: FloatArray) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class EstimatorAnswer:
     """What the estimator says at one time."""
 
     vehicle: VehicleState
@@ -83,16 +83,18 @@ class Answer:
     pad_covariance: FloatArray | None
 
 
-def ask(estimator: StateEstimator, now_s: float) -> Answer | None:
+def ask(estimator: StateEstimator, now_s: float) -> EstimatorAnswer | None:
     """Ask for everything, as a control cycle does; None before the alignment."""
     vehicle, covariance = estimator.vehicle(now_s), estimator.vehicle_covariance()
     if vehicle is None or covariance is None:
         return None
     pad = estimator.pad(now_s)
-    return Answer(vehicle, covariance, pad, None if pad is None else np.array(pad.covariance))
+    return EstimatorAnswer(vehicle, covariance, pad, None if pad is None else np.array(pad.covariance))
 
 
-def samples_of(answers: Sequence[Answer], truth: Sequence[Truth], airborne_s: tuple[float, float]) -> Samples:
+def samples_of(
+    answers: Sequence[EstimatorAnswer], truth: Sequence[Truth], airborne_s: tuple[float, float]
+) -> Samples:
     """Errors and covariances of all answers within the track of the truth."""
     track = TruthTrack(truth)
     covered = track.covers(np.array([answer.vehicle.time_s for answer in answers]))

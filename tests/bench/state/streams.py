@@ -44,13 +44,13 @@ from companion.pad import load_pad
 from companion.sim.runner import fly
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
-from tests.bench.state.samples import Answer, Samples, ask, rms, samples_of
+from tests.bench.state.samples import EstimatorAnswer, Samples, ask, rms, samples_of
 
 __all__ = [
     "INPUTS",
-    "Event",
     "Samples",
     "Stream",
+    "StreamEvent",
     "feed",
     "fly_stream",
     "load",
@@ -76,7 +76,7 @@ AIRBORNE_M: Final = 0.5  # higher than that over its start the vehicle has taken
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class StreamEvent:
     """One message: an estimator's input or, by the topics "vehicle" and "pad", what it answered."""
 
     topic: str
@@ -90,7 +90,7 @@ class Stream:
 
     scenario: str
     seed: int
-    events: tuple[Event, ...]
+    events: tuple[StreamEvent, ...]
     truth: tuple[Truth, ...]
     phases: tuple[tuple[float, str], ...]  # when each began
     outcome: str
@@ -116,7 +116,7 @@ class Stream:
         start_s, end_s = self.truth[0].time_s, self.truth[-1].time_s
         return (before[-1] if before else start_s, after[0] if after else end_s)
 
-    def edited(self, edit: Callable[[Event], Event | None]) -> Stream:
+    def edited(self, edit: Callable[[StreamEvent], StreamEvent | None]) -> Stream:
         """A copy whose inputs have gone through `edit` (None: lost), in their new order of arrival."""
         events = [
             changed
@@ -134,12 +134,12 @@ class _StreamLog(FlightLog):
 
     def __init__(self) -> None:
         super().__init__(None, start_unix_s=0.0)
-        self.events: list[Event] = []
+        self.events: list[StreamEvent] = []
 
     def write(self, topic: str, message: Any, time_s: float) -> None:
         super().write(topic, message, time_s)
         if topic in KEPT:
-            self.events.append(Event(topic, time_s, message))
+            self.events.append(StreamEvent(topic, time_s, message))
 
 
 def fly_stream(trial: Trial, config: CompanionConfig | None = None) -> Stream:
@@ -192,7 +192,7 @@ def load(path: Path) -> Stream:
     """Read what `save` wrote (a pickle: only of files of one's own)."""
     plain = pickle.loads(path.read_bytes())
     plain["events"] = tuple(
-        Event(t, arrival_s, KEPT[t](**values)) for t, arrival_s, values in plain["events"]
+        StreamEvent(t, arrival_s, KEPT[t](**values)) for t, arrival_s, values in plain["events"]
     )
     plain["truth"] = tuple(Truth(**values) for values in plain["truth"])
     return Stream(**plain)
@@ -222,7 +222,7 @@ def rerun(stream: Stream, config: CompanionConfig | None = None, rate_hz: float 
         rate_hz: of the samples, which fall on the control cycles that flew.
     """
     estimator = new_estimator(config or settings_of(Trial.load(stream.scenario, stream.seed)))
-    answers: list[Answer] = []
+    answers: list[EstimatorAnswer] = []
     next_s = 0.0
     for event in stream.events:
         if event.topic in INPUTS:
@@ -234,7 +234,7 @@ def rerun(stream: Stream, config: CompanionConfig | None = None, rate_hz: float 
     return samples_of(answers, stream.truth, stream.airborne_s)
 
 
-def feed(estimator: StateEstimator, event: Event) -> None:
+def feed(estimator: StateEstimator, event: StreamEvent) -> None:
     """Give the estimator one input."""
     take: dict[str, Callable[[Any], bool]] = {
         "imu": estimator.add_imu,

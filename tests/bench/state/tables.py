@@ -16,14 +16,14 @@ from tests.bench.state.figures import (
     PAD_VELOCITY_M_S,
     STEP_US,
     VELOCITY_M_S,
-    Flight,
     FlightCase,
+    FlightErrors,
     pooled,
 )
 from tests.bench.state.samples import Samples, rms
 
 
-def error_table(flights: Sequence[Flight]) -> Table:
+def error_table(flights: Sequence[FlightErrors]) -> Table:
     """A row a scenario: root mean squares over all its flights, the worst flight's beside them."""
     grid = Table(title="Estimates against the truth, from take-off to touchdown: all flights (worst flight)")
     grid.add_column("scenario")

@@ -33,7 +33,7 @@ import cv2
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-from tests.bench.vision.cases import SEED, Case, Outcome, run_chunk
+from tests.bench.vision.cases import SEED, CaseOutcome, VisionCase, run_chunk
 from tests.bench.vision.clutter import SHOTS_OF_A_BOARD, false_pads
 from tests.bench.vision.photos import photo_table, read_photos
 from tests.bench.vision.pictures import contact_sheet
@@ -76,12 +76,12 @@ QUICK: Final = Amount(marker=40, pad=60, clutter=200, flips=200, timed=20)
 class Work:
     """A piece of work for one process; without a case: clutter."""
 
-    case: Case | None
+    case: VisionCase | None
     chunk: int
     shots: int
 
 
-def do(work: Work) -> Outcome | int:
+def do(work: Work) -> CaseOutcome | int:
     """Do it, on one thread; returns an outcome, or how many pads were seen where there was none."""
     cv2.setNumThreads(1)
     if work.case is None:
@@ -89,17 +89,17 @@ def do(work: Work) -> Outcome | int:
     return run_chunk(work.case, work.chunk, work.shots)
 
 
-def chunks(case: Case | None, shots: int) -> Iterator[Work]:
+def chunks(case: VisionCase | None, shots: int) -> Iterator[Work]:
     """A number of shots in pieces."""
     most = SHOTS_OF_A_BOARD if case is None else SHOTS_OF_A_CHUNK
     for chunk, first in enumerate(range(0, shots, most)):
         yield Work(case, chunk, min(most, shots - first))
 
 
-def tilted_cases() -> list[Case]:
+def tilted_cases() -> list[VisionCase]:
     """Of one marker wherever the paper uses one, and of the pad at every height."""
-    single = [Case(case.size, case.side_cm, case.height_m, tilted=True) for case in single_cases()]
-    return [*single, *(Case("640x480", 0.0, height_m, tilted=True) for height_m in PAD_HEIGHTS_M)]
+    single = [VisionCase(case.size, case.side_cm, case.height_m, tilted=True) for case in single_cases()]
+    return [*single, *(VisionCase("640x480", 0.0, height_m, tilted=True) for height_m in PAD_HEIGHTS_M)]
 
 
 def work_of(parts: Sequence[str], amount: Amount) -> list[Work]:
@@ -118,7 +118,7 @@ def work_of(parts: Sequence[str], amount: Amount) -> list[Work]:
     return works
 
 
-def run(works: Sequence[Work], jobs: int, console: Console) -> Iterator[tuple[Work, Outcome | int]]:
+def run(works: Sequence[Work], jobs: int, console: Console) -> Iterator[tuple[Work, CaseOutcome | int]]:
     """Results, in the order of the work: the same however many processes share it."""
     columns = (
         "[progress.description]{task.description}",
@@ -126,7 +126,7 @@ def run(works: Sequence[Work], jobs: int, console: Console) -> Iterator[tuple[Wo
         MofNCompleteColumn(),
         TimeRemainingColumn(),
     )
-    found: dict[Work, Outcome | int] = {}
+    found: dict[Work, CaseOutcome | int] = {}
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("rendering and looking", total=len(works))
         for work, result in _results(works, jobs):
@@ -136,7 +136,7 @@ def run(works: Sequence[Work], jobs: int, console: Console) -> Iterator[tuple[Wo
         yield work, found[work]
 
 
-def _results(works: Sequence[Work], jobs: int) -> Iterator[tuple[Work, Outcome | int]]:
+def _results(works: Sequence[Work], jobs: int) -> Iterator[tuple[Work, CaseOutcome | int]]:
     if jobs == 1:
         yield from ((work, do(work)) for work in works)
         return
@@ -146,7 +146,7 @@ def _results(works: Sequence[Work], jobs: int) -> Iterator[tuple[Work, Outcome |
             yield futures[future], future.result()
 
 
-def joined(results: Iterable[tuple[Work, Outcome | int]]) -> tuple[Outcomes, int, int]:
+def joined(results: Iterable[tuple[Work, CaseOutcome | int]]) -> tuple[Outcomes, int, int]:
     """Outcomes by case; false pads, and of how many frames of clutter."""
     outcomes: Outcomes = {}
     false = clutter = 0
@@ -154,7 +154,7 @@ def joined(results: Iterable[tuple[Work, Outcome | int]]) -> tuple[Outcomes, int
         if isinstance(result, int):
             false, clutter = false + result, clutter + work.shots
         elif work.case is not None:
-            outcomes.setdefault(work.case, Outcome(work.case)).join(result)
+            outcomes.setdefault(work.case, CaseOutcome(work.case)).join(result)
     return outcomes, false, clutter
 
 

@@ -25,8 +25,8 @@ from companion.config import VisionConfig
 from companion.sense.vision.pipeline import Vision
 from sitl.run.scene_camera import perturbed_lens
 from tests.bench.state.consistency import nees
-from tests.bench.vision.judge import Judged, bound_m2, eyes, judge, noise_px
-from tests.bench.vision.shots import ATTITUDE_STD_RAD, Stage
+from tests.bench.vision.judge import JudgedShot, bound_m2, eyes, judge, noise_px
+from tests.bench.vision.shots import ATTITUDE_STD_RAD, PadBeforeCamera
 
 SEED: Final = 11
 # places a pixel, each way, where the position's error is measured
@@ -37,7 +37,7 @@ FEW: Final = 10
 
 
 @dataclass(frozen=True)
-class Case:
+class VisionCase:
     """A pad of one marker of that side (0: the shipped pad) from a height over its surface."""
 
     size: str
@@ -52,15 +52,15 @@ class Case:
 
 
 @dataclass
-class Outcome:
+class CaseOutcome:
     """What shots of a case came to; `calibrated` are the same as a user's camera sees them."""
 
-    case: Case
-    exact: list[Judged] = field(default_factory=list)
-    calibrated: list[Judged] = field(default_factory=list)
-    paper: list[Judged] = field(default_factory=list)
+    case: VisionCase
+    exact: list[JudgedShot] = field(default_factory=list)
+    calibrated: list[JudgedShot] = field(default_factory=list)
+    paper: list[JudgedShot] = field(default_factory=list)
 
-    def join(self, other: Outcome) -> None:
+    def join(self, other: CaseOutcome) -> None:
         """Take another chunk of the same case in."""
         self.exact += other.exact
         self.calibrated += other.calibrated
@@ -105,13 +105,13 @@ class Outcome:
         return " ".join(f"{g} {px:.2f}" for g, px in sorted(noise_px(self.exact).items()))
 
 
-def rmse_m(shots: Iterable[Judged]) -> float:
+def rmse_m(shots: Iterable[JudgedShot]) -> float:
     """Root mean square of the position's error."""
     seen = _seen(shots)
     return math.sqrt(float(np.mean([shot.squared_m2 for shot in seen]))) if len(seen) >= FEW else math.nan
 
 
-def mean_nees(shots: Iterable[Judged]) -> tuple[float, int]:
+def mean_nees(shots: Iterable[JudgedShot]) -> tuple[float, int]:
     """Mean NEES of the position, and over how many independent shots."""
     seen = _seen(shots)
     if len(seen) < FEW:
@@ -121,15 +121,15 @@ def mean_nees(shots: Iterable[Judged]) -> tuple[float, int]:
     return float(np.mean(nees(errors, covariances))), len(seen)
 
 
-def _seen(shots: Iterable[Judged]) -> list[Judged]:
+def _seen(shots: Iterable[JudgedShot]) -> list[JudgedShot]:
     return [shot for shot in shots if shot.seen]
 
 
-def run_chunk(case: Case, chunk: int, shots: int) -> Outcome:
+def run_chunk(case: VisionCase, chunk: int, shots: int) -> CaseOutcome:
     """Render and judge some shots of a case."""
     rng = case.rng(chunk)
     finer = 1 if case.tilted else FINER
-    stage, outcome = Stage(case.size, case.side_cm, rng, finer=finer), Outcome(case)
+    stage, outcome = PadBeforeCamera(case.size, case.side_cm, rng, finer=finer), CaseOutcome(case)
     shipped = VisionConfig()
 
     def calibrated() -> Vision:

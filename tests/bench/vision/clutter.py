@@ -23,7 +23,7 @@ from companion.pad import DICTIONARIES, Pad
 from sitl.camera.textures import PAD_BLACK, PAD_WHITE, GreyImage, Texture, board_texture, ground_texture
 from tests.bench.vision.cases import SEED
 from tests.bench.vision.judge import eyes
-from tests.bench.vision.shots import CAMERAS, Shot, Stage, pad_of
+from tests.bench.vision.shots import CAMERAS, BenchShot, PadBeforeCamera, pad_of
 
 BOARD_PX: Final = 2000
 BOARD_M: Final = (0.5, 6.0)
@@ -181,12 +181,12 @@ def _drawn(rng: np.random.Generator, between: tuple[float, float]) -> float:
     return float(low * (high / low) ** rng.uniform())
 
 
-def clutter_shots(chunk: int, shots: int) -> list[tuple[Stage, Shot, PadPrior]]:
+def clutter_shots(chunk: int, shots: int) -> list[tuple[PadBeforeCamera, BenchShot, PadPrior]]:
     """One board from several heights: the stage, each shot, and what the app expects."""
     rng = np.random.default_rng((SEED, 1_000_003, chunk))
     size = list(CAMERAS)[chunk % len(CAMERAS)]
     board, _ = clutter_board(rng, pad_of(0.0))
-    stage = Stage(size, 0.0, rng, board)
+    stage = PadBeforeCamera(size, 0.0, rng, board)
     made = []
     for k in range(shots):
         shot = stage.shoot(_drawn(rng, HEIGHTS_M))

@@ -51,7 +51,7 @@ FLIGHTS: Final = 3
 
 
 @dataclass(frozen=True)
-class Flight:
+class HoverFlight:
     """A hover, every physics step of it: places (n, 3) and attitudes (n, 4)."""
 
     positions_ned_m: FloatArray
@@ -83,7 +83,7 @@ class Flight:
 
 
 @lru_cache(maxsize=FLIGHTS)
-def flight(seed: int) -> Flight:
+def flight(seed: int) -> HoverFlight:
     """Fly one.
 
     Raises:
@@ -108,20 +108,20 @@ def flight(seed: int) -> Flight:
     if abs(table[:, 2].mean() + HEIGHT_M) > 1.0:
         raise RuntimeError(f"the vehicle hovers at {-table[:, 2].mean():.1f} m; expected {HEIGHT_M:g} m")
     signs = np.where(table[:, 3:4] < 0.0, -1.0, 1.0)
-    return Flight(table[:, :3], table[:, 3:] * signs)
+    return HoverFlight(table[:, :3], table[:, 3:] * signs)
 
 
 @dataclass(frozen=True)
-class Moment:
+class HoverMoment:
     """A moment of a hover, and what comes before and after it."""
 
-    flight: Flight
+    flight: HoverFlight
     time_s: float
     rotor_phase_rad: float
     throttle: float
 
     @classmethod
-    def draw(cls, rng: np.random.Generator, vehicle: VehicleConfig, follows_s: float = 0.0) -> Moment:
+    def draw(cls, rng: np.random.Generator, vehicle: VehicleConfig, follows_s: float = 0.0) -> HoverMoment:
         """Any moment of any of the flights that goes on for so long."""
         chosen = flight(int(rng.integers(FLIGHTS)))
         time_s = rng.uniform(MARGIN_S, chosen.length_s - MARGIN_S - follows_s)

@@ -26,7 +26,7 @@ from companion.base.messages import PadSighting
 from companion.config import CameraConfig, VisionConfig
 from companion.sense.vision.aruco import Detection
 from companion.sense.vision.pipeline import Vision
-from tests.bench.vision.shots import ATTITUDE_STD_RAD, Shot, Stage, vehicle
+from tests.bench.vision.shots import ATTITUDE_STD_RAD, BenchShot, PadBeforeCamera, vehicle
 
 FLIP_RAD: Final = math.radians(10.0)
 # nearer to square-on than this, the attitude's own error may put a pose on the other side
@@ -38,7 +38,7 @@ UNKNOWNS: Final = 16
 
 
 @dataclass
-class Judged:
+class JudgedShot:
     """One shot's outcome; without a sighting only the first three say something.
 
     `information` is of pose, motion and vibration (16, 16), for each group of markers, at a noise of 1 px;
@@ -62,16 +62,16 @@ class Judged:
         return float(self.error_m @ self.error_m)
 
 
-def eyes(stage: Stage, config: VisionConfig, camera: CameraConfig | None = None) -> Vision:
+def eyes(stage: PadBeforeCamera, config: VisionConfig, camera: CameraConfig | None = None) -> Vision:
     """The app's eyes, by a calibration that may be another than the lens is."""
     return Vision(stage.pad, camera or stage.camera, vehicle(), config)
 
 
-def judge(vision: Vision, stage: Stage, shot: Shot, *, corners: bool = False) -> Judged:
+def judge(vision: Vision, stage: PadBeforeCamera, shot: BenchShot, *, corners: bool = False) -> JudgedShot:
     """Let the eyes look; `corners`: also what the bound needs."""
     result = vision.step(shot.frame, shot.prior)
     if result.sighting is None:
-        return Judged(False, result.searched_whole_frame)
+        return JudgedShot(False, result.searched_whole_frame)
     found = _errors(shot, result.sighting)
     found.whole_frame = result.searched_whole_frame
     if corners:
@@ -79,13 +79,13 @@ def judge(vision: Vision, stage: Stage, shot: Shot, *, corners: bool = False) ->
     return found
 
 
-def _errors(shot: Shot, sighting: PadSighting) -> Judged:
+def _errors(shot: BenchShot, sighting: PadSighting) -> JudgedShot:
     place, body_from_pad = shot.scene.pad_in_body(sighting.time_s)
     error = np.array(sighting.pad_position_body_m) - np.array(place)
     turn = quat_multiply(quat_conjugate(body_from_pad), sighting.body_from_pad)
     turn_error = 2.0 * math.acos(min(1.0, abs(turn[0])))
     other_side = _on_the_other_side(body_from_pad, sighting.body_from_pad, np.array(place))
-    return Judged(
+    return JudgedShot(
         True,
         False,
         error_m=error,
@@ -106,7 +106,9 @@ def _on_the_other_side(truth: Quaternion, told: Quaternion, place: FloatArray) -
     return clear and float(sides[0] @ sides[1]) < 0.0
 
 
-def _corners(found: Judged, stage: Stage, shot: Shot, time_s: float, used: Iterable[Detection]) -> None:
+def _corners(
+    found: JudgedShot, stage: PadBeforeCamera, shot: BenchShot, time_s: float, used: Iterable[Detection]
+) -> None:
     """Fill in what the used corners missed by, and what they could have told."""
     by_group: dict[str, list[Detection]] = {}
     for detection in used:
@@ -152,7 +154,7 @@ def _crossed(points: FloatArray) -> FloatArray:
     return np.stack([zero, c, -b, -c, zero, a, b, -a, zero], axis=1).reshape(-1, 3, 3)
 
 
-def _known(rotation: FloatArray, shot: Shot) -> FloatArray:
+def _known(rotation: FloatArray, shot: BenchShot) -> FloatArray:
     """Gravity, which the attitude tells, and how far the hover's motion and the rotors' vibration go."""
     known = np.zeros((UNKNOWNS, UNKNOWNS))
     normal, flight = rotation[:, 2], shot.scene.moment.flight
@@ -166,7 +168,7 @@ def _known(rotation: FloatArray, shot: Shot) -> FloatArray:
 # ---------------------------------------------------------------- over many shots
 
 
-def noise_px(shots: Iterable[Judged]) -> dict[str, float]:
+def noise_px(shots: Iterable[JudgedShot]) -> dict[str, float]:
     """Root mean square of what corners missed by, an axis, by group of markers."""
     misses: dict[str, list[FloatArray]] = {}
     for shot in shots:
@@ -175,7 +177,7 @@ def noise_px(shots: Iterable[Judged]) -> dict[str, float]:
     return {group: float(np.sqrt(np.mean(np.concatenate(all_) ** 2))) for group, all_ in misses.items()}
 
 
-def bound_m2(shot: Judged, noise: dict[str, float]) -> float:
+def bound_m2(shot: JudgedShot, noise: dict[str, float]) -> float:
     """Cramér-Rao: the least mean square of the position's error."""
     information = shot.known.copy()
     for group, found in shot.information.items():

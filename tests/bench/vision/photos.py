@@ -31,7 +31,7 @@ CORNER_PX: Final = 1.0
 
 
 @dataclass(frozen=True)
-class Photo:
+class PhotoErrors:
     """What was found in one: ids missed, false ones, and the errors of the others.
 
     `errors_px` (n, 4, 2) are the contours' corners less the references, which are contours' corners too;
@@ -56,7 +56,7 @@ class Photo:
         return not self.missed and not self.false and self.worst_px <= CORNER_PX
 
 
-def read_photos(folder: Path) -> list[Photo]:
+def read_photos(folder: Path) -> list[PhotoErrors]:
     """All photos that have references.
 
     Raises:
@@ -68,7 +68,7 @@ def read_photos(folder: Path) -> list[Photo]:
     ]
 
 
-def _read(path: Path, printed: dict[int, FloatArray]) -> Photo:
+def _read(path: Path, printed: dict[int, FloatArray]) -> PhotoErrors:
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise OSError(f"{path}: not a picture")
@@ -89,7 +89,7 @@ def _read(path: Path, printed: dict[int, FloatArray]) -> Photo:
     errors: FloatArray = np.array([found[k][0] - printed[k] for k in right]).reshape(-1, 4, 2)
     border: FloatArray = np.array([found[k][1] - outer_border(printed[k]) for k in right]).reshape(-1, 4, 2)
     missed, false = sorted(printed.keys() - found.keys()), sorted(found.keys() - printed.keys())
-    return Photo(path.name, len(printed), errors, border, tuple(missed), tuple(false))
+    return PhotoErrors(path.name, len(printed), errors, border, tuple(missed), tuple(false))
 
 
 def outer_border(corners_px: FloatArray) -> FloatArray:
@@ -116,7 +116,7 @@ def _rms(errors_px: FloatArray) -> float:
     return float(np.sqrt(np.mean(errors_px**2))) if errors_px.size else float("nan")
 
 
-def photo_table(photos: list[Photo]) -> tuple[Table, dict[str, bool]]:
+def photo_table(photos: list[PhotoErrors]) -> tuple[Table, dict[str, bool]]:
     """What was found beside what is there."""
     grid = Table(title="Real photographs")
     worst = f"worst coordinate px (≤{CORNER_PX:g})"

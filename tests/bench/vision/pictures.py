@@ -13,21 +13,21 @@ import cv2
 import numpy as np
 
 from sitl.camera.textures import GreyImage
-from tests.bench.vision.cases import MOST_TILT_RAD, Case
+from tests.bench.vision.cases import MOST_TILT_RAD, VisionCase
 from tests.bench.vision.clutter import clutter_shots
-from tests.bench.vision.shots import Stage
+from tests.bench.vision.shots import PadBeforeCamera
 
 CELL_PX: Final = (320, 240)
 # a chunk that no table uses
 SHEET_CHUNK: Final = 10**6
 CLUTTER_SHEET_CHUNKS: Final = (0, 2, 3, 5)
 CASES: Final = (
-    [Case("1280x720", 0.0, height_m) for height_m in (0.15, 0.6, 3.0, 12.0)],
-    [Case("640x480", 0.0, height_m) for height_m in (0.15, 0.6, 3.0, 12.0)],
-    [Case("1280x720", *of) for of in ((5.0, 0.3), (10.0, 1.0), (18.0, 3.0), (18.0, 9.0))],
+    [VisionCase("1280x720", 0.0, height_m) for height_m in (0.15, 0.6, 3.0, 12.0)],
+    [VisionCase("640x480", 0.0, height_m) for height_m in (0.15, 0.6, 3.0, 12.0)],
+    [VisionCase("1280x720", *of) for of in ((5.0, 0.3), (10.0, 1.0), (18.0, 3.0), (18.0, 9.0))],
     [
-        Case("1280x720", 0.0, 1.0, tilted=True),
-        *(Case("640x480", 0.0, h, tilted=True) for h in (0.3, 3.0, 9.0)),
+        VisionCase("1280x720", 0.0, 1.0, tilted=True),
+        *(VisionCase("640x480", 0.0, h, tilted=True) for h in (0.3, 3.0, 9.0)),
     ],
 )
 
@@ -50,10 +50,10 @@ def contact_sheet(path: Path) -> None:
     cv2.imwrite(str(path), np.vstack([*rows, np.hstack(clutter)]))
 
 
-def _frame(case: Case) -> tuple[GreyImage, tuple[float, float]]:
+def _frame(case: VisionCase) -> tuple[GreyImage, tuple[float, float]]:
     """A frame, and where the pad's centre is in it."""
     rng = case.rng(SHEET_CHUNK)
-    stage = Stage(case.size, case.side_cm, rng)
+    stage = PadBeforeCamera(case.size, case.side_cm, rng)
     shot = stage.shoot(case.height_m, MOST_TILT_RAD if case.tilted else None)
     u, v = stage.pixels(shot.scene, np.zeros((1, 3)))[0][0].tolist()
     return shot.frame.image, (u, v)

@@ -44,7 +44,7 @@ from companion.pad import Marker, Pad, load_pad
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
 from sitl.camera.textures import Texture
-from tests.bench.vision.hover import Moment
+from tests.bench.vision.hover import HoverMoment
 
 SHIPPED_PAD: Final = "moving_1300"
 CAMERAS: Final = {"1280x720": "hd_1280x720", "640x480": "sitl_640x480"}
@@ -100,10 +100,10 @@ def pad_of(side_cm: float) -> Pad:
 
 
 @dataclass(frozen=True)
-class Scene:
+class HoverScene:
     """A pad that lies still under a vehicle that hovers."""
 
-    moment: Moment
+    moment: HoverMoment
     lean: Quaternion
     start_ned_m: Vector3
     pad_heading_rad: float
@@ -130,15 +130,15 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class Shot:
+class BenchShot:
     """One frame, its truth, and what the app would expect of it."""
 
     frame: Frame
-    scene: Scene
+    scene: HoverScene
     prior: PadPrior
 
 
-class Stage:
+class PadBeforeCamera:
     """One pad (or another print) before one camera."""
 
     def __init__(
@@ -163,15 +163,15 @@ class Stage:
         self.body_from_camera = self._model.body_from_camera
         self._sequence = 0
 
-    def shoot(self, height_m: float, tilt_rad: float | None = None) -> Shot:
+    def shoot(self, height_m: float, tilt_rad: float | None = None) -> BenchShot:
         """A frame from a height (m) over the surface; a single marker is whole in it.
 
         `tilt_rad`: how far the vehicle leans, in any direction; else as the hover goes.
         """
         scene = self.scene(height_m, tilt_rad)
-        return Shot(self.frame(scene, 0.0), scene, self.expectation(scene, 0.0, height_m))
+        return BenchShot(self.frame(scene, 0.0), scene, self.expectation(scene, 0.0, height_m))
 
-    def scene(self, height_m: float, tilt_rad: float | None = None, follows_s: float = 0.0) -> Scene:
+    def scene(self, height_m: float, tilt_rad: float | None = None, follows_s: float = 0.0) -> HoverScene:
         """Draw one.
 
         Raises:
@@ -183,13 +183,13 @@ class Stage:
                 return scene
         raise RuntimeError(f"{self.pad.name} at {height_m:g} m: never whole in {self.camera.name}")
 
-    def frame(self, scene: Scene, time_s: float) -> Frame:
+    def frame(self, scene: HoverScene, time_s: float) -> Frame:
         """Take one picture."""
         self._sequence += 1
         image = self._model.render(time_s, scene.pose)
         return Frame(time_s, time_s + 0.03, self._sequence, image)
 
-    def expectation(self, scene: Scene, time_s: float, height_m: float) -> PadPrior:
+    def expectation(self, scene: HoverScene, time_s: float, height_m: float) -> PadPrior:
         """What the app expects: the truth, wrong by as much as its estimates are."""
         rng, place = self._rng, scene.pad_in_body(time_s)[0]
         std_m = PRIOR_STD_M + PRIOR_STD_PER_M * height_m
@@ -213,7 +213,7 @@ class Stage:
     # ------------------------------------------------------------ the truth
 
     def pixels(
-        self, scene: Scene, points_pad_m: FloatArray, time_s: float = 0.0
+        self, scene: HoverScene, points_pad_m: FloatArray, time_s: float = 0.0
     ) -> tuple[FloatArray, FloatArray]:
         """Where points (n, 3) of the pad are in the frame (n, 2), and when their rows are exposed (n,), s.
 
@@ -233,19 +233,19 @@ class Stage:
         pixels = tracks[first, k] + share[:, None] * (tracks[first + 1, k] - tracks[first, k])
         return pixels, times[first] + share * (times[1] - times[0]) + time_s
 
-    def in_camera(self, scene: Scene, points_pad_m: FloatArray, time_s: float) -> FloatArray:
+    def in_camera(self, scene: HoverScene, points_pad_m: FloatArray, time_s: float) -> FloatArray:
         """Points (n, 3) of the pad in camera axes (m)."""
         rotation, position = self.pose_in_camera(scene, time_s)
         return points_pad_m @ rotation.T + position
 
-    def pose_in_camera(self, scene: Scene, time_s: float) -> tuple[FloatArray, FloatArray]:
+    def pose_in_camera(self, scene: HoverScene, time_s: float) -> tuple[FloatArray, FloatArray]:
         """Camera-from-pad (3, 3), and the pad's place (3,) in camera axes."""
         place, body_from_pad = scene.pad_in_body(time_s)
         mount = np.array(self._model.position_body_m)
         rotation = self.body_from_camera.T @ matrix_from_quat(body_from_pad)
         return rotation, self.body_from_camera.T @ (np.array(place) - mount)
 
-    def _pixels_at(self, scene: Scene, points_pad_m: FloatArray, time_s: float) -> FloatArray:
+    def _pixels_at(self, scene: HoverScene, points_pad_m: FloatArray, time_s: float) -> FloatArray:
         camera, points = self.camera, self.in_camera(scene, points_pad_m, time_s)
         matrix = np.array(
             [[camera.fx_px, 0.0, camera.cx_px], [0.0, camera.fy_px, camera.cy_px], [0.0, 0.0, 1.0]]
@@ -255,9 +255,9 @@ class Stage:
 
     # ------------------------------------------------------------ drawing
 
-    def _draw(self, height_m: float, tilt_rad: float | None, follows_s: float) -> Scene:
+    def _draw(self, height_m: float, tilt_rad: float | None, follows_s: float) -> HoverScene:
         rng = self._rng
-        moment = Moment.draw(rng, vehicle(), follows_s)
+        moment = HoverMoment.draw(rng, vehicle(), follows_s)
         attitude = moment.at(0.0)[1]
         yaw = quat_from_euler(0.0, 0.0, float(rng.uniform(-math.pi, math.pi)))
         lean, aim = yaw, rng.normal(0.0, AIM_STD_M + AIM_STD_PER_M * height_m, 2).tolist()
@@ -269,9 +269,9 @@ class Stage:
         lever = quat_rotate(quat_multiply(lean, attitude), self._model.position_body_m)
         camera = (aim[0], aim[1], -SURFACE_M - height_m)
         heading = float(rng.uniform(-math.pi, math.pi))
-        return Scene(moment, lean, subtract(camera, lever), heading)
+        return HoverScene(moment, lean, subtract(camera, lever), heading)
 
-    def _whole(self, scene: Scene) -> bool:
+    def _whole(self, scene: HoverScene) -> bool:
         """Whether every marker is in the picture with a cell's breadth of white around it."""
         pixels = self._pixels_at(scene, 1.25 * self._corners, 0.0)
         size = (self.camera.width_px - 1, self.camera.height_px - 1)

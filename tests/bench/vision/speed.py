@@ -34,7 +34,7 @@ from companion.config import VisionConfig
 from companion.pad import DICTIONARIES, Pad
 from tests.bench.vision.cases import SEED
 from tests.bench.vision.judge import eyes
-from tests.bench.vision.shots import ATTITUDE_STD_RAD, Stage
+from tests.bench.vision.shots import ATTITUDE_STD_RAD, PadBeforeCamera
 
 HEIGHTS_M: Final = (0.15, 0.3, 0.6, 1.0, 3.0, 6.0, 9.0, 12.0)
 FRAMES_OF_A_HOVER: Final = 30
@@ -61,7 +61,7 @@ class Times:
         return float(np.median(self.peers_s) / np.median(self.ours_s))
 
 
-class Peer:
+class OpenCvDetector:
     """OpenCV's detector for one pad's dictionaries."""
 
     def __init__(self, pad: Pad) -> None:
@@ -117,14 +117,14 @@ def measure(size: str, height_m: float, frames: int) -> Times:
     times, hovers = Times(size, height_m), 0
     while len(times.ours_s) < frames:
         rng = np.random.default_rng((SEED, 2_000_003, hovers, round(100 * height_m)))
-        stage = Stage(size, 0.0, rng)
+        stage = PadBeforeCamera(size, 0.0, rng)
         _time_hover(times, stage, rng, frames)
         hovers += 1
     return times
 
 
-def _time_hover(times: Times, stage: Stage, rng: np.random.Generator, frames: int) -> None:
-    vision, peer, follower = eyes(stage, VisionConfig()), Peer(stage.pad), Follower(rng)
+def _time_hover(times: Times, stage: PadBeforeCamera, rng: np.random.Generator, frames: int) -> None:
+    vision, peer, follower = eyes(stage, VisionConfig()), OpenCvDetector(stage.pad), Follower(rng)
     for k, (frame, attitude) in enumerate(_hover(stage, times.height_m)):
         prior = follower.expects(frame.time_s, attitude)
         began_s = time.thread_time()
@@ -142,7 +142,7 @@ def _time_hover(times: Times, stage: Stage, rng: np.random.Generator, frames: in
             times.peers_seen += seen
 
 
-def _hover(stage: Stage, height_m: float) -> Iterator[tuple[Frame, Quaternion]]:
+def _hover(stage: PadBeforeCamera, height_m: float) -> Iterator[tuple[Frame, Quaternion]]:
     """Frames one after another, and the true attitude at each."""
     period_s = 1.0 / stage.camera.rate_hz
     scene = stage.scene(height_m, follows_s=FRAMES_OF_A_HOVER * period_s)

@@ -14,8 +14,8 @@ import numpy as np
 from rich.table import Table
 
 from tests.bench.state.consistency import band
-from tests.bench.vision.cases import Case, Outcome, mean_nees, rmse_m
-from tests.bench.vision.judge import Judged
+from tests.bench.vision.cases import CaseOutcome, VisionCase, mean_nees, rmse_m
+from tests.bench.vision.judge import JudgedShot
 from tests.bench.vision.speed import Times
 
 PAPER_RECALL: Final = {
@@ -52,18 +52,18 @@ OVER_BOUND: Final = 1.5
 FASTER: Final = {"640x480": 3.0, "1280x720": 5.0}
 # shots of a case by which its consistency is judged: their band is then as wide in every run
 NEES_SHOTS: Final = 100
-Outcomes = dict[Case, Outcome]
+Outcomes = dict[VisionCase, CaseOutcome]
 Bars = dict[str, bool]
 
 
-def single_cases() -> list[Case]:
+def single_cases() -> list[VisionCase]:
     """Of tables 2 and 3."""
-    return [Case(PAPER_SIZE, *cell) for cell in PAPER_RECALL]
+    return [VisionCase(PAPER_SIZE, *cell) for cell in PAPER_RECALL]
 
 
-def pad_cases() -> list[Case]:
+def pad_cases() -> list[VisionCase]:
     """The shipped pad at both resolutions."""
-    return [Case(size, 0.0, height_m) for size in FASTER for height_m in PAD_HEIGHTS_M]
+    return [VisionCase(size, 0.0, height_m) for size in FASTER for height_m in PAD_HEIGHTS_M]
 
 
 def _grid(title: str, headings: Sequence[str]) -> Table:
@@ -92,7 +92,7 @@ def recall_tables(outcomes: Outcomes) -> tuple[list[Table], Bars]:
         for height_m in PAPER_HEIGHTS_M:
             paper, outcome = (
                 PAPER_RECALL.get((side_cm, height_m)),
-                outcomes.get(Case(PAPER_SIZE, side_cm, height_m)),
+                outcomes.get(VisionCase(PAPER_SIZE, side_cm, height_m)),
             )
             if paper is None or outcome is None:
                 row.append("NA")
@@ -110,7 +110,7 @@ def recall_tables(outcomes: Outcomes) -> tuple[list[Table], Bars]:
     for size in FASTER:
         row = []
         for height_m, bar in PAD_RECALL.items():
-            outcome = outcomes[Case(size, 0.0, height_m)]
+            outcome = outcomes[VisionCase(size, 0.0, height_m)]
             pad_held.append(outcome.recall >= bar)
             wide = sum(shot.seen and shot.whole_frame for shot in outcome.calibrated)
             row.append(
@@ -155,7 +155,7 @@ def error_tables(outcomes: Outcomes) -> tuple[list[Table], Bars]:
 class ErrorRow:
     """One case's errors. `judged`: the paper's cells, and the pad by the same camera where it has a bar."""
 
-    def __init__(self, outcome: Outcome) -> None:
+    def __init__(self, outcome: CaseOutcome) -> None:
         case = outcome.case
         self.outcome, self.single = outcome, case.side_cm > 0.0
         bars = {(0.0, height_m): bar for height_m, bar in PAD_RMSE_CM.items()}
@@ -170,7 +170,7 @@ class ErrorRow:
         """Whether the error is as small as it has to be, for its own row."""
         return self.better >= (BETTER_EACH if self.single else 1.0)
 
-    def honest(self, shots: Sequence[Judged], rows: int) -> bool:
+    def honest(self, shots: Sequence[JudgedShot], rows: int) -> bool:
         """Whether the mean NEES is in its band."""
         mean, count = mean_nees(shots[:NEES_SHOTS])
         if count == 0:
@@ -197,7 +197,7 @@ class ErrorRow:
         )
 
 
-def _nees(shots: Sequence[Judged]) -> str:
+def _nees(shots: Sequence[JudgedShot]) -> str:
     return f"{mean_nees(shots[:NEES_SHOTS])[0]:.2f} / {mean_nees(shots)[0]:.2f}"
 
 

@@ -16,29 +16,29 @@ import yaml
 
 from companion.cli import main
 from companion.config import CONFIG_FOLDER
-from tests.scenario.flying import Flown, run, scenario_file, started
+from tests.scenario.flying import FlownCommand, run, scenario_file, started
 
 DESK = ("--sitl", "--fast", "--no-ui")
-Companion = Callable[..., Flown]
+Companion = Callable[..., FlownCommand]
 
 
 @pytest.fixture
 def companion(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Companion:
     """The command in this process, which saves the imports of one more."""
 
-    def run_here(*arguments: str | Path) -> Flown:
+    def run_here(*arguments: str | Path) -> FlownCommand:
         words = tuple(str(argument) for argument in arguments)
         monkeypatch.setattr(sys, "argv", ["companion", *words])
         with pytest.raises(SystemExit) as ended:
             main()
         assert isinstance(ended.value.code, int)
         said = capfd.readouterr()
-        return Flown(words, ended.value.code, said.out, said.err, None)
+        return FlownCommand(words, ended.value.code, said.out, said.err, None)
 
     return run_here
 
 
-def refused(flown: Flown) -> str:
+def refused(flown: FlownCommand) -> str:
     """The one line of a command that was refused."""
     assert flown.code == 2, flown
     assert flown.stdout == "", flown

@@ -7,7 +7,7 @@ import pytest
 from mcap.reader import make_reader
 from pymavlink import mavutil
 
-from tests.scenario.flying import Flown, SharedFlights, run
+from tests.scenario.flying import FlownCommand, SharedFlights, run
 
 PLOTS = {"path.png", "height.png", "lateral.png", "detections.png", "estimators.png"}
 LOGS = {"flight.mcap", "flight.tlog", "result.json", "report.html", "settings.yaml"}
@@ -18,11 +18,11 @@ TOPICS = {
 
 
 @pytest.fixture(scope="module")
-def recorded(shared_flights: SharedFlights) -> tuple[Path, Flown]:
+def recorded(shared_flights: SharedFlights) -> tuple[Path, FlownCommand]:
     return shared_flights.recorded()
 
 
-def test_all_files_are_there(recorded: tuple[Path, Flown]) -> None:
+def test_all_files_are_there(recorded: tuple[Path, FlownCommand]) -> None:
     record, flown = recorded
     assert {path.name for path in record.iterdir()} == PLOTS | LOGS
     assert json.loads((record / "result.json").read_text()) == flown.landing
@@ -31,7 +31,7 @@ def test_all_files_are_there(recorded: tuple[Path, Flown]) -> None:
     assert str(record) in flown.stdout
 
 
-def test_the_log_holds_every_topic_in_order_of_time(recorded: tuple[Path, Flown]) -> None:
+def test_the_log_holds_every_topic_in_order_of_time(recorded: tuple[Path, FlownCommand]) -> None:
     record, flown = recorded
     times: list[int] = []
     with (record / "flight.mcap").open("rb") as stream:
@@ -49,7 +49,7 @@ def test_the_log_holds_every_topic_in_order_of_time(recorded: tuple[Path, Flown]
     assert counts["/camera"] == pytest.approx(5 * seconds, rel=0.1)
 
 
-def test_the_tlog_holds_both_directions(recorded: tuple[Path, Flown]) -> None:
+def test_the_tlog_holds_both_directions(recorded: tuple[Path, FlownCommand]) -> None:
     record, _ = recorded
     log = mavutil.mavlink_connection(str(record / "flight.tlog"))
     heard: dict[tuple[int, int], set[str]] = {}
@@ -61,7 +61,7 @@ def test_the_tlog_holds_both_directions(recorded: tuple[Path, Flown]) -> None:
 
 
 def test_a_replay_gives_the_flights_estimates_again_to_the_bit(
-    recorded: tuple[Path, Flown], tmp_path: Path
+    recorded: tuple[Path, FlownCommand], tmp_path: Path
 ) -> None:
     record, flown = recorded
     replayed = run("replay", record, "-o", tmp_path, result=tmp_path / "replay.json")

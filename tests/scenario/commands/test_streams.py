@@ -12,8 +12,8 @@ from companion.sim.trial import Trial
 from sitl.faults.faults import FrameLate, FrameLost, RangeSpikes
 from tests.bench.state.streams import (
     INPUTS,
-    Event,
     Stream,
+    StreamEvent,
     feed,
     fly_stream,
     load,
@@ -76,7 +76,7 @@ def test_samples_are_in_the_air_and_carry_covariances_of_their_size(stream: Stre
 
 
 def test_an_edit_puts_a_fault_in_offline(stream: Stream) -> None:
-    def blind(event: Event) -> Event | None:
+    def blind(event: StreamEvent) -> StreamEvent | None:
         return None if isinstance(event.message, PadSighting) else event
 
     assert not np.isfinite(rerun(stream.edited(blind)).pad_position_m).any()

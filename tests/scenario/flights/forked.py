@@ -9,23 +9,25 @@ import traceback
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from tests.bench.faults.cases import Run
+from tests.bench.faults.cases import FaultRun
 from tests.bench.faults.fault_flight import fly_together
 from tests.bench.faults.forks import Forks
-from tests.bench.faults.judge import Verdict
-from tests.bench.faults.witness import FlightRecord
+from tests.bench.faults.judge import SafetyVerdict
+from tests.bench.faults.witness import WitnessedFlight
 
 Seen = TypeVar("Seen")
 
 
-def fly_forked(runs: Sequence[Run], see: Callable[[Verdict, FlightRecord], Seen]) -> dict[Run, Seen]:
+def fly_forked(
+    runs: Sequence[FaultRun], see: Callable[[SafetyVerdict, WitnessedFlight], Seen]
+) -> dict[FaultRun, Seen]:
     """Fly them, each from its fault on in a child; returns what `see` takes from each, which is pickled.
 
     A run that failed in its child is not among them; why stands on standard error.
     """
-    seen: dict[Run, Seen] = {}
+    seen: dict[FaultRun, Seen] = {}
 
-    def take(run: Run, answer: Seen | None) -> None:
+    def take(run: FaultRun, answer: Seen | None) -> None:
         if answer is not None:
             seen[run] = answer
 

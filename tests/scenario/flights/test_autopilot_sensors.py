@@ -17,7 +17,7 @@ from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
 from sitl.mavlink.sensor_telemetry import SensorMessages
 from tests.scenario.flights.test_faults import failing, texts
-from tests.scenario.flying import Flown, figures, run_here, scenario_file
+from tests.scenario.flying import FlownCommand, figures, run_here, scenario_file
 from tests.scenario.flying import fly as fly_command
 
 LATERAL_M = 0.15
@@ -41,14 +41,14 @@ def fly_static(
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flown]:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FlownCommand]:
     """A landing in `static` on PX4's sensors, and the folder of its log and its scenario."""
     folder = tmp_path_factory.mktemp("telemetry")
     scenario = scenario_file(folder, "static", by_telemetry("px4", SENSE))
     return folder, fly_command(scenario, 0, folder, "--record", folder / "log")
 
 
-def test_lands_on_px4s_sensors(recorded: tuple[Path, Flown]) -> None:
+def test_lands_on_px4s_sensors(recorded: tuple[Path, FlownCommand]) -> None:
     _, flown = recorded
     assert flown.landing["touchdown"]["lateral_error_m"] <= LATERAL_M, flown
 
@@ -71,7 +71,7 @@ def test_lands_on_the_autopilots_sensors(
 
 
 def test_a_replay_gives_the_flights_estimates_again_to_the_bit(
-    recorded: tuple[Path, Flown], tmp_path: Path
+    recorded: tuple[Path, FlownCommand], tmp_path: Path
 ) -> None:
     folder, _ = recorded
     replayed = run_here("replay", folder / "log", "-o", tmp_path, result=tmp_path / "replay.json")
@@ -120,7 +120,7 @@ def test_an_imu_stream_that_never_comes_is_reported_once_and_nothing_is_armed(
 
 
 def test_no_board_of_ours_is_read_and_the_same_seed_gives_the_same_flight(
-    recorded: tuple[Path, Flown], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    recorded: tuple[Path, FlownCommand], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     from sitl.devices.mpu9250 import Mpu9250Device
 

@@ -6,9 +6,9 @@ from typing import Final
 
 import pytest
 
-from tests.bench.faults.cases import PhaseName, Run
-from tests.bench.faults.judge import Verdict
-from tests.bench.faults.witness import FlightRecord
+from tests.bench.faults.cases import FaultRun, PhaseName
+from tests.bench.faults.judge import SafetyVerdict
+from tests.bench.faults.witness import WitnessedFlight
 from tests.scenario.flights.forked import fly_forked
 
 # fault and phase; the outcome, and words of its reason
@@ -18,20 +18,20 @@ PAIRS: Final[dict[tuple[str, PhaseName], tuple[str, str]]] = {
     ("link 0.5 s late", "approach"): ("held", "link late: answers after 1.0"),
     ("pilot: Position", "last_metre"): ("pilot", "pilot took over"),
 }
-RUNS: Final = {pair: Run(*pair, "line", 0) for pair in PAIRS}
+RUNS: Final = {pair: FaultRun(*pair, "line", 0) for pair in PAIRS}
 
 
 @pytest.fixture(scope="module")
-def flown() -> dict[Run, tuple[Verdict, FlightRecord]]:
+def flown() -> dict[FaultRun, tuple[SafetyVerdict, WitnessedFlight]]:
     return fly_forked(list(RUNS.values()), lambda verdict, record: (verdict, record))
 
 
 @pytest.mark.parametrize("pair", PAIRS)
 def test_a_fault_in_a_phase_ends_safely_and_with_a_reason(
-    pair: tuple[str, PhaseName], flown: dict[Run, tuple[Verdict, FlightRecord]]
+    pair: tuple[str, PhaseName], flown: dict[FaultRun, tuple[SafetyVerdict, WitnessedFlight]]
 ) -> None:
     outcome, words = PAIRS[pair]
     verdict, record = flown[RUNS[pair]]
     assert record.fault_began
-    assert verdict == Verdict(outcome)  # type: ignore[arg-type]
+    assert verdict == SafetyVerdict(outcome)  # type: ignore[arg-type]
     assert any(words in said.text for said in record.texts), record.texts

@@ -26,7 +26,7 @@ from sitl.firmware import px4, start
 from sitl.run.server import Service, _kept_free
 from tests.scenario.flying import COMMAND, ROOT, alive, children, environment, started
 from tests.unit.sitl.campaign.campaign_parts import scenario_file
-from tests.unit.sitl.external.external_vehicle import ARDUPILOT, Sender, heartbeat
+from tests.unit.sitl.external.external_vehicle import ARDUPILOT, MessageSender, heartbeat
 from tests.unit.sitl.firmware.fake_firmware import Fake, fake, messages, soon
 
 BOTH = pytest.mark.parametrize("kind", ["px4", "ardupilot"])
@@ -159,7 +159,7 @@ async def test_a_simulator_of_its_own_flies_it_and_leaves_nothing(tmp_path: Path
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
             client.settimeout(5.0)
             _, host, port = simulator.endpoints["link"]["connection"].split(":")
-            client.sendto(Sender(1, 191).pack(heartbeat(ARDUPILOT)), (host, int(port)))
+            client.sendto(MessageSender(1, 191).pack(heartbeat(ARDUPILOT)), (host, int(port)))
             heard: set[int] = set()
             while not {1, 190} <= heard:
                 heard |= {message.get_srcComponent() for message in messages(client.recv(4096))}

@@ -22,8 +22,8 @@ from companion.link.inbox import MemoryTransport, memory_pair
 from companion.link.modes import CONTROL_MODE, custom_mode
 from sitl.scenario.scenario import Scenario
 from tests.bench.faults import fault_flight
-from tests.bench.faults.cases import Run, faultless, scenario_of
-from tests.bench.faults.witness import FlightRecord
+from tests.bench.faults.cases import FaultRun, faultless, scenario_of
+from tests.bench.faults.witness import WitnessedFlight
 from tests.scenario.flights.forked import fly_forked
 
 PROMPT_S = 0.1
@@ -71,17 +71,17 @@ class Listener:
 
 
 @dataclass(frozen=True)
-class Heard:
+class RecordedFlight:
     """What the record shows of a flight, and what its listener noted."""
 
-    record: FlightRecord
+    record: WitnessedFlight
     modes: list[tuple[float, int]]
     setpoints_s: list[float]
     failures: int
 
 
 @contextmanager
-def listening(**settings: Any) -> Iterator[Callable[[FlightRecord], Heard]]:
+def listening(**settings: Any) -> Iterator[Callable[[WitnessedFlight], RecordedFlight]]:
     """Flights have a listener; yields what puts a flight's record together with what that has noted."""
     made: list[Listener] = []
 
@@ -90,9 +90,9 @@ def listening(**settings: Any) -> Iterator[Callable[[FlightRecord], Heard]]:
         made.append(Listener(app_end, **settings))
         return made[-1], vehicle_end
 
-    def heard(record: FlightRecord) -> Heard:
+    def heard(record: WitnessedFlight) -> RecordedFlight:
         listener = made[-1]
-        return Heard(record, listener.modes, listener.setpoints_s, listener.failures)
+        return RecordedFlight(record, listener.modes, listener.setpoints_s, listener.failures)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fault_flight, "memory_pair", heard_pair)
@@ -101,29 +101,29 @@ def listening(**settings: Any) -> Iterator[Callable[[FlightRecord], Heard]]:
 
 # a pilot's mode and the phase in which it comes
 TAKEOVERS: Final = [
-    Run("pilot: Position", "search", "line", 0),
-    Run("pilot: Position", "approach", "line", 0),
-    Run("pilot: Return", "descend", "line", 0),
-    Run("pilot: Position", "last_metre", "line", 0),
-    Run("pilot: Position", "on_pad", "line", 0),
+    FaultRun("pilot: Position", "search", "line", 0),
+    FaultRun("pilot: Position", "approach", "line", 0),
+    FaultRun("pilot: Return", "descend", "line", 0),
+    FaultRun("pilot: Position", "last_metre", "line", 0),
+    FaultRun("pilot: Position", "on_pad", "line", 0),
 ]
 
 
 @pytest.fixture(scope="module")
-def taken_over() -> dict[Run, Heard]:
+def taken_over() -> dict[FaultRun, RecordedFlight]:
     with listening(quick=False) as heard:
         return fly_forked(TAKEOVERS, lambda _, record: heard(record))
 
 
 @pytest.mark.parametrize("run", TAKEOVERS, ids=lambda run: f"{run.phase}-{run.fault}")
 def test_a_pilots_mode_ends_our_setpoints_at_once_and_for_good(
-    run: Run, taken_over: dict[Run, Heard]
+    run: FaultRun, taken_over: dict[FaultRun, RecordedFlight]
 ) -> None:
     assert_prompt(taken_over[run], "px4")
 
 
 def test_so_does_an_ardupilots() -> None:
-    shipped = scenario_of(Run("pilot: Position", "descend", "line", 0))
+    shipped = scenario_of(FaultRun("pilot: Position", "descend", "line", 0))
     content = shipped.model_dump(by_alias=True, exclude_unset=True)
     scenario = Scenario.model_validate(content | {"autopilot": "ardupilot"})
     with listening(quick=False) as heard:
@@ -131,7 +131,7 @@ def test_so_does_an_ardupilots() -> None:
     assert_prompt(heard(record), "ardupilot")
 
 
-def assert_prompt(heard: Heard, autopilot: AutopilotKind) -> None:
+def assert_prompt(heard: RecordedFlight, autopilot: AutopilotKind) -> None:
     """No setpoint left later than `PROMPT_S` after the pilot's mode was told."""
     assert heard.record.fault_began
     # until control is ours PX4 flies in LOITER, which is no pilot's word
@@ -145,7 +145,7 @@ def assert_prompt(heard: Heard, autopilot: AutopilotKind) -> None:
 
 
 def test_a_link_that_cannot_be_read_any_more_ends_the_flight_in_the_autopilots_hold() -> None:
-    scenario = scenario_of(Run("frames lost 0.2 s", "search", "line", 0))
+    scenario = scenario_of(FaultRun("frames lost 0.2 s", "search", "line", 0))
     with listening(deaf_s=24.0) as put_together:
         record, _ = fault_flight.fly(scenario, 0)
     heard = put_together(record)

@@ -7,14 +7,14 @@ from pathlib import Path
 
 from companion.base.messages import Phase
 from companion.link.codec import Codec, mavlink
-from tests.scenario.standing_by import Field, stand_by
+from tests.scenario.standing_by import StoryField, stand_by
 
 IN_PROGRESS, ACCEPTED = mavlink.MAV_RESULT_IN_PROGRESS, mavlink.MAV_RESULT_ACCEPTED
 LAND = mavlink.MAV_CMD_NAV_LAND
 
 
 def test_two_landings_in_one_run_each_with_a_log_of_its_own(tmp_path: Path) -> None:
-    async def story(field: Field) -> None:
+    async def story(field: StoryField) -> None:
         await field.ready()
         for number in (1, 2):
             await field.take_off()
@@ -34,7 +34,7 @@ def test_two_landings_in_one_run_each_with_a_log_of_its_own(tmp_path: Path) -> N
 
 
 def test_in_standby_it_asks_for_nothing_and_refuses_what_cannot_be() -> None:
-    async def story(field: Field) -> None:
+    async def story(field: StoryField) -> None:
         field.order()
         await asyncio.sleep(0.5)
         assert field.acks(LAND) == [mavlink.MAV_RESULT_TEMPORARILY_REJECTED]
@@ -58,7 +58,7 @@ def test_in_standby_it_asks_for_nothing_and_refuses_what_cannot_be() -> None:
 
 
 def test_a_pilot_takes_over_a_stop_holds_and_each_time_it_stands_by_again() -> None:
-    async def story(field: Field) -> None:
+    async def story(field: StoryField) -> None:
         await field.ready()
         await field.take_off()
         field.order()
@@ -85,7 +85,7 @@ def test_a_pilot_takes_over_a_stop_holds_and_each_time_it_stands_by_again() -> N
 
 
 def test_restarted_in_flight_it_asks_for_nothing_and_follows_the_next_order() -> None:
-    async def story(field: Field) -> None:
+    async def story(field: StoryField) -> None:
         await field.ready()
         await field.take_off()
         field.order()
@@ -106,7 +106,7 @@ def test_restarted_in_flight_it_asks_for_nothing_and_follows_the_next_order() ->
 
 
 def test_refused_control_leaves_the_vehicle_in_its_mode() -> None:
-    async def story(field: Field) -> None:
+    async def story(field: StoryField) -> None:
         await field.ready()
         await field.take_off()
         mode = field.autopilot.mode
@@ -121,7 +121,7 @@ def test_refused_control_leaves_the_vehicle_in_its_mode() -> None:
 
 
 def test_the_whole_flight_where_it_is_allowed_and_again() -> None:
-    async def story(field: Field) -> None:
+    async def story(field: StoryField) -> None:
         for number in (1, 2):
             await field.ready()
             field.order(mavlink.MAV_CMD_USER_1, 2.0)
@@ -134,7 +134,7 @@ def test_the_whole_flight_where_it_is_allowed_and_again() -> None:
 
 
 def test_an_ardupilot_that_its_pilot_puts_into_guided_is_landed() -> None:
-    async def story(field: Field) -> None:
+    async def story(field: StoryField) -> None:
         await field.ready()
         await field.take_off()
         assert field.app.phase is Phase.STANDBY  # GUIDED was entered on the ground

@@ -19,7 +19,7 @@ START_TIMEOUT_S = 30.0
 
 
 @dataclass(frozen=True)
-class Served:
+class ServedVehicle:
     """A vehicle that is being served, and where: the ports that clients call."""
 
     autopilot_kind: AutopilotKind
@@ -29,7 +29,7 @@ class Served:
 
 
 @contextmanager
-def serving(autopilot_kind: AutopilotKind, *arguments: str | int | Path) -> Iterator[Served]:
+def serving(autopilot_kind: AutopilotKind, *arguments: str | int | Path) -> Iterator[ServedVehicle]:
     """Start it with `arguments`, and end it as Ctrl-C does; nothing may be left on its standard error."""
     command = (
         *(sys.executable, "-m", "sitl.cli", "--autopilot", autopilot_kind, "--scenario", "static"),
@@ -44,7 +44,7 @@ def serving(autopilot_kind: AutopilotKind, *arguments: str | int | Path) -> Iter
         text=True,
     ) as process:
         try:
-            yield Served(autopilot_kind, *_ports(process))
+            yield ServedVehicle(autopilot_kind, *_ports(process))
         finally:
             process.send_signal(signal.SIGINT)
             try:

@@ -56,7 +56,7 @@ def settings(folder: Path) -> Path:
     return path
 
 
-class Landing:
+class LandingApp:
     """The app, whose words are read all the time."""
 
     def __init__(self, process: asyncio.subprocess.Process) -> None:
@@ -130,7 +130,7 @@ async def test_a_landing_is_watched_and_stopped_from_a_phone(tmp_path: Path) -> 
         stderr=asyncio.subprocess.STDOUT,
     )
     try:
-        landing = Landing(process)
+        landing = LandingApp(process)
         url = (await landing.says(r"live page at (\S+)"))[1]
         async with browser(tmp_path) as tab:
             await tab.resize(PHONE, 2.0)

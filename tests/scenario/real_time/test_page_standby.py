@@ -18,7 +18,7 @@ TOKEN: Final = "the token of a test, long enough"
 PATIENCE_S: Final = 30.0
 
 
-class Viewer:
+class BrowserEnd:
     """What a browser keeps: the newest JSON of each kind, and how many pictures came."""
 
     def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
@@ -44,7 +44,7 @@ async def look(url: str) -> None:
         aiohttp.ClientSession() as session,
         session.ws_connect(f"{url}live", headers={"Origin": origin}) as socket,
     ):
-        viewer = Viewer(socket)
+        viewer = BrowserEnd(socket)
         await viewer.until("token")
         await socket.send_json({"token": TOKEN})
         assert (await viewer.until("hello"))["commands"]

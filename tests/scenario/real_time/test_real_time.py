@@ -19,7 +19,7 @@ from pymavlink import mavutil
 
 from companion.sim.command import LATE_S
 from sitl.run.report import read_report
-from tests.scenario.flying import ROOT, Flown, alive, children, run, started, wait_for_line
+from tests.scenario.flying import ROOT, FlownCommand, alive, children, run, started, wait_for_line
 from tests.scenario.real_time.quiet_machine import wait_for_quiet
 
 DESK = ("--sitl", "--no-ui", "--scenario", "line", "--seed", "0")
@@ -32,7 +32,7 @@ def machine_with_time_to_spare() -> None:
     wait_for_quiet()
 
 
-def fly_in_real_time(folder: Path) -> Flown:
+def fly_in_real_time(folder: Path) -> FlownCommand:
     """A flight on a machine that keeps up; one that does not is given a second chance."""
     for attempt in ("first", "second"):
         path = folder / f"{attempt}.json"

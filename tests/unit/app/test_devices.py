@@ -10,7 +10,7 @@ from companion.app.devices import AwaitedBus, AwaitedPort, AwaitedTransport, ope
 from companion.base.errors import ConfigError, DeviceMissing
 
 
-class Line:
+class UnpluggedLine:
     """A port and a transport; `gone` while it is unplugged."""
 
     def __init__(self, shelf: Shelf) -> None:
@@ -61,13 +61,13 @@ class Shelf:
         if not self.there:
             raise OSError(number, "unplugged")
 
-    def open_line(self) -> Line:
+    def open_line(self) -> UnpluggedLine:
         if not self.there:
             raise DeviceMissing("no such port")
         self.opened += 1
-        return Line(self)
+        return UnpluggedLine(self)
 
-    async def open_transport(self) -> Line:
+    async def open_transport(self) -> UnpluggedLine:
         return self.open_line()
 
     def open_bus(self) -> Bus:
@@ -146,7 +146,7 @@ def test_only_what_is_missing_is_waited_for() -> None:
     with pytest.raises(DeviceMissing):
         opened_if_there(shelf.open_line, waits=False)
 
-    def misspelt() -> Line:
+    def misspelt() -> UnpluggedLine:
         raise ConfigError("no such kind of port")
 
     with pytest.raises(ConfigError, match="no such kind"):

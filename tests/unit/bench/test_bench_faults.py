@@ -11,18 +11,18 @@ from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
 from companion.config import LimitsConfig
 from companion.link import codec
 from sitl.mavlink.app_words import AppText
-from tests.bench.faults.judge import Bounds, Verdict, judge
+from tests.bench.faults.judge import SafetyBounds, SafetyVerdict, judge
 from tests.bench.faults.witness import (
     Disarming,
-    FlightRecord,
     GroundTouch,
-    Sample,
     SentSetpoint,
+    TruthSample,
+    WitnessedFlight,
     attitude_setpoint,
     local_setpoint,
 )
 
-BOUNDS = Bounds(LimitsConfig(), fence_m=150.0, ceiling_m=40.0)
+BOUNDS = SafetyBounds(LimitsConfig(), fence_m=150.0, ceiling_m=40.0)
 NAN = math.nan
 SAID = (
     (4.0, "take off: armed: motors on"),
@@ -39,15 +39,15 @@ def height_m(time_s: float) -> float:
     return min(max(time_s - 4.0, 0.0), 7.0) if time_s < 15.0 else max(0.0, 7.0 * (35.0 - time_s) / 20.0)
 
 
-def landing() -> FlightRecord:
+def landing() -> WitnessedFlight:
     """A flight with nothing wrong in it."""
-    record = FlightRecord(app_ended_s=37.0, at_rest_on_pad=True)
+    record = WitnessedFlight(app_ended_s=37.0, at_rest_on_pad=True)
     for k in range(37 * 50):
         t = k / 50
         up = height_m(t)
         mode = "OFFBOARD" if t > 12.0 else "AUTO_TAKEOFF"
         armed = 4.0 <= t < 36.0
-        record.samples.append(Sample(t, (10.0, 0.0, -up), (0.0, 0.0, 0.0), up, up <= 0.0, armed, mode))
+        record.samples.append(TruthSample(t, (10.0, 0.0, -up), (0.0, 0.0, 0.0), up, up <= 0.0, armed, mode))
     record.disarmings.append(Disarming(36.0, 0.0, True))
     record.touches.append(GroundTouch(3.0, 0.0, 0.01, False))
     record.setpoints.append(SentSetpoint(12.0, velocity_ned_m_s=(1.0, 0.0, 0.5), thrust=0.4))
@@ -56,83 +56,83 @@ def landing() -> FlightRecord:
 
 
 def test_a_good_landing_is_nothing_but_that() -> None:
-    assert judge(landing(), BOUNDS) == Verdict("landed")
+    assert judge(landing(), BOUNDS) == SafetyVerdict("landed")
 
 
 # ---------------------------------------------------------------- each unsafe kind
 
 
-def crash(record: FlightRecord) -> None:
+def crash(record: WitnessedFlight) -> None:
     record.crashed = True
 
 
-def slide(record: FlightRecord) -> None:
+def slide(record: WitnessedFlight) -> None:
     record.touches.append(GroundTouch(34.0, 0.31, 0.1, True))
 
 
-def drop(record: FlightRecord) -> None:
+def drop(record: WitnessedFlight) -> None:
     record.touches.append(GroundTouch(34.0, 0.1, 0.71, True))
 
 
-def fall(record: FlightRecord) -> None:
+def fall(record: WitnessedFlight) -> None:
     record.touches.append(GroundTouch(36.5, 0.1, 0.9, False))
 
 
-def disarm_in_the_air(record: FlightRecord) -> None:
+def disarm_in_the_air(record: WitnessedFlight) -> None:
     record.disarmings.append(Disarming(34.0, 0.06, False))
 
 
-def stray(record: FlightRecord) -> None:
+def stray(record: WitnessedFlight) -> None:
     record.samples[700] = record.samples[700]._replace(position_ned_m=(110.0, 110.0, -7.0))
 
 
-def soar(record: FlightRecord) -> None:
+def soar(record: WitnessedFlight) -> None:
     record.texts.insert(2, AppText(12.5, 4, "climbing 37.0 m to look for the pad"))
     for k in range(620, 700):  # announced, and still too high
         record.samples[k] = record.samples[k]._replace(position_ned_m=(10.0, 0.0, -44.0))
 
 
-def climb(record: FlightRecord) -> None:
+def climb(record: WitnessedFlight) -> None:
     for k in range(1300, 1400):
         record.samples[k] = record.samples[k]._replace(position_ned_m=(10.0, 0.0, -4.5))
 
 
-def break_limit(record: FlightRecord) -> None:
+def break_limit(record: WitnessedFlight) -> None:
     record.setpoints.append(SentSetpoint(30.0, velocity_ned_m_s=(0.0, 0.0, 1.6)))
 
 
-def thrust_cut(record: FlightRecord) -> None:
+def thrust_cut(record: WitnessedFlight) -> None:
     record.setpoints.append(SentSetpoint(30.0, thrust=0.0))
 
 
-def jerk(record: FlightRecord) -> None:
+def jerk(record: WitnessedFlight) -> None:
     for k in range(3):  # 1 m/s2 in 33 ms: 30 m/s3
         record.setpoints.append(SentSetpoint(30.0 + k / 30, acceleration_ned_m_s2=(float(k % 2), 0.0, 0.0)))
 
 
-def jerk_by_tilt(record: FlightRecord) -> None:
+def jerk_by_tilt(record: WitnessedFlight) -> None:
     for k in range(3):
         lean = (0.0, float(k % 2), 0.0)
         record.setpoints.append(SentSetpoint(30.0 + k / 30, lean_ned_m_s2=lean, thrust=0.4))
 
 
-def end_in_silence(record: FlightRecord) -> None:
+def end_in_silence(record: WitnessedFlight) -> None:
     record.texts.pop()
 
 
-def end_with_a_bare_phase(record: FlightRecord) -> None:
+def end_with_a_bare_phase(record: WitnessedFlight) -> None:
     record.texts[-1] = AppText(36.0, 4, "abort: ")
 
 
-def end_with_no_reason(record: FlightRecord) -> None:
+def end_with_no_reason(record: WitnessedFlight) -> None:
     record.texts[-1] = AppText(36.0, 4, "abort: timeout: ")
 
 
-def fail(record: FlightRecord) -> None:
+def fail(record: WitnessedFlight) -> None:
     record.app_failed = "ValueError: a bug"
 
 
-def go_on_for_ever(record: FlightRecord) -> None:
+def go_on_for_ever(record: WitnessedFlight) -> None:
     record.app_ended_s = None
 
 
@@ -158,7 +158,7 @@ def go_on_for_ever(record: FlightRecord) -> None:
         (go_on_for_ever, "no end"),
     ],
 )
-def test_each_unsafe_thing_is_found(spoil: Callable[[FlightRecord], None], words: str) -> None:
+def test_each_unsafe_thing_is_found(spoil: Callable[[WitnessedFlight], None], words: str) -> None:
     record = landing()
     spoil(record)
     verdict = judge(record, BOUNDS)
@@ -175,7 +175,7 @@ def test_what_the_autopilot_flies_by_itself_is_not_the_apps_climb_nor_its_fence(
     for k in range(1300, 1400):
         far = (200.0, 0.0, -60.0)
         record.samples[k] = record.samples[k]._replace(position_ned_m=far, mode="AUTO_RTL")
-    assert judge(record, BOUNDS) == Verdict("landed")
+    assert judge(record, BOUNDS) == SafetyVerdict("landed")
 
 
 def test_a_pad_may_carry_away_what_stands_on_it() -> None:
@@ -183,7 +183,7 @@ def test_a_pad_may_carry_away_what_stands_on_it() -> None:
     for k in range(1760, 1790):
         far = (200.0, 0.0, -0.5)
         record.samples[k] = record.samples[k]._replace(position_ned_m=far, touching=True)
-    assert judge(record, BOUNDS) == Verdict("landed")
+    assert judge(record, BOUNDS) == SafetyVerdict("landed")
     record.samples[1770] = record.samples[1770]._replace(touching=False)
     assert "outside the fence" in judge(record, BOUNDS).unsafe[0]
 
@@ -191,20 +191,20 @@ def test_a_pad_may_carry_away_what_stands_on_it() -> None:
 def test_one_that_stands_disarmed_on_the_ground_may_be_run_over() -> None:
     record = landing()
     record.touches.append(GroundTouch(39.0, 1.5, 0.0, False))
-    assert judge(record, BOUNDS) == Verdict("landed")
+    assert judge(record, BOUNDS) == SafetyVerdict("landed")
 
 
 def test_an_app_that_failed_and_said_so_is_not_silent() -> None:
     record = landing()
     record.app_failed = "OSError: gone"
     record.texts.append(AppText(36.9, 3, "control lost: OSError: gone"))
-    assert judge(record, BOUNDS) == Verdict("landed")
+    assert judge(record, BOUNDS) == SafetyVerdict("landed")
 
 
 def test_no_thrust_at_all_is_right_on_the_pad() -> None:
     record = landing()
     record.setpoints.append(SentSetpoint(35.5, thrust=0.0))
-    assert judge(record, BOUNDS) == Verdict("landed")
+    assert judge(record, BOUNDS) == SafetyVerdict("landed")
 
 
 def test_setpoints_that_are_not_obeyed_yet_or_not_in_a_row_have_no_jerk() -> None:
@@ -213,24 +213,24 @@ def test_setpoints_that_are_not_obeyed_yet_or_not_in_a_row_have_no_jerk() -> Non
     record.setpoints = [
         SentSetpoint(t, acceleration_ned_m_s2=(3.0 * (k % 2), 0.0, 0.0)) for k, t in enumerate(at_s)
     ]
-    assert judge(record, BOUNDS) == Verdict("landed")
+    assert judge(record, BOUNDS) == SafetyVerdict("landed")
 
 
 def test_a_heading_that_the_autopilot_has_reset_is_no_jerk() -> None:
-    def turned(yaw_rad: float) -> FlightRecord:
+    def turned(yaw_rad: float) -> WitnessedFlight:
         record = landing()
         record.setpoints.append(SentSetpoint(30.0, acceleration_ned_m_s2=(3.0, 0.0, 0.0)))
         record.setpoints.append(SentSetpoint(30.033, acceleration_ned_m_s2=(0.0, 3.0, 0.0), yaw_rad=yaw_rad))
         return record
 
-    assert judge(turned(math.pi / 2), BOUNDS) == Verdict("landed")
+    assert judge(turned(math.pi / 2), BOUNDS) == SafetyVerdict("landed")
     assert "jerk" in judge(turned(0.01), BOUNDS).unsafe[0]
 
 
 # ---------------------------------------------------------------- how it ended
 
 
-def ended(mode: str, *, armed: bool, pilot: bool = False) -> FlightRecord:
+def ended(mode: str, *, armed: bool, pilot: bool = False) -> WitnessedFlight:
     record = landing()
     record.at_rest_on_pad, record.pilot_took_over = False, pilot
     record.samples[-1] = record.samples[-1]._replace(mode=mode, armed=armed)
@@ -246,7 +246,7 @@ def ended(mode: str, *, armed: bool, pilot: bool = False) -> FlightRecord:
         (ended("OFFBOARD", armed=False), "returned"),
     ],
 )
-def test_how_a_safe_flight_ended(record: FlightRecord, expected: str) -> None:
+def test_how_a_safe_flight_ended(record: WitnessedFlight, expected: str) -> None:
     assert judge(record, BOUNDS).outcome == expected
 
 
@@ -256,7 +256,7 @@ def test_one_that_nothing_disarms_stands_and_has_to_say_so() -> None:
     record.texts[-1] = AppText(35.0, 6, "on the pad: low, short echo")
     assert judge(record, BOUNDS).unsafe == ("no end within the time limit",)
     record.texts.append(AppText(36.0, 3, "on the pad and armed: disarm refused"))
-    assert judge(record, BOUNDS) == Verdict("stands")
+    assert judge(record, BOUNDS) == SafetyVerdict("stands")
 
 
 def test_one_that_never_left_the_ground() -> None:

@@ -11,11 +11,11 @@ from companion.base.geometry import ZERO3
 from sitl.mavlink.app_words import AppText
 from tests.bench.faults.climbs import unannounced_climbs
 from tests.bench.faults.fault_flight import with_belief
-from tests.bench.faults.witness import SAMPLE_S, Commanded, Sample
+from tests.bench.faults.witness import SAMPLE_S, Commanded, TruthSample
 from tests.unit.control.controller_inputs import vehicle_state
 
 
-def flown(speed_up_m_s: Callable[[float], float], until_s: float = 20.0) -> list[Sample]:
+def flown(speed_up_m_s: Callable[[float], float], until_s: float = 20.0) -> list[TruthSample]:
     """Samples of a flight whose climb speed is given over time."""
     samples, up_m = [], 5.0
     for k in range(round(until_s / SAMPLE_S)):
@@ -23,11 +23,11 @@ def flown(speed_up_m_s: Callable[[float], float], until_s: float = 20.0) -> list
         speed = speed_up_m_s(time_s)
         up_m += speed * SAMPLE_S
         place = (0.0, 0.0, -up_m)
-        samples.append(Sample(time_s, place, (0.0, 0.0, -speed), up_m, False, True, "OFFBOARD"))
+        samples.append(TruthSample(time_s, place, (0.0, 0.0, -speed), up_m, False, True, "OFFBOARD"))
     return samples
 
 
-def found(samples: list[Sample], *said: tuple[float, str]) -> list[str]:
+def found(samples: list[TruthSample], *said: tuple[float, str]) -> list[str]:
     return list(unannounced_climbs(samples, [AppText(t, 4, text) for t, text in said]))
 
 
@@ -69,7 +69,7 @@ def test_only_words_of_climbing_announce_it(text: str, announces: bool) -> None:
 
 
 def test_one_announcement_covers_the_whole_climb_and_no_second_one() -> None:
-    def twice(pause_s: float) -> list[Sample]:
+    def twice(pause_s: float) -> list[TruthSample]:
         def speed(time_s: float) -> float:
             up = 5.0 <= time_s < 9.0 or 9.0 + pause_s <= time_s < 13.0
             return 1.0 if up else 0.0
@@ -119,7 +119,7 @@ def test_no_climb_is_what_the_receiver_misleads_the_app_to(
 
 
 def test_the_belief_of_a_sample_is_the_newest_before_it() -> None:
-    samples = [Sample(t, (0.0, 0.0, -5.0), ZERO3, 5.0, False, True, "OFFBOARD") for t in (0.0, 1.0, 2.0)]
+    samples = [TruthSample(t, (0.0, 0.0, -5.0), ZERO3, 5.0, False, True, "OFFBOARD") for t in (0.0, 1.0, 2.0)]
     believed = [replace(vehicle_state(t), position_ned_m=(0.0, 0.0, -4.0 - t)) for t in (0.5, 0.9, 2.0)]
     assert [s.believed_low_m for s in with_belief(samples, believed)] == pytest.approx([0.0, 0.1, -1.0])
 

@@ -17,12 +17,12 @@ from companion.control.tracking import Target, TrackingSolution
 from sitl.faults.computer import ComputerFaults
 from tests.bench.faults import fault_flight
 from tests.bench.faults.bench_faults import Take, bars, cell, main
-from tests.bench.faults.cases import CASES, PHASES, Run, all_runs, one_each, scenario_of
+from tests.bench.faults.cases import CASES, PHASES, FaultRun, all_runs, one_each, scenario_of
 from tests.bench.faults.computer import FaultyTracker
 from tests.bench.faults.forks import Forks
-from tests.bench.faults.judge import Verdict
-from tests.bench.faults.runs_file import Row, RunsFile, flights_key
-from tests.bench.faults.witness import FlightRecord, Sample
+from tests.bench.faults.judge import SafetyVerdict
+from tests.bench.faults.runs_file import FaultRow, FaultRunsFile, flights_key
+from tests.bench.faults.witness import TruthSample, WitnessedFlight
 
 # ---------------------------------------------------------------- the solver's faults
 
@@ -69,12 +69,14 @@ def test_every_case_is_a_scenario_and_every_phase_has_cases() -> None:
 
 
 def test_seeds_put_a_fault_at_different_moments() -> None:
-    moments = {scenario_of(Run("frames lost", "last_metre", "line", k)).faults[0].below_m for k in range(5)}
+    moments = {
+        scenario_of(FaultRun("frames lost", "last_metre", "line", k)).faults[0].below_m for k in range(5)
+    }
     assert len(moments) == 5
     assert max(m for m in moments if m is not None) <= 1.0
 
 
-def row(outcome: str, fault: str = "GPS lost", phase: str = "descend", **more: object) -> Row:
+def row(outcome: str, fault: str = "GPS lost", phase: str = "descend", **more: object) -> FaultRow:
     values = {
         "scenario": "line",
         "seed": 0,
@@ -84,7 +86,7 @@ def row(outcome: str, fault: str = "GPS lost", phase: str = "descend", **more: o
         "ended_s": 30.0,
         "said": "x",
     }
-    return Row(fault, phase, outcome=outcome, **(values | more))  # type: ignore[arg-type]
+    return FaultRow(fault, phase, outcome=outcome, **(values | more))  # type: ignore[arg-type]
 
 
 def test_the_bars_count_unsafe_ends_and_landings_where_a_fault_leaves_one_possible() -> None:
@@ -98,7 +100,7 @@ def test_the_bars_count_unsafe_ends_and_landings_where_a_fault_leaves_one_possib
 
 
 def test_what_is_written_is_read_again_and_a_torn_line_is_not(tmp_path: Path) -> None:
-    file = RunsFile(tmp_path / "there" / "runs.csv")
+    file = FaultRunsFile(tmp_path / "there" / "runs.csv")
     rows = [row("landed"), row("unsafe", unsafe='crash; "x", y', seed=1)]
     for one in rows:
         file.append(one)
@@ -110,13 +112,13 @@ def test_what_is_written_is_read_again_and_a_torn_line_is_not(tmp_path: Path) ->
     assert file.read("another state of the code") == []
 
 
-def landings(flown: list[Run]) -> Callable[..., None]:
+def landings(flown: list[FaultRun]) -> Callable[..., None]:
     """A `fly_group` whose flights all land."""
 
-    def fly(runs: Sequence[Run], code: str, _forks: Forks[Row], take: Take) -> None:
+    def fly(runs: Sequence[FaultRun], code: str, _forks: Forks[FaultRow], take: Take) -> None:
         for run in runs:
             flown.append(run)
-            take(run, Row(*run, code, 1, "landed", "", 30.0, "landed: disarmed"))
+            take(run, FaultRow(*run, code, 1, "landed", "", 30.0, "landed: disarmed"))
 
     return fly
 
@@ -124,7 +126,7 @@ def landings(flown: list[Run]) -> Callable[..., None]:
 def test_flights_that_are_there_are_not_flown_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    flown: list[Run] = []
+    flown: list[FaultRun] = []
     monkeypatch.setattr("tests.bench.faults.bench_faults.fly_group", landings(flown))
     asked = ["bench", "--jobs", "1", "--faults", "GPS lost;30 uT", "--phases", "descend"]
     monkeypatch.setattr("sys.argv", [*asked, "--seeds", "1", "--out", str(tmp_path)])
@@ -141,14 +143,18 @@ def test_flights_that_are_there_are_not_flown_again(
 def test_a_flight_that_the_bench_could_not_fly_is_flown_again_and_not_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    tries: list[Run] = []
-    record = FlightRecord(samples=[Sample(30.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, True, False, "LAND")])
+    tries: list[FaultRun] = []
+    record = WitnessedFlight(
+        samples=[TruthSample(30.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, True, False, "LAND")]
+    )
 
-    def fly(runs: Sequence[Run], _forks: Forks[Row]) -> Iterator[tuple[Run, Verdict, FlightRecord]]:
+    def fly(
+        runs: Sequence[FaultRun], _forks: Forks[FaultRow]
+    ) -> Iterator[tuple[FaultRun, SafetyVerdict, WitnessedFlight]]:
         tries.append(runs[0])
         if runs[0].scenario == "circle" or len(tries) == 1:
             raise MemoryError("no room")
-        yield runs[0], Verdict("landed"), record
+        yield runs[0], SafetyVerdict("landed"), record
 
     monkeypatch.setattr("tests.bench.faults.bench_faults.fly_together", fly)
     asked = ["bench", "--jobs", "1", "--faults", "GPS lost", "--phases", "descend", "--seeds", "1"]
@@ -156,7 +162,7 @@ def test_a_flight_that_the_bench_could_not_fly_is_flown_again_and_not_kept(
     assert main() == 1
     assert [run.scenario for run in tries] == ["line", "circle"] * 2
     assert "unsafe ends 0 of 1 holds" in capsys.readouterr().out
-    assert [row.scenario for row in RunsFile(tmp_path / "runs.csv").read(flights_key())] == ["line"]
+    assert [row.scenario for row in FaultRunsFile(tmp_path / "runs.csv").read(flights_key())] == ["line"]
 
 
 def test_one_flight_of_each_fault_in_each_phase_takes_scenarios_and_seeds_in_turn(
@@ -207,9 +213,9 @@ def test_a_flight_that_goes_on_in_a_child_is_the_one_flown_from_its_start() -> N
 
 
 def test_a_child_that_ends_without_a_row_is_no_flight() -> None:
-    taken: dict[Run, Row | None] = {}
-    forks = Forks[Row](2, taken.__setitem__)
-    runs = [Run("GPS lost", "descend", "line", seed) for seed in range(3)]
+    taken: dict[FaultRun, FaultRow | None] = {}
+    forks = Forks[FaultRow](2, taken.__setitem__)
+    runs = [FaultRun("GPS lost", "descend", "line", seed) for seed in range(3)]
     for run in runs:
         if forks.begin(run):
             if run.seed == 1:
@@ -249,7 +255,7 @@ def test_the_key_of_the_results_covers_the_judge_the_cases_and_the_settings(tmp_
 def test_a_pilots_end_needs_a_pilots_fault_that_began(
     monkeypatch: pytest.MonkeyPatch, fault: str, began: bool, expected: bool
 ) -> None:
-    sample = Sample(1.0, (0.0, 0.0, -5.0), (0.0, 0.0, 0.0), 5.0, False, True, "AUTO_LOITER")
-    record = FlightRecord(samples=[sample], fault_began=began)
+    sample = TruthSample(1.0, (0.0, 0.0, -5.0), (0.0, 0.0, 0.0), 5.0, False, True, "AUTO_LOITER")
+    record = WitnessedFlight(samples=[sample], fault_began=began)
     monkeypatch.setattr(fault_flight, "fly", lambda *_, **__: (record, CompanionConfig()))
-    assert fault_flight.fly_run(Run(fault, "descend", "line", 0))[1].pilot_took_over == expected
+    assert fault_flight.fly_run(FaultRun(fault, "descend", "line", 0))[1].pilot_took_over == expected

@@ -14,18 +14,20 @@ from sitl.scenario.scenario import load_scenario
 from tests.bench.service import judging
 from tests.bench.service.bench_interruptions import NotFlown, main
 from tests.bench.service.running import NEAR, ROOT
-from tests.bench.service.trials import KINDS, PHASES, Kind, Trial, TrialsFile, moment, reached
-from tests.bench.service.witness import OFFBOARD, POSCTL, Beat, Command, Seen
+from tests.bench.service.trials import KINDS, PHASES, InterruptedTrial, Kind, TrialsFile, moment, reached
+from tests.bench.service.witness import OFFBOARD, POSCTL, AppCommand, Beat, SeenTraffic
 
 FLIES, FAILSAFE = (OFFBOARD, True), (POSCTL, True)
 HOLD = (4 << 16 | 3 << 24, True)
 STANDS = (POSCTL, False)
 
 
-def seen(*modes: tuple[int, bool], setpoints: Iterable[float] = (), commands: Iterable[float] = ()) -> Seen:
+def seen(
+    *modes: tuple[int, bool], setpoints: Iterable[float] = (), commands: Iterable[float] = ()
+) -> SeenTraffic:
     """A heartbeat a second from 0 s, and what the app sent."""
     beats = [Beat(float(second), *mode) for second, mode in enumerate(modes)]
-    return Seen(list(setpoints), [Command(at_s, 176) for at_s in commands], beats)
+    return SeenTraffic(list(setpoints), [AppCommand(at_s, 176) for at_s in commands], beats)
 
 
 # ---------------------------------------------------------------- moments
@@ -57,9 +59,9 @@ def test_the_scenario_is_one_and_near() -> None:
 # ---------------------------------------------------------------- the witness
 
 
-def passed(message: object, *, from_app: bool) -> Seen:
+def passed(message: object, *, from_app: bool) -> SeenTraffic:
     """What a witness notes of a message, as the line carries it."""
-    noted = Seen()
+    noted = SeenTraffic()
     (decoded,) = Codec(1).decode(Codec(1, 191 if from_app else 1).encode(message))
     noted.take(decoded, 5.0, from_app=from_app)
     return noted
@@ -70,7 +72,7 @@ def test_a_witness_notes_setpoints_orders_and_heartbeats() -> None:
     assert passed(setpoint, from_app=True).setpoints == [5.0]
     assert passed(setpoint, from_app=False).setpoints == []
     arm = command_long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,), 1)
-    assert passed(arm, from_app=True).commands == [Command(5.0, 400)]
+    assert passed(arm, from_app=True).commands == [AppCommand(5.0, 400)]
     asking = command_long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, (32.0, 1e5), 1)
     assert passed(asking, from_app=True).commands == []
     beat = mavlink.MAVLink_heartbeat_message(2, 12, 128 | 1, OFFBOARD, 4, 3)
@@ -96,7 +98,7 @@ def test_a_kill_is_safe_when_all_is_silent_and_the_failsafe_acts() -> None:
         (seen(FLIES, FAILSAFE, STANDS, STANDS, FAILSAFE), ["armed"]),
     ],
 )
-def test_a_kill_is_unsafe_when(wrong: Seen, found: list[str]) -> None:
+def test_a_kill_is_unsafe_when(wrong: SeenTraffic, found: list[str]) -> None:
     assert judging.killed(wrong, 0.5) == found
 
 
@@ -138,7 +140,7 @@ def test_a_service_that_is_ended_hands_back_in_time_with_its_exit_code() -> None
         (seen(FLIES, FLIES, commands=[1.1]), ["nothing heard of the vehicle any more"]),
     ],
 )
-def test_a_service_that_is_ended_is_unsafe_when(wrong: Seen, found: list[str]) -> None:
+def test_a_service_that_is_ended_is_unsafe_when(wrong: SeenTraffic, found: list[str]) -> None:
     assert judging.terminated(wrong, 0.9, 1.2, 4, standby=False) == found
 
 
@@ -180,8 +182,10 @@ def test_a_killed_flights_log_has_to_read_back_to_its_last_second(tmp_path: Path
 # ---------------------------------------------------------------- the file, and going on
 
 
-def trial(kind: Kind = "kill", seed: int = 0, code: str = "abc", found: tuple[str, ...] = ()) -> Trial:
-    return Trial(kind, seed, code, "descend", 12.3, 1.5, found)
+def trial(
+    kind: Kind = "kill", seed: int = 0, code: str = "abc", found: tuple[str, ...] = ()
+) -> InterruptedTrial:
+    return InterruptedTrial(kind, seed, code, "descend", 12.3, 1.5, found)
 
 
 def test_a_trial_is_read_back_and_a_cut_line_is_none(tmp_path: Path) -> None:
@@ -198,7 +202,7 @@ def test_a_trial_is_read_back_and_a_cut_line_is_none(tmp_path: Path) -> None:
 def test_the_same_command_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     flown: list[tuple[Kind, int]] = []
 
-    def fly(kind: Kind, seed: int, code: str) -> Trial:
+    def fly(kind: Kind, seed: int, code: str) -> InterruptedTrial:
         flown.append((kind, seed))
         if len(flown) == 3:
             raise NotFlown("too busy")
@@ -215,7 +219,7 @@ def test_the_same_command_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_no_trial_begins_after_its_time_and_an_unsafe_one_fails_the_bar(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fly(kind: Kind, seed: int, code: str) -> Trial:
+    def fly(kind: Kind, seed: int, code: str) -> InterruptedTrial:
         return trial(kind, seed, code, found=("armed",) if kind == "stop" else ())
 
     assert main(("--trials", "1", "--minutes", "-1", "--out", str(tmp_path)), fly) == 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.bench.cpu.bench_cpu import Bar
+from tests.bench.cpu.bench_cpu import CostBar
 from tests.bench.service import bench_page
 
 
@@ -21,5 +21,5 @@ def test_without_chromium_the_delay_is_not_measured_and_the_bench_fails(
 def test_the_last_line_says_what_holds(
     measured: float, status: int, last: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert bench_page.report([Bar("x", measured, 2.0, "ms")]) == status
+    assert bench_page.report([CostBar("x", measured, 2.0, "ms")]) == status
     assert capsys.readouterr().out.splitlines()[-1] == f"bars: {last}"

@@ -9,7 +9,7 @@ import pytest
 from companion.base.messages import FrameReport, Setpoint
 from companion.config import ComputeConfig
 from companion.flightlog.record import FlightLog
-from tests.bench.service.bench_service import Held, read_delays
+from tests.bench.service.bench_service import HeldMemory, read_delays
 
 
 def test_delays_are_those_of_the_first_setpoint_that_used_a_frame(tmp_path: Path) -> None:
@@ -36,6 +36,6 @@ def test_delays_are_those_of_the_first_setpoint_that_used_a_frame(tmp_path: Path
 
 
 def test_what_is_held_more_is_counted_and_what_is_less_makes_up_for_nothing() -> None:
-    first = Held(tasks=10, threads=4, files=20, memory_mb=100.0)
-    assert Held(tasks=12, threads=3, files=20, memory_mb=150.0).more_than(first) == 2
+    first = HeldMemory(tasks=10, threads=4, files=20, memory_mb=100.0)
+    assert HeldMemory(tasks=12, threads=3, files=20, memory_mb=150.0).more_than(first) == 2
     assert first.more_than(first) == 0

@@ -21,12 +21,12 @@ from companion.sense.vision.aruco import GROUPS, PadDetector, SearchPass
 from sitl.run.scene_camera import perturbed_lens
 from sitl.run.simulation import PHYSICS_STEP_S
 from tests.bench.vision import hover
-from tests.bench.vision.cases import Case, Outcome
+from tests.bench.vision.cases import CaseOutcome, VisionCase
 from tests.bench.vision.clutter import clutter_board, random_code
-from tests.bench.vision.hover import Flight, Moment
-from tests.bench.vision.judge import UNKNOWNS, Judged, _errors, _rows, bound_m2, noise_px
+from tests.bench.vision.hover import HoverFlight, HoverMoment
+from tests.bench.vision.judge import UNKNOWNS, JudgedShot, _errors, _rows, bound_m2, noise_px
 from tests.bench.vision.photos import outer_border
-from tests.bench.vision.shots import Scene, Shot, Stage, camera_named, pad_of, vehicle
+from tests.bench.vision.shots import BenchShot, HoverScene, PadBeforeCamera, camera_named, pad_of, vehicle
 from tests.bench.vision.speed import Follower, Times
 from tests.bench.vision.tables import (
     PAD_HEIGHTS_M,
@@ -48,11 +48,11 @@ def _a_flight_that_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = np.arange(2000) * PHYSICS_STEP_S
     away = np.outer(steps, (0.0, 0.3, 0.0))
     attitudes = np.array([quat_from_euler(0.1 * (s - 2.5), 0.02, 0.0) for s in steps])
-    monkeypatch.setattr(hover, "flight", lambda _: Flight(away, attitudes))
+    monkeypatch.setattr(hover, "flight", lambda _: HoverFlight(away, attitudes))
 
 
 def test_corners_are_where_the_detector_finds_them_in_the_middle_of_their_rows() -> None:
-    stage = Stage("1280x720", 0.0, np.random.default_rng(3))
+    stage = PadBeforeCamera("1280x720", 0.0, np.random.default_rng(3))
     misses = []
     for _ in range(4):
         shot = stage.shoot(2.0)
@@ -66,7 +66,7 @@ def test_corners_are_where_the_detector_finds_them_in_the_middle_of_their_rows()
 
 
 def test_a_row_is_looked_at_when_it_is_exposed() -> None:
-    stage = Stage("640x480", 0.0, np.random.default_rng(4))
+    stage = PadBeforeCamera("640x480", 0.0, np.random.default_rng(4))
     scene = stage.scene(3.0)
     points = np.array([(0.4, 0.0, 0.0), (-0.4, 0.3, 0.0)])
     pixels, times = stage.pixels(scene, points)
@@ -80,7 +80,7 @@ def test_a_row_is_looked_at_when_it_is_exposed() -> None:
 
 
 def test_vibration_is_the_integral_of_what_the_simulated_gyroscope_feels() -> None:
-    moment = Moment.draw(np.random.default_rng(0), vehicle())
+    moment = HoverMoment.draw(np.random.default_rng(0), vehicle())
     step = 1e-6
     before, after = moment.at(-step)[1], moment.at(step)[1]
     turned = quat_multiply(quat_conjugate(before), after)
@@ -93,7 +93,7 @@ def test_vibration_is_the_integral_of_what_the_simulated_gyroscope_feels() -> No
 
 
 def test_a_shot_tells_the_app_no_more_than_it_would_know() -> None:
-    stage = Stage("640x480", 18.0, np.random.default_rng(5))
+    stage = PadBeforeCamera("640x480", 18.0, np.random.default_rng(5))
     leans, misses = [], []
     for _ in range(300):
         scene = stage.scene(1.0)
@@ -108,7 +108,7 @@ def test_a_shot_tells_the_app_no_more_than_it_would_know() -> None:
 
 
 def test_a_tilted_shot_leans_as_far_as_asked_and_looks_at_the_pad() -> None:
-    stage = Stage("640x480", 0.0, np.random.default_rng(6))
+    stage = PadBeforeCamera("640x480", 0.0, np.random.default_rng(6))
     for tilt in (0.0, 0.05, 0.17):
         scene = stage.scene(3.0, tilt)
         down = quat_rotate(scene.pose(0.0).vehicle_attitude, (0.0, 0.0, 1.0))
@@ -121,7 +121,7 @@ def test_a_tilted_shot_leans_as_far_as_asked_and_looks_at_the_pad() -> None:
 # ---------------------------------------------------------------- judging
 
 
-def sighting(shot: Shot, stage: Stage, turned: tuple[float, float, float]) -> PadSighting:
+def sighting(shot: BenchShot, stage: PadBeforeCamera, turned: tuple[float, float, float]) -> PadSighting:
     """The truth, its pad turned in its own axes."""
     place, body_from_pad = shot.scene.pad_in_body(0.0)
     wrong = quat_multiply(body_from_pad, quat_from_rotation_vector(turned))
@@ -129,12 +129,12 @@ def sighting(shot: Shot, stage: Stage, turned: tuple[float, float, float]) -> Pa
 
 
 def test_a_flip_is_a_lean_to_the_other_side_or_far_off() -> None:
-    stage = Stage("640x480", 18.0, np.random.default_rng(7))
+    stage = PadBeforeCamera("640x480", 18.0, np.random.default_rng(7))
     # it rolls by 4 degrees: mirrored it is off by 8
-    moment = Moment(hover.flight(0), 3.2, 0.0, 0.5)
+    moment = HoverMoment(hover.flight(0), 3.2, 0.0, 0.5)
     north, east, down = quat_rotate(moment.at(0.0)[1], (0.0, 0.0, -1.0))
-    scene = Scene(moment, (1.0, 0.0, 0.0, 0.0), (north, east, down), 0.0)
-    shot = Shot(stage.frame(scene, 0.0), scene, stage.expectation(scene, 0.0, 1.0))
+    scene = HoverScene(moment, (1.0, 0.0, 0.0, 0.0), (north, east, down), 0.0)
+    shot = BenchShot(stage.frame(scene, 0.0), scene, stage.expectation(scene, 0.0, 1.0))
     assert not _errors(shot, sighting(shot, stage, (0.0, 0.0, 0.0))).flipped
     assert not _errors(shot, sighting(shot, stage, (0.05, 0.0, 0.0))).flipped
     assert _errors(shot, sighting(shot, stage, (0.0, 0.0, 0.2))).flipped
@@ -158,7 +158,7 @@ def test_the_bound_is_what_a_fit_of_noisy_corners_reaches() -> None:
     rows = _rows(points, position, np.zeros(4), np.zeros((4, 2)))
     assert rows[:, :6] == pytest.approx(jacobian, rel=1e-5, abs=1e-7)
     assert not rows[:, 6:].any()
-    shot = Judged(True, False, information={"F": rows.T @ rows}, known=1e4 * np.eye(UNKNOWNS))
+    shot = JudgedShot(True, False, information={"F": rows.T @ rows}, known=1e4 * np.eye(UNKNOWNS))
     noise = 1e-3
     estimates = np.linalg.solve(
         jacobian.T @ jacobian / noise**2 + 1e4 * np.eye(6),
@@ -181,8 +181,8 @@ def test_vibration_turns_the_camera_about_itself() -> None:
 
 
 def test_corner_noise_is_pooled_by_group() -> None:
-    shots = [Judged(True, False, misses_px={"F": np.full((4, 2), 0.1)}) for _ in range(3)]
-    shots.append(Judged(True, False, misses_px={"M": np.full((4, 2), -0.3)}))
+    shots = [JudgedShot(True, False, misses_px={"F": np.full((4, 2), 0.1)}) for _ in range(3)]
+    shots.append(JudgedShot(True, False, misses_px={"M": np.full((4, 2), -0.3)}))
     assert noise_px(shots) == pytest.approx({"F": 0.1, "M": 0.3})
 
 
@@ -235,14 +235,16 @@ def test_the_border_of_dark_pixels_is_half_a_pixel_further_out() -> None:
 # ---------------------------------------------------------------- bars
 
 
-def outcome(case: Case, error_m: float, seen: int, missed: int, rng: np.random.Generator) -> Outcome:
+def outcome(
+    case: VisionCase, error_m: float, seen: int, missed: int, rng: np.random.Generator
+) -> CaseOutcome:
     """Shots with errors of that rms, covariances that are right, and corners as noisy as explains them."""
     std = error_m / math.sqrt(3.0)
     information = np.zeros((UNKNOWNS, UNKNOWNS))
     information[:3, :3] = np.eye(3) * 0.1**2 / std**2
     known = np.diag([0.0] * 3 + [1.0] * (UNKNOWNS - 3))
     shots = [
-        Judged(
+        JudgedShot(
             True,
             False,
             error_m=std * rng.standard_normal(3),
@@ -254,11 +256,13 @@ def outcome(case: Case, error_m: float, seen: int, missed: int, rng: np.random.G
         )
         for _ in range(seen)
     ]
-    with_misses = shots + [Judged(False, True) for _ in range(missed)]
-    return Outcome(case, list(shots), with_misses)
+    with_misses = shots + [JudgedShot(False, True) for _ in range(missed)]
+    return CaseOutcome(case, list(shots), with_misses)
 
 
-def outcomes(rng: np.random.Generator, missed: int = 0, error_m: float = 0.001) -> dict[Case, Outcome]:
+def outcomes(
+    rng: np.random.Generator, missed: int = 0, error_m: float = 0.001
+) -> dict[VisionCase, CaseOutcome]:
     return {case: outcome(case, error_m, 400, missed, rng) for case in (*single_cases(), *pad_cases())}
 
 
@@ -289,8 +293,8 @@ def test_the_tables_cover_the_papers_cells_and_both_resolutions() -> None:
 
 
 def test_a_flip_fails_its_bar() -> None:
-    case = Case("640x480", 0.0, 1.0, tilted=True)
-    found = Outcome(case, calibrated=[Judged(True, False, turn_error_rad=0.01) for _ in range(10)])
+    case = VisionCase("640x480", 0.0, 1.0, tilted=True)
+    found = CaseOutcome(case, calibrated=[JudgedShot(True, False, turn_error_rad=0.01) for _ in range(10)])
     assert flips_table({case: found})[1] == {"flips": True}
     found.calibrated[3].flipped = True
     assert flips_table({case: found})[1] == {"flips": False}

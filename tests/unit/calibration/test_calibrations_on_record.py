@@ -29,7 +29,7 @@ from companion.flightlog.replay.settings import choose
 from companion.sim.runner import fly
 from companion.sim.settings import calibrations_left_out, sitl_settings
 from companion.sim.trial import Trial
-from tests.unit.calibration.mount.mount_world import Held, record_sway, scenario_of
+from tests.unit.calibration.mount.mount_world import HandHeld, record_sway, scenario_of
 
 ORIGIN = Provenance(tool="t", source="s", date="d", samples=1)
 INERTIAL = InertialCalibration(
@@ -114,7 +114,7 @@ def test_a_flight_s_log_holds_what_was_applied_and_replays_without_the_files(
 
 def test_a_recording_is_solved_where_its_inertial_file_is_not(tmp_path: Path, named: dict[str, Any]) -> None:
     config = validate(CompanionConfig, {"sense": named["sense"]}, "test")
-    held = Held(scenario_of({}), 0, "sway")
+    held = HandHeld(scenario_of({}), 0, "sway")
     record_sway(held, config, tmp_path / "swayed", 5.0)
     (tmp_path / "inertial.yaml").unlink()
     recording = read_recording(tmp_path / "swayed")

@@ -39,8 +39,8 @@ from companion.config import ControlConfig, VehicleConfig
 from companion.control.controller import Controller
 from tests.unit.control.control_vehicles import (
     AttitudeAutopilot,
+    PointMass,
     SwayingAutopilot,
-    Vehicle,
     VelocityAutopilot,
 )
 
@@ -159,7 +159,7 @@ def reference_rows(
 
 
 @dataclass
-class Flight:
+class ControlFlight:
     """What happened: one row a control step."""
 
     time_s: list[float] = field(default_factory=list)
@@ -203,16 +203,16 @@ class Loop:
     # how old the pad's estimate is by then, at least and at most; in between at random
     pad_age_s: tuple[float, float] = (0.0, 0.0)
 
-    def fly(self, duration_s: float) -> Flight:
+    def fly(self, duration_s: float) -> ControlFlight:
         rng = np.random.default_rng(self.seed)
         start = self.offset(0.0)[0]
         pad = self.pad(0.0)
-        vehicle = Vehicle(add(pad[0], start), pad[1])
+        vehicle = PointMass(add(pad[0], start), pad[1])
         self._seen: deque[tuple[float, Vector3, Vector3, Motion3]] = deque(maxlen=64)
         length = 1 + round(self.sensor_delay_s / PHYSICS_STEP_S)
         self._shown: deque[Vector3] = deque([ZERO3], maxlen=length)
         self._pushed: deque[Vector3] = deque([ZERO3], maxlen=length)
-        flight, pending = Flight(), deque[tuple[float, Setpoint]]()
+        flight, pending = ControlFlight(), deque[tuple[float, Setpoint]]()
         current = self._resting(vehicle)
         steps, control_s = round(duration_s / PHYSICS_STEP_S), 0.0
         for i in range(steps):
@@ -228,19 +228,21 @@ class Loop:
             self._sense(vehicle)
         return flight
 
-    def _sense(self, vehicle: Vehicle) -> None:
+    def _sense(self, vehicle: PointMass) -> None:
         share = PHYSICS_STEP_S / (PHYSICS_STEP_S + self.sensor_lag_s)
         felt = subtract(add(vehicle.acceleration, self.acceleration_bias), (0.0, 0.0, GRAVITY_M_S2))
         pushed = side_force(vehicle.attitude, quat_rotate(quat_conjugate(vehicle.attitude), felt))
         for shown, value in ((self._shown, vehicle.acceleration), (self._pushed, pushed)):
             shown.append(add(shown[-1], scale(subtract(value, shown[-1]), share)))
 
-    def _resting(self, vehicle: Vehicle) -> Setpoint:
+    def _resting(self, vehicle: PointMass) -> Setpoint:
         if isinstance(self.autopilot, AttitudeAutopilot):
             return Setpoint(0.0, attitude=IDENTITY, thrust=0.5)
         return Setpoint(0.0, velocity_ned_m_s=vehicle.velocity)
 
-    def _control(self, vehicle: Vehicle, now_s: float, rng: np.random.Generator, flight: Flight) -> Setpoint:
+    def _control(
+        self, vehicle: PointMass, now_s: float, rng: np.random.Generator, flight: ControlFlight
+    ) -> Setpoint:
         pad = self.pad(now_s)
         noise = rng.normal(0.0, self.noise, 9)
         velocity = add(add(vehicle.velocity, self.velocity_bias), tuple(0.01 * noise[:3]))

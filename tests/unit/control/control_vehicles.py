@@ -30,7 +30,7 @@ from companion.control.attitude import attitude_from_acceleration
 
 
 @dataclass
-class Vehicle:
+class PointMass:
     """A point mass with an attitude; `push` is the acceleration that wind makes."""
 
     position: Vector3
@@ -55,7 +55,7 @@ class VelocityAutopilot:
     _integral: Vector3 = ZERO3
     _flown: Vector3 = ZERO3
 
-    def force(self, vehicle: Vehicle, setpoint: Setpoint, time_s: float, dt_s: float) -> Vector3:
+    def force(self, vehicle: PointMass, setpoint: Setpoint, time_s: float, dt_s: float) -> Vector3:
         wander = math.tau * time_s / 30.0
         estimate = add(
             vehicle.velocity,
@@ -85,7 +85,7 @@ class AttitudeAutopilot:
     lag_s: float = 0.15
     _thrust: float = 0.5
 
-    def force(self, vehicle: Vehicle, setpoint: Setpoint, _time_s: float, dt_s: float) -> Vector3:
+    def force(self, vehicle: PointMass, setpoint: Setpoint, _time_s: float, dt_s: float) -> Vector3:
         assert setpoint.attitude is not None
         assert setpoint.thrust is not None
         error = quat_multiply(quat_conjugate(vehicle.attitude), setpoint.attitude)
@@ -119,7 +119,7 @@ class SwayingAutopilot:
     _lift: float = 0.0
     _due_s: float = 0.0
 
-    def force(self, vehicle: Vehicle, setpoint: Setpoint, time_s: float, dt_s: float) -> Vector3:
+    def force(self, vehicle: PointMass, setpoint: Setpoint, time_s: float, dt_s: float) -> Vector3:
         if time_s >= self._due_s - 1e-9:
             self._due_s += 0.01
             self._wanted = self._outer(vehicle, setpoint)
@@ -130,7 +130,7 @@ class SwayingAutopilot:
         vehicle.attitude = attitude_from_acceleration((x, y, 0.0), 0.0)
         return (x, y, self._lift)
 
-    def _outer(self, vehicle: Vehicle, setpoint: Setpoint) -> Vector3:
+    def _outer(self, vehicle: PointMass, setpoint: Setpoint) -> Vector3:
         if setpoint.attitude is not None and setpoint.thrust is not None:
             push = setpoint.thrust / 0.5 * GRAVITY_M_S2
             return add(quat_rotate(setpoint.attitude, (0.0, 0.0, -push)), (0.0, 0.0, GRAVITY_M_S2))

@@ -20,7 +20,7 @@ from companion.control.adaptive_feedforward import (
 from companion.control.attitude import attitude_from_acceleration
 from companion.control.response.fitting import loop_rad_s
 from tests.unit.control.control_plants import Loop, Motion3, controller, line, still
-from tests.unit.control.control_vehicles import SwayingAutopilot, Vehicle
+from tests.unit.control.control_vehicles import PointMass, SwayingAutopilot
 
 WEIGHTS = ControlConfig().horizontal
 SPEED_M_S, RATE_RAD_S, PERIOD_S = 1.5, 0.7, 1.0 / 30.0
@@ -31,7 +31,7 @@ GAIN = 1.25
 class TooKeen(SwayingAutopilot):
     """Leans further than it is asked to, as ArduCopter does."""
 
-    def force(self, vehicle: Vehicle, setpoint: Setpoint, time_s: float, dt_s: float) -> Vector3:
+    def force(self, vehicle: PointMass, setpoint: Setpoint, time_s: float, dt_s: float) -> Vector3:
         x, y, down = super().force(vehicle, setpoint, time_s, dt_s)
         vehicle.attitude = attitude_from_acceleration((GAIN * x, GAIN * y, 0.0), 0.0)
         return (GAIN * x, GAIN * y, down)

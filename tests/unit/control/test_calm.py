@@ -12,7 +12,7 @@ import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, FloatArray
 from tests.unit.control.control_plants import (
-    Flight,
+    ControlFlight,
     Loop,
     Motion3,
     PadMotion,
@@ -59,20 +59,20 @@ def _fly(
     kind: str = "velocity",
     link_s: float = LINK_S,
     noise: float = 0.0,
-) -> Flight:
+) -> ControlFlight:
     loop = Loop(controller(setpoint=kind), autopilot, pad, offset, noise=noise, link_delay_s=link_s)
     loop.sensor_lag_s, loop.sensor_delay_s = 0.025, 0.01
     return loop.fly(13.0)
 
 
-def _lean_deg(flight: Flight, after_s: float) -> FloatArray:
+def _lean_deg(flight: ControlFlight, after_s: float) -> FloatArray:
     """Lean (n, 2) in degrees, by the acceleration that it gives."""
     keep = np.array(flight.time_s) >= after_s
     lean: FloatArray = np.degrees(np.array(flight.acceleration_m_s2)[keep, :2] / GRAVITY_M_S2)
     return lean
 
 
-def _sway_deg(flight: Flight) -> float:
+def _sway_deg(flight: ControlFlight) -> float:
     """Greatest standard deviation of the lean in the last five seconds."""
     return float(_lean_deg(flight, 8.0).std(axis=0).max())
 

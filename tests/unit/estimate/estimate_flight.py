@@ -127,7 +127,7 @@ def slow_turns(t: float) -> float:
 
 
 @dataclass(frozen=True)
-class Flight:
+class EstimateFlight:
     """A path with a seed for the noise, and switches for what goes wrong."""
 
     path: Path = hover
@@ -278,7 +278,7 @@ class Errors:
         return float(np.sqrt(np.mean(np.sum(rows.reshape(len(rows), -1) ** 2, axis=1))))
 
 
-def fly(flight: Flight, estimator: StateEstimator | None = None) -> Errors:
+def fly(flight: EstimateFlight, estimator: StateEstimator | None = None) -> Errors:
     """Feed a flight's samples in their order of arrival and compare with the truth at 30 Hz."""
     estimator = estimator or new_estimator()
     errors, next_s = Errors(), 1.0 / 30.0
@@ -290,7 +290,7 @@ def fly(flight: Flight, estimator: StateEstimator | None = None) -> Errors:
     return errors
 
 
-def _compare(errors: Errors, flight: Flight, estimator: StateEstimator, now_s: float) -> None:
+def _compare(errors: Errors, flight: EstimateFlight, estimator: StateEstimator, now_s: float) -> None:
     vehicle, pad = estimator.vehicle(now_s), estimator.pad(now_s)
     speed = np.array(velocity(flight.path, now_s))
     if vehicle is not None:
@@ -312,6 +312,6 @@ def _compare(errors: Errors, flight: Flight, estimator: StateEstimator, now_s: f
         errors.pad.append(pad)
 
 
-def without(flight: Flight, *sensors: str) -> Flight:
+def without(flight: EstimateFlight, *sensors: str) -> EstimateFlight:
     """The same flight with some sensors dead."""
     return replace(flight, sensors=flight.sensors - set(sensors))

@@ -21,9 +21,9 @@ from companion.base.messages import GpsFix, ImuSample, MagSample
 from companion.estimate.pad.pad_types import CombinedEstimate
 from companion.estimate.vehicle.fix_watch import FixWatch
 from companion.estimate.vehicle.imu_noise import VibrationMonitor
-from tests.unit.estimate.estimate_flight import Flight, circle, feed, new_estimator
+from tests.unit.estimate.estimate_flight import EstimateFlight, circle, feed, new_estimator
 
-FLOWN = Flight(path=circle(8.0, 4.0), duration_s=36.0)
+FLOWN = EstimateFlight(path=circle(8.0, 4.0), duration_s=36.0)
 FROM_S = 20.0
 Change = Callable[[object], object | None]
 

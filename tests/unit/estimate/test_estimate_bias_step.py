@@ -22,27 +22,29 @@ from companion.base.geometry import (
     vector3,
 )
 from companion.base.messages import AutopilotAttitude, ImuSample
-from tests.unit.estimate.estimate_flight import Flight, circle, feed, hover, new_estimator
+from tests.unit.estimate.estimate_flight import EstimateFlight, circle, feed, hover, new_estimator
 
 STEP_S = 14.0
 CHANGE = tuple(math.radians(value) for value in (1.15, 1.15, 1.15))
 FLIGHTS = {
-    "hover": Flight(hover, seed=21, duration_s=22.0, sensors=frozenset({"imu", "mag", "gps"})),
-    "circle": Flight(circle(4.0, 1.5), seed=22, duration_s=22.0, sensors=frozenset({"imu", "mag", "gps"})),
+    "hover": EstimateFlight(hover, seed=21, duration_s=22.0, sensors=frozenset({"imu", "mag", "gps"})),
+    "circle": EstimateFlight(
+        circle(4.0, 1.5), seed=22, duration_s=22.0, sensors=frozenset({"imu", "mag", "gps"})
+    ),
 }
 
 
 @dataclass(frozen=True)
-class Run:
+class BiasStepRun:
     time_s: list[float]
     error_deg: list[float]
     gyro_bias_rad_s: list[Vector3]
 
 
 @lru_cache
-def flown(name: str, change: Vector3 = CHANGE, told: bool = True, delay_s: float = 0.0) -> Run:  # type: ignore[assignment]
+def flown(name: str, change: Vector3 = CHANGE, told: bool = True, delay_s: float = 0.0) -> BiasStepRun:  # type: ignore[assignment]
     """The stage's attitude errors; the autopilot has a heading and a horizon of its own."""
-    flight, estimator, run = FLIGHTS[name], new_estimator(), Run([], [], [])
+    flight, estimator, run = FLIGHTS[name], new_estimator(), BiasStepRun([], [], [])
     rng, own = np.random.default_rng(4), quat_from_euler(0.02, -0.02, 0.4)
     for k, (arrival_s, sample) in enumerate(flight.samples):
         if isinstance(sample, ImuSample) and sample.time_s >= STEP_S:

@@ -28,7 +28,7 @@ from tests.unit.estimate.estimate_flight import (
     FIELD_NED_UT,
     HOME,
     Errors,
-    Flight,
+    EstimateFlight,
     circle,
     feed,
     fly,
@@ -44,11 +44,11 @@ from tests.unit.estimate.estimate_flight import (
 )
 
 FLIGHTS = {
-    "hover over a pad at rest": Flight(hover, pad_at_rest, seed=1, duration_s=25.0),
-    "hover over a figure of eight": Flight(hover, pad_figure_8, seed=2, duration_s=25.0),
-    "circle over a circle": Flight(circle(5.0, 1.5), pad_circle, seed=3, duration_s=25.0),
-    "sprints": Flight(sprint, pad_figure_8, seed=4, duration_s=25.0),
-    "low over a heaving pad": Flight(circle(1.0, 0.5, 2.5), pad_heave, seed=5, duration_s=24.0),
+    "hover over a pad at rest": EstimateFlight(hover, pad_at_rest, seed=1, duration_s=25.0),
+    "hover over a figure of eight": EstimateFlight(hover, pad_figure_8, seed=2, duration_s=25.0),
+    "circle over a circle": EstimateFlight(circle(5.0, 1.5), pad_circle, seed=3, duration_s=25.0),
+    "sprints": EstimateFlight(sprint, pad_figure_8, seed=4, duration_s=25.0),
+    "low over a heaving pad": EstimateFlight(circle(1.0, 0.5, 2.5), pad_heave, seed=5, duration_s=24.0),
 }
 
 
@@ -100,7 +100,7 @@ def test_figure_of_eight_at_2_m_s_is_followed_from_low() -> None:
         grown = smooth(t, 10.0, 15.0)
         return (grown * x, grown * y, z * 2.5 / 7.0)
 
-    errors = fly(Flight(over, pad_figure_8, seed=6, duration_s=26.0))
+    errors = fly(EstimateFlight(over, pad_figure_8, seed=6, duration_s=26.0))
     assert errors.rms("relative_velocity_m_s") < 0.12
     assert errors.rms("relative_position_m") < 0.04
 
@@ -138,13 +138,13 @@ def test_position_counts_from_the_first_fix() -> None:
 
 def test_latency_of_the_gps_is_compensated() -> None:
     """A quarter of a second late, at 2 m/s² a fix taken for fresh would be wrong by half a metre a second."""
-    late = fly(Flight(sprint, seed=7, duration_s=26.0, gps_delay_s=(0.25, 0.25)))
-    prompt = fly(Flight(sprint, seed=7, duration_s=26.0, gps_delay_s=(0.0, 0.001)))
+    late = fly(EstimateFlight(sprint, seed=7, duration_s=26.0, gps_delay_s=(0.25, 0.25)))
+    prompt = fly(EstimateFlight(sprint, seed=7, duration_s=26.0, gps_delay_s=(0.0, 0.001)))
     assert late.rms("velocity_m_s") < prompt.rms("velocity_m_s") + 0.05
 
 
 def test_gps_outage_lets_velocity_drift_slowly_and_says_so() -> None:
-    errors = fly(Flight(circle(5.0, 1.5), seed=8, duration_s=30.0, gps_lost_s=(18.0, 26.0)))
+    errors = fly(EstimateFlight(circle(5.0, 1.5), seed=8, duration_s=30.0, gps_lost_s=(18.0, 26.0)))
     assert errors.rms("velocity_m_s", 18.0, 26.0) < 0.5
     assert math.degrees(errors.rms("attitude_rad", 18.0, 26.0)) < 1.2
     during = next(state for state in errors.vehicle if state.time_s > 25.5)
@@ -157,7 +157,7 @@ def test_gps_outage_lets_velocity_drift_slowly_and_says_so() -> None:
 
 
 def test_blind_for_two_seconds_the_pads_motion_is_predicted() -> None:
-    errors = fly(Flight(hover, pad_circle, seed=9, duration_s=24.0, pad_hidden_s=(19.0, 21.0)))
+    errors = fly(EstimateFlight(hover, pad_circle, seed=9, duration_s=24.0, pad_hidden_s=(19.0, 21.0)))
     times = np.array(errors.pad_time_s)
     end = int(np.argmax(times > 20.95))
     error = float(np.linalg.norm(errors.relative_position_m[end]))
@@ -168,7 +168,7 @@ def test_blind_for_two_seconds_the_pads_motion_is_predicted() -> None:
 
 
 def test_sightings_in_any_order_give_the_same_pad() -> None:
-    samples = Flight(hover, pad_circle, seed=10, duration_s=14.0).samples
+    samples = EstimateFlight(hover, pad_circle, seed=10, duration_s=14.0).samples
     # what is learnt of the stamps depends on what has come by then
     known = EstimateConfig(magnetic_field_ned_ut=FIELD_NED_UT, pad=PadFilterConfig(camera_delay_std_s=0.0))
     one, two = new_estimator(known), new_estimator(known)
@@ -238,7 +238,7 @@ def test_prior_points_where_the_pad_will_be_seen() -> None:
 
 def test_before_the_alignment_there_is_no_state() -> None:
     estimator = new_estimator()
-    for _, sample in Flight(seed=11, duration_s=1.5).samples:
+    for _, sample in EstimateFlight(seed=11, duration_s=1.5).samples:
         feed(estimator, sample)
     assert estimator.vehicle(1.5) is None
     assert estimator.pad(1.5) is None
@@ -247,7 +247,7 @@ def test_before_the_alignment_there_is_no_state() -> None:
 
 def test_silent_imu_means_no_state() -> None:
     estimator = new_estimator()
-    for _, sample in Flight(seed=11, duration_s=3.0).samples:
+    for _, sample in EstimateFlight(seed=11, duration_s=3.0).samples:
         feed(estimator, sample)
     assert estimator.vehicle(3.3) is not None
     assert estimator.vehicle(3.6) is None
@@ -262,7 +262,7 @@ def test_unseen_for_too_long_the_pad_is_forgotten() -> None:
 
 
 def test_without_gps_there_is_attitude_and_no_origin() -> None:
-    flight = without(Flight(seed=12, duration_s=4.4), "gps")
+    flight = without(EstimateFlight(seed=12, duration_s=4.4), "gps")
     estimator = new_estimator()
     for _, sample in flight.samples:
         feed(estimator, sample)
@@ -319,6 +319,6 @@ def test_heading_is_true_north_and_not_magnetic() -> None:
 
 def test_antenna_offset_is_taken_off() -> None:
     """Spinning on the spot: the antenna moves, the centre of mass does not."""
-    flight = Flight(hover, heading=lambda t: 1.5 * max(t - 12.0, 0.0), seed=13, duration_s=22.0)
+    flight = EstimateFlight(hover, heading=lambda t: 1.5 * max(t - 12.0, 0.0), seed=13, duration_s=22.0)
     assert vector3(ANTENNA) != (0.0, 0.0, 0.0)
     assert fly(flight).rms("velocity_m_s") < 0.15

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from companion.estimate.gating import CHI_SQUARE_999, Gate, Timeline, normalised_innovation_squared
 
 
-class Recorder:
+class InputRecorder:
     """A filter whose state depends on the order of its inputs."""
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ def test_gate_is_shut_out_only_after_enough_time_and_enough_refusals() -> None:
 
 
 def test_late_input_is_applied_at_its_own_time() -> None:
-    recorder = Recorder()
+    recorder = InputRecorder()
     timeline = Timeline(recorder, span_s=10.0)
     for time_s, item in ((1.0, "a"), (2.0, "b"), (4.0, "d"), (3.0, "c"), (2.0, "b2")):
         assert timeline.add(time_s, item)
@@ -58,7 +58,7 @@ def test_late_input_is_applied_at_its_own_time() -> None:
 
 
 def test_only_what_is_newer_than_a_late_input_is_replayed() -> None:
-    recorder = Recorder()
+    recorder = InputRecorder()
     timeline = Timeline(recorder, span_s=10.0)
     for k in range(10):
         timeline.add(float(k), "on time")
@@ -68,7 +68,7 @@ def test_only_what_is_newer_than_a_late_input_is_replayed() -> None:
 
 
 def test_input_older_than_all_that_is_remembered_is_refused() -> None:
-    recorder = Recorder()
+    recorder = InputRecorder()
     timeline = Timeline(recorder, span_s=1.0)
     for k in range(50):
         timeline.add(0.1 * k, "x")
@@ -79,7 +79,7 @@ def test_input_older_than_all_that_is_remembered_is_refused() -> None:
 
 
 def test_state_as_of_a_time_is_the_one_after_the_last_input_before_it() -> None:
-    recorder = Recorder()
+    recorder = InputRecorder()
     timeline = Timeline(recorder, span_s=10.0)
     assert timeline.as_of(5.0) is None
     timeline.add(1.0, "a")

@@ -9,10 +9,10 @@ import numpy as np
 
 from companion.base.geometry import norm, quat_conjugate, quat_multiply, rotation_vector_from_quat
 from companion.base.messages import ImuSample
-from tests.unit.estimate.estimate_flight import Flight, circle, feed, new_estimator
+from tests.unit.estimate.estimate_flight import EstimateFlight, circle, feed, new_estimator
 
 INTERVAL_S = 0.005
-FLIGHT = Flight(circle(3.0, 2.0), seed=5, duration_s=24.0, sensors=frozenset({"imu", "mag", "gps"}))
+FLIGHT = EstimateFlight(circle(3.0, 2.0), seed=5, duration_s=24.0, sensors=frozenset({"imu", "mag", "gps"}))
 JUMP_S, STALL_S = 20.0, 0.2
 
 

@@ -1,11 +1,11 @@
 """After a suspension of the machine nothing that was estimated looks old, so the app forgets it by order."""
 
-from tests.unit.estimate.estimate_flight import Flight, feed, new_estimator
+from tests.unit.estimate.estimate_flight import EstimateFlight, feed, new_estimator
 
 
 def test_an_estimator_that_starts_over_knows_neither_vehicle_nor_pad() -> None:
     estimator, now_s = new_estimator(), 0.0
-    samples = iter(Flight().samples)
+    samples = iter(EstimateFlight().samples)
     while estimator.pad(now_s) is None:
         now_s, sample = next(samples)
         feed(estimator, sample)

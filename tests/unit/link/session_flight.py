@@ -10,7 +10,7 @@ from tests.unit.link.fake_autopilot import FakeAutopilot
 DELAY_S = 0.004
 
 
-class Flight:
+class SessionFlight:
     """A session and an autopilot with a line of constant delay between them, in steps of 2 ms."""
 
     def __init__(self, config: LinkConfig | None = None, autopilot: FakeAutopilot | None = None) -> None:

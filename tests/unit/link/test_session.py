@@ -15,13 +15,13 @@ from companion.link.session import Session
 from companion.link.streams import OWN_RATES_HZ, TELEMETRY_RATES_HZ
 from tests.unit.link.fake_autopilot import FakeAutopilot
 from tests.unit.link.ground_beacon import follow_target
-from tests.unit.link.session_flight import Flight
+from tests.unit.link.session_flight import SessionFlight
 
 PX4_RATES_HZ = TELEMETRY_RATES_HZ | OWN_RATES_HZ["px4"]
 
 
 def test_heartbeats_go_out_at_1_hz_though_nobody_answers() -> None:
-    flight = Flight()
+    flight = SessionFlight()
     flight.cut = True
     flight.run(5.5)
     times = [time_s for time_s, _ in flight.sent_of("HEARTBEAT")]
@@ -30,7 +30,7 @@ def test_heartbeats_go_out_at_1_hz_though_nobody_answers() -> None:
 
 
 def test_the_autopilot_is_connected_ready_and_known() -> None:
-    flight = Flight(autopilot=FakeAutopilot(believes_in_air=True))
+    flight = SessionFlight(autopilot=FakeAutopilot(believes_in_air=True))
     flight.run(2.0)
     state = flight.session.state
     assert (state.connected, state.autopilot_kind, state.mode, state.ready_to_arm) == (
@@ -45,7 +45,7 @@ def test_the_autopilot_is_connected_ready_and_known() -> None:
 
 
 def test_an_ardupilots_filter_is_asked_for_and_forgotten_with_the_connection() -> None:
-    flight = Flight(autopilot=FakeAutopilot(autopilot_kind="ardupilot", mode="GUIDED"))
+    flight = SessionFlight(autopilot=FakeAutopilot(autopilot_kind="ardupilot", mode="GUIDED"))
     flight.run(2.0)
     assert flight.session.state.ready_to_arm
     assert flight.session.state.ekf_ready is True
@@ -55,7 +55,7 @@ def test_an_ardupilots_filter_is_asked_for_and_forgotten_with_the_connection() -
 
 
 def test_every_rate_is_asked_for_once_when_it_is_honoured() -> None:
-    flight = Flight()
+    flight = SessionFlight()
     flight.run(12.0)
     asked = [m.param1 for m in flight.autopilot.commands(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL)]
     assert sorted(asked) == sorted(PX4_RATES_HZ)
@@ -63,7 +63,7 @@ def test_every_rate_is_asked_for_once_when_it_is_honoured() -> None:
 
 
 def test_a_rate_that_another_program_lowers_is_asked_for_again() -> None:
-    flight = Flight()
+    flight = SessionFlight()
     flight.run(3.0)
     flight.autopilot.rates_hz[mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE] = 1.0
     flight.run(5.0)
@@ -71,13 +71,13 @@ def test_a_rate_that_another_program_lowers_is_asked_for_again() -> None:
 
 
 def test_a_rate_request_that_is_lost_is_repeated() -> None:
-    flight = Flight(autopilot=FakeAutopilot(deaf_to={mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: 2}))
+    flight = SessionFlight(autopilot=FakeAutopilot(deaf_to={mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: 2}))
     flight.run(2.0)
     assert set(flight.autopilot.rates_hz) == set(PX4_RATES_HZ)
 
 
 def test_home_is_asked_for_until_it_is_known_and_again_after_arming() -> None:
-    flight = Flight(autopilot=FakeAutopilot(deaf_to={mavlink.MAV_CMD_REQUEST_MESSAGE: 3}))
+    flight = SessionFlight(autopilot=FakeAutopilot(deaf_to={mavlink.MAV_CMD_REQUEST_MESSAGE: 3}))
     flight.run(6.0)
     assert flight.session.state.home is not None
     count = len(flight.autopilot.commands(mavlink.MAV_CMD_REQUEST_MESSAGE))
@@ -89,7 +89,7 @@ def test_home_is_asked_for_until_it_is_known_and_again_after_arming() -> None:
 
 
 def test_silence_is_a_lost_connection_and_everything_is_asked_for_again_afterwards() -> None:
-    flight = Flight()
+    flight = SessionFlight()
     flight.run(3.0)
     flight.cut = True
     flight.run(1.9)
@@ -239,7 +239,7 @@ def test_mavsdk_and_we_cannot_be_the_same_component() -> None:
 
 
 def test_another_companion_with_our_ids_is_noticed_and_an_echo_is_none() -> None:
-    flight = Flight()
+    flight = SessionFlight()
     flight.run(2.0)
     ids = (flight.session.system_id, LinkConfig().component_id)
     (_, ours), *_ = flight.sent_of("HEARTBEAT")

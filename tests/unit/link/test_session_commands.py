@@ -11,13 +11,13 @@ from companion.link.codec import Codec, mavlink
 from companion.link.commands import NO_ANSWER, VehicleCommand
 from companion.link.session import Session
 from tests.unit.link.fake_autopilot import FakeAutopilot
-from tests.unit.link.session_flight import DELAY_S, Flight
+from tests.unit.link.session_flight import DELAY_S, SessionFlight
 
 ARM = VehicleCommand(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0))
 
 
 def test_an_accepted_command_is_sent_once() -> None:
-    flight = Flight()
+    flight = SessionFlight()
     flight.run(1.5)
     pending = flight.session.command(ARM)
     flight.run(1.0)
@@ -27,7 +27,7 @@ def test_an_accepted_command_is_sent_once() -> None:
 
 
 def test_a_lost_command_is_repeated_and_the_repeats_are_counted() -> None:
-    flight = Flight(autopilot=FakeAutopilot(deaf_to={ARM.number: 2}))
+    flight = SessionFlight(autopilot=FakeAutopilot(deaf_to={ARM.number: 2}))
     flight.run(1.5)
     pending = flight.session.command(ARM)
     flight.run(2.0)
@@ -36,7 +36,7 @@ def test_a_lost_command_is_repeated_and_the_repeats_are_counted() -> None:
 
 
 def test_a_command_nobody_answers_is_given_up() -> None:
-    flight = Flight(LinkConfig(command_tries=3, command_patience_s=0.2))
+    flight = SessionFlight(LinkConfig(command_tries=3, command_patience_s=0.2))
     flight.run(1.5)
     flight.cut = True
     pending = flight.session.command(ARM)
@@ -49,7 +49,7 @@ def test_a_command_nobody_answers_is_given_up() -> None:
 
 
 def test_a_denied_command_says_so() -> None:
-    flight = Flight(autopilot=FakeAutopilot(refuses={ARM.number: "Arming denied: no GPS"}))
+    flight = SessionFlight(autopilot=FakeAutopilot(refuses={ARM.number: "Arming denied: no GPS"}))
     flight.run(1.5)
     pending = flight.session.command(ARM)
     flight.run(0.5)
@@ -88,7 +88,7 @@ def test_another_component_does_not_answer_in_the_autopilots_place() -> None:
 
 
 def test_a_px4s_mode_is_known_between_its_heartbeats() -> None:
-    flight = Flight()
+    flight = SessionFlight()
     flight.run(3.0)
     changes = []
     for _ in range(7):
@@ -103,7 +103,7 @@ def test_a_px4s_mode_is_known_between_its_heartbeats() -> None:
 
 
 def test_an_ardupilots_heartbeat_is_asked_for_five_times_a_second() -> None:
-    flight = Flight(autopilot=FakeAutopilot("ardupilot", mode="GUIDED"))
+    flight = SessionFlight(autopilot=FakeAutopilot("ardupilot", mode="GUIDED"))
     flight.run(3.0)
     assert flight.autopilot.rates_hz[mavlink.MAVLINK_MSG_ID_HEARTBEAT] == pytest.approx(5.0)
 

@@ -8,12 +8,12 @@ from companion.config import LinkConfig
 from companion.link.codec import Codec, mavlink, timesync
 from companion.link.session import Session
 from tests.unit.link.fake_autopilot import FakeAutopilot
-from tests.unit.link.session_flight import DELAY_S, Flight
+from tests.unit.link.session_flight import DELAY_S, SessionFlight
 
 
 @pytest.mark.parametrize("offset_s", [-99.9, 0.0, 4321.0])
 def test_telemetry_is_stamped_with_our_time_of_measurement(offset_s: float) -> None:
-    flight = Flight(autopilot=FakeAutopilot(clock_offset_s=offset_s))
+    flight = SessionFlight(autopilot=FakeAutopilot(clock_offset_s=offset_s))
     flight.run(2.0)
     assert flight.session.timesync.offset_s == pytest.approx(offset_s, abs=0.0021)
     arrived_s = flight.now_s + 0.5
@@ -31,7 +31,7 @@ def test_without_synchronisation_the_time_of_arrival_counts() -> None:
 
 
 def test_a_message_of_an_impossible_time_is_not_taken_for_a_fresh_one() -> None:
-    flight = Flight()
+    flight = SessionFlight()
     flight.run(2.0)
     before = flight.session.state.attitude_time_s
     old = flight.autopilot.message(mavlink.MAVLINK_MSG_ID_ATTITUDE, flight.now_s - 5.0)
@@ -43,7 +43,7 @@ def test_a_message_of_an_impossible_time_is_not_taken_for_a_fresh_one() -> None:
 
 
 def test_a_restarted_clock_is_followed() -> None:
-    flight = Flight(autopilot=FakeAutopilot(clock_offset_s=500.0))
+    flight = SessionFlight(autopilot=FakeAutopilot(clock_offset_s=500.0))
     flight.run(3.0)
     flight.autopilot.clock_offset_s = -100.0
     flight.run(2.0)
@@ -62,7 +62,7 @@ def test_the_clock_offset_leans_on_the_quickest_answers() -> None:
 
 
 def test_the_time_is_asked_for_five_times_a_second() -> None:
-    flight = Flight()
+    flight = SessionFlight()
     flight.run(7.0)
     asked = [time_s for time_s, m in flight.sent_of("TIMESYNC") if m.tc1 == 0 and time_s > 102.0]
     assert len(asked) == 25
@@ -70,7 +70,7 @@ def test_the_time_is_asked_for_five_times_a_second() -> None:
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.5, 1.6])
 def test_how_late_answers_come_is_reported_within_seconds_and_forgotten_with_the_link(delay_s: float) -> None:
-    flight = Flight()
+    flight = SessionFlight()
     flight.run(3.0)
     assert flight.session.state.round_trip_s == pytest.approx(2 * DELAY_S, abs=0.005)
     flight.delay_s += delay_s
@@ -84,7 +84,7 @@ def test_how_late_answers_come_is_reported_within_seconds_and_forgotten_with_the
 
 
 def test_one_slow_answer_is_no_late_link() -> None:
-    flight = Flight()
+    flight = SessionFlight()
     flight.run(3.0)
     slowest = 0.0
     for wait_s in (0.21, 1.0):
@@ -103,7 +103,7 @@ def test_the_autopilots_own_question_for_the_time_is_answered() -> None:
 
 
 def test_answers_to_others_questions_for_the_time_are_left_alone() -> None:
-    flight = Flight()
+    flight = SessionFlight()
     flight.run(2.0)
     before = flight.session.timesync.offset_s
     stranger = timesync(999_000_000_000, 77)

@@ -13,7 +13,7 @@ from companion.link.session import Session
 from companion.link.signing import EPOCH_UNIX_S, SigningKey, read_signing_key, stamp_from_unix
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.mavlink.signing import Signing
-from tests.unit.sitl.autopilot.autopilot_flight import Flight
+from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight
 
 KEY, OTHER = bytes(range(32)), bytes(range(1, 33))
 UNIX_S = 1.7e9
@@ -26,7 +26,7 @@ def connected(
     """Three seconds: the session, how many of its frames were refused, whether a command was answered."""
     key = None if ours is None else SigningKey(ours, stamp_from_unix(UNIX_S))
     session = Session(LinkConfig(), signing_key=key)
-    autopilot = Flight(kind).autopilot
+    autopilot = AutopilotFlight(kind).autopilot
     signing = Signing(kind, theirs)
     endpoint = MavlinkEndpoint(autopilot, signing=signing, unix_at_start_s=UNIX_S)
     asked = session.command(COMMAND)
@@ -63,7 +63,7 @@ def test_an_autopilot_that_demands_signatures_refuses_an_app_without() -> None:
 def test_a_clock_that_is_years_behind_does_no_harm() -> None:
     session = Session(LinkConfig(), signing_key=SigningKey(KEY, 0))
     signing = Signing("px4", KEY)
-    endpoint = MavlinkEndpoint(Flight("px4").autopilot, signing=signing, unix_at_start_s=UNIX_S)
+    endpoint = MavlinkEndpoint(AutopilotFlight("px4").autopilot, signing=signing, unix_at_start_s=UNIX_S)
     asked = session.command(COMMAND)
     for step in range(300):
         now_s = 0.01 * step

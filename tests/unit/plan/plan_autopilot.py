@@ -17,7 +17,7 @@ HOME = (47.0, 8.0, 400.0)
 
 
 @dataclass
-class FakeAutopilot:
+class PlanAutopilot:
     """Answers actions; flies the modes that are its own."""
 
     autopilot_kind: str = "px4"

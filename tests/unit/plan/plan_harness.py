@@ -32,7 +32,7 @@ from companion.config import PlanConfig, VehicleConfig
 from companion.plan.planner import PlanInputs, Planner
 from companion.plan.speed.speed_table import load_table
 from tests.unit.plan.pad_paths import Heading, Path, derivative
-from tests.unit.plan.plan_autopilot import HOME, FakeAutopilot
+from tests.unit.plan.plan_autopilot import HOME, PlanAutopilot
 
 ORIGIN_NED_M = (0.8, -1.1, -2.3)  # the EKF's origin from home
 ORIGIN = geodetic_from_ned(ORIGIN_NED_M, HOME)
@@ -55,7 +55,7 @@ VEHICLE = VehicleConfig(
 
 
 @dataclass
-class Flight:
+class PlanFlight:
     """What a run brought."""
 
     phases: list[tuple[float, Phase]] = field(default_factory=list)
@@ -79,7 +79,7 @@ class Flight:
         return [n.text for n in self.notices if n.kind == kind]
 
 
-class World:
+class PlanWorld:
     """Vehicle, pad, eyes and autopilot; `fly` runs the planner against them."""
 
     def __init__(
@@ -87,7 +87,7 @@ class World:
     ) -> None:
         self.pad, self.heading = pad, heading
         self.echo_m: float | None = None  # instead of the true one
-        self.autopilot = FakeAutopilot()
+        self.autopilot = PlanAutopilot()
         self.planner = Planner(config or PlanConfig(), VEHICLE, 20, 0.1, TABLE)
         self.now_s = 0.0
         self.position: Vector3 = (0.0, 0.0, -LEG_M)
@@ -106,7 +106,7 @@ class World:
         self.order: Order | None = None  # given once
         self.camera_problem: str | None = None
         self.camera_turned_rad: float | None = None
-        self.flight = Flight()
+        self.flight = PlanFlight()
         self.rng = np.random.default_rng(0)
         self._drift = np.zeros(3)
         self._pad_state: PadState | None = None
@@ -115,9 +115,9 @@ class World:
         self._beacon: PadBeacon | None = None
         self._asked_s: float | None = None
         self._contact_s: float | None = None
-        self.each: Callable[[World, PlanStep], None] = lambda _w, _s: None
+        self.each: Callable[[PlanWorld, PlanStep], None] = lambda _w, _s: None
 
-    def fly(self, seconds: float, until: Callable[[World], bool] = lambda w: w.ended) -> Flight:
+    def fly(self, seconds: float, until: Callable[[PlanWorld], bool] = lambda w: w.ended) -> PlanFlight:
         end_s = self.now_s + seconds
         while self.now_s < end_s and not until(self):
             self.cycle()

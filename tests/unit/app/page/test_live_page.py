@@ -20,7 +20,7 @@ from companion.flightlog.record import FlightLog
 from companion.flightlog.tap import NoTap
 
 
-class Desk:
+class PageOrders:
     """Who takes orders, as `Missions` does."""
 
     def __init__(self) -> None:
@@ -49,7 +49,7 @@ def page_of(log: FlightLog | None = None, **serve: Any) -> LivePage:
     return LivePage(config, FlightLog(None, 0.0) if log is None else log)
 
 
-def take(page: LivePage, line: dict[str, Any], desk: Desk) -> list[Look | Text | Reply]:
+def take(page: LivePage, line: dict[str, Any], desk: PageOrders) -> list[Look | Text | Reply]:
     """What the page's process is sent after a line of its."""
     outlet = Outlet()
     page._take(line, cast(App, SimpleNamespace(missions=desk)), cast(PageProcess, outlet))
@@ -68,7 +68,7 @@ def _token(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("_token")
 async def test_an_order_is_given_and_every_answer_goes_back_with_its_reason() -> None:
-    page, desk, outlet = page_of(allow_commands=True), Desk(), Outlet()
+    page, desk, outlet = page_of(allow_commands=True), PageOrders(), Outlet()
     app = cast(App, SimpleNamespace(missions=desk))
     page._take({"order": "land", "number": 7}, app, cast(PageProcess, outlet))
     order, _ = desk.given[0]
@@ -82,7 +82,7 @@ async def test_an_order_is_given_and_every_answer_goes_back_with_its_reason() ->
 
 
 async def test_without_allow_commands_no_order_is_given_whatever_the_page_s_process_says() -> None:
-    desk = Desk()
+    desk = PageOrders()
     assert take(page_of(), {"order": "land", "number": 1}, desk) == [
         Reply(1, "land", "denied", "not allowed by serve.allow_commands")
     ]
@@ -92,7 +92,7 @@ async def test_without_allow_commands_no_order_is_given_whatever_the_page_s_proc
 @pytest.mark.usefixtures("_token")
 @pytest.mark.parametrize("line", [{"order": "fly", "number": 1}, {"order": ["land"], "number": 1}])
 async def test_nobody_arms_from_the_page(line: dict[str, Any]) -> None:
-    desk = Desk()
+    desk = PageOrders()
     (reply,) = take(page_of(allow_commands=True), line, desk)
     assert isinstance(reply, Reply)
     assert (reply.outcome, desk.given) == ("denied", [])
@@ -101,7 +101,7 @@ async def test_nobody_arms_from_the_page(line: dict[str, Any]) -> None:
 @pytest.mark.usefixtures("_token")
 async def test_open_orders_are_counted_and_hold_no_stop_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live_page, "ORDER_PERIOD_S", 0.0)
-    page, desk = page_of(allow_commands=True), Desk()
+    page, desk = page_of(allow_commands=True), PageOrders()
     for number in range(MOST_OPEN_ORDERS):
         assert take(page, {"order": "land", "number": number}, desk) == []
     (reply,) = take(page, {"order": "land", "number": 9}, desk)
@@ -118,7 +118,7 @@ async def test_the_next_process_numbers_afresh_and_hears_no_answer_to_an_order_o
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(live_page, "ORDER_PERIOD_S", 0.0)
-    page, desk, outlet = page_of(allow_commands=True), Desk(), Outlet()
+    page, desk, outlet = page_of(allow_commands=True), PageOrders(), Outlet()
     app, process = cast(App, SimpleNamespace(missions=desk)), cast(PageProcess, outlet)
     page._take({"order": "land", "number": 1}, app, process)
     _, answer_the_first = desk.given[0]
@@ -132,7 +132,7 @@ async def test_the_next_process_numbers_afresh_and_hears_no_answer_to_an_order_o
 
 @pytest.mark.usefixtures("_token")
 async def test_orders_of_a_kind_that_come_too_fast_are_refused_and_a_stop_is_not_held_up_by_them() -> None:
-    page, desk = page_of(allow_commands=True), Desk()
+    page, desk = page_of(allow_commands=True), PageOrders()
     assert take(page, {"order": "land", "number": 1}, desk) == []
     desk.answer(OrderOutcome.TEMPORARILY_REJECTED, "on the ground")
     (reply,) = take(page, {"order": "land", "number": 2}, desk)
@@ -145,12 +145,12 @@ async def test_orders_of_a_kind_that_come_too_fast_are_refused_and_a_stop_is_not
     "line", [{}, {"viewers": "many"}, {"listening": 7}, {"order": "land"}, {"number": 3}, {"x": 1}]
 )
 async def test_lines_that_say_nothing_do_nothing(line: dict[str, Any]) -> None:
-    assert take(page_of(), line, Desk()) == []
+    assert take(page_of(), line, PageOrders()) == []
 
 
 async def test_pictures_are_made_while_somebody_looks_and_the_plots_begin_with_what_was() -> None:
     log = FlightLog(None, 0.0)
-    page, desk = page_of(log), Desk()
+    page, desk = page_of(log), PageOrders()
     assert log.tap is page._feed
     assert not looks(page)
     assert take(page, {"viewers": 1}, desk) == []

@@ -25,7 +25,7 @@ from tests.unit.app.page.starting import TOKEN, frame, look, start
 Socket = aiohttp.ClientWebSocketResponse
 
 
-class Page:
+class ServedPage:
     """A server in this process, and a browser's side of it."""
 
     def __init__(self, begun: Start) -> None:
@@ -49,8 +49,8 @@ class Page:
 
 
 @asynccontextmanager
-async def served(**changes: Any) -> AsyncIterator[Page]:
-    shown = Page(start(**changes))
+async def served(**changes: Any) -> AsyncIterator[ServedPage]:
+    shown = ServedPage(start(**changes))
     async with shown.client:
         yield shown
 

@@ -52,7 +52,7 @@ REPORT: dict[str, Any] = {
 }
 
 
-class Service:
+class SocketService:
     """What answers behind the socket."""
 
     def __init__(self, *outcomes: OrderOutcome) -> None:
@@ -69,7 +69,7 @@ class Service:
 
 
 @asynccontextmanager
-async def running(service: Service, path: Path) -> AsyncIterator[None]:
+async def running(service: SocketService, path: Path) -> AsyncIterator[None]:
     async with served(path, service.state, service.give, Clock()):
         yield
 
@@ -84,7 +84,10 @@ async def ask(path: Path, line: bytes) -> list[dict[str, Any]]:
 
 
 async def test_it_answers_requests_and_says_what_it_expected(tmp_path: Path) -> None:
-    service, path = Service(OrderOutcome.IN_PROGRESS, OrderOutcome.ACCEPTED), tmp_path / "run" / "socket"
+    service, path = (
+        SocketService(OrderOutcome.IN_PROGRESS, OrderOutcome.ACCEPTED),
+        tmp_path / "run" / "socket",
+    )
     async with running(service, path):
         assert stat.S_IMODE(path.stat().st_mode) == 0o660
         assert await ask(path, b'{"request": "status"}\n') == [REPORT]
@@ -105,9 +108,9 @@ async def test_a_second_service_is_refused_and_a_socket_left_behind_is_replaced(
     path = tmp_path / "socket"
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as left:
         left.bind(str(path))
-    async with running(Service(), path):
+    async with running(SocketService(), path):
         with pytest.raises(ConfigError, match="another companion listens there"):
-            async with running(Service(), path):
+            async with running(SocketService(), path):
                 pass
         assert await ask(path, b'{"request": "status"}\n') == [REPORT]
 
@@ -116,7 +119,7 @@ async def test_a_second_service_is_refused_and_a_socket_left_behind_is_replaced(
 
 
 async def command(
-    service: Service, path: Path, call: Callable[[], None], capsys: pytest.CaptureFixture[str]
+    service: SocketService, path: Path, call: Callable[[], None], capsys: pytest.CaptureFixture[str]
 ) -> tuple[int, str]:
     """Exit code and standard output of a command that asks a running service."""
     async with running(service, path):
@@ -128,7 +131,7 @@ async def command(
 async def test_status_shows_it_and_its_exit_code_says_healthy_or_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path, service = tmp_path / "socket", Service()
+    path, service = tmp_path / "socket", SocketService()
     code, words = await command(service, path, lambda: status_command(False, False, path), capsys)
     assert code == 0
     for expected in ("healthy", "standby, up 2 h", "200 Hz, now", "p50 41 ms, p99 63 ms", "battery 80 %"):
@@ -168,7 +171,9 @@ async def test_order_says_what_became_of_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     path = tmp_path / "socket"
-    found = await command(Service(*outcomes), path, lambda: order_command(OrderKind.LAND, wait, path), capsys)
+    found = await command(
+        SocketService(*outcomes), path, lambda: order_command(OrderKind.LAND, wait, path), capsys
+    )
     assert found == (code, "".join(f"{line}\n" for line in said))
 
 

@@ -4,7 +4,7 @@ from companion.app.service.order_desk import MOST_WAITING, OrderDesk
 from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply, Phase, Refusal
 
 
-class Desk:
+class AnsweredDesk:
     """A desk whose answers are kept."""
 
     def __init__(self) -> None:
@@ -16,11 +16,11 @@ class Desk:
         self.replies.append((order.source, reply.outcome, reply.text))
 
 
-def followed(d: Desk) -> Order | None:
+def followed(d: AnsweredDesk) -> Order | None:
     return d.desk.followed
 
 
-def stop_requested(d: Desk) -> bool:
+def stop_requested(d: AnsweredDesk) -> bool:
     return d.desk.stop_requested
 
 
@@ -29,7 +29,7 @@ def order(source: str, kind: OrderKind = OrderKind.LAND) -> Order:
 
 
 def test_an_order_is_followed_and_its_end_is_reported() -> None:
-    d = Desk()
+    d = AnsweredDesk()
     d.desk.take([order("a")])
     taken = d.desk.next_order(Phase.STANDBY, 1.0)
     assert taken is not None
@@ -44,7 +44,7 @@ def test_an_order_is_followed_and_its_end_is_reported() -> None:
 
 
 def test_a_refusal_for_now_differs_from_one_by_the_settings() -> None:
-    d = Desk()
+    d = AnsweredDesk()
     d.desk.decided(order("a"), Refusal("no pad camera"), 1.0)
     d.desk.decided(order("b"), Refusal("not allowed", lasting=True), 1.0)
     assert d.desk.followed is None
@@ -55,7 +55,7 @@ def test_a_refusal_for_now_differs_from_one_by_the_settings() -> None:
 
 
 def test_in_a_mission_a_second_order_is_busy_and_a_stop_stops() -> None:
-    d = Desk()
+    d = AnsweredDesk()
     d.desk.decided(order("a"), None, 1.0)
     d.desk.take([order("b"), order("c", OrderKind.STOP)])
     assert d.desk.next_order(Phase.TAKE_OFF, 2.0) is None
@@ -71,14 +71,14 @@ def test_in_a_mission_a_second_order_is_busy_and_a_stop_stops() -> None:
 
 
 def test_a_mission_that_ends_otherwise_has_failed() -> None:
-    d = Desk()
+    d = AnsweredDesk()
     d.desk.decided(order("a"), None, 1.0)
     d.desk.mission_ended(Phase.ABORT, "abort: pilot took over", 3.0)
     assert d.replies[-1] == ("a", OrderOutcome.FAILED, "abort: pilot took over")
 
 
 def test_who_sends_orders_without_end_fills_no_memory() -> None:
-    d = Desk()
+    d = AnsweredDesk()
     d.desk.take(order(str(number)) for number in range(1000))
     waiting = 0
     while d.desk.next_order(Phase.STANDBY, 1.0) is not None:

@@ -30,7 +30,7 @@ AROUND: Final = 120.0
 
 
 @dataclass(frozen=True)
-class Pose:
+class BoardPose:
     """The board before the camera: rotation vector (3,), and the board's origin (3,) in camera axes (m)."""
 
     turn: FloatArray
@@ -49,7 +49,7 @@ class BoardPainter:
         self.distortion = np.array(camera.distortion)
         self._rays = fine_rays(camera)
 
-    def project(self, points_m: FloatArray, pose: Pose) -> FloatArray:
+    def project(self, points_m: FloatArray, pose: BoardPose) -> FloatArray:
         """Where points (n, 3) of the board are in the image (n, 2)."""
         bent = points_m + np.array((0.0, 0.0, 1.0)) * self._bow(points_m)[:, None]
         pixels, _ = cv2.projectPoints(bent, pose.turn, pose.position_m, self.matrix, self.distortion)
@@ -57,7 +57,7 @@ class BoardPainter:
 
     def take(
         self,
-        pose: Pose,
+        pose: BoardPose,
         rng: np.random.Generator,
         *,
         noise_grey: float = 0.0,
@@ -81,7 +81,7 @@ class BoardPainter:
             image += rng.normal(0.0, noise_grey, image.shape).astype(np.float32)
         return np.asarray(np.rint(image).clip(0, 255), dtype=np.uint8)
 
-    def _box(self, pose: Pose) -> tuple[int, int, int, int] | None:
+    def _box(self, pose: BoardPose) -> tuple[int, int, int, int] | None:
         """The part of the image with the board in it: left, top, right, bottom (px)."""
         (w, h), m = self.board.size_m, self._margin_m() * 1.2
         line = np.linspace(0.0, 1.0, 20)
@@ -97,7 +97,7 @@ class BoardPainter:
         )
         return None if (high <= low).any() else (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
 
-    def _sample(self, pose: Pose, box: tuple[int, int, int, int]) -> NDArray[np.float32]:
+    def _sample(self, pose: BoardPose, box: tuple[int, int, int, int]) -> NDArray[np.float32]:
         left, top, right, bottom = (FINER * edge for edge in box)
         rays = self._rays[top:bottom, left:right]
         rotation = np.asarray(cv2.Rodrigues(pose.turn)[0], dtype=np.float64)
@@ -214,7 +214,7 @@ def hand_held_poses(
     count: int,
     rng: np.random.Generator,
     tilt_deg: float = 45.0,
-) -> list[Pose]:
+) -> list[BoardPose]:
     """A board held by hand: all over the image, tilted to all sides, near and far, turned a little."""
     width_m, height_m = board.size_m
     middle = np.array((0.5 * width_m, 0.5 * height_m, 0.0))
@@ -237,13 +237,15 @@ def hand_held_poses(
         lean, _ = cv2.Rodrigues(tilt * np.array((math.cos(axis), math.sin(axis), 0.0)))
         roll, _ = cv2.Rodrigues(np.array((0.0, 0.0, rng.normal(0.0, 0.3))))
         turn = np.asarray(lean @ roll)
-        poses.append(Pose(np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64).ravel(), at - turn @ middle))
+        poses.append(
+            BoardPose(np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64).ravel(), at - turn @ middle)
+        )
     return poses
 
 
 def tour_poses(
     board: CalibrationBoard, camera: CameraConfig, tilt_deg: float = 28.0, width_share: float = 0.5
-) -> list[Pose]:
+) -> list[BoardPose]:
     """A board that is led all over the image, each time with another edge away: what the hints ask for."""
     leans = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (0.0, 0.0)]
     places = [(x, y) for x in (0.14, 0.32, 0.5, 0.68, 0.86) for y in (0.16, 0.5, 0.84)]
@@ -258,12 +260,12 @@ def tour_poses(
         )
         lean = math.radians(tilt_deg) * np.array((*leans[k % 5], 0.0))
         turn = np.asarray(cv2.Rodrigues(lean)[0])
-        poses.append(Pose(lean, distance_m * np.array((*ray, 1.0)) - turn @ middle))
+        poses.append(BoardPose(lean, distance_m * np.array((*ray, 1.0)) - turn @ middle))
     return poses
 
 
 def ideal_view(
-    painter: BoardPainter, pose: Pose, rng: np.random.Generator, noise_px: float, name: str
+    painter: BoardPainter, pose: BoardPose, rng: np.random.Generator, noise_px: float, name: str
 ) -> BoardView:
     """A view without a picture: where the board's points are, and noise; only what is inside the image."""
     points = painter.board.points_m

@@ -9,14 +9,14 @@ import pytest
 from calibration.camera.board.board import CalibrationBoard
 from companion.base.geometry import FloatArray
 from companion.config import CameraConfig, find_file, load_model
-from tests.unit.calibration.camera.board_pictures import BLACK, WHITE, BoardPainter, Pose
+from tests.unit.calibration.camera.board_pictures import BLACK, WHITE, BoardPainter, BoardPose
 
 CAMERA = load_model(CameraConfig, find_file("cameras", "hd_1280x720"))
 # markers far apart, so that each can be looked at alone
 MARKERS = CalibrationBoard(pattern="grid", columns=2, rows=2, marker_m=0.06, gap_m=0.06, square_m=0.06)
 
 
-def area_and_moment(painter: BoardPainter, edges: tuple[float, ...], pose: Pose) -> FloatArray:
+def area_and_moment(painter: BoardPainter, edges: tuple[float, ...], pose: BoardPose) -> FloatArray:
     """Area of a rectangle's image, and that times its centre: (3,). Its outline is followed in fine steps."""
     left, top, right, bottom = edges
     line = np.linspace(0.0, 1.0, 100, endpoint=False)
@@ -39,7 +39,7 @@ def test_each_marker_s_centre_of_area_is_where_the_projection_has_it(
 ) -> None:
     painter = BoardPainter(MARKERS, CAMERA, bow_m)
     rotation = np.asarray(cv2.Rodrigues(np.array(lean))[0])
-    pose = Pose(np.array(lean), np.array((0.08, -0.03, 0.5)) - rotation @ np.array((0.09, 0.09, 0.0)))
+    pose = BoardPose(np.array(lean), np.array((0.08, -0.03, 0.5)) - rotation @ np.array((0.09, 0.09, 0.0)))
     image = painter.take(pose, np.random.default_rng(0), defocus_px=0.5, motion_px=(1.5, -1.0))
     dark = (WHITE - image.astype(float)) / (WHITE - BLACK)
     for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):

@@ -11,16 +11,16 @@ from calibration.camera.board.board import CalibrationBoard
 from calibration.camera.collect.capture import CaptureSession, CaptureStep
 from calibration.camera.views.detection import BoardFinder, BoardView
 from companion.config import CameraConfig, find_file, load_model
-from tests.unit.calibration.camera.board_pictures import BoardPainter, Pose, ideal_view, tour_poses
+from tests.unit.calibration.camera.board_pictures import BoardPainter, BoardPose, ideal_view, tour_poses
 
 CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
 BOARD = load_model(CalibrationBoard, find_file("boards", "charuco_a4"))
 PERIOD_S = 1.0 / 30.0
 PAINTER = BoardPainter(BOARD, CAMERA)
-MIDDLE = Pose(np.array((0.3, 0.0, 0.0)), np.array((-0.12, -0.08, 0.45)))
+MIDDLE = BoardPose(np.array((0.3, 0.0, 0.0)), np.array((-0.12, -0.08, 0.45)))
 
 
-def seen(pose: Pose, right_px: float = 0.0) -> BoardView:
+def seen(pose: BoardPose, right_px: float = 0.0) -> BoardView:
     view = ideal_view(PAINTER, pose, np.random.default_rng(0), 0.03, "")
     return replace(view, corners_px=view.corners_px + np.array((right_px, 0.0)))
 

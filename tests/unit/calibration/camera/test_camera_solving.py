@@ -20,7 +20,7 @@ from companion.base.geometry import FloatArray
 from companion.config import CameraConfig, find_file, load_model
 from tests.unit.calibration.camera.board_pictures import (
     BoardPainter,
-    Pose,
+    BoardPose,
     hand_held_poses,
     ideal_view,
     tour_poses,
@@ -236,7 +236,7 @@ def test_one_view_fixes_no_camera() -> None:
 def test_the_edge_that_is_named_is_the_one_farther_away(lean: tuple[float, ...], away: str) -> None:
     painter = BoardPainter(BOARD, CAMERA)
     corner = {"top": (0.119, 0.0), "bottom": (0.119, 0.17), "left": (0.0, 0.085), "right": (0.238, 0.085)}
-    pose = Pose(np.array(lean, dtype=float), np.array((-0.1, -0.08, 0.6)))
+    pose = BoardPose(np.array(lean, dtype=float), np.array((-0.1, -0.08, 0.6)))
     assert tilt_of(pose.turn).directions == (away,)
     view = ideal_view(painter, pose, np.random.default_rng(0), 0.0, "")
     coverage = ImageCoverage(SIZE)

@@ -17,7 +17,7 @@ from companion.config import CompanionConfig, ConfigError, ImuConfig, SenseConfi
 from companion.config.magnetometer import MagnetometerCalibration, Sensor, load_magnetometer_calibration
 from companion.sense.imu.mpu9250 import Mpu9250
 from tests.unit.calibration.magnetometer.magnetometer_truth import turned
-from tests.unit.sense.imu.imu_rig import FIELD, REST, STILL, Rig
+from tests.unit.sense.imu.imu_rig import FIELD, REST, STILL, ImuRig
 
 CASE = turned(5, samples=2000, half=False)
 
@@ -73,7 +73,7 @@ def test_one_in_counts_and_one_that_mirrors_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("yaw_deg", [0.0, 90.0, -120.0])
 def test_the_driver_applies_it_in_the_sensors_axes_before_the_mounting(yaw_deg: float) -> None:
     config = ImuConfig(body_from_sensor_deg=(180.0, 0.0, yaw_deg))
-    plain, corrected = Rig(config), Rig(config)
+    plain, corrected = ImuRig(config), ImuRig(config)
     file = made("mpu9250")
     corrected.driver = Mpu9250(corrected.device, config, file)
     for rig in (plain, corrected):

@@ -37,7 +37,7 @@ class Flaws:
 
 
 @dataclass
-class Track:
+class MountTrack:
     """One recording; `body_from_camera` is the truth."""
 
     seed: int

@@ -24,7 +24,7 @@ from sitl.vehicle.hand_motion import HandMotion
 
 
 @dataclass
-class Held:
+class HandHeld:
     """A vehicle carried by hand, and the process's own handle on it once it runs."""
 
     scenario: Scenario
@@ -85,7 +85,7 @@ def mount_errors(seed: int, largest_deg: float = 4.0) -> tuple[list[float], floa
     return rng.uniform(-largest_deg, largest_deg, 3).round(3).tolist(), float(rng.uniform(-0.03, 0.03))
 
 
-def record_sway(held: Held, config: CompanionConfig, folder: Path, seconds: float) -> None:
+def record_sway(held: HandHeld, config: CompanionConfig, folder: Path, seconds: float) -> None:
     """Record a held vehicle into a folder, as the program does it."""
     boards_of: SensorOpener = held.boards
     run_in_virtual_time(record(config, folder, seconds, None, boards_of, virtual=True))

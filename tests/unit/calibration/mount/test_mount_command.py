@@ -35,31 +35,31 @@ from companion.flightlog.record import FlightLog
 from companion.pad import load_pad
 from companion.sense.vision.pipeline import body_from_camera
 from tests.unit.calibration.mount.mount_words import calibrate
-from tests.unit.calibration.mount.mount_world import Held, record_sway, scenario_of
+from tests.unit.calibration.mount.mount_world import HandHeld, record_sway, scenario_of
 
 MOUNT_DEG = (2.0, -3.0, 1.5)
 STAMP_S = 0.018
 
 
 @pytest.fixture(scope="module")
-def swayed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Held]:
+def swayed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, HandHeld]:
     """A recording of 16 s, by the program, and who held the vehicle."""
     folder = tmp_path_factory.mktemp("mount") / "swayed"
     camera = {"mount_error_deg": MOUNT_DEG, "stamp_error_s": STAMP_S, "calibration_error": 0.001}
-    held = Held(scenario_of({"camera": camera}), 11, "sway")
+    held = HandHeld(scenario_of({"camera": camera}), 11, "sway")
     record_sway(held, CompanionConfig(), folder, 16.0)
     return folder, held
 
 
 @pytest.fixture(scope="module")
-def mounted(swayed: tuple[Path, Held], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def mounted(swayed: tuple[Path, HandHeld], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The mount file of that recording, in a folder with its pictures."""
     output = tmp_path_factory.mktemp("calibrated") / "mount.yaml"
     assert calibrate("camera", swayed[0], "-o", output, "--plots", output.parent / "pictures") == 0
     return output
 
 
-def test_a_recording_is_calibrated_end_to_end(swayed: tuple[Path, Held], mounted: Path) -> None:
+def test_a_recording_is_calibrated_end_to_end(swayed: tuple[Path, HandHeld], mounted: Path) -> None:
     _, held = swayed
     found = load_model(MountCalibration, mounted)
     assert abs(found.time_offset_s + STAMP_S) < 0.002
@@ -75,7 +75,7 @@ def test_a_recording_is_calibrated_end_to_end(swayed: tuple[Path, Held], mounted
 
 
 def test_a_refused_one_is_written_only_when_forced(
-    swayed: tuple[Path, Held],
+    swayed: tuple[Path, HandHeld],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -98,7 +98,7 @@ def test_a_refused_one_is_written_only_when_forced(
     assert load_model(MountCalibration, output).forced[0].startswith("the camera is turned by")
 
 
-def test_frames_are_looked_at_again_through_another_lens(swayed: tuple[Path, Held]) -> None:
+def test_frames_are_looked_at_again_through_another_lens(swayed: tuple[Path, HandHeld]) -> None:
     folder, _ = swayed
     lens = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
     again = read_recording(folder, lens.model_copy(update={"fx_px": 533.0}))
@@ -111,7 +111,7 @@ def test_frames_are_looked_at_again_through_another_lens(swayed: tuple[Path, Hel
 
 
 def test_faces_are_calibrated_live_against_the_simulated_chip(tmp_path: Path) -> None:
-    held = Held(scenario_of({"sensors": {"calibrated": False}}), 3, "faces")
+    held = HandHeld(scenario_of({"sensors": {"calibrated": False}}), 3, "faces")
     output = tmp_path / "inertial.yaml"
     kept = tmp_path / "kept"
     rested = run_in_virtual_time(faces_from(CompanionConfig(), kept, held.boards, virtual=True))
@@ -139,7 +139,7 @@ def test_faces_are_calibrated_live_against_the_simulated_chip(tmp_path: Path) ->
 
 
 def test_interrupted_rests_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    held = Held(scenario_of({}), 0, "still")
+    held = HandHeld(scenario_of({}), 0, "still")
     monkeypatch.setattr("calibration.mount.imu.job.connected_sensors", held.boards)
     monkeypatch.setattr("calibration.mount.imu.job.asyncio.run", run_in_virtual_time)
 
@@ -188,7 +188,7 @@ def test_what_a_user_can_mend_is_one_line(
     (tmp_path / "README.md").write_text("nothing")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "flight.mcap").write_bytes(b"")
-    held = Held(scenario_of({}), 0, "still")
+    held = HandHeld(scenario_of({}), 0, "still")
     monkeypatch.setattr("calibration.mount.record.job.connected_sensors", held.boards)
     monkeypatch.setattr("calibration.mount.record.job.asyncio.run", run_in_virtual_time)
     assert calibrate(*words) == 2
@@ -209,7 +209,7 @@ def test_an_autopilot_s_samples_come_by_a_flight_s_log(
 def test_an_interrupted_recording_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    held = Held(scenario_of({}), 0, "still")
+    held = HandHeld(scenario_of({}), 0, "still")
     monkeypatch.setattr("calibration.mount.record.job.connected_sensors", held.boards)
     monkeypatch.setattr("calibration.mount.record.job.asyncio.run", run_in_virtual_time)
 
@@ -225,7 +225,7 @@ def test_an_interrupted_recording_leaves_nothing(
 def test_a_card_that_is_full_at_the_end_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    held = Held(scenario_of({}), 0, "still")
+    held = HandHeld(scenario_of({}), 0, "still")
     monkeypatch.setattr("calibration.mount.record.job.connected_sensors", held.boards)
     monkeypatch.setattr("calibration.mount.record.job.asyncio.run", run_in_virtual_time)
 

@@ -22,7 +22,7 @@ from calibration.mount.solve.unknowns import (
     MountPrior,
 )
 from calibration.mount.solve.verdict import reasons
-from tests.unit.calibration.mount.mount_track import Flaws, Track
+from tests.unit.calibration.mount.mount_track import Flaws, MountTrack
 
 PLACE = np.array([0.03, 0.0, 0.08])
 SURE = MountPrior(
@@ -32,17 +32,17 @@ SECONDS = 16.0
 
 
 @pytest.fixture(scope="module")
-def track() -> Track:
-    return Track(3, Flaws(flipped=0.15), SECONDS)
+def track() -> MountTrack:
+    return MountTrack(3, Flaws(flipped=0.15), SECONDS)
 
 
 @pytest.fixture(scope="module")
-def solution(track: Track) -> MountSolution:
+def solution(track: MountTrack) -> MountSolution:
     return solve(track.inertial(), track.sightings(), PLACE, prior=SURE)
 
 
 def test_rotation_offset_and_place_are_found_among_flipped_poses(
-    track: Track, solution: MountSolution
+    track: MountTrack, solution: MountSolution
 ) -> None:
     error = track.rotation_error_rad(solution.unknowns.body_from_camera)
     assert np.degrees(np.linalg.norm(error)) < 0.15
@@ -51,7 +51,7 @@ def test_rotation_offset_and_place_are_found_among_flipped_poses(
     assert 0.8 < solution.kept.mean() < 0.9  # the flipped ones are out
 
 
-def test_what_is_stated_is_as_large_as_the_errors(track: Track, solution: MountSolution) -> None:
+def test_what_is_stated_is_as_large_as_the_errors(track: MountTrack, solution: MountSolution) -> None:
     error = track.rotation_error_rad(solution.unknowns.body_from_camera)
     assert 0.05 < error @ np.linalg.solve(solution.rotation_covariance, error) < 16.0
     assert abs(solution.time_offset_s - track.flaws.time_offset_s) < 4.0 * solution.time_offset_std_s
@@ -60,13 +60,13 @@ def test_what_is_stated_is_as_large_as_the_errors(track: Track, solution: MountS
 
 
 def test_the_coarse_search_needs_no_guess() -> None:
-    backwards = Track(5, Flaws(angles_deg=(170.0, 20.0, -120.0), time_offset_s=-0.08), SECONDS)
+    backwards = MountTrack(5, Flaws(angles_deg=(170.0, 20.0, -120.0), time_offset_s=-0.08), SECONDS)
     coarse = correlate(backwards.inertial(), backwards.sightings())
     assert abs(coarse.time_offset_s + 0.08) < 0.003
     assert np.degrees(np.linalg.norm(backwards.rotation_error_rad(coarse.body_from_camera))) < 2.0
 
 
-def test_gaps_in_the_inertial_samples_are_left_out(track: Track) -> None:
+def test_gaps_in_the_inertial_samples_are_left_out(track: MountTrack) -> None:
     inertial = track.inertial()
     inside = (inertial.time_s < 5.0) | (inertial.time_s > 5.4)
     holed = replace(
@@ -82,7 +82,7 @@ def test_gaps_in_the_inertial_samples_are_left_out(track: Track) -> None:
 
 
 def test_no_sightings_are_reported() -> None:
-    short = Track(1, seconds=3.0)
+    short = MountTrack(1, seconds=3.0)
     none = short.sightings().taken(np.zeros(0, dtype=int))
     with pytest.raises(NoSolutionError, match="no sightings"):
         solve(short.inertial(), none, PLACE)
@@ -93,7 +93,7 @@ def test_no_sightings_are_reported() -> None:
 
 def test_what_no_mount_fits_is_reported() -> None:
     # a track of its own: the noise of a shared one depends on which tests were before
-    track = Track(9, Flaws(flipped=0.15), SECONDS)
+    track = MountTrack(9, Flaws(flipped=0.15), SECONDS)
     backwards = replace(track.inertial(), rate=-track.inertial().rate)
     with pytest.raises(NoSolutionError, match="the time offset ran off to"):
         solve(backwards, track.sightings(), PLACE)
@@ -105,7 +105,7 @@ def test_what_no_mount_fits_is_reported() -> None:
 # ---------------------------------------------------------------- the verdict
 
 
-def refused(solution: MountSolution, track: Track, most_deg: float = 10.0) -> str:
+def refused(solution: MountSolution, track: MountTrack, most_deg: float = 10.0) -> str:
     return "; ".join(reasons(solution, track.body_from_camera, PLACE, most_deg))
 
 
@@ -115,11 +115,11 @@ def with_value(solution: MountSolution, which: slice, values: ArrayLike) -> Moun
     return replace(solution, unknowns=replace(solution.unknowns, values=changed))
 
 
-def test_a_good_one_is_not_refused(track: Track, solution: MountSolution) -> None:
+def test_a_good_one_is_not_refused(track: MountTrack, solution: MountSolution) -> None:
     assert refused(solution, track) == ""
 
 
-def test_each_reason_is_reported(track: Track, solution: MountSolution) -> None:
+def test_each_reason_is_reported(track: MountTrack, solution: MountSolution) -> None:
     few = replace(solution, kept=solution.kept & (np.arange(len(solution.kept)) < 90))
     assert "too little was seen" in refused(few, track)
     assert "contradict the rest" in refused(few, track)
@@ -146,7 +146,7 @@ def test_each_reason_is_reported(track: Track, solution: MountSolution) -> None:
     )
 
 
-def test_a_camera_turned_far_from_the_settings_is_refused(track: Track, solution: MountSolution) -> None:
+def test_a_camera_turned_far_from_the_settings_is_refused(track: MountTrack, solution: MountSolution) -> None:
     elsewhere = exp(np.array([0.0, 0.0, 0.3])) @ track.body_from_camera
     told = reasons(solution, elsewhere, PLACE, 10.0)
     assert any("turned by 17." in line and "from where the settings have it" in line for line in told)
@@ -154,7 +154,7 @@ def test_a_camera_turned_far_from_the_settings_is_refused(track: Track, solution
 
 
 @pytest.mark.parametrize("share", [0.5, 0.65])
-def test_a_camera_that_slipped_meanwhile_is_refused(track: Track, share: float) -> None:
+def test_a_camera_that_slipped_meanwhile_is_refused(track: MountTrack, share: float) -> None:
     seen = track.sightings()
     turn = exp(np.array([0.06, 0.0, 0.0]))
     later = seen.time_s > share * SECONDS
@@ -167,7 +167,7 @@ def test_a_camera_that_slipped_meanwhile_is_refused(track: Track, share: float) 
     assert "did the camera or the pad slip meanwhile?" in told
 
 
-def test_stamps_that_change_meanwhile_are_refused(track: Track) -> None:
+def test_stamps_that_change_meanwhile_are_refused(track: MountTrack) -> None:
     seen = track.sightings()
     changed = replace(seen, time_s=seen.time_s + 0.01 * (seen.time_s > 0.5 * SECONDS))
     told = refused(solve(track.inertial(), changed, PLACE), track)
@@ -176,7 +176,7 @@ def test_stamps_that_change_meanwhile_are_refused(track: Track) -> None:
 
 
 def test_a_still_recording_is_refused() -> None:
-    still = Track(2, Flaws(swing_deg=(0.05, 0.05, 0.05), swing_m=0.002), 8.0)
+    still = MountTrack(2, Flaws(swing_deg=(0.05, 0.05, 0.05), swing_m=0.002), 8.0)
     found = solve(still.inertial(), still.sightings(), PLACE)
     told = "; ".join(reasons(found, still.body_from_camera, PLACE, 10.0))
     assert "too little motion" in told

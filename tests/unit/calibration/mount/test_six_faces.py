@@ -30,7 +30,7 @@ from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.config import ConfigError, ImuConfig, InertialCalibration, SenseConfig, load_inertial
 from companion.config.calibration import Provenance
 from companion.sense.imu.mounting import body_axes
-from tests.unit.sense.imu.imu_rig import Rig
+from tests.unit.sense.imu.imu_rig import ImuRig
 
 USUAL = (180.0, 0.0, 0.0)
 OFFSET = np.array([0.4, -0.3, 0.5])
@@ -277,7 +277,7 @@ def test_the_driver_takes_the_file_of_the_settings(tmp_path: Path) -> None:
         }
     )
     path.write_text(yaml.safe_dump(content.model_dump(mode="json")))
-    plain, named = Rig(ImuConfig()), Rig(ImuConfig(inertial_calibration=str(path)))
+    plain, named = ImuRig(ImuConfig()), ImuRig(ImuConfig(inertial_calibration=str(path)))
     for rig in (plain, named):
         rig.run(1.0)
     before, after = plain.imu[-1], named.imu[-1]

@@ -68,7 +68,7 @@ class LateSighting:
 
 
 @dataclass(frozen=True)
-class Echo:
+class PadEcho:
     """An echo, and by how much it is wrong."""
 
     time_s: float
@@ -77,7 +77,7 @@ class Echo:
 
 
 @dataclass(frozen=True)
-class Track:
+class PadTrack:
     """One run under a seed. `sinks`: from 7 m to 0.6 m in 20 s, else at 3 m."""
 
     motion: str
@@ -178,7 +178,7 @@ class Track:
             made.append(LateSighting(time_s + LATENCY_S, time_s, fix))
         return made
 
-    def echoes(self, spike_share: float) -> list[Echo]:
+    def echoes(self, spike_share: float) -> list[PadEcho]:
         """Echoes at 15 Hz from 2 m down, some of them of anything."""
         rng = np.random.default_rng([self.seed, 6])
         made = []
@@ -189,7 +189,9 @@ class Track:
                 heard = wild if spiked else height + 0.02 * noise
                 time_s = float(self.times_s[row])
                 made.append(
-                    Echo(time_s, HeightMeasurement(heard, (0.0, 0.0, SENSOR_BELOW_M), 0.03), heard - height)
+                    PadEcho(
+                        time_s, HeightMeasurement(heard, (0.0, 0.0, SENSOR_BELOW_M), 0.03), heard - height
+                    )
                 )
         return made
 

@@ -24,7 +24,7 @@ from companion.estimate.pad.pad_filter import (
 SENSOR = (0.0, 0.0, 0.08)
 
 
-class Bench:
+class PadFilterBench:
     """A vehicle with a given acceleration over a pad with a given motion, seen at 30 Hz."""
 
     def __init__(self, acceleration: Vector3 = (0.0, 0.0, 0.0), height_m: float = 3.0) -> None:
@@ -59,7 +59,7 @@ class Bench:
 
 
 def test_first_sighting_starts_the_filter() -> None:
-    bench = Bench()
+    bench = PadFilterBench()
     fix = bench.sighting(0.0)
     bench.timeline.add(
         0.0, PadMeasurement(fix.position_ned_m, fix.covariance_ned_m2, 0.1, 0.01, (0.5, 0.0, 0.2))
@@ -71,7 +71,7 @@ def test_first_sighting_starts_the_filter() -> None:
 
 
 def test_without_a_sighting_there_is_no_pad_and_echoes_are_ignored() -> None:
-    bench = Bench(height_m=1.0)
+    bench = PadFilterBench(height_m=1.0)
     bench.timeline.add(0.0, HeightMeasurement(0.92, SENSOR, 0.03))
     snapshot = bench.timeline.as_of(1.0)
     assert snapshot is not None
@@ -80,7 +80,7 @@ def test_without_a_sighting_there_is_no_pad_and_echoes_are_ignored() -> None:
 
 @pytest.mark.parametrize("acceleration", [(0.0, 0.0, 0.0), (1.5, -1.0, 0.3)])
 def test_vehicles_own_acceleration_is_not_taken_for_the_pads(acceleration: Vector3) -> None:
-    bench = Bench(acceleration)
+    bench = PadFilterBench(acceleration)
     bench.see(0.0, 4.0)
     estimate = bench.at(4.0)
     assert estimate.x[0:3] == pytest.approx(bench.relative(4.0), abs=0.03)
@@ -89,7 +89,7 @@ def test_vehicles_own_acceleration_is_not_taken_for_the_pads(acceleration: Vecto
 
 
 def test_a_forgotten_pad_is_believed_at_its_first_sighting_whatever_was_flown_meanwhile() -> None:
-    bench = Bench()
+    bench = PadFilterBench()
     config = PadFilterConfig()
     bench.see(0.0, 4.0)
     bench.motion = bench.filter._motion = MotionHistory(config.forget_s + 1.0)
@@ -104,7 +104,7 @@ def test_a_forgotten_pad_is_believed_at_its_first_sighting_whatever_was_flown_me
 
 
 def test_blind_for_two_seconds_it_predicts_and_says_how_well() -> None:
-    bench = Bench((0.8, 0.0, 0.0))
+    bench = PadFilterBench((0.8, 0.0, 0.0))
     bench.see(0.0, 4.0)
     before, after = bench.at(4.0), bench.at(6.0)
     error = float(np.linalg.norm(after.x[0:3] - bench.relative(6.0)))
@@ -115,7 +115,7 @@ def test_blind_for_two_seconds_it_predicts_and_says_how_well() -> None:
 
 
 def test_one_false_sighting_is_refused() -> None:
-    bench = Bench()
+    bench = PadFilterBench()
     bench.see(0.0, 3.0)
     bench.timeline.add(3.0, bench.sighting(3.0, (1.0, 0.0, 0.0)))
     assert bench.at(3.0).x[0:3] == pytest.approx(bench.relative(3.0), abs=0.05)
@@ -124,7 +124,7 @@ def test_one_false_sighting_is_refused() -> None:
 
 
 def test_sightings_that_insist_start_the_filter_again() -> None:
-    bench = Bench()
+    bench = PadFilterBench()
     bench.see(0.0, 3.0)
     bench.see(3.0, 3.4, (1.0, 0.0, 0.0))
     assert bench.at(3.4).x[0] == pytest.approx(3.4, abs=0.1)
@@ -133,7 +133,7 @@ def test_sightings_that_insist_start_the_filter_again() -> None:
 
 
 def test_echo_over_the_board_corrects_the_height_only() -> None:
-    bench = Bench(height_m=1.0)
+    bench = PadFilterBench(height_m=1.0)
     bench.motion = MotionHistory(1.0)
     fix = PadMeasurement((0.1, 0.0, 1.05), np.diag([1e-4, 1e-4, 1e-2]), 0.0, 0.01)
     bench.timeline.add(0.0, fix)
@@ -144,7 +144,7 @@ def test_echo_over_the_board_corrects_the_height_only() -> None:
 
 @pytest.mark.parametrize(("north", "height"), [(0.9, 1.0), (0.0, 3.0)])
 def test_echo_beside_the_board_or_from_high_up_is_ignored(north: float, height: float) -> None:
-    bench = Bench()
+    bench = PadFilterBench()
     bench.timeline.add(0.0, PadMeasurement((north, 0.0, height), np.diag([1e-4, 1e-4, 1e-2]), 0.0, 0.01))
     before = bench.at(0.0).x
     bench.timeline.add(0.0, HeightMeasurement(height - 0.2, SENSOR, 0.01))
@@ -152,7 +152,7 @@ def test_echo_beside_the_board_or_from_high_up_is_ignored(north: float, height: 
 
 
 def test_heading_follows_through_the_wrap() -> None:
-    bench = Bench()
+    bench = PadFilterBench()
     for k in range(120):
         bench.timeline.add(
             k / 30, bench.sighting(k / 30, heading=math.remainder(2.8 + 0.3 * k / 30, math.tau))
@@ -165,7 +165,7 @@ def test_heading_follows_through_the_wrap() -> None:
 
 
 def test_one_wrong_heading_is_refused_and_the_position_taken() -> None:
-    bench = Bench()
+    bench = PadFilterBench()
     bench.see(0.0, 2.0)
     bench.timeline.add(2.0, bench.sighting(2.0, heading=3.0))
     assert bench.at(2.0).heading_rad == pytest.approx(0.1, abs=0.02)
@@ -173,8 +173,8 @@ def test_one_wrong_heading_is_refused_and_the_position_taken() -> None:
 
 
 def test_any_order_of_arrival_gives_the_same_state() -> None:
-    fixes = [(k / 30, Bench().sighting(k / 30)) for k in range(30)]
-    one, two = Bench(), Bench()
+    fixes = [(k / 30, PadFilterBench().sighting(k / 30)) for k in range(30)]
+    one, two = PadFilterBench(), PadFilterBench()
     for time_s, fix in fixes:
         one.timeline.add(time_s, fix)
     order = [0, *np.random.default_rng(4).permutation(range(1, 30)).tolist()]
@@ -185,7 +185,7 @@ def test_any_order_of_arrival_gives_the_same_state() -> None:
 
 
 def test_models_follow_the_motion() -> None:
-    bench = Bench()
+    bench = PadFilterBench()
     bench.see(0.0, 5.0)
     models = bench.at(5.0).models
     assert set(models) == {
@@ -204,7 +204,7 @@ def test_models_follow_the_motion() -> None:
 
 
 def test_the_horizons_error_is_part_of_the_whole_covariance() -> None:
-    bench = Bench()
+    bench = PadFilterBench()
     bench.see(0.0, 2.0)
     estimate = bench.at(2.0)
     none, tilt = np.zeros((3, 3)), math.radians(1.0) ** 2 * np.eye(3)
@@ -217,7 +217,7 @@ def test_the_horizons_error_is_part_of_the_whole_covariance() -> None:
 
 
 def test_the_calibrations_error_is_not_averaged_away() -> None:
-    bench = Bench()
+    bench = PadFilterBench()
     for k in range(120):
         fix = replace(bench.sighting(k / 30), slow_variance_m2=0.03**2)
         bench.timeline.add(k / 30, fix)
@@ -227,7 +227,7 @@ def test_the_calibrations_error_is_not_averaged_away() -> None:
 
 
 def test_covariance_stays_positive_definite() -> None:
-    bench = Bench()
+    bench = PadFilterBench()
     bench.see(0.0, 15.0)
     P = bench.at(15.0).P
     assert np.abs(P - P.T).max() < 1e-12

@@ -25,7 +25,14 @@ from companion.estimate.vehicle.attitude_reset import (
     EstimatedAttitude,
     apart,
 )
-from tests.unit.estimate.estimate_flight import Flight, circle, feed, new_estimator, slow_turns, smooth
+from tests.unit.estimate.estimate_flight import (
+    EstimateFlight,
+    circle,
+    feed,
+    new_estimator,
+    slow_turns,
+    smooth,
+)
 
 DEGREE = math.radians(1.0)
 
@@ -42,13 +49,15 @@ def kick(t: float) -> float:
 
 
 GAP = (19.05, 19.4)
-FLIGHT = Flight(swing, heading=kick, seed=31, duration_s=24.0, sensors=frozenset({"imu", "mag", "gps"}))
+FLIGHT = EstimateFlight(
+    swing, heading=kick, seed=31, duration_s=24.0, sensors=frozenset({"imu", "mag", "gps"})
+)
 NORTH_OF_THEIRS = quat_from_euler(0.0, 0.0, 0.4)  # their heading is their own
 SURE = EstimatedAttitude(quat_from_euler(0.0, 0.0, 0.4), 0.5 * DEGREE, 0.0)
 
 
 @dataclass(frozen=True)
-class Run:
+class AnchorRun:
     time_s: list[float]
     error_deg: list[float]
     told: list[str]
@@ -58,9 +67,9 @@ class Run:
         return max(e for t, e in errors if from_s <= t < until_s)
 
 
-def fly(*, anchored: bool, gap: tuple[float, float] = GAP, theirs_off: Quaternion | None = None) -> Run:
+def fly(*, anchored: bool, gap: tuple[float, float] = GAP, theirs_off: Quaternion | None = None) -> AnchorRun:
     """The estimate's attitude errors where the IMU's stream has a gap; stamps tell how long it was."""
-    estimator, run, last_s = new_estimator(), Run([], [], []), None
+    estimator, run, last_s = new_estimator(), AnchorRun([], [], []), None
     for k, (arrival_s, sample) in enumerate(FLIGHT.samples):
         if isinstance(sample, ImuSample):
             if gap[0] < sample.time_s < gap[1]:
@@ -79,7 +88,7 @@ def fly(*, anchored: bool, gap: tuple[float, float] = GAP, theirs_off: Quaternio
     return run
 
 
-def judge(run: Run, estimator: StateEstimator, now_s: float) -> None:
+def judge(run: AnchorRun, estimator: StateEstimator, now_s: float) -> None:
     run.told.extend(words for _, words in estimator.take_notices())
     state = estimator.vehicle(now_s)
     if state is not None and now_s > 12.0:
@@ -175,7 +184,7 @@ def test_words_wait_until_our_own_samples_have_come_as_far() -> None:
 
 def test_a_sighting_waits_for_the_imu_to_come_up_to_its_exposure() -> None:
     # GIVEN an IMU whose samples come 60 ms late, on a vehicle that turns
-    flight = Flight(circle(3.0, 2.5), seed=32, duration_s=20.0)
+    flight = EstimateFlight(circle(3.0, 2.5), seed=32, duration_s=20.0)
     late, prompt = new_estimator(), new_estimator()
     arrivals = [
         (arrival_s + (0.06 if isinstance(sample, ImuSample) else 0.0), sample)

@@ -54,7 +54,7 @@ def yawing(t: float) -> Quaternion:
 
 
 @dataclass(frozen=True)
-class Setting:
+class SteppedBias:
     """A motion, and by how much our gyroscope's bias steps at STEP_S."""
 
     attitude: Callable[[float], Quaternion] = turning
@@ -99,7 +99,7 @@ def test_a_step_of_two_degrees_a_second_is_found_within_one_and_a_half_seconds(
     attitude: Callable[[float], Quaternion], direction: Vector3
 ) -> None:
     change = scale(direction, 2 * DEGREE)
-    found = Setting(attitude, change, 25.0).run()
+    found = SteppedBias(attitude, change, 25.0).run()
     assert len(found) == 1
     time_s, step = found[0]
     assert 0.5 < time_s - STEP_S <= 1.5
@@ -111,49 +111,49 @@ def test_a_step_of_two_degrees_a_second_is_found_within_one_and_a_half_seconds(
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
 def test_a_step_is_found_once_and_well_in_a_turning_flight_too(direction: Vector3) -> None:
     change = scale(direction, 2 * DEGREE)
-    found = Setting(turning, change, 40.0).run()
+    found = SteppedBias(turning, change, 40.0).run()
     assert len(found) == 1
     assert found[0][0] - STEP_S < 4.5
     assert found[0][1].gyro_bias_rad_s == pytest.approx(add(BIAS, change), abs=0.6 * DEGREE)
 
 
 def test_nothing_is_found_in_a_minute_of_turning_without_a_step() -> None:
-    assert Setting().run() == []
+    assert SteppedBias().run() == []
 
 
 def test_the_autopilots_heading_and_horizon_are_its_own() -> None:
-    setting = Setting(seconds=30.0)
+    setting = SteppedBias(seconds=30.0)
     off = quat_from_euler(0.05, -0.04, 2.0)
     assert setting.run(lambda t: (t - 0.01, quat_multiply(off, setting.noisy(t - 0.01)))) == []
 
 
 def test_an_autopilot_mounted_askew_is_no_step() -> None:
-    setting = Setting()
+    setting = SteppedBias()
     askew = quat_from_euler(DEGREE, -DEGREE, DEGREE)
     assert setting.run(lambda t: (t - 0.01, quat_multiply(setting.noisy(t - 0.01), askew))) == []
 
 
 @pytest.mark.parametrize("delay_s", [0.02, 0.05, -0.03])
 def test_a_wrong_time_is_no_step(delay_s: float) -> None:
-    setting = Setting()
+    setting = SteppedBias()
     assert setting.run(lambda t: (t - 0.01, setting.noisy(t - 0.01 - delay_s))) == []
 
 
 @pytest.mark.parametrize("silent_s", [0.5, 3.0])
 def test_an_autopilot_that_falls_silent_now_and_then_is_no_step(silent_s: float) -> None:
-    setting = Setting()
+    setting = SteppedBias()
     assert setting.run(lambda t: None if t % 5.0 < silent_s else setting.on_time(t)) == []
 
 
 def test_a_silence_is_not_bridged_but_a_step_is_found_after_it() -> None:
-    setting = Setting(gentle, (0.0, 2 * DEGREE, 0.0), 25.0)
+    setting = SteppedBias(gentle, (0.0, 2 * DEGREE, 0.0), 25.0)
     found = setting.run(lambda t: None if 20.3 < t < 21.3 else setting.on_time(t))
     assert [22.2 < time_s < 23.0 for time_s, _ in found] == [True]
 
 
 @pytest.mark.parametrize("attitude", [turning, yawing])
 def test_a_frozen_attitude_is_no_step(attitude: Callable[[float], Quaternion]) -> None:
-    setting = Setting(attitude, seconds=30.0)
+    setting = SteppedBias(attitude, seconds=30.0)
     assert setting.run(lambda t: (t - 0.01, setting.noisy(min(t, 10.0) - 0.01))) == []
 
 
@@ -161,7 +161,7 @@ def test_a_frozen_attitude_is_no_step(attitude: Callable[[float], Quaternion]) -
 def test_attitudes_out_of_order_are_no_step_and_hide_none(attitude: Callable[[float], Quaternion]) -> None:
     stepping = attitude is gentle
     change = (2 * DEGREE, 0.0, 0.0) if stepping else ZERO3
-    setting, order = Setting(attitude, change), np.random.default_rng(3)
+    setting, order = SteppedBias(attitude, change), np.random.default_rng(3)
 
     def shuffled(t: float) -> tuple[float, Quaternion]:
         time_s = t - 0.01 - float(order.choice([0.0, 0.0, 0.1, 0.4]))
@@ -171,12 +171,12 @@ def test_attitudes_out_of_order_are_no_step_and_hide_none(attitude: Callable[[fl
 
 
 def test_a_change_too_large_for_a_bias_is_none() -> None:
-    assert Setting(gentle, (0.0, 15 * DEGREE, 0.0), 25.0).run() == []
+    assert SteppedBias(gentle, (0.0, 15 * DEGREE, 0.0), 25.0).run() == []
 
 
 @pytest.mark.parametrize("jump_deg", [1.0, 2.0, 4.0, 7.0, 40.0])
 def test_a_heading_set_anew_is_no_step(jump_deg: float) -> None:
-    setting = Setting(gentle, seconds=25.0)
+    setting = SteppedBias(gentle, seconds=25.0)
 
     def told(t: float) -> tuple[float, Quaternion]:
         jump = quat_from_euler(0.0, 0.0, jump_deg * DEGREE * (t // 2.1))

@@ -9,9 +9,9 @@ import pytest
 
 from companion.base.geometry import Vector3, add, yaw_from_quat
 from companion.base.messages import MagSample
-from tests.unit.estimate.estimate_flight import Flight, feed, new_estimator
+from tests.unit.estimate.estimate_flight import EstimateFlight, feed, new_estimator
 
-STANDING = Flight(
+STANDING = EstimateFlight(
     path=lambda t: (0.0, 0.0, 0.0), heading=lambda t: 0.0, duration_s=10.0, sensors=frozenset({"imu", "mag"})
 )
 IRON_S = 5.0

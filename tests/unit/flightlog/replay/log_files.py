@@ -30,14 +30,14 @@ from tests.unit.estimate.estimate_flight import (
     ANTENNA,
     HOME,
     VEHICLE,
-    Flight,
+    EstimateFlight,
     feed,
     hover,
     pad_circle,
     velocity,
 )
 
-FLIGHT = Flight(hover, pad_circle, seed=3, duration_s=16.0)
+FLIGHT = EstimateFlight(hover, pad_circle, seed=3, duration_s=16.0)
 GPS_WEEK, GPS_WEEK_MS = 2300, 345_600_000  # 8 February 2024
 BOOT_S = 10.0  # the autopilots' clocks started before the flight
 
@@ -53,7 +53,7 @@ def own_rig() -> ReplaySetup:
     return ReplaySetup(config, VEHICLE, load_pad(config.pad))
 
 
-def write_own(folder: Path, flight: Flight = FLIGHT, *, settings: bool = True) -> Path:
+def write_own(folder: Path, flight: EstimateFlight = FLIGHT, *, settings: bool = True) -> Path:
     """A flight of ours: samples as they arrive, a control cycle at 30 Hz, the truth at the end."""
     rig = own_rig()
     log, estimator = FlightLog(folder, start_unix_s=1.7e9), new_estimator(rig)
@@ -81,7 +81,7 @@ def write_own(folder: Path, flight: Flight = FLIGHT, *, settings: bool = True) -
     return folder / "flight.mcap"
 
 
-def _truth(flight: Flight, t: float) -> Truth:
+def _truth(flight: EstimateFlight, t: float) -> Truth:
     return Truth(
         t,
         flight.path(t),
@@ -133,7 +133,7 @@ def degrees_of(attitude: Quaternion) -> Vector3:
 
 def write_dataflash(
     path: Path,
-    flight: Flight = FLIGHT,
+    flight: EstimateFlight = FLIGHT,
     *,
     parameters: dict[str, float] | None = None,
     trim_rad: tuple[float, float] = (0.0, 0.0),
@@ -192,7 +192,7 @@ def _add_gps(log: DataFlash, us: int, fix: GpsFix) -> None:
     log.add("GPS", us, 0, 3, *time, 9, 1.1, *place, math.hypot(north, east), course, down, 0.0, 1)
 
 
-def _add_states(log: DataFlash, us: int, flight: Flight, t: float) -> None:
+def _add_states(log: DataFlash, us: int, flight: EstimateFlight, t: float) -> None:
     roll, pitch, yaw = degrees_of(flight.attitude(t))
     log.add("ATT", us, 0.0, roll, 0.0, pitch, 0.0, yaw, 0.0, 0.0, 3)
     speed, place = velocity(flight.path, t), flight.path(t)
@@ -250,7 +250,7 @@ class Ulog:
 
 def write_ulog(
     path: Path,
-    flight: Flight = FLIGHT,
+    flight: EstimateFlight = FLIGHT,
     *,
     old: bool = False,
     parameters: dict[str, float] | None = None,
@@ -286,7 +286,7 @@ def write_ulog(
     return path
 
 
-def _add_flight(log: Ulog, flight: Flight, *, old: bool, start_s: float) -> None:
+def _add_flight(log: Ulog, flight: EstimateFlight, *, old: bool, start_s: float) -> None:
     field, field_s, next_s = (0.2, 0.0, 0.4), -1.0, 0.0
     for arrival_s, sample in flight.samples:
         if arrival_s < start_s:
@@ -323,7 +323,7 @@ def _gps_row(fix: GpsFix, *, old: bool) -> Sequence[Any]:
     return (1_707_350_400_000_000, *place, *accuracy, *fix.velocity_ned_m_s, 3, fix.satellites)
 
 
-def _add_local(log: Ulog, flight: Flight, t: float) -> None:
+def _add_local(log: Ulog, flight: EstimateFlight, t: float) -> None:
     # for the first two seconds PX4 knows nothing, and says so beside numbers that mean nothing
     valid = t > 2.0
     place = vector3(np.array(flight.path(t))) if valid else (1e6, 1e6, 1e6)

@@ -10,7 +10,7 @@ import pytest
 from companion import cli
 from companion.flightlog.record import FlightLog
 from companion.flightlog.replay.job import log_name
-from tests.unit.estimate.estimate_flight import Flight, hover, pad_at_rest, sprint
+from tests.unit.estimate.estimate_flight import EstimateFlight, hover, pad_at_rest, sprint
 from tests.unit.flightlog.replay.log_files import FLIGHT, write_dataflash, write_own, write_ulog
 
 PLOTS = {"attitude.png", "velocity.png", "position.png", "biases.png", "refused.png"}
@@ -126,7 +126,7 @@ def test_a_log_that_nothing_can_be_replayed_from_is_refused(
     assert "no IMU samples" in refused(monkeypatch, capsys, "replay", no_imu)
     no_mag = write_dataflash(tmp_path / "b.bin", leave_out=("MAG",))
     assert "no magnetometer samples" in refused(monkeypatch, capsys, "replay", no_mag)
-    short = write_ulog(tmp_path / "c.ulg", Flight(hover, pad_at_rest, duration_s=1.0))
+    short = write_ulog(tmp_path / "c.ulg", EstimateFlight(hover, pad_at_rest, duration_s=1.0))
     words = refused(monkeypatch, capsys, "replay", short)
     assert "never aligned: it is at rest for" in words
     assert "1.0 s long" in words
@@ -135,7 +135,7 @@ def test_a_log_that_nothing_can_be_replayed_from_is_refused(
 def test_settings_and_folders_that_are_wrong_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log = write_ulog(tmp_path / "a.ulg", Flight(hover, pad_at_rest, duration_s=4.0))
+    log = write_ulog(tmp_path / "a.ulg", EstimateFlight(hover, pad_at_rest, duration_s=4.0))
     (tmp_path / "bad.yaml").write_text("estimat: {}\n")
     config = refused(monkeypatch, capsys, "replay", log, "--config", tmp_path / "bad.yaml")
     assert "unknown key 'estimat'" in config
@@ -150,7 +150,7 @@ def test_settings_and_folders_that_are_wrong_are_refused(
 def test_a_log_that_starts_in_flight_is_aligned_all_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    log = write_ulog(tmp_path / "a.ulg", Flight(sprint, pad_at_rest, duration_s=42.0), start_s=12.0)
+    log = write_ulog(tmp_path / "a.ulg", EstimateFlight(sprint, pad_at_rest, duration_s=42.0), start_s=12.0)
     assert run(monkeypatch, "replay", log, "-o", tmp_path / "out") == 0
     result = json.loads((tmp_path / "out" / "replay.json").read_text())
     assert 15.0 < result["aligned_after_s"] < 19.0

@@ -17,7 +17,7 @@ from companion.flightlog.replay.flight_record import FlightRecord, RecordedEvent
 from companion.flightlog.replay.run import replay
 from companion.flightlog.replay.settings import choose
 from companion.flightlog.replay.ulog import read_ulog
-from tests.unit.estimate.estimate_flight import ANTENNA, Flight, hover, pad_at_rest
+from tests.unit.estimate.estimate_flight import ANTENNA, EstimateFlight, hover, pad_at_rest
 from tests.unit.flightlog.replay.log_files import BOOT_S, FLIGHT, DataFlash, Ulog, write_dataflash, write_ulog
 
 WRITERS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], FlightRecord]]] = {
@@ -245,7 +245,7 @@ def test_vehicle_imu_serves_where_sensor_combined_is_missing(tmp_path: Path) -> 
 
 
 def test_without_gps_north_is_magnetic_and_the_dip_is_the_logs_own(tmp_path: Path) -> None:
-    flight = Flight(hover, pad_at_rest, duration_s=16.0, sensors=frozenset({"imu", "mag"}))
+    flight = EstimateFlight(hover, pad_at_rest, duration_s=16.0, sensors=frozenset({"imu", "mag"}))
     record = read_ulog(write_ulog(tmp_path / "a.ulg", flight))
     choice = choose(record, None)
     assert choice.field.source.startswith("the log's magnetometer (no GPS in it)")

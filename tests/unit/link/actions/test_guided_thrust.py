@@ -16,14 +16,14 @@ from companion.link.actions.actions import PymavlinkActions
 from companion.link.session import Session
 from sitl.autopilot import NO_ERRORS, SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
-from tests.unit.sitl.autopilot.autopilot_flight import HOME, Flight, Frame450, SimpleVehicle
+from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight, Frame450, SimpleVehicle
 
 HOVER_THRUST = 0.35
 STEP_S = 0.01
 
 
 @dataclass
-class Ending:
+class ControlTaken:
     """How taking control went, and the speed downwards (m/s) after two seconds of hover thrust."""
 
     result: ActionResult
@@ -31,8 +31,8 @@ class Ending:
     sink_m_s: float
 
 
-def hovering() -> Flight:
-    flight = Flight("ardupilot")
+def hovering() -> AutopilotFlight:
+    flight = AutopilotFlight("ardupilot")
     mass_kg = flight.vehicle.airframe.mass_kg
     strong = Frame450(max_thrust_n=mass_kg * GRAVITY_M_S2 / (4.0 * HOVER_THRUST))
     flight.vehicle = SimpleVehicle(strong)
@@ -41,10 +41,10 @@ def hovering() -> Flight:
     return flight
 
 
-def fly_by_attitude(config: LinkConfig, options: int) -> Ending:
+def fly_by_attitude(config: LinkConfig, options: int) -> ControlTaken:
     """Take control of a hovering ArduPilot and send level attitudes with the vehicle's hover thrust."""
 
-    async def main() -> Ending:
+    async def main() -> ControlTaken:
         flight, clock = hovering(), Clock()
         flight.autopilot.parameters.set("GUID_OPTIONS", options)
         endpoint, session = MavlinkEndpoint(flight.autopilot), Session(config)
@@ -70,7 +70,7 @@ def fly_by_attitude(config: LinkConfig, options: int) -> Ending:
             await asyncio.sleep(1.0 / 30.0)
         stepping.cancel()
         await asyncio.gather(stepping, return_exceptions=True)
-        return Ending(result, flight.autopilot.parameters["GUID_OPTIONS"], flight.vehicle.velocity[2])
+        return ControlTaken(result, flight.autopilot.parameters["GUID_OPTIONS"], flight.vehicle.velocity[2])
 
     return run_in_virtual_time(main())
 

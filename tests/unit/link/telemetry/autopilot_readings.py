@@ -65,7 +65,7 @@ def distance(boot_s: float, **changes: Any) -> Message:
     )
 
 
-class Onboard:
+class ReadAutopilot:
     """OnboardSensors of an autopilot; `now_s` is our clock."""
 
     def __init__(self, autopilot_kind: AutopilotKind = "px4", settled: bool = True, **settings: Any) -> None:

@@ -32,7 +32,7 @@ class SensingAutopilot(FakeAutopilot):
         return super().message(message_id, now_s) if build is None else build(now_s + self.clock_offset_s)
 
 
-class Flight:
+class TelemetryFlight:
     """Session and autopilot, a line with a constant delay between them."""
 
     def __init__(self, autopilot: SensingAutopilot, sense: SenseConfig | None) -> None:
@@ -71,7 +71,7 @@ def sense() -> SenseConfig:
 def test_the_streams_are_asked_for_and_their_samples_have_their_own_time(
     autopilot: SensingAutopilot, message: int
 ) -> None:
-    flight = Flight(autopilot, sense())
+    flight = TelemetryFlight(autopilot, sense())
     flight.run(4.0)
     assert autopilot.rates_hz[message] == pytest.approx(100.0)
     assert autopilot.rates_hz[mavlink.MAVLINK_MSG_ID_GPS_RAW_INT] == pytest.approx(5.0)
@@ -88,7 +88,7 @@ def test_the_streams_are_asked_for_and_their_samples_have_their_own_time(
 
 def test_boards_of_ours_ask_for_no_such_stream() -> None:
     autopilot = SensingAutopilot()
-    flight = Flight(autopilot, None)
+    flight = TelemetryFlight(autopilot, None)
     flight.run(4.0)
     assert not set(BUILD) & set(autopilot.rates_hz)
     assert flight.imu == []
@@ -96,7 +96,7 @@ def test_boards_of_ours_ask_for_no_such_stream() -> None:
 
 def test_after_a_restart_the_clock_is_found_again_within_two_seconds() -> None:
     autopilot = SensingAutopilot(clock_offset_s=500.0)
-    flight = Flight(autopilot, sense())
+    flight = TelemetryFlight(autopilot, sense())
     flight.run(5.0)
     autopilot.clock_offset_s = -flight.now_s + 3.0
     flight.imu.clear()

@@ -15,7 +15,7 @@ SYNC_S = 0.1
 
 
 @dataclass(frozen=True)
-class Heard:
+class StampedSample:
     """One sample: when it was measured (our clock), its stamp, when it was heard, what was made of it."""
 
     measured_s: float
@@ -39,13 +39,13 @@ class FarClock:
     theirs: Callable[[float], float]
     there: Delay = lambda _: 0.001
     back: Delay = lambda _: 0.001
-    heard: list[Heard] = field(default_factory=list)
+    heard: list[StampedSample] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.timesync = TimeSync()
         self.clock = BootClock(self.timesync)
 
-    def run(self, until_s: float) -> list[Heard]:
+    def run(self, until_s: float) -> list[StampedSample]:
         """Samples at 200 Hz and questions at 10 Hz from 0 on; what has become of the samples."""
         arrivals: list[tuple[float, float, int]] = []  # heard, told, question's ts1 or 0 for a sample
         arrivals += [(0.0, k * IMU_S, 0) for k in range(round(until_s / IMU_S))]
@@ -68,7 +68,7 @@ class FarClock:
             else:
                 stamp_s = self.theirs(told_s)
                 self.heard.append(
-                    Heard(told_s, stamp_s, floor_s, self.clock.instant("imu", stamp_s, floor_s))
+                    StampedSample(told_s, stamp_s, floor_s, self.clock.instant("imu", stamp_s, floor_s))
                 )
         return self.heard
 
@@ -77,6 +77,6 @@ class FarClock:
             asked.add(self.timesync.ask(k * SYNC_S))
 
 
-def usable(heard: list[Heard], from_s: float = 1.0) -> list[Heard]:
+def usable(heard: list[StampedSample], from_s: float = 1.0) -> list[StampedSample]:
     """The samples of a clock that has had the time to settle."""
     return [sample for sample in heard if sample.measured_s >= from_s]

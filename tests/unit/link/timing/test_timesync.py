@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.unit.link.timing.far_clock import IMU_S, FarClock, Heard, usable
+from tests.unit.link.timing.far_clock import IMU_S, FarClock, StampedSample, usable
 
 ONE_STEP = 1.5 * IMU_S
 
 
-def refused(heard: list[Heard]) -> int:
+def refused(heard: list[StampedSample]) -> int:
     return sum(sample.instant is None for sample in heard)
 
 
-def steps_s(heard: list[Heard]) -> list[float]:
+def steps_s(heard: list[StampedSample]) -> list[float]:
     """From each used sample's time to the next one's."""
     times = [sample.instant.time_s for sample in heard if sample.instant is not None]
     return [b - a for a, b in pairwise(times)]
@@ -30,7 +30,7 @@ def stalled(ours_s: float) -> float:
     return 50.0 + 0.98 * (ours_s - min(max(ours_s - 5.0, 0.0), 0.3))
 
 
-def worst_s(heard: list[Heard]) -> float:
+def worst_s(heard: list[StampedSample]) -> float:
     return max(abs(sample.error_s) for sample in heard)
 
 

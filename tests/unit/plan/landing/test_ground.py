@@ -9,14 +9,14 @@ from companion.base.geometry import quat_from_euler
 from companion.base.messages import AutopilotState, RangeSample, VehicleState
 from companion.plan.landing.ground_contact import Ground
 from tests.unit.plan.pad_paths import still
-from tests.unit.plan.plan_harness import World
+from tests.unit.plan.plan_harness import PlanWorld
 
 SENSOR_M = (-0.03, 0.0, 0.08)
 SILENT = AutopilotState(0.0)
 
 
 def state(down_m: float = -5.0, roll_rad: float = 0.0) -> VehicleState:
-    vehicle = World(still()).inputs().vehicle
+    vehicle = PlanWorld(still()).inputs().vehicle
     assert vehicle is not None
     return replace(vehicle, position_ned_m=(0.0, 0.0, down_m), attitude=quat_from_euler(roll_rad, 0.0, 0.7))
 

@@ -7,14 +7,14 @@ import pytest
 from companion.base.messages import ActionKind, Phase
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import line, still
-from tests.unit.plan.plan_harness import LEG_M, World
+from tests.unit.plan.plan_harness import LEG_M, PlanWorld
 
 
-def committed(w: World) -> bool:
+def committed(w: PlanWorld) -> bool:
     return bool(w.flight.told("commit"))
 
 
-def sinking_to(w: World, height_m: float) -> None:
+def sinking_to(w: PlanWorld, height_m: float) -> None:
     """Fly until the vehicle sinks and is so high over the pad."""
     w.fly(60.0, until=lambda w: committed(w) and w.flight.heights_m[-1] < height_m)
     assert committed(w)

@@ -3,7 +3,7 @@ import pytest
 from companion.base.messages import PadState
 from companion.plan.landing.relative_state import PadKnowledge, SteadySightings, pad_motion, predicted
 from tests.unit.plan.pad_paths import still
-from tests.unit.plan.plan_harness import ORIGIN_NED_M, World
+from tests.unit.plan.plan_harness import ORIGIN_NED_M, PlanWorld
 
 
 def pad(time_s: float = 10.0, seen_s: float = 9.9) -> PadState:
@@ -44,7 +44,7 @@ def test_a_filter_that_stopped_is_not_predicted_on_but_ages() -> None:
 
 
 def test_the_pad_in_our_frame_is_where_it_truly_is() -> None:
-    w = World(still(10.6, 0.8))
+    w = PlanWorld(still(10.6, 0.8))
     w.position = (9.0, 1.0, -6.0)
     w._sense()
     vehicle, sight = w.inputs().vehicle, predicted(w.inputs().pad, 0.0)
@@ -70,7 +70,7 @@ def test_steady_means_so_many_sightings_within_a_window() -> None:
 
 
 def test_what_is_known_of_the_pad_outlives_a_cycle_without_an_estimate() -> None:
-    w = World(still())
+    w = PlanWorld(still())
     w.position = (10.0, 1.0, -6.0)
     w._sense()
     knowledge = PadKnowledge(1, 0.5)

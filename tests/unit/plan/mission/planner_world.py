@@ -3,7 +3,7 @@
 from companion.base.messages import Phase
 from companion.config import PlanConfig
 from tests.unit.plan.pad_paths import Path, circle
-from tests.unit.plan.plan_harness import World
+from tests.unit.plan.plan_harness import PlanWorld
 
 GOOD = [
     Phase.CONNECT,
@@ -18,7 +18,7 @@ GOOD = [
 ]
 
 
-def world(pad: Path | None = None, config: PlanConfig | None = None) -> World:
-    w = World(pad or circle(), config=config)
+def world(pad: Path | None = None, config: PlanConfig | None = None) -> PlanWorld:
+    w = PlanWorld(pad or circle(), config=config)
     w.beacon_after_s = 0.5
     return w

@@ -14,13 +14,13 @@ from companion.plan.mission.states import MissionEvent
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import line, still
 from tests.unit.plan.plan_autopilot import HOME
-from tests.unit.plan.plan_harness import ORIGIN, ORIGIN_NED_M, World
+from tests.unit.plan.plan_harness import ORIGIN, ORIGIN_NED_M, PlanWorld
 
 CONFIG = MissionConfig(fence_m=50.0, ceiling_m=20.0)
 
 
 def vehicle_at(from_home_m: Vector3, velocity: Vector3) -> VehicleState:
-    w = World(still())
+    w = PlanWorld(still())
     w.now_s = 5.0
     known = w.inputs().vehicle
     assert known is not None
@@ -87,7 +87,7 @@ def test_a_pad_that_leads_away_is_left_before_the_fence() -> None:
     w.blind = lambda _t, height: height < 1.0  # it is never landed on
     farthest_m = 0.0
 
-    def watch(w: World, _step: object) -> None:
+    def watch(w: PlanWorld, _step: object) -> None:
         nonlocal farthest_m
         farthest_m = max(farthest_m, math.hypot(*w.position[:2]))
 

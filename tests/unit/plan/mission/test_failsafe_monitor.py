@@ -11,7 +11,7 @@ from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Circumstances, MissionEvent, State
 from companion.plan.mission.table import FINAL, IN_AIR, follows
 from tests.unit.plan.pad_paths import still
-from tests.unit.plan.plan_harness import World
+from tests.unit.plan.plan_harness import PlanWorld
 
 CONFIG = MissionConfig(total_timeout_s=100.0, phases=PhaseTimesConfig(approach_s=30.0))
 FLYING = AutopilotState(0.0, connected=True, autopilot_kind="px4", armed=True, mode="OFFBOARD", offboard=True)
@@ -19,7 +19,7 @@ HELD = replace(FLYING, mode="LOITER", offboard=False)
 
 
 def inputs(autopilot: AutopilotState = FLYING, stop: bool = False, vehicle: bool = True) -> PlanInputs:
-    w = World(still())
+    w = PlanWorld(still())
     w.now_s = 50.0
     known = w.inputs().vehicle if vehicle else None
     return PlanInputs(vehicle=known, pad=None, autopilot=autopilot, stop_requested=stop)
@@ -176,7 +176,7 @@ def test_a_mission_that_has_ended_detects_nothing_more(state: State) -> None:
 
 def test_time_on_both_sides_of_its_bounds() -> None:
     watch, machine = monitor(State.ARM, Authority.NONE)
-    w = World(still())
+    w = PlanWorld(still())
 
     def at(now_s: float) -> list[MissionEvent]:
         w.now_s = now_s

@@ -10,14 +10,14 @@ from companion.config import Cylinder, MissionConfig, PlanConfig
 from companion.plan.mission.mode_monitor import TAKES_S
 from companion.plan.planner import Planner
 from tests.unit.plan.pad_paths import line, still
-from tests.unit.plan.plan_harness import TABLE, VEHICLE, World
+from tests.unit.plan.plan_harness import TABLE, VEHICLE, PlanWorld
 
 ALLOWED = PlanConfig(mission=MissionConfig(may_arm=True))
 
 
-def flown_by_a_pilot(config: PlanConfig | None = None, pad: Callable[..., object] = still) -> World:
+def flown_by_a_pilot(config: PlanConfig | None = None, pad: Callable[..., object] = still) -> PlanWorld:
     """In the air in POSCTL, and the planner waits for an order."""
-    w = World(pad())  # type: ignore[arg-type]
+    w = PlanWorld(pad())  # type: ignore[arg-type]
     w.planner = Planner(config or PlanConfig(), VEHICLE, 20, 0.1, TABLE, standby="")
     w.position, w.now_s = (9.0, -1.0, -6.0), 5.0
     w.autopilot.armed, w.autopilot.mode, w.autopilot.landed = True, "POSCTL", LandedState.IN_AIR
@@ -25,7 +25,7 @@ def flown_by_a_pilot(config: PlanConfig | None = None, pad: Callable[..., object
     return w
 
 
-def order(w: World, kind: OrderKind = OrderKind.LAND) -> str | None:
+def order(w: PlanWorld, kind: OrderKind = OrderKind.LAND) -> str | None:
     """Give an order for one cycle; returns why it is refused."""
     w.order = Order(w.now_s, kind, "the test")
     w.cycle()
@@ -33,7 +33,7 @@ def order(w: World, kind: OrderKind = OrderKind.LAND) -> str | None:
     return None if refused is None else refused.text
 
 
-def asked(w: World) -> list[ActionKind]:
+def asked(w: PlanWorld) -> list[ActionKind]:
     return [kind for _, kind in w.autopilot.heard if kind is not ActionKind.REQUEST_PAD_POSITION]
 
 
@@ -59,12 +59,12 @@ def test_an_order_is_for_the_moment_it_is_not_kept() -> None:
     assert asked(w) == []
 
 
-def on_the_ground(w: World) -> None:
+def on_the_ground(w: PlanWorld) -> None:
     w.autopilot.landed = LandedState.ON_GROUND
     w.position = (9.0, -1.0, -0.18)
 
 
-REFUSALS: dict[str, tuple[Callable[[World], None], str]] = {
+REFUSALS: dict[str, tuple[Callable[[PlanWorld], None], str]] = {
     "no link": (lambda w: setattr(w.autopilot, "connected", False), "no heartbeat"),
     "disarmed": (lambda w: setattr(w.autopilot, "armed", False), "not armed"),
     "on the ground": (on_the_ground, "on the ground"),
@@ -109,7 +109,7 @@ def test_the_whole_flight_needs_permission_and_a_vehicle_that_is_not_armed() -> 
     assert w.planner.refused is not None
     assert w.planner.refused.lasting
     assert "armed already" in (order(flown_by_a_pilot(ALLOWED), OrderKind.FLY) or "")
-    w = World(still(), config=ALLOWED)
+    w = PlanWorld(still(), config=ALLOWED)
     w.planner = Planner(ALLOWED, VEHICLE, 20, 0.1, TABLE, standby="")
     w.fly(3.0)
     assert order(w, OrderKind.FLY) is None

@@ -10,8 +10,8 @@ from companion.base.messages import ActionKind, Phase, PlanStep
 from companion.config import MissionConfig, PlanConfig
 from tests.unit.plan.mission.planner_world import GOOD, world
 from tests.unit.plan.pad_paths import Path, circle, figure_eight, heave, line, still
-from tests.unit.plan.plan_autopilot import HOME, FakeAutopilot
-from tests.unit.plan.plan_harness import LEG_M, ORIGIN_NED_M, Flight, World
+from tests.unit.plan.plan_autopilot import HOME, PlanAutopilot
+from tests.unit.plan.plan_harness import LEG_M, ORIGIN_NED_M, PlanFlight, PlanWorld
 
 PADS: dict[str, Path] = {
     "still": still(),
@@ -31,7 +31,7 @@ def breeze(t: float) -> Vector3:
     )
 
 
-def continuous(flight: Flight) -> tuple[float, float, float]:
+def continuous(flight: PlanFlight) -> tuple[float, float, float]:
     """Largest steps of the reference's position, velocity and acceleration between cycles of one phase.
 
     Rows lie 0.1 s apart, cycles 0.033 s: what lies between is interpolated, hence not quite 0.
@@ -72,7 +72,7 @@ def test_it_lands_with_noise_and_gusts(name: str) -> None:
 
 def test_it_lands_under_ardupilot_where_setpoints_are_obeyed_at_once() -> None:
     w = world()
-    w.autopilot = FakeAutopilot(autopilot_kind="ardupilot", mode="STABILIZE")
+    w.autopilot = PlanAutopilot(autopilot_kind="ardupilot", mode="STABILIZE")
     assert w.fly(90.0).phase is Phase.LANDED
 
 
@@ -102,7 +102,7 @@ def test_the_vehicle_goes_where_the_waypoint_is_from_home_not_from_our_origin() 
     asked: list[Vector3] = []
     w = world(still(200.0, 200.0))
 
-    def each(_: World, step: PlanStep) -> None:
+    def each(_: PlanWorld, step: PlanStep) -> None:
         asked.extend(a.position for a in step.actions if a.kind is ActionKind.GO_TO and a.position)
 
     w.each = each
@@ -148,7 +148,7 @@ def test_a_descent_tells_the_controller_its_cone_until_it_is_committed() -> None
 
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0, 180.0, 270.0])
 def test_it_lands_in_the_pads_heading(heading_deg: float) -> None:
-    w = World(still(), heading=lambda _t: math.radians(heading_deg))
+    w = PlanWorld(still(), heading=lambda _t: math.radians(heading_deg))
     flight = w.fly(90.0)
     last = next(s.reference for s in reversed(flight.steps) if s.reference is not None)
     assert math.remainder(last.heading_rad - math.radians(heading_deg), math.tau) == pytest.approx(

@@ -8,7 +8,7 @@ from companion.base.messages import Action, ActionKind, ActionResult, Phase, Pla
 from companion.config import MissionConfig, PlanConfig
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import heave, still
-from tests.unit.plan.plan_harness import LEG_M, World
+from tests.unit.plan.plan_harness import LEG_M, PlanWorld
 
 
 def test_refusals_are_waited_out() -> None:
@@ -100,7 +100,7 @@ def test_after_the_landing_a_pilots_mode_stays_and_so_does_guided() -> None:
         w = world()
         w.autopilot.autopilot_kind = kind
 
-        def pilot(x: World, _: PlanStep, mode: str = mode) -> None:
+        def pilot(x: PlanWorld, _: PlanStep, mode: str = mode) -> None:
             if not x.autopilot.armed and x.flight.phase is Phase.TOUCHDOWN:
                 x.autopilot.mode = mode
 
@@ -122,7 +122,7 @@ def test_a_refused_waypoint_does_not_end_the_mission() -> None:
 def test_a_pilot_who_takes_over_keeps_the_vehicle(at_s: float) -> None:
     w = world()
 
-    def pilot(x: World, _: PlanStep) -> None:
+    def pilot(x: PlanWorld, _: PlanStep) -> None:
         if x.now_s > at_s:
             x.autopilot.mode = "POSCTL"
 

@@ -6,17 +6,17 @@ from companion.config import PlanConfig
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import still
 from tests.unit.plan.plan_autopilot import HOME
-from tests.unit.plan.plan_harness import World
+from tests.unit.plan.plan_harness import PlanWorld
 
 
-def low_over_the_pad(config: PlanConfig | None = None) -> World:
+def low_over_the_pad(config: PlanConfig | None = None) -> PlanWorld:
     w = world(still(), config)
     w.fly(90.0, until=lambda w: w.flight.phase is Phase.TOUCHDOWN)
     assert w.flight.heights_m[-1] < 0.7
     return w
 
 
-def ended_by_hold(w: World) -> None:
+def ended_by_hold(w: PlanWorld) -> None:
     assert w.flight.phase is Phase.ABORT
     assert [kind for _, kind in w.autopilot.heard][-1] is ActionKind.HOLD
 

@@ -11,7 +11,7 @@ from companion.config import LandingConfig, PlanConfig
 from tests.unit.plan.mission.planner_world import GOOD, world
 from tests.unit.plan.pad_paths import circle, line, still
 from tests.unit.plan.plan_autopilot import HOME
-from tests.unit.plan.plan_harness import LEG_M, World
+from tests.unit.plan.plan_harness import LEG_M, PlanWorld
 
 
 def test_a_pad_that_is_not_at_the_waypoint_is_found_by_its_beacon() -> None:
@@ -40,13 +40,13 @@ def test_without_a_home_position_the_fence_is_closed() -> None:
 
 
 def test_a_pad_without_a_beacon_is_found_by_the_spiral() -> None:
-    w = World(still(6.0, 6.0))
+    w = PlanWorld(still(6.0, 6.0))
     flight = w.fly(150.0)
     assert flight.phase is Phase.LANDED
 
 
 def test_a_pad_that_is_nowhere_ends_the_mission_holding() -> None:
-    w = World(still(300.0, 300.0))
+    w = PlanWorld(still(300.0, 300.0))
     flight = w.fly(200.0)
     assert flight.phase is Phase.ABORT
     assert flight.end_s < 120.0
@@ -131,7 +131,7 @@ def test_echoes_that_contradict_the_pads_height_break_the_landing_off(lie_m: flo
     w.lie_m = lambda t: lie_m if t > 12.0 and not w.flight.told("climb") else 0.0
     lowest_m = 9.0
 
-    def each(x: World, _: PlanStep) -> None:
+    def each(x: PlanWorld, _: PlanStep) -> None:
         nonlocal lowest_m
         if (x.flight.told("climb") and x.flight.phase is Phase.SEARCH) or x.flight.phase is Phase.DESCEND:
             lowest_m = min(lowest_m, x.flight.heights_m[-1] - LEG_M)

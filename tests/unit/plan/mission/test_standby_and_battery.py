@@ -7,10 +7,10 @@ from companion.config import PlanConfig
 from companion.plan.planner import Planner
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import still
-from tests.unit.plan.plan_harness import TABLE, VEHICLE, World
+from tests.unit.plan.plan_harness import TABLE, VEHICLE, PlanWorld
 
 
-def in_standby() -> World:
+def in_standby() -> PlanWorld:
     w = world(still())
     w.planner = Planner(PlanConfig(), VEHICLE, 20, 0.1, TABLE, standby="nobody permitted it")
     return w

@@ -12,7 +12,7 @@ from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.search.search import Search
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.plan.pad_paths import still
-from tests.unit.plan.plan_harness import World
+from tests.unit.plan.plan_harness import PlanWorld
 from tests.unit.plan.search.search_words import CONFIG, ORIGIN, UNSEEN, beacon
 
 
@@ -20,7 +20,7 @@ def in_view(
     aside_m: float = 0.0, speed_m_s: float = 0.0, velocity_std_m_s: float = 0.1, now_s: float = 0.0
 ) -> PadKnowledge:
     """A pad 7 m below, `aside_m` south of the vehicle, which flies north at a speed."""
-    w = World(still())
+    w = PlanWorld(still())
     w.now_s, w.position, w.velocity = now_s, (10.6 + aside_m, 0.8, -7.3), (speed_m_s, 0.0, 0.0)
     w._sense()
     given = w.inputs()

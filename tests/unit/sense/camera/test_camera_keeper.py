@@ -24,7 +24,7 @@ Act = Callable[[Frame], Frame | None]
 
 
 @dataclass
-class Seen:
+class KeeperRun:
     """What came of a run: reports and frames with the time at which they came, and openings."""
 
     reports: list[tuple[float, CameraReport]] = field(default_factory=list)
@@ -66,9 +66,9 @@ def run(
     *,
     socket: bool = False,
     held_for_s: float = 0.0,
-) -> Seen:
+) -> KeeperRun:
     """A camera whose first life is as the first of `acts` says, the next as the next; then as the last."""
-    seen, lives = Seen(), iter(acts)
+    seen, lives = KeeperRun(), iter(acts)
     last: list[Act | Exception] = [good]
 
     async def open_it() -> LiveSource:

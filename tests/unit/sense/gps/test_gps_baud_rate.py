@@ -27,7 +27,7 @@ STILL: Vector3 = (0.0, 0.0, 0.0)
 RATES = [4800, 9600, 19200, 38400, 57600, 115200]
 
 
-class Rig:
+class BaudRateRig:
     """Receiver, line and driver; the app's loops as in `companion.app.sensing`."""
 
     def __init__(
@@ -73,13 +73,13 @@ class Rig:
             await asyncio.sleep(0.2)
 
 
-def virtual(wake_baud: int, baud: int, script: Callable[[Rig], object]) -> Rig:
+def virtual(wake_baud: int, baud: int, script: Callable[[BaudRateRig], object]) -> BaudRateRig:
     """Run `script(rig)`, a coroutine, in virtual time."""
 
-    async def main() -> Rig:
+    async def main() -> BaudRateRig:
         line = MemoryPort(baud)
         line.set_baud(wake_baud)
-        rig = Rig(wake_baud, GpsConfig.model_validate({"baud": baud}), line, line.app)
+        rig = BaudRateRig(wake_baud, GpsConfig.model_validate({"baud": baud}), line, line.app)
         await script(rig)  # type: ignore[misc]
         return rig
 
@@ -104,7 +104,7 @@ def test_whatever_the_receiver_talks_at_it_ends_at_the_wanted_rate_with_five_fix
 
 
 def test_a_receiver_without_settings_is_at_the_wanted_rate_within_seconds() -> None:
-    async def script(rig: Rig) -> None:
+    async def script(rig: BaudRateRig) -> None:
         await rig.run(8.0, lambda: rig.device.baud == 38400)
         assert rig._clock.now_s() < 4.0
 
@@ -112,7 +112,7 @@ def test_a_receiver_without_settings_is_at_the_wanted_rate_within_seconds() -> N
 
 
 def test_a_power_cut_takes_the_receiver_back_to_9600_and_it_is_found_again() -> None:
-    async def script(rig: Rig) -> None:
+    async def script(rig: BaudRateRig) -> None:
         await rig.run(10.0)
         rig.device.power_cycle()
         assert rig.device.baud == 9600
@@ -128,7 +128,7 @@ def test_a_power_cut_takes_the_receiver_back_to_9600_and_it_is_found_again() -> 
 def test_a_receiver_that_says_nothing_unasked_is_found_by_asking() -> None:
     """All its output switched off, as in another's saved settings."""
 
-    async def script(rig: Rig) -> None:
+    async def script(rig: BaudRateRig) -> None:
         rig.device._rates = dict.fromkeys(rig.device._rates, 0)
         await rig.run(40.0)
 
@@ -141,7 +141,7 @@ def test_a_receiver_that_says_nothing_unasked_is_found_by_asking() -> None:
 def test_a_receiver_that_does_not_change_its_rate_serves_at_the_one_it_has() -> None:
     """One that speaks NMEA alone, say."""
 
-    async def script(rig: Rig) -> None:
+    async def script(rig: BaudRateRig) -> None:
         rig.device.receive = lambda data: None  # type: ignore[method-assign]
         await rig.run(60.0)
 
@@ -154,7 +154,7 @@ def test_a_receiver_that_does_not_change_its_rate_serves_at_the_one_it_has() -> 
 def test_a_silent_line_is_reported_and_tried_at_all_rates() -> None:
     tried: set[int] = set()
 
-    async def script(rig: Rig) -> None:
+    async def script(rig: BaudRateRig) -> None:
         rig.device.silent = True
 
         def note() -> bool:
@@ -171,7 +171,7 @@ def test_a_silent_line_is_reported_and_tried_at_all_rates() -> None:
 async def test_it_works_on_a_pseudo_terminal_in_real_time() -> None:
     line = PtyPort(9600)
     port = SerialPort(line.path, 57600)
-    rig = Rig(9600, GpsConfig(baud=57600), line, port)
+    rig = BaudRateRig(9600, GpsConfig(baud=57600), line, port)
     await rig.run(15.0, lambda: rig.device.baud == 57600 and rig.driver.configured)
     assert rig.device.baud == rig.driver.baud == 57600
     assert rig.driver.configured

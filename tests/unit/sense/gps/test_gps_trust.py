@@ -43,7 +43,7 @@ def dop(itow: int, horizontal: float) -> bytes:
     return ubx(1, 0x04, struct.pack("<I7H", itow, *hundredths))
 
 
-class Line:
+class EpochLine:
     """Feeds epochs, five a second."""
 
     def __init__(self, config: GpsConfig | None = None) -> None:
@@ -65,7 +65,7 @@ class Line:
 
 
 def test_a_fix_that_the_status_calls_bad_is_no_position_and_the_next_is() -> None:
-    line = Line()
+    line = EpochLine()
     assert len(line.whole(status(line.itow))) == 1
     assert line.whole(status(line.itow, ok=False)) == []
     assert len(line.whole(status(line.itow))) == 1
@@ -74,27 +74,27 @@ def test_a_fix_that_the_status_calls_bad_is_no_position_and_the_next_is() -> Non
 
 @pytest.mark.parametrize(("horizontal", "believed"), [(1.0, 1), (6.0, 1), (6.01, 0), (99.99, 0)])
 def test_a_fix_of_too_few_directions_is_no_position(horizontal: float, believed: int) -> None:
-    line = Line(GpsConfig(maximum_hdop=6.0))
+    line = EpochLine(GpsConfig(maximum_hdop=6.0))
     assert len(line.whole(dop(line.itow, horizontal))) == believed
     # on a slow line it comes once a second, and holds until then
     assert len(line.whole()) == believed
 
 
 def test_an_old_dilution_says_nothing() -> None:
-    line = Line()
+    line = EpochLine()
     assert line.whole(dop(line.itow, 20.0)) == []
     line.now_s += SILENCE_S
     assert len(line.whole()) == 1
 
 
 def test_the_dilution_of_a_lost_fix_does_not_hold_up_the_next_one() -> None:
-    line = Line()
+    line = EpochLine()
     assert line.epoch(posllh(line.itow), dop(line.itow, 99.99), sol(line.itow, 0, 0), velned(line.itow)) == []
     assert len(line.whole()) == 1
 
 
 def test_fixes_that_are_not_believed_are_reported() -> None:
-    line = Line()
+    line = EpochLine()
     for _ in range(20):
         line.whole(dop(line.itow, 20.0))
     assert line.driver.problem == "NEO-6M: no fix to trust"
@@ -108,7 +108,7 @@ def test_nmea_with_a_poor_dilution_is_no_position() -> None:
 
 
 def test_a_receiver_that_repeats_one_epoch_for_ever_gives_one_fix_and_is_reported() -> None:
-    line = Line()
+    line = EpochLine()
     for _ in range(30):
         line.epoch(posllh(START_MS), sol(START_MS), velned(START_MS))
     assert len(line.fixes) == 1
@@ -117,7 +117,7 @@ def test_a_receiver_that_repeats_one_epoch_for_ever_gives_one_fix_and_is_reporte
 
 @pytest.mark.parametrize("length", [0, 4, 8, 27, 29, 51])
 def test_a_whole_message_of_the_wrong_length_is_passed_over(length: int) -> None:
-    line = Line()
+    line = EpochLine()
     for message in (0x02, 0x03, 0x04, 0x06, 0x12):
         line.epoch(ubx(1, message, bytes(length)))
     assert line.fixes == []
@@ -128,7 +128,7 @@ def test_a_whole_message_of_the_wrong_length_is_passed_over(length: int) -> None
 
 
 def test_a_receiver_with_nothing_but_sol_gives_position_and_velocity() -> None:
-    line = Line()
+    line = EpochLine()
     for _ in range(5):
         line.epoch(sol(line.itow), status(line.itow), dop(line.itow, 1.5))
     assert len(line.fixes) == 3  # two epochs to be sure; the last has not ended yet
@@ -143,7 +143,7 @@ def test_a_receiver_with_nothing_but_sol_gives_position_and_velocity() -> None:
 
 
 def test_the_sea_level_is_remembered_from_posllh() -> None:
-    line = Line()
+    line = EpochLine()
     line.whole()
     line.now_s += SILENCE_S
     for _ in range(5):
@@ -153,7 +153,7 @@ def test_the_sea_level_is_remembered_from_posllh() -> None:
 
 
 def test_one_epoch_that_has_lost_the_rest_is_not_taken_for_a_habit() -> None:
-    line = Line()
+    line = EpochLine()
     for _ in range(5):
         line.epoch(sol(line.itow))
         line.whole()
@@ -163,25 +163,25 @@ def test_one_epoch_that_has_lost_the_rest_is_not_taken_for_a_habit() -> None:
 
 @pytest.mark.parametrize(("fix", "flags"), [(0, 0x0D), (2, 0x0D), (3, 0x0C)])
 def test_sol_without_a_good_fix_is_no_position(fix: int, flags: int) -> None:
-    line = Line()
+    line = EpochLine()
     for _ in range(5):
         line.epoch(sol(line.itow, fix, flags))
     assert line.fixes == []
 
 
-def age_s(line: Line) -> float:
+def age_s(line: EpochLine) -> float:
     """Of the last fix when it was read."""
     return line.now_s - 0.2 - line.fixes[-1].time_s
 
 
 def usual_age_s() -> float:
-    line = Line()
+    line = EpochLine()
     line.whole()
     return age_s(line)
 
 
 def test_a_receiver_clock_that_is_set_with_the_first_fix_does_not_shift_the_fixes() -> None:
-    line = Line()
+    line = EpochLine()
     line.itow += 900  # its own quartz runs ahead until then
     for _ in range(10):
         line.epoch(posllh(line.itow), sol(line.itow, 0, 0), velned(line.itow))
@@ -191,7 +191,7 @@ def test_a_receiver_clock_that_is_set_with_the_first_fix_does_not_shift_the_fixe
 
 
 def test_a_receiver_clock_that_steps_back_is_followed_within_seconds() -> None:
-    line = Line()
+    line = EpochLine()
     for _ in range(20):
         line.whole()
     line.itow -= 300

@@ -99,7 +99,7 @@ def test_a_refused_command_is_reported_and_passed_over() -> None:
     assert receiver.problem == "NEO-6M: refuses CFG-PRT"
 
 
-class Rig:
+class ReceiverRig:
     """Receiver and driver on an ideal line."""
 
     def __init__(self) -> None:
@@ -121,7 +121,7 @@ class Rig:
 
 
 def test_the_receiver_is_configured_and_sends_five_fixes_a_second() -> None:
-    rig = Rig()
+    rig = ReceiverRig()
     rig.run(5.0)
     assert rig.driver.configured
     assert rig.driver.problem is None
@@ -132,7 +132,7 @@ def test_the_receiver_is_configured_and_sends_five_fixes_a_second() -> None:
 
 @pytest.mark.parametrize("heading_deg", [0, 90, 180, 270])
 def test_fixes_are_where_and_when_the_antenna_was(heading_deg: int) -> None:
-    rig = Rig()
+    rig = ReceiverRig()
     heading = math.radians(heading_deg)
     velocity = (5.0 * math.cos(heading), 5.0 * math.sin(heading), -1.0)
     rig.run(8.0, (3.0, -4.0, -10.0), velocity)
@@ -145,7 +145,7 @@ def test_fixes_are_where_and_when_the_antenna_was(heading_deg: int) -> None:
 
 
 def test_a_sky_out_of_sight_is_silence_until_it_is_seen_again() -> None:
-    rig = Rig()
+    rig = ReceiverRig()
     rig.run(5.0)
     rig.device.has_fix = False
     rig.run(0.5)
@@ -158,7 +158,7 @@ def test_a_sky_out_of_sight_is_silence_until_it_is_seen_again() -> None:
 
 
 def test_a_receiver_that_lost_power_is_configured_anew() -> None:
-    rig = Rig()
+    rig = ReceiverRig()
     rig.run(5.0)
     rig.device.power_cycle()
     rig.run(SILENCE_S + 6.0)

@@ -33,7 +33,7 @@ def at_rest(_now_s: float) -> tuple[Vector3, Vector3, Vector3]:
     return REST, STILL, FIELD
 
 
-class Rig:
+class ImuRig:
     """One chip, its driver, and the time that passes for both."""
 
     def __init__(

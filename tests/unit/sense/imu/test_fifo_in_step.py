@@ -7,7 +7,7 @@ import pytest
 from companion.base.geometry import GRAVITY_M_S2
 from companion.sense.imu.i2c import RegisterBus
 from sitl.devices.mpu9250 import Mpu9250Device
-from tests.unit.sense.imu.imu_rig import Rig
+from tests.unit.sense.imu.imu_rig import ImuRig
 
 _INT_STATUS, _FIFO_R_W = 0x3A, 0x74
 
@@ -36,7 +36,7 @@ class Preempted:
         pass
 
 
-def most_tilt_deg(rig: Rig, after_s: float) -> float:
+def most_tilt_deg(rig: ImuRig, after_s: float) -> float:
     """The most by which a sample's force leans, which at rest is the attitude that it would make believe."""
     tilts = [
         math.degrees(math.atan2(math.hypot(x, y), -z))
@@ -55,7 +55,7 @@ def test_full_between_count_and_burst_it_is_emptied_and_nothing_shifted_is_deliv
         buses.append(Preempted(device, hides_overflow=hides_overflow))
         return buses[0]
 
-    rig = Rig(wrap=wrap)
+    rig = ImuRig(wrap=wrap)
     rig.device.temperature_c = 34.0
     rig.run(1.0)
     rig.run(0.15, polling=False)  # a poll that is late, and then held up: most of it is read, not all
@@ -69,7 +69,7 @@ def test_full_between_count_and_burst_it_is_emptied_and_nothing_shifted_is_deliv
 
 
 def test_a_temperature_that_drifts_is_none_of_that() -> None:
-    rig = Rig()
+    rig = ImuRig()
     for step in range(40):
         rig.device.temperature_c = 20.0 + step
         rig.run(0.1)
@@ -77,7 +77,7 @@ def test_a_temperature_that_drifts_is_none_of_that() -> None:
 
 
 def test_a_word_that_is_no_temperature_empties_the_fifo() -> None:
-    rig = Rig()
+    rig = ImuRig()
     rig.run(1.0)
     rig.device.temperature_c = 60.0
     rig.run(0.05)

@@ -91,7 +91,7 @@ def test_a_bus_fault_is_answered_with_its_number() -> None:
 # ---------------------------------------------------------------- over a real socket
 
 
-class Peer:
+class RegisterServer:
     """A register server on its own loop in its own thread, as a simulator's process has it."""
 
     def __init__(self, path: Path) -> None:
@@ -122,13 +122,13 @@ class Peer:
 
 
 @pytest.fixture
-def peer(tmp_path: Path) -> Iterator[Peer]:
-    peer = Peer(tmp_path / "bus.sock")
+def peer(tmp_path: Path) -> Iterator[RegisterServer]:
+    peer = RegisterServer(tmp_path / "bus.sock")
     yield peer
     peer.stop()
 
 
-def test_registers_are_read_and_written_over_the_socket(peer: Peer, tmp_path: Path) -> None:
+def test_registers_are_read_and_written_over_the_socket(peer: RegisterServer, tmp_path: Path) -> None:
     bus = SocketBus(tmp_path / "bus.sock")
     bus.write(0x68, 0x6B, 0x81)
     assert bus.read(0x68, 0x6A, 3) == b"\x00\x81\x00"
@@ -136,7 +136,9 @@ def test_registers_are_read_and_written_over_the_socket(peer: Peer, tmp_path: Pa
     bus.close()
 
 
-def test_a_bus_fault_comes_over_the_socket_and_the_next_transaction_works(peer: Peer, tmp_path: Path) -> None:
+def test_a_bus_fault_comes_over_the_socket_and_the_next_transaction_works(
+    peer: RegisterServer, tmp_path: Path
+) -> None:
     bus = SocketBus(tmp_path / "bus.sock")
     with pytest.raises(OSError, match="Remote I/O error"):
         bus.read(0x0C, 0x00, 1)
@@ -148,12 +150,12 @@ def test_a_simulator_that_restarts_is_found_again(tmp_path: Path) -> None:
     bus = SocketBus(tmp_path / "bus.sock")
     with pytest.raises(OSError, match=r"bus at .*bus\.sock"):
         bus.read(0x68, 0x00, 1)
-    first = Peer(tmp_path / "bus.sock")
+    first = RegisterServer(tmp_path / "bus.sock")
     assert bus.read(0x68, 0x00, 1) == b"\x00"
     first.stop()
     with pytest.raises(OSError, match=r"bus at .*bus\.sock"):
         bus.read(0x68, 0x00, 1)
-    second = Peer(tmp_path / "bus.sock")
+    second = RegisterServer(tmp_path / "bus.sock")
     assert bus.read(0x68, 0x00, 1) == b"\x00"
     bus.close()
     second.stop()

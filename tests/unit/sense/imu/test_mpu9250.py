@@ -13,13 +13,13 @@ from companion.config import ConfigError, ImuConfig, validate
 from companion.sense.imu.ak8963 import Ak8963
 from companion.sense.imu.ak8963_path import BypassPath
 from companion.sense.imu.sample_clock import SampleClock
-from tests.unit.sense.imu.imu_rig import FIELD, REST, STILL, Rig
+from tests.unit.sense.imu.imu_rig import FIELD, REST, STILL, ImuRig
 
 # ---------------------------------------------------------------- units, axes, scales
 
 
 def test_at_rest_and_level_the_specific_force_is_up() -> None:
-    rig = Rig()
+    rig = ImuRig()
     rig.run(0.7)
     assert len(rig.imu) > 40
     for sample in rig.imu:
@@ -31,7 +31,7 @@ def test_at_rest_and_level_the_specific_force_is_up() -> None:
 @pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 180.0, -90.0])
 @pytest.mark.parametrize("roll_deg", [0.0, 180.0])
 def test_any_mounting_gives_the_same_body_values(roll_deg: float, yaw_deg: float) -> None:
-    rig = Rig(ImuConfig(body_from_sensor_deg=(roll_deg, 0.0, yaw_deg)))
+    rig = ImuRig(ImuConfig(body_from_sensor_deg=(roll_deg, 0.0, yaw_deg)))
     truth = ((1.0, -2.0, -9.0), (0.3, -0.2, 0.1), (20.0, -5.0, 40.0))
     rig.run(0.7, lambda _now_s: truth)
     newest, field = rig.imu[-1], np.mean([m.field_body_ut for m in rig.mag], axis=0)
@@ -46,7 +46,7 @@ def test_gravity_and_field_turn_with_the_vehicle(yaw_deg: float, tilt_deg: float
     attitude = quat_from_euler(math.radians(tilt_deg), math.radians(0.5 * tilt_deg), math.radians(yaw_deg))
     force = quat_rotate_inverse(attitude, REST)
     field = quat_rotate_inverse(attitude, FIELD)
-    rig = Rig()
+    rig = ImuRig()
     rig.run(0.7, lambda _now_s: (force, STILL, field))
     assert rig.imu[-1].specific_force_body_m_s2 == pytest.approx(force, abs=0.04)
     assert np.mean([m.field_body_ut for m in rig.mag], axis=0) == pytest.approx(field, abs=0.3)
@@ -61,7 +61,7 @@ def test_every_range_is_scaled_alike_and_clips_at_its_end(gyro_range: int, accel
         (math.radians(0.9 * gyro_range), 0.0, 0.0),
         FIELD,
     )
-    rig = Rig(config)
+    rig = ImuRig(config)
     rig.run(0.5, lambda _now_s: inside)
     assert rig.imu[-1].specific_force_body_m_s2[2] == pytest.approx(inside[0][2], abs=0.04)
     assert rig.imu[-1].rate_body_rad_s[0] == pytest.approx(inside[1][0], rel=1e-3)
@@ -70,7 +70,7 @@ def test_every_range_is_scaled_alike_and_clips_at_its_end(gyro_range: int, accel
         (math.radians(1.5 * gyro_range), 0.0, 0.0),
         FIELD,
     )
-    rig = Rig(config)
+    rig = ImuRig(config)
     rig.run(0.5, lambda _now_s: beyond)
     assert rig.imu[-1].specific_force_body_m_s2[2] == pytest.approx(-accel_range * GRAVITY_M_S2, abs=0.04)
     assert rig.imu[-1].rate_body_rad_s[0] == pytest.approx(math.radians(gyro_range), rel=1e-3)
@@ -93,7 +93,7 @@ def test_magnetometer_overflow_or_wrong_width_is_no_measurement(status_2: int) -
 
 
 def test_a_magnetic_overflow_is_dropped_and_the_rest_goes_on() -> None:
-    rig = Rig()
+    rig = ImuRig()
     rig.run(0.7, lambda now_s: (REST, STILL, FIELD if now_s < 0.5 else (4000.0, 2000.0, 0.0)))
     assert rig.mag
     assert all(abs(m.field_body_ut[0]) < 100.0 for m in rig.mag)
@@ -114,7 +114,7 @@ class _NoBus:
 @pytest.mark.parametrize("clock_error", [-0.01, 0.003, 0.01])
 def test_time_stamps_find_the_instants_of_measurement(clock_error: float) -> None:
     """GIVEN a ramp of the rate and a chip whose clock is wrong THEN time and value agree, delay and all."""
-    rig = Rig(clock_error=clock_error)
+    rig = ImuRig(clock_error=clock_error)
     slope = 0.6
     rig.run(12.0, lambda now_s: (REST, (slope * now_s, 0.0, 0.0), FIELD))
     late = [s for s in rig.imu if s.time_s > 8.0]
@@ -125,7 +125,7 @@ def test_time_stamps_find_the_instants_of_measurement(clock_error: float) -> Non
 
 
 def test_no_sample_is_lost_or_doubled() -> None:
-    rig = Rig(clock_error=0.0)
+    rig = ImuRig(clock_error=0.0)
     rig.run(3.0)
     times = [s.time_s for s in rig.imu]
     assert np.abs(np.diff(times) - 0.005).max() < 0.0003
@@ -135,7 +135,7 @@ def test_no_sample_is_lost_or_doubled() -> None:
 
 
 def test_samples_after_a_late_poll_keep_their_spacing() -> None:
-    rig = Rig()
+    rig = ImuRig()
     rig.run(3.0)
     count = len(rig.imu)
     rig.run(0.12, polling=False)
@@ -191,7 +191,7 @@ def test_rates_that_do_not_fit_the_chip_are_refused(settings: dict[str, int], ex
 @pytest.mark.parametrize("rate_hz", [50, 100, 200])
 @pytest.mark.parametrize("filter_hz", [184, 92, 41, 20])
 def test_every_rate_and_filter_flows(rate_hz: int, filter_hz: int) -> None:
-    rig = Rig(ImuConfig.model_validate({"rate_hz": rate_hz, "filter_hz": filter_hz}))
+    rig = ImuRig(ImuConfig.model_validate({"rate_hz": rate_hz, "filter_hz": filter_hz}))
     rig.run(1.0)
     assert not rig.faults
     assert len(rig.imu) > 0.5 * rate_hz

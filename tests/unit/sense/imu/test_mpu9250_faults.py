@@ -12,14 +12,14 @@ from companion.sense.imu.fifo import SamplesLostError
 from companion.sense.imu.i2c import SensorError
 from companion.sense.imu.mpu9250 import Mpu9250
 from sitl.devices.mpu9250 import Mpu9250Device
-from tests.unit.sense.imu.imu_rig import FIELD, REST, STEP_S, Rig, at_rest
+from tests.unit.sense.imu.imu_rig import FIELD, REST, STEP_S, ImuRig, at_rest
 
 POLL_S = 0.01
 
 
 @pytest.mark.parametrize("identity", [0x71, 0x73])
 def test_both_chips_of_the_family_are_accepted(identity: int) -> None:
-    rig = Rig(identity=identity)
+    rig = ImuRig(identity=identity)
     rig.driver.configure()
     rig.run(0.6)
     assert rig.driver.ready
@@ -30,18 +30,18 @@ def test_another_chip_is_refused_in_one_line() -> None:
     with pytest.raises(
         SensorError, match=r"^MPU9250 at 0x68: identity 0x68, expected 0x71 .* or 0x73"
     ) as error:
-        Rig(identity=0x68).driver.configure()
+        ImuRig(identity=0x68).driver.configure()
     assert "\n" not in str(error.value)
 
 
 def test_an_empty_bus_is_reported_in_one_line() -> None:
-    rig = Rig(ImuConfig(address=0x69))
+    rig = ImuRig(ImuConfig(address=0x69))
     with pytest.raises(SensorError, match=r"^MPU9250 at 0x69: Remote I/O error$"):
         rig.driver.configure()
 
 
 def test_fifo_overflow_is_reported_once_and_sampling_goes_on() -> None:
-    rig = Rig()
+    rig = ImuRig()
     rig.run(1.0)
     rig.run(0.25, polling=False)
     before = len(rig.imu)
@@ -58,7 +58,7 @@ def test_fifo_overflow_is_reported_once_and_sampling_goes_on() -> None:
     ("fault", "words"), [("nack", "Remote I/O error"), ("ones", "all ones"), ("stuck", "no sample for")]
 )
 def test_a_fault_is_reported_and_the_driver_recovers_by_itself(fault: str, words: str) -> None:
-    rig = Rig()
+    rig = ImuRig()
     rig.run(1.0)
     rig.device.fault = fault  # type: ignore[assignment]
     rig.run(0.6)
@@ -72,7 +72,7 @@ def test_a_fault_is_reported_and_the_driver_recovers_by_itself(fault: str, words
 
 
 def test_a_power_cut_in_flight_is_noticed_and_mended() -> None:
-    rig = Rig()
+    rig = ImuRig()
     rig.run(1.0)
     rig.device.power_cycle()
     rig.run(1.2)
@@ -82,7 +82,7 @@ def test_a_power_cut_in_flight_is_noticed_and_mended() -> None:
 
 
 def test_the_same_sample_for_ever_is_a_dead_sensor() -> None:
-    rig = Rig()
+    rig = ImuRig()
     rig.run(0.5)
     alive = len(rig.imu)
     for _ in range(300):
@@ -97,7 +97,7 @@ def test_the_same_sample_for_ever_is_a_dead_sensor() -> None:
 
 
 def test_settings_that_do_not_take_are_reported() -> None:
-    rig = Rig()
+    rig = ImuRig()
     write = rig.device.write
 
     def forgetful(address: int, register: int, value: int) -> None:
@@ -110,7 +110,7 @@ def test_settings_that_do_not_take_are_reported() -> None:
 
 def test_a_dead_magnetometer_costs_magnetometer_samples_alone() -> None:
     """GIVEN a flight WHEN the magnetometer dies and comes back THEN rates and forces never stop."""
-    rig = Rig()
+    rig = ImuRig()
     rig.run(1.5)
     assert rig.problem() is None
     rig.device.magnetometer.silent = True
@@ -131,7 +131,7 @@ def test_a_dead_magnetometer_costs_magnetometer_samples_alone() -> None:
 
 
 def test_a_magnetometer_that_loses_its_settings_is_brought_up_anew() -> None:
-    rig = Rig()
+    rig = ImuRig()
     rig.run(1.5)
     rig.device.magnetometer.reset()
     rig.run(2.5)
@@ -141,7 +141,7 @@ def test_a_magnetometer_that_loses_its_settings_is_brought_up_anew() -> None:
 
 @pytest.mark.parametrize("dead", ["silent", "another chip"])
 def test_without_a_magnetometer_at_the_start_the_samples_flow_and_it_is_reported(dead: str) -> None:
-    rig = Rig()
+    rig = ImuRig()
     if dead == "silent":
         rig.device.magnetometer.silent = True
     else:
@@ -155,7 +155,7 @@ def test_without_a_magnetometer_at_the_start_the_samples_flow_and_it_is_reported
 
 
 def test_inertial_samples_do_not_wait_for_the_magnetometers_bring_up() -> None:
-    rig = Rig()
+    rig = ImuRig()
     rig.run(0.8)
     assert rig.imu[0].time_s < 0.2 < rig.mag[0].time_s < 0.6
 
@@ -163,7 +163,7 @@ def test_inertial_samples_do_not_wait_for_the_magnetometers_bring_up() -> None:
 @pytest.mark.parametrize("failures", [1, 2, 5])
 def test_transactions_that_fail_now_and_then_cost_no_sample(failures: int) -> None:
     """The first transaction of a poll fails, so that many polls in a row: the FIFO keeps what they miss."""
-    rig = Rig(clock_error=0.0)
+    rig = ImuRig(clock_error=0.0)
     rig.run(1.5)
     first = len(rig.imu)
     for _ in range(10):
@@ -199,7 +199,7 @@ class FailingAt:
 
 @pytest.mark.parametrize("register", [0x72, 0x74, 0x49])
 def test_one_failure_of_any_read_loses_no_inertial_sample(register: int) -> None:
-    rig = Rig(clock_error=0.0)
+    rig = ImuRig(clock_error=0.0)
     bus = FailingAt(rig.device, register)
     rig.driver = Mpu9250(bus, rig.config)
     rig.run(1.5)
@@ -213,7 +213,7 @@ def test_one_failure_of_any_read_loses_no_inertial_sample(register: int) -> None
 
 
 def test_what_came_before_a_failure_within_a_poll_is_kept_and_the_rest_follows() -> None:
-    rig = Rig(clock_error=0.0)
+    rig = ImuRig(clock_error=0.0)
     bus = FailingAt(rig.device, 0x74)
     rig.driver = Mpu9250(bus, rig.config)
     rig.run(1.5)
@@ -228,7 +228,7 @@ def test_what_came_before_a_failure_within_a_poll_is_kept_and_the_rest_follows()
 
 
 def test_a_read_that_broke_off_within_a_frame_does_not_shift_the_ones_after_it() -> None:
-    rig = Rig()
+    rig = ImuRig()
     bus = FailingAt(rig.device, 0x74, eats=5)
     rig.driver = Mpu9250(bus, rig.config)
     rig.run(1.5)
@@ -243,7 +243,7 @@ def test_a_read_that_broke_off_within_a_frame_does_not_shift_the_ones_after_it()
 
 
 def test_a_bus_that_stays_dead_is_reported_after_a_few_polls() -> None:
-    rig = Rig()
+    rig = ImuRig()
     rig.run(1.0)
     rig.device.fault = "nack"
     rig.run(0.04)
@@ -255,7 +255,7 @@ def test_a_bus_that_stays_dead_is_reported_after_a_few_polls() -> None:
 
 def test_samples_are_stamped_by_the_time_at_which_the_fifo_is_counted() -> None:
     """GIVEN a poll that begins late on its thread THEN the lateness is in no time stamp."""
-    early, late = Rig(), Rig()
+    early, late = ImuRig(), ImuRig()
     for rig, waits_s in ((early, 0.0), (late, 0.004)):
         asked: list[float] = []
         read = rig.device.read

@@ -10,7 +10,7 @@ import pytest
 from companion.config import ConfigError, ImuConfig, validate
 from companion.sense.imu.ak8963 import Ak8963
 from companion.sense.imu.ak8963_path import BypassPath
-from tests.unit.sense.imu.imu_rig import FIELD, REST, STILL, Rig
+from tests.unit.sense.imu.imu_rig import FIELD, REST, STILL, ImuRig
 
 WIRINGS: dict[str, dict[str, Any]] = {
     "i2c, master, fifo": {},
@@ -29,7 +29,7 @@ def config(request: pytest.FixtureRequest) -> ImuConfig:
 
 def test_samples_of_all_three_sensors_flow(config: ImuConfig) -> None:
     truth = ((1.0, -2.0, -9.0), (0.3, -0.2, 0.1), (20.0, -5.0, 40.0))
-    rig = Rig(config)
+    rig = ImuRig(config)
     rig.run(2.0, lambda _now_s: truth)
     assert not rig.faults
     assert rig.problem() is None
@@ -43,7 +43,7 @@ def test_samples_of_all_three_sensors_flow(config: ImuConfig) -> None:
 @pytest.mark.parametrize("clock_error", [-0.01, 0.01])
 def test_stamps_are_the_instants_of_measurement(config: ImuConfig, clock_error: float) -> None:
     """GIVEN rate and field that ramp THEN value and time stamp of each sample agree."""
-    rig = Rig(config, clock_error=clock_error)
+    rig = ImuRig(config, clock_error=clock_error)
     slope, drift = 0.6, 50.0
     rig.run(10.0, lambda now_s: (REST, (slope * now_s, 0.0, 0.0), (drift * now_s, 0.0, 40.0)))
     errors_s = [s.rate_body_rad_s[0] / slope - s.time_s for s in rig.imu if s.time_s > 6.0]
@@ -56,7 +56,7 @@ def test_stamps_are_the_instants_of_measurement(config: ImuConfig, clock_error: 
 
 @pytest.mark.parametrize("fault", ["nack", "ones", "stuck"])
 def test_a_fault_is_reported_in_one_line_and_recovered_from(config: ImuConfig, fault: str) -> None:
-    rig = Rig(config)
+    rig = ImuRig(config)
     rig.run(1.0)
     rig.device.fault = fault  # type: ignore[assignment]
     rig.run(0.8)
@@ -70,7 +70,7 @@ def test_a_fault_is_reported_in_one_line_and_recovered_from(config: ImuConfig, f
 
 
 def test_a_power_cut_is_mended(config: ImuConfig) -> None:
-    rig = Rig(config)
+    rig = ImuRig(config)
     rig.run(1.0)
     rig.device.power_cycle()
     rig.run(2.0)
@@ -84,7 +84,7 @@ def test_a_power_cut_is_mended(config: ImuConfig) -> None:
 
 
 def test_the_same_sample_for_ever_is_a_dead_sensor(config: ImuConfig) -> None:
-    rig = Rig(config)
+    rig = ImuRig(config)
     rig.run(0.5)
     rig.device.fault = "none"
     for _ in range(300):
@@ -96,7 +96,7 @@ def test_the_same_sample_for_ever_is_a_dead_sensor(config: ImuConfig) -> None:
 
 
 def test_a_dead_magnetometer_costs_its_own_samples_alone_and_comes_back(config: ImuConfig) -> None:
-    rig = Rig(config)
+    rig = ImuRig(config)
     rig.run(1.5)
     rig.device.magnetometer.silent = True
     rig.run(3.0)
@@ -111,7 +111,7 @@ def test_a_dead_magnetometer_costs_its_own_samples_alone_and_comes_back(config: 
 
 
 def test_magnetic_overflow_is_no_sample_and_leaves_the_rest_alone(config: ImuConfig) -> None:
-    rig = Rig(config)
+    rig = ImuRig(config)
     rig.run(1.5, lambda now_s: (REST, STILL, FIELD if now_s < 0.8 else (4000.0, 2000.0, 0.0)))
     assert rig.mag
     assert all(abs(m.field_body_ut[0]) < 100.0 for m in rig.mag)
@@ -136,7 +136,7 @@ def test_a_sensitivity_adjustment_that_reads_as_nothing_is_reported(fuses: bytes
 
 
 def test_on_spi_the_chips_i2c_is_switched_off() -> None:
-    rig = Rig(ImuConfig(bus="spi:0.0"))
+    rig = ImuRig(ImuConfig(bus="spi:0.0"))
     rig.run(0.5)
     assert rig.device.read(0x68, 0x6A, 1)[0] & 0x10
     assert rig.driver.ready
@@ -144,7 +144,7 @@ def test_on_spi_the_chips_i2c_is_switched_off() -> None:
 
 def test_a_chip_on_i2c_whose_i2c_is_switched_off_answers_no_more() -> None:
     """What the simulated chip does when SPI is set for a chip that is wired to I2C."""
-    rig = Rig(ImuConfig())
+    rig = ImuRig(ImuConfig())
     rig.device.write(0x68, 0x6A, 0x10)
     with pytest.raises(OSError, match="Remote I/O"):
         rig.device.read(0x68, 0x75, 1)

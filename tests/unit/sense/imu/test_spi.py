@@ -12,7 +12,7 @@ from companion.config import ConfigError, ImuConfig
 from companion.sense.imu.i2c import open_bus
 from companion.sense.imu.spi import SpiBus
 from sitl.devices.mpu9250 import Mpu9250Device
-from tests.unit.sense.imu.imu_rig import FIELD, REST, Rig
+from tests.unit.sense.imu.imu_rig import FIELD, REST, ImuRig
 
 SENSORS = range(0x3A, 0x61)  # PS-MPU-9250A-01: sensor and interrupt registers may be read at 20 MHz
 
@@ -72,7 +72,7 @@ def test_the_driver_gets_its_samples_through_spi_within_the_chips_clock_rates(
 
     poll_hz = 200 if read == "registers" else 100
     config = ImuConfig.model_validate({"bus": "spi:0.0", "read": read, "poll_hz": poll_hz})
-    rig = Rig(config, wrap=wire)
+    rig = ImuRig(config, wrap=wire)
     rig.run(1.0)
     assert not rig.faults
     assert rig.problem() is None

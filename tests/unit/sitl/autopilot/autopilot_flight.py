@@ -38,7 +38,7 @@ Streamed = MotionSetpoint | AttitudeSetpoint | Callable[[float], MotionSetpoint 
 Four = tuple[float, float, float, float]
 
 
-class Sample(NamedTuple):
+class MotionSample(NamedTuple):
     """The true motion at one time."""
 
     time_s: float
@@ -129,7 +129,7 @@ class SimpleVehicle:
         self.attitude = (math.cos(heading), 0.0, 0.0, math.sin(heading))
 
 
-class Flight:
+class AutopilotFlight:
     """A vehicle and its autopilot stepped together; `texts` collects what the autopilot says."""
 
     def __init__(
@@ -153,7 +153,7 @@ class Flight:
         """Time since boot."""
         return self._steps / RATE_HZ
 
-    def run(self, duration_s: float, setpoint: Streamed | None = None) -> list[Sample]:
+    def run(self, duration_s: float, setpoint: Streamed | None = None) -> list[MotionSample]:
         """Fly on, streaming the setpoint (or what it gives for the time) at 30 Hz; samples at 50 Hz."""
         samples = []
         for _ in range(round(duration_s * RATE_HZ)):
@@ -165,7 +165,7 @@ class Flight:
             vehicle.step(motors, 1.0 / RATE_HZ)
             self._steps += 1
             if self._steps % 8 == 0:
-                samples.append(Sample(self.now_s, vehicle.position, vehicle.velocity, vehicle.attitude))
+                samples.append(MotionSample(self.now_s, vehicle.position, vehicle.velocity, vehicle.attitude))
                 self.texts.extend(text for _, text in self.autopilot.take_texts())
         return samples
 
@@ -199,17 +199,17 @@ def velocity(north: float, east: float = 0.0, down: float = 0.0) -> MotionSetpoi
     return MotionSetpoint(velocity_ned_m_s=(north, east, down))
 
 
-def reached_s(samples: list[Sample], quantity: Callable[[Sample], float], level: float) -> float:
+def reached_s(samples: list[MotionSample], quantity: Callable[[MotionSample], float], level: float) -> float:
     """Seconds from the first sample until the quantity passes the level."""
     return next(s.time_s for s in samples if quantity(s) > level) - samples[0].time_s
 
 
-def landed_state(flight: Flight) -> LandedState:
+def landed_state(flight: AutopilotFlight) -> LandedState:
     """Through a function, because it changes behind the type checker's back."""
     return flight.autopilot.landed_state
 
 
-def ready(flight: Flight) -> bool:
+def ready(flight: AutopilotFlight) -> bool:
     """As `landed_state`."""
     return flight.autopilot.ready_to_arm
 
@@ -217,8 +217,8 @@ def ready(flight: Flight) -> bool:
 AUTOPILOT_KINDS: tuple[AutopilotKind, ...] = ("px4", "ardupilot")
 
 
-def in_the_air(autopilot_kind: AutopilotKind, **options: object) -> Flight:
-    flight = Flight(autopilot_kind, **options)  # type: ignore[arg-type]
+def in_the_air(autopilot_kind: AutopilotKind, **options: object) -> AutopilotFlight:
+    flight = AutopilotFlight(autopilot_kind, **options)  # type: ignore[arg-type]
     flight.take_off()
     flight.take_control()
     return flight

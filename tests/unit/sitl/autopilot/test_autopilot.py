@@ -26,7 +26,7 @@ from tests.unit.sitl.autopilot.autopilot_flight import (
     PX4_OFFBOARD,
     STAND_STILL,
     ZERO,
-    Flight,
+    AutopilotFlight,
     in_the_air,
     landed_state,
     ready,
@@ -41,7 +41,7 @@ BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 
 @BOTH
 def test_it_refuses_to_arm_before_its_estimator_is_aligned(autopilot_kind: AutopilotKind) -> None:
-    flight = Flight(autopilot_kind)
+    flight = AutopilotFlight(autopilot_kind)
     flight.run(1.0)
     assert not ready(flight)
     assert flight.autopilot.arm() in (CommandResult.TEMPORARILY_REJECTED, CommandResult.FAILED)
@@ -57,7 +57,7 @@ def test_it_refuses_to_arm_before_its_estimator_is_aligned(autopilot_kind: Autop
 def test_it_climbs_to_the_height_at_a_metre_and_a_half_a_second_and_holds(
     autopilot_kind: AutopilotKind,
 ) -> None:
-    flight = Flight(autopilot_kind)
+    flight = AutopilotFlight(autopilot_kind)
     flight.take_off(6.0)
     assert flight.vehicle.height_m == pytest.approx(6.0, abs=0.1)
     assert math.dist(flight.vehicle.velocity, ZERO) < 0.05
@@ -67,7 +67,7 @@ def test_it_climbs_to_the_height_at_a_metre_and_a_half_a_second_and_holds(
 
 @BOTH
 def test_the_climb_keeps_to_its_speed(autopilot_kind: AutopilotKind) -> None:
-    flight = Flight(autopilot_kind)
+    flight = AutopilotFlight(autopilot_kind)
     flight.run(6.0)
     flight.autopilot.set_mode(4)
     flight.autopilot.arm()
@@ -78,7 +78,7 @@ def test_the_climb_keeps_to_its_speed(autopilot_kind: AutopilotKind) -> None:
 
 
 def test_px4_takes_its_own_height_when_none_is_given() -> None:
-    flight = Flight("px4")
+    flight = AutopilotFlight("px4")
     flight.run(4.0)
     flight.autopilot.parameters.set("MIS_TAKEOFF_ALT", 4.0)
     flight.autopilot.arm()
@@ -88,7 +88,7 @@ def test_px4_takes_its_own_height_when_none_is_given() -> None:
 
 
 def test_ardupilot_takes_off_only_armed_in_guided_and_from_the_ground() -> None:
-    flight = Flight("ardupilot")
+    flight = AutopilotFlight("ardupilot")
     flight.run(6.0)
     assert flight.autopilot.take_off(5.0) is CommandResult.FAILED
     flight.autopilot.arm()
@@ -101,7 +101,7 @@ def test_ardupilot_takes_off_only_armed_in_guided_and_from_the_ground() -> None:
 
 @BOTH
 def test_armed_but_not_flown_it_disarms_by_itself(autopilot_kind: AutopilotKind) -> None:
-    flight = Flight(autopilot_kind)
+    flight = AutopilotFlight(autopilot_kind)
     flight.run(6.0)
     flight.autopilot.arm()
     flight.run(9.5)
@@ -112,7 +112,7 @@ def test_armed_but_not_flown_it_disarms_by_itself(autopilot_kind: AutopilotKind)
 
 @BOTH
 def test_disarming_in_flight_needs_force(autopilot_kind: AutopilotKind) -> None:
-    flight = Flight(autopilot_kind)
+    flight = AutopilotFlight(autopilot_kind)
     flight.take_off()
     assert flight.autopilot.disarm() in (CommandResult.TEMPORARILY_REJECTED, CommandResult.FAILED)
     assert flight.autopilot.armed
@@ -123,7 +123,7 @@ def test_disarming_in_flight_needs_force(autopilot_kind: AutopilotKind) -> None:
 @BOTH
 def test_it_takes_off_in_any_heading_and_keeps_it(autopilot_kind: AutopilotKind) -> None:
     for heading in (0.0, math.pi / 2, math.pi, -math.pi / 2):
-        flight = Flight(autopilot_kind, heading_rad=heading)
+        flight = AutopilotFlight(autopilot_kind, heading_rad=heading)
         flight.take_off(3.0)
         assert abs(wrap_angle(yaw_from_quat(flight.vehicle.attitude) - heading)) < 0.02
         assert math.hypot(*flight.vehicle.position[:2]) < 0.1
@@ -133,7 +133,7 @@ def test_it_takes_off_in_any_heading_and_keeps_it(autopilot_kind: AutopilotKind)
 
 
 def test_px4_enters_offboard_only_on_fresh_setpoints() -> None:
-    flight = Flight("px4")
+    flight = AutopilotFlight("px4")
     flight.take_off()
     assert flight.autopilot.set_mode(PX4_OFFBOARD) is CommandResult.TEMPORARILY_REJECTED
     flight.run(0.1, STAND_STILL)
@@ -219,7 +219,7 @@ def test_an_ardupilot_position_does_not_time_out() -> None:
 
 
 def test_ardupilot_ignores_setpoints_outside_guided_and_on_the_ground() -> None:
-    flight = Flight("ardupilot")
+    flight = AutopilotFlight("ardupilot")
     flight.run(6.0)
     flight.autopilot.set_mode(4)
     flight.autopilot.arm()
@@ -233,7 +233,7 @@ def test_ardupilot_ignores_setpoints_outside_guided_and_on_the_ground() -> None:
 
 
 def test_px4_takes_off_on_an_upward_setpoint_in_offboard() -> None:
-    flight = Flight("px4")
+    flight = AutopilotFlight("px4")
     flight.run(4.0, STAND_STILL)
     flight.autopilot.set_mode(PX4_OFFBOARD)
     flight.autopilot.arm()
@@ -254,7 +254,7 @@ def test_px4_does_not_take_offset_frames_and_says_so() -> None:
 
 @BOTH
 def test_going_to_a_place_ends_there_in_the_heading_asked_for(autopilot_kind: AutopilotKind) -> None:
-    flight = Flight(autopilot_kind)
+    flight = AutopilotFlight(autopilot_kind)
     flight.take_off()
     target = flight.autopilot.geodetic((12.0, -7.0, -9.18))
     assert flight.autopilot.go_to(target, over_home=False, yaw_rad=1.0) is CommandResult.ACCEPTED
@@ -265,7 +265,7 @@ def test_going_to_a_place_ends_there_in_the_heading_asked_for(autopilot_kind: Au
 
 @BOTH
 def test_landing_slows_down_touches_gently_and_disarms(autopilot_kind: AutopilotKind) -> None:
-    flight = Flight(autopilot_kind)
+    flight = AutopilotFlight(autopilot_kind)
     flight.take_off(5.0)
     assert flight.autopilot.set_mode_named(flight.autopilot.profile.land_mode) is CommandResult.ACCEPTED
     # PX4 crawls below MPC_LAND_ALT3, ArduPilot keeps LAND_SPEED from LAND_ALT_LOW (10 m) down
@@ -290,7 +290,7 @@ def test_returning_comes_home_and_lands(autopilot_kind: AutopilotKind) -> None:
 
 
 def test_px4_does_not_arm_in_offboard_without_setpoints() -> None:
-    flight = Flight("px4")
+    flight = AutopilotFlight("px4")
     flight.run(4.0, STAND_STILL)
     flight.autopilot.set_mode(PX4_OFFBOARD)
     flight.run(2.0)
@@ -298,7 +298,7 @@ def test_px4_does_not_arm_in_offboard_without_setpoints() -> None:
 
 
 def test_ardupilot_disarms_a_vehicle_that_has_turned_over() -> None:
-    flight = Flight("ardupilot")
+    flight = AutopilotFlight("ardupilot")
     flight.take_off()
     held = flight.vehicle.position
     for _ in range(230):

@@ -30,8 +30,8 @@ from tests.unit.sitl.autopilot.autopilot_flight import (
     AUTOPILOT_KINDS,
     STAND_STILL,
     ZERO,
-    Flight,
-    Sample,
+    AutopilotFlight,
+    MotionSample,
     in_the_air,
     reached_s,
     velocity,
@@ -127,7 +127,7 @@ def test_wind_is_rejected_by_the_integral(autopilot_kind: AutopilotKind) -> None
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0, 180.0, 270.0])
 def test_body_frame_velocities_follow_the_nose(heading_deg: float) -> None:
     heading = math.radians(heading_deg)
-    flight = Flight("px4", heading_rad=heading)
+    flight = AutopilotFlight("px4", heading_rad=heading)
     flight.take_off(3.0)
     flight.take_control()
     for _ in range(120):
@@ -209,7 +209,7 @@ def test_a_velocity_is_flown_in_its_own_heading() -> None:
 
 
 def test_its_hover_wanders_as_far_as_the_recorded_one() -> None:
-    flight = Flight("px4", errors=EstimatorErrors(), seed=3)
+    flight = AutopilotFlight("px4", errors=EstimatorErrors(), seed=3)
     flight.take_off()
     norths = [s.position[0] for s in flight.run(60.0)]
     mean = sum(norths) / len(norths)
@@ -218,8 +218,8 @@ def test_its_hover_wanders_as_far_as_the_recorded_one() -> None:
 
 
 def test_the_same_seed_flies_the_same_flight() -> None:
-    def fly(seed: int) -> list[Sample]:
-        flight = Flight("ardupilot", errors=EstimatorErrors(), seed=seed)
+    def fly(seed: int) -> list[MotionSample]:
+        flight = AutopilotFlight("ardupilot", errors=EstimatorErrors(), seed=seed)
         flight.take_off(3.0)
         return flight.run(1.0, velocity(1.0))
 
@@ -235,7 +235,7 @@ def test_a_wish_without_any_field_means_stop() -> None:
 
 
 def test_held_places_are_held_in_the_attitude_that_wind_asks_for() -> None:
-    flight = Flight("px4")
+    flight = AutopilotFlight("px4")
     flight.take_off()
     flight.vehicle.wind_ned_m_s = (0.0, 4.0, 0.0)
     flight.run(15.0)

@@ -11,7 +11,7 @@ from tests.unit.sitl.autopilot.autopilot_flight import (
     AUTOPILOT_KINDS,
     PX4_OFFBOARD,
     STAND_STILL,
-    Flight,
+    AutopilotFlight,
     in_the_air,
     landed_state,
     ready,
@@ -38,7 +38,7 @@ def test_a_landing_by_setpoints_is_noticed_and_then_disarming_is_allowed(
 
 def test_in_offboard_px4_is_ready_to_arm_while_setpoints_come_and_ardupilot_in_guided_without() -> None:
     for kind in AUTOPILOT_KINDS:
-        flight = Flight(kind)
+        flight = AutopilotFlight(kind)
         flight.run(5.0)
         flight.take_control()
         flight.autopilot.set_mode(PX4_OFFBOARD if kind == "px4" else 4)

@@ -17,7 +17,7 @@ from sitl.autopilot.control.cascade import Cascade
 from sitl.autopilot.control.estimator import SimulatedEstimator
 from tests.unit.sitl.autopilot.autopilot_flight import (
     STAND_STILL,
-    Flight,
+    AutopilotFlight,
     Frame450,
     in_the_air,
     landed_state,
@@ -108,7 +108,7 @@ def test_while_the_motors_spool_up_a_climb_by_the_sticks_integrates_no_more_than
 def test_disarmed_and_armed_again_within_one_step_it_starts_from_the_ground(
     autopilot_kind: AutopilotKind,
 ) -> None:
-    flight: Flight = in_the_air(autopilot_kind)
+    flight: AutopilotFlight = in_the_air(autopilot_kind)
     assert flight.autopilot.disarm(force=True) is CommandResult.ACCEPTED
     assert flight.autopilot.arm(force=True) is CommandResult.ACCEPTED
     flight.run(0.2, STAND_STILL)

@@ -24,7 +24,7 @@ def standing(_now_s: float) -> Vector3:
     return (0.6, -0.4, 0.0)
 
 
-class Landing(Station):
+class TargetStation(Station):
     """A station that tells of a target at 20 Hz as long as it is `visible`."""
 
     def __init__(self, autopilot_kind: AutopilotKind, pad: Pad = standing, **parameters: float) -> None:
@@ -73,7 +73,7 @@ class Landing(Station):
 
 @pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 def test_it_lands_on_a_pad_that_stands(autopilot_kind: AutopilotKind) -> None:
-    landing = Landing(autopilot_kind)
+    landing = TargetStation(autopilot_kind)
     landing.begin()
     landing.down(40.0)
     assert not landing.flight.autopilot.armed
@@ -81,7 +81,7 @@ def test_it_lands_on_a_pad_that_stands(autopilot_kind: AutopilotKind) -> None:
 
 
 def test_ardupilot_takes_angles_and_a_distance() -> None:
-    landing = Landing("ardupilot")
+    landing = TargetStation("ardupilot")
     landing.by_angles = True
     landing.begin()
     landing.down(40.0)
@@ -95,7 +95,7 @@ def moving(now_s: float) -> Vector3:
 
 @pytest.mark.parametrize(("options", "lag_m"), [(1.0, 0.1), (0.0, 0.5)])
 def test_ardupilot_follows_a_moving_pad_if_set_to(options: float, lag_m: float) -> None:
-    landing = Landing("ardupilot", moving, PLND_OPTIONS=options, PLND_XY_DIST_MAX=0.1)
+    landing = TargetStation("ardupilot", moving, PLND_OPTIONS=options, PLND_XY_DIST_MAX=0.1)
     landing.begin()
     landing.down(8.0)
     assert (landing.off_m < lag_m) == (options == 1.0)
@@ -104,7 +104,7 @@ def test_ardupilot_follows_a_moving_pad_if_set_to(options: float, lag_m: float) 
 
 
 def test_px4_never_gets_over_a_moving_pad() -> None:
-    landing = Landing("px4", moving)
+    landing = TargetStation("px4", moving)
     landing.begin()
     landing.down(20.0)
     assert 0.4 < landing.off_m < 2.0
@@ -112,14 +112,14 @@ def test_px4_never_gets_over_a_moving_pad() -> None:
 
 
 def test_without_precision_landing_ardupilot_lands_where_it_is() -> None:
-    landing = Landing("ardupilot", PLND_ENABLED=0.0)
+    landing = TargetStation("ardupilot", PLND_ENABLED=0.0)
     landing.begin()
     landing.down(20.0)
     assert landing.off_m > 0.6
 
 
 def test_ardupilot_waits_for_a_lost_target_seeks_it_and_lands_in_the_end() -> None:
-    landing = Landing("ardupilot", PLND_TIMEOUT=2.0, PLND_RET_MAX=1.0)
+    landing = TargetStation("ardupilot", PLND_TIMEOUT=2.0, PLND_RET_MAX=1.0)
     landing.begin()
     landing.down(3.0)
     landing.visible = False
@@ -132,14 +132,14 @@ def test_ardupilot_waits_for_a_lost_target_seeks_it_and_lands_in_the_end() -> No
     assert not landing.flight.autopilot.armed
 
 
-def stage(landing: Landing) -> PrecLandState:
+def stage(landing: TargetStation) -> PrecLandState:
     precision_landing = landing.flight.autopilot._precision_landing
     assert isinstance(precision_landing, Px4PrecisionLanding)
     return precision_landing.state
 
 
 def test_px4_searches_higher_up_and_then_lands() -> None:
-    landing = Landing("px4", PLD_SRCH_ALT=6.0, PLD_SRCH_TOUT=4.0, PLD_BTOUT=1.0)
+    landing = TargetStation("px4", PLD_SRCH_ALT=6.0, PLD_SRCH_TOUT=4.0, PLD_BTOUT=1.0)
     landing.visible = False
     landing.begin()
     landing.down(3.5)
@@ -159,7 +159,7 @@ def test_px4_searches_higher_up_and_then_lands() -> None:
 def test_frames_that_it_does_not_take_are_said_once(
     autopilot_kind: AutopilotKind, frame: int, text: str
 ) -> None:
-    landing = Landing(autopilot_kind)
+    landing = TargetStation(autopilot_kind)
     landing.frame = frame
     landing.down(1.0)
     assert len([said for said in landing.texts if text in said]) == 1
@@ -168,7 +168,7 @@ def test_frames_that_it_does_not_take_are_said_once(
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1e30])
 @pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 def test_broken_targets_do_no_harm(autopilot_kind: AutopilotKind, value: float) -> None:
-    landing = Landing(autopilot_kind)
+    landing = TargetStation(autopilot_kind)
     landing.begin()
     for valid in (0, 1):
         broken = mavlink.MAVLink_landing_target_message(

@@ -23,7 +23,7 @@ from sitl.autopilot.control.setpoints import (
     StreamedMotion,
 )
 from sitl.autopilot.px4 import setpoints as px4_setpoints
-from tests.unit.sitl.autopilot.autopilot_flight import Flight, velocity
+from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight, velocity
 
 HERE: Vector3 = (10.0, 20.0, -5.0)
 MASKS = range(1 << 12)
@@ -292,7 +292,7 @@ def test_ardupilots_setpoints_age_into_a_stop_a_place_or_level_flight() -> None:
 
 
 def test_guided_nogps_lifts_off_by_an_attitude_that_climbs_and_then_holds_level() -> None:
-    flight, level = Flight("ardupilot"), quat_from_euler(0.0, 0.0, 0.0)
+    flight, level = AutopilotFlight("ardupilot"), quat_from_euler(0.0, 0.0, 0.0)
     flight.run(6.0)
     assert flight.autopilot.set_mode(20) == 0
     assert flight.autopilot.arm() == 0

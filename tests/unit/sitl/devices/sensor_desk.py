@@ -33,7 +33,7 @@ HOME = (47.0, 8.0, 400.0)
 FIELD_NED_UT = (20.9, 0.6, 42.9)
 
 
-class Heard(NamedTuple):
+class DriverSamples(NamedTuple):
     """What the drivers made of it."""
 
     imu: list[ImuSample]
@@ -47,7 +47,7 @@ class _Drivers:
     """The app's drivers on a rack's lines, and what they have made of it."""
 
     def __init__(self, rack: SensorRack, gps_line: MemoryPort, range_line: MemoryPort) -> None:
-        self.heard = Heard([], [], [], [], [])
+        self.heard = DriverSamples([], [], [], [], [])
         self._rack, self._gps_line, self._range_line = rack, gps_line, range_line
         self._clock = Clock()
 
@@ -109,10 +109,10 @@ async def _world(rack: SensorRack, seconds: float, faults: Sequence[Fault]) -> N
         await clock.sleep_until((k + 1) * STEP_S)
 
 
-def fly(seed: int, seconds: float, faults: Sequence[Fault] = ()) -> Heard:
+def fly(seed: int, seconds: float, faults: Sequence[Fault] = ()) -> DriverSamples:
     """The vehicle turns and drifts eastward 2 m over the floor; what do the app's drivers make of it?"""
 
-    async def main() -> Heard:
+    async def main() -> DriverSamples:
         gps_line, range_line = MemoryPort(9600), MemoryPort(9600)
         rack = SensorRack(
             seed, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, gps_port=gps_line, range_port=range_line

@@ -11,7 +11,7 @@ from companion.link.codec import Codec
 from tests.unit.sitl.external.external_vehicle import (
     ARDUPILOT,
     Flight,
-    Sender,
+    MessageSender,
     heartbeat,
     hil_state,
     sim_state,
@@ -25,7 +25,7 @@ class Player:
         self.port = 0
         self.start_s = 0.0
         self._autopilot, self._flight, self._disarm_s = autopilot, flight, disarm_s
-        self._end, self._sender = UdpSocket(), Sender()
+        self._end, self._sender = UdpSocket(), MessageSender()
 
     async def run(self, still_s: float, seconds: float) -> None:
         """Stand for a while and then fly; poses at 100 Hz, heartbeats at 5 Hz."""

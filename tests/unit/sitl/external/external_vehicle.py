@@ -16,7 +16,7 @@ ARDUPILOT, PX4 = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_AUTOPILOT_PX4
 LEVEL: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
-class Sender:
+class MessageSender:
     """Packs messages as one component of one system."""
 
     def __init__(self, system: int = 1, component: int = 1) -> None:

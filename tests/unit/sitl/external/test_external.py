@@ -59,7 +59,7 @@ SCENARIO = Scenario.model_validate(
 
 
 @dataclass
-class Bench:
+class ExternalBench:
     simulation: ExternalSimulation
     player: Player
     frames: FrameStream
@@ -75,7 +75,7 @@ class Bench:
 
 
 @asynccontextmanager
-async def bench(folder: Path, player: Player, scenario: Scenario = SCENARIO) -> AsyncIterator[Bench]:
+async def bench(folder: Path, player: Player, scenario: Scenario = SCENARIO) -> AsyncIterator[ExternalBench]:
     await player.open()
     texts: list[str] = []
     link = await open_link(f"udp:127.0.0.1:{player.port}", texts.append)
@@ -87,7 +87,7 @@ async def bench(folder: Path, player: Player, scenario: Scenario = SCENARIO) -> 
     )
     stream = await FrameStream.open(server.address)
     running = asyncio.create_task(simulation.run())
-    built = Bench(simulation, player, stream, range_port.path, relay_port, texts)
+    built = ExternalBench(simulation, player, stream, range_port.path, relay_port, texts)
     filming = asyncio.create_task(built.film())
     try:
         yield built
@@ -160,7 +160,7 @@ def assert_scored(report: Any) -> None:
     assert len(report.truth) > 50
 
 
-def assert_filmed(b: Bench, flight: Flight, contact_s: float) -> None:
+def assert_filmed(b: ExternalBench, flight: Flight, contact_s: float) -> None:
     """Each picture is that of the recorded place at its own stamp, on a machine that kept up by and large."""
     errors, steps = [], np.diff([header.sequence for header, _ in b.taken])
     assert (steps > 0).all()
@@ -217,7 +217,7 @@ async def test_the_autopilot_and_the_app_get_a_rangefinder(tmp_path: Path) -> No
     assert told.current_distance == pytest.approx(100.0 * (STANDING_M - sensor_m[2]), abs=10.0)
 
 
-async def pad_by_beacon(b: Bench) -> Any:
+async def pad_by_beacon(b: ExternalBench) -> Any:
     """What the ground station answers an app that asks where the pad is."""
     app, codec = await open_link(f"udp:127.0.0.1:{b.relay_port}", print), Codec(1, 191)
     question = command_long(mavlink.MAV_CMD_REQUEST_MESSAGE, (144, 0, 0, 0, 0, 0, 0), 255, 190)

@@ -16,7 +16,7 @@ from tests.unit.sitl.external.external_vehicle import (
     ARDUPILOT,
     GROUND,
     PX4,
-    Sender,
+    MessageSender,
     heartbeat,
     hil_state,
     sim_state,
@@ -26,20 +26,20 @@ SET_INTERVAL = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
 SIM, HIL = mavlink.MAVLINK_MSG_ID_SIM_STATE, mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
 
 
-class Bench:
+class ClientBench:
     """A client and the vehicle's side of its link, on a clock of our own."""
 
     def __init__(self, autopilot: int) -> None:
         self.texts: list[str] = []
         self.client = VehicleClient(self.texts.append)
-        self.vehicle = Sender()
+        self.vehicle = MessageSender()
         self.autopilot = autopilot
         self.armed = False
         self.now_s = 100.0
         self.sent: list[Any] = []
         self._listener = Codec(0)
 
-    def hear(self, *messages: Any, sender: Sender | None = None) -> None:
+    def hear(self, *messages: Any, sender: MessageSender | None = None) -> None:
         self.client.receive((sender or self.vehicle).pack(*messages), self.now_s)
 
     def run(self, seconds: float, *every_20_ms: Any, beats: bool = True) -> None:
@@ -59,7 +59,7 @@ class Bench:
 
 @pytest.mark.parametrize(("autopilot", "wanted"), [(ARDUPILOT, SIM), (PX4, HIL)])
 def test_it_asks_for_the_truth_that_this_simulator_has(autopilot: int, wanted: int) -> None:
-    bench = Bench(autopilot)
+    bench = ClientBench(autopilot)
     bench.run(3.0)
     assert set(bench.asked()) == {wanted}
     (first, *_) = [m for m in bench.sent if m.get_type() == "COMMAND_LONG" and m.param1 == wanted]
@@ -67,7 +67,7 @@ def test_it_asks_for_the_truth_that_this_simulator_has(autopilot: int, wanted: i
 
 
 def test_it_is_a_component_of_its_own_that_no_autopilot_waits_for() -> None:
-    bench = Bench(PX4)
+    bench = ClientBench(PX4)
     bench.run(5.0)
     beats = [m for m in bench.sent if m.get_type() == "HEARTBEAT"]
     assert 4 <= len(beats) <= 6
@@ -78,7 +78,7 @@ def test_it_is_a_component_of_its_own_that_no_autopilot_waits_for() -> None:
 
 
 def test_a_rate_that_comes_is_not_asked_for_again_and_one_that_is_lost_is() -> None:
-    bench = Bench(ARDUPILOT)
+    bench = ClientBench(ARDUPILOT)
     bench.run(10.0, sim_state((0.0, 0.0, 0.0)), sim_state((0.0, 0.0, 0.0)))
     assert bench.asked()[SIM] == 1
     bench.run(10.0)
@@ -86,12 +86,12 @@ def test_a_rate_that_comes_is_not_asked_for_again_and_one_that_is_lost_is() -> N
 
 
 def test_poses_come_out_and_others_are_not_heard() -> None:
-    bench = Bench(ARDUPILOT)
+    bench = ClientBench(ARDUPILOT)
     bench.hear(sim_state((9.0, 9.0, -9.0)))  # before anybody said who it is
     bench.run(0.02, sim_state((1.0, 2.0, -3.0)))
-    bench.hear(sim_state((50.0, 0.0, 0.0)), sender=Sender(system=7))
-    bench.hear(sim_state((50.0, 0.0, 0.0)), sender=Sender(component=30))
-    bench.hear(heartbeat(PX4, armed=True), sender=Sender(system=7))
+    bench.hear(sim_state((50.0, 0.0, 0.0)), sender=MessageSender(system=7))
+    bench.hear(sim_state((50.0, 0.0, 0.0)), sender=MessageSender(component=30))
+    bench.hear(heartbeat(PX4, armed=True), sender=MessageSender(system=7))
     (sample,) = bench.client.take_samples()
     assert ned_from_geodetic(*sample.place, GROUND) == pytest.approx((1.0, 2.0, -3.0), abs=0.012)
     assert sample.time_s == 100.0
@@ -100,7 +100,7 @@ def test_poses_come_out_and_others_are_not_heard() -> None:
 
 
 def test_a_stamp_is_turned_into_our_time_by_timesync_and_no_stamp_means_now() -> None:
-    bench = Bench(PX4)
+    bench = ClientBench(PX4)
     bench.run(0.5)
     question = [m for m in bench.sent if m.get_type() == "TIMESYNC"][-1]
     # the vehicle's clock shows 40 s when ours shows 100 s and a little
@@ -125,7 +125,7 @@ ESTIMATE = (
 
 
 def test_without_the_truth_it_warns_once_and_takes_the_estimates() -> None:
-    bench = Bench(PX4)
+    bench = ClientBench(PX4)
     bench.run(12.0, *ESTIMATE)
     (text,) = bench.texts
     assert text.startswith("WARNING: no HIL_STATE_QUATERNION within 5 s, so no truth")
@@ -142,7 +142,7 @@ TRUE_PLACE = (0.3, -0.4, 1.2)  # from where the estimates have it
 
 
 def test_a_truth_that_comes_late_takes_their_place_on_the_ground_and_not_in_the_air() -> None:
-    bench = Bench(ARDUPILOT)
+    bench = ClientBench(ARDUPILOT)
     bench.run(7.0, *ESTIMATE)
     bench.client.take_samples()
     bench.armed = True
@@ -161,7 +161,7 @@ def test_a_truth_that_comes_late_takes_their_place_on_the_ground_and_not_in_the_
 
 
 def test_after_a_flight_on_estimates_its_score_is_kept_to() -> None:
-    bench = Bench(ARDUPILOT)
+    bench = ClientBench(ARDUPILOT)
     bench.run(7.0, *ESTIMATE)
     bench.client.take_samples()
     bench.client.flown = True
@@ -192,7 +192,7 @@ NAN = math.nan
 def test_estimates_that_hold_no_pose_are_not_taken_and_spoil_none_that_follows(
     wrong: tuple[Any, ...],
 ) -> None:
-    bench = Bench(PX4)
+    bench = ClientBench(PX4)
     bench.run(8.0, *wrong)
     assert bench.client.take_samples() == []
     bench.run(0.1, *ESTIMATE)
@@ -200,7 +200,7 @@ def test_estimates_that_hold_no_pose_are_not_taken_and_spoil_none_that_follows(
 
 
 def test_an_estimate_that_goes_to_infinity_is_passed_over() -> None:
-    bench = Bench(PX4)
+    bench = ClientBench(PX4)
     bench.run(6.0, *ESTIMATE)
     bench.client.take_samples()
     bench.hear(mavlink.MAVLink_local_position_ned_message(0, math.inf, 4.0, -5.0, 0.0, 0.0, 0.0), LOCAL)
@@ -209,7 +209,7 @@ def test_an_estimate_that_goes_to_infinity_is_passed_over() -> None:
 
 
 def test_an_attitude_that_is_nearly_of_unit_length_is_made_so() -> None:
-    bench = Bench(PX4)
+    bench = ClientBench(PX4)
     bench.run(
         6.0, mavlink.MAVLink_attitude_quaternion_message(0, 1.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), GLOBAL, LOCAL
     )
@@ -217,7 +217,7 @@ def test_an_attitude_that_is_nearly_of_unit_length_is_made_so() -> None:
 
 
 def test_a_vehicle_that_falls_silent_is_reported_once_and_so_is_its_return() -> None:
-    bench = Bench(ARDUPILOT)
+    bench = ClientBench(ARDUPILOT)
     truth = sim_state((0.0, 0.0, 0.0)), sim_state((0.0, 0.0, 0.0))
     bench.run(3.0, *truth)
     assert bench.texts == []
@@ -231,7 +231,7 @@ def test_a_vehicle_that_falls_silent_is_reported_once_and_so_is_its_return() -> 
 
 
 def test_a_truth_that_comes_too_seldom_is_reported() -> None:
-    bench = Bench(ARDUPILOT)
+    bench = ClientBench(ARDUPILOT)
     for _ in range(120):
         bench.run(0.1, beats=False)
         bench.hear(heartbeat(ARDUPILOT), sim_state((0.0, 0.0, 0.0)))
@@ -239,7 +239,7 @@ def test_a_truth_that_comes_too_seldom_is_reported() -> None:
 
 
 def test_noise_on_the_line_costs_nothing() -> None:
-    bench = Bench(ARDUPILOT)
+    bench = ClientBench(ARDUPILOT)
     bench.run(0.1)
     bench.client.receive(b"\xfd\x00garbage\xfe" * 50, bench.now_s)
     for _ in range(10):
@@ -249,7 +249,7 @@ def test_noise_on_the_line_costs_nothing() -> None:
 
 
 def test_home_is_asked_for_until_it_comes() -> None:
-    bench = Bench(PX4)
+    bench = ClientBench(PX4)
     bench.run(5.0)
     home = mavlink.MAVLINK_MSG_ID_HOME_POSITION
     requests = [m for m in bench.sent if m.get_type() == "COMMAND_LONG" and m.param1 == home]
@@ -272,7 +272,7 @@ def test_home_is_asked_for_until_it_comes() -> None:
 
 @pytest.mark.parametrize("wild", [math.nan, math.inf, 3.4e38])
 def test_wild_estimates_are_passed_over(wild: float) -> None:
-    bench = Bench(PX4)
+    bench = ClientBench(PX4)
     bench.run(8.0)  # no truth comes
     place = mavlink.MAVLink_global_position_int_message(0, 470_000_000, 80_000_000, 400_000, 0, 0, 0, 0, 0)
     level = mavlink.MAVLink_attitude_quaternion_message(0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from tests.unit.sitl.devices.sensor_desk import Heard, fly
+from tests.unit.sitl.devices.sensor_desk import DriverSamples, fly
 from tests.unit.sitl.faults.fault_readings import SECONDS
 
 
 @pytest.fixture(scope="session")
-def healthy() -> Heard:
+def healthy() -> DriverSamples:
     return fly(3, SECONDS)

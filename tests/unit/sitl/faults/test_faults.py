@@ -26,7 +26,7 @@ from sitl.faults.faults import (
     Vibration,
 )
 from sitl.scenario.scenario import load_scenario
-from tests.unit.sitl.devices.sensor_desk import Heard, fly
+from tests.unit.sitl.devices.sensor_desk import DriverSamples, fly
 from tests.unit.sitl.faults.fault_readings import (
     END_S,
     SECONDS,
@@ -41,7 +41,7 @@ from tests.unit.sitl.faults.fault_readings import (
 
 
 @pytest.mark.parametrize("unplugged", [False, True])
-def test_without_gps_there_are_no_fixes_for_as_long(healthy: Heard, unplugged: bool) -> None:
+def test_without_gps_there_are_no_fixes_for_as_long(healthy: DriverSamples, unplugged: bool) -> None:
     heard = fly(3, SECONDS, [GpsLost(kind="gps_lost", unplugged=unplugged, **TIMES)])
     assert len(during(healthy.fixes)) == pytest.approx(10, abs=1)
     # a message that is on the line when the sky goes still arrives
@@ -49,7 +49,7 @@ def test_without_gps_there_are_no_fixes_for_as_long(healthy: Heard, unplugged: b
     assert [fix for fix in heard.fixes if fix.time_s > END_S + 0.5]
 
 
-def test_a_stray_field_adds_to_the_earths_in_body_axes(healthy: Heard) -> None:
+def test_a_stray_field_adds_to_the_earths_in_body_axes(healthy: DriverSamples) -> None:
     heard = fly(3, SECONDS, [MagDisturbed(kind="mag_disturbed", field_body_ut=(0.0, 30.0, -10.0), **TIMES)])
     added = mean(during(heard.mag), "field_body_ut") - mean(during(healthy.mag), "field_body_ut")
     # 1 % of soft iron
@@ -57,7 +57,7 @@ def test_a_stray_field_adds_to_the_earths_in_body_axes(healthy: Heard) -> None:
     assert elsewhere(heard.mag) == elsewhere(healthy.mag)
 
 
-def test_a_bias_step_adds_to_every_rate(healthy: Heard) -> None:
+def test_a_bias_step_adds_to_every_rate(healthy: DriverSamples) -> None:
     heard = fly(3, SECONDS, [GyroBiasStep(kind="gyro_bias_step", rate_body_deg_s=(2.0, 0.0, -1.0), **TIMES)])
     added = mean(during(heard.imu), "rate_body_rad_s") - mean(during(healthy.imu), "rate_body_rad_s")
     assert np.degrees(added) == pytest.approx((2.0, 0.0, -1.0), abs=0.05)
@@ -67,7 +67,9 @@ def test_a_bias_step_adds_to_every_rate(healthy: Heard) -> None:
     assert elsewhere(heard.imu)[-100:] == elsewhere(healthy.imu)[-100:]
 
 
-def test_a_clipping_accelerometer_reads_less_than_gravity_for_it_loses_the_peaks(healthy: Heard) -> None:
+def test_a_clipping_accelerometer_reads_less_than_gravity_for_it_loses_the_peaks(
+    healthy: DriverSamples,
+) -> None:
     clips = AccelClips(kind="accel_clips", range_g=1.1, vibration_factor=5.0, **TIMES)
     heard = fly(3, SECONDS, [clips])
     down = [sample.specific_force_body_m_s2[2] for sample in during(heard.imu)]
@@ -77,7 +79,7 @@ def test_a_clipping_accelerometer_reads_less_than_gravity_for_it_loses_the_peaks
     assert np.std(down) > 2.0 * np.std([s.specific_force_body_m_s2[2] for s in during(healthy.imu)])
 
 
-def test_stronger_vibration_shakes_and_leaves_the_mean(healthy: Heard) -> None:
+def test_stronger_vibration_shakes_and_leaves_the_mean(healthy: DriverSamples) -> None:
     heard = fly(3, SECONDS, [Vibration(kind="vibration", factor=4.0, **TIMES)])
     before, shaken = (
         np.array([sample.specific_force_body_m_s2 for sample in during(h.imu)]) for h in (healthy, heard)
@@ -86,7 +88,7 @@ def test_stronger_vibration_shakes_and_leaves_the_mean(healthy: Heard) -> None:
     assert shaken.mean(axis=0) == pytest.approx(before.mean(axis=0), abs=0.1)
 
 
-def test_spikes_are_echoes_from_in_between(healthy: Heard) -> None:
+def test_spikes_are_echoes_from_in_between(healthy: DriverSamples) -> None:
     heard = fly(3, SECONDS, [RangeSpikes(kind="range_spikes", share=0.5, **TIMES)])
     wrong = [echo for echo in during(heard.echoes) if echo.distance_m < 1.7]
     assert 0.25 < len(wrong) / len(during(heard.echoes)) < 0.75

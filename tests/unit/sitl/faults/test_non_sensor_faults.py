@@ -22,7 +22,7 @@ from sitl.mavlink.telemetry import battery_status, local_position, sys_status
 from sitl.scenario.scenario import Scenario
 from sitl.sensors.sensors import NO_RANGE_ERRORS, RangeSensor
 from sitl.world.world import World
-from tests.unit.sitl.autopilot.autopilot_flight import Flight
+from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight
 from tests.unit.sitl.camera.test_camera import CAMERA, VEHICLE
 from tests.unit.sitl.devices.sensor_desk import fly
 from tests.unit.sitl.faults.test_schedule import targets
@@ -31,7 +31,7 @@ PAD = load_pad("moving_1300")
 SHARP = ImagingSettings(exposure_s=0.0, readout_s=0.0, noise_grey=0.0)
 
 
-class Desk:
+class FaultedParts:
     """A schedule over one fault, with the parts that it acts on."""
 
     def __init__(self, fault: Any, **parts: Any) -> None:
@@ -66,14 +66,14 @@ OWN = {marker.id for marker in PAD.markers}
 
 
 def test_under_a_tarpaulin_no_code_is_seen() -> None:
-    desk = Desk(non_sensor_faults.PadCovered(kind="pad_covered", **times()))
+    desk = FaultedParts(non_sensor_faults.PadCovered(kind="pad_covered", **times()))
     assert desk.codes(0.0) & OWN
     assert desk.codes(1.0) == set()
     assert desk.codes(2.0) & OWN
 
 
 def test_another_pad_shows_other_codes() -> None:
-    desk = Desk(non_sensor_faults.PadWrongIds(kind="pad_wrong_ids", **times()))
+    desk = FaultedParts(non_sensor_faults.PadWrongIds(kind="pad_wrong_ids", **times()))
     own = desk.codes(0.0)
     assert own
     assert own <= OWN
@@ -84,7 +84,9 @@ def test_another_pad_shows_other_codes() -> None:
 
 @pytest.mark.parametrize("moves", [True, False])
 def test_a_twin_is_seen_beside_the_pad(moves: bool) -> None:
-    desk = Desk(non_sensor_faults.PadTwin(kind="pad_twin", north_m=0.0, east_m=1.6, moves=moves, **times()))
+    desk = FaultedParts(
+        non_sensor_faults.PadTwin(kind="pad_twin", north_m=0.0, east_m=1.6, moves=moves, **times())
+    )
     pose = ScenePose((10.0, 0.8, -6.0), IDENTITY, (10.0, 0.0, -0.3), 0.0)
 
     def bright(now_s: float) -> int:
@@ -164,10 +166,10 @@ def test_a_share_is_lost() -> None:
 
 @pytest.mark.parametrize("profile", ["px4", "ardupilot"])
 def test_a_refused_request_is_denied_for_as_long_as_the_fault(profile: Any) -> None:
-    flight = Flight(profile)
+    flight = AutopilotFlight(profile)
     flight.run(8.0)
     autopilot = flight.autopilot
-    desk = Desk(
+    desk = FaultedParts(
         non_sensor_faults.AutopilotRefuses(kind="autopilot_refuses", what="arm", **times()),
         autopilot=autopilot,
     )
@@ -184,7 +186,7 @@ def test_a_refused_request_is_denied_for_as_long_as_the_fault(profile: Any) -> N
 
 
 def test_an_autopilot_that_does_not_disarm_by_itself_stays_armed() -> None:
-    flights = [Flight("px4"), Flight("px4")]
+    flights = [AutopilotFlight("px4"), AutopilotFlight("px4")]
     flights[1].autopilot.refused = frozenset({"auto_disarm"})
     for flight in flights:
         flight.run(5.0)
@@ -194,9 +196,9 @@ def test_an_autopilot_that_does_not_disarm_by_itself_stays_armed() -> None:
 
 
 def test_the_pilot_changes_the_mode_once() -> None:
-    flight = Flight("px4")
+    flight = AutopilotFlight("px4")
     flight.run(5.0)
-    desk = Desk(
+    desk = FaultedParts(
         non_sensor_faults.PilotMode(kind="pilot_mode", mode="position", **times()), autopilot=flight.autopilot
     )
     desk.schedule.step(1.0)
@@ -208,11 +210,11 @@ def test_the_pilot_changes_the_mode_once() -> None:
 
 
 def test_a_reboot_is_silent_and_starts_the_clock_and_the_streams_again() -> None:
-    flight = Flight("px4")
+    flight = AutopilotFlight("px4")
     flight.run(5.0)
     flight.autopilot.set_mode_named("POSCTL")
     reboots = non_sensor_faults.AutopilotReboots(kind="autopilot_reboots", start_s=6.0, silent_s=2.0)
-    desk = Desk(reboots, autopilot=flight.autopilot)
+    desk = FaultedParts(reboots, autopilot=flight.autopilot)
     desk.schedule.step(6.0)
     assert (flight.autopilot.booted_s, flight.autopilot.mode, desk.restarted) == (6.0, "AUTO_LOITER", 1)
     assert desk.targets.to_app.arrival_s(7.9) is None
@@ -222,10 +224,10 @@ def test_a_reboot_is_silent_and_starts_the_clock_and_the_streams_again() -> None
 
 
 def test_without_its_position_the_autopilot_sends_none() -> None:
-    flight = Flight("px4")
+    flight = AutopilotFlight("px4")
     flight.run(5.0)
     lost = non_sensor_faults.AutopilotPositionLost(kind="autopilot_position_lost", **times())
-    desk = Desk(lost, autopilot=flight.autopilot)
+    desk = FaultedParts(lost, autopilot=flight.autopilot)
     assert local_position(flight.autopilot, 5.0) is not None
     desk.schedule.step(1.0)
     flight.run(0.1)
@@ -237,8 +239,8 @@ def test_without_its_position_the_autopilot_sends_none() -> None:
 
 
 def test_the_battery_is_reported_in_both_messages() -> None:
-    flight = Flight("px4")
-    desk = Desk(
+    flight = AutopilotFlight("px4")
+    desk = FaultedParts(
         non_sensor_faults.BatteryCharge(kind="battery", remaining_percent=12, **times()),
         autopilot=flight.autopilot,
     )

@@ -26,7 +26,7 @@ from sitl.faults.faults import (
     RangeLost,
     RangeStuck,
 )
-from tests.unit.sitl.devices.sensor_desk import Heard, fly
+from tests.unit.sitl.devices.sensor_desk import DriverSamples, fly
 from tests.unit.sitl.faults.fault_readings import (
     END_S,
     SECONDS,
@@ -47,7 +47,7 @@ def test_an_imu_that_is_lost_is_reported_of_and_comes_back() -> None:
     assert [sample for sample in heard.imu if sample.time_s > END_S + 1.0]
 
 
-def test_a_frozen_imu_repeats_itself(healthy: Heard) -> None:
+def test_a_frozen_imu_repeats_itself(healthy: DriverSamples) -> None:
     heard = fly(3, SECONDS, [ImuFrozen(kind="imu_frozen", **TIMES)])
     frozen = {(s.rate_body_rad_s, s.specific_force_body_m_s2) for s in during(heard.imu)}
     assert len(frozen) == 1
@@ -57,7 +57,7 @@ def test_a_frozen_imu_repeats_itself(healthy: Heard) -> None:
     assert len({s.rate_body_rad_s for s in during(healthy.imu)}) > 100
 
 
-def test_a_step_of_the_accelerometers_zero_adds_to_every_force(healthy: Heard) -> None:
+def test_a_step_of_the_accelerometers_zero_adds_to_every_force(healthy: DriverSamples) -> None:
     fault = AccelBiasStep(kind="accel_bias_step", force_body_m_s2=(0.5, 0.0, -0.3), **TIMES)
     heard = fly(3, SECONDS, [fault])
     name = "specific_force_body_m_s2"
@@ -80,7 +80,7 @@ def test_a_step_of_the_accelerometers_zero_adds_to_every_force(healthy: Heard) -
     ],
 )
 def test_imu_spikes_are_now_and_then_on_their_own_part(
-    healthy: Heard, fault: Fault, name: str, least: float
+    healthy: DriverSamples, fault: Fault, name: str, least: float
 ) -> None:
     heard = fly(3, SECONDS, [fault])
     off = np.array([getattr(s, name) for s in during(heard.imu)])
@@ -93,20 +93,20 @@ def test_imu_spikes_are_now_and_then_on_their_own_part(
     assert [getattr(s, other) for s in heard.imu] == [getattr(s, other) for s in healthy.imu]
 
 
-def test_a_lost_magnetometer_measures_nothing_new(healthy: Heard) -> None:
+def test_a_lost_magnetometer_measures_nothing_new(healthy: DriverSamples) -> None:
     heard = fly(3, SECONDS, [MagLost(kind="mag_lost", **TIMES)])
     assert len({s.field_body_ut for s in during(heard.mag)}) <= 1
     assert len({s.field_body_ut for s in during(healthy.mag)}) > 50
 
 
-def test_a_frozen_magnetometer_repeats_itself(healthy: Heard) -> None:
+def test_a_frozen_magnetometer_repeats_itself(healthy: DriverSamples) -> None:
     heard = fly(3, SECONDS, [MagFrozen(kind="mag_frozen", **TIMES)])
     assert len({s.field_body_ut for s in during(heard.mag)}) == 1
     assert len({s.field_body_ut for s in during(healthy.mag)}) > 50
     assert len({s.field_body_ut for s in elsewhere(heard.mag)}) > 100
 
 
-def test_magnetometer_spikes_are_a_share(healthy: Heard) -> None:
+def test_magnetometer_spikes_are_a_share(healthy: DriverSamples) -> None:
     heard = fly(3, SECONDS, [MagSpikes(kind="mag_spikes", share=0.2, size_ut=300.0, **TIMES)])
     pairs = zip(during(heard.mag), during(healthy.mag), strict=True)
     off = np.array([np.subtract(a.field_body_ut, b.field_body_ut) for a, b in pairs])
@@ -122,7 +122,7 @@ def place(fix: GpsFix) -> tuple[float, float]:
     return north, east
 
 
-def test_a_jump_moves_every_fix_and_is_over_with_the_fault(healthy: Heard) -> None:
+def test_a_jump_moves_every_fix_and_is_over_with_the_fault(healthy: DriverSamples) -> None:
     heard = fly(3, SECONDS, [GpsJump(kind="gps_jump", position_ned_m=(6.0, -3.0, 0.0), **TIMES)])
     for mine, theirs in zip(heard.fixes, healthy.fixes, strict=True):
         if min(abs(mine.time_s - START_S), abs(mine.time_s - END_S)) < EPOCH_S:
@@ -132,7 +132,7 @@ def test_a_jump_moves_every_fix_and_is_over_with_the_fault(healthy: Heard) -> No
         assert off == pytest.approx((6.0, -3.0) if jumped else (0.0, 0.0), abs=0.05)
 
 
-def test_a_frozen_gps_repeats_its_place_while_its_time_runs_on(healthy: Heard) -> None:
+def test_a_frozen_gps_repeats_its_place_while_its_time_runs_on(healthy: DriverSamples) -> None:
     heard = fly(3, SECONDS, [GpsFrozen(kind="gps_frozen", **TIMES)])
     frozen = [fix for fix in heard.fixes if START_S + EPOCH_S < fix.time_s < END_S - EPOCH_S]
     assert len({(fix.latitude_deg, fix.longitude_deg) for fix in frozen}) == 1
@@ -141,7 +141,7 @@ def test_a_frozen_gps_repeats_its_place_while_its_time_runs_on(healthy: Heard) -
     assert [f for f in heard.fixes if f.time_s > after] == [f for f in healthy.fixes if f.time_s > after]
 
 
-def test_gps_spikes_are_some_fixes_far_off(healthy: Heard) -> None:
+def test_gps_spikes_are_some_fixes_far_off(healthy: DriverSamples) -> None:
     heard = fly(3, SECONDS, [GpsSpikes(kind="gps_spikes", share=0.5, size_m=50.0, **TIMES)])
     off = [
         float(np.abs(np.subtract(place(a), place(b))).max())
@@ -152,7 +152,7 @@ def test_gps_spikes_are_some_fixes_far_off(healthy: Heard) -> None:
 
 
 @pytest.mark.parametrize("unplugged", [False, True])
-def test_an_ultrasonic_that_is_lost_gives_no_distance(healthy: Heard, unplugged: bool) -> None:
+def test_an_ultrasonic_that_is_lost_gives_no_distance(healthy: DriverSamples, unplugged: bool) -> None:
     heard = fly(3, SECONDS, [RangeLost(kind="range_lost", unplugged=unplugged, **TIMES)])
     assert [echo for echo in during(heard.echoes) if 0.0 < echo.distance_m < 4.5] == []
     assert len(during(healthy.echoes)) > 20
@@ -167,7 +167,7 @@ def test_an_ultrasonic_that_is_stuck_shows_one_distance(distance_m: float | None
     assert shown == {0.42} if distance_m is not None else 1.0 < shown.pop() < 2.5
 
 
-def test_a_step_of_the_ultrasonics_zero_adds_to_every_echo(healthy: Heard) -> None:
+def test_a_step_of_the_ultrasonics_zero_adds_to_every_echo(healthy: DriverSamples) -> None:
     heard = fly(3, SECONDS, [RangeBiasStep(kind="range_bias_step", distance_m=0.25, **TIMES)])
 
     def middle(echoes: list[Any]) -> float:

@@ -50,7 +50,7 @@ def frame(system: int, message_id: int, payload: bytes) -> bytes:
     return b"\xfd" + head + payload + struct.pack("<H", crc(head + payload + bytes([CRC_EXTRA[message_id]])))
 
 
-class Telemetry:
+class ProgramTelemetry:
     """Its MAVLink over UDP: what tells that it may be armed, and a record of what it is told."""
 
     def __init__(self, bound: socket.socket, peer: tuple[str, int], system: int, record: IO[bytes]) -> None:
@@ -90,7 +90,7 @@ def px4() -> None:
     system = instance + 1
     estimator = frame(system, ESTIMATOR_STATUS, struct.pack("<Q8fH", 1, *[0.0] * 8, 1))
     with record(instance, "sensors") as sensors, record(instance, "mavlink") as heard:
-        telemetry = Telemetry(link, (LOOPBACK, 14540 + instance), system, heard)
+        telemetry = ProgramTelemetry(link, (LOOPBACK, 14540 + instance), system, heard)
         steps = 0
         for data in frames(simulator):
             sensors.write(data)
@@ -121,7 +121,7 @@ def arducopter() -> None:
     address = (options["--sim-address"], int(options["--sim-port-out"]))
     estimator = frame(1, EKF_STATUS_REPORT, struct.pack("<5fHf", *[0.0] * 5, EKF_FLAGS, 0.0))
     with record(instance, "sensors") as sensors, record(instance, "mavlink") as heard:
-        telemetry = Telemetry(link, (host, int(link_port)), 1, heard)
+        telemetry = ProgramTelemetry(link, (host, int(link_port)), 1, heard)
         time_us = 0
         for count in range(10**9):
             if not goes_on(count):

@@ -13,13 +13,13 @@ from sitl.firmware.network import FirmwareNetwork
 from sitl.mavlink.framing import dialect as mavlink
 from sitl.mavlink.ground_station import GroundStation
 from sitl.vehicle.quadrotor import Four
-from tests.unit.sitl.external.external_vehicle import ARDUPILOT, PX4, Sender, heartbeat
+from tests.unit.sitl.external.external_vehicle import ARDUPILOT, PX4, MessageSender, heartbeat
 from tests.unit.sitl.firmware.fake_firmware import HOME, messages
 
 PAD = ((10.0, 5.0, -0.3), (1.0, 0.0, 0.0))
 
 
-class Recorded:
+class RecordedFirmware:
     """A firmware that says what it is given, and keeps what it is told."""
 
     def __init__(self) -> None:
@@ -40,11 +40,11 @@ class Recorded:
         raise NotImplementedError
 
 
-class Desk:
+class FirmwareClients:
     """A firmware's network with clients, whose beacon has begun to beat."""
 
     def __init__(self, clients: int = 1, *, datagrams: bool = True) -> None:
-        self.firmware = Recorded()
+        self.firmware = RecordedFirmware()
         self.ground_station = GroundStation(np.random.default_rng(0), 0.0, HOME)
         self.network = FirmwareNetwork(self.firmware, self.ground_station)
         self.heard: list[list[bytes]] = [[] for _ in range(clients)]
@@ -58,11 +58,11 @@ class Desk:
         self.network.transmit(now_s, *PAD)
 
 
-COMPANION = Sender(1, 191)
+COMPANION = MessageSender(1, 191)
 
 
 def test_the_beacon_beats_for_the_firmware_and_for_every_client() -> None:
-    desk = Desk(2)
+    desk = FirmwareClients(2)
     (beat,) = messages(desk.beacon)
     assert (beat.get_type(), beat.get_srcSystem()) == ("HEARTBEAT", 255)
     desk.transmit(1.0)
@@ -71,11 +71,11 @@ def test_the_beacon_beats_for_the_firmware_and_for_every_client() -> None:
 
 
 def test_what_the_firmware_says_reaches_every_client_unchanged() -> None:
-    desk = Desk(3)
+    desk = FirmwareClients(3)
     said = [
-        Sender().pack(heartbeat(PX4), heartbeat(PX4)),
+        MessageSender().pack(heartbeat(PX4), heartbeat(PX4)),
         b"no MAVLink at all",
-        Sender().pack(heartbeat(PX4)),
+        MessageSender().pack(heartbeat(PX4)),
     ]
     desk.firmware.says = list(said)
     desk.transmit(0.1)
@@ -85,14 +85,14 @@ def test_what_the_firmware_says_reaches_every_client_unchanged() -> None:
 
 
 def test_what_a_client_says_reaches_the_firmware_frame_by_frame() -> None:
-    desk = Desk()
+    desk = FirmwareClients()
     frames = [COMPANION.pack(heartbeat(ARDUPILOT)) for _ in range(3)]
     desk.network.receive(desk.ports[0], b"".join(frames), 0.1)
     assert desk.firmware.told == frames
 
 
 def test_a_stream_of_bytes_is_cut_into_frames_however_it_comes() -> None:
-    desk = Desk(datagrams=False)
+    desk = FirmwareClients(datagrams=False)
     frames = [COMPANION.pack(heartbeat(ARDUPILOT)) for _ in range(3)]
     data = b"noise" + b"".join(frames)
     for at in range(0, len(data), 7):
@@ -101,7 +101,7 @@ def test_a_stream_of_bytes_is_cut_into_frames_however_it_comes() -> None:
 
 
 def test_half_a_frame_in_a_datagram_does_not_hold_up_the_next() -> None:
-    desk = Desk()
+    desk = FirmwareClients()
     frame = COMPANION.pack(heartbeat(ARDUPILOT))
     desk.network.receive(desk.ports[0], frame[:9], 0.1)
     desk.network.receive(desk.ports[0], frame, 0.101)
@@ -109,7 +109,7 @@ def test_half_a_frame_in_a_datagram_does_not_hold_up_the_next() -> None:
 
 
 def test_a_client_that_has_gone_is_not_written_to() -> None:
-    desk = Desk(2)
+    desk = FirmwareClients(2)
     desk.network.disconnect(desk.ports[0])
     desk.firmware.says = [b"said"]
     desk.transmit(0.1)
@@ -118,15 +118,15 @@ def test_a_client_that_has_gone_is_not_written_to() -> None:
 
 @pytest.mark.parametrize("system", [1, 3])
 def test_it_is_armed_by_the_autopilots_own_heartbeat_alone(system: int) -> None:
-    desk = Desk()
+    desk = FirmwareClients()
     for component, armed, expected in ((1, True, True), (191, False, True), (1, False, False)):
-        desk.firmware.says = [Sender(system, component).pack(heartbeat(PX4, armed=armed))]
+        desk.firmware.says = [MessageSender(system, component).pack(heartbeat(PX4, armed=armed))]
         desk.transmit(0.1)
         assert desk.network.armed is expected
 
 
 def test_the_ground_station_hears_the_companions_texts_and_tells_where_the_pad_is() -> None:
-    desk = Desk()
+    desk = FirmwareClients()
     text = mavlink.MAVLink_statustext_message(6, b"hello")
     asked = mavlink.MAVLink_command_long_message(
         255, 190, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET, *[0] * 6
@@ -142,7 +142,7 @@ def test_the_ground_station_hears_the_companions_texts_and_tells_where_the_pad_i
 
 
 def test_whatever_comes_does_no_harm() -> None:
-    desk = Desk()
+    desk = FirmwareClients()
     rng = np.random.default_rng(3)
     junk: Sequence[bytes] = [rng.bytes(int(size)) for size in rng.integers(0, 300, 200)]
     desk.firmware.says = list(junk)

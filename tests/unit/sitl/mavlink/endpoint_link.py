@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.base.autopilot_kind import AutopilotKind
 from sitl.mavlink.endpoint import MavlinkEndpoint
-from tests.unit.sitl.autopilot.autopilot_flight import Flight
+from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight
 
 BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 NANS = (math.nan,) * 7
@@ -20,7 +20,7 @@ class Link:
     """A flight with its endpoint, and a component at the other end."""
 
     def __init__(self, autopilot_kind: AutopilotKind, booted_s: float = 6.0) -> None:
-        self.flight = Flight(autopilot_kind)
+        self.flight = AutopilotFlight(autopilot_kind)
         self.endpoint = MavlinkEndpoint(self.flight.autopilot)
         self.us = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
         self.parser = mavlink.MAVLink(None)

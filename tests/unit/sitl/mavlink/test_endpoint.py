@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.base.autopilot_kind import AutopilotKind
 from sitl.autopilot import EstimatorErrors
 from sitl.mavlink.endpoint import MavlinkEndpoint
-from tests.unit.sitl.autopilot.autopilot_flight import HOME, Flight
+from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
 from tests.unit.sitl.mavlink.endpoint_link import BOTH, Link, of, velocity_message
 
 # ---------------------------------------------------------------- telemetry
@@ -118,7 +118,7 @@ def test_rates_can_be_changed_stopped_and_put_back() -> None:
 @settings(max_examples=60, deadline=None)
 @given(st.binary(max_size=600), st.integers(0, 255))
 def test_random_bytes_do_no_harm_and_the_next_message_gets_through(data: bytes, cut: int) -> None:
-    endpoint = MavlinkEndpoint(Flight("px4").autopilot)
+    endpoint = MavlinkEndpoint(AutopilotFlight("px4").autopilot)
     sender = mavlink.MAVLink(None, srcSystem=9, srcComponent=9)
     whole = bytes(velocity_message(1, 0, (1.0, 0.0, 0.0)).pack(sender))
     endpoint.receive(data, 0.0)
@@ -153,7 +153,7 @@ def test_frames_with_nonsense_in_them_do_no_harm() -> None:
 
 def test_the_same_seed_sends_the_same_bytes() -> None:
     def bytes_of(seed: int) -> bytes:
-        flight = Flight("px4", errors=EstimatorErrors(), seed=seed)
+        flight = AutopilotFlight("px4", errors=EstimatorErrors(), seed=seed)
         endpoint = MavlinkEndpoint(flight.autopilot)
         out = b""
         for _ in range(500):

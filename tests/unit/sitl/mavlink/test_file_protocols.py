@@ -9,7 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.mavlink.endpoint import MavlinkEndpoint
-from tests.unit.sitl.autopilot.autopilot_flight import Flight
+from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight
 
 HEADER = struct.Struct("<HBBBBBBI")
 ACK, NAK = 128, 129
@@ -17,7 +17,7 @@ ACK, NAK = 128, 129
 
 def answers(*messages: Any) -> list[Any]:
     """What the vehicle sends back, telemetry apart."""
-    flight = Flight("px4")
+    flight = AutopilotFlight("px4")
     endpoint = MavlinkEndpoint(flight.autopilot)
     client, ours = mavlink.MAVLink(None, srcSystem=245, srcComponent=190), mavlink.MAVLink(None)
     for message in messages:

@@ -19,14 +19,14 @@ from sitl.mavlink.signing import Signing
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.quadrotor import resting_state
 from tests.bench.mavlink.fuzzing import Fuzz
-from tests.unit.sitl.autopilot.autopilot_flight import HOME, Flight
+from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
 
 mavlink: Any = dialect
 UNIX_S = 1.8e9
 BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 
 
-class Client:
+class NetworkClient:
     """One end of the network, by its name."""
 
     def __init__(self, network: Network, system: int, component: int) -> None:
@@ -48,11 +48,11 @@ class Client:
         return [m for m in messages if name in ("", m.get_type())]
 
 
-class Desk:
+class NetworkedVehicle:
     """A vehicle with a network."""
 
     def __init__(self, autopilot_kind: AutopilotKind = "px4") -> None:
-        self.flight = Flight(autopilot_kind)
+        self.flight = AutopilotFlight(autopilot_kind)
         self.sensors = SimulatedAutopilotSensors(
             np.random.default_rng(0), 0.01, home=HOME, field_ned_ut=(20.9, 0.6, 42.9), imu_filter=2
         )
@@ -72,8 +72,8 @@ def command(number: int, *values: float, target: tuple[int, int] = (1, 1)) -> An
 
 
 def test_rates_and_sequence_numbers_are_each_client_s_own() -> None:
-    desk = Desk()
-    one, other = Client(desk.network, 255, 1), Client(desk.network, 254, 1)
+    desk = NetworkedVehicle()
+    one, other = NetworkClient(desk.network, 255, 1), NetworkClient(desk.network, 254, 1)
     one.send(command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_ATTITUDE, 1e6))
     one.heard()
     other.heard()
@@ -87,8 +87,8 @@ def test_rates_and_sequence_numbers_are_each_client_s_own() -> None:
 
 
 def test_answers_go_to_the_sender_at_once_and_texts_to_all() -> None:
-    desk = Desk()
-    one, other = Client(desk.network, 255, 1), Client(desk.network, 254, 1)
+    desk = NetworkedVehicle()
+    one, other = NetworkClient(desk.network, 255, 1), NetworkClient(desk.network, 254, 1)
     one.send(command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0))
     assert [m.result for m in one.heard("COMMAND_ACK")] == [0]
     heard = other.heard()
@@ -97,8 +97,8 @@ def test_answers_go_to_the_sender_at_once_and_texts_to_all() -> None:
 
 
 def test_a_text_that_time_brings_goes_to_all() -> None:
-    desk = Desk()
-    one, other = Client(desk.network, 255, 1), Client(desk.network, 254, 1)
+    desk = NetworkedVehicle()
+    one, other = NetworkClient(desk.network, 255, 1), NetworkClient(desk.network, 254, 1)
     desk.run(0.5)
     one.send(mavlink.MAVLink_mission_count_message(1, 1, 3, 0), desk.flight.now_s)
     desk.run(10.0)
@@ -107,16 +107,16 @@ def test_a_text_that_time_brings_goes_to_all() -> None:
 
 
 def test_a_parameter_that_one_sets_is_reported_to_all() -> None:
-    desk = Desk()
-    one, other = Client(desk.network, 255, 1), Client(desk.network, 254, 1)
+    desk = NetworkedVehicle()
+    one, other = NetworkClient(desk.network, 255, 1), NetworkClient(desk.network, 254, 1)
     one.send(mavlink.MAVLink_param_set_message(1, 1, b"MIS_TAKEOFF_ALT", 7.0, 9))
     assert [m.param_value for m in one.heard("PARAM_VALUE")] == [7.0]
     assert [m.param_value for m in other.heard("PARAM_VALUE")] == [7.0]
 
 
 def test_what_is_for_another_goes_where_that_one_was_heard_and_nowhere_else() -> None:
-    desk = Desk()
-    ground, companion, third = (Client(desk.network, *who) for who in ((255, 1), (1, 191), (30, 1)))
+    desk = NetworkedVehicle()
+    ground, companion, third = (NetworkClient(desk.network, *who) for who in ((255, 1), (1, 191), (30, 1)))
     beat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)
     for client in (ground, companion, third):
         client.send(beat)
@@ -138,22 +138,22 @@ def test_what_is_for_another_goes_where_that_one_was_heard_and_nowhere_else() ->
     ],
 )
 def test_some_things_are_not_passed_on(message: Any) -> None:
-    desk = Desk()
-    one, other = Client(desk.network, 255, 1), Client(desk.network, 254, 1)
+    desk = NetworkedVehicle()
+    one, other = NetworkClient(desk.network, 255, 1), NetworkClient(desk.network, 254, 1)
     one.send(message)
     assert not other.heard(message.get_type())
 
 
 def test_the_vehicle_s_own_frames_that_come_back_are_dropped() -> None:
-    desk = Desk()
-    loop, other = Client(desk.network, 1, 1), Client(desk.network, 254, 1)
+    desk = NetworkedVehicle()
+    loop, other = NetworkClient(desk.network, 1, 1), NetworkClient(desk.network, 254, 1)
     loop.send(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 0, 3))
     assert not other.heard()
 
 
 def test_the_beacon_at_the_pad_is_heard_by_all_when_one_asks() -> None:
-    desk = Desk()
-    companion, other = Client(desk.network, 1, 191), Client(desk.network, 254, 1)
+    desk = NetworkedVehicle()
+    companion, other = NetworkClient(desk.network, 1, 191), NetworkClient(desk.network, 254, 1)
     companion.send(command(mavlink.MAV_CMD_REQUEST_MESSAGE, 144.0, target=(255, 0)))
     desk.run(1.0)
     assert [m.get_srcSystem() for m in companion.heard("FOLLOW_TARGET")] == [255]
@@ -164,15 +164,15 @@ def test_the_beacon_at_the_pad_is_heard_by_all_when_one_asks() -> None:
 
 
 def test_timesync_is_answered_with_the_time_of_arrival() -> None:
-    desk = Desk()
-    client = Client(desk.network, 255, 1)
+    desk = NetworkedVehicle()
+    client = NetworkClient(desk.network, 255, 1)
     client.send(mavlink.MAVLink_timesync_message(0, 9), now_s=6.00123)
     assert client.heard("TIMESYNC")[0].tc1 == 6_001_230_000
 
 
 def test_pings_are_answered() -> None:
-    desk = Desk()
-    client = Client(desk.network, 250, 3)
+    desk = NetworkedVehicle()
+    client = NetworkClient(desk.network, 250, 3)
     client.send(mavlink.MAVLink_ping_message(11, 12, 0, 0))
     (answer,) = client.heard("PING")
     assert (answer.time_usec, answer.seq, answer.target_system, answer.target_component) == (11, 12, 250, 3)
@@ -181,8 +181,8 @@ def test_pings_are_answered() -> None:
 def test_stream_groups_are_ardupilot_s() -> None:
     counts = []
     for autopilot_kind in ("ardupilot", "px4"):
-        desk = Desk(autopilot_kind)
-        client = Client(desk.network, 255, 1)
+        desk = NetworkedVehicle(autopilot_kind)
+        client = NetworkClient(desk.network, 255, 1)
         client.send(mavlink.MAVLink_request_data_stream_message(1, 1, 10, 5, 1))
         client.heard()
         desk.run(2.0)
@@ -192,8 +192,8 @@ def test_stream_groups_are_ardupilot_s() -> None:
 
 @BOTH
 def test_health_is_reported_as_it_is(autopilot_kind: AutopilotKind) -> None:
-    desk = Desk(autopilot_kind)
-    client = Client(desk.network, 255, 1)
+    desk = NetworkedVehicle(autopilot_kind)
+    client = NetworkClient(desk.network, 255, 1)
     state = resting_state((0.0, 0.0, -0.18), 0.0)
     gps, mag = mavlink.MAV_SYS_STATUS_SENSOR_GPS, mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
 
@@ -217,8 +217,8 @@ def test_health_is_reported_as_it_is(autopilot_kind: AutopilotKind) -> None:
 
 @BOTH
 def test_everything_that_is_streamed_by_default_is_said(autopilot_kind: AutopilotKind) -> None:
-    desk = Desk(autopilot_kind)
-    client = Client(desk.network, 255, 1)
+    desk = NetworkedVehicle(autopilot_kind)
+    client = NetworkClient(desk.network, 255, 1)
     desk.run(3.0)
     kinds = {m.get_type() for m in client.heard()}
     common = {"VFR_HUD", "SYSTEM_TIME", "VIBRATION", "SERVO_OUTPUT_RAW", "RC_CHANNELS", "BATTERY_STATUS"}

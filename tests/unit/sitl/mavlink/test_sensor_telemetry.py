@@ -17,7 +17,7 @@ from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.sensors.inertial import NO_IMU_ERRORS
 from sitl.sensors.sensors import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS
 from sitl.vehicle.quadrotor import QuadrotorState, resting_state
-from tests.unit.sitl.autopilot.autopilot_flight import HOME, Flight
+from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
 
 DT_S = 1.0 / 400.0
 FIELD_UT = (20.9, 0.6, 42.9)
@@ -25,11 +25,11 @@ BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 YAWS = pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 180.0, 270.0])
 
 
-class Vehicle:
+class StandingVehicle:
     """An autopilot on its feet with sensors in a state of our choice."""
 
     def __init__(self, autopilot_kind: AutopilotKind, seed: int = 1, flawless: bool = True) -> None:
-        self.autopilot: SimulatedAutopilot = Flight(autopilot_kind).autopilot
+        self.autopilot: SimulatedAutopilot = AutopilotFlight(autopilot_kind).autopilot
         errors: dict[str, Any] = {
             "imu_errors": NO_IMU_ERRORS,
             "mag_errors": NO_MAG_ERRORS,
@@ -46,7 +46,7 @@ class Vehicle:
             **(errors if flawless else {}),
         )
         self.endpoint = MavlinkEndpoint(self.autopilot, self.sensors)
-        self.flight = Flight(autopilot_kind)
+        self.flight = AutopilotFlight(autopilot_kind)
         self.flight.autopilot = self.autopilot
         self.state: QuadrotorState = resting_state((0.0, 0.0, -0.18), 0.0)
         self.range_height_m = 1.5
@@ -81,7 +81,7 @@ def of(messages: list[Any], name: str) -> list[Any]:
 def test_each_autopilot_has_its_own_imu_messages(
     autopilot_kind: AutopilotKind, has: list[str], has_not: list[str]
 ) -> None:
-    vehicle = Vehicle(autopilot_kind)
+    vehicle = StandingVehicle(autopilot_kind)
     assert [name for name in has + has_not if vehicle.ask(name, 100.0)] == has
     heard = vehicle.run(2.0)
     for name in has:
@@ -93,7 +93,7 @@ def test_each_autopilot_has_its_own_imu_messages(
 def test_a_leaning_vehicle_that_moves_is_reported_in_the_messages_own_units(
     autopilot_kind: AutopilotKind, yaw_deg: float
 ) -> None:
-    vehicle = Vehicle(autopilot_kind)
+    vehicle = StandingVehicle(autopilot_kind)
     vehicle.ask("HIGHRES_IMU" if autopilot_kind == "px4" else "RAW_IMU", 50.0)
     yaw = math.radians(yaw_deg)
     vehicle.state = QuadrotorState(
@@ -126,7 +126,7 @@ def test_a_leaning_vehicle_that_moves_is_reported_in_the_messages_own_units(
 
 @BOTH
 def test_stamps_count_from_boot_and_a_fix_is_stamped_when_it_comes(autopilot_kind: AutopilotKind) -> None:
-    vehicle = Vehicle(autopilot_kind)
+    vehicle = StandingVehicle(autopilot_kind)
     vehicle.ask("HIGHRES_IMU" if autopilot_kind == "px4" else "RAW_IMU", 100.0)
     heard = vehicle.run(12.0)
     booted_s = vehicle.autopilot.booted_s
@@ -140,7 +140,7 @@ def test_stamps_count_from_boot_and_a_fix_is_stamped_when_it_comes(autopilot_kin
 
 
 def test_px4_says_which_fields_are_new() -> None:
-    vehicle = Vehicle("px4")
+    vehicle = StandingVehicle("px4")
     vehicle.ask("HIGHRES_IMU", 200.0)
     bits = [m.fields_updated for m in of(vehicle.run(1.0), "HIGHRES_IMU")]
     assert set(bits) == {0b111_111, 0b111_111_111}
@@ -148,7 +148,7 @@ def test_px4_says_which_fields_are_new() -> None:
 
 
 def test_the_rangefinder_tells_centimetres_and_a_lost_echo_lies_out_of_range() -> None:
-    vehicle = Vehicle("px4")
+    vehicle = StandingVehicle("px4")
     vehicle.ask("DISTANCE_SENSOR", 20.0)
     near = of(vehicle.run(1.0), "DISTANCE_SENSOR")
     assert len(near) == pytest.approx(20, abs=2)
@@ -161,7 +161,7 @@ def test_the_rangefinder_tells_centimetres_and_a_lost_echo_lies_out_of_range() -
 
 @BOTH
 def test_gps_has_its_own_noise_and_no_fix_before_the_alignment(autopilot_kind: AutopilotKind) -> None:
-    vehicle = Vehicle(autopilot_kind, flawless=False)
+    vehicle = StandingVehicle(autopilot_kind, flawless=False)
     heard = of(vehicle.run(12.0), "GPS_RAW_INT")
     assert heard[0].fix_type < mavlink.GPS_FIX_TYPE_3D_FIX
     fixes = [m for m in heard if m.fix_type >= 3]
@@ -170,7 +170,7 @@ def test_gps_has_its_own_noise_and_no_fix_before_the_alignment(autopilot_kind: A
 
 
 def test_nobody_who_asks_costs_nothing() -> None:
-    vehicle = Vehicle("px4")
+    vehicle = StandingVehicle("px4")
     vehicle.run(1.0)
     assert vehicle.sensors.imu is None
     assert vehicle.sensors.range is None
@@ -181,7 +181,7 @@ def test_nobody_who_asks_costs_nothing() -> None:
 
 def test_the_same_seed_gives_the_same_samples_whoever_else_draws() -> None:
     def samples(seed: int) -> list[Any]:
-        vehicle = Vehicle("px4", seed, flawless=False)
+        vehicle = StandingVehicle("px4", seed, flawless=False)
         vehicle.ask("HIGHRES_IMU", 100.0)
         return [m.to_dict() for m in of(vehicle.run(1.0), "HIGHRES_IMU")]
 

@@ -14,7 +14,7 @@ from companion.link.signing import EPOCH_UNIX_S, STAMPS_PER_S, stamp_from_unix
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.mavlink.framing import FrameReader, MavFrame, dialect
 from sitl.mavlink.signing import Signing, read_key
-from tests.unit.sitl.autopilot.autopilot_flight import Flight
+from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight
 
 mavlink: Any = dialect
 KEY, OTHER = bytes(range(32)), bytes(range(1, 33))
@@ -116,7 +116,7 @@ def test_our_own_stamps_follow_the_clock_and_never_repeat() -> None:
 
 
 def test_a_key_is_set_up_and_ended_over_the_link() -> None:
-    endpoint = MavlinkEndpoint(Flight("px4").autopilot, unix_at_start_s=EPOCH_UNIX_S + 1000.0)
+    endpoint = MavlinkEndpoint(AutopilotFlight("px4").autopilot, unix_at_start_s=EPOCH_UNIX_S + 1000.0)
     unsigned, signed = packer(None), packer(KEY)
 
     def answers(sender: Any, message: Any = None) -> list[Any]:

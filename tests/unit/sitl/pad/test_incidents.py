@@ -21,7 +21,7 @@ class Straight:
         return PadTruth(time_s, (c * time_s, s * time_s, -0.3), (c, s, 0.0), zero, COURSE, 0.0)
 
 
-class Standing:
+class StillPad:
     """Where it is, heading 30 degrees."""
 
     def at(self, time_s: float) -> PadTruth:
@@ -87,7 +87,7 @@ def test_it_leaves_and_after_the_fault_it_goes_on_as_before() -> None:
 
 
 def test_one_that_stands_leaves_along_its_heading() -> None:
-    motion = IncidentMotion(Standing())
+    motion = IncidentMotion(StillPad())
     motion.drive(5.0, 6.0, 2.0)
     assert along(motion.at(10.0))[1] == pytest.approx(6.0)
     vn, ve, _ = motion.at(10.0).velocity_ned_m_s

@@ -20,7 +20,7 @@ from sitl.scenario.scenario import Scenario
 SMALL = {"camera": {"rate_hz": 10.0}}
 
 
-class Desk:
+class OtherEnd:
     """The other end of the line: hears everything, and asks the ground station where the pad is."""
 
     def __init__(self) -> None:
@@ -48,19 +48,19 @@ class Desk:
         return found
 
 
-class Flown(NamedTuple):
+class SentMessages(NamedTuple):
     """What left the vehicle."""
 
-    desk: Desk
+    desk: OtherEnd
     frames: list[Frame]
     report: SimulationReport
 
 
-def stand(seconds: float, *, keep_truth: bool = True, **values: Any) -> Flown:
+def stand(seconds: float, *, keep_truth: bool = True, **values: Any) -> SentMessages:
     """A vehicle stands at home for a while."""
 
-    async def main() -> Flown:
-        desk, frames = Desk(), list[Frame]()
+    async def main() -> SentMessages:
+        desk, frames = OtherEnd(), list[Frame]()
         scenario = validate(Scenario, {"name": "x", "description": "x", **SMALL, **values}, "x")
         simulation = Simulation(
             scenario,
@@ -75,7 +75,7 @@ def stand(seconds: float, *, keep_truth: bool = True, **values: Any) -> Flown:
         await Clock().sleep_until(seconds)
         task.cancel()
         await asyncio.wait([task])
-        return Flown(desk, frames, simulation.report(Phase.SEARCH))
+        return SentMessages(desk, frames, simulation.report(Phase.SEARCH))
 
     return run_in_virtual_time(main())
 
@@ -88,18 +88,18 @@ def test_a_vehicle_that_is_served_for_days_keeps_no_truth() -> None:
 
 
 @pytest.fixture(scope="module")
-def plain() -> Flown:
+def plain() -> SentMessages:
     return stand(3.0)
 
 
-def test_a_perfect_line_tells_at_once(plain: Flown) -> None:
+def test_a_perfect_line_tells_at_once(plain: SentMessages) -> None:
     answers = plain.desk.messages("FOLLOW_TARGET")
     # asked at 0.5, 1.0, ..., answered half a second later
     assert [round(time_s, 1) for time_s, _ in answers] == [1.0, 1.5, 2.0, 2.5]
     assert len(plain.desk.messages("HEARTBEAT")) >= 5
 
 
-def test_a_line_delays_both_ways_and_repeats_by_its_seed(plain: Flown) -> None:
+def test_a_line_delays_both_ways_and_repeats_by_its_seed(plain: SentMessages) -> None:
     slow = {"delay_s": 0.1}
     late = stand(3.0, link=slow)
     answers = [time_s for time_s, _ in late.desk.messages("FOLLOW_TARGET")]
@@ -127,7 +127,7 @@ def test_a_blackout_of_either_way_stops_the_answers(way: str | None, answered: i
     assert bool(desk.messages("HEARTBEAT")) == (way != "to_app")
 
 
-def test_the_beacon_is_as_the_scenario_has_it(plain: Flown) -> None:
+def test_the_beacon_is_as_the_scenario_has_it(plain: SentMessages) -> None:
     assert stand(3.0, beacon={"available": False}).desk.messages("FOLLOW_TARGET") == []
     late = stand(3.0, beacon={"delay_s": 1.0}).desk.messages("FOLLOW_TARGET")
     assert [round(time_s, 1) for time_s, _ in late] == [1.5, 2.0, 2.5]
@@ -137,7 +137,7 @@ def test_the_beacon_is_as_the_scenario_has_it(plain: Flown) -> None:
     assert len({m.timestamp for _, m in plain.desk.messages("FOLLOW_TARGET")}) == 4
 
 
-def test_frames_come_at_the_cameras_rate_after_its_latency(plain: Flown) -> None:
+def test_frames_come_at_the_cameras_rate_after_its_latency(plain: SentMessages) -> None:
     assert len(plain.frames) == pytest.approx(29, abs=1)
     late = [frame.received_s - frame.time_s for frame in plain.frames]
     assert 0.035 < min(late) < max(late) < 0.06
@@ -160,7 +160,7 @@ def test_a_stuck_camera_repeats_its_picture_with_new_stamps() -> None:
     assert not np.array_equal(after[0].image, after[1].image)
 
 
-def test_light_and_dirt_reach_the_camera(plain: Flown) -> None:
+def test_light_and_dirt_reach_the_camera(plain: SentMessages) -> None:
     def mean(**values: Any) -> float:
         return float(stand(0.4, **values).frames[-1].image.mean())
 

@@ -6,7 +6,7 @@ import pytest
 
 from sitl.mavlink.telemetry import battery_status, sys_status
 from sitl.vehicle.battery import CAPACITY_MAH, CELLS, Battery
-from tests.unit.sitl.autopilot.autopilot_flight import Flight
+from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight
 
 HOVER = (0.5, 0.5, 0.5, 0.5)
 
@@ -50,7 +50,7 @@ def test_empty_it_stays_at_its_lowest_voltage() -> None:
 
 
 def test_a_flight_drains_what_is_reported_in_both_messages() -> None:
-    flight = Flight("px4")
+    flight = AutopilotFlight("px4")
     flight.run(4.0)
     resting = sys_status(flight.autopilot, 4.0)
     flight.autopilot.arm()

@@ -74,7 +74,7 @@ class ChangedFrames:
         """Nothing to give back."""
 
 
-class Heard(RecentSamples):
+class KeptSamples(RecentSamples):
     """Samples that also keep all of them in the order in which they came."""
 
     def __init__(self) -> None:
@@ -166,7 +166,7 @@ def check(
     async def main() -> Checked:
         said = list[Say]()
         app_end, vehicle_end = memory_pair()
-        heard = Heard()
+        heard = KeptSamples()
         line = vehicle_end if linked and not deaf else None
         async with carried(carried_in, seed, motion, link=line) as vehicle:
             if arm:

@@ -183,7 +183,7 @@ def test_a_chip_mounted_otherwise(wrong_deg: Vector3) -> None:
 
 
 @dataclass(frozen=True)
-class Wrong:
+class DistanceError:
     """Scales and offsets of what measures distances."""
 
     pad: float = 1.0
@@ -202,15 +202,15 @@ class Wrong:
 @pytest.mark.parametrize(
     ("wrong", "named", "not_named"),
     [
-        (Wrong(pad=1.25), "the printed pad's size", "the ultrasonic's scale"),
-        (Wrong(pad=0.8), "the printed pad's size", "the ultrasonic's scale"),
-        (Wrong(echo=1.3), "the ultrasonic's scale", "the printed pad's size"),
-        (Wrong(echo=0.75), "the ultrasonic's scale", "the printed pad's size"),
-        (Wrong(echo_more_m=0.12), "range_position_body_m", "the printed pad's size"),
+        (DistanceError(pad=1.25), "the printed pad's size", "the ultrasonic's scale"),
+        (DistanceError(pad=0.8), "the printed pad's size", "the ultrasonic's scale"),
+        (DistanceError(echo=1.3), "the ultrasonic's scale", "the printed pad's size"),
+        (DistanceError(echo=0.75), "the ultrasonic's scale", "the printed pad's size"),
+        (DistanceError(echo_more_m=0.12), "range_position_body_m", "the printed pad's size"),
     ],
 )
 def test_heights_that_disagree_are_put_down_to_whom_the_imu_contradicts(
-    wrong: Wrong, named: str, not_named: str
+    wrong: DistanceError, named: str, not_named: str
 ) -> None:
     report = again(wrong)
     assert failed(report) == {"height, low", "height, high"}

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.autopilot_kind import AutopilotKind
 from sitl.mavlink.endpoint import MavlinkEndpoint
-from tests.unit.sitl.autopilot.autopilot_flight import HOME, Flight
+from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
 
 RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 NANS = (math.nan,) * 7
@@ -20,7 +20,7 @@ class Station:
 
     def __init__(self, autopilot_kind: AutopilotKind, booted_s: float = 6.0) -> None:
         self.autopilot_kind = autopilot_kind
-        self.flight = Flight(autopilot_kind)
+        self.flight = AutopilotFlight(autopilot_kind)
         self.endpoint = MavlinkEndpoint(self.flight.autopilot)
         self.us = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
         self.parser = mavlink.MAVLink(None)
