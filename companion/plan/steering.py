@@ -33,7 +33,7 @@ from companion.plan.search.search import Search
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from companion.plan.trajectory.waypoints import Waypoints
 
-_LAST_TRY_SLACK: Final = 1.6
+_LAST_TRY_SLACK: Final = 1.6  # nothing follows it but handing back: what is acceptable at all counts then
 _WORTH_TELLING_M: Final = 0.2
 _STREAMING: Final = (MissionEvent.STREAMING, "setpoints are sent")
 

@@ -18,12 +18,14 @@ from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.mission.states import DetectedEvent, MissionEvent
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
+# At the height of the goal, and slow enough to stay in the cone: the descent corrects the rest on the way.
 _CENTRED_MARGIN_M = 0.7
 _CENTRED_SPEED_M_S = 0.6
+# Over the height at which it waits; in gusts it hovers within that of it.
 _LOW_MARGIN_M = 0.08
 # Once outside the cone the vehicle comes back this far inside before it descends again.
 _BACK_INSIDE = 0.8
-_FLOOR_M = 0.15
+_FLOOR_M = 0.15  # over where it would stand: a pad that heaves does not reach the feet in the descent
 
 
 @dataclass(frozen=True, slots=True)

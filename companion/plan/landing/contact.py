@@ -16,13 +16,15 @@ from companion.plan.debounce import Debounce
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import DetectedEvent, MissionEvent
 
-FRESH_S = 0.3
+FRESH_S = 0.3  # five frames lost in a row at 30 Hz, and the vision's delay
 # An age counts from the exposure, and vision may take 0.2 s of it. So old the pad is off its predicted place
 # by 0.4 m at most, at a pad that brakes with 3 m/s²; older it is no sign.
 _KNOWN_S = 0.5
-SIGNS_NEEDED = 2
+SIGNS_NEEDED = 2  # each alone has a cause other than contact: a bump, a stale height, a stray echo
+# A third of the slowest sink, and three times the error of a relative height near the pad.
 _STALLED_M_S = 0.06
 _STALLED_BELOW_M = 0.08
+# The pad this far below the feet for so long has driven away or fallen: a bounce is lower and shorter.
 _AWAY_M = 0.25
 _AWAY_S = 0.3
 # Without thrust it falls at g; a third of that is no deck's motion.

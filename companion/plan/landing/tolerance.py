@@ -11,15 +11,16 @@ from companion.base.messages import PadState
 from companion.config import TouchdownConfig
 from companion.plan.landing.contact import FRESH_S
 
+# Waiting it heaves by so much in gusts; what is left of a sink at the commit is added to the planned one.
 _HEIGHT_TOLERANCE_M = 0.10
 _SINK_TOLERANCE_M_S = 0.15
-# In units of the patience: from then on the tolerances widen steadily.
+# In units of `patience_s`: from then on the tolerances widen steadily, to 2.4 times after six.
 _PATIENT_TIMES = 2.0
 _BORNE_PER_TIME = 0.35
 # The tolerance aside never exceeds this, unless the setting does.
 _FARTHEST_ASIDE_M = 0.12
-# A gust that has just begun shows in the speed first; a correction takes about so long to tell. Of 69 random
-# landings this identified the four that ended more than 8 cm off, half a second before contact.
+# A gust that has just begun shows in the speed first: the offset is judged so far ahead, the time from estimate
+# to flown correction (the control's cycle, the command's delay and the autopilot's response).
 _DRIFT_S = 0.22
 # A sink is stopped within this delay and at this rate: without that room no break-off begins.
 _STOPS_AFTER_S = 0.2

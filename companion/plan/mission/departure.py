@@ -24,6 +24,8 @@ from companion.plan.trajectory.waypoints import Waypoints
 
 TWIN_GONE_S = 5.0  # heartbeats come once a second
 _REMIND_S = 10.0
+# The autopilots end a take-off somewhat below its height: up is within this of it, or settled for a while at
+# this share of it.
 _NEARLY_UP_M = 0.5
 _SETTLED_SHARE = 0.7
 _SETTLED_M_S = 0.2

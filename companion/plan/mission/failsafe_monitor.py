@@ -20,8 +20,8 @@ from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import DetectedEvent, MissionEvent
 from companion.plan.mission.table import FINAL, ON_GROUND
 
-_STALE_ESTIMATE_S = 0.5
-_OLDEST_ROUND_TRIP_S = 3.0
+_STALE_ESTIMATE_S = 0.5  # of a hundred IMU samples and more, none
+_OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz
 # Beyond this a stop has been flown, and the wind decides.
 _NO_PLAN_S = 1.0
 # Every correction goes astray by it; it is taken off the loop's phase margin, of which 45 deg are promised.
