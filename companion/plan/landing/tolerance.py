@@ -19,8 +19,8 @@ _PATIENT_TIMES = 2.0
 _BORNE_PER_TIME = 0.35
 # The tolerance aside never exceeds this, unless the setting does.
 _FARTHEST_ASIDE_M = 0.12
-# A gust that has just begun shows in the speed first: the offset is judged so far ahead, the time from estimate
-# to flown correction (the control's cycle, the command's delay and the autopilot's response).
+# A gust that has just begun shows in the speed first: the offset is judged so far ahead, the time from an
+# estimate to the flown correction (the control's cycle, the command's delay, the autopilot's response).
 _DRIFT_S = 0.22
 # A sink is stopped within this delay and at this rate: without that room no break-off begins.
 _STOPS_AFTER_S = 0.2
