@@ -192,11 +192,11 @@ def test_one_flight_of_each_fault_in_each_phase_takes_scenarios_and_seeds_in_tur
 FORKED = """
 from tests.bench.faults import cases
 from tests.bench.faults.bench_faults import fly_all, fly_alone
-from tests.bench.faults.cases import Run
+from tests.bench.faults.cases import FaultRun
 
 cases.TIME_LIMIT_S = 8.0
-runs = [Run("pilot: Hold", "start", "line", 0), Run("refuses arm", "start", "line", 0)]
-runs.append(Run("GPS lost", "on_pad", "line", 0))
+runs = [FaultRun("pilot: Hold", "start", "line", 0), FaultRun("refuses arm", "start", "line", 0)]
+runs.append(FaultRun("GPS lost", "on_pad", "line", 0))
 rows = {}
 fly_all(runs, "abc", 1, rows.__setitem__)
 assert rows == {run: fly_alone(run, "abc") for run in runs}, rows
