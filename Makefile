@@ -4,7 +4,7 @@
 # make bench   where the time goes, the estimators' bars and the landing campaign's; or one alone:
 # make bench-state           the estimators in flight: errors, consistency, faults, costs
 # make bench-deck          landings on a rolling ship: seen, landed, lean at contact
-# make bench-deck bench-pad             the pad filter over made-up tracks
+# make bench-pad             the pad filter over made-up tracks
 # make bench-obstacles       ways round random obstacles: clearance, what is held before, cost
 # make bench-cpu             what the app costs in a landing, by part, and what blocks its event loop
 # make bench-long-life       an hour of virtual flight in one run: memory and the control step's cost
