@@ -3,7 +3,7 @@
 # make test-deploy DEPLOY=DIR  the service in a container that boots systemd, the app on arm64 by qemu; needs root
 # make bench   where the time goes, the estimators' bars and the landing campaign's; or one alone:
 # make bench-state           the estimators in flight: errors, consistency, faults, costs
-# make bench-deck          landings on a rolling ship: seen, landed, lean at contact
+# make bench-deck            landings on a rolling ship: seen, landed, lean at contact
 # make bench-pad             the pad filter over made-up tracks
 # make bench-obstacles       ways round random obstacles: clearance, what is held before, cost
 # make bench-cpu             what the app costs in a landing, by part, and what blocks its event loop
@@ -44,7 +44,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.state.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-cpu bench-long-life bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-descents bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-service bench-page bench-interruptions bench-mutations bench-mutants bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
+.PHONY: sitl test lint bench bench-cpu bench-long-life bench-experiments bench-state bench-deck bench-pad bench-obstacles bench-mpc bench-descents bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-service bench-page bench-interruptions bench-mutations bench-mutants bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
