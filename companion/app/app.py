@@ -22,12 +22,12 @@ from companion.app.action_queue import ActionQueue
 from companion.app.announcer import Announcer
 from companion.app.calibration_warnings import forced_calibrations
 from companion.app.hardware import ActionsFactory, Hardware
-from companion.app.loop_monitor import LoopMonitor
 from companion.app.missions import END_PHASES, Missions
 from companion.app.service.systemd import ServiceNotifier
 from companion.app.stages import build_stages
 from companion.app.status import STATUS_PERIOD_S, FrameRate, Status
 from companion.app.supervision import supervised
+from companion.app.timing.loop_monitor import LoopMonitor
 from companion.base.clock import Clock
 from companion.base.garbage_collection import infrequent_collection
 from companion.base.messages import (
@@ -83,7 +83,7 @@ class App:
         self._clock = Clock()
         self.announcer = Announcer(self._clock, log, self._deliver)
         stages = build_stages(config, hardware, log, self._clock, self.announcer.notify)
-        self._vehicle, self.session = stages.vehicle, stages.session
+        self._vehicle, self.session, self._timer = stages.vehicle, stages.session, stages.control_timer
         self.estimator, self.sensing = stages.estimator, stages.sensing
         self.missions = Missions(
             stages.make_planner, self.session, log, self.announcer, self._clock, standby=standby, stays=stays
@@ -168,19 +168,18 @@ class App:
             raise
 
     async def _control_task(self) -> Phase:
-        """Plan, control and send at a fixed rate until the mission has ended."""
-        period_s = 1.0 / self._config.control.rate_hz
-        due_s = self._clock.now_s()
+        """Plan, control and send in every cycle until the mission has ended."""
+        timer = self._timer
+        timer.restart()
         while not self._over():
-            late_s = self._clock.now_s() - due_s + self.loop_monitor.slept_s()
-            if late_s > period_s:
+            late_s = timer.late_s + self.loop_monitor.slept_s()
+            if late_s > timer.period_s:
                 await self._catch_up(late_s)
-                due_s = self._clock.now_s()  # what was missed is not made up for
-            self.loop_monitor.turn(late_s, period_s)
+                timer.restart()
+            self.loop_monitor.turn(late_s, timer.period_s)
             await self._control_step(self._clock.now_s(), late_s)
             self._service.alive()
-            due_s += period_s
-            await self._clock.sleep_until(due_s)
+            await timer.next_cycle()
         return self.phase
 
     async def _catch_up(self, late_s: float) -> None:
@@ -217,14 +216,14 @@ class App:
             self.estimator.start_over()
             vehicle = pad = None
         plan = self._plan(vehicle, pad, now_s)
-        if vehicle is None:
-            return
-        self._log.write("vehicle", vehicle, now_s)
+        if vehicle is not None:
+            self._log.write("vehicle", vehicle, now_s)
         if pad is not None:
             self._log.write("pad", pad, now_s)
         if plan.reference is None or self.session.setup is None:
             return
-        self.session.align(vehicle.attitude, vehicle.time_s)
+        if vehicle is not None:
+            self.session.align(vehicle.attitude, vehicle.time_s)
         obeyed, silent_s = self.session.state.offboard, now_s - self.session.heard_s
         controlled = self._control().step(plan, vehicle, pad, now_s, obeyed=obeyed, silent_s=silent_s)
         self._control_failed = controlled is not None and controlled[1].failed

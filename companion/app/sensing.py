@@ -139,6 +139,7 @@ class Sensing:
         self.last_range: RangeSample | None = None
         self.last_frame: FrameReport | None = None
         self.frame_count = 0
+        self.frame_fused: Callable[[], None] = lambda: None  # called after each
         self._fault_reported_s = self._attitude_s = float("-inf")
         # a camera that is kept judges its frames itself
         kept = isinstance(hardware.frames, KeptCamera)
@@ -339,6 +340,7 @@ class Sensing:
             searched_whole_frame=seen.searched_whole_frame,
         )
         self._log.write("frame_report", self.last_frame, now_s)
+        self.frame_fused()
 
     def _notify_fault(self, text: str) -> None:
         """Notify a fault that may come with every frame, but not more often than is of use."""

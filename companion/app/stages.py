@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from companion.app.hardware import Hardware
 from companion.app.sensing import Notify, Sensing
+from companion.app.timing.control_timer import ControlTimer
 from companion.base.clock import Clock, unix_time_s
 from companion.base.files import find_file
 from companion.config import (
@@ -35,6 +36,7 @@ class Stages:
     session: Session
     estimator: StateEstimator
     sensing: Sensing
+    control_timer: ControlTimer
     make_planner: Callable[[str | None], Planner]  # of a mission; given why it stands by, if it does
 
 
@@ -80,6 +82,8 @@ def build_stages(
         notify=notify,
         frame_time_offset_s=vehicle.camera_time_offset_s,
     )
+    control_timer = ControlTimer(clock, 1.0 / config.control.rate_hz)
+    sensing.frame_fused = control_timer.frame_fused
     log.write_settings(
         config=config,
         vehicle=vehicle,
@@ -94,4 +98,4 @@ def build_stages(
         control = config.control
         return Planner(config.plan, vehicle, control.horizon_steps, control.step_s, law, standby=standby)
 
-    return Stages(vehicle, session, estimator, sensing, make_planner)
+    return Stages(vehicle, session, estimator, sensing, control_timer, make_planner)

@@ -124,7 +124,7 @@ class Controller:
     def step(
         self,
         plan: PlanStep,
-        vehicle: VehicleState,
+        vehicle: VehicleState | None,
         pad: PadState | None,
         now_s: float,
         *,
@@ -133,6 +133,7 @@ class Controller:
     ) -> tuple[Setpoint, ControlReport] | None:
         """The setpoint that leaves at `now_s`; None when the plan has no reference.
 
+        Without an estimate of the vehicle none leaves either, but for the one that presses it onto the pad.
         `vehicle` and `pad` are the estimates carried to about now. A reference in the pad's frame without a
         pad is answered by a stop. While the autopilot does not obey setpoints yet (PX4 wants to receive some
         before it does), each step starts again from how the vehicle moves: what was asked for in vain
@@ -143,6 +144,8 @@ class Controller:
         if plan.reference is None:
             self._stepped_s = None
             return None
+        if vehicle is None:
+            return self._rest(plan.reference, pad, now_s) if plan.on_ground else None
         elapsed_s = self._elapsed(vehicle, now_s)
         self._heading.step(plan.reference.heading_rad, elapsed_s)
         if plan.on_ground:
@@ -189,6 +192,7 @@ class Controller:
             plant.disturbance_ned_m_s2,
             plant.hover_thrust,
             self._look(),
+            sink_m_s=_final_sink_m_s(reference),
         )
         setpoint, limited = self._gate.apply(_seen(setpoint, reference, pad), now_s)
         return setpoint, ControlReport(
@@ -321,6 +325,11 @@ class Controller:
 
     def _look(self) -> Heading:
         return Heading(self._heading.heading_rad, self._heading.rate_rad_s)
+
+
+def _final_sink_m_s(reference: Reference) -> float:
+    """What the vehicle sinks by when its feet are about to touch; 0 before."""
+    return 0.0 if reference.level_off is None else max(0.0, float(reference.velocity_m_s[0, 2]))
 
 
 def _seen(setpoint: Setpoint, reference: Reference, pad: PadState | None) -> Setpoint:

@@ -161,13 +161,25 @@ def blind_setpoint(
     wind_ned_m_s2: Vector3,
     hover_thrust: float,
     heading: Heading,
+    sink_m_s: float = 0.0,
 ) -> Setpoint:
-    """Do not accelerate: keep the velocity last known and the height, or the tilt against the wind."""
+    """Do not accelerate: keep the tilt against the wind, or a velocity loop's velocity, and the height.
+
+    `sink_m_s` is what the vehicle goes on to sink by: nothing, unless its feet are about to touch. A velocity
+    loop that our accelerations have passed by stays passed by: its integral is from another wind.
+    """
+    north, east, _ = wind_ned_m_s2
+    against_wind = (-north, -east, 0.0)
     if config.setpoint == "attitude":
-        north, east, _ = wind_ned_m_s2
-        return attitude_setpoint(now_s, velocity_ned_m_s, (-north, -east, 0.0), hover_thrust, heading)
-    north, east, _ = velocity_ned_m_s
-    return Setpoint(now_s, velocity_ned_m_s=(north, east, 0.0), heading_rad=heading.heading_rad)
+        return attitude_setpoint(now_s, velocity_ned_m_s, against_wind, hover_thrust, heading)
+    passed_by = config.setpoint == "acceleration"
+    return Setpoint(
+        now_s,
+        velocity_ned_m_s=(*velocity_ned_m_s[:2], sink_m_s),
+        acceleration_ned_m_s2=against_wind if passed_by else ZERO3,
+        heading_rad=heading.heading_rad,
+        holds_horizontal_velocity=not passed_by,
+    )
 
 
 def _upward_share(acceleration_m_s2: Vector3) -> float:

@@ -208,6 +208,7 @@ class Planner:
             may_finish=self._battery.finish_descent,
             in_offboard=in_offboard(inputs.autopilot),
             ends_inside=self._ends_inside(inputs),
+            feet_down=self._steering.feet_down,
         )
 
     def _ends_inside(self, inputs: PlanInputs) -> bool:

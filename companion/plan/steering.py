@@ -125,6 +125,11 @@ class PhaseSteering:
         """When the vehicle is to be level, in its final descent."""
         return self._touchdown.level_off() if self._machine.state in COMMITTED else None
 
+    @property
+    def feet_down(self) -> bool:
+        """Whether one sign of contact shows the feet on the pad, when no other can be had any more."""
+        return self._touchdown.feet_down
+
     # ------------------------------------------------------------ entering a state
 
     def enter(
@@ -337,4 +342,7 @@ class PhaseSteering:
             if self._machine.state in BY_THE_PAD and self._config.mission.align_heading
             else None
         )
-        self._generator.turn(None if sight is None else sight.heading_rad, now_s)
+        if sight is None:
+            self._generator.turn(None, now_s)
+        else:
+            self._generator.turn(sight.heading_rad, now_s, sight.heading_rate_rad_s)

@@ -40,6 +40,8 @@ _COMMITS_BELOW = 0.9
 # Echoes so much deeper than the unseen pad's estimate, for so long: the pad is not below any more.
 _DEEPER_M = 0.25
 _DEEPER_S = 0.15
+# One sign of contact alone shows the feet down where the last estimate has them no higher than this.
+_NEAR_M = 0.1
 
 
 class TouchdownSequence:
@@ -66,6 +68,7 @@ class TouchdownSequence:
         self._tolerance = Tolerance(self._config, now_s, slack)
         self._settled, self._touching = Debounce(), Debounce()
         self._too_fast, self._far_aside, self._deeper = Debounce(), Debounce(), Debounce()
+        self._one_sign, self.feet_down = Debounce(), False
         self.lean = LeanForecast()
         self._levelling = Levelling(self._config, self._vehicle)
 
@@ -157,6 +160,7 @@ class TouchdownSequence:
     def _commit(self, now_s: float) -> None:
         c = self._config
         self._sunk_s = now_s
+        self._one_sign, self.feet_down = Debounce(), False
         speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(self._lean_at_contact_m_s2())
         self._blended_s = now_s + c.blend_s
         blended_m = self._generator.sink(speed_m_s, c.blend_s, now_s)
@@ -165,6 +169,9 @@ class TouchdownSequence:
 
     def _sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         signs = self._signs(sight, inputs, now_s)
+        near = sight is not None and sight.height_m <= self._vehicle.leg_height_m + _NEAR_M
+        shown = near and signs.count > 0
+        self.feet_down = self._one_sign.held_s(shown, now_s) >= self._config.contact_s
         touching = signs.count >= SIGNS_NEEDED
         if self._touching.held_s(touching, now_s) >= self._config.contact_s:
             return MissionEvent.CONTACT, signs.in_words()

@@ -17,10 +17,13 @@ from companion.plan.mission.departure import refused_words
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.mode_monitor import ModeMonitor
 from companion.plan.mission.state_machine import StateMachine
-from companion.plan.mission.states import DetectedEvent, MissionEvent
+from companion.plan.mission.states import DetectedEvent, MissionEvent, State
 from companion.plan.mission.table import FINAL, ON_GROUND
 
-_STALE_ESTIMATE_S = 0.5  # of a hundred IMU samples and more, none
+# Without IMU samples for so long the estimate is lost. Sinking onto the pad it takes longer: the vehicle
+# keeps its motion meanwhile, and LAND would brake it over a pad that drives on.
+_STALE_ESTIMATE_S = 0.5
+_STALE_SINKING_S = 1.0
 _OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz
 # Beyond this a stop has been flown, and the wind decides.
 _NO_PLAN_S = 1.0
@@ -127,7 +130,8 @@ class FailsafeMonitor:
             yield MissionEvent.BATTERY_CRITICAL, f"{100.0 * autopilot.battery_share:.0f} % left"
 
     def _estimate(self, vehicle: VehicleState | None, now_s: float) -> Iterator[DetectedEvent]:
-        if vehicle is None or not vehicle.aligned or now_s - vehicle.time_s > _STALE_ESTIMATE_S:
+        longest_s = _STALE_SINKING_S if self._machine.state is State.SINK else _STALE_ESTIMATE_S
+        if vehicle is None or not vehicle.aligned or _sensed_ago_s(vehicle, now_s) > longest_s:
             yield MissionEvent.ESTIMATE_LOST, "no fresh estimate of the vehicle"
         elif not vehicle.velocity_std_m_s <= self._config.largest_speed_std_m_s:
             yield MissionEvent.VELOCITY_UNKNOWN, f"standard deviation {vehicle.velocity_std_m_s:.1f} m/s"
@@ -142,3 +146,8 @@ class FailsafeMonitor:
         limit_s: float = getattr(self._config.phases, f"{phase.value}_s")
         if now_s - self._phase_since_s > limit_s:
             yield MissionEvent.TIMEOUT, f"{limit_s:.0f} s in {phase.value.replace('_', ' ')}"
+
+
+def _sensed_ago_s(vehicle: VehicleState, now_s: float) -> float:
+    """How long ago (s) the newest IMU sample was, by which the estimate goes."""
+    return now_s - vehicle.time_s + vehicle.imu_age_s

@@ -129,6 +129,7 @@ class Guard(StrEnum):
     UNHEARD = "the autopilot has not been heard for long"
     MAY_FINISH = "the settings let a descent finish"
     ENDS_INSIDE = "the pad is inside the fence until the landing ends"
+    FEET_DOWN = "a sign of contact shows the feet down"
 
 
 class Effect(StrEnum):
@@ -156,6 +157,7 @@ class Circumstances:
     may_finish: bool = False
     ends_inside: bool = True
     in_offboard: bool = False
+    feet_down: bool = False
 
     def allow(self, guard: Guard) -> bool:
         """Whether a guard holds."""
@@ -173,6 +175,7 @@ class Circumstances:
             Guard.UNHEARD: not self.heard,
             Guard.MAY_FINISH: self.may_finish,
             Guard.ENDS_INSIDE: self.ends_inside,
+            Guard.FEET_DOWN: self.feet_down,
         }[guard]
 
 

@@ -301,7 +301,7 @@ ROWS: Final = (
         )
         for event in BLIND
     ),
-    *(_row(event, S.SINK, _SET_DOWN) for event in BLIND),
+    *(_row(event, S.SINK, Branch(S.STAND, guard=Guard.FEET_DOWN), _SET_DOWN) for event in BLIND),
     _row(
         E.VELOCITY_UNKNOWN,
         IN_AIR,

@@ -281,10 +281,11 @@ class ReferenceGenerator:
             z = (place + depth_m, rest[0], rest[1], rest[2], rest[3], rest[4])
             self._trajectory = replace(self._trajectory, axes=(x, y, z))
 
-    def turn(self, heading_rad: float | None, now_s: float) -> None:
-        """Slew the heading towards one, or keep it."""
+    def turn(self, heading_rad: float | None, now_s: float, pad_rate_rad_s: float = 0.0) -> None:
+        """Slew the heading towards one, or keep it; the allowed rate is by which a turning pad is caught up."""
         if heading_rad is not None and self._turned_s is not None:
-            most = math.radians(self._config.heading_rate_deg_s) * max(0.0, now_s - self._turned_s)
+            rate_rad_s = math.radians(self._config.heading_rate_deg_s) + abs(pad_rate_rad_s)
+            most = rate_rad_s * max(0.0, now_s - self._turned_s)
             error = wrap_angle(heading_rad - self.heading_rad)
             self.heading_rad = wrap_angle(self.heading_rad + max(-most, min(most, error)))
         self._turned_s = now_s

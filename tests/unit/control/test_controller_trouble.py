@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import ZERO3, Vector3, norm, quat_from_euler, tilt_from_quat
-from companion.base.messages import Setpoint
+from companion.base.messages import LevelOff, Setpoint
 from companion.control.attitude import attitude_from_acceleration
 from companion.control.controller import FAILURES_TO_STOP
 from tests.unit.control.control_plants import controller, reference_rows
@@ -102,6 +102,32 @@ def test_without_the_imu_it_is_reported_not_to_accelerate_until_samples_come_aga
             assert setpoint.velocity_ned_m_s == pytest.approx((1.0, -0.5, 0.0))
             assert setpoint.acceleration_ned_m_s2 == pytest.approx(ZERO3)
     assert report.solved
+
+
+def test_without_the_imu_px4_keeps_the_tilt_and_goes_on_down_where_contact_is_near() -> None:
+    fly = controller(setpoint="acceleration")
+    sinking = replace(hover_reference(0.0), velocity_m_s=np.full_like(hover_reference(0.0).velocity_m_s, 0.2))
+    for level_off, sink_m_s in ((None, 0.0), (LevelOff(0.0, 9.0, 0.1), 0.2)):
+        for k in range(10):
+            now = k * PERIOD_S
+            reference = replace(sinking, time_s=now, level_off=level_off)
+            vehicle = vehicle_state(now, velocity_ned_m_s=(1.0, 0.0, 0.2), imu_age_s=0.2)
+            answer = fly.step(plan_step(now, reference), vehicle, pad_state(now), now)
+        assert answer is not None
+        setpoint = answer[0]
+        # its velocity loop, whose integral is from another wind, stays passed by
+        assert not setpoint.holds_horizontal_velocity
+        assert setpoint.acceleration_ned_m_s2 == pytest.approx(ZERO3, abs=1e-9)
+        assert setpoint.velocity_ned_m_s[2] == pytest.approx(sink_m_s)
+
+
+def test_without_an_estimate_only_what_presses_it_onto_the_pad_is_sent() -> None:
+    fly = controller()
+    plan = plan_step(0.0, hover_reference(0.0))
+    assert fly.step(plan, None, None, 0.0) is None
+    answer = fly.step(replace(plan, on_ground=True), None, None, 0.0)
+    assert answer is not None
+    assert answer[0].velocity_ned_m_s[2] > 0.0
 
 
 def test_without_the_imu_it_goes_on_leaning_against_the_wind() -> None:

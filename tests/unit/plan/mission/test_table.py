@@ -139,6 +139,14 @@ def test_too_low_to_rise_and_nothing_to_follow_it_is_set_down_in_land(event: Mis
     assert branch.authority is None  # our setpoints go on until LAND is active
 
 
+@pytest.mark.parametrize("event", [E.ESTIMATE_LOST, E.CONTROL_FAILED])
+def test_blind_with_its_feet_down_it_stands_where_land_would_brake_against_the_pad(
+    event: MissionEvent,
+) -> None:
+    branch = taken(S.SINK, event, Circumstances(Authority.OURS, feet_down=True))
+    assert (branch.to, kinds(branch)) == (S.STAND, [])
+
+
 @pytest.mark.parametrize("state", sorted({S.WAIT, S.RISE, S.DESCEND}))
 def test_with_a_critical_battery_a_descent_is_finished_if_the_settings_say_so(state: State) -> None:
     finishing = taken(state, E.BATTERY_CRITICAL, Circumstances(Authority.OURS, may_finish=True))

@@ -149,6 +149,19 @@ def test_the_heading_slews_the_short_way_at_its_rate(quarter: int, offset_deg: f
     assert math.remainder(g.heading_rad - wanted, math.tau) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("pad_deg_s", [-40.0, 26.0, 40.0])
+def test_a_pad_that_turns_is_caught_up_with_at_the_rate(pad_deg_s: float) -> None:
+    g, rate = generator(), math.radians(pad_deg_s)
+    pad_rad = math.copysign(math.radians(75.0), pad_deg_s)
+    g.turn(pad_rad, 0.0, rate)
+    behind_deg = []
+    for second in (1.0, 2.0, 3.0):
+        now_rad = pad_rad + rate * second
+        g.turn(now_rad, second, rate)
+        behind_deg.append(abs(math.degrees(math.remainder(now_rad - g.heading_rad, math.tau))))
+    assert behind_deg == pytest.approx([45.0, 15.0, 0.0], abs=1e-9)
+
+
 def test_without_a_wish_the_heading_stays_and_no_rate_is_saved_up() -> None:
     g = generator()
     g.turn(None, 0.0)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from companion.app.loop_monitor import CYCLES, STALL_S, LoopMonitor
+from companion.app.timing.loop_monitor import CYCLES, STALL_S, LoopMonitor
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.config import LinkConfig
 from companion.link.session import Session

@@ -1,0 +1,1 @@
+"""When control cycles begin, and what a cycle does that comes late."""
