@@ -282,7 +282,7 @@ class ReferenceGenerator:
             self._trajectory = replace(self._trajectory, axes=(x, y, z))
 
     def turn(self, heading_rad: float | None, now_s: float, pad_rate_rad_s: float = 0.0) -> None:
-        """Slew the heading towards one, or keep it; the allowed rate is by which a turning pad is caught up."""
+        """Slew the heading towards one, or keep it; a turning pad is caught up with at the rate allowed."""
         if heading_rad is not None and self._turned_s is not None:
             rate_rad_s = math.radians(self._config.heading_rate_deg_s) + abs(pad_rate_rad_s)
             most = rate_rad_s * max(0.0, now_s - self._turned_s)
