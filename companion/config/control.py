@@ -19,7 +19,7 @@ class LimitsConfig(StrictModel):
     vertical_acceleration_m_s2: float = Field(default=3.0, gt=0.0, le=8.0)
     tilt_deg: float = Field(default=30.0, gt=0.0, le=45.0)
     jerk_m_s3: float = Field(default=20.0, gt=0.0, le=200.0)
-    heading_rate_deg_s: float = Field(default=45.0, gt=0.0, le=180.0)
+    heading_rate_deg_s: float = Field(default=90.0, gt=0.0, le=180.0)
     minimum_thrust: float = Field(default=0.05, ge=0.0, le=0.5)
     maximum_thrust: float = Field(default=0.9, gt=0.5, le=1.0)
 

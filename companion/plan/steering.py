@@ -17,7 +17,7 @@ from companion.base.motion import Motion
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.landing.approach_descent import Landing, Unseen
 from companion.plan.landing.ground_contact import Ground
-from companion.plan.landing.relative_state import PadKnowledge, vehicle_motion
+from companion.plan.landing.relative_state import PadKnowledge, misaligned_heading, vehicle_motion
 from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.departure import Departure
 from companion.plan.mission.hold import Hold
@@ -304,7 +304,12 @@ class PhaseSteering:
             if wrong is not None:
                 return wrong
             self._keep_near_pad(inputs, now_s)
-        return self._touchdown.step(state, self._pad.sight, inputs, now_s)
+        event = self._touchdown.step(state, self._pad.sight, inputs, now_s)
+        if event is not None and event[0] is MissionEvent.COMMIT and self._config.mission.align_heading:
+            words = misaligned_heading(self._pad.sight, inputs.vehicle)
+            if words:
+                self._say("heading", words, now_s, "warning")
+        return event
 
     def _hold(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         at_rest = self._held.step(inputs.vehicle, now_s)
@@ -337,11 +342,8 @@ class PhaseSteering:
 
     def turn(self, now_s: float) -> None:
         """Slew the heading to the pad's over the pad, if the settings say so."""
-        sight = (
-            self._pad.sight
-            if self._machine.state in BY_THE_PAD and self._config.mission.align_heading
-            else None
-        )
+        over_pad = self._machine.state in BY_THE_PAD and self._config.mission.align_heading
+        sight = self._pad.sight if over_pad else None
         if sight is None:
             self._generator.turn(None, now_s)
         else:

@@ -5,15 +5,19 @@ Relative quantities are pad minus vehicle, NED axes, as in `PadState`. Metres, s
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import replace
 
-from companion.base.geometry import add, scale
+from companion.base.geometry import add, scale, wrap_angle, yaw_from_quat
 from companion.base.messages import PadState, VehicleState
 from companion.base.motion import Motion
 
 # the prediction's longest step: an estimate that is older shows in `seen_time_s` instead
 _LONGEST_STEP_S = 0.3
+# A heading farther off the pad's is told; so is a pad that turns faster.
+_HEADING_OFF_DEG = 15.0
+_TURNS_DEG_S = 10.0
 
 
 def predicted(pad: PadState | None, now_s: float) -> PadState | None:
@@ -45,6 +49,16 @@ def vehicle_motion(vehicle: VehicleState, now_s: float) -> Motion:
     step_s = min(_LONGEST_STEP_S, max(0.0, now_s - vehicle.time_s))
     p, d = vehicle.position_ned_m, scale(vehicle.velocity_ned_m_s, step_s)
     return Motion((p[0] + d[0], p[1] + d[1], p[2] + d[2]), vehicle.velocity_ned_m_s)
+
+
+def misaligned_heading(pad: PadState | None, vehicle: VehicleState | None) -> str:
+    """In words, how far the vehicle's heading is off the pad's; "" when it is near."""
+    if pad is None or vehicle is None:
+        return ""
+    off_deg = abs(math.degrees(wrap_angle(pad.heading_rad - yaw_from_quat(vehicle.attitude))))
+    rate_deg_s = abs(math.degrees(pad.heading_rate_rad_s))
+    turns = f"; the pad turns at {rate_deg_s:.0f} deg/s" if rate_deg_s > _TURNS_DEG_S else ""
+    return f"heading {off_deg:.0f} deg off the pad's{turns}" if off_deg > _HEADING_OFF_DEG else ""
 
 
 class SteadySightings:

@@ -1,7 +1,18 @@
+import math
+from dataclasses import replace
+
 import pytest
 
+from companion.base.geometry import quat_from_euler
 from companion.base.messages import PadState
-from companion.plan.landing.relative_state import PadKnowledge, SteadySightings, pad_motion, predicted
+from companion.plan.landing.relative_state import (
+    PadKnowledge,
+    SteadySightings,
+    misaligned_heading,
+    pad_motion,
+    predicted,
+)
+from tests.unit.control.controller_inputs import vehicle_state
 from tests.unit.plan.pad_paths import still
 from tests.unit.plan.plan_harness import ORIGIN_NED_M, PlanWorld
 
@@ -81,3 +92,22 @@ def test_what_is_known_of_the_pad_outlives_a_cycle_without_an_estimate() -> None
     knowledge.update(w.inputs().pad, None, 0.1)
     assert knowledge.motion == motion
     assert knowledge.in_words().endswith("below")
+
+
+@pytest.mark.parametrize(
+    ("off_deg", "rate_deg_s", "words"),
+    [
+        (10.0, 60.0, ""),
+        (-40.0, 0.0, "heading 40 deg off the pad's"),
+        (190.0, -50.0, "heading 170 deg off the pad's; the pad turns at 50 deg/s"),
+    ],
+)
+def test_a_heading_that_is_off_the_pad_s_is_told(off_deg: float, rate_deg_s: float, words: str) -> None:
+    vehicle = vehicle_state(0.0, attitude=quat_from_euler(0.0, 0.0, 0.5))
+    turned = replace(
+        pad(),
+        heading_rad=0.5 + math.radians(off_deg),
+        heading_rate_rad_s=math.radians(rate_deg_s),
+    )
+    assert misaligned_heading(turned, vehicle) == words
+    assert misaligned_heading(None, vehicle) == ""
