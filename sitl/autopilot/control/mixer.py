@@ -18,6 +18,7 @@ from sitl.autopilot.control.airframe import Airframe
 Motors = tuple[float, float, float, float]
 
 YAW_MARGIN: Final = 0.15  # of the motors' range
+_ROUNDING: Final = 1e-9
 
 
 class MotorMixer:
@@ -48,10 +49,12 @@ class MotorMixer:
         roll_room = min(centre - abs(roll) - low, beyond - centre - abs(roll))
         limit = max(0.0, min(pitch_room, roll_room))
         yaw = min(max(yaw, -limit), limit)
-        centre -= max(0.0, centre + abs(pitch) + yaw - high, centre + abs(roll) - yaw - high)
-        return (
-            max(low, centre + pitch + yaw),
-            max(low, centre - roll - yaw),
-            max(low, centre - pitch + yaw),
-            max(low, centre + roll - yaw),
-        )
+        over = max(centre + abs(pitch) + yaw, centre + abs(roll) - yaw) - high
+        if over > _ROUNDING:
+            front, right, rear, left = _motors(centre - over, roll, pitch, yaw)
+            return (max(low, front), max(low, right), max(low, rear), max(low, left))
+        return _motors(centre, roll, pitch, yaw)
+
+
+def _motors(centre: float, roll: float, pitch: float, yaw: float) -> Motors:
+    return (centre + pitch + yaw, centre - roll - yaw, centre - pitch + yaw, centre + roll - yaw)
