@@ -63,10 +63,20 @@ def test_roll_and_pitch_outrank_thrust_and_thrust_outranks_yaw() -> None:
     thrust, torque = produced(MotorMixer(Frame450(), 0.04).mix(0.95, (1.5, 0.0, 0.3)))
     assert torque[0] == pytest.approx(1.5)
     assert thrust < 0.95
-    assert abs(torque[2]) < 0.05
+    assert 0.0 < torque[2] < 0.1
     thrust, torque = produced(MotorMixer(Frame450(), 0.04).mix(0.5, (0.0, 0.0, 5.0)))
     assert thrust == pytest.approx(0.5)
     assert torque[2] > 0.0
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_at_full_thrust_yaw_keeps_a_margin_for_which_the_collective_gives_way(sign: float) -> None:
+    # GIVEN all the thrust there is, as in a storm, and a turn to be stopped
+    frame, margin = Frame450(), 0.15 * (1.0 - 0.04)
+    thrust, torque = produced(MotorMixer(frame, 0.04).mix(1.0, (0.0, 0.0, 5.0 * sign)))
+    # THEN the turn is stopped by the margin, and no more of the thrust is given up than that
+    assert torque[2] == pytest.approx(sign * 4.0 * frame.torque_to_thrust_m * frame.max_thrust_n * margin)
+    assert thrust == pytest.approx(1.0 - margin)
 
 
 # ---------------------------------------------------------------- attitude
