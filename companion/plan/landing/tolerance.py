@@ -6,6 +6,7 @@ Relative to the pad, NED axes, m and s.
 from __future__ import annotations
 
 import math
+from collections import deque
 
 from companion.base.messages import PadState
 from companion.config import TouchdownConfig
@@ -17,6 +18,9 @@ _SINK_TOLERANCE_M_S = 0.15
 # In units of `patience_s`: from then on the tolerances widen steadily, to 2.4 times after six.
 _PATIENT_TIMES = 2.0
 _BORNE_PER_TIME = 0.35
+# Once patience has run out, a lean so little above the least within `patience_s` is a lull: a wind that does
+# not calm has none better.
+_LULL_M_S2 = 0.2
 # The tolerance aside never exceeds this, unless the setting does.
 _FARTHEST_ASIDE_M = 0.12
 # A gust that has just begun shows in the speed first: the offset is judged so far ahead, the time from an
@@ -60,6 +64,18 @@ class Tolerance:
 
     def __init__(self, config: TouchdownConfig, since_s: float, slack: float) -> None:
         self._config, self._since_s, self.slack = config, since_s, slack
+        self._leans: deque[tuple[float, float]] = deque()  # of the last patience_s: when, m/s²
+        self._least_m_s2 = 0.0
+
+    def note_lean(self, lean_m_s2: float, now_s: float) -> None:
+        """Take in how much lean a contact would have met, while waiting."""
+        leans = self._leans
+        while leans and leans[-1][1] >= lean_m_s2:
+            leans.pop()
+        leans.append((now_s, lean_m_s2))
+        while now_s - leans[0][0] > self._config.patience_s:
+            leans.popleft()
+        self._least_m_s2 = leans[0][1]
 
     def impatience(self, now_s: float) -> float:
         """How often the patience has run out in this try."""
@@ -77,8 +93,9 @@ class Tolerance:
         return sight.lateral_m > farthest_m or soon_m > farthest_m * self._borne(now_s)
 
     def most_lean_m_s2(self, now_s: float) -> float:
-        """How much lean (m/s²) can be levelled off; grows with impatience."""
-        return self._config.gentle_lean_m_s2 * self._borne(now_s)
+        """How much lean (m/s²) at contact is borne: grows with impatience, and is no less than a lull's."""
+        lull_m_s2 = self._least_m_s2 + _LULL_M_S2 if self.impatience(now_s) >= 1.0 else 0.0
+        return max(self._config.gentle_lean_m_s2 * self._borne(now_s), lull_m_s2)
 
     def most_lean_rad(self, now_s: float) -> float:
         """How far a deck may lean at contact; grows with impatience."""

@@ -115,6 +115,7 @@ class TouchdownSequence:
         self._generator.fly_to(Motion((0.0, 0.0, -self._wait_height_m)), now_s)
         if sight is None or sight.age_s > c.blind_s:
             return MissionEvent.PAD_LOST, f"not seen for {c.blind_s:.1f} s just above the pad"
+        tolerance.note_lean(self._lean_at_contact_m_s2(), now_s)
         ready = (
             aligned(sight, self._wait_height_m, tolerance.slack_by_now(now_s), c)
             and not tolerance.aside(sight, now_s)

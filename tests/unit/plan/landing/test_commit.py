@@ -8,7 +8,7 @@ import pytest
 from companion.base.messages import LandedState, PadState
 from companion.config import TouchdownConfig
 from companion.control.attitude import attitude_from_acceleration
-from companion.plan.landing.tolerance import aligned, gentle
+from companion.plan.landing.tolerance import Tolerance, aligned, gentle
 from companion.plan.mission.states import MissionEvent
 from tests.unit.plan.landing.touchdown_attempt import (
     CONFIG,
@@ -187,3 +187,22 @@ def test_for_a_larger_pad_it_may_be_farther_aside(aside: float, goes_on: bool) -
     for k in range(6):
         touchdown.step(sight(aside, LEG_M + 0.2), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
     assert touchdown.committed is goes_on
+
+
+def test_once_patience_has_run_out_a_lull_of_the_wind_is_taken() -> None:
+    config = TouchdownConfig()
+    tolerance = Tolerance(config, since_s=0.0, slack=1.0)
+    gentle = config.gentle_lean_m_s2
+    for tenth in range(120):
+        now_s = 0.1 * tenth
+        tolerance.note_lean(4.0 if 40 <= tenth < 45 else 2.5, now_s)
+        if now_s < config.patience_s:
+            assert tolerance.most_lean_m_s2(now_s) == gentle  # a gentler moment may come
+        else:
+            assert tolerance.most_lean_m_s2(now_s) == pytest.approx(
+                2.7
+            )  # no more than the least, and a little
+    # the least is that of the last seconds: a wind that has grown is met by what it grants now
+    for tenth in range(120, 180):
+        tolerance.note_lean(3.0, 0.1 * tenth)
+    assert tolerance.most_lean_m_s2(17.9) == pytest.approx(3.2)
