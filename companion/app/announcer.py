@@ -12,6 +12,8 @@ from companion.flightlog.record import FlightLog
 from companion.link.codec import Severity
 
 KEPT: Final = 20
+# the same fault again within it is for the log alone: many a second would crowd out everything else
+REPEATED_S: Final = 5.0
 
 
 class Announcer:
@@ -22,6 +24,7 @@ class Announcer:
         self._new: list[Notice] = []
         self._log_problem_reported = False
         self._notified_once: set[str] = set()
+        self._last: dict[str, Notice] = {}  # told, of each kind
         self.recent: deque[Notice] = deque(maxlen=KEPT)
 
     def notify(self, kind: str, text: str, severity: Severity) -> None:
@@ -38,11 +41,18 @@ class Announcer:
             self._log.write("notice", Notice(now_s, kind, text, severity), now_s)
 
     def publish(self, notice: Notice) -> None:
-        """Tell the log, the terminal and the ground station."""
+        """Tell the log, the terminal and the ground station; the log alone of a fault that was just told."""
         self._log.write("notice", notice, notice.time_s)
+        if notice.severity != "info" and self._just_told(notice):
+            return
+        self._last[notice.kind] = notice
         self._new.append(notice)
         self.recent.append(notice)
         self._deliver(notice)
+
+    def _just_told(self, notice: Notice) -> bool:
+        last = self._last.get(notice.kind)
+        return last is not None and last.text == notice.text and notice.time_s - last.time_s < REPEATED_S
 
     def take(self) -> list[Notice]:
         """The notices since the last call."""

@@ -122,7 +122,7 @@ def stand_by(config_path: Path, output: Output) -> int:
     clear = partial(_make_room, output.record, config)
     clear()
     with StatusView(output.console, config.vehicle, live=output.live) as view:
-        log = FlightsRecorder(output.record, start_unix_s(virtual=False), clear)
+        log = FlightsRecorder(output.record, partial(start_unix_s, virtual=False), clear)
         try:
             return asyncio.run(_service(config, log, view, output.record))
         finally:

@@ -43,10 +43,17 @@ class FlightsRecorder(FlightLog):
     """A `FlightLog` of many flights: `begin` and `end` each; without a folder only the meter runs."""
 
     def __init__(
-        self, folder: Path | None, start_unix_s: float, make_room: Callable[[], None] | None = None
+        self,
+        folder: Path | None,
+        start_unix_s: Callable[[], float],
+        make_room: Callable[[], None] | None = None,
     ) -> None:
-        """`make_room` is called after each flight's log, in a thread: a card may take long to remove one."""
-        super().__init__(None, start_unix_s)
+        """`start_unix_s`: see `FlightLog`; asked at each flight, for a clock that is set after the start.
+
+        `make_room` is called after each flight's log, in a thread: a card may take long to remove one.
+        """
+        super().__init__(None, start_unix_s())
+        self._clock_offset_s = start_unix_s
         self._root, self._make_room = folder, make_room
         self._opener = ThreadPoolExecutor(1, thread_name_prefix="flight-log-opener")
         if folder is not None:
@@ -82,7 +89,7 @@ class FlightsRecorder(FlightLog):
     def _open(self, root: Path) -> FlightLog:
         if self._ending is not None:
             self._ending.join()
-        return FlightLog(next_flight_folder(root), self._start_unix_s, keeps=False)
+        return FlightLog(next_flight_folder(root), self._clock_offset_s(), keeps=False)
 
     def _opened(self) -> FlightLog | None:
         """The log under way, once its files are open; it is given what has been kept until now."""

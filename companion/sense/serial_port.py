@@ -14,9 +14,12 @@ from typing import Final
 import serial
 
 from companion.base.errors import ConfigError, DeviceMissing
+from companion.sense.exclusive import TAKEN
 
 # what opening a device that is not there ends in; what has just been plugged in may be nobody's yet
-ABSENT: Final = frozenset({errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO, errno.EACCES, errno.EBUSY})
+ABSENT: Final = frozenset(
+    {errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO, errno.EACCES, errno.EBUSY, errno.EAGAIN}
+)
 _CHUNK_BYTES: Final = 4096
 _BACKLOG_BYTES: Final = 65536
 
@@ -25,16 +28,18 @@ class SerialPort:
     """A BytePort on a tty. Make it inside the running loop; one reader at a time.
 
     Raises:
-        ConfigError: the port cannot be opened, or is no serial port.
+        ConfigError: the port cannot be opened, is no serial port, or another program of ours has it.
     """
 
     def __init__(self, path: str, baud: int) -> None:
         self._path = path
         try:
-            self._serial = serial.Serial(path, baud, timeout=0, write_timeout=0)
+            # two readers would each have a part of what comes
+            self._serial = serial.Serial(path, baud, timeout=0, write_timeout=0, exclusive=True)
         except (OSError, ValueError) as error:
             number = getattr(error, "errno", None)
             reason = os.strerror(number) if number else str(error)
+            reason = TAKEN if number == errno.EAGAIN else reason
             kind = DeviceMissing if number in ABSENT else ConfigError
             raise kind(f"serial port {path}: cannot be opened at {baud} baud: {reason}") from error
         self._fd = self._serial.fileno()

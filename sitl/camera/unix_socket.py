@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -41,8 +42,14 @@ class UnixServer:
         if _is_in_the_way(path):
             await _check_abandoned(path)
             _remove(path)
+
+        async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            # the loop's end cancels a conversation, which asyncio of some 3.11 reports as an exception
+            with suppress(asyncio.CancelledError):
+                await converse(reader, writer)
+
         try:
-            return cls(await asyncio.start_unix_server(converse, path), path)
+            return cls(await asyncio.start_unix_server(talk, path), path)
         except OSError as error:
             raise ConfigError(
                 f"{path}: {error.strerror}; expected a folder that can be written to"

@@ -226,7 +226,7 @@ async def _stand_by(
         gps_port=vehicle.gps_port,
         range_port=vehicle.range_port,
     )
-    log = FlightsRecorder(record, 1.7e9)
+    log = FlightsRecorder(record, lambda: 1.7e9)
 
     def start() -> App:
         return App(config, hardware, log, make_own_actions, stays=True)

@@ -20,6 +20,9 @@ from typing import Final
 
 from companion.base.errors import ConfigError
 
+ANOTHER: Final = "another companion"
+# nobody takes their calls: so many are told which process it is, the others that there is one
+ASKED: Final = 100
 _CREDENTIALS: Final = struct.Struct("3i")  # struct ucred: process, user, group
 
 
@@ -41,11 +44,16 @@ def only_app_at(connection: str) -> Iterator[None]:
             if error.errno != errno.EADDRINUSE:
                 raise
             raise ConfigError(
-                f"link.connection {connection}: another companion{_holder(name)} is at this autopilot; "
+                f"link.connection {connection}: {_holder(name) or ANOTHER} is at this autopilot; "
                 "expected it to be stopped ('systemctl stop companion', if it is the service)"
             ) from None
-        held.listen(1)  # so that who is refused can ask who is there
+        held.listen(ASKED)  # so that who is refused can ask who is there
         yield
+
+
+def app_at(connection: str) -> str | None:
+    """Which app on this machine is at this autopilot, in words; None: none. Nothing is held by asking."""
+    return _holder(_name(connection)) if sys.platform == "linux" else None
 
 
 def _name(connection: str) -> str:
@@ -57,14 +65,16 @@ def _name(connection: str) -> str:
     return f"\0companion-{hashlib.sha256(connection.encode()).hexdigest()[:32]}"
 
 
-def _holder(name: str) -> str:
-    """Which process holds it, as far as the kernel tells."""
+def _holder(name: str) -> str | None:
+    """Who holds it, as far as the kernel tells; None: nobody."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
         asking.setblocking(False)
         try:
             asking.connect(name)
-            credentials = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+        except BlockingIOError:
+            return ANOTHER
         except OSError:
-            return ""
+            return None
+        credentials = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     process, _, _ = _CREDENTIALS.unpack(credentials)
-    return f" (process {process})" if process > 0 else ""
+    return f"{ANOTHER} (process {process})" if process > 0 else ANOTHER

@@ -33,7 +33,11 @@ carried out), 1: refused or failed, 2: no service answers.
 UNHEALTHY: Final = 1
 RUNNING: Final = "a running companion, see 'systemctl status companion'"
 OF_THE_GROUP: Final = "sudo, or 'sudo usermod -aG companion USER' and a new login"
+NOT_OURS: Final = (
+    "that is no answer of this version's service; expected its local socket, or a restart after an upgrade"
+)
 ANSWER_S: Final = 5.0
+LONGEST_ANSWER: Final = 1 << 20
 WATCH_S: Final = 1.0
 SocketOption = Annotated[
     Path | None, typer.Option("--socket", help="The service's local socket.", metavar="PATH")
@@ -66,7 +70,7 @@ def status_command(
         print(json.dumps(report))
     else:
         console.print(_table(report))
-    raise typer.Exit(UNHEALTHY if report["problems"] else 0)
+    raise typer.Exit(UNHEALTHY if report.get("problems", True) else 0)
 
 
 def order_command(
@@ -105,19 +109,24 @@ class _Asking:
         """The answer.
 
         Raises:
-            ConfigError: the service has gone, or does not answer.
+            ConfigError: the service has gone, does not answer, or it is not the service.
         """
         try:
             # how an order ends takes as long as the landing
             self._connection.settimeout(None if request is None else ANSWER_S)
             if request is not None:
                 self._connection.sendall(json.dumps(request).encode() + b"\n")
-            line = self._lines.readline()
+            line = self._lines.readline(LONGEST_ANSWER)
         except OSError as error:
             raise ConfigError(f"{self._path}: the service does not answer: {error}") from error
         if not line:
             raise ConfigError(f"{self._path}: the service has ended")
-        answer: dict[str, Any] = json.loads(line)
+        try:
+            answer = json.loads(line)
+        except ValueError:
+            answer = None
+        if not isinstance(answer, dict) or "error" in answer:
+            raise ConfigError(f"{self._path}: {NOT_OURS}")
         return answer
 
 
@@ -139,10 +148,19 @@ def _connected(path: Path | None) -> Iterator[_Asking]:
 
 
 def _table(report: dict[str, Any]) -> Table:
+    """The report as text.
+
+    Raises:
+        ConfigError: it is another version's.
+    """
+    try:
+        rows = list(_rows(report))
+    except (KeyError, TypeError) as error:
+        raise ConfigError(f"status: {NOT_OURS}") from error
     table = Table.grid(padding=(0, 2))
     table.add_column(style="dim")
     table.add_column()
-    for name, words in _rows(report):
+    for name, words in rows:
         table.add_row(name, words)
     return table
 
@@ -175,7 +193,8 @@ def _input(entry: dict[str, Any]) -> str:
     if entry["silent"]:
         return "silent" if entry["age_s"] < 1.0 else f"silent for {_duration(entry['age_s'])}"
     # there is no rate before the first seconds are over
-    rate = f"{entry['rate_hz']:.0f} Hz" if entry["rate_hz"] > 0.0 else "begins"
+    rate_hz = entry["rate_hz"]
+    rate = f"{rate_hz:.{0 if rate_hz >= 1.0 else 1}f} Hz" if rate_hz > 0.0 else "begins"
     return f"{rate}, {_age(entry['age_s'])}"
 
 

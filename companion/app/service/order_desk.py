@@ -14,8 +14,9 @@ from typing import Final
 from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply, Phase, Refusal
 
 ReplyCallback = Callable[[Order, OrderReply], None]
-# of one cycle and the last few: more is a fault of whoever sends them
+# of one kind, of one cycle and the last few: more is a fault of whoever sends them
 MOST_WAITING: Final = 8
+TOO_MANY: Final = "too many orders"
 
 
 class OrderDesk:
@@ -24,7 +25,7 @@ class OrderDesk:
     def __init__(self, on_reply: ReplyCallback) -> None:
         """`on_reply` receives every answer: a refusal or IN_PROGRESS, and later how it ended."""
         self._on_reply = on_reply
-        self._waiting: deque[Order] = deque(maxlen=MOST_WAITING)
+        self._waiting: deque[Order] = deque()
         self._followed: Order | None = None
         self._stops: list[Order] = []
 
@@ -39,8 +40,12 @@ class OrderDesk:
         return bool(self._stops)
 
     def take(self, orders: Iterable[Order]) -> None:
-        """Take orders in."""
-        self._waiting.extend(orders)
+        """Take orders in. Too many of a kind are refused; of another kind they keep no stop out."""
+        for order in orders:
+            if _count(self._waiting, order.kind) < MOST_WAITING:
+                self._waiting.append(order)
+            else:
+                self._reply(order, OrderOutcome.TEMPORARILY_REJECTED, TOO_MANY, order.time_s)
 
     def next_order(self, phase: Phase, now_s: float) -> Order | None:
         """The order for this cycle's planner, in standby; in a mission all but a stop are refused."""
@@ -50,12 +55,14 @@ class OrderDesk:
             return self._waiting.popleft()
         while self._waiting:
             order = self._waiting.popleft()
-            if order.kind is OrderKind.STOP:
-                self._stops.append(order)
-                self._reply(order, OrderOutcome.IN_PROGRESS, "", now_s)
-            else:
+            if order.kind is not OrderKind.STOP:
                 busy = f"busy: {phase.value.replace('_', ' ')}"
                 self._reply(order, OrderOutcome.TEMPORARILY_REJECTED, busy, now_s)
+            elif len(self._stops) >= MOST_WAITING:
+                self._reply(order, OrderOutcome.TEMPORARILY_REJECTED, TOO_MANY, now_s)
+            else:
+                self._stops.append(order)
+                self._reply(order, OrderOutcome.IN_PROGRESS, "", now_s)
         return None
 
     def decided(self, order: Order, refusal: Refusal | None, now_s: float) -> None:
@@ -79,3 +86,7 @@ class OrderDesk:
 
     def _reply(self, order: Order, outcome: OrderOutcome, text: str, now_s: float) -> None:
         self._on_reply(order, OrderReply(now_s, order.kind, order.source, outcome, text))
+
+
+def _count(orders: Iterable[Order], kind: OrderKind) -> int:
+    return sum(order.kind is kind for order in orders)

@@ -171,7 +171,7 @@ def lateral_figure(flight: LoggedFlight, track: TruthTrack | None) -> go.Figure 
         _line(figure, track.time_s, distance, VEHICLE_COLOUR, "truth", 1)
     distances = [max(pad.lateral_m, 1e-3) for pad in pads]
     _dots(figure, pads, distances, ESTIMATE_COLOUR, "pad filter", 1)
-    figure.update_yaxes(type="log")
+    figure.update_yaxes(type="log", dtick="D2")  # labels at 1, 2, 5: all nine overprint
     _label_rows(figure, "lateral (m)")
     return _over_time(figure, flight)
 
@@ -206,7 +206,7 @@ def stated_figure(flight: LoggedFlight) -> go.Figure | None:
     _line(figure, times, [v.velocity_std_m_s for v in vehicles], "#b9770e", "velocity (m/s)", 1)
     _dots(figure, pads, [pad.position_std_m for pad in pads], ESTIMATE_COLOUR, "pad position (m)", 2)
     _dots(figure, pads, [pad.velocity_std_m_s for pad in pads], "#148f77", "pad velocity (m/s)", 2)
-    figure.update_yaxes(type="log")
+    figure.update_yaxes(type="log", dtick="D2")  # labels at 1, 2, 5: all nine overprint
     _label_rows(figure, "vehicle", "pad")
     figure.update_layout(height=int(1.6 * HEIGHT_PX))
     return _over_time(figure, flight)
@@ -337,6 +337,12 @@ def _plain(figure: go.Figure) -> go.Figure:
     figure.update_layout(
         template="plotly_white",
         margin={"l": 60, "r": 20, "t": 50, "b": 70},
-        legend={"orientation": "h", "yref": "container", "y": 0.0, "yanchor": "bottom"},
+        legend={
+            "orientation": "h",
+            "itemsizing": "constant",
+            "yref": "container",
+            "y": 0.0,
+            "yanchor": "bottom",
+        },
     )
     return figure

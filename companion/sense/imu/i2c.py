@@ -24,6 +24,7 @@ from companion.base.formats.bus_format import (
     decode_reply_header,
     encode_request,
 )
+from companion.sense.exclusive import take_alone
 from companion.sense.imu.spi import SpiBus
 
 SMBUS_BLOCK_BYTES: Final = 32
@@ -52,10 +53,19 @@ class SmbusBus:
     Plain I2C adapters (the Raspberry Pi's) read any length in one transaction; those that speak SMBus
     alone read 32 bytes at most, and more than that is an OSError rather than a silent second transaction
     that would land elsewhere on a FIFO.
+
+    Raises:
+        OSError: there is no such adapter, or another program of ours has it.
     """
 
     def __init__(self, number: int) -> None:
         self._bus = smbus2.SMBus(number)
+        assert self._bus.fd is not None
+        try:
+            take_alone(self._bus.fd)
+        except OSError:
+            self._bus.close()
+            raise
         self._plain_i2c = bool(self._bus.funcs & smbus2.I2cFunc.I2C)
 
     def read(self, address: int, register: int, length: int) -> bytes:
@@ -110,7 +120,8 @@ class SocketBus:
         except (OSError, BusFormatError) as error:
             # after half a reply the stream is out of step: only a new one is in step again
             self.close()
-            raise OSError(errno.EIO, f"bus at {self._path}: {error}") from error
+            reason = getattr(error, "strerror", None) or error
+            raise OSError(errno.EIO, f"bus at {self._path}: {reason}") from error
         if status:
             raise OSError(status, os.strerror(status))
         return data

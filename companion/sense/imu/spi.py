@@ -11,6 +11,7 @@ import errno
 from typing import Any, Final
 
 from companion.base.errors import ConfigError, DeviceMissing
+from companion.sense.exclusive import take_alone
 
 READ_BIT: Final = 0x80
 REGISTER_HZ: Final = 1_000_000
@@ -29,7 +30,7 @@ class SpiBus:
     all ones or all noughts, which is the driver's to notice.
 
     Raises:
-        ConfigError: no spidev module, or no such device.
+        ConfigError: no spidev module, no such device, or another program of ours has it.
     """
 
     def __init__(self, bus: int, select: int) -> None:
@@ -37,7 +38,9 @@ class SpiBus:
         self._spi = _spidev_module().SpiDev()
         try:
             self._spi.open(bus, select)
+            take_alone(self._spi.fileno())
         except OSError as error:
+            self._spi.close()
             reason = error.strerror or str(error)
             raise DeviceMissing(f"bus 'spi:{bus}.{select}': {path} cannot be opened: {reason}") from error
         self._spi.mode = _MODE

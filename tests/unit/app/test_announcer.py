@@ -1,6 +1,6 @@
 """What people are told, and what only the log is told again."""
 
-from companion.app.announcer import Announcer
+from companion.app.announcer import REPEATED_S, Announcer
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.messages import Notice
 from companion.flightlog.record import FlightLog
@@ -32,3 +32,19 @@ def test_what_holds_on_is_told_once_in_a_run_and_stands_in_each_flights_log() ->
     assert [notice.text for notice in log.notices] == ["link loss", "link loss", "no home"]
     for heard in (told, list(announcer.recent), announcer.take()):
         assert [notice.text for notice in heard] == ["link loss", "no home"]
+
+
+def test_what_comes_many_times_a_second_is_told_now_and_then_and_a_sequence_as_it_is() -> None:
+    log, told = Kept(), list[Notice]()
+
+    async def noisy() -> None:
+        announcer = Announcer(Clock(), log, told.append)
+        for number in range(21):
+            time_s = number * REPEATED_S / 10.0
+            announcer.publish(Notice(time_s, "imu", "samples lost", "warning"))
+            announcer.publish(Notice(time_s, "phase", "search" if number % 2 else "approach", "info"))
+
+    run_in_virtual_time(noisy())
+    assert len(log.notices) == 42
+    assert [n.time_s for n in told if n.kind == "imu"] == [0.0, REPEATED_S, 2.0 * REPEATED_S]
+    assert sum(n.kind == "phase" for n in told) == 21

@@ -15,9 +15,10 @@ from mcap.reader import make_reader
 from companion.base.messages import Frame, Notice
 from companion.config import CompanionConfig
 from companion.flightlog import flights_recorder
-from companion.flightlog.flights import next_flight_folder
+from companion.flightlog.flights import next_flight_folder, numbered_flights
 from companion.flightlog.flights_recorder import KEPT_S, FlightsRecorder
 from companion.flightlog.meter import WINDOW_S, Meter
+from companion.flightlog.summary import summary_of
 
 
 def texts(folder: Path) -> list[str]:
@@ -31,6 +32,11 @@ def tell(log: FlightsRecorder, time_s: float) -> None:
     log.write("notice", Notice(time_s, "test", f"at {time_s:g}"), time_s)
 
 
+def dates(root: Path) -> list[float | None]:
+    """When the flights began, as `companion logs` lists them."""
+    return [summary_of(folder).start_unix_s for folder in numbered_flights(root)]
+
+
 def until(holds: Callable[[], bool]) -> None:
     """Wait for what a thread does."""
     by_s = time.monotonic() + 10.0
@@ -39,8 +45,26 @@ def until(holds: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
+def test_a_clock_that_is_set_after_the_start_dates_the_next_flight(tmp_path: Path) -> None:
+    # a Raspberry Pi without a network starts where it was switched off, and may step either way
+    clock = iter((1000.0, 1000.0, 1.9e9, 1.8e9))
+    log = FlightsRecorder(tmp_path, lambda: next(clock))
+    for time_s in (10.0, 20.0, 30.0):
+        tell(log, time_s)
+        log.begin()
+        until(lambda: log.flight_folder is not None)
+        log.end()
+    log.close()
+    assert [folder.name for folder in numbered_flights(tmp_path)] == [
+        "flight-0001",
+        "flight-0002",
+        "flight-0003",
+    ]
+    assert dates(tmp_path) == [None, 1.9e9 + 20.0, 1.8e9 + 30.0]
+
+
 def test_each_flight_begins_with_the_minute_before_it(tmp_path: Path) -> None:
-    log = FlightsRecorder(tmp_path, 1.7e9)
+    log = FlightsRecorder(tmp_path, lambda: 1.7e9)
     log.write_settings(config=CompanionConfig())
     for second in range(100):
         tell(log, float(second))
@@ -64,7 +88,7 @@ def test_each_flight_begins_with_the_minute_before_it(tmp_path: Path) -> None:
 def test_the_minute_before_is_written_through_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written: list[int] = []
     monkeypatch.setattr("os.fsync", written.append)
-    log = FlightsRecorder(tmp_path, 1.7e9)
+    log = FlightsRecorder(tmp_path, lambda: 1.7e9)
     for second in range(50):
         tell(log, float(second))
         log.write_mavlink(b"\xfe\x00\x00\x01\x01\x00\x00\x00", float(second), "in")
@@ -72,7 +96,7 @@ def test_the_minute_before_is_written_through_once(tmp_path: Path, monkeypatch: 
     log.end()
     log.close()
     assert len(written) == 2  # each file
-    log = FlightsRecorder(tmp_path, 1.7e9)
+    log = FlightsRecorder(tmp_path, lambda: 1.7e9)
     log.begin()
     until(lambda: log.flight_folder is not None)
     for second in range(50):
@@ -82,7 +106,7 @@ def test_the_minute_before_is_written_through_once(tmp_path: Path, monkeypatch: 
 
 
 def test_pictures_and_mavlink_of_the_minute_are_there_too(tmp_path: Path) -> None:
-    log = FlightsRecorder(tmp_path, 1.7e9)
+    log = FlightsRecorder(tmp_path, lambda: 1.7e9)
     image = np.zeros((48, 64), np.uint8)
     for number in range(100):
         time_s = 0.1 * number
@@ -99,7 +123,7 @@ def test_pictures_and_mavlink_of_the_minute_are_there_too(tmp_path: Path) -> Non
 def test_a_card_that_cannot_be_written_is_reported_and_ends_no_flight(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("no folder")
-    log = FlightsRecorder(blocked, 1.7e9)
+    log = FlightsRecorder(blocked, lambda: 1.7e9)
     log.begin()
     tell(log, 1.0)
     until(lambda: "cannot be written" in (log.problem or ""))
@@ -122,7 +146,7 @@ def test_a_card_that_hangs_holds_nobody_up_and_loses_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = hanging_card(monkeypatch)
-    log = FlightsRecorder(tmp_path, 1.7e9)
+    log = FlightsRecorder(tmp_path, lambda: 1.7e9)
     tell(log, 0.0)
     log.begin()
     tell(log, 1.0)
@@ -135,7 +159,7 @@ def test_a_card_that_hangs_holds_nobody_up_and_loses_nothing(
 
 
 def test_a_flight_that_ends_before_its_log_is_open_is_logged(tmp_path: Path) -> None:
-    log = FlightsRecorder(tmp_path, 1.7e9)
+    log = FlightsRecorder(tmp_path, lambda: 1.7e9)
     for number in (1, 2):
         tell(log, 10.0 * number)
         log.begin()
@@ -148,7 +172,7 @@ def test_a_card_that_hangs_beyond_the_flight_s_end_holds_nobody_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = hanging_card(monkeypatch)
-    log = FlightsRecorder(tmp_path, 1.7e9)
+    log = FlightsRecorder(tmp_path, lambda: 1.7e9)
     for number in (1, 2):
         tell(log, 10.0 * number)
         log.begin()
@@ -173,7 +197,7 @@ def test_a_card_that_hangs_in_a_flight_does_not_hold_its_end_up(
 
     monkeypatch.setattr("companion.flightlog.disk.QUEUE_SIZE", 4)
     monkeypatch.setattr("os.fsync", hang)
-    log = FlightsRecorder(tmp_path, 1.7e9)
+    log = FlightsRecorder(tmp_path, lambda: 1.7e9)
     log.begin()
     until(lambda: log.flight_folder is not None)
     assert hangs.wait(10.0)
@@ -194,7 +218,7 @@ def test_no_fault_of_the_opening_reaches_who_writes(tmp_path: Path, monkeypatch:
     def no_thread(*_: object) -> None:
         raise RuntimeError("can't start new thread")
 
-    log = FlightsRecorder(tmp_path, 1.7e9)
+    log = FlightsRecorder(tmp_path, lambda: 1.7e9)
     with monkeypatch.context() as patch:
         patch.setattr("threading.Thread.start", no_thread)
         log.begin()
@@ -209,7 +233,7 @@ def test_no_fault_of_the_opening_reaches_who_writes(tmp_path: Path, monkeypatch:
 
 def test_room_is_made_after_each_flight(tmp_path: Path) -> None:
     made = threading.Semaphore(0)
-    log = FlightsRecorder(tmp_path, 1.7e9, made.release)
+    log = FlightsRecorder(tmp_path, lambda: 1.7e9, made.release)
     for _ in range(2):
         log.begin()
         log.end()
@@ -218,7 +242,7 @@ def test_room_is_made_after_each_flight(tmp_path: Path) -> None:
 
 
 def test_without_a_folder_nothing_is_kept(tmp_path: Path) -> None:
-    log = FlightsRecorder(None, 1.7e9)
+    log = FlightsRecorder(None, lambda: 1.7e9)
     for second in range(1000):
         tell(log, float(second))
     log.begin()

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from companion.base.errors import DeviceMissing
 from companion.config import ConfigError
 from companion.sense.serial_port import SerialPort
 from sitl.devices.ports import PtyPort
@@ -102,6 +103,17 @@ async def test_a_port_that_is_not_there_is_reported_in_one_line() -> None:
         ConfigError, match=r"^serial port /dev/ttyNONE: cannot be opened at 9600 baud: No such"
     ):
         SerialPort("/dev/ttyNONE", 9600)
+
+
+async def test_a_port_that_another_program_of_ours_has_is_waited_for(
+    pty: tuple[int, str],
+) -> None:
+    _, path = pty
+    first = SerialPort(path, 9600)
+    with pytest.raises(DeviceMissing, match=r"cannot be opened at 9600 baud: busy; expected a device"):
+        SerialPort(path, 9600)
+    first.close()
+    SerialPort(path, 9600).close()
 
 
 async def test_a_file_that_is_no_port_is_reported_in_one_line(tmp_path: os.PathLike[str]) -> None:

@@ -3,7 +3,7 @@
 import { Picture } from "/picture.js";
 import { Plots, words } from "/plots.js";
 
-const STALE_MS = 1000, RETRY_MS = 1000, HOLD_MS = 1500, PLOTTED_MS = 180;
+const STALE_MS = 1000, RETRY_MS = 1000, HOLD_MS = 1500, PLOTTED_MS = 180, ANSWER_MS = 20000, NO_ECHO_S = 2.5;
 const WRONG_TOKEN = 4401, TOO_MANY = 4429;
 const INPUTS = ["camera", "IMU", "magnetometer", "GPS", "ultrasonic"];
 const at = (id) => document.getElementById(id);
@@ -76,6 +76,7 @@ function hear(message) {
     case "hello":
       startless = false;
       at("orders").hidden = !message.commands;
+      answer(null); // whoever was asked before the connection broke answers no more
       break;
     case "track":
       plots.replace(message.rows);
@@ -167,7 +168,9 @@ function lights(state) {
   const rows = [light("autopilot", state.autopilot || "no heartbeat", state.autopilot ? "" : "silent")];
   for (const name of INPUTS) {
     const input = found.get(name);
-    rows.push(input ? light(name, liveliness(input), input.silent ? "silent" : "") : light(name, "nothing yet", "absent"));
+    // from high up there is no echo, which is no fault
+    const kind = input?.silent ? "silent" : !input || input.age_s > NO_ECHO_S ? "absent" : "";
+    rows.push(light(name, input ? liveliness(input) : "nothing yet", kind));
   }
   rows.push(light("estimate", state.aligned ? `±${state.attitude_std_deg.toFixed(1)}°, ±${state.velocity_std_m_s.toFixed(2)} m/s` : "not aligned", state.aligned ? "" : "silent"));
   const seen = state.pad_seen_s;
@@ -179,7 +182,7 @@ function lights(state) {
 function liveliness(input) {
   if (input.silent) return input.age_s < 1 ? "silent" : `silent for ${duration(input.age_s)}`;
   const age = input.age_s >= 1 ? `, ${duration(input.age_s)} ago` : "";
-  return (input.rate_hz > 0 ? `${input.rate_hz.toFixed(0)} Hz` : "begins") + age;
+  return (input.rate_hz > 0 ? `${input.rate_hz.toFixed(input.rate_hz < 1 ? 1 : 0)} Hz` : "begins") + age;
 }
 
 function light(name, words, kind) {
@@ -267,9 +270,16 @@ function order(kind) {
   answer({ order: kind, outcome: "sent", text: "" });
 }
 
-function answer({ order: kind, outcome, text }) {
+let fading = null;
+
+// the last word of an order; it goes after a while, so that nobody takes it for the next one's
+function answer(given) {
+  clearTimeout(fading);
+  if (!given) return write("answer", "");
+  const { order: kind, outcome, text } = given;
   write("answer", `${kind}: ${words(outcome)}${text ? `: ${text}` : ""}`);
   at("answer").className = ["sent", "in_progress", "accepted"].includes(outcome) ? "" : "refused";
+  if (outcome !== "in_progress") fading = setTimeout(answer, ANSWER_MS, null);
 }
 
 window.onresize = () => plots.draw();

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.app.service.autopilot_lock import only_app_at
+from companion.app.service.autopilot_lock import ASKED, app_at, only_app_at
 from companion.config import CONFIG_FOLDER, ConfigError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the lock is Linux's")
@@ -43,12 +43,21 @@ def test_a_second_app_is_reported_who_is_there_and_a_kill_leaves_nothing_held() 
         told = re.escape(f"link.connection {connection}: another companion (process {other.pid}) is at")
         with pytest.raises(ConfigError, match=told), only_app_at(connection):
             pass
+        assert app_at(connection) == f"another companion (process {other.pid})"
         with only_app_at(f"tcp:127.0.0.1:{os.getpid()}"):  # another line
             pass
         other.send_signal(signal.SIGKILL)
         other.wait()
+        assert app_at(connection) is None
         with only_app_at(connection):
             pass
+
+
+def test_however_many_ask_each_is_told_that_somebody_is_there() -> None:
+    connection = f"udpin:127.0.0.1:{os.getpid()}"
+    with only_app_at(connection):
+        told = {app_at(connection) for _ in range(2 * ASKED)}
+    assert told == {"another companion", f"another companion (process {os.getpid()})"}
 
 
 def test_a_device_is_the_same_by_whatever_path_it_is_named(tmp_path: Path) -> None:

@@ -199,3 +199,29 @@ def test_the_services_socket_is_asked_while_its_folder_is_there(
 def test_without_a_service_it_is_said_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="expected a running companion"):
         status_command(False, False, tmp_path / "nothing")
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        b"COMPANION FRAMES \x80\n",
+        b"[]\n",
+        b'{"error": "expected a request"}\n',
+        b'{"phase": "standby"}\n',
+        b"{" * 9000,
+    ],
+    ids=["bytes", "list", "error", "another-version", "endless"],
+)
+async def test_what_answers_otherwise_than_the_service_is_reported_in_one_line(
+    answer: bytes, tmp_path: Path
+) -> None:
+    path = tmp_path / "socket"
+
+    async def converse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.readline()
+        writer.write(answer)
+        writer.close()
+
+    async with await asyncio.start_unix_server(converse, path):
+        with pytest.raises(ConfigError, match="that is no answer of this version's service; expected its"):
+            await asyncio.to_thread(status_command, False, False, path)

@@ -1,6 +1,6 @@
 """The desk of orders: one at a time, each answered, and a stop for whatever is under way."""
 
-from companion.app.service.order_desk import MOST_WAITING, OrderDesk
+from companion.app.service.order_desk import MOST_WAITING, TOO_MANY, OrderDesk
 from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply, Phase, Refusal
 
 
@@ -77,10 +77,28 @@ def test_a_mission_that_ends_otherwise_has_failed() -> None:
     assert d.replies[-1] == ("a", OrderOutcome.FAILED, "abort: pilot took over")
 
 
-def test_who_sends_orders_without_end_fills_no_memory() -> None:
+def test_who_sends_orders_without_end_fills_no_memory_and_each_is_answered() -> None:
     d = AnsweredDesk()
     d.desk.take(order(str(number)) for number in range(1000))
+    assert len(d.replies) == 1000 - MOST_WAITING
+    assert set(d.replies[0][1:]) == {OrderOutcome.TEMPORARILY_REJECTED, TOO_MANY}
     waiting = 0
     while d.desk.next_order(Phase.STANDBY, 1.0) is not None:
         waiting += 1
     assert waiting == MOST_WAITING
+
+
+def test_a_flood_of_orders_keeps_no_stop_out_and_a_flood_of_stops_fills_no_memory() -> None:
+    d = AnsweredDesk()
+    d.desk.decided(order("a"), None, 1.0)
+    d.desk.take(order("flood") for _ in range(100))
+    d.desk.take([order("operator", OrderKind.STOP)])
+    d.desk.next_order(Phase.APPROACH, 2.0)
+    assert d.replies[-1] == ("operator", OrderOutcome.IN_PROGRESS, "")
+    for cycle in range(100):
+        d.desk.take([order(f"stop {cycle}", OrderKind.STOP)])
+        d.desk.next_order(Phase.HOLD, 2.0)
+    assert d.replies[-1] == ("stop 99", OrderOutcome.TEMPORARILY_REJECTED, TOO_MANY)
+    before = len(d.replies)
+    d.desk.mission_ended(Phase.ABORT, "stopped", 3.0)
+    assert len(d.replies) - before == 1 + MOST_WAITING

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.base.errors import DeviceMissing
 from companion.base.formats import bus_format
 from companion.base.formats.bus_format import BusFormatError, ReadRequest, WriteRequest
 from companion.config import ConfigError
@@ -182,9 +185,13 @@ def test_the_socket_bus_connects_only_when_it_is_used() -> None:
 class FakeSmbus:
     """What smbus2.SMBus does on an adapter with the given functions."""
 
-    def __init__(self, funcs: int) -> None:
+    def __init__(self, funcs: int, device: Path) -> None:
         self.funcs = funcs
         self.written: list[tuple[int, int, int]] = []
+        self.fd = os.open(device, os.O_RDONLY)
+
+    def close(self) -> None:
+        os.close(self.fd)
 
     def i2c_rdwr(self, ask: object, answer: object) -> None:
         register = bytes(ask)[0]  # type: ignore[call-overload]
@@ -198,21 +205,48 @@ class FakeSmbus:
         self.written.append((address, register, value))
 
 
-def _smbus_bus(monkeypatch: pytest.MonkeyPatch, funcs: int) -> tuple[SmbusBus, FakeSmbus]:
-    fake = FakeSmbus(funcs)
-    monkeypatch.setattr("companion.sense.imu.i2c.smbus2.SMBus", lambda _number: fake)
-    return SmbusBus(1), fake
+Adapter = Callable[[int], FakeSmbus]
 
 
-def test_a_plain_i2c_adapter_reads_any_length_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    bus, fake = _smbus_bus(monkeypatch, 0x00000001)
+@pytest.fixture
+def adapter(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Adapter]:
+    """Has /dev/i2c-1 be an adapter with the given functions; a file stands for the device."""
+    device, made = tmp_path / "i2c-1", list[FakeSmbus]()
+    device.touch()
+
+    def with_functions(funcs: int) -> FakeSmbus:
+        made.append(FakeSmbus(funcs, device))
+        monkeypatch.setattr("companion.sense.imu.i2c.smbus2.SMBus", lambda _number: made[-1])
+        return made[-1]
+
+    yield with_functions
+    for fake in made:
+        with suppress(OSError):
+            fake.close()
+
+
+def test_a_plain_i2c_adapter_reads_any_length_at_once(adapter: Adapter) -> None:
+    fake = adapter(0x00000001)
+    bus = SmbusBus(1)
     assert bus.read(0x68, 10, 100) == bytes(range(10, 110))
     bus.write(0x68, 0x6B, 1)
     assert fake.written == [(0x68, 0x6B, 1)]
 
 
-def test_an_smbus_adapter_reads_a_block_and_refuses_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    bus, _ = _smbus_bus(monkeypatch, 0x04000000)
+def test_an_smbus_adapter_reads_a_block_and_refuses_more(adapter: Adapter) -> None:
+    adapter(0x04000000)
+    bus = SmbusBus(1)
     assert bus.read(0x68, 10, 32) == bytes(range(10, 42))
     with pytest.raises(OSError, match="at most 32"):
         bus.read(0x68, 10, 33)
+
+
+def test_an_adapter_that_another_program_of_ours_has_is_waited_for(adapter: Adapter) -> None:
+    adapter(0x00000001)
+    first = open_bus("i2c:1")
+    adapter(0x00000001)
+    with pytest.raises(DeviceMissing, match=r"^bus 'i2c:1': /dev/i2c-1 cannot be opened: busy; expected"):
+        open_bus("i2c:1")
+    first.close()
+    adapter(0x00000001)
+    open_bus("i2c:1").close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 import types
 
 import numpy as np
@@ -27,14 +28,19 @@ class FakeSpiDev:
         self.mode = 0
         self.max_speed_hz = 500_000
         self.closed = False
+        self.file = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the bus
 
     def open(self, bus: int, select: int) -> None:
         self.at = (bus, select)
         if self.missing is not None:
             raise self.missing
 
+    def fileno(self) -> int:
+        return self.file.fileno()
+
     def close(self) -> None:
         self.closed = True
+        self.file.close()
 
     def xfer2(self, data: list[int], speed_hz: int) -> list[int]:
         assert self.device is not None

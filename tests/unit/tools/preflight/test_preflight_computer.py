@@ -90,13 +90,31 @@ def test_the_service_is_to_be_installed_and_enabled(
     assert found(monkeypatch, tmp_path, state=service)["service"].state is state
 
 
-def test_what_a_running_service_has_is_left_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("state", "app", "who", "hint"),
+    [
+        (RUNNING, "another companion (process 7)", "the service", "sudo systemctl stop companion.service"),
+        (None, "another companion (process 7)", "another companion (process 7)", "stop it, check"),
+    ],
+    ids=["service", "by-hand"],
+)
+def test_what_a_running_app_has_is_left_alone(
+    state: ServiceState | None,
+    app: str,
+    who: str,
+    hint: str,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
     async def opened(*_: object) -> list[Finding]:
         raise AssertionError("a device was opened")
 
-    monkeypatch.setattr(run, "service_state", lambda: RUNNING)
+    monkeypatch.setattr(run, "service_state", lambda: state)
+    monkeypatch.setattr(run, "app_at", lambda _: app)
     monkeypatch.setattr(run, "check_devices", opened)
     monkeypatch.setattr(run, "check_link", opened)
     findings = asyncio.run(run.preflight(CompanionConfig(), Path("x.yaml"), tmp_path))
-    left = {finding.group for finding in findings if "the service is running" in finding.detail}
-    assert left == {"camera", "IMU", "GPS", "range", "link", "telemetry", "autopilot's parameters"}
+    left = [finding for finding in findings if f"{who} is running" in finding.detail]
+    groups = {"camera", "IMU", "GPS", "range", "link", "telemetry", "autopilot's parameters"}
+    assert {finding.group for finding in left} == groups
+    assert any(finding.hint.startswith(hint) for finding in left)
