@@ -61,7 +61,7 @@ _CAMERA: Final[dict[str, FaultRowCase]] = {
 }
 _SENSORS: Final[dict[str, FaultRowCase]] = {
     "IMU lost": _one("imu_lost"),
-    "IMU frozen": _one("imu_frozen"),
+    "IMU stuck": _one("imu_stuck"),
     "IMU NaN": _one("imu_nan"),
     "IMU saturated": _one("imu_saturated"),
     "30 uT": _case(TO_THE_END, {"kind": "mag_disturbed"}, lands=True),

@@ -73,11 +73,11 @@ def test_a_control_loop_that_fails_leaves_the_vehicle_holding(
     assert [result.accepted for result in held] == [True]
 
 
-def test_an_imu_that_freezes_is_believed_for_50_ms_and_the_estimate_is_given_up_for_good(
+def test_an_imu_that_is_stuck_is_believed_for_50_ms_and_the_estimate_is_given_up_for_good(
     tmp_path: Path,
 ) -> None:
     # GIVEN a flight WHEN the IMU repeats its sample from then on, however often it is set up anew
-    fault = {"kind": "imu_frozen", "start_s": IN_DESCENT_S}
+    fault = {"kind": "imu_stuck", "start_s": IN_DESCENT_S}
     flight, log = fly_logged(static(tmp_path, faults=[fault]))
     # THEN no estimate rests on what it says more than 50 ms later, and the flight ends without one
     assert flight.report.outcome is Outcome.ABORTED, flight.report.failures
