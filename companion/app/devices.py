@@ -24,10 +24,15 @@ class Closable(Protocol):
         """Give it back."""
 
 
-class SerialLine(Closable, Protocol):
-    """A serial line whose rate can be changed: `companion.sense.serial_port.SerialPort`."""
+class ReadableLine(Closable, Protocol):
+    """What bytes come from."""
 
     async def read(self) -> bytes: ...
+
+
+class SerialLine(ReadableLine, Protocol):
+    """A serial line whose rate can be changed: `companion.sense.serial_port.SerialPort`."""
+
     def write(self, data: bytes) -> None: ...
     def set_baud(self, baud: int) -> None: ...
 
@@ -37,6 +42,7 @@ class ClosableBus(RegisterBus, Closable, Protocol):
 
 
 D = TypeVar("D", bound=Closable)
+L = TypeVar("L", bound=ReadableLine)
 
 
 class _Awaited(Generic[D]):
@@ -53,12 +59,21 @@ class _Awaited(Generic[D]):
                 device.close()
 
 
-class AwaitedPort(_Awaited[SerialLine]):
-    """A serial port to a sensor; `open_port` raises ConfigError while it cannot be opened."""
+@contextmanager
+def _not_there() -> Iterator[None]:
+    """What cannot be opened is an error of the device, not of the settings."""
+    try:
+        yield
+    except ConfigError as error:
+        raise OSError(str(error)) from error
 
-    def __init__(self, device: SerialLine | None, open_port: Callable[[], SerialLine]) -> None:
+
+class _AwaitedLine(_Awaited[L]):
+    """A line that is read as bytes come; `open_line` raises ConfigError while it cannot be opened."""
+
+    def __init__(self, device: L | None, open_line: Callable[[], Awaitable[L]]) -> None:
         super().__init__(device)
-        self._open = open_port
+        self._open = open_line
 
     async def read(self) -> bytes:
         """Wait for bytes.
@@ -67,15 +82,23 @@ class AwaitedPort(_Awaited[SerialLine]):
             OSError: it is not there, or has gone.
         """
         if self._device is None:
-            try:
-                self._device = self._open()
-            except ConfigError as error:
-                raise OSError(str(error)) from error
+            with _not_there():
+                self._device = await self._open()
         try:
             return await self._device.read()
         except OSError:
             self.close()
             raise
+
+
+class AwaitedPort(_AwaitedLine[SerialLine]):
+    """A serial port to a sensor; `open_port` raises ConfigError while it cannot be opened."""
+
+    def __init__(self, device: SerialLine | None, open_port: Callable[[], SerialLine]) -> None:
+        async def opened() -> SerialLine:
+            return open_port()
+
+        super().__init__(device, opened)
 
     def write(self, data: bytes) -> None:
         """Send; dropped while it is not there."""
@@ -115,10 +138,8 @@ class AwaitedBus(_Awaited[ClosableBus]):
     def _opened(self) -> Iterator[ClosableBus]:
         """The bus for one transaction; an adapter that was unplugged is opened anew for the next."""
         if self._device is None:
-            try:
+            with _not_there():
                 self._device = self._open()
-            except ConfigError as error:
-                raise OSError(str(error)) from error
         try:
             yield self._device
         except OSError as error:
@@ -127,25 +148,8 @@ class AwaitedBus(_Awaited[ClosableBus]):
             raise
 
 
-class AwaitedTransport(_Awaited[Transport]):
-    """The line to the autopilot; `open_line` raises ConfigError while it cannot be opened."""
-
-    def __init__(self, device: Transport | None, open_line: Callable[[], Awaitable[Transport]]) -> None:
-        super().__init__(device)
-        self._open = open_line
-
-    async def read(self) -> bytes:
-        """See `Transport`; OSError while it is not there."""
-        if self._device is None:
-            try:
-                self._device = await self._open()
-            except ConfigError as error:
-                raise OSError(str(error)) from error
-        try:
-            return await self._device.read()
-        except OSError:
-            self.close()
-            raise
+class AwaitedTransport(_AwaitedLine[Transport]):
+    """The line to the autopilot."""
 
     def write(self, data: bytes) -> None:
         """See `Transport`; dropped while it is not there."""

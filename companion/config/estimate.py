@@ -34,7 +34,7 @@ class EkfConfig(StrictModel):
     mag_rate_hz: float = Field(default=25.0, ge=1.0, le=100.0)
     mag_noise_ut: float = Field(default=5.0, gt=0.0, le=20.0)
     mag_wander_s: float = Field(default=0.4, ge=0.0, le=100.0)  # for so long a field's error stays
-    orientation_patience_s: float = Field(default=3.0, gt=0.0, le=60.0)  # refused for so long: start from it
+    orientation_timeout_s: float = Field(default=3.0, gt=0.0, le=60.0)  # refused for so long: start from it
     gps_accuracy_factor: float = Field(default=0.3, gt=0.0, le=5.0)  # standard deviation of what is claimed
     gps_position_noise_m: float = Field(default=1.0, gt=0.0, le=50.0)  # floor
     gps_wander_s: float = Field(default=60.0, ge=0.0, le=1000.0)  # for so long a position's error stays
@@ -69,7 +69,9 @@ class PadFilterConfig(StrictModel):
     exposure_jitter_s: float = Field(default=0.003, ge=0.0, le=0.1)  # of the exposure against the IMU's clock
     first_speed_std_m_s: float = Field(default=2.0, gt=0.0, le=20.0)
     range_noise_m: float = Field(default=0.03, gt=0.0, le=1.0)
-    patience_s: float = Field(default=0.5, gt=0.0, le=10.0)  # sightings refused for so long: start again
+    sighting_timeout_s: float = Field(
+        default=0.5, gt=0.0, le=10.0
+    )  # sightings refused for so long: start again
     remember_s: float = Field(default=1.0, ge=0.1, le=5.0)
     forget_s: float = Field(default=10.0, ge=1.0, le=60.0)  # unseen for so long: no pad
 

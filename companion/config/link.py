@@ -16,7 +16,7 @@ CONNECTION_FORM = re.compile(
 
 
 class LinkConfig(StrictModel):
-    """The autopilot's port, who we are on it, and how patient we are.
+    """The autopilot's port, who we are on it, and how long we wait.
 
     `connection` is serial:PATH:BAUD, udp:HOST:PORT (we call), udpin:HOST:PORT (we listen) or tcp:HOST:PORT
     (we call). `system_id` is the vehicle's and so ours; 0 takes the first autopilot heard. `component_id`
@@ -37,7 +37,7 @@ class LinkConfig(StrictModel):
     ground_system_id: int = Field(default=255, ge=1, le=255)
     maximum_pad_speed_m_s: float = Field(default=8.0, gt=0.0, le=30.0)
     heartbeat_timeout_s: float = Field(default=3.0, ge=1.0, le=30.0)
-    command_patience_s: float = Field(default=0.5, ge=0.1, le=5.0)
+    command_timeout_s: float = Field(default=0.5, ge=0.1, le=5.0)
     command_tries: int = Field(default=4, ge=1, le=10)
     force_disarm: bool = True
     set_parameters: bool = False

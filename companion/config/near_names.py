@@ -11,6 +11,11 @@ from pydantic import BaseModel
 
 # a slip of the fingers or a forgotten unit; 'gain' for 'wings' is none
 LIKENESS = 0.7
+# what a setting was called before, where its name is now like another's or like none
+FORMER = {
+    "command_patience_s": ("command_timeout_s",),
+    "patience_s": ("gentle_wait_s", "sighting_timeout_s"),
+}
 
 
 def near_name(model: type[BaseModel], key: Sequence[str]) -> str | None:
@@ -20,7 +25,8 @@ def near_name(model: type[BaseModel], key: Sequence[str]) -> str | None:
     for part in key[:-1]:
         here = [inner for outer in here for inner in _inside(outer, part, schema)]
     known = {name for outer in here for kind in _kinds(outer, schema) for name in kind.get("properties", ())}
-    return next(iter(get_close_matches(key[-1], sorted(known), 1, LIKENESS)), None)
+    now = [name for name in FORMER.get(key[-1], ()) if name in known]
+    return next(iter(now or get_close_matches(key[-1], sorted(known), 1, LIKENESS)), None)
 
 
 @functools.cache

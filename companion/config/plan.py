@@ -132,7 +132,7 @@ class TouchdownConfig(StrictModel):
     contact_tilt_deg: float = Field(default=7.0, ge=1.0, le=30.0)  # levelled off to this as the feet touch
     gentle_lean_m_s2: float = Field(default=1.6, gt=0.0, le=6.0)  # what leaning it takes to go with the pad
     contact_lean_deg: float = Field(default=5.0, ge=1.0, le=30.0)  # of a deck that swings
-    patience_s: float = Field(default=5.0, ge=0.5, le=60.0)
+    gentle_wait_s: float = Field(default=5.0, ge=0.5, le=60.0)
     contact_speed_m_s: float = Field(default=0.19, ge=0.05, le=0.4)
     firm_contact_m_s: float = Field(default=0.32, ge=0.05, le=0.4)  # where it leans far: the most planned
     fastest_contact_m_s: float = Field(default=0.42, ge=0.05, le=1.0)  # sinking faster,
@@ -149,7 +149,7 @@ class TouchdownConfig(StrictModel):
     @property
     def giving_up_s(self) -> float:
         """So long a try may last until it has failed; the final descent may still follow."""
-        return 6.0 * self.patience_s
+        return 6.0 * self.gentle_wait_s
 
     @model_validator(mode="after")
     def _goes_on_from_where_it_commits(self) -> TouchdownConfig:
@@ -212,6 +212,6 @@ class PlanConfig(StrictModel):
         if c.giving_up_s + down_s > limit_s:
             raise ValueError(
                 f"mission.phases.touchdown_s {limit_s:g}: expected at least {c.giving_up_s + down_s:.1f}, "
-                f"six times touchdown.patience_s ({c.patience_s:g}) and the way down"
+                f"six times touchdown.gentle_wait_s ({c.gentle_wait_s:g}) and the way down"
             )
         return self

@@ -83,10 +83,10 @@ _Key = tuple[int, int]
 
 
 class CommandQueue:
-    """All commands under way; `patience_s` is waited for an answer, `tries` times."""
+    """All commands under way; `timeout_s` is waited for an answer, `tries` times."""
 
-    def __init__(self, patience_s: float = 0.5, tries: int = 4) -> None:
-        self._patience_s = patience_s
+    def __init__(self, timeout_s: float = 0.5, tries: int = 4) -> None:
+        self._timeout_s = timeout_s
         self._tries = tries
         self._queues: dict[_Key, deque[Pending]] = {}
         self._answer_to_withdrawn_until_s: dict[_Key, float] = {}
@@ -140,7 +140,7 @@ class CommandQueue:
                     continue
                 messages.append(pending.command.message(pending.tries))
                 pending.tries += 1
-                pending.due_s = now_s + self._patience_s
+                pending.due_s = now_s + self._timeout_s
         return messages
 
     def _is_to_withdrawn(self, key: _Key, now_s: float) -> bool:

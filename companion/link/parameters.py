@@ -65,10 +65,10 @@ class ParameterRequest:
 
 
 class ParameterRequests:
-    """All requests under way; `patience_s` is waited for an answer, `tries` times."""
+    """All requests under way; `timeout_s` is waited for an answer, `tries` times."""
 
-    def __init__(self, patience_s: float = 0.5, tries: int = 4) -> None:
-        self._patience_s = patience_s
+    def __init__(self, timeout_s: float = 0.5, tries: int = 4) -> None:
+        self._timeout_s = timeout_s
         self._tries = tries
         self._waiting: list[ParameterRequest] = []
 
@@ -101,6 +101,6 @@ class ParameterRequests:
                 continue
             messages.append(request.message(target_system))
             request.tries += 1
-            request.due_s = now_s + self._patience_s
+            request.due_s = now_s + self._timeout_s
         self._waiting = [request for request in self._waiting if request.outcome is None]
         return messages

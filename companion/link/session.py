@@ -91,8 +91,8 @@ class Session:
         self._codec = Codec(config.system_id or 1, config.component_id, wanted=heard)
         if signing_key is not None:
             self._codec.sign(signing_key)
-        self._commands = CommandQueue(config.command_patience_s, config.command_tries)
-        self._parameters = ParameterRequests(config.command_patience_s, config.command_tries)
+        self._commands = CommandQueue(config.command_timeout_s, config.command_tries)
+        self._parameters = ParameterRequests(config.command_timeout_s, config.command_tries)
         self.reads_setup = reads_setup
         self._process = process
         self._setup = SetupReader(self._parameters)

@@ -29,6 +29,7 @@ from companion.base.messages import Phase
 from companion.config import CompanionConfig, merge, validate
 from companion.flightlog.record import FlightLog
 from companion.link.inbox import MemoryTransport, memory_pair
+from companion.link.transport import Transport
 from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.trial import Trial
 from sitl.firmware.errors import FirmwareError
@@ -104,6 +105,18 @@ async def _virtual_flight(
         return await _fly_in_process(vehicle, app_end, config, trial, log, on_status)
 
 
+def hardware_of(vehicle: InProcess, app_end: Transport, config: CompanionConfig) -> Hardware:
+    """What the app is plugged into when the vehicle is in this process."""
+    boards = config.sense.source == "boards"
+    return Hardware(
+        app_end,
+        vehicle.frames,
+        imu_bus=vehicle.imu_bus if boards else None,
+        gps_port=vehicle.gps_port if boards else None,
+        range_port=None if config.sense.range_by_telemetry else vehicle.range_port,
+    )
+
+
 async def _fly_in_process(
     vehicle: InProcess,
     app_end: MemoryTransport,
@@ -112,15 +125,7 @@ async def _fly_in_process(
     log: FlightLog,
     on_status: StatusCallback,
 ) -> SitlFlight:
-    boards = config.sense.source == "boards"
-    hardware = Hardware(
-        app_end,
-        vehicle.frames,
-        imu_bus=vehicle.imu_bus if boards else None,
-        gps_port=vehicle.gps_port if boards else None,
-        range_port=None if config.sense.range_by_telemetry else vehicle.range_port,
-    )
-    app = App(config, hardware, log, make_own_actions, on_status)
+    app = App(config, hardware_of(vehicle, app_end, config), log, make_own_actions, on_status)
     started_s = wall_clock_s()
     world = asyncio.create_task(vehicle.simulation.run())
     try:

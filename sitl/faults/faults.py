@@ -39,10 +39,10 @@ class ImuBusError(FaultTimes):
     every: int = Field(default=40, ge=1, le=10000)  # One transaction in so many; 1 is a cable that is off
 
 
-class ImuFrozen(FaultTimes):
+class ImuStuck(FaultTimes):
     """It repeats its last rates and forces."""
 
-    kind: Literal["imu_frozen"]
+    kind: Literal["imu_stuck"]
 
 
 class ImuSaturated(FaultTimes):
@@ -105,10 +105,10 @@ class MagLost(FaultTimes):
     kind: Literal["mag_lost"]
 
 
-class MagFrozen(FaultTimes):
+class MagStuck(FaultTimes):
     """It repeats its last field."""
 
-    kind: Literal["mag_frozen"]
+    kind: Literal["mag_stuck"]
 
 
 class MagDisturbed(FaultTimes):
@@ -136,10 +136,10 @@ class GpsLost(FaultTimes):
     unplugged: bool = False  # Nothing on the line at all, instead of messages without a fix
 
 
-class GpsFrozen(FaultTimes):
+class GpsStuck(FaultTimes):
     """It repeats its last fix, with advancing time."""
 
-    kind: Literal["gps_frozen"]
+    kind: Literal["gps_stuck"]
 
 
 class GpsJump(FaultTimes):
@@ -278,7 +278,7 @@ class MotorWeak(FaultTimes):
 Fault = (
     ImuLost
     | ImuBusError
-    | ImuFrozen
+    | ImuStuck
     | ImuSaturated
     | GyroBiasStep
     | GyroSpikes
@@ -287,11 +287,11 @@ Fault = (
     | AccelClips
     | Vibration
     | MagLost
-    | MagFrozen
+    | MagStuck
     | MagDisturbed
     | MagSpikes
     | GpsLost
-    | GpsFrozen
+    | GpsStuck
     | GpsJump
     | GpsSpikes
     | RangeLost

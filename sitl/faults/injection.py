@@ -58,7 +58,7 @@ class FaultTargets:
         self.echo.clear_faults()
         self.range.silent = False
         self.gps.has_fix, self.gps.silent = True, False
-        self.position.jump_ned_m, self.position.frozen = ZERO3, False
+        self.position.jump_ned_m, self.position.stuck = ZERO3, False
         self.position.glitches.clear_faults()
         self.autopilot_sensors.has_sky, self.autopilot_sensors.stray_field_ut = True, ZERO3
         self.frames.clear_faults()
@@ -82,9 +82,9 @@ def disturb_bus(fault: faults.ImuBusError, targets: FaultTargets) -> None:
     targets.bus.nack_every = fault.every
 
 
-def freeze_imu(_fault: faults.ImuFrozen, targets: FaultTargets) -> None:
+def stick_imu(_fault: faults.ImuStuck, targets: FaultTargets) -> None:
     """Repeat the last readings."""
-    targets.inertial.gyro_glitches.frozen = targets.inertial.accel_glitches.frozen = True
+    targets.inertial.gyro_glitches.stuck = targets.inertial.accel_glitches.stuck = True
 
 
 def saturate_imu(_fault: faults.ImuSaturated, targets: FaultTargets) -> None:
@@ -135,9 +135,9 @@ def lose_magnetometer(_fault: faults.MagLost, targets: FaultTargets) -> None:
     targets.bus.magnetometer.silent = True
 
 
-def freeze_magnetometer(_fault: faults.MagFrozen, targets: FaultTargets) -> None:
+def stick_magnetometer(_fault: faults.MagStuck, targets: FaultTargets) -> None:
     """Repeat the last field."""
-    targets.magnetometer.glitches.frozen = True
+    targets.magnetometer.glitches.stuck = True
 
 
 def disturb_magnetometer(fault: faults.MagDisturbed, targets: FaultTargets) -> None:
@@ -163,9 +163,9 @@ def lose_gps(fault: faults.GpsLost, targets: FaultTargets) -> None:
         targets.autopilot_sensors.has_sky = False
 
 
-def freeze_gps(_fault: faults.GpsFrozen, targets: FaultTargets) -> None:
+def stick_gps(_fault: faults.GpsStuck, targets: FaultTargets) -> None:
     """Repeat the last solution."""
-    targets.position.frozen = True
+    targets.position.stuck = True
 
 
 def jump_gps(fault: faults.GpsJump, targets: FaultTargets) -> None:
@@ -191,7 +191,7 @@ def lose_range(fault: faults.RangeLost, targets: FaultTargets) -> None:
 
 def stick_range(fault: faults.RangeStuck, targets: FaultTargets) -> None:
     """A constant distance."""
-    targets.echo.frozen, targets.echo.stuck_m = True, fault.distance_m
+    targets.echo.stuck, targets.echo.stuck_m = True, fault.distance_m
 
 
 def step_range_bias(fault: faults.RangeBiasStep, targets: FaultTargets) -> None:
@@ -283,7 +283,7 @@ def weaken_motor(fault: faults.MotorWeak, targets: FaultTargets) -> None:
 INJECT: Final[dict[str, Callable[[Any, FaultTargets], None]]] = {
     "imu_lost": lose_imu,
     "imu_bus_error": disturb_bus,
-    "imu_frozen": freeze_imu,
+    "imu_stuck": stick_imu,
     "imu_saturated": saturate_imu,
     "gyro_bias_step": step_gyro_bias,
     "gyro_spikes": spike_gyro,
@@ -292,11 +292,11 @@ INJECT: Final[dict[str, Callable[[Any, FaultTargets], None]]] = {
     "accel_clips": clip_accelerometer,
     "vibration": shake,
     "mag_lost": lose_magnetometer,
-    "mag_frozen": freeze_magnetometer,
+    "mag_stuck": stick_magnetometer,
     "mag_disturbed": disturb_magnetometer,
     "mag_spikes": spike_magnetometer,
     "gps_lost": lose_gps,
-    "gps_frozen": freeze_gps,
+    "gps_stuck": stick_gps,
     "gps_jump": jump_gps,
     "gps_spikes": spike_gps,
     "range_lost": lose_range,

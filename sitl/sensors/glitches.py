@@ -1,4 +1,4 @@
-"""Faults of a three-axis sensor's output: spikes and frozen readings.
+"""Faults of a three-axis sensor's output: spikes and stuck readings.
 
 Pure; the sensor's own axes and units. It has its own random numbers, so that a fault changes no other noise.
 """
@@ -11,7 +11,7 @@ from companion.base.geometry import ZERO3, Vector3
 
 
 class Glitches:
-    """Between a sensor's element and its output. `frozen`: the last reading before stays."""
+    """Between a sensor's element and its output. `stuck`: the last reading before stays."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -20,7 +20,7 @@ class Glitches:
 
     def clear_faults(self) -> None:
         """Clear all faults."""
-        self.frozen = False
+        self.stuck = False
         self.spike_share = 0.0
         self.spike_size = 0.0
 
@@ -31,7 +31,7 @@ class Glitches:
 
     def out(self, value: Vector3) -> Vector3:
         """The output for a reading."""
-        if self.frozen:
+        if self.stuck:
             return self._last
         self._last = value
         if self.spike_share == 0.0 or float(self._rng.random()) >= self.spike_share:

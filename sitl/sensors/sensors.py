@@ -136,10 +136,10 @@ class GpsSensor:
         self._noise = np.array((e.noise_m,) * 3 + (e.speed_noise_m_s,) * 2 + (e.climb_noise_m_s,))
         self._last_s: float | None = None
         self._last: GpsReading | None = None
-        # for faults: a position offset, faults of the output, a frozen solution
+        # for faults: a position offset, faults of the output, a stuck solution
         self.jump_ned_m: Vector3 = ZERO3
         self.glitches = Glitches(rng.spawn(1)[0])
-        self.frozen = False
+        self.stuck = False
 
     @property
     def wander_ned_m(self) -> Vector3:
@@ -159,7 +159,7 @@ class GpsSensor:
         vn, ve, vd = (float(v) for v in np.array(velocity_ned_m_s) + noise[3:])
         place = self.glitches.out(add((north, east, down), self.jump_ned_m))
         latitude, longitude, altitude = geodetic_from_ned(place, self._home)
-        if not self.frozen or self._last is None:
+        if not self.stuck or self._last is None:
             count = self._errors.satellites
             self._last = GpsReading(latitude, longitude, altitude, (vn, ve, vd), 2.5, 3.8, 0.3, count)
         return self._last
@@ -195,7 +195,7 @@ class RangeSensor:
         self.extra_spikes = 0.0
         self.extra_lost = 0.0
         self.bias_m = 0.0
-        self.frozen = False
+        self.stuck = False
         self.stuck_m: float | None = None
         self.other_m, self.other_share = math.inf, 0.0
 
@@ -214,7 +214,7 @@ class RangeSensor:
         if spike < self.other_share:
             distance_m = min(distance_m, self.other_m)
         distance_m += (e.noise_m + e.noise_share * distance_m) * float(noise) + self.bias_m
-        if self.frozen:
+        if self.stuck:
             return self._last_m if self.stuck_m is None else self.stuck_m
         # nearer than the blind zone it returns the blind zone's edge
         received = lost >= max(e.lost, self.extra_lost) and distance_m <= e.maximum_m

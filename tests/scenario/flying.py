@@ -26,6 +26,11 @@ import yaml
 from companion.base.command_line import run_program
 from companion.cli import PROGRAM, cli
 from companion.config import CONFIG_FOLDER, merge
+from companion.flightlog.record import FlightLog
+from companion.sim.runner import SitlFlight
+from companion.sim.runner import fly as fly_here
+from companion.sim.settings import sitl_settings
+from companion.sim.trial import Trial
 
 COMMAND = (sys.executable, "-m", "companion.cli")
 # a flight of a minute takes a quarter of it in virtual time; the rest is for a busy machine
@@ -34,6 +39,8 @@ ROOT = CONFIG_FOLDER.parent
 # of the flights that tests share the one that is recorded
 RECORDED: Final = ("static", 0)
 RECORD, FLOWN = Path("flights") / "first", "flown.json"
+# changes to a scenario whose flight is not about vision: drawing and reading pictures takes 40 % of its time
+FEW_PICTURES: Final[dict[str, Any]] = {"camera": {"rate_hz": 10.0}}
 
 
 @dataclass(frozen=True)
@@ -105,6 +112,19 @@ def fly(scenario: str | Path, seed: int, folder: Path, *options: str | Path) -> 
     """Fly a scenario in virtual time, in this process; its result is left in `folder`."""
     path = folder / f"result-{Path(scenario).stem}-{seed}.json"
     return run_here(*flight_words(scenario, seed, path), *options, result=path)
+
+
+def fly_logged(scenario: str | Path, log: FlightLog | None = None) -> tuple[SitlFlight, FlightLog]:
+    """Fly a scenario in virtual time under seed 0, in this process; with its log, which stays in memory."""
+    trial = Trial.load(str(scenario), 0)
+    log = log or FlightLog(None, start_unix_s=0.0)
+    settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
+    return fly_here(settings, trial, log, lambda _status: None, fast=True), log
+
+
+def notices(log: FlightLog) -> str:
+    """What the app said in a flight, a line each."""
+    return "\n".join(notice.text for notice in log.kept["notice"])
 
 
 class SharedFlights:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from companion.app.app import App
-from companion.app.hardware import Hardware, make_own_actions
+from companion.app.hardware import make_own_actions
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.messages import LandedState, Phase
 from companion.config import CONFIG_FOLDER, merge, validate
@@ -22,6 +22,7 @@ from companion.link.codec import Codec, command_long, mavlink
 from companion.link.inbox import MemoryTransport, memory_pair
 from companion.link.modes import mode_parameters
 from companion.sense.vision.opencv import prepare_opencv
+from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
 from sitl.run.in_process import InProcess
@@ -219,13 +220,7 @@ async def _stand_by(
         gps_baud=config.sense.gps.baud,
         keep_truth=False,
     )
-    hardware = Hardware(
-        tapped,
-        vehicle.frames,
-        imu_bus=vehicle.imu_bus,
-        gps_port=vehicle.gps_port,
-        range_port=vehicle.range_port,
-    )
+    hardware = hardware_of(vehicle, tapped, config)
     log = FlightsRecorder(record, lambda: 1.7e9)
 
     def start() -> App:

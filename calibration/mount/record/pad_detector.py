@@ -50,10 +50,7 @@ class GravityFreePadDetector:
         Raises:
             ValueError: the image is not of the calibrated camera's size.
         """
-        height, width = frame.image.shape
-        if (width, height) != self._lens.size_px:
-            expected = "x".join(str(n) for n in self._lens.size_px)
-            raise ValueError(f"frame of {width}x{height}, the calibration is for {expected}")
+        self._lens.check(frame.image)
         for looks in (self._expected(), self._everywhere()):
             for look in looks:
                 found = self._detector.detect(frame.image, look)

@@ -182,7 +182,7 @@ class PadFilter:
             self._turn = self._turned(sample)
             self._slow_share = sample.slow_share
             self.seen_time_s = time_s
-        elif self.gates["sighting"].shut_out(time_s, self._config.patience_s):
+        elif self.gates["sighting"].shut_out(time_s, self._config.sighting_timeout_s):
             self._start(time_s, sample, R)
 
     def _innovation(
@@ -216,7 +216,7 @@ class PadFilter:
         self._record("heading", passed)
         if passed:
             self._heading = self._heading.corrected(innovation, noise)
-        elif self.gates["heading"].shut_out(self.time_s, self._config.patience_s):
+        elif self.gates["heading"].shut_out(self.time_s, self._config.sighting_timeout_s):
             self._start_heading(sample)
 
     def _take_height(self, sample: HeightMeasurement) -> None:

@@ -41,9 +41,9 @@ from companion.estimate.vehicle.gyro_bias_check import BiasStep
 from companion.estimate.vehicle.imu_noise import StepNoise
 
 MAG_DIP_NOISE_UT: Final = 20.0  # of the field in its own vertical plane, which gives no heading
-MAG_PATIENCE_S: Final = 20.0  # magnetometer refused for so long: the heading's uncertainty grows
+MAG_REFUSED_S: Final = 20.0  # magnetometer refused for so long: the heading's uncertainty grows
 GPS_TIME_ERROR_S: Final = 0.05  # of a fix's time: a quarter of the interval at 5 Hz
-GPS_PATIENCE_S: Final = 2.0  # fixes refused for so long: start again from GPS
+GPS_REFUSED_S: Final = 2.0  # fixes refused for so long: start again from GPS
 GPS_TIMEOUT_S: Final = 2.0  # no fix for so long: the state has no GPS
 
 UNKNOWN_SPEED_M_S: Final = 10.0  # a fix whose velocity component is more uncertain does not count
@@ -164,7 +164,7 @@ class VehicleEkf(EkfState):
         if self._update("orientation", measured - expected, C, R, R):
             self.watch = self.watch.after(self.time_s, vector3(np.linalg.solve(root, apart)))
             self._heed_watch(attitude, rotation, apart)
-        elif self.gates["orientation"].shut_out(self.time_s, self._config.orientation_patience_s):
+        elif self.gates["orientation"].shut_out(self.time_s, self._config.orientation_timeout_s):
             self._restart_attitude(attitude, rotation)
 
     def _heed_watch(self, attitude: Quaternion, rotation: FloatArray, apart: Vector3) -> None:
@@ -195,7 +195,7 @@ class VehicleEkf(EkfState):
         innovation, east = np.array(field_body_ut) - expected, self._magnetic_east()
         self._update("mag", innovation, C, self._mag_noise(east), self._mag_gate_noise)
         gate = self.gates["mag"]
-        if gate.shut_out(self.time_s, MAG_PATIENCE_S):
+        if gate.shut_out(self.time_s, MAG_REFUSED_S):
             # a field that fits in size and dip for so long is right, and the heading wrong
             self._inflate_rotation(np.diag((0.0, 0.0, math.radians(30.0) ** 2)))
             self.gates = {**self.gates, "mag": Gate(gate.accepted, gate.refused)}
@@ -246,7 +246,7 @@ class VehicleEkf(EkfState):
         self._update("still", -self.x[states], C, R, None)
 
     def _take_gps(self, time_s: float, fix: GpsStep) -> None:
-        patience_s, later_s = GPS_PATIENCE_S, time_s - self.time_s
+        timeout_s, later_s = GPS_REFUSED_S, time_s - self.time_s
         if not self.has_position:
             self._start_from(time_s, fix, keep_speed=False)
             return
@@ -267,7 +267,7 @@ class VehicleEkf(EkfState):
         if fits:
             self.gps_time_s = time_s
         kinds = ("gps_velocity", "gps_position")
-        if any(self.gates[kind].shut_out(time_s, patience_s) for kind in kinds):
+        if any(self.gates[kind].shut_out(time_s, timeout_s) for kind in kinds):
             keep_speed = not self.gates["gps_velocity"].refused_in_a_row
             self._start_from(time_s, fix, keep_speed)
 

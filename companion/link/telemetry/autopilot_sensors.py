@@ -253,8 +253,8 @@ class TelemetrySensors:
                 return f"no {_NAMES[number]}{what} comes; expected it at {self.rates_hz()[number]:g} Hz"
         return None
 
-    def _missing(self, stream: str, now_s: float, patience_s: float) -> bool:
-        return now_s - self._used_s.get(stream, -math.inf) > patience_s
+    def _missing(self, stream: str, now_s: float, timeout_s: float) -> bool:
+        return now_s - self._used_s.get(stream, -math.inf) > timeout_s
 
     def _most_refused(self, stream: str) -> str:
         stamps, values = self.refused[f"{stream}_stamp"], self.refused[f"{stream}_values"]

@@ -15,11 +15,11 @@ from companion.plan.landing.contact import FRESH_S
 # Waiting it heaves by so much in gusts; what is left of a sink at the commit is added to the planned one.
 _HEIGHT_TOLERANCE_M = 0.10
 _SINK_TOLERANCE_M_S = 0.15
-# In units of `patience_s`: from then on the tolerances widen steadily, to 2.4 times after six.
-_PATIENT_TIMES = 2.0
+# In units of `gentle_wait_s`: from then on the tolerances widen steadily, to 2.4 times after six.
+_WAITS_UNTIL_WIDER = 2.0
 _BORNE_PER_TIME = 0.35
-# Once patience has run out, a lean so little above the least within `patience_s` is a lull: a wind that does
-# not calm has none better.
+# After one wait, a lean so little above the least within `gentle_wait_s` is a lull: a wind that does not
+# calm has none better.
 _LULL_M_S2 = 0.2
 # The tolerance aside never exceeds this, unless the setting does.
 _FARTHEST_ASIDE_M = 0.12
@@ -64,7 +64,7 @@ class Tolerance:
 
     def __init__(self, config: TouchdownConfig, since_s: float, slack: float) -> None:
         self._config, self._since_s, self.slack = config, since_s, slack
-        self._leans: deque[tuple[float, float]] = deque()  # of the last patience_s: when, m/s²
+        self._leans: deque[tuple[float, float]] = deque()  # of the last gentle_wait_s: when, m/s²
         self._least_m_s2 = 0.0
 
     def note_lean(self, lean_m_s2: float, now_s: float) -> None:
@@ -73,17 +73,17 @@ class Tolerance:
         while leans and leans[-1][1] >= lean_m_s2:
             leans.pop()
         leans.append((now_s, lean_m_s2))
-        while now_s - leans[0][0] > self._config.patience_s:
+        while now_s - leans[0][0] > self._config.gentle_wait_s:
             leans.popleft()
         self._least_m_s2 = leans[0][1]
 
-    def impatience(self, now_s: float) -> float:
-        """How often the patience has run out in this try."""
-        return (now_s - self._since_s) / self._config.patience_s
+    def waits(self, now_s: float) -> float:
+        """How many times `gentle_wait_s` this try has lasted."""
+        return (now_s - self._since_s) / self._config.gentle_wait_s
 
     def slack_by_now(self, now_s: float) -> float:
-        """The slack, wider once patience has run out twice."""
-        return self.slack * (1.0 if self.impatience(now_s) < _PATIENT_TIMES else 1.5)
+        """The slack, wider after two waits."""
+        return self.slack * (1.0 if self.waits(now_s) < _WAITS_UNTIL_WIDER else 1.5)
 
     def aside(self, sight: PadState, now_s: float) -> bool:
         """Whether the vehicle is too far aside to start down or go on, or will be."""
@@ -93,12 +93,12 @@ class Tolerance:
         return sight.lateral_m > farthest_m or soon_m > farthest_m * self._borne(now_s)
 
     def most_lean_m_s2(self, now_s: float) -> float:
-        """How much lean (m/s²) at contact is borne: grows with impatience, and is no less than a lull's."""
-        lull_m_s2 = self._least_m_s2 + _LULL_M_S2 if self.impatience(now_s) >= 1.0 else 0.0
+        """How much lean (m/s²) at contact is borne: grows with the waits, and is no less than a lull's."""
+        lull_m_s2 = self._least_m_s2 + _LULL_M_S2 if self.waits(now_s) >= 1.0 else 0.0
         return max(self._config.gentle_lean_m_s2 * self._borne(now_s), lull_m_s2)
 
     def most_lean_rad(self, now_s: float) -> float:
-        """How far a deck may lean at contact; grows with impatience."""
+        """How far a deck may lean at contact; grows with the waits."""
         return math.radians(self._config.contact_lean_deg) * self._borne(now_s)
 
     def _farthest_aside_m(self, now_s: float) -> float:
@@ -108,4 +108,4 @@ class Tolerance:
 
     def _borne(self, now_s: float) -> float:
         """Factor on the tolerances of lean and drift, which will not get less by waiting."""
-        return 1.0 + _BORNE_PER_TIME * max(0.0, self.impatience(now_s) - _PATIENT_TIMES)
+        return 1.0 + _BORNE_PER_TIME * max(0.0, self.waits(now_s) - _WAITS_UNTIL_WIDER)

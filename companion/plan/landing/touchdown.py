@@ -119,7 +119,7 @@ class TouchdownSequence:
         ready = (
             aligned(sight, self._wait_height_m, tolerance.slack_by_now(now_s), c)
             and not tolerance.aside(sight, now_s)
-            and (tolerance.impatience(now_s) >= 1.0 or gentle(sight, c))
+            and (tolerance.waits(now_s) >= 1.0 or gentle(sight, c))
             and level_at(sight, self._sinks_for_s(), tolerance.most_lean_rad(now_s))
             and self._lean_at_contact_m_s2() <= self._lean_to_commit_m_s2(now_s)
             and self._generator.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self.way_down_s())

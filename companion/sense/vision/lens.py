@@ -11,6 +11,7 @@ from typing import Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.base.geometry import FloatArray
 from companion.config import CameraConfig
@@ -51,6 +52,17 @@ class Lens:
         self._distortion = np.array(camera.distortion)
         self._farthest = self._farthest_tangent()
         self._criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-9)
+
+    def check(self, image: NDArray[np.uint8]) -> None:
+        """Is the image of the calibrated camera's size?
+
+        Raises:
+            ValueError: it is not.
+        """
+        height, width = image.shape
+        if (width, height) != self.size_px:
+            expected = "x".join(str(n) for n in self.size_px)
+            raise ValueError(f"frame of {width}x{height}, the calibration is for {expected}")
 
     def undistort(self, pixels: FloatArray) -> FloatArray:
         """Rays (n, 2) of pixels (n, 2)."""

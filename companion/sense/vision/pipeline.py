@@ -78,10 +78,7 @@ class Vision:
         Raises:
             ValueError: the image is not of the calibrated camera's size.
         """
-        height, width = frame.image.shape
-        if (width, height) != self._lens.size_px:
-            expected = "x".join(str(n) for n in self._lens.size_px)
-            raise ValueError(f"frame of {width}x{height}, the calibration is for {expected}")
+        self._lens.check(frame.image)
         down = None if prior is None else self._to_camera(prior.down_body)
         climb_m_s = 0.0 if prior is None else prior.climb_m_s
         rate = ZERO3 if prior is None else self._to_camera(prior.rate_body_rad_s)

@@ -33,8 +33,8 @@ from companion.tools.preflight.findings import Finding, FindingGroup
 
 LOOK_S: Final = 3.0
 FIRST_FRAME_S: Final = 5.0
-GPS_PATIENCE_S: Final = 12.0
-ECHO_PATIENCE_S: Final = 3.0
+GPS_TIMEOUT_S: Final = 12.0
+ECHO_TIMEOUT_S: Final = 3.0
 POLL_S: Final = 0.2
 LEAST_RATE: Final = 0.9  # of the camera's rate
 EXPOSURE_DIFFERS: Final = 0.2
@@ -239,7 +239,7 @@ async def _gps(config: CompanionConfig) -> list[Finding]:
     gps, clock = config.sense.gps, Clock()
     receiver, fixes = Neo6m(gps), list[GpsFix]()
     with closing(SerialPort(gps.port, gps.baud)) as port:
-        until_s = clock.now_s() + GPS_PATIENCE_S
+        until_s = clock.now_s() + GPS_TIMEOUT_S
         while clock.now_s() < until_s and len(fixes) < 2 * gps.rate_hz:
             question = receiver.pending(clock.now_s())
             port.set_baud(receiver.baud)
@@ -249,7 +249,7 @@ async def _gps(config: CompanionConfig) -> list[Finding]:
                     fixes += receiver.feed(await port.read(), clock.now_s())
     if fixes:
         return [_fix(fixes)]
-    problem = receiver.problem or f"no fix within {GPS_PATIENCE_S:g} s"
+    problem = receiver.problem or f"no fix within {GPS_TIMEOUT_S:g} s"
     if "no fix" in problem:
         return [_GPS.warn("fix", problem, "sky view; a cold start takes half a minute and more")]
     return [_GPS.fail("fix", f"{gps.port}: {problem}", "power, TX and RX crossed, sense.gps.port")]
@@ -267,7 +267,7 @@ async def _range(config: CompanionConfig) -> list[Finding]:
     bounds, clock = config.sense.range, Clock()
     with closing(_range_port(bounds, clock)) as port:
         finder, samples = make_range_finder(bounds, port, clock), list[RangeSample]()
-        until_s = clock.now_s() + ECHO_PATIENCE_S
+        until_s = clock.now_s() + ECHO_TIMEOUT_S
         finder.watch(clock.now_s())
         while clock.now_s() < until_s:
             with suppress(TimeoutError):
@@ -281,7 +281,7 @@ async def _range(config: CompanionConfig) -> list[Finding]:
         hint = f"it needs a surface within {bounds.minimum_m:g} and {bounds.maximum_m:g} m, square to it"
         return [_RANGE.warn("echo", f"{where}: answers, and no distance to use", hint)]
     distance_m = median(sample.distance_m for sample in samples)
-    return [_RANGE.ok("echo", f"{distance_m:.2f} m, {len(samples) / ECHO_PATIENCE_S:.0f} a second")]
+    return [_RANGE.ok("echo", f"{distance_m:.2f} m, {len(samples) / ECHO_TIMEOUT_S:.0f} a second")]
 
 
 def _range_port(bounds: RangeConfig, clock: Clock) -> SerialPort | EchoPins:

@@ -18,7 +18,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 from unittest import mock
@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.app.app import App
-from companion.app.hardware import Hardware, make_own_actions
+from companion.app.hardware import make_own_actions
 from companion.base.clock import run_in_virtual_time
 from companion.base.messages import Frame
 from companion.config import CONFIG_FOLDER, merge
@@ -37,6 +37,7 @@ from companion.flightlog.record import FlightLog
 from companion.link.inbox import memory_pair
 from companion.plan.planner import Planner
 from companion.sense.vision.opencv import prepare_opencv
+from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
 from sitl.campaign.figures import Bar
@@ -132,13 +133,7 @@ async def fly(minutes: int, steps_s: list[float], *, logs: bool = True) -> tuple
         keep_truth=False,
     )
     frames = Interrupted(vehicle)
-    hardware = Hardware(
-        app_end,
-        frames,
-        imu_bus=vehicle.imu_bus,
-        gps_port=vehicle.gps_port,
-        range_port=vehicle.range_port,
-    )
+    hardware = replace(hardware_of(vehicle, app_end, config), frames=frames)
     with tempfile.TemporaryDirectory(prefix="bench-long-life-") as folder:
         log = FlightLog(Path(folder) if logs else None, start_unix_s=0.0, keeps=False)  # as on board
         app = App(config, hardware, log, make_own_actions)

@@ -61,7 +61,7 @@ _CAMERA: Final[dict[str, FaultRowCase]] = {
 }
 _SENSORS: Final[dict[str, FaultRowCase]] = {
     "IMU lost": _one("imu_lost"),
-    "IMU frozen": _one("imu_frozen"),
+    "IMU stuck": _one("imu_stuck"),
     "IMU NaN": _one("imu_nan"),
     "IMU saturated": _one("imu_saturated"),
     "30 uT": _case(TO_THE_END, {"kind": "mag_disturbed"}, lands=True),
@@ -186,18 +186,18 @@ def scenario_of(run: FaultRun) -> Scenario:
     when = beginning(run.phase, run.seed)
     if run.phase == "start" and run.fault.startswith("pilot"):
         when = {"phase": "take off", "delay_s": 2.0}  # before control is ours
-    return _with_faults(run.scenario, [{**fault, **when} for fault in CASES[run.fault].faults])
+    return _with(run.scenario, {"faults": [{**fault, **when} for fault in CASES[run.fault].faults]})
 
 
-def faultless(scenario: str) -> Scenario:
-    """A scenario in which nothing fails: what its runs have in common.
+def faultless(scenario: str, changes: dict[str, Any] | None = None) -> Scenario:
+    """A scenario in which nothing fails, with changes: what its runs have in common.
 
     Raises:
         ConfigError: the scenario's file is missing or wrong.
     """
-    return _with_faults(scenario, [])
+    return _with(scenario, {**(changes or {}), "faults": []})
 
 
-def _with_faults(scenario: str, faults: list[dict[str, Any]]) -> Scenario:
+def _with(scenario: str, changes: dict[str, Any]) -> Scenario:
     content = load_scenario(scenario).model_dump(by_alias=True, exclude_unset=True)
-    return Scenario.model_validate(merge(content, {"faults": faults, "time_limit_s": TIME_LIMIT_S}))
+    return Scenario.model_validate(merge(content, {**changes, "time_limit_s": TIME_LIMIT_S}))

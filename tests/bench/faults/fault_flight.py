@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from companion.app.app import App
-from companion.app.hardware import Hardware, make_own_actions
+from companion.app.hardware import make_own_actions
 from companion.base.clock import run_in_virtual_time
 from companion.base.messages import VehicleState
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError
 from companion.flightlog.record import FlightLog
 from companion.link.inbox import memory_pair
 from companion.sense.vision.opencv import prepare_opencv
+from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
 from sitl.faults.computer import ComputerFaults
@@ -61,9 +62,9 @@ def fly_run(run: FaultRun) -> tuple[SafetyVerdict, WitnessedFlight]:
 
 
 def fly_together(
-    runs: Sequence[FaultRun], forks: Forks[Any]
+    runs: Sequence[FaultRun], forks: Forks[Any], changes: dict[str, Any] | None = None
 ) -> Iterator[tuple[FaultRun, SafetyVerdict, WitnessedFlight]]:
-    """Fly runs of one scenario and seed, each from its fault on in a process of its own.
+    """Fly runs of one scenario (with changes) and seed, each from its fault on in a process of its own.
 
     Yields in each process what was flown there: in a child its run, in the first the runs whose fault has
     never begun.
@@ -75,7 +76,7 @@ def fly_together(
         branches.append(ForkedSchedule(simulation, runs, forks))
         simulation.faults = branches[0]
 
-    record, config = fly(faultless(runs[0].scenario), runs[0].seed, prepare=branch)
+    record, config = fly(faultless(runs[0].scenario, changes), runs[0].seed, prepare=branch)
     for run in branches[0].left if forks.mine is None else [forks.mine]:
         yield run, judged(run, record, config), record
 
@@ -145,14 +146,7 @@ async def _fly(
     witness = FaultWitness(simulation)
     simulation.on_step = witness.step
     simulation.line.listeners.append(witness.hear)
-    hardware = Hardware(
-        app_end,
-        vehicle.frames,
-        imu_bus=vehicle.imu_bus,
-        gps_port=vehicle.gps_port,
-        range_port=vehicle.range_port,
-    )
-    app = App(config, hardware, log, make_own_actions)
+    app = App(config, hardware_of(vehicle, app_end, config), log, make_own_actions)
     world = asyncio.create_task(simulation.run())
     try:
         await _run_app(app, trial.scenario.time_limit_s, vehicle, witness.record)

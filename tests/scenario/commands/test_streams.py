@@ -23,6 +23,7 @@ from tests.bench.state.streams import (
     save,
     settings_of,
 )
+from tests.scenario.flying import FEW_PICTURES
 
 LATE_S = 0.25
 FAULTS = (
@@ -35,7 +36,9 @@ FAULTS = (
 @pytest.fixture(scope="module")
 def stream() -> Stream:
     trial = Trial.load("static", 0)
-    return fly_stream(Trial(trial.path, trial.scenario.model_copy(update={"faults": FAULTS}), trial.seed))
+    camera = trial.scenario.camera.model_copy(update=FEW_PICTURES["camera"])
+    changed = trial.scenario.model_copy(update={"faults": FAULTS, "camera": camera})
+    return fly_stream(Trial(trial.path, changed, trial.seed))
 
 
 def test_it_lands_in_spite_of_late_and_lost_frames_and_wrong_echoes(stream: Stream) -> None:

@@ -14,6 +14,7 @@ from tests.bench.faults.fault_flight import fly_together
 from tests.bench.faults.forks import Forks
 from tests.bench.faults.judge import SafetyVerdict
 from tests.bench.faults.witness import WitnessedFlight
+from tests.scenario.flying import FEW_PICTURES
 
 Seen = TypeVar("Seen")
 
@@ -33,7 +34,7 @@ def fly_forked(
 
     forks = Forks(1, take)
     try:
-        for run, verdict, record in fly_together(runs, forks):
+        for run, verdict, record in fly_together(runs, forks, FEW_PICTURES):
             answer = see(verdict, record)
             if forks.mine is not None:
                 forks.deliver(answer)

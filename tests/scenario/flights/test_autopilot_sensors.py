@@ -10,15 +10,18 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.messages import Outcome, Phase
-from companion.config import CONFIG_FOLDER
-from companion.flightlog.record import FlightLog
-from companion.sim.runner import SitlFlight, fly
-from companion.sim.settings import sitl_settings
-from companion.sim.trial import Trial
 from sitl.mavlink.sensor_telemetry import SensorMessages
-from tests.scenario.flights.test_faults import failing, texts
-from tests.scenario.flying import FlownCommand, figures, run_here, scenario_file
-from tests.scenario.flying import fly as fly_command
+from tests.scenario.flights.test_faults import failing
+from tests.scenario.flying import (
+    FEW_PICTURES,
+    FlownCommand,
+    figures,
+    fly,
+    fly_logged,
+    notices,
+    run_here,
+    scenario_file,
+)
 
 LATERAL_M = 0.15
 IN_DESCENT_S = 26.0
@@ -27,17 +30,7 @@ FIFTY_HZ: dict[str, Any] = {**SENSE, "autopilot": {"imu_rate_hz": 50.0}}
 
 
 def by_telemetry(autopilot_kind: AutopilotKind, sense: dict[str, Any]) -> dict[str, Any]:
-    return {"autopilot": autopilot_kind, "companion": {"sense": sense}}
-
-
-def fly_static(
-    folder: Path, autopilot_kind: AutopilotKind = "px4", **changes: Any
-) -> tuple[SitlFlight, FlightLog]:
-    path = scenario_file(folder, "static", {**by_telemetry(autopilot_kind, SENSE), **changes})
-    trial = Trial.load(str(path), 0)
-    log = FlightLog(None, start_unix_s=0.0)
-    settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
-    return fly(settings, trial, log, lambda _status: None, fast=True), log
+    return {**FEW_PICTURES, "autopilot": autopilot_kind, "companion": {"sense": sense}}
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +38,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FlownComma
     """A landing in `static` on PX4's sensors, and the folder of its log and its scenario."""
     folder = tmp_path_factory.mktemp("telemetry")
     scenario = scenario_file(folder, "static", by_telemetry("px4", SENSE))
-    return folder, fly_command(scenario, 0, folder, "--record", folder / "log")
+    return folder, fly(scenario, 0, folder, "--record", folder / "log")
 
 
 def test_lands_on_px4s_sensors(recorded: tuple[Path, FlownCommand]) -> None:
@@ -66,7 +59,7 @@ def test_lands_on_px4s_sensors(recorded: tuple[Path, FlownCommand]) -> None:
 def test_lands_on_the_autopilots_sensors(
     autopilot_kind: AutopilotKind, scenario: str, sense: dict[str, Any], tmp_path: Path
 ) -> None:
-    flown = fly_command(scenario_file(tmp_path, scenario, by_telemetry(autopilot_kind, sense)), 0, tmp_path)
+    flown = fly(scenario_file(tmp_path, scenario, by_telemetry(autopilot_kind, sense)), 0, tmp_path)
     assert flown.landing["touchdown"]["lateral_error_m"] <= LATERAL_M, flown
 
 
@@ -82,7 +75,7 @@ def test_a_replay_gives_the_flights_estimates_again_to_the_bit(
 
 def test_our_ultrasonic_may_stay_beside_the_autopilots_other_sensors(tmp_path: Path) -> None:
     sense = {**SENSE, "autopilot": {"range_source": "boards"}}
-    flown = fly_command(scenario_file(tmp_path, "static", by_telemetry("ardupilot", sense)), 0, tmp_path)
+    flown = fly(scenario_file(tmp_path, "static", by_telemetry("ardupilot", sense)), 0, tmp_path)
     assert flown.landing["touchdown"]["lateral_error_m"] <= LATERAL_M, flown
     assert any("short echo" in event["text"] for event in flown.landing["events"]), flown
 
@@ -97,10 +90,10 @@ def test_an_imu_stream_that_stops_in_the_descent_hands_the_vehicle_back(
         return None if gone else build(self, message_id, now_s)
 
     monkeypatch.setattr(SensorMessages, "build", until_then)
-    flight, log = fly_static(tmp_path)
+    flight, log = fly_logged(scenario_file(tmp_path, "static", by_telemetry("px4", SENSE)))
     assert flight.report.outcome is Outcome.ABORTED, flight.report.failures
-    assert "no fresh estimate of the vehicle" in texts(log)
-    assert texts(log).count("autopilot's sensors: no HIGHRES_IMU comes; expected it at 200 Hz") == 1
+    assert "no fresh estimate of the vehicle" in notices(log)
+    assert notices(log).count("autopilot's sensors: no HIGHRES_IMU comes; expected it at 200 Hz") == 1
 
 
 @pytest.mark.parametrize(("autopilot_kind", "name"), [("px4", "HIGHRES_IMU"), ("ardupilot", "RAW_IMU")])
@@ -112,11 +105,12 @@ def test_an_imu_stream_that_never_comes_is_reported_once_and_nothing_is_armed(
     monkeypatch.setattr(
         SensorMessages, "__contains__", lambda self, number: number != missing and has(self, number)
     )
-    flight, log = fly_static(tmp_path, autopilot_kind, time_limit_s=15.0)
+    changes = {**by_telemetry(autopilot_kind, SENSE), "time_limit_s": 15.0}
+    flight, log = fly_logged(scenario_file(tmp_path, "static", changes))
     assert flight.report.outcome is Outcome.TIMEOUT, flight.report.failures
     assert [plan.phase for plan in log.kept["plan"]][-1] is Phase.CONNECT
-    assert texts(log).count(f"autopilot's sensors: no {name} comes; expected it at 200 Hz") == 1
-    assert texts(log).count("autopilot's sensors") == 1
+    assert notices(log).count(f"autopilot's sensors: no {name} comes; expected it at 200 Hz") == 1
+    assert notices(log).count("autopilot's sensors") == 1
 
 
 def test_no_board_of_ours_is_read_and_the_same_seed_gives_the_same_flight(
@@ -127,6 +121,6 @@ def test_no_board_of_ours_is_read_and_the_same_seed_gives_the_same_flight(
     broken = failing(Mpu9250Device.read, OSError("nobody reads this bus"), lambda _: True)
     monkeypatch.setattr(Mpu9250Device, "read", broken)
     folder, flown = recorded
-    again = fly_command(folder / "static_changed.yaml", 0, tmp_path)
+    again = fly(folder / "static_changed.yaml", 0, tmp_path)
     assert again.landing["events"] == flown.landing["events"]
     assert figures(again) == figures(flown)

@@ -11,7 +11,7 @@ import pytest
 
 from sitl.campaign import SCENARIOS
 from sitl.scenario.scenario import load_scenario
-from tests.scenario.flying import SharedFlights, fly, scenario_file
+from tests.scenario.flying import FEW_PICTURES, SharedFlights, fly, scenario_file
 
 HARDER = ("deck", "glare", "random_turns", "waypoints", "weak_motor")
 FLOWN = [(scenario, seed) for scenario in SCENARIOS for seed in (0, 1)] + [(name, 0) for name in HARDER]
@@ -40,5 +40,5 @@ def test_another_seed_gives_another_flight(shared_flights: SharedFlights) -> Non
     "changes", [ATTITUDE, ARDUPILOT, {**ATTITUDE, **ARDUPILOT}], ids=["attitude", "ardupilot", "both"]
 )
 def test_lands_by_another_setpoint_and_another_autopilot(changes: dict[str, Any], tmp_path: Path) -> None:
-    path = scenario_file(tmp_path, "line", changes)
+    path = scenario_file(tmp_path, "line", {**FEW_PICTURES, **changes})
     assert fly(path, 0, tmp_path).landing["touchdown"]["lateral_error_m"] <= LATERAL_M

@@ -16,6 +16,7 @@ import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import Clock
+from companion.config import merge
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, mavlink
 from companion.link.dialect import CURRENT_MODE
 from companion.link.inbox import MemoryTransport, memory_pair
@@ -25,6 +26,7 @@ from tests.bench.faults import fault_flight
 from tests.bench.faults.cases import FaultRun, faultless, scenario_of
 from tests.bench.faults.witness import WitnessedFlight
 from tests.scenario.flights.forked import fly_forked
+from tests.scenario.flying import FEW_PICTURES
 
 PROMPT_S = 0.1
 SETPOINTS = ("SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET")
@@ -122,12 +124,16 @@ def test_a_pilots_mode_ends_our_setpoints_at_once_and_for_good(
     assert_prompt(taken_over[run], "px4")
 
 
+def changed(scenario: Scenario, **changes: Any) -> Scenario:
+    """A scenario with few pictures and further changes."""
+    content = scenario.model_dump(by_alias=True, exclude_unset=True)
+    return Scenario.model_validate(merge(content, {**FEW_PICTURES, **changes}))
+
+
 def test_so_does_an_ardupilots() -> None:
-    shipped = scenario_of(FaultRun("pilot: Position", "descend", "line", 0))
-    content = shipped.model_dump(by_alias=True, exclude_unset=True)
-    scenario = Scenario.model_validate(content | {"autopilot": "ardupilot"})
+    takeover = scenario_of(FaultRun("pilot: Position", "descend", "line", 0))
     with listening(quick=False) as heard:
-        record, _ = fault_flight.fly(scenario, 0)
+        record, _ = fault_flight.fly(changed(takeover, autopilot="ardupilot"), 0)
     assert_prompt(heard(record), "ardupilot")
 
 
@@ -147,7 +153,7 @@ def assert_prompt(heard: RecordedFlight, autopilot: AutopilotKind) -> None:
 def test_a_link_that_cannot_be_read_any_more_ends_the_flight_in_the_autopilots_hold() -> None:
     scenario = scenario_of(FaultRun("frames lost 0.2 s", "search", "line", 0))
     with listening(deaf_s=24.0) as put_together:
-        record, _ = fault_flight.fly(scenario, 0)
+        record, _ = fault_flight.fly(changed(scenario), 0)
     heard = put_together(record)
     assert heard.failures > 3, "the link's task is started again and again"
     words = [said.text for said in record.texts]
@@ -172,8 +178,7 @@ def waking_at(woken_s: float) -> Iterator[None]:
 def test_a_machine_that_was_suspended_in_the_descent_flies_by_nothing_that_it_knew() -> None:
     # ArduPilot stays in GUIDED meanwhile, so that its mode says nothing
     woken_s = 27.0
-    content = faultless("line").model_dump(by_alias=True, exclude_unset=True)
-    scenario = Scenario.model_validate(content | {"autopilot": "ardupilot"})
+    scenario = changed(faultless("line"), autopilot="ardupilot")
     with listening() as put_together, waking_at(woken_s):
         record, _ = fault_flight.fly(scenario, 0)
     heard = put_together(record)

@@ -4,27 +4,23 @@ import math
 from pathlib import Path
 
 from companion.base.messages import Outcome
-from companion.config import CONFIG_FOLDER
-from companion.flightlog.record import FlightLog
-from companion.sim.runner import fly as fly_here
-from companion.sim.settings import sitl_settings
-from companion.sim.trial import Trial
-from tests.scenario.flying import fly, scenario_file
+from tests.scenario.flying import FEW_PICTURES, fly, fly_logged, notices, scenario_file
 
 ENDS = {4: "aborted", 5: "timeout"}
 
 
 def test_a_pad_that_drives_away_for_good_is_given_up(tmp_path: Path) -> None:
     changes = {
+        **FEW_PICTURES,
         "beacon": {"available": False},
         # seen when it passes the waypoint, never to be caught up with
         "pad": {"motion": {"speed_m_s": 6.0, "meet": {"spread_m": 0.5}}},
-        "companion": {"plan": {"mission": {"total_timeout_s": 50.0}}},
+        "companion": {"plan": {"mission": {"total_timeout_s": 35.0}}},
     }
     flown = fly(scenario_file(tmp_path, "line", changes), 0, tmp_path)
     assert flown.result is not None, flown
     assert flown.result["outcome"] == ENDS.get(flown.code), flown
-    assert flown.result["time"]["total_s"] < 75.0, flown
+    assert flown.result["time"]["total_s"] < 60.0, flown
     assert len(flown.stderr.strip().splitlines()) == 1, flown
 
 
@@ -38,7 +34,8 @@ def test_time_that_is_up_ends_the_flight(tmp_path: Path) -> None:
 
 
 def test_a_bound_that_is_broken_is_named(tmp_path: Path) -> None:
-    flown = fly(scenario_file(tmp_path, "static", {"pass": {"lateral_error_m": 0.0001}}), 0, tmp_path)
+    changes = {**FEW_PICTURES, "pass": {"lateral_error_m": 0.0001}}
+    flown = fly(scenario_file(tmp_path, "static", changes), 0, tmp_path)
     assert flown.code == 3, flown
     assert flown.result is not None
     assert flown.result["outcome"] == "missed"
@@ -48,15 +45,12 @@ def test_a_bound_that_is_broken_is_named(tmp_path: Path) -> None:
 def test_no_landing_begins_that_would_end_outside_the_fence(tmp_path: Path) -> None:
     """Without a fence this flight commits 15 m from home, and the pad takes it to 18 m until it stands."""
     fence_m = 17.0
-    changes = {"companion": {"plan": {"mission": {"fence_m": fence_m}}}}
-    trial = Trial.load(str(scenario_file(tmp_path, "line", changes)), 0)
-    log = FlightLog(None, start_unix_s=0.0)
-    settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
-    report = fly_here(settings, trial, log, lambda _status: None, fast=True).report
+    changes = {**FEW_PICTURES, "companion": {"plan": {"mission": {"fence_m": fence_m}}}}
+    flight, log = fly_logged(scenario_file(tmp_path, "line", changes))
+    report = flight.report
     assert report.outcome is Outcome.ABORTED, report.failures
     assert report.touchdown is None
     assert [notice.text for notice in log.kept["notice"] if notice.kind == "commit"] == []
-    texts = " ".join(notice.text for notice in log.kept["notice"])
-    assert f"the pad leaves the fence of {fence_m:.0f} m before a landing ends: waiting" in texts
+    assert f"the pad leaves the fence of {fence_m:.0f} m before a landing ends: waiting" in notices(log)
     farthest_m = max(math.hypot(*truth.vehicle_position_ned_m[:2]) for truth in report.truth)
     assert farthest_m < fence_m + 1.0  # the autopilot's own position is off by its GPS

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
+from typing import Any
 
 from companion.base.messages import Phase
 from companion.link.codec import Codec, mavlink
-from tests.scenario.standing_by import StoryField, stand_by
+from tests.scenario.flying import FEW_PICTURES
+from tests.scenario.standing_by import Story, StoryField, stand_by
 
 IN_PROGRESS, ACCEPTED = mavlink.MAV_RESULT_IN_PROGRESS, mavlink.MAV_RESULT_ACCEPTED
 LAND = mavlink.MAV_CMD_NAV_LAND
+
+
+def play(story: Story, changes: dict[str, Any] | None = None, **options: Any) -> None:
+    stand_by(story, {**FEW_PICTURES, **(changes or {})}, **options)
 
 
 def test_two_landings_in_one_run_each_with_a_log_of_its_own(tmp_path: Path) -> None:
@@ -25,7 +31,7 @@ def test_two_landings_in_one_run_each_with_a_log_of_its_own(tmp_path: Path) -> N
             await asyncio.sleep(5.0)
         assert field.app.missions.order is None
 
-    stand_by(story, record=tmp_path)
+    play(story, record=tmp_path)
     folders = sorted(path.name for path in tmp_path.iterdir())
     assert folders == ["flight-0001", "flight-0002"]
     first = tmp_path / "flight-0001" / "flight.mcap"
@@ -54,7 +60,7 @@ def test_in_standby_it_asks_for_nothing_and_refuses_what_cannot_be() -> None:
         await asyncio.sleep(1.0)
         assert field.app.phase is Phase.STANDBY
 
-    stand_by(story)
+    play(story)
 
 
 def test_a_pilot_takes_over_a_stop_holds_and_each_time_it_stands_by_again() -> None:
@@ -81,7 +87,7 @@ def test_a_pilot_takes_over_a_stop_holds_and_each_time_it_stands_by_again() -> N
         field.order()
         await field.landed()
 
-    stand_by(story)
+    play(story)
 
 
 def test_restarted_in_flight_it_asks_for_nothing_and_follows_the_next_order() -> None:
@@ -102,7 +108,7 @@ def test_restarted_in_flight_it_asks_for_nothing_and_follows_the_next_order() ->
         field.order()
         await field.landed()
 
-    stand_by(story)
+    play(story)
 
 
 def test_refused_control_leaves_the_vehicle_in_its_mode() -> None:
@@ -117,7 +123,7 @@ def test_refused_control_leaves_the_vehicle_in_its_mode() -> None:
         assert set(field.commands()) == {mavlink.MAV_CMD_DO_SET_MODE}
         assert field.acks(LAND) == [IN_PROGRESS, mavlink.MAV_RESULT_FAILED]
 
-    stand_by(story, {"faults": [{"kind": "autopilot_refuses", "what": "offboard", "start_s": 0.0}]})
+    play(story, {"faults": [{"kind": "autopilot_refuses", "what": "offboard", "start_s": 0.0}]})
 
 
 def test_the_whole_flight_where_it_is_allowed_and_again() -> None:
@@ -130,7 +136,7 @@ def test_the_whole_flight_where_it_is_allowed_and_again() -> None:
             # in OFFBOARD it would not get ready for the next
             assert (field.autopilot.mode, field.autopilot.ready_to_arm) == ("AUTO.LOITER", True)
 
-    stand_by(story, settings={"plan": {"mission": {"may_arm": True}}})
+    play(story, settings={"plan": {"mission": {"may_arm": True}}})
 
 
 def test_an_ardupilot_that_its_pilot_puts_into_guided_is_landed() -> None:
@@ -144,4 +150,4 @@ def test_an_ardupilot_that_its_pilot_puts_into_guided_is_landed() -> None:
         field.pilot_mode("GUIDED")
         await field.landed()
 
-    stand_by(story, {"autopilot": "ardupilot"}, settings={"orders": {"flight_mode": "GUIDED"}})
+    play(story, {"autopilot": "ardupilot"}, settings={"orders": {"flight_mode": "GUIDED"}})

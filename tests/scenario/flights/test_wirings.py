@@ -9,14 +9,10 @@ from typing import Any
 import pytest
 
 from companion.base.messages import Outcome
-from companion.config import CONFIG_FOLDER, ConfigError
+from companion.config import ConfigError
 from companion.flightlog.record import FlightLog
-from companion.sim.runner import SitlFlight, fly
-from companion.sim.settings import sitl_settings
-from companion.sim.trial import Trial
-from tests.scenario.flying import scenario_file
-
-PATIENCE_S = 40.0
+from companion.sim.runner import SitlFlight
+from tests.scenario.flying import FEW_PICTURES, fly_logged, notices, scenario_file
 
 
 class CountingLog(FlightLog):
@@ -34,11 +30,9 @@ class CountingLog(FlightLog):
 def fly_static(
     folder: Path, sensors: dict[str, Any], sense: dict[str, Any]
 ) -> tuple[SitlFlight, CountingLog]:
-    path = scenario_file(folder, "static", {"sensors": sensors, "companion": {"sense": sense}})
-    trial = Trial.load(str(path), 0)
+    changes = {**FEW_PICTURES, "sensors": sensors, "companion": {"sense": sense}}
     log = CountingLog()
-    settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
-    return fly(settings, trial, log, lambda _status: None, fast=True), log
+    return fly_logged(scenario_file(folder, "static", changes), log)[0], log
 
 
 WIRINGS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
@@ -57,7 +51,7 @@ WIRINGS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 def test_it_lands_and_every_sensor_was_heard(tmp_path: Path, wiring: str) -> None:
     flight, log = fly_static(tmp_path, *WIRINGS[wiring])
     assert flight.report.outcome is Outcome.LANDED, flight.report.failures
-    said = "\n".join(notice.text for notice in log.kept["notice"])
+    said = notices(log)
     assert "MPU9250" not in said
     assert "AK8963" not in said
     assert "ultrasonic" not in said

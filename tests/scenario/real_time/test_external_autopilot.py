@@ -19,7 +19,7 @@ from sitl.devices.ports import MemoryPort
 from sitl.external.link import open_relay
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario, load_scenario
-from tests.scenario.flying import COMMAND, ROOT, environment, scenario_file
+from tests.scenario.flying import COMMAND, FEW_PICTURES, ROOT, environment, scenario_file
 from tests.scenario.real_time.quiet_machine import MOST, MOST_BESIDE_THREE, used_by_others, wait_for_quiet
 
 FLIGHT_TIMEOUT_S = 180.0
@@ -27,7 +27,7 @@ LATE = "too busy a machine for real time"
 TRUTHS = (108, 115, 164)  # SIM_STATE, HIL_STATE_QUATERNION, ArduPilot's SIMSTATE
 SET_INTERVAL, REQUEST = 511, 512
 # a pad that drives slowly: the vehicle's own simulator, whose ground it is, does not carry it along
-SLOW_LINE: dict[str, Any] = {"pad": {"motion": {"speed_m_s": 0.4}}, "wind": {"mean_m_s": 0.0}}
+SLOW_LINE: dict[str, Any] = {**FEW_PICTURES, "pad": {"motion": {"speed_m_s": 0.4}}, "wind": {"mean_m_s": 0.0}}
 
 
 @pytest.fixture(autouse=True)

@@ -19,7 +19,17 @@ from pymavlink import mavutil
 
 from companion.sim.command import LATE_S
 from sitl.run.report import read_report
-from tests.scenario.flying import ROOT, FlownCommand, alive, children, run, started, wait_for_line
+from tests.scenario.flying import (
+    FEW_PICTURES,
+    ROOT,
+    FlownCommand,
+    alive,
+    children,
+    run,
+    scenario_file,
+    started,
+    wait_for_line,
+)
 from tests.scenario.real_time.quiet_machine import wait_for_quiet
 
 DESK = ("--sitl", "--no-ui", "--scenario", "line", "--seed", "0")
@@ -114,8 +124,9 @@ def test_a_simulator_that_crashes_ends_the_flight_in_one_line(tmp_path: Path) ->
 
 def simulated(folder: Path) -> tuple[subprocess.Popen[str], Path]:
     """A simulator in real time that is no child of the app, and the app's settings for it."""
+    scenario = scenario_file(folder, "static", FEW_PICTURES)
     simulator = subprocess.Popen(
-        (sys.executable, "-m", "sitl.cli", "--child", "--scenario", "static", "--folder", str(folder)),
+        (sys.executable, "-m", "sitl.cli", "--child", "--scenario", str(scenario), "--folder", str(folder)),
         cwd=ROOT,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,

@@ -37,6 +37,11 @@ def write(folder: Path, text: str) -> Path:
         ("estimat: {}\n", "unknown key 'estimat'; did you mean 'estimate'?"),
         ("plan: {touchdown: {contact_speed: 0.2}}\n", "did you mean 'contact_speed_m_s'?"),
         ("sense: {imu: {buss: 'i2c:1'}}\n", "unknown key 'sense.imu.buss'; did you mean 'bus'?"),
+        # names of an earlier version
+        ("plan: {touchdown: {patience_s: 5}}\n", "did you mean 'gentle_wait_s'?"),
+        ("estimate: {pad: {patience_s: 1}}\n", "did you mean 'sighting_timeout_s'?"),
+        ("estimate: {ekf: {orientation_patience_s: 3}}\n", "did you mean 'orientation_timeout_s'?"),
+        ("link: {command_patience_s: 1}\n", "did you mean 'command_timeout_s'?"),
         ("control: {rate_hz: 1000}\n", "control.rate_hz: expected less than or equal to 100, found 1000"),
         ("control: {rate_hz: fast}\n", "control.rate_hz"),
         ("control: {limits: {tilt_deg: .nan}}\n", "control.limits.tilt_deg"),
@@ -149,7 +154,7 @@ def test_every_shipped_settings_file_loads() -> None:
             "plan: {landing: {approach_height_m: 1, wait_height_m: 1.2}}\n",
             "approach_height_m: expected at least wait_height_m (1.2)",
         ),
-        ("plan: {touchdown: {patience_s: 9}}\n", "mission.phases.touchdown_s 45: expected at least 59.1"),
+        ("plan: {touchdown: {gentle_wait_s: 9}}\n", "mission.phases.touchdown_s 45: expected at least 59.1"),
         ("sense: 3\n", "sense: expected keys with values, found 3"),
     ],
 )

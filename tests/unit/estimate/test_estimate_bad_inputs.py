@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import (
+    ZERO3,
     Vector3,
     add,
     quat_conjugate,
@@ -18,6 +19,7 @@ from companion.base.geometry import (
     vector3,
 )
 from companion.base.messages import GpsFix, ImuSample, MagSample
+from companion.estimate.estimator import StateEstimator
 from companion.estimate.pad.pad_types import CombinedEstimate
 from companion.estimate.vehicle.fix_watch import FixWatch
 from companion.estimate.vehicle.imu_noise import VibrationMonitor
@@ -106,38 +108,40 @@ def test_a_reading_no_sensor_can_give_is_refused(rate: Vector3, force: Vector3) 
     assert estimator.add_imu(ImuSample(0.2, (0.0, 0.0, 30.0), (0.0, 0.0, -150.0), 25.0))
 
 
-@pytest.mark.parametrize("ahead_s", [3.0, 100.0, 3600.0, 1e9])
-def test_one_stamp_from_the_future_is_refused_and_costs_nothing_else(ahead_s: float) -> None:
+def poisoned_beside_clean(
+    from_s: float, until_s: float, poison: Callable[[StateEstimator, float], None]
+) -> tuple[StateEstimator, StateEstimator]:
+    """Two estimators after 12 s; one is poisoned at each IMU sample of a time, and answers all the same."""
     clean, poisoned = new_estimator(), new_estimator()
     for arrival_s, sample in FLOWN.samples:
         if arrival_s >= 12.0:
             break
         feed(clean, sample)
         feed(poisoned, sample)
-        if arrival_s >= 10.0 and isinstance(sample, ImuSample):
-            assert not poisoned.add_imu(
-                ImuSample(arrival_s + ahead_s, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8), 25.0)
-            )
+        if from_s <= arrival_s < until_s and isinstance(sample, ImuSample):
+            poison(poisoned, arrival_s)
     assert poisoned.vehicle(12.0) == clean.vehicle(12.0)
     assert poisoned.vehicle(12.0) is not None
+    return poisoned, clean
+
+
+@pytest.mark.parametrize("ahead_s", [3.0, 100.0, 3600.0, 1e9])
+def test_one_stamp_from_the_future_is_refused_and_costs_nothing_else(ahead_s: float) -> None:
+    def poison(estimator: StateEstimator, arrival_s: float) -> None:
+        assert not estimator.add_imu(ImuSample(arrival_s + ahead_s, ZERO3, (0.0, 0.0, -9.8), 25.0))
+
+    poisoned, clean = poisoned_beside_clean(10.0, 12.0, poison)
     assert poisoned.refused["imu_unusable"] > clean.refused.get("imu_unusable", 0)
 
 
 @pytest.mark.parametrize("ahead_s", [0.2, 3.0, 3600.0])
 def test_stamps_that_agree_on_a_time_after_their_receipt_are_not_believed_either(ahead_s: float) -> None:
-    clean, poisoned = new_estimator(), new_estimator()
-    for arrival_s, sample in FLOWN.samples:
-        if arrival_s >= 12.0:
-            break
-        feed(clean, sample)
-        feed(poisoned, sample)
-        if 10.0 <= arrival_s < 10.1 and isinstance(sample, ImuSample):
-            for k in range(3):
-                stamp_s = arrival_s + ahead_s + 0.001 * k
-                wrong = ImuSample(stamp_s, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8), 25.0)
-                assert not poisoned.add_imu(wrong, arrival_s)
-    assert poisoned.vehicle(12.0) == clean.vehicle(12.0)
-    assert poisoned.vehicle(12.0) is not None
+    def poison(estimator: StateEstimator, arrival_s: float) -> None:
+        for k in range(3):
+            wrong = ImuSample(arrival_s + ahead_s + 0.001 * k, ZERO3, (0.0, 0.0, -9.8), 25.0)
+            assert not estimator.add_imu(wrong, arrival_s)
+
+    poisoned_beside_clean(10.0, 10.1, poison)
 
 
 def test_the_very_first_stamp_may_be_the_wrong_one() -> None:

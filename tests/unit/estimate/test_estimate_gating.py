@@ -44,9 +44,9 @@ def test_gate_counts_and_forgives_after_one_that_fits() -> None:
 
 def test_gate_is_shut_out_only_after_enough_time_and_enough_refusals() -> None:
     gate = Gate().after(False, 1.0).after(False, 1.3).after(False, 1.5)
-    assert gate.shut_out(1.5, patience_s=0.5)
-    assert not gate.shut_out(1.49, patience_s=0.5)
-    assert not Gate().after(False, 1.0).after(False, 3.0).shut_out(3.0, patience_s=0.5)
+    assert gate.shut_out(1.5, timeout_s=0.5)
+    assert not gate.shut_out(1.49, timeout_s=0.5)
+    assert not Gate().after(False, 1.0).after(False, 3.0).shut_out(3.0, timeout_s=0.5)
 
 
 def test_late_input_is_applied_at_its_own_time() -> None:

@@ -36,7 +36,7 @@ def test_a_lost_command_is_repeated_and_the_repeats_are_counted() -> None:
 
 
 def test_a_command_nobody_answers_is_given_up() -> None:
-    flight = SessionFlight(LinkConfig(command_tries=3, command_patience_s=0.2))
+    flight = SessionFlight(LinkConfig(command_tries=3, command_timeout_s=0.2))
     flight.run(1.5)
     flight.cut = True
     pending = flight.session.command(ARM)
@@ -193,7 +193,7 @@ def test_a_parameter_is_read_by_its_name() -> None:
 
 
 def test_a_setting_ends_with_the_value_wanted_and_not_with_an_older_one() -> None:
-    session = Session(LinkConfig(command_tries=2, command_patience_s=0.2))
+    session = Session(LinkConfig(command_tries=2, command_timeout_s=0.2))
     session.receive(FakeAutopilot(autopilot_kind="ardupilot", mode="GUIDED").tick(0.0), 0.0)
     request = session.set_parameter("GUID_OPTIONS", 8)
     session.tick(0.1)

@@ -138,10 +138,15 @@ def test_faces_are_calibrated_live_against_the_simulated_chip(tmp_path: Path) ->
     assert load_model(InertialCalibration, again).forced == ("never lay still",)
 
 
-def test_interrupted_rests_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def hold_still(monkeypatch: pytest.MonkeyPatch, part: str) -> None:
+    """The sensors that a command finds are those of a vehicle which nobody moves."""
     held = HandHeld(scenario_of({}), 0, "still")
-    monkeypatch.setattr("calibration.mount.imu.job.connected_sensors", held.boards)
-    monkeypatch.setattr("calibration.mount.imu.job.asyncio.run", run_in_virtual_time)
+    monkeypatch.setattr(f"calibration.mount.{part}.job.connected_sensors", held.boards)
+    monkeypatch.setattr(f"calibration.mount.{part}.job.asyncio.run", run_in_virtual_time)
+
+
+def test_interrupted_rests_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hold_still(monkeypatch, "imu")
 
     def interrupted(*_: object) -> str:
         raise KeyboardInterrupt
@@ -188,9 +193,7 @@ def test_what_a_user_can_mend_is_one_line(
     (tmp_path / "README.md").write_text("nothing")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "flight.mcap").write_bytes(b"")
-    held = HandHeld(scenario_of({}), 0, "still")
-    monkeypatch.setattr("calibration.mount.record.job.connected_sensors", held.boards)
-    monkeypatch.setattr("calibration.mount.record.job.asyncio.run", run_in_virtual_time)
+    hold_still(monkeypatch, "record")
     assert calibrate(*words) == 2
     told = capsys.readouterr().err
     assert line in told
@@ -209,9 +212,7 @@ def test_an_autopilot_s_samples_come_by_a_flight_s_log(
 def test_an_interrupted_recording_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    held = HandHeld(scenario_of({}), 0, "still")
-    monkeypatch.setattr("calibration.mount.record.job.connected_sensors", held.boards)
-    monkeypatch.setattr("calibration.mount.record.job.asyncio.run", run_in_virtual_time)
+    hold_still(monkeypatch, "record")
 
     def interrupted(_self: MotionCoverage) -> MotionProgress:
         raise KeyboardInterrupt
@@ -225,9 +226,7 @@ def test_an_interrupted_recording_leaves_nothing(
 def test_a_card_that_is_full_at_the_end_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    held = HandHeld(scenario_of({}), 0, "still")
-    monkeypatch.setattr("calibration.mount.record.job.connected_sensors", held.boards)
-    monkeypatch.setattr("calibration.mount.record.job.asyncio.run", run_in_virtual_time)
+    hold_still(monkeypatch, "record")
 
     def full(_file: object) -> None:
         raise OSError(28, "No space left on device")

@@ -229,8 +229,8 @@ def test_a_fix_between_two_steps_is_compared_with_the_state_at_its_own_time() ->
 # ------------------------------------------------------------ a lost attitude, a bias that steps
 
 
-def test_a_lost_attitude_starts_again_from_the_pre_filter_after_its_patience() -> None:
-    config, truth = EkfConfig(orientation_patience_s=3.0), quat_from_euler(0.05, 0.0, 2.5)
+def test_a_lost_attitude_starts_again_from_the_pre_filter_after_its_timeout() -> None:
+    config, truth = EkfConfig(orientation_timeout_s=3.0), quat_from_euler(0.05, 0.0, 2.5)
     ekf = new_ekf(config)
     force = quat_rotate_inverse(truth, DOWN_FORCE)
     for k in range(1, 321):

@@ -113,7 +113,7 @@ def test_a_lean_that_cannot_be_levelled_off_is_waited_out_however_long_it_lasts(
         touchdown = fresh()
         waited(touchdown, 0.0, 0.0, 0.5)
         assert touchdown.committed
-        late_s = 5.0 * CONFIG.patience_s
+        late_s = 5.0 * CONFIG.gentle_wait_s
         touchdown.note_lean(leaning(level_m_s2 + excess_m_s2), late_s)
         touchdown._sequence._contact_due_s = late_s
         touchdown.step(sight(height=LEG_M + 0.3), None, LandedState.IN_AIR, late_s)

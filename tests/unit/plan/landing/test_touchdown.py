@@ -48,7 +48,7 @@ def test_no_contact_long_after_it_was_due_is_a_miss() -> None:
         found = touchdown.step(sight(height=0.45), None, LandedState.IN_AIR, k * CYCLE_S)
     assert found is not None
     assert found[0] is MissionEvent.MISALIGNED
-    # 0.35 m at the contact's speed with a blend of 0.8 s, then the patience
+    # 0.35 m at the contact's speed with a blend of 0.8 s, then the wait
     speed_m_s = CONFIG.contact_speed_m_s
     due_s = CONFIG.blend_s + (0.35 - 0.5 * CONFIG.blend_s * speed_m_s) / speed_m_s
     assert k * CYCLE_S == pytest.approx(CONFIG.settled_s + due_s + CONFIG.overdue_s, abs=0.1)

@@ -1,4 +1,4 @@
-"""Every sensor lost, frozen, aside and with spikes: the drivers read it during the fault and not after."""
+"""Every sensor lost, stuck, aside and with spikes: the drivers read it during the fault and not after."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from sitl.faults.faults import (
     AccelBiasStep,
     AccelSpikes,
     Fault,
-    GpsFrozen,
     GpsJump,
     GpsSpikes,
+    GpsStuck,
     GyroSpikes,
-    ImuFrozen,
     ImuLost,
-    MagFrozen,
+    ImuStuck,
     MagLost,
     MagSpikes,
+    MagStuck,
     RangeBiasStep,
     RangeLost,
     RangeStuck,
@@ -47,10 +47,10 @@ def test_an_imu_that_is_lost_is_reported_of_and_comes_back() -> None:
     assert [sample for sample in heard.imu if sample.time_s > END_S + 1.0]
 
 
-def test_a_frozen_imu_repeats_itself(healthy: DriverSamples) -> None:
-    heard = fly(3, SECONDS, [ImuFrozen(kind="imu_frozen", **TIMES)])
-    frozen = {(s.rate_body_rad_s, s.specific_force_body_m_s2) for s in during(heard.imu)}
-    assert len(frozen) == 1
+def test_a_stuck_imu_repeats_itself(healthy: DriverSamples) -> None:
+    heard = fly(3, SECONDS, [ImuStuck(kind="imu_stuck", **TIMES)])
+    stuck = {(s.rate_body_rad_s, s.specific_force_body_m_s2) for s in during(heard.imu)}
+    assert len(stuck) == 1
     # the driver hands on nothing that repeats for long, notices in the end, and starts the chip anew
     assert len(during(heard.imu)) < 20
     assert len({s.rate_body_rad_s for s in heard.imu if s.time_s > END_S + 1.0}) > 100
@@ -99,8 +99,8 @@ def test_a_lost_magnetometer_measures_nothing_new(healthy: DriverSamples) -> Non
     assert len({s.field_body_ut for s in during(healthy.mag)}) > 50
 
 
-def test_a_frozen_magnetometer_repeats_itself(healthy: DriverSamples) -> None:
-    heard = fly(3, SECONDS, [MagFrozen(kind="mag_frozen", **TIMES)])
+def test_a_stuck_magnetometer_repeats_itself(healthy: DriverSamples) -> None:
+    heard = fly(3, SECONDS, [MagStuck(kind="mag_stuck", **TIMES)])
     assert len({s.field_body_ut for s in during(heard.mag)}) == 1
     assert len({s.field_body_ut for s in during(healthy.mag)}) > 50
     assert len({s.field_body_ut for s in elsewhere(heard.mag)}) > 100
@@ -132,11 +132,11 @@ def test_a_jump_moves_every_fix_and_is_over_with_the_fault(healthy: DriverSample
         assert off == pytest.approx((6.0, -3.0) if jumped else (0.0, 0.0), abs=0.05)
 
 
-def test_a_frozen_gps_repeats_its_place_while_its_time_runs_on(healthy: DriverSamples) -> None:
-    heard = fly(3, SECONDS, [GpsFrozen(kind="gps_frozen", **TIMES)])
-    frozen = [fix for fix in heard.fixes if START_S + EPOCH_S < fix.time_s < END_S - EPOCH_S]
-    assert len({(fix.latitude_deg, fix.longitude_deg) for fix in frozen}) == 1
-    assert len({fix.time_s for fix in frozen}) == len(frozen) > 5
+def test_a_stuck_gps_repeats_its_place_while_its_time_runs_on(healthy: DriverSamples) -> None:
+    heard = fly(3, SECONDS, [GpsStuck(kind="gps_stuck", **TIMES)])
+    stuck = [fix for fix in heard.fixes if START_S + EPOCH_S < fix.time_s < END_S - EPOCH_S]
+    assert len({(fix.latitude_deg, fix.longitude_deg) for fix in stuck}) == 1
+    assert len({fix.time_s for fix in stuck}) == len(stuck) > 5
     after = END_S + EPOCH_S
     assert [f for f in heard.fixes if f.time_s > after] == [f for f in healthy.fixes if f.time_s > after]
 

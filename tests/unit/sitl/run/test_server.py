@@ -6,8 +6,10 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -68,9 +70,11 @@ def test_a_port_in_use_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     )
 
 
-def test_it_says_where_it_listens_and_judges_when_asked(tmp_path: Path) -> None:
+@contextmanager
+def child_in(folder: Path, *words: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
+    """A simulator as a child process that listens, and the endpoints that it told."""
     with subprocess.Popen(
-        (*COMMAND, "--child", "--folder", str(tmp_path)),
+        (*COMMAND, *words, "--child", "--folder", str(folder)),
         cwd=CONFIG_FOLDER.parent,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -79,9 +83,14 @@ def test_it_says_where_it_listens_and_judges_when_asked(tmp_path: Path) -> None:
         assert process.stdout is not None
         endpoints = json.loads(process.stdout.readline())
         assert endpoints["link"]["connection"].startswith("udp:127.0.0.1:")
+        assert (folder / "camera").is_socket()
+        assert (folder / "registers").is_socket()
+        yield process, endpoints
+
+
+def test_it_says_where_it_listens_and_judges_when_asked(tmp_path: Path) -> None:
+    with child_in(tmp_path) as (process, endpoints):
         assert Path(endpoints["sense"]["gps"]["port"]).is_char_device()
-        assert (tmp_path / "camera").is_socket()
-        assert (tmp_path / "registers").is_socket()
         said, _ = process.communicate("finish search\n", timeout=20.0)
     assert process.returncode == 0
     report = read_report(Path(json.loads(said)["report"]))

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import math
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +22,6 @@ from companion.base.geometry import (
 )
 from companion.base.messages import Frame, ImuSample, MagSample
 from companion.config import (
-    CONFIG_FOLDER,
     CameraConfig,
     ImuConfig,
     VehicleConfig,
@@ -46,6 +42,7 @@ from sitl.scenario.scenario import Scenario
 from sitl.sensors.calibration_errors import ACCEL_OFFSET_M_S2, GYRO_OFFSET_RAD_S, HARD_IRON_UT
 from sitl.vehicle.hand_motion import HandMotion
 from sitl.world.hand_held import HandHeldWorld
+from tests.unit.sitl.run.test_server import child_in
 from tests.unit.sitl.vehicle.hand_scenario import MAGNETIC_FIELD_NED_UT, STATIC, STEP_S, STOPPED
 
 
@@ -258,18 +255,6 @@ def test_what_is_wrong_is_said_in_one_line(
 
 
 def test_it_is_served_as_a_process(tmp_path: Path) -> None:
-    words = ("-m", "sitl.cli", "hand-held", "--child", "--motion", "sway", "--folder", str(tmp_path))
-    with subprocess.Popen(
-        (sys.executable, *words),
-        cwd=CONFIG_FOLDER.parent,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as process:
-        assert process.stdout is not None
-        endpoints = json.loads(process.stdout.readline())
-        assert endpoints["link"]["connection"].startswith("udp:127.0.0.1:")
-        assert (tmp_path / "camera").is_socket()
-        assert (tmp_path / "registers").is_socket()
+    with child_in(tmp_path, "hand-held", "--motion", "sway") as (process, _):
         process.communicate(timeout=20.0)
     assert process.returncode == 0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import typer
 
-from companion.base.geometry import IDENTITY, ZERO3
+from companion.base.geometry import IDENTITY
 from companion.base.messages import ControlReport, Phase, PlanStep, Setpoint, VehicleState
 from companion.config import (
     CONFIG_FOLDER,
@@ -24,6 +24,7 @@ from companion.flightlog.record import FlightLog
 from companion.tools.identify import judge
 from companion.tools.identify.command import identify_command
 from companion.tools.identify.flight import read_flight
+from tests.unit.control.controller_inputs import vehicle_state
 
 PERIOD_S = 1.0 / 30.0
 HOVER_THRUST = 0.56
@@ -36,21 +37,8 @@ def _config(setpoint: str) -> tuple[CompanionConfig, VehicleConfig]:
 
 
 def _state(time_s: float, velocity_m_s: float, acceleration_m_s2: float) -> VehicleState:
-    return VehicleState(
-        time_s=time_s,
-        attitude=IDENTITY,
-        rate_body_rad_s=ZERO3,
-        position_ned_m=ZERO3,
-        velocity_ned_m_s=(velocity_m_s, 0.0, 0.0),
-        acceleration_ned_m_s2=(acceleration_m_s2, 0.0, 0.0),
-        gyro_bias_rad_s=ZERO3,
-        accel_bias_m_s2=ZERO3,
-        attitude_std_rad=0.01,
-        velocity_std_m_s=0.05,
-        position_std_m=0.5,
-        aligned=True,
-        has_gps=True,
-    )
+    velocity, acceleration = (velocity_m_s, 0.0, 0.0), (acceleration_m_s2, 0.0, 0.0)
+    return vehicle_state(time_s, velocity_ned_m_s=velocity, acceleration_ned_m_s2=acceleration)
 
 
 def _record(
