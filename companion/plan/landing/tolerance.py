@@ -25,8 +25,8 @@ _DRIFT_S = 0.22
 # A sink is stopped within this delay and at this rate: without that room no break-off begins.
 _STOPS_AFTER_S = 0.2
 _STOPS_M_S2 = 2.5
-# While it corrects it leans this much more than now or at contact: a foot hangs lower.
-_LEANS_MORE_RAD = math.radians(3.0)
+# While it corrects it tilts this much more than now or at contact: a foot hangs lower.
+_TILTS_MORE_RAD = math.radians(3.0)
 
 
 def gentle(sight: PadState, config: TouchdownConfig) -> bool:
@@ -48,10 +48,10 @@ def aligned(sight: PadState, wait_height_m: float, slack: float, config: Touchdo
     )
 
 
-def stopping_m(sink_m_s: float, lean_rad: float, foot_reach_m: float) -> float:
-    """How much lower the lowest foot of a vehicle that sinks and leans so gets before it rises."""
+def stopping_m(sink_m_s: float, tilt_rad: float, foot_reach_m: float) -> float:
+    """How much lower the lowest foot of a vehicle that sinks and tilts so gets before it rises."""
     sink = max(0.0, sink_m_s)
-    below_m = foot_reach_m * math.sin(lean_rad + _LEANS_MORE_RAD)
+    below_m = foot_reach_m * math.sin(tilt_rad + _TILTS_MORE_RAD)
     return sink * _STOPS_AFTER_S + sink * sink / (2.0 * _STOPS_M_S2) + below_m
 
 
@@ -76,13 +76,13 @@ class Tolerance:
         farthest_m = self._farthest_aside_m(now_s)
         return sight.lateral_m > farthest_m or soon_m > farthest_m * self._borne(now_s)
 
-    def most_lean_m_s2(self, now_s: float) -> float:
-        """How much lean (m/s²) can be levelled off; grows with the waits."""
-        return self._config.gentle_lean_m_s2 * self._borne(now_s)
+    def most_tilt_m_s2(self, now_s: float) -> float:
+        """How much tilt (m/s²) can be levelled off; grows with the waits."""
+        return self._config.gentle_tilt_m_s2 * self._borne(now_s)
 
-    def most_lean_rad(self, now_s: float) -> float:
-        """How far a deck may lean at contact; grows with the waits."""
-        return math.radians(self._config.contact_lean_deg) * self._borne(now_s)
+    def most_tilt_rad(self, now_s: float) -> float:
+        """How far a deck may tilt at contact; grows with the waits."""
+        return math.radians(self._config.contact_deck_tilt_deg) * self._borne(now_s)
 
     def _farthest_aside_m(self, now_s: float) -> float:
         """Farther aside than this it neither starts down nor goes on."""
@@ -90,5 +90,5 @@ class Tolerance:
         return min(max(setting_m, _FARTHEST_ASIDE_M), setting_m * self.slack_by_now(now_s))
 
     def _borne(self, now_s: float) -> float:
-        """Factor on the tolerances of lean and drift, which will not get less by waiting."""
+        """Factor on the tolerances of tilt and drift, which will not get less by waiting."""
         return 1.0 + _BORNE_PER_TIME * max(0.0, self.waits(now_s) - _WAITS_UNTIL_WIDER)

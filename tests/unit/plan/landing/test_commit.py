@@ -15,8 +15,8 @@ from tests.unit.plan.landing.touchdown_attempt import (
     CYCLE_S,
     WAIT_M,
     fresh,
-    leaning,
     sight,
+    tilting,
     wait,
     waited,
 )
@@ -85,40 +85,40 @@ def test_a_pad_unseen_while_waiting_is_lost() -> None:
 
 
 @pytest.mark.parametrize(("share", "commits"), [(0.95, True), (1.05, False)])
-def test_it_waits_while_it_leans_further_than_it_can_level_off(share: float, commits: bool) -> None:
+def test_it_waits_while_it_tilts_further_than_it_can_level_off(share: float, commits: bool) -> None:
     touchdown = fresh()
-    waited(touchdown, share * CONFIG.gentle_lean_m_s2, 0.0, 2.0)
+    waited(touchdown, share * CONFIG.gentle_tilt_m_s2, 0.0, 2.0)
     assert touchdown.committed is commits
 
 
-def test_a_long_wait_bears_more_lean_by_and_by() -> None:
+def test_a_long_wait_bears_more_tilt_by_and_by() -> None:
     touchdown = fresh()
     # 1.35 times what is gentle: borne once nearly three waits are over
-    waited(touchdown, 1.35 * CONFIG.gentle_lean_m_s2, 0.0, 2.9 * CONFIG.gentle_wait_s)
+    waited(touchdown, 1.35 * CONFIG.gentle_tilt_m_s2, 0.0, 2.9 * CONFIG.gentle_wait_s)
     assert not touchdown.committed
     wait_s = CONFIG.gentle_wait_s
-    waited(touchdown, 1.35 * CONFIG.gentle_lean_m_s2, 2.9 * wait_s, 3.0 * wait_s + 1.0)
+    waited(touchdown, 1.35 * CONFIG.gentle_tilt_m_s2, 2.9 * wait_s, 3.0 * wait_s + 1.0)
     assert touchdown.committed
 
 
 @pytest.mark.parametrize(("turn_deg_s", "commits"), [(0.0, False), (80.0, True), (-80.0, True)])
-def test_a_lean_that_the_pads_turn_takes_back_by_contact_is_borne(turn_deg_s: float, commits: bool) -> None:
+def test_a_tilt_that_the_pads_turn_takes_back_by_contact_is_borne(turn_deg_s: float, commits: bool) -> None:
     touchdown = fresh()
     # GIVEN 1.2 m/s2 with the pad and 0.8 against the wind, now in one direction, at contact about opposite
     turning = replace(
         sight(), acceleration_ned_m_s2=(0.0, 1.2, 0.0), turn_rate_rad_s=math.radians(turn_deg_s)
     )
     for k in range(round(1.5 * CONFIG.gentle_wait_s / CYCLE_S)):
-        touchdown.note_lean(attitude_from_acceleration((0.0, 2.0, 0.0), 1.0), k * CYCLE_S, turning)
+        touchdown.note_tilt(attitude_from_acceleration((0.0, 2.0, 0.0), 1.0), k * CYCLE_S, turning)
         touchdown.step(turning, None, LandedState.IN_AIR, k * CYCLE_S)
     assert touchdown.committed is commits
 
 
-def test_a_lean_that_the_pads_turn_brings_by_the_contact_is_not() -> None:
+def test_a_tilt_that_the_pads_turn_brings_by_the_contact_is_not() -> None:
     touchdown = fresh()
     turning = replace(sight(), acceleration_ned_m_s2=(0.0, -1.0, 0.0), turn_rate_rad_s=math.radians(80.0))
     for k in range(round(1.5 * CONFIG.gentle_wait_s / CYCLE_S)):
-        touchdown.note_lean(attitude_from_acceleration((0.0, 0.2, 0.0), 1.0), k * CYCLE_S, turning)
+        touchdown.note_tilt(attitude_from_acceleration((0.0, 0.2, 0.0), 1.0), k * CYCLE_S, turning)
         touchdown.step(turning, None, LandedState.IN_AIR, k * CYCLE_S)
     assert not touchdown.committed
 
@@ -127,7 +127,7 @@ def test_what_would_break_it_off_at_once_is_no_moment_to_commit() -> None:
     touchdown, told = fresh(), 0
     for k in range(round(29.0 / CYCLE_S)):
         was = touchdown.committed
-        touchdown.note_lean(leaning(2.4), k * CYCLE_S)
+        touchdown.note_tilt(tilting(2.4), k * CYCLE_S)
         touchdown.step(sight(), None, LandedState.IN_AIR, k * CYCLE_S)
         told += touchdown.committed is not was
         if touchdown.committed:
