@@ -22,7 +22,7 @@ SLOWEST_RAD_S: Final = math.tau / 20.0
 STILL_RAD: Final = math.radians(0.5)  # a smaller swing is noise: it has no period
 
 
-class Tilt(NamedTuple):
+class PadTilt(NamedTuple):
     """North and east: the tilt (rad), its rate (rad/s), its mean (rad); and how it swings about that.
 
     `swing_rad` is the root mean square of both axes together, `frequency_rad_s` that of the swing, 0 without.
@@ -80,13 +80,13 @@ class TiltState(NamedTuple):
         )
 
     @property
-    def tilt(self) -> Tilt:
+    def tilt(self) -> PadTilt:
         """What is known of it."""
         swing_rad = math.sqrt(self.swing_square)
         frequency = 0.0
         if swing_rad > STILL_RAD:
             frequency = min(QUICKEST_RAD_S, max(SLOWEST_RAD_S, math.sqrt(self.rate_square) / swing_rad))
-        return Tilt(
+        return PadTilt(
             (self.north.heading_rad, self.east.heading_rad),
             (self.north.rate_rad_s, self.east.rate_rad_s),
             self.mean_rad,
@@ -97,4 +97,4 @@ class TiltState(NamedTuple):
 
 
 LEVEL: Final = TiltState()
-NOT_TILTING: Final = Tilt()
+NOT_TILTING: Final = PadTilt()

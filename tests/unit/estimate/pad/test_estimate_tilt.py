@@ -11,7 +11,7 @@ import pytest
 from companion.base.geometry import ZERO3
 from companion.base.messages import PadState
 from companion.config import PadFilterConfig
-from companion.estimate.pad.tilt_filter import Tilt, TiltState
+from companion.estimate.pad.tilt_filter import PadTilt, TiltState
 from companion.plan.landing.level_moment import level_at, tilt_in_rad
 
 FRAME_S = 1.0 / 30.0
@@ -23,7 +23,7 @@ def rolling(time_s: float) -> tuple[float, float]:
     return 0.0, LIST_RAD + ROLL_RAD * math.sin(math.tau * time_s / PERIOD_S)
 
 
-def watched(seconds: float, noise_rad: float = math.radians(0.5)) -> Tilt:
+def watched(seconds: float, noise_rad: float = math.radians(0.5)) -> PadTilt:
     rng, density = np.random.default_rng(4), PadFilterConfig().tilt_acceleration_rad_s2_rthz
     state = TiltState.first(rolling(0.0), noise_rad)
     for k in range(1, round(seconds / FRAME_S)):
@@ -32,7 +32,7 @@ def watched(seconds: float, noise_rad: float = math.radians(0.5)) -> Tilt:
     return state.tilt
 
 
-def pad_of(tilt: Tilt) -> PadState:
+def pad_of(tilt: PadTilt) -> PadState:
     pad = PadState(0.0, (0.0, 0.0, 0.5), ZERO3, ZERO3, ZERO3, 0.0, 0.0, 0.01, 0.01, 0.0)
     return replace(
         pad,
@@ -66,13 +66,13 @@ def test_tilt_is_predicted_through_a_quarter_of_the_swing(seconds: float) -> Non
 
 
 def test_a_slope_that_does_not_swing_is_met_at_any_time() -> None:
-    slope = replace(pad_of(Tilt()), tilt_rad=(0.2, 0.0), tilt_mean_rad=(0.2, 0.0), tilt_swing_rad=0.001)
+    slope = replace(pad_of(PadTilt()), tilt_rad=(0.2, 0.0), tilt_mean_rad=(0.2, 0.0), tilt_swing_rad=0.001)
     assert level_at(slope, 0.0, math.radians(5.0))
 
 
 def test_a_deck_at_its_roll_is_waited_for() -> None:
     roll = replace(
-        pad_of(Tilt()),
+        pad_of(PadTilt()),
         tilt_rad=(0.0, ROLL_RAD),
         tilt_swing_rad=ROLL_RAD / math.sqrt(2.0),
         tilt_frequency_rad_s=math.tau / PERIOD_S,
