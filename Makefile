@@ -3,7 +3,7 @@
 # make test-deploy DEPLOY=DIR  the service in a container that boots systemd, the app on arm64 by qemu; needs root
 # make bench   where the time goes, the estimators' bars and the landing campaign's; or one alone:
 # make bench-state           the estimators in flight: errors, consistency, faults, costs
-# make bench-deck            landings on a rolling ship: seen, landed, lean at contact
+# make bench-deck            landings on a rolling ship: seen, landed, tilt at contact
 # make bench-pad             the pad filter over made-up tracks
 # make bench-obstacles       ways round random obstacles: clearance, what is held before, cost
 # make bench-cpu             what the app costs in a landing, by part, and what blocks its event loop

@@ -62,14 +62,14 @@ class CameraShot:
 
 @dataclass(frozen=True, slots=True)
 class RecordedLanding:
-    """What is drawn: `times_s` (n,), tracks in east and up (n, 2), lean to the east (n,), all by truth."""
+    """What is drawn: `times_s` (n,), tracks in east and up (n, 2), tilt to the east (n,), all by truth."""
 
     shots: list[CameraShot]
     times_s: NDArray[np.float64]
     vehicle: NDArray[np.float64]
     pad: NDArray[np.float64]
     lateral_m: NDArray[np.float64]
-    lean_rad: NDArray[np.float64]
+    tilt_rad: NDArray[np.float64]
     contact: NDArray[np.bool_]
     phases: list[str]
 
@@ -136,7 +136,7 @@ def read_landing(log: Path) -> RecordedLanding:
         vehicle=_east_up([t["vehicle_position_ned_m"] for t in truth]),
         pad=_east_up([t["pad_position_ned_m"] for t in truth]),
         lateral_m=np.hypot(away[:, 0], away[:, 1]),
-        lean_rad=np.array([_lean(t["vehicle_attitude"]) for t in truth]),
+        tilt_rad=np.array([_tilt(t["vehicle_attitude"]) for t in truth]),
         contact=np.array([t["in_contact"] for t in truth]),
         phases=[phases[k] for k in at],
     )
@@ -147,8 +147,8 @@ def _east_up(positions_ned_m: list[list[float]]) -> NDArray[np.float64]:
     return np.column_stack((ned[:, 1], -ned[:, 2]))
 
 
-def _lean(attitude: list[float]) -> float:
-    """How far (rad) the vehicle leans to the right in the side view: its own down against the world's."""
+def _tilt(attitude: list[float]) -> float:
+    """How far (rad) the vehicle tilts to the right in the side view: its own down against the world's."""
     w, x, y, z = attitude
     _, east, down = quat_rotate((w, x, y, z), (0.0, 0.0, 1.0))
     return math.atan2(-east, down)
@@ -213,7 +213,7 @@ def draw_frame(recorded: RecordedLanding, time_s: float) -> Colour:
 
 
 def _side_view(recorded: RecordedLanding, now: int, since_s: float) -> Colour:
-    """Ground, pad, the way so far by phase, and the vehicle with its lean; looking north."""
+    """Ground, pad, the way so far by phase, and the vehicle with its tilt; looking north."""
     width, height = (SUPERSAMPLED * side for side in SIDE_PX)
     canvas = np.full((height, width, 3), 255, np.uint8)
     ground_y = height - SUPERSAMPLED * GROUND_UP_PX
@@ -234,15 +234,15 @@ def _side_view(recorded: RecordedLanding, now: int, since_s: float) -> Colour:
     pad = recorded.pad[now]
     left, right = (at(pad + np.array([side * PAD_HALF_M, 0.0])) for side in (-1, 1))
     cv2.rectangle(canvas, left.tolist(), [int(right[0]), ground_y + 6], PAD_BGR, cv2.FILLED)
-    _draw_vehicle(canvas, at, recorded.vehicle[now], float(recorded.lean_rad[now]))
+    _draw_vehicle(canvas, at, recorded.vehicle[now], float(recorded.tilt_rad[now]))
     small = cv2.resize(canvas, SIDE_PX, interpolation=cv2.INTER_AREA)
     return np.asarray(small, dtype=np.uint8)
 
 
-def _draw_vehicle(canvas: Colour, at: Any, place: NDArray[np.float64], lean_rad: float) -> None:
+def _draw_vehicle(canvas: Colour, at: Any, place: NDArray[np.float64], tilt_rad: float) -> None:
     """Arms, two rotors and legs."""
-    along = np.array([math.cos(lean_rad), -math.sin(lean_rad)])
-    up = np.array([math.sin(lean_rad), math.cos(lean_rad)])
+    along = np.array([math.cos(tilt_rad), -math.sin(tilt_rad)])
+    up = np.array([math.sin(tilt_rad), math.cos(tilt_rad)])
 
     def line(a: NDArray[np.float64], b: NDArray[np.float64], thickness: int) -> None:
         cv2.line(canvas, at(a).tolist(), at(b).tolist(), DARK_BGR, thickness, cv2.LINE_AA)

@@ -165,7 +165,7 @@ class PadRenderer:
         return _labelled(picture, f"{height_m:g} m: {len(used)} markers")
 
     def _scene(self, height_m: float) -> ScenePose:
-        """The vehicle over the pad, leaning a little and a little aside."""
+        """The vehicle over the pad, tilting a little and a little aside."""
         mount = quat_rotate(self._attitude, self._vehicle.camera_position_body_m)
         aside = 0.02 * height_m
         position = (aside - mount[0], aside - mount[1], -0.3 - height_m - mount[2])

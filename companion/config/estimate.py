@@ -61,7 +61,7 @@ class PadFilterConfig(StrictModel):
     # vertically: a pad that stays level, and seas of these periods
     wave_periods_s: tuple[WavePeriod, ...] = Field(default=(7.0, 4.5, 2.8), min_length=1, max_length=6)
     wave_acceleration_std_m_s2: float = Field(default=0.5, gt=0.0, le=10.0)
-    lean_acceleration_rad_s2_rthz: float = Field(default=0.1, gt=0.0, le=20.0)
+    tilt_acceleration_rad_s2_rthz: float = Field(default=0.1, gt=0.0, le=20.0)
     sighting_noise_scale: float = Field(default=1.0, ge=0.1, le=20.0)
     camera_delay_std_s: float = Field(
         default=0.01, ge=0.0, le=0.05

@@ -13,6 +13,7 @@ from pydantic import BaseModel
 LIKENESS = 0.7
 # what a setting was called before, where its name is now like another's or like none
 FORMER = {
+    "contact_lean_deg": ("contact_deck_tilt_deg",),
     "command_patience_s": ("command_timeout_s",),
     "patience_s": ("gentle_wait_s", "sighting_timeout_s"),
 }

@@ -130,11 +130,11 @@ class TouchdownConfig(StrictModel):
     gentle_horizontal_m_s2: float = Field(default=1.2, gt=0.0, le=5.0)
     gentle_vertical_m_s2: float = Field(default=0.2, gt=0.0, le=5.0)
     contact_tilt_deg: float = Field(default=7.0, ge=1.0, le=30.0)  # levelled off to this as the feet touch
-    gentle_lean_m_s2: float = Field(default=1.6, gt=0.0, le=6.0)  # what leaning it takes to go with the pad
-    contact_lean_deg: float = Field(default=5.0, ge=1.0, le=30.0)  # of a deck that swings
+    gentle_tilt_m_s2: float = Field(default=1.6, gt=0.0, le=6.0)  # what tilting it takes to go with the pad
+    contact_deck_tilt_deg: float = Field(default=5.0, ge=1.0, le=30.0)  # of a deck that swings
     gentle_wait_s: float = Field(default=5.0, ge=0.5, le=60.0)
     contact_speed_m_s: float = Field(default=0.19, ge=0.05, le=0.4)
-    firm_contact_m_s: float = Field(default=0.32, ge=0.05, le=0.4)  # where it leans far: the most planned
+    firm_contact_m_s: float = Field(default=0.32, ge=0.05, le=0.4)  # where it tilts far: the most planned
     fastest_contact_m_s: float = Field(default=0.42, ge=0.05, le=1.0)  # sinking faster,
     break_off_lateral_m: float = Field(default=0.07, gt=0.0, le=0.5)  # or farther aside, higher up than this:
     break_off_above_m: float = Field(default=0.06, ge=0.03, le=1.0)  # rise and wait again

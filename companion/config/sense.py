@@ -131,8 +131,8 @@ class AutopilotSensorsConfig(StrictModel):
     )
 
 
-# roads and loading areas slope by a few degrees; a deck that rolls by 15 deg from side to side leans up to 13
-_LEAN_STD_DEG: Final = {"fixed": 0.0, "vehicle": 3.0, "ship": 6.0}
+# roads and loading areas slope by a few degrees; a deck that rolls by 15 deg from side to side tilts up to 13
+_TILT_STD_DEG: Final = {"fixed": 0.0, "vehicle": 3.0, "ship": 6.0}
 
 
 class VisionConfig(StrictModel):
@@ -149,7 +149,7 @@ class VisionConfig(StrictModel):
     scale_error: float = Field(
         default=0.003, ge=0.0, le=0.1
     )  # of the calibration, as a share of the distance
-    pad_on: Literal["fixed", "vehicle", "ship"] = "fixed"  # how far the pad may lean
+    pad_on: Literal["fixed", "vehicle", "ship"] = "fixed"  # how far the pad may tilt
     level_std_deg: float = Field(default=2.0, gt=0.0, le=30.0)  # of a fixed pad and our attitude together
     relative_speed_std_m_s: float = Field(default=0.5, gt=0.0, le=20.0)  # for a rolling shutter's shear
     relative_climb_std_m_s: float = Field(default=0.2, gt=0.0, le=20.0)  # near the pad, for the same
@@ -157,9 +157,9 @@ class VisionConfig(StrictModel):
     vibration_mrad: float = Field(default=0.035, gt=0.0, le=10.0)
 
     @property
-    def lean_std_deg(self) -> float:
-        """Standard deviation of the pad's lean against our horizon."""
-        return max(self.level_std_deg, _LEAN_STD_DEG[self.pad_on])
+    def tilt_std_deg(self) -> float:
+        """Standard deviation of the pad's tilt against our horizon."""
+        return max(self.level_std_deg, _TILT_STD_DEG[self.pad_on])
 
 
 class SenseConfig(StrictModel):

@@ -115,7 +115,7 @@ class VehicleConfig(StrictModel):
     leg_height_m: float = Field(ge=0.02, le=1.0)
     foot_reach_m: float = Field(default=0.18, ge=0.0, le=2.0)  # aside of the middle, to the farthest foot
     responses: Responses = Responses()
-    # measured on this very vehicle: instead of what the responses say of the lean and of the thrust
+    # measured on this very vehicle: instead of what the responses say of the tilt and of the thrust
     acceleration_time_constant_s: float | None = Field(default=None, ge=0.02, le=1.0)
     thrust_time_constant_s: float | None = Field(default=None, ge=0.01, le=1.0)
     hover_thrust: float = Field(ge=0.1, le=0.9)

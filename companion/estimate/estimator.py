@@ -246,11 +246,11 @@ class StateEstimator:
             turn_rate_rad_s=estimate.turn_rate_rad_s,
             jerk_ned_m_s3=(*estimate.jerk_m_s3, 0.0),
             models=estimate.models,
-            lean_rad=estimate.lean.lean_rad,
-            lean_rate_rad_s=estimate.lean.rate_rad_s,
-            lean_mean_rad=estimate.lean.mean_rad,
-            lean_swing_rad=estimate.lean.swing_rad,
-            lean_frequency_rad_s=estimate.lean.frequency_rad_s,
+            tilt_rad=estimate.tilt.tilt_rad,
+            tilt_rate_rad_s=estimate.tilt.rate_rad_s,
+            tilt_mean_rad=estimate.tilt.mean_rad,
+            tilt_swing_rad=estimate.tilt.swing_rad,
+            tilt_frequency_rad_s=estimate.tilt.frequency_rad_s,
         )
 
     def vehicle_covariance(self) -> FloatArray | None:
@@ -325,8 +325,8 @@ class StateEstimator:
             heading_std_rad=math.sqrt(max(turn, 0.0) + jitter),
             vehicle_velocity_ned_m_s=self._vehicle.velocity(sighting.time_s),
             slow_variance_m2=slow,
-            lean_rad=(north, east),
-            lean_std_rad=math.sqrt(max(tilt_n, tilt_e, 0.0) + jitter),
+            tilt_rad=(north, east),
+            tilt_std_rad=math.sqrt(max(tilt_n, tilt_e, 0.0) + jitter),
         )
 
     def _covariance(self, estimate: CombinedEstimate) -> FloatArray:

@@ -68,14 +68,14 @@ def gains_of(numbers: Sequence[float]) -> CascadeGains:
         )
 
     attitude, rate, integral, derivative = numbers[6:]
-    lean = AngleGains(
+    tilt = AngleGains(
         attitude_1_s=min(attitude, 40.0),
         rate_1_s=min(rate, 120.0),
         integral_1_s2=min(integral, 400.0),
         derivative=min(derivative, 2.0),
     )
     return CascadeGains(
-        horizontal=axis(*numbers[:3]), vertical=axis(*numbers[3:6]), lean=lean, heading=HEADING
+        horizontal=axis(*numbers[:3]), vertical=axis(*numbers[3:6]), tilt=tilt, heading=HEADING
     )
 
 
@@ -115,7 +115,7 @@ def tune(evaluations: int) -> tuple[CascadeGains, float, float]:
 
 def write(gains: CascadeGains, header: str, path: Path) -> None:
     """The gains as YAML."""
-    numbers = gains.model_dump(include={"horizontal", "vertical", "lean", "heading"})
+    numbers = gains.model_dump(include={"horizontal", "vertical", "tilt", "heading"})
     rounded = {part: {k: float(f"{v:.4g}") for k, v in values.items()} for part, values in numbers.items()}
     path.write_text(header + yaml.safe_dump(rounded, sort_keys=False), encoding="utf-8")
 

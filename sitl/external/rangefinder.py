@@ -25,7 +25,7 @@ class RangefinderMessages:
         self._due_s = 0.0
 
     def due(self, now_s: float, height_m: float, tilt_rad: float) -> Message | None:
-        """The message that is due: `height_m` over what is below, leaning by `tilt_rad`."""
+        """The message that is due: `height_m` over what is below, tilting by `tilt_rad`."""
         if self._first_s is None:
             self._first_s = self._due_s = now_s
         if now_s < self._due_s:

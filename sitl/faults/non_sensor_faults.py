@@ -71,7 +71,7 @@ class PadVanishes(FaultTimes):
 
 
 class PadTilts(FaultTimes):
-    """The pad leans, as on a vehicle that drives on to a kerb."""
+    """The pad tilts, as on a vehicle that drives on to a kerb."""
 
     kind: Literal["pad_tilts"]
     roll_deg: float = Field(default=15.0, ge=-45.0, le=45.0)  # About its heading

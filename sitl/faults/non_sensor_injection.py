@@ -189,13 +189,13 @@ def bring_pad_back(_fault: non_sensor_faults.PadVanishes, targets: NonSensorTarg
 
 
 def tilt_pad(fault: non_sensor_faults.PadTilts, targets: NonSensorTargets, now_s: float) -> None:
-    """Lean."""
-    targets.motion.lean(now_s, math.radians(fault.roll_deg), math.radians(fault.rate_deg_s))
+    """Tilt."""
+    targets.motion.tilt(now_s, math.radians(fault.roll_deg), math.radians(fault.rate_deg_s))
 
 
 def level_pad(fault: non_sensor_faults.PadTilts, targets: NonSensorTargets, now_s: float) -> None:
     """Level again."""
-    targets.motion.lean(now_s, 0.0, math.radians(fault.rate_deg_s))
+    targets.motion.tilt(now_s, 0.0, math.radians(fault.rate_deg_s))
 
 
 def change_mode(fault: non_sensor_faults.PilotMode, targets: NonSensorTargets, _now_s: float) -> None:

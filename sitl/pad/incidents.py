@@ -1,4 +1,4 @@
-"""What happens to a pad on its way: it brakes, turns back, leaves, leans, or is gone.
+"""What happens to a pad on its way: it brakes, turns back, leaves, tilts, or is gone.
 
 `IncidentMotion` follows the scenario's motion until something happens; from then on it drives straight
 along the course that it had, by a speed that changes at a constant rate. Its height and what the sea does
@@ -86,7 +86,7 @@ class IncidentMotion:
     def __init__(self, motion: Moving) -> None:
         self._motion = motion
         self._drive: Drive | None = None
-        self._lean: RollRamp | None = None
+        self._tilt: RollRamp | None = None
         self._usual_m_s = 0.0
         self._gone: PadTruth | None = None
 
@@ -104,8 +104,8 @@ class IncidentMotion:
         pad = self._motion.at(time_s)
         if self._drive is not None:
             pad = self._drive.applied(pad)
-        if self._lean is not None:
-            roll, rate = self._lean.at(time_s)
+        if self._tilt is not None:
+            roll, rate = self._tilt.at(time_s)
             pad = pad._replace(roll_rad=pad.roll_rad + roll, roll_rate_rad_s=pad.roll_rate_rad_s + rate)
         return pad
 
@@ -133,10 +133,10 @@ class IncidentMotion:
         vn, ve, _ = self.beacon_at(now_s).velocity_ned_m_s
         self.drive(now_s, -math.hypot(vn, ve), rate_m_s2)
 
-    def lean(self, now_s: float, roll_rad: float, rate_rad_s: float) -> None:
-        """Lean to a roll beyond the deck's own, at a rate."""
-        begins = 0.0 if self._lean is None else self._lean.at(now_s)[0]
-        self._lean = RollRamp(now_s, begins, roll_rad, rate_rad_s)
+    def tilt(self, now_s: float, roll_rad: float, rate_rad_s: float) -> None:
+        """Tilt to a roll beyond the deck's own, at a rate."""
+        begins = 0.0 if self._tilt is None else self._tilt.at(now_s)[0]
+        self._tilt = RollRamp(now_s, begins, roll_rad, rate_rad_s)
 
     def vanish(self, now_s: float) -> None:
         """It is gone from now on."""

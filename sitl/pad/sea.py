@@ -30,8 +30,8 @@ class DeckSettings(StrictModel):
 
     def largest_excursion_m(self, half_diagonal_m: float) -> float:
         """How far the lowest corner of a board goes below the mean, all crests at once."""
-        lean = math.radians(peak(self.significant_roll_deg) + peak(self.significant_pitch_deg))
-        return peak(self.significant_height_m) + half_diagonal_m * math.sin(min(lean, 0.5 * math.pi))
+        tilt = math.radians(peak(self.significant_roll_deg) + peak(self.significant_pitch_deg))
+        return peak(self.significant_height_m) + half_diagonal_m * math.sin(min(tilt, 0.5 * math.pi))
 
 
 class DeckState(NamedTuple):

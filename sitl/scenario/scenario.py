@@ -33,7 +33,7 @@ from sitl.world.wind import WindSettings
 LARGEST_HALF_DIAGONAL_M: Final = 1.0
 
 
-Lean = Annotated[float, Field(ge=-180.0, le=180.0)]
+Tilt = Annotated[float, Field(ge=-180.0, le=180.0)]
 Shift = Annotated[float, Field(ge=-0.5, le=0.5)]
 
 
@@ -81,7 +81,7 @@ class CameraSettings(StrictModel):
     readout_s: float = Field(default=0.015, ge=0.0, le=0.03)
     noise_grey: float = Field(default=3.0, ge=0.0, le=50.0)
     calibration_error: float = Field(default=0.003, ge=0.0, le=0.1)  # of the focal length, and sideways
-    mount_error_deg: tuple[Lean, Lean, Lean] = (0.0, 0.0, 0.0)
+    mount_error_deg: tuple[Tilt, Tilt, Tilt] = (0.0, 0.0, 0.0)
     mount_offset_m: tuple[Shift, Shift, Shift] = (0.0, 0.0, 0.0)
     stamp_error_s: float = Field(default=0.0, ge=-0.04, le=0.1)
     blur: bool = True

@@ -224,15 +224,15 @@ HOLD_S: Final = 4.0
 def _over_pad(standing_m: float, rng: np.random.Generator) -> CarriedMotion:
     """The moves of `companion check --pad`, one after another, each from the middle and back."""
     low, high = -float(rng.uniform(0.5, 0.6)), -float(rng.uniform(0.95, 1.1))
-    turn, lean = (math.radians(float(rng.uniform(*span))) for span in ((35.0, 55.0), (14.0, 20.0)))
+    turn, tilt = (math.radians(float(rng.uniform(*span))) for span in ((35.0, 55.0), (14.0, 20.0)))
     aside = float(rng.uniform(0.18, 0.26))
     middle = (0.0, 0.0, high, 0.0, 0.0, 0.0)
     moved = [
         (0.0, aside, high, 0.0, 0.0, 0.0),
         (aside, 0.0, high, 0.0, 0.0, 0.0),
         (0.0, 0.0, high, 0.0, 0.0, turn),
-        (0.0, 0.0, high, lean, 0.0, 0.0),
-        (0.0, 0.0, high, 0.0, lean, 0.0),
+        (0.0, 0.0, high, tilt, 0.0, 0.0),
+        (0.0, 0.0, high, 0.0, tilt, 0.0),
     ]
     # long enough at first for the check to find an autopilot and to request the first move
     stations = [PoseWaypoint((0.0, 0.0, low, 0.0, 0.0, 0.0), 10.0), PoseWaypoint(middle, HOLD_S)]

@@ -1,6 +1,6 @@
 """The surfaces under the vehicle: ground and the pad's board, and their ground effect on the rotors.
 
-NED, metres; the ground is the plane z = 0, the board a rectangle above it, level or leaning as a deck does.
+NED, metres; the ground is the plane z = 0, the board a rectangle above it, level or tilting as a deck does.
 
 Ground effect after Cheeseman and Bennett (ARC R&M 3021, 1955): a rotor of radius R at height z over a plane
 gives, at the same power, 1 / (1 - (R / 4z)^2) times its thrust in free air.
@@ -95,8 +95,8 @@ def echo_distance_m(
         echoes.append(-sensor[2])
     sideways, height = board.distance_m(pad, sensor)
     # next to the board its edge is in the cone by the angle from its normal alone: tilts are small
-    lean = max(tilt_from_normal(pad, state.attitude), math.atan2(sideways, height))
-    if height > 0.0 and lean <= half_angle_rad:
+    tilt = max(tilt_from_normal(pad, state.attitude), math.atan2(sideways, height))
+    if height > 0.0 and tilt <= half_angle_rad:
         echoes.append(math.hypot(sideways, height))
     return min(echoes, default=None)
 

@@ -1,6 +1,6 @@
 """Scoring of a flight: the true touchdown, and whether it counts as a landing.
 
-Speeds are relative to the pad, positive vertical ones closing; angles in degrees. Where a deck leans,
+Speeds are relative to the pad, positive vertical ones closing; angles in degrees. Where a deck tilts,
 vertical means along its normal, horizontal along its surface, and tilt is from its normal. Everything is
 taken from the last state before contact forces acted.
 """

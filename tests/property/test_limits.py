@@ -86,7 +86,7 @@ def _numbers(setpoint: Setpoint) -> tuple[object, ...]:
     )
 
 
-def _lean(setpoint: Setpoint) -> Vector3 | None:
+def _tilt(setpoint: Setpoint) -> Vector3 | None:
     return (*horizontal_acceleration(setpoint.attitude), 0.0) if setpoint.attitude is not None else None
 
 
@@ -95,7 +95,7 @@ def _assert_change(before: Setpoint, after: Setpoint) -> None:
     assert elapsed_s >= 0.0
     most = CONFIG.jerk_m_s3 * elapsed_s + TOLERANCE
     assert norm(subtract(after.acceleration_ned_m_s2, before.acceleration_ned_m_s2)) <= most
-    first, second = _lean(before), _lean(after)
+    first, second = _tilt(before), _tilt(after)
     if first is not None and second is not None:
         assert norm(subtract(second, first)) <= most
     turned = abs(math.remainder(after.heading_rad - before.heading_rad, math.tau))

@@ -65,7 +65,7 @@ def tilt_of(turn: FloatArray) -> Tilt:
         x, y, z = -x, -y, -z
     angle = math.acos(min(z, 1.0))
     across = math.hypot(x, y)
-    # the normal leans to where the board comes nearer: that edge's opposite is away
+    # the normal tilts to where the board comes nearer: that edge's opposite is away
     share = math.degrees(angle) / across if across > 1e-9 else 0.0
     return Tilt(math.degrees(angle), -x * share, -y * share)
 

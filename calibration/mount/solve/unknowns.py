@@ -90,7 +90,7 @@ class Unknowns:
 
     @property
     def gravity_pad(self) -> FloatArray:
-        """Gravity (3,) m/s² in the pad's axes: straight down but for the pad's lean."""
+        """Gravity (3,) m/s² in the pad's axes: straight down but for the pad's tilt."""
         x, y = self.values[TILT]
         return np.array([x, y, math.sqrt(max(1.0 - x * x - y * y, 0.0))]) * GRAVITY_M_S2
 
@@ -98,10 +98,10 @@ class Unknowns:
         """What a rolling shutter adds to poses (k, 3), a small rotation about the camera's axes.
 
         Vision's pose takes out that the image drifts while its rows are read. What is left: that it grows
-        (`closing_1_s`, speed along the optical axis over distance) looks like a lean about the image's
-        horizontal, and that it turns (`roll_rad_s`, about the optical axis) like half a lean about the
+        (`closing_1_s`, speed along the optical axis over distance) looks like a tilt about the image's
+        horizontal, and that it turns (`roll_rad_s`, about the optical axis) like half a tilt about the
         vertical. Rows k (in focal lengths) are read k s later, so grown and turned points are off by
-        s k (u, v) and s k (v, -u); a leaning plane's by (uv, v²) and (u², uv).
+        s k (u, v) and s k (v, -u); a tilting plane's by (uv, v²) and (u², uv).
         """
         grows, turns = self.values[SHUTTER]
         return np.stack((-grows * closing_1_s, -turns * roll_rad_s, np.zeros_like(roll_rad_s)), axis=-1)

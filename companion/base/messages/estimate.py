@@ -46,9 +46,9 @@ class PadState:
     `jerk_ned_m_s3` what its acceleration changes by beyond turning, `models` the probability of each model
     of its motion.
 
-    The lean is the horizontal part (north, east) of the pad's normal, which points down: its tilt for small
-    angles. It swings about its mean by `lean_swing_rad` (root mean square, both axes together) at
-    `lean_frequency_rad_s`; 0: it does not.
+    The tilt is the horizontal part (north, east) of the pad's normal, which points down: rad while it is
+    small. It swings about its mean by `tilt_swing_rad` (root mean square, both axes together) at
+    `tilt_frequency_rad_s`; 0: it does not.
     """
 
     time_s: float
@@ -65,11 +65,11 @@ class PadState:
     turn_rate_rad_s: float = 0.0
     jerk_ned_m_s3: Vector3 = ZERO3
     models: dict[str, float] = field(default_factory=dict)
-    lean_rad: tuple[float, float] = (0.0, 0.0)
-    lean_rate_rad_s: tuple[float, float] = (0.0, 0.0)
-    lean_mean_rad: tuple[float, float] = (0.0, 0.0)
-    lean_swing_rad: float = 0.0
-    lean_frequency_rad_s: float = 0.0
+    tilt_rad: tuple[float, float] = (0.0, 0.0)
+    tilt_rate_rad_s: tuple[float, float] = (0.0, 0.0)
+    tilt_mean_rad: tuple[float, float] = (0.0, 0.0)
+    tilt_swing_rad: float = 0.0
+    tilt_frequency_rad_s: float = 0.0
 
     @property
     def height_m(self) -> float:

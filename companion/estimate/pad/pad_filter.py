@@ -20,7 +20,6 @@ from companion.config import PadFilterConfig
 from companion.estimate.gating import CHI_SQUARE_999, Gate
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.heading_filter import HeadingState
-from companion.estimate.pad.lean_filter import LEVEL, LeanState
 from companion.estimate.pad.model_bank import (
     BankState,
     Innovation,
@@ -44,6 +43,7 @@ from companion.estimate.pad.pad_types import (
     PadMeasurement,
     PadSnapshot,
 )
+from companion.estimate.pad.tilt_filter import LEVEL, TiltState
 
 MODEL_DWELL_S: Final = 5.0  # a motion keeps its model so long on average
 HEADING_ACCELERATION_RAD_S2_RTHZ: Final = 0.3  # process noise of the pad's turn rate
@@ -67,7 +67,7 @@ _PAIRS: Final = [
 
 
 class PadFilter:
-    """A bank of linear Kalman filters, and filters of heading and lean; see the module's text."""
+    """A bank of linear Kalman filters, and filters of heading and tilt; see the module's text."""
 
     def __init__(self, config: PadFilterConfig, motion: MotionHistory, board_half_width_m: float) -> None:
         self._config = config
@@ -77,7 +77,7 @@ class PadFilter:
         self._names = (*HORIZONTAL, *vertical_names(config))
         self._bank = ModelBank(self._models.groups, MODEL_DWELL_S)
         self._turn = Turn()
-        self._heading, self._lean = HeadingState(), LEVEL
+        self._heading, self._tilt = HeadingState(), LEVEL
         self.time_s = -math.inf
         self.seen_time_s = -math.inf
         self.started = False
@@ -96,14 +96,14 @@ class PadFilter:
             self.gates,
             self.seen_time_s,
             self._slow_share,
-            self._lean,
+            self._tilt,
         )
 
     def restore(self, snapshot: PadSnapshot) -> None:
         """Go on from a snapshot."""
         self.time_s, self.seen_time_s = snapshot.time_s, snapshot.seen_time_s
         self._turn, self.gates, self._slow_share = snapshot.turn, snapshot.gates, snapshot.slow_share
-        self._heading, self._lean = snapshot.heading, snapshot.lean
+        self._heading, self._tilt = snapshot.heading, snapshot.tilt
         self.started = snapshot.models is not None
         if snapshot.models is not None:
             self._bank.restore(snapshot.models)
@@ -142,9 +142,9 @@ class PadFilter:
             slow_share=snapshot.slow_share,
             jerk_m_s3=tuple((moved.probabilities[TURN] * moved.means[TURN, 6:8]).tolist()),
             models=dict(zip(self._names, moved.probabilities.tolist(), strict=True)),
-            lean=snapshot.lean.after(
-                time_s - snapshot.time_s, self._config.lean_acceleration_rad_s2_rthz
-            ).lean,
+            tilt=snapshot.tilt.after(
+                time_s - snapshot.time_s, self._config.tilt_acceleration_rad_s2_rthz
+            ).tilt,
         )
 
     def _predict(self, time_s: float) -> None:
@@ -153,7 +153,7 @@ class PadFilter:
         dt_s = time_s - self.time_s
         self._bank.predict(dt_s, self._step(self.time_s, time_s, self._turn))
         self._heading = self._heading.after(dt_s, HEADING_ACCELERATION_RAD_S2_RTHZ)
-        self._lean = self._lean.after(dt_s, self._config.lean_acceleration_rad_s2_rthz)
+        self._tilt = self._tilt.after(dt_s, self._config.tilt_acceleration_rad_s2_rthz)
         self.time_s = time_s
 
     def _step(self, start_s: float, end_s: float, turn: Turn) -> ModelTransition:
@@ -176,9 +176,9 @@ class PadFilter:
         if self._passes_sighting(seen, c, e):
             self._bank.update(seen)
             self._take_heading(sample)
-            if sample.lean_rad is not None:
+            if sample.tilt_rad is not None:
                 since_s = time_s - self.seen_time_s
-                self._lean = self._lean.corrected(sample.lean_rad, sample.lean_std_rad, since_s)
+                self._tilt = self._tilt.corrected(sample.tilt_rad, sample.tilt_std_rad, since_s)
             self._turn = self._turned(sample)
             self._slow_share = sample.slow_share
             self.seen_time_s = time_s
@@ -272,8 +272,8 @@ class PadFilter:
         self.time_s = self.seen_time_s = time_s
         self.started = True
         self._start_heading(sample)
-        self._lean = (
-            LEVEL if sample.lean_rad is None else LeanState.first(sample.lean_rad, sample.lean_std_rad)
+        self._tilt = (
+            LEVEL if sample.tilt_rad is None else TiltState.first(sample.tilt_rad, sample.tilt_std_rad)
         )
         self._record("sighting", True)
 

@@ -14,9 +14,9 @@ import numpy as np
 from companion.base.geometry import FloatArray, Vector3
 from companion.estimate.gating import Gate
 from companion.estimate.pad.heading_filter import HeadingState
-from companion.estimate.pad.lean_filter import LEVEL, NOT_LEANING, Lean, LeanState
 from companion.estimate.pad.model_bank import BankState
 from companion.estimate.pad.pad_models import Turn
+from companion.estimate.pad.tilt_filter import LEVEL, NOT_TILTING, PadTilt, TiltState
 
 _EYE3: Final = np.eye(3)
 
@@ -36,8 +36,8 @@ class PadMeasurement:
     heading_std_rad: float
     vehicle_velocity_ned_m_s: Vector3 = (0.0, 0.0, 0.0)
     slow_variance_m2: float = 0.0
-    lean_rad: tuple[float, float] | None = None  # as of `Lean`
-    lean_std_rad: float = 0.0
+    tilt_rad: tuple[float, float] | None = None  # as of `PadTilt`
+    tilt_std_rad: float = 0.0
 
     @property
     def slow_share(self) -> float:
@@ -68,7 +68,7 @@ class PadSnapshot(NamedTuple):
     gates: dict[str, Gate]
     seen_time_s: float
     slow_share: float
-    lean: LeanState = LEVEL
+    tilt: TiltState = LEVEL
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ class CombinedEstimate:
     turn_rate_rad_s: float = 0.0
     slow_share: float = 0.0
     models: dict[str, float] = field(default_factory=dict)
-    lean: Lean = NOT_LEANING
+    tilt: PadTilt = NOT_TILTING
     jerk_m_s3: tuple[float, float] = (0.0, 0.0)
 
     @property

@@ -6,7 +6,7 @@ by aliasing, shows in the same difference of means over 20 ms, quicker than a ve
 the velocity. An element that saturates, or that rectifies vibration, shifts its mean besides, by a share of
 what exceeds a bound, and for as long as that lasts.
 
-Scale errors and misalignment turn the attitude by a share of the turn itself. A vehicle that leans and
+Scale errors and misalignment turn the attitude by a share of the turn itself. A vehicle that tilts and
 levels again has turned by nothing: what counts is the rate that lasts. Plain floats, body FRD, SI units.
 """
 

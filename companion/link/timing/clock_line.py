@@ -88,7 +88,7 @@ class ClockFilter:
         if outside_s != 0.0:
             self._pp += outside_s**2
             self._rr += (outside_s / max(elapsed_s, 0.1)) ** 2
-        self._lean_on(trip)
+        self._rely_on(trip)
         self._move(-self._outside_s(trip))
 
     def _predict(self, elapsed_s: float) -> None:
@@ -100,7 +100,7 @@ class ClockFilter:
         self._pr += elapsed_s * (self._rr + 0.5 * walk)
         self._rr += walk
 
-    def _lean_on(self, trip: Trip) -> None:
+    def _rely_on(self, trip: Trip) -> None:
         """Take the trip as a measurement: the less it took beyond the quickest, the better."""
         spare_s = trip.length_s - min(self._lengths_s)
         if spare_s <= _LONG_S:
@@ -127,7 +127,7 @@ class ClockFilter:
         """Start again at the nearest offset that the trip allows."""
         self._move(-outside_s)
         self._pp, self._pr = (0.5 * trip.length_s + _FLOOR_S) ** 2, 0.0
-        self._lean_on(trip)
+        self._rely_on(trip)
 
     def _move(self, by_s: float) -> None:
         self.line = ClockLine(self.line.at_s, self.line.offset_s + by_s, self.line.rate)

@@ -33,8 +33,8 @@ _FALLS_S = 0.15  # a bump of the pad is over sooner; a fall is 11 cm by then
 # Where nothing shows the feet down, for so long and so long after the contact: no landing is proven.
 _UNSHOWN_S = 2.0
 _UNSHOWN_AFTER_S = 4.0
-# Leaning more than this it is not about to stand, whatever is near.
-_MOST_FOOT_LEAN_RAD = math.radians(15.0)
+# Tilting more than this it is not about to stand, whatever is near.
+_MOST_FOOT_TILT_RAD = math.radians(15.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,15 +66,15 @@ def contact_signs(
     *,
     config: TouchdownConfig,
     vehicle: VehicleConfig,
-    lean_rad: float = 0.0,
+    tilt_rad: float = 0.0,
 ) -> ContactSigns:
     """Read the signs; `reference` is vehicle minus pad, as `sight` is.
 
     Where the pad is counts only while it is seen; that the vehicle stopped sinking it feels itself, and the
-    pad's own motion is known for `blind_s`. The lowest foot counts: one that holds a leaning vehicle up is
+    pad's own motion is known for `blind_s`. The lowest foot counts: one that holds a tilting vehicle up is
     dragged over the pad by what that vehicle does to come back over the middle.
     """
-    hangs_m = vehicle.foot_reach_m * math.sin(min(lean_rad, _MOST_FOOT_LEAN_RAD))
+    hangs_m = vehicle.foot_reach_m * math.sin(min(tilt_rad, _MOST_FOOT_TILT_RAD))
     feet_m = vehicle.leg_height_m + hangs_m + config.contact_margin_m
     low = sight is not None and sight.age_s <= _KNOWN_S and sight.height_m <= feet_m
     # the reference goes on down and the vehicle does not

@@ -1,7 +1,7 @@
-"""The level moment: of a deck that swings, and of the vehicle that leans with a pad and against the wind.
+"""The level moment: of a deck that swings, and of the vehicle that tilts with a pad and against the wind.
 
-A swing goes on as it is for a part of its period: from the mean, by the lean and its rate at the swing's own
-frequency. The vehicle's lean against the wind stays, that for the pad's acceleration turns with its course:
+A swing goes on as it is for a part of its period: from the mean, by the tilt and its rate at the swing's own
+frequency. The vehicle's tilt against the wind stays, that for the pad's acceleration turns with its course:
 over a pad on a circle there is a moment at which the two are against one another. NED, rad, m/s², s.
 """
 
@@ -14,22 +14,22 @@ from typing import Final
 from companion.base.geometry import Quaternion, horizontal_acceleration, tilt_from_quat
 from companion.base.messages import PadState
 
-# a pad that swings less, root mean square, hardly leans by 5 deg, and our own error swings by as much as 0.6
+# a pad that swings less, root mean square, hardly tilts by 5 deg, and our own error swings by as much as 0.6
 SWINGS_RAD: Final = math.radians(2.0)
 # a swing of several periods at once is known for about so long
 KNOWN_S: Final = 4.0
 
 
-def lean_in_rad(sight: PadState, ahead_s: float) -> float:
-    """How far the pad will lean (rad) so much later."""
-    turned = sight.lean_frequency_rad_s * ahead_s
+def tilt_in_rad(sight: PadState, ahead_s: float) -> float:
+    """How far the pad will tilt (rad) so much later."""
+    turned = sight.tilt_frequency_rad_s * ahead_s
     known = math.exp(-0.5 * (ahead_s / KNOWN_S) ** 2)
-    rate_s = math.sin(turned) / sight.lean_frequency_rad_s if turned > 0.0 else ahead_s
+    rate_s = math.sin(turned) / sight.tilt_frequency_rad_s if turned > 0.0 else ahead_s
     return math.hypot(
         *(
-            mean + known * (math.cos(turned) * (lean - mean) + rate_s * rate)
-            for mean, lean, rate in zip(
-                sight.lean_mean_rad, sight.lean_rad, sight.lean_rate_rad_s, strict=True
+            mean + known * (math.cos(turned) * (tilt - mean) + rate_s * rate)
+            for mean, tilt, rate in zip(
+                sight.tilt_mean_rad, sight.tilt_rad, sight.tilt_rate_rad_s, strict=True
             )
         )
     )
@@ -37,11 +37,11 @@ def lean_in_rad(sight: PadState, ahead_s: float) -> float:
 
 def level_at(sight: PadState, ahead_s: float, most_rad: float) -> bool:
     """Whether a contact so much later meets the pad level enough; a pad that does not swing is as it is."""
-    return sight.lean_swing_rad < SWINGS_RAD or lean_in_rad(sight, ahead_s) <= most_rad
+    return sight.tilt_swing_rad < SWINGS_RAD or tilt_in_rad(sight, ahead_s) <= most_rad
 
 
-class LeanForecast:
-    """How far the vehicle leans, and will have to, as the horizontal acceleration that its thrust makes."""
+class TiltForecast:
+    """How far the vehicle tilts, and will have to, as the horizontal acceleration that its thrust makes."""
 
     SMOOTHING_S: Final = 0.25
 

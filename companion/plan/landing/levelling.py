@@ -1,10 +1,10 @@
 """When the vehicle goes level for the contact, and for how long.
 
 The vehicle levels shortly before contact, and briefly: a level vehicle cannot follow the pad and drifts. If
-contact comes late it stays level while the drift is small, and longer where it is so low that a lean would
-put a foot on the pad. The controller does not know of it before: it would lean further until then, to be
-ahead of the pad, and a contact that comes 0.1 s early would meet that lean. In that time the lean is bounded
-to a little more than pad and wind have needed so far. The more lean is levelled off, the firmer it sets down:
+contact comes late it stays level while the drift is small, and longer where it is so low that a tilt would
+put a foot on the pad. The controller does not know of it before: it would tilt further until then, to be
+ahead of the pad, and a contact that comes 0.1 s early would meet that tilt. In that time the tilt is bounded
+to a little more than pad and wind have needed so far. The more tilt is levelled off, the firmer it sets down:
 less time to drift in. NED, SI units.
 """
 
@@ -17,11 +17,11 @@ from companion.base.geometry import GRAVITY_M_S2
 from companion.base.messages import LevelOff, PadState
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.landing.contact import FRESH_S
-from companion.plan.landing.level_moment import LeanForecast
+from companion.plan.landing.level_moment import TiltForecast
 
-# From the decision to level off until the lean has begun to fall (command, dead time, the gate of jerk), how
+# From the decision to level off until the tilt has begun to fall (command, dead time, the gate of jerk), how
 # fast it then falls, and what the contact may come early.
-LEANS_ON_S: Final = 0.2
+TILTS_ON_S: Final = 0.2
 LEVELS_M_S3: Final = 8.0
 EARLY_S: Final = 0.05
 # The attitude stays level for so long after the contact was due.
@@ -32,7 +32,7 @@ FOOT_DROP_M: Final = 0.02  # of the foot that hangs lower, about level
 KNOWN_M: Final = 0.05
 # Near the pad the air carries, and the sink slows below what is planned; below this share of it not for long.
 SLOWEST_SINK: Final = 0.5
-# So long before the contact the lean is bounded by what has been needed, and so much.
+# So long before the contact the tilt is bounded by what has been needed, and so much.
 STEADY_S: Final = 0.7
 BEYOND_M_S2: Final = 0.6
 # Of the speed over the pad that one may start down with; what is gentle on the feet is a bit more.
@@ -58,7 +58,7 @@ class Levelling:
         self.planned_m_s = self._config.contact_speed_m_s
 
     def sink_m_s(self, needed_m_s2: float) -> float:
-        """The sink rate for a contact at which pad and wind need so much lean.
+        """The sink rate for a contact at which pad and wind need so much tilt.
 
         What the level vehicle lacks of it makes it drift for as long as the contact is late: firm enough that
         the drift stays small.
@@ -68,8 +68,8 @@ class Levelling:
         return max(c.contact_speed_m_s, min(c.firm_contact_m_s, excess_m_s2 * KNOWN_M / c.lateral_speed_m_s))
 
     @property
-    def most_lean_m_s2(self) -> float:
-        """The most lean that can be levelled off: the rest makes it drift while the contact may be late."""
+    def most_tilt_m_s2(self) -> float:
+        """The most tilt that can be levelled off: the rest makes it drift while the contact may be late."""
         c = self._config
         firmest_m_s = max(c.contact_speed_m_s, c.firm_contact_m_s)
         return self._level_m_s2 + FASTEST_DRIFT * c.lateral_speed_m_s * firmest_m_s / KNOWN_M
@@ -80,7 +80,7 @@ class Levelling:
         return self._from_s is not None
 
     def window(self) -> LevelOff | None:
-        """Until when the vehicle may lean how far at most; None until the contact is near."""
+        """Until when the vehicle may tilt how far at most; None until the contact is near."""
         if self._from_s is None:
             return self._steady
         late_s = max(0.0, self.due_s - self._lead_s - self._from_s)
@@ -90,7 +90,7 @@ class Levelling:
         until_s = max(self._from_s + late_s, self._too_low_s) + self._lead_s + AFTER_S
         return LevelOff(self._from_s, until_s, self._tilt_rad)
 
-    def expect(self, sight: PadState, lean: LeanForecast, now_s: float) -> None:
+    def expect(self, sight: PadState, tilt: TiltForecast, now_s: float) -> None:
         """When the feet will touch: by the speed as planned, until it goes level; from then on as seen.
 
         Unseen, what was expected last holds: it goes level by that.
@@ -101,32 +101,32 @@ class Levelling:
             planned_m_s = (SLOWEST_SINK if self.begun else 1.0) * self.planned_m_s
             sink_m_s = max(planned_m_s, sight.sink_m_s)
             self.due_s = now_s + max(0.0, over_m - FOOT_DROP_M) / sink_m_s
-        lead_s = self._levelling_s(lean.tilt_rad)
+        lead_s = self._levelling_s(tilt.tilt_rad)
         if not self.begun and now_s >= self.due_s - lead_s:
-            self._from_s, self._lead_s, self._needed_m_s2 = now_s, lead_s, lean.at_m_s2(0.0)
+            self._from_s, self._lead_s, self._needed_m_s2 = now_s, lead_s, tilt.at_m_s2(0.0)
         self._steady = None
         if now_s >= self.due_s - STEADY_S:
-            most_m_s2 = max(self._level_m_s2, lean.at_m_s2(0.0) + BEYOND_M_S2)
+            most_m_s2 = max(self._level_m_s2, tilt.at_m_s2(0.0) + BEYOND_M_S2)
             self._steady = LevelOff(now_s, now_s + STEADY_S, math.atan(most_m_s2 / GRAVITY_M_S2))
-        # no lean that would put a foot on the pad, unless the level vehicle drifts so fast that this is worse
+        # no tilt that would put a foot on the pad, unless the level vehicle drifts so fast that this is worse
         slow = sight.lateral_speed_m_s <= FASTEST_DRIFT * self._config.lateral_speed_m_s
         hangs_m = self._vehicle.foot_reach_m * math.sin(math.atan(self._needed_m_s2 / GRAVITY_M_S2))
         if self.begun and fresh and slow and over_m <= hangs_m + self._config.contact_margin_m:
             self._too_low_s = now_s
 
     def touching(self, now_s: float) -> None:
-        """No lean while contact is confirmed."""
+        """No tilt while contact is confirmed."""
         self.due_s = self._too_low_s = now_s
         if self._from_s is None:
-            self._from_s, self._lead_s = now_s - LEANS_ON_S, LEANS_ON_S
+            self._from_s, self._lead_s = now_s - TILTS_ON_S, TILTS_ON_S
 
     def stay(self, now_s: float) -> None:
         """Level until told otherwise."""
         if self._from_s is None:
-            self._from_s, self._lead_s = now_s, LEANS_ON_S + EARLY_S
+            self._from_s, self._lead_s = now_s, TILTS_ON_S + EARLY_S
         self.due_s = now_s + self._lead_s
 
-    def _levelling_s(self, lean_rad: float) -> float:
-        """How long before the contact it has to begin to level off from a lean."""
-        excess_m_s2 = GRAVITY_M_S2 * math.tan(lean_rad) - self._level_m_s2
-        return LEANS_ON_S + EARLY_S + max(0.0, excess_m_s2) / LEVELS_M_S3
+    def _levelling_s(self, tilt_rad: float) -> float:
+        """How long before the contact it has to begin to level off from a tilt."""
+        excess_m_s2 = GRAVITY_M_S2 * math.tan(tilt_rad) - self._level_m_s2
+        return TILTS_ON_S + EARLY_S + max(0.0, excess_m_s2) / LEVELS_M_S3

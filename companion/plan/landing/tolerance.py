@@ -18,7 +18,7 @@ _SINK_TOLERANCE_M_S = 0.15
 # In units of `gentle_wait_s`: from then on the tolerances widen steadily, to 2.4 times after six.
 _WAITS_UNTIL_WIDER = 2.0
 _BORNE_PER_TIME = 0.35
-# After one wait, a lean so little above the least within `gentle_wait_s` is a lull: a wind that does not
+# After one wait, a tilt so little above the least within `gentle_wait_s` is a lull: a wind that does not
 # calm has none better.
 _LULL_M_S2 = 0.2
 # The tolerance aside never exceeds this, unless the setting does.
@@ -29,8 +29,8 @@ _DRIFT_S = 0.22
 # A sink is stopped within this delay and at this rate: without that room no break-off begins.
 _STOPS_AFTER_S = 0.2
 _STOPS_M_S2 = 2.5
-# While it corrects it leans this much more than now or at contact: a foot hangs lower.
-_LEANS_MORE_RAD = math.radians(3.0)
+# While it corrects it tilts this much more than now or at contact: a foot hangs lower.
+_TILTS_MORE_RAD = math.radians(3.0)
 
 
 def gentle(sight: PadState, config: TouchdownConfig) -> bool:
@@ -52,10 +52,10 @@ def aligned(sight: PadState, wait_height_m: float, slack: float, config: Touchdo
     )
 
 
-def stopping_m(sink_m_s: float, lean_rad: float, foot_reach_m: float) -> float:
-    """How much lower the lowest foot of a vehicle that sinks and leans so gets before it rises."""
+def stopping_m(sink_m_s: float, tilt_rad: float, foot_reach_m: float) -> float:
+    """How much lower the lowest foot of a vehicle that sinks and tilts so gets before it rises."""
     sink = max(0.0, sink_m_s)
-    below_m = foot_reach_m * math.sin(lean_rad + _LEANS_MORE_RAD)
+    below_m = foot_reach_m * math.sin(tilt_rad + _TILTS_MORE_RAD)
     return sink * _STOPS_AFTER_S + sink * sink / (2.0 * _STOPS_M_S2) + below_m
 
 
@@ -64,18 +64,18 @@ class Tolerance:
 
     def __init__(self, config: TouchdownConfig, since_s: float, slack: float) -> None:
         self._config, self._since_s, self.slack = config, since_s, slack
-        self._leans: deque[tuple[float, float]] = deque()  # of the last gentle_wait_s: when, m/s²
+        self._tilts: deque[tuple[float, float]] = deque()  # of the last gentle_wait_s: when, m/s²
         self._least_m_s2 = 0.0
 
-    def note_lean(self, lean_m_s2: float, now_s: float) -> None:
-        """Take in how much lean a contact would have met, while waiting."""
-        leans = self._leans
-        while leans and leans[-1][1] >= lean_m_s2:
-            leans.pop()
-        leans.append((now_s, lean_m_s2))
-        while now_s - leans[0][0] > self._config.gentle_wait_s:
-            leans.popleft()
-        self._least_m_s2 = leans[0][1]
+    def note_tilt(self, tilt_m_s2: float, now_s: float) -> None:
+        """Take in how much tilt a contact would have met, while waiting."""
+        tilts = self._tilts
+        while tilts and tilts[-1][1] >= tilt_m_s2:
+            tilts.pop()
+        tilts.append((now_s, tilt_m_s2))
+        while now_s - tilts[0][0] > self._config.gentle_wait_s:
+            tilts.popleft()
+        self._least_m_s2 = tilts[0][1]
 
     def waits(self, now_s: float) -> float:
         """How many times `gentle_wait_s` this try has lasted."""
@@ -92,14 +92,14 @@ class Tolerance:
         farthest_m = self._farthest_aside_m(now_s)
         return sight.lateral_m > farthest_m or soon_m > farthest_m * self._borne(now_s)
 
-    def most_lean_m_s2(self, now_s: float) -> float:
-        """How much lean (m/s²) at contact is borne: grows with the waits, and is no less than a lull's."""
+    def most_tilt_m_s2(self, now_s: float) -> float:
+        """How much tilt (m/s²) at contact is borne: grows with the waits, and is no less than a lull's."""
         lull_m_s2 = self._least_m_s2 + _LULL_M_S2 if self.waits(now_s) >= 1.0 else 0.0
-        return max(self._config.gentle_lean_m_s2 * self._borne(now_s), lull_m_s2)
+        return max(self._config.gentle_tilt_m_s2 * self._borne(now_s), lull_m_s2)
 
-    def most_lean_rad(self, now_s: float) -> float:
-        """How far a deck may lean at contact; grows with the waits."""
-        return math.radians(self._config.contact_lean_deg) * self._borne(now_s)
+    def most_tilt_rad(self, now_s: float) -> float:
+        """How far a deck may tilt at contact; grows with the waits."""
+        return math.radians(self._config.contact_deck_tilt_deg) * self._borne(now_s)
 
     def _farthest_aside_m(self, now_s: float) -> float:
         """Farther aside than this it neither starts down nor goes on."""
@@ -107,5 +107,5 @@ class Tolerance:
         return min(max(setting_m, _FARTHEST_ASIDE_M), setting_m * self.slack_by_now(now_s))
 
     def _borne(self, now_s: float) -> float:
-        """Factor on the tolerances of lean and drift, which will not get less by waiting."""
+        """Factor on the tolerances of tilt and drift, which will not get less by waiting."""
         return 1.0 + _BORNE_PER_TIME * max(0.0, self.waits(now_s) - _WAITS_UNTIL_WIDER)

@@ -18,7 +18,7 @@ from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import FRESH_S, SIGNS_NEEDED, ContactSigns, Standing, contact_signs
-from companion.plan.landing.level_moment import LeanForecast, level_at
+from companion.plan.landing.level_moment import TiltForecast, level_at
 from companion.plan.landing.levelling import Levelling
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle, stopping_m
 from companion.plan.mission.inputs import PlanInputs
@@ -33,9 +33,9 @@ _FIRMER_S = 0.25
 _TOO_FAST_S = 0.1
 # A planned sink may be exceeded by this.
 _FASTER_M_S = 0.16
-# It breaks off at this share of the lean tolerated at the commit; it commits to this share of the lean that
+# It breaks off at this share of the tilt tolerated at the commit; it commits to this share of the tilt that
 # can be levelled off at all, or it would break off at once.
-_TOO_MUCH_LEAN = 1.3
+_TOO_MUCH_TILT = 1.3
 _COMMITS_BELOW = 0.9
 # Echoes so much deeper than the unseen pad's estimate, for so long: the pad is not below any more.
 _DEEPER_M = 0.25
@@ -69,7 +69,7 @@ class TouchdownSequence:
         self._settled, self._touching = Debounce(), Debounce()
         self._too_fast, self._far_aside, self._deeper = Debounce(), Debounce(), Debounce()
         self._one_sign, self.feet_down = Debounce(), False
-        self.lean = LeanForecast()
+        self.tilt = TiltForecast()
         self._levelling = Levelling(self._config, self._vehicle)
 
     def enter(self, state: State, now_s: float) -> None:
@@ -91,7 +91,7 @@ class TouchdownSequence:
     ) -> DetectedEvent | None:
         """Steer for one cycle; returns what is detected, and why."""
         if inputs.vehicle is not None:
-            self.lean.note(inputs.vehicle.attitude, sight, now_s)
+            self.tilt.note(inputs.vehicle.attitude, sight, now_s)
         if state is State.SINK:
             return self._sink(sight, inputs, now_s)
         if state is State.SET_DOWN:
@@ -104,7 +104,7 @@ class TouchdownSequence:
         return event
 
     def level_off(self) -> LevelOff | None:
-        """That the vehicle may lean no further than it may at contact; None until the contact is near."""
+        """That the vehicle may tilt no further than it may at contact; None until the contact is near."""
         return self._levelling.window()
 
     # ------------------------------------------------------------ wait, and rise to where it waits
@@ -115,30 +115,30 @@ class TouchdownSequence:
         self._generator.fly_to(Motion((0.0, 0.0, -self._wait_height_m)), now_s)
         if sight is None or sight.age_s > c.blind_s:
             return MissionEvent.PAD_LOST, f"not seen for {c.blind_s:.1f} s just above the pad"
-        tolerance.note_lean(self._lean_at_contact_m_s2(), now_s)
+        tolerance.note_tilt(self._tilt_at_contact_m_s2(), now_s)
         ready = (
             aligned(sight, self._wait_height_m, tolerance.slack_by_now(now_s), c)
             and not tolerance.aside(sight, now_s)
             and (tolerance.waits(now_s) >= 1.0 or gentle(sight, c))
-            and level_at(sight, self._sinks_for_s(), tolerance.most_lean_rad(now_s))
-            and self._lean_at_contact_m_s2() <= self._lean_to_commit_m_s2(now_s)
+            and level_at(sight, self._sinks_for_s(), tolerance.most_tilt_rad(now_s))
+            and self._tilt_at_contact_m_s2() <= self._tilt_to_commit_m_s2(now_s)
             and self._generator.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self.way_down_s())
         )
         if waited_s >= c.giving_up_s:
             return (
                 MissionEvent.MISALIGNED,
                 f"no moment to land in {waited_s:.0f} s, at last lateral offset "
-                f"{100.0 * sight.lateral_m:.0f} cm, tilt {math.degrees(self.lean.tilt_rad):.0f} deg",
+                f"{100.0 * sight.lateral_m:.0f} cm, tilt {math.degrees(self.tilt.tilt_rad):.0f} deg",
             )
         if self._settled.held_s(ready, now_s) >= c.settled_s:
             return MissionEvent.COMMIT, "committed to land: sinking"
         return None
 
-    def _lean_to_commit_m_s2(self, now_s: float) -> float:
-        return min(self._tolerance.most_lean_m_s2(now_s), _COMMITS_BELOW * self._levelling.most_lean_m_s2)
+    def _tilt_to_commit_m_s2(self, now_s: float) -> float:
+        return min(self._tolerance.most_tilt_m_s2(now_s), _COMMITS_BELOW * self._levelling.most_tilt_m_s2)
 
-    def _lean_at_contact_m_s2(self) -> float:
-        return self.lean.at_m_s2(self._sinks_for_s())
+    def _tilt_at_contact_m_s2(self) -> float:
+        return self.tilt.at_m_s2(self._sinks_for_s())
 
     def way_down_s(self) -> float:
         """How long from here until the feet stand and the motors are off, at most."""
@@ -146,9 +146,9 @@ class TouchdownSequence:
         return self._config.settled_s + self._way_s(slowest_m_s) + self._config.land_after_s
 
     def _sinks_for_s(self) -> float:
-        """How long from the commit until the feet touch, by the sink that the lean by then asks for."""
+        """How long from the commit until the feet touch, by the sink that the tilt by then asks for."""
         slowest_s = self._way_s(self._config.contact_speed_m_s)
-        return self._way_s(self._levelling.sink_m_s(self.lean.at_m_s2(slowest_s)))
+        return self._way_s(self._levelling.sink_m_s(self.tilt.at_m_s2(slowest_s)))
 
     def _way_s(self, sink_m_s: float) -> float:
         """The way down at that speed; the blend covers half of what the speed would."""
@@ -162,7 +162,7 @@ class TouchdownSequence:
         c = self._config
         self._sunk_s = now_s
         self._one_sign, self.feet_down = Debounce(), False
-        speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(self._lean_at_contact_m_s2())
+        speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(self._tilt_at_contact_m_s2())
         self._blended_s = now_s + c.blend_s
         blended_m = self._generator.sink(speed_m_s, c.blend_s, now_s)
         left_m = self._generator.at(now_s).position_m[2] + blended_m + self._vehicle.leg_height_m
@@ -237,9 +237,9 @@ class TouchdownSequence:
         # with the feet nearly down, climbing away would drag them over the pad
         high = sight.height_m > self._vehicle.leg_height_m + 2.0 * c.contact_margin_m
         self._give_way(sight if high else None, now_s)
-        leans_on = not self._levelling.begun
-        self._levelling.expect(sight, self.lean, now_s)
-        if leans_on and self._levelling.begun and sight.age_s <= FRESH_S:
+        tilts_on = not self._levelling.begun
+        self._levelling.expect(sight, self.tilt, now_s)
+        if tilts_on and self._levelling.begun and sight.age_s <= FRESH_S:
             self._sink_firmer(now_s)
         wrong = self._wrong(sight, now_s)
         if wrong and self._has_room(sight.height_m, sight.sink_m_s):
@@ -251,14 +251,14 @@ class TouchdownSequence:
         return None
 
     def _sink_firmer(self, now_s: float) -> None:
-        """Levelling off begins: by the lean there is now, which a gust may have made since the commit."""
-        firm_m_s = self._levelling.sink_m_s(self.lean.at_m_s2(0.0))
+        """Levelling off begins: by the tilt there is now, which a gust may have made since the commit."""
+        firm_m_s = self._levelling.sink_m_s(self.tilt.at_m_s2(0.0))
         if firm_m_s > self._levelling.planned_m_s:
             self._levelling.planned_m_s = firm_m_s
             self._generator.sink(firm_m_s, max(_FIRMER_S, self._blended_s - now_s), now_s)
 
     def _signs(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> ContactSigns:
-        # far aside it leans because it flies back or escapes: it is not about to stand
+        # far aside it tilts because it flies back or escapes: it is not about to stand
         far_aside = sight is not None and self._escapes(sight)
         return contact_signs(
             sight,
@@ -268,7 +268,7 @@ class TouchdownSequence:
             now_s,
             config=self._config,
             vehicle=self._vehicle,
-            lean_rad=0.0 if far_aside else self.lean.tilt_rad,
+            tilt_rad=0.0 if far_aside else self.tilt.tilt_rad,
         )
 
     def _escapes(self, sight: PadState) -> bool:
@@ -283,10 +283,10 @@ class TouchdownSequence:
         if self._too_fast.held_s(fast, now_s) >= _TOO_FAST_S:
             return "sinking too fast"
         due_s = self._levelling.due_s if self._levelling.begun else self._contact_due_s
-        lean_m_s2 = self.lean.at_m_s2(max(0.0, due_s - now_s))
-        most_m_s2 = _TOO_MUCH_LEAN * self._tolerance.most_lean_m_s2(now_s)
-        if lean_m_s2 > min(most_m_s2, self._levelling.most_lean_m_s2):
-            return "too much lean at contact"
+        tilt_m_s2 = self.tilt.at_m_s2(max(0.0, due_s - now_s))
+        most_m_s2 = _TOO_MUCH_TILT * self._tolerance.most_tilt_m_s2(now_s)
+        if tilt_m_s2 > min(most_m_s2, self._levelling.most_tilt_m_s2):
+            return "too much tilt at contact"
         far = fresh and self._tolerance.aside(sight, now_s)
         if self._far_aside.held_s(far, now_s) >= _TOO_FAST_S:
             return f"lateral offset {100.0 * sight.lateral_m:.0f} cm at {sight.lateral_speed_m_s:.2f} m/s"
@@ -294,8 +294,8 @@ class TouchdownSequence:
 
     def _has_room(self, height_m: float, sink_m_s: float) -> bool:
         """Whether it can stop and rise before a foot touches what is so far below."""
-        lean_rad = max(self.lean.tilt_rad, math.radians(self._config.contact_tilt_deg))
-        room_m = stopping_m(sink_m_s, lean_rad, self._vehicle.foot_reach_m)
+        tilt_rad = max(self.tilt.tilt_rad, math.radians(self._config.contact_tilt_deg))
+        room_m = stopping_m(sink_m_s, tilt_rad, self._vehicle.foot_reach_m)
         return height_m - self._vehicle.leg_height_m > max(self._config.break_off_above_m, room_m)
 
     def _give_way(self, sight: PadState | None, now_s: float) -> None:

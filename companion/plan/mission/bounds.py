@@ -19,7 +19,7 @@ from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
 from companion.plan.mission.states import DetectedEvent, MissionEvent
 
-# A request, its answer and the begin of the braking: 0.2 s each on a slow link, and 0.4 s more to lean.
+# A request, its answer and the begin of the braking: 0.2 s each on a slow link, and 0.4 s more to tilt.
 _OBEYED_S: Final = 0.8
 # PX4 brakes with MPC_ACC_HOR (3 m/s²), ArduCopter's BRAKE with 2.5 m/s²; up and down with less.
 _BRAKES_M_S2: Final = 2.0

@@ -154,7 +154,7 @@ ROWS: Final = (
     _row(E.RISEN, S.RISE, Branch(S.WAIT)),
     _row(E.MISALIGNED, OVER_PAD | {S.SINK}, *_NEXT_TRY),
     _row(E.CONTACT, S.SINK, Branch(S.STAND)),
-    # PX4 detects no landing on a moving pad, and its LAND mode brakes against the pad: the vehicle leans
+    # PX4 detects no landing on a moving pad, and its LAND mode brakes against the pad: the vehicle tilts
     # until it tips over. So LAND is requested only where nothing shows the feet down.
     _row(E.LANDING_DETECTED, ON_PAD, Branch(None, (_DISARM,))),
     _row(E.AT_REST, ON_PAD, Branch(None, (_FORCE_DISARM,))),

@@ -20,7 +20,7 @@ _FASTEST_TURN_RAD_S = 1.0
 # Courses are compared over this time: over less they differ by noise, over more it may have circled.
 _TURN_OVER_S = 1.0
 _LONGEST_TURN_OVER_S = 3.0
-# A turn that accelerates more is followed in part: the vehicle has to lean for it as well.
+# A turn that accelerates more is followed in part: the vehicle has to tilt for it as well.
 _MOST_ACCELERATION_M_S2 = 2.0
 # A sighting this much older still gives the beacon's offset; a larger one is no offset.
 _COMPARABLE_S = 1.5

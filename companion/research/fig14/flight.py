@@ -62,7 +62,7 @@ class FlownTrack:
         x = self.states
         height_m = float(x[:, POSITION[2]].min()) - SURFACE_HEIGHT_M
         found = {
-            "lean": np.abs(x[:, ANGLES[:2]]).max() / np.radians(limits.lean_deg),
+            "tilt": np.abs(x[:, ANGLES[:2]]).max() / np.radians(limits.tilt_deg),
             "speed": np.abs(x[:, VELOCITY[:2]]).max() / limits.horizontal_speed_m_s,
             "climb": np.abs(x[:, VELOCITY[2]]).max() / limits.vertical_speed_m_s,
             "rate": np.abs(x[:, RATES[:2]]).max() / limits.rate_rad_s,

@@ -57,7 +57,7 @@ class PidPilot:
 
     def __init__(self, flight: PilotKnowledge) -> None:
         self._reference = flight.reference
-        self._pid = CascadedPid(flight.gains, flight.model, math.radians(flight.full.limits.lean_deg))
+        self._pid = CascadedPid(flight.gains, flight.model, math.radians(flight.full.limits.tilt_deg))
 
     def step(self, state: FloatArray, time_s: float, disturbance: FloatArray) -> FloatArray:
         """U (4,)."""

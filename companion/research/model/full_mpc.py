@@ -52,7 +52,7 @@ class FullWeights(StrictModel):
 
     position_m: float = Field(gt=0.0, le=10.0)
     velocity_m_s: float = Field(gt=0.0, le=20.0)
-    lean_rad: float = Field(gt=0.0, le=10.0)
+    tilt_rad: float = Field(gt=0.0, le=10.0)
     heading_rad: float = Field(gt=0.0, le=10.0)
     rate_rad_s: float = Field(gt=0.0, le=100.0)
     thrust_n: float = Field(gt=0.0, le=500.0)
@@ -63,7 +63,7 @@ class FullWeights(StrictModel):
 class FullLimits(StrictModel):
     """What the vehicle must stay within; `margin` is the share of each that the MPC keeps off it."""
 
-    lean_deg: float = Field(gt=0.0, le=60.0)  # of roll, and of pitch
+    tilt_deg: float = Field(gt=0.0, le=60.0)  # of roll, and of pitch
     horizontal_speed_m_s: float = Field(gt=0.0, le=20.0)  # along each axis
     vertical_speed_m_s: float = Field(gt=0.0, le=10.0)
     rate_rad_s: float = Field(gt=0.0, le=20.0)
@@ -128,7 +128,7 @@ def eq39_weights(config: FullMpcConfig, model: QuadrotorModel) -> riccati.Weight
     w = config.weights
     deviations = np.empty(STATES)
     deviations[POSITION], deviations[VELOCITY] = w.position_m, w.velocity_m_s
-    deviations[ANGLES] = w.lean_rad, w.lean_rad, w.heading_rad
+    deviations[ANGLES] = w.tilt_rad, w.tilt_rad, w.heading_rad
     deviations[RATES] = w.rate_rad_s
     Q = np.diag(deviations**-2.0)
     R = np.diag(np.array([w.thrust_n, w.torque_n_m, w.torque_n_m, w.yaw_torque_n_m]) ** -2.0)
@@ -303,7 +303,7 @@ def within_reach(reference: HorizonReference, position_m: FloatArray, reach_m: f
 
 def _state_bounds(limits: FullLimits) -> tuple[FloatArray, FloatArray]:
     """Least and greatest of the bounded states, the margin off; the floor comes with each step."""
-    tilt, side, up = np.radians(limits.lean_deg), limits.horizontal_speed_m_s, limits.vertical_speed_m_s
+    tilt, side, up = np.radians(limits.tilt_deg), limits.horizontal_speed_m_s, limits.vertical_speed_m_s
     rate, yaw_rate = limits.rate_rad_s, limits.yaw_rate_rad_s
     high = (1.0 - limits.margin) * np.array([tilt, tilt, side, side, up, rate, rate, yaw_rate, FAR])
     low = -high

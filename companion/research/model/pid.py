@@ -47,7 +47,7 @@ class CascadeGains(StrictModel):
 
     horizontal: AxisGains
     vertical: AxisGains
-    lean: AngleGains
+    tilt: AngleGains
     heading: AngleGains
     derivative_filter_s: float = Field(default=0.02, ge=0.001, le=0.5)
     largest_integral_m_s2: float = Field(default=4.0, ge=0.0, le=20.0)
@@ -107,7 +107,7 @@ class AttitudePid:
     """Commanded acceleration and heading to U1..U4 of one airframe, in the paper's z-up axes."""
 
     def __init__(self, gains: CascadeGains, model: QuadrotorModel, largest_tilt_rad: float) -> None:
-        self._gains = (gains.lean, gains.lean, gains.heading)
+        self._gains = (gains.tilt, gains.tilt, gains.heading)
         self._largest = gains.largest_rate_integral_rad_s2
         self._filter_s = gains.derivative_filter_s
         self._model = model

@@ -176,7 +176,7 @@ def _problem(
         delay_s=delay_s,
         down=None if down_camera is None else np.array(down_camera),
         whitening=whitening(rays, np.array([side_noise_px(d, config) for d in detections]) / lens.focal_px),
-        level_sigma=math.radians(config.lean_std_deg),
+        level_sigma=math.radians(config.tilt_std_deg),
         shared=np.concatenate((vibrating, shrunk), axis=1),
         weight=np.array(spread) ** -2,
         rate=np.array(rate_camera_rad_s),

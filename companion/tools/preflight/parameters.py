@@ -82,7 +82,7 @@ def _timeout(value: float, _: Wanted) -> Verdict:
     expected = f"expected {SHORTEST_TIMEOUT_S:g} to {LONGEST_TIMEOUT_S:g} s"
     if value < SHORTEST_TIMEOUT_S:
         return _warn(f"{expected}: a link that drops a few setpoints ends the landing")
-    why = f"{expected}: so long it keeps the last lean when the app hangs"
+    why = f"{expected}: so long it keeps the last tilt when the app hangs"
     return _fail(why) if value > TOO_LONG_S else _warn(why)
 
 

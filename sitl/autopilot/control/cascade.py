@@ -15,7 +15,7 @@ from sitl.autopilot.control.attitude_control import AttitudeControl, AttitudeRef
 from sitl.autopilot.control.estimator import SimulatedEstimator
 from sitl.autopilot.control.landed import LandedDetector
 from sitl.autopilot.control.mixer import MotorMixer, Motors
-from sitl.autopilot.control.position_control import lean_cosine
+from sitl.autopilot.control.position_control import tilt_cosine
 from sitl.autopilot.control.rate_control import RateGains
 from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
 from sitl.autopilot.control.shaping import low_pass
@@ -180,7 +180,7 @@ class Cascade:
         share = min(max(setpoint.thrust, 0.0), 1.0)
         if not thrust_is_climb_rate:
             upward = self._thrust_is_upward and setpoint.attitude is not None
-            self.thrust = min(1.0, share / lean_cosine(estimate.attitude)) if upward else share
+            self.thrust = min(1.0, share / tilt_cosine(estimate.attitude)) if upward else share
             self._throttle = self.thrust
             return share < 0.85 * self._hover
         climb = 2.0 * (share - _HOLDS_HEIGHT)
@@ -197,7 +197,7 @@ class Cascade:
         if self._throttle_hz is None:
             self.thrust = law.thrust
             return
-        wanted = min(1.0, max(0.0, law.upward / lean_cosine(estimate.attitude)))
+        wanted = min(1.0, max(0.0, law.upward / tilt_cosine(estimate.attitude)))
         self.thrust = self._throttle = low_pass(self._throttle, wanted, self._throttle_hz, dt_s)
 
     def _leave_rates(self, estimate: SimulatedEstimator) -> None:

@@ -34,7 +34,7 @@ class EstimatorErrors:
     """Sizes of the errors: standard deviations, correlation times, and the bounds of the constant ones.
 
     `velocity_turns_with_heading`: the share of the heading's error by which velocities are turned. A filter
-    that leans on inertial prediction shows the whole of it (1), one that trusts GPS velocities none (0).
+    that rests on inertial prediction shows the whole of it (1), one that trusts GPS velocities none (0).
     """
 
     horizontal_velocity_std_m_s: float = 0.04

@@ -29,7 +29,7 @@ _STEEPEST_COSINE: Final = 0.5  # below it there is no further tilt compensation
 SLEW_RAD_S: Final = math.radians(60.0)  # of headings in autonomous modes: MPC_YAWRAUTO_MAX, ATC_SLEW_YAW
 
 
-def lean_cosine(attitude: Quaternion) -> float:
+def tilt_cosine(attitude: Quaternion) -> float:
     """Divisor of the tilt compensation of thrust; bounded below."""
     return max(_STEEPEST_COSINE, math.cos(tilt_from_quat(attitude)))
 
@@ -92,7 +92,7 @@ class PositionControl(ABC):
         setpoint = MotionSetpoint(velocity_ned_m_s=(nan, nan, -climb_m_s))
         down = self._wanted_down(position, velocity, acceleration, setpoint, dt_s, frozen)
         self.upward = self._hover * (1.0 - down / GRAVITY_M_S2)
-        self.thrust = self._bounded_thrust(self.upward / lean_cosine(attitude))
+        self.thrust = self._bounded_thrust(self.upward / tilt_cosine(attitude))
 
     def follow(self, yaw_rad: float, velocity_ned_m_s: Vector3) -> None:
         """The attitude is commanded externally: track the present heading and velocity."""

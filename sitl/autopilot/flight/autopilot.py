@@ -33,7 +33,7 @@ class SimulatedAutopilot(FlightLoop):
     # ------------------------------------------------------------ commands
 
     def arm(self, force: bool = False) -> CommandResult:
-        """Arm; refused with a text before alignment, when leaning, or in a mode that lands."""
+        """Arm; refused with a text before alignment, when tilting, or in a mode that lands."""
         if "arm" in self.refused:
             return self.profile.refused_arming
         return self._commander.arm(force)

@@ -105,7 +105,7 @@ class StickMapper:
         """The sticks' setpoint; None when they are centred in a mode that then holds position."""
         yaw_rate = scales.yaw_rate_rad_s * _outside_band(sticks.yaw)
         if stick_mode is not StickMode.VELOCITY:
-            return self._lean(stick_mode, sticks, scales, heading_rad, yaw_rate, dt_s)
+            return self._tilt(stick_mode, sticks, scales, heading_rad, yaw_rate, dt_s)
         forward, right = _outside_band(sticks.pitch), _outside_band(sticks.roll)
         climb = _outside_band(sticks.throttle)
         if not (forward or right or climb or yaw_rate):
@@ -118,7 +118,7 @@ class StickMapper:
             horizontal_speed_m_s=scales.speed_m_s,
         )
 
-    def _lean(
+    def _tilt(
         self,
         stick_mode: StickMode,
         sticks: Sticks,

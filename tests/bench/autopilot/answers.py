@@ -196,7 +196,7 @@ def _attitude(record: AutopilotRecord, runs: list[Manoeuvre]) -> Figures:
     to = math.radians(-8.0)
     found = _step(record.attitude, 2, forward, to, "pitch -8 deg", over=False)
     for name, run in (("-8", forward), ("+8", back)):
-        # the speed goes on with the lean that is still being turned round
+        # the speed goes on with the tilt that is still being turned round
         gained = _cut(record.motion, run.start_s, run.end_s + 0.2)[:, 4]
         change = gained.max() - gained[0] if name == "-8" else gained.max() - gained[-1]
         found[f"pitch {name} deg: speed {'gained' if name == '-8' else 'lost'} (m/s)"] = float(change)

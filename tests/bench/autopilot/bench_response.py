@@ -3,7 +3,7 @@
     python -m tests.bench.autopilot.bench_response --px4 BIN --arducopter BIN
 
 Flies jumps at random (`response_flight`) on the real firmware in lockstep, or without BIN on the bundled
-autopilots. A dead time, a second order and the gains of acceleration and velocity are fitted to the lean that
+autopilots. A dead time, a second order and the gains of acceleration and velocity are fitted to the tilt that
 truly followed, along down to the acceleration. What the file has of integrals is by the parameters.
 """
 
@@ -86,7 +86,7 @@ def along(record: AnswerRecord, axis: int, kind: Kind) -> list[float]:
     a, v = record.command_acceleration_m_s2[rows, axis], record.command_velocity_m_s[rows, axis]
     speed = record.velocity_m_s[rows, axis]
     heard = kind == "velocity" or (axis == DOWN and kind != "attitude")
-    flown = (record.acceleration_m_s2 if axis == DOWN else record.lean_m_s2)[rows, axis]
+    flown = (record.acceleration_m_s2 if axis == DOWN else record.tilt_m_s2)[rows, axis]
     free = [smoothed(speed)] if axis == DOWN else []
     return fit([a, v - speed] if heard else [a], smoothed(flown), free, period_s)
 

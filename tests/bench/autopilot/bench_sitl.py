@@ -66,7 +66,7 @@ def row(name: str, recorded: float | None, ours: Sequence[float | None], share: 
     if recorded is None or len(shown) < len(ours):
         return ComparisonRow(name, recorded, fmean(shown) if shown else None, 0.0, "lost")
     mean = fmean(shown)
-    # the hover rows say whether ours scatters as much, so they may not lean on that scatter
+    # the hover rows say whether ours scatters as much, so they may not rest on that scatter
     wanders = len(shown) > 1 and not name.startswith(HOVER)
     scatter = SCATTERS * stdev(shown) if wanders else 0.0
     resolution = RESOLUTION[name[name.rindex("(") :]]

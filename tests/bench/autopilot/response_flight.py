@@ -63,7 +63,7 @@ class AnswerRecord:
     command_heading_rad: FloatArray
     velocity_m_s: FloatArray
     acceleration_m_s2: FloatArray
-    lean_m_s2: FloatArray
+    tilt_m_s2: FloatArray
     heading_rad: FloatArray
 
 
@@ -228,6 +228,6 @@ class _Sender:
         state = self._world.state
         x, y, z = quat_rotate(state.attitude, state.specific_force_body_m_s2)
         yaw = yaw_from_quat(state.attitude)
-        lean = horizontal_acceleration(state.attitude)
-        flown = (*state.velocity_ned_m_s, x, y, z + GRAVITY_M_S2, *lean, 0.0, yaw)
+        tilt = horizontal_acceleration(state.attitude)
+        flown = (*state.velocity_ned_m_s, x, y, z + GRAVITY_M_S2, *tilt, 0.0, yaw)
         self._rows.append([self._clock.now_s(), axis, *v_sp, *a_sp, heading_rad, *flown])

@@ -93,7 +93,7 @@ def broken_change(last: SentSetpoint, sent: SentSetpoint, limits: LimitsConfig) 
     most = limits.jerk_m_s3 * (step_s + STAMPS_S) * ROUNDING + TURNING_M_S2
     for name, now, before in (
         ("jerk", sent.acceleration_ned_m_s2, last.acceleration_ned_m_s2),
-        ("jerk by tilt", sent.lean_ned_m_s2, last.lean_ned_m_s2),
+        ("jerk by tilt", sent.tilt_ned_m_s2, last.tilt_ned_m_s2),
     ):
         if now is not None and before is not None and norm(subtract(now, before)) > most:
             return f"{name} (m/s3) {norm(subtract(now, before)) / step_s:.2f}"

@@ -60,7 +60,7 @@ class Disarming(NamedTuple):
 class SentSetpoint(NamedTuple):
     """A setpoint as it left the app; None where the message says that it holds no such thing.
 
-    `lean_ned_m_s2` is the level acceleration that an attitude gives without a vertical one.
+    `tilt_ned_m_s2` is the level acceleration that an attitude gives without a vertical one.
     """
 
     time_s: float
@@ -69,7 +69,7 @@ class SentSetpoint(NamedTuple):
     yaw_rad: float = 0.0
     yaw_rate_rad_s: float = 0.0
     tilt_rad: float = 0.0
-    lean_ned_m_s2: Vector3 | None = None
+    tilt_ned_m_s2: Vector3 | None = None
     thrust: float | None = None
     finite: bool = True
 
@@ -192,6 +192,6 @@ def attitude_setpoint(m: Any, now_s: float) -> SentSetpoint:
         yaw_rad=yaw_from_quat(q),
         yaw_rate_rad_s=m.body_yaw_rate,
         tilt_rad=tilt_from_quat(q),
-        lean_ned_m_s2=(*horizontal_acceleration(q), 0.0),
+        tilt_ned_m_s2=(*horizontal_acceleration(q), 0.0),
         thrust=m.thrust,
     )

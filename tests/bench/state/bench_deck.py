@@ -3,7 +3,7 @@
     python -m tests.bench.state.bench_deck --seeds 10 --jobs 2        (or: make bench-deck)
 
 Flies the scenario under many seeds in virtual time with rendering. A frame counts from when the pad is
-approached to the first contact; the lean at contact is between the vehicle and the deck. Ends in one line
+approached to the first contact; the tilt at contact is between the vehicle and the deck. Ends in one line
 that says which bars hold; the exit status is 0 when all do.
 """
 
@@ -27,26 +27,26 @@ from tests.bench.state.streams import Stream, fly_stream
 SCENARIO: Final = "rolling_deck"
 LEAST_SEEN: Final = 0.99  # of the frames
 LEAST_LANDED: Final = 0.95
-LARGEST_LEAN_DEG: Final = 12.0
+LARGEST_TILT_DEG: Final = 12.0
 
 
 @dataclass(frozen=True)
 class DeckLanding:
-    """One flight; the lean (deg) is at contact, None where there was none."""
+    """One flight; the tilt (deg) is at contact, None where there was none."""
 
     seed: int
     outcome: str
     seen: int
     frames: int
-    lean_deg: float | None
+    tilt_deg: float | None
 
 
 def landing_of(stream: Stream) -> DeckLanding:
     """What a flight's stream shows."""
     sightings = [event.message for event in stream.events if event.topic == "sighting"]
     seen, frames = _seen(sightings, _approached_s(stream), stream.airborne_s[1])
-    lean_deg = None if stream.touchdown is None else stream.touchdown["tilt_deg"]
-    return DeckLanding(stream.seed, stream.outcome, seen, frames, lean_deg)
+    tilt_deg = None if stream.touchdown is None else stream.touchdown["tilt_deg"]
+    return DeckLanding(stream.seed, stream.outcome, seen, frames, tilt_deg)
 
 
 def _approached_s(stream: Stream) -> float:
@@ -75,21 +75,21 @@ def bars(landings: Sequence[DeckLanding]) -> dict[str, tuple[float, bool]]:
     """Each bar's figure, and whether it holds."""
     seen = sum(each.seen for each in landings) / max(sum(each.frames for each in landings), 1)
     landed = sum(each.outcome == Outcome.LANDED.value for each in landings) / len(landings)
-    lean = max((each.lean_deg for each in landings if each.lean_deg is not None), default=0.0)
+    tilt = max((each.tilt_deg for each in landings if each.tilt_deg is not None), default=0.0)
     return {
         f"frames that show the pad, expected {LEAST_SEEN:.0%}": (seen, seen >= LEAST_SEEN),
         f"landed, expected {LEAST_LANDED:.0%}": (landed, landed >= LEAST_LANDED),
-        f"lean at contact, expected {LARGEST_LEAN_DEG:g}° or less": (lean, lean <= LARGEST_LEAN_DEG),
+        f"tilt at contact, expected {LARGEST_TILT_DEG:g}° or less": (tilt, tilt <= LARGEST_TILT_DEG),
     }
 
 
 def table(landings: Sequence[DeckLanding]) -> Table:
     """A line a flight."""
-    shown = Table("seed", "outcome", "frames", "show the pad", "lean at contact")
+    shown = Table("seed", "outcome", "frames", "show the pad", "tilt at contact")
     for each in landings:
         share = f"{each.seen / each.frames:.1%}" if each.frames else "-"
-        lean = "-" if each.lean_deg is None else f"{each.lean_deg:.1f}°"
-        shown.add_row(str(each.seed), each.outcome, str(each.frames), share, lean)
+        tilt = "-" if each.tilt_deg is None else f"{each.tilt_deg:.1f}°"
+        shown.add_row(str(each.seed), each.outcome, str(each.frames), share, tilt)
     return shown
 
 

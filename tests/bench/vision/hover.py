@@ -2,7 +2,7 @@
 top.
 
 The flight: the simulated autopilot holds its place at 6 m in MIL-F-8785C moderate turbulence on a mean wind
-of 5 m/s. It leans by 3.4 degrees, turns at 3.2 deg/s and drifts at 0.19 m/s (rms); an ArduPilot hover that
+of 5 m/s. It tilts by 3.4 degrees, turns at 3.2 deg/s and drifts at 0.19 m/s (rms); an ArduPilot hover that
 was recorded in the open (log171.bin of dronekit-la-testdata, 195 to 210 s) turned at 4.3, 2.5 and 1.2 deg/s
 rms.
 

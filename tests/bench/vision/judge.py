@@ -30,7 +30,7 @@ from tests.bench.vision.shots import ATTITUDE_STD_RAD, BenchShot, PadBeforeCamer
 
 FLIP_RAD: Final = math.radians(10.0)
 # nearer to square-on than this, the attitude's own error may put a pose on the other side
-CLEAR_LEAN_RAD: Final = 5.0 * ATTITUDE_STD_RAD
+CLEAR_TILT_RAD: Final = 5.0 * ATTITUDE_STD_RAD
 
 
 # place, orientation, speed, rate; sine and cosine of the vibration about the camera's x and y
@@ -96,13 +96,13 @@ def _errors(shot: BenchShot, sighting: PadSighting) -> JudgedShot:
 
 
 def _on_the_other_side(truth: Quaternion, told: Quaternion, place: FloatArray) -> bool:
-    """Whether the pad leans to the other side of the line of sight than it does."""
+    """Whether the pad tilts to the other side of the line of sight than it does."""
     sight = place / np.linalg.norm(place)
     sides = []
     for attitude in (truth, told):
         normal = np.array(quat_rotate(attitude, (0.0, 0.0, 1.0)))
         sides.append(normal - (normal @ sight) * sight)
-    clear = float(np.linalg.norm(sides[0])) > math.sin(CLEAR_LEAN_RAD)
+    clear = float(np.linalg.norm(sides[0])) > math.sin(CLEAR_TILT_RAD)
     return clear and float(sides[0] @ sides[1]) < 0.0
 
 

@@ -104,15 +104,15 @@ class HoverScene:
     """A pad that lies still under a vehicle that hovers."""
 
     moment: HoverMoment
-    lean: Quaternion
+    tilt: Quaternion
     start_ned_m: Vector3
     pad_heading_rad: float
 
     def pose(self, time_s: float) -> ScenePose:
         """What is where."""
         away, attitude = self.moment.at(time_s)
-        attitude = quat_multiply(self.lean, attitude)
-        place = add(self.start_ned_m, quat_rotate(self.lean, away))
+        attitude = quat_multiply(self.tilt, attitude)
+        place = add(self.start_ned_m, quat_rotate(self.tilt, away))
         return ScenePose(place, attitude, (0.0, 0.0, -SURFACE_M), self.pad_heading_rad)
 
     def rate_body_rad_s(self, time_s: float) -> Vector3:
@@ -166,7 +166,7 @@ class PadBeforeCamera:
     def shoot(self, height_m: float, tilt_rad: float | None = None) -> BenchShot:
         """A frame from a height (m) over the surface; a single marker is whole in it.
 
-        `tilt_rad`: how far the vehicle leans, in any direction; else as the hover goes.
+        `tilt_rad`: how far the vehicle tilts, in any direction; else as the hover goes.
         """
         scene = self.scene(height_m, tilt_rad)
         return BenchShot(self.frame(scene, 0.0), scene, self.expectation(scene, 0.0, height_m))
@@ -260,16 +260,16 @@ class PadBeforeCamera:
         moment = HoverMoment.draw(rng, vehicle(), follows_s)
         attitude = moment.at(0.0)[1]
         yaw = quat_from_euler(0.0, 0.0, float(rng.uniform(-math.pi, math.pi)))
-        lean, aim = yaw, rng.normal(0.0, AIM_STD_M + AIM_STD_PER_M * height_m, 2).tolist()
+        tilt, aim = yaw, rng.normal(0.0, AIM_STD_M + AIM_STD_PER_M * height_m, 2).tolist()
         if tilt_rad is not None:
-            lean = quat_multiply(_turn_to(quat_multiply(yaw, attitude), tilt_rad, rng), yaw)
+            tilt = quat_multiply(_turn_to(quat_multiply(yaw, attitude), tilt_rad, rng), yaw)
             # the camera looks at the pad all the same
-            north, east, down = quat_rotate(quat_multiply(lean, attitude), (0.0, 0.0, 1.0))
+            north, east, down = quat_rotate(quat_multiply(tilt, attitude), (0.0, 0.0, 1.0))
             aim = [aim[0] - height_m * north / down, aim[1] - height_m * east / down]
-        lever = quat_rotate(quat_multiply(lean, attitude), self._model.position_body_m)
+        lever = quat_rotate(quat_multiply(tilt, attitude), self._model.position_body_m)
         camera = (aim[0], aim[1], -SURFACE_M - height_m)
         heading = float(rng.uniform(-math.pi, math.pi))
-        return HoverScene(moment, lean, subtract(camera, lever), heading)
+        return HoverScene(moment, tilt, subtract(camera, lever), heading)
 
     def _whole(self, scene: HoverScene) -> bool:
         """Whether every marker is in the picture with a cell's breadth of white around it."""
@@ -283,7 +283,7 @@ class PadBeforeCamera:
 
 
 def _turn_to(attitude: Quaternion, tilt_rad: float, rng: np.random.Generator) -> Quaternion:
-    """The turn, applied after it, by which an attitude comes to lean so far in any direction."""
+    """The turn, applied after it, by which an attitude comes to tilt so far in any direction."""
     towards = float(rng.uniform(-math.pi, math.pi))
     flat = math.sin(tilt_rad)
     wished: Vector3 = (flat * math.cos(towards), flat * math.sin(towards), math.cos(tilt_rad))

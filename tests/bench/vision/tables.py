@@ -213,7 +213,7 @@ def nees_band(shots: int, rows: int) -> tuple[float, float]:
 def flips_table(outcomes: Outcomes) -> tuple[Table, Bars]:
     """By pad and height."""
     grid = _grid(
-        "Flips at tilts of 0..10° (off by more than 10° or leaning to the other side)",
+        "Flips at tilts of 0..10° (off by more than 10° or tilting to the other side)",
         ["pad", "flips", "sightings", "shots", "turn error p50, p99, worst °"],
     )
     total = 0

@@ -112,8 +112,8 @@ def jerk(record: WitnessedFlight) -> None:
 
 def jerk_by_tilt(record: WitnessedFlight) -> None:
     for k in range(3):
-        lean = (0.0, float(k % 2), 0.0)
-        record.setpoints.append(SentSetpoint(30.0 + k / 30, lean_ned_m_s2=lean, thrust=0.4))
+        tilt = (0.0, float(k % 2), 0.0)
+        record.setpoints.append(SentSetpoint(30.0 + k / 30, tilt_ned_m_s2=tilt, thrust=0.4))
 
 
 def end_in_silence(record: WitnessedFlight) -> None:
@@ -286,8 +286,8 @@ def test_an_attitude_is_judged_by_its_tilt() -> None:
     sent = attitude_setpoint(message, 5.0)
     assert math.degrees(sent.tilt_rad) == pytest.approx(31.0)
     assert sent.yaw_rad == pytest.approx(1.0)
-    assert sent.lean_ned_m_s2 is not None
-    assert math.hypot(*sent.lean_ned_m_s2) == pytest.approx(GRAVITY_M_S2 * math.tan(math.radians(31.0)))
+    assert sent.tilt_ned_m_s2 is not None
+    assert math.hypot(*sent.tilt_ned_m_s2) == pytest.approx(GRAVITY_M_S2 * math.tan(math.radians(31.0)))
     record = landing()
     record.setpoints.append(sent)
     assert "tilt (deg) 31.00" in judge(record, BOUNDS).unsafe[0]

@@ -94,7 +94,7 @@ def test_vibration_is_the_integral_of_what_the_simulated_gyroscope_feels() -> No
 
 def test_a_shot_tells_the_app_no_more_than_it_would_know() -> None:
     stage = PadBeforeCamera("640x480", 18.0, np.random.default_rng(5))
-    leans, misses = [], []
+    tilts, misses = [], []
     for _ in range(300):
         scene = stage.scene(1.0)
         prior = stage.expectation(scene, 0.0, 1.0)
@@ -102,12 +102,12 @@ def test_a_shot_tells_the_app_no_more_than_it_would_know() -> None:
         assert prior.pad_position_body_m is not None
         misses.append(np.subtract(prior.pad_position_body_m, place) / prior.position_std_m)
         down = quat_rotate(quat_conjugate(scene.pose(0.0).vehicle_attitude), (0.0, 0.0, 1.0))
-        leans.append(math.degrees(math.acos(min(1.0, float(np.dot(down, prior.down_body))))))
+        tilts.append(math.degrees(math.acos(min(1.0, float(np.dot(down, prior.down_body))))))
     assert np.std(misses) == pytest.approx(1.0, abs=0.1)
-    assert math.sqrt(np.mean(np.square(leans))) == pytest.approx(1.0, abs=0.1)
+    assert math.sqrt(np.mean(np.square(tilts))) == pytest.approx(1.0, abs=0.1)
 
 
-def test_a_tilted_shot_leans_as_far_as_asked_and_looks_at_the_pad() -> None:
+def test_a_tilted_shot_tilts_as_far_as_asked_and_looks_at_the_pad() -> None:
     stage = PadBeforeCamera("640x480", 0.0, np.random.default_rng(6))
     for tilt in (0.0, 0.05, 0.17):
         scene = stage.scene(3.0, tilt)
@@ -128,7 +128,7 @@ def sighting(shot: BenchShot, stage: PadBeforeCamera, turned: tuple[float, float
     return PadSighting(0.0, 1, place, wrong, np.eye(6), "F", (3,), {"F": 1, "M": 0, "C": 0}, 0.1)
 
 
-def test_a_flip_is_a_lean_to_the_other_side_or_far_off() -> None:
+def test_a_flip_is_a_tilt_to_the_other_side_or_far_off() -> None:
     stage = PadBeforeCamera("640x480", 18.0, np.random.default_rng(7))
     # it rolls by 4 degrees: mirrored it is off by 8
     moment = HoverMoment(hover.flight(0), 3.2, 0.0, 0.5)
@@ -211,7 +211,7 @@ def test_clutter_holds_no_code_of_the_pad() -> None:
 # ---------------------------------------------------------------- speed and photos
 
 
-def test_the_follower_expects_the_pad_where_it_was_seen_from_where_the_vehicle_now_leans() -> None:
+def test_the_follower_expects_the_pad_where_it_was_seen_from_where_the_vehicle_now_tilts() -> None:
     follower = Follower(np.random.default_rng(11))
     level = quat_from_euler(0.0, 0.0, 0.0)
     assert follower.expects(0.0, level).pad_position_body_m is None
@@ -219,8 +219,8 @@ def test_the_follower_expects_the_pad_where_it_was_seen_from_where_the_vehicle_n
         0.0, 1, (0.0, 0.0, 2.0), level, 1e-4 * np.eye(6), "F", (0,), {"F": 1, "M": 0, "C": 0}, 0.1
     )
     follower.take(seen, level)
-    leaning = quat_from_euler(0.1, 0.0, 0.0)
-    prior = follower.expects(0.1, leaning)
+    tilting = quat_from_euler(0.1, 0.0, 0.0)
+    prior = follower.expects(0.1, tilting)
     there = (0.0, 2.0 * math.sin(0.1), 2.0 * math.cos(0.1))
     assert prior.pad_position_body_m == pytest.approx(there, abs=0.01)
     assert prior.position_std_m == pytest.approx(0.04)

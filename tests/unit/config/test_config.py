@@ -39,6 +39,8 @@ def write(folder: Path, text: str) -> Path:
         ("sense: {imu: {buss: 'i2c:1'}}\n", "unknown key 'sense.imu.buss'; did you mean 'bus'?"),
         # names of an earlier version
         ("plan: {touchdown: {patience_s: 5}}\n", "did you mean 'gentle_wait_s'?"),
+        ("plan: {touchdown: {gentle_lean_m_s2: 2}}\n", "did you mean 'gentle_tilt_m_s2'?"),
+        ("plan: {touchdown: {contact_lean_deg: 5}}\n", "did you mean 'contact_deck_tilt_deg'?"),
         ("estimate: {pad: {patience_s: 1}}\n", "did you mean 'sighting_timeout_s'?"),
         ("estimate: {ekf: {orientation_patience_s: 3}}\n", "did you mean 'orientation_timeout_s'?"),
         ("link: {command_patience_s: 1}\n", "did you mean 'command_timeout_s'?"),

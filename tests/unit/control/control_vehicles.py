@@ -100,9 +100,9 @@ class AttitudeAutopilot:
 class SwayingAutopilot:
     """Like a real autopilot on a real airframe, as far as it matters to what may sway.
 
-    Outer loop at 100 Hz (velocity P and I, and the acceleration fed forward), the lean it asks for followed
+    Outer loop at 100 Hz (velocity P and I, and the acceleration fed forward), the tilt it asks for followed
     at second order by rate and attitude loops, motors that lag behind both torque and thrust. Attitude
-    setpoints skip the outer loop. The lean is kept as the acceleration that it gives.
+    setpoints skip the outer loop. The tilt is kept as the acceleration that it gives.
     """
 
     gain: Vector3 = (1.8, 1.8, 4.0)
@@ -113,7 +113,7 @@ class SwayingAutopilot:
     slowness: float = 1.0  # stretches attitude and motors in time
     _integral: Vector3 = ZERO3
     _wanted: Vector3 = ZERO3
-    _lean: tuple[float, float] = (0.0, 0.0)
+    _tilt: tuple[float, float] = (0.0, 0.0)
     _turn: tuple[float, float] = (0.0, 0.0)
     _torque: tuple[float, float] = (0.0, 0.0)
     _lift: float = 0.0
@@ -145,11 +145,11 @@ class SwayingAutopilot:
         return (x + k[0] * e[0], y + k[1] * e[1], z + k[2] * e[2])
 
     def _follow(self, axis: int, dt_s: float) -> float:
-        """One step of attitude, rate and motors of one axis; returns the acceleration that the lean gives."""
-        lean, turn, torque = list(self._lean), list(self._turn), list(self._torque)
-        rate = self.attitude_gain_1_s * (self._wanted[axis] - lean[axis])
+        """One step of attitude, rate and motors of one axis; returns the acceleration that the tilt gives."""
+        tilt, turn, torque = list(self._tilt), list(self._turn), list(self._torque)
+        rate = self.attitude_gain_1_s * (self._wanted[axis] - tilt[axis])
         torque[axis] += (self.rate_gain_1_s * (rate - turn[axis]) - torque[axis]) * dt_s / self.motor_lag_s
         turn[axis] += torque[axis] * dt_s
-        lean[axis] += turn[axis] * dt_s
-        self._lean, self._turn, self._torque = (lean[0], lean[1]), (turn[0], turn[1]), (torque[0], torque[1])
-        return lean[axis]
+        tilt[axis] += turn[axis] * dt_s
+        self._tilt, self._turn, self._torque = (tilt[0], tilt[1]), (turn[0], turn[1]), (torque[0], torque[1])
+        return tilt[axis]

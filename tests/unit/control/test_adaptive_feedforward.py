@@ -29,7 +29,7 @@ GAIN = 1.25
 
 @dataclass
 class TooKeen(SwayingAutopilot):
-    """Leans further than it is asked to, as ArduCopter does."""
+    """Tilts further than it is asked to, as ArduCopter does."""
 
     def force(self, vehicle: PointMass, setpoint: Setpoint, time_s: float, dt_s: float) -> Vector3:
         x, y, down = super().force(vehicle, setpoint, time_s, dt_s)
@@ -99,7 +99,7 @@ def test_a_pad_that_does_not_accelerate_teaches_nothing() -> None:
     assert learner.missing_m_s2((1.0, 2.0, 3.0)) == ZERO3
 
 
-def test_a_vehicle_that_leans_too_far_stays_over_a_pad_on_a_circle() -> None:
+def test_a_vehicle_that_tilts_too_far_stays_over_a_pad_on_a_circle() -> None:
     loop = Loop(controller(setpoint="attitude"), TooKeen(), tight_circle, still, noise=0.0)
     loop.velocity_bias = loop.acceleration_bias = ZERO3
     flight = loop.fly(25.0)

@@ -65,16 +65,16 @@ def _fly(
     return loop.fly(13.0)
 
 
-def _lean_deg(flight: ControlFlight, after_s: float) -> FloatArray:
-    """Lean (n, 2) in degrees, by the acceleration that it gives."""
+def _tilt_deg(flight: ControlFlight, after_s: float) -> FloatArray:
+    """Tilt (n, 2) in degrees, by the acceleration that it gives."""
     keep = np.array(flight.time_s) >= after_s
-    lean: FloatArray = np.degrees(np.array(flight.acceleration_m_s2)[keep, :2] / GRAVITY_M_S2)
-    return lean
+    tilt: FloatArray = np.degrees(np.array(flight.acceleration_m_s2)[keep, :2] / GRAVITY_M_S2)
+    return tilt
 
 
 def _sway_deg(flight: ControlFlight) -> float:
-    """Greatest standard deviation of the lean in the last five seconds."""
-    return float(_lean_deg(flight, 8.0).std(axis=0).max())
+    """Greatest standard deviation of the tilt in the last five seconds."""
+    return float(_tilt_deg(flight, 8.0).std(axis=0).max())
 
 
 @pytest.mark.parametrize("kind", ["velocity", "attitude"])
@@ -84,9 +84,9 @@ def test_holds_level_and_still_over_a_pad_that_does_not_turn(
     autopilot_kind: str, pad: PadMotion, kind: str
 ) -> None:
     flight = _fly(SwayingAutopilot(*AUTOPILOT_KINDS[autopilot_kind]), pad, kind=kind, noise=1.0)
-    lean = _lean_deg(flight, 4.0)
-    rates = np.radians(np.diff(lean, axis=0)) * 30.0
-    assert lean.std(axis=0).max() < 1.0
+    tilt = _tilt_deg(flight, 4.0)
+    rates = np.radians(np.diff(tilt, axis=0)) * 30.0
+    assert tilt.std(axis=0).max() < 1.0
     assert np.sqrt((rates**2).mean(axis=0)).max() < 0.1
 
 
@@ -96,7 +96,7 @@ def test_holds_level_and_still_over_a_pad_that_does_not_turn(
 )
 def test_a_kick_dies_out_whatever_the_delay_and_the_lag(kind: str, link_s: float, slowness: float) -> None:
     flight = _fly(SwayingAutopilot(slowness=slowness), offset=_nudged, kind=kind, link_s=link_s)
-    assert np.abs(_lean_deg(flight, 3.0)).max() > 1.0  # it was kicked
+    assert np.abs(_tilt_deg(flight, 3.0)).max() > 1.0  # it was kicked
     assert _sway_deg(flight) < 0.2
 
 
@@ -123,9 +123,9 @@ def test_a_heaving_pad_is_followed_in_height_and_speed(autopilot_kind: str, kind
 
 
 def test_an_attitude_loop_slower_than_the_models_is_not_taken_for_wind() -> None:
-    """The lean itself tells of wind; what lies between command and lean is hardly believed."""
+    """The tilt itself tells of wind; what lies between command and tilt is hardly believed."""
     flight = _fly(SwayingAutopilot(slowness=1.4), offset=_nudged, kind="attitude")
     push = np.array([report.disturbance_ned_m_s2[0] for report in flight.reports])
     kicked = np.array(flight.time_s) >= 1.0  # it is seen coming
-    assert np.abs(_lean_deg(flight, 1.0)).max() > 1.5
+    assert np.abs(_tilt_deg(flight, 1.0)).max() > 1.5
     assert np.abs(push[kicked] - push[kicked][0]).max() < 0.25

@@ -165,13 +165,13 @@ def test_the_same_flight_twice_is_bit_identical() -> None:
     assert fly() == fly()
 
 
-def test_leaning_over_and_back_neither_sinks_nor_climbs() -> None:
+def test_tilting_over_and_back_neither_sinks_nor_climbs() -> None:
     autopilot = AttitudeAutopilot(thrust_scale=1.0)
     kick = Loop(controller(setpoint="attitude"), autopilot, still, _kicked, noise=0.0).fly(7.0)
     after = np.array(kick.time_s) >= 1.0  # it is seen coming
-    lean = np.array(kick.acceleration_m_s2)[after, 0]
+    tilt = np.array(kick.acceleration_m_s2)[after, 0]
     climb = np.array(kick.relative_velocity_m_s)[after, 2]
-    assert np.abs(lean).max() > 1.5
+    assert np.abs(tilt).max() > 1.5
     assert np.abs(climb - np.median(climb)).max() < 0.006
 
 

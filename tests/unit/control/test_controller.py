@@ -147,15 +147,15 @@ def test_by_attitude_the_heading_is_in_the_attitude() -> None:
     assert yaw_from_quat(answer[0].attitude) == pytest.approx(2.0)
 
 
-def test_taking_over_in_wind_by_attitude_keeps_the_lean() -> None:
+def test_taking_over_in_wind_by_attitude_keeps_the_tilt() -> None:
     fly = controller(setpoint="attitude")
-    lean = quat_from_euler(0.0, -0.1, 0.0)  # nose down, and yet no acceleration
+    tilt = quat_from_euler(0.0, -0.1, 0.0)  # nose down, and yet no acceleration
     answer = fly.step(
-        plan_step(0.0, hover_reference(0.0)), vehicle_state(0.0, attitude=lean), pad_state(0.0), 0.0
+        plan_step(0.0, hover_reference(0.0)), vehicle_state(0.0, attitude=tilt), pad_state(0.0), 0.0
     )
     assert answer is not None
     assert answer[0].attitude is not None
-    assert answer[0].attitude == pytest.approx(lean, abs=5e-3)
+    assert answer[0].attitude == pytest.approx(tilt, abs=5e-3)
 
 
 def test_an_older_estimate_is_carried_forward() -> None:

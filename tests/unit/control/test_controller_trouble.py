@@ -32,7 +32,7 @@ def test_a_reference_by_the_pad_without_a_pad_is_a_stop() -> None:
         assert answer is not None
         setpoint = answer[0]
         assert setpoint.exposure_time_s is None
-        # an autopilot's velocity loop, and the lag of leaning
+        # an autopilot's velocity loop, and the lag of tilting
         wanted = setpoint.acceleration_ned_m_s2[0] + 2.5 * (setpoint.velocity_ned_m_s[0] - speed)
         flown += (wanted - flown) * PERIOD_S / 0.2
         speed += flown * PERIOD_S
@@ -130,22 +130,22 @@ def test_without_an_estimate_only_what_presses_it_onto_the_pad_is_sent() -> None
     assert answer[0].velocity_ned_m_s[2] > 0.0
 
 
-def test_without_the_imu_it_goes_on_leaning_against_the_wind() -> None:
+def test_without_the_imu_it_goes_on_tilting_against_the_wind() -> None:
     fly = controller(setpoint="attitude")
-    lean = quat_from_euler(0.0, -0.1, 0.0)  # nose down, and yet no acceleration
+    tilt = quat_from_euler(0.0, -0.1, 0.0)  # nose down, and yet no acceleration
     for k in range(90):
         now = k * PERIOD_S
-        fly.step(plan_step(now, hover_reference(now)), vehicle_state(now, attitude=lean), pad_state(now), now)
+        fly.step(plan_step(now, hover_reference(now)), vehicle_state(now, attitude=tilt), pad_state(now), now)
     now += PERIOD_S
     answer = fly.step(
         plan_step(now, hover_reference(now)),
-        vehicle_state(now, attitude=lean, imu_age_s=0.2),
+        vehicle_state(now, attitude=tilt, imu_age_s=0.2),
         pad_state(now),
         now,
     )
     assert answer is not None
     assert answer[1].blind
-    assert answer[0].attitude == pytest.approx(lean, abs=0.02)
+    assert answer[0].attitude == pytest.approx(tilt, abs=0.02)
 
 
 def test_a_stopwatch_times_the_solve_and_none_is_needed() -> None:
@@ -210,16 +210,16 @@ def test_what_was_no_number_at_the_very_first_is_survived_too() -> None:
 
 @pytest.mark.parametrize("silent", [False, True])
 @pytest.mark.parametrize("kind", ["acceleration", "attitude"])
-def test_taking_over_keeps_the_lean_however_long_the_setpoints_were_not_obeyed(
+def test_taking_over_keeps_the_tilt_however_long_the_setpoints_were_not_obeyed(
     kind: str, silent: bool
 ) -> None:
     fly = controller(setpoint=kind)
-    leaning = attitude_from_acceleration((1.5, -0.8, 0.0), 0.0)
+    tilting = attitude_from_acceleration((1.5, -0.8, 0.0), 0.0)
     for k in range(40):
         now, obeyed = k * PERIOD_S, k >= 30
         answer = fly.step(
             plan_step(now, hover_reference(now)),
-            vehicle_state(now, attitude=leaning),
+            vehicle_state(now, attitude=tilting),
             pad_state(now),
             now,
             obeyed=obeyed or silent,

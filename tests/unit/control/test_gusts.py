@@ -1,4 +1,4 @@
-"""The wind's push is told from the lean at once, on every course and heading."""
+"""The wind's push is told from the tilt at once, on every course and heading."""
 
 import math
 from dataclasses import replace
@@ -38,16 +38,16 @@ def feel(wind: WindObserver, attitude: Quaternion, acceleration: Vector3, second
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0, 180.0, 270.0])
-def test_a_push_beyond_the_lean_is_found_within_a_fifth_of_a_second(heading_deg: float) -> None:
-    lean = attitude_from_acceleration((0.8, -0.4, 0.0), math.radians(heading_deg))
+def test_a_push_beyond_the_tilt_is_found_within_a_fifth_of_a_second(heading_deg: float) -> None:
+    tilt = attitude_from_acceleration((0.8, -0.4, 0.0), math.radians(heading_deg))
     wind = WindObserver(SENSOR_LAG_S, 5.0)
-    assert feel(wind, lean, (0.8, -0.4, 0.0), 1.0) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
-    assert feel(wind, lean, (1.8, -1.4, 0.0), 0.2) == pytest.approx((1.0, -1.0, 0.0), abs=0.15)
+    assert feel(wind, tilt, (0.8, -0.4, 0.0), 1.0) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+    assert feel(wind, tilt, (1.8, -1.4, 0.0), 0.2) == pytest.approx((1.0, -1.0, 0.0), abs=0.15)
 
 
 def test_a_wind_that_lasts_is_reported_all_the_time() -> None:
-    lean = attitude_from_acceleration((2.0, 0.0, 0.0), 0.3)
-    assert feel(WindObserver(SENSOR_LAG_S, 5.0), lean, (0.0, 0.0, 0.0), 30.0) == pytest.approx(
+    tilt = attitude_from_acceleration((2.0, 0.0, 0.0), 0.3)
+    assert feel(WindObserver(SENSOR_LAG_S, 5.0), tilt, (0.0, 0.0, 0.0), 30.0) == pytest.approx(
         (-2.0, 0.0, 0.0)
     )
 
@@ -60,10 +60,10 @@ def test_an_attitude_that_is_off_is_no_wind() -> None:
     assert feel(WindObserver(SENSOR_LAG_S, 5.0), off, flown, 0.5) == pytest.approx(ZERO3, abs=1e-6)
 
 
-def test_a_climbing_vehicle_gets_more_from_the_same_lean() -> None:
+def test_a_climbing_vehicle_gets_more_from_the_same_tilt() -> None:
     up = -2.0
-    lean = attitude_from_acceleration((1.0, 0.0, up), 0.0)
-    push = feel(WindObserver(SENSOR_LAG_S, 5.0), lean, (1.0, 0.0, up), 2.0)
+    tilt = attitude_from_acceleration((1.0, 0.0, up), 0.0)
+    push = feel(WindObserver(SENSOR_LAG_S, 5.0), tilt, (1.0, 0.0, up), 2.0)
     assert push == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
 
 
@@ -106,7 +106,7 @@ def test_a_jolt_is_not_carried_on_for_long() -> None:
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.03, 0.1])
-def test_a_lean_that_the_loop_itself_makes_is_no_wind(late_s: float) -> None:
+def test_a_tilt_that_the_loop_itself_makes_is_no_wind(late_s: float) -> None:
     """Swinging at the loop's own ringing, measured late: a thrust is along body up all the same."""
     rate_rad_s = 10.0
     wind, most = WindObserver(SENSOR_LAG_S, 5.0), 0.0

@@ -35,10 +35,10 @@ def _acceleration(x: float, y: float, z: float) -> Setpoint:
     return Setpoint(0.0, acceleration_ned_m_s2=(x, y, z))
 
 
-def _lean(tilt_rad: float, direction_rad: float = 0.0) -> Setpoint:
+def _tilt(tilt_rad: float, direction_rad: float = 0.0) -> Setpoint:
     pull = GRAVITY_M_S2 * math.tan(tilt_rad)
-    lean = (pull * math.cos(direction_rad), pull * math.sin(direction_rad), 0.0)
-    return Setpoint(0.0, attitude=attitude_from_acceleration(lean, 0.3), heading_rad=0.3, thrust=0.5)
+    tilt = (pull * math.cos(direction_rad), pull * math.sin(direction_rad), 0.0)
+    return Setpoint(0.0, attitude=attitude_from_acceleration(tilt, 0.3), heading_rad=0.3, thrust=0.5)
 
 
 BOUNDS: list[tuple[str, Callable[[float], Setpoint]]] = [
@@ -54,8 +54,8 @@ BOUNDS: list[tuple[str, Callable[[float], Setpoint]]] = [
     ("heading_rate", lambda k: Setpoint(0.0, heading_rate_rad_s=-math.radians(45.0) * k)),
     ("thrust", lambda k: Setpoint(0.0, attitude=IDENTITY, thrust=0.9 * k)),
     ("thrust", lambda k: Setpoint(0.0, attitude=IDENTITY, thrust=0.05 / k)),
-    ("tilt", lambda k: _lean(math.radians(30.0) * k)),
-    ("tilt", lambda k: _lean(math.radians(30.0) * k, 2.0)),
+    ("tilt", lambda k: _tilt(math.radians(30.0) * k)),
+    ("tilt", lambda k: _tilt(math.radians(30.0) * k, 2.0)),
 ]
 
 
@@ -112,8 +112,8 @@ def test_acceleration_changes_no_faster_than_the_jerk(factor: float) -> None:
 @pytest.mark.parametrize("factor", [INSIDE, OUTSIDE, 3.0])
 def test_tilt_changes_no_faster_than_the_jerk(factor: float) -> None:
     gate, step_s = _gate(), 0.05
-    gate.apply(_lean(0.0), 1.0)
-    limited, broken = gate.apply(_lean(math.atan(factor * 20.0 * step_s / GRAVITY_M_S2), 1.0), 1.0 + step_s)
+    gate.apply(_tilt(0.0), 1.0)
+    limited, broken = gate.apply(_tilt(math.atan(factor * 20.0 * step_s / GRAVITY_M_S2), 1.0), 1.0 + step_s)
     assert broken == (() if factor < 1.0 else ("tilt_rate",))
     assert limited.attitude is not None
     assert tilt_from_quat(limited.attitude) == pytest.approx(
@@ -136,7 +136,7 @@ def test_heading_turns_no_faster_than_allowed(turn_deg: float, start_deg: float)
 
 def test_a_limited_heading_is_the_attitudes_too() -> None:
     gate = _gate()
-    gate.apply(_lean(0.1), 0.0)
+    gate.apply(_tilt(0.1), 0.0)
     turned = Setpoint(0.0, attitude=quat_from_euler(0.0, 0.0, 2.0), heading_rad=2.0, thrust=0.5)
     limited, broken = gate.apply(turned, 0.1)
     assert "heading" in broken
@@ -177,9 +177,9 @@ def test_a_heading_turns_the_short_way_across_south(turn_deg: float) -> None:
 
 def test_an_attitude_after_setpoints_without_one_begins_anew() -> None:
     gate = _gate()
-    gate.apply(_lean(math.radians(-25.0)), 1.0)
+    gate.apply(_tilt(math.radians(-25.0)), 1.0)
     gate.apply(Setpoint(0.0, heading_rad=0.3), 1.03)
-    wanted = _lean(math.radians(25.0))
+    wanted = _tilt(math.radians(25.0))
     limited, broken = gate.apply(wanted, 1.06)
     assert broken == ()
     assert limited.attitude == pytest.approx(wanted.attitude)
@@ -187,7 +187,7 @@ def test_an_attitude_after_setpoints_without_one_begins_anew() -> None:
 
 @pytest.mark.parametrize("size", [1e-4, 0.5, 1.0, 3.0])
 def test_an_attitude_counts_by_its_direction(size: float) -> None:
-    wanted = _lean(math.radians(20.0), 1.0)
+    wanted = _tilt(math.radians(20.0), 1.0)
     assert wanted.attitude is not None
     w, x, y, z = (size * part for part in wanted.attitude)
     scaled = Setpoint(0.0, attitude=(w, x, y, z), heading_rad=0.3, thrust=0.5)

@@ -71,13 +71,13 @@ def _sent(kind: str, lasting: Vector3 = (1.0, 0.0, 0.4)) -> Setpoint:
 
 
 def test_without_a_velocity_loop_sideways_all_of_the_input_is_acceleration() -> None:
-    by_lean, by_velocity = _sent("acceleration"), _sent("velocity")
-    assert not by_lean.holds_horizontal_velocity
-    assert by_lean.acceleration_ned_m_s2[:2] == (-1.0, 0.3)
+    by_tilt, by_velocity = _sent("acceleration"), _sent("velocity")
+    assert not by_tilt.holds_horizontal_velocity
+    assert by_tilt.acceleration_ned_m_s2[:2] == (-1.0, 0.3)
     assert by_velocity.holds_horizontal_velocity
     assert by_velocity.acceleration_ned_m_s2[0] > -0.5  # the lasting push is met by the velocity
-    assert by_lean.acceleration_ned_m_s2[2] == by_velocity.acceleration_ned_m_s2[2]
-    assert by_lean.velocity_ned_m_s[2] == by_velocity.velocity_ned_m_s[2]
+    assert by_tilt.acceleration_ned_m_s2[2] == by_velocity.acceleration_ned_m_s2[2]
+    assert by_tilt.velocity_ned_m_s[2] == by_velocity.velocity_ned_m_s[2]
 
 
 def test_standing_still_in_the_air_needs_the_autopilots_velocity_loop() -> None:
@@ -86,18 +86,18 @@ def test_standing_still_in_the_air_needs_the_autopilots_velocity_loop() -> None:
 
 
 @pytest.mark.parametrize(("kind", "holds"), [("acceleration", False), ("velocity", True)])
-def test_on_the_pad_no_integral_of_the_autopilots_leans_the_vehicle(kind: str, holds: bool) -> None:
+def test_on_the_pad_no_integral_of_the_autopilots_tilts_the_vehicle(kind: str, holds: bool) -> None:
     config = ControlConfig.model_validate({"setpoint": kind})
     resting = ground_setpoint(0.0, config, None, Heading(0.0))
     assert resting.holds_horizontal_velocity is holds
     assert resting.acceleration_ned_m_s2 == (0.0, 0.0, config.ground_acceleration_m_s2)
 
 
-def _vehicle(time_s: float, velocity: Vector3, acceleration: Vector3, lean: Vector3) -> VehicleState:
+def _vehicle(time_s: float, velocity: Vector3, acceleration: Vector3, tilt: Vector3) -> VehicleState:
     return vehicle_state(
         time_s,
         position_ned_m=ZERO3,
-        attitude=attitude_from_acceleration(lean, 1.0),
+        attitude=attitude_from_acceleration(tilt, 1.0),
         velocity_ned_m_s=velocity,
         acceleration_ned_m_s2=acceleration,
     )
@@ -107,14 +107,14 @@ def _vehicle(time_s: float, velocity: Vector3, acceleration: Vector3, lean: Vect
     ("kind", "push"),
     [("acceleration", (-1.5, 0.8, 0.0)), ("attitude", (-1.5, 0.8, 0.0)), ("velocity", ZERO3)],
 )
-def test_who_makes_the_lean_begins_with_the_wind_that_the_vehicle_leans_against(
+def test_who_makes_the_tilt_begins_with_the_wind_that_the_vehicle_tilts_against(
     kind: str, push: Vector3
 ) -> None:
     plant = Plant(ControlConfig.model_validate({"setpoint": kind}), vehicle_config(), LAGS_S)
     vehicle = _vehicle(0.0, ZERO3, ZERO3, (1.5, -0.8, 0.0))
     plant.begin(vehicle)
     assert plant.disturbance_ned_m_s2 == pytest.approx(push, abs=1e-6)
-    # so that what is asked for first is the lean that there is
+    # so that what is asked for first is the tilt that there is
     assert plant.last_input(Motion(ZERO3, ZERO3, ZERO3)) == pytest.approx((-push[0], -push[1], 0.0), abs=1e-6)
 
 
@@ -140,13 +140,13 @@ def test_a_hold_brakes_by_the_autopilots_own_loop_and_not_by_wind() -> None:
 
 
 @pytest.mark.parametrize(("flown", "asked"), [(3.5, 0.0), (0.0, 3.5), (-2.0, 2.0)])
-def test_a_lean_that_lags_takes_nothing_from_the_climb(flown: float, asked: float) -> None:
+def test_a_tilt_that_lags_takes_nothing_from_the_climb(flown: float, asked: float) -> None:
     """The autopilot's thrust, along the axis that the vehicle still has, makes the wanted upward force."""
-    wanted, leans = (asked, 0.5, -0.8), (flown, -0.3, -0.8)
-    setpoint = boosted(Setpoint(0.0, acceleration_ned_m_s2=wanted), tilt_compensation(leans, wanted, 0.5))
+    wanted, tilts = (asked, 0.5, -0.8), (flown, -0.3, -0.8)
+    setpoint = boosted(Setpoint(0.0, acceleration_ned_m_s2=wanted), tilt_compensation(tilts, wanted, 0.5))
     up = -quat_rotate(attitude_from_acceleration(wanted, 0.4), (0.0, 0.0, -1.0))[2]
     thrust = (GRAVITY_M_S2 - setpoint.acceleration_ned_m_s2[2]) / up
-    made = quat_rotate(attitude_from_acceleration(leans, 0.4), (0.0, 0.0, -thrust))
+    made = quat_rotate(attitude_from_acceleration(tilts, 0.4), (0.0, 0.0, -thrust))
     assert made[2] + GRAVITY_M_S2 == pytest.approx(-0.8, abs=1e-9)
     assert setpoint.acceleration_ned_m_s2[:2] == wanted[:2]
 

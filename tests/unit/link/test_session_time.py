@@ -50,7 +50,7 @@ def test_a_restarted_clock_is_followed() -> None:
     assert flight.session.timesync.offset_s == pytest.approx(-100.0, abs=0.003)
 
 
-def test_the_clock_offset_leans_on_the_quickest_answers() -> None:
+def test_the_clock_offset_rests_on_the_quickest_answers() -> None:
     session, autopilot = Session(LinkConfig()), FakeAutopilot()
     session.receive(autopilot.tick(0.0), 0.0)
     for i, (there_s, back_s) in enumerate([(0.05, 0.01), (0.002, 0.002), (0.01, 0.08)]):

@@ -234,9 +234,9 @@ def hand_held_poses(
             rng.uniform(0.0, 2.0 * math.pi),
             math.radians(tilt_deg) * math.sqrt(rng.uniform(0.02, 1.0)),
         )
-        lean, _ = cv2.Rodrigues(tilt * np.array((math.cos(axis), math.sin(axis), 0.0)))
+        aslant, _ = cv2.Rodrigues(tilt * np.array((math.cos(axis), math.sin(axis), 0.0)))
         roll, _ = cv2.Rodrigues(np.array((0.0, 0.0, rng.normal(0.0, 0.3))))
-        turn = np.asarray(lean @ roll)
+        turn = np.asarray(aslant @ roll)
         poses.append(
             BoardPose(np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64).ravel(), at - turn @ middle)
         )
@@ -247,7 +247,7 @@ def tour_poses(
     board: CalibrationBoard, camera: CameraConfig, tilt_deg: float = 28.0, width_share: float = 0.5
 ) -> list[BoardPose]:
     """A board that is led all over the image, each time with another edge away: what the hints ask for."""
-    leans = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (0.0, 0.0)]
+    tilts = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (0.0, 0.0)]
     places = [(x, y) for x in (0.14, 0.32, 0.5, 0.68, 0.86) for y in (0.16, 0.5, 0.84)]
     width_m, height_m = board.size_m
     middle = np.array((0.5 * width_m, 0.5 * height_m, 0.0))
@@ -258,9 +258,9 @@ def tour_poses(
             (x * camera.width_px - camera.cx_px) / camera.fx_px,
             (y * camera.height_px - camera.cy_px) / camera.fy_px,
         )
-        lean = math.radians(tilt_deg) * np.array((*leans[k % 5], 0.0))
-        turn = np.asarray(cv2.Rodrigues(lean)[0])
-        poses.append(BoardPose(lean, distance_m * np.array((*ray, 1.0)) - turn @ middle))
+        tilt = math.radians(tilt_deg) * np.array((*tilts[k % 5], 0.0))
+        turn = np.asarray(cv2.Rodrigues(tilt)[0])
+        poses.append(BoardPose(tilt, distance_m * np.array((*ray, 1.0)) - turn @ middle))
     return poses
 
 

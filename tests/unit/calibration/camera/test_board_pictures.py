@@ -33,13 +33,13 @@ def area_and_moment(painter: BoardPainter, edges: tuple[float, ...], pose: Board
 
 
 @pytest.mark.parametrize("bow_m", [0.0, 0.003])
-@pytest.mark.parametrize("lean", [(0.0, 0.0, 0.1), (0.6, 0.1, 0.3), (-0.2, 0.7, -0.4)])
+@pytest.mark.parametrize("tilt", [(0.0, 0.0, 0.1), (0.6, 0.1, 0.3), (-0.2, 0.7, -0.4)])
 def test_each_marker_s_centre_of_area_is_where_the_projection_has_it(
-    lean: tuple[float, float, float], bow_m: float
+    tilt: tuple[float, float, float], bow_m: float
 ) -> None:
     painter = BoardPainter(MARKERS, CAMERA, bow_m)
-    rotation = np.asarray(cv2.Rodrigues(np.array(lean))[0])
-    pose = BoardPose(np.array(lean), np.array((0.08, -0.03, 0.5)) - rotation @ np.array((0.09, 0.09, 0.0)))
+    rotation = np.asarray(cv2.Rodrigues(np.array(tilt))[0])
+    pose = BoardPose(np.array(tilt), np.array((0.08, -0.03, 0.5)) - rotation @ np.array((0.09, 0.09, 0.0)))
     image = painter.take(pose, np.random.default_rng(0), defocus_px=0.5, motion_px=(1.5, -1.0))
     dark = (WHITE - image.astype(float)) / (WHITE - BLACK)
     for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):

@@ -230,13 +230,13 @@ def test_one_view_fixes_no_camera() -> None:
 
 
 @pytest.mark.parametrize(
-    ("lean", "away"),
+    ("tilt", "away"),
     [((0.5, 0, 0), "bottom"), ((-0.5, 0, 0), "top"), ((0, 0.5, 0), "left"), ((0, -0.5, 0), "right")],
 )
-def test_the_edge_that_is_named_is_the_one_farther_away(lean: tuple[float, ...], away: str) -> None:
+def test_the_edge_that_is_named_is_the_one_farther_away(tilt: tuple[float, ...], away: str) -> None:
     painter = BoardPainter(BOARD, CAMERA)
     corner = {"top": (0.119, 0.0), "bottom": (0.119, 0.17), "left": (0.0, 0.085), "right": (0.238, 0.085)}
-    pose = BoardPose(np.array(lean, dtype=float), np.array((-0.1, -0.08, 0.6)))
+    pose = BoardPose(np.array(tilt, dtype=float), np.array((-0.1, -0.08, 0.6)))
     assert tilt_of(pose.turn).directions == (away,)
     view = ideal_view(painter, pose, np.random.default_rng(0), 0.0, "")
     coverage = ImageCoverage(SIZE)

@@ -29,7 +29,7 @@ class Flaws:
     accel_cross: float = 0.0
     gyro_bias_rad_s: float = 0.01
     accel_bias_m_s2: float = 0.05
-    pad_lean_deg: float = 0.5
+    pad_tilt_deg: float = 0.5
     pixel_noise: float = 1.0  # the sightings' noise, of what they say
     flipped: float = 0.0  # share
     swing_deg: tuple[float, float, float] = (15.0, 15.0, 25.0)
@@ -53,8 +53,8 @@ class MountTrack:
         self._waves = [
             (self.rng.uniform(0.2, 0.9, 3), self.rng.uniform(0.0, 2.0 * math.pi, 3)) for _ in range(6)
         ]
-        lean = math.radians(flaws.pad_lean_deg) * self.rng.standard_normal(2)
-        self.pad_in_world = exp(np.array([lean[0], lean[1], 0.3]))
+        pad_tilt = math.radians(flaws.pad_tilt_deg) * self.rng.standard_normal(2)
+        self.pad_in_world = exp(np.array([pad_tilt[0], pad_tilt[1], 0.3]))
 
     def _wave(self, k: int, t: FloatArray) -> FloatArray:
         speeds, phases = self._waves[k]
@@ -104,7 +104,7 @@ class MountTrack:
         flips = rng.uniform(size=len(t)) < flaws.flipped
         sight = place / np.linalg.norm(place, axis=1, keepdims=True)
         normal = rotation[..., 2]
-        # the other pose of a square leans the other way from the line of sight
+        # the other pose of a square tilts the other way from the line of sight
         across = np.cross(normal, sight)
         rotation = np.where(flips[:, None, None], exp(2.0 * across) @ rotation, rotation)
         return PadObservations(

@@ -54,8 +54,8 @@ def test_a_vehicle_that_lets_itself_fall_may_push_less_to_the_side() -> None:
     rows, (lower, upper) = input_rows(LIMITS), input_bounds(LIMITS, 0.5)
     level, falling = (shrunk(np.array([8.0, 0.0, z]), rows, lower, upper) for z in (0.0, 5.0))
     assert level[0] == pytest.approx(LIMITS.horizontal_acceleration_m_s2 * math.cos(math.pi / 8))
-    lean = math.degrees(math.atan(falling[0] / (GRAVITY_M_S2 - falling[2])))
-    assert 0.9 * LIMITS.tilt_deg < lean < LIMITS.tilt_deg
+    tilt = math.degrees(math.atan(falling[0] / (GRAVITY_M_S2 - falling[2])))
+    assert 0.9 * LIMITS.tilt_deg < tilt < LIMITS.tilt_deg
 
 
 @pytest.mark.parametrize("hover_thrust", [0.05, 0.1, 0.9, 1.3])

@@ -54,7 +54,7 @@ def test_the_reference_tells_the_steps_within_the_time() -> None:
     assert target.horizontal_bound_m_s2[3] == pytest.approx(LEVEL_M_S2)
 
 
-def test_it_levels_off_in_time_and_leans_again_afterwards() -> None:
+def test_it_levels_off_in_time_and_tilts_again_afterwards() -> None:
     mpc = Mpc(CONFIG, (0.11, 0.11, 0.04))
     free = sideways(mpc, turning(None))
     assert free.min() > 1.5

@@ -1,4 +1,4 @@
-"""The MPC within its constraints: input and state bounds, thrust, lean, floor and cone."""
+"""The MPC within its constraints: input and state bounds, thrust, tilt, floor and cone."""
 
 import math
 from dataclasses import replace
@@ -29,8 +29,8 @@ def test_a_far_goal_meets_every_bound_and_uses_the_room(direction_deg: float) ->
         solution = mpc.solve(motion, target, ZERO3, last)
         assert solution.solved or k < 3  # a cold start may take more iterations than one step has
         u = solution.inputs_m_s2
-        lean = math.tan(math.radians(limits.tilt_deg)) * 9.80665
-        most = min(lean, limits.horizontal_acceleration_m_s2)
+        tilt = math.tan(math.radians(limits.tilt_deg)) * 9.80665
+        most = min(tilt, limits.horizontal_acceleration_m_s2)
         assert np.hypot(u[:, 0], u[:, 1]).max() <= most + 5e-3
         assert np.abs(u[:, 2]).max() <= limits.vertical_acceleration_m_s2 + 5e-3
         assert np.abs(np.diff(u, axis=0)).max() <= limits.jerk_m_s3 * DT + 5e-3
@@ -74,7 +74,7 @@ def test_a_start_beyond_the_bounds_still_has_a_solution_that_goes_back(start: Mo
     assert np.abs(solution.inputs_m_s2).max() <= CONFIG.limits.horizontal_acceleration_m_s2 + 0.01
 
 
-# ---------------------------------------------------------------- thrust, lean and cone
+# ---------------------------------------------------------------- thrust, tilt and cone
 
 
 def test_thrust_is_bounded_by_what_hovering_takes_by_now() -> None:
@@ -87,7 +87,7 @@ def test_thrust_is_bounded_by_what_hovering_takes_by_now() -> None:
     assert np.linalg.norm(weak - [0.0, 0.0, GRAVITY_M_S2], axis=1).max() <= most + 5e-3
 
 
-def test_the_lean_is_bounded_while_it_drops() -> None:
+def test_the_tilt_is_bounded_while_it_drops() -> None:
     start, target = Motion((0.0, 0.0, -9.0), ZERO3, ZERO3), hover_at((3.0, 3.0, -7.0))
     mpc, last, worst = Mpc(CONFIG, LAGS_S), ZERO3, 0.0
     for _ in range(12):
@@ -160,7 +160,9 @@ def _round(time_s: float) -> Target:
 
 
 @pytest.mark.parametrize("wind_m_s2", [4.0, 4.2])
-def test_a_wind_that_takes_more_than_the_bounds_allow_is_leant_against_all_the_same(wind_m_s2: float) -> None:
+def test_against_a_wind_that_takes_more_than_the_bounds_allow_it_tilts_all_the_same(
+    wind_m_s2: float,
+) -> None:
     mpc, period_s, against = Mpc(CONFIG, LAGS_S), 1.0 / CONFIG.rate_hz, (0.0, -wind_m_s2, 0.0)
     motion = Motion((1.75, 0.0, -0.53), (0.0, 1.55, 0.0), (-1.37, 0.0, 0.0))
     last: Vector3 = (-1.37, 0.0, 0.0)

@@ -38,7 +38,7 @@ DEGREE = math.radians(1.0)
 
 
 def swing(t: float) -> Vector3:
-    """7 m up, and from side to side with up to 17 degrees of lean, once a second."""
+    """7 m up, and from side to side with up to 17 degrees of tilt, once a second."""
     side = 0.08 * smooth(t, 10.0, 12.0) * math.sin(math.tau * t)
     return (side, 0.0, -7.0 * smooth(t, 5.0, 10.0))
 

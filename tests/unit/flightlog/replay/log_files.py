@@ -139,7 +139,7 @@ def write_dataflash(
     trim_rad: tuple[float, float] = (0.0, 0.0),
     leave_out: Iterable[str] = (),
 ) -> Path:
-    """As ArduPilot 4 writes it, by a board that leans by the trim."""
+    """As ArduPilot 4 writes it, by a board that tilts by the trim."""
     log, out = DataFlash(), set(leave_out)
     log.define("PARM", "QNff", "TimeUS,Name,Value,Default")
     log.define("IMU", "QBffffffIIfBBHH", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz")

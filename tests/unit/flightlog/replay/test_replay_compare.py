@@ -27,8 +27,8 @@ def test_a_turn_about_the_vertical_is_heading_alone(yaw_deg: float, tilt_deg: fl
 @pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 180.0, 270.0])
 def test_a_turn_about_a_level_axis_is_inclination_alone(yaw_deg: float) -> None:
     truth = quat_from_euler(0.2, -0.1, math.radians(yaw_deg))
-    leaned = quat_multiply(quat_from_euler(math.radians(4.0), 0.0, 0.0), truth)
-    assert errors_deg(leaned, truth) == pytest.approx([4.0, 4.0, 0.0], abs=1e-9)
+    tilted = quat_multiply(quat_from_euler(math.radians(4.0), 0.0, 0.0), truth)
+    assert errors_deg(tilted, truth) == pytest.approx([4.0, 4.0, 0.0], abs=1e-9)
 
 
 def test_the_sign_of_a_quaternion_means_nothing() -> None:

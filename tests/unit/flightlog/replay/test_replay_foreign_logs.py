@@ -125,7 +125,7 @@ def test_ardupilots_antenna_is_used(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("trim_deg", [(8.0, 0.0), (0.0, -6.0)])
-def test_a_board_that_leans_shows_the_airframes_attitude(
+def test_a_board_that_tilts_shows_the_airframes_attitude(
     tmp_path: Path, trim_deg: tuple[float, float]
 ) -> None:
     roll, pitch = trim_deg

@@ -107,13 +107,13 @@ def test_aside_on_the_final_descent_it_waits_again_over_the_pad(
     assert (f"lateral offset {100.0 * aside:.0f} cm" in touchdown.broken_off_by) is broken
 
 
-@pytest.mark.parametrize(("lean_deg", "broken"), [(0.0, True), (5.0, True), (12.0, False)])
-def test_a_break_off_keeps_room_for_the_foot_that_hangs_lower(lean_deg: float, broken: bool) -> None:
+@pytest.mark.parametrize(("tilt_deg", "broken"), [(0.0, True), (5.0, True), (12.0, False)])
+def test_a_break_off_keeps_room_for_the_foot_that_hangs_lower(tilt_deg: float, broken: bool) -> None:
     touchdown = sinking()
     # GIVEN 9 cm under the feet, of which a sink of 0.2 m/s takes 5 before it ends
     low = sight(0.1, LEG_M + 0.09, velocity=(0.0, 0.0, 0.2))
     for k in range(6):
-        touchdown.note_lean(quat_from_euler(math.radians(lean_deg), 0.0, 0.0), 1.0 + k * CYCLE_S)
+        touchdown.note_tilt(quat_from_euler(math.radians(tilt_deg), 0.0, 0.0), 1.0 + k * CYCLE_S)
         touchdown.step(low, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
     assert touchdown.committed is not broken
 
@@ -162,7 +162,7 @@ def test_a_gust_on_the_way_down_breaks_it_off() -> None:
     before = touchdown.committed
     waited(touchdown, 3.0, 0.5, 1.2)
     assert (before, touchdown.committed) == (True, False)
-    assert touchdown.broken_off_by == "too much lean at contact"
+    assert touchdown.broken_off_by == "too much tilt at contact"
     assert touchdown.level_off() is None
 
 

@@ -15,8 +15,8 @@ from tests.unit.plan.landing.touchdown_attempt import (
     CYCLE_S,
     WAIT_M,
     fresh,
-    leaning,
     sight,
+    tilting,
     wait,
     waited,
 )
@@ -85,19 +85,19 @@ def test_a_pad_unseen_while_waiting_is_lost() -> None:
 
 
 @pytest.mark.parametrize(("share", "commits"), [(0.95, True), (1.05, False)])
-def test_it_waits_while_it_leans_further_than_it_can_level_off(share: float, commits: bool) -> None:
+def test_it_waits_while_it_tilts_further_than_it_can_level_off(share: float, commits: bool) -> None:
     touchdown = fresh()
-    waited(touchdown, share * CONFIG.gentle_lean_m_s2, 0.0, 2.0)
+    waited(touchdown, share * CONFIG.gentle_tilt_m_s2, 0.0, 2.0)
     assert touchdown.committed is commits
 
 
-def test_a_long_wait_bears_more_lean_by_and_by() -> None:
+def test_a_long_wait_bears_more_tilt_by_and_by() -> None:
     touchdown = fresh()
-    # GIVEN that it leans little only while it is aside
-    lean, k = leaning(1.35 * CONFIG.gentle_lean_m_s2), 0
+    # GIVEN that it tilts little only while it is aside
+    tilt, k = tilting(1.35 * CONFIG.gentle_tilt_m_s2), 0
     while not touchdown.committed and k * CYCLE_S < 29.0:
         since_calm_s = k * CYCLE_S % 4.0
-        touchdown.note_lean(leaning(0.0) if since_calm_s < 1.0 else lean, k * CYCLE_S)
+        touchdown.note_tilt(tilting(0.0) if since_calm_s < 1.0 else tilt, k * CYCLE_S)
         touchdown.step(sight(0.2 if since_calm_s < 3.0 else 0.0), None, LandedState.IN_AIR, k * CYCLE_S)
         k += 1
     # THEN 1.35 times what is gentle is borne once nearly three waits are over
@@ -105,23 +105,23 @@ def test_a_long_wait_bears_more_lean_by_and_by() -> None:
 
 
 @pytest.mark.parametrize(("turn_deg_s", "commits"), [(0.0, False), (80.0, True), (-80.0, True)])
-def test_a_lean_that_the_pads_turn_takes_back_by_contact_is_borne(turn_deg_s: float, commits: bool) -> None:
+def test_a_tilt_that_the_pads_turn_takes_back_by_contact_is_borne(turn_deg_s: float, commits: bool) -> None:
     touchdown = fresh()
     # GIVEN 1.2 m/s2 with the pad and 0.8 against the wind, now in one direction, at contact about opposite
     turning = replace(
         sight(), acceleration_ned_m_s2=(0.0, 1.2, 0.0), turn_rate_rad_s=math.radians(turn_deg_s)
     )
     for k in range(round(0.9 * CONFIG.gentle_wait_s / CYCLE_S)):
-        touchdown.note_lean(attitude_from_acceleration((0.0, 2.0, 0.0), 1.0), k * CYCLE_S, turning)
+        touchdown.note_tilt(attitude_from_acceleration((0.0, 2.0, 0.0), 1.0), k * CYCLE_S, turning)
         touchdown.step(turning, None, LandedState.IN_AIR, k * CYCLE_S)
     assert touchdown.committed is commits
 
 
-def test_a_lean_that_the_pads_turn_brings_by_the_contact_is_not() -> None:
+def test_a_tilt_that_the_pads_turn_brings_by_the_contact_is_not() -> None:
     touchdown = fresh()
     turning = replace(sight(), acceleration_ned_m_s2=(0.0, -1.0, 0.0), turn_rate_rad_s=math.radians(80.0))
     for k in range(round(0.9 * CONFIG.gentle_wait_s / CYCLE_S)):
-        touchdown.note_lean(attitude_from_acceleration((0.0, 0.2, 0.0), 1.0), k * CYCLE_S, turning)
+        touchdown.note_tilt(attitude_from_acceleration((0.0, 0.2, 0.0), 1.0), k * CYCLE_S, turning)
         touchdown.step(turning, None, LandedState.IN_AIR, k * CYCLE_S)
     assert not touchdown.committed
 
@@ -130,7 +130,7 @@ def test_what_would_break_it_off_at_once_is_no_moment_to_commit() -> None:
     touchdown, told = fresh(), 0
     for k in range(round(29.0 / CYCLE_S)):
         was = touchdown.committed
-        touchdown.note_lean(leaning(2.4), k * CYCLE_S)
+        touchdown.note_tilt(tilting(2.4), k * CYCLE_S)
         touchdown.step(sight(), None, LandedState.IN_AIR, k * CYCLE_S)
         told += touchdown.committed is not was
         if touchdown.committed:
@@ -196,17 +196,17 @@ def test_for_a_larger_pad_it_may_be_farther_aside(aside: float, goes_on: bool) -
 def test_after_one_wait_a_lull_of_the_wind_is_taken() -> None:
     config = TouchdownConfig()
     tolerance = Tolerance(config, since_s=0.0, slack=1.0)
-    gentle = config.gentle_lean_m_s2
+    gentle = config.gentle_tilt_m_s2
     for tenth in range(120):
         now_s = 0.1 * tenth
-        tolerance.note_lean(4.0 if 40 <= tenth < 45 else 2.5, now_s)
+        tolerance.note_tilt(4.0 if 40 <= tenth < 45 else 2.5, now_s)
         if now_s < config.gentle_wait_s:
-            assert tolerance.most_lean_m_s2(now_s) == gentle  # a gentler moment may come
+            assert tolerance.most_tilt_m_s2(now_s) == gentle  # a gentler moment may come
         else:
-            assert tolerance.most_lean_m_s2(now_s) == pytest.approx(
+            assert tolerance.most_tilt_m_s2(now_s) == pytest.approx(
                 2.7
             )  # no more than the least, and a little
     # the least is that of the last seconds: a wind that has grown is met by what it grants now
     for tenth in range(120, 180):
-        tolerance.note_lean(3.0, 0.1 * tenth)
-    assert tolerance.most_lean_m_s2(17.9) == pytest.approx(3.2)
+        tolerance.note_tilt(3.0, 0.1 * tenth)
+    assert tolerance.most_tilt_m_s2(17.9) == pytest.approx(3.2)

@@ -6,30 +6,30 @@ import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
 from companion.base.messages import LandedState, RangeSample
-from companion.plan.landing.level_moment import LeanForecast
-from companion.plan.landing.levelling import AFTER_S, EARLY_S, LEANS_ON_S, Levelling
+from companion.plan.landing.level_moment import TiltForecast
+from companion.plan.landing.levelling import AFTER_S, EARLY_S, TILTS_ON_S, Levelling
 from companion.plan.mission.states import MissionEvent
 from tests.unit.plan.landing.touchdown_attempt import (
     CONFIG,
     CYCLE_S,
     Attempt,
     fresh,
-    leaning,
     sight,
     sinking,
+    tilting,
     waited,
 )
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
-LEAD_S = LEANS_ON_S + EARLY_S
+LEAD_S = TILTS_ON_S + EARLY_S
 
 
-def levelling(lean_m_s2: float) -> Attempt:
-    """A vehicle in its final descent, 0.3 m over the pad at 1 s, that leans so."""
+def levelling(tilt_m_s2: float) -> Attempt:
+    """A vehicle in its final descent, 0.3 m over the pad at 1 s, that tilts so."""
     touchdown = fresh()
     waited(touchdown, 0.0, 0.0, 0.5)
-    for now_s in (0.5, 10.0):  # so long that the smoothed lean is there
-        touchdown.note_lean(leaning(lean_m_s2), now_s)
+    for now_s in (0.5, 10.0):  # so long that the smoothed tilt is there
+        touchdown.note_tilt(tilting(tilt_m_s2), now_s)
     touchdown.step(sight(height=LEG_M + 0.3), None, LandedState.IN_AIR, 1.0)
     return touchdown
 
@@ -73,18 +73,18 @@ def test_a_pad_out_of_view_in_the_last_second_is_met_level_when_it_was_due(unsee
 
 
 @pytest.mark.parametrize(
-    ("lean_deg", "lead_s"),
-    # the lean has to fall to 7 deg, at 8 m/s3
+    ("tilt_deg", "lead_s"),
+    # the tilt has to fall to 7 deg, at 8 m/s3
     [
         (0.0, LEAD_S),
         (20.0, LEAD_S + (9.81 * (math.tan(math.radians(20.0)) - math.tan(math.radians(7.0)))) / 8.0),
     ],
 )
-def test_leaning_far_it_begins_to_level_off_sooner(lean_deg: float, lead_s: float) -> None:
+def test_tilting_far_it_begins_to_level_off_sooner(tilt_deg: float, lead_s: float) -> None:
     above_m = 0.02 + lead_s * 0.2
     for over_m, levels in ((above_m + 0.004, False), (above_m - 0.004, True)):
         touchdown = levelling(0.0)
-        touchdown.note_lean(quat_from_euler(math.radians(lean_deg), 0.0, 0.0), 1.0)
+        touchdown.note_tilt(quat_from_euler(math.radians(tilt_deg), 0.0, 0.0), 1.0)
         near = sight(height=LEG_M + over_m, velocity=(0.0, 0.0, 0.2))
         touchdown.step(near, None, LandedState.IN_AIR, 1.0)
         assert touchdown.levels_off == levels
@@ -95,7 +95,7 @@ def test_leaning_far_it_begins_to_level_off_sooner(lean_deg: float, lead_s: floa
     # 5 cm of contact not known, a drift of 0.12 m/s meanwhile
     [(-1.0, 0.19), (0.4, 0.19), (0.6, 0.25), (0.85, 0.32)],
 )
-def test_the_more_lean_it_levels_off_the_firmer_it_sets_down(excess_m_s2: float, sink_m_s: float) -> None:
+def test_the_more_tilt_it_levels_off_the_firmer_it_sets_down(excess_m_s2: float, sink_m_s: float) -> None:
     level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
     touchdown = levelling(max(0.0, level_m_s2 + excess_m_s2))
     for k in range(12):
@@ -106,7 +106,7 @@ def test_the_more_lean_it_levels_off_the_firmer_it_sets_down(excess_m_s2: float,
     assert touchdown._generator.at(now_s).velocity_m_s[2] == pytest.approx(sink_m_s, abs=1e-3)
 
 
-def test_a_lean_that_cannot_be_levelled_off_is_waited_out_however_long_it_lasts() -> None:
+def test_a_tilt_that_cannot_be_levelled_off_is_waited_out_however_long_it_lasts() -> None:
     level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
     # 0.24 m/s of drift in the 0.15 s by which a contact may be late
     for excess_m_s2, breaks_off in ((1.5, False), (1.7, True)):
@@ -114,14 +114,14 @@ def test_a_lean_that_cannot_be_levelled_off_is_waited_out_however_long_it_lasts(
         waited(touchdown, 0.0, 0.0, 0.5)
         assert touchdown.committed
         late_s = 5.0 * CONFIG.gentle_wait_s
-        touchdown.note_lean(leaning(level_m_s2 + excess_m_s2), late_s)
+        touchdown.note_tilt(tilting(level_m_s2 + excess_m_s2), late_s)
         touchdown._sequence._contact_due_s = late_s
         touchdown.step(sight(height=LEG_M + 0.3), None, LandedState.IN_AIR, late_s)
-        assert (touchdown.broken_off_by == "too much lean at contact") == breaks_off
+        assert (touchdown.broken_off_by == "too much tilt at contact") == breaks_off
 
 
 @pytest.mark.parametrize("needed_m_s2", [0.0, 1.0, 2.0])
-def test_shortly_before_it_levels_off_a_gust_is_met_by_a_little_more_lean_at_most(needed_m_s2: float) -> None:
+def test_shortly_before_it_levels_off_a_gust_is_met_by_a_little_more_tilt_at_most(needed_m_s2: float) -> None:
     level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
     for over_m, near in ((0.25, False), (0.14, True)):
         touchdown = levelling(needed_m_s2)
@@ -156,7 +156,7 @@ def test_a_contact_that_comes_late_keeps_it_level_while_that_makes_little_speed(
 @pytest.mark.parametrize(
     ("over_m", "speed_m_s", "stays"), [(0.04, 0.2, True), (0.07, 0.2, False), (0.04, 0.3, False)]
 )
-def test_so_low_that_a_lean_would_touch_it_stays_level_unless_it_drifts_fast(
+def test_so_low_that_a_tilt_would_touch_it_stays_level_unless_it_drifts_fast(
     over_m: float, speed_m_s: float, stays: bool
 ) -> None:
     touchdown = levelling(GRAVITY_M_S2 * math.tan(math.radians(11.0)))  # a foot hangs 3.4 cm lower
@@ -195,12 +195,12 @@ def test_while_contact_is_made_sure_of_it_stays_level() -> None:
 
 
 def test_it_stays_level_while_it_touches_late_and_drifting() -> None:
-    levelling_off, lean = Levelling(CONFIG, VEHICLE), LeanForecast()
-    tilted = leaning(GRAVITY_M_S2 * math.tan(math.radians(15.0)))
+    levelling_off, tilt = Levelling(CONFIG, VEHICLE), TiltForecast()
+    tilted = tilting(GRAVITY_M_S2 * math.tan(math.radians(15.0)))
     for k in range(40):
         now_s = 1.0 + k * CYCLE_S
-        lean.note(tilted, None, now_s)
-        levelling_off.expect(sight(height=LEG_M + 0.05, velocity=(0.3, 0.0, 0.1)), lean, now_s)
+        tilt.note(tilted, None, now_s)
+        levelling_off.expect(sight(height=LEG_M + 0.05, velocity=(0.3, 0.0, 0.1)), tilt, now_s)
     level = levelling_off.window()
     assert level is not None
     assert level.until_s < now_s  # what it could not follow has become too much speed
@@ -210,13 +210,13 @@ def test_it_stays_level_while_it_touches_late_and_drifting() -> None:
     assert level.until_s > now_s + 0.1
 
 
-def test_leaning_back_from_far_aside_a_low_foot_is_no_contact() -> None:
+def test_tilting_back_from_far_aside_a_low_foot_is_no_contact() -> None:
     for aside_m, found in ((0.25, MissionEvent.MISALIGNED), (0.08, MissionEvent.CONTACT)):
         touchdown, finding = sinking(), None
         low = sight(aside_m, LEG_M + 0.05, velocity=(0.0, 0.0, 0.05))
         for k in range(12):
             now_s = 1.0 + k * CYCLE_S
-            touchdown.note_lean(quat_from_euler(math.radians(12.0), 0.0, 0.0), now_s)
+            touchdown.note_tilt(quat_from_euler(math.radians(12.0), 0.0, 0.0), now_s)
             echo = RangeSample(now_s, LEG_M + 0.05 - VEHICLE.range_position_body_m[2])
             finding = finding or touchdown.step(low, echo, LandedState.IN_AIR, now_s)
         assert finding is not None

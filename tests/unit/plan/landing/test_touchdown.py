@@ -86,11 +86,11 @@ def test_an_old_echo_and_a_hover_are_no_signs() -> None:
 
 
 @pytest.mark.parametrize(
-    ("lean_deg", "above_m", "signs"),
+    ("tilt_deg", "above_m", "signs"),
     [(0.0, 0.015, 2), (0.0, 0.025, 0), (8.0, 0.04, 2), (8.0, 0.05, 0), (40.0, 0.06, 2), (40.0, 0.08, 0)],
 )
 def test_the_foot_that_hangs_lowest_is_the_one_that_touches(
-    lean_deg: float, above_m: float, signs: int
+    tilt_deg: float, above_m: float, signs: int
 ) -> None:
     hover = Motion((0.0, 0.0, -LEG_M - above_m))
     echo = RangeSample(10.0, LEG_M + above_m - VEHICLE.range_position_body_m[2])
@@ -102,7 +102,7 @@ def test_the_foot_that_hangs_lowest_is_the_one_that_touches(
         10.0,
         config=CONFIG,
         vehicle=VEHICLE,
-        lean_rad=math.radians(lean_deg),
+        tilt_rad=math.radians(tilt_deg),
     )
     assert found.count == signs
 

@@ -52,8 +52,8 @@ class Attempt:
     def on_pad(self) -> bool:
         return self.state in ON_PAD
 
-    def note_lean(self, attitude: Quaternion, now_s: float, seen: PadState | None = None) -> None:
-        self._sequence.lean.note(attitude, seen, now_s)
+    def note_tilt(self, attitude: Quaternion, now_s: float, seen: PadState | None = None) -> None:
+        self._sequence.tilt.note(attitude, seen, now_s)
 
     def step(
         self, seen: PadState | None, echo: RangeSample | None, landed: LandedState, now_s: float
@@ -101,12 +101,12 @@ def sinking() -> Attempt:
     return touchdown
 
 
-def leaning(acceleration_m_s2: float) -> Quaternion:
+def tilting(acceleration_m_s2: float) -> Quaternion:
     return quat_from_euler(math.atan(acceleration_m_s2 / GRAVITY_M_S2), 0.0, 1.0)
 
 
-def waited(touchdown: Attempt, lean_m_s2: float, from_s: float, until_s: float) -> None:
+def waited(touchdown: Attempt, tilt_m_s2: float, from_s: float, until_s: float) -> None:
     for k in range(round((until_s - from_s) / CYCLE_S)):
         now_s = from_s + k * CYCLE_S
-        touchdown.note_lean(leaning(lean_m_s2), now_s)
+        touchdown.note_tilt(tilting(tilt_m_s2), now_s)
         touchdown.step(sight(), None, LandedState.IN_AIR, now_s)

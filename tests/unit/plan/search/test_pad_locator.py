@@ -130,7 +130,7 @@ def test_a_sight_that_is_kept_is_not_led_on_a_second_time() -> None:
     )
 
 
-def test_no_more_acceleration_is_followed_than_a_vehicle_can_lean_for() -> None:
+def test_no_more_acceleration_is_followed_than_a_vehicle_can_tilt_for() -> None:
     for speed_m_s, followed_m_s2 in ((1.5, 1.5), (2.5, 2.0), (10.0, 2.0)):
         pad = Lead(0.0, (0.0, 0.0, 0.0), (speed_m_s, 0.0, 0.0), -1.0).at(0.0, 5.0)
         assert pad.acceleration_m_s2 == pytest.approx((0.0, -followed_m_s2, 0.0))

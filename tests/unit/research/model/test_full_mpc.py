@@ -93,7 +93,7 @@ def test_the_nominal_is_flown_by_its_own_inputs() -> None:
     assert nominal.states[0, PSI] == pytest.approx(0.7)
 
 
-def test_a_push_leans_the_nominal_against_it() -> None:
+def test_a_push_tilts_the_nominal_against_it() -> None:
     disturbance = np.array([1.5, 0.0, -2.0, 0.0, 0.3, 0.0])
     nominal = along(waiting(), MODEL, CONFIG.step_s, disturbance)
     lift = 9.80665 + 2.0
@@ -104,7 +104,7 @@ def test_a_push_leans_the_nominal_against_it() -> None:
 
 
 def test_bounds_that_bind_are_solved_within_the_iterations() -> None:
-    """Wind that the lean cannot stand against, as at a gust's height."""
+    """Wind that the tilt cannot stand against, as at a gust's height."""
     disturbance = np.array([-6.5, -2.3, -2.4, -0.3, 0.2, -0.2])
     mpc, state = FullMpc(CONFIG, MODEL), state_at(waiting())
     iterations = []
@@ -114,7 +114,7 @@ def test_bounds_that_bind_are_solved_within_the_iterations() -> None:
         iterations.append(found.iterations)
         assert found.solved
         state = MODEL.advance(state, found.first, 0.02) + disturbance_effect(grown, 0.02)
-    assert np.abs(state[ANGLES[:2]]).max() > 0.9 * math.radians(CONFIG.limits.lean_deg)
+    assert np.abs(state[ANGLES[:2]]).max() > 0.9 * math.radians(CONFIG.limits.tilt_deg)
     assert max(iterations) < CONFIG.maximum_iterations
 
 
@@ -135,10 +135,10 @@ def test_the_rotors_range_is_kept_hard() -> None:
     assert shares.max() == pytest.approx(0.6, abs=0.005)
 
 
-def test_lean_and_speed_are_kept() -> None:
+def test_tilt_and_speed_are_kept() -> None:
     flown = fly(FullMpc(CONFIG, MODEL), state_at(waiting()), waiting((6.0, -6.0, 5.0)), nothing_around(), 100)
-    lean = np.radians(CONFIG.limits.lean_deg)
-    assert 0.6 * lean < np.abs(flown[:, ANGLES[:2]]).max() <= 1.01 * lean
+    tilt = np.radians(CONFIG.limits.tilt_deg)
+    assert 0.6 * tilt < np.abs(flown[:, ANGLES[:2]]).max() <= 1.01 * tilt
     assert np.abs(flown[:, VELOCITY[:2]]).max() <= 1.01 * CONFIG.limits.horizontal_speed_m_s
     assert np.abs(flown[-1, POSITION[:2]]).min() > 1.0
 

@@ -43,7 +43,7 @@ def test_the_lead_makes_up_for_the_lag(lead: float) -> None:
     assert reached == pytest.approx(1.0, abs=1e-9) if lead == 1.0 else 1.0 - left < reached < 1.0
 
 
-def test_leaning_goes_before_height() -> None:
+def test_tilting_goes_before_height() -> None:
     """Full climb and a roll: the thrust of all gives way, the torque stays."""
     inputs = np.array([4.0 * MODEL.full_rotor_thrust_n, 0.5, 0.0, 0.0])
     flown = settled(inputs).flown

@@ -23,7 +23,7 @@ from companion.research.model.quadrotor import PHI, POSITION, PSI, THETA, VELOCI
 GAINS = load_gains("pid")
 MODEL = load_quadrotor("x500")
 AXIS = AxisGains(position_1_s=2.0, velocity_1_s=3.0, integral_1_s2=1.0)
-LEAN_RAD = math.radians(30.0)
+TILT_RAD = math.radians(30.0)
 
 
 def outer(largest_m_s2: float = 4.0) -> PositionPid:
@@ -63,31 +63,31 @@ def test_the_integral_does_not_grow_towards_what_was_cut() -> None:
 
 
 def test_limits_keep_what_carries_the_vehicle() -> None:
-    inner = AttitudePid(GAINS, MODEL, LEAN_RAD)
+    inner = AttitudePid(GAINS, MODEL, TILT_RAD)
     ax, ay, az = inner.limited((30.0, 40.0, 1.0))
     assert az == 1.0
-    assert math.hypot(ax, ay) == pytest.approx(math.tan(LEAN_RAD) * (GRAVITY_M_S2 + 1.0))
+    assert math.hypot(ax, ay) == pytest.approx(math.tan(TILT_RAD) * (GRAVITY_M_S2 + 1.0))
     assert ay / ax == pytest.approx(4.0 / 3.0)
     assert inner.limited((0.0, 0.0, -50.0))[2] == pytest.approx(-0.7 * GRAVITY_M_S2)
     assert inner.limited((0.0, 0.0, 50.0))[2] < 0.95 * 4.0 * MODEL.full_rotor_thrust_n / MODEL.mass_kg
 
 
 @pytest.mark.parametrize("heading_rad", [0.0, math.pi / 2.0, math.pi, -2.0])
-def test_the_wanted_lean_pushes_where_it_was_asked(heading_rad: float) -> None:
+def test_the_wanted_tilt_pushes_where_it_was_asked(heading_rad: float) -> None:
     """In closed loop with the model: after a second it accelerates as asked, whatever its heading."""
-    inner, state = AttitudePid(GAINS, MODEL, LEAN_RAD), np.zeros(12)
+    inner, state = AttitudePid(GAINS, MODEL, TILT_RAD), np.zeros(12)
     state[PSI] = heading_rad
     asked = (1.5, -0.8, 0.4)
     for _ in range(100):
         state = MODEL.advance(state, inner.step(state, asked, heading_rad, 0.01), 0.01)
     slope = MODEL.derivative(state, inner.step(state, asked, heading_rad, 0.01))
     assert np.allclose(slope[VELOCITY], asked, atol=0.1)
-    assert abs(state[PHI]) < LEAN_RAD
-    assert abs(state[THETA]) < LEAN_RAD
+    assert abs(state[PHI]) < TILT_RAD
+    assert abs(state[THETA]) < TILT_RAD
 
 
 def flown(push: FloatArray, seconds: float) -> FloatArray:
-    pid, state = CascadedPid(GAINS, MODEL, LEAN_RAD), np.zeros(12)
+    pid, state = CascadedPid(GAINS, MODEL, TILT_RAD), np.zeros(12)
     state[Z] = 5.0
     for _ in range(round(seconds / 0.02)):
         inputs = pid.step(state, Motion((1.0, -1.0, 5.5)), 0.0, 0.02)

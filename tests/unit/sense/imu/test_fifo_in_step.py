@@ -37,7 +37,7 @@ class Preempted:
 
 
 def most_tilt_deg(rig: ImuRig, after_s: float) -> float:
-    """The most by which a sample's force leans, which at rest is the attitude that it would make believe."""
+    """The most by which a sample's force tilts, which at rest is the attitude that it would make believe."""
     tilts = [
         math.degrees(math.atan2(math.hypot(x, y), -z))
         for x, y, z in (s.specific_force_body_m_s2 for s in rig.imu if s.time_s > after_s)

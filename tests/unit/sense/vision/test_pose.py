@@ -66,11 +66,11 @@ def lens(camera: CameraConfig) -> Lens:
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 180.0, 270.0, 33.0])
-@pytest.mark.parametrize("lean", [(0.0, 0.0), (0.3, -0.2), (-0.1, 0.35)])
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.3, -0.2), (-0.1, 0.35)])
 def test_perfect_corners_give_the_perfect_pose(
-    pad: Pad, camera: CameraConfig, lens: Lens, yaw_deg: float, lean: tuple[float, float]
+    pad: Pad, camera: CameraConfig, lens: Lens, yaw_deg: float, tilt: tuple[float, float]
 ) -> None:
-    rotation = camera_from_pad_at(math.radians(yaw_deg), *lean)
+    rotation = camera_from_pad_at(math.radians(yaw_deg), *tilt)
     position = (0.2, -0.1, 3.0)
     pose = estimate_pose(detections(pad, camera, rotation, position), lens, CONFIG, vector3(rotation[:, 2]))
     assert pose is not None
@@ -85,16 +85,16 @@ def test_gravity_holds_the_pose_of_a_single_marker_seen_square_on(
     # one 36 cm marker at 7 m: 27 px; two solutions fit it alike and the corners alone choose at random
     rng = np.random.default_rng(3)
     rotation, position = camera_from_pad_at(0.5), (0.3, -0.2, 7.0)
-    leans_with: list[float] = []
-    leans_without: list[float] = []
+    tilts_with: list[float] = []
+    tilts_without: list[float] = []
     for _ in range(30):
         one = detections(pad, camera, rotation, position, noise=rng.normal(0.0, 0.3, (4, 4, 2)))[:1]
-        for down, leans in (((0.0, 0.0, 1.0), leans_with), (None, leans_without)):
+        for down, tilts in (((0.0, 0.0, 1.0), tilts_with), (None, tilts_without)):
             pose = estimate_pose(one, lens, CONFIG, down)
             assert pose is not None
-            leans.append(math.degrees(math.acos(min(1.0, pose.camera_from_pad[2, 2]))))
-    assert max(leans_with) < 4.0
-    assert np.median(leans_without) > 8.0  # the ambiguity is real: the test could fail
+            tilts.append(math.degrees(math.acos(min(1.0, pose.camera_from_pad[2, 2]))))
+    assert max(tilts_with) < 4.0
+    assert np.median(tilts_without) > 8.0  # the ambiguity is real: the test could fail
 
 
 def test_at_seven_metres_the_horizontal_position_is_good_to_a_centimetre(
@@ -119,8 +119,8 @@ def test_the_covariance_says_how_large_the_errors_are(pad: Pad, camera: CameraCo
     rotation, position = camera_from_pad_at(-0.5 * math.pi), (0.1, 0.2, 4.0)  # its top edge up the image
     normalised = []
     for _ in range(60):
-        lean = rng.normal(0.0, math.radians(config.level_std_deg), 2)
-        down = matrix_from_quat(quat_from_euler(lean[0], lean[1], 0.0))[:, 2]
+        tilt = rng.normal(0.0, math.radians(config.level_std_deg), 2)
+        down = matrix_from_quat(quat_from_euler(tilt[0], tilt[1], 0.0))[:, 2]
         found = detections(pad, camera, rotation, position, noise=noise_of_sides(rng, 0.2, 4))
         pose = estimate_pose(found, lens, config, vector3(down))
         assert pose is not None
@@ -148,19 +148,19 @@ def test_two_markers_that_contradict_each_other_are_both_disbelieved(
 
 
 @pytest.mark.parametrize(("pad_on", "most_deg"), [("fixed", 7.0), ("vehicle", 11.0), ("ship", 18.0)])
-def test_how_far_a_pad_may_lean_is_what_it_lies_on(
+def test_how_far_a_pad_may_tilt_is_what_it_lies_on(
     pad: Pad, camera: CameraConfig, lens: Lens, pad_on: Literal["fixed", "vehicle", "ship"], most_deg: float
 ) -> None:
     config, position = VisionConfig(pad_on=pad_on), (0.1, 0.2, 1.5)
-    for lean_deg, seen in ((most_deg, True), (1.5 * most_deg, False)):
-        rotation = camera_from_pad_at(0.3, math.radians(lean_deg))
+    for tilt_deg, seen in ((most_deg, True), (1.5 * most_deg, False)):
+        rotation = camera_from_pad_at(0.3, math.radians(tilt_deg))
         pose = estimate_pose(detections(pad, camera, rotation, position), lens, config, (0.0, 0.0, 1.0))
         assert (pose is not None) == seen
         if pose is not None:
             assert pose.position_camera_m == pytest.approx(position, abs=2e-3)
 
 
-def test_what_leans_far_from_the_level_is_not_our_pad(pad: Pad, camera: CameraConfig, lens: Lens) -> None:
+def test_what_tilts_far_from_the_level_is_not_our_pad(pad: Pad, camera: CameraConfig, lens: Lens) -> None:
     found = detections(pad, camera, camera_from_pad_at(0.0), (0.0, 0.0, 1.5))
     down = matrix_from_quat(quat_from_euler(0.5, 0.0, 0.0))[:, 2]
     assert estimate_pose(found, lens, CONFIG, vector3(down)) is None
@@ -233,7 +233,7 @@ def test_how_the_camera_turns_is_reported_apart_from_how_far_the_pad_is(
 
 
 def test_a_climb_is_bounded_by_how_near_the_pad_is(pad: Pad, camera: CameraConfig, lens: Lens) -> None:
-    # seen from 1 m, half of the pad is out of view: a lean that is a climb moves its middle
+    # seen from 1 m, half of the pad is out of view: a tilt that is a climb moves its middle
     rotation, position = camera_from_pad_at(0.3), (0.02, -0.12, 1.0)
     found = [
         d

@@ -66,7 +66,7 @@ def test_the_pose_is_true_at_every_height_and_yaw_and_at_tilt(
     height_m, position_bound_m, turn_bound_deg = case
     tilt = 0.12 if height_m > 0.5 else 0.05
     attitude = quat_from_euler(tilt, -0.6 * tilt, math.radians(yaw_deg))
-    # place the vehicle so that the camera, leaning, still has the pad in view
+    # place the vehicle so that the camera, tilting, still has the pad in view
     away = quat_rotate(attitude, (0.03, 0.0, 0.08 + height_m))
     position = (-away[0], -away[1], -height_m - 0.08)
     frame, truth, body_from_pad = take_picture(position, attitude, 0.4)

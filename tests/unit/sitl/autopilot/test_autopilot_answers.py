@@ -171,14 +171,14 @@ def test_the_thrust_field_is_thrust_to_px4_and_a_climb_rate_to_ardupilot() -> No
     assert -flight.run(1.5, AttitudeSetpoint(level, 0.6))[-1].velocity[2] > 1.5
 
 
-def test_ardupilot_raises_thrust_for_the_lean_it_flies_and_px4_does_not() -> None:
-    leaning, sank = quat_from_euler(0.0, -0.5, 0.0), {}
+def test_ardupilot_raises_thrust_for_the_tilt_it_flies_and_px4_does_not() -> None:
+    tilting, sank = quat_from_euler(0.0, -0.5, 0.0), {}
     for autopilot_kind in AUTOPILOT_KINDS:
         flight = in_the_air(autopilot_kind)
         if autopilot_kind == "ardupilot":
             flight.autopilot.parameters.set("GUID_OPTIONS", 8)
         thrust = flight.autopilot.thrust
-        sank[autopilot_kind] = flight.run(1.5, AttitudeSetpoint(leaning, thrust))[-1].velocity[2]
+        sank[autopilot_kind] = flight.run(1.5, AttitudeSetpoint(tilting, thrust))[-1].velocity[2]
     assert sank["ardupilot"] == pytest.approx(0.0, abs=0.3)
     assert sank["px4"] > 0.8
 
@@ -241,8 +241,8 @@ def test_held_places_are_held_in_the_attitude_that_wind_asks_for() -> None:
     flight.run(15.0)
     assert math.hypot(*flight.vehicle.position[:2]) < 0.15
     assert flight.autopilot.task is Task.HOLD
-    leaning = euler_from_quat(quat_multiply((1.0, 0.0, 0.0, 0.0), flight.vehicle.attitude))[0]
-    assert leaning < -0.05
+    tilting = euler_from_quat(quat_multiply((1.0, 0.0, 0.0, 0.0), flight.vehicle.attitude))[0]
+    assert tilting < -0.05
 
 
 def test_a_far_position_is_approached_no_faster_than_the_top_speed() -> None:

@@ -34,7 +34,7 @@ def test_it_stops_soon_however_long_it_could_not_fly_as_fast_as_asked(autopilot_
     flight = in_the_air(autopilot_kind)
     flight.vehicle.wind_ned_m_s = (-18.0, 0.0, 0.0)
     reached = flight.run(15.0, velocity(14.0))[-1]
-    assert reached.velocity[0] < 13.0  # the lean is at its limit
+    assert reached.velocity[0] < 13.0  # the tilt is at its limit
     stopped = flight.run(12.0, STAND_STILL)
     furthest = max(stopped, key=lambda sample: sample.position[0])
     assert furthest.position[0] - reached.position[0] < 20.0
@@ -42,7 +42,7 @@ def test_it_stops_soon_however_long_it_could_not_fly_as_fast_as_asked(autopilot_
     assert math.dist(stopped[-1].velocity, ZERO3) < 0.3
 
 
-def test_ardupilots_lean_goes_on_at_its_limit_and_is_reported() -> None:
+def test_ardupilots_tilt_goes_on_at_its_limit_and_is_reported() -> None:
     control: Any = PROFILES["ardupilot"].position_control(HOVER)
     told = []
     for _ in range(300):  # held back by whatever it is

@@ -99,7 +99,7 @@ def test_torque_turns_the_body_towards_the_setpoint_by_the_shorter_way(yaw_deg: 
         assert torque[axis] > 10.0 * max(others)
 
 
-def test_a_yaw_rate_is_a_turn_about_the_worlds_down_axis_at_any_lean() -> None:
+def test_a_yaw_rate_is_a_turn_about_the_worlds_down_axis_at_any_tilt() -> None:
     attitude = quat_from_euler(0.3, 0.2, 1.0)
     rates = RateGains(proportional=(1.0, 1.0, 1.0))
     unfiltered = replace(PX4.attitude_gains, filters=RateFilters(40.0, 30.0))
@@ -136,13 +136,13 @@ def test_thrust_points_where_the_acceleration_asks_in_every_heading(yaw_deg: flo
     setpoint = MotionSetpoint(acceleration_ned_m_s2=(1.0, -2.0, -0.5))
     control.step(ZERO3, ZERO3, ZERO3, setpoint, 0.01)
     force = quat_rotate(control.attitude, (0.0, 0.0, -control.thrust / 0.5 * 9.80665))
-    # the lean is the one of level flight, as both autopilots have it; the vertical share is exact
+    # the tilt is the one of level flight, as both autopilots have it; the vertical share is exact
     share = 1.0 + 0.5 / 9.80665
     wanted = (share, -2.0 * share, -0.5)
     assert (force[0], force[1], force[2] + 9.80665) == pytest.approx(wanted, abs=1e-6)
 
 
-def test_lean_is_limited_and_height_comes_first() -> None:
+def test_tilt_is_limited_and_height_comes_first() -> None:
     control = Px4Control(0.5)
     setpoint = MotionSetpoint(acceleration_ned_m_s2=(50.0, 0.0, 0.0))
     control.step(ZERO3, ZERO3, ZERO3, setpoint, 0.01)

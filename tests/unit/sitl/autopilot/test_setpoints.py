@@ -115,11 +115,11 @@ def test_px4s_body_frame_takes_velocity_and_acceleration_whole_and_no_place(head
 
 
 def test_px4s_body_acceleration_turns_with_the_whole_attitude() -> None:
-    lean = quat_from_euler(0.0, math.radians(30.0), 0.0)
+    tilt = quat_from_euler(0.0, math.radians(30.0), 0.0)
     message = StreamedMotion(
         LocalFrame.BODY_NED, POSITION | VELOCITY, ZERO3, ZERO3, (1.0, 0.0, 0.0), 0.0, 0.0
     )
-    read = px4_setpoints.read_motion(message, HERE, lean, 0.0)
+    read = px4_setpoints.read_motion(message, HERE, tilt, 0.0)
     assert isinstance(read, MotionSetpoint)
     assert read.acceleration_ned_m_s2 == pytest.approx((math.cos(math.radians(30.0)), 0.0, -0.5))
 
@@ -263,7 +263,7 @@ def test_ardupilots_setpoints_age_into_a_stop_a_place_or_level_flight() -> None:
     place = MotionSetpoint((1.0, 2.0, -3.0), yaw_rate_rad_s=0.5)
     moving = MotionSetpoint((1.0, 2.0, -3.0), (2.0, 0.0, 0.0))
     speed = MotionSetpoint(velocity_ned_m_s=(1.0, 0.0, 0.0))
-    lean = AttitudeSetpoint(quat_from_euler(0.0, 0.1, 0.0), 0.7)
+    tilt = AttitudeSetpoint(quat_from_euler(0.0, 0.1, 0.0), 0.7)
 
     def aged(setpoint: MotionSetpoint | AttitudeSetpoint, age_s: float) -> MotionSetpoint | AttitudeSetpoint:
         return ardupilot_setpoints.as_aged(setpoint, age_s, 3.0, math.radians(90.0))
@@ -281,8 +281,8 @@ def test_ardupilots_setpoints_age_into_a_stop_a_place_or_level_flight() -> None:
     stopped = aged(speed, 3.1)
     assert isinstance(stopped, MotionSetpoint)
     assert stopped.velocity_ned_m_s == ZERO3
-    assert aged(lean, 3.0) is lean
-    level = aged(lean, 3.1)
+    assert aged(tilt, 3.0) is tilt
+    level = aged(tilt, 3.1)
     assert isinstance(level, AttitudeSetpoint)
     assert level.attitude == pytest.approx(quat_from_euler(0.0, 0.0, math.radians(90.0)))
     assert level.thrust == 0.5

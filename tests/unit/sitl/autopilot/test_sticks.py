@@ -55,7 +55,7 @@ def test_sticks_fly_velocities_and_letting_go_holds(autopilot_kind: AutopilotKin
 
 
 @BOTH
-def test_sticks_lean_the_vehicle_and_turn_it_while_its_height_is_held(autopilot_kind: AutopilotKind) -> None:
+def test_sticks_tilt_the_vehicle_and_turn_it_while_its_height_is_held(autopilot_kind: AutopilotKind) -> None:
     station = hovering(autopilot_kind, ANGLE_MODE)
     height = station.flight.vehicle.height_m
     hold(station, joystick(y=300), 1.5)

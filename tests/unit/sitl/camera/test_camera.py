@@ -113,8 +113,8 @@ def errors_of_group(
 def test_corners_are_where_geometry_puts_them(
     sharp: CameraModel, height_m: float, group: str, yaw_deg: float
 ) -> None:
-    lean = 0.08 if height_m > 0.5 else 0.03
-    attitude = quat_from_euler(lean, -0.7 * lean, math.radians(yaw_deg))
+    tilt = 0.08 if height_m > 0.5 else 0.03
+    attitude = quat_from_euler(tilt, -0.7 * tilt, math.radians(yaw_deg))
     scene = still((0.03 * height_m, -0.02 * height_m, -height_m - 0.38), attitude, 0.35)
     errors = errors_of_group(sharp.render(0.0, scene), group, lambda p: projected(p, scene(0.0)))
     assert np.abs(errors.mean(axis=0)).max() < 0.03

@@ -209,14 +209,14 @@ def test_dirt_stays_where_it_is_in_the_image() -> None:
 # ---------------------------------------------------------------- the sun's image
 
 
-@pytest.mark.parametrize("lean", [(0.0, 0.0), (math.radians(5.0), math.radians(-4.0))])
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (math.radians(5.0), math.radians(-4.0))])
 @pytest.mark.parametrize("azimuth_deg", [0.0, 120.0])
 def test_the_sun_is_mirrored_where_the_angles_are_equal(
-    azimuth_deg: float, lean: tuple[float, float]
+    azimuth_deg: float, tilt: tuple[float, float]
 ) -> None:
     glare = GlareSettings(elevation_deg=80.0, azimuth_deg=azimuth_deg, strength=1000.0, spread_deg=0.5)
     light = LightSettings(illuminance_lux=3333.3, glare=glare)
-    roll, pitch = lean
+    roll, pitch = tilt
     scene = still(1.6, pad_roll_rad=roll, pad_pitch_rad=pitch)
     fixed = ExposureSettings(automatic=False)
     lit = picture(settings(light=light, exposure=fixed), scene).astype(float)

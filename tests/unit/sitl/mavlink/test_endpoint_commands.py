@@ -153,13 +153,13 @@ def test_streamed_attitudes_are_flown_and_broken_ones_stop_ardupilot(broken: boo
     link = Link("ardupilot")
     link.flight.take_off()
     half = math.radians(-5.0) / 2
-    lean = [math.cos(half), 0.0, math.sin(half), 0.0]
+    tilt = [math.cos(half), 0.0, math.sin(half), 0.0]
 
     def attitude(q: list[float]) -> Any:
         return mavlink.MAVLink_set_attitude_target_message(0, 1, 1, 0b111, q, 0, 0, 0, 0.5)
 
     for _ in range(30):
-        link.send(attitude(lean))
+        link.send(attitude(tilt))
         if broken:
             link.send(attitude([math.nan] * 4))
             link.send(attitude([0.0] * 4))

@@ -90,7 +90,7 @@ def test_each_autopilot_has_its_own_imu_messages(
 
 @BOTH
 @YAWS
-def test_a_leaning_vehicle_that_moves_is_reported_in_the_messages_own_units(
+def test_a_tilting_vehicle_that_moves_is_reported_in_the_messages_own_units(
     autopilot_kind: AutopilotKind, yaw_deg: float
 ) -> None:
     vehicle = StandingVehicle(autopilot_kind)

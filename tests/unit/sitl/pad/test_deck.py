@@ -1,4 +1,4 @@
-"""A deck at sea: its motion, and how vehicle, ultrasonic, camera and score take its lean."""
+"""A deck at sea: its motion, and how vehicle, ultrasonic, camera and score take its tilt."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SEA = DeckSettings(
 )
 
 
-def leaning(roll_deg: float, pitch_deg: float, heading_deg: float = 30.0, **values: Any) -> PadTruth:
+def tilting(roll_deg: float, pitch_deg: float, heading_deg: float = 30.0, **values: Any) -> PadTruth:
     roll, pitch, heading = (math.radians(a) for a in (roll_deg, pitch_deg, heading_deg))
     zero = (0.0, 0.0, 0.0)
     return PadTruth(0.0, (4.0, 5.0, -1.0), zero, zero, heading, 0.0, roll, pitch, **values)
@@ -100,7 +100,7 @@ def test_a_deck_that_would_dip_under_is_refused() -> None:
     "angles", [(0.0, 0.0, 70.0), (8.0, 0.0, 30.0), (0.0, -6.0, 200.0), (9.0, 5.0, -80.0)]
 )
 def test_the_axes_are_those_of_the_same_angles_as_a_quaternion(angles: tuple[float, float, float]) -> None:
-    pad = leaning(*angles)
+    pad = tilting(*angles)
     matrix = matrix_from_quat(quat_from_euler(pad.roll_rad, pad.pitch_rad, pad.heading_rad))
     axes = pad.axes()
     np.testing.assert_allclose(np.column_stack(axes), matrix, atol=1e-12)
@@ -111,7 +111,7 @@ def test_the_axes_are_those_of_the_same_angles_as_a_quaternion(angles: tuple[flo
 
 def test_a_place_on_the_deck_goes_where_its_turning_takes_it() -> None:
     rates = {"roll_rate_rad_s": 0.2, "pitch_rate_rad_s": -0.15}
-    pad = leaning(6.0, 4.0, **rates)._replace(heading_rate_rad_s=0.1)
+    pad = tilting(6.0, 4.0, **rates)._replace(heading_rate_rad_s=0.1)
     h, local = 1e-6, (0.5, -0.3, 0.0)
     before, after = (
         np.add(pad.extrapolated(t).position_ned_m, pad.extrapolated(t).axes().to_ned(local)) for t in (-h, h)
@@ -121,18 +121,18 @@ def test_a_place_on_the_deck_goes_where_its_turning_takes_it() -> None:
 
 
 def test_what_lies_under_a_point_is_the_sloping_surface() -> None:
-    board, pad = PadBoard(0.65, 0.65), leaning(0.0, 10.0, heading_deg=0.0)
+    board, pad = PadBoard(0.65, 0.65), tilting(0.0, 10.0, heading_deg=0.0)
     # bow up: forward is higher, by the slope
     assert board.surface_down_m(pad, 4.4, 5.0) == pytest.approx(-1.0 - 0.4 * math.tan(math.radians(10.0)))
     assert board.surface_down_m(pad, 3.6, 5.0) == pytest.approx(-1.0 + 0.4 * math.tan(math.radians(10.0)))
     assert board.surface_down_m(pad, 4.645, 5.0) == 0.0  # seen from above the board is shorter
     highest = -1.0 - 0.65 * math.sin(math.radians(10.0))
     assert highest - 0.1 < board.ceiling_down_m(pad) <= highest
-    assert board.ceiling_down_m(leaning(0.0, 0.0)) == -1.0
+    assert board.ceiling_down_m(tilting(0.0, 0.0)) == -1.0
 
 
-def test_lean_is_counted_from_the_decks_normal() -> None:
-    pad = leaning(7.0, -4.0)
+def test_tilt_is_counted_from_the_decks_normal() -> None:
+    pad = tilting(7.0, -4.0)
     along = quat_from_euler(pad.roll_rad, pad.pitch_rad, pad.heading_rad)
     assert tilt_from_normal(pad, along) == pytest.approx(0.0, abs=1e-6)
     level = quat_from_euler(0.0, 0.0, 1.0)
@@ -153,7 +153,7 @@ def at_sea(**deck: float) -> World:
 
 
 def on_deck(world: World, gap_m: float) -> World:
-    """Over the deck's middle, leaning with it."""
+    """Over the deck's middle, tilting with it."""
     pad = world.pad_state
     up = pad.axes().to_ned((0.0, 0.0, -STAND - gap_m))
     place = vector(np.add(pad.position_ned_m, up))
@@ -162,26 +162,26 @@ def on_deck(world: World, gap_m: float) -> World:
     return world
 
 
-def test_a_vehicle_on_a_rocking_deck_leans_and_goes_with_it() -> None:
+def test_a_vehicle_on_a_rocking_deck_tilts_and_goes_with_it() -> None:
     world = on_deck(
         at_sea(significant_roll_deg=10.0, significant_pitch_deg=5.0, significant_height_m=0.4), 0.0
     )
-    leans = []
+    tilts = []
     for k in range(round(12.0 / DT)):
         world.step((0.0, 0.0, 0.0, 0.0), DT)
         if k % 40 == 0 and k > 400:
-            leans.append(tilt_from_quat(world.state.attitude))
+            tilts.append(tilt_from_quat(world.state.attitude))
             assert tilt_from_normal(world.pad_state, world.state.attitude) < math.radians(0.5)
             away = subtract(world.state.position_ned_m, world.pad_state.position_ned_m)
             local = world.pad_state.axes().from_ned(away)
             assert local == pytest.approx((0.0, 0.0, -STAND), abs=0.02)
             assert world.at_rest_on_pad
-    assert math.degrees(max(leans)) > 3.0
+    assert math.degrees(max(tilts)) > 3.0
     truth = world.truth()
     assert (truth.pad_roll_rad, truth.pad_pitch_rad) == (world.pad_state.roll_rad, world.pad_state.pitch_rad)
 
 
-def test_truth_in_between_has_the_lean_in_between() -> None:
+def test_truth_in_between_has_the_tilt_in_between() -> None:
     world = at_sea(significant_roll_deg=10.0, significant_pitch_deg=8.0)
     for _ in range(40):
         world.step((0.0, 0.0, 0.0, 0.0), DT)
@@ -197,21 +197,21 @@ def test_truth_in_between_has_the_lean_in_between() -> None:
 def test_touchdown_is_scored_along_the_decks_normal() -> None:
     world = on_deck(at_sea(significant_roll_deg=25.0), 0.0)
     for _ in range(round(60.0 / DT)):
-        # wait for a good lean: the deck moves on without the vehicle
+        # wait for a good tilt: the deck moves on without the vehicle
         if abs(math.degrees(world.pad_motion.at(world.time_s).roll_rad)) > 5.0:
             break
         world.time_s += DT
     world.pad_state = world.pad_motion.at(world.time_s)
     on_deck(world, 1.2)
-    lean_deg = math.degrees(tilt_from_quat(world.state.attitude))
-    assert lean_deg > 5.0
+    tilt_deg = math.degrees(tilt_from_quat(world.state.attitude))
+    assert tilt_deg > 5.0
     while world.touchdown is None:
         world.step((0.0, 0.0, 0.0, 0.0), DT)
     assert world.touchdown.on_pad
-    # it fell along with the deck's lean of then; the deck has turned on a little since
+    # it fell along with the deck's tilt of then; the deck has turned on a little since
     now_deg = math.degrees(tilt_from_normal(world.pad_state, world.state.attitude))
     assert world.touchdown.tilt_deg == pytest.approx(now_deg, abs=0.3)
-    assert world.touchdown.tilt_deg < 0.8 * lean_deg
+    assert world.touchdown.tilt_deg < 0.8 * tilt_deg
 
 
 def test_the_ultrasonic_hears_the_deck_along_its_normal() -> None:
@@ -221,7 +221,7 @@ def test_the_ultrasonic_hears_the_deck_along_its_normal() -> None:
     world.place(QuadrotorState((n, e, d - 1.5), attitude=quat_from_euler(0.0, 0.0, 0.0)))
     heard = world.ranging((0.0, 0.0, 0.0), math.radians(15.0))()
     assert heard == pytest.approx(1.5 * math.cos(math.radians(8.0)))
-    # leaning against the deck by more than the beam it hears nothing of it, only the ground
+    # tilting against the deck by more than the beam it hears nothing of it, only the ground
     against = quat_from_euler(math.radians(-9.0), 0.0, world.pad_state.heading_rad)
     world.place(QuadrotorState((n, e, d - 1.5), attitude=against))
     assert world.ranging((0.0, 0.0, 0.0), math.radians(15.0))() == pytest.approx(1.5 - d)

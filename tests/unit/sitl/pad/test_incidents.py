@@ -94,13 +94,13 @@ def test_one_that_stands_leaves_along_its_heading() -> None:
     assert math.atan2(ve, vn) == pytest.approx(COURSE)
 
 
-def test_it_leans_to_its_angle_and_back() -> None:
+def test_it_tilts_to_its_angle_and_back() -> None:
     motion = IncidentMotion(Straight())
-    motion.lean(10.0, math.radians(15.0), math.radians(30.0))
+    motion.tilt(10.0, math.radians(15.0), math.radians(30.0))
     assert math.degrees(motion.at(10.25).roll_rad) == pytest.approx(7.5)
     assert math.degrees(motion.at(10.25).roll_rate_rad_s) == pytest.approx(30.0)
     assert math.degrees(motion.at(12.0).roll_rad) == pytest.approx(15.0)
-    motion.lean(12.0, 0.0, math.radians(30.0))
+    motion.tilt(12.0, 0.0, math.radians(30.0))
     assert math.degrees(motion.at(12.25).roll_rad) == pytest.approx(7.5)
     assert motion.at(13.0).roll_rad == 0.0
 

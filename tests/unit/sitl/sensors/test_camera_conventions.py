@@ -105,7 +105,7 @@ def test_a_level_vehicle_sees_the_pad_on_the_side_on_which_it_lies(
         ((math.cos(0.1), 0.0, math.sin(0.1), 0.0), (0.0, 1.0)),
     ],
 )
-def test_a_leaning_vehicle_sees_the_pad_below_it_off_to_the_lower_side(
+def test_a_tilting_vehicle_sees_the_pad_below_it_off_to_the_lower_side(
     attitude: Quaternion, side: tuple[float, float]
 ) -> None:
     off = np.array(board_off_middle(picture((0.0, 0.0, -5.0), attitude)))

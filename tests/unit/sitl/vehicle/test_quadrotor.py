@@ -188,7 +188,7 @@ def test_motion_does_not_depend_on_where_north_is(yaw_deg: int) -> None:
     ("roll", "pitch", "way"),
     [(0.1, 0.0, (0.0, 1.0, 0.0)), (0.0, 0.1, (-1.0, 0.0, 0.0)), (0.0, -0.1, (1.0, 0.0, 0.0))],
 )
-def test_leaning_accelerates_where_it_leans(roll: float, pitch: float, way: Vector3) -> None:
+def test_tilting_accelerates_where_it_tilts(roll: float, pitch: float, way: Vector3) -> None:
     state = Quadrotor(X500).step(hovering(attitude=quat_from_euler(roll, pitch, 0.0)), ALL_HOVER, DT)
     along = sum(v * w for v, w in zip(state.velocity_ned_m_s, way, strict=True)) / DT
     assert along == pytest.approx(GRAVITY_M_S2 * math.sin(0.1), rel=0.01)
@@ -201,10 +201,10 @@ def test_drifts_with_the_wind_in_the_end() -> None:
     assert state.velocity_ned_m_s == pytest.approx((4.0, -2.0, 0.0), abs=0.05)
 
 
-def test_five_metres_of_wind_take_about_six_degrees_of_lean() -> None:
+def test_five_metres_of_wind_take_about_six_degrees_of_tilt() -> None:
     force = Quadrotor(X500).step(hovering(), ALL_HOVER, DT, wind_ned_m_s=(5.0, 0.0, 0.0))
-    lean = math.degrees(math.atan2(force.specific_force_body_m_s2[0], GRAVITY_M_S2))
-    assert 5.0 < lean < 7.0
+    tilt = math.degrees(math.atan2(force.specific_force_body_m_s2[0], GRAVITY_M_S2))
+    assert 5.0 < tilt < 7.0
 
 
 def test_climbing_costs_thrust() -> None:

@@ -187,7 +187,7 @@ def test_lying_on_its_side_or_back_is_a_crash() -> None:
         attitude = quat_from_euler(math.radians(roll_deg), 0.0, 0.0)
         world.place(QuadrotorState((0.0, 0.0, -0.2), attitude=attitude))
         assert run(world, 0.5).crashed
-    # leaning that far in the air is only bad style
+    # tilting that far in the air is only bad style
     world.place(QuadrotorState((0.0, 0.0, -20.0), attitude=quat_from_euler(math.radians(70.0), 0.0, 0.0)))
     assert not run(world, 0.1).crashed
 
@@ -205,7 +205,7 @@ def test_hovering_low_over_the_pad_takes_less_thrust() -> None:
     assert 1.01 < gained[1] < 1.05
 
 
-def test_wind_leans_on_the_vehicle() -> None:
+def test_wind_tilts_on_the_vehicle() -> None:
     world = World(scenario(wind={"mean_m_s": 8.0, "from_deg": 0.0}, start_heading_deg=0.0), 0)
     share = world.airframe.body.hover_share()
     world.place(QuadrotorState((0.0, 0.0, -20.0), thrust_share=(share, share, share, share)))

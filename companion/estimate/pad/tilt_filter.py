@@ -1,9 +1,9 @@
-"""How the pad leans and how it swings: a deck rolls and pitches, a roof slopes, and both may land a vehicle.
+"""How the pad tilts and how it swings: a deck rolls and pitches, a roof slopes, and both may land a vehicle.
 
-The lean is the horizontal part of the pad's normal (north and east; the normal points down, as the z axis of
+The tilt is the horizontal part of the pad's normal (north and east; the normal points down, as the z axis of
 the pad does): for small angles its tilt in rad. Each axis is a Kalman filter of angle and rate; beside them
-run the means over tens of seconds of the lean, of its swing about that, and of its rate. From the last two
-follows how quickly it swings, so that a lean can be predicted through a part of its period. Immutable.
+run the means over tens of seconds of the tilt, of its swing about that, and of its rate. From the last two
+follows how quickly it swings, so that a tilt can be predicted through a part of its period. Immutable.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ SLOWEST_RAD_S: Final = math.tau / 20.0
 STILL_RAD: Final = math.radians(0.5)  # a smaller swing is noise: it has no period
 
 
-class Lean(NamedTuple):
-    """North and east: the lean (rad), its rate (rad/s), its mean (rad); and how it swings about that.
+class PadTilt(NamedTuple):
+    """North and east: the tilt (rad), its rate (rad/s), its mean (rad); and how it swings about that.
 
     `swing_rad` is the root mean square of both axes together, `frequency_rad_s` that of the swing, 0 without.
     """
 
-    lean_rad: tuple[float, float] = (0.0, 0.0)
+    tilt_rad: tuple[float, float] = (0.0, 0.0)
     rate_rad_s: tuple[float, float] = (0.0, 0.0)
     mean_rad: tuple[float, float] = (0.0, 0.0)
     swing_rad: float = 0.0
@@ -36,8 +36,8 @@ class Lean(NamedTuple):
     std_rad: float = math.inf
 
 
-class LeanState(NamedTuple):
-    """Both axes' filters, and fading means: of the lean, of the swing's square and of the rate's square."""
+class TiltState(NamedTuple):
+    """Both axes' filters, and fading means: of the tilt, of the swing's square and of the rate's square."""
 
     north: HeadingState = HeadingState()
     east: HeadingState = HeadingState()
@@ -47,30 +47,30 @@ class LeanState(NamedTuple):
     watched_s: float = 0.0
 
     @classmethod
-    def first(cls, lean_rad: tuple[float, float], std_rad: float) -> LeanState:
+    def first(cls, tilt_rad: tuple[float, float], std_rad: float) -> TiltState:
         """From one sighting."""
         variance = min(std_rad, FIRST_STD_RAD) ** 2 + JITTER_RAD**2
-        north, east = (HeadingState(angle, 0.0, variance, 0.0, FIRST_RATE_STD_RAD_S**2) for angle in lean_rad)
-        return cls(north, east, lean_rad)
+        north, east = (HeadingState(angle, 0.0, variance, 0.0, FIRST_RATE_STD_RAD_S**2) for angle in tilt_rad)
+        return cls(north, east, tilt_rad)
 
-    def after(self, dt_s: float, acceleration_rad_s2_rthz: float) -> LeanState:
+    def after(self, dt_s: float, acceleration_rad_s2_rthz: float) -> TiltState:
         """The state dt_s later."""
         north = self.north.after(dt_s, acceleration_rad_s2_rthz)
         east = self.east.after(dt_s, acceleration_rad_s2_rthz)
-        return LeanState(north, east, self.mean_rad, self.swing_square, self.rate_square, self.watched_s)
+        return TiltState(north, east, self.mean_rad, self.swing_square, self.rate_square, self.watched_s)
 
-    def corrected(self, lean_rad: tuple[float, float], std_rad: float, since_s: float) -> LeanState:
-        """With a sighting's lean, so long after the one before."""
+    def corrected(self, tilt_rad: tuple[float, float], std_rad: float, since_s: float) -> TiltState:
+        """With a sighting's tilt, so long after the one before."""
         noise = std_rad**2 + JITTER_RAD**2
-        north = self.north.corrected(lean_rad[0] - self.north.heading_rad, noise)
-        east = self.east.corrected(lean_rad[1] - self.east.heading_rad, noise)
+        north = self.north.corrected(tilt_rad[0] - self.north.heading_rad, noise)
+        east = self.east.corrected(tilt_rad[1] - self.east.heading_rad, noise)
         watched_s = self.watched_s + since_s
         share = min(1.0, since_s / min(SWING_S, max(watched_s, since_s, 1e-6)))
         (mn, me), (ln, le) = self.mean_rad, (north.heading_rad, east.heading_rad)
         mean = (mn + share * (ln - mn), me + share * (le - me))
         swing = (ln - mean[0]) ** 2 + (le - mean[1]) ** 2
         rate = north.rate_rad_s**2 + east.rate_rad_s**2
-        return LeanState(
+        return TiltState(
             north,
             east,
             mean,
@@ -80,13 +80,13 @@ class LeanState(NamedTuple):
         )
 
     @property
-    def lean(self) -> Lean:
+    def tilt(self) -> PadTilt:
         """What is known of it."""
         swing_rad = math.sqrt(self.swing_square)
         frequency = 0.0
         if swing_rad > STILL_RAD:
             frequency = min(QUICKEST_RAD_S, max(SLOWEST_RAD_S, math.sqrt(self.rate_square) / swing_rad))
-        return Lean(
+        return PadTilt(
             (self.north.heading_rad, self.east.heading_rad),
             (self.north.rate_rad_s, self.east.rate_rad_s),
             self.mean_rad,
@@ -96,5 +96,5 @@ class LeanState(NamedTuple):
         )
 
 
-LEVEL: Final = LeanState()
-NOT_LEANING: Final = Lean()
+LEVEL: Final = TiltState()
+NOT_TILTING: Final = PadTilt()
