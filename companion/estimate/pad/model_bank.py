@@ -129,7 +129,7 @@ class ModelBank:
         m, n = state.means.shape
         weights = self._members * state.probabilities
         mean = weights @ state.means
-        away = state.means - mean[self.group_of]
+        away = state.means - mean.take(self.group_of, axis=0)
         spread = state.covariances + away[:, :, None] * away[:, None, :]
         return Blend(mean, (weights @ spread.reshape(m, n * n)).reshape(-1, n, n))
 
@@ -150,7 +150,8 @@ class ModelBank:
     def _corrected(state: BankState, seen: Innovation, groups: Sequence[slice]) -> BankState:
         """x + K y, P - K S K' with K = P H' S^-1; S^-1 by Cramer's rule."""
         y, S = seen.y[:, :, None], seen.S
-        volume = S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] * S[:, 1, 0]
+        a, b, c, d = S.reshape(-1, _SEEN * _SEEN).T
+        volume = a * d - b * c
         inverse = S[:, ::-1, ::-1] * _ADJUGATE / volume[:, None, None]
         seen_with = state.covariances[:, :, :_SEEN]
         weighed = inverse @ y

@@ -59,11 +59,11 @@ _CLIMB: Final = 1  # the second of the bank's groups
 _NO_AXIS_M2: Final = 1.0  # noise on the vertical models' second axis, where all expect the same
 # where (position, velocity, acceleration) of the three axes are in both groups' means (2, 8), and their
 # covariances in those (2, 8, 8); between the groups there is none, as on the vertical's second axis
-_STATES: Final = [8 * (axis // 2) + 2 * kind + axis % 2 for kind in range(3) for axis in range(3)]
+_STATES: Final = np.array([8 * (axis // 2) + 2 * kind + axis % 2 for kind in range(3) for axis in range(3)])
 _NONE: Final = 64 + 9
-_PAIRS: Final = [
-    [64 * (i // 8) + 8 * (i % 8) + j % 8 if i // 8 == j // 8 else _NONE for j in _STATES] for i in _STATES
-]
+_PAIRS: Final = np.array(
+    [[64 * (i // 8) + 8 * (i % 8) + j % 8 if i // 8 == j // 8 else _NONE for j in _STATES] for i in _STATES]
+)
 
 
 class PadFilter:
@@ -161,7 +161,7 @@ class PadFilter:
         (x, y, z), (vx, vy, vz) = self._motion.moved(start_s, end_s)
         ways = np.array([[-x, -y, -vx, -vy, 0.0, 0.0, 0.0, 0.0], [-z, 0.0, -vz, 0.0, 0.0, 0.0, 0.0, 0.0]])
         F, Q = self._models.step(end_s - start_s, turn)
-        return ModelTransition(F, Q, ways[self._bank.group_of])
+        return ModelTransition(F, Q, ways.take(self._bank.group_of, axis=0))
 
     # ------------------------------------------------------------ measurements
 
@@ -192,7 +192,7 @@ class PadFilter:
         north, east, down = position_ned_m
         a, b, d, f = variances_m2
         groups = np.array([[north, east, a, b, b, d], [down, 0.0, f, 0.0, 0.0, _NO_AXIS_M2]])
-        models = groups[self._bank.group_of]
+        models = groups.take(self._bank.group_of, axis=0)
         return innovation(self._bank.state, models[:, :2], models[:, 2:].reshape(-1, 2, 2))
 
     def _passes_sighting(self, seen: Innovation, north_down_m2: float, east_down_m2: float) -> bool:

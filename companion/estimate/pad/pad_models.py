@@ -61,12 +61,14 @@ TERMS: Final = 10
 
 _EXPONENTS: Final = np.arange(float(TERMS))
 # where, in a flat (8, 8), the complex factors of acceleration and jerk stand, as blocks that multiply by them
-_TURNED: Final = [
-    8 * (row + down) + column + along
-    for row, column in ((0, 4), (2, 4), (4, 4), (0, 6), (2, 6), (4, 6), (6, 6))
-    for down in (0, 1)
-    for along in (0, 1)
-]
+_TURNED: Final = np.array(
+    [
+        8 * (row + down) + column + along
+        for row, column in ((0, 4), (2, 4), (4, 4), (0, 6), (2, 6), (4, 6), (6, 6))
+        for down in (0, 1)
+        for along in (0, 1)
+    ]
+)
 
 
 class Turn(NamedTuple):
