@@ -122,16 +122,16 @@ def test_tilt_changes_no_faster_than_the_jerk(factor: float) -> None:
     assert yaw_from_quat(limited.attitude) == pytest.approx(0.3)
 
 
-@pytest.mark.parametrize("turn_deg", [4.4999, 4.5001, 90.0, -4.4999, -4.5001, -90.0])
+@pytest.mark.parametrize("turn_deg", [8.9999, 9.0001, 90.0, -8.9999, -9.0001, -90.0])
 @pytest.mark.parametrize("start_deg", [0.0, 90.0, 178.0, -90.0])
 def test_heading_turns_no_faster_than_allowed(turn_deg: float, start_deg: float) -> None:
     gate = _gate()
     gate.apply(Setpoint(0.0, heading_rad=math.radians(start_deg)), 1.0)
     limited, broken = gate.apply(Setpoint(0.0, heading_rad=math.radians(start_deg + turn_deg)), 1.1)
     turned = math.remainder(limited.heading_rad - math.radians(start_deg), math.tau)
-    allowed = math.radians(max(-4.5, min(4.5, turn_deg)))
+    allowed = math.radians(max(-9.0, min(9.0, turn_deg)))
     assert turned == pytest.approx(allowed, abs=1e-9)
-    assert broken == (("heading",) if abs(turn_deg) > 4.5 else ())
+    assert broken == (("heading",) if abs(turn_deg) > 9.0 else ())
 
 
 def test_a_limited_heading_is_the_attitudes_too() -> None:
