@@ -13,7 +13,7 @@ from companion.link.codec import Severity
 
 KEPT: Final = 20
 # the same fault again within it is for the log alone: many a second would crowd out everything else
-REPEATED_S: Final = 5.0
+REPEATED_S: Final = 2.0
 
 
 class Announcer:

@@ -118,7 +118,7 @@ class Controller:
         self._heading = HeadingReference(math.radians(config.limits.heading_rate_deg_s))
         self._nodes_s: FloatArray = config.step_s * np.arange(config.horizon_steps + 1, dtype=np.float64)
         self._stepped_s: float | None = None
-        self._flying = False
+        self._flying = self._given_up = False
         self._failures, self._cuts = FAILURES_TO_STOP, 0
 
     def step(
@@ -138,8 +138,8 @@ class Controller:
         pad is answered by a stop. While the autopilot does not obey setpoints yet (PX4 wants to receive some
         before it does), each step starts again from how the vehicle moves: what was asked for in vain
         explains nothing, and the take-over is without a jump. An autopilot that has sent nothing for
-        `silent_s` may not hear us either: soon nothing is learnt from what it does, and later it counts as
-        one that does not obey.
+        `silent_s` may not hear us either, or may obey all the same: soon nothing is learnt from what it does,
+        and once it is heard again after long, the step starts again too.
         """
         if plan.reference is None:
             self._stepped_s = None
@@ -150,8 +150,11 @@ class Controller:
         self._heading.step(plan.reference.heading_rad, elapsed_s)
         if plan.on_ground:
             return self._rest(plan.reference, pad, now_s)
-        if not obeyed or silent_s >= GIVEN_UP_S:
+        heard_again = self._given_up and silent_s < GIVEN_UP_S
+        self._given_up = silent_s >= GIVEN_UP_S
+        if not obeyed:
             self._gate.reset()
+        if not obeyed or heard_again:
             self._flying = False
         if vehicle.imu_age_s > BLIND_S:
             setpoint, report = self._wait_for_imu(plan.reference, vehicle, pad, now_s)

@@ -267,7 +267,8 @@ class PhaseSteering:
             self._say(
                 "pad_lost", f"pad not seen: {doing} ({known}), new position requested", now_s, "warning"
             )
-        return (MissionEvent.PAD_SEEN, self._pad.in_words()) if step.seen else None
+        seen = step.seen and self._ground_near() is None  # or the approach would end in its first cycle
+        return (MissionEvent.PAD_SEEN, self._pad.in_words()) if seen else None
 
     def _come_in(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         wrong = self._ground_near()
@@ -324,8 +325,6 @@ class PhaseSteering:
         if self._machine.authority is Authority.RELEASED and (returned or not inputs.autopilot.offboard):
             self._generator.stop()
         return None
-
-    # ------------------------------------------------------------ helpers
 
     def _keep_near_pad(self, inputs: PlanInputs, now_s: float) -> None:
         """Unseen, the reference is in the EKF's NED, and what moves there is the vehicle alone."""

@@ -40,8 +40,10 @@ _COMMITS_BELOW = 0.9
 # Echoes so much deeper than the unseen pad's estimate, for so long: the pad is not below any more.
 _DEEPER_M = 0.25
 _DEEPER_S = 0.15
-# One sign of contact alone shows the feet down where the last estimate has them no higher than this.
+# One sign of contact alone shows the feet down where the last estimate has them no higher than this; so near,
+# an echo that agrees with the estimate shows that the pad, unseen for long, is below all the same.
 _NEAR_M = 0.1
+_AGREES_M = 0.05
 
 
 class TouchdownSequence:
@@ -170,11 +172,11 @@ class TouchdownSequence:
 
     def _sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         signs = self._signs(sight, inputs, now_s)
-        near = sight is not None and sight.height_m <= self._vehicle.leg_height_m + _NEAR_M
-        shown = near and signs.count > 0
-        self.feet_down = self._one_sign.held_s(shown, now_s) >= self._config.contact_s
         touching = signs.count >= SIGNS_NEEDED
-        if self._touching.held_s(touching, now_s) >= self._config.contact_s:
+        shown = signs.count > 0 and sight is not None and self._near(sight)
+        self.feet_down = self._one_sign.held_s(shown, now_s) >= self._config.contact_s
+        unseen = sight is not None and sight.age_s > self._config.blind_s
+        if self._touching.held_s(touching, now_s) >= self._config.contact_s or (self.feet_down and unseen):
             return MissionEvent.CONTACT, signs.in_words()
         if touching:
             self._levelling.touching(now_s)
@@ -196,7 +198,8 @@ class TouchdownSequence:
         below_m = math.inf if sight is None else sight.height_m
         deeper = unseen and echo_m is not None and echo_m > below_m + _DEEPER_M
         gone = self._deeper.held_s(deeper, now_s) >= _DEEPER_S
-        if not gone and sight is not None and sight.age_s <= c.blind_s:
+        below = sight is not None and self._near(sight) and abs((echo_m or 0.0) - below_m) <= _AGREES_M
+        if not gone and sight is not None and (below or sight.age_s <= c.blind_s):
             return None
         sink_m_s = self._levelling.planned_m_s if sight is None else sight.sink_m_s
         if not self._has_room(below_m if echo_m is None else echo_m, sink_m_s):
@@ -204,6 +207,9 @@ class TouchdownSequence:
         self._generator.rise(now_s)
         why = "not below any more" if gone else f"not seen for {c.blind_s:.1f} s"
         return MissionEvent.PAD_LOST, f"{why} while sinking"
+
+    def _near(self, sight: PadState) -> bool:
+        return sight.height_m <= self._vehicle.leg_height_m + _NEAR_M
 
     def _echo_height_m(self, echo: RangeSample | None, now_s: float) -> float | None:
         """Height (m) of the reference point by a fresh echo."""

@@ -60,3 +60,13 @@ def test_the_echo_of_the_ground_and_an_old_sighting_are_no_contact() -> None:
     w.lie_m = lambda _t: -0.2  # it believes the pad at its feet
     w.fly(0.6, until=lambda _w: False)
     assert not w.flight.told("contact")
+
+
+def test_unseen_at_the_last_an_echo_that_agrees_brings_it_down_and_shows_the_contact() -> None:
+    """LAND would brake over a pad that drives on, a few centimetres below."""
+    w = world(line(1.0))
+    sinking_to(w, 0.27)
+    w.blind = lambda _t, _height: True
+    w.fly(6.0, until=lambda w: bool(w.flight.told("contact") or w.flight.told("set_down")))
+    assert w.flight.told("contact")
+    assert not w.flight.told("set_down")
