@@ -170,24 +170,27 @@ def median(descents: Sequence[Descent], figure: Callable[[Descent], float]) -> f
 
 
 def table(descents: Sequence[Descent]) -> Table:
-    """Medians and greatest values by law."""
+    """Medians and greatest values, a column a law."""
     made = Table(title="from taking the pad up: median (greatest)", title_justify="left")
-    made.add_column("law")
-    made.add_column("landed", justify="right")
-    made.add_column("cycles decided", justify="right")
-    for name, _, _ in FIGURES:
-        made.add_column(name, justify="right")
+    made.add_column("")
     for law in LAWS:
-        own = of_law(descents, law)
-        cells = []
-        for _, form, figure in FIGURES:
-            values = [figure(d) for d in own if np.isfinite(figure(d))]
-            worst = form.format(max(values)) if values else "-"
-            cells.append(f"{form.format(median(own, figure))} ({worst})")
-        decided, cycles = (sum(getattr(d.authority, name) for d in own) for name in ("decided", "cycles"))
-        landed = f"{sum(d.landed for d in own)} of {len(own)}"
-        made.add_row(law, landed, f"{decided} of {cycles}", *cells)
+        made.add_column(law, justify="right")
+    groups = [of_law(descents, law) for law in LAWS]
+    made.add_row("landed", *(f"{sum(d.landed for d in own)} of {len(own)}" for own in groups))
+    made.add_row("cycles decided", *map(_decided, groups))
+    for name, form, figure in FIGURES:
+        made.add_row(name, *(_median_and_greatest(own, form, figure) for own in groups))
     return made
+
+
+def _decided(descents: Sequence[Descent]) -> str:
+    decided, cycles = (sum(getattr(d.authority, name) for d in descents) for name in ("decided", "cycles"))
+    return f"{decided} of {cycles}"
+
+
+def _median_and_greatest(descents: Sequence[Descent], form: str, figure: Callable[[Descent], float]) -> str:
+    values = [figure(d) for d in descents if np.isfinite(figure(d))]
+    return f"{form.format(median(descents, figure))} ({form.format(max(values))})" if values else "-"
 
 
 def bars(descents: Sequence[Descent]) -> dict[str, bool]:

@@ -1,11 +1,14 @@
 """Descent profiles: what is measured of a made-up descent, and which bars hold."""
 
 import math
+import re
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from companion.base.messages import Outcome, Phase, Truth
 from companion.research import profiles
@@ -71,6 +74,10 @@ def test_bars_hold_or_fail_one_by_one() -> None:
 
 def test_table_and_picture(tmp_path: Path) -> None:
     flown = _three()
-    assert profiles.table(flown).row_count == 3
+    console = Console(width=80, record=True, file=StringIO())
+    console.print(profiles.table(flown))
+    shown = console.export_text()
+    assert "…" not in shown
+    assert re.search(r"landed +│ +1 of 1 │ +1 of 1 │ +1 of 1 │", shown)
     profiles.draw(flown, tmp_path / "profiles.png")
     assert (tmp_path / "profiles.png").read_bytes().startswith(b"\x89PNG")
