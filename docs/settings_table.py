@@ -49,6 +49,8 @@ MEANINGS: Final = DOCS / "meanings.yaml"
 # longest first: a name ends in its unit
 UNITS: Final = {
     "rad_s2_rthz": "rad/s²/√Hz",
+    "m_s4_rthz": "m/s⁴/√Hz",
+    "mrad": "mrad",
     "m_s2_rthz": "m/s²/√Hz",
     "m_s3_rthz": "m/s³/√Hz",
     "rad_s_rts": "rad/s/√s",

@@ -93,6 +93,7 @@ def diagram() -> Iterator[str]:
         yield f'    state "{phase.value}" as {group} {{'
         yield from (f'        state "{_name(part)}" as {part.value}' for part in parts)
         yield "    }"
+    yield f"    [*] --> {State.STANDBY.value}"
     yield f"    [*] --> {State.CONNECT.value}"
     for (source, target), labels in _edges().items():
         yield f"    {source} --> {target}: {', '.join(labels)}"

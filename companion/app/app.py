@@ -1,4 +1,4 @@
-"""The application: one task a stage, at their own rates. Nothing here decides how to fly.
+"""The application: a task a device, one for the link, and one that plans, controls and sends.
 
     frames ─► vision ─┐
     mpu9250 ──────────┼─► estimator ─► planner ─► controller ─► link ─► autopilot

@@ -11,7 +11,7 @@ from companion.config.obstacles import MOST_OBSTACLES, Place, Shape
 from companion.config.reading import StrictModel
 
 Height = Annotated[float, Field(ge=1.0, le=50.0)]
-# north and east of home (m), and height over home where it is not that of the take-off
+# north and east of home (m), and height over home (m, up) where it is not that of the take-off
 Waypoint = tuple[Place, Place] | tuple[Place, Place, Height]
 
 
@@ -20,7 +20,7 @@ _GUST_M_S: Final = 0.08  # what a gust adds to a planned sink
 
 
 class PhaseTimesConfig(StrictModel):
-    """How long each phase may last: every state ends by time."""
+    """How long each phase may last; standby waits for ever, and AUTO_LAND asks again while it is heard."""
 
     connect_s: float = Field(default=90.0, ge=5.0, le=3600.0)
     arm_s: float = Field(default=90.0, ge=2.0, le=300.0)

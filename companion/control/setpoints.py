@@ -5,8 +5,8 @@ the predicted velocity for the moment at which the setpoint takes effect, so tha
 the prediction holds and damps what the prediction did not know, and the MPC's acceleration as a_ff. The
 disturbance that lasts is met by an offset of v_sp, not of a_ff: the biased velocity estimate that mostly
 causes it is then cancelled where it arises, and wind goes over to the autopilot's integral, which an offset
-of a_ff would wind up for ever. What changes fast stays in a_ff, because an offset of v_sp counts for as much
-more or less as the autopilot's gain is off, which closes a loop that has to be slow.
+of a_ff would wind up for ever. What changes fast stays in a_ff: an error in the assumed K scales what an
+offset of v_sp does, and that closes a loop, which has to be slow.
 
 NED and FRD, SI units.
 """

@@ -1,7 +1,7 @@
 """The planner: from the estimates to the reference, one step a cycle (Algorithm 1).
 
-`Planner.step(inputs, now_s)` turns the inputs into at most one event, looks up in the mission's table what
-follows, lets the phase steer the reference, and returns it with the actions and notices of the cycle. Pure:
+`Planner.step(inputs, now_s)` turns the inputs into events, which act in order of gravity until one changes the
+state; the mission's table says what follows. It lets the phase steer the reference, and returns it with the actions and notices of the cycle. Pure:
 no I/O, no clock. NED, m, s, rad; references are relative to the pad as soon as the pad is what is flown to.
 """
 
@@ -104,7 +104,7 @@ class Planner:
         return list(not_ready(inputs, self._mission, now_s))
 
     def step(self, inputs: PlanInputs, now_s: float) -> PlanStep:
-        """One cycle at now_s: at most one event, then the reference, actions and notices."""
+        """One cycle at now_s: at most one change of state, then the reference, actions and notices."""
         self._notices = []
         self._see(inputs, now_s)
         self._watch_battery(inputs, now_s)

@@ -39,7 +39,7 @@ class MagSample:
 
 @dataclass(frozen=True, slots=True)
 class GpsFix:
-    """One three-dimensional fix (no fix is no message).
+    """One three-dimensional fix (no fix is no message). Altitude (m) is above mean sea level.
 
     `vertical_speed_accuracy_m_s` is given when it differs from `speed_accuracy_m_s`: a source without a
     vertical speed gives 0 with an accuracy that says so.
@@ -79,7 +79,7 @@ class AutopilotAttitude:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One grey image."""
+    """One grey image (height, width), 0 to 255; `time_s` is the middle of its exposure, at the middle row."""
 
     time_s: float
     received_s: float

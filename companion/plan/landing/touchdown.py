@@ -1,7 +1,7 @@
-"""The final descent, over the last third of a metre: wait, sink at a constant speed, rise again, stand.
+"""The touchdown, over the last third of a metre: wait over the pad, sink at a constant speed, rise, stand.
 
 Heights count from the vehicle's reference point: with the feet on the pad it is leg_height over it.
-Relative to the pad, NED axes, m and s. The mission's table decides which of the four.
+Relative to the pad, NED axes, m and s. The mission's table decides which of them.
 
 Contact is soft while the pad's acceleration is small: the vehicle follows an acceleration with a lag (about
 0.2 s), so its speed relative to the pad is off by acceleration x lag, whatever the pad's speed. During the

@@ -25,9 +25,10 @@ from companion.plan.mission.table import FINAL, ON_GROUND
 _STALE_ESTIMATE_S = 0.5
 _STALE_SINKING_S = 1.0
 _OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz
-# Beyond this a stop has been flown, and the wind decides.
+# So long without a plan the stop is complete, and the vehicle drifts with the wind.
 _NO_PLAN_S = 1.0
-# Every correction goes astray by it; it is taken off the loop's phase margin, of which 45 deg are promised.
+# A camera turned by so much turns every correction by the same angle: that is taken off the loop's phase
+# margin, of which 45 deg are promised.
 _CAMERA_TURNED_RAD = math.radians(30.0)
 
 

@@ -85,7 +85,7 @@ class MissionEvent(StrEnum):
     MISALIGNED = "misaligned"  # no touchdown from here: climb and try again
     REFUSED = "refused"  # an action, as often as it may be asked
     TIMEOUT = "timeout"  # of the phase
-    OVERTIME = "overtime"  # of the whole mission, from take-off
+    OVERTIME = "overtime"  # of the whole mission, from take-off or the order to land
     DISARMED = "disarmed"
     PILOT_TOOK_OVER = "pilot_took_over"
     STOP = "stop_requested"
