@@ -24,7 +24,7 @@ class Announcer:
         self._new: list[Notice] = []
         self._log_problem_reported = False
         self._notified_once: set[str] = set()
-        self._last: dict[str, Notice] = {}  # told, of each kind
+        self._told_s: dict[tuple[str, str, Severity], float] = {}
         self.recent: deque[Notice] = deque(maxlen=KEPT)
 
     def notify(self, kind: str, text: str, severity: Severity) -> None:
@@ -45,14 +45,14 @@ class Announcer:
         self._log.write("notice", notice, notice.time_s)
         if notice.severity != "info" and self._just_told(notice):
             return
-        self._last[notice.kind] = notice
         self._new.append(notice)
         self.recent.append(notice)
         self._deliver(notice)
 
     def _just_told(self, notice: Notice) -> bool:
-        last = self._last.get(notice.kind)
-        return last is not None and last.text == notice.text and notice.time_s - last.time_s < REPEATED_S
+        told, now_s = (notice.kind, notice.text, notice.severity), notice.time_s
+        self._told_s = {key: time_s for key, time_s in self._told_s.items() if now_s - time_s < REPEATED_S}
+        return self._told_s.setdefault(told, now_s) < now_s
 
     def take(self) -> list[Notice]:
         """The notices since the last call."""

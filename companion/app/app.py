@@ -42,7 +42,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import CompanionConfig, ConfigError
-from companion.control.controller import Controller
+from companion.control.controller import BLIND_S, Controller
 from companion.control.response.fitting import misfits
 from companion.control.setpoints import resolved
 from companion.flightlog.record import FlightLog
@@ -222,7 +222,7 @@ class App:
             self._log.write("pad", pad, now_s)
         if plan.reference is None or self.session.setup is None:
             return
-        if vehicle is not None:
+        if vehicle is not None and vehicle.imu_age_s <= BLIND_S:
             self.session.align(vehicle.attitude, vehicle.time_s)
         obeyed, silent_s = self.session.state.offboard, now_s - self.session.heard_s
         controlled = self._control().step(plan, vehicle, pad, now_s, obeyed=obeyed, silent_s=silent_s)

@@ -20,6 +20,7 @@ from companion.base.messages import (
     AutopilotSetup,
     ControlReport,
     PadState,
+    Phase,
     PlanStep,
     Reference,
     Setpoint,
@@ -56,6 +57,8 @@ RESTART_AFTER_S = 0.5
 LONGEST_PREDICTION_S = 0.4
 # without the IMU for longer the vehicle is commanded not to accelerate
 BLIND_S = 0.1
+# A reference that waits over the pad moves by less.
+_SINKS_M_S: Final = 0.05
 # after so many solves in a row without a solution the old plan is worth nothing
 FAILURES_TO_STOP = 10
 # Its attitude alone is sent at 50 Hz. PX4 leaves our setpoints 1 s after the last one, ArduPilot GUID_TIMEOUT
@@ -157,7 +160,7 @@ class Controller:
         if not obeyed or heard_again:
             self._flying = False
         if vehicle.imu_age_s > BLIND_S:
-            setpoint, report = self._wait_for_imu(plan.reference, vehicle, pad, now_s)
+            setpoint, report = self._wait_for_imu(plan.phase, plan.reference, vehicle, pad, now_s)
             return setpoint, replace(report, obeyed=obeyed)
         if self._flying and not self._stopped:
             self._plant.observe(vehicle, elapsed_s, learns=silent_s < SILENT_S)
@@ -184,10 +187,11 @@ class Controller:
         self._flying = True
 
     def _wait_for_imu(
-        self, reference: Reference, vehicle: VehicleState, pad: PadState | None, now_s: float
+        self, phase: Phase, reference: Reference, vehicle: VehicleState, pad: PadState | None, now_s: float
     ) -> tuple[Setpoint, ControlReport]:
         """Until IMU samples come again or the estimate is given up; its motion is unknown meanwhile."""
         plant, self._flying = self._plant, False
+        sink_m_s = _sink_m_s(reference, pad) if phase is Phase.TOUCHDOWN else 0.0
         setpoint = blind_setpoint(
             now_s,
             self._config,
@@ -195,7 +199,7 @@ class Controller:
             plant.disturbance_ned_m_s2,
             plant.hover_thrust,
             self._look(),
-            sink_m_s=_final_sink_m_s(reference),
+            sink_m_s=sink_m_s,
         )
         setpoint, limited = self._gate.apply(_seen(setpoint, reference, pad), now_s)
         return setpoint, ControlReport(
@@ -330,9 +334,11 @@ class Controller:
         return Heading(self._heading.heading_rad, self._heading.rate_rad_s)
 
 
-def _final_sink_m_s(reference: Reference) -> float:
-    """What the vehicle sinks by when its feet are about to touch; 0 before."""
-    return 0.0 if reference.level_off is None else max(0.0, float(reference.velocity_m_s[0, 2]))
+def _sink_m_s(reference: Reference, pad: PadState | None) -> float:
+    """What the vehicle sinks by (m/s, NED) as the reference does over its pad; 0 where it does not sink."""
+    sink_m_s = float(reference.velocity_m_s[0, 2])
+    pad_m_s = pad.velocity_ned_m_s[2] if pad is not None and reference.origin == "pad" else 0.0
+    return max(0.0, sink_m_s + pad_m_s) if sink_m_s > _SINKS_M_S else 0.0
 
 
 def _seen(setpoint: Setpoint, reference: Reference, pad: PadState | None) -> Setpoint:

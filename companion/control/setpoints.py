@@ -163,10 +163,11 @@ def blind_setpoint(
     heading: Heading,
     sink_m_s: float = 0.0,
 ) -> Setpoint:
-    """Do not accelerate: keep the tilt against the wind, or a velocity loop's velocity, and the height.
+    """Do not accelerate: keep the tilt against the wind, or a velocity loop's velocity.
 
-    `sink_m_s` is what the vehicle goes on to sink by: nothing, unless its feet are about to touch. A velocity
-    loop that our accelerations have passed by stays passed by: its integral is from another wind.
+    Downwards it goes on to sink by `sink_m_s` (0: it keeps its height); with an attitude the thrust that
+    hovers keeps the vertical speed it has. A velocity loop that our accelerations have passed by stays passed
+    by: its integral is from another wind.
     """
     north, east, _ = wind_ned_m_s2
     against_wind = (-north, -east, 0.0)
@@ -178,6 +179,7 @@ def blind_setpoint(
         velocity_ned_m_s=(*velocity_ned_m_s[:2], sink_m_s),
         acceleration_ned_m_s2=against_wind if passed_by else ZERO3,
         heading_rad=heading.heading_rad,
+        heading_rate_rad_s=heading.rate_rad_s,
         holds_horizontal_velocity=not passed_by,
     )
 

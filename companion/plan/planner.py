@@ -1,8 +1,9 @@
 """The planner: from the estimates to the reference, one step a cycle (Algorithm 1).
 
-`Planner.step(inputs, now_s)` turns the inputs into events, which act in order of gravity until one changes the
-state; the mission's table says what follows. It lets the phase steer the reference, and returns it with the actions and notices of the cycle. Pure:
-no I/O, no clock. NED, m, s, rad; references are relative to the pad as soon as the pad is what is flown to.
+`Planner.step(inputs, now_s)` turns the inputs into events, which act in order of gravity until one changes
+the state; the mission's table says what follows. The phase steers the reference, which is returned with the
+actions and notices of the cycle. Pure: no I/O, no clock. NED, m, s, rad; references are relative to the pad
+as soon as the pad is what is flown to.
 """
 
 from __future__ import annotations
@@ -208,7 +209,7 @@ class Planner:
             may_finish=self._battery.finish_descent,
             in_offboard=in_offboard(inputs.autopilot),
             ends_inside=self._ends_inside(inputs),
-            feet_down=self._steering.feet_down,
+            feet_down=self._steering.feet_down(now_s),
         )
 
     def _ends_inside(self, inputs: PlanInputs) -> bool:

@@ -125,10 +125,9 @@ class PhaseSteering:
         """When the vehicle is to be level, in its final descent."""
         return self._touchdown.level_off() if self._machine.state in COMMITTED else None
 
-    @property
-    def feet_down(self) -> bool:
-        """Whether one sign of contact shows the feet on the pad, when no other can be had any more."""
-        return self._touchdown.feet_down
+    def feet_down(self, now_s: float) -> bool:
+        """Whether echoes alone show the feet on the pad, when no other sign can be had any more."""
+        return self._touchdown.feet_down(now_s)
 
     # ------------------------------------------------------------ entering a state
 

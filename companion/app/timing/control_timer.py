@@ -12,13 +12,13 @@ import asyncio
 import math
 from collections import deque
 from contextlib import suppress
-from statistics import mean, median
+from statistics import fmean, median
 from typing import Final
 
 from companion.base.clock import Clock
 
-# Shares of a period by which a cycle begins before it is due, or waits. The controller takes the time since
-# its last step as it is; an early frame waits for a steadier one.
+# Shares of a period by which a cycle begins before it is due, or waits: one lasts 0.7 to 1.4 periods. The
+# controller takes the time since its last step as it is; an early frame waits for a steadier one.
 EARLIEST: Final = 0.1
 LATEST: Final = 0.3
 # Shares of a frame's distance from the time due by which the timer is drawn: more towards late ones, since a
@@ -89,7 +89,7 @@ class ControlTimer:
         if len(self._intervals_s) < INTERVALS:
             return None
         middle_s = median(self._intervals_s)
-        interval_s = mean(t for t in self._intervals_s if t <= LOST * middle_s)
+        interval_s = fmean(t for t in self._intervals_s if t <= LOST * middle_s)
         frames = max(1, round(self.period_s / max(interval_s, 1e-3)))
         fits = abs(frames * interval_s - self.period_s) <= FITS * self.period_s
         return interval_s if fits else None

@@ -35,6 +35,11 @@ class VehicleState:
     imu_age_s: float = 0.0
     side_force_ned_m_s2: Vector3 = ZERO3
 
+    @property
+    def sensed_time_s(self) -> float:
+        """When the newest IMU sample was, by which the estimate goes."""
+        return self.time_s - self.imu_age_s
+
 
 @dataclass(frozen=True, slots=True)
 class PadState:

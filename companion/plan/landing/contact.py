@@ -30,6 +30,8 @@ _AWAY_S = 0.3
 # Without thrust it falls at g; a third of that is no deck's motion.
 _FALLS_M_S2 = GRAVITY_M_S2 / 3.0
 _FALLS_S = 0.15  # a bump of the pad is over sooner; a fall is 11 cm by then
+# Without the IMU rest has to last so much longer: nothing stays up without thrust for that long.
+_UNFELT_S = 2.0
 # Where nothing shows the feet down, for so long and so long after the contact: no landing is proven.
 _UNSHOWN_S = 2.0
 _UNSHOWN_AFTER_S = 4.0
@@ -134,8 +136,11 @@ class Standing:
     def _rested_s(self, vehicle: VehicleState | None, now_s: float, *, down: bool) -> float:
         """How long (s) it has stood without a break, pressed down; negative when it does not, or may not.
 
-        What is pressed down without thrust, with its feet shown down (`down`), and does not fall, stands.
+        What is pressed down without thrust, with its feet shown down (`down`), and does not fall, stands. A
+        silent IMU feels no fall: then it has to be shown down for longer.
         """
-        jolted = vehicle is None or norm(vehicle.acceleration_ned_m_s2) > _FALLS_M_S2
-        falls = self._falling.held_s(jolted, now_s) >= _FALLS_S
-        return self._resting.held_s(down and not falls, now_s)
+        silent = vehicle is None or now_s - vehicle.sensed_time_s > FRESH_S
+        jolted = vehicle is not None and norm(vehicle.acceleration_ned_m_s2) > _FALLS_M_S2
+        falls = self._falling.held_s(jolted and not silent, now_s) >= _FALLS_S
+        rested_s = self._resting.held_s(down and not falls, now_s)
+        return rested_s - _UNFELT_S if silent else rested_s

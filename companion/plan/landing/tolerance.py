@@ -21,6 +21,7 @@ _BORNE_PER_TIME = 0.35
 # After one wait, a tilt so little above the least within `gentle_wait_s` is a lull: a wind that does not
 # calm has none better.
 _LULL_M_S2 = 0.2
+_LULL_S = 0.5
 # The tolerance aside never exceeds this, unless the setting does.
 _FARTHEST_ASIDE_M = 0.12
 # A gust that has just begun shows in the speed first: the offset is judged so far ahead, the time from an
@@ -65,17 +66,18 @@ class Tolerance:
     def __init__(self, config: TouchdownConfig, since_s: float, slack: float) -> None:
         self._config, self._since_s, self.slack = config, since_s, slack
         self._tilts: deque[tuple[float, float]] = deque()  # of the last gentle_wait_s: when, m/s²
-        self._least_m_s2 = 0.0
+        self._lull_m_s2 = 0.0
 
     def note_tilt(self, tilt_m_s2: float, now_s: float) -> None:
         """Take in how much tilt a contact would have met, while waiting."""
         tilts = self._tilts
-        while tilts and tilts[-1][1] >= tilt_m_s2:
+        while tilts and tilts[-1][1] > tilt_m_s2:
             tilts.pop()
         tilts.append((now_s, tilt_m_s2))
         while now_s - tilts[0][0] > self._config.gentle_wait_s:
             tilts.popleft()
-        self._least_m_s2 = tilts[0][1]
+        turned = now_s - tilts[0][0] >= _LULL_S  # what falls still may fall on
+        self._lull_m_s2 = tilts[0][1] + _LULL_M_S2 if turned else 0.0
 
     def waits(self, now_s: float) -> float:
         """How many times `gentle_wait_s` this try has lasted."""
@@ -94,7 +96,7 @@ class Tolerance:
 
     def most_tilt_m_s2(self, now_s: float) -> float:
         """How much tilt (m/s²) at contact is borne: grows with the waits, and is no less than a lull's."""
-        lull_m_s2 = self._least_m_s2 + _LULL_M_S2 if self.waits(now_s) >= 1.0 else 0.0
+        lull_m_s2 = self._lull_m_s2 if self.waits(now_s) >= 1.0 else 0.0
         return max(self._config.gentle_tilt_m_s2 * self._borne(now_s), lull_m_s2)
 
     def most_tilt_rad(self, now_s: float) -> float:

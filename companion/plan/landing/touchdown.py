@@ -40,8 +40,9 @@ _COMMITS_BELOW = 0.9
 # Echoes so much deeper than the unseen pad's estimate, for so long: the pad is not below any more.
 _DEEPER_M = 0.25
 _DEEPER_S = 0.15
-# One sign of contact alone shows the feet down where the last estimate has them no higher than this; so near,
-# an echo that agrees with the estimate shows that the pad, unseen for long, is below all the same.
+# Short echoes alone, so many in a row, show the feet down where the last estimate has them no higher than
+# this; so near, an echo that agrees with it shows that the pad, unseen for long, is below all the same.
+_SHORT_ECHOES = 2
 _NEAR_M = 0.1
 _AGREES_M = 0.05
 
@@ -70,7 +71,7 @@ class TouchdownSequence:
         self._tolerance = Tolerance(self._config, now_s, slack)
         self._settled, self._touching = Debounce(), Debounce()
         self._too_fast, self._far_aside, self._deeper = Debounce(), Debounce(), Debounce()
-        self._one_sign, self.feet_down = Debounce(), False
+        self._short_echoes: list[float] = []
         self.tilt = TiltForecast()
         self._levelling = Levelling(self._config, self._vehicle)
 
@@ -163,7 +164,7 @@ class TouchdownSequence:
     def _commit(self, now_s: float) -> None:
         c = self._config
         self._sunk_s = now_s
-        self._one_sign, self.feet_down = Debounce(), False
+        self._short_echoes = []
         speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(self._tilt_at_contact_m_s2())
         self._blended_s = now_s + c.blend_s
         blended_m = self._generator.sink(speed_m_s, c.blend_s, now_s)
@@ -173,19 +174,33 @@ class TouchdownSequence:
     def _sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         signs = self._signs(sight, inputs, now_s)
         touching = signs.count >= SIGNS_NEEDED
-        shown = signs.count > 0 and sight is not None and self._near(sight)
-        self.feet_down = self._one_sign.held_s(shown, now_s) >= self._config.contact_s
+        self._note_echo(signs, sight, inputs.range)
         unseen = sight is not None and sight.age_s > self._config.blind_s
-        if self._touching.held_s(touching, now_s) >= self._config.contact_s or (self.feet_down and unseen):
+        if self._touching.held_s(touching, now_s) >= self._config.contact_s or (
+            unseen and self.feet_down(now_s)
+        ):
             return MissionEvent.CONTACT, signs.in_words()
         if touching:
             self._levelling.touching(now_s)
             return None
+        if inputs.vehicle is not None and now_s - inputs.vehicle.sensed_time_s > FRESH_S:
+            return None  # what else is believed now, is only predicted
         lost = self._lost(sight, inputs.range, now_s)
         if lost is not None:
             return lost
         assert sight is not None
         return self._go_down(sight, now_s)
+
+    def _note_echo(self, signs: ContactSigns, sight: PadState | None, echo: RangeSample | None) -> None:
+        if echo is None or not signs.short_echo or sight is None or not self._near(sight):
+            self._short_echoes = []
+        elif echo.time_s not in self._short_echoes:
+            self._short_echoes = [*self._short_echoes, echo.time_s][-_SHORT_ECHOES:]
+
+    def feet_down(self, now_s: float) -> bool:
+        """Whether echoes alone show the feet on the pad, when no other sign can be had any more."""
+        echoes = self._short_echoes
+        return len(echoes) == _SHORT_ECHOES and now_s - echoes[-1] <= FRESH_S
 
     def _lost(self, sight: PadState | None, echo: RangeSample | None, now_s: float) -> DetectedEvent | None:
         """Whether the pad is lost: unseen for too long, or unseen and not below any more by the echoes.
@@ -198,8 +213,8 @@ class TouchdownSequence:
         below_m = math.inf if sight is None else sight.height_m
         deeper = unseen and echo_m is not None and echo_m > below_m + _DEEPER_M
         gone = self._deeper.held_s(deeper, now_s) >= _DEEPER_S
-        below = sight is not None and self._near(sight) and abs((echo_m or 0.0) - below_m) <= _AGREES_M
-        if not gone and sight is not None and (below or sight.age_s <= c.blind_s):
+        agrees = echo_m is not None and abs(echo_m - below_m) <= _AGREES_M
+        if not gone and sight is not None and (sight.age_s <= c.blind_s or (agrees and self._near(sight))):
             return None
         sink_m_s = self._levelling.planned_m_s if sight is None else sight.sink_m_s
         if not self._has_room(below_m if echo_m is None else echo_m, sink_m_s):

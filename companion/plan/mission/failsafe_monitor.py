@@ -107,9 +107,8 @@ class FailsafeMonitor:
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
         seems_fast = any(event is MissionEvent.PAD_TOO_FAST for event, _ in bounds)
         found += [*self._camera(inputs.camera_turned_rad, seems_fast), *bounds, *self._time(now_s)]
-        if heard:
-            found.append((MissionEvent.LINK_UP, "heartbeat again"))
-        return tuple(found)
+        link_up = (MissionEvent.LINK_UP, "heartbeat again")
+        return (*found, link_up) if heard else tuple(found)
 
     def _late(self, autopilot: AutopilotState, now_s: float) -> Iterator[DetectedEvent]:
         """Whether answers take too long; without any there is no telling, and LINK_LOST may follow."""
@@ -134,7 +133,7 @@ class FailsafeMonitor:
 
     def _estimate(self, vehicle: VehicleState | None, now_s: float) -> Iterator[DetectedEvent]:
         longest_s = _STALE_SINKING_S if self._machine.state is State.SINK else _STALE_ESTIMATE_S
-        if vehicle is None or not vehicle.aligned or _sensed_ago_s(vehicle, now_s) > longest_s:
+        if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > longest_s:
             yield MissionEvent.ESTIMATE_LOST, "no fresh estimate of the vehicle"
         elif not vehicle.velocity_std_m_s <= self._config.largest_speed_std_m_s:
             yield MissionEvent.VELOCITY_UNKNOWN, f"standard deviation {vehicle.velocity_std_m_s:.1f} m/s"
@@ -149,8 +148,3 @@ class FailsafeMonitor:
         limit_s: float = getattr(self._config.phases, f"{phase.value}_s")
         if now_s - self._phase_since_s > limit_s:
             yield MissionEvent.TIMEOUT, f"{limit_s:.0f} s in {phase.value.replace('_', ' ')}"
-
-
-def _sensed_ago_s(vehicle: VehicleState, now_s: float) -> float:
-    """How long ago (s) the newest IMU sample was, by which the estimate goes."""
-    return now_s - vehicle.time_s + vehicle.imu_age_s

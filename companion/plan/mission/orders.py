@@ -83,7 +83,7 @@ def _autopilot(autopilot: AutopilotState, mission: MissionConfig) -> Iterator[st
 
 
 def _estimate(vehicle: VehicleState | None, mission: MissionConfig, now_s: float) -> Iterator[str]:
-    if vehicle is None or not vehicle.aligned or now_s - vehicle.time_s > _STALE_S:
+    if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > _STALE_S:
         yield "no fresh estimate of the vehicle"
     elif vehicle.origin is None:
         yield "our own estimate has no GPS position yet"

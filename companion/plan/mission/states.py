@@ -129,7 +129,7 @@ class Guard(StrEnum):
     UNHEARD = "the autopilot has not been heard for long"
     MAY_FINISH = "the settings let a descent finish"
     ENDS_INSIDE = "the pad is inside the fence until the landing ends"
-    FEET_DOWN = "a sign of contact shows the feet down"
+    FEET_DOWN = "echoes show the feet down"
 
 
 class Effect(StrEnum):

@@ -78,7 +78,7 @@ def test_a_pilot_takes_over_a_stop_holds_and_each_time_it_stands_by_again() -> N
         await asyncio.sleep(5.0)
         assert field.setpoints() == sent
         field.order()
-        await field.phase(Phase.APPROACH)
+        await field.phase(Phase.DESCEND)
         field.order(mavlink.MAV_CMD_USER_1, 0.0)
         await field.phase(Phase.STANDBY, 20.0)
         assert field.acks(LAND)[2:] == [IN_PROGRESS, 6]  # MAV_RESULT_CANCELLED

@@ -133,9 +133,9 @@ def test_the_heading_turns_at_the_allowed_rate_from_where_the_vehicle_looks() ->
         vehicle = vehicle_state(now, attitude=quat_from_euler(0.1, -0.05, start))
         answer = fly.step(plan_step(now, hover_reference(now, heading_rad=3.0)), vehicle, pad_state(now), now)
         assert answer is not None
-        assert answer[0].heading_rad == pytest.approx(start + math.radians(45.0) * now)
+        assert answer[0].heading_rad == pytest.approx(start + math.radians(90.0) * now)
     assert answer is not None
-    assert 0.3 < answer[0].heading_rate_rad_s <= math.radians(45.0)
+    assert 0.3 < answer[0].heading_rate_rad_s <= math.radians(90.0)
 
 
 def test_by_attitude_the_heading_is_in_the_attitude() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import ZERO3, Vector3, norm, quat_from_euler, subtract, tilt_from_quat
-from companion.base.messages import LevelOff, Setpoint
+from companion.base.messages import Phase, Setpoint
 from companion.config import ControlConfig
 from companion.control.attitude import attitude_from_acceleration
 from companion.control.controller import FAILURES_TO_STOP
@@ -108,12 +108,13 @@ def test_without_the_imu_it_is_reported_not_to_accelerate_until_samples_come_aga
 def test_without_the_imu_px4_keeps_the_tilt_and_goes_on_down_where_contact_is_near() -> None:
     fly = controller(setpoint="acceleration")
     sinking = replace(hover_reference(0.0), velocity_m_s=np.full_like(hover_reference(0.0).velocity_m_s, 0.2))
-    for level_off, sink_m_s in ((None, 0.0), (LevelOff(0.0, 9.0, 0.1), 0.2)):
+    for phase, sink_m_s in ((Phase.DESCEND, 0.0), (Phase.TOUCHDOWN, 0.3)):
         for k in range(10):
             now = k * PERIOD_S
-            reference = replace(sinking, time_s=now, level_off=level_off)
+            plan = replace(plan_step(now, replace(sinking, time_s=now)), phase=phase)
             vehicle = vehicle_state(now, velocity_ned_m_s=(1.0, 0.0, 0.2), imu_age_s=0.2)
-            answer = fly.step(plan_step(now, reference), vehicle, pad_state(now), now)
+            pad = pad_state(now, velocity=(1.0, 0.0, 0.1))  # it sinks itself: the reference counts from it
+            answer = fly.step(plan, vehicle, pad, now)
         assert answer is not None
         setpoint = answer[0]
         # its velocity loop, whose integral is from another wind, stays passed by

@@ -250,7 +250,7 @@ def test_silent_imu_means_no_state() -> None:
     for _, sample in EstimateFlight(seed=11, duration_s=3.0).samples:
         feed(estimator, sample)
     assert estimator.vehicle(3.3) is not None
-    assert estimator.vehicle(3.6) is None
+    assert estimator.vehicle(4.1) is None
 
 
 def test_unseen_for_too_long_the_pad_is_forgotten() -> None:

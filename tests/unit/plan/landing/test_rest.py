@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2
-from companion.base.messages import ActionKind, AutopilotState, LandedState, PadState, Phase, VehicleState
+from companion.base.messages import ActionKind, AutopilotState, LandedState, PadState, Phase
 from companion.config import TouchdownConfig
 from companion.plan.landing.contact import Standing
 from companion.plan.mission.inputs import PlanInputs
@@ -19,16 +19,24 @@ from tests.unit.plan.pad_paths import line
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
 Seen = Callable[[float], PadState | None]
-FALL: VehicleState = vehicle_state(0.0, acceleration_ned_m_s2=(0.0, 0.0, GRAVITY_M_S2))
 
 
-def rests_at_s(seen: Seen, falls: Callable[[float], bool] = lambda _t: False) -> float:
+def rests_at_s(
+    seen: Seen,
+    falls: Callable[[float], bool] = lambda _t: False,
+    *,
+    felt: bool = True,
+    silent_s: float = 0.0,
+) -> float:
     """When standing since 0 s is proven by rest; inf when not within 5 s."""
     standing = Standing(TouchdownConfig(), VEHICLE)
     standing.begin(0.0)
     for k in range(150):
         now_s = k * CYCLE_S
-        vehicle = FALL if falls(now_s) else vehicle_state(now_s)
+        acceleration = (0.0, 0.0, GRAVITY_M_S2 if falls(now_s) else 0.0)
+        vehicle = (
+            vehicle_state(now_s, acceleration_ned_m_s2=acceleration, imu_age_s=silent_s) if felt else None
+        )
         inputs = PlanInputs(vehicle, None, AutopilotState(now_s, landed=LandedState.IN_AIR))
         found = standing.step(seen(now_s), inputs, now_s)
         if found is not None:
@@ -52,6 +60,14 @@ def test_what_falls_does_not_rest_and_a_bump_of_the_pad_is_no_fall() -> None:
     seen = sight(height=LEG_M)
     assert rests_at_s(lambda _t: seen, lambda t: 0.4 < t < 0.7) == pytest.approx(1.7, abs=0.05)
     assert rests_at_s(lambda _t: seen, lambda t: 0.4 < t < 0.5) == pytest.approx(1.0, abs=CYCLE_S)
+
+
+@pytest.mark.parametrize(("felt", "silent_s"), [(False, 0.0), (True, 0.5)])
+def test_without_the_imu_the_feet_have_to_be_shown_down_for_three_seconds(
+    felt: bool, silent_s: float
+) -> None:
+    at_s = rests_at_s(lambda _t: sight(height=LEG_M), felt=felt, silent_s=silent_s)
+    assert at_s == pytest.approx(3.0, abs=CYCLE_S)
 
 
 def test_the_motors_are_stopped_a_second_after_the_contact_though_the_autopilot_doubts_it() -> None:
