@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
-from companion.base.messages import Outcome, Phase, Truth
+from companion.base.messages import Conditions, Outcome, Phase, Truth
 from companion.research import profiles
 from companion.research.flown import EndedFlight
 from companion.research.profiles import Descent
@@ -71,6 +72,26 @@ def test_bars_hold_or_fail_one_by_one() -> None:
 
 def test_table_and_picture(tmp_path: Path) -> None:
     flown = _three()
-    assert profiles.table(flown).row_count == 3
+    assert profiles.table(flown).row_count == len(profiles.LAWS)
     profiles.draw(flown, tmp_path / "profiles.png")
     assert (tmp_path / "profiles.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_conditions_met_are_shown_by_scenario() -> None:
+    one = profiles.measure(_descent(), "fuzzy")
+    calm = replace(
+        one, law="fuzzy_pace", scenario="static", conditions=(Conditions(0.009, 0.05, 0.2, 1.25),) * 5
+    )
+    storm = replace(
+        one, law="fuzzy_pace", scenario="gusts", conditions=(Conditions(0.011, 0.15, 1.1, 0.75),) * 5
+    )
+    console = Console(record=True, width=110)
+    console.print(profiles.conditions_table([calm, storm, replace(calm, law="fixed")]))
+    shown = console.export_text()
+    assert [line.split()[1] for line in shown.splitlines() if "(" in line and "to" in line][-2:] == [
+        "static",
+        "gusts",
+    ]
+    assert "1.25 (1.25 to 1.25)" in shown
+    assert "0.75 (0.75 to 0.75)" in shown
+    assert "nan" in str(profiles.conditions_table([replace(one, law="fuzzy_pace")]).columns[1]._cells)
