@@ -83,7 +83,8 @@ def measure(flown: EndedFlight, law: str) -> Descent:
     """What the descent of a flight was like."""
     result = flown.result
     landed = result.outcome is Outcome.LANDED
-    began_s, ended_s = flown.first_s(Phase.APPROACH), flown.contact_s()
+    began_s = flown.first_s(Phase.APPROACH)
+    ended_s = None if began_s is None else flown.contact_s(began_s)
     if began_s is None or ended_s is None or ended_s - began_s < 1.0:
         return Descent(law, result.scenario, result.seed, landed)
     truth = TruthTrack(flown.truth)

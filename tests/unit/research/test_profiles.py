@@ -46,6 +46,14 @@ def test_a_descent_is_measured_from_taking_the_pad_up() -> None:
     assert (measured.contact_m_s, measured.lateral_contact_m) == (0.2, 0.03)
 
 
+def test_a_touch_at_the_take_off_is_not_the_contact() -> None:
+    flown = _descent()
+    bounced = [*flown.truth[:2], replace(flown.truth[2], in_contact=True), *flown.truth[3:]]
+    assert profiles.measure(EndedFlight(flown.result, bounced, flown.kept), "fuzzy").seconds == pytest.approx(
+        10.0
+    )
+
+
 def test_a_flight_that_never_saw_the_pad_has_no_figures() -> None:
     flown = _descent()
     lost = EndedFlight(result(Outcome.ABORTED), flown.truth, {"plan": plans((0.0, Phase.SEARCH))})
