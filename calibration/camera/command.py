@@ -24,9 +24,11 @@ itself. It refuses a calibration that is not good enough to fly with, and says w
 
 \b
 calibrate-camera --make-board board.pdf
-calibrate-camera v4l2:0 --board board.yaml --size 1280x720 --keep frames --serve 8081 -o mine.yaml
+calibrate-camera v4l2:0 --board board.yaml --size 1280x720 --keep frames \\
+    --serve 8081 -o mine.yaml
 calibrate-camera frames -o mine.yaml --plots plots
-calibrate-camera photos --board 9x6 --pattern chessboard --square-mm 25 --model rational -o mine.yaml
+calibrate-camera photos --board 9x6 --pattern chessboard --square-mm 25 \\
+    --model rational -o mine.yaml
 """
 
 app = new_app()

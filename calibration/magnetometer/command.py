@@ -22,7 +22,8 @@ autopilot (--connect). Turn the vehicle slowly into all attitudes until the sphe
 calibrate-magnetometer --config companion.yaml --position 47.40,8.55
 calibrate-magnetometer --bus i2c:1 -o magnetometer.yaml --serve 8080
 calibrate-magnetometer --connect udpin:0.0.0.0:14550 --position 47.40,8.55
-calibrate-magnetometer turns.csv --unit mG --position 47.40,8.55,430 --date 2026-05-01
+calibrate-magnetometer turns.csv --unit mG --position 47.40,8.55,430 \\
+    --date 2026-05-01
 calibrate-magnetometer 00000042.BIN
 
 Exit codes: 0 calibrated, 1 refused as not good enough (the picture shows why; only --force writes the file),

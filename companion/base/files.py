@@ -42,6 +42,8 @@ def find_file(folder: str, name: str | Path) -> Path:
     if path.suffix in YAML_SUFFIXES:
         raise ConfigError(f"{folder}: no file '{name}'; expected the path of one that there is, or a name")
     names = ", ".join(sorted(p.stem for p in (CONFIG_FOLDER / folder).glob("*.yaml")))
+    if path.is_dir():
+        raise ConfigError(f"{path}: a folder; expected a .yaml file, or one of configs/{folder}: {names}")
     raise ConfigError(f"{folder}: no '{name}'; expected the path of a .yaml file or one of: {names}")
 
 

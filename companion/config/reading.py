@@ -68,7 +68,8 @@ def read_yaml(path: Path, key: str | None = None) -> dict[str, Any]:
         ConfigError: unreadable, not YAML (with line and column), or not a mapping.
     """
     try:
-        data = _load(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        data = _load(text)
     except OSError as error:
         raise cannot_read(path, error, key) from error
     except UnicodeDecodeError as error:
@@ -76,6 +77,10 @@ def read_yaml(path: Path, key: str | None = None) -> dict[str, Any]:
     except RecursionError as error:
         raise ConfigError(f"{path}: nested too deeply; expected settings") from error
     except yaml.YAMLError as error:
+        if text.startswith("%YAML:"):  # no directive of YAML: OpenCV's FileStorage begins so
+            raise ConfigError(
+                f"{path}: a file of OpenCV's own kind; expected YAML like that in configs/"
+            ) from error
         mark = getattr(error, "problem_mark", None)
         where = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not readable"

@@ -65,7 +65,10 @@ def fig13_command(
 def profiles_command(
     *,
     scenarios: Annotated[
-        list[str], typer.Option("--scenario", help="A name in configs/scenarios, or a file; again for more.")
+        list[str],
+        typer.Option(
+            "--scenario", help="A name in configs/scenarios, or a file; again for more.", metavar="NAME"
+        ),
     ] = list(PROFILED),  # noqa: B006 - typer's way to give a list a default
     seed: Seed = 0,
     flights: Annotated[int, typer.Option(min=1, help="Of each law in each scenario.")] = 3,

@@ -90,7 +90,8 @@ def measure(flown: EndedFlight, law: str) -> Descent:
     """What the descent of a flight was like."""
     result = flown.result
     landed = result.outcome is Outcome.LANDED
-    began_s, ended_s = flown.first_s(Phase.APPROACH), flown.contact_s()
+    began_s = flown.first_s(Phase.APPROACH)
+    ended_s = None if began_s is None else flown.contact_s(began_s)
     if began_s is None or ended_s is None or ended_s - began_s < 1.0:
         return Descent(law, result.scenario, result.seed, landed)
     truth = TruthTrack(flown.truth)
@@ -178,24 +179,27 @@ def median(descents: Sequence[Descent], figure: Callable[[Descent], float]) -> f
 
 
 def table(descents: Sequence[Descent]) -> Table:
-    """Medians and greatest values by law."""
+    """Medians and greatest values, a column a law."""
     made = Table(title="from taking the pad up: median (greatest)", title_justify="left")
-    made.add_column("law")
-    made.add_column("landed", justify="right")
-    made.add_column("cycles decided", justify="right")
-    for name, _, _ in FIGURES:
-        made.add_column(name, justify="right")
+    made.add_column("")
     for law in LAWS:
-        own = of_law(descents, law)
-        cells = []
-        for _, form, figure in FIGURES:
-            values = [figure(d) for d in own if np.isfinite(figure(d))]
-            worst = form.format(max(values)) if values else "-"
-            cells.append(f"{form.format(median(own, figure))} ({worst})")
-        decided, cycles = (sum(getattr(d.authority, name) for d in own) for name in ("decided", "cycles"))
-        landed = f"{sum(d.landed for d in own)} of {len(own)}"
-        made.add_row(law, landed, f"{decided} of {cycles}", *cells)
+        made.add_column(law, justify="right")
+    groups = [of_law(descents, law) for law in LAWS]
+    made.add_row("landed", *(f"{sum(d.landed for d in own)} of {len(own)}" for own in groups))
+    made.add_row("cycles decided", *map(_decided, groups))
+    for name, form, figure in FIGURES:
+        made.add_row(name, *(_median_and_greatest(own, form, figure) for own in groups))
     return made
+
+
+def _decided(descents: Sequence[Descent]) -> str:
+    decided, cycles = (sum(getattr(d.authority, name) for d in descents) for name in ("decided", "cycles"))
+    return f"{decided} of {cycles}"
+
+
+def _median_and_greatest(descents: Sequence[Descent], form: str, figure: Callable[[Descent], float]) -> str:
+    values = [figure(d) for d in descents if np.isfinite(figure(d))]
+    return f"{form.format(median(descents, figure))} ({form.format(max(values))})" if values else "-"
 
 
 CONDITIONS: Final[tuple[tuple[str, str, Callable[[Conditions], float]], ...]] = (
@@ -262,6 +266,7 @@ def draw(descents: Sequence[Descent], path: Path) -> None:
     for name in LAWS[:-1]:  # at pace 1 the rules are the rules
         law = load_speed_law(PlanConfig.model_validate(law_settings(name)))
         laws.plot(distance, [law(d, 0.0, 0.0) for d in distance.tolist()], color=COLOURS[name], label=name)
+    laws.plot([], [], color=COLOURS[PACED], label=f"{PACED}: fuzzy x 0.5 to 1.25")
     laws.set_xlabel("distance (m)")
     laws.set_ylabel("average speed V at rest (m/s)")
     laws.legend()

@@ -26,7 +26,8 @@ an interruption, and it continues.
 
 \b
 companion-sitl campaign --scenarios line circle --runs 20 --out mine
-companion-sitl campaign --scenarios all barge.yaml --runs 100 --jobs 4 --out all
+companion-sitl campaign --scenarios all barge.yaml --runs 100 --jobs 4 \\
+    --out all
 """
 
 

@@ -19,5 +19,5 @@ FirmwarePathOption = Annotated[
 ]
 FirmwareParamOption = Annotated[
     list[str] | None,
-    typer.Option("--firmware-param", help="A parameter of it, NAME=VALUE; may be given often."),
+    typer.Option("--firmware-param", help="A parameter of it; may be given often.", metavar="NAME=VALUE"),
 ]

@@ -25,17 +25,19 @@ MAVLink as in flight, motors off. The same seed has the same motion. The app's s
 written to a file for `--config`, whose path is printed.
 
 \b
-  still     stands on the pad tumble    turned about until every side has been everywhere: for the
-  magnetometer faces     laid down on each of its six sides: for the accelerometer sway      swung about over
-  the pad, which stays in view: for the camera's mounting over-pad  the moves of `companion check --pad`, one
-  after another, ten seconds after a program has connected to
-            the camera's frames or the IMU's registers, and again for the next one
+  still     stands on the pad
+  tumble    turned through all attitudes: for the magnetometer
+  faces     laid down on each of its six sides: for the accelerometer
+  sway      moved about over the pad, in view: for the camera's mounting
+  over-pad  the moves of `companion check --pad`, ten seconds after a program
+            has connected to the frames or the IMU's registers
 
 \b
 Examples:
   companion-sitl hand-held --motion tumble
   companion-sitl hand-held --motion over-pad --settings hand-held.yaml
-  companion-sitl hand-held --motion sway --scenario workshop.yaml --seed 3 --folder sockets
+  companion-sitl hand-held --motion sway --scenario workshop.yaml --seed 3 \\
+      --folder sockets
 """
 
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from companion.base.geometry import FloatArray
 from companion.base.messages import FrameReport, PlanStep, Truth
@@ -34,6 +34,7 @@ SIZE_IN: Final = (9.0, 6.5)
 STRIP_SHARE: Final = 0.28
 NAME_WIDTH_IN: Final = 0.13
 NAME_SIZE: Final = 7
+MOST_TICKS: Final = 7  # of an axis in three dimensions
 
 
 def write_plots(
@@ -76,12 +77,12 @@ def draw_path(figure: Figure, track: TruthTrack, obstacles: Sequence[Shape] = ()
     space: Any = figure.add_subplot(grid[0], projection="3d")
     ground = figure.add_subplot(grid[1])
     vehicle, pad = track.at("position", track.time_s), track.at("pad_position", track.time_s)
-    # the pad's is broad and below: over the pad both are the same
-    for path, colour, name, width in (
-        (pad, PAD_COLOUR, "pad", 4.0),
-        (vehicle, VEHICLE_COLOUR, "vehicle", 1.4),
+    # the pad's is broad and below: over the pad both are the same; a pad that stands has no path
+    for path, colour, name, width, marker in (
+        (pad, PAD_COLOUR, "pad", 4.0, "s"),
+        (vehicle, VEHICLE_COLOUR, "vehicle", 1.4, ""),
     ):
-        look: dict[str, Any] = {"color": colour, "linewidth": width}
+        look: dict[str, Any] = {"color": colour, "linewidth": width, "marker": marker, "markevery": [-1]}
         space.plot(path[:, 1], path[:, 0], -path[:, 2], label=f"{name} (truth)", **look)
         ground.plot(path[:, 1], path[:, 0], **look)
     for shape in obstacles:
@@ -100,10 +101,18 @@ def draw_path(figure: Figure, track: TruthTrack, obstacles: Sequence[Shape] = ()
     # among obstacles a clearance must look as it is; a long low path needs its own scale upward
     space.set_aspect("equal" if obstacles else "equalxy")
     ground.set_aspect("equal")
+    _ticks_by_length(space)
     ground.yaxis.tick_right()
     ground.yaxis.set_label_position("right")
     ground.grid(visible=True, alpha=0.3)
     figure.legend(*space.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+
+
+def _ticks_by_length(space: Any) -> None:
+    """Fewer ticks on the shorter of two horizontal axes of one scale, where they would overlap."""
+    spans = [float(np.ptp(limits)) for limits in (space.get_xlim3d(), space.get_ylim3d())]
+    for axis, span in zip((space.xaxis, space.yaxis), spans, strict=True):
+        axis.set_major_locator(MaxNLocator(max(1, round(MOST_TICKS * span / max(spans)))))
 
 
 def outline_m(shape: Shape) -> tuple[FloatArray, FloatArray]:

@@ -88,4 +88,5 @@ def _draw_surface(axes: Any, rules: RuleSet, table: AnyTable, third: float) -> N
         axis.set_major_locator(MaxNLocator(5))
     # the layout knows nothing of a 3-D axis's label: without room at its side it is cut off
     axes.set_box_aspect(None, zoom=BOX_SHARE)
-    axes.set_title(f"{LABELS[name].partition(' (')[0]} {third:+.1f} m/s²")
+    sign = "+" if name == "acceleration_m_s2" else ""  # gusts have none
+    axes.set_title(f"{LABELS[name].partition(' (')[0]} {third:{sign}.1f} m/s²")

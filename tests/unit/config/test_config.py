@@ -32,6 +32,7 @@ def write(folder: Path, text: str) -> Path:
     ("text", "expected"),
     [
         ("pad: [", "broken YAML"),
+        ("%YAML:1.0\n---\nflags: 0\n", "a file of OpenCV's own kind; expected YAML"),
         ("- 1\n- 2\n", "expected a mapping"),
         ("wings: 2\n", "unknown key 'wings'"),
         ("estimat: {}\n", "unknown key 'estimat'; did you mean 'estimate'?"),
@@ -92,6 +93,8 @@ def test_every_such_setting_exists(keys: tuple[str, ...]) -> None:
 def test_a_missing_file_names_what_there_is() -> None:
     with pytest.raises(ConfigError, match=r"no 'nowhere'; expected .* moving_1300"):
         find_file("pads", "nowhere")
+    with pytest.raises(ConfigError, match=r": a folder; expected a .yaml file, or one of .* moving_1300"):
+        find_file("pads", CONFIG_FOLDER)
 
 
 def test_an_unreadable_file_is_said(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """The PNG plots: names that do not overprint, one title, equal axes where it is a map."""
 
+from dataclasses import replace
 from itertools import combinations, pairwise
 from typing import Any
 
@@ -77,3 +78,19 @@ def test_a_map_has_equal_axes() -> None:
     figure = Figure()
     draw_path(figure, TruthTrack(truth))
     assert figure.axes[1].get_aspect() == 1.0
+
+
+def test_a_straight_path_to_a_pad_that_stands_shows_the_pad_and_few_ticks_across() -> None:
+    _, truth = made_up_flight()
+    zero = (0.0, 0.0, 0.0)
+    straight = [
+        replace(t, vehicle_position_ned_m=(10.0 * k / len(truth), 0.0, -1.0), pad_position_ned_m=zero)
+        for k, t in enumerate(truth)
+    ]
+    straight[-1] = replace(straight[-1], vehicle_position_ned_m=(10.0, 1.5, -1.0))
+    figure = Figure(dpi=110, layout="constrained")
+    draw_path(figure, TruthTrack(straight))
+    space: Any = figure.axes[0]
+    assert space.lines[0].get_marker() == "s"
+    few, many = len(space.get_xticks()), len(space.get_yticks())
+    assert 1 <= few <= 4 < many

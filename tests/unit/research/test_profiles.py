@@ -1,7 +1,9 @@
 """Descent profiles: what is measured of a made-up descent, and which bars hold."""
 
 import math
+import re
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +46,14 @@ def test_a_descent_is_measured_from_taking_the_pad_up() -> None:
     assert (measured.contact_m_s, measured.lateral_contact_m) == (0.2, 0.03)
 
 
+def test_a_touch_at_the_take_off_is_not_the_contact() -> None:
+    flown = _descent()
+    bounced = [*flown.truth[:2], replace(flown.truth[2], in_contact=True), *flown.truth[3:]]
+    assert profiles.measure(EndedFlight(flown.result, bounced, flown.kept), "fuzzy").seconds == pytest.approx(
+        10.0
+    )
+
+
 def test_a_flight_that_never_saw_the_pad_has_no_figures() -> None:
     flown = _descent()
     lost = EndedFlight(result(Outcome.ABORTED), flown.truth, {"plan": plans((0.0, Phase.SEARCH))})
@@ -72,7 +82,11 @@ def test_bars_hold_or_fail_one_by_one() -> None:
 
 def test_table_and_picture(tmp_path: Path) -> None:
     flown = _three()
-    assert profiles.table(flown).row_count == len(profiles.LAWS)
+    console = Console(width=80, record=True, file=StringIO())
+    console.print(profiles.table(flown))
+    shown = console.export_text()
+    assert "…" not in shown
+    assert re.search(r"landed +│ +1 of 1 │ +1 of 1 │ +1 of 1 │", shown)
     profiles.draw(flown, tmp_path / "profiles.png")
     assert (tmp_path / "profiles.png").read_bytes().startswith(b"\x89PNG")
 

@@ -44,7 +44,7 @@ def gravest(
 
 
 @pytest.mark.parametrize(
-    ("turned_deg", "flown"), [(None, True), (-29.0, True), (-31.0, False), (179.0, False)]
+    ("turned_deg", "flown"), [(None, True), (-20.0, False), (-31.0, False), (179.0, False)]
 )
 def test_a_camera_that_is_turned_is_named_before_the_pad_that_seems_too_fast(
     turned_deg: float | None, flown: bool
@@ -62,6 +62,12 @@ def test_a_camera_that_is_turned_is_named_before_the_pad_that_seems_too_fast(
         assert (
             f"by {turned_deg:.0f} deg against the vehicle's file" in dict(found)[MissionEvent.CAMERA_TURNED]
         )
+
+
+@pytest.mark.parametrize(("turned_deg", "flown"), [(-29.0, True), (-31.0, False)])
+def test_a_camera_that_is_turned_a_little_is_flown_with(turned_deg: float, flown: bool) -> None:
+    given = replace(inputs(), camera_turned_rad=math.radians(turned_deg))
+    assert (gravest(given) is MissionEvent.CAMERA_TURNED) is not flown
 
 
 def taken_over(watch: FailsafeMonitor, autopilot: AutopilotState, *, granted: bool = False) -> bool:
