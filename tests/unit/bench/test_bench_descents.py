@@ -57,6 +57,11 @@ def test_a_fixed_speed_that_touches_down_worse_is_no_measure(worse: dict[str, fl
     assert "0.8 x fixed 1" in str(bar)
 
 
+def test_without_a_fixed_speed_to_compare_with_nothing_is_proven() -> None:
+    (bar,) = bars({FUZZY: rows(FUZZY, 7.2), "rash": rows("rash", 9.0, lateral_m=0.06)})
+    assert not bar.holds
+
+
 def test_what_was_not_measured_is_infinitely_bad_and_is_shown() -> None:
     none = [{**row, "down_s": float("nan"), "landed": False} for row in rows(FUZZY, 1.0)]
     assert figure(none, "down_s", 50) == float("inf")
