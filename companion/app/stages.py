@@ -24,7 +24,7 @@ from companion.link.session import Session
 from companion.link.signing import read_signing_key
 from companion.pad import load_pad
 from companion.plan.planner import Planner
-from companion.plan.speed.laws import load_speed_law
+from companion.plan.speed.laws import load_speed_controller
 from companion.sense.vision.pipeline import Vision
 
 
@@ -92,10 +92,12 @@ def build_stages(
         **sensing.calibrations,
         **({} if mount is None else {"mount": mount}),
     )
-    law = load_speed_law(config.plan)
+    law, pace = load_speed_controller(config.plan)
 
     def make_planner(standby: str | None) -> Planner:
         control = config.control
-        return Planner(config.plan, vehicle, control.horizon_steps, control.step_s, law, standby=standby)
+        return Planner(
+            config.plan, vehicle, control.horizon_steps, control.step_s, law, pace=pace, standby=standby
+        )
 
     return Stages(vehicle, session, estimator, sensing, control_timer, make_planner)

@@ -177,6 +177,7 @@ class PlanConfig(StrictModel):
 
     speed_law: Literal["fuzzy", "fixed", "log_polynomial"] = "fuzzy"
     fuzzy: str = "landing"
+    pace: bool = False  # of the fuzzy rules, by the conditions
     fixed_speed_m_s: float = Field(default=0.9, ge=0.2, le=3.0)
     obstacles: tuple[Shape, ...] = Field(default=(), max_length=MOST_OBSTACLES)
     obstacle_margin_m: float = Field(default=1.5, ge=0.1, le=20.0)  # from the rotors' tips: our place errs

@@ -9,10 +9,11 @@ as soon as the pad is what is flown to.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final
 
 from companion.base.geometry import ned_from_geodetic
-from companion.base.messages import ActionKind, LandedState, Notice, Phase, PlanStep, Refusal
+from companion.base.messages import ActionKind, Conditions, LandedState, Notice, Phase, PlanStep, Refusal
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge
@@ -26,11 +27,13 @@ from companion.plan.mission.states import Circumstances, DetectedEvent, Effect, 
 from companion.plan.mission.table import COMMITTED, FINAL, impossible
 from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance
+from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, unhurried
 from companion.plan.steering import PhaseSteering
 from companion.plan.trajectory.reference_generator import ReferenceGenerator, SpeedLaw
 from companion.plan.trajectory.waypoints import check_places
 
 SIGHTINGS_WINDOW_S: Final = 0.5  # in which `search.sightings` have to come
+PACED: Final = frozenset({Phase.APPROACH, Phase.DESCEND})  # flown at the pace of the conditions
 GAP_S: Final = 10.0  # a link that is silent for longer has gone for good
 
 __all__ = ["PlanInputs", "Planner"]
@@ -47,6 +50,7 @@ class Planner:
         step_s: float,
         law: SpeedLaw,
         *,
+        pace: PaceLaw = unhurried,
         standby: str | None = None,
     ) -> None:
         """Ready to connect; with `standby`, in STANDBY: for good if that is a reason, else for an order.
@@ -68,6 +72,8 @@ class Planner:
         self._ground = Ground(vehicle.range_position_body_m)
         avoidance = Avoidance(config, vehicle.radius_m)
         self._generator = ReferenceGenerator(config.guidance, law, horizon_steps, step_s, avoidance)
+        self._pace, self._monitored = pace, ConditionMonitor()
+        self._conditions: Conditions | None = None
         self._steering = PhaseSteering(
             config,
             vehicle,
@@ -108,6 +114,7 @@ class Planner:
         """One cycle at now_s: at most one change of state, then the reference, actions and notices."""
         self._notices = []
         self._see(inputs, now_s)
+        self._set_pace(inputs, now_s)
         self._watch_battery(inputs, now_s)
         self._react(inputs, now_s)
         self._steering.turn(now_s)
@@ -125,6 +132,7 @@ class Planner:
             speed_m_s=self._generator.speed_m_s,
             time_to_go_s=self._generator.time_to_go_s,
             on_ground=self._steering.on_pad,
+            conditions=self._conditions if self.phase in PACED else None,
         )
 
     def _see(self, inputs: PlanInputs, now_s: float) -> None:
@@ -139,6 +147,18 @@ class Planner:
             self._steering.search.hear(inputs.beacon, inputs.vehicle.origin)
         if self._pad.motion is not None and inputs.pad is not None:
             self._steering.search.locator.remember(self._pad.motion, inputs.pad.seen_time_s, now_s)
+
+    def _set_pace(self, inputs: PlanInputs, now_s: float) -> None:
+        """By the conditions on the way to the pad; the final descent has its own speed."""
+        generator = self._generator
+        over_pad = generator.active and generator.origin == "pad"
+        planned_m_s = generator.at(now_s).velocity_m_s if over_pad else None
+        self._monitored.update(self._pad.sight, inputs.vehicle, planned_m_s, now_s)
+        self._conditions, generator.pace = None, 1.0
+        found = self._monitored.now
+        if found is not None and self.phase in PACED:
+            generator.pace = self._pace(found)
+            self._conditions = replace(found, pace=generator.pace)
 
     def _within_fence(self, inputs: PlanInputs) -> bool:
         """Whether the beacon lies inside the fence; one outside is announced once and ignored.

@@ -90,6 +90,7 @@ def profiles_command(
     descents = list(track(flown, "flying", total=count, console=console, disable=not console.is_terminal))
     profiles.draw(descents, output)
     console.print(profiles.table(descents))
+    console.print(profiles.conditions_table(descents))
     finish(console, profiles.bars(descents), output)
 
 

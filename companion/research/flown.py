@@ -6,6 +6,7 @@ experiment says otherwise. Times count from the app's first cycle; NED from the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -46,10 +47,15 @@ class EndedFlight:
         """When a phase began for the first time."""
         return next((plan.time_s for plan in self.kept.get("plan", ()) if plan.phase is phase), None)
 
-    def contact_s(self) -> float | None:
-        """When the vehicle touched something after it had been in the air, by truth."""
+    def contact_s(self, after_s: float = -math.inf) -> float | None:
+        """When the vehicle touched something after it had been in the air, by truth.
+
+        A take-off in gusts may touch the ground once more: `after_s` looks at what comes later.
+        """
         airborne = False
         for record in self.truth:
+            if record.time_s < after_s:
+                continue
             if airborne and record.in_contact:
                 return record.time_s
             airborne = airborne or not record.in_contact

@@ -24,7 +24,7 @@ from rich.table import Table
 from scipy.signal import savgol_filter
 
 from companion.base.geometry import FloatArray
-from companion.base.messages import Outcome, Phase
+from companion.base.messages import Conditions, Outcome, Phase
 from companion.config import GuidanceConfig, PlanConfig
 from companion.flightlog.errors import TruthTrack
 from companion.plan.speed.laws import load_speed_law
@@ -33,8 +33,9 @@ from companion.research.flown import EndedFlight, fly_scenario
 
 mpl.use("Agg")
 
-LAWS: Final = ("fuzzy", "fixed", "log_polynomial")
-COLOURS: Final = {"fuzzy": "#c0392b", "fixed": "#2471a3", "log_polynomial": "#27ae60"}
+LAWS: Final = ("fuzzy", "fixed", "log_polynomial", "fuzzy_pace")
+PACED: Final = "fuzzy_pace"  # the fuzzy rules at the pace of the conditions
+COLOURS: Final = {"fuzzy": "#c0392b", "fixed": "#2471a3", "log_polynomial": "#27ae60", PACED: "#8e44ad"}
 TRUTH_PERIOD_S: Final = 0.04
 SMOOTHED_OVER: Final = 13  # records of truth: half a second
 CENTRED_M: Final = 0.15
@@ -65,6 +66,7 @@ class Descent:
     contact_m_s: float = np.nan
     lateral_contact_m: float = np.nan
     authority: RuleAuthority = field(default_factory=RuleAuthority)
+    conditions: tuple[Conditions, ...] = ()
     course: FloatArray = field(default_factory=lambda: np.zeros((3, 0)))
 
 
@@ -75,15 +77,21 @@ def fly(case: tuple[str, str, int, float]) -> Descent:
         ConfigError: no such scenario or law.
     """
     law, scenario, seed, fixed_m_s = case
-    settings = {"plan": {"speed_law": law, "fixed_speed_m_s": fixed_m_s}}
+    settings = {"plan": law_settings(law) | {"fixed_speed_m_s": fixed_m_s}}
     return measure(fly_scenario(scenario, seed, settings), law)
+
+
+def law_settings(law: str) -> dict[str, Any]:
+    """What `plan` says for a law."""
+    return {"speed_law": "fuzzy", "pace": True} if law == PACED else {"speed_law": law}
 
 
 def measure(flown: EndedFlight, law: str) -> Descent:
     """What the descent of a flight was like."""
     result = flown.result
     landed = result.outcome is Outcome.LANDED
-    began_s, ended_s = flown.first_s(Phase.APPROACH), flown.contact_s()
+    began_s = flown.first_s(Phase.APPROACH)
+    ended_s = None if began_s is None else flown.contact_s(began_s)
     if began_s is None or ended_s is None or ended_s - began_s < 1.0:
         return Descent(law, result.scenario, result.seed, landed)
     truth = TruthTrack(flown.truth)
@@ -108,6 +116,7 @@ def measure(flown: EndedFlight, law: str) -> Descent:
         contact_m_s=np.nan if touchdown is None else touchdown.vertical_speed_m_s,
         lateral_contact_m=np.nan if touchdown is None else touchdown.lateral_error_m,
         authority=authority(flown.kept["plan"], GuidanceConfig().minimum_time_s),
+        conditions=tuple(p.conditions for p in flown.kept["plan"] if p.conditions is not None),
         course=np.stack([times - began_s, height, lateral]),
     )
 
@@ -193,6 +202,35 @@ def _median_and_greatest(descents: Sequence[Descent], form: str, figure: Callabl
     return f"{form.format(median(descents, figure))} ({form.format(max(values))})" if values else "-"
 
 
+CONDITIONS: Final[tuple[tuple[str, str, Callable[[Conditions], float]], ...]] = (
+    ("sight (mrad)", "{:.0f}", lambda c: 1e3 * c.sight_rad),
+    ("relative speed (m/s)", "{:.2f}", lambda c: c.relative_speed_m_s),
+    ("gust (m/s²)", "{:.2f}", lambda c: c.gust_m_s2),
+    ("pace", "{:.2f}", lambda c: c.pace),
+)
+
+
+def conditions_table(descents: Sequence[Descent]) -> Table:
+    """What the fuzzy speed controller met on each scenario, and the pace it made of that."""
+    made = Table(
+        title="fuzzy: conditions and pace on the way down: median (10 to 90 %)", title_justify="left"
+    )
+    made.add_column("scenario")
+    for name, _, _ in CONDITIONS:
+        made.add_column(name, justify="right")
+    made.add_column(f"to {WAITING_HEIGHT_M:g} m (s)", justify="right")
+    own = of_law(descents, PACED)
+    for scenario in dict.fromkeys(d.scenario for d in own):
+        flights = [d for d in own if d.scenario == scenario]
+        met = [c for d in flights for c in d.conditions]
+        cells = []
+        for _, form, figure in CONDITIONS:
+            low, mid, high = np.percentile([figure(c) for c in met], (10, 50, 90)) if met else [np.nan] * 3
+            cells.append(f"{form.format(mid)} ({form.format(low)} to {form.format(high)})")
+        made.add_row(scenario, *cells, f"{median(flights, _down):.1f}")
+    return made
+
+
 def bars(descents: Sequence[Descent]) -> dict[str, bool]:
     """Which of the bars of the fuzzy speed controller hold."""
     own = of_law(descents, "fuzzy")
@@ -200,7 +238,7 @@ def bars(descents: Sequence[Descent]) -> dict[str, bool]:
         "lands always": all(d.landed for d in own),
         f"contact <= {SOFT_M_S:g} m/s": all(d.contact_m_s <= SOFT_M_S for d in own),
     }
-    for law in LAWS[1:]:
+    for law in ("fixed", "log_polynomial"):
         others = of_law(descents, law)
         for name, figure in (("time", _down), ("jerk", _jerk)):
             words = f"{name} <= {AS_GOOD:g} x {law.replace('_', ' ')}"
@@ -225,9 +263,10 @@ def draw(descents: Sequence[Descent], path: Path) -> None:
     figure = Figure(figsize=(14.0, 5.0), dpi=110, layout="constrained")
     laws, height, lateral = figure.subplots(1, 3)
     distance = np.linspace(0.0, 10.0, 200)
-    for name in LAWS:
-        law = load_speed_law(PlanConfig.model_validate({"speed_law": name}))
+    for name in LAWS[:-1]:  # at pace 1 the rules are the rules
+        law = load_speed_law(PlanConfig.model_validate(law_settings(name)))
         laws.plot(distance, [law(d, 0.0, 0.0) for d in distance.tolist()], color=COLOURS[name], label=name)
+    laws.plot([], [], color=COLOURS[PACED], label=f"{PACED}: fuzzy x 0.5 to 1.25")
     laws.set_xlabel("distance (m)")
     laws.set_ylabel("average speed V at rest (m/s)")
     laws.legend()

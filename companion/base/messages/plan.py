@@ -128,6 +128,21 @@ class Notice:
 
 
 @dataclass(frozen=True, slots=True)
+class Conditions:
+    """What the speed of approach and descent goes by beside the way to go; `pace` is the factor on it.
+
+    `sight_rad` is the standard deviation of the pad's place as an angle seen from the vehicle,
+    `relative_speed_m_s` the horizontal speed over the pad beyond the planned, `gust_m_s2` the standard
+    deviation of the horizontal acceleration that the wind makes.
+    """
+
+    sight_rad: float
+    relative_speed_m_s: float
+    gust_m_s2: float
+    pace: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
 class PlanStep:
     """What the planner makes of one cycle. No reference: no setpoint leaves."""
 
@@ -139,3 +154,4 @@ class PlanStep:
     speed_m_s: float = 0.0
     time_to_go_s: float = 0.0
     on_ground: bool = False
+    conditions: Conditions | None = None

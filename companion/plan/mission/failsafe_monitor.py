@@ -7,7 +7,7 @@ did not request is a pilot's word or a failsafe of the autopilot, and that is fi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from companion.base.messages import AutopilotState, Phase, VehicleState
 from companion.config import MissionConfig
@@ -105,10 +105,10 @@ class FailsafeMonitor:
         found += [*self._late(autopilot, now_s), *self._estimate(inputs.vehicle, now_s)]
         found += [*self._control(inputs.control_failed, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
-        seems_fast = any(event is MissionEvent.PAD_TOO_FAST for event, _ in bounds)
-        found += [*self._camera(inputs.camera_turned_rad, seems_fast), *bounds, *self._time(now_s)]
-        link_up = (MissionEvent.LINK_UP, "heartbeat again")
-        return (*found, link_up) if heard else tuple(found)
+        found += [*self._camera(inputs.camera_turned_rad, bounds), *bounds, *self._time(now_s)]
+        if heard:
+            found.append((MissionEvent.LINK_UP, "heartbeat again"))
+        return tuple(found)
 
     def _late(self, autopilot: AutopilotState, now_s: float) -> Iterator[DetectedEvent]:
         """Whether answers take too long; without any there is no telling, and LINK_LOST may follow."""
@@ -121,8 +121,9 @@ class FailsafeMonitor:
         if self._no_plan.held_s(failed, now_s) >= _NO_PLAN_S:
             yield MissionEvent.CONTROL_FAILED, "the controller finds no plan to fly"
 
-    def _camera(self, turned_rad: float | None, seems_fast: bool) -> Iterator[DetectedEvent]:
-        """By more than can be flown with, or by less but so that the pad seems too fast: it feigns that."""
+    def _camera(self, turned_rad: float | None, bounds: Sequence[DetectedEvent]) -> Iterator[DetectedEvent]:
+        """Turned by more than can be flown with, or by less while the pad seems too fast: it feigns that."""
+        seems_fast = any(event is MissionEvent.PAD_TOO_FAST for event, _ in bounds)
         if turned_rad is not None and (seems_fast or abs(turned_rad) > _CAMERA_TURNED_RAD):
             turned = f"by {math.degrees(turned_rad):.0f} deg against the vehicle's file"
             yield MissionEvent.CAMERA_TURNED, f"{turned}: see companion check --pad"

@@ -1,7 +1,8 @@
 """The rules of the fuzzy controller behind eq. 37 (Figs. 7-9), and what they mean: Mamdani's by scikit-fuzzy.
 
 Inputs: distance (m) to where the reference is going, closing velocity (m/s) and closing acceleration
-(m/s²), both positive towards it. Output: the average speed V (m/s) for the way.
+(m/s²), both positive towards it. Output: the average speed V (m/s) for the way. A second set of rules,
+`pace`, gives a factor on V by the conditions of the approach (`companion.plan.speed.conditions`).
 
 The rules in configs/fuzzy/NAME.yaml are triangles and trapezoids, clipped output sets, their union, its
 centroid. Two choices make the surface smooth and monotone (never faster when closer at the same speed),
@@ -16,7 +17,7 @@ import warnings
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from pydantic import model_validator
@@ -31,24 +32,27 @@ INPUTS = ("distance_m", "velocity_m_s", "acceleration_m_s2")
 OUTPUT = "speed_m_s"
 
 
-class FuzzyRules(StrictModel):
-    """Membership functions and rules.
+class RuleSet(StrictModel):
+    """Membership functions of three inputs and an output, and rules.
 
-    `rules[acceleration][distance]` lists a speed for each velocity, from the most negative on, in whatever
+    `rules[third][first]` lists an output for each term of the second input, from the lowest on, in whatever
     order the file has its terms.
     """
 
-    name: str
-    distance_m: Terms
-    velocity_m_s: Terms
-    acceleration_m_s2: Terms
-    speed_m_s: Terms
+    inputs: ClassVar[tuple[str, str, str]]
+    output: ClassVar[str]
+
     rules: dict[str, dict[str, tuple[str, ...]]]
 
+    def terms(self, variable: str) -> Terms:
+        """The terms of an input or of the output."""
+        terms: Terms = getattr(self, variable)
+        return terms
+
     @model_validator(mode="after")
-    def _corners_rise(self) -> FuzzyRules:
-        for variable in (*INPUTS, OUTPUT):
-            terms: Terms = getattr(self, variable)
+    def _corners_rise(self) -> Self:
+        for variable in (*self.inputs, self.output):
+            terms = self.terms(variable)
             if len(terms) < 2:
                 raise ValueError(f"{variable}: expected at least two terms")
             for term, corners in terms.items():
@@ -57,25 +61,49 @@ class FuzzyRules(StrictModel):
         return self
 
     @model_validator(mode="after")
-    def _a_rule_everywhere(self) -> FuzzyRules:
+    def _a_rule_everywhere(self) -> Self:
         # scikit-fuzzy answers with nothing at all where no rule fires
-        for variable in INPUTS:
-            _no_gap(variable, getattr(self, variable))
-        if set(self.rules) != set(self.acceleration_m_s2):
-            raise ValueError(
-                f"rules: expected one block for each of {', '.join(in_order(self.acceleration_m_s2))}"
-            )
-        for acceleration, rows in self.rules.items():
-            if set(rows) != set(self.distance_m):
-                expected = ", ".join(in_order(self.distance_m))
-                raise ValueError(f"rules.{acceleration}: expected a row for each of {expected}")
-            for distance, speeds in rows.items():
-                if len(speeds) != len(self.velocity_m_s) or not set(speeds) <= set(self.speed_m_s):
+        first, second, third = (self.terms(variable) for variable in self.inputs)
+        for variable in self.inputs:
+            _no_gap(variable, self.terms(variable))
+        if set(self.rules) != set(third):
+            raise ValueError(f"rules: expected one block for each of {', '.join(in_order(third))}")
+        for block, rows in self.rules.items():
+            if set(rows) != set(first):
+                raise ValueError(f"rules.{block}: expected a row for each of {', '.join(in_order(first))}")
+            for row, outputs in rows.items():
+                if len(outputs) != len(second) or not set(outputs) <= set(self.terms(self.output)):
                     raise ValueError(
-                        f"rules.{acceleration}.{distance}: expected {len(self.velocity_m_s)} of "
-                        f"{', '.join(in_order(self.speed_m_s))}, found {list(speeds)}"
+                        f"rules.{block}.{row}: expected {len(second)} of "
+                        f"{', '.join(in_order(self.terms(self.output)))}, found {list(outputs)}"
                     )
         return self
+
+
+class PaceRules(RuleSet):
+    """How quickly to come in by the conditions: a factor on V."""
+
+    inputs = ("sight_rad", "relative_speed_m_s", "gust_m_s2")
+    output = "factor"
+
+    sight_rad: Terms
+    relative_speed_m_s: Terms
+    gust_m_s2: Terms
+    factor: Terms
+
+
+class FuzzyRules(RuleSet):
+    """The average speed V by the way to go; without `pace` it is the same in all conditions."""
+
+    inputs = INPUTS
+    output = OUTPUT
+
+    name: str
+    distance_m: Terms
+    velocity_m_s: Terms
+    acceleration_m_s2: Terms
+    speed_m_s: Terms
+    pace: PaceRules | None = None
 
     def fingerprint(self, sampling: Sequence[object]) -> str:
         """Hash of everything that shapes the surface, and of how a table samples it."""
@@ -107,33 +135,34 @@ def load_rules(name: str | Path) -> FuzzyRules:
 # ---------------------------------------------------------------- what they mean
 
 
-def mamdani(rules: FuzzyRules, inputs: FloatArray) -> FloatArray:
-    """Speeds (m/s) at inputs (n, 3) by scikit-fuzzy; inputs beyond the outermost corners count as those."""
+def mamdani(rules: RuleSet, inputs: FloatArray) -> FloatArray:
+    """Outputs (n,) at inputs (n, 3) by scikit-fuzzy; inputs beyond the outermost corners count as those."""
     from skfuzzy import control  # noqa: PLC0415 - two seconds that a flight need not spend
 
-    distance, velocity, acceleration = (_variable(control.Antecedent, rules, name, 0.025) for name in INPUTS)
-    speed = _variable(control.Consequent, rules, OUTPUT, 0.01)
-    speed.accumulation_method = np.add
+    first, second, third = (_variable(control.Antecedent, rules, name, 0.025) for name in rules.inputs)
+    output = _variable(control.Consequent, rules, rules.output, 0.01)
+    output.accumulation_method = np.add
+    columns = in_order(rules.terms(rules.inputs[1]))
     cells = [
-        control.Rule(distance[d] & velocity[v] & acceleration[a], speed[s], and_func=np.multiply)
-        for a, rows in rules.rules.items()
-        for d, speeds in rows.items()
-        for v, s in zip(in_order(rules.velocity_m_s), speeds, strict=True)
+        control.Rule(first[row] & second[column] & third[block], output[out], and_func=np.multiply)
+        for block, rows in rules.rules.items()
+        for row, outputs in rows.items()
+        for column, out in zip(columns, outputs, strict=True)
     ]
     simulation = control.ControlSystemSimulation(control.ControlSystem(cells))
-    for column, name in enumerate(INPUTS):
+    for column, name in enumerate(rules.inputs):
         simulation.input[name] = np.ascontiguousarray(inputs[:, column])
     with warnings.catch_warnings():
         # it passes np.maximum its output by position; numpy is capped below the version that removes that
         warnings.simplefilter("ignore", DeprecationWarning)
         simulation.compute()
-    return np.asarray(simulation.output[OUTPUT], dtype=np.float64)
+    return np.asarray(simulation.output[rules.output], dtype=np.float64)
 
 
-def _variable(kind: Any, rules: FuzzyRules, name: str, step: float) -> Any:
+def _variable(kind: Any, rules: RuleSet, name: str, step: float) -> Any:
     from skfuzzy import trapmf, trimf  # noqa: PLC0415
 
-    terms: Terms = getattr(rules, name)
+    terms = rules.terms(name)
     corners = sorted({corner for term in terms.values() for corner in term})
     count = round((corners[-1] - corners[0]) / step) + 1
     # the corners themselves belong to the universe, else scikit-fuzzy rounds the triangles' tips

@@ -14,11 +14,12 @@ target.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from companion.config import PlanConfig
+from companion.plan.speed.conditions import PaceLaw, unhurried
 from companion.plan.speed.speed_table import SpeedTable, load_table
 from companion.plan.trajectory.reference_generator import SpeedLaw
 
@@ -48,14 +49,36 @@ class LogPolynomial:
         return max(speed, self._slowest_m_s)  # a cubic may undershoot, and eq. 37 divides by it
 
 
-def load_speed_law(config: PlanConfig) -> SpeedLaw:
-    """The law that the settings choose.
+class SpeedController(NamedTuple):
+    """V by the way to go, and the factor on it by the conditions."""
+
+    law: SpeedLaw
+    pace: PaceLaw
+
+
+def load_speed_controller(config: PlanConfig) -> SpeedController:
+    """The law that the settings choose, and its pace; only the fuzzy speed controller knows conditions.
 
     Raises:
         ConfigError: it needs the fuzzy rules, and they cannot be read or break a rule.
     """
     if config.speed_law == "fixed":
         speed_m_s = config.fixed_speed_m_s
-        return lambda _distance, _velocity, _acceleration: speed_m_s
+        return SpeedController(lambda _distance, _velocity, _acceleration: speed_m_s, unhurried)
     table = load_table(config.fuzzy)[0]
-    return LogPolynomial(table) if config.speed_law == "log_polynomial" else table
+    if config.speed_law == "log_polynomial":
+        return SpeedController(LogPolynomial(table), unhurried)
+    return SpeedController(table, by_conditions(table) if config.pace else unhurried)
+
+
+def by_conditions(table: SpeedTable) -> PaceLaw:
+    """The pace of a table; rules without one come in alike in all conditions."""
+    pace = table.pace
+    if pace is None:
+        return unhurried
+    return lambda c: pace(c.sight_rad, c.relative_speed_m_s, c.gust_m_s2)
+
+
+def load_speed_law(config: PlanConfig) -> SpeedLaw:
+    """V alone, as `load_speed_controller`."""
+    return load_speed_controller(config).law

@@ -5,6 +5,8 @@ into NAME.table.json beside the rules and interpolated in flight (`SpeedTable`, 
 carries a hash of the rules; when they have been edited since, it is computed afresh at the start, and
 `companion fuzzy NAME --write-table` writes it again.
 
+The rules of the pace, a factor on V by the conditions, are sampled and flown likewise (`PaceTable`).
+
 Distances in m, closing velocity in m/s and acceleration in m/s², positive towards the target.
 """
 
@@ -12,7 +14,8 @@ from __future__ import annotations
 
 import json
 from bisect import bisect_right
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal
@@ -21,9 +24,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from companion.config import ConfigError, StrictModel, find_file, load_model
-from companion.plan.speed.fuzzy_rules import INPUTS, OUTPUT, FuzzyRules, Terms, mamdani
+from companion.plan.speed.fuzzy_rules import FuzzyRules, RuleSet, Terms, mamdani
 
 Grid = tuple[tuple[tuple[float, ...], ...], ...]
+Axes = tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
 
 # Between two neighbouring corners of membership functions the surface bends gently: sampled at these
 # fractions, linear interpolation stays within 1 % of it.
@@ -45,18 +49,37 @@ class SpeedTable:
     velocity_m_s: tuple[float, ...]
     acceleration_m_s2: tuple[float, ...]
     speed_m_s: Grid
+    pace: PaceTable | None = None  # without it the same in all conditions
 
     def __call__(self, distance_m: float, velocity_m_s: float, acceleration_m_s2: float) -> float:
         """Average speed V (m/s) for a way to go, closing velocity and closing acceleration (eq. 37)."""
-        i, u = _cell(self.distance_m, distance_m)
-        j, v = _cell(self.velocity_m_s, velocity_m_s)
-        k, w = _cell(self.acceleration_m_s2, acceleration_m_s2)
-        near, far = self.speed_m_s[i], self.speed_m_s[i + 1]
-        a, b, c, d = near[j], near[j + 1], far[j], far[j + 1]
-        n = 1.0 - w
-        low = (a[k] * n + a[k + 1] * w) * (1.0 - v) + (b[k] * n + b[k + 1] * w) * v
-        high = (c[k] * n + c[k + 1] * w) * (1.0 - v) + (d[k] * n + d[k + 1] * w) * v
-        return low * (1.0 - u) + high * u
+        axes = (self.distance_m, self.velocity_m_s, self.acceleration_m_s2)
+        return _trilinear(axes, self.speed_m_s, (distance_m, velocity_m_s, acceleration_m_s2))
+
+
+@dataclass(frozen=True, slots=True)
+class PaceTable:
+    """The factor on V by the conditions, interpolated as `SpeedTable`."""
+
+    sight_rad: tuple[float, ...]
+    relative_speed_m_s: tuple[float, ...]
+    gust_m_s2: tuple[float, ...]
+    factor: Grid
+
+    def __call__(self, sight_rad: float, relative_speed_m_s: float, gust_m_s2: float) -> float:
+        """The factor for how well the pad is seen, how well it is followed, and the gusts."""
+        axes = (self.sight_rad, self.relative_speed_m_s, self.gust_m_s2)
+        return _trilinear(axes, self.factor, (sight_rad, relative_speed_m_s, gust_m_s2))
+
+
+def _trilinear(axes: Axes, values: Grid, at: tuple[float, float, float]) -> float:
+    (i, u), (j, v), (k, w) = (_cell(axis, value) for axis, value in zip(axes, at, strict=True))
+    near, far = values[i], values[i + 1]
+    a, b, c, d = near[j], near[j + 1], far[j], far[j + 1]
+    n = 1.0 - w
+    low = (a[k] * n + a[k + 1] * w) * (1.0 - v) + (b[k] * n + b[k + 1] * w) * v
+    high = (c[k] * n + c[k + 1] * w) * (1.0 - v) + (d[k] * n + d[k + 1] * w) * v
+    return low * (1.0 - u) + high * u
 
 
 def _cell(axis: tuple[float, ...], value: float) -> tuple[int, float]:
@@ -69,15 +92,19 @@ def _cell(axis: tuple[float, ...], value: float) -> tuple[int, float]:
 
 
 def build_table(rules: FuzzyRules) -> SpeedTable:
-    """Sample scikit-fuzzy's surface between the outermost corners that matter (about 3 s)."""
-    axes = (
-        _axis(rules.distance_m, _DISTANCE_FRACTIONS),
-        _axis(rules.velocity_m_s, _RATE_FRACTIONS),
-        _axis(rules.acceleration_m_s2, _RATE_FRACTIONS),
-    )
-    points = np.stack([grid.ravel() for grid in np.meshgrid(*axes, indexing="ij")], axis=1)
-    speeds = mamdani(rules, points).reshape([len(axis) for axis in axes])
-    return SpeedTable(*axes, speed_m_s=_as_grid(np.round(speeds, 4).tolist()))
+    """Sample scikit-fuzzy's surfaces between the outermost corners that matter (about 4 s)."""
+    axes, speeds = _sampled(rules, (_DISTANCE_FRACTIONS, _RATE_FRACTIONS, _RATE_FRACTIONS))
+    if rules.pace is None:
+        return SpeedTable(*axes, speed_m_s=speeds)
+    inputs, factors = _sampled(rules.pace, (_RATE_FRACTIONS,) * 3)
+    return SpeedTable(*axes, speed_m_s=speeds, pace=PaceTable(*inputs, factor=factors))
+
+
+def _sampled(rules: RuleSet, fractions: Sequence[tuple[float, ...]]) -> tuple[Axes, Grid]:
+    x, y, z = (_axis(rules.terms(name), shares) for name, shares in zip(rules.inputs, fractions, strict=True))
+    points = np.stack([grid.ravel() for grid in np.meshgrid(x, y, z, indexing="ij")], axis=1)
+    outputs = mamdani(rules, points).reshape(len(x), len(y), len(z))
+    return (x, y, z), _as_grid(np.round(outputs, 4).tolist())
 
 
 def _axis(terms: Terms, fractions: tuple[float, ...]) -> tuple[float, ...]:
@@ -96,6 +123,15 @@ def _as_grid(values: list[list[list[float]]]) -> Grid:
 # ---------------------------------------------------------------- the file
 
 
+class PaceFile(StrictModel):
+    """The pace's part of it."""
+
+    sight_rad: tuple[float, ...]
+    relative_speed_m_s: tuple[float, ...]
+    gust_m_s2: tuple[float, ...]
+    factor: Grid
+
+
 class TableFile(StrictModel):
     """The table as stored beside its rules."""
 
@@ -104,6 +140,7 @@ class TableFile(StrictModel):
     velocity_m_s: tuple[float, ...]
     acceleration_m_s2: tuple[float, ...]
     speed_m_s: Grid
+    pace: PaceFile | None = None
 
 
 def load_table(name: str | Path) -> tuple[SpeedTable, Literal["stored", "computed"]]:
@@ -131,7 +168,7 @@ def write_table(name: str | Path) -> Path:
     rules = load_model(FuzzyRules, path)
     table = build_table(rules)
     _flyable(table, path)
-    rows = {axis: getattr(table, axis) for axis in (*INPUTS, OUTPUT)}
+    rows = asdict(table)
     target = _table_path(path)
     text = json.dumps({"fingerprint": rules.fingerprint(_SAMPLING), **rows}, separators=(",", ":"))
     try:
@@ -146,6 +183,8 @@ def write_table(name: str | Path) -> Path:
 def _flyable(table: SpeedTable, source: Path) -> None:
     """Refuse rules that would not arrive, or would come in ever faster."""
     slowest_m_s = float(np.min(table.speed_m_s))
+    if table.pace is not None and slowest_m_s > 0.0:
+        slowest_m_s *= float(np.min(table.pace.factor))
     if not slowest_m_s >= SLOWEST_M_S:
         raise ConfigError(f"{source}: rules: expected at least {SLOWEST_M_S:g} m/s, found {slowest_m_s:.2f}")
     gain = np.diff(np.array(table.speed_m_s), axis=0)
@@ -170,4 +209,7 @@ def _read_table(path: Path, fingerprint: str) -> SpeedTable | None:
         return None
     if stored.fingerprint != fingerprint:
         return None
-    return SpeedTable(stored.distance_m, stored.velocity_m_s, stored.acceleration_m_s2, stored.speed_m_s)
+    pace = None if stored.pace is None else PaceTable(**dict(stored.pace))
+    return SpeedTable(
+        stored.distance_m, stored.velocity_m_s, stored.acceleration_m_s2, stored.speed_m_s, pace
+    )

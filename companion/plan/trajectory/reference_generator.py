@@ -58,6 +58,7 @@ class ReferenceGenerator:
         avoidance: Avoidance | None = None,
     ) -> None:
         self._config, self._law = config, law
+        self.pace = 1.0  # factor on V
         self.avoidance = avoidance or Avoidance(PlanConfig(), 0.0)
         self._count, self._step_s = horizon_steps + 1, step_s
         self.origin: ReferenceFrame = "local"
@@ -183,7 +184,7 @@ class ReferenceGenerator:
         distance = norm(offset)
         unit = scale(offset, 1.0 / distance) if distance > 1e-6 else (0.0, 0.0, 0.0)
         gaining = subtract(start.acceleration_m_s2, target.acceleration_m_s2)
-        speed = self._law(distance, dot(closing, unit), dot(gaining, unit))
+        speed = self.pace * self._law(distance, dot(closing, unit), dot(gaining, unit))
         moving = Motion(scale(offset, -1.0), closing, gaining)
         duration_s = trajectory_time_s(distance, speed, self._config.minimum_time_s)
         asked_s = max(duration_s, self._left_s(now_s))

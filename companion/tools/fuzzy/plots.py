@@ -8,8 +8,10 @@ from typing import Any, Final
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
-from companion.plan.speed.fuzzy_rules import INPUTS, OUTPUT, FuzzyRules, Terms, in_order
+from companion.plan.speed.fuzzy_check import AnyTable
+from companion.plan.speed.fuzzy_rules import OUTPUT, FuzzyRules, RuleSet, Terms, in_order
 from companion.plan.speed.speed_table import SpeedTable
 
 mpl.use("Agg")
@@ -19,6 +21,10 @@ LABELS: Final = {
     "velocity_m_s": "closing velocity (m/s)",
     "acceleration_m_s2": "closing acceleration (m/s²)",
     OUTPUT: "average speed V (m/s)",
+    "sight_rad": "sight: error as an angle (rad)",
+    "relative_speed_m_s": "relative speed (m/s)",
+    "gust_m_s2": "gusts (m/s²)",
+    "factor": "pace: factor on V",
 }
 SURFACE_POINTS: Final = 60
 BOX_SHARE: Final = 0.86
@@ -30,16 +36,19 @@ def draw(rules: FuzzyRules, table: SpeedTable, path: Path) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    figure = Figure(figsize=(15.0, 8.5), dpi=110, layout="constrained")
-    halves: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.7))
-    top, bottom = halves
-    for axes, name in zip(top.subplots(1, 4), (*INPUTS, OUTPUT), strict=True):
-        _draw_terms(axes, getattr(rules, name), LABELS[name])
-    axis = table.acceleration_m_s2
-    highest = max(max(row) for plane in table.speed_m_s for row in plane)
-    for column, acceleration in enumerate((axis[0], 0.5 * (axis[0] + axis[-1]), axis[-1])):
-        _draw_surface(bottom.add_subplot(1, 3, column + 1, projection="3d"), table, acceleration, highest)
-    figure.suptitle(f"{rules.name}: the expert's terms, and the speed V(distance, velocity, acceleration)")
+    sets: list[tuple[RuleSet, AnyTable]] = [(rules, table)]
+    if rules.pace is not None and table.pace is not None:
+        sets.append((rules.pace, table.pace))
+    figure = Figure(figsize=(15.0, 8.5 * len(sets)), dpi=110, layout="constrained")
+    halves: Any = figure.subfigures(2 * len(sets), 1, height_ratios=(1.0, 1.7) * len(sets))
+    for (rule_set, surface), terms, surfaces in zip(sets, halves[::2], halves[1::2], strict=True):
+        for axes, name in zip(terms.subplots(1, 4), (*rule_set.inputs, rule_set.output), strict=True):
+            _draw_terms(axes, rule_set.terms(name), LABELS[name])
+        third = getattr(surface, rule_set.inputs[2])
+        for column, value in enumerate((third[0], 0.5 * (third[0] + third[-1]), third[-1])):
+            axes = surfaces.add_subplot(1, 3, column + 1, projection="3d")
+            _draw_surface(axes, rule_set, surface, value)
+    figure.suptitle(f"{rules.name}: the expert's terms, the speed V, and its pace by the conditions")
     figure.savefig(path)
 
 
@@ -59,17 +68,25 @@ def _draw_terms(axes: Any, terms: Terms, label: str) -> None:
     axes.set_ylabel("membership")
 
 
-def _draw_surface(axes: Any, table: SpeedTable, acceleration_m_s2: float, highest_m_s: float) -> None:
-    distance = np.linspace(table.distance_m[0], table.distance_m[-1], SURFACE_POINTS)
-    velocity = np.linspace(table.velocity_m_s[0], table.velocity_m_s[-1], SURFACE_POINTS)
-    speed = np.array([[table(d, v, acceleration_m_s2) for d in distance.tolist()] for v in velocity.tolist()])
-    grid = np.meshgrid(distance, velocity)
-    axes.plot_surface(*grid, speed, cmap="viridis", vmin=0.0, vmax=highest_m_s, rcount=40, ccount=40)
-    axes.set_xlabel(LABELS["distance_m"])
-    axes.set_ylabel(LABELS["velocity_m_s"])
-    axes.set_zlabel("V (m/s)")
-    axes.set_zlim(0.0, highest_m_s)
-    axes.view_init(elev=26.0, azim=-128.0)
+def _draw_surface(axes: Any, rules: RuleSet, table: AnyTable, third: float) -> None:
+    first, second, name = rules.inputs
+    x, y = (
+        np.linspace(getattr(table, axis)[0], getattr(table, axis)[-1], SURFACE_POINTS)
+        for axis in (first, second)
+    )
+    output = np.array([[table(d, v, third) for d in x.tolist()] for v in y.tolist()])
+    highest = float(np.max(getattr(table, rules.output)))
+    grid = np.meshgrid(x, y)
+    axes.plot_surface(*grid, output, cmap="viridis", vmin=0.0, vmax=highest, rcount=40, ccount=40)
+    axes.set_xlabel(LABELS[first])
+    axes.set_ylabel(LABELS[second])
+    axes.set_zlabel(LABELS[rules.output])
+    axes.set_zlim(0.0, highest)
+    # from below of the slope: V rises with distance, the pace falls with whatever is worse
+    axes.view_init(elev=26.0, azim=-128.0 if rules.output == OUTPUT else 52.0)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(5))
     # the layout knows nothing of a 3-D axis's label: without room at its side it is cut off
     axes.set_box_aspect(None, zoom=BOX_SHARE)
-    axes.set_title(f"acceleration {acceleration_m_s2:+.1f} m/s²")
+    sign = "+" if name == "acceleration_m_s2" else ""  # gusts have none
+    axes.set_title(f"{LABELS[name].partition(' (')[0]} {third:{sign}.1f} m/s²")

@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.config import ConfigError
-from companion.plan.speed.fuzzy_check import LARGEST_ERROR, TableError, table_error, worst_slips_m_s
-from companion.plan.speed.fuzzy_rules import FuzzyRules, in_order, load_rules
+from companion.plan.speed.fuzzy_check import LARGEST_ERROR, AnyTable, TableError, table_error, worst_slips
+from companion.plan.speed.fuzzy_rules import FuzzyRules, PaceRules, RuleSet, in_order, load_rules
 from companion.plan.speed.speed_table import MONOTONE_TOLERANCE_M_S, SpeedTable, load_table, write_table
 from companion.tools.fuzzy.plots import draw
 
@@ -19,7 +19,17 @@ SENSE: Final = {
     "distance_m": "never faster when closer",
     "velocity_m_s": "never faster when already closing faster",
     "acceleration_m_s2": "never faster when already speeding up more",
+    "sight_rad": "never quicker where the pad is seen worse",
+    "relative_speed_m_s": "never quicker where the pad is followed worse",
+    "gust_m_s2": "never quicker in more gusts",
 }
+WORDS: Final = {
+    "distance_m": "distance",
+    "acceleration_m_s2": "acceleration",
+    "sight_rad": "sight",
+    "gust_m_s2": "gusts",
+}
+UNITS: Final = {"m": "m", "m_s": "m/s", "m_s2": "m/s²", "rad": "rad"}
 
 
 def run_fuzzy(rules: str, plot: Path | None, points: int, seed: int, *, rewrite: bool) -> bool:
@@ -32,8 +42,12 @@ def run_fuzzy(rules: str, plot: Path | None, points: int, seed: int, *, rewrite:
     read = load_rules(rules)
     written = write_table(rules) if rewrite else None
     table, how = load_table(rules)
-    for block in rule_tables(read):
-        console.print(block)
+    sets: list[tuple[RuleSet, AnyTable]] = [(read, table)]
+    if read.pace is not None and table.pace is not None:
+        sets.append((read.pace, table.pace))
+    for rule_set, _ in sets:
+        for block in rule_tables(rule_set):
+            console.print(block)
     if written is not None:
         console.print(f"table written: {written}", highlight=False, soft_wrap=True)
     elif how == "computed":
@@ -41,45 +55,54 @@ def run_fuzzy(rules: str, plot: Path | None, points: int, seed: int, *, rewrite:
     if plot is not None:
         _draw(read, table, plot)
         console.print(f"picture: {plot}", highlight=False, soft_wrap=True, markup=False)
-    error = table_error(read, table, points, np.random.default_rng(seed))
-    slips = worst_slips_m_s(table)
-    for line in (error_line(error), *sense_lines(slips)):
+    held = [_check(console, *each, points, np.random.default_rng(seed)) for each in sets]
+    return all(held)  # all are shown, whichever fails
+
+
+def _check(console: Console, rules: RuleSet, table: AnyTable, points: int, rng: np.random.Generator) -> bool:
+    """Print what a table is worth; whether it holds and the rules are a pilot's."""
+    error, slips = table_error(rules, table, points, rng), worst_slips(rules, table)
+    for line in (error_line(rules, error), *sense_lines(slips)):
         console.print(line, highlight=False, soft_wrap=True)
-    sensible = all(slip <= MONOTONE_TOLERANCE_M_S for slip in slips.values())
-    return error.holds and sensible
+    return error.holds and all(slip <= MONOTONE_TOLERANCE_M_S for slip in slips.values())
 
 
-def rule_tables(rules: FuzzyRules) -> list[Table]:
-    """One block for each acceleration: rows are distances, columns closing velocities, cells speeds."""
+def rule_tables(rules: RuleSet) -> list[Table]:
+    """One block for each term of the third input: rows are the first's, columns the second's."""
+    first, second, third = rules.inputs
     blocks = []
-    for acceleration in in_order(rules.acceleration_m_s2):
-        block = Table(title=f"acceleration {acceleration}", title_justify="left")
-        block.add_column("distance")
-        for velocity in in_order(rules.velocity_m_s):
-            block.add_column(velocity)
-        for distance in in_order(rules.distance_m):
-            block.add_row(distance, *rules.rules[acceleration][distance])
+    for term in in_order(rules.terms(third)):
+        block = Table(title=f"{WORDS[third]} {term}", title_justify="left")
+        block.add_column(WORDS[first])
+        for column in in_order(rules.terms(second)):
+            block.add_column(column)
+        for row in in_order(rules.terms(first)):
+            block.add_row(row, *rules.rules[term][row])
         blocks.append(block)
     return blocks
 
 
-def error_line(error: TableError) -> str:
+def error_line(rules: RuleSet, error: TableError) -> str:
     """What the table is worth, beside its bar."""
-    d, v, a = error.worst_at
+    where = ", ".join(
+        f"{value:.2f} {UNITS[name.partition('_')[2].removeprefix('speed_')]}"
+        for name, value in zip(rules.inputs, error.worst_at, strict=True)
+    )
     verdict = "holds" if error.holds else "FAILS"
     return (
-        f"table against scikit-fuzzy at {error.points} inputs: largest error {100.0 * error.worst:.2f} % "
-        f"(at {d:.2f} m, {v:.2f} m/s, {a:.2f} m/s²), rms {100.0 * error.rms:.2f} %; "
+        f"table of {rules.output.partition('_')[0]} against scikit-fuzzy at {error.points} inputs: "
+        f"largest error {100.0 * error.worst:.2f} % (at {where}), rms {100.0 * error.rms:.2f} %; "
         f"bar {100.0 * LARGEST_ERROR:g} %: {verdict}"
     )
 
 
-def sense_lines(slips_m_s: dict[str, float]) -> list[str]:
-    """For each input whether the speed does what a pilot would."""
+def sense_lines(slips: dict[str, float]) -> list[str]:
+    """For each input whether the output does what a pilot would."""
     lines = []
-    for name, slip in slips_m_s.items():
+    for name, slip in slips.items():
         broken = slip > MONOTONE_TOLERANCE_M_S
-        lines.append(f"{SENSE[name]}: " + (f"BROKEN, by up to {slip:.3f} m/s" if broken else "holds"))
+        unit = "" if name in PaceRules.inputs else " m/s"
+        lines.append(f"{SENSE[name]}: " + (f"BROKEN, by up to {slip:.3f}{unit}" if broken else "holds"))
     return lines
 
 

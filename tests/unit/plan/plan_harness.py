@@ -88,7 +88,8 @@ class PlanWorld:
         self.pad, self.heading = pad, heading
         self.echo_m: float | None = None  # instead of the true one
         self.autopilot = PlanAutopilot()
-        self.planner = Planner(config or PlanConfig(), VEHICLE, 20, 0.1, TABLE)
+        self.config = config or PlanConfig()
+        self.planner = Planner(self.config, VEHICLE, 20, 0.1, TABLE)
         self.now_s = 0.0
         self.position: Vector3 = (0.0, 0.0, -LEG_M)
         self.velocity: Vector3 = ZERO3

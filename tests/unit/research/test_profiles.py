@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from companion.base.messages import Outcome, Phase, Truth
+from companion.base.messages import Conditions, Outcome, Phase, Truth
 from companion.research import profiles
 from companion.research.flown import EndedFlight
 from companion.research.profiles import Descent
@@ -44,6 +44,14 @@ def test_a_descent_is_measured_from_taking_the_pad_up() -> None:
     assert measured.jerk_m_s3 == pytest.approx(0.8, abs=0.08)
     assert measured.overshoot_m == pytest.approx(0.1, abs=0.005)
     assert (measured.contact_m_s, measured.lateral_contact_m) == (0.2, 0.03)
+
+
+def test_a_touch_at_the_take_off_is_not_the_contact() -> None:
+    flown = _descent()
+    bounced = [*flown.truth[:2], replace(flown.truth[2], in_contact=True), *flown.truth[3:]]
+    assert profiles.measure(EndedFlight(flown.result, bounced, flown.kept), "fuzzy").seconds == pytest.approx(
+        10.0
+    )
 
 
 def test_a_flight_that_never_saw_the_pad_has_no_figures() -> None:
@@ -81,3 +89,23 @@ def test_table_and_picture(tmp_path: Path) -> None:
     assert re.search(r"landed +│ +1 of 1 │ +1 of 1 │ +1 of 1 │", shown)
     profiles.draw(flown, tmp_path / "profiles.png")
     assert (tmp_path / "profiles.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_conditions_met_are_shown_by_scenario() -> None:
+    one = profiles.measure(_descent(), "fuzzy")
+    calm = replace(
+        one, law="fuzzy_pace", scenario="static", conditions=(Conditions(0.009, 0.05, 0.2, 1.25),) * 5
+    )
+    storm = replace(
+        one, law="fuzzy_pace", scenario="gusts", conditions=(Conditions(0.011, 0.15, 1.1, 0.75),) * 5
+    )
+    console = Console(record=True, width=110)
+    console.print(profiles.conditions_table([calm, storm, replace(calm, law="fixed")]))
+    shown = console.export_text()
+    assert [line.split()[1] for line in shown.splitlines() if "(" in line and "to" in line][-2:] == [
+        "static",
+        "gusts",
+    ]
+    assert "1.25 (1.25 to 1.25)" in shown
+    assert "0.75 (0.75 to 0.75)" in shown
+    assert "nan" in str(profiles.conditions_table([replace(one, law="fuzzy_pace")]).columns[1]._cells)

@@ -1,10 +1,13 @@
 """The speed laws that the settings choose among."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from companion.base.messages import Conditions
 from companion.config import ConfigError, PlanConfig
-from companion.plan.speed.laws import LogPolynomial, load_speed_law
+from companion.plan.speed.laws import LogPolynomial, by_conditions, load_speed_controller, load_speed_law
 from companion.plan.speed.speed_table import SpeedTable, load_table
 
 TABLE = load_table("landing")[0]
@@ -51,3 +54,15 @@ def test_its_coefficients_are_those_of_the_logarithm() -> None:
     length = np.log1p(3.0)
     expected = c[0] + c[1] * length + c[2] * length**2 + c[3] * length**3
     assert LogPolynomial(TABLE)(3.0, 0.0, 0.0) == pytest.approx(expected)
+
+
+def test_only_the_fuzzy_pilot_looks_at_the_conditions_and_only_if_asked() -> None:
+    storm = Conditions(sight_rad=0.2, relative_speed_m_s=3.0, gust_m_s2=3.0)
+    assert load_speed_controller(PlanConfig(pace=True)).pace(storm) == pytest.approx(0.5, abs=0.01)
+    assert load_speed_controller(PlanConfig()).pace(storm) == 1.0
+    for name in ("fixed", "log_polynomial"):
+        assert load_speed_controller(_law(name, pace=True)).pace(storm) == 1.0
+
+
+def test_rules_without_a_pace_come_in_alike_in_all_conditions() -> None:
+    assert by_conditions(replace(TABLE, pace=None))(Conditions(0.2, 3.0, 3.0)) == 1.0

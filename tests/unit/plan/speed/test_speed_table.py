@@ -135,3 +135,48 @@ def test_rules_that_stand_still_or_back_away_are_refused(tmp_path: Path) -> None
     path = edited(tmp_path, speed_m_s=speeds | {slowest: [-0.4, -0.2, 0.0]})
     with pytest.raises(ConfigError, match=r"rules: expected at least 0.05 m/s, found -0.2"):
         load_table(path)
+
+
+# ---------------------------------------------------------------- the pace
+
+
+def pace(sight_rad: float, relative_speed_m_s: float, gust_m_s2: float, table: SpeedTable) -> float:
+    assert table.pace is not None
+    return table.pace(sight_rad, relative_speed_m_s, gust_m_s2)
+
+
+def test_quick_in_good_conditions_and_slow_in_bad_ones(table: SpeedTable) -> None:
+    assert pace(0.008, 0.1, 0.2, table) == pytest.approx(1.25, abs=0.01)
+    assert pace(0.2, 0.0, 0.0, table) == pytest.approx(0.5, abs=0.01)
+    assert pace(0.008, 2.0, 0.2, table) == pytest.approx(0.75, abs=0.01)
+    assert pace(0.008, 0.1, 2.0, table) == pytest.approx(0.75, abs=0.01)
+
+
+def test_never_quicker_in_worse_conditions(table: SpeedTable) -> None:
+    assert table.pace is not None
+    for axis in range(3):
+        assert np.diff(np.array(table.pace.factor), axis=axis).max() <= 1e-9
+
+
+def test_the_pace_flies_what_scikit_fuzzy_says_within_a_hundredth(table: SpeedTable) -> None:
+    rules = load_rules("landing").pace
+    assert rules is not None
+    points = np.random.default_rng(5).uniform((0.0, 0.0, 0.0), (0.15, 2.5, 3.0), (800, 3))
+    truth = mamdani(rules, points)
+    flown = np.array([pace(x, y, z, table) for x, y, z in points.tolist()])
+    assert np.max(np.abs(flown - truth) / truth) < 0.01
+
+
+def test_a_gap_in_the_pace_is_said_with_its_place(tmp_path: Path) -> None:
+    rules = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))["pace"]
+    del rules["gust_m_s2"]["breezy"], rules["rules"]["breezy"]
+    rules["gust_m_s2"]["gusty"] = [0.9, 1.2, 2.4, 2.4]
+    with pytest.raises(ConfigError, match=r"pace: gust_m_s2: no term covers 0.6 to 0.9"):
+        load_table(edited(tmp_path, pace=rules))
+
+
+def test_a_pace_that_stands_still_is_refused(tmp_path: Path) -> None:
+    rules = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))["pace"]
+    rules["factor"]["slow"] = [0.0, 0.05, 0.1]
+    with pytest.raises(ConfigError, match=r"rules: expected at least 0.05 m/s, found 0.0"):
+        load_table(edited(tmp_path, pace=rules))

@@ -36,8 +36,8 @@ def test_the_shipped_rules_are_shown_checked_and_drawn(tmp_path: Path) -> None:
     result = CliRunner().invoke(cli, ["fuzzy", "--plot", str(picture), *FEW])
     assert result.exit_code == 0
     assert "bar 1 %: holds" in result.output
-    assert result.output.count(": holds") == 4
-    for word in ("acceleration steady", "rushing", "touching", "creep"):
+    assert result.output.count(": holds") == 8
+    for word in ("acceleration steady", "rushing", "touching", "creep", "gusts breezy", "sliding", "hazy"):
         assert word in result.output
     assert picture.read_bytes().startswith(b"\x89PNG")
 

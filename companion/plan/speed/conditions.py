@@ -1,0 +1,73 @@
+"""The conditions of an approach, as the fuzzy speed controller's pace goes by them.
+
+Three numbers: how well the pad is seen, how well it is followed, and how the wind pushes. What of the speed
+over the pad is planned says nothing here: the closing velocity is an input of V already. NED, SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+from companion.base.geometry import Vector3
+from companion.base.messages import Conditions, PadState, VehicleState
+
+# A gust lasts for seconds; over this time the wind's force is averaged, and its spread about that.
+GUST_OVER_S: Final = 2.0
+RELATIVE_SPEED_OVER_S: Final = 0.5
+_LONGEST_CYCLE_S: Final = 0.1
+
+PaceLaw = Callable[[Conditions], float]
+
+
+def unhurried(_conditions: Conditions) -> float:
+    """The pace of those that know no conditions."""
+    return 1.0
+
+
+class ConditionMonitor:
+    """Takes a cycle's estimates in; `now` once a pad has been seen."""
+
+    def __init__(self) -> None:
+        # complex: north + i east
+        self._force_m_s2, self._gust_squared = 0j, 0.0
+        self._relative_m_s, self._sight_rad = 0.0, math.inf
+        self._noted_s: float | None = None
+
+    def update(
+        self, sight: PadState | None, vehicle: VehicleState | None, planned_m_s: Vector3 | None, now_s: float
+    ) -> None:
+        """Note the pad and the vehicle, and the velocity over the pad that is planned, if one is."""
+        first = self._noted_s is None
+        elapsed_s = 0.0 if self._noted_s is None else min(_LONGEST_CYCLE_S, max(0.0, now_s - self._noted_s))
+        self._noted_s = now_s
+        if vehicle is not None:
+            self._feel(
+                complex(*vehicle.side_force_ned_m_s2[:2]), 1.0 if first else _share(elapsed_s, GUST_OVER_S)
+            )
+        if sight is None:
+            return
+        distance_m = math.hypot(*sight.relative_position_ned_m)
+        self._sight_rad = math.atan2(sight.position_std_m, distance_m)
+        if planned_m_s is not None:
+            vx, vy, _ = sight.relative_velocity_ned_m_s
+            off_m_s = math.hypot(vx + planned_m_s[0], vy + planned_m_s[1])
+            self._relative_m_s += _share(elapsed_s, RELATIVE_SPEED_OVER_S) * (off_m_s - self._relative_m_s)
+
+    def _feel(self, force_m_s2: complex, share: float) -> None:
+        """Mean and variance with exponentially falling weights."""
+        off = force_m_s2 - self._force_m_s2
+        self._force_m_s2 += share * off
+        self._gust_squared = (1.0 - share) * (self._gust_squared + share * abs(off) ** 2)
+
+    @property
+    def now(self) -> Conditions | None:
+        """The conditions; None before a pad has been seen."""
+        if math.isinf(self._sight_rad):
+            return None
+        return Conditions(self._sight_rad, self._relative_m_s, math.sqrt(self._gust_squared))
+
+
+def _share(elapsed_s: float, over_s: float) -> float:
+    return -math.expm1(-elapsed_s / over_s)
