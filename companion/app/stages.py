@@ -57,19 +57,7 @@ def build_stages(
     camera = load_model(CameraConfig, find_file("cameras", config.camera))
     pad = load_pad(config.pad)
     antenna = config.sense.gps.antenna_position_body_m
-    by_telemetry = config.sense.source == "autopilot"
-    key = None
-    if config.link.signing_key is not None:
-        key = read_signing_key(config.link.signing_key, unix_time_s())
-    sense = config.sense if by_telemetry else None
-    session = Session(
-        config.link,
-        sense,
-        reads_setup=True,
-        signing_key=key,
-        orders=config.orders,
-        process=int(1e3 * unix_time_s()) % 2**32,
-    )
+    session = _session(config)
     estimator = StateEstimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
     sensing = Sensing(
         config,
@@ -101,3 +89,20 @@ def build_stages(
         )
 
     return Stages(vehicle, session, estimator, sensing, control_timer, make_planner)
+
+
+def _session(config: CompanionConfig) -> Session:
+    """The link's session.
+
+    Raises:
+        ConfigError: the signing key cannot be read.
+    """
+    link = config.link
+    return Session(
+        link,
+        config.sense if config.sense.source == "autopilot" else None,
+        reads_setup=True,
+        signing_key=None if link.signing_key is None else read_signing_key(link.signing_key, unix_time_s()),
+        orders=config.orders,
+        process=int(1e3 * unix_time_s()) % 2**32,
+    )
