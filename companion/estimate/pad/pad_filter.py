@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from companion.base.geometry import FloatArray, Vector3, wrap_angle
+from companion.base.geometry import FloatArray, Vector3, add, scale, wrap_angle
 from companion.config import PadFilterConfig
 from companion.estimate.gating import CHI_SQUARE_999, Gate
 from companion.estimate.motion import MotionHistory
@@ -44,6 +44,12 @@ from companion.estimate.pad.pad_types import (
     PadSnapshot,
 )
 from companion.estimate.pad.tilt_filter import LEVEL, TiltState
+from companion.estimate.pad.velocity_step import (
+    LONGEST_STEP_S,
+    RefusedSighting,
+    VelocityEstimate,
+    velocity_step,
+)
 
 MODEL_DWELL_S: Final = 5.0  # a motion keeps its model so long on average
 HEADING_ACCELERATION_RAD_S2_RTHZ: Final = 0.3  # process noise of the pad's turn rate
@@ -82,6 +88,7 @@ class PadFilter:
         self.seen_time_s = -math.inf
         self.started = False
         self._slow_share = 0.0
+        self._refused: RefusedSighting | None = None  # the first one since one was accepted, if not long ago
         self.gates: dict[str, Gate] = {}
 
     # ------------------------------------------------------------ replayable
@@ -97,13 +104,14 @@ class PadFilter:
             self.seen_time_s,
             self._slow_share,
             self._tilt,
+            self._refused,
         )
 
     def restore(self, snapshot: PadSnapshot) -> None:
         """Go on from a snapshot."""
         self.time_s, self.seen_time_s = snapshot.time_s, snapshot.seen_time_s
         self._turn, self.gates, self._slow_share = snapshot.turn, snapshot.gates, snapshot.slow_share
-        self._heading, self._tilt = snapshot.heading, snapshot.tilt
+        self._heading, self._tilt, self._refused = snapshot.heading, snapshot.tilt, snapshot.refused
         self.started = snapshot.models is not None
         if snapshot.models is not None:
             self._bank.restore(snapshot.models)
@@ -173,7 +181,10 @@ class PadFilter:
             return
         (a, b, c), (_, d, e), (_, _, f) = R.tolist()
         seen = self._innovation(sample.position_ned_m, (a, b, d, f))
-        if self._passes_sighting(seen, c, e):
+        y, (sa, sb, sd, sf) = self._mixture(seen)
+        S = (sa, sb, c, sd, e, sf)
+        if self._passes_sighting(y, S):
+            self._refused = None
             self._bank.update(seen)
             self._take_heading(sample)
             if sample.tilt_rad is not None:
@@ -182,8 +193,22 @@ class PadFilter:
             self._turn = self._turned(sample)
             self._slow_share = sample.slow_share
             self.seen_time_s = time_s
+            return
+        refused = RefusedSighting.of(time_s, y, S, R)
+        stepped = velocity_step(self._refused, refused, self.seen_time_s)
+        if stepped is not None:
+            change_m_s, covariance = stepped
+            velocity = add(self._relative_velocity_ned_m_s, change_m_s)
+            self._start(time_s, sample, R, VelocityEstimate(velocity, covariance))
         elif self.gates["sighting"].shut_out(time_s, self._config.sighting_timeout_s):
             self._start(time_s, sample, R)
+        elif self._refused is None or time_s - self._refused.time_s >= LONGEST_STEP_S:
+            self._refused = refused
+
+    @property
+    def _relative_velocity_ned_m_s(self) -> Vector3:
+        (north, east), (down, _) = self._bank.blend(self._bank.state).mean[:, 2:4].tolist()
+        return (north, east, down)
 
     def _innovation(
         self, position_ned_m: Vector3, variances_m2: tuple[float, float, float, float]
@@ -195,9 +220,7 @@ class PadFilter:
         models = groups.take(self._bank.group_of, axis=0)
         return innovation(self._bank.state, models[:, :2], models[:, 2:].reshape(-1, 2, 2))
 
-    def _passes_sighting(self, seen: Innovation, north_down_m2: float, east_down_m2: float) -> bool:
-        y, (a, b, d, f) = self._mixture(seen)
-        S = (a, b, north_down_m2, d, east_down_m2, f)
+    def _passes_sighting(self, y: Vector3, S: tuple[float, ...]) -> bool:
         passed = _normalised_squared(y, S) <= CHI_SQUARE_999[3]
         self._record("sighting", passed)
         return passed
@@ -255,20 +278,29 @@ class PadFilter:
 
     # ------------------------------------------------------------ starting
 
-    def _start(self, time_s: float, sample: PadMeasurement, R: FloatArray) -> None:
-        """From one sighting: the pad may stand still or drive at a few m/s, the vehicle's speed is known."""
-        vn, ve, vd = sample.vehicle_velocity_ned_m_s
-        north, east, down = sample.position_ned_m
+    def _start(
+        self, time_s: float, sample: PadMeasurement, R: FloatArray, velocity: VelocityEstimate | None = None
+    ) -> None:
+        """From one sighting: the pad may stand still or drive at a few m/s, the vehicle's speed is known.
+
+        Or with the relative velocity of its own that is given.
+        """
         P, plane, climb = np.zeros((self._models.count, 8, 8)), *self._models.groups
         P[plane, :2, :2], P[climb, 0, 0] = R[:2, :2], R[2, 2]
-        P[plane, 2, 2] = P[plane, 3, 3] = self._config.first_speed_std_m_s**2
-        P[climb, 2, 2] = FIRST_CLIMB_STD_M_S**2
+        if velocity is None:
+            vn, ve, vd = scale(sample.vehicle_velocity_ned_m_s, -1.0)
+            P[plane, 2, 2] = P[plane, 3, 3] = self._config.first_speed_std_m_s**2
+            P[climb, 2, 2] = FIRST_CLIMB_STD_M_S**2
+        else:
+            (vn, ve, vd), covariance = velocity
+            P[plane, 2:4, 2:4], P[climb, 2, 2] = covariance[:2, :2], covariance[2, 2]
         for state, variance in ((4, self._models.acceleration_variance), (6, self._models.jerk_variance)):
             P[:, state, state] = variance
             P[plane, state + 1, state + 1] = variance[plane]
-        means = np.array([[north, east, -vn, -ve, 0.0, 0.0, 0.0, 0.0], [down, 0.0, -vd, *[0.0] * 5]])
+        north, east, down = sample.position_ned_m
+        means = np.array([[north, east, vn, ve, 0.0, 0.0, 0.0, 0.0], [down, 0.0, vd, *[0.0] * 5]])
         self._bank.start(means, P)
-        self._turn, self._slow_share = Turn(), sample.slow_share
+        self._turn, self._slow_share, self._refused = Turn(), sample.slow_share, None
         self.time_s = self.seen_time_s = time_s
         self.started = True
         self._start_heading(sample)

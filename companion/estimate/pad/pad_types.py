@@ -17,6 +17,7 @@ from companion.estimate.pad.heading_filter import HeadingState
 from companion.estimate.pad.model_bank import BankState
 from companion.estimate.pad.pad_models import Turn
 from companion.estimate.pad.tilt_filter import LEVEL, NOT_TILTING, PadTilt, TiltState
+from companion.estimate.pad.velocity_step import RefusedSighting
 
 _EYE3: Final = np.eye(3)
 
@@ -69,6 +70,7 @@ class PadSnapshot(NamedTuple):
     seen_time_s: float
     slow_share: float
     tilt: TiltState = LEVEL
+    refused: RefusedSighting | None = None
 
 
 @dataclass(frozen=True, slots=True)

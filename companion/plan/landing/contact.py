@@ -27,6 +27,7 @@ _STALLED_BELOW_M = 0.08
 # The pad this far below the feet for so long has driven away or fallen: a bounce is lower and shorter.
 _AWAY_M = 0.25
 _AWAY_S = 0.3
+_ARRIVES_S = 0.3
 # Without thrust it falls at g; a third of that is no deck's motion.
 _FALLS_M_S2 = GRAVITY_M_S2 / 3.0
 _FALLS_S = 0.15  # a bump of the pad is over sooner; a fall is 11 cm by then
@@ -91,6 +92,13 @@ def contact_signs(
     return ContactSigns(low, stalled, short_echo, landed is LandedState.ON_GROUND)
 
 
+def echo_height_m(echo: RangeSample | None, vehicle: VehicleConfig, now_s: float) -> float | None:
+    """Height of the reference point by a fresh echo."""
+    if echo is None or now_s - echo.time_s > FRESH_S:
+        return None
+    return echo.distance_m + vehicle.range_position_body_m[2]
+
+
 def _echo_within(echo: RangeSample | None, distance_m: float, now_s: float) -> bool:
     """Whether a fresh echo came from no farther than that."""
     return echo is not None and now_s - echo.time_s <= FRESH_S and echo.distance_m <= distance_m
@@ -107,6 +115,10 @@ class Standing:
         """The feet are on the pad from now on."""
         self._since_s = now_s
         self._away, self._resting, self._falling, self._unshown = (Debounce() for _ in range(4))
+
+    def arrives(self, now_s: float) -> bool:
+        """Whether it may still slide; what says so later is wrong."""
+        return now_s - self._since_s <= _ARRIVES_S
 
     def off_pad(self, sight: PadState, now_s: float) -> bool:
         """Whether the pad is seen well below the feet."""

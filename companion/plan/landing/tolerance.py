@@ -30,6 +30,9 @@ _DRIFT_S = 0.22
 # A sink is stopped within this delay and at this rate: without that room no break-off begins.
 _STOPS_AFTER_S = 0.2
 _STOPS_M_S2 = 2.5
+# Sliding over the pad slows it down by so much, with half its weight on the feet (friction 0.6).
+_SLIDES_M_S2 = 3.0
+_SLIDES_M_S = 0.5  # slower it stays where it touches
 # While it corrects it tilts this much more than now or at contact: a foot hangs lower.
 _TILTS_MORE_RAD = math.radians(3.0)
 
@@ -58,6 +61,16 @@ def stopping_m(sink_m_s: float, tilt_rad: float, foot_reach_m: float) -> float:
     sink = max(0.0, sink_m_s)
     below_m = foot_reach_m * math.sin(tilt_rad + _TILTS_MORE_RAD)
     return sink * _STOPS_AFTER_S + sink * sink / (2.0 * _STOPS_M_S2) + below_m
+
+
+def slides_off(sight: PadState, farthest_m: float) -> str:
+    """Says so when the feet would slide farther aside than that: the pad was stopped or hit; else ""."""
+    (x, y, _), (vx, vy, _) = sight.relative_position_ned_m, sight.relative_velocity_ned_m_s
+    speed_m_s = sight.lateral_speed_m_s
+    slides_s = 0.5 * speed_m_s / _SLIDES_M_S2
+    slides = sight.age_s <= FRESH_S and speed_m_s >= _SLIDES_M_S
+    off = slides and math.hypot(x + slides_s * vx, y + slides_s * vy) > farthest_m
+    return f"sliding over the pad at {speed_m_s:.1f} m/s" if off else ""
 
 
 class Tolerance:

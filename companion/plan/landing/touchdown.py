@@ -17,10 +17,18 @@ from companion.base.messages import LandedState, LevelOff, PadState, RangeSample
 from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
-from companion.plan.landing.contact import FRESH_S, SIGNS_NEEDED, ContactSigns, Standing, contact_signs
+from companion.plan.landing.contact import (
+    FRESH_S,
+    SIGNS_NEEDED,
+    ContactSigns,
+    Standing,
+    contact_signs,
+    echo_height_m,
+)
 from companion.plan.landing.level_moment import TiltForecast, level_at
 from companion.plan.landing.levelling import Levelling
-from companion.plan.landing.tolerance import Tolerance, aligned, gentle, stopping_m
+from companion.plan.landing.short_echoes import ShortEchoes
+from companion.plan.landing.tolerance import Tolerance, aligned, gentle, slides_off, stopping_m
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import DetectedEvent, MissionEvent, State
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
@@ -40,9 +48,8 @@ _COMMITS_BELOW = 0.9
 # Echoes so much deeper than the unseen pad's estimate, for so long: the pad is not below any more.
 _DEEPER_M = 0.25
 _DEEPER_S = 0.15
-# Short echoes alone, so many in a row, show the feet down where the last estimate has them no higher than
-# this; so near, an echo that agrees with it shows that the pad, unseen for long, is below all the same.
-_SHORT_ECHOES = 2
+# Short echoes alone show the feet down where the last estimate has them no higher than this; so near, an echo
+# that agrees with it shows that the pad, unseen for long, is below all the same.
 _NEAR_M = 0.1
 _AGREES_M = 0.05
 
@@ -71,7 +78,7 @@ class TouchdownSequence:
         self._tolerance = Tolerance(self._config, now_s, slack)
         self._settled, self._touching = Debounce(), Debounce()
         self._too_fast, self._far_aside, self._deeper = Debounce(), Debounce(), Debounce()
-        self._short_echoes: list[float] = []
+        self._short_echoes = ShortEchoes()
         self.tilt = TiltForecast()
         self._levelling = Levelling(self._config, self._vehicle)
 
@@ -164,7 +171,6 @@ class TouchdownSequence:
     def _commit(self, now_s: float) -> None:
         c = self._config
         self._sunk_s = now_s
-        self._short_echoes = []
         speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(self._tilt_at_contact_m_s2())
         self._blended_s = now_s + c.blend_s
         blended_m = self._generator.sink(speed_m_s, c.blend_s, now_s)
@@ -172,13 +178,15 @@ class TouchdownSequence:
         self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / speed_m_s
 
     def _sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+        if sight is not None and (slides := self._slides(sight)):
+            self._generator.rise(now_s)
+            return MissionEvent.MISALIGNED, slides
         signs = self._signs(sight, inputs, now_s)
+        near = sight is not None and self._near(sight)
         touching = signs.count >= SIGNS_NEEDED
-        self._note_echo(signs, sight, inputs.range)
-        unseen = sight is not None and sight.age_s > self._config.blind_s
-        if self._touching.held_s(touching, now_s) >= self._config.contact_s or (
-            unseen and self.feet_down(now_s)
-        ):
+        self._short_echoes.note(inputs.range if near and signs.short_echo else None)
+        down = sight is not None and sight.age_s > self._config.blind_s and self.feet_down(now_s)
+        if self._touching.held_s(touching, now_s) >= self._config.contact_s or down:
             return MissionEvent.CONTACT, signs.in_words()
         if touching:
             self._levelling.touching(now_s)
@@ -191,16 +199,9 @@ class TouchdownSequence:
         assert sight is not None
         return self._go_down(sight, now_s)
 
-    def _note_echo(self, signs: ContactSigns, sight: PadState | None, echo: RangeSample | None) -> None:
-        if echo is None or not signs.short_echo or sight is None or not self._near(sight):
-            self._short_echoes = []
-        elif echo.time_s not in self._short_echoes:
-            self._short_echoes = [*self._short_echoes, echo.time_s][-_SHORT_ECHOES:]
-
     def feet_down(self, now_s: float) -> bool:
         """Whether echoes alone show the feet on the pad, when no other sign can be had any more."""
-        echoes = self._short_echoes
-        return len(echoes) == _SHORT_ECHOES and now_s - echoes[-1] <= FRESH_S
+        return self._short_echoes.in_a_row(now_s)
 
     def _lost(self, sight: PadState | None, echo: RangeSample | None, now_s: float) -> DetectedEvent | None:
         """Whether the pad is lost: unseen for too long, or unseen and not below any more by the echoes.
@@ -209,7 +210,7 @@ class TouchdownSequence:
         """
         c = self._config
         unseen = sight is None or sight.age_s > FRESH_S
-        echo_m = self._echo_height_m(echo, now_s)
+        echo_m = echo_height_m(echo, self._vehicle, now_s)
         below_m = math.inf if sight is None else sight.height_m
         deeper = unseen and echo_m is not None and echo_m > below_m + _DEEPER_M
         gone = self._deeper.held_s(deeper, now_s) >= _DEEPER_S
@@ -225,12 +226,6 @@ class TouchdownSequence:
 
     def _near(self, sight: PadState) -> bool:
         return sight.height_m <= self._vehicle.leg_height_m + _NEAR_M
-
-    def _echo_height_m(self, echo: RangeSample | None, now_s: float) -> float | None:
-        """Height (m) of the reference point by a fresh echo."""
-        if echo is None or now_s - echo.time_s > FRESH_S:
-            return None
-        return echo.distance_m + self._vehicle.range_position_body_m[2]
 
     def _set_down(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Level, and on down in the EKF's NED, until something solid is below."""
@@ -296,6 +291,9 @@ class TouchdownSequence:
         """Whether it is so far aside that it would miss the pad."""
         return sight.lateral_m > self._config.escape_lateral_m * self._tolerance.slack
 
+    def _slides(self, sight: PadState) -> str:
+        return slides_off(sight, self._config.escape_lateral_m * self._tolerance.slack)
+
     def _wrong(self, sight: PadState, now_s: float) -> str:
         """Why this landing would be hard or off the mark; "" while it is fine."""
         fresh = sight.age_s <= FRESH_S
@@ -337,10 +335,16 @@ class TouchdownSequence:
 
     def _stand(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         self._stay_down(now_s)
-        if sight is not None and self._standing.off_pad(sight, now_s):
+        if sight is not None and (why := self._leaves(sight, now_s)):
             self._generator.start("pad", sight.vehicle_from_pad, now_s)
-            return MissionEvent.OFF_PAD, "the pad is well below the feet"
+            return MissionEvent.OFF_PAD, why
         return self._standing.step(sight, inputs, now_s)
+
+    def _leaves(self, sight: PadState, now_s: float) -> str:
+        """Why it does not stay on the pad; "" while it does."""
+        away = self._standing.off_pad(sight, now_s)
+        slides = self._standing.arrives(now_s) and self._slides(sight)
+        return slides or (away and "the pad is well below the feet") or ""
 
     def _stay_down(self, now_s: float) -> None:
         self._generator.start("pad", Motion((0.0, 0.0, -self._vehicle.leg_height_m)), now_s)

@@ -27,14 +27,16 @@ SENSOR = (0.0, 0.0, 0.08)
 class PadFilterBench:
     """A vehicle with a given acceleration over a pad with a given motion, seen at 30 Hz."""
 
-    def __init__(self, acceleration: Vector3 = (0.0, 0.0, 0.0), height_m: float = 3.0) -> None:
+    def __init__(
+        self, acceleration: Vector3 = (0.0, 0.0, 0.0), height_m: float = 3.0, noise_m: float = 0.01
+    ) -> None:
         self.motion = MotionHistory(20.0)
         self.filter = PadFilter(PadFilterConfig(), self.motion, board_half_width_m=0.65)
         self.timeline: Timeline[PadSnapshot, PadInput] = Timeline(self.filter, 1.0)
         for k in range(4000):
             self.motion.add(k / 200, IDENTITY, acceleration)
         self.acceleration = np.array(acceleration)
-        self.height_m = height_m
+        self.height_m, self.noise_m = height_m, noise_m
         self.rng = np.random.default_rng(2)
 
     def relative(self, t: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -42,9 +44,9 @@ class PadFilterBench:
         return np.array([t, 0.0, self.height_m]) - 0.5 * self.acceleration * t * t
 
     def sighting(self, t: float, offset: Vector3 = (0.0, 0.0, 0.0), heading: float = 0.1) -> PadMeasurement:
-        noise = 0.01 * self.rng.normal(size=3)
+        noise = self.noise_m * self.rng.normal(size=3)
         position = self.relative(t) + noise + offset
-        return PadMeasurement((*position.tolist(),), 1e-4 * np.eye(3), heading, 0.01)
+        return PadMeasurement((*position.tolist(),), self.noise_m**2 * np.eye(3), heading, 0.01)
 
     def see(self, start_s: float, end_s: float, offset: Vector3 = (0.0, 0.0, 0.0)) -> None:
         for k in range(round(start_s * 30), round(end_s * 30)):
@@ -121,6 +123,32 @@ def test_one_false_sighting_is_refused() -> None:
     assert bench.at(3.0).x[0:3] == pytest.approx(bench.relative(3.0), abs=0.05)
     assert bench.filter.gates["sighting"].refused == 1
     assert bench.at(3.0).seen_time_s < 3.0
+
+
+@pytest.mark.parametrize("noise_m", [0.001, 0.005])
+def test_a_pad_that_stops_at_once_is_followed_by_a_few_sightings(noise_m: float) -> None:
+    bench = PadFilterBench(noise_m=noise_m)
+    bench.see(0.0, 3.0)
+    stopped_s = 2.98
+    for k in range(90, 94):
+        bench.timeline.add(k / 30, bench.sighting(k / 30, (stopped_s - k / 30, 0.0, 0.0)))
+    estimate = bench.at(93 / 30)
+    assert estimate.seen_time_s == 93 / 30
+    assert estimate.x[0:3] == pytest.approx([stopped_s, 0.0, 3.0], abs=4.0 * noise_m)
+    error = abs(estimate.x[3])
+    assert error < 0.2
+    assert error < 4.0 * math.sqrt(estimate.P[3, 3])
+
+
+def test_another_pad_is_no_change_of_velocity_and_neither_is_noise() -> None:
+    bench = PadFilterBench(noise_m=0.001)
+    bench.see(0.0, 3.0)
+    bench.see(3.0, 3.2, (0.1, 0.0, 0.0))  # beside it, and moving as it does
+    assert bench.at(3.2).seen_time_s < 3.0
+    assert bench.at(3.2).x[0] == pytest.approx(3.2, abs=0.01)
+    for k, aside in enumerate((0.1, -0.1, 0.1, -0.1)):
+        bench.timeline.add(3.2 + k / 30, bench.sighting(3.2 + k / 30, (0.0, aside, 0.0)))
+    assert bench.at(3.3).seen_time_s < 3.0
 
 
 def test_sightings_that_insist_start_the_filter_again() -> None:

@@ -39,6 +39,29 @@ def test_far_aside_on_the_final_descent_it_climbs_while_still_high_only() -> Non
     assert sinking().step(sight(aside=0.19, height=0.21), None, LandedState.IN_AIR, 1.0) is None
 
 
+def test_a_pad_that_stops_beneath_it_is_left_at_once_even_when_the_feet_touch() -> None:
+    fast = sight(aside=0.05, height=0.2, velocity=(1.4, 0.0, 0.0))
+    slow = sight(aside=0.05, height=0.2, velocity=(0.45, 0.0, 0.0))
+    unseen = sight(aside=0.05, height=0.2, velocity=(1.4, 0.0, 0.0), age=1.4)  # as of one second
+    found = sinking().step(fast, RangeSample(1.0, 0.1), LandedState.IN_AIR, 1.0)
+    assert found == (MissionEvent.MISALIGNED, "sliding over the pad at 1.4 m/s")
+    for stays in (slow, unseen):
+        assert sinking().step(stays, RangeSample(1.0, 0.1), LandedState.IN_AIR, 1.0) is None
+
+
+@pytest.mark.parametrize(("since_s", "leaves"), [(0.1, True), (0.4, False)])
+def test_sliding_ends_the_stand_in_its_first_moments_alone(since_s: float, leaves: bool) -> None:
+    touchdown = sinking()
+    now_s = 1.0
+    while not touchdown.on_pad and now_s < 2.0:
+        now_s += CYCLE_S
+        touchdown.step(sight(height=0.19), RangeSample(now_s, 0.1), LandedState.IN_AIR, now_s)
+    assert touchdown.on_pad
+    fast = sight(height=0.2, velocity=(1.4, 0.0, 0.0))
+    found = touchdown.step(fast, None, LandedState.IN_AIR, now_s + since_s)
+    assert (found is not None and found[0] is MissionEvent.OFF_PAD) == leaves
+
+
 def test_no_contact_long_after_it_was_due_is_a_miss() -> None:
     touchdown = sinking()
     found = None
