@@ -28,6 +28,9 @@ _STALLED_BELOW_M = 0.08
 _AWAY_M = 0.25
 _AWAY_S = 0.3
 _ARRIVES_S = 0.3
+# Echoes so much longer than what the feet stand on give, for so long: a hop is shorter.
+_LIFTED_M = 0.08
+_LIFTED_S = 0.3
 # Without thrust it falls at g; a third of that is no deck's motion.
 _FALLS_M_S2 = GRAVITY_M_S2 / 3.0
 _FALLS_S = 0.15  # a bump of the pad is over sooner; a fall is 11 cm by then
@@ -115,6 +118,7 @@ class Standing:
         """The feet are on the pad from now on."""
         self._since_s = now_s
         self._away, self._resting, self._falling, self._unshown = (Debounce() for _ in range(4))
+        self._lifted = Debounce()
 
     def arrives(self, now_s: float) -> bool:
         """Whether it may still slide; what says so later is wrong."""
@@ -124,6 +128,16 @@ class Standing:
         """Whether the pad is seen well below the feet."""
         away = sight.age_s <= FRESH_S and sight.height_m > self._vehicle.leg_height_m + _AWAY_M
         return self._away.held_s(away, now_s) >= _AWAY_S
+
+    def lifted(self, inputs: PlanInputs, now_s: float) -> bool:
+        """Whether an autopilot that is not heard has taken the vehicle off the pad, by the echoes.
+
+        It holds by itself once setpoints do not arrive, over a pad that moves on; back in OFFBOARD by our
+        first setpoint it would be pressed down from there.
+        """
+        echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
+        high = echo_m is not None and echo_m > self._vehicle.leg_height_m + _LIFTED_M
+        return self._lifted.held_s(high and not inputs.autopilot.connected, now_s) >= _LIFTED_S
 
     def step(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Detect a landing: by the autopilot, by rest on the pad, or that nothing proves it."""

@@ -92,6 +92,11 @@ class Tolerance:
         turned = now_s - tilts[0][0] >= _LULL_S  # what falls still may fall on
         self._lull_m_s2 = tilts[0][1] + _LULL_M_S2 if turned else 0.0
 
+    @property
+    def escape_m(self) -> float:
+        """Farther aside the feet may miss the pad: it climbs and tries again."""
+        return self._config.escape_lateral_m * self.slack
+
     def waits(self, now_s: float) -> float:
         """How many times `gentle_wait_s` this try has lasted."""
         return (now_s - self._since_s) / self._config.gentle_wait_s

@@ -39,8 +39,7 @@ _LONGEST_CYCLE_S = 0.1
 # Levelling off it comes to the firmer sink within this.
 _FIRMER_S = 0.25
 _TOO_FAST_S = 0.1
-# A planned sink may be exceeded by this.
-_FASTER_M_S = 0.16
+_FASTER_M_S = 0.16  # a planned sink may be exceeded by this
 # It breaks off at this share of the tilt tolerated at the commit; it commits to this share of the tilt that
 # can be levelled off at all, or it would break off at once.
 _TOO_MUCH_TILT = 1.3
@@ -178,7 +177,7 @@ class TouchdownSequence:
         self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / speed_m_s
 
     def _sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
-        if sight is not None and (slides := self._slides(sight)):
+        if sight is not None and (slides := slides_off(sight, self._tolerance.escape_m)):
             self._generator.rise(now_s)
             return MissionEvent.MISALIGNED, slides
         signs = self._signs(sight, inputs, now_s)
@@ -289,10 +288,7 @@ class TouchdownSequence:
 
     def _escapes(self, sight: PadState) -> bool:
         """Whether it is so far aside that it would miss the pad."""
-        return sight.lateral_m > self._config.escape_lateral_m * self._tolerance.slack
-
-    def _slides(self, sight: PadState) -> str:
-        return slides_off(sight, self._config.escape_lateral_m * self._tolerance.slack)
+        return sight.lateral_m > self._tolerance.escape_m
 
     def _wrong(self, sight: PadState, now_s: float) -> str:
         """Why this landing would be hard or off the mark; "" while it is fine."""
@@ -335,16 +331,20 @@ class TouchdownSequence:
 
     def _stand(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         self._stay_down(now_s)
-        if sight is not None and (why := self._leaves(sight, now_s)):
-            self._generator.start("pad", sight.vehicle_from_pad, now_s)
+        if why := self._leaves(sight, inputs, now_s):
+            if sight is not None:
+                self._generator.start("pad", sight.vehicle_from_pad, now_s)
             return MissionEvent.OFF_PAD, why
         return self._standing.step(sight, inputs, now_s)
 
-    def _leaves(self, sight: PadState, now_s: float) -> str:
+    def _leaves(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> str:
         """Why it does not stay on the pad; "" while it does."""
-        away = self._standing.off_pad(sight, now_s)
-        slides = self._standing.arrives(now_s) and self._slides(sight)
-        return slides or (away and "the pad is well below the feet") or ""
+        if self._standing.lifted(inputs, now_s):
+            return "the autopilot, not heard, has taken it off"
+        away = sight is not None and self._standing.off_pad(sight, now_s)
+        if sight is not None and self._standing.arrives(now_s):
+            return slides_off(sight, self._tolerance.escape_m)
+        return "the pad is well below the feet" if away else ""
 
     def _stay_down(self, now_s: float) -> None:
         self._generator.start("pad", Motion((0.0, 0.0, -self._vehicle.leg_height_m)), now_s)

@@ -73,7 +73,8 @@ class Hold:
         if self._place is None or vehicle is None or not self._generator.active:
             return None
         if self._climbs:
-            self._generator.fly_to(Motion(self._place), now_s)
+            # the climb by itself: to come to rest from a pad that drove fast takes longer
+            self._generator.fly_level(Motion(self._place), self._place[2], now_s)
         actual = vehicle_motion(vehicle, now_s)
         near = norm(subtract(actual.position_m, self._place)) <= _NEAR_M
         if near and norm(actual.velocity_m_s) <= _SLOW_M_S:

@@ -23,6 +23,16 @@ from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 SINKING = Motion((0.0, 0.0, -LEG_M + 0.1), (0.0, 0.0, 0.22))
 
 
+def standing() -> tuple[Attempt, float]:
+    """On the pad, and since when (s)."""
+    touchdown, now_s = sinking(), 1.0
+    while not touchdown.on_pad and now_s < 2.0:
+        now_s += CYCLE_S
+        touchdown.step(sight(height=0.19), RangeSample(now_s, 0.1), LandedState.IN_AIR, now_s)
+    assert touchdown.on_pad
+    return touchdown, now_s
+
+
 def test_half_a_second_of_blindness_on_the_final_descent_is_borne_and_two_are_not() -> None:
     touchdown = sinking()
     assert touchdown.step(sight(height=0.4, age=1.4), None, LandedState.IN_AIR, 1.0) is None
@@ -51,14 +61,25 @@ def test_a_pad_that_stops_beneath_it_is_left_at_once_even_when_the_feet_touch() 
 
 @pytest.mark.parametrize(("since_s", "leaves"), [(0.1, True), (0.4, False)])
 def test_sliding_ends_the_stand_in_its_first_moments_alone(since_s: float, leaves: bool) -> None:
-    touchdown = sinking()
-    now_s = 1.0
-    while not touchdown.on_pad and now_s < 2.0:
-        now_s += CYCLE_S
-        touchdown.step(sight(height=0.19), RangeSample(now_s, 0.1), LandedState.IN_AIR, now_s)
-    assert touchdown.on_pad
+    touchdown, now_s = standing()
     fast = sight(height=0.2, velocity=(1.4, 0.0, 0.0))
     found = touchdown.step(fast, None, LandedState.IN_AIR, now_s + since_s)
+    assert (found is not None and found[0] is MissionEvent.OFF_PAD) == leaves
+
+
+@pytest.mark.parametrize(
+    ("heard", "echo_m", "leaves"), [(False, 0.25, True), (True, 0.25, False), (False, 0.14, False)]
+)
+def test_a_silent_autopilot_that_lifts_it_off_the_pad_is_not_pressed_down(
+    heard: bool, echo_m: float, leaves: bool
+) -> None:
+    touchdown, now_s = standing()
+    found = None
+    for _ in range(15):
+        now_s += CYCLE_S
+        found = found or touchdown.step(
+            sight(height=0.19, age=9.0), RangeSample(now_s, echo_m), LandedState.IN_AIR, now_s, heard=heard
+        )
     assert (found is not None and found[0] is MissionEvent.OFF_PAD) == leaves
 
 

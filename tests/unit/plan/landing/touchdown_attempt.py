@@ -56,9 +56,15 @@ class Attempt:
         self._sequence.tilt.note(attitude, seen, now_s)
 
     def step(
-        self, seen: PadState | None, echo: RangeSample | None, landed: LandedState, now_s: float
+        self,
+        seen: PadState | None,
+        echo: RangeSample | None,
+        landed: LandedState,
+        now_s: float,
+        *,
+        heard: bool = True,
     ) -> DetectedEvent | None:
-        inputs = PlanInputs(None, None, AutopilotState(now_s, landed=landed), range=echo)
+        inputs = PlanInputs(None, None, AutopilotState(now_s, landed=landed, connected=heard), range=echo)
         detected = self._sequence.step(self.state, seen, inputs, now_s)
         if detected is None:
             return None

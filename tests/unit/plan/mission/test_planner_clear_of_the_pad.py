@@ -72,6 +72,16 @@ def test_a_pad_that_grows_too_fast_just_below_is_left_upward() -> None:
     assert w.flight.heights_m[-1] > 1.0
 
 
+def test_it_is_clear_of_a_fast_pad_long_before_it_has_come_to_rest() -> None:
+    w = low_over_the_pad(PlanConfig.model_validate({"mission": {"pad_speed_m_s": 3.0}}))
+    begin_s, (north, east, down) = w.now_s, w.pad(w.now_s)
+    w.pad = lambda t: (north, east + max(0.0, t - begin_s) ** 2, down)
+    w.fly(20.0, until=lambda w: w.flight.phase is Phase.HOLD)
+    low_m = w.flight.heights_m[-1]
+    w.fly(3.0)
+    assert w.flight.heights_m[-1] > low_m + 0.8
+
+
 def test_land_that_is_asked_for_in_a_gap_of_the_link_is_asked_again_after_it() -> None:
     # GIVEN a vehicle that stands on the pad and is not disarmed, until the phase's time is nearly up
     w = low_over_the_pad()
