@@ -279,9 +279,8 @@ class PhaseSteering:
         event = fly(self._pad, Unseen(place, self._lowest_down_m()), now_s)
         if self._pad.sight is not None and self.search.ask_again(self._pad.sight.age_s, now_s):
             self._requests.tell(Action(ActionKind.REQUEST_PAD_POSITION))
-        if self._landing.climb_m > _WORTH_TELLING_M:
-            climb_m = self._landing.climb_m
-            self._say("climb", f"climbing {climb_m:.1f} m while the pad is unseen", now_s, "warning")
+        if self._landing.climbs:
+            self._say("climb", f"climbing {self._landing.climbs}", now_s, "warning")
         return event
 
     def _ground_near(self) -> DetectedEvent | None:

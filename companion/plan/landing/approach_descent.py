@@ -25,6 +25,10 @@ _CENTRED_SPEED_M_S = 0.6
 _LOW_MARGIN_M = 0.08
 # Once outside the cone the vehicle comes back this far inside before it descends again.
 _BACK_INSIDE = 0.8
+_WORTH_TELLING_M = 0.2
+# The controller climbs to keep in the cone what will be outside it so soon; from so much on it is told.
+_CHASES_S = 0.3
+_CHASED_M = 0.5
 _FLOOR_M = 0.15  # over where it would stand: a pad that heaves does not reach the feet in the descent
 
 
@@ -46,7 +50,8 @@ class Landing:
         self.paused = False
         self._begun_s = 0.0
         self._blind_down_m = math.inf
-        self.climb_m = 0.0  # a climb that begins with this cycle since the pad is unseen
+        self.climbs = ""  # how far and why, of a climb that begins with this cycle
+        self._chasing = False
 
     def begin(self, height_m: float, again: bool, now_s: float) -> None:
         """Start an approach from a height; `again` after a failed touchdown: only as high as that needs.
@@ -58,6 +63,7 @@ class Landing:
         self.goal_m = self._leg_m + c.retry_height_m if again else first_m
         self.paused = False
         self._begun_s = now_s
+        self._chasing = False
 
     def approach(self, pad: PadKnowledge, unseen: Unseen, now_s: float) -> DetectedEvent | None:
         """Towards the point above the pad, down a slope that keeps the pad in view."""
@@ -93,6 +99,7 @@ class Landing:
         else:
             self._generator.fly_level(Motion((0.0, 0.0, -sight.height_m)), math.inf, now_s)
         self.paused = not go_on
+        self.climbs = self._chase(sight)
         if sight.height_m <= wait_m + _LOW_MARGIN_M:
             return MissionEvent.LOW, f"{100.0 * (sight.height_m - self._leg_m):.0f} cm over the pad"
         return None
@@ -115,7 +122,7 @@ class Landing:
         A climb to goal_m over the pad that was under way is ended, at the height as it was last seen.
         """
         assert pad.motion is not None
-        self.climb_m = 0.0
+        self.climbs = ""
         if sight.age_s <= self._config.pause_unseen_s:
             self._generator.change_frame("pad", pad.motion, now_s)
             self._blind_down_m = math.inf
@@ -123,10 +130,22 @@ class Landing:
         if self._generator.origin == "pad":
             self._generator.change_frame("local", pad.motion, now_s)
             self._blind_down_m = self._goal_down_m(pad.motion, goal_m, now_s)
-        self.climb_m = self._generator.fly_level(
+        climb_m = self._generator.fly_level(
             unseen.place, min(unseen.lowest_down_m, self._blind_down_m), now_s
         )
+        if climb_m > _WORTH_TELLING_M:
+            self.climbs = f"{climb_m:.1f} m while the pad is unseen"
         return False
+
+    def _chase(self, sight: PadState) -> str:
+        """Why, when a climb after a pad that gets away begins: the controller keeps the cone."""
+        (x, y, _), (vx, vy, _) = sight.relative_position_ned_m, sight.relative_velocity_ned_m_s
+        soon_m = math.hypot(x + _CHASES_S * vx, y + _CHASES_S * vy)
+        cone = self.cone
+        climb_m = cone.apex_height_m + (soon_m - cone.radius_m) / cone.slope - sight.height_m
+        begins = climb_m > _CHASED_M and not self._chasing
+        self._chasing = climb_m > _CHASED_M or (self._chasing and self.paused)
+        return f"to keep the pad in view, {soon_m:.1f} m aside" if begins else ""
 
     def _goal_down_m(self, pad: Motion, goal_m: float, now_s: float) -> float:
         """Down of the goal, if that is higher than here, by no more than a retry climbs."""

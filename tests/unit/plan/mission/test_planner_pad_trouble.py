@@ -124,6 +124,20 @@ def test_unseen_low_over_the_ground_it_climbs_to_the_floor_and_says_so() -> None
     assert w.fly(120.0).phase is Phase.LANDED
 
 
+def test_a_pad_that_gets_away_below_it_is_followed_upward_and_that_is_said_once() -> None:
+    w = world(still())
+    w.fly(60.0, until=lambda x: x.flight.phases != [] and x.flight.phase is Phase.DESCEND)
+    w.fly(20.0, until=lambda x: -x.position[2] < 1.4)
+    assert w.flight.told("climb") == []
+    begin_s, (north, east, down) = w.now_s, w.pad(w.now_s)
+    w.pad = lambda t: (north, east + 1.5 * min(max(0.0, t - begin_s), 2.0), down)
+    w.fly(2.0)
+    told = w.flight.told("climb")
+    assert len(told) == 1
+    assert "to keep the pad in view" in told[0]
+    assert w.fly(60.0).phase is Phase.LANDED
+
+
 @pytest.mark.parametrize("lie_m", [1.5, 4.0])
 def test_echoes_that_contradict_the_pads_height_break_the_landing_off(lie_m: float) -> None:
     # GIVEN a pad that is seen, but believed to lie far lower than it does, until the first alarm
