@@ -34,7 +34,13 @@ from companion.base.geometry import (
 from companion.config import EkfConfig
 from companion.estimate.gating import Gate, normalised_innovation_squared
 from companion.estimate.vehicle import ekf_model as model
-from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, GpsStep, HeadingStep, ImuStep
+from companion.estimate.vehicle.ekf_inputs import (
+    AttitudeStep,
+    EkfInput,
+    GpsStep,
+    ImuStep,
+    SecondAttitudeStep,
+)
 from companion.estimate.vehicle.ekf_start import InitialState
 from companion.estimate.vehicle.ekf_state import EYE, EYE3, EkfSnapshot, EkfState
 from companion.estimate.vehicle.gyro_bias_check import BiasStep
@@ -78,8 +84,8 @@ class VehicleEkf(EkfState):
         if isinstance(item, AttitudeStep):
             self._take_anchor(item)
             return
-        if isinstance(item, HeadingStep):
-            self._take_heading(item)
+        if isinstance(item, SecondAttitudeStep):
+            self._take_second(item)
             return
         u = model.InertialInput(item.rate_body_rad_s, item.specific_force_body_m_s2)
         self.predict(time_s, u, item.samples, self._shown_by_fixes(item.noise), item.span_s)
@@ -234,11 +240,12 @@ class VehicleEkf(EkfState):
         P[model.VELOCITY, model.VELOCITY] += (GRAVITY_M_S2 * turned_rad * WRONG_FOR_S) ** 2 * EYE3
         self.P = P
 
-    def _take_heading(self, step: HeadingStep) -> None:
-        C = np.zeros((1, model.STATES))
-        C[:, model.QUATERNION] = model.rotation_from_quaternion(self.attitude)[2]
-        R = np.array([[step.std_rad**2]])
-        self._update("heading", np.array([step.ahead_rad]), C, R, R)
+    def _take_second(self, step: SecondAttitudeStep) -> None:
+        """Another attitude; all of it is refused when its heading or its horizon cannot be."""
+        C = np.zeros((3, model.STATES))
+        C[:, model.QUATERNION] = model.rotation_from_quaternion(self.attitude)
+        R = np.diag((step.tilt_std_rad**2, step.tilt_std_rad**2, step.heading_std_rad**2))
+        self._update("second_attitude", np.array(step.turn_rad), C, R, R)
 
     def _take_zero(self, states: slice, R: FloatArray) -> None:
         C = np.zeros((3, model.STATES))
