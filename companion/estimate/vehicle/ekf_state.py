@@ -34,6 +34,7 @@ from companion.estimate.vehicle.yaw_error import YawError
 
 GYRO_SCALE_ERROR: Final = 0.005  # scale and misalignment as a share of the rate that lasts for seconds
 
+FIXES: Final = frozenset({"gps_velocity", "gps_position"})
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
 UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
 UNSEEN_ACCELERATION_M_S2: Final = 4.0
@@ -133,7 +134,9 @@ class EkfState:
         P = self.P.copy()
         diagonal = P.reshape(-1)[:: model.STATES + 1]
         diagonal += self._noise * dt_s
-        yaw_rad_s = u.rate_body_rad_s[2] - float(self.x[model.GYRO_BIAS][2])
+        yaw_rad_s = 0.0  # without fixes nothing could teach what it is measured as: noise, as of other turns
+        if self.has_position:
+            yaw_rad_s = u.rate_body_rad_s[2] - float(self.x[model.GYRO_BIAS][2])
         rate = self.yaw_error.taken_off(u.rate_body_rad_s, yaw_rad_s)
         self.x, A = model.transition(self.x, model.InertialInput(rate, u.specific_force_body_m_s2), dt_s)
         before = self.yaw_error.with_state
@@ -160,9 +163,10 @@ class EkfState:
         """
         config = self._config
         unseen_s = max(dt_s - LONGEST_STEP_S, 0.0)
-        p, q, _ = noise.lasting_rate_rad_s  # a yaw's are in `yaw_error`
+        p, q, r = noise.lasting_rate_rad_s
+        r = 0.0 if self.has_position else r  # a yaw's are in `yaw_error`
         turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples
-        turn += GYRO_SCALE_ERROR**2 * (p * p + q * q) * dt_s
+        turn += GYRO_SCALE_ERROR**2 * (p * p + q * q + r * r) * dt_s
         velocity = (config.accel_noise_m_s2 * dt_s) ** 2 / samples
         velocity += (noise.force_density_m2_s3 + noise.force_error_m_s2**2 * FORCE_ERROR_S) * dt_s
         rate = min(UNSEEN_RATE_RAD_S, UNSEEN_TURN_RAD_S2 * unseen_s)
@@ -182,17 +186,18 @@ class EkfState:
             self.gates = {**self.gates, kind: self.gates.get(kind, Gate()).after(passed, self.time_s)}
             if not passed:
                 return False
-        self._correct(innovation, C, R)
+        self._correct(innovation, C, R, kind in FIXES)
         return True
 
-    def _correct(self, innovation: FloatArray, C: FloatArray, R: FloatArray) -> None:
+    def _correct(self, innovation: FloatArray, C: FloatArray, R: FloatArray, by_fix: bool = False) -> None:
         """x⁺ = x⁻ + K y, P⁺ = (I - K C) P⁻ (I - K C)ᵀ + K R Kᵀ; then the quaternion's share is corrected."""
         ekf = self._filter
         ekf.x, ekf.P = self.x, self.P
         ekf.update(innovation, lambda _: C, lambda _: 0.0, R)
         x, P, L = ekf.x, ekf.P, EYE - ekf.K @ C
         J = self._normalise(x)
-        self.yaw_error = self.yaw_error.corrected(innovation, C, ekf.K, ekf.SI).turned(J)
+        yaw_error = self.yaw_error.learnt(innovation, C, ekf.SI) if by_fix else self.yaw_error
+        self.yaw_error = yaw_error.considered(C, ekf.K).turned(J)
         P[model.QUATERNION] = J @ P[model.QUATERNION]
         P[:, model.QUATERNION] = P[:, model.QUATERNION] @ J.T
         P = 0.5 * (P + P.T)

@@ -9,7 +9,9 @@ back. The 31 states know biases alone, so k has a filter of its own beside their
     predict   G = r dx/d(gyroscope's bias)    P += A V Gᵀ + G Vᵀ Aᵀ + G M Gᵀ    V = A V + G M
     correct   k += (C V)ᵀ S⁻¹ y               V -= K C V                         M -= (C V)ᵀ S⁻¹ C V
 
-x and P keep their form. Immutable: each step gives a new one. rad/s, shares of a rate.
+Fixes alone correct k and M, and without a position k is left out. A compass's errors turn with the vehicle
+as k's do: what it shows counts for the state and V, as Schmidt has it, and teaches nothing of k. x and P keep
+their form. Immutable: each step gives a new one. Rates in rad/s, k as shares of a rate.
 """
 
 from __future__ import annotations
@@ -51,15 +53,17 @@ class YawError(NamedTuple):
         covariance = self.covariance + _WALK_RTS**2 * dt_s * _EYE3
         return YawError(self.share, covariance, with_state), G
 
-    def corrected(
-        self, innovation: FloatArray, C: FloatArray, K: FloatArray, inverse: FloatArray
-    ) -> YawError:
-        """After a measurement with Jacobian C, gain K and the inverse of the innovation's covariance."""
+    def considered(self, C: FloatArray, K: FloatArray) -> YawError:
+        """After a measurement with Jacobian C and gain K that teaches nothing of k."""
+        return self._replace(with_state=self.with_state - K @ (C @ self.with_state))
+
+    def learnt(self, innovation: FloatArray, C: FloatArray, inverse: FloatArray) -> YawError:
+        """k and its covariance after a measurement; `inverse` is that of the innovation's covariance."""
         seen = C @ self.with_state
         gain = seen.T @ inverse
         covariance = self.covariance - gain @ seen
-        return YawError(
-            self.share + gain @ innovation, 0.5 * (covariance + covariance.T), self.with_state - K @ seen
+        return self._replace(
+            share=self.share + gain @ innovation, covariance=0.5 * (covariance + covariance.T)
         )
 
     def turned(self, J: FloatArray) -> YawError:

@@ -12,6 +12,7 @@ from companion.config import EkfConfig
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf_start import InitialState
 from companion.estimate.vehicle.ekf_state import EkfState
+from companion.estimate.vehicle.imu_noise import StepNoise
 from companion.estimate.vehicle.yaw_error import SHARE_STD, YawError
 
 DEGREE = math.radians(1.0)
@@ -22,7 +23,9 @@ WHOLE = model.STATES + 3
 
 def standing() -> EkfState:
     start = InitialState(0.0, quat_from_euler(0.0, 0.0, 1.0), ZERO3, FIELD_NED_UT, DEGREE, DEGREE, 5e-4)
-    return EkfState(EkfConfig(), start)
+    ekf = EkfState(EkfConfig(), start)
+    ekf.has_position = True
+    return ekf
 
 
 def turning(k: tuple[float, float, float], rate_rad_s: float) -> model.InertialInput:
@@ -61,7 +64,7 @@ def test_prediction_and_correction_are_those_of_one_filter_with_34_states() -> N
     C[:, model.QUATERNION] = rng.normal(size=(3, 4))
     before, x = whole(ekf), np.append(ekf.x, ekf.yaw_error.share)
     K = before @ C.T @ np.linalg.inv(C @ before @ C.T + R)
-    ekf._correct(y, C[:, : model.STATES], R)
+    ekf._correct(y, C[:, : model.STATES], R, by_fix=True)
     assert ekf.yaw_error.share == pytest.approx((x + K @ y)[model.STATES :], abs=1e-12)
     left = (np.eye(WHOLE) - K @ C) @ before
     unscaled = slice(model.EULER.stop, WHOLE)  # but for what brings the quaternion to unit length
@@ -78,10 +81,24 @@ def test_a_turn_shows_what_it_is_measured_as_once_the_heading_is_known_after_it(
     too_far = 0.005 * 0.5 * STEP_S * count
     C = np.zeros((1, model.STATES))
     C[:, model.QUATERNION] = model.rotation_from_quaternion(ekf.attitude)[2]
-    ekf._correct(np.array([-too_far]), C, np.array([[(0.1 * DEGREE) ** 2]]))
+    ekf._correct(np.array([-too_far]), C, np.array([[(0.1 * DEGREE) ** 2]]), by_fix=True)
     # the start's heading and the gyroscope's bias have their share of it
     assert 0.0025 < ekf.yaw_error.share[2] < 0.005
     assert math.sqrt(ekf.yaw_error.covariance[2, 2]) < 0.7 * SHARE_STD
+
+
+def test_a_compass_teaches_nothing_of_it() -> None:
+    ekf = standing()
+    for k in range(1, 101):
+        ekf.predict(STEP_S * k, turning(ZERO3, 0.5))
+    before = ekf.yaw_error
+    C = np.zeros((1, model.STATES))
+    C[:, model.QUATERNION] = model.rotation_from_quaternion(ekf.attitude)[2]
+    ekf._correct(np.array([DEGREE]), C, np.array([[DEGREE**2]]))
+    assert np.array_equal(ekf.yaw_error.share, before.share)
+    assert np.array_equal(ekf.yaw_error.covariance, before.covariance)
+    related = np.abs(ekf.yaw_error.with_state[model.QUATERNION]).max()
+    assert 0.0 < related < np.abs(before.with_state[model.QUATERNION]).max()
 
 
 def test_without_a_turn_nothing_is_learnt() -> None:
@@ -89,6 +106,16 @@ def test_without_a_turn_nothing_is_learnt() -> None:
     for k in range(1, 501):
         ekf.predict(STEP_S * k, turning(ZERO3, 0.0))
     assert np.array_equal(ekf.yaw_error.with_state, YawError.first().with_state)
+
+
+def test_without_fixes_it_is_noise() -> None:
+    ekf = standing()
+    ekf.has_position = False
+    for k in range(1, 101):
+        ekf.predict(STEP_S * k, turning(ZERO3, 0.5), noise=StepNoise(lasting_rate_rad_s=(0.0, 0.0, 0.5)))
+    noisy, still = ekf.rotation_covariance()[2, 2], standing().rotation_covariance()[2, 2]
+    assert noisy > still + 0.9 * (0.5 * SHARE_STD) ** 2
+    assert np.abs(ekf.yaw_error.with_state).max() == 0.0
 
 
 def test_what_is_set_anew_is_related_to_nothing() -> None:
