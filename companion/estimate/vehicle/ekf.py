@@ -34,11 +34,18 @@ from companion.base.geometry import (
 from companion.config import EkfConfig
 from companion.estimate.gating import Gate, normalised_innovation_squared
 from companion.estimate.vehicle import ekf_model as model
-from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, GpsStep, HeadingStep, ImuStep
+from companion.estimate.vehicle.ekf_inputs import (
+    AttitudeStep,
+    EkfInput,
+    GpsStep,
+    ImuStep,
+    SecondAttitudeStep,
+)
 from companion.estimate.vehicle.ekf_start import InitialState
 from companion.estimate.vehicle.ekf_state import EYE, EYE3, EkfSnapshot, EkfState
 from companion.estimate.vehicle.gyro_bias_check import BiasStep
 from companion.estimate.vehicle.imu_noise import StepNoise
+from companion.estimate.vehicle.yaw_error import YawError
 
 MAG_DIP_NOISE_UT: Final = 20.0  # of the field in its own vertical plane, which gives no heading
 MAG_REFUSED_S: Final = 20.0  # magnetometer refused for so long: the heading's uncertainty grows
@@ -78,8 +85,8 @@ class VehicleEkf(EkfState):
         if isinstance(item, AttitudeStep):
             self._take_anchor(item)
             return
-        if isinstance(item, HeadingStep):
-            self._take_heading(item)
+        if isinstance(item, SecondAttitudeStep):
+            self._take_second(item)
             return
         u = model.InertialInput(item.rate_body_rad_s, item.specific_force_body_m_s2)
         self.predict(time_s, u, item.samples, self._shown_by_fixes(item.noise), item.span_s)
@@ -111,16 +118,22 @@ class VehicleEkf(EkfState):
         if np.abs(dx[model.QUATERNION]).max() > LARGEST_CARRIED:
             return None
         fixed = {kind: gate for kind, gate in self.gates.items() if kind.startswith("gps")}
-        after = [self.snapshot()]
+        after, since = [self.snapshot()], EYE
         for past in later:
             if (moved := past.moved) is None:
                 return None
-            dx, dP = moved @ dx, moved @ dP @ moved.T
-            after.append(self._changed(past, dx, dP, fixed))
+            since = moved @ since
+            yaw_error = past.yaw_error.changed(base.yaw_error, after[0].yaw_error, since)
+            after.append(self._changed(past, since @ dx, since @ dP @ since.T, yaw_error, fixed))
         return after
 
     def _changed(
-        self, past: EkfSnapshot, dx: FloatArray, dP: FloatArray, gates: dict[str, Gate]
+        self,
+        past: EkfSnapshot,
+        dx: FloatArray,
+        dP: FloatArray,
+        yaw_error: YawError,
+        gates: dict[str, Gate],
     ) -> EkfSnapshot:
         """A state that is newer than a late fix, with what has come of the fix's correction."""
         x = past.x + dx
@@ -133,6 +146,7 @@ class VehicleEkf(EkfState):
             has_position=self.has_position,
             gps_time_s=self.gps_time_s,
             fix_watch=self.fix_watch,
+            yaw_error=yaw_error,
         )
 
     # ------------------------------------------------------------ measurements
@@ -234,11 +248,12 @@ class VehicleEkf(EkfState):
         P[model.VELOCITY, model.VELOCITY] += (GRAVITY_M_S2 * turned_rad * WRONG_FOR_S) ** 2 * EYE3
         self.P = P
 
-    def _take_heading(self, step: HeadingStep) -> None:
-        C = np.zeros((1, model.STATES))
-        C[:, model.QUATERNION] = model.rotation_from_quaternion(self.attitude)[2]
-        R = np.array([[step.std_rad**2]])
-        self._update("heading", np.array([step.ahead_rad]), C, R, R)
+    def _take_second(self, step: SecondAttitudeStep) -> None:
+        """Another attitude; all of it is refused when its heading or its horizon cannot be."""
+        C = np.zeros((3, model.STATES))
+        C[:, model.QUATERNION] = model.rotation_from_quaternion(self.attitude)
+        R = np.diag((step.tilt_std_rad**2, step.tilt_std_rad**2, step.heading_std_rad**2))
+        self._update("second_attitude", np.array(step.turn_rad), C, R, R)
 
     def _take_zero(self, states: slice, R: FloatArray) -> None:
         C = np.zeros((3, model.STATES))
@@ -288,6 +303,7 @@ class VehicleEkf(EkfState):
         P[model.GYRO_BIAS, :] = P[:, model.GYRO_BIAS] = 0.0
         P[model.GYRO_BIAS, model.GYRO_BIAS] = STEP_STD_RAD_S**2 * EYE3
         self.x, self.P, self._moved = x, P, None
+        self.yaw_error = self.yaw_error.without(model.GYRO_BIAS)
         self._inflate_rotation(((0.3 * norm(step.turned_rad)) ** 2 + STEP_TURN_STD_RAD**2) * EYE3)
 
     def _start_from(self, time_s: float, fix: GpsStep, keep_speed: bool) -> None:
@@ -311,6 +327,7 @@ class VehicleEkf(EkfState):
         P[states, :] = P[:, states] = 0.0
         P[states, states] = np.diag(np.concatenate((np.square(fix.position_std_m), speed_variance)))
         self.x, self.P, self._moved = x, P, None
+        self.yaw_error = self.yaw_error.without(states)
         self.has_position, self.gps_time_s = True, time_s
         fresh = {
             kind: Gate(g.accepted, g.refused) for kind, g in self.gates.items() if kind.startswith("gps")

@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-from companion.base.geometry import Quaternion, Vector3, ned_from_geodetic
+from companion.base.geometry import (
+    Quaternion,
+    Vector3,
+    ned_from_geodetic,
+    quat_conjugate,
+    quat_multiply,
+    rotation_vector_from_quat,
+)
 from companion.base.messages import GpsFix
 from companion.config import EkfConfig
 from companion.estimate.vehicle.gyro_bias_check import BiasStep
 from companion.estimate.vehicle.imu_noise import STEADY, StepNoise
+
+# Of the autopilot's attitude at rest. The horizons of the three calibrated IMUs on one board, in each of two
+# flight logs, differ by 0.5 deg an axis (standard deviation); the boards may lie askew by as much again.
+OTHER_COMPASS_STD_RAD: Final = math.radians(3.0)
+OTHER_HORIZON_STD_RAD: Final = math.radians(0.8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,14 +64,21 @@ class AttitudeStep(NamedTuple):
     heading_std_rad: float
 
 
-class HeadingStep(NamedTuple):
-    """Another compass has the heading further to the east by `ahead_rad`, to a standard deviation (rad)."""
+class SecondAttitudeStep(NamedTuple):
+    """Another attitude is ours turned by `turn_rad` (about NED axes), to these standard deviations; rad."""
 
-    ahead_rad: float
-    std_rad: float
+    turn_rad: Vector3
+    tilt_std_rad: float
+    heading_std_rad: float
 
 
-EkfInput = ImuStep | GpsStep | BiasStep | AttitudeStep | HeadingStep
+EkfInput = ImuStep | GpsStep | BiasStep | AttitudeStep | SecondAttitudeStep
+
+
+def at_rest(ours: Quaternion, theirs: Quaternion) -> SecondAttitudeStep:
+    """What the autopilot's attitude (body to NED) at rest says of ours."""
+    turn = rotation_vector_from_quat(quat_multiply(theirs, quat_conjugate(ours)))
+    return SecondAttitudeStep(turn, OTHER_HORIZON_STD_RAD, OTHER_COMPASS_STD_RAD)
 
 
 def gps_step(fix: GpsFix, origin: Vector3, config: EkfConfig) -> GpsStep:

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from companion.base.geometry import FloatArray, Quaternion, dot, euler_from_quat, quat_normalise
+from companion.base.geometry import FloatArray, Quaternion, euler_from_quat, quat_normalise
 from companion.config import EkfConfig
 from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
 from companion.estimate.vehicle import ekf_model as model
@@ -30,9 +30,11 @@ from companion.estimate.vehicle.ekf_start import (
 from companion.estimate.vehicle.fix_watch import FixWatch
 from companion.estimate.vehicle.imu_noise import STEADY, StepNoise
 from companion.estimate.vehicle.innovation_watch import InnovationWatch
+from companion.estimate.vehicle.yaw_error import YawError
 
 GYRO_SCALE_ERROR: Final = 0.005  # scale and misalignment as a share of the rate that lasts for seconds
 
+FIXES: Final = frozenset({"gps_velocity", "gps_position"})
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
 UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
 UNSEEN_ACCELERATION_M_S2: Final = 4.0
@@ -60,6 +62,7 @@ class EkfSnapshot(NamedTuple):
     fix_watch: FixWatch
     moved: FloatArray | None
     watch: InnovationWatch
+    yaw_error: YawError
 
 
 class EkfState:
@@ -77,19 +80,20 @@ class EkfState:
         self.gps_time_s = -math.inf
         self.fix_watch = FixWatch()
         self.watch = InnovationWatch()
+        self.yaw_error = YawError.first()
         self._moved: FloatArray | None = EYE
 
     def snapshot(self) -> EkfSnapshot:
         """The whole state; cheap, since nothing is changed in place."""
         return EkfSnapshot(
             *(self.time_s, self.x, self.P, self.gates, self.has_position, self.gps_time_s, self.fix_watch),
-            *(self._moved, self.watch),
+            *(self._moved, self.watch, self.yaw_error),
         )
 
     def restore(self, snapshot: EkfSnapshot) -> None:
         """Go on from a snapshot."""
         self.time_s, self.x, self.P, self.gates, self.has_position = snapshot[:5]
-        self.gps_time_s, self.fix_watch, self._moved, self.watch = snapshot[5:]
+        self.gps_time_s, self.fix_watch, self._moved, self.watch, self.yaw_error = snapshot[5:]
 
     @property
     def attitude(self) -> Quaternion:
@@ -130,9 +134,15 @@ class EkfState:
         P = self.P.copy()
         diagonal = P.reshape(-1)[:: model.STATES + 1]
         diagonal += self._noise * dt_s
-        self.x, A = model.transition(self.x, u, dt_s)
-        P[:n] = A @ P[:m]
-        P[:, :n] = P[:, :m] @ A.T
+        yaw_rad_s = 0.0  # without fixes nothing could teach what it is measured as: noise, as of other turns
+        if self.has_position:
+            yaw_rad_s = u.rate_body_rad_s[2] - float(self.x[model.GYRO_BIAS][2])
+        rate = self.yaw_error.taken_off(u.rate_body_rad_s, yaw_rad_s)
+        self.x, A = model.transition(self.x, model.InertialInput(rate, u.specific_force_body_m_s2), dt_s)
+        before = self.yaw_error.with_state
+        self.yaw_error, G = self.yaw_error.predicted(A, yaw_rad_s, dt_s)
+        P[:n] = A @ P[:m] + G @ before.T
+        P[:, :n] = P[:, :m] @ A.T + self.yaw_error.with_state @ G.T
         turn_variance, velocity_variance = self._inertial_noise(noise, dt_s, samples)
         G = A[:, model.IMU_BIASES] / dt_s
         G[:, :3] *= math.sqrt(velocity_variance)
@@ -153,9 +163,10 @@ class EkfState:
         """
         config = self._config
         unseen_s = max(dt_s - LONGEST_STEP_S, 0.0)
-        lasting = noise.lasting_rate_rad_s
+        p, q, r = noise.lasting_rate_rad_s
+        r = 0.0 if self.has_position else r  # a yaw's are in `yaw_error`
         turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples
-        turn += GYRO_SCALE_ERROR**2 * dot(lasting, lasting) * dt_s
+        turn += GYRO_SCALE_ERROR**2 * (p * p + q * q + r * r) * dt_s
         velocity = (config.accel_noise_m_s2 * dt_s) ** 2 / samples
         velocity += (noise.force_density_m2_s3 + noise.force_error_m_s2**2 * FORCE_ERROR_S) * dt_s
         rate = min(UNSEEN_RATE_RAD_S, UNSEEN_TURN_RAD_S2 * unseen_s)
@@ -175,16 +186,18 @@ class EkfState:
             self.gates = {**self.gates, kind: self.gates.get(kind, Gate()).after(passed, self.time_s)}
             if not passed:
                 return False
-        self._correct(innovation, C, R)
+        self._correct(innovation, C, R, kind in FIXES)
         return True
 
-    def _correct(self, innovation: FloatArray, C: FloatArray, R: FloatArray) -> None:
+    def _correct(self, innovation: FloatArray, C: FloatArray, R: FloatArray, by_fix: bool = False) -> None:
         """x⁺ = x⁻ + K y, P⁺ = (I - K C) P⁻ (I - K C)ᵀ + K R Kᵀ; then the quaternion's share is corrected."""
         ekf = self._filter
         ekf.x, ekf.P = self.x, self.P
         ekf.update(innovation, lambda _: C, lambda _: 0.0, R)
         x, P, L = ekf.x, ekf.P, EYE - ekf.K @ C
         J = self._normalise(x)
+        yaw_error = self.yaw_error.learnt(innovation, C, ekf.SI) if by_fix else self.yaw_error
+        self.yaw_error = yaw_error.considered(C, ekf.K).turned(J)
         P[model.QUATERNION] = J @ P[model.QUATERNION]
         P[:, model.QUATERNION] = P[:, model.QUATERNION] @ J.T
         P = 0.5 * (P + P.T)
@@ -218,6 +231,7 @@ class EkfState:
         x[model.QUATERNION], x[model.EULER] = attitude, euler_from_quat(attitude)
         P[:7, :] = P[:, :7] = 0.0
         self.x, self.P, self._moved = x, P, None
+        self.yaw_error = self.yaw_error.without(model.ATTITUDE)
         self._inflate_rotation(rotation_variance)
         gate = self.gates.get("orientation", Gate())
         self.gates = {**self.gates, "orientation": Gate(gate.accepted, gate.refused)}

@@ -45,10 +45,9 @@ from companion.estimate.vehicle.attitude_reset import (
     AttitudeReset,
     Correction,
     EstimatedAttitude,
-    apart,
 )
 from companion.estimate.vehicle.ekf import VehicleEkf
-from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, HeadingStep, ImuStep, gps_step
+from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuStep, at_rest, gps_step
 from companion.estimate.vehicle.ekf_start import start_state
 from companion.estimate.vehicle.ekf_state import EkfSnapshot
 from companion.estimate.vehicle.gyro_bias_check import SecondGyro
@@ -65,7 +64,6 @@ _AGREES_S = 0.5  # two samples so near each other agree on a time that is far fr
 FUTURE_S = 0.1  # whose stamp is further ahead has a wrong time
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
 SETTLING_S = 30.0  # of the orientation pre-filter after a start in motion
-OTHER_COMPASS_STD_RAD = math.radians(3.0)  # of the autopilot's heading at rest
 LONGEST_STEP_S = 0.1  # between two samples of the magnetometer that the pre-filter takes in
 
 
@@ -93,8 +91,7 @@ class VehicleEstimator:
         self._last_raw: tuple[Vector3, Vector3] | None = None
         self._span_s: float | None = None  # of the samples not yet given to the EKF, by their own clock
         self._inertial, self._trouble = InertialMotion(motion, imu_body_m), TroubleReport()
-        self._resting = self._still_block = False
-        self._other_compass: float | None = None
+        self._resting = self._still_block = self._compared = False
         self._mag_s = self._field_step_s = self._orientation_step_s = -math.inf
         self._mag_trusted_s = self._settled_s = -math.inf
 
@@ -172,8 +169,8 @@ class VehicleEstimator:
         if sample.same_imu:
             self._reset_to(sample)
             return True
-        if self._resting and self._other_compass is None:
-            self._compare_compasses(sample)
+        if self._resting and not self._compared:
+            self._compare_at_rest(sample)
         step = self._second_gyro.add_attitude(sample.time_s, sample.attitude, self._inertial.gyro_bias_rad_s)
         if step is not None:
             self._timeline.add(self.newest_s, step)
@@ -182,13 +179,12 @@ class VehicleEstimator:
             self._orientation.attitude = quat_normalise(quat_multiply(self._orientation.attitude, back))
         return True
 
-    def _compare_compasses(self, report: AutopilotAttitude) -> None:
-        """Take the autopilot's heading once, at rest: its compass errs as ours does, and by another error."""
+    def _compare_at_rest(self, report: AutopilotAttitude) -> None:
+        """Take the autopilot's attitude once, at rest: its compass and its accelerometer err as ours do, and
+        by other errors."""
         assert self._timeline is not None
-        assert self._orientation is not None
-        _, ours_ahead_rad = apart(self._inertial.attitude, report.attitude)
-        self._other_compass = ours_ahead_rad
-        self._timeline.add(self.newest_s, HeadingStep(-ours_ahead_rad, OTHER_COMPASS_STD_RAD))
+        self._compared = True
+        self._timeline.add(self.newest_s, at_rest(self._inertial.attitude, report.attitude))
         self._read_ekf()
 
     def _reset_to(self, report: AutopilotAttitude) -> None:

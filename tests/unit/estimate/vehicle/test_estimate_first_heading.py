@@ -1,4 +1,4 @@
-"""The first heading: the magnetometer's own bias turns it, and the autopilot's compass is heard beside it."""
+"""The first attitude: biases of the sensors turn it, and the autopilot's is heard beside it."""
 
 from __future__ import annotations
 
@@ -10,9 +10,14 @@ import pytest
 from companion.base.geometry import (
     GRAVITY_M_S2,
     ZERO3,
+    Vector3,
+    euler_from_quat,
+    quat_conjugate,
     quat_from_euler,
     quat_multiply,
     quat_rotate_inverse,
+    rotation_vector_from_quat,
+    scale,
     vector3,
     yaw_from_quat,
 )
@@ -21,7 +26,7 @@ from companion.config import EkfConfig
 from companion.estimate.estimator import StateEstimator
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf import VehicleEkf
-from companion.estimate.vehicle.ekf_inputs import HeadingStep
+from companion.estimate.vehicle.ekf_inputs import SecondAttitudeStep
 from companion.estimate.vehicle.ekf_start import InitialState
 from tests.unit.estimate.estimate_flight import FIELD_NED_UT, new_estimator
 
@@ -49,26 +54,45 @@ def test_the_first_headings_error_is_the_magnetometers_bias_and_its_own() -> Non
     assert ekf.rotation_covariance()[2, 2] == pytest.approx(of_field + (1.5 * DEGREE) ** 2, rel=1e-3)
 
 
+def told(turn_deg: Vector3, tilt_std_deg: float, heading_std_deg: float) -> VehicleEkf:
+    """Of an attitude turned that far about NED axes."""
+    ekf = standing()
+    turn = scale(turn_deg, DEGREE)
+    ekf.apply(0.0, SecondAttitudeStep(turn, tilt_std_deg * DEGREE, heading_std_deg * DEGREE))
+    return ekf
+
+
+def turned_deg(ekf: VehicleEkf) -> Vector3:
+    start = quat_from_euler(0.0, 0.0, YAW)
+    turn = rotation_vector_from_quat(quat_multiply(ekf.attitude, quat_conjugate(start)))
+    return scale(turn, 1.0 / DEGREE)
+
+
 def test_a_heading_from_elsewhere_shows_the_magnetometers_bias_too() -> None:
     """Truth is ahead of the estimate by b / B of a bias b to the east."""
-    ekf = standing()
-    ekf.apply(0.0, HeadingStep(4.0 * DEGREE, 0.1 * DEGREE))
-    assert yaw_from_quat(ekf.attitude) - YAW == pytest.approx(4.0 * DEGREE, rel=0.02)
+    ekf = told((0.0, 0.0, 4.0), 0.8, 0.1)
+    assert turned_deg(ekf)[2] == pytest.approx(4.0, rel=0.02)
     whole = 4.0 * DEGREE * HORIZONTAL_UT
     assert 0.6 * whole < bias_to_the_east(ekf) < whole
 
 
-def test_a_heading_that_cannot_be_is_refused() -> None:
-    ekf = standing()
-    ekf.apply(0.0, HeadingStep(40.0 * DEGREE, 3.0 * DEGREE))
-    assert yaw_from_quat(ekf.attitude) == pytest.approx(YAW, abs=1e-6)
-    assert ekf.gates["heading"].refused == 1
+def test_a_horizon_from_elsewhere_shows_no_heading() -> None:
+    assert turned_deg(told((1.0, -2.0, 0.0), 0.1, 3.0)) == pytest.approx((1.0, -2.0, 0.0), abs=0.03)
 
 
-def heard(their_yaw: float, same_imu: bool = False, turning: bool = False) -> StateEstimator:
+@pytest.mark.parametrize("turn_deg", [(0.0, 0.0, 40.0), (15.0, 0.0, 0.0)])
+def test_an_attitude_that_cannot_be_is_refused(turn_deg: Vector3) -> None:
+    ekf = told(turn_deg, 0.8, 3.0)
+    assert turned_deg(ekf) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+    assert ekf.gates["second_attitude"].refused == 1
+
+
+def heard(
+    their_yaw: float, same_imu: bool = False, turning: bool = False, their_roll: float = 0.0
+) -> StateEstimator:
     """After four seconds of sensors that are right, and of an autopilot that says `their_yaw`."""
     estimator, attitude = new_estimator(), quat_from_euler(0.0, 0.0, YAW)
-    theirs = quat_multiply(quat_from_euler(0.0, 0.0, their_yaw - YAW), attitude)
+    theirs = quat_from_euler(their_roll, 0.0, their_yaw)
     field = quat_rotate_inverse(attitude, FIELD_NED_UT)
     for k in range(800):
         t = 0.005 * k
@@ -89,6 +113,25 @@ def ahead_deg(estimator: StateEstimator) -> float:
 
 def test_two_compasses_meet_about_halfway() -> None:
     assert 1.2 < ahead_deg(heard(YAW + 5.0 * DEGREE)) < 3.5
+
+
+def roll_deg(estimator: StateEstimator) -> float:
+    state = estimator.vehicle(3.995)
+    assert state is not None
+    return euler_from_quat(state.attitude)[0] / DEGREE
+
+
+def test_two_horizons_meet_about_halfway() -> None:
+    assert 0.25 < roll_deg(heard(YAW, their_roll=1.0 * DEGREE)) < 0.6
+
+
+def test_their_horizon_by_our_own_imu_is_no_second_one() -> None:
+    assert abs(roll_deg(heard(YAW, same_imu=True, their_roll=1.0 * DEGREE))) < 0.05
+
+
+def test_their_horizon_is_not_heard_in_motion() -> None:
+    level, askew = heard(YAW, turning=True), heard(YAW, turning=True, their_roll=DEGREE)
+    assert roll_deg(askew) == pytest.approx(roll_deg(level), abs=0.05)
 
 
 def test_their_heading_by_our_own_imu_is_no_second_compass() -> None:
