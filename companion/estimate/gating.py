@@ -15,7 +15,7 @@ from typing import Final, Generic, NamedTuple, Protocol, TypeVar, runtime_checka
 
 import numpy as np
 
-from companion.base.geometry import FloatArray
+from companion.base.geometry import FloatArray, Vector3
 
 # 99.9 % points of the chi-square distribution by degrees of freedom (any statistics table)
 CHI_SQUARE_999: Final = {1: 10.828, 2: 13.816, 3: 16.266, 4: 18.467, 6: 22.458}
@@ -28,6 +28,21 @@ def normalised_innovation_squared(innovation: FloatArray, covariance: FloatArray
         numpy.linalg.LinAlgError: the covariance is singular.
     """
     return float(innovation @ np.linalg.solve(covariance, innovation))
+
+
+def passes(y: Vector3, S: tuple[float, ...]) -> bool:
+    """Whether an innovation passes the gate; its covariance by the upper triangle, row by row."""
+    return _normalised_squared(y, S) <= CHI_SQUARE_999[3]
+
+
+def _normalised_squared(y: Vector3, S: tuple[float, ...]) -> float:
+    """y' S^-1 y, S by its upper triangle; Cramer's rule, for a call of a solver costs more than that."""
+    a, b, c, d, e, f = S
+    u, v, w = y
+    p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
+    squares = p * u * u + (a * f - c * c) * v * v + (a * d - b * b) * w * w
+    products = q * u * v + r * u * w + (b * c - a * e) * v * w
+    return (squares + 2.0 * products) / (a * p + b * q + c * r)
 
 
 class Gate(NamedTuple):

@@ -17,7 +17,7 @@ import numpy as np
 
 from companion.base.geometry import FloatArray, Vector3, add, scale, wrap_angle
 from companion.config import PadFilterConfig
-from companion.estimate.gating import CHI_SQUARE_999, Gate
+from companion.estimate.gating import CHI_SQUARE_999, Gate, passes
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.heading_filter import HeadingState
 from companion.estimate.pad.model_bank import (
@@ -37,6 +37,8 @@ from companion.estimate.pad.pad_models import (
     vertical_names,
 )
 from companion.estimate.pad.pad_types import (
+    PAIRS_AT,
+    STATES_AT,
     CombinedEstimate,
     HeightMeasurement,
     PadInput,
@@ -45,9 +47,10 @@ from companion.estimate.pad.pad_types import (
 )
 from companion.estimate.pad.tilt_filter import LEVEL, TiltState
 from companion.estimate.pad.velocity_step import (
-    LONGEST_STEP_S,
     RefusedSighting,
     VelocityEstimate,
+    believable,
+    recent,
     velocity_step,
 )
 
@@ -63,13 +66,9 @@ __all__ = ["CombinedEstimate", "HeightMeasurement", "PadFilter", "PadInput", "Pa
 _NOISE_FLOOR_M2: Final = SIGHTING_NOISE_FLOOR_M**2 * np.eye(3)
 _CLIMB: Final = 1  # the second of the bank's groups
 _NO_AXIS_M2: Final = 1.0  # noise on the vertical models' second axis, where all expect the same
-# where (position, velocity, acceleration) of the three axes are in both groups' means (2, 8), and their
-# covariances in those (2, 8, 8); between the groups there is none, as on the vertical's second axis
-_STATES: Final = np.array([8 * (axis // 2) + 2 * kind + axis % 2 for kind in range(3) for axis in range(3)])
-_NONE: Final = 64 + 9
-_PAIRS: Final = np.array(
-    [[64 * (i // 8) + 8 * (i % 8) + j % 8 if i // 8 == j // 8 else _NONE for j in _STATES] for i in _STATES]
-)
+
+# the models' innovations, the mixture's, and its covariance by the upper triangle
+_Compared = tuple[Innovation, Vector3, tuple[float, ...]]
 
 
 class PadFilter:
@@ -88,7 +87,8 @@ class PadFilter:
         self.seen_time_s = -math.inf
         self.started = False
         self._slow_share = 0.0
-        self._refused: RefusedSighting | None = None  # the first one since one was accepted, if not long ago
+        self._refused: tuple[RefusedSighting, ...] = ()  # lately, since one was accepted
+        self._before_step: PadSnapshot | None = None  # until a sighting confirms the step
         self.gates: dict[str, Gate] = {}
 
     # ------------------------------------------------------------ replayable
@@ -105,13 +105,15 @@ class PadFilter:
             self._slow_share,
             self._tilt,
             self._refused,
+            self._before_step,
         )
 
     def restore(self, snapshot: PadSnapshot) -> None:
         """Go on from a snapshot."""
         self.time_s, self.seen_time_s = snapshot.time_s, snapshot.seen_time_s
         self._turn, self.gates, self._slow_share = snapshot.turn, snapshot.gates, snapshot.slow_share
-        self._heading, self._tilt, self._refused = snapshot.heading, snapshot.tilt, snapshot.refused
+        self._heading, self._tilt = snapshot.heading, snapshot.tilt
+        self._refused, self._before_step = snapshot.refused, snapshot.before_step
         self.started = snapshot.models is not None
         if snapshot.models is not None:
             self._bank.restore(snapshot.models)
@@ -140,8 +142,8 @@ class PadFilter:
         heading = snapshot.heading.after(time_s - snapshot.time_s, density)
         blend = self._bank.blend(moved)
         return CombinedEstimate(
-            x=blend.mean.take(_STATES),
-            P=blend.covariance.take(_PAIRS),
+            x=blend.mean.take(STATES_AT),
+            P=blend.covariance.take(PAIRS_AT),
             heading_rad=wrap_angle(heading.heading_rad),
             heading_rate_rad_s=heading.rate_rad_s,
             heading_std_rad=math.sqrt(heading.heading_variance),
@@ -179,31 +181,60 @@ class PadFilter:
             # of a pad that is forgotten nothing is expected, and the vehicle's way since then is, too
             self._start(time_s, sample, R)
             return
+        seen, y, S = self._compared(sample, R)
+        if not passes(y, S) and self._before_step is not None:
+            seen, y, S = self._doubted(self._before_step, time_s, sample, R) or (seen, y, S)
+        passed = passes(y, S)
+        self._record("sighting", passed)
+        if not passed:
+            self._refuse(time_s, sample, RefusedSighting.of(time_s, y, S, R))
+            return
+        self._refused, self._before_step = (), None
+        self._bank.update(seen)
+        self._take_heading(sample)
+        if sample.tilt_rad is not None:
+            since_s = time_s - self.seen_time_s
+            self._tilt = self._tilt.corrected(sample.tilt_rad, sample.tilt_std_rad, since_s)
+        self._turn = self._turned(sample)
+        self._slow_share = sample.slow_share
+        self.seen_time_s = time_s
+
+    def _refuse(self, time_s: float, sample: PadMeasurement, refused: RefusedSighting) -> None:
+        """Start again where refused sightings show that the filter is wrong, or else remember this one."""
+        step = velocity_step(self._refused, refused, self.seen_time_s)
+        relative = self._relative_velocity_ned_m_s
+        vehicle = sample.vehicle_velocity_ned_m_s
+        if step is not None:
+            stepped = add(relative, step.velocity_m_s)
+            if believable(add(relative, vehicle), add(stepped, vehicle)):
+                before = self.snapshot()._replace(before_step=None)
+                self._start(time_s, sample, refused.noise_m2, step._replace(velocity_m_s=stepped))
+                self._before_step = before
+                return
+        if self.gates["sighting"].shut_out(time_s, self._config.sighting_timeout_s):
+            self._start(time_s, sample, refused.noise_m2)
+        else:
+            self._refused = (*recent(self._refused, time_s), refused)
+
+    def _doubted(
+        self, before: PadSnapshot, time_s: float, sample: PadMeasurement, R: FloatArray
+    ) -> _Compared | None:
+        """Go back to the track before a step if that, unlike the step, expected this sighting; else None."""
+        stepped = self.snapshot()
+        self.restore(before)
+        self._predict(time_s)
+        compared = self._compared(sample, R)
+        if passes(*compared[1:]):
+            return compared
+        self.restore(stepped)
+        return None
+
+    def _compared(self, sample: PadMeasurement, R: FloatArray) -> _Compared:
+        """The innovations of the models; the mixture's with its covariance (upper triangle)."""
         (a, b, c), (_, d, e), (_, _, f) = R.tolist()
         seen = self._innovation(sample.position_ned_m, (a, b, d, f))
         y, (sa, sb, sd, sf) = self._mixture(seen)
-        S = (sa, sb, c, sd, e, sf)
-        if self._passes_sighting(y, S):
-            self._refused = None
-            self._bank.update(seen)
-            self._take_heading(sample)
-            if sample.tilt_rad is not None:
-                since_s = time_s - self.seen_time_s
-                self._tilt = self._tilt.corrected(sample.tilt_rad, sample.tilt_std_rad, since_s)
-            self._turn = self._turned(sample)
-            self._slow_share = sample.slow_share
-            self.seen_time_s = time_s
-            return
-        refused = RefusedSighting.of(time_s, y, S, R)
-        stepped = velocity_step(self._refused, refused, self.seen_time_s)
-        if stepped is not None:
-            change_m_s, covariance = stepped
-            velocity = add(self._relative_velocity_ned_m_s, change_m_s)
-            self._start(time_s, sample, R, VelocityEstimate(velocity, covariance))
-        elif self.gates["sighting"].shut_out(time_s, self._config.sighting_timeout_s):
-            self._start(time_s, sample, R)
-        elif self._refused is None or time_s - self._refused.time_s >= LONGEST_STEP_S:
-            self._refused = refused
+        return seen, y, (sa, sb, c, sd, e, sf)
 
     @property
     def _relative_velocity_ned_m_s(self) -> Vector3:
@@ -219,11 +250,6 @@ class PadFilter:
         groups = np.array([[north, east, a, b, b, d], [down, 0.0, f, 0.0, 0.0, _NO_AXIS_M2]])
         models = groups.take(self._bank.group_of, axis=0)
         return innovation(self._bank.state, models[:, :2], models[:, 2:].reshape(-1, 2, 2))
-
-    def _passes_sighting(self, y: Vector3, S: tuple[float, ...]) -> bool:
-        passed = _normalised_squared(y, S) <= CHI_SQUARE_999[3]
-        self._record("sighting", passed)
-        return passed
 
     def _mixture(self, seen: Innovation) -> tuple[Vector3, tuple[float, float, float, float]]:
         """The mixture's innovation, and its variances as above."""
@@ -292,34 +318,30 @@ class PadFilter:
             P[plane, 2, 2] = P[plane, 3, 3] = self._config.first_speed_std_m_s**2
             P[climb, 2, 2] = FIRST_CLIMB_STD_M_S**2
         else:
-            (vn, ve, vd), covariance = velocity
+            (vn, ve, vd), covariance, shared = velocity
             P[plane, 2:4, 2:4], P[climb, 2, 2] = covariance[:2, :2], covariance[2, 2]
+            P[plane, :2, 2:4], P[plane, 2:4, :2] = shared[:2, :2], shared[:2, :2].T
+            P[climb, 0, 2] = P[climb, 2, 0] = shared[2, 2]
         for state, variance in ((4, self._models.acceleration_variance), (6, self._models.jerk_variance)):
             P[:, state, state] = variance
             P[plane, state + 1, state + 1] = variance[plane]
         north, east, down = sample.position_ned_m
         means = np.array([[north, east, vn, ve, 0.0, 0.0, 0.0, 0.0], [down, 0.0, vd, *[0.0] * 5]])
         self._bank.start(means, P)
-        self._turn, self._slow_share, self._refused = Turn(), sample.slow_share, None
+        self._turn, self._slow_share = Turn(), sample.slow_share
+        self._refused, self._before_step = (), None
         self.time_s = self.seen_time_s = time_s
         self.started = True
+        self._record("sighting", True)
+        if velocity is not None:
+            self._take_heading(sample)  # a stop says nothing of how it turns or tilts
+            return
         self._start_heading(sample)
         self._tilt = (
             LEVEL if sample.tilt_rad is None else TiltState.first(sample.tilt_rad, sample.tilt_std_rad)
         )
-        self._record("sighting", True)
 
     def _start_heading(self, sample: PadMeasurement) -> None:
         variance = sample.heading_std_rad**2 + math.radians(1.0) ** 2
         self._heading = HeadingState(sample.heading_rad, 0.0, variance, 0.0, 0.5**2)
         self._record("heading", True)
-
-
-def _normalised_squared(y: Vector3, S: tuple[float, ...]) -> float:
-    """y' S^-1 y, S by its upper triangle; Cramer's rule, for a call of a solver costs more than that."""
-    a, b, c, d, e, f = S
-    u, v, w = y
-    p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
-    squares = p * u * u + (a * f - c * c) * v * v + (a * d - b * b) * w * w
-    products = q * u * v + r * u * w + (b * c - a * e) * v * w
-    return (squares + 2.0 * products) / (a * p + b * q + c * r)

@@ -20,6 +20,16 @@ from companion.estimate.pad.tilt_filter import LEVEL, NOT_TILTING, PadTilt, Tilt
 from companion.estimate.pad.velocity_step import RefusedSighting
 
 _EYE3: Final = np.eye(3)
+# where (position, velocity, acceleration) of the three axes are in both groups' means (2, 8), and their
+# covariances in those (2, 8, 8); between the groups there is none, as on the vertical's second axis
+STATES_AT: Final = np.array([8 * (axis // 2) + 2 * kind + axis % 2 for kind in range(3) for axis in range(3)])
+_NONE: Final = 64 + 9
+PAIRS_AT: Final = np.array(
+    [
+        [64 * (i // 8) + 8 * (i % 8) + j % 8 if i // 8 == j // 8 else _NONE for j in STATES_AT]
+        for i in STATES_AT
+    ]
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +80,8 @@ class PadSnapshot(NamedTuple):
     seen_time_s: float
     slow_share: float
     tilt: TiltState = LEVEL
-    refused: RefusedSighting | None = None
+    refused: tuple[RefusedSighting, ...] = ()
+    before_step: PadSnapshot | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,10 @@ from companion.estimate.vehicle.imu_noise import STEADY, StepNoise
 # flight logs, differ by 0.5 deg an axis (standard deviation); the boards may lie askew by as much again.
 OTHER_COMPASS_STD_RAD: Final = math.radians(3.0)
 OTHER_HORIZON_STD_RAD: Final = math.radians(0.8)
+# Further off one of the two boards lies askew, and nothing at rest tells which: the heading alone counts.
+# Further still it is no attitude of this vehicle, and the gate refuses it as a whole.
+OTHER_HORIZON_ASKEW_RAD: Final = (math.radians(3.0), math.radians(10.0))
+UNKNOWN_STD_RAD: Final = math.radians(45.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +82,11 @@ EkfInput = ImuStep | GpsStep | BiasStep | AttitudeStep | SecondAttitudeStep
 def at_rest(ours: Quaternion, theirs: Quaternion) -> SecondAttitudeStep:
     """What the autopilot's attitude (body to NED) at rest says of ours."""
     turn = rotation_vector_from_quat(quat_multiply(theirs, quat_conjugate(ours)))
-    return SecondAttitudeStep(turn, OTHER_HORIZON_STD_RAD, OTHER_COMPASS_STD_RAD)
+    least, most = OTHER_HORIZON_ASKEW_RAD
+    askew = least < math.hypot(turn[0], turn[1]) <= most
+    return SecondAttitudeStep(
+        turn, UNKNOWN_STD_RAD if askew else OTHER_HORIZON_STD_RAD, OTHER_COMPASS_STD_RAD
+    )
 
 
 def gps_step(fix: GpsFix, origin: Vector3, config: EkfConfig) -> GpsStep:

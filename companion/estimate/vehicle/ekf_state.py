@@ -134,7 +134,7 @@ class EkfState:
         P = self.P.copy()
         diagonal = P.reshape(-1)[:: model.STATES + 1]
         diagonal += self._noise * dt_s
-        yaw_rad_s = 0.0  # without fixes nothing could teach what it is measured as: noise, as of other turns
+        yaw_rad_s = 0.0  # before any fix nothing has taught what it is measured as: noise, as of other turns
         if self.has_position:
             yaw_rad_s = u.rate_body_rad_s[2] - float(self.x[model.GYRO_BIAS][2])
         rate = self.yaw_error.taken_off(u.rate_body_rad_s, yaw_rad_s)

@@ -270,7 +270,7 @@ class VehicleEstimator:
         self._orientation = self._ekf = self._timeline = self._last_raw = None
         self._strapdown, self._fields, self._span_s = Strapdown(), VectorMean(), None
         self._second_gyro, self._reset = SecondGyro(), AttitudeReset()
-        self._noise = ImuNoise(self._config.ekf)
+        self._noise, self._compared = ImuNoise(self._config.ekf), False
 
     @property
     def aligned(self) -> bool:

@@ -9,7 +9,7 @@ back. The 31 states know biases alone, so k has a filter of its own beside their
     predict   G = r dx/d(gyroscope's bias)    P += A V Gᵀ + G Vᵀ Aᵀ + G M Gᵀ    V = A V + G M
     correct   k += (C V)ᵀ S⁻¹ y               V -= K C V                         M -= (C V)ᵀ S⁻¹ C V
 
-Fixes alone correct k and M, and without a position k is left out. A compass's errors turn with the vehicle
+Fixes alone correct k and M, and before the first one k is left out. A compass's errors turn with the vehicle
 as k's do: what it shows counts for the state and V, as Schmidt has it, and teaches nothing of k. x and P keep
 their form. Immutable: each step gives a new one. Rates in rad/s, k as shares of a rate.
 """

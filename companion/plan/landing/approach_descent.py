@@ -142,7 +142,9 @@ class Landing:
         (x, y, _), (vx, vy, _) = sight.relative_position_ned_m, sight.relative_velocity_ned_m_s
         soon_m = math.hypot(x + _CHASES_S * vx, y + _CHASES_S * vy)
         cone = self.cone
-        climb_m = cone.apex_height_m + (soon_m - cone.radius_m) / cone.slope - sight.height_m
+        # what is outside already comes back in without a climb
+        here_m = max(cone.radius_m + cone.slope * (sight.height_m - cone.apex_height_m), sight.lateral_m)
+        climb_m = (soon_m - here_m) / cone.slope
         begins = climb_m > _CHASED_M and not self._chasing
         self._chasing = climb_m > _CHASED_M or (self._chasing and self.paused)
         return f"to keep the pad in view, {soon_m:.1f} m aside" if begins else ""

@@ -129,7 +129,7 @@ class Standing:
         away = sight.age_s <= FRESH_S and sight.height_m > self._vehicle.leg_height_m + _AWAY_M
         return self._away.held_s(away, now_s) >= _AWAY_S
 
-    def lifted(self, inputs: PlanInputs, now_s: float) -> bool:
+    def lifted(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> bool:
         """Whether an autopilot that is not heard has taken the vehicle off the pad, by the echoes.
 
         It holds by itself once setpoints do not arrive, over a pad that moves on; back in OFFBOARD by our
@@ -137,6 +137,7 @@ class Standing:
         """
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
         high = echo_m is not None and echo_m > self._vehicle.leg_height_m + _LIFTED_M
+        high = high and not self._shown_down(sight, None, now_s)  # the echo may be wrong
         return self._lifted.held_s(high and not inputs.autopilot.connected, now_s) >= _LIFTED_S
 
     def step(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:

@@ -33,6 +33,7 @@ _STOPS_M_S2 = 2.5
 # Sliding over the pad slows it down by so much, with half its weight on the feet (friction 0.6).
 _SLIDES_M_S2 = 3.0
 _SLIDES_M_S = 0.5  # slower it stays where it touches
+_SURELY = 3.0  # standard deviations
 # While it corrects it tilts this much more than now or at contact: a foot hangs lower.
 _TILTS_MORE_RAD = math.radians(3.0)
 
@@ -64,12 +65,13 @@ def stopping_m(sink_m_s: float, tilt_rad: float, foot_reach_m: float) -> float:
 
 
 def slides_off(sight: PadState, farthest_m: float) -> str:
-    """Says so when the feet would slide farther aside than that: the pad was stopped or hit; else ""."""
+    """Says so when feet that touch would slide farther aside than that, the pad having stopped; else ""."""
     (x, y, _), (vx, vy, _) = sight.relative_position_ned_m, sight.relative_velocity_ned_m_s
     speed_m_s = sight.lateral_speed_m_s
     slides_s = 0.5 * speed_m_s / _SLIDES_M_S2
-    slides = sight.age_s <= FRESH_S and speed_m_s >= _SLIDES_M_S
-    off = slides and math.hypot(x + slides_s * vx, y + slides_s * vy) > farthest_m
+    # a filter that has just started says any speed, but not that it knows it
+    known = sight.age_s <= FRESH_S and speed_m_s >= max(_SLIDES_M_S, _SURELY * sight.velocity_std_m_s)
+    off = known and math.hypot(x + slides_s * vx, y + slides_s * vy) > farthest_m
     return f"sliding over the pad at {speed_m_s:.1f} m/s" if off else ""
 
 

@@ -68,6 +68,7 @@ class TouchdownSequence:
     ) -> None:
         self._config, self._vehicle, self._generator = config, vehicle, generator
         self._wait_height_m = vehicle.leg_height_m + wait_height_m
+        self._low_m = vehicle.leg_height_m + 2.0 * config.contact_margin_m
         self._standing = Standing(config, vehicle)
         self.begin(0.0, slack=1.0)
 
@@ -177,10 +178,13 @@ class TouchdownSequence:
         self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / speed_m_s
 
     def _sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
-        if sight is not None and (slides := slides_off(sight, self._tolerance.escape_m)):
+        silent = inputs.vehicle is not None and now_s - inputs.vehicle.sensed_time_s > FRESH_S
+        if sight is not None and not silent and (slides := self._slides(sight)):
             self._generator.rise(now_s)
             return MissionEvent.MISALIGNED, slides
-        signs = self._signs(sight, inputs, now_s)
+        # far aside it tilts because it flies back or escapes: it is not about to stand
+        tilt_rad = 0.0 if sight is not None and self._escapes(sight) else self.tilt.tilt_rad
+        signs = self._signs(sight, inputs, self._generator.at(now_s), now_s, tilt_rad)
         near = sight is not None and self._near(sight)
         touching = signs.count >= SIGNS_NEEDED
         self._short_echoes.note(inputs.range if near and signs.short_echo else None)
@@ -190,7 +194,7 @@ class TouchdownSequence:
         if touching:
             self._levelling.touching(now_s)
             return None
-        if inputs.vehicle is not None and now_s - inputs.vehicle.sensed_time_s > FRESH_S:
+        if silent:
             return None  # what else is believed now, is only predicted
         lost = self._lost(sight, inputs.range, now_s)
         if lost is not None:
@@ -231,15 +235,8 @@ class TouchdownSequence:
         self._levelling.stay(now_s)
         if inputs.autopilot.landed is LandedState.ON_GROUND:
             return MissionEvent.LANDING_DETECTED, "the autopilot reports landed"
-        signs = contact_signs(
-            sight,
-            Motion((0.0, 0.0, 0.0)),  # its height is over no pad: nothing stalls by it
-            inputs.range,
-            inputs.autopilot.landed,
-            now_s,
-            config=self._config,
-            vehicle=self._vehicle,
-        )
+        # its height is over no pad: nothing stalls by it
+        signs = self._signs(sight, inputs, Motion((0.0, 0.0, 0.0)), now_s)
         if self._touching.held_s(signs.count >= SIGNS_NEEDED, now_s) >= self._config.contact_s:
             return MissionEvent.CONTACT, signs.in_words()
         return None
@@ -249,8 +246,8 @@ class TouchdownSequence:
         if now_s > self._contact_due_s + c.overdue_s:
             self._generator.rise(now_s)
             return MissionEvent.MISALIGNED, f"no contact {c.overdue_s:.1f} s after it was due"
-        # with the feet nearly down, climbing away would drag them over the pad
-        high = sight.height_m > self._vehicle.leg_height_m + 2.0 * c.contact_margin_m
+        # with the feet nearly down, climbing away would drag them over a pad that they do not slide over
+        high = sight.height_m > self._low_m
         self._give_way(sight if high else None, now_s)
         tilts_on = not self._levelling.begun
         self._levelling.expect(sight, self.tilt, now_s)
@@ -272,23 +269,25 @@ class TouchdownSequence:
             self._levelling.planned_m_s = firm_m_s
             self._generator.sink(firm_m_s, max(_FIRMER_S, self._blended_s - now_s), now_s)
 
-    def _signs(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> ContactSigns:
-        # far aside it tilts because it flies back or escapes: it is not about to stand
-        far_aside = sight is not None and self._escapes(sight)
+    def _signs(
+        self,
+        sight: PadState | None,
+        inputs: PlanInputs,
+        reference: Motion,
+        now_s: float,
+        tilt_rad: float = 0.0,
+    ) -> ContactSigns:
+        landed, config, vehicle = inputs.autopilot.landed, self._config, self._vehicle
         return contact_signs(
-            sight,
-            self._generator.at(now_s),
-            inputs.range,
-            inputs.autopilot.landed,
-            now_s,
-            config=self._config,
-            vehicle=self._vehicle,
-            tilt_rad=0.0 if far_aside else self.tilt.tilt_rad,
+            sight, reference, inputs.range, landed, now_s, config=config, vehicle=vehicle, tilt_rad=tilt_rad
         )
 
     def _escapes(self, sight: PadState) -> bool:
         """Whether it is so far aside that it would miss the pad."""
         return sight.lateral_m > self._tolerance.escape_m
+
+    def _slides(self, sight: PadState) -> str:
+        return slides_off(sight, self._tolerance.escape_m) if sight.height_m <= self._low_m else ""
 
     def _wrong(self, sight: PadState, now_s: float) -> str:
         """Why this landing would be hard or off the mark; "" while it is fine."""
@@ -339,11 +338,11 @@ class TouchdownSequence:
 
     def _leaves(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> str:
         """Why it does not stay on the pad; "" while it does."""
-        if self._standing.lifted(inputs, now_s):
+        if self._standing.lifted(sight, inputs, now_s):
             return "the autopilot, not heard, has taken it off"
         away = sight is not None and self._standing.off_pad(sight, now_s)
         if sight is not None and self._standing.arrives(now_s):
-            return slides_off(sight, self._tolerance.escape_m)
+            return self._slides(sight)
         return "the pad is well below the feet" if away else ""
 
     def _stay_down(self, now_s: float) -> None:

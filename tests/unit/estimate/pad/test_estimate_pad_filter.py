@@ -140,6 +140,38 @@ def test_a_pad_that_stops_at_once_is_followed_by_a_few_sightings(noise_m: float)
     assert error < 4.0 * math.sqrt(estimate.P[3, 3])
 
 
+def test_an_outlier_just_before_a_stop_hides_it_for_no_more_than_a_sighting() -> None:
+    bench = PadFilterBench(noise_m=0.001)
+    bench.see(0.0, 3.0)
+    bench.timeline.add(3.0, bench.sighting(3.0, (0.0, 0.2, 0.0)))
+    for k in (91, 92, 93):
+        bench.timeline.add(k / 30, bench.sighting(k / 30, (3.02 - k / 30, 0.0, 0.0)))
+    estimate = bench.at(93 / 30)
+    assert estimate.seen_time_s == 93 / 30
+    assert abs(estimate.x[3]) < 0.2
+
+
+@pytest.mark.parametrize("first_m", [0.006, 0.02])
+def test_a_pose_that_slid_off_is_forgotten_with_the_first_good_sighting(first_m: float) -> None:
+    bench = PadFilterBench(noise_m=0.001)
+    bench.see(0.0, 3.0)
+    for k, aside_m in ((90, first_m), (91, 3.3 * first_m)):
+        bench.timeline.add(k / 30, bench.sighting(k / 30, (0.0, -aside_m, 0.0)))
+    bench.timeline.add(92 / 30, bench.sighting(92 / 30))
+    estimate = bench.at(92 / 30)
+    assert estimate.seen_time_s == 92 / 30
+    assert estimate.x[0:3] == pytest.approx(bench.relative(92 / 30), abs=0.004)
+    assert estimate.x[3:6] == pytest.approx([1.0, 0.0, 0.0], abs=0.15)
+
+
+def test_a_pad_is_not_believed_to_be_much_faster_at_once() -> None:
+    bench = PadFilterBench(noise_m=0.001)
+    bench.see(0.0, 3.0)
+    for k, ahead_m in ((90, 0.3), (91, 1.0)):
+        bench.timeline.add(k / 30, bench.sighting(k / 30, (ahead_m, 0.0, 0.0)))
+    assert bench.at(91 / 30).seen_time_s < 3.0
+
+
 def test_another_pad_is_no_change_of_velocity_and_neither_is_noise() -> None:
     bench = PadFilterBench(noise_m=0.001)
     bench.see(0.0, 3.0)

@@ -125,6 +125,15 @@ def test_two_horizons_meet_about_halfway() -> None:
     assert 0.25 < roll_deg(heard(YAW, their_roll=1.0 * DEGREE)) < 0.6
 
 
+def test_of_a_board_that_lies_askew_the_heading_alone_counts() -> None:
+    askew = heard(YAW + 5.0 * DEGREE, their_roll=6.0 * DEGREE)
+    assert abs(roll_deg(askew)) < 0.1
+    assert 1.2 < ahead_deg(askew) < 3.5
+    fallen = heard(YAW + 5.0 * DEGREE, their_roll=15.0 * DEGREE)
+    assert abs(roll_deg(fallen)) < 0.05
+    assert abs(ahead_deg(fallen)) < 0.3
+
+
 def test_their_horizon_by_our_own_imu_is_no_second_one() -> None:
     assert abs(roll_deg(heard(YAW, same_imu=True, their_roll=1.0 * DEGREE))) < 0.05
 

@@ -1,6 +1,7 @@
 """The final descent: blindness, signs of contact, standing, and levelling off before the contact."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -55,7 +56,11 @@ def test_a_pad_that_stops_beneath_it_is_left_at_once_even_when_the_feet_touch() 
     unseen = sight(aside=0.05, height=0.2, velocity=(1.4, 0.0, 0.0), age=1.4)  # as of one second
     found = sinking().step(fast, RangeSample(1.0, 0.1), LandedState.IN_AIR, 1.0)
     assert found == (MissionEvent.MISALIGNED, "sliding over the pad at 1.4 m/s")
-    for stays in (slow, unseen):
+    unsure = replace(fast, velocity_std_m_s=2.0)  # the filter has just started
+    high = sight(
+        aside=0.05, height=0.4, velocity=(1.4, 0.0, 0.0)
+    )  # there it breaks off, once that has lasted
+    for stays in (slow, unseen, unsure, high):
         assert sinking().step(stays, RangeSample(1.0, 0.1), LandedState.IN_AIR, 1.0) is None
 
 
@@ -68,18 +73,24 @@ def test_sliding_ends_the_stand_in_its_first_moments_alone(since_s: float, leave
 
 
 @pytest.mark.parametrize(
-    ("heard", "echo_m", "leaves"), [(False, 0.25, True), (True, 0.25, False), (False, 0.14, False)]
+    ("heard", "echo_m", "age_s", "leaves"),
+    [
+        (False, 0.25, 9.0, True),
+        (True, 0.25, 9.0, False),
+        (False, 0.14, 9.0, False),
+        (False, 0.25, 0.0, False),
+    ],
 )
 def test_a_silent_autopilot_that_lifts_it_off_the_pad_is_not_pressed_down(
-    heard: bool, echo_m: float, leaves: bool
+    heard: bool, echo_m: float, age_s: float, leaves: bool
 ) -> None:
     touchdown, now_s = standing()
     found = None
     for _ in range(15):
         now_s += CYCLE_S
-        found = found or touchdown.step(
-            sight(height=0.19, age=9.0), RangeSample(now_s, echo_m), LandedState.IN_AIR, now_s, heard=heard
-        )
+        seen = sight(height=0.19, age=age_s)
+        echo = RangeSample(now_s, echo_m)
+        found = found or touchdown.step(seen, echo, LandedState.IN_AIR, now_s, heard=heard)
     assert (found is not None and found[0] is MissionEvent.OFF_PAD) == leaves
 
 
