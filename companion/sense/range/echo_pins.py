@@ -45,6 +45,7 @@ class EchoPins:
 
     def __init__(self, trigger_pin: int, echo_pin: int, clock: Clock, pin_factory: Any = None) -> None:
         gpiozero = _gpiozero_module()
+        self._pin_error: type[Exception] = gpiozero.GPIOZeroError
         self._clock = clock
         self._loop = asyncio.get_running_loop()
         self._rise: float | None = None
@@ -64,7 +65,7 @@ class EchoPins:
         """Ping, and wait for the end of the echo's pulse.
 
         Raises:
-            SensorError: the echo pin does nothing, or stays high.
+            SensorError: the echo pin does nothing, or stays high, or the trigger fails.
             OSError: the pins have been closed.
         """
         if self._closed:
@@ -73,7 +74,11 @@ class EchoPins:
             raise SensorError("ultrasonic: the echo pin stays high")
         self._rise = None
         self._pulse = self._loop.create_future()
-        await self._clock.run(self._send_ping, modelled_s=0.0)
+        try:
+            await self._clock.run(self._send_ping, modelled_s=0.0)
+        except self._pin_error as error:
+            if not self._closed:
+                raise SensorError(f"ultrasonic: {error}") from error
         try:
             rise, fall = await asyncio.wait_for(self._pulse, TIMEOUT_S)
         except TimeoutError as error:

@@ -210,3 +210,26 @@ async def test_pins_that_cannot_be_had_are_reported_in_one_line(sensor: Sensor) 
 def test_one_pin_cannot_be_both() -> None:
     with pytest.raises(ConfigError, match="echo_pin 23: expected another than trigger_pin"):
         validate(RangeConfig, {"kind": "gpio", "trigger_pin": 23, "echo_pin": 23}, "test.yaml")
+
+
+async def test_closing_in_the_middle_of_a_pulse_is_told_as_closing(sensor: Sensor) -> None:
+    opened = pins(sensor)
+    loop, send_ping = asyncio.get_running_loop(), opened._send_ping
+
+    def closed_meanwhile() -> None:
+        asyncio.run_coroutine_threadsafe(close(), loop).result(1.0)
+        send_ping()
+
+    async def close() -> None:
+        opened.close()
+
+    opened._send_ping = closed_meanwhile  # type: ignore[method-assign]
+    with pytest.raises(OSError, match="closed"):
+        await opened.ping()
+
+
+async def test_a_trigger_that_fails_is_the_sensors_fault(sensor: Sensor) -> None:
+    opened = pins(sensor)
+    opened._trigger.close()
+    with pytest.raises(SensorError, match="ultrasonic: "):
+        await opened.ping()
