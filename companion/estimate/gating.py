@@ -31,7 +31,7 @@ def normalised_innovation_squared(innovation: FloatArray, covariance: FloatArray
 
 
 def passes(y: Vector3, S: tuple[float, ...]) -> bool:
-    """Whether an innovation passes the gate; its covariance by the upper triangle, row by row."""
+    """Whether an innovation of three axes passes; its covariance by the upper triangle, row by row."""
     return _normalised_squared(y, S) <= CHI_SQUARE_999[3]
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal
+from typing import Final, Literal
 
 NoticeSeverity = Literal["info", "warning", "error"]
 NoticeSink = Callable[[str, str, float, NoticeSeverity], None]
+
+WORTH_TELLING_M: Final = 0.2  # a climb that is announced

@@ -27,14 +27,13 @@ from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Branch, DetectedEvent, Effect, MissionEvent, State
 from companion.plan.mission.table import BY_THE_PAD, COMMITTED, ON_PAD, OVER_PAD
-from companion.plan.notices import NoticeSink
+from companion.plan.notices import WORTH_TELLING_M, NoticeSink
 from companion.plan.obstacles.obstacle_monitor import ObstacleMonitor
 from companion.plan.search.search import Search
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from companion.plan.trajectory.waypoints import Waypoints
 
 _LAST_TRY_SLACK: Final = 1.6  # nothing follows it but handing back: what is acceptable at all counts then
-_WORTH_TELLING_M: Final = 0.2
 _STREAMING: Final = (MissionEvent.STREAMING, "setpoints are sent")
 
 
@@ -175,7 +174,7 @@ class PhaseSteering:
         self._held.stand_still(inputs.vehicle, now_s)
         missing_m = 0.0 if previous in {State.WAYPOINT, State.ROUTE} else self._missing_m()
         climb_m = self.search.begin(missing_m, self._lowest_down_m(), now_s)
-        if climb_m > _WORTH_TELLING_M:
+        if climb_m > WORTH_TELLING_M:
             self._say("climb", f"climbing {climb_m:.1f} m to look for the pad", now_s, "warning")
 
     def _missing_m(self) -> float:

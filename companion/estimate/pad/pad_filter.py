@@ -202,9 +202,8 @@ class PadFilter:
     def _refuse(self, time_s: float, sample: PadMeasurement, refused: RefusedSighting) -> None:
         """Start again where refused sightings show that the filter is wrong, or else remember this one."""
         step = velocity_step(self._refused, refused, self.seen_time_s)
-        relative = self._relative_velocity_ned_m_s
-        vehicle = sample.vehicle_velocity_ned_m_s
         if step is not None:
+            relative, vehicle = self._relative_velocity_ned_m_s, sample.vehicle_velocity_ned_m_s
             stepped = add(relative, step.velocity_m_s)
             if believable(add(relative, vehicle), add(stepped, vehicle)):
                 before = self.snapshot()._replace(before_step=None)

@@ -16,6 +16,7 @@ from companion.base.motion import Motion
 from companion.config import LandingConfig, VehicleConfig
 from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.mission.states import DetectedEvent, MissionEvent
+from companion.plan.notices import WORTH_TELLING_M
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 # At the height of the goal, and slow enough to stay in the cone: the descent corrects the rest on the way.
@@ -25,7 +26,6 @@ _CENTRED_SPEED_M_S = 0.6
 _LOW_MARGIN_M = 0.08
 # Once outside the cone the vehicle comes back this far inside before it descends again.
 _BACK_INSIDE = 0.8
-_WORTH_TELLING_M = 0.2
 # The controller climbs to keep in the cone what will be outside it so soon; from so much on it is told.
 _CHASES_S = 0.3
 _CHASED_M = 0.5
@@ -133,7 +133,7 @@ class Landing:
         climb_m = self._generator.fly_level(
             unseen.place, min(unseen.lowest_down_m, self._blind_down_m), now_s
         )
-        if climb_m > _WORTH_TELLING_M:
+        if climb_m > WORTH_TELLING_M:
             self.climbs = f"{climb_m:.1f} m while the pad is unseen"
         return False
 
