@@ -89,7 +89,7 @@ def heartbeat(autopilot: SimulatedAutopilot, now_s: float) -> Message:
 def current_mode(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """CURRENT_MODE of a PX4 from 1.15 on; it names no standard mode of most of its modes."""
     _, custom_mode = autopilot.mode_numbers
-    return CurrentMode(0, custom_mode, custom_mode)
+    return CurrentMode(0, custom_mode, autopilot.intended_mode_number)
 
 
 def sys_status(autopilot: SimulatedAutopilot, now_s: float, unhealthy: int = 0) -> Message:

@@ -42,6 +42,8 @@ class AutopilotState:
     `ready_to_arm` is what it says of its checks before arming. An ArduPilot makes them for the mode it is in,
     and STABILIZE needs no position: `ekf_ready` is whether its filter knows enough for GUIDED; None where
     nothing of the kind is reported (PX4). `battery_share` is the remaining charge, 0 to 1; None: not known.
+    `intended_mode`: the one that was asked for last, by a pilot or by us, while a failsafe may fly another;
+    "" where it is not reported (ArduPilot, PX4 before 1.15).
     `motors_cut`: by the pilot's kill switch, the emergency stop, or the flight's termination.
     `round_trip_s`: how long a question and its answer take on the link, the quickest of the last three, at
     `round_trip_time_s`; None: not known. `twin_time_s`: when another companion with our ids was last
@@ -54,6 +56,7 @@ class AutopilotState:
     autopilot_kind: AutopilotKind | None = None
     armed: bool = False
     mode: str = ""
+    intended_mode: str = ""
     offboard: bool = False
     ready_to_arm: bool = False
     ekf_ready: bool | None = None

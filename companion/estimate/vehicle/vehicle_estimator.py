@@ -36,7 +36,7 @@ from companion.estimate.ahrs.orientation import (
     new_orientation,
     tilt_noise_rad,
 )
-from companion.estimate.gating import Timeline
+from companion.estimate.gating import Gate, Timeline
 from companion.estimate.motion import PREDICTED_S, MotionHistory
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.attitude_reset import (
@@ -60,6 +60,7 @@ from companion.estimate.vehicle.strapdown import Strapdown
 ORIENTATION_RATE_HZ: Final = 10.0  # the pre-filter's error lasts: more often would say nothing new
 IMU_TIMEOUT_S = 1.0  # without the IMU for longer there is no state to report
 LOST_S = 2.0  # and after so long it starts again: where it has turned meanwhile is unknown
+_COMPARE_AGAIN_S = 1.0  # after the autopilot's attitude at rest was refused
 _AGREES_S = 0.5  # two samples so near each other agree on a time that is far from what was
 FUTURE_S = 0.1  # whose stamp is further ahead has a wrong time
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
@@ -91,8 +92,8 @@ class VehicleEstimator:
         self._last_raw: tuple[Vector3, Vector3] | None = None
         self._span_s: float | None = None  # of the samples not yet given to the EKF, by their own clock
         self._inertial, self._trouble = InertialMotion(motion, imu_body_m), TroubleReport()
-        self._resting = self._still_block = self._compared = False
-        self._mag_s = self._field_step_s = self._orientation_step_s = -math.inf
+        self._resting = self._still_block = False
+        self._mag_s = self._compare_s = self._field_step_s = self._orientation_step_s = -math.inf
         self._mag_trusted_s = self._settled_s = -math.inf
 
     # ------------------------------------------------------------ inputs
@@ -169,7 +170,7 @@ class VehicleEstimator:
         if sample.same_imu:
             self._reset_to(sample)
             return True
-        if self._resting and not self._compared:
+        if self._resting and sample.time_s >= self._compare_s:
             self._compare_at_rest(sample)
         step = self._second_gyro.add_attitude(sample.time_s, sample.attitude, self._inertial.gyro_bias_rad_s)
         if step is not None:
@@ -181,11 +182,14 @@ class VehicleEstimator:
 
     def _compare_at_rest(self, report: AutopilotAttitude) -> None:
         """Take the autopilot's attitude once, at rest: its compass and its accelerometer err as ours do, and
-        by other errors."""
+        by other errors. One that is refused may be of its own alignment: the next is asked for.
+        """
         assert self._timeline is not None
-        self._compared = True
+        assert self._ekf is not None
         self._timeline.add(self.newest_s, at_rest(self._inertial.attitude, report.attitude))
         self._read_ekf()
+        refused = self._ekf.gates.get("second_attitude", Gate()).refused_in_a_row
+        self._compare_s = report.time_s + _COMPARE_AGAIN_S if refused else math.inf
 
     def _reset_to(self, report: AutopilotAttitude) -> None:
         """Correct the attitude by the autopilot's, where that has to be."""
@@ -270,7 +274,7 @@ class VehicleEstimator:
         self._orientation = self._ekf = self._timeline = self._last_raw = None
         self._strapdown, self._fields, self._span_s = Strapdown(), VectorMean(), None
         self._second_gyro, self._reset = SecondGyro(), AttitudeReset()
-        self._noise, self._compared = ImuNoise(self._config.ekf), False
+        self._noise, self._compare_s = ImuNoise(self._config.ekf), -math.inf
 
     @property
     def aligned(self) -> bool:

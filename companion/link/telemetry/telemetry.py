@@ -118,12 +118,15 @@ def _heartbeat(state: AutopilotState, message: Message, time_s: float) -> Autopi
 
 
 def _current_mode(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
-    """The mode alone, sooner than the next heartbeat has it."""
+    """The modes alone, sooner than the next heartbeat has one of them."""
     kind = state.autopilot_kind
     if kind is None or not state.connected:
         return state
-    mode = mode_name(kind, message.custom_mode)
-    return replace(state, time_s=time_s, mode=mode, offboard=mode == CONTROL_MODE[kind])
+    mode, intended = mode_name(kind, message.custom_mode), ""
+    if message.intended_custom_mode != 0:  # the message's value for one that is not supplied
+        intended = mode_name(kind, message.intended_custom_mode)
+    offboard = mode == CONTROL_MODE[kind]
+    return replace(state, time_s=time_s, mode=mode, intended_mode=intended, offboard=offboard)
 
 
 def _sys_status(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:

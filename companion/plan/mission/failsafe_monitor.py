@@ -68,6 +68,7 @@ class FailsafeMonitor:
         if state in FINAL:
             return ()
         heard = autopilot.connected
+        self._modes.listen(autopilot, now_s)
         taken_over = heard and self._modes.taken_over(
             state,
             self._machine.authority,
@@ -106,8 +107,7 @@ class FailsafeMonitor:
         found += [*self._control(inputs.control_failed, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
         found += [*self._camera(inputs.camera_turned_rad, bounds), *bounds, *self._time(now_s)]
-        if heard:
-            found.append((MissionEvent.LINK_UP, "heartbeat again"))
+        found += [(MissionEvent.LINK_UP, "heartbeat again")] if heard else []
         return tuple(found)
 
     def _late(self, autopilot: AutopilotState, now_s: float) -> Iterator[DetectedEvent]:

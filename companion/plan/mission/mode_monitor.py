@@ -4,11 +4,12 @@ Before control is ours the autopilot flies what we requested, and may be in the 
 mode in which it was found is left alone on the ground; after our first request was accepted, the autopilot
 has `TAKES_S` to change into the mode that was requested. Once it has, the old mode is a pilot's too. The
 same holds for a vehicle that a pilot flew when the landing was ordered. With control ours, only the mode
-that obeys setpoints is ours.
+that obeys setpoints is ours; and just after a silent link the mode in which PX4 has waited for setpoints.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
@@ -25,6 +26,10 @@ _PX4_FLIES: Final = frozenset({"LOITER", "TAKEOFF"})
 _CONTROL: Final[dict[AutopilotKind, str]] = {"px4": "OFFBOARD", "ardupilot": "GUIDED"}
 _HOLD: Final[dict[AutopilotKind, str]] = {"px4": "LOITER", "ardupilot": "BRAKE"}
 _LAND: Final = "LAND"
+# Setpoints have not arrived for `COM_OF_LOSS_T` (1 s), and PX4 flies the mode of `COM_OBL_RC_ACT`: it obeys
+# again with the first that arrives, but may say so a heartbeat later. Telemetry comes at 10 Hz and more.
+_SILENT_S: Final = 0.5
+_OBEYS_AGAIN_S: Final = 1.0
 _LANDING: Final = frozenset({State.SET_DOWN, State.AUTO_LAND})
 _BEFORE_ANY_REQUEST: Final = frozenset({State.STANDBY, State.CONNECT})
 
@@ -48,14 +53,20 @@ def in_offboard(autopilot: AutopilotState) -> bool:
 
 
 class ModeMonitor:
-    """Call `taken_over` once a cycle while the autopilot is received."""
+    """Call `listen` in every cycle, and `taken_over` while the autopilot is received."""
 
     def __init__(self, take_off_height_m: float) -> None:
         self._done_m = _TAKE_OFF_DONE_SHARE * take_off_height_m
         self._found: str | None = None
         self._left_found = False
         self._obeyed_s: float | None = None
+        self._silent_s = -math.inf
         self._climbed = False
+
+    def listen(self, autopilot: AutopilotState, now_s: float) -> None:
+        """Note a link that is silent while we run; one that we did not read is another matter."""
+        if now_s - autopilot.time_s > _SILENT_S:
+            self._silent_s = now_s
 
     def taken_over(
         self,
@@ -86,6 +97,8 @@ class ModeMonitor:
         if mode in (frozenset({_CONTROL[kind]}) if theirs else self._ours(state, authority, kind)):
             self._left_found = self._left_found or mode != self._found
             return False
+        if authority is Authority.OURS and self._awaits_setpoints(autopilot, kind, now_s):
+            return False
         on_the_way_up = authority is Authority.NONE and state in {State.ARM, State.TAKE_OFF}
         return not (
             (on_the_way_up or theirs) and self._still_as_found(mode, requested=requested, now_s=now_s)
@@ -114,3 +127,8 @@ class ModeMonitor:
         if not requested or self._obeyed_s is None:
             self._obeyed_s = now_s
         return now_s - self._obeyed_s <= TAKES_S
+
+    def _awaits_setpoints(self, autopilot: AutopilotState, kind: AutopilotKind, now_s: float) -> bool:
+        """Whether it waits for setpoints, which a silent link has kept from it: nobody chose its mode."""
+        lately = now_s - self._silent_s <= _OBEYS_AGAIN_S
+        return lately and short_name(autopilot.intended_mode) == _CONTROL[kind]

@@ -101,6 +101,11 @@ class Commander:
         """The present task, that of the mission item where there is one."""
         return self.task if self.subtask is None else self.subtask
 
+    @property
+    def intended_mode(self) -> Mode:
+        """The mode that was chosen last; a failsafe that waits for its cause to end flies another."""
+        return self.mode if self._left_mode is None else self._left_mode
+
     def terminate(self) -> None:
         """Stop the motors, also in the air."""
         if self.armed:

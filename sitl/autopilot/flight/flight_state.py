@@ -117,6 +117,11 @@ class FlightState:
         return mode.base_mode | (128 if self.armed else 0), mode.custom_mode
 
     @property
+    def intended_mode_number(self) -> int:
+        """CURRENT_MODE's intended_custom_mode: what is flown again once a failsafe that left it is over."""
+        return self._commander.intended_mode.custom_mode
+
+    @property
     def task(self) -> Task:
         """What is being flown."""
         return self._commander.task

@@ -88,11 +88,18 @@ def test_an_attitude_that_cannot_be_is_refused(turn_deg: Vector3) -> None:
 
 
 def heard(
-    their_yaw: float, same_imu: bool = False, turning: bool = False, their_roll: float = 0.0
+    their_yaw: float,
+    same_imu: bool = False,
+    turning: bool = False,
+    their_roll: float = 0.0,
+    their_alignment_s: float = 0.0,
 ) -> StateEstimator:
-    """After four seconds of sensors that are right, and of an autopilot that says `their_yaw`."""
+    """After four seconds of sensors that are right, and of an autopilot that says `their_yaw`; before its own
+    alignment it is off by 90 deg.
+    """
     estimator, attitude = new_estimator(), quat_from_euler(0.0, 0.0, YAW)
     theirs = quat_from_euler(their_roll, 0.0, their_yaw)
+    unaligned = quat_from_euler(their_roll, 0.0, their_yaw + math.radians(90.0))
     field = quat_rotate_inverse(attitude, FIELD_NED_UT)
     for k in range(800):
         t = 0.005 * k
@@ -101,7 +108,8 @@ def heard(
         if k % 2 == 0:
             estimator.add_mag(MagSample(t, field))
         if k % 8 == 0 and (not turning or t > 2.6):
-            estimator.add_autopilot_attitude(AutopilotAttitude(t - 0.01, theirs, same_imu))
+            said = theirs if t >= their_alignment_s else unaligned
+            estimator.add_autopilot_attitude(AutopilotAttitude(t - 0.01, said, same_imu))
     return estimator
 
 
@@ -113,6 +121,11 @@ def ahead_deg(estimator: StateEstimator) -> float:
 
 def test_two_compasses_meet_about_halfway() -> None:
     assert 1.2 < ahead_deg(heard(YAW + 5.0 * DEGREE)) < 3.5
+
+
+def test_an_autopilot_that_was_not_aligned_yet_is_asked_again() -> None:
+    assert ahead_deg(heard(YAW + 5.0 * DEGREE, their_alignment_s=9.0)) == pytest.approx(0.0, abs=0.1)
+    assert 1.2 < ahead_deg(heard(YAW + 5.0 * DEGREE, their_alignment_s=2.5)) < 3.5
 
 
 def roll_deg(estimator: StateEstimator) -> float:

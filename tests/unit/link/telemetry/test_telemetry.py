@@ -231,6 +231,9 @@ def test_current_mode_has_the_same_numbers_and_arms_nothing(mode: str) -> None:
     state = after(heartbeat(mavlink.MAV_AUTOPILOT_PX4, 0, 129))
     told = after(CurrentMode(0, custom_mode("px4", mode), 0), state)
     assert (told.mode, told.offboard, told.armed) == (mode, mode == "OFFBOARD", True)
+    assert told.intended_mode == ""  # not supplied
+    waits = after(CurrentMode(0, custom_mode("px4", mode), custom_mode("px4", "OFFBOARD")), state)
+    assert (waits.mode, waits.intended_mode) == (mode, "OFFBOARD")
     # before any heartbeat nobody knows whose numbers these are
     assert after(CurrentMode(0, custom_mode("px4", mode), 0)).mode == ""
 

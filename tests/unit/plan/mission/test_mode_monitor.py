@@ -143,6 +143,43 @@ def test_returned_to_the_autopilot_the_hold_is_ours() -> None:
     assert Modes("ardupilot", "GUIDED").taken_over("LOITER", State.HOLD, Authority.RELEASED)
 
 
+OFFBOARD_WAITS = AutopilotState(
+    10.0, connected=True, autopilot_kind="px4", mode="AUTO.LOITER", intended_mode="OFFBOARD"
+)
+
+
+def after_silence(autopilot: AutopilotState, *, silent_s: float, since_s: float) -> bool:
+    """Whether the mode counts as a pilot's, `since_s` after a silence ended, with control ours."""
+    monitor = ModeMonitor(TAKE_OFF_M)
+    for now_s in (10.0, 10.0 + silent_s):
+        monitor.listen(AutopilotState(10.0), now_s)
+    now_s = 10.0 + silent_s + since_s
+    heard = replace(autopilot, time_s=now_s)
+    monitor.listen(heard, now_s)
+    return monitor.taken_over(
+        State.APPROACH, Authority.OURS, heard, requested=True, over_home_m=5.0, now_s=now_s
+    )
+
+
+@pytest.mark.parametrize("mode", ["AUTO.LOITER", "AUTO.RTL", "POSCTL"])
+def test_as_a_lost_link_comes_back_the_failsafe_for_want_of_setpoints_is_no_pilots_word(mode: str) -> None:
+    waits = replace(OFFBOARD_WAITS, mode=mode)
+    assert not after_silence(waits, silent_s=1.0, since_s=0.1)
+    assert not after_silence(waits, silent_s=5.0, since_s=0.9)
+    assert after_silence(waits, silent_s=1.0, since_s=1.1)  # it obeys the first setpoint that arrives
+
+
+@pytest.mark.parametrize("intended", ["AUTO.LOITER", ""])
+def test_a_hold_that_was_chosen_or_may_have_been_is_a_pilots_however_silent_the_link_was(
+    intended: str,
+) -> None:
+    assert after_silence(replace(OFFBOARD_WAITS, intended_mode=intended), silent_s=1.0, since_s=0.1)
+
+
+def test_without_a_silence_a_failsafe_in_control_is_final() -> None:
+    assert after_silence(OFFBOARD_WAITS, silent_s=0.4, since_s=0.1)
+
+
 def test_what_has_no_name_says_nothing() -> None:
     assert not Modes().taken_over("", State.SEARCH)
 

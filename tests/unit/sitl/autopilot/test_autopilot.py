@@ -15,12 +15,14 @@ from companion.base.geometry import (
     yaw_from_quat,
 )
 from companion.base.messages import LandedState
+from companion.link.modes import custom_mode
 from sitl.autopilot import (
     CommandResult,
     LocalFrame,
     MotionSetpoint,
     StreamedMotion,
 )
+from sitl.mavlink.telemetry import current_mode
 from tests.unit.sitl.autopilot.autopilot_flight import (
     HOME,
     PX4_OFFBOARD,
@@ -168,6 +170,7 @@ def test_px4_does_what_its_parameter_says_when_setpoints_stop(action: int, mode:
     flight.run(1.3)
     assert flight.autopilot.mode == mode
     assert flight.autopilot.in_failsafe
+    assert current_mode(flight.autopilot, 0.0).intended_custom_mode == custom_mode("px4", "OFFBOARD")
     flight.run(3.0)
     if action in (4, 5):  # neither goes on with the speed over ground that it had
         assert math.hypot(*flight.vehicle.velocity[:2]) < 0.1
