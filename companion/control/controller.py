@@ -39,6 +39,7 @@ from companion.control.setpoints import (
     Heading,
     attitude_setpoint,
     blind_setpoint,
+    blind_sink_m_s,
     boosted,
     ground_setpoint,
     resolved,
@@ -57,8 +58,6 @@ RESTART_AFTER_S = 0.5
 LONGEST_PREDICTION_S = 0.4
 # without the IMU for longer the vehicle is commanded not to accelerate
 BLIND_S = 0.1
-# A reference that waits over the pad moves by less.
-_SINKS_M_S: Final = 0.05
 # after so many solves in a row without a solution the old plan is worth nothing
 FAILURES_TO_STOP = 10
 # Its attitude alone is sent at 50 Hz. PX4 leaves our setpoints 1 s after the last one, ArduPilot GUID_TIMEOUT
@@ -189,17 +188,22 @@ class Controller:
     def _wait_for_imu(
         self, phase: Phase, reference: Reference, vehicle: VehicleState, pad: PadState | None, now_s: float
     ) -> tuple[Setpoint, ControlReport]:
-        """Until IMU samples come again or the estimate is given up; its motion is unknown meanwhile."""
+        """Until IMU samples come again or the estimate is given up; its motion is unknown meanwhile.
+
+        It keeps its velocity and height. Sinking onto a pad it goes on down, with the pad, which may turn.
+        """
         plant, self._flying = self._plant, False
-        sink_m_s = _sink_m_s(reference, pad) if phase is Phase.TOUCHDOWN else 0.0
+        sink_m_s = blind_sink_m_s(reference, pad) if phase is Phase.TOUCHDOWN else 0.0
+        followed = pad if sink_m_s > 0.0 and reference.origin == "pad" else None
+        velocity = vehicle.velocity_ned_m_s if followed is None else followed.velocity_ned_m_s
         setpoint = blind_setpoint(
             now_s,
             self._config,
-            vehicle.velocity_ned_m_s,
-            plant.disturbance_ned_m_s2,
+            (*velocity[:2], sink_m_s),
+            ZERO3 if followed is None else followed.acceleration_ned_m_s2,
+            plant.mean_disturbance_ned_m_s2,
             plant.hover_thrust,
             self._look(),
-            sink_m_s=sink_m_s,
         )
         setpoint, limited = self._gate.apply(_seen(setpoint, reference, pad), now_s)
         return setpoint, ControlReport(
@@ -332,13 +336,6 @@ class Controller:
 
     def _look(self) -> Heading:
         return Heading(self._heading.heading_rad, self._heading.rate_rad_s)
-
-
-def _sink_m_s(reference: Reference, pad: PadState | None) -> float:
-    """What the vehicle sinks by (m/s, NED) as the reference does over its pad; 0 where it does not sink."""
-    sink_m_s = float(reference.velocity_m_s[0, 2])
-    pad_m_s = pad.velocity_ned_m_s[2] if pad is not None and reference.origin == "pad" else 0.0
-    return max(0.0, sink_m_s + pad_m_s) if sink_m_s > _SINKS_M_S else 0.0
 
 
 def _seen(setpoint: Setpoint, reference: Reference, pad: PadState | None) -> Setpoint:

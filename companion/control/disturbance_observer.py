@@ -138,6 +138,7 @@ class WindObserver:
 
     SMOOTHING_S: Final = 0.03
     TREND_S: Final = 0.3
+    MEAN_S: Final = 1.0
     MOST_CHANGE_M_S2: Final = 1.0  # a steeper trend is a gust that is over before
 
     def __init__(self, sensor_lag_s: float, maximum_m_s2: float) -> None:
@@ -151,6 +152,7 @@ class WindObserver:
         self.thrust_ned_m_s2: Vector3 = ZERO3
         self.late_thrust_ned_m_s2: Vector3 = ZERO3
         self.wind_ned_m_s2: Vector3 = ZERO3
+        self.mean_wind_ned_m_s2: Vector3 = ZERO3
         self._trend_ned_m_s3: Vector3 = ZERO3
 
     def ahead_ned_m_s2(self, ahead_s: float) -> Vector3:
@@ -165,8 +167,8 @@ class WindObserver:
         """Take in attitude, acceleration and side force, the last were `elapsed_s` ago.
 
         `thrust_ned_m_s2` is then what the tilt makes now, `late_thrust_ned_m_s2` what the thrust made when
-        the acceleration was measured, and `wind_ned_m_s2` the wind's part. Along down all of the acceleration
-        is thrust.
+        the acceleration was measured, and `wind_ned_m_s2` the wind's part, beside its mean of late. Along down
+        all of the acceleration is thrust.
         """
         (x, y, z), (a, b, _) = vehicle.acceleration_ned_m_s2, vehicle.side_force_ned_m_s2
         if not all(map(math.isfinite, (x, y, z, a, b, *vehicle.attitude))):
@@ -176,8 +178,9 @@ class WindObserver:
         self.late_thrust_ned_m_s2 = (x - a, y - b, z)
         bound, before = self._maximum_m_s2, self.wind_ned_m_s2
         wind = (_clamp(a, bound), _clamp(b, bound), 0.0)
-        smoothing = elapsed_s / self.SMOOTHING_S if self._begun else math.inf
-        self.wind_ned_m_s2 = _follow(before, wind, smoothing)
+        counted_s = elapsed_s if self._begun else math.inf
+        self.wind_ned_m_s2 = _follow(before, wind, counted_s / self.SMOOTHING_S)
+        self.mean_wind_ned_m_s2 = _follow(self.mean_wind_ned_m_s2, wind, counted_s / self.MEAN_S)
         if elapsed_s > 0.0 and self._begun:
             slope = scale(subtract(self.wind_ned_m_s2, before), 1.0 / elapsed_s)
             self._trend_ned_m_s3 = _follow(self._trend_ned_m_s3, slope, elapsed_s / self.TREND_S)

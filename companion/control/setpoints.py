@@ -19,7 +19,7 @@ from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, norm, subtract
-from companion.base.messages import PadState, Setpoint
+from companion.base.messages import PadState, Reference, Setpoint
 from companion.base.motion import Motion
 from companion.config import ControlConfig
 from companion.control.attitude import (
@@ -30,6 +30,10 @@ from companion.control.attitude import (
 from companion.control.response.flight_model import advance
 
 GROUND_THRUST: Final = 0.0  # on the ground: ArduPilot has landed at none alone
+# A reference that waits over the pad moves by less.
+_SINKS_M_S: Final = 0.05
+# Blind it goes down as firmly as the final descent ever does: what it does not see adds up with the time.
+_BLIND_SINK_M_S: Final = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,30 +162,36 @@ def blind_setpoint(
     now_s: float,
     config: ControlConfig,
     velocity_ned_m_s: Vector3,
+    acceleration_ned_m_s2: Vector3,
     wind_ned_m_s2: Vector3,
     hover_thrust: float,
     heading: Heading,
-    sink_m_s: float = 0.0,
 ) -> Setpoint:
-    """Do not accelerate: keep the tilt against the wind, or a velocity loop's velocity.
+    """Tilt against the wind and for a horizontal acceleration (0: none), or fly a velocity loop's velocity.
 
-    Downwards it goes on to sink by `sink_m_s` (0: it keeps its height); with an attitude the thrust that
-    hovers keeps the vertical speed it has. A velocity loop that our accelerations have passed by stays passed
-    by: its integral is from another wind.
+    With an attitude the thrust that hovers keeps the vertical speed it has. A velocity loop that our
+    accelerations have passed by stays passed by: its integral is from another wind.
     """
-    north, east, _ = wind_ned_m_s2
-    against_wind = (-north, -east, 0.0)
+    north, east, _ = subtract(acceleration_ned_m_s2, wind_ned_m_s2)
+    tilting = (north, east, 0.0)
     if config.setpoint == "attitude":
-        return attitude_setpoint(now_s, velocity_ned_m_s, against_wind, hover_thrust, heading)
+        return attitude_setpoint(now_s, velocity_ned_m_s, tilting, hover_thrust, heading)
     passed_by = config.setpoint == "acceleration"
     return Setpoint(
         now_s,
-        velocity_ned_m_s=(*velocity_ned_m_s[:2], sink_m_s),
-        acceleration_ned_m_s2=against_wind if passed_by else ZERO3,
+        velocity_ned_m_s=velocity_ned_m_s,
+        acceleration_ned_m_s2=tilting if passed_by else ZERO3,
         heading_rad=heading.heading_rad,
         heading_rate_rad_s=heading.rate_rad_s,
         holds_horizontal_velocity=not passed_by,
     )
+
+
+def blind_sink_m_s(reference: Reference, pad: PadState | None) -> float:
+    """What it sinks by (m/s, NED) as the reference does, or faster; 0 where that does not sink."""
+    sink_m_s = float(reference.velocity_m_s[0, 2])
+    pad_m_s = pad.velocity_ned_m_s[2] if pad is not None and reference.origin == "pad" else 0.0
+    return max(0.0, max(sink_m_s, _BLIND_SINK_M_S) + pad_m_s) if sink_m_s > _SINKS_M_S else 0.0
 
 
 def _upward_share(acceleration_m_s2: Vector3) -> float:

@@ -57,6 +57,14 @@ class Plant:
         return add(self._wind.wind_ned_m_s2, self._lasting.lasting_ned_m_s2)
 
     @property
+    def mean_disturbance_ned_m_s2(self) -> Vector3:
+        """Its mean of late (m/s2, NED): all that is left to expect once nothing is measured any more.
+
+        An IMU that hung in the middle of a vibration has hardly touched it.
+        """
+        return add(self._wind.mean_wind_ned_m_s2, self._lasting.lasting_ned_m_s2)
+
+    @property
     def disturbance_ahead_ned_m_s2(self) -> Vector3:
         """The same (m/s2, NED) when what is commanded now is flown."""
         wind = self._wind.ahead_ned_m_s2(self._answers_s)

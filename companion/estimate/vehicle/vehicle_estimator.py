@@ -58,7 +58,7 @@ from companion.estimate.vehicle.state_output import vehicle_state
 from companion.estimate.vehicle.strapdown import Strapdown
 
 ORIENTATION_RATE_HZ: Final = 10.0  # the pre-filter's error lasts: more often would say nothing new
-IMU_TIMEOUT_S = 1.0  # without the IMU for longer there is no state to report
+IMU_TIMEOUT_S = 1.5  # without the IMU for longer there is no state to report
 LOST_S = 2.0  # and after so long it starts again: where it has turned meanwhile is unknown
 _COMPARE_AGAIN_S = 1.0  # after the autopilot's attitude at rest was refused
 _AGREES_S = 0.5  # two samples so near each other agree on a time that is far from what was

@@ -20,10 +20,11 @@ from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import DetectedEvent, MissionEvent, State
 from companion.plan.mission.table import FINAL, ON_GROUND
 
-# Without IMU samples for so long the estimate is lost. Sinking onto the pad it takes longer: the vehicle
-# keeps its motion meanwhile, and LAND would brake it over a pad that drives on.
+# Without IMU samples for so long the estimate is lost. In the final descent it takes as long as that nearly
+# lasts: the vehicle goes on with the pad, and LAND would brake it over one that drives on. After that the
+# estimator gives none any more.
 _STALE_ESTIMATE_S = 0.5
-_STALE_SINKING_S = 1.0
+_STALE_SINKING_S = 1.5
 _OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz
 # So long without a plan the stop is complete, and the vehicle drifts with the wind.
 _NO_PLAN_S = 1.0

@@ -7,7 +7,16 @@ from itertools import count
 import numpy as np
 import pytest
 
-from companion.base.geometry import ZERO3, Vector3, norm, quat_from_euler, subtract, tilt_from_quat
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    ZERO3,
+    Vector3,
+    euler_from_quat,
+    norm,
+    quat_from_euler,
+    subtract,
+    tilt_from_quat,
+)
 from companion.base.messages import Phase, Setpoint
 from companion.config import ControlConfig
 from companion.control.attitude import attitude_from_acceleration
@@ -121,6 +130,29 @@ def test_without_the_imu_px4_keeps_the_tilt_and_goes_on_down_where_contact_is_ne
         assert not setpoint.holds_horizontal_velocity
         assert setpoint.acceleration_ned_m_s2 == pytest.approx(ZERO3, abs=1e-9)
         assert setpoint.velocity_ned_m_s[2] == pytest.approx(sink_m_s)
+
+
+@pytest.mark.parametrize("kind", ["acceleration", "velocity", "attitude"])
+def test_without_the_imu_it_turns_with_the_pad_that_it_sinks_onto(kind: str) -> None:
+    fly = controller(setpoint=kind)
+    level = hover_reference(0.0)
+    sinking = replace(level, velocity_m_s=np.full_like(level.velocity_m_s, 0.2))
+    for reference, acceleration in ((level, ZERO3), (sinking, (0.0, -0.45, 0.0))):
+        for k in range(40):  # the limits let it turn only so fast
+            now = k * PERIOD_S
+            plan = replace(plan_step(now, replace(reference, time_s=now)), phase=Phase.TOUCHDOWN)
+            vehicle = vehicle_state(now, velocity_ned_m_s=(1.4, 0.1, 0.2), imu_age_s=0.2)
+            pad = replace(pad_state(now, velocity=(1.5, 0.0, 0.0)), acceleration_ned_m_s2=(0.0, -0.45, 0.3))
+            answer = fly.step(plan, vehicle, pad, now)
+        assert answer is not None
+        setpoint, followed = answer[0], acceleration != ZERO3
+        assert setpoint.velocity_ned_m_s[:2] == pytest.approx((1.5, 0.0) if followed else (1.4, 0.1))
+        if kind == "attitude":
+            assert setpoint.attitude is not None
+            roll = euler_from_quat(setpoint.attitude)[0]
+            assert roll == pytest.approx(math.atan2(acceleration[1], GRAVITY_M_S2), abs=1e-3)
+        elif kind == "acceleration":
+            assert setpoint.acceleration_ned_m_s2 == pytest.approx(acceleration, abs=1e-9)
 
 
 def test_without_an_estimate_only_what_presses_it_onto_the_pad_is_sent() -> None:

@@ -212,7 +212,9 @@ def test_an_estimate_that_is_old_counts_as_lost() -> None:
     assert gravest(without_imu) is MissionEvent.ESTIMATE_LOST
     # LAND would brake it over a pad that drives on: its motion is kept a little longer
     assert gravest(without_imu, State.SINK) is None
-    too_long = replace(given, vehicle=replace(given.vehicle, imu_age_s=1.1))
+    at_its_end = replace(given, vehicle=replace(given.vehicle, imu_age_s=1.4))
+    assert gravest(at_its_end, State.SINK) is None
+    too_long = replace(given, vehicle=replace(given.vehicle, imu_age_s=1.6))
     assert gravest(too_long, State.SINK) is MissionEvent.ESTIMATE_LOST
     unaligned = replace(given, vehicle=replace(given.vehicle, aligned=False))
     assert gravest(unaligned) is MissionEvent.ESTIMATE_LOST
