@@ -13,6 +13,7 @@ from companion.base.geometry import (
     ZERO3,
     Quaternion,
     Vector3,
+    add,
     norm,
     quat_conjugate,
     quat_from_rotation_vector,
@@ -34,6 +35,8 @@ class MotionHistory:
         self._attitudes: list[Quaternion] = []
         self._speeds: list[Vector3] = []
         self._places: list[Vector3] = []
+        self._corrections: list[Vector3] = []
+        self._corrected: Vector3 = ZERO3
         self._acceleration: Vector3 = ZERO3
 
     @property
@@ -92,6 +95,27 @@ class MotionHistory:
         place = bisect_left(self._times_s, from_s)
         self._attitudes[place:] = [quat_multiply(turn, attitude) for attitude in self._attitudes[place:]]
 
+    def correct(self, turn_rad: Vector3) -> None:
+        """The attitude has been corrected by a small rotation (rad, NED axes): later samples have it."""
+        self._corrected = add(self._corrected, turn_rad)
+
+    def corrected(self, start_s: float, end_s: float) -> Vector3:
+        """By what small rotation (rad, about NED axes) the attitude has been corrected between two times."""
+        (x, y, z), (u, v, w) = self._corrected_at(start_s), self._corrected_at(end_s)
+        return (u - x, v - y, w - z)
+
+    def _corrected_at(self, time_s: float) -> Vector3:
+        """All corrections up to a time, between samples as `attitude` has it."""
+        place = bisect_right(self._times_s, time_s)
+        if not self._times_s or time_s > self._times_s[-1]:
+            return self._corrected
+        if place == 0 or place == len(self._times_s):
+            return self._corrections[max(place - 1, 0)]
+        (x, y, z), (u, v, w) = self._corrections[place - 1 : place + 1]
+        start_s, end_s = self._times_s[place - 1 : place + 1]
+        k = (time_s - start_s) / (end_s - start_s)
+        return (x + k * (u - x), y + k * (v - y), z + k * (w - z))
+
     def turned_rad(self, time_s: float, span_s: float) -> float:
         """Angle (rad) through which the vehicle turned in `span_s` at a time; 0 before the first sample."""
         before, after = self.attitude(time_s - span_s), self.attitude(time_s + span_s)
@@ -141,7 +165,9 @@ class MotionHistory:
         self._attitudes.append(attitude)
         self._speeds.append(speed)
         self._places.append(place)
+        self._corrections.append(self._corrected)
 
     def _forget(self, before_s: float) -> None:
         old = bisect_right(self._times_s, before_s)
         del self._times_s[:old], self._attitudes[:old], self._speeds[:old], self._places[:old]
+        del self._corrections[:old]

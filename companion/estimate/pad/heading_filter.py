@@ -18,11 +18,11 @@ class HeadingState(NamedTuple):
     covariance: float = 0.0
     rate_variance: float = 1.0
 
-    def after(self, dt_s: float, acceleration_rad_s2_rthz: float) -> HeadingState:
-        """The state dt_s later, under white angular acceleration of that density."""
+    def after(self, dt_s: float, acceleration_rad_s2_rthz: float, turned_rad: float = 0.0) -> HeadingState:
+        """The state dt_s later, under white angular acceleration of that density, and a corrected north."""
         s = acceleration_rad_s2_rthz**2
         return HeadingState(
-            self.heading_rad + self.rate_rad_s * dt_s,
+            self.heading_rad + self.rate_rad_s * dt_s + turned_rad,
             self.rate_rad_s,
             self.heading_variance
             + dt_s * (2.0 * self.covariance + dt_s * (self.rate_variance + s * dt_s / 3.0)),

@@ -19,6 +19,7 @@ from companion.base.geometry import FloatArray, Vector3, add, scale, wrap_angle
 from companion.config import PadFilterConfig
 from companion.estimate.gating import CHI_SQUARE_999, Gate, passes
 from companion.estimate.motion import MotionHistory
+from companion.estimate.pad.frame_correction import ways
 from companion.estimate.pad.heading_filter import HeadingState
 from companion.estimate.pad.model_bank import (
     BankState,
@@ -137,9 +138,10 @@ class PadFilter:
         """
         if snapshot.models is None:
             return None
-        moved = advance(snapshot.models, self._step(snapshot.time_s, time_s, snapshot.turn))
-        density = HEADING_ACCELERATION_RAD_S2_RTHZ
-        heading = snapshot.heading.after(time_s - snapshot.time_s, density)
+        dt_s = time_s - snapshot.time_s
+        step, turned_rad = self._step(snapshot.time_s, time_s, snapshot.turn, snapshot.models)
+        moved = advance(snapshot.models, step)
+        heading = snapshot.heading.after(dt_s, HEADING_ACCELERATION_RAD_S2_RTHZ, turned_rad)
         blend = self._bank.blend(moved)
         return CombinedEstimate(
             x=blend.mean.take(STATES_AT),
@@ -152,26 +154,27 @@ class PadFilter:
             slow_share=snapshot.slow_share,
             jerk_m_s3=tuple((moved.probabilities[TURN] * moved.means[TURN, 6:8]).tolist()),
             models=dict(zip(self._names, moved.probabilities.tolist(), strict=True)),
-            tilt=snapshot.tilt.after(
-                time_s - snapshot.time_s, self._config.tilt_acceleration_rad_s2_rthz
-            ).tilt,
+            tilt=snapshot.tilt.after(dt_s, self._config.tilt_acceleration_rad_s2_rthz).tilt,
         )
 
     def _predict(self, time_s: float) -> None:
         if time_s <= self.time_s:
             return
         dt_s = time_s - self.time_s
-        self._bank.predict(dt_s, self._step(self.time_s, time_s, self._turn))
-        self._heading = self._heading.after(dt_s, HEADING_ACCELERATION_RAD_S2_RTHZ)
+        step, turned_rad = self._step(self.time_s, time_s, self._turn, self._bank.state)
+        self._bank.predict(dt_s, step)
+        self._heading = self._heading.after(dt_s, HEADING_ACCELERATION_RAD_S2_RTHZ, turned_rad)
         self._tilt = self._tilt.after(dt_s, self._config.tilt_acceleration_rad_s2_rthz)
         self.time_s = time_s
 
-    def _step(self, start_s: float, end_s: float, turn: Turn) -> ModelTransition:
-        """How the models move from one time to another; the vehicle's own motion is taken off."""
-        (x, y, z), (vx, vy, vz) = self._motion.moved(start_s, end_s)
-        ways = np.array([[-x, -y, -vx, -vy, 0.0, 0.0, 0.0, 0.0], [-z, 0.0, -vz, 0.0, 0.0, 0.0, 0.0, 0.0]])
-        F, Q = self._models.step(end_s - start_s, turn)
-        return ModelTransition(F, Q, ways.take(self._bank.group_of, axis=0))
+    def _step(
+        self, start_s: float, end_s: float, turn: Turn, models: BankState
+    ) -> tuple[ModelTransition, float]:
+        """How the models move between two times, the vehicle's motion taken off; how north turns (rad)."""
+        dt_s, correction = end_s - start_s, self._motion.corrected(start_s, end_s)
+        added = ways(self._motion.moved(start_s, end_s), correction, models.means, dt_s)
+        F, Q = self._models.step(dt_s, turn)
+        return ModelTransition(F, Q, added.take(self._bank.group_of, axis=0)), correction[2]
 
     # ------------------------------------------------------------ measurements
 

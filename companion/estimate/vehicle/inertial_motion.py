@@ -8,16 +8,21 @@ from companion.base.geometry import (
     GRAVITY_M_S2,
     IDENTITY,
     ZERO3,
+    FloatArray,
     Quaternion,
     Vector3,
     add,
     cross,
     norm,
+    quat_conjugate,
     quat_integrate,
+    quat_multiply,
     quat_rotate,
+    rotation_vector_from_quat,
     scale,
     side_force,
     subtract,
+    vector3,
 )
 from companion.base.messages import ImuSample
 from companion.estimate.ahrs.complementary import ACCEL_AVERAGE_S
@@ -62,6 +67,7 @@ class InertialMotion:
         self.side_force_ned_m_s2: Vector3 = ZERO3
         self.gyro_bias_rad_s: Vector3 = ZERO3
         self.accel_bias_m_s2: Vector3 = ZERO3
+        self._yaw_share: Vector3 = ZERO3
         self.disturbance_m_s2 = 0.0
         self._by_orientation: Vector3 = ZERO3
 
@@ -75,7 +81,8 @@ class InertialMotion:
     ) -> None:
         """Take a sample, and the means since the one before, dt_s ago; the pre-filter goes along."""
         turned = subtract(mean_rate, self.gyro_bias_rad_s)
-        self.attitude = quat_integrate(self.attitude, turned, dt_s)
+        without_yaw_error = subtract(turned, scale(self._yaw_share, turned[2]))
+        self.attitude = quat_integrate(self.attitude, without_yaw_error, dt_s)
         orientation.update_imu(turned, subtract(mean_force, self.accel_bias_m_s2), dt_s)
         self.rate_body_rad_s = subtract(sample.rate_body_rad_s, self.gyro_bias_rad_s)
         force = subtract(sample.specific_force_body_m_s2, self.accel_bias_m_s2)
@@ -93,6 +100,18 @@ class InertialMotion:
         self._by_orientation = _approached(self._by_orientation, own, k)
         fade = 1.0 - min(dt_s / max(ACCEL_AVERAGE_S, dt_s), 1.0)
         self.disturbance_m_s2 = max(norm(self._by_orientation), self.disturbance_m_s2 * fade)
+
+    def follow(self, attitude: Quaternion, age_s: float, yaw_share: FloatArray) -> None:
+        """Take the EKF's attitude of age_s ago; by how much it corrects ours is told to the history.
+
+        `yaw_share` is what a yaw adds to the gyroscope's rate (`YawError.share`): taken off as the EKF does,
+        so that what is left to correct is its measurements' work alone.
+        """
+        attitude = self.turned(attitude, age_s)
+        self._history.correct(
+            rotation_vector_from_quat(quat_multiply(attitude, quat_conjugate(self.attitude)))
+        )
+        self.attitude, self._yaw_share = attitude, vector3(yaw_share)
 
     def _by_turning(self, dt_s: float) -> Vector3:
         """What an accelerometer beside the centre of mass feels of a turn: alpha x r + w x (w x r)."""

@@ -214,6 +214,7 @@ class VehicleEstimator:
         if not self._timeline.add(correction.time_s, step):
             self._timeline.add(self.newest_s, step)
         self.motion.turn(correction.since_s, step.turn)
+        self._inertial.attitude = quat_multiply(step.turn, self._inertial.attitude)  # as the history
         self._read_ekf()
         self._orientation.attitude = self._inertial.attitude
         words = f"attitude corrected by {math.degrees(correction.apart_rad):.0f} deg, by the autopilot's"
@@ -329,7 +330,7 @@ class VehicleEstimator:
         self.corrections += self._trouble.news(self._ekf.watch, self._ekf.fix_watch)
         self._inertial.gyro_bias_rad_s = vector3(self._ekf.x[model.GYRO_BIAS])
         self._inertial.accel_bias_m_s2 = vector3(self._ekf.x[model.ACCEL_BIAS])
-        self._inertial.attitude = self._inertial.turned(self._ekf.attitude, self.newest_s - self._ekf.time_s)
+        self._inertial.follow(self._ekf.attitude, self.newest_s - self._ekf.time_s, self._ekf.yaw_error.share)
 
     def _field_at(self, time_s: float) -> Vector3 | None:
         """The field since the last time, averaged in NED and seen by the body now; None out of turn."""

@@ -68,3 +68,20 @@ def test_old_samples_are_forgotten_and_the_span_kept() -> None:
     assert yaw_from_quat(attitude) == pytest.approx(math.remainder(4.5, math.tau), abs=1e-9)
     assert len(history._times_s) <= 401
     assert np.isfinite(history.moved(9.0, 10.0)[0]).all()
+
+
+def test_a_correction_holds_from_the_next_sample_on() -> None:
+    """Between the two it is interpolated, as the attitude is."""
+    history = filled(duration_s=1.0)
+    history.correct((0.01, -0.02, 0.03))
+    assert history.corrected(0.5, 1.0) == (0.0, 0.0, 0.0), "the newest sample was before it"
+    assert history.corrected(0.5, 1.001) == (0.01, -0.02, 0.03), "what is predicted comes after it"
+    history.add(1.005, IDENTITY, (0.0, 0.0, 0.0))
+    history.correct((0.01, 0.0, 0.0))
+    history.add(1.010, IDENTITY, (0.0, 0.0, 0.0))
+    assert history.corrected(0.5, 1.0) == (0.0, 0.0, 0.0)
+    assert history.corrected(0.5, 1.0025) == pytest.approx((0.005, -0.01, 0.015))
+    assert history.corrected(0.5, 1.005) == pytest.approx((0.01, -0.02, 0.03))
+    assert history.corrected(1.005, 1.010) == pytest.approx((0.01, 0.0, 0.0))
+    assert history.corrected(-1.0, 0.5) == (0.0, 0.0, 0.0)
+    assert MotionHistory(1.0).corrected(0.0, 1.0) == (0.0, 0.0, 0.0)

@@ -2,9 +2,19 @@
 
 import math
 
+import numpy as np
 import pytest
 
-from companion.base.geometry import GRAVITY_M_S2, IDENTITY, ZERO3, Vector3, add, cross, quat_from_euler
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    IDENTITY,
+    ZERO3,
+    Vector3,
+    add,
+    cross,
+    quat_from_euler,
+    yaw_from_quat,
+)
 from companion.base.messages import ImuSample
 from companion.config import EstimateConfig
 from companion.estimate.ahrs.orientation import new_orientation
@@ -41,3 +51,20 @@ def test_an_imu_beside_the_centre_of_mass_feels_no_wind_where_its_place_is_known
     # the gyroscope's difference is half a sample early, the low-pass of 20 ms is the same for all
     assert rocked(imu_body_m, imu_body_m) < 0.05 * unknown
     assert rocked(ZERO3, ZERO3) < 1e-9
+
+
+def test_the_history_is_told_by_what_the_attitude_is_corrected() -> None:
+    """A yaw error that the EKF takes off is no correction: the attitude between its steps has it off, too."""
+    history = MotionHistory(1.0)
+    motion, share, yaw = InertialMotion(history), np.array([0.002, 0.0, 0.005]), 1.0
+    orientation = new_orientation(EstimateConfig(), IDENTITY)
+    force: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
+    rate: Vector3 = (0.002 * yaw, 0.0, 1.005 * yaw)
+    motion.follow(IDENTITY, 0.0, share)
+    for k in range(1, 201):
+        motion.add(ImuSample(k * STEP_S, rate, force, 25.0), STEP_S, rate, force, orientation)
+    assert yaw_from_quat(motion.attitude) == pytest.approx(yaw, abs=1e-4)
+    motion.follow(quat_from_euler(0.003, 0.0, yaw - 0.01), 0.0, share)
+    x, y, z = history.corrected(0.5, 1.1)
+    # the roll, about the body's axis, in NED; what is left of the shares is their product with the yaw
+    assert (x, y, z) == pytest.approx((0.003 * math.cos(yaw), 0.003 * math.sin(yaw), -0.01), abs=1e-4)
