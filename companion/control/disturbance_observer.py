@@ -167,8 +167,8 @@ class WindObserver:
         """Take in attitude, acceleration and side force, the last were `elapsed_s` ago.
 
         `thrust_ned_m_s2` is then what the tilt makes now, `late_thrust_ned_m_s2` what the thrust made when
-        the acceleration was measured, and `wind_ned_m_s2` the wind's part, beside its mean of late. Along down
-        all of the acceleration is thrust.
+        the acceleration was measured, and `wind_ned_m_s2` the wind's part, with its mean of late beside it.
+        Along down all of the acceleration is thrust.
         """
         (x, y, z), (a, b, _) = vehicle.acceleration_ned_m_s2, vehicle.side_force_ned_m_s2
         if not all(map(math.isfinite, (x, y, z, a, b, *vehicle.attitude))):
