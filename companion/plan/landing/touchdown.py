@@ -39,7 +39,7 @@ _LONGEST_CYCLE_S = 0.1
 # Levelling off it comes to the firmer sink within this.
 _FIRMER_S = 0.25
 _TOO_FAST_S = 0.1
-_FASTER_M_S = 0.16  # a planned sink may be exceeded by this
+_FASTER_M_S = 0.16  # a planned sink may be exceeded by this, one that nothing feels too
 # It breaks off at this share of the tilt tolerated at the commit; it commits to this share of the tilt that
 # can be levelled off at all, or it would break off at once.
 _TOO_MUCH_TILT = 1.3
@@ -178,14 +178,15 @@ class TouchdownSequence:
         self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / speed_m_s
 
     def _sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
-        silent = inputs.vehicle is not None and now_s - inputs.vehicle.sensed_time_s > FRESH_S
+        unfelt_s = 0.0 if inputs.vehicle is None else now_s - inputs.vehicle.sensed_time_s
+        silent = unfelt_s > FRESH_S
         if sight is not None and not silent and (slides := self._slides(sight)):
             self._generator.rise(now_s)
             return MissionEvent.MISALIGNED, slides
         # far aside it tilts because it flies back or escapes: it is not about to stand
         tilt_rad = 0.0 if sight is not None and self._escapes(sight) else self.tilt.tilt_rad
         signs = self._signs(sight, inputs, self._generator.at(now_s), now_s, tilt_rad)
-        near = sight is not None and self._near(sight)
+        near = sight is not None and self._near(sight, unfelt_s)
         touching = signs.count >= SIGNS_NEEDED
         self._short_echoes.note(inputs.range if near and signs.short_echo else None)
         down = sight is not None and sight.age_s > self._config.blind_s and self.feet_down(now_s)
@@ -227,8 +228,8 @@ class TouchdownSequence:
         why = "not below any more" if gone else f"not seen for {c.blind_s:.1f} s"
         return MissionEvent.PAD_LOST, f"{why} while sinking"
 
-    def _near(self, sight: PadState) -> bool:
-        return sight.height_m <= self._vehicle.leg_height_m + _NEAR_M
+    def _near(self, sight: PadState, unfelt_s: float = 0.0) -> bool:
+        return sight.height_m - _FASTER_M_S * unfelt_s <= self._vehicle.leg_height_m + _NEAR_M
 
     def _set_down(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Level, and on down in the EKF's NED, until something solid is below."""

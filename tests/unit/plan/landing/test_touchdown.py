@@ -11,6 +11,7 @@ from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import contact_signs
 from companion.plan.mission.states import MissionEvent
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
+from tests.unit.control.controller_inputs import vehicle_state
 from tests.unit.plan.landing.touchdown_attempt import (
     CONFIG,
     CYCLE_S,
@@ -40,6 +41,25 @@ def test_half_a_second_of_blindness_on_the_final_descent_is_borne_and_two_are_no
     found = touchdown.step(sight(height=0.4, age=1.6), None, LandedState.IN_AIR, 1.1)
     assert found is not None
     assert found[0] is MissionEvent.PAD_LOST
+
+
+@pytest.mark.parametrize(
+    ("imu_age_s", "high_m", "down"), [(0.0, 0.15, False), (1.0, 0.15, True), (1.0, 0.35, False)]
+)
+def test_what_nothing_felt_sink_may_be_lower_than_predicted_and_its_feet_down(
+    imu_age_s: float, high_m: float, down: bool
+) -> None:
+    touchdown, now_s = sinking(), 1.0
+    for _ in range(4):
+        now_s += CYCLE_S
+        touchdown.step(
+            sight(height=LEG_M + high_m, age=1.0),
+            RangeSample(now_s, 0.1),
+            LandedState.IN_AIR,
+            now_s,
+            vehicle=vehicle_state(now_s, imu_age_s=imu_age_s),
+        )
+    assert touchdown.feet_down(now_s) is down
 
 
 def test_far_aside_on_the_final_descent_it_climbs_while_still_high_only() -> None:

@@ -3,7 +3,7 @@
 import math
 
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, quat_from_euler, scale
-from companion.base.messages import AutopilotState, LandedState, PadState, RangeSample
+from companion.base.messages import AutopilotState, LandedState, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, TouchdownConfig
 from companion.plan.landing.touchdown import TouchdownSequence
@@ -52,6 +52,9 @@ class Attempt:
     def on_pad(self) -> bool:
         return self.state in ON_PAD
 
+    def feet_down(self, now_s: float) -> bool:
+        return self._sequence.feet_down(now_s)
+
     def note_tilt(self, attitude: Quaternion, now_s: float, seen: PadState | None = None) -> None:
         self._sequence.tilt.note(attitude, seen, now_s)
 
@@ -63,8 +66,9 @@ class Attempt:
         now_s: float,
         *,
         heard: bool = True,
+        vehicle: VehicleState | None = None,
     ) -> DetectedEvent | None:
-        inputs = PlanInputs(None, None, AutopilotState(now_s, landed=landed, connected=heard), range=echo)
+        inputs = PlanInputs(vehicle, None, AutopilotState(now_s, landed=landed, connected=heard), range=echo)
         detected = self._sequence.step(self.state, seen, inputs, now_s)
         if detected is None:
             return None
