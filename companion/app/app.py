@@ -258,6 +258,7 @@ class App:
             camera_problem=self.sensing.camera_problem,
             camera_turned_rad=self.estimator.camera_turned_rad,
             control_failed=self._control_failed,
+            silent_s=now_s - self.session.heard_s,
         )
         before, plan = self.phase, self.missions.step(inputs, now_s)
         # a disarming that was asked for on the pad is none for a vehicle that has left it

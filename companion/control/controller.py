@@ -193,18 +193,21 @@ class Controller:
         It keeps its velocity and height. Sinking onto a pad it goes on down, with the pad, which may turn.
         """
         plant, self._flying = self._plant, False
-        sink_m_s = blind_sink_m_s(reference, pad) if phase is Phase.TOUCHDOWN else 0.0
-        followed = pad if sink_m_s > 0.0 and reference.origin == "pad" else None
+        sink_m_s = blind_sink_m_s(reference, pad) if phase is Phase.TOUCHDOWN else None
+        followed = pad if sink_m_s is not None and reference.origin == "pad" else None
         velocity = vehicle.velocity_ned_m_s if followed is None else followed.velocity_ned_m_s
         setpoint = blind_setpoint(
             now_s,
             self._config,
-            (*velocity[:2], sink_m_s),
+            (*velocity[:2], sink_m_s or 0.0),
             ZERO3 if followed is None else followed.acceleration_ned_m_s2,
             plant.mean_disturbance_ned_m_s2,
             plant.hover_thrust,
             self._look(),
         )
+        if self._raises_thrust:
+            most_rad = math.radians(self._config.limits.tilt_deg)
+            setpoint = boosted(setpoint, tilt_compensation(ZERO3, setpoint.acceleration_ned_m_s2, most_rad))
         setpoint, limited = self._gate.apply(_seen(setpoint, reference, pad), now_s)
         return setpoint, ControlReport(
             now_s,

@@ -144,6 +144,8 @@ class WindObserver:
     def __init__(self, sensor_lag_s: float, maximum_m_s2: float) -> None:
         """`sensor_lag_s` is how late the side force is measured."""
         self._lag_s, self._maximum_m_s2 = sensor_lag_s, maximum_m_s2
+        self.mean_wind_ned_m_s2: Vector3 = ZERO3
+        self._known = False  # the mean of late, which outlives a start anew
         self.reset()
 
     def reset(self) -> None:
@@ -152,7 +154,6 @@ class WindObserver:
         self.thrust_ned_m_s2: Vector3 = ZERO3
         self.late_thrust_ned_m_s2: Vector3 = ZERO3
         self.wind_ned_m_s2: Vector3 = ZERO3
-        self.mean_wind_ned_m_s2: Vector3 = ZERO3
         self._trend_ned_m_s3: Vector3 = ZERO3
 
     def ahead_ned_m_s2(self, ahead_s: float) -> Vector3:
@@ -178,9 +179,10 @@ class WindObserver:
         self.late_thrust_ned_m_s2 = (x - a, y - b, z)
         bound, before = self._maximum_m_s2, self.wind_ned_m_s2
         wind = (_clamp(a, bound), _clamp(b, bound), 0.0)
-        counted_s = elapsed_s if self._begun else math.inf
-        self.wind_ned_m_s2 = _follow(before, wind, counted_s / self.SMOOTHING_S)
-        self.mean_wind_ned_m_s2 = _follow(self.mean_wind_ned_m_s2, wind, counted_s / self.MEAN_S)
+        smoothing = elapsed_s / self.SMOOTHING_S if self._begun else math.inf
+        self.wind_ned_m_s2 = _follow(before, wind, smoothing)
+        smoothing = elapsed_s / self.MEAN_S if self._known else math.inf
+        self.mean_wind_ned_m_s2, self._known = _follow(self.mean_wind_ned_m_s2, wind, smoothing), True
         if elapsed_s > 0.0 and self._begun:
             slope = scale(subtract(self.wind_ned_m_s2, before), 1.0 / elapsed_s)
             self._trend_ned_m_s3 = _follow(self._trend_ned_m_s3, slope, elapsed_s / self.TREND_S)

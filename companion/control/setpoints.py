@@ -32,7 +32,7 @@ from companion.control.response.flight_model import advance
 GROUND_THRUST: Final = 0.0  # on the ground: ArduPilot has landed at none alone
 # A reference that waits over the pad moves by less.
 _SINKS_M_S: Final = 0.05
-# Blind it goes down as firmly as the final descent ever does: what it does not see adds up with the time.
+# Blind it goes down nearly as firmly as the final descent ever does: what it does not see adds up.
 _BLIND_SINK_M_S: Final = 0.3
 
 
@@ -187,11 +187,16 @@ def blind_setpoint(
     )
 
 
-def blind_sink_m_s(reference: Reference, pad: PadState | None) -> float:
-    """What it sinks by (m/s, NED) as the reference does, or faster; 0 where that does not sink."""
+def blind_sink_m_s(reference: Reference, pad: PadState | None) -> float | None:
+    """How fast it goes down (m/s, NED), as the reference does or faster; None where that does not sink.
+
+    It counts from the pad, which may rise: less than nothing is a climb.
+    """
     sink_m_s = float(reference.velocity_m_s[0, 2])
+    if sink_m_s <= _SINKS_M_S:
+        return None
     pad_m_s = pad.velocity_ned_m_s[2] if pad is not None and reference.origin == "pad" else 0.0
-    return max(0.0, max(sink_m_s, _BLIND_SINK_M_S) + pad_m_s) if sink_m_s > _SINKS_M_S else 0.0
+    return max(sink_m_s, _BLIND_SINK_M_S) + pad_m_s
 
 
 def _upward_share(acceleration_m_s2: Vector3) -> float:

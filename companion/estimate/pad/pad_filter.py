@@ -139,9 +139,9 @@ class PadFilter:
         if snapshot.models is None:
             return None
         dt_s = time_s - snapshot.time_s
-        step, turned_rad = self._step(snapshot.time_s, time_s, snapshot.turn, snapshot.models)
+        step, yaw = self._step(snapshot.time_s, time_s, snapshot.turn, snapshot.models, snapshot.seen_time_s)
         moved = advance(snapshot.models, step)
-        heading = snapshot.heading.after(dt_s, HEADING_ACCELERATION_RAD_S2_RTHZ, turned_rad)
+        heading = snapshot.heading.after(dt_s, HEADING_ACCELERATION_RAD_S2_RTHZ, yaw)
         blend = self._bank.blend(moved)
         return CombinedEstimate(
             x=blend.mean.take(STATES_AT),
@@ -161,18 +161,18 @@ class PadFilter:
         if time_s <= self.time_s:
             return
         dt_s = time_s - self.time_s
-        step, turned_rad = self._step(self.time_s, time_s, self._turn, self._bank.state)
+        step, turned_rad = self._step(self.time_s, time_s, self._turn, self._bank.state, self.seen_time_s)
         self._bank.predict(dt_s, step)
         self._heading = self._heading.after(dt_s, HEADING_ACCELERATION_RAD_S2_RTHZ, turned_rad)
         self._tilt = self._tilt.after(dt_s, self._config.tilt_acceleration_rad_s2_rthz)
         self.time_s = time_s
 
     def _step(
-        self, start_s: float, end_s: float, turn: Turn, models: BankState
+        self, start_s: float, end_s: float, turn: Turn, models: BankState, seen_s: float
     ) -> tuple[ModelTransition, float]:
         """How the models move between two times, the vehicle's motion taken off; how north turns (rad)."""
         dt_s, correction = end_s - start_s, self._motion.corrected(start_s, end_s)
-        added = ways(self._motion.moved(start_s, end_s), correction, models.means, dt_s)
+        added = ways(self._motion.moved(start_s, end_s), correction, models.means, dt_s, end_s - seen_s)
         F, Q = self._models.step(dt_s, turn)
         return ModelTransition(F, Q, added.take(self._bank.group_of, axis=0)), correction[2]
 

@@ -99,6 +99,8 @@ def _heartbeat(state: AutopilotState, message: Message, time_s: float) -> Autopi
     known = message.type in _MULTIROTORS
     autopilot_kind = _AUTOPILOT_KINDS.get(message.autopilot) if known else None
     mode = "" if autopilot_kind is None else mode_name(autopilot_kind, message.custom_mode)
+    # another mode is a choice, unless PX4 says that a failsafe flies: then what was intended stays so
+    kept = mode == state.mode or message.system_status == mavlink.MAV_STATE_CRITICAL
     # PX4 says it here, ArduPilot in SYS_STATUS
     terminated = message.system_status == mavlink.MAV_STATE_FLIGHT_TERMINATION
     cut = terminated or (autopilot_kind == "ardupilot" and state.motors_cut)
@@ -111,6 +113,7 @@ def _heartbeat(state: AutopilotState, message: Message, time_s: float) -> Autopi
         autopilot_kind=autopilot_kind,
         armed=bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
         mode=mode,
+        intended_mode=state.intended_mode if kept else "",
         offboard=autopilot_kind is not None and mode == CONTROL_MODE[autopilot_kind],
         motors_cut=cut,
         ekf_ready=ekf_ready,

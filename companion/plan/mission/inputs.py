@@ -19,6 +19,7 @@ from companion.base.messages import (
 class PlanInputs:
     """The newest of everything the planner goes by; `results` holds each answer once, `order` comes once.
 
+    `silent_s`: since anything was last heard of the autopilot, seen by an app that runs.
     `camera_turned_rad`: against the vehicle's file, as far as the pad's motion shows it.
     `control_failed`: the last setpoint was a stop for want of a plan, or would have been no number.
     """
@@ -34,3 +35,4 @@ class PlanInputs:
     camera_problem: str | None = None
     camera_turned_rad: float | None = None
     control_failed: bool = False
+    silent_s: float = 0.0

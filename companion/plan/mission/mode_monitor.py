@@ -27,9 +27,11 @@ _CONTROL: Final[dict[AutopilotKind, str]] = {"px4": "OFFBOARD", "ardupilot": "GU
 _HOLD: Final[dict[AutopilotKind, str]] = {"px4": "LOITER", "ardupilot": "BRAKE"}
 _LAND: Final = "LAND"
 # Setpoints have not arrived for `COM_OF_LOSS_T` (1 s), and PX4 flies the mode of `COM_OBL_RC_ACT`: it obeys
-# again with the first that arrives, but may say so a heartbeat later. Telemetry comes at 10 Hz and more.
+# again with the first that arrives, but may say so a heartbeat later. In a mode with sticks a pilot may fly
+# without having chosen it (`actionAllowsUserTakeover` of its failsafe framework): that one is heeded.
 _SILENT_S: Final = 0.5
 _OBEYS_AGAIN_S: Final = 1.0
+_WITHOUT_STICKS: Final = frozenset({"LOITER", "RTL", "LAND"})
 _LANDING: Final = frozenset({State.SET_DOWN, State.AUTO_LAND})
 _BEFORE_ANY_REQUEST: Final = frozenset({State.STANDBY, State.CONNECT})
 
@@ -60,12 +62,17 @@ class ModeMonitor:
         self._found: str | None = None
         self._left_found = False
         self._obeyed_s: float | None = None
-        self._silent_s = -math.inf
+        self._silent_s, self._obeyed = -math.inf, False
         self._climbed = False
 
-    def listen(self, autopilot: AutopilotState, now_s: float) -> None:
-        """Note a link that is silent while we run; one that we did not read is another matter."""
-        if now_s - autopilot.time_s > _SILENT_S:
+    def listen(self, autopilot: AutopilotState, silent_s: float, now_s: float) -> None:
+        """Note a silence of the link that began while the autopilot obeyed; after one it has to obey again.
+
+        `silent_s`: how long nothing has been heard, while we run; a link that we did not read is not silent.
+        """
+        if silent_s <= _SILENT_S:
+            self._obeyed = autopilot.connected and autopilot.offboard
+        elif self._obeyed:
             self._silent_s = now_s
 
     def taken_over(
@@ -97,7 +104,7 @@ class ModeMonitor:
         if mode in (frozenset({_CONTROL[kind]}) if theirs else self._ours(state, authority, kind)):
             self._left_found = self._left_found or mode != self._found
             return False
-        if authority is Authority.OURS and self._awaits_setpoints(autopilot, kind, now_s):
+        if authority is Authority.OURS and self._awaits_setpoints(autopilot, mode, kind, now_s):
             return False
         on_the_way_up = authority is Authority.NONE and state in {State.ARM, State.TAKE_OFF}
         return not (
@@ -128,7 +135,9 @@ class ModeMonitor:
             self._obeyed_s = now_s
         return now_s - self._obeyed_s <= TAKES_S
 
-    def _awaits_setpoints(self, autopilot: AutopilotState, kind: AutopilotKind, now_s: float) -> bool:
+    def _awaits_setpoints(
+        self, autopilot: AutopilotState, mode: str, kind: AutopilotKind, now_s: float
+    ) -> bool:
         """Whether it waits for setpoints, which a silent link has kept from it: nobody chose its mode."""
         lately = now_s - self._silent_s <= _OBEYS_AGAIN_S
-        return lately and short_name(autopilot.intended_mode) == _CONTROL[kind]
+        return lately and mode in _WITHOUT_STICKS and short_name(autopilot.intended_mode) == _CONTROL[kind]

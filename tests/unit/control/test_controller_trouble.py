@@ -7,6 +7,7 @@ from itertools import count
 import numpy as np
 import pytest
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import (
     GRAVITY_M_S2,
     ZERO3,
@@ -20,8 +21,8 @@ from companion.base.geometry import (
 from companion.base.messages import Phase, Setpoint
 from companion.config import ControlConfig
 from companion.control.attitude import attitude_from_acceleration
-from companion.control.controller import FAILURES_TO_STOP
-from tests.unit.control.control_plants import controller, reference_rows
+from companion.control.controller import FAILURES_TO_STOP, Controller
+from tests.unit.control.control_plants import controller, reference_rows, vehicle_config
 from tests.unit.control.controller_inputs import (
     PERIOD_S,
     hover_reference,
@@ -118,7 +119,7 @@ def test_without_the_imu_px4_keeps_the_tilt_and_goes_on_down_where_contact_is_ne
     fly = controller(setpoint="acceleration")
     sinking = replace(hover_reference(0.0), velocity_m_s=np.full_like(hover_reference(0.0).velocity_m_s, 0.2))
     for phase, sink_m_s in ((Phase.DESCEND, 0.0), (Phase.TOUCHDOWN, 0.4)):  # as firmly as it ever sinks
-        for k in range(20):  # the limits let it sink so fast only after a while
+        for k in range(10):
             now = k * PERIOD_S
             plan = replace(plan_step(now, replace(sinking, time_s=now)), phase=phase)
             vehicle = vehicle_state(now, velocity_ned_m_s=(1.0, 0.0, 0.2), imu_age_s=0.2)
@@ -153,6 +154,41 @@ def test_without_the_imu_it_turns_with_the_pad_that_it_sinks_onto(kind: str) -> 
             assert roll == pytest.approx(math.atan2(acceleration[1], GRAVITY_M_S2), abs=1e-3)
         elif kind == "acceleration":
             assert setpoint.acceleration_ned_m_s2 == pytest.approx(acceleration, abs=1e-9)
+
+
+def test_without_the_imu_it_stays_with_a_pad_that_rises() -> None:
+    fly, reference = controller(setpoint="acceleration"), hover_reference(0.0)
+    sinking = replace(reference, velocity_m_s=np.full_like(reference.velocity_m_s, 0.2))
+    pad = replace(pad_state(0.0, velocity=(1.5, 0.0, -0.5)), acceleration_ned_m_s2=(0.0, -0.4, 0.0))
+    plan = replace(plan_step(0.0, sinking), phase=Phase.TOUCHDOWN)
+    answer = fly.step(plan, vehicle_state(0.0, imu_age_s=0.2), pad, 0.0)
+    assert answer is not None
+    assert answer[0].velocity_ned_m_s == pytest.approx((1.5, 0.0, -0.2))
+    assert answer[0].acceleration_ned_m_s2[1] == pytest.approx(-0.4)
+
+
+@pytest.mark.parametrize(("kind", "raised"), [("px4", True), ("ardupilot", False)])
+def test_blind_and_tilted_the_thrust_carries_the_weight_and_not_more(
+    kind: AutopilotKind, raised: bool
+) -> None:
+    fly = Controller(ControlConfig(setpoint="attitude"), vehicle_config(), None, kind)
+    tilt = quat_from_euler(0.0, -0.2, 0.0)
+    for k in range(90):
+        now = k * PERIOD_S
+        vehicle = vehicle_state(now, attitude=tilt)
+        fly.step(plan_step(now, hover_reference(now)), vehicle, pad_state(now), now)
+    now += PERIOD_S
+    blind = vehicle_state(now, attitude=tilt, imu_age_s=0.2)
+    answer = fly.step(plan_step(now, hover_reference(now)), blind, pad_state(now), now)
+    assert answer is not None
+    setpoint, report = answer
+    assert setpoint.thrust is not None
+    assert report.hover_thrust is not None
+    # ArduPilot divides by the cosine of its tilt itself
+    assert setpoint.attitude is not None
+    share = 1.0 / math.cos(tilt_from_quat(setpoint.attitude)) if raised else 1.0
+    assert setpoint.thrust == pytest.approx(report.hover_thrust * share, rel=1e-3)
+    assert share != pytest.approx(1.0, abs=0.01) or not raised
 
 
 def test_without_an_estimate_only_what_presses_it_onto_the_pad_is_sent() -> None:

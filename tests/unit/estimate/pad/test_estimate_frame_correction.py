@@ -11,6 +11,7 @@ from companion.base.geometry import GRAVITY_M_S2, IDENTITY, ZERO3, Vector3, add,
 from companion.config import PadFilterConfig
 from companion.estimate.gating import Timeline
 from companion.estimate.motion import MotionHistory
+from companion.estimate.pad.frame_correction import ways
 from companion.estimate.pad.pad_filter import PadFilter, PadInput, PadMeasurement, PadSnapshot
 
 CORRECTED_S = 4.0
@@ -84,3 +85,21 @@ def test_a_pad_that_is_not_seen_turns_with_the_frame() -> None:
     assert estimate is not None
     assert estimate.x[0:3] == pytest.approx(add(PAD_M, cross(CORRECTION_RAD, PAD_M)), abs=1e-5)
     assert estimate.heading_rad == pytest.approx(0.1 + CORRECTION_RAD[2])
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_a_moving_pads_place_and_velocity_turn_as_a_whole_and_its_acceleration_while_it_is_seen(
+    seen: bool,
+) -> None:
+    velocity, dt_s = (1.5, -2.0, 0.4), 2.0
+    means = np.zeros((2, 8))
+    means[0, :4], means[1, 0], means[1, 2] = (3.0, -1.0, 1.5, -2.0), 7.0, 0.4
+    plane, climb = ways((ZERO3, ZERO3), CORRECTION_RAD, means, dt_s, 0.1 if seen else 0.5)
+    by_tilt = cross(CORRECTION_RAD, (0.0, 0.0, -GRAVITY_M_S2)) if seen else ZERO3
+    place = add(cross(CORRECTION_RAD, add(PAD_M, scale(velocity, dt_s))), scale(by_tilt, dt_s * dt_s / 6.0))
+    speed = add(cross(CORRECTION_RAD, velocity), scale(by_tilt, 0.5 * dt_s))
+    assert (plane[0], plane[1], climb[0]) == pytest.approx(
+        (*place[:2], cross(CORRECTION_RAD, add(PAD_M, scale(velocity, dt_s)))[2])
+    )
+    assert (plane[2], plane[3], climb[2]) == pytest.approx((*speed[:2], cross(CORRECTION_RAD, velocity)[2]))
+    assert (plane[4], plane[5]) == pytest.approx(by_tilt[:2])

@@ -28,8 +28,10 @@ def after(message: Message, state: AutopilotState = FRESH, time_s: float = 1.0) 
     return update_state(state, over_the_wire(message), time_s)
 
 
-def heartbeat(autopilot: int, mode: int, base_mode: int = 1) -> Message:
-    return mavlink.MAVLink_heartbeat_message(2, autopilot, base_mode, mode, 4, 3)
+def heartbeat(
+    autopilot: int, mode: int, base_mode: int = 1, status: int = mavlink.MAV_STATE_ACTIVE
+) -> Message:
+    return mavlink.MAVLink_heartbeat_message(2, autopilot, base_mode, mode, status, 3)
 
 
 @pytest.mark.parametrize("mode", PX4_MODES)
@@ -234,6 +236,11 @@ def test_current_mode_has_the_same_numbers_and_arms_nothing(mode: str) -> None:
     assert told.intended_mode == ""  # not supplied
     waits = after(CurrentMode(0, custom_mode("px4", mode), custom_mode("px4", "OFFBOARD")), state)
     assert (waits.mode, waits.intended_mode) == (mode, "OFFBOARD")
+    # the next heartbeat's other mode is a choice, unless a failsafe flies it
+    other = custom_mode("px4", "POSCTL" if mode == "AUTO.LOITER" else "AUTO.LOITER")
+    for status, intended in ((mavlink.MAV_STATE_ACTIVE, ""), (mavlink.MAV_STATE_CRITICAL, "OFFBOARD")):
+        changed = heartbeat(mavlink.MAV_AUTOPILOT_PX4, other, 129, status)
+        assert after(changed, waits).intended_mode == intended
     # before any heartbeat nobody knows whose numbers these are
     assert after(CurrentMode(0, custom_mode("px4", mode), 0)).mode == ""
 

@@ -148,20 +148,33 @@ OFFBOARD_WAITS = AutopilotState(
 )
 
 
+OBEYS = replace(OFFBOARD_WAITS, mode="OFFBOARD", offboard=True)
+
+
 def after_silence(autopilot: AutopilotState, *, silent_s: float, since_s: float) -> bool:
     """Whether the mode counts as a pilot's, `since_s` after a silence ended, with control ours."""
-    monitor = ModeMonitor(TAKE_OFF_M)
-    for now_s in (10.0, 10.0 + silent_s):
-        monitor.listen(AutopilotState(10.0), now_s)
-    now_s = 10.0 + silent_s + since_s
-    heard = replace(autopilot, time_s=now_s)
-    monitor.listen(heard, now_s)
+    return silenced(ModeMonitor(TAKE_OFF_M), OBEYS, autopilot, silent_s=silent_s, since_s=since_s)
+
+
+def silenced(
+    monitor: ModeMonitor,
+    before: AutopilotState,
+    after: AutopilotState,
+    *,
+    silent_s: float,
+    since_s: float,
+    from_s: float = 10.0,
+) -> bool:
+    monitor.listen(before, 0.0, from_s)
+    monitor.listen(replace(before, connected=False, offboard=False), silent_s, from_s + silent_s)
+    now_s = from_s + silent_s + since_s
+    monitor.listen(after, 0.0, now_s)
     return monitor.taken_over(
-        State.APPROACH, Authority.OURS, heard, requested=True, over_home_m=5.0, now_s=now_s
+        State.APPROACH, Authority.OURS, after, requested=True, over_home_m=5.0, now_s=now_s
     )
 
 
-@pytest.mark.parametrize("mode", ["AUTO.LOITER", "AUTO.RTL", "POSCTL"])
+@pytest.mark.parametrize("mode", ["AUTO.LOITER", "AUTO.RTL", "AUTO.LAND"])
 def test_as_a_lost_link_comes_back_the_failsafe_for_want_of_setpoints_is_no_pilots_word(mode: str) -> None:
     waits = replace(OFFBOARD_WAITS, mode=mode)
     assert not after_silence(waits, silent_s=1.0, since_s=0.1)
@@ -174,6 +187,16 @@ def test_a_hold_that_was_chosen_or_may_have_been_is_a_pilots_however_silent_the_
     intended: str,
 ) -> None:
     assert after_silence(replace(OFFBOARD_WAITS, intended_mode=intended), silent_s=1.0, since_s=0.1)
+
+
+def test_sticks_are_heeded_whoever_chose_their_mode() -> None:
+    assert after_silence(replace(OFFBOARD_WAITS, mode="POSCTL"), silent_s=1.0, since_s=0.1)
+
+
+def test_it_has_to_obey_again_before_another_silence_is_excused() -> None:
+    monitor = ModeMonitor(TAKE_OFF_M)
+    assert not silenced(monitor, OBEYS, OFFBOARD_WAITS, silent_s=1.0, since_s=0.1)
+    assert silenced(monitor, OFFBOARD_WAITS, OFFBOARD_WAITS, silent_s=1.2, since_s=0.1, from_s=11.1)
 
 
 def test_without_a_silence_a_failsafe_in_control_is_final() -> None:
