@@ -215,4 +215,4 @@ def test_when_the_imu_falls_silent_only_a_tenth_of_a_second_is_predicted() -> No
     assert later.rate_body_rad_s == ZERO3
     assert later.imu_age_s == pytest.approx(0.405, abs=0.002)
     assert np.subtract(later.velocity_ned_m_s, soon.velocity_ned_m_s) == pytest.approx(0.0, abs=0.02)
-    assert estimator.vehicle(end_s + 1.1) is None
+    assert estimator.vehicle(end_s + 1.6) is None
