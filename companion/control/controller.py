@@ -202,12 +202,8 @@ class Controller:
             (*velocity[:2], sink_m_s or 0.0),
             ZERO3 if followed is None else followed.acceleration_ned_m_s2,
             plant.mean_disturbance_ned_m_s2,
-            plant.hover_thrust,
             self._look(),
         )
-        if self._raises_thrust:
-            most_rad = math.radians(self._config.limits.tilt_deg)
-            setpoint = boosted(setpoint, tilt_compensation(ZERO3, setpoint.acceleration_ned_m_s2, most_rad))
         setpoint, limited = self._gate.apply(_seen(setpoint, reference, pad), now_s)
         return setpoint, ControlReport(
             now_s,

@@ -164,23 +164,19 @@ def blind_setpoint(
     velocity_ned_m_s: Vector3,
     acceleration_ned_m_s2: Vector3,
     wind_ned_m_s2: Vector3,
-    hover_thrust: float,
     heading: Heading,
 ) -> Setpoint:
-    """Tilt against the wind and for a horizontal acceleration (0: none), or fly a velocity loop's velocity.
+    """Fly a velocity, and a horizontal acceleration, by the autopilot's own loops: they feel what we do not.
 
-    With an attitude the thrust that hovers keeps the vertical speed it has. A velocity loop that our
-    accelerations have passed by stays passed by: its integral is from another wind.
+    So does an autopilot that is sent attitudes else. A horizontal velocity loop that our accelerations have
+    passed by stays passed by, since its integral is from another wind: it tilts against the wind instead.
     """
-    north, east, _ = subtract(acceleration_ned_m_s2, wind_ned_m_s2)
-    tilting = (north, east, 0.0)
-    if config.setpoint == "attitude":
-        return attitude_setpoint(now_s, velocity_ned_m_s, tilting, hover_thrust, heading)
     passed_by = config.setpoint == "acceleration"
+    north, east, _ = subtract(acceleration_ned_m_s2, wind_ned_m_s2 if passed_by else ZERO3)
     return Setpoint(
         now_s,
         velocity_ned_m_s=velocity_ned_m_s,
-        acceleration_ned_m_s2=tilting if passed_by else ZERO3,
+        acceleration_ned_m_s2=(north, east, 0.0),
         heading_rad=heading.heading_rad,
         heading_rate_rad_s=heading.rate_rad_s,
         holds_horizontal_velocity=not passed_by,

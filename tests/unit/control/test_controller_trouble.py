@@ -7,22 +7,18 @@ from itertools import count
 import numpy as np
 import pytest
 
-from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import (
-    GRAVITY_M_S2,
     ZERO3,
     Vector3,
-    euler_from_quat,
     norm,
     quat_from_euler,
     subtract,
-    tilt_from_quat,
 )
 from companion.base.messages import Phase, Setpoint
 from companion.config import ControlConfig
 from companion.control.attitude import attitude_from_acceleration
-from companion.control.controller import FAILURES_TO_STOP, Controller
-from tests.unit.control.control_plants import controller, reference_rows, vehicle_config
+from companion.control.controller import FAILURES_TO_STOP
+from tests.unit.control.control_plants import controller, reference_rows
 from tests.unit.control.controller_inputs import (
     PERIOD_S,
     hover_reference,
@@ -106,12 +102,10 @@ def test_without_the_imu_it_is_reported_not_to_accelerate_until_samples_come_aga
         assert report.blind is silent
         if k != silent_to - 1:  # the limits let it come down from what was commanded before
             continue
-        if kind == "attitude":
-            assert setpoint.attitude is not None
-            assert tilt_from_quat(setpoint.attitude) < math.radians(3.0)
-        else:
-            assert setpoint.velocity_ned_m_s == pytest.approx((1.0, -0.5, 0.0))
-            assert setpoint.acceleration_ned_m_s2 == pytest.approx(ZERO3)
+        # its own loops feel what we do not
+        assert setpoint.attitude is None
+        assert setpoint.velocity_ned_m_s == pytest.approx((1.0, -0.5, 0.0))
+        assert setpoint.acceleration_ned_m_s2 == pytest.approx(ZERO3)
     assert report.solved
 
 
@@ -148,12 +142,9 @@ def test_without_the_imu_it_turns_with_the_pad_that_it_sinks_onto(kind: str) -> 
         assert answer is not None
         setpoint, followed = answer[0], acceleration != ZERO3
         assert setpoint.velocity_ned_m_s[:2] == pytest.approx((1.5, 0.0) if followed else (1.4, 0.1))
-        if kind == "attitude":
-            assert setpoint.attitude is not None
-            roll = euler_from_quat(setpoint.attitude)[0]
-            assert roll == pytest.approx(math.atan2(acceleration[1], GRAVITY_M_S2), abs=1e-3)
-        elif kind == "acceleration":
-            assert setpoint.acceleration_ned_m_s2 == pytest.approx(acceleration, abs=1e-9)
+        assert setpoint.attitude is None
+        assert setpoint.acceleration_ned_m_s2 == pytest.approx(acceleration, abs=1e-9)
+        assert setpoint.holds_horizontal_velocity is (kind != "acceleration")
 
 
 def test_without_the_imu_it_stays_with_a_pad_that_rises() -> None:
@@ -167,30 +158,6 @@ def test_without_the_imu_it_stays_with_a_pad_that_rises() -> None:
     assert answer[0].acceleration_ned_m_s2[1] == pytest.approx(-0.4)
 
 
-@pytest.mark.parametrize(("kind", "raised"), [("px4", True), ("ardupilot", False)])
-def test_blind_and_tilted_the_thrust_carries_the_weight_and_not_more(
-    kind: AutopilotKind, raised: bool
-) -> None:
-    fly = Controller(ControlConfig(setpoint="attitude"), vehicle_config(), None, kind)
-    tilt = quat_from_euler(0.0, -0.2, 0.0)
-    for k in range(90):
-        now = k * PERIOD_S
-        vehicle = vehicle_state(now, attitude=tilt)
-        fly.step(plan_step(now, hover_reference(now)), vehicle, pad_state(now), now)
-    now += PERIOD_S
-    blind = vehicle_state(now, attitude=tilt, imu_age_s=0.2)
-    answer = fly.step(plan_step(now, hover_reference(now)), blind, pad_state(now), now)
-    assert answer is not None
-    setpoint, report = answer
-    assert setpoint.thrust is not None
-    assert report.hover_thrust is not None
-    # ArduPilot divides by the cosine of its tilt itself
-    assert setpoint.attitude is not None
-    share = 1.0 / math.cos(tilt_from_quat(setpoint.attitude)) if raised else 1.0
-    assert setpoint.thrust == pytest.approx(report.hover_thrust * share, rel=1e-3)
-    assert share != pytest.approx(1.0, abs=0.01) or not raised
-
-
 def test_without_an_estimate_only_what_presses_it_onto_the_pad_is_sent() -> None:
     fly = controller()
     plan = plan_step(0.0, hover_reference(0.0))
@@ -201,21 +168,19 @@ def test_without_an_estimate_only_what_presses_it_onto_the_pad_is_sent() -> None
 
 
 def test_without_the_imu_it_goes_on_tilting_against_the_wind() -> None:
-    fly = controller(setpoint="attitude")
+    fly = controller(setpoint="acceleration")
     tilt = quat_from_euler(0.0, -0.1, 0.0)  # nose down, and yet no acceleration
     for k in range(90):
         now = k * PERIOD_S
         fly.step(plan_step(now, hover_reference(now)), vehicle_state(now, attitude=tilt), pad_state(now), now)
-    now += PERIOD_S
-    answer = fly.step(
-        plan_step(now, hover_reference(now)),
-        vehicle_state(now, attitude=tilt, imu_age_s=0.2),
-        pad_state(now),
-        now,
-    )
+    for _ in range(15):
+        now += PERIOD_S
+        blind = vehicle_state(now, attitude=tilt, imu_age_s=0.2)
+        answer = fly.step(plan_step(now, hover_reference(now)), blind, pad_state(now), now)
     assert answer is not None
-    assert answer[1].blind
-    assert answer[0].attitude == pytest.approx(tilt, abs=0.02)
+    setpoint, report = answer
+    assert report.blind
+    assert attitude_from_acceleration(setpoint.acceleration_ned_m_s2, 0.0) == pytest.approx(tilt, abs=0.02)
 
 
 def test_a_stopwatch_times_the_solve_and_none_is_needed() -> None:
