@@ -56,7 +56,7 @@ PAD_ACCELERATION_DECAY_S: Final = 1.0  # a pad's measured acceleration is believ
 RESTART_AFTER_S = 0.5
 # states are to be fresh; older ones are carried on for no longer than this
 LONGEST_PREDICTION_S = 0.4
-# without the IMU for longer the vehicle is commanded not to accelerate
+# without the IMU for longer it flies on as it did, or with the pad that it sinks onto
 BLIND_S = 0.1
 # after so many solves in a row without a solution the old plan is worth nothing
 FAILURES_TO_STOP = 10

@@ -40,7 +40,7 @@ class ControlReport:
     Not `solved`: the last plan was flown on; `late`: the clock ended the search; `stopped`: for want of a
     plan the vehicle was commanded to stand still. `hover_thrust` is the share of full thrust that carries the
     weight, as learnt by then; while not `obeyed`, the autopilot receives setpoints without following them.
-    `blind`: for want of IMU samples the vehicle was commanded not to accelerate. `cut_s`: for how long in a
+    `blind`: for want of IMU samples it flew on by its last motion or the pad's. `cut_s`: for how long in a
     row what was flown is the optimum without constraints, cut to the inputs' bounds. `cycle_late_s` is how
     much later than due the cycle began: the event loop's delay.
     """
