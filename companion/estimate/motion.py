@@ -27,9 +27,13 @@ PREDICTED_S = 0.1  # beyond the newest sample its acceleration goes on for so lo
 
 
 class MotionHistory:
-    """Attitudes and acceleration integrals of the last `span_s` to `2 span_s`."""
+    """Attitudes and acceleration integrals of the last `span_s` to `2 span_s`.
+
+    `noise_density_m2_s3` is the density of the acceleration's noise on an axis, lately.
+    """
 
     def __init__(self, span_s: float) -> None:
+        self.noise_density_m2_s3 = 0.0
         self._span_s = span_s
         self._times_s: list[float] = []
         self._attitudes: list[Quaternion] = []

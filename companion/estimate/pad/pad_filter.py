@@ -173,7 +173,7 @@ class PadFilter:
         """How the models move between two times, the vehicle's motion taken off; how north turns (rad)."""
         dt_s, correction = end_s - start_s, self._motion.corrected(start_s, end_s)
         added = ways(self._motion.moved(start_s, end_s), correction, models.means, dt_s, end_s - seen_s)
-        F, Q = self._models.step(dt_s, turn)
+        F, Q = self._models.step(dt_s, turn, self._motion.noise_density_m2_s3)
         return ModelTransition(F, Q, added.take(self._bank.group_of, axis=0)), correction[2]
 
     # ------------------------------------------------------------ measurements

@@ -21,8 +21,9 @@ Vertical:
     still      small and short-lived
     waves      a'' = -w0^2 a - 2 zeta w0 a' + white noise, for each period of a sea
 
-Each is x' = A x + noise of density W. Over short times F = exp(A t) and Q are power series of t, whose
-coefficients never change; over longer ones they are doubled: F(2t) = F F, Q(2t) = F Q F' + Q. NED, SI units.
+Each is x' = A x + noise of density W, to which the noise of the vehicle's measured acceleration comes, by its
+density of the moment. Over short times F = exp(A t) and Q are power series of t, whose coefficients never
+change; over longer ones they are doubled: F(2t) = F F, Q(2t) = F Q F' + Q. NED, SI units.
 """
 
 from __future__ import annotations
@@ -46,7 +47,6 @@ TURN_JERK_TIME_CONSTANT_S: Final = 3.0  # a bend begins, and ends, within so lon
 SWAY_DAMPING: Final = 0.2  # how far real periods stray from the models'
 WAVE_DAMPING: Final = 0.12
 REST_ACCELERATION_STD_M_S2: Final = 0.05  # vertically, of a pad that rides no waves
-VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ: Final = 0.02  # of the vehicle's measured acceleration
 
 # below this speed the course says little about how it turns
 MINIMUM_SPEED_M_S: Final = 0.3
@@ -131,13 +131,13 @@ class PadModels:
         self.groups = (slice(0, len(across.A)), slice(len(across.A), self.count))
         self.acceleration_variance = np.concatenate((across.acceleration_variance, up.acceleration_variance))
         self.jerk_variance = np.concatenate((across.jerk_variance, up.jerk_variance))
-        # the last is what a turn gathers by jerk alone
-        jerk = np.diag([0.0, 0.0, 1.0, 0.0])[None]
-        A = np.concatenate((across.A, up.A, across.A[[TURN]]))
-        self._series = _Series(A, np.concatenate((across.W, up.W, jerk)))
+        # the last two are what jerk alone gathers in a turn, and noise of the velocity in any model
+        alone = np.array([np.diag([0.0, 0.0, 1.0, 0.0]), np.diag([0.0, 1.0, 0.0, 0.0])])
+        A = np.concatenate((across.A, up.A, across.A[[TURN, TURN]]))
+        self._series = _Series(A, np.concatenate((across.W, up.W, alone)))
 
-    def step(self, dt_s: float, turn: Turn) -> tuple[FloatArray, FloatArray]:
-        """F and Q (m, 8, 8) over dt_s.
+    def step(self, dt_s: float, turn: Turn, vehicle_density_m2_s3: float) -> tuple[FloatArray, FloatArray]:
+        """F and Q (m, 8, 8) over dt_s; the density is of the noise of the vehicle's acceleration.
 
         The turn rate's variance acts on the acceleration as jerk: an error that lasts is as harmful as a
         white one of that density after a second. Within a short time Q leaves out that noise turns, too.
@@ -145,10 +145,11 @@ class PadModels:
         short_s, doublings = _shortened(dt_s)
         one_axis = self._series.at(short_s)
         noise = one_axis[1]
-        noise[TURN] += turn.variance * turn.acceleration_m_s2**2 * noise[-1]
+        noise[TURN] += turn.variance * turn.acceleration_m_s2**2 * noise[-2]
+        noise += vehicle_density_m2_s3 * noise[-1]
         F, Q = both = np.zeros((2, self.count, 8, 8))
-        both[:, :, ::2, ::2] = one_axis[:, :-1]
-        F[:, 1::2, 1::2] = one_axis[0, :-1]
+        both[:, :, ::2, ::2] = one_axis[:, :-2]
+        F[:, 1::2, 1::2] = one_axis[0, :-2]
         plane, _ = self.groups
         Q[plane, 1::2, 1::2] = noise[plane]
         self._turn(F, short_s, turn.rate_rad_s)
@@ -199,11 +200,11 @@ def _horizontal(config: PadFilterConfig) -> _Kinds:
     jerks = (steady, config.manoeuvre_jerk_m_s3_rthz**2)
     variance = config.sway_acceleration_std_m_s2**2
     w0 = math.tau / config.sway_period_s
-    vehicle, snap = VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ**2, config.turn_snap_m_s4_rthz**2
+    snap = config.turn_snap_m_s4_rthz**2
     kinds = [
-        *(_fading(1.0 / fade, q, vehicle, w0, variance) for q, fade in zip(jerks, fades_s, strict=True)),
-        _bending(vehicle, snap),
-        _waving(w0, SWAY_DAMPING, variance, vehicle),
+        *(_fading(1.0 / fade, q, w0, variance) for q, fade in zip(jerks, fades_s, strict=True)),
+        _bending(snap),
+        _waving(w0, SWAY_DAMPING, variance),
     ]
     fading = (0.5 * q * fade for q, fade in zip(jerks, fades_s, strict=True))
     jerk_variance = np.full(len(kinds), variance * w0**2)
@@ -214,13 +215,12 @@ def _horizontal(config: PadFilterConfig) -> _Kinds:
 
 def _vertical(config: PadFilterConfig) -> _Kinds:
     """Still, and waves of each period."""
-    vehicle = VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ**2
     rest, variance = REST_ACCELERATION_STD_M_S2**2, config.wave_acceleration_std_m_s2**2
     fade = 1.0 / STEADY_TIME_CONSTANT_S
     rates = [math.tau / period_s for period_s in config.wave_periods_s]
     middle = sum(rates) / len(rates)
-    kinds = [_fading(fade, 2.0 * rest * fade, vehicle, middle, variance)]
-    kinds += [_waving(w0, WAVE_DAMPING, variance, vehicle) for w0 in rates]
+    kinds = [_fading(fade, 2.0 * rest * fade, middle, variance)]
+    kinds += [_waving(w0, WAVE_DAMPING, variance) for w0 in rates]
     A, W = map(np.array, zip(*kinds, strict=True))
     spread = np.array([rest, *[variance] * len(rates)])
     return _Kinds(A, W, spread, variance * np.square([middle, *rates]))
@@ -232,23 +232,21 @@ def _shortened(dt_s: float) -> tuple[float, int]:
     return math.ldexp(dt_s, -doublings), doublings
 
 
-def _fading(
-    fade: float, jerk: float, vehicle: float, wait: float, wait_variance: float
-) -> tuple[FloatArray, FloatArray]:
+def _fading(fade: float, jerk: float, wait: float, wait_variance: float) -> tuple[FloatArray, FloatArray]:
     """A and W (4, 4) of an acceleration that fades at a rate (1/s), driven by white jerk.
 
     It has no use for j, which waits as waves would have it: at their rate (1/s), with their spread.
     """
     A = np.eye(4, k=1)
     A[2, 2], A[2, 3], A[3, 3] = -fade, 0.0, -wait
-    return A, np.diag([0.0, vehicle, jerk, 2.0 * wait_variance * wait**3])
+    return A, np.diag([0.0, 0.0, jerk, 2.0 * wait_variance * wait**3])
 
 
-def _bending(vehicle: float, snap: float) -> tuple[FloatArray, FloatArray]:
+def _bending(snap: float) -> tuple[FloatArray, FloatArray]:
     """A and W (4, 4) of an acceleration whose jerk lasts, driven by white snap; not turning."""
     A = np.eye(4, k=1)
     A[2, 2], A[3, 3] = -1.0 / TURN_TIME_CONSTANT_S, -1.0 / TURN_JERK_TIME_CONSTANT_S
-    return A, np.diag([0.0, vehicle, TURN_JERK_M_S3_RTHZ**2, snap])
+    return A, np.diag([0.0, 0.0, TURN_JERK_M_S3_RTHZ**2, snap])
 
 
 def _integrals(pole: complex, t: float) -> tuple[complex, complex, complex]:
@@ -258,8 +256,8 @@ def _integrals(pole: complex, t: float) -> tuple[complex, complex, complex]:
     return (once - t) / pole, once, grown
 
 
-def _waving(w0: float, damping: float, variance: float, vehicle: float) -> tuple[FloatArray, FloatArray]:
+def _waving(w0: float, damping: float, variance: float) -> tuple[FloatArray, FloatArray]:
     """A and W (4, 4) of an acceleration that oscillates at w0 (rad/s), with this stationary variance."""
     A = np.eye(4, k=1)
     A[3, 2], A[3, 3] = -w0 * w0, -2.0 * damping * w0
-    return A, np.diag([0.0, vehicle, 0.0, 4.0 * damping * w0**3 * variance])
+    return A, np.diag([0.0, 0.0, 0.0, 4.0 * damping * w0**3 * variance])

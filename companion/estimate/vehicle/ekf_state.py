@@ -81,6 +81,7 @@ class EkfState:
         self.fix_watch = FixWatch()
         self.watch = InnovationWatch()
         self.yaw_error = YawError.first()
+        self.velocity_density_m2_s3 = 0.0  # of the noise that the last prediction gave each velocity
         self._moved: FloatArray | None = EYE
 
     def snapshot(self) -> EkfSnapshot:
@@ -144,6 +145,7 @@ class EkfState:
         P[:n] = A @ P[:m] + G @ before.T
         P[:, :n] = P[:, :m] @ A.T + self.yaw_error.with_state @ G.T
         turn_variance, velocity_variance = self._inertial_noise(noise, dt_s, samples)
+        self.velocity_density_m2_s3 = velocity_variance / dt_s
         G = A[:, model.IMU_BIASES] / dt_s
         G[:, :3] *= math.sqrt(velocity_variance)
         G[:, 3:] *= math.sqrt(turn_variance)

@@ -288,8 +288,7 @@ class VehicleEstimator:
         """Bring everything that goes at the IMU's rate to the sample's time."""
         assert self._orientation is not None
         raw = (sample.rate_body_rad_s, sample.specific_force_body_m_s2)
-        last_rate, last_force = self._last_raw or raw
-        self._last_raw = raw
+        (last_rate, last_force), self._last_raw = self._last_raw or raw, raw
         # between two samples both are linear
         mean_rate = scale(add(last_rate, raw[0]), 0.5)
         mean_force = scale(add(last_force, raw[1]), 0.5)
@@ -330,6 +329,7 @@ class VehicleEstimator:
         self.corrections += self._trouble.news(self._ekf.watch, self._ekf.fix_watch)
         self._inertial.gyro_bias_rad_s = vector3(self._ekf.x[model.GYRO_BIAS])
         self._inertial.accel_bias_m_s2 = vector3(self._ekf.x[model.ACCEL_BIAS])
+        self.motion.noise_density_m2_s3 = self._ekf.velocity_density_m2_s3
         self._inertial.follow(self._ekf.attitude, self.newest_s - self._ekf.time_s, self._ekf.yaw_error.share)
 
     def _field_at(self, time_s: float) -> Vector3 | None:

@@ -45,7 +45,8 @@ LOST_SHARE: Final = 0.03
 TILT_STD_RAD: Final = math.radians(0.3)
 HEADING_STD_RAD: Final = math.radians(1.0)
 JITTER_RAD: Final = math.radians(0.05)
-ACCELERATION_NOISE_M_S2: Final = 0.02 * math.sqrt(IMU_HZ)
+ACCELERATION_DENSITY_M2_S3: Final = 0.02**2
+ACCELERATION_NOISE_M_S2: Final = math.sqrt(ACCELERATION_DENSITY_M2_S3 * IMU_HZ)
 CALIBRATION_ERROR: Final = 0.003  # of the distance
 NOISE_LASTS: Final = 0.4  # correlation of the noise of neighbouring frames
 VEHICLE_VELOCITY_STD_M_S: Final = 0.1
@@ -153,6 +154,7 @@ class PadTrack:
         """All of the flight, as the IMU measures it."""
         rng = np.random.default_rng([self.seed, 4])
         history = MotionHistory(self.duration_s + 10.0)
+        history.noise_density_m2_s3 = ACCELERATION_DENSITY_M2_S3
         vehicle = self.pad[2] - self.relative[2]
         force = vehicle - np.array([0.0, 0.0, GRAVITY_M_S2])
         measured = vehicle + np.cross(self.attitude_error, force)

@@ -24,7 +24,6 @@ from companion.estimate.pad.pad_models import (
     TURN,
     TURN_JERK_TIME_CONSTANT_S,
     TURN_TIME_CONSTANT_S,
-    VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ,
     WAVE_DAMPING,
     PadModels,
     Turn,
@@ -56,7 +55,7 @@ class Bank:
         self.bank.start(self.means, self.covariances)
 
     def step(self, dt_s: float = DT_S) -> ModelTransition:
-        F, Q = self.models.step(dt_s, Turn(0.4, 0.01, 1.0))
+        F, Q = self.models.step(dt_s, Turn(0.4, 0.01, 1.0), 4e-4)
         moved = np.array([[0.01, -0.02, 0.1, 0.2, *[0.0] * 4], [0.03, 0.0, -0.1, *[0.0] * 5]])
         return ModelTransition(F, Q, moved[self.bank.group_of])
 
@@ -203,11 +202,11 @@ def test_waves_move_exactly_over_any_time(t: float) -> None:
     config = PadFilterConfig(wave_periods_s=(4.0,))
     w0, zeta = math.tau / 4.0, WAVE_DAMPING
     A = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [0, 0, -w0 * w0, -2 * zeta * w0]], dtype=float)
-    white = VEHICLE_ACCELERATION_NOISE_M_S2_RTHZ**2
+    white = 4e-4
     W = np.diag([0.0, white, 0.0, 4 * zeta * w0**3 * config.wave_acceleration_std_m_s2**2])
     F, Q = by_matrix_exponential(A, W, t)
     models = PadModels(config)
-    ours_F, ours_Q = models.step(t, NO_TURN)
+    ours_F, ours_Q = models.step(t, NO_TURN, white)
     wave = models.groups[CLIMB].start + 1
     assert ours_F[wave, UP, UP] == pytest.approx(F, rel=1e-8, abs=1e-10)
     assert ours_Q[wave, UP, UP] == pytest.approx(Q, rel=1e-6, abs=1e-10)
@@ -221,13 +220,13 @@ def test_a_turning_acceleration_moves_exactly(t: float) -> None:
     A[4:6, 4:6] = turn - np.eye(2) / TURN_TIME_CONSTANT_S
     A[6:8, 6:8] = turn - np.eye(2) / TURN_JERK_TIME_CONSTANT_S
     F, _ = by_matrix_exponential(A, np.zeros((8, 8)), t)
-    ours, _ = PadModels(config).step(t, Turn(omega, 0.0, 0.0))
+    ours, _ = PadModels(config).step(t, Turn(omega, 0.0, 0.0), 0.0)
     assert ours[TURN] == pytest.approx(F, rel=1e-9, abs=1e-11)
 
 
 def test_accelerations_keep_the_spread_that_they_start_with() -> None:
     models = PadModels(PadFilterConfig())
-    _, Q = models.step(300.0, NO_TURN)
+    _, Q = models.step(300.0, NO_TURN, 0.0)
     lasting = [model for model in range(models.count) if model != TURN]
     assert Q[lasting, 4, 4] == pytest.approx(models.acceleration_variance[lasting], rel=1e-3)
     # of a turn the jerk lasts, and an acceleration that is seen no more may become any

@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, IDENTITY, ZERO3, Vector3, vector3
-from companion.config import EkfConfig
+from companion.base.messages import ImuSample, MagSample
+from companion.config import EkfConfig, EstimateConfig
+from companion.estimate.motion import MotionHistory
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf import VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import GpsStep, ImuStep
 from companion.estimate.vehicle.ekf_start import InitialState
 from companion.estimate.vehicle.fix_watch import FixWatch
 from companion.estimate.vehicle.imu_noise import ImuNoise, StepNoise
+from companion.estimate.vehicle.vehicle_estimator import VehicleEstimator
 
 DT_S = 0.005
 RESTING: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
@@ -92,3 +95,21 @@ def test_vibration_makes_the_velocity_uncertain_only_without_fixes(
         if fixes and k % 20 == 0:
             ekf.apply(0.01 * k, fix)
     assert least_m_s < math.sqrt(ekf.P[model.VELOCITY, model.VELOCITY][0, 0]) < most_m_s
+
+
+def density_for_the_pad(shaking_m_s2: float) -> float:
+    """Of the acceleration's noise, as the pad filter is told it, with a vehicle at rest that shakes."""
+    rng, motion = np.random.default_rng(4), MotionHistory(1.0)
+    vehicle = VehicleEstimator(EstimateConfig(), ZERO3, motion, ZERO3)
+    for k in range(1600):
+        vehicle.add_mag(MagSample(k * DT_S, (20.9, 0.6, 42.9)))
+        shaken = shaking_m_s2 * (k > 1200) * rng.standard_normal(3)
+        vehicle.add_imu(ImuSample(k * DT_S, ZERO3, vector3(RESTING + shaken), 20.0))
+    assert vehicle.aligned
+    return motion.noise_density_m2_s3
+
+
+def test_the_pad_filter_is_told_of_vibration() -> None:
+    quiet = EkfConfig().accel_noise_m_s2 ** 2 * DT_S
+    assert density_for_the_pad(0.0) == pytest.approx(quiet, rel=0.05)
+    assert density_for_the_pad(0.5) == pytest.approx(quiet + 0.5**2 * DT_S, rel=0.6)
