@@ -192,6 +192,9 @@ class Planner:
             self._steering.steer(inputs, now_s)
 
     def _failsafes(self, inputs: PlanInputs, now_s: float) -> tuple[DetectedEvent, ...]:
+        asks_after_end = self._machine.state is State.ABORT and self._requests.open
+        if asks_after_end and (taken := self._monitor.after_end(inputs.autopilot)):
+            return taken
         spent = self._requests.hear(inputs.results, now_s)
         for words in spent:
             self._say("refused", words, now_s, "error")
@@ -265,6 +268,10 @@ class Planner:
             self._requests.forget()
             self._monitor.phase_begins(now_s)
             self._say("motors_on", "down, and the motors still run: LAND, disarm again", now_s, "error")
+        if Effect.ASK_NOTHING in branch.effects:
+            self._requests.forget()
+            self._generator.stop()
+            self._say("pilot", reason, now_s, "warning")
         if ActionKind.LEAVE_OFFBOARD in {action.kind for action in branch.actions}:
             self._say("leave_offboard", "from OFFBOARD to Hold, in which it can be armed again", now_s)
         for action in branch.actions:

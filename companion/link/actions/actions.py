@@ -138,17 +138,7 @@ class PymavlinkActions:
         PX4 refuses unless setpoints have been coming already.
         """
         await self.require_setup()
-        autopilot_kind, before = self.dialogue.autopilot_kind(), self._session.state.mode
-        mode = CONTROL_MODE[autopilot_kind]
-
-        def void() -> str:
-            now = self._session.state.mode
-            return (
-                f"a pilot has changed to {now}"
-                if now != before and now in STICK_MODES[autopilot_kind]
-                else ""
-            )
-
+        mode, void = CONTROL_MODE[self.dialogue.autopilot_kind()], self._unless_taken()
         await self.dialogue.set_mode(mode, void)
         await self.dialogue.confirm(lambda: self._session.state.offboard, mode, void)
 
@@ -170,12 +160,23 @@ class PymavlinkActions:
         await self.dialogue.confirm(lambda: not self._session.state.offboard, HOLD_MODE[kind], void)
 
     async def hold(self, action: Action) -> None:
-        """Stop and stay, by the autopilot's own mode."""
-        await self.dialogue.set_mode(HOLD_MODE[self.dialogue.autopilot_kind()])
+        """Stop and stay, by the autopilot's own mode; not sent again once a pilot has taken the sticks."""
+        await self.dialogue.set_mode(HOLD_MODE[self.dialogue.autopilot_kind()], self._unless_taken())
 
     async def land(self, action: Action) -> None:
-        """Come down where it is, by the autopilot's own mode."""
-        await self.dialogue.set_mode(LAND_MODE[self.dialogue.autopilot_kind()])
+        """Come down where it is, by the autopilot's own mode; as `hold`."""
+        await self.dialogue.set_mode(LAND_MODE[self.dialogue.autopilot_kind()], self._unless_taken())
+
+    def _unless_taken(self) -> Callable[[], str]:
+        """What says that a pilot has changed the mode to one with sticks since now."""
+        kind, before = self.dialogue.autopilot_kind(), self._session.state.mode
+
+        def void() -> str:
+            now = self._session.state.mode
+            taken = now != before and now in STICK_MODES[kind]
+            return f"a pilot has changed to {now}" if taken else ""
+
+        return void
 
     async def disarm(self, action: Action) -> None:
         """Plainly first; by force where that is refused, the action asks for it and the settings allow it.

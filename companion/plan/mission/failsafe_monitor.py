@@ -111,6 +111,16 @@ class FailsafeMonitor:
         found += [(MissionEvent.LINK_UP, "heartbeat again")] if heard else []
         return tuple(found)
 
+    def after_end(self, autopilot: AutopilotState) -> tuple[DetectedEvent, ...]:
+        """Whether somebody has taken the vehicle while the mission's end still asks for something."""
+        if not autopilot.connected:
+            return ()
+        if autopilot.motors_cut:
+            return ((MissionEvent.PILOT_TOOK_OVER, "motors cut: nothing more is asked"),)
+        if self._modes.taken_since_end(autopilot):
+            return ((MissionEvent.PILOT_TOOK_OVER, f"mode {autopilot.mode}: nothing more is asked"),)
+        return ()
+
     def _late(self, autopilot: AutopilotState, now_s: float) -> Iterator[DetectedEvent]:
         """Whether answers take too long; without any there is no telling, and LINK_LOST may follow."""
         late_s, most_s = autopilot.round_trip_s, self._config.largest_round_trip_s

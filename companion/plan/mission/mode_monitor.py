@@ -5,6 +5,7 @@ mode in which it was found is left alone on the ground; after our first request 
 has `TAKES_S` to change into the mode that was requested. Once it has, the old mode is a pilot's too. The
 same holds for a vehicle that a pilot flew when the landing was ordered. With control ours, only the mode
 that obeys setpoints is ours; and just after a silent link the mode in which PX4 has waited for setpoints.
+After the mission's end, while a hold or a landing is still asked for, so is the mode in which it ended.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import math
 from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.messages import AutopilotState
+from companion.base.messages import AutopilotState, LandedState
 from companion.plan.mission.states import Authority, State
 
 # A mode change is in the next HEARTBEAT (1 Hz), which may be lost once.
@@ -64,6 +65,7 @@ class ModeMonitor:
         self._obeyed_s: float | None = None
         self._silent_s, self._obeyed = -math.inf, False
         self._climbed = False
+        self._last: str | None = None  # while the mission went on
 
     def listen(self, autopilot: AutopilotState, silent_s: float, now_s: float) -> None:
         """Note a silence of the link that began while the autopilot obeyed; after one it has to obey again.
@@ -94,14 +96,15 @@ class ModeMonitor:
         kind = autopilot.autopilot_kind
         if kind is None or not autopilot.mode:
             return False
-        mode = short_name(autopilot.mode)
+        mode = self._last = short_name(autopilot.mode)
         if self._found is None or state in _BEFORE_ANY_REQUEST:
             self._found, self._left_found = mode, False
         if state in _BEFORE_ANY_REQUEST:
             return False
         self._climbed = self._climbed or over_home_m is None or over_home_m >= self._done_m
         theirs = ordered_in_air and authority is Authority.NONE
-        if mode in (frozenset({_CONTROL[kind]}) if theirs else self._ours(state, authority, kind)):
+        ours = self._ours(state, authority, autopilot, kind)
+        if mode in (frozenset({_CONTROL[kind]}) if theirs else ours):
             self._left_found = self._left_found or mode != self._found
             return False
         if authority is Authority.OURS and self._awaits_setpoints(autopilot, mode, kind, now_s):
@@ -111,11 +114,23 @@ class ModeMonitor:
             (on_the_way_up or theirs) and self._still_as_found(mode, requested=requested, now_s=now_s)
         )
 
-    def _ours(self, state: State, authority: Authority, kind: AutopilotKind) -> frozenset[str]:
+    def taken_since_end(self, autopilot: AutopilotState) -> bool:
+        """Whether the mode is neither the one that the mission ended in nor one that its end asks for."""
+        kind = autopilot.autopilot_kind
+        if kind is None or not autopilot.mode:
+            return False
+        asked = self._ours(State.ABORT, Authority.RELEASED, autopilot, kind)
+        return short_name(autopilot.mode) not in asked | {self._last}
+
+    def _ours(
+        self, state: State, authority: Authority, autopilot: AutopilotState, kind: AutopilotKind
+    ) -> frozenset[str]:
         """The modes that what we requested leads to."""
         control = frozenset({_CONTROL[kind]})
         if authority is Authority.RELEASED or state in _LANDING:
-            return control | {_HOLD[kind], _LAND}
+            # a PX4 that has come down in LAND and disarmed goes to Hold by itself; in the air it is chosen
+            holds = authority is Authority.RELEASED or autopilot.landed is LandedState.ON_GROUND
+            return control | {_LAND} | ({_HOLD[kind]} if holds else frozenset())
         if authority is Authority.OURS:
             return control
         if kind == "ardupilot":

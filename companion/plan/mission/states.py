@@ -140,6 +140,7 @@ class Effect(StrEnum):
     STOP_SETPOINTS = "stop setpoints"
     ASK_AFRESH = "forget what was answered, count the phase's time again"
     COUNT_AFRESH = "count the phase's time again"
+    ASK_NOTHING = "drop what is asked, stop setpoints"
 
 
 @dataclass(frozen=True, slots=True)

@@ -237,18 +237,15 @@ ROWS: Final = (
     _row(E.STOP, {S.STANDBY, S.CONNECT}, _GIVE_UP),
     _row(E.STOP, S.ARM, _end(_DISARM)),
     _row(E.STOP, LOW, *_HOLD_CLEAR),
-    _row(
-        E.STOP,
-        IN_AIR - LOW,
-        *_RETURN_CONTROL,
-        except_={S.HOLD: _CLEARS, **_GO_ON},
-    ),
+    _row(E.STOP, IN_AIR - LOW, *_RETURN_CONTROL, except_={S.HOLD: _CLEARS, **_GO_ON}),
     _row(
         E.PILOT_TOOK_OVER,
         LIVE,
         _CONTROL_LOST,
         except_={S.STANDBY: _WAITS_FOR_OPERATOR, S.CONNECT: _NOTHING_ASKED},
     ),
+    # a hold or a landing that is still asked for would take the vehicle from whoever has it now
+    _row(E.PILOT_TOOK_OVER, S.ABORT, Branch(None, effects=(Effect.ASK_NOTHING,))),
     _row(
         E.DISARMED,
         IN_AIR - ON_PAD - {S.SET_DOWN},

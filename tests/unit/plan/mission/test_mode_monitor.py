@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.messages import AutopilotState
+from companion.base.messages import AutopilotState, LandedState
 from companion.plan.mission.mode_monitor import TAKES_S, ModeMonitor, in_land
 from companion.plan.mission.states import Authority, State
 from companion.plan.mission.table import LIVE
@@ -23,7 +23,7 @@ class Modes:
     def __init__(self, kind: AutopilotKind = "px4", found: str = "AUTO.LOITER") -> None:
         self.kind: AutopilotKind = kind
         self.monitor = ModeMonitor(TAKE_OFF_M)
-        self.now_s = 0.0
+        self.now_s, self.landed = 0.0, LandedState.IN_AIR
         assert not self.taken_over(found, State.CONNECT)
 
     def taken_over(
@@ -36,7 +36,9 @@ class Modes:
         up_m: float | None = 0.0,
     ) -> bool:
         self.now_s += 0.03
-        autopilot = AutopilotState(self.now_s, connected=True, autopilot_kind=self.kind, mode=mode)
+        autopilot = AutopilotState(
+            self.now_s, connected=True, autopilot_kind=self.kind, mode=mode, landed=self.landed
+        )
         return self.monitor.taken_over(
             state, authority, autopilot, requested=requested, over_home_m=up_m, now_s=self.now_s
         )
@@ -135,6 +137,16 @@ def test_land_that_we_requested_is_no_pilots(kind: AutopilotKind, mode: str, aut
     modes = Modes(kind)
     for state in (State.SET_DOWN, State.AUTO_LAND):
         assert not modes.taken_over(mode, state, authority)
+
+
+@pytest.mark.parametrize(("kind", "hold"), [("px4", "AUTO.LOITER"), ("ardupilot", "BRAKE")])
+def test_a_hold_during_our_landing_is_a_pilots_until_it_is_down(kind: AutopilotKind, hold: str) -> None:
+    modes = Modes(kind)
+    for state in (State.SET_DOWN, State.AUTO_LAND):
+        assert modes.taken_over(hold, state, Authority.OURS)
+        modes.landed = LandedState.ON_GROUND  # a PX4 that has disarmed in LAND goes to Hold by itself
+        assert not modes.taken_over(hold, state, Authority.OURS)
+        modes.landed = LandedState.IN_AIR
 
 
 def test_returned_to_the_autopilot_the_hold_is_ours() -> None:

@@ -137,6 +137,27 @@ def test_a_pilot_who_takes_over_keeps_the_vehicle(at_s: float) -> None:
     assert "POSCTL" in w.flight.told("phase")[-1]
 
 
+@pytest.mark.parametrize("mode", ["POSCTL", "AUTO.RTL"])
+def test_a_hold_that_is_still_asked_for_is_dropped_once_somebody_else_flies(mode: str) -> None:
+    w = world()
+    w.autopilot.refuse = {ActionKind.HOLD: 99}
+
+    def pilot(x: PlanWorld, _: PlanStep) -> None:
+        x.stop = x.now_s > 12.0
+        if x.now_s > 13.0:
+            x.autopilot.mode = mode
+
+    w.each = pilot
+    w.fly(13.0)
+    assert w.flight.phase is Phase.ABORT
+    before = len(w.autopilot.heard)
+    assert w.flight.steps[-1].reference is not None  # it holds as long as nobody has the vehicle
+    w.fly(10.0, until=lambda _w: False)
+    assert len(w.autopilot.heard) == before
+    assert all(s.reference is None for s in w.flight.steps if s.time_s > 13.2)
+    assert w.flight.told("pilot") == [f"mode {mode}: nothing more is asked"]
+
+
 @pytest.mark.parametrize("at_s", [1.0, 4.0, 8.0, 12.0, 20.0])
 def test_stopped_it_holds_hands_back_and_ends(at_s: float) -> None:
     w = world()
