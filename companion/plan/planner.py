@@ -140,6 +140,7 @@ class Planner:
             self._heard_s = now_s
         self._pad.update(inputs.pad, inputs.vehicle, now_s)
         self._ground.update(inputs.vehicle, inputs.autopilot, inputs.range, now_s)
+        self._steering.steps.update(inputs.vehicle)
         self._steering.obstacle_monitor.update(self._pad)
         if inputs.vehicle is None:
             return

@@ -15,6 +15,7 @@ from companion.base.geometry import yaw_from_quat
 from companion.base.messages import Action, ActionKind, DescentCone, LevelOff, Phase, Refusal
 from companion.base.motion import Motion
 from companion.config import PlanConfig, VehicleConfig
+from companion.plan.estimate_steps import EstimateSteps
 from companion.plan.landing.approach_descent import Landing, Unseen
 from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge, misaligned_heading, vehicle_motion
@@ -58,7 +59,7 @@ class PhaseSteering:
         self._config, self._leg_m = config, vehicle.leg_height_m
         self._machine, self._generator, self._pad, self._ground = machine, generator, pad, ground
         self._requests, self._say = requests, say
-        self.obstacle_monitor = ObstacleMonitor(generator, ground, say)
+        self.obstacle_monitor, self.steps = ObstacleMonitor(generator, ground, say), EstimateSteps()
         self._waypoints = Waypoints(config.mission, generator)
         self.departure = Departure(
             config.mission,
@@ -87,7 +88,7 @@ class PhaseSteering:
             Phase.DESCEND: self._come_in,
             Phase.TOUCHDOWN: self._touch_down,
             Phase.HOLD: self._hold,
-            Phase.ABORT: self._end,
+            Phase.ABORT: self._hold,
             Phase.LANDED: self._end,
         }
 
@@ -251,6 +252,8 @@ class PhaseSteering:
             return None
         actual = vehicle_motion(inputs.vehicle, now_s)
         self._keep_near(actual, now_s)
+        if self.steps.step_m is not None:
+            self.search.go_along(self.steps.step_m)
         climb_m = self.search.keep_above(self._lowest_down_m())
         if climb_m > 0.0:
             self._say("climb", f"climbing {climb_m:.1f} m: too near to the ground", now_s, "warning")
@@ -310,7 +313,7 @@ class PhaseSteering:
         return event
 
     def _hold(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
-        at_rest = self._held.step(inputs.vehicle, now_s)
+        at_rest = self._held.step(inputs.vehicle, self.steps.step_m, now_s)
         self._end(inputs, now_s)
         # what has been released already, or waits for the link, ends otherwise
         ours = self._machine.state is State.HOLD and self._machine.authority is Authority.OURS

@@ -1,7 +1,8 @@
 """A hold by our own setpoints: come to rest, and just over the pad climb clear of it first.
 
 The pad may move or heave beneath a vehicle that stays low. At rest and clear it has done its part, and the
-autopilot's own hold is as good. EKF's NED; m, s.
+autopilot's own hold is as good. When the EKF's position steps, the place that is held steps with it: the
+vehicle stays where it is. EKF's NED; m, s.
 """
 
 from __future__ import annotations
@@ -68,18 +69,30 @@ class Hold:
         """There is nothing to hold by."""
         self._place, self._climbs = None, False
 
-    def step(self, vehicle: VehicleState | None, now_s: float) -> DetectedEvent | None:
-        """Go on; detects that the vehicle is at rest where it holds."""
+    def step(
+        self, vehicle: VehicleState | None, step_m: Vector3 | None, now_s: float
+    ) -> DetectedEvent | None:
+        """Go on; detects that the vehicle is at rest where it holds. `step_m`: of the EKF's position."""
         if self._place is None or vehicle is None or not self._generator.active:
             return None
+        actual = vehicle_motion(vehicle, now_s)
+        if step_m is not None:
+            self._place = self._after_step(self._place, step_m, actual, now_s)
         if self._climbs:
             # the climb by itself: to come to rest from a pad that drove fast takes longer
             self._generator.fly_level(Motion(self._place), self._place[2], now_s)
-        actual = vehicle_motion(vehicle, now_s)
         near = norm(subtract(actual.position_m, self._place)) <= _NEAR_M
         if near and norm(actual.velocity_m_s) <= _SLOW_M_S:
             return MissionEvent.CLEAR, "clear of the pad, at rest" if self._climbs else "at rest"
         return None
+
+    def _after_step(self, place: Vector3, step_m: Vector3, actual: Motion, now_s: float) -> Vector3:
+        """Where to hold after a step: at rest from here, as high as was meant."""
+        if self._generator.keep_near(actual, now_s) == 0.0:
+            return place
+        x, y, z = self._generator.resting_place_m()
+        self._say("strayed", f"{norm(step_m):.1f} m off by the estimate's step: held here", now_s, "warning")
+        return (x, y, place[2] + step_m[2] if self._climbs else z)
 
     def _climb_m(self) -> float:
         """How far (m) up it is clear of the pad; never beyond the ceiling."""

@@ -2,7 +2,8 @@
 
 The search ends only with a pad that will stay in view: the vehicle flies back to one seen in passing. One
 reported to be faster than any that is followed is waited for, not chased. All is in the EKF's NED, m, s
-and rad; the height is chosen on entry and kept, but for a floor that rises.
+and rad; the height is chosen on entry and kept, but for a floor that rises. A step of the EKF's position is
+none of the vehicle: the height goes along with it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from companion.base.geometry import Vector3
+from companion.base.geometry import ZERO3, Vector3, add
 from companion.base.messages import PadBeacon, PadState
 from companion.base.motion import Motion
 from companion.config import SearchConfig
@@ -69,7 +70,8 @@ class Search:
         self._config, self._generator, self._fastest_m_s = config, generator, fastest_m_s
         self._waits = False
         self.locator = PadLocator(config)
-        self._down_m = 0.0
+        self._down_m = self._most_up_m = 0.0
+        self._hold_m = ZERO3
         self._corner = 0
         self._arrived_s: float | None = None
         self._begun_s = self._control_s = self._next_request_s = self._reported_s = self._turned_s = -math.inf
@@ -101,6 +103,12 @@ class Search:
         self._begun_s, self._reported_s = now_s, -math.inf
         self._in_view = Debounce()
         return climb_m
+
+    def go_along(self, step_m: Vector3) -> None:
+        """Keep the height and where it holds, though the EKF's position stepped; places sought stay."""
+        self._down_m += step_m[2]
+        self._most_up_m += step_m[2]
+        self._hold_m = add(self._hold_m, step_m)
 
     def keep_above(self, lowest_down_m: float) -> float:
         """Keep the search above a floor (EKF's NED) that rose; returns the climb (m), if any.
