@@ -32,7 +32,7 @@ from companion.link.signing import SigningKey
 from companion.link.streams import HEARD, OWN_RATES_HZ, TelemetryRates
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, Sample, TelemetrySensors
 from companion.link.telemetry.heading_offset import HeadingOffset
-from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state
+from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state, without_old
 from companion.link.timing.boot_clock import BootClock
 from companion.link.timing.timesync import TimeSync, clock_ns
 
@@ -49,7 +49,6 @@ _TIMESYNC_S: Final = 0.2
 _TIMESYNC_QUICK_S: Final = 0.1  # at the start, and where samples are stamped by it: as often as PX4 asks us
 _TIMESYNC_START_COUNT: Final = 10
 _HOME_S: Final = 2.0
-_OLDEST_LANDED_S: Final = 1.5  # asked for at 5 Hz; an old "on the ground" is no sign of a touchdown
 
 
 class Session:
@@ -246,7 +245,7 @@ class Session:
     def tick(self, now_s: float) -> bytes:
         """What is due to be sent now, as bytes; often empty."""
         self._watch_connection(now_s)
-        self._watch_landed(now_s)
+        self.state = without_old(self.state, now_s)
         messages, self._replies = [*self._replies, *self.orders.answers()], []
         if now_s >= self._heartbeat_due_s:
             self._heartbeat_due_s = now_s + _HEARTBEAT_S
@@ -297,12 +296,6 @@ class Session:
     def _request_parameter(self, request: ParameterRequest) -> ParameterRequest:
         self._parameters.submit(request)
         return request
-
-    def _watch_landed(self, now_s: float) -> None:
-        """Where it stood or flew a while ago says nothing of now."""
-        state = self.state
-        if state.landed is not LandedState.UNDEFINED and now_s - state.landed_time_s > _OLDEST_LANDED_S:
-            self.state = replace(state, time_s=now_s, landed=LandedState.UNDEFINED)
 
     def _watch_connection(self, now_s: float) -> None:
         """Forget, at a loss, all that may have changed unseen; mode and armed stay as last received.

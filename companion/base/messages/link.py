@@ -39,6 +39,7 @@ class LandedState(StrEnum):
 class AutopilotState:
     """The newest of what the autopilot says of itself. Its frame and origin are its own, not ours.
 
+    `landed` and `global_position` are forgotten when no new one comes.
     `ready_to_arm` is what it says of its checks before arming. An ArduPilot makes them for the mode it is in,
     and STABILIZE needs no position: `ekf_ready` is whether its filter knows enough for GUIDED; None where
     nothing of the kind is reported (PX4). `battery_share` is the remaining charge, 0 to 1; None: not known.
@@ -67,6 +68,7 @@ class AutopilotState:
     position_ned_m: Vector3 | None = None
     velocity_ned_m_s: Vector3 | None = None
     global_position: Vector3 | None = None
+    global_position_time_s: float = float("-inf")
     home: Vector3 | None = None
     texts: tuple[str, ...] = ()
     battery_share: float | None = None

@@ -44,6 +44,9 @@ _LANDED: Final[dict[int, LandedState]] = {
     mavlink.MAV_LANDED_STATE_LANDING: LandedState.LANDING,
 }
 
+# Both are asked for at 5 Hz. An old "on the ground" is no sign of a touchdown, an old altitude no height.
+_OLDEST_S: Final = 1.5
+
 # of EKF_STATUS_REPORT: what ArduCopter's position_ok() asks for before it arms in GUIDED
 _EKF_NEEDED: Final = mavlink.EKF_ATTITUDE | mavlink.EKF_VELOCITY_HORIZ
 _EKF_POSITION: Final = mavlink.EKF_POS_HORIZ_ABS | mavlink.EKF_POS_HORIZ_REL
@@ -57,6 +60,15 @@ def update_state(state: AutopilotState, message: Message, time_s: float) -> Auto
     """
     handler = _HANDLERS.get(message.get_msgId())
     return state if handler is None else handler(state, message, time_s)
+
+
+def without_old(state: AutopilotState, now_s: float) -> AutopilotState:
+    """The state without where it stood, flew and was a while ago, which says nothing of now."""
+    if state.landed is not LandedState.UNDEFINED and now_s - state.landed_time_s > _OLDEST_S:
+        state = replace(state, time_s=now_s, landed=LandedState.UNDEFINED)
+    if state.global_position is not None and now_s - state.global_position_time_s > _OLDEST_S:
+        state = replace(state, time_s=now_s, global_position=None)
+    return state
 
 
 def add_text(state: AutopilotState, text: str, time_s: float) -> AutopilotState:
@@ -190,7 +202,7 @@ def _global_position(state: AutopilotState, message: Message, time_s: float) -> 
     if message.lat == 0 and message.lon == 0:
         return state  # ArduPilot's value for unknown
     position = vector3((message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3))
-    return replace(state, time_s=time_s, global_position=position)
+    return replace(state, time_s=time_s, global_position=position, global_position_time_s=time_s)
 
 
 def _home_position(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:

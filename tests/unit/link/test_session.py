@@ -174,6 +174,27 @@ def test_an_old_landed_state_is_none() -> None:
     assert session.state.landed == "on_ground"
 
 
+@pytest.mark.parametrize("lost", [False, True])
+def test_an_old_position_is_none(lost: bool) -> None:
+    # GIVEN a position; WHEN no other comes, or the autopilot says that it knows none any more
+    session, autopilot = Session(LinkConfig()), FakeAutopilot(autopilot_kind="ardupilot", mode="GUIDED")
+    session.receive(autopilot.tick(0.0), 0.0)
+    position = mavlink.MAVLink_global_position_int_message(500, 470000000, 80000000, 404000, 0, 0, 0, 0, 0)
+    unknown = mavlink.MAVLink_global_position_int_message(1900, 0, 0, 404000, 0, 0, 0, 0, 0)
+    session.receive(autopilot.codec.encode(position), 0.5)
+    if lost:
+        session.receive(autopilot.codec.encode(unknown), 1.9)
+    session.tick(1.9)
+    assert session.state.global_position == pytest.approx((47.0, 8.0, 404.0))
+    session.tick(2.1)
+    # THEN the last one is forgotten, until there is one again
+    assert session.state.global_position is None
+    assert session.state.connected
+    session.receive(autopilot.codec.encode(position), 2.2)
+    session.tick(2.3)
+    assert session.state.global_position is not None
+
+
 def test_a_lost_link_makes_up_no_landing_no_disarming_and_no_pilot() -> None:
     session, autopilot = (
         Session(LinkConfig(heartbeat_timeout_s=1.0)),
