@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from companion.base.messages import AutopilotState, Phase, VehicleState
+from companion.base.messages import AutopilotState, PadState, Phase, VehicleState
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
+from companion.plan.landing.contact import FRESH_S
 from companion.plan.mission.bounds import Bounds
 from companion.plan.mission.departure import refused_words
 from companion.plan.mission.inputs import PlanInputs
@@ -22,7 +23,7 @@ from companion.plan.mission.table import FINAL, ON_GROUND
 
 # Without IMU samples for so long the estimate is lost. In the final descent it takes as long as that nearly
 # lasts: the vehicle goes on with the pad, and LAND would brake it over one that drives on. After that the
-# estimator gives none any more.
+# estimator gives none any more. The motion of a pad that was unseen before is from too long ago for that.
 _STALE_ESTIMATE_S = 0.5
 _STALE_SINKING_S = 1.5
 _OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz
@@ -31,6 +32,11 @@ _NO_PLAN_S = 1.0
 # A camera turned by so much turns every correction by the same angle: that is taken off the loop's phase
 # margin, of which 45 deg are promised.
 _CAMERA_TURNED_RAD = math.radians(30.0)
+
+
+def _seen_until_lost(vehicle: VehicleState | None, pad: PadState | None) -> bool:
+    """Whether the pad was in view when the IMU was last heard; without it no sighting is taken in."""
+    return vehicle is not None and pad is not None and vehicle.sensed_time_s - pad.seen_time_s <= FRESH_S
 
 
 class FailsafeMonitor:
@@ -104,7 +110,7 @@ class FailsafeMonitor:
             ),
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
-        found += [*self._late(autopilot, now_s), *self._estimate(inputs.vehicle, now_s)]
+        found += [*self._late(autopilot, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
         found += [*self._control(inputs.control_failed, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
         found += [*self._camera(inputs.camera_turned_rad, bounds), *bounds, *self._time(now_s)]
@@ -143,8 +149,11 @@ class FailsafeMonitor:
         if autopilot.battery_share is not None and autopilot.battery_share <= self._config.battery.critical:
             yield MissionEvent.BATTERY_CRITICAL, f"{100.0 * autopilot.battery_share:.0f} % left"
 
-    def _estimate(self, vehicle: VehicleState | None, now_s: float) -> Iterator[DetectedEvent]:
-        longest_s = _STALE_SINKING_S if self._machine.state is State.SINK else _STALE_ESTIMATE_S
+    def _estimate(
+        self, vehicle: VehicleState | None, pad: PadState | None, now_s: float
+    ) -> Iterator[DetectedEvent]:
+        follows = self._machine.state is State.SINK and _seen_until_lost(vehicle, pad)
+        longest_s = _STALE_SINKING_S if follows else _STALE_ESTIMATE_S
         if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > longest_s:
             yield MissionEvent.ESTIMATE_LOST, "no fresh estimate of the vehicle"
         elif not vehicle.velocity_std_m_s <= self._config.largest_speed_std_m_s:

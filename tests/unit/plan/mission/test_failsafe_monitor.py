@@ -210,16 +210,26 @@ def test_an_estimate_that_is_old_counts_as_lost() -> None:
     assert gravest(old) is MissionEvent.ESTIMATE_LOST
     without_imu = replace(given, vehicle=replace(given.vehicle, imu_age_s=0.6))
     assert gravest(without_imu) is MissionEvent.ESTIMATE_LOST
-    # LAND would brake it over a pad that drives on: its motion is kept a little longer
-    assert gravest(without_imu, State.SINK) is None
-    at_its_end = replace(given, vehicle=replace(given.vehicle, imu_age_s=1.4))
-    assert gravest(at_its_end, State.SINK) is None
-    too_long = replace(given, vehicle=replace(given.vehicle, imu_age_s=1.6))
-    assert gravest(too_long, State.SINK) is MissionEvent.ESTIMATE_LOST
     unaligned = replace(given, vehicle=replace(given.vehicle, aligned=False))
     assert gravest(unaligned) is MissionEvent.ESTIMATE_LOST
     # not needed where the autopilot navigates
     assert gravest(old, State.WAYPOINT, Authority.NONE) is None
+
+
+@pytest.mark.parametrize(
+    ("imu_age_s", "unseen_s", "lost"),
+    [(0.6, 0.2, False), (1.4, 0.2, False), (1.6, 0.2, True), (0.4, 1.0, False), (0.6, 0.4, True)],
+)
+def test_sinking_without_the_imu_the_motion_of_a_pad_seen_until_then_is_kept_longer(
+    imu_age_s: float, unseen_s: float, lost: bool
+) -> None:
+    """LAND would brake it over a pad that drives on. `unseen_s`: at the loss of the IMU."""
+    given, zero = inputs(), (0.0, 0.0, 0.0)
+    assert given.vehicle is not None
+    seen_s = given.vehicle.time_s - imu_age_s - unseen_s
+    pad = PadState(50.0, zero, zero, zero, zero, 0.0, 0.0, 0.1, 0.1, seen_time_s=seen_s)
+    blind = replace(given, vehicle=replace(given.vehicle, imu_age_s=imu_age_s), pad=pad)
+    assert gravest(blind, State.SINK) is (MissionEvent.ESTIMATE_LOST if lost else None)
 
 
 def test_a_controller_without_a_plan_for_a_second_ends_the_flight_by_setpoints() -> None:
