@@ -153,9 +153,7 @@ class PhaseSteering:
         elif state is State.WAIT and previous is State.DESCEND:
             self._touchdown.begin(now_s, _LAST_TRY_SLACK if self._machine.last_try else 1.0)
         elif state.phase is Phase.TOUCHDOWN:
-            if state is State.SET_DOWN and inputs.vehicle is not None:
-                self._leave_pad(vehicle_motion(inputs.vehicle, now_s), now_s)
-            self._touchdown.enter(state, now_s)
+            self._touchdown.enter(state, inputs.vehicle, now_s)
         elif state.phase in {Phase.HOLD, Phase.ABORT}:
             self._enter_hold(previous, had, inputs, now_s)
 
@@ -209,11 +207,6 @@ class PhaseSteering:
             return
         low = self._machine.phase is Phase.HOLD and previous in BY_THE_PAD - {State.APPROACH}
         self._held.begin(inputs.vehicle, now_s, over_pad=low)
-
-    def _leave_pad(self, actual: Motion, now_s: float) -> None:
-        """Go on without the pad: from the vehicle's own motion, and no more sideways than that."""
-        down = Motion(actual.position_m, (0.0, 0.0, actual.velocity_m_s[2]))
-        self._generator.start("local", down, now_s)
 
     # ------------------------------------------------------------ the phases
 

@@ -31,6 +31,11 @@ _ARRIVES_S = 0.3
 # Echoes so much longer than what the feet stand on give, for so long: a hop is shorter.
 _LIFTED_M = 0.08
 _LIFTED_S = 0.3
+# An autopilot that is not heard for so long may not hear us either, and soon flies by itself (the parameters
+# advised: ArduPilot 0.5 s after the last setpoint, PX4 1 s). Heard again, it is where that took it: for so
+# long after the silence the feet have to be shown down.
+UNHEARD_S = 0.4
+_DOUBTED_S = 1.0
 # Without thrust it falls at g; a third of that is no deck's motion.
 _FALLS_M_S2 = GRAVITY_M_S2 / 3.0
 _FALLS_S = 0.15  # a bump of the pad is over sooner; a fall is 11 cm by then
@@ -107,6 +112,11 @@ def _echo_within(echo: RangeSample | None, distance_m: float, now_s: float) -> b
     return echo is not None and now_s - echo.time_s <= FRESH_S and echo.distance_m <= distance_m
 
 
+def felt(vehicle: VehicleState | None, now_s: float) -> bool:
+    """Whether our IMU is heard."""
+    return vehicle is not None and now_s - vehicle.sensed_time_s <= FRESH_S
+
+
 class Standing:
     """A vehicle on the pad, from `begin` on: detects that it rests there, and that it left."""
 
@@ -118,7 +128,8 @@ class Standing:
         """The feet are on the pad from now on."""
         self._since_s = now_s
         self._away, self._resting, self._falling, self._unshown = (Debounce() for _ in range(4))
-        self._lifted = Debounce()
+        self._lifted, self._able = Debounce(), Debounce()
+        self._silent_s = -math.inf
 
     def arrives(self, now_s: float) -> bool:
         """Whether it may still slide; what says so later is wrong."""
@@ -129,16 +140,24 @@ class Standing:
         away = sight.age_s <= FRESH_S and sight.height_m > self._vehicle.leg_height_m + _AWAY_M
         return self._away.held_s(away, now_s) >= _AWAY_S
 
-    def lifted(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> bool:
-        """Whether an autopilot that is not heard has taken the vehicle off the pad, by the echoes.
+    def after_silence(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> tuple[bool, bool]:
+        """In and just after a silence of the link: whether echoes show it off the pad, and whether nothing
+        shows it on the pad.
 
-        It holds by itself once setpoints do not arrive, over a pad that moves on; back in OFFBOARD by our
-        first setpoint it would be pressed down from there.
+        An autopilot holds by itself once setpoints do not arrive, over a pad that moves on; obeying again by
+        our first setpoint it would be pressed down from there. Where the IMU is silent too (all comes by
+        the link), what is not shown says nothing.
         """
+        if inputs.silent_s >= UNHEARD_S:
+            self._silent_s = now_s
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
         high = echo_m is not None and echo_m > self._vehicle.leg_height_m + _LIFTED_M
-        high = high and not self._shown_down(sight, None, now_s)  # the echo may be wrong
-        return self._lifted.held_s(high and not inputs.autopilot.connected, now_s) >= _LIFTED_S
+        lifted = self._lifted.held_s(high, now_s) >= _LIFTED_S
+        able = self._able.held_s(felt(inputs.vehicle, now_s), now_s) >= FRESH_S
+        # an echo may be wrong where the pad is seen at the feet
+        if now_s - self._silent_s > _DOUBTED_S or self._shown_down(sight, None, now_s):
+            return False, False
+        return lifted, able and echo_m is None
 
     def step(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Detect a landing: by the autopilot, by rest on the pad, or that nothing proves it."""
@@ -166,7 +185,7 @@ class Standing:
         What is pressed down without thrust, with its feet shown down (`down`), and does not fall, stands. A
         silent IMU feels no fall: then it has to be shown down for longer.
         """
-        silent = vehicle is None or now_s - vehicle.sensed_time_s > FRESH_S
+        silent = not felt(vehicle, now_s)
         jolted = vehicle is not None and norm(vehicle.acceleration_ned_m_s2) > _FALLS_M_S2
         falls = self._falling.held_s(jolted and not silent, now_s) >= _FALLS_S
         rested_s = self._resting.held_s(down and not falls, now_s)

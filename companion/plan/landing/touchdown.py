@@ -13,20 +13,20 @@ from __future__ import annotations
 
 import math
 
-from companion.base.messages import LandedState, LevelOff, PadState, RangeSample
+from companion.base.messages import LevelOff, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import (
     FRESH_S,
     SIGNS_NEEDED,
-    ContactSigns,
     Standing,
     contact_signs,
     echo_height_m,
 )
 from companion.plan.landing.level_moment import TiltForecast, level_at
 from companion.plan.landing.levelling import Levelling
+from companion.plan.landing.set_down import SetDown
 from companion.plan.landing.short_echoes import ShortEchoes
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle, slides_off, stopping_m
 from companion.plan.mission.inputs import PlanInputs
@@ -69,7 +69,7 @@ class TouchdownSequence:
         self._config, self._vehicle, self._generator = config, vehicle, generator
         self._wait_height_m = vehicle.leg_height_m + wait_height_m
         self._low_m = vehicle.leg_height_m + 2.0 * config.contact_margin_m
-        self._standing = Standing(config, vehicle)
+        self._standing, self._set_down = Standing(config, vehicle), SetDown(config, vehicle, generator)
         self.begin(0.0, slack=1.0)
 
     def begin(self, now_s: float, slack: float) -> None:
@@ -82,14 +82,14 @@ class TouchdownSequence:
         self.tilt = TiltForecast()
         self._levelling = Levelling(self._config, self._vehicle)
 
-    def enter(self, state: State, now_s: float) -> None:
+    def enter(self, state: State, vehicle: VehicleState | None, now_s: float) -> None:
         """Begin with one of the states within a try."""
         if state is State.SINK:
             self._commit(now_s)
         elif state is State.RISE:
             self._break_off(now_s)
         elif state is State.SET_DOWN:
-            self._generator.sink(self._config.contact_speed_m_s, self._config.blend_s, now_s)
+            self._set_down.begin(vehicle, now_s)
             self._levelling.reset()
             self._levelling.stay(now_s)
         elif state is State.STAND:
@@ -105,9 +105,10 @@ class TouchdownSequence:
         if state is State.SINK:
             return self._sink(sight, inputs, now_s)
         if state is State.SET_DOWN:
-            return self._set_down(sight, inputs, now_s)
+            self._levelling.stay(now_s)
+            return self._set_down.step(sight, inputs, now_s)
         if state in {State.STAND, State.AUTO_LAND}:
-            return self._stand(sight, inputs, now_s)
+            return self._stand(state, sight, inputs, now_s)
         event = self._wait(sight, now_s)
         if event is None and state is State.RISE and not self._generator.rising(now_s):
             return MissionEvent.RISEN, "on the way back up"
@@ -185,7 +186,16 @@ class TouchdownSequence:
             return MissionEvent.MISALIGNED, slides
         # far aside it tilts because it flies back or escapes: it is not about to stand
         tilt_rad = 0.0 if sight is not None and self._escapes(sight) else self.tilt.tilt_rad
-        signs = self._signs(sight, inputs, self._generator.at(now_s), now_s, tilt_rad)
+        signs = contact_signs(
+            sight,
+            self._generator.at(now_s),
+            inputs.range,
+            inputs.autopilot.landed,
+            now_s,
+            config=self._config,
+            vehicle=self._vehicle,
+            tilt_rad=tilt_rad,
+        )
         near = sight is not None and self._near(sight, unfelt_s)
         touching = signs.count >= SIGNS_NEEDED
         self._short_echoes.note(inputs.range if near and signs.short_echo else None)
@@ -231,17 +241,6 @@ class TouchdownSequence:
     def _near(self, sight: PadState, unfelt_s: float = 0.0) -> bool:
         return sight.height_m - _FASTER_M_S * unfelt_s <= self._vehicle.leg_height_m + _NEAR_M
 
-    def _set_down(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
-        """Level, and on down in the EKF's NED, until something solid is below."""
-        self._levelling.stay(now_s)
-        if inputs.autopilot.landed is LandedState.ON_GROUND:
-            return MissionEvent.LANDING_DETECTED, "the autopilot reports landed"
-        # its height is over no pad: nothing stalls by it
-        signs = self._signs(sight, inputs, Motion((0.0, 0.0, 0.0)), now_s)
-        if self._touching.held_s(signs.count >= SIGNS_NEEDED, now_s) >= self._config.contact_s:
-            return MissionEvent.CONTACT, signs.in_words()
-        return None
-
     def _go_down(self, sight: PadState, now_s: float) -> DetectedEvent | None:
         c = self._config
         if now_s > self._contact_due_s + c.overdue_s:
@@ -269,19 +268,6 @@ class TouchdownSequence:
         if firm_m_s > self._levelling.planned_m_s:
             self._levelling.planned_m_s = firm_m_s
             self._generator.sink(firm_m_s, max(_FIRMER_S, self._blended_s - now_s), now_s)
-
-    def _signs(
-        self,
-        sight: PadState | None,
-        inputs: PlanInputs,
-        reference: Motion,
-        now_s: float,
-        tilt_rad: float = 0.0,
-    ) -> ContactSigns:
-        landed, config, vehicle = inputs.autopilot.landed, self._config, self._vehicle
-        return contact_signs(
-            sight, reference, inputs.range, landed, now_s, config=config, vehicle=vehicle, tilt_rad=tilt_rad
-        )
 
     def _escapes(self, sight: PadState) -> bool:
         """Whether it is so far aside that it would miss the pad."""
@@ -329,18 +315,24 @@ class TouchdownSequence:
 
     # ------------------------------------------------------------ stand
 
-    def _stand(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+    def _stand(
+        self, state: State, sight: PadState | None, inputs: PlanInputs, now_s: float
+    ) -> DetectedEvent | None:
         self._stay_down(now_s)
-        if why := self._leaves(sight, inputs, now_s):
+        if why := self._leaves(state, sight, inputs, now_s):
             if sight is not None:
                 self._generator.start("pad", sight.vehicle_from_pad, now_s)
             return MissionEvent.OFF_PAD, why
         return self._standing.step(sight, inputs, now_s)
 
-    def _leaves(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> str:
+    def _leaves(self, state: State, sight: PadState | None, inputs: PlanInputs, now_s: float) -> str:
         """Why it does not stay on the pad; "" while it does."""
-        if self._standing.lifted(sight, inputs, now_s):
+        lifted, unshown = self._standing.after_silence(sight, inputs, now_s)
+        if lifted:
             return "the autopilot, not heard, has taken it off"
+        # LAND is asked for just where nothing shows the feet down
+        if unshown and state is State.STAND:
+            return "the autopilot is not heard, and nothing shows the feet down"
         away = sight is not None and self._standing.off_pad(sight, now_s)
         if sight is not None and self._standing.arrives(now_s):
             return self._slides(sight)

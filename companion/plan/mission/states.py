@@ -79,7 +79,7 @@ class MissionEvent(StrEnum):
     AT_REST = "at_rest"  # shown to rest on the pad, without the autopilot's word
     UNPROVEN = "unproven"  # neither, and nothing shows the feet down
     PAD_GONE = "pad_gone"  # in the final descent, where there is no room to rise either
-    OFF_PAD = "off_pad"  # it does not stay: the pad is well below, slides, or a silent autopilot lifts it off
+    OFF_PAD = "off_pad"  # it does not stay: the pad is well below or slides, or a silent link may have it off
     PAD_LOST = "pad_lost"
     GROUND_NEAR = "ground_near"  # echoes far nearer than the pad's estimate: the estimate is wrong
     MISALIGNED = "misaligned"  # no touchdown from here: climb and try again

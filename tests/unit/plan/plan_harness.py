@@ -33,6 +33,7 @@ from companion.plan.planner import PlanInputs, Planner
 from companion.plan.speed.speed_table import load_table
 from tests.unit.plan.pad_paths import Heading, Path, derivative
 from tests.unit.plan.plan_autopilot import HOME, PlanAutopilot
+from tests.unit.plan.plan_moves import mix, plus, toward
 
 ORIGIN_NED_M = (0.8, -1.1, -2.3)  # the EKF's origin from home
 ORIGIN = geodetic_from_ned(ORIGIN_NED_M, HOME)
@@ -87,6 +88,7 @@ class PlanWorld:
     ) -> None:
         self.pad, self.heading = pad, heading
         self.echo_m: float | None = None  # instead of the true one
+        self.range_lost = False
         self.autopilot = PlanAutopilot()
         self.config = config or PlanConfig()
         self.planner = Planner(self.config, VEHICLE, 20, 0.1, TABLE)
@@ -103,6 +105,7 @@ class PlanWorld:
         self.gust: Callable[[float], Vector3] = lambda _t: ZERO3
         self.beacon_after_s: float | None = None
         self.vehicle_known = True
+        self.silent_from_s = math.inf  # the link
         self.stop = False
         self.order: Order | None = None  # given once
         self.camera_problem: str | None = None
@@ -111,6 +114,7 @@ class PlanWorld:
         self.rng = np.random.default_rng(0)
         self._drift = np.zeros(3)
         self._pad_state: PadState | None = None
+        self._heard: AutopilotState | None = None
         self._seen_s = -math.inf
         self._results: list[ActionResult] = []
         self._beacon: PadBeacon | None = None
@@ -155,7 +159,7 @@ class PlanWorld:
         return PlanInputs(
             vehicle=self._vehicle() if self.vehicle_known else None,
             pad=self._pad_state,
-            autopilot=self._autopilot(),
+            autopilot=self._hear(),
             beacon=self._beacon,
             range=self._echo(),
             results=tuple(self._results),
@@ -163,6 +167,7 @@ class PlanWorld:
             order=self.order,
             camera_problem=self.camera_problem,
             camera_turned_rad=self.camera_turned_rad,
+            silent_s=max(0.0, self.now_s - self.silent_from_s),
         )
 
     # ------------------------------------------------------------ what the planner is told
@@ -185,6 +190,12 @@ class PlanWorld:
             has_gps=self.now_s > 1.0,
             origin=ORIGIN,
         )
+
+    def _hear(self) -> AutopilotState:
+        """The autopilot's state; while the link is silent, as it was last heard."""
+        if self._heard is None or self.now_s <= self.silent_from_s:
+            self._heard = self._autopilot()
+        return self._heard
 
     def _autopilot(self) -> AutopilotState:
         a = self.autopilot
@@ -247,6 +258,8 @@ class PlanWorld:
 
     def _echo(self) -> RangeSample | None:
         height = self.pad(self.now_s)[2] - self.position[2]
+        if self.range_lost:
+            return None
         if self.echo_m is not None:
             return RangeSample(self.now_s, self.echo_m)
         return RangeSample(self.now_s, height - 0.08) if height < 4.0 else None
@@ -257,10 +270,10 @@ class PlanWorld:
         wanted = self._wanted(step)
         gust = self.gust(self.now_s)
         k = dt / LAG_S
-        self.acceleration = _mix(self.acceleration, wanted, k)
-        total = _plus(self.acceleration, gust)
-        self.velocity = _plus(self.velocity, total, dt)
-        self.position = _plus(self.position, self.velocity, dt)
+        self.acceleration = mix(self.acceleration, wanted, k)
+        total = plus(self.acceleration, gust)
+        self.velocity = plus(self.velocity, total, dt)
+        self.position = plus(self.position, self.velocity, dt)
         self.now_s += dt
         self._meet_ground(step)
 
@@ -271,8 +284,8 @@ class PlanWorld:
         if mode in {"OFFBOARD", "GUIDED"} and step.reference is not None:
             return self._tracked(step)
         if mode == "POSCTL":
-            return _toward(self.position, self.velocity, self.position, 2.0)
-        return _toward(self.position, self.velocity, self.autopilot.target_ned_m, 4.0)
+            return toward(self.position, self.velocity, self.position, 2.0)
+        return toward(self.position, self.velocity, self.autopilot.target_ned_m, 4.0)
 
     def _tracked(self, step: PlanStep) -> Vector3:
         reference = step.reference
@@ -331,20 +344,3 @@ class PlanWorld:
         f.touch_lateral_m = math.hypot(self.position[0] - pad[0], self.position[1] - pad[1])
         f.touch_down_m_s = v[2] - velocity[2]
         f.touch_across_m_s = math.hypot(v[0] - velocity[0], v[1] - velocity[1])
-
-
-def _plus(a: Vector3, b: Vector3, factor: float = 1.0) -> Vector3:
-    return (a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2])
-
-
-def _mix(a: Vector3, b: Vector3, k: float) -> Vector3:
-    return (a[0] + k * (b[0] - a[0]), a[1] + k * (b[1] - a[1]), a[2] + k * (b[2] - a[2]))
-
-
-def _toward(position: Vector3, velocity: Vector3, target: Vector3, fastest: float) -> Vector3:
-    """A cascade of P on position and P on velocity, as an autopilot's own navigation."""
-    out = []
-    for axis, most in enumerate((fastest, fastest, 1.5)):
-        speed = max(-most, min(most, 0.9 * (target[axis] - position[axis])))
-        out.append(max(-3.0, min(3.0, 2.0 * (speed - velocity[axis]))))
-    return (out[0], out[1], out[2])

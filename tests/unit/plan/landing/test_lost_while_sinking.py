@@ -70,3 +70,58 @@ def test_unseen_at_the_last_an_echo_that_agrees_brings_it_down_and_shows_the_con
     w.fly(6.0, until=lambda w: bool(w.flight.told("contact") or w.flight.told("set_down")))
     assert w.flight.told("contact")
     assert not w.flight.told("set_down")
+
+
+def hold_unheard(w: PlanWorld, silent_s: float) -> None:
+    """The link is silent for so long; after a second PX4 holds where it is, and nothing is seen or echoes."""
+    w.silent_from_s, w.autopilot.silent = w.now_s, {ActionKind.LAND, ActionKind.DISARM}
+    w.fly(1.0, until=lambda _w: False)
+    w.autopilot.mode, w.autopilot.target_ned_m = "LOITER", w.position
+    w.blind, w.range_lost = lambda _t, _height: True, True
+    w.fly(silent_s - 1.0, until=lambda _w: False)
+    w.silent_from_s, w.autopilot.mode = math.inf, "OFFBOARD"
+
+
+def fastest_m_s(w: PlanWorld, seconds: float) -> float:
+    """How fast it comes down, at most."""
+    speeds: list[float] = []
+    w.each = lambda w, _step: speeds.append(w.velocity[2])
+    w.fly(seconds, until=lambda _w: False)
+    return max(speeds)
+
+
+def test_a_set_down_that_was_not_obeyed_goes_on_from_where_the_vehicle_is() -> None:
+    w = world(line(1.0))
+    sinking_to(w, 0.30)
+    w.blind = lambda _t, _height: True
+    w.echo_m = 0.24 - 0.08
+    w.fly(6.0, until=lambda w: bool(w.flight.told("set_down")))
+    w.pad = lambda _t: (900.0, 0.0, 0.0)  # it is gone, and the ground is far below
+    w.position = (*w.position[:2], w.position[2] - 3.0)
+    w.echo_m = 2.0
+    hold_unheard(w, 4.0)
+    assert fastest_m_s(w, 2.0) < 0.3
+
+
+def test_a_set_down_that_lags_far_behind_does_not_catch_up() -> None:
+    w = world(line(1.0))
+    sinking_to(w, 0.30)
+    w.blind = lambda _t, _height: True
+    w.echo_m = 0.24 - 0.08
+    w.autopilot.silent = {ActionKind.LAND}
+    w.fly(6.0, until=lambda w: bool(w.flight.told("set_down")))
+    w.position = (*w.position[:2], w.position[2] - 3.0)  # a gust
+    w.echo_m = 2.0
+    assert fastest_m_s(w, 2.0) < 0.3
+
+
+def test_a_vehicle_that_held_off_the_pad_unheard_is_not_pressed_down() -> None:
+    w = world(line(1.0))
+    sinking_to(w, 0.30)
+    w.fly(6.0, until=lambda w: bool(w.flight.told("contact")))
+    w.autopilot.doubts = True
+    hold_unheard(w, 2.0)
+    pressed: list[bool] = []
+    w.each = lambda _w, step: pressed.append(step.on_ground)
+    w.fly(1.0, until=lambda _w: False)
+    assert not any(pressed)

@@ -93,24 +93,53 @@ def test_sliding_ends_the_stand_in_its_first_moments_alone(since_s: float, leave
 
 
 @pytest.mark.parametrize(
-    ("heard", "echo_m", "age_s", "leaves"),
+    ("silent_s", "echo_m", "age_s", "imu_age_s", "leaves"),
     [
-        (False, 0.25, 9.0, True),
-        (True, 0.25, 9.0, False),
-        (False, 0.14, 9.0, False),
-        (False, 0.25, 0.0, False),
+        (0.5, 0.25, 9.0, 0.0, True),
+        (0.0, 0.25, 9.0, 0.0, False),
+        (0.5, 0.14, 9.0, 0.0, False),
+        (0.5, 0.25, 0.0, 0.0, False),
+        # no echo at all: what is not shown counts where it could be
+        (0.5, None, 9.0, 0.0, True),
+        (0.3, None, 9.0, 0.0, False),
+        (0.5, None, 0.0, 0.0, False),
+        (0.5, None, 9.0, 0.5, False),
     ],
 )
 def test_a_silent_autopilot_that_lifts_it_off_the_pad_is_not_pressed_down(
-    heard: bool, echo_m: float, age_s: float, leaves: bool
+    silent_s: float, echo_m: float | None, age_s: float, imu_age_s: float, leaves: bool
 ) -> None:
     touchdown, now_s = standing()
     found = None
     for _ in range(15):
         now_s += CYCLE_S
-        seen = sight(height=0.19, age=age_s)
-        echo = RangeSample(now_s, echo_m)
-        found = found or touchdown.step(seen, echo, LandedState.IN_AIR, now_s, heard=heard)
+        found = found or touchdown.step(
+            sight(height=0.19, age=age_s),
+            None if echo_m is None else RangeSample(now_s, echo_m),
+            LandedState.IN_AIR,
+            now_s,
+            silent_s=silent_s,
+            vehicle=vehicle_state(now_s, imu_age_s=imu_age_s),
+        )
+    assert (found is not None and found[0] is MissionEvent.OFF_PAD) == leaves
+
+
+@pytest.mark.parametrize(("after_s", "leaves"), [(0.1, True), (1.5, False)])
+def test_just_after_a_silence_the_feet_have_to_be_shown_down_too(after_s: float, leaves: bool) -> None:
+    touchdown, now_s = standing()
+    found = None
+    # it is shown down until the silence ends: the pad drives away while the first setpoints arrive again
+    for silent_s, steps, shown in ((1.0, 10, True), (0.0, round(after_s / CYCLE_S), True), (0.0, 15, False)):
+        for _ in range(steps):
+            now_s += CYCLE_S
+            found = found or touchdown.step(
+                sight(height=0.19, age=0.0 if shown else 9.0),
+                RangeSample(now_s, 0.1 if shown else 0.25),
+                LandedState.IN_AIR,
+                now_s,
+                silent_s=silent_s,
+                vehicle=vehicle_state(now_s),
+            )
     assert (found is not None and found[0] is MissionEvent.OFF_PAD) == leaves
 
 

@@ -65,10 +65,11 @@ class Attempt:
         landed: LandedState,
         now_s: float,
         *,
-        heard: bool = True,
+        silent_s: float = 0.0,
         vehicle: VehicleState | None = None,
     ) -> DetectedEvent | None:
-        inputs = PlanInputs(vehicle, None, AutopilotState(now_s, landed=landed, connected=heard), range=echo)
+        autopilot = AutopilotState(now_s, landed=landed, connected=True)
+        inputs = PlanInputs(vehicle, None, autopilot, range=echo, silent_s=silent_s)
         detected = self._sequence.step(self.state, seen, inputs, now_s)
         if detected is None:
             return None
@@ -76,7 +77,7 @@ class Attempt:
         if branch is None or branch.to not in TOUCHDOWN:
             return detected
         self.state = branch.to
-        self._sequence.enter(self.state, now_s)
+        self._sequence.enter(self.state, vehicle, now_s)
         if self.state is State.RISE:
             self.broken_off_by = detected[1]
         if self.state is State.STAND:

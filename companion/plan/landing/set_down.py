@@ -1,0 +1,68 @@
+"""Straight down without the pad, in the EKF's NED, until something solid is below. m and s.
+
+LAND is asked for meanwhile: until the autopilot is in it, our own setpoints bring the vehicle down.
+"""
+
+from __future__ import annotations
+
+from companion.base.messages import LandedState, PadState, VehicleState
+from companion.base.motion import Motion
+from companion.config import TouchdownConfig, VehicleConfig
+from companion.plan.debounce import Debounce
+from companion.plan.landing.contact import SIGNS_NEEDED, UNHEARD_S, contact_signs, felt
+from companion.plan.landing.relative_state import vehicle_motion
+from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.states import DetectedEvent, MissionEvent
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
+
+# A reference that far below makes the controller sink two or three times as fast as is planned.
+_AHEAD_M = 0.1
+_NOWHERE = Motion((0.0, 0.0, 0.0))
+
+
+class SetDown:
+    """`begin` when the pad is given up, `step` every cycle from then on."""
+
+    def __init__(
+        self, config: TouchdownConfig, vehicle: VehicleConfig, generator: ReferenceGenerator
+    ) -> None:
+        self._config, self._vehicle, self._generator = config, vehicle, generator
+        self._touching = Debounce()
+
+    def begin(self, vehicle: VehicleState | None, now_s: float) -> None:
+        """Sink from the vehicle's own motion on, and no more sideways than that."""
+        self._touching = Debounce()
+        self._sink_from(vehicle, now_s)
+
+    def step(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+        """Go on down; returns what shows that something solid is below."""
+        if self._runs_ahead(inputs, now_s):
+            self._sink_from(inputs.vehicle, now_s)
+        landed = inputs.autopilot.landed
+        if landed is LandedState.ON_GROUND:
+            return MissionEvent.LANDING_DETECTED, "the autopilot reports landed"
+        # the reference's height is over no pad: nothing stalls by it
+        signs = contact_signs(
+            sight, _NOWHERE, inputs.range, landed, now_s, config=self._config, vehicle=self._vehicle
+        )
+        if self._touching.held_s(signs.count >= SIGNS_NEEDED, now_s) >= self._config.contact_s:
+            return MissionEvent.CONTACT, signs.in_words()
+        return None
+
+    def _runs_ahead(self, inputs: PlanInputs, now_s: float) -> bool:
+        """Whether the vehicle does not come down with the reference, which would pull it after it later."""
+        vehicle, autopilot = inputs.vehicle, inputs.autopilot
+        if vehicle is None:
+            return False
+        if inputs.silent_s > UNHEARD_S or not autopilot.offboard:
+            return True
+        ahead_m = self._generator.at(now_s).position_m[2] - vehicle_motion(vehicle, now_s).position_m[2]
+        # without the IMU its height is a guess
+        return felt(vehicle, now_s) and ahead_m > _AHEAD_M
+
+    def _sink_from(self, vehicle: VehicleState | None, now_s: float) -> None:
+        if vehicle is not None:
+            actual = vehicle_motion(vehicle, now_s)
+            down = Motion(actual.position_m, (0.0, 0.0, actual.velocity_m_s[2]))
+            self._generator.start("local", down, now_s)
+        self._generator.sink(self._config.contact_speed_m_s, self._config.blend_s, now_s)
