@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import GRAVITY_M_S2, norm
 from companion.base.messages import LandedState, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
@@ -34,7 +36,7 @@ _LIFTED_S = 0.3
 # An autopilot that is not heard for so long may not hear us either, and soon flies by itself (the parameters
 # advised: ArduPilot 0.5 s after the last setpoint, PX4 1 s). Heard again, it is where that took it: for so
 # long after the silence the feet have to be shown down.
-UNHEARD_S = 0.4
+_UNHEARD_S: Final[dict[AutopilotKind, float]] = {"ardupilot": 0.4, "px4": 0.8}
 _DOUBTED_S = 1.0
 # Without thrust it falls at g; a third of that is no deck's motion.
 _FALLS_M_S2 = GRAVITY_M_S2 / 3.0
@@ -112,6 +114,11 @@ def _echo_within(echo: RangeSample | None, distance_m: float, now_s: float) -> b
     return echo is not None and now_s - echo.time_s <= FRESH_S and echo.distance_m <= distance_m
 
 
+def unheard(inputs: PlanInputs) -> bool:
+    """Whether the autopilot has been silent for about as long as it waits for setpoints."""
+    return inputs.silent_s >= _UNHEARD_S[inputs.autopilot.autopilot_kind or "ardupilot"]
+
+
 def felt(vehicle: VehicleState | None, now_s: float) -> bool:
     """Whether our IMU is heard."""
     return vehicle is not None and now_s - vehicle.sensed_time_s <= FRESH_S
@@ -148,7 +155,7 @@ class Standing:
         our first setpoint it would be pressed down from there. Where the IMU is silent too (all comes by
         the link), what is not shown says nothing.
         """
-        if inputs.silent_s >= UNHEARD_S:
+        if unheard(inputs):
             self._silent_s = now_s
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
         high = echo_m is not None and echo_m > self._vehicle.leg_height_m + _LIFTED_M

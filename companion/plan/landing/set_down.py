@@ -9,7 +9,7 @@ from companion.base.messages import LandedState, PadState, VehicleState
 from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
-from companion.plan.landing.contact import SIGNS_NEEDED, UNHEARD_S, contact_signs, felt
+from companion.plan.landing.contact import SIGNS_NEEDED, contact_signs, felt, unheard
 from companion.plan.landing.relative_state import vehicle_motion
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import DetectedEvent, MissionEvent
@@ -54,7 +54,7 @@ class SetDown:
         vehicle, autopilot = inputs.vehicle, inputs.autopilot
         if vehicle is None:
             return False
-        if inputs.silent_s > UNHEARD_S or not autopilot.offboard:
+        if unheard(inputs) or not autopilot.offboard:
             return True
         ahead_m = self._generator.at(now_s).position_m[2] - vehicle_motion(vehicle, now_s).position_m[2]
         # without the IMU its height is a guess
