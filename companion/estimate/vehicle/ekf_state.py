@@ -81,7 +81,7 @@ class EkfState:
         self.fix_watch = FixWatch()
         self.watch = InnovationWatch()
         self.yaw_error = YawError.first()
-        self.velocity_density_m2_s3 = 0.0  # of the noise that the last prediction gave each velocity
+        self.force_density_m2_s3 = 0.0  # of the force's own noise on an axis, in the last prediction
         self._moved: FloatArray | None = EYE
 
     def snapshot(self) -> EkfSnapshot:
@@ -145,7 +145,7 @@ class EkfState:
         P[:n] = A @ P[:m] + G @ before.T
         P[:, :n] = P[:, :m] @ A.T + self.yaw_error.with_state @ G.T
         turn_variance, velocity_variance = self._inertial_noise(noise, dt_s, samples)
-        self.velocity_density_m2_s3 = velocity_variance / dt_s
+        self.force_density_m2_s3 = self._force_density(noise, dt_s, samples)
         G = A[:, model.IMU_BIASES] / dt_s
         G[:, :3] *= math.sqrt(velocity_variance)
         G[:, 3:] *= math.sqrt(turn_variance)
@@ -155,6 +155,14 @@ class EkfState:
         self._moved = EYE.copy()
         self._moved[:n, :m] = A
         self.time_s = time_s
+
+    def _force_density(self, noise: StepNoise, dt_s: float, samples: int) -> float:
+        """Density (m²/s³) of the force's own noise: the element's, and what vibration leaves.
+
+        What a gap hides is no noise of the samples around it.
+        """
+        between_s = min(dt_s, LONGEST_STEP_S) / samples
+        return self._config.accel_noise_m_s2**2 * between_s + noise.force_density_m2_s3
 
     def _inertial_noise(self, noise: StepNoise, dt_s: float, samples: int) -> tuple[float, float]:
         """Variance an axis of the step's turn (rad²) and change of velocity (m²/s²).
@@ -169,8 +177,8 @@ class EkfState:
         r = 0.0 if self.has_position else r  # a yaw's are in `yaw_error`
         turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples
         turn += GYRO_SCALE_ERROR**2 * (p * p + q * q + r * r) * dt_s
-        velocity = (config.accel_noise_m_s2 * dt_s) ** 2 / samples
-        velocity += (noise.force_density_m2_s3 + noise.force_error_m_s2**2 * FORCE_ERROR_S) * dt_s
+        velocity = self._force_density(noise, dt_s, samples) * dt_s
+        velocity += noise.force_error_m_s2**2 * FORCE_ERROR_S * dt_s
         rate = min(UNSEEN_RATE_RAD_S, UNSEEN_TURN_RAD_S2 * unseen_s)
         acceleration = min(UNSEEN_ACCELERATION_M_S2, UNSEEN_JERK_M_S3 * unseen_s)
         return turn + (rate * unseen_s) ** 2, velocity + (acceleration * unseen_s) ** 2

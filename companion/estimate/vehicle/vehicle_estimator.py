@@ -329,7 +329,7 @@ class VehicleEstimator:
         self.corrections += self._trouble.news(self._ekf.watch, self._ekf.fix_watch)
         self._inertial.gyro_bias_rad_s = vector3(self._ekf.x[model.GYRO_BIAS])
         self._inertial.accel_bias_m_s2 = vector3(self._ekf.x[model.ACCEL_BIAS])
-        self.motion.noise_density_m2_s3 = self._ekf.velocity_density_m2_s3
+        self.motion.noise_density_m2_s3 = self._ekf.force_density_m2_s3
         self._inertial.follow(self._ekf.attitude, self.newest_s - self._ekf.time_s, self._ekf.yaw_error.share)
 
     def _field_at(self, time_s: float) -> Vector3 | None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, IDENTITY, ZERO3, Vector3, vector3
-from companion.base.messages import ImuSample, MagSample
+from companion.base.messages import GpsFix, ImuSample, MagSample
 from companion.config import EkfConfig, EstimateConfig
 from companion.estimate.motion import MotionHistory
 from companion.estimate.vehicle import ekf_model as model
@@ -97,14 +97,20 @@ def test_vibration_makes_the_velocity_uncertain_only_without_fixes(
     assert least_m_s < math.sqrt(ekf.P[model.VELOCITY, model.VELOCITY][0, 0]) < most_m_s
 
 
-def density_for_the_pad(shaking_m_s2: float) -> float:
-    """Of the acceleration's noise, as the pad filter is told it, with a vehicle at rest that shakes."""
+def density_for_the_pad(shaking_m_s2: float, fixes_until_s: float = 0.0, gap_s: float = 0.0) -> float:
+    """Of the acceleration's noise, as the pad filter is told it, with a vehicle at rest that shakes.
+
+    With `gap_s` the IMU is silent for so long before its last step.
+    """
     rng, motion = np.random.default_rng(4), MotionHistory(1.0)
-    vehicle = VehicleEstimator(EstimateConfig(), ZERO3, motion, ZERO3)
+    vehicle, config = VehicleEstimator(EstimateConfig(), ZERO3, motion, ZERO3), EkfConfig()
     for k in range(1600):
-        vehicle.add_mag(MagSample(k * DT_S, (20.9, 0.6, 42.9)))
+        time_s = k * DT_S + gap_s * (k >= 1600 - config.imu_samples_per_step)
+        vehicle.add_mag(MagSample(time_s, (20.9, 0.6, 42.9)))
         shaken = shaking_m_s2 * (k > 1200) * rng.standard_normal(3)
-        vehicle.add_imu(ImuSample(k * DT_S, ZERO3, vector3(RESTING + shaken), 20.0))
+        vehicle.add_imu(ImuSample(time_s, ZERO3, vector3(RESTING + shaken), 20.0))
+        if k % 40 == 0 and time_s < fixes_until_s:
+            vehicle.add_gps(GpsFix(time_s, 47.0, 8.0, 500.0, ZERO3, 1.0, 1.5, 0.1, 12))
     assert vehicle.aligned
     return motion.noise_density_m2_s3
 
@@ -113,3 +119,15 @@ def test_the_pad_filter_is_told_of_vibration() -> None:
     quiet = EkfConfig().accel_noise_m_s2 ** 2 * DT_S
     assert density_for_the_pad(0.0) == pytest.approx(quiet, rel=0.05)
     assert density_for_the_pad(0.5) == pytest.approx(quiet + 0.5**2 * DT_S, rel=0.6)
+
+
+def test_a_lost_gps_does_not_tell_the_pad_filter_of_more_vibration() -> None:
+    an_axis = 2.0 * EkfConfig().shaking_bound_m_s2 / math.sqrt(3.0)
+    with_fixes, lost = (density_for_the_pad(an_axis, until_s) for until_s in (8.0, 5.0))
+    assert lost == pytest.approx(with_fixes, rel=1e-6)
+    assert lost == pytest.approx(an_axis**2 * DT_S, rel=0.6)
+
+
+def test_a_gap_of_the_imu_is_no_noise_to_the_pad_filter() -> None:
+    quiet = EkfConfig().accel_noise_m_s2 ** 2 * DT_S
+    assert density_for_the_pad(0.0, gap_s=0.4) < 10.0 * quiet
