@@ -26,6 +26,7 @@ from companion.link.commands import (
     request_message,
     set_message_interval,
 )
+from companion.link.notices import Notices
 from companion.link.orders import ORDER_MESSAGES, OrderListener
 from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.link.signing import SigningKey
@@ -104,7 +105,7 @@ class Session:
         self._timesync_due_s = -math.inf
         self._home_due_s = -math.inf
         self._syncs_sent = 0
-        self._notices = 0
+        self._notices = Notices()
 
     @property
     def setup(self) -> AutopilotSetup | None:
@@ -177,6 +178,7 @@ class Session:
 
     def _hear_autopilot(self, message: Message, message_id: int, now_s: float) -> None:
         self._rates.heard(message_id)
+        self._replies += self._notices.heard(now_s - self.heard_s)
         self.heard_s = now_s
         if message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
             for text in self._texts.receive(message):
@@ -270,9 +272,7 @@ class Session:
 
     def send_notice(self, text: str, severity: Severity) -> bytes:
         """A text for the ground station's and the autopilot's log, as bytes."""
-        self._notices = self._notices % 0xFFFF + 1
-        messages = codec.status_texts(text, severity, self._notices)
-        return b"".join(self._codec.encode(message) for message in messages)
+        return b"".join(self._codec.encode(message) for message in self._notices.tell(text, severity))
 
     def command(self, command: VehicleCommand) -> Pending:
         """Start a command; `tick` sends it, `Pending.outcome` gives its end."""

@@ -11,6 +11,7 @@ from companion.base.geometry import quat_from_euler
 from companion.base.messages import PadBeacon, Setpoint
 from companion.config import LinkConfig
 from companion.link.codec import Codec, heartbeat, mavlink, status_texts
+from companion.link.notices import UNHEARD
 from companion.link.session import Session
 from companion.link.streams import OWN_RATES_HZ, TELEMETRY_RATES_HZ
 from tests.unit.link.fake_autopilot import FakeAutopilot
@@ -224,6 +225,57 @@ def test_setpoints_are_turned_into_the_autopilots_heading() -> None:
 def test_a_notice_becomes_a_status_text() -> None:
     messages = Codec(1).decode(Session(LinkConfig()).send_notice("pad lost: climbing by 2 m", "warning"))
     assert [m.text for m in messages] == ["pad lost: climbing by 2 m"]
+
+
+def texts_of(flight: SessionFlight) -> list[str]:
+    return [m.text for _, m in flight.sent_of("STATUSTEXT")]
+
+
+def test_warnings_told_into_a_silent_link_are_sent_again_once_when_it_is_heard() -> None:
+    flight = SessionFlight()
+    flight.run(3.0)
+    flight.send(flight.session.send_notice("camera lost", "error"))
+    flight.run(1.0)
+    flight.cut = True
+    flight.run(0.5)  # not yet known as silent
+    told = ["hold: link lost", "climbing 1.2 m clear of the pad", "abort: timeout"]
+    for text in told:
+        flight.send(flight.session.send_notice(text, "warning"))
+        flight.run(1.0)
+    flight.send(flight.session.send_notice("page opened", "info"))
+    flight.send(flight.session.send_notice(told[0], "warning"))
+    flight.run(0.5)
+    flight.sent.clear()
+    flight.cut = False
+    flight.run(5.0)
+    assert texts_of(flight) == told
+    assert flight.sent_of("STATUSTEXT")[0][0] < flight.now_s - 4.9
+
+
+def test_of_many_warnings_told_into_a_silent_link_the_last_few_are_sent_again() -> None:
+    flight = SessionFlight()
+    flight.run(2.0)
+    flight.cut = True
+    flight.run(2.0)
+    for number in range(20):
+        flight.send(flight.session.send_notice(f"warning {number}", "warning"))
+    flight.sent.clear()
+    flight.cut = False
+    flight.run(2.0)
+    assert texts_of(flight) == [f"warning {number}" for number in range(20 - UNHEARD, 20)]
+
+
+def test_a_text_told_into_a_link_that_is_up_is_sent_once() -> None:
+    flight = SessionFlight()
+    flight.send(flight.session.send_notice("standby", "warning"))  # before it is heard it may hear us
+    flight.run(3.0)
+    flight.send(flight.session.send_notice("pad lost", "warning"))
+    flight.run(1.0)
+    flight.cut = True  # after it arrived
+    flight.run(3.0)
+    flight.cut = False
+    flight.run(3.0)
+    assert texts_of(flight) == ["standby", "pad lost"]
 
 
 def test_texts_of_the_autopilot_are_kept_and_counted() -> None:
