@@ -26,7 +26,7 @@ from companion.app.missions import END_PHASES, Missions
 from companion.app.service.systemd import ServiceNotifier
 from companion.app.stages import build_stages
 from companion.app.status import STATUS_PERIOD_S, FrameRate, Status
-from companion.app.supervision import supervised
+from companion.app.supervision import failure_words, supervised
 from companion.app.timing.loop_monitor import LoopMonitor
 from companion.base.clock import Clock
 from companion.base.garbage_collection import infrequent_collection
@@ -155,14 +155,15 @@ class App:
     # ------------------------------------------------------------ plan and control
 
     async def _controlled(self) -> Phase:
-        """The control task; when it fails, control is returned before the failure is reported."""
+        """The control task; when it fails, that is told, and control returned, before the app ends."""
         try:
             return await self._control_task()
-        except Exception:
+        except Exception as error:
             self.loop_monitor.end()
-            if self.session.state.offboard:
+            word = self.missions.control_failed(failure_words(error))
+            if word is not None:
                 self._action_queue.clear()
-                hold = self._actions.perform(self.missions.last_word)
+                hold = self._actions.perform(word)
                 with suppress(TimeoutError):
                     self._take_result(await asyncio.wait_for(hold, LAST_HOLD_S))
             raise

@@ -70,10 +70,22 @@ class Missions:
         return self._desk.followed
 
     @property
-    def last_word(self) -> Action:
-        """What the autopilot is asked for when control has failed; one that stands a hold would lift off."""
+    def last_word(self) -> Action | None:
+        """What the autopilot is asked for when control has failed; one that stands a hold would lift off.
+
+        None: somebody else flies it, in a mode that may look like ours.
+        """
+        if not (self._session.state.offboard and self._planner.in_charge):
+            return None
         stands = self._planner.committed or self._session.state.landed is LandedState.ON_GROUND
         return Action(ActionKind.LAND if stands else ActionKind.HOLD)
+
+    def control_failed(self, why: str) -> Action | None:
+        """Say so, and what the autopilot is asked for; returns that."""
+        word = self.last_word
+        ordered = "nothing" if word is None else word.kind.value
+        self._announcer.notify("control", f"control failed: {why}; {ordered} is ordered", "error")
+        return word
 
     def not_ready(self, now_s: float) -> list[str]:
         """Why an order to land would be refused, beside that the vehicle stands on the ground."""

@@ -42,7 +42,7 @@ async def supervised(
                 raise
             text = str(error)
         except Exception as error:
-            text = _words(error)
+            text = failure_words(error)
         finally:
             if back is not None:
                 back.cancel()
@@ -54,7 +54,7 @@ async def supervised(
         await asyncio.sleep(RESTART_PAUSE_S)
 
 
-def _words(error: Exception) -> str:
+def failure_words(error: Exception) -> str:
     """What a person reads of it; the operating system's errors without their number."""
     if not isinstance(error, OSError):
         return f"{type(error).__name__}: {error}"

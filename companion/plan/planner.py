@@ -23,7 +23,7 @@ from companion.plan.mission.mode_monitor import in_land, in_offboard
 from companion.plan.mission.orders import not_ready
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
-from companion.plan.mission.states import Circumstances, DetectedEvent, Effect, MissionEvent, State
+from companion.plan.mission.states import Authority, Circumstances, DetectedEvent, Effect, MissionEvent, State
 from companion.plan.mission.table import COMMITTED, FINAL, impossible
 from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance
@@ -100,6 +100,12 @@ class Planner:
     def committed(self) -> bool:
         """Whether it is on the pad, or so low over it that to come down is gentler than to hold."""
         return self._machine.state in COMMITTED
+
+    @property
+    def in_charge(self) -> bool:
+        """Whether the vehicle flies by our word: control is ours, or its return is asked for."""
+        machine = self._machine
+        return machine.authority is Authority.OURS or (machine.in_control and self.waiting)
 
     @property
     def waiting(self) -> bool:

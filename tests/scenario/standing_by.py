@@ -106,6 +106,14 @@ class StoryField:
         found = [m for m in self._tapped.sent if m.get_type() in ("COMMAND_LONG", "COMMAND_INT")]
         return [m.command for m in found if m.command not in asking]
 
+    def texts(self) -> list[str]:
+        """The texts that the app sent, each put together from its chunks."""
+        whole: dict[tuple[int, int], str] = {}
+        for number, m in enumerate(m for m in self._tapped.sent if m.get_type() == "STATUSTEXT"):
+            key = (m.id, 0 if m.id else number)
+            whole[key] = whole.get(key, "") + m.text
+        return list(whole.values())
+
     def setpoints(self) -> int:
         """How many setpoints the app has sent."""
         return sum(m.get_type().startswith("SET_") for m in self._tapped.sent)

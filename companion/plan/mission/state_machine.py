@@ -28,7 +28,7 @@ class StateMachine:
 
     @property
     def in_control(self) -> bool:
-        """Whether control was granted, and no pilot has taken it."""
+        """Whether control was granted, though it may have been returned or taken since."""
         return self.authority is not Authority.NONE
 
     @property

@@ -6,6 +6,8 @@ import asyncio
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from companion.base.messages import Phase
 from companion.link.codec import Codec, mavlink
 from tests.scenario.flying import FEW_PICTURES
@@ -151,3 +153,32 @@ def test_an_ardupilot_that_its_pilot_puts_into_guided_is_landed() -> None:
         await field.landed()
 
     play(story, {"autopilot": "ardupilot"}, settings={"orders": {"flight_mode": "GUIDED"}})
+
+
+@pytest.mark.parametrize(
+    ("ordered", "said"), [(False, "nothing is ordered"), (True, "hold is ordered")], ids=["theirs", "ours"]
+)
+def test_a_control_task_that_fails_says_so_and_brakes_only_what_is_ours(ordered: bool, said: str) -> None:
+    fields = list[StoryField]()
+
+    async def fail(_now_s: float, _late_s: float) -> None:
+        raise ValueError("no such index")
+
+    async def story(field: StoryField) -> None:
+        fields.append(field)
+        await field.ready()
+        await field.take_off()
+        assert field.autopilot.offboard  # in GUIDED, by its pilot
+        if ordered:
+            field.order()
+            await field.phase(Phase.APPROACH)
+        field.forget()
+        field.app._control_step = fail  # type: ignore[assignment, method-assign]
+        await asyncio.sleep(10.0)
+
+    with pytest.raises(ExceptionGroup):
+        play(story, {"autopilot": "ardupilot"})
+    text = f"control failed: ValueError: no such index; {said}"
+    assert fields[0].notices[-1] == text
+    assert text in fields[0].texts()
+    assert fields[0].commands() == ([mavlink.MAV_CMD_DO_SET_MODE] if ordered else [])

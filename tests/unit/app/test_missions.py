@@ -8,6 +8,7 @@ from companion.app.announcer import Announcer
 from companion.app.missions import Missions
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.messages import (
+    Action,
     ActionKind,
     AutopilotState,
     LandedState,
@@ -21,9 +22,29 @@ from companion.base.messages import (
 from companion.config import LinkConfig
 from companion.flightlog.record import FlightLog
 from companion.link.session import Session
-from companion.plan.mission.states import State
+from companion.plan.mission.states import Authority, State
 from companion.plan.planner import PlanInputs, Planner
 from tests.unit.plan.mission.planner_world import world
+
+
+async def last_word(
+    state: State,
+    authority: Authority,
+    landed: LandedState = LandedState.IN_AIR,
+    *,
+    offboard: bool = True,
+    asked: ActionKind | None = None,
+) -> ActionKind | None:
+    clock, session, planner = Clock(), Session(LinkConfig()), world().planner
+    log = FlightLog(None, 0.0)
+    announcer = Announcer(clock, log, lambda _notice: None)
+    missions = Missions(lambda _standby: planner, session, log, announcer, clock, standby=None, stays=False)
+    planner._machine.state, planner._machine.authority = state, authority
+    if asked is not None:
+        planner._requests.ask(Action(asked), clock.now_s())
+    session.state = replace(session.state, landed=landed, offboard=offboard)
+    word = missions.last_word
+    return None if word is None else word.kind
 
 
 @pytest.mark.parametrize(
@@ -40,18 +61,28 @@ from tests.unit.plan.mission.planner_world import world
 def test_a_vehicle_that_stands_or_is_about_to_is_not_ordered_to_hold(
     state: State, landed: LandedState, asked: ActionKind
 ) -> None:
-    async def word() -> ActionKind:
-        clock, session, planner = Clock(), Session(LinkConfig()), world().planner
-        log = FlightLog(None, 0.0)
-        announcer = Announcer(clock, log, lambda _notice: None)
-        missions = Missions(
-            lambda _standby: planner, session, log, announcer, clock, standby=None, stays=False
-        )
-        planner._machine.state = state
-        session.state = replace(session.state, landed=landed)
-        return missions.last_word.kind
+    assert run_in_virtual_time(last_word(state, Authority.OURS, landed)) is asked
 
-    assert run_in_virtual_time(word()) is asked
+
+@pytest.mark.parametrize(
+    ("state", "authority", "offboard"),
+    [
+        # in GUIDED by somebody else, before an order and before control is ours
+        (State.STANDBY, Authority.NONE, True),
+        (State.SEARCH, Authority.NONE, True),
+        (State.ABORT, Authority.RELEASED, True),  # and after a pilot took over
+        (State.APPROACH, Authority.OURS, False),
+    ],
+)
+def test_a_vehicle_that_somebody_else_flies_is_ordered_nothing(
+    state: State, authority: Authority, offboard: bool
+) -> None:
+    assert run_in_virtual_time(last_word(state, authority, offboard=offboard)) is None
+
+
+def test_a_hold_that_was_asked_for_and_not_answered_is_asked_for_once_more() -> None:
+    word = last_word(State.ABORT, Authority.RELEASED, asked=ActionKind.HOLD)
+    assert run_in_virtual_time(word) is ActionKind.HOLD
 
 
 class Scripted(Planner):
