@@ -66,6 +66,7 @@ _SENSORS: Final[dict[str, FaultRowCase]] = {
     "IMU saturated": _one("imu_saturated"),
     "30 uT": _case(TO_THE_END, {"kind": "mag_disturbed"}, lands=True),
     "GPS lost": _case(TO_THE_END, {"kind": "gps_lost"}, lands=True),
+    "GPS jumps": _one("gps_jump", position_ned_m=(4.0, -5.0, -14.0)),
     "range spikes": _one("range_spikes", share=0.5),
     "range stuck": _one("range_stuck"),
     "range stuck near": _one("range_stuck", distance_m=0.05),
