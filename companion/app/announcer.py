@@ -14,6 +14,8 @@ from companion.link.codec import Severity
 KEPT: Final = 20
 # the same fault again within it is for the log alone: many a second would crowd out everything else
 REPEATED_S: Final = 2.0
+# what the vehicle is about to do is no fault: it is told each time
+_ACTIONS: Final = frozenset({"climb"})
 
 
 class Announcer:
@@ -43,7 +45,8 @@ class Announcer:
     def publish(self, notice: Notice) -> None:
         """Tell the log, the terminal and the ground station; the log alone of a fault that was just told."""
         self._log.write("notice", notice, notice.time_s)
-        if notice.severity != "info" and self._just_told(notice):
+        fault = notice.severity != "info" and notice.kind not in _ACTIONS
+        if fault and self._just_told(notice):
             return
         self._new.append(notice)
         self.recent.append(notice)

@@ -35,6 +35,7 @@ from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from companion.plan.trajectory.waypoints import Waypoints
 
 _LAST_TRY_SLACK: Final = 1.6  # nothing follows it but handing back: what is acceptable at all counts then
+_UNCONTRADICTED_S: Final = 2.0  # no echoes may contradict a pad for so long before it is flown to again
 _STREAMING: Final = (MissionEvent.STREAMING, "setpoints are sent")
 
 
@@ -75,7 +76,7 @@ class PhaseSteering:
             config.touchdown, vehicle, config.landing.wait_height_m, generator
         )
         self._held = Hold(config, vehicle.leg_height_m, generator=generator, pad=pad, ground=ground, say=say)
-        self._begun_s = 0.0
+        self._begun_s, self._contradicted_s = 0.0, -math.inf
         self._steered_by: dict[Phase, Callable[[PlanInputs, float], DetectedEvent | None]] = {
             Phase.STANDBY: self._stand_by,
             Phase.CONNECT: self._depart,
@@ -261,11 +262,14 @@ class PhaseSteering:
             self._say(
                 "pad_lost", f"pad not seen: {doing} ({known}), new position requested", now_s, "warning"
             )
-        seen = step.seen and self._ground_near() is None  # or the approach would end in its first cycle
+        # contradicted, the approach would end in its first cycle
+        seen = step.seen and self._ground_near(now_s) is None
+        # and echoes that disagree for a moment do not end a contradiction
+        seen = seen and now_s - self._contradicted_s >= _UNCONTRADICTED_S
         return (MissionEvent.PAD_SEEN, self._pad.in_words()) if seen else None
 
     def _come_in(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
-        wrong = self._ground_near()
+        wrong = self._ground_near(now_s)
         if wrong is not None:
             return wrong
         self._keep_near_pad(inputs, now_s)
@@ -278,12 +282,13 @@ class PhaseSteering:
             self._say("climb", f"climbing {self._landing.climbs}", now_s, "warning")
         return event
 
-    def _ground_near(self) -> DetectedEvent | None:
+    def _ground_near(self, now_s: float) -> DetectedEvent | None:
         """Whether the echoes contradict the pad's estimated height."""
         sight = self._pad.sight
         surface_m = None if sight is None else self._ground.above(sight.height_m)
         if sight is None or surface_m is None:
             return None
+        self._contradicted_s = now_s
         self._pad.distrust()
         self.search.locator.distrust()
         return (
@@ -294,7 +299,7 @@ class PhaseSteering:
     def _touch_down(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         state = self._machine.state
         if state not in COMMITTED:
-            wrong = self._ground_near()
+            wrong = self._ground_near(now_s)
             if wrong is not None:
                 return wrong
             self._keep_near_pad(inputs, now_s)

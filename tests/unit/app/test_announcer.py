@@ -48,3 +48,15 @@ def test_what_comes_many_times_a_second_is_told_now_and_then_and_a_sequence_as_i
     assert len(log.notices) == 42
     assert [n.time_s for n in told if n.kind == "imu"] == [0.0, REPEATED_S, 2.0 * REPEATED_S]
     assert sum(n.kind == "phase" for n in told) == 21
+
+
+def test_a_climb_is_told_each_time_however_soon_it_follows_another() -> None:
+    log, told = Kept(), list[Notice]()
+
+    async def climbs_twice() -> None:
+        announcer = Announcer(Clock(), log, told.append)
+        for time_s in (1.0, 1.2):
+            announcer.publish(Notice(time_s, "climb", "climbing 6.0 m to look for the pad", "warning"))
+
+    run_in_virtual_time(climbs_twice())
+    assert [notice.time_s for notice in told] == [1.0, 1.2]

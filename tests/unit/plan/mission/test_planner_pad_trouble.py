@@ -162,6 +162,25 @@ def test_echoes_that_contradict_the_pads_height_break_the_landing_off(lie_m: flo
     assert w.fly(120.0).phase is Phase.LANDED
 
 
+def test_a_pad_that_echoes_contradict_is_not_flown_to_in_a_pause_between_them() -> None:
+    # GIVEN something at 0.5 m before the ultrasonic from the descent on, and a spike after every third echo
+    w = world(still())
+    w.fly(60.0, until=lambda x: x.flight.phase is Phase.DESCEND)
+    number = 0
+
+    def other() -> RangeSample | None:
+        nonlocal number
+        number += 1
+        return RangeSample(w.now_s, 0.5 if number // 6 % 2 else 3.0)
+
+    w._echo = other  # type: ignore[method-assign]
+    w.fly(10.0, until=lambda x: x.flight.phase is Phase.SEARCH)
+    flight = w.fly(10.0, until=lambda _w: False)
+    # THEN it stays in the search, though the pad is in view
+    assert flight.phase is Phase.SEARCH
+    assert len([text for text in flight.told("phase") if "ground near" in text]) == 1
+
+
 def test_one_false_echo_does_not_break_the_landing_off() -> None:
     w = world(still())
     rng = np.random.default_rng(3)
