@@ -66,7 +66,7 @@ class PadFilterConfig(StrictModel):
     camera_delay_std_s: float = Field(
         default=0.01, ge=0.0, le=0.05
     )  # of the stamps, learnt in flight; 0: known
-    exposure_jitter_s: float = Field(default=0.003, ge=0.0, le=0.1)  # of the exposure against the IMU's clock
+    exposure_jitter_s: float = Field(default=0.001, ge=0.0, le=0.1)  # of the exposure against the IMU's clock
     first_speed_std_m_s: float = Field(default=2.0, gt=0.0, le=20.0)
     range_noise_m: float = Field(default=0.03, gt=0.0, le=1.0)
     sighting_timeout_s: float = Field(

@@ -23,7 +23,7 @@ from companion.base.geometry import (
     scale,
 )
 
-PREDICTED_S = 0.1  # beyond the newest sample its acceleration goes on for so long, and then there is none
+PREDICTED_S = 0.1  # beyond the newest sample an acceleration goes on for so long, and then there is none
 
 
 class MotionHistory:
@@ -41,7 +41,7 @@ class MotionHistory:
         self._places: list[Vector3] = []
         self._corrections: list[Vector3] = []
         self._corrected: Vector3 = ZERO3
-        self._acceleration: Vector3 = ZERO3
+        self._acceleration = self._lasting = ZERO3
 
     @property
     def newest_s(self) -> float | None:
@@ -54,10 +54,12 @@ class MotionHistory:
         attitude: Quaternion,
         acceleration_ned_m_s2: Vector3,
         span_s: float | None = None,
+        lasting_ned_m_s2: Vector3 | None = None,
     ) -> None:
         """Append one sample, newer than the last; between samples the acceleration is linear.
 
-        It has acted for `span_s`, when it is given, whatever the times differ by.
+        It has acted for `span_s`, when it is given, whatever the times differ by. `lasting_ned_m_s2`, when
+        given, is what goes on beyond the sample: one of a vehicle that vibrates says nothing of the next.
         """
         if not self._times_s:
             self._append(time_s, attitude, ZERO3, ZERO3)
@@ -75,6 +77,7 @@ class MotionHistory:
                 time_s, attitude, (vx + h * (ax + bx), vy + h * (ay + by), vz + h * (az + bz)), place
             )
         self._acceleration = acceleration_ned_m_s2
+        self._lasting = acceleration_ned_m_s2 if lasting_ned_m_s2 is None else lasting_ned_m_s2
         if time_s - self._times_s[0] > 2.0 * self._span_s:
             self._forget(time_s - self._span_s)
 
@@ -144,7 +147,7 @@ class MotionHistory:
         return (qx - px - vx * dt, qy - py - vy * dt, qz - pz - vz * dt), (wx - vx, wy - vy, wz - vz)
 
     def _at(self, time_s: float) -> tuple[Vector3, Vector3]:
-        """Velocity and position integrals at a time; beyond the newest sample its acceleration goes on."""
+        """Velocity and position integrals at a time; beyond the newest sample an acceleration goes on."""
         if not self._times_s:
             return ZERO3, ZERO3
         known_s = self._times_s[-1] + PREDICTED_S
@@ -155,7 +158,7 @@ class MotionHistory:
         place = max(bisect_right(self._times_s, time_s) - 1, 0)
         dt = time_s - self._times_s[place]
         (vx, vy, vz), (px, py, pz) = self._speeds[place], self._places[place]
-        ax, ay, az = self._acceleration
+        ax, ay, az = self._lasting
         if place + 1 < len(self._times_s):
             k = 1.0 / (self._times_s[place + 1] - self._times_s[place])
             wx, wy, wz = self._speeds[place + 1]

@@ -2,8 +2,9 @@
 
 Vibration is no motion of the vehicle. What alternates from sample to sample is vibration: it shows in the
 second difference of three samples. Most of it is gone from a sum of samples; what is left, and what comes in
-by aliasing, shows in the same difference of means over 20 ms, quicker than a vehicle moves, and is noise of
-the velocity. An element that saturates, or that rectifies vibration, shifts its mean besides, by a share of
+by aliasing, shows in the same difference of means over 40 ms, quicker than a vehicle moves, and is noise of
+the velocity. The means are weighted by a triangle: a quick tone leaves nothing in them, as in the velocity.
+An element that saturates, or that rectifies vibration, shifts its mean besides, by a share of
 what exceeds a bound, and for as long as that lasts.
 
 Scale errors and misalignment turn the attitude by a share of the turn itself. A vehicle that tilts and
@@ -20,7 +21,8 @@ from companion.config import EkfConfig
 
 SHAKING_SHARE: Final = 0.5  # of the vibration beyond the bound: so far may the force's mean be off
 MEMORY_S: Final = 0.2
-BLOCK_S: Final = 0.02  # motion of the vehicle is slower, vibration that matters for the velocity is not
+BLOCK_S: Final = 0.04  # motion of the vehicle is slower, vibration that matters for the velocity is not
+WEIGHED: Final = 0.75  # a triangle's mean is as noisy as a plain one over so much of its length
 BLOCK_MEMORY_S: Final = 1.0
 LASTING_S: Final = 2.0
 LARGEST_ERROR_M_S2: Final = 3.0
@@ -79,20 +81,25 @@ class ImuNoise:
         self._config = config
         self._vibration, self._left = VibrationMonitor(), VibrationMonitor(BLOCK_MEMORY_S)
         self._push: Vector3 = ZERO3  # of the block that is being filled
-        self._block_s = 0.0
+        self._block_s = self._weights_s = 0.0
         self._density_m2_s3 = 0.0
         self._rate: Vector3 = ZERO3
 
     def add(self, rate_body_rad_s: Vector3, specific_force_m_s2: Vector3, dt_s: float) -> None:
         """Take a sample, dt_s after the one before; a gyroscope's bias is too small to count as a turn."""
         self._vibration.add(specific_force_m_s2, dt_s)
-        self._push = add(self._push, scale(specific_force_m_s2, dt_s))
-        self._block_s += dt_s
-        if self._block_s >= BLOCK_S - 0.5 * dt_s:
-            self._left.add(scale(self._push, 1.0 / self._block_s), self._block_s)
-            self._density_m2_s3 = self._left.rms_m_s2**2 * self._block_s / 3.0
-            self._push, self._block_s = ZERO3, 0.0
         self._rate = add(self._rate, scale(subtract(rate_body_rad_s, self._rate), dt_s / (LASTING_S + dt_s)))
+        middle_s = self._block_s + 0.5 * dt_s
+        weight_s = dt_s * min(middle_s, max(BLOCK_S - middle_s, 0.0)) / BLOCK_S
+        self._push = add(self._push, scale(specific_force_m_s2, weight_s))
+        self._weights_s += weight_s
+        self._block_s += dt_s
+        if self._block_s < BLOCK_S - 0.5 * dt_s:
+            return
+        if self._weights_s > 0.0:
+            self._left.add(scale(self._push, 1.0 / self._weights_s), self._block_s)
+            self._density_m2_s3 = self._left.rms_m_s2**2 * WEIGHED * self._block_s / 3.0
+        self._push, self._block_s, self._weights_s = ZERO3, 0.0, 0.0
 
     @property
     def now(self) -> StepNoise:

@@ -89,9 +89,9 @@ class InertialMotion:
         force = subtract(force, self._by_turning(dt_s))
         acceleration = _acceleration(self.attitude, force)
         span_s = None if sample.interval_s is None else dt_s
-        self._history.add(sample.time_s, self.attitude, acceleration, span_s)
         k = dt_s / (ACCELERATION_FILTER_S + dt_s)
         self.acceleration_ned_m_s2 = _approached(self.acceleration_ned_m_s2, acceleration, k)
+        self._history.add(sample.time_s, self.attitude, acceleration, span_s, self.acceleration_ned_m_s2)
         pushed = side_force(self.attitude, force)
         self.side_force_ned_m_s2 = _approached(self.side_force_ned_m_s2, pushed, k)
         # the pre-filter remembers an acceleration for as long as it averages; taken with its own attitude, so

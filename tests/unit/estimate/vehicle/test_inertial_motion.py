@@ -68,3 +68,20 @@ def test_the_history_is_told_by_what_the_attitude_is_corrected() -> None:
     x, y, z = history.corrected(0.5, 1.1)
     # the roll, about the body's axis, in NED; what is left of the shares is their product with the yaw
     assert (x, y, z) == pytest.approx((0.003 * math.cos(yaw), 0.003 * math.sin(yaw), -0.01), abs=1e-4)
+
+
+def test_vibration_does_not_go_on_beyond_the_newest_sample() -> None:
+    # GIVEN a vehicle at rest whose IMU shakes by 2 m/s² at 90 Hz
+    history = MotionHistory(1.0)
+    motion, orientation = InertialMotion(history), new_orientation(EstimateConfig(), IDENTITY)
+    swings, speeds = [], []
+    for k in range(1, 401):
+        shaken = 2.0 * math.sin(math.tau * 90.0 * k * STEP_S)
+        force: Vector3 = (shaken, 0.0, -GRAVITY_M_S2)
+        motion.add(ImuSample(k * STEP_S, ZERO3, force, 25.0), STEP_S, ZERO3, force, orientation)
+        (_, (north, _, _)) = history.moved(k * STEP_S, k * STEP_S + 0.012)
+        swings.append(north)
+        speeds.append(motion.acceleration_ned_m_s2[0] * 0.012)
+    # THEN the velocity 12 ms later differs by what lasts of the acceleration alone, not by the last sample's
+    assert max(map(abs, swings)) < 0.012 * 0.5
+    assert swings == pytest.approx(speeds)
