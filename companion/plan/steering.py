@@ -251,7 +251,11 @@ class PhaseSteering:
         climb_m = self.search.keep_above(self._lowest_down_m())
         if climb_m > 0.0:
             self._say("climb", f"climbing {climb_m:.1f} m: too near to the ground", now_s, "warning")
-        step = self.search.step(actual, self._machine.in_control, self._pad, now_s)
+        if self._pad.steady(now_s):
+            self._ground_near(now_s)
+        # echoes that disagree for a moment do not end a contradiction
+        believed = now_s - self._contradicted_s >= _UNCONTRADICTED_S
+        step = self.search.step(actual, self._machine.in_control, self._pad, now_s, believed=believed)
         if step.streaming:
             return _STREAMING
         if step.request_pad:
@@ -262,11 +266,7 @@ class PhaseSteering:
             self._say(
                 "pad_lost", f"pad not seen: {doing} ({known}), new position requested", now_s, "warning"
             )
-        # contradicted, the approach would end in its first cycle
-        seen = step.seen and self._ground_near(now_s) is None
-        # and echoes that disagree for a moment do not end a contradiction
-        seen = seen and now_s - self._contradicted_s >= _UNCONTRADICTED_S
-        return (MissionEvent.PAD_SEEN, self._pad.in_words()) if seen else None
+        return (MissionEvent.PAD_SEEN, self._pad.in_words()) if step.seen else None
 
     def _come_in(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         wrong = self._ground_near(now_s)

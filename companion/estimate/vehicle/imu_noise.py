@@ -2,10 +2,8 @@
 
 Vibration is no motion of the vehicle. What alternates from sample to sample is vibration: it shows in the
 second difference of three samples. Most of it is gone from a sum of samples; what is left, and what comes in
-by aliasing, shows in the same difference of means over 40 ms, quicker than a vehicle moves, and is noise of
-the velocity. The means are weighted by a triangle: a quick tone leaves nothing in them, as in the velocity.
-An element that saturates, or that rectifies vibration, shifts its mean besides, by a share of
-what exceeds a bound, and for as long as that lasts.
+by aliasing, is noise of the velocity: `SlowNoise`. An element that saturates, or that rectifies vibration,
+shifts its mean besides, by a share of what exceeds a bound, and for as long as that lasts.
 
 Scale errors and misalignment turn the attitude by a share of the turn itself. A vehicle that tilts and
 levels again has turned by nothing: what counts is the rate that lasts. Plain floats, body FRD, SI units.
@@ -14,6 +12,7 @@ levels again has turned by nothing: what counts is the rate that lasts. Plain fl
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import Final, NamedTuple
 
 from companion.base.geometry import ZERO3, Vector3, add, dot, scale, subtract
@@ -21,12 +20,14 @@ from companion.config import EkfConfig
 
 SHAKING_SHARE: Final = 0.5  # of the vibration beyond the bound: so far may the force's mean be off
 MEMORY_S: Final = 0.2
-BLOCK_S: Final = 0.04  # motion of the vehicle is slower, vibration that matters for the velocity is not
-WEIGHED: Final = 0.75  # a triangle's mean is as noisy as a plain one over so much of its length
+BLOCK_S: Final = 0.02  # motion of the vehicle is slower, vibration that matters for the velocity is not
 BLOCK_MEMORY_S: Final = 1.0
 LASTING_S: Final = 2.0
 LARGEST_ERROR_M_S2: Final = 3.0
 _SECOND_DIFFERENCE_VARIANCE: Final = 6.0  # of 1, -2, 1, for white noise
+_THIRD_DIFFERENCE: Final = (1.0, -3.0, 3.0, -1.0)
+_SQUARES: Final = 20.0  # the sum of its factors' squares, and of its neighbouring factors' products
+_PRODUCTS: Final = -15.0
 
 
 class StepNoise(NamedTuple):
@@ -74,39 +75,77 @@ class VibrationMonitor:
         return min(max(share * (self.rms_m_s2 - bound_m_s2), 0.0), LARGEST_ERROR_M_S2)
 
 
+class SlowNoise:
+    """The density of the noise (an axis) below some 30 Hz, which a sum of samples keeps.
+
+    By means of the force that triangles of 40 ms weigh, one every 20 ms: quick tones leave nothing in them,
+    as in the velocity. Their third difference takes out the vehicle's own motion.
+    """
+
+    def __init__(self) -> None:
+        self._rising: Vector3 = ZERO3  # of the block that is being filled: the first half of one triangle
+        self._falling: Vector3 = ZERO3  # and the second half of the one before
+        self._rise_s = self._fall_s = self._block_s = 0.0
+        self._samples = 0
+        self._squares_s2 = self._products_s2 = 0.0
+        self._begun: tuple[Vector3, float] = (ZERO3, 0.0)
+        self._means: deque[Vector3] = deque(maxlen=len(_THIRD_DIFFERENCE))
+        self.density_m2_s3 = 0.0
+
+    def add(self, specific_force_m_s2: Vector3, dt_s: float) -> None:
+        """Take a sample, dt_s after the one before."""
+        rise_s = dt_s * min((self._block_s + 0.5 * dt_s) / BLOCK_S, 1.0)
+        fall_s = dt_s - rise_s
+        self._rising = add(self._rising, scale(specific_force_m_s2, rise_s))
+        self._falling = add(self._falling, scale(specific_force_m_s2, fall_s))
+        self._rise_s, self._fall_s = self._rise_s + rise_s, self._fall_s + fall_s
+        self._squares_s2 += rise_s * rise_s + fall_s * fall_s
+        self._products_s2 += rise_s * fall_s
+        self._block_s += dt_s
+        self._samples += 1
+        if self._block_s >= BLOCK_S - 0.5 * dt_s:
+            self._end_block()
+
+    def _end_block(self) -> None:
+        (begun, begun_s), weight_s = self._begun, self._begun[1] + self._fall_s
+        if begun_s > 0.0:
+            self._means.append(scale(add(begun, self._falling), 1.0 / weight_s))
+        if len(self._means) == len(_THIRD_DIFFERENCE):
+            swing = ZERO3
+            for factor, mean in zip(_THIRD_DIFFERENCE, self._means, strict=True):
+                swing = add(swing, scale(mean, factor))
+            # of white noise with a variance of 1: neighbouring triangles share a block
+            variance = (_SQUARES * self._squares_s2 + 2.0 * _PRODUCTS * self._products_s2) / weight_s**2
+            seen = dot(swing, swing) / 3.0 / variance * self._block_s / self._samples
+            share = self._block_s / (BLOCK_MEMORY_S + self._block_s)
+            self.density_m2_s3 += share * (seen - self.density_m2_s3)
+        self._begun = (self._rising, self._rise_s)
+        self._rising = self._falling = ZERO3
+        self._rise_s = self._fall_s = self._block_s = 0.0
+        self._samples = 0
+        self._squares_s2 = self._products_s2 = 0.0
+
+
 class ImuNoise:
     """Feed it every sample; `now` is how much a step may err."""
 
     def __init__(self, config: EkfConfig) -> None:
         self._config = config
-        self._vibration, self._left = VibrationMonitor(), VibrationMonitor(BLOCK_MEMORY_S)
-        self._push: Vector3 = ZERO3  # of the block that is being filled
-        self._block_s = self._weights_s = 0.0
-        self._density_m2_s3 = 0.0
+        self._vibration, self._slow = VibrationMonitor(), SlowNoise()
         self._rate: Vector3 = ZERO3
 
     def add(self, rate_body_rad_s: Vector3, specific_force_m_s2: Vector3, dt_s: float) -> None:
         """Take a sample, dt_s after the one before; a gyroscope's bias is too small to count as a turn."""
         self._vibration.add(specific_force_m_s2, dt_s)
+        self._slow.add(specific_force_m_s2, dt_s)
         self._rate = add(self._rate, scale(subtract(rate_body_rad_s, self._rate), dt_s / (LASTING_S + dt_s)))
-        middle_s = self._block_s + 0.5 * dt_s
-        weight_s = dt_s * min(middle_s, max(BLOCK_S - middle_s, 0.0)) / BLOCK_S
-        self._push = add(self._push, scale(specific_force_m_s2, weight_s))
-        self._weights_s += weight_s
-        self._block_s += dt_s
-        if self._block_s < BLOCK_S - 0.5 * dt_s:
-            return
-        if self._weights_s > 0.0:
-            self._left.add(scale(self._push, 1.0 / self._weights_s), self._block_s)
-            self._density_m2_s3 = self._left.rms_m_s2**2 * WEIGHED * self._block_s / 3.0
-        self._push, self._block_s, self._weights_s = ZERO3, 0.0, 0.0
 
     @property
     def now(self) -> StepNoise:
         """Of a step that ends with the newest sample."""
         config = self._config
         return StepNoise(
-            self._density_m2_s3,
+            self._slow.density_m2_s3,
             self._vibration.error_m_s2(config.shaking_bound_m_s2, SHAKING_SHARE),
             self._rate,
         )

@@ -151,9 +151,11 @@ class Search:
         overshoot_m = math.hypot(x + stop_s * vx, y + stop_s * vy)
         return sight.velocity_std_m_s <= c.velocity_std_m_s and overshoot_m <= VIEW_SLOPE * sight.height_m
 
-    def step(self, actual: Motion, in_control: bool, pad: PadKnowledge, now_s: float) -> SearchStep:
-        """One cycle; `actual` is the vehicle in the EKF's NED."""
-        seen = self._takes_up(pad, now_s)
+    def step(
+        self, actual: Motion, in_control: bool, pad: PadKnowledge, now_s: float, *, believed: bool = True
+    ) -> SearchStep:
+        """One cycle; `actual` is the vehicle in the EKF's NED. A pad that is not believed ends no search."""
+        seen = self._takes_up(pad, now_s) and believed
         if not in_control:
             # PX4 switches to offboard only while setpoints stream
             self._had_control = False

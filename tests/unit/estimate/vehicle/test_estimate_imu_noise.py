@@ -23,37 +23,51 @@ DT_S = 0.005
 RESTING: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
 
 
-def density_of(force_m_s2: np.ndarray) -> float:
+def density_of(force_m_s2: np.ndarray, dt_s: float = DT_S) -> float:
     """Of forces (n, 3), in (m/s²)² s."""
     noise = ImuNoise(EkfConfig())
     for sample in force_m_s2.tolist():
-        noise.add(ZERO3, tuple(sample), DT_S)
+        noise.add(ZERO3, tuple(sample), dt_s)
     return noise.now.force_density_m2_s3
 
 
-def test_white_vibration_leaves_its_own_density() -> None:
-    forces = RESTING + 0.5 * np.random.default_rng(3).standard_normal((4000, 3))
-    assert density_of(forces) == pytest.approx(0.5**2 * DT_S, rel=0.35)
+def shaken(tone_hz: float, amplitude_m_s2: float) -> np.ndarray:
+    """Forces (4000, 3) at rest, with a tone along one axis."""
+    forces = np.tile(RESTING, (4000, 1))
+    forces[:, 0] += amplitude_m_s2 * np.sin(math.tau * tone_hz * DT_S * np.arange(4000))
+    return forces
+
+
+@pytest.mark.parametrize("rate_hz", [1000.0, 200.0, 100.0, 50.0, 33.0, 20.0, 10.0])
+def test_white_vibration_leaves_its_own_density_at_any_rate(rate_hz: float) -> None:
+    count = 100 * max(int(rate_hz), 100)
+    forces = RESTING + 0.5 * np.random.default_rng(3).standard_normal((count, 3))
+    found = np.mean([density_of(part, 1.0 / rate_hz) for part in np.split(forces, 20)])
+    assert found == pytest.approx(0.5**2 / rate_hz, rel=0.2)
 
 
 @pytest.mark.parametrize("tone_hz", [55.0, 70.0, 92.0])
-def test_a_tone_leaves_little_in_the_velocity(tone_hz: float) -> None:
-    times = DT_S * np.arange(4000)
-    tone = math.sqrt(2.0) * 0.5 * np.sin(math.tau * tone_hz * times)
-    forces = RESTING + tone[:, None] * np.ones(3)
-    assert density_of(forces) < 0.02 * 0.5**2 * DT_S
+def test_a_quick_tone_leaves_little_in_the_velocity(tone_hz: float) -> None:
+    white_of_its_power = 2.0**2 / 2.0 / 3.0 * DT_S
+    assert density_of(shaken(tone_hz, 2.0)) < 0.03 * white_of_its_power
 
 
-def test_what_aliases_to_ten_hertz_counts() -> None:
-    times = DT_S * np.arange(4000)
-    tone = math.sqrt(2.0) * 0.5 * np.sin(math.tau * 10.0 * times)
-    assert density_of(RESTING + tone[:, None] * np.ones(3)) > 3.0 * 0.5**2 * DT_S
+@pytest.mark.parametrize("tone_hz", [10.0, 15.0, 20.0, 25.0, 28.0, 175.0, 225.0])
+def test_what_aliases_to_a_slow_tone_counts(tone_hz: float) -> None:
+    white_of_its_power = 2.0**2 / 2.0 / 3.0 * DT_S
+    assert density_of(shaken(tone_hz, 2.0)) > 0.5 * white_of_its_power
 
 
-def test_a_vehicle_that_speeds_up_and_brakes_does_not_vibrate() -> None:
-    times = DT_S * np.arange(4000)
-    forces = RESTING + 3.0 * np.sin(math.tau * 0.5 * times)[:, None] * np.array([1.0, 0.0, 0.0])
-    assert density_of(forces) < 0.02**2 * DT_S
+@pytest.mark.parametrize("motion_hz", [0.5, 1.0, 2.0])
+def test_a_vehicle_that_speeds_up_and_brakes_does_not_vibrate(motion_hz: float) -> None:
+    assert density_of(shaken(motion_hz, 3.0)) < 0.02**2 * DT_S
+
+
+def test_uneven_samples_of_a_vehicle_at_rest_are_no_noise() -> None:
+    noise, rng = ImuNoise(EkfConfig()), np.random.default_rng(7)
+    for _ in range(4000):
+        noise.add(ZERO3, RESTING, DT_S * (1.0 + 0.2 * rng.standard_normal()))
+    assert noise.now.force_density_m2_s3 < 1e-20
 
 
 @pytest.mark.parametrize(("period_s", "least", "most"), [(math.inf, 0.95, 1.0), (4.0, 0.0, 0.35)])

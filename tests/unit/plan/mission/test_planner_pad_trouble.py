@@ -162,22 +162,32 @@ def test_echoes_that_contradict_the_pads_height_break_the_landing_off(lie_m: flo
     assert w.fly(120.0).phase is Phase.LANDED
 
 
-def test_a_pad_that_echoes_contradict_is_not_flown_to_in_a_pause_between_them() -> None:
-    # GIVEN something at 0.5 m before the ultrasonic from the descent on, and a spike after every third echo
+@pytest.mark.parametrize("for_s", [60.0, 0.5])
+def test_a_pad_that_echoes_contradict_is_not_flown_to_in_a_pause_between_them(for_s: float) -> None:
+    # GIVEN something at 0.5 m before the ultrasonic from the descent on, and a pause after every third echo
     w = world(still())
     w.fly(60.0, until=lambda x: x.flight.phase is Phase.DESCEND)
-    number = 0
+    number, echo, begun_s = 0, w._echo, w.now_s
 
     def other() -> RangeSample | None:
         nonlocal number
         number += 1
-        return RangeSample(w.now_s, 0.5 if number // 6 % 2 else 3.0)
+        if w.now_s - begun_s > for_s:
+            return echo()
+        return RangeSample(w.now_s, 0.5) if number // 6 % 2 else None
 
     w._echo = other  # type: ignore[method-assign]
     w.fly(10.0, until=lambda x: x.flight.phase is Phase.SEARCH)
-    flight = w.fly(10.0, until=lambda _w: False)
-    # THEN it stays in the search, though the pad is in view
-    assert flight.phase is Phase.SEARCH
+    height_m = w.flight.heights_m[-1]
+    flight = w.fly(4.0, until=lambda _w: False)
+    # THEN it climbs as it says, and does not come back before the echoes agree with the pad
+    assert "climbing" in flight.told("climb")[0]
+    assert max(flight.heights_m) > height_m + 1.5
+    if for_s > 10.0:
+        flight = w.fly(6.0, until=lambda _w: False)
+        assert flight.phase is Phase.SEARCH
+    else:
+        assert w.fly(60.0).phase is Phase.LANDED
     assert len([text for text in flight.told("phase") if "ground near" in text]) == 1
 
 
