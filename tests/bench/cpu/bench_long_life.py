@@ -55,6 +55,8 @@ _PAGE_MB: Final = resource.getpagesize() / 1e6
 _SETTINGS: Final[dict[str, Any]] = {
     "plan": {"mission": {"total_timeout_s": 3600.0}, "landing": {"retries": 20}},
 }
+# a battery lasts for 18 minutes, and the app lands by what is left of it
+_FULL_BATTERY: Final[list[dict[str, Any]]] = [{"kind": "battery", "start_s": 0.0, "remaining_percent": 100}]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +123,7 @@ async def fly(minutes: int, steps_s: list[float], *, logs: bool = True) -> tuple
     """Fly for so long; returns the minutes, and how the flight ended if it ended before."""
     scenario = load_scenario("circle")
     content = scenario.model_dump(by_alias=True, exclude_unset=True)
-    changed = {"companion": merge(scenario.companion, _SETTINGS)}
+    changed = {"companion": merge(scenario.companion, _SETTINGS), "faults": _FULL_BATTERY}
     trial = Trial(Path("circle.yaml"), Scenario.model_validate(merge(content, changed)), 0)
     config = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
     app_end, vehicle_end = memory_pair()
