@@ -54,7 +54,8 @@ EXPLAINING: Final = frozenset(
 )
 # a process that is killed, or a Raspberry Pi without power, loses no more than this
 FLUSHED_S: Final = 0.5
-MCAP_CHUNK_BYTES: Final = 64 * 1024
+# a flush ends a chunk before that; each leaves an index in memory until the log ends
+MCAP_CHUNK_BYTES: Final = 1024 * 1024
 MAVLINK2_MAGIC: Final = 0xFD
 MAVLINK1_MAGIC: Final = 0xFE
 
