@@ -49,8 +49,7 @@ STEADY: Final = StepNoise()
 class VibrationMonitor:
     """The root mean square of what alternates from sample to sample, all axes together."""
 
-    def __init__(self, memory_s: float = MEMORY_S) -> None:
-        self._memory_s = memory_s
+    def __init__(self) -> None:
         self._last: Vector3 = ZERO3
         self._before: Vector3 = ZERO3
         self._samples = 0
@@ -62,7 +61,7 @@ class VibrationMonitor:
         self._before, self._last = self._last, specific_force_m_s2
         self._samples += 1
         if self._samples > 2:
-            k = dt_s / (self._memory_s + dt_s)
+            k = dt_s / (MEMORY_S + dt_s)
             self._mean_square += k * (dot(swing, swing) / _SECOND_DIFFERENCE_VARIANCE - self._mean_square)
 
     @property
@@ -83,14 +82,17 @@ class SlowNoise:
     """
 
     def __init__(self) -> None:
-        self._rising: Vector3 = ZERO3  # of the block that is being filled: the first half of one triangle
-        self._falling: Vector3 = ZERO3  # and the second half of the one before
+        self._begun: tuple[Vector3, float] = (ZERO3, 0.0)  # a triangle's first half and its weight
+        self._means: deque[Vector3] = deque(maxlen=len(_THIRD_DIFFERENCE))
+        self.density_m2_s3 = 0.0
+        self._begin_block()
+
+    def _begin_block(self) -> None:
+        self._rising: Vector3 = ZERO3  # the first half of one triangle
+        self._falling: Vector3 = ZERO3  # the second half of the one before
         self._rise_s = self._fall_s = self._block_s = 0.0
         self._samples = 0
         self._squares_s2 = self._products_s2 = 0.0
-        self._begun: tuple[Vector3, float] = (ZERO3, 0.0)
-        self._means: deque[Vector3] = deque(maxlen=len(_THIRD_DIFFERENCE))
-        self.density_m2_s3 = 0.0
 
     def add(self, specific_force_m_s2: Vector3, dt_s: float) -> None:
         """Take a sample, dt_s after the one before."""
@@ -120,10 +122,7 @@ class SlowNoise:
             share = self._block_s / (BLOCK_MEMORY_S + self._block_s)
             self.density_m2_s3 += share * (seen - self.density_m2_s3)
         self._begun = (self._rising, self._rise_s)
-        self._rising = self._falling = ZERO3
-        self._rise_s = self._fall_s = self._block_s = 0.0
-        self._samples = 0
-        self._squares_s2 = self._products_s2 = 0.0
+        self._begin_block()
 
 
 class ImuNoise:
