@@ -56,7 +56,8 @@ from companion.estimate.pad.pad_filter import (
 from companion.estimate.vehicle.vehicle_estimator import FUTURE_S, VehicleEstimator
 
 RANGE_MAXIMUM_TILT_DEG: Final = 20.0  # echoes come back aslant beyond this
-ATTITUDE_JITTER_DEG: Final = 0.03  # the fast part of the attitude's error
+# the fast part of the attitude's error: a calm vehicle shows 0.004 to 0.008; turns add the exposure's jitter
+ATTITUDE_JITTER_DEG: Final = 0.01
 ATTITUDE_WANDER_RAD_S: Final = 0.3  # how fast the horizon's error changes: a share of itself a second
 
 READOUT_S = 0.02  # about what a camera takes from its first row to its last
