@@ -115,7 +115,7 @@ class Controller:
         self._gains_1_s = velocity_gains(
             vehicle, config, autopilot_kind, sideways=config.setpoint == "velocity"
         )
-        self._gate = LimitsGate(config.limits, vehicle.hover_thrust)
+        self._gate = LimitsGate(config.limits)
         self._feedforward = AdaptiveFeedforward(config.horizontal)
         self._heading = HeadingReference(math.radians(config.limits.heading_rate_deg_s))
         self._nodes_s: FloatArray = config.step_s * np.arange(config.horizon_steps + 1, dtype=np.float64)
@@ -307,7 +307,7 @@ class Controller:
     def _setpoint(self, motion: Motion, solution: TrackingSolution, now_s: float) -> Setpoint:
         plant, look = self._plant, self._look()
         if self._stopped:
-            return stop_setpoint(now_s, self._config, plant.hover_thrust, look)
+            return stop_setpoint(now_s, look)
         u = vector3(solution.inputs_m_s2[0].tolist())
         if self._config.setpoint == "attitude":
             return attitude_setpoint(now_s, motion.velocity_m_s, u, plant.hover_thrust, look)

@@ -17,7 +17,6 @@ import math
 
 from companion.base.geometry import (
     GRAVITY_M_S2,
-    ZERO3,
     Quaternion,
     Vector3,
     add,
@@ -41,9 +40,8 @@ ROUNDING = 1.0 + 1e-9
 class LimitsGate:
     """Bounds setpoints. Remembers the last one, since some things may change only so fast."""
 
-    def __init__(self, config: LimitsConfig, hover_thrust: float) -> None:
+    def __init__(self, config: LimitsConfig) -> None:
         self._config = config
-        self._hover_thrust = hover_thrust
         self._by_tilt_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(config.tilt_deg))
         self.reset()
 
@@ -66,7 +64,7 @@ class LimitsGate:
         time_s, step_s = self._time(now_s, broken)
         if not _finite(setpoint):
             broken.append("not_finite")
-            setpoint = self._hold(setpoint)
+            setpoint = self._stop(setpoint)
         heading = self._heading(setpoint.heading_rad, step_s, broken)
         limited = Setpoint(
             time_s=time_s,
@@ -90,13 +88,9 @@ class LimitsGate:
             return self._last.time_s, 0.0
         return now_s, min(now_s - self._last.time_s, LONGEST_STEP_S)
 
-    def _hold(self, setpoint: Setpoint) -> Setpoint:
+    def _stop(self, setpoint: Setpoint) -> Setpoint:
         heading = self._last.heading_rad if self._last else setpoint.heading_rad
-        heading = heading if math.isfinite(heading) else 0.0
-        if setpoint.attitude is None:
-            return Setpoint(time_s=0.0, heading_rad=heading)
-        upright = attitude_from_acceleration(ZERO3, heading)
-        return Setpoint(time_s=0.0, heading_rad=heading, attitude=upright, thrust=self._hover_thrust)
+        return Setpoint(time_s=0.0, heading_rad=heading if math.isfinite(heading) else 0.0)
 
     def _velocity(self, velocity: Vector3, broken: list[str]) -> Vector3:
         x, y = _within(

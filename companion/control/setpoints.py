@@ -151,10 +151,12 @@ def ground_setpoint(now_s: float, config: ControlConfig, pad: PadState | None, h
     )
 
 
-def stop_setpoint(now_s: float, config: ControlConfig, hover_thrust: float, heading: Heading) -> Setpoint:
-    """Stand still, for when there is no plan that holds: no velocity, or level at hover thrust."""
-    if config.setpoint == "attitude":
-        return attitude_setpoint(now_s, ZERO3, ZERO3, hover_thrust, heading)
+def stop_setpoint(now_s: float, heading: Heading) -> Setpoint:
+    """Stand still, for when there is no plan that holds: no velocity, by the autopilot's own loops.
+
+    An autopilot that is sent attitudes else gets it too: level at hover thrust keeps speed and sink, and the
+    wind adds to them.
+    """
     return Setpoint(time_s=now_s, heading_rad=heading.heading_rad)
 
 

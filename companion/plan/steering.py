@@ -76,7 +76,7 @@ class PhaseSteering:
             config.touchdown, vehicle, config.landing.wait_height_m, generator
         )
         self._held = Hold(config, vehicle.leg_height_m, generator=generator, pad=pad, ground=ground, say=say)
-        self._begun_s, self._contradicted_s = 0.0, -math.inf
+        self._begun_s, self._contradicted_s, self._pilot_flies = 0.0, -math.inf, False
         self._steered_by: dict[Phase, Callable[[PlanInputs, float], DetectedEvent | None]] = {
             Phase.STANDBY: self._stand_by,
             Phase.CONNECT: self._depart,
@@ -174,7 +174,8 @@ class PhaseSteering:
         self._held.stand_still(inputs.vehicle, now_s)
         missing_m = 0.0 if previous in {State.WAYPOINT, State.ROUTE} else self._missing_m()
         climb_m = self.search.begin(missing_m, self._lowest_down_m(), now_s)
-        if climb_m > WORTH_TELLING_M:
+        self._pilot_flies = previous is State.STANDBY  # until control is granted
+        if climb_m > WORTH_TELLING_M and not self._pilot_flies:
             self._say("climb", f"climbing {climb_m:.1f} m to look for the pad", now_s, "warning")
 
     def _missing_m(self) -> float:
@@ -244,6 +245,8 @@ class PhaseSteering:
     def _look_for_pad(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         if inputs.vehicle is None or not self._generator.active:
             return None
+        if self._pilot_flies and self._machine.in_control:
+            self._enter_search(State.SEARCH, inputs, now_s)  # from where the pilot has flown meanwhile
         actual = vehicle_motion(inputs.vehicle, now_s)
         self._keep_near(actual, now_s)
         if self.steps.step_m is not None:

@@ -107,7 +107,7 @@ def _assert_change(before: Setpoint, after: Setpoint) -> None:
 def test_every_setpoint_that_leaves_is_within_all_bounds(
     sequence: list[tuple[Setpoint, float]],
 ) -> None:
-    gate, now_s, last = LimitsGate(CONFIG, HOVER_THRUST), 100.0, None
+    gate, now_s, last = LimitsGate(CONFIG), 100.0, None
     for setpoint, elapsed_s in sequence:
         now_s += elapsed_s
         limited, broken = gate.apply(setpoint, now_s)
@@ -122,8 +122,8 @@ def test_every_setpoint_that_leaves_is_within_all_bounds(
 @settings(max_examples=100, deadline=None)
 @given(setpoints())
 def test_what_has_passed_the_gate_passes_another_unchanged(setpoint: Setpoint) -> None:
-    once, _ = LimitsGate(CONFIG, HOVER_THRUST).apply(setpoint, 1.0)
-    twice, broken = LimitsGate(CONFIG, HOVER_THRUST).apply(once, 1.0)
+    once, _ = LimitsGate(CONFIG).apply(setpoint, 1.0)
+    twice, broken = LimitsGate(CONFIG).apply(once, 1.0)
     assert broken == ()
     assert twice.velocity_ned_m_s == once.velocity_ned_m_s
     assert twice.acceleration_ned_m_s2 == once.acceleration_ned_m_s2
@@ -143,7 +143,7 @@ def test_a_sane_first_setpoint_is_not_touched(
     velocity = (6.0 * inscribed * v[0], 6.0 * inscribed * v[1], 1.5 * vz)
     acceleration = (5.5 * inscribed * a[0], 5.5 * inscribed * a[1], 3.0 * az)
     wanted = Setpoint(1.0, velocity, acceleration, heading_rad)
-    limited, broken = LimitsGate(CONFIG, HOVER_THRUST).apply(wanted, 1.0)
+    limited, broken = LimitsGate(CONFIG).apply(wanted, 1.0)
     assert broken == ()
     assert limited.velocity_ned_m_s == velocity
     assert limited.acceleration_ned_m_s2 == acceleration

@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator
 from typing import Final
 
-from companion.base.geometry import Vector3, ned_from_geodetic
+from companion.base.geometry import Vector3, add, ned_from_geodetic, subtract
 from companion.base.messages import AutopilotState, PadState, VehicleState
 from companion.base.motion import Motion
 from companion.config import MissionConfig
@@ -59,7 +59,8 @@ class Bounds:
     ) -> Iterator[DetectedEvent]:
         """Bounds that are reached."""
         if vehicle is not None and vehicle.origin is not None and autopilot.home is not None:
-            yield from self._space(vehicle, self._home_local(autopilot.home, vehicle.origin))
+            here = self._from_home(vehicle, autopilot, autopilot.home, vehicle.origin)
+            yield from self._space(vehicle, here)
         yield from self._pad(pad, now_s)
 
     def inside_after(
@@ -73,10 +74,21 @@ class Bounds:
         """Whether the pad (EKF's NED) is still inside the fence then, if it drives and turns on as now."""
         if pad is None or vehicle is None or vehicle.origin is None or autopilot.home is None:
             return True
-        home = self._home_local(autopilot.home, vehicle.origin)
-        way = moved_m(pad.velocity_m_s, turn_rate_rad_s, duration_s)
-        north, east = (p + w - h for p, w, h in zip(pad.position_m[:2], way, home[:2], strict=True))
-        return math.hypot(north, east) <= self._config.fence_m
+        here = self._from_home(vehicle, autopilot, autopilot.home, vehicle.origin)
+        north, east, _ = add(here, subtract(pad.position_m, vehicle.position_ned_m))
+        way_n, way_e = moved_m(pad.velocity_m_s, turn_rate_rad_s, duration_s)
+        return math.hypot(north + way_n, east + way_e) <= self._config.fence_m
+
+    def _from_home(
+        self, vehicle: VehicleState, autopilot: AutopilotState, home: Vector3, origin: Vector3
+    ) -> Vector3:
+        """The vehicle's place from home (NED, m); without GPS ours drifts: the worse of both."""
+        ours = subtract(vehicle.position_ned_m, self._home_local(home, origin))
+        if vehicle.has_gps or autopilot.global_position is None:
+            return ours
+        theirs = ned_from_geodetic(*autopilot.global_position, home)
+        north, east, _ = max(ours, theirs, key=lambda place: math.hypot(*place[:2]))
+        return north, east, min(ours[2], theirs[2])
 
     def _home_local(self, home: Vector3, origin: Vector3) -> Vector3:
         """Home in the EKF's NED; worked out once for a home and an origin."""
@@ -84,9 +96,9 @@ class Bounds:
             self._home = (home, origin, ned_from_geodetic(*home, origin))
         return self._home[2]
 
-    def _space(self, vehicle: VehicleState, home: Vector3) -> Iterator[DetectedEvent]:
+    def _space(self, vehicle: VehicleState, from_home_m: Vector3) -> Iterator[DetectedEvent]:
         c = self._config
-        north, east, down = (p - h for p, h in zip(vehicle.position_ned_m, home, strict=True))
+        north, east, down = from_home_m
         vn, ve, vd = vehicle.velocity_ned_m_s
         away_m = math.hypot(north, east)
         outward_m_s = (north * vn + east * ve) / away_m if away_m > 0.0 else 0.0

@@ -81,8 +81,7 @@ def test_without_a_velocity_loop_sideways_all_of_the_input_is_acceleration() -> 
 
 
 def test_standing_still_in_the_air_needs_the_autopilots_velocity_loop() -> None:
-    config = ControlConfig(setpoint="acceleration")
-    assert stop_setpoint(0.0, config, 0.5, Heading(0.0)).holds_horizontal_velocity
+    assert stop_setpoint(0.0, Heading(0.0)).holds_horizontal_velocity
 
 
 @pytest.mark.parametrize(("kind", "holds"), [("acceleration", False), ("velocity", True)])

@@ -36,7 +36,7 @@ def test_the_gate_cuts_nothing_that_is_allowed(tilt_deg: float, hover_thrust: fl
             attitude=attitude_from_acceleration(wanted, 0.0),
             thrust=thrust_from_acceleration(wanted, hover_thrust),
         )
-        assert LimitsGate(limits, hover_thrust).apply(setpoint, 0.0)[1] == ()
+        assert LimitsGate(limits).apply(setpoint, 0.0)[1] == ()
         assert tilt_from_quat(attitude_from_acceleration(wanted, 0.0)) <= math.radians(tilt_deg) + 1e-9
 
 

@@ -57,6 +57,30 @@ def test_the_room_to_stop_in_is_that_of_a_late_and_gentle_brake() -> None:
     assert stopping_m(-3.0) == 0.0
 
 
+@pytest.mark.parametrize(
+    ("ours", "theirs", "reason"),
+    [
+        ((20.0, 0.0, -5.0), (0.0, 60.0, -5.0), "fence of 50 m, 60 m from home"),
+        ((60.0, 0.0, -5.0), (0.0, 20.0, -5.0), "fence of 50 m, 60 m from home"),
+        ((0.0, 0.0, -5.0), (0.0, 0.0, -22.0), "ceiling of 20 m, 22 m over home"),
+    ],
+)
+def test_without_gps_the_autopilots_position_counts_as_well(
+    ours: Vector3, theirs: Vector3, reason: str
+) -> None:
+    drifts = replace(vehicle_at(ours, (0.0, 0.0, 0.0)), has_gps=False)
+    autopilot = AutopilotState(
+        5.0, connected=True, home=HOME, global_position=geodetic_from_ned(theirs, HOME)
+    )
+    assert [words for _, words in Bounds(CONFIG).detect(drifts, None, autopilot, 5.0)] == [reason]
+    fixed = replace(drifts, has_gps=True)
+    assert bool([*Bounds(CONFIG).detect(fixed, None, autopilot, 5.0)]) is (ours[0] > 50.0)
+    # and so where the pad will be
+    pad = Motion(drifts.position_ned_m)
+    inside = Bounds(CONFIG).inside_after(5.0, pad, 0.0, drifts, autopilot)
+    assert inside is not reason.startswith("fence")
+
+
 def test_without_home_or_an_estimate_there_is_nothing_to_count_from() -> None:
     assert found(vehicle_at((500.0, 0.0, -5.0), (0.0, 0.0, 0.0)), home=None) == []
     assert found(None) == []

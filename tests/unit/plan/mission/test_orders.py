@@ -49,6 +49,23 @@ def test_ordered_in_the_air_it_takes_over_lands_and_disarms(pad: Callable[..., o
     assert asked(w)[-2:] == [ActionKind.DISARM, ActionKind.LEAVE_OFFBOARD]
 
 
+def test_control_granted_late_begins_where_the_pilot_has_flown_meanwhile() -> None:
+    w = flown_by_a_pilot()
+    w.blind = lambda _t, _height: True
+    w.autopilot.refuse[ActionKind.TAKE_CONTROL] = 2
+    assert order(w) is None
+    w.fly(1.0)
+    w.position = (34.0, 5.0, -3.0)  # 26 m away and lower than the search is
+    w.fly(20.0, until=lambda w: w.autopilot.mode == "OFFBOARD")
+    granted_s = w.now_s
+    assert asked(w).count(ActionKind.TAKE_CONTROL) == 3
+    w.fly(2.5)
+    assert math.dist(w.position[:2], (34.0, 5.0)) < 1.0
+    climbs = [notice for notice in w.flight.notices if notice.kind == "climb"]
+    assert [notice.text[:11] for notice in climbs] == ["climbing 4."]
+    assert 0.0 <= climbs[0].time_s - granted_s < 0.2
+
+
 def test_an_order_is_for_the_moment_it_is_not_kept() -> None:
     w = flown_by_a_pilot()
     w.camera_problem = "no frame for 2.0 s"
