@@ -58,7 +58,8 @@ def build_stages(
     pad = load_pad(config.pad)
     antenna = config.sense.gps.antenna_position_body_m
     session = _session(config)
-    estimator = StateEstimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
+    half_width_m = 0.5 * min(pad.width_m, pad.length_m)
+    estimator = StateEstimator(config.estimate, vehicle, antenna, half_width_m)
     sensing = Sensing(
         config,
         hardware,
@@ -85,7 +86,14 @@ def build_stages(
     def make_planner(standby: str | None) -> Planner:
         control = config.control
         return Planner(
-            config.plan, vehicle, control.horizon_steps, control.step_s, law, pace=pace, standby=standby
+            config.plan,
+            vehicle,
+            control.horizon_steps,
+            control.step_s,
+            law,
+            pace=pace,
+            standby=standby,
+            pad_half_width_m=half_width_m,
         )
 
     return Stages(vehicle, session, estimator, sensing, control_timer, make_planner)

@@ -29,11 +29,12 @@ PREDICTED_S = 0.1  # beyond the newest sample an acceleration goes on for so lon
 class MotionHistory:
     """Attitudes and acceleration integrals of the last `span_s` to `2 span_s`.
 
-    `noise_density_m2_s3` is the density of the acceleration's noise on an axis, lately.
+    `noise_density_m2_s3` is the density of the acceleration's noise on an axis, lately, `turn_density_rad2_s`
+    that of the rate of turn's.
     """
 
     def __init__(self, span_s: float) -> None:
-        self.noise_density_m2_s3 = 0.0
+        self.noise_density_m2_s3 = self.turn_density_rad2_s = 0.0
         self._span_s = span_s
         self._times_s: list[float] = []
         self._attitudes: list[Quaternion] = []

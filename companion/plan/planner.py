@@ -52,6 +52,7 @@ class Planner:
         *,
         pace: PaceLaw = unhurried,
         standby: str | None = None,
+        pad_half_width_m: float = 0.0,
     ) -> None:
         """Ready to connect; with `standby`, in STANDBY: for good if that is a reason, else for an order.
 
@@ -83,6 +84,7 @@ class Planner:
             ground=self._ground,
             requests=self._requests,
             say=self._say,
+            pad_half_width_m=pad_half_width_m,
             standby=standby,
         )
 

@@ -53,6 +53,7 @@ class PhaseSteering:
         ground: Ground,
         requests: Requests,
         say: NoticeSink,
+        pad_half_width_m: float,
         standby: str | None = None,
     ) -> None:
         self._standby = standby
@@ -73,7 +74,7 @@ class PhaseSteering:
         self.search = Search(config.search, generator, config.mission.pad_speed_m_s)
         self._landing = Landing(config.landing, vehicle, generator)
         self._touchdown = TouchdownSequence(
-            config.touchdown, vehicle, config.landing.wait_height_m, generator
+            config.touchdown, vehicle, config.landing.wait_height_m, generator, pad_half_width_m
         )
         self._held = Hold(config, vehicle.leg_height_m, generator=generator, pad=pad, ground=ground, say=say)
         self._begun_s, self._contradicted_s, self._pilot_flies = 0.0, -math.inf, False

@@ -15,6 +15,7 @@ from typing import Final
 
 from companion.base.udp_socket import Inbox, UdpSocket
 from companion.config import CONNECTION_FORM, ConfigError
+from sitl.run.mavlink_line import ByteLink
 
 RETRY_S: Final = 1.0
 _READ_BYTES: Final = 4096
@@ -131,7 +132,7 @@ async def open_relay() -> tuple[UdpSocket, int]:
     return relay, await relay.open("127.0.0.1", 0, listen=True)
 
 
-async def pump(source: ExternalLink, *sinks: Callable[[bytes], None], tell: Tell = print) -> None:
+async def pump(source: ByteLink, *sinks: Callable[[bytes], None], tell: Tell = print) -> None:
     """Forward what arrives, until cancelled or the source is closed.
 
     Invalid values from the vehicle do not end the simulation: `tell` gets the first

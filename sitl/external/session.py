@@ -10,7 +10,7 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from rich.console import Console
@@ -19,18 +19,17 @@ from rich.table import Table
 from companion.base.clock import Clock
 from companion.base.geometry import Vector3, tilt_from_quat
 from companion.base.messages import Frame, Phase, Truth
-from companion.base.udp_socket import UdpSocket
 from companion.config import VehicleConfig, find_file, load_model
 from sitl.camera.frame_line import FrameLine
-from sitl.camera.frame_server import FrameServer
-from sitl.devices.ports import PtyPort
+from sitl.devices.ports import DevicePort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
 from sitl.external.client import VehicleClient
-from sitl.external.link import ExternalLink, pump
+from sitl.external.link import pump
 from sitl.external.pose import LONGEST_GUESS_S
 from sitl.external.rangefinder import RangefinderMessages
 from sitl.external.world import ExternalWorld
 from sitl.mavlink.ground_station import GroundStation
+from sitl.run.mavlink_line import ByteLink
 from sitl.run.report import SimulationReport
 from sitl.run.scene_camera import SceneCamera
 from sitl.run.sensor_setup import sensor_errors
@@ -47,14 +46,36 @@ _MOST_TRUTH: Final = 100_000  # half an hour: more than a flight, and not all of
 STREAM: Final = 22  # random draws of this world: (seed, 22); the pad's are the bundled world's own
 
 
+class Relay(ByteLink, Protocol):
+    """The app's connection to the vehicle, if it shares the world's."""
+
+    @property
+    def has_peer(self) -> bool:
+        """Whether the app has sent anything."""
+        ...
+
+
+class FrameSink(Protocol):
+    """Takes the camera's frames."""
+
+    @property
+    def client_count(self) -> int:
+        """How many are watching."""
+        ...
+
+    def deliver(self, frame: Frame) -> None:
+        """A frame has arrived."""
+        ...
+
+
 @dataclass(slots=True)
 class ExternalConnections:
     """The connected parts; the caller closes the ports."""
 
-    link: ExternalLink
-    relay: UdpSocket
-    range_port: PtyPort
-    frames: FrameServer
+    link: ByteLink
+    relay: Relay
+    range_port: DevicePort
+    frames: FrameSink
 
 
 class ExternalSimulation:
@@ -236,7 +257,7 @@ class ExternalSimulation:
             now_s = self._clock.now_s()
             watched = self._connections.frames.client_count > 0
             self._camera.skip_to(now_s - CAMERA_BACKLOG_S if watched else now_s)
-            taken = await asyncio.to_thread(self._camera.step, now_s)
+            taken = await self._clock.run(self._camera.step, now_s, modelled_s=0.0)
             if taken is not None:
                 self._deliver_later(*taken)
 

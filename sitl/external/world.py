@@ -4,7 +4,8 @@ The vehicle's pose is given, so nothing here pushes it: its own simulator has th
 height on which the vehicle stands when it is first seen, disarmed. There lies the pad, flush, whatever height
 the scenario gives it. The pad sets off when the vehicle is armed, and is back at its start when that is
 disarmed without having flown. Touchdown is when a foot meets the ground;
-its own simulator does not carry a vehicle on the pad along, so the pad waits under it until it flies again.
+its own simulator does not carry a vehicle on the pad along, so the pad goes with the vehicle until it flies
+again (`touched_pad`).
 
 NED from where the vehicle was first seen, z = 0 the ground, the vehicle's reference point at its airframe's
 standing height over it; SI.
@@ -17,11 +18,12 @@ from typing import Final
 
 import numpy as np
 
-from companion.base.geometry import ZERO3, Vector3, add, ned_from_geodetic, norm, quat_rotate, tilt_from_quat
+from companion.base.geometry import Vector3, add, ned_from_geodetic, norm, quat_rotate, tilt_from_quat
 from companion.base.messages import Phase, Truth
 from companion.config import ConfigError
 from companion.pad import load_pad
 from sitl.external.pose import Pose, PoseTrack, Sample
+from sitl.external.touched_pad import TouchedPad
 from sitl.pad.motion import PadMotion, PadTruth, build_pad_motion
 from sitl.scenario.scenario import Scenario, load_airframe
 from sitl.vehicle.quadrotor import QuadrotorState
@@ -55,12 +57,13 @@ class ExternalWorld:
         self._standing_m = airframe.legs.standing_height_m()
         self._bounds = scenario.pass_bounds
         self.board = PadBoard.of(load_pad(scenario.pad.name))
-        self._motion = build_pad_motion(
+        motion = build_pad_motion(
             scenario.pad.motion, 0.0, scenario.pad.heading, np.random.default_rng((seed, PAD_STREAM))
         )
-        _check_level(self._motion, scenario)
+        _check_level(motion, scenario)
         self._obstacles = Obstacles(scenario.obstacles, airframe.body)
         self.track = PoseTrack()
+        self._pad = TouchedPad(motion, airframe.legs.friction, self.track.at)
         self.origin: Vector3 | None = None
         self._forget_flight()
 
@@ -80,22 +83,16 @@ class ExternalWorld:
         self._load = NO_CONTACT
         self._in_air: Pose | None = None
         self._watch = TouchdownDetector()
-        self._stop_pad()
-
-    def _stop_pad(self) -> None:
-        """Back to its start, until the vehicle is armed."""
-        self._departed_s: float | None = None
-        self._waited_s = 0.0
-        self._waits_since_s: float | None = None
+        self._pad.stop()
 
     def see(self, sample: Sample, *, armed: bool) -> None:
         """Take the vehicle's next pose; `begin` comes first."""
         assert self.origin is not None
         self.armed = armed
-        if armed and self._departed_s is None:
-            self._departed_s = sample.time_s
+        if armed and not self._pad.departed:
+            self._pad.depart(sample.time_s)
         elif not armed and not self.flown:
-            self._stop_pad()
+            self._pad.stop()
         north, east, down = ned_from_geodetic(*sample.place, self.origin)
         position = (north, east, down - self._standing_m)
         pose = self.track.put(
@@ -111,7 +108,7 @@ class ExternalWorld:
             self._touch(pose)
 
     def _touch(self, pose: Pose) -> None:
-        """Feet on the ground, the pad that waits beneath, and what the score takes down of it."""
+        """Feet on the ground, the pad that goes with them, and what the score takes down of it."""
         feet = [add(pose.position_ned_m, quat_rotate(pose.attitude, foot)) for foot in self._feet]
         lowest_m = -max(foot[2] for foot in feet)
         pad, touched = self.pad_at(pose.time_s), self._load.touching
@@ -128,25 +125,16 @@ class ExternalWorld:
         self._watch.step(pose.time_s, _body(state), self.pad_at(state.time_s), self._load)
         self._watch.airborne(lowest_m)
         self.flown = self.flown or (self.armed and self._watch.flying)
-        self._hold_pad(pose.time_s, waits=self._load.on_board >= STANDING_FEET)
-
-    def _hold_pad(self, now_s: float, *, waits: bool) -> None:
-        if waits and self._waits_since_s is None:
-            self._waits_since_s = now_s
-        elif not waits and self._waits_since_s is not None:
-            self._waited_s += now_s - self._waits_since_s
-            self._waits_since_s = None
+        if self._load.on_board and self._pad.departed and not self._pad.carries:
+            self._pad.touch(state)
+        elif not self._load.touching and self._pad.carries:
+            self._pad.release(pose.time_s)
 
     # ------------------------------------------------------------ out
 
     def pad_at(self, time_s: float) -> PadTruth:
         """The pad at a time of the last second."""
-        departed, waits_since = self._departed_s, self._waits_since_s
-        if departed is None or time_s <= departed:
-            return _standing(self._motion.at(0.0))
-        if waits_since is not None and time_s > waits_since:
-            return _standing(self._motion.at(max(0.0, waits_since - departed - self._waited_s)))
-        return self._motion.at(max(0.0, time_s - departed - self._waited_s))
+        return self._pad.at(time_s)
 
     def truth_at(self, time_s: float) -> Truth:
         """Vehicle and pad at a time of the last second.
@@ -225,10 +213,6 @@ def _check_level(motion: PadMotion, scenario: Scenario) -> None:
                 f"'{scenario.pad.motion.kind}'); expected one that stays level with it, since the "
                 "ground of an external simulator is flat: static, line, circle, figure_8 or random_turns"
             )
-
-
-def _standing(pad: PadTruth) -> PadTruth:
-    return pad._replace(velocity_ned_m_s=ZERO3, acceleration_ned_m_s2=ZERO3, heading_rate_rad_s=0.0)
 
 
 def _body(pose: Pose) -> QuadrotorState:

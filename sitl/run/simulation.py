@@ -49,6 +49,7 @@ from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.sensors.calibration_errors import BoardTruth
 from sitl.sensors.sensors import RangeErrors
 from sitl.vehicle.hand_motion import HandMotion
+from sitl.world.firm_ground import FirmGroundWorld
 from sitl.world.hand_held import HandHeldWorld
 from sitl.world.score import judge
 from sitl.world.world import World
@@ -100,7 +101,7 @@ class Simulation:
 
         `link` is the MAVLink line of an app in this process; other clients connect to `line`.
         `unix_at_start_s` is UTC (s since 1970) at simulation time 0. `serve_truth` lets clients request the
-        truth, `keep_truth` stores it for `report`. With a `motion` the vehicle is carried by hand and cannot
+        truth, over ground as other simulators have it (`firm_ground`); `keep_truth` stores it for `report`. With a `motion` the vehicle is carried by hand and cannot
         fly; `hands_wait`: until `begin_motion`. A `firmware` that flies it has booted on return.
         `computer`: where faults of the companion computer are noted, for a harness that applies them.
 
@@ -113,7 +114,7 @@ class Simulation:
         self._camera_wanted, self._deliver_frame = camera_wanted, deliver_frame
         self._keep_truth = keep_truth
         self._truth: list[Truth] = []
-        self._world = world = _world(scenario, seed, motion, hands_wait)
+        self._world = world = _world(scenario, seed, motion, hands_wait, firm_ground=serve_truth)
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
         self._range_finder = world.ranging(self._vehicle.range_position_body_m, HALF_BEAM_RAD)
         streams = np.random.default_rng((seed, SIMULATION_STREAM)).spawn(6)
@@ -332,7 +333,9 @@ class Simulation:
         asyncio.get_running_loop().call_at(self._timer.start_s + max(delivery_s, now_s), deliver)
 
 
-def _world(scenario: Scenario, seed: int, motion: HandMotion | None, hands_wait: bool) -> World:
+def _world(
+    scenario: Scenario, seed: int, motion: HandMotion | None, hands_wait: bool, *, firm_ground: bool
+) -> World:
     if motion is None:
-        return World(scenario, seed)
+        return FirmGroundWorld(scenario, seed) if firm_ground else World(scenario, seed)
     return HandHeldWorld(scenario, seed, motion, waits=hands_wait)

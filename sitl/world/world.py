@@ -162,11 +162,7 @@ class World:
     def _surface_effects(self, dt_s: float) -> Four:
         """Update the contact; returns each rotor's thrust ratio in ground effect."""
         clear_m = self.board.ceiling_down_m(self.pad_state) - self._state.position_ned_m[2]
-        if clear_m <= self._contact.reach_m:
-            self._load = self._contact.step(self._state, self.pad_state, dt_s)
-        elif self._load is not NO_CONTACT:
-            self._contact.release()
-            self._load = NO_CONTACT
+        self._update_contact(clear_m, dt_s)
         if clear_m > self._ground_effect_reach_m:
             return NO_RATIO
         return rotor_ratios(
@@ -176,6 +172,14 @@ class World:
             self.board,
             self.pad_state,
         )
+
+    def _update_contact(self, clear_m: float, dt_s: float) -> None:
+        """The legs' load for the coming step; nothing that touches lies less than `clear_m` beneath."""
+        if clear_m <= self._contact.reach_m:
+            self._load = self._contact.step(self._state, self.pad_state, dt_s)
+        elif self._load is not NO_CONTACT:
+            self._contact.release()
+            self._load = NO_CONTACT
 
     def _snapshot(self) -> _Snapshot:
         return _Snapshot(self.time_s, self._state, self.pad_state, self.wind_ned_m_s, self._load.touching)

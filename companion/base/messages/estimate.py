@@ -51,6 +51,9 @@ class PadState:
     `jerk_ned_m_s3` what its acceleration changes by beyond turning, `models` the probability of each model
     of its motion.
 
+    `seen_velocity_ned_m_s` is the relative velocity without what the vehicle has accelerated since the last
+    sighting: where something else than the air pushed it, as at a contact, the pad may have been pushed too.
+
     The tilt is the horizontal part (north, east) of the pad's normal, which points down: rad while it is
     small. It swings about its mean by `tilt_swing_rad` (root mean square, both axes together) at
     `tilt_frequency_rad_s`; 0: it does not.
@@ -75,6 +78,7 @@ class PadState:
     tilt_mean_rad: tuple[float, float] = (0.0, 0.0)
     tilt_swing_rad: float = 0.0
     tilt_frequency_rad_s: float = 0.0
+    seen_velocity_ned_m_s: Vector3 = ZERO3
 
     @property
     def height_m(self) -> float:

@@ -175,7 +175,7 @@ class EkfState:
         unseen_s = max(dt_s - LONGEST_STEP_S, 0.0)
         p, q, r = noise.lasting_rate_rad_s
         r = 0.0 if self.has_position else r  # a yaw's are in `yaw_error`
-        turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples
+        turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples + noise.rate_density_rad2_s * dt_s
         turn += GYRO_SCALE_ERROR**2 * (p * p + q * q + r * r) * dt_s
         velocity = self._force_density(noise, dt_s, samples) * dt_s
         velocity += noise.force_error_m_s2**2 * FORCE_ERROR_S * dt_s

@@ -2,7 +2,7 @@
 
 Vibration is no motion of the vehicle. What alternates from sample to sample is vibration: it shows in the
 second difference of three samples. Most of it is gone from a sum of samples; what is left, and what comes in
-by aliasing, is noise of the velocity: `SlowNoise`. An element that saturates, or that rectifies vibration,
+by aliasing, is noise of the velocity, and of the attitude: `SlowNoise`. An element that saturates, or that rectifies vibration,
 shifts its mean besides, by a share of what exceeds a bound, and for as long as that lasts.
 
 Scale errors and misalignment turn the attitude by a share of the turn itself. A vehicle that tilts and
@@ -33,12 +33,13 @@ _PRODUCTS: Final = -15.0
 class StepNoise(NamedTuple):
     """What is known of the errors of a step of the IMU.
 
-    `force_density_m2_s3` is the density of the noise that vibration leaves on an axis, `force_error_m_s2` by
-    how much the mean may be off for a second or so, `lasting_rate_rad_s` (body) how the vehicle has turned in
+    `force_density_m2_s3` is the density of the noise that vibration leaves on an axis of the accelerometer,
+    `rate_density_rad2_s` that on one of the gyroscope, `force_error_m_s2` by how much the mean may be off for a second or so, `lasting_rate_rad_s` (body) how the vehicle has turned in
     the last seconds.
     """
 
     force_density_m2_s3: float = 0.0
+    rate_density_rad2_s: float = 0.0
     force_error_m_s2: float = 0.0
     lasting_rate_rad_s: Vector3 = ZERO3
 
@@ -77,14 +78,15 @@ class VibrationMonitor:
 class SlowNoise:
     """The density of the noise (an axis) below some 30 Hz, which a sum of samples keeps.
 
-    By means of the force that triangles of 40 ms weigh, one every 20 ms: quick tones leave nothing in them,
-    as in the velocity. Their third difference takes out the vehicle's own motion.
+    By means of the samples that triangles of 40 ms weigh, one every 20 ms: quick tones leave nothing in them,
+    as in the integral. Their third difference takes out the vehicle's own motion. The density is per second
+    of the samples' unit squared: m²/s³ of a force, rad²/s of a rate.
     """
 
     def __init__(self) -> None:
         self._begun: tuple[Vector3, float] = (ZERO3, 0.0)  # a triangle's first half and its weight
         self._means: deque[Vector3] = deque(maxlen=len(_THIRD_DIFFERENCE))
-        self.density_m2_s3 = 0.0
+        self.density = 0.0
         self._begin_block()
 
     def _begin_block(self) -> None:
@@ -94,12 +96,12 @@ class SlowNoise:
         self._samples = 0
         self._squares_s2 = self._products_s2 = 0.0
 
-    def add(self, specific_force_m_s2: Vector3, dt_s: float) -> None:
+    def add(self, sample: Vector3, dt_s: float) -> None:
         """Take a sample, dt_s after the one before."""
         rise_s = dt_s * min((self._block_s + 0.5 * dt_s) / BLOCK_S, 1.0)
         fall_s = dt_s - rise_s
-        self._rising = add(self._rising, scale(specific_force_m_s2, rise_s))
-        self._falling = add(self._falling, scale(specific_force_m_s2, fall_s))
+        self._rising = add(self._rising, scale(sample, rise_s))
+        self._falling = add(self._falling, scale(sample, fall_s))
         self._rise_s, self._fall_s = self._rise_s + rise_s, self._fall_s + fall_s
         self._squares_s2 += rise_s * rise_s + fall_s * fall_s
         self._products_s2 += rise_s * fall_s
@@ -120,7 +122,7 @@ class SlowNoise:
             variance = (_SQUARES * self._squares_s2 + 2.0 * _PRODUCTS * self._products_s2) / weight_s**2
             seen = dot(swing, swing) / 3.0 / variance * self._block_s / self._samples
             share = self._block_s / (BLOCK_MEMORY_S + self._block_s)
-            self.density_m2_s3 += share * (seen - self.density_m2_s3)
+            self.density += share * (seen - self.density)
         self._begun = (self._rising, self._rise_s)
         self._begin_block()
 
@@ -130,13 +132,14 @@ class ImuNoise:
 
     def __init__(self, config: EkfConfig) -> None:
         self._config = config
-        self._vibration, self._slow = VibrationMonitor(), SlowNoise()
+        self._vibration, self._slow_force, self._slow_rate = VibrationMonitor(), SlowNoise(), SlowNoise()
         self._rate: Vector3 = ZERO3
 
     def add(self, rate_body_rad_s: Vector3, specific_force_m_s2: Vector3, dt_s: float) -> None:
         """Take a sample, dt_s after the one before; a gyroscope's bias is too small to count as a turn."""
         self._vibration.add(specific_force_m_s2, dt_s)
-        self._slow.add(specific_force_m_s2, dt_s)
+        self._slow_force.add(specific_force_m_s2, dt_s)
+        self._slow_rate.add(rate_body_rad_s, dt_s)
         self._rate = add(self._rate, scale(subtract(rate_body_rad_s, self._rate), dt_s / (LASTING_S + dt_s)))
 
     @property
@@ -144,7 +147,8 @@ class ImuNoise:
         """Of a step that ends with the newest sample."""
         config = self._config
         return StepNoise(
-            self._slow.density_m2_s3,
+            self._slow_force.density,
+            self._slow_rate.density,
             self._vibration.error_m_s2(config.shaking_bound_m_s2, SHAKING_SHARE),
             self._rate,
         )

@@ -295,6 +295,7 @@ class VehicleEstimator:
         self._strapdown.add(dt_s, mean_rate, mean_force)
         self._second_gyro.add_rate(sample.time_s, mean_rate, dt_s)
         self._noise.add(*raw, dt_s)
+        self.motion.turn_density_rad2_s = self._noise.now.rate_density_rad2_s
         self._inertial.add(sample, dt_s, mean_rate, mean_force, self._orientation)
 
     def _collect(self, sample: ImuSample) -> None:

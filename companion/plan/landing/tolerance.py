@@ -65,9 +65,13 @@ def stopping_m(sink_m_s: float, tilt_rad: float, foot_reach_m: float) -> float:
 
 
 def slides_off(sight: PadState, farthest_m: float) -> str:
-    """Says so when feet that touch would slide farther aside than that, the pad having stopped; else ""."""
-    (x, y, _), (vx, vy, _) = sight.relative_position_ned_m, sight.relative_velocity_ned_m_s
-    speed_m_s = sight.lateral_speed_m_s
+    """Says so when feet that touch would slide farther aside than that, the pad having stopped; else "".
+
+    By the speed that was seen: a vehicle that is stopped at the contact feels the same whether it slides over
+    the pad from then on or the pad has stopped with it, and the next sightings tell.
+    """
+    (x, y, _), (vx, vy, _) = sight.relative_position_ned_m, sight.seen_velocity_ned_m_s
+    speed_m_s = math.hypot(vx, vy)
     slides_s = 0.5 * speed_m_s / _SLIDES_M_S2
     # a filter that has just started says any speed, but not that it knows it
     known = sight.age_s <= FRESH_S and speed_m_s >= max(_SLIDES_M_S, _SURELY * sight.velocity_std_m_s)

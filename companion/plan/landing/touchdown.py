@@ -65,8 +65,10 @@ class TouchdownSequence:
         vehicle: VehicleConfig,
         wait_height_m: float,
         generator: ReferenceGenerator,
+        pad_half_width_m: float,
     ) -> None:
         self._config, self._vehicle, self._generator = config, vehicle, generator
+        self._feet_on_pad_m = pad_half_width_m - vehicle.foot_reach_m
         self._wait_height_m = vehicle.leg_height_m + wait_height_m
         self._low_m = vehicle.leg_height_m + 2.0 * config.contact_margin_m
         self._standing, self._set_down = Standing(config, vehicle), SetDown(config, vehicle, generator)
@@ -274,7 +276,9 @@ class TouchdownSequence:
         return sight.lateral_m > self._tolerance.escape_m
 
     def _slides(self, sight: PadState) -> str:
-        return slides_off(sight, self._tolerance.escape_m) if sight.height_m <= self._low_m else ""
+        """Whether the feet would slide off the pad, or as far as the lateral tolerance where that is wider."""
+        farthest_m = max(self._tolerance.escape_m, self._feet_on_pad_m)
+        return slides_off(sight, farthest_m) if sight.height_m <= self._low_m else ""
 
     def _wrong(self, sight: PadState, now_s: float) -> str:
         """Why this landing would be hard or off the mark; "" while it is fine."""

@@ -1,0 +1,125 @@
+"""The app against an autopilot that is not the bundled one, in virtual time: our own simulator plays it.
+
+Three parties, as with a real ArduPilot or PX4 SITL: a vehicle whose ground stops it dead and knows no pad, the
+external world that watches its true pose, and the app, which takes the vehicle's sensors by telemetry. They
+share one loop; pipes within the process take the place of sockets.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from typing import Any, Final
+
+from companion.app.app import App
+from companion.app.hardware import Hardware, make_own_actions
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.clock import run_in_virtual_time
+from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate
+from companion.flightlog.record import FlightLog
+from companion.flightlog.result import Result
+from companion.link.inbox import MemoryTransport, memory_pair
+from companion.sim.external import External
+from companion.sim.runner import SitlFlight
+from companion.sim.scoring import score
+from companion.sim.settings import sitl_settings
+from companion.sim.trial import Trial
+from sitl.devices.ports import MemoryPort
+from sitl.external.session import ExternalConnections, ExternalSimulation
+from sitl.run.in_process import RANGE_BAUD, MemoryFrames
+from sitl.run.simulation import Simulation
+from sitl.scenario.home import magnetic_field_ned_ut
+from sitl.scenario.scenario import Scenario, load_scenario
+
+SPEC: Final = "udp:127.0.0.1:1"  # nobody connects: the pipes are there already
+_FOUND_TIMEOUT_S: Final = 20.0
+
+
+@dataclass
+class ExternalFlight:
+    """A flight that has ended: its result, what the app told, and how often it climbed away from the pad."""
+
+    result: Result
+    told: list[str]
+
+    def times_told(self, words: str) -> int:
+        """How many notices hold these words."""
+        return sum(words in text for text in self.told)
+
+    def __str__(self) -> str:
+        return "\n".join([str(self.result.outcome), str(self.result.touchdown), *self.told])
+
+
+class _Relay(MemoryTransport):
+    has_peer = False  # the app has a connection of its own
+
+
+class _Frames(MemoryFrames):
+    client_count = 1
+
+
+def vehicles_world(kind: AutopilotKind) -> Scenario:
+    """Where the vehicle flies: flat ground, its own simulator's pad being far away and flush with it."""
+    static = load_scenario("static")
+    motion = static.pad.motion.model_copy(
+        update={"meet": static.pad.motion.meet.model_copy(update={"point_ned_m": (-100.0, 0.0)})}
+    )
+    pad = static.pad.model_copy(update={"surface_height_m": 0.0, "motion": motion})
+    return static.model_copy(update={"autopilot": kind, "pad": pad, "wind": static.wind})
+
+
+def fly_external(
+    scenario: str, seed: int, kind: AutopilotKind, config: dict[str, Any] | None = None
+) -> ExternalFlight:
+    """Fly a scenario's pad around a vehicle of that make; `config` are settings of the app to change."""
+    return run_in_virtual_time(_fly(scenario, seed, kind, config or {}))
+
+
+async def _fly(name: str, seed: int, kind: AutopilotKind, changes: dict[str, Any]) -> ExternalFlight:
+    trial = Trial.load(name, seed, external=External(SPEC, SPEC))
+    settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
+    log = FlightLog(None, start_unix_s=0.0)
+    async with _world(trial, kind) as (world, app_end, frames, range_port):
+        assert world.place is not None
+        found = {"estimate": {"magnetic_field_ned_ut": list(magnetic_field_ned_ut(world.place))}}
+        wired = validate(CompanionConfig, merge(merge(settings.model_dump(), found), changes), "the flight")
+        hardware = Hardware(app_end, frames, imu_bus=None, gps_port=None, range_port=range_port.app)
+        app = App(wired, hardware, log, make_own_actions, lambda _status: None)
+        flight = asyncio.create_task(app.run())
+        try:
+            await asyncio.wait([flight], timeout=trial.time_limit_s)
+            phase = flight.result() if flight.done() else app.phase
+        finally:
+            flight.cancel()
+            await asyncio.gather(flight, return_exceptions=True)
+        report = world.report(phase)
+    result = score(trial, SitlFlight(report, 1.0, app.loop_monitor.late_share), log)
+    return ExternalFlight(result, [f"{event.time_s:.1f} {event.text}" for event in result.events])
+
+
+@asynccontextmanager
+async def _world(
+    trial: Trial, kind: AutopilotKind
+) -> AsyncIterator[tuple[ExternalSimulation, MemoryTransport, _Frames, MemoryPort]]:
+    """The vehicle with the world around it, once that has found it; the app's ends of both."""
+    app_end, vehicle_end = memory_pair()
+    world_end, truth_end = memory_pair()
+    _, relay = _Relay(0.002), _Relay(0.002)
+    range_port, frames = MemoryPort(RANGE_BAUD), _Frames()
+    vehicle = Simulation(
+        vehicles_world(kind), trial.seed, link=vehicle_end, gps_port=MemoryPort(9600),
+        range_port=MemoryPort(RANGE_BAUD), deliver_frame=lambda _frame: None, camera_wanted=lambda: False,
+        serve_truth=True,
+    )  # fmt: skip
+    connections = ExternalConnections(world_end, relay, range_port, frames)
+    world = ExternalSimulation(trial.scenario, trial.seed, connections, lambda _text: None)
+    tasks = [asyncio.create_task(part) for part in (vehicle.run(), vehicle.line.serve(truth_end), world.run())]
+    try:
+        await asyncio.wait_for(world.ready.wait(), _FOUND_TIMEOUT_S)
+        yield world, app_end, frames, range_port
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
