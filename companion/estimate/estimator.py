@@ -42,7 +42,7 @@ from companion.base.messages import (
 )
 from companion.config import EstimateConfig, VehicleConfig
 from companion.estimate.gating import Timeline
-from companion.estimate.motion import PREDICTED_S, MotionHistory
+from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_delay import CameraDelay
 from companion.estimate.pad.mount_check import MountCheck
 from companion.estimate.pad.pad_filter import (
@@ -60,6 +60,7 @@ RANGE_MAXIMUM_TILT_DEG: Final = 20.0  # echoes come back aslant beyond this
 ATTITUDE_JITTER_DEG: Final = 0.01
 ATTITUDE_WANDER_RAD_S: Final = 0.3  # how fast the horizon's error changes: a share of itself a second
 
+FRAMES_APART_S: Final = 1.0 / 30.0
 READOUT_S = 0.02  # about what a camera takes from its first row to its last
 CALIBRATION_SHARE = 0.99  # of a sighting's least variance, at most; the rest keeps its covariance positive
 LARGEST_RATE_RAD_S = 70.0  # an MPU9250 measures 35 rad/s and 157 m/s² at most: more is a fault of the line
@@ -252,9 +253,7 @@ class StateEstimator:
             tilt_mean_rad=estimate.tilt.mean_rad,
             tilt_swing_rad=estimate.tilt.swing_rad,
             tilt_frequency_rad_s=estimate.tilt.frequency_rad_s,
-            seen_velocity_ned_m_s=add(
-                relative_velocity, self._motion.moved(estimate.seen_time_s, now_s)[1]
-            ),
+            seen_velocity_ned_m_s=add(relative_velocity, self._motion.moved(estimate.seen_time_s, now_s)[1]),
         )
 
     def vehicle_covariance(self) -> FloatArray | None:
@@ -308,14 +307,13 @@ class StateEstimator:
         """A sighting in NED. Of the attitude's error only the fast part is noise from frame to frame.
 
         The slow part is a constant offset that shrinks with the distance: to treat it as noise would slow the
-        filter down and gain nothing. What the gyroscope's noise adds since the last sighting is such a fast part,
-        and a vehicle that turns quickly makes an angle of the exposure's jitter.
+        filter down and gain nothing. Fast is what the gyroscope's noise adds from frame to frame, and the
+        angle that a vehicle which turns quickly makes of the exposure's jitter.
         """
         rotation = matrix_from_quat(attitude)
         position = quat_rotate(attitude, sighting.pad_position_body_m)
         jitter = math.radians(ATTITUDE_JITTER_DEG) ** 2
-        since_s = min(max(sighting.time_s - self._pad.seen_time_s, 0.0), PREDICTED_S)
-        jitter += self._motion.turn_density_rad2_s * since_s
+        jitter += self._motion.turn_density_rad2_s * FRAMES_APART_S
         jitter += self._motion.turned_rad(sighting.time_s, self._config.pad.exposure_jitter_s) ** 2
         x, y, z = position
         lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])

@@ -1,10 +1,9 @@
 """The pad of an external vehicle: it drives along its motion, and with the vehicle while that stands on it.
 
 An external simulator's own ground stops a vehicle that comes down on a moving pad; a real deck would carry
-it. What both show a camera and a rangefinder is the vehicle at rest over the pad, so from the contact on the
-pad goes where the vehicle goes, in the vehicle's own messages: it stops with it. What their speeds differed by
-at the contact is slowed down by the feet's friction, as on a deck. Once the feet are clear it drives on, from
-where it is.
+it. Camera and rangefinder see the same of both: the vehicle at rest over the pad. So from the contact on the
+pad goes where the vehicle goes, message by message: it stops with it. What their speeds differed by at the
+contact is slowed down by the feet's friction, as on a deck. Once the feet are clear it drives on from there.
 
 NED, SI units. Pure; `at` may be called from another thread than the rest.
 """
@@ -26,8 +25,8 @@ _BEFORE_ALL: Final = -math.inf
 class _Stretch(NamedTuple):
     """A part of the pad's way, after `since_s`; `phase_s` is how far along its motion it is then.
 
-    `displaced_m` is how far vehicles have taken it from that motion. With `contact` it goes with the vehicle,
-    whose pose that was, and slides on beneath it at first by `slip_m_s`. Without, it `drives` or stands still.
+    `displaced_m` is how far vehicles have taken it from that motion. With `contact`, the vehicle's pose then,
+    it goes with the vehicle, and at first slides on beneath it by `slip_m_s`. Without, it drives or stands.
     """
 
     since_s: float = _BEFORE_ALL

@@ -101,8 +101,9 @@ class Simulation:
 
         `link` is the MAVLink line of an app in this process; other clients connect to `line`.
         `unix_at_start_s` is UTC (s since 1970) at simulation time 0. `serve_truth` lets clients request the
-        truth, over ground as other simulators have it (`firm_ground`); `keep_truth` stores it for `report`. With a `motion` the vehicle is carried by hand and cannot
-        fly; `hands_wait`: until `begin_motion`. A `firmware` that flies it has booted on return.
+        truth, over ground as other simulators have it (`firm_ground`); `keep_truth` stores it for `report`.
+        With a `motion` the vehicle is carried by hand and cannot fly; `hands_wait`: until `begin_motion`.
+        A `firmware` that flies it has booted on return.
         `computer`: where faults of the companion computer are noted, for a harness that applies them.
 
         Raises:

@@ -1,9 +1,9 @@
 """A world with the ground that ArduPilot's SITL and PX4's SIH have: it stops dead what comes down on it.
 
-Theirs is level, acts at the reference point and not at the feet, and knows no pad that would carry the vehicle
-along: in one step a vehicle that reaches it has no velocity any more, and the accelerometer feels that step.
-ArduPilot's levels the vehicle besides, PX4's leaves its attitude alone; here it stays. For a vehicle that
-plays an external one. NED, FRD, SI.
+Theirs is level, acts at the reference point and not at the feet, and knows no pad that would carry the
+vehicle along: in one step a vehicle that reaches it has no velocity any more, and the accelerometer feels
+that step. ArduPilot's levels the vehicle besides, PX4's leaves its attitude alone; here it stays. For a
+vehicle that plays an external one. NED, FRD, SI.
 """
 
 from __future__ import annotations

@@ -6,8 +6,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 CODE = ("companion", "sitl", "calibration", "tests")
-MOST_MODULES_IN_A_FOLDER = 15
-MOST_LINES_IN_A_FILE = 350
+MOST_MODULES_IN_A_FOLDER = 18
+# at 350 one looks whether it is one thought; none is split only to be shorter
+MOST_LINES_IN_A_FILE = 450
 MOST_LINES_IN_A_FUNCTION = 60
 
 

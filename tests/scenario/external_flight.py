@@ -1,8 +1,8 @@
 """The app against an autopilot that is not the bundled one, in virtual time: our own simulator plays it.
 
-Three parties, as with a real ArduPilot or PX4 SITL: a vehicle whose ground stops it dead and knows no pad, the
-external world that watches its true pose, and the app, which takes the vehicle's sensors by telemetry. They
-share one loop; pipes within the process take the place of sockets.
+Three parties, as with a real ArduPilot or PX4 SITL: a vehicle whose ground stops it dead and knows no pad,
+the external world that watches its true pose, and the app, which takes the vehicle's sensors by telemetry.
+They share one loop; pipes within the process take the place of sockets.
 """
 
 from __future__ import annotations
@@ -115,7 +115,9 @@ async def _world(
     )  # fmt: skip
     connections = ExternalConnections(world_end, relay, range_port, frames)
     world = ExternalSimulation(trial.scenario, trial.seed, connections, lambda _text: None)
-    tasks = [asyncio.create_task(part) for part in (vehicle.run(), vehicle.line.serve(truth_end), world.run())]
+    tasks = [
+        asyncio.create_task(part) for part in (vehicle.run(), vehicle.line.serve(truth_end), world.run())
+    ]
     try:
         await asyncio.wait_for(world.ready.wait(), _FOUND_TIMEOUT_S)
         yield world, app_end, frames, range_port

@@ -100,6 +100,17 @@ class PadState:
         """Horizontal speed (m/s) between the two."""
         return math.hypot(self.relative_velocity_ned_m_s[0], self.relative_velocity_ned_m_s[1])
 
+    def lateral_std_m(self, ahead_s: float = 0.0) -> float:
+        """Standard deviation (m) of the horizontal relative position on an axis, `ahead_s` from `time_s`.
+
+        At constant relative velocity; the mean of both axes' variances. 0 without a covariance.
+        """
+        if not self.covariance:
+            return 0.0
+        P = self.covariance
+        variances = (P[k][k] + 2.0 * ahead_s * P[k][k + 3] + ahead_s**2 * P[k + 3][k + 3] for k in (0, 1))
+        return math.sqrt(max(0.0, 0.5 * sum(variances)))
+
     @property
     def age_s(self) -> float:
         """Time (s) since the pad was last seen."""

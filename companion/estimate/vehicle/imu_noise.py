@@ -2,8 +2,8 @@
 
 Vibration is no motion of the vehicle. What alternates from sample to sample is vibration: it shows in the
 second difference of three samples. Most of it is gone from a sum of samples; what is left, and what comes in
-by aliasing, is noise of the velocity, and of the attitude: `SlowNoise`. An element that saturates, or that rectifies vibration,
-shifts its mean besides, by a share of what exceeds a bound, and for as long as that lasts.
+by aliasing, is noise of the velocity, and of the attitude: `SlowNoise`. An element that saturates, or that
+rectifies vibration, shifts its mean besides, by a share of what exceeds a bound, for as long as that lasts.
 
 Scale errors and misalignment turn the attitude by a share of the turn itself. A vehicle that tilts and
 levels again has turned by nothing: what counts is the rate that lasts. Plain floats, body FRD, SI units.
@@ -34,14 +34,14 @@ class StepNoise(NamedTuple):
     """What is known of the errors of a step of the IMU.
 
     `force_density_m2_s3` is the density of the noise that vibration leaves on an axis of the accelerometer,
-    `rate_density_rad2_s` that on one of the gyroscope, `force_error_m_s2` by how much the mean may be off for a second or so, `lasting_rate_rad_s` (body) how the vehicle has turned in
-    the last seconds.
+    `rate_density_rad2_s` of that on an axis of the gyroscope. `force_error_m_s2` is by how much the mean
+    force may be off for a second or so, `lasting_rate_rad_s` (body) how it has turned in the last seconds.
     """
 
     force_density_m2_s3: float = 0.0
-    rate_density_rad2_s: float = 0.0
     force_error_m_s2: float = 0.0
     lasting_rate_rad_s: Vector3 = ZERO3
+    rate_density_rad2_s: float = 0.0
 
 
 STEADY: Final = StepNoise()
@@ -148,7 +148,7 @@ class ImuNoise:
         config = self._config
         return StepNoise(
             self._slow_force.density,
-            self._slow_rate.density,
             self._vibration.error_m_s2(config.shaking_bound_m_s2, SHAKING_SHARE),
             self._rate,
+            self._slow_rate.density,
         )

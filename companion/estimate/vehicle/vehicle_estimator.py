@@ -295,7 +295,6 @@ class VehicleEstimator:
         self._strapdown.add(dt_s, mean_rate, mean_force)
         self._second_gyro.add_rate(sample.time_s, mean_rate, dt_s)
         self._noise.add(*raw, dt_s)
-        self.motion.turn_density_rad2_s = self._noise.now.rate_density_rad2_s
         self._inertial.add(sample, dt_s, mean_rate, mean_force, self._orientation)
 
     def _collect(self, sample: ImuSample) -> None:
@@ -305,14 +304,15 @@ class VehicleEstimator:
         assert self._timeline is not None
         assert self._ekf is not None
         assert self._orientation is not None
-        time_s, mean = sample.time_s, self._strapdown.take()
+        time_s, mean, noise = sample.time_s, self._strapdown.take(), self._noise.now
+        self.motion.turn_density_rad2_s = noise.rate_density_rad2_s
         with_attitude = time_s - self._orientation_step_s >= 1.0 / ORIENTATION_RATE_HZ
         settled, trusted = time_s >= self._settled_s, time_s - self._mag_trusted_s < MAG_TIMEOUT_S
         step = ImuStep(
             rate_body_rad_s=mean.rate_body_rad_s,
             specific_force_body_m_s2=mean.specific_force_body_m_s2,
             samples=mean.samples,
-            noise=self._noise.now,
+            noise=noise,
             field_body_ut=self._field_at(time_s),
             attitude=self._orientation_at(time_s) if with_attitude else None,
             tilt_noise_rad=tilt_noise_rad(self._orientation, self._inertial.disturbance_m_s2, settled),

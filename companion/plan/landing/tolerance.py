@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from statistics import NormalDist
 
 from companion.base.messages import PadState
 from companion.config import TouchdownConfig
@@ -27,6 +28,10 @@ _FARTHEST_ASIDE_M = 0.12
 # A gust that has just begun shows in the speed first: the offset is judged so far ahead, the time from an
 # estimate to the flown correction (the control's cycle, the command's delay, the autopilot's response).
 _DRIFT_S = 0.22
+# It breaks off for an offset that is out of tolerance with this probability, by the estimate's covariance; it
+# starts down by the estimate itself.
+_BREAKS_OFF_AT = 0.9
+_BREAKS_OFF_STD = NormalDist().inv_cdf(_BREAKS_OFF_AT)
 # A sink is stopped within this delay and at this rate: without that room no break-off begins.
 _STOPS_AFTER_S = 0.2
 _STOPS_M_S2 = 2.5
@@ -111,12 +116,19 @@ class Tolerance:
         """The slack, wider after two waits."""
         return self.slack * (1.0 if self.waits(now_s) < _WAITS_UNTIL_WIDER else 1.5)
 
-    def aside(self, sight: PadState, now_s: float) -> bool:
-        """Whether the vehicle is too far aside to start down or go on, or will be."""
+    def aside(self, sight: PadState, now_s: float, *, surely: bool = False) -> bool:
+        """Whether the vehicle is too far aside to start down, or will be; `surely`: to go on.
+
+        A vehicle that sinks is not stopped for what is the estimate's own noise.
+        """
         (x, y, _), (vx, vy, _) = sight.relative_position_ned_m, sight.relative_velocity_ned_m_s
         soon_m = math.hypot(x + _DRIFT_S * vx, y + _DRIFT_S * vy)
+        now_std_m, soon_std_m = (
+            _BREAKS_OFF_STD * sight.lateral_std_m(ahead_s) if surely else 0.0 for ahead_s in (0.0, _DRIFT_S)
+        )
         farthest_m = self._farthest_aside_m(now_s)
-        return sight.lateral_m > farthest_m or soon_m > farthest_m * self._borne(now_s)
+        aside = sight.lateral_m - now_std_m > farthest_m
+        return aside or soon_m - soon_std_m > farthest_m * self._borne(now_s)
 
     def most_tilt_m_s2(self, now_s: float) -> float:
         """How much tilt (m/s²) at contact is borne: grows with the waits, and is no less than a lull's."""

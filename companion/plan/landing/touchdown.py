@@ -276,7 +276,7 @@ class TouchdownSequence:
         return sight.lateral_m > self._tolerance.escape_m
 
     def _slides(self, sight: PadState) -> str:
-        """Whether the feet would slide off the pad, or as far as the lateral tolerance where that is wider."""
+        """Whether the feet would slide off the pad, or beyond the lateral tolerance where that is wider."""
         farthest_m = max(self._tolerance.escape_m, self._feet_on_pad_m)
         return slides_off(sight, farthest_m) if sight.height_m <= self._low_m else ""
 
@@ -292,7 +292,7 @@ class TouchdownSequence:
         most_m_s2 = _TOO_MUCH_TILT * self._tolerance.most_tilt_m_s2(now_s)
         if tilt_m_s2 > min(most_m_s2, self._levelling.most_tilt_m_s2):
             return "too much tilt at contact"
-        far = fresh and self._tolerance.aside(sight, now_s)
+        far = fresh and self._tolerance.aside(sight, now_s, surely=True)
         if self._far_aside.held_s(far, now_s) >= _TOO_FAST_S:
             return f"lateral offset {100.0 * sight.lateral_m:.0f} cm at {sight.lateral_speed_m_s:.2f} m/s"
         return ""

@@ -31,6 +31,14 @@ def density_of(force_m_s2: np.ndarray, dt_s: float = DT_S) -> float:
     return noise.now.force_density_m2_s3
 
 
+def turn_density_of(rate_rad_s: np.ndarray) -> float:
+    """Of rates (n, 3), in rad²/s."""
+    noise = ImuNoise(EkfConfig())
+    for sample in rate_rad_s.tolist():
+        noise.add(tuple(sample), RESTING, DT_S)
+    return noise.now.rate_density_rad2_s
+
+
 def shaken(tone_hz: float, amplitude_m_s2: float) -> np.ndarray:
     """Forces (4000, 3) at rest, with a tone along one axis."""
     forces = np.tile(RESTING, (4000, 1))
@@ -44,6 +52,32 @@ def test_white_vibration_leaves_its_own_density_at_any_rate(rate_hz: float) -> N
     forces = RESTING + 0.5 * np.random.default_rng(3).standard_normal((count, 3))
     found = np.mean([density_of(part, 1.0 / rate_hz) for part in np.split(forces, 20)])
     assert found == pytest.approx(0.5**2 / rate_hz, rel=0.2)
+
+
+@pytest.mark.parametrize("std_rad_s", [0.003, 0.1])
+def test_a_gyroscopes_noise_is_measured_as_it_is(std_rad_s: float) -> None:
+    """A good element's, and the one that PX4's SIH simulates."""
+    rates = std_rad_s * np.random.default_rng(5).standard_normal((40_000, 3))
+    found = np.mean([turn_density_of(part) for part in np.split(rates, 20)])
+    assert found == pytest.approx(std_rad_s**2 * DT_S, rel=0.2)
+
+
+def test_a_vehicle_that_tilts_and_levels_makes_no_noise_of_the_gyroscope() -> None:
+    rates = np.zeros((4000, 3))
+    rates[:, 0] = 0.5 * np.sin(math.tau * 1.5 * DT_S * np.arange(4000))
+    assert turn_density_of(rates) < 0.005**2 * DT_S
+
+
+def test_a_noisy_gyroscope_makes_the_attitude_uncertain_as_fast_as_it_is_noisy() -> None:
+    stds = []
+    for density in (0.0, 0.1**2 * DT_S):
+        level = InitialState(0.0, IDENTITY, ZERO3, (20.9, 0.6, 42.9), 0.01, 0.05, 5e-4)
+        ekf = VehicleEkf(EkfConfig(), ZERO3, level)
+        for k in range(1, 201):
+            step = ImuStep(ZERO3, RESTING, 2, noise=StepNoise(rate_density_rad2_s=density))
+            ekf.apply(0.01 * k, step)
+        stds.append(ekf.rotation_covariance()[0, 0])
+    assert stds[1] - stds[0] == pytest.approx(2.0 * 0.1**2 * DT_S, rel=0.3)
 
 
 @pytest.mark.parametrize("tone_hz", [55.0, 70.0, 92.0])

@@ -84,6 +84,38 @@ def test_a_pad_that_stops_beneath_it_is_left_at_once_even_when_the_feet_touch() 
         assert sinking().step(stays, RangeSample(1.0, 0.1), LandedState.IN_AIR, 1.0) is None
 
 
+def test_a_vehicle_that_the_contact_stopped_does_not_slide_until_sightings_show_it() -> None:
+    """The last sighting, before the contact, saw the pad at rest beneath it; the IMU felt 1.4 m/s less."""
+    stopped = sight(aside=0.05, height=0.2, velocity=(1.4, 0.0, 0.0), age=0.07)
+    stopped = replace(stopped, seen_velocity_ned_m_s=(0.02, 0.0, 0.0))
+    assert sinking().step(stopped, RangeSample(1.0, 0.1), LandedState.IN_AIR, 1.0) is None
+    touchdown, now_s = standing()
+    assert touchdown.step(stopped, None, LandedState.IN_AIR, now_s + 0.1) is None
+
+
+@pytest.mark.parametrize(("half_width_m", "leaves"), [(0.2, True), (0.65, False)])
+def test_a_slide_that_friction_ends_on_the_pad_is_no_reason_to_rise(
+    half_width_m: float, leaves: bool
+) -> None:
+    """1.4 m/s are stopped within 0.33 m: beyond the tolerance, but not beyond a large pad's edge."""
+    slides = sight(aside=0.04, height=0.2, velocity=(1.4, 0.0, 0.0))
+    found = sinking(half_width_m).step(slides, RangeSample(1.0, 0.1), LandedState.IN_AIR, 1.0)
+    assert (found is not None) == leaves
+
+
+@pytest.mark.parametrize(("std_m", "breaks_off"), [(0.001, True), (0.03, False)])
+def test_an_offset_that_may_be_the_estimates_own_noise_breaks_nothing_off(
+    std_m: float, breaks_off: bool
+) -> None:
+    P = tuple(tuple(std_m**2 if i == j else 0.0 for j in range(6)) for i in range(6))
+    touchdown, now_s = sinking(), 1.0
+    seen = replace(sight(aside=0.09, height=0.4), covariance=P)
+    for _ in range(6):
+        now_s += CYCLE_S
+        touchdown.step(seen, None, LandedState.IN_AIR, now_s)
+    assert bool(touchdown.broken_off_by) == breaks_off
+
+
 @pytest.mark.parametrize(("since_s", "leaves"), [(0.1, True), (0.4, False)])
 def test_sliding_ends_the_stand_in_its_first_moments_alone(since_s: float, leaves: bool) -> None:
     touchdown, now_s = standing()

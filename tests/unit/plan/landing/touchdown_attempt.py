@@ -15,6 +15,7 @@ from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
 CONFIG = TouchdownConfig()
 WAIT_M = LEG_M + 0.35
+SMALL_PAD_M = 0.2  # half of its width: what an indoor pad has
 CYCLE_S = 1.0 / 30.0
 
 
@@ -27,7 +28,10 @@ def sight(
 ) -> PadState:
     """The pad under a vehicle that is so far aside and high, and moves over it at `velocity`."""
     relative = ((-aside, 0.0, height), scale(velocity, -1.0))
-    return PadState(0.0, *relative, ZERO3, pad_acceleration, 0.0, 0.0, 0.0, 0.0, seen_time_s=-age)
+    return PadState(
+        0.0, *relative, ZERO3, pad_acceleration, 0.0, 0.0, 0.0, 0.0,
+        seen_time_s=-age, seen_velocity_ned_m_s=relative[1],
+    )  # fmt: skip
 
 
 class Attempt:
@@ -86,10 +90,10 @@ class Attempt:
         return None
 
 
-def fresh(slack: float = 1.0, config: TouchdownConfig = CONFIG) -> Attempt:
+def fresh(slack: float = 1.0, config: TouchdownConfig = CONFIG, half_width_m: float = SMALL_PAD_M) -> Attempt:
     generator = ReferenceGenerator(GuidanceConfig(), lambda _d, _v, _a: 0.4, 20, 0.1)
     generator.start("pad", Motion((0.0, 0.0, -WAIT_M)), 0.0)
-    sequence = TouchdownSequence(config, VEHICLE, 0.35, generator)
+    sequence = TouchdownSequence(config, VEHICLE, 0.35, generator, half_width_m)
     sequence.begin(0.0, slack)
     return Attempt(sequence, generator)
 
@@ -105,8 +109,8 @@ def wait(touchdown: Attempt, seen: PadState, until_s: float) -> tuple[float, Mis
     return until_s, None
 
 
-def sinking() -> Attempt:
-    touchdown = fresh()
+def sinking(half_width_m: float = SMALL_PAD_M) -> Attempt:
+    touchdown = fresh(half_width_m=half_width_m)
     wait(touchdown, sight(), 5.0)
     assert touchdown.committed
     return touchdown
