@@ -8,7 +8,7 @@ fixed to the body and sees 62 x 48 degrees. The app is told where to look for th
 scenarios, and nothing else.
 
 As built, each of them is flown by a vehicle about which its builder is wrong (`sitl.scenario.as_built`), the
-mass among the rest.
+mass among the rest; those of even numbers with the behaviour of PX4, those of odd ones with ArduPilot's.
 """
 
 from __future__ import annotations
@@ -68,6 +68,7 @@ def _as_built_landing(number: int) -> dict[str, Any]:
         **believed,
         "name": f"as_built_{number:03d}",
         "description": f"Random landing {number}, as built.",
+        "autopilot": "ardupilot" if number % 2 else "px4",
         "as_built": {},
     }
 
