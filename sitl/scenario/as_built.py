@@ -250,4 +250,4 @@ def draw(settings: AsBuiltSettings | None, seed: int) -> BuiltVehicle:
         # in the air, before the landing: a flight of the benches comes to the pad after about 20 s
         "yaw_reset_s": float(rng.uniform(12.0, 40.0)),
     }
-    return BuiltVehicle(**{**drawn, **s.exactly})  # type: ignore[arg-type]
+    return BuiltVehicle(**{**drawn, **s.exactly})
