@@ -10,12 +10,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from companion.base.geometry import FloatArray
+from companion.base.geometry import FloatArray, Vector3
 from companion.base.messages import (
     ControlReport,
     FrameReport,
@@ -45,6 +45,23 @@ class FirstContact(_Part):
     horizontal_speed_m_s: float
     tilt_deg: float
     yaw_error_deg: float
+
+
+class ResultContact(_Part):
+    """A contact with pad or ground: its first touch, and the worst of its touches, relative to what it met.
+
+    `violations`: what of it makes the flight a failed one.
+    """
+
+    time_s: float
+    surface: Literal["pad", "ground"]
+    position_ned_m: Vector3
+    lateral_error_m: float
+    vertical_speed_m_s: float
+    horizontal_speed_m_s: float
+    tilt_deg: float
+    touches: int
+    violations: tuple[str, ...]
 
 
 class PadResult(_Part):
@@ -118,8 +135,10 @@ class Result(_Part):
 
     scenario: str
     seed: int
+    as_built: dict[str, float | list[float]] | None = None
     outcome: Outcome
     touchdown: FirstContact | None
+    contacts: tuple[ResultContact, ...] = ()
     pad: PadResult
     time: PhaseTimes
     vision: CameraResult
@@ -134,10 +153,15 @@ def from_start(
     kept: Mapping[str, Sequence[Any]], truth: Sequence[Truth]
 ) -> tuple[dict[str, list[Any]], list[Truth]]:
     """The same messages with all times counted from the app's first cycle (its first plan)."""
+    begun_s = start_s(kept, truth)
+    topics = {topic: [_earlier(message, begun_s) for message in messages] for topic, messages in kept.items()}
+    return topics, [_earlier(record, begun_s) for record in truth]
+
+
+def start_s(kept: Mapping[str, Sequence[Any]], truth: Sequence[Truth]) -> float:
+    """When the app's first cycle was."""
     plans = kept.get("plan", ())
-    start_s = plans[0].time_s if plans else truth[0].time_s
-    topics = {topic: [_earlier(message, start_s) for message in messages] for topic, messages in kept.items()}
-    return topics, [_earlier(record, start_s) for record in truth]
+    return float(plans[0].time_s if plans else truth[0].time_s)
 
 
 def _earlier(message: Any, shift_s: float) -> Any:
@@ -158,6 +182,8 @@ def build_result(
     kept: Mapping[str, Sequence[Any]],
     truth: Sequence[Truth],
     real_time_factor: float,
+    contacts: Sequence[ResultContact] = (),
+    as_built: Mapping[str, float | list[float]] | None = None,
 ) -> Result:
     """Put the contract together from the log's kept topics and the simulator's truth.
 
@@ -170,8 +196,10 @@ def build_result(
     return Result(
         scenario=scenario,
         seed=seed,
+        as_built=None if as_built is None else dict(as_built),
         outcome=outcome,
         touchdown=None if touchdown is None else FirstContact(**{k: _round(v) for k, v in touchdown.items()}),
+        contacts=tuple(map(_rounded, contacts)),
         pad=PadResult(speed_m_s=_round(pad_speed_m_s)),
         time=phase_times(kept.get("plan", ())),
         vision=_vision(kept.get("frame_report", ()), kept.get("sighting", ()), track),
@@ -185,6 +213,12 @@ def build_result(
 
 def _round(value: float) -> float:
     return round(float(value), _DIGITS)
+
+
+def _rounded(contact: ResultContact) -> ResultContact:
+    numbers = {k: _round(v) for k, v in contact.model_dump().items() if isinstance(v, float)}
+    north, east, down = map(_round, contact.position_ned_m)
+    return contact.model_copy(update={**numbers, "position_ned_m": (north, east, down)})
 
 
 def _event(notice: Notice) -> ResultEvent:

@@ -61,6 +61,7 @@ class Row(StrictModel):
 
     `failed` is a run without a result: its process died or hung, and `error` has its last words. `reason` is
     why a flight that has a result did not land. Along is along the pad's heading, across to its right.
+    `unplanned_contacts` are those that make a flight a failed one.
     """
 
     scenario: str
@@ -75,6 +76,7 @@ class Row(StrictModel):
     tilt_deg: float | None = None
     yaw_error_deg: float | None = None
     pad_speed_m_s: float | None = None
+    unplanned_contacts: int | None = None
     search_s: float | None = None
     approach_s: float | None = None
     descent_s: float | None = None
@@ -123,6 +125,9 @@ def make_row(flown: RunResult, version: str) -> Row:
         touchdown_along_m=None if along is None else round(along, 6),
         touchdown_across_m=None if across is None else round(across, 6),
         wall_s=round(flown.wall_s, 2),
+        unplanned_contacts=None
+        if result is None
+        else sum(bool(contact["violations"]) for contact in result["contacts"]),
         version=version,
         command=flight.command,
         error=_one_line(flown.error),

@@ -27,7 +27,7 @@ from sitl.devices.neo6m import Neo6mDevice
 from sitl.devices.ports import DevicePort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
 from sitl.sensors.calibration_errors import BoardTruth
-from sitl.sensors.inertial import ImuErrors, ImuSensor
+from sitl.sensors.inertial import ImuErrors, ImuSensor, felt_at
 from sitl.sensors.sensors import GpsErrors, GpsSensor, MagErrors, MagSensor, RangeErrors, RangeSensor
 from sitl.vehicle.quadrotor import QuadrotorState
 
@@ -79,7 +79,9 @@ class SensorRack:
         gps_config: GpsConfig | None = None,
         errors: SensorErrors | None = None,
         wiring: Wiring | None = None,
+        imu_position_body_m: Vector3 = ZERO3,
     ) -> None:
+        """`imu_position_body_m`: where the IMU is, from the centre of mass."""
         wiring = wiring or Wiring()
         imu_config, gps_config = imu_config or ImuConfig(), gps_config or GpsConfig()
         errors = errors or SensorErrors()
@@ -100,6 +102,8 @@ class SensorRack:
         ultrasonic = UltrasonicDevice if wiring.ultrasonic == "frames" else PolledUltrasonicDevice
         self.range = ultrasonic(self.echo)
         self._field_ned_ut = field_ned_ut
+        self.deck_field_ned_ut = ZERO3  # of what is beneath, in addition
+        self._imu_position_body_m = imu_position_body_m
         self._antenna_body_m = gps_config.antenna_position_body_m
         self._gps_port = gps_port
         self._range_port = range_port
@@ -125,8 +129,9 @@ class SensorRack:
         """
         field_body = ZERO3
         if self.imu.magnetometer.is_due(now_s):
-            field_body = quat_rotate_inverse(state.attitude, self._field_ned_ut)
-        self.imu.step(now_s, state.specific_force_body_m_s2, state.rate_body_rad_s, field_body, throttle)
+            field_body = quat_rotate_inverse(state.attitude, add(self._field_ned_ut, self.deck_field_ned_ut))
+        force = felt_at(self._imu_position_body_m, state)
+        self.imu.step(now_s, force, state.rate_body_rad_s, field_body, throttle)
         self._step_gps(now_s, state)
         self._step_range(now_s, state, range_height_m)
 

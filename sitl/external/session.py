@@ -19,7 +19,7 @@ from rich.table import Table
 from companion.base.clock import Clock
 from companion.base.geometry import Vector3, tilt_from_quat
 from companion.base.messages import Frame, Phase, Truth
-from companion.config import VehicleConfig, find_file, load_model
+from companion.config import ConfigError, VehicleConfig, find_file, load_model
 from sitl.camera.frame_line import FrameLine
 from sitl.devices.ports import DevicePort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
@@ -89,6 +89,10 @@ class ExternalSimulation:
         Raises:
             ConfigError: a file that the scenario names is missing or wrong, or its pad leaves the ground.
         """
+        if scenario.as_built is not None:
+            raise ConfigError(
+                f"scenario '{scenario.name}': as_built: expected none, since an external vehicle is as it is"
+            )
         self._clock = Clock()
         self._connections = connections
         self._tell = tell
@@ -157,6 +161,7 @@ class ExternalSimulation:
             latest_tick_s=self._latest_tick_s,
             truth=tuple(self._truth),
             nearest_obstacle_m=self.world.nearest_obstacle_m,
+            contacts=verdict.contacts,
         )
 
     # ------------------------------------------------------------ the link

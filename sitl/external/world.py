@@ -88,6 +88,8 @@ class ExternalWorld:
     def see(self, sample: Sample, *, armed: bool) -> None:
         """Take the vehicle's next pose; `begin` comes first."""
         assert self.origin is not None
+        if armed and not self.armed and self._load.touching:
+            self._watch.begin_flight()
         self.armed = armed
         if armed and not self._pad.departed:
             self._pad.depart(sample.time_s)
@@ -167,7 +169,7 @@ class ExternalWorld:
 
     @property
     def touchdown(self) -> TouchdownState | None:
-        """The last first contact after a flight above 1 m."""
+        """The last contact, after a flight above 1 m."""
         return self._watch.touchdown
 
     @property
@@ -187,6 +189,7 @@ class ExternalWorld:
         return judge(
             self._watch.touchdown,
             self._bounds,
+            contacts=self._watch.contacts,
             crashed=self._watch.crashed,
             at_rest_on_pad=self.at_rest_on_pad,
             disarmed=not self.armed,

@@ -20,6 +20,7 @@ LinkDirection = Literal["both", "to_app", "to_vehicle"]
 BodyVector = tuple[Component, Component, Component]
 
 
+Turn = Annotated[float, Field(ge=-180.0, le=180.0)]
 Share = Annotated[float, Field(gt=0.0, le=1.0)]
 
 
@@ -49,6 +50,13 @@ class ImuSaturated(FaultTimes):
     """Every axis of both is at the end of its range."""
 
     kind: Literal["imu_saturated"]
+
+
+class ImuTurned(FaultTimes):
+    """The board with IMU and magnetometer is turned: screwed on wrongly, or its tape has given way."""
+
+    kind: Literal["imu_turned"]
+    turn_deg: tuple[Turn, Turn, Turn] = (20.0, 0.0, 0.0)  # Roll, pitch and yaw, from where it was mounted
 
 
 class GyroBiasStep(FaultTimes):
@@ -280,6 +288,7 @@ Fault = (
     | ImuBusError
     | ImuStuck
     | ImuSaturated
+    | ImuTurned
     | GyroBiasStep
     | GyroSpikes
     | AccelBiasStep

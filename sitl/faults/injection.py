@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from typing import Any, Final
 
-from companion.base.geometry import GRAVITY_M_S2, ZERO3, add
+from companion.base.geometry import GRAVITY_M_S2, IDENTITY, ZERO3, add, quat_from_euler
 from sitl.camera.frame_line import FrameLine
 from sitl.devices.rack import SensorRack
 from sitl.faults import faults
@@ -48,6 +48,7 @@ class FaultTargets:
         self.bus.wake()
         self.inertial.rate_offset_rad_s = self.inertial.force_offset_m_s2 = ZERO3
         self.inertial.accel_limit_m_s2 = math.inf
+        self.inertial.board_turn = self.magnetometer.board_turn = IDENTITY
         self.inertial.vibration_factor = self.autopilot_sensors.inertial.vibration_factor = 1.0
         self.inertial.gyro_glitches.clear_faults()
         self.inertial.accel_glitches.clear_faults()
@@ -90,6 +91,12 @@ def stick_imu(_fault: faults.ImuStuck, targets: FaultTargets) -> None:
 def saturate_imu(_fault: faults.ImuSaturated, targets: FaultTargets) -> None:
     """The ends of the ranges."""
     targets.bus.fault = "saturated"
+
+
+def turn_board(fault: faults.ImuTurned, targets: FaultTargets) -> None:
+    """Other axes."""
+    turn = quat_from_euler(*(math.radians(angle) for angle in fault.turn_deg))
+    targets.inertial.board_turn = targets.magnetometer.board_turn = turn
 
 
 def step_gyro_bias(fault: faults.GyroBiasStep, targets: FaultTargets) -> None:
@@ -285,6 +292,7 @@ INJECT: Final[dict[str, Callable[[Any, FaultTargets], None]]] = {
     "imu_bus_error": disturb_bus,
     "imu_stuck": stick_imu,
     "imu_saturated": saturate_imu,
+    "imu_turned": turn_board,
     "gyro_bias_step": step_gyro_bias,
     "gyro_spikes": spike_gyro,
     "accel_bias_step": step_accel_bias,

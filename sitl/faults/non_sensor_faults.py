@@ -123,6 +123,15 @@ class BatteryCharge(FaultTimes):
     remaining_percent: int = Field(default=15, ge=-1, le=100)  # -1: the autopilot does not know
 
 
+class FollowMe(FaultTimes):
+    """The ground station sends its operator's place as FOLLOW_TARGET, unasked, as QGroundControl does."""
+
+    kind: Literal["follow_me"]
+    north_m: float = Field(default=20.0, ge=-500.0, le=500.0)  # Where the operator is, from home
+    east_m: float = Field(default=-15.0, ge=-500.0, le=500.0)  # The same, east
+    rate_hz: float = Field(default=1.0, gt=0.0, le=10.0)  # How often it is sent
+
+
 # ---------------------------------------------------------------- the companion computer
 
 
@@ -178,6 +187,7 @@ NonSensorFault = (
     | AutopilotReboots
     | AutopilotPositionLost
     | BatteryCharge
+    | FollowMe
     | ImuNan
     | SolverInfeasible
     | SolverLate

@@ -19,6 +19,7 @@ from sitl.camera.camera import CameraModel
 from sitl.camera.textures import covered_texture, other_ids_texture
 from sitl.faults import non_sensor_faults
 from sitl.faults.computer import ComputerFaults
+from sitl.mavlink.ground_station import GroundStation
 from sitl.pad.incidents import AT_ONCE_M_S2, IncidentMotion
 
 COMPUTER_KINDS: Final = frozenset(
@@ -45,6 +46,7 @@ class NonSensorTargets:
     autopilot: SimulatedAutopilot | None = None
     restart_streams: Callable[[], None] = field(default=lambda: None)
     computer: ComputerFaults | None = None
+    station: GroundStation | None = None
 
     def clear_faults(self) -> None:
         """Clear what lasts; what happened to the pad has its own end."""
@@ -53,6 +55,8 @@ class NonSensorTargets:
             self.autopilot.clear_faults()
         if self.computer is not None:
             self.computer.clear_faults()
+        if self.station is not None:
+            self.station.clear_faults()
 
     def check(self, kinds: set[str]) -> None:
         """Raise ConfigError when a kind has nothing here that it could act on."""
@@ -102,6 +106,12 @@ def lose_position(_fault: non_sensor_faults.AutopilotPositionLost, targets: NonS
 def drain_battery(fault: non_sensor_faults.BatteryCharge, targets: NonSensorTargets) -> None:
     """Less charge."""
     targets.bundled.battery.false_share = 0.01 * fault.remaining_percent
+
+
+def follow_operator(fault: non_sensor_faults.FollowMe, targets: NonSensorTargets) -> None:
+    """Another place, unasked."""
+    if targets.station is not None:
+        targets.station.follow((fault.north_m, fault.east_m, 0.0), fault.rate_hz)
 
 
 def break_samples(_fault: non_sensor_faults.ImuNan, targets: NonSensorTargets) -> None:
@@ -237,6 +247,7 @@ _LASTING: Final[dict[str, Callable[[Any, NonSensorTargets], None]]] = {
     "autopilot_refuses": refuse,
     "autopilot_position_lost": lose_position,
     "battery": drain_battery,
+    "follow_me": follow_operator,
     "imu_nan": break_samples,
     "solver_infeasible": find_no_solution,
     "solver_late": delay_solver,

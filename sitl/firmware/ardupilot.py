@@ -176,6 +176,16 @@ def _free_instance() -> tuple[Datagrams, int]:
     raise ConfigError(f"no ArduPilot instance from 0 to {INSTANCES - 1} has its ports free")
 
 
+def _tuned(factor: float) -> dict[str, float]:
+    """ArduCopter's own gains of the rate loops, multiplied."""
+    gains = {"RLL": (0.135, 0.135, 0.0036), "PIT": (0.135, 0.135, 0.0036), "YAW": (0.18, 0.018, 0.0)}
+    return {
+        f"ATC_RAT_{axis}_{name}": factor * gain
+        for axis, pid in gains.items()
+        for name, gain in zip("PID", pid, strict=True)
+    }
+
+
 def _parameters(setup: Setup) -> dict[str, float]:
     sticks = {
         f"RC{channel}_{name}": value
@@ -199,6 +209,7 @@ def _parameters(setup: Setup) -> dict[str, float]:
         "MOT_SPIN_MIN": 0.05,
         "MOT_SPIN_MAX": 1.0,
         "MOT_THST_HOVER": setup.airframe.body.hover_share(),
+        **({} if setup.rate_scale == 1.0 else _tuned(setup.rate_scale)),
         "MOT_PWM_MIN": 1000,
         "MOT_PWM_MAX": 2000,
         "FS_GCS_ENABLE": 0,

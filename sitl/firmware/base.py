@@ -24,10 +24,11 @@ class Moment(NamedTuple):
 class Setup(NamedTuple):
     """What the firmware needs to know of the vehicle, set by parameters."""
 
-    airframe: AirframeConfig
+    airframe: AirframeConfig  # as its builder believes it
     home: Vector3  # latitude (deg), longitude (deg), altitude (m AMSL) of the world's origin
     gps_delay_s: float
     parameters: dict[str, float]  # over all others
+    rate_scale: float = 1.0  # what tuning has multiplied the rate loops' gains by
 
 
 class Firmware(Protocol):

@@ -240,7 +240,7 @@ def _environment(setup: Setup) -> dict[str, str]:
 
 
 def _parameters(setup: Setup) -> dict[str, float]:
-    body = setup.airframe.body
+    body, k = setup.airframe.body, setup.rate_scale
     turn_m = body.torque_to_thrust_m + NOT_DEFAULT
     places = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # front, right, rear, left
     rotors = {
@@ -255,6 +255,7 @@ def _parameters(setup: Setup) -> dict[str, float]:
     return {
         **rotors,
         "MPC_THR_HOVER": body.hover_share(),
+        **({} if k == 1.0 else {f"MC_{axis}RATE_K": k for axis in ("ROLL", "PITCH", "YAW")}),
         "EKF2_GPS_DELAY": round(1e3 * setup.gps_delay_s),
         # one IMU, one compass
         "EKF2_MULTI_IMU": 0,

@@ -42,7 +42,9 @@ class FirmwareVehicle:
             ConfigError: it cannot be started, or is not ready to arm in time.
         """
         self._world, self._sensors = world, sensors
-        setup = Setup(world.airframe, home, gps_delay_s, dict(spec.parameters))
+        airframe = world.believed_airframe
+        tuning = world.built.rate_scale(airframe.body)
+        setup = Setup(airframe, home, gps_delay_s, dict(spec.parameters), tuning)
         self._firmware = start_firmware(spec, setup, Barometer(rng))
         try:
             # the world's time 0 is its next step: its clock never stands still

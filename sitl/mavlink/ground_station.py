@@ -73,6 +73,16 @@ class GroundStation:
         self._answers_due_s: list[float] = []
         self._heartbeat_due_s = -math.inf
         self._chunks: dict[tuple[int, int], list[str]] = {}
+        self._follow_due_s = -math.inf
+        self.clear_faults()
+
+    def clear_faults(self) -> None:
+        """It sends what it is asked for alone."""
+        self._operator: tuple[Vector3, float] | None = None
+
+    def follow(self, operator_ned_m: Vector3, rate_hz: float) -> None:
+        """Send the operator's place (NED from home), unasked."""
+        self._operator = (operator_ned_m, 1.0 / rate_hz)
 
     @classmethod
     def of(
@@ -118,6 +128,10 @@ class GroundStation:
         while self._answers_due_s and now_s >= self._answers_due_s[0]:
             self._answers_due_s.pop(0)
             messages.append(self._follow_target(*self._fix))
+        if self._operator is not None and now_s >= self._follow_due_s:
+            place, period_s = self._operator
+            self._follow_due_s = now_s + period_s
+            messages.append(self._follow_target(now_s, place, ZERO3))
         return b"".join([self._pack(message) for message in messages])
 
     def _pack(self, message: Any) -> bytes:

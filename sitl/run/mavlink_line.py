@@ -51,10 +51,13 @@ class MavlinkLine:
 
     network: VehicleNetwork
 
-    def __init__(self, settings: LinkSettings, rng: np.random.Generator, timer: TickTimer) -> None:
+    def __init__(
+        self, ways: tuple[LinkSettings, LinkSettings], rng: np.random.Generator, timer: TickTimer
+    ) -> None:
+        """`ways`: of the one to the app and of the one to the vehicle."""
         to_app_rng, to_vehicle_rng = rng.spawn(2)
-        self.to_app = LinkWay(settings, to_app_rng)
-        self.to_vehicle = LinkWay(settings, to_vehicle_rng)
+        self.to_app = LinkWay(ways[0], to_app_rng)
+        self.to_vehicle = LinkWay(ways[1], to_vehicle_rng)
         self._timer = timer
         # called with what clients send, before the line loses or delays it, and the time (s)
         self.listeners: list[Callable[[bytes, float], None]] = []

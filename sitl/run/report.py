@@ -8,6 +8,7 @@ from pathlib import Path
 from pydantic import TypeAdapter
 
 from companion.base.messages import Outcome, Truth
+from sitl.world.score import ContactResult
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +17,9 @@ class SimulationReport:
 
     `latest_tick_s` is how far the simulation fell behind the clock at worst: 0 in virtual time.
     `nearest_obstacle_m` is the least distance from the rotors' tips to an obstacle, None without any.
-    `touchdown_pad_m` is where on the pad it came down: along the pad's heading and to its right.
+    `touchdown_pad_m` is where on the pad it came down: along the pad's heading and to its right. `contacts`
+    have the truth's times; `as_built` is what was built against what was believed, None where all was
+    believed rightly.
     """
 
     outcome: Outcome
@@ -28,6 +31,8 @@ class SimulationReport:
     truth: tuple[Truth, ...]
     nearest_obstacle_m: float | None = None
     touchdown_pad_m: tuple[float, float] | None = None
+    contacts: tuple[ContactResult, ...] = ()
+    as_built: dict[str, float | list[float]] | None = None
 
 
 def write_report(report: SimulationReport, path: Path) -> None:

@@ -18,6 +18,7 @@ from companion.config import CameraConfig, VehicleConfig, find_file, load_model
 from companion.pad import load_pad
 from sitl.camera import camera as optics
 from sitl.camera.exposure import ImagingSettings
+from sitl.scenario.as_built import AS_BELIEVED, BuiltVehicle
 from sitl.scenario.scenario import Scenario
 
 
@@ -55,11 +56,12 @@ class SceneCamera:
         latency_rng: np.random.Generator,
         lens_rng: np.random.Generator,
         start_s: float = 0.0,
+        built: BuiltVehicle = AS_BELIEVED,
     ) -> None:
         """Its first frame is a period after `start_s` (world time)."""
         settings = scenario.camera
         calibration = load_model(CameraConfig, find_file("cameras", settings.config))
-        config = perturbed_lens(calibration, settings.calibration_error, lens_rng)
+        config = perturbed_lens(calibration, settings.calibration_error, lens_rng, built.focal_length)
         develop = ImagingSettings(
             exposure_s=settings.exposure_s,
             readout_s=settings.readout_s,
@@ -75,14 +77,18 @@ class SceneCamera:
         self._model = optics.CameraModel(
             config,
             vehicle,
-            load_pad(scenario.pad.name),
+            built.pad(load_pad(scenario.pad.name)),
             develop,
             noise_rng,
-            mount_error_deg=settings.mount_error_deg,
+            mount_error_deg=add(settings.mount_error_deg, built.camera_mount_deg),
         )
         self.truth = CameraTruth(
-            config, self._model.body_from_camera, vehicle.camera_position_body_m, settings.stamp_error_s
+            config,
+            self._model.body_from_camera,
+            vehicle.camera_position_body_m,
+            settings.stamp_error_s + built.stamp_s,
         )
+        self._stamp_jitter_s, self._stamp_rng = built.stamp_jitter_s, lens_rng
         self._world = world
         self._settings = settings
         self._rng = latency_rng
@@ -117,13 +123,19 @@ class SceneCamera:
             self._rng.uniform(-1.0, 1.0)
         )
         frame = Frame(
-            time_s=time_s + self._settings.stamp_error_s,
+            time_s=time_s + self._stamp_error_s(),
             received_s=time_s,
             sequence=self._sequence,
             image=image,
         )
         self._sequence += 1
         return frame, time_s + late
+
+    def _stamp_error_s(self) -> float:
+        error_s = self.truth.stamp_error_s
+        if self._stamp_jitter_s:
+            error_s += self._stamp_jitter_s * float(self._stamp_rng.uniform(-1.0, 1.0))
+        return error_s
 
     def _scene_at(self, time_s: float) -> optics.ScenePose:
         truth = self._world.truth_at(time_s)
@@ -137,10 +149,13 @@ class SceneCamera:
         )
 
 
-def perturbed_lens(calibration: CameraConfig, error: float, rng: np.random.Generator) -> CameraConfig:
+def perturbed_lens(
+    calibration: CameraConfig, error: float, rng: np.random.Generator, built: float = 1.0
+) -> CameraConfig:
     """The true lens, which differs from the calibration by `error`, a standard deviation of the focal
-    length."""
+    length, and by the factor `built`."""
     longer, right, down = (error * rng.standard_normal(3)).tolist()
+    longer = built * (1.0 + longer) - 1.0 if built != 1.0 else longer
     return calibration.model_copy(
         update={
             "fx_px": calibration.fx_px * (1.0 + longer),

@@ -10,6 +10,7 @@ from companion.base.geometry import Vector3
 from companion.config import GpsConfig
 from sitl.devices.ports import DevicePort
 from sitl.devices.rack import SensorErrors, SensorRack, Wiring
+from sitl.scenario.as_built import AS_BELIEVED, BuiltVehicle
 from sitl.scenario.scenario import SensorSettings
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.sensors.inertial import ImuErrors
@@ -26,6 +27,7 @@ def sensor_rack(
     place: EarthPlace,
     gps_port: DevicePort,
     range_port: DevicePort,
+    built: BuiltVehicle = AS_BELIEVED,
 ) -> SensorRack:
     """The sensors that the app reads."""
     home, field_ned_ut = place
@@ -37,23 +39,30 @@ def sensor_rack(
         gps_port=gps_port,
         range_port=range_port,
         gps_config=GpsConfig(latency_s=settings.gps_delay_s),
-        errors=sensor_errors(settings),
+        errors=sensor_errors(settings, built.vibration),
+        imu_position_body_m=built.imu_offset_body_m,
         wiring=Wiring(settings.imu_interface, settings.gps_wake_baud, settings.ultrasonic),
     )
 
 
 def autopilot_sensors(
-    settings: SensorSettings, rng: np.random.Generator, dt_s: float, place: EarthPlace, imu_filter: int
+    settings: SensorSettings,
+    rng: np.random.Generator,
+    dt_s: float,
+    place: EarthPlace,
+    imu_filter: int,
+    built: BuiltVehicle = AS_BELIEVED,
 ) -> SimulatedAutopilotSensors:
     """The autopilot's own sensors; `imu_filter` is their IMU's low-pass, as DLPF_CFG."""
     home, field_ned_ut = place
-    errors = sensor_errors(settings)
+    errors = sensor_errors(settings, built.vibration)
     return SimulatedAutopilotSensors(
         rng,
         dt_s,
         home=home,
         field_ned_ut=field_ned_ut,
         imu_filter=imu_filter,
+        imu_position_body_m=built.autopilot_imu_offset_body_m,
         gps_latency_s=settings.gps_delay_s,
         imu_errors=errors.imu,
         mag_errors=errors.magnetometer,
@@ -62,11 +71,11 @@ def autopilot_sensors(
     )
 
 
-def sensor_errors(settings: SensorSettings) -> SensorErrors:
-    """The data sheets' figures times the scenario's factors."""
+def sensor_errors(settings: SensorSettings, vibration: float = 1.0) -> SensorErrors:
+    """The data sheets' figures times the scenario's factors, and the rotors' vibration times another."""
     imu, mag, gps, echo = ImuErrors(), MagErrors(), GpsErrors(), RangeErrors()
     k, g = settings.imu_noise_factor, settings.gps_noise_factor
-    shaking = k * settings.vibration_factor
+    shaking = k * settings.vibration_factor * vibration
     return SensorErrors(
         imu=replace(
             imu,

@@ -9,13 +9,14 @@ Simulation time starts at 0; stamps that leave it (frames, truth) are loop time.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from companion.base.geometry import Vector3
+from companion.base.geometry import ZERO3, Vector3
 from companion.base.messages import Frame, Phase, Truth
 from companion.config import VehicleConfig, find_file, load_model
 from companion.pad import load_pad
@@ -121,17 +122,21 @@ class Simulation:
         streams = np.random.default_rng((seed, SIMULATION_STREAM)).spawn(6)
         autopilot_rng, beacon_rng, noise_rng, latency_rng, sensors_rng, lens_rng = streams
         fault_rng = np.random.default_rng((seed, FAULT_STREAM))
-        home = scenario.place
+        built = world.built
+        self._home = home = built.home(scenario.place)
         place = (home, magnetic_field_ned_ut(home))
-        self._rack = sensor_rack(scenario.sensors, seed, PHYSICS_STEP_S, place, gps_port, range_port)
+        self._rack = sensor_rack(scenario.sensors, seed, PHYSICS_STEP_S, place, gps_port, range_port, built)
         imu_filter = PROFILES[scenario.autopilot].imu_filter if firmware is None else IMU_FILTER
-        sensors = autopilot_sensors(scenario.sensors, sensors_rng, PHYSICS_STEP_S, place, imu_filter)
+        sensors = autopilot_sensors(scenario.sensors, sensors_rng, PHYSICS_STEP_S, place, imu_filter, built)
         self._autopilot_sensors = sensors
-        self._camera = SceneCamera(scenario, self._vehicle, world, noise_rng, latency_rng, lens_rng)
-        self.line = line = MavlinkLine(scenario.link, fault_rng, self._timer)
+        self._camera = SceneCamera(
+            scenario, self._vehicle, world, noise_rng, latency_rng, lens_rng, built=built
+        )
+        self.line = line = MavlinkLine(built.links(scenario.link), fault_rng, self._timer)
         self._frame_line = FrameLine(fault_rng, scenario.camera.lost_share, scenario.camera.lost_burst_frames)
         signing = Signing(scenario.autopilot, signing_key)
         station = GroundStation.of(scenario.beacon, beacon_rng, home, signing)
+        self._station = station
         self._flight_controller = self._autopilot(firmware, station, autopilot_rng)
         line.network = self._network(station, signing, unix_at_start_s, serve_truth=serve_truth)
         self.app_words = AppWords()
@@ -210,6 +215,7 @@ class Simulation:
         verdict = judge(
             world.touchdown,
             self._scenario.pass_bounds,
+            contacts=world.contacts,
             crashed=world.crashed,
             at_rest_on_pad=world.at_rest_on_pad,
             disarmed=not self._flight_controller.armed,
@@ -231,6 +237,8 @@ class Simulation:
             truth=tuple(self._truth),
             nearest_obstacle_m=world.nearest_obstacle_m,
             touchdown_pad_m=None if world.touchdown is None else world.touchdown.offset_pad_m,
+            as_built=None if self._scenario.as_built is None else world.built.told(),
+            contacts=tuple(replace(c, time_s=self._timer.start_s + c.time_s) for c in verdict.contacts),
         )
 
     # ------------------------------------------------------------ building it
@@ -238,11 +246,16 @@ class Simulation:
     def _autopilot(
         self, firmware: FirmwareSpec | None, station: GroundStation, rng: np.random.Generator
     ) -> SimulatedAutopilot | FirmwareVehicle:
-        scenario, airframe = self._scenario, self._world.airframe
+        scenario, airframe, built = self._scenario, self._world.believed_airframe, self._world.built
         if firmware is None:
-            estimator = ESTIMATORS[scenario.estimator]
-            home, kind = scenario.place, scenario.autopilot
-            return SimulatedAutopilot(kind, airframe.body, rng, home, estimator, airframe.rates)
+            estimator, kind = ESTIMATORS[scenario.estimator], scenario.autopilot
+            body = built.told_body(airframe.body)
+            # what is tuned on the vehicle turns it as it was meant to
+            rates = airframe.rates or PROFILES[kind].attitude_gains.shares.rates(airframe.body)
+            autopilot = SimulatedAutopilot(kind, body, rng, self._home, estimator, rates)
+            if built.yaw_reset_deg:
+                autopilot.estimate.reset_yaw_at(built.yaw_reset_s, math.radians(built.yaw_reset_deg))
+            return autopilot
         with interrupted_at_once():
             return FirmwareVehicle(
                 firmware,
@@ -250,7 +263,7 @@ class Simulation:
                 self._autopilot_sensors,
                 station,
                 rng,
-                home=scenario.place,
+                home=self._home,
                 gps_delay_s=scenario.sensors.gps_delay_s,
                 step_s=PHYSICS_STEP_S,
             )
@@ -261,7 +274,7 @@ class Simulation:
         autopilot, sensors = self._flight_controller, self._autopilot_sensors
         if isinstance(autopilot, FirmwareVehicle):
             return autopilot.network
-        truth = TruthMessages(autopilot, self._world, self._scenario.place) if serve_truth else None
+        truth = TruthMessages(autopilot, self._world, self._home) if serve_truth else None
         return Network(autopilot, sensors, station, signing, unix_at_start_s, truth)
 
     def _targets(self, sensors: SimulatedAutopilotSensors, computer: ComputerFaults | None) -> FaultTargets:
@@ -269,11 +282,12 @@ class Simulation:
         autopilot = self._flight_controller
         non_sensor = NonSensorTargets(
             self._camera.model,
-            load_pad(self._scenario.pad.name),
+            world.built.pad(load_pad(self._scenario.pad.name)),
             world.pad_motion,
             autopilot if isinstance(autopilot, SimulatedAutopilot) else None,
             network.restart if isinstance(network, Network) else lambda: None,
             computer,
+            self._station,
         )
         devices = (self._rack, sensors, self._frame_line, world.motors, line.to_app, line.to_vehicle)
         return FaultTargets(*devices, non_sensor)
@@ -302,6 +316,9 @@ class Simulation:
         if self._timer.count % RANGE_EVERY_TICKS == 0:
             self._range_finder = world.ranging(self._vehicle.range_position_body_m, HALF_BEAM_RAD)
         self.faults.step(world.time_s)
+        if world.built.deck_field_ned_ut != ZERO3:
+            field_ned_ut = world.deck_field_ned_ut()
+            self._rack.deck_field_ned_ut = self._autopilot_sensors.deck_field_ned_ut = field_ned_ut
         self._autopilot_sensors.step(world.time_s, state, throttle, self._range_height_m)
         self._rack.step(world.time_s, state, throttle, self._range_height_m)
         if self.on_step is not None:

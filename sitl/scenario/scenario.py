@@ -24,6 +24,7 @@ from sitl.faults.faulty_link import LinkSettings
 from sitl.pad.motion import PadMotionSettings
 from sitl.pad.paths import Angle, Heading, HeaveMotion, StaticMotion
 from sitl.pad.sea import DeckSettings
+from sitl.scenario.as_built import AsBuiltSettings, BuiltVehicle, draw
 from sitl.scenario.home import USUAL_HOMES, HomeSettings, magnetic_field_ned_ut
 from sitl.vehicle.quadrotor import QuadrotorParameters
 from sitl.world.contact import ContactParameters
@@ -148,6 +149,7 @@ class Scenario(StrictModel):
     sensors: SensorSettings = SensorSettings()
     beacon: BeaconSettings = BeaconSettings()
     link: LinkSettings = LinkSettings()
+    as_built: AsBuiltSettings | None = None
     faults: tuple[Annotated[Fault, Field(discriminator="kind")], ...] = ()
     pass_bounds: PassBounds = Field(default=PassBounds(), alias="pass")
     companion: dict[str, Any] = Field(default_factory=dict)
@@ -156,6 +158,10 @@ class Scenario(StrictModel):
     def place(self) -> Vector3:
         """Latitude (deg), longitude (deg), altitude (m AMSL) of the world's origin."""
         return USUAL_HOMES[self.autopilot] if self.home is None else self.home.place
+
+    def built(self, seed: int) -> BuiltVehicle:
+        """What was built, against what this file and the app's say: by `as_built`, under a seed."""
+        return draw(self.as_built, seed)
 
     @property
     def operator_settings(self) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from companion.base.geometry import (
     tilt_from_quat,
 )
 from sitl.sensors.calibration_errors import BoardTruth
-from sitl.sensors.inertial import ImuErrors, ImuSensor
+from sitl.sensors.inertial import ImuErrors, ImuSensor, felt_at
 from sitl.sensors.sensors import (
     GpsErrors,
     GpsReading,
@@ -87,6 +87,7 @@ class SimulatedAutopilotSensors:
         imu_filter: int,
         gps_latency_s: float = 0.12,
         antenna_body_m: Vector3 = (0.0, 0.0, -0.05),
+        imu_position_body_m: Vector3 = ZERO3,
         imu_errors: ImuErrors | None = None,
         mag_errors: MagErrors | None = None,
         gps_errors: GpsErrors | None = None,
@@ -100,6 +101,8 @@ class SimulatedAutopilotSensors:
         self._gps = GpsSensor(gps_errors or GpsErrors(), gps_rng, home)
         self._range = RangeSensor(range_errors or RangeErrors(), range_rng)
         self._field_ned_ut = field_ned_ut
+        self.deck_field_ned_ut = ZERO3  # of what is beneath, in addition
+        self._imu_position_body_m = imu_position_body_m
         self._gps_latency_s = gps_latency_s
         self._antenna_body_m = antenna_body_m
         self._enabled = False
@@ -146,11 +149,13 @@ class SimulatedAutopilotSensors:
         self._receive(now_s, state)
         if not self._enabled:
             return
-        force, rate = self.inertial.sample(state.specific_force_body_m_s2, state.rate_body_rad_s, throttle)
+        felt = felt_at(self._imu_position_body_m, state)
+        force, rate = self.inertial.sample(felt, state.rate_body_rad_s, throttle)
         self.imu = ImuReading(now_s, force, rate)
         if now_s >= self._mag_due_s - _EARLY_S:
             self._mag_due_s = max(self._mag_due_s, now_s - MAG_PERIOD_S) + MAG_PERIOD_S
-            field_body = add(quat_rotate_inverse(state.attitude, self._field_ned_ut), self.stray_field_ut)
+            field_ned = add(self._field_ned_ut, self.deck_field_ned_ut)
+            field_body = add(quat_rotate_inverse(state.attitude, field_ned), self.stray_field_ut)
             self.mag = Field(now_s, self._mag.sample(field_body, throttle))
         if now_s >= self._range_due_s - _EARLY_S:
             self._range_due_s = max(self._range_due_s, now_s - RANGE_PERIOD_S) + RANGE_PERIOD_S

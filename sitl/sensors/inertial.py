@@ -1,7 +1,7 @@
 """The MPU9250's accelerometer and gyroscope: truth to filtered analogue values.
 
 Bias, scale, misalignment, noise, the rotors' vibration, then the filter with the data sheet's bandwidth
-and delay. Pure; body axes FRD, SI units. The sensor sits at the centre of mass: no lever arm.
+and delay. Pure; body axes FRD, SI units. The sensor takes the specific force where it sits (`felt_at`).
 
 Vibration: four rotors, each at a speed of its own, shake once a turn (imbalance) and twice (blades). The
 lines beat, and move with the throttle; above 100 Hz they come in folded, since the app reads at 200 Hz.
@@ -26,9 +26,13 @@ import numpy as np
 
 from companion.base.geometry import (
     GRAVITY_M_S2,
+    IDENTITY,
     ZERO3,
     FloatArray,
     Vector3,
+    add,
+    cross,
+    quat_rotate_inverse,
 )
 from sitl.sensors.calibration_errors import (
     CalibrationErrors,
@@ -37,12 +41,23 @@ from sitl.sensors.calibration_errors import (
 )
 from sitl.sensors.glitches import Glitches
 from sitl.sensors.sensors import NOISE_BLOCK, flawed_rotation
+from sitl.vehicle.quadrotor import QuadrotorState
 
 _MILLI_G: Final = 1e-3 * GRAVITY_M_S2
 
 # DLPF_CFG -> (bandwidth Hz, delay s), register map rev. 1.6
 GYRO_FILTER: Final = {1: (184.0, 0.0029), 2: (92.0, 0.0039), 3: (41.0, 0.0059), 4: (20.0, 0.0099)}
 ACCEL_FILTER: Final = {1: (218.1, 0.00188), 2: (99.0, 0.00288), 3: (44.8, 0.00488), 4: (21.2, 0.00887)}
+
+
+def felt_at(position_body_m: Vector3, state: QuadrotorState) -> Vector3:
+    """Specific force (m/s²) at a point of a rigid body: its turning adds to what the centre of mass feels."""
+    force = state.specific_force_body_m_s2
+    if position_body_m == ZERO3:
+        return force
+    rate = state.rate_body_rad_s
+    spun = cross(rate, cross(rate, position_body_m))
+    return add(force, add(cross(state.angular_acceleration_body_rad_s2, position_body_m), spun))
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +176,7 @@ class _NoiseBlocks:
 
 
 class ImuSensor:
-    """Gyroscope and accelerometer at the centre of mass, up to the output of the digital low-pass filter.
+    """Gyroscope and accelerometer, up to the output of the digital low-pass filter.
 
     Step it at a fixed dt (the physics'). The output is in the axes of the sensor: `sensor_from_body` (3, 3)
     turns FRD into them.
@@ -209,6 +224,7 @@ class ImuSensor:
             self._take_from_the_shop(rng.spawn(1)[0])
         self.accel_limit_m_s2 = math.inf
         self.vibration_factor = 1.0
+        self.board_turn = IDENTITY  # from how it was mounted
         self._draw_rotors(rng.spawn(1)[0])
         self.set_filter(dlpf)
 
@@ -265,6 +281,9 @@ class ImuSensor:
         a, g = self._accel_noise.next(), self._gyro_noise.next()
         fx, fy, fz = specific_force_body
         p, q, r = rate_body
+        if self.board_turn != IDENTITY:
+            fx, fy, fz = quat_rotate_inverse(self.board_turn, specific_force_body)
+            p, q, r = quat_rotate_inverse(self.board_turn, rate_body)
         dp, dq, dr = self.rate_offset_rad_s
         p, q, r = p + dp, q + dq, r + dr
         dx, dy, dz = self.force_offset_m_s2

@@ -1,4 +1,4 @@
-"""Motor effectiveness: each motor gives a share of the commanded thrust.
+"""Motor effectiveness: each motor gives a share of the commanded thrust, by its own thrust curve.
 
 A worn propeller, a tired speed controller or a battery's sagging voltage costs thrust and reaction torque
 alike, so the command itself is scaled, before the motor's lag.
@@ -16,8 +16,10 @@ NOMINAL: Final[Four] = (1.0, 1.0, 1.0, 1.0)
 class Motors:
     """Front, right, back and left motor (1 to 4)."""
 
-    def __init__(self) -> None:
+    def __init__(self, thrust_exponent: float = 1.0) -> None:
+        """Thrust goes with the command to this power."""
         self._shares = NOMINAL
+        self._exponent = thrust_exponent
 
     def clear_faults(self) -> None:
         """All motors give the commanded thrust."""
@@ -33,6 +35,9 @@ class Motors:
 
     def given(self, commands: Four) -> Four:
         """The effective commands (shares of full thrust)."""
+        if self._exponent != 1.0:
+            front, right, rear, left = (min(1.0, max(0.0, c)) ** self._exponent for c in commands)
+            commands = (front, right, rear, left)
         if self._shares is NOMINAL:
             return commands
         a, b, c, d = self._shares

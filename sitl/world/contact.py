@@ -52,6 +52,13 @@ class ContactParameters(StrictModel):
     sideways_stiffness_n_m: float = Field(ge=100.0, le=20000.0)
     sideways_damping_n_s_m: float = Field(ge=0.0, le=200.0)
 
+    def longer(self, by_m: float) -> ContactParameters:
+        """The same legs, but so much longer."""
+        if by_m == 0.0:
+            return self
+        a, b, c, d = ((x, y, z + by_m) for x, y, z in self.feet_body_m)
+        return self.model_copy(update={"feet_body_m": (a, b, c, d)})
+
     def standing_height_m(self) -> float:
         """Height of the reference point over the surface when the vehicle stands."""
         return self.feet_body_m[0][2]

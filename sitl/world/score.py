@@ -1,6 +1,10 @@
-"""Scoring of a flight: the true touchdown, and whether it counts as a landing.
+"""Scoring of a flight: every contact with pad or ground, and whether the flight counts as a landing.
 
-Speeds are relative to the pad, positive vertical ones closing; angles in degrees. Where a deck tilts,
+A contact lasts from the first touch until the vehicle is clear of all surfaces by more than a bounce; its
+touches are one contact, scored by the worst of them. The landing is the last contact. Any before it is a
+failed flight, and so is any that is harder than allowed, the hops of the take-off included.
+
+Speeds are relative to what is touched, positive vertical ones closing; angles in degrees. Where a deck tilts,
 vertical means along its normal, horizontal along its surface, and tilt is from its normal. Everything is
 taken from the last state before contact forces acted.
 """
@@ -8,10 +12,12 @@ taken from the last state before contact forces acted.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Literal
 
 from companion.base.geometry import (
+    ZERO3,
     Vector3,
     dot,
     norm,
@@ -29,16 +35,22 @@ from sitl.world.contact import ContactLoad
 from sitl.world.ground import tilt_from_normal
 
 AIRBORNE_HEIGHT_M: Final = 1.0
+# Feet that come higher have left: at 0.5 m/s, the largest speed that benches let pass, and with nine tenths
+# of the weight still carried by the rotors, a touch without any loss would throw it up by 0.13 m; legs lose
+# more than half of that.
+BOUNCE_M: Final = 0.1
 CRASH_SPEED_M_S: Final = 2.0
 CRASH_TILT_RAD: Final = math.radians(60.0)
 UPSIDE_DOWN_RAD: Final = math.radians(90.0)
+_DOWN: Final[Vector3] = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class TouchdownState:
-    """The first contact after a flight. `impact_speed_m_s` is relative to what was hit.
+    """One contact: its first touch, and the worst of all its touches.
 
-    `offset_pad_m` is where on the pad: along its heading and to its right.
+    `offset_pad_m` is where on the pad: along its heading and to its right. `before_flight`: it stood, or
+    hopped lower than a bounce, and had not flown yet.
     """
 
     time_s: float
@@ -51,6 +63,24 @@ class TouchdownState:
     impact_speed_m_s: float
     on_pad: bool
     offset_pad_m: tuple[float, float]
+    position_ned_m: Vector3 = ZERO3
+    touches: int = 1
+    before_flight: bool = False
+
+    def and_again(self, touch: TouchdownState) -> TouchdownState:
+        """The contact with one more touch: the worst of each figure, time and heading of the first."""
+        farther = touch if touch.lateral_error_m > self.lateral_error_m else self
+        return replace(
+            self,
+            lateral_error_m=farther.lateral_error_m,
+            offset_pad_m=farther.offset_pad_m,
+            vertical_speed_m_s=max(self.vertical_speed_m_s, touch.vertical_speed_m_s),
+            horizontal_speed_m_s=max(self.horizontal_speed_m_s, touch.horizontal_speed_m_s),
+            tilt_deg=max(self.tilt_deg, touch.tilt_deg),
+            impact_speed_m_s=max(self.impact_speed_m_s, touch.impact_speed_m_s),
+            on_pad=self.on_pad and touch.on_pad,
+            touches=self.touches + 1,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,20 +102,45 @@ class TouchdownResult:
         )
 
 
-class TouchdownDetector:
-    """Watches a flight for its touchdown and for a crash.
+@dataclass(frozen=True, slots=True)
+class ContactResult:
+    """A contact as the result file has it; `violations`: what of it makes the flight a failed one."""
 
-    A vehicle that rises a metre again after a touchdown flies again: its next contact replaces the last.
-    A crash stays a crash. `flown`: it has ever been so high.
+    time_s: float
+    surface: Literal["pad", "ground"]
+    position_ned_m: Vector3
+    lateral_error_m: float
+    vertical_speed_m_s: float
+    horizontal_speed_m_s: float
+    tilt_deg: float
+    touches: int
+    violations: tuple[str, ...]
+
+
+class TouchdownDetector:
+    """Watches a flight for its contacts and for a crash.
+
+    A crash stays a crash. `flown`: it has ever been a metre high.
     """
 
-    def __init__(self) -> None:
-        self.touchdown: TouchdownState | None = None
+    def __init__(self, *, stands: bool = True) -> None:
+        """`stands`: on something, at the beginning."""
+        self.contacts: list[TouchdownState] = []
         self.crashed = False
         self.nearest_obstacle_m: float | None = None
         self.flown = False
-        self._airborne = False
-        self._touching = True
+        self._airborne = self._clear = self._anew = False
+        self._touching = stands
+
+    @property
+    def touchdown(self) -> TouchdownState | None:
+        """The landing: the last contact of a vehicle that has flown."""
+        last = self.contacts[-1] if self.contacts else None
+        return None if last is None or last.before_flight or not self.flown else last
+
+    def begin_flight(self) -> None:
+        """What is touched from the next take-off on is another flight's."""
+        self._anew = True
 
     @property
     def flying(self) -> bool:
@@ -113,36 +168,47 @@ class TouchdownDetector:
 
     def airborne(self, height_m: float) -> None:
         """Note the feet's height (m) over whatever is beneath."""
+        if height_m > BOUNCE_M and not self._touching:
+            self._clear = True
+            if self._anew:
+                self._anew = False
+                self.contacts.clear()
         if height_m > AIRBORNE_HEIGHT_M:
             self._airborne = self.flown = True
 
     def _hit(self, time_s: float, state: QuadrotorState, pad: PadTruth, load: ContactLoad) -> None:
-        touchdown = _touchdown(time_s, state, pad, load.on_board > 0)
-        if touchdown.impact_speed_m_s > CRASH_SPEED_M_S:
+        touch = _touch(time_s, state, pad, load.on_board > 0)
+        if touch.impact_speed_m_s > CRASH_SPEED_M_S:
             self.crashed = True
-        if self._airborne:
-            self.touchdown = touchdown
-            self._airborne = False
+        if self._clear:
+            self.contacts.append(touch)
+        elif self.contacts:
+            self.contacts[-1] = self.contacts[-1].and_again(touch)
+        else:
+            self.contacts.append(replace(touch, before_flight=True))
+        self._airborne = self._clear = False
 
 
-def _touchdown(time_s: float, state: QuadrotorState, pad: PadTruth, on_pad: bool) -> TouchdownState:
-    # velocity of the turning board at the contact point; next to the board, the pad's own velocity
-    carried = pad.velocity_at_ned_m_s(state.position_ned_m) if on_pad else pad.velocity_ned_m_s
+def _touch(time_s: float, state: QuadrotorState, pad: PadTruth, on_pad: bool) -> TouchdownState:
+    # the turning board's velocity at the contact point; the ground has none
+    carried = pad.velocity_at_ned_m_s(state.position_ned_m) if on_pad else ZERO3
     relative = subtract(state.velocity_ned_m_s, carried)
     away = subtract(state.position_ned_m, pad.position_ned_m)
     axes = pad.axes()
-    normal = axes.down
+    normal = axes.down if on_pad else _DOWN
+    tilt_rad = tilt_from_normal(pad, state.attitude) if on_pad else tilt_from_quat(state.attitude)
     return TouchdownState(
         time_s=time_s,
-        lateral_error_m=math.hypot(*_along_surface(away, normal)),
+        lateral_error_m=math.hypot(*_along_surface(away, axes.down)),
         vertical_speed_m_s=dot(relative, normal),
         horizontal_speed_m_s=math.hypot(*_along_surface(relative, normal)),
-        tilt_deg=math.degrees(tilt_from_normal(pad, state.attitude)),
+        tilt_deg=math.degrees(tilt_rad),
         yaw_error_deg=math.degrees(wrap_angle(yaw_from_quat(state.attitude) - pad.heading_rad)),
         pad_speed_m_s=norm(pad.velocity_ned_m_s),
-        impact_speed_m_s=norm(relative if on_pad else state.velocity_ned_m_s),
+        impact_speed_m_s=norm(relative),
         on_pad=on_pad,
         offset_pad_m=(dot(away, axes.forward), dot(away, axes.right)),
+        position_ned_m=state.position_ned_m,
     )
 
 
@@ -155,17 +221,19 @@ def _along_surface(v: Vector3, normal: Vector3) -> Vector3:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The outcome, the touchdown if there was one, and a line for each violated bound."""
+    """The outcome, the touchdown if there was one, a line for each violated bound, and every contact."""
 
     outcome: Outcome
     touchdown: TouchdownResult | None
     failures: tuple[str, ...] = ()
+    contacts: tuple[ContactResult, ...] = ()
 
 
 def judge(
     touchdown: TouchdownState | None,
     bounds: PassBounds,
     *,
+    contacts: Sequence[TouchdownState],
     crashed: bool,
     at_rest_on_pad: bool,
     disarmed: bool,
@@ -174,38 +242,83 @@ def judge(
 ) -> Verdict:
     """Judge a flight that has ended, or whose time is up.
 
-    Landed: touched down on the pad within the bounds, stands on it and is disarmed. Missed: it touched down
-    but violated a bound, left the pad or came down beside it. Aborted: the app gave up, whatever the place.
-    Timeout: none of these, or on the pad but still armed.
+    Landed: its only contact is the touchdown, on the pad within the bounds, and it stands on it and is
+    disarmed. Missed: it touched down but touched something before, violated a bound, left the pad or came
+    down beside it. Aborted: the app gave up, whatever the place. Timeout: none of these, or on the pad but
+    still armed.
     """
     result = None if touchdown is None else TouchdownResult.of(touchdown)
+    told = tuple(_told(contact, touchdown, bounds) for contact in contacts)
     struck = nearest_obstacle_m is not None and nearest_obstacle_m <= 0.0
+    wrong = tuple(map(_in_words, (contact for contact in told if contact.violations)))
     if crashed or struck:
-        return Verdict(Outcome.CRASHED, result, ("touched an obstacle" if struck else "crashed",))
+        why = "touched an obstacle" if struck else "crashed"
+        return Verdict(Outcome.CRASHED, result, (why, *wrong), told)
     if final_phase is Phase.ABORT:
-        return Verdict(Outcome.ABORTED, result, ("the app aborted",))
+        return Verdict(Outcome.ABORTED, result, ("the app aborted", *wrong), told)
     if touchdown is None:
-        return Verdict(Outcome.TIMEOUT, None, ("never touched down",))
-    failures = _violated(touchdown, bounds)
+        return Verdict(Outcome.TIMEOUT, None, ("never touched down", *wrong), told)
+    # the touchdown is the last contact
+    violated = told[-1].violations
+    failures = (*(wrong[:-1] if violated else wrong), *violated)
     if not at_rest_on_pad:
         failures = (*failures, "not at rest on the pad")
     if failures:
-        return Verdict(Outcome.MISSED, result, failures)
+        return Verdict(Outcome.MISSED, result, failures, told)
     if not disarmed:
-        return Verdict(Outcome.TIMEOUT, result, ("not disarmed",))
-    return Verdict(Outcome.LANDED, result)
+        return Verdict(Outcome.TIMEOUT, result, ("not disarmed",), told)
+    return Verdict(Outcome.LANDED, result, (), told)
 
 
-def _violated(touchdown: TouchdownState, bounds: PassBounds) -> tuple[str, ...]:
-    measured = (
-        ("lateral error", touchdown.lateral_error_m, bounds.lateral_error_m, "m"),
-        ("vertical speed", touchdown.vertical_speed_m_s, bounds.vertical_speed_m_s, "m/s"),
-        ("horizontal speed", touchdown.horizontal_speed_m_s, bounds.horizontal_speed_m_s, "m/s"),
-        ("tilt", touchdown.tilt_deg, bounds.tilt_deg, "deg"),
+def _told(contact: TouchdownState, landing: TouchdownState | None, bounds: PassBounds) -> ContactResult:
+    """The contact with all that is wrong about it."""
+    if contact is landing:
+        violations = _violated(contact, bounds)
+    else:
+        when = () if contact.before_flight else ("before the landing",)
+        violations = (*when, *_too_fast(contact, bounds))
+    return ContactResult(
+        time_s=contact.time_s,
+        surface="pad" if contact.on_pad else "ground",
+        position_ned_m=contact.position_ned_m,
+        lateral_error_m=contact.lateral_error_m,
+        vertical_speed_m_s=contact.vertical_speed_m_s,
+        horizontal_speed_m_s=contact.horizontal_speed_m_s,
+        tilt_deg=contact.tilt_deg,
+        touches=contact.touches,
+        violations=violations,
     )
-    violated = tuple(
+
+
+def _in_words(contact: ContactResult) -> str:
+    return (
+        f"touched the {contact.surface} {contact.lateral_error_m:.1f} m from the pad's centre at "
+        f"{contact.vertical_speed_m_s:.2f} m/s down, {contact.horizontal_speed_m_s:.2f} m/s sideways: "
+        f"{', '.join(contact.violations)}"
+    )
+
+
+def _over(measured: Iterable[tuple[str, float, float, str]]) -> tuple[str, ...]:
+    return tuple(
         f"{name} {value:.2f} {unit}, expected at most {limit:g}"
         for name, value, limit, unit in measured
         if not value <= limit  # so that what is no number is no landing
+    )
+
+
+def _too_fast(contact: TouchdownState, bounds: PassBounds) -> tuple[str, ...]:
+    return _over(
+        (
+            ("vertical speed", contact.vertical_speed_m_s, bounds.vertical_speed_m_s, "m/s"),
+            ("horizontal speed", contact.horizontal_speed_m_s, bounds.horizontal_speed_m_s, "m/s"),
+        )
+    )
+
+
+def _violated(touchdown: TouchdownState, bounds: PassBounds) -> tuple[str, ...]:
+    violated = (
+        *_over((("lateral error", touchdown.lateral_error_m, bounds.lateral_error_m, "m"),)),
+        *_too_fast(touchdown, bounds),
+        *_over((("tilt", touchdown.tilt_deg, bounds.tilt_deg, "deg"),)),
     )
     return violated if touchdown.on_pad else ("touched down beside the pad", *violated)

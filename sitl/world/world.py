@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from functools import partial
 from typing import Final, NamedTuple
@@ -79,16 +79,20 @@ class World:
         Raises:
             ConfigError: the scenario names an airframe or a pad that cannot be read.
         """
-        airframe = load_airframe(scenario.airframe)
-        body = airframe.body
+        self.built = built = scenario.built(seed)
+        believed = load_airframe(scenario.airframe)
+        body = built.body(believed.body)
+        airframe = believed.model_copy(
+            update={"body": body, "legs": believed.legs.longer(built.leg_height_m)}
+        )
         arm, up = body.arm_length_m, -body.rotor_height_m
-        self.airframe = airframe
-        self.board = PadBoard.of(load_pad(scenario.pad.name))
+        self.believed_airframe, self.airframe = believed, airframe
+        self.board = PadBoard.of(built.pad(load_pad(scenario.pad.name)))
         self.time_s = 0.0
         self.wind_ned_m_s: Vector3 = (0.0, 0.0, 0.0)
         # stored with the truth for the plots
         self.attitude_setpoint: Quaternion = IDENTITY
-        self.motors = Motors()
+        self.motors = Motors(built.thrust_exponent)
         self._quadrotor = Quadrotor(body, scenario.mass_factor)
         self._rotors = ((arm, 0.0, up), (0.0, arm, up), (-arm, 0.0, up), (0.0, -arm, up))
         self._contact = Contact(airframe.legs, body.mass_kg, self.board, self._rotors)
@@ -124,7 +128,7 @@ class World:
         self._state = state
         self._load = NO_CONTACT
         self._contact.release()
-        self._watch = TouchdownDetector()
+        self._watch = TouchdownDetector(stands=False)
         self._watch.airborne(self.height_m - self.landed_reference_height_m)
         self._history = deque([self._snapshot()])
 
@@ -202,6 +206,11 @@ class World:
         north, east, down = self._state.position_ned_m
         return self.board.surface_down_m(self.pad_state, north, east) - down
 
+    def deck_field_ned_ut(self) -> Vector3:
+        """The pad's own magnetic field where the vehicle is."""
+        away = subtract(self._state.position_ned_m, self.pad_state.position_ned_m)
+        return self.built.deck_field_at(norm(away))
+
     @property
     def contact(self) -> ContactLoad:
         """What touched, and how, in the last step."""
@@ -236,8 +245,13 @@ class World:
 
     @property
     def touchdown(self) -> TouchdownState | None:
-        """The last first contact after a flight above 1 m."""
+        """The last contact, after a flight above 1 m."""
         return self._watch.touchdown
+
+    @property
+    def contacts(self) -> Sequence[TouchdownState]:
+        """Every contact of the flight, but for standing before it."""
+        return tuple(self._watch.contacts)
 
     @property
     def crashed(self) -> bool:

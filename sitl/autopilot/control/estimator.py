@@ -121,6 +121,20 @@ class SimulatedEstimator:
         self.velocity_ned_m_s = ZERO3
         self.acceleration_ned_m_s2 = ZERO3
         self._true_velocity: Vector3 | None = None
+        self._yaw_reset: tuple[float, float] | None = None
+
+    def reset_yaw_at(self, time_s: float, by_rad: float) -> None:
+        """Reset the heading then: it leaps, and with it the frame of the velocities."""
+        self._yaw_reset = (time_s, by_rad)
+
+    def step_to(self, now_s: float) -> None:
+        """Let what is due happen."""
+        if self._yaw_reset is None or now_s < self._yaw_reset[0]:
+            return
+        by_rad, self._yaw_reset = self._yaw_reset[1], None
+        self.heading_bias_rad += by_rad
+        self._heading_error = quat_from_euler(0.0, 0.0, self.heading_bias_rad)
+        self._velocity_turn_rad += by_rad * self._errors.velocity_turns_with_heading
 
     def update_attitude(self, truth: TrueMotion) -> None:
         """Update attitude and rate: constant heading and horizon errors, a clean gyroscope."""

@@ -49,6 +49,7 @@ class FlightLoop(FlightState):
         self._now_s = now_s
         estimate = self.estimate
         self.battery.step(self._motors, self.profile.outer_period_s)
+        estimate.step_to(now_s)
         estimate.update_position(truth, self.profile.outer_period_s)
         self._note_arming()  # by commands since the step before
         self._watch(now_s - self.booted_s, now_s - self._setpoint_s)

@@ -237,6 +237,7 @@ def _judged(flight: PrecisionFlight, began_s: float) -> PrecisionLandingResult:
     verdict = judge(
         world.touchdown,
         BOUNDS,
+        contacts=world.contacts,
         crashed=world.crashed,
         at_rest_on_pad=world.at_rest_on_pad,
         disarmed=not flight.autopilot.armed,

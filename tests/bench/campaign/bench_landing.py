@@ -2,9 +2,10 @@
 
     python -m tests.bench.campaign.bench_landing --runs 200 --out flights/bench-landing
 
-Flies random landings (rendered, virtual time), then the cases in which ArduCopter's own precision landing
-was measured on the real firmware. Give the same command again after an interruption, and it goes on. The time
-to land is from taking the pad up to disarmed.
+Flies random landings (rendered, virtual time), the same by vehicles that are not what their builders believe
+(as built), then the cases in which ArduCopter's own precision landing was measured on the real firmware. Give
+the same command again after an interruption, and it goes on. The time to land is from taking the pad up to
+disarmed.
 """
 
 from __future__ import annotations
@@ -31,7 +32,13 @@ from sitl.campaign.progress import CampaignMeter
 from sitl.campaign.rows import Row, RunsFile, make_row, pending
 from sitl.campaign.tables import print_worst
 from tests.bench.campaign.ending import judged, run_bench
-from tests.bench.campaign.landing_cases import LandingCase, peer_cases, random_landings, write_flights
+from tests.bench.campaign.landing_cases import (
+    LandingCase,
+    as_built_landings,
+    peer_cases,
+    random_landings,
+    write_flights,
+)
 
 # measured on the real firmware: landed (%), median lateral error (cm), vertical speed (m/s), time (s)
 PEER: Final = {"line": "100 %, 1-2 cm, 0.47 m/s, 20 s", "turn": "0 % (0.56 m behind)", "wind": "20 to 60 %"}
@@ -91,9 +98,27 @@ def random_bars(rows: Sequence[Row]) -> list[Bar]:
     lateral = "touchdown_lateral_m"
     return [
         landed_share("random landed", rows, 0.99),
+        unplanned_bar("random", rows),
         at_most("lateral p50", 100.0 * _percentile(rows, lateral, 50), 3.0, "cm"),
         at_most("lateral p95", 100.0 * _percentile(rows, lateral, 95), 8.0, "cm"),
         at_most("vertical p50", _percentile(rows, "vertical_speed_m_s", 50), 0.2, "m/s"),
+    ]
+
+
+def unplanned_bar(name: str, rows: Sequence[Row]) -> Bar:
+    """No contact before the landing, and none harder than allowed."""
+    contacts = sum(row.unplanned_contacts or 0 for row in rows)
+    return Bar(f"{name} unplanned contacts", str(contacts), contacts == 0)
+
+
+def as_built_bars(rows: Sequence[Row]) -> list[Bar]:
+    """Bars of the landings as built."""
+    lateral = "touchdown_lateral_m"
+    return [
+        landed_share("as built landed", rows, 0.97),
+        unplanned_bar("as built", rows),
+        at_most("as built lateral p50", 100.0 * _percentile(rows, lateral, 50), 3.0, "cm"),
+        at_most("as built lateral p95", 100.0 * _percentile(rows, lateral, 95), 10.0, "cm"),
     ]
 
 
@@ -131,7 +156,7 @@ def table(groups: dict[str, list[Row]]) -> Table:
             " ".join(f"{v:.2f}" for v in vertical),
             " ".join(f"{v:.2f}" for v in horizontal),
             f"{_seconds(rows):.1f}",
-            "" if name.startswith("random") else PEER[kind_of(name)],
+            "" if name.startswith(("random", "as_built")) else PEER[kind_of(name)],
         )
     return shown
 
@@ -141,8 +166,8 @@ def by_motion(case: LandingCase, rows: Sequence[Row]) -> dict[str, list[Row]]:
     kinds = {content["name"]: content["pad"]["motion"]["kind"] for content, _ in case.flights}
     groups: dict[str, list[Row]] = {}
     for row in rows:
-        groups.setdefault(f"random, {kinds[row.scenario]}", []).append(row)
-    return {**dict(sorted(groups.items())), "random": list(rows)}
+        groups.setdefault(f"{case.name}, {kinds[row.scenario]}", []).append(row)
+    return {**dict(sorted(groups.items())), case.name: list(rows)}
 
 
 def main() -> int:
@@ -156,15 +181,19 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("flights/bench-landing"))
     options = parser.parse_args()
     console = Console(width=None if sys.stdout.isatty() else 150)
-    cases = (random_landings(options.runs, options.first), *peer_cases(options.seeds))
+    drawn = (random_landings(options.runs, options.first), as_built_landings(options.runs, options.first))
+    cases, drawn_bars = (
+        (*drawn, *peer_cases(options.seeds)),
+        {"random": random_bars, "as_built": as_built_bars},
+    )
     groups: dict[str, list[Row]] = {}
     bars: list[Bar] = []
     options.out.mkdir(parents=True, exist_ok=True)
     for case in (case for case in cases if case.flights and case.name.startswith(options.case)):
         console.print(f"{case.name}: {len(case.flights)} flights")
         rows = fly(write_flights(case, options.out), options.out, options.jobs, console)
-        groups |= by_motion(case, rows) if case.name == "random" else {case.name: rows}
-        bars += random_bars(rows) if case.name == "random" else peer_bars(case.name, rows)
+        groups |= by_motion(case, rows) if case.name in drawn_bars else {case.name: rows}
+        bars += drawn_bars[case.name](rows) if case.name in drawn_bars else peer_bars(case.name, rows)
     console.print(table(groups))
     print_worst(console, [row for name, rows in groups.items() if "," not in name for row in rows])
     return judged(console, bars)

@@ -6,6 +6,9 @@ m/s2), the mean wind up to 8 m/s with Dryden turbulence of moderate intensity (M
 by up to 10 % from what the app believes, the camera's latency of 40 to 150 ms with jitter. The camera is
 fixed to the body and sees 62 x 48 degrees. The app is told where to look for the pad, as in the shipped
 scenarios, and nothing else.
+
+As built, each of them is flown by a vehicle about which its builder is wrong (`sitl.scenario.as_built`), the
+mass among the rest; those of even numbers with the behaviour of PX4, those of odd ones with ArduPilot's.
 """
 
 from __future__ import annotations
@@ -49,6 +52,25 @@ def random_landings(count: int, first: int = 0) -> LandingCase:
     return LandingCase(
         "random", tuple((_random_landing(number), number) for number in range(first, first + count))
     )
+
+
+def as_built_landings(count: int, first: int = 0) -> LandingCase:
+    """The same, by vehicles that are not what their builders believe."""
+    return LandingCase(
+        "as_built", tuple((_as_built_landing(number), number) for number in range(first, first + count))
+    )
+
+
+def _as_built_landing(number: int) -> dict[str, Any]:
+    believed = _random_landing(number)
+    del believed["mass_factor"]
+    return {
+        **believed,
+        "name": f"as_built_{number:03d}",
+        "description": f"Random landing {number}, as built.",
+        "autopilot": "ardupilot" if number % 2 else "px4",
+        "as_built": {},
+    }
 
 
 def peer_cases(seeds: int) -> tuple[LandingCase, ...]:

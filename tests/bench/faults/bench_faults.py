@@ -2,11 +2,11 @@
 
     python -m tests.bench.faults.bench_faults --jobs 2 --out flights/bench-faults
 
-Flies the scenarios `line` and `circle` under five seeds, rendered, in virtual time; `--each 1` takes one
-flight of each fault in each phase, with scenarios and seeds in turn. What flights have in common before their
-fault is flown once. Each flight is written down when it ends; give the same command again after an
-interruption, and it goes on. Flights of another state of the code, the settings, the cases or the judge are
-not counted.
+Flies the scenarios `line` and `circle` under five seeds with the behaviours of PX4 and ArduPilot, rendered,
+in virtual time; `--each 1` takes one flight of each fault in each phase by each autopilot, with scenarios and
+seeds in turn. What flights have in common before their fault is flown once. Each flight is written down when
+it ends; give the same command again after an interruption, and it goes on. Flights of another state of the
+code, the settings, the cases or the judge are not counted.
 """
 
 from __future__ import annotations
@@ -18,15 +18,16 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, get_args
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from companion.base.autopilot_kind import AutopilotKind
 from sitl.campaign.figures import Bar
 from tests.bench.faults.cases import CASES, PHASES, FaultRun, all_runs, one_each
-from tests.bench.faults.fault_flight import fly_run, fly_together, on_disk
+from tests.bench.faults.fault_flight import flown_alone, fly_run, fly_together
 from tests.bench.faults.forks import Forks
 from tests.bench.faults.judge import OUTCOMES, SafetyVerdict
 from tests.bench.faults.runs_file import FaultRow, FaultRunsFile, flights_key
@@ -87,11 +88,11 @@ def fly_all(runs: Sequence[FaultRun], code: str, jobs: int, take: Take) -> None:
     """Fly, so many at a time; `take` gets each as it ends."""
     forks = Forks[FaultRow](jobs, take)
     try:
-        for kind in dict.fromkeys((run.scenario, run.seed) for run in runs):
-            group = [run for run in runs if (run.scenario, run.seed) == kind]
-            if together := [run for run in group if not on_disk(run)]:
+        for kind in dict.fromkeys(run[2:] for run in runs):
+            group = [run for run in runs if run[2:] == kind]
+            if together := [run for run in group if not flown_alone(run)]:
                 fly_group(together, code, forks, take)
-            for run in filter(on_disk, group):
+            for run in filter(flown_alone, group):
                 if forks.begin(run):
                     forks.deliver(fly_alone(run, code))
         forks.wait()
@@ -110,7 +111,7 @@ def fly_left(
             return
         file.append(row)
         rows[run] = row
-        where = f"{row.fault}, {row.phase}, {row.scenario} {row.seed}"
+        where = place_of(row)
         console.print(f"{len(rows)}/{len(left)} {where}: {row.outcome} {row.unsafe}", highlight=False)
 
     for _ in range(2):
@@ -119,6 +120,11 @@ def fly_left(
 
 
 # ---------------------------------------------------------------- what is shown
+
+
+def place_of(row: FaultRow) -> str:
+    """Which flight it was."""
+    return f"{row.fault}, {row.phase}, {row.autopilot}, {row.scenario} {row.seed}"
 
 
 def cell(rows: Sequence[FaultRow]) -> str:
@@ -159,8 +165,9 @@ def print_unsafe(console: Console, rows: Sequence[FaultRow]) -> None:
     """Each unsafe flight in a line, with what was unsafe and what the app said last."""
     for row in rows:
         if row.outcome == "unsafe":
-            where = f"{row.fault}, {row.phase}, {row.scenario} {row.seed}"
-            console.print(f"unsafe: {where}: {row.unsafe} ({row.said})", highlight=False, soft_wrap=True)
+            console.print(
+                f"unsafe: {place_of(row)}: {row.unsafe} ({row.said})", highlight=False, soft_wrap=True
+            )
 
 
 def _names(text: str, known: Sequence[str]) -> list[str]:
@@ -181,6 +188,9 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--scenarios", nargs="+", default=SCENARIOS)
     parser.add_argument(
+        "--autopilots", nargs="+", choices=get_args(AutopilotKind), default=get_args(AutopilotKind)
+    )
+    parser.add_argument(
         "--each",
         type=int,
         metavar="N",
@@ -191,14 +201,16 @@ def main() -> int:
     console = Console(width=None if sys.stdout.isatty() else 150)
     file, code = FaultRunsFile(options.out / "runs.csv"), flights_key()
     choice = (options.faults, options.phases, options.scenarios, options.seeds)
-    whole = list(all_runs(*choice))
-    asked = whole if options.each is None else one_each(*choice, options.each)
+    whole = list(all_runs(*choice, options.autopilots))
+    asked = whole if options.each is None else one_each(*choice, options.each, options.autopilots)
     done = {row.run: row for row in file.read(code)}
     left = [run for run in asked if run not in done]
     console.print(f"{len(asked)} flights, {len(left)} to fly")
     done.update(fly_left(left, code, options.jobs, file, console))
     rows = [done[run] for run in asked if run in done]
-    console.print(table(rows))
+    for autopilot in options.autopilots:
+        console.print(f"{autopilot}:", highlight=False)
+        console.print(table([row for row in rows if row.autopilot == autopilot]))
     print_unsafe(console, rows)
     found = bars(rows)
     console.print(f"flown: {len(rows)} of the whole {len(whole)}", highlight=False)

@@ -6,12 +6,14 @@ Under each seed a fault begins at another moment of its phase.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Final, Literal, NamedTuple
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.config import merge
 from sitl.faults.faults import Fault
+from sitl.scenario.as_built import NOTHING_ELSE
 from sitl.scenario.scenario import Scenario, load_scenario
 
 PhaseName = Literal["start", "search", "approach", "descend", "last_metre", "on_pad"]
@@ -29,11 +31,15 @@ _ON_PAD_DELAYS_S: Final = (0.05, 0.2, 0.4, 0.0, 0.8)
 
 @dataclass(frozen=True, slots=True)
 class FaultRowCase:
-    """A fault (or several at once) by the name of its row; `lands`: a landing is possible all the same."""
+    """A fault (or several at once) by the name of its row; `lands`: a landing is possible all the same.
+
+    `changes` are of the scenario: what is wrong from the start.
+    """
 
     faults: tuple[dict[str, Any], ...]
     phases: tuple[PhaseName, ...]
     lands: bool = False
+    changes: dict[str, Any] = field(default_factory=dict)
 
 
 def _case(phases: tuple[PhaseName, ...], *faults: dict[str, Any], lands: bool = False) -> FaultRowCase:
@@ -46,6 +52,15 @@ def _one(kind: str, phases: tuple[PhaseName, ...] = TO_THE_END, /, **settings: A
 
 def _refused(phases: tuple[PhaseName, ...], *what: str) -> FaultRowCase:
     return FaultRowCase(tuple({"kind": "autopilot_refuses", "what": one} for one in what), phases)
+
+
+def _from_start(*, lands: bool = False, **changes: Any) -> FaultRowCase:
+    return FaultRowCase((), ("start",), lands, changes)
+
+
+def _built(**exactly: Any) -> FaultRowCase:
+    """What the builder got wrong, by this much, and in nothing else (`sitl.scenario.as_built`)."""
+    return _from_start(as_built={**NOTHING_ELSE, "exactly": exactly})
 
 
 _CAMERA: Final[dict[str, FaultRowCase]] = {
@@ -64,12 +79,15 @@ _SENSORS: Final[dict[str, FaultRowCase]] = {
     "IMU stuck": _one("imu_stuck"),
     "IMU NaN": _one("imu_nan"),
     "IMU saturated": _one("imu_saturated"),
+    "IMU turned 20 deg": _one("imu_turned"),
+    "IMU mounted 12 deg off": _one("imu_turned", ("start",), turn_deg=(12.0, 0.0, 0.0)),
     "30 uT": _case(TO_THE_END, {"kind": "mag_disturbed"}, lands=True),
     "GPS lost": _case(TO_THE_END, {"kind": "gps_lost"}, lands=True),
     "GPS jumps": _one("gps_jump", position_ned_m=(4.0, -5.0, -14.0)),
     "range spikes": _one("range_spikes", share=0.5),
     "range stuck": _one("range_stuck"),
     "range stuck near": _one("range_stuck", distance_m=0.05),
+    "range stuck near, from the start": _one("range_stuck", ("start",), distance_m=0.06),
     "range lost": _one("range_lost"),
     "range other echo": _one("range_other_echo"),
 }
@@ -81,6 +99,8 @@ _LINK: Final[dict[str, FaultRowCase]] = {
     "link lost to vehicle": _one("link_blackout", way="to_vehicle"),
     "link half lost": _one("link_loss"),
     "link 0.5 s late": _one("link_delay"),
+    "link to app 0.12 s late": _one("link_delay", ("start", *TO_THE_END), extra_s=0.12, way="to_app"),
+    "link to vehicle lost 2 s": _one("link_blackout", LOW, way="to_vehicle", duration_s=2.0),
 }
 _PAD: Final[dict[str, FaultRowCase]] = {
     "pad stops": _one("pad_stops"),
@@ -110,10 +130,40 @@ _AUTOPILOT: Final[dict[str, FaultRowCase]] = {
     "autopilot position lost": _one("autopilot_position_lost"),
     "battery low": _one("battery", remaining_percent=18),
     "battery critical": _one("battery", remaining_percent=6),
+    "follow me": _one("follow_me", ("start", "search", "descend")),
 }
 _DISK: Final[dict[str, FaultRowCase]] = {
     "disk full": _one("disk_full"),
     "disk slow": _one("disk_slow"),
+}
+# twice what `sitl.scenario.as_built` draws, one at a time, and what was flown into the ground
+_BUILT: Final[dict[str, FaultRowCase]] = {
+    "hover told x0.6": _built(hover_thrust=0.6),
+    "hover told x1.7": _built(hover_thrust=1.7),
+    "thrust exponent 0.4": _built(thrust_exponent=0.4),
+    "thrust exponent 3": _built(thrust_exponent=3.0),
+    "mass +40 %": _built(mass=1.4),
+    "mass -40 %": _built(mass=0.6),
+    "legs 6 cm longer": _built(leg_height_m=0.06),
+    "legs 6 cm shorter": _built(leg_height_m=-0.06),
+    "IMU 20 cm off": _built(imu_offset_body_m=(0.15, -0.13, 0.0)),
+    "camera 4 deg off": _built(camera_mount_deg=(4.0, -4.0, 4.0)),
+    "focal length +3 %": _built(focal_length=1.03),
+    "print -3 %": _built(pad_print=0.97),
+    "print -29 %": _built(pad_print=0.71),
+    "stamps 40 ms late": _built(stamp_s=0.04, stamp_jitter_s=0.01),
+    "stamps 40 ms early": _built(stamp_s=-0.04, stamp_jitter_s=0.01),
+    "delay to app 80 ms": _built(delay_to_app_s=0.08),
+    "delay to vehicle 80 ms": _built(delay_to_vehicle_s=0.08),
+    "vibration x30": _built(vibration=30.0),
+    "place of other files": _built(place_deg=(-55.0, -70.0)),
+    "steel deck 60 uT": _built(deck_field_ned_ut=(20.0, 56.0, 10.0)),
+    "yaw reset 30 deg": _built(yaw_reset_deg=30.0, yaw_reset_s=25.0),
+}
+_COMPUTER_AND_WIND: Final[dict[str, FaultRowCase]] = {
+    "vision 130 ms": _from_start(companion={"compute": {"vision_s": 0.13}}),
+    "camera 8 Hz": _from_start(camera={"rate_hz": 8.0}),
+    "wind 8 m/s": _from_start(wind={"mean_m_s": 8.0, "from_deg": 0.0, "turbulence": "moderate"}),
 }
 CASES: Final[dict[str, FaultRowCase]] = {
     **_CAMERA,
@@ -123,40 +173,55 @@ CASES: Final[dict[str, FaultRowCase]] = {
     **_SOLVER,
     **_AUTOPILOT,
     **_DISK,
+    **_BUILT,
+    **_COMPUTER_AND_WIND,
 }
 
 
 class FaultRun(NamedTuple):
-    """One flight: what fails, when, and in which scenario under which seed."""
+    """One flight: what fails, when, in which scenario under which seed, and whose behaviour flies."""
 
     fault: str
     phase: PhaseName
     scenario: str
     seed: int
+    autopilot: AutopilotKind = "px4"
 
 
 def all_runs(
-    faults: Sequence[str], phases: Sequence[str], scenarios: Sequence[str], seeds: int
+    faults: Sequence[str],
+    phases: Sequence[str],
+    scenarios: Sequence[str],
+    seeds: int,
+    autopilots: Sequence[AutopilotKind] = ("px4",),
 ) -> Iterator[FaultRun]:
     """Every fault in every phase in which it can happen; the first seed of all before the second."""
     for seed in range(seeds):
         for scenario in scenarios:
-            for name in faults:
-                for phase in CASES[name].phases:
-                    if phase in phases:
-                        yield FaultRun(name, phase, scenario, seed)
+            for autopilot in autopilots:
+                for name in faults:
+                    for phase in CASES[name].phases:
+                        if phase in phases:
+                            yield FaultRun(name, phase, scenario, seed, autopilot)
 
 
 def one_each(
-    faults: Sequence[str], phases: Sequence[str], scenarios: Sequence[str], seeds: int, flights: int
+    faults: Sequence[str],
+    phases: Sequence[str],
+    scenarios: Sequence[str],
+    seeds: int,
+    flights: int,
+    autopilots: Sequence[AutopilotKind] = ("px4",),
 ) -> list[FaultRun]:
-    """So many flights of each fault in each phase, of all scenarios and seeds in turn, none twice."""
+    """So many flights of each fault in each phase by each autopilot, of all scenarios and seeds in turn, none
+    twice."""
     kinds = [(scenario, seed) for seed in range(seeds) for scenario in scenarios]
     pairs = [(name, phase) for name in faults for phase in CASES[name].phases if phase in phases]
     turns = {(name, phase): 3 * list(CASES).index(name) + 7 * PHASES.index(phase) for name, phase in pairs}
     return [
-        FaultRun(name, phase, *kinds[(turns[name, phase] + again) % len(kinds)])
+        FaultRun(name, phase, *kinds[(turns[name, phase] + again) % len(kinds)], autopilot)
         for again in range(min(flights, len(kinds)))
+        for autopilot in autopilots
         for name, phase in pairs
     ]
 
@@ -187,7 +252,9 @@ def scenario_of(run: FaultRun) -> Scenario:
     when = beginning(run.phase, run.seed)
     if run.phase == "start" and run.fault.startswith("pilot"):
         when = {"phase": "take off", "delay_s": 2.0}  # before control is ours
-    return _with(run.scenario, {"faults": [{**fault, **when} for fault in CASES[run.fault].faults]})
+    case = CASES[run.fault]
+    faults = [{**fault, **when} for fault in case.faults]
+    return _with(run.scenario, {**case.changes, "faults": faults, "autopilot": run.autopilot})
 
 
 def faultless(scenario: str, changes: dict[str, Any] | None = None) -> Scenario:

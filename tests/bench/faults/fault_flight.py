@@ -76,7 +76,8 @@ def fly_together(
         branches.append(ForkedSchedule(simulation, runs, forks))
         simulation.faults = branches[0]
 
-    record, config = fly(faultless(runs[0].scenario, changes), runs[0].seed, prepare=branch)
+    shared = {"autopilot": runs[0].autopilot, **(changes or {})}
+    record, config = fly(faultless(runs[0].scenario, shared), runs[0].seed, prepare=branch)
     for run in branches[0].left if forks.mine is None else [forks.mine]:
         yield run, judged(run, record, config), record
 
@@ -84,6 +85,11 @@ def fly_together(
 def on_disk(run: FaultRun) -> bool:
     """Whether its flight is logged on disk; that log has a thread, which no fork takes along."""
     return any(fault["kind"].startswith("disk") for fault in CASES[run.fault].faults)
+
+
+def flown_alone(run: FaultRun) -> bool:
+    """Whether it has nothing in common with flights of other faults."""
+    return on_disk(run) or bool(CASES[run.fault].changes)
 
 
 def judged(run: FaultRun, record: WitnessedFlight, config: CompanionConfig) -> SafetyVerdict:
@@ -164,6 +170,7 @@ async def _fly(
     record.fault_began = simulation.faults.all_begun
     record.texts = list(simulation.app_words.texts)
     record.crashed, record.at_rest_on_pad = simulation.world.crashed, simulation.world.at_rest_on_pad
+    record.contacts = list(simulation.world.contacts)
     return record
 
 

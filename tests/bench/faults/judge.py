@@ -3,9 +3,10 @@
 Of the app the judge reads two heights: that of its reference, whose climbs have to be announced, and the
 vehicle's as the app believes it.
 
-Unsafe is a crash; touching anything but the pad faster than 0.3 m/s sideways or 0.7 m/s down; disarming in
-the air; flying outside fence or ceiling by the app's setpoints; a climb that was not announced; a setpoint
-outside the limits; an end without a text that says why.
+Unsafe is a crash; touching anything, the pad included, faster than 0.3 m/s sideways or 0.7 m/s down relative
+to it; touching the ground by the app's setpoints and flying on; disarming in the air; flying outside fence
+or ceiling by the app's setpoints; a climb that was not announced; a setpoint outside the limits; an end
+without a text that says why.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ AFTER_DISARMING_S: Final = 1.0
 PLACE_ERROR_M: Final = 3.0
 SAID_BEFORE_S: Final = 3.0
 FLOWN_M: Final = 0.3
-HOLD_MODES: Final = ("AUTO_LOITER", "POSCTL", "LOITER")
+HOLD_MODES: Final = ("AUTO_LOITER", "POSCTL", "LOITER", "BRAKE")
 PHASE_WORDS: Final = re.compile(
     r"(connect|arm|take off|waypoint|route|search|approach|descend|touchdown|landed|hold|abort|standby): "
 )
@@ -74,6 +75,7 @@ def judge(record: WitnessedFlight, bounds: SafetyBounds) -> SafetyVerdict:
     unsafe = (
         *_crash(record),
         *_touches(record),
+        *_contacts(record),
         *_disarmings(record),
         *_strayed(record, bounds),
         *unannounced_climbs(_obeyed(record), record.texts, record.commanded),
@@ -114,6 +116,26 @@ def _touches(record: WitnessedFlight) -> Iterator[str]:
         yield f"ground {sideways.sideways_m_s:.2f} m/s sideways at {sideways.time_s:.1f} s"
     if down is not None and down.down_m_s > DOWN_M_S:
         yield f"ground {down.down_m_s:.2f} m/s down at {down.time_s:.1f} s"
+
+
+def _contacts(record: WitnessedFlight) -> Iterator[str]:
+    """Every contact with the pad that was too hard, and every one with the ground that was not the last."""
+    for contact in record.contacts:
+        if contact.on_pad and (
+            contact.horizontal_speed_m_s > SIDEWAYS_M_S or contact.vertical_speed_m_s > DOWN_M_S
+        ):
+            yield (
+                f"pad {contact.vertical_speed_m_s:.2f} m/s down, {contact.horizontal_speed_m_s:.2f} m/s "
+                f"sideways at {contact.time_s:.1f} s"
+            )
+    for contact in record.contacts[:-1]:
+        if not contact.on_pad and not contact.before_flight and _obeyed_at(record, contact.time_s):
+            yield f"touched the ground at {contact.time_s:.1f} s and flew on"
+
+
+def _obeyed_at(record: WitnessedFlight, time_s: float) -> bool:
+    before = [sample for sample in record.samples if sample.time_s <= time_s]
+    return bool(before) and before[-1].mode in OBEYED_MODES
 
 
 def _disarmings(record: WitnessedFlight) -> Iterator[str]:

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Final, cast
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.config import CONFIG_FOLDER
 from sitl.campaign.manifest import code_digest
 from tests.bench.faults.cases import FaultRun, PhaseName
@@ -26,6 +27,7 @@ class FaultRow:
     phase: str
     scenario: str
     seed: int
+    autopilot: str
     code: str
     began: int
     outcome: str
@@ -36,7 +38,8 @@ class FaultRow:
     @property
     def run(self) -> FaultRun:
         """What was flown."""
-        return FaultRun(self.fault, cast(PhaseName, self.phase), self.scenario, self.seed)
+        autopilot = cast(AutopilotKind, self.autopilot)
+        return FaultRun(self.fault, cast(PhaseName, self.phase), self.scenario, self.seed, autopilot)
 
     @property
     def ending(self) -> Outcome:
@@ -44,7 +47,7 @@ class FaultRow:
         return cast(Outcome, self.outcome)
 
 
-WORDS: Final = ("fault", "phase", "scenario", "code", "outcome", "unsafe", "said")
+WORDS: Final = ("fault", "phase", "scenario", "autopilot", "code", "outcome", "unsafe", "said")
 
 
 _BENCH: Final = Path(__file__).resolve().parent
@@ -97,9 +100,7 @@ def _in_a_line(value: object) -> object:
 def _row(line: dict[str, str]) -> FaultRow | None:
     try:
         numbers = {"seed": int(line["seed"]), "began": int(line["began"]), "ended_s": float(line["ended_s"])}
-        words = {
-            name: line[name] for name in ("fault", "phase", "scenario", "code", "outcome", "unsafe", "said")
-        }
+        words = {name: line[name] for name in WORDS}
         return FaultRow(**words, **numbers) if None not in words.values() else None  # type: ignore[arg-type]
     except (KeyError, TypeError, ValueError):
         return None

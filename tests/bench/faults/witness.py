@@ -1,6 +1,7 @@
 """What the judge reads of a flight: from the simulator's side, but for the height of the app's reference.
 
-The truth and the autopilot's state at 50 Hz, each touch of the ground by the state before it, each change of
+The truth and the autopilot's state at 50 Hz, each touch of the ground by the state before it, each contact
+with pad or ground by its worst touch, each change of
 arming, every setpoint as it left the app, and every text that the app sent. NED, SI.
 """
 
@@ -14,6 +15,7 @@ from companion.base.geometry import Vector3, horizontal_acceleration, tilt_from_
 from sitl.mavlink.app_words import AppText
 from sitl.mavlink.framing import FrameReader, MavFrame, dialect
 from sitl.run.simulation import Simulation
+from sitl.world.score import TouchdownState
 
 mavlink: Any = dialect
 
@@ -88,6 +90,7 @@ class WitnessedFlight:
 
     samples: list[TruthSample] = field(default_factory=list)
     touches: list[GroundTouch] = field(default_factory=list)
+    contacts: list[TouchdownState] = field(default_factory=list)
     disarmings: list[Disarming] = field(default_factory=list)
     setpoints: list[SentSetpoint] = field(default_factory=list)
     texts: list[AppText] = field(default_factory=list)

@@ -2,12 +2,15 @@
 
 Calm air and lines, a circle and a figure-8; 8 m/s of wind with Dryden turbulence of moderate intensity
 (MIL-F-8785C); a sea. Each under both kinds of setpoint that the autopilot may be sent.
+
+As built, the firmware is told the hover thrust that the builder believed; as believed, it is told none and
+begins with its own default, so that neither bench gives it the truth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -38,10 +41,13 @@ class FirmwareCase:
     windy: bool
     pad: dict[str, Any]
 
-    def scenario(self, kind: AutopilotKind, setpoint: str, sensors: Sensors = "boards") -> dict[str, Any]:
+    def scenario(
+        self, kind: AutopilotKind, setpoint: str, sensors: Sensors = "boards", *, as_built: bool = False
+    ) -> dict[str, Any]:
         """The scenario as its file has it; `sensors`: IMU, compass and GPS of whom the app flies by."""
         return {
-            "name": self.title(kind, setpoint, sensors),
+            **({"as_built": {}} if as_built else {}),
+            "name": self.title(kind, setpoint, sensors, as_built=as_built),
             "description": f"{self.name} on the real {kind}, by {setpoint} setpoints",
             "time_limit_s": 120.0,
             "autopilot": kind,
@@ -55,9 +61,10 @@ class FirmwareCase:
             },
         }
 
-    def title(self, kind: AutopilotKind, setpoint: str, sensors: Sensors) -> str:
+    def title(self, kind: AutopilotKind, setpoint: str, sensors: Sensors, *, as_built: bool = False) -> str:
         """The scenario's name."""
-        return "-".join((kind, setpoint, *(["telemetry"] if sensors == "autopilot" else ()), self.name))
+        said = (*(["telemetry"] if sensors == "autopilot" else ()), *(["as_built"] if as_built else ()))
+        return "-".join((kind, setpoint, *said, self.name))
 
 
 def _line(speed_m_s: float) -> dict[str, Any]:
@@ -70,6 +77,12 @@ _HEAVE: Final = {
     "kind": "heave", "significant_height_m": 0.5, "peak_period_s": 5.0, "surge_share": 0.3,
     "drift_speed_m_s": 0.2, "meet": MEET,
 }  # fmt: skip
+
+# as the firmwares come, for vehicles that are as believed: nobody gives the bench the truth
+OWN_HOVER_THRUST: Final[dict[AutopilotKind, tuple[str, float]]] = {
+    "px4": ("MPC_THR_HOVER", 0.5),
+    "ardupilot": ("MOT_THST_HOVER", 0.35),
+}
 
 CASES: Final = (
     FirmwareCase("static", False, {"surface_height_m": 0.1, "motion": {"kind": "static", "meet": MEET}}),
@@ -90,11 +103,16 @@ def write_flights(
     cases: tuple[FirmwareCase, ...],
     seeds: range,
     folder: Path,
+    *,
+    as_built: bool = False,
 ) -> Iterator[CampaignRun]:
     """The flights of one firmware by one kind of setpoint; their scenarios are left in a folder."""
     code = code_digest()
+    if not as_built:
+        told = (OWN_HOVER_THRUST[firmware.kind], *firmware.parameters)
+        firmware = replace(firmware, parameters=told)
     for case in cases:
-        content = case.scenario(firmware.kind, setpoint, sensors)
+        content = case.scenario(firmware.kind, setpoint, sensors, as_built=as_built)
         scenario = Scenario.model_validate(content)
         path = folder / f"{scenario.name}.yaml"
         path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")

@@ -11,6 +11,7 @@ from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
 from companion.config import LimitsConfig
 from companion.link import codec
 from sitl.mavlink.app_words import AppText
+from sitl.world.score import TouchdownState
 from tests.bench.faults.judge import SafetyBounds, SafetyVerdict, judge
 from tests.bench.faults.witness import (
     Disarming,
@@ -78,6 +79,29 @@ def fall(record: WitnessedFlight) -> None:
     record.touches.append(GroundTouch(36.5, 0.1, 0.9, False))
 
 
+def contact(time_s: float, **more: object) -> TouchdownState:
+    values = {
+        "lateral_error_m": 0.1, "vertical_speed_m_s": 0.2, "horizontal_speed_m_s": 0.1, "tilt_deg": 1.0,
+        "yaw_error_deg": 0.0, "pad_speed_m_s": 1.0, "impact_speed_m_s": 0.2, "on_pad": True,
+        "offset_pad_m": (0.1, 0.0),
+    }  # fmt: skip
+    return TouchdownState(time_s=time_s, **(values | more))  # type: ignore[arg-type]
+
+
+def strike_the_pad(record: WitnessedFlight) -> None:
+    """And bounce, and land gently: the last contact shows nothing."""
+    record.contacts = [contact(33.0, vertical_speed_m_s=0.86), contact(35.0)]
+
+
+def slide_on_the_pad(record: WitnessedFlight) -> None:
+    record.contacts = [contact(35.0, horizontal_speed_m_s=0.56)]
+
+
+def brush_the_ground(record: WitnessedFlight) -> None:
+    """At the grant of control, gently, and fly on."""
+    record.contacts = [contact(13.0, on_pad=False), contact(35.0)]
+
+
 def disarm_in_the_air(record: WitnessedFlight) -> None:
     record.disarmings.append(Disarming(34.0, 0.06, False))
 
@@ -143,6 +167,9 @@ def go_on_for_ever(record: WitnessedFlight) -> None:
         (slide, "0.31 m/s sideways at 34.0 s"),
         (drop, "0.71 m/s down at 34.0 s"),
         (fall, "0.90 m/s down at 36.5 s"),
+        (strike_the_pad, "pad 0.86 m/s down, 0.10 m/s sideways at 33.0 s"),
+        (slide_on_the_pad, "0.56 m/s sideways at 35.0 s"),
+        (brush_the_ground, "touched the ground at 13.0 s and flew on"),
         (disarm_in_the_air, "disarmed 0.06 m up at 34.0 s"),
         (stray, "156 m from home at 14.0 s"),
         (soar, "44 m up"),
@@ -168,6 +195,17 @@ def test_each_unsafe_thing_is_found(spoil: Callable[[WitnessedFlight], None], wo
 
 
 # ---------------------------------------------------------------- what is not unsafe
+
+
+def test_gentle_touches_of_the_pad_and_the_autopilots_own_of_the_ground_are_safe() -> None:
+    record = landing()
+    record.contacts = [
+        contact(3.0, on_pad=False, before_flight=True),
+        contact(9.0, on_pad=False),  # its own take-off
+        contact(33.0),
+        contact(35.0),
+    ]
+    assert judge(record, BOUNDS) == SafetyVerdict("landed")
 
 
 def test_what_the_autopilot_flies_by_itself_is_not_the_apps_climb_nor_its_fence() -> None:

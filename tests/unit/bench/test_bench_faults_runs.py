@@ -19,6 +19,7 @@ from tests.bench.faults import fault_flight
 from tests.bench.faults.bench_faults import Take, bars, cell, main
 from tests.bench.faults.cases import CASES, PHASES, FaultRun, all_runs, one_each, scenario_of
 from tests.bench.faults.computer import FaultyTracker
+from tests.bench.faults.fault_flight import flown_alone, on_disk
 from tests.bench.faults.forks import Forks
 from tests.bench.faults.judge import SafetyVerdict
 from tests.bench.faults.runs_file import FaultRow, FaultRunsFile, flights_key
@@ -80,6 +81,7 @@ def row(outcome: str, fault: str = "GPS lost", phase: str = "descend", **more: o
     values = {
         "scenario": "line",
         "seed": 0,
+        "autopilot": "px4",
         "code": "abc",
         "began": 1,
         "unsafe": "",
@@ -131,13 +133,14 @@ def test_flights_that_are_there_are_not_flown_again(
     asked = ["bench", "--jobs", "1", "--faults", "GPS lost;30 uT", "--phases", "descend"]
     monkeypatch.setattr("sys.argv", [*asked, "--seeds", "1", "--out", str(tmp_path)])
     assert main() == 0
-    assert len(flown) == 4
+    assert len(flown) == 8
+    assert {run.autopilot for run in flown} == {"px4", "ardupilot"}
     monkeypatch.setattr("sys.argv", [*asked, "--seeds", "2", "--out", str(tmp_path)])
     assert main() == 0
-    assert [run.seed for run in flown[4:]] == [1] * 4
+    assert [run.seed for run in flown[8:]] == [1] * 8
     said = capsys.readouterr().out
-    assert "bars: unsafe ends 0 of 8 holds, landed where possible 100.0 % holds" in said
-    assert "flown: 8 of the whole 8" in said
+    assert "bars: unsafe ends 0 of 16 holds, landed where possible 100.0 % holds" in said
+    assert "flown: 16 of the whole 16" in said
 
 
 def test_a_flight_that_the_bench_could_not_fly_is_flown_again_and_not_kept(
@@ -158,6 +161,7 @@ def test_a_flight_that_the_bench_could_not_fly_is_flown_again_and_not_kept(
 
     monkeypatch.setattr("tests.bench.faults.bench_faults.fly_together", fly)
     asked = ["bench", "--jobs", "1", "--faults", "GPS lost", "--phases", "descend", "--seeds", "1"]
+    asked += ["--autopilots", "px4"]
     monkeypatch.setattr("sys.argv", [*asked, "--out", str(tmp_path)])
     assert main() == 1
     assert [run.scenario for run in tries] == ["line", "circle"] * 2
@@ -184,7 +188,17 @@ def test_one_flight_of_each_fault_in_each_phase_takes_scenarios_and_seeds_in_tur
     asked = ["bench", "--jobs", "1", "--each", "1", "--out", str(tmp_path), "--faults", "GPS lost;30 uT"]
     monkeypatch.setattr("sys.argv", asked)
     assert main() == 0
-    assert "flown: 10 of the whole 100" in capsys.readouterr().out
+    assert "flown: 20 of the whole 200" in capsys.readouterr().out
+
+
+def test_ardupilot_flies_every_pair_too_and_what_is_wrong_from_the_start_is_flown_from_there() -> None:
+    choice = (list(CASES), PHASES, ["line", "circle"], 5)
+    once = one_each(*choice, 1, ("px4", "ardupilot"))
+    assert len(once) == 2 * len(one_each(*choice, 1))
+    for run in once:
+        scenario = scenario_of(run)
+        assert scenario.autopilot == run.autopilot
+        assert flown_alone(run) == bool(on_disk(run) or not scenario.faults)
 
 
 # ---------------------------------------------------------------- children

@@ -78,6 +78,7 @@ def options(folder: Path, **given: Any) -> argparse.Namespace:
         "case": "",
         "setpoint": "",
         "sensors": "boards",
+        "as_believed": True,
         "jobs": 1,
         "out": folder,
     }
@@ -126,9 +127,29 @@ def test_every_case_is_flown_by_every_setpoint_of_every_firmware(
         for case in CASES
         for seed in (5, 6)
     }
-    assert all(f.firmware in specs and f.scenario.startswith(f.firmware.kind) for f in asked)
+    paths = {spec.kind: spec.path for spec in specs}
+    for f in asked:
+        assert f.firmware is not None
+        assert f.firmware.path == paths[f.firmware.kind]
+        assert f.scenario.startswith(f.firmware.kind)
+        # its own default: the bench does not tell it the truth
+        own = {"px4": ("MPC_THR_HOVER", 0.5), "ardupilot": ("MOT_THST_HOVER", 0.35)}
+        assert f.firmware.parameters == (own[f.firmware.kind],)
     assert "FAILS" not in said
     assert f"px4 attitude landed {2 * len(CASES)} of {2 * len(CASES)} (>= 98 %) holds" in said
+
+
+def test_as_built_every_flight_is_by_a_vehicle_that_is_not_as_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec = fake("ardupilot", tmp_path).spec
+    asked = flown(monkeypatch)
+    status, said = judged([spec], options(tmp_path / "out", as_believed=False, case="static"))
+    assert status == 0
+    assert [f.scenario for f in asked] == ["ardupilot-attitude-as_built-static"] * 2
+    assert all(load_scenario(f.source).as_built is not None and f.firmware == spec for f in asked)
+    assert "(>= 97 %)" in said
+    assert "unplanned contacts 0 holds" in said
 
 
 def test_one_bar_that_does_not_hold_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -164,8 +164,8 @@ def test_control_cycles_are_counted() -> None:
 def test_the_contract_has_its_keys_and_survives_json() -> None:
     told = result()
     assert set(told.model_dump()) == {
-        "scenario", "seed", "outcome", "touchdown", "pad", "time", "vision", "estimate", "latency_ms",
-        "control", "sim", "events",
+        "scenario", "seed", "as_built", "outcome", "touchdown", "contacts", "pad", "time", "vision",
+        "estimate", "latency_ms", "control", "sim", "events",
     }  # fmt: skip
     assert Result.model_validate_json(told.model_dump_json()) == told
 

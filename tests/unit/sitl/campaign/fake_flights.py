@@ -54,6 +54,7 @@ def result(seed: int, scenario: str, outcome: str) -> dict[str, Any]:
             "tilt_deg": 1.5,
             "yaw_error_deg": -0.5,
         },
+        "contacts": [{"violations": ["before the landing"]}, {"violations": []}],
         "pad": {"speed_m_s": 1.0},
         "time": {"search_s": 1.0, "approach_s": 2.0, "descent_s": 3.0, "total_s": 30.0},
         "vision": {"frames": 900, "frames_with_pad": 450, "relative_position_rmse_m": 0.03},

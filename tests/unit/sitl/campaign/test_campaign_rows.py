@@ -40,7 +40,14 @@ def result_keys(model: type[BaseModel], prefix: str = "") -> set[str]:
 
 
 def test_every_figure_of_the_result_has_its_column() -> None:
-    assert set(RESULT_KEYS.values()) == result_keys(Result) - {"scenario", "seed", "outcome", "events"}
+    assert set(RESULT_KEYS.values()) == result_keys(Result) - {
+        "scenario",
+        "seed",
+        "as_built",
+        "outcome",
+        "contacts",
+        "events",
+    }
     assert set(RESULT_KEYS) <= set(COLUMNS)
 
 
@@ -56,6 +63,7 @@ def test_a_landing_fills_its_row() -> None:
     made = make_row(flown, VERSION)
     assert made.landed
     assert (made.touchdown_lateral_m, made.touchdown_along_m, made.touchdown_across_m) == (0.04, 0.01, -0.02)
+    assert made.unplanned_contacts == 1
     assert (made.frames, made.total_s, made.pad_velocity_rmse_m_s) == (900, 30.0, None)
     assert (made.wall_s, made.version, made.error) == (9.88, VERSION, "")
     assert made.command == "companion --sitl --fast --scenario static --seed 40"

@@ -79,6 +79,30 @@ def test_a_hard_landing_is_a_crash_and_no_flight_is_a_timeout() -> None:
     assert stood.judge(Phase.SEARCH).outcome is Outcome.TIMEOUT
 
 
+def test_a_touch_before_the_landing_counts_and_not_that_of_the_flight_before() -> None:
+    """Up, down beside the pad, up at once and on to the pad; then disarmed, and a clean second flight."""
+    beside, at_s = hop(4.0, 0.5)
+    onto, contact_s = hop(4.0, 3.0)
+
+    def twice(time_s: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        return beside(time_s) if time_s < at_s + 0.5 else onto(time_s - at_s - 0.5)
+
+    end_s = at_s + 0.5 + contact_s + 1.0
+    world = play(ExternalWorld(static(), 0), twice, end_s + 1.0, disarm_s=end_s)
+    verdict = world.judge(Phase.LANDED)
+    assert verdict.outcome is Outcome.MISSED
+    assert [(contact.surface, bool(contact.violations)) for contact in verdict.contacts] == [
+        ("ground", True),
+        ("pad", False),
+    ]
+    for k in range(round((contact_s + 2.0) / STEP_S)):
+        position, velocity = onto(k * STEP_S)
+        armed = k * STEP_S < contact_s + 1.0
+        world.see(sample(START_S + end_s + 1.0 + k * STEP_S, position, velocity), armed=armed)
+    assert len(world.judge(Phase.LANDED).contacts) == 1
+    assert world.judge(Phase.LANDED).outcome is Outcome.LANDED
+
+
 def test_the_pad_lies_on_the_ground_whatever_height_the_scenario_gives_it() -> None:
     world = ExternalWorld(load_scenario("line"), 0)
     assert world.pad_at(START_S).position_ned_m[2] == 0.0

@@ -60,6 +60,7 @@ def test_the_verdict_says_what_it_was() -> None:
     verdict = judge(
         None,
         PassBounds(),
+        contacts=(),
         crashed=True,
         at_rest_on_pad=False,
         disarmed=False,
