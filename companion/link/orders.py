@@ -83,6 +83,11 @@ class OrderListener:
         self._settled_s = now_s + SETTLES_S
         self._orders.clear()
 
+    @property
+    def waiting(self) -> bool:
+        """Whether `take` would give an order."""
+        return bool(self._orders)
+
     def take(self) -> list[Order]:
         """The orders since the last call."""
         orders, self._orders = self._orders, []

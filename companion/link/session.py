@@ -29,7 +29,7 @@ from companion.link.commands import (
 from companion.link.notices import Notices
 from companion.link.orders import ORDER_MESSAGES, OrderListener
 from companion.link.parameters import ParameterRequest, ParameterRequests
-from companion.link.signing import SigningKey
+from companion.link.signing import LinkSigning
 from companion.link.streams import HEARD, OWN_RATES_HZ, TelemetryRates
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, Sample, TelemetrySensors
 from companion.link.telemetry.heading_offset import HeadingOffset
@@ -64,7 +64,7 @@ class Session:
         sense: SenseConfig | None = None,
         *,
         reads_setup: bool = False,
-        signing_key: SigningKey | None = None,
+        signing: LinkSigning | None = None,
         orders: OrdersConfig | None = None,
         process: int = 0,
     ) -> None:
@@ -72,7 +72,7 @@ class Session:
 
         `reads_setup`: the parameters on which our loop depends are asked for as soon as it is received.
 
-        With a key all is signed, and nothing is taken that is not.
+        With `signing` all is signed, and nothing is taken that is not.
         """
         self.state = AutopilotState(time_s=-math.inf)
         self.beacon: PadBeacon | None = None
@@ -89,8 +89,9 @@ class Session:
         self.orders = OrderListener(orders or OrdersConfig(), config.component_id, config.ground_system_id)
         heard = HEARD | self.orders.messages | (frozenset() if sense is None else SENSOR_MESSAGES)
         self._codec = Codec(config.system_id or 1, config.component_id, wanted=heard)
-        if signing_key is not None:
-            self._codec.sign(signing_key)
+        self._signing = signing
+        if signing is not None:
+            self._codec.sign(signing)
         self._commands = CommandQueue(config.command_timeout_s, config.command_tries)
         self._parameters = ParameterRequests(config.command_timeout_s, config.command_tries)
         self.reads_setup = reads_setup
@@ -135,6 +136,8 @@ class Session:
 
     def receive(self, data: bytes, now_s: float) -> None:
         """Take bytes that arrived now."""
+        if self._signing is not None:
+            self._signing.advance(now_s)
         refused, us = self.counters.refused, (self._codec.system_id, self._codec.component_id)
         for message in self._codec.decode(data):
             message_id = message.get_msgId()
@@ -246,6 +249,8 @@ class Session:
 
     def tick(self, now_s: float) -> bytes:
         """What is due to be sent now, as bytes; often empty."""
+        if self._signing is not None:
+            self._signing.advance(now_s)
         self._watch_connection(now_s)
         self.state = without_old(self.state, now_s)
         messages, self._replies = [*self._replies, *self.orders.answers()], []
