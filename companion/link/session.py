@@ -181,6 +181,7 @@ class Session:
 
     def _hear_autopilot(self, message: Message, message_id: int, now_s: float) -> None:
         self._rates.heard(message_id)
+        self.orders.heard(now_s)
         self._replies += self._notices.heard(now_s - self.heard_s)
         self.heard_s = now_s
         if message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
@@ -205,12 +206,12 @@ class Session:
         if measured_s is None:
             return
         self.state = update_state(self.state, message, measured_s)
-        self.orders.hear_mode(self.state, now_s)
         if message_id == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED and self.onboard is not None:
             self.onboard.hear_climb(message)
         if self.state.armed and not was_armed:
             self._home_due_s = now_s  # arming sets home again
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            self.orders.hear_heartbeat(self.state, message.system_status, now_s)
             self._heartbeat_heard_s = now_s
             self.heartbeats += 1
             if self.reads_setup:
