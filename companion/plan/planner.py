@@ -200,7 +200,8 @@ class Planner:
 
     def _failsafes(self, inputs: PlanInputs, now_s: float) -> tuple[DetectedEvent, ...]:
         asks_after_end = self._machine.state is State.ABORT and self._requests.open
-        if asks_after_end and (taken := self._monitor.after_end(inputs.autopilot)):
+        asked = self._requests.asked_last
+        if asks_after_end and (taken := self._monitor.after_end(inputs.autopilot, asked)):
             return taken
         spent = self._requests.hear(inputs.results, now_s)
         for words in spent:
@@ -214,6 +215,7 @@ class Planner:
             control_granted=self._requests.granted(ActionKind.TAKE_CONTROL),
             taking_off=self._requests.granted(ActionKind.TAKE_OFF),
             over_home_m=self._ground.over_home_m,
+            asked=asked,
         )
         return (*detected, *refused)
 

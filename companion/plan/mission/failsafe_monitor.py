@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from companion.base.messages import AutopilotState, PadState, Phase, VehicleState
+from companion.base.messages import ActionKind, AutopilotState, PadState, Phase, VehicleState
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import FRESH_S
@@ -64,10 +64,12 @@ class FailsafeMonitor:
         control_granted: bool,
         taking_off: bool = False,
         over_home_m: float | None = None,
+        asked: frozenset[ActionKind] = frozenset(),
     ) -> tuple[DetectedEvent, ...]:
         """All that holds in this cycle, the gravest first; nothing any more once the mission has ended.
 
-        `control_granted`, `taking_off`: the request for it was accepted. `over_home_m`: the height.
+        `control_granted`, `taking_off`: the request for it was accepted. `over_home_m`: the height. `asked`:
+        what was asked for last.
         """
         if self._phase_since_s is None:
             self._phase_since_s = now_s
@@ -84,6 +86,7 @@ class FailsafeMonitor:
             over_home_m=over_home_m,
             now_s=now_s,
             ordered_in_air=self._machine.ordered_in_air,
+            asked=asked,
         )
         signs = (
             (
@@ -117,13 +120,13 @@ class FailsafeMonitor:
         found += [(MissionEvent.LINK_UP, "heartbeat again")] if heard else []
         return tuple(found)
 
-    def after_end(self, autopilot: AutopilotState) -> tuple[DetectedEvent, ...]:
-        """Whether somebody has taken the vehicle while the mission's end still asks for something."""
+    def after_end(self, autopilot: AutopilotState, asked: frozenset[ActionKind]) -> tuple[DetectedEvent, ...]:
+        """Whether somebody has taken the vehicle while the mission's end still asks for this."""
         if not autopilot.connected:
             return ()
         if autopilot.motors_cut:
             return ((MissionEvent.PILOT_TOOK_OVER, "motors cut: nothing more is asked"),)
-        if self._modes.taken_since_end(autopilot):
+        if self._modes.taken_since_end(autopilot, asked):
             return ((MissionEvent.PILOT_TOOK_OVER, f"mode {autopilot.mode}: nothing more is asked"),)
         return ()
 

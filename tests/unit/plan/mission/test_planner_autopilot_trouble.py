@@ -137,7 +137,7 @@ def test_a_pilot_who_takes_over_keeps_the_vehicle(at_s: float) -> None:
     assert "POSCTL" in w.flight.told("phase")[-1]
 
 
-@pytest.mark.parametrize("mode", ["POSCTL", "AUTO.RTL"])
+@pytest.mark.parametrize("mode", ["POSCTL", "AUTO.RTL", "AUTO.LAND"])
 def test_a_hold_that_is_still_asked_for_is_dropped_once_somebody_else_flies(mode: str) -> None:
     w = world()
     w.autopilot.refuse = {ActionKind.HOLD: 99}
