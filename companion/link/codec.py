@@ -79,6 +79,11 @@ class Codec:
         self._signing, packer = signing, self._packer.signing
         packer.secret_key, packer.sign_outgoing, packer.link_id = signing.secret, True, self.component_id
 
+    def advance(self, now_s: float) -> None:
+        """Move the time stamps of our signatures on, if we sign."""
+        if self._signing is not None:
+            self._signing.advance(now_s)
+
     @property
     def system_id(self) -> int:
         """The system id we send as; it may be changed until the first message is sent."""

@@ -2,8 +2,7 @@
 
 `receive` takes what came; `tick` returns what is due (call it after every `receive` and at 20 Hz or more):
 heartbeats, clock synchronisation, rate requests, commands and their repeats. Only one autopilot is accepted:
-component 1 of `config.system_id`, or the first one received when that is 0. A pad's beacon leads the vehicle,
-so it is taken from the ground station of `config.ground_system_id` alone.
+component 1 of `config.system_id`, or the first one received when that is 0.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from companion.base.messages import AutopilotSetup, AutopilotState, LandedState,
 from companion.config import LinkConfig, OrdersConfig, SenseConfig
 from companion.link import codec
 from companion.link.autopilot_setup import SetupReader
-from companion.link.beacon import pad_beacon
+from companion.link.beacon import BeaconListener
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, Message, Severity, mavlink
 from companion.link.commands import (
     CommandQueue,
@@ -36,6 +35,7 @@ from companion.link.telemetry.heading_offset import HeadingOffset
 from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state, without_old
 from companion.link.timing.boot_clock import BootClock
 from companion.link.timing.timesync import TimeSync, clock_ns
+from companion.link.twins import SETPOINT_MESSAGES, with_twin
 
 _STAMPED: Final = frozenset(
     {
@@ -75,7 +75,7 @@ class Session:
         With `signing` all is signed, and nothing is taken that is not.
         """
         self.state = AutopilotState(time_s=-math.inf)
-        self.beacon: PadBeacon | None = None
+        self.beacons = BeaconListener(config)
         self.heading_offset = HeadingOffset()
         self.timesync = TimeSync()
         self._boot_clock = BootClock(self.timesync)
@@ -83,13 +83,16 @@ class Session:
         self.texts_heard = 0
         self.heartbeats = 0
         self.stranger: int | None = None
-        self.beacon_stranger: int | None = None
         self._config = config
         self._system_id = config.system_id
         self.orders = OrderListener(orders or OrdersConfig(), config.component_id, config.ground_system_id)
-        heard = HEARD | self.orders.messages | (frozenset() if sense is None else SENSOR_MESSAGES)
+        heard = (
+            HEARD
+            | SETPOINT_MESSAGES
+            | self.orders.messages
+            | (frozenset() if sense is None else SENSOR_MESSAGES)
+        )
         self._codec = Codec(config.system_id or 1, config.component_id, wanted=heard)
-        self._signing = signing
         if signing is not None:
             self._codec.sign(signing)
         self._commands = CommandQueue(config.command_timeout_s, config.command_tries)
@@ -107,6 +110,11 @@ class Session:
         self._home_due_s = -math.inf
         self._syncs_sent = 0
         self._notices = Notices()
+
+    @property
+    def beacon(self) -> PadBeacon | None:
+        """Where the pad was last reported to be."""
+        return self.beacons.beacon
 
     @property
     def setup(self) -> AutopilotSetup | None:
@@ -136,22 +144,18 @@ class Session:
 
     def receive(self, data: bytes, now_s: float) -> None:
         """Take bytes that arrived now."""
-        if self._signing is not None:
-            self._signing.advance(now_s)
+        self._codec.advance(now_s)
         refused, us = self.counters.refused, (self._codec.system_id, self._codec.component_id)
         for message in self._codec.decode(data):
             message_id = message.get_msgId()
             if message_id == mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET:
-                self._hear_beacon(message, now_s)
+                self.beacons.hear(message, now_s)
             elif message_id == mavlink.MAVLINK_MSG_ID_COMMAND_ACK:
-                # a gimbal or a ground station may not answer in the autopilot's place
-                if message.get_srcComponent() != AUTOPILOT_COMPONENT:
-                    continue
-                self._commands.acknowledged(message, us, now_s)
+                self._hear_answer(message, us, now_s)
             elif message_id in ORDER_MESSAGES:
                 self.orders.hear_command(message, self._codec.system_id, now_s)
-            elif codec.is_twins_heartbeat(message, us, self._process):
-                self.state = replace(self.state, twin_time_s=now_s)
+            elif (told := with_twin(self.state, message, us, self._process, now_s)) is not None:
+                self.state = told
             elif self._is_our_autopilot(message):
                 self._hear_autopilot(message, message_id, now_s)
         if self.counters.refused != refused:
@@ -172,12 +176,14 @@ class Session:
         self.stranger = system_id
         return False
 
-    def _hear_beacon(self, message: Message, now_s: float) -> None:
-        sender: int = message.get_srcSystem()
-        if sender == self._config.ground_system_id:
-            self.beacon = pad_beacon(message, now_s, self._config.maximum_pad_speed_m_s) or self.beacon
-        else:
-            self.beacon_stranger = sender
+    def _hear_answer(self, message: Message, us: tuple[int, int], now_s: float) -> None:
+        """COMMAND_ACK: a gimbal or a ground station may not answer in the autopilot's place."""
+        grounds = message.get_srcSystem() == self._config.ground_system_id != self._system_id
+        if message.get_srcComponent() != AUTOPILOT_COMPONENT and not grounds:
+            return
+        ended = self._commands.acknowledged(message, us, now_s)
+        if grounds and ended is not None and ended.accepted:
+            self.beacons.accepted(message.get_srcComponent(), now_s)
 
     def _hear_autopilot(self, message: Message, message_id: int, now_s: float) -> None:
         self._rates.heard(message_id)
@@ -250,8 +256,7 @@ class Session:
 
     def tick(self, now_s: float) -> bytes:
         """What is due to be sent now, as bytes; often empty."""
-        if self._signing is not None:
-            self._signing.advance(now_s)
+        self._codec.advance(now_s)
         self._watch_connection(now_s)
         self.state = without_old(self.state, now_s)
         messages, self._replies = [*self._replies, *self.orders.answers()], []

@@ -209,19 +209,13 @@ class PymavlinkActions:
         await self.dialogue.confirm(lambda: not self._session.state.armed, "disarmed")
 
     async def request_pad_position(self, action: Action) -> None:
-        """Ask the ground station for a FOLLOW_TARGET; the message itself is an answer too."""
-        before = self._session.beacon
+        """Ask the ground station for a FOLLOW_TARGET, which follows its acceptance."""
         command = request_message(
             mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET, self._config.ground_system_id, target_component=0
         )
-        outcome = await self.dialogue.outcome(
-            self._session.command(command), lambda: self._session.beacon is not before
-        )
-        if outcome == "accepted":
-            return
-        stranger = self._session.beacon_stranger
-        hint = "" if stranger is None else f" (system {stranger} has one; link.ground_system_id is another)"
-        raise Refused(f"the ground station's answer: {outcome}{hint}")
+        outcome = await self.dialogue.outcome(self._session.command(command))
+        if outcome != "accepted":
+            raise Refused(f"the ground station's answer: {outcome}{self._session.beacons.hint()}")
 
     async def require_setup(self) -> None:
         """See to it that the autopilot's parameters let us fly it.

@@ -14,7 +14,7 @@ from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import FRESH_S
 from companion.plan.mission.bounds import Bounds
-from companion.plan.mission.departure import refused_words
+from companion.plan.mission.departure import refused_words, rival_words
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.mode_monitor import ModeMonitor
 from companion.plan.mission.state_machine import StateMachine
@@ -26,6 +26,7 @@ from companion.plan.mission.table import FINAL, ON_GROUND
 # estimator gives none any more. The motion of a pad that was unseen before is from too long ago for that.
 _STALE_ESTIMATE_S = 0.5
 _STALE_SINKING_S = 1.5
+_RIVAL_S = 0.5  # setpoints come at 2 Hz or more
 _OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz
 # So long without a plan the stop is complete, and the vehicle drifts with the wind.
 _NO_PLAN_S = 1.0
@@ -113,6 +114,8 @@ class FailsafeMonitor:
             ),
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
+        if others := rival_words(autopilot, now_s, _RIVAL_S):
+            found += [(MissionEvent.RIVAL, others)]
         found += [*self._late(autopilot, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
         found += [*self._control(inputs.control_failed, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]

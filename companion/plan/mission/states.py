@@ -92,6 +92,7 @@ class MissionEvent(StrEnum):
     LINK_LOST = "link_lost"
     LINK_UP = "link_up"
     LINK_LATE = "link_late"  # answers come, but too late to fly by
+    RIVAL = "rival"  # somebody else sends setpoints to the vehicle
     ESTIMATE_LOST = "estimate_lost"
     CONTROL_FAILED = "control_failed"  # the controller finds no plan, and has long commanded to stop
     VELOCITY_UNKNOWN = "velocity_unknown"  # our estimate is there, but its velocity is too uncertain

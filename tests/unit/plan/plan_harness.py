@@ -215,6 +215,8 @@ class PlanWorld:
             round_trip_s=a.round_trip_s,
             round_trip_time_s=self.now_s,
             twin_time_s=min(self.now_s, a.twin_until_s),
+            rival=a.rival,
+            rival_time_s=-math.inf if a.rival is None else self.now_s,
         )
 
     def _sense(self) -> None:

@@ -109,12 +109,19 @@ def test_a_mode_that_a_failsafe_has_chosen_meanwhile_is_not_asked_away(
     assert autopilot.mode == chosen
 
 
-def test_a_beacon_of_another_system_is_no_answer_but_a_hint() -> None:
-    stranger = Codec(254, 190)
+@pytest.mark.parametrize(
+    ("sender", "hint"),
+    [
+        ((254, 190), "system 254 has one; link.ground_system_id is another"),
+        ((255, 190), "component 190 sends one unasked: see link.beacon_component_id"),
+    ],
+)
+def test_a_beacon_that_is_no_answer_is_a_hint(sender: tuple[int, int], hint: str) -> None:
+    stranger = Codec(*sender)
 
     def answer(data: bytes, now_s: float) -> bytes:
         return stranger.encode(follow_target(PadBeacon(now_s, 47.0, 8.0, 400.0, (1.0, 0.0, 0.0), 1.0)))
 
     [result] = perform(FakeAutopilot(), Action(ActionKind.REQUEST_PAD_POSITION), ground=answer)
     assert not result.accepted
-    assert "no answer (system 254 has one; link.ground_system_id is another)" in result.text
+    assert f"no answer ({hint})" in result.text
