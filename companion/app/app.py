@@ -253,7 +253,7 @@ class App:
             vehicle=vehicle,
             pad=pad,
             autopilot=self.session.state,
-            beacon=self.session.beacon,
+            beacon=self.session.beacons.beacon,
             range=self.sensing.last_range,
             results=results,
             stop_requested=self._stop_requested or (self.loop_monitor.woke and self.phase not in NOT_STOPPED),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -87,7 +88,14 @@ def build_stages(
     def make_planner(standby: str | None) -> Planner:
         control = config.control
         return Planner(
-            config.plan, vehicle, control.horizon_steps, control.step_s, law, pace=pace, standby=standby
+            config.plan,
+            vehicle,
+            control.horizon_steps,
+            control.step_s,
+            law,
+            pace=pace,
+            standby=standby,
+            pad_reach_m=0.5 * math.hypot(pad.width_m, pad.length_m),
         )
 
     stamps = StampKeeper(

@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Final
 
 from companion.base.geometry import Quaternion
-from companion.base.messages import AutopilotSetup, AutopilotState, LandedState, PadBeacon, Setpoint
+from companion.base.messages import AutopilotSetup, AutopilotState, LandedState, Setpoint
 from companion.config import LinkConfig, OrdersConfig, SenseConfig
 from companion.link import codec
 from companion.link.autopilot_setup import SetupReader
@@ -33,9 +33,9 @@ from companion.link.streams import HEARD, OWN_RATES_HZ, TelemetryRates
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, Sample, TelemetrySensors
 from companion.link.telemetry.heading_offset import HeadingOffset
 from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state, without_old
+from companion.link.telemetry.twins import SETPOINT_MESSAGES, with_twin
 from companion.link.timing.boot_clock import BootClock
 from companion.link.timing.timesync import TimeSync, clock_ns
-from companion.link.twins import SETPOINT_MESSAGES, with_twin
 
 _STAMPED: Final = frozenset(
     {
@@ -110,11 +110,6 @@ class Session:
         self._home_due_s = -math.inf
         self._syncs_sent = 0
         self._notices = Notices()
-
-    @property
-    def beacon(self) -> PadBeacon | None:
-        """Where the pad was last reported to be."""
-        return self.beacons.beacon
 
     @property
     def setup(self) -> AutopilotSetup | None:

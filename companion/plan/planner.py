@@ -17,6 +17,7 @@ from companion.base.messages import ActionKind, Conditions, LandedState, Notice,
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge
+from companion.plan.landing.upright import not_standing
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.mode_monitor import in_land, in_offboard
@@ -52,14 +53,18 @@ class Planner:
         *,
         pace: PaceLaw = unhurried,
         standby: str | None = None,
+        pad_reach_m: float = 0.5,
     ) -> None:
         """Ready to connect; with `standby`, in STANDBY: for good if that is a reason, else for an order.
+
+        `pad_reach_m`: from the pad's middle to its corner.
 
         Raises:
             ConfigError: the take-off or a waypoint is too near to an obstacle.
         """
         check_places(config, vehicle.radius_m)
         self._mission = mission = config.mission
+        self._vehicle, self._pad_reach_m = vehicle, pad_reach_m
         search = config.search
         self._machine = StateMachine(config.landing.retries, may_fly=standby is None)
         self._battery, self._battery_reported = mission.battery, False
@@ -242,6 +247,20 @@ class Planner:
             in_offboard=in_offboard(inputs.autopilot),
             ends_inside=self._ends_inside(inputs),
             feet_down=self._steering.feet_down(now_s),
+            standing=not self._not_standing(inputs, now_s),
+        )
+
+    def _not_standing(self, inputs: PlanInputs, now_s: float) -> str:
+        """Why a vehicle that was landing does not stand upright on the pad; "" when it does."""
+        touched = self._steering.on_pad or self._steering.feet_down(now_s)
+        return not_standing(
+            self._pad.sight,
+            inputs,
+            self._vehicle,
+            self._pad_reach_m,
+            now_s,
+            surface_m=self._ground.surface_m,
+            touched=touched,
         )
 
     def _ends_inside(self, inputs: PlanInputs) -> bool:
@@ -255,6 +274,12 @@ class Planner:
     def _take(self, event: MissionEvent, reason: str, inputs: PlanInputs, now_s: float) -> None:
         """Take the table's branch for an event: change the state, send its requests."""
         machine, state, had = self._machine, self._machine.state, self._machine.authority
+        if (
+            event is MissionEvent.DISARMED
+            and state in COMMITTED
+            and (fell := self._not_standing(inputs, now_s))
+        ):
+            reason = f"{reason}, no landing: {fell}"
         branch = machine.follows(event, self._circumstances(inputs, now_s))
         if branch is None:
             if event is MissionEvent.COMMIT and not self._leaving_reported:

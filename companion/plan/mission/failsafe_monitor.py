@@ -69,8 +69,7 @@ class FailsafeMonitor:
     ) -> tuple[DetectedEvent, ...]:
         """All that holds in this cycle, the gravest first; nothing any more once the mission has ended.
 
-        `control_granted`, `taking_off`: the request for it was accepted. `over_home_m`: the height. `asked`:
-        what was asked for last.
+        `control_granted`, `taking_off`: the request was accepted. `asked`: what was asked for last.
         """
         if self._phase_since_s is None:
             self._phase_since_s = now_s
@@ -89,6 +88,7 @@ class FailsafeMonitor:
             ordered_in_air=self._machine.ordered_in_air,
             asked=asked,
         )
+        silence = f"no heartbeat from the autopilot{refused_words(autopilot)}"
         signs = (
             (
                 control_granted and autopilot.offboard,
@@ -107,15 +107,9 @@ class FailsafeMonitor:
                 f"mode {autopilot.mode or 'unknown'} was not requested",
             ),
             (inputs.stop_requested, MissionEvent.STOP, "by the operator"),
-            (
-                not heard,
-                MissionEvent.LINK_LOST,
-                f"no heartbeat from the autopilot{refused_words(autopilot)}",
-            ),
+            (not heard, MissionEvent.LINK_LOST, silence),
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
-        if others := rival_words(autopilot, now_s, _RIVAL_S):
-            found += [(MissionEvent.RIVAL, others)]
         found += [*self._late(autopilot, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
         found += [*self._control(inputs.control_failed, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
@@ -134,7 +128,12 @@ class FailsafeMonitor:
         return ()
 
     def _late(self, autopilot: AutopilotState, now_s: float) -> Iterator[DetectedEvent]:
-        """Whether answers take too long; without any there is no telling, and LINK_LOST may follow."""
+        """Whether answers take too long, or another program sends setpoints too.
+
+        Without any answer there is no telling, and LINK_LOST may follow.
+        """
+        if others := rival_words(autopilot, now_s, _RIVAL_S):
+            yield MissionEvent.RIVAL, others
         late_s, most_s = autopilot.round_trip_s, self._config.largest_round_trip_s
         known = autopilot.connected and now_s - autopilot.round_trip_time_s <= _OLDEST_ROUND_TRIP_S
         if known and late_s is not None and late_s > most_s:

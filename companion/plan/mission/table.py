@@ -255,6 +255,7 @@ ROWS: Final = (
     _row(
         E.DISARMED,
         ON_PAD | {S.SET_DOWN},
+        replace(_CONTROL_LOST, guard=Guard.NOT_STANDING),
         *(replace(branch, to=S.LANDED) for branch in (_LEAVE_OFFBOARD, _CONTROL_LOST)),
     ),
     _row(

@@ -99,7 +99,7 @@ def _check(session: Session) -> None:
             check_finite(*value)
     share = state.battery_share
     assert share is None or 0.0 <= share <= 1.0, f"battery_share {share}"
-    beacon = session.beacon
+    beacon = session.beacons.beacon
     if beacon is not None:
         check_finite(beacon.latitude_deg, beacon.longitude_deg, beacon.altitude_m, *beacon.velocity_ned_m_s)
     assert len(state.texts) < 100, f"{len(state.texts)} texts are kept"

@@ -43,15 +43,15 @@ def test_the_answer_to_our_request_is_the_pads() -> None:
     session = asked()
     answer(session, 3.1)
     send(session, 3.6)
-    assert session.beacon is not None
-    assert (session.beacon.time_s, session.beacon.altitude_m) == (3.6, 401.0)
+    assert session.beacons.beacon is not None
+    assert (session.beacons.beacon.time_s, session.beacons.beacon.altitude_m) == (3.6, 401.0)
 
 
 def test_what_a_ground_station_streams_unasked_is_not() -> None:
     session = Session(LinkConfig())
     for second in range(20):
         send(session, float(second))
-    assert session.beacon is None
+    assert session.beacons.beacon is None
     assert session.beacons.ignored == GROUND
 
 
@@ -61,18 +61,18 @@ def test_nor_what_it_streams_while_it_refuses_to_answer(result: int) -> None:
     send(session, 3.05)
     answer(session, 3.1, result=result)
     send(session, 3.2)
-    assert session.beacon is None
+    assert session.beacons.beacon is None
 
 
 def test_an_acceptance_of_what_was_not_asked_or_was_meant_for_another_is_none() -> None:
     session = Session(LinkConfig())
     answer(session, 3.1)
     send(session, 3.2)
-    assert session.beacon is None
+    assert session.beacons.beacon is None
     session = asked()
     answer(session, 3.1, us=42)
     send(session, 3.2)
-    assert session.beacon is None
+    assert session.beacons.beacon is None
 
 
 @pytest.mark.parametrize("sender", [(254, 190), (1, 1), (1, 191), (255, 1), (255, 191)])
@@ -80,7 +80,7 @@ def test_nor_what_another_sends_than_the_one_that_accepted(sender: tuple[int, in
     session = asked()
     answer(session, 3.1)
     send(session, 3.2, sender)
-    assert session.beacon is None
+    assert session.beacons.beacon is None
     assert session.beacons.ignored == sender
 
 
@@ -88,18 +88,18 @@ def test_what_comes_long_after_the_acceptance_is_no_answer() -> None:
     session = asked()
     answer(session, 3.0)
     send(session, 3.0 + ANSWER_S + 0.1)
-    assert session.beacon is None
+    assert session.beacons.beacon is None
 
 
 def test_the_component_that_is_named_needs_no_asking_and_no_other_counts() -> None:
     session = asked(beacon_component_id=25)
     answer(session, 3.0)
     send(session, 3.1)
-    assert session.beacon is None
+    assert session.beacons.beacon is None
     send(session, 3.2, (254, 25))
-    assert session.beacon is None
+    assert session.beacons.beacon is None
     send(session, 3.3, (255, 25))
-    assert session.beacon is not None
+    assert session.beacons.beacon is not None
 
 
 @pytest.mark.parametrize("ground_system_id", [255, 77])
@@ -109,5 +109,5 @@ def test_a_beacon_faster_than_any_pad_leaves_the_last_good_one(ground_system_id:
     )
     for time_s, north_m_s in ((1.0, 2.9), (2.0, 3.1), (3.0, 1000.0)):
         send(session, time_s, (ground_system_id, 190), north_m_s)
-    assert session.beacon is not None
-    assert session.beacon.time_s == 1.0
+    assert session.beacons.beacon is not None
+    assert session.beacons.beacon.time_s == 1.0
