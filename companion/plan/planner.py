@@ -15,6 +15,7 @@ from typing import Final
 from companion.base.geometry import ned_from_geodetic
 from companion.base.messages import ActionKind, Conditions, LandedState, Notice, Phase, PlanStep, Refusal
 from companion.config import PlanConfig, VehicleConfig
+from companion.plan.landing.echo_check import EchoCheck
 from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.landing.upright import not_standing
@@ -25,7 +26,7 @@ from companion.plan.mission.orders import not_ready
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Circumstances, DetectedEvent, Effect, MissionEvent, State
-from companion.plan.mission.table import COMMITTED, FINAL, impossible
+from companion.plan.mission.table import COMMITTED, FINAL, TOUCHDOWN, impossible
 from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, unhurried
@@ -74,7 +75,7 @@ class Planner:
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
         self._monitor = FailsafeMonitor(mission, self._machine)
         self._pad = PadKnowledge(search.sightings, SIGHTINGS_WINDOW_S)
-        self._ground = Ground(vehicle.range_position_body_m)
+        self._ground, self._echoes = Ground(vehicle.range_position_body_m), EchoCheck()
         avoidance = Avoidance(config, vehicle.radius_m)
         self._generator = ReferenceGenerator(config.guidance, law, horizon_steps, step_s, avoidance)
         self._pace, self._monitored = pace, ConditionMonitor()
@@ -124,6 +125,7 @@ class Planner:
     def step(self, inputs: PlanInputs, now_s: float) -> PlanStep:
         """One cycle at now_s: at most one change of state, then the reference, actions and notices."""
         self._notices = []
+        inputs = self._checked(inputs, now_s)
         self._see(inputs, now_s)
         self._set_pace(inputs, now_s)
         self._watch_battery(inputs, now_s)
@@ -145,6 +147,17 @@ class Planner:
             on_ground=self._steering.on_pad,
             conditions=self._conditions if self.phase in PACED else None,
         )
+
+    def _checked(self, inputs: PlanInputs, now_s: float) -> PlanInputs:
+        """The inputs without a rangefinder that two others contradict, which is said once."""
+        echo, position = inputs.range, inputs.autopilot.global_position
+        if self._machine.state not in TOUCHDOWN:  # a deck that heaves moves the vehicle, and no echo
+            ours_m = None if inputs.vehicle is None else -inputs.vehicle.position_ned_m[2]
+            theirs_m = None if position is None else position[2]
+            if self._echoes.update(echo, ours_m, theirs_m, now_s) and echo is not None:
+                words = f"stuck at {echo.distance_m:.2f} m while we and the autopilot climb or sink: not used"
+                self._say("rangefinder", words, now_s, "warning")
+        return replace(inputs, range=None) if self._echoes.stuck else inputs
 
     def _see(self, inputs: PlanInputs, now_s: float) -> None:
         if inputs.autopilot.connected:
