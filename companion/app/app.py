@@ -84,7 +84,7 @@ class App:
         self.announcer = Announcer(self._clock, log, self._deliver)
         stages = build_stages(config, hardware, log, self._clock, self.announcer.notify)
         self._vehicle, self.session, self._timer = stages.vehicle, stages.session, stages.control_timer
-        self.estimator, self.sensing = stages.estimator, stages.sensing
+        self.estimator, self.sensing, self._stamps = stages.estimator, stages.sensing, stages.stamps
         self.missions = Missions(
             stages.make_planner, self.session, log, self.announcer, self._clock, standby=standby, stays=stays
         )
@@ -135,6 +135,7 @@ class App:
             "heartbeat": self._link_task,
             "actions": self._action_queue.run,
             "status": self._status_task,
+            "signing stamps": self._stamps.run,
         }
         self.missions.tell()
         for warning in forced_calibrations(self._config):
@@ -252,7 +253,7 @@ class App:
             vehicle=vehicle,
             pad=pad,
             autopilot=self.session.state,
-            beacon=self.session.beacon,
+            beacon=self.session.beacons.beacon,
             range=self.sensing.last_range,
             results=results,
             stop_requested=self._stop_requested or (self.loop_monitor.woke and self.phase not in NOT_STOPPED),
@@ -295,6 +296,7 @@ class App:
             self.loop_monitor.heard += 1
             self._log.write_mavlink(data, now_s, "in")
             self.session.receive(data, now_s)
+            self._stamps.note(ordered=self.session.orders.waiting)
             self.sensing.take_samples(self.session.take_samples())
             self._actions.receive(data)
             self._send(self.session.tick(now_s))

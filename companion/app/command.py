@@ -102,7 +102,7 @@ async def _vehicle_flight(
     config: CompanionConfig, log: FlightLog, view: StatusView, latch: FlightLatch, standby: str | None
 ) -> tuple[Phase, bool]:
     page = LivePage(config, log)
-    async with open_hardware(config, waits=True) as hardware:
+    async with open_hardware(config, waits=True, state=latch.folder) as hardware:
         app = App(config, hardware, log, make_actions, view, standby=standby)
         if standby is None:
             latch.begin()
@@ -135,7 +135,7 @@ async def _service(
     clock = Clock()
     start_s = clock.now_s()
     machine, page = ComputerWatch(start_s), LivePage(config, log)
-    async with open_hardware(config, waits=True) as hardware:
+    async with open_hardware(config, waits=True, state=record or state_folder()) as hardware:
         app = App(config, hardware, log, make_actions, view, stays=True)
 
         async def report() -> str:

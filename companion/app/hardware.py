@@ -6,6 +6,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import ExitStack, asynccontextmanager, closing
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import cast
 
 from companion.app.devices import (
@@ -17,13 +18,15 @@ from companion.app.devices import (
     opened_if_there,
 )
 from companion.app.service.autopilot_lock import only_app_at
-from companion.base.clock import Clock
+from companion.app.service.stamp_file import StampFile
+from companion.base.clock import Clock, unix_time_s
 from companion.base.errors import DeviceMissing
 from companion.config import CameraConfig, CompanionConfig, LinkConfig, RangeConfig, find_file, load_model
 from companion.control.setpoints import resolved
 from companion.link.actions.actions import PymavlinkActions, VehicleActions
 from companion.link.inbox import memory_pair
 from companion.link.session import Session
+from companion.link.signing import LinkSigning, signing_of
 from companion.link.transport import Transport, open_transport
 from companion.sense.camera.source import FrameSource, keep_camera
 from companion.sense.imu.i2c import RegisterBus, open_bus
@@ -46,16 +49,19 @@ class Hardware:
     imu_bus: RegisterBus | None = None
     gps_port: SerialLine | None = None
     range_port: SerialLine | EchoPins | None = None
+    signing: LinkSigning | None = None
+    stamp_file: StampFile | None = None
 
 
 @asynccontextmanager
 async def open_hardware(
-    config: CompanionConfig, *, linked: bool = True, waits: bool = False
+    config: CompanionConfig, *, linked: bool = True, waits: bool = False, state: Path | None = None
 ) -> AsyncIterator[Hardware]:
     """Open what the settings name, and close it again at the end.
 
     Not `linked`, the line to the autopilot stays closed, and nothing ever comes over it. With `waits` a
-    device that is missing is opened as soon as it is there.
+    device that is missing is opened as soon as it is there. In the folder `state` the last stamp of a signed
+    link is kept.
 
     Raises:
         ConfigError: a port, bus or camera is taken or misspelt, or missing, or another app on this machine is
@@ -65,10 +71,12 @@ async def open_hardware(
     sense = config.sense
     with ExitStack() as opened:
         link = config.link
+        stamp_file = None if state is None or link.signing_key is None else StampFile(state)
+        signing = signing_of(link, unix_time_s(), 0 if stamp_file is None else stamp_file.read())
         transport: Transport = memory_pair()[0]
         if linked:
             opened.enter_context(only_app_at(link.connection))
-            transport = opened.enter_context(closing(await _open_line(link, waits=waits)))
+            transport = opened.enter_context(closing(await _open_line(link, signing, waits=waits)))
         imu_bus: RegisterBus | None = None
         gps_port: SerialLine | None = None
         range_port: SerialLine | EchoPins | None = None
@@ -81,11 +89,11 @@ async def open_hardware(
         frames = opened.enter_context(
             closing(await keep_camera(vision.source, camera, vision.unstamped_latency_s, waits=waits))
         )
-        yield Hardware(transport, frames, imu_bus, gps_port, range_port)
+        yield Hardware(transport, frames, imu_bus, gps_port, range_port, signing, stamp_file)
 
 
-async def _open_line(config: LinkConfig, *, waits: bool) -> Transport:
-    open_line = partial(open_transport, config.connection, config.system_id)
+async def _open_line(config: LinkConfig, signing: LinkSigning | None, *, waits: bool) -> Transport:
+    open_line = partial(open_transport, config.connection, config.system_id, signing)
     try:
         line = await open_line()
     except DeviceMissing:

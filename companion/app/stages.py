@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from companion.app.hardware import Hardware
 from companion.app.sensing import Notify, Sensing
+from companion.app.service.stamp_file import StampKeeper
 from companion.app.timing.control_timer import ControlTimer
 from companion.base.clock import Clock, unix_time_s
 from companion.base.files import find_file
@@ -21,7 +23,7 @@ from companion.config import (
 from companion.estimate.estimator import StateEstimator
 from companion.flightlog.record import FlightLog
 from companion.link.session import Session
-from companion.link.signing import read_signing_key
+from companion.link.signing import LinkSigning
 from companion.pad import load_pad
 from companion.plan.planner import Planner
 from companion.plan.speed.laws import load_speed_controller
@@ -37,6 +39,7 @@ class Stages:
     estimator: StateEstimator
     sensing: Sensing
     control_timer: ControlTimer
+    stamps: StampKeeper
     make_planner: Callable[[str | None], Planner]  # of a mission; given why it stands by, if it does
 
 
@@ -57,7 +60,7 @@ def build_stages(
     camera = load_model(CameraConfig, find_file("cameras", config.camera))
     pad = load_pad(config.pad)
     antenna = config.sense.gps.antenna_position_body_m
-    session = _session(config)
+    session = _session(config, hardware.signing)
     half_width_m = 0.5 * min(pad.width_m, pad.length_m)
     estimator = StateEstimator(config.estimate, vehicle, antenna, half_width_m)
     sensing = Sensing(
@@ -94,23 +97,21 @@ def build_stages(
             pace=pace,
             standby=standby,
             pad_half_width_m=half_width_m,
+            pad_reach_m=0.5 * math.hypot(pad.width_m, pad.length_m),
         )
 
-    return Stages(vehicle, session, estimator, sensing, control_timer, make_planner)
+    stamps = StampKeeper(
+        hardware.stamp_file, hardware.signing, lambda text: notify("signing", text, "warning")
+    )
+    return Stages(vehicle, session, estimator, sensing, control_timer, stamps, make_planner)
 
 
-def _session(config: CompanionConfig) -> Session:
-    """The link's session.
-
-    Raises:
-        ConfigError: the signing key cannot be read.
-    """
-    link = config.link
+def _session(config: CompanionConfig, signing: LinkSigning | None) -> Session:
     return Session(
-        link,
+        config.link,
         config.sense if config.sense.source == "autopilot" else None,
         reads_setup=True,
-        signing_key=None if link.signing_key is None else read_signing_key(link.signing_key, unix_time_s()),
+        signing=signing,
         orders=config.orders,
         process=int(1e3 * unix_time_s()) % 2**32,
     )

@@ -92,3 +92,28 @@ def write_atomically(path: Path, content: str | bytes) -> None:
         part.replace(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def write_durably(path: Path, content: str) -> None:
+    """Replace a text file so that even a power cut leaves the old one or the new one; its folder is made.
+
+    Raises:
+        ConfigError: it cannot be written.
+    """
+    fresh = path.with_suffix(".new")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with fresh.open("w", encoding="utf-8") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        fresh.replace(path)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be written: {error.strerror}; expected a folder to write to"
+        ) from None

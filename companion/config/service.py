@@ -12,6 +12,7 @@ from companion.config.reading import StrictModel
 
 ModeName = Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_.]*$", max_length=32)]
 ADDRESS_FORM: Final = "ADDRESS:PORT, for example 127.0.0.1:8080 or [::1]:8080"
+FAILSAFE_MODES: Final = frozenset({"RTL", "SMART_RTL", "LAND", "PRECLAND", "BRAKE"})
 LOCALHOST: Final = "localhost"
 
 
@@ -23,6 +24,13 @@ class OrdersConfig(StrictModel):
     rc_on_us: int = Field(default=1700, ge=1000, le=2000)  # µs
     flight_mode: ModeName | None = None  # entered by the pilot, it asks for a landing
     mission_item: int | None = Field(default=None, ge=0, le=65535)  # reached, it asks for a landing
+
+    @field_validator("flight_mode")
+    @classmethod
+    def _a_pilot_alone_chooses_it(cls, mode: str | None) -> str | None:
+        if mode is not None and mode.removeprefix("AUTO.") in FAILSAFE_MODES:
+            raise ValueError(f"{mode} is what failsafes choose; expected a mode that a pilot alone enters")
+        return mode
 
 
 class ServeConfig(StrictModel):

@@ -1,7 +1,8 @@
 """The pad's own position over MAVLink: FOLLOW_TARGET to PadBeacon. Pure.
 
 Metres, not centimetres; velocity in NED, m/s. Whoever sends it leads the vehicle, so what cannot be is
-refused here, and who is accepted is the session's business.
+refused, and so is what was not asked for: ground stations stream their operator's own position as
+FOLLOW_TARGET, too (QGroundControl's Follow Me).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import Final
 
 from companion.base.geometry import ZERO3, norm, vector3
 from companion.base.messages import PadBeacon
+from companion.config import LinkConfig
 from companion.link.codec import Message
 
 _HAS_POSITION: Final = 0b01
@@ -18,6 +20,48 @@ _HAS_VELOCITY: Final = 0b10
 _UNKNOWN_STD_M: Final = 5.0
 _POLE_E7: Final = 900_000_000
 _DATE_LINE_E7: Final = 1_800_000_000
+# The fix, the answer, and a slow radio: so long after COMMAND_ACK what comes is the answer.
+ANSWER_S: Final = 8.0
+
+
+class BeaconListener:
+    """Whose FOLLOW_TARGET is the pad's: the newest one is `beacon`.
+
+    It has to come from the ground station: as the answer to our request, which its component has accepted by
+    COMMAND_ACK, or from the component that the settings name, and then from no other.
+    """
+
+    def __init__(self, config: LinkConfig) -> None:
+        self._config = config
+        self._accepted_s: dict[int, float] = {}  # by component
+        self.beacon: PadBeacon | None = None
+        self.ignored: tuple[int, int] | None = None
+
+    def accepted(self, component_id: int, now_s: float) -> None:
+        """A component of the ground station's will answer our request."""
+        self._accepted_s[component_id] = now_s
+
+    def hear(self, message: Message, now_s: float) -> None:
+        """A FOLLOW_TARGET."""
+        system_id, component_id = message.get_srcSystem(), message.get_srcComponent()
+        named, config = self._config.beacon_component_id, self._config
+        if named is None:
+            wanted = now_s - self._accepted_s.get(component_id, -math.inf) <= ANSWER_S
+        else:
+            wanted = component_id == named
+        if wanted and system_id == config.ground_system_id:
+            self.beacon = pad_beacon(message, now_s, config.maximum_pad_speed_m_s) or self.beacon
+        else:
+            self.ignored = (system_id, component_id)
+
+    def hint(self) -> str:
+        """What may be the reason for no answer, in words to follow other words; "" when nothing is known."""
+        if self.ignored is None:
+            return ""
+        system_id, component_id = self.ignored
+        if system_id != self._config.ground_system_id:
+            return f" (system {system_id} has one; link.ground_system_id is another)"
+        return f" (component {component_id} sends one unasked: see link.beacon_component_id)"
 
 
 def pad_beacon(message: Message, time_s: float, maximum_speed_m_s: float) -> PadBeacon | None:

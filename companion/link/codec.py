@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 from companion.base.geometry import ZERO3, Vector3
 from companion.base.messages import Setpoint
 from companion.link.dialect import mavlink as mavlink  # noqa: PLC0414 - named here for all
-from companion.link.signing import SigningKey
+from companion.link.signing import LinkSigning
 
 Message = Any
 
@@ -47,7 +47,7 @@ SIGNATURE_BYTES: Final = 13
 class CodecCounters:
     """What came in: messages given on and passed over unread, bytes of no message, gaps in the sequence.
 
-    `refused`: whole messages without a right signature, where one is demanded.
+    `refused`: whole messages without a right and fresh signature, where one is demanded.
     """
 
     decoded: int = 0
@@ -68,15 +68,21 @@ class Codec:
     ) -> None:
         self.counters = CodecCounters()
         self._packer = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
+        self._reader = mavlink.MAVLink(None)  # without the key: it leaves signatures to `LinkSigning`
+        self._signing: LinkSigning | None = None
         self._wanted = None if wanted is None else frozenset(wanted)
         self._buffer = bytearray()
         self._sequence: dict[tuple[int, int], int] = {}
 
-    def sign(self, key: SigningKey) -> None:
-        """Sign all that is sent from now on, and take nothing without a right signature."""
-        signing = self._packer.signing
-        signing.secret_key, signing.sign_outgoing = key.secret, True
-        signing.link_id, signing.timestamp = self.component_id, key.stamp
+    def sign(self, signing: LinkSigning) -> None:
+        """Sign all that is sent from now on, and take nothing without a right and fresh signature."""
+        self._signing, packer = signing, self._packer.signing
+        packer.secret_key, packer.sign_outgoing, packer.link_id = signing.secret, True, self.component_id
+
+    def advance(self, now_s: float) -> None:
+        """Move the time stamps of our signatures on, if we sign."""
+        if self._signing is not None:
+            self._signing.advance(now_s)
 
     @property
     def system_id(self) -> int:
@@ -94,6 +100,8 @@ class Codec:
 
     def encode(self, message: Message) -> bytes:
         """One message as bytes, with the next sequence number."""
+        if self._signing is not None:
+            self._packer.signing.timestamp = self._signing.next_stamp()
         data: bytes = message.pack(self._packer)
         self._packer.seq = (self._packer.seq + 1) % 256
         return data
@@ -129,11 +137,10 @@ class Codec:
             self.counters.passed_over += 1
         else:
             try:
-                message = self._packer.decode(frame)
+                message = self._reader.decode(frame)
             except mavlink.MAVError:
-                demanded = self._packer.signing.secret_key is not None
-                if not demanded or not check_sum_is_right(frame, message_id):
-                    return False
+                return False
+            if self._signing is not None and not self._signing.accepts(frame):
                 self.counters.refused += 1
                 return True
             messages.append(message)
@@ -205,11 +212,11 @@ def is_autopilot_heartbeat(message: Message) -> bool:
     )
 
 
-def autopilot_heard(data: bytes, system_id: int) -> int | None:
-    """The system whose autopilot's heartbeat whole frames in `data` hold, that one (0: any); None: none."""
-    messages = Codec(system_id, wanted=(mavlink.MAVLINK_MSG_ID_HEARTBEAT,)).decode(data)
-    found = (m.get_srcSystem() for m in messages if is_autopilot_heartbeat(m))
-    return next((system for system in found if system_id in (0, system)), None)
+def autopilot_heartbeats(data: bytes, system_id: int) -> Iterator[Message]:
+    """The heartbeats of the autopilot of this system (0: of any) that whole frames in `data` hold."""
+    for message in Codec(system_id, wanted=(mavlink.MAVLINK_MSG_ID_HEARTBEAT,)).decode(data):
+        if is_autopilot_heartbeat(message) and system_id in (0, message.get_srcSystem()):
+            yield message
 
 
 def is_twins_heartbeat(message: Message, us: tuple[int, int], process: int) -> bool:

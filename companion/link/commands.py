@@ -110,22 +110,26 @@ class CommandQueue:
         queue = self._queues.get(_key(command), ())
         return any(pending.command == command for pending in queue)
 
-    def acknowledged(self, message: Message, us: tuple[int, int], now_s: float) -> None:
-        """Take a COMMAND_ACK; one meant for another component on the link is left alone."""
+    def acknowledged(self, message: Message, us: tuple[int, int], now_s: float) -> Pending | None:
+        """Take a COMMAND_ACK; returns the command that ends by it, if one does.
+
+        One meant for another component on the link is left alone.
+        """
         target = (message.target_system, message.target_component)
         key = (message.get_srcSystem(), message.command)
         if target not in {us, (us[0], 0), (0, 0)} or self._is_to_withdrawn(key, now_s):
-            return
+            return None
         queue = self._queues.get(key)
         if not queue:
-            return
+            return None
         pending = queue[0]
         if pending.tries == 0:
-            return
+            return None
         if message.result == mavlink.MAV_RESULT_IN_PROGRESS:
             pending.due_s = now_s + _IN_PROGRESS_S
-            return
+            return None
         self._end(pending, _result_name(message.result))
+        return pending
 
     def to_send(self, now_s: float) -> list[Message]:
         """The messages due now: first tries, and repeats of what was not answered in time."""

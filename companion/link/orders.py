@@ -4,6 +4,11 @@ Four ways to ask for a landing, each off unless set but the first: a command of 
 to our component, an RC switch, a flight mode that the pilot enters, a mission item that is reached. Levels
 are noted and edges count: a switch that is up when standby begins, or a mode that holds then, asks for
 nothing; so it is for `SETTLES_S` after each begin, while the autopilot still changes by what was asked last.
+Nor does an edge that was not seen, because the link was silent, ask for a landing.
+
+An autopilot changes its mode by itself, too: at the end of its own take-off or mission, and as a failsafe. A
+mode is a pilot's choice only where it follows on one that is flown by hand, in heartbeats that say that
+nothing is wrong (MAV_STATE_ACTIVE).
 
 MAVLink's command protocol: IN_PROGRESS when the order is followed and again for each repeat, then how it
 ended; the same command again after its end is a new one, but for a repeat (confirmation > 0) within
@@ -19,9 +24,14 @@ from typing import Final
 from companion.base.messages import AutopilotState, Order, OrderKind, OrderOutcome, OrderReply
 from companion.config.service import OrdersConfig
 from companion.link.codec import Message, mavlink
+from companion.link.modes import STICK_MODES
 
 SETTLES_S: Final = 3.0
 REPEATED_S: Final = 3.0
+# What came before a silence of so long is not what was just before: PX4 leaves OFFBOARD after a second of it.
+UNBROKEN_S: Final = 1.0
+# Between two heartbeats (1 Hz) one may be lost.
+_NEXT_HEARTBEAT_S: Final = 2.5
 BY_PARAMETER: Final = {0: OrderKind.STOP, 1: OrderKind.LAND, 2: OrderKind.FLY}  # of MAV_CMD_USER_1
 ORDER_MESSAGES: Final = frozenset({mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT})
 SWITCH_MESSAGES: Final = frozenset({mavlink.MAVLINK_MSG_ID_RC_CHANNELS})
@@ -59,7 +69,9 @@ class OrderListener:
         self._under_way: tuple[_Sender, Order] | None = None
         self._last: tuple[_Sender, OrderOutcome, float] | None = None
         self._settled_s = -math.inf
-        self._mode: str | None = None
+        self._mode = ""
+        self._by_hand_s = -math.inf  # when a pilot's stick mode was last said to be flown
+        self._heard_s = -math.inf
         self._switched_on: bool | None = None
         self._switch_count = 0
 
@@ -82,6 +94,11 @@ class OrderListener:
         """Standby begins: what was asked for before is settled first."""
         self._settled_s = now_s + SETTLES_S
         self._orders.clear()
+
+    @property
+    def waiting(self) -> bool:
+        """Whether `take` would give an order."""
+        return bool(self._orders)
 
     def take(self) -> list[Order]:
         """The orders since the last call."""
@@ -164,16 +181,28 @@ class OrderListener:
         kind = OrderKind.LAND if on else OrderKind.STOP
         self._orders.append(Order(now_s, kind, f"the switch on RC channel {channel}"))
 
-    def hear_mode(self, state: AutopilotState, now_s: float) -> None:
-        """The autopilot's newest state; its mode is compared with the one before."""
-        wanted = self._config.flight_mode
-        if wanted is None or not state.mode:
+    def heard(self, now_s: float) -> None:
+        """Anything of the autopilot's has come: after a silence what was seen before begins anew."""
+        if now_s - self._heard_s > UNBROKEN_S:
+            self._by_hand_s = -math.inf
+            # one that was up may be seen to fall: a stop is never missed
+            self._switched_on, self._switch_count = self._switched_on or None, 0
+        self._heard_s = now_s
+
+    def hear_heartbeat(self, state: AutopilotState, system_status: int, now_s: float) -> None:
+        """The state after a HEARTBEAT, and its MAV_STATE, which CURRENT_MODE has not got."""
+        wanted, kind = self._config.flight_mode, state.autopilot_kind
+        if wanted is None or kind is None:
             return
         mode = state.mode.upper().replace(" ", "_")
-        before, self._mode = self._mode, mode
-        entered = mode in {wanted, f"AUTO.{wanted}"} and before is not None and before != mode
-        if entered and state.armed and now_s >= self._settled_s:
+        active = system_status == mavlink.MAV_STATE_ACTIVE
+        intended = state.intended_mode in {"", state.mode}
+        chosen = active and intended and state.armed and now_s - self._by_hand_s <= _NEXT_HEARTBEAT_S
+        by_hand = active and state.mode in STICK_MODES[kind]
+        entered = mode in {wanted, f"AUTO.{wanted}"} and mode != self._mode
+        if entered and chosen and now_s >= self._settled_s:
             self._orders.append(Order(now_s, OrderKind.LAND, f"flight mode {mode}"))
+        self._mode, self._by_hand_s = mode, now_s if by_hand else -math.inf
 
     def _hear_item(self, message: Message, now_s: float) -> None:
         """MISSION_ITEM_REACHED of the autopilot."""

@@ -2,8 +2,7 @@
 
 `receive` takes what came; `tick` returns what is due (call it after every `receive` and at 20 Hz or more):
 heartbeats, clock synchronisation, rate requests, commands and their repeats. Only one autopilot is accepted:
-component 1 of `config.system_id`, or the first one received when that is 0. A pad's beacon leads the vehicle,
-so it is taken from the ground station of `config.ground_system_id` alone.
+component 1 of `config.system_id`, or the first one received when that is 0.
 """
 
 from __future__ import annotations
@@ -13,11 +12,11 @@ from dataclasses import replace
 from typing import Final
 
 from companion.base.geometry import Quaternion
-from companion.base.messages import AutopilotSetup, AutopilotState, LandedState, PadBeacon, Setpoint
+from companion.base.messages import AutopilotSetup, AutopilotState, LandedState, Setpoint
 from companion.config import LinkConfig, OrdersConfig, SenseConfig
 from companion.link import codec
 from companion.link.autopilot_setup import SetupReader
-from companion.link.beacon import pad_beacon
+from companion.link.beacon import BeaconListener
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, Message, Severity, mavlink
 from companion.link.commands import (
     CommandQueue,
@@ -29,11 +28,12 @@ from companion.link.commands import (
 from companion.link.notices import Notices
 from companion.link.orders import ORDER_MESSAGES, OrderListener
 from companion.link.parameters import ParameterRequest, ParameterRequests
-from companion.link.signing import SigningKey
+from companion.link.signing import LinkSigning
 from companion.link.streams import HEARD, OWN_RATES_HZ, TelemetryRates
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, Sample, TelemetrySensors
 from companion.link.telemetry.heading_offset import HeadingOffset
 from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state, without_old
+from companion.link.telemetry.twins import SETPOINT_MESSAGES, with_twin
 from companion.link.timing.boot_clock import BootClock
 from companion.link.timing.timesync import TimeSync, clock_ns
 
@@ -64,7 +64,7 @@ class Session:
         sense: SenseConfig | None = None,
         *,
         reads_setup: bool = False,
-        signing_key: SigningKey | None = None,
+        signing: LinkSigning | None = None,
         orders: OrdersConfig | None = None,
         process: int = 0,
     ) -> None:
@@ -72,10 +72,10 @@ class Session:
 
         `reads_setup`: the parameters on which our loop depends are asked for as soon as it is received.
 
-        With a key all is signed, and nothing is taken that is not.
+        With `signing` all is signed, and nothing is taken that is not.
         """
         self.state = AutopilotState(time_s=-math.inf)
-        self.beacon: PadBeacon | None = None
+        self.beacons = BeaconListener(config)
         self.heading_offset = HeadingOffset()
         self.timesync = TimeSync()
         self._boot_clock = BootClock(self.timesync)
@@ -83,14 +83,18 @@ class Session:
         self.texts_heard = 0
         self.heartbeats = 0
         self.stranger: int | None = None
-        self.beacon_stranger: int | None = None
         self._config = config
         self._system_id = config.system_id
         self.orders = OrderListener(orders or OrdersConfig(), config.component_id, config.ground_system_id)
-        heard = HEARD | self.orders.messages | (frozenset() if sense is None else SENSOR_MESSAGES)
+        heard = (
+            HEARD
+            | SETPOINT_MESSAGES
+            | self.orders.messages
+            | (frozenset() if sense is None else SENSOR_MESSAGES)
+        )
         self._codec = Codec(config.system_id or 1, config.component_id, wanted=heard)
-        if signing_key is not None:
-            self._codec.sign(signing_key)
+        if signing is not None:
+            self._codec.sign(signing)
         self._commands = CommandQueue(config.command_timeout_s, config.command_tries)
         self._parameters = ParameterRequests(config.command_timeout_s, config.command_tries)
         self.reads_setup = reads_setup
@@ -135,20 +139,18 @@ class Session:
 
     def receive(self, data: bytes, now_s: float) -> None:
         """Take bytes that arrived now."""
+        self._codec.advance(now_s)
         refused, us = self.counters.refused, (self._codec.system_id, self._codec.component_id)
         for message in self._codec.decode(data):
             message_id = message.get_msgId()
             if message_id == mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET:
-                self._hear_beacon(message, now_s)
+                self.beacons.hear(message, now_s)
             elif message_id == mavlink.MAVLINK_MSG_ID_COMMAND_ACK:
-                # a gimbal or a ground station may not answer in the autopilot's place
-                if message.get_srcComponent() != AUTOPILOT_COMPONENT:
-                    continue
-                self._commands.acknowledged(message, us, now_s)
+                self._hear_answer(message, us, now_s)
             elif message_id in ORDER_MESSAGES:
                 self.orders.hear_command(message, self._codec.system_id, now_s)
-            elif codec.is_twins_heartbeat(message, us, self._process):
-                self.state = replace(self.state, twin_time_s=now_s)
+            elif (told := with_twin(self.state, message, us, self._process, now_s)) is not None:
+                self.state = told
             elif self._is_our_autopilot(message):
                 self._hear_autopilot(message, message_id, now_s)
         if self.counters.refused != refused:
@@ -169,15 +171,18 @@ class Session:
         self.stranger = system_id
         return False
 
-    def _hear_beacon(self, message: Message, now_s: float) -> None:
-        sender: int = message.get_srcSystem()
-        if sender == self._config.ground_system_id:
-            self.beacon = pad_beacon(message, now_s, self._config.maximum_pad_speed_m_s) or self.beacon
-        else:
-            self.beacon_stranger = sender
+    def _hear_answer(self, message: Message, us: tuple[int, int], now_s: float) -> None:
+        """COMMAND_ACK: a gimbal or a ground station may not answer in the autopilot's place."""
+        grounds = message.get_srcSystem() == self._config.ground_system_id != self._system_id
+        if message.get_srcComponent() != AUTOPILOT_COMPONENT and not grounds:
+            return
+        ended = self._commands.acknowledged(message, us, now_s)
+        if grounds and ended is not None and ended.accepted:
+            self.beacons.accepted(message.get_srcComponent(), now_s)
 
     def _hear_autopilot(self, message: Message, message_id: int, now_s: float) -> None:
         self._rates.heard(message_id)
+        self.orders.heard(now_s)
         self._replies += self._notices.heard(now_s - self.heard_s)
         self.heard_s = now_s
         if message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
@@ -202,12 +207,12 @@ class Session:
         if measured_s is None:
             return
         self.state = update_state(self.state, message, measured_s)
-        self.orders.hear_mode(self.state, now_s)
         if message_id == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED and self.onboard is not None:
             self.onboard.hear_climb(message)
         if self.state.armed and not was_armed:
             self._home_due_s = now_s  # arming sets home again
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            self.orders.hear_heartbeat(self.state, message.system_status, now_s)
             self._heartbeat_heard_s = now_s
             self.heartbeats += 1
             if self.reads_setup:
@@ -246,6 +251,7 @@ class Session:
 
     def tick(self, now_s: float) -> bytes:
         """What is due to be sent now, as bytes; often empty."""
+        self._codec.advance(now_s)
         self._watch_connection(now_s)
         self.state = without_old(self.state, now_s)
         messages, self._replies = [*self._replies, *self.orders.answers()], []

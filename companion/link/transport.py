@@ -21,8 +21,9 @@ from companion.base.clock import Clock
 from companion.base.errors import ConfigError, DeviceMissing
 from companion.base.udp_socket import UdpSocket
 from companion.config import CONNECTION_FORM
-from companion.link.codec import autopilot_heard
+from companion.link.codec import autopilot_heartbeats
 from companion.link.serial_transport import READ_BYTES, WRITE_QUEUE_BYTES, SerialTransport
+from companion.link.signing import LinkSigning
 
 _PEER_SILENCE_S: Final = 3.0
 _QUIET_TURNS: Final = 3
@@ -58,13 +59,17 @@ class UdpTransport(UdpSocket):
     first one that is received). Others are neither received nor answered, or setpoints would go to whoever
     spoke last; once the peer has been silent for 3 s, as when a router has restarted at another port, the
     next address of the same system follows.
+
+    With `signing` that heartbeat has to be signed, and later than all that was accepted. An autopilot whose
+    time stamps are old, as after a start without GPS, moves on once it hears ours: who sends a right
+    heartbeat of any age is answered until a fresh one comes, from whatever address.
     """
 
-    def __init__(self, system_id: int = 0) -> None:
+    def __init__(self, system_id: int = 0, signing: LinkSigning | None = None) -> None:
         super().__init__()
         self._clock = Clock()
-        self._system_id = system_id
-        self._peer_heard_s = -math.inf
+        self._system_id, self._signing = system_id, signing
+        self._peer_heard_s, self._proven = -math.inf, False
         self.strangers = 0
         self._first_stranger_s = 0.0
         self._stranger_told = False
@@ -72,20 +77,25 @@ class UdpTransport(UdpSocket):
     def accepts(self, data: bytes, address: tuple[str, int]) -> bool:
         """Whether it comes from the peer, or from the next one that may be it."""
         now_s = self._clock.now_s()
-        if address != self._peer and not self._may_follow(data, now_s):
+        if not self._is_peer(data, address, now_s):
             self._ignore(address, now_s)
             return False
         self._peer_heard_s = now_s
         return True
 
-    def _may_follow(self, data: bytes, now_s: float) -> bool:
-        """Whether who sent this may be the peer from now on."""
-        if now_s - self._peer_heard_s <= _PEER_SILENCE_S:
-            return False
-        system_id = autopilot_heard(data, self._system_id)
-        # once one was found it stays that one: another vehicle's would get our setpoints
-        self._system_id = system_id or self._system_id
-        return system_id is not None
+    def _is_peer(self, data: bytes, address: tuple[str, int], now_s: float) -> bool:
+        """Whether who sent this is the peer, or is from now on."""
+        same = address == self._peer
+        if self._proven and (same or now_s - self._peer_heard_s <= _PEER_SILENCE_S):
+            return same
+        for heartbeat in autopilot_heartbeats(data, self._system_id):
+            frame = heartbeat.get_msgbuf()
+            if self._signing is None or (self._signing.is_right(frame) and self._signing.is_fresh(frame)):
+                # once one was found it stays that one: another vehicle's would get our setpoints
+                self._proven, self._system_id = True, heartbeat.get_srcSystem()
+                return True
+            same = same or (not self._proven and self._signing.is_right(frame))
+        return same
 
     def _ignore(self, address: tuple[str, int], now_s: float) -> None:
         self.strangers += 1
@@ -150,10 +160,11 @@ async def backlog_read(heard: Callable[[], int]) -> None:
             return
 
 
-async def open_transport(spec: str, system_id: int = 0) -> Transport:
+async def open_transport(spec: str, system_id: int = 0, signing: LinkSigning | None = None) -> Transport:
     """Open `serial:PATH:BAUD`; `udp:HOST:PORT` or `tcp:HOST:PORT` (we call); `udpin:HOST:PORT` (we listen).
 
-    A listener takes the autopilot of `system_id` for its peer; 0 takes the first one received.
+    A listener takes the autopilot of `system_id` for its peer; 0 takes the first one received. With `signing`
+    it has to have the key.
 
     Raises:
         ConfigError: the form is none of these, or the port cannot be opened; one line that says why.
@@ -169,7 +180,7 @@ async def open_transport(spec: str, system_id: int = 0) -> Transport:
             return SerialTransport(form["path"], int(form["baud"]))
         if form["kind"] == "tcp":
             return await TcpTransport.open(form["host"], int(form["port"]))
-        transport = UdpTransport(system_id)
+        transport = UdpTransport(system_id, signing)
         await transport.open(form["host"], int(form["port"]), listen=form["kind"] == "udpin")
     except (OSError, ValueError, OverflowError) as error:
         kind = DeviceMissing if _may_come(error) else ConfigError

@@ -15,8 +15,10 @@ from typing import Final
 from companion.base.geometry import ned_from_geodetic
 from companion.base.messages import ActionKind, Conditions, LandedState, Notice, Phase, PlanStep, Refusal
 from companion.config import PlanConfig, VehicleConfig
+from companion.plan.landing.echo_check import EchoCheck
 from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge
+from companion.plan.landing.upright import not_standing
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.mode_monitor import in_land, in_offboard
@@ -24,7 +26,7 @@ from companion.plan.mission.orders import not_ready
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Circumstances, DetectedEvent, Effect, MissionEvent, State
-from companion.plan.mission.table import COMMITTED, FINAL, impossible
+from companion.plan.mission.table import COMMITTED, FINAL, TOUCHDOWN, impossible
 from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, unhurried
@@ -53,14 +55,18 @@ class Planner:
         pace: PaceLaw = unhurried,
         standby: str | None = None,
         pad_half_width_m: float = 0.0,
+        pad_reach_m: float = 0.5,
     ) -> None:
         """Ready to connect; with `standby`, in STANDBY: for good if that is a reason, else for an order.
+
+        `pad_reach_m`: from the pad's middle to its corner.
 
         Raises:
             ConfigError: the take-off or a waypoint is too near to an obstacle.
         """
         check_places(config, vehicle.radius_m)
         self._mission = mission = config.mission
+        self._vehicle, self._pad_reach_m = vehicle, pad_reach_m
         search = config.search
         self._machine = StateMachine(config.landing.retries, may_fly=standby is None)
         self._battery, self._battery_reported = mission.battery, False
@@ -70,7 +76,7 @@ class Planner:
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
         self._monitor = FailsafeMonitor(mission, self._machine)
         self._pad = PadKnowledge(search.sightings, SIGHTINGS_WINDOW_S)
-        self._ground = Ground(vehicle.range_position_body_m)
+        self._ground, self._echoes = Ground(vehicle.range_position_body_m), EchoCheck()
         avoidance = Avoidance(config, vehicle.radius_m)
         self._generator = ReferenceGenerator(config.guidance, law, horizon_steps, step_s, avoidance)
         self._pace, self._monitored = pace, ConditionMonitor()
@@ -121,6 +127,7 @@ class Planner:
     def step(self, inputs: PlanInputs, now_s: float) -> PlanStep:
         """One cycle at now_s: at most one change of state, then the reference, actions and notices."""
         self._notices = []
+        inputs = self._checked(inputs, now_s)
         self._see(inputs, now_s)
         self._set_pace(inputs, now_s)
         self._watch_battery(inputs, now_s)
@@ -142,6 +149,17 @@ class Planner:
             on_ground=self._steering.on_pad,
             conditions=self._conditions if self.phase in PACED else None,
         )
+
+    def _checked(self, inputs: PlanInputs, now_s: float) -> PlanInputs:
+        """The inputs without a rangefinder that two others contradict, which is said once."""
+        echo, position = inputs.range, inputs.autopilot.global_position
+        if self._machine.state not in TOUCHDOWN:  # a deck that heaves moves the vehicle, and no echo
+            ours_m = None if inputs.vehicle is None else -inputs.vehicle.position_ned_m[2]
+            theirs_m = None if position is None else position[2]
+            if self._echoes.update(echo, ours_m, theirs_m, now_s) and echo is not None:
+                words = f"stuck at {echo.distance_m:.2f} m while we and the autopilot climb or sink: not used"
+                self._say("rangefinder", words, now_s, "warning")
+        return replace(inputs, range=None) if self._echoes.stuck else inputs
 
     def _see(self, inputs: PlanInputs, now_s: float) -> None:
         if inputs.autopilot.connected:
@@ -202,7 +220,8 @@ class Planner:
 
     def _failsafes(self, inputs: PlanInputs, now_s: float) -> tuple[DetectedEvent, ...]:
         asks_after_end = self._machine.state is State.ABORT and self._requests.open
-        if asks_after_end and (taken := self._monitor.after_end(inputs.autopilot)):
+        asked = self._requests.asked_last
+        if asks_after_end and (taken := self._monitor.after_end(inputs.autopilot, asked)):
             return taken
         spent = self._requests.hear(inputs.results, now_s)
         for words in spent:
@@ -216,6 +235,7 @@ class Planner:
             control_granted=self._requests.granted(ActionKind.TAKE_CONTROL),
             taking_off=self._requests.granted(ActionKind.TAKE_OFF),
             over_home_m=self._ground.over_home_m,
+            asked=asked,
         )
         return (*detected, *refused)
 
@@ -242,6 +262,20 @@ class Planner:
             in_offboard=in_offboard(inputs.autopilot),
             ends_inside=self._ends_inside(inputs),
             feet_down=self._steering.feet_down(now_s),
+            standing=not self._not_standing(inputs, now_s),
+        )
+
+    def _not_standing(self, inputs: PlanInputs, now_s: float) -> str:
+        """Why a vehicle that was landing does not stand upright on the pad; "" when it does."""
+        touched = self._steering.on_pad or self._steering.feet_down(now_s)
+        return not_standing(
+            self._pad.sight,
+            inputs,
+            self._vehicle,
+            self._pad_reach_m,
+            now_s,
+            surface_m=self._ground.surface_m,
+            touched=touched,
         )
 
     def _ends_inside(self, inputs: PlanInputs) -> bool:
@@ -255,6 +289,12 @@ class Planner:
     def _take(self, event: MissionEvent, reason: str, inputs: PlanInputs, now_s: float) -> None:
         """Take the table's branch for an event: change the state, send its requests."""
         machine, state, had = self._machine, self._machine.state, self._machine.authority
+        if (
+            event is MissionEvent.DISARMED
+            and state in COMMITTED
+            and (fell := self._not_standing(inputs, now_s))
+        ):
+            reason = f"{reason}, no landing: {fell}"
         branch = machine.follows(event, self._circumstances(inputs, now_s))
         if branch is None:
             if event is MissionEvent.COMMIT and not self._leaving_reported:

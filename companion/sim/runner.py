@@ -24,11 +24,12 @@ from companion.app.hardware import Hardware, make_actions, make_own_actions, ope
 from companion.app.page.live_page import LivePage
 from companion.app.signals import stopping_on_signals
 from companion.app.status import Status
-from companion.base.clock import Clock, run_in_virtual_time, wall_clock_s
+from companion.base.clock import Clock, run_in_virtual_time, unix_time_s, wall_clock_s
 from companion.base.messages import Phase
 from companion.config import CompanionConfig, merge, validate
 from companion.flightlog.record import FlightLog
 from companion.link.inbox import MemoryTransport, memory_pair
+from companion.link.signing import signing_of
 from companion.link.transport import Transport
 from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.trial import Trial
@@ -114,6 +115,7 @@ def hardware_of(vehicle: InProcess, app_end: Transport, config: CompanionConfig)
         imu_bus=vehicle.imu_bus if boards else None,
         gps_port=vehicle.gps_port if boards else None,
         range_port=None if config.sense.range_by_telemetry else vehicle.range_port,
+        signing=signing_of(config.link, unix_time_s()),
     )
 
 

@@ -23,6 +23,7 @@ from typing import Final
 
 from companion.base.clock import up_s
 from companion.base.errors import ConfigError
+from companion.base.files import write_durably
 
 FILE_NAME: Final = "latch.json"
 PERMIT_S: Final = 3600.0
@@ -122,24 +123,7 @@ class FlightLatch:
         self._write(LatchState.PERMITTED, f"{_boot_id()} {up_s():.0f}")
 
     def _write(self, state: LatchState, words: str) -> None:
-        """Replace the file so that a power cut leaves the old one or the new one."""
-        fresh = self.path.with_suffix(".new")
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            with fresh.open("w", encoding="utf-8") as file:
-                json.dump({"state": state.value, "words": words}, file)
-                file.flush()
-                os.fsync(file.fileno())
-            fresh.replace(self.path)
-            folder = os.open(self.folder, os.O_RDONLY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
-        except OSError as error:
-            raise ConfigError(
-                f"{self.path}: cannot be written: {error.strerror}; expected a folder to write to"
-            ) from None
+        write_durably(self.path, json.dumps({"state": state.value, "words": words}))
 
 
 def _refusal(state: LatchState, words: str, *, unattended: bool) -> str | None:

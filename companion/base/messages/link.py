@@ -48,7 +48,8 @@ class AutopilotState:
     `motors_cut`: by the pilot's kill switch, the emergency stop, or the flight's termination.
     `round_trip_s`: how long a question and its answer take on the link, the quickest of the last three, at
     `round_trip_time_s`; None: not known. `twin_time_s`: when another companion with our ids was last
-    received, whose setpoints and requests would be taken for ours. `refused_frames`: what came without a
+    received, whose setpoints and requests would be taken for ours. `rival`: system and component of who else
+    has sent setpoints to the vehicle, last at `rival_time_s`. `refused_frames`: what came without a
     right signature, where the link demands one.
     """
 
@@ -77,6 +78,8 @@ class AutopilotState:
     round_trip_s: float | None = None
     round_trip_time_s: float = float("-inf")
     twin_time_s: float = float("-inf")
+    rival: tuple[int, int] | None = None
+    rival_time_s: float = float("-inf")
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from companion.link.actions.performing import Handler, Performances, Refused, Un
 from companion.link.autopilot_setup import motors_stop
 from companion.link.codec import mavlink
 from companion.link.commands import request_message
-from companion.link.modes import CONTROL_MODE, HOLD_MODE, LAND_MODE, STICK_MODES
+from companion.link.modes import CONTROL_MODE, HOLD_MODE, LAND_MODE
 from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST
 from companion.link.session import Session
 
@@ -133,12 +133,13 @@ class PymavlinkActions:
         )
 
     async def take_control(self, action: Action) -> None:
-        """OFFBOARD or GUIDED, not asked for again once a pilot has taken the sticks meanwhile.
+        """OFFBOARD or GUIDED, not asked for again once another mode was chosen meanwhile.
 
         PX4 refuses unless setpoints have been coming already.
         """
         await self.require_setup()
-        mode, void = CONTROL_MODE[self.dialogue.autopilot_kind()], self._unless_taken()
+        mode = CONTROL_MODE[self.dialogue.autopilot_kind()]
+        void = self.unless_taken(HOLD_MODE["px4"])  # to which PX4 goes by itself, at the end of its take-off
         await self.dialogue.set_mode(mode, void)
         await self.dialogue.confirm(lambda: self._session.state.offboard, mode, void)
 
@@ -159,22 +160,26 @@ class PymavlinkActions:
                 raise
         await self.dialogue.confirm(lambda: not self._session.state.offboard, HOLD_MODE[kind], void)
 
-    async def hold(self, action: Action) -> None:
-        """Stop and stay, by the autopilot's own mode; not sent again once a pilot has taken the sticks."""
-        await self.dialogue.set_mode(HOLD_MODE[self.dialogue.autopilot_kind()], self._unless_taken())
+    async def hold(self, action: Action, void: Callable[[], str] | None = None) -> None:
+        """Stop and stay, by the autopilot's own mode; not sent again once another has been chosen."""
+        mode = HOLD_MODE[self.dialogue.autopilot_kind()]
+        await self.dialogue.set_mode(mode, void or self.unless_taken(mode))
 
-    async def land(self, action: Action) -> None:
+    async def land(self, action: Action, void: Callable[[], str] | None = None) -> None:
         """Come down where it is, by the autopilot's own mode; as `hold`."""
-        await self.dialogue.set_mode(LAND_MODE[self.dialogue.autopilot_kind()], self._unless_taken())
+        mode = LAND_MODE[self.dialogue.autopilot_kind()]
+        await self.dialogue.set_mode(mode, void or self.unless_taken(mode))
 
-    def _unless_taken(self) -> Callable[[], str]:
-        """What says that a pilot has changed the mode to one with sticks since now."""
-        kind, before = self.dialogue.autopilot_kind(), self._session.state.mode
+    def unless_taken(self, *ours: str) -> Callable[[], str]:
+        """What says that since now somebody else, a pilot or a failsafe, has changed to none of our modes.
+
+        The mode that obeys setpoints is among them: it may have been asked for just before.
+        """
+        expected = {self._session.state.mode, *CONTROL_MODE.values(), *ours}
 
         def void() -> str:
             now = self._session.state.mode
-            taken = now != before and now in STICK_MODES[kind]
-            return f"a pilot has changed to {now}" if taken else ""
+            return "" if now in expected else f"the mode was changed to {now}"
 
         return void
 
@@ -204,19 +209,13 @@ class PymavlinkActions:
         await self.dialogue.confirm(lambda: not self._session.state.armed, "disarmed")
 
     async def request_pad_position(self, action: Action) -> None:
-        """Ask the ground station for a FOLLOW_TARGET; the message itself is an answer too."""
-        before = self._session.beacon
+        """Ask the ground station for a FOLLOW_TARGET, which follows its acceptance."""
         command = request_message(
             mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET, self._config.ground_system_id, target_component=0
         )
-        outcome = await self.dialogue.outcome(
-            self._session.command(command), lambda: self._session.beacon is not before
-        )
-        if outcome == "accepted":
-            return
-        stranger = self._session.beacon_stranger
-        hint = "" if stranger is None else f" (system {stranger} has one; link.ground_system_id is another)"
-        raise Refused(f"the ground station's answer: {outcome}{hint}")
+        outcome = await self.dialogue.outcome(self._session.command(command))
+        if outcome != "accepted":
+            raise Refused(f"the ground station's answer: {outcome}{self._session.beacons.hint()}")
 
     async def require_setup(self) -> None:
         """See to it that the autopilot's parameters let us fly it.

@@ -129,10 +129,9 @@ class Dialogue:
     async def outcome(
         self,
         pending: Pending | ParameterRequest,
-        settled: Callable[[], bool] = lambda: False,
         void: Callable[[], str] = _wanted_still,
     ) -> str:
-        """How it ended; "accepted" too when what is asked for is `settled` without an answer.
+        """How it ended.
 
         Raises:
             Refused: it is void.
@@ -140,8 +139,6 @@ class Dialogue:
         self._waited_for.append(pending)
         try:
             while pending.outcome is None:
-                if settled():
-                    return "accepted"
                 if why := void():
                     raise Refused(why)
                 now_s = self._clock.now_s()

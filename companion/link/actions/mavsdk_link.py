@@ -33,6 +33,7 @@ from companion.config import ConfigError, LinkConfig
 from companion.link.actions.actions import PymavlinkActions
 from companion.link.actions.performing import Handler, Performances, Refused
 from companion.link.codec import has_command
+from companion.link.modes import HOLD_MODE, LAND_MODE
 from companion.link.session import Session
 
 T = TypeVar("T")
@@ -190,22 +191,27 @@ class MavsdkActions:
         await self._try(self._action.goto_location(latitude_deg, longitude_deg, altitude_m, heading_deg))
 
     async def _hold(self, action: Action) -> None:
-        """By MAVSDK; should it fail, by ours: stopping must not hang on one library."""
+        """By MAVSDK; should it fail, by ours: stopping must not hang on one library.
+
+        Not where another mode was chosen meanwhile, by a pilot or a failsafe.
+        """
+        void = self._own.unless_taken(*HOLD_MODE.values())
         try:
             await self._connect()
             await self._try(self._action.hold())
             self._own.dialogue.ask_for_heartbeat()
         except Refused:
-            await self._own.hold(action)
+            await self._own.hold(action, void)
 
     async def _land(self, action: Action) -> None:
         """As `_hold`."""
+        void = self._own.unless_taken(*LAND_MODE.values())
         try:
             await self._connect()
             await self._try(self._action.land())
             self._own.dialogue.ask_for_heartbeat()
         except Refused:
-            await self._own.land(action)
+            await self._own.land(action, void)
 
     async def _disarm(self, action: Action) -> None:
         """By MAVSDK, which refuses in the air; then by ours, which may force it where asked and allowed."""

@@ -38,6 +38,14 @@ def refused_words(autopilot: AutopilotState) -> str:
     return f" ({count} frames refused: no right signature, see link.signing_key)" if count else ""
 
 
+def rival_words(autopilot: AutopilotState, now_s: float, within_s: float = TWIN_GONE_S) -> str:
+    """Who else has just sent setpoints to the vehicle, in words; "" when nobody has."""
+    if autopilot.rival is None or now_s - autopilot.rival_time_s > within_s:
+        return ""
+    system_id, component_id = autopilot.rival
+    return f"component {component_id} of system {system_id} sends setpoints"
+
+
 def offboard_words(autopilot: AutopilotState) -> str:
     """Why a PX4 that was found in OFFBOARD is not ready to arm, to follow other words; "" for any other."""
     if not in_offboard(autopilot):
@@ -131,6 +139,7 @@ class Departure:
             (f"a charged battery{charge}", charged),
             (f"a quicker link{late}", late_s is None or late_s <= most_s),
             ("another companion with our ids to go", now_s - autopilot.twin_time_s > TWIN_GONE_S),
+            (f"others to be silent: {rival_words(autopilot, now_s)}", not rival_words(autopilot, now_s)),
         )
 
     def _take_off(

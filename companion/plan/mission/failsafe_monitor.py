@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from companion.base.messages import AutopilotState, PadState, Phase, VehicleState
+from companion.base.messages import ActionKind, AutopilotState, PadState, Phase, VehicleState
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import FRESH_S
 from companion.plan.mission.bounds import Bounds
-from companion.plan.mission.departure import refused_words
+from companion.plan.mission.departure import refused_words, rival_words
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.mode_monitor import ModeMonitor
 from companion.plan.mission.state_machine import StateMachine
@@ -26,6 +26,7 @@ from companion.plan.mission.table import FINAL, ON_GROUND
 # estimator gives none any more. The motion of a pad that was unseen before is from too long ago for that.
 _STALE_ESTIMATE_S = 0.5
 _STALE_SINKING_S = 1.5
+_RIVAL_S = 0.5  # setpoints come at 2 Hz or more
 _OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz
 # So long without a plan the stop is complete, and the vehicle drifts with the wind.
 _NO_PLAN_S = 1.0
@@ -64,10 +65,11 @@ class FailsafeMonitor:
         control_granted: bool,
         taking_off: bool = False,
         over_home_m: float | None = None,
+        asked: frozenset[ActionKind] = frozenset(),
     ) -> tuple[DetectedEvent, ...]:
         """All that holds in this cycle, the gravest first; nothing any more once the mission has ended.
 
-        `control_granted`, `taking_off`: the request for it was accepted. `over_home_m`: the height.
+        `control_granted`, `taking_off`: the request was accepted. `asked`: what was asked for last.
         """
         if self._phase_since_s is None:
             self._phase_since_s = now_s
@@ -84,7 +86,9 @@ class FailsafeMonitor:
             over_home_m=over_home_m,
             now_s=now_s,
             ordered_in_air=self._machine.ordered_in_air,
+            asked=asked,
         )
+        silence = f"no heartbeat from the autopilot{refused_words(autopilot)}"
         signs = (
             (
                 control_granted and autopilot.offboard,
@@ -103,11 +107,7 @@ class FailsafeMonitor:
                 f"mode {autopilot.mode or 'unknown'} was not requested",
             ),
             (inputs.stop_requested, MissionEvent.STOP, "by the operator"),
-            (
-                not heard,
-                MissionEvent.LINK_LOST,
-                f"no heartbeat from the autopilot{refused_words(autopilot)}",
-            ),
+            (not heard, MissionEvent.LINK_LOST, silence),
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
         found += [*self._late(autopilot, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
@@ -117,18 +117,23 @@ class FailsafeMonitor:
         found += [(MissionEvent.LINK_UP, "heartbeat again")] if heard else []
         return tuple(found)
 
-    def after_end(self, autopilot: AutopilotState) -> tuple[DetectedEvent, ...]:
-        """Whether somebody has taken the vehicle while the mission's end still asks for something."""
+    def after_end(self, autopilot: AutopilotState, asked: frozenset[ActionKind]) -> tuple[DetectedEvent, ...]:
+        """Whether somebody has taken the vehicle while the mission's end still asks for this."""
         if not autopilot.connected:
             return ()
         if autopilot.motors_cut:
             return ((MissionEvent.PILOT_TOOK_OVER, "motors cut: nothing more is asked"),)
-        if self._modes.taken_since_end(autopilot):
+        if self._modes.taken_since_end(autopilot, asked):
             return ((MissionEvent.PILOT_TOOK_OVER, f"mode {autopilot.mode}: nothing more is asked"),)
         return ()
 
     def _late(self, autopilot: AutopilotState, now_s: float) -> Iterator[DetectedEvent]:
-        """Whether answers take too long; without any there is no telling, and LINK_LOST may follow."""
+        """Whether answers take too long, or another program sends setpoints too.
+
+        Without any answer there is no telling, and LINK_LOST may follow.
+        """
+        if others := rival_words(autopilot, now_s, _RIVAL_S):
+            yield MissionEvent.RIVAL, others
         late_s, most_s = autopilot.round_trip_s, self._config.largest_round_trip_s
         known = autopilot.connected and now_s - autopilot.round_trip_time_s <= _OLDEST_ROUND_TRIP_S
         if known and late_s is not None and late_s > most_s:

@@ -5,7 +5,8 @@ mode in which it was found is left alone on the ground; after our first request 
 has `TAKES_S` to change into the mode that was requested. Once it has, the old mode is a pilot's too. The
 same holds for a vehicle that a pilot flew when the landing was ordered. With control ours, only the mode
 that obeys setpoints is ours; and just after a silent link the mode in which PX4 has waited for setpoints.
-After the mission's end, while a hold or a landing is still asked for, so is the mode in which it ended.
+After the mission's end, while a hold or a landing is still asked for, the mode in which it ended is ours, and
+the one that is asked for: a LAND that nobody asked for is not, or a hold that is repeated would stop it.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import math
 from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.messages import AutopilotState, LandedState
+from companion.base.messages import ActionKind, AutopilotState, LandedState
 from companion.plan.mission.states import Authority, State
 
 # A mode change is in the next HEARTBEAT (1 Hz), which may be lost once.
@@ -55,6 +56,18 @@ def in_offboard(autopilot: AutopilotState) -> bool:
     return autopilot.connected and autopilot.autopilot_kind == "px4" and autopilot.offboard
 
 
+def _asked_for(
+    asked: frozenset[ActionKind], autopilot: AutopilotState, kind: AutopilotKind
+) -> frozenset[str]:
+    """The modes that these requests lead to."""
+    modes = {ActionKind.TAKE_CONTROL: _CONTROL[kind], ActionKind.HOLD: _HOLD[kind], ActionKind.LAND: _LAND}
+    found = {modes[action] for action in asked if action in modes}
+    # a PX4 that has come down in LAND and disarmed goes to Hold by itself; in the air it is chosen
+    if _LAND in found and autopilot.landed is LandedState.ON_GROUND:
+        found.add(_HOLD[kind])
+    return frozenset(found)
+
+
 class ModeMonitor:
     """Call `listen` in every cycle, and `taken_over` while the autopilot is received."""
 
@@ -87,11 +100,13 @@ class ModeMonitor:
         over_home_m: float | None,
         now_s: float,
         ordered_in_air: bool = False,
+        asked: frozenset[ActionKind] = frozenset(),
     ) -> bool:
         """Whether the mode is one that we did not request.
 
-        `requested`: the take-off, or in the air control, was granted. `over_home_m`: the height.
-        `ordered_in_air`: a pilot flew the vehicle when the landing was ordered.
+        `asked`: what was asked for last, which counts once control was released. `requested`: the take-off,
+        or in the air control, was granted. `over_home_m`: the height. `ordered_in_air`: a pilot flew the
+        vehicle when the landing was ordered.
         """
         kind = autopilot.autopilot_kind
         if kind is None or not autopilot.mode:
@@ -103,7 +118,7 @@ class ModeMonitor:
             return False
         self._climbed = self._climbed or over_home_m is None or over_home_m >= self._done_m
         theirs = ordered_in_air and authority is Authority.NONE
-        ours = self._ours(state, authority, autopilot, kind)
+        ours = self._ours(state, authority, autopilot, kind, asked)
         if mode in (frozenset({_CONTROL[kind]}) if theirs else ours):
             self._left_found = self._left_found or mode != self._found
             return False
@@ -114,23 +129,26 @@ class ModeMonitor:
             (on_the_way_up or theirs) and self._still_as_found(mode, requested=requested, now_s=now_s)
         )
 
-    def taken_since_end(self, autopilot: AutopilotState) -> bool:
-        """Whether the mode is neither the one that the mission ended in nor one that its end asks for."""
+    def taken_since_end(self, autopilot: AutopilotState, asked: frozenset[ActionKind]) -> bool:
+        """Whether the mode is neither the one that the mission ended in nor one that was asked for last."""
         kind = autopilot.autopilot_kind
         if kind is None or not autopilot.mode:
             return False
-        asked = self._ours(State.ABORT, Authority.RELEASED, autopilot, kind)
-        return short_name(autopilot.mode) not in asked | {self._last}
+        return short_name(autopilot.mode) not in _asked_for(asked, autopilot, kind) | {self._last}
 
     def _ours(
-        self, state: State, authority: Authority, autopilot: AutopilotState, kind: AutopilotKind
+        self,
+        state: State,
+        authority: Authority,
+        autopilot: AutopilotState,
+        kind: AutopilotKind,
+        asked: frozenset[ActionKind],
     ) -> frozenset[str]:
         """The modes that what we requested leads to."""
         control = frozenset({_CONTROL[kind]})
-        if authority is Authority.RELEASED or state in _LANDING:
-            # a PX4 that has come down in LAND and disarmed goes to Hold by itself; in the air it is chosen
-            holds = authority is Authority.RELEASED or autopilot.landed is LandedState.ON_GROUND
-            return control | {_LAND} | ({_HOLD[kind]} if holds else frozenset())
+        if state in _LANDING or authority is Authority.RELEASED:
+            asked = frozenset({ActionKind.LAND}) if state in _LANDING else asked
+            return control | _asked_for(asked, autopilot, kind)
         if authority is Authority.OURS:
             return control
         if kind == "ardupilot":

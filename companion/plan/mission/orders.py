@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from companion.base.messages import AutopilotState, LandedState, Order, OrderKind, Refusal, VehicleState
 from companion.config import MissionConfig, PlanConfig
 from companion.plan.mission.bounds import Bounds
-from companion.plan.mission.departure import TWIN_GONE_S, refused_words
+from companion.plan.mission.departure import TWIN_GONE_S, refused_words, rival_words
 from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.mode_monitor import in_offboard
 from companion.plan.mission.states import MissionEvent
 
 ORDER_EVENTS = {OrderKind.LAND: MissionEvent.LAND_ORDERED, OrderKind.FLY: MissionEvent.FLY_ORDERED}
@@ -43,6 +44,11 @@ def not_ready(inputs: PlanInputs, mission: MissionConfig, now_s: float) -> Itera
     yield from _autopilot(inputs.autopilot, mission)
     if now_s - inputs.autopilot.twin_time_s <= TWIN_GONE_S:
         yield "another companion with our ids is on the link; expected one"
+    if others := rival_words(inputs.autopilot, now_s):
+        yield f"{others}; expected ours alone"
+    # PX4 flies in it only while somebody's setpoints come, and we send none
+    if inputs.autopilot.armed and in_offboard(inputs.autopilot):
+        yield "it is in OFFBOARD: another program's setpoints fly it; expected ours alone"
     if inputs.camera_problem is not None:
         yield f"no pad camera: {inputs.camera_problem}"
     yield from _estimate(inputs.vehicle, mission, now_s)

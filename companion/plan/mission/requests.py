@@ -32,6 +32,7 @@ class Requests:
         self._retry_s, self._answer_s, self._attempts = retry_s, answer_s, attempts
         self._pending: dict[ActionKind, _Pending] = {}
         self._accepted: set[ActionKind] = set()
+        self._unanswered: set[ActionKind] = set()
         self._reports: list[Action] = []
         self._news: list[str] = []
 
@@ -56,6 +57,7 @@ class Requests:
 
     def forget(self) -> None:
         """Drop what is open and what was granted: a new phase asks anew."""
+        self._unanswered = {kind for kind, pending in self._pending.items() if pending.sent > 0}
         self._pending.clear()
         self._accepted.clear()
         self._news.clear()
@@ -63,6 +65,11 @@ class Requests:
     def granted(self, kind: ActionKind) -> bool:
         """Whether a request of this kind was accepted since `forget`."""
         return kind in self._accepted
+
+    @property
+    def asked_last(self) -> frozenset[ActionKind]:
+        """What is asked for or was granted since `forget`, and what may still be carried out of before."""
+        return frozenset({*self._pending, *self._accepted, *self._unanswered})
 
     def asked(self, kind: ActionKind) -> bool:
         """Whether a request of this kind has left since `forget`."""

@@ -92,6 +92,7 @@ class MissionEvent(StrEnum):
     LINK_LOST = "link_lost"
     LINK_UP = "link_up"
     LINK_LATE = "link_late"  # answers come, but too late to fly by
+    RIVAL = "rival"  # somebody else sends setpoints to the vehicle
     ESTIMATE_LOST = "estimate_lost"
     CONTROL_FAILED = "control_failed"  # the controller finds no plan, and has long commanded to stop
     VELOCITY_UNKNOWN = "velocity_unknown"  # our estimate is there, but its velocity is too uncertain
@@ -130,6 +131,7 @@ class Guard(StrEnum):
     MAY_FINISH = "the settings let a descent finish"
     ENDS_INSIDE = "the pad is inside the fence until the landing ends"
     FEET_DOWN = "echoes show the feet down"
+    NOT_STANDING = "it does not stand upright on the pad"
 
 
 class Effect(StrEnum):
@@ -159,6 +161,7 @@ class Circumstances:
     ends_inside: bool = True
     in_offboard: bool = False
     feet_down: bool = False
+    standing: bool = True
 
     def allow(self, guard: Guard) -> bool:
         """Whether a guard holds."""
@@ -177,6 +180,7 @@ class Circumstances:
             Guard.MAY_FINISH: self.may_finish,
             Guard.ENDS_INSIDE: self.ends_inside,
             Guard.FEET_DOWN: self.feet_down,
+            Guard.NOT_STANDING: not self.standing,
         }[guard]
 
 

@@ -52,7 +52,7 @@ OUTSIDE: Final = (E.OUT_OF_BOUNDS, E.OVERTIME)  # of the mission's space or time
 BLIND: Final = (E.ESTIMATE_LOST, E.CONTROL_FAILED)  # setpoints of ours lead nowhere
 # what may be detected in any state: each state has a row or a reason for none
 ANYWHERE: Final = (
-    *(E.DISARMED, E.PILOT_TOOK_OVER, E.STOP, E.LINK_LOST, E.LINK_UP, E.LINK_LATE),
+    *(E.DISARMED, E.PILOT_TOOK_OVER, E.STOP, E.LINK_LOST, E.LINK_UP, E.LINK_LATE, E.RIVAL),
     *(E.ESTIMATE_LOST, E.CONTROL_FAILED, E.VELOCITY_UNKNOWN, E.BATTERY_CRITICAL),
     *(E.OUT_OF_BOUNDS, E.CAMERA_TURNED, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT),
 )
@@ -255,6 +255,7 @@ ROWS: Final = (
     _row(
         E.DISARMED,
         ON_PAD | {S.SET_DOWN},
+        replace(_CONTROL_LOST, guard=Guard.NOT_STANDING),
         *(replace(branch, to=S.LANDED) for branch in (_LEAVE_OFFBOARD, _CONTROL_LOST)),
     ),
     _row(
@@ -274,15 +275,15 @@ ROWS: Final = (
     ),
     # Setpoints that come late make the vehicle swing, higher and higher: a climb by them just over the pad is
     # the greater danger than the autopilot's own hold there.
-    _row(
-        E.LINK_LATE,
-        IN_AIR - COMMITTED - BY_AUTOPILOT,
-        *_RETURN_CONTROL,
-        except_={
-            **_all(ON_GROUND, _NOT_YET),
-            **_all(BY_AUTOPILOT, _FLIES_ITSELF),
-            **_GO_ON,
-        },
+    # of two that command it nobody knows what it will do: its own hold obeys neither
+    *(
+        _row(
+            event,
+            IN_AIR - COMMITTED - BY_AUTOPILOT,
+            *_RETURN_CONTROL,
+            except_={**_all(ON_GROUND, _NOT_YET), **_all(BY_AUTOPILOT, _FLIES_ITSELF), **_GO_ON},
+        )
+        for event in (E.LINK_LATE, E.RIVAL)
     ),
     *(
         _row(

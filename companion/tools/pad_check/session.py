@@ -84,7 +84,7 @@ class PadCheck:
         self._mirror = MirrorWatch(self._vision)
         self._samples = RecentSamples() if samples is None else samples
         by_telemetry = config.sense.source == "autopilot"
-        self._session = Session(config.link, config.sense if by_telemetry else None)
+        self._session = Session(config.link, config.sense if by_telemetry else None, signing=hardware.signing)
         self._transport, self._frames = hardware.transport, hardware.frames
         # where it is on earth is not asked here
         self._sensing = Sensing(

@@ -20,7 +20,7 @@ from companion.config import CompanionConfig, ConfigError, VehicleConfig
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec
 from companion.link.parameters import ParameterRequest
 from companion.link.session import Session
-from companion.link.signing import read_signing_key
+from companion.link.signing import signing_of
 from companion.link.transport import Transport, open_transport
 from companion.tools.preflight import telemetry
 from companion.tools.preflight.findings import Finding, FindingGroup
@@ -187,9 +187,9 @@ def _values(asked: list[ParameterRequest], kind: AutopilotKind | None) -> Mappin
 async def _listening(config: CompanionConfig) -> AsyncIterator[_Listener]:
     """The link, open and tended; a link that is lost raises OSError at the end of what goes on with it."""
     link = config.link
-    key = None if link.signing_key is None else read_signing_key(link.signing_key, start_unix_s(virtual=True))
-    session = Session(link, config.sense if config.sense.source == "autopilot" else None, signing_key=key)
-    with closing(await open_transport(link.connection, link.system_id)) as transport:
+    signing = signing_of(link, start_unix_s(virtual=True))
+    session = Session(link, config.sense if config.sense.source == "autopilot" else None, signing=signing)
+    with closing(await open_transport(link.connection, link.system_id, signing)) as transport:
         listener = _Listener(session, transport, Clock())
         works = [asyncio.create_task(work()) for work in (listener.receive, listener.tick, listener.watch)]
         try:

@@ -12,7 +12,7 @@ import numpy as np
 from companion.config import LinkConfig, SenseConfig
 from companion.link.codec import Codec, mavlink
 from companion.link.session import Session
-from companion.link.signing import SigningKey
+from companion.link.signing import LinkSigning, SigningKey
 from tests.bench.mavlink.garbage import KINDS
 from tests.bench.mutations.drivers import NEW_AFTER, check_finite
 
@@ -64,7 +64,8 @@ def link(rng: random.Random) -> Iterator[None]:
         for kind in ("px4", "ardupilot"):
             for key in (None, SigningKey(bytes(32), 1)):
                 sense = None if rng.random() < 0.5 else SenseConfig()
-                session = Session(LinkConfig(), sense, reads_setup=True, signing_key=key)
+                signing = None if key is None else LinkSigning(key)
+                session = Session(LinkConfig(), sense, reads_setup=True, signing=signing)
                 yield from _session(session, kind, key, rng, noise)
 
 
@@ -73,7 +74,7 @@ def _session(
 ) -> Iterator[None]:
     senders = (Codec(1, 1), Codec(1, 1), Codec(1, 100), Codec(255, 190), Codec(2, 1))
     if key is not None:
-        senders[0].sign(key)
+        senders[0].sign(LinkSigning(key))
     now_s, line = 100.0, b""
     for _ in range(NEW_AFTER):
         now_s += rng.choice((0.001, 0.01, 0.05, 0.5))
@@ -98,7 +99,7 @@ def _check(session: Session) -> None:
             check_finite(*value)
     share = state.battery_share
     assert share is None or 0.0 <= share <= 1.0, f"battery_share {share}"
-    beacon = session.beacon
+    beacon = session.beacons.beacon
     if beacon is not None:
         check_finite(beacon.latitude_deg, beacon.longitude_deg, beacon.altitude_m, *beacon.velocity_ned_m_s)
     assert len(state.texts) < 100, f"{len(state.texts)} texts are kept"

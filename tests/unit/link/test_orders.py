@@ -1,10 +1,10 @@
 """Orders over the link: who may give them, what an edge is, and what is answered."""
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.messages import (
     AutopilotState,
     Order,
@@ -14,8 +14,11 @@ from companion.base.messages import (
 )
 from companion.config import LinkConfig, OrdersConfig
 from companion.link.codec import Codec, command_int, command_long, heartbeat, mavlink
-from companion.link.orders import SETTLES_S, OrderListener
+from companion.link.dialect import CURRENT_MODE
+from companion.link.modes import STICK_MODES
+from companion.link.orders import SETTLES_S, UNBROKEN_S, OrderListener
 from companion.link.session import Session
+from tests.unit.link.fake_autopilot import FakeAutopilot
 
 GROUND, US, COMPONENT = 255, 1, 191
 
@@ -160,6 +163,15 @@ def test_a_radio_that_comes_back_with_the_switch_up_asks_for_nothing(gone: int) 
     assert switched(listener(rc_channel=7), 1100, gone, gone, 1900, 1900, 1900) == []
 
 
+def test_a_switch_that_rose_while_the_link_was_silent_asks_for_nothing_but_one_that_fell_stops() -> None:
+    orders = listener(rc_channel=7)
+    for before, after, kinds in ((1100, 1900, []), (1900, 1100, [OrderKind.STOP])):
+        orders.heard(10.0)
+        assert switched(orders, before, before) == []
+        orders.heard(10.0 + 2.0 * UNBROKEN_S)
+        assert switched(orders, after, after, after, start_s=10.0 + 2.0 * UNBROKEN_S) == kinds
+
+
 def test_a_channel_that_the_radio_has_not_got_is_no_switch() -> None:
     orders = listener(rc_channel=7)
     for value in (1100, 1900, 1900, 1900):
@@ -176,36 +188,115 @@ def test_what_was_switched_just_as_standby_began_asks_for_nothing() -> None:
 # ---------------------------------------------------------------- mode and mission
 
 
-def test_a_mode_asks_when_the_pilot_enters_it() -> None:
+ACTIVE, CRITICAL, STANDBY = (
+    mavlink.MAV_STATE_ACTIVE,
+    mavlink.MAV_STATE_CRITICAL,
+    mavlink.MAV_STATE_STANDBY,
+)
+
+
+def flown(
+    orders: OrderListener,
+    *modes: str | tuple[str, int],
+    kind: AutopilotKind = "px4",
+    start_s: float = 10.0,
+    silent_s: float = 0.0,
+    **state: Any,
+) -> list[str]:
+    """The orders from a heartbeat a second of each mode (ACTIVE if not said); other telemetry comes as well.
+
+    `silent_s`: before the last one nothing comes for so long.
+    """
+    now_s = start_s
+    for number, entry in enumerate(modes):
+        mode, status = (entry, ACTIVE) if isinstance(entry, str) else entry
+        now_s += 1.0
+        for tenth in range(10):
+            orders.heard(now_s - 0.1 * (9 - tenth))
+        if number == len(modes) - 1 and silent_s:
+            now_s += silent_s
+            orders.heard(now_s)
+        told = {"connected": True, "armed": True, "autopilot_kind": kind, "mode": mode, **state}
+        orders.hear_heartbeat(AutopilotState(now_s, **told), status, now_s)
+    return [order.source for order in orders.take()]
+
+
+@pytest.mark.parametrize("by_hand", sorted(STICK_MODES["ardupilot"]))
+def test_a_mode_asks_when_the_pilot_enters_it(by_hand: str) -> None:
     orders = listener(flight_mode="GUIDED")
-    state = AutopilotState(0.0, connected=True, armed=True, mode="GUIDED")
-    orders.hear_mode(state, 10.0)  # as it was found
-    assert orders.take() == []
-    orders.hear_mode(replace(state, mode="LOITER"), 11.0)
-    orders.hear_mode(state, 12.0)
-    (order,) = orders.take()
-    assert (order.kind, order.source) == (OrderKind.LAND, "flight mode GUIDED")
-    orders.hear_mode(state, 13.0)
-    orders.hear_mode(replace(state, mode="LOITER", armed=False), 14.0)
-    orders.hear_mode(replace(state, armed=False), 15.0)
-    assert orders.take() == []
+    assert flown(orders, "GUIDED", by_hand, "GUIDED", "GUIDED", kind="ardupilot") == ["flight mode GUIDED"]
+    assert flown(orders, by_hand, "GUIDED", kind="ardupilot", armed=False) == []
 
 
-def test_px4_s_modes_go_by_their_short_names() -> None:
+@pytest.mark.parametrize("by_hand", sorted(STICK_MODES["px4"]))
+@pytest.mark.parametrize("name", ["LOITER", "AUTO.LOITER"])
+def test_px4_s_modes_go_by_their_short_names(by_hand: str, name: str) -> None:
+    assert flown(listener(flight_mode=name), by_hand, "AUTO.LOITER") == ["flight mode AUTO.LOITER"]
+
+
+@pytest.mark.parametrize("before", ["AUTO.TAKEOFF", "AUTO.MISSION", "AUTO.RTL", "OFFBOARD", "mode 196608"])
+def test_what_the_autopilot_ends_by_itself_asks_for_nothing(before: str) -> None:
+    assert flown(listener(flight_mode="LOITER"), "POSCTL", before, before, "AUTO.LOITER") == []
+
+
+def test_the_end_of_ardupilot_s_mission_asks_for_nothing() -> None:
+    assert flown(listener(flight_mode="GUIDED"), "LOITER", "AUTO", "GUIDED", kind="ardupilot") == []
+
+
+def test_a_failsafe_s_hold_asks_for_nothing_nor_does_its_end() -> None:
     orders = listener(flight_mode="LOITER")
-    state = AutopilotState(0.0, connected=True, armed=True, mode="POSCTL")
-    orders.hear_mode(state, 10.0)
-    orders.hear_mode(replace(state, mode="AUTO.LOITER"), 11.0)
-    assert len(orders.take()) == 1
+    held = "AUTO.LOITER"
+    assert flown(orders, "POSCTL", (held, CRITICAL), (held, CRITICAL), held) == []
+    # nor where the failsafe fell back to a mode with sticks first
+    assert flown(orders, "OFFBOARD", ("POSCTL", CRITICAL), held, start_s=20.0) == []
+    # where CURRENT_MODE says that something else is intended, the mode is no choice either
+    assert flown(orders, "POSCTL", held, start_s=30.0, intended_mode="POSCTL") == []
+    # the pilot's own after it counts
+    assert flown(orders, "POSCTL", held, start_s=40.0, intended_mode=held) == ["flight mode AUTO.LOITER"]
+
+
+@pytest.mark.parametrize("status", [STANDBY, mavlink.MAV_STATE_EMERGENCY, mavlink.MAV_STATE_BOOT])
+def test_only_an_autopilot_that_says_that_it_flies_is_believed(status: int) -> None:
+    assert flown(listener(flight_mode="LOITER"), "POSCTL", ("AUTO.LOITER", status)) == []
+
+
+def test_a_mode_that_changed_while_the_link_was_silent_asks_for_nothing() -> None:
+    orders = listener(flight_mode="LOITER")
+    assert flown(orders, "POSCTL", "AUTO.LOITER", silent_s=UNBROKEN_S + 0.1) == []
+    # an OFFBOARD flight of ours that ended in the silence, and fell back to sticks
+    assert flown(orders, "OFFBOARD", "POSCTL", start_s=20.0, silent_s=5.0) == []
+
+
+def test_a_heartbeat_that_is_lost_costs_no_order() -> None:
+    orders = listener(flight_mode="LOITER")
+    flown(orders, "POSCTL")
+    for tenth in range(1, 20):
+        orders.heard(11.0 + 0.1 * tenth)
+    assert flown(orders, "AUTO.LOITER", start_s=12.0) == ["flight mode AUTO.LOITER"]
+
+
+def test_current_mode_alone_asks_for_nothing() -> None:
+    session, autopilot = Session(LinkConfig(), orders=OrdersConfig(flight_mode="LOITER")), FakeAutopilot()
+    session.orders.stand_by(0.0)
+    autopilot.armed, autopilot.mode = True, "POSCTL"
+    session.receive(autopilot.tick(10.0), 10.0)
+    autopilot.mode = "AUTO.LOITER"
+    session.receive(autopilot.codec.encode(autopilot.message(CURRENT_MODE, 10.5)), 10.5)
+    assert session.orders.take() == []
+    session.receive(autopilot.tick(11.0), 11.0)
+    assert [order.source for order in session.orders.take()] == ["flight mode AUTO.LOITER"]
 
 
 def test_the_hold_that_ended_the_last_landing_does_not_ask_for_the_next() -> None:
     orders = listener(flight_mode="LOITER")
-    state = AutopilotState(0.0, connected=True, armed=True, mode="OFFBOARD")
-    orders.hear_mode(state, 10.0)
     orders.stand_by(10.5)
-    orders.hear_mode(replace(state, mode="AUTO.LOITER"), 11.0)
-    assert orders.take() == []
+    assert flown(orders, "POSCTL", "AUTO.LOITER") == []
+
+
+@pytest.mark.parametrize("name", ["RTL", "LAND", "AUTO.RTL", "AUTO.LAND", "SMART_RTL", "BRAKE", "PRECLAND"])
+def test_the_names_of_what_failsafes_choose_are_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=f"{name} is what failsafes choose"):
+        OrdersConfig(flight_mode=name)
 
 
 def test_a_mission_asks_by_the_item_that_is_set() -> None:

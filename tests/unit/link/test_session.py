@@ -8,14 +8,13 @@ import pytest
 from pydantic import ValidationError
 
 from companion.base.geometry import quat_from_euler
-from companion.base.messages import PadBeacon, Setpoint
+from companion.base.messages import Setpoint
 from companion.config import LinkConfig
 from companion.link.codec import Codec, heartbeat, mavlink, status_texts
 from companion.link.notices import UNHEARD
 from companion.link.session import Session
 from companion.link.streams import OWN_RATES_HZ, TELEMETRY_RATES_HZ
 from tests.unit.link.fake_autopilot import FakeAutopilot
-from tests.unit.link.ground_beacon import follow_target
 from tests.unit.link.session_flight import SessionFlight
 
 PX4_RATES_HZ = TELEMETRY_RATES_HZ | OWN_RATES_HZ["px4"]
@@ -126,34 +125,6 @@ def test_with_system_id_0_the_first_autopilot_is_adopted_and_its_id_is_ours() ->
     assert session.system_id == 42
     assert not session.state.armed
     assert {m.get_srcSystem() for m in Codec(1).decode(session.tick(0.2))} == {42}
-
-
-def test_a_beacon_from_the_ground_station_is_heard() -> None:
-    session = Session(LinkConfig())
-    beacon = PadBeacon(0.0, 47.0, 8.0, 401.0, (1.0, 0.0, 0.0), 1.0)
-    session.receive(Codec(255, 190).encode(follow_target(beacon)), 3.0)
-    assert session.beacon is not None
-    assert (session.beacon.time_s, session.beacon.altitude_m) == (3.0, 401.0)
-
-
-@pytest.mark.parametrize("sender", [(254, 190), (1, 1), (1, 191)])
-def test_a_beacon_from_anyone_else_is_not_believed(sender: tuple[int, int]) -> None:
-    session = Session(LinkConfig())
-    beacon = PadBeacon(0.0, 47.0, 8.0, 401.0, (1.0, 0.0, 0.0), 1.0)
-    session.receive(Codec(*sender).encode(follow_target(beacon)), 3.0)
-    assert session.beacon is None
-    assert session.beacon_stranger == sender[0]
-
-
-@pytest.mark.parametrize("ground_system_id", [255, 77])
-def test_a_beacon_faster_than_any_pad_leaves_the_last_good_one(ground_system_id: int) -> None:
-    session = Session(LinkConfig(ground_system_id=ground_system_id, maximum_pad_speed_m_s=3.0))
-    ground = Codec(ground_system_id, 190)
-    for time_s, north_m_s in ((1.0, 2.9), (2.0, 3.1), (3.0, 1000.0)):
-        beacon = PadBeacon(0.0, 47.0, 8.0, 401.0, (north_m_s, 0.0, 0.0), 1.0)
-        session.receive(ground.encode(follow_target(beacon)), time_s)
-    assert session.beacon is not None
-    assert session.beacon.time_s == 1.0
 
 
 def on_the_ground(session: Session, autopilot: FakeAutopilot, now_s: float) -> None:

@@ -10,22 +10,45 @@ from companion.config import ConfigError, LinkConfig
 from companion.link.codec import Codec, heartbeat, mavlink
 from companion.link.commands import NO_ANSWER, VehicleCommand
 from companion.link.session import Session
-from companion.link.signing import EPOCH_UNIX_S, SigningKey, read_signing_key, stamp_from_unix
+from companion.link.signing import (
+    EPOCH_UNIX_S,
+    STAMPS_PER_S,
+    LinkSigning,
+    SigningKey,
+    read_signing_key,
+    stamp_from_unix,
+)
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.mavlink.signing import Signing
 from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight
 
 KEY, OTHER = bytes(range(32)), bytes(range(1, 33))
 UNIX_S = 1.7e9
+STAMP = stamp_from_unix(UNIX_S)
 COMMAND = VehicleCommand(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, 0.0))
+
+
+def signing_of(secret: bytes, stamp: int = STAMP, kept_stamp: int = 0) -> LinkSigning:
+    return LinkSigning(SigningKey(secret, stamp, kept_stamp))
+
+
+def sender(secret: bytes = KEY, stamp: int = STAMP, system_id: int = 1, component_id: int = 1) -> Codec:
+    codec = Codec(system_id, component_id)
+    codec.sign(signing_of(secret, stamp))
+    return codec
+
+
+def receiver(stamp: int = STAMP, kept_stamp: int = 0) -> Codec:
+    codec = Codec(1)
+    codec.sign(signing_of(KEY, stamp, kept_stamp))
+    return codec
 
 
 def connected(
     ours: bytes | None, theirs: bytes | None, kind: AutopilotKind = "px4"
 ) -> tuple[Session, int, bool]:
     """Three seconds: the session, how many of its frames were refused, whether a command was answered."""
-    key = None if ours is None else SigningKey(ours, stamp_from_unix(UNIX_S))
-    session = Session(LinkConfig(), signing_key=key)
+    session = Session(LinkConfig(), signing=None if ours is None else signing_of(ours))
     autopilot = AutopilotFlight(kind).autopilot
     signing = Signing(kind, theirs)
     endpoint = MavlinkEndpoint(autopilot, signing=signing, unix_at_start_s=UNIX_S)
@@ -61,7 +84,7 @@ def test_an_autopilot_that_demands_signatures_refuses_an_app_without() -> None:
 
 
 def test_a_clock_that_is_years_behind_does_no_harm() -> None:
-    session = Session(LinkConfig(), signing_key=SigningKey(KEY, 0))
+    session = Session(LinkConfig(), signing=LinkSigning(SigningKey(KEY, 0)))
     signing = Signing("px4", KEY)
     endpoint = MavlinkEndpoint(AutopilotFlight("px4").autopilot, signing=signing, unix_at_start_s=UNIX_S)
     asked = session.command(COMMAND)
@@ -73,14 +96,61 @@ def test_a_clock_that_is_years_behind_does_no_harm() -> None:
 
 
 def test_a_replayed_frame_is_refused() -> None:
-    theirs = Codec(1, 1)
-    theirs.sign(SigningKey(KEY, stamp_from_unix(UNIX_S)))
-    ours = Codec(1)
-    ours.sign(SigningKey(KEY, stamp_from_unix(UNIX_S)))
+    theirs, ours = sender(), receiver()
     frame = theirs.encode(heartbeat())
     assert len(ours.decode(frame)) == 1
     assert ours.decode(frame) == []
     assert ours.counters.refused == 1
+
+
+def test_a_forged_frame_with_a_large_stamp_silences_nobody() -> None:
+    theirs, ours = sender(), receiver()
+    assert len(ours.decode(theirs.encode(heartbeat()))) == 1
+    forged = sender(OTHER, STAMP + 3600 * STAMPS_PER_S).encode(heartbeat())
+    assert ours.decode(forged) == []
+    assert len(ours.decode(theirs.encode(heartbeat()))) == 1
+    assert ours.counters.refused == 1
+
+
+def test_a_stranger_that_stamps_far_ahead_does_not_move_our_own_stamps() -> None:
+    signing = signing_of(KEY)
+    assert not signing.accepts(sender(OTHER, STAMP + 3600 * STAMPS_PER_S).encode(heartbeat()))
+    assert signing.next_stamp() == STAMP + 1
+
+
+def test_what_was_accepted_before_a_restart_is_not_accepted_after_it() -> None:
+    before = signing_of(KEY)
+    frame = sender(stamp=STAMP + 500).encode(heartbeat())
+    assert before.accepts(frame)
+    a_second_later, clock_behind = signing_of(KEY, STAMP + STAMPS_PER_S), signing_of(KEY, 0)
+    # this is what the kept stamp is for
+    assert a_second_later.is_fresh(frame)
+    assert clock_behind.is_fresh(frame)
+    for clock_stamp in (STAMP + STAMPS_PER_S, 0):
+        after = receiver(clock_stamp, before.stamp)
+        assert after.decode(frame) == []
+        # whoever had heard us goes on from our stamps
+        assert len(after.decode(sender(stamp=before.stamp + 1).encode(heartbeat()))) == 1
+
+
+def test_after_a_restart_our_own_stamps_go_on_from_the_last() -> None:
+    assert signing_of(KEY, 0, STAMP).next_stamp() == STAMP + 1
+
+
+def test_what_is_sent_again_long_after_is_refused_though_we_have_sent_little() -> None:
+    recorded = sender(system_id=255, component_id=190).encode(heartbeat())
+    session = Session(LinkConfig(), signing=signing_of(KEY))
+    session.tick(100.0)
+    session.receive(recorded, 100.0 + 3600.0)
+    assert session.counters.refused == 1
+
+
+def test_an_unsigned_frame_and_one_of_mavlink_1_are_refused() -> None:
+    ours = receiver()
+    assert ours.decode(Codec(1, 1).encode(heartbeat())) == []
+    old = heartbeat().pack(mavlink.MAVLink(None, 1, 1), force_mavlink1=True)
+    assert ours.decode(old) == []
+    assert ours.counters.refused == 2
 
 
 def key_file(folder: Path, content: bytes, mode: int = 0o600) -> Path:

@@ -35,6 +35,7 @@ class PlanAutopilot:
     battery_share: float | None = None
     round_trip_s: float | None = None
     twin_until_s: float = -math.inf
+    rival: tuple[int, int] | None = None
 
     def answer(self, action: Action, position: Vector3, now_s: float) -> ActionResult | None:
         kind = action.kind

@@ -104,7 +104,7 @@ class PlanWorld:
         self.lie_m: Callable[[float], float] = lambda _t: 0.0  # the believed pad lies so much too low
         self.gust: Callable[[float], Vector3] = lambda _t: ZERO3
         self.beacon_after_s: float | None = None
-        self.vehicle_known = True
+        self.vehicle_known, self.tilt_rad = True, 0.0
         self.silent_from_s = math.inf  # the link
         self.stop = False
         self.order: Order | None = None  # given once
@@ -176,7 +176,7 @@ class PlanWorld:
         p = self.position
         return VehicleState(
             time_s=self.now_s,
-            attitude=quat_from_euler(0.0, 0.0, 1.2),
+            attitude=quat_from_euler(self.tilt_rad, 0.0, 1.2),
             rate_body_rad_s=ZERO3,
             position_ned_m=(p[0] - ORIGIN_NED_M[0], p[1] - ORIGIN_NED_M[1], p[2] - ORIGIN_NED_M[2]),
             velocity_ned_m_s=self.velocity,
@@ -209,12 +209,16 @@ class PlanWorld:
             ready_to_arm=self.now_s > a.ready_from_s,
             ekf_ready=self.now_s > a.ekf_ready_from_s,
             landed=a.landed,
+            attitude=quat_from_euler(self.tilt_rad, 0.0, 1.2),
+            attitude_time_s=self.now_s,
             global_position=geodetic_from_ned(self.position, HOME),
             home=self.home(self.now_s),
             battery_share=a.battery_share,
             round_trip_s=a.round_trip_s,
             round_trip_time_s=self.now_s,
             twin_time_s=min(self.now_s, a.twin_until_s),
+            rival=a.rival,
+            rival_time_s=-math.inf if a.rival is None else self.now_s,
         )
 
     def _sense(self) -> None:

@@ -208,7 +208,10 @@ def test_the_pads_position_is_asked_of_the_ground_station() -> None:
             if message.get_type() == "COMMAND_LONG" and message.target_system == 255:
                 asked.append((message.command, message.param1))
                 beacon = PadBeacon(now_s, 47.0, 8.0, 400.0, (1.0, 0.0, 0.0), 1.0)
-                return ground.encode(follow_target(beacon))
+                command = mavlink.MAV_CMD_REQUEST_MESSAGE
+                us = message.get_srcSystem(), message.get_srcComponent()
+                ack = mavlink.MAVLink_command_ack_message(command, mavlink.MAV_RESULT_ACCEPTED, 0, 0, *us)
+                return ground.encode(ack) + ground.encode(follow_target(beacon))
         return b""
 
     [result] = perform(FakeAutopilot(), Action(ActionKind.REQUEST_PAD_POSITION), ground=answer)

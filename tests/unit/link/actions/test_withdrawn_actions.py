@@ -45,7 +45,7 @@ def test_after_cancelling_holding_waits_for_nothing() -> None:
 def test_cancelling_while_an_accepted_mode_is_awaited_ends_that_too() -> None:
     class Stubborn(FakeAutopilot):
         def _mode(self, main: int, sub: int) -> str:
-            return "AUTO.MISSION"
+            return "AUTO.LOITER"
 
     [result] = cancel_after(Stubborn(), 0.5, Action(ActionKind.TAKE_CONTROL))
     assert result.text == "withdrawn"
@@ -75,17 +75,53 @@ def test_control_is_not_asked_for_again_once_a_pilot_has_taken_the_sticks(
         return [await asking]
 
     [result] = fly(autopilot, story)
-    assert (result.accepted, result.text) == (False, f"a pilot has changed to {sticks}")
+    assert (result.accepted, result.text) == (False, f"the mode was changed to {sticks}")
     assert autopilot.mode == sticks
     assert len(autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)) == 1
 
 
-def test_a_beacon_of_another_system_is_no_answer_but_a_hint() -> None:
-    stranger = Codec(254, 190)
+@pytest.mark.parametrize(
+    ("autopilot_kind", "asked", "chosen"),
+    [
+        ("px4", ActionKind.HOLD, "AUTO.LAND"),
+        ("px4", ActionKind.HOLD, "AUTO.RTL"),
+        ("px4", ActionKind.LAND, "AUTO.RTL"),
+        ("px4", ActionKind.TAKE_CONTROL, "AUTO.LAND"),
+        ("ardupilot", ActionKind.HOLD, "LAND"),
+        ("ardupilot", ActionKind.LAND, "RTL"),
+    ],
+)
+def test_a_mode_that_a_failsafe_has_chosen_meanwhile_is_not_asked_away(
+    autopilot_kind: AutopilotKind, asked: ActionKind, chosen: str
+) -> None:
+    autopilot = autopilot_of(autopilot_kind)
+    autopilot.deaf_to[mavlink.MAV_CMD_DO_SET_MODE] = 1
+
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        asking = asyncio.ensure_future(actions.perform(Action(asked)))
+        await asyncio.sleep(0.1)
+        autopilot.mode = chosen
+        session.receive(autopilot.codec.encode(autopilot.message(0, 0.0)), Clock().now_s())
+        return [await asking]
+
+    [result] = fly(autopilot, story)
+    assert (result.accepted, result.text) == (False, f"the mode was changed to {chosen}")
+    assert autopilot.mode == chosen
+
+
+@pytest.mark.parametrize(
+    ("sender", "hint"),
+    [
+        ((254, 190), "system 254 has one; link.ground_system_id is another"),
+        ((255, 190), "component 190 sends one unasked: see link.beacon_component_id"),
+    ],
+)
+def test_a_beacon_that_is_no_answer_is_a_hint(sender: tuple[int, int], hint: str) -> None:
+    stranger = Codec(*sender)
 
     def answer(data: bytes, now_s: float) -> bytes:
         return stranger.encode(follow_target(PadBeacon(now_s, 47.0, 8.0, 400.0, (1.0, 0.0, 0.0), 1.0)))
 
     [result] = perform(FakeAutopilot(), Action(ActionKind.REQUEST_PAD_POSITION), ground=answer)
     assert not result.accepted
-    assert "no answer (system 254 has one; link.ground_system_id is another)" in result.text
+    assert f"no answer ({hint})" in result.text

@@ -9,6 +9,7 @@ import pytest
 from companion.base.clock import run_in_virtual_time
 from companion.config import ConfigError
 from companion.link.codec import Codec, mavlink
+from companion.link.signing import LinkSigning, SigningKey
 from companion.link.transport import UdpTransport, open_transport
 from tests.unit.link.transport.transport_ends import free_port
 
@@ -58,12 +59,14 @@ class Wire(asyncio.DatagramTransport):
 AUTOPILOT, STRAY = ("127.0.0.1", 14550), ("192.0.2.7", 999)
 
 
-def answered_to(*heard: tuple[float, bytes, tuple[str, int]], system_id: int = 1) -> list[object]:
+def answered_to(
+    *heard: tuple[float, bytes, tuple[str, int]], system_id: int = 1, signing: LinkSigning | None = None
+) -> list[object]:
     """Whom a listener writes to after each of these datagrams."""
 
     async def main() -> list[object]:
         loop, wire = asyncio.get_running_loop(), Wire()
-        transport = UdpTransport(system_id)
+        transport = UdpTransport(system_id, signing)
         transport._socket = wire
         peers: list[object] = []
         for time_s, data, address in heard:
@@ -167,3 +170,66 @@ async def test_a_port_in_use_is_reported_in_one_line() -> None:
         assert "\n" not in str(caught.value)
     finally:
         first.close()
+
+
+# ---------------------------------------------------------------- signed
+
+KEY = bytes(range(32))
+STAMP = 30_000_000_000_000
+
+
+def signed_heartbeat(stamp: int = STAMP, key: bytes = KEY) -> bytes:
+    codec = Codec(1, 1)
+    codec.sign(LinkSigning(SigningKey(key, stamp)))
+    kind, none = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4
+    return codec.encode(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, 4, 3))
+
+
+def our_signing() -> LinkSigning:
+    return LinkSigning(SigningKey(KEY, STAMP))
+
+
+@pytest.mark.parametrize(
+    "data", [HEARTBEAT, signed_heartbeat(key=bytes(32))], ids=["unsigned", "with another key"]
+)
+def test_where_signatures_are_demanded_no_other_heartbeat_makes_a_peer(data: bytes) -> None:
+    heard = (0.0, data, STRAY), (0.1, signed_heartbeat(), AUTOPILOT), (4.0, data, STRAY)
+    assert answered_to(*heard, signing=our_signing()) == [None, AUTOPILOT, AUTOPILOT]
+
+
+def test_a_heartbeat_that_is_sent_again_takes_no_peer_s_place() -> None:
+    signing = our_signing()
+    recorded = signed_heartbeat(STAMP + 5)
+    assert signing.accepts(recorded)  # by the session, when it came
+    assert signing.accepts(signed_heartbeat(STAMP + 9))
+    peers = answered_to(
+        (0.0, signed_heartbeat(STAMP + 19), AUTOPILOT), (4.0, recorded, STRAY), signing=signing
+    )
+    assert peers == [AUTOPILOT, AUTOPILOT]
+
+
+def test_an_autopilot_with_an_old_time_is_answered_and_gives_way_to_a_fresh_one() -> None:
+    old = signed_heartbeat(5)
+    peers = answered_to(
+        (0.0, old, AUTOPILOT),  # it cannot move on before it hears us
+        (0.1, old, STRAY),
+        (0.2, old, AUTOPILOT),
+        (0.3, signed_heartbeat(), AUTOPILOT),
+        (0.4, old, STRAY),
+        (9.0, old, STRAY),
+        signing=our_signing(),
+    )
+    assert peers == [AUTOPILOT, STRAY, AUTOPILOT, AUTOPILOT, AUTOPILOT, AUTOPILOT]
+
+
+async def test_a_listener_on_a_signed_link_is_opened_with_the_key() -> None:
+    port = free_port()
+    listener = await open_transport(f"udpin:127.0.0.1:{port}", 1, our_signing())
+    caller = await open_transport(f"udp:127.0.0.1:{port}")
+    try:
+        caller.write(HEARTBEAT)
+        caller.write(signed_heartbeat())
+        assert await asyncio.wait_for(listener.read(), 5.0) == signed_heartbeat()
+    finally:
+        caller.close()
+        listener.close()

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import pytest
 
-from companion.base.messages import AutopilotState, ControlReport, PadState
+from companion.base.messages import ActionKind, AutopilotState, ControlReport, PadState
 from companion.config import MissionConfig, PhaseTimesConfig
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
@@ -70,8 +70,11 @@ def test_a_camera_that_is_turned_a_little_is_flown_with(turned_deg: float, flown
     assert (gravest(given) is MissionEvent.CAMERA_TURNED) is not flown
 
 
-def taken_over(watch: FailsafeMonitor, autopilot: AutopilotState, *, granted: bool = False) -> bool:
-    events = [event for event, _ in watch.detect(inputs(autopilot), 50.0, control_granted=granted)]
+def taken_over(
+    watch: FailsafeMonitor, autopilot: AutopilotState, *asked: ActionKind, granted: bool = False
+) -> bool:
+    found = watch.detect(inputs(autopilot), 50.0, control_granted=granted, asked=frozenset(asked))
+    events = [event for event, _ in found]
     return MissionEvent.PILOT_TOOK_OVER in events
 
 
@@ -92,11 +95,13 @@ def test_with_control_ours_any_other_mode_is_somebody_elses_even_one_that_is_nob
     assert taken_over(watch, HELD)
 
 
-def test_returned_to_the_autopilot_a_change_of_mode_is_ours() -> None:
+def test_returned_to_the_autopilot_the_change_of_mode_that_was_asked_for_is_ours() -> None:
     watch, machine = monitor()
     assert not taken_over(watch, FLYING)
     machine.authority = Authority.RELEASED
-    assert not taken_over(watch, HELD)
+    assert not taken_over(watch, HELD, ActionKind.HOLD)
+    assert taken_over(watch, HELD, ActionKind.LAND)
+    assert taken_over(watch, replace(HELD, mode="AUTO.LAND"), ActionKind.HOLD)
 
 
 def test_what_was_heard_of_the_mode_before_the_link_was_lost_is_old() -> None:

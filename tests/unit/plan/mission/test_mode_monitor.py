@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.messages import AutopilotState, LandedState
+from companion.base.messages import ActionKind, AutopilotState, LandedState
 from companion.plan.mission.mode_monitor import TAKES_S, ModeMonitor, in_land
 from companion.plan.mission.states import Authority, State
 from companion.plan.mission.table import LIVE
@@ -34,14 +34,27 @@ class Modes:
         *,
         requested: bool = True,
         up_m: float | None = 0.0,
+        asked: frozenset[ActionKind] = frozenset(),
     ) -> bool:
         self.now_s += 0.03
         autopilot = AutopilotState(
             self.now_s, connected=True, autopilot_kind=self.kind, mode=mode, landed=self.landed
         )
         return self.monitor.taken_over(
-            state, authority, autopilot, requested=requested, over_home_m=up_m, now_s=self.now_s
+            state,
+            authority,
+            autopilot,
+            requested=requested,
+            over_home_m=up_m,
+            now_s=self.now_s,
+            asked=asked,
         )
+
+    def taken_since_end(self, mode: str, *asked: ActionKind) -> bool:
+        autopilot = AutopilotState(
+            self.now_s, connected=True, autopilot_kind=self.kind, mode=mode, landed=self.landed
+        )
+        return self.monitor.taken_since_end(autopilot, frozenset(asked))
 
     def take_off(self) -> None:
         """To the take-off height in the autopilot's own mode."""
@@ -149,10 +162,44 @@ def test_a_hold_during_our_landing_is_a_pilots_until_it_is_down(kind: AutopilotK
         modes.landed = LandedState.IN_AIR
 
 
-def test_returned_to_the_autopilot_the_hold_is_ours() -> None:
-    assert not Modes().taken_over("AUTO.LOITER", State.HOLD, Authority.RELEASED)
-    assert not Modes("ardupilot", "GUIDED").taken_over("BRAKE", State.HOLD, Authority.RELEASED)
-    assert Modes("ardupilot", "GUIDED").taken_over("LOITER", State.HOLD, Authority.RELEASED)
+HOLDS: tuple[tuple[AutopilotKind, str, str, str], ...] = (
+    ("px4", "AUTO.LOITER", "AUTO.LAND", "OFFBOARD"),
+    ("ardupilot", "BRAKE", "LAND", "GUIDED"),
+)
+
+
+@pytest.mark.parametrize(("kind", "hold", "land", "control"), HOLDS)
+def test_released_the_mode_that_was_asked_for_is_ours_and_no_other(
+    kind: AutopilotKind, hold: str, land: str, control: str
+) -> None:
+    modes, asked = Modes(kind, control), frozenset({ActionKind.HOLD})
+    assert not modes.taken_over(hold, State.HOLD, Authority.RELEASED, asked=asked)
+    assert not modes.taken_over(control, State.HOLD, Authority.RELEASED, asked=asked)  # not carried out yet
+    assert modes.taken_over(land, State.HOLD, Authority.RELEASED, asked=asked)
+    assert modes.taken_over(hold, State.HOLD, Authority.RELEASED, asked=frozenset({ActionKind.LAND}))
+
+
+@pytest.mark.parametrize(("kind", "hold", "land", "control"), HOLDS)
+def test_after_the_end_only_what_was_asked_last_is_ours(
+    kind: AutopilotKind, hold: str, land: str, control: str
+) -> None:
+    modes = Modes(kind, control)
+    modes.take_off()
+    assert not modes.taken_over(control, State.APPROACH, Authority.OURS)
+    for asked, ours in ((ActionKind.HOLD, hold), (ActionKind.LAND, land)):
+        found = {mode: modes.taken_since_end(mode, asked) for mode in (hold, land, control)}
+        assert found == {mode: mode not in {ours, control} for mode in found}
+    # one that has come down in LAND goes to Hold by itself
+    modes.landed = LandedState.ON_GROUND
+    assert not modes.taken_since_end(hold, ActionKind.LAND, ActionKind.DISARM)
+
+
+def test_control_is_ours_after_the_end_only_where_it_was_still_asked_for() -> None:
+    modes = Modes()
+    modes.take_off()
+    assert not modes.taken_over("AUTO.LOITER", State.SEARCH, up_m=TAKE_OFF_M)
+    assert modes.taken_since_end("OFFBOARD", ActionKind.HOLD)
+    assert not modes.taken_since_end("OFFBOARD", ActionKind.HOLD, ActionKind.TAKE_CONTROL)
 
 
 OFFBOARD_WAITS = AutopilotState(

@@ -85,6 +85,14 @@ REFUSALS: dict[str, tuple[Callable[[PlanWorld], None], str]] = {
     "no link": (lambda w: setattr(w.autopilot, "connected", False), "no heartbeat"),
     "disarmed": (lambda w: setattr(w.autopilot, "armed", False), "not armed"),
     "on the ground": (on_the_ground, "on the ground"),
+    "a rival": (
+        lambda w: setattr(w.autopilot, "rival", (1, 150)),
+        "component 150 of system 1 sends setpoints; expected ours alone",
+    ),
+    "another's OFFBOARD": (
+        lambda w: setattr(w.autopilot, "mode", "OFFBOARD"),
+        "it is in OFFBOARD: another program's setpoints fly it",
+    ),
     "a twin": (lambda w: setattr(w.autopilot, "twin_until_s", 1e9), "another companion with our ids"),
     "no home": (lambda w: setattr(w, "home", lambda _t: None), "no home position"),
     "no estimate": (lambda w: setattr(w, "vehicle_known", False), "no fresh estimate"),

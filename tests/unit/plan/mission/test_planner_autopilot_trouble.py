@@ -137,7 +137,7 @@ def test_a_pilot_who_takes_over_keeps_the_vehicle(at_s: float) -> None:
     assert "POSCTL" in w.flight.told("phase")[-1]
 
 
-@pytest.mark.parametrize("mode", ["POSCTL", "AUTO.RTL"])
+@pytest.mark.parametrize("mode", ["POSCTL", "AUTO.RTL", "AUTO.LAND"])
 def test_a_hold_that_is_still_asked_for_is_dropped_once_somebody_else_flies(mode: str) -> None:
     w = world()
     w.autopilot.refuse = {ActionKind.HOLD: 99}
@@ -316,3 +316,12 @@ def test_nobody_takes_off_beside_another_companion_with_the_same_ids() -> None:
     assert any("another companion with our ids to go" in text for text in flight.told("waiting"))
     arms = [t for t, kind in w.autopilot.heard if kind is ActionKind.ARM]
     assert min(arms) > 12.0 + 5.0
+
+
+def test_where_another_program_sends_setpoints_too_control_is_returned_and_the_program_named() -> None:
+    w = world()
+    w.each = lambda x, _s: setattr(x.autopilot, "rival", (1, 150) if x.now_s > 12.0 else None)
+    w.fly(14.0, until=lambda _w: False)
+    assert w.flight.phase is Phase.ABORT
+    assert w.autopilot.heard[-1][1] is ActionKind.HOLD
+    assert w.flight.told("phase")[-1] == "abort: rival: component 150 of system 1 sends setpoints"

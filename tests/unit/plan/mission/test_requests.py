@@ -114,3 +114,19 @@ def test_what_is_reported_goes_out_once_and_awaits_nothing() -> None:
     assert [a.kind for a in r.due(0.0)] == [ActionKind.REQUEST_PAD_POSITION]
     assert r.due(0.1) == ()
     assert r.hear((), 100.0) == ()
+
+
+def test_what_was_asked_last_is_what_may_still_be_carried_out() -> None:
+    r, control, hold = requests(), Action(ActionKind.TAKE_CONTROL), Action(ActionKind.HOLD)
+    r.ask(ARM, 0.0)
+    r.due(0.0)
+    r.hear((ActionResult(0.1, ActionKind.ARM, True, ""),), 0.1)
+    r.ask(control, 0.2)
+    r.due(0.2)
+    assert r.asked_last == {ActionKind.ARM, ActionKind.TAKE_CONTROL}
+    r.forget()
+    r.ask(hold, 0.3)
+    assert r.asked_last == {ActionKind.HOLD, ActionKind.TAKE_CONTROL}  # which has had no answer
+    r.due(0.3)
+    r.forget()
+    assert r.asked_last == {ActionKind.HOLD}

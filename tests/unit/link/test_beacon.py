@@ -1,0 +1,113 @@
+"""Whose FOLLOW_TARGET is the pad's: an answer to our request, or of the component that the settings name."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from companion.base.messages import PadBeacon
+from companion.config import LinkConfig
+from companion.link.beacon import ANSWER_S
+from companion.link.codec import Codec, mavlink
+from companion.link.commands import request_message
+from companion.link.session import Session
+from tests.unit.link.ground_beacon import follow_target
+
+BEACON = PadBeacon(0.0, 47.0, 8.0, 401.0, (1.0, 0.0, 0.0), 1.0)
+ACCEPTED, UNSUPPORTED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_UNSUPPORTED
+GROUND = (255, 190)
+
+
+def asked(now_s: float = 3.0, **settings: Any) -> Session:
+    """A session whose request for the pad's position has just left."""
+    session = Session(LinkConfig(**settings))
+    session.command(request_message(mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET, GROUND[0], target_component=0))
+    session.tick(now_s)
+    return session
+
+
+def answer(
+    session: Session, now_s: float, sender: tuple[int, int] = GROUND, result: int = ACCEPTED, us: int = 191
+) -> None:
+    number = mavlink.MAV_CMD_REQUEST_MESSAGE
+    ack = mavlink.MAVLink_command_ack_message(number, result, 0, 0, 1, us)
+    session.receive(Codec(*sender).encode(ack), now_s)
+
+
+def send(session: Session, now_s: float, sender: tuple[int, int] = GROUND, north_m_s: float = 1.0) -> None:
+    beacon = replace(BEACON, velocity_ned_m_s=(north_m_s, 0.0, 0.0))
+    session.receive(Codec(*sender).encode(follow_target(beacon)), now_s)
+
+
+def test_the_answer_to_our_request_is_the_pads() -> None:
+    session = asked()
+    answer(session, 3.1)
+    send(session, 3.6)
+    assert session.beacons.beacon is not None
+    assert (session.beacons.beacon.time_s, session.beacons.beacon.altitude_m) == (3.6, 401.0)
+
+
+def test_what_a_ground_station_streams_unasked_is_not() -> None:
+    session = Session(LinkConfig())
+    for second in range(20):
+        send(session, float(second))
+    assert session.beacons.beacon is None
+    assert session.beacons.ignored == GROUND
+
+
+@pytest.mark.parametrize("result", [UNSUPPORTED, mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_IN_PROGRESS])
+def test_nor_what_it_streams_while_it_refuses_to_answer(result: int) -> None:
+    session = asked()
+    send(session, 3.05)
+    answer(session, 3.1, result=result)
+    send(session, 3.2)
+    assert session.beacons.beacon is None
+
+
+def test_an_acceptance_of_what_was_not_asked_or_was_meant_for_another_is_none() -> None:
+    session = Session(LinkConfig())
+    answer(session, 3.1)
+    send(session, 3.2)
+    assert session.beacons.beacon is None
+    session = asked()
+    answer(session, 3.1, us=42)
+    send(session, 3.2)
+    assert session.beacons.beacon is None
+
+
+@pytest.mark.parametrize("sender", [(254, 190), (1, 1), (1, 191), (255, 1), (255, 191)])
+def test_nor_what_another_sends_than_the_one_that_accepted(sender: tuple[int, int]) -> None:
+    session = asked()
+    answer(session, 3.1)
+    send(session, 3.2, sender)
+    assert session.beacons.beacon is None
+    assert session.beacons.ignored == sender
+
+
+def test_what_comes_long_after_the_acceptance_is_no_answer() -> None:
+    session = asked()
+    answer(session, 3.0)
+    send(session, 3.0 + ANSWER_S + 0.1)
+    assert session.beacons.beacon is None
+
+
+def test_the_component_that_is_named_needs_no_asking_and_no_other_counts() -> None:
+    session = asked(beacon_component_id=25)
+    answer(session, 3.0)
+    send(session, 3.1)
+    assert session.beacons.beacon is None
+    send(session, 3.2, (254, 25))
+    assert session.beacons.beacon is None
+    send(session, 3.3, (255, 25))
+    assert session.beacons.beacon is not None
+
+
+@pytest.mark.parametrize("ground_system_id", [255, 77])
+def test_a_beacon_faster_than_any_pad_leaves_the_last_good_one(ground_system_id: int) -> None:
+    session = Session(
+        LinkConfig(ground_system_id=ground_system_id, beacon_component_id=190, maximum_pad_speed_m_s=3.0)
+    )
+    for time_s, north_m_s in ((1.0, 2.9), (2.0, 3.1), (3.0, 1000.0)):
+        send(session, time_s, (ground_system_id, 190), north_m_s)
+    assert session.beacons.beacon is not None
+    assert session.beacons.beacon.time_s == 1.0

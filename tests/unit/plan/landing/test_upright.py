@@ -1,0 +1,101 @@
+"""Motors that stop are a landing only where the vehicle stands upright on the pad."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from companion.base.geometry import IDENTITY, quat_from_euler
+from companion.base.messages import LandedState, PadState, Phase
+from companion.plan.landing.upright import not_standing
+from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.states import MissionEvent, State
+from companion.plan.mission.table import TABLE
+from tests.unit.plan.mission.planner_world import world
+from tests.unit.plan.pad_paths import still
+from tests.unit.plan.plan_harness import VEHICLE, PlanWorld
+
+REACH_M = 0.7
+ZERO = (0.0, 0.0, 0.0)
+
+
+def standing() -> PlanInputs:
+    w = PlanWorld(still())
+    w.now_s = 50.0
+    return w.inputs()
+
+
+def sight(aside_m: float = 0.1, below_m: float = VEHICLE.leg_height_m, age_s: float = 0.1) -> PadState:
+    return PadState(
+        50.0, (aside_m, 0.0, below_m), ZERO, ZERO, ZERO, 0.0, 0.0, 0.1, 0.1, seen_time_s=50.0 - age_s
+    )
+
+
+def judged(
+    inputs: PlanInputs, pad: PadState | None, *, surface_m: float | None = None, touched: bool = True
+) -> str:
+    return not_standing(pad, inputs, VEHICLE, REACH_M, 50.0, surface_m=surface_m, touched=touched)
+
+
+def tilted(inputs: PlanInputs, ours_deg: float, theirs_deg: float) -> PlanInputs:
+    assert inputs.vehicle is not None
+    theirs = quat_from_euler(math.radians(theirs_deg), 0.0, 1.0)
+    return replace(
+        inputs,
+        vehicle=replace(inputs.vehicle, attitude=quat_from_euler(0.0, math.radians(ours_deg), 2.0)),
+        autopilot=replace(inputs.autopilot, attitude=theirs, attitude_time_s=49.9),
+    )
+
+
+def test_upright_on_the_pad_it_has_landed() -> None:
+    assert judged(standing(), sight()) == ""
+    assert judged(tilted(standing(), 12.0, 12.0), sight()) == ""  # on a deck that swings
+    assert judged(standing(), None) == ""  # the pad is not seen from so near
+
+
+@pytest.mark.parametrize(("ours_deg", "theirs_deg"), [(40.0, 40.0), (0.0, 90.0), (170.0, 0.0)])
+def test_toppled_it_has_not_by_whichever_attitude(ours_deg: float, theirs_deg: float) -> None:
+    assert f"tilted by {max(ours_deg, theirs_deg):.0f} deg" in judged(
+        tilted(standing(), ours_deg, theirs_deg), sight()
+    )
+
+
+def test_without_any_attitude_it_is_not_known_to_have() -> None:
+    inputs = standing()
+    unknown = replace(inputs, vehicle=None, autopilot=replace(inputs.autopilot, attitude=None))
+    assert judged(unknown, sight()) == "its attitude is not known"
+    old = replace(unknown, autopilot=replace(inputs.autopilot, attitude=IDENTITY, attitude_time_s=40.0))
+    assert judged(old, sight()) == "its attitude is not known"
+
+
+def test_beside_the_pad_or_above_it_it_has_not() -> None:
+    assert judged(standing(), sight(aside_m=0.9)) == "0.9 m aside of the pad's middle"
+    assert judged(standing(), sight(below_m=1.4)) == "the pad is 1.4 m below"
+    assert judged(standing(), None, surface_m=1.4) == "what is below is 1.4 m away"
+    assert judged(standing(), sight(), surface_m=1.4) == ""  # the pad is seen at the feet
+    assert judged(standing(), sight(aside_m=0.9, age_s=1.5)) == ""  # from too long ago
+
+
+def test_where_nothing_has_shown_the_feet_down_it_has_not() -> None:
+    up = standing()
+    up = replace(up, autopilot=replace(up.autopilot, landed=LandedState.IN_AIR))
+    assert judged(up, sight(), touched=False) == "nothing has shown the feet down"
+    down = replace(up, autopilot=replace(up.autopilot, landed=LandedState.ON_GROUND))
+    assert judged(down, sight(), touched=False) == ""
+
+
+@pytest.mark.parametrize("state", [State.STAND, State.SET_DOWN, State.AUTO_LAND])
+def test_the_table_ends_in_abort_there(state: State) -> None:
+    branches = TABLE[state, MissionEvent.DISARMED]
+    assert (branches[0].to, branches[0].actions) == (State.ABORT, ())
+
+
+def test_a_vehicle_that_topples_as_it_stands_is_no_landing_and_the_reason_is_said() -> None:
+    w = world(still())
+    w.autopilot.doubts = True
+    w.fly(60.0, until=lambda w: bool(w.flight.told("contact")))
+    w.tilt_rad = math.radians(80.0)
+    w.autopilot.armed = False
+    w.cycle()
+    assert w.flight.phase is Phase.ABORT
+    assert w.flight.told("phase")[-1] == "abort: disarmed: motors off, no landing: tilted by 80 deg"
