@@ -41,6 +41,7 @@ _STAMPED: Final = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_ATTITUDE,
         mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET,
         mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
     }
@@ -115,6 +116,10 @@ class Session:
     def renew_setup(self) -> None:
         """Ask for the parameters behind `setup` afresh."""
         self._setup.renew()
+
+    def want(self, rates_hz: dict[int, float]) -> None:
+        """Ask for these messages, by id, as well."""
+        self._rates.want(rates_hz)
 
     @property
     def system_id(self) -> int:

@@ -17,7 +17,7 @@ import numpy as np
 
 from companion.base.geometry import Vector3
 from companion.base.messages import Frame, Phase, Truth
-from companion.config import VehicleConfig, find_file, load_model
+from companion.config import ConfigError, VehicleConfig, find_file, load_model
 from companion.pad import load_pad
 from sitl.autopilot import ESTIMATORS, PROFILES, SimulatedAutopilot
 from sitl.camera.frame_line import FrameLine
@@ -240,7 +240,11 @@ class Simulation:
         if firmware is None:
             estimator = ESTIMATORS[scenario.estimator]
             home, kind = scenario.place, scenario.autopilot
-            return SimulatedAutopilot(kind, airframe.body, rng, home, estimator, airframe.rates)
+            autopilot = SimulatedAutopilot(kind, airframe.body, rng, home, estimator, airframe.rates)
+            for name, value in scenario.autopilot_parameters.items():
+                if not autopilot.parameters.set(name, value):
+                    raise ConfigError(f"autopilot_parameters: {name}: {value:g}; expected {kind} to take it")
+            return autopilot
         with interrupted_at_once():
             return FirmwareVehicle(
                 firmware,

@@ -49,7 +49,8 @@ class AutopilotState:
     `round_trip_s`: how long a question and its answer take on the link, the quickest of the last three, at
     `round_trip_time_s`; None: not known. `twin_time_s`: when another companion with our ids was last
     received, whose setpoints and requests would be taken for ours. `refused_frames`: what came without a
-    right signature, where the link demands one.
+    right signature, where the link demands one. `thrust`: what its rotors are asked for, as a share of full
+    thrust (ArduPilot: the upward part), measured at `thrust_time_s`.
     """
 
     time_s: float
@@ -77,6 +78,8 @@ class AutopilotState:
     round_trip_s: float | None = None
     round_trip_time_s: float = float("-inf")
     twin_time_s: float = float("-inf")
+    thrust: float | None = None
+    thrust_time_s: float = float("-inf")
 
 
 @dataclass(frozen=True, slots=True)

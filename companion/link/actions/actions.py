@@ -135,8 +135,10 @@ class PymavlinkActions:
     async def take_control(self, action: Action) -> None:
         """OFFBOARD or GUIDED, not asked for again once a pilot has taken the sticks meanwhile.
 
-        PX4 refuses unless setpoints have been coming already.
+        PX4 refuses unless setpoints have been coming already. Its parameters are read anew meanwhile: an
+        autopilot learns some of them as it flies.
         """
+        self._session.renew_setup()
         await self.require_setup()
         mode, void = CONTROL_MODE[self.dialogue.autopilot_kind()], self._unless_taken()
         await self.dialogue.set_mode(mode, void)

@@ -21,7 +21,8 @@ class PlanInputs:
 
     `silent_s`: since anything was last heard of the autopilot, seen by an app that runs.
     `camera_turned_rad`: against the vehicle's file, as far as the pad's motion shows it.
-    `control_failed`: the last setpoint was a stop for want of a plan, or would have been no number.
+    `control_failure`: why the last setpoint was a stop. `thrust_doubt`: what stands against control by
+    thrust.
     """
 
     vehicle: VehicleState | None
@@ -34,5 +35,6 @@ class PlanInputs:
     order: Order | None = None
     camera_problem: str | None = None
     camera_turned_rad: float | None = None
-    control_failed: bool = False
+    control_failure: str = ""
+    thrust_doubt: str = ""
     silent_s: float = 0.0
