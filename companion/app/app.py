@@ -219,33 +219,29 @@ class App:
         if self.session.setup is not None:  # it takes a while to make, which is to pass on the ground
             self._control().thrust.feel(vehicle, self.session.state, self.session.setup, now_s)
         plan = self._plan(vehicle, pad, now_s)
-        if vehicle is not None:
-            self._log.write("vehicle", vehicle, now_s)
-        if pad is not None:
-            self._log.write("pad", pad, now_s)
+        for topic, estimate in (("vehicle", vehicle), ("pad", pad)):
+            if estimate is not None:
+                self._log.write(topic, estimate, now_s)
         if plan.reference is None or self.session.setup is None:
             return
         if vehicle is not None and vehicle.imu_age_s <= BLIND_S:
             self.session.align(vehicle.attitude, vehicle.time_s)
-        obeyed, silent_s = self.session.state.offboard, now_s - self.session.heard_s
+        obeyed, silent_s = self.session.state.offboard, self.session.silent_s(now_s)
         controlled = self._control().step(plan, vehicle, pad, now_s, obeyed=obeyed, silent_s=silent_s)
         self._control_failure = "" if controlled is None else controlled[1].failure
         await self._clock.spend(self._config.compute.control_s)
         if controlled is not None:
-            setpoint, report = controlled
-            self._send_setpoint(setpoint, replace(report, cycle_late_s=late_s))
+            self._send_setpoint(controlled[0], replace(controlled[1], cycle_late_s=late_s))
 
     def _control(self) -> Controller:
         if self._controller is None:
-            autopilot_kind = self.session.state.autopilot_kind or "px4"
+            control, kind = self._config.control, self.session.state.autopilot_kind or "px4"
             setup = self.session.setup or AutopilotSetup()
-            self._controller = Controller(
-                self._config.control, self._vehicle, self._clock.now_s, autopilot_kind, setup, True
-            )
+            self._controller = Controller(control, self._vehicle, self._clock.now_s, kind, setup, True)
             if self._controller.thrust.measures:
-                self.session.want(THRUST_RATES_HZ)
-            own = misfits(resolved(self._config.control, autopilot_kind), self._vehicle, setup)
-            for warning in (*own, *loss_warnings(setup, autopilot_kind)):
+                self.session.rates.want(THRUST_RATES_HZ)
+            own = misfits(resolved(control, kind), self._vehicle, setup)
+            for warning in (*own, *loss_warnings(setup, kind)):
                 self.announcer.notify_once("setup", warning, "warning")
         return self._controller
 
@@ -263,7 +259,8 @@ class App:
             camera_turned_rad=self.estimator.camera_turned_rad,
             control_failure=self._control_failure,
             thrust_doubt="" if self._controller is None else self._controller.thrust.doubt,
-            silent_s=now_s - self.session.heard_s,
+            silent_s=self.session.silent_s(now_s),
+            keeps_setpoint_s=(self.session.setup or AutopilotSetup()).keeps_setpoint_s,
         )
         before, plan = self.phase, self.missions.step(inputs, now_s)
         # a disarming that was asked for on the pad is none for a vehicle that has left it

@@ -61,10 +61,8 @@ LONGEST_PREDICTION_S = 0.4
 BLIND_S = 0.1
 # after so many solves in a row without a solution the old plan is worth nothing
 FAILURES_TO_STOP = 10
-# Its attitude alone is sent at 50 Hz. PX4 leaves our setpoints 1 s after the last one, ArduPilot GUID_TIMEOUT
-# after it (0.5 s as documented), and neither can say so meanwhile.
+# Its attitude alone is sent at 50 Hz: unheard for so long, it may not hear us either.
 SILENT_S = 0.3
-GIVEN_UP_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +101,7 @@ class Controller:
 
         In virtual time it does not advance while the solver works: then iterations alone bound it.
         """
+        self._keeps_setpoint_s = (setup or AutopilotSetup()).keeps_setpoint_s
         config = resolved(config, autopilot_kind)
         response = vehicle.responses.of(autopilot_kind, flown_kind(config))
         self._config = config = fitted(config, response, setup)
@@ -152,8 +151,8 @@ class Controller:
         self._heading.step(plan.reference.heading_rad, elapsed_s)
         if plan.on_ground:
             return self._rest(plan.reference, pad, now_s)
-        heard_again = self._given_up and silent_s < GIVEN_UP_S
-        self._given_up = silent_s >= GIVEN_UP_S
+        heard_again = self._given_up and silent_s < self._keeps_setpoint_s
+        self._given_up = silent_s >= self._keeps_setpoint_s
         if not obeyed:
             self._gate.reset()
         if not obeyed or heard_again:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Quaternion, Vector3
+
+UNKNOWN_TIMEOUT_S: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +26,11 @@ class AutopilotSetup:
     jerk_m_s3: float | None = None
     setpoint_timeout_s: float | None = None
     setpoints_lost_action: int | None = None
+
+    @property
+    def keeps_setpoint_s(self) -> float:
+        """How long (s) it goes by the last setpoint; where it does not say, as short as any should."""
+        return UNKNOWN_TIMEOUT_S if self.setpoint_timeout_s is None else self.setpoint_timeout_s
 
 
 class LandedState(StrEnum):

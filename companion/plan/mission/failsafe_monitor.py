@@ -75,7 +75,7 @@ class FailsafeMonitor:
         if state in FINAL:
             return ()
         heard = autopilot.connected
-        self._modes.listen(autopilot, inputs.silent_s, now_s)
+        self._modes.listen(autopilot, inputs.silent_s, now_s, inputs.keeps_setpoint_s)
         taken_over = heard and self._modes.taken_over(
             state,
             self._machine.authority,
