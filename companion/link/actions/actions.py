@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final, Protocol
 
 from companion.base.clock import Clock
@@ -27,6 +28,7 @@ from companion.link.session import Session
 _SILENT_S: Final = 0.5  # attitudes come many times a second
 _SETUP_S: Final = 5.0  # each of its parameters is asked for four times, half a second apart
 _LOOK_S: Final = 0.05
+_RISEN_SHARE: Final = 0.7  # autopilots brake early
 _FORCE: Final = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM: whatever the checks say
 
 
@@ -162,8 +164,32 @@ class PymavlinkActions:
         await self.dialogue.confirm(lambda: not self._session.state.offboard, HOLD_MODE[kind], void)
 
     async def hold(self, action: Action) -> None:
-        """Stop and stay, by the autopilot's own mode; not sent again once a pilot has taken the sticks."""
-        await self.dialogue.set_mode(HOLD_MODE[self.dialogue.autopilot_kind()], self._unless_taken())
+        """Stop and stay, by the autopilot's own mode; not sent again once a pilot has taken the sticks.
+
+        With a `height_m` the autopilot first rises so much by itself, where it can.
+        """
+        void = self._unless_taken()
+        if action.height_m > 0.0:
+            await self._rise(action.height_m, void)
+        await self.dialogue.set_mode(HOLD_MODE[self.dialogue.autopilot_kind()], void)
+
+    async def _rise(self, height_m: float, void: Callable[[], str]) -> None:
+        """Go straight up, and wait for most of it; an autopilot that does not is to hold all the same."""
+        here = self._session.state.global_position
+        if here is None:
+            return
+        wanted_m = here[2] + _RISEN_SHARE * height_m
+        change_mode = float(mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
+        parameters = (-1.0, change_mode, 0.0, self.dialogue.unused())
+        position = (here[0], here[1], here[2] + height_m)
+
+        def risen() -> bool:
+            now = self._session.state.global_position
+            return now is None or now[2] >= wanted_m
+
+        with suppress(Refused):
+            await self.dialogue.command(mavlink.MAV_CMD_DO_REPOSITION, parameters, position, void)
+            await self.dialogue.confirm(risen, "higher", void)
 
     async def land(self, action: Action) -> None:
         """Come down where it is, by the autopilot's own mode; as `hold`."""

@@ -190,7 +190,9 @@ class MavsdkActions:
         await self._try(self._action.goto_location(latitude_deg, longitude_deg, altitude_m, heading_deg))
 
     async def _hold(self, action: Action) -> None:
-        """By MAVSDK; should it fail, by ours: stopping must not hang on one library."""
+        """By MAVSDK; should it fail, by ours: stopping must not hang on one library. To rise is ours."""
+        if action.height_m > 0.0:
+            return await self._own.hold(action)
         try:
             await self._connect()
             await self._try(self._action.hold())

@@ -130,6 +130,7 @@ class Guard(StrEnum):
     MAY_FINISH = "the settings let a descent finish"
     ENDS_INSIDE = "the pad is inside the fence until the landing ends"
     FEET_DOWN = "echoes show the feet down"
+    NEAR = "lower than a metre over the ground or the pad"
 
 
 class Effect(StrEnum):
@@ -159,6 +160,7 @@ class Circumstances:
     ends_inside: bool = True
     in_offboard: bool = False
     feet_down: bool = False
+    near: bool = False
 
     def allow(self, guard: Guard) -> bool:
         """Whether a guard holds."""
@@ -177,6 +179,7 @@ class Circumstances:
             Guard.MAY_FINISH: self.may_finish,
             Guard.ENDS_INSIDE: self.ends_inside,
             Guard.FEET_DOWN: self.feet_down,
+            Guard.NEAR: self.near,
         }[guard]
 
 
