@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from companion.base.messages import PadState, Phase, PlanStep, VehicleState
+from companion.base.messages import Outcome, PadState, PlanStep, VehicleState
 from companion.flightlog.record import FlightLog
 from tests.scenario.flying import FEW_PICTURES, fly_logged, notices, scenario_file
 
@@ -57,5 +57,5 @@ def test_it_is_taken_over_with_the_thrust_that_holds_it(
     }
     log = PlannedHeight()
     flight, _ = fly_logged(scenario_file(tmp_path, "line", {**changes, **FEW_PICTURES}), log)
-    assert flight.report.phase is Phase.LANDED, notices(log)
+    assert flight.report.outcome is Outcome.LANDED, notices(log)
     assert max(log.below_m) <= MOST_FALL_M

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import ZERO3
 from companion.base.messages import AutopilotSetup, AutopilotState, ControlReport, LandedState, Setpoint
 from companion.config import ControlConfig
 from companion.control.controller import Controller
-from tests.unit.control.control_plants import vehicle_config
-from tests.unit.control.controller_inputs import plan_step, reference_rows, vehicle_state
+from tests.unit.control.control_plants import reference_rows, vehicle_config
+from tests.unit.control.controller_inputs import plan_step, vehicle_state
 
 PERIOD_S = 1.0 / 30.0
 TOLD = AutopilotSetup(hover_thrust=0.35)
@@ -17,7 +18,7 @@ TOLD = AutopilotSetup(hover_thrust=0.35)
 
 def ardupilot(setpoint: str = "attitude", measures_thrust: bool = True) -> Controller:
     config = ControlConfig.model_validate({"setpoint": setpoint})
-    kind = "ardupilot" if setpoint == "attitude" else "px4"
+    kind: AutopilotKind = "ardupilot" if setpoint == "attitude" else "px4"
     return Controller(config, vehicle_config(), None, kind, TOLD, measures_thrust)
 
 
