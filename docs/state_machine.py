@@ -181,7 +181,8 @@ def _list(states: Iterable[State]) -> str:
 
 
 def _request(action: Action) -> str:
-    return _words(action.kind) + (" by force" if action.force else "")
+    higher = f" {action.height_m:g} m higher" if action.height_m else ""
+    return _words(action.kind) + higher + (" by force" if action.force else "")
 
 
 def _name(state: State) -> str:

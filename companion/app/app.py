@@ -47,6 +47,7 @@ from companion.control.response.fitting import misfits
 from companion.control.setpoints import resolved
 from companion.flightlog.record import FlightLog
 from companion.link.autopilot_setup import loss_warnings
+from companion.link.streams import THRUST_RATES_HZ
 from companion.plan.planner import PlanInputs
 
 LINK_TICK_S: Final = 0.05
@@ -89,6 +90,7 @@ class App:
             stages.make_planner, self.session, log, self.announcer, self._clock, standby=standby, stays=stays
         )
         self.loop_monitor = LoopMonitor(self.session, self._clock)
+        self._control_failure = ""
         self._controller: Controller | None = None  # made when it is known whose autopilot obeys
         self._actions = make_actions(self.session, self._send, self._clock, config)
         self._action_queue = ActionQueue(self._actions, self._take_result)
@@ -96,7 +98,7 @@ class App:
         self._service = ServiceNotifier()
         self._latency_ms: float | None = None
         self._last_exposure_s: float | None = None
-        self._stop_requested = self._on_pad = self._control_failed = False
+        self._stop_requested = self._on_pad = False
         self._start_s = self._clock.now_s()
 
     @property
@@ -203,7 +205,7 @@ class App:
         self._controller = self._latency_ms = None
         self._action_queue.clear()
         self._action_results.clear()
-        self._on_pad = self._control_failed = False
+        self._on_pad, self._control_failure = False, ""
         return False
 
     async def _control_step(self, now_s: float, late_s: float) -> None:
@@ -211,39 +213,36 @@ class App:
         self.sensing.take_attitude(self.session.state)
         for kind, words in self.estimator.take_notices():
             self.announcer.notify(kind, words, "warning")
-        if self.session.setup is not None:
-            self._control()  # takes a while to make, which is to pass on the ground
         vehicle, pad = self.estimator.vehicle(now_s), self.estimator.pad(now_s)
         if self.loop_monitor.woke:  # they are from long ago, though the clock, which stood still, says fresh
             self.estimator.start_over()
             vehicle = pad = None
+        if self.session.setup is not None:  # it takes a while to make, which is to pass on the ground
+            self._control().thrust.feel(vehicle, self.session.state, self.session.setup, now_s)
         plan = self._plan(vehicle, pad, now_s)
-        if vehicle is not None:
-            self._log.write("vehicle", vehicle, now_s)
-        if pad is not None:
-            self._log.write("pad", pad, now_s)
+        for topic, estimate in (("vehicle", vehicle), ("pad", pad)):
+            if estimate is not None:
+                self._log.write(topic, estimate, now_s)
         if plan.reference is None or self.session.setup is None:
             return
         if vehicle is not None and vehicle.imu_age_s <= BLIND_S:
             self.session.align(vehicle.attitude, vehicle.time_s)
-        obeyed, silent_s = self.session.state.offboard, now_s - self.session.heard_s
+        obeyed, silent_s = self.session.state.offboard, self.session.silent_s(now_s)
         controlled = self._control().step(plan, vehicle, pad, now_s, obeyed=obeyed, silent_s=silent_s)
-        self._control_failed = controlled is not None and controlled[1].failed
+        self._control_failure = "" if controlled is None else controlled[1].failure
         await self._clock.spend(self._config.compute.control_s)
         if controlled is not None:
-            setpoint, report = controlled
-            self._send_setpoint(setpoint, replace(report, cycle_late_s=late_s))
+            self._send_setpoint(controlled[0], replace(controlled[1], cycle_late_s=late_s))
 
     def _control(self) -> Controller:
         if self._controller is None:
-            autopilot_kind = self.session.state.autopilot_kind or "px4"
+            control, kind = self._config.control, self.session.state.autopilot_kind or "px4"
             setup = self.session.setup or AutopilotSetup()
-            self._controller = Controller(
-                self._config.control, self._vehicle, self._clock.now_s, autopilot_kind, setup
-            )
-            flown = resolved(self._config.control, autopilot_kind)
-            own = misfits(flown, self._vehicle, setup, autopilot_kind)
-            for warning in (*own, *loss_warnings(setup, autopilot_kind)):
+            self._controller = Controller(control, self._vehicle, self._clock.now_s, kind, setup, True)
+            if self._controller.thrust.measures:
+                self.session.rates.want(THRUST_RATES_HZ)
+            own = misfits(resolved(control, kind), self._vehicle, setup)
+            for warning in (*own, *loss_warnings(setup, kind)):
                 self.announcer.notify_once("setup", warning, "warning")
         return self._controller
 
@@ -259,8 +258,10 @@ class App:
             stop_requested=self._stop_requested or (self.loop_monitor.woke and self.phase not in NOT_STOPPED),
             camera_problem=self.sensing.camera_problem,
             camera_turned_rad=self.estimator.camera_turned_rad,
-            control_failed=self._control_failed,
-            silent_s=now_s - self.session.heard_s,
+            control_failure=self._control_failure,
+            thrust_doubt="" if self._controller is None else self._controller.thrust.doubt,
+            silent_s=self.session.silent_s(now_s),
+            keeps_setpoint_s=(self.session.setup or AutopilotSetup()).keeps_setpoint_s,
         )
         before, plan = self.phase, self.missions.step(inputs, now_s)
         # a disarming that was asked for on the pad is none for a vehicle that has left it

@@ -32,7 +32,7 @@ from companion.control.adaptive_feedforward import AdaptiveFeedforward
 from companion.control.limits import LimitsGate
 from companion.control.mpc.target import HeadingReference, make_target, stop_reference, within_reach
 from companion.control.pad_prediction import PadPrediction, origin_at_rest, predict_pad
-from companion.control.response.fitting import fitted, hover_thrust
+from companion.control.response.fitting import fitted
 from companion.control.response.flight_model import advance, flown_kind, lags, velocity_gains
 from companion.control.response.plant import Plant
 from companion.control.setpoints import (
@@ -47,6 +47,7 @@ from companion.control.setpoints import (
     tilt_compensation,
     velocity_setpoint,
 )
+from companion.control.thrust_guard import ThrustGuard
 from companion.control.tracker import make_tracker
 from companion.control.tracking import Target, TrackingSolution, needed_inputs
 
@@ -60,10 +61,8 @@ LONGEST_PREDICTION_S = 0.4
 BLIND_S = 0.1
 # after so many solves in a row without a solution the old plan is worth nothing
 FAILURES_TO_STOP = 10
-# Its attitude alone is sent at 50 Hz. PX4 leaves our setpoints 1 s after the last one, ArduPilot GUID_TIMEOUT
-# after it (0.5 s as documented), and neither can say so meanwhile.
+# Its attitude alone is sent at 50 Hz: unheard for so long, it may not hear us either.
 SILENT_S = 0.3
-GIVEN_UP_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,25 +92,25 @@ class Controller:
         stopwatch: Callable[[], float] | None = None,
         autopilot_kind: AutopilotKind = "px4",
         setup: AutopilotSetup | None = None,
+        measures_thrust: bool = False,
     ) -> None:
         """`autopilot_kind` is that of the autopilot that will obey, `setup` what its parameters say.
 
-        `stopwatch` gives seconds, to bound the solver's.
+        `stopwatch` gives seconds, to bound the solver's. With `measures_thrust` no attitude leaves before
+        the thrust that holds the vehicle has been measured in the air, and agrees with what was told.
 
         In virtual time it does not advance while the solver works: then iterations alone bound it.
         """
-        setup = setup or AutopilotSetup()
+        self._keeps_setpoint_s = (setup or AutopilotSetup()).keeps_setpoint_s
         config = resolved(config, autopilot_kind)
-        vehicle = vehicle.model_copy(update={"hover_thrust": hover_thrust(vehicle, setup, autopilot_kind)})
         response = vehicle.responses.of(autopilot_kind, flown_kind(config))
         self._config = config = fitted(config, response, setup)
         self._lags_s = lags(vehicle, config, autopilot_kind)
-        self._raises_thrust = (
-            autopilot_kind == "ardupilot"
-        )  # by the tilt it flies, besides what an attitude asks for
+        self._raises_thrust = autopilot_kind == "ardupilot"  # by its tilt, besides what is asked for
         self._stopwatch = stopwatch or (lambda: 0.0)
         self._tracker = make_tracker(config, self._lags_s, self._stopwatch)
-        self._plant = Plant(config, vehicle, self._lags_s, autopilot_kind)
+        self._plant = Plant(config, vehicle, self._lags_s, autopilot_kind, measures_thrust=measures_thrust)
+        self.thrust = ThrustGuard(self._plant, vehicle, measures=measures_thrust)
         self._gains_1_s = velocity_gains(
             vehicle, config, autopilot_kind, sideways=config.setpoint == "velocity"
         )
@@ -152,8 +151,8 @@ class Controller:
         self._heading.step(plan.reference.heading_rad, elapsed_s)
         if plan.on_ground:
             return self._rest(plan.reference, pad, now_s)
-        heard_again = self._given_up and silent_s < GIVEN_UP_S
-        self._given_up = silent_s >= GIVEN_UP_S
+        heard_again = self._given_up and silent_s < self._keeps_setpoint_s
+        self._given_up = silent_s >= self._keeps_setpoint_s
         if not obeyed:
             self._gate.reset()
         if not obeyed or heard_again:
@@ -175,10 +174,12 @@ class Controller:
             return now_s - last_s
         self._heading.reset(yaw_from_quat(vehicle.attitude))
         self._gate.reset()
+        self.thrust.reset()
         self._flying = False
         return 0.0
 
     def _begin(self, vehicle: VehicleState) -> None:
+        self.thrust.begin()
         self._plant.begin(vehicle)
         self._tracker.reset()
         self._feedforward.reset()
@@ -235,6 +236,8 @@ class Controller:
         if reference.origin == "pad" and pad is None:
             reference = stop_reference(now_s, vehicle.position_ned_m, reference.heading_rad)
         start = self._start(vehicle, pad if reference.origin == "pad" else None, now_s)
+        planned_m_s = float(reference.velocity_m_s[0, 2] + start.prediction.velocity_m_s[0, 2])
+        self.thrust.watch(vehicle.velocity_ned_m_s[2], planned_m_s, now_s)
         target = within_reach(
             make_target(reference, start.times_s, start.prediction),
             start.motion.position_m,
@@ -271,6 +274,7 @@ class Controller:
             stopped=self._stopped,
             hover_thrust=self._plant.hover_thrust,
             cut_s=self._cuts / self._config.rate_hz,
+            fault=self.thrust.fault,
         )
 
     def _learn(self, start: _Start, target: Target, disturbance: Vector3, solution: TrackingSolution) -> None:
@@ -285,8 +289,8 @@ class Controller:
 
     @property
     def _stopped(self) -> bool:
-        """Whether no plan is left that is worth flying."""
-        return self._failures >= FAILURES_TO_STOP
+        """Whether no plan is left that is worth flying, or none that thrust could fly."""
+        return self._failures >= FAILURES_TO_STOP or bool(self.thrust.fault)
 
     def _start(self, vehicle: VehicleState, pad: PadState | None, now_s: float) -> _Start:
         """The motion when the next command takes effect, from the newest estimate and what is under way."""

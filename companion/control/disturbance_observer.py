@@ -123,9 +123,16 @@ class LastingObserver:
             for axis, velocity in zip(self._axes, velocity_ned_m_s, strict=True):
                 axis.velocity = velocity
 
-    def relieve_vertical(self, covered_m_s2: float) -> None:
-        """Take off along down what the thrust scale covers from now on."""
-        self._axes[2].lasting -= covered_m_s2
+    @property
+    def made_late_down_m_s2(self) -> float:
+        """What the commands alone make along down (m/s2), as late as the acceleration is measured."""
+        return self._axes[2].made_late
+
+    def scale_thrust(self, factor: float) -> None:
+        """The thrust that makes it all is worth so much more than was believed."""
+        for axis, gravity in zip(self._axes, (0.0, 0.0, GRAVITY_M_S2), strict=True):
+            axis.made = gravity + factor * (axis.made - gravity)
+            axis.made_late = gravity + factor * (axis.made_late - gravity)
 
 
 class WindObserver:
@@ -187,30 +194,6 @@ class WindObserver:
             slope = scale(subtract(self.wind_ned_m_s2, before), 1.0 / elapsed_s)
             self._trend_ned_m_s3 = _follow(self._trend_ned_m_s3, slope, elapsed_s / self.TREND_S)
         self._begun = True
-
-
-class ThrustScale:
-    """How much more thrust than configured the vehicle needs to hover; learnt from the vertical disturbance.
-
-    A thrust that is off by a factor disturbs in proportion to the thrust itself, sideways too, which a
-    constant disturbance does not describe; hence the lasting part of the vertical one moves over into the
-    factor.
-    """
-
-    LEARNING_TIME_S = 2.0
-    BOUNDS = (0.7, 1.4)
-
-    def __init__(self) -> None:
-        self.factor = 1.0
-
-    def learn(self, disturbance_down_m_s2: float, elapsed_s: float) -> float:
-        """Take in a part of the disturbance; the return (m/s2) is how much of it the factor now covers."""
-        moved = disturbance_down_m_s2 * min(1.0, elapsed_s / self.LEARNING_TIME_S)
-        low, high = self.BOUNDS
-        factor = max(low, min(high, self.factor * (1.0 + moved / GRAVITY_M_S2)))
-        covered = (factor / self.factor - 1.0) * GRAVITY_M_S2
-        self.factor = factor
-        return covered
 
 
 def _follow(state: Vector3, measured: Vector3, exponent: float) -> Vector3:

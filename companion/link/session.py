@@ -41,6 +41,7 @@ _STAMPED: Final = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_ATTITUDE,
         mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET,
         mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
     }
@@ -49,6 +50,7 @@ _HEARTBEAT_S: Final = 1.0
 _TIMESYNC_S: Final = 0.2
 _TIMESYNC_QUICK_S: Final = 0.1  # at the start, and where samples are stamped by it: as often as PX4 asks us
 _TIMESYNC_START_COUNT: Final = 10
+_ANSWERED_S: Final = 2.0 * _TIMESYNC_S  # one question in a row may be lost
 _HOME_S: Final = 2.0
 
 
@@ -100,7 +102,7 @@ class Session:
         self.reads_setup = reads_setup
         self._process = process
         self._setup = SetupReader(self._parameters)
-        self._rates = TelemetryRates()
+        self.rates = TelemetryRates()
         self._texts = StatusTexts()
         self._replies: list[Message] = []
         self._heartbeat_heard_s = -math.inf
@@ -129,6 +131,11 @@ class Session:
     def heartbeat_timeout_s(self) -> float:
         """After so long without a heartbeat the link counts as lost."""
         return self._config.heartbeat_timeout_s
+
+    def silent_s(self, now_s: float) -> float:
+        """For how long (s) nothing has been received, or nothing has shown that it receives us."""
+        unanswered_s = now_s - self.state.round_trip_time_s - _ANSWERED_S
+        return max(now_s - self.heard_s, unanswered_s if math.isfinite(unanswered_s) else 0.0)
 
     @property
     def counters(self) -> codec.CodecCounters:
@@ -181,7 +188,7 @@ class Session:
             self.beacons.accepted(message.get_srcComponent(), now_s)
 
     def _hear_autopilot(self, message: Message, message_id: int, now_s: float) -> None:
-        self._rates.heard(message_id)
+        self.rates.heard(message_id)
         self.orders.heard(now_s)
         self._replies += self._notices.heard(now_s - self.heard_s)
         self.heard_s = now_s
@@ -217,10 +224,10 @@ class Session:
             self.heartbeats += 1
             if self.reads_setup:
                 self._setup.begin(self.state.autopilot_kind)
-            self._rates.want(OWN_RATES_HZ.get(self.state.autopilot_kind, {}) | self.orders.rates_hz)
+            self.rates.want(OWN_RATES_HZ.get(self.state.autopilot_kind, {}) | self.orders.rates_hz)
             if self.onboard is not None:
                 self.onboard.heartbeat(self.state.autopilot_kind, now_s)
-                self._rates.want(self.onboard.rates_hz())
+                self.rates.want(self.onboard.rates_hz())
 
     def take_samples(self) -> list[Sample]:
         """What the autopilot's own sensors have measured since the last call."""
@@ -321,7 +328,7 @@ class Session:
                 round_trip_s=None,
             )
             self.timesync.forget()
-            self._rates.forget()
+            self.rates.forget()
             self._syncs_sent = 0
             self._home_due_s = now_s
 
@@ -336,7 +343,7 @@ class Session:
 
     def _ask(self, now_s: float) -> None:
         """Rates that are not honoured, and home until it is known and again after arming."""
-        for message_id, rate_hz in self._rates.to_ask(now_s):
+        for message_id, rate_hz in self.rates.to_ask(now_s):
             self._command_once(set_message_interval(message_id, rate_hz, self._system_id))
         if now_s >= self._home_due_s:
             self._home_due_s = now_s + _HOME_S if self.state.home is None else math.inf

@@ -21,6 +21,7 @@ HEARD: Final = frozenset(
         mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
         mavlink.MAVLINK_MSG_ID_ATTITUDE,
         mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET,
         mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
         mavlink.MAVLINK_MSG_ID_HOME_POSITION,
@@ -49,6 +50,8 @@ OWN_RATES_HZ: Final[dict[AutopilotKind | None, dict[int, float]]] = {
         mavlink.MAVLINK_MSG_ID_HEARTBEAT: 5.0,
     },
 }
+# for whoever takes over by attitude and thrust
+THRUST_RATES_HZ: Final[dict[int, float]] = {mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 20.0}
 _WINDOW_S: Final = 2.0
 _LONGEST_WINDOW_S: Final = 16.0
 _HONOURED_SHARE: Final = 0.6

@@ -36,6 +36,7 @@ from companion.plan.trajectory.waypoints import check_places
 
 SIGHTINGS_WINDOW_S: Final = 0.5  # in which `search.sightings` have to come
 PACED: Final = frozenset({Phase.APPROACH, Phase.DESCEND})  # flown at the pace of the conditions
+NEAR_M: Final = 1.0  # an autopilot holds its height to half of it
 GAP_S: Final = 10.0  # a link that is silent for longer has gone for good
 
 __all__ = ["PlanInputs", "Planner"]
@@ -263,6 +264,7 @@ class Planner:
             ends_inside=self._ends_inside(inputs),
             feet_down=self._steering.feet_down(now_s),
             standing=not self._not_standing(inputs, now_s),
+            near=self._near(),
         )
 
     def _not_standing(self, inputs: PlanInputs, now_s: float) -> str:
@@ -277,6 +279,11 @@ class Planner:
             surface_m=self._ground.surface_m,
             touched=touched,
         )
+
+    def _near(self) -> bool:
+        """Whether the autopilot's own hold would drift onto the ground or the pad."""
+        heights_m = [self._ground.clearance_m, None if self._pad.sight is None else self._pad.sight.height_m]
+        return any(height_m is not None and height_m < NEAR_M for height_m in heights_m)
 
     def _ends_inside(self, inputs: PlanInputs) -> bool:
         """Whether a landing that begins now ends inside the fence, wherever the pad drives."""

@@ -15,6 +15,7 @@ from companion.base.geometry import Vector3, euler_from_quat, norm
 from companion.base.messages import LandedState
 from companion.link.dialect import CURRENT_MODE, CurrentMode
 from sitl.autopilot import AttitudeSetpoint, SimulatedAutopilot
+from sitl.autopilot.control.position_control import tilt_cosine
 from sitl.mavlink.framing import dialect
 from sitl.mavlink.protocols import mission_protocol
 from sitl.vehicle.battery import CELLS
@@ -131,9 +132,12 @@ def attitude_quaternion(autopilot: SimulatedAutopilot, now_s: float) -> Message:
 
 
 def attitude_target(autopilot: SimulatedAutopilot, now_s: float) -> Message:
-    """ATTITUDE_TARGET: what the inner loop follows."""
+    """ATTITUDE_TARGET: what the inner loop follows; ArduPilot's thrust is not raised by the tilt yet."""
+    thrust = autopilot.thrust
+    if autopilot.profile.thrust_is_upward:
+        thrust *= tilt_cosine(autopilot.estimate.attitude)
     return mavlink.MAVLink_attitude_target_message(
-        milliseconds(autopilot, now_s), 7, autopilot.attitude_setpoint, 0.0, 0.0, 0.0, autopilot.thrust
+        milliseconds(autopilot, now_s), 7, autopilot.attitude_setpoint, 0.0, 0.0, 0.0, thrust
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from companion.base.geometry import ZERO3, Vector3
 from companion.base.messages import Frame, Phase, Truth
-from companion.config import VehicleConfig, find_file, load_model
+from companion.config import ConfigError, VehicleConfig, find_file, load_model
 from companion.pad import load_pad
 from sitl.autopilot import ESTIMATORS, PROFILES, SimulatedAutopilot
 from sitl.camera.frame_line import FrameLine
@@ -255,6 +255,9 @@ class Simulation:
             autopilot = SimulatedAutopilot(kind, body, rng, self._home, estimator, rates)
             if built.yaw_reset_deg:
                 autopilot.estimate.reset_yaw_at(built.yaw_reset_s, math.radians(built.yaw_reset_deg))
+            for name, value in scenario.autopilot_parameters.items():
+                if not autopilot.parameters.set(name, value):
+                    raise ConfigError(f"autopilot_parameters: {name}: {value:g}; expected {kind} to take it")
             return autopilot
         with interrupted_at_once():
             return FirmwareVehicle(

@@ -136,6 +136,7 @@ class Scenario(StrictModel):
     description: str = Field(min_length=1)
     time_limit_s: float = Field(default=120.0, ge=5.0, le=900.0)
     autopilot: AutopilotKind = "px4"
+    autopilot_parameters: dict[str, float] = Field(default_factory=dict)  # of the bundled one
     airframe: str = "x500"
     estimator: EstimatorName = "typical"
     mass_factor: float = Field(default=1.0, ge=0.5, le=1.6)

@@ -1,6 +1,6 @@
 """A process that was stopped and goes on: by SIGSTOP, a card that does not answer, a suspended laptop.
 
-The control loop reads what has arrived meanwhile before it plans. After `STALL_S` that is not enough: the
+The control loop reads what has arrived meanwhile before it plans. After a while that is not enough: the
 socket's buffer keeps the oldest of what arrived, so the newest mode in it may be from before the autopilot's
 failsafe, or the pilot, chose another. Then it waits for a heartbeat that comes in now.
 
@@ -16,11 +16,11 @@ from collections.abc import Callable
 from typing import Final
 
 from companion.base.clock import Clock
+from companion.base.messages import AutopilotSetup
 from companion.link.session import Session
 from companion.link.transport import backlog_read
 
-# PX4 leaves OFFBOARD after COM_OF_LOSS_T (1 s) without setpoints; Linux' usual buffer holds more than this.
-STALL_S: Final = 1.0
+BUFFER_S: Final = 1.0  # Linux' usual buffer holds more than this
 _LOOK_S: Final = 0.02
 CYCLES: Final = 600  # twenty seconds at 30 Hz
 
@@ -39,6 +39,11 @@ class LoopMonitor:
         self.woke = False  # this cycle is the first after a suspension: what is known is from long before
         self._recent: deque[bool] = deque(maxlen=CYCLES)
 
+    @property
+    def stall_s(self) -> float:
+        """So long a halt (s) is a stall: by then the autopilot flies by itself, or the buffer overflows."""
+        return min(BUFFER_S, (self._session.setup or AutopilotSetup()).keeps_setpoint_s)
+
     def turn(self, late_s: float, period_s: float) -> None:
         """A cycle begins, so late."""
         self._turned_s = self._now_s()
@@ -56,13 +61,13 @@ class LoopMonitor:
     @property
     def silent(self) -> bool:
         """Whether the control loop stands still: what other tasks send now would be by old knowledge."""
-        return self._turned_s is not None and self._now_s() - self._turned_s > STALL_S
+        return self._turned_s is not None and self._now_s() - self._turned_s > self.stall_s
 
     def slept_s(self) -> float:
         """How long (s) the machine has been suspended since this was asked last."""
         before, self._slept_s = self._slept_s, self._suspended_s()
         slept_s = self._slept_s - before
-        self.woke = slept_s > STALL_S
+        self.woke = slept_s > self.stall_s
         return slept_s
 
     def _now_s(self) -> float:
@@ -78,7 +83,7 @@ class LoopMonitor:
         Without a heartbeat within its time-out the link counts as lost, and the planner learns that.
         """
         await backlog_read(lambda: self.heard)
-        if late_s <= STALL_S:
+        if late_s <= self.stall_s:
             return False
         heard = self._session.heartbeats
         until_s = self._clock.now_s() + self._session.heartbeat_timeout_s

@@ -17,6 +17,7 @@ from companion.base.messages.estimate import (
     VehicleState,
 )
 from companion.base.messages.link import (
+    UNKNOWN_TIMEOUT_S,
     AutopilotSetup,
     AutopilotState,
     LandedState,
@@ -59,6 +60,7 @@ from companion.base.messages.truth import (
 )
 
 __all__ = [
+    "UNKNOWN_TIMEOUT_S",
     "Action",
     "ActionKind",
     "ActionResult",

@@ -42,7 +42,8 @@ class ControlReport:
     weight, as learnt by then; while not `obeyed`, the autopilot receives setpoints without following them.
     `blind`: for want of IMU samples it flew on by its last motion or the pad's. `cut_s`: for how long in a
     row what was flown is the optimum without constraints, cut to the inputs' bounds. `cycle_late_s` is how
-    much later than due the cycle began: the event loop's delay.
+    much later than due the cycle began: the event loop's delay. `fault`: why it was stopped, where that is
+    not for want of a plan.
     """
 
     time_s: float
@@ -61,8 +62,10 @@ class ControlReport:
     blind: bool = False
     cycle_late_s: float = 0.0
     cut_s: float = 0.0
+    fault: str = ""
 
     @property
-    def failed(self) -> bool:
-        """Whether no plan was flown: a stop, what the last gate made of no number, or cut ones for long."""
-        return self.stopped or "not_finite" in self.limited or self.cut_s >= LONGEST_CUT_S
+    def failure(self) -> str:
+        """Why no plan was flown (a stop, what the last gate made of no number, cut ones for long), or ""."""
+        failed = self.stopped or "not_finite" in self.limited or self.cut_s >= LONGEST_CUT_S
+        return self.fault or ("the controller finds no plan to fly" if failed else "")

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Quaternion, Vector3
+
+UNKNOWN_TIMEOUT_S: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +26,11 @@ class AutopilotSetup:
     jerk_m_s3: float | None = None
     setpoint_timeout_s: float | None = None
     setpoints_lost_action: int | None = None
+
+    @property
+    def keeps_setpoint_s(self) -> float:
+        """How long (s) it goes by the last setpoint; where it does not say, as short as any should."""
+        return UNKNOWN_TIMEOUT_S if self.setpoint_timeout_s is None else self.setpoint_timeout_s
 
 
 class LandedState(StrEnum):
@@ -50,7 +58,8 @@ class AutopilotState:
     `round_trip_time_s`; None: not known. `twin_time_s`: when another companion with our ids was last
     received, whose setpoints and requests would be taken for ours. `rival`: system and component of who else
     has sent setpoints to the vehicle, last at `rival_time_s`. `refused_frames`: what came without a
-    right signature, where the link demands one.
+    right signature, where the link demands one. `thrust`: what its rotors are asked for, as a share of full
+    thrust (ArduPilot: the upward part), measured at `thrust_time_s`.
     """
 
     time_s: float
@@ -80,6 +89,8 @@ class AutopilotState:
     twin_time_s: float = float("-inf")
     rival: tuple[int, int] | None = None
     rival_time_s: float = float("-inf")
+    thrust: float | None = None
+    thrust_time_s: float = float("-inf")
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,14 +10,11 @@ from __future__ import annotations
 
 from typing import Final
 
-from companion.base.autopilot_kind import AutopilotKind
 from companion.base.messages import AutopilotSetup
 from companion.config import AxisResponse, ControlConfig, KindResponse, TrackingConfig, VehicleConfig
 
 QUICK_S: Final = 0.14
-LEAST_HOVER: Final = 0.1  # as the vehicle's file may say
-MOST_HOVER: Final = 0.9
-HOVER_DIFFERS: Final = 0.15  # as a share; less is learnt within a second
+HOVER_DIFFERS: Final = 0.15  # as a share: one of the two is wrong
 # the loop's frequency as a share of the ringing's over its peak's square
 RINGING_SHARE: Final = 0.3
 
@@ -45,26 +42,14 @@ def fitted(
     )
 
 
-def hover_thrust(vehicle: VehicleConfig, setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> float:
-    """The share of full thrust to begin with: ArduPilot's, which has learnt it, else the vehicle's file's.
-
-    PX4 does not report what it learns; its parameter is what a person has entered.
-    """
-    own = setup.hover_thrust
-    learnt = autopilot_kind == "ardupilot" and own is not None and LEAST_HOVER <= own <= MOST_HOVER
-    return own if learnt and own is not None else vehicle.hover_thrust
-
-
-def misfits(
-    config: ControlConfig, vehicle: VehicleConfig, setup: AutopilotSetup, autopilot_kind: AutopilotKind
-) -> list[str]:
+def misfits(config: ControlConfig, vehicle: VehicleConfig, setup: AutopilotSetup) -> list[str]:
     """What of the settings does not fit the autopilot's own, a line each; `config` is the resolved one."""
     found = []
-    own, taken = setup.hover_thrust, hover_thrust(vehicle, setup, autopilot_kind)
+    own = setup.hover_thrust
     if own is not None and not abs(own / vehicle.hover_thrust - 1.0) <= HOVER_DIFFERS:
         found.append(
             f"hover thrust: the autopilot's is {own:.2f}, vehicle '{vehicle.name}' says "
-            f"{vehicle.hover_thrust:.2f}; {taken:.2f} is taken"
+            f"{vehicle.hover_thrust:.2f}; by attitude what holds it in the air is taken"
         )
     if setup.tilt_deg is not None and setup.tilt_deg < config.limits.tilt_deg:
         found.append(

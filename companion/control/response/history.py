@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from companion.base.geometry import ZERO3, Vector3, add, scale, subtract
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, scale, subtract
 from companion.base.motion import Motion
 from companion.control.response.flight_model import advance
 
@@ -21,19 +21,25 @@ class SentCommand:
     """An acceleration (m/s2) that was sent at `sent_s`, and the velocity (m/s) that went with it, if any.
 
     `gains_1_s` are those of the autopilot's loops that follow this velocity; 0 on an axis that has none.
+    With a `thrust` (NED, share of full thrust) that is what was sent, and makes the acceleration.
     """
 
     sent_s: float
     acceleration_m_s2: Vector3
     velocity_m_s: Vector3 | None = None
     gains_1_s: Vector3 = ZERO3
+    thrust: Vector3 | None = None
 
 
 class CommandHistory:
-    """The last commands, and the acceleration that the autopilot's velocity loop makes of them."""
+    """The last commands, and the acceleration that the autopilot's velocity loop makes of them.
+
+    `full_thrust_m_s2`: the acceleration that full thrust is believed to be worth.
+    """
 
     def __init__(self, delay_s: float) -> None:
         self._delay_s = delay_s
+        self.full_thrust_m_s2 = 0.0
         self._commands: deque[SentCommand] = deque(maxlen=REMEMBERED)
 
     def clear(self) -> None:
@@ -50,6 +56,8 @@ class CommandHistory:
 
     def effect(self, command: SentCommand, velocity_m_s: Vector3) -> Vector3:
         """Acceleration (m/s2) that the autopilot wants under a command at a velocity."""
+        if command.thrust is not None:
+            return add(scale(command.thrust, self.full_thrust_m_s2), (0.0, 0.0, GRAVITY_M_S2))
         if command.velocity_m_s is None:
             return command.acceleration_m_s2
         (x, y, z), (kx, ky, kz) = subtract(command.velocity_m_s, velocity_m_s), command.gains_1_s

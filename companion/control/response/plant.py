@@ -1,27 +1,40 @@
 """The vehicle under its autopilot, as control models it.
 
 What was commanded, what disturbs it, what thrust is worth: joins the command history, the disturbance
-observer and the thrust scale. NED and FRD, SI units.
+observer and the hover thrust's estimate. NED and FRD, SI units.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, quat_rotate, scale, subtract
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    ZERO3,
+    Vector3,
+    add,
+    quat_rotate,
+    scale,
+    subtract,
+    tilt_from_quat,
+)
 from companion.base.messages import Setpoint, VehicleState
 from companion.base.motion import Motion
 from companion.config import ControlConfig, VehicleConfig
-from companion.control.disturbance_observer import LastingObserver, ThrustScale, WindObserver
+from companion.control.disturbance_observer import LastingObserver, WindObserver
 from companion.control.response.fitting import loop_rad_s
 from companion.control.response.flight_model import flown_kind, velocity_gains
 from companion.control.response.history import CommandHistory, SentCommand
+from companion.control.response.hover_thrust import TOLD_STD, HeldThrust, HoverThrust
 
 # how fast what no wind explains is trusted, as a share of the loop's own frequency: see `margins`
 LASTING_SHARE: Final = 0.25
 # along down that is all there is to meet the air under the rotors; the autopilot's own velocity loop damps it
+# By attitude the hover thrust's estimate does it, as fast as this.
 LASTING_DOWN_SHARE: Final = {"velocity": 0.25, "acceleration": 1.5, "attitude": 0.3}
+OTHERS_AFTER_S: Final = 0.2  # since our own attitudes were last observed
 
 
 class Plant:
@@ -33,23 +46,27 @@ class Plant:
         vehicle: VehicleConfig,
         lags_s: Vector3,
         autopilot_kind: AutopilotKind = "px4",
+        *,
+        measures_thrust: bool = False,
     ) -> None:
-        """`lags_s` are `flight_model.lags`."""
-        self._by_attitude, self._by_velocity = config.setpoint == "attitude", config.setpoint == "velocity"
+        """`lags_s` are `flight_model.lags`; with `measures_thrust` the vehicle's hover thrust is hearsay."""
+        self.by_attitude, self._by_velocity = config.setpoint == "attitude", config.setpoint == "velocity"
         self._lags_s, self._answers_s = lags_s, config.command_delay_s + lags_s[0]
         self._gains = {
             heard: velocity_gains(vehicle, config, autopilot_kind, sideways=heard) for heard in (True, False)
         }
-        self._nominal_hover_thrust = vehicle.hover_thrust
+        self._raises_thrust = autopilot_kind == "ardupilot"  # by the tilt: what it reports is the upward part
         self._history = CommandHistory(config.command_delay_s)
         sensor_lag_s, most = config.acceleration_estimate_lag_s, config.maximum_disturbance_m_s2
         sideways = LASTING_SHARE * loop_rad_s(config.horizontal)
         down = LASTING_DOWN_SHARE[flown_kind(config)] * loop_rad_s(config.vertical)
-        bandwidths = (sideways, sideways, down)
+        bandwidths = (sideways, sideways, 0.0 if self.by_attitude else down)
         self._lasting = LastingObserver(lags_s, sensor_lag_s, most, bandwidths)
         self._wind = WindObserver(sensor_lag_s, most)
-        self._thrust_scale = ThrustScale()
-        self._observed_s = 0.0
+        self.hover = HoverThrust(vehicle.hover_thrust, down, TOLD_STD if measures_thrust else 0.0)
+        self._held = HeldThrust(lags_s[2], sensor_lag_s)
+        self._history.full_thrust_m_s2 = GRAVITY_M_S2 / self.hover.value
+        self._observed_s, self._weighed_s = 0.0, -math.inf
 
     @property
     def disturbance_ned_m_s2(self) -> Vector3:
@@ -87,13 +104,14 @@ class Plant:
     @property
     def hover_thrust(self) -> float:
         """Share of full thrust that carries the weight, as learnt."""
-        return self._nominal_hover_thrust * self._thrust_scale.factor
+        return self.hover.value
 
     def begin(self, vehicle: VehicleState) -> None:
         """Start again, nothing commanded: the tilt it has is against the wind, or into a turn.
 
         With velocity setpoints the autopilot's own integral goes on to meet that wind.
         """
+        self.hover.unexplained_m_s = 0.0
         self._wind.reset()
         self._wind.step(vehicle, 0.0)
         met = scale(self._wind.wind_ned_m_s2, -1.0) if self._by_velocity else ZERO3
@@ -118,9 +136,23 @@ class Plant:
         self._lasting.correct(
             vehicle.velocity_ned_m_s, acceleration, self._wind.late_thrust_ned_m_s2, elapsed_s
         )
-        if self._by_attitude:
-            down = self._lasting.lasting_ned_m_s2[2]
-            self._lasting.relieve_vertical(self._thrust_scale.learn(down, elapsed_s))
+        if self.by_attitude:
+            self._weigh(acceleration[2], self._lasting.made_late_down_m_s2, elapsed_s)
+            self._weighed_s = vehicle.time_s
+
+    def hold(self, vehicle: VehicleState, thrust: float | None, elapsed_s: float) -> None:
+        """Learn from the thrust that somebody else holds the vehicle in the air with; None: not known."""
+        ours = vehicle.time_s - self._weighed_s < OTHERS_AFTER_S
+        acting = self._held.step(None if ours else thrust, elapsed_s)
+        if acting is not None:
+            down = 1.0 if self._raises_thrust else math.cos(tilt_from_quat(vehicle.attitude))
+            made_m_s2 = GRAVITY_M_S2 * (1.0 - acting * down / self.hover.value)
+            self._weigh(vehicle.acceleration_ned_m_s2[2], made_m_s2, elapsed_s)
+
+    def _weigh(self, acceleration_m_s2: float, made_m_s2: float, elapsed_s: float) -> None:
+        """Correct what thrust is worth, and with it what it was believed to make."""
+        self._lasting.scale_thrust(self.hover.correct(acceleration_m_s2, made_m_s2, elapsed_s))
+        self._history.full_thrust_m_s2 = GRAVITY_M_S2 / self.hover.value
 
     def carry(self, motion: Motion, from_s: float, to_s: float) -> Motion:
         """The motion at `to_s` from that at `from_s`, under what is under way to the autopilot."""
@@ -140,9 +172,8 @@ class Plant:
             acceleration, velocity = setpoint.acceleration_ned_m_s2, setpoint.velocity_ned_m_s
             command = SentCommand(setpoint.time_s, acceleration, velocity, gains)
         else:
-            force_m_s2 = setpoint.thrust / self.hover_thrust * GRAVITY_M_S2
-            force = quat_rotate(setpoint.attitude, (0.0, 0.0, -force_m_s2))
-            command = SentCommand(setpoint.time_s, add(force, (0.0, 0.0, GRAVITY_M_S2)))
+            thrust = quat_rotate(setpoint.attitude, (0.0, 0.0, -setpoint.thrust))
+            command = SentCommand(setpoint.time_s, ZERO3, thrust=thrust)
         self._history.add(command)
 
     def _wanted(self, command: SentCommand | None, vehicle: VehicleState) -> Vector3:

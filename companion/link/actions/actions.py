@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final, Protocol
 
 from companion.base.clock import Clock
@@ -27,6 +28,7 @@ from companion.link.session import Session
 _SILENT_S: Final = 0.5  # attitudes come many times a second
 _SETUP_S: Final = 5.0  # each of its parameters is asked for four times, half a second apart
 _LOOK_S: Final = 0.05
+_RISEN_SHARE: Final = 0.7  # autopilots brake early
 _FORCE: Final = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM: whatever the checks say
 
 
@@ -135,8 +137,10 @@ class PymavlinkActions:
     async def take_control(self, action: Action) -> None:
         """OFFBOARD or GUIDED, not asked for again once another mode was chosen meanwhile.
 
-        PX4 refuses unless setpoints have been coming already.
+        PX4 refuses unless setpoints have been coming already. Its parameters are read anew meanwhile: an
+        autopilot learns some of them as it flies.
         """
+        self._session.renew_setup()
         await self.require_setup()
         mode = CONTROL_MODE[self.dialogue.autopilot_kind()]
         void = self.unless_taken(HOLD_MODE["px4"])  # to which PX4 goes by itself, at the end of its take-off
@@ -161,9 +165,33 @@ class PymavlinkActions:
         await self.dialogue.confirm(lambda: not self._session.state.offboard, HOLD_MODE[kind], void)
 
     async def hold(self, action: Action, void: Callable[[], str] | None = None) -> None:
-        """Stop and stay, by the autopilot's own mode; not sent again once another has been chosen."""
+        """Stop and stay, by the autopilot's own mode; not sent again once another has been chosen.
+
+        With a `height_m` the autopilot first rises so much by itself, where it can.
+        """
         mode = HOLD_MODE[self.dialogue.autopilot_kind()]
-        await self.dialogue.set_mode(mode, void or self.unless_taken(mode))
+        void = void or self.unless_taken(mode)
+        if action.height_m > 0.0:
+            await self._rise(action.height_m, void)
+        await self.dialogue.set_mode(mode, void)
+
+    async def _rise(self, height_m: float, void: Callable[[], str]) -> None:
+        """Go straight up, and wait for most of it; an autopilot that does not is to hold all the same."""
+        here = self._session.state.global_position
+        if here is None:
+            return
+        wanted_m = here[2] + _RISEN_SHARE * height_m
+        change_mode = float(mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
+        parameters = (-1.0, change_mode, 0.0, self.dialogue.unused())
+        position = (here[0], here[1], here[2] + height_m)
+
+        def risen() -> bool:
+            now = self._session.state.global_position
+            return now is None or now[2] >= wanted_m
+
+        with suppress(Refused):
+            await self.dialogue.command(mavlink.MAV_CMD_DO_REPOSITION, parameters, position, void)
+            await self.dialogue.confirm(risen, "higher", void)
 
     async def land(self, action: Action, void: Callable[[], str] | None = None) -> None:
         """Come down where it is, by the autopilot's own mode; as `hold`."""

@@ -191,11 +191,13 @@ class MavsdkActions:
         await self._try(self._action.goto_location(latitude_deg, longitude_deg, altitude_m, heading_deg))
 
     async def _hold(self, action: Action) -> None:
-        """By MAVSDK; should it fail, by ours: stopping must not hang on one library.
+        """By MAVSDK; should it fail, by ours: stopping must not hang on one library. To rise is ours.
 
         Not where another mode was chosen meanwhile, by a pilot or a failsafe.
         """
         void = self._own.unless_taken(*HOLD_MODE.values())
+        if action.height_m > 0.0:
+            return await self._own.hold(action, void)
         try:
             await self._connect()
             await self._try(self._action.hold())

@@ -190,6 +190,13 @@ def _attitude_quaternion(state: AutopilotState, message: Message, time_s: float)
     return replace(state, time_s=time_s, attitude=quat_normalise(quaternion), attitude_time_s=time_s)
 
 
+def _attitude_target(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
+    """Its thrust alone: ArduPilot's before it is raised by the tilt, PX4's along the body."""
+    if not math.isfinite(message.thrust) or time_s <= state.thrust_time_s:
+        return state
+    return replace(state, time_s=time_s, thrust=message.thrust, thrust_time_s=time_s)
+
+
 def _local_position(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
     position = _finite(message.x, message.y, message.z)
     velocity = _finite(message.vx, message.vy, message.vz)
@@ -222,6 +229,7 @@ _HANDLERS: Final[dict[int, Callable[[AutopilotState, Message, float], AutopilotS
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _extended_sys_state,
     mavlink.MAVLINK_MSG_ID_ATTITUDE: _attitude,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _attitude_quaternion,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: _attitude_target,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: _home_position,

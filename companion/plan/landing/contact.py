@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
 
-from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import GRAVITY_M_S2, norm
 from companion.base.messages import LandedState, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
@@ -33,10 +31,10 @@ _ARRIVES_S = 0.3
 # Echoes so much longer than what the feet stand on give, for so long: a hop is shorter.
 _LIFTED_M = 0.08
 _LIFTED_S = 0.3
-# An autopilot that is not heard for so long may not hear us either, and soon flies by itself (the parameters
-# advised: ArduPilot 0.5 s after the last setpoint, PX4 1 s). Heard again, it is where that took it: for so
-# long after the silence the feet have to be shown down.
-_UNHEARD_S: Final[dict[AutopilotKind, float]] = {"ardupilot": 0.4, "px4": 0.8}
+# An autopilot that is not heard for this share of the time for which it keeps a setpoint may not hear us
+# either, and soon flies by itself. Heard again, it is where that took it: for so long after the silence the
+# feet have to be shown down.
+_UNHEARD_SHARE = 0.8
 _DOUBTED_S = 1.0
 # Without thrust it falls at g; a third of that is no deck's motion.
 _FALLS_M_S2 = GRAVITY_M_S2 / 3.0
@@ -116,7 +114,7 @@ def _echo_within(echo: RangeSample | None, distance_m: float, now_s: float) -> b
 
 def unheard(inputs: PlanInputs) -> bool:
     """Whether the autopilot has been silent for about as long as it waits for setpoints."""
-    return inputs.silent_s >= _UNHEARD_S[inputs.autopilot.autopilot_kind or "ardupilot"]
+    return inputs.silent_s >= _UNHEARD_SHARE * inputs.keeps_setpoint_s
 
 
 def felt(vehicle: VehicleState | None, now_s: float) -> bool:
@@ -136,7 +134,7 @@ class Standing:
         self._since_s = now_s
         self._away, self._resting, self._falling, self._unshown = (Debounce() for _ in range(4))
         self._lifted, self._able = Debounce(), Debounce()
-        self._silent_s = -math.inf
+        self._silent_s = self._unsure_s = -math.inf
 
     def arrives(self, now_s: float) -> bool:
         """Whether it may still slide; what says so later is wrong."""
@@ -157,14 +155,18 @@ class Standing:
         """
         if unheard(inputs):
             self._silent_s = now_s
+        if inputs.silent_s >= FRESH_S:
+            self._unsure_s = now_s
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
         high = echo_m is not None and echo_m > self._vehicle.leg_height_m + _LIFTED_M
         lifted = self._lifted.held_s(high, now_s) >= _LIFTED_S
         able = self._able.held_s(felt(inputs.vehicle, now_s), now_s) >= FRESH_S
         # an echo may be wrong where the pad is seen at the feet
-        if now_s - self._silent_s > _DOUBTED_S or self._shown_down(sight, None, now_s):
+        if self._shown_down(sight, None, now_s):
             return False, False
-        return lifted, able and echo_m is None
+        # what shows it lifted needs no more than a doubt that our setpoints arrive
+        lifted = lifted and now_s - self._unsure_s <= _DOUBTED_S
+        return lifted, able and echo_m is None and now_s - self._silent_s <= _DOUBTED_S
 
     def step(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Detect a landing: by the autopilot, by rest on the pad, or that nothing proves it."""

@@ -77,7 +77,7 @@ class FailsafeMonitor:
         if state in FINAL:
             return ()
         heard = autopilot.connected
-        self._modes.listen(autopilot, inputs.silent_s, now_s)
+        self._modes.listen(autopilot, inputs.silent_s, now_s, inputs.keeps_setpoint_s)
         taken_over = heard and self._modes.taken_over(
             state,
             self._machine.authority,
@@ -111,7 +111,7 @@ class FailsafeMonitor:
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
         found += [*self._late(autopilot, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
-        found += [*self._control(inputs.control_failed, now_s), *self._battery(autopilot)]
+        found += [*self._control(inputs.control_failure, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
         found += [*self._camera(inputs.camera_turned_rad, bounds), *bounds, *self._time(now_s)]
         found += [(MissionEvent.LINK_UP, "heartbeat again")] if heard else []
@@ -139,9 +139,9 @@ class FailsafeMonitor:
         if known and late_s is not None and late_s > most_s:
             yield MissionEvent.LINK_LATE, f"answers after {late_s:.2f} s, at most {most_s:g} are flown by"
 
-    def _control(self, failed: bool, now_s: float) -> Iterator[DetectedEvent]:
-        if self._no_plan.held_s(failed, now_s) >= _NO_PLAN_S:
-            yield MissionEvent.CONTROL_FAILED, "the controller finds no plan to fly"
+    def _control(self, failure: str, now_s: float) -> Iterator[DetectedEvent]:
+        if self._no_plan.held_s(bool(failure), now_s) >= _NO_PLAN_S:
+            yield MissionEvent.CONTROL_FAILED, failure
 
     def _camera(self, turned_rad: float | None, bounds: Sequence[DetectedEvent]) -> Iterator[DetectedEvent]:
         """Turned by more than can be flown with, or by less while the pad seems too fast: it feigns that."""

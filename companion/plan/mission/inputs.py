@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from companion.base.messages import (
+    UNKNOWN_TIMEOUT_S,
     ActionResult,
     AutopilotState,
     Order,
@@ -19,9 +20,12 @@ from companion.base.messages import (
 class PlanInputs:
     """The newest of everything the planner goes by; `results` holds each answer once, `order` comes once.
 
-    `silent_s`: since anything was last heard of the autopilot, seen by an app that runs.
+    `keeps_setpoint_s`: for how long the autopilot goes by the last setpoint that arrived.
+    `silent_s`: since anything was last heard of the autopilot, or showed that it hears us, seen by an app
+    that runs.
     `camera_turned_rad`: against the vehicle's file, as far as the pad's motion shows it.
-    `control_failed`: the last setpoint was a stop for want of a plan, or would have been no number.
+    `control_failure`: why the last setpoint was a stop. `thrust_doubt`: what stands against control by
+    thrust.
     """
 
     vehicle: VehicleState | None
@@ -34,5 +38,7 @@ class PlanInputs:
     order: Order | None = None
     camera_problem: str | None = None
     camera_turned_rad: float | None = None
-    control_failed: bool = False
+    control_failure: str = ""
+    thrust_doubt: str = ""
     silent_s: float = 0.0
+    keeps_setpoint_s: float = UNKNOWN_TIMEOUT_S

@@ -28,10 +28,11 @@ _PX4_FLIES: Final = frozenset({"LOITER", "TAKEOFF"})
 _CONTROL: Final[dict[AutopilotKind, str]] = {"px4": "OFFBOARD", "ardupilot": "GUIDED"}
 _HOLD: Final[dict[AutopilotKind, str]] = {"px4": "LOITER", "ardupilot": "BRAKE"}
 _LAND: Final = "LAND"
-# Setpoints have not arrived for `COM_OF_LOSS_T` (1 s), and PX4 flies the mode of `COM_OBL_RC_ACT`: it obeys
-# again with the first that arrives, but may say so a heartbeat later. In a mode with sticks a pilot may fly
-# without having chosen it (`actionAllowsUserTakeover` of its failsafe framework): that one is heeded.
-_SILENT_S: Final = 0.5
+# Setpoints have not arrived for `COM_OF_LOSS_T`, and PX4 flies the mode of `COM_OBL_RC_ACT`: this share of
+# that time was silent. It obeys again with the first that arrives, but may say so a heartbeat later. In a
+# mode with sticks a pilot may fly without having chosen it (`actionAllowsUserTakeover` of its failsafe
+# framework): that one is heeded.
+_SILENT_SHARE: Final = 0.5
 _OBEYS_AGAIN_S: Final = 1.0
 _WITHOUT_STICKS: Final = frozenset({"LOITER", "RTL", "LAND"})
 _LANDING: Final = frozenset({State.SET_DOWN, State.AUTO_LAND})
@@ -80,12 +81,15 @@ class ModeMonitor:
         self._climbed = False
         self._last: str | None = None  # while the mission went on
 
-    def listen(self, autopilot: AutopilotState, silent_s: float, now_s: float) -> None:
+    def listen(
+        self, autopilot: AutopilotState, silent_s: float, now_s: float, keeps_setpoint_s: float
+    ) -> None:
         """Note a silence of the link that began while the autopilot obeyed; after one it has to obey again.
 
-        `silent_s`: how long nothing has been heard, while we run; a link that we did not read is not silent.
+        `keeps_setpoint_s`: for how long it goes by the last setpoint. `silent_s`: how long nothing has been
+        heard, while we run; a link that we did not read is not silent.
         """
-        if silent_s <= _SILENT_S:
+        if silent_s <= _SILENT_SHARE * keeps_setpoint_s:
             self._obeyed = autopilot.connected and autopilot.offboard
         elif self._obeyed:
             self._silent_s = now_s

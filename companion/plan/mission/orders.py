@@ -58,6 +58,8 @@ def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> It
     if inputs.autopilot.connected:
         yield from _not_in_the_air(inputs.autopilot)
     yield from not_ready(inputs, config.mission, now_s)
+    if inputs.thrust_doubt:
+        yield inputs.thrust_doubt
     if config.obstacles:
         yield "plan.obstacles count from the place of a take-off, which was not ours"
     for _, words in Bounds(config.mission).detect(inputs.vehicle, None, inputs.autopilot, now_s):

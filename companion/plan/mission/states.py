@@ -132,6 +132,7 @@ class Guard(StrEnum):
     ENDS_INSIDE = "the pad is inside the fence until the landing ends"
     FEET_DOWN = "echoes show the feet down"
     NOT_STANDING = "it does not stand upright on the pad"
+    NEAR = "lower than a metre over the ground or the pad"
 
 
 class Effect(StrEnum):
@@ -162,6 +163,7 @@ class Circumstances:
     in_offboard: bool = False
     feet_down: bool = False
     standing: bool = True
+    near: bool = False
 
     def allow(self, guard: Guard) -> bool:
         """Whether a guard holds."""
@@ -181,6 +183,7 @@ class Circumstances:
             Guard.ENDS_INSIDE: self.ends_inside,
             Guard.FEET_DOWN: self.feet_down,
             Guard.NOT_STANDING: not self.standing,
+            Guard.NEAR: self.near,
         }[guard]
 
 

@@ -90,7 +90,9 @@ _LEAVE_OFFBOARD: Final = replace(
 )
 # Control returns to the autopilot. A vehicle that stands would lift off to hold a position: it lands.
 _NEVER_OURS: Final = _end(guard=Guard.NOT_TAKEN)
-_RETURN_CONTROL: Final = (_NEVER_OURS, _end(_LAND, guard=Guard.ON_SURFACE), _end(_HOLD))
+# Near the ground or the pad it would hold there until it has drifted onto it: the autopilot rises first.
+_RISE: Final = replace(_end(replace(_HOLD, height_m=2.0), guard=Guard.NEAR), effects=(Effect.STOP_SETPOINTS,))
+_RETURN_CONTROL: Final = (_NEVER_OURS, _end(_LAND, guard=Guard.ON_SURFACE), _RISE, _end(_HOLD))
 _SEARCH_AGAIN: Final = Branch(S.SEARCH, effects=(Effect.ASK_PAD_POSITION,))
 _NEXT_TRY: Final = (
     Branch(S.APPROACH, effects=(Effect.COUNT_TRY,), guard=Guard.TRIES_LEFT),

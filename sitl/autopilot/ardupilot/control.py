@@ -230,7 +230,7 @@ class ArdupilotControl(PositionControl):
         wanted = gains.climb_p * self._climb_error.step(path.slower_m_s, dt) + path.acceleration
         felt = self._felt.step(acceleration, dt)[2]
         error = self._throttle_error.step(wanted - felt, dt)
-        worth = GRAVITY_M_S2 / self._hover  # of full throttle
+        worth = GRAVITY_M_S2 / self.hover  # of full throttle
         made = worth * gains.throttle_p * error + self._throttle_integral
         low, high = (self._hover_share(share) for share in gains.limits.thrust_range)
         path.limit = 1.0 if made >= -low else -1.0 if made <= -high else 0.0
@@ -241,7 +241,7 @@ class ArdupilotControl(PositionControl):
 
     def _hover_share(self, thrust: float) -> float:
         """Upward acceleration (m/s²) that a thrust makes of a level vehicle."""
-        return GRAVITY_M_S2 * (thrust / self._hover - 1.0)
+        return GRAVITY_M_S2 * (thrust / self.hover - 1.0)
 
 
 def _kind(sp: MotionSetpoint, axis: int) -> _Kind:

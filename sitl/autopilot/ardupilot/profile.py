@@ -117,6 +117,7 @@ ARDUPILOT = AutopilotProfile(
         rc_loss_enabled=ParameterRef("FS_THR_ENABLE"),
         gcs_system_id=ParameterRef("SYSID_MYGCS"),
         guided_options=ParameterRef("GUID_OPTIONS"),
+        hover_thrust=ParameterRef("MOT_THST_HOVER"),
         fence_action=ParameterRef("FENCE_ACTION"),
         fence_enabled=ParameterRef("FENCE_ENABLE"),
     ),

@@ -33,6 +33,10 @@ _CLIMB_RATE_M_S = 2.5
 _DESCENT_RATE_M_S = 1.5
 _HOLDS_HEIGHT = 0.5  # a thrust that is a climb rate
 _DESCENDING_M_S = 0.05
+# a hover, and how slowly the thrust in it is learnt (Copter::update_throttle_hover, AP_MOTORS_THST_HOVER_TC)
+_LEVEL_COSINE = math.cos(math.radians(5.0))
+_HOVERS_DOWN_M_S = 0.6
+_HOVER_LEARNING_S = 10.0
 
 
 class Cascade:
@@ -119,6 +123,15 @@ class Cascade:
             self.thrust = min(self.thrust, self._spool)
         else:
             self._detect_ground(descending, estimate, still_speed_m_s, dt_s)
+
+    def learn_hover(self, believed: float, estimate: SimulatedEstimator, dt_s: float) -> float:
+        """Fly by a hover thrust; returns it, nearer to the thrust in a hover (MOT_HOVER_LEARN)."""
+        self._position.hover = believed
+        vz = estimate.velocity_ned_m_s[2]
+        level = tilt_cosine(estimate.attitude) > _LEVEL_COSINE
+        if not (self.airborne and level and abs(vz) < _HOVERS_DOWN_M_S and self.thrust > 0.0):
+            return believed
+        return believed + dt_s / (dt_s + _HOVER_LEARNING_S) * (self.thrust - believed)
 
     def step(self, estimate: SimulatedEstimator, dt_s: float) -> Motors:
         """Motor commands 0..1 of an armed vehicle."""

@@ -46,12 +46,13 @@ class PositionControl(ABC):
     """Base of the control laws; holds the heading. Results are in the public fields.
 
     `velocity_reference` is the present velocity setpoint, `saturated` means that the tilt is at its
-    limit. `thrust` is `upward`, its vertical share, over the cosine of the tilt setpoint.
+    limit. `thrust` is `upward`, its vertical share, over the cosine of the tilt setpoint. `hover` is the
+    share of full thrust that is believed to carry the weight.
     """
 
     def __init__(self, hover_thrust: float, limits: OutputLimits) -> None:
         self._limits = limits
-        self._hover = hover_thrust
+        self.hover = hover_thrust
         self.reset(0.0, ZERO3)
 
     def reset(self, yaw_rad: float, velocity_ned_m_s: Vector3) -> None:
@@ -59,7 +60,7 @@ class PositionControl(ABC):
         self.yaw_rad = yaw_rad
         self.yaw_rate_rad_s = 0.0
         self.attitude: Quaternion = quat_from_euler(0.0, 0.0, yaw_rad)
-        self.thrust = self.upward = self._hover
+        self.thrust = self.upward = self.hover
         self.velocity_reference = velocity_ned_m_s
         self.saturated = False
         self._forget(velocity_ned_m_s)
@@ -91,7 +92,7 @@ class PositionControl(ABC):
         """Height only: thrust for a climb rate at an externally commanded attitude."""
         setpoint = MotionSetpoint(velocity_ned_m_s=(nan, nan, -climb_m_s))
         down = self._wanted_down(position, velocity, acceleration, setpoint, dt_s, frozen)
-        self.upward = self._hover * (1.0 - down / GRAVITY_M_S2)
+        self.upward = self.hover * (1.0 - down / GRAVITY_M_S2)
         self.thrust = self._bounded_thrust(self.upward / tilt_cosine(attitude))
 
     def follow(self, yaw_rad: float, velocity_ned_m_s: Vector3) -> None:
@@ -150,7 +151,7 @@ class PositionControl(ABC):
 
     def _point_thrust(self, ax: float, ay: float, az: float) -> None:
         """Tilt and thrust for an acceleration; the vertical part has priority."""
-        high = self._limits.thrust_range[1] / self._hover * GRAVITY_M_S2
+        high = self._limits.thrust_range[1] / self.hover * GRAVITY_M_S2
         up = max(GRAVITY_M_S2 - az, 0.0)
         # as much tilt as leaves the vertical share, but at least a little
         steepest = min(self._limits.tilt_rad, max(math.acos(min(1.0, up / high)), 0.3))
@@ -159,7 +160,7 @@ class PositionControl(ABC):
         if self.saturated:
             ax, ay, sideways = ax * limit / sideways, ay * limit / sideways, limit
         force = math.hypot(sideways, GRAVITY_M_S2)
-        self.upward = self._hover * up / GRAVITY_M_S2
+        self.upward = self.hover * up / GRAVITY_M_S2
         self.thrust = self._bounded_thrust(self.upward * force / GRAVITY_M_S2)
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         forward, right = c * ax + s * ay, c * ay - s * ax

@@ -120,6 +120,10 @@ class FlightLoop(FlightState):
                 return
             cascade.lift_off()
             self._commander.send_text(Severity.INFO, texts.lifted)
+        if (hover := self.profile.parameter_map.hover_thrust) is not None:
+            believed = self.parameters.si(hover)
+            learnt = cascade.learn_hover(believed, self.estimate, self.profile.outer_period_s)
+            self.parameters.set(hover.name, learnt)  # what lies beyond its range is not learnt
         cascade.outer(
             setpoint,
             self.estimate,

@@ -49,6 +49,7 @@ class ParameterMap:
     `landing_speed` holds down to `final_landing_height` (one of 0 is the descent speed), then the final one.
     A fence without `fence_enabled` is on as long as there is one. `rc_loss_enabled` at 0 lets a lost radio
     be; `rc_loss_exceptions` are bits of modes that a lost radio does not end: 1 mission, 2 hold, 4 external.
+    `hover_thrust` is what the height law begins with, and learns in hover.
     """
 
     setpoint_timeout: ParameterRef
@@ -77,6 +78,7 @@ class ParameterMap:
     still_speed: ParameterRef | None = None
     guided_options: ParameterRef | None = None
     setpoints_lost_action: ParameterRef | None = None
+    hover_thrust: ParameterRef | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -152,5 +152,5 @@ class Px4Control(PositionControl):
     def _at_thrust_limit(self, wanted: float, error: float) -> bool:
         """Whether integrating would push further into the thrust limit."""
         low, high = self._gains.limits.thrust_range
-        thrust = self._hover * (1.0 - wanted / GRAVITY_M_S2)
+        thrust = self.hover * (1.0 - wanted / GRAVITY_M_S2)
         return (thrust <= low and error > 0.0) or (thrust >= high and error < 0.0)

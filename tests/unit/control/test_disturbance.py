@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from companion.base.geometry import Vector3
-from companion.control.disturbance_observer import LastingObserver, ThrustScale
+from companion.base.geometry import GRAVITY_M_S2, Vector3
+from companion.control.disturbance_observer import LastingObserver
 from companion.control.response.flight_model import advance_axis
 
 PERIOD_S = 1.0 / 30.0
@@ -71,19 +71,9 @@ def test_passes_over_a_measurement_that_is_not_finite(bad: float) -> None:
     assert observer.lasting_ned_m_s2 == (0.3, 0.0, 0.0)
 
 
-def test_thrust_scale_takes_over_a_lasting_vertical_push() -> None:
-    scale, weak, push = ThrustScale(), 0.9, 0.0
-    for _ in range(600):
-        # the observer's estimate is what the scale has not covered yet
-        push = 9.80665 * (1.0 - weak * scale.factor)
-        scale.learn(push, PERIOD_S)
-    assert scale.factor == pytest.approx(1.0 / weak, rel=0.01)
-    assert abs(push) < 0.05
-
-
-def test_thrust_scale_is_bounded_and_covers_only_what_it_took() -> None:
-    scale = ThrustScale()
-    for _ in range(2000):
-        covered = scale.learn(3.0, PERIOD_S)
-    assert scale.factor == ThrustScale.BOUNDS[1]
-    assert covered == 0.0
+def test_what_thrust_makes_is_known_anew_once_thrust_is_worth_more() -> None:
+    observer = LastingObserver(LAGS_S, SENSOR_LAG_S, 3.0, BANDWIDTHS_RAD_S)
+    observer.start((0.0, 0.0, 0.0), (1.0, 0.0, -GRAVITY_M_S2))  # twice the weight, tilted
+    observer.scale_thrust(1.1)
+    assert observer.made_ned_m_s2 == pytest.approx((1.1, 0.0, -1.2 * GRAVITY_M_S2))
+    assert observer.made_late_down_m_s2 == pytest.approx(-1.2 * GRAVITY_M_S2)

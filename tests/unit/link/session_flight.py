@@ -19,7 +19,7 @@ class SessionFlight:
         self.now_s = 100.0
         self.heard = Codec(9)
         self.sent: list[tuple[float, Message]] = []
-        self.cut = False
+        self.cut = self.unheard = False
         self.delay_s = DELAY_S
         self._to_autopilot: list[tuple[float, bytes]] = []
         self._to_session: list[tuple[float, bytes]] = []
@@ -39,7 +39,7 @@ class SessionFlight:
 
     def send(self, data: bytes) -> None:
         self.sent += [(self.now_s, message) for message in self.heard.decode(data)]
-        if data and not self.cut:
+        if data and not self.cut and not self.unheard:
             self._to_autopilot.append((self.now_s + self.delay_s, data))
 
     def _answer(self, data: bytes) -> None:

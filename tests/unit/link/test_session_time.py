@@ -83,6 +83,25 @@ def test_how_late_answers_come_is_reported_within_seconds_and_forgotten_with_the
     assert flight.session.state.round_trip_s is None
 
 
+def test_an_autopilot_that_no_longer_hears_us_is_silent_though_it_talks() -> None:
+    flight = SessionFlight()
+    flight.run(3.0)
+    assert flight.session.silent_s(flight.now_s) < 0.1
+    flight.unheard = True
+    flight.run(2.0)
+    assert flight.now_s - flight.session.heard_s < 0.1
+    assert flight.session.silent_s(flight.now_s) == pytest.approx(1.6, abs=0.25)
+    flight.unheard = False
+    flight.run(0.3)
+    assert flight.session.silent_s(flight.now_s) < 0.1
+
+
+def test_one_that_never_tells_the_time_is_heard_by_what_it_says() -> None:
+    session = Session(LinkConfig())
+    session.heard_s = 9.8
+    assert session.silent_s(10.0) == pytest.approx(0.2)
+
+
 def test_one_slow_answer_is_no_late_link() -> None:
     flight = SessionFlight()
     flight.run(3.0)

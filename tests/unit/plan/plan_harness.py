@@ -168,6 +168,7 @@ class PlanWorld:
             camera_problem=self.camera_problem,
             camera_turned_rad=self.camera_turned_rad,
             silent_s=max(0.0, self.now_s - self.silent_from_s),
+            keeps_setpoint_s=1.0,
         )
 
     # ------------------------------------------------------------ what the planner is told

@@ -5,19 +5,32 @@ from collections.abc import Callable
 
 import pytest
 
-from companion.app.timing.loop_monitor import CYCLES, STALL_S, LoopMonitor
+from companion.app.timing.loop_monitor import BUFFER_S, CYCLES, LoopMonitor
 from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.messages import UNKNOWN_TIMEOUT_S, AutopilotSetup
 from companion.config import LinkConfig
 from companion.link.session import Session
 
 PERIOD_S = 1.0 / 30.0
 
 
-def monitored(work) -> None:  # type: ignore[no-untyped-def]
+class ToldSession(Session):
+    """Of an autopilot that keeps setpoints for so long."""
+
+    def __init__(self, keeps_setpoint_s: float | None) -> None:
+        super().__init__(LinkConfig())
+        self._told = AutopilotSetup(setpoint_timeout_s=keeps_setpoint_s)
+
+    @property
+    def setup(self) -> AutopilotSetup:
+        return self._told
+
+
+def monitored(work, keeps_setpoint_s: float | None = 1.0) -> None:  # type: ignore[no-untyped-def]
     """Run a coroutine function of (monitor, session, clock) in virtual time."""
 
     async def main() -> None:
-        session, clock = Session(LinkConfig()), Clock()
+        session, clock = ToldSession(keeps_setpoint_s), Clock()
         await work(LoopMonitor(session, clock), session, clock)
 
     run_in_virtual_time(main())
@@ -33,7 +46,7 @@ def test_before_it_turns_and_after_its_end_nothing_is_held_back() -> None:
         )
         for step in steps:
             step()
-            await asyncio.sleep(2.0 * STALL_S)
+            await asyncio.sleep(2.0 * BUFFER_S)
             said.append(monitor.silent)
         assert said == [False, True, False]
 
@@ -52,8 +65,16 @@ def test_late_cycles_are_counted_from_half_a_period_on() -> None:
     monitored(work)
 
 
-@pytest.mark.parametrize(("late_s", "stalled"), [(0.9 * STALL_S, False), (1.1 * STALL_S, True)])
-def test_a_stall_waits_for_a_heartbeat_that_comes_now(late_s: float, stalled: bool) -> None:
+@pytest.mark.parametrize(
+    ("keeps_s", "stall_s"),
+    [(1.0, 1.0), (0.4, 0.4), (None, UNKNOWN_TIMEOUT_S), (3.0, BUFFER_S)],  # the buffer holds no more
+)
+@pytest.mark.parametrize(("share", "stalled"), [(0.9, False), (1.1, True)])
+def test_a_stall_waits_for_a_heartbeat_that_comes_now(
+    keeps_s: float | None, stall_s: float, share: float, stalled: bool
+) -> None:
+    late_s = share * stall_s
+
     async def work(monitor: LoopMonitor, session: Session, clock: Clock) -> None:
         session.heartbeats = 7
         kept_alive = 0
@@ -76,7 +97,7 @@ def test_a_stall_waits_for_a_heartbeat_that_comes_now(late_s: float, stalled: bo
         assert not monitor.silent
         await heartbeat
 
-    monitored(work)
+    monitored(work, keeps_s)
 
 
 def test_without_a_heartbeat_it_goes_on_after_the_link_s_time_out() -> None:

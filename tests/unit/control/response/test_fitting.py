@@ -1,13 +1,10 @@
 """The loop is made to fit the vehicle's response, and never quicker or bolder than it was set."""
 
-import math
-
 import pytest
 
-from companion.base.autopilot_kind import AutopilotKind
 from companion.base.messages import AutopilotSetup
 from companion.config import ARDUPILOT, PX4, AxisResponse, ControlConfig, KindResponse
-from companion.control.response.fitting import QUICK_S, fitted, hover_thrust, loop_rad_s, misfits
+from companion.control.response.fitting import QUICK_S, fitted, loop_rad_s, misfits
 from tests.unit.control.control_plants import vehicle_config
 
 CONFIG = ControlConfig()
@@ -58,22 +55,6 @@ def test_its_limits_on_velocity_setpoints_bind_no_attitude() -> None:
 
 
 def test_what_does_not_fit_is_reported_a_line_each() -> None:
-    assert misfits(CONFIG, VEHICLE, AutopilotSetup(45.0, VEHICLE.hover_thrust), "px4") == []
-    told = misfits(CONFIG, VEHICLE, AutopilotSetup(tilt_deg=20.0, hover_thrust=0.2), "px4")
+    assert misfits(CONFIG, VEHICLE, AutopilotSetup(45.0, VEHICLE.hover_thrust)) == []
+    told = misfits(CONFIG, VEHICLE, AutopilotSetup(tilt_deg=20.0, hover_thrust=0.2))
     assert [line.split(":")[0] for line in told] == ["hover thrust", "tilt"]
-
-
-@pytest.mark.parametrize(
-    ("autopilot_kind", "told", "taken"),
-    [
-        ("ardupilot", 0.3, 0.3),  # it learns it, and keeps it
-        ("px4", 0.3, VEHICLE.hover_thrust),  # somebody has typed it
-        ("ardupilot", None, VEHICLE.hover_thrust),
-        ("ardupilot", 0.0, VEHICLE.hover_thrust),
-        ("ardupilot", math.nan, VEHICLE.hover_thrust),
-    ],
-)
-def test_hover_thrust_is_taken_from_an_autopilot_that_learns_it(
-    autopilot_kind: AutopilotKind, told: float | None, taken: float
-) -> None:
-    assert hover_thrust(VEHICLE, AutopilotSetup(hover_thrust=told), autopilot_kind) == taken

@@ -59,6 +59,20 @@ def test_modes_are_each_autopilots_own(autopilot_kind: AutopilotKind, kind: Acti
     assert autopilot.mode == MODES[autopilot_kind][kind]
 
 
+@pytest.mark.parametrize("rises", [True, False])
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+def test_near_the_ground_the_autopilot_rises_before_it_holds(
+    autopilot_kind: AutopilotKind, rises: bool
+) -> None:
+    autopilot = autopilot_of(autopilot_kind)
+    if not rises:
+        autopilot.refuses[mavlink.MAV_CMD_DO_REPOSITION] = "no"
+    [result] = perform(autopilot, Action(ActionKind.HOLD, height_m=2.0))
+    assert (result.accepted, autopilot.mode) == (True, MODES[autopilot_kind][ActionKind.HOLD])
+    [asked] = autopilot.commands(mavlink.MAV_CMD_DO_REPOSITION)
+    assert (asked.x, asked.y, asked.z) == (470000000, 80000000, 402.0)  # where it is, 2 m up
+
+
 def test_a_disarmed_px4_leaves_offboard_for_hold() -> None:
     autopilot = FakeAutopilot(mode="OFFBOARD")
     [result] = perform(autopilot, Action(ActionKind.LEAVE_OFFBOARD))

@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import pytest
 
-from companion.base.messages import LandedState, PadState, RangeSample
+from companion.base.messages import AutopilotState, LandedState, PadState, RangeSample
 from companion.base.motion import Motion
 from companion.plan.debounce import Debounce
-from companion.plan.landing.contact import contact_signs
+from companion.plan.landing.contact import contact_signs, unheard
+from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import MissionEvent
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.control.controller_inputs import vehicle_state
@@ -128,6 +129,7 @@ def test_sliding_ends_the_stand_in_its_first_moments_alone(since_s: float, leave
     ("silent_s", "echo_m", "age_s", "imu_age_s", "leaves"),
     [
         (0.5, 0.25, 9.0, 0.0, True),
+        (0.3, 0.25, 9.0, 0.0, True),  # our setpoints may not arrive, and an echo shows it lifted
         (0.0, 0.25, 9.0, 0.0, False),
         (0.5, 0.14, 9.0, 0.0, False),
         (0.5, 0.25, 0.0, 0.0, False),
@@ -308,3 +310,13 @@ def test_next_to_the_pad_the_reference_goes_on_so_that_standing_shows() -> None:
         now = 1.0 + k * CYCLE_S
         touchdown.step(sight(height=LEG_M + 0.03), None, LandedState.IN_AIR, now)
     assert touchdown._generator.at(3.0).position_m[2] > -LEG_M + 0.05
+
+
+@pytest.mark.parametrize(
+    ("keeps_s", "silent_s", "counts"), [(0.5, 0.45, True), (1.0, 0.7, False), (3.0, 2.5, True)]
+)
+def test_how_long_a_silence_is_one_the_vehicles_own_time_out_says(
+    keeps_s: float, silent_s: float, counts: bool
+) -> None:
+    autopilot = AutopilotState(0.0, connected=True)
+    assert unheard(PlanInputs(None, None, autopilot, silent_s=silent_s, keeps_setpoint_s=keeps_s)) is counts

@@ -239,7 +239,7 @@ def test_sinking_without_the_imu_the_motion_of_a_pad_seen_until_then_is_kept_lon
 
 def test_a_controller_without_a_plan_for_a_second_ends_the_flight_by_setpoints() -> None:
     watch, _ = monitor()
-    failed, told = replace(inputs(), control_failed=True), []
+    failed, told = replace(inputs(), control_failure="no plan"), []
     for cycle in range(60):
         found = watch.detect(failed if cycle != 20 else inputs(), 50.0 + cycle / 30.0, control_granted=False)
         told.append(MissionEvent.CONTROL_FAILED in [event for event, _ in found])
@@ -259,4 +259,4 @@ def test_a_controller_without_a_plan_for_a_second_ends_the_flight_by_setpoints()
     ],
 )
 def test_a_stop_and_what_is_no_number_are_no_plan(report: ControlReport, failed: bool) -> None:
-    assert report.failed is failed
+    assert bool(report.failure) is failed

@@ -223,11 +223,12 @@ def silenced(
     silent_s: float,
     since_s: float,
     from_s: float = 10.0,
+    keeps_s: float = 1.0,
 ) -> bool:
-    monitor.listen(before, 0.0, from_s)
-    monitor.listen(replace(before, connected=False, offboard=False), silent_s, from_s + silent_s)
+    monitor.listen(before, 0.0, from_s, keeps_s)
+    monitor.listen(replace(before, connected=False, offboard=False), silent_s, from_s + silent_s, keeps_s)
     now_s = from_s + silent_s + since_s
-    monitor.listen(after, 0.0, now_s)
+    monitor.listen(after, 0.0, now_s, keeps_s)
     return monitor.taken_over(
         State.APPROACH, Authority.OURS, after, requested=True, over_home_m=5.0, now_s=now_s
     )
@@ -260,6 +261,12 @@ def test_it_has_to_obey_again_before_another_silence_is_excused() -> None:
 
 def test_without_a_silence_a_failsafe_in_control_is_final() -> None:
     assert after_silence(OFFBOARD_WAITS, silent_s=0.4, since_s=0.1)
+
+
+@pytest.mark.parametrize(("keeps_s", "counts"), [(0.5, False), (1.0, True), (3.0, True)])
+def test_what_a_silence_is_the_vehicles_own_time_out_says(keeps_s: float, counts: bool) -> None:
+    after = {"silent_s": 0.4, "since_s": 0.1, "keeps_s": keeps_s}
+    assert silenced(ModeMonitor(TAKE_OFF_M), OBEYS, OFFBOARD_WAITS, **after) is counts
 
 
 def test_what_has_no_name_says_nothing() -> None:

@@ -1,0 +1,109 @@
+"""The share of full thrust that carries the weight: one estimate with its covariance, from what is felt.
+
+A scalar Kalman filter. State: lift x = 1 / hover thrust, a random walk. Measurement: the upward specific
+force f, in g, that the accelerometer feels while a thrust T acts (the upward part, of full thrust):
+
+    f = x T + v
+
+v is what the air adds: correlated, so it counts as white noise of density `AIR_G2_S`. What T and f say
+together is the same whoever flies, so that control is taken over with the thrust that holds the vehicle.
+(PX4's hover thrust estimator has this form, with the hover thrust as its state.)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+from companion.base.geometry import GRAVITY_M_S2
+
+TOLD_STD: Final = 1.0  # as a share: what is told is twice the truth, or half of it, often enough
+# 5 % of g for half a second at a time, both ways: 2 * 0.05² * 0.5
+AIR_G2_S: Final = 0.0025
+# So little is lost until the estimate is right: 0.1 g for the filter's first second is 0.2 m at most.
+KNOWN_STD: Final = 0.1
+# A thrust that holds the vehicle is believed within these shares of one that was told.
+LEAST_SHARE, MOST_SHARE = 0.5, 1.6
+
+
+class HoverThrust:
+    """The estimate; `correct` with every acceleration measured in the air."""
+
+    def __init__(self, told: float, bandwidth_rad_s: float, std: float = 0.0) -> None:
+        """`told` counts with the standard deviation `std` (as a share), at least the settled one.
+
+        `bandwidth_rad_s`: how fast a change is followed once settled, which sets the random walk.
+        `unexplained_m_s`: the speed down that the innovations of late, as fast forgotten, add up to.
+        """
+        self._lift = 1.0 / told
+        self._bandwidth_rad_s = bandwidth_rad_s
+        self.unexplained_m_s = 0.0
+        self._walk = AIR_G2_S * bandwidth_rad_s**2
+        self._variance = max(std**2, AIR_G2_S * bandwidth_rad_s) * self._lift**2
+
+    @property
+    def value(self) -> float:
+        """Share of full thrust that carries the weight."""
+        return 1.0 / self._lift
+
+    @property
+    def std(self) -> float:
+        """Its standard deviation, as a share of it."""
+        return math.sqrt(self._variance) / self._lift
+
+    def correct(self, acceleration_down_m_s2: float, predicted_down_m_s2: float, elapsed_s: float) -> float:
+        """Take in what is felt over `elapsed_s`; returns by how much the lift has changed, as a factor.
+
+        `predicted_down_m_s2`: what the thrust makes by the present estimate, as late as it is measured.
+        """
+        felt, made = (1.0 - a / GRAVITY_M_S2 for a in (acceleration_down_m_s2, predicted_down_m_s2))
+        if not (math.isfinite(felt) and math.isfinite(made)) or elapsed_s <= 0.0:
+            return 1.0
+        self.unexplained_m_s += elapsed_s * (
+            acceleration_down_m_s2 - predicted_down_m_s2 - self._bandwidth_rad_s * self.unexplained_m_s
+        )
+        before, thrust = self._lift, max(0.0, made) / self._lift
+        self._variance += self._walk * before**2 * elapsed_s
+        gain = self._variance * thrust / (self._variance * thrust**2 + AIR_G2_S / elapsed_s)
+        # less than nothing is felt by what falls upside down alone: the lift stays positive
+        self._lift += gain * (max(0.0, felt) - thrust * before)
+        self._variance *= 1.0 - gain * thrust
+        return self._lift / before
+
+    def doubt(self, told: Mapping[str, float | None]) -> str:
+        """Why control by thrust may not be taken: it is not measured, or contradicts all that was `told`."""
+        if self.std > KNOWN_STD:
+            return (
+                f"hover thrust: known to {100.0 * self.std:.0f} % alone, expected {100.0 * KNOWN_STD:.0f} %: "
+                "the thrust that holds it in the air (ATTITUDE_TARGET) is not received"
+            )
+        numbers = {name: value for name, value in told.items() if value is not None}
+        if any(LEAST_SHARE <= self.value / value <= MOST_SHARE for value in numbers.values() if value > 0.0):
+            return ""
+        words = ", ".join(f"{name} {value:.2f}" for name, value in numbers.items())
+        return (
+            f"hover thrust: {self.value:.2f} holds it, told was {words}; "
+            f"expected {LEAST_SHARE:g} to {MOST_SHARE:g} times that"
+        )
+
+
+class HeldThrust:
+    """The thrust that acts, as late as its acceleration is measured, from what the autopilot reports."""
+
+    def __init__(self, motor_lag_s: float, sensor_lag_s: float) -> None:
+        """First-order lags: from thrust to acceleration, and from that to its measurement."""
+        self._lags_s = (motor_lag_s, sensor_lag_s)
+        self._acting: tuple[float, float] | None = None
+
+    def step(self, thrust: float | None, elapsed_s: float) -> float | None:
+        """What acts by now, measured late; None until it has been reported, unbroken, for those lags."""
+        if thrust is None or self._acting is None:
+            self._acting = None if thrust is None else (thrust, thrust)
+            return None
+        made, late = self._acting
+        motor_s, sensor_s = self._lags_s
+        made += -math.expm1(-elapsed_s / motor_s) * (thrust - made)
+        late += -math.expm1(-elapsed_s / sensor_s) * (made - late)
+        self._acting = (made, late)
+        return late
