@@ -23,6 +23,7 @@ from companion.flightlog.record import FlightLog
 from companion.link.session import Session
 from companion.link.signing import read_signing_key
 from companion.pad import load_pad
+from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.planner import Planner
 from companion.plan.speed.laws import load_speed_controller
 from companion.sense.vision.pipeline import Vision
@@ -82,10 +83,19 @@ def build_stages(
     )
     law, pace = load_speed_controller(config.plan)
 
+    standing_height = StandingHeight(vehicle)
+
     def make_planner(standby: str | None) -> Planner:
         control = config.control
         return Planner(
-            config.plan, vehicle, control.horizon_steps, control.step_s, law, pace=pace, standby=standby
+            config.plan,
+            vehicle,
+            control.horizon_steps,
+            control.step_s,
+            law,
+            pace=pace,
+            standby=standby,
+            standing_height=standing_height,
         )
 
     return Stages(vehicle, session, estimator, sensing, control_timer, make_planner)

@@ -17,6 +17,7 @@ from companion.base.messages import ActionKind, Conditions, LandedState, Notice,
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge
+from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.mode_monitor import in_land, in_offboard
@@ -52,8 +53,11 @@ class Planner:
         *,
         pace: PaceLaw = unhurried,
         standby: str | None = None,
+        standing_height: StandingHeight | None = None,
     ) -> None:
         """Ready to connect; with `standby`, in STANDBY: for good if that is a reason, else for an order.
+
+        `standing_height` has watched the vehicle stand before this mission, too.
 
         Raises:
             ConfigError: the take-off or a waypoint is too near to an obstacle.
@@ -70,6 +74,7 @@ class Planner:
         self._monitor = FailsafeMonitor(mission, self._machine)
         self._pad = PadKnowledge(search.sightings, SIGHTINGS_WINDOW_S)
         self._ground = Ground(vehicle.range_position_body_m)
+        self._standing_height = standing_height or StandingHeight(vehicle)
         avoidance = Avoidance(config, vehicle.radius_m)
         self._generator = ReferenceGenerator(config.guidance, law, horizon_steps, step_s, avoidance)
         self._pace, self._monitored = pace, ConditionMonitor()
@@ -114,11 +119,13 @@ class Planner:
 
     def not_ready(self, inputs: PlanInputs, now_s: float) -> list[str]:
         """What stands against an order to land, wherever the vehicle is."""
-        return list(not_ready(inputs, self._mission, now_s))
+        return list(not_ready(self._with_leg_height(inputs), self._mission, now_s))
 
     def step(self, inputs: PlanInputs, now_s: float) -> PlanStep:
         """One cycle at now_s: at most one change of state, then the reference, actions and notices."""
         self._notices = []
+        self._standing_height.update(inputs, now_s)
+        inputs = self._with_leg_height(inputs)
         self._see(inputs, now_s)
         self._set_pace(inputs, now_s)
         self._watch_battery(inputs, now_s)
@@ -140,6 +147,10 @@ class Planner:
             on_ground=self._steering.on_pad,
             conditions=self._conditions if self.phase in PACED else None,
         )
+
+    def _with_leg_height(self, inputs: PlanInputs) -> PlanInputs:
+        problem = self._standing_height.problem
+        return inputs if problem is None else replace(inputs, leg_problem=problem)
 
     def _see(self, inputs: PlanInputs, now_s: float) -> None:
         if inputs.autopilot.connected:

@@ -21,6 +21,7 @@ class PlanInputs:
 
     `silent_s`: since anything was last heard of the autopilot, seen by an app that runs.
     `camera_turned_rad`: against the vehicle's file, as far as the pad's motion shows it.
+    `leg_problem`: the leg height is not what was measured standing.
     `control_failed`: the last setpoint was a stop for want of a plan, or would have been no number.
     """
 
@@ -34,5 +35,6 @@ class PlanInputs:
     order: Order | None = None
     camera_problem: str | None = None
     camera_turned_rad: float | None = None
+    leg_problem: str | None = None
     control_failed: bool = False
     silent_s: float = 0.0
