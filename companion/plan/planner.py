@@ -33,7 +33,7 @@ from companion.plan.steering import PhaseSteering
 from companion.plan.trajectory.reference_generator import ReferenceGenerator, SpeedLaw
 from companion.plan.trajectory.waypoints import check_places
 
-SIGHTINGS_WINDOW_S: Final = 0.5  # in which `search.sightings` have to come
+SIGHTINGS_GAP_S: Final = 0.5  # between two of the `search.sightings`: the pad was out of view
 PACED: Final = frozenset({Phase.APPROACH, Phase.DESCEND})  # flown at the pace of the conditions
 GAP_S: Final = 10.0  # a link that is silent for longer has gone for good
 
@@ -72,7 +72,7 @@ class Planner:
         self._fence_m, self._fence_reported, self._leaving_reported = mission.fence_m, False, False
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
         self._monitor = FailsafeMonitor(mission, self._machine)
-        self._pad = PadKnowledge(search.sightings, SIGHTINGS_WINDOW_S)
+        self._pad = PadKnowledge(search.sightings, SIGHTINGS_GAP_S)
         self._ground = Ground(vehicle.range_position_body_m)
         self._standing_height = standing_height or StandingHeight(vehicle)
         avoidance = Avoidance(config, vehicle.radius_m)

@@ -21,7 +21,8 @@ from companion.plan.debounce import Debounce
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import DetectedEvent, MissionEvent
 
-FRESH_S = 0.3  # five frames lost in a row at 30 Hz, and the vision's delay
+FRESH_S = 0.3  # of IMU and echoes
+UNSEEN_S = 0.2  # five frames lost in a row at 30 Hz; a slower vision's every frame
 # An age counts from the exposure, and vision may take 0.2 s of it. So old the pad is off its predicted place
 # by 0.4 m at most, at a pad that brakes with 3 m/s²; older it is no sign.
 _KNOWN_S = 0.5
@@ -156,7 +157,7 @@ class Standing:
 
     def off_pad(self, sight: PadState, now_s: float) -> bool:
         """Whether the pad is seen well below the feet."""
-        away = sight.age_s <= FRESH_S and sight.height_m > self._vehicle.leg_height_m + _AWAY_M
+        away = sight.unseen_s <= UNSEEN_S and sight.height_m > self._vehicle.leg_height_m + _AWAY_M
         return self._away.held_s(away, now_s) >= _AWAY_S
 
     def after_silence(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> tuple[bool, bool]:
@@ -194,7 +195,7 @@ class Standing:
 
     def _shown_down(self, sight: PadState | None, echo: RangeSample | None, now_s: float) -> bool:
         """Whether a fresh sight or echo shows the feet on the pad now."""
-        seen = sight is not None and sight.age_s <= FRESH_S and sight.height_m <= self._feet_m
+        seen = sight is not None and sight.unseen_s <= UNSEEN_S and sight.height_m <= self._feet_m
         return seen or _echo_within(echo, self._feet_m - self._vehicle.range_position_body_m[2], now_s)
 
     def _rested_s(self, vehicle: VehicleState | None, now_s: float, *, down: bool) -> float:

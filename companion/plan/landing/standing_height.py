@@ -14,7 +14,7 @@ from companion.base.geometry import norm, tilt_from_quat
 from companion.base.messages import PadState, VehicleState
 from companion.config import VehicleConfig
 from companion.plan.debounce import Debounce
-from companion.plan.landing.contact import FRESH_S, echo_height_m, felt
+from companion.plan.landing.contact import UNSEEN_S, echo_height_m, felt
 from companion.plan.landing.relative_state import predicted
 from companion.plan.mission.inputs import PlanInputs
 
@@ -75,7 +75,7 @@ class StandingHeight:
             self.measured_m[source] = median(recent_m)
 
     def _stands_on(self, sight: PadState) -> bool:
-        return sight.age_s <= FRESH_S and sight.lateral_m <= self._vehicle.foot_reach_m
+        return sight.unseen_s <= UNSEEN_S and sight.lateral_m <= self._vehicle.foot_reach_m
 
 
 def _still(vehicle: VehicleState | None, now_s: float) -> bool:

@@ -20,6 +20,7 @@ from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import (
     FRESH_S,
     SIGNS_NEEDED,
+    UNSEEN_S,
     ContactSigns,
     Standing,
     contact_signs,
@@ -71,15 +72,15 @@ class TouchdownSequence:
         self._wait_height_m = vehicle.leg_height_m + wait_height_m
         self._low_m = vehicle.leg_height_m + 2.0 * config.contact_margin_m
         self._standing, self._set_down = Standing(config, vehicle), SetDown(config, vehicle, generator)
-        self._sight: PadState | None = None  # of the last cycle
+        self._sight: PadState | None = None
         self.begin(0.0, slack=1.0)
 
     def begin(self, now_s: float, slack: float) -> None:
         """Start a try; `slack` widens its tolerances."""
         self._since_s = self._sunk_s = self._contact_due_s = self._blended_s = now_s
         self._tolerance = Tolerance(self._config, now_s, slack)
-        self._settled, self._touching, self._stalled = Debounce(), Debounce(), Debounce()
-        self._too_fast, self._far_aside, self._deeper = Debounce(), Debounce(), Debounce()
+        self._settled, self._touching, self._stalled, self._deeper = (Debounce() for _ in range(4))
+        self._too_fast, self._far_aside = Debounce(), Debounce()
         self._short_echoes = ShortEchoes(self._config.contact_speed_m_s)
         self.tilt = TiltForecast()
         self._levelling = Levelling(self._config, self._vehicle)
@@ -227,7 +228,7 @@ class TouchdownSequence:
         It rises at once while there is room, and otherwise goes straight down, without the pad's motion.
         """
         c = self._config
-        unseen = sight is None or sight.age_s > FRESH_S
+        unseen = sight is None or sight.unseen_s > UNSEEN_S
         echo_m = echo_height_m(echo, self._vehicle, now_s)
         below_m = math.inf if sight is None else sight.height_m
         deeper = unseen and echo_m is not None and echo_m > below_m + _DEEPER_M
@@ -246,9 +247,9 @@ class TouchdownSequence:
         return sight.height_m - _FASTER_M_S * unfelt_s <= self._vehicle.leg_height_m + _NEAR_M
 
     def _go_down(self, sight: PadState, signs: ContactSigns, now_s: float) -> DetectedEvent | None:
-        c = self._config
-        if now_s > self._contact_due_s + c.overdue_s:
-            overdue = f"no contact felt {c.overdue_s:.1f} s after it was due"
+        overdue_s = self._config.overdue_s
+        if now_s > self._contact_due_s + overdue_s:
+            overdue = f"no contact felt {overdue_s:.1f} s after it was due"
             if signs.near:
                 return MissionEvent.PAD_GONE, overdue
             self._generator.rise(now_s)
@@ -259,12 +260,12 @@ class TouchdownSequence:
         self._give_way(sight if high and not signs.stalled else None, now_s)
         tilts_on = not self._levelling.begun
         self._levelling.expect(sight, self.tilt, now_s)
-        if tilts_on and self._levelling.begun and sight.age_s <= FRESH_S:
+        if tilts_on and self._levelling.begun and sight.unseen_s <= UNSEEN_S:
             self._sink_firmer(now_s)
         wrong = self._wrong(sight, now_s)
         if wrong and self._has_room(sight.height_m, sight.sink_m_s):
             return MissionEvent.BREAK_OFF, wrong
-        if high and sight.age_s <= FRESH_S and self._escapes(sight):
+        if high and sight.unseen_s <= UNSEEN_S and self._escapes(sight):
             # even without room: a foot that touches on the way up is better than one beside a small pad
             self._generator.rise(now_s)
             return MissionEvent.MISALIGNED, f"lateral offset {100.0 * sight.lateral_m:.0f} cm while sinking"
@@ -286,7 +287,7 @@ class TouchdownSequence:
 
     def _wrong(self, sight: PadState, now_s: float) -> str:
         """Why this landing would be hard or off the mark; "" while it is fine."""
-        fresh = sight.age_s <= FRESH_S
+        fresh = sight.unseen_s <= UNSEEN_S
         fastest_m_s = min(self._config.fastest_contact_m_s, self._levelling.planned_m_s + _FASTER_M_S)
         fast = fresh and sight.sink_m_s > fastest_m_s
         if self._too_fast.held_s(fast, now_s) >= _TOO_FAST_S:
@@ -311,15 +312,14 @@ class TouchdownSequence:
         """Let the reference's height follow the vehicle's; not near the pad, where the vehicle may stand."""
         share = min(_LONGEST_CYCLE_S, now_s - self._sunk_s) / _GIVE_WAY_S
         self._sunk_s = now_s
-        if sight is not None and sight.age_s <= FRESH_S:
+        if sight is not None and sight.unseen_s <= UNSEEN_S:
             self._generator.shift_down(share * (-sight.height_m - self._generator.at(now_s).position_m[2]))
 
     def _break_off(self, now_s: float) -> None:
         """Rise at once; waiting goes on from the reference's own state."""
         self._generator.rise(now_s)
         self._levelling.reset()
-        self._settled, self._too_fast, self._far_aside = Debounce(), Debounce(), Debounce()
-        self._deeper = Debounce()
+        self._settled, self._too_fast, self._far_aside, self._deeper = (Debounce() for _ in range(4))
 
     # ------------------------------------------------------------ stand
 
