@@ -88,7 +88,7 @@ class App:
         self.missions = Missions(
             stages.make_planner, self.session, log, self.announcer, self._clock, standby=standby, stays=stays
         )
-        self.loop_monitor = LoopMonitor(self.session, self._clock)
+        self.loop_monitor = LoopMonitor(self.session, self._clock, self.sensing.pace)
         self._controller: Controller | None = None  # made when it is known whose autopilot obeys
         self._actions = make_actions(self.session, self._send, self._clock, config)
         self._action_queue = ActionQueue(self._actions, self._take_result)
@@ -258,6 +258,7 @@ class App:
             stop_requested=self._stop_requested or (self.loop_monitor.woke and self.phase not in NOT_STOPPED),
             camera_problem=self.sensing.camera_problem,
             camera_turned_rad=self.estimator.camera_turned_rad,
+            computer=self.loop_monitor.load,
             control_failed=self._control_failed,
             silent_s=now_s - self.session.heard_s,
         )

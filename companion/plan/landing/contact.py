@@ -14,7 +14,7 @@ from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import GRAVITY_M_S2, norm
-from companion.base.messages import LandedState, PadState, RangeSample, VehicleState
+from companion.base.messages import AutopilotState, LandedState, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
@@ -127,7 +127,12 @@ def _echo_within(echo: RangeSample | None, distance_m: float, now_s: float) -> b
 
 def unheard(inputs: PlanInputs) -> bool:
     """Whether the autopilot has been silent for about as long as it waits for setpoints."""
-    return inputs.silent_s >= _UNHEARD_S[inputs.autopilot.autopilot_kind or "ardupilot"]
+    return inputs.silent_s >= setpoints_missed_s(inputs.autopilot)
+
+
+def setpoints_missed_s(autopilot: AutopilotState) -> float:
+    """About how long (s) the autopilot waits for a setpoint before it flies by itself."""
+    return _UNHEARD_S[autopilot.autopilot_kind or "ardupilot"]
 
 
 def felt(vehicle: VehicleState | None, now_s: float) -> bool:

@@ -97,6 +97,8 @@ class Departure:
         if autopilot.connected and autopilot.armed:
             return MissionEvent.ALREADY_ARMED, "not by this app"
         missing = [text for text, there in self._needs(inputs.vehicle, autopilot, now_s) if not there]
+        if inputs.computer.problem is not None:
+            missing.insert(0, f"a faster computer: {inputs.computer.problem}")
         if inputs.leg_problem is not None:
             missing.append(f"a right leg height: {inputs.leg_problem}")
         if not missing:

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from companion.base.messages import AutopilotState, PadState, Phase, VehicleState
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
-from companion.plan.landing.contact import FRESH_S
+from companion.plan.landing.contact import FRESH_S, setpoints_missed_s
 from companion.plan.mission.bounds import Bounds
 from companion.plan.mission.departure import refused_words
 from companion.plan.mission.inputs import PlanInputs
@@ -37,6 +37,12 @@ _CAMERA_TURNED_RAD = math.radians(30.0)
 def _seen_until_lost(vehicle: VehicleState | None, pad: PadState | None) -> bool:
     """Whether the pad was in view when the IMU was last heard; without it no sighting is taken in."""
     return vehicle is not None and pad is not None and vehicle.sensed_time_s - pad.seen_time_s <= FRESH_S
+
+
+def _stopped_words(inputs: PlanInputs) -> str:
+    """That it may be the autopilot's failsafe, to follow other words; "" where setpoints never stopped."""
+    stopped = inputs.computer.held_up_s >= setpoints_missed_s(inputs.autopilot)
+    return f": our setpoints had stopped for {inputs.computer.held_up_s:.1f} s" if stopped else ""
 
 
 class FailsafeMonitor:
@@ -100,7 +106,7 @@ class FailsafeMonitor:
             (
                 taken_over,
                 MissionEvent.PILOT_TOOK_OVER,
-                f"mode {autopilot.mode or 'unknown'} was not requested",
+                f"mode {autopilot.mode or 'unknown'} was not requested{_stopped_words(inputs)}",
             ),
             (inputs.stop_requested, MissionEvent.STOP, "by the operator"),
             (
@@ -110,6 +116,8 @@ class FailsafeMonitor:
             ),
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
+        if inputs.computer.problem is not None:
+            found.append((MissionEvent.COMPUTER_LATE, inputs.computer.problem))
         found += [*self._late(autopilot, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
         found += [*self._control(inputs.control_failed, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]

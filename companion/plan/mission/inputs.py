@@ -16,6 +16,14 @@ from companion.base.messages import (
 
 
 @dataclass(frozen=True, slots=True)
+class ComputerLoad:
+    """Whether our computer keeps up: why it is too slow to fly by; how long control stood still lately."""
+
+    problem: str | None = None
+    held_up_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class PlanInputs:
     """The newest of everything the planner goes by; `results` holds each answer once, `order` comes once.
 
@@ -36,5 +44,6 @@ class PlanInputs:
     camera_problem: str | None = None
     camera_turned_rad: float | None = None
     leg_problem: str | None = None
+    computer: ComputerLoad = ComputerLoad()
     control_failed: bool = False
     silent_s: float = 0.0

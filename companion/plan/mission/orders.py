@@ -45,8 +45,9 @@ def not_ready(inputs: PlanInputs, mission: MissionConfig, now_s: float) -> Itera
         yield "another companion with our ids is on the link; expected one"
     if inputs.camera_problem is not None:
         yield f"no pad camera: {inputs.camera_problem}"
-    if inputs.leg_problem is not None:
-        yield inputs.leg_problem
+    for problem in (inputs.computer.problem, inputs.leg_problem):
+        if problem is not None:
+            yield problem
     yield from _estimate(inputs.vehicle, mission, now_s)
 
 
