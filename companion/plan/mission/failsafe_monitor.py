@@ -116,9 +116,7 @@ class FailsafeMonitor:
             ),
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
-        if inputs.computer.problem is not None:
-            found.append((MissionEvent.COMPUTER_LATE, inputs.computer.problem))
-        found += [*self._late(autopilot, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
+        found += [*self._late(inputs, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
         found += [*self._control(inputs.control_failed, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
         found += [*self._camera(inputs.camera_turned_rad, bounds), *bounds, *self._time(now_s)]
@@ -135,8 +133,11 @@ class FailsafeMonitor:
             return ((MissionEvent.PILOT_TOOK_OVER, f"mode {autopilot.mode}: nothing more is asked"),)
         return ()
 
-    def _late(self, autopilot: AutopilotState, now_s: float) -> Iterator[DetectedEvent]:
-        """Whether answers take too long; without any there is no telling, and LINK_LOST may follow."""
+    def _late(self, inputs: PlanInputs, now_s: float) -> Iterator[DetectedEvent]:
+        """Whether our computer or the link takes too long; without answers there is no telling of that."""
+        autopilot = inputs.autopilot
+        if inputs.computer.problem is not None:
+            yield MissionEvent.COMPUTER_LATE, inputs.computer.problem
         late_s, most_s = autopilot.round_trip_s, self._config.largest_round_trip_s
         known = autopilot.connected and now_s - autopilot.round_trip_time_s <= _OLDEST_ROUND_TRIP_S
         if known and late_s is not None and late_s > most_s:
