@@ -89,7 +89,7 @@ class App:
         self.missions = Missions(
             stages.make_planner, self.session, log, self.announcer, self._clock, standby=standby, stays=stays
         )
-        self.loop_monitor = LoopMonitor(self.session, self._clock)
+        self.loop_monitor = LoopMonitor(self.session, self._clock, self.sensing.pace)
         self._control_failure = ""
         self._controller: Controller | None = None  # made when it is known whose autopilot obeys
         self._actions = make_actions(self.session, self._send, self._clock, config)
@@ -258,6 +258,7 @@ class App:
             stop_requested=self._stop_requested or (self.loop_monitor.woke and self.phase not in NOT_STOPPED),
             camera_problem=self.sensing.camera_problem,
             camera_turned_rad=self.estimator.camera_turned_rad,
+            computer=self.loop_monitor.load,
             control_failure=self._control_failure,
             thrust_doubt="" if self._controller is None else self._controller.thrust.doubt,
             silent_s=self.session.silent_s(now_s),

@@ -23,6 +23,7 @@ import numpy as np
 
 from companion.app.devices import SerialLine
 from companion.app.hardware import Hardware
+from companion.app.timing.vision_pace import VisionPace
 from companion.base.clock import Clock
 from companion.base.geometry import vector3
 from companion.base.messages import (
@@ -136,6 +137,7 @@ class Sensing:
         self._estimator = estimator
         self._clock, self._log, self._notify = clock, log, notify
         self._frame_time_offset_s = frame_time_offset_s
+        self.pace = VisionPace(notify)
         self.last_range: RangeSample | None = None
         self.last_frame: FrameReport | None = None
         self.frame_count = 0
@@ -323,6 +325,7 @@ class Sensing:
                 self._notify_fault(f"frame {frame.sequence} skipped: {type(error).__name__}: {error}")
                 continue
             self._take_seen(frame, seen)
+            await self.pace.rest(self._clock.now_s() - frame.received_s)
 
     def _take_seen(self, frame: Frame, seen: VisionResult) -> None:
         now_s = self._clock.now_s()
@@ -330,14 +333,9 @@ class Sensing:
             self._estimator.add_sighting(seen.sighting)
             self._log.write("sighting", seen.sighting, now_s)
         self.frame_count += 1
+        times_s, found = (frame.time_s, frame.received_s, now_s), seen.sighting is not None
         self.last_frame = FrameReport(
-            time_s=frame.time_s,
-            received_s=frame.received_s,
-            done_s=now_s,
-            sequence=frame.sequence,
-            marker_count=seen.marker_count,
-            seen=seen.sighting is not None,
-            searched_whole_frame=seen.searched_whole_frame,
+            *times_s, frame.sequence, seen.marker_count, found, seen.searched_whole_frame
         )
         self._log.write("frame_report", self.last_frame, now_s)
         self.frame_fused()

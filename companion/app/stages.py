@@ -25,6 +25,7 @@ from companion.flightlog.record import FlightLog
 from companion.link.session import Session
 from companion.link.signing import LinkSigning
 from companion.pad import load_pad
+from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.planner import Planner
 from companion.plan.speed.laws import load_speed_controller
 from companion.sense.vision.pipeline import Vision
@@ -86,6 +87,8 @@ def build_stages(
     )
     law, pace = load_speed_controller(config.plan)
 
+    standing_height = StandingHeight(vehicle)
+
     def make_planner(standby: str | None) -> Planner:
         control = config.control
         return Planner(
@@ -98,6 +101,7 @@ def build_stages(
             standby=standby,
             pad_half_width_m=half_width_m,
             pad_reach_m=0.5 * math.hypot(pad.width_m, pad.length_m),
+            standing_height=standing_height,
         )
 
     stamps = StampKeeper(

@@ -18,6 +18,7 @@ from companion.config import PlanConfig, VehicleConfig
 from companion.plan.landing.echo_check import EchoCheck
 from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge
+from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.upright import not_standing
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
@@ -34,7 +35,7 @@ from companion.plan.steering import PhaseSteering
 from companion.plan.trajectory.reference_generator import ReferenceGenerator, SpeedLaw
 from companion.plan.trajectory.waypoints import check_places
 
-SIGHTINGS_WINDOW_S: Final = 0.5  # in which `search.sightings` have to come
+SIGHTINGS_GAP_S: Final = 0.5  # between two of the `search.sightings`: the pad was out of view
 PACED: Final = frozenset({Phase.APPROACH, Phase.DESCEND})  # flown at the pace of the conditions
 NEAR_M: Final = 1.0  # an autopilot holds its height to half of it
 GAP_S: Final = 10.0  # a link that is silent for longer has gone for good
@@ -57,10 +58,12 @@ class Planner:
         standby: str | None = None,
         pad_half_width_m: float = 0.0,
         pad_reach_m: float = 0.5,
+        standing_height: StandingHeight | None = None,
     ) -> None:
         """Ready to connect; with `standby`, in STANDBY: for good if that is a reason, else for an order.
 
-        `pad_reach_m`: from the pad's middle to its corner.
+        `pad_half_width_m` is from the pad's middle to its nearest edge, `pad_reach_m` to its corner.
+        `standing_height` has watched the vehicle stand before this mission, too.
 
         Raises:
             ConfigError: the take-off or a waypoint is too near to an obstacle.
@@ -76,8 +79,9 @@ class Planner:
         self._fence_m, self._fence_reported, self._leaving_reported = mission.fence_m, False, False
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
         self._monitor = FailsafeMonitor(mission, self._machine)
-        self._pad = PadKnowledge(search.sightings, SIGHTINGS_WINDOW_S)
+        self._pad = PadKnowledge(search.sightings, SIGHTINGS_GAP_S)
         self._ground, self._echoes = Ground(vehicle.range_position_body_m), EchoCheck()
+        self._standing_height = standing_height or StandingHeight(vehicle)
         avoidance = Avoidance(config, vehicle.radius_m)
         self._generator = ReferenceGenerator(config.guidance, law, horizon_steps, step_s, avoidance)
         self._pace, self._monitored = pace, ConditionMonitor()
@@ -123,12 +127,13 @@ class Planner:
 
     def not_ready(self, inputs: PlanInputs, now_s: float) -> list[str]:
         """What stands against an order to land, wherever the vehicle is."""
-        return list(not_ready(inputs, self._mission, now_s))
+        return list(not_ready(self._with_leg_height(inputs), self._mission, now_s))
 
     def step(self, inputs: PlanInputs, now_s: float) -> PlanStep:
         """One cycle at now_s: at most one change of state, then the reference, actions and notices."""
         self._notices = []
-        inputs = self._checked(inputs, now_s)
+        self._standing_height.update(inputs, now_s)
+        inputs = self._with_leg_height(self._checked(inputs, now_s))
         self._see(inputs, now_s)
         self._set_pace(inputs, now_s)
         self._watch_battery(inputs, now_s)
@@ -161,6 +166,10 @@ class Planner:
                 words = f"stuck at {echo.distance_m:.2f} m while we and the autopilot climb or sink: not used"
                 self._say("rangefinder", words, now_s, "warning")
         return replace(inputs, range=None) if self._echoes.stuck else inputs
+
+    def _with_leg_height(self, inputs: PlanInputs) -> PlanInputs:
+        problem = self._standing_height.problem
+        return inputs if problem is None else replace(inputs, leg_problem=problem)
 
     def _see(self, inputs: PlanInputs, now_s: float) -> None:
         if inputs.autopilot.connected:

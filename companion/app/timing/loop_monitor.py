@@ -13,16 +13,24 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
+from statistics import fmean
 from typing import Final
 
+from companion.app.timing.vision_pace import VisionPace
 from companion.base.clock import Clock
 from companion.base.messages import AutopilotSetup
 from companion.link.session import Session
 from companion.link.transport import backlog_read
+from companion.plan.landing.contact import UNSEEN_S
+from companion.plan.mission.inputs import ComputerLoad
 
 BUFFER_S: Final = 1.0  # Linux' usual buffer holds more than this
 _LOOK_S: Final = 0.02
 CYCLES: Final = 600  # twenty seconds at 30 Hz
+LATELY: Final = 30  # cycles, by which the computer is judged
+HELD_UP_CYCLES: Final = 90  # in which an autopilot's failsafe shows
+# The delay margin that control promises (docs/margins.md): later, the vehicle swings.
+LATEST_S: Final = 0.1
 
 
 class LoopMonitor:
@@ -31,13 +39,14 @@ class LoopMonitor:
     `heard` counts what was read from the link.
     """
 
-    def __init__(self, session: Session, clock: Clock) -> None:
-        self._session, self._clock = session, clock
+    def __init__(self, session: Session, clock: Clock, pace: VisionPace | None = None) -> None:
+        self._session, self._clock, self._pace = session, clock, pace
         self.heard = 0
         self._turned_s: float | None = None
         self._slept_s = clock.suspended_s()
         self.woke = False  # this cycle is the first after a suspension: what is known is from long before
         self._recent: deque[bool] = deque(maxlen=CYCLES)
+        self._late_s: deque[float] = deque(maxlen=HELD_UP_CYCLES)
 
     @property
     def stall_s(self) -> float:
@@ -48,6 +57,9 @@ class LoopMonitor:
         """A cycle begins, so late."""
         self._turned_s = self._now_s()
         self._recent.append(late_s > 0.5 * period_s)
+        self._late_s.append(late_s)
+        if self._pace is not None:
+            self._pace.judge(late_s, period_s)
 
     def end(self) -> None:
         """The loop has ended: what is to be sent after it does not wait for it."""
@@ -57,6 +69,26 @@ class LoopMonitor:
     def late_share(self) -> float:
         """Share of the last `CYCLES` that came late by more than half a period: as the machine is now."""
         return sum(self._recent) / max(1, len(self._recent))
+
+    @property
+    def load(self) -> ComputerLoad:
+        """Whether the computer keeps up, for the planner."""
+        return ComputerLoad(self._too_slow(), max(self._late_s, default=0.0))
+
+    def _too_slow(self) -> str | None:
+        """In words, that it is too slow to fly by. One stall is not: what stands still again and again is."""
+        vision_s = None if self._pace is None else self._pace.vision_s
+        recent = list(self._late_s)[-LATELY:]
+        late_s = fmean(min(late, self.stall_s) for late in recent) if len(recent) == LATELY else 0.0
+        if late_s > LATEST_S:
+            late_ms, most_ms = 1e3 * late_s, 1e3 * LATEST_S
+            return f"computer too slow: control {late_ms:.0f} ms late, at most {most_ms:.0f} are flown by"
+        if vision_s is not None and vision_s > UNSEEN_S:
+            took_ms, most_ms = 1e3 * vision_s, 1e3 * UNSEEN_S
+            return (
+                f"computer too slow: {took_ms:.0f} ms of vision a frame, at most {most_ms:.0f} are flown by"
+            )
+        return None
 
     @property
     def silent(self) -> bool:

@@ -49,7 +49,7 @@ class PadState:
     position is (0, 0, +height). `covariance`, six rows of six, is that of relative position and velocity,
     the horizon's and the calibration's errors included. `turn_rate_rad_s` is that of the pad's course,
     `jerk_ned_m_s3` what its acceleration changes by beyond turning, `models` the probability of each model
-    of its motion.
+    of its motion. `delay_s` is how long after its exposure the last sighting came, as the planner notes it.
 
     `seen_velocity_ned_m_s` is the relative velocity without what the vehicle has accelerated since the last
     sighting: where something else than the air pushed it, as at a contact, the pad may have been pushed too.
@@ -73,6 +73,7 @@ class PadState:
     turn_rate_rad_s: float = 0.0
     jerk_ned_m_s3: Vector3 = ZERO3
     models: dict[str, float] = field(default_factory=dict)
+    delay_s: float = 0.0
     tilt_rad: tuple[float, float] = (0.0, 0.0)
     tilt_rate_rad_s: tuple[float, float] = (0.0, 0.0)
     tilt_mean_rad: tuple[float, float] = (0.0, 0.0)
@@ -113,8 +114,13 @@ class PadState:
 
     @property
     def age_s(self) -> float:
-        """Time (s) since the pad was last seen."""
+        """Time (s) since the exposure in which the pad was last seen."""
         return max(0.0, self.time_s - self.seen_time_s)
+
+    @property
+    def unseen_s(self) -> float:
+        """Time (s) since the last sighting came: its age without the camera's and the vision's delay."""
+        return max(0.0, self.age_s - self.delay_s)
 
     @property
     def vehicle_from_pad(self) -> Motion:

@@ -1,5 +1,8 @@
 """Contact with the pad: the signs of it, and whether a vehicle that stands may be disarmed.
 
+Contact is felt: the vehicle stops sinking although its reference goes on down, as PX4's and ArduPilot's land
+detectors have it. A height says only where that may be, and by the same number, `leg_height_m`, whether the
+camera or an echo measures it: one that is 8 cm wrong would cut the thrust 8 cm up.
 Heights count from the vehicle's reference point: with the feet on the pad it is leg_height over it. m, s.
 """
 
@@ -16,14 +19,13 @@ from companion.plan.debounce import Debounce
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import DetectedEvent, MissionEvent
 
-FRESH_S = 0.3  # five frames lost in a row at 30 Hz, and the vision's delay
+FRESH_S = 0.3  # of IMU and echoes
+UNSEEN_S = 0.2  # five frames lost in a row at 30 Hz; a slower vision's every frame
 # An age counts from the exposure, and vision may take 0.2 s of it. So old the pad is off its predicted place
 # by 0.4 m at most, at a pad that brakes with 3 m/s²; older it is no sign.
 _KNOWN_S = 0.5
-SIGNS_NEEDED = 2  # each alone has a cause other than contact: a bump, a stale height, a stray echo
-# A third of the slowest sink, and three times the error of a relative height near the pad.
-_STALLED_M_S = 0.06
-_STALLED_BELOW_M = 0.08
+SIGNS_NEEDED = 2  # each alone has a cause other than contact: a gust, a wrong leg height, a stray echo
+_STALLED_M_S = 0.06  # a third of the slowest sink
 # The pad this far below the feet for so long has driven away or fallen: a bounce is lower and shorter.
 _AWAY_M = 0.25
 _AWAY_S = 0.3
@@ -50,7 +52,7 @@ _MOST_FOOT_TILT_RAD = math.radians(15.0)
 
 @dataclass(frozen=True, slots=True)
 class ContactSigns:
-    """The signs of contact with the pad."""
+    """The signs of contact with the pad: two measure the height, two feel the contact."""
 
     low: bool
     stalled: bool
@@ -58,9 +60,14 @@ class ContactSigns:
     landed: bool
 
     @property
+    def near(self) -> bool:
+        """Whether a height says that the feet are down; both go by the same leg height."""
+        return self.low or self.short_echo
+
+    @property
     def count(self) -> int:
-        """How many agree."""
-        return self.low + self.stalled + self.short_echo + self.landed
+        """How many independent ones agree: two of them include one that is felt."""
+        return self.near + self.stalled + self.landed
 
     def in_words(self) -> str:
         """Their names."""
@@ -78,23 +85,27 @@ def contact_signs(
     config: TouchdownConfig,
     vehicle: VehicleConfig,
     tilt_rad: float = 0.0,
+    sink_m_s: float | None = None,
+    imu_fresh: bool = True,
 ) -> ContactSigns:
     """Read the signs; `reference` is vehicle minus pad, as `sight` is.
 
     Where the pad is counts only while it is seen; that the vehicle stopped sinking it feels itself, and the
-    pad's own motion is known for `blind_s`. The lowest foot counts: one that holds a tilting vehicle up is
+    pad's own motion is known for `blind_s`; after that `sink_m_s`, if given, is the sink. Without the IMU
+    that is predicted and not felt. The lowest foot counts: one that holds a tilting vehicle up is
     dragged over the pad by what that vehicle does to come back over the middle.
     """
     hangs_m = vehicle.foot_reach_m * math.sin(min(tilt_rad, _MOST_FOOT_TILT_RAD))
     feet_m = vehicle.leg_height_m + hangs_m + config.contact_margin_m
     low = sight is not None and sight.age_s <= _KNOWN_S and sight.height_m <= feet_m
-    # the reference goes on down and the vehicle does not
+    if sight is not None and sight.age_s <= config.blind_s:
+        sink_m_s = sight.sink_m_s
+    # the reference goes on down and the vehicle does not; it may bounce
     stalled = (
-        sight is not None
-        and sight.age_s <= config.blind_s
+        imu_fresh
+        and sink_m_s is not None
+        and sink_m_s <= _STALLED_M_S
         and reference.velocity_m_s[2] >= 0.5 * config.contact_speed_m_s
-        and reference.position_m[2] + sight.height_m >= _STALLED_BELOW_M
-        and abs(sight.sink_m_s) <= _STALLED_M_S
     )
     short_echo = _echo_within(echo, feet_m - vehicle.range_position_body_m[2], now_s)
     return ContactSigns(low, stalled, short_echo, landed is LandedState.ON_GROUND)
@@ -129,9 +140,11 @@ class Standing:
         self._config, self._vehicle = config, vehicle
         self.begin(0.0)
 
-    def begin(self, now_s: float) -> None:
-        """The feet are on the pad from now on."""
+    def begin(self, now_s: float, sight: PadState | None = None) -> None:
+        """The feet are on the pad from now on: where they were felt, if the file has shorter legs."""
         self._since_s = now_s
+        felt_m = 0.0 if sight is None or sight.age_s > _KNOWN_S else sight.height_m
+        self._feet_m = max(self._vehicle.leg_height_m, felt_m) + self._config.contact_margin_m
         self._away, self._resting, self._falling, self._unshown = (Debounce() for _ in range(4))
         self._lifted, self._able = Debounce(), Debounce()
         self._silent_s = self._unsure_s = -math.inf
@@ -142,7 +155,7 @@ class Standing:
 
     def off_pad(self, sight: PadState, now_s: float) -> bool:
         """Whether the pad is seen well below the feet."""
-        away = sight.age_s <= FRESH_S and sight.height_m > self._vehicle.leg_height_m + _AWAY_M
+        away = sight.unseen_s <= UNSEEN_S and sight.height_m > self._vehicle.leg_height_m + _AWAY_M
         return self._away.held_s(away, now_s) >= _AWAY_S
 
     def after_silence(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> tuple[bool, bool]:
@@ -184,9 +197,8 @@ class Standing:
 
     def _shown_down(self, sight: PadState | None, echo: RangeSample | None, now_s: float) -> bool:
         """Whether a fresh sight or echo shows the feet on the pad now."""
-        feet_m = self._vehicle.leg_height_m + self._config.contact_margin_m
-        seen = sight is not None and sight.age_s <= FRESH_S and sight.height_m <= feet_m
-        return seen or _echo_within(echo, feet_m - self._vehicle.range_position_body_m[2], now_s)
+        seen = sight is not None and sight.unseen_s <= UNSEEN_S and sight.height_m <= self._feet_m
+        return seen or _echo_within(echo, self._feet_m - self._vehicle.range_position_body_m[2], now_s)
 
     def _rested_s(self, vehicle: VehicleState | None, now_s: float, *, down: bool) -> float:
         """How long (s) it has stood without a break, pressed down; negative when it does not, or may not.

@@ -16,7 +16,7 @@ from typing import Final
 from companion.base.geometry import GRAVITY_M_S2
 from companion.base.messages import LevelOff, PadState
 from companion.config import TouchdownConfig, VehicleConfig
-from companion.plan.landing.contact import FRESH_S
+from companion.plan.landing.contact import UNSEEN_S
 from companion.plan.landing.level_moment import TiltForecast
 
 # From the decision to level off until the tilt has begun to fall (command, dead time, the gate of jerk), how
@@ -95,7 +95,7 @@ class Levelling:
 
         Unseen, what was expected last holds: it goes level by that.
         """
-        fresh = sight.age_s <= FRESH_S
+        fresh = sight.unseen_s <= UNSEEN_S
         over_m = sight.height_m - self._vehicle.leg_height_m
         if fresh:
             planned_m_s = (SLOWEST_SINK if self.begun else 1.0) * self.planned_m_s

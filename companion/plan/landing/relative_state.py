@@ -6,7 +6,6 @@ Relative quantities are pad minus vehicle, NED axes, as in `PadState`. Metres, s
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import replace
 
 from companion.base.geometry import add, scale, wrap_angle, yaw_from_quat
@@ -62,39 +61,48 @@ def misaligned_heading(pad: PadState | None, vehicle: VehicleState | None) -> st
 
 
 class SteadySightings:
-    """Whether the pad is seen steadily: so many sightings within a window."""
+    """Whether the pad is seen steadily: so many sightings, none longer than a gap after the one before.
 
-    def __init__(self, count: int, window_s: float) -> None:
-        self._window_s = window_s
-        self._times_s: deque[float] = deque(maxlen=count)
+    They are counted, whatever time they take: a slow computer sees the pad in every frame of fewer.
+    """
 
-    def note(self, pad: PadState | None) -> None:
-        """Remember the time of the newest sighting."""
-        if pad is not None and (not self._times_s or pad.seen_time_s > self._times_s[-1]):
-            self._times_s.append(pad.seen_time_s)
+    def __init__(self, count: int, gap_s: float) -> None:
+        self._needed, self._gap_s = count, gap_s
+        self._count = 0
+        self._seen_s = -math.inf
+        self.delay_s = 0.0  # of the newest one: from its exposure until it came
+
+    def note(self, pad: PadState | None, now_s: float) -> None:
+        """Count the newest sighting, which has come by now."""
+        if pad is None or pad.seen_time_s <= self._seen_s:
+            return
+        self._count = self._count + 1 if pad.seen_time_s - self._seen_s <= self._gap_s else 1
+        # how long ago the first one came is not known
+        self.delay_s = max(0.0, now_s - pad.seen_time_s) if math.isfinite(self._seen_s) else 0.0
+        self._seen_s = pad.seen_time_s
 
     def forget(self) -> None:
         """Count from zero again."""
-        self._times_s.clear()
+        self._count = 0
 
     def steady(self, now_s: float) -> bool:
-        """Whether the last `count` sightings all lie within the window before now."""
-        times = self._times_s
-        return len(times) == times.maxlen and now_s - times[0] <= self._window_s
+        """Whether enough have come, the newest one not long ago."""
+        return self._count >= self._needed and now_s - self._seen_s <= self._gap_s
 
 
 class PadKnowledge:
     """What the planner holds of the pad: `sight`, predicted to now, and its motion in the EKF's NED."""
 
-    def __init__(self, sightings: int, window_s: float) -> None:
-        self._sightings = SteadySightings(sightings, window_s)
+    def __init__(self, sightings: int, gap_s: float) -> None:
+        self._sightings = SteadySightings(sightings, gap_s)
         self.sight: PadState | None = None
         self.motion: Motion | None = None
 
     def update(self, pad: PadState | None, vehicle: VehicleState | None, now_s: float) -> None:
         """Take in a cycle's estimates; the motion of the last cycle that had both is kept."""
-        self._sightings.note(pad)
-        self.sight = predicted(pad, now_s)
+        self._sightings.note(pad, now_s)
+        sight = predicted(pad, now_s)
+        self.sight = None if sight is None else replace(sight, delay_s=self._sightings.delay_s)
         if self.sight is not None and vehicle is not None:
             self.motion = pad_motion(vehicle, self.sight, now_s)
 

@@ -17,7 +17,6 @@ from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 # A reference that far below makes the controller sink two or three times as fast as is planned.
 _AHEAD_M = 0.1
-_NOWHERE = Motion((0.0, 0.0, 0.0))
 
 
 class SetDown:
@@ -41,9 +40,16 @@ class SetDown:
         landed = inputs.autopilot.landed
         if landed is LandedState.ON_GROUND:
             return MissionEvent.LANDING_DETECTED, "the autopilot reports landed"
-        # the reference's height is over no pad: nothing stalls by it
         signs = contact_signs(
-            sight, _NOWHERE, inputs.range, landed, now_s, config=self._config, vehicle=self._vehicle
+            sight,
+            self._generator.at(now_s),
+            inputs.range,
+            landed,
+            now_s,
+            config=self._config,
+            vehicle=self._vehicle,
+            sink_m_s=None if inputs.vehicle is None else inputs.vehicle.velocity_ned_m_s[2],
+            imu_fresh=felt(inputs.vehicle, now_s),
         )
         if self._touching.held_s(signs.count >= SIGNS_NEEDED, now_s) >= self._config.contact_s:
             return MissionEvent.CONTACT, signs.in_words()

@@ -11,7 +11,7 @@ from statistics import NormalDist
 
 from companion.base.messages import PadState
 from companion.config import TouchdownConfig
-from companion.plan.landing.contact import FRESH_S
+from companion.plan.landing.contact import UNSEEN_S
 
 # Waiting it heaves by so much in gusts; what is left of a sink at the commit is added to the planned one.
 _HEIGHT_TOLERANCE_M = 0.10
@@ -54,7 +54,7 @@ def gentle(sight: PadState, config: TouchdownConfig) -> bool:
 def aligned(sight: PadState, wait_height_m: float, slack: float, config: TouchdownConfig) -> bool:
     """Whether the vehicle is over the pad's centre closely and quietly enough to commit."""
     return (
-        sight.age_s <= FRESH_S
+        sight.unseen_s <= UNSEEN_S
         and sight.lateral_m <= config.lateral_m * slack
         and sight.lateral_speed_m_s <= config.lateral_speed_m_s * slack
         and abs(sight.height_m - wait_height_m) <= _HEIGHT_TOLERANCE_M * slack
@@ -79,7 +79,7 @@ def slides_off(sight: PadState, farthest_m: float) -> str:
     speed_m_s = math.hypot(vx, vy)
     slides_s = 0.5 * speed_m_s / _SLIDES_M_S2
     # a filter that has just started says any speed, but not that it knows it
-    known = sight.age_s <= FRESH_S and speed_m_s >= max(_SLIDES_M_S, _SURELY * sight.velocity_std_m_s)
+    known = sight.unseen_s <= UNSEEN_S and speed_m_s >= max(_SLIDES_M_S, _SURELY * sight.velocity_std_m_s)
     off = known and math.hypot(x + slides_s * vx, y + slides_s * vy) > farthest_m
     return f"sliding over the pad at {speed_m_s:.1f} m/s" if off else ""
 

@@ -20,6 +20,8 @@ from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import (
     FRESH_S,
     SIGNS_NEEDED,
+    UNSEEN_S,
+    ContactSigns,
     Standing,
     contact_signs,
     echo_height_m,
@@ -72,15 +74,16 @@ class TouchdownSequence:
         self._wait_height_m = vehicle.leg_height_m + wait_height_m
         self._low_m = vehicle.leg_height_m + 2.0 * config.contact_margin_m
         self._standing, self._set_down = Standing(config, vehicle), SetDown(config, vehicle, generator)
+        self._sight: PadState | None = None
         self.begin(0.0, slack=1.0)
 
     def begin(self, now_s: float, slack: float) -> None:
         """Start a try; `slack` widens its tolerances."""
         self._since_s = self._sunk_s = self._contact_due_s = self._blended_s = now_s
         self._tolerance = Tolerance(self._config, now_s, slack)
-        self._settled, self._touching = Debounce(), Debounce()
-        self._too_fast, self._far_aside, self._deeper = Debounce(), Debounce(), Debounce()
-        self._short_echoes = ShortEchoes()
+        self._settled, self._touching, self._stalled, self._deeper = (Debounce() for _ in range(4))
+        self._too_fast, self._far_aside = Debounce(), Debounce()
+        self._short_echoes = ShortEchoes(self._config.contact_speed_m_s)
         self.tilt = TiltForecast()
         self._levelling = Levelling(self._config, self._vehicle)
 
@@ -95,13 +98,14 @@ class TouchdownSequence:
             self._levelling.reset()
             self._levelling.stay(now_s)
         elif state is State.STAND:
-            self._standing.begin(now_s)
+            self._standing.begin(now_s, self._sight)
             self._stay_down(now_s)
 
     def step(
         self, state: State, sight: PadState | None, inputs: PlanInputs, now_s: float
     ) -> DetectedEvent | None:
         """Steer for one cycle; returns what is detected, and why."""
+        self._sight = sight
         if inputs.vehicle is not None:
             self.tilt.note(inputs.vehicle.attitude, sight, now_s)
         if state is State.SINK:
@@ -197,27 +201,28 @@ class TouchdownSequence:
             config=self._config,
             vehicle=self._vehicle,
             tilt_rad=tilt_rad,
+            imu_fresh=not silent,
         )
         near = sight is not None and self._near(sight, unfelt_s)
         touching = signs.count >= SIGNS_NEEDED
         self._short_echoes.note(inputs.range if near and signs.short_echo else None)
         down = sight is not None and sight.age_s > self._config.blind_s and self.feet_down(now_s)
-        if self._touching.held_s(touching, now_s) >= self._config.contact_s or down:
+        # what is controlled to sink and does not for so long stands, though its file has shorter legs
+        down |= self._stalled.held_s(near and signs.stalled, now_s) >= self._config.land_after_s
+        if down or self._touching.held_s(touching, now_s) >= self._config.contact_s:
             return MissionEvent.CONTACT, signs.in_words()
         if touching:
             self._levelling.touching(now_s)
-            return None
-        if silent:
-            return None  # what else is believed now, is only predicted
-        lost = self._lost(sight, inputs.range, now_s)
-        if lost is not None:
+        if touching or silent:
+            return None  # silent, what else is believed is only predicted
+        if (lost := self._lost(sight, inputs.range, now_s)) is not None:
             return lost
         assert sight is not None
-        return self._go_down(sight, now_s)
+        return self._go_down(sight, signs, now_s)
 
     def feet_down(self, now_s: float) -> bool:
         """Whether echoes alone show the feet on the pad, when no other sign can be had any more."""
-        return self._short_echoes.in_a_row(now_s)
+        return self._short_echoes.standing(now_s)
 
     def _lost(self, sight: PadState | None, echo: RangeSample | None, now_s: float) -> DetectedEvent | None:
         """Whether the pad is lost: unseen for too long, or unseen and not below any more by the echoes.
@@ -225,7 +230,7 @@ class TouchdownSequence:
         It rises at once while there is room, and otherwise goes straight down, without the pad's motion.
         """
         c = self._config
-        unseen = sight is None or sight.age_s > FRESH_S
+        unseen = sight is None or sight.unseen_s > UNSEEN_S
         echo_m = echo_height_m(echo, self._vehicle, now_s)
         below_m = math.inf if sight is None else sight.height_m
         deeper = unseen and echo_m is not None and echo_m > below_m + _DEEPER_M
@@ -243,22 +248,26 @@ class TouchdownSequence:
     def _near(self, sight: PadState, unfelt_s: float = 0.0) -> bool:
         return sight.height_m - _FASTER_M_S * unfelt_s <= self._vehicle.leg_height_m + _NEAR_M
 
-    def _go_down(self, sight: PadState, now_s: float) -> DetectedEvent | None:
-        c = self._config
-        if now_s > self._contact_due_s + c.overdue_s:
+    def _go_down(self, sight: PadState, signs: ContactSigns, now_s: float) -> DetectedEvent | None:
+        overdue_s = self._config.overdue_s
+        if now_s > self._contact_due_s + overdue_s:
+            overdue = f"no contact felt {overdue_s:.1f} s after it was due"
+            if signs.near:
+                return MissionEvent.PAD_GONE, overdue
             self._generator.rise(now_s)
-            return MissionEvent.MISALIGNED, f"no contact {c.overdue_s:.1f} s after it was due"
-        # with the feet nearly down, climbing away would drag them over a pad that they do not slide over
+            return MissionEvent.MISALIGNED, overdue
+        # with the feet nearly down, climbing away would drag them over a pad that they do not slide over;
+        # that it stands shows by a reference that goes on without it
         high = sight.height_m > self._low_m
-        self._give_way(sight if high else None, now_s)
+        self._give_way(sight if high and not signs.stalled else None, now_s)
         tilts_on = not self._levelling.begun
         self._levelling.expect(sight, self.tilt, now_s)
-        if tilts_on and self._levelling.begun and sight.age_s <= FRESH_S:
+        if tilts_on and self._levelling.begun and sight.unseen_s <= UNSEEN_S:
             self._sink_firmer(now_s)
         wrong = self._wrong(sight, now_s)
         if wrong and self._has_room(sight.height_m, sight.sink_m_s):
             return MissionEvent.BREAK_OFF, wrong
-        if high and sight.age_s <= FRESH_S and self._escapes(sight):
+        if high and sight.unseen_s <= UNSEEN_S and self._escapes(sight):
             # even without room: a foot that touches on the way up is better than one beside a small pad
             self._generator.rise(now_s)
             return MissionEvent.MISALIGNED, f"lateral offset {100.0 * sight.lateral_m:.0f} cm while sinking"
@@ -282,7 +291,7 @@ class TouchdownSequence:
 
     def _wrong(self, sight: PadState, now_s: float) -> str:
         """Why this landing would be hard or off the mark; "" while it is fine."""
-        fresh = sight.age_s <= FRESH_S
+        fresh = sight.unseen_s <= UNSEEN_S
         fastest_m_s = min(self._config.fastest_contact_m_s, self._levelling.planned_m_s + _FASTER_M_S)
         fast = fresh and sight.sink_m_s > fastest_m_s
         if self._too_fast.held_s(fast, now_s) >= _TOO_FAST_S:
@@ -307,15 +316,14 @@ class TouchdownSequence:
         """Let the reference's height follow the vehicle's; not near the pad, where the vehicle may stand."""
         share = min(_LONGEST_CYCLE_S, now_s - self._sunk_s) / _GIVE_WAY_S
         self._sunk_s = now_s
-        if sight is not None and sight.age_s <= FRESH_S:
+        if sight is not None and sight.unseen_s <= UNSEEN_S:
             self._generator.shift_down(share * (-sight.height_m - self._generator.at(now_s).position_m[2]))
 
     def _break_off(self, now_s: float) -> None:
         """Rise at once; waiting goes on from the reference's own state."""
         self._generator.rise(now_s)
         self._levelling.reset()
-        self._settled, self._too_fast, self._far_aside = Debounce(), Debounce(), Debounce()
-        self._deeper = Debounce()
+        self._settled, self._too_fast, self._far_aside, self._deeper = (Debounce() for _ in range(4))
 
     # ------------------------------------------------------------ stand
 

@@ -89,7 +89,7 @@ class Departure:
         """What is detected in one of these states."""
         vehicle, autopilot = inputs.vehicle, inputs.autopilot
         if state is State.CONNECT:
-            return self._connect(vehicle, autopilot, now_s)
+            return self._connect(inputs, now_s)
         if state is State.ARM:
             if vehicle is None or not vehicle.aligned:
                 return MissionEvent.ALIGNMENT_LOST, "before the autopilot armed"
@@ -100,12 +100,15 @@ class Departure:
             return MissionEvent.PAD_SEEN, "on the way to the waypoint"
         return self._at_first(vehicle) if self._waypoints.further else self._to_waypoint(vehicle, autopilot)
 
-    def _connect(
-        self, vehicle: VehicleState | None, autopilot: AutopilotState, now_s: float
-    ) -> DetectedEvent | None:
+    def _connect(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+        autopilot = inputs.autopilot
         if autopilot.connected and autopilot.armed:
             return MissionEvent.ALREADY_ARMED, "not by this app"
-        missing = [text for text, there in self._needs(vehicle, autopilot, now_s) if not there]
+        missing = [text for text, there in self._needs(inputs.vehicle, autopilot, now_s) if not there]
+        if inputs.computer.problem is not None:
+            missing.insert(0, f"a faster computer: {inputs.computer.problem}")
+        if inputs.leg_problem is not None:
+            missing.append(f"a right leg height: {inputs.leg_problem}")
         if not missing:
             return MissionEvent.READY, "ready to arm"
         self.remind("waiting", f"waiting for {', '.join(missing)}", now_s)

@@ -40,6 +40,12 @@ def _seen_until_lost(vehicle: VehicleState | None, pad: PadState | None) -> bool
     return vehicle is not None and pad is not None and vehicle.sensed_time_s - pad.seen_time_s <= FRESH_S
 
 
+def _stopped_words(inputs: PlanInputs) -> str:
+    """That it may be the autopilot's failsafe, to follow other words; "" where setpoints never stopped."""
+    stopped = inputs.computer.held_up_s >= inputs.keeps_setpoint_s
+    return f": our setpoints had stopped for {inputs.computer.held_up_s:.1f} s" if stopped else ""
+
+
 class FailsafeMonitor:
     """Looks at every cycle's inputs before the phase does."""
 
@@ -104,13 +110,13 @@ class FailsafeMonitor:
             (
                 taken_over,
                 MissionEvent.PILOT_TOOK_OVER,
-                f"mode {autopilot.mode or 'unknown'} was not requested",
+                f"mode {autopilot.mode or 'unknown'} was not requested{_stopped_words(inputs)}",
             ),
             (inputs.stop_requested, MissionEvent.STOP, "by the operator"),
             (not heard, MissionEvent.LINK_LOST, silence),
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
-        found += [*self._late(autopilot, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
+        found += [*self._late(inputs, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
         found += [*self._control(inputs.control_failure, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
         found += [*self._camera(inputs.camera_turned_rad, bounds), *bounds, *self._time(now_s)]
@@ -127,11 +133,14 @@ class FailsafeMonitor:
             return ((MissionEvent.PILOT_TOOK_OVER, f"mode {autopilot.mode}: nothing more is asked"),)
         return ()
 
-    def _late(self, autopilot: AutopilotState, now_s: float) -> Iterator[DetectedEvent]:
-        """Whether answers take too long, or another program sends setpoints too.
+    def _late(self, inputs: PlanInputs, now_s: float) -> Iterator[DetectedEvent]:
+        """Whether our computer or the link takes too long, or another program sends setpoints too.
 
-        Without any answer there is no telling, and LINK_LOST may follow.
+        Without any answer there is no telling of the link, and LINK_LOST may follow.
         """
+        autopilot = inputs.autopilot
+        if inputs.computer.problem is not None:
+            yield MissionEvent.COMPUTER_LATE, inputs.computer.problem
         if others := rival_words(autopilot, now_s, _RIVAL_S):
             yield MissionEvent.RIVAL, others
         late_s, most_s = autopilot.round_trip_s, self._config.largest_round_trip_s

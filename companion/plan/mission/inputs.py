@@ -17,6 +17,14 @@ from companion.base.messages import (
 
 
 @dataclass(frozen=True, slots=True)
+class ComputerLoad:
+    """Whether our computer keeps up: why it is too slow to fly by; how long control stood still lately."""
+
+    problem: str | None = None
+    held_up_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class PlanInputs:
     """The newest of everything the planner goes by; `results` holds each answer once, `order` comes once.
 
@@ -24,6 +32,7 @@ class PlanInputs:
     `silent_s`: since anything was last heard of the autopilot, or showed that it hears us, seen by an app
     that runs.
     `camera_turned_rad`: against the vehicle's file, as far as the pad's motion shows it.
+    `leg_problem`: the leg height is not what was measured standing.
     `control_failure`: why the last setpoint was a stop. `thrust_doubt`: what stands against control by
     thrust.
     """
@@ -38,6 +47,8 @@ class PlanInputs:
     order: Order | None = None
     camera_problem: str | None = None
     camera_turned_rad: float | None = None
+    leg_problem: str | None = None
+    computer: ComputerLoad = ComputerLoad()
     control_failure: str = ""
     thrust_doubt: str = ""
     silent_s: float = 0.0

@@ -91,6 +91,7 @@ class MissionEvent(StrEnum):
     STOP = "stop_requested"
     LINK_LOST = "link_lost"
     LINK_UP = "link_up"
+    COMPUTER_LATE = "computer_late"  # ours is too slow to fly by
     LINK_LATE = "link_late"  # answers come, but too late to fly by
     RIVAL = "rival"  # somebody else sends setpoints to the vehicle
     ESTIMATE_LOST = "estimate_lost"

@@ -49,10 +49,11 @@ HOLDING: Final = frozenset({S.HOLD, S.AWAIT_LINK})
 BY_THE_PAD: Final = TOUCHDOWN | {S.APPROACH, S.DESCEND}
 UNFOLLOWED: Final = (E.CAMERA_TURNED, E.PAD_TOO_FAST)  # the pad's estimate leads astray, or too fast
 OUTSIDE: Final = (E.OUT_OF_BOUNDS, E.OVERTIME)  # of the mission's space or time
+LATE: Final = (E.COMPUTER_LATE, E.LINK_LATE)  # setpoints of ours come too late
 BLIND: Final = (E.ESTIMATE_LOST, E.CONTROL_FAILED)  # setpoints of ours lead nowhere
 # what may be detected in any state: each state has a row or a reason for none
 ANYWHERE: Final = (
-    *(E.DISARMED, E.PILOT_TOOK_OVER, E.STOP, E.LINK_LOST, E.LINK_UP, E.LINK_LATE, E.RIVAL),
+    *(E.DISARMED, E.PILOT_TOOK_OVER, E.STOP, E.LINK_LOST, E.LINK_UP, *LATE, E.RIVAL),
     *(E.ESTIMATE_LOST, E.CONTROL_FAILED, E.VELOCITY_UNKNOWN, E.BATTERY_CRITICAL),
     *(E.OUT_OF_BOUNDS, E.CAMERA_TURNED, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT),
 )
@@ -277,7 +278,7 @@ ROWS: Final = (
     ),
     # Setpoints that come late make the vehicle swing, higher and higher: a climb by them just over the pad is
     # the greater danger than the autopilot's own hold there.
-    # of two that command it nobody knows what it will do: its own hold obeys neither
+    # Of two that command it nobody knows what it will do: its own hold obeys neither.
     *(
         _row(
             event,
@@ -285,7 +286,7 @@ ROWS: Final = (
             *_RETURN_CONTROL,
             except_={**_all(ON_GROUND, _NOT_YET), **_all(BY_AUTOPILOT, _FLIES_ITSELF), **_GO_ON},
         )
-        for event in (E.LINK_LATE, E.RIVAL)
+        for event in (*LATE, E.RIVAL)
     ),
     *(
         _row(

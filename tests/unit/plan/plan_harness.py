@@ -98,15 +98,15 @@ class PlanWorld:
         self.acceleration: Vector3 = ZERO3
         self.home: Callable[[float], Vector3 | None] = lambda _t: HOME
         self.blind: Callable[[float, float], bool] = lambda _t, _height: False
+        self.frame_s = self.vision_s = 0.0  # between two frames, and what each takes
         self.noise_m = 0.0
         self.jolted: Callable[[float], bool] = lambda _t: False  # the IMU feels 4 m/s2 more, upward
         self.blind_drift_m_s = 0.0  # the believed pad falls so fast while unseen
         self.lie_m: Callable[[float], float] = lambda _t: 0.0  # the believed pad lies so much too low
         self.gust: Callable[[float], Vector3] = lambda _t: ZERO3
         self.beacon_after_s: float | None = None
-        self.vehicle_known, self.tilt_rad = True, 0.0
+        self.vehicle_known, self.stop, self.tilt_rad = True, False, 0.0
         self.silent_from_s = math.inf  # the link
-        self.stop = False
         self.order: Order | None = None  # given once
         self.camera_problem: str | None = None
         self.camera_turned_rad: float | None = None
@@ -116,6 +116,7 @@ class PlanWorld:
         self._pad_state: PadState | None = None
         self._heard: AutopilotState | None = None
         self._seen_s = -math.inf
+        self._frames: list[tuple[float, Vector3, Vector3, Vector3]] = []  # under way
         self._results: list[ActionResult] = []
         self._beacon: PadBeacon | None = None
         self._asked_s: float | None = None
@@ -227,10 +228,13 @@ class PlanWorld:
         velocity, acceleration = derivative(self.pad, self.now_s)
         height = pad[2] - self.position[2]
         aside = math.hypot(pad[0] - self.position[0], pad[1] - self.position[1])
-        if height < 12.0 and aside < 0.1 + 0.44 * height and not self.blind(self.now_s, height):
-            self._seen_s = self.now_s
+        seen = height < 12.0 and aside < 0.1 + 0.44 * height and not self.blind(self.now_s, height)
+        if seen and self.now_s - (self._frames[-1][0] if self._frames else self._seen_s) >= self.frame_s:
+            self._frames.append((self.now_s, pad, velocity, acceleration))
+        while self._frames and self.now_s - self._frames[0][0] >= self.vision_s:
+            self._last = self._frames.pop(0)
+            self._seen_s = self._last[0]
             self._drift += 0.2 * (self.noise_m * self.rng.standard_normal(3) - self._drift)
-            self._last = (self.now_s, pad, velocity, acceleration)
         if math.isfinite(self._seen_s):
             self._pad_state = self._believed(*self._last)
         after_s = self.beacon_after_s

@@ -6,10 +6,12 @@ from collections.abc import Callable
 import pytest
 
 from companion.app.timing.loop_monitor import BUFFER_S, CYCLES, LoopMonitor
+from companion.app.timing.vision_pace import FRAMES, VisionPace
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.messages import UNKNOWN_TIMEOUT_S, AutopilotSetup
 from companion.config import LinkConfig
 from companion.link.session import Session
+from companion.plan.mission.inputs import ComputerLoad
 
 PERIOD_S = 1.0 / 30.0
 
@@ -126,5 +128,32 @@ def test_a_suspension_of_the_machine_counts_though_the_loop_s_clock_stood_still(
             found.append((silent, monitor.slept_s(), monitor.woke))
             monitor.turn(0.0, PERIOD_S)
         assert found == [(False, 0.0, False), (True, 3600.0, True), *[(False, 0.0, False)] * 3]
+
+    monitored(work)
+
+
+@pytest.mark.parametrize(
+    ("late_s", "vision_s", "words"),
+    [
+        ((0.09,), 0.19, None),
+        ((0.12,), 0.05, "computer too slow: control 120 ms late, at most 100 are flown by"),
+        ((0.0,), 0.25, "computer too slow: 250 ms of vision a frame, at most 200 are flown by"),
+        # one stall, however long, is not slowness; one cycle in five that stands still for a second is
+        ((0.0,) * 29 + (9.0,), 0.05, None),
+        ((0.0,) * 4 + (9.0,), 0.05, "computer too slow: control 200 ms late, at most 100 are flown by"),
+    ],
+)
+def test_a_computer_that_is_too_slow_says_so(
+    late_s: tuple[float, ...], vision_s: float, words: str | None
+) -> None:
+    async def work(_: LoopMonitor, session: Session, clock: Clock) -> None:
+        pace = VisionPace(lambda *_said: None)
+        monitor = LoopMonitor(session, clock, pace)
+        assert monitor.load == ComputerLoad()
+        for _k in range(FRAMES):
+            await pace.rest(vision_s)
+        for k in range(30):
+            monitor.turn(late_s[k % len(late_s)], PERIOD_S)
+        assert monitor.load == ComputerLoad(words, max(late_s))
 
     monitored(work)

@@ -31,7 +31,7 @@ from tests.unit.plan.plan_harness import LEG_M
         (sight(height=WAIT_M + 0.099), sight(height=WAIT_M + 0.101)),
         (sight(height=WAIT_M - 0.099), sight(height=WAIT_M - 0.101)),
         (sight(velocity=(0.0, 0.0, 0.149)), sight(velocity=(0.0, 0.0, 0.151))),
-        (sight(age=0.3), sight(age=0.31)),
+        (sight(age=0.2), sight(age=0.21)),
     ],
 )
 def test_aligned_on_both_sides_of_each_bound(good: PadState, bad: PadState) -> None:

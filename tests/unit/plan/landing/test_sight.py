@@ -66,18 +66,36 @@ def test_the_pad_in_our_frame_is_where_it_truly_is() -> None:
     assert place == pytest.approx(truth)
 
 
-def test_steady_means_so_many_sightings_within_a_window() -> None:
+@pytest.mark.parametrize("period_s", [0.033, 0.25])
+def test_steady_means_so_many_sightings_without_a_gap_whatever_time_they_take(period_s: float) -> None:
     s = SteadySightings(3, 0.5)
-    for t in (1.0, 1.1):
-        s.note(pad(t, t))
-        s.note(pad(t + 0.03, t))  # the same sighting, predicted on
-    assert not s.steady(1.1)
-    s.note(pad(1.2, 1.2))
-    assert s.steady(1.2)
-    assert s.steady(1.5)
-    assert not s.steady(1.51)
-    s.note(None)
-    assert not s.steady(1.51)
+    times = [1.0 + k * period_s for k in range(3)]
+    for t in times[:2]:
+        s.note(pad(t, t), t + 0.1)
+        s.note(pad(t + 0.03, t), t + 0.13)  # the same sighting, predicted on
+    assert not s.steady(times[1])
+    s.note(pad(times[2], times[2]), times[2] + 0.1)
+    assert s.delay_s == pytest.approx(0.1)
+    assert s.steady(times[2])
+    assert s.steady(times[2] + 0.49)
+    assert not s.steady(times[2] + 0.51)
+    s.note(None, times[2] + 0.51)
+    assert not s.steady(times[2] + 0.51)
+    late_s = times[2] + 0.52
+    s.note(pad(late_s, late_s), late_s)  # after a gap one is one
+    assert not s.steady(late_s)
+
+
+def test_how_long_unseen_does_not_count_what_a_slow_vision_takes() -> None:
+    knowledge = PadKnowledge(1, 0.5)
+    knowledge.update(pad(1.0, 0.7), None, 1.0)
+    assert knowledge.sight is not None
+    assert knowledge.sight.unseen_s == pytest.approx(0.3)  # it may have come long before
+    knowledge.update(pad(1.2, 1.0), None, 1.2)
+    knowledge.update(pad(1.35, 1.0), None, 1.35)
+    assert knowledge.sight is not None
+    assert knowledge.sight.age_s == pytest.approx(0.35)
+    assert knowledge.sight.unseen_s == pytest.approx(0.15)
 
 
 def test_what_is_known_of_the_pad_outlives_a_cycle_without_an_estimate() -> None:

@@ -6,7 +6,7 @@ import pytest
 from companion.base.messages import ActionKind, AutopilotState, ControlReport, PadState
 from companion.config import MissionConfig, PhaseTimesConfig
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
-from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.inputs import ComputerLoad, PlanInputs
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Circumstances, MissionEvent, State
 from companion.plan.mission.table import FINAL, IN_AIR, follows
@@ -260,3 +260,28 @@ def test_a_controller_without_a_plan_for_a_second_ends_the_flight_by_setpoints()
 )
 def test_a_stop_and_what_is_no_number_are_no_plan(report: ControlReport, failed: bool) -> None:
     assert bool(report.failure) is failed
+
+
+def test_a_computer_that_is_too_slow_is_named_before_what_it_causes() -> None:
+    """Slow, it sees answers late, estimates that are old and a camera that seems turned."""
+    slow = replace(FLYING, round_trip_s=0.5, round_trip_time_s=50.0)
+    given = replace(
+        inputs(slow),
+        computer=ComputerLoad("computer too slow"),
+        camera_turned_rad=-0.8,
+        control_failure="no plan",
+    )
+    assert gravest(given) is MissionEvent.COMPUTER_LATE
+    assert gravest(given, State.SINK) is not MissionEvent.COMPUTER_LATE
+    assert gravest(replace(given, computer=ComputerLoad())) is MissionEvent.LINK_LATE
+
+
+@pytest.mark.parametrize(("held_up_s", "words"), [(0.7, ""), (1.3, ": our setpoints had stopped for 1.3 s")])
+def test_a_mode_that_follows_setpoints_that_stopped_is_not_the_pilots_alone(
+    held_up_s: float, words: str
+) -> None:
+    watch, _ = monitor()
+    given = replace(inputs(replace(HELD, mode="POSCTL")), computer=ComputerLoad(None, held_up_s))
+    watch.detect(inputs(), 49.0, control_granted=True)
+    found = dict(watch.detect(given, 50.0, control_granted=True))
+    assert found[MissionEvent.PILOT_TOOK_OVER] == f"mode POSCTL was not requested{words}"

@@ -2,11 +2,14 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import pytest
 
 from companion.base.messages import ActionKind, LandedState, Order, OrderKind, Phase
 from companion.config import Cylinder, MissionConfig, PlanConfig
+from companion.plan.mission.inputs import ComputerLoad
 from companion.plan.mission.mode_monitor import TAKES_S
 from companion.plan.planner import Planner
 from tests.unit.plan.pad_paths import line, still
@@ -74,6 +77,27 @@ def test_an_order_is_for_the_moment_it_is_not_kept() -> None:
     w.fly(5.0)
     assert w.flight.phase is Phase.STANDBY
     assert asked(w) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"computer": ComputerLoad("computer too slow")}, "computer too slow"),
+        ({"leg_problem": "leg_height_m is 0.26"}, "leg_height_m is 0.26"),
+    ],
+)
+def test_what_the_app_finds_of_computer_and_legs_refuses_an_order_and_holds_a_departure(
+    changes: dict[str, Any], why: str
+) -> None:
+    w = flown_by_a_pilot()
+    given = replace(w.inputs(), **changes, order=Order(w.now_s, OrderKind.LAND, "the test"))
+    w.planner.step(given, w.now_s)
+    assert w.planner.refused is not None
+    assert w.planner.refused.text == why
+    ground = PlanWorld(still())
+    ground.now_s = 3.0
+    step = ground.planner.step(replace(ground.inputs(), **changes), ground.now_s)
+    assert why in next(notice.text for notice in step.notices if notice.kind == "waiting")
 
 
 def on_the_ground(w: PlanWorld) -> None:

@@ -8,10 +8,11 @@ import pytest
 from companion.base.geometry import Vector3
 from companion.base.messages import Phase, PlanStep, RangeSample
 from companion.config import LandingConfig, PlanConfig
+from companion.plan.planner import Planner
 from tests.unit.plan.mission.planner_world import GOOD, world
 from tests.unit.plan.pad_paths import circle, line, still
 from tests.unit.plan.plan_autopilot import HOME
-from tests.unit.plan.plan_harness import LEG_M, PlanWorld
+from tests.unit.plan.plan_harness import LEG_M, TABLE, VEHICLE, PlanWorld
 
 
 def test_a_pad_that_is_not_at_the_waypoint_is_found_by_its_beacon() -> None:
@@ -243,3 +244,23 @@ def test_never_aligned_it_gives_up_clear_of_the_pad_after_its_tries() -> None:
     assert flight.phase is Phase.ABORT
     assert flight.touch_s is None
     assert flight.heights_m[-1] > LEG_M + 0.3
+
+
+@pytest.mark.parametrize("wrong_m", [0.08, -0.05])
+def test_a_wrong_leg_height_cuts_no_thrust_before_the_feet_stand(wrong_m: float) -> None:
+    w = world(line(1.0))
+    told = VEHICLE.model_copy(update={"leg_height_m": LEG_M + wrong_m})
+    w.planner = Planner(w.config, told, 20, 0.1, TABLE)
+    w.fly(120.0, until=lambda w: any(step.on_ground for step in w.flight.steps[-1:]))
+    assert w.flight.heights_m[-1] == pytest.approx(LEG_M, abs=0.005)
+    assert w.fly(20.0).phase is Phase.LANDED
+    assert w.flight.touch_down_m_s < 0.4
+
+
+def test_a_pad_that_a_slow_vision_sees_in_every_frame_is_landed_on() -> None:
+    w = world(line(1.0))
+    w.frame_s, w.vision_s = 0.13, 0.17
+    flight = w.fly(120.0)
+    assert [phase for _, phase in flight.phases] == GOOD
+    assert flight.touch_lateral_m < 0.1
+    assert flight.touch_down_m_s < 0.4

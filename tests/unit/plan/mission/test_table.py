@@ -61,6 +61,7 @@ def test_what_may_happen_anywhere_is_handled_in_every_state_or_excepted_with_a_r
         (E.DISARMED, ON_GROUND),
         (E.OVERTIME, ON_GROUND | COMMITTED | {S.HOLD}),
         (E.LINK_LATE, ON_GROUND | COMMITTED | {S.TAKE_OFF, S.WAYPOINT}),
+        (E.COMPUTER_LATE, ON_GROUND | COMMITTED | {S.TAKE_OFF, S.WAYPOINT}),
         (E.BATTERY_CRITICAL, ON_GROUND | COMMITTED | {S.HOLD}),
         (E.OUT_OF_BOUNDS, ON_GROUND | COMMITTED | {S.HOLD}),
         (E.CAMERA_TURNED, LIVE - {S.APPROACH, S.DESCEND, S.WAIT, S.RISE}),

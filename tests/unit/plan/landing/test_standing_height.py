@@ -1,0 +1,71 @@
+"""The leg height as echo and pad measure it, standing disarmed before take-off."""
+
+import pytest
+
+from companion.base.geometry import ZERO3
+from companion.base.messages import ActionKind
+from companion.plan.landing.standing_height import StandingHeight
+from companion.plan.planner import Planner
+from tests.unit.plan.mission.planner_world import world
+from tests.unit.plan.pad_paths import still
+from tests.unit.plan.plan_harness import LEG_M, TABLE, VEHICLE, PlanWorld
+
+
+def stood(
+    leg_m: float, *, echo_m: float | None = None, on_pad: bool = False
+) -> tuple[StandingHeight, PlanWorld]:
+    """After six seconds on the ground: the true standing height is LEG_M, the file says `leg_m`."""
+    w = world(still())
+    w.echo_m, w.range_lost = echo_m, echo_m is None
+    w.blind = lambda _t, _height: not on_pad
+    if on_pad:
+        w.pad = lambda _t: (0.0, 0.0, 0.0)
+    height = StandingHeight(VEHICLE.model_copy(update={"leg_height_m": leg_m}))
+    for _ in range(180):
+        w.acceleration = ZERO3
+        height.update(w.inputs(), w.now_s)
+        w.autopilot.ready_from_s = 1e9  # it stays on the ground
+        w.cycle()
+    return height, w
+
+
+ECHO_M = LEG_M - VEHICLE.range_position_body_m[2]
+
+
+@pytest.mark.parametrize(("wrong_m", "refused"), [(0.0, False), (0.04, False), (-0.04, False), (0.08, True)])
+def test_an_echo_before_take_off_says_whether_the_leg_height_is_right(wrong_m: float, refused: bool) -> None:
+    height, _ = stood(LEG_M + wrong_m, echo_m=ECHO_M)
+    assert height.measured_m["the rangefinder"] == pytest.approx(LEG_M)
+    assert (height.problem is not None) is refused
+
+
+def test_the_pad_beneath_says_it_too_and_without_either_it_is_not_refused() -> None:
+    by_pad, _ = stood(LEG_M - 0.08, on_pad=True)
+    assert by_pad.measured_m["the pad"] == pytest.approx(LEG_M, abs=1e-6)
+    assert by_pad.problem == (
+        "leg_height_m is 0.10 in the vehicle's file, and the pad measured 0.18 standing: "
+        "expected within 0.05 m"
+    )
+    neither, _ = stood(LEG_M - 0.08)
+    assert neither.problem is None
+
+
+def test_carried_or_armed_it_measures_nothing() -> None:
+    carried, w = world(still()), StandingHeight(VEHICLE)
+    carried.echo_m = 1.2
+    for k in range(180):
+        carried.cycle()
+        carried.autopilot.ready_from_s, carried.autopilot.armed = 1e9, k > 90
+        carried.acceleration = (0.0, 0.0, 0.0 if carried.autopilot.armed else 0.6)
+        w.update(carried.inputs(), carried.now_s)
+    assert w.measured_m == {}
+
+
+def test_a_wrong_leg_height_is_waited_for_on_the_ground_and_refuses_an_order() -> None:
+    height, w = stood(LEG_M + 0.08, echo_m=ECHO_M)
+    w.autopilot.ready_from_s = 0.0
+    w.planner = Planner(w.config, VEHICLE, 20, 0.1, TABLE, standing_height=height)  # of a later mission
+    w.fly(12.0)
+    assert any("leg_height_m is 0.26" in text for text in w.flight.told("waiting"))
+    assert ActionKind.ARM not in [kind for _, kind in w.autopilot.heard]
+    assert any("leg_height_m is 0.26" in words for words in w.planner.not_ready(w.inputs(), w.now_s))
