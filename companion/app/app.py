@@ -84,7 +84,7 @@ class App:
         self.announcer = Announcer(self._clock, log, self._deliver)
         stages = build_stages(config, hardware, log, self._clock, self.announcer.notify)
         self._vehicle, self.session, self._timer = stages.vehicle, stages.session, stages.control_timer
-        self.estimator, self.sensing = stages.estimator, stages.sensing
+        self.estimator, self.sensing, self.sources = stages.estimator, stages.sensing, stages.sources
         self.missions = Missions(
             stages.make_planner, self.session, log, self.announcer, self._clock, standby=standby, stays=stays
         )
@@ -199,6 +199,7 @@ class App:
         if self._stop_requested or not self.missions.stays:
             return True
         self.missions.stand_by()
+        self.sources.begin()
         self._controller = self._latency_ms = None
         self._action_queue.clear()
         self._action_results.clear()
@@ -257,7 +258,7 @@ class App:
             results=results,
             stop_requested=self._stop_requested or (self.loop_monitor.woke and self.phase not in NOT_STOPPED),
             camera_problem=self.sensing.camera_problem,
-            camera_turned_rad=self.estimator.camera_turned_rad,
+            comparisons=self.sources.look(),
             control_failed=self._control_failed,
             silent_s=now_s - self.session.heard_s,
         )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from companion.app.hardware import Hardware
 from companion.app.sensing import Notify, Sensing
+from companion.app.source_watch import SourceWatch
 from companion.app.timing.control_timer import ControlTimer
 from companion.base.clock import Clock, unix_time_s
 from companion.base.files import find_file
@@ -36,6 +37,7 @@ class Stages:
     session: Session
     estimator: StateEstimator
     sensing: Sensing
+    sources: SourceWatch
     control_timer: ControlTimer
     make_planner: Callable[[str | None], Planner]  # of a mission; given why it stands by, if it does
 
@@ -88,7 +90,8 @@ def build_stages(
             config.plan, vehicle, control.horizon_steps, control.step_s, law, pace=pace, standby=standby
         )
 
-    return Stages(vehicle, session, estimator, sensing, control_timer, make_planner)
+    sources = SourceWatch(estimator, notify)
+    return Stages(vehicle, session, estimator, sensing, sources, control_timer, make_planner)
 
 
 def _session(config: CompanionConfig) -> Session:

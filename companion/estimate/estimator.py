@@ -38,9 +38,11 @@ from companion.base.messages import (
     PadSighting,
     PadState,
     RangeSample,
+    SourceComparison,
     VehicleState,
 )
 from companion.config import EstimateConfig, VehicleConfig
+from companion.estimate.attitude_check import AttitudeCheck
 from companion.estimate.gating import Timeline
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_delay import CameraDelay
@@ -87,7 +89,7 @@ class StateEstimator:
         self._no_pad()
         self._camera_delay = CameraDelay(self._motion, config.pad.camera_delay_std_s)
         self._mount_check = MountCheck(self._motion, vehicle.camera_position_body_m, vehicle.camera_yaw_deg)
-        self._mount_reported = False
+        self._attitude_check = AttitudeCheck(self._motion)
         self._unusable: dict[str, int] = {}
 
     def _no_pad(self) -> None:
@@ -99,6 +101,7 @@ class StateEstimator:
     def start_over(self) -> None:
         """Forget vehicle and pad: more time has gone by than any clock shows. The alignment begins again."""
         self._vehicle.start_over()
+        self._attitude_check.forget()
         self._no_pad()
 
     # ------------------------------------------------------------ inputs
@@ -139,24 +142,21 @@ class StateEstimator:
     def add_autopilot_attitude(self, sample: AutopilotAttitude) -> bool:
         """Take the autopilot's attitude, as an anchor or a second gyroscope; refused before the alignment."""
         usable = self._usable(sample.time_s, sample.attitude)
+        if usable and self._vehicle.aligned:
+            self._attitude_check.take(sample)
         return self._count("attitude", usable and self._vehicle.add_autopilot_attitude(sample))
 
     def take_notices(self) -> tuple[tuple[str, str], ...]:
-        """What was found since the last call, kind and words: a correction of the attitude, a wrong mount."""
+        """What was found since the last call, kind and words: a correction of the attitude."""
         corrections, self._vehicle.corrections = self._vehicle.corrections, ()
-        notices = tuple(("attitude", words) for words in corrections)
-        mount = None if self._mount_reported else self._mount_check.words()
-        if mount is None:
-            return notices
-        self._mount_reported = True
-        return (*notices, ("camera", mount))
+        return tuple(("attitude", words) for words in corrections)
 
     @property
-    def camera_turned_rad(self) -> float | None:
-        """By how much the camera is turned against the vehicle's file (rad, clockwise from above); None: it
-        is not, or nobody knows.
-        """
-        return self._mount_check.yaw_error_rad
+    def comparisons(self) -> tuple[SourceComparison, ...]:
+        """What has been measured by two sources, of the table of `companion.base.second_sources`."""
+        rotation, mount = self._vehicle.rotation_covariance(), self._mount_check.comparison
+        attitudes = () if rotation is None else self._attitude_check.comparisons(rotation)
+        return attitudes if mount is None else (*attitudes, mount)
 
     def add_range(self, sample: RangeSample) -> bool:
         """Take one echo; it counts when the pad filter knows that the sensor is over the board and low."""

@@ -89,6 +89,14 @@ class AccelClips(FaultTimes):
     vibration_factor: float = Field(default=4.0, ge=1.0, le=20.0)  # On the rotors' vibration meanwhile
 
 
+class ImuTurned(FaultTimes):
+    """The board with IMU and magnetometer lies otherwise than its file says, or slips in flight."""
+
+    kind: Literal["imu_turned"]
+    rotation_body_deg: BodyVector = (0.0, 12.0, 0.0)  # By which it is turned about forward, right and down
+    slips_for_s: float = Field(default=0.0, ge=0.0, le=10.0)  # How long it takes to slip; 0: it lay so
+
+
 class Vibration(FaultTimes):
     """A propeller is chipped, a frame resonates: the rotors' vibration grows, on the autopilot's IMU too."""
 
@@ -285,6 +293,7 @@ Fault = (
     | AccelBiasStep
     | AccelSpikes
     | AccelClips
+    | ImuTurned
     | Vibration
     | MagLost
     | MagStuck

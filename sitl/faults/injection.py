@@ -39,6 +39,7 @@ class FaultTargets:
         self.non_sensor = non_sensor
         self.inertial, self.magnetometer, self.echo = rack.inertial, rack.magnetometer, rack.echo
         self.gps, self.bus, self.range, self.position = rack.gps, rack.imu, rack.range, rack.position
+        self.mount = rack.mount
         self.autopilot_sensors = autopilot_sensors
         self.frames, self.motors = frames, motors
         self.to_app, self.to_vehicle = to_app, to_vehicle
@@ -46,6 +47,7 @@ class FaultTargets:
     def clear_faults(self) -> None:
         """Clear all faults."""
         self.bus.wake()
+        self.mount.clear_faults()
         self.inertial.rate_offset_rad_s = self.inertial.force_offset_m_s2 = ZERO3
         self.inertial.accel_limit_m_s2 = math.inf
         self.inertial.vibration_factor = self.autopilot_sensors.inertial.vibration_factor = 1.0
@@ -119,6 +121,13 @@ def clip_accelerometer(fault: faults.AccelClips, targets: FaultTargets) -> None:
     limit_m_s2 = fault.range_g * GRAVITY_M_S2
     targets.inertial.accel_limit_m_s2 = min(targets.inertial.accel_limit_m_s2, limit_m_s2)
     targets.inertial.vibration_factor *= fault.vibration_factor
+
+
+def turn_board(fault: faults.ImuTurned, targets: FaultTargets) -> None:
+    """Another mounting."""
+    x, y, z = fault.rotation_body_deg
+    targets.mount.target_rad = (math.radians(x), math.radians(y), math.radians(z))
+    targets.mount.slips_for_s = fault.slips_for_s
 
 
 def shake(fault: faults.Vibration, targets: FaultTargets) -> None:
@@ -290,6 +299,7 @@ INJECT: Final[dict[str, Callable[[Any, FaultTargets], None]]] = {
     "accel_bias_step": step_accel_bias,
     "accel_spikes": spike_accel,
     "accel_clips": clip_accelerometer,
+    "imu_turned": turn_board,
     "vibration": shake,
     "mag_lost": lose_magnetometer,
     "mag_stuck": stick_magnetometer,

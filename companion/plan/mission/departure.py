@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from companion.base.geometry import Vector3, geodetic_from_ned, ned_from_geodetic
 from companion.base.messages import Action, ActionKind, AutopilotState, LandedState, VehicleState
+from companion.base.second_sources import refused
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.ground_contact import Ground
@@ -81,7 +82,7 @@ class Departure:
         """What is detected in one of these states."""
         vehicle, autopilot = inputs.vehicle, inputs.autopilot
         if state is State.CONNECT:
-            return self._connect(vehicle, autopilot, now_s)
+            return self._connect(inputs, now_s)
         if state is State.ARM:
             if vehicle is None or not vehicle.aligned:
                 return MissionEvent.ALIGNMENT_LOST, "before the autopilot armed"
@@ -92,12 +93,12 @@ class Departure:
             return MissionEvent.PAD_SEEN, "on the way to the waypoint"
         return self._at_first(vehicle) if self._waypoints.further else self._to_waypoint(vehicle, autopilot)
 
-    def _connect(
-        self, vehicle: VehicleState | None, autopilot: AutopilotState, now_s: float
-    ) -> DetectedEvent | None:
+    def _connect(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+        vehicle, autopilot = inputs.vehicle, inputs.autopilot
         if autopilot.connected and autopilot.armed:
             return MissionEvent.ALREADY_ARMED, "not by this app"
         missing = [text for text, there in self._needs(vehicle, autopilot, now_s) if not there]
+        missing += [f"two sources to agree ({words})" for _, words in refused(inputs.comparisons)]
         if not missing:
             return MissionEvent.READY, "ready to arm"
         self.remind("waiting", f"waiting for {', '.join(missing)}", now_s)

@@ -6,10 +6,10 @@ did not request is a pilot's word or a failsafe of the autopilot, and that is fi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 
-from companion.base.messages import AutopilotState, PadState, Phase, VehicleState
+from companion.base.messages import AutopilotState, PadState, Phase, SourceComparison, VehicleState
+from companion.base.second_sources import TABLE, Reaction
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import FRESH_S
@@ -29,14 +29,31 @@ _STALE_SINKING_S = 1.5
 _OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz
 # So long without a plan the stop is complete, and the vehicle drifts with the wind.
 _NO_PLAN_S = 1.0
-# A camera turned by so much turns every correction by the same angle: that is taken off the loop's phase
-# margin, of which 45 deg are promised.
-_CAMERA_TURNED_RAD = math.radians(30.0)
+_EVENTS = {
+    Reaction.HAND_BACK: MissionEvent.ESTIMATE_DISPUTED,
+    Reaction.LEAVE_PAD: MissionEvent.PAD_DISPUTED,
+}
 
 
 def _seen_until_lost(vehicle: VehicleState | None, pad: PadState | None) -> bool:
     """Whether the pad was in view when the IMU was last heard; without it no sighting is taken in."""
     return vehicle is not None and pad is not None and vehicle.sensed_time_s - pad.seen_time_s <= FRESH_S
+
+
+def _disputed(
+    comparisons: Sequence[SourceComparison], bounds: Sequence[DetectedEvent]
+) -> Iterator[DetectedEvent]:
+    """Numbers that a second source contradicts.
+
+    What is only announced of the pad's explains a pad that seems too fast: it feigns that.
+    """
+    seems_fast = any(event is MissionEvent.PAD_TOO_FAST for event, _ in bounds)
+    for comparison in comparisons:
+        row = TABLE[comparison.quantity]
+        event = _EVENTS.get(row.reaction)
+        feigns = seems_fast and event is MissionEvent.PAD_DISPUTED and row.announces(comparison)
+        if event is not None and (feigns or row.refuses(comparison)):
+            yield event, row.words(comparison)
 
 
 class FailsafeMonitor:
@@ -113,7 +130,7 @@ class FailsafeMonitor:
         found += [*self._late(autopilot, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
         found += [*self._control(inputs.control_failed, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
-        found += [*self._camera(inputs.camera_turned_rad, bounds), *bounds, *self._time(now_s)]
+        found += [*_disputed(inputs.comparisons, bounds), *bounds, *self._time(now_s)]
         found += [(MissionEvent.LINK_UP, "heartbeat again")] if heard else []
         return tuple(found)
 
@@ -137,13 +154,6 @@ class FailsafeMonitor:
     def _control(self, failed: bool, now_s: float) -> Iterator[DetectedEvent]:
         if self._no_plan.held_s(failed, now_s) >= _NO_PLAN_S:
             yield MissionEvent.CONTROL_FAILED, "the controller finds no plan to fly"
-
-    def _camera(self, turned_rad: float | None, bounds: Sequence[DetectedEvent]) -> Iterator[DetectedEvent]:
-        """Turned by more than can be flown with, or by less while the pad seems too fast: it feigns that."""
-        seems_fast = any(event is MissionEvent.PAD_TOO_FAST for event, _ in bounds)
-        if turned_rad is not None and (seems_fast or abs(turned_rad) > _CAMERA_TURNED_RAD):
-            turned = f"by {math.degrees(turned_rad):.0f} deg against the vehicle's file"
-            yield MissionEvent.CAMERA_TURNED, f"{turned}: see companion check --pad"
 
     def _battery(self, autopilot: AutopilotState) -> Iterator[DetectedEvent]:
         if autopilot.battery_share is not None and autopilot.battery_share <= self._config.battery.critical:

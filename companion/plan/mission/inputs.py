@@ -11,6 +11,7 @@ from companion.base.messages import (
     PadBeacon,
     PadState,
     RangeSample,
+    SourceComparison,
     VehicleState,
 )
 
@@ -20,7 +21,7 @@ class PlanInputs:
     """The newest of everything the planner goes by; `results` holds each answer once, `order` comes once.
 
     `silent_s`: since anything was last heard of the autopilot, seen by an app that runs.
-    `camera_turned_rad`: against the vehicle's file, as far as the pad's motion shows it.
+    `comparisons`: what was measured by two sources.
     `control_failed`: the last setpoint was a stop for want of a plan, or would have been no number.
     """
 
@@ -33,6 +34,6 @@ class PlanInputs:
     stop_requested: bool = False
     order: Order | None = None
     camera_problem: str | None = None
-    camera_turned_rad: float | None = None
+    comparisons: tuple[SourceComparison, ...] = ()
     control_failed: bool = False
     silent_s: float = 0.0

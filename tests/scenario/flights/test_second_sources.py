@@ -1,0 +1,41 @@
+"""A number that two sources contradict is not flown with: refused on the ground, handed back in flight."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from companion.base.messages import Outcome, Phase
+from companion.flightlog.record import FlightLog
+from tests.scenario.flying import FEW_PICTURES, fly_logged, notices, scenario_file
+
+
+def flown(folder: Path, name: str = "static", **changes: Any) -> tuple[Outcome, FlightLog]:
+    flight, log = fly_logged(scenario_file(folder, name, {**FEW_PICTURES, **changes}))
+    return flight.report.outcome, log
+
+
+def test_a_board_that_lies_12_deg_askew_does_not_take_off(tmp_path: Path) -> None:
+    turned = {"kind": "imu_turned", "start_s": 0.0, "rotation_body_deg": [0.0, 12.0, 0.0]}
+    outcome, log = flown(
+        tmp_path, faults=[turned], companion={"plan": {"mission": {"phases": {"connect_s": 20.0}}}}
+    )
+    assert outcome is Outcome.ABORTED
+    assert {step.phase for step in log.kept["plan"]} == {Phase.CONNECT, Phase.ABORT}
+    assert "two sources to agree (attitude: our horizon roll" in notices(log)
+    assert "12." in notices(log)
+
+
+def test_a_board_that_slips_by_20_deg_in_the_approach_returns_control_within_a_second(tmp_path: Path) -> None:
+    slips = {
+        "kind": "imu_turned",
+        "phase": "approach",
+        "rotation_body_deg": [20.0, 0.0, 0.0],
+        "slips_for_s": 0.3,
+    }
+    outcome, log = flown(tmp_path, faults=[slips])
+    assert outcome is Outcome.ABORTED
+    began = next(step.time_s for step in log.kept["plan"] if step.phase is Phase.APPROACH)
+    ended = next(step.time_s for step in log.kept["plan"] if step.phase is Phase.ABORT)
+    assert ended - began < 1.0
+    assert "estimate disputed: attitude: our horizon roll" in notices(log)
