@@ -90,7 +90,8 @@ def build_stages(
             config.plan, vehicle, control.horizon_steps, control.step_s, law, pace=pace, standby=standby
         )
 
-    sources = SourceWatch(estimator, notify)
+    nearest_m = config.sense.range.minimum_m
+    sources = SourceWatch(estimator, session, sensing, vehicle, notify, nearest_echo_m=nearest_m)
     return Stages(vehicle, session, estimator, sensing, sources, control_timer, make_planner)
 
 

@@ -21,7 +21,6 @@ from typing import Final, NamedTuple
 from companion.base.geometry import Vector3, add, norm, quat_rotate, scale, subtract, wrap_angle
 from companion.base.messages import Quantity, SourceComparison
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad.camera_delay import second_difference
 
 # long against a sighting's noise, short against a pad's manoeuvres; then what a glimpse of the pad allows
 APART_S: Final = (0.2, 0.1)
@@ -89,23 +88,23 @@ class MountCheck:
             return
 
     @property
-    def comparison(self) -> SourceComparison | None:
-        """The camera's yaw of the vehicle's file against the one that the pad's motion shows (deg); None:
+    def comparisons(self) -> tuple[SourceComparison, ...]:
+        """The camera's yaw of the vehicle's file against the one that the pad's motion shows (deg); none:
         nobody knows.
         """
         determinant = self._n11 * self._n22 - self._n12 * self._n12
         if self._count < FEWEST or determinant <= 0.0:
-            return None
+            return ()
         cosine = (self._n22 * self._b1 - self._n12 * self._b2) / determinant
         sine = (self._n11 * self._b2 - self._n12 * self._b1) / determinant
         length, error_rad = math.hypot(cosine, sine), math.atan2(sine, cosine)
         if not LENGTH[0] <= length <= LENGTH[1]:
-            return None
+            return ()
         # of the angle: across the vector, over its length
         u, v = -sine / length, cosine / length
         variance = (u * u * self._n22 - 2.0 * u * v * self._n12 + v * v * self._n11) / determinant
         shown_rad = wrap_angle(math.radians(self._camera_yaw_deg) + error_rad)
-        return SourceComparison(
+        found = SourceComparison(
             self._compared_s,
             Quantity.CAMERA_ROTATION,
             f"{self._camera_yaw_deg:.0f} deg",
@@ -113,6 +112,7 @@ class MountCheck:
             difference=math.degrees(abs(error_rad)),
             std=math.degrees(math.sqrt(variance) / length),
         )
+        return (found,)
 
     def _before(self, time_s: float, before_s: float, apart_s: float) -> _Seen | None:
         nearest = min(self._seen, key=lambda seen: abs(time_s - before_s - seen.time_s))
@@ -146,3 +146,8 @@ class MountCheck:
         self._updated_s = time_s
         self._n11, self._n12, self._n22 = (kept * n for n in (self._n11, self._n12, self._n22))
         self._b1, self._b2, self._count = kept * self._b1, kept * self._b2, kept * self._count
+
+
+def second_difference(a: Vector3, b: Vector3, c: Vector3, share: float) -> Vector3:
+    """How far b is from the line from a to c, of which it is at this share."""
+    return subtract(b, add(scale(a, 1.0 - share), scale(c, share)))

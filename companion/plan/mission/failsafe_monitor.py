@@ -29,7 +29,7 @@ _STALE_SINKING_S = 1.5
 _OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz
 # So long without a plan the stop is complete, and the vehicle drifts with the wind.
 _NO_PLAN_S = 1.0
-_EVENTS = {
+_EVENTS: dict[Reaction | None, MissionEvent] = {
     Reaction.HAND_BACK: MissionEvent.ESTIMATE_DISPUTED,
     Reaction.LEAVE_PAD: MissionEvent.PAD_DISPUTED,
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,10 @@ from tests.scenario.flying import FEW_PICTURES, fly_logged, notices, scenario_fi
 def flown(folder: Path, name: str = "static", **changes: Any) -> tuple[Outcome, FlightLog]:
     flight, log = fly_logged(scenario_file(folder, name, {**FEW_PICTURES, **changes}))
     return flight.report.outcome, log
+
+
+def began_s(log: FlightLog, phase: Phase) -> float:
+    return float(next(step.time_s for step in log.kept["plan"] if step.phase is phase))
 
 
 def test_a_board_that_lies_12_deg_askew_does_not_take_off(tmp_path: Path) -> None:
@@ -35,7 +40,23 @@ def test_a_board_that_slips_by_20_deg_in_the_approach_returns_control_within_a_s
     }
     outcome, log = flown(tmp_path, faults=[slips])
     assert outcome is Outcome.ABORTED
-    began = next(step.time_s for step in log.kept["plan"] if step.phase is Phase.APPROACH)
-    ended = next(step.time_s for step in log.kept["plan"] if step.phase is Phase.ABORT)
-    assert ended - began < 1.0
+    assert began_s(log, Phase.ABORT) - began_s(log, Phase.APPROACH) < 1.0
     assert "estimate disputed: attitude: our horizon roll" in notices(log)
+
+
+def test_a_pad_printed_at_71_percent_is_given_up_by_its_name(tmp_path: Path) -> None:
+    outcome, log = flown(tmp_path, faults=[{"kind": "pad_resized", "start_s": 0.0, "scale": 0.71}])
+    assert outcome is Outcome.ABORTED
+    assert "pad disputed: pad's scale: the pad's file 100 %" in notices(log)
+    away_m = max(
+        math.dist(truth.vehicle_position_ned_m[:2], truth.pad_position_ned_m[:2])
+        for truth in log.kept["truth"]
+        if truth.time_s > began_s(log, Phase.APPROACH)
+    )
+    assert away_m < 6.0
+
+
+def test_stamps_that_are_40_ms_late_are_learnt_and_said(tmp_path: Path) -> None:
+    outcome, log = flown(tmp_path, "line", camera={"rate_hz": 20.0, "stamp_error_s": 0.04})
+    assert outcome is Outcome.LANDED
+    assert "camera's delay: stamps with camera_time_offset_s 0 ms off" in notices(log)

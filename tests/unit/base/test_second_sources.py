@@ -11,7 +11,9 @@ from companion.base.second_sources import (
     TABLE,
     Reaction,
     SourceRow,
+    SourceState,
     announced,
+    judged,
     refused,
 )
 from docs import second_sources
@@ -42,6 +44,17 @@ def test_a_difference_counts_when_it_is_surely_beyond(row: SourceRow, std: float
 def test_what_is_refused_was_announced_before(row: SourceRow) -> None:
     assert row.bound is None or (row.notice is not None and row.notice < row.bound)
     assert row.reaction is not Reaction.NOTICE or row.bound is None
+
+
+def test_each_row_is_judged_with_its_newest_comparison() -> None:
+    older = compared(Quantity.ATTITUDE, 20.0, 0.5)
+    given = [older, compared(Quantity.ATTITUDE, 1.0, 0.5), compared(Quantity.HEADING, 15.0, 1.0)]
+    found = {row.quantity: state for row, state, _ in judged(given)}
+    assert set(found) == set(TABLE)
+    assert found[Quantity.ATTITUDE] is SourceState.AGREES
+    assert found[Quantity.HEADING] is SourceState.DIFFERS
+    assert found[Quantity.PAD_SCALE] is SourceState.NOT_MEASURED
+    assert [s for r, s, _ in judged([older]) if r.quantity is Quantity.ATTITUDE] == [SourceState.REFUSED]
 
 
 def test_the_page_is_the_table() -> None:

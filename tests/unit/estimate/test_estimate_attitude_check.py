@@ -85,6 +85,13 @@ def test_headings_may_differ_by_what_two_compasses_do(turned_deg: float, refuses
     assert TABLE[Quantity.HEADING].refuses(found[Quantity.HEADING]) is refuses
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.06, 0.16, -0.08])
+def test_stamps_that_are_late_show_while_the_vehicle_turns(late_s: float) -> None:
+    found = compared(until_s=20.0, late_s=late_s)[Quantity.IMU_DELAY]
+    assert found.difference == pytest.approx(1e3 * abs(late_s), rel=0.1, abs=5.0)
+    assert TABLE[Quantity.IMU_DELAY].refuses(found) is (late_s == 0.16)
+
+
 def test_a_few_reports_say_nothing() -> None:
     assert compared((30.0, 0.0, 0.0), until_s=0.9) == {}
 

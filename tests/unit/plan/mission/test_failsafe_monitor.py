@@ -60,16 +60,17 @@ def test_a_camera_that_is_turned_is_named_before_the_pad_that_seems_too_fast(
     meant = [e for e, _ in found if follows(machine.state, e, Circumstances(machine.authority)) is not None]
     assert meant[0] is (MissionEvent.PAD_TOO_FAST if flown else MissionEvent.PAD_DISPUTED)
     if not flown:
-        assert f": {turned_deg:g} deg apart" in dict(found)[MissionEvent.PAD_DISPUTED]
+        assert f": {turned_deg:.1f} ±0.5 deg apart" in dict(found)[MissionEvent.PAD_DISPUTED]
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.quantity.value)
 def test_what_two_sources_say_is_flown_with_up_to_its_bound(row: SourceRow) -> None:
     # GIVEN a difference just within, and one just beyond what is surely more than the bound
-    meant = {
+    events: dict[Reaction | None, MissionEvent] = {
         Reaction.HAND_BACK: MissionEvent.ESTIMATE_DISPUTED,
         Reaction.LEAVE_PAD: MissionEvent.PAD_DISPUTED,
-    }.get(row.reaction)
+    }
+    meant = events.get(row.reaction)
     surely = SIGMA_THRESHOLD * STD
     for more, flown in ((-0.01, True), (0.01, row.bound is None or meant is None)):
         shown = differ(row.quantity, (row.bound or 1e6) + surely + more)
