@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -48,12 +47,7 @@ def test_a_pad_printed_at_71_percent_is_given_up_by_its_name(tmp_path: Path) -> 
     outcome, log = flown(tmp_path, faults=[{"kind": "pad_resized", "start_s": 0.0, "scale": 0.71}])
     assert outcome is Outcome.ABORTED
     assert "pad disputed: pad's scale: the pad's file 100 %" in notices(log)
-    away_m = max(
-        math.dist(truth.vehicle_position_ned_m[:2], truth.pad_position_ned_m[:2])
-        for truth in log.kept["truth"]
-        if truth.time_s > began_s(log, Phase.APPROACH)
-    )
-    assert away_m < 6.0
+    assert began_s(log, Phase.ABORT) - began_s(log, Phase.APPROACH) < 15.0
 
 
 def test_stamps_that_are_40_ms_late_are_learnt_and_said(tmp_path: Path) -> None:
