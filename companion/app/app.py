@@ -85,7 +85,8 @@ class App:
         self.announcer = Announcer(self._clock, log, self._deliver)
         stages = build_stages(config, hardware, log, self._clock, self.announcer.notify)
         self._vehicle, self.session, self._timer = stages.vehicle, stages.session, stages.control_timer
-        self.estimator, self.sensing, self._stamps = stages.estimator, stages.sensing, stages.stamps
+        self.estimator, self.sensing, self.sources = stages.estimator, stages.sensing, stages.sources
+        self._stamps = stages.stamps
         self.missions = Missions(
             stages.make_planner, self.session, log, self.announcer, self._clock, standby=standby, stays=stays
         )
@@ -202,6 +203,7 @@ class App:
         if self._stop_requested or not self.missions.stays:
             return True
         self.missions.stand_by()
+        self.sources.begin()
         self._controller = self._latency_ms = None
         self._action_queue.clear()
         self._action_results.clear()
@@ -257,7 +259,7 @@ class App:
             results=results,
             stop_requested=self._stop_requested or (self.loop_monitor.woke and self.phase not in NOT_STOPPED),
             camera_problem=self.sensing.camera_problem,
-            camera_turned_rad=self.estimator.camera_turned_rad,
+            comparisons=self.sources.look(),
             computer=self.loop_monitor.load,
             control_failure=self._control_failure,
             thrust_doubt="" if self._controller is None else self._controller.thrust.doubt,

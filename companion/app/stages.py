@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from companion.app.hardware import Hardware
 from companion.app.sensing import Notify, Sensing
 from companion.app.service.stamp_file import StampKeeper
+from companion.app.source_watch import SourceWatch
 from companion.app.timing.control_timer import ControlTimer
 from companion.base.clock import Clock, unix_time_s
 from companion.base.files import find_file
@@ -39,6 +40,7 @@ class Stages:
     session: Session
     estimator: StateEstimator
     sensing: Sensing
+    sources: SourceWatch
     control_timer: ControlTimer
     stamps: StampKeeper
     make_planner: Callable[[str | None], Planner]  # of a mission; given why it stands by, if it does
@@ -104,10 +106,12 @@ def build_stages(
             standing_height=standing_height,
         )
 
+    nearest_m = config.sense.range.minimum_m
+    sources = SourceWatch(estimator, session, sensing, vehicle, notify, nearest_echo_m=nearest_m)
     stamps = StampKeeper(
         hardware.stamp_file, hardware.signing, lambda text: notify("signing", text, "warning")
     )
-    return Stages(vehicle, session, estimator, sensing, control_timer, stamps, make_planner)
+    return Stages(vehicle, session, estimator, sensing, sources, control_timer, stamps, make_planner)
 
 
 def _session(config: CompanionConfig, signing: LinkSigning | None) -> Session:

@@ -64,7 +64,7 @@ class PadFilterConfig(StrictModel):
     tilt_acceleration_rad_s2_rthz: float = Field(default=0.1, gt=0.0, le=20.0)
     sighting_noise_scale: float = Field(default=1.0, ge=0.1, le=20.0)
     camera_delay_std_s: float = Field(
-        default=0.01, ge=0.0, le=0.05
+        default=0.03, ge=0.0, le=0.05
     )  # of the stamps, learnt in flight; 0: known
     exposure_jitter_s: float = Field(default=0.001, ge=0.0, le=0.1)  # of the exposure against the IMU's clock
     first_speed_std_m_s: float = Field(default=2.0, gt=0.0, le=20.0)

@@ -38,12 +38,15 @@ from companion.base.messages import (
     PadSighting,
     PadState,
     RangeSample,
+    SourceComparison,
     VehicleState,
 )
 from companion.config import EstimateConfig, VehicleConfig
+from companion.estimate.attitude_check import AttitudeCheck
 from companion.estimate.gating import Timeline
+from companion.estimate.input_counts import InputCount, InputCounts
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad.camera_delay import CameraDelay
+from companion.estimate.pad.camera_check import CameraCheck
 from companion.estimate.pad.mount_check import MountCheck
 from companion.estimate.pad.pad_filter import (
     CombinedEstimate,
@@ -86,10 +89,9 @@ class StateEstimator:
         imu_m = vehicle.imu_position_body_m
         self._vehicle = VehicleEstimator(config, antenna_position_body_m, self._motion, imu_m)
         self._no_pad()
-        self._camera_delay = CameraDelay(self._motion, config.pad.camera_delay_std_s)
+        self._camera_check = CameraCheck(self._motion, config.pad.camera_delay_std_s, board_half_width_m)
         self._mount_check = MountCheck(self._motion, vehicle.camera_position_body_m, vehicle.camera_yaw_deg)
-        self._mount_reported = False
-        self._unusable: dict[str, int] = {}
+        self._attitude_check, self._inputs = AttitudeCheck(self._motion), InputCounts()
 
     def _no_pad(self) -> None:
         config = self._config.pad
@@ -100,6 +102,7 @@ class StateEstimator:
     def start_over(self) -> None:
         """Forget vehicle and pad: more time has gone by than any clock shows. The alignment begins again."""
         self._vehicle.start_over()
+        self._attitude_check.forget()
         self._no_pad()
 
     # ------------------------------------------------------------ inputs
@@ -122,12 +125,12 @@ class StateEstimator:
         ):
             first, *self._early = self._early
             self._see(first)
-        return self._count("imu", taken)
+        return self._inputs.count("imu", taken)
 
     def add_mag(self, sample: MagSample) -> bool:
         """Take one calibrated sample."""
         usable = self._usable(sample.time_s, sample.field_body_ut)
-        return self._count("mag", usable and self._vehicle.add_mag(sample))
+        return self._inputs.count("mag", usable and self._vehicle.add_mag(sample))
 
     def add_gps(self, fix: GpsFix) -> bool:
         """Take one fix, at its own time; refused before the alignment."""
@@ -135,44 +138,42 @@ class StateEstimator:
         accuracy = (fix.horizontal_accuracy_m, fix.vertical_accuracy_m, fix.speed_accuracy_m_s)
         climb_accuracy = fix.vertical_speed_accuracy_m_s or 0.0
         usable = self._usable(fix.time_s, (*place, *fix.velocity_ned_m_s, *accuracy, climb_accuracy))
-        return self._count("gps", usable and self._vehicle.add_gps(fix))
+        return self._inputs.count("gps", usable and self._vehicle.add_gps(fix))
 
     def add_autopilot_attitude(self, sample: AutopilotAttitude) -> bool:
         """Take the autopilot's attitude, as an anchor or a second gyroscope; refused before the alignment."""
         usable = self._usable(sample.time_s, sample.attitude)
-        return self._count("attitude", usable and self._vehicle.add_autopilot_attitude(sample))
+        if usable and self._vehicle.aligned:
+            self._camera_check.imu_by_link = sample.same_imu
+            self._attitude_check.take(sample)
+        return self._inputs.count("attitude", usable and self._vehicle.add_autopilot_attitude(sample))
 
     def take_notices(self) -> tuple[tuple[str, str], ...]:
-        """What was found since the last call, kind and words: a correction of the attitude, a wrong mount."""
+        """What was found since the last call, kind and words: a correction of the attitude."""
         corrections, self._vehicle.corrections = self._vehicle.corrections, ()
-        notices = tuple(("attitude", words) for words in corrections)
-        mount = None if self._mount_reported else self._mount_check.words()
-        if mount is None:
-            return notices
-        self._mount_reported = True
-        return (*notices, ("camera", mount))
+        return tuple(("attitude", words) for words in corrections)
 
     @property
-    def camera_turned_rad(self) -> float | None:
-        """By how much the camera is turned against the vehicle's file (rad, clockwise from above); None: it
-        is not, or nobody knows.
-        """
-        return self._mount_check.yaw_error_rad
+    def comparisons(self) -> tuple[SourceComparison, ...]:
+        """What has been measured by two sources, of the table of `companion.base.second_sources`."""
+        attitudes = self._attitude_check.comparisons(self._vehicle.rotation_covariance())
+        return (*attitudes, *self._mount_check.comparisons, *self._camera_check.comparisons)
 
     def add_range(self, sample: RangeSample) -> bool:
         """Take one echo; it counts when the pad filter knows that the sensor is over the board and low."""
         attitude = self._motion.attitude(sample.time_s)
         if attitude is None or not self._usable(sample.time_s, (sample.distance_m,)):
-            return self._count("range", False)
+            return self._inputs.count("range", False)
         tilt_rad = tilt_from_quat(attitude)
         if tilt_rad > math.radians(RANGE_MAXIMUM_TILT_DEG):
-            return self._count("range", False)
+            return self._inputs.count("range", False)
         # a wide beam measures to the nearest point, a narrow one the point on its axis: take the height
         # under the axis, with the difference as its noise
         height_m = sample.distance_m * math.cos(tilt_rad)
         noise_m = math.hypot(self._config.pad.range_noise_m, sample.distance_m - height_m)
         measurement = HeightMeasurement(height_m, quat_rotate(attitude, self._range_position_body_m), noise_m)
-        return self._count("range", self._timeline.add(sample.time_s, measurement))
+        self._camera_check.take_echo(sample.time_s, measurement)
+        return self._inputs.count("range", self._timeline.add(sample.time_s, measurement))
 
     def add_sighting(self, sighting: PadSighting) -> bool:
         """Take one sighting, fused at its exposure, if need be once the IMU has come as far.
@@ -182,9 +183,9 @@ class StateEstimator:
         values = (*sighting.pad_position_body_m, *sighting.body_from_pad, *sighting.covariance.flat)
         if not self._vehicle.aligned:
             self._early.clear()
-            return self._count("sighting", False)
+            return self._inputs.count("sighting", False)
         if not self._usable(sighting.time_s, values):
-            return self._count("sighting", False)
+            return self._inputs.count("sighting", False)
         assert self._motion.newest_s is not None
         if self._exposed_s(sighting) > self._motion.newest_s:
             self._early.append(sighting)
@@ -192,7 +193,7 @@ class StateEstimator:
         return self._see(sighting)
 
     def _exposed_s(self, sighting: PadSighting) -> float:
-        return sighting.time_s + self._camera_delay.delay_s
+        return sighting.time_s + self._camera_check.delay_s
 
     def _see(self, sighting: PadSighting) -> bool:
         time_s = self._exposed_s(sighting)
@@ -202,9 +203,9 @@ class StateEstimator:
         taken = self._timeline.add(time_s, measurement)
         if taken:
             variance_m2 = float(np.trace(measurement.covariance_ned_m2)) / 3.0
-            self._camera_delay.take(time_s, sighting.pad_position_body_m, variance_m2)
+            self._camera_check.take(time_s, sighting.pad_position_body_m, variance_m2)
             self._mount_check.take(time_s, sighting.pad_position_body_m, variance_m2)
-        return self._count("sighting", taken)
+        return self._inputs.count("sighting", taken)
 
     # ------------------------------------------------------------ outputs
 
@@ -220,10 +221,7 @@ class StateEstimator:
         return state if _finite((*moves, *state.attitude, *state.rate_body_rad_s)) else None
 
     def pad(self, now_s: float) -> PadState | None:
-        """The pad, predicted to now_s; None before the first sighting and when unseen for too long.
-
-        None too where the estimate is not finite, as for the vehicle.
-        """
+        """The pad, predicted to now_s; None before the first sighting, unseen for too long, or not finite."""
         estimate = self._pad_at(now_s)
         if estimate is None or not _finite((*estimate.x, estimate.heading_rad, estimate.heading_rate_rad_s)):
             return None
@@ -266,7 +264,7 @@ class StateEstimator:
 
     def pad_prior(self, time_s: float) -> PadPrior | None:
         """What to expect in a frame exposed at time_s; None before the alignment."""
-        at_s = time_s + self._camera_delay.delay_s
+        at_s = time_s + self._camera_check.delay_s
         attitude = self._motion.attitude(at_s)
         if attitude is None:
             return None
@@ -290,10 +288,17 @@ class StateEstimator:
     @property
     def refused(self) -> dict[str, int]:
         """Measurements not used so far, by kind: not finite or of a wrong time; innovation test failed."""
-        counts = {f"{kind}_unusable": count for kind, count in self._unusable.items()}
-        counts.update({f"{kind}_gate": gate.refused for kind, gate in self._pad.gates.items()})
-        counts.update({f"{kind}_gate": count for kind, count in self._vehicle.gates.items()})
-        return counts
+        counts = {f"{kind}_unusable": count for kind, count in self._inputs.unusable.items()}
+        return counts | {f"{kind}_gate": count for kind, count in self._gates.items()}
+
+    @property
+    def input_counts(self) -> dict[str, InputCount]:
+        """Used and refused samples of each input, and why one was refused last."""
+        return self._inputs.report(self._gates)
+
+    @property
+    def _gates(self) -> dict[str, int]:
+        return {kind: gate.refused for kind, gate in self._pad.gates.items()} | self._vehicle.gates
 
     # ------------------------------------------------------------ the pad
 
@@ -342,11 +347,6 @@ class StateEstimator:
 
     def _usable(self, time_s: float, values: Iterable[float]) -> bool:
         return _finite((time_s, *values)) and time_s <= self._vehicle.newest_s + FUTURE_S
-
-    def _count(self, kind: str, taken: bool) -> bool:
-        if not taken:
-            self._unusable[kind] = self._unusable.get(kind, 0) + 1
-        return taken
 
 
 def _finite(values: Iterable[float]) -> bool:

@@ -107,6 +107,7 @@ class CameraModel:
         self._readout_s = camera.readout_s if settings.readout_s is None else settings.readout_s
         self._printed = pad_texture(pad) if board is None else board
         self.show(None)
+        self.print_scale = 1.0  # of the pad's print, against its file
         # the place of a second pad's surface, from that of the pad's; None: there is none
         self.twin_ned_m: Callable[[Vector3], Vector3] | None = None
         self._ground_texture = ground_texture(ground_seed)
@@ -152,7 +153,7 @@ class CameraModel:
         pads = [(s.pad_position_ned_m, _pad_attitude(s)) for s in scenes]
         size = (self._camera.width_px, self._camera.height_px)
         image = np.empty((size[1] * self._finer, size[0] * self._finer), np.uint8)
-        pad = self._surface(self._pad_texture, scenes, pads)
+        pad = self._surface(self._pad_texture, scenes, pads, self.print_scale)
         pad_map = self._node_map(pad) if pad.height_m > 0.0 else None
         part = None if pad_map is None else visible_part(pad_map, pad.level.image.shape)
         seen = pad
@@ -198,7 +199,11 @@ class CameraModel:
         return image, self._light.glow(ned_from_camera, normal, inside)
 
     def _surface(
-        self, texture: Texture, scenes: list[ScenePose], planes: list[tuple[Vector3, Quaternion]]
+        self,
+        texture: Texture,
+        scenes: list[ScenePose],
+        planes: list[tuple[Vector3, Quaternion]],
+        print_scale: float = 1.0,
     ) -> _Surface:
         """The homographies of one plane over the frame, and the texture's scale that suits its distance."""
         rays, heights = zip(
@@ -206,7 +211,8 @@ class CameraModel:
         )
         height = heights[len(heights) // 2]
         level = texture.level_for(self._finer * self._camera.fx_px / max(height, 1e-3))
-        return _Surface(level, level.texel_from_plane @ np.array(rays), height)
+        printed = np.diag([1.0 / print_scale, 1.0 / print_scale, 1.0])
+        return _Surface(level, level.texel_from_plane @ printed @ np.array(rays), height)
 
     def _plane_from_ray(
         self, scene: ScenePose, origin: Vector3, world_from_plane: Quaternion

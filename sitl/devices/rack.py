@@ -22,6 +22,7 @@ from companion.base.geometry import (
 )
 from companion.config import GpsConfig, ImuConfig
 from sitl.devices.ak8963 import Ak8963Device
+from sitl.devices.board_mount import BoardMount
 from sitl.devices.mpu9250 import Interface, Mpu9250Device
 from sitl.devices.neo6m import Neo6mDevice
 from sitl.devices.ports import DevicePort
@@ -87,6 +88,7 @@ class SensorRack:
         errors = errors or SensorErrors()
         streams = [np.random.default_rng((seed, k)) for k in range(4)]
         clock_errors = streams[0].uniform(-OSCILLATOR_TOLERANCE, OSCILLATOR_TOLERANCE, 2).tolist()
+        self.mount = BoardMount(dt_s)
         self.inertial = ImuSensor(errors.imu, streams[0], dt_s, SENSOR_FROM_BODY)
         self.magnetometer = MagSensor(errors.magnetometer, streams[1], SENSOR_FROM_BODY)
         self.echo = RangeSensor(errors.range, streams[3])
@@ -130,8 +132,9 @@ class SensorRack:
         field_body = ZERO3
         if self.imu.magnetometer.is_due(now_s):
             field_body = quat_rotate_inverse(state.attitude, add(self._field_ned_ut, self.deck_field_ned_ut))
-        force = felt_at(self._imu_position_body_m, state)
-        self.imu.step(now_s, force, state.rate_body_rad_s, field_body, throttle)
+        felt = felt_at(self._imu_position_body_m, state)
+        force, rate = self.mount.felt(felt, state.rate_body_rad_s)
+        self.imu.step(now_s, force, rate, self.mount.seen(field_body), throttle)
         self._step_gps(now_s, state)
         self._step_range(now_s, state, range_height_m)
 

@@ -20,7 +20,6 @@ LinkDirection = Literal["both", "to_app", "to_vehicle"]
 BodyVector = tuple[Component, Component, Component]
 
 
-Turn = Annotated[float, Field(ge=-180.0, le=180.0)]
 Share = Annotated[float, Field(gt=0.0, le=1.0)]
 
 
@@ -50,13 +49,6 @@ class ImuSaturated(FaultTimes):
     """Every axis of both is at the end of its range."""
 
     kind: Literal["imu_saturated"]
-
-
-class ImuTurned(FaultTimes):
-    """The board with IMU and magnetometer is turned: screwed on wrongly, or its tape has given way."""
-
-    kind: Literal["imu_turned"]
-    turn_deg: tuple[Turn, Turn, Turn] = (20.0, 0.0, 0.0)  # Roll, pitch and yaw, from where it was mounted
 
 
 class GyroBiasStep(FaultTimes):
@@ -95,6 +87,14 @@ class AccelClips(FaultTimes):
     kind: Literal["accel_clips"]
     range_g: float = Field(default=1.2, ge=0.2, le=16.0)  # Each axis feels no more than this
     vibration_factor: float = Field(default=4.0, ge=1.0, le=20.0)  # On the rotors' vibration meanwhile
+
+
+class ImuTurned(FaultTimes):
+    """The board with IMU and magnetometer lies otherwise than its file says, or slips in flight."""
+
+    kind: Literal["imu_turned"]
+    rotation_body_deg: BodyVector = (0.0, 12.0, 0.0)  # By which it is turned about forward, right and down
+    slips_for_s: float = Field(default=0.0, ge=0.0, le=10.0)  # How long it takes to slip; 0: it lay so
 
 
 class Vibration(FaultTimes):
@@ -288,12 +288,12 @@ Fault = (
     | ImuBusError
     | ImuStuck
     | ImuSaturated
-    | ImuTurned
     | GyroBiasStep
     | GyroSpikes
     | AccelBiasStep
     | AccelSpikes
     | AccelClips
+    | ImuTurned
     | Vibration
     | MagLost
     | MagStuck

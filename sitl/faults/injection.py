@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from typing import Any, Final
 
-from companion.base.geometry import GRAVITY_M_S2, IDENTITY, ZERO3, add, quat_from_euler
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, add
 from sitl.camera.frame_line import FrameLine
 from sitl.devices.rack import SensorRack
 from sitl.faults import faults
@@ -39,6 +39,7 @@ class FaultTargets:
         self.non_sensor = non_sensor
         self.inertial, self.magnetometer, self.echo = rack.inertial, rack.magnetometer, rack.echo
         self.gps, self.bus, self.range, self.position = rack.gps, rack.imu, rack.range, rack.position
+        self.mount = rack.mount
         self.autopilot_sensors = autopilot_sensors
         self.frames, self.motors = frames, motors
         self.to_app, self.to_vehicle = to_app, to_vehicle
@@ -46,9 +47,9 @@ class FaultTargets:
     def clear_faults(self) -> None:
         """Clear all faults."""
         self.bus.wake()
+        self.mount.clear_faults()
         self.inertial.rate_offset_rad_s = self.inertial.force_offset_m_s2 = ZERO3
         self.inertial.accel_limit_m_s2 = math.inf
-        self.inertial.board_turn = self.magnetometer.board_turn = IDENTITY
         self.inertial.vibration_factor = self.autopilot_sensors.inertial.vibration_factor = 1.0
         self.inertial.gyro_glitches.clear_faults()
         self.inertial.accel_glitches.clear_faults()
@@ -93,12 +94,6 @@ def saturate_imu(_fault: faults.ImuSaturated, targets: FaultTargets) -> None:
     targets.bus.fault = "saturated"
 
 
-def turn_board(fault: faults.ImuTurned, targets: FaultTargets) -> None:
-    """Other axes."""
-    turn = quat_from_euler(*(math.radians(angle) for angle in fault.turn_deg))
-    targets.inertial.board_turn = targets.magnetometer.board_turn = turn
-
-
 def step_gyro_bias(fault: faults.GyroBiasStep, targets: FaultTargets) -> None:
     """An offset of the rate."""
     x, y, z = fault.rate_body_deg_s
@@ -126,6 +121,13 @@ def clip_accelerometer(fault: faults.AccelClips, targets: FaultTargets) -> None:
     limit_m_s2 = fault.range_g * GRAVITY_M_S2
     targets.inertial.accel_limit_m_s2 = min(targets.inertial.accel_limit_m_s2, limit_m_s2)
     targets.inertial.vibration_factor *= fault.vibration_factor
+
+
+def turn_board(fault: faults.ImuTurned, targets: FaultTargets) -> None:
+    """Another mounting."""
+    x, y, z = fault.rotation_body_deg
+    targets.mount.target_rad = (math.radians(x), math.radians(y), math.radians(z))
+    targets.mount.slips_for_s = fault.slips_for_s
 
 
 def shake(fault: faults.Vibration, targets: FaultTargets) -> None:
@@ -292,12 +294,12 @@ INJECT: Final[dict[str, Callable[[Any, FaultTargets], None]]] = {
     "imu_bus_error": disturb_bus,
     "imu_stuck": stick_imu,
     "imu_saturated": saturate_imu,
-    "imu_turned": turn_board,
     "gyro_bias_step": step_gyro_bias,
     "gyro_spikes": spike_gyro,
     "accel_bias_step": step_accel_bias,
     "accel_spikes": spike_accel,
     "accel_clips": clip_accelerometer,
+    "imu_turned": turn_board,
     "vibration": shake,
     "mag_lost": lose_magnetometer,
     "mag_stuck": stick_magnetometer,

@@ -27,6 +27,13 @@ class PadWrongIds(FaultTimes):
     kind: Literal["pad_wrong_ids"]
 
 
+class PadResized(FaultTimes):
+    """The pad is printed larger or smaller than its file says, as A3 on A4."""
+
+    kind: Literal["pad_resized"]
+    scale: float = Field(default=0.71, ge=0.2, le=3.0)  # Of all lengths of the print
+
+
 class PadTwin(FaultTimes):
     """A second, identical pad is in view. It is a picture alone: nothing can stand on it."""
 
@@ -175,6 +182,7 @@ class DiskSlow(FaultTimes):
 NonSensorFault = (
     PadCovered
     | PadWrongIds
+    | PadResized
     | PadTwin
     | PadStops
     | PadBrakes

@@ -51,6 +51,7 @@ class NonSensorTargets:
     def clear_faults(self) -> None:
         """Clear what lasts; what happened to the pad has its own end."""
         self.camera.show(None)
+        self.camera.print_scale = 1.0
         if self.autopilot is not None:
             self.autopilot.clear_faults()
         if self.computer is not None:
@@ -142,6 +143,11 @@ def fill_disk(_fault: non_sensor_faults.DiskFull, targets: NonSensorTargets) -> 
 def slow_disk(fault: non_sensor_faults.DiskSlow, targets: NonSensorTargets) -> None:
     """Writes that take long."""
     targets.host.disk_write_s = fault.write_s
+
+
+def resize_print(fault: non_sensor_faults.PadResized, targets: NonSensorTargets) -> None:
+    """Another size of print."""
+    targets.camera.print_scale = fault.scale
 
 
 # ---------------------------------------------------------------- what happens once
@@ -244,6 +250,7 @@ END: Final[dict[str, Happening]] = {
 _LASTING: Final[dict[str, Callable[[Any, NonSensorTargets], None]]] = {
     "pad_covered": cover_pad,
     "pad_wrong_ids": change_ids,
+    "pad_resized": resize_print,
     "autopilot_refuses": refuse,
     "autopilot_position_lost": lose_position,
     "battery": drain_battery,

@@ -26,13 +26,11 @@ import numpy as np
 
 from companion.base.geometry import (
     GRAVITY_M_S2,
-    IDENTITY,
     ZERO3,
     FloatArray,
     Vector3,
     add,
     cross,
-    quat_rotate_inverse,
 )
 from sitl.sensors.calibration_errors import (
     CalibrationErrors,
@@ -224,7 +222,6 @@ class ImuSensor:
             self._take_from_the_shop(rng.spawn(1)[0])
         self.accel_limit_m_s2 = math.inf
         self.vibration_factor = 1.0
-        self.board_turn = IDENTITY  # from how it was mounted
         self._draw_rotors(rng.spawn(1)[0])
         self.set_filter(dlpf)
 
@@ -281,9 +278,6 @@ class ImuSensor:
         a, g = self._accel_noise.next(), self._gyro_noise.next()
         fx, fy, fz = specific_force_body
         p, q, r = rate_body
-        if self.board_turn != IDENTITY:
-            fx, fy, fz = quat_rotate_inverse(self.board_turn, specific_force_body)
-            p, q, r = quat_rotate_inverse(self.board_turn, rate_body)
         dp, dq, dr = self.rate_offset_rad_s
         p, q, r = p + dp, q + dq, r + dr
         dx, dy, dz = self.force_offset_m_s2

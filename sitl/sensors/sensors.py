@@ -16,13 +16,11 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import (
-    IDENTITY,
     ZERO3,
     FloatArray,
     Vector3,
     add,
     geodetic_from_ned,
-    quat_rotate_inverse,
 )
 from sitl.sensors.calibration_errors import CalibrationErrors, uncalibrated_magnetometer
 from sitl.sensors.glitches import Glitches
@@ -70,7 +68,6 @@ class MagSensor:
         self._noise: list[list[float]] = []
         # for faults: an additional field (body axes), and faults of the output
         self.stray_field_ut: Vector3 = ZERO3
-        self.board_turn = IDENTITY  # from how it was mounted
         self.glitches = Glitches(rng.spawn(1)[0])
         if not errors.calibrated:
             iron = uncalibrated_magnetometer(rng.spawn(1)[0])
@@ -87,8 +84,6 @@ class MagSensor:
             self._noise = (self._errors.noise_ut * self._rng.standard_normal((NOISE_BLOCK, 3))).tolist()
         n, o, c, m = self._noise.pop(), self._offset, self._current, self._matrix
         x, y, z = add(field_body_ut, self.stray_field_ut)
-        if self.board_turn != IDENTITY:
-            x, y, z = quat_rotate_inverse(self.board_turn, (x, y, z))
         return self.glitches.out(
             (
                 m[0] * x + m[1] * y + m[2] * z + o[0] + c[0] * throttle + n[0],

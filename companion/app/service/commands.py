@@ -165,6 +165,9 @@ def _table(report: dict[str, Any]) -> Table:
     return table
 
 
+_SOURCE_STYLES: Final = {"refused": "bold red", "differs": "yellow", "not measured": "dim"}
+
+
 def _rows(r: dict[str, Any]) -> Iterator[tuple[str, str | Text]]:
     problems = r["problems"]
     yield "state", Text("; ".join(problems), style="bold red") if problems else Text("healthy", style="green")
@@ -177,6 +180,8 @@ def _rows(r: dict[str, Any]) -> Iterator[tuple[str, str | Text]]:
         yield entry["name"], _input(entry)
     yield "estimate", _estimate(r)
     yield "pad", _pad(r)
+    for entry in r["sources"]:
+        yield entry["quantity"], Text(entry["words"], style=_SOURCE_STYLES.get(entry["state"], ""))
     for name, latency in r["latency"].items():
         yield (
             f"exposure to {name}",
@@ -195,7 +200,8 @@ def _input(entry: dict[str, Any]) -> str:
     # there is no rate before the first seconds are over
     rate_hz = entry["rate_hz"]
     rate = f"{rate_hz:.{0 if rate_hz >= 1.0 else 1}f} Hz" if rate_hz > 0.0 else "begins"
-    return f"{rate}, {_age(entry['age_s'])}"
+    refused = f", {entry['refused']} refused, the last: {entry['refused_for']}" if entry["refused"] else ""
+    return f"{rate}, {_age(entry['age_s'])}, {entry['used']} used{refused}"
 
 
 def _estimate(r: dict[str, Any]) -> str:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 from pydantic import BaseModel, ConfigDict
 
 from companion.app.app import App
 from companion.app.service.computer_status import ComputerStatus
 from companion.base.messages import Notice
+from companion.base.second_sources import SourceState, judged
+from companion.estimate.input_counts import InputCount
 from companion.flightlog.meter import Meter, Rate
 
 # the log's topics that are inputs, and how old the newest may be before something is wrong (s)
@@ -30,12 +32,23 @@ class _Model(BaseModel):
 
 
 class InputReport(_Model):
-    """One input; `silent`: for longer than it may be."""
+    """One input; `silent`: for longer than it may be. `refused_for`: why one was refused last."""
 
     name: str
     rate_hz: float
     age_s: float
     silent: bool
+    used: int = 0
+    refused: int = 0
+    refused_for: str = ""
+
+
+class SourceReport(_Model):
+    """A quantity by two sources, as the table of second sources judges it; `words` has both figures."""
+
+    quantity: str
+    state: SourceState
+    words: str
 
 
 class LatencyReport(_Model):
@@ -71,6 +84,7 @@ class StateReport(_Model):
     pad_seen_s: float | None
     pad_lateral_m: float | None
     pad_height_m: float | None
+    sources: tuple[SourceReport, ...]
     latency: dict[str, LatencyReport]
     late_cycles_percent: float
     machine: ComputerStatus
@@ -84,7 +98,7 @@ def state_report(
 ) -> StateReport:
     """The app's state now; times are the loop's (s)."""
     autopilot, vehicle, pad = app.session.state, app.estimator.vehicle(now_s), app.estimator.pad(now_s)
-    rates, order = meter.rates(now_s), app.missions.order
+    rates, order, counts = meter.rates(now_s), app.missions.order, app.estimator.input_counts
     share = autopilot.battery_share
     return StateReport(
         phase=app.phase.value,
@@ -100,6 +114,7 @@ def state_report(
                 rate_hz=rates[topic].rate_hz,
                 age_s=rates[topic].age_s,
                 silent=rates[topic].age_s > oldest_s,
+                **_counted(counts.get("sighting" if topic == "frame_report" else topic)),
             )
             for topic, (name, oldest_s) in INPUTS.items()
             if topic in rates
@@ -111,6 +126,10 @@ def state_report(
         pad_seen_s=None if pad is None else now_s - pad.seen_time_s,
         pad_lateral_m=None if pad is None else pad.lateral_m,
         pad_height_m=None if pad is None else pad.height_m,
+        sources=tuple(
+            SourceReport(quantity=row.quantity, state=state, words=words)
+            for row, state, words in judged(app.sources.comparisons)
+        ),
         latency={
             name: LatencyReport(p50_ms=p50, p99_ms=p99) for name, (p50, p99) in meter.latency_ms().items()
         },
@@ -120,6 +139,10 @@ def state_report(
         events=tuple(_event(notice, start_s) for notice in list(app.announcer.recent)[-SHOWN_EVENTS:]),
         problems=tuple(_problems(app, rates, machine, now_s)),
     )
+
+
+def _counted(count: InputCount | None) -> dict[str, Any]:
+    return {} if count is None else dict(zip(("used", "refused", "refused_for"), count, strict=True))
 
 
 def _event(notice: Notice, start_s: float) -> Event:

@@ -55,6 +55,10 @@ from companion.base.messages.sense import (
     PadSighting,
     RangeSample,
 )
+from companion.base.messages.sources import (
+    Quantity,
+    SourceComparison,
+)
 from companion.base.messages.truth import (
     Truth,
 )
@@ -90,10 +94,12 @@ __all__ = [
     "PadState",
     "Phase",
     "PlanStep",
+    "Quantity",
     "RangeSample",
     "Reference",
     "Refusal",
     "Setpoint",
+    "SourceComparison",
     "Truth",
     "VehicleState",
 ]

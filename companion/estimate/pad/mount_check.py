@@ -9,7 +9,7 @@ what is left of the pad's positions
 and of the vehicle's own motion between them, which the IMU has measured, is the pad's acceleration and noise
 (q: the sighting from the camera's place, body axes; R: attitude). It is linear in x = (cos psi, sin psi), so
 that x is a least-squares estimate: (1, 0) for a camera that sits right. Its length is nobody's assumption:
-one that is far from 1 says that something else is wrong, and then no angle is reported. A vehicle that
+one that is far from 1 says that something else is wrong, and then there is no angle. A vehicle that
 neither tilts nor moves against the pad shows nothing. NED, SI units.
 """
 
@@ -19,8 +19,8 @@ import math
 from typing import Final, NamedTuple
 
 from companion.base.geometry import Vector3, add, norm, quat_rotate, scale, subtract, wrap_angle
+from companion.base.messages import Quantity, SourceComparison
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad.camera_delay import second_difference
 
 # long against a sighting's noise, short against a pad's manoeuvres; then what a glimpse of the pad allows
 APART_S: Final = (0.2, 0.1)
@@ -32,9 +32,7 @@ LEAST_SIGNAL: Final = 4.0
 # three tell the same; and the pad's acceleration goes on from one to the next
 SHARED: Final = 3.0
 FORGETTING_S: Final = 120.0  # a mount keeps; a pad that manoeuvred is to fade
-# a reported angle is larger, known so well, of a vector of about the length 1, by so many comparisons
-LEAST_DEG: Final = 15.0
-SURE_SIGMA: Final = 5.0
+# an angle is of a vector of about the length 1, by so many comparisons
 LENGTH: Final = (0.6, 1.5)
 FEWEST: Final = 2.5  # three, the first of which may be fading
 
@@ -48,7 +46,7 @@ class _Seen(NamedTuple):
 
 
 class MountCheck:
-    """Feed it every sighting; `yaw_error_rad`, once it is reported, is to be added to the camera's yaw."""
+    """Feed it every sighting; `comparison` is what they show."""
 
     def __init__(
         self, motion: MotionHistory, camera_position_body_m: Vector3, camera_yaw_deg: float = 0.0
@@ -90,35 +88,31 @@ class MountCheck:
             return
 
     @property
-    def yaw_error_rad(self) -> float | None:
-        """By how much the camera is turned against its file (rad, clockwise from above); None: it is not, or
+    def comparisons(self) -> tuple[SourceComparison, ...]:
+        """The camera's yaw of the vehicle's file against the one that the pad's motion shows (deg); none:
         nobody knows.
         """
         determinant = self._n11 * self._n22 - self._n12 * self._n12
         if self._count < FEWEST or determinant <= 0.0:
-            return None
+            return ()
         cosine = (self._n22 * self._b1 - self._n12 * self._b2) / determinant
         sine = (self._n11 * self._b2 - self._n12 * self._b1) / determinant
-        length, angle = math.hypot(cosine, sine), math.atan2(sine, cosine)
+        length, error_rad = math.hypot(cosine, sine), math.atan2(sine, cosine)
         if not LENGTH[0] <= length <= LENGTH[1]:
-            return None
+            return ()
         # of the angle: across the vector, over its length
         u, v = -sine / length, cosine / length
         variance = (u * u * self._n22 - 2.0 * u * v * self._n12 + v * v * self._n11) / determinant
-        least = max(math.radians(LEAST_DEG), SURE_SIGMA * math.sqrt(variance) / length)
-        return angle if abs(angle) > least else None
-
-    def words(self) -> str | None:
-        """What is wrong with the mount, and the setting that would be right; None as for `yaw_error_rad`."""
-        error_rad = self.yaw_error_rad
-        if error_rad is None:
-            return None
-        turned_rad = wrap_angle(math.radians(self._camera_yaw_deg) + error_rad)
-        return (
-            f"the pad moves as if the camera were turned by {math.degrees(error_rad):.0f} deg against the "
-            f"vehicle's file; expected camera_yaw_deg near {math.degrees(turned_rad):.0f} instead of "
-            f"{self._camera_yaw_deg:g}: see companion check --pad"
+        shown_rad = wrap_angle(math.radians(self._camera_yaw_deg) + error_rad)
+        found = SourceComparison(
+            self._compared_s,
+            Quantity.CAMERA_ROTATION,
+            f"{self._camera_yaw_deg:.0f} deg",
+            f"{math.degrees(shown_rad):.0f} deg",
+            difference=math.degrees(abs(error_rad)),
+            std=math.degrees(math.sqrt(variance) / length),
         )
+        return (found,)
 
     def _before(self, time_s: float, before_s: float, apart_s: float) -> _Seen | None:
         nearest = min(self._seen, key=lambda seen: abs(time_s - before_s - seen.time_s))
@@ -152,3 +146,8 @@ class MountCheck:
         self._updated_s = time_s
         self._n11, self._n12, self._n22 = (kept * n for n in (self._n11, self._n12, self._n22))
         self._b1, self._b2, self._count = kept * self._b1, kept * self._b2, kept * self._count
+
+
+def second_difference(a: Vector3, b: Vector3, c: Vector3, share: float) -> Vector3:
+    """How far b is from the line from a to c, of which it is at this share."""
+    return subtract(b, add(scale(a, 1.0 - share), scale(c, share)))

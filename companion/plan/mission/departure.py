@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from companion.base.geometry import Vector3, geodetic_from_ned, ned_from_geodetic
 from companion.base.messages import Action, ActionKind, AutopilotState, LandedState, VehicleState
+from companion.base.second_sources import refused
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.ground_contact import Ground
@@ -109,6 +110,7 @@ class Departure:
             missing.insert(0, f"a faster computer: {inputs.computer.problem}")
         if inputs.leg_problem is not None:
             missing.append(f"a right leg height: {inputs.leg_problem}")
+        missing += [f"two sources to agree ({words})" for _, words in refused(inputs.comparisons)]
         if not missing:
             return MissionEvent.READY, "ready to arm"
         self.remind("waiting", f"waiting for {', '.join(missing)}", now_s)

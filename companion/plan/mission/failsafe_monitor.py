@@ -6,10 +6,17 @@ did not request is a pilot's word or a failsafe of the autopilot, and that is fi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 
-from companion.base.messages import ActionKind, AutopilotState, PadState, Phase, VehicleState
+from companion.base.messages import (
+    ActionKind,
+    AutopilotState,
+    PadState,
+    Phase,
+    SourceComparison,
+    VehicleState,
+)
+from companion.base.second_sources import TABLE, Reaction
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import FRESH_S
@@ -30,9 +37,10 @@ _RIVAL_S = 0.5  # setpoints come at 2 Hz or more
 _OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz
 # So long without a plan the stop is complete, and the vehicle drifts with the wind.
 _NO_PLAN_S = 1.0
-# A camera turned by so much turns every correction by the same angle: that is taken off the loop's phase
-# margin, of which 45 deg are promised.
-_CAMERA_TURNED_RAD = math.radians(30.0)
+_EVENTS: dict[Reaction | None, MissionEvent] = {
+    Reaction.HAND_BACK: MissionEvent.ESTIMATE_DISPUTED,
+    Reaction.LEAVE_PAD: MissionEvent.PAD_DISPUTED,
+}
 
 
 def _seen_until_lost(vehicle: VehicleState | None, pad: PadState | None) -> bool:
@@ -44,6 +52,22 @@ def _stopped_words(inputs: PlanInputs) -> str:
     """That it may be the autopilot's failsafe, to follow other words; "" where setpoints never stopped."""
     stopped = inputs.computer.held_up_s >= inputs.keeps_setpoint_s
     return f": our setpoints had stopped for {inputs.computer.held_up_s:.1f} s" if stopped else ""
+
+
+def _disputed(
+    comparisons: Sequence[SourceComparison], bounds: Sequence[DetectedEvent]
+) -> Iterator[DetectedEvent]:
+    """Numbers that a second source contradicts.
+
+    What is only announced of the pad's explains a pad that seems too fast: it feigns that.
+    """
+    seems_fast = any(event is MissionEvent.PAD_TOO_FAST for event, _ in bounds)
+    for comparison in comparisons:
+        row = TABLE[comparison.quantity]
+        event = _EVENTS.get(row.reaction)
+        feigns = seems_fast and event is MissionEvent.PAD_DISPUTED and row.announces(comparison)
+        if event is not None and (feigns or row.refuses(comparison)):
+            yield event, row.words(comparison)
 
 
 class FailsafeMonitor:
@@ -119,7 +143,7 @@ class FailsafeMonitor:
         found += [*self._late(inputs, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
         found += [*self._control(inputs.control_failure, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
-        found += [*self._camera(inputs.camera_turned_rad, bounds), *bounds, *self._time(now_s)]
+        found += [*_disputed(inputs.comparisons, bounds), *bounds, *self._time(now_s)]
         found += [(MissionEvent.LINK_UP, "heartbeat again")] if heard else []
         return tuple(found)
 
@@ -151,13 +175,6 @@ class FailsafeMonitor:
     def _control(self, failure: str, now_s: float) -> Iterator[DetectedEvent]:
         if self._no_plan.held_s(bool(failure), now_s) >= _NO_PLAN_S:
             yield MissionEvent.CONTROL_FAILED, failure
-
-    def _camera(self, turned_rad: float | None, bounds: Sequence[DetectedEvent]) -> Iterator[DetectedEvent]:
-        """Turned by more than can be flown with, or by less while the pad seems too fast: it feigns that."""
-        seems_fast = any(event is MissionEvent.PAD_TOO_FAST for event, _ in bounds)
-        if turned_rad is not None and (seems_fast or abs(turned_rad) > _CAMERA_TURNED_RAD):
-            turned = f"by {math.degrees(turned_rad):.0f} deg against the vehicle's file"
-            yield MissionEvent.CAMERA_TURNED, f"{turned}: see companion check --pad"
 
     def _battery(self, autopilot: AutopilotState) -> Iterator[DetectedEvent]:
         if autopilot.battery_share is not None and autopilot.battery_share <= self._config.battery.critical:

@@ -12,6 +12,7 @@ from companion.base.messages import (
     PadBeacon,
     PadState,
     RangeSample,
+    SourceComparison,
     VehicleState,
 )
 
@@ -31,7 +32,7 @@ class PlanInputs:
     `keeps_setpoint_s`: for how long the autopilot goes by the last setpoint that arrived.
     `silent_s`: since anything was last heard of the autopilot, or showed that it hears us, seen by an app
     that runs.
-    `camera_turned_rad`: against the vehicle's file, as far as the pad's motion shows it.
+    `comparisons`: what was measured by two sources.
     `leg_problem`: the leg height is not what was measured standing.
     `control_failure`: why the last setpoint was a stop. `thrust_doubt`: what stands against control by
     thrust.
@@ -46,7 +47,7 @@ class PlanInputs:
     stop_requested: bool = False
     order: Order | None = None
     camera_problem: str | None = None
-    camera_turned_rad: float | None = None
+    comparisons: tuple[SourceComparison, ...] = ()
     leg_problem: str | None = None
     computer: ComputerLoad = ComputerLoad()
     control_failure: str = ""

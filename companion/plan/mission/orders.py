@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from companion.base.messages import AutopilotState, LandedState, Order, OrderKind, Refusal, VehicleState
+from companion.base.second_sources import refused
 from companion.config import MissionConfig, PlanConfig
 from companion.plan.mission.bounds import Bounds
 from companion.plan.mission.departure import TWIN_GONE_S, refused_words, rival_words
@@ -55,6 +56,8 @@ def not_ready(inputs: PlanInputs, mission: MissionConfig, now_s: float) -> Itera
         if problem is not None:
             yield problem
     yield from _estimate(inputs.vehicle, mission, now_s)
+    for _, words in refused(inputs.comparisons):
+        yield words
 
 
 def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> Iterator[str]:

@@ -99,7 +99,8 @@ class MissionEvent(StrEnum):
     VELOCITY_UNKNOWN = "velocity_unknown"  # our estimate is there, but its velocity is too uncertain
     BATTERY_CRITICAL = "battery_critical"
     OUT_OF_BOUNDS = "out_of_bounds"  # the fence or the ceiling, with room to stop before it
-    CAMERA_TURNED = "camera_turned"  # against the vehicle's file, by more than can be flown with
+    ESTIMATE_DISPUTED = "estimate_disputed"  # our own motion, by a second source of it
+    PAD_DISPUTED = "pad_disputed"  # what the pad's estimate rests on, by a second source of it
     PAD_TOO_FAST = "pad_too_fast"  # to be followed
 
 

@@ -7,9 +7,9 @@ Its rules:
   AUTO_LAND while the autopilot is heard: it goes on to request LAND and disarm, or the motors would stay on;
   released for good is released: whatever happens then, nothing more is asked of the autopilot;
   STOP, the bounds and overtime return control to the autopilot, which holds its position: low over the pad
-  once it has climbed clear. A lost estimate, a controller without a plan and a late link leave no time for
-  that; a vehicle that a pilot flew when the landing was ordered, and that was never ours, stays in the
-  pilot's mode;
+  once it has climbed clear. A lost or disputed estimate, a controller without a plan and a late link
+  leave no time for that; a vehicle that a pilot flew when the landing was ordered, and that was never
+  ours, stays in the pilot's mode;
   a PX4 that is disarmed in our OFFBOARD is put into Hold, so that it can be armed again.
 No clock, no I/O: the failsafe monitor and the phases detect events, and here stands what follows.
 """
@@ -47,15 +47,15 @@ LOW: Final = OVER_PAD | {S.DESCEND}  # it may be just over the pad, and has not 
 HOLDING: Final = frozenset({S.HOLD, S.AWAIT_LINK})
 # the pad's estimate carries the vehicle
 BY_THE_PAD: Final = TOUCHDOWN | {S.APPROACH, S.DESCEND}
-UNFOLLOWED: Final = (E.CAMERA_TURNED, E.PAD_TOO_FAST)  # the pad's estimate leads astray, or too fast
+UNFOLLOWED: Final = (E.PAD_DISPUTED, E.PAD_TOO_FAST)  # the pad's estimate leads astray, or too fast
 OUTSIDE: Final = (E.OUT_OF_BOUNDS, E.OVERTIME)  # of the mission's space or time
 LATE: Final = (E.COMPUTER_LATE, E.LINK_LATE)  # setpoints of ours come too late
-BLIND: Final = (E.ESTIMATE_LOST, E.CONTROL_FAILED)  # setpoints of ours lead nowhere
+BLIND: Final = (E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED)  # setpoints of ours lead nowhere
 # what may be detected in any state: each state has a row or a reason for none
 ANYWHERE: Final = (
     *(E.DISARMED, E.PILOT_TOOK_OVER, E.STOP, E.LINK_LOST, E.LINK_UP, *LATE, E.RIVAL),
-    *(E.ESTIMATE_LOST, E.CONTROL_FAILED, E.VELOCITY_UNKNOWN, E.BATTERY_CRITICAL),
-    *(E.OUT_OF_BOUNDS, E.CAMERA_TURNED, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT),
+    *(E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED, E.VELOCITY_UNKNOWN, E.BATTERY_CRITICAL),
+    *(E.OUT_OF_BOUNDS, E.PAD_DISPUTED, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT),
 )
 
 _ARM, _TAKE_OFF, _GO_TO = Action(ActionKind.ARM), Action(ActionKind.TAKE_OFF), Action(ActionKind.GO_TO)

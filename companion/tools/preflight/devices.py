@@ -9,6 +9,7 @@ import asyncio
 import math
 from collections.abc import Awaitable, Callable
 from contextlib import closing, suppress
+from dataclasses import replace
 from statistics import median
 from typing import Final
 
@@ -215,8 +216,11 @@ def _inertial(samples: list[ImuSample], problems: set[str], rate_hz: float) -> l
     if abs(size - GRAVITY_M_S2) > AT_REST_M_S2:
         return [rate, _IMU.warn("at rest", detail, "keep it still; calibrate-mount accelerometer")]
     if tilt_deg > LEVEL_DEG:
-        return [rate, _IMU.warn("at rest", detail, "set it down level; else sense.imu.body_from_sensor_deg")]
-    return [rate, _IMU.ok("at rest", detail)]
+        found = _IMU.warn("at rest", detail, "set it down level; else sense.imu.body_from_sensor_deg")
+    else:
+        found = _IMU.ok("at rest", detail)
+    x, y, z = (-float(force) for force in mean)
+    return [rate, replace(found, horizon_rad=(math.atan2(y, z), math.atan2(-x, math.hypot(y, z))))]
 
 
 def _magnetometer(fields: list[MagSample], problem: str | None) -> Finding:

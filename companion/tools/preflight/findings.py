@@ -21,7 +21,7 @@ class FindingState(StrEnum):
 class Finding:
     """One line of the table: its group, its name, the state, what was found, and what to do about it.
 
-    `detail` of what was not checked says why not.
+    `detail` of what was not checked says why not. `horizon_rad`: roll and pitch, where it has measured them.
     """
 
     group: str
@@ -29,6 +29,7 @@ class Finding:
     state: FindingState
     detail: str
     hint: str = NO_HINT
+    horizon_rad: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,5 +52,7 @@ def summary_line(findings: list[Finding]) -> str:
 
 def findings_json(findings: list[Finding]) -> str:
     """`state` (the worst), and the findings in their order."""
-    plain = [asdict(finding) for finding in findings]
+    plain = [
+        {name: value for name, value in asdict(each).items() if name != "horizon_rad"} for each in findings
+    ]
     return json.dumps({"state": worst(findings), "findings": plain}, indent=2, ensure_ascii=False) + "\n"

@@ -15,6 +15,7 @@ from companion.tools.preflight.calibrations import check_files
 from companion.tools.preflight.computer import SERVICE, ServiceState, check_computer, service_state
 from companion.tools.preflight.devices import check_devices, without_devices
 from companion.tools.preflight.findings import Finding
+from companion.tools.preflight.second_sources import compared
 
 TAKEN: Final = "is running and has it: two programs on one device harm both"
 STOP_IT: Final = f"sudo systemctl stop {SERVICE}, check, and start it again"
@@ -38,7 +39,7 @@ async def preflight(
             check_devices(config, files.camera),
             check_link(config, files.vehicle) if linked else _not_linked(),
         )
-        found += devices + link
+        found += devices + link + compared(devices, link)
     return found + check_computer(record, state, now)
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
+from companion.base.geometry import euler_from_quat
 from companion.base.messages import AutopilotState, GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import CompanionConfig
 from companion.link.codec import mavlink
@@ -49,6 +51,7 @@ def judge(heard: Heard, config: CompanionConfig) -> list[Finding]:
         _heartbeat(heard),
         _disarmed(heard.state),
         _ready(heard.state),
+        *_attitude(heard.state),
         _battery(heard.state, config),
         _signing(heard.refused, config),
         _losses(heard.line),
@@ -88,6 +91,17 @@ def _ready(state: AutopilotState) -> Finding:
     return _LINK.warn(
         "ready to arm", f"{why}{said}", "indoors that is GPS; else see the ground station's messages"
     )
+
+
+def _attitude(state: AutopilotState) -> list[Finding]:
+    if state.attitude is None:
+        return []
+    roll, pitch, yaw = euler_from_quat(state.attitude)
+    words = (
+        f"roll {math.degrees(roll):.1f}°, pitch {math.degrees(pitch):.1f}°, "
+        f"heading {math.degrees(yaw) % 360.0:.0f}°"
+    )
+    return [replace(_LINK.ok("attitude", words), horizon_rad=(roll, pitch))]
 
 
 def _battery(state: AutopilotState, config: CompanionConfig) -> Finding:

@@ -26,6 +26,7 @@ from companion.base.messages import (
     Phase,
     PlanStep,
     RangeSample,
+    SourceComparison,
     VehicleState,
 )
 from companion.config import PlanConfig, VehicleConfig
@@ -109,7 +110,7 @@ class PlanWorld:
         self.silent_from_s = math.inf  # the link
         self.order: Order | None = None  # given once
         self.camera_problem: str | None = None
-        self.camera_turned_rad: float | None = None
+        self.comparisons: tuple[SourceComparison, ...] = ()
         self.flight = PlanFlight()
         self.rng = np.random.default_rng(0)
         self._drift = np.zeros(3)
@@ -167,7 +168,7 @@ class PlanWorld:
             stop_requested=self.stop,
             order=self.order,
             camera_problem=self.camera_problem,
-            camera_turned_rad=self.camera_turned_rad,
+            comparisons=self.comparisons,
             silent_s=max(0.0, self.now_s - self.silent_from_s),
             keeps_setpoint_s=1.0,
         )

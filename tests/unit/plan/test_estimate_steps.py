@@ -6,9 +6,10 @@ from dataclasses import replace
 import pytest
 
 from companion.base.geometry import ZERO3, Vector3, add, norm, subtract
-from companion.base.messages import ActionKind, Phase, VehicleState
+from companion.base.messages import ActionKind, Phase, Quantity, VehicleState
 from companion.config import PlanConfig
 from companion.plan.estimate_steps import EstimateSteps
+from tests.unit.plan.compared import differ
 from tests.unit.plan.pad_paths import still
 from tests.unit.plan.plan_harness import LEG_M, PlanWorld
 
@@ -80,7 +81,7 @@ def test_a_hold_that_waits_for_the_link_stays_where_it_is(step_m: Vector3) -> No
 def test_a_hold_that_climbs_clear_of_the_pad_climbs_as_far_as_it_said(step_m: Vector3) -> None:
     w = flown_to(Phase.TOUCHDOWN)
     begun_m = w.flight.heights_m[-1]
-    w.camera_turned_rad = 1.5
+    w.comparisons = (differ(Quantity.CAMERA_ROTATION, 86.0),)
     w.fly(1.0)
     assert w.flight.phase is Phase.HOLD
     w.off_m = step_m

@@ -23,6 +23,7 @@ from companion.base.clock import Clock
 from companion.base.errors import ConfigError
 from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply
 
+USED: dict[str, Any] = {"used": 1200, "refused": 7, "refused_for": "too late"}
 REPORT: dict[str, Any] = {
     "phase": "standby",
     "order": None,
@@ -32,9 +33,9 @@ REPORT: dict[str, Any] = {
     "armed": False,
     "battery_percent": 80.0,
     "inputs": [
-        {"name": "IMU", "rate_hz": 199.7, "age_s": 0.01, "silent": False},
-        {"name": "GPS", "rate_hz": 0.0, "age_s": 0.1, "silent": False},
-        {"name": "ultrasonic", "rate_hz": 3.0, "age_s": 8.0, "silent": True},
+        {"name": "IMU", "rate_hz": 199.7, "age_s": 0.01, "silent": False, **USED},
+        {"name": "GPS", "rate_hz": 0.0, "age_s": 0.1, "silent": False, **USED},
+        {"name": "ultrasonic", "rate_hz": 3.0, "age_s": 8.0, "silent": True, **USED},
     ],
     "aligned": True,
     "attitude_std_deg": 0.42,
@@ -43,6 +44,14 @@ REPORT: dict[str, Any] = {
     "pad_seen_s": None,
     "pad_lateral_m": None,
     "pad_height_m": None,
+    "sources": [
+        {
+            "quantity": "attitude",
+            "state": "refused",
+            "words": "our horizon pitch 12.6 deg, the autopilot's -0.3",
+        },
+        {"quantity": "heading", "state": "not measured", "words": "not measured yet"},
+    ],
     "latency": {"frame": {"p50_ms": 41.0, "p99_ms": 63.0}},
     "late_cycles_percent": 0.1,
     "machine": {"cpu_percent": 14.0, "memory_mb": 180.0, "temperature_deg_c": 51.0, "disk_free_mb": 9000.0},
@@ -136,6 +145,9 @@ async def test_status_shows_it_and_its_exit_code_says_healthy_or_not(
     assert code == 0
     for expected in ("healthy", "standby, up 2 h", "200 Hz, now", "p50 41 ms, p99 63 ms", "battery 80 %"):
         assert expected in words
+    assert "our horizon pitch 12.6 deg" in words
+    assert "1200 used" in words
+    assert "7 refused" in words
     for expected in ("begins, now", "silent for 8 s", "2 h ago"):  # a GPS that has just come, the first event
         assert expected in words
     service.report["problems"] = ["camera: no frame yet"]

@@ -7,20 +7,20 @@ import math
 import pytest
 
 from companion.base.geometry import Vector3, add, quat_from_euler, quat_rotate
-from companion.config import EstimateConfig
-from companion.estimate.estimator import StateEstimator
+from companion.base.messages import Quantity, SourceComparison
+from companion.base.second_sources import TABLE
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad.mount_check import LEAST_DEG, MountCheck
-from tests.unit.estimate.estimate_flight import ANTENNA, VEHICLE
+from companion.estimate.pad.mount_check import MountCheck
 from tests.unit.estimate.pad.pad_sway import FRAME_S, Sway, sightings
 
 CAMERA: Vector3 = (0.03, 0.0, 0.08)
+ROW = TABLE[Quantity.CAMERA_ROTATION]
 
 
 def checked(
     sway: Sway, turned_deg: float = 0.0, duration_s: float = 12.0, scale: float = 1.0
-) -> float | None:
-    """By how much (deg) the mount is off, as told after a flight whose camera is turned so far.
+) -> SourceComparison | None:
+    """The mount's comparison after a flight whose camera is turned so far, if it is announced.
 
     The file says 0, so the app takes what is towards the image's top for ahead.
     """
@@ -30,15 +30,17 @@ def checked(
     for exposed_s, (x, y, z) in sightings(sway, motion, duration_s, FRAME_S):
         taken = quat_rotate(turn, (x - CAMERA[0], y - CAMERA[1], z - CAMERA[2]))
         check.take(exposed_s, add(taken, CAMERA), sway.noise_m**2)
-    error_rad = check.yaw_error_rad
-    return None if error_rad is None else math.degrees(error_rad)
+    return next((found for found in check.comparisons if ROW.announces(found)), None)
 
 
 @pytest.mark.parametrize("turned_deg", [90.0, -90.0, 179.0, 45.0])
 @pytest.mark.parametrize("height_m", [1.5, 7.0])
 def test_a_camera_that_is_turned_is_reported_with_its_angle(turned_deg: float, height_m: float) -> None:
     told = checked(Sway(0.0, height_m, noise_m=0.002 * height_m), turned_deg)
-    assert told == pytest.approx(turned_deg, abs=8.0)
+    assert told is not None
+    assert told.difference == pytest.approx(abs(turned_deg), abs=8.0)
+    assert (told.first, ROW.refuses(told)) == ("0 deg", True)
+    assert float(told.second.removesuffix(" deg")) == pytest.approx(turned_deg, abs=8.0)
 
 
 @pytest.mark.parametrize(
@@ -60,7 +62,7 @@ def test_a_camera_that_sits_right_is_not_reported(sway: Sway) -> None:
 
 
 def test_what_a_calibration_leaves_is_not_reported() -> None:
-    assert checked(Sway(0.0), turned_deg=0.5 * LEAST_DEG) is None
+    assert checked(Sway(0.0), turned_deg=5.0) is None
 
 
 def test_a_vehicle_that_does_not_turn_shows_nothing() -> None:
@@ -68,22 +70,12 @@ def test_a_vehicle_that_does_not_turn_shows_nothing() -> None:
 
 
 def test_a_small_turn_shows_from_high_up() -> None:
-    assert checked(Sway(0.0, height_m=7.0, noise_m=0.014), turned_deg=-25.0) == pytest.approx(-25.0, abs=5.0)
+    told = checked(Sway(0.0, height_m=7.0, noise_m=0.014), turned_deg=-18.0)
+    assert told is not None
+    assert told.difference == pytest.approx(18.0, abs=5.0)
+    assert not ROW.refuses(told)
 
 
 @pytest.mark.parametrize("late_s", [0.09, -0.09])
 def test_stamps_that_are_late_are_no_turn(late_s: float) -> None:
     assert checked(Sway(late_s, height_m=7.0)) is None
-
-
-def test_the_estimator_tells_it_once_with_the_setting(monkeypatch: pytest.MonkeyPatch) -> None:
-    vehicle = VEHICLE.model_copy(update={"camera_yaw_deg": 90.0})
-    estimator = StateEstimator(EstimateConfig(), vehicle, ANTENNA, 0.6)
-    assert estimator.take_notices() == ()
-    monkeypatch.setattr(MountCheck, "yaw_error_rad", math.radians(-89.7))
-    ((kind, words),) = estimator.take_notices()
-    assert kind == "camera"
-    assert "turned by -90 deg against the vehicle's file" in words
-    assert "expected camera_yaw_deg near 0 instead of 90" in words
-    assert estimator.take_notices() == ()
-    assert estimator.camera_turned_rad == math.radians(-89.7)  # for as long as it is so

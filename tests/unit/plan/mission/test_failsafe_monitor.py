@@ -1,15 +1,16 @@
-import math
 from dataclasses import replace
 
 import pytest
 
-from companion.base.messages import ActionKind, AutopilotState, ControlReport, PadState
+from companion.base.messages import ActionKind, AutopilotState, ControlReport, PadState, Quantity
+from companion.base.second_sources import ROWS, SIGMA_THRESHOLD, Reaction, SourceRow
 from companion.config import MissionConfig, PhaseTimesConfig
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import ComputerLoad, PlanInputs
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Circumstances, MissionEvent, State
 from companion.plan.mission.table import FINAL, IN_AIR, follows
+from tests.unit.plan.compared import STD, differ
 from tests.unit.plan.pad_paths import still
 from tests.unit.plan.plan_harness import PlanWorld
 
@@ -44,7 +45,7 @@ def gravest(
 
 
 @pytest.mark.parametrize(
-    ("turned_deg", "flown"), [(None, True), (-20.0, False), (-31.0, False), (179.0, False)]
+    ("turned_deg", "flown"), [(None, True), (10.0, True), (15.0, False), (34.0, False), (179.0, False)]
 )
 def test_a_camera_that_is_turned_is_named_before_the_pad_that_seems_too_fast(
     turned_deg: float | None, flown: bool
@@ -52,22 +53,34 @@ def test_a_camera_that_is_turned_is_named_before_the_pad_that_seems_too_fast(
     watch, machine = monitor()
     zero = (0.0, 0.0, 0.0)
     fast = PadState(50.0, zero, zero, (6.2, 0.0, 0.0), zero, 0.0, 0.0, 0.1, 0.1, seen_time_s=50.0)
-    turned_rad = None if turned_deg is None else math.radians(turned_deg)
-    given = replace(inputs(), pad=fast, camera_turned_rad=turned_rad)
+    shown = () if turned_deg is None else (differ(Quantity.CAMERA_ROTATION, turned_deg),)
+    given = replace(inputs(), pad=fast, comparisons=shown)
     watch.detect(given, 49.0, control_granted=False)
     found = watch.detect(given, 50.0, control_granted=False)
     meant = [e for e, _ in found if follows(machine.state, e, Circumstances(machine.authority)) is not None]
-    assert meant[0] is (MissionEvent.PAD_TOO_FAST if flown else MissionEvent.CAMERA_TURNED)
+    assert meant[0] is (MissionEvent.PAD_TOO_FAST if flown else MissionEvent.PAD_DISPUTED)
     if not flown:
-        assert (
-            f"by {turned_deg:.0f} deg against the vehicle's file" in dict(found)[MissionEvent.CAMERA_TURNED]
-        )
+        assert f": {turned_deg:.1f} ±0.5 deg apart" in dict(found)[MissionEvent.PAD_DISPUTED]
 
 
-@pytest.mark.parametrize(("turned_deg", "flown"), [(-29.0, True), (-31.0, False)])
-def test_a_camera_that_is_turned_a_little_is_flown_with(turned_deg: float, flown: bool) -> None:
-    given = replace(inputs(), camera_turned_rad=math.radians(turned_deg))
-    assert (gravest(given) is MissionEvent.CAMERA_TURNED) is not flown
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.quantity.value)
+def test_what_two_sources_say_is_flown_with_up_to_its_bound(row: SourceRow) -> None:
+    # GIVEN a difference just within, and one just beyond what is surely more than the bound
+    events: dict[Reaction | None, MissionEvent] = {
+        Reaction.HAND_BACK: MissionEvent.ESTIMATE_DISPUTED,
+        Reaction.LEAVE_PAD: MissionEvent.PAD_DISPUTED,
+    }
+    meant = events.get(row.reaction)
+    surely = SIGMA_THRESHOLD * STD
+    for more, flown in ((-0.01, True), (0.01, row.bound is None or meant is None)):
+        shown = differ(row.quantity, (row.bound or 1e6) + surely + more)
+        # THEN the gravest event is that its sources differ, with both figures, or nothing
+        given = replace(inputs(), comparisons=(shown,))
+        assert gravest(given) is (None if flown else meant)
+        if meant is not None and not flown:
+            found = dict(monitor()[0].detect(given, 50.0, control_granted=False))
+            assert shown.first in found[meant]
+            assert shown.second in found[meant]
 
 
 def taken_over(
@@ -268,7 +281,7 @@ def test_a_computer_that_is_too_slow_is_named_before_what_it_causes() -> None:
     given = replace(
         inputs(slow),
         computer=ComputerLoad("computer too slow"),
-        camera_turned_rad=-0.8,
+        comparisons=(differ(Quantity.CAMERA_ROTATION, 45.0),),
         control_failure="no plan",
     )
     assert gravest(given) is MissionEvent.COMPUTER_LATE

@@ -1,8 +1,9 @@
 """The planner in a closed loop: low over the pad it climbs clear before control is returned."""
 
 from companion.base.geometry import geodetic_from_ned
-from companion.base.messages import ActionKind, Phase
+from companion.base.messages import ActionKind, Phase, Quantity
 from companion.config import PlanConfig
+from tests.unit.plan.compared import differ
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import still
 from tests.unit.plan.plan_autopilot import HOME
@@ -34,12 +35,10 @@ def test_stopped_where_nothing_is_to_be_climbed_it_is_returned_once_at_rest() ->
 
 def test_a_camera_that_shows_turned_just_over_the_pad_climbs_clear_first() -> None:
     w = low_over_the_pad()
-    w.camera_turned_rad = 1.5
+    w.comparisons = (differ(Quantity.CAMERA_ROTATION, 86.0),)
     w.fly(20.0)
     ended_by_hold(w)
-    assert any(
-        "camera turned: by 86 deg against the vehicle's file" in said for said in w.flight.told("phase")
-    )
+    assert any("pad disputed: camera's rotation: " in said for said in w.flight.told("phase"))
     assert w.flight.heights_m[-1] > 1.0
 
 

@@ -57,6 +57,7 @@ def test_what_may_happen_anywhere_is_handled_in_every_state_or_excepted_with_a_r
         (E.PILOT_TOOK_OVER, {S.STANDBY, S.CONNECT}),
         (E.LINK_LOST, ON_GROUND | COMMITTED | {S.HOLD, S.AWAIT_LINK}),
         (E.ESTIMATE_LOST, ON_GROUND | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
+        (E.ESTIMATE_DISPUTED, ON_GROUND | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
         (E.CONTROL_FAILED, ON_GROUND | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
         (E.DISARMED, ON_GROUND),
         (E.OVERTIME, ON_GROUND | COMMITTED | {S.HOLD}),
@@ -64,7 +65,7 @@ def test_what_may_happen_anywhere_is_handled_in_every_state_or_excepted_with_a_r
         (E.COMPUTER_LATE, ON_GROUND | COMMITTED | {S.TAKE_OFF, S.WAYPOINT}),
         (E.BATTERY_CRITICAL, ON_GROUND | COMMITTED | {S.HOLD}),
         (E.OUT_OF_BOUNDS, ON_GROUND | COMMITTED | {S.HOLD}),
-        (E.CAMERA_TURNED, LIVE - {S.APPROACH, S.DESCEND, S.WAIT, S.RISE}),
+        (E.PAD_DISPUTED, LIVE - {S.APPROACH, S.DESCEND, S.WAIT, S.RISE}),
         (E.PAD_TOO_FAST, LIVE - {S.APPROACH, S.DESCEND, S.WAIT, S.RISE}),
         (E.TIMEOUT, {S.STANDBY}),
     ],
@@ -133,7 +134,9 @@ def test_a_vehicle_that_was_never_ours_stays_in_its_pilot_s_mode(event: MissionE
     assert [action.kind for action in asked] in ([], [ActionKind.TAKE_CONTROL])
 
 
-@pytest.mark.parametrize("event", [E.ESTIMATE_LOST, E.CONTROL_FAILED, E.PAD_GONE, E.TIMEOUT])
+@pytest.mark.parametrize(
+    "event", [E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED, E.PAD_GONE, E.TIMEOUT]
+)
 def test_too_low_to_rise_and_nothing_to_follow_it_is_set_down_in_land(event: MissionEvent) -> None:
     branch = taken(S.SINK, event)
     assert branch.to is S.SET_DOWN
@@ -141,7 +144,7 @@ def test_too_low_to_rise_and_nothing_to_follow_it_is_set_down_in_land(event: Mis
     assert branch.authority is None  # our setpoints go on until LAND is active
 
 
-@pytest.mark.parametrize("event", [E.ESTIMATE_LOST, E.CONTROL_FAILED])
+@pytest.mark.parametrize("event", [E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED])
 def test_blind_with_its_feet_down_it_stands_where_land_would_brake_against_the_pad(
     event: MissionEvent,
 ) -> None:
@@ -159,7 +162,7 @@ def test_with_a_critical_battery_a_descent_is_finished_if_the_settings_say_so(st
 @pytest.mark.parametrize("ends", [E.CLEAR, E.TIMEOUT])
 @pytest.mark.parametrize(
     "event",
-    [E.STOP, E.OVERTIME, E.BATTERY_CRITICAL, E.OUT_OF_BOUNDS, E.CAMERA_TURNED, E.PAD_TOO_FAST],
+    [E.STOP, E.OVERTIME, E.BATTERY_CRITICAL, E.OUT_OF_BOUNDS, E.PAD_DISPUTED, E.PAD_TOO_FAST],
 )
 @pytest.mark.parametrize("state", sorted({S.WAIT, S.RISE, S.DESCEND}))
 def test_just_over_the_pad_it_climbs_clear_before_control_is_returned(

@@ -47,14 +47,14 @@ def test_a_pilot_who_takes_over_keeps_the_vehicle(state: State) -> None:
     assert Effect.STOP_SETPOINTS in branch.effects
 
 
-CLIMBS_CLEAR = {E.STOP, E.OVERTIME, E.OUT_OF_BOUNDS, E.CAMERA_TURNED, E.PAD_TOO_FAST}
+CLIMBS_CLEAR = {E.STOP, E.OVERTIME, E.OUT_OF_BOUNDS, E.PAD_DISPUTED, E.PAD_TOO_FAST}
 
 
 @pytest.mark.parametrize(
     "event",
     [
-        *(E.STOP, E.OVERTIME, E.ESTIMATE_LOST, E.CONTROL_FAILED),
-        *(E.VELOCITY_UNKNOWN, E.OUT_OF_BOUNDS, E.CAMERA_TURNED, E.PAD_TOO_FAST),
+        *(E.STOP, E.OVERTIME, E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED),
+        *(E.VELOCITY_UNKNOWN, E.OUT_OF_BOUNDS, E.PAD_DISPUTED, E.PAD_TOO_FAST),
     ],
 )
 @pytest.mark.parametrize("state", sorted(IN_AIR - COMMITTED))

@@ -19,6 +19,7 @@ from sitl.faults.faults import (
     GyroSpikes,
     ImuLost,
     ImuStuck,
+    ImuTurned,
     MagLost,
     MagSpikes,
     MagStuck,
@@ -174,3 +175,21 @@ def test_a_step_of_the_ultrasonics_zero_adds_to_every_echo(healthy: DriverSample
         return float(np.median([echo.distance_m for echo in echoes]))
 
     assert middle(during(heard.echoes)) - middle(during(healthy.echoes)) == pytest.approx(0.25, abs=0.01)
+
+
+def test_a_board_that_slips_feels_gravity_and_field_from_another_side(healthy: DriverSamples) -> None:
+    # GIVEN a board that slips by 20 deg about forward within 0.4 s
+    fault = ImuTurned(kind="imu_turned", rotation_body_deg=(20.0, 0.0, 0.0), slips_for_s=0.4, **TIMES)
+    heard = fly(3, SECONDS, [fault])
+    # THEN it has felt that turn, and then feels gravity and the field where they are for it
+    slip = [s.rate_body_rad_s[0] for s in heard.imu if START_S <= s.time_s < START_S + 0.5]
+    turned_rad = 0.5 * float(np.mean(slip))
+    assert turned_rad == pytest.approx(np.radians(20.0), abs=np.radians(1.5))
+    after = [s.specific_force_body_m_s2 for s in during(heard.imu) if s.time_s > START_S + 0.5]
+    before = [s.specific_force_body_m_s2 for s in during(healthy.imu) if s.time_s > START_S + 0.5]
+    assert np.degrees(np.arctan2(*np.mean(after, axis=0)[1:] * -1.0)) == pytest.approx(
+        np.degrees(np.arctan2(*np.mean(before, axis=0)[1:] * -1.0)) + 20.0, abs=0.5
+    )
+    field_after = np.mean([s.field_body_ut for s in during(heard.mag) if s.time_s > START_S + 0.5], axis=0)
+    field_before = np.mean([s.field_body_ut for s in during(healthy.mag) if s.time_s > START_S + 0.5], axis=0)
+    assert np.linalg.norm(field_after - field_before) > 10.0

@@ -1,0 +1,269 @@
+"""The table of second sources: no number that holds the vehicle up is believed on one word.
+
+A row names a quantity, its two sources, how far they may be apart, and what follows when they are further.
+Where the two are measured, a monitor makes a `SourceComparison` of them; `companion check`, the refusal of an
+order, the failsafe in flight and `companion status` all judge it by its row, in the same words. The
+difference counts as beyond a bound when it is so for sure: by `SIGMA_THRESHOLD` of its own standard
+deviations. docs/second-sources.md is written from here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+from companion.base.messages.sources import Quantity, SourceComparison
+
+SIGMA_THRESHOLD: Final = 3.0
+
+
+class Reaction(StrEnum):
+    """What follows in flight, where control is ours."""
+
+    HAND_BACK = "control returns to the autopilot at once; in the last centimetres it lands by LAND"
+    LEAVE_PAD = "it climbs clear of the pad, then control returns to the autopilot"
+    NOTICE = "a notice"
+
+
+class SourceState(StrEnum):
+    """What a comparison says."""
+
+    NOT_MEASURED = "not measured"
+    AGREES = "agrees"
+    DIFFERS = "differs"  # announced, and flown with
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True, slots=True)
+class SourceRow:
+    """One quantity: its sources, the difference that is announced and the one that is not flown with.
+
+    `notice` and `bound` are in `unit`; None: nothing is announced, or refused. `before` says
+    what follows beyond the bound before control is taken, `reaction` what in flight, or `in_flight` in words
+    where an event of the mission's own table does; `hint`: what to look at.
+    """
+
+    quantity: Quantity
+    first: str
+    second: str
+    unit: str
+    notice: float | None
+    bound: float | None
+    before: str
+    reaction: Reaction | None
+    in_flight: str = ""
+    hint: str = ""
+
+    def __post_init__(self) -> None:
+        if self.reaction is not None:
+            object.__setattr__(self, "in_flight", self.reaction.value)
+
+    def announces(self, comparison: SourceComparison) -> bool:
+        """Whether the two are surely so far apart that it is announced."""
+        return _surely_beyond(comparison, self.notice)
+
+    def refuses(self, comparison: SourceComparison) -> bool:
+        """Whether the two are surely so far apart that nobody flies with it."""
+        return _surely_beyond(comparison, self.bound)
+
+    def words(self, comparison: SourceComparison) -> str:
+        """Both figures, and how far they may be apart."""
+        most = self.bound if self.refuses(comparison) or self.notice is None else self.notice
+        allowed = "" if most is None else f", at most {most:g} expected"
+        hint = f": {self.hint}" if self.hint else ""
+        return f"{self.quantity}: {self.figures(comparison)} apart{allowed}{hint}"
+
+    def figures(self, comparison: SourceComparison) -> str:
+        """Both figures, and their difference with its standard deviation."""
+        return (
+            f"{self.first} {comparison.first}, {self.second} {comparison.second}: "
+            f"{comparison.difference:.1f} ±{comparison.std:.1f} {self.unit}"
+        )
+
+
+def _surely_beyond(comparison: SourceComparison, bound: float | None) -> bool:
+    return bound is not None and comparison.difference - SIGMA_THRESHOLD * comparison.std > bound
+
+
+_REFUSED: Final = "refused"
+_SHOWN: Final = "shown by companion status"
+
+ROWS: Final = (
+    SourceRow(
+        Quantity.HOVER_THRUST,
+        first="the vehicle's file",
+        second="the autopilot's parameter",
+        unit="%",
+        notice=None,
+        bound=None,
+        before="announced from 15 % on",
+        reaction=None,
+        in_flight="the disturbance observer learns the rest",
+    ),
+    SourceRow(
+        Quantity.ATTITUDE,
+        first="our horizon",
+        second="the autopilot's",
+        unit="deg",
+        notice=1.5,
+        bound=3.0,
+        before=_REFUSED,
+        reaction=Reaction.HAND_BACK,
+        hint="is the IMU's board loose, or sense.imu.body_from_sensor_deg wrong?",
+    ),
+    SourceRow(
+        Quantity.HEADING,
+        first="ours",
+        second="the autopilot's",
+        unit="deg",
+        notice=10.0,
+        bound=20.0,
+        before=_REFUSED,
+        reaction=Reaction.HAND_BACK,
+        hint="is one compass disturbed, or the IMU's board turned?",
+    ),
+    SourceRow(
+        Quantity.HEIGHT_OVER_PAD,
+        first="the camera's",
+        second="the echo",
+        unit="m",
+        notice=None,
+        bound=None,
+        before=_SHOWN,
+        reaction=None,
+        in_flight="echoes far nearer than the pad: it searches again (ground near)",
+    ),
+    SourceRow(
+        Quantity.PAD_SCALE,
+        first="the pad's file",
+        second="the pad's motion against the IMU's, and the echoes",
+        unit="%",
+        notice=2.0,
+        bound=4.0,
+        before=_REFUSED,
+        reaction=Reaction.LEAVE_PAD,
+        hint="measure a marker's edge, and the camera's focal length",
+    ),
+    SourceRow(
+        Quantity.CAMERA_ROTATION,
+        first="camera_yaw_deg",
+        second="the pad's apparent motion against the IMU's",
+        unit="deg",
+        notice=10.0,
+        bound=20.0,
+        before=_REFUSED,
+        reaction=Reaction.LEAVE_PAD,
+        hint="see companion check --pad",
+    ),
+    SourceRow(
+        Quantity.CAMERA_DELAY,
+        first="stamps with camera_time_offset_s",
+        second="the pad's jumps against the gyroscope's turns",
+        unit="ms",
+        notice=20.0,
+        bound=90.0,
+        before=_REFUSED,
+        reaction=Reaction.LEAVE_PAD,
+        hint="see calibrate-mount, and whether the camera's driver stamps its frames",
+    ),
+    SourceRow(
+        Quantity.IMU_DELAY,
+        first="our stamps",
+        second="the autopilot's attitude by TIMESYNC",
+        unit="ms",
+        notice=60.0,
+        bound=120.0,
+        before=_REFUSED,
+        reaction=Reaction.HAND_BACK,
+        hint="one direction of the link is slower than the other, or the IMU's stamps are late",
+    ),
+    SourceRow(
+        Quantity.LINK_DELAY,
+        first="half of TIMESYNC's round trip",
+        second="the camera's sight of the turns that the link reports",
+        unit="ms",
+        notice=20.0,
+        bound=90.0,
+        before=_REFUSED,
+        reaction=Reaction.LEAVE_PAD,
+        hint="one direction of the link is slower than the other",
+    ),
+    SourceRow(
+        Quantity.CLOCK_RATE,
+        first="ours",
+        second="the autopilot's by TIMESYNC",
+        unit="%",
+        notice=None,
+        bound=None,
+        before=_SHOWN,
+        reaction=None,
+        in_flight="stamps are mapped by the measured rate",
+    ),
+    SourceRow(
+        Quantity.VISION_RATE,
+        first="the camera's file",
+        second="frames looked at",
+        unit="Hz",
+        notice=None,
+        bound=None,
+        before="not compared",
+        reaction=None,
+        in_flight="without sightings the descent stops",
+    ),
+    SourceRow(
+        Quantity.LEG_HEIGHT,
+        first="the vehicle's file",
+        second="the echo where it stands",
+        unit="cm",
+        notice=4.0,
+        bound=None,
+        before="announced",
+        reaction=None,
+        in_flight="contact needs several signs",
+        hint="measure from the centre of mass to the feet, and range_position_body_m",
+    ),
+    SourceRow(
+        Quantity.BATTERY,
+        first="the share that the autopilot reports",
+        second="none",
+        unit="%",
+        notice=None,
+        bound=None,
+        before="low: no take-off; critical: no landing is begun",
+        reaction=None,
+        in_flight="critical: control returns to the autopilot",
+    ),
+)
+TABLE: Final = {row.quantity: row for row in ROWS}
+
+
+def judged(comparisons: Iterable[SourceComparison]) -> Iterator[tuple[SourceRow, SourceState, str]]:
+    """Every row of the table with its newest comparison's judgement, and both figures in words."""
+    newest = {comparison.quantity: comparison for comparison in comparisons}
+    for row in ROWS:
+        comparison = newest.get(row.quantity)
+        if comparison is None:
+            yield row, SourceState.NOT_MEASURED, "not measured yet"
+        elif row.refuses(comparison):
+            yield row, SourceState.REFUSED, row.figures(comparison)
+        else:
+            differs = row.announces(comparison)
+            yield row, SourceState.DIFFERS if differs else SourceState.AGREES, row.figures(comparison)
+
+
+def announced(comparisons: Iterable[SourceComparison]) -> Iterator[tuple[Quantity, str]]:
+    """Those whose sources are surely further apart than goes unsaid, in words."""
+    for comparison in comparisons:
+        row = TABLE[comparison.quantity]
+        if row.announces(comparison):
+            yield comparison.quantity, row.words(comparison)
+
+
+def refused(comparisons: Iterable[SourceComparison]) -> Iterator[tuple[Quantity, str]]:
+    """Those that nobody flies with, in words."""
+    for comparison in comparisons:
+        row = TABLE[comparison.quantity]
+        if row.refuses(comparison):
+            yield comparison.quantity, row.words(comparison)

@@ -1,0 +1,144 @@
+"""Our attitude against the autopilot's: two horizons and two headings, of two boards on one airframe.
+
+The down vector in our body axes and in the autopilot's differ by how the two boards lie to one another: in
+body axes that is a constant, whatever the headings and however the vehicle turns, while wrong times and
+vibration come and go. So each report's difference enters a fading mean. Its standard deviation is what both
+filters may err by, which does not average out. A board that lies askew shows at rest; one that slips in
+flight shows within the mean's time, since the autopilot has not turned with it.
+
+Body FRD, rad.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Final
+
+from companion.base.geometry import (
+    FloatArray,
+    Quaternion,
+    cross,
+    dot,
+    euler_from_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_rotate_inverse,
+)
+from companion.base.messages import AutopilotAttitude, Quantity, SourceComparison
+from companion.estimate.motion import MotionHistory
+from companion.estimate.vehicle.ekf_inputs import OTHER_COMPASS_STD_RAD, OTHER_HORIZON_STD_RAD
+
+TIME_CONSTANT_S: Final = 0.5
+FULL_S: Final = 1.0  # of reports, before they say anything
+FORGET_S: Final = 2.0  # without a report
+RATE_SPAN_S: Final = 0.02
+LAG_STD_S: Final = 0.1  # of a report's stamp, before anything is known
+LAG_NOISE_RAD: Final = math.radians(0.5)  # of one difference
+LAG_FORGETTING_S: Final = 20.0
+SHARED: Final = 0.2
+_KEPT: Final = 50
+_DOWN: Final = (0.0, 0.0, 1.0)
+
+
+class AttitudeCheck:
+    """Feed it every report of the autopilot; `comparisons` is what they say."""
+
+    def __init__(self, motion: MotionHistory) -> None:
+        self._motion = motion
+        self._waiting: deque[AutopilotAttitude] = deque(maxlen=_KEPT)
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin again: ours has."""
+        self._waiting.clear()
+        self._since_s = self._last_s = -math.inf
+        self._reports = 0
+        self._askew = [0.0, 0.0]  # about forward and right: the horizons' difference
+        self._heading_rad = 0.0  # ours less theirs
+        self._figures: tuple[Quaternion, Quaternion] | None = None
+        # sums over reports: the rates' squares, and the rates times the differences
+        self._turned = self._lagged = 0.0
+        self._rate = [0.0, 0.0]  # the slow part of the rate of turn, about forward and right
+
+    def take(self, report: AutopilotAttitude) -> None:
+        """Take a report; it counts once our own samples have come as far."""
+        newest_s = self._motion.newest_s
+        self._waiting.append(report)
+        while newest_s is not None and self._waiting and self._waiting[0].time_s <= newest_s:
+            due = self._waiting.popleft()
+            ours = self._motion.attitude(due.time_s)
+            if ours is not None and due.time_s > self._last_s:
+                self._compare(due.time_s, ours, due.attitude)
+
+    def comparisons(self, rotation_covariance: FloatArray | None) -> tuple[SourceComparison, ...]:
+        """Of horizons and headings (deg); none before a second of reports.
+
+        `rotation_covariance` (3, 3): of our attitude, about NED axes (rad²).
+        """
+        if rotation_covariance is None or self._figures is None or self._last_s - self._since_s < FULL_S:
+            return ()
+        north, east, down = rotation_covariance.diagonal().tolist()
+        ours, theirs = (tuple(map(math.degrees, euler_from_quat(q))) for q in self._figures)
+        ahead_s, ahead_std_s = self._ahead()
+        return (
+            SourceComparison(
+                self._last_s,
+                Quantity.IMU_DELAY,
+                "0 ms",
+                f"{-1e3 * ahead_s:.0f} ms old",
+                difference=1e3 * abs(ahead_s),
+                std=1e3 * ahead_std_s,
+            ),
+            SourceComparison(
+                self._last_s,
+                Quantity.ATTITUDE,
+                f"roll {ours[0]:.1f}, pitch {ours[1]:.1f} deg",
+                f"roll {theirs[0]:.1f}, pitch {theirs[1]:.1f} deg",
+                difference=math.degrees(math.hypot(*self._askew)),
+                std=math.degrees(math.hypot(math.sqrt(max(north, east)), OTHER_HORIZON_STD_RAD)),
+            ),
+            SourceComparison(
+                self._last_s,
+                Quantity.HEADING,
+                f"{ours[2] % 360.0:.0f} deg",
+                f"{theirs[2] % 360.0:.0f} deg",
+                difference=math.degrees(abs(self._heading_rad)),
+                std=math.degrees(math.hypot(math.sqrt(down), OTHER_COMPASS_STD_RAD)),
+            ),
+        )
+
+    def _compare(self, time_s: float, ours: Quaternion, theirs: Quaternion) -> None:
+        if time_s - self._last_s > FORGET_S:
+            self._since_s, self._reports = time_s, 0
+        ours_down, theirs_down = quat_rotate_inverse(ours, _DOWN), quat_rotate_inverse(theirs, _DOWN)
+        x, y, _ = cross(theirs_down, ours_down)
+        sine = math.hypot(x, y)
+        angle = math.atan2(sine, dot(theirs_down, ours_down)) / sine if sine > 1e-9 else 1.0
+        w, _, _, z = quat_multiply(ours, quat_conjugate(theirs))
+        heading_rad = math.remainder(2.0 * math.atan2(z, w), math.tau)
+        # an average at first, so that it is right at once; then a low-pass
+        self._reports += 1
+        low_pass = -math.expm1(-(time_s - self._last_s) / TIME_CONSTANT_S)
+        share = max(low_pass if self._reports > 1 else 1.0, 1.0 / self._reports)
+        self._askew = [m + share * (angle * v - m) for m, v in zip(self._askew, (x, y), strict=True)]
+        turn_rad = math.remainder(heading_rad - self._heading_rad, math.tau)
+        self._learn_lag(time_s, share, (angle * x - self._askew[0], angle * y - self._askew[1]))
+        self._heading_rad = math.remainder(self._heading_rad + share * turn_rad, math.tau)
+        self._last_s, self._figures = time_s, (ours, theirs)
+
+    def _learn_lag(self, time_s: float, share: float, apart_rad: tuple[float, float]) -> None:
+        """A report of another moment differs by the lag times the rate at which the vehicle turns."""
+        x, y, _ = self._motion.rate_body_rad_s(time_s, RATE_SPAN_S)
+        # the slow part is left out of both alike
+        u, v = self._rate = [m + share * (w - m) for m, w in zip(self._rate, (x, y), strict=True)]
+        x, y = x - u, y - v
+        kept = math.exp(-(time_s - self._last_s) / LAG_FORGETTING_S) if self._reports > 1 else 0.0
+        # a report tells the same as those beside it
+        self._turned = kept * self._turned + SHARED * (x * x + y * y)
+        self._lagged = kept * self._lagged + SHARED * (x * apart_rad[0] + y * apart_rad[1])
+
+    def _ahead(self) -> tuple[float, float]:
+        """By how much ours is ahead of theirs (s), with its standard deviation."""
+        information = self._turned / LAG_NOISE_RAD**2 + 1.0 / LAG_STD_S**2
+        return self._lagged / LAG_NOISE_RAD**2 / information, math.sqrt(1.0 / information)

@@ -1,0 +1,228 @@
+"""The camera's delay and the pad's scale, learnt in flight: how the pad seems to move against our own motion.
+
+A frame that was exposed d later than its stamp says takes the attitude of another moment: a vehicle that
+turns at w sees the pad jump by -d w x q, although nothing moves. A pad that is printed smaller than its file
+says, or a focal length that is wrong, makes every distance k times what it is, and the pad seems to move k
+times as the vehicle does. Both are constants of one linear filter, beside the pad's own motion (q, v: the
+relative position and velocity as they are seen, NED; a: the pad's acceleration, a Gauss-Markov process; U:
+the vehicle's own motion beyond constant velocity, by the IMU):
+
+    predict   q += v dt + a dt^2 / 2 - k U_q        v += a dt - k U_v        a *= exp(-dt / tau)
+    sighting  z = q - (d - d0) w x z + noise        d0: the delay that is corrected already
+    echo      k h = q_down + noise                  h: the height over the board
+
+What the pad shares with a vehicle that follows it is slow, and goes to its acceleration. A vehicle that
+neither moves nor turns shows nothing but by its echoes. SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from statistics import median
+from typing import Final
+
+import numpy as np
+
+from companion.base.geometry import FloatArray, Vector3, cross, norm, quat_rotate
+from companion.base.messages import Quantity, SourceComparison
+from companion.estimate.motion import MotionHistory
+from companion.estimate.pad.pad_types import HeightMeasurement
+
+SCALE_STD: Final = 0.3  # before anything is known
+SCALE_WALK_RTS: Final = 1e-3  # a lens that heats, an echo's air
+DELAY_WALK_S_RTS: Final = 1e-3
+PAD_ACCELERATION_M_S2: Final = 2.0
+PAD_ACCELERATION_S: Final = 2.0
+FIRST_SPEED_M_S: Final = 3.0
+NOISE_M: Final = 0.005  # of a sighting's, at least: calibration errors, which turn with the view
+NOISE_RAD: Final = 0.003  # of the attitude's, from one second to the next
+ECHO_NOISE_M: Final = 0.03
+SQUARE: Final = 1.1  # so near to the least noise of an echo it comes square to the board
+ECHO_SCALE_STD: Final = 0.003  # the speed of sound, which does not average out
+HIGHEST_ECHO_M: Final = 2.5  # an ultrasonic's cone is then as wide as a pad
+ECHO_APART_S: Final = 0.05  # an echo and a sighting of one moment
+RATE_SPAN_S: Final = 0.01
+LONGEST_GAP_S: Final = 1.0  # between sightings; then the pad's motion begins again, scale and delay stay
+OUTLIER: Final = 5.0
+MEDIAN_OF: Final = 7  # echoes
+LARGEST_DELAY_S: Final = 0.1
+UNSETTLED_S: Final = 0.005  # what is still to be corrected of the delay: less does not show in the scale
+SLEW: Final = 0.01  # s a second: what is corrected moves slowly, so that sightings stay in order
+_Q, _V, _A, _K, _D = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10
+_STATES: Final = 11
+_EYE3: Final = np.eye(3)
+
+
+class CameraCheck:
+    """Feed it every sighting, and the echoes from over the board; `delay_s` is to be added to the stamps."""
+
+    def __init__(
+        self,
+        motion: MotionHistory,
+        delay_std_s: float,
+        board_half_width_m: float,
+    ) -> None:
+        """`delay_std_s`: how far off the stamps may be before anything is known (s); 0: not at all."""
+        self._motion, self._half_width_m = motion, board_half_width_m
+        self._delay_walk = DELAY_WALK_S_RTS if delay_std_s > 0.0 else 0.0
+        self.delay_s = 0.0
+        self.imu_by_link = False  # then it is the link's stamps that are off, not the camera's
+        self._x = np.zeros(_STATES)
+        self._x[_K] = 1.0
+        self._P = np.diag([0.0] * 9 + [SCALE_STD**2, delay_std_s**2])
+        self._time_s = -math.inf
+        self._echoes: deque[tuple[float, float]] = deque(maxlen=4)  # time (s), our height over it (m)
+        self._heights_m: tuple[float, float, float] | None = None  # when, as it is seen, by echoes
+        self._ratios: list[float] = []  # of the height that is seen to the echo's
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """How many times as far away the pad seems as it is, and the standard deviation."""
+        return float(self._x[_K]), math.sqrt(float(self._P[_K, _K]))
+
+    @property
+    def delay_std_s(self) -> float:
+        """Standard deviation of the delay's estimate (s)."""
+        return math.sqrt(float(self._P[_D, _D]))
+
+    def take_echo(self, time_s: float, echo: HeightMeasurement) -> None:
+        """Take the height of the sensor over what is below it; aslant the beam's nearest point is another."""
+        if echo.height_m > HIGHEST_ECHO_M or echo.noise_m > SQUARE * ECHO_NOISE_M:
+            return
+        self._echoes.append((time_s, echo.height_m + echo.sensor_offset_ned_m[2]))
+
+    def take(self, time_s: float, pad_position_body_m: Vector3, variance_m2: float) -> None:
+        """Take a sighting at its corrected time; `variance_m2` is its position's, an axis."""
+        attitude = self._motion.attitude(time_s)
+        if attitude is None or time_s <= self._time_s:
+            return
+        seen = quat_rotate(attitude, pad_position_body_m)
+        noise_m2 = variance_m2 + NOISE_M**2 + (NOISE_RAD * norm(seen)) ** 2
+        if time_s - self._time_s > LONGEST_GAP_S:
+            self._begin(seen, noise_m2)
+        else:
+            self._predict(time_s)
+            rate = quat_rotate(attitude, self._motion.rate_body_rad_s(time_s, RATE_SPAN_S))
+            self._see(seen, cross(rate, seen), noise_m2)
+            self._follow(time_s - self._time_s)
+        self._time_s = time_s
+        for echo in tuple(self._echoes):
+            if abs(echo[0] - time_s) <= ECHO_APART_S:
+                self._echoes.remove(echo)
+                self._hear(*echo)
+
+    def _begin(self, seen: Vector3, noise_m2: float) -> None:
+        self._x[_Q], self._x[_V], self._x[_A] = seen, 0.0, 0.0
+        self._P[:9, :], self._P[:, :9] = 0.0, 0.0
+        spread = (noise_m2, FIRST_SPEED_M_S**2, PAD_ACCELERATION_M_S2**2)
+        self._P[:9, :9] = np.diag(np.repeat(spread, 3))
+
+    def _predict(self, time_s: float) -> None:
+        dt = time_s - self._time_s
+        moved, sped = (np.array(u) for u in self._motion.moved(self._time_s, time_s))
+        fade = math.exp(-dt / PAD_ACCELERATION_S)
+        F = np.eye(_STATES)
+        F[_Q, _V], F[_Q, _A], F[_V, _A] = dt * _EYE3, 0.5 * dt * dt * _EYE3, dt * _EYE3
+        F[_A, _A] = fade * _EYE3
+        F[_Q, _K], F[_V, _K] = -moved, -sped
+        self._x = F @ self._x
+        push = PAD_ACCELERATION_M_S2**2 * (1.0 - fade * fade)
+        shaken = self._motion.noise_density_m2_s3 * dt
+        pushed = np.array([dt * dt / 6.0, 0.5 * dt, 1.0])
+        added = push * np.outer(pushed, pushed) + np.diag([shaken * dt * dt / 3.0, shaken, 0.0])
+        self._P = F @ self._P @ F.T
+        self._P[:9, :9] += np.kron(added, _EYE3)
+        self._P[_K, _K] += SCALE_WALK_RTS**2 * dt
+        self._P[_D, _D] += self._delay_walk**2 * dt
+
+    def _see(self, seen: Vector3, sweep_m_s: Vector3, noise_m2: float) -> None:
+        sweep = np.array(sweep_m_s)
+        H = np.zeros((3, _STATES))
+        H[:, _Q] = _EYE3
+        H[:, _D] = -sweep
+        self._update(np.array(seen) - self.delay_s * sweep - H @ self._x, H, noise_m2 * _EYE3)
+
+    def _follow(self, elapsed_s: float) -> None:
+        wanted_s = max(-LARGEST_DELAY_S, min(LARGEST_DELAY_S, float(self._x[_D])))
+        if abs(wanted_s - self.delay_s) > UNSETTLED_S:
+            self._forget_scale()  # by another moment's motion
+        reach_s = SLEW * elapsed_s
+        self.delay_s += max(-reach_s, min(reach_s, wanted_s - self.delay_s))
+
+    def _hear(self, echo_s: float, height_m: float) -> None:
+        """Of some echoes the median counts: single ones come from anywhere between sensor and floor."""
+        north, east, down = self._x[_Q].tolist()
+        if height_m <= 0.0 or math.hypot(north, east) > self._half_width_m:
+            return
+        seen_m = down - (self._time_s - echo_s) * float(self._x[5])
+        self._ratios.append(seen_m / height_m)
+        if len(self._ratios) < MEDIAN_OF:
+            return
+        height_m = down / max(median(self._ratios), 0.01)
+        self._ratios.clear()
+        self._heights_m = (self._time_s, down, height_m)
+        H = np.zeros((1, _STATES))
+        H[0, 2], H[0, _K] = 1.0, -height_m
+        variance = 0.5 * math.pi / MEDIAN_OF * (float(self._x[_K]) * ECHO_NOISE_M) ** 2
+        self._update(-H @ self._x, H, np.array([[variance]]))
+
+    def _forget_scale(self) -> None:
+        self._x[_K] = 1.0
+        self._P[_K, :], self._P[:, _K] = 0.0, 0.0
+        self._P[_K, _K] = SCALE_STD**2
+
+    def _update(self, y: FloatArray, H: FloatArray, R: FloatArray) -> None:
+        PH = self._P @ H.T
+        S = H @ PH + R
+        inverse = np.linalg.inv(S)
+        if y @ inverse @ y > OUTLIER**2 * len(y):
+            return
+        K = PH @ inverse
+        self._x = self._x + K @ y
+        P = self._P - K @ PH.T
+        self._P = 0.5 * (P + P.T)
+
+    # ------------------------------------------------------------ as compared
+
+    @property
+    def comparisons(self) -> tuple[SourceComparison, ...]:
+        """Scale (%) and delay (ms) against what the files say; none before the first sighting."""
+        if self._time_s == -math.inf:
+            return ()
+        (k, k_std), d = self.scale, float(self._x[_D])
+        return (
+            *self._height,
+            SourceComparison(
+                self._time_s,
+                Quantity.PAD_SCALE,
+                "100 %",
+                f"{100.0 / max(k, 0.01):.0f} %",
+                difference=100.0 * abs(1.0 / max(k, 0.01) - 1.0),
+                std=100.0 * math.hypot(k_std, ECHO_SCALE_STD) / max(k, 0.01) ** 2,
+            ),
+            SourceComparison(
+                self._time_s,
+                Quantity.LINK_DELAY if self.imu_by_link else Quantity.CAMERA_DELAY,
+                "0 ms off",
+                f"{1e3 * d:+.0f} ms",
+                difference=1e3 * abs(d),
+                std=1e3 * self.delay_std_s,
+            ),
+        )
+
+    @property
+    def _height(self) -> tuple[SourceComparison, ...]:
+        if self._heights_m is None:
+            return ()
+        time_s, seen_m, heard_m = self._heights_m
+        return (
+            SourceComparison(
+                time_s,
+                Quantity.HEIGHT_OVER_PAD,
+                f"{seen_m:.2f} m",
+                f"{heard_m:.2f} m",
+                difference=abs(seen_m - heard_m),
+                std=ECHO_NOISE_M / math.sqrt(MEDIAN_OF),
+            ),
+        )

@@ -1,0 +1,77 @@
+"""The pad's scale by a second source: how a pad of another size seems to move, and the echoes over it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.base.geometry import scale as scaled
+from companion.base.messages import Quantity, SourceComparison
+from companion.base.second_sources import TABLE
+from companion.estimate.motion import MotionHistory
+from companion.estimate.pad.camera_check import CameraCheck
+from companion.estimate.pad.pad_types import HeightMeasurement
+from tests.unit.estimate.pad.pad_sway import Sway, sightings
+
+ROW = TABLE[Quantity.PAD_SCALE]
+SWAYS = Sway(0.0, roll_rad=0.15)  # as a vehicle that chases a pad
+HOVERS = Sway(0.0, height_m=1.5, roll_rad=0.02, pad_speed_m_s=0.0)
+
+
+def compared(
+    sway: Sway,
+    printed: float,
+    *,
+    echoes: bool = False,
+    spikes: float = 0.0,
+    duration_s: float = 12.0,
+) -> SourceComparison:
+    """What is found in a flight over a pad that is printed so large, as a share of its file's size."""
+    motion, rng = MotionHistory(3.0), np.random.default_rng(3)
+    check = CameraCheck(motion, 0.03, 0.65)
+    for k, (exposed_s, (x, y, z)) in enumerate(sightings(sway, motion, duration_s)):
+        if echoes and k % 2:
+            attitude = sway.attitude(exposed_s)
+            away_m = 2.0 * (attitude[1] * y - attitude[2] * x) + z  # down, to the first order
+            spike = rng.uniform() if rng.uniform() < spikes else 1.0
+            echo_m = spike * away_m + 0.02 * rng.standard_normal()
+            check.take_echo(exposed_s, HeightMeasurement(float(echo_m), (0.0, 0.0, 0.0), 0.03))
+        seen = scaled((x, y, z), 1.0 / printed)
+        check.take(exposed_s + check.delay_s, seen, (sway.noise_m / printed) ** 2)
+    return next(found for found in check.comparisons if found.quantity is Quantity.PAD_SCALE)
+
+
+@pytest.mark.parametrize("pad_speed_m_s", [0.0, 1.0])
+def test_a_pad_printed_at_71_percent_is_refused_by_its_motion_alone(pad_speed_m_s: float) -> None:
+    sway = Sway(0.0, roll_rad=0.15, pad_speed_m_s=pad_speed_m_s)
+    found = compared(sway, 0.71)
+    assert ROW.refuses(found)
+    assert found.first == "100 %"
+    assert float(found.second.removesuffix(" %")) == pytest.approx(71.0, abs=8.0)
+
+
+@pytest.mark.parametrize(
+    "sway",
+    [
+        *(SWAYS, HOVERS, Sway(0.0), Sway(0.0, height_m=7.0, noise_m=0.03), Sway(0.03)),
+        *(Sway(-0.04, height_m=6.0), Sway(0.0, pad_speed_m_s=4.0), Sway(0.0, pad_acceleration_m_s2=1.5)),
+        Sway(0.0, roll_rad=0.0),
+    ],
+    ids=str,
+)
+def test_a_pad_of_its_size_is_not_announced(sway: Sway) -> None:
+    assert not ROW.announces(compared(sway, 1.0))
+
+
+@pytest.mark.parametrize(("printed", "refuses"), [(0.93, True), (1.07, True), (0.965, False), (1.035, False)])
+def test_over_the_board_echoes_tell_a_few_percent(printed: float, refuses: bool) -> None:
+    found = compared(HOVERS, printed, echoes=True, duration_s=20.0)
+    assert found.difference == pytest.approx(100.0 * abs(printed - 1.0), abs=0.7)
+    assert ROW.announces(found)
+    assert ROW.refuses(found) is refuses
+
+
+@pytest.mark.parametrize("spikes", [0.0, 0.3])
+def test_a_pad_of_its_size_agrees_with_its_echoes(spikes: float) -> None:
+    assert not ROW.announces(compared(HOVERS, 1.0, echoes=True, spikes=spikes))
+    assert not ROW.announces(compared(HOVERS, 0.99, echoes=True, spikes=spikes))
