@@ -1,0 +1,79 @@
+"""The pad goes with the vehicle that touches it, and drives on after it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.base.geometry import IDENTITY, ZERO3, Vector3
+from sitl.external.pose import Pose
+from sitl.external.touched_pad import TouchedPad
+from sitl.pad.motion import build_pad_motion
+from sitl.scenario.scenario import Scenario
+
+FRICTION = 0.6
+
+
+def motion(speed_m_s: float) -> Any:
+    meet = {"point_ned_m": [0.0, 0.0], "time_s": 10.0, "spread_m": 0.0}
+    pad = {"motion": {"kind": "line", "speed_m_s": speed_m_s, "course_deg": 90.0, "meet": meet}}
+    scenario = Scenario.model_validate({"name": "t", "description": "t", "pad": {"heading": 0.0, **pad}})
+    return build_pad_motion(scenario.pad.motion, 0.0, scenario.pad.heading, np.random.default_rng(0))
+
+
+class Vehicle:
+    """Over the pad until it is stopped at 10 s, at once or over a while."""
+
+    def __init__(self, speed_m_s: float, stops_in_s: float = 0.0) -> None:
+        self.speed_m_s, self.stops_in_s = speed_m_s, stops_in_s
+
+    def at(self, time_s: float) -> Pose:
+        since_s = time_s - 10.0
+        if since_s <= 0.0:
+            east, speed = self.speed_m_s * since_s, self.speed_m_s
+        else:
+            t = min(since_s, self.stops_in_s)
+            share = t / self.stops_in_s if self.stops_in_s else 1.0
+            east, speed = self.speed_m_s * t * (1.0 - 0.5 * share), self.speed_m_s * (1.0 - share)
+        return Pose(time_s, (0.0, east, -0.18), (0.0, speed, 0.0), IDENTITY, ZERO3)
+
+
+def away(pad: TouchedPad, vehicle: Vehicle, time_s: float) -> float:
+    """How far east of the vehicle the pad is."""
+    return pad.at(time_s).position_ned_m[1] - vehicle.at(time_s).position_ned_m[1]
+
+
+@pytest.mark.parametrize("stops_in_s", [0.0, 0.2])
+def test_it_stops_with_the_vehicle_however_that_is_stopped(stops_in_s: float) -> None:
+    vehicle = Vehicle(1.0, stops_in_s)
+    pad = TouchedPad(motion(1.0), FRICTION, vehicle.at)
+    pad.depart(0.0)
+    pad.touch(vehicle.at(10.0))
+    for time_s in (9.9, 10.0, 10.05, 10.1, 10.5, 11.0):
+        assert away(pad, vehicle, time_s) == pytest.approx(0.0, abs=1e-9)
+    assert pad.at(9.9).velocity_ned_m_s == pytest.approx((0.0, 1.0, 0.0))
+    assert pad.at(11.0).velocity_ned_m_s == pytest.approx(ZERO3)
+
+
+def test_what_their_speeds_differed_by_ends_by_friction() -> None:
+    vehicle = Vehicle(0.4)
+    pad = TouchedPad(motion(1.0), FRICTION, vehicle.at)
+    pad.depart(0.0)
+    pad.touch(vehicle.at(10.0))
+    slid_m = 0.6**2 / (2.0 * FRICTION * 9.80665)
+    assert away(pad, vehicle, 11.0) == pytest.approx(slid_m, rel=1e-3)
+    assert pad.at(11.0).velocity_ned_m_s == pytest.approx(ZERO3)
+
+
+def test_clear_of_the_feet_it_drives_on_from_where_it_is_and_the_past_stays_as_it_was() -> None:
+    vehicle = Vehicle(1.0)
+    pad = TouchedPad(motion(1.0), FRICTION, vehicle.at)
+    pad.depart(0.0)
+    pad.touch(vehicle.at(10.0))
+    stood: Vector3 = pad.at(10.9).position_ned_m
+    pad.release(11.0)
+    assert pad.at(10.9).position_ned_m == pytest.approx(stood)
+    assert pad.at(11.5).position_ned_m == pytest.approx((0.0, 0.5, 0.0))
+    assert pad.at(11.5).velocity_ned_m_s == pytest.approx((0.0, 1.0, 0.0))
