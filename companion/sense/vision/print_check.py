@@ -65,8 +65,8 @@ class PrintCheck:
 
     def _alike(self, image: NDArray[np.uint8], pixels: FloatArray, white: FloatArray) -> float:
         u, v = pixels.astype(np.float32).T
-        grey = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        grey = grey.reshape(white.shape).astype(np.float64)
+        seen = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        grey = np.asarray(seen, dtype=np.float64).reshape(white.shape)
         # any marker's black frame is like another's: the code has to be like by itself, too
         return min(_correlation(grey, white), _correlation(grey[2:-2, 2:-2], white[2:-2, 2:-2]))
 

@@ -149,7 +149,7 @@ def test_sides_blurred_by_much_of_a_cell_are_less_sure_as_wholes(cells: int, cro
 @pytest.mark.parametrize("turn_deg", [5.0, 30.0])
 def test_sides_are_found_in_light_however_it_is_encoded(turn_deg: float) -> None:
     truth = square(math.radians(turn_deg))
-    encoded = cv2.LUT(drawn(truth), encoding_table("srgb"))
+    encoded = np.asarray(cv2.LUT(drawn(truth), encoding_table("srgb")), np.uint8)
     off = []
     for light in (None, decoding_table("srgb")):
         refined = refine_quads(encoded, truth[None], np.array([CELLS]), np.zeros((1, 4)), light)
@@ -163,7 +163,7 @@ def test_what_is_not_known_of_the_encoding_is_stated() -> None:
     truth = square(0.3)
     light = light_of_greys("srgb")
     table = (255.0 * light**1.1).astype(np.float32)
-    encoded = cv2.LUT(drawn(truth), encoding_table("srgb"))
+    encoded = np.asarray(cv2.LUT(drawn(truth), encoding_table("srgb")), np.uint8)
     right, wrong = (
         refine_quads(encoded, truth[None], np.array([CELLS]), np.zeros((1, 4)), each, 0.1)
         for each in (decoding_table("srgb"), table)
