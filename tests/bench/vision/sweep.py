@@ -57,7 +57,7 @@ class SweepOutcome:
     holes: tuple[tuple[float, bool], ...]
 
 
-class Stage(PadBeforeCamera):
+class SweepStage(PadBeforeCamera):
     """Any pad before any camera."""
 
     def __init__(self, case: SweepCase, rng: np.random.Generator) -> None:
@@ -86,7 +86,7 @@ def cases() -> list[SweepCase]:
 def sweep(case: SweepCase, shots: int) -> SweepOutcome:
     """So many hovers at each height."""
     rng = np.random.default_rng((SEED, zlib.crc32(f"{case.pad} {case.camera} {case.view}".encode())))
-    stage = Stage(case, rng)
+    stage = SweepStage(case, rng)
     peer = Peer(stage.pad, stage.camera)
     read = heights = 0
     holes = []
@@ -109,7 +109,7 @@ def sweep(case: SweepCase, shots: int) -> SweepOutcome:
     return SweepOutcome(case, read, heights, tuple(holes))
 
 
-def _found(stage: Stage, frame: Frame, prior: PadPrior) -> bool:
+def _found(stage: SweepStage, frame: Frame, prior: PadPrior) -> bool:
     vision = Vision(stage.pad, stage.camera, vehicle(), VisionConfig())
     return any(vision.step(frame, prior).sighting is not None for _ in range(FRAMES))
 
