@@ -28,6 +28,8 @@
 # make bench-calibration DATA=DIR  the calibration tools on made-up truth, and on real logs and photos
 # make bench-experiments     Fig. 14 over twenty seeds: MPC, the paper's recursion and PID on one reference
 # make bench-vision DATA=DIR the vision: recall, errors, clutter, flips, speed; on real photos with DATA
+# make bench-photoreal DATA=DIR  the vision on photoreal pictures of pads, beside OpenCV's
+# make bench-sweep           the vision from every height: each shipped pad before each shipped camera
 # make bench-ahrs DATA=DIR   orientation over trials of BROAD, beside other projects' filters
 PYTHON ?= python3
 VENV   ?= .venv
@@ -44,7 +46,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.state.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-cpu bench-long-life bench-experiments bench-state bench-deck bench-pad bench-obstacles bench-mpc bench-descents bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-service bench-page bench-interruptions bench-mutations bench-mutants bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
+.PHONY: sitl test lint bench bench-cpu bench-long-life bench-experiments bench-state bench-deck bench-pad bench-obstacles bench-mpc bench-descents bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-service bench-page bench-interruptions bench-mutations bench-mutants bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-photoreal bench-sweep bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -190,6 +192,14 @@ bench-calibration: $(VENV)/.dev
 # looks at few frames
 bench-vision: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.vision.bench_vision $(DATA) $(QUICK)
+
+bench-photoreal: $(VENV)/.dev
+	@test -d "$(DATA)/photoreal" || { echo "bench-photoreal: expected DATA=DIR, a folder with photoreal in it"; exit 2; }
+	$(BIN)/python -m tests.bench.vision.bench_vision $(DATA) --only photoreal
+
+# twenty minutes on two cores
+bench-sweep: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.vision.bench_vision --only sweep $(QUICK)
 
 # the peers are for comparison alone: without them the bench judges by their published figures
 bench-ahrs: $(VENV)/.dev

@@ -25,6 +25,7 @@ from calibration.camera.collect.live import LiveOptions, capture_live
 from calibration.camera.kinds import Model, Pattern
 from calibration.camera.report.result import Origin, camera_config, camera_yaml, summary_lines
 from calibration.camera.solve.adjustment import UnsolvableError
+from calibration.camera.solve.encoding import measure_encoding
 from calibration.camera.solve.quality import Assessment, assess
 from calibration.command_line import RefusedError
 from companion.base.clock import start_unix_s
@@ -178,6 +179,8 @@ def _finish(
         raise RefusedError(f"{found.source}: {error}") from error
     for line in summary_lines(result):
         typer.echo(line)
+    encoding = measure_encoding([view.edges for view in found.views])
+    typer.echo("encoding: not measured, taken for sRGB" if encoding is None else encoding.text)
     if job.plots is not None:
         from calibration.camera.report.plots import write_plots  # noqa: PLC0415 - matplotlib is slow
 
@@ -185,7 +188,7 @@ def _finish(
         typer.echo(f"plots in {job.plots}")
     if result.reasons and not job.force:
         raise RefusedError("; ".join(result.reasons))
-    camera = camera_config(result, board, capture, _origin(found.source))
+    camera = camera_config(result, board, capture, _origin(found.source), encoding)
     write_atomically(job.output, camera_yaml(camera))
     for reason in result.reasons:
         typer.echo(f"not good enough: {reason}")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from companion.base.encoding import GREYS
 from companion.config.calibration import CameraCalibration
 from companion.config.reading import StrictModel, Vector
 from companion.config.response import Responses
@@ -44,6 +46,8 @@ class CameraConfig(CaptureConfig):
     """A calibrated camera, as `calibrate-camera` writes it (eqs. 2 and 3).
 
     `distortion` has OpenCV's order: k1 k2 p1 p2 k3, and for the rational model k4 k5 k6 after them.
+    `encoding` is how it makes grey values of light: sRGB's curve, in proportion (linear), or the light of
+    evenly spaced grey values, from 0 (black) to 1 (full).
     """
 
     size_is: ClassVar[str] = "the calibration's"
@@ -53,6 +57,10 @@ class CameraConfig(CaptureConfig):
     cx_px: float = Field(gt=0.0, lt=8192.0)
     cy_px: float = Field(gt=0.0, lt=8192.0)
     distortion: tuple[float, ...]
+    encoding: Literal["srgb", "linear"] | tuple[float, ...] = "srgb"
+    encoding_error: float = Field(
+        default=0.02, ge=0.0, le=1.0
+    )  # of it: light^(1 + error) in its place, one standard deviation
     calibration: CameraCalibration | None = None
 
     @field_validator("distortion")
@@ -61,6 +69,17 @@ class CameraConfig(CaptureConfig):
         if len(numbers) not in {5, 8}:
             raise ValueError(f"expected 5 numbers (k1 k2 p1 p2 k3) or 8 (and k4 k5 k6), found {len(numbers)}")
         return numbers
+
+    @field_validator("encoding")
+    @classmethod
+    def _rising(cls, encoding: str | tuple[float, ...]) -> str | tuple[float, ...]:
+        if isinstance(encoding, str):
+            return encoding
+        steps = [b - a for a, b in itertools.pairwise(encoding)]
+        ends = len(encoding) >= 2 and (encoding[0], encoding[-1]) == (0.0, 1.0)
+        if not ends or len(encoding) > GREYS or min(steps) <= 0.0:
+            raise ValueError(f"expected srgb, linear, or 2 to {GREYS} rising numbers from 0 to 1")
+        return encoding
 
     @model_validator(mode="after")
     def _of_the_calibrated_size(self) -> CameraConfig:

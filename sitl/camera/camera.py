@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.base.encoding import encoding_table
 from companion.base.geometry import (
     IDENTITY,
     ZERO3,
@@ -123,6 +124,7 @@ class CameraModel:
             self._light = LightInView(self._lighting, self._node_rays)
             self._metering = AutoExposure(settings.exposure, self._exposure_s, settings.light.illuminance_lux)
             self._exposure_s = self._metering.now.exposure_s
+        self._encoded = encoding_table(camera.encoding)
         self._vignette = vignette(camera, settings, dirt_rng)
         self._noise = noise_bank(camera, settings.noise_grey, rng)
 
@@ -282,21 +284,23 @@ class CameraModel:
         return image
 
     def _expose(self, image: GreyImage, glow: NDArray[np.float32] | None) -> GreyImage:
-        """What the sensor makes of the light; without a light of the scenario's, noise alone."""
+        """The grey values that the sensor makes of the light; without a light of the scenario's, as it is."""
         metering = self._metering
         if metering is None:
-            return self._noisy(image, 1.0)
+            return self._noisy(through(self._encoded, image), 1.0)
         image = through(response(metering.brightness, self._lighting.veil), image)
         if glow is not None:
             rows, columns = image.shape
             image = add_light(image, glow[:rows, :columns] * (PAD_WHITE * metering.brightness))
-        white_std_grey = self._settings.noise_grey
-        if white_std_grey > 0.0:
-            there, back, std_grey = levelled(noise_std_grey(white_std_grey, metering.now.gain))
-            image = through(back, self._noisy(through(there, image), std_grey / white_std_grey))
+        # it is light that is metered
+        gain = metering.now.gain
         metering.look(image)
         self._exposure_s = metering.now.exposure_s
-        return image
+        white_std_grey = self._settings.noise_grey
+        if white_std_grey == 0.0:
+            return through(self._encoded, image)
+        there, back, std_grey = levelled(noise_std_grey(white_std_grey, gain), self._camera.encoding)
+        return through(back, self._noisy(through(there, image), std_grey / white_std_grey))
 
     def _noisy(self, image: GreyImage, factor: float) -> GreyImage:
         """Noise of the bank's strength times a factor."""

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from companion.base.encoding import Encoding, grey_of_light
 from companion.base.geometry import FloatArray
 from companion.config import StrictModel
 from sitl.camera.textures import PAD_WHITE, GreyImage
@@ -102,13 +103,16 @@ def noise_std_grey(white_std_grey: float, gain: float) -> FloatArray:
     return np.asarray(white_std_grey * np.sqrt(DARK_SHARE * gain**2 + shot))
 
 
-def levelled(std_grey: FloatArray) -> tuple[GreyImage, GreyImage, float]:
-    """Tables (256,) to and from a scale on which the noise is the same everywhere, and how much that is."""
+def levelled(std_grey: FloatArray, encoding: Encoding = "linear") -> tuple[GreyImage, GreyImage, float]:
+    """Tables (256,) to a scale on which the noise is the same everywhere, and from it to encoded grey values.
+
+    And how much the noise is there.
+    """
     slope = 1.0 / std_grey
     scale = np.concatenate(([0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]))))
     stretch = 255.0 / scale[-1]
     there = np.rint(scale * stretch)
-    back = np.rint(np.interp(GREYS, scale * stretch, GREYS))
+    back = np.rint(grey_of_light(encoding, np.interp(GREYS, scale * stretch, GREYS) / 255.0))
     return there.astype(np.uint8), back.astype(np.uint8), float(stretch)
 
 

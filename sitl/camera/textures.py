@@ -1,13 +1,15 @@
 """What the simulated camera looks at: the pad's print and the ground, as textures at several scales.
 
 A texture lies in a plane with x up the image (the pad's heading, or north) and y to the right, metres.
-Texel centres are at whole numbers, as OpenCV samples them. Each coarser scale is an exact area average
+Texels are light, not grey values: the camera encodes it. Texel centres are at whole numbers, as OpenCV
+samples them. Each coarser scale is an exact area average
 of the finest, so that a pixel never skips texels (no aliasing) and no edge moves (no bias).
 """
 
 from __future__ import annotations
 
 import math
+import zlib
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -22,7 +24,8 @@ from companion.pad import DICTIONARIES, Marker, Pad
 GreyImage = NDArray[np.uint8]
 
 PAD_WHITE: Final = 222
-PAD_BLACK: Final = 24
+# ink throws back a twentieth of what paper does
+PAD_BLACK: Final = 11
 PAD_TEXELS_PER_M: Final = 2400.0
 PAD_COARSEST_PER_M: Final = 8.0
 TARPAULIN_GREY: Final = 96
@@ -123,13 +126,19 @@ def _paint_pad(pad: Pad, texels_per_m: float) -> GreyImage:
     size = (round(pad.length_m * texels_per_m), round(pad.width_m * texels_per_m))
     canvas = np.full(size, PAD_WHITE, np.uint8)
     plane = _board_level(canvas, pad.width_m, pad.length_m)
+    rng = np.random.default_rng(zlib.crc32(pad.name.encode()))
+    dot_m = pad.sheet.dot_m
+    ink_m = float(rng.uniform(-0.5, 0.5)) * dot_m
     for marker in pad.markers:
-        _paint_marker(canvas, plane, marker)
+        _paint_marker(canvas, plane, marker, ink_m + rng.uniform(-0.5, 0.5, 4) * dot_m)
     return canvas
 
 
-def _paint_marker(canvas: GreyImage, plane: TextureLevel, marker: Marker) -> None:
-    """Lay one code on the board, its edges where the pad's data put them to a fraction of a texel.
+def _paint_marker(canvas: GreyImage, plane: TextureLevel, marker: Marker, outwards_m: FloatArray) -> None:
+    """Lay one code on the board, its edges where the printer puts them to a fraction of a texel.
+
+    That is so far outwards (4,) of where the pad's data put them: top, right, bottom and left. An edge is up
+    to half a dot off, and the ink runs on all edges alike.
 
     The code is drawn a little finer than the board and sampled bilinearly: the ramp of each edge is then
     centred on the true edge, whatever fraction of a texel or angle it lies at.
@@ -140,7 +149,9 @@ def _paint_marker(canvas: GreyImage, plane: TextureLevel, marker: Marker) -> Non
     code = cv2.aruco.generateImageMarker(dictionary, marker.id, cells)
     print_ = np.where(code > 127, PAD_WHITE, PAD_BLACK).astype(np.uint8)
     print_ = np.pad(print_, 1, constant_values=PAD_WHITE).repeat(per_cell, axis=0).repeat(per_cell, axis=1)
-    bounds = _print_corners(marker) @ plane.texel_from_plane[:2, :2].T + plane.texel_from_plane[:2, 2]
+    bounds = (
+        _print_corners(marker, outwards_m) @ plane.texel_from_plane[:2, :2].T + plane.texel_from_plane[:2, 2]
+    )
     target = bounds[:3]
     low = np.maximum(np.floor(bounds.min(axis=0)).astype(int) - 2, 0)
     high = np.minimum(np.ceil(bounds.max(axis=0)).astype(int) + 3, canvas.shape[::-1])
@@ -159,7 +170,7 @@ def _paint_marker(canvas: GreyImage, plane: TextureLevel, marker: Marker) -> Non
     np.minimum(view, patch, out=view)
 
 
-def _print_corners(marker: Marker) -> FloatArray:
+def _print_corners(marker: Marker, outwards_m: FloatArray) -> FloatArray:
     """Where the print's corners lie on the board: (4, 2), x and y of the pad (m).
 
     Top left, top right, bottom right, bottom left of the code as one reads it. It is read from above with
@@ -168,10 +179,12 @@ def _print_corners(marker: Marker) -> FloatArray:
     """
     yaw = math.radians(marker.yaw_deg)
     centre = np.array(marker.position_pad_m)
-    up = 0.5 * marker.side_m * np.array([math.cos(yaw), math.sin(yaw)])
+    up = np.array([math.cos(yaw), math.sin(yaw)])
     # a quarter of a turn clockwise, from x (up) to y (right), takes (x, y) to (-y, x)
     right = np.array([-up[1], up[0]])
-    return np.array([centre + up - right, centre + up + right, centre - up + right, centre - up - right])
+    top, east, bottom, west = (0.5 * marker.side_m + outwards_m).tolist()
+    corners = ((top, -west), (top, east), (-bottom, east), (-bottom, -west))
+    return np.array([centre + a * up + b * right for a, b in corners])
 
 
 def _tileable_noise(size: int, rng: np.random.Generator) -> GreyImage:

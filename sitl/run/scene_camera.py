@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from companion.base.encoding import light_of_greys
 from companion.base.geometry import FloatArray, Vector3, add
 from companion.base.messages import Frame, Truth
 from companion.config import CameraConfig, VehicleConfig, find_file, load_model
@@ -152,15 +153,20 @@ class SceneCamera:
 def perturbed_lens(
     calibration: CameraConfig, error: float, rng: np.random.Generator, built: float = 1.0
 ) -> CameraConfig:
-    """The true lens, which differs from the calibration by `error`, a standard deviation of the focal
-    length, and by the factor `built`."""
+    """The true camera, which differs from the calibration by `error`, a standard deviation of the focal
+    length, and by the factor `built`.
+
+    And by its encoding, as much as the calibration says that it may.
+    """
     longer, right, down = (error * rng.standard_normal(3)).tolist()
     longer = built * (1.0 + longer) - 1.0 if built != 1.0 else longer
+    exponent = 1.0 + calibration.encoding_error * float(rng.standard_normal())
     return calibration.model_copy(
         update={
             "fx_px": calibration.fx_px * (1.0 + longer),
             "fy_px": calibration.fy_px * (1.0 + longer),
             "cx_px": calibration.cx_px + right * calibration.fx_px,
             "cy_px": calibration.cy_px + down * calibration.fy_px,
+            "encoding": tuple((light_of_greys(calibration.encoding) ** exponent).tolist()),
         }
     )

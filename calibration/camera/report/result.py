@@ -10,6 +10,7 @@ import yaml
 
 from calibration.camera.board.board import CalibrationBoard
 from calibration.camera.board.surface import Surface
+from calibration.camera.solve.encoding import MeasuredEncoding
 from calibration.camera.solve.quality import Assessment
 from companion.config import CameraConfig, CaptureConfig, validate
 from companion.config.calibration import CameraCalibration, Provenance
@@ -30,9 +31,13 @@ class Origin:
 
 
 def camera_config(
-    found: Assessment, board: CalibrationBoard, capture: CaptureConfig, origin: Origin
+    found: Assessment,
+    board: CalibrationBoard,
+    capture: CaptureConfig,
+    origin: Origin,
+    encoding: MeasuredEncoding | None = None,
 ) -> CameraConfig:
-    """The camera as the app reads it.
+    """The camera as the app reads it; without a measured encoding it has the settings' own.
 
     Raises:
         ConfigError: numbers that no camera has.
@@ -66,7 +71,10 @@ def camera_config(
         verdict=found.reasons,
     )
     numbers = {"fx_px": fx, "fy_px": fy, "cx_px": cx, "cy_px": cy, "distortion": tuple(distortion)}
-    data = {**capture.model_dump(), **numbers, "calibration": made.model_dump()}
+    measured = {}
+    if encoding is not None:
+        measured = {"encoding": encoding.encoding, "encoding_error": float(f"{encoding.error:.2g}")}
+    data = {**capture.model_dump(), **numbers, **measured, "calibration": made.model_dump()}
     return validate(CameraConfig, data, "calibration")
 
 

@@ -10,7 +10,7 @@ why ChArUco and chessboards calibrate better.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import cv2
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.camera.board.board import CalibrationBoard
+from calibration.camera.views.edges import COLUMNS, edge_pixels
 from companion.base.geometry import FloatArray
 
 # a view with fewer says little more than its own pose takes (6 numbers)
@@ -37,21 +38,28 @@ FEWEST_FITTING: Final = 0.8
 # points on a line fix no pose: the smaller spread, of the larger one
 THINNEST: Final = 0.05
 EDGE_PATCH_PX: Final = 5
+NO_EDGES: Final = np.empty((0, COLUMNS))
 
 
 @dataclass(frozen=True, slots=True)
 class BoardView:
-    """The board in one image: ids (n,), points on the board (n, 3) in m, and corners (n, 2) in px."""
+    """The board in one image: ids (n,), points on the board (n, 3) in m, and corners (n, 2) in px.
+
+    `edges` are the pixels about the edges between corners (`edge_pixels`).
+    """
 
     name: str
     ids: NDArray[np.int64]
     points_m: FloatArray
     corners_px: FloatArray
     edge_px: float = 0.0
+    edges: FloatArray = field(default_factory=lambda: NO_EDGES)
 
     def only(self, kept: NDArray[np.bool_]) -> BoardView:
         """The view with some of its points."""
-        return BoardView(self.name, self.ids[kept], self.points_m[kept], self.corners_px[kept], self.edge_px)
+        return BoardView(
+            self.name, self.ids[kept], self.points_m[kept], self.corners_px[kept], self.edge_px, self.edges
+        )
 
 
 class BoardFinder:
@@ -87,7 +95,16 @@ class BoardFinder:
         if np.count_nonzero(fits) < max(FEWEST_POINTS, FEWEST_FITTING * len(fits)):
             return "the corners seen fit no flat board: another board, or a misread one"
         corners = _refine(image, corners, self._window_px(points[fits], corners[fits]))
-        return BoardView(name, ids, points, corners, edge_width_px(image, corners))
+        edges = self._edges(image, points[fits], corners[fits])
+        return BoardView(name, ids, points, corners, edge_width_px(image, corners), edges)
+
+    def _edges(self, image: NDArray[np.uint8], points: FloatArray, corners: FloatArray) -> FloatArray:
+        """A grid's markers have no corners that stay where they are, whatever the encoding."""
+        board = self.board
+        if board.pattern == "grid":
+            return NO_EDGES
+        white_m = 0.5 * (board.square_m - (board.marker_m if board.pattern == "charuco" else 0.0))
+        return edge_pixels(image, points, corners, board.square_m, white_m)
 
     def _too_few(self, corners: int) -> str:
         if self.board.pattern == "chessboard":

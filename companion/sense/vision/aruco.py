@@ -37,6 +37,8 @@ SHRUNK_SIDE_PX: Final = 17.0
 CONTOUR_STD_PX: Final = 0.7
 # of the variance at a side's ends, when it is a straight line through places that err independently
 STRAIGHT_SHARE: Final = 0.25
+# of a dot, by which an edge is printed off: anything up to half of one
+DOT_STD: Final = 1.0 / math.sqrt(12.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +60,9 @@ class Detection:
 
     `corner_std_px` is the standard deviation of each corner in each direction, as far as its sides show, and
     `offset_share` the share of its square by which a side errs as a whole, and not by being turned;
-    `shrunk_std_px` that of how far all sides lie too far in, alike for all markers of an over-exposed frame.
+    `shrunk_std_px` those of how far its sides lie too far in, alike for all markers of a frame, by exposure,
+    encoding and print. A marker whose sides could not be followed is not `refined`: its corners are its
+    contour's.
     """
 
     marker: Marker
@@ -67,7 +71,8 @@ class Detection:
     side_px: float
     corner_std_px: float = 0.0
     offset_share: float = STRAIGHT_SHARE
-    shrunk_std_px: float = 0.0
+    shrunk_std_px: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+    refined: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +106,8 @@ class PadDetector:
             size = (part.shape[1] // s, part.shape[0] // s)
             part = part[: size[1] * s, : size[0] * s]
             part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        if self._lens is not None:
+            part = np.asarray(cv2.LUT(part, self._lens.legible), dtype=np.uint8)
         if where.enlarge > 1:
             size = (part.shape[1] * where.enlarge, part.shape[0] * where.enlarge)
             part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
@@ -114,7 +121,8 @@ class PadDetector:
             found.append(
                 Detection(marker, marker.corners_pad_m(), corners, side_px(corners), CONTOUR_STD_PX * scale)
             )
-        return refine_corners(image, farthest_apart(found, self._config.maximum_markers), self._lens)
+        chosen = farthest_apart(found, self._config.maximum_markers)
+        return refine_corners(image, chosen, self._lens, self._pad.sheet.dot_m)
 
     def _reader(self, groups: tuple[MarkerGroup, ...]) -> tuple[tuple[Marker, ...], CodeReader]:
         made = self._readers.get(groups)
@@ -173,27 +181,38 @@ class CodeReader:
 
 
 def refine_corners(
-    image: NDArray[np.uint8], found: list[Detection], lens: Lens | None = None
+    image: NDArray[np.uint8], found: list[Detection], lens: Lens | None = None, dot_m: float = 0.0
 ) -> list[Detection]:
-    """The detections with their corners where each marker's sides meet."""
+    """The detections with their corners where each marker's sides meet; those alone, where there are any.
+
+    `dot_m`: a dot of the print. Each edge is printed up to half a dot off, and ink runs about as far.
+    """
     if not found:
         return found
-    quads = np.array([d.corners_px for d in found])
-    bows = None if lens is None else lens.bows(quads)
-    refined = refine_quads(image, quads, np.array([d.marker.cells for d in found]), bows)
-    by_marker = (part.tolist() for part in refined[1:])
-    return [
-        replace(
-            d,
-            corners_px=quad,
-            corner_std_px=math.hypot(offset, turn),
-            offset_share=offset**2 / max(offset**2 + turn**2, 1e-12),
-            shrunk_std_px=shrunk,
+    quads, cells = np.array([d.corners_px for d in found]), np.array([d.marker.cells for d in found])
+    if lens is None:
+        refined = refine_quads(image, quads, cells)
+    else:
+        refined = refine_quads(image, quads, cells, lens.bows(quads), lens.light, lens.encoding_error)
+    made = []
+    parts = (part.tolist() for part in refined)
+    for d, quad, offset, turn, shrunk, crowded in zip(found, *parts, strict=True):
+        if not math.isfinite(offset):
+            continue
+        dot_px = dot_m * d.side_px / d.marker.side_m
+        off = math.hypot(offset, crowded, DOT_STD * dot_px)
+        std = math.hypot(off, turn)
+        made.append(
+            replace(
+                d,
+                corners_px=np.array(quad),
+                corner_std_px=std,
+                offset_share=(off / max(std, 1e-6)) ** 2,
+                shrunk_std_px=tuple(math.hypot(by, DOT_STD * dot_px) for by in shrunk),
+                refined=True,
+            )
         )
-        if math.isfinite(offset)
-        else d
-        for d, quad, offset, turn, shrunk in zip(found, refined.corners, *by_marker, strict=True)
-    ]
+    return made or found
 
 
 def farthest_apart(found: list[Detection], maximum: int) -> list[Detection]:

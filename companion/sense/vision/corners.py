@@ -13,17 +13,23 @@ marker, and side k runs from corner k to the next.
 
 from __future__ import annotations
 
-import math
 from typing import Final, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.base.geometry import FloatArray
+from companion.sense.vision.edges import (
+    NORMALS,
+    PLACES,
+    PROPORTIONAL,
+    Places,
+    Sides,
+    decoded,
+    median,
+    places_along,
+)
 
-NORMALS: Final = 12  # along each side
-TAPS: Final = 13  # along each normal
 MOST_ROUNDS: Final = 5
 # corners that moved by less are within a few hundredths of a pixel of where they would end up
 SETTLED_PX: Final = 0.2
@@ -57,71 +63,24 @@ LEAST_USED: Final = 0.5
 LEAST_USED_OF_A_SIDE: Final = 0.25
 # pixels share light with their neighbours: places nearer to one another than this do not err independently
 CORRELATED_PX: Final = 1.5
-# white that is brighter is cut off, and then eats into the black
-FULL_GREY: Final = 250.0
+# white that is cut off eats into the black: exposed rightly, an edge lies where it should; twice too long, by
+# its blur too far in. Mean and deviation of what lies between
+EATEN_MEAN: Final = 0.45
+EATEN_STD: Final = 0.4
+# by how much of its blur an edge moves for an exponent of the encoding that is off by 1: a Gaussian's middle,
+# black at 4 % of white
+ENCODED: Final = 0.7
 # more than two parameters a side is what the fit takes from the places' scatter
 PARAMETERS: Final = 10
 
-# blurred by more than this share of a cell, an edge is drawn to its neighbours' in the code and beside it:
-# by as much more, half
-CROWDED_CELL: Final = 0.2
-CROWDED_SHARE: Final = 0.5
-# the least share of an edge's way that is trusted to be seen through the window
-LEAST_GAIN: Final = 0.4
-
-_TAPS: Final = np.linspace(-1.0, 1.0, TAPS, dtype=np.float32)
-_BETWEEN: Final = 0.5 * (_TAPS[1:] + _TAPS[:-1])
-_WINDOW: Final = 1.0 - _BETWEEN**2
-# what a normal's differences are summed with: their weight, mean and mean square (12, 3)
-_MOMENTS: Final = np.stack((_WINDOW, _WINDOW * _BETWEEN, _WINDOW * _BETWEEN**2), axis=1)
-
-
-def _gains() -> tuple[FloatArray, FloatArray]:
-    """How wide an edge near the window's middle seems, and by which share of its way a moved one does.
-
-    The window draws the centre of a rise towards its own middle, the more the wider the rise is. By Gaussian
-    rises of each width, in terms of the reach, half a tap's distance to either hand of the middle: the mean
-    over a tap's distance is 1 for a step, wherever between two taps it is.
-    """
-    step = 1.0 / (TAPS - 1)
-    widths, gains = [], []
-    for sigma in np.linspace(0.01, 1.5, 150):
-        below = np.array(
-            [[math.erf((tap - at) / sigma / math.sqrt(2.0)) for tap in _TAPS] for at in (0.0, step)]
-        )
-        weight, mean, square = (np.diff(below, axis=1) @ _MOMENTS).T
-        widths.append(math.sqrt(float(np.mean(square / weight - (mean / weight) ** 2))))
-        gains.append(float(mean[1] / weight[1]) / step)
-    return np.array(widths), np.array(gains)
-
-
-_WIDTHS, _GAINS = _gains()
-_PLACES: Final = np.linspace(-1.0, 1.0, NORMALS)
+# blurred by more than this share of a cell, an edge is drawn to its neighbours' in the code and beside it, to
+# either hand: by this share of what is more (cells of 2.5 to 5 px of a 4x4 code, a dark ground beside it)
+CROWDED_CELL: Final = 0.15
+CROWDED_SHARE: Final = 0.6
 # orthonormal polynomials over the places (12, 3), and what they are at any u: (u^0, u^1, u^2) times this
 # (3, 3)
-_BASIS, _TRIANGLE = np.linalg.qr(np.stack((np.ones(NORMALS), _PLACES, _PLACES**2), axis=1))
+_BASIS, _TRIANGLE = np.linalg.qr(np.stack((np.ones(NORMALS), PLACES, PLACES**2), axis=1))
 _POLYNOMIALS: Final = np.linalg.inv(_TRIANGLE)
-
-
-class _Sides(NamedTuple):
-    """Straight sides (m, 4) of markers, their directions and outward normals (m, 4, 2)."""
-
-    start: FloatArray
-    along: FloatArray
-    normal: FloatArray
-    length: FloatArray
-    span: FloatArray  # (m,) half the share of the side's length that is looked at, twice
-    bow: FloatArray  # (m, 4) how far outwards the lens moves their middles, px
-    bow_std: FloatArray  # (m, 4) of what is not known of it
-
-
-class _Places(NamedTuple):
-    """Where the sides cross normals (m, 4, NORMALS), px outwards, contrasts alike, blur of each marker."""
-
-    offset: FloatArray
-    contrast: FloatArray
-    blur_px: FloatArray
-    full: NDArray[np.bool_]  # (m,) whether the white is cut off
 
 
 class _Curves(NamedTuple):
@@ -139,15 +98,17 @@ class _Curves(NamedTuple):
 class Refined(NamedTuple):
     """Corners (m, 4, 2) px, and how sides err (m,) px: as wholes, and at their ends by being turned.
 
-    A marker whose sides cannot be followed keeps its corners, and its deviations are infinite. `shrunk_px`:
-    by how much all sides together may lie too far in or out: as much as they are blurred where the white is
-    too bright, and by a share of the blur where cells are as small.
+    A marker whose sides cannot be followed keeps its corners, and its deviations are infinite. `shrunk_px`
+    (m, 4): by how much all sides together may lie too far in or out, by shares of how much each is blurred:
+    where the white is too bright, where cells are as small, and as the encoding may be another. `crowded_px`
+    (m,): by how much each side for itself may be drawn to what lies beside it.
     """
 
     corners: FloatArray
     offset_std_px: FloatArray
     turn_std_px: FloatArray
     shrunk_px: FloatArray
+    crowded_px: FloatArray
 
     @property
     def corner_std_px(self) -> FloatArray:
@@ -156,7 +117,12 @@ class Refined(NamedTuple):
 
 
 def refine_quads(
-    image: NDArray[np.uint8], quads: FloatArray, cells: FloatArray, bow_px: FloatArray | None = None
+    image: NDArray[np.uint8],
+    quads: FloatArray,
+    cells: FloatArray,
+    bow_px: FloatArray | None = None,
+    light: NDArray[np.float32] | None = None,
+    encoding_error: float = 0.0,
 ) -> Refined:
     """Move the corners of markers to where their sides meet.
 
@@ -166,19 +132,26 @@ def refine_quads(
         cells: (m,) across each marker, the black border included.
         bow_px: (m, 4) how far outwards the middle of each side lies from between its corners, by the lens;
             without it sides bow as lenses bend them.
+        light: (256,) light of each grey value, 255 at most; without it grey values are in proportion to it.
+        encoding_error: by which share the light's exponent may be off, one standard deviation.
     """
     corners = np.array(quads, dtype=np.float64)
     farthest = np.clip(REACH_CELLS * _lengths(corners) / cells, *REACH_PX)
+    # beyond the picture there is nothing to see: a side by its edge is looked at no farther than that
+    room = _room(corners, image.shape)
+    farthest = np.clip(room, LEAST_REACH_PX, farthest)
+    light = PROPORTIONAL if light is None else light
+    patches = decoded(image, corners, 2.5 * farthest, light)
     reach = farthest
     for _ in range(MOST_ROUNDS):
         sides = _sides(corners, image.shape[1], bow_px)
-        places = _places(image, sides, reach)
+        places = places_along(patches, sides, reach)
         curves = _curves(places, sides)
         moves = _meeting(sides, curves)
         corners = corners + moves
         moved = np.abs(moves).max(axis=(1, 2))
         # a side that is still on its way must not leave the edge behind
-        looked, wanted = reach, np.maximum(REACH_BLURS * places.blur_px, REACH_MOVES * moved)
+        looked, wanted = reach, np.maximum(REACH_BLURS * median(places.blur_px), REACH_MOVES * moved)
         reach = np.clip(wanted, LEAST_REACH_PX, farthest)
         # nor is one at rest that was last looked at with taps far apart
         if ((moved < SETTLED_PX) & (looked < COARSE * reach)).all():
@@ -187,10 +160,27 @@ def refine_quads(
     lost = np.abs(corners - quads).max(axis=(1, 2)) > 1.5 * farthest
     lost |= ~np.isfinite(offset_std + turn_std) | (moved > UNSETTLED_PX)
     lost |= (curves.used < LEAST_USED) | (curves.least_used < LEAST_USED_OF_A_SIDE)
+    # a rise that the picture's edge cuts off seems to be where it is not
+    lost |= room < REACH_BLURS * places.blur_px.max(axis=1)
     corners[lost], offset_std[lost], turn_std[lost] = quads[lost], np.inf, np.inf
-    crowded = CROWDED_SHARE * np.maximum(places.blur_px - CROWDED_CELL * _lengths(corners) / cells, 0.0)
-    shrunk = np.hypot(np.where(places.full, places.blur_px, 0.0), crowded)
-    return Refined(corners, offset_std, turn_std, shrunk)
+    blur = places.blur_px
+    crowded = CROWDED_SHARE * np.maximum(blur - CROWDED_CELL * (_lengths(corners) / cells)[:, None], 0.0)
+    eaten = np.where(places.full[:, None], blur, 0.0)
+    corners[~lost] += _outwards(sides.normal, EATEN_MEAN * eaten)[~lost]
+    shrunk = np.sqrt((EATEN_STD * eaten) ** 2 + crowded**2 + (ENCODED * encoding_error * blur) ** 2)
+    return Refined(corners, offset_std, turn_std, shrunk, crowded.mean(axis=1))
+
+
+def _room(corners: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """How far (m,) px the corner that is nearest to the picture's edge is from it."""
+    far = np.array(shape[::-1]) - 1.0 - corners
+    return np.asarray(np.minimum(corners, far).min(axis=(1, 2)))
+
+
+def _outwards(normal: FloatArray, by: FloatArray) -> FloatArray:
+    """How corners (m, 4, 2) move when sides with these normals (m, 4, 2) move outwards by so many (m, 4)."""
+    moved = by[..., None] * normal
+    return np.asarray(moved + moved[:, (3, 0, 1, 2)])
 
 
 def _lengths(corners: FloatArray) -> FloatArray:
@@ -199,7 +189,7 @@ def _lengths(corners: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt((across**2).sum(axis=2)).mean(axis=1))
 
 
-def _sides(corners: FloatArray, image_width_px: int, bow_px: FloatArray | None) -> _Sides:
+def _sides(corners: FloatArray, image_width_px: int, bow_px: FloatArray | None) -> Sides:
     across = corners[:, (1, 2, 3, 0)] - corners
     length = np.maximum(np.sqrt((across**2).sum(axis=2)), 1.0)
     along = across / length[..., None]
@@ -208,51 +198,11 @@ def _sides(corners: FloatArray, image_width_px: int, bow_px: FloatArray | None) 
     span = 1.0 - 2.0 * np.minimum(end, MOST_END_SHARE)
     if bow_px is None:
         bow_std = BOW / image_width_px * length**2
-        return _Sides(corners, along, normal, length, span, np.zeros_like(length), bow_std)
-    return _Sides(corners, along, normal, length, span, bow_px, BOW_LEFT_PER_PX * length**2)
+        return Sides(corners, along, normal, length, span, np.zeros_like(length), bow_std)
+    return Sides(corners, along, normal, length, span, bow_px, BOW_LEFT_PER_PX * length**2)
 
 
-def _places(image: NDArray[np.uint8], sides: _Sides, reach: FloatArray) -> _Places:
-    """Where each normal goes from black to white: the centre of its rise, more weight near its middle."""
-    m = len(reach)
-    half = 0.5 * sides.length[..., None]
-    # (m, 4, NORMALS) along the side, then (m, TAPS) across it
-    share = half * (1.0 + sides.span[:, None, None] * _PLACES)
-    across = reach[:, None] * _TAPS
-    maps = [
-        (
-            (sides.start[..., axis, None] + share * sides.along[..., axis, None])[..., None]
-            + (sides.normal[..., axis, None] * across[:, None, :])[:, :, None, :]
-        )
-        .astype(np.float32)
-        .reshape(m * 4, NORMALS * TAPS)
-        for axis in (0, 1)
-    ]
-    grey = cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    brightness = grey.reshape(-1, TAPS).astype(np.float32)
-    # what falls is another edge: of the code inside, or of what lies beside the marker
-    rise = np.maximum(brightness[:, 1:] - brightness[:, :-1], 0.0)
-    moments = (rise @ _MOMENTS).astype(np.float64).reshape(m, 4, NORMALS, 3)
-    contrast = np.where(_within(maps, image.shape), moments[..., 0].reshape(m * 4, NORMALS), 0.0)
-    contrast = contrast.reshape(m, 4, NORMALS)
-    sure = np.maximum(contrast, 1.0)
-    mean = moments[..., 1] / sure
-    width = np.sqrt(np.maximum(moments[..., 2] / sure - mean**2, 0.0))
-    blur = _median(width.reshape(m, -1))
-    gain = np.maximum(np.interp(blur, _WIDTHS, _GAINS), LEAST_GAIN)
-    offset = np.clip(mean / gain[:, None, None], -1.0, 1.0) * reach[:, None, None]
-    full = _median(brightness[:, -1].astype(np.float64).reshape(m, -1)) >= FULL_GREY
-    return _Places(offset, contrast, blur * reach, full)
-
-
-def _within(maps: list[NDArray[np.float32]], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Which normals (4m, NORMALS) end in the image; beyond, its last pixels are repeated: a rise is cut."""
-    ends = [each.reshape(-1, NORMALS, TAPS)[..., :: TAPS - 1] for each in maps]
-    inside = [((x >= 0.0) & (x <= n - 1.0)).all(axis=2) for x, n in zip(ends, shape[::-1], strict=True)]
-    return np.asarray(inside[0] & inside[1])
-
-
-def _curves(places: _Places, sides: _Sides) -> _Curves:
+def _curves(places: Places, sides: Sides) -> _Curves:
     """Least squares with a prior on the bow; places without contrast or far from the curve are left out.
 
     They are of what is left when the lens's bow is taken out.
@@ -260,17 +210,17 @@ def _curves(places: _Places, sides: _Sides) -> _Curves:
     A place that is left out is put on the curve and the fit repeated: with few of them that is as good as to
     weigh them with nothing, and one small product does for all sides.
     """
-    offset = places.offset - sides.bow[..., None] * (1.0 - (sides.span[:, None] * _PLACES) ** 2)[:, None]
+    offset = places.offset - sides.bow[..., None] * (1.0 - (sides.span[:, None] * PLACES) ** 2)[:, None]
     m = len(offset)
-    usual = _median(places.contrast.reshape(m, -1))
+    usual = median(places.contrast.reshape(m, -1))
     keep = places.contrast > LEAST_CONTRAST * usual[:, None, None]
     shrink = _shrink(sides)
     gain = np.stack((np.ones_like(shrink), np.ones_like(shrink), shrink), axis=2)
-    filled = offset if keep.all() else np.where(keep, offset, _median(offset)[..., None])
+    filled = offset if keep.all() else np.where(keep, offset, median(offset)[..., None])
     for _ in range(REFITS):
         fitted = ((filled @ _BASIS) * gain) @ _BASIS.T
         away = np.abs(offset - fitted)
-        spread = 1.48 * _median(away.reshape(m, -1))
+        spread = 1.48 * median(away.reshape(m, -1))
         keep &= away < OUTLIER_SIGMA * np.maximum(spread, LEAST_SPREAD_PX)[:, None, None]
         filled = np.where(keep, offset, fitted)
     coefficients = (filled @ _BASIS) * gain
@@ -282,24 +232,18 @@ def _curves(places: _Places, sides: _Sides) -> _Curves:
     return _Curves(coefficients, np.sqrt(variance), used, least_used)
 
 
-def _shrink(sides: _Sides) -> FloatArray:
+def _shrink(sides: Sides) -> FloatArray:
     """By how much (m, 4) the bow's coefficient is drawn to what is expected of it: 0 wholly, 1 not at all."""
     bow = _bow_std(sides)
     return np.asarray(bow**2 / (bow**2 + PLACE_STD_PX**2))
 
 
-def _bow_std(sides: _Sides) -> FloatArray:
+def _bow_std(sides: Sides) -> FloatArray:
     """Of the third orthonormal polynomial's coefficient (m, 4)."""
     return np.asarray(sides.bow_std * _TRIANGLE[2, 2])
 
 
-def _median(values: FloatArray) -> FloatArray:
-    """Along the last axis, the upper one of two: a fraction of what numpy's own costs for so few."""
-    half = values.shape[-1] // 2
-    return np.asarray(np.partition(values, half, axis=-1)[..., half])
-
-
-def _meeting(sides: _Sides, curves: _Curves) -> FloatArray:
+def _meeting(sides: Sides, curves: _Curves) -> FloatArray:
     """How far (m, 4, 2) px the corners are from where each side's curve meets that of the side before."""
     plain = curves.coefficients @ _POLYNOMIALS.T  # of u^0, u^1, u^2
     u = (1.0 / sides.span)[:, None]
@@ -319,7 +263,7 @@ def _meeting(sides: _Sides, curves: _Curves) -> FloatArray:
     return np.stack((x, y), axis=2)
 
 
-def _side_std(sides: _Sides, curves: _Curves) -> tuple[FloatArray, FloatArray]:
+def _side_std(sides: Sides, curves: _Curves) -> tuple[FloatArray, FloatArray]:
     """Standard deviations (m,) px of a side's ends from the scatter of the places.
 
     What both ends have in common, by the curve's height and what is not known of its bow, and what they have

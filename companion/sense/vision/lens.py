@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.base.encoding import decoding_table
 from companion.base.geometry import FloatArray
 from companion.config import CameraConfig
 
@@ -22,6 +23,9 @@ USUAL_TANGENT: Final = 1.2
 WIDEST_TANGENT: Final = 4.0
 TANGENT_STEP: Final = 0.01
 NEAREST_M: Final = 0.02
+# codes are read in light to this power. In light itself white blurs into black as far as black into white,
+# but a deep shadow is lost; in sRGB (0.45) white blurs so much farther that black cells of 3 px are
+LEGIBLE: Final = 0.8
 
 
 def radial_factor(distortion: Sequence[float], squared: FloatArray) -> FloatArray:
@@ -38,11 +42,18 @@ def radial_factor(distortion: Sequence[float], squared: FloatArray) -> FloatArra
 
 
 class Lens:
-    """Undoes and applies one camera's distortion."""
+    """Undoes and applies one camera's distortion, and what it makes of light.
+
+    `light` (256,) is the light of each grey value, 255 at most, and `encoding_error` by which share its
+    exponent may be off. `legible` (256,) are the grey values in which codes are read.
+    """
 
     def __init__(self, camera: CameraConfig) -> None:
         self.focal_px = 0.5 * (camera.fx_px + camera.fy_px)
         self.readout_s = camera.readout_s
+        self.light = decoding_table(camera.encoding)
+        self.encoding_error = camera.encoding_error
+        self.legible = np.rint(255.0 * (self.light / 255.0) ** LEGIBLE).astype(np.uint8)
         self.size_px = (camera.width_px, camera.height_px)
         self._scale = np.array([camera.fx_px, camera.fy_px])
         self._centre = np.array([camera.cx_px, camera.cy_px])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -35,6 +36,12 @@ from companion.sense.vision.paper_pose import paper_pose
 from companion.sense.vision.pose import PoseFit, estimate_pose
 from companion.sense.vision.print_check import PrintCheck
 from companion.sense.vision.search import SearchPlanner
+from companion.sense.vision.unread import UnreadMarkers
+
+# without gravity, where no more give the pose, the others are looked for where it has them; with it, for one
+FEW_MARKERS: Final = 3
+# of two poses that are farther apart than this, and fit alike, neither is told
+MAXIMUM_TURN_RAD: Final = math.radians(10.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +71,7 @@ class Vision:
         self._planner = SearchPlanner(pad, self._lens, config)
         self._detector = PadDetector(pad, config, self._lens)
         self._print = PrintCheck(pad, self._lens)
+        self._unread = UnreadMarkers(pad, self._lens, config, self._print)
         self._body_from_camera = body_from_camera(vehicle)
         self._rotation = matrix_from_quat(self._body_from_camera)
         self._mount = np.array(vehicle.camera_position_body_m)
@@ -85,15 +93,21 @@ class Vision:
         looks = self._expected(prior)
         wide = self._planner.widened(looks[0]) if looks else self._whole_frame(prior)
         found: list[Detection] = []
+        coarse: VisionResult | None = None
         for number, look in enumerate((*looks, *wide)):
             found = self._detector.detect(frame.image, look)
             pose = self._pose(frame, found, down, climb_m_s, rate) if found else None
-            if pose is not None:
-                sighting = sighting_of(frame, pose, self._camera, self._rotation, self._mount)
-                return VisionResult(
-                    sighting, count_groups(pose.used), number >= len(looks), pose.used, tuple(found)
-                )
-        return VisionResult(None, count_groups(tuple(found)), bool(wide), read=tuple(found))
+            if pose is None:
+                continue
+            sighting = sighting_of(frame, pose, self._camera, self._rotation, self._mount)
+            result = VisionResult(
+                sighting, count_groups(pose.used), number >= len(looks), pose.used, tuple(found)
+            )
+            if pose.used[0].refined:
+                return result
+            # corners of contours: another look may show markers whose sides can be followed
+            coarse = coarse or result
+        return coarse or VisionResult(None, count_groups(tuple(found)), bool(wide), read=tuple(found))
 
     def pixels(self, points_body_m: FloatArray) -> FloatArray:
         """Where points (n, 3) in body axes are in the image: (n, 2), NaN where the lens cannot see."""
@@ -105,10 +119,18 @@ class Vision:
         """The pose as the settings have it; one marker alone is trusted when the print about it fits."""
         if self._config.pose == "paper":
             return paper_pose(found, self._lens, self._config)
-        pose = estimate_pose(found, self._lens, self._config, down, climb_m_s, rate)
-        if pose is not None and len(pose.used) == 1 and not self._print.bears_out(frame.image, pose):
+        motion = (down, climb_m_s, rate)
+        pose = estimate_pose(found, self._lens, self._config, *motion)
+        few = FEW_MARKERS if down is None else 1
+        if pose is not None and (len(pose.used) <= few or pose.second is not None):
+            more = max((self._unread.find(frame.image, each) for each in pose.hypotheses()), key=len)
+            if more:
+                sure = [d for d in found if d.refined]
+                pose = estimate_pose([*sure, *more], self._lens, self._config, *motion) or pose
+        if pose is None or (len(pose.used) == 1 and not self._print.bears_out(frame.image, pose)):
             return None
-        return pose
+        turn_rad2 = float(np.linalg.eigvalsh(pose.covariance[3:, 3:])[-1])
+        return pose if pose.second is None or turn_rad2 < MAXIMUM_TURN_RAD**2 else None
 
     def _whole_frame(self, prior: PadPrior | None) -> tuple[SearchPass, ...]:
         self._turn += 1

@@ -25,10 +25,9 @@ shrink it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
-import cv2
 import numpy as np
 
 from companion.base.geometry import (
@@ -37,7 +36,9 @@ from companion.base.geometry import (
     Vector3,
     cross,
     matrix_from_quat,
+    quat_from_matrix,
     quat_from_rotation_vector,
+    rotation_vector_from_quat,
     vector3,
 )
 from companion.config import VisionConfig
@@ -51,6 +52,7 @@ from companion.sense.vision.pose_noise import (
     vibration,
     whitening,
 )
+from companion.sense.vision.pose_start import Start, level_start, planar_starts
 
 MAXIMUM_REPROJECTION_ERROR_PX: Final = 2.0  # a marker with more is dropped
 
@@ -62,6 +64,10 @@ APPROACH_PER_S: Final = 0.2
 PRIOR_MISSES: Final = 20.0
 # a blurred marker that is large in the image may miss by this share of its side
 RELATIVE_ERROR: Final = 0.03
+# a second pose is ruled out when it fits worse by more than this many standard deviations
+SECOND_SIGMA: Final = 4.0
+# and is the same when it is turned by less
+SAME_RAD: Final = 0.002
 # a pad whose tilt is more than this many standard deviations is not our pad
 MAXIMUM_TILT_SIGMA: Final = 4.0
 
@@ -72,7 +78,8 @@ class PoseFit:
 
     `covariance` is 6x6: position (m), small rotation about camera axes (rad).
     `common_variance_m2`, of each axis of the position, is the part of it that all frames share. The pose
-    holds when `row_px` is exposed.
+    holds when `row_px` is exposed. Where a `second` pose fits about as well, the covariance has the square of
+    `second_apart` (6,) in it, how far that one is off.
     """
 
     position_camera_m: FloatArray
@@ -82,6 +89,15 @@ class PoseFit:
     used: tuple[Detection, ...]
     reprojection_error_px: float
     common_variance_m2: float = 0.0
+    second: PoseFit | None = None
+    second_apart: FloatArray | None = None
+
+    def hypotheses(self) -> tuple[PoseFit, ...]:
+        """This pose and the second one, each with the covariance that it has where the other is ruled out."""
+        if self.second is None or self.second_apart is None:
+            return (self,)
+        own = self.covariance - np.outer(self.second_apart, self.second_apart)
+        return replace(self, covariance=own, second=None, second_apart=None), self.second
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,14 +158,15 @@ def estimate_pose(
     candidates = list(found)
     while 2 * len(candidates) > len(found):
         problem = _problem(candidates, lens, config, down_camera, climb_m_s, rate_camera_rad_s)
-        fit = _fit(problem)
-        if fit is None:
+        fits = _fits(problem)
+        if not fits:
             return None
+        fit = fits[0]
         errors_px = np.hypot(fit.misses[0], fit.misses[1]).reshape(-1, 4) * lens.focal_px
         limits = [max(MAXIMUM_REPROJECTION_ERROR_PX, RELATIVE_ERROR * d.side_px) for d in candidates]
         excess = np.sqrt((errors_px**2).mean(axis=1)) / limits
         if excess.max() <= 1.0:
-            return None if _is_tilted(problem, fit) else _accept(problem, fit, candidates, errors_px, config)
+            return None if _is_tilted(problem, fit) else _accept(problem, fits, candidates, errors_px, config)
         del candidates[int(np.argmax(excess))]
     return None
 
@@ -195,22 +212,31 @@ def _climb_std_m_s(detections: list[Detection], lens: Lens, config: VisionConfig
 
 
 def _accept(
-    problem: _Problem, fit: _Fit, used: list[Detection], errors_px: FloatArray, config: VisionConfig
+    problem: _Problem, fits: list[_Fit], used: list[Detection], errors_px: FloatArray, config: VisionConfig
 ) -> PoseFit:
-    """The pose with its covariance: the corners' noise as observed, and what they do not show.
-
-    The stated noise and the misses are weighed against each other: a single marker fits itself well, and many
-    that miss by more or less than was stated say how large the noise is.
-    """
+    """The pose with its covariance: the corners' noise as observed, what they do not show, a second pose."""
     freedom = max(2 * len(problem.points) - 6, 0)
-    scale = (PRIOR_MISSES + fit.squares) / (PRIOR_MISSES + freedom)
-    common = (config.scale_error * float(np.linalg.norm(fit.position))) ** 2
-    covariance = fit.covariance * scale
-    unseen = unseen_m2(float(fit.position[2]), problem.delay_s, problem.focal_px)
-    covariance[:3, :3] += np.eye(3) * (common + unseen)
+    scale = (PRIOR_MISSES + fits[0].squares) / (PRIOR_MISSES + freedom)
     row_px = float(np.mean([d.corners_px[:, 1].mean() for d in used]))
     rms_px = float(np.sqrt((errors_px**2).mean()))
-    return PoseFit(fit.position, fit.rotation, covariance, row_px, tuple(used), rms_px, common)
+    made = []
+    for fit in fits:
+        common = (config.scale_error * float(np.linalg.norm(fit.position))) ** 2
+        covariance = fit.covariance * scale
+        unseen = unseen_m2(float(fit.position[2]), problem.delay_s, problem.focal_px)
+        covariance[:3, :3] += np.eye(3) * (common + unseen)
+        made.append(PoseFit(fit.position, fit.rotation, covariance, row_px, tuple(used), rms_px, common))
+    best = made[0]
+    if len(made) == 1 or fits[1].squares - fits[0].squares > scale * SECOND_SIGMA**2:
+        return best
+    apart = np.concatenate((made[1].position_camera_m - best.position_camera_m, _turn(fits[1], fits[0])))
+    covariance = best.covariance + np.outer(apart, apart)
+    return replace(best, covariance=covariance, second=made[1], second_apart=apart)
+
+
+def _turn(fit: _Fit, other: _Fit) -> FloatArray:
+    """The rotation vector (3,) from another pose to this one."""
+    return np.array(rotation_vector_from_quat(quat_from_matrix(fit.rotation @ other.rotation.T)))
 
 
 def _is_tilted(problem: _Problem, fit: _Fit) -> bool:
@@ -220,11 +246,22 @@ def _is_tilted(problem: _Problem, fit: _Fit) -> bool:
     return tilt_rad > MAXIMUM_TILT_SIGMA * problem.level_sigma
 
 
-def _fit(problem: _Problem) -> _Fit | None:
-    """Gauss-Newton from the levelled or the planar start; None when there is no pad in front."""
-    start = _planar_start(problem) if problem.down is None else _level_start(problem, problem.down)
-    if start is None:
-        return None
+def _fits(problem: _Problem) -> list[_Fit]:
+    """Poses in front of the camera that the corners show, the best first: one, or where gravity is not known
+    two at the most."""
+    if problem.down is not None:
+        starts = level_start(problem.points, problem.rays, problem.down)
+    else:
+        starts = planar_starts(problem.points, problem.rays)
+    fits = [fit for start in starts if (fit := _fit(problem, start)) is not None]
+    fits.sort(key=lambda fit: fit.squares)
+    if len(fits) == 2 and float(np.linalg.norm(_turn(fits[1], fits[0]))) < SAME_RAD:
+        del fits[1]
+    return fits
+
+
+def _fit(problem: _Problem, start: Start) -> _Fit | None:
+    """Gauss-Newton; None when there is no pad in front."""
     rotation, position = start
     expected = np.zeros(len(problem.weight))
     expected[3:6] = -problem.rate
@@ -301,47 +338,3 @@ def _normal_equations(
     information[6:, 6:] += np.diag(problem.weight)
     gradient[6:] -= problem.weight * unexpected
     return information, gradient
-
-
-def _level_start(problem: _Problem, down: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """The pose of an exactly level pad: in levelled axes the image of the pad is a similarity.
-
-    With the rays turned so that z is down, pad point (X, Y) at depth t_z obeys
-    z u = t_x + c X - s Y, z v = t_y + s X + c Y: as complex numbers w = t + k p, with p = X + iY, all over
-    t_z, and k by least squares about the means.
-    """
-    level_from_camera = _shortest_turn(down)
-    levelled = problem.rays @ level_from_camera[:, :2].T + level_from_camera[:, 2]
-    if levelled[:, 2].min() < 0.05:
-        return None
-    seen = (levelled[:, 0] + 1j * levelled[:, 1]) / levelled[:, 2]
-    printed = problem.points[:, 0] + 1j * problem.points[:, 1]
-    mean_seen, mean_printed = complex(seen.mean()), complex(printed.mean())
-    about = printed - mean_printed
-    k = complex(np.vdot(about, seen - mean_seen) / np.vdot(about, about).real)
-    scale = abs(k)
-    if scale < 1e-6:
-        return None
-    t = mean_seen - k * mean_printed
-    c, s = k.real / scale, k.imag / scale
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    position = np.array([t.real, t.imag, 1.0]) / scale
-    return level_from_camera.T @ turn, level_from_camera.T @ position
-
-
-def _shortest_turn(down: FloatArray) -> FloatArray:
-    """The rotation (3, 3) that takes `down` (unit, not straight up) to the z axis."""
-    x, y, z = (float(value) for value in down)
-    k = 1.0 / (1.0 + max(z, -0.999))
-    return np.array([[1.0 - k * x * x, -k * x * y, -x], [-k * x * y, 1.0 - k * y * y, -y], [x, y, z]])
-
-
-def _planar_start(problem: _Problem) -> tuple[FloatArray, FloatArray] | None:
-    """The better of the two planar solutions (IPPE)."""
-    solved, rotations, positions, _ = cv2.solvePnPGeneric(
-        problem.points, problem.rays, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
-    )
-    if not solved:
-        return None
-    rotation, _ = cv2.Rodrigues(rotations[0])
-    return np.asarray(rotation, dtype=np.float64), np.asarray(positions[0], dtype=np.float64).reshape(3)

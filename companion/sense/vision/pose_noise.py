@@ -34,9 +34,9 @@ def side_noise_px(detection: Detection, config: VisionConfig) -> tuple[float, fl
     return math.sqrt(offset), math.sqrt(stated + unstated - offset)
 
 
-def edge_std_px(detection: Detection) -> float:
-    """Of how far all sides of all markers lie too far in."""
-    return math.hypot(EDGE_STD_PX, detection.shrunk_std_px)
+def edge_std_px(detection: Detection) -> list[float]:
+    """Of how far each side of a marker lies too far in, all of all markers alike."""
+    return [math.hypot(EDGE_STD_PX, std) for std in detection.shrunk_std_px]
 
 
 def whitening(rays: FloatArray, sigma: FloatArray) -> FloatArray:
@@ -61,12 +61,13 @@ def whitening(rays: FloatArray, sigma: FloatArray) -> FloatArray:
 
 
 def shrinking(rays: FloatArray, std: FloatArray) -> FloatArray:
-    """How each ray moves (2n, 1) when all sides lie in by one standard deviation (m,) of their marker."""
+    """How each ray moves (2n, 1) when all sides (m, 4) lie in by one standard deviation of theirs."""
     corners = rays.reshape(-1, 4, 2)
     along = corners[:, (1, 2, 3, 0)] - corners
     along /= np.sqrt((along**2).sum(axis=2))[..., None]
     inward = np.stack((-along[..., 1], along[..., 0]), axis=2)
-    both = std[:, None, None] * (inward + inward[:, (3, 0, 1, 2)])
+    inward *= std[..., None]
+    both = inward + inward[:, (3, 0, 1, 2)]
     return np.asarray(both.reshape(-1, 2).T.reshape(-1, 1))
 
 

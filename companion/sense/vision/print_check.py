@@ -42,16 +42,31 @@ class PrintCheck:
         ]
         return not likenesses or max(likenesses) >= LIKENESS
 
+    def likeness(self, image: NDArray[np.uint8], marker: Marker, corners_px: FloatArray) -> float:
+        """Correlation of a marker's print with the image between its corners (4, 2) px."""
+        _, white = self._prints[marker]
+        count = marker.cells
+        square = np.array([(0, 0), (count, 0), (count, count), (0, count)], np.float32)
+        middles = np.arange(-1, count + 1) + 0.5
+        down, right = np.meshgrid(middles, middles, indexing="ij")
+        places = np.stack((right, down), axis=-1).reshape(1, -1, 2)
+        across = cv2.getPerspectiveTransform(square, corners_px.astype(np.float32))
+        return self._alike(image, cv2.perspectiveTransform(places, across)[0], white)
+
     def _likeness(self, image: NDArray[np.uint8], pose: PoseFit, marker: Marker) -> float | None:
-        """Correlation of a marker's print with the image; None where it is cut off or too small."""
+        """The same where a pose has it; None where it is cut off or too small."""
         points, white = self._prints[marker]
         pixels, _ = self._lens.project(points @ pose.camera_from_pad.T + pose.position_camera_m)
         width, height = self._lens.size_px
         inside = (pixels > 0.0).all() and (pixels < (width - 1, height - 1)).all()
         if not inside or float(np.abs(pixels[1] - pixels[0]).max()) < CELL_PX:
             return None
+        return self._alike(image, pixels, white)
+
+    def _alike(self, image: NDArray[np.uint8], pixels: FloatArray, white: FloatArray) -> float:
         u, v = pixels.astype(np.float32).T
-        grey = cv2.remap(image, u, v, cv2.INTER_LINEAR).reshape(white.shape).astype(np.float64)
+        seen = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        grey = np.asarray(seen, dtype=np.float64).reshape(white.shape)
         # any marker's black frame is like another's: the code has to be like by itself, too
         return min(_correlation(grey, white), _correlation(grey[2:-2, 2:-2], white[2:-2, 2:-2]))
 

@@ -55,21 +55,17 @@ class SearchPlanner:
         self._far = np.tile(lens.size_px, 4) - EDGE_PX
         self._corners = np.array([marker.corners_pad_m() for marker in pad.markers])
         self._members = {g: np.array([m.group == g for m in pad.markers]) for g in GROUPS}
-        # a pad of close markers alone is looked for by these from afar, too
-        far: tuple[MarkerGroup, ...] = ("F", "M")
-        self._far_groups = far if any(m.group in far for m in pad.markers) else GROUPS
         self._cells = {g: max((m.cells for m in pad.markers if m.group == g), default=1) for g in GROUPS}
         self._finest_m = min((m.side_m / m.cells for m in pad.markers), default=0.0)
 
     def whole_frame(self, turn: int, *, near: bool = False) -> tuple[SearchPass, ...]:
         """Looks over the whole frame when no marker is expected in it: in turn for what is far and is near.
 
-        In full for what is far, and that costly look leaves the close markers out: where they are that
-        small the medium ones are in view. Shrunk for what is near. Half of the cost a frame, and the pad
-        is found a frame later at worst. A pad that is known to be `near` is looked for in every frame.
+        In full for what is far, and shrunk for what is near. Half of the cost a frame, and the pad is found
+        a frame later at worst. A pad that is known to be `near` is looked for in every frame.
         """
         close = (self._whole(4, GROUPS), self._whole(2, GROUPS))
-        far = (self._whole(1, self._far_groups),)
+        far = (self._whole(1, GROUPS),)
         if turn % 2 == 0:
             return (*close, *far) if near else far
         return close

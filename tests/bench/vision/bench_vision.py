@@ -3,7 +3,8 @@
     python -m tests.bench.vision.bench_vision               # the whole of it
     python -m tests.bench.vision.bench_vision --quick       # every bar on few frames, under 2 minutes
     python -m tests.bench.vision.bench_vision --only speed  # tables, clutter, flips, speed or photos
-    python -m tests.bench.vision.bench_vision DATA          # also real photographs, DATA/aruco
+    python -m tests.bench.vision.bench_vision DATA          # also photographs, DATA/aruco, and DATA/photoreal
+    python -m tests.bench.vision.bench_vision --only sweep  # every pad, camera and height: twenty minutes
 
 Frames are rendered by the simulator's camera (f = 1065 px at 1280x720, and 640x480) under a vehicle that
 hovers in moderate turbulence, its rotors' vibration on it: rolling shutter, blur, defocus, vignette, noise. A
@@ -17,12 +18,13 @@ Prints its tables and ends in one line that says which bars hold; the exit statu
 from __future__ import annotations
 
 import argparse
+import itertools
 import multiprocessing
 import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -35,9 +37,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemaining
 
 from tests.bench.vision.cases import SEED, CaseOutcome, VisionCase, run_chunk
 from tests.bench.vision.clutter import SHOTS_OF_A_BOARD, false_pads
+from tests.bench.vision.photoreal import SETS, photoreal_table, read_set
 from tests.bench.vision.photos import photo_table, read_photos
 from tests.bench.vision.pictures import contact_sheet
 from tests.bench.vision.speed import HEIGHTS_M, Times, measure
+from tests.bench.vision.sweep import SweepOutcome, cases, sweep, sweep_table
 from tests.bench.vision.tables import (
     FASTER,
     PAD_HEIGHTS_M,
@@ -52,24 +56,29 @@ from tests.bench.vision.tables import (
     speed_table,
 )
 
-PARTS: Final = ("tables", "clutter", "flips", "speed", "photos")
+PARTS: Final = ("tables", "clutter", "flips", "speed", "photos", "photoreal", "sweep")
 SHOTS_OF_A_CHUNK: Final = 100
 DATA_FOLDER: Final = "aruco"
+PHOTOREAL_FOLDER: Final = "photoreal"
 
 
 @dataclass(frozen=True)
 class Amount:
-    """How many frames: of each case of one marker and of the pad, of clutter, of each kind of flip, timed."""
+    """How many frames: of each case of one marker and of the pad, of clutter, of each kind of flip, timed.
+
+    And at each height of the sweep.
+    """
 
     marker: int
     pad: int
     clutter: int
     flips: int
     timed: int
+    sweep: int
 
 
-FULL: Final = Amount(marker=1000, pad=1000, clutter=10_000, flips=10_000, timed=150)
-QUICK: Final = Amount(marker=40, pad=60, clutter=200, flips=200, timed=20)
+FULL: Final = Amount(marker=1000, pad=1000, clutter=10_000, flips=10_000, timed=150, sweep=3)
+QUICK: Final = Amount(marker=40, pad=60, clutter=200, flips=200, timed=20, sweep=1)
 
 
 @dataclass(frozen=True)
@@ -166,6 +175,17 @@ def timed(frames: int, console: Console) -> list[Times]:
         return [measure(*each, frames) for each in progress.track(wanted, description="timing")]
 
 
+def swept(shots: int, jobs: int, console: Console) -> list[SweepOutcome]:
+    """Every pad before every camera."""
+    cv2.setNumThreads(1)
+    with (
+        Progress(console=console, transient=True) as progress,
+        ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool,
+    ):
+        each = pool.map(sweep, cases(), itertools.repeat(shots))
+        return list(progress.track(each, total=len(cases()), description="sweeping"))
+
+
 def report(parts: Sequence[str], amount: Amount, jobs: int, data: Path | None, console: Console) -> Bars:
     """Run what is asked for, and print it."""
     outcomes, false, clutter = joined(run(work_of(parts, amount), jobs, console))
@@ -187,7 +207,16 @@ def report(parts: Sequence[str], amount: Amount, jobs: int, data: Path | None, c
         grid, held = speed_table(timed(amount.timed, console))
         console.print(grid)
         bars |= held
-    if "photos" in parts and data is not None:
+    if "sweep" in parts:
+        grid, held = sweep_table(swept(amount.sweep, jobs, console))
+        console.print(grid)
+        bars |= held
+    if "photoreal" in parts and data is not None and (data / PHOTOREAL_FOLDER).is_dir():
+        folders = {name: data / PHOTOREAL_FOLDER / name for name in SETS}
+        grid, held = photoreal_table([read_set(folder, SETS[name]) for name, folder in folders.items()])
+        console.print(grid)
+        bars |= held
+    if "photos" in parts and data is not None and (data / DATA_FOLDER).is_dir():
         grid, held = photo_table(read_photos(data / DATA_FOLDER))
         console.print(grid)
         bars |= held
@@ -197,7 +226,9 @@ def report(parts: Sequence[str], amount: Amount, jobs: int, data: Path | None, c
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("data", nargs="?", type=Path, metavar="DATA", help="a folder with aruco in it")
+    parser.add_argument(
+        "data", nargs="?", type=Path, metavar="DATA", help="a folder with aruco or photoreal in it"
+    )
     parser.add_argument("--quick", action="store_true", help="few frames: under 2 minutes")
     parser.add_argument(
         "--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=", ".join(PARTS)
@@ -206,11 +237,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--clutter", type=int, help=f"frames of clutter (default {FULL.clutter})")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="write a contact sheet there")
     chosen = parser.parse_args(arguments)
-    if chosen.data is not None and not (chosen.data / DATA_FOLDER).is_dir():
-        parser.error(f"{chosen.data}: expected a folder with {DATA_FOLDER} in it")
+    folders = (DATA_FOLDER, PHOTOREAL_FOLDER)
+    if chosen.data is not None and not any((chosen.data / name).is_dir() for name in folders):
+        parser.error(f"{chosen.data}: expected a folder with {' or '.join(folders)} in it")
     amount = QUICK if chosen.quick else FULL
     if chosen.clutter is not None:
-        amount = Amount(amount.marker, amount.pad, chosen.clutter, amount.flips, amount.timed)
+        amount = replace(amount, clutter=chosen.clutter)
     console = Console(width=200)
     if chosen.pictures is not None:
         contact_sheet(chosen.pictures / "vision_frames.png")

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from companion.base.geometry import Quaternion, Vector3, quat_from_euler
 from companion.base.messages import Frame, MarkerGroup
-from companion.config import VisionConfig
+from companion.config import CameraConfig, VisionConfig
 from companion.pad import DICTIONARIES, DictionaryName, Pad
 from companion.sense.vision.aruco import GROUPS, Detection, PadDetector, SearchPass, farthest_apart
+from companion.sense.vision.lens import Lens
 
 TakePicture = Callable[..., tuple[Frame, Vector3, Quaternion]]
 LEVEL = quat_from_euler(0.0, 0.0, 0.3)
@@ -33,8 +34,8 @@ def drawn(codes: list[tuple[DictionaryName, int, int, int]], side: int = 96) -> 
 
 
 @pytest.fixture
-def detector(pad: Pad) -> PadDetector:
-    return PadDetector(pad, VisionConfig())
+def detector(pad: Pad, camera: CameraConfig) -> PadDetector:
+    return PadDetector(pad, VisionConfig(), Lens(camera))
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from companion.base.encoding import decoding_table, encoding_table, light_of_greys
 from companion.base.geometry import FloatArray
 from companion.sense.vision.corners import refine_quads
 
@@ -141,4 +142,66 @@ def test_a_side_whose_white_the_frame_cuts_off_is_not_claimed(white_px: int) -> 
 def test_sides_blurred_by_much_of_a_cell_are_less_sure_as_wholes(cells: int, crowded: bool) -> None:
     truth = square(0.2)
     refined = refine_quads(drawn(truth), truth[None], np.array([cells]))
-    assert bool(refined.shrunk_px[0] > 0.1) is crowded
+    assert bool((refined.shrunk_px[0] > 0.1).all()) is crowded
+    assert bool(refined.crowded_px[0] > 0.1) is crowded
+
+
+@pytest.mark.parametrize("turn_deg", [5.0, 30.0])
+def test_sides_are_found_in_light_however_it_is_encoded(turn_deg: float) -> None:
+    truth = square(math.radians(turn_deg))
+    encoded = np.asarray(cv2.LUT(drawn(truth), encoding_table("srgb")), np.uint8)
+    off = []
+    for light in (None, decoding_table("srgb")):
+        refined = refine_quads(encoded, truth[None], np.array([CELLS]), np.zeros((1, 4)), light)
+        off.append(float(np.mean(along_sides(refined.corners[0], truth)[0])))
+    # the white seems larger by a share of the blur, and in light by nothing
+    assert off[0] < -0.1
+    assert abs(off[1]) < 0.01
+
+
+def test_what_is_not_known_of_the_encoding_is_stated() -> None:
+    truth = square(0.3)
+    light = light_of_greys("srgb")
+    table = (255.0 * light**1.1).astype(np.float32)
+    encoded = np.asarray(cv2.LUT(drawn(truth), encoding_table("srgb")), np.uint8)
+    right, wrong = (
+        refine_quads(encoded, truth[None], np.array([CELLS]), np.zeros((1, 4)), each, 0.1)
+        for each in (decoding_table("srgb"), table)
+    )
+    moved = np.mean(along_sides(wrong.corners[0], right.corners[0])[0])
+    assert abs(moved) == pytest.approx(float(right.shrunk_px[0].mean()), rel=0.4)
+
+
+def test_noise_that_grows_with_the_light_moves_no_side() -> None:
+    rng = np.random.default_rng(5)
+    off = []
+    for turn_deg in np.arange(3.0, 87.0, 6.0):
+        truth = square(math.radians(turn_deg))
+        image = drawn(truth).astype(np.float64)
+        noisy = image + rng.normal(0.0, 1.0, image.shape) * np.where(image > 120.0, 5.0, 0.2)
+        seen = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+        refined = refine_quads(seen, truth[None], np.array([CELLS]), np.zeros((1, 4)))
+        off.append(np.mean(along_sides(refined.corners[0], truth)[0]))
+    assert abs(np.mean(off)) < 0.006
+
+
+@pytest.mark.parametrize("exposure", [1.2, 1.6, 2.0])
+def test_white_that_is_cut_off_eats_into_the_black_as_far_as_is_stated(exposure: float) -> None:
+    truth = square(0.4)
+    bright = np.clip(exposure * cv2.GaussianBlur(drawn(truth).astype(np.float64), (0, 0), 1.0), 0, 255)
+    refined = refine_quads(np.rint(bright).astype(np.uint8), truth[None], np.array([CELLS]), np.zeros((1, 4)))
+    off = float(np.mean(along_sides(refined.corners[0], truth)[0]))
+    stated = float(refined.shrunk_px[0].mean())
+    assert 0.1 < stated < 0.6
+    assert abs(off) < 2.0 * stated
+
+
+def test_a_side_by_the_pictures_edge_is_refined_where_its_rise_is_in_view() -> None:
+    """A cell is 17 px: as far as a normal usually reaches there is nothing more."""
+    truth = square(0.0)
+    edge = round(truth[0, 0]) - 5
+    image = np.ascontiguousarray(drawn(truth)[:, edge:])
+    seen = truth - (edge, 0.0)
+    refined = refine_quads(image, seen[None] + 0.4, np.array([CELLS]))
+    assert np.abs(refined.corners[0] - seen).max() < 0.05
+    assert refined.corner_std_px[0] < 0.1

@@ -97,7 +97,7 @@ def test_what_is_hardly_legible_is_looked_at_enlarged(planner: SearchPlanner) ->
 
 
 def test_a_pad_that_is_near_is_looked_for_in_every_frame(planner: SearchPlanner) -> None:
-    far = SearchPass(0, 0, 640, 480, 1, ("F", "M"))
+    far = SearchPass(0, 0, 640, 480, 1, GROUPS)
     close = tuple(SearchPass(0, 0, 640, 480, shrink, GROUPS) for shrink in (4, 2))
     assert [planner.whole_frame(turn) for turn in (1, 2)] == [close, (far,)]
     assert [planner.whole_frame(turn, near=True) for turn in (1, 2)] == [close, (*close, far)]

@@ -27,8 +27,13 @@ from sitl.camera.textures import pad_texture
 SHARP = ImagingSettings(
     exposure_s=0.0, readout_s=0.0, noise_grey=0.0, lens_blur_px=0.5, aperture_m=0.0, vignette=0.0
 )
-PAD = load_pad("moving_1300")
-CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
+PRINTED = load_pad("moving_1300")
+# by a printer whose dots are too small to see
+PAD = PRINTED.model_copy(update={"sheet": PRINTED.sheet.model_copy(update={"dots_per_inch": 2400.0})})
+# what is looked at here is light, before it is encoded
+CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480")).model_copy(
+    update={"encoding": "linear"}
+)
 VEHICLE = load_model(VehicleConfig, find_file("vehicles", "x500"))
 MATRIX = np.array([[CAMERA.fx_px, 0, CAMERA.cx_px], [0, CAMERA.fy_px, CAMERA.cy_px], [0, 0, 1.0]])
 # image right is the body's right, image down its back

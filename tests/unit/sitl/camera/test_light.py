@@ -25,7 +25,10 @@ from sitl.camera.sensor_chip import (
 )
 
 PAD = load_pad("moving_1300")
-CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
+# what is looked at here is light, before it is encoded
+CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480")).model_copy(
+    update={"encoding": "linear"}
+)
 VEHICLE = load_model(VehicleConfig, find_file("vehicles", "x500"))
 LEVEL = quat_from_euler(0.0, 0.0, 0.0)
 DECK = (0.0, 0.0, -0.3)
