@@ -24,7 +24,7 @@ from companion.config import ConfigError
 from companion.flightlog.flights import next_flight_folder
 from companion.flightlog.meter import Meter
 from companion.flightlog.record import BufferedCall, FlightLog
-from companion.flightlog.settings_record import SettingsRecord
+from companion.flightlog.version import SettingsRecord
 
 KEPT_S: Final = 60.0
 KEPT_FRAME_PERIOD_S: Final = 1.0  # a picture a second: a minute of them is 18 MB at 640 x 480

@@ -40,8 +40,8 @@ from companion.flightlog.log_file import (
     VERSIONS_RECORD,
 )
 from companion.flightlog.packets import split_packets
-from companion.flightlog.settings_record import SettingsRecord
 from companion.flightlog.tap import NoTap, Tap
+from companion.flightlog.version import SettingsRecord
 
 # What the score and the plots read again; the rest (IMU samples, frames) would only fill the memory.
 KEPT_TOPICS: Final = frozenset(

@@ -10,6 +10,7 @@ from typing import Final
 from rich.console import Console
 from rich.progress import Progress
 
+from companion.base.files import replaced
 from companion.config import ConfigError
 from companion.flightlog.log_file import LOG_NAMES, log_file
 from companion.flightlog.replay.compare import ReplayResult, build_result
@@ -80,9 +81,8 @@ def _new_folder(folder: Path) -> Path:
 
 
 def _write(path: Path, text: str) -> None:
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    with replaced(path) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 @contextmanager
