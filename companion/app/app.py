@@ -85,6 +85,7 @@ class App:
         stages = build_stages(config, hardware, log, self._clock, self.announcer.notify)
         self._vehicle, self.session, self._timer = stages.vehicle, stages.session, stages.control_timer
         self.estimator, self.sensing = stages.estimator, stages.sensing
+        self._estimate_watch = stages.estimate_watch
         self.missions = Missions(
             stages.make_planner, self.session, log, self.announcer, self._clock, standby=standby, stays=stays
         )
@@ -135,6 +136,7 @@ class App:
             "heartbeat": self._link_task,
             "actions": self._action_queue.run,
             "status": self._status_task,
+            "estimate": self._estimate_watch.run,
         }
         self.missions.tell()
         for warning in forced_calibrations(self._config):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from companion.app.hardware import Hardware
 from companion.app.sensing import Notify, Sensing
 from companion.app.timing.control_timer import ControlTimer
+from companion.app.timing.estimate_watch import EstimateWatch
 from companion.base.clock import Clock, unix_time_s
 from companion.base.files import find_file
 from companion.config import (
@@ -37,6 +38,7 @@ class Stages:
     estimator: StateEstimator
     sensing: Sensing
     control_timer: ControlTimer
+    estimate_watch: EstimateWatch
     make_planner: Callable[[str | None], Planner]  # of a mission; given why it stands by, if it does
 
 
@@ -88,7 +90,8 @@ def build_stages(
             config.plan, vehicle, control.horizon_steps, control.step_s, law, pace=pace, standby=standby
         )
 
-    return Stages(vehicle, session, estimator, sensing, control_timer, make_planner)
+    watch = EstimateWatch(estimator, session, log, clock, notify)
+    return Stages(vehicle, session, estimator, sensing, control_timer, watch, make_planner)
 
 
 def _session(config: CompanionConfig) -> Session:

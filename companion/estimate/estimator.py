@@ -9,17 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from companion.base.geometry import (
     FloatArray,
-    Quaternion,
     Vector3,
     add,
-    matrix_from_quat,
     quat_conjugate,
     quat_from_euler,
     quat_multiply,
@@ -27,7 +24,6 @@ from companion.base.geometry import (
     quat_rotate_inverse,
     tilt_from_quat,
     vector3,
-    yaw_from_quat,
 )
 from companion.base.messages import (
     AutopilotAttitude,
@@ -42,6 +38,7 @@ from companion.base.messages import (
 )
 from companion.config import EstimateConfig, VehicleConfig
 from companion.estimate.gating import Timeline
+from companion.estimate.input_tally import InputTally
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_delay import CameraDelay
 from companion.estimate.pad.mount_check import MountCheck
@@ -50,18 +47,15 @@ from companion.estimate.pad.pad_filter import (
     HeightMeasurement,
     PadFilter,
     PadInput,
-    PadMeasurement,
     PadSnapshot,
 )
+from companion.estimate.pad.sighting_in_ned import in_ned
 from companion.estimate.vehicle.vehicle_estimator import FUTURE_S, VehicleEstimator
 
 RANGE_MAXIMUM_TILT_DEG: Final = 20.0  # echoes come back aslant beyond this
-# the fast part of the attitude's error: a calm vehicle shows 0.004 to 0.008; turns add the exposure's jitter
-ATTITUDE_JITTER_DEG: Final = 0.01
 ATTITUDE_WANDER_RAD_S: Final = 0.3  # how fast the horizon's error changes: a share of itself a second
 
 READOUT_S = 0.02  # about what a camera takes from its first row to its last
-CALIBRATION_SHARE = 0.99  # of a sighting's least variance, at most; the rest keeps its covariance positive
 LARGEST_RATE_RAD_S = 70.0  # an MPU9250 measures 35 rad/s and 157 m/s² at most: more is a fault of the line
 LARGEST_FORCE_M_S2 = 320.0
 
@@ -81,14 +75,21 @@ class StateEstimator:
     ) -> None:
         self._config, self._board_half_width_m = config, board_half_width_m
         self._range_position_body_m = vehicle.range_position_body_m
+        self._airframe, self._antenna_m = vehicle, antenna_position_body_m
+        self._mount_reported = False
+        self.tally = InputTally()
+        self._why_not = ""
+        self._begin(None, ())
+
+    def _begin(self, origin: Vector3 | None, corrections: tuple[str, ...]) -> None:
+        config, airframe = self._config, self._airframe
         self._motion = MotionHistory(config.pad.forget_s + 1.0)
-        imu_m = vehicle.imu_position_body_m
-        self._vehicle = VehicleEstimator(config, antenna_position_body_m, self._motion, imu_m)
+        imu_m = airframe.imu_position_body_m
+        self._vehicle = VehicleEstimator(config, self._antenna_m, self._motion, imu_m)
+        self._vehicle.origin, self._vehicle.corrections = origin, corrections
         self._no_pad()
         self._camera_delay = CameraDelay(self._motion, config.pad.camera_delay_std_s)
-        self._mount_check = MountCheck(self._motion, vehicle.camera_position_body_m, vehicle.camera_yaw_deg)
-        self._mount_reported = False
-        self._unusable: dict[str, int] = {}
+        self._mount_check = MountCheck(self._motion, airframe.camera_position_body_m, airframe.camera_yaw_deg)
 
     def _no_pad(self) -> None:
         config = self._config.pad
@@ -100,6 +101,17 @@ class StateEstimator:
         """Forget vehicle and pad: more time has gone by than any clock shows. The alignment begins again."""
         self._vehicle.start_over()
         self._no_pad()
+
+    def recover(self, now_s: float) -> str | None:
+        """On the ground: start anew where all of IMU or GPS has been refused for long; says so, else None."""
+        found = self.tally.starved("imu", now_s)
+        if self._vehicle.aligned and found is None:
+            found = self.tally.starved("gps", now_s)
+        if found is None:
+            return None
+        self._begin(self._vehicle.origin, self._vehicle.corrections)
+        self.tally = InputTally()
+        return f"{found}; the estimate starts again"
 
     # ------------------------------------------------------------ inputs
 
@@ -197,7 +209,8 @@ class StateEstimator:
         time_s = self._exposed_s(sighting)
         attitude = self._motion.attitude(time_s)
         assert attitude is not None
-        measurement = self._in_ned(replace(sighting, time_s=time_s), attitude)
+        turned_rad = self._motion.turned_rad(sighting.time_s, self._config.pad.exposure_jitter_s)
+        measurement = in_ned(sighting, attitude, turned_rad, self._vehicle.velocity(time_s))
         taken = self._timeline.add(time_s, measurement)
         if taken:
             variance_m2 = float(np.trace(measurement.covariance_ned_m2)) / 3.0
@@ -288,10 +301,14 @@ class StateEstimator:
     @property
     def refused(self) -> dict[str, int]:
         """Measurements not used so far, by kind: not finite or of a wrong time; innovation test failed."""
-        counts = {f"{kind}_unusable": count for kind, count in self._unusable.items()}
-        counts.update({f"{kind}_gate": gate.refused for kind, gate in self._pad.gates.items()})
+        counts = {f"{kind}_unusable": count for kind, count in self.tally.unusable.items()}
+        counts.update({f"{kind}_gate": count for kind, count in self._pad_gates.items()})
         counts.update({f"{kind}_gate": count for kind, count in self._vehicle.gates.items()})
         return counts
+
+    @property
+    def _pad_gates(self) -> dict[str, int]:
+        return {kind: gate.refused for kind, gate in self._pad.gates.items()}
 
     # ------------------------------------------------------------ the pad
 
@@ -301,35 +318,6 @@ class StateEstimator:
             return None
         return self._pad.predicted(snapshot, time_s)
 
-    def _in_ned(self, sighting: PadSighting, attitude: Quaternion) -> PadMeasurement:
-        """A sighting in NED. Of the attitude's error only the fast part is noise from frame to frame.
-
-        The slow part is a constant offset that shrinks with the distance: to treat it as noise would slow the
-        filter down and gain nothing. A vehicle that turns quickly makes an angle of the exposure's jitter.
-        """
-        rotation = matrix_from_quat(attitude)
-        position = quat_rotate(attitude, sighting.pad_position_body_m)
-        jitter = math.radians(ATTITUDE_JITTER_DEG) ** 2
-        jitter += self._motion.turned_rad(sighting.time_s, self._config.pad.exposure_jitter_s) ** 2
-        x, y, z = position
-        lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-        covariance: FloatArray = rotation @ sighting.covariance[0:3, 0:3] @ rotation.T
-        # the calibration's share does not change from frame to frame; what is left has to be a covariance
-        slow = min(sighting.common_variance_m2, CALIBRATION_SHARE * float(np.linalg.eigvalsh(covariance)[0]))
-        slow = max(slow, 0.0)
-        tilt_n, tilt_e, turn = (rotation @ sighting.covariance[3:6, 3:6] @ rotation.T).diagonal().tolist()
-        north, east, _ = quat_rotate(attitude, quat_rotate(sighting.body_from_pad, (0.0, 0.0, 1.0)))
-        return PadMeasurement(
-            position_ned_m=position,
-            covariance_ned_m2=covariance - slow * np.eye(3) + jitter * (lever @ lever.T),
-            heading_rad=yaw_from_quat(quat_multiply(attitude, sighting.body_from_pad)),
-            heading_std_rad=math.sqrt(max(turn, 0.0) + jitter),
-            vehicle_velocity_ned_m_s=self._vehicle.velocity(sighting.time_s),
-            slow_variance_m2=slow,
-            tilt_rad=(north, east),
-            tilt_std_rad=math.sqrt(max(tilt_n, tilt_e, 0.0) + jitter),
-        )
-
     def _covariance(self, estimate: CombinedEstimate) -> FloatArray:
         rotation = self._vehicle.rotation_covariance()
         return estimate.covariance(np.zeros((3, 3)) if rotation is None else rotation, ATTITUDE_WANDER_RAD_S)
@@ -337,11 +325,23 @@ class StateEstimator:
     # ------------------------------------------------------------ what may come in
 
     def _usable(self, time_s: float, values: Iterable[float]) -> bool:
-        return _finite((time_s, *values)) and time_s <= self._vehicle.newest_s + FUTURE_S
+        ahead_s = time_s - self._vehicle.newest_s
+        if not _finite((time_s, *values)):
+            self._why_not = "not a finite number"
+        elif ahead_s > FUTURE_S:
+            self._why_not = f"stamped {ahead_s:.2g} s ahead of the IMU"
+        else:
+            self._why_not = ""
+        return not self._why_not
 
     def _count(self, kind: str, taken: bool) -> bool:
-        if not taken:
-            self._unusable[kind] = self._unusable.get(kind, 0) + 1
+        why_not, self._why_not = self._why_not, ""
+        if taken:
+            why_not = ""
+        elif not why_not:
+            why_not = "older than what is remembered" if self._vehicle.aligned else "before the alignment"
+        gates = {} if kind == "imu" else {**self._pad_gates, **self._vehicle.gates}
+        self.tally.note(kind, why_not, gates)
         return taken
 
 

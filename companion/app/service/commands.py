@@ -195,7 +195,11 @@ def _input(entry: dict[str, Any]) -> str:
     # there is no rate before the first seconds are over
     rate_hz = entry["rate_hz"]
     rate = f"{rate_hz:.{0 if rate_hz >= 1.0 else 1}f} Hz" if rate_hz > 0.0 else "begins"
-    return f"{rate}, {_age(entry['age_s'])}"
+    shown = f"{rate}, {_age(entry['age_s'])}"
+    if not entry["refused"]:
+        return shown
+    use = "NOT USED" if entry["unused"] else f"used {entry['used']}"
+    return f"{shown}, {use}, refused {entry['refused']}: {entry['reason']}"
 
 
 def _estimate(r: dict[str, Any]) -> str:

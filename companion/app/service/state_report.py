@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 from pydantic import BaseModel, ConfigDict
 
 from companion.app.app import App
 from companion.app.service.computer_status import ComputerStatus
-from companion.base.messages import Notice
+from companion.base.messages import InputUse, Notice
 from companion.flightlog.meter import Meter, Rate
 
 # the log's topics that are inputs, and how old the newest may be before something is wrong (s)
@@ -20,6 +20,7 @@ INPUTS: Final = {
     "range": ("ultrasonic", math.inf),  # no echo from high up is no fault
     "frame_report": ("camera", 1.0),
 }
+UNUSED_IN_A_ROW: Final = 10
 LATE_SHARE: Final = 0.05
 LEAST_DISK_MB: Final = 200.0
 SHOWN_EVENTS: Final = 8
@@ -30,12 +31,20 @@ class _Model(BaseModel):
 
 
 class InputReport(_Model):
-    """One input; `silent`: for longer than it may be."""
+    """One input; `silent`: for longer than it may be.
+
+    `used` and `refused` count what the estimator has done with it; `unused`: it has come and been refused
+    for so many in a row that it is no help now, for the last `reason`.
+    """
 
     name: str
     rate_hz: float
     age_s: float
     silent: bool
+    used: int = 0
+    refused: int = 0
+    unused: bool = False
+    reason: str = ""
 
 
 class LatencyReport(_Model):
@@ -85,6 +94,7 @@ def state_report(
     """The app's state now; times are the loop's (s)."""
     autopilot, vehicle, pad = app.session.state, app.estimator.vehicle(now_s), app.estimator.pad(now_s)
     rates, order = meter.rates(now_s), app.missions.order
+    uses = {use.name: use for use in app.estimator.tally.uses()}
     share = autopilot.battery_share
     return StateReport(
         phase=app.phase.value,
@@ -100,6 +110,7 @@ def state_report(
                 rate_hz=rates[topic].rate_hz,
                 age_s=rates[topic].age_s,
                 silent=rates[topic].age_s > oldest_s,
+                **_use(uses.get(topic)),
             )
             for topic, (name, oldest_s) in INPUTS.items()
             if topic in rates
@@ -122,6 +133,13 @@ def state_report(
     )
 
 
+def _use(use: InputUse | None) -> dict[str, Any]:
+    if use is None:
+        return {}
+    unused = use.refused_in_a_row >= UNUSED_IN_A_ROW
+    return {"used": use.used, "refused": use.refused, "unused": unused, "reason": use.reason}
+
+
 def _event(notice: Notice, start_s: float) -> Event:
     return Event(time_s=notice.time_s - start_s, severity=notice.severity, text=notice.text)
 
@@ -134,6 +152,10 @@ def _problems(app: App, rates: dict[str, Rate], machine: ComputerStatus, now_s: 
         if topic in rates and rates[topic].age_s > oldest_s:
             age_s = rates[topic].age_s
             found.append(f"{name}: silent for {age_s:.{0 if age_s >= 10.0 else 1}f} s")
+    for use in app.estimator.tally.uses():
+        known = use.name in INPUTS and use.name != "range"  # an echo is of use over the pad only
+        if known and use.refused_in_a_row >= UNUSED_IN_A_ROW and rates[use.name].age_s <= INPUTS[use.name][1]:
+            found.append(f"{INPUTS[use.name][0]}: not used: {use.reason}")
     if app.loop_monitor.late_share > LATE_SHARE:
         found.append(f"{100.0 * app.loop_monitor.late_share:.0f} % of the control cycles come late")
     if machine.throttled:
