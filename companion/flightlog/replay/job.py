@@ -17,7 +17,7 @@ from companion.flightlog.replay.compare import ReplayResult, build_result
 from companion.flightlog.replay.flight_record import FlightRecord
 from companion.flightlog.replay.plots import replay_lines, replay_table, write_plots
 from companion.flightlog.replay.reading import read_log
-from companion.flightlog.replay.refusal import why_unaligned
+from companion.flightlog.replay.refusal import shortcomings, why_unaligned
 from companion.flightlog.replay.run import Replayed, replay
 from companion.flightlog.replay.settings import Choice, choose
 from companion.flightlog.version import versions
@@ -53,6 +53,7 @@ def _result(log: Path, record: FlightRecord, replayed: Replayed, choice: Choice)
     if not replayed.vehicles:
         why = why_unaligned(record.events, choice.rig.config.estimate.alignment)
         raise ConfigError(f"{log}: the estimators never aligned: {why}")
+    record.notes += shortcomings(record.events)
     if record.kind == "companion" and record.rig is None:
         record.notes.append(f"the log holds no settings (an older version's): replayed under {choice.name}")
     result = build_result(
