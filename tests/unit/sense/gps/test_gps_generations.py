@@ -17,7 +17,7 @@ NAV_PVT: Final = (0x01, 0x07)
 READING: Final = GpsReading(47.3, 8.5, 400.0, (1.0, 2.0, -0.5), 2.5, 3.5, 0.3, 9)
 
 
-class Sensor:
+class FixedGps:
     def sample(self, *_: object) -> GpsReading:
         return READING
 
@@ -26,7 +26,7 @@ class Later(Neo6mDevice):
     """A receiver of a later generation; `pvt`: it knows NAV-PVT."""
 
     def __init__(self, *, old_commands: bool, pvt: bool) -> None:
-        super().__init__(Sensor(), wake_baud=38400)  # type: ignore[arg-type]
+        super().__init__(FixedGps(), wake_baud=38400)  # type: ignore[arg-type]
         self._old_commands, self._pvt = old_commands, pvt
         self.switched_off: list[tuple[int, int]] = []
 
