@@ -61,6 +61,11 @@ class FlightsRecorder(FlightLog):
         self.meter = Meter()
 
     @property
+    def root(self) -> Path | None:
+        """Where the flights' folders are."""
+        return self._root
+
+    @property
     def flight_folder(self) -> Path | None:
         """Where the flight under way is recorded."""
         flight = self._opened()

@@ -74,6 +74,7 @@ class StateReport(_Model):
     battery_percent: float | None
     inputs: tuple[InputReport, ...]
     aligned: bool
+    estimate_problem: str | None = None
     attitude_std_deg: float | None
     velocity_std_m_s: float | None
     position_std_m: float | None
@@ -116,6 +117,7 @@ def state_report(
             if topic in rates
         ),
         aligned=vehicle is not None and vehicle.aligned,
+        estimate_problem=app.missions.estimate_problem(now_s),
         attitude_std_deg=None if vehicle is None else math.degrees(vehicle.attitude_std_rad),
         velocity_std_m_s=None if vehicle is None else vehicle.velocity_std_m_s,
         position_std_m=None if vehicle is None else vehicle.position_std_m,

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from typing import Final
 
+from companion.app.sensing import Notify
 from companion.base.clock import Clock
 from companion.base.messages import EstimatorInputs, LandedState
 from companion.estimate.estimator import StateEstimator
@@ -24,7 +24,7 @@ class EstimateWatch:
         session: Session,
         log: FlightLog,
         clock: Clock,
-        notify: Callable[[str, str, str], None],
+        notify: Notify,
     ) -> None:
         self._estimator, self._session, self._log = estimator, session, log
         self._clock, self._notify = clock, notify

@@ -45,7 +45,7 @@ def not_ready(inputs: PlanInputs, mission: MissionConfig, now_s: float) -> Itera
         yield "another companion with our ids is on the link; expected one"
     if inputs.camera_problem is not None:
         yield f"no pad camera: {inputs.camera_problem}"
-    yield from _estimate(inputs.vehicle, mission, now_s)
+    yield from estimate_problems(inputs.vehicle, mission, now_s)
 
 
 def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> Iterator[str]:
@@ -82,7 +82,8 @@ def _autopilot(autopilot: AutopilotState, mission: MissionConfig) -> Iterator[st
         yield f"battery critical: {100.0 * share:.0f} % left"
 
 
-def _estimate(vehicle: VehicleState | None, mission: MissionConfig, now_s: float) -> Iterator[str]:
+def estimate_problems(vehicle: VehicleState | None, mission: MissionConfig, now_s: float) -> Iterator[str]:
+    """What stands against flying by an estimate of the vehicle."""
     if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > _STALE_S:
         yield "no fresh estimate of the vehicle"
     elif vehicle.origin is None:
