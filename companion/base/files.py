@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
+import tempfile
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -81,6 +83,28 @@ def must_be_readable(path: Path) -> None:
         path.open("rb").close()
     except OSError as error:
         raise cannot_read(path, error) from error
+
+
+@contextmanager
+def unpacked(path: Path) -> Iterator[Path]:
+    """Yield the path, or the folder in it where it is a zip file as `companion logs export` writes one.
+
+    Raises:
+        ConfigError: the zip file is damaged, or holds more than one folder.
+    """
+    if not (path.is_file() and zipfile.is_zipfile(path)):
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as scratch:
+        try:
+            with zipfile.ZipFile(path) as archive:
+                archive.extractall(scratch)
+        except (OSError, zipfile.BadZipFile, RuntimeError) as error:
+            raise ConfigError(f"{path}: cannot be unpacked: {error}; expected an exported flight") from error
+        inside = list(Path(scratch).iterdir())
+        if len(inside) != 1 or not inside[0].is_dir():
+            raise ConfigError(f"{path}: expected one flight's folder in it, as companion logs export writes")
+        yield inside[0]
 
 
 @contextmanager

@@ -8,12 +8,13 @@ import stat
 import subprocess
 import sys
 import tomllib
+import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from companion.base.files import write_atomically
+from companion.base.files import unpacked, write_atomically
 from companion.config import CONFIG_FOLDER, ConfigError
 
 
@@ -87,6 +88,23 @@ def test_no_other_place_renames_a_file_onto_an_output() -> None:
         for path in (root / folder).rglob("*.py"):
             renames = re.search(r"\b(part|fresh|scratch)\.(replace|rename)\(", path.read_text())
             assert renames is None or str(path.relative_to(root)) in own, path
+
+
+def test_an_exported_flight_is_unpacked_and_anything_else_is_as_it_is(tmp_path: Path) -> None:
+    (tmp_path / "flight-0007").mkdir()
+    (tmp_path / "flight-0007" / "flight.mcap").write_bytes(b"log")
+    with unpacked(tmp_path / "flight-0007") as flight:
+        assert flight == tmp_path / "flight-0007"
+    packed = tmp_path / "flight-0007.zip"
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.write(tmp_path / "flight-0007" / "flight.mcap", "flight-0007/flight.mcap")
+    with unpacked(packed) as flight:
+        assert flight.name == "flight-0007"
+        assert (flight / "flight.mcap").read_bytes() == b"log"
+    with zipfile.ZipFile(packed, "a") as archive:
+        archive.writestr("flight-0008/flight.mcap", b"another")
+    with pytest.raises(ConfigError, match="expected one flight's folder"), unpacked(packed):
+        pass
 
 
 def test_a_folder_that_is_not_there_is_reported(tmp_path: Path) -> None:

@@ -32,7 +32,8 @@ class StandingVehicle:
         vehicle = load_model(VehicleConfig, find_file("vehicles", "px4_500mm"))
         self.estimator = StateEstimator(config, vehicle, (0.0, 0.0, 0.0), 0.5)
         self.field_ut = config.magnetic_field_ned_ut
-        self.time_s, self.said = 0.0, []
+        self.time_s = 0.0
+        self.said: list[str] = []
 
     def stand(self, seconds: float, fix: GpsFix = FIX, ahead_s: float = 0.0) -> None:
         for k in range(round(100 * seconds)):
