@@ -84,12 +84,12 @@ class App:
         self.announcer = Announcer(self._clock, log, self._deliver)
         stages = build_stages(config, hardware, log, self._clock, self.announcer.notify)
         self._vehicle, self.session, self._timer = stages.vehicle, stages.session, stages.control_timer
-        self.estimator, self.sensing = stages.estimator, stages.sensing
-        self._estimate_watch = stages.estimate_watch
+        self.estimator, self.sensing, self._watch = stages.estimator, stages.sensing, stages.estimate_watch
         self.missions = Missions(
             stages.make_planner, self.session, log, self.announcer, self._clock, standby=standby, stays=stays
         )
         self.loop_monitor = LoopMonitor(self.session, self._clock)
+        self._watch.late_share = self.loop_monitor.recently_late
         self._controller: Controller | None = None  # made when it is known whose autopilot obeys
         self._actions = make_actions(self.session, self._send, self._clock, config)
         self._action_queue = ActionQueue(self._actions, self._take_result)
@@ -136,7 +136,7 @@ class App:
             "heartbeat": self._link_task,
             "actions": self._action_queue.run,
             "status": self._status_task,
-            "estimate": self._estimate_watch.run,
+            "estimate": self._watch.run,
         }
         self.missions.tell()
         for warning in forced_calibrations(self._config):

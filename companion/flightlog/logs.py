@@ -123,6 +123,8 @@ def list_flights(root: Path) -> None:
             f"--record {root}: cannot be read: {error.strerror}; expected a folder of flights"
         ) from error
     total = 0
+    if flights:
+        typer.echo(f"{'flight':<18} {'began':<16} {'time':>7} {'off the pad':>10} {'size':>8}  outcome")
     for folder in flights:
         try:
             summary = summary_of(folder)

@@ -22,6 +22,7 @@ from companion.link.transport import backlog_read
 # PX4 leaves OFFBOARD after COM_OF_LOSS_T (1 s) without setpoints; Linux' usual buffer holds more than this.
 STALL_S: Final = 1.0
 _LOOK_S: Final = 0.02
+LATELY: Final = 90  # three seconds
 CYCLES: Final = 600  # twenty seconds at 30 Hz
 
 
@@ -52,6 +53,11 @@ class LoopMonitor:
     def late_share(self) -> float:
         """Share of the last `CYCLES` that came late by more than half a period: as the machine is now."""
         return sum(self._recent) / max(1, len(self._recent))
+
+    def recently_late(self) -> float:
+        """The same share, of the last `LATELY` cycles: what is so now, and no stall of a minute ago."""
+        lately = list(self._recent)[-LATELY:]
+        return sum(lately) / LATELY
 
     @property
     def silent(self) -> bool:

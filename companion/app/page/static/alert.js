@@ -1,5 +1,5 @@
 // A screen that stays on, and a sound and a shake when something changes: a pilot looks at the vehicle.
-// A browser allows sound after a touch only, and the wake lock only over https or on this machine.
+// A browser allows sound after a touch only, and the wake lock only on this machine or over a secured connection.
 
 let audio = null, lock = null, wanted = false;
 
