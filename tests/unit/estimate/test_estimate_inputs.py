@@ -24,7 +24,7 @@ FIX = GpsFix(
 )
 
 
-class StandingVehicle:
+class VehicleAtRest:
     """A vehicle that stands: IMU at 100 Hz, field at 50 Hz, fixes at 5 Hz."""
 
     def __init__(self) -> None:
@@ -51,13 +51,13 @@ class StandingVehicle:
 
 
 @pytest.fixture
-def ground() -> StandingVehicle:
-    ground = StandingVehicle()
+def ground() -> VehicleAtRest:
+    ground = VehicleAtRest()
     ground.stand(8.0)
     return ground
 
 
-def test_used_and_refused_are_counted_with_the_last_reason(ground: StandingVehicle) -> None:
+def test_used_and_refused_are_counted_with_the_last_reason(ground: VehicleAtRest) -> None:
     before = ground.use("gps")
     assert before.used > 10
     assert before.refused_in_a_row == 0
@@ -71,13 +71,13 @@ def test_used_and_refused_are_counted_with_the_last_reason(ground: StandingVehic
     assert ground.use("gps").reason == "not a finite number"
 
 
-def test_a_refusal_by_the_innovation_test_is_counted(ground: StandingVehicle) -> None:
+def test_a_refusal_by_the_innovation_test_is_counted(ground: VehicleAtRest) -> None:
     ground.stand(0.2, replace(FIX, velocity_ned_m_s=(40.0, 0.0, 0.0)))
     assert ground.use("gps").refused_in_a_row == 1
     assert "innovation test: gps_velocity" in ground.use("gps").reason
 
 
-def test_a_filter_that_refuses_every_fix_on_the_ground_starts_again(ground: StandingVehicle) -> None:
+def test_a_filter_that_refuses_every_fix_on_the_ground_starts_again(ground: VehicleAtRest) -> None:
     # as if a false stamp of the IMU's were believed: every fix is older than what is remembered
     origin = ground.estimator.vehicle(ground.time_s)
     assert origin is not None
@@ -93,7 +93,7 @@ def test_a_filter_that_refuses_every_fix_on_the_ground_starts_again(ground: Stan
     assert vehicle.velocity_std_m_s < 0.5
 
 
-def test_an_imu_that_is_refused_for_its_stamps_starts_the_estimate_again(ground: StandingVehicle) -> None:
+def test_an_imu_that_is_refused_for_its_stamps_starts_the_estimate_again(ground: VehicleAtRest) -> None:
     ground.time_s -= 100.0  # the clock of its stamps was set back
     ground.stand(STARVED_S + 4.0)
     assert len(ground.said) == 1
@@ -103,7 +103,7 @@ def test_an_imu_that_is_refused_for_its_stamps_starts_the_estimate_again(ground:
 
 
 def test_fixes_before_the_alignment_start_nothing_again() -> None:
-    ground = StandingVehicle()
+    ground = VehicleAtRest()
     for second in range(30):
         ground.estimator.add_gps(replace(FIX, time_s=float(second)))
         assert ground.estimator.recover(float(second)) is None
