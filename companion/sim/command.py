@@ -99,7 +99,8 @@ def _draw_plots(
     except ModuleNotFoundError as error:
         print(f"companion: no plots: they need {error.name}; expected it installed", file=sys.stderr)
         return
-    write_plots(folder, kept, truth, trial.scenario.obstacles, title_of(result))
+    passes_m = trial.scenario.pass_bounds.lateral_error_m
+    write_plots(folder, kept, truth, trial.scenario.obstacles, title_of(result), passes_m)
 
 
 def _write_page(trial: Trial, folder: Path) -> None:
