@@ -191,7 +191,7 @@ def draw_detections(figure: Figure, track: TruthTrack, kept: Mapping[str, Sequen
     times = np.array([report.time_s for report in reports])
     heights = (track.at("pad_position", times) - track.at("position", times))[:, 2]
     for group, colour in GROUP_COLOURS.items():
-        counts = np.array([report.marker_count.get(group, 0) for report in reports])  # type: ignore[call-overload]
+        counts = np.array([report.marker_count.get(group, 0) for report in reports])
         seen = counts > 0
         _dots(top, times[seen], counts[seen], colour, f"{group} ({GROUP_NAMES[group]})")
         _dots(bottom, heights[seen], counts[seen], colour)

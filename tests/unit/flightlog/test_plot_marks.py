@@ -1,4 +1,4 @@
-"""What each plot says by itself: its title, what passes, the touchdown; one colour set for the marker groups."""
+"""What each plot says by itself: its title, what passes, the touchdown; one colour set for the groups."""
 
 from __future__ import annotations
 
