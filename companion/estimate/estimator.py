@@ -209,7 +209,7 @@ class StateEstimator:
         time_s = self._exposed_s(sighting)
         attitude = self._motion.attitude(time_s)
         assert attitude is not None
-        turned_rad = self._motion.turned_rad(sighting.time_s, self._config.pad.exposure_jitter_s)
+        turned_rad = self._motion.turned_rad(time_s, self._config.pad.exposure_jitter_s)
         measurement = in_ned(sighting, attitude, turned_rad, self._vehicle.velocity(time_s))
         taken = self._timeline.add(time_s, measurement)
         if taken:

@@ -46,13 +46,18 @@ class SetupReader:
         for request in self._asked.values():
             self._requests.submit(request)
 
+    def _open(self, kind: AutopilotKind, first: str) -> bool:
+        """Whether a parameter may still be answered; once it is under one name, the others are no matter."""
+        requests = [self._asked[name] for name in all_names(kind, first)]
+        answered = any(request.value is not None for request in requests)
+        return not answered and any(request.outcome is None for request in requests)
+
     @property
     def setup(self) -> AutopilotSetup | None:
         """What is known of it; a parameter that it does not have is unknown."""
-        if not self._asked or any(request.outcome is None for request in self._asked.values()):
-            return self._known
         kind = self._autopilot_kind
-        assert kind is not None
+        if kind is None or not self._asked or any(self._open(kind, name) for name in NAMES[kind]):
+            return self._known
         reported = {name: request.value for name, request in self._asked.items()}
         value = {name: value_of(kind, name, reported) for name in NAMES[kind]}
         if kind == "px4":
