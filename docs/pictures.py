@@ -38,6 +38,7 @@ from companion.base.geometry import (
 )
 from companion.config import CameraConfig, ConfigError, VehicleConfig, VisionConfig, find_file, load_model
 from companion.pad import load_pad
+from companion.pad.colours import GROUP_COLOURS, bgr
 from companion.sense.vision.aruco import PadDetector
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.pose import PoseFit, estimate_pose
@@ -56,7 +57,7 @@ PHASES: Final = {
     "touchdown": (("touchdown", "landed"), "#c0392b"),
 }
 PAD_COLOUR: Final = "#27ae60"
-GROUP_COLOURS_BGR: Final = {"F": (230, 60, 255), "M": (0, 140, 255), "C": (180, 200, 0)}
+GROUP_COLOURS_BGR: Final = {group: bgr(colour) for group, colour in GROUP_COLOURS.items()}
 HEIGHTS_M: Final = (7.0, 2.0, 0.5)
 VIEW_WIDTH_PX: Final = 400
 GREY_STEP: Final = 8  # fewer greys, a smaller file
@@ -99,7 +100,7 @@ def draw_landing(log: Path, picture: Path) -> None:
     axes.set_box_aspect(_extent(np.vstack((vehicle, pad))))
     axes.view_init(elev=24.0, azim=-62.0)
     axes.legend(loc="upper left", bbox_to_anchor=(0.1, 0.86), frameon=False)
-    figure.savefig(picture)
+    figure.savefig(picture, bbox_inches="tight", pad_inches=0.15)  # labels in three dimensions lie outside
 
 
 def _drawn(positions_ned_m: list[list[float]]) -> NDArray[np.float64]:

@@ -86,11 +86,12 @@ class App:
         stages = build_stages(config, hardware, log, self._clock, self.announcer.notify)
         self._vehicle, self.session, self._timer = stages.vehicle, stages.session, stages.control_timer
         self.estimator, self.sensing, self.sources = stages.estimator, stages.sensing, stages.sources
-        self._stamps = stages.stamps
+        self._stamps, self._watch = stages.stamps, stages.estimate_watch
         self.missions = Missions(
             stages.make_planner, self.session, log, self.announcer, self._clock, standby=standby, stays=stays
         )
         self.loop_monitor = LoopMonitor(self.session, self._clock, self.sensing.pace)
+        self._watch.late_share = self.loop_monitor.recently_late
         self._control_failure = ""
         self._controller: Controller | None = None  # made when it is known whose autopilot obeys
         self._actions = make_actions(self.session, self._send, self._clock, config)
@@ -139,6 +140,7 @@ class App:
             "actions": self._action_queue.run,
             "status": self._status_task,
             "signing stamps": self._stamps.run,
+            "estimate": self._watch.run,
         }
         self.missions.tell()
         for warning in forced_calibrations(self._config):

@@ -12,15 +12,15 @@ from typing import Final
 from rich.console import Console
 
 from companion.app.app import App
-from companion.app.hardware import make_actions, open_hardware
+from companion.app.hardware import Hardware, make_actions, open_hardware
 from companion.app.page.live_page import LivePage
-from companion.app.service.computer_status import ComputerWatch, throttled
+from companion.app.service.computer_status import ComputerWatch, ground_report, throttled
 from companion.app.service.latch import FlightLatch, state_folder, unattended
 from companion.app.service.local_socket import served, socket_path
 from companion.app.service.state_report import state_report
 from companion.app.signals import stopping_on_signals
 from companion.app.terminal import StatusView
-from companion.base.clock import Clock, start_unix_s
+from companion.base.clock import Clock, start_unix_s, unix_time_s
 from companion.base.errors import ConfigError
 from companion.base.messages import Outcome, Phase
 from companion.config import CompanionConfig, ServeConfig, load_config, merge, validate
@@ -29,6 +29,7 @@ from companion.flightlog.flights_recorder import FlightsRecorder
 from companion.flightlog.record import FlightLog
 from companion.sense.vision.opencv import prepare_opencv
 
+GROUND_REPORT_S: Final = 1.0
 EXIT_CODES: Final = {
     Outcome.LANDED: 0,
     Outcome.MISSED: 3,
@@ -145,11 +146,30 @@ async def _service(
             state = machine.state(now_s, record, held_back)
             return state_report(app, log.meter, state, recording, now_s, start_s).model_dump_json()
 
-        async with served(socket_path(), report, app.missions.give, clock), page.served(app):
-            with stopping_on_signals(app.request_stop):
-                phase = await app.run()
+        telling = asyncio.create_task(_tell_ground(app, hardware, log, record, start_s))
+        try:
+            async with served(socket_path(), report, app.missions.give, clock), page.served(app):
+                with stopping_on_signals(app.request_stop):
+                    phase = await app.run()
+        finally:
+            telling.cancel()
     done = phase is Phase.LANDED or app.missions.stopped_idle
     return 0 if done else EXIT_CODES[Outcome.ABORTED]
+
+
+async def _tell_ground(
+    app: App, hardware: Hardware, log: FlightsRecorder, record: Path | None, start_s: float
+) -> None:
+    """The computer's state for ground stations, as ONBOARD_COMPUTER_STATUS."""
+    clock, watch = Clock(), ComputerWatch(start_s)
+    while True:
+        await asyncio.sleep(GROUND_REPORT_S)
+        now_s = clock.now_s()
+        message = ground_report(watch.state(now_s, record), record, unix_time_s(), now_s - start_s)
+        if app.session.state.connected and not app.loop_monitor.silent:
+            data = app.session.encode(message)
+            hardware.transport.write(data)
+            log.write_mavlink(data, now_s, "out")
 
 
 def _make_room(record: Path | None, config: CompanionConfig) -> None:

@@ -91,6 +91,10 @@ class Missions:
         """Why an order to land would be refused, beside that the vehicle stands on the ground."""
         return ["starting"] if self._inputs is None else self._planner.not_ready(self._inputs, now_s)
 
+    def estimate_problem(self, now_s: float) -> str | None:
+        """Why nothing would be flown by our estimate of the vehicle; None when it is good enough."""
+        return "starting" if self._inputs is None else self._planner.estimate_problem(self._inputs, now_s)
+
     def give(self, order: Order, on_reply: Callable[[OrderReply], None]) -> None:
         """Give an order beside those of the link; `on_reply` receives its answers, the last one last."""
         self._askers[order] = on_reply

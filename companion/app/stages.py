@@ -11,6 +11,7 @@ from companion.app.sensing import Notify, Sensing
 from companion.app.service.stamp_file import StampKeeper
 from companion.app.source_watch import SourceWatch
 from companion.app.timing.control_timer import ControlTimer
+from companion.app.timing.estimate_watch import EstimateWatch
 from companion.base.clock import Clock, unix_time_s
 from companion.base.files import find_file
 from companion.config import (
@@ -43,6 +44,7 @@ class Stages:
     sources: SourceWatch
     control_timer: ControlTimer
     stamps: StampKeeper
+    estimate_watch: EstimateWatch
     make_planner: Callable[[str | None], Planner]  # of a mission; given why it stands by, if it does
 
 
@@ -111,7 +113,8 @@ def build_stages(
     stamps = StampKeeper(
         hardware.stamp_file, hardware.signing, lambda text: notify("signing", text, "warning")
     )
-    return Stages(vehicle, session, estimator, sensing, sources, control_timer, stamps, make_planner)
+    watch = EstimateWatch(estimator, session, log, clock, notify)
+    return Stages(vehicle, session, estimator, sensing, sources, control_timer, stamps, watch, make_planner)
 
 
 def _session(config: CompanionConfig, signing: LinkSigning | None) -> Session:

@@ -19,6 +19,7 @@ from companion.app.status import Status
 from companion.base.messages import MarkerGroup, Notice
 
 NOTICES_SHOWN: Final = 8
+CELLS_A_ROW: Final = 4
 SEVERITY_STYLES: Final = {"info": "", "warning": "yellow", "error": "bold red"}
 GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 
@@ -81,7 +82,7 @@ class StatusView:
 
 
 def status_table(status: Status) -> Table:
-    """Phase, height, pad distance and speed, marker groups, frame rate and latency as one row of a table."""
+    """Phase, height, pad distance and speed, marker groups, frame rate and latency, four in a row."""
     table = Table.grid(padding=(0, 2))
     cells: dict[str, str | Text] = {
         "time": f"{status.time_s:6.1f} s",
@@ -93,10 +94,14 @@ def status_table(status: Status) -> Table:
         "frames": _frames(status),
         "latency": "-" if status.latency_ms is None else f"{status.latency_ms:.0f} ms",
     }
-    for _ in cells:
-        table.add_column(justify="left")
-    table.add_row(*(Text(name, style="dim") for name in cells))
-    table.add_row(*cells.values())
+    names = list(cells)
+    for _ in range(CELLS_A_ROW):
+        table.add_column(justify="left", no_wrap=True)
+    # all of them side by side take more than the 80 columns of a usual terminal
+    for begin in range(0, len(names), CELLS_A_ROW):
+        row = names[begin : begin + CELLS_A_ROW]
+        table.add_row(*(Text(name, style="dim") for name in row))
+        table.add_row(*(cells[name] for name in row))
     return table
 
 

@@ -112,6 +112,11 @@ def sleep_s(duration_s: float) -> None:
     time.sleep(max(0.0, duration_s))
 
 
+def thread_processor_s() -> float:
+    """How long (s) the calling thread has had the processor."""
+    return time.thread_time()
+
+
 def boot_clock_ahead_s() -> float:
     """How far (s) CLOCK_BOOTTIME is ahead of CLOCK_MONOTONIC: as long as the machine has been suspended.
 

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import os
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -80,16 +85,59 @@ def must_be_readable(path: Path) -> None:
         raise cannot_read(path, error) from error
 
 
+@contextmanager
+def unpacked(path: Path) -> Iterator[Path]:
+    """Yield the path, or the folder in it where it is a zip file as `companion logs export` writes one.
+
+    Raises:
+        ConfigError: the zip file is damaged, or holds more than one folder.
+    """
+    if not (path.is_file() and zipfile.is_zipfile(path)):
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as scratch:
+        try:
+            with zipfile.ZipFile(path) as archive:
+                archive.extractall(scratch)
+        except (OSError, zipfile.BadZipFile, RuntimeError) as error:
+            raise ConfigError(f"{path}: cannot be unpacked: {error}; expected an exported flight") from error
+        inside = list(Path(scratch).iterdir())
+        if len(inside) != 1 or not inside[0].is_dir():
+            raise ConfigError(f"{path}: expected one flight's folder in it, as companion logs export writes")
+        yield inside[0]
+
+
+@contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """Yield the path to write to; what was written takes the place of a regular file when all is there.
+
+    A symbolic link stays one: what it points to is written. A device or a named pipe is no place to rename a
+    file onto: it is written to directly. A file that was there keeps its mode. After an error nothing is left
+    beside it.
+    """
+    target = Path(os.path.realpath(path))
+    if target.exists() and not target.is_file():
+        yield target
+        return
+    part = target.with_name(target.name + ".part")
+    try:
+        yield part
+        if target.exists():
+            shutil.copymode(target, part)
+        part.replace(target)
+    finally:
+        part.unlink(missing_ok=True)
+
+
 def write_atomically(path: Path, content: str | bytes) -> None:
-    """Write a file whole, text as UTF-8, or leave what was there.
+    """Write a file whole, text as UTF-8, or leave what was there; see `replaced` for what is no file.
 
     Raises:
         ConfigError: it cannot be written.
     """
-    part = path.with_name(path.name + ".part")
     try:
-        part.write_bytes(content.encode() if isinstance(content, str) else content)
-        part.replace(path)
+        with replaced(path) as part:
+            part.write_bytes(content.encode() if isinstance(content, str) else content)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
 

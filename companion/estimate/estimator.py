@@ -9,17 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from companion.base.geometry import (
     FloatArray,
-    Quaternion,
     Vector3,
     add,
-    matrix_from_quat,
     quat_conjugate,
     quat_from_euler,
     quat_multiply,
@@ -27,7 +24,6 @@ from companion.base.geometry import (
     quat_rotate_inverse,
     tilt_from_quat,
     vector3,
-    yaw_from_quat,
 )
 from companion.base.messages import (
     AutopilotAttitude,
@@ -44,7 +40,7 @@ from companion.base.messages import (
 from companion.config import EstimateConfig, VehicleConfig
 from companion.estimate.attitude_check import AttitudeCheck
 from companion.estimate.gating import Timeline
-from companion.estimate.input_counts import InputCount, InputCounts
+from companion.estimate.input_tally import InputTally
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_check import CameraCheck
 from companion.estimate.pad.mount_check import MountCheck
@@ -53,19 +49,16 @@ from companion.estimate.pad.pad_filter import (
     HeightMeasurement,
     PadFilter,
     PadInput,
-    PadMeasurement,
     PadSnapshot,
 )
+from companion.estimate.pad.sighting_in_ned import in_ned
 from companion.estimate.vehicle.vehicle_estimator import FUTURE_S, VehicleEstimator
 
 RANGE_MAXIMUM_TILT_DEG: Final = 20.0  # echoes come back aslant beyond this
-# the fast part of the attitude's error: a calm vehicle shows 0.004 to 0.008; turns add the exposure's jitter
-ATTITUDE_JITTER_DEG: Final = 0.01
 ATTITUDE_WANDER_RAD_S: Final = 0.3  # how fast the horizon's error changes: a share of itself a second
 
 FRAMES_APART_S: Final = 1.0 / 30.0
 READOUT_S = 0.02  # about what a camera takes from its first row to its last
-CALIBRATION_SHARE = 0.99  # of a sighting's least variance, at most; the rest keeps its covariance positive
 LARGEST_RATE_RAD_S = 70.0  # an MPU9250 measures 35 rad/s and 157 m/s² at most: more is a fault of the line
 LARGEST_FORCE_M_S2 = 320.0
 
@@ -85,13 +78,22 @@ class StateEstimator:
     ) -> None:
         self._config, self._board_half_width_m = config, board_half_width_m
         self._range_position_body_m = vehicle.range_position_body_m
+        self._airframe, self._antenna_m = vehicle, antenna_position_body_m
+        self.tally = InputTally()
+        self._why_not = ""
+        self._begin(None, ())
+
+    def _begin(self, origin: Vector3 | None, corrections: tuple[str, ...]) -> None:
+        config, airframe = self._config, self._airframe
         self._motion = MotionHistory(config.pad.forget_s + 1.0)
-        imu_m = vehicle.imu_position_body_m
-        self._vehicle = VehicleEstimator(config, antenna_position_body_m, self._motion, imu_m)
+        imu_m = airframe.imu_position_body_m
+        self._vehicle = VehicleEstimator(config, self._antenna_m, self._motion, imu_m)
+        self._vehicle.origin, self._vehicle.corrections = origin, corrections
         self._no_pad()
-        self._camera_check = CameraCheck(self._motion, config.pad.camera_delay_std_s, board_half_width_m)
-        self._mount_check = MountCheck(self._motion, vehicle.camera_position_body_m, vehicle.camera_yaw_deg)
-        self._attitude_check, self._inputs = AttitudeCheck(self._motion), InputCounts()
+        delay_std_s = config.pad.camera_delay_std_s
+        self._camera_check = CameraCheck(self._motion, delay_std_s, self._board_half_width_m)
+        self._mount_check = MountCheck(self._motion, airframe.camera_position_body_m, airframe.camera_yaw_deg)
+        self._attitude_check = AttitudeCheck(self._motion)
 
     def _no_pad(self) -> None:
         config = self._config.pad
@@ -104,6 +106,17 @@ class StateEstimator:
         self._vehicle.start_over()
         self._attitude_check.forget()
         self._no_pad()
+
+    def recover(self, now_s: float) -> str | None:
+        """On the ground: start anew where all of IMU or GPS has been refused for long; says so, else None."""
+        found = self.tally.starved("imu", now_s)
+        if self._vehicle.aligned and found is None:
+            found = self.tally.starved("gps", now_s)
+        if found is None:
+            return None
+        self._begin(self._vehicle.origin, self._vehicle.corrections)
+        self.tally = InputTally()
+        return f"{found}; the estimate starts again"
 
     # ------------------------------------------------------------ inputs
 
@@ -125,12 +138,12 @@ class StateEstimator:
         ):
             first, *self._early = self._early
             self._see(first)
-        return self._inputs.count("imu", taken)
+        return self._count("imu", taken)
 
     def add_mag(self, sample: MagSample) -> bool:
         """Take one calibrated sample."""
         usable = self._usable(sample.time_s, sample.field_body_ut)
-        return self._inputs.count("mag", usable and self._vehicle.add_mag(sample))
+        return self._count("mag", usable and self._vehicle.add_mag(sample))
 
     def add_gps(self, fix: GpsFix) -> bool:
         """Take one fix, at its own time; refused before the alignment."""
@@ -138,7 +151,7 @@ class StateEstimator:
         accuracy = (fix.horizontal_accuracy_m, fix.vertical_accuracy_m, fix.speed_accuracy_m_s)
         climb_accuracy = fix.vertical_speed_accuracy_m_s or 0.0
         usable = self._usable(fix.time_s, (*place, *fix.velocity_ned_m_s, *accuracy, climb_accuracy))
-        return self._inputs.count("gps", usable and self._vehicle.add_gps(fix))
+        return self._count("gps", usable and self._vehicle.add_gps(fix))
 
     def add_autopilot_attitude(self, sample: AutopilotAttitude) -> bool:
         """Take the autopilot's attitude, as an anchor or a second gyroscope; refused before the alignment."""
@@ -146,7 +159,7 @@ class StateEstimator:
         if usable and self._vehicle.aligned:
             self._camera_check.imu_by_link = sample.same_imu
             self._attitude_check.take(sample)
-        return self._inputs.count("attitude", usable and self._vehicle.add_autopilot_attitude(sample))
+        return self._count("attitude", usable and self._vehicle.add_autopilot_attitude(sample))
 
     def take_notices(self) -> tuple[tuple[str, str], ...]:
         """What was found since the last call, kind and words: a correction of the attitude."""
@@ -163,17 +176,17 @@ class StateEstimator:
         """Take one echo; it counts when the pad filter knows that the sensor is over the board and low."""
         attitude = self._motion.attitude(sample.time_s)
         if attitude is None or not self._usable(sample.time_s, (sample.distance_m,)):
-            return self._inputs.count("range", False)
+            return self._count("range", False)
         tilt_rad = tilt_from_quat(attitude)
         if tilt_rad > math.radians(RANGE_MAXIMUM_TILT_DEG):
-            return self._inputs.count("range", False)
+            return self._count("range", False)
         # a wide beam measures to the nearest point, a narrow one the point on its axis: take the height
         # under the axis, with the difference as its noise
         height_m = sample.distance_m * math.cos(tilt_rad)
         noise_m = math.hypot(self._config.pad.range_noise_m, sample.distance_m - height_m)
         measurement = HeightMeasurement(height_m, quat_rotate(attitude, self._range_position_body_m), noise_m)
         self._camera_check.take_echo(sample.time_s, measurement)
-        return self._inputs.count("range", self._timeline.add(sample.time_s, measurement))
+        return self._count("range", self._timeline.add(sample.time_s, measurement))
 
     def add_sighting(self, sighting: PadSighting) -> bool:
         """Take one sighting, fused at its exposure, if need be once the IMU has come as far.
@@ -183,9 +196,9 @@ class StateEstimator:
         values = (*sighting.pad_position_body_m, *sighting.body_from_pad, *sighting.covariance.flat)
         if not self._vehicle.aligned:
             self._early.clear()
-            return self._inputs.count("sighting", False)
+            return self._count("sighting", False)
         if not self._usable(sighting.time_s, values):
-            return self._inputs.count("sighting", False)
+            return self._count("sighting", False)
         assert self._motion.newest_s is not None
         if self._exposed_s(sighting) > self._motion.newest_s:
             self._early.append(sighting)
@@ -199,13 +212,15 @@ class StateEstimator:
         time_s = self._exposed_s(sighting)
         attitude = self._motion.attitude(time_s)
         assert attitude is not None
-        measurement = self._in_ned(replace(sighting, time_s=time_s), attitude)
+        turned_rad = self._motion.turned_rad(time_s, self._config.pad.exposure_jitter_s)
+        gyro_rad2 = self._motion.turn_density_rad2_s * FRAMES_APART_S
+        measurement = in_ned(sighting, attitude, turned_rad**2 + gyro_rad2, self._vehicle.velocity(time_s))
         taken = self._timeline.add(time_s, measurement)
         if taken:
             variance_m2 = float(np.trace(measurement.covariance_ned_m2)) / 3.0
             self._camera_check.take(time_s, sighting.pad_position_body_m, variance_m2)
             self._mount_check.take(time_s, sighting.pad_position_body_m, variance_m2)
-        return self._inputs.count("sighting", taken)
+        return self._count("sighting", taken)
 
     # ------------------------------------------------------------ outputs
 
@@ -288,17 +303,16 @@ class StateEstimator:
     @property
     def refused(self) -> dict[str, int]:
         """Measurements not used so far, by kind: not finite or of a wrong time; innovation test failed."""
-        counts = {f"{kind}_unusable": count for kind, count in self._inputs.unusable.items()}
+        counts = {f"{kind}_unusable": count for kind, count in self.tally.unusable.items()}
         return counts | {f"{kind}_gate": count for kind, count in self._gates.items()}
 
     @property
-    def input_counts(self) -> dict[str, InputCount]:
-        """Used and refused samples of each input, and why one was refused last."""
-        return self._inputs.report(self._gates)
+    def _gates(self) -> dict[str, int]:
+        return self._pad_gates | self._vehicle.gates
 
     @property
-    def _gates(self) -> dict[str, int]:
-        return {kind: gate.refused for kind, gate in self._pad.gates.items()} | self._vehicle.gates
+    def _pad_gates(self) -> dict[str, int]:
+        return {kind: gate.refused for kind, gate in self._pad.gates.items()}
 
     # ------------------------------------------------------------ the pad
 
@@ -308,37 +322,6 @@ class StateEstimator:
             return None
         return self._pad.predicted(snapshot, time_s)
 
-    def _in_ned(self, sighting: PadSighting, attitude: Quaternion) -> PadMeasurement:
-        """A sighting in NED. Of the attitude's error only the fast part is noise from frame to frame.
-
-        The slow part is a constant offset that shrinks with the distance: to treat it as noise would slow the
-        filter down and gain nothing. Fast is what the gyroscope's noise adds from frame to frame, and the
-        angle that a vehicle which turns quickly makes of the exposure's jitter.
-        """
-        rotation = matrix_from_quat(attitude)
-        position = quat_rotate(attitude, sighting.pad_position_body_m)
-        jitter = math.radians(ATTITUDE_JITTER_DEG) ** 2
-        jitter += self._motion.turn_density_rad2_s * FRAMES_APART_S
-        jitter += self._motion.turned_rad(sighting.time_s, self._config.pad.exposure_jitter_s) ** 2
-        x, y, z = position
-        lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-        covariance: FloatArray = rotation @ sighting.covariance[0:3, 0:3] @ rotation.T
-        # the calibration's share does not change from frame to frame; what is left has to be a covariance
-        slow = min(sighting.common_variance_m2, CALIBRATION_SHARE * float(np.linalg.eigvalsh(covariance)[0]))
-        slow = max(slow, 0.0)
-        tilt_n, tilt_e, turn = (rotation @ sighting.covariance[3:6, 3:6] @ rotation.T).diagonal().tolist()
-        north, east, _ = quat_rotate(attitude, quat_rotate(sighting.body_from_pad, (0.0, 0.0, 1.0)))
-        return PadMeasurement(
-            position_ned_m=position,
-            covariance_ned_m2=covariance - slow * np.eye(3) + jitter * (lever @ lever.T),
-            heading_rad=yaw_from_quat(quat_multiply(attitude, sighting.body_from_pad)),
-            heading_std_rad=math.sqrt(max(turn, 0.0) + jitter),
-            vehicle_velocity_ned_m_s=self._vehicle.velocity(sighting.time_s),
-            slow_variance_m2=slow,
-            tilt_rad=(north, east),
-            tilt_std_rad=math.sqrt(max(tilt_n, tilt_e, 0.0) + jitter),
-        )
-
     def _covariance(self, estimate: CombinedEstimate) -> FloatArray:
         rotation = self._vehicle.rotation_covariance()
         return estimate.covariance(np.zeros((3, 3)) if rotation is None else rotation, ATTITUDE_WANDER_RAD_S)
@@ -346,7 +329,23 @@ class StateEstimator:
     # ------------------------------------------------------------ what may come in
 
     def _usable(self, time_s: float, values: Iterable[float]) -> bool:
-        return _finite((time_s, *values)) and time_s <= self._vehicle.newest_s + FUTURE_S
+        ahead_s = time_s - self._vehicle.newest_s
+        if not _finite((time_s, *values)):
+            self._why_not = "not a finite number"
+        elif ahead_s > FUTURE_S:
+            self._why_not = f"stamped {ahead_s:.2g} s ahead of the IMU"
+        else:
+            self._why_not = ""
+        return not self._why_not
+
+    def _count(self, kind: str, taken: bool) -> bool:
+        why_not, self._why_not = self._why_not, ""
+        if taken:
+            why_not = ""
+        elif not why_not:
+            why_not = "older than what is remembered" if self._vehicle.aligned else "before the alignment"
+        self.tally.note(kind, why_not, {} if kind == "imu" else self._gates)
+        return taken
 
 
 def _finite(values: Iterable[float]) -> bool:

@@ -2,8 +2,10 @@
 
 `put` never waits in flight. What does not fit is dropped, counted and reported: bulky data (samples, frames,
 MAVLink) first, while there is still room for what explains a flight. In virtual time the flight waits for the
-disk instead, so that nothing is lost. An error of the card ends the log, not the flight; what cannot be
-written for any other reason is left out, counted and reported. However the log ends, its files are closed.
+disk instead, so that nothing is lost. In flight the thread rests between slices of work: Python runs one
+thread at a time, and one that computes for long delays every cycle of the control loop. An error of the card
+ends the log, not the flight; what cannot be written for any other reason is left out, counted and reported.
+However the log ends, its files are closed.
 """
 
 from __future__ import annotations
@@ -13,10 +15,15 @@ import threading
 from collections.abc import Callable
 from typing import Any, Final
 
+from companion.base.clock import sleep_s, thread_processor_s
+
 # half a minute of everything, and no more memory than a Raspberry Pi can spare
 QUEUE_SIZE: Final = 20_000
 BULKY_SHARE: Final = 0.75
 QUEUE_BYTES: Final = 64 * 1024 * 1024
+# A backlog gets a quarter of the processor; the control loop waits for no more than one slice.
+SLICE_S: Final = 0.002
+REST_S: Final = 3.0 * SLICE_S
 
 _Job = tuple[Callable[..., None], tuple[Any, ...], int]
 
@@ -25,7 +32,8 @@ class DiskWriter:
     """Calls what it is given, in order, in a thread of its own; `waits` is for virtual time."""
 
     def __init__(self, *, waits: bool = False) -> None:
-        self._waits = waits
+        self._waits = self._hurries = waits
+        self._worked_s = 0.0  # the thread's processor time at the last rest
         self._failure: str | None = None
         self._queue: queue.Queue[_Job | None] = queue.Queue(QUEUE_SIZE)
         self._lock = threading.Lock()
@@ -72,11 +80,19 @@ class DiskWriter:
         self._closers = closers
         self._queue.put(None)
         if wait:
-            self._thread.join()
+            self.join(hurries=True)
 
-    def join(self) -> None:
-        """Wait until all is written, after `finish`."""
+    def join(self, *, hurries: bool = False) -> None:
+        """Wait until all is written, after `finish`; `hurries` without rests, once nothing flies."""
+        self._hurries |= hurries
         self._thread.join()
+
+    def rest(self) -> None:
+        """In the writer's thread, between two pieces of work: leave the processor after each slice."""
+        if self._hurries or thread_processor_s() - self._worked_s < SLICE_S:
+            return
+        sleep_s(REST_S)
+        self._worked_s = thread_processor_s()
 
     def _count(self, size_bytes: int) -> None:
         if size_bytes:
@@ -89,6 +105,7 @@ class DiskWriter:
             self._count(-size_bytes)
             if self._failure is None:
                 self._call(write, arguments)
+                self.rest()
         for close in self._closers:
             self._call(close, ())
 

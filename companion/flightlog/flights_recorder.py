@@ -1,9 +1,9 @@
 """The log of a service: one folder a flight, from the minute before it was ordered to its end.
 
 In standby the last minute is kept in memory, and nothing goes to the card. A flight's log begins with it,
-written by the log's own thread: the control loop hands over the whole minute at once. Its files are opened in
-a thread too, and what comes meanwhile joins the minute. Nothing here waits for the card in a flight or at its
-end, and no failure to open a log reaches whoever writes to it: that is the control loop.
+written by the log's own thread, a slice at a time: the control loop hands over the whole minute at once. Its
+files are opened in a thread too, and what comes meanwhile joins the minute. Nothing here waits for the card
+in a flight or at its end, and no failure to open a log reaches whoever writes to it, the control loop.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -23,20 +23,12 @@ from companion.base.messages import Frame
 from companion.config import ConfigError
 from companion.flightlog.flights import next_flight_folder
 from companion.flightlog.meter import Meter
-from companion.flightlog.record import FlightLog
+from companion.flightlog.record import BufferedCall, FlightLog
+from companion.flightlog.version import SettingsRecord
 
 KEPT_S: Final = 60.0
 KEPT_FRAME_PERIOD_S: Final = 1.0  # a picture a second: a minute of them is 18 MB at 640 x 480
 MOST_KEPT: Final = 120_000  # messages, whatever their stamps say
-
-
-@dataclass(frozen=True, slots=True)
-class _Kept:
-    """A call to a log that is made later: the name of its method, and what with."""
-
-    time_s: float
-    method: Literal["write", "write_frame", "write_mavlink"]
-    arguments: tuple[Any, ...]
 
 
 class FlightsRecorder(FlightLog):
@@ -61,11 +53,17 @@ class FlightsRecorder(FlightLog):
         self._opening: Future[FlightLog] | None = None
         self._flight: FlightLog | None = None
         self._ending: FlightLog | None = None  # whose last messages are being written
-        self._minute: deque[_Kept] = deque(maxlen=MOST_KEPT)
+        self._minute: deque[BufferedCall] = deque(maxlen=MOST_KEPT)
         self._kept_frame_s = float("-inf")
         self._settings: dict[str, BaseModel] = {}
+        self._settings_record: Future[SettingsRecord] | None = None
         self._failed: str | None = None
         self.meter = Meter()
+
+    @property
+    def root(self) -> Path | None:
+        """Where the flights' folders are."""
+        return self._root
 
     @property
     def flight_folder(self) -> Path | None:
@@ -110,13 +108,13 @@ class FlightsRecorder(FlightLog):
             self._failed = f"no flight log: {type(error).__name__}: {error}"
         return None
 
-    def _take_minute(self) -> tuple[_Kept, ...]:
-        minute, self._minute = tuple(self._minute), deque(maxlen=MOST_KEPT)
+    def _take_minute(self) -> deque[BufferedCall]:
+        minute, self._minute = self._minute, deque(maxlen=MOST_KEPT)
         return minute
 
-    def _give(self, flight: FlightLog, minute: tuple[_Kept, ...]) -> None:
-        flight.write_settings(**self._settings)
-        flight.write_before([(kept.method, kept.arguments) for kept in minute])
+    def _give(self, flight: FlightLog, minute: deque[BufferedCall]) -> None:
+        record = self._settings_record
+        flight.write_before(partial(SettingsRecord.of, {}) if record is None else record.result, minute)
 
     def end(self) -> None:
         """The flight under way has ended; its files are finished by the log's thread."""
@@ -127,7 +125,7 @@ class FlightsRecorder(FlightLog):
             opening, self._opening = self._opening, None
             self._opener.submit(self._end_late, opening, self._take_minute())
 
-    def _end_late(self, opening: Future[FlightLog], minute: tuple[_Kept, ...]) -> None:
+    def _end_late(self, opening: Future[FlightLog], minute: deque[BufferedCall]) -> None:
         """In the opener's thread, after the opening: the flight has ended before its files were open."""
         flight = self._result(opening)
         if flight is not None:
@@ -153,6 +151,8 @@ class FlightsRecorder(FlightLog):
     def write_settings(self, **settings: BaseModel) -> None:
         """See `FlightLog`; every flight's log gets them."""
         self._settings |= settings
+        if self._root is not None:  # made now, on the ground: at an order it would delay control
+            self._settings_record = self._opener.submit(SettingsRecord.of, dict(self._settings))
         self.tap.know(settings)
 
     def write_frame(self, frame: Frame, time_s: float) -> None:
@@ -173,7 +173,7 @@ class FlightsRecorder(FlightLog):
         self.end()
         self._opener.shutdown()
         if wait and self._ending is not None:
-            self._ending.join()
+            self._ending.join(hurries=True)
 
     def discard(self) -> None:
         """Nothing is removed: every folder here is a flight's."""
@@ -189,6 +189,6 @@ class FlightsRecorder(FlightLog):
             getattr(flight, method)(*arguments)
         elif self._root is not None:
             minute = self._minute
-            minute.append(_Kept(time_s, method, arguments))
+            minute.append(BufferedCall(time_s, method, arguments))
             while minute and time_s - minute[0].time_s > KEPT_S:
                 minute.popleft()

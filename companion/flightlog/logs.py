@@ -14,7 +14,7 @@ from typing import Annotated, Final, Literal
 
 import typer
 
-from companion.base.files import must_be_readable
+from companion.base.files import must_be_readable, replaced
 from companion.config import ConfigError
 
 HELP: Final = """List the recorded flights; export one, repair its log or convert that to tables.
@@ -123,6 +123,8 @@ def list_flights(root: Path) -> None:
             f"--record {root}: cannot be read: {error.strerror}; expected a folder of flights"
         ) from error
     total = 0
+    if flights:
+        typer.echo(f"{'flight':<18} {'began':<16} {'time':>7} {'off the pad':>10} {'size':>8}  outcome")
     for folder in flights:
         try:
             summary = summary_of(folder)
@@ -152,19 +154,18 @@ def export(folder: Path, output: Path | None) -> None:
     """
     must_be_readable(folder / "flight.mcap")
     target = output or Path(f"{folder.resolve().name}.zip")
-    if target.exists():
+    if target.is_file() or target.is_dir():
         raise ConfigError(f"{target}: exists already; expected a new file, by --output")
-    part = target.with_name(target.name + ".part")
     try:
         # the log is compressed already
-        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        with (
+            replaced(target) as part,
+            zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        ):
             for path in sorted(folder.rglob("*")):
                 archive.write(path, Path(folder.resolve().name) / path.relative_to(folder))
-        part.replace(target)
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written: {error.strerror}") from error
-    finally:
-        part.unlink(missing_ok=True)
     typer.echo(f"{target}: {target.stat().st_size / MEGABYTE:.1f} MB, all of {folder}")
 
 
@@ -192,7 +193,7 @@ def repair_log(log: Path, output: Path | None) -> None:
     source = log / "flight.mcap" if log.is_dir() else log
     must_be_readable(source)
     target = output or source.with_name(REPAIRED_NAME)
-    if target.exists():
+    if target.is_file() or target.is_dir():
         raise ConfigError(f"{target}: exists already; expected a new file, by --output")
     from companion.flightlog.repair import repair  # noqa: PLC0415 - a wrong name is reported without it
 

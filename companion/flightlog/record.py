@@ -15,12 +15,11 @@ import json
 import math
 import os
 import struct
-from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections import defaultdict, deque
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import IO, Any, Final, Literal
+from typing import IO, Any, Final, Literal, NamedTuple
 
-import yaml
 from mcap.writer import CompressionType, Writer
 from pydantic import BaseModel
 from pydantic_core import to_json
@@ -40,8 +39,9 @@ from companion.flightlog.log_file import (
     SETTINGS_RECORD,
     VERSIONS_RECORD,
 )
+from companion.flightlog.packets import split_packets
 from companion.flightlog.tap import NoTap, Tap
-from companion.flightlog.version import versions
+from companion.flightlog.version import SettingsRecord
 
 # What the score and the plots read again; the rest (IMU samples, frames) would only fill the memory.
 KEPT_TOPICS: Final = frozenset(
@@ -56,8 +56,14 @@ EXPLAINING: Final = frozenset(
 FLUSHED_S: Final = 0.5
 # a flush ends a chunk before that; each leaves an index in memory until the log ends
 MCAP_CHUNK_BYTES: Final = 1024 * 1024
-MAVLINK2_MAGIC: Final = 0xFD
-MAVLINK1_MAGIC: Final = 0xFE
+
+
+class BufferedCall(NamedTuple):
+    """A call to a log that is made later: the name of its method, and what with."""
+
+    time_s: float
+    method: Literal["write", "write_frame", "write_mavlink"]
+    arguments: tuple[Any, ...]
 
 
 class FlightLog:
@@ -93,7 +99,6 @@ class FlightLog:
         self._files: _Files | None = None
         self._disk: DiskWriter | None = None
         self.tap: Tap = NoTap()
-        self.join: Callable[[], None] = lambda: None  # until a log that was closed without waiting is written
         if folder is not None:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
@@ -130,8 +135,11 @@ class FlightLog:
         They also stand in a file of their own, `settings.yaml`.
         """
         self.tap.know(settings)
+        self._put_settings(lambda: SettingsRecord.of(settings))
+
+    def _put_settings(self, record: Callable[[], SettingsRecord]) -> None:
         if (files := self._files) is not None:
-            files.disk.put(files.write_settings, settings)
+            files.disk.put(files.write_settings, record)
 
     def write_frame(self, frame: Frame, time_s: float) -> None:
         """Log a camera frame as a compressed image, at the log's own rate."""
@@ -147,18 +155,20 @@ class FlightLog:
         if (files := self._files) is not None:
             files.disk.put(files.tlog.write, data, self._unix_ns(time_s) // 1000, direction, bulky=True)
 
-    def write_before(self, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
-        """Log what happened before the log began: names of the methods here, with their arguments.
+    def write_before(self, record: Callable[[], SettingsRecord], calls: deque[BufferedCall]) -> None:
+        """Log what happened before the log began, under its settings; `calls` is emptied.
 
-        The log's thread does all of it, and writes it through to the card once: by its messages' times a
-        minute would be due a hundred times, while the flight waits to be logged.
+        The log's thread does all of it, resting between slices, and writes it through to the card once: by
+        its messages' times a minute would be due a hundred times, while the flight waits to be logged.
         """
+        self._put_settings(record)
         if (files := self._files) is not None:
             files.disk.put(self._write_all, files, calls)
 
-    def _write_all(self, files: _Files, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
+    def _write_all(self, files: _Files, calls: deque[BufferedCall]) -> None:
         files.pause_flushing()
-        for method, arguments in calls:
+        while calls:
+            _, method, arguments = calls.popleft()
             if method == "write":
                 topic, message, time_s = arguments
                 files.mcap.write(topic, message, self._unix_ns(time_s))
@@ -168,6 +178,7 @@ class FlightLog:
             else:
                 data, time_s, direction = arguments
                 files.tlog.write(data, self._unix_ns(time_s) // 1000, direction)
+            files.disk.rest()
         files.flush()
 
     def close(self, *, wait: bool = True) -> None:
@@ -175,7 +186,11 @@ class FlightLog:
         if (files := self._files) is not None:
             self._files = None
             files.disk.finish(files.write_losses, files.mcap.close, files.tlog.close, wait=wait)
-            self.join = files.disk.join
+
+    def join(self, *, hurries: bool = False) -> None:
+        """Wait until a log that was closed without waiting is written; see `DiskWriter.join`."""
+        if self._disk is not None:
+            self._disk.join(hurries=hurries)
 
     def discard(self) -> None:
         """Close the log and remove its files: nothing was flown, and the folder is free for the next try."""
@@ -308,39 +323,10 @@ class _Files:
         if missing := self.disk.lost + self.disk.failed:
             self.mcap.write_metadata(LOSSES_RECORD, {"messages": str(missing)})
 
-    def write_settings(self, settings: Mapping[str, BaseModel]) -> None:
-        """Into the metadata, and beside the log for people; asking git for the revision takes a moment."""
-        known = versions()
-        models = {name: model.model_dump_json() for name, model in settings.items()}
-        self.mcap.know(settings)
-        self.mcap.write_metadata(SETTINGS_RECORD, models)
-        self.mcap.write_metadata(VERSIONS_RECORD, known)
-        plain = {"versions": known, **{name: json.loads(text) for name, text in models.items()}}
-        text = yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=110)
-        (self.folder / SETTINGS_NAME).write_text(text, encoding="utf-8")
-
-
-def split_packets(data: bytes) -> tuple[list[bytes], bytes]:
-    """Cut a run of MAVLink bytes into whole packets and the unfinished rest; garbage is passed over."""
-    packets: list[bytes] = []
-    at = 0
-    while at < len(data):
-        if data[at] not in (MAVLINK1_MAGIC, MAVLINK2_MAGIC):
-            at += 1
-            continue
-        length = _packet_length(data, at)
-        if length is None or at + length > len(data):
-            break
-        packets.append(data[at : at + length])
-        at += length
-    return packets, data[at:]
-
-
-def _packet_length(data: bytes, at: int) -> int | None:
-    """Bytes of the packet that starts at `at`; None while its header is not all there."""
-    if at + 3 > len(data):
-        return None
-    payload = data[at + 1]
-    if data[at] == MAVLINK1_MAGIC:
-        return payload + 8
-    return payload + 12 + (13 if data[at + 2] & 1 else 0)
+    def write_settings(self, made: Callable[[], SettingsRecord]) -> None:
+        """Into the metadata, and beside the log for people."""
+        record = made()
+        self.mcap.know(record.settings)
+        self.mcap.write_metadata(SETTINGS_RECORD, record.models)
+        self.mcap.write_metadata(VERSIONS_RECORD, record.versions)
+        (self.folder / SETTINGS_NAME).write_text(record.text, encoding="utf-8")

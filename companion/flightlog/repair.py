@@ -10,6 +10,7 @@ from typing import IO
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
+from companion.base.files import replaced
 from companion.config import ConfigError
 from companion.flightlog.log_file import records
 
@@ -29,19 +30,16 @@ def repair(source: Path, target: Path) -> Repaired:
     Raises:
         ConfigError: nothing can be read of the source, or the target cannot be written.
     """
-    part = target.with_name(target.name + ".part")
     try:
-        with source.open("rb") as stream, part.open("wb") as new:
-            repaired = _copy(stream, new)
-            new.flush()
-            os.fsync(new.fileno())
-        if not repaired.messages:
-            raise ConfigError(f"{source}: holds no message that can be read; expected an MCAP log")
-        part.replace(target)
+        with replaced(target) as part:
+            with source.open("rb") as stream, part.open("wb") as new:
+                repaired = _copy(stream, new)
+                new.flush()
+                os.fsync(new.fileno())
+            if not repaired.messages:
+                raise ConfigError(f"{source}: holds no message that can be read; expected an MCAP log")
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written: {error.strerror}") from error
-    finally:
-        part.unlink(missing_ok=True)
     return repaired
 
 

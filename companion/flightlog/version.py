@@ -1,14 +1,20 @@
-"""What a flight was flown with: versions of this program and its libraries, and its git revision."""
+"""What a flight was flown with: settings, versions of this program and its libraries, its git revision."""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Final
+
+import yaml
+from pydantic import BaseModel
 
 # what computes the estimates is what their last digits hang on
 VERSIONED: Final = ("companion", "numpy", "scipy", "filterpy", "pymap3d")
@@ -49,3 +55,22 @@ def revision() -> str | None:
     except (OSError, subprocess.SubprocessError):
         return None
     return described.stdout.strip() or None
+
+
+@dataclass(frozen=True, slots=True)
+class SettingsRecord:
+    """Settings and versions as a log holds them: `models` as JSON by name, `text` the YAML for people."""
+
+    settings: Mapping[str, BaseModel]
+    models: dict[str, str]
+    versions: dict[str, str]
+    text: str
+
+    @classmethod
+    def of(cls, settings: Mapping[str, BaseModel]) -> SettingsRecord:
+        """Asks git for the revision and writes YAML: 0.05 s on a desktop."""
+        known = versions()
+        models = {name: model.model_dump_json() for name, model in settings.items()}
+        plain = {"versions": known, **{name: json.loads(text) for name, text in models.items()}}
+        text = yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=110)
+        return cls(settings, models, known, text)

@@ -6,7 +6,7 @@ from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.messages import AutopilotSetup
-from companion.link.parameters import ParameterRequest, ParameterRequests
+from companion.link.parameters import ParameterRequest, ParameterRequests, all_names, value_of
 
 NAMES: Final[dict[AutopilotKind, tuple[str, ...]]] = {
     "px4": ("MPC_TILTMAX_AIR", "MPC_THR_HOVER", "COM_OF_LOSS_T", "COM_OBL_RC_ACT"),
@@ -40,17 +40,27 @@ class SetupReader:
         if self._autopilot_kind is None:
             return
         self._known = self.setup
-        self._asked = {name: ParameterRequest(name) for name in NAMES[self._autopilot_kind]}
+        kind = self._autopilot_kind
+        names = [name for first in NAMES[kind] for name in all_names(kind, first)]
+        self._asked = {name: ParameterRequest(name) for name in names}
         for request in self._asked.values():
             self._requests.submit(request)
+
+    def _open(self, kind: AutopilotKind, first: str) -> bool:
+        """Whether a parameter may still be answered; once it is under one name, the others are no matter."""
+        requests = [self._asked[name] for name in all_names(kind, first)]
+        answered = any(request.value is not None for request in requests)
+        return not answered and any(request.outcome is None for request in requests)
 
     @property
     def setup(self) -> AutopilotSetup | None:
         """What is known of it; a parameter that it does not have is unknown."""
-        if not self._asked or any(request.outcome is None for request in self._asked.values()):
+        kind = self._autopilot_kind
+        if kind is None or not self._asked or any(self._open(kind, name) for name in NAMES[kind]):
             return self._known
-        value = {name: request.value for name, request in self._asked.items()}
-        if self._autopilot_kind == "px4":
+        reported = {name: request.value for name, request in self._asked.items()}
+        value = {name: value_of(kind, name, reported) for name in NAMES[kind]}
+        if kind == "px4":
             action = value["COM_OBL_RC_ACT"]
             return AutopilotSetup(
                 tilt_deg=value["MPC_TILTMAX_AIR"],

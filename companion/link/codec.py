@@ -27,6 +27,7 @@ COMPANION_COMPONENT: Final = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 AUTOPILOT_COMPONENT: Final = 1
 
 Severity = Literal["info", "warning", "error"]
+_UNKNOWN_8, _UNKNOWN_32, _UNKNOWN_TEMPERATURE = 0xFF, 0xFFFFFFFF, 127
 _SEVERITY: Final[dict[Severity, int]] = {"info": 6, "warning": 4, "error": 3}  # MAV_SEVERITY
 _TEXT_BYTES: Final = 50  # of one STATUSTEXT
 _NAN: Final = math.nan
@@ -312,4 +313,25 @@ def command_int(
     return mavlink.MAVLink_command_int_message(
         target_system, target_component, mavlink.MAV_FRAME_GLOBAL, command, 0, 0,
         *filled, latitude_e7, longitude_e7, position[2],
+    )  # fmt: skip
+
+
+def computer_status(
+    unix_us: int,
+    up_ms: int,
+    cpu_percent: float | None,
+    temperature_deg_c: float | None,
+    ram_mb: tuple[float, float],
+    storage_mb: tuple[float, float] | None,
+) -> Message:
+    """ONBOARD_COMPUTER_STATUS of a companion computer; (used, total) of memory and storage, None: unknown."""
+    percent = _UNKNOWN_8 if cpu_percent is None else round(min(max(cpu_percent, 0.0), 100.0))
+    board = _UNKNOWN_TEMPERATURE if temperature_deg_c is None else round(temperature_deg_c)
+    used, total = (_UNKNOWN_32, _UNKNOWN_32) if storage_mb is None else map(round, storage_mb)
+    none_8, none_16, none_32 = _UNKNOWN_8, [0x7FFF] * 4, [_UNKNOWN_32] * 3
+    links = [_UNKNOWN_32] * 6
+    return mavlink.MAVLink_onboard_computer_status_message(
+        unix_us, up_ms, 0, [none_8] * 8, [percent, *[none_8] * 9], [none_8] * 4, [none_8] * 10,
+        board, [_UNKNOWN_TEMPERATURE] * 8, none_16, round(ram_mb[0]), round(ram_mb[1]),
+        [0, *none_32], [used, *none_32], [total, *none_32], links, links, links, links, links,
     )  # fmt: skip

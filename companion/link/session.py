@@ -287,6 +287,10 @@ class Session:
         """A text for the ground station's and the autopilot's log, as bytes."""
         return b"".join(self._codec.encode(message) for message in self._notices.tell(text, severity))
 
+    def encode(self, message: Message) -> bytes:
+        """A message of ours, signed where the link is."""
+        return self._codec.encode(message)
+
     def command(self, command: VehicleCommand) -> Pending:
         """Start a command; `tick` sends it, `Pending.outcome` gives its end."""
         return self._commands.submit(command)

@@ -23,7 +23,7 @@ from companion.plan.landing.upright import not_standing
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.mode_monitor import in_land, in_offboard
-from companion.plan.mission.orders import not_ready
+from companion.plan.mission.orders import estimate_problems, not_ready
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Circumstances, DetectedEvent, Effect, MissionEvent, State
@@ -128,6 +128,10 @@ class Planner:
     def not_ready(self, inputs: PlanInputs, now_s: float) -> list[str]:
         """What stands against an order to land, wherever the vehicle is."""
         return list(not_ready(self._with_leg_height(inputs), self._mission, now_s))
+
+    def estimate_problem(self, inputs: PlanInputs, now_s: float) -> str | None:
+        """What stands against flying by the estimate of the vehicle, as among `not_ready`."""
+        return next(estimate_problems(inputs.vehicle, self._mission, now_s), None)
 
     def step(self, inputs: PlanInputs, now_s: float) -> PlanStep:
         """One cycle at now_s: at most one change of state, then the reference, actions and notices."""

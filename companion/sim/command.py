@@ -99,7 +99,8 @@ def _draw_plots(
     except ModuleNotFoundError as error:
         print(f"companion: no plots: they need {error.name}; expected it installed", file=sys.stderr)
         return
-    write_plots(folder, kept, truth, trial.scenario.obstacles, title_of(result))
+    passes_m = trial.scenario.pass_bounds.lateral_error_m
+    write_plots(folder, kept, truth, trial.scenario.obstacles, title_of(result), passes_m)
 
 
 def _write_page(trial: Trial, folder: Path) -> None:
@@ -112,11 +113,6 @@ def _write_page(trial: Trial, folder: Path) -> None:
 
 def publish(trial: Trial, result: Result, flight: SitlFlight, output: Output) -> None:
     """Write the result, print the table, and say in one line what was wrong if something was."""
-    text = result.model_dump_json(indent=2) + "\n"
-    if output.json_file is not None:
-        write_atomically(output.json_file, text)
-    if output.record is not None:
-        write_atomically(output.record / "result.json", text)
     output.console.print(result_table(result, trial.scenario.pass_bounds.model_dump()))
     nearest_m = flight.report.nearest_obstacle_m
     if nearest_m is not None:
@@ -135,3 +131,8 @@ def publish(trial: Trial, result: Result, flight: SitlFlight, output: Output) ->
         )
     if result.outcome is not Outcome.LANDED:
         print_error("companion", f"{result.outcome}: {reason(result, flight)}", EXIT_CODES[result.outcome])
+    text = result.model_dump_json(indent=2) + "\n"  # after the table: the disk may be full
+    if output.json_file is not None:
+        write_atomically(output.json_file, text)
+    if output.record is not None:
+        write_atomically(output.record / "result.json", text)

@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
+from companion.base.files import replaced
 from companion.config import ConfigError, StrictModel, validate
 from sitl.campaign.manifest import CampaignRun
 from sitl.campaign.worker import RunResult
@@ -257,9 +258,8 @@ def write_parquet(rows: Sequence[Row], folder: Path) -> Path | None:
         [(name, kinds.get(name, pa.string() if name in texts else pa.float64())) for name in COLUMNS]
     )
     path = folder / PARQUET_NAME
-    part = path.with_name(path.name + ".part")
-    parquet.write_table(pa.Table.from_pylist([row.model_dump() for row in rows], schema=schema), part)
-    part.replace(path)
+    with replaced(path) as part:
+        parquet.write_table(pa.Table.from_pylist([row.model_dump() for row in rows], schema=schema), part)
     return path
 
 

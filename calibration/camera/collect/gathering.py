@@ -17,6 +17,7 @@ from calibration.camera.board.printing import board_yaml
 from calibration.camera.collect.capture import CaptureSession
 from calibration.camera.collect.live import write_image
 from calibration.camera.kinds import DEFAULT_BOARD
+from calibration.camera.solve.solving import FEWEST_VIEWS
 from calibration.camera.views.detection import BoardFinder, BoardView
 from calibration.camera.views.mismatch import hint, what_is_seen
 from companion.base.files import write_atomically
@@ -116,8 +117,10 @@ def views_of_photos(
     if keep is not None:
         write_atomically(keep / BOARD_FILE, board_yaml(board))
     source = ", ".join(map(str, sources))
-    if not found:
-        raise ConfigError(f"{source}: {_why_none(board, missed, count, moving=bool(sessions))}")
+    if len(found) < min(FEWEST_VIEWS, count):  # one of many matches by accident
+        why = _why_none(board, missed, count, moving=bool(sessions))
+        chance = f"; {found[0][0].name} alone may match by chance" if found else ""
+        raise ConfigError(f"{source}: {why}{chance}")
     for line in without:
         tell(line)
     if len(without) > USUAL_MISSES * count and (other := hint(board, missed.images)):

@@ -22,6 +22,7 @@ from calibration.camera.kinds import Model
 from calibration.camera.solve.adjustment import UnsolvableError
 from calibration.camera.solve.quality import assess
 from calibration.camera.views.detection import BoardFinder, BoardView
+from companion.base.files import write_atomically
 from companion.base.formats.mjpeg import MjpegServer
 from companion.config import CaptureConfig, ConfigError
 from companion.sense.camera.source import FrameSource, open_camera
@@ -147,9 +148,4 @@ def write_image(path: Path, image: NDArray[np.uint8]) -> None:
         good, data = cv2.imencode(path.suffix or ".png", image)
     except cv2.error as error:
         raise ConfigError(f"{path}: expected a name that ends in .png or .jpg") from error
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_bytes(data.tobytes() if good else b"")
-        part.replace(path)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
+    write_atomically(path, data.tobytes() if good else b"")

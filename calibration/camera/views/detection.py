@@ -83,6 +83,8 @@ class BoardFinder:
     def find_or_why(self, image: NDArray[np.uint8], name: str = "") -> BoardView | str:
         """The board in a grey image (height, width), or why it is not usable in it."""
         ids, corners = self._coarse(image)
+        if self.board.pattern == "grid":
+            corners = self._as_drawn(ids, corners, image.shape[::-1])
         inside = ((corners > 1.0) & (corners < np.array(image.shape[::-1]) - 2.0)).all(axis=1)
         ids, corners = ids[inside], corners[inside]
         if len(ids) < FEWEST_POINTS:
@@ -105,6 +107,23 @@ class BoardFinder:
             return NO_EDGES
         white_m = 0.5 * (board.square_m - (board.marker_m if board.pattern == "charuco" else 0.0))
         return edge_pixels(image, points, corners, board.square_m, white_m)
+
+    def _as_drawn(self, ids: NDArray[np.int64], corners_px: FloatArray, size_px: Sequence[int]) -> FloatArray:
+        """A grid's corners (n, 2) in the order of its points, whichever way round its markers are printed.
+
+        AprilRobotics' pictures of AprilTags are half a turn from OpenCV's. All markers of a board are alike:
+        of the four turns the first that fits a plane, OpenCV's own before the others.
+        """
+        if len(ids) < FEWEST_POINTS:
+            return corners_px
+        points = self.board.points_m[ids]
+        fits = []
+        for turn in range(4):
+            turned = np.roll(corners_px.reshape(-1, 4, 2), turn, axis=1).reshape(-1, 2)
+            fits.append((int(np.count_nonzero(on_a_plane(points, turned, size_px))), turned))
+            if fits[-1][0] >= FEWEST_FITTING * len(ids):
+                return turned
+        return max(fits, key=lambda fit: fit[0])[1]
 
     def _too_few(self, corners: int) -> str:
         if self.board.pattern == "chessboard":

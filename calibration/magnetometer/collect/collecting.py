@@ -113,8 +113,15 @@ class _Map:
         self._live = live
 
     def show(self, now: CoverageProgress, elapsed_s: float) -> None:
-        lines = [*text_map(now.covered), _line(now, elapsed_s)] if now.samples else ["no samples yet"]
-        self._live.update(Group(*(Text(line) for line in lines)), refresh=True)
+        self._live.update(drawn(now, elapsed_s), refresh=True)
+
+
+def drawn(now: CoverageProgress, elapsed_s: float) -> Group:
+    """The map, how far it is, and what to do next on lines of its own: it is the instruction."""
+    if not now.samples:
+        return Group(Text("no samples yet"))
+    lines = [*text_map(now.covered), _progress(now, elapsed_s)]
+    return Group(*(Text(line) for line in lines), Text(f"next: {now.hint}", style="bold", overflow="fold"))
 
 
 @contextmanager
@@ -127,4 +134,8 @@ def _screen(console: Console) -> Iterator[_Screen]:
 
 
 def _line(now: CoverageProgress, elapsed_s: float) -> str:
-    return f"{elapsed_s:5.0f} s  {now.share:4.0%} covered, {now.samples} samples; next: {now.hint}"
+    return f"{_progress(now, elapsed_s)}; next: {now.hint}"
+
+
+def _progress(now: CoverageProgress, elapsed_s: float) -> str:
+    return f"{elapsed_s:5.0f} s  {now.share:4.0%} covered, {now.samples} samples"

@@ -65,7 +65,8 @@ def lines(done: Calibrated) -> list[str]:
     """What else there is to say: reasons, notes, parameters."""
     said = [f"{done.file.quality.verdict}: {reason}" for reason in done.file.quality.reasons]
     said += [f"note: {note}" for note in done.recording.notes]
-    if done.parameters and done.recording.onboard is not None:
+    usable = done.file.quality.verdict != "refused"  # a wrong one would be set by hand
+    if usable and done.parameters and done.recording.onboard is not None:
         name = {"ardupilot": "ArduPilot", "px4": "PX4"}[done.recording.onboard.autopilot_kind]
         # its matrix is symmetric: a rotation has no place in it
         same = "the same but the alignment" if done.file.aligned else "the same"

@@ -14,7 +14,16 @@ from pydantic import BaseModel
 
 from companion.app.page.look import Look, TrackPoint
 from companion.base.geometry import add, scale
-from companion.base.messages import Frame, FrameReport, PadSighting, PadState, PlanStep, VehicleState
+from companion.base.messages import (
+    Frame,
+    FrameReport,
+    PadSighting,
+    PadState,
+    Phase,
+    PlanStep,
+    VehicleState,
+)
+from companion.config import CompanionConfig, VehicleConfig
 from companion.flightlog.foxglove.scene import time_to_touchdown_s
 from companion.flightlog.meter import Meter
 
@@ -124,7 +133,7 @@ class LiveFeed:
             sighting if seen else None,
             None if vehicle is None else vehicle.attitude,
             place,
-            None if touchdown_s is None else max(0.0, touchdown_s - now_s),
+            self._left_s(touchdown_s, pad, now_s),
         )
 
     def _touchdown_s(self, now_s: float) -> float | None:
@@ -134,6 +143,24 @@ class LiveFeed:
             return None
         duration_s = time_to_touchdown_s(plan)
         return None if duration_s is None else plan.time_s + duration_s
+
+    def _left_s(self, leg_ends_s: float | None, pad: PadState | None, now_s: float) -> float | None:
+        """How long until the feet touch; None while that is not known: before the descent.
+
+        A descent's planned motion ends where the final descent begins; that one's speed is known.
+        """
+        if leg_ends_s is None:
+            return None
+        leg_s = max(0.0, leg_ends_s - now_s)
+        config, vehicle = self.settings.get("config"), self.settings.get("vehicle")
+        if not isinstance(config, CompanionConfig) or not isinstance(vehicle, VehicleConfig):
+            return leg_s
+        speed_m_s = config.plan.touchdown.contact_speed_m_s
+        if self._phase == Phase.DESCEND.value:
+            return leg_s + config.plan.landing.wait_height_m / speed_m_s
+        if self._phase == Phase.TOUCHDOWN.value and pad is not None:
+            return max(0.0, pad.height_m - vehicle.leg_height_m) / speed_m_s
+        return None
 
     def _point(self, time_s: float) -> TrackPoint:
         vehicle, pad = _newest(self._vehicles, time_s), _newest(self._pads, time_s)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from functools import partial
 from typing import Final
 
+import yaml
+from pydantic import BaseModel
 from pydantic_core import to_json
 
 from companion.app.app import App
@@ -35,6 +37,12 @@ ORDER_PERIOD_S: Final = 0.5
 STATE_PERIOD_S: Final = 0.5
 WITHOUT_CAMERA_S: Final = 0.25
 THROTTLED_PERIOD_S: Final = 10.0
+
+
+def yaml_of(settings: Mapping[str, BaseModel]) -> str:
+    """The settings in use, defaults included, to be read; secrets are in files of their own."""
+    plain = {name: model.model_dump(mode="json") for name, model in settings.items()}
+    return yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=110)
 
 
 class LivePage:
@@ -104,6 +112,8 @@ class LivePage:
             pad=pad,
             start_unix_s=start_unix_s(virtual=False),
             start_s=self._start_s,
+            flights=self._log.root if isinstance(self._log, FlightsRecorder) else None,
+            settings_text=yaml_of(settings),
         )
 
     # ------------------------------------------------------------ to the page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple
 
 from companion.base.geometry import Quaternion, Vector3
@@ -29,6 +30,8 @@ class Start:
     pad: Pad
     start_unix_s: float
     start_s: float
+    flights: Path | None = None  # where flights are recorded
+    settings_text: str = ""
 
 
 class TrackPoint(NamedTuple):

@@ -1,4 +1,4 @@
-"""The page's server: three files, and a WebSocket for everything else.
+"""The page's server: its files, a WebSocket for what is live, and what `downloads` serves.
 
 Whoever has not shown the token takes no viewer's place, and keeps no connection from anybody: the oldest of
 them makes room for a new one.
@@ -16,6 +16,7 @@ from typing import Any, Final
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from companion.app.page.access import host_is_ours, own_names, same_origin, same_token
+from companion.app.page.downloads import add_file_routes
 from companion.app.page.look import Reply, Start, Text
 from companion.app.page.viewer import Viewer
 from companion.base.clock import Clock
@@ -26,6 +27,9 @@ FILES: Final = {
     "/page.css": ("page.css", "text/css"),
     "/page.js": ("page.js", "text/javascript"),
     "/plots.js": ("plots.js", "text/javascript"),
+    "/lamps.js": ("lamps.js", "text/javascript"),
+    "/alert.js": ("alert.js", "text/javascript"),
+    "/files.js": ("files.js", "text/javascript"),
     "/picture.js": ("picture.js", "text/javascript"),
 }
 LONGEST_MESSAGE: Final = 1024
@@ -69,6 +73,7 @@ class PageServer:
         app = web.Application(middlewares=[self._guarded], client_max_size=LONGEST_MESSAGE)
         app.add_routes([web.get(path, self._file) for path in FILES])
         app.router.add_get("/live", self._live)
+        add_file_routes(app, self._start)
         return app
 
     def make_room(self, connections: Sequence[web.RequestHandler]) -> bool:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import socket
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, NoReturn
 
 import typer
 from rich.console import Console
@@ -45,7 +45,9 @@ SocketOption = Annotated[
 
 
 def status_command(
-    watch: Annotated[bool, typer.Option("--watch", help="Show it anew every second.")] = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Show it every second; wait where no service runs.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="As one line of JSON.")] = False,
     path: SocketOption = None,
 ) -> None:
@@ -55,22 +57,36 @@ def status_command(
         ConfigError: no service answers.
     """
     console = Console()
+    if watch:
+        _watch(path, console, as_json=as_json)
     with _connected(path) as ask:
         report = ask({"request": "status"})
-        if watch and not as_json:
-            with Live(_table(report), console=console, auto_refresh=False) as live:
-                while True:
-                    sleep_s(WATCH_S)
-                    live.update(_table(ask({"request": "status"})), refresh=True)
-        while watch:
-            print(json.dumps(report), flush=True)
-            sleep_s(WATCH_S)
-            report = ask({"request": "status"})
     if as_json:
         print(json.dumps(report))
     else:
         console.print(_table(report))
     raise typer.Exit(UNHEALTHY if report.get("problems", True) else 0)
+
+
+def _watch(path: Path | None, console: Console, *, as_json: bool) -> NoReturn:
+    """Show the status each second until interrupted; where no service runs, wait for one."""
+    with Live(console=console, auto_refresh=False) if not as_json else nullcontext() as live:
+        while True:
+            try:
+                with _connected(path) as ask:
+                    while True:
+                        report = ask({"request": "status"})
+                        if live is None:
+                            print(json.dumps(report), flush=True)
+                        else:
+                            live.update(_table(report), refresh=True)
+                        sleep_s(WATCH_S)
+            except ConfigError as error:
+                if live is None:
+                    print(json.dumps({"error": str(error)}), flush=True)
+                else:
+                    live.update(Text(f"waiting: {error}"), refresh=True)
+            sleep_s(WATCH_S)
 
 
 def order_command(
@@ -200,8 +216,11 @@ def _input(entry: dict[str, Any]) -> str:
     # there is no rate before the first seconds are over
     rate_hz = entry["rate_hz"]
     rate = f"{rate_hz:.{0 if rate_hz >= 1.0 else 1}f} Hz" if rate_hz > 0.0 else "begins"
-    refused = f", {entry['refused']} refused, the last: {entry['refused_for']}" if entry["refused"] else ""
-    return f"{rate}, {_age(entry['age_s'])}, {entry['used']} used{refused}"
+    shown = f"{rate}, {_age(entry['age_s'])}"
+    if not entry.get("refused"):
+        return shown
+    use = "NOT USED" if entry["unused"] else f"used {entry['used']}"
+    return f"{shown}, {use}, refused {entry['refused']}: {entry['reason']}"
 
 
 def _estimate(r: dict[str, Any]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import shutil
 import subprocess
@@ -10,7 +11,10 @@ from typing import Final
 
 from pydantic import BaseModel, ConfigDict
 
+from companion.link.codec import Message, computer_status
+
 _THERMAL: Final = Path("/sys/class/thermal/thermal_zone0/temp")
+_MEGABYTE: Final = 1e6
 _VCGENCMD_S: Final = 1.0
 # bits of `vcgencmd get_throttled` that hold now (Raspberry Pi documentation)
 _THROTTLED: Final = {0: "under-voltage", 1: "frequency capped", 2: "throttled", 3: "soft temperature limit"}
@@ -49,6 +53,24 @@ class ComputerWatch:
             throttled=held_back,
             disk_free_mb=_disk_free_mb(folder),
         )
+
+
+def ground_report(status: ComputerStatus, folder: Path | None, unix_s: float, up_s: float) -> Message:
+    """The same for a ground station: the app's own share of the whole processor, its memory, the disk."""
+    cores, share = os.cpu_count() or 1, status.cpu_percent
+    total_mb = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / _MEGABYTE
+    storage = None
+    if status.disk_free_mb is not None:
+        total = shutil.disk_usage(folder or Path("/")).total / _MEGABYTE
+        storage = (total - status.disk_free_mb, total)
+    return computer_status(
+        round(1e6 * unix_s),
+        round(1e3 * up_s) % 2**32,
+        None if share is None else share / cores,
+        status.temperature_deg_c,
+        (status.memory_mb, total_mb),
+        storage,
+    )
 
 
 def throttled() -> tuple[str, ...] | None:

@@ -9,9 +9,8 @@ from pydantic import BaseModel, ConfigDict
 
 from companion.app.app import App
 from companion.app.service.computer_status import ComputerStatus
-from companion.base.messages import Notice
+from companion.base.messages import InputUse, Notice
 from companion.base.second_sources import SourceState, judged
-from companion.estimate.input_counts import InputCount
 from companion.flightlog.meter import Meter, Rate
 
 # the log's topics that are inputs, and how old the newest may be before something is wrong (s)
@@ -22,6 +21,7 @@ INPUTS: Final = {
     "range": ("ultrasonic", math.inf),  # no echo from high up is no fault
     "frame_report": ("camera", 1.0),
 }
+UNUSED_IN_A_ROW: Final = 10
 LATE_SHARE: Final = 0.05
 LEAST_DISK_MB: Final = 200.0
 SHOWN_EVENTS: Final = 8
@@ -32,7 +32,11 @@ class _Model(BaseModel):
 
 
 class InputReport(_Model):
-    """One input; `silent`: for longer than it may be. `refused_for`: why one was refused last."""
+    """One input; `silent`: for longer than it may be.
+
+    `used` and `refused` count what the estimator has done with it; `unused`: it has come and been refused
+    for so many in a row that it is no help now, for the last `reason`.
+    """
 
     name: str
     rate_hz: float
@@ -40,7 +44,8 @@ class InputReport(_Model):
     silent: bool
     used: int = 0
     refused: int = 0
-    refused_for: str = ""
+    unused: bool = False
+    reason: str = ""
 
 
 class SourceReport(_Model):
@@ -78,6 +83,7 @@ class StateReport(_Model):
     battery_percent: float | None
     inputs: tuple[InputReport, ...]
     aligned: bool
+    estimate_problem: str | None = None
     attitude_std_deg: float | None
     velocity_std_m_s: float | None
     position_std_m: float | None
@@ -98,7 +104,8 @@ def state_report(
 ) -> StateReport:
     """The app's state now; times are the loop's (s)."""
     autopilot, vehicle, pad = app.session.state, app.estimator.vehicle(now_s), app.estimator.pad(now_s)
-    rates, order, counts = meter.rates(now_s), app.missions.order, app.estimator.input_counts
+    rates, order = meter.rates(now_s), app.missions.order
+    uses = {use.name: use for use in app.estimator.tally.uses()}
     share = autopilot.battery_share
     return StateReport(
         phase=app.phase.value,
@@ -114,12 +121,13 @@ def state_report(
                 rate_hz=rates[topic].rate_hz,
                 age_s=rates[topic].age_s,
                 silent=rates[topic].age_s > oldest_s,
-                **_counted(counts.get("sighting" if topic == "frame_report" else topic)),
+                **_use(uses.get(topic)),
             )
             for topic, (name, oldest_s) in INPUTS.items()
             if topic in rates
         ),
         aligned=vehicle is not None and vehicle.aligned,
+        estimate_problem=app.missions.estimate_problem(now_s),
         attitude_std_deg=None if vehicle is None else math.degrees(vehicle.attitude_std_rad),
         velocity_std_m_s=None if vehicle is None else vehicle.velocity_std_m_s,
         position_std_m=None if vehicle is None else vehicle.position_std_m,
@@ -141,8 +149,11 @@ def state_report(
     )
 
 
-def _counted(count: InputCount | None) -> dict[str, Any]:
-    return {} if count is None else dict(zip(("used", "refused", "refused_for"), count, strict=True))
+def _use(use: InputUse | None) -> dict[str, Any]:
+    if use is None:
+        return {}
+    unused = use.refused_in_a_row >= UNUSED_IN_A_ROW
+    return {"used": use.used, "refused": use.refused, "unused": unused, "reason": use.reason}
 
 
 def _event(notice: Notice, start_s: float) -> Event:
@@ -157,6 +168,10 @@ def _problems(app: App, rates: dict[str, Rate], machine: ComputerStatus, now_s: 
         if topic in rates and rates[topic].age_s > oldest_s:
             age_s = rates[topic].age_s
             found.append(f"{name}: silent for {age_s:.{0 if age_s >= 10.0 else 1}f} s")
+    for use in app.estimator.tally.uses():
+        known = use.name in INPUTS and use.name != "range"  # an echo is of use over the pad only
+        if known and use.refused_in_a_row >= UNUSED_IN_A_ROW and rates[use.name].age_s <= INPUTS[use.name][1]:
+            found.append(f"{INPUTS[use.name][0]}: not used: {use.reason}")
     if app.loop_monitor.late_share > LATE_SHARE:
         found.append(f"{100.0 * app.loop_monitor.late_share:.0f} % of the control cycles come late")
     if machine.throttled:

@@ -26,6 +26,7 @@ from companion.plan.mission.inputs import ComputerLoad
 
 BUFFER_S: Final = 1.0  # Linux' usual buffer holds more than this
 _LOOK_S: Final = 0.02
+LATELY: Final = 90  # three seconds
 CYCLES: Final = 600  # twenty seconds at 30 Hz
 LATELY: Final = 30  # cycles, by which the computer is judged
 HELD_UP_CYCLES: Final = 90  # in which an autopilot's failsafe shows
@@ -69,6 +70,11 @@ class LoopMonitor:
     def late_share(self) -> float:
         """Share of the last `CYCLES` that came late by more than half a period: as the machine is now."""
         return sum(self._recent) / max(1, len(self._recent))
+
+    def recently_late(self) -> float:
+        """The same share, of the last `LATELY` cycles: what is so now, and no stall of a minute ago."""
+        lately = list(self._recent)[-LATELY:]
+        return sum(lately) / LATELY
 
     @property
     def load(self) -> ComputerLoad:

@@ -13,6 +13,8 @@ from companion.base.messages.control import (
     Setpoint,
 )
 from companion.base.messages.estimate import (
+    EstimatorInputs,
+    InputUse,
     PadState,
     VehicleState,
 )
@@ -74,10 +76,12 @@ __all__ = [
     "Conditions",
     "ControlReport",
     "DescentCone",
+    "EstimatorInputs",
     "Frame",
     "FrameReport",
     "GpsFix",
     "ImuSample",
+    "InputUse",
     "LandedState",
     "LevelOff",
     "MagSample",

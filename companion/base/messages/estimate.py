@@ -10,6 +10,28 @@ from companion.base.motion import Motion
 
 
 @dataclass(frozen=True, slots=True)
+class InputUse:
+    """How many measurements of an input the estimator has used and refused since its start.
+
+    `refused_in_a_row` counts since the last one used; `reason` is why the last one was refused, "" for none.
+    """
+
+    name: str
+    used: int
+    refused: int
+    refused_in_a_row: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorInputs:
+    """What became of the estimator's inputs until time_s."""
+
+    time_s: float
+    inputs: tuple[InputUse, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class VehicleState:
     """The vehicle at time_s by the 31-state EKF.
 

@@ -14,6 +14,8 @@ from companion.base.messages import AutopilotSetup
 from companion.config import AxisResponse, ControlConfig, KindResponse, TrackingConfig, VehicleConfig
 
 QUICK_S: Final = 0.14
+# an autopilot that does not report its limit may cut anywhere: the least that PX4 accepts (MPC_TILTMAX_AIR)
+CAREFUL_TILT_DEG: Final = 20.0
 HOVER_DIFFERS: Final = 0.15  # as a share: one of the two is wrong
 # the loop's frequency as a share of the ringing's over its peak's square
 RINGING_SHARE: Final = 0.3
@@ -24,10 +26,12 @@ def fitted(
 ) -> ControlConfig:
     """The settings, of one kind of setpoint, for this response; `setup` is what the autopilot itself says.
 
-    Its limits on acceleration and jerk bind velocity setpoints alone; its tilt binds all.
+    Its limits on acceleration and jerk bind velocity setpoints alone; its tilt binds all. A tilt that it was
+    asked for and does not report is a careful one.
     """
+    unknown_deg = None if setup is None else CAREFUL_TILT_DEG
     setup = setup or AutopilotSetup()
-    bounds = {"tilt_deg": setup.tilt_deg}
+    bounds = {"tilt_deg": unknown_deg if setup.tilt_deg is None else setup.tilt_deg}
     if config.setpoint == "velocity":
         bounds["horizontal_acceleration_m_s2"] = setup.acceleration_m_s2 or response.acceleration_m_s2
         bounds["jerk_m_s3"] = setup.jerk_m_s3 or response.jerk_m_s3
@@ -50,6 +54,11 @@ def misfits(config: ControlConfig, vehicle: VehicleConfig, setup: AutopilotSetup
         found.append(
             f"hover thrust: the autopilot's is {own:.2f}, vehicle '{vehicle.name}' says "
             f"{vehicle.hover_thrust:.2f}; by attitude what holds it in the air is taken"
+        )
+    if setup.tilt_deg is None and config.limits.tilt_deg > CAREFUL_TILT_DEG:
+        found.append(
+            "tilt: the autopilot does not report its limit (another version's name, or a slow link); "
+            f"{CAREFUL_TILT_DEG:.0f} deg is taken"
         )
     if setup.tilt_deg is not None and setup.tilt_deg < config.limits.tilt_deg:
         found.append(

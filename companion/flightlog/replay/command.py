@@ -7,18 +7,18 @@ from typing import Annotated, Final
 
 import typer
 
-from companion.base.files import must_be_readable, must_exist
+from companion.base.files import must_be_readable, must_exist, unpacked
 
 HELP: Final = """Run the estimators again over a recorded log, and hold them against what was recorded.
 
-LOG is a flight's folder or its flight.mcap, an ArduPilot .bin, or a PX4 .ulg.
+LOG is a flight's folder, its flight.mcap or exported zip, an ArduPilot .bin, or a PX4 .ulg.
 
 \b
 companion replay flights/circle
 companion replay flights/circle --config mine.yaml -o compared
 companion replay 00000042.BIN
 """
-EXPECTED: Final = "expected a flight's folder, a flight.mcap, an ArduPilot .bin or a PX4 .ulg"
+EXPECTED: Final = "expected a flight's folder, flight.mcap or zip, an ArduPilot .bin or a PX4 .ulg"
 
 
 def replay_command(
@@ -45,4 +45,5 @@ def replay_command(
         must_be_readable(config)
     from companion.flightlog.replay.job import replay_and_show  # noqa: PLC0415 - see above
 
-    replay_and_show(log, output, config)
+    with unpacked(log) as flight:
+        replay_and_show(flight, output, config)

@@ -10,13 +10,14 @@ from typing import Final
 from rich.console import Console
 from rich.progress import Progress
 
+from companion.base.files import replaced
 from companion.config import ConfigError
 from companion.flightlog.log_file import LOG_NAMES, log_file
 from companion.flightlog.replay.compare import ReplayResult, build_result
 from companion.flightlog.replay.flight_record import FlightRecord
 from companion.flightlog.replay.plots import replay_lines, replay_table, write_plots
 from companion.flightlog.replay.reading import read_log
-from companion.flightlog.replay.refusal import why_unaligned
+from companion.flightlog.replay.refusal import shortcomings, why_unaligned
 from companion.flightlog.replay.run import Replayed, replay
 from companion.flightlog.replay.settings import Choice, choose
 from companion.flightlog.version import versions
@@ -52,6 +53,7 @@ def _result(log: Path, record: FlightRecord, replayed: Replayed, choice: Choice)
     if not replayed.vehicles:
         why = why_unaligned(record.events, choice.rig.config.estimate.alignment)
         raise ConfigError(f"{log}: the estimators never aligned: {why}")
+    record.notes += shortcomings(record.events)
     if record.kind == "companion" and record.rig is None:
         record.notes.append(f"the log holds no settings (an older version's): replayed under {choice.name}")
     result = build_result(
@@ -80,9 +82,8 @@ def _new_folder(folder: Path) -> Path:
 
 
 def _write(path: Path, text: str) -> None:
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    with replaced(path) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 @contextmanager

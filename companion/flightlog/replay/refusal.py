@@ -1,8 +1,12 @@
-"""Why the estimators never aligned over a log, in words: the IMU's rate, its gaps, no rest. Pure."""
+"""What a log lacks for a replay, and why the estimators never aligned over one, in words. Pure.
+
+What a log needs is documented in docs/replay.md: the IMU's rate, no gaps in it, a rest.
+"""
 
 from __future__ import annotations
 
 import itertools
+import statistics
 from collections.abc import Sequence
 from typing import Final
 
@@ -12,6 +16,7 @@ from companion.estimate.ahrs.alignment import BLOCK_S, StillnessDetector
 from companion.estimate.vehicle.vehicle_estimator import LOST_S
 from companion.flightlog.replay.flight_record import RecordedEvent
 
+RATE_TOLERANCE: Final = 0.02  # an oscillator's, and rounded stamps
 LEAST_IMU_HZ: Final = 3.0 / BLOCK_S  # a block of the stillness detector holds three samples at least
 
 
@@ -23,23 +28,35 @@ def why_unaligned(events: Sequence[RecordedEvent], alignment: AlignmentConfig) -
     if len(times) < 2 or not fields:
         return f"{len(times)} samples of the IMU and {fields} of the magnetometer; expected a stream of each"
     span_s = max(times) - min(times)
-    rate_hz = (len(times) - 1) / span_s if span_s > 0.0 else 0.0
-    gap_s, gap_at_s = max((b - a, a) for a, b in itertools.pairwise(times))
     rest_s, moving_s = _longest_rest_s(imu, alignment), alignment.timeout_s + alignment.still_s
-    reasons = []
-    if rate_hz < LEAST_IMU_HZ:
-        reasons.append(f"the IMU comes at {rate_hz:.0f} Hz; expected at least {LEAST_IMU_HZ:.0f}")
-    if gap_s > LOST_S:
-        reasons.append(
-            f"the IMU is silent for {gap_s:.1f} s, {gap_at_s - times[0]:.1f} s after its start; "
-            f"expected no gap beyond {LOST_S:g} s"
-        )
+    reasons = shortcomings(events)
     if rest_s < alignment.still_s:
         reasons.append(
             f"it is at rest for {rest_s:.1f} s at most and {span_s:.1f} s long; expected "
             f"{alignment.still_s:g} s at rest, or more than {moving_s:g} s in motion"
         )
     return "; ".join(reasons) or "the accelerometer or the magnetometer measures nothing (zeros)"
+
+
+def shortcomings(events: Sequence[RecordedEvent]) -> list[str]:
+    """In what the log's IMU falls short of what a replay needs; what was expected with each."""
+    times = [event.item.time_s for event in events if isinstance(event.item, ImuSample)]
+    steps = [(b - a, a - times[0]) for a, b in itertools.pairwise(times)]
+    if not steps:
+        return []
+    found = []
+    typical_s = statistics.median(step_s for step_s, _ in steps)  # a gap is not a rate
+    if typical_s * LEAST_IMU_HZ > 1.0 + RATE_TOLERANCE:
+        found.append(f"the IMU comes at {1.0 / typical_s:.0f} Hz; expected at least {LEAST_IMU_HZ:.0f}")
+    gaps = [step for step in steps if step[0] > LOST_S]
+    if gaps:
+        gap_s, at_s = max(gaps)
+        more = "" if len(gaps) == 1 else f", and {len(gaps) - 1} more of its gaps are too long"
+        found.append(
+            f"the IMU is silent for {gap_s:.1f} s, {at_s:.1f} s after its start{more}; "
+            f"expected no gap beyond {LOST_S:g} s"
+        )
+    return found
 
 
 def _longest_rest_s(imu: Sequence[ImuSample], alignment: AlignmentConfig) -> float:

@@ -8,7 +8,7 @@ from typing import Annotated, Final
 
 import typer
 
-from companion.base.files import must_be_readable
+from companion.base.files import must_be_readable, unpacked
 from companion.config import ConfigError
 from companion.flightlog.log_file import LOG_NAMES, log_file
 
@@ -19,15 +19,18 @@ The page needs no network and no other file, so it can be sent by mail.
 \b
 companion report flights/circle
 companion report flights/flight-0007 -o flight.html
+companion report flight-0007.zip
 """
-EXPECTED: Final = "a flight's folder or its flight.mcap"
+EXPECTED: Final = "a flight's folder, its flight.mcap or its exported zip"
 NO_PLOTLY: Final = "needs plotly; expected it installed: pip install 'companion[report]'"
 
 
 def report_command(
     folder: Annotated[
         Path,
-        typer.Argument(metavar="DIR", help="A flight's folder, or its flight.mcap.", show_default=False),
+        typer.Argument(
+            metavar="DIR", help="A flight's folder, its flight.mcap or exported zip.", show_default=False
+        ),
     ],
     output: Annotated[
         Path | None,
@@ -39,11 +42,15 @@ def report_command(
     Raises:
         ConfigError: there is no flight, plotly is missing, or the page cannot be written.
     """
-    file = log_file(folder)
-    must_be_readable(file)
-    if file.name != LOG_NAMES[0]:
-        raise ConfigError(f"{folder}: another file; expected {EXPECTED}")
-    typer.echo(write_report(file.parent, output))
+    with unpacked(folder) as flight:
+        file = log_file(flight)
+        must_be_readable(file)
+        if file.name != LOG_NAMES[0]:
+            raise ConfigError(f"{folder}: another file; expected {EXPECTED}")
+        beside = (
+            None if flight == folder else folder.with_suffix(".html")
+        )  # of a zip file, which stays as it is
+        typer.echo(write_report(file.parent, output or beside))
 
 
 def write_report(folder: Path, output: Path | None = None, bounds: Mapping[str, float] | None = None) -> Path:

@@ -20,7 +20,6 @@ from companion.flightlog.report.logged_flight import LoggedFlight
 from companion.flightlog.report.phases import PhaseSpan, phase_spans
 from companion.flightlog.report.plots import (
     ESTIMATE_COLOUR,
-    GROUP_COLOURS,
     GROUP_NAMES,
     OBSTACLE_COLOUR,
     PAD_COLOUR,
@@ -28,6 +27,7 @@ from companion.flightlog.report.plots import (
     outline_m,
 )
 from companion.flightlog.result import setpoint_delays_s
+from companion.pad.colours import GROUP_COLOURS
 
 HEIGHT_PX: Final = 330
 PATH_HEIGHT_PX: Final = 560
@@ -199,16 +199,17 @@ def stated_figure(flight: LoggedFlight) -> go.Figure | None:
     vehicles, pads = flight.kept.get("vehicle", ()), flight.kept.get("pad", ())
     if not vehicles:
         return None
-    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
+    # a plot for each unit: degrees and metres have no scale in common
+    figure = make_subplots(rows=4, cols=1, shared_xaxes=True, vertical_spacing=0.04)
     times = [v.time_s for v in vehicles]
     attitude = [math.degrees(v.attitude_std_rad) for v in vehicles]
-    _line(figure, times, attitude, VEHICLE_COLOUR, "attitude (°)", 1)
-    _line(figure, times, [v.velocity_std_m_s for v in vehicles], "#b9770e", "velocity (m/s)", 1)
-    _dots(figure, pads, [pad.position_std_m for pad in pads], ESTIMATE_COLOUR, "pad position (m)", 2)
-    _dots(figure, pads, [pad.velocity_std_m_s for pad in pads], "#148f77", "pad velocity (m/s)", 2)
+    _line(figure, times, attitude, VEHICLE_COLOUR, "attitude", 1)
+    _line(figure, times, [v.velocity_std_m_s for v in vehicles], "#b9770e", "velocity", 2)
+    _dots(figure, pads, [pad.position_std_m for pad in pads], ESTIMATE_COLOUR, "pad position", 3)
+    _dots(figure, pads, [pad.velocity_std_m_s for pad in pads], "#148f77", "pad velocity", 4)
     figure.update_yaxes(type="log", dtick="D2")  # labels at 1, 2, 5: all nine overprint
-    _label_rows(figure, "vehicle", "pad")
-    figure.update_layout(height=int(1.6 * HEIGHT_PX))
+    _label_rows(figure, "attitude (°)", "velocity (m/s)", "pad position (m)", "pad velocity (m/s)")
+    figure.update_layout(height=int(2.4 * HEIGHT_PX))
     return _over_time(figure, flight)
 
 

@@ -16,10 +16,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from companion.base.geometry import FloatArray
-from companion.base.messages import FrameReport, PlanStep, Truth
+from companion.base.messages import FrameReport, Phase, PlanStep, Truth
 from companion.config import Cylinder, Shape
 from companion.flightlog.errors import TruthTrack, estimate_errors, sighting_errors_body_m
 from companion.flightlog.report.phases import PhaseSpan, phase_spans, spread_out
+from companion.pad.colours import GROUP_COLOURS
 
 mpl.use("Agg")
 
@@ -27,13 +28,21 @@ VEHICLE_COLOUR: Final = "#c0392b"
 PAD_COLOUR: Final = "#27ae60"
 OBSTACLE_COLOUR: Final = "#7f8c8d"
 ESTIMATE_COLOUR: Final = "#2471a3"
-GROUP_COLOURS: Final = {"F": "#7d3c98", "M": "#d68910", "C": "#148f77"}
+# of each plot: what it shows, over what the flight was
+TITLES: Final = {
+    "path.png": "paths of vehicle and pad",
+    "height.png": "height over the pad, and sink rate",
+    "lateral.png": "distance from the pad's centre",
+    "detections.png": "markers accepted, by group",
+    "estimators.png": "errors of the estimates against the truth",
+}
+LEAST_DISTANCE_CM: Final = 0.01  # a logarithm has no zero
 GROUP_NAMES: Final = {"F": "far", "M": "medium", "C": "close"}
 SIZE_IN: Final = (9.0, 6.5)
 # of the strip with the phases' names, in parts of a plot's height; and of a name written upright, in inches
 STRIP_SHARE: Final = 0.28
-NAME_WIDTH_IN: Final = 0.13
-NAME_SIZE: Final = 7
+NAME_WIDTH_IN: Final = 0.16
+NAME_SIZE: Final = 9
 MOST_TICKS: Final = 7  # of an axis in three dimensions
 
 
@@ -43,8 +52,11 @@ def write_plots(
     truth: Sequence[Truth],
     obstacles: Sequence[Shape] = (),
     title: str = "",
+    pass_lateral_m: float | None = None,
 ) -> list[Path]:
     """Draw all plots into a folder and return their paths; the obstacles (from home) go into `path.png`.
+
+    `pass_lateral_m` is what passes at touchdown, drawn as a line.
 
     Raises:
         ValueError: fewer than two records of truth.
@@ -53,14 +65,14 @@ def write_plots(
     drawings: dict[str, Callable[[Figure], None]] = {
         "path.png": lambda figure: draw_path(figure, track, obstacles),
         "height.png": lambda figure: draw_height(figure, track, kept),
-        "lateral.png": lambda figure: draw_lateral(figure, track, kept),
+        "lateral.png": lambda figure: draw_lateral(figure, track, kept, pass_lateral_m),
         "detections.png": lambda figure: draw_detections(figure, track, kept),
         "estimators.png": lambda figure: draw_estimators(figure, track, kept),
     }
     paths = []
     for name, draw in drawings.items():
         figure = Figure(figsize=SIZE_IN, dpi=110, layout="constrained")
-        figure.suptitle(title)
+        figure.suptitle(f"{TITLES[name]}\n{title}" if title else TITLES[name])
         draw(figure)
         paths.append(folder / name)
         figure.savefig(paths[-1])
@@ -145,18 +157,26 @@ def draw_height(figure: Figure, track: TruthTrack, kept: Mapping[str, Sequence[A
     _legend_below(figure, top)
 
 
-def draw_lateral(figure: Figure, track: TruthTrack, kept: Mapping[str, Sequence[Any]]) -> None:
+def draw_lateral(
+    figure: Figure,
+    track: TruthTrack,
+    kept: Mapping[str, Sequence[Any]],
+    pass_lateral_m: float | None = None,
+) -> None:
     """Horizontal distance to the pad's centre, true and estimated, on a logarithmic scale."""
     (axes,) = _over_time(figure, 1, kept)
     times = track.time_s
     offset = (track.at("position", times) - track.at("pad_position", times))[:, :2]
-    distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-3)
+    distance = np.maximum(100.0 * np.linalg.norm(offset, axis=1), LEAST_DISTANCE_CM)
     axes.semilogy(times, distance, color=VEHICLE_COLOUR, label="truth")
     pads = kept.get("pad", ())
     estimated = np.array([pad.relative_position_ned_m[:2] for pad in pads]).reshape(-1, 2)
-    distance = np.maximum(np.linalg.norm(estimated, axis=1), 1e-3)
+    distance = np.maximum(100.0 * np.linalg.norm(estimated, axis=1), LEAST_DISTANCE_CM)
     _dots(axes, [pad.time_s for pad in pads], distance, ESTIMATE_COLOUR, "pad filter")
-    axes.set_ylabel("lateral distance to the pad's centre (m)")
+    if pass_lateral_m is not None:
+        axes.axhline(100.0 * pass_lateral_m, color="#b80000", linestyle="--", label="passes below this")
+    axes.set_ylabel("lateral distance to the pad's centre (cm)")
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda distance_cm, _: f"{distance_cm:g}"))
     axes.grid(visible=True, which="both", alpha=0.2)
     _legend_below(figure, axes)
 
@@ -171,7 +191,7 @@ def draw_detections(figure: Figure, track: TruthTrack, kept: Mapping[str, Sequen
     times = np.array([report.time_s for report in reports])
     heights = (track.at("pad_position", times) - track.at("position", times))[:, 2]
     for group, colour in GROUP_COLOURS.items():
-        counts = np.array([report.marker_count.get(group, 0) for report in reports])  # type: ignore[call-overload]
+        counts = np.array([report.marker_count.get(group, 0) for report in reports])
         seen = counts > 0
         _dots(top, times[seen], counts[seen], colour, f"{group} ({GROUP_NAMES[group]})")
         _dots(bottom, heights[seen], counts[seen], colour)
@@ -233,11 +253,25 @@ def _over_time(figure: Any, rows: int, kept: Mapping[str, Sequence[Any]]) -> lis
     for span in spans:
         for axes in grid:
             axes.axvspan(span.start_s, span.end_s, color=span.colour, alpha=0.22, linewidth=0.0)
+    _mark_touchdown(grid, spans)
     if spans:
         strip.set_xlim(spans[0].start_s, spans[-1].end_s)
         strip.margins(x=0.0)
         _name_phases(strip, spans)
     return list(grid)
+
+
+def _mark_touchdown(grid: Sequence[Any], spans: Sequence[PhaseSpan]) -> None:
+    """A line where the landing was found to be over; named once."""
+    landed_s = next((span.start_s for span in spans if span.phase is Phase.LANDED), None)
+    if landed_s is None:
+        return
+    for axes in grid:
+        axes.axvline(landed_s, color="black", linestyle=":", linewidth=1.0)
+    grid[0].annotate(
+        "landed", (landed_s, 1.0), xycoords=("data", "axes fraction"), xytext=(-4, -4),
+        textcoords="offset points", ha="right", va="top", fontsize=9, rotation=90,
+    )  # fmt: skip
 
 
 def _name_phases(strip: Any, spans: Sequence[PhaseSpan]) -> None:

@@ -55,7 +55,7 @@ def not_ready(inputs: PlanInputs, mission: MissionConfig, now_s: float) -> Itera
     for problem in (inputs.computer.problem, inputs.leg_problem):
         if problem is not None:
             yield problem
-    yield from _estimate(inputs.vehicle, mission, now_s)
+    yield from estimate_problems(inputs.vehicle, mission, now_s)
     for _, words in refused(inputs.comparisons):
         yield words
 
@@ -96,7 +96,8 @@ def _autopilot(autopilot: AutopilotState, mission: MissionConfig) -> Iterator[st
         yield f"battery critical: {100.0 * share:.0f} % left"
 
 
-def _estimate(vehicle: VehicleState | None, mission: MissionConfig, now_s: float) -> Iterator[str]:
+def estimate_problems(vehicle: VehicleState | None, mission: MissionConfig, now_s: float) -> Iterator[str]:
+    """What stands against flying by an estimate of the vehicle."""
     if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > _STALE_S:
         yield "no fresh estimate of the vehicle"
     elif vehicle.origin is None:

@@ -7,6 +7,7 @@ stands in its own module, and in docs/cameras.md for users.
 Sources, as in `sense.vision.source`:
 
     v4l2:0                            /dev/video0                             camera_v4l2
+    v4l2:/dev/v4l/by-id/NAME          the same camera after each start        camera_v4l2
     picamera2:0                       libcamera's first camera                camera_picamera2
     video:flight.mp4                  a video file, in real time              camera_replay
     images:frames                     a folder of images, in real time        camera_replay
@@ -33,13 +34,15 @@ from companion.sense.camera.health import patience_with
 from companion.sense.camera.keeper import KeptCamera, LiveSource
 from companion.sense.camera.picamera import Picamera2Device
 from companion.sense.camera.reader import MakeDevice, OpeningHangs, ThreadedCamera
-from companion.sense.camera.v4l2 import V4l2Device
+from companion.sense.camera.v4l2 import V4l2Device, device_number
 
 DEVICE_FORM: Final = re.compile(
-    r"(?P<kind>v4l2|picamera2):(?P<number>\d{1,4})|(?P<recording>video|images):(?P<path>.+)"
+    r"(?P<kind>v4l2|picamera2):(?P<number>\d{1,4})|v4l2:(?P<device>/.+)"
+    r"|(?P<recording>video|images):(?P<path>.+)"
 )
 EXPECTED: Final = (
-    "expected v4l2:NUMBER, picamera2:NUMBER, video:FILE, images:FOLDER, socket:PATH or tcp:HOST:PORT"
+    "expected v4l2:NUMBER, picamera2:NUMBER, v4l2:/dev/v4l/by-id/NAME, video:FILE, images:FOLDER, "
+    "socket:PATH or tcp:HOST:PORT"
 )
 
 
@@ -114,8 +117,10 @@ def _maker(spec: str, camera: CaptureConfig) -> MakeDevice:
     if form["recording"] is not None:
         open_recording = open_video if form["recording"] == "video" else open_folder
         return partial(open_recording, Path(form["path"]), camera, clock)
-    device = V4l2Device if form["kind"] == "v4l2" else Picamera2Device
-    return lambda _: device(int(form["number"]), camera, clock)
+    if form["kind"] == "picamera2":
+        return lambda _: Picamera2Device(int(form["number"]), camera, clock)
+    # the link of a camera is resolved whenever it is opened: its number changes
+    return lambda _: V4l2Device(device_number(form["device"] or form["number"]), camera, clock)
 
 
 def at_exposure(frame: Frame, time_offset_s: float) -> Frame:

@@ -14,6 +14,7 @@ uvc_video_decode_start; OpenCV's cap_v4l.cpp, getProperty.
 from __future__ import annotations
 
 import os
+import re
 from collections import deque
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -32,6 +33,7 @@ UNSUPPORTED: Final = -1.0  # what OpenCV answers for a control that a driver has
 SETTLED: Final = 0.1  # a driver may round what it is set to by this share
 # so many frames in a row that cannot be had: one may be a damaged JPEG
 MOST_FAILURES: Final = 3
+DEVICE: Final = re.compile(r"/dev/video(?P<number>\d{1,4})")
 DRIVERS: Final = Path("/sys/class/video4linux")
 # how long OpenCV waits for a frame, in whole seconds; so long a stalled camera stays taken: by itself 10 s
 WAIT_VARIABLE: Final = "OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT"
@@ -169,6 +171,23 @@ def stamp_point(camera: CaptureConfig, driver: str) -> StampPoint:
     if camera.stamped_at != "auto":
         return camera.stamped_at
     return "start_of_readout" if driver == "uvcvideo" else "end_of_readout"
+
+
+def device_number(name: str) -> int:
+    """N of /dev/videoN, by number or by a path: udev's links in /dev/v4l/by-id stay when N changes.
+
+    Raises:
+        DeviceMissing: no video device is there.
+    """
+    if name.isdecimal():
+        return int(name)
+    form = DEVICE.fullmatch(os.path.realpath(name))
+    if form is None:
+        raise DeviceMissing(
+            f"sense.vision.source: v4l2:{name}: no camera there; expected one that is connected, "
+            "by a path as ls /dev/v4l/by-id shows"
+        )
+    return int(form["number"])
 
 
 def driver_name(number: int) -> str:

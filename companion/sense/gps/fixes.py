@@ -97,6 +97,23 @@ def fix_from_sol(time_s: float, sol: Any, geoid_separation_m: float | None) -> G
     )
 
 
+def fix_from_pvt(time_s: float, pvt: Any) -> GpsFix | None:
+    """One fix of NAV-PVT (mm, mm/s and 1e-7 degrees in u-blox's units)."""
+    if pvt.fixType not in _FIX_3D or not pvt.gnssFixOk:
+        return None
+    return GpsFix(
+        time_s=time_s,
+        latitude_deg=float(pvt.lat),
+        longitude_deg=float(pvt.lon),
+        altitude_m=pvt.hMSL / 1000.0,
+        velocity_ned_m_s=(pvt.velN / 1000.0, pvt.velE / 1000.0, pvt.velD / 1000.0),
+        horizontal_accuracy_m=pvt.hAcc / 1000.0,
+        vertical_accuracy_m=pvt.vAcc / 1000.0,
+        speed_accuracy_m_s=pvt.sAcc / 1000.0,
+        satellites=int(pvt.numSV),
+    )
+
+
 def fix_from_nmea(time_s: float, rmc: Any, gga: Any) -> GpsFix | None:
     """One fix of RMC and GGA; the vertical speed is not in them: 0, and as good as unknown."""
     numbers = (gga.lat, gga.lon, gga.alt, gga.HDOP, gga.numSV, rmc.spd)

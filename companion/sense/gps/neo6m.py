@@ -1,22 +1,20 @@
-"""The NEO-6M GPS receiver: its settings as UBX commands, its bytes to fixes. No input or output here.
+"""A u-blox GPS receiver (NEO-6M to M10): its settings as UBX commands, its bytes to fixes. No I/O.
 
 It wakes up at 1 Hz with NMEA at 9600 baud; its baud rate is found and moved to `config.baud` (`baud_rate`),
 then it is asked for NAV-POSLLH, -VELNED, -SOL, -STATUS and -DOP at `config.rate_hz` and no NMEA
 (`commands`; u-blox 6 Receiver Description GPS.G6-SW-10018). The messages of one epoch carry the same time
-of week (iTOW) and make one fix (`fixes`). Until the commands are obeyed, or on a receiver that does not
-know them, NMEA's RMC and GGA serve; on one that sends NAV-SOL and no other position, that.
+of week (iTOW) and make one fix (`fixes`). One that refuses NAV-SOL or does not send it (M9 and later) is
+asked for NAV-PVT. Until fixes come so, or on a receiver that knows none of it, NMEA's RMC and GGA serve; on
+one that sends NAV-SOL and no other position, that.
 """
 
 from __future__ import annotations
 
-import datetime
 import math
 import struct
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from pynmeagps import NMEAReader
-from pynmeagps.exceptions import NMEAMessageError, NMEAParseError, NMEATypeError
 from pyubx2 import UBXReader
 
 from companion.base.messages import GpsFix
@@ -24,26 +22,38 @@ from companion.config import GpsConfig
 from companion.sense.gps.baud_rate import SILENCE_S, BaudRate
 from companion.sense.gps.commands import (
     FIX_MESSAGES,
+    NEXT_DIALECT,
+    PVT_MESSAGE,
     TRUST_MESSAGES,
+    VERSION_REQUEST,
+    Dialect,
     command_name,
-    configuration,
+    conclusion,
     port_command,
+    receiver_name,
+    trial,
 )
-from companion.sense.gps.fixes import EpochClock, fix_from_nmea, fix_from_sol, fix_from_ubx, has_fix
+from companion.sense.gps.fixes import (
+    EpochClock,
+    fix_from_nmea,
+    fix_from_pvt,
+    fix_from_sol,
+    fix_from_ubx,
+    has_fix,
+)
 from companion.sense.gps.framing import UBX_OVERHEAD, FrameSplitter, GpsMessage
+from companion.sense.gps.sentences import parse_sentence, seconds_of_day
 
 ANSWER_TIMEOUT_S: Final = 1.0  # at 9600 baud a receiver's second of NMEA stands before the answer
 TRIES: Final = 5
 
 _ACK_ACK, _ACK_NAK = b"\x05\x01", b"\x05\x00"
-_PARTS: Final = FIX_MESSAGES | TRUST_MESSAGES
-_LENGTHS: Final = {"POSLLH": 28, "STATUS": 16, "DOP": 18, "SOL": 52, "VELNED": 36}
+_VERSION: Final = b"\x0a\x04"
+_REFUSED_FIX: Final = frozenset(FIX_MESSAGES) | frozenset(PVT_MESSAGE)
+_PARTS: Final = FIX_MESSAGES | PVT_MESSAGE | TRUST_MESSAGES
+_LENGTHS: Final = {"PVT": 92, "POSLLH": 28, "STATUS": 16, "DOP": 18, "SOL": 52, "VELNED": 36}
 _SENTENCES: Final = (b"RMC", b"GGA", b"GSA")
-_FIELDS: Final = {
-    "GSA": ("navMode",),
-    "RMC": ("time", "status", "spd", "cog"),
-    "GGA": ("time", "lat", "lon", "alt", "HDOP", "numSV", "quality"),
-}
+ONLY_NMEA: Final = "sends no UBX fixes; NMEA serves, without vertical speed"
 _SOL_ONLY_EPOCHS: Final = 2  # so many without another position are no accident of the line
 
 
@@ -67,12 +77,18 @@ class Neo6m:
         self._config = config
         self._line = BaudRate(config.baud)
         self._splitter = FrameSplitter(config.baud)
-        self._commands = configuration(config, config.baud)
+        self._dialect: Dialect = "sol"
+        self._commands = trial(config, config.baud)
+        self._concluded = False
+        self._tried_s: float | None = None
+        self._fix_refused = False
+        self.name = "NEO-6M"  # until it says what it is
+        self._named = False
         self._next = 0
         self._tries = 0
         self._asked_s: float | None = None
         self._quiet_since_s: float | None = None
-        self._ubx_seen = False
+        self._ubx_seen = self._nmea_seen = False  # whole epochs
         self._ubx_epoch_s = -math.inf
         self._epoch = _Epoch()
         self._fixed_epoch_s = -1.0
@@ -99,8 +115,8 @@ class Neo6m:
 
     @property
     def configured(self) -> bool:
-        """Whether every command has been answered."""
-        return self._next >= len(self._commands)
+        """Whether every command has been answered, and fixes come as asked for."""
+        return self._concluded and self._next >= len(self._commands)
 
     # ------------------------------------------------------------ to the receiver
 
@@ -116,10 +132,12 @@ class Neo6m:
         self.problem = self._line_problem(now_s) or self._unanswered or self._refused
         if not self._line.there:
             return port_command(self._line.wanted) if change else b""
+        if not self._concluded and self._next >= len(self._commands):
+            return self._judge_trial(now_s)
         if self.configured or (self._asked_s is not None and now_s - self._asked_s < ANSWER_TIMEOUT_S):
             return b""
         if self._tries >= TRIES:
-            self._unanswered = f"NEO-6M: no answer to {command_name(self._commands[self._next])}"
+            self._unanswered = f"{self.name}: no answer to {command_name(self._commands[self._next])}"
             self.problem = self.problem or self._unanswered
             self._begin_anew()
         self._tries += 1
@@ -131,14 +149,31 @@ class Neo6m:
         before, wanted = self._line.baud, self._line.wanted
         change = self._line.step(now_s, self._message_s)
         if self._line.wanted != wanted:
-            self._refused = f"NEO-6M: stays at {self._line.wanted} baud, asked for {wanted}"
-            self._commands = configuration(self._config, self._line.wanted)
+            self._refused = f"{self.name}: stays at {self._line.wanted} baud, asked for {wanted}"
         if self._line.baud != before:
             self._splitter = FrameSplitter(self._line.baud)
             self._begin_anew()
         return change
 
-    def _begin_anew(self) -> None:
+    def _judge_trial(self, now_s: float) -> bytes:
+        """All that asks for fixes is answered: see whether they come, else ask for others."""
+        if self._tried_s is None:
+            self._tried_s, self._ubx_seen, self._nmea_seen = now_s, False, False
+            return b"" if self._named else VERSION_REQUEST
+        if self._nmea_seen if self._dialect == "nmea" else self._ubx_seen:
+            self._commands = self._commands + conclusion(self._config, self._dialect)
+            self._concluded = True
+            if self._dialect != "sol":
+                self._refused = None if self._dialect == "pvt" else f"{self.name}: {ONLY_NMEA}"
+        elif self._fix_refused or now_s - self._tried_s > SILENCE_S:
+            if not self._named:
+                self.name = "GPS receiver, no NEO-6M"
+            self._begin_anew(NEXT_DIALECT.get(self._dialect, "sol"))
+        return b""
+
+    def _begin_anew(self, dialect: Dialect = "sol") -> None:
+        self._dialect, self._commands = dialect, trial(self._config, self._line.wanted, dialect)
+        self._concluded, self._tried_s, self._fix_refused = False, None, False
         self._next = self._tries = 0
         self._asked_s = self._quiet_since_s = None
 
@@ -150,16 +185,16 @@ class Neo6m:
         if since_s < self._started_s:
             return None
         if self._heard_s < since_s:
-            return "NEO-6M: nothing received: check its power and wiring"
+            return f"{self.name}: nothing received: check its power and wiring"
         if self._message_s < since_s:
-            return f"NEO-6M: no message at {self._config.baud} baud: trying other rates"
+            return f"{self.name}: no message at {self._config.baud} baud: trying other rates"
         if self._fix_s >= since_s:
             return None
-        return "NEO-6M: no fix" + (" to trust" if self._doubted_s >= since_s else "")
+        return f"{self.name}: no fix" + (" to trust" if self._doubted_s >= since_s else "")
 
     def _watch_for_silence(self, now_s: float) -> None:
-        if self._ubx_seen or self._quiet_since_s is None:
-            self._ubx_seen = False
+        if self._ubx_seen or self._nmea_seen or self._quiet_since_s is None:
+            self._ubx_seen = self._nmea_seen = False
             self._quiet_since_s = now_s
         if now_s - self._quiet_since_s > SILENCE_S:
             self._begin_anew()
@@ -168,7 +203,9 @@ class Neo6m:
         if self.configured or self._asked_s is None or message[6:8] != self._commands[self._next][2:4]:
             return
         if message[2:4] == _ACK_NAK:
-            self._refused = f"NEO-6M: refuses {command_name(self._commands[self._next])}"
+            command = self._commands[self._next]
+            self._fix_refused |= command[2:4] == b"\x06\x01" and command[6:8] in _REFUSED_FIX
+            self._refused = f"{self.name}: refuses {command_name(command)}"
         self._unanswered = None
         self._next += 1
         self._tries = 0
@@ -193,6 +230,9 @@ class Neo6m:
         if identity in (_ACK_ACK, _ACK_NAK):
             self._answered(message.data)
             return None
+        if identity == _VERSION:
+            self.name, self._named = receiver_name(message.data[6:-2]), True
+            return None
         part = _PARTS.get(identity)
         if part is None or len(message.data) != _LENGTHS[part] + UBX_OVERHEAD:
             return None
@@ -213,8 +253,20 @@ class Neo6m:
         self._epoch.parts[part] = parsed
         return self._fix_of_epoch() or ended
 
+    def _fix_of_pvt(self) -> GpsFix | None:
+        epoch = self._epoch
+        if epoch.epoch_s == self._fixed_epoch_s:
+            return None
+        self._fixed_epoch_s, self._ubx_epoch_s = epoch.epoch_s, epoch.began_s
+        self._ubx_seen = True
+        pvt = epoch.parts.pop("PVT")
+        valid = bool(pvt.gnssFixOk)
+        return self._trusted(fix_from_pvt(self._time_s(self._ubx_clock, epoch, valid), pvt), epoch.began_s)
+
     def _fix_of_epoch(self) -> GpsFix | None:
         epoch = self._epoch
+        if "PVT" in epoch.parts:
+            return self._fix_of_pvt()
         # a receiver that has hung may repeat itself: a time that stands still is no new fix
         if len(epoch.parts) < len(FIX_MESSAGES) or epoch.epoch_s == self._fixed_epoch_s:
             return None
@@ -243,6 +295,7 @@ class Neo6m:
         self._sol_only_epochs += 1
         if self._sol_only_epochs < _SOL_ONLY_EPOCHS:
             return None
+        self._ubx_seen = True
         sol = epoch.parts["SOL"]
         time_s = self._time_s(self._ubx_clock, epoch, has_fix(sol))
         return self._trusted(fix_from_sol(time_s, sol, self._separation_m), epoch.began_s)
@@ -261,13 +314,13 @@ class Neo6m:
     def _feed_nmea(self, message: GpsMessage) -> GpsFix | None:
         if message.began_s - self._ubx_epoch_s < SILENCE_S or message.data[3:6] not in _SENTENCES:
             return None
-        sentence = _parse_nmea(message.data)
+        sentence = parse_sentence(message.data)
         if sentence is None:
             return None
         if sentence.msgID == "GSA":
             self._nmea_3d = sentence.navMode == 3
             return None
-        epoch_s = _seconds_of_day(sentence.time)
+        epoch_s = seconds_of_day(sentence.time)
         if epoch_s != self._nmea.epoch_s:
             self._nmea = _Epoch(epoch_s, message.began_s)
         self._nmea.parts[sentence.msgID] = sentence
@@ -277,6 +330,7 @@ class Neo6m:
         epoch = self._nmea
         if len(epoch.parts) < 2 or not self._nmea_3d:
             return None
+        self._nmea_seen = True
         parts, epoch.parts = epoch.parts, {}
         time_s = self._time_s(self._nmea_clock, epoch, parts["RMC"].status == "A")
         fix = fix_from_nmea(time_s, parts["RMC"], parts["GGA"])
@@ -285,21 +339,3 @@ class Neo6m:
             self._doubted_s = epoch.began_s
             return None
         return fix
-
-
-def _parse_nmea(data: bytes) -> Any | None:
-    """A sentence, if it can be read, holds the fields that are used and, unless it is GSA, tells the time."""
-    try:
-        sentence = NMEAReader.parse(data)
-    except (NMEAMessageError, NMEAParseError, NMEATypeError, ValueError):
-        return None
-    if sentence is None or sentence.msgID not in _FIELDS:
-        return None  # the parser does not know it, or takes its first letters for a maker's
-    # a short sentence with a right check sum is parsed without the fields that it lacks
-    if not all(hasattr(sentence, name) for name in _FIELDS[sentence.msgID]):
-        return None
-    return sentence if sentence.msgID == "GSA" or isinstance(sentence.time, datetime.time) else None
-
-
-def _seconds_of_day(time: datetime.time) -> float:
-    return time.hour * 3600.0 + time.minute * 60.0 + time.second + time.microsecond * 1e-6

@@ -1,7 +1,9 @@
 """A downward ultrasonic that is asked: the US-100 in serial mode (jumper set). No input or output here.
 
 9600 8N1: 0x55 has it ping; the answer is the distance in millimetres, two bytes, the high one first, at the
-moment of the echo. There is neither a header nor a checksum, so what counts is when bytes come: those before
+moment of the echo. A JSN-SR04T that is asked answers the same question with four bytes: 0xFF, the distance in
+millimetres, the sum of the three: that is recognised and named, but not taken, since its modes differ in when
+they measure. There is neither a header nor a checksum, so what counts is when bytes come: those before
 a question are no answer, and a question whose answer is not whole when the next one is due has none. The
 sensor reckons with the temperature that it measures itself. 0 or a distance beyond the range is "no echo".
 """
@@ -17,6 +19,9 @@ from companion.sense.range.ultrasonic import RANGE_BAUD
 
 ASK: Final = b"\x55"
 ANSWER_BYTES: Final = 2
+FRAME_HEAD: Final = 0xFF
+FRAME_BYTES: Final = 4
+FRAMES_IN_A_ROW: Final = 3  # two bytes of noise behind an answer look like one now and then
 SILENCE_S: Final = 1.0
 SPEED_OF_SOUND_M_S: Final = 340.0  # near enough for when the sound met the ground
 _BITS_PER_BYTE: Final = 10
@@ -37,6 +42,7 @@ class Us100:
         self._buffer = bytearray()
         self._asked_s = -math.inf
         self._waiting = False
+        self._frames = 0
         self._started_s: float | None = None
         self._heard_s = self._answer_s = -math.inf
         self.problem: str | None = None
@@ -45,6 +51,7 @@ class Us100:
         """What to send now: the question when it is due."""
         if now_s - self._asked_s < self._period_s - 1e-6:
             return b""
+        self._note_frame()
         self._buffer.clear()
         self._asked_s = now_s
         self._waiting = True
@@ -58,6 +65,18 @@ class Us100:
         if now_s - max(self._started_s, self._answer_s) > SILENCE_S:
             heard = now_s - self._heard_s <= SILENCE_S
             self.problem = f"ultrasonic: {'no answer in what is' if heard else 'nothing'} received"
+        if self._frames >= FRAMES_IN_A_ROW:
+            self.problem = (
+                "ultrasonic: answers with 4-byte frames, as a JSN-SR04T that is asked; expected a US-100 for "
+                "sense.range.kind polled, or the JSN-SR04T set to send by itself and kind frames"
+            )
+
+    def _note_frame(self) -> None:
+        """Whether all that has come since the last question is a frame of the other kind."""
+        b = self._buffer
+        frame = len(b) == FRAME_BYTES and b[0] == FRAME_HEAD and sum(b[:3]) & 0xFF == b[3]
+        if b:
+            self._frames = self._frames + 1 if frame else 0
 
     def feed(self, data: bytes, received_s: float) -> list[RangeSample]:
         """The echo that `data` completes; `received_s` is when its last byte came.
@@ -65,14 +84,13 @@ class Us100:
         `time_s` is when the sound met the surface: the answer's first bit less half the sound's way.
         """
         self._heard_s = received_s
-        if not self._waiting:
-            return []
-        self._buffer += data
-        if len(self._buffer) < ANSWER_BYTES:
+        answered = not self._waiting
+        self._buffer += data[: FRAME_BYTES + 1 - len(self._buffer)]
+        if answered or len(self._buffer) < ANSWER_BYTES:
             return []
         self._waiting = False
-        if len(self._buffer) > ANSWER_BYTES:
-            return []  # one question has one answer: this is noise, or somebody else's
+        if len(self._buffer) > ANSWER_BYTES or self._buffer[0] == FRAME_HEAD:
+            return []  # one question has one answer: this is noise, or another sensor's; 65 m is none
         self._answer_s = received_s
         distance_m = int.from_bytes(self._buffer, "big") / 1000.0
         if not self._minimum_m <= distance_m <= self._maximum_m:

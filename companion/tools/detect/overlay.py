@@ -9,15 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.base.geometry import FloatArray
-from companion.base.messages import MarkerGroup
-from companion.pad import Pad
+from companion.pad import Pad, colours
 from companion.sense.vision.lens import Lens
 from companion.tools.detect.finder import Found, PadView
 
 # blue, green, red
-GROUP_COLOURS: Final[dict[MarkerGroup, tuple[int, int, int]]] = {
-    "F": (200, 60, 230), "M": (0, 150, 255), "C": (90, 220, 60),
-}  # fmt: skip
+GROUP_COLOURS: Final = {group: colours.bgr(colour) for group, colour in colours.GROUP_COLOURS.items()}
 UNUSED: Final = (40, 40, 220)
 OUTLINE: Final = (255, 180, 0)
 AXES: Final = (("front", (60, 60, 255)), ("right", (80, 220, 80)), ("up", (255, 120, 60)))

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
 
-from companion.base.files import must_exist
+from companion.base.files import must_exist, unpacked
 
 HELP: Final = """Hover thrust and the autopilot's response, from a recorded flight.
 
-LOG is a flight's folder or its flight.mcap. Prints what it finds with its standard deviations, and the lines
-for configs/vehicles and the settings; writes nothing. A number that predicts a flight worse than the assumed
-one is withheld.
+LOG is a flight's folder, its flight.mcap or its exported zip. Prints what it finds with its standard
+deviations, and the lines for configs/vehicles and the settings; writes nothing. A number that predicts a
+flight worse than the assumed one is withheld.
 
 \b
 companion identify flights/circle
@@ -21,7 +22,7 @@ companion identify flights/circle --check flights/line
 
 Exit codes: 0 found, 1 a number was withheld, 2 something to correct, or the flight shows nothing.
 """
-EXPECTED: Final = "expected a flight's folder or its flight.mcap"
+EXPECTED: Final = "expected a flight's folder, its flight.mcap or its exported zip"
 
 
 def identify_command(
@@ -42,4 +43,6 @@ def identify_command(
         must_exist(path, EXPECTED)
     from companion.tools.identify.run import identify_and_show  # noqa: PLC0415 - see above
 
-    raise typer.Exit(0 if identify_and_show(log, check) else 1)
+    with unpacked(log) as flight, nullcontext() if check is None else unpacked(check) as other:
+        found = identify_and_show(flight, other)
+    raise typer.Exit(0 if found else 1)

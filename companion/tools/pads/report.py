@@ -13,13 +13,14 @@ from companion.base.geometry import FloatArray
 from companion.base.messages import MarkerGroup
 from companion.config import CameraConfig, ConfigError
 from companion.pad import Pad
+from companion.pad.colours import GROUP_COLOURS
 from companion.sense.vision.aruco import GROUPS
 from companion.tools.pads.coverage import BLIND_RECALL, PredictedRecall, seen_between
 
 TABLE_HEIGHTS_M: Final = (0.05, 0.08, 0.1, 0.15, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 15.0)
 TICKS_M: Final = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 SURE_RECALL: Final = 0.99
-COLOURS: Final[dict[MarkerGroup, str]] = {"F": "#c0392b", "M": "#27ae60", "C": "#2471a3"}
+COLOURS: Final = GROUP_COLOURS
 NAMES: Final[dict[MarkerGroup, str]] = {"F": "F (far)", "M": "M (medium)", "C": "C (close)"}
 
 

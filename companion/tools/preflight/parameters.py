@@ -1,7 +1,8 @@
 """The autopilot's parameters on which a precision landing depends: what is expected, and why. Pure.
 
-Names and meanings after PX4 1.16 (commander_params.c, multicopter_position_control_*_params.c) and
-ArduCopter 4.6 (Parameters.cpp, AP_MotorsMulticopter.cpp); docs/autopilot-parameters.md has the same table.
+Names and meanings after PX4 1.16 (commander_params.c, multicopter_position_control_*_params.c), PX4 after
+1.17, ArduCopter 4.6 (Parameters.cpp, AP_MotorsMulticopter.cpp) and 4.7 (its list of renamed parameters);
+docs/autopilot-parameters.md has the same table.
 Values keep the autopilot's units. Nothing here is ever written to an autopilot.
 """
 
@@ -148,6 +149,12 @@ def _speed(key: str, pick: Callable[[Wanted], float]) -> _Judge:
     return judge
 
 
+def _land_speed(unit: float, name: str) -> _Judge:
+    most = unit * _FASTEST_LAND_CM_S
+    text = f"expected at most {most:g} {name}: LAND sets it down if the pad is lost low"
+    return lambda value, _: None if value <= most else _warn(text)
+
+
 def _velocity_shaping(value: float, wanted: Wanted) -> Verdict:
     if not wanted.sends_velocity or value > 0.0:
         return None
@@ -195,25 +202,50 @@ JUDGES: Final[dict[AutopilotKind, dict[str, _Judge]]] = {
         "DISARM_DELAY": _positive(
             "expected more than 0: on the pad it does not disarm by itself; the app has to"
         ),
-        "LAND_SPEED": lambda value, _: None
-        if value <= _FASTEST_LAND_CM_S
-        else _warn(f"expected at most {_FASTEST_LAND_CM_S:g} cm/s: LAND sets it down if the pad is lost low"),
+        "LAND_SPEED": _land_speed(1.0, "cm/s"),
         "WPNAV_ACCEL": _velocity_shaping,
         "PSC_JERK_XY": _velocity_shaping,
     },
 }  # fmt: skip
+# the same by the names and units of other versions (`companion.link.parameters.OTHER_NAMES`)
+OTHERS: Final[dict[AutopilotKind, dict[str, dict[str, _Judge]]]] = {
+    "px4": {
+        "COM_RC_OVERRIDE": {
+            "COM_RC_OVR_SPEED": _positive(
+                "expected more than 0: in Offboard only the mode switch takes over, the sticks do not"
+            ),
+        },
+    },
+    "ardupilot": {
+        "ANGLE_MAX": {"ATC_ANGLE_MAX": _tilt(1.0)},
+        "LAND_SPEED": {"LAND_SPD_MS": _land_speed(_CENTI, "m/s")},
+        "WPNAV_ACCEL": {"WP_ACC": _velocity_shaping},
+        "PSC_JERK_XY": {"PSC_NE_JERK": _velocity_shaping},
+    },
+}
 
 
 def parameter_names(autopilot_kind: AutopilotKind) -> tuple[str, ...]:
-    """Those to read."""
-    return tuple(JUDGES[autopilot_kind])
+    """Those to read, by the names of all versions: only one of each answers."""
+    judges = JUDGES[autopilot_kind]
+    return tuple(name for first in judges for name in _names(autopilot_kind, first))
 
 
 def judge_parameters(
     autopilot_kind: AutopilotKind, values: Mapping[str, float | None], wanted: Wanted
 ) -> list[Finding]:
     """A finding each; None is a parameter that the autopilot did not report."""
-    return [_finding(name, values.get(name), judge, wanted) for name, judge in JUDGES[autopilot_kind].items()]
+    found = []
+    for first in JUDGES[autopilot_kind]:
+        names = _names(autopilot_kind, first)
+        reported = [name for name in names if values.get(name) is not None]
+        found += [_finding(name, values.get(name), names[name], wanted) for name in reported or [first]]
+    return found
+
+
+def _names(autopilot_kind: AutopilotKind, first: str) -> dict[str, _Judge]:
+    """What a parameter is called, with the judge of each name's unit."""
+    return {first: JUDGES[autopilot_kind][first], **OTHERS[autopilot_kind].get(first, {})}
 
 
 def _finding(name: str, value: float | None, judge: _Judge, wanted: Wanted) -> Finding:

@@ -1,14 +1,20 @@
 """Files are written whole."""
 
+import errno
+import os
+import re
 import shutil
+import stat
 import subprocess
 import sys
 import tomllib
+import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from companion.base.files import write_atomically
+from companion.base.files import unpacked, write_atomically
 from companion.config import CONFIG_FOLDER, ConfigError
 
 
@@ -18,6 +24,87 @@ def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
     write_atomically(path, "new\n")
     assert path.read_text() == "new\n"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_link_stays_a_link_and_a_file_keeps_its_mode(tmp_path: Path) -> None:
+    target, link = tmp_path / "kept.json", tmp_path / "link.json"
+    target.write_text("old")
+    target.chmod(0o640)
+    link.symlink_to(target.name)
+    write_atomically(link, "new\n")
+    assert link.is_symlink()
+    assert target.read_text() == "new\n"
+    assert stat.S_IMODE(target.stat().st_mode) == 0o640
+    dangling = tmp_path / "dangling.json"
+    dangling.symlink_to("made.json")
+    write_atomically(dangling, "made\n")
+    assert (tmp_path / "made.json").read_text() == "made\n"
+
+
+def test_a_named_pipe_is_written_to_and_stays_one(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with ThreadPoolExecutor(1) as pool:
+        read = pool.submit(pipe.read_text)
+        write_atomically(pipe, "through\n")
+        assert read.result(10.0) == "through\n"
+    assert pipe.is_fifo()
+    assert list(tmp_path.iterdir()) == [pipe]
+
+
+def test_a_device_stays_one(tmp_path: Path) -> None:
+    device = tmp_path / "full"
+    try:
+        os.mknod(device, stat.S_IFCHR | 0o666, os.makedev(1, 7))
+        device.open("wb").close()
+    except PermissionError:
+        pytest.skip("a device file needs root, on a file system that has them")
+    with pytest.raises(ConfigError, match="cannot be written: No space left"):
+        write_atomically(device, "lost\n")
+    assert device.is_char_device()
+    assert list(tmp_path.iterdir()) == [device]
+
+
+def test_a_disk_that_fills_up_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "result.json"
+    path.write_text("old")
+
+    def full(self: Path, _: bytes) -> int:
+        self.touch()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(ConfigError, match="No space left"):
+        write_atomically(path, "new")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_no_other_place_renames_a_file_onto_an_output() -> None:
+    # what stands in the way of an output is known to `replaced` alone; the latch is nobody's choice
+    own = {"companion/base/files.py", "companion/app/service/latch.py", "companion/plan/speed/speed_table.py"}
+    root = CONFIG_FOLDER.parent
+    for folder in ("companion", "sitl", "calibration"):
+        for path in (root / folder).rglob("*.py"):
+            renames = re.search(r"\b(part|fresh|scratch)\.(replace|rename)\(", path.read_text())
+            assert renames is None or str(path.relative_to(root)) in own, path
+
+
+def test_an_exported_flight_is_unpacked_and_anything_else_is_as_it_is(tmp_path: Path) -> None:
+    (tmp_path / "flight-0007").mkdir()
+    (tmp_path / "flight-0007" / "flight.mcap").write_bytes(b"log")
+    with unpacked(tmp_path / "flight-0007") as flight:
+        assert flight == tmp_path / "flight-0007"
+    packed = tmp_path / "flight-0007.zip"
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.write(tmp_path / "flight-0007" / "flight.mcap", "flight-0007/flight.mcap")
+    with unpacked(packed) as flight:
+        assert flight.name == "flight-0007"
+        assert (flight / "flight.mcap").read_bytes() == b"log"
+    with zipfile.ZipFile(packed, "a") as archive:
+        archive.writestr("flight-0008/flight.mcap", b"another")
+    with pytest.raises(ConfigError, match="expected one flight's folder"), unpacked(packed):
+        pass
 
 
 def test_a_folder_that_is_not_there_is_reported(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import errno
 import threading
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -157,3 +158,47 @@ def test_a_full_queue_keeps_no_file_from_being_closed(card: SlowCard) -> None:
     card.goes_on.set()
     writer.join()
     assert closed == ["mcap"]
+
+
+WORK_S = 0.0003  # each write computes for so long, by the thread's own clock
+
+
+class Processor:
+    """The writer's processor time and its rests, without a real clock."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.worked_s = 0.0
+        self.rests_at_s: list[float] = []
+        monkeypatch.setattr(disk, "thread_processor_s", lambda: self.worked_s)
+        monkeypatch.setattr(disk, "sleep_s", lambda _: self.rests_at_s.append(self.worked_s))
+
+    def compute(self) -> None:
+        self.worked_s += WORK_S
+
+
+def test_a_backlog_is_written_in_slices_with_rests_between(monkeypatch: pytest.MonkeyPatch) -> None:
+    processor, written = Processor(monkeypatch), threading.Event()
+    writer = DiskWriter()
+    for _ in range(600):
+        writer.put(processor.compute)
+    writer.put(written.set)
+    assert written.wait(30.0)
+    moments_s = [0.0, *processor.rests_at_s, processor.worked_s]
+    slices_s = [after - before for before, after in pairwise(moments_s)]
+    assert max(slices_s) < disk.SLICE_S + 2.0 * WORK_S
+    # once nothing flies, what is left is written without rests
+    rests = len(processor.rests_at_s)
+    writer._hurries = True
+    for _ in range(600):
+        writer.put(processor.compute)
+    writer.finish()
+    assert len(processor.rests_at_s) == rests
+
+
+def test_in_virtual_time_the_writer_never_rests(monkeypatch: pytest.MonkeyPatch) -> None:
+    processor = Processor(monkeypatch)
+    writer = DiskWriter(waits=True)
+    for _ in range(600):
+        writer.put(processor.compute)
+    writer.finish()
+    assert processor.rests_at_s == []

@@ -6,15 +6,17 @@ import json
 import threading
 import time
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from companion.base.message_json import encode
 from companion.base.messages import Frame, Notice
 from companion.config import CompanionConfig
-from companion.flightlog import flights_recorder
+from companion.flightlog import disk, flights_recorder
 from companion.flightlog.flights import next_flight_folder, numbered_flights
 from companion.flightlog.flights_recorder import KEPT_S, FlightsRecorder
 from companion.flightlog.meter import WINDOW_S, Meter
@@ -103,6 +105,39 @@ def test_the_minute_before_is_written_through_once(tmp_path: Path, monkeypatch: 
         tell(log, float(second))
     log.close()
     assert len(written) > 50
+
+
+def test_the_minute_before_is_written_in_slices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # the writer's processor time passes with each message that it writes
+    rests_at: list[int] = []
+    written = [0]
+
+    def counted(message: object) -> bytes:
+        written[0] += 1
+        return encode(message)
+
+    monkeypatch.setattr("companion.flightlog.record.encode", counted)
+    monkeypatch.setattr(disk, "thread_processor_s", lambda: 1e-4 * written[0])
+    monkeypatch.setattr(disk, "sleep_s", lambda _: rests_at.append(written[0]))
+    log = FlightsRecorder(tmp_path, lambda: 1.7e9)
+    for number in range(1000):
+        tell(log, 0.05 * number)
+    log.begin()
+    until(lambda: log.flight_folder is not None and written[0] == 1000)
+    log.close()
+    slices = [after - before for before, after in pairwise([0, *rests_at, 1000])]
+    assert 1e-4 * max(slices) < disk.SLICE_S + 2e-4
+
+
+def test_the_settings_are_prepared_before_an_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = FlightsRecorder(tmp_path, lambda: 1.7e9)
+    log.write_settings(config=CompanionConfig())
+    assert log._settings_record is not None
+    log._settings_record.result(10.0)
+    monkeypatch.setattr("yaml.safe_dump", None)  # would be called
+    log.begin()
+    log.close()
+    assert (tmp_path / "flight-0001" / "settings.yaml").read_text().startswith("versions:")
 
 
 def test_pictures_and_mavlink_of_the_minute_are_there_too(tmp_path: Path) -> None:

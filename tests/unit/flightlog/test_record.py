@@ -27,7 +27,8 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import ConfigError
-from companion.flightlog.record import FlightLog, split_packets
+from companion.flightlog.packets import split_packets
+from companion.flightlog.record import FlightLog
 
 START_UNIX_S = 1.7e9
 

@@ -55,6 +55,17 @@ def test_a_parameter_that_was_corrected_is_known_once_asked_for_afresh() -> None
     assert reader.setup is None  # nothing of the other one's counts
 
 
+def test_arducopter_4_7_s_names_and_units_are_known() -> None:
+    told = {
+        "ATC_ANGLE_MAX": 25.0,
+        "WP_ACC": 1.5,
+        "PSC_NE_JERK": 4.0,
+        "MOT_THST_HOVER": 0.3,
+        "GUID_TIMEOUT": 1.0,
+    }
+    assert read("ardupilot", told) == AutopilotSetup(25.0, 0.3, 1.5, 4.0, setpoint_timeout_s=1.0)
+
+
 def test_nothing_is_known_before_the_answers() -> None:
     reader = SetupReader(ParameterRequests())
     assert reader.setup is None

@@ -1,15 +1,18 @@
 // The live page: one WebSocket brings everything; what the server says is shown as text, never as markup.
 
+import { keepOn, sayBad, sayNews, toggle } from "/alert.js";
+import { showFlights, showSettings } from "/files.js";
+import { STALE_S, duration, lamps } from "/lamps.js";
 import { Picture } from "/picture.js";
 import { Plots, words } from "/plots.js";
 
-const STALE_MS = 1000, RETRY_MS = 1000, HOLD_MS = 1500, PLOTTED_MS = 180, ANSWER_MS = 20000, NO_ECHO_S = 2.5;
+const STALE_MS = 1000 * STALE_S, RETRY_MS = 1000, HOLD_MS = 1500, PLOTTED_MS = 180, ANSWER_MS = 20000, CONNECT_MS = 5000;
 const WRONG_TOKEN = 4401, TOO_MANY = 4429;
-const INPUTS = ["camera", "IMU", "magnetometer", "GPS", "ultrasonic"];
 const at = (id) => document.getElementById(id);
 const picture = new Picture(at("picture")), plots = new Plots(at("plots"));
 
 let socket = null, token = null, heardMs = -Infinity, picturedMs = -Infinity, plottedMs = -Infinity, trouble = "connecting", alarm = "", problems = [], startless = true;
+let state = null, stateMs = -Infinity, lit = "", phase = "";
 // what a test or a benchmark reads: from exposure to the pixel, by this machine's clock
 window.companion = { latenciesMs: [], drawn: 0 };
 
@@ -26,9 +29,13 @@ token = sessionStorage.getItem("token");
 function connect() {
   if (socket || document.hidden) return;
   socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
+  // a phone that has just left the network waits for ever
+  const opening = socket, patience = setTimeout(() => opening.close(), CONNECT_MS);
+  socket.onopen = () => clearTimeout(patience);
   socket.binaryType = "arraybuffer";
   socket.onmessage = ({ data }) => (typeof data === "string" ? hear(JSON.parse(data)) : look(data));
   socket.onclose = ({ code }) => {
+    clearTimeout(patience);
     socket = null;
     startless = true;
     at("orders").hidden = true;
@@ -62,8 +69,13 @@ at("ask").onsubmit = (event) => {
 // nobody looks at a page that is hidden
 document.onvisibilitychange = () => {
   if (document.hidden && socket) socket.close();
-  else connect();
+  else { connect(); keepOn(); }
 };
+addEventListener("online", connect);
+addEventListener("pageshow", connect);
+at("watch").onclick = async () => write("watching", await toggle());
+at("files").ontoggle = () => { if (at("files").open) showFlights(token); };
+at("set").ontoggle = () => { if (at("set").open) showSettings(token); };
 
 // ------------------------------------------------------------ what comes
 
@@ -141,14 +153,15 @@ function figures(look) {
   write("phase", words(look.phase) || "starting");
 }
 
-function show(state) {
+function show(heard) {
+  state = heard;
+  stateMs = performance.now();
   plots.phases = state.phases;
   problems = state.problems;
-  const battery = state.battery_percent === null ? "" : `battery ${state.battery_percent.toFixed(0)} %`;
-  const mode = state.autopilot ? `${state.mode} · ${state.armed ? "ARMED" : "disarmed"}` : "no autopilot";
-  write("vehicle", [mode, battery].filter(Boolean).join(" · "));
-  lights(state);
-  events(state);
+  if (phase && state.phase !== phase) sayNews();
+  phase = state.phase;
+  freshness();
+  events(state, 0);
   const m = state.machine, latency = state.latency.setpoint || state.latency.frame;
   write("machine", [
     m.cpu_percent === null ? "" : `${m.cpu_percent.toFixed(0)} % of a core`,
@@ -163,26 +176,21 @@ function show(state) {
   ].filter(Boolean).join(" · "));
 }
 
-function lights(state) {
-  const found = new Map(state.inputs.map((input) => [input.name, input]));
-  const rows = [light("autopilot", state.autopilot || "no heartbeat", state.autopilot ? "" : "silent")];
-  for (const name of INPUTS) {
-    const input = found.get(name);
-    // from high up there is no echo, which is no fault
-    const kind = input?.silent ? "silent" : !input || input.age_s > NO_ECHO_S ? "absent" : "";
-    rows.push(light(name, input ? liveliness(input) : "nothing yet", kind));
-  }
-  rows.push(light("estimate", state.aligned ? `±${state.attitude_std_deg.toFixed(1)}°, ±${state.velocity_std_m_s.toFixed(2)} m/s` : "not aligned", state.aligned ? "" : "silent"));
-  const seen = state.pad_seen_s;
-  rows.push(light("pad", seen === null ? "not seen" : seen < 1 ? "in sight" : `seen ${duration(seen)} ago`, seen === null ? "absent" : seen < 1 ? "" : "silent"));
-  at("lights").replaceChildren(...rows);
+// again and again: what was true a while ago is not true now
+function lights(oldS) {
+  const rows = lamps(state, oldS), drawn = JSON.stringify(rows);
+  if (drawn === lit) return;
+  lit = drawn;
+  at("lights").replaceChildren(...rows.map(({ name, words, kind }) => light(name, words, kind)));
 }
 
-// as in companion status; there is no rate before the first seconds are over
-function liveliness(input) {
-  if (input.silent) return input.age_s < 1 ? "silent" : `silent for ${duration(input.age_s)}`;
-  const age = input.age_s >= 1 ? `, ${duration(input.age_s)} ago` : "";
-  return (input.rate_hz > 0 ? `${input.rate_hz.toFixed(input.rate_hz < 1 ? 1 : 0)} Hz` : "begins") + age;
+// header: the mode and whether it is armed, as long as that is known
+function vehicle(oldS) {
+  if (!state) return write("vehicle", "");
+  const battery = state.battery_percent === null ? "" : `battery ${state.battery_percent.toFixed(0)}\u00a0%`;
+  const mode = state.autopilot ? `${state.mode} · ${state.armed ? "ARMED" : "disarmed"}` : "no autopilot";
+  const known = [mode, battery].filter(Boolean).join(" · ");
+  write("vehicle", oldS > STALE_S ? `unknown for ${duration(oldS)}; was ${known.replace("ARMED", "armed")}` : known);
 }
 
 function light(name, words, kind) {
@@ -192,16 +200,20 @@ function light(name, words, kind) {
   return row;
 }
 
-function events({ events: list, up_s: upS }) {
+function events({ events: list, up_s: upS }, oldS) {
   at("events").replaceChildren(...[...list].reverse().map((event) => {
-    const row = element("li", "", event.severity), ageS = upS - event.time_s;
+    const row = element("li", "", event.severity), ageS = upS + oldS - event.time_s;
     row.append(element("time", ageS < 1 ? "now" : `${duration(ageS)} ago`), element("span", event.text));
     return row;
   }));
 }
 
 function freshness() {
-  const now = performance.now(), silentMs = now - heardMs, stale = startless || silentMs > STALE_MS;
+  const now = performance.now(), oldS = (now - stateMs) / 1000;
+  lights(oldS);
+  vehicle(oldS);
+  if (state && oldS > STALE_S) events(state, oldS);
+  const silentMs = now - heardMs, stale = startless || silentMs > STALE_MS;
   document.body.classList.toggle("stale", stale);
   at("blind").hidden = now - picturedMs < 2 * STALE_MS;
   at("land").disabled = stale;
@@ -211,6 +223,7 @@ function freshness() {
   const lines = startless ? [trouble + since] : stale ? [`the app says nothing${since}`] : problems;
   at("alarm").hidden = !lines.length;
   if (alarm === lines.join("\n")) return;
+  if (lines.length && !alarm.includes(lines[0].split(/[:;]/)[0])) sayBad();
   alarm = lines.join("\n");
   at("alarm").replaceChildren(...lines.map((line) => element("p", line)));
 }
@@ -234,10 +247,6 @@ function figure(id, [number, unit]) {
 function metres(value) {
   if (value === null) return ["–", ""];
   return Math.abs(value) < 0.995 ? [`${Math.round(100 * value)}`, "cm"] : [value.toFixed(value < 9.995 ? 2 : value < 99.95 ? 1 : 0), "m"];
-}
-
-function duration(seconds) {
-  return seconds < 120 ? `${seconds.toFixed(0)} s` : seconds < 7200 ? `${(seconds / 60).toFixed(0)} min` : `${(seconds / 3600).toFixed(0)} h`;
 }
 
 // ------------------------------------------------------------ orders

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from companion.app.page.feed import TRACK_PERIOD_S, TRACK_S, LiveFeed
 from companion.app.page.look import Look
 from companion.app.page.picture import Painter
-from companion.base.messages import FrameReport, PadSighting, Phase, PlanStep, Reference
+from companion.base.messages import FrameReport, PadSighting, PadState, Phase, PlanStep, Reference
+from companion.config import CompanionConfig
 from tests.unit.app.page.starting import START, frame, start
 from tests.unit.flightlog.test_foxglove import SIGHTING, VEHICLE
 from tests.unit.flightlog.test_result import pad_at, vehicle_at
@@ -110,6 +113,28 @@ def test_a_pad_straight_below_is_drawn_in_the_middle_of_the_picture() -> None:
     assert edge.mean(axis=0) == pytest.approx(centre, abs=1.0)
     assert drawing["touchdown"] == pytest.approx(centre, abs=0.1)
     assert {o["id"] for o in drawing["outlines"]} == {None, *SIGHTING.marker_ids}
+
+
+def pad_below(time_s: float, height_m: float) -> PadState:
+    known = pad_at(time_s, 0.0)
+    return replace(known, relative_position_ned_m=(0.0, 0.0, height_m))
+
+
+def test_the_time_to_touchdown_is_that_of_all_that_is_left(feed: LiveFeed, looks: list[Look]) -> None:
+    config = CompanionConfig()
+    feed.know({"config": config, "vehicle": START.vehicle})
+    final_s = config.plan.landing.wait_height_m / config.plan.touchdown.contact_speed_m_s
+    for number, (phase, left_s) in enumerate(
+        [(Phase.APPROACH, None), (Phase.DESCEND, 2.0 - 0.05 + final_s), (Phase.TOUCHDOWN, 0.5)]
+    ):
+        time_s = 1.0 + number
+        feed.note("plan", plan(time_s, phase), time_s)
+        height_m = START.vehicle.leg_height_m + 0.5 * config.plan.touchdown.contact_speed_m_s
+        feed.note("pad", pad_below(time_s, height_m), time_s)
+        show(feed, time_s, number)
+        assert looks[-1].time_to_touchdown_s == (
+            left_s if left_s is None else pytest.approx(left_s, abs=0.02)
+        )
 
 
 @pytest.mark.parametrize(("ahead_m", "below_m"), [(5.0, 1.0), (50.0, 1.0), (5.0, -1.0)])

@@ -8,6 +8,7 @@ import json
 import os
 import socket
 import stat
+import threading
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -16,14 +17,14 @@ from typing import Any
 import pytest
 import typer
 
-from companion.app.service import local_socket
+from companion.app.service import commands, local_socket
 from companion.app.service.commands import order_command, status_command
 from companion.app.service.local_socket import served
 from companion.base.clock import Clock
 from companion.base.errors import ConfigError
 from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply
 
-USED: dict[str, Any] = {"used": 1200, "refused": 7, "refused_for": "too late"}
+USED: dict[str, Any] = {"used": 1200, "refused": 7, "unused": False, "reason": "too late"}
 REPORT: dict[str, Any] = {
     "phase": "standby",
     "order": None,
@@ -153,6 +154,25 @@ async def test_status_shows_it_and_its_exit_code_says_healthy_or_not(
     service.report["problems"] = ["camera: no frame yet"]
     code, words = await command(service, path, lambda: status_command(False, True, path), capsys)
     assert (code, json.loads(words)["problems"]) == (1, ["camera: no frame yet"])
+
+
+async def test_watching_waits_for_a_service_and_goes_on_after_it_ends(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, waits = tmp_path / "socket", threading.Semaphore(0)
+    turns = iter(range(3))
+
+    def wait(_: float) -> None:
+        waits.release()
+        if next(turns, None) is None:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(commands, "sleep_s", wait)
+    with pytest.raises(KeyboardInterrupt):
+        status_command(True, True, path)
+    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(told) == 4
+    assert all("expected a running companion" in line["error"] for line in told)
 
 
 @pytest.mark.parametrize(

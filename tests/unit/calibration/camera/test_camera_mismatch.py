@@ -166,3 +166,53 @@ def test_where_no_photo_can_be_read_that_is_the_error(tmp_path: Path) -> None:
     (tmp_path / "b.png").write_text("a letter")
     with pytest.raises(ConfigError, match=r"a\.png: not a photo"):
         list(read_photos(photo_paths([tmp_path]), lambda _: None))
+
+
+def tag_pictures(turn: int) -> list[np.ndarray]:
+    """Three views of a grid of AprilTags, each printed `turn` quarter turns from OpenCV's drawing."""
+    tags = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_25h9)
+    side, gap = 210, 25
+    sheet = np.full((2 * side + 3 * gap, 2 * side + 3 * gap), 255, np.uint8)
+    for k in range(4):
+        row, column = divmod(k, 2)
+        top, left = gap + row * (side + gap), gap + column * (side + gap)
+        sheet[top : top + side, left : left + side] = np.rot90(
+            cv2.aruco.generateImageMarker(tags, k, side), turn
+        )
+    views, size = [], float(len(sheet))
+    for lean in (0.0, 30.0, -40.0):
+        corners = np.array([[60, 40], [560, 40 + lean], [560, 460 - lean], [60, 460]], np.float32)
+        flat = np.array([[0, 0], [size, 0], [size, size], [0, size]], np.float32)
+        warp = cv2.getPerspectiveTransform(flat, corners)
+        views.append(cv2.warpPerspective(sheet, warp, (640, 480), borderValue=120, flags=cv2.INTER_AREA))
+    return views
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2, 3])
+def test_tags_printed_another_way_round_are_taken(turn: int) -> None:
+    # AprilRobotics' own pictures are half a turn from OpenCV's
+    board = CalibrationBoard(
+        pattern="grid", columns=2, rows=2, marker_m=0.06, gap_m=0.0071, dictionary="apriltag_25h9"
+    )
+    for picture in tag_pictures(turn):
+        view = BoardFinder(board).find(picture)
+        assert view is not None
+        assert len(view.ids) >= 8
+        fit, _ = cv2.findHomography(view.points_m[:, :2], view.corners_px)
+        there = cv2.perspectiveTransform(view.points_m[:, None, :2], fit)[:, 0]
+        assert np.abs(there - view.corners_px).max() < 1.0
+
+
+def test_one_accidental_match_hides_no_diagnosis(tmp_path: Path) -> None:
+    # ids that begin at 10: the board's own dictionary, but other markers
+    whole = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    shifted = cv2.aruco.CharucoBoard((7, 6), 0.03, 0.022, whole, np.arange(10, 31))
+    sheet = shifted.generateImage((560, 440), marginSize=20)
+    for k in range(4):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), sheet)
+    cv2.imwrite(str(tmp_path / "4.png"), CHARUCO.charuco.generateImage((560, 440), marginSize=20))
+    with pytest.raises(ConfigError) as told:
+        views_of_photos(CHARUCO, [tmp_path], None, lambda _: None)
+    words = str(told.value)
+    assert "markers 10 to 30 of 4x4_50 are seen; expected 0 to 20 of 4x4_50" in words
+    assert "4.png alone may match by chance" in words

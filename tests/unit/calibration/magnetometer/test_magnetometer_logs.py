@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from calibration.magnetometer.read.onboard import NAMES, Onboard, onboard_of, parameters_for
 from calibration.magnetometer.read.recording import MagnetometerRecording
 from calibration.magnetometer.read.sources import read_recording
+from calibration.magnetometer.report.report import lines
 from calibration.magnetometer.solve.calibrate import Calibrated, TrueField, calibrate
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import FloatArray, vector3
@@ -152,6 +154,16 @@ def test_a_tlogs_compass_is_undone_and_the_file_goes_on_top(
     assert new is not None
     assert np.linalg.norm(heard(new, CASE.raw), axis=1) == pytest.approx(FIELD.strength_ut, rel=0.03)
     assert done.file.autopilot_parameters == pytest.approx(PARAMETERS[autopilot_kind])
+
+
+def test_a_refused_calibration_offers_no_parameters(tmp_path: Path) -> None:
+    sent = heard(known("ardupilot"), CASE.raw)
+    done = calibrated(read(write_tlog(tmp_path / "a.tlog", "ardupilot", sent)))
+    assert any("COMPASS_OFS_X" in line for line in lines(done))
+    quality = done.file.quality.model_copy(update={"verdict": "refused", "reasons": ("too little turning",)})
+    refused = replace(done, file=done.file.model_copy(update={"quality": quality}))
+    assert lines(refused)[0] == "refused: too little turning"
+    assert not any("COMPASS_" in line for line in lines(refused))
 
 
 def test_without_parameters_the_calibration_is_of_what_is_heard(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from companion.base.geometry import GRAVITY_M_S2, vector3
 from companion.base.messages import ImuSample, MagSample
 from companion.config import AlignmentConfig
 from companion.flightlog.replay.flight_record import RecordedEvent
-from companion.flightlog.replay.refusal import why_unaligned
+from companion.flightlog.replay.refusal import shortcomings, why_unaligned
 
 FIELD = (20.9, 0.6, 42.9)
 
@@ -47,3 +47,11 @@ def test_the_reason_is_named(events: list[RecordedEvent], words: str) -> None:
 def test_each_reason_that_holds_is_named() -> None:
     words = why_unaligned(log(SECONDS[::20], 0.5), AlignmentConfig())
     assert words.count(";") >= 2
+
+
+def test_a_log_that_falls_short_of_what_is_documented_is_told_in_what() -> None:
+    assert shortcomings(log(SECONDS[::2])) == []
+    assert shortcomings(log(SECONDS[::4])) == ["the IMU comes at 25 Hz; expected at least 30"]
+    gaps = np.concatenate((SECONDS, 13.0 + SECONDS, 30.0 + SECONDS))
+    (words,) = shortcomings(log(gaps))  # 100 Hz, whatever the mean over its gaps
+    assert words.startswith("the IMU is silent for 7.0 s, 23.0 s after its start, and 1 more")

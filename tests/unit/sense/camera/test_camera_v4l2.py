@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 
 from companion.base.clock import Clock
+from companion.base.errors import DeviceMissing
 from companion.config import CameraConfig, ConfigError
 from companion.sense.camera import keeper, v4l2
 from companion.sense.camera.reader import ThreadedCamera
-from companion.sense.camera.source import keep_camera, open_camera
-from companion.sense.camera.v4l2 import MOST_FAILURES, V4l2Device, driver_name, stamp_point
+from companion.sense.camera.source import is_camera, keep_camera, open_camera
+from companion.sense.camera.v4l2 import MOST_FAILURES, V4l2Device, device_number, driver_name, stamp_point
 from tests.unit.sense.camera.camera_frames import noisy
 
 SIZE = {cv2.CAP_PROP_FRAME_WIDTH: 640.0, cv2.CAP_PROP_FRAME_HEIGHT: 480.0}
@@ -328,3 +329,21 @@ async def test_closing_ends_the_thread_and_gives_the_camera_back(
     source.close()
     assert video.released.is_set()
     assert not source.held
+
+
+def test_a_camera_by_its_link_is_the_device_it_points_to_now(tmp_path: Path) -> None:
+    link = tmp_path / "usb-046d_0825-video-index0"
+    link.symlink_to("/dev/video3")
+    assert device_number(str(link)) == 3
+    link.unlink()
+    link.symlink_to("/dev/video12")  # after another start
+    assert device_number(str(link)) == 12
+    assert device_number("7") == 7
+    with pytest.raises(DeviceMissing, match="ls /dev/v4l/by-id"):
+        device_number(str(tmp_path / "unplugged"))
+
+
+def test_a_path_names_a_source_of_frames() -> None:
+    assert is_camera("v4l2:/dev/v4l/by-id/usb-046d_0825_B862FCA0-video-index0")
+    assert is_camera("v4l2:/dev/v4l/by-path/platform-xhci-usb-0:1:1.0-video-index0")
+    assert not is_camera("v4l2:webcam")

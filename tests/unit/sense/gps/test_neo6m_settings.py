@@ -11,11 +11,12 @@ import pytest
 from companion.base.geometry import Vector3, ned_from_geodetic
 from companion.base.messages import GpsFix
 from companion.sense.gps.baud_rate import SILENCE_S
-from companion.sense.gps.commands import configuration
+from companion.sense.gps.commands import VERSION_REQUEST, conclusion, configuration, trial
 from companion.sense.gps.neo6m import Neo6m
 from sitl.devices.neo6m import Neo6mDevice, ubx
 from sitl.sensors.sensors import NO_GPS_ERRORS, GpsSensor
 from tests.unit.sense.gps.nmea import BYTE_S, CONFIG, gga, rmc
+from tests.unit.sense.gps.test_gps_trust import posllh, sol, velned
 
 HOME: Vector3 = (47.0, 8.0, 400.0)
 
@@ -34,15 +35,23 @@ def test_the_commands_are_those_of_the_protocol() -> None:
 
 def test_one_command_at_a_time_and_the_next_after_its_answer() -> None:
     receiver = Neo6m(CONFIG)
-    commands = configuration(CONFIG, 9600)
+    asked, concluded = trial(CONFIG, 9600), conclusion(CONFIG)
     sent = []
-    for k in range(len(commands)):
+    for k in range(len(asked)):
         sent.append(receiver.pending(float(k)))
         assert receiver.pending(k + 0.1) == b""
         receiver.feed(acknowledge(sent[-1]), k + 0.2)
-    assert sent == commands
+    assert sent == asked
+    # NMEA is not switched off before fixes come as asked for
+    assert receiver.pending(7.3) == VERSION_REQUEST
+    assert receiver.pending(7.4) == b""
+    assert not receiver.configured
+    receiver.feed(posllh(1) + velned(1) + sol(1), 7.5)
+    receiver.pending(7.6)
+    for k in range(len(concluded)):
+        assert receiver.pending(8.0 + k) == concluded[k]
+        receiver.feed(acknowledge(concluded[k]), 8.2 + k)
     assert receiver.configured
-    assert receiver.pending(20.0) == b""
 
 
 def test_an_answer_to_something_else_is_no_answer() -> None:

@@ -96,3 +96,19 @@ def test_a_sensor_that_says_nothing_is_reported_and_forgotten_when_it_speaks() -
     driver.pending(1.4)
     driver.feed(b"\x00\x00", 1.43)  # no echo is no fault
     assert problem_at(driver, 1.5) is None
+
+
+@pytest.mark.parametrize("piece", [1, 2, 4])
+def test_a_sensor_that_answers_with_frames_is_named_and_not_believed(piece: int) -> None:
+    driver, taken = Us100(CONFIG), 0
+    for k in range(30):
+        now_s = 0.1 * k
+        driver.pending(now_s)
+        driver.watch(now_s)
+        high, low = divmod(1500 + k, 256)
+        frame = bytes((0xFF, high, low, (0xFF + high + low) & 0xFF))
+        for at in range(0, 4, piece):
+            taken += len(driver.feed(frame[at : at + piece], now_s + 0.01 + 0.001 * at))
+    assert taken == 0
+    assert driver.problem is not None
+    assert "4-byte frames, as a JSN-SR04T" in driver.problem

@@ -45,7 +45,31 @@ def states(
 @pytest.mark.parametrize("kind", ["px4", "ardupilot"])
 def test_good_values_are_well_and_all_are_asked_for(kind: AutopilotKind) -> None:
     assert states(kind, {}) == {}
-    assert set(parameter_names(kind)) == set(GOOD[kind])
+    assert set(parameter_names(kind)) >= set(GOOD[kind])
+
+
+RENAMED: dict[AutopilotKind, dict[str, tuple[str, float, float]]] = {  # new name, a good value, a bad one
+    "px4": {"COM_RC_OVERRIDE": ("COM_RC_OVR_SPEED", 10.0, 0.0)},
+    "ardupilot": {
+        "ANGLE_MAX": ("ATC_ANGLE_MAX", 30.0, 10.0),
+        "LAND_SPEED": ("LAND_SPD_MS", 0.5, 2.0),
+        "WPNAV_ACCEL": ("WP_ACC", 2.5, 0.0),
+        "PSC_JERK_XY": ("PSC_NE_JERK", 5.0, 0.0),
+    },
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "old", "new", "good", "bad"),
+    [(kind, old, *rest) for kind, renamed in RENAMED.items() for old, rest in renamed.items()],
+)
+def test_another_version_s_name_and_unit_are_known(
+    kind: AutopilotKind, old: str, new: str, good: float, bad: float
+) -> None:
+    assert new in parameter_names(kind)
+    velocity = {"control": {"setpoint": "velocity"}} if old in ("WPNAV_ACCEL", "PSC_JERK_XY") else {}
+    assert states(kind, {old: None, new: good}, velocity) == {}
+    assert states(kind, {old: None, new: bad}, velocity) == {new: FindingState.WARNING}
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,58 @@
+"""A sighting in NED, as the pad filter takes it. Pure."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from companion.base.geometry import (
+    FloatArray,
+    Quaternion,
+    Vector3,
+    matrix_from_quat,
+    quat_multiply,
+    quat_rotate,
+    yaw_from_quat,
+)
+from companion.base.messages import PadSighting
+from companion.estimate.pad.pad_filter import PadMeasurement
+
+# the fast part of the attitude's error: a calm vehicle shows 0.004 to 0.008; turns add the exposure's jitter
+ATTITUDE_JITTER_DEG: Final = 0.01
+CALIBRATION_SHARE: Final = (
+    0.99  # of a sighting's least variance, at most; the rest keeps its covariance positive
+)
+
+
+def in_ned(
+    sighting: PadSighting, attitude: Quaternion, jitter_rad2: float, vehicle_velocity_ned_m_s: Vector3
+) -> PadMeasurement:
+    """A sighting in NED. Of the attitude's error only the fast part is noise from frame to frame.
+
+    The slow part is a constant offset that shrinks with the distance: to treat it as noise would slow the
+    filter down and gain nothing. Fast is `jitter_rad2`, the variance of an angle on an axis: what the
+    gyroscope's noise adds from frame to frame, and what a vehicle that turns makes of the exposure's jitter.
+    """
+    rotation = matrix_from_quat(attitude)
+    position = quat_rotate(attitude, sighting.pad_position_body_m)
+    jitter = math.radians(ATTITUDE_JITTER_DEG) ** 2 + jitter_rad2
+    x, y, z = position
+    lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    covariance: FloatArray = rotation @ sighting.covariance[0:3, 0:3] @ rotation.T
+    # the calibration's share does not change from frame to frame; what is left has to be a covariance
+    slow = min(sighting.common_variance_m2, CALIBRATION_SHARE * float(np.linalg.eigvalsh(covariance)[0]))
+    slow = max(slow, 0.0)
+    tilt_n, tilt_e, turn = (rotation @ sighting.covariance[3:6, 3:6] @ rotation.T).diagonal().tolist()
+    north, east, _ = quat_rotate(attitude, quat_rotate(sighting.body_from_pad, (0.0, 0.0, 1.0)))
+    return PadMeasurement(
+        position_ned_m=position,
+        covariance_ned_m2=covariance - slow * np.eye(3) + jitter * (lever @ lever.T),
+        heading_rad=yaw_from_quat(quat_multiply(attitude, sighting.body_from_pad)),
+        heading_std_rad=math.sqrt(max(turn, 0.0) + jitter),
+        vehicle_velocity_ned_m_s=vehicle_velocity_ned_m_s,
+        slow_variance_m2=slow,
+        tilt_rad=(north, east),
+        tilt_std_rad=math.sqrt(max(tilt_n, tilt_e, 0.0) + jitter),
+    )

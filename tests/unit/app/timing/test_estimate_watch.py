@@ -1,0 +1,86 @@
+"""A computer that is too slow is named when it happens, and once while it lasts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from companion.app.timing.estimate_watch import EstimateWatch
+from companion.base.clock import Clock
+from companion.base.messages import AutopilotState, EstimatorInputs, LandedState
+from companion.estimate.input_tally import InputTally
+
+
+class KnownSession:
+    def __init__(self, state: AutopilotState) -> None:
+        self.state = state
+
+
+class StarvedEstimator:
+    """One that would start again at once."""
+
+    def __init__(self) -> None:
+        self.tally, self.recovered = InputTally(), 0
+
+    def recover(self, _: float) -> str:
+        self.recovered += 1
+        return "GPS refused for 10 s; the estimate starts again"
+
+
+class KeptLog:
+    def __init__(self) -> None:
+        self.written: list[object] = []
+
+    def write(self, topic: str, message: object, _: float) -> None:
+        assert topic == "estimator_inputs"
+        self.written.append(message)
+
+
+class Watched:
+    def __init__(self, state: AutopilotState) -> None:
+        self.said: list[str] = []
+        self.estimator, self.log = StarvedEstimator(), KeptLog()
+        self.watch = EstimateWatch(
+            self.estimator,  # type: ignore[arg-type]
+            KnownSession(state),  # type: ignore[arg-type]
+            self.log,  # type: ignore[arg-type]
+            Clock(),
+            lambda kind, text, severity: self.said.append(f"{kind}: {text}"),
+        )
+
+
+@pytest.fixture
+async def flying() -> Watched:
+    return Watched(AutopilotState(0.0, armed=True, landed=LandedState.IN_AIR))
+
+
+async def test_too_slow_is_told_once_while_it_lasts(flying: Watched) -> None:
+    shares: Iterator[float] = iter([0.0, 0.1, 0.4, 0.5, 0.15, 0.3, 0.05, 0.6])
+    flying.watch.late_share = lambda: next(shares)
+    for k in range(8):
+        flying.watch.look(float(k))
+    slow = [text for text in flying.said if text.startswith("load")]
+    assert slow == [
+        "load: too slow a computer, or too busy: 40 % of the control cycles come late",
+        "load: too slow a computer, or too busy: 60 % of the control cycles come late",
+    ]
+    assert [type(message) for message in flying.log.written] == [EstimatorInputs] * 8
+
+
+@pytest.mark.parametrize(
+    ("armed", "landed", "starts"),
+    [
+        (False, LandedState.ON_GROUND, 1),
+        (True, LandedState.ON_GROUND, 0),
+        (False, LandedState.UNDEFINED, 0),
+        (True, LandedState.IN_AIR, 0),
+    ],
+)
+async def test_the_estimate_starts_again_only_where_nothing_flies_by_it(
+    armed: bool, landed: LandedState, starts: int
+) -> None:
+    watched = Watched(AutopilotState(0.0, armed=armed, landed=landed))
+    watched.watch.look(1.0)
+    assert watched.estimator.recovered == starts
+    assert len(watched.said) == starts

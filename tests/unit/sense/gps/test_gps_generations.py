@@ -1,0 +1,104 @@
+"""Receivers later than the NEO-6M: NAV-SOL is gone, on some the old commands too; fixes come all the same."""
+
+from __future__ import annotations
+
+import struct
+from typing import Final
+
+import pytest
+
+from companion.config import GpsConfig
+from companion.sense.gps.commands import VERSION_REQUEST
+from companion.sense.gps.neo6m import ONLY_NMEA, Neo6m
+from sitl.devices.neo6m import NAV_SOL, Neo6mDevice, ubx
+from sitl.sensors.sensors import GpsReading
+
+NAV_PVT: Final = (0x01, 0x07)
+READING: Final = GpsReading(47.3, 8.5, 400.0, (1.0, 2.0, -0.5), 2.5, 3.5, 0.3, 9)
+
+
+class FixedGps:
+    def sample(self, *_: object) -> GpsReading:
+        return READING
+
+
+class Later(Neo6mDevice):
+    """A receiver of a later generation; `pvt`: it knows NAV-PVT."""
+
+    def __init__(self, *, old_commands: bool, pvt: bool) -> None:
+        super().__init__(FixedGps(), wake_baud=38400)  # type: ignore[arg-type]
+        self._old_commands, self._pvt = old_commands, pvt
+        self.switched_off: list[tuple[int, int]] = []
+
+    def receive(self, data: bytes) -> None:
+        if data == VERSION_REQUEST:
+            line = b"MOD=NEO-M9N".ljust(30, b"\0")
+            self._replies += ubx(0x0A, 0x04, b"EXT CORE 4.04".ljust(30, b"\0") + bytes(10) + line)
+        super().receive(data)
+
+    def _obey(self, message_class: int, message_id: int, payload: bytes) -> None:
+        asked = tuple(payload[:2])
+        if message_class == 6 and (not self._old_commands or (message_id == 1 and asked == NAV_SOL)):
+            self._replies += ubx(5, 0, bytes((message_class, message_id)))
+            return
+        if message_class == 6 and message_id == 1 and payload[0] == 0xF0 and not payload[3]:
+            self.switched_off.append((payload[0], payload[1]))
+        super()._obey(message_class, message_id, payload)
+
+    def _messages(self, gps_ms: int, reading: GpsReading) -> bytes:
+        out = super()._messages(gps_ms, reading)
+        if self._pvt and self._wanted(NAV_PVT):
+            out += ubx(*NAV_PVT, pvt_payload(gps_ms % 604_800_000, reading))
+        return out
+
+
+def pvt_payload(time_of_week_ms: int, r: GpsReading) -> bytes:
+    north, east, down = (round(1000.0 * v) for v in r.velocity_ned_m_s)
+    head = struct.pack(
+        "<IHBBBBBBIiBBBB", time_of_week_ms, 2026, 1, 7, 12, 0, 0, 7, 20, 0, 3, 1, 0, r.satellites
+    )
+    place = struct.pack(
+        "<iiiiII",
+        *(round(1e7 * r.longitude_deg), round(1e7 * r.latitude_deg)),
+        *(round(1000.0 * (r.altitude_m + 47.0)), round(1000.0 * r.altitude_m)),
+        *(round(1000.0 * r.horizontal_accuracy_m), round(1000.0 * r.vertical_accuracy_m)),
+    )
+    motion = struct.pack("<iiiiiII", north, east, down, 0, 0, round(1000.0 * r.speed_accuracy_m_s), 0)
+    return (head + place + motion + struct.pack("<H", 150)).ljust(92, b"\0")
+
+
+def run(device: Later, seconds: float = 40.0) -> tuple[Neo6m, list[float]]:
+    """The driver after a while, and when it gave fixes."""
+    driver, times_s = Neo6m(GpsConfig()), []
+    for k in range(round(20 * seconds)):
+        now_s = 0.05 * k
+        out = driver.pending(now_s)
+        if driver.baud == device.baud:
+            device.receive(out)
+        data = device.step(now_s, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        if data and driver.baud == device.baud:
+            for fix in driver.feed(data, now_s):
+                assert fix.latitude_deg == pytest.approx(47.3)
+                times_s.append(now_s)
+    return driver, times_s
+
+
+def test_one_without_nav_sol_is_asked_for_nav_pvt() -> None:
+    driver, times_s = run(device := Later(old_commands=True, pvt=True))
+    assert times_s[0] < 3.0
+    assert sum(time_s > 20.0 for time_s in times_s) == pytest.approx(100, abs=2)
+    assert len(device.switched_off) == 6  # NMEA, once fixes came
+    assert driver.problem is None
+    assert driver.name == "NEO-M9N"
+
+
+def test_one_that_sends_neither_keeps_nmea_and_is_named() -> None:
+    driver, times_s = run(device := Later(old_commands=True, pvt=False))
+    assert device.switched_off == []
+    assert sum(time_s > 20.0 for time_s in times_s) == pytest.approx(100, abs=2)
+    assert driver.problem == f"NEO-M9N: {ONLY_NMEA}"
+
+
+def test_one_that_refuses_every_old_command_serves_by_its_nmea() -> None:
+    _, times_s = run(Later(old_commands=False, pvt=False))
+    assert sum(time_s > 20.0 for time_s in times_s) >= 19
