@@ -5,22 +5,25 @@ from __future__ import annotations
 import contextlib
 import os
 import subprocess
+import sys
 from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Final
 
+from companion import __version__
+
 # what computes the estimates is what their last digits hang on
-VERSIONED: Final = ("companion", "numpy", "scipy", "filterpy", "pymap3d")
+VERSIONED: Final = ("numpy", "scipy", "filterpy", "pymap3d")
 ROOT: Final = Path(__file__).resolve().parents[2]
-# what systemd/install.sh leaves, since a copy of the program has no history
-REVISION_FILE: Final = ROOT / "REVISION"
+# what systemd/install.sh leaves beside the environment, since an installed program has no history
+REVISION_FILE: Final = Path(sys.prefix).parent / "REVISION"
 GIT_PATIENCE_S: Final = 5.0
 
 
 def versions() -> dict[str, str]:
     """Versions by name, and `revision` where it is known; what is not installed has none."""
-    found = {}
+    found = {"companion": __version__}
     for name in VERSIONED:
         with contextlib.suppress(metadata.PackageNotFoundError):
             found[name] = metadata.version(name)

@@ -21,7 +21,7 @@ companion report flights/circle
 companion report flights/flight-0007 -o flight.html
 """
 EXPECTED: Final = "a flight's folder or its flight.mcap"
-NO_PLOTLY: Final = "needs plotly; expected it installed: pip install 'companion[report]'"
+NO_PLOTLY: Final = "needs plotly; expected it installed: pip install 'companion-landing[report]'"
 
 
 def report_command(
