@@ -1,17 +1,20 @@
 """An ultrasonic with a trigger and an echo pin (HC-SR04, JSN-SR04T in mode 0) on the Raspberry Pi's GPIO.
 
 A pulse of 10 us or more on the trigger sends a ping; the echo pin is high from then until the sound is back
-(HC-SR04 data sheet; without an echo for 38 ms, with some makes 200 ms). gpiozero stamps the edges itself
-(with lgpio the kernel does, as they happen), so that a late wake-up is in no distance. Its ticks are put on
-the app's clock, which is handed in. gpiozero is imported when pins are opened: nothing else here needs it.
+(HC-SR04 data sheet; without an echo for 38 ms, with some makes 200 ms, with others until the next trigger).
+gpiozero stamps the edges itself (with lgpio the kernel does, as they happen), so that a late wake-up is in no
+distance. Its ticks are put on the app's clock, which is handed in. gpiozero is imported when pins are opened:
+nothing else here needs it.
 """
 
 from __future__ import annotations
 
 import asyncio
 import errno
+import os
 import threading
 from dataclasses import dataclass
+from tempfile import gettempdir
 from typing import Any, Final
 
 from companion.base.clock import Clock
@@ -70,8 +73,8 @@ class EchoPins:
         """
         if self._closed:
             raise OSError(errno.EBADF, "GPIO pins closed")
-        if self._echo.pin.state:
-            raise SensorError("ultrasonic: the echo pin stays high")
+        # a pin that is still high is no reason to wait: some makes let it fall with the next trigger only; a
+        # fall that no rise came before belongs to the ping before
         self._rise = None
         self._pulse = self._loop.create_future()
         try:
@@ -82,7 +85,7 @@ class EchoPins:
         try:
             rise, fall = await asyncio.wait_for(self._pulse, TIMEOUT_S)
         except TimeoutError as error:
-            what = "does not rise" if self._rise is None else "stays high"
+            what = "stays high" if self._echo.pin.state else "does not rise"
             raise SensorError(f"ultrasonic: the echo pin {what}") from error
         factory = self._echo.pin_factory
         fall_s = self._clock.now_s() - factory.ticks_diff(factory.ticks(), fall)
@@ -118,6 +121,8 @@ class EchoPins:
 
 
 def _gpiozero_module() -> Any:
+    # lgpio makes a pipe in the working directory, which of a service is /, and read-only
+    os.environ.setdefault("LG_WD", os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0] or gettempdir())
     try:
         import gpiozero  # noqa: PLC0415 - needed on a vehicle with such a sensor alone
     except ImportError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -165,6 +166,41 @@ async def test_a_dead_echo_pin_is_reported_and_recovered_from(
     assert len(await finder.read()) == 1
     finder.watch(Clock().now_s() + 0.5)
     assert finder.problem is None
+
+
+async def test_a_pin_that_stays_high_until_the_next_trigger_costs_one_echo(sensor: Sensor) -> None:
+    opened = pins(sensor)
+    answer = sensor._answer
+
+    def make_without_time_out() -> None:
+        if sensor.echo.state:
+            sensor.echo.drive_low()  # the new trigger ends the old cycle
+        if sensor.pings == 1:
+            sensor.pings += 1
+            sensor.echo.drive_high()  # no echo comes
+        else:
+            answer()
+
+    sensor.on_ping = make_without_time_out
+    await opened.ping()
+    with pytest.raises(SensorError, match="stays high"):
+        await opened.ping()
+    for _ in range(3):
+        pulse = await opened.ping()
+        assert pulse.fall_s - pulse.rise_s == pytest.approx(0.01)
+    assert sensor.pings == 5
+
+
+async def test_lgpio_s_pipe_is_made_where_a_service_may_write(
+    sensor: Sensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("LG_WD", raising=False)
+    monkeypatch.setenv("RUNTIME_DIRECTORY", "/run/companion")
+    pins(sensor).close()
+    assert os.environ["LG_WD"] == "/run/companion"
+    monkeypatch.setenv("LG_WD", "/var/tmp")  # a person's own choice stays
+    pins(sensor).close()
+    assert os.environ["LG_WD"] == "/var/tmp"
 
 
 async def test_it_pings_at_its_rate_and_not_faster(sensor: Sensor) -> None:
