@@ -52,5 +52,8 @@ def summary_line(findings: list[Finding]) -> str:
 
 def findings_json(findings: list[Finding]) -> str:
     """`state` (the worst), and the findings in their order."""
-    plain = [asdict(finding) for finding in findings]
+    plain = [
+        {key: value for key, value in asdict(finding).items() if key != "change" or value is not None}
+        for finding in findings
+    ]
     return json.dumps({"state": worst(findings), "findings": plain}, indent=2, ensure_ascii=False) + "\n"
