@@ -13,6 +13,7 @@ from companion.config import CompanionConfig, ConfigError, VehicleConfig, find_f
 from companion.link.codec import mavlink
 from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.tools.pad_check import job
+from companion.tools.pad_check.command import check_command
 from companion.tools.preflight.findings import Finding, FindingState
 from companion.tools.preflight.parameter_file import (
     TARGETS,
@@ -191,3 +192,20 @@ def test_every_target_is_a_parameters_that_is_judged_or_its_newer_name() -> None
     newer = {"ATC_ANGLE_MAX", "LAND_SPD_MS", "WP_ACC", "PSC_NE_JERK"}
     assert TARGETS.keys() | UNSETTLED >= JUDGES["px4"].keys() | JUDGES["ardupilot"].keys()
     assert TARGETS.keys() <= newer | JUDGES["px4"].keys() | JUDGES["ardupilot"].keys()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"pad": True}, "expected it without --pad"),
+        ({"no_link": True}, "expected it without --no-link"),
+        ({"params_file": Path("/nowhere/at/all.params")}, "expected a file in an existing folder"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(
+    options: dict[str, object], words: str, tmp_path: Path
+) -> None:
+    shipped = find_file("cameras", "sitl_640x480").parents[1] / "companion.yaml"
+    given: dict[str, object] = {"config": shipped, "params_file": tmp_path / "a.params", **options}
+    with pytest.raises(ConfigError, match=words):
+        check_command(**given)  # type: ignore[arg-type]
