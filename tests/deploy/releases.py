@@ -21,7 +21,7 @@ from typing import Any, Final
 SYSTEMD: Final = Path(__file__).resolve().parents[2] / "systemd"
 PIP: Final = next((Path(ensurepip.__file__).parent / "_bundled").glob("pip-*.whl"), None)
 TAG: Final = f"cp{sys.version_info[0]}{sys.version_info[1]}"
-STANDING_BY: Final = {"phase": "standby", "order": None, "armed": False, "problems": []}
+STANDING_BY: Final[dict[str, Any]] = {"phase": "standby", "order": None, "armed": False, "problems": []}
 
 SYSTEMCTL: Final = """#!/bin/bash
 version="$(basename "$(readlink -f "$COMPANION_BASE/opt/companion/current")")"
