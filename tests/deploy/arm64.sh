@@ -53,6 +53,7 @@ else
     step "the release"
     PYTHON="$PYTHON" "$SOURCE/systemd/release.sh" "$FOLDER" aarch64 || fail "systemd/release.sh"
 fi
+install -d "$ROOT/opt"
 rm -rf "$ROOT/opt/companion" "$ROOT"/opt/companion-*
 tar --extract --file "$FOLDER"/companion-*-aarch64.tar --directory "$ROOT/opt"
 release="$(cd "$ROOT" && echo /opt/companion-*-aarch64)"

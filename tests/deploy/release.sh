@@ -186,7 +186,7 @@ END
     boot || fail "it does not boot: $(tail -n 1 "$FOLDER/boot.log")"
     holds "$version" "rebooted"
 
-    if [ -n "$pins" ] && inside /opt/companion/current/.venv/bin/python -c 'import lgpio' 2>/dev/null; then
+    if [ -n "$pins" ] && inside /opt/companion/current/.venv/bin/python -c 'import importlib.util, sys; sys.exit(importlib.util.find_spec("lgpio") is None)'; then
         step "pins under the unit"
         cp "$FOLDER/gpiochip.so" "$ROOT/usr/lib/gpiochip.so"
         install -d "$ROOT/etc/systemd/system/companion.service.d"
