@@ -56,7 +56,7 @@ fi
 install -d "$ROOT/opt"
 rm -rf "$ROOT/opt/companion" "$ROOT"/opt/companion-*
 tar --extract --file "$FOLDER"/companion-*-aarch64.tar --directory "$ROOT/opt"
-release="$(cd "$ROOT" && echo /opt/companion-*-aarch64)"
+release="/opt/$(basename "$ROOT"/opt/companion-*-aarch64)"
 # as install.sh does; the script itself would need every program of the root to run by itself, and systemd
 step "install, without a network"
 run -m venv --without-pip /opt/companion || fail "the virtual environment"
