@@ -78,7 +78,7 @@ else
     python3 -m venv "$work/venv"
     "${gently[@]}" "$work/venv/bin/python" -m pip wheel --quiet --disable-pip-version-check --wheel-dir "$wheels" \
         -c "$SOURCE/constraints.txt" "${work}/source[release]" pip >"$work/log" 2>&1 \
-        || fail "the wheels cannot be built, and nothing was changed: $(grep -m 1 ERROR "$work/log" || tail -n 1 "$work/log")"
+        || fail "the wheels cannot be built, and nothing was changed: $(grep -m 1 -o "ERROR.*" "$work/log" || tail -n 1 "$work/log")"
     # which stands in each flight's log
     revision="$(git -C "$SOURCE" describe --always --dirty --abbrev=12 --exclude='*' 2>/dev/null || true)"
 fi
@@ -119,7 +119,7 @@ else
     "${gently[@]}" "$folder/.venv/bin/python" "$pip/pip" install --quiet --disable-pip-version-check --no-index \
         --find-links "$wheels" --ignore-installed --no-cache-dir --root-user-action ignore \
         -c "$SOURCE/constraints.txt" "${own}[release]" "${lgpio[@]}" >"$log" 2>&1 \
-        || fail "the packages cannot be installed, and nothing was changed: $(grep -m 1 ERROR "$log" || tail -n 1 "$log")"
+        || fail "the packages cannot be installed, and nothing was changed: $(grep -m 1 -o "ERROR.*" "$log" || tail -n 1 "$log")"
     rm -f "$log"
     # from "/": where we are may hold a package of that name, a checkout
     package="$(cd / && "$folder/.venv/bin/python" -c 'import companion; print(companion.__path__[0])')"

@@ -78,7 +78,7 @@ class System:
         (base / "starts").touch()
         return cls(base, programs)
 
-    def run(self, *words: str | Path) -> subprocess.CompletedProcess[str]:
+    def run(self, *words: str | Path, **variables: str) -> subprocess.CompletedProcess[str]:
         """A program of the release."""
         return subprocess.run(
             [str(word) for word in words],
@@ -89,6 +89,7 @@ class System:
                 "COMPANION_USER": "root",
                 "COMPANION_PATIENCE_S": "2",
                 "COMPANION_STEADY_S": "0",
+                **variables,
             },
             capture_output=True,
             text=True,

@@ -116,6 +116,18 @@ def test_without_a_package_it_needs_nothing_is_changed_and_one_line_says_so(
     assert (system.in_use, system.starts, system.versions) == ("1.0", [], {"1.0"})
 
 
+def test_from_a_checkout_without_a_network_nothing_is_changed_and_one_line_says_so(
+    system: System, tmp_path: Path
+) -> None:
+    installed(system, tmp_path, "1.0")
+    system.serves()
+    done = system.run(SYSTEMD / "install.sh", PIP_NO_INDEX="1", PIP_CONFIG_FILE="/dev/null")
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "the wheels cannot be built, and nothing was changed: ERROR: " in line
+    assert (system.in_use, system.starts, system.versions) == ("1.0", [], {"1.0"})
+
+
 def test_a_damaged_release_is_refused(system: System, tmp_path: Path) -> None:
     bundle = release(tmp_path, "1.0")
     with (bundle / "constraints.txt").open("a") as file:
