@@ -1,5 +1,6 @@
 # make sitl    fly the bundled simulator from a fresh checkout
 # make test    lint, types, architecture, unit, property and scenario tests
+# make release ARCHITECTURES=aarch64  bundles that install without a network on Debian 12 and 13, into dist/
 # make test-deploy DEPLOY=DIR  the service in a container that boots systemd, the app on arm64 by qemu; needs root
 # make bench   where the time goes, the estimators' bars and the landing campaign's; or one alone:
 # make bench-state           the estimators in flight: errors, consistency, faults, costs
@@ -82,6 +83,11 @@ test: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest
+
+# without ARCHITECTURES both; fetches every dependency's wheels
+.PHONY: release
+release: $(VENV)/.dev
+	PYTHON=$(abspath $(BIN)/python) systemd/release.sh dist $(ARCHITECTURES)
 
 # fetches Debian roots into DEPLOY and keeps them there; what this machine cannot do is skipped, with the reason
 .PHONY: test-deploy

@@ -43,6 +43,10 @@ COMMANDS: Final = {
         "companion.tools.pads.command:pad_command", "Check and print a pad; show how a camera sees it."
     ),
     "logs": Command("companion.flightlog.logs:logs_command", "List, export, convert, repair flight logs."),
+    "setup": Command(
+        "companion.tools.setup.command:setup_command",
+        "Switch on what the wiring needs, on a Raspberry Pi.",
+    ),
     "status": Command(
         "companion.app.service.commands:status_command", "Show what the running service does.", "STATUS_HELP"
     ),

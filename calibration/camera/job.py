@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,6 +27,7 @@ from calibration.camera.solve.adjustment import UnsolvableError
 from calibration.camera.solve.encoding import measure_encoding
 from calibration.camera.solve.quality import Assessment, assess
 from calibration.command_line import RefusedError
+from companion import __version__
 from companion.base.clock import start_unix_s
 from companion.base.files import write_atomically
 from companion.base.printing.paper import PaperName
@@ -203,11 +203,7 @@ def _verdict(result: Assessment, output: Path) -> str:
 
 def _origin(source: str) -> Origin:
     date = datetime.fromtimestamp(start_unix_s(virtual=True), UTC).isoformat(timespec="seconds")
-    try:
-        version = metadata.version("companion")
-    except metadata.PackageNotFoundError:
-        version = "unknown"
-    return Origin(f"{NAME} {version}", source, date)
+    return Origin(f"{NAME} {__version__}", source, date)
 
 
 def _checked(path: Path, option: str) -> Path:

@@ -7,7 +7,6 @@ import os
 import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
 
@@ -24,6 +23,7 @@ from calibration.magnetometer.report.pictures import write_picture
 from calibration.magnetometer.report.report import lines, result_table, yaml_text
 from calibration.magnetometer.solve.calibrate import Calibrated, TrueField, UnfitError, calibrate
 from calibration.magnetometer.solve.true_field import field_at, field_by, year_of
+from companion import __version__
 from companion.base.clock import start_unix_s
 from companion.base.files import write_atomically
 from companion.config import CompanionConfig, ConfigError, load_config
@@ -160,7 +160,7 @@ def _calibrated(
             field=field,
             aligned=aligned,
             objective=objective,
-            tool=f"{PROGRAM} {_version()}",
+            tool=f"{PROGRAM} {__version__}",
             date=now.strftime("%Y-%m-%dT%H:%M:%SZ"),
         )
     except UnfitError as error:
@@ -201,13 +201,6 @@ def _choice(option: str, word: str, known: tuple[str, ...]) -> str:
     if word not in known:
         raise ConfigError(f"{option} {word}: expected {', '.join(known[:-1])} or {known[-1]}")
     return word
-
-
-def _version() -> str:
-    try:
-        return version("companion")
-    except PackageNotFoundError:
-        return "(not installed)"
 
 
 def _check_writable(option: str, path: Path) -> None:

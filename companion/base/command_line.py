@@ -18,7 +18,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib import import_module, metadata
+from importlib import import_module
 from itertools import zip_longest
 from typing import Annotated, Any, Final, NoReturn, TextIO
 
@@ -26,6 +26,7 @@ import typer
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
+from companion import __version__
 from companion.base.errors import ConfigError
 
 USER_ERROR: Final = 2
@@ -101,13 +102,13 @@ def _stands_for_it() -> None:
 
 
 def print_version(asked: bool) -> None:
-    """Callback of an eager `--version` option: the version of the installed package, and no more.
+    """Callback of an eager `--version` option: the version of this program, and no more.
 
     Raises:
         typer.Exit: it was asked for.
     """
     if asked:
-        print(metadata.version("companion"))
+        print(__version__)
         raise typer.Exit
 
 

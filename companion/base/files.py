@@ -18,14 +18,14 @@ _PACKAGE: Final = Path(__file__).resolve().parents[1]
 # an installed package has them within it, a checkout beside it
 _INSTALLED: Final = _PACKAGE / "configs"
 CONFIG_FOLDER: Final = _INSTALLED if _INSTALLED.is_dir() else _PACKAGE.parent / "configs"
-# where systemd/install.sh puts the program, and the settings of the service
+# where systemd/install.sh puts each version of the program, and the settings of the service
 _SERVICE_PREFIX: Final = Path("/opt/companion")
 _SERVICE_SETTINGS: Final = Path("/etc/companion/companion.yaml")
 
 
 def default_settings() -> Path:
     """The settings of who names none: the service's for the program that it runs, else the shipped ones."""
-    installed = CONFIG_FOLDER.parent == _SERVICE_PREFIX and os.access(_SERVICE_SETTINGS, os.F_OK)
+    installed = CONFIG_FOLDER.is_relative_to(_SERVICE_PREFIX) and os.access(_SERVICE_SETTINGS, os.F_OK)
     return _SERVICE_SETTINGS if installed else CONFIG_FOLDER / "companion.yaml"
 
 

@@ -101,6 +101,6 @@ def _write(folder: Path, topic: str, rows: list[Row], form: TableFormat) -> str:
         import pyarrow  # noqa: PLC0415 - an extra
         from pyarrow import parquet  # noqa: PLC0415
     except ModuleNotFoundError:
-        raise ConfigError("--to parquet needs pyarrow: pip install 'companion[campaign]'") from None
+        raise ConfigError("--to parquet needs pyarrow: pip install 'companion-landing[campaign]'") from None
     parquet.write_table(pyarrow.table({name: [row.get(name) for row in rows] for name in columns}), path)
     return path.name

@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import subprocess
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -16,17 +17,19 @@ from typing import Final
 import yaml
 from pydantic import BaseModel
 
+from companion import __version__
+
 # what computes the estimates is what their last digits hang on
-VERSIONED: Final = ("companion", "numpy", "scipy", "filterpy", "pymap3d")
+VERSIONED: Final = ("numpy", "scipy", "filterpy", "pymap3d")
 ROOT: Final = Path(__file__).resolve().parents[2]
-# what systemd/install.sh leaves, since a copy of the program has no history
-REVISION_FILE: Final = ROOT / "REVISION"
+# what systemd/install.sh leaves beside the environment, since an installed program has no history
+REVISION_FILE: Final = Path(sys.prefix).parent / "REVISION"
 GIT_PATIENCE_S: Final = 5.0
 
 
 def versions() -> dict[str, str]:
     """Versions by name, and `revision` where it is known; what is not installed has none."""
-    found = {}
+    found = {"companion": __version__}
     for name in VERSIONED:
         with contextlib.suppress(metadata.PackageNotFoundError):
             found[name] = metadata.version(name)

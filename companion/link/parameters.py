@@ -50,6 +50,7 @@ class ParameterRequest:
     name: str
     wanted: float | None = None
     value: float | None = None
+    mav_type: int | None = None  # the autopilot's MAV_PARAM_TYPE of it
     outcome: str | None = None
     tries: int = 0
     due_s: float = field(default=0.0)
@@ -92,6 +93,7 @@ class ParameterRequests:
             return
         for request in self._waiting:
             if request.outcome is None and request.tries and request.name == message.param_id:
+                request.mav_type = message.param_type
                 request.answered(value)
 
     def to_send(self, now_s: float, target_system: int) -> list[Message]:

@@ -10,12 +10,12 @@ import hashlib
 import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Final, Literal
 
 from pydantic import ValidationError
 
+from companion import __version__
 from companion.config import (
     CONFIG_FOLDER,
     CompanionConfig,
@@ -128,7 +128,7 @@ def make_plan(
         scenarios[scenario.name] = scenario
         entries[scenario.name] = Entry(source=source, digest=scenario_digest(source, settings))
     manifest = Manifest(
-        version=metadata.version("companion"),
+        version=__version__,
         code=code_digest(),
         config=settings,
         settings=_digest([load_config(config or SHIPPED_SETTINGS).model_dump_json().encode()]),

@@ -150,7 +150,7 @@ def _flown(flights: Sequence[CampaignRun], options: Options) -> Generator[RunRes
         from sitl.campaign.cluster import fly_on_cluster  # noqa: PLC0415 - an extra
     except ModuleNotFoundError as error:
         raise ConfigError(
-            f"--scheduler: needs Dask ({error}); install the extra: pip install 'companion[campaign]'"
+            f"--scheduler: needs Dask ({error}); install the extra: pip install 'companion-landing[campaign]'"
         ) from error
     return fly_on_cluster(flights, options.scheduler)
 

@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
-# The app on arm64, on a machine that is none: install, import, --version, check and a flight in a Debian 12 root.
+# The release on arm64, on a machine that is none: installed without a network, imported, --version, check and a
+# flight in a Debian 12 root.
 #   sudo tests/deploy/arm64.sh [FOLDER]     FOLDER (else /var/tmp/companion-arm64) is kept, for the next time
 # qemu-user runs each program; nothing has to be registered with the kernel. PYTHON: the Python whose pip fetches
-# the wheels (else python3). LONGEST_S: how long a program may take (else 3600: on a machine that has other work
-# the flight takes ten times as long). Exit codes: 0 all well, 1 something is not, 77 skipped, with one line that
-# says why.
+# the wheels (else python3). BUNDLE: a release that is built already. LONGEST_S: how long a program may take (else
+# 3600: on a machine that has other work the flight takes ten times as long). Exit codes: 0 all well, 1 something is
+# not, 77 skipped, with one line that says why.
 set -euo pipefail
 readonly SOURCE="$(cd "$(dirname "$0")/../.." && pwd)"
 readonly FOLDER="$(realpath -m "${1:-/var/tmp/companion-arm64}")"
@@ -12,6 +13,8 @@ readonly ROOT="$FOLDER/root"
 readonly PYTHON="${PYTHON:-python3}"
 readonly LONGEST_S="${LONGEST_S:-3600}"
 readonly MIRROR="${MIRROR:-http://deb.debian.org/debian}"
+
+PROGRAM=/usr/bin/python3.11
 
 skip() { echo "arm64: skipped: $*"; exit 77; }
 fail() { echo "arm64: failed: $*"; exit 1; }
@@ -23,12 +26,13 @@ for program in debootstrap qemu-aarch64-static dpkg-deb unshare; do
 done
 "$PYTHON" -m pip --version >/dev/null 2>&1 || skip "$PYTHON has no pip"
 
-# in a mount namespace of its own: /proc and /dev vanish with it
+# in namespaces of its own: /proc and /dev vanish with it, and there is no network
 run() {
-    timeout --kill-after=10 "$LONGEST_S" unshare --mount --propagation private bash -euc '
+    timeout --kill-after=10 "$LONGEST_S" unshare --mount --net --propagation private bash -euc '
         mount -t proc proc "$0/proc"; mount --bind /dev "$0/dev"
-        exec chroot "$0" /usr/bin/qemu-aarch64-static -E PYTHONPATH=/opt/companion:/opt/site \
-            -E OPENBLAS_NUM_THREADS=1 -E HOME=/root /usr/bin/python3.11 "$@"' "$ROOT" "$@"
+        ip link set lo up 2>/dev/null || true
+        exec chroot "$0" /usr/bin/qemu-aarch64-static -E OPENBLAS_NUM_THREADS=1 -E HOME=/root "$@"' \
+        "$ROOT" "$PROGRAM" "$@"
 }
 
 if [ ! -x "$ROOT/usr/bin/python3.11" ]; then
@@ -43,22 +47,25 @@ fi
 install -m 0755 "$(command -v qemu-aarch64-static)" "$ROOT/usr/bin/qemu-aarch64-static"
 [ "$(run -c 'import platform; print(platform.machine())')" = aarch64 ] || fail "the root's Python does not run"
 
-step "install"
-platforms=()
-for glibc in 17 24 27 28 31 34; do platforms+=(--platform "manylinux_2_${glibc}_aarch64"); done
-mapfile -t needed < <("$PYTHON" -c '
-import sys, tomllib
-with open(sys.argv[1], "rb") as file:
-    print(*tomllib.load(file)["project"]["dependencies"], sep="\n")' "$SOURCE/pyproject.toml")
-rm -rf "$ROOT/opt/site" "$ROOT/opt/companion" "$FOLDER/own"
-"$PYTHON" -m pip install --quiet --root-user-action ignore --target "$ROOT/opt/site" "${platforms[@]}" \
-    --platform manylinux2014_aarch64 --python-version 3.11 --only-binary=:all: -c "$SOURCE/constraints.txt" \
-    "${needed[@]}" 2>"$FOLDER.log" || fail "no wheels for arm64: $(grep -m 1 ERROR "$FOLDER.log")"
-"$PYTHON" -m pip install --quiet --root-user-action ignore --no-deps --target "$FOLDER/own" "$SOURCE" \
-    2>"$FOLDER.log" || fail "the project's own wheel: $(grep -m 1 ERROR "$FOLDER.log")"
-cp -r "$FOLDER"/own/companion-*.dist-info "$ROOT/opt/site/"
-install -d "$ROOT/opt/companion"
-for folder in companion sitl calibration configs; do cp -r "$SOURCE/$folder" "$ROOT/opt/companion/"; done
+if [ -n "${BUNDLE:-}" ]; then
+    cp "$BUNDLE" "$FOLDER/"
+else
+    step "the release"
+    PYTHON="$PYTHON" "$SOURCE/systemd/release.sh" "$FOLDER" aarch64 || fail "systemd/release.sh"
+fi
+install -d "$ROOT/opt"
+rm -rf "$ROOT/opt/companion" "$ROOT"/opt/companion-*
+tar --extract --file "$FOLDER"/companion-*-aarch64.tar --directory "$ROOT/opt"
+release="/opt/$(basename "$ROOT"/opt/companion-*-aarch64)"
+# as install.sh does; the script itself would need every program of the root to run by itself, and systemd
+step "install, without a network"
+run -m venv --without-pip /opt/companion || fail "the virtual environment"
+PROGRAM=/opt/companion/bin/python
+wheels=("$ROOT$release"/wheels/pip-*.whl "$ROOT$release"/wheels/companion_landing-*.whl)
+mapfile -t lgpio < <(compgen -G "$ROOT$release/wheels/*lgpio-*-cp311-*.whl" || true)
+run "${wheels[0]#"$ROOT"}/pip" install --quiet --disable-pip-version-check --no-index --find-links "$release/wheels" \
+    --no-cache-dir --root-user-action ignore -c "$release/constraints.txt" "${wheels[1]#"$ROOT"}[release]" \
+    "${lgpio[@]#"$ROOT"}" 2>"$FOLDER.log" || fail "the release does not install: $(tail -n 1 "$FOLDER.log")"
 # two metres to the pad, four down: a whole flight, and half of the shipped ones' time
 cp "$SOURCE/tests/bench/service/near.yaml" "$ROOT/opt/companion/"
 

@@ -18,6 +18,9 @@ readonly PATIENCE_S=120
 read -ra fly_with <<<"${FLY_WITH:-}"
 container="" leader=""
 
+# shellcheck source=tests/deploy/container.bash
+. "$SOURCE/tests/deploy/container.bash"
+
 skip() { echo "service: skipped: $*"; exit 77; }
 fail() { echo "service: failed: $*"; exit 1; }
 step() { echo "service: $* ($SECONDS s)"; }
@@ -28,71 +31,11 @@ for program in debootstrap systemd-nspawn nsenter; do
 done
 "$PYTHON" -m pip --version >/dev/null 2>&1 || skip "$PYTHON has no pip"
 
-# the words after the first run what follows them inside
-enter() { entering=(nsenter --target "$leader" --all -- env --ignore-environment HOME=/root PIP_NO_INDEX=1
-    PIP_FIND_LINKS=/wheels PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin); }
-
-inside() { enter; "${entering[@]}" "$@"; }
-
 # a part of pilot.py
 fly() {
     enter
     "${fly_with[@]}" "${entering[@]}" PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 OPENBLAS_NUM_THREADS=1 \
-        sh -c 'cd /src && exec /opt/companion/.venv/bin/python -m tests.deploy.pilot "$1"' sh "$1"
-}
-
-# what is there, but for what is no file of the system's, and its own logs
-list_files() {
-    inside find / -xdev \( -path /proc -o -path /sys -o -path /dev -o -path /run -o -path /tmp -o -path /src \
-        -o -path /wheels -o -path /var/log -o -path /var/tmp -o -path /root/.cache \) -prune -o -print | sort
-}
-
-# waits for a command inside to succeed
-until_well() {
-    local until=$((SECONDS + PATIENCE_S))
-    until inside "$@" >/dev/null 2>&1; do
-        [ "$SECONDS" -lt "$until" ] || return 1
-        sleep 0.5
-    done
-}
-
-shut_down() {
-    [ -n "$container" ] || return 0
-    # SIGRTMIN+4: an orderly power-off, as systemd(1) has it
-    [ -z "$leader" ] || kill -s RTMIN+4 "$leader" 2>/dev/null || true
-    for _ in $(seq 30); do kill -0 "$container" 2>/dev/null || break; sleep 0.5; done
-    kill -KILL "$container" 2>/dev/null || true
-    wait "$container" 2>/dev/null || true
-    container="" leader=""
-}
-trap shut_down EXIT
-
-boot() {
-    # no register: there is no machined to talk to; private-network: its ports are its own
-    SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=1 systemd-nspawn --quiet --boot --register=no --keep-unit \
-        --private-network --console=pipe --directory="$ROOT" </dev/null >"$FOLDER/boot.log" 2>&1 &
-    container=$!
-    for _ in $(seq 60); do
-        sleep 0.5
-        leader="$(pgrep --parent "$container" | head -n 1)" || true
-        [ -n "$leader" ] && inside systemctl is-active --quiet multi-user.target 2>/dev/null && return 0
-        kill -0 "$container" 2>/dev/null || break
-    done
-    return 1
-}
-
-main_process() { inside systemctl show companion --property=MainPID --value; }
-
-active_again() {  # another process than $1 is active
-    local until=$((SECONDS + PATIENCE_S)) now
-    while [ "$SECONDS" -lt "$until" ]; do
-        now="$(main_process)"
-        if [ "$now" != 0 ] && [ "$now" != "$1" ] && inside systemctl is-active --quiet companion; then
-            return 0
-        fi
-        sleep 0.5
-    done
-    return 1
+        sh -c 'cd /src && exec /opt/companion/current/.venv/bin/python -m tests.deploy.pilot "$1"' sh "$1"
 }
 
 install -d "$FOLDER"
@@ -111,11 +54,12 @@ platforms=()
 for glibc in 17 24 27 28 31 34; do platforms+=(--platform "manylinux_2_${glibc}_$(uname -m)"); done
 "$PYTHON" -m pip download --quiet --dest "$ROOT/wheels" "${platforms[@]}" \
     --platform "manylinux2014_$(uname -m)" --python-version 3.11 --only-binary=:all: \
-    -c "$SOURCE/constraints.txt" hatchling editables "${needed[@]}" 2>"$FOLDER/pip.log" \
+    -c "$SOURCE/constraints.txt" hatchling pip plotly simplejpeg gpiozero "${needed[@]}" 2>"$FOLDER/pip.log" \
     || fail "the wheels: $(grep -m 1 ERROR "$FOLDER/pip.log")"
 rm -rf "$ROOT/src"
 install -d "$ROOT/src"
-for name in companion sitl calibration configs systemd tests pyproject.toml constraints.txt README.md LICENSE; do
+for name in companion sitl calibration configs docs systemd tests pyproject.toml constraints.txt README.md CHANGELOG.md \
+    LICENSE; do
     cp -r "$SOURCE/$name" "$ROOT/src/"
 done
 
@@ -138,8 +82,8 @@ Before=companion.service
 [Service]
 User=companion
 RuntimeDirectory=vehicle
-ExecStart=/opt/companion/.venv/bin/python -m sitl.cli hand-held --motion still --folder /run/vehicle --settings /run/vehicle/companion.yaml
-WorkingDirectory=/opt/companion
+ExecStart=/opt/companion/current/.venv/bin/python -m sitl.cli hand-held --motion still --folder /run/vehicle --settings /run/vehicle/companion.yaml
+WorkingDirectory=/run/vehicle
 Environment=PYTHONUNBUFFERED=1 OPENBLAS_NUM_THREADS=1
 ExecStartPost=/bin/sh -c 'until [ -s /run/vehicle/companion.yaml ]; do sleep 0.2; done'
 [Install]
@@ -182,7 +126,7 @@ if [ -n "$FLIGHTS" ]; then
     step "boot a third time, without devices"
     rm "$ROOT/etc/companion/companion.yaml"
     inside systemctl disable --quiet vehicle
-    inside sh -c 'cd /src && /opt/companion/.venv/bin/python -m tests.deploy.pilot settings' \
+    inside sh -c 'cd /src && /opt/companion/current/.venv/bin/python -m tests.deploy.pilot settings' \
         >"$ROOT/etc/companion/companion.yaml" || fail "the settings"
     shut_down
     boot || fail "it does not boot without devices: $(tail -n 1 "$FOLDER/boot.log")"

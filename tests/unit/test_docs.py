@@ -154,7 +154,7 @@ def check_without_running(words: list[str]) -> None:
         files = [words[k + 1] for k, word in enumerate(words) if word in ("-c", "-r")]
         assert [file for file in files if not (ROOT / file).is_file()] == []
     else:
-        assert words[0] in {"sudo", "journalctl", "mkdir", "dask"}
+        assert words[0] in {"sudo", "journalctl", "mkdir", "dask", "companion-rollback"}
 
 
 @pytest.mark.parametrize("name", [name for name in PAGES if commands(TEXTS[name])])

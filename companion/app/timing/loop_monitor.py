@@ -26,10 +26,10 @@ from companion.plan.mission.inputs import ComputerLoad
 
 BUFFER_S: Final = 1.0  # Linux' usual buffer holds more than this
 _LOOK_S: Final = 0.02
-LATELY: Final = 90  # three seconds
+RECENT_CYCLES: Final = 90  # three seconds, in which an autopilot's failsafe shows
 CYCLES: Final = 600  # twenty seconds at 30 Hz
 LATELY: Final = 30  # cycles, by which the computer is judged
-HELD_UP_CYCLES: Final = 90  # in which an autopilot's failsafe shows
+
 # The delay margin that control promises (docs/margins.md): later, the vehicle swings.
 LATEST_S: Final = 0.1
 
@@ -47,7 +47,7 @@ class LoopMonitor:
         self._slept_s = clock.suspended_s()
         self.woke = False  # this cycle is the first after a suspension: what is known is from long before
         self._recent: deque[bool] = deque(maxlen=CYCLES)
-        self._late_s: deque[float] = deque(maxlen=HELD_UP_CYCLES)
+        self._late_s: deque[float] = deque(maxlen=RECENT_CYCLES)
 
     @property
     def stall_s(self) -> float:
@@ -72,9 +72,9 @@ class LoopMonitor:
         return sum(self._recent) / max(1, len(self._recent))
 
     def recently_late(self) -> float:
-        """The same share, of the last `LATELY` cycles: what is so now, and no stall of a minute ago."""
-        lately = list(self._recent)[-LATELY:]
-        return sum(lately) / LATELY
+        """The same share, of the last `RECENT_CYCLES` cycles: what is so now, and no stall of a minute ago."""
+        lately = list(self._recent)[-RECENT_CYCLES:]
+        return sum(lately) / RECENT_CYCLES
 
     @property
     def load(self) -> ComputerLoad:

@@ -22,7 +22,7 @@ companion report flights/flight-0007 -o flight.html
 companion report flight-0007.zip
 """
 EXPECTED: Final = "a flight's folder, its flight.mcap or its exported zip"
-NO_PLOTLY: Final = "needs plotly; expected it installed: pip install 'companion[report]'"
+NO_PLOTLY: Final = "needs plotly; expected it installed: pip install 'companion-landing[report]'"
 
 
 def report_command(

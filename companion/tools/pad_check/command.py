@@ -26,6 +26,7 @@ compass are held against it and against one another. What is wrong is named with
 Examples:
   companion check --config mine.yaml
   companion check --config mine.yaml --json -
+  companion check --config mine.yaml --write-params changes.params
   companion check --pad --config mine.yaml
   companion check --pad --config mine.yaml --no-link --json check.json
   companion check --pad --config mine.yaml --serve 8080
@@ -44,6 +45,14 @@ def check_command(
     json_file: Annotated[
         Path | None,
         typer.Option("--json", help="Write the result here; '-': to standard output.", metavar="FILE"),
+    ] = None,
+    params_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--write-params",
+            help="Write the autopilot's parameters that differ here, for QGroundControl and Mission Planner.",
+            metavar="FILE",
+        ),
     ] = None,
     record: Annotated[
         Path | None,
@@ -67,8 +76,12 @@ def check_command(
         Exit: with 1 when something is not well.
     """
     must_be_readable(config)
-    if json_file not in (None, STANDARD_OUTPUT) and not json_file.resolve().parent.is_dir():
-        raise ConfigError(f"--json {json_file}: cannot be written; expected a file in an existing folder")
+    if json_file != STANDARD_OUTPUT:
+        _writable("--json", json_file)
+    _writable("--write-params", params_file)
+    if params_file is not None and (pad or no_link):
+        other = "--pad" if pad else "--no-link"
+        raise ConfigError(f"--write-params: reads the autopilot's parameters; expected it without {other}")
     if serve is not None and not pad:
         raise ConfigError("--serve: belongs to --pad; expected both, or neither")
     from companion.tools.pad_check.job import check_over_pad, check_vehicle  # noqa: PLC0415 - once all is there
@@ -76,4 +89,9 @@ def check_command(
     if pad:
         check_over_pad(config, json_file, linked=not no_link, port=serve)
     else:
-        check_vehicle(config, json_file, record, linked=not no_link)
+        check_vehicle(config, json_file, record, linked=not no_link, params_file=params_file)
+
+
+def _writable(option: str, path: Path | None) -> None:
+    if path is not None and (path.is_dir() or not path.resolve().parent.is_dir()):
+        raise ConfigError(f"{option} {path}: cannot be written; expected a file in an existing folder")

@@ -22,6 +22,8 @@ from companion.tools.pad_check.session import Outlets, PadCheck
 from companion.tools.pad_check.steps import Say
 from companion.tools.pad_check.wizard import Report
 from companion.tools.preflight.findings import Finding, FindingState, worst
+from companion.tools.preflight.parameter_file import parameter_file, parameters_read
+from companion.tools.preflight.parameters import GROUP
 from companion.tools.preflight.report import STYLES, findings_json, findings_table, summary_line
 from companion.tools.preflight.run import preflight
 
@@ -33,16 +35,30 @@ _STYLES: Final = {
 }
 
 
-def check_vehicle(config: Path, json_file: Path | None, record: Path | None, *, linked: bool) -> None:
-    """The preflight check.
+def check_vehicle(
+    config: Path,
+    json_file: Path | None,
+    record: Path | None,
+    *,
+    linked: bool,
+    params_file: Path | None = None,
+) -> None:
+    """The preflight check; the autopilot's parameters that differ go to `params_file`.
 
     Raises:
-        ConfigError: something the user can correct.
+        ConfigError: something the user can correct, also that no parameter could be read.
         Exit: with 1 when something is not well.
     """
     prepare_opencv()
     found = asyncio.run(preflight(load_config(config), config, record, linked=linked))
     show_findings(found, json_file)
+    if params_file is not None:
+        if not parameters_read(found):
+            why = next(item.detail for item in found if item.group == GROUP)
+            raise ConfigError(
+                f"--write-params {params_file}: not written: {why}; expected an autopilot's answers"
+            )
+        write_atomically(params_file, parameter_file(found))
     raise typer.Exit(1 if worst(found) is FindingState.FAIL else 0)
 
 

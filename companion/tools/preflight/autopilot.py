@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, closing
 from dataclasses import dataclass, field
 from typing import Final
 
-from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import Clock, start_unix_s
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import CompanionConfig, ConfigError, VehicleConfig
@@ -25,6 +24,7 @@ from companion.link.transport import Transport, open_transport
 from companion.tools.preflight import telemetry
 from companion.tools.preflight.findings import Finding, FindingGroup
 from companion.tools.preflight.losses import FrameCounter
+from companion.tools.preflight.parameter_file import ParameterReadings, with_changes
 from companion.tools.preflight.parameters import GROUP, Wanted, judge_parameters, parameter_names
 from companion.tools.preflight.telemetry import Heard
 
@@ -66,7 +66,8 @@ async def check_link(config: CompanionConfig, vehicle: VehicleConfig | None) -> 
             else "the vehicle's file is not usable"
         )
         return [*found, FindingGroup(GROUP).skip("parameters", why)]
-    return found + judge_parameters(kind, heard.parameters, Wanted.of(config, vehicle, kind))
+    wanted, read = Wanted.of(config, vehicle, kind), heard.parameters
+    return found + with_changes(judge_parameters(kind, read.values, wanted), read, wanted)
 
 
 def without_link(why: str) -> list[Finding]:
@@ -175,12 +176,14 @@ class _Listener:
                 for kind in (ImuSample, MagSample, GpsFix, RangeSample)
             },
             sensors_problem=self.problem,
-            parameters=_values(asked, kind),
+            parameters=_readings(self.session.system_id, asked),
         )
 
 
-def _values(asked: list[ParameterRequest], kind: AutopilotKind | None) -> Mapping[str, float | None]:
-    return {} if kind is None else {request.name: request.value for request in asked}
+def _readings(system_id: int, asked: list[ParameterRequest]) -> ParameterReadings:
+    values = {request.name: request.value for request in asked}
+    types = {request.name: request.mav_type for request in asked if request.mav_type is not None}
+    return ParameterReadings(system_id, values, types)
 
 
 @asynccontextmanager

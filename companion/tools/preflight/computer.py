@@ -122,7 +122,11 @@ def _service(state: ServiceState | None) -> Finding:
     if state is None:
         return _GROUP.skip("service", "no systemd is running here")
     if state.load != "loaded":
-        return _GROUP.warn("service", f"{SERVICE}: {state.load or 'unknown'}", "sudo systemd/install.sh")
+        return _GROUP.warn(
+            "service",
+            f"{SERVICE}: {state.load or 'unknown'}",
+            "sudo ./install.sh of a release, or sudo systemd/install.sh",
+        )
     detail = f"{state.enabled or 'unknown'}, {state.active}"
     if state.active == "failed":
         return _GROUP.fail("service", detail, f"journalctl --unit {SERVICE}")

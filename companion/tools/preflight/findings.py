@@ -18,10 +18,24 @@ class FindingState(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class ParameterChange:
+    """What a parameter of the autopilot's is, and is to become; `expected` is None where nobody can say.
+
+    `mav_type` is its MAV_PARAM_TYPE.
+    """
+
+    system_id: int
+    value: float
+    expected: float | None
+    mav_type: int
+
+
+@dataclass(frozen=True, slots=True)
 class Finding:
     """One line of the table: its group, its name, the state, what was found, and what to do about it.
 
     `detail` of what was not checked says why not. `horizon_rad`: roll and pitch, where it has measured them.
+    `change` is of a parameter of the autopilot's that differs.
     """
 
     group: str
@@ -30,6 +44,7 @@ class Finding:
     detail: str
     hint: str = NO_HINT
     horizon_rad: tuple[float, float] | None = None
+    change: ParameterChange | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,6 +53,11 @@ def summary_line(findings: list[Finding]) -> str:
 def findings_json(findings: list[Finding]) -> str:
     """`state` (the worst), and the findings in their order."""
     plain = [
-        {name: value for name, value in asdict(each).items() if name != "horizon_rad"} for each in findings
+        {
+            key: value
+            for key, value in asdict(finding).items()
+            if key != "horizon_rad" and (key != "change" or value is not None)
+        }
+        for finding in findings
     ]
     return json.dumps({"state": worst(findings), "findings": plain}, indent=2, ensure_ascii=False) + "\n"

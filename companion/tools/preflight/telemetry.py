@@ -16,6 +16,7 @@ from companion.link.streams import OWN_RATES_HZ, TELEMETRY_RATES_HZ
 from companion.plan.mission.departure import offboard_words
 from companion.tools.preflight.findings import Finding, FindingGroup
 from companion.tools.preflight.losses import FrameCounter
+from companion.tools.preflight.parameter_file import ParameterReadings
 
 HONOURED_SHARE: Final = 0.6  # of a rate asked for
 # PX4 sends its mode when it changes and twice a second, whatever is asked for (CURRENT_MODE.hpp)
@@ -33,7 +34,7 @@ _RATE_HINT: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """The link after a while: rates (Hz) by message id and by kind of sample, parameters by name."""
+    """The link after a while: rates (Hz) by message id and by kind of sample, parameters."""
 
     state: AutopilotState
     refused: int  # frames without a right signature
@@ -42,7 +43,7 @@ class Heard:
     rates_hz: Mapping[int, float]
     samples_hz: Mapping[type, float]
     sensors_problem: str | None
-    parameters: Mapping[str, float | None]
+    parameters: ParameterReadings
 
 
 def judge(heard: Heard, config: CompanionConfig) -> list[Finding]:

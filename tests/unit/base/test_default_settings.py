@@ -17,7 +17,8 @@ def test_the_services_settings_are_those_of_its_own_program(
     system.parent.mkdir()
     if there:
         system.touch()
-    shipped = (prefix if installed else tmp_path / "checkout") / "configs"
+    package = prefix / "versions" / "0.2.0" / ".venv" / "lib" / "companion" if installed else tmp_path
+    shipped = package / "configs"
     monkeypatch.setattr(files, "CONFIG_FOLDER", shipped)
     monkeypatch.setattr(files, "_SERVICE_PREFIX", prefix)
     monkeypatch.setattr(files, "_SERVICE_SETTINGS", system)

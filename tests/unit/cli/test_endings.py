@@ -6,12 +6,12 @@ import importlib
 import os
 import subprocess
 import sys
-from importlib import metadata
 from pathlib import Path
 
 import pytest
 import typer
 
+from companion import __version__
 from companion.base.command_line import PIPE_CLOSED, Ending, new_app, run_program
 from companion.config import CONFIG_FOLDER, ConfigError
 
@@ -39,7 +39,7 @@ def test_every_program_has_version_help_and_completion(
     program: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(program, "--version", monkeypatch=monkeypatch) == 0
-    assert capsys.readouterr().out == f"{metadata.version('companion')}\n"
+    assert capsys.readouterr().out == f"{__version__}\n"
     assert run(program, "-h", monkeypatch=monkeypatch) == 0
     short = capsys.readouterr().out
     assert run(program, "--help", monkeypatch=monkeypatch) == 0

@@ -19,7 +19,7 @@ def test_the_unit_is_verified_by_systemd(tmp_path: Path) -> None:
     # the program is not installed here: put one in its place that is
     unit = (FOLDER / "companion.service").read_text()
     path = tmp_path / "companion.service"
-    path.write_text(unit.replace("/opt/companion/.venv/bin/companion", "/bin/true"))
+    path.write_text(unit.replace("/opt/companion/current/.venv/bin/companion", "/bin/true"))
     done = subprocess.run(
         ["systemd-analyze", "verify", str(path)], capture_output=True, text=True, timeout=60, check=False
     )
@@ -29,7 +29,7 @@ def test_the_unit_is_verified_by_systemd(tmp_path: Path) -> None:
 
 def test_the_unit_starts_the_command_that_is_installed() -> None:
     unit = (FOLDER / "companion.service").read_text()
-    assert "ExecStart=/opt/companion/.venv/bin/companion " in unit
+    assert "ExecStart=/opt/companion/current/.venv/bin/companion " in unit
     assert "KillSignal=SIGINT" in unit
 
 

@@ -95,7 +95,7 @@ def test_without_dask_the_line_names_the_extra(
     monkeypatch.delitem(sys.modules, "sitl.campaign.cluster", raising=False)
     line = refused(capsys, "--scenarios", "static", "--scheduler", "tcp://127.0.0.1:1", "--out", tmp_path)
     assert "needs Dask" in line
-    assert "pip install 'companion[campaign]'" in line
+    assert "pip install 'companion-landing[campaign]'" in line
 
 
 def test_the_words_of_the_command_are_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,6 +16,7 @@ from companion.link.dialect import CURRENT_MODE
 from companion.link.streams import OWN_RATES_HZ, TELEMETRY_RATES_HZ
 from companion.tools.preflight.findings import FindingState
 from companion.tools.preflight.losses import FrameCounter
+from companion.tools.preflight.parameter_file import ParameterReadings
 from companion.tools.preflight.telemetry import Heard, judge
 
 STATE = AutopilotState(
@@ -29,7 +30,7 @@ WELL = Heard(
     rates_hz={**TELEMETRY_RATES_HZ, **OWN_RATES_HZ["px4"]},
     samples_hz={ImuSample: 200.0, MagSample: 100.0, GpsFix: 5.0, RangeSample: 20.0},
     sensors_problem=None,
-    parameters={},
+    parameters=ParameterReadings(1, {}, {}),
 )
 
 

@@ -1,0 +1,1 @@
+"""`companion setup`: switches on, on a Raspberry Pi, what the wiring needs."""

@@ -1,0 +1,86 @@
+"""Going through the checklist: show a step, ask, change, say what was changed."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from enum import Enum
+
+import typer
+
+from companion.base.errors import ConfigError
+from companion.config import CompanionConfig
+from companion.tools.setup.machine import BEFORE, Machine
+from companion.tools.setup.steps import STEPS, FileChange, Program, Step, StepState
+
+
+class Answers(Enum):
+    """Who answers: nobody (a plan), what the settings need, or the person at the terminal."""
+
+    NONE = "none"
+    SUGGESTED = "suggested"
+    ASKED = "asked"
+
+
+def go_through(machine: Machine, config: CompanionConfig, answers: Answers) -> bool:
+    """The whole list; whether no change failed.
+
+    Raises:
+        ConfigError: there is nobody to ask.
+    """
+    if answers is Answers.ASKED and not sys.stdin.isatty():
+        raise ConfigError("companion setup: no terminal to ask at; expected --plan, --yes, or a terminal")
+    well, reboot = True, False
+    for number, look in enumerate(STEPS, 1):
+        step = look(machine, config)
+        show(number, step)
+        if step.state is not StepState.TO_DO or not _agreed(step, answers):
+            continue
+        done = all(_change(machine, change) for change in step.changes)
+        well, reboot = well and done, reboot or step.reboots
+    if reboot:
+        typer.echo("\nreboot, so that it counts: sudo reboot; then: companion check")
+    return well
+
+
+def show(number: int, step: Step) -> None:
+    """A step, and what would be changed."""
+    advice = "" if step.needed or step.state is not StepState.TO_DO else " (the settings do not need it)"
+    typer.echo(f"{number}. {step.title}: {step.state}{advice}; {step.detail}")
+    for change in step.changes:
+        for line in change_lines(change):
+            typer.echo(f"     {line}")
+
+
+def change_lines(change: FileChange | Program) -> list[str]:
+    """A change, for a person."""
+    if isinstance(change, Program):
+        return [f"run: {shlex.join(change.words)}"]
+    return [
+        f"in {change.name}:",
+        *(f"  - {line}" for line in change.removed),
+        *(f"  + {line}" for line in change.added),
+    ]
+
+
+def _agreed(step: Step, answers: Answers) -> bool:
+    if answers is Answers.NONE:
+        return False
+    if answers is Answers.SUGGESTED:
+        return step.needed
+    return typer.confirm("   do it?", default=step.needed)
+
+
+def _change(machine: Machine, change: FileChange | Program) -> bool:
+    """Make one change, and say so; whether it went well."""
+    if isinstance(change, FileChange):
+        machine.write(change.name, change.text)
+        typer.echo(f"   changed {change.name}; as it was before: {change.name}{BEFORE}")
+        return True
+    code, told = machine.run(change.words)
+    if code != 0:
+        last = told.strip().splitlines()[-1:] or [f"exit code {code}"]
+        typer.echo(f"   failed: {shlex.join(change.words)}: {last[0]}")
+        return False
+    typer.echo(f"   ran {shlex.join(change.words)}")
+    return True

@@ -1,0 +1,225 @@
+"""install.sh and companion-rollback on made-up releases: one whole version is in use, whatever happens."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.deploy.releases import PIP, SYSTEMD, System, release
+
+pytestmark = pytest.mark.skipif(PIP is None, reason="this Python has no ensurepip, whose pip they hold")
+
+
+@pytest.fixture
+def system(tmp_path: Path) -> System:
+    return System.made(tmp_path)
+
+
+def installed(system: System, folder: Path, version: str) -> None:
+    done = system.run(release(folder, version) / "install.sh")
+    assert done.returncode == 0, done.stderr
+    assert system.in_use == version
+
+
+def unit(system: System) -> str:
+    return (system.base / "etc/systemd/system/companion.service").read_text().splitlines()[-1]
+
+
+def test_a_first_installation_starts_nothing_and_puts_the_shipped_settings(
+    system: System, tmp_path: Path
+) -> None:
+    installed(system, tmp_path, "1.0")
+    assert system.starts == []
+    assert (system.base / "etc/companion/companion.yaml").read_text() == "# shipped\n"
+    assert (system.prefix / "current/REVISION").read_text() == "abc\n"
+    assert (system.prefix / "current/configs/companion.yaml").exists()
+    assert system.run(system.base / "usr/local/bin/companion", "--version").stdout == "1.0\n"
+
+
+def test_an_upgrade_restarts_a_service_that_stands_by_says_so_and_leaves_settings_and_keys(
+    system: System, tmp_path: Path
+) -> None:
+    installed(system, tmp_path, "1.0")
+    token, settings = (system.base / "etc/companion" / name for name in ("page-token", "companion.yaml"))
+    token.write_text("secret")
+    token.chmod(0o600)
+    settings.write_text("# mine\n")
+    before = [(path.stat().st_uid, path.stat().st_gid, path.stat().st_mode) for path in (token, settings)]
+    system.serves()
+    done = system.run(release(tmp_path, "1.1") / "install.sh")
+    assert done.returncode == 0, done.stderr
+    assert "restarting the service" in done.stdout
+    assert (system.in_use, system.starts, unit(system)) == ("1.1", ["1.1"], "# 1.1")
+    assert settings.read_text() == "# mine\n"
+    assert before == [(p.stat().st_uid, p.stat().st_gid, p.stat().st_mode) for p in (token, settings)]
+
+
+def test_no_line_of_the_installer_changes_who_owns_the_settings() -> None:
+    text = (SYSTEMD / "install.sh").read_text() + (SYSTEMD / "versions.sh").read_text()
+    commands = [line for line in text.splitlines() if "chown" in line and "sudo chown" not in line]
+    assert commands == []
+
+
+def test_one_that_does_not_come_up_is_taken_back_with_the_service_up(system: System, tmp_path: Path) -> None:
+    installed(system, tmp_path, "1.0")
+    system.serves()
+    done = system.run(release(tmp_path, "1.1", fault=True) / "install.sh")
+    assert done.returncode == 1
+    assert "1.1 was taken back; 1.0 is in use, the service runs" in done.stderr
+    assert (system.in_use, system.starts, unit(system)) == ("1.0", ["1.1", "1.0"], "# 1.0")
+    assert (system.base / "active").exists()
+
+
+@pytest.mark.parametrize(
+    ("status", "why"),
+    [
+        ({"armed": True}, "the vehicle is armed"),
+        ({"phase": "descend", "order": "land by RC"}, "the service is in descend, land by RC"),
+        ({"phase": "abort"}, "the service is in abort"),
+    ],
+)
+def test_in_flight_nothing_is_changed(
+    status: dict[str, object], why: str, system: System, tmp_path: Path
+) -> None:
+    installed(system, tmp_path, "1.0")
+    system.serves(**status)
+    done = system.run(release(tmp_path, "1.1") / "install.sh")
+    assert done.returncode == 2
+    assert f"{why}: nothing was changed" in done.stderr
+    assert (system.in_use, system.starts, system.versions) == ("1.0", [], {"1.0"})
+    removal = system.run(release(tmp_path / "again", "1.1") / "install.sh", "--remove")
+    assert removal.returncode == 2
+    assert system.in_use == "1.0"
+
+
+def test_a_service_that_runs_and_does_not_answer_is_not_restarted(system: System, tmp_path: Path) -> None:
+    installed(system, tmp_path, "1.0")
+    (system.base / "active").touch()
+    done = system.run(release(tmp_path, "1.1") / "install.sh")
+    assert done.returncode == 2
+    assert "the service runs and does not answer: nobody answers" in done.stderr
+    assert (system.in_use, system.starts) == ("1.0", [])
+
+
+def test_without_a_package_it_needs_nothing_is_changed_and_one_line_says_so(
+    system: System, tmp_path: Path
+) -> None:
+    installed(system, tmp_path, "1.0")
+    system.serves()
+    done = system.run(release(tmp_path, "1.1", needs="no-such-package") / "install.sh")
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "nothing was changed" in line
+    assert "no-such-package" in line
+    assert (system.in_use, system.starts, system.versions) == ("1.0", [], {"1.0"})
+
+
+def test_from_a_checkout_without_a_network_nothing_is_changed_and_one_line_says_so(
+    system: System, tmp_path: Path
+) -> None:
+    installed(system, tmp_path, "1.0")
+    system.serves()
+    done = system.run(SYSTEMD / "install.sh", PIP_NO_INDEX="1", PIP_CONFIG_FILE="/dev/null")
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "the wheels cannot be built, and nothing was changed: ERROR: " in line
+    assert (system.in_use, system.starts, system.versions) == ("1.0", [], {"1.0"})
+
+
+def test_a_damaged_release_is_refused(system: System, tmp_path: Path) -> None:
+    bundle = release(tmp_path, "1.0")
+    with (bundle / "constraints.txt").open("a") as file:
+        file.write("x")
+    done = system.run(bundle / "install.sh")
+    assert done.returncode == 2
+    assert "damaged or missing" in done.stderr
+    assert system.in_use is None
+
+
+def test_a_release_for_another_computer_is_refused(system: System, tmp_path: Path) -> None:
+    bundle = release(tmp_path, "1.0")
+    (bundle / "ARCHITECTURE").write_text("riscv64\n")
+    done = system.run(bundle / "install.sh")
+    assert (done.returncode, "this release is for riscv64" in done.stderr) == (2, True)
+
+
+def test_back_by_hand_forward_again_and_the_same_again(system: System, tmp_path: Path) -> None:
+    installed(system, tmp_path, "1.0")
+    rollback = system.base / "usr/local/bin/companion-rollback"
+    assert "there is no version before 1.0" in system.run(rollback).stderr
+    system.serves()
+    installed(system, tmp_path, "1.1")
+    assert system.run(rollback, "--list").stdout == "1.0 (before)\n1.1 (in use)\n"
+    assert system.run(rollback).returncode == 0
+    assert (system.in_use, system.starts) == ("1.0", ["1.1", "1.0"])
+    assert system.run(rollback).returncode == 0
+    assert system.in_use == "1.1"
+    again = system.run(tmp_path / next(path.name for path in tmp_path.glob("companion-1.1-*")) / "install.sh")
+    assert "in use already; the service was left alone" in again.stdout
+    assert system.starts == ["1.1", "1.0", "1.1"]
+    unknown = system.run(rollback, "7.0")
+    assert (unknown.returncode, "7.0 is not installed" in unknown.stderr) == (2, True)
+
+
+def test_the_version_in_use_and_the_one_before_it_are_kept(system: System, tmp_path: Path) -> None:
+    for version in ("1.0", "1.1", "1.2"):
+        installed(system, tmp_path, version)
+    assert system.versions == {"1.1", "1.2"}
+
+
+def test_another_content_of_the_same_version_gets_a_folder_of_its_own(system: System, tmp_path: Path) -> None:
+    installed(system, tmp_path, "1.0")
+    system.serves()
+    done = system.run(release(tmp_path / "other", "1.0", fault=True) / "install.sh")
+    assert done.returncode == 1
+    assert system.in_use == "1.0"
+    assert (system.prefix / "versions/1.0/COMPLETE").exists()
+
+
+def test_the_layout_of_0_1_is_kept_until_it_is_not_the_one_before(system: System, tmp_path: Path) -> None:
+    """GIVEN 0.1, straight in /opt/companion WHEN upgraded THEN it can be gone back to, as any version."""
+    old = tmp_path / "old"
+    shutil.copytree(old_layout(system, tmp_path), old)
+    system.serves()
+    done = system.run(release(tmp_path, "1.1", fault=True) / "install.sh")
+    assert done.returncode == 1, done.stderr
+    assert (system.in_use, unit(system)) == ("0.1.0", "# 0.1")
+    installed(system, tmp_path, "1.2")
+    assert (system.prefix / ".venv").exists()
+    assert system.run(system.base / "usr/local/bin/companion-rollback").returncode == 0
+    assert system.run(system.base / "usr/local/bin/companion", "--version").stdout == "0.1.0\n"
+    installed(system, tmp_path, "1.3")
+    installed(system, tmp_path, "1.4")
+    assert not (system.prefix / ".venv").exists()
+    assert not (system.prefix / "companion").exists()
+
+
+def old_layout(system: System, folder: Path) -> Path:
+    """What 0.1's installer left, as far as it is seen."""
+    programs = system.prefix / ".venv/bin"
+    programs.mkdir(parents=True)
+    (system.prefix / "companion").mkdir()
+    shown = folder / "shown.py"
+    shown.write_text(
+        "import os, pathlib, sys\n"
+        "base = pathlib.Path(os.environ['COMPANION_BASE'])\n"
+        "print('0.1.0' if '--version' in sys.argv else (base / 'status.json').read_text())\n"
+    )
+    (programs / "companion").write_text(f'#!/bin/sh\nexec python3 {shown} "$@"\n')
+    (programs / "companion").chmod(0o755)
+    (system.base / "etc/systemd/system/companion.service").write_text("[Unit]\n# 0.1\n")
+    return system.prefix
+
+
+def test_removed_nothing_but_settings_is_left(system: System, tmp_path: Path) -> None:
+    installed(system, tmp_path, "1.0")
+    key = system.base / "etc/companion/signing-key"
+    key.write_text("secret")
+    system.serves()
+    bundle = next(tmp_path.glob("companion-1.0-*"))
+    assert system.run(bundle / "install.sh", "--remove").returncode == 0
+    assert not system.prefix.exists()
+    assert list((system.base / "usr/local/bin").iterdir()) == []
+    assert key.read_text() == "secret"
