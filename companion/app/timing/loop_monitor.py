@@ -72,7 +72,7 @@ class LoopMonitor:
         return sum(self._recent) / max(1, len(self._recent))
 
     def recently_late(self) -> float:
-        """The same share, of the last `RECENT_CYCLES` cycles: what is so now, and no stall of a minute ago."""
+        """The same share of the last `RECENT_CYCLES`: what is so now, and no stall of a minute ago."""
         lately = list(self._recent)[-RECENT_CYCLES:]
         return sum(lately) / RECENT_CYCLES
 
