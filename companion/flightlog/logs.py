@@ -124,7 +124,9 @@ def list_flights(root: Path) -> None:
         ) from error
     total = 0
     if flights:
-        typer.echo(f"{'flight':<18} {'began':<16} {'time':>7} {'off the pad':>10} {'size':>8}  outcome")
+        typer.echo(
+            f"{'flight':<18} {'began':<16} {'time':>7} {'off the pad':>10} {'size':>8}  outcome", err=True
+        )
     for folder in flights:
         try:
             summary = summary_of(folder)

@@ -19,7 +19,7 @@ from companion.base.messages import Outcome
 from companion.config import CompanionConfig
 from companion.flightlog.report.figures import figures
 from companion.flightlog.report.logged_flight import LoggedFlight, SensorRecord
-from companion.flightlog.report.tables import result_rows
+from companion.flightlog.report.tables import result_rows, stage_text
 from companion.flightlog.result import latency, phase_times
 
 PAGE_NAME: Final = "report.html"
@@ -105,7 +105,7 @@ def _verdict_rows(flight: LoggedFlight, bounds: Mapping[str, float]) -> Sequence
     delays = latency(flight.kept.get("setpoint", ()), flight.kept.get("control_report", ()))
     rows = [
         ("outcome", flight.outcome, ""),
-        ("search / approach / descent", " / ".join(f"{s:.1f}" for s in stages_s) + " s", ""),
+        ("search / approach / descent", " / ".join(map(stage_text, stages_s)) + " s", ""),
         ("whole flight", f"{spent.total_s:.1f} s", ""),
         ("frames with the pad", f"{sum(r.seen for r in reports)} of {len(reports)}", ""),
     ]

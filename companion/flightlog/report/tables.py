@@ -31,6 +31,11 @@ def result_table(result: Result, bounds: Mapping[str, float]) -> Table:
     return table
 
 
+def stage_text(seconds: float) -> str:
+    """How long a stage took; a dash for one that was never reached."""
+    return f"{seconds:.1f}" if seconds > 0.0 else "-"
+
+
 def result_rows(result: Result, bounds: Mapping[str, float]) -> list[tuple[str, str, str]]:
     """Name, measured value and bound ("" for none), in this order, with units."""
     rows: list[tuple[str, str, str]] = []
@@ -43,7 +48,7 @@ def result_rows(result: Result, bounds: Mapping[str, float]) -> list[tuple[str, 
     spent = (result.time.search_s, result.time.approach_s, result.time.descent_s)
     texts = {
         "pad speed": f"{result.pad.speed_m_s:.2f} m/s",
-        "search / approach / descent": " / ".join(f"{seconds:.1f}" for seconds in spent) + " s",
+        "search / approach / descent": " / ".join(map(stage_text, spent)) + " s",
         "whole flight": f"{result.time.total_s:.1f} s",
         "frames with the pad": f"{result.vision.frames_with_pad} of {result.vision.frames}",
         "sighting error (rms)": _optional(result.vision.relative_position_rmse_m, "m"),

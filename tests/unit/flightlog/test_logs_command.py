@@ -138,7 +138,9 @@ def test_flights_are_listed_with_date_outcome_error_and_length(
     (simulated / "result.json").write_text(json.dumps(result))
     (tmp_path / "latch.json").touch()
     run("logs", "--record", tmp_path)
-    lines = capsys.readouterr().out.splitlines()
+    said = capsys.readouterr()
+    assert said.err.split() == ["flight", "began", "time", "off", "the", "pad", "size", "outcome"]
+    lines = said.out.splitlines()
     assert [line.split()[0] for line in lines[:4]] == ["flight-0001", "flight-0002", "flight-0003", "circle"]
     assert "2023-11-14 22:13" not in lines[0]  # 1.7e9 is before 2024: no clock of today's
     assert lines[0].split()[-1] == "landed"

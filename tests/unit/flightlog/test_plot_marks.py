@@ -13,6 +13,7 @@ from companion.base.messages import Phase, PlanStep
 from companion.config import CONFIG_FOLDER
 from companion.flightlog.errors import TruthTrack
 from companion.flightlog.report import plots
+from companion.flightlog.report.tables import stage_text
 from companion.pad.colours import GROUP_COLOURS, bgr
 from tests.unit.flightlog.test_result import truth_at
 
@@ -42,6 +43,10 @@ def test_the_distance_has_the_pass_line_and_the_touchdown_s_mark_in_centimetres(
     assert any(np.all(np.asarray(y) == 15.0) for y in heights)
     assert any(np.all(np.asarray(line.get_xdata()) == PLANS[80].time_s) for line in axes.lines)
     assert [text.get_text() for text in axes.texts] == ["landed"]
+
+
+def test_a_stage_that_was_never_reached_has_no_time() -> None:
+    assert [stage_text(seconds) for seconds in (0.0, 4.96)] == ["-", "5.0"]
 
 
 def test_the_marker_groups_have_one_colour_set() -> None:
