@@ -17,6 +17,7 @@
 # make bench-precision       the autopilots' own precision landing, beside what the real firmware did
 # make bench-landing RUNS=200  random landings, and the cases of the autopilots' own precision landing
 # make bench-firmware PX4=BIN ARDUCOPTER=BIN  landings on the real firmwares, in lockstep
+# make bench-external PX4=BIN ARDUCOPTER=BIN  landings on the firmwares' own simulators, in real time
 # make bench-faults          every fault in every phase of a flight: how it ends, and whether it is safe
 # make bench-service         the service: start, CPU, memory, ten orders in one run
 # make bench-page            the live page: from exposure to pixel, CPU, the control loop with three viewers
@@ -154,6 +155,11 @@ bench-landing: $(VENV)/.dev
 # three quarters of an hour on two cores; give it again after an interruption, and it goes on
 bench-firmware: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.firmware.bench_firmware $(if $(PX4),--px4 $(PX4)) $(if $(ARDUCOPTER),--arducopter $(ARDUCOPTER)) --seeds $(SEEDS)
+
+# in real time, one after another, on a quiet machine; give it again after an interruption, and it goes on
+.PHONY: bench-external
+bench-external: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.firmware.bench_external $(if $(PX4),--px4 $(PX4)) $(if $(ARDUCOPTER),--arducopter $(ARDUCOPTER))
 
 bench-response: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.autopilot.bench_response $(if $(PX4),--px4 $(PX4)) $(if $(ARDUCOPTER),--arducopter $(ARDUCOPTER))
