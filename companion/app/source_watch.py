@@ -36,6 +36,7 @@ class SourceWatch:
     def begin(self) -> None:
         """A new mission."""
         self._announced.clear()
+        self._estimator.begin_checks()
 
     @property
     def comparisons(self) -> tuple[SourceComparison, ...]:

@@ -105,7 +105,12 @@ class StateEstimator:
         """Forget vehicle and pad: more time has gone by than any clock shows. The alignment begins again."""
         self._vehicle.start_over()
         self._attitude_check.forget()
+        self.begin_checks()
         self._no_pad()
+
+    def begin_checks(self) -> None:
+        """Another mission, or another time: what was compared over the pad before says nothing any more."""
+        self._camera_check.begin_anew()
 
     def recover(self, now_s: float) -> str | None:
         """On the ground: start anew where all of IMU or GPS has been refused for long; says so, else None."""

@@ -27,7 +27,7 @@ from companion.plan.mission.orders import estimate_problems, not_ready
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Circumstances, DetectedEvent, Effect, MissionEvent, State
-from companion.plan.mission.table import COMMITTED, FINAL, TOUCHDOWN, impossible
+from companion.plan.mission.table import BY_THE_PAD, COMMITTED, FINAL, impossible
 from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, unhurried
@@ -163,7 +163,9 @@ class Planner:
     def _checked(self, inputs: PlanInputs, now_s: float) -> PlanInputs:
         """The inputs without a rangefinder that two others contradict, which is said once."""
         echo, position = inputs.range, inputs.autopilot.global_position
-        if self._machine.state not in TOUCHDOWN:  # a deck that heaves moves the vehicle, and no echo
+        if self._machine.state in BY_THE_PAD:  # a deck that heaves moves the vehicle, and no echo
+            self._echoes.pause()
+        else:
             ours_m = None if inputs.vehicle is None else -inputs.vehicle.position_ned_m[2]
             theirs_m = None if position is None else position[2]
             if self._echoes.update(echo, ours_m, theirs_m, now_s) and echo is not None:

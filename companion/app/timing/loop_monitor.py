@@ -19,6 +19,7 @@ from typing import Final
 from companion.app.timing.vision_pace import VisionPace
 from companion.base.clock import Clock
 from companion.base.messages import AutopilotSetup
+from companion.link.autopilot_setup import SHORTEST_TIMEOUT_S
 from companion.link.session import Session
 from companion.link.transport import backlog_read
 from companion.plan.landing.contact import UNSEEN_S
@@ -52,7 +53,9 @@ class LoopMonitor:
     @property
     def stall_s(self) -> float:
         """So long a halt (s) is a stall: by then the autopilot flies by itself, or the buffer overflows."""
-        return min(BUFFER_S, (self._session.setup or AutopilotSetup()).keeps_setpoint_s)
+        keeps_s = (self._session.setup or AutopilotSetup()).keeps_setpoint_s
+        # one that is set shorter than any should be does not make every cycle a stall
+        return min(BUFFER_S, max(SHORTEST_TIMEOUT_S, keeps_s))
 
     def turn(self, late_s: float, period_s: float) -> None:
         """A cycle begins, so late."""

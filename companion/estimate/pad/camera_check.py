@@ -39,6 +39,7 @@ NOISE_M: Final = 0.005  # of a sighting's, at least: calibration errors, which t
 NOISE_RAD: Final = 0.003  # of the attitude's, from one second to the next
 ECHO_NOISE_M: Final = 0.03
 SQUARE: Final = 1.1  # so near to the least noise of an echo it comes square to the board
+ECHO_OFFSET_STD_M: Final = 0.02  # of its mounting, and of what it takes for the surface
 ECHO_SCALE_STD: Final = 0.003  # the speed of sound, which does not average out
 HIGHEST_ECHO_M: Final = 2.5  # an ultrasonic's cone is then as wide as a pad
 ECHO_APART_S: Final = 0.05  # an echo and a sighting of one moment
@@ -199,7 +200,7 @@ class CameraCheck:
                 "100 %",
                 f"{100.0 / max(k, 0.01):.0f} %",
                 difference=100.0 * abs(1.0 / max(k, 0.01) - 1.0),
-                std=100.0 * math.hypot(k_std, ECHO_SCALE_STD) / max(k, 0.01) ** 2,
+                std=100.0 * math.hypot(k_std, ECHO_SCALE_STD, self._echo_offset) / max(k, 0.01) ** 2,
             ),
             SourceComparison(
                 self._time_s,
@@ -210,6 +211,20 @@ class CameraCheck:
                 std=1e3 * self.delay_std_s,
             ),
         )
+
+    @property
+    def _echo_offset(self) -> float:
+        """What an echo's lasting offset may be, as a share of the height at which it was compared last."""
+        if self._heights_m is None:
+            return 0.0
+        return ECHO_OFFSET_STD_M / max(self._heights_m[1], ECHO_OFFSET_STD_M)
+
+    def begin_anew(self) -> None:
+        """Forget what was compared, but the delay: another mission, or a time that no clock shows."""
+        self._time_s, self._heights_m = -math.inf, None
+        self._echoes.clear()
+        self._ratios.clear()
+        self._forget_scale()
 
     @property
     def _height(self) -> tuple[SourceComparison, ...]:

@@ -23,7 +23,7 @@ FRESH_S = 0.3  # of IMU and echoes
 UNSEEN_S = 0.2  # five frames lost in a row at 30 Hz; a slower vision's every frame
 # An age counts from the exposure, and vision may take 0.2 s of it. So old the pad is off its predicted place
 # by 0.4 m at most, at a pad that brakes with 3 m/s²; older it is no sign.
-_KNOWN_S = 0.5
+KNOWN_S = 0.5
 SIGNS_NEEDED = 2  # each alone has a cause other than contact: a gust, a wrong leg height, a stray echo
 _STALLED_M_S = 0.06  # a third of the slowest sink
 # The pad this far below the feet for so long has driven away or fallen: a bounce is lower and shorter.
@@ -97,7 +97,7 @@ def contact_signs(
     """
     hangs_m = vehicle.foot_reach_m * math.sin(min(tilt_rad, _MOST_FOOT_TILT_RAD))
     feet_m = vehicle.leg_height_m + hangs_m + config.contact_margin_m
-    low = sight is not None and sight.age_s <= _KNOWN_S and sight.height_m <= feet_m
+    low = sight is not None and sight.age_s <= KNOWN_S and sight.height_m <= feet_m
     if sight is not None and sight.age_s <= config.blind_s:
         sink_m_s = sight.sink_m_s
     # the reference goes on down and the vehicle does not; it may bounce
@@ -143,7 +143,7 @@ class Standing:
     def begin(self, now_s: float, sight: PadState | None = None) -> None:
         """The feet are on the pad from now on: where they were felt, if the file has shorter legs."""
         self._since_s = now_s
-        felt_m = 0.0 if sight is None or sight.age_s > _KNOWN_S else sight.height_m
+        felt_m = 0.0 if sight is None or sight.age_s > KNOWN_S else sight.height_m
         self._feet_m = max(self._vehicle.leg_height_m, felt_m) + self._config.contact_margin_m
         self._away, self._resting, self._falling, self._unshown = (Debounce() for _ in range(4))
         self._lifted, self._able = Debounce(), Debounce()

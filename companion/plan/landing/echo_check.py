@@ -26,6 +26,10 @@ class EchoCheck:
         self.stuck = False
         self._from: tuple[float, float, float, float] | None = None
 
+    def pause(self) -> None:
+        """A cycle that tells nothing: what comes after it is not compared with what was before."""
+        self._from = None
+
     def update(
         self, echo: RangeSample | None, ours_m: float | None, theirs_m: float | None, now_s: float
     ) -> bool:

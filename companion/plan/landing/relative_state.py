@@ -11,6 +11,7 @@ from dataclasses import replace
 from companion.base.geometry import add, scale, wrap_angle, yaw_from_quat
 from companion.base.messages import PadState, VehicleState
 from companion.base.motion import Motion
+from companion.plan.landing.contact import KNOWN_S, UNSEEN_S
 
 # the prediction's longest step: an estimate that is older shows in `seen_time_s` instead
 _LONGEST_STEP_S = 0.3
@@ -77,8 +78,9 @@ class SteadySightings:
         if pad is None or pad.seen_time_s <= self._seen_s:
             return
         self._count = self._count + 1 if pad.seen_time_s - self._seen_s <= self._gap_s else 1
-        # how long ago the first one came is not known
-        self.delay_s = max(0.0, now_s - pad.seen_time_s) if math.isfinite(self._seen_s) else 0.0
+        # how long ago the first one came is not known; one that comes later than a pad is known for is old
+        delay_s = now_s - pad.seen_time_s if math.isfinite(self._seen_s) else 0.0
+        self.delay_s = min(max(0.0, delay_s), KNOWN_S - UNSEEN_S)
         self._seen_s = pad.seen_time_s
 
     def forget(self) -> None:

@@ -40,9 +40,11 @@ class SetDown:
         landed = inputs.autopilot.landed
         if landed is LandedState.ON_GROUND:
             return MissionEvent.LANDING_DETECTED, "the autopilot reports landed"
+        # it means to go down, though its reference begins anew with the vehicle's own speed
+        meant = Motion(self._generator.at(now_s).position_m, (0.0, 0.0, self._config.contact_speed_m_s))
         signs = contact_signs(
             sight,
-            self._generator.at(now_s),
+            meant,
             inputs.range,
             landed,
             now_s,

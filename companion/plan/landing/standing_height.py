@@ -38,6 +38,7 @@ class StandingHeight:
         self._echo_s = self._seen_s = -math.inf
         self._by_echo: deque[float] = deque(maxlen=_COUNT)
         self._by_pad: deque[float] = deque(maxlen=_COUNT)
+        self._moved = False  # since the last was learnt
         self.measured_m: dict[str, float] = {}  # by its source
 
     def update(self, inputs: PlanInputs, now_s: float) -> None:
@@ -47,6 +48,7 @@ class StandingHeight:
         if self._still.held_s(still, now_s) < _STILL_S or vehicle is None:
             self._by_echo.clear()
             self._by_pad.clear()
+            self._moved = True
             return
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
         if inputs.range is not None and echo_m is not None and inputs.range.time_s > self._echo_s:
@@ -72,6 +74,9 @@ class StandingHeight:
     def _learn(self, source: str, recent_m: deque[float], height_m: float) -> None:
         recent_m.append(height_m)
         if len(recent_m) == _COUNT and max(recent_m) - min(recent_m) <= _SPREAD_M:
+            if self._moved:
+                self.measured_m.clear()  # it stood elsewhere: on a bench, say
+                self._moved = False
             self.measured_m[source] = median(recent_m)
 
     def _stands_on(self, sight: PadState) -> bool:

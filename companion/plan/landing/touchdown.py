@@ -95,6 +95,7 @@ class TouchdownSequence:
             self._break_off(now_s)
         elif state is State.SET_DOWN:
             self._set_down.begin(vehicle, now_s)
+            self._standing.begin(now_s, self._sight)  # what an earlier try stood counts no more
             self._levelling.reset()
             self._levelling.stay(now_s)
         elif state is State.STAND:

@@ -278,12 +278,13 @@ ROWS: Final = (
     ),
     # Setpoints that come late make the vehicle swing, higher and higher: a climb by them just over the pad is
     # the greater danger than the autopilot's own hold there.
-    # Of two that command it nobody knows what it will do: its own hold obeys neither.
+    # Of two that command it nobody knows what it will do: its own hold obeys neither. To rise first ArduPilot
+    # would stay in GUIDED, in which it obeys the other.
     *(
         _row(
             event,
             IN_AIR - COMMITTED - BY_AUTOPILOT,
-            *_RETURN_CONTROL,
+            *(branch for branch in _RETURN_CONTROL if event in LATE or branch is not _RISE),
             except_={**_all(ON_GROUND, _NOT_YET), **_all(BY_AUTOPILOT, _FLIES_ITSELF), **_GO_ON},
         )
         for event in (*LATE, E.RIVAL)
