@@ -294,7 +294,8 @@ def test_a_mode_that_follows_setpoints_that_stopped_is_not_the_pilots_alone(
     held_up_s: float, words: str
 ) -> None:
     watch, _ = monitor()
-    given = replace(inputs(replace(HELD, mode="POSCTL")), computer=ComputerLoad(None, held_up_s))
+    held_up = ComputerLoad(None, held_up_s)
+    given = replace(inputs(replace(HELD, mode="POSCTL")), computer=held_up, keeps_setpoint_s=1.0)
     watch.detect(inputs(), 49.0, control_granted=True)
     found = dict(watch.detect(given, 50.0, control_granted=True))
     assert found[MissionEvent.PILOT_TOOK_OVER] == f"mode POSCTL was not requested{words}"

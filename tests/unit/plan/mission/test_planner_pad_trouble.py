@@ -165,7 +165,8 @@ def test_echoes_that_contradict_the_pads_height_break_the_landing_off(lie_m: flo
 
 @pytest.mark.parametrize("for_s", [60.0, 0.5])
 def test_a_pad_that_echoes_contradict_is_not_flown_to_in_a_pause_between_them(for_s: float) -> None:
-    # GIVEN something at 0.5 m before the ultrasonic from the descent on, and a pause after every third echo
+    # GIVEN something that swings 0.5 m before the ultrasonic from the descent on (what stays there is a stuck
+    # sensor), and a pause after every third echo
     w = world(still())
     w.fly(60.0, until=lambda x: x.flight.phase is Phase.DESCEND)
     number, echo, begun_s = 0, w._echo, w.now_s
@@ -175,7 +176,8 @@ def test_a_pad_that_echoes_contradict_is_not_flown_to_in_a_pause_between_them(fo
         number += 1
         if w.now_s - begun_s > for_s:
             return echo()
-        return RangeSample(w.now_s, 0.5) if number // 6 % 2 else None
+        swings_m = 0.5 + 0.12 * math.sin(5.0 * w.now_s)
+        return RangeSample(w.now_s, swings_m) if number // 6 % 2 else None
 
     w._echo = other  # type: ignore[method-assign]
     w.fly(10.0, until=lambda x: x.flight.phase is Phase.SEARCH)
