@@ -26,7 +26,7 @@ from companion.estimate.estimator import StateEstimator
 from companion.flightlog.record import FlightLog
 from companion.link.session import Session
 from companion.link.signing import LinkSigning
-from companion.pad import load_pad
+from companion.pad import Pad, load_pad
 from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.planner import Planner
 from companion.plan.speed.laws import load_speed_controller
@@ -66,8 +66,7 @@ def build_stages(
     pad = load_pad(config.pad)
     antenna = config.sense.gps.antenna_position_body_m
     session = _session(config, hardware.signing)
-    half_width_m = 0.5 * min(pad.width_m, pad.length_m)
-    estimator = StateEstimator(config.estimate, vehicle, antenna, half_width_m)
+    estimator = StateEstimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
     sensing = Sensing(
         config,
         hardware,
@@ -89,12 +88,24 @@ def build_stages(
         **sensing.calibrations,
         **({} if mount is None else {"mount": mount}),
     )
+    make_planner = _planner_maker(config, vehicle, pad)
+    nearest_m = config.sense.range.minimum_m
+    sources = SourceWatch(estimator, session, sensing, vehicle, notify, nearest_echo_m=nearest_m)
+    stamps = StampKeeper(
+        hardware.stamp_file, hardware.signing, lambda text: notify("signing", text, "warning")
+    )
+    watch = EstimateWatch(estimator, session, log, clock, notify)
+    return Stages(vehicle, session, estimator, sensing, sources, control_timer, stamps, watch, make_planner)
+
+
+def _planner_maker(
+    config: CompanionConfig, vehicle: VehicleConfig, pad: Pad
+) -> Callable[[str | None], Planner]:
+    """What makes a mission's planner; what is learnt of the standing vehicle outlives missions."""
     law, pace = load_speed_controller(config.plan)
+    standing_height, control = StandingHeight(vehicle), config.control
 
-    standing_height = StandingHeight(vehicle)
-
-    def make_planner(standby: str | None) -> Planner:
-        control = config.control
+    def make(standby: str | None) -> Planner:
         return Planner(
             config.plan,
             vehicle,
@@ -103,18 +114,12 @@ def build_stages(
             law,
             pace=pace,
             standby=standby,
-            pad_half_width_m=half_width_m,
+            pad_half_width_m=0.5 * min(pad.width_m, pad.length_m),
             pad_reach_m=0.5 * math.hypot(pad.width_m, pad.length_m),
             standing_height=standing_height,
         )
 
-    nearest_m = config.sense.range.minimum_m
-    sources = SourceWatch(estimator, session, sensing, vehicle, notify, nearest_echo_m=nearest_m)
-    stamps = StampKeeper(
-        hardware.stamp_file, hardware.signing, lambda text: notify("signing", text, "warning")
-    )
-    watch = EstimateWatch(estimator, session, log, clock, notify)
-    return Stages(vehicle, session, estimator, sensing, sources, control_timer, stamps, watch, make_planner)
+    return make
 
 
 def _session(config: CompanionConfig, signing: LinkSigning | None) -> Session:

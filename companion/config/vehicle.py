@@ -7,13 +7,15 @@ from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from companion.base.encoding import GREYS
 from companion.config.calibration import CameraCalibration
 from companion.config.reading import StrictModel, Vector
 from companion.config.response import Responses
 
 # no lens sits farther off its image's middle, as a share of the image; half or double the size does that
 OFF_CENTRE: Final = 0.2
+
+
+MOST_GREYS: Final = 256  # of an image of 8 bits
 
 
 class CaptureConfig(StrictModel):
@@ -77,8 +79,8 @@ class CameraConfig(CaptureConfig):
             return encoding
         steps = [b - a for a, b in itertools.pairwise(encoding)]
         ends = len(encoding) >= 2 and (encoding[0], encoding[-1]) == (0.0, 1.0)
-        if not ends or len(encoding) > GREYS or min(steps) <= 0.0:
-            raise ValueError(f"expected srgb, linear, or 2 to {GREYS} rising numbers from 0 to 1")
+        if not ends or len(encoding) > MOST_GREYS or min(steps) <= 0.0:
+            raise ValueError(f"expected srgb, linear, or 2 to {MOST_GREYS} rising numbers from 0 to 1")
         return encoding
 
     @model_validator(mode="after")

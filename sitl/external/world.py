@@ -18,11 +18,19 @@ from typing import Final
 
 import numpy as np
 
-from companion.base.geometry import Vector3, add, ned_from_geodetic, norm, quat_rotate, tilt_from_quat
+from companion.base.geometry import (
+    Vector3,
+    add,
+    ned_from_geodetic,
+    norm,
+    quat_rotate,
+    subtract,
+    tilt_from_quat,
+)
 from companion.base.messages import Phase, Truth
 from companion.config import ConfigError
 from companion.pad import load_pad
-from sitl.external.pose import Pose, PoseTrack, Sample
+from sitl.external.pose import JUMP_M, Pose, PoseTrack, Sample
 from sitl.external.touched_pad import TouchedPad
 from sitl.pad.motion import PadMotion, PadTruth, build_pad_motion
 from sitl.scenario.scenario import Scenario, load_airframe
@@ -82,6 +90,7 @@ class ExternalWorld:
         self.armed = self.flown = False  # flown: it has been in the air, armed
         self._load = NO_CONTACT
         self._in_air: Pose | None = None
+        self._last: Pose
         self._watch = TouchdownDetector()
         self._pad.stop()
 
@@ -111,6 +120,9 @@ class ExternalWorld:
 
     def _touch(self, pose: Pose) -> None:
         """Feet on the ground, the pad that goes with them, and what the score takes down of it."""
+        if self._pad.carries and norm(subtract(pose.position_ned_m, self._last.position_ned_m)) > JUMP_M:
+            self._pad.release(self._last.time_s)  # put elsewhere: what stands there takes no pad along
+        self._last = pose
         feet = [add(pose.position_ned_m, quat_rotate(pose.attitude, foot)) for foot in self._feet]
         lowest_m = -max(foot[2] for foot in feet)
         pad, touched = self.pad_at(pose.time_s), self._load.touching

@@ -110,9 +110,7 @@ class Simulation:
         Raises:
             ConfigError: a settings file that the scenario names is missing or wrong.
         """
-        self._scenario = scenario
-        self._timer = TickTimer(TICK_S)
-        self._link = link
+        self._scenario, self._timer, self._link = scenario, TickTimer(TICK_S), link
         self._camera_wanted, self._deliver_frame = camera_wanted, deliver_frame
         self._keep_truth = keep_truth
         self._truth: list[Truth] = []
@@ -121,22 +119,21 @@ class Simulation:
         self._range_finder = world.ranging(self._vehicle.range_position_body_m, HALF_BEAM_RAD)
         streams = np.random.default_rng((seed, SIMULATION_STREAM)).spawn(6)
         autopilot_rng, beacon_rng, noise_rng, latency_rng, sensors_rng, lens_rng = streams
-        fault_rng = np.random.default_rng((seed, FAULT_STREAM))
-        built = world.built
+        built, fault_rng = world.built, np.random.default_rng((seed, FAULT_STREAM))
         self._home = home = built.home(scenario.place)
         place = (home, magnetic_field_ned_ut(home))
         self._rack = sensor_rack(scenario.sensors, seed, PHYSICS_STEP_S, place, gps_port, range_port, built)
         imu_filter = PROFILES[scenario.autopilot].imu_filter if firmware is None else IMU_FILTER
-        sensors = autopilot_sensors(scenario.sensors, sensors_rng, PHYSICS_STEP_S, place, imu_filter, built)
-        self._autopilot_sensors = sensors
+        self._autopilot_sensors = sensors = autopilot_sensors(
+            scenario.sensors, sensors_rng, PHYSICS_STEP_S, place, imu_filter, built
+        )
         self._camera = SceneCamera(
             scenario, self._vehicle, world, noise_rng, latency_rng, lens_rng, built=built
         )
         self.line = line = MavlinkLine(built.links(scenario.link), fault_rng, self._timer)
         self._frame_line = FrameLine(fault_rng, scenario.camera.lost_share, scenario.camera.lost_burst_frames)
         signing = Signing(scenario.autopilot, signing_key)
-        station = GroundStation.of(scenario.beacon, beacon_rng, home, signing)
-        self._station = station
+        self._station = station = GroundStation.of(scenario.beacon, beacon_rng, home, signing)
         self._flight_controller = self._autopilot(firmware, station, autopilot_rng)
         line.network = self._network(station, signing, unix_at_start_s, serve_truth=serve_truth)
         self.app_words = AppWords()

@@ -39,8 +39,9 @@ NOISE_M: Final = 0.005  # of a sighting's, at least: calibration errors, which t
 NOISE_RAD: Final = 0.003  # of the attitude's, from one second to the next
 ECHO_NOISE_M: Final = 0.03
 SQUARE: Final = 1.1  # so near to the least noise of an echo it comes square to the board
-ECHO_OFFSET_STD_M: Final = 0.02  # of its mounting, and of what it takes for the surface
 ECHO_SCALE_STD: Final = 0.003  # the speed of sound, which does not average out
+# lower, an offset of the echoes of some centimetres, which never averages out, would pass for a wrong scale
+LOWEST_ECHO_M: Final = 1.0
 HIGHEST_ECHO_M: Final = 2.5  # an ultrasonic's cone is then as wide as a pad
 ECHO_APART_S: Final = 0.05  # an echo and a sighting of one moment
 RATE_SPAN_S: Final = 0.01
@@ -89,7 +90,7 @@ class CameraCheck:
 
     def take_echo(self, time_s: float, echo: HeightMeasurement) -> None:
         """Take the height of the sensor over what is below it; aslant the beam's nearest point is another."""
-        if echo.height_m > HIGHEST_ECHO_M or echo.noise_m > SQUARE * ECHO_NOISE_M:
+        if not LOWEST_ECHO_M <= echo.height_m <= HIGHEST_ECHO_M or echo.noise_m > SQUARE * ECHO_NOISE_M:
             return
         self._echoes.append((time_s, echo.height_m + echo.sensor_offset_ned_m[2]))
 
@@ -200,7 +201,7 @@ class CameraCheck:
                 "100 %",
                 f"{100.0 / max(k, 0.01):.0f} %",
                 difference=100.0 * abs(1.0 / max(k, 0.01) - 1.0),
-                std=100.0 * math.hypot(k_std, ECHO_SCALE_STD, self._echo_offset) / max(k, 0.01) ** 2,
+                std=100.0 * math.hypot(k_std, ECHO_SCALE_STD) / max(k, 0.01) ** 2,
             ),
             SourceComparison(
                 self._time_s,
@@ -211,13 +212,6 @@ class CameraCheck:
                 std=1e3 * self.delay_std_s,
             ),
         )
-
-    @property
-    def _echo_offset(self) -> float:
-        """What an echo's lasting offset may be, as a share of the height at which it was compared last."""
-        if self._heights_m is None:
-            return 0.0
-        return ECHO_OFFSET_STD_M / max(self._heights_m[1], ECHO_OFFSET_STD_M)
 
     def begin_anew(self) -> None:
         """Forget what was compared, but the delay: another mission, or a time that no clock shows."""

@@ -23,6 +23,7 @@ MEMORY_S: Final = 0.2
 BLOCK_S: Final = 0.02  # motion of the vehicle is slower, vibration that matters for the velocity is not
 BLOCK_MEMORY_S: Final = 1.0
 LASTING_S: Final = 2.0
+GAP_STEPS: Final = 3.0  # so many times the step before
 LARGEST_ERROR_M_S2: Final = 3.0
 _SECOND_DIFFERENCE_VARIANCE: Final = 6.0  # of 1, -2, 1, for white noise
 _THIRD_DIFFERENCE: Final = (1.0, -3.0, 3.0, -1.0)
@@ -89,6 +90,12 @@ class SlowNoise:
         self.density = 0.0
         self._begin_block()
 
+    def skip_gap(self) -> None:
+        """Samples are missing: what the vehicle did meanwhile is no noise of those around."""
+        self._begun = (ZERO3, 0.0)
+        self._means.clear()
+        self._begin_block()
+
     def _begin_block(self) -> None:
         self._rising: Vector3 = ZERO3  # the first half of one triangle
         self._falling: Vector3 = ZERO3  # the second half of the one before
@@ -134,9 +141,14 @@ class ImuNoise:
         self._config = config
         self._vibration, self._slow_force, self._slow_rate = VibrationMonitor(), SlowNoise(), SlowNoise()
         self._rate: Vector3 = ZERO3
+        self._dt_s = math.inf
 
     def add(self, rate_body_rad_s: Vector3, specific_force_m_s2: Vector3, dt_s: float) -> None:
         """Take a sample, dt_s after the one before; a gyroscope's bias is too small to count as a turn."""
+        if dt_s > GAP_STEPS * self._dt_s:
+            self._slow_force.skip_gap()
+            self._slow_rate.skip_gap()
+        self._dt_s = dt_s
         self._vibration.add(specific_force_m_s2, dt_s)
         self._slow_force.add(specific_force_m_s2, dt_s)
         self._slow_rate.add(rate_body_rad_s, dt_s)

@@ -174,7 +174,7 @@ def test_without_plotly_it_says_what_to_install(tmp_path: Path, monkeypatch: pyt
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "plotly", None)
     monkeypatch.setitem(sys.modules, "plotly.io", None)
-    with pytest.raises(ConfigError, match=r"companion\[report\]"):
+    with pytest.raises(ConfigError, match=r"companion-landing\[report\]"):
         write_report(tmp_path)
 
 

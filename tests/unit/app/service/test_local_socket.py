@@ -147,8 +147,7 @@ async def test_status_shows_it_and_its_exit_code_says_healthy_or_not(
     for expected in ("healthy", "standby, up 2 h", "200 Hz, now", "p50 41 ms, p99 63 ms", "battery 80 %"):
         assert expected in words
     assert "our horizon pitch 12.6 deg" in words
-    assert "1200 used" in words
-    assert "7 refused" in words
+    assert "used 1200, refused 7: too late" in words
     for expected in ("begins, now", "silent for 8 s", "2 h ago"):  # a GPS that has just come, the first event
         assert expected in words
     service.report["problems"] = ["camera: no frame yet"]

@@ -37,7 +37,7 @@ class KeptLog:
         self.written.append(message)
 
 
-class Watched:
+class WatchedEstimate:
     def __init__(self, state: AutopilotState) -> None:
         self.said: list[str] = []
         self.estimator, self.log = StarvedEstimator(), KeptLog()
@@ -51,11 +51,11 @@ class Watched:
 
 
 @pytest.fixture
-async def flying() -> Watched:
-    return Watched(AutopilotState(0.0, armed=True, landed=LandedState.IN_AIR))
+async def flying() -> WatchedEstimate:
+    return WatchedEstimate(AutopilotState(0.0, armed=True, landed=LandedState.IN_AIR))
 
 
-async def test_too_slow_is_told_once_while_it_lasts(flying: Watched) -> None:
+async def test_too_slow_is_told_once_while_it_lasts(flying: WatchedEstimate) -> None:
     shares: Iterator[float] = iter([0.0, 0.1, 0.4, 0.5, 0.15, 0.3, 0.05, 0.6])
     flying.watch.late_share = lambda: next(shares)
     for k in range(8):
@@ -80,7 +80,7 @@ async def test_too_slow_is_told_once_while_it_lasts(flying: Watched) -> None:
 async def test_the_estimate_starts_again_only_where_nothing_flies_by_it(
     armed: bool, landed: LandedState, starts: int
 ) -> None:
-    watched = Watched(AutopilotState(0.0, armed=armed, landed=landed))
+    watched = WatchedEstimate(AutopilotState(0.0, armed=armed, landed=landed))
     watched.watch.look(1.0)
     assert watched.estimator.recovered == starts
     assert len(watched.said) == starts

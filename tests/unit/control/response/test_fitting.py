@@ -50,7 +50,7 @@ def test_no_more_is_asked_than_the_autopilot_lets_through() -> None:
 
 def test_its_limits_on_velocity_setpoints_bind_no_attitude() -> None:
     attitude = CONFIG.model_copy(update={"setpoint": "attitude"})
-    setup = AutopilotSetup(acceleration_m_s2=1.0, jerk_m_s3=5.0)
+    setup = AutopilotSetup(acceleration_m_s2=1.0, jerk_m_s3=5.0, tilt_deg=45.0)
     assert fitted(attitude, ARDUPILOT.attitude, setup).limits == CONFIG.limits
 
 

@@ -129,7 +129,8 @@ def test_the_mpc_that_flies_swings_where_the_margins_say(
     assert _answer(replace(case, extra_delay_s=0.85 * found.delay_s), 23.0) < 0.01 * KICK_M_S2
     assert _answer(replace(case, extra_delay_s=1.15 * found.delay_s), 5.0) > KICK_M_S2
     assert _answer(replace(case, gain=0.9 * found.gain_up), 23.0) < 0.01 * KICK_M_S2
-    assert _answer(replace(case, gain=1.1 * found.gain_up), 5.0) > KICK_M_S2
+    # soon: what sinks faster and faster is handed to its autopilot, and nothing more is commanded
+    assert _answer(replace(case, gain=1.1 * found.gain_up), 1.0) > KICK_M_S2
 
 
 def test_the_margins_of_a_textbook_loop() -> None:

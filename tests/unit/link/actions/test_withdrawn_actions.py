@@ -23,6 +23,7 @@ def test_cancelling_ends_any_action_at_once_and_nothing_of_it_is_repeated(kind: 
         mavlink.MAV_CMD_DO_SET_MODE,
         mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
         mavlink.MAV_CMD_NAV_TAKEOFF,
+        mavlink.MAV_CMD_DO_REPOSITION,
     )
     mode = "OFFBOARD" if kind is ActionKind.LEAVE_OFFBOARD else "AUTO.LOITER"
     autopilot = FakeAutopilot(mode=mode, deaf_to=dict.fromkeys(numbers, 99))

@@ -23,7 +23,7 @@ def motion(speed_m_s: float) -> Any:
     return build_pad_motion(scenario.pad.motion, 0.0, scenario.pad.heading, np.random.default_rng(0))
 
 
-class Vehicle:
+class StoppedVehicle:
     """Over the pad until it is stopped at 10 s, at once or over a while."""
 
     def __init__(self, speed_m_s: float, stops_in_s: float = 0.0) -> None:
@@ -40,14 +40,14 @@ class Vehicle:
         return Pose(time_s, (0.0, east, -0.18), (0.0, speed, 0.0), IDENTITY, ZERO3)
 
 
-def away(pad: TouchedPad, vehicle: Vehicle, time_s: float) -> float:
+def away(pad: TouchedPad, vehicle: StoppedVehicle, time_s: float) -> float:
     """How far east of the vehicle the pad is."""
     return pad.at(time_s).position_ned_m[1] - vehicle.at(time_s).position_ned_m[1]
 
 
 @pytest.mark.parametrize("stops_in_s", [0.0, 0.2])
 def test_it_stops_with_the_vehicle_however_that_is_stopped(stops_in_s: float) -> None:
-    vehicle = Vehicle(1.0, stops_in_s)
+    vehicle = StoppedVehicle(1.0, stops_in_s)
     pad = TouchedPad(motion(1.0), FRICTION, vehicle.at)
     pad.depart(0.0)
     pad.touch(vehicle.at(10.0))
@@ -58,7 +58,7 @@ def test_it_stops_with_the_vehicle_however_that_is_stopped(stops_in_s: float) ->
 
 
 def test_what_their_speeds_differed_by_ends_by_friction() -> None:
-    vehicle = Vehicle(0.4)
+    vehicle = StoppedVehicle(0.4)
     pad = TouchedPad(motion(1.0), FRICTION, vehicle.at)
     pad.depart(0.0)
     pad.touch(vehicle.at(10.0))
@@ -68,7 +68,7 @@ def test_what_their_speeds_differed_by_ends_by_friction() -> None:
 
 
 def test_clear_of_the_feet_it_drives_on_from_where_it_is_and_the_past_stays_as_it_was() -> None:
-    vehicle = Vehicle(1.0)
+    vehicle = StoppedVehicle(1.0)
     pad = TouchedPad(motion(1.0), FRICTION, vehicle.at)
     pad.depart(0.0)
     pad.touch(vehicle.at(10.0))

@@ -28,6 +28,7 @@ SHARP = ImagingSettings(
 )
 ABOVE: Vector3 = (-0.03, 0.0, -3.08)  # the camera, 3 cm ahead and 8 cm under, is 3 m over the origin
 Image = NDArray[np.uint8]
+WHITE_GREY = 225  # between the ground's and the board's white, encoded as the camera encodes them
 
 
 def picture(
@@ -46,7 +47,7 @@ def picture(
 
 def board_off_middle(image: Image) -> tuple[float, float]:
     """How far (right, down) of the image's middle the board's white is, px."""
-    rows, columns = np.nonzero(image > 200)
+    rows, columns = np.nonzero(image > WHITE_GREY)
     assert rows.size > 500, "no board in the picture"
     return float(columns.mean()) - 319.5, float(rows.mean()) - 239.5
 

@@ -184,7 +184,7 @@ def test_what_tells_nothing_ends_in_one_line(tmp_path: Path) -> None:
         identify_command(short)
     with pytest.raises(
         ConfigError,
-        match=r"nowhere: cannot be read: No such file or directory; expected a flight's folder or",
+        match=r"nowhere: cannot be read: No such file or directory; expected a flight's folder,",
     ):
         identify_command(tmp_path / "nowhere")
     bare = FlightLog(tmp_path / "bare", 0.0)
