@@ -24,7 +24,7 @@ from typing import Final
 
 import numpy as np
 
-from companion.base.geometry import FloatArray, Vector3, cross, norm, quat_rotate
+from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, cross, norm, quat_rotate
 from companion.base.messages import Quantity, SourceComparison
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.pad_types import HeightMeasurement
@@ -36,7 +36,9 @@ PAD_ACCELERATION_M_S2: Final = 2.0
 PAD_ACCELERATION_S: Final = 2.0
 FIRST_SPEED_M_S: Final = 3.0
 NOISE_M: Final = 0.005  # of a sighting's, at least: calibration errors, which turn with the view
-NOISE_RAD: Final = 0.003  # of the attitude's, from one second to the next
+# of the attitude, from one second to the next, besides the noise of the gyroscope
+NOISE_RAD: Final = 0.003
+ATTITUDE_WANDERS_S: Final = 1.0
 ECHO_NOISE_M: Final = 0.03
 SQUARE: Final = 1.1  # so near to the least noise of an echo it comes square to the board
 ECHO_SCALE_STD: Final = 0.003  # the speed of sound, which does not average out
@@ -100,13 +102,16 @@ class CameraCheck:
         if attitude is None or time_s <= self._time_s:
             return
         seen = quat_rotate(attitude, pad_position_body_m)
-        noise_m2 = variance_m2 + NOISE_M**2 + (NOISE_RAD * norm(seen)) ** 2
+        attitude_rad2 = NOISE_RAD**2 + self._motion.turn_density_rad2_s * ATTITUDE_WANDERS_S
+        noise_m2 = variance_m2 + NOISE_M**2 + attitude_rad2 * norm(seen) ** 2
         if time_s - self._time_s > LONGEST_GAP_S:
             self._begin(seen, noise_m2)
         else:
             self._predict(time_s)
             rate = quat_rotate(attitude, self._motion.rate_body_rad_s(time_s, RATE_SPAN_S))
-            self._see(seen, cross(rate, seen), noise_m2)
+            # by a horizon that wanders as much as this filter takes it to, motion tells nothing of the scale
+            quiet = attitude_rad2 <= 2.0 * NOISE_RAD**2
+            self._see(seen, cross(rate, seen), noise_m2, scale=quiet)
             self._follow(time_s - self._time_s)
         self._time_s = time_s
         for echo in tuple(self._echoes):
@@ -132,18 +137,20 @@ class CameraCheck:
         push = PAD_ACCELERATION_M_S2**2 * (1.0 - fade * fade)
         shaken = self._motion.noise_density_m2_s3 * dt
         pushed = np.array([dt * dt / 6.0, 0.5 * dt, 1.0])
-        added = push * np.outer(pushed, pushed) + np.diag([shaken * dt * dt / 3.0, shaken, 0.0])
+        # a noisy gyroscope's horizon wanders, and gravity with it: an acceleration of nobody's
+        leans = GRAVITY_M_S2**2 * self._motion.turn_density_rad2_s * dt
+        added = push * np.outer(pushed, pushed) + np.diag([shaken * dt * dt / 3.0, shaken, leans])
         self._P = F @ self._P @ F.T
         self._P[:9, :9] += np.kron(added, _EYE3)
         self._P[_K, _K] += SCALE_WALK_RTS**2 * dt
         self._P[_D, _D] += self._delay_walk**2 * dt
 
-    def _see(self, seen: Vector3, sweep_m_s: Vector3, noise_m2: float) -> None:
+    def _see(self, seen: Vector3, sweep_m_s: Vector3, noise_m2: float, *, scale: bool) -> None:
         sweep = np.array(sweep_m_s)
         H = np.zeros((3, _STATES))
         H[:, _Q] = _EYE3
         H[:, _D] = -sweep
-        self._update(np.array(seen) - self.delay_s * sweep - H @ self._x, H, noise_m2 * _EYE3)
+        self._update(np.array(seen) - self.delay_s * sweep - H @ self._x, H, noise_m2 * _EYE3, scale=scale)
 
     def _follow(self, elapsed_s: float) -> None:
         wanted_s = max(-LARGEST_DELAY_S, min(LARGEST_DELAY_S, float(self._x[_D])))
@@ -174,15 +181,18 @@ class CameraCheck:
         self._P[_K, :], self._P[:, _K] = 0.0, 0.0
         self._P[_K, _K] = SCALE_STD**2
 
-    def _update(self, y: FloatArray, H: FloatArray, R: FloatArray) -> None:
+    def _update(self, y: FloatArray, H: FloatArray, R: FloatArray, *, scale: bool = True) -> None:
+        """An update; without `scale` that is only considered (Schmidt): it learns nothing."""
         PH = self._P @ H.T
         S = H @ PH + R
         inverse = np.linalg.inv(S)
         if y @ inverse @ y > OUTLIER**2 * len(y):
             return
         K = PH @ inverse
+        if not scale:
+            K[_K] = 0.0
         self._x = self._x + K @ y
-        P = self._P - K @ PH.T
+        P = self._P - K @ PH.T - PH @ K.T + K @ S @ K.T
         self._P = 0.5 * (P + P.T)
 
     # ------------------------------------------------------------ as compared
