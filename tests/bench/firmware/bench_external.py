@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -148,9 +149,9 @@ def hold_first_port(ready: threading.Event, ended: threading.Event) -> None:
 
 def fly(flight: Flight) -> dict[str, Any]:
     """Fly one; the row of the table, written beside the flight."""
-    flight.folder.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(flight.folder, ignore_errors=True)  # of a flight that was interrupted
+    flight.folder.mkdir(parents=True)
     result, log = flight.folder / "result.json", flight.folder / "app.log"
-    result.unlink(missing_ok=True)
     with firmware(flight), log.open("wb") as said:
         code = subprocess.run(
             (sys.executable, "-m", "companion.cli", "--sitl", "--autopilot", "external",
