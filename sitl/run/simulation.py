@@ -112,8 +112,7 @@ class Simulation:
         """
         self._scenario, self._timer, self._link = scenario, TickTimer(TICK_S), link
         self._camera_wanted, self._deliver_frame = camera_wanted, deliver_frame
-        self._keep_truth = keep_truth
-        self._truth: list[Truth] = []
+        self._keep_truth, self._truth = keep_truth, list[Truth]()
         self._world = world = _world(scenario, seed, motion, hands_wait, firm_ground=serve_truth)
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
         self._range_finder = world.ranging(self._vehicle.range_position_body_m, HALF_BEAM_RAD)
@@ -124,9 +123,8 @@ class Simulation:
         place = (home, magnetic_field_ned_ut(home))
         self._rack = sensor_rack(scenario.sensors, seed, PHYSICS_STEP_S, place, gps_port, range_port, built)
         imu_filter = PROFILES[scenario.autopilot].imu_filter if firmware is None else IMU_FILTER
-        self._autopilot_sensors = sensors = autopilot_sensors(
-            scenario.sensors, sensors_rng, PHYSICS_STEP_S, place, imu_filter, built
-        )
+        sensors = autopilot_sensors(scenario.sensors, sensors_rng, PHYSICS_STEP_S, place, imu_filter, built)
+        self._autopilot_sensors = sensors
         self._camera = SceneCamera(
             scenario, self._vehicle, world, noise_rng, latency_rng, lens_rng, built=built
         )
