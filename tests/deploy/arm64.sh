@@ -12,7 +12,8 @@ readonly FOLDER="$(realpath -m "${1:-/var/tmp/companion-arm64}")"
 readonly ROOT="$FOLDER/root"
 readonly PYTHON="${PYTHON:-python3}"
 readonly LONGEST_S="${LONGEST_S:-3600}"
-readonly MIRROR="${MIRROR:-http://deb.debian.org/debian}"
+# the mirror of this machine, unless told
+readonly MIRROR="${MIRROR:-$(sed -n "s/^deb[^h]*\(http[^ ]*\).*/\1/p; s/^URIs: *//p" /etc/apt/sources.list /etc/apt/sources.list.d/* 2>/dev/null | head -n 1)}"
 
 PROGRAM=/usr/bin/python3.11
 

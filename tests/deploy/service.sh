@@ -12,7 +12,8 @@ readonly SOURCE="$(cd "$(dirname "$0")/../.." && pwd)"
 readonly FOLDER="$(realpath -m "${1:-/var/tmp/companion-service}")"
 readonly ROOT="$FOLDER/root"
 readonly PYTHON="${PYTHON:-python3}"
-readonly MIRROR="${MIRROR:-http://deb.debian.org/debian}"
+# the mirror of this machine, unless told
+readonly MIRROR="${MIRROR:-$(sed -n "s/^deb[^h]*\(http[^ ]*\).*/\1/p; s/^URIs: *//p" /etc/apt/sources.list /etc/apt/sources.list.d/* 2>/dev/null | head -n 1)}"
 readonly FLIGHTS="${FLIGHTS-land kill stop}"
 readonly PATIENCE_S=120
 read -ra fly_with <<<"${FLY_WITH:-}"
