@@ -59,16 +59,19 @@ class MotionHistory:
     ) -> None:
         """Append one sample, newer than the last; between samples the acceleration is linear.
 
-        It has acted for `span_s`, when it is given, whatever the times differ by. `lasting_ned_m_s2`, when
-        given, is what goes on beyond the sample: one of a vehicle that vibrates says nothing of the next.
+        It has acted for `span_s`, when it is given, whatever the times differ by: where they were corrected,
+        the velocity goes on for what they differ by, so that its arbitrary start stays without effect.
+        `lasting_ned_m_s2`, when given, is what goes on beyond the sample: one of a vehicle that vibrates says
+        nothing of the next.
         """
         if not self._times_s:
             self._append(time_s, attitude, ZERO3, ZERO3)
         else:
-            dt = time_s - self._times_s[-1] if span_s is None else span_s
+            dt = time_s - self._times_s[-1]
+            acts_s = dt if span_s is None else span_s
             (vx, vy, vz), (px, py, pz) = self._speeds[-1], self._places[-1]
             (ax, ay, az), (bx, by, bz) = self._acceleration, acceleration_ned_m_s2
-            h, k = 0.5 * dt, dt * dt / 6.0
+            h, k = 0.5 * acts_s, dt * acts_s / 6.0
             place = (
                 px + vx * dt + k * (2 * ax + bx),
                 py + vy * dt + k * (2 * ay + by),

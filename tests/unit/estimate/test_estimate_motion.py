@@ -61,6 +61,21 @@ def test_beyond_the_newest_sample_the_acceleration_goes_on() -> None:
     assert place == pytest.approx((0.015, -0.01, 0.0))
 
 
+@pytest.mark.parametrize("arbitrary_m_s", [0.0, 7.0])
+def test_a_corrected_clock_moves_nothing_whatever_the_velocity_integral_began_with(arbitrary_m_s: float) -> None:
+    """A sample 10 ms after the last one by the IMU's own clock, 60 ms by ours."""
+    history = MotionHistory(5.0)
+    history.add(0.0, IDENTITY, (arbitrary_m_s, 0.0, 0.0))
+    history.add(1.0, IDENTITY, (arbitrary_m_s, 0.0, 0.0))
+    history.add(1.01, IDENTITY, (0.0, 0.0, 0.0))
+    history.add(1.02, IDENTITY, (0.0, 0.0, 0.0))
+    history.add(1.08, IDENTITY, (0.0, 0.0, 0.0), span_s=0.01)
+    history.add(1.09, IDENTITY, (0.0, 0.0, 0.0), span_s=0.01)
+    place, speed = history.moved(1.015, 1.09)
+    assert place == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    assert speed == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+
+
 def test_old_samples_are_forgotten_and_the_span_kept() -> None:
     history = filled(duration_s=10.0, span_s=1.0)
     attitude = history.attitude(9.0)
