@@ -37,7 +37,8 @@ class VehicleState:
 
     `position_ned_m` counts from `origin` (latitude deg, longitude deg, altitude m), which is the first GPS
     fix and None before it. Over the time since the newest IMU sample, `imu_age_s`, it is predicted.
-    `side_force_ned_m_s2` is the part of the acceleration that no thrust makes (see `geometry.side_force`).
+    `side_force_ned_m_s2` is the part of the acceleration that no thrust makes (see `geometry.side_force`),
+    `acceleration_density_m2_s3` the density of the accelerometer's noise on an axis, lately.
     """
 
     time_s: float
@@ -56,6 +57,7 @@ class VehicleState:
     origin: Vector3 | None = None
     imu_age_s: float = 0.0
     side_force_ned_m_s2: Vector3 = ZERO3
+    acceleration_density_m2_s3: float = 0.0
 
     @property
     def sensed_time_s(self) -> float:

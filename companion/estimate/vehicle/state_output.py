@@ -57,4 +57,5 @@ def vehicle_state(
         origin=origin,
         imu_age_s=max(imu_age_s, 0.0),
         side_force_ned_m_s2=inertial.side_force_ned_m_s2,
+        acceleration_density_m2_s3=ekf.force_density_m2_s3,
     )

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from companion.base.geometry import (
@@ -116,3 +117,24 @@ def test_a_tilt_that_the_loop_itself_makes_is_no_wind(late_s: float) -> None:
         wind.step(replace(felt, attitude=attitude_from_acceleration((now, 0.0, 0.0), 0.0)), PERIOD_S)
         most = max(most, abs(wind.wind_ned_m_s2[0]))
     assert most < 1e-9
+
+
+def test_a_noisy_accelerometer_is_followed_as_slowly_as_its_noise_asks() -> None:
+    """A calm air felt by SIH's accelerometer, and a turbulent one by a quiet one."""
+    rng = np.random.default_rng(5)
+    noise_m_s2, told = 0.5, replace(feeling(LEVEL, ZERO3), acceleration_density_m2_s3=0.5**2 * PERIOD_S)
+    untold = replace(told, acceleration_density_m2_s3=0.0)
+    rms = []
+    for state in (told, untold):
+        wind, ahead = WindObserver(SENSOR_LAG_S, 5.0), []
+        for x in rng.normal(0.0, noise_m_s2, 600):
+            wind.step(replace(state, side_force_ned_m_s2=(float(x), 0.0, 0.0)), PERIOD_S)
+            ahead.append(wind.ahead_ned_m_s2(0.15)[0])
+        rms.append(float(np.std(ahead[100:])))
+    assert rms[0] < 0.4 * rms[1]
+    walk = np.cumsum(rng.normal(0.0, math.sqrt(WindObserver.WALK_DENSITY * PERIOD_S), 600))
+    wind, off = WindObserver(SENSOR_LAG_S, 9.0), []
+    for x in walk * min(1.0, 8.0 / float(np.abs(walk).max())):
+        wind.step(replace(untold, side_force_ned_m_s2=(float(x), 0.0, 0.0)), PERIOD_S)
+        off.append(wind.wind_ned_m_s2[0] - float(x))
+    assert float(np.std(off)) < 0.1
