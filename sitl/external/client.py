@@ -52,7 +52,7 @@ TRUTH_OF: Final = {
     mavlink.MAV_AUTOPILOT_PX4: (HIL_STATE,),
 }
 ESTIMATES: Final = "LOCAL_POSITION_NED and ATTITUDE_QUATERNION"
-_ESTIMATE_RATES_HZ: Final = {LOCAL_POSITION: 50.0, ATTITUDE: RATE_HZ, GLOBAL_POSITION: 5.0}
+_ESTIMATE_RATES_HZ: Final = {LOCAL_POSITION: 50.0, GLOBAL_POSITION: 5.0}
 _HOME: Final = mavlink.MAVLINK_MSG_ID_HOME_POSITION
 _HEARTBEAT: Final = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 _TIMESYNC: Final = mavlink.MAVLINK_MSG_ID_TIMESYNC
@@ -111,6 +111,7 @@ class VehicleClient:
         self._counts: dict[int, int] = {}
         self._on_estimates = False
         self._attitude: Message | None = None
+        self._ahead_s = math.nan  # the simulator's clock minus ours
         self._anchor: LocalOrigin | None = None
         self._global: Message | None = None
         self._lost = self._blind = self._kept = False
@@ -196,10 +197,11 @@ class VehicleClient:
 
     def _take(self, sample: Sample, source: str, now_s: float) -> None:
         self.source, self._pose_s = source, now_s
-        self._samples.append(sample)
+        self._samples.append(sample._replace(simulated_s=now_s + self._ahead_s))
 
     def _on_attitude(self, message: Message, now_s: float) -> None:
         self._attitude = message
+        self._ahead_s = message.time_boot_ms * 1e-3 - now_s
 
     def _on_global(self, message: Message, now_s: float) -> None:
         self._global = message
@@ -239,7 +241,8 @@ class VehicleClient:
 
     def _requests(self) -> list[Message]:
         """Request messages that arrived too rarely since the last time."""
-        wanted = dict.fromkeys(TRUTH_OF.get(self._autopilot, tuple(TRUTH)), RATE_HZ)
+        # neither truth has a stamp: ATTITUDE_QUATERNION, of the same rate, shows the simulator's clock
+        wanted = dict.fromkeys((*TRUTH_OF.get(self._autopilot, tuple(TRUTH)), ATTITUDE), RATE_HZ)
         if self._on_estimates:
             wanted |= _ESTIMATE_RATES_HZ
         counts, self._counts = self._counts, {}

@@ -57,23 +57,28 @@ UNIT_TOLERANCE: Final = 0.1  # of a quaternion's squared length
 
 
 class Sample(NamedTuple):
-    """One message: place as latitude (deg), longitude (deg), altitude (m)."""
+    """One message: place as latitude (deg), longitude (deg), altitude (m).
+
+    `simulated_s` is the time of the vehicle's simulator then, from any start; NaN: not known.
+    """
 
     time_s: float
     place: Vector3
     velocity_ned_m_s: Vector3
     attitude: Quaternion
     rate_body_rad_s: Vector3
+    simulated_s: float = math.nan
 
 
 class Pose(NamedTuple):
-    """The vehicle at one time; position NED from the world's origin."""
+    """The vehicle at one time; position NED from the world's origin, `simulated_s` as of `Sample`."""
 
     time_s: float
     position_ned_m: Vector3
     velocity_ned_m_s: Vector3
     attitude: Quaternion
     rate_body_rad_s: Vector3
+    simulated_s: float = math.nan
 
 
 def sim_state(message: Message, time_s: float) -> Sample | None:
@@ -180,11 +185,16 @@ def _unit(values: tuple[float, ...]) -> Quaternion | None:
 
 
 class PoseTrack:
-    """The poses of the last seconds. `at` may be called from another thread than `put`."""
+    """The poses of the last seconds. `at` may be called from another thread than `put`.
+
+    What it gives has in `simulated_s` how long the vehicle's simulator has gone on: on a busy machine that
+    stands still at times, and slower than ours it is always.
+    """
 
     def __init__(self) -> None:
         self._poses: tuple[Pose, ...] = ()
         self._anew = True
+        self._stamp_s = math.nan
 
     @property
     def newest(self) -> Pose | None:
@@ -198,17 +208,26 @@ class PoseTrack:
         """
         last = self.newest
         if self._anew or last is None:
-            self._anew, self._poses = False, (pose,)
-            return pose
+            self._anew = False
+            return self._begin(pose, pose.time_s)
         if last.time_s - MEMORY_S < pose.time_s <= last.time_s:
             return None
         if not 0.0 < pose.time_s - last.time_s < GAP_S:
-            self._poses = (pose,)
-            return pose
-        kept = _smoothed(last, pose)
+            return self._begin(pose, last.simulated_s)
+        step_s = pose.simulated_s - self._stamp_s
+        if not 0.0 <= step_s < GAP_S:  # without stamps, or by a clock that was set
+            step_s = pose.time_s - last.time_s
+        self._stamp_s = pose.simulated_s
+        kept = _smoothed(last, pose._replace(simulated_s=last.simulated_s + step_s))
         older = tuple(p for p in self._poses if p.time_s > pose.time_s - MEMORY_S)
         self._poses = (*older, kept)
         return kept
+
+    def _begin(self, pose: Pose, simulated_s: float) -> Pose:
+        self._stamp_s = pose.simulated_s
+        pose = pose._replace(simulated_s=simulated_s)
+        self._poses = (pose,)
+        return pose
 
     def begin_anew(self) -> None:
         """Clear with the next pose, not before: another thread may be reading."""
@@ -237,7 +256,7 @@ def _smoothed(last: Pose, pose: Pose) -> Pose:
     A vehicle low over a pad sees a step of a centimetre as a pad that jumps. Where the velocity itself jumps,
     as at a contact, it does not describe the motion between two messages, and the position counts at once.
     """
-    dt_s = pose.time_s - last.time_s
+    dt_s = pose.simulated_s - last.simulated_s
     back, centring = -math.expm1(-dt_s / BACK_S), -math.expm1(-dt_s / CENTRING_S)
     led = add(last.position_ned_m, scale(add(last.velocity_ned_m_s, pose.velocity_ned_m_s), 0.5 * dt_s))
     missed = subtract(pose.position_ned_m, led)
@@ -258,6 +277,7 @@ def _smoothed(last: Pose, pose: Pose) -> Pose:
 def _carried_on(pose: Pose, dt_s: float) -> Pose:
     return pose._replace(
         time_s=pose.time_s + dt_s,
+        simulated_s=pose.simulated_s + dt_s,
         position_ned_m=add(pose.position_ned_m, scale(pose.velocity_ned_m_s, dt_s)),
         attitude=quat_integrate(pose.attitude, pose.rate_body_rad_s, dt_s),
     )
@@ -265,8 +285,7 @@ def _carried_on(pose: Pose, dt_s: float) -> Pose:
 
 def _between(a: Pose, b: Pose, time_s: float) -> Pose:
     """A cubic through both places with both velocities; the attitude straight between."""
-    dt_s = b.time_s - a.time_s
-    k = (time_s - a.time_s) / dt_s
+    k, dt_s = (time_s - a.time_s) / (b.time_s - a.time_s), b.simulated_s - a.simulated_s
     h = k * k * (3.0 - 2.0 * k)
     from_a, from_b = dt_s * k * (1.0 - k) ** 2, -dt_s * k * k * (1.0 - k)
     position = add(_mixed(a.position_ned_m, b.position_ned_m, h), scale(a.velocity_ned_m_s, from_a))
@@ -278,6 +297,7 @@ def _between(a: Pose, b: Pose, time_s: float) -> Pose:
         velocity_ned_m_s=_mixed(a.velocity_ned_m_s, b.velocity_ned_m_s, k),
         attitude=quat_normalise((w, x, y, z)),
         rate_body_rad_s=_mixed(a.rate_body_rad_s, b.rate_body_rad_s, k),
+        simulated_s=a.simulated_s + k * (b.simulated_s - a.simulated_s),
     )
 
 

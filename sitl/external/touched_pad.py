@@ -5,6 +5,8 @@ it. Camera and rangefinder see the same of both: the vehicle at rest over the pa
 pad goes where the vehicle goes, message by message: it stops with it. What their speeds differed by at the
 contact is slowed down by the feet's friction, as on a deck. Once the feet are clear it drives on from there.
 
+It drives by the clock of the vehicle's simulator: while that stands still, so do both.
+
 NED, SI units. Pure; `at` may be called from another thread than the rest.
 """
 
@@ -23,7 +25,8 @@ _BEFORE_ALL: Final = -math.inf
 
 
 class _Stretch(NamedTuple):
-    """A part of the pad's way, after `since_s`; `phase_s` is how far along its motion it is then.
+    """A part of the pad's way, after `since_s`; `phase_s` is how far along its motion it is then, and
+    `simulated_s` the time by the vehicle's simulator.
 
     `displaced_m` is how far vehicles have taken it from that motion. With `contact`, the vehicle's pose then,
     it goes with the vehicle, and at first slides on beneath it by `slip_m_s`. Without, it drives or stands.
@@ -35,6 +38,7 @@ class _Stretch(NamedTuple):
     drives: bool = False
     contact: Pose | None = None
     slip_m_s: Vector3 = ZERO3
+    simulated_s: float = 0.0
 
 
 class TouchedPad:
@@ -61,7 +65,7 @@ class TouchedPad:
 
     def depart(self, time_s: float) -> None:
         """Set off."""
-        self._append(_Stretch(time_s, drives=True))
+        self._append(_Stretch(time_s, drives=True, simulated_s=self._simulated_s(time_s)))
 
     def touch(self, pose: Pose) -> None:
         """Go with the vehicle, whose last pose before the contact this is."""
@@ -76,7 +80,8 @@ class TouchedPad:
         """Drive on: the vehicle has risen."""
         last = self._stretches[-1]
         displaced = add(last.displaced_m, self._carried_m(last, time_s))
-        self._append(_Stretch(time_s, last.phase_s, displaced, drives=True))
+        begun_s = self._simulated_s(time_s)
+        self._append(_Stretch(time_s, last.phase_s, displaced, drives=True, simulated_s=begun_s))
 
     def at(self, time_s: float) -> PadTruth:
         """The pad at a time of the last second."""
@@ -100,7 +105,10 @@ class TouchedPad:
         )
 
     def _phase_s(self, stretch: _Stretch, time_s: float) -> float:
-        return stretch.phase_s + (time_s - stretch.since_s if stretch.drives else 0.0)
+        return stretch.phase_s + (self._simulated_s(time_s) - stretch.simulated_s if stretch.drives else 0.0)
+
+    def _simulated_s(self, time_s: float) -> float:
+        return self._pose_at(time_s).simulated_s
 
     def _carried_m(self, stretch: _Stretch, time_s: float) -> Vector3:
         """How far it has gone with the vehicle since the contact, and slid beneath it."""

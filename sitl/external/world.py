@@ -3,9 +3,9 @@
 The vehicle's pose is given, so nothing here pushes it: its own simulator has the ground, level and at the
 height on which the vehicle stands when it is first seen, disarmed. There lies the pad, flush, whatever height
 the scenario gives it. The pad sets off when the vehicle is armed, and is back at its start when that is
-disarmed without having flown. Touchdown is when a foot meets the ground;
-its own simulator does not carry a vehicle on the pad along, so the pad goes with the vehicle until it flies
-again (`touched_pad`).
+disarmed without having flown; it drives by the clock of the vehicle's simulator. Touchdown is when a foot
+meets the ground; its own simulator does not carry a vehicle on the pad along, so the pad goes with the
+vehicle until it flies again (`touched_pad`).
 
 NED from where the vehicle was first seen, z = 0 the ground, the vehicle's reference point at its airframe's
 standing height over it; SI.
@@ -100,10 +100,6 @@ class ExternalWorld:
         if armed and not self.armed and self._load.touching:
             self._watch.begin_flight()
         self.armed = armed
-        if armed and not self._pad.departed:
-            self._pad.depart(sample.time_s)
-        elif not armed and not self.flown:
-            self._pad.stop()
         north, east, down = ned_from_geodetic(*sample.place, self.origin)
         position = (north, east, down - self._standing_m)
         pose = self.track.put(
@@ -113,8 +109,13 @@ class ExternalWorld:
                 sample.velocity_ned_m_s,
                 sample.attitude,
                 sample.rate_body_rad_s,
+                sample.simulated_s,
             )
         )
+        if armed and not self._pad.departed:
+            self._pad.depart(sample.time_s)
+        elif not armed and not self.flown:
+            self._pad.stop()
         if pose is not None:
             self._touch(pose)
 

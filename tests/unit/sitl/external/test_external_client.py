@@ -61,7 +61,7 @@ class ClientBench:
 def test_it_asks_for_the_truth_that_this_simulator_has(autopilot: int, wanted: int) -> None:
     bench = ClientBench(autopilot)
     bench.run(3.0)
-    assert set(bench.asked()) == {wanted}
+    assert set(bench.asked()) == {wanted, mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION}
     (first, *_) = [m for m in bench.sent if m.get_type() == "COMMAND_LONG" and m.param1 == wanted]
     assert (first.target_system, first.target_component, first.param2) == (1, 1, 1e4)
 
@@ -115,6 +115,19 @@ def test_a_stamp_is_turned_into_our_time_by_timesync_and_no_stamp_means_now() ->
     stamped, unstamped, wrong = (s.time_s for s in bench.client.take_samples())
     assert stamped == pytest.approx(middle_s + 1.0, abs=1e-6)
     assert unstamped == wrong == bench.now_s
+
+
+def test_a_pose_has_the_time_of_the_vehicle_s_own_clock() -> None:
+    bench = ClientBench(PX4)
+    bench.run(0.02)
+    bench.hear(mavlink.MAVLink_attitude_quaternion_message(7000, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    bench.hear(hil_state((0.0, 0.0, 0.0)))
+    bench.now_s += 0.05  # in which it has stood still for 40 ms
+    bench.hear(mavlink.MAVLink_attitude_quaternion_message(7010, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    bench.hear(hil_state((0.0, 0.0, 0.0)))
+    first, second = bench.client.take_samples()
+    assert second.simulated_s - first.simulated_s == pytest.approx(0.01)
+    assert second.time_s - first.time_s == pytest.approx(0.05)
 
 
 ESTIMATE = (

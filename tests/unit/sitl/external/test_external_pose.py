@@ -163,3 +163,12 @@ def test_beginning_anew_what_was_is_there_until_the_next_pose_comes_whenever_tha
     assert track.at(1.0).position_ned_m[0] == 3.0
     track.put(pose(0.99, 0.5, 0.0))  # by another stamp
     assert track.at(1.0).position_ned_m[0] == 0.5
+
+
+def test_without_stamps_or_by_a_clock_that_was_set_the_simulator_goes_on_as_our_clock_does() -> None:
+    track = PoseTrack()
+    for time_s, stamp_s in ((1.0, 50.0), (1.1, 50.02), (1.2, 3.0), (1.3, 3.1), (1.4, math.nan)):
+        track.put(pose(time_s, 0.0, 0.0)._replace(simulated_s=stamp_s))
+    times = [track.at(time_s).simulated_s for time_s in (1.0, 1.1, 1.2, 1.3, 1.4, 1.45)]
+    steps = [b - a for a, b in pairwise(times)]
+    assert steps == pytest.approx([0.02, 0.1, 0.1, 0.1, 0.05])

@@ -149,7 +149,8 @@ def test_armed_and_disarmed_on_the_ground_it_is_back_at_its_start_and_sets_off_a
     for k in range(4000):
         world.see(sample(START_S - 80.0 + k * STEP_S, place), armed=k < 250)
     assert world.pad_at(START_S - 0.1) == start
-    world.see(sample(START_S, place), armed=True)
+    for k in range(round(10.0 / STEP_S) + 1):
+        world.see(sample(START_S + k * STEP_S, place), armed=True)
     assert world.pad_at(START_S + 10.0).position_ned_m == pytest.approx((4.0, 3.0, 0.0), abs=1e-6)
 
 

@@ -28,6 +28,10 @@ class StoppedVehicle:
 
     def __init__(self, speed_m_s: float, stops_in_s: float = 0.0) -> None:
         self.speed_m_s, self.stops_in_s = speed_m_s, stops_in_s
+        self.pauses_s = 0.0  # its simulator, at 5 s
+
+    def simulated_s(self, time_s: float) -> float:
+        return time_s - min(max(time_s - 5.0, 0.0), self.pauses_s)
 
     def at(self, time_s: float) -> Pose:
         since_s = time_s - 10.0
@@ -37,7 +41,7 @@ class StoppedVehicle:
             t = min(since_s, self.stops_in_s)
             share = t / self.stops_in_s if self.stops_in_s else 1.0
             east, speed = self.speed_m_s * t * (1.0 - 0.5 * share), self.speed_m_s * (1.0 - share)
-        return Pose(time_s, (0.0, east, -0.18), (0.0, speed, 0.0), IDENTITY, ZERO3)
+        return Pose(time_s, (0.0, east, -0.18), (0.0, speed, 0.0), IDENTITY, ZERO3, self.simulated_s(time_s))
 
 
 def away(pad: TouchedPad, vehicle: StoppedVehicle, time_s: float) -> float:
@@ -77,3 +81,13 @@ def test_clear_of_the_feet_it_drives_on_from_where_it_is_and_the_past_stays_as_i
     assert pad.at(10.9).position_ned_m == pytest.approx(stood)
     assert pad.at(11.5).position_ned_m == pytest.approx((0.0, 0.5, 0.0))
     assert pad.at(11.5).velocity_ned_m_s == pytest.approx((0.0, 1.0, 0.0))
+
+
+def test_it_stands_still_while_the_vehicle_s_simulator_does() -> None:
+    vehicle = StoppedVehicle(1.0)
+    vehicle.pauses_s = 0.25
+    pad = TouchedPad(motion(1.0), FRICTION, vehicle.at)
+    pad.depart(0.0)
+    before, after = pad.at(5.0).position_ned_m, pad.at(5.25).position_ned_m
+    assert after == pytest.approx(before)
+    assert pad.at(6.25).position_ned_m[1] == pytest.approx(before[1] + 1.0)
