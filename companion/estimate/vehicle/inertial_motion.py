@@ -64,6 +64,7 @@ class InertialMotion:
         self.attitude: Quaternion = IDENTITY
         self.rate_body_rad_s: Vector3 = ZERO3
         self.acceleration_ned_m_s2: Vector3 = ZERO3
+        self._lasting: Vector3 = ZERO3
         self.side_force_ned_m_s2: Vector3 = ZERO3
         self.gyro_bias_rad_s: Vector3 = ZERO3
         self.accel_bias_m_s2: Vector3 = ZERO3
@@ -91,7 +92,9 @@ class InertialMotion:
         span_s = None if sample.interval_s is None else dt_s
         k = dt_s / (ACCELERATION_FILTER_S + dt_s)
         self.acceleration_ned_m_s2 = _approached(self.acceleration_ned_m_s2, acceleration, k)
-        self._history.add(sample.time_s, self.attitude, acceleration, span_s, self.acceleration_ned_m_s2)
+        # a blow is over when it is felt: what lasts changes by no more than thrust can
+        self._lasting = _approached(self._lasting, _near(self._lasting, acceleration, GRAVITY_M_S2), k)
+        self._history.add(sample.time_s, self.attitude, acceleration, span_s, self._lasting)
         pushed = side_force(self.attitude, force)
         self.side_force_ned_m_s2 = _approached(self.side_force_ned_m_s2, pushed, k)
         # the pre-filter remembers an acceleration for as long as it averages; taken with its own attitude, so
@@ -134,3 +137,10 @@ def _acceleration(attitude: Quaternion, specific_force_m_s2: Vector3) -> Vector3
 
 def _approached(value: Vector3, goal: Vector3, share: float) -> Vector3:
     return add(value, scale(subtract(goal, value), share))
+
+
+def _near(centre: Vector3, value: Vector3, reach: float) -> Vector3:
+    """The value, or the nearest one to it within reach of the centre."""
+    away = subtract(value, centre)
+    distance = norm(away)
+    return value if distance <= reach else add(centre, scale(away, reach / distance))

@@ -85,3 +85,15 @@ def test_vibration_does_not_go_on_beyond_the_newest_sample() -> None:
     # THEN the velocity 12 ms later differs by what lasts of the acceleration alone, not by the last sample's
     assert max(map(abs, swings)) < 0.012 * 0.5
     assert swings == pytest.approx(speeds)
+
+
+def test_a_blow_is_not_carried_on_while_the_next_samples_are_late() -> None:
+    """Feet that are stopped within one sample: 127 m/s2 for 8 ms."""
+    history, step_s = MotionHistory(1.0), 0.008
+    motion, orientation = InertialMotion(history), new_orientation(EstimateConfig(), IDENTITY)
+    for k in range(1, 101):
+        force: Vector3 = (-127.0 if k == 100 else 0.0, 0.0, -GRAVITY_M_S2)
+        motion.add(ImuSample(k * step_s, ZERO3, force, 25.0), step_s, ZERO3, force, orientation)
+    (_, (later, _, _)) = history.moved(100 * step_s, 100 * step_s + 0.08)
+    assert abs(later) < 0.25
+    assert motion.acceleration_ned_m_s2[0] < -30.0  # it is felt all the same
