@@ -18,7 +18,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -96,7 +96,7 @@ def firmware(flight: Flight) -> Iterator[None]:
         if flight.kind == "px4":
             start_px4(process, flight.binary)
         else:
-            stack.callback(start_ardupilot(process, flight.binary).set)
+            stack.callback(start_ardupilot(process, flight.binary))
         yield
 
 
@@ -116,8 +116,8 @@ def start_px4(process: Process, binary: Path) -> None:
     process.check(8.0)
 
 
-def start_ardupilot(process: Process, binary: Path) -> threading.Event:
-    """Its own quadrotor; the thread that holds the first port ends with the event."""
+def start_ardupilot(process: Process, binary: Path) -> Callable[[], None]:
+    """Its own quadrotor; what is returned lets go of the first port, which comes before the end."""
     file = process.folder / "landing.parm"
     file.write_text("".join(f"{name} {value}\n" for name, value in ARDUPILOT_PARAMETERS.items()))
     shipped = binary.parents[3] / "Tools" / "autotest" / "default_params" / "copter.parm"
@@ -128,12 +128,18 @@ def start_ardupilot(process: Process, binary: Path) -> threading.Event:
     )  # fmt: skip
     process.check(2.0)
     ready, ended = threading.Event(), threading.Event()
-    threading.Thread(target=hold_first_port, args=(ready, ended), daemon=True).start()
+    holder = threading.Thread(target=hold_first_port, args=(ready, ended), daemon=True)
+    holder.start()
     deadline_s = time.monotonic() + BOOT_S
     while not ready.wait(1.0) and time.monotonic() < deadline_s:
         process.check()
     process.check(4.0)
-    return ended
+
+    def let_go() -> None:
+        ended.set()
+        holder.join(2.0)
+
+    return let_go
 
 
 def hold_first_port(ready: threading.Event, ended: threading.Event) -> None:

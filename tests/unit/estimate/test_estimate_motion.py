@@ -62,7 +62,7 @@ def test_beyond_the_newest_sample_the_acceleration_goes_on() -> None:
 
 
 @pytest.mark.parametrize("arbitrary_m_s", [0.0, 7.0])
-def test_a_corrected_clock_moves_nothing_whatever_the_velocity_integral_began_with(arbitrary_m_s: float) -> None:
+def test_a_corrected_clock_moves_nothing_however_fast_the_integral_began(arbitrary_m_s: float) -> None:
     """A sample 10 ms after the last one by the IMU's own clock, 60 ms by ours."""
     history = MotionHistory(5.0)
     history.add(0.0, IDENTITY, (arbitrary_m_s, 0.0, 0.0))
