@@ -12,6 +12,7 @@
 # make bench-mpc             what a step of the MPC costs, beside setting it up anew
 # make bench-response PX4=BIN ARDUCOPTER=BIN  how the autopilots answer setpoints, beside what is believed
 # make bench-descents RUNS=100  descents of random landings by the fuzzy speed controller and by fixed speeds
+# make bench-grant ARDUCOPTER=BIN  the fall as control is taken, whatever hover thrust was told
 # make bench-margins         landings with a response, a delay, stamps and a mass other than believed
 # make bench-campaign        how much faster a campaign is on two jobs
 # make bench-precision       the autopilots' own precision landing, beside what the real firmware did
@@ -48,7 +49,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.state.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-cpu bench-long-life bench-experiments bench-state bench-deck bench-pad bench-obstacles bench-mpc bench-descents bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-service bench-page bench-interruptions bench-mutations bench-mutants bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-photoreal bench-sweep bench-sitl clean
+.PHONY: sitl test lint bench bench-cpu bench-long-life bench-experiments bench-state bench-deck bench-pad bench-obstacles bench-mpc bench-descents bench-grant bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-service bench-page bench-interruptions bench-mutations bench-mutants bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-photoreal bench-sweep bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -129,6 +130,10 @@ bench-cpu: $(VENV)/.dev
 # twenty minutes
 bench-long-life: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.cpu.bench_long_life
+
+# twenty minutes on two cores for the bundled behaviour alone
+bench-grant: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.control.bench_grant $(if $(ARDUCOPTER),--arducopter $(ARDUCOPTER))
 
 # an hour on two cores; give it again after an interruption, and it goes on
 bench-margins: $(VENV)/.dev
