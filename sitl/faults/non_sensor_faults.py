@@ -117,6 +117,12 @@ class AutopilotReboots(FaultTimes):
         return min(self.duration_s, self.silent_s)
 
 
+class AutopilotDisarms(FaultTimes):
+    """Its motors stop wherever it is: the pilot's switch, or a land detector that errs."""
+
+    kind: Literal["autopilot_disarms"]
+
+
 class AutopilotPositionLost(FaultTimes):
     """Its estimator gives no position: none is sent, and it says so. It flies on as it did."""
 
@@ -137,6 +143,21 @@ class FollowMe(FaultTimes):
     north_m: float = Field(default=20.0, ge=-500.0, le=500.0)  # Where the operator is, from home
     east_m: float = Field(default=-15.0, ge=-500.0, le=500.0)  # The same, east
     rate_hz: float = Field(default=1.0, gt=0.0, le=10.0)  # How often it is sent
+
+
+class SecondCompanion(FaultTimes):
+    """A duplicate of the companion, under another component id, sends setpoints too: stand still."""
+
+    kind: Literal["second_companion"]
+    component_id: int = Field(default=196, ge=1, le=255)  # Of the vehicle's system
+    rate_hz: float = Field(default=10.0, gt=0.0, le=50.0)  # How often it sends one
+
+
+class ForgedFrames(FaultTimes):
+    """Somebody without the key sends frames in the autopilot's name, with the largest time stamp there is."""
+
+    kind: Literal["forged_frames"]
+    rate_hz: float = Field(default=1.0, gt=0.0, le=50.0)  # How often one is sent
 
 
 # ---------------------------------------------------------------- the companion computer
@@ -193,9 +214,12 @@ NonSensorFault = (
     | AutopilotRefuses
     | PilotMode
     | AutopilotReboots
+    | AutopilotDisarms
     | AutopilotPositionLost
     | BatteryCharge
     | FollowMe
+    | SecondCompanion
+    | ForgedFrames
     | ImuNan
     | SolverInfeasible
     | SolverLate

@@ -15,18 +15,28 @@ from companion.base.geometry import Vector3
 from companion.config import ConfigError
 from companion.pad import Pad
 from sitl.autopilot import SimulatedAutopilot
+from sitl.autopilot.flight.profile import AutopilotProfile
 from sitl.camera.camera import CameraModel
 from sitl.camera.textures import covered_texture, other_ids_texture
 from sitl.faults import non_sensor_faults
 from sitl.faults.computer import ComputerFaults
 from sitl.mavlink.ground_station import GroundStation
+from sitl.mavlink.intruders import Companion, Forger
 from sitl.pad.incidents import AT_ONCE_M_S2, IncidentMotion
 
 COMPUTER_KINDS: Final = frozenset(
     {"imu_nan", "solver_infeasible", "solver_late", "solver_nan", "disk_full", "disk_slow"}
 )
 AUTOPILOT_KINDS: Final = frozenset(
-    {"autopilot_refuses", "pilot_mode", "autopilot_reboots", "autopilot_position_lost", "battery"}
+    {
+        "autopilot_refuses",
+        "pilot_mode",
+        "autopilot_reboots",
+        "autopilot_disarms",
+        "autopilot_position_lost",
+        "battery",
+        "second_companion",
+    }
 )
 # the board's surface over the ground, for a pad that somebody has left there
 TWIN_HEIGHT_M: Final = 0.1
@@ -113,6 +123,18 @@ def follow_operator(fault: non_sensor_faults.FollowMe, targets: NonSensorTargets
     """Another place, unasked."""
     if targets.station is not None:
         targets.station.follow((fault.north_m, fault.east_m, 0.0), fault.rate_hz)
+
+
+def send_more_setpoints(fault: non_sensor_faults.SecondCompanion, targets: NonSensorTargets) -> None:
+    """Setpoints of somebody else."""
+    if targets.station is not None:
+        targets.station.intruders["setpoints"] = Companion(fault.component_id, 1.0 / fault.rate_hz)
+
+
+def forge_frames(fault: non_sensor_faults.ForgedFrames, targets: NonSensorTargets) -> None:
+    """Frames of somebody without the key."""
+    if targets.station is not None:
+        targets.station.intruders["forged"] = Forger(1.0 / fault.rate_hz)
 
 
 def break_samples(_fault: non_sensor_faults.ImuNan, targets: NonSensorTargets) -> None:
@@ -216,11 +238,19 @@ def level_pad(fault: non_sensor_faults.PadTilts, targets: NonSensorTargets, now_
 
 def change_mode(fault: non_sensor_faults.PilotMode, targets: NonSensorTargets, _now_s: float) -> None:
     """The pilot's switch."""
-    autopilot = targets.bundled
-    profile = autopilot.profile
+    targets.bundled.set_mode_named(chosen_mode(targets.bundled.profile, fault.mode))
+
+
+def chosen_mode(profile: AutopilotProfile, mode: str) -> str:
+    """What an autopilot calls the mode that `PilotMode` names."""
     position = "POSCTL" if profile.name == "px4" else "LOITER"
     modes = {"position": position, "hold": profile.hold_mode, "return": profile.return_mode}
-    autopilot.set_mode_named(modes.get(fault.mode, profile.land_mode))
+    return modes.get(mode, profile.land_mode)
+
+
+def stop_motors(_fault: non_sensor_faults.AutopilotDisarms, targets: NonSensorTargets, _now_s: float) -> None:
+    """Disarm, also in the air."""
+    targets.bundled.terminate()
 
 
 def reboot(_fault: non_sensor_faults.AutopilotReboots, targets: NonSensorTargets, now_s: float) -> None:
@@ -240,6 +270,7 @@ BEGIN: Final[dict[str, Happening]] = {
     "pad_tilts": tilt_pad,
     "pilot_mode": change_mode,
     "autopilot_reboots": reboot,
+    "autopilot_disarms": stop_motors,
 }
 END: Final[dict[str, Happening]] = {
     "pad_twin": remove_twin,
@@ -255,6 +286,8 @@ _LASTING: Final[dict[str, Callable[[Any, NonSensorTargets], None]]] = {
     "autopilot_position_lost": lose_position,
     "battery": drain_battery,
     "follow_me": follow_operator,
+    "second_companion": send_more_setpoints,
+    "forged_frames": forge_frames,
     "imu_nan": break_samples,
     "solver_infeasible": find_no_solution,
     "solver_late": delay_solver,

@@ -14,6 +14,7 @@ import numpy as np
 
 from companion.base.geometry import ZERO3, Vector3, geodetic_from_ned
 from sitl.mavlink.framing import FrameReader, MavFrame, dialect
+from sitl.mavlink.intruders import Intruder
 from sitl.mavlink.signing import Signing
 from sitl.scenario.scenario import BeaconSettings
 
@@ -77,8 +78,9 @@ class GroundStation:
         self.clear_faults()
 
     def clear_faults(self) -> None:
-        """It sends what it is asked for alone."""
+        """It sends what it is asked for alone, and nobody else is on the link."""
         self._operator: tuple[Vector3, float] | None = None
+        self.intruders: dict[str, Intruder] = {}
 
     def follow(self, operator_ned_m: Vector3, rate_hz: float) -> None:
         """Send the operator's place (NED from home), unasked."""
@@ -132,7 +134,8 @@ class GroundStation:
             place, period_s = self._operator
             self._follow_due_s = now_s + period_s
             messages.append(self._follow_target(now_s, place, ZERO3))
-        return b"".join([self._pack(message) for message in messages])
+        others = [intruder.due(now_s) for intruder in self.intruders.values()]
+        return b"".join([*(self._pack(message) for message in messages), *others])
 
     def _pack(self, message: Any) -> bytes:
         if self._signing is not None:

@@ -13,7 +13,7 @@ from typing import Any, Final
 from companion.base.geometry import Vector3
 from sitl.autopilot import SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
-from sitl.mavlink.framing import MavFrame, dialect
+from sitl.mavlink.framing import FrameReader, MavFrame, dialect
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.signing import Signing
 from sitl.mavlink.truth_telemetry import TruthMessages
@@ -118,6 +118,8 @@ class Network:
         """Send all that is due; the pad's motion is where the ground station's beacon starts."""
         self._signing.advance(self._unix_at_start_s + now_s)
         beacon = self._ground_station.transmit(now_s, pad_position_ned_m, pad_velocity_ned_m_s)
+        if self._ground_station.intruders:
+            self._obey(beacon, now_s)
         for port in tuple(self._ports):
             if port.endpoint.waits:
                 self.receive(port, b"", now_s)
@@ -127,6 +129,13 @@ class Network:
             if due:
                 port.write(due)
         self._answer(now_s)  # including texts queued by the above
+
+    def _obey(self, data: bytes, now_s: float) -> None:
+        """What others send to the vehicle, over the same radio."""
+        for frame in FrameReader(datagrams=True).read(data, now_s):
+            if (frame.system, frame.component) != VEHICLE and self._signing.accepts(frame):
+                for port in self._ports[:1]:
+                    port.endpoint.handle(frame, now_s)
 
     def _answer(self, now_s: float) -> None:
         self._send_texts()

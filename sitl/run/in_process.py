@@ -69,13 +69,15 @@ class InProcess:
         gps_baud: int = GPS_BAUD,
         firmware: FirmwareSpec | None = None,
         computer: ComputerFaults | None = None,
+        signing_key: bytes | None = None,
         keep_truth: bool = True,
     ) -> None:
         """Build it; `motion`: it is carried by hand; `link` is the vehicle's end of the MAVLink line.
 
         Without `keep_truth` nothing is stored for `simulation.report`, which a long flight would fill up.
         A `firmware` flies it in lockstep; `simulation.close` ends that. `computer` takes the faults of the
-        companion computer, for a harness that applies them to the app.
+        companion computer, for a harness that applies them to the app. With a `signing_key` the vehicle's
+        links are signed.
 
         Raises:
             ConfigError: a settings file that the scenario names is missing or wrong.
@@ -96,6 +98,7 @@ class InProcess:
             camera_wanted=lambda: self.wants_frames,
             firmware=firmware,
             computer=computer,
+            signing_key=signing_key,
             keep_truth=keep_truth,
         )
 

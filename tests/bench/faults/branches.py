@@ -59,7 +59,8 @@ class ForkedSchedule:
                     return
 
     def _go_on(self, run: FaultRun, begins_s: float, now_s: float) -> None:
-        faults = [_at(fault, begins_s) for fault in faults_of(run)]
+        own = faults_of(run)
+        faults = [_at(fault, begins_s, fault.delay_s - own[0].delay_s) for fault in own]
         self._simulation.faults = self._simulation.fault_schedule(faults)
         self._simulation.faults.step(now_s)
 
@@ -72,13 +73,13 @@ def _by_moment(runs: Sequence[FaultRun]) -> list[tuple[FaultRun, ...]]:
     return [tuple(together) for _, together in groupby(sorted(runs, key=moment), key=moment)]
 
 
-def _at(fault: Fault, begins_s: float) -> Fault:
+def _at(fault: Fault, begins_s: float, delay_s: float) -> Fault:
     return fault.model_copy(
         update={
             "start_s": begins_s,
             "phase": None,
             "below_m": None,
             "after_sighting_s": None,
-            "delay_s": 0.0,
+            "delay_s": delay_s,
         }
     )

@@ -31,15 +31,24 @@ _ON_PAD_DELAYS_S: Final = (0.05, 0.2, 0.4, 0.0, 0.8)
 
 @dataclass(frozen=True, slots=True)
 class FaultRowCase:
-    """A fault (or several at once) by the name of its row; `lands`: a landing is possible all the same.
+    """A fault (or several) by the name of its row; `lands`: a landing is possible all the same.
 
-    `changes` are of the scenario: what is wrong from the start.
+    A fault's own `delay_s` counts from the row's beginning. `changes` are of the scenario: what is wrong from
+    the start; `parameters` what the autopilot's are. `signed`: the link is.
     """
 
     faults: tuple[dict[str, Any], ...]
     phases: tuple[PhaseName, ...]
     lands: bool = False
     changes: dict[str, Any] = field(default_factory=dict)
+    parameters: dict[AutopilotKind, dict[str, float]] = field(default_factory=dict)
+    signed: bool = False
+
+    @property
+    def flown_alone(self) -> bool:
+        """Whether its flight has nothing in common with those of other rows."""
+        on_disk = any(fault["kind"].startswith("disk") for fault in self.faults)
+        return on_disk or bool(self.changes or self.parameters) or self.signed
 
 
 def _case(phases: tuple[PhaseName, ...], *faults: dict[str, Any], lands: bool = False) -> FaultRowCase:
@@ -56,6 +65,16 @@ def _refused(phases: tuple[PhaseName, ...], *what: str) -> FaultRowCase:
 
 def _from_start(*, lands: bool = False, **changes: Any) -> FaultRowCase:
     return FaultRowCase((), ("start",), lands, changes)
+
+
+def _timed_out(after_s: float, lost_s: float) -> FaultRowCase:
+    """The vehicle's own time-out of setpoints, and a link to it that is lost for so long."""
+    lost = {"kind": "link_blackout", "way": "to_vehicle", "duration_s": lost_s}
+    parameters: dict[AutopilotKind, dict[str, float]] = {
+        "px4": {"COM_OF_LOSS_T": after_s},
+        "ardupilot": {"GUID_TIMEOUT": after_s},
+    }
+    return FaultRowCase((lost,), TO_THE_END, parameters=parameters)
 
 
 def _built(**exactly: Any) -> FaultRowCase:
@@ -101,6 +120,18 @@ _LINK: Final[dict[str, FaultRowCase]] = {
     "link 0.5 s late": _one("link_delay"),
     "link to app 0.12 s late": _one("link_delay", ("start", *TO_THE_END), extra_s=0.12, way="to_app"),
     "link to vehicle lost 2 s": _one("link_blackout", LOW, way="to_vehicle", duration_s=2.0),
+    # the app's HOLD is never acknowledged, and a failsafe lands before the link is back
+    "link lost 4 s, LAND": _case(
+        IN_AIR,
+        {"kind": "link_blackout", "duration_s": 4.0},
+        {"kind": "pilot_mode", "mode": "land", "delay_s": 3.0},
+    ),
+    "time-out 0.3 s, link lost 0.6 s": _timed_out(0.3, 0.6),
+    "time-out 5 s, link lost 5 s": _timed_out(5.0, 5.0),
+    "second companion": _one("second_companion", ("start", *TO_THE_END)),
+    "forged frames": FaultRowCase(
+        ({"kind": "forged_frames"},), ("start", "descend"), lands=True, signed=True
+    ),
 }
 _PAD: Final[dict[str, FaultRowCase]] = {
     "pad stops": _one("pad_stops"),
@@ -126,6 +157,12 @@ _AUTOPILOT: Final[dict[str, FaultRowCase]] = {
     "pilot: Position": _one("pilot_mode", ("start", *TO_THE_END), mode="position"),
     "pilot: Hold": _one("pilot_mode", ("start", *TO_THE_END), mode="hold"),
     "pilot: Return": _one("pilot_mode", mode="return"),
+    "disarms": _case(("on_pad",), {"kind": "autopilot_disarms"}, lands=True),
+    "pad tilts 25 deg, disarms": _case(
+        ("on_pad",),
+        {"kind": "pad_tilts", "roll_deg": 25.0, "rate_deg_s": 50.0},
+        {"kind": "autopilot_disarms", "delay_s": 0.6},
+    ),
     "autopilot reboots": _one("autopilot_reboots"),
     "autopilot position lost": _one("autopilot_position_lost"),
     "battery low": _one("battery", remaining_percent=18),
@@ -163,6 +200,10 @@ _BUILT: Final[dict[str, FaultRowCase]] = {
 _COMPUTER_AND_WIND: Final[dict[str, FaultRowCase]] = {
     "vision 130 ms": _from_start(companion={"compute": {"vision_s": 0.13}}),
     "camera 8 Hz": _from_start(camera={"rate_hz": 8.0}),
+    "pad 3 m/s, wind 8 m/s": _from_start(
+        pad={"motion": {"speed_m_s": 3.0}},
+        wind={"mean_m_s": 8.0, "from_deg": 0.0, "turbulence": "moderate"},
+    ),
     "wind 8 m/s": _from_start(wind={"mean_m_s": 8.0, "from_deg": 0.0, "turbulence": "moderate"}),
 }
 CASES: Final[dict[str, FaultRowCase]] = {
@@ -253,8 +294,13 @@ def scenario_of(run: FaultRun) -> Scenario:
     if run.phase == "start" and run.fault.startswith("pilot"):
         when = {"phase": "take off", "delay_s": 2.0}  # before control is ours
     case = CASES[run.fault]
-    faults = [{**fault, **when} for fault in case.faults]
-    return _with(run.scenario, {**case.changes, "faults": faults, "autopilot": run.autopilot})
+    since_s = when.get("delay_s", 0.0)
+    faults = [
+        {**fault, **when, **({"delay_s": since_s + fault["delay_s"]} if "delay_s" in fault else {})}
+        for fault in case.faults
+    ]
+    told = {"autopilot_parameters": case.parameters[run.autopilot]} if case.parameters else {}
+    return _with(run.scenario, {**case.changes, **told, "faults": faults, "autopilot": run.autopilot})
 
 
 def faultless(scenario: str, changes: dict[str, Any] | None = None) -> Scenario:
@@ -267,5 +313,12 @@ def faultless(scenario: str, changes: dict[str, Any] | None = None) -> Scenario:
 
 
 def _with(scenario: str, changes: dict[str, Any]) -> Scenario:
-    content = load_scenario(scenario).model_dump(by_alias=True, exclude_unset=True)
-    return Scenario.model_validate(merge(content, {**changes, "time_limit_s": TIME_LIMIT_S}))
+    return changed(load_scenario(scenario), {**changes, "time_limit_s": TIME_LIMIT_S})
+
+
+def changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
+    """A scenario with changes."""
+    if not changes:
+        return scenario
+    content = scenario.model_dump(by_alias=True, exclude_unset=True)
+    return Scenario.model_validate(merge(content, changes))

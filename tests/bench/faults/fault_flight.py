@@ -7,6 +7,7 @@ autopilot makes of what it was handed belongs to how the flight ended.
 from __future__ import annotations
 
 import asyncio
+import secrets
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -20,16 +21,21 @@ from companion.base.messages import VehicleState
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError
 from companion.flightlog.record import FlightLog
 from companion.link.inbox import memory_pair
+from companion.link.signing import KEY_BYTES
 from companion.sense.vision.opencv import prepare_opencv
 from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
+from sitl.autopilot import PROFILES
 from sitl.faults.computer import ComputerFaults
+from sitl.faults.non_sensor_faults import PilotMode
+from sitl.faults.non_sensor_injection import chosen_mode
+from sitl.mavlink.signing import read_key
 from sitl.run.in_process import InProcess
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario
 from tests.bench.faults.branches import ForkedSchedule
-from tests.bench.faults.cases import CASES, FaultRun, faultless, scenario_of
+from tests.bench.faults.cases import CASES, FaultRun, changed, faultless, faults_of, scenario_of
 from tests.bench.faults.computer import applied
 from tests.bench.faults.forks import Forks
 from tests.bench.faults.judge import HOLD_MODES, SafetyBounds, SafetyVerdict, judge
@@ -57,7 +63,8 @@ def _as_is(_simulation: Simulation) -> None:
 def fly_run(run: FaultRun) -> tuple[SafetyVerdict, WitnessedFlight]:
     """Fly one from its start and judge it."""
     prepare_opencv()
-    record, config = fly(scenario_of(run), run.seed, on_disk=on_disk(run))
+    with _key(CASES[run.fault].signed) as changes:
+        record, config = fly(changed(scenario_of(run), changes), run.seed, on_disk=on_disk(run))
     return judged(run, record, config), record
 
 
@@ -89,13 +96,16 @@ def on_disk(run: FaultRun) -> bool:
 
 def flown_alone(run: FaultRun) -> bool:
     """Whether it has nothing in common with flights of other faults."""
-    return on_disk(run) or bool(CASES[run.fault].changes)
+    return CASES[run.fault].flown_alone
 
 
 def judged(run: FaultRun, record: WitnessedFlight, config: CompanionConfig) -> SafetyVerdict:
     """How it ended."""
     # where the flight was over before the fault, the end is not the pilot's
     record.pilot_took_over = run.fault.startswith("pilot") and record.fault_began
+    for fault in faults_of(run):
+        if isinstance(fault, PilotMode):
+            record.pilot_mode = chosen_mode(PROFILES[run.autopilot], fault.mode)
     return judge(record, bounds_of(config))
 
 
@@ -121,6 +131,18 @@ def fly(
 
 
 @contextmanager
+def _key(signed: bool) -> Iterator[dict[str, Any]]:
+    """What a scenario's app is to be told while inside, for a link that is signed."""
+    if not signed:
+        yield {}
+        return
+    with tempfile.NamedTemporaryFile(prefix="bench-faults-key-") as file:
+        file.write(secrets.token_bytes(KEY_BYTES))
+        file.flush()
+        yield {"companion": {"link": {"signing_key": file.name}}}
+
+
+@contextmanager
 def _log(on_disk: bool) -> Iterator[FlightLog]:
     if not on_disk:
         yield FlightLog(None, start_unix_s=0.0)
@@ -143,6 +165,7 @@ async def _fly(
         link=vehicle_end,
         gps_baud=config.sense.gps.baud,
         computer=faults,
+        signing_key=None if config.link.signing_key is None else read_key(config.link.signing_key),
     )
     simulation = vehicle.simulation
     px4 = trial.scenario.autopilot == "px4"

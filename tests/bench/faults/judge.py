@@ -6,7 +6,8 @@ vehicle's as the app believes it.
 Unsafe is a crash; touching anything, the pad included, faster than 0.3 m/s sideways or 0.7 m/s down relative
 to it; touching the ground by the app's setpoints and flying on; disarming in the air; flying outside fence
 or ceiling by the app's setpoints; a climb that was not announced; a setpoint outside the limits; an end
-without a text that says why.
+without a text that says why; "landed" told of a vehicle beside the pad; a mode changed that the pilot, or a
+failsafe, has chosen.
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ PHASE_WORDS: Final = re.compile(
 )
 # the phase, the event that led to it, and why
 END_WORDS: Final = re.compile(r"(landed|abort|hold): [^:]+: \S")
+LANDED_WORDS: Final = "landed: "
 SHOUTS_EVERY_S: Final = 60.0
 _ERROR: Final = 3  # MAV_SEVERITY, and less is graver
 _WARNING: Final = 4
@@ -81,6 +83,8 @@ def judge(record: WitnessedFlight, bounds: SafetyBounds) -> SafetyVerdict:
         *unannounced_climbs(_obeyed(record), record.texts, record.commanded),
         *broken_limits(record, bounds.limits),
         *_silent_end(record),
+        *_false_landing(record),
+        *_overruled(record),
     )
     return SafetyVerdict("unsafe", unsafe) if unsafe else SafetyVerdict(_ending(record))
 
@@ -179,6 +183,26 @@ def _silent_end(record: WitnessedFlight) -> Iterator[str]:
             yield f"the app failed without a text: {record.app_failed}"
     elif not _says_why(record):
         yield "ended without a text that says why"
+
+
+def _false_landing(record: WitnessedFlight) -> Iterator[str]:
+    """A landing is on the pad."""
+    landed = any(text.text.startswith(LANDED_WORDS) for text in record.texts)
+    if landed and record.contacts and not record.contacts[-1].on_pad:
+        yield "said that it landed, beside the pad"
+
+
+def _overruled(record: WitnessedFlight) -> Iterator[str]:
+    """What the pilot, or a failsafe, has chosen stays; the autopilot's own next mode is neither."""
+    ours = (*OBEYED_MODES, *(mode for mode in HOLD_MODES if mode != record.pilot_mode))
+    chosen = False
+    for sample in record.samples:
+        if not record.pilot_mode or sample.time_s <= record.fault_began_s or not sample.armed:
+            continue
+        if chosen and sample.mode in ours:
+            yield f"{sample.mode} over the pilot's {record.pilot_mode} at {sample.time_s:.1f} s"
+            return
+        chosen = chosen or sample.mode == record.pilot_mode
 
 
 def _says_why(record: WitnessedFlight) -> bool:

@@ -100,7 +100,9 @@ class WitnessedFlight:
     app_ended_s: float | None = None
     app_failed: str = ""
     pilot_took_over: bool = False
+    pilot_mode: str = ""  # what the fault has put it into, as the autopilot calls it
     fault_began: bool = False
+    fault_began_s: float = math.inf  # the last of them
 
 
 class FaultWitness:
@@ -126,6 +128,8 @@ class FaultWitness:
             self.record.touches.append(GroundTouch(now_s, math.hypot(vn, ve), vd, armed))
         if self._armed and not armed:
             self.record.disarmings.append(Disarming(now_s, self._feet_m(), contact.touching))
+        if self._simulation.faults.all_begun:
+            self.record.fault_began_s = min(self.record.fault_began_s, now_s)
         self._armed = armed
         self._before = world.state
         if now_s >= self._next_s:

@@ -160,6 +160,24 @@ def go_on_for_ever(record: WitnessedFlight) -> None:
     record.app_ended_s = None
 
 
+def land_beside(record: WitnessedFlight) -> None:
+    record.contacts = [contact(35.0, on_pad=False)]
+
+
+def overrule(record: WitnessedFlight) -> None:
+    """The pilot lands, and the app holds."""
+    record.pilot_mode, record.fault_began_s = "AUTO_LAND", 30.0
+    for k in range(1501, 1800):
+        mode = "AUTO_LAND" if k < 1600 else "AUTO_LOITER"
+        record.samples[k] = record.samples[k]._replace(mode=mode)
+
+
+def take_back(record: WitnessedFlight) -> None:
+    record.pilot_mode, record.fault_began_s = "AUTO_LOITER", 30.0
+    for k in range(1501, 1600):
+        record.samples[k] = record.samples[k]._replace(mode="AUTO_LOITER")
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
@@ -183,6 +201,9 @@ def go_on_for_ever(record: WitnessedFlight) -> None:
         (end_with_no_reason, "ended without a text"),
         (fail, "the app failed without a text: ValueError: a bug"),
         (go_on_for_ever, "no end"),
+        (land_beside, "said that it landed, beside the pad"),
+        (overrule, "AUTO_LOITER over the pilot's AUTO_LAND at 32.0 s"),
+        (take_back, "OFFBOARD over the pilot's AUTO_LOITER at 32.0 s"),
     ],
 )
 def test_each_unsafe_thing_is_found(spoil: Callable[[WitnessedFlight], None], words: str) -> None:
@@ -205,6 +226,14 @@ def test_gentle_touches_of_the_pad_and_the_autopilots_own_of_the_ground_are_safe
         contact(33.0),
         contact(35.0),
     ]
+    assert judge(record, BOUNDS) == SafetyVerdict("landed")
+
+
+def test_a_pilots_mode_that_stays_is_nobodys_fault_before_or_after() -> None:
+    record = landing()
+    record.pilot_mode, record.fault_began_s = "AUTO_LAND", 30.0
+    for k in range(1501, len(record.samples)):
+        record.samples[k] = record.samples[k]._replace(mode="AUTO_LAND")
     assert judge(record, BOUNDS) == SafetyVerdict("landed")
 
 

@@ -77,6 +77,21 @@ def test_seeds_put_a_fault_at_different_moments() -> None:
     assert max(m for m in moments if m is not None) <= 1.0
 
 
+def test_a_fault_s_own_delay_counts_from_the_row_s_beginning() -> None:
+    lost, lands = scenario_of(FaultRun("link lost 4 s, LAND", "descend", "line", 2)).faults
+    assert (lost.phase, lost.delay_s) == ("descend", 1.3)
+    assert (lands.phase, lands.delay_s) == ("descend", 4.3)
+
+
+def test_each_autopilot_has_its_own_parameters() -> None:
+    row = "time-out 0.3 s, link lost 0.6 s"
+    told = [scenario_of(FaultRun(row, "descend", "line", 0, kind)) for kind in ("px4", "ardupilot")]
+    assert [scenario.autopilot_parameters for scenario in told] == [
+        {"COM_OF_LOSS_T": 0.3},
+        {"GUID_TIMEOUT": 0.3},
+    ]
+
+
 def row(outcome: str, fault: str = "GPS lost", phase: str = "descend", **more: object) -> FaultRow:
     values = {
         "scenario": "line",

@@ -209,6 +209,22 @@ def test_the_pilot_changes_the_mode_once() -> None:
     assert flight.autopilot.mode == "AUTO_LOITER"
 
 
+@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
+def test_the_motors_stop_in_the_air_as_well(profile: Any) -> None:
+    flight = AutopilotFlight(profile)
+    flight.run(8.0)
+    autopilot = flight.autopilot
+    autopilot.set_mode_named(autopilot.profile.take_off_mode)
+    assert autopilot.arm() is CommandResult.ACCEPTED
+    desk = FaultedParts(
+        non_sensor_faults.AutopilotDisarms(kind="autopilot_disarms", **times()), autopilot=autopilot
+    )
+    desk.schedule.step(0.9)
+    assert autopilot.armed
+    desk.schedule.step(1.0)
+    assert not autopilot.armed
+
+
 def test_a_reboot_is_silent_and_starts_the_clock_and_the_streams_again() -> None:
     flight = AutopilotFlight("px4")
     flight.run(5.0)

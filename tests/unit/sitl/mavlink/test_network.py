@@ -12,8 +12,11 @@ import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import ZERO3
+from companion.link.signing import LinkSigning, SigningKey
+from sitl.autopilot import CommandResult
 from sitl.mavlink.framing import FrameReader, dialect
 from sitl.mavlink.ground_station import GroundStation
+from sitl.mavlink.intruders import Companion, Forger
 from sitl.mavlink.network import Network
 from sitl.mavlink.signing import Signing
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
@@ -57,8 +60,8 @@ class NetworkedVehicle:
             np.random.default_rng(0), 0.01, home=HOME, field_ned_ut=(20.9, 0.6, 42.9), imu_filter=2
         )
         signing = Signing(autopilot_kind)
-        ground = GroundStation(np.random.default_rng(0), 1.0, HOME, signing=signing)
-        self.network = Network(self.flight.autopilot, self.sensors, ground, signing, UNIX_S)
+        self.ground = GroundStation(np.random.default_rng(0), 1.0, HOME, signing=signing)
+        self.network = Network(self.flight.autopilot, self.sensors, self.ground, signing, UNIX_S)
         self.flight.run(6.0)
 
     def run(self, seconds: float) -> None:
@@ -245,3 +248,28 @@ def test_orders_that_make_no_sense_cost_no_legal_frame(autopilot_kind: Autopilot
     found = Fuzz(autopilot_kind, 3, orders=True).run(5000)
     assert found.holds, found
     assert found.kinds["orders"] > 3000
+
+
+def test_a_second_companion_is_obeyed_and_heard() -> None:
+    desk = NetworkedVehicle()
+    client = NetworkClient(desk.network, 1, 191)
+    autopilot = desk.flight.autopilot
+    assert autopilot.set_mode_named("OFFBOARD") is autopilot.profile.refused_mode  # nobody sends setpoints
+    desk.ground.intruders["setpoints"] = Companion(196, 0.1)
+    desk.run(0.5)
+    heard = client.heard("SET_POSITION_TARGET_LOCAL_NED")
+    assert {(m.get_srcSystem(), m.get_srcComponent(), m.target_system) for m in heard} == {(1, 196, 1)}
+    assert len(heard) == pytest.approx(5, abs=1)
+    assert autopilot.set_mode_named("OFFBOARD") is CommandResult.ACCEPTED
+
+
+def test_frames_without_the_key_bear_the_largest_stamp_and_are_refused() -> None:
+    key = bytes(range(32))
+    forged = FrameReader(datagrams=True).read(Forger(1.0).due(0.0), 0.0)
+    signing = Signing("px4", key)
+    link = LinkSigning(SigningKey(key, 0))
+    assert [(frame.system, frame.component, frame.signed) for frame in forged] == [(1, 1, True)]
+    assert int.from_bytes(forged[0].data[-12:-6], "little") > (1 << 48) - 300
+    assert not link.accepts(forged[0].data)
+    assert not signing._is_genuine(forged[0], key)
+    assert link.stamp < 1000
