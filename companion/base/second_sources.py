@@ -94,13 +94,15 @@ ROWS: Final = (
     SourceRow(
         Quantity.HOVER_THRUST,
         first="the vehicle's file",
-        second="the autopilot's parameter",
+        second="the autopilot's parameter; by attitude, the thrust that holds it in the air",
         unit="%",
         notice=None,
         bound=None,
-        before="announced from 15 % on",
+        before="announced from 15 % on; by attitude, refused where what holds it is not known to 10 %, "
+        "or is not 0.5 to 1.6 times either",
         reaction=None,
-        in_flight="the disturbance observer learns the rest",
+        in_flight="learnt from what is felt; falling 0.5 m/s faster than planned, control returns to the "
+        "autopilot",
     ),
     SourceRow(
         Quantity.ATTITUDE,

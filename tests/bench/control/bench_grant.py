@@ -121,6 +121,7 @@ async def _fly(trial: Trial, found: Grant) -> Grant:
         ]
         try:
             while not tasks[1].done() and simulation.world.time_s < _until_s(found):
+                vehicle.wants_frames = found.began_s is None  # or it would approach the pad, and descend
                 await asyncio.wait(tasks[1:], timeout=LOOK_S)
         finally:
             for task in tasks:
