@@ -158,11 +158,6 @@ _AUTOPILOT: Final[dict[str, FaultRowCase]] = {
     "pilot: Hold": _one("pilot_mode", ("start", *TO_THE_END), mode="hold"),
     "pilot: Return": _one("pilot_mode", mode="return"),
     "disarms": _case(("on_pad",), {"kind": "autopilot_disarms"}, lands=True),
-    "pad tilts 25 deg, disarms": _case(
-        ("on_pad",),
-        {"kind": "pad_tilts", "roll_deg": 25.0, "rate_deg_s": 50.0},
-        {"kind": "autopilot_disarms", "delay_s": 0.6},
-    ),
     "autopilot reboots": _one("autopilot_reboots"),
     "autopilot position lost": _one("autopilot_position_lost"),
     "battery low": _one("battery", remaining_percent=18),
