@@ -17,13 +17,14 @@ from collections.abc import Mapping
 from typing import Final
 
 from companion.base.geometry import GRAVITY_M_S2
+from companion.base.second_sources import SIGMA_THRESHOLD
 
 TOLD_STD: Final = 1.0  # as a share: what is told is twice the truth, or half of it, often enough
 # 5 % of g for half a second at a time, both ways: 2 * 0.05² * 0.5
 AIR_G2_S: Final = 0.0025
 # So little is lost until the estimate is right: 0.1 g for the filter's first second is 0.2 m at most.
 KNOWN_STD: Final = 0.1
-# A thrust that holds the vehicle is believed within these shares of one that was told.
+# A thrust that holds the vehicle is believed unless it is surely beyond these shares of all that was told.
 LEAST_SHARE, MOST_SHARE = 0.5, 1.6
 
 
@@ -79,7 +80,9 @@ class HoverThrust:
                 "the thrust that holds it in the air (ATTITUDE_TARGET) is not received"
             )
         numbers = {name: value for name, value in told.items() if value is not None}
-        if any(LEAST_SHARE <= self.value / value <= MOST_SHARE for value in numbers.values() if value > 0.0):
+        surely = SIGMA_THRESHOLD * self.std
+        shares = [self.value / value for value in numbers.values() if value > 0.0]
+        if any((1.0 + surely) * s >= LEAST_SHARE and (1.0 - surely) * s <= MOST_SHARE for s in shares):
             return ""
         words = ", ".join(f"{name} {value:.2f}" for name, value in numbers.items())
         return (

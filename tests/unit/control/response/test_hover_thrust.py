@@ -86,6 +86,20 @@ def test_what_is_not_measured_or_contradicts_all_that_was_told_is_doubted_with_i
     assert estimate.doubt({"vehicle": 0.0})
 
 
+@pytest.mark.parametrize(("true_share", "believed"), [(1.6, True), (0.5, True), (2.1, False), (0.38, False)])
+def test_at_the_bounds_themselves_it_is_believed_however_the_air_errs(
+    true_share: float, believed: bool
+) -> None:
+    found = []
+    for air_g in (-0.06, 0.0, 0.06):  # a steady downdraught or updraught of what a mean wind makes
+        estimate, true = HoverThrust(0.45, BANDWIDTH_RAD_S, TOLD_STD), 0.45 * true_share
+        for _ in range(60):
+            made_g = true * (1.0 - air_g) / estimate.value
+            estimate.correct(0.0, GRAVITY_M_S2 * (1.0 - made_g), PERIOD_S)
+        found.append(estimate.doubt({"vehicle": 0.45}) == "")
+    assert found == [believed] * 3
+
+
 def test_a_reported_thrust_counts_once_it_acts_and_not_over_a_gap() -> None:
     held = HeldThrust(0.05, 0.05)
     assert held.step(0.5, PERIOD_S) is None
