@@ -172,7 +172,11 @@ def main() -> int:
     bars = []
     with ProcessPoolExecutor(options.jobs) as pool:
         for name, firmware in flown:
-            grants = list(pool.map(partial(fly, firmware), flights))
+            grants = []
+            for grant in pool.map(partial(fly, firmware), flights):
+                grants.append(grant)
+                (text,) = rows(name, [grant])
+                console.print(f"{len(grants)}/{len(flights)} {text}", highlight=False, soft_wrap=True)
             for text in rows(name, grants):
                 console.print(text, highlight=False, soft_wrap=True)
             bars.append(bar(name, grants))
