@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
@@ -27,19 +28,20 @@ class SetupReader:
         self._autopilot_kind: AutopilotKind | None = None
         self._asked: dict[str, ParameterRequest] = {}
         self._known: AutopilotSetup | None = None
+        self._final: AutopilotSetup | None = None  # once every request has ended: nothing changes any more
 
     def begin(self, autopilot_kind: AutopilotKind | None) -> None:
         """An autopilot has been received; another one is asked again."""
         if autopilot_kind is None or autopilot_kind == self._autopilot_kind:
             return
-        self._autopilot_kind, self._known, self._asked = autopilot_kind, None, {}
+        self._autopilot_kind, self._known, self._final, self._asked = autopilot_kind, None, None, {}
         self.renew()
 
     def renew(self) -> None:
         """Ask afresh: an operator may have changed them. What is known counts until all are answered."""
         if self._autopilot_kind is None:
             return
-        self._known = self.setup
+        self._known, self._final = self.setup, None
         kind = self._autopilot_kind
         names = [name for first in NAMES[kind] for name in all_names(kind, first)]
         self._asked = {name: ParameterRequest(name) for name in names}
@@ -55,26 +57,35 @@ class SetupReader:
     @property
     def setup(self) -> AutopilotSetup | None:
         """What is known of it; a parameter that it does not have is unknown."""
+        if self._final is not None:
+            return self._final
         kind = self._autopilot_kind
         if kind is None or not self._asked or any(self._open(kind, name) for name in NAMES[kind]):
             return self._known
         reported = {name: request.value for name, request in self._asked.items()}
-        value = {name: value_of(kind, name, reported) for name in NAMES[kind]}
-        if kind == "px4":
-            action = value["COM_OBL_RC_ACT"]
-            return AutopilotSetup(
-                tilt_deg=value["MPC_TILTMAX_AIR"],
-                hover_thrust=value["MPC_THR_HOVER"],
-                setpoint_timeout_s=value["COM_OF_LOSS_T"],
-                setpoints_lost_action=None if action is None else round(action),
-            )
+        found = _setup_of(kind, {name: value_of(kind, name, reported) for name in NAMES[kind]})
+        if all(request.outcome is not None for request in self._asked.values()):
+            self._final = found
+        return found
+
+
+def _setup_of(kind: AutopilotKind, value: Mapping[str, float | None]) -> AutopilotSetup:
+    """What the parameters of `NAMES` say, by their first names."""
+    if kind == "px4":
+        action = value["COM_OBL_RC_ACT"]
         return AutopilotSetup(
-            tilt_deg=_scaled(value["ANGLE_MAX"]),
-            hover_thrust=value["MOT_THST_HOVER"],
-            acceleration_m_s2=_scaled(value["WPNAV_ACCEL"]),
-            jerk_m_s3=value["PSC_JERK_XY"],
-            setpoint_timeout_s=value["GUID_TIMEOUT"],
+            tilt_deg=value["MPC_TILTMAX_AIR"],
+            hover_thrust=value["MPC_THR_HOVER"],
+            setpoint_timeout_s=value["COM_OF_LOSS_T"],
+            setpoints_lost_action=None if action is None else round(action),
         )
+    return AutopilotSetup(
+        tilt_deg=_scaled(value["ANGLE_MAX"]),
+        hover_thrust=value["MOT_THST_HOVER"],
+        acceleration_m_s2=_scaled(value["WPNAV_ACCEL"]),
+        jerk_m_s3=value["PSC_JERK_XY"],
+        setpoint_timeout_s=value["GUID_TIMEOUT"],
+    )
 
 
 def motors_stop(setup: AutopilotSetup) -> str:

@@ -55,6 +55,16 @@ def test_a_parameter_that_was_corrected_is_known_once_asked_for_afresh() -> None
     assert reader.setup is None  # nothing of the other one's counts
 
 
+def test_what_nothing_can_change_any_more_is_not_put_together_again() -> None:
+    """It is asked for in every control cycle, and by each that it is late."""
+    requests = ParameterRequests()
+    reader = SetupReader(requests)
+    reader.begin("px4")
+    answer(reader, requests, "px4", TOLD)
+    assert reader.setup is not None
+    assert reader.setup is reader.setup
+
+
 def test_arducopter_4_7_s_names_and_units_are_known() -> None:
     told = {
         "ATC_ANGLE_MAX": 25.0,
