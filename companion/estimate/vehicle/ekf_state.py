@@ -14,9 +14,9 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 
 from companion.base.geometry import FloatArray, Quaternion, euler_from_quat, quat_normalise
+from companion.base.late_import import imported_late
 from companion.config import EkfConfig
 from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
 from companion.estimate.vehicle import ekf_model as model
@@ -31,6 +31,10 @@ from companion.estimate.vehicle.fix_watch import FixWatch
 from companion.estimate.vehicle.imu_noise import STEADY, StepNoise
 from companion.estimate.vehicle.innovation_watch import InnovationWatch
 from companion.estimate.vehicle.yaw_error import YawError
+
+# its statistics and its grid filter bring all of scipy.stats and scipy.ndimage, a third of our start
+with imported_late("filterpy.stats", "filterpy.discrete_bayes"):
+    from filterpy.kalman import ExtendedKalmanFilter
 
 GYRO_SCALE_ERROR: Final = 0.005  # scale and misalignment as a share of the rate that lasts for seconds
 
