@@ -105,6 +105,7 @@ class Timeline(Generic[S, Item]):
 
     def __init__(self, target: Replayable[S, Item], span_s: float) -> None:
         self._target = target
+        self._carrier = target if isinstance(target, LateUpdatePropagator) else None
         self._span_s = span_s
         self._times_s: list[float] = []
         self._items: list[Item] = []
@@ -135,9 +136,9 @@ class Timeline(Generic[S, Item]):
         return True
 
     def _carried(self, place: int, time_s: float, item: Item) -> list[S] | None:
-        if not isinstance(self._target, LateUpdatePropagator):
+        if self._carrier is None:
             return None
-        return self._target.carried(self._after[place - 1], self._after[place:], time_s, item)
+        return self._carrier.carried(self._after[place - 1], self._after[place:], time_s, item)
 
     def _take_again(self, place: int) -> None:
         """Take all inputs from a place on."""

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.base.geometry import (
     GRAVITY_M_S2,
@@ -51,9 +52,36 @@ MAG_BIAS: Final = slice(28, 31)
 ATTITUDE: Final = slice(0, 7)  # the quaternion and its Euler angles
 
 _EYE3: Final = np.eye(3)
-_A_CONSTANT: Final = np.eye(MOVING, COUPLED)
-_A_CONSTANT[EULER, EULER] = _A_CONSTANT[RATE, RATE] = _A_CONSTANT[ACCELERATION, ACCELERATION] = 0.0
-_A_CONSTANT[RATE, GYRO_BIAS] = -_EYE3
+_CONSTANTS: Final = np.array((0.0, 1.0, -1.0))
+
+
+def _places() -> NDArray[np.intp]:
+    """Where each element (19, 25) of A is found in the row of all that A is made of: see `transition`."""
+    zero, one, minus, step = range(4)
+    turning, showing, gaining, mean, moving = 4, 32, 53, 83, 113
+    places = np.full((MOVING, COUPLED), zero)
+
+    def put(rows: slice, first: int) -> None:
+        """A Jacobian (n, 7) by the quaternion and the gyroscope's bias."""
+        block = first + np.arange(7 * len(places[rows])).reshape(-1, 7)
+        places[rows, QUATERNION], places[rows, GYRO_BIAS] = block[:, :4], block[:, 4:]
+
+    for rows, first in ((QUATERNION, turning), (EULER, showing)):
+        put(rows, first)
+    for rows, first in ((VELOCITY, gaining), (ACCELERATION, mean), (POSITION, moving)):
+        put(rows, first)
+        places[rows, ACCEL_BIAS] = first + 21 + np.arange(9).reshape(3, 3)
+    for rows, columns, place in (
+        (POSITION, POSITION, one),
+        (VELOCITY, VELOCITY, one),
+        (POSITION, VELOCITY, step),
+        (RATE, GYRO_BIAS, minus),
+    ):
+        np.fill_diagonal(places[rows, columns], place)
+    return places
+
+
+_PLACES: Final = _places()
 
 
 def quaternion_of(x: FloatArray) -> Quaternion:
@@ -188,17 +216,12 @@ def transition(x: FloatArray, u: InertialInput, dt_s: float) -> tuple[FloatArray
     after[VELOCITY] += gained
     after[RATE] = (rx / dt_s, ry / dt_s, rz / dt_s)
     after[ACCELERATION] = acceleration
-    A = _A_CONSTANT.copy()
     accelerating = rotation_jacobian(q_mid, force) @ (dt_s * turning_half)
     showing = euler_jacobian(q_after) @ turning
-    for rows, jacobian in ((QUATERNION, turning), (EULER, showing), (VELOCITY, accelerating)):
-        A[rows, QUATERNION], A[rows, GYRO_BIAS] = jacobian[:, :4], jacobian[:, 4:]
-    A[VELOCITY, ACCEL_BIAS] = _inverse_rotation(q_mid).T * -dt_s
-    A[ACCELERATION] = A[VELOCITY] / dt_s
-    A[ACCELERATION, VELOCITY] = 0.0
-    A[POSITION] = (0.5 * dt_s) * A[VELOCITY]
-    A[POSITION, POSITION] = _EYE3
-    A[POSITION, VELOCITY] = dt_s * _EYE3
+    pushing = _inverse_rotation(q_mid).T * -dt_s
+    gaining = np.concatenate((accelerating.ravel(), pushing.ravel()))
+    parts = (_CONSTANTS, (dt_s,), turning.ravel(), showing.ravel(), gaining, gaining / dt_s)
+    A: FloatArray = np.concatenate((*parts, (0.5 * dt_s) * gaining)).take(_PLACES)
     return after, A
 
 

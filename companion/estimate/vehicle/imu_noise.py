@@ -15,7 +15,7 @@ import math
 from collections import deque
 from typing import Final, NamedTuple
 
-from companion.base.geometry import ZERO3, Vector3, add, dot, scale, subtract
+from companion.base.geometry import ZERO3, Vector3, add, dot, scale
 from companion.config import EkfConfig
 
 SHAKING_SHARE: Final = 0.5  # of the vibration beyond the bound: so far may the force's mean be off
@@ -59,12 +59,14 @@ class VibrationMonitor:
 
     def add(self, specific_force_m_s2: Vector3, dt_s: float) -> None:
         """Take a sample, dt_s after the one before."""
-        swing = add(subtract(specific_force_m_s2, scale(self._last, 2.0)), self._before)
+        (x, y, z), (lx, ly, lz), (bx, by, bz) = specific_force_m_s2, self._last, self._before
+        x, y, z = x - lx * 2.0 + bx, y - ly * 2.0 + by, z - lz * 2.0 + bz
         self._before, self._last = self._last, specific_force_m_s2
         self._samples += 1
         if self._samples > 2:
             k = dt_s / (MEMORY_S + dt_s)
-            self._mean_square += k * (dot(swing, swing) / _SECOND_DIFFERENCE_VARIANCE - self._mean_square)
+            square = x * x + y * y + z * z
+            self._mean_square += k * (square / _SECOND_DIFFERENCE_VARIANCE - self._mean_square)
 
     @property
     def rms_m_s2(self) -> float:
@@ -107,8 +109,9 @@ class SlowNoise:
         """Take a sample, dt_s after the one before."""
         rise_s = dt_s * min((self._block_s + 0.5 * dt_s) / BLOCK_S, 1.0)
         fall_s = dt_s - rise_s
-        self._rising = add(self._rising, scale(sample, rise_s))
-        self._falling = add(self._falling, scale(sample, fall_s))
+        (x, y, z), (rx, ry, rz), (fx, fy, fz) = sample, self._rising, self._falling
+        self._rising = (rx + x * rise_s, ry + y * rise_s, rz + z * rise_s)
+        self._falling = (fx + x * fall_s, fy + y * fall_s, fz + z * fall_s)
         self._rise_s, self._fall_s = self._rise_s + rise_s, self._fall_s + fall_s
         self._squares_s2 += rise_s * rise_s + fall_s * fall_s
         self._products_s2 += rise_s * fall_s
@@ -152,7 +155,9 @@ class ImuNoise:
         self._vibration.add(specific_force_m_s2, dt_s)
         self._slow_force.add(specific_force_m_s2, dt_s)
         self._slow_rate.add(rate_body_rad_s, dt_s)
-        self._rate = add(self._rate, scale(subtract(rate_body_rad_s, self._rate), dt_s / (LASTING_S + dt_s)))
+        (p, q, r), (u, v, w) = self._rate, rate_body_rad_s
+        k = dt_s / (LASTING_S + dt_s)
+        self._rate = (p + (u - p) * k, q + (v - q) * k, r + (w - r) * k)
 
     @property
     def now(self) -> StepNoise:

@@ -136,7 +136,8 @@ def _acceleration(attitude: Quaternion, specific_force_m_s2: Vector3) -> Vector3
 
 
 def _approached(value: Vector3, goal: Vector3, share: float) -> Vector3:
-    return add(value, scale(subtract(goal, value), share))
+    (x, y, z), (u, v, w) = value, goal
+    return (x + (u - x) * share, y + (v - y) * share, z + (w - z) * share)
 
 
 def _near(centre: Vector3, value: Vector3, reach: float) -> Vector3:
