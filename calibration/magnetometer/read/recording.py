@@ -16,6 +16,8 @@ from companion.config.magnetometer import AXES_OF, Axes, RawUnit, Sensor
 from companion.flightlog.replay.flight_record import RecordingPlace
 
 MOST_FIELD: Final = 1e9  # in whatever unit: beyond it stands what no sensor measured
+# what drivers give in the place of a reading: the least and the most of 16 and 32 bits, the HMC5883L's overflow
+NO_READING: Final = (-(2.0**31), 2.0**31 - 1.0, -(2.0**15), 2.0**15 - 1.0, -4096.0)
 LEAST_SAMPLES: Final = 50  # fewer are no recording of a turn at all
 _PAIRED_S: Final = 0.1  # an accelerometer's sample this near in time is the magnetometer's
 
@@ -51,22 +53,36 @@ class MagnetometerRecording:
         return AXES_OF[self.sensor]
 
     def checked(self) -> MagnetometerRecording:
-        """Itself, without the samples that are no numbers.
+        """Itself, without the samples that are no readings, which is noted.
 
         Raises:
             ConfigError: too few are left.
         """
         # a comparison with no number is false
         finite = (np.abs(self.raw) < MOST_FIELD).all(axis=1)
+        read = finite & ~np.isin(self.raw, NO_READING).any(axis=1)
         if self.force is not None and not np.isfinite(self.force).all(axis=1).any():
             self.force = None
-        self.raw = self.raw[finite]
-        self.force = None if self.force is None else self.force[finite]
+        passed_over = _passed_over(self.raw[~read])
+        self.raw = self.raw[read]
+        self.force = None if self.force is None else self.force[read]
         if len(self.raw) < LEAST_SAMPLES:
+            more = f", {passed_over}" if passed_over else ""
             raise ConfigError(
-                f"{self.source}: {len(self.raw)} magnetometer samples; expected {LEAST_SAMPLES} or more"
+                f"{self.source}: {len(self.raw)} magnetometer samples{more}; expected {LEAST_SAMPLES} or more"
             )
+        if passed_over:
+            self.notes.append(passed_over)
         return self
+
+
+def _passed_over(raw: FloatArray) -> str:
+    """How many samples (n, 3) are no readings, and what stands in them; nothing for none."""
+    if len(raw) == 0:
+        return ""
+    odd = raw[~(np.abs(raw) < MOST_FIELD) | np.isin(raw, NO_READING)]
+    example = "no number" if np.isnan(odd[0]) else f"{odd[0]:.10g}"
+    return f"{len(raw)} samples passed over, in which a reading is {example}"
 
 
 def paired(mags: list[MagSample], imus: list[ImuSample]) -> tuple[FloatArray, FloatArray | None]:

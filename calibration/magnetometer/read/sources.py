@@ -17,7 +17,7 @@ from calibration.magnetometer.read.logs import (
 )
 from calibration.magnetometer.read.recording import MagnetometerRecording
 from calibration.magnetometer.read.tables import SampleTable, read_numpy_table, read_text_table
-from calibration.magnetometer.read.units import COUNTS, UT_PER, unit_called, worked_out
+from calibration.magnetometer.read.units import COUNTS, EARTH_UT, UT_PER, unit_called, worked_out
 from companion.base.files import cannot_read
 from companion.base.geometry import FloatArray
 from companion.config import ConfigError
@@ -29,6 +29,7 @@ _LOGS: Final[dict[bytes, Callable[[Path], MagnetometerRecording]]] = {
     b"\xa3\x95": read_dataflash_compass,
     b"ULog\x01\x12\x35": read_ulog_compass,
 }
+FAR_OFF: Final = 3.0  # a field nearer to the Earth's is a sensor's whose scale is wrong
 _NUMPY: Final = (b"PK\x03\x04", b"\x93NUMPY")
 
 
@@ -83,8 +84,11 @@ def _of_table(
     known = unit_called(unit) if unit is not None else table.unit
     if unit is not None and known is None:
         raise ConfigError(f"--unit {unit}: expected one of {', '.join(UT_PER)}, counts")
+    radius = None if known == COUNTS else _radius(recording.raw, rng)
+    if known is not None and radius is not None:
+        _must_be_the_earths(source, radius, known, by_option=unit is not None)
     if known is None:
-        known = _by_size(recording.raw, field_ut, rng)
+        known = _by_size(recording.raw, radius, field_ut)
         unit_text = "counts of the sensor, so nothing is said of its scale" if known == COUNTS else known
         recording.notes.append(f"unit by the field's size: {unit_text}; --unit takes another")
     if known == COUNTS:
@@ -94,10 +98,35 @@ def _of_table(
     return recording
 
 
-def _by_size(raw: FloatArray, field_ut: float | None, rng: np.random.Generator) -> str:
+def _radius(raw: FloatArray, rng: np.random.Generator) -> float | None:
+    """The ellipsoid's mean radius, as the numbers stand; None: they are on none."""
     try:
         matrix = robust_start(raw, rng).matrix
     except NoEllipsoidError:
+        return None
+    return 1.0 / float(np.cbrt(np.linalg.det(matrix)))
+
+
+def _by_size(raw: FloatArray, radius: float | None, field_ut: float | None) -> str:
+    if radius is None:
         return COUNTS
-    radius = 1.0 / float(np.cbrt(np.linalg.det(matrix)))
     return worked_out(radius, field_ut, whole_numbers=bool(np.array_equal(raw, np.round(raw))))
+
+
+def _must_be_the_earths(source: str, radius: float, unit: str, *, by_option: bool) -> None:
+    """Units differ by ten at least: a field that is the Earth's in another one is in that.
+
+    Raises:
+        ConfigError: it is.
+    """
+    other = worked_out(radius, None, whole_numbers=False)
+    if COUNTS in (unit, other) or unit == other:
+        return
+    low, high = EARTH_UT
+    if low / FAR_OFF <= radius * UT_PER[unit] <= high * FAR_OFF:
+        return
+    told = f"--unit {unit}" if by_option else f"the heading's {unit}"
+    raise ConfigError(
+        f"{source}: by {told} the field is {radius * UT_PER[unit]:.3g} µT; expected the Earth's, {low:g} to "
+        f"{high:g} µT: in {other} it is {radius * UT_PER[other]:.3g} µT, see --unit {other}"
+    )

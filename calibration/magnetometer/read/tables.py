@@ -2,7 +2,8 @@
 
 CSV is read liberally: any number of lines before the samples, a heading or none, comma, semicolon, tab or
 blanks between the columns, decimal commas where the comma does not separate, columns of other things in
-between. The magnetometer's columns are found by their names.
+between, a serial monitor's time stamp or a label before a number, UTF-8 or UTF-16. The magnetometer's columns
+are found by their names, of a heading or of the labels.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ _RAW_MAGNETOMETER: Final = re.compile(r"^(?=.*(mag|compass))(?=.*(raw|uncal)).*$
 _NAMELESS: Final = re.compile(r"^$")
 _OTHER: Final = re.compile(r"^(a|f|g|w|.*acc.*|.*specificforce.*|.*gyr.*|.*rate.*|.*vel.*|.*pos.*)$")
 _ACCELEROMETER: Final = re.compile(r"^(a|f|.*acc.*|.*specificforce.*)$")
+# before a number in the same cell: what ends in a bracket or an arrow (a serial monitor's time stamp), a label
+_BEFORE: Final = re.compile(r"^(?:.*(?:->|\]))?\s*(?:([^\W\d][^:=]*)[:=])?\s*")
 _WORD: Final = re.compile(r"[a-zµμ]+|\d+")
 _BRACKETS: Final = re.compile(r"[\[({]([^\])}]*)[\])}]")
 _NPZ_MAGNETOMETER: Final = ("mag", "magnetometer", "m", "magnetic_field", "compass", "raw", "data", "arr_0")
@@ -58,7 +61,7 @@ def read_text_table(path: Path, columns: str | None) -> SampleTable:
         ConfigError: unreadable, no table, or the columns are not to be found.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig", errors="replace")
+        text = _text(path.read_bytes())
     except OSError as error:
         raise cannot_read(path, error) from error
     lines = [line for line in text.splitlines() if line.strip()]
@@ -67,7 +70,7 @@ def read_text_table(path: Path, columns: str | None) -> SampleTable:
         raise ConfigError(f"{path}: no table in it; expected rows of three numbers or more, as CSV has them")
     width = Counter(len(row) for row in rows[first:] if _is_data(row)).most_common(1)[0][0]
     heading = next((row for row in reversed(rows[:first]) if len(row) == width), None)
-    names = [word.strip().strip("\"'# ") for word in heading] if heading else []
+    names = [word.strip().strip("\"'# ") for word in heading] if heading else _labels(rows[first])
     data = [row for row in rows[first:] if len(row) == width and _is_data(row)]
     values = np.array([[_number(word) for word in row] for row in data])
     notes = []
@@ -82,6 +85,19 @@ def read_text_table(path: Path, columns: str | None) -> SampleTable:
         unit=units.pop() if len(units) == 1 else None,
         notes=tuple(notes),
     )
+
+
+def _text(data: bytes) -> str:
+    """As text, by its byte order mark (Excel's "Unicode text" and PowerShell write UTF-16)."""
+    utf_16 = data.startswith((b"\xff\xfe", b"\xfe\xff"))
+    return data.decode("utf-16" if utf_16 else "utf-8-sig", errors="replace")
+
+
+def _labels(row: list[str]) -> list[str]:
+    """What stands before the numbers of a row, cell by cell; nothing unless each has a name of its own."""
+    found = [_BEFORE.match(word.strip()) for word in row]
+    labels = [match[1].strip() for match in found if match is not None and match[1]]
+    return labels if len(labels) == len(set(labels)) == len(row) else []
 
 
 def _best_split(lines: list[str]) -> tuple[list[list[str]] | None, int]:
@@ -102,8 +118,13 @@ def _is_data(row: list[str]) -> bool:
 
 
 def _number(word: str) -> float:
+    bare = word.strip().strip("\"'").replace(",", ".")
     try:
-        return float(word.strip().strip("\"'").replace(",", "."))
+        return float(bare)
+    except ValueError:
+        pass
+    try:
+        return float(_BEFORE.sub("", bare, count=1))
     except ValueError:
         return math.nan
 

@@ -16,7 +16,7 @@ _SPELLINGS: Final = {
     "counts": "counts", "count": "counts", "lsb": "counts", "raw": "counts", "adc": "counts",
 }  # fmt: skip
 COUNTS: Final = "counts"
-_EARTH_UT: Final = (22.0, 67.0)
+EARTH_UT: Final = (22.0, 67.0)
 _SENSOR_TOLERANCE: Final = 1.3  # a sensor's own scale may be off by so much
 
 
@@ -31,7 +31,7 @@ def worked_out(radius: float, field_ut: float | None, *, whole_numbers: bool) ->
     Whole numbers are an ADC's as likely as anything's: without `field_ut`, the field's known size, they stay
     counts.
     """
-    low, high = (field_ut, field_ut) if field_ut is not None else _EARTH_UT
+    low, high = (field_ut, field_ut) if field_ut is not None else EARTH_UT
     if whole_numbers and field_ut is None:
         return COUNTS
     for unit in ("uT", "G", "mG", "nT", "T", "mT"):

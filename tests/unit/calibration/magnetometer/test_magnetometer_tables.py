@@ -61,6 +61,75 @@ def test_the_samples_are_found(tmp_path: Path, text: str) -> None:
     assert recording.raw == pytest.approx(RAW, abs=1e-4)
 
 
+def stamped(stamp: str, separator: str, labels: tuple[str, str, str] = ("", "", "")) -> str:
+    rows = [[f"{label}{value:.4f}" for label, value in zip(labels, row, strict=True)] for row in RAW.tolist()]
+    lines = (stamp.format(k // 10, 100 * (k % 10)) + separator.join(row) for k, row in enumerate(rows))
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        stamped("12:03:{:02d}.{:03d} -> ", ","),
+        stamped("12:03:{:02d}.{:03d} -> ", "\t"),
+        stamped("[2026-11-27 12:03:{:02d}.{:03d}] ", ", "),
+        stamped("2026-11-27T12:03:{:02d}.{:03d}Z,", ","),
+        stamped("12:03:{:02d}.{:03d} -> ", ",", ("mx:", "my:", "mz:")),
+        stamped("", "\t", ("MagX = ", "MagY = ", "MagZ = ")),
+    ],
+)
+def test_a_serial_monitors_time_stamps_and_labels_cost_no_column(tmp_path: Path, text: str) -> None:
+    found = read(tmp_path / "monitor.txt", text)
+    assert found.raw == pytest.approx(RAW, abs=1e-3)
+
+
+def test_labels_name_the_columns(tmp_path: Path) -> None:
+    rows = (
+        f"mx:{m[0]:.4f},my:{m[1]:.4f},mz:{m[2]:.4f},ax:{a[0]:.4f},ay:{a[1]:.4f},az:{a[2]:.4f}"
+        for m, a in zip(RAW.tolist(), FORCE.tolist(), strict=True)
+    )
+    found = read(tmp_path / "plotter.txt", "\n".join(rows))
+    assert found.raw == pytest.approx(RAW, abs=1e-3)
+    assert found.force == pytest.approx(FORCE, abs=1e-3)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+def test_utf_16_is_read(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "unicode.txt"
+    mark = "" if encoding == "utf-16" else "\ufeff"
+    path.write_bytes((mark + table("mx\tmy\tmz\n", RAW, "\t")).encode(encoding))
+    assert read_text_table(path, None).raw == pytest.approx(RAW, abs=1e-3)
+
+
+@pytest.mark.parametrize("value", [-2147483648, 2147483647, -32768, 32767, -4096])
+def test_what_drivers_give_in_the_place_of_a_reading_is_passed_over_and_told(
+    tmp_path: Path, value: int
+) -> None:
+    spoilt = np.round(6.0 * RAW)
+    spoilt[10:24, 1] = value
+    found = read(tmp_path / "a.csv", table("mx,my,mz\n", spoilt, form="{:.0f}"))
+    assert len(found.raw) == 66
+    assert f"14 samples passed over, in which a reading is {value}" in found.notes
+    with pytest.raises(ConfigError, match=rf"6 magnetometer samples, 14 samples passed over.*{value}"):
+        read(tmp_path / "a.csv", table("mx,my,mz\n", spoilt[4:24], form="{:.0f}"))
+
+
+@pytest.mark.parametrize(
+    ("heading", "unit", "factor", "expected"),
+    [
+        ("mx_uT,my_uT,mz_uT\n", None, 0.01, r"by the heading's uT the field is 0\.\d+ µT; .* see --unit G$"),
+        ("mx,my,mz\n", "uT", 0.01, r"by --unit uT the field is 0\.\d+ µT; .* see --unit G$"),
+        ("mx,my,mz\n", "uT", 10.0, r"by --unit uT the field is \d+ µT; .* see --unit mG$"),
+        ("mx,my,mz\n", "G", 1.0, r"by --unit G the field is .* see --unit uT$"),
+    ],
+)
+def test_a_unit_in_which_the_field_is_not_the_earths_is_refused_with_the_one_in_which_it_is(
+    tmp_path: Path, heading: str, unit: str | None, factor: float, expected: str
+) -> None:
+    with pytest.raises(ConfigError, match=expected):
+        read(tmp_path / "a.csv", table(heading, factor * RAW, form="{:.6f}"), unit=unit)
+
+
 def test_an_accelerometer_beside_it_is_taken(tmp_path: Path) -> None:
     recording = read(tmp_path / "a.csv", table("ax,ay,az,mx,my,mz\n", with_force))
     assert recording.force == pytest.approx(FORCE, abs=1e-4)
