@@ -213,6 +213,11 @@ def is_autopilot_heartbeat(message: Message) -> bool:
     )
 
 
+def is_mavlink_1(message: Message) -> bool:
+    """Whether it came in a frame of MAVLink 1."""
+    return bool(message.get_msgbuf()[0] != V2_MARKER)
+
+
 def autopilot_heartbeats(data: bytes, system_id: int) -> Iterator[Message]:
     """The heartbeats of the autopilot of this system (0: of any) that whole frames in `data` hold."""
     for message in Codec(system_id, wanted=(mavlink.MAVLINK_MSG_ID_HEARTBEAT,)).decode(data):

@@ -165,8 +165,15 @@ class Session:
 
     def _is_our_autopilot(self, message: Message) -> bool:
         """Whether to accept it; the first autopilot is adopted when no system id is set."""
-        if message.get_srcComponent() != AUTOPILOT_COMPONENT:
+        if message.get_srcComponent() != AUTOPILOT_COMPONENT or not self._is_of_our_system(message):
             return False
+        # a link that is up is not given up in flight for a frame of the other version
+        mavlink_1 = not self.state.connected and codec.is_mavlink_1(message)
+        if mavlink_1 != self.state.mavlink_1:
+            self.state = replace(self.state, mavlink_1=mavlink_1)
+        return not mavlink_1
+
+    def _is_of_our_system(self, message: Message) -> bool:
         system_id = message.get_srcSystem()
         if system_id == self._system_id:
             return True

@@ -16,7 +16,7 @@ from companion.config.magnetometer import AXES_OF, Axes, RawUnit, Sensor
 from companion.flightlog.replay.flight_record import RecordingPlace
 
 MOST_FIELD: Final = 1e9  # in whatever unit: beyond it stands what no sensor measured
-# what drivers give in the place of a reading: the least and the most of 16 and 32 bits, the HMC5883L's overflow
+# what drivers give in the place of a reading: least and most of 16 and 32 bits, the HMC5883L's overflow
 NO_READING: Final = (-(2.0**31), 2.0**31 - 1.0, -(2.0**15), 2.0**15 - 1.0, -4096.0)
 LEAST_SAMPLES: Final = 50  # fewer are no recording of a turn at all
 _PAIRED_S: Final = 0.1  # an accelerometer's sample this near in time is the magnetometer's

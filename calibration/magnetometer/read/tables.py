@@ -33,7 +33,7 @@ _RAW_MAGNETOMETER: Final = re.compile(r"^(?=.*(mag|compass))(?=.*(raw|uncal)).*$
 _NAMELESS: Final = re.compile(r"^$")
 _OTHER: Final = re.compile(r"^(a|f|g|w|.*acc.*|.*specificforce.*|.*gyr.*|.*rate.*|.*vel.*|.*pos.*)$")
 _ACCELEROMETER: Final = re.compile(r"^(a|f|.*acc.*|.*specificforce.*)$")
-# before a number in the same cell: what ends in a bracket or an arrow (a serial monitor's time stamp), a label
+# before a number in its cell: what ends in a bracket or an arrow (a serial monitor's time stamp), a label
 _BEFORE: Final = re.compile(r"^(?:.*(?:->|\]))?\s*(?:([^\W\d][^:=]*)[:=])?\s*")
 _WORD: Final = re.compile(r"[a-zµμ]+|\d+")
 _BRACKETS: Final = re.compile(r"[\[({]([^\])}]*)[\])}]")

@@ -58,8 +58,9 @@ class AutopilotState:
     `round_trip_time_s`; None: not known. `twin_time_s`: when another companion with our ids was last
     received, whose setpoints and requests would be taken for ours. `rival`: system and component of who else
     has sent setpoints to the vehicle, last at `rival_time_s`. `refused_frames`: what came without a
-    right signature, where the link demands one. `thrust`: what its rotors are asked for, as a share of full
-    thrust (ArduPilot: the upward part), measured at `thrust_time_s`.
+    right signature, where the link demands one. `mavlink_1`: it speaks version 1 alone, which is not
+    listened to; PX4 begins so, until it receives our version 2. `thrust`: what its rotors are asked for, as
+    a share of full thrust (ArduPilot: the upward part), measured at `thrust_time_s`.
     """
 
     time_s: float
@@ -84,6 +85,7 @@ class AutopilotState:
     battery_share: float | None = None
     motors_cut: bool = False
     refused_frames: int = 0
+    mavlink_1: bool = False
     round_trip_s: float | None = None
     round_trip_time_s: float = float("-inf")
     twin_time_s: float = float("-inf")

@@ -34,7 +34,9 @@ _SETTLED_S = 1.5
 
 
 def refused_words(autopilot: AutopilotState) -> str:
-    """What the link refused for its signature, if anything, to follow other words."""
+    """What the link refused for its version or its signature, if anything, to follow other words."""
+    if autopilot.mavlink_1:
+        return " (it sends MAVLink 1; expected MAVLink 2: SERIALx_PROTOCOL 2, MAV_PROTO_VER 0 or 2)"
     count = autopilot.refused_frames
     return f" ({count} frames refused: no right signature, see link.signing_key)" if count else ""
 

@@ -83,6 +83,12 @@ def _silence(listener: _Listener, connection: str) -> Finding:
     """What a link without the autopilot's heartbeat has instead."""
     session, detail = listener.session, f"{connection}: no heartbeat within {HEARTBEAT_PATIENCE_S:g} s"
     counters = session.counters
+    if session.state.mavlink_1:
+        return _GROUP.fail(
+            "heartbeat",
+            f"{connection}: the autopilot sends MAVLink 1; expected MAVLink 2",
+            "ArduPilot: SERIALx_PROTOCOL 2 of this port; PX4: MAV_PROTO_VER 0 or 2",
+        )
     if session.stranger is not None:
         return _GROUP.fail(
             "heartbeat",

@@ -14,6 +14,7 @@ from companion.link.codec import Codec, heartbeat, mavlink, status_texts
 from companion.link.notices import UNHEARD
 from companion.link.session import Session
 from companion.link.streams import OWN_RATES_HZ, TELEMETRY_RATES_HZ
+from companion.plan.mission.departure import refused_words
 from tests.unit.link.fake_autopilot import FakeAutopilot
 from tests.unit.link.session_flight import SessionFlight
 
@@ -42,6 +43,27 @@ def test_the_autopilot_is_connected_ready_and_known() -> None:
     assert state.home == pytest.approx((47.0, 8.0, 400.0))
     assert state.position_ned_m == pytest.approx((1.0, 2.0, -3.0))
     assert state.landed == "in_air"
+
+
+def mavlink_1(frames: bytes) -> bytes:
+    """The same messages in version 1."""
+    packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    return b"".join(m.pack(packer, force_mavlink1=True) for m in Codec(1, 1).decode(frames))
+
+
+def test_a_stream_of_mavlink_1_is_not_taken_and_named_until_it_becomes_version_2() -> None:
+    session, autopilot = Session(LinkConfig()), FakeAutopilot()
+    for k in range(5):
+        session.receive(mavlink_1(autopilot.tick(float(k))), float(k))
+        session.tick(float(k))
+    assert (session.state.connected, session.state.mavlink_1) == (False, True)
+    assert "MAVLink 1; expected MAVLink 2" in refused_words(session.state)
+    session.receive(autopilot.tick(6.0), 6.0)
+    assert (session.state.connected, session.state.mavlink_1) == (True, False)
+    # one that is up is not given up for it
+    session.receive(mavlink_1(autopilot.tick(7.0)), 7.0)
+    session.tick(7.0)
+    assert (session.state.connected, session.state.mavlink_1) == (True, False)
 
 
 def test_an_ardupilots_filter_is_asked_for_and_forgotten_with_the_connection() -> None:
