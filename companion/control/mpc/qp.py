@@ -137,7 +137,7 @@ def cost_matrix(costs: tuple[AxisCost, AxisCost, AxisCost], steps: int) -> spars
     The terminal cost covers the last change's memory: it is on x_N and u_{N-1} and replaces no stage's.
     """
     layout = QpLayout(steps)
-    P = sparse.lil_matrix((layout.variables, layout.variables))
+    P = np.zeros((layout.variables, layout.variables))
     for axis, cost in enumerate(costs):
         for k in range(steps):
             x = [9 * k + axis, 9 * k + 3 + axis, 9 * k + 6 + axis]
@@ -157,7 +157,7 @@ def cost_matrix(costs: tuple[AxisCost, AxisCost, AxisCost], steps: int) -> spars
     ):
         for i in range(slacks.start, slacks.stop):
             P[i, i] = weight
-    return sparse.csc_matrix(sparse.triu(P, format="csc"))
+    return sparse.csc_matrix(np.triu(P))
 
 
 def cone_rows(slope: float) -> FloatArray:

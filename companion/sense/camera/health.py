@@ -165,6 +165,12 @@ class CameraHealth:
             self._good_s = now_s
         return self._fault is None or self._fault.usable
 
+    def excuse(self, held_up_s: float) -> None:
+        """Whoever looks was held up for so long, and not the camera: what came meanwhile is not taken yet."""
+        self._opened_s += held_up_s
+        self._frame_s = None if self._frame_s is None else self._frame_s + held_up_s
+        self._good_s = None if self._good_s is None else self._good_s + held_up_s
+
     @property
     def good_since_s(self) -> float | None:
         """Since when no good frame was long in coming; None before the first."""

@@ -143,7 +143,10 @@ class KeptCamera:
         arriving = asyncio.ensure_future(source.next())
         try:
             while (cause := health.lost(self._clock.now_s())) is None:
+                looked_s = self._clock.now_s()
                 await asyncio.wait({arriving}, timeout=WATCH_S)
+                if (late_s := self._clock.now_s() - looked_s - WATCH_S) > WATCH_S:
+                    health.excuse(late_s)
                 if arriving.done():
                     frame = arriving.result()
                     arriving = asyncio.ensure_future(source.next())

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import threading
+import time
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock, run_in_virtual_time, sleep_s
 from companion.base.messages import Frame
 from companion.config import CameraConfig, ConfigError
 from companion.sense.camera import keeper as camera_keeper
 from companion.sense.camera.health import patience_with
 from companion.sense.camera.keeper import CameraReport, KeptCamera, LiveSource
-from companion.sense.camera.reader import Device, EndOfFrames, ThreadedCamera
-from tests.unit.sense.camera.camera_frames import ScriptedCamera
+from companion.sense.camera.reader import Device, EndOfFrames, Newest, ThreadedCamera
+from tests.unit.sense.camera.camera_frames import AGE_S, ScriptedCamera, noisy_frame
 
 Act = Callable[[Frame], Frame | None]
 
@@ -224,6 +227,64 @@ def test_a_camera_whose_driver_hangs_in_opening_is_tried_a_few_times(camera: Cam
         "camera: its driver hangs, and does not let go of it",
     ]
     assert len(makers) == camera_keeper.MOST_HANGING
+
+
+class SteadySocket(ScriptedCamera):
+    """Frames through a socket that the loop reads, one every 20 ms, whatever the loop does meanwhile."""
+
+    def __init__(self) -> None:
+        super().__init__(good)
+        self._near, self._far = socket.socketpair()
+        self._near.setblocking(False)
+        self._newest = Newest()
+        self._reading = asyncio.create_task(self._read())
+        threading.Thread(target=self._send, daemon=True).start()
+
+    def _send(self) -> None:
+        with suppress(OSError):
+            while True:
+                sleep_s(0.02)
+                self._far.send(b".")
+
+    async def _read(self) -> None:
+        for number in range(10_000):
+            await asyncio.get_running_loop().sock_recv(self._near, 1)
+            self._newest.put(noisy_frame(number, time.monotonic() - AGE_S))
+
+    async def next(self) -> Frame:
+        return await self._newest.next()
+
+    def close(self) -> None:
+        self._reading.cancel()
+        self._far.close()
+
+
+def test_a_loop_that_was_held_up_does_not_blame_the_camera(camera: CameraConfig) -> None:
+    """As when a service goes back to standby: what has come meanwhile counts before it is judged."""
+
+    async def main() -> list[str]:
+        async def open_it() -> LiveSource:
+            return SteadySocket()
+
+        kept = KeptCamera(await open_it(), open_it, patience_with(camera, "socket"))
+        told: list[str] = []
+
+        async def listen() -> None:
+            while True:
+                told.append((await kept.report()).text)
+
+        listening = asyncio.create_task(listen())
+        for _ in range(5):
+            await kept.next()
+        for held_up_s in (0.4, 1.2):
+            sleep_s(held_up_s)
+            for _ in range(5):
+                await kept.next()
+        listening.cancel()
+        kept.close()
+        return told
+
+    assert asyncio.run(main()) == []
 
 
 def test_images_of_another_size_from_the_start_are_a_mistake_in_the_settings(camera: CameraConfig) -> None:
