@@ -85,7 +85,8 @@ def calibrate_magnetometer(job: MagnetometerCalibrationJob) -> None:
     kind: Objective | None = None if objective == "auto" else objective  # type: ignore[assignment]
     done = _calibrated(taken, field, job.align, kind)
     console.print(result_table(done, field))
-    for line in lines(done):
+    refused = done.file.quality.verdict == "refused" and not job.force
+    for line in lines(done, refused=refused):
         console.print(line, highlight=False, markup=False)
     _write(done, job, console)
 
@@ -172,7 +173,7 @@ def _write(done: Calibrated, job: MagnetometerCalibrationJob, console: Console) 
     refused = file.quality.verdict == "refused"
     problem = _draw(done, job.picture, console)
     if refused and not job.force:
-        raise RefusedError(f"{done.recording.source}: {file.quality.reasons[0]}")
+        raise RefusedError(f"{done.recording.source}: {'; '.join(file.quality.reasons)}")
     if refused:
         file = file.model_copy(update={"quality": file.quality.model_copy(update={"forced": True})})
     write_atomically(job.output, yaml_text(file))

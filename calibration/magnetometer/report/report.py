@@ -61,9 +61,10 @@ def result_table(done: Calibrated, field: TrueField | None) -> Table:
     return table
 
 
-def lines(done: Calibrated) -> list[str]:
-    """What else there is to say: reasons, notes, parameters."""
-    said = [f"{done.file.quality.verdict}: {reason}" for reason in done.file.quality.reasons]
+def lines(done: Calibrated, *, refused: bool = False) -> list[str]:
+    """What else there is to say: notes, parameters and, unless it ends `refused` for them, reasons."""
+    quality = done.file.quality
+    said = [] if refused else [f"{quality.verdict}: {reason}" for reason in quality.reasons]
     said += [f"note: {note}" for note in done.recording.notes]
     usable = done.file.quality.verdict != "refused"  # a wrong one would be set by hand
     if usable and done.parameters and done.recording.onboard is not None:

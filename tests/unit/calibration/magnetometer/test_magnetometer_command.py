@@ -84,6 +84,15 @@ def test_a_bad_one_is_refused_and_nothing_is_written(capsys: pytest.CaptureFixtu
     assert file.quality.forced
 
 
+def test_each_reason_of_a_refusal_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+    part = CASE.raw[CASE.raw[:, 2] > np.quantile(CASE.raw[:, 2], 0.9)]
+    noisy = part + np.random.default_rng(0).normal(0.0, 3.0, part.shape)
+    assert calibrate(csv("part.csv", noisy), "--no-plot") == 1
+    said = capsys.readouterr()
+    for reason in ("of the sphere is covered", "hard iron is known to"):
+        assert (said.out + said.err).count(reason) == said.err.count(reason) == 1
+
+
 def test_a_plane_is_refused_even_by_force(capsys: pytest.CaptureFixture[str]) -> None:
     flat = CASE.raw * (1.0, 1.0, 0.0)
     assert calibrate(csv("flat.csv", flat), "--force") == 1
