@@ -12,9 +12,11 @@ written is said.
 
 from __future__ import annotations
 
+import _thread
 import errno
 import os
 import sys
+import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -31,6 +33,7 @@ from companion.base.errors import ConfigError
 
 USER_ERROR: Final = 2
 INTERRUPTED: Final = 130
+AGAIN_S: Final = 0.01
 # of what we print, which has no file name: a full disk or quota, the device's end, a closed output
 NOT_WRITTEN: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF}
 OUR_PACKAGES: Final = {"", "companion", "sitl", "calibration"}
@@ -139,6 +142,7 @@ def run_program(
         SystemExit: always, with the exit code.
     """
     own = dict(endings or {})
+    before, sys.unraisablehook = sys.unraisablehook, _deliver_again
     try:
         code = _run(app, program, words, own, interrupted)
         sys.stdout.flush()
@@ -151,6 +155,8 @@ def run_program(
         where = error.filename or "the output cannot be written"
         code = print_error(program, f"{where}: {error.strerror or error}", USER_ERROR)
         _let_go_of(sys.stdout)
+    finally:
+        sys.unraisablehook = before
     sys.exit(code)
 
 
@@ -179,6 +185,28 @@ def _run(
     except tuple(endings) as error:
         ending = next(end for kind, end in endings.items() if isinstance(error, kind))
         return _end(program, ending, str(error))
+    except Exception as error:
+        if not _is_of_an_interrupt(error):
+            raise
+        return _end(program, interrupted, "")
+
+
+def _is_of_an_interrupt(error: BaseException | None) -> bool:
+    """Whether a library has made another error of Ctrl-C; pydantic, as it builds a model, has words only."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt) or KeyboardInterrupt.__name__ in str(error):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def _deliver_again(lost: sys.UnraisableHookArgs) -> None:
+    """Ctrl-C that falls into a destructor or a library's callback would be printed and forgotten."""
+    if issubclass(lost.exc_type, KeyboardInterrupt):
+        # not here, where it would be lost again
+        threading.Timer(AGAIN_S, _thread.interrupt_main).start()
+    else:
+        sys.__unraisablehook__(lost)
 
 
 def _typer_code(app: typer.Typer, program: str, words: Sequence[str] | None) -> Any:

@@ -12,6 +12,7 @@ import pytest
 import typer
 
 from companion import __version__
+from companion.base.clock import sleep_s
 from companion.base.command_line import PIPE_CLOSED, Ending, new_app, run_program
 from companion.config import CONFIG_FOLDER, ConfigError
 
@@ -181,6 +182,12 @@ def ending(problem: BaseException, capsys: pytest.CaptureFixture[str]) -> tuple[
         (OwnError("no luck"), 7, "prog: own: no luck\n"),
         (KeyboardInterrupt(), 130, "prog: interrupted\n"),
         (typer.Abort(), 130, "prog: interrupted\n"),
+        # what pydantic makes of Ctrl-C while it builds a model
+        (
+            RuntimeError("Error building `literal` serializer:\n  KeyboardInterrupt: "),
+            130,
+            "prog: interrupted\n",
+        ),
         (RecursionError(), 2, "prog: a file that it read is nested too deeply\n"),
         (FileNotFoundError(2, "No such file", "a.bin"), 2, "prog: a.bin: No such file\n"),
         (typer.Exit(5), 5, ""),
@@ -190,6 +197,27 @@ def test_each_kind_of_end(
     problem: BaseException, code: int, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert ending(problem, capsys) == (code, said)
+
+
+class _Interrupted:
+    """Its destructor meets Ctrl-C: Python would print that, and go on."""
+
+    def __del__(self) -> None:
+        raise KeyboardInterrupt
+
+
+def test_ctrl_c_that_falls_into_a_destructor_ends_the_program(capsys: pytest.CaptureFixture[str]) -> None:
+    app = new_app()
+
+    @app.command()
+    def command() -> None:
+        thing = _Interrupted()
+        del thing
+        sleep_s(5.0)
+
+    with pytest.raises(SystemExit) as ended:
+        run_program(app, "prog", [])
+    assert (ended.value.code, capsys.readouterr().err) == (130, "prog: interrupted\n")
 
 
 @pytest.mark.parametrize("fault", [ZeroDivisionError(), ConnectionRefusedError(111, "Connection refused")])
