@@ -33,7 +33,7 @@ WITH_CHILD: Final = (
     "scenario", "seed", "autopilot", "folder", "child", "firmware", "firmware_path", "firmware_param",
 )  # fmt: skip
 WITH_FIRMWARE: Final = (
-    "scenario", "seed", "home", "bind", "port", "gcs_port", "tcp_port", "folder",
+    "scenario", "seed", "home", "bind", "port", "gcs_port", "tcp_port", "folder", "settings",
     "firmware", "firmware_path", "firmware_param",
 )  # fmt: skip
 WITH_EXTERNAL: Final = ("scenario", "seed", "folder", "child", "external")
@@ -84,6 +84,10 @@ def companion_sitl(
         Path | None,
         typer.Option(help="Where the sockets go; else a temporary folder.", metavar="DIR"),
     ] = None,
+    settings: Annotated[
+        Path | None,
+        typer.Option(help="Write the app's settings for it here, for --config.", metavar="FILE"),
+    ] = None,
     external: Annotated[
         str | None,
         typer.Option(
@@ -118,7 +122,9 @@ def companion_sitl(
     from sitl.run.serve_command import Served, serve_vehicle  # noqa: PLC0415 - imports what simulates
 
     flown = (firmware, firmware_path, firmware_param)
-    served = Served(scenario, seed, autopilot, flown, folder, external, signing_key, child, serve_truth, home)
+    served = Served(
+        scenario, seed, autopilot, flown, folder, external, signing_key, child, serve_truth, home, settings
+    )
     serve_vehicle(served, bind, (port, gcs_port, tcp_port))
 
 

@@ -12,6 +12,7 @@ from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.signing import read_key
 from sitl.run.process_control import socket_folder, terminated_as_interrupted
 from sitl.run.server import Service, serve, serve_child
+from sitl.scenario.app_settings import signed
 from sitl.scenario.home import read_home
 from sitl.scenario.scenario import load_scenario
 
@@ -30,6 +31,7 @@ class Served:
     child: bool
     serve_truth: bool
     home: str | None = None
+    settings: Path | None = None
 
 
 def serve_vehicle(served: Served, bind: str, ports: tuple[int, int, int]) -> None:
@@ -58,4 +60,11 @@ def serve_vehicle(served: Served, bind: str, ports: tuple[int, int, int]) -> Non
             asyncio.run(serve_child(loaded, seed, place, firmware=flown))
         else:
             service = Service(bind, *ports)
-            asyncio.run(serve(loaded, seed, place, service, key, serve_truth=truth, firmware=flown))
+            if served.signing_key is not None:
+                loaded = signed(loaded, served.signing_key)
+            path = served.settings
+            asyncio.run(
+                serve(
+                    loaded, seed, place, service, key, serve_truth=truth, settings_path=path, firmware=flown
+                )
+            )

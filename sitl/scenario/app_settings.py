@@ -32,6 +32,12 @@ def settings_text(scenario: Scenario, connection: str, devices: dict[str, Any]) 
     return _HEAD + str(yaml.safe_dump(found, sort_keys=False))
 
 
+def signed(scenario: Scenario, key: Path) -> Scenario:
+    """With an operator whose app signs with that key."""
+    link = {"link": {"signing_key": str(key.resolve()), "actions": "pymavlink"}}
+    return scenario.model_copy(update={"companion": merge(scenario.companion, link)})
+
+
 def _findable(name: str) -> str:
     """A shipped file's name as it is, a path so that it leads there from every folder."""
     return name if Path(name).suffix == "" else str(Path(name).resolve())

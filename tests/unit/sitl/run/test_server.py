@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from companion.config import CONFIG_FOLDER
+from companion.config import CONFIG_FOLDER, load_config
 from sitl.cli import main
 from sitl.run.report import read_report
 
@@ -142,3 +142,31 @@ def test_a_child_ends_with_its_standard_input() -> None:
     )
     assert done.returncode == 0
     assert done.stderr == b""
+
+
+def test_the_settings_that_lead_to_a_served_vehicle_are_the_apps(tmp_path: Path) -> None:
+    (tmp_path / "desk.yaml").write_text(
+        "name: desk\ndescription: x\npad: {motion: {kind: static}}\n"
+        "companion: {plan: {mission: {may_arm: true}}}\n"
+    )
+    (tmp_path / "key").write_text("a passphrase")
+    (tmp_path / "key").chmod(0o600)
+    words = ("--scenario", "desk.yaml", "--settings", "settings.yaml", "--signing-key", "key")
+    ports = ("--port", "0", "--gcs-port", "0", "--tcp-port", "0")
+    with subprocess.Popen(
+        (*COMMAND, *words, *ports),
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(CONFIG_FOLDER.parent), "PYTHONUNBUFFERED": "1"},
+    ) as simulator:
+        assert simulator.stdout is not None
+        while "settings" not in (line := simulator.stdout.readline()):
+            assert line, "it has ended"
+        found = load_config(tmp_path / "settings.yaml")
+        simulator.terminate()
+    assert found.plan.mission.may_arm
+    assert found.link.connection.startswith("udp:127.0.0.1:")
+    assert (found.link.signing_key, found.link.actions) == (tmp_path / "key", "pymavlink")
+    assert found.sense.vision.source.startswith("socket:")
+    assert found.sense.imu.bus.startswith("socket:")
