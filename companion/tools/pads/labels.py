@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import Final
 
 from companion.pad import Marker, Pad
@@ -20,6 +21,9 @@ HEIGHT_M: Final = 0.0018
 # of a character of that size, at its widest on average
 CHARACTER_M: Final = 0.00095
 GAP_M: Final = 0.0004
+# a large sheet is looked at from further away: so many times larger, up to what its short side is of A3's
+LARGER: Final = (3.0, 2.0, 1.5, 1.0)
+A3_SHORT_M: Final = 0.297
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +33,7 @@ class Label:
     marker: Marker
     words: str
     at_pad_m: tuple[float, float]
+    size_pt: float
 
 
 def words_of(marker: Marker) -> str:
@@ -36,29 +41,45 @@ def words_of(marker: Marker) -> str:
     return f"{marker.dictionary} {marker.id}  {1e3 * marker.side_m:g} mm"
 
 
+def scales(page_m: tuple[float, float]) -> list[float]:
+    """How many times larger texts may be on a sheet than on A3, the largest first."""
+    return [scale for scale in LARGER if scale <= max(1.0, min(page_m) / A3_SHORT_M)]
+
+
 def place_labels(pad: Pad, tiling: Tiling) -> tuple[list[Label], list[Marker]]:
-    """The labels that have a place on the board, and the markers for whose there is none."""
+    """The labels that have a place on the board, and the markers for whose there is none.
+
+    Each is then made as large as the others leave it room.
+    """
     zones = [marker.square_pad_m(marker.quiet_m) for marker in pad.markers]
-    placed: list[Label] = []
-    left_out: list[Marker] = []
-    taken = list(zones)
-    for marker, zone in zip(pad.markers, zones, strict=True):
-        words = words_of(marker)
-        near = (b for b in _boxes(zone, words) if tiling.together(extent(zone), extent(b)))
-        box = next((b for b in near if _free(b, taken, pad, tiling)), None)
-        if box is None:
-            left_out.append(marker)
-            continue
-        (x0, x1), (y0, y1) = extent(box)
-        placed.append(Label(marker, words, (0.5 * (x0 + x1), 0.5 * (y0 + y1))))
-        taken.append(box)
-    return placed, left_out
+    boxes: dict[int, tuple[float, Corners]] = {}
+
+    def place(number: int, scale: float) -> None:
+        zone, words = zones[number], words_of(pad.markers[number])
+        taken = [*zones, *(box for other, (_, box) in boxes.items() if other != number)]
+        for box in _boxes(zone, words, scale):
+            if tiling.together(extent(zone), extent(box)) and _free(box, taken, pad, tiling):
+                boxes[number] = scale, box
+                return
+
+    for number in range(len(zones)):
+        place(number, 1.0)
+    for number, scale in product(list(boxes), sorted(scales(tiling.page_m))):
+        if scale > 1.0:
+            place(number, scale)
+    labels = [_label(pad.markers[number], *boxes[number]) for number in sorted(boxes)]
+    return labels, [marker for number, marker in enumerate(pad.markers) if number not in boxes]
 
 
-def _boxes(zone: Corners, words: str) -> Iterator[Corners]:
+def _label(marker: Marker, scale: float, box: Corners) -> Label:
+    (x0, x1), (y0, y1) = extent(box)
+    return Label(marker, words_of(marker), (0.5 * (x0 + x1), 0.5 * (y0 + y1)), scale * SIZE_PT)
+
+
+def _boxes(zone: Corners, words: str, scale: float) -> Iterator[Corners]:
     """Boxes for the words below, above and beside a quiet zone, the nearest to its lower left first."""
     (x0, x1), (y0, y1) = extent(zone)
-    height, width = HEIGHT_M, CHARACTER_M * len(words)
+    height, width = scale * HEIGHT_M, scale * CHARACTER_M * len(words)
     for x in (x0 - GAP_M - height, x1 + GAP_M):
         for y in (y0, 0.5 * (y0 + y1 - width), y1 - width):
             yield _box(x, y, height, width)

@@ -20,7 +20,7 @@ from companion.base.printing.paper import FOOT_MM, PAPERS_MM
 from companion.pad import DICTIONARIES, Marker, Pad
 from companion.pad.rules import extent
 from companion.pad.sheet import Tiling
-from companion.tools.pads.labels import SIZE_PT, Label, grouped, place_labels
+from companion.tools.pads.labels import Label, grouped, place_labels, scales
 
 # black goes on for so much beyond a cut, lest a cut beside its mark leave a white line
 BLEED_MM: Final = 1.0
@@ -29,6 +29,7 @@ MARK_MM: Final = (1.5, 5.0)
 TEXT_PT: Final = 5.0
 LINE_MM: Final = 2.2
 CHARACTER_MM: Final = 1.0
+FOOT_TEXT_MM: Final = 16.0  # from the ruler's top down to half of the margin below it
 PLAN_MARGIN_MM: Final = 15.0
 PLAN_HEAD_MM: Final = 25.0
 # of "sheet 35" in 7 pt, and from the sheet's edges
@@ -148,8 +149,14 @@ def _draw_tile(
         page.lines([sideways, [(x, y + away_y * mark) for mark in MARK_MM]])
     for label in labels:
         if sheet.holds(label.at_pad_m):
-            page.text(sheet.on_sheet_mm(label.at_pad_m), label.words, SIZE_PT, va="center")
-    page.text((0.5 * (left + right), top + MARK_MM[0]), "▲ front (x of the pad)", TEXT_PT, va="bottom")
+            page.text(sheet.on_sheet_mm(label.at_pad_m), label.words, label.size_pt, va="center")
+    front_pt = TEXT_PT * scales(_metres(page))[0]
+    page.text((0.5 * (left + right), top + MARK_MM[0]), "▲ front (x of the pad)", front_pt, va="bottom")
+
+
+def _metres(page: Page) -> tuple[float, float]:
+    width, height = page.size_mm
+    return 1e-3 * width, 1e-3 * height
 
 
 def _draw_foot(page: Page, pad: Pad, sheet: Tile, count: int, labels: list[Marker]) -> None:
@@ -164,10 +171,19 @@ def _draw_foot(page: Page, pad: Pad, sheet: Tile, count: int, labels: list[Marke
         *grouped(labels),
     ]
     left = margin_mm + RULER_MM + 8.0
-    characters = int((page.size_mm[0] - margin_mm - left) / CHARACTER_MM)
-    lines = [line for text in words for line in textwrap.wrap(text, max(characters, 20))]
+    width_mm = page.size_mm[0] - margin_mm - left
+    for scale in scales(_metres(page)):
+        # a large sheet has room beside the ruler, and not below it
+        texts = words if scale == 1.0 else [" ".join(words)]
+        lines = _wrapped(texts, width_mm / (scale * CHARACTER_MM))
+        if scale * LINE_MM * len(lines) <= FOOT_TEXT_MM:
+            break
     for k, line in enumerate(lines):
-        page.text((left, margin_mm + 8.0 - LINE_MM * k), line, TEXT_PT, ha="left")
+        page.text((left, margin_mm + 8.0 - scale * LINE_MM * k), line, scale * TEXT_PT, ha="left")
+
+
+def _wrapped(texts: Sequence[str], characters: float) -> list[str]:
+    return [line for text in texts for line in textwrap.wrap(text, max(int(characters), 20))]
 
 
 # ---------------------------------------------------------------- the plan

@@ -135,6 +135,20 @@ def test_labels_stand_outside_all_quiet_zones_and_what_has_no_room_is_reported()
             assert away > 0.5 * marker.side_m + marker.quiet_m
 
 
+@pytest.mark.parametrize("name", ["moving_1300", "touchdown_1300"])
+def test_texts_on_a_large_sheet_are_read_from_further_away(name: str) -> None:
+    pad = load_pad(name)
+    labels, _ = place_labels(pad, pad.tiling())
+    sizes_pt = sorted(label.size_pt for label in labels)
+    assert sizes_pt[len(sizes_pt) // 3] >= 8.0
+    (page,) = draw_pad(pad)
+    texts = [text for text in page.figure.axes[0].texts if "100 %" in text.get_text()]
+    assert [text.get_fontsize() >= 10.0 for text in texts] == [True] * len(texts) != []
+    # on A4 as small as ever
+    small = load_pad("indoor_400")
+    assert {label.size_pt for label in place_labels(small, small.tiling())[0]} == {4.0}
+
+
 def test_clipping_keeps_what_is_inside() -> None:
     window = (0.0, 2.0, 2.0, 0.0)
     square = [(1.0, 1.0), (3.0, 1.0), (3.0, 3.0), (1.0, 3.0)]
