@@ -84,7 +84,8 @@ def path_figure(flight: LoggedFlight, track: TruthTrack | None) -> go.Figure | N
     axes = {axis: {"title": f"{name} (m)"} for axis, name in zip("xyz", ("east", "north", "up"), strict=True)}
     scene = {f"{axis}axis": spec for axis, spec in axes.items()}
     figure.update_layout(scene={**scene, **_equal_axes(figure)}, height=PATH_HEIGHT_PX)
-    return _plain(figure)
+    # labels in three dimensions need no margin beside them
+    return _plain(figure).update_layout(margin={"l": 5, "r": 5})
 
 
 def _equal_axes(figure: go.Figure) -> dict[str, Any]:

@@ -30,6 +30,19 @@ VERDICT_COLOURS: Final = {
     Outcome.CRASHED.value: "#922b21",
 }
 OTHER_COLOUR: Final = "#b9770e"
+# plotly's camera sees as much in height on every screen: on a narrow one it steps back, else sides are cut
+FIT_PATH: Final = """
+const gd = document.getElementById("{plot_id}"), eye = gd.layout.scene.camera.eye;
+let fitted = 1;
+function fit() {
+  const { w, h } = gd._fullLayout._size, back = Math.max(1, h / w);
+  if (Math.abs(back - fitted) < 0.02) return;
+  fitted = back;
+  Plotly.relayout(gd, { "scene.camera.eye": { x: back * eye.x, y: back * eye.y, z: back * eye.z } });
+}
+fit();
+gd.on("plotly_afterplot", fit);
+"""
 SENSOR_NAMES: Final = {
     "imu": "IMU",
     "mag": "magnetometer",
@@ -179,7 +192,12 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[str]], classes: Sequenc
 
 def _plot(figure: Any, name: str) -> str:
     html: str = to_html(
-        figure, config=PLOT_OPTIONS, include_plotlyjs=False, full_html=False, div_id=f"plot-{name}"
+        figure,
+        config=PLOT_OPTIONS,
+        include_plotlyjs=False,
+        full_html=False,
+        div_id=f"plot-{name}",
+        post_script=FIT_PATH if name == "path" else None,
     )
     return html
 

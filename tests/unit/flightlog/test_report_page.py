@@ -1,5 +1,6 @@
 """`companion report`: one page that needs nothing else, from a flight with truth, without, and cut short."""
 
+import asyncio
 import shutil
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from companion.flightlog.report.figures import figures
 from companion.flightlog.report.logged_flight import SensorRecord, read_flight
 from companion.flightlog.report.page import differences, sensor_rows
 from companion.flightlog.result import build_result
+from tests.browser import DESK, PHONE, browser
 from tests.unit.flightlog.replay.log_files import own_rig
 from tests.unit.flightlog.test_result import made_up_flight
 
@@ -198,6 +200,22 @@ def test_a_browser_draws_every_plot(tmp_path: Path) -> None:
     for name in PLOTS:
         start = body.index(f'id="plot-{name}"')
         assert "plot-container" in body[start : start + 1000], name
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here; Debian: apt install chromium")
+async def test_on_a_phone_the_path_is_seen_from_further_away(tmp_path: Path) -> None:
+    write_flight(tmp_path)
+    page, eye = write_report(tmp_path), "document.getElementById('plot-path')._fullLayout.scene.camera.eye.x"
+    seen = {}
+    async with browser(tmp_path) as tab:
+        for size in (PHONE, DESK):
+            await tab.resize(size)
+            await tab.open(page.as_uri())
+            await tab.wait_for(f"document.readyState === 'complete' && {eye}", 90.0)
+            await asyncio.sleep(1.0)
+            seen[size] = await tab.evaluate(eye)
+    assert seen[DESK] == pytest.approx(-0.95)
+    assert seen[PHONE] < 1.15 * seen[DESK]
 
 
 def test_the_path_has_one_scale_on_all_axes_and_fits_the_view(tmp_path: Path) -> None:
