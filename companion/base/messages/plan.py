@@ -55,7 +55,8 @@ class ActionKind(StrEnum):
 class Action:
     """One request to the autopilot or the ground station.
 
-    `position` is latitude (deg), longitude (deg) and height over home (m). `force` lets a DISARM through
+    `position` is latitude (deg), longitude (deg) and height over home (m); so is `height_m`, over home: to
+    take off to, and for a HOLD to rise to first unless 0. `force` lets a DISARM through
     that the autopilot refuses because it considers itself in the air: in the air it drops the vehicle, so
     only a touchdown that several signs have confirmed for seconds may ask for it.
     """

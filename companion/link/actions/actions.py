@@ -167,23 +167,23 @@ class PymavlinkActions:
     async def hold(self, action: Action, void: Callable[[], str] | None = None) -> None:
         """Stop and stay, by the autopilot's own mode; not sent again once another has been chosen.
 
-        With a `height_m` the autopilot first rises so much by itself, where it can.
+        With a `height_m` the autopilot first rises to there by itself, where it can.
         """
         mode = HOLD_MODE[self.dialogue.autopilot_kind()]
         void = void or self.unless_taken(mode)
-        if action.height_m > 0.0:
+        if action.height_m != 0.0:
             await self._rise(action.height_m, void)
         await self.dialogue.set_mode(mode, void)
 
     async def _rise(self, height_m: float, void: Callable[[], str]) -> None:
         """Go straight up, and wait for most of it; an autopilot that does not is to hold all the same."""
-        here = self._session.state.global_position
-        if here is None:
+        here, home = self._session.state.global_position, self._session.state.home
+        if here is None or home is None or home[2] + height_m <= here[2]:
             return
-        wanted_m = here[2] + _RISEN_SHARE * height_m
+        position = (here[0], here[1], home[2] + height_m)
+        wanted_m = here[2] + _RISEN_SHARE * (position[2] - here[2])
         change_mode = float(mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
         parameters = (-1.0, change_mode, 0.0, self.dialogue.unused())
-        position = (here[0], here[1], here[2] + height_m)
 
         def risen() -> bool:
             now = self._session.state.global_position

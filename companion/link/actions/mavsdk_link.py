@@ -196,7 +196,7 @@ class MavsdkActions:
         Not where another mode was chosen meanwhile, by a pilot or a failsafe.
         """
         void = self._own.unless_taken(*HOLD_MODE.values())
-        if action.height_m > 0.0:
+        if action.height_m != 0.0:
             return await self._own.hold(action, void)
         try:
             await self._connect()

@@ -82,6 +82,9 @@ class Departure:
         if action.kind is ActionKind.GO_TO and autopilot.home is not None:
             latitude, longitude, _ = self._waypoint_geodetic(autopilot.home)
             return replace(action, position=(latitude, longitude, self._config.take_off_height_m))
+        if action.kind is ActionKind.HOLD and action.height_m != 0.0:
+            here_m = self._ground.over_home_m  # asked again, it does not rise again from where it is then
+            return replace(action, height_m=0.0 if here_m is None else here_m + action.height_m)
         return action
 
     def lift_off(self) -> None:
@@ -110,8 +113,6 @@ class Departure:
         missing = [text for text, there in self._needs(inputs.vehicle, autopilot, now_s) if not there]
         if inputs.computer.problem is not None:
             missing.insert(0, f"a faster computer: {inputs.computer.problem}")
-        if inputs.leg_problem is not None:
-            missing.append(f"a right leg height: {inputs.leg_problem}")
         missing += [f"two sources to agree ({words})" for _, words in refused(inputs.comparisons)]
         if not missing:
             return MissionEvent.READY, "ready to arm"

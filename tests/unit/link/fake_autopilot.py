@@ -27,6 +27,7 @@ class FakeAutopilot:
     system_id: int = 1
     clock_offset_s: float = 0.0
     heading_rad: float = 0.0
+    height_m: float = 0.0  # over home
     mode: str = "AUTO.LOITER"
     armed: bool = False
     believes_in_air: bool = False
@@ -87,7 +88,7 @@ class FakeAutopilot:
                 mavlink.MAVLink_attitude_message(boot_ms, 0.0, 0.0, self.heading_rad, 0.0, 0.0, 0.0),
                 mavlink.MAVLink_local_position_ned_message(boot_ms, 1.0, 2.0, -3.0, 0.1, 0.2, 0.3),
                 mavlink.MAVLink_global_position_int_message(
-                    boot_ms, latitude, longitude, altitude, 0, 0, 0, 0, 0
+                    boot_ms, latitude, longitude, altitude + round(1e3 * self.height_m), 0, 0, 0, 0, 0
                 ),
                 mavlink.MAVLink_extended_sys_state_message(0, 2 if self.believes_in_air else 1),
                 mavlink.MAVLink_sys_status_message(present, present, prearm, *[0] * 10),

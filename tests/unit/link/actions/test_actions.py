@@ -73,6 +73,22 @@ def test_near_the_ground_the_autopilot_rises_before_it_holds(
     assert (asked.x, asked.y, asked.z) == (470000000, 80000000, 402.0)  # where it is, 2 m up
 
 
+def test_a_hold_that_is_asked_again_does_not_rise_again_from_where_it_is_then() -> None:
+    autopilot = autopilot_of("px4")
+
+    async def story(actions: PymavlinkActions, _: Session) -> list[ActionResult]:
+        results = []
+        for height_m in (0.3, 1.9, 2.4):
+            autopilot.height_m = height_m
+            await asyncio.sleep(1.0)
+            results.append(await actions.perform(Action(ActionKind.HOLD, height_m=2.3)))
+        return results
+
+    assert [result.accepted for result in fly(autopilot, story)] == [True] * 3
+    asked = [command.z for command in autopilot.commands(mavlink.MAV_CMD_DO_REPOSITION)]
+    assert asked == pytest.approx([402.3, 402.3])
+
+
 def test_a_disarmed_px4_leaves_offboard_for_hold() -> None:
     autopilot = FakeAutopilot(mode="OFFBOARD")
     [result] = perform(autopilot, Action(ActionKind.LEAVE_OFFBOARD))

@@ -325,3 +325,13 @@ def test_where_another_program_sends_setpoints_too_control_is_returned_and_the_p
     assert w.flight.phase is Phase.ABORT
     assert w.autopilot.heard[-1][1] is ActionKind.HOLD
     assert w.flight.told("phase")[-1] == "abort: rival: component 150 of system 1 sends setpoints"
+
+
+def test_a_hold_that_rises_first_is_asked_for_by_one_height_over_home() -> None:
+    """Asked again, it does not rise again from where it is then."""
+    w = world(still())
+    w.fly(20.0)
+    ground, rises = w.planner._ground, Action(ActionKind.HOLD, height_m=2.0)
+    asked = w.planner._steering.departure.with_numbers(rises, w.inputs().autopilot)
+    assert ground.over_home_m is not None
+    assert asked.height_m == ground.over_home_m + 2.0
