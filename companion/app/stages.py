@@ -88,9 +88,9 @@ def build_stages(
         **sensing.calibrations,
         **({} if mount is None else {"mount": mount}),
     )
-    make_planner = _planner_maker(config, vehicle, pad)
-    nearest_m = config.sense.range.minimum_m
-    sources = SourceWatch(estimator, session, sensing, vehicle, notify, nearest_echo_m=nearest_m)
+    standing_height = StandingHeight(vehicle, config.sense.range.minimum_m)
+    make_planner = _planner_maker(config, vehicle, pad, standing_height)
+    sources = SourceWatch(estimator, session, standing_height, vehicle, notify)
     stamps = StampKeeper(
         hardware.stamp_file, hardware.signing, lambda text: notify("signing", text, "warning")
     )
@@ -99,11 +99,11 @@ def build_stages(
 
 
 def _planner_maker(
-    config: CompanionConfig, vehicle: VehicleConfig, pad: Pad
+    config: CompanionConfig, vehicle: VehicleConfig, pad: Pad, standing_height: StandingHeight
 ) -> Callable[[str | None], Planner]:
     """What makes a mission's planner; what is learnt of the standing vehicle outlives missions."""
     law, pace = load_speed_controller(config.plan)
-    standing_height, control = StandingHeight(vehicle), config.control
+    control = config.control
 
     def make(standby: str | None) -> Planner:
         return Planner(

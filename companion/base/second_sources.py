@@ -217,11 +217,12 @@ ROWS: Final = (
     SourceRow(
         Quantity.LEG_HEIGHT,
         first="the vehicle's file",
-        second="the echo where it stands",
+        second="measured where it stands",
         unit="cm",
         notice=4.0,
-        bound=None,
-        before="announced",
+        # grass, a place measured by a ruler: 3 cm each; a vehicle that falls from there lands at 1 m/s
+        bound=5.0,
+        before=_REFUSED,
         reaction=None,
         in_flight="contact needs several signs",
         hint="measure from the centre of mass to the feet, and range_position_body_m",

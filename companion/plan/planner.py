@@ -127,7 +127,7 @@ class Planner:
 
     def not_ready(self, inputs: PlanInputs, now_s: float) -> list[str]:
         """What stands against an order to land, wherever the vehicle is."""
-        return list(not_ready(self._with_leg_height(inputs), self._mission, now_s))
+        return list(not_ready(inputs, self._mission, now_s))
 
     def estimate_problem(self, inputs: PlanInputs, now_s: float) -> str | None:
         """What stands against flying by the estimate of the vehicle, as among `not_ready`."""
@@ -137,7 +137,7 @@ class Planner:
         """One cycle at now_s: at most one change of state, then the reference, actions and notices."""
         self._notices = []
         self._standing_height.update(inputs, now_s)
-        inputs = self._with_leg_height(self._checked(inputs, now_s))
+        inputs = self._checked(inputs, now_s)
         self._see(inputs, now_s)
         self._set_pace(inputs, now_s)
         self._watch_battery(inputs, now_s)
@@ -172,10 +172,6 @@ class Planner:
                 words = f"stuck at {echo.distance_m:.2f} m while we and the autopilot climb or sink: not used"
                 self._say("rangefinder", words, now_s, "warning")
         return replace(inputs, range=None) if self._echoes.stuck else inputs
-
-    def _with_leg_height(self, inputs: PlanInputs) -> PlanInputs:
-        problem = self._standing_height.problem
-        return inputs if problem is None else replace(inputs, leg_problem=problem)
 
     def _see(self, inputs: PlanInputs, now_s: float) -> None:
         if inputs.autopilot.connected:

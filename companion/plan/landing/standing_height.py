@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from statistics import median
+from statistics import median, stdev
 from typing import Final
 
 from companion.base.geometry import norm, tilt_from_quat
-from companion.base.messages import PadState, VehicleState
+from companion.base.messages import PadState, Quantity, SourceComparison, VehicleState
 from companion.config import VehicleConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import UNSEEN_S, echo_height_m, felt
@@ -25,21 +25,23 @@ _STILL_RAD_S: Final = 0.05
 _LEVEL_RAD: Final = math.radians(10.0)
 _COUNT: Final = 10  # echoes, and sightings, that have to agree
 _SPREAD_M: Final = 0.03
-# Grass, a place measured by a ruler: 3 cm each. A vehicle that falls from there lands at 1 m/s.
-BOUND_M: Final = 0.05
+_ECHO_NOISE_M: Final = 0.01  # of one that comes from near
+_MEDIAN_STD: Final = math.sqrt(0.5 * math.pi / _COUNT)  # of the median of so many, in theirs
 
 
 class StandingHeight:
     """`update` every cycle, from the app's start on; what it has learnt outlives a mission."""
 
-    def __init__(self, vehicle: VehicleConfig) -> None:
-        self._vehicle = vehicle
+    def __init__(self, vehicle: VehicleConfig, nearest_echo_m: float = 0.0) -> None:
+        """`nearest_echo_m`: what is nearer may show as this."""
+        self._vehicle, self._nearest_echo_m = vehicle, nearest_echo_m
         self._still = Debounce()
         self._echo_s = self._seen_s = -math.inf
         self._by_echo: deque[float] = deque(maxlen=_COUNT)
         self._by_pad: deque[float] = deque(maxlen=_COUNT)
         self._moved = False  # since the last was learnt
-        self.measured_m: dict[str, float] = {}  # by its source
+        self.measured_m: dict[str, tuple[float, float]] = {}  # by its source, with the standard deviation
+        self._measured_s = -math.inf
 
     def update(self, inputs: PlanInputs, now_s: float) -> None:
         """Take in a cycle's echo and estimates; flying says nothing."""
@@ -51,33 +53,41 @@ class StandingHeight:
             self._moved = True
             return
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
-        if inputs.range is not None and echo_m is not None and inputs.range.time_s > self._echo_s:
-            self._echo_s = inputs.range.time_s
-            self._learn("the rangefinder", self._by_echo, echo_m)
+        echo = inputs.range
+        if echo is not None and echo_m is not None and echo.time_s > self._echo_s:
+            self._echo_s = echo.time_s
+            if echo.distance_m > self._nearest_echo_m + _ECHO_NOISE_M:
+                self._learn("the rangefinder", self._by_echo, echo_m, now_s)
         sight = predicted(inputs.pad, now_s)
         if sight is not None and self._stands_on(sight) and sight.seen_time_s > self._seen_s:
             self._seen_s = sight.seen_time_s
-            self._learn("the pad", self._by_pad, sight.height_m)
+            self._learn("the pad", self._by_pad, sight.height_m, now_s)
 
     @property
-    def problem(self) -> str | None:
-        """Why the file's leg height is not flown with; None: it agrees, or nothing has measured it."""
+    def comparisons(self) -> tuple[SourceComparison, ...]:
+        """The file's leg height (cm) against what differs most of what was measured; none before that."""
         told_m = self._vehicle.leg_height_m
-        for source, measured_m in self.measured_m.items():
-            if abs(measured_m - told_m) > BOUND_M:
-                return (
-                    f"leg_height_m is {told_m:.2f} in the vehicle's file, and {source} measured "
-                    f"{measured_m:.2f} standing: expected within {BOUND_M:g} m"
-                )
-        return None
+        found = sorted(self.measured_m.items(), key=lambda measured: abs(measured[1][0] - told_m))
+        return tuple(
+            SourceComparison(
+                self._measured_s,
+                Quantity.LEG_HEIGHT,
+                f"{100.0 * told_m:.0f} cm",
+                f"{100.0 * measured_m:.0f} cm by {source}",
+                difference=100.0 * abs(measured_m - told_m),
+                std=100.0 * std_m,
+            )
+            for source, (measured_m, std_m) in found[-1:]
+        )
 
-    def _learn(self, source: str, recent_m: deque[float], height_m: float) -> None:
+    def _learn(self, source: str, recent_m: deque[float], height_m: float, now_s: float) -> None:
         recent_m.append(height_m)
         if len(recent_m) == _COUNT and max(recent_m) - min(recent_m) <= _SPREAD_M:
             if self._moved:
                 self.measured_m.clear()  # it stood elsewhere: on a bench, say
                 self._moved = False
-            self.measured_m[source] = median(recent_m)
+            self.measured_m[source] = median(recent_m), _MEDIAN_STD * stdev(recent_m)
+            self._measured_s = now_s
 
     def _stands_on(self, sight: PadState) -> bool:
         return sight.unseen_s <= UNSEEN_S and sight.lateral_m <= self._vehicle.foot_reach_m

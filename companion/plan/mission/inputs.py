@@ -33,7 +33,6 @@ class PlanInputs:
     `silent_s`: since anything was last heard of the autopilot, or showed that it hears us, seen by an app
     that runs.
     `comparisons`: what was measured by two sources.
-    `leg_problem`: the leg height is not what was measured standing.
     `control_failure`: why the last setpoint was a stop. `thrust_doubt`: what stands against control by
     thrust.
     """
@@ -48,7 +47,6 @@ class PlanInputs:
     order: Order | None = None
     camera_problem: str | None = None
     comparisons: tuple[SourceComparison, ...] = ()
-    leg_problem: str | None = None
     computer: ComputerLoad = ComputerLoad()
     control_failure: str = ""
     thrust_doubt: str = ""

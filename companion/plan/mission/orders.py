@@ -52,9 +52,8 @@ def not_ready(inputs: PlanInputs, mission: MissionConfig, now_s: float) -> Itera
         yield "it is in OFFBOARD: another program's setpoints fly it; expected ours alone"
     if inputs.camera_problem is not None:
         yield f"no pad camera: {inputs.camera_problem}"
-    for problem in (inputs.computer.problem, inputs.leg_problem):
-        if problem is not None:
-            yield problem
+    if inputs.computer.problem is not None:
+        yield inputs.computer.problem
     yield from estimate_problems(inputs.vehicle, mission, now_s)
     for _, words in refused(inputs.comparisons):
         yield words

@@ -1,9 +1,12 @@
 """The leg height as echo and pad measure it, standing disarmed before take-off."""
 
+from dataclasses import replace
+
 import pytest
 
+from companion.base import second_sources
 from companion.base.geometry import ZERO3
-from companion.base.messages import ActionKind
+from companion.base.messages import Phase, Quantity
 from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.planner import Planner
 from tests.unit.plan.mission.planner_world import world
@@ -12,7 +15,7 @@ from tests.unit.plan.plan_harness import LEG_M, TABLE, VEHICLE, PlanWorld
 
 
 def stood(
-    leg_m: float, *, echo_m: float | None = None, on_pad: bool = False
+    leg_m: float, *, echo_m: float | None = None, on_pad: bool = False, nearest_echo_m: float = 0.0
 ) -> tuple[StandingHeight, PlanWorld]:
     """After six seconds on the ground: the true standing height is LEG_M, the file says `leg_m`."""
     w = world(still())
@@ -20,7 +23,7 @@ def stood(
     w.blind = lambda _t, _height: not on_pad
     if on_pad:
         w.pad = lambda _t: (0.0, 0.0, 0.0)
-    height = StandingHeight(VEHICLE.model_copy(update={"leg_height_m": leg_m}))
+    height = StandingHeight(VEHICLE.model_copy(update={"leg_height_m": leg_m}), nearest_echo_m)
     for _ in range(180):
         w.acceleration = ZERO3
         height.update(w.inputs(), w.now_s)
@@ -35,19 +38,31 @@ ECHO_M = LEG_M - VEHICLE.range_position_body_m[2]
 @pytest.mark.parametrize(("wrong_m", "refused"), [(0.0, False), (0.04, False), (-0.04, False), (0.08, True)])
 def test_an_echo_before_take_off_says_whether_the_leg_height_is_right(wrong_m: float, refused: bool) -> None:
     height, _ = stood(LEG_M + wrong_m, echo_m=ECHO_M)
-    assert height.measured_m["the rangefinder"] == pytest.approx(LEG_M)
-    assert (height.problem is not None) is refused
+    assert height.measured_m["the rangefinder"][0] == pytest.approx(LEG_M)
+    assert [words for _, words in second_sources.refused(height.comparisons)] == (
+        [
+            "leg height: the vehicle's file 26 cm, measured where it stands 18 cm by the rangefinder: "
+            "8.0 ±0.0 cm apart, at most 5 expected: measure from the centre of mass to the feet, and "
+            "range_position_body_m"
+        ]
+        if refused
+        else []
+    )
+
+
+def test_echoes_as_near_as_the_sensor_shows_at_all_say_nothing() -> None:
+    height, _ = stood(LEG_M + 0.08, echo_m=ECHO_M, nearest_echo_m=ECHO_M)
+    assert height.comparisons == ()
 
 
 def test_the_pad_beneath_says_it_too_and_without_either_it_is_not_refused() -> None:
     by_pad, _ = stood(LEG_M - 0.08, on_pad=True)
-    assert by_pad.measured_m["the pad"] == pytest.approx(LEG_M, abs=1e-6)
-    assert by_pad.problem == (
-        "leg_height_m is 0.10 in the vehicle's file, and the pad measured 0.18 standing: "
-        "expected within 0.05 m"
-    )
+    assert by_pad.measured_m["the pad"][0] == pytest.approx(LEG_M, abs=1e-6)
+    [(quantity, words)] = second_sources.refused(by_pad.comparisons)
+    assert quantity is Quantity.LEG_HEIGHT
+    assert "18 cm by the pad: 8.0" in words
     neither, _ = stood(LEG_M - 0.08)
-    assert neither.problem is None
+    assert neither.comparisons == ()
 
 
 def test_carried_or_armed_it_measures_nothing() -> None:
@@ -65,7 +80,8 @@ def test_a_wrong_leg_height_is_waited_for_on_the_ground_and_refuses_an_order() -
     height, w = stood(LEG_M + 0.08, echo_m=ECHO_M)
     w.autopilot.ready_from_s = 0.0
     w.planner = Planner(w.config, VEHICLE, 20, 0.1, TABLE, standing_height=height)  # of a later mission
-    w.fly(12.0)
-    assert any("leg_height_m is 0.26" in text for text in w.flight.told("waiting"))
-    assert ActionKind.ARM not in [kind for _, kind in w.autopilot.heard]
-    assert any("leg_height_m is 0.26" in words for words in w.planner.not_ready(w.inputs(), w.now_s))
+    given = replace(w.inputs(), comparisons=height.comparisons)
+    step = w.planner.step(given, w.now_s)
+    assert step.phase is Phase.CONNECT
+    assert "the vehicle's file 26 cm" in next(n.text for n in step.notices if n.kind == "waiting")
+    assert any("the vehicle's file 26 cm" in words for words in w.planner.not_ready(given, w.now_s))
