@@ -91,7 +91,6 @@ class App:
             stages.make_planner, self.session, log, self.announcer, self._clock, standby=standby, stays=stays
         )
         self.loop_monitor = LoopMonitor(self.session, self._clock, self.sensing.pace)
-        self._watch.late_share = self.loop_monitor.recently_late
         self._control_failure = ""
         self._controller: Controller | None = None  # made when it is known whose autopilot obeys
         self._actions = make_actions(self.session, self._send, self._clock, config)

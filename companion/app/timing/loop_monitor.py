@@ -74,11 +74,6 @@ class LoopMonitor:
         """Share of the last `CYCLES` that came late by more than half a period: as the machine is now."""
         return sum(self._recent) / max(1, len(self._recent))
 
-    def recently_late(self) -> float:
-        """The same share of the last `RECENT_CYCLES`: what is so now, and no stall of a minute ago."""
-        lately = list(self._recent)[-RECENT_CYCLES:]
-        return sum(lately) / RECENT_CYCLES
-
     @property
     def load(self) -> ComputerLoad:
         """Whether the computer keeps up, for the planner."""

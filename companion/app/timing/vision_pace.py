@@ -1,7 +1,8 @@
 """How much of the computer vision may take: fewer frames, in steps, before control is late.
 
 Vision and control share the processor. Each step leaves it alone for one more of vision's own times after a
-frame; a step back follows after long enough without a late cycle. Each is announced. s.
+frame; a step back follows after long enough without a late cycle. Each is announced, and so is control that
+is late all the same: FIFO overflows and lost estimates follow from it. s.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ class VisionPace:
         self._took_s: deque[float] = deque(maxlen=FRAMES)
         self._late_s: deque[float] = deque(maxlen=CYCLES)
         self._calm = 0
+        self._told = False  # that no fewer frames are left to take
         self.rests = 0  # of vision's own times after a frame
 
     @property
@@ -49,7 +51,14 @@ class VisionPace:
         if len(self._late_s) < CYCLES:
             return
         mean_s = fmean(self._late_s)
-        more = mean_s > LATE_SHARE * period_s and self._fewer_left
+        late = mean_s > LATE_SHARE * period_s
+        more = late and self._fewer_left
+        if late and not more and not self._told:
+            self._told = True
+            words = f"control {1e3 * mean_s:.0f} ms late, and vision takes no fewer frames"
+            self._notify("computer", words, "warning")
+        if self._calm >= CALM_CYCLES:
+            self._told = False
         if more or (self.rests and self._calm >= CALM_CYCLES):
             self.rests += 1 if more else -1
             self._late_s.clear()

@@ -38,7 +38,7 @@ def test_late_control_takes_frames_from_vision_step_by_step_and_says_each_once()
     assert said[1:] == [f"control 20 ms late: vision takes 1 of {n} frames" for n in (3, 4)]
     # four of its times are as long as a pad may be unseen: no fewer, however late control is
     cycles(pace, 0.02, 5 * CYCLES)
-    assert len(said) == 3
+    assert said[3:] == ["control 20 ms late, and vision takes no fewer frames"]
     assert abs(frames(pace, 0.05) - 0.15) < 1e-9
 
 
@@ -54,9 +54,14 @@ def test_control_in_time_for_long_gives_them_back() -> None:
     assert frames(pace, 0.05) == 0.0
 
 
-def test_a_vision_that_is_slow_by_itself_is_not_slowed_any_more() -> None:
+def test_a_vision_that_is_slow_by_itself_is_not_slowed_any_more_and_late_control_is_told_once() -> None:
     said: list[str] = []
     pace = VisionPace(lambda _kind, text, _severity: said.append(text))
     frames(pace, 0.21)
+    told = ["control 50 ms late, and vision takes no fewer frames"]
     cycles(pace, 0.05, 5 * CYCLES)
-    assert not said
+    assert said == told
+    assert pace.rests == 0
+    cycles(pace, 0.0, CALM_CYCLES)  # in time for long, it is told anew
+    cycles(pace, 0.05)
+    assert len(said) == 2
