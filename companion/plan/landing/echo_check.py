@@ -6,6 +6,7 @@ the vehicle up for good. What stands below gives echoes that grow as the vehicle
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from companion.base.messages import RangeSample
@@ -24,6 +25,7 @@ class EchoCheck:
 
     def __init__(self) -> None:
         self.stuck = False
+        self._heard_s = -math.inf
         self._from: tuple[float, float, float, float] | None = None
 
     def pause(self) -> None:
@@ -37,8 +39,11 @@ class EchoCheck:
 
         `ours_m`, `theirs_m`: the vehicle's height by our estimate and by the autopilot, from anywhere.
         """
-        if echo is None or ours_m is None or theirs_m is None:
-            return False
+        if echo is None or echo.time_s <= self._heard_s or ours_m is None or theirs_m is None:
+            return False  # the last echo, of where it was then, contradicts nothing
+        self._heard_s = echo.time_s
+        if self._from is not None and now_s - self._from[0] > _WITHIN_S:
+            self._from = None
         echo_m = echo.distance_m
         start = self._from or (now_s, echo_m, ours_m, theirs_m)
         moved_m, ours_moved_m, theirs_moved_m = echo_m - start[1], ours_m - start[2], theirs_m - start[3]
@@ -48,5 +53,5 @@ class EchoCheck:
         alike = abs(ours_moved_m - theirs_moved_m) <= _ALIKE_M
         found = alike and min(abs(ours_moved_m), abs(theirs_moved_m)) >= _MOVED_M and not self.stuck
         self.stuck = self.stuck or found
-        self._from = (now_s, echo_m, ours_m, theirs_m) if now_s - start[0] > _WITHIN_S else start
+        self._from = start
         return found

@@ -36,6 +36,18 @@ def test_drift_and_a_far_echo_say_nothing() -> None:
     assert not climbed(3.0, 0.0, 2.0, 2.0).stuck
 
 
+@pytest.mark.parametrize("gap_s", [0.0, 8.0])
+def test_the_last_echo_before_it_fell_silent_contradicts_nothing(gap_s: float) -> None:
+    check = EchoCheck()
+    check.update(RangeSample(0.0, 1.2), 0.0, 0.0, 0.0)
+    for step in range(1, 90):
+        check.update(RangeSample(0.0, 1.2), 0.02 * step, 0.02 * step, step / 30.0)
+    assert not check.stuck
+    if gap_s:  # nor one of elsewhere, long after
+        check.update(RangeSample(gap_s, 1.2), 2.0, 2.0, gap_s)
+    assert not check.stuck
+
+
 def test_one_that_moves_again_is_believed_again() -> None:
     check = climbed(0.06, 0.0, 0.8, 0.8)
     check.update(RangeSample(4.0, 0.5), 0.8, 0.8, 4.0)
