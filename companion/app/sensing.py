@@ -229,7 +229,9 @@ class Sensing:
             return
         self._attitude_s = autopilot.attitude_time_s
         same_imu = self._config.sense.source == "autopilot"
-        sample = AutopilotAttitude(autopilot.attitude_time_s, autopilot.attitude, same_imu)
+        sample = AutopilotAttitude(
+            autopilot.attitude_time_s, autopilot.attitude, same_imu, autopilot.round_trip_s or 0.0
+        )
         self._estimator.add_autopilot_attitude(sample)
         self._log.write("autopilot_attitude", sample, self._clock.now_s())
 

@@ -187,7 +187,8 @@ ROWS: Final = (
         second="the camera's sight of the turns that the link reports",
         unit="ms",
         notice=20.0,
-        bound=90.0,
+        # twice of it the IMU's samples are late, a message besides; for 0.1 s an acceleration is carried on
+        bound=40.0,
         before=_REFUSED,
         reaction=Reaction.LEAVE_PAD,
         hint="one direction of the link is slower than the other",

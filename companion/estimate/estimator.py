@@ -163,6 +163,8 @@ class StateEstimator:
         usable = self._usable(sample.time_s, sample.attitude)
         if usable and self._vehicle.aligned:
             self._camera_check.imu_by_link = sample.same_imu
+            if sample.round_trip_s > 0.0:
+                self._camera_check.half_trip_s = 0.5 * sample.round_trip_s
             self._attitude_check.take(sample)
         return self._count("attitude", usable and self._vehicle.add_autopilot_attitude(sample))
 
@@ -170,6 +172,11 @@ class StateEstimator:
         """What was found since the last call, kind and words: a correction of the attitude."""
         corrections, self._vehicle.corrections = self._vehicle.corrections, ()
         return tuple(("attitude", words) for words in corrections)
+
+    @property
+    def link_delay_s(self) -> float:
+        """By how much the times that the link gives are late (s), to be taken off them."""
+        return self._camera_check.link_delay_s
 
     @property
     def comparisons(self) -> tuple[SourceComparison, ...]:
@@ -211,7 +218,7 @@ class StateEstimator:
         return self._see(sighting)
 
     def _exposed_s(self, sighting: PadSighting) -> float:
-        return sighting.time_s + self._camera_check.delay_s
+        return sighting.time_s + self._camera_check.frame_delay_s
 
     def _see(self, sighting: PadSighting) -> bool:
         time_s = self._exposed_s(sighting)
@@ -234,7 +241,7 @@ class StateEstimator:
 
         A state with anything in it that is not finite is none: comparisons with NaN warn of nothing.
         """
-        state = self._vehicle.state(now_s)
+        state = self._vehicle.state(now_s, 2.0 * self._camera_check.link_delay_s)
         if state is None:
             return None
         moves = (*state.position_ned_m, *state.velocity_ned_m_s, *state.acceleration_ned_m_s2)
@@ -284,7 +291,7 @@ class StateEstimator:
 
     def pad_prior(self, time_s: float) -> PadPrior | None:
         """What to expect in a frame exposed at time_s; None before the alignment."""
-        at_s = time_s + self._camera_check.delay_s
+        at_s = time_s + self._camera_check.frame_delay_s
         attitude = self._motion.attitude(at_s)
         if attitude is None:
             return None

@@ -132,6 +132,10 @@ class Session:
         """After so long without a heartbeat the link counts as lost."""
         return self._config.heartbeat_timeout_s
 
+    def correct_clock(self, late_s: float) -> None:
+        """The stamps' times are so late (s), since what we hear is slower than what we say; moves slowly."""
+        self._boot_clock.late_s = late_s
+
     def silent_s(self, now_s: float) -> float:
         """For how long (s) nothing has been received, or nothing has shown that it receives us."""
         unanswered_s = now_s - self.state.round_trip_time_s - _ANSWERED_S

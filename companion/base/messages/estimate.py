@@ -36,7 +36,8 @@ class VehicleState:
     """The vehicle at time_s by the 31-state EKF.
 
     `position_ned_m` counts from `origin` (latitude deg, longitude deg, altitude m), which is the first GPS
-    fix and None before it. Over the time since the newest IMU sample, `imu_age_s`, it is predicted.
+    fix and None before it. Over the time since the newest IMU sample, `imu_age_s`, it is predicted, and over
+    what the link is known to be late by besides.
     `side_force_ned_m_s2` is the part of the acceleration that no thrust makes (see `geometry.side_force`),
     `acceleration_density_m2_s3` the density of the accelerometer's noise on an axis, lately.
     """

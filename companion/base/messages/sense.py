@@ -69,12 +69,13 @@ class RangeSample:
 class AutopilotAttitude:
     """The autopilot's own attitude (body to its NED), when it measured it on our clock.
 
-    `same_imu`: our samples are its IMU's too, by telemetry.
+    `same_imu`: our samples are its IMU's too, by telemetry. `round_trip_s` is the link's; 0: not known.
     """
 
     time_s: float
     attitude: Quaternion
     same_imu: bool = False
+    round_trip_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

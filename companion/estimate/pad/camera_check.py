@@ -12,7 +12,11 @@ the vehicle's own motion beyond constant velocity, by the IMU):
     echo      k h = q_down + noise                  h: the height over the board
 
 What the pad shares with a vehicle that follows it is slow, and goes to its acceleration. A vehicle that
-neither moves nor turns shows nothing but by its echoes. SI units.
+neither moves nor turns shows nothing but by its echoes.
+
+Where the IMU comes by the link, the delay may be the link's: TIMESYNC takes half of a round trip for each
+direction, so that its times are late by d where what comes is slower than what goes by 2 d. They are late by
+half of the round trip at most; the rest is the camera's. SI units.
 """
 
 from __future__ import annotations
@@ -59,7 +63,11 @@ _EYE3: Final = np.eye(3)
 
 
 class CameraCheck:
-    """Feed it every sighting, and the echoes from over the board; `delay_s` is to be added to the stamps."""
+    """Feed it every sighting, and the echoes from over the board.
+
+    `delay_s` is what is corrected of the delay so far: `link_delay_s` of it is to be taken off the times that
+    the link gives, `frame_delay_s` to be added to the frames'.
+    """
 
     def __init__(
         self,
@@ -71,7 +79,8 @@ class CameraCheck:
         self._motion, self._half_width_m = motion, board_half_width_m
         self._delay_walk = DELAY_WALK_S_RTS if delay_std_s > 0.0 else 0.0
         self.delay_s = 0.0
-        self.imu_by_link = False  # then it is the link's stamps that are off, not the camera's
+        self.imu_by_link, self.half_trip_s = False, 0.0  # of the link's round trip; 0: not known
+        self.link_delay_s = 0.0
         self._x = np.zeros(_STATES)
         self._x[_K] = 1.0
         self._P = np.diag([0.0] * 9 + [SCALE_STD**2, delay_std_s**2])
@@ -79,6 +88,11 @@ class CameraCheck:
         self._echoes: deque[tuple[float, float]] = deque(maxlen=4)  # time (s), our height over it (m)
         self._heights_m: tuple[float, float, float] | None = None  # when, as it is seen, by echoes
         self._ratios: list[float] = []  # of the height that is seen to the echo's
+
+    @property
+    def frame_delay_s(self) -> float:
+        """What is to be added to the frames' stamps (s)."""
+        return self.delay_s - self.link_delay_s
 
     @property
     def scale(self) -> tuple[float, float]:
@@ -158,6 +172,8 @@ class CameraCheck:
             self._forget_scale()  # by another moment's motion
         reach_s = SLEW * elapsed_s
         self.delay_s += max(-reach_s, min(reach_s, wanted_s - self.delay_s))
+        links_s = max(0.0, min(self.delay_s, self.half_trip_s)) if self.imu_by_link else 0.0
+        self.link_delay_s += max(-reach_s, min(reach_s, links_s - self.link_delay_s))
 
     def _hear(self, echo_s: float, height_m: float) -> None:
         """Of some echoes the median counts: single ones come from anywhere between sensor and floor."""
@@ -215,13 +231,16 @@ class CameraCheck:
             ),
             SourceComparison(
                 self._time_s,
-                Quantity.LINK_DELAY if self.imu_by_link else Quantity.CAMERA_DELAY,
+                Quantity.LINK_DELAY if self._by_link(d) else Quantity.CAMERA_DELAY,
                 "0 ms off",
                 f"{1e3 * d:+.0f} ms",
                 difference=1e3 * abs(d),
                 std=1e3 * self.delay_std_s,
             ),
         )
+
+    def _by_link(self, delay_s: float) -> bool:
+        return self.imu_by_link and abs(delay_s) - self.delay_std_s <= self.half_trip_s
 
     def begin_anew(self) -> None:
         """Forget what was compared, but the delay: another mission, or a time that no clock shows."""

@@ -244,14 +244,18 @@ class VehicleEstimator:
             return ZERO3
         return add(vector3(self._ekf.x[model.VELOCITY]), self.motion.moved(self._ekf.time_s, time_s)[1])
 
-    def state(self, now_s: float) -> VehicleState | None:
-        """The vehicle at now_s; None before the alignment, when the IMU is silent or ahead of the clock."""
+    def state(self, now_s: float, link_late_s: float = 0.0) -> VehicleState | None:
+        """The vehicle at now_s; None before the alignment, when the IMU is silent or ahead of the clock.
+
+        By `link_late_s` its newest sample is old although it is not silent.
+        """
         ekf, imu_age_s = self._ekf, now_s - self.newest_s
-        if ekf is None or not -FUTURE_S <= imu_age_s <= IMU_TIMEOUT_S:
+        if ekf is None or not -FUTURE_S <= imu_age_s <= IMU_TIMEOUT_S + link_late_s:
             return None
         moved = self.motion.moved(ekf.time_s, now_s)
         attitude = self._attitude_near(max(now_s, self.newest_s))
-        return vehicle_state(ekf, self._inertial, moved, attitude, now_s, imu_age_s, self.origin)
+        silent_s = imu_age_s - link_late_s
+        return vehicle_state(ekf, self._inertial, moved, attitude, now_s, silent_s, self.origin)
 
     # ------------------------------------------------------------ alignment
 

@@ -42,6 +42,8 @@ class BootClock:
         self._ahead_s = 0.0  # by how much the times given are ahead of the line's
         self._followed_s = 0.0  # by their clock
         self._last: dict[str, tuple[float, float]] = {}
+        # TIMESYNC takes both directions for equally slow: by how much its times are late, as others found out
+        self.late_s = 0.0
 
     @property
     def settled(self) -> bool:
@@ -74,7 +76,7 @@ class BootClock:
         unwrapped_s = self._unwrapped_s(stamp_s, now_s)
         if not -FUTURE_S <= now_s - line.to_ours(unwrapped_s) <= OLDEST_S:
             return None
-        return min(self._followed(line, unwrapped_s), now_s)
+        return min(self._followed(line, unwrapped_s) - self.late_s, now_s)
 
     def _unwrapped_s(self, stamp_s: float, now_s: float) -> float:
         """A stamp of 32 bits in ms may have wrapped: it is taken as the moment nearest to now."""

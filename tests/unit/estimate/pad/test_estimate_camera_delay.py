@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
+from companion.base.geometry import Quaternion, Vector3
+from companion.base.messages import Quantity
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_check import LARGEST_DELAY_S, CameraCheck
 from tests.unit.estimate.pad.pad_sway import FRAME_S, Sway, sightings
@@ -48,3 +52,41 @@ def test_a_sighting_of_something_else_is_passed_over() -> None:
 
 def test_the_correction_stays_within_its_bound() -> None:
     assert abs(learnt(Sway(-0.13), duration_s=20.0).delay_s) <= LARGEST_DELAY_S
+
+
+class LateMotion(MotionHistory):
+    """Samples that a link dates late by so much; what the check takes off it is taken off."""
+
+    def __init__(self, late_s: float) -> None:
+        super().__init__(3.0)
+        self.late_s = late_s
+        self.check: CameraCheck | None = None
+
+    def add(self, time_s: float, attitude: Quaternion, acceleration_ned_m_s2: Vector3, *rest: Any) -> None:
+        corrected_s = 0.0 if self.check is None else self.check.link_delay_s
+        super().add(time_s + self.late_s - corrected_s, attitude, acceleration_ned_m_s2, *rest)
+
+
+@pytest.mark.parametrize(
+    ("by_link", "late_s", "half_trip_s", "links_s", "quantity"),
+    [
+        (True, 0.04, 0.045, 0.04, Quantity.LINK_DELAY),
+        (True, 0.06, 0.1, 0.06, Quantity.LINK_DELAY),
+        # what a link of 20 ms cannot be late by is the camera's, and what it hears sooner delays nothing
+        (True, 0.04, 0.01, 0.01, Quantity.CAMERA_DELAY),
+        (True, -0.03, 0.1, 0.0, Quantity.LINK_DELAY),
+        (True, 0.04, 0.0, 0.0, Quantity.CAMERA_DELAY),  # a link whose round trip nobody has measured
+        (False, 0.04, 0.1, 0.0, Quantity.CAMERA_DELAY),
+    ],
+)
+def test_what_the_link_dates_late_is_dated_anew_as_far_as_its_round_trip_can_explain_it(
+    by_link: bool, late_s: float, half_trip_s: float, links_s: float, quantity: Quantity
+) -> None:
+    motion = LateMotion(late_s)
+    check = motion.check = CameraCheck(motion, 0.03, 0.65)
+    check.imu_by_link, check.half_trip_s = by_link, half_trip_s
+    for exposed_s, seen in sightings(Sway(0.0), motion, 16.0):
+        check.take(exposed_s + check.frame_delay_s, seen, 0.005**2)
+    assert check.link_delay_s == pytest.approx(links_s, abs=0.003)
+    assert check.frame_delay_s == pytest.approx(late_s - links_s, abs=0.003)
+    assert quantity in [comparison.quantity for comparison in check.comparisons]

@@ -148,3 +148,20 @@ def test_the_time_across_a_reboot_is_no_interval() -> None:
     first = back[0].instant
     assert first is not None
     assert first.interval_s is None
+
+
+def test_what_is_known_to_come_later_than_it_goes_is_dated_anew_in_order() -> None:
+    far = FarClock(lambda ours_s: 700.0 + ours_s, back=lambda _: 0.081)
+    far.run(4.0)
+    assert far.heard[-1].error_s == pytest.approx(0.04, abs=1e-3)
+    far = FarClock(lambda ours_s: 700.0 + ours_s, back=lambda _: 0.081)
+
+    def slew(told_s: float) -> float:
+        far.clock.late_s = min(0.04, max(0.0, 0.01 * (told_s - 1.0)))
+        return 700.0 + told_s
+
+    far.theirs = slew
+    heard = usable(far.run(8.0), 6.0)
+    assert max(abs(sample.error_s) for sample in heard) < 1e-3
+    times_s = [sample.instant.time_s for sample in usable(far.heard) if sample.instant is not None]
+    assert all(later_s > time_s for time_s, later_s in pairwise(times_s))
