@@ -41,6 +41,8 @@ class MagSample:
 class GpsFix:
     """One three-dimensional fix (no fix is no message). Altitude (m) is above mean sea level.
 
+    Of a receiver that sends NAV-SOL alone it is above the ellipsoid; its driver says so, and
+    `vertical_accuracy_m` contains what the two may differ by.
     `vertical_speed_accuracy_m_s` is given when it differs from `speed_accuracy_m_s`: a source without a
     vertical speed gives 0 with an accuracy that says so.
     """

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from companion.base.geometry import FloatArray, Vector3, ned_from_geodetic
+from companion.base.geometry import FloatArray, Vector3, ned_from_geodetic, norm
 from companion.base.message_json import encode
 from companion.flightlog.errors import settled
 from companion.flightlog.replay.flight_record import (
@@ -25,6 +25,7 @@ from companion.flightlog.replay.flight_record import (
     TrackName,
     track_of,
 )
+from companion.flightlog.replay.plausible import implausible
 from companion.flightlog.replay.run import Replayed
 
 _STATES_OF_AN_ANSWER: Final = 2  # the vehicle's and the pad's
@@ -168,7 +169,18 @@ def build_result(
         if last is None
         else Biases(gyro_rad_s=last.gyro_bias_rad_s, accel_m_s2=last.accel_bias_m_s2),
         repetition=repetition(record, replayed) if repeats and record.states else None,
-        notes=(*notes, *record.notes),
+        notes=(
+            *notes,
+            *record.notes,
+            *implausible(
+                last,
+                max((norm(v.velocity_ned_m_s) for v in vehicles if v.has_gps), default=0.0),
+                replayed.samples,
+                replayed.refused[-1][1],
+                record.references,
+                _origin(replayed),
+            ),
+        ),
     )
 
 

@@ -51,9 +51,20 @@ _ACK_ACK, _ACK_NAK = b"\x05\x01", b"\x05\x00"
 _VERSION: Final = b"\x0a\x04"
 _REFUSED_FIX: Final = frozenset(FIX_MESSAGES) | frozenset(PVT_MESSAGE)
 _PARTS: Final = FIX_MESSAGES | PVT_MESSAGE | TRUST_MESSAGES
-_LENGTHS: Final = {"PVT": 92, "POSLLH": 28, "STATUS": 16, "DOP": 18, "SOL": 52, "VELNED": 36}
+# NAV-PVT grew from 84 bytes (u-blox 7) to 92 (u-blox 8 on)
+_LENGTHS: Final = {
+    "PVT": (84, 92),
+    "POSLLH": (28,),
+    "STATUS": (16,),
+    "DOP": (18,),
+    "SOL": (52,),
+    "VELNED": (36,),
+}
 _SENTENCES: Final = (b"RMC", b"GGA", b"GSA")
 ONLY_NMEA: Final = "sends no UBX fixes; NMEA serves, without vertical speed"
+ABOVE_ELLIPSOID: Final = (
+    "sends NAV-SOL alone: altitudes are above the ellipsoid, up to 110 m from sea level's"
+)
 _SOL_ONLY_EPOCHS: Final = 2  # so many without another position are no accident of the line
 
 
@@ -129,7 +140,9 @@ class Neo6m:
         change = self._find_rate(now_s)
         if self.configured:
             self._watch_for_silence(now_s)
-        self.problem = self._line_problem(now_s) or self._unanswered or self._refused
+        self.problem = (
+            self._line_problem(now_s) or self._altitude_problem or self._unanswered or self._refused
+        )
         if not self._line.there:
             return port_command(self._line.wanted) if change else b""
         if not self._concluded and self._next >= len(self._commands):
@@ -192,6 +205,11 @@ class Neo6m:
             return None
         return f"{self.name}: no fix" + (" to trust" if self._doubted_s >= since_s else "")
 
+    @property
+    def _altitude_problem(self) -> str | None:
+        by_sol = self._sol_only_epochs >= _SOL_ONLY_EPOCHS and self._separation_m is None
+        return f"{self.name}: {ABOVE_ELLIPSOID}" if by_sol else None
+
     def _watch_for_silence(self, now_s: float) -> None:
         if self._ubx_seen or self._nmea_seen or self._quiet_since_s is None:
             self._ubx_seen = self._nmea_seen = False
@@ -234,7 +252,7 @@ class Neo6m:
             self.name, self._named = receiver_name(message.data[6:-2]), True
             return None
         part = _PARTS.get(identity)
-        if part is None or len(message.data) != _LENGTHS[part] + UBX_OVERHEAD:
+        if part is None or len(message.data) - UBX_OVERHEAD not in _LENGTHS[part]:
             return None
         # pyubx2 turns iTOW into a time of day: take the milliseconds as they are
         (time_of_week_ms,) = struct.unpack_from("<I", message.data, 6)

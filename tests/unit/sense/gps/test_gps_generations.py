@@ -102,3 +102,16 @@ def test_one_that_sends_neither_keeps_nmea_and_is_named() -> None:
 def test_one_that_refuses_every_old_command_serves_by_its_nmea() -> None:
     _, times_s = run(Later(old_commands=False, pvt=False))
     assert sum(time_s > 20.0 for time_s in times_s) >= 19
+
+
+@pytest.mark.parametrize("length", [84, 92])
+def test_nav_pvt_is_read_from_one_that_cannot_be_configured(length: int) -> None:
+    """u-blox 7 sends 84 bytes, later ones 92; with its TX wire alone connected nothing is ever answered."""
+    driver, fixes = Neo6m(GpsConfig()), []
+    for k in range(25):
+        now_s = 0.2 * k
+        driver.pending(now_s)
+        fixes += driver.feed(ubx(*NAV_PVT, pvt_payload(302_400_000 + 200 * k, READING)[:length]), now_s)
+    assert len(fixes) == 25
+    assert fixes[-1].altitude_m == pytest.approx(400.0)
+    assert fixes[-1].velocity_ned_m_s == pytest.approx((1.0, 2.0, -0.5))

@@ -10,7 +10,7 @@ import pytest
 from companion.base.messages import GpsFix
 from companion.config import GpsConfig
 from companion.sense.gps.baud_rate import SILENCE_S
-from companion.sense.gps.neo6m import Neo6m
+from companion.sense.gps.neo6m import ABOVE_ELLIPSOID, Neo6m
 from sitl.devices.neo6m import nmea, ubx
 
 START_MS = 302_400_200
@@ -140,6 +140,7 @@ def test_a_receiver_with_nothing_but_sol_gives_position_and_velocity() -> None:
     assert fix.altitude_m == pytest.approx(447.0, abs=0.02)
     assert fix.vertical_accuracy_m > 40.0
     assert line.fixes[1].time_s - fix.time_s == pytest.approx(0.2, abs=0.01)
+    assert line.driver.problem == f"{line.driver.name}: {ABOVE_ELLIPSOID}"
 
 
 def test_the_sea_level_is_remembered_from_posllh() -> None:
@@ -150,6 +151,7 @@ def test_the_sea_level_is_remembered_from_posllh() -> None:
         line.epoch(sol(line.itow))
     assert line.fixes[-1].altitude_m == pytest.approx(400.5, abs=0.02)
     assert line.fixes[-1].vertical_accuracy_m == pytest.approx(3.1)
+    assert ABOVE_ELLIPSOID not in (line.driver.problem or "")
 
 
 def test_one_epoch_that_has_lost_the_rest_is_not_taken_for_a_habit() -> None:
