@@ -26,8 +26,8 @@ calibrate-magnetometer turns.csv --unit mG --position 47.40,8.55,430 \\
     --date 2026-05-01
 calibrate-magnetometer 00000042.BIN
 
-Exit codes: 0 calibrated, 1 refused as not good enough (the picture shows why; only --force writes the file),
-2 user error, 130 interrupted.
+Exit codes: 0 calibrated, 1 refused as not good enough (the picture shows why; only --force writes it), or
+none at all (samples in a plane: --force has nothing to write either), 2 user error, 130 interrupted.
 """
 
 cli = new_app()
@@ -113,7 +113,12 @@ def calibrate_command(
         float, typer.Option("--time-limit", help="Live: stop after this many seconds.", metavar="S", min=1.0)
     ] = 300.0,
     force: Annotated[
-        bool, typer.Option("--force", help="Write the file even if it is refused; the file says so.")
+        bool,
+        typer.Option(
+            "--force",
+            help="Write the file even if it is refused; the file says so. "
+            "Samples that determine no calibration (in a plane) leave nothing to write.",
+        ),
     ] = False,
     version: VersionOption = False,
 ) -> None:

@@ -83,7 +83,7 @@ def calibrate_magnetometer(job: MagnetometerCalibrationJob) -> None:
     if field is None and taken.place is not None:
         field = field_at(taken.place, year, f"{taken.source}'s own position")
     kind: Objective | None = None if objective == "auto" else objective  # type: ignore[assignment]
-    done = _calibrated(taken, field, job.align, kind)
+    done = _calibrated(taken, field, kind, job)
     console.print(result_table(done, field))
     refused = done.file.quality.verdict == "refused" and not job.force
     for line in lines(done, refused=refused):
@@ -151,7 +151,10 @@ async def _live(
 
 
 def _calibrated(
-    taken: MagnetometerRecording, field: TrueField | None, aligned: bool, objective: Objective | None
+    taken: MagnetometerRecording,
+    field: TrueField | None,
+    objective: Objective | None,
+    job: MagnetometerCalibrationJob,
 ) -> Calibrated:
     now = datetime.fromtimestamp(start_unix_s(virtual=True), UTC)
     try:
@@ -159,13 +162,14 @@ def _calibrated(
             taken,
             _rng(),
             field=field,
-            aligned=aligned,
+            aligned=job.align,
             objective=objective,
             tool=f"{PROGRAM} {__version__}",
             date=now.strftime("%Y-%m-%dT%H:%M:%SZ"),
         )
     except UnfitError as error:
-        raise RefusedError(f"{taken.source}: {error}") from error
+        in_vain = "; --force has nothing to write" if job.force else ""
+        raise RefusedError(f"{taken.source}: {error}{in_vain}") from error
 
 
 def _write(done: Calibrated, job: MagnetometerCalibrationJob, console: Console) -> None:
