@@ -14,7 +14,7 @@ class AlignmentConfig(StrictModel):
     """The first attitude and the gyroscope's bias, from standing still before arming."""
 
     still_s: float = Field(default=2.0, ge=0.5, le=20.0)
-    timeout_s: float = Field(default=15.0, ge=1.0, le=120.0)  # then start without: larger uncertainty
+    timeout_s: float = Field(default=15.0, ge=1.0, le=120.0)  # so long a rest replaces a start in motion
     still_rate_rad_s: float = Field(default=0.02, gt=0.0, le=0.2)  # standard deviation that counts as still
     still_force_m_s2: float = Field(default=0.25, gt=0.0, le=2.0)
 

@@ -1,16 +1,31 @@
 """Standing still: the detector, and the first attitude and gyroscope bias from the mean of a few seconds.
 
 Samples are judged in blocks of 0.1 s by the standard deviation within the block, so that a constant bias
-is not taken for motion. FRD, SI units, µT.
+is not taken for motion. In motion the gyroscope holds the blocks of the last seconds together: turned into
+the present axes, their mean force is gravity but for the change of velocity over that time, and their mean
+field is the Earth's. FRD, SI units, µT.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
-from companion.base.geometry import ZERO3, Vector3, add, norm, scale, subtract
+from companion.base.geometry import (
+    IDENTITY,
+    ZERO3,
+    Quaternion,
+    Vector3,
+    add,
+    norm,
+    quat_integrate,
+    quat_rotate,
+    quat_rotate_inverse,
+    scale,
+    subtract,
+)
 from companion.config import AlignmentConfig
 
 BLOCK_S: Final = 0.1
@@ -71,7 +86,7 @@ class StillnessDetector:
 
 @dataclass(frozen=True, slots=True)
 class InitialAlignment:
-    """Mean readings of the stand-still; `still` False: the time ran out first and they are inaccurate."""
+    """Mean readings; `still` False: of a vehicle in motion, turned into its present axes, and inaccurate."""
 
     rate_body_rad_s: Vector3
     specific_force_body_m_s2: Vector3
@@ -80,35 +95,46 @@ class InitialAlignment:
     still: bool
 
 
+class _Felt(NamedTuple):
+    """A block in the axes of the first one; no field where the magnetometer has not spoken within it."""
+
+    force: Vector3
+    field: Vector3 | None
+
+
 class StaticAligner:
-    """Collects still blocks until there are enough in a row and the magnetometer has spoken."""
+    """Collects blocks until enough in a row are still, or as many have gone by in motion.
+
+    The magnetometer has to have spoken. After a start in motion a rest is still looked for, until
+    `timeout_s`: it knows more.
+    """
 
     def __init__(self, config: AlignmentConfig) -> None:
         self._config = config
         self._start_s: float | None = None
-        self._last_field: Vector3 | None = None
         self._rate, self._force, self._field = ZERO3, ZERO3, ZERO3
         self._count = self._blocks = self._fields = 0
+        self._turn: Quaternion = IDENTITY  # since the first block
+        self._felt: deque[_Felt] = deque(maxlen=math.ceil(config.still_s / BLOCK_S))
+        self._block_field, self._block_fields = ZERO3, 0
+        self._end_s: float | None = None
 
     def add_field(self, field_body_ut: Vector3) -> None:
         """Take one magnetometer sample."""
         self._field = add(self._field, field_body_ut)
-        self._last_field = field_body_ut
         self._fields += 1
+        self._block_field = add(self._block_field, field_body_ut)
+        self._block_fields += 1
 
     def add_block(self, time_s: float, block: Block) -> InitialAlignment | None:
-        """Take one block of IMU samples; the alignment when it is complete."""
+        """Take one block of IMU samples, ended at time_s; the alignment when there is one."""
         if self._start_s is None:
-            self._start_s = time_s
-        late = time_s - self._start_s > self._config.timeout_s
+            self._start_s = time_s - BLOCK_S
+        self._feel(time_s, block)
         if not self._stands(block):
             self._restart()
-            if not late or self._last_field is None:
-                return None
-            # no stand-still comes: the present sample, for a mean over a motion is the attitude of no instant
-            return InitialAlignment(
-                block.rate_body_rad_s, block.specific_force_body_m_s2, self._last_field, block.samples, False
-            )
+            in_motion = time_s - self._start_s >= self._config.still_s - BLOCK_S
+            return self._in_motion(block) if in_motion else None
         n = block.samples
         self._rate = add(self._rate, scale(block.rate_body_rad_s, n))
         self._force = add(self._force, scale(block.specific_force_body_m_s2, n))
@@ -119,6 +145,33 @@ class StaticAligner:
         k = 1.0 / self._count
         field = scale(self._field, 1.0 / self._fields)
         return InitialAlignment(scale(self._rate, k), scale(self._force, k), field, self._count, still=True)
+
+    def expired(self, time_s: float) -> bool:
+        """Whether a rest is not looked for any more."""
+        return self._start_s is not None and time_s - self._start_s > self._config.timeout_s
+
+    def _feel(self, time_s: float, block: Block) -> None:
+        span_s = BLOCK_S if self._end_s is None else time_s - self._end_s
+        middle = quat_integrate(self._turn, block.rate_body_rad_s, 0.5 * span_s)
+        field = None
+        if self._block_fields:
+            field = quat_rotate(middle, scale(self._block_field, 1.0 / self._block_fields))
+        self._felt.append(_Felt(quat_rotate(middle, block.specific_force_body_m_s2), field))
+        self._turn = quat_integrate(self._turn, block.rate_body_rad_s, span_s)
+        self._end_s, self._block_field, self._block_fields = time_s, ZERO3, 0
+
+    def _in_motion(self, block: Block) -> InitialAlignment | None:
+        fields = [felt.field for felt in self._felt if felt.field is not None]
+        if not fields:
+            return None
+        force = _mean([felt.force for felt in self._felt])
+        return InitialAlignment(
+            block.rate_body_rad_s,
+            quat_rotate_inverse(self._turn, force),
+            quat_rotate_inverse(self._turn, _mean(fields)),
+            block.samples,
+            still=False,
+        )
 
     def _stands(self, block: Block) -> bool:
         """Still within the block, and the same as in the blocks before: slow oscillation moves the mean."""
@@ -135,3 +188,10 @@ class StaticAligner:
     def _restart(self) -> None:
         self._rate, self._force, self._field = ZERO3, ZERO3, ZERO3
         self._count = self._blocks = self._fields = 0
+
+
+def _mean(vectors: list[Vector3]) -> Vector3:
+    total = ZERO3
+    for vector in vectors:
+        total = add(total, vector)
+    return scale(total, 1.0 / len(vectors))

@@ -93,10 +93,14 @@ class VehicleEkf(EkfState):
         self._take_measured(item)
 
     def _shown_by_fixes(self, noise: StepNoise) -> StepNoise:
-        """Vibration says how much the force's mean may be off; while fixes come, they show whether it is."""
+        """Vibration says how much the force's mean may be off; fixes show whether it is.
+
+        What they have shown lasts without them; at least it is off by what vibration usually leaves.
+        """
+        shown = min(noise.force_error_m_s2, self.fix_watch.force_error_m_s2)
         if self.time_s - self.gps_time_s > GPS_TIMEOUT_S:
-            return noise
-        return noise._replace(force_error_m_s2=min(noise.force_error_m_s2, self.fix_watch.force_error_m_s2))
+            shown = max(shown, noise.usual_force_error_m_s2)
+        return noise._replace(force_error_m_s2=shown)
 
     def carried(
         self, base: EkfSnapshot, later: Sequence[EkfSnapshot], time_s: float, item: EkfInput

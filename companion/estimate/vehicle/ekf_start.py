@@ -28,6 +28,8 @@ GYRO_BIAS_WALK_RAD_S_RTS: Final = 2e-5
 FIELD_WALK_UT_RTS: Final = 0.005
 MAG_BIAS_WALK_UT_RTS: Final = 0.02
 
+MOVING_SPEED_M_S: Final = 10.0  # an axis, of a vehicle that is started in motion
+
 # keeps the covariance positive definite along the quaternion's length and the Euler angles, which are
 # functions of other states (1e-5 rad)
 TINY_VARIANCE: Final = 1e-10
@@ -47,6 +49,7 @@ class InitialState:
     tilt_std_rad: float
     heading_std_rad: float
     gyro_bias_std_rad_s: float
+    speed_std_m_s: float = 0.1
 
 
 def start_state(time_s: float, found: InitialAlignment, config: EstimateConfig) -> InitialState | None:
@@ -66,6 +69,7 @@ def start_state(time_s: float, found: InitialAlignment, config: EstimateConfig) 
         tilt_std_rad=math.radians(2.0 if found.still else 15.0),
         heading_std_rad=math.radians(1.5 if found.still else 40.0),
         gyro_bias_std_rad_s=gyro_std if found.still else math.radians(1.0),
+        speed_std_m_s=0.1 if found.still else MOVING_SPEED_M_S,
     )
 
 
@@ -99,7 +103,7 @@ def initial_covariance(config: EkfConfig, start: InitialState) -> FloatArray:
     diagonal = P.reshape(-1)[:: model.STATES + 1]
     diagonal[model.RATE] = 0.1**2
     diagonal[model.POSITION] = 1.0
-    diagonal[model.VELOCITY] = 0.1**2
+    diagonal[model.VELOCITY] = start.speed_std_m_s**2
     diagonal[model.ACCELERATION] = 0.5**2
     diagonal[model.ACCEL_BIAS] = config.accel_bias_std_m_s2**2
     diagonal[model.GYRO_BIAS] = start.gyro_bias_std_rad_s**2

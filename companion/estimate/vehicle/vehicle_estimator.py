@@ -79,7 +79,7 @@ class VehicleEstimator:
         self._antenna_body_m = antenna_body_m
         self.motion = motion
         self._detector = StillnessDetector(config.alignment)
-        self._aligner = StaticAligner(config.alignment)
+        self._aligner: StaticAligner | None = StaticAligner(config.alignment)
         self._orientation: Orientation | None = None
         self._ekf: VehicleEkf | None = None
         self._timeline: Timeline[EkfSnapshot, EkfInput] | None = None
@@ -128,7 +128,7 @@ class VehicleEstimator:
                 self._reset.note_gap(sample.time_s, dt_s)
             self._move(sample, dt_s)
             self._collect(sample)
-        elif block is not None:
+        if block is not None and self._aligner is not None:
             self._try_to_align(sample.time_s, block)
         return True
 
@@ -138,8 +138,9 @@ class VehicleEstimator:
             return False
         dt_s = min(sample.time_s - self._mag_s, LONGEST_STEP_S)
         self._mag_s = sample.time_s
-        if self._orientation is None:
+        if self._aligner is not None:
             self._aligner.add_field(sample.field_body_ut)
+        if self._orientation is None:
             return True
         self._orientation.update_mag(sample.field_body_ut, dt_s)
         if self._orientation.mag_trusted:
@@ -260,10 +261,20 @@ class VehicleEstimator:
     # ------------------------------------------------------------ alignment
 
     def _try_to_align(self, time_s: float, block: Block) -> None:
+        """Start as soon as there is something to start from, and once more at a rest soon after."""
+        assert self._aligner is not None
         found = self._aligner.add_block(time_s, block)
-        start = None if found is None else start_state(time_s, found, self._config)
-        if found is None or start is None:
+        if self._ekf is not None and self._aligner.expired(time_s):
+            self._aligner = None
+        if found is None or (self._ekf is not None and not found.still):
             return
+        start = start_state(time_s, found, self._config)
+        if start is None:
+            return
+        if found.still:
+            self._aligner = None
+        self._strapdown, self._fields, self._span_s = Strapdown(), VectorMean(), None
+        self._second_gyro, self._reset = SecondGyro(), AttitudeReset()
         self._orientation = new_orientation(self._config, start.attitude)
         self._ekf = VehicleEkf(self._config.ekf, self._antenna_body_m, start)
         self._timeline = Timeline(self._ekf, self._config.ekf.remember_s)

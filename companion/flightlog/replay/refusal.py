@@ -28,12 +28,12 @@ def why_unaligned(events: Sequence[RecordedEvent], alignment: AlignmentConfig) -
     if len(times) < 2 or not fields:
         return f"{len(times)} samples of the IMU and {fields} of the magnetometer; expected a stream of each"
     span_s = max(times) - min(times)
-    rest_s, moving_s = _longest_rest_s(imu, alignment), alignment.timeout_s + alignment.still_s
+    rest_s, moving_s = _longest_rest_s(imu, alignment), alignment.still_s + BLOCK_S
     reasons = shortcomings(events)
     if rest_s < alignment.still_s:
         reasons.append(
             f"it is at rest for {rest_s:.1f} s at most and {span_s:.1f} s long; expected "
-            f"{alignment.still_s:g} s at rest, or more than {moving_s:g} s in motion"
+            f"{alignment.still_s:g} s at rest, or {moving_s:g} s in motion"
         )
     return "; ".join(reasons) or "the accelerometer or the magnetometer measures nothing (zeros)"
 
