@@ -6,7 +6,7 @@ import pytest
 
 from companion.base.geometry import IDENTITY, ZERO3, Vector3
 from companion.base.messages import VehicleState
-from companion.flightlog.replay.flight_record import RecordedReference
+from companion.flightlog.replay.flight_record import RecordedReference, Source
 from companion.flightlog.replay.plausible import implausible
 
 PLACE: Vector3 = (47.3, 8.5, 488.0)
@@ -34,7 +34,7 @@ def notes(
     refused: dict[str, int] | None = None,
     truth: Vector3 = PLACE,
 ) -> list[str]:
-    references = {"truth": RecordedReference({}, truth)}
+    references: dict[Source, RecordedReference] = {"truth": RecordedReference({}, truth)}
     return implausible(state, fastest_m_s, {"mag": 1000}, refused or {"field_gate": 100}, references, PLACE)
 
 

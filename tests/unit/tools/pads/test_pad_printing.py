@@ -143,7 +143,7 @@ def test_texts_on_a_large_sheet_are_read_from_further_away(name: str) -> None:
     assert sizes_pt[len(sizes_pt) // 3] >= 8.0
     (page,) = draw_pad(pad)
     texts = [text for text in page.figure.axes[0].texts if "100 %" in text.get_text()]
-    assert [text.get_fontsize() >= 10.0 for text in texts] == [True] * len(texts) != []
+    assert [float(text.get_fontsize()) >= 10.0 for text in texts] == [True] * len(texts) != []
     # on A4 as small as ever
     small = load_pad("indoor_400")
     assert {label.size_pt for label in place_labels(small, small.tiling())[0]} == {4.0}
