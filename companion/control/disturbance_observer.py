@@ -142,32 +142,36 @@ class WindObserver:
     however late they are measured, are no wind. It is known late, and acted upon later still; a gust lasts,
     so its trend carries it on.
 
-    A turbulent wind's force is a random walk from a tenth of a second to some seconds, and the Kalman filter
-    of one in white noise is a first-order lag of the root of the two densities' ratio. Its trend is smoothed
-    in proportion.
+    A turbulent wind's force is a random walk from a tenth of a second to some seconds. The sensor's noise
+    moves the vehicle hardly less by a longer lag, the walk moves it more: the lag is as long as its own error
+    stays half of the noise's, and spares the tilts that noise would ask for in calm air. The walk's density
+    is learnt from the difference of two means: its mean square is density (T2 - T1)^2 / (2 (T1 + T2)), and
+    the noise's own part in it noise (1 / 2 T1 + 1 / 2 T2 - 2 / (T1 + T2)).
     """
 
-    # m2/s5; on an x500 in 8 m/s of moderate turbulence 0.27 to 0.40, in 5 m/s of light 0.04 to 0.06
-    WALK_DENSITY: Final = 0.3
-    QUICKEST_S: Final = 0.03  # what is left of the vehicle's own vibration and of a cycle's jitter
-    TREND_TIMES: Final = 10.0
+    QUICKEST_S: Final = 0.03
+    SLOWEST_S: Final = 0.3
+    FIRST_WALK: Final = 0.3  # m2/s5, as on an x500 in 8 m/s of moderate turbulence
+    WALK_MEMORY_S: Final = 10.0
+    TREND_TIMES: Final = 10.0  # the trend is smoothed in proportion
     MEAN_S: Final = 1.0
+    SLOW_MEAN_S: Final = 3.0
     MOST_CHANGE_M_S2: Final = 1.0  # a steeper trend is a gust that is over before
 
     def __init__(self, sensor_lag_s: float, maximum_m_s2: float) -> None:
         """`sensor_lag_s` is how late the side force is measured."""
         self._lag_s, self._maximum_m_s2 = sensor_lag_s, maximum_m_s2
-        self._smoothing_s = self.QUICKEST_S
-        self.mean_wind_ned_m_s2: Vector3 = ZERO3
+        self._smoothing_s, self._walk, self._noise = self.QUICKEST_S, self.FIRST_WALK, 0.0
+        self.mean_wind_ned_m_s2 = self._slow_wind_ned_m_s2 = ZERO3
         self._known = False  # the mean of late, which outlives a start anew
         self.reset()
 
     def reset(self) -> None:
-        """Start again: the first measurement is taken as it is."""
+        """Start again, from the mean of late; without one the first measurement is taken as it is."""
         self._begun = False
         self.thrust_ned_m_s2: Vector3 = ZERO3
         self.late_thrust_ned_m_s2: Vector3 = ZERO3
-        self.wind_ned_m_s2: Vector3 = ZERO3
+        self.wind_ned_m_s2: Vector3 = self.mean_wind_ned_m_s2
         self._trend_ned_m_s3: Vector3 = ZERO3
 
     def ahead_ned_m_s2(self, ahead_s: float) -> Vector3:
@@ -193,17 +197,31 @@ class WindObserver:
         self.late_thrust_ned_m_s2 = (x - a, y - b, z)
         bound, before = self._maximum_m_s2, self.wind_ned_m_s2
         wind = (_clamp(a, bound), _clamp(b, bound), 0.0)
-        optimum_s = math.sqrt(vehicle.acceleration_density_m2_s3 / self.WALK_DENSITY)
-        self._smoothing_s = max(self.QUICKEST_S, optimum_s)
-        smoothing = elapsed_s / self._smoothing_s if self._begun else math.inf
+        smoothing = elapsed_s / self._smoothing_s if self._known else math.inf
         self.wind_ned_m_s2 = _follow(before, wind, smoothing)
-        smoothing = elapsed_s / self.MEAN_S if self._known else math.inf
-        self.mean_wind_ned_m_s2, self._known = _follow(self.mean_wind_ned_m_s2, wind, smoothing), True
+        self._learn(wind, vehicle.acceleration_density_m2_s3, elapsed_s)
         if elapsed_s > 0.0 and self._begun:
             slope = scale(subtract(self.wind_ned_m_s2, before), 1.0 / elapsed_s)
             smoothing = elapsed_s / (self.TREND_TIMES * self._smoothing_s)
             self._trend_ned_m_s3 = _follow(self._trend_ned_m_s3, slope, smoothing)
         self._begun = True
+
+    def _learn(self, wind: Vector3, density_m2_s3: float, elapsed_s: float) -> None:
+        """The means, the noise, the walk and the lag that suits them.
+
+        A blow passes for noise for a while: it doubles in a second at most.
+        """
+        mean, slow = (elapsed_s / t if self._known else math.inf for t in (self.MEAN_S, self.SLOW_MEAN_S))
+        self.mean_wind_ned_m_s2 = _follow(self.mean_wind_ned_m_s2, wind, mean)
+        self._slow_wind_ned_m_s2 = _follow(self._slow_wind_ned_m_s2, wind, slow)
+        self._known = True
+        least = self.QUICKEST_S**2 * self.FIRST_WALK
+        self._noise = min(density_m2_s3, max(self._noise, least) * 2.0**elapsed_s)
+        north, east, _ = subtract(self.mean_wind_ned_m_s2, self._slow_wind_ned_m_s2)
+        walk = north * north + east * east - self._noise / 3.0  # both axes'
+        self._walk += _share(elapsed_s / self.WALK_MEMORY_S) * (walk - self._walk)
+        suits_s = 0.5 * math.sqrt(self._noise / max(self._walk, least))
+        self._smoothing_s = min(max(self.QUICKEST_S, suits_s), self.SLOWEST_S)
 
 
 def _follow(state: Vector3, measured: Vector3, exponent: float) -> Vector3:

@@ -213,12 +213,14 @@ class PoseTrack:
         if last.time_s - MEMORY_S < pose.time_s <= last.time_s:
             return None
         if not 0.0 < pose.time_s - last.time_s < GAP_S:
-            return self._begin(pose, last.simulated_s)
+            return self._begin(pose, last.simulated_s + max(0.0, pose.time_s - last.time_s))
         step_s = pose.simulated_s - self._stamp_s
-        if not 0.0 <= step_s < GAP_S:  # without stamps, or by a clock that was set
+        if not -GAP_S < step_s < GAP_S:  # without stamps, or by a clock that was set
             step_s = pose.time_s - last.time_s
-        self._stamp_s = pose.simulated_s
-        kept = _smoothed(last, pose._replace(simulated_s=last.simulated_s + step_s))
+            self._stamp_s = pose.simulated_s
+        # one that was read late goes back by a little: the next makes up for it
+        self._stamp_s = max(self._stamp_s, pose.simulated_s)
+        kept = _smoothed(last, pose._replace(simulated_s=last.simulated_s + max(step_s, 0.0)))
         older = tuple(p for p in self._poses if p.time_s > pose.time_s - MEMORY_S)
         self._poses = (*older, kept)
         return kept

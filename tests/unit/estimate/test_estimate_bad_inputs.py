@@ -250,7 +250,7 @@ def test_a_state_that_is_no_number_is_no_state(
     state = estimator.vehicle(FROM_S)
     assert state is not None
     spoilt = replace(state, **{name: (wrong, *getattr(state, name)[1:])})  # type: ignore[arg-type]
-    monkeypatch.setattr(estimator._vehicle, "state", lambda _now_s: spoilt)
+    monkeypatch.setattr(estimator._vehicle, "state", lambda *_times: spoilt)
     assert estimator.vehicle(FROM_S) is None
 
 

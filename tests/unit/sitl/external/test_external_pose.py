@@ -6,6 +6,7 @@ import math
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 import pytest
 
 from companion.base.geometry import ned_from_geodetic, quat_from_euler, rotation_vector_from_quat
@@ -172,3 +173,13 @@ def test_without_stamps_or_by_a_clock_that_was_set_the_simulator_goes_on_as_our_
     times = [track.at(time_s).simulated_s for time_s in (1.0, 1.1, 1.2, 1.3, 1.4, 1.45)]
     steps = [b - a for a, b in pairwise(times)]
     assert steps == pytest.approx([0.02, 0.1, 0.1, 0.1, 0.05])
+
+
+def test_a_stamp_that_was_read_late_neither_stops_the_clock_nor_drives_it_on() -> None:
+    track, rng = PoseTrack(), np.random.default_rng(1)
+    for k in range(3000):
+        late_s = float(rng.uniform(-0.004, 0.004))
+        track.put(pose(1.0 + 0.01 * k, 0.0, 0.0)._replace(simulated_s=0.0098 * k + late_s))
+    newest = track.newest
+    assert newest is not None
+    assert newest.simulated_s - 1.0 == pytest.approx(0.98 * (newest.time_s - 1.0), abs=0.02)
