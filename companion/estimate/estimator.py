@@ -245,8 +245,8 @@ class StateEstimator:
         if state is None:
             return None
         moves = (*state.position_ned_m, *state.velocity_ned_m_s, *state.acceleration_ned_m_s2)
-        moves += (*state.side_force_ned_m_s2, state.acceleration_density_m2_s3)
-        return state if _finite((*moves, *state.attitude, *state.rate_body_rad_s)) else None
+        felt = (*state.side_force_ned_m_s2, state.acceleration_density_m2_s3)
+        return state if _finite((*moves, *felt, *state.attitude, *state.rate_body_rad_s)) else None
 
     def pad(self, now_s: float) -> PadState | None:
         """The pad, predicted to now_s; None before the first sighting, unseen for too long, or not finite."""
