@@ -50,7 +50,7 @@ _HEARTBEAT_S: Final = 1.0
 _TIMESYNC_S: Final = 0.2
 _TIMESYNC_QUICK_S: Final = 0.1  # at the start, and where samples are stamped by it: as often as PX4 asks us
 _TIMESYNC_START_COUNT: Final = 10
-_ANSWERED_S: Final = 2.0 * _TIMESYNC_S  # one question in a row may be lost
+_QUESTIONS: Final = 5  # while it goes by a setpoint: with one of them lost, a loss is known in that time
 _HOME_S: Final = 2.0
 
 
@@ -138,8 +138,14 @@ class Session:
 
     def silent_s(self, now_s: float) -> float:
         """For how long (s) nothing has been received, or nothing has shown that it receives us."""
-        unanswered_s = now_s - self.state.round_trip_time_s - _ANSWERED_S
+        unanswered_s = now_s - self.state.round_trip_time_s - 2.0 * self._asks_every_s
         return max(now_s - self.heard_s, unanswered_s if math.isfinite(unanswered_s) else 0.0)
+
+    @property
+    def _asks_every_s(self) -> float:
+        """How often it is asked for the time, which shows that it hears us."""
+        setup = self._setup.setup
+        return _TIMESYNC_S if setup is None else min(_TIMESYNC_S, setup.keeps_setpoint_s / _QUESTIONS)
 
     @property
     def counters(self) -> codec.CodecCounters:
@@ -352,7 +358,8 @@ class Session:
         if now_s < self._timesync_due_s:
             return
         quick = self._syncs_sent < _TIMESYNC_START_COUNT or self.onboard is not None
-        self._timesync_due_s = now_s + (_TIMESYNC_QUICK_S if quick else _TIMESYNC_S)
+        usual_s = self._asks_every_s
+        self._timesync_due_s = now_s + (min(_TIMESYNC_QUICK_S, usual_s) if quick else usual_s)
         self._syncs_sent += 1
         messages.append(codec.timesync(0, self.timesync.ask(now_s)))
 

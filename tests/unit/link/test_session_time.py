@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from companion.base.messages import AutopilotSetup
 from companion.config import LinkConfig
 from companion.link.codec import Codec, mavlink, timesync
 from companion.link.session import Session
@@ -91,6 +92,20 @@ def test_an_autopilot_that_no_longer_hears_us_is_silent_though_it_talks() -> Non
     flight.run(2.0)
     assert flight.now_s - flight.session.heard_s < 0.1
     assert flight.session.silent_s(flight.now_s) == pytest.approx(1.6, abs=0.25)
+    flight.unheard = False
+    flight.run(0.3)
+    assert flight.session.silent_s(flight.now_s) < 0.1
+
+
+@pytest.mark.parametrize("keeps_s", [0.3, 0.5, 1.0])
+def test_that_it_hears_us_no_more_is_known_before_it_gives_our_setpoint_up(keeps_s: float) -> None:
+    flight = SessionFlight()
+    flight.run(3.0)
+    flight.session._setup._known = AutopilotSetup(setpoint_timeout_s=keeps_s)
+    flight.run(3.0)
+    flight.unheard = True
+    flight.run(keeps_s)
+    assert flight.session.silent_s(flight.now_s) >= 0.4 * keeps_s
     flight.unheard = False
     flight.run(0.3)
     assert flight.session.silent_s(flight.now_s) < 0.1
