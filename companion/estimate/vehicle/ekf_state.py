@@ -150,9 +150,8 @@ class EkfState:
         P[:, :n] = P[:, :m] @ A.T + self.yaw_error.with_state @ G.T
         turn_variance, velocity_variance = self._inertial_noise(noise, dt_s, samples)
         self.force_density_m2_s3 = self._force_density(noise, dt_s, samples)
-        G = A[:, model.IMU_BIASES] / dt_s
-        G[:, :3] *= math.sqrt(velocity_variance)
-        G[:, 3:] *= math.sqrt(turn_variance)
+        velocity_std, turn_std = math.sqrt(velocity_variance), math.sqrt(turn_variance)
+        G = A[:, model.IMU_BIASES] / dt_s * (*[velocity_std] * 3, *[turn_std] * 3)
         P[:n, :n] += G @ G.T
         diagonal[:7] += TINY_VARIANCE
         self.P = P
