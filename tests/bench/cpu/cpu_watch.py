@@ -28,7 +28,8 @@ from companion.sense.vision.pipeline import Vision
 TASKS: Final = "tasks between the stages"
 LOOP: Final = "event loop"
 GARBAGE: Final = "garbage collection"
-METHODS: Final[dict[str, tuple[tuple[type[Any], tuple[str, ...]], ...]]] = {
+Methods = dict[str, tuple[tuple[type[Any], tuple[str, ...]], ...]]
+METHODS: Final[Methods] = {
     "vision": ((Vision, ("step",)),),
     "IMU and EKF": (
         (StateEstimator, ("add_imu", "add_mag", "add_autopilot_attitude", "vehicle", "vehicle_covariance")),
@@ -46,7 +47,7 @@ METHODS: Final[dict[str, tuple[tuple[type[Any], tuple[str, ...]], ...]]] = {
     "drivers": ((Mpu9250, ("poll",)), (Neo6m, ("feed", "pending")), (Ultrasonic, ("feed",))),
 }
 # of the loop itself; in virtual time its callbacks are the simulator's too
-LOOP_METHODS: Final[dict[str, tuple[tuple[type[Any], tuple[str, ...]], ...]]] = {
+LOOP_METHODS: Final[Methods] = {
     TASKS: ((asyncio.Handle, ("_run",)),),
     LOOP: ((asyncio.BaseEventLoop, ("_run_once",)),),
 }
@@ -62,13 +63,14 @@ class Callback(NamedTuple):
 class CpuWatch:
     """Adds up the CPU spent in methods by part, in all threads."""
 
-    def __init__(self, *, loop: bool) -> None:
-        """`loop`: with the event loop's own share and its callbacks, when nobody else runs on it."""
+    def __init__(self, *, loop: bool, others: Methods | None = None) -> None:
+        """`loop`: with the event loop's own share and its callbacks; `others`: parts beside the app's."""
         self.spent_s: defaultdict[str, float] = defaultdict(float)
+        self.by_thread_s: defaultdict[str, float] = defaultdict(float)
         self.calls: defaultdict[str, int] = defaultdict(int)
         self.longest_s: defaultdict[str, float] = defaultdict(float)
         self.callbacks: list[Callback] = []
-        self._methods = {**METHODS, **LOOP_METHODS} if loop else METHODS
+        self._methods = {**METHODS, **(LOOP_METHODS if loop else {}), **(others or {})}
         self._lock = threading.RLock()  # a collection may strike while it is held
         self._thread = threading.local()
 
@@ -82,7 +84,7 @@ class CpuWatch:
             for name in names
         ]
         for part, owner, name, method in found:
-            setattr(owner, name, self._timed(part, method))
+            setattr(owner, name, self.timed(part, method))
         gc.callbacks.append(self._collecting)
         try:
             yield
@@ -95,6 +97,7 @@ class CpuWatch:
         """Begin anew."""
         with self._lock:
             self.spent_s.clear()
+            self.by_thread_s.clear()
             self.calls.clear()
             self.longest_s.clear()
             self.callbacks.clear()
@@ -107,7 +110,9 @@ class CpuWatch:
         else:
             self._account(GARBAGE, time.thread_time() - self._thread.collecting_s)
 
-    def _timed(self, part: str, method: Callable[..., Any]) -> Callable[..., Any]:
+    def timed(self, part: str, method: Callable[..., Any]) -> Callable[..., Any]:
+        """A function that counts for a part."""
+
         def timed(*arguments: Any, **named: Any) -> Any:
             inner = self._frames()
             inner.append({})
@@ -136,6 +141,7 @@ class CpuWatch:
                 around[name] = around.get(name, 0.0) + share_s
         with self._lock:
             self.spent_s[part] += own_s
+            self.by_thread_s[threading.current_thread().name] += own_s
             self.calls[part] += 1
             self.longest_s[part] = max(self.longest_s[part], spent_s)
             if part == TASKS:
