@@ -38,8 +38,8 @@ from companion.estimate.ahrs.madgwick import MadgwickFilter, align
 from companion.estimate.estimator import StateEstimator
 
 EKF_BAR_DEG: Final = 2.5  # without VQF to compare with
-VQF_SHARE: Final = 0.85  # of VQF's error: the EKF's, mean over the trials
-LARGEST_VQF_SHARE: Final = 1.5  # on one trial, or
+VQF_SHARE: Final = 0.75  # of VQF's error: the EKF's, mean over the trials
+LARGEST_VQF_SHARE: Final = 1.3  # on one trial, or
 LARGEST_DEG: Final = 1.0  # this, whichever is more
 MADGWICK_BAR_DEG: Final = 0.1
 PEER_GAIN: Final = 0.12
