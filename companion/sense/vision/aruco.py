@@ -23,8 +23,10 @@ from companion.base.geometry import FloatArray
 from companion.base.messages import MarkerGroup
 from companion.config import VisionConfig
 from companion.pad import DICTIONARIES, Marker, Pad
-from companion.sense.vision.corners import refine_quads
+from companion.sense.vision.corners import ENCODED, refine_quads
+from companion.sense.vision.edges import PROPORTIONAL
 from companion.sense.vision.lens import Lens
+from companion.sense.vision.print_fit import fit_prints
 
 GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 ERROR_CORRECTION_RATE: Final = 0.5
@@ -39,6 +41,8 @@ CONTOUR_STD_PX: Final = 0.7
 STRAIGHT_SHARE: Final = 0.25
 # of a dot, by which an edge is printed off: anything up to half of one
 DOT_STD: Final = 1.0 / math.sqrt(12.0)
+# cells of fewer pixels run together by a usual lens's blur: a marker of such is measured by its whole print
+SMALL_CELL_PX: Final = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +65,9 @@ class Detection:
     `corner_std_px` is the standard deviation of each corner in each direction, as far as its sides show, and
     `offset_share` the share of its square by which a side errs as a whole, and not by being turned;
     `shrunk_std_px` those of how far its sides lie too far in, alike for all markers of a frame, by exposure,
-    encoding and print. A marker whose sides could not be followed is not `refined`: its corners are its
-    contour's.
+    encoding and print. A marker that was measured by its whole print has the corners' covariance (8, 8) px2,
+    u and v of each in turn, in place of these two. One whose sides could not be followed is not `refined`:
+    its corners are its contour's.
     """
 
     marker: Marker
@@ -73,6 +78,7 @@ class Detection:
     offset_share: float = STRAIGHT_SHARE
     shrunk_std_px: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
     refined: bool = False
+    covariance_px2: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,34 +191,67 @@ def refine_corners(
 ) -> list[Detection]:
     """The detections with their corners where each marker's sides meet; those alone, where there are any.
 
-    `dot_m`: a dot of the print. Each edge is printed up to half a dot off, and ink runs about as far.
+    Markers of small cells by their whole print. `dot_m`: a dot of the print. Each edge is printed up to half
+    a dot off, and ink runs about as far.
     """
-    if not found:
-        return found
+    small = [d for d in found if d.side_px < SMALL_CELL_PX * d.marker.cells]
+    made = _by_prints(image, small, lens, dot_m) if small else {}
+    large = [d for d in found if d.marker not in made]
+    made |= _by_sides(image, large, lens, dot_m) if large else {}
+    return [made[d.marker] for d in found if d.marker in made] or found
+
+
+def _by_prints(
+    image: NDArray[np.uint8], found: list[Detection], lens: Lens | None, dot_m: float
+) -> dict[Marker, Detection]:
+    """Those of the detections whose print was found, by markers."""
+    quads = np.array([d.corners_px for d in found])
+    light, encoding_error = (PROPORTIONAL, 0.0) if lens is None else (lens.light, lens.encoding_error)
+    fits = fit_prints(image, light, [d.marker for d in found], quads)
+    made = {}
+    for d, quad, shown, blur_px in zip(found, *fits, strict=True):
+        if not math.isfinite(shown[0, 0]):
+            continue
+        off_px = DOT_STD * dot_m * d.side_px / d.marker.side_m
+        sides = sides_to_corners(quad)
+        covariance = shown + off_px**2 * (sides @ sides.T)
+        made[d.marker] = replace(
+            d,
+            corners_px=quad,
+            corner_std_px=math.sqrt(np.trace(covariance) / len(covariance)),
+            shrunk_std_px=(math.hypot(ENCODED * encoding_error * float(blur_px), off_px),) * 4,
+            refined=True,
+            covariance_px2=covariance,
+        )
+    return made
+
+
+def _by_sides(
+    image: NDArray[np.uint8], found: list[Detection], lens: Lens | None, dot_m: float
+) -> dict[Marker, Detection]:
+    """Those of the detections whose sides could be followed, by markers."""
     quads, cells = np.array([d.corners_px for d in found]), np.array([d.marker.cells for d in found])
     if lens is None:
         refined = refine_quads(image, quads, cells)
     else:
         refined = refine_quads(image, quads, cells, lens.bows(quads), lens.light, lens.encoding_error)
-    made = []
+    made = {}
     parts = (part.tolist() for part in refined)
     for d, quad, offset, turn, shrunk, crowded in zip(found, *parts, strict=True):
         if not math.isfinite(offset):
             continue
-        dot_px = dot_m * d.side_px / d.marker.side_m
-        off = math.hypot(offset, crowded, DOT_STD * dot_px)
+        off_px = DOT_STD * dot_m * d.side_px / d.marker.side_m
+        off = math.hypot(offset, crowded, off_px)
         std = math.hypot(off, turn)
-        made.append(
-            replace(
-                d,
-                corners_px=np.array(quad),
-                corner_std_px=std,
-                offset_share=(off / max(std, 1e-6)) ** 2,
-                shrunk_std_px=tuple(math.hypot(by, DOT_STD * dot_px) for by in shrunk),
-                refined=True,
-            )
+        made[d.marker] = replace(
+            d,
+            corners_px=np.array(quad),
+            corner_std_px=std,
+            offset_share=(off / max(std, 1e-6)) ** 2,
+            shrunk_std_px=tuple(math.hypot(by, off_px) for by in shrunk),
+            refined=True,
         )
-    return made or found
+    return made
 
 
 def farthest_apart(found: list[Detection], maximum: int) -> list[Detection]:
@@ -233,6 +272,16 @@ def side_px(corners: FloatArray) -> float:
     """Mean length of the two diagonals over sqrt(2)."""
     (a, b), (c, d), (e, f), (g, h) = corners.tolist()
     return 0.5 * math.sqrt(0.5) * (math.hypot(e - a, f - b) + math.hypot(g - c, h - d))
+
+
+def sides_to_corners(corners: FloatArray) -> FloatArray:
+    """How corners (4, 2) move, u and v of each in turn, when each side moves outwards by one: (8, 4)."""
+    along = corners[(1, 2, 3, 0), :] - corners
+    along /= np.sqrt((along**2).sum(axis=1))[:, None]
+    moves = np.zeros((4, 2, 4))
+    for side, (x, y) in enumerate(along.tolist()):
+        moves[side, :, side] = moves[(side + 1) % 4, :, side] = y, -x
+    return moves.reshape(8, 4)
 
 
 def _flat(values: Any) -> list[int]:

@@ -45,6 +45,7 @@ from companion.config import VisionConfig
 from companion.sense.vision.aruco import Detection
 from companion.sense.vision.lens import NEAREST_M, Lens
 from companion.sense.vision.pose_noise import (
+    corner_covariance_px2,
     edge_std_px,
     shrinking,
     side_noise_px,
@@ -192,13 +193,21 @@ def _problem(
         rays=rays,
         delay_s=delay_s,
         down=None if down_camera is None else np.array(down_camera),
-        whitening=whitening(rays, np.array([side_noise_px(d, config) for d in detections]) / lens.focal_px),
+        whitening=_whitening(detections, rays, lens, config),
         level_sigma=math.radians(config.tilt_std_deg),
         shared=np.concatenate((vibrating, shrunk), axis=1),
         weight=np.array(spread) ** -2,
         rate=np.array(rate_camera_rad_s),
         focal_px=lens.focal_px,
     )
+
+
+def _whitening(detections: list[Detection], rays: FloatArray, lens: Lens, config: VisionConfig) -> FloatArray:
+    """By what each marker's sides, or its whole print, say of how its corners err."""
+    sigma = np.array([side_noise_px(d, config) for d in detections]) / lens.focal_px
+    covariances = [corner_covariance_px2(d, config) for d in detections]
+    scaled = [None if each is None else each / lens.focal_px**2 for each in covariances]
+    return whitening(rays, sigma, scaled)
 
 
 def _climb_std_m_s(detections: list[Detection], lens: Lens, config: VisionConfig) -> float:

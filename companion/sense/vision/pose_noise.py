@@ -8,6 +8,7 @@ all markers alike. Rays are ideal image coordinates (x/z, y/z), stacked as all u
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -39,12 +40,15 @@ def edge_std_px(detection: Detection) -> list[float]:
     return [math.hypot(EDGE_STD_PX, std) for std in detection.shrunk_std_px]
 
 
-def whitening(rays: FloatArray, sigma: FloatArray) -> FloatArray:
+def whitening(
+    rays: FloatArray, sigma: FloatArray, covariances: Sequence[FloatArray | None] = ()
+) -> FloatArray:
     """What makes the rays' errors independent and of unit variance: (2n, 2n), rows of all u, then of all v.
 
     Corners are where sides meet, and the sides are what is measured: what both ends of one are off by, and
     what they are off by with opposite signs, err independently by `sigma` (m, 2), that of a side as a whole
-    and that of its ends by its turn.
+    and that of its ends by its turn. Markers that have a covariance of their corners (8, 8), u and v of each
+    in turn, err by that.
     """
     m = len(sigma)
     corners = rays.reshape(m, 4, 2)
@@ -57,7 +61,18 @@ def whitening(rays: FloatArray, sigma: FloatArray) -> FloatArray:
             scaled = normal * (0.5 / sigma[:, kind, None])
             white[k, side, kind, direction, k, side] = scaled
             white[k, side, kind, direction, k, (side + 1) % 4] = sign * scaled
+    white = white.reshape(m, 8, 2, m, 4)
+    for number, covariance in enumerate(covariances):
+        if covariance is not None:
+            own = np.linalg.inv(np.linalg.cholesky(covariance)).reshape(8, 4, 2)
+            white[number, :, :, number] = own.transpose(0, 2, 1)
     return white.reshape(8 * m, 8 * m)
+
+
+def corner_covariance_px2(detection: Detection, config: VisionConfig) -> FloatArray | None:
+    """Of a marker (8, 8) that was measured by its whole print: what it shows, and what it cannot."""
+    shown = detection.covariance_px2
+    return None if shown is None else shown + config.corner_noise_px**2 * np.eye(len(shown))
 
 
 def shrinking(rays: FloatArray, std: FloatArray) -> FloatArray:

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.base.geometry import FloatArray
-from companion.pad import DICTIONARIES, Marker, Pad
+from companion.pad import Marker, Pad
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.pose import PoseFit
+from companion.sense.vision.print_fit import white_cells
 
 # correlation of brightness and print over a marker's cells
 LIKENESS: Final = 0.5
@@ -82,9 +83,7 @@ def _cells(marker: Marker) -> tuple[FloatArray, FloatArray]:
     they are (k, k).
     """
     count = marker.cells
-    dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[marker.dictionary])
-    code = cv2.aruco.generateImageMarker(dictionary, marker.id, count)
-    white = np.pad(code.astype(np.float64), 1, constant_values=255.0)
+    white = white_cells(marker)
     top_left, top_right, _, bottom_left = marker.corners_pad_m()
     share = (np.arange(-1, count + 1) + 0.5) / count
     down, right = np.meshgrid(share, share, indexing="ij")
