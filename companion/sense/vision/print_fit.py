@@ -81,7 +81,7 @@ class _Pixels(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """How the unknowns change (m, 11); the Jacobian (m, n, 11), and what is left of the light (m, n)."""
+    """How the unknowns change (m, 11); the Jacobian (m, 11, n), and what is left of the light (m, n)."""
 
     change: FloatArray
     jacobian: FloatImage
@@ -211,22 +211,18 @@ def _step(
 ) -> _Step:
     """One step of weighted least squares, black and white first: the rest is in terms of their contrast."""
     texels = (at + np.float32(BORDER)) * np.float32(TEXELS) - np.float32(0.5)
-    seen = np.stack(
-        [
-            cv2.remap(print_, *_split(place), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
-            for print_, place in zip(prints, texels, strict=True)
-        ]
-    )
-    x, y = np.moveaxis(at / cells[:, None, None].astype(np.float32), 2, 0)
-    jacobian = np.empty((*x.shape, UNKNOWNS), np.float32)
-    light = jacobian[..., CORNERS + 1 :]
-    light[..., 0], light[..., 1] = 1.0, seen[..., 0]
-    levels, left = _solved(light, seen_light, weight)
-    slopes = seen[..., 1:3] * levels[:, 1, None, None]
-    shares = ((1.0 - x) * (1.0 - y), x * (1.0 - y), x * y, (1.0 - x) * y)
-    for k, share in enumerate(shares):
-        jacobian[..., 2 * k : 2 * k + 2] = share[..., None] * slopes
-    jacobian[..., CORNERS] = seen[..., 3] * levels[:, 1, None]
+    jacobian = np.empty((len(at), UNKNOWNS, at.shape[1]), np.float32)
+    for row, print_, place in zip(jacobian, prints, texels, strict=True):
+        seen = cv2.remap(print_, *_split(place), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
+        row[-1], row[0], row[1], row[CORNERS] = np.asarray(seen, np.float32).T
+    jacobian[:, -2] = 1.0
+    levels, left = _solved(jacobian[:, -2:], seen_light, weight)
+    jacobian[:, (0, 1, CORNERS)] *= levels[:, 1, None, None]
+    slopes = jacobian[:, None, :2]
+    x, y = np.ascontiguousarray(np.moveaxis(at / cells[:, None, None].astype(np.float32), 2, 0))
+    last = x * y
+    shares = np.stack((1.0 - x - y + last, x - last, last, y - last), axis=1)
+    jacobian[:, :CORNERS] = (shares[:, :, None] * slopes).reshape(len(at), CORNERS, -1)
     change, left = _solved(jacobian, left, weight)
     return _Step(change.astype(np.float64), jacobian, left, weight)
 
@@ -236,11 +232,12 @@ def _split(places: FloatImage) -> tuple[FloatImage, FloatImage]:
     return np.ascontiguousarray(places[None, :, 0]), np.ascontiguousarray(places[None, :, 1])
 
 
-def _solved(columns: FloatImage, values: FloatImage, weight: FloatImage) -> tuple[FloatImage, FloatImage]:
+def _solved(rows: FloatImage, values: FloatImage, weight: FloatImage) -> tuple[FloatImage, FloatImage]:
     """Weighted least squares: the unknowns (m, k), and what they leave of the values (m, n)."""
-    weighted = (columns * weight[..., None]).transpose(0, 2, 1)
-    unknown = (_inverse(weighted @ columns) @ (weighted @ values[..., None])).astype(np.float32)
-    return unknown[..., 0], values - (columns @ unknown)[..., 0]
+    weighted = rows * weight[:, None]
+    information = weighted @ rows.transpose(0, 2, 1)
+    unknown = (_inverse(information) @ (weighted @ values[..., None])).astype(np.float32)
+    return unknown[..., 0], values - (unknown.transpose(0, 2, 1) @ rows)[:, 0]
 
 
 def _inverse(information: NDArray[np.floating]) -> FloatArray:
@@ -263,11 +260,11 @@ def _covariance(step: _Step, unlike: FloatImage, counts: FloatImage, to_pixels: 
 
     A pixel that the fit follows misses by less than its noise: by the share that it does not decide itself.
     """
-    weighted = (step.jacobian * step.weight[..., None]).astype(np.float64)
-    inverse = _inverse(weighted.transpose(0, 2, 1) @ step.jacobian)
-    own = ((weighted @ inverse) * step.jacobian).sum(axis=2)
-    pulls = weighted * (step.left / np.maximum(1.0 - own, LEAST_FREE))[..., None]
-    covariance = inverse @ (pulls.transpose(0, 2, 1) @ pulls) @ inverse
+    weighted = step.jacobian * step.weight[:, None]
+    inverse = _inverse(weighted @ step.jacobian.transpose(0, 2, 1))
+    own = ((inverse.astype(np.float32) @ weighted) * step.jacobian).sum(axis=1)
+    pulls = weighted * (step.left / np.maximum(1.0 - own, LEAST_FREE))[:, None]
+    covariance = inverse @ (pulls @ pulls.transpose(0, 2, 1)) @ inverse
     # what is far off pulls less than its weight says, the farther the less
     pull = (counts * (1.0 - unlike) / (1.0 + unlike) ** 2).sum(axis=1)
     more = (step.weight.sum(axis=1) / np.maximum(pull, 1.0)) ** 2
