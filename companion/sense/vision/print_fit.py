@@ -186,14 +186,31 @@ def _on_markers(
     at: FloatImage, corners: FloatArray, cells: NDArray[np.int_]
 ) -> tuple[FloatImage, FloatArray]:
     """Places (m, n, 2) of pixels on markers; and at each corner a cell's way in pixels (m, 4, 2, 2)."""
-    placed, ways = np.empty_like(at), np.empty((len(corners), 4, 2, 2))
-    for k, (quad, n) in enumerate(zip(corners, cells.tolist(), strict=True)):
-        square = np.array([(0, 0), (n, 0), (n, n), (0, n)], np.float32)
-        across = cv2.getPerspectiveTransform(square, quad.astype(np.float32))
-        placed[k] = cv2.perspectiveTransform(at[k][None], np.linalg.inv(across))[0]
-        depth = square @ across[2, :2] + across[2, 2]
-        ways[k] = (across[:2, :2] - quad[:, :, None] * across[2, :2]) / depth[:, None, None]
-    return placed, ways
+    across = _homographies(corners)
+    across[:, :, :2] /= cells[:, None, None]
+    back = np.linalg.inv(across).astype(np.float32)
+    seen = at @ back[:, :, :2].transpose(0, 2, 1) + back[:, None, :, 2]
+    square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * cells[:, None, None]
+    depth = (square @ across[:, 2, :2, None])[..., 0] + across[:, 2, 2, None]
+    ways = across[:, None, :2, :2] - corners[..., None] * across[:, None, 2:, :2]
+    return seen[..., :2] / seen[..., 2:], ways / depth[..., None, None]
+
+
+def _homographies(corners: FloatArray) -> FloatArray:
+    """From the unit square, its corners (0, 0), (1, 0), (1, 1) and (0, 1), to corners (m, 4, 2): (m, 3, 3).
+
+    Source: Heckbert, Fundamentals of Texture Mapping and Image Warping (1989), section 2.2.3.
+    """
+    first, second, third, fourth = np.moveaxis(corners, 1, 0)
+    a, b, away = second - third, fourth - third, first - second + third - fourth
+    determinant = a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1]
+    g = (away[:, 0] * b[:, 1] - b[:, 0] * away[:, 1]) / determinant
+    h = (a[:, 0] * away[:, 1] - away[:, 0] * a[:, 1]) / determinant
+    made = np.ones((len(corners), 3, 3))
+    made[:, :2, 0] = second - first + g[:, None] * second
+    made[:, :2, 1] = fourth - first + h[:, None] * fourth
+    made[:, :2, 2], made[:, 2, 0], made[:, 2, 1] = first, g, h
+    return made
 
 
 def _clear(at: FloatImage, cells: NDArray[np.int_], about: FloatArray) -> NDArray[np.bool_]:
