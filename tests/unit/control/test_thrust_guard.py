@@ -78,12 +78,12 @@ def test_unmeasured_it_is_left_to_the_autopilots_own_loops_and_told(case: str) -
 
 def test_what_contradicts_the_file_and_the_parameter_is_left_too_until_it_is_resolved() -> None:
     controller = ardupilot()
-    now_s = feel(controller, 0.85, 2.0)
+    now_s = feel(controller, 0.98, 6.0)
     setpoint, report = step(controller, now_s)
     assert setpoint.attitude is None
-    assert "0.85 holds it, told was vehicle 'test' 0.50, the autopilot's parameter 0.35" in report.failure
+    assert "0.98 holds it, told was vehicle 'test' 0.50, the autopilot's parameter 0.35" in report.failure
     controller.thrust.feel(
-        vehicle_state(now_s), held_by(0.85, now_s), AutopilotSetup(hover_thrust=0.8), now_s
+        vehicle_state(now_s), held_by(0.98, now_s), AutopilotSetup(hover_thrust=0.8), now_s
     )
     setpoint, report = step(controller, now_s + PERIOD_S)
     assert setpoint.attitude is not None
