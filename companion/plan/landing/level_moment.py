@@ -11,7 +11,7 @@ import cmath
 import math
 from typing import Final
 
-from companion.base.geometry import Quaternion, Vector3, tilt_from_quat
+from companion.base.geometry import Quaternion, horizontal_acceleration, tilt_from_quat
 from companion.base.messages import PadState
 
 # a pad that swings less, root mean square, hardly tilts by 5 deg, and our own error swings by as much as 0.6
@@ -41,13 +41,9 @@ def level_at(sight: PadState, ahead_s: float, most_rad: float) -> bool:
 
 
 class TiltForecast:
-    """How far the vehicle tilts, and how far pad and wind will need it to, as a horizontal acceleration.
+    """How far the vehicle tilts, and will have to, as the horizontal acceleration that its thrust makes."""
 
-    The wind's part is what the accelerometer feels of it: the tilt itself follows a gust a third of a second
-    late, and a vehicle that is levelled off does not show it any more.
-    """
-
-    SMOOTHING_S: Final = 0.1
+    SMOOTHING_S: Final = 0.25
 
     def __init__(self) -> None:
         self.tilt_rad = 0.0
@@ -55,32 +51,20 @@ class TiltForecast:
         self._lasting_m_s2, self._with_pad_m_s2, self._turn_rad_s = 0j, 0j, 0.0
         self._noted_s: float | None = None
 
-    def note(
-        self, attitude: Quaternion, side_force_ned_m_s2: Vector3, sight: PadState | None, now_s: float
-    ) -> None:
-        """Take in the vehicle's attitude and what pushes it (m/s²); an unseen pad goes on as it did."""
+    def note(self, attitude: Quaternion, sight: PadState | None, now_s: float) -> None:
+        """Take in the vehicle's attitude; an unseen pad goes on as it did."""
         if sight is not None:
             self._with_pad_m_s2 = complex(*sight.acceleration_ned_m_s2[:2])
             self._turn_rad_s = sight.turn_rate_rad_s
         self.tilt_rad = tilt_from_quat(attitude)
-        lasting = -complex(*side_force_ned_m_s2[:2])
+        lasting = complex(*horizontal_acceleration(attitude)) - self._with_pad_m_s2
         first = self._noted_s is None
         elapsed_s = 0.0 if self._noted_s is None else max(0.0, now_s - self._noted_s)
         share = 1.0 if first else -math.expm1(-elapsed_s / self.SMOOTHING_S)
         self._noted_s = now_s
         self._lasting_m_s2 += share * (lasting - self._lasting_m_s2)
 
-    def needed_m_s2(self, ahead_s: float) -> complex:
-        """What it will take so much later: north + i east."""
-        turned = cmath.rect(1.0, self._turn_rad_s * ahead_s)
-        return self._lasting_m_s2 + self._with_pad_m_s2 * turned
-
     def at_m_s2(self, ahead_s: float) -> float:
         """How much it will take (m/s²) so much later."""
-        return abs(self.needed_m_s2(ahead_s))
-
-    def drift_m_s(self, sight: PadState) -> float:
-        """How fast the vehicle is carried over the pad already, to where too little tilt carries it."""
-        needed = self.needed_m_s2(0.0)
-        x, y, _ = sight.relative_velocity_ned_m_s
-        return (x * needed.real + y * needed.imag) / abs(needed) if needed else 0.0
+        turned = cmath.rect(1.0, self._turn_rad_s * ahead_s)
+        return abs(self._lasting_m_s2 + self._with_pad_m_s2 * turned)

@@ -5,11 +5,7 @@ contact comes late it stays level while the drift is small, and longer where it 
 put a foot on the pad. The controller does not know of it before: it would tilt further until then, to be
 ahead of the pad, and a contact that comes 0.1 s early would meet that tilt. In that time the tilt is bounded
 to a little more than pad and wind have needed so far. The more tilt is levelled off, the firmer it sets down:
-less time to drift in.
-
-What the vehicle lacks of the tilt that pad and wind need, e, makes it drift: while the tilt falls, at J, by
-e² / 2 J, and by e for as long as it is level before the contact. Where that is too fast, it keeps some of the
-tilt, as far as the legs bear; where it still is, it does not land. NED, SI units.
+less time to drift in. NED, SI units.
 """
 
 from __future__ import annotations
@@ -41,8 +37,6 @@ STEADY_S: Final = 0.7
 BEYOND_M_S2: Final = 0.6
 # Of the speed over the pad that one may start down with; what is gentle on the feet is a bit more.
 FASTEST_DRIFT: Final = 2.0
-# Of `contact_tilt_deg`, where it would drift too fast otherwise: a foot hangs 3 cm lower then.
-MOST_TILT: Final = 1.2
 
 
 class Levelling:
@@ -52,8 +46,6 @@ class Levelling:
         self._config, self._vehicle = config, vehicle
         self._tilt_rad = math.radians(config.contact_tilt_deg)
         self._level_m_s2 = GRAVITY_M_S2 * math.tan(self._tilt_rad)
-        self._farthest_m_s2 = GRAVITY_M_S2 * math.tan(MOST_TILT * self._tilt_rad)
-        self._fastest_m_s = FASTEST_DRIFT * config.lateral_speed_m_s
         self.reset()
 
     def reset(self) -> None:
@@ -61,7 +53,6 @@ class Levelling:
         self.due_s = math.inf
         self._from_s: float | None = None
         self._lead_s = self._needed_m_s2 = 0.0
-        self._contact_m_s2 = self._level_m_s2
         self._too_low_s = -math.inf
         self._steady: LevelOff | None = None
         self.planned_m_s = self._config.contact_speed_m_s
@@ -78,27 +69,10 @@ class Levelling:
 
     @property
     def most_tilt_m_s2(self) -> float:
-        """The most tilt that may be needed at the contact: more makes it drift too fast."""
+        """The most tilt that can be levelled off: the rest makes it drift while the contact may be late."""
         c = self._config
         firmest_m_s = max(c.contact_speed_m_s, c.firm_contact_m_s)
-        return self._farthest_m_s2 + self._lacking_m_s2(self._fastest_m_s, firmest_m_s)
-
-    def drifts(self, tilt: TiltForecast, sight: PadState) -> bool:
-        """Whether, shortly before it goes level, it would touch too fast sideways."""
-        if self.begun or self._steady is None:
-            return False
-        needed_m_s2 = tilt.at_m_s2(0.0)
-        return needed_m_s2 > self._farthest_m_s2 + self._borne_m_s2(needed_m_s2, tilt, sight)
-
-    def _borne_m_s2(self, needed_m_s2: float, tilt: TiltForecast, sight: PadState) -> float:
-        """How much tilt may be lacking at a contact from now on, by how fast it drifts already."""
-        room_m_s = self._fastest_m_s - max(0.0, tilt.drift_m_s(sight))
-        return self._lacking_m_s2(room_m_s, max(self.planned_m_s, self.sink_m_s(needed_m_s2)))
-
-    def _lacking_m_s2(self, drift_m_s: float, sink_m_s: float) -> float:
-        """How much tilt may be lacking so that the drift grows by so much until the contact."""
-        level_s, jerk_m_s3 = EARLY_S + KNOWN_M / sink_m_s, LEVELS_M_S3
-        return jerk_m_s3 * (math.sqrt(level_s**2 + 2.0 * max(0.0, drift_m_s) / jerk_m_s3) - level_s)
+        return self._level_m_s2 + FASTEST_DRIFT * c.lateral_speed_m_s * firmest_m_s / KNOWN_M
 
     @property
     def begun(self) -> bool:
@@ -110,11 +84,11 @@ class Levelling:
         if self._from_s is None:
             return self._steady
         late_s = max(0.0, self.due_s - self._lead_s - self._from_s)
-        excess_m_s2 = self._needed_m_s2 - self._contact_m_s2
+        excess_m_s2 = self._needed_m_s2 - self._level_m_s2
         if excess_m_s2 > 0.0:
             late_s = min(late_s, self._config.lateral_speed_m_s / excess_m_s2)
         until_s = max(self._from_s + late_s, self._too_low_s) + self._lead_s + AFTER_S
-        return LevelOff(self._from_s, until_s, math.atan(self._contact_m_s2 / GRAVITY_M_S2))
+        return LevelOff(self._from_s, until_s, self._tilt_rad)
 
     def expect(self, sight: PadState, tilt: TiltForecast, now_s: float) -> None:
         """When the feet will touch: by the speed as planned, until it goes level; from then on as seen.
@@ -130,14 +104,12 @@ class Levelling:
         lead_s = self._levelling_s(tilt.tilt_rad)
         if not self.begun and now_s >= self.due_s - lead_s:
             self._from_s, self._lead_s, self._needed_m_s2 = now_s, lead_s, tilt.at_m_s2(0.0)
-            kept_m_s2 = self._needed_m_s2 - self._borne_m_s2(self._needed_m_s2, tilt, sight)
-            self._contact_m_s2 = min(max(self._level_m_s2, kept_m_s2), self._farthest_m_s2)
         self._steady = None
         if now_s >= self.due_s - STEADY_S:
             most_m_s2 = max(self._level_m_s2, tilt.at_m_s2(0.0) + BEYOND_M_S2)
             self._steady = LevelOff(now_s, now_s + STEADY_S, math.atan(most_m_s2 / GRAVITY_M_S2))
         # no tilt that would put a foot on the pad, unless the level vehicle drifts so fast that this is worse
-        slow = sight.lateral_speed_m_s <= self._fastest_m_s
+        slow = sight.lateral_speed_m_s <= FASTEST_DRIFT * self._config.lateral_speed_m_s
         hangs_m = self._vehicle.foot_reach_m * math.sin(math.atan(self._needed_m_s2 / GRAVITY_M_S2))
         if self.begun and fresh and slow and over_m <= hangs_m + self._config.contact_margin_m:
             self._too_low_s = now_s

@@ -108,8 +108,7 @@ class TouchdownSequence:
         """Steer for one cycle; returns what is detected, and why."""
         self._sight = sight
         if inputs.vehicle is not None:
-            vehicle = inputs.vehicle
-            self.tilt.note(vehicle.attitude, vehicle.side_force_ned_m_s2, sight, now_s)
+            self.tilt.note(inputs.vehicle.attitude, sight, now_s)
         if state is State.SINK:
             return self._sink(sight, inputs, now_s)
         if state is State.SET_DOWN:
@@ -301,8 +300,7 @@ class TouchdownSequence:
         due_s = self._levelling.due_s if self._levelling.begun else self._contact_due_s
         tilt_m_s2 = self.tilt.at_m_s2(max(0.0, due_s - now_s))
         most_m_s2 = _TOO_MUCH_TILT * self._tolerance.most_tilt_m_s2(now_s)
-        drifts = fresh and self._levelling.drifts(self.tilt, sight)
-        if drifts or tilt_m_s2 > min(most_m_s2, self._levelling.most_tilt_m_s2):
+        if tilt_m_s2 > min(most_m_s2, self._levelling.most_tilt_m_s2):
             return "too much tilt at contact"
         far = fresh and self._tolerance.aside(sight, now_s, surely=True)
         if self._far_aside.held_s(far, now_s) >= _TOO_FAST_S:

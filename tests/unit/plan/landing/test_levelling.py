@@ -8,14 +8,12 @@ from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
 from companion.base.messages import LandedState, RangeSample
 from companion.plan.landing.level_moment import TiltForecast
 from companion.plan.landing.levelling import AFTER_S, EARLY_S, TILTS_ON_S, Levelling
-from companion.plan.landing.tolerance import Tolerance
 from companion.plan.mission.states import MissionEvent
 from tests.unit.plan.landing.touchdown_attempt import (
     CONFIG,
     CYCLE_S,
     Attempt,
     fresh,
-    needing,
     sight,
     sinking,
     tilting,
@@ -110,8 +108,8 @@ def test_the_more_tilt_it_levels_off_the_firmer_it_sets_down(excess_m_s2: float,
 
 def test_a_tilt_that_cannot_be_levelled_off_is_waited_out_however_long_it_lasts() -> None:
     level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
-    # 8.4 deg are kept; what is lacking makes 0.24 m/s of drift while the tilt falls, and until the contact
-    for excess_m_s2, breaks_off in ((1.1, False), (1.2, True)):
+    # 0.24 m/s of drift in the 0.15 s by which a contact may be late
+    for excess_m_s2, breaks_off in ((1.5, False), (1.7, True)):
         touchdown = fresh()
         waited(touchdown, 0.0, 0.0, 0.5)
         assert touchdown.committed
@@ -120,48 +118,6 @@ def test_a_tilt_that_cannot_be_levelled_off_is_waited_out_however_long_it_lasts(
         touchdown._sequence._contact_due_s = late_s
         touchdown.step(sight(height=LEG_M + 0.3), None, LandedState.IN_AIR, late_s)
         assert (touchdown.broken_off_by == "too much tilt at contact") == breaks_off
-
-
-@pytest.mark.parametrize(
-    ("needed_m_s2", "downwind_m_s", "kept_deg"),
-    # 0.24 m/s of drift, less what there is, let 0.9 (0.5) m/s2 be lacking by the firm sink
-    [(1.9, 0.0, 7.0), (2.25, 0.0, 7.8), (2.25, -0.2, 7.8), (1.9, 0.12, 8.3), (2.3, 0.12, 8.4)],
-)
-def test_into_a_strong_wind_some_tilt_is_kept_for_the_contact(
-    needed_m_s2: float, downwind_m_s: float, kept_deg: float
-) -> None:
-    levelling_off, tilt, tilted = Levelling(CONFIG, VEHICLE), TiltForecast(), tilting(needed_m_s2)
-    push = needing(tilted)
-    tilt.note(tilted, push, sight(), 1.0)
-    north, east = (downwind_m_s * p / math.hypot(*push) for p in push[:2])
-    levelling_off.expect(sight(height=LEG_M + 0.05, velocity=(north, east, 0.32)), tilt, 1.0)
-    level = levelling_off.window()
-    assert levelling_off.begun
-    assert level is not None
-    assert math.degrees(level.tilt_rad) == pytest.approx(kept_deg, abs=0.1)
-
-
-@pytest.mark.parametrize(
-    ("over_m", "downwind_m_s", "breaks_off"),
-    # from higher up a gust may be over by the contact
-    [(0.2, 0.05, False), (0.2, 0.17, True), (0.2, -0.17, False), (0.3, 0.17, False)],
-)
-def test_a_gust_that_carries_it_already_breaks_it_off_before_it_goes_level(
-    over_m: float, downwind_m_s: float, breaks_off: bool
-) -> None:
-    touchdown = fresh()
-    waited(touchdown, 0.0, 0.0, 0.5)
-    # GIVEN that the push has come, and the tilt has not followed yet
-    push_m_s2 = (0.0, 2.05, 0.0)
-    for now_s in (0.5, 10.0):
-        touchdown._sequence.tilt.note(tilting(0.0), push_m_s2, sight(), now_s)
-    touchdown._sequence._contact_due_s = 11.0
-    touchdown._sequence._tolerance = Tolerance(CONFIG, -20.0, 1.0)  # it has waited for long
-    carried = sight(height=LEG_M + over_m, velocity=(0.0, downwind_m_s, CONFIG.firm_contact_m_s))
-    touchdown._sequence._levelling.planned_m_s = CONFIG.firm_contact_m_s
-    touchdown.step(carried, None, LandedState.IN_AIR, 10.0)
-    assert not touchdown.levels_off
-    assert (touchdown.broken_off_by == "too much tilt at contact") == breaks_off
 
 
 @pytest.mark.parametrize("needed_m_s2", [0.0, 1.0, 2.0])
@@ -243,7 +199,7 @@ def test_it_stays_level_while_it_touches_late_and_drifting() -> None:
     tilted = tilting(GRAVITY_M_S2 * math.tan(math.radians(15.0)))
     for k in range(40):
         now_s = 1.0 + k * CYCLE_S
-        tilt.note(tilted, needing(tilted), None, now_s)
+        tilt.note(tilted, None, now_s)
         levelling_off.expect(sight(height=LEG_M + 0.05, velocity=(0.3, 0.0, 0.1)), tilt, now_s)
     level = levelling_off.window()
     assert level is not None

@@ -2,15 +2,7 @@
 
 import math
 
-from companion.base.geometry import (
-    GRAVITY_M_S2,
-    ZERO3,
-    Quaternion,
-    Vector3,
-    horizontal_acceleration,
-    quat_from_euler,
-    scale,
-)
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, quat_from_euler, scale
 from companion.base.messages import AutopilotState, LandedState, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, TouchdownConfig
@@ -68,8 +60,7 @@ class Attempt:
         return self._sequence.feet_down(now_s)
 
     def note_tilt(self, attitude: Quaternion, now_s: float, seen: PadState | None = None) -> None:
-        """An attitude that keeps it over the pad: as much as pad and wind need."""
-        self._sequence.tilt.note(attitude, needing(attitude, seen), seen, now_s)
+        self._sequence.tilt.note(attitude, seen, now_s)
 
     def step(
         self,
@@ -97,15 +88,6 @@ class Attempt:
             self.contact_s = now_s
             return detected
         return None
-
-
-def needing(attitude: Quaternion, seen: PadState | None = None) -> Vector3:
-    """The wind's push (m/s²) that this attitude stands against, going with the pad."""
-    (north, east), (x, y, _) = (
-        horizontal_acceleration(attitude),
-        seen.acceleration_ned_m_s2 if seen else ZERO3,
-    )
-    return (x - north, y - east, 0.0)
 
 
 def fresh(slack: float = 1.0, config: TouchdownConfig = CONFIG, half_width_m: float = SMALL_PAD_M) -> Attempt:
