@@ -3,9 +3,8 @@
 A side's place is found from black and white to either hand of it. Where blur reaches across a cell, the code
 inside draws the side to where it is not. So all edges of the code are fitted at once: the blurred print is
 laid on the pixels about the marker by least squares, in light. What is fitted, for each marker: how its four
-corners move, black, white and the blur. Pixels that fit badly (a shadow's
-edge, grass, glare) count for less, and white that is cut off for nothing. How the pixels scatter where they
-show a corner says how certain it is.
+corners move, black, white and the blur. Pixels that fit badly (a shadow's edge, grass, glare) count for less,
+and white that is cut off for nothing. How the pixels scatter where they show a corner says how certain it is.
 
 Places on a marker are in cells, from its top-left corner: x along its top edge, y down its left one. Pixels:
 u right, v down, whole numbers at pixel centres.
