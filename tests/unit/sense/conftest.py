@@ -50,6 +50,7 @@ def vehicle() -> VehicleConfig:
 def take_picture(pad: Pad, camera: CameraConfig, vehicle: VehicleConfig) -> TakePicture:
     """A picture at time 0 with the default noise; truth: the pad in body axes, and body-from-pad."""
     models: dict[VehicleConfig, CameraModel] = {}
+    noise = np.random.default_rng()
 
     def take(
         position_m: Vector3,
@@ -59,13 +60,16 @@ def take_picture(pad: Pad, camera: CameraConfig, vehicle: VehicleConfig) -> Take
         velocity_m_s: Vector3 = (0.0, 0.0, 0.0),
         mounted: VehicleConfig = vehicle,
         at_s: float = 0.0,
+        seed: int = 4,
     ) -> tuple[Frame, Vector3, Quaternion]:
         def scene(time_s: float) -> ScenePose:
             x, y, z = (p + v * time_s for p, v in zip(position_m, velocity_m_s, strict=True))
             return ScenePose((x, y, z - 0.3), attitude, (0.0, 0.0, -0.3), heading_rad)
 
         if mounted not in models:
-            models[mounted] = CameraModel(camera, mounted, pad, ImagingSettings(), np.random.default_rng(4))
+            models[mounted] = CameraModel(camera, mounted, pad, ImagingSettings(), noise)
+        # a picture's noise is its own, whichever tests ran before
+        noise.bit_generator.state = np.random.default_rng(seed).bit_generator.state
         image = models[mounted].render(0.0, scene)
         to_body = quat_conjugate(attitude)
         x, y, z = (p + v * at_s for p, v in zip(position_m, velocity_m_s, strict=True))
