@@ -48,10 +48,15 @@ def _seen_until_lost(vehicle: VehicleState | None, pad: PadState | None) -> bool
     return vehicle is not None and pad is not None and vehicle.sensed_time_s - pad.seen_time_s <= FRESH_S
 
 
-def _stopped_words(inputs: PlanInputs) -> str:
-    """That it may be the autopilot's failsafe, to follow other words; "" where setpoints never stopped."""
-    stopped = inputs.computer.held_up_s >= inputs.keeps_setpoint_s
-    return f": our setpoints had stopped for {inputs.computer.held_up_s:.1f} s" if stopped else ""
+def _mode_words(inputs: PlanInputs) -> str:
+    """Whose the mode is, as far as the autopilot tells, and whether our setpoints had stopped."""
+    autopilot = inputs.autopilot
+    words = f"mode {autopilot.mode or 'unknown'} was not requested"
+    if autopilot.intended_mode not in {"", autopilot.mode}:
+        words = f"the autopilot's failsafe flies {autopilot.mode} in place of {autopilot.intended_mode}"
+    if inputs.computer.held_up_s >= inputs.keeps_setpoint_s:
+        words += f": our setpoints had stopped for {inputs.computer.held_up_s:.1f} s"
+    return words
 
 
 def _disputed(
@@ -128,14 +133,10 @@ class FailsafeMonitor:
             (heard and not autopilot.armed, MissionEvent.DISARMED, "motors off"),
             (
                 heard and autopilot.motors_cut,
-                MissionEvent.PILOT_TOOK_OVER,
+                MissionEvent.TAKEN_OVER,
                 "kill switch, emergency stop or flight termination",
             ),
-            (
-                taken_over,
-                MissionEvent.PILOT_TOOK_OVER,
-                f"mode {autopilot.mode or 'unknown'} was not requested{_stopped_words(inputs)}",
-            ),
+            (taken_over, MissionEvent.TAKEN_OVER, _mode_words(inputs)),
             (inputs.stop_requested, MissionEvent.STOP, "by the operator"),
             (not heard, MissionEvent.LINK_LOST, silence),
         )
@@ -152,9 +153,9 @@ class FailsafeMonitor:
         if not autopilot.connected:
             return ()
         if autopilot.motors_cut:
-            return ((MissionEvent.PILOT_TOOK_OVER, "motors cut: nothing more is asked"),)
+            return ((MissionEvent.TAKEN_OVER, "motors cut: nothing more is asked"),)
         if self._modes.taken_since_end(autopilot, asked):
-            return ((MissionEvent.PILOT_TOOK_OVER, f"mode {autopilot.mode}: nothing more is asked"),)
+            return ((MissionEvent.TAKEN_OVER, f"mode {autopilot.mode}: nothing more is asked"),)
         return ()
 
     def _late(self, inputs: PlanInputs, now_s: float) -> Iterator[DetectedEvent]:

@@ -87,7 +87,7 @@ class MissionEvent(StrEnum):
     TIMEOUT = "timeout"  # of the phase
     OVERTIME = "overtime"  # of the whole mission, from take-off or the order to land
     DISARMED = "disarmed"
-    PILOT_TOOK_OVER = "pilot_took_over"
+    TAKEN_OVER = "taken_over"
     STOP = "stop_requested"
     LINK_LOST = "link_lost"
     LINK_UP = "link_up"

@@ -53,7 +53,7 @@ LATE: Final = (E.COMPUTER_LATE, E.LINK_LATE)  # setpoints of ours come too late
 BLIND: Final = (E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED)  # setpoints of ours lead nowhere
 # what may be detected in any state: each state has a row or a reason for none
 ANYWHERE: Final = (
-    *(E.DISARMED, E.PILOT_TOOK_OVER, E.STOP, E.LINK_LOST, E.LINK_UP, *LATE, E.RIVAL),
+    *(E.DISARMED, E.TAKEN_OVER, E.STOP, E.LINK_LOST, E.LINK_UP, *LATE, E.RIVAL),
     *(E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED, E.VELOCITY_UNKNOWN, E.BATTERY_CRITICAL),
     *(E.OUT_OF_BOUNDS, E.PAD_DISPUTED, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT),
 )
@@ -242,13 +242,13 @@ ROWS: Final = (
     _row(E.STOP, LOW, *_HOLD_CLEAR),
     _row(E.STOP, IN_AIR - LOW, *_RETURN_CONTROL, except_={S.HOLD: _CLEARS, **_GO_ON}),
     _row(
-        E.PILOT_TOOK_OVER,
+        E.TAKEN_OVER,
         LIVE,
         _CONTROL_LOST,
         except_={S.STANDBY: _WAITS_FOR_OPERATOR, S.CONNECT: _NOTHING_ASKED},
     ),
     # a hold or a landing that is still asked for would take the vehicle from whoever has it now
-    _row(E.PILOT_TOOK_OVER, S.ABORT, Branch(None, effects=(Effect.ASK_NOTHING,))),
+    _row(E.TAKEN_OVER, S.ABORT, Branch(None, effects=(Effect.ASK_NOTHING,))),
     _row(
         E.DISARMED,
         IN_AIR - ON_PAD - {S.SET_DOWN},

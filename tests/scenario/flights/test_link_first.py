@@ -147,7 +147,7 @@ def assert_prompt(heard: RecordedFlight, autopilot: AutopilotKind) -> None:
     before = [time_s for time_s in heard.setpoints_s if time_s < other_s]
     assert other_s - before[-1] < 0.5, "setpoints were sent until the pilot's mode was told"
     assert max(heard.setpoints_s) - other_s <= PROMPT_S
-    assert any("pilot took over" in said.text for said in heard.record.texts)
+    assert any("taken over" in said.text for said in heard.record.texts)
 
 
 def test_a_link_that_cannot_be_read_any_more_ends_the_flight_in_the_autopilots_hold() -> None:

@@ -105,7 +105,7 @@ class Scripted(Planner):
             [(Phase.HOLD, "hold: stop requested"), (Phase.HOLD, ""), (Phase.ABORT, "abort: clear: at rest")],
             "hold: stop requested; abort: clear: at rest",
         ),
-        ([(Phase.ABORT, "abort: pilot took over")], "abort: pilot took over"),
+        ([(Phase.ABORT, "abort: taken over")], "abort: taken over"),
         (
             [(Phase.HOLD, "hold: link lost"), (Phase.SEARCH, "search: again"), (Phase.LANDED, "landed")],
             "landed",

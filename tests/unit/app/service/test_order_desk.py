@@ -73,8 +73,8 @@ def test_in_a_mission_a_second_order_is_busy_and_a_stop_stops() -> None:
 def test_a_mission_that_ends_otherwise_has_failed() -> None:
     d = AnsweredDesk()
     d.desk.decided(order("a"), None, 1.0)
-    d.desk.mission_ended(Phase.ABORT, "abort: pilot took over", 3.0)
-    assert d.replies[-1] == ("a", OrderOutcome.FAILED, "abort: pilot took over")
+    d.desk.mission_ended(Phase.ABORT, "abort: taken over", 3.0)
+    assert d.replies[-1] == ("a", OrderOutcome.FAILED, "abort: taken over")
 
 
 def test_who_sends_orders_without_end_fills_no_memory_and_each_is_answered() -> None:

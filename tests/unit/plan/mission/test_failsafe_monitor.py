@@ -88,7 +88,7 @@ def taken_over(
 ) -> bool:
     found = watch.detect(inputs(autopilot), 50.0, control_granted=granted, asked=frozenset(asked))
     events = [event for event, _ in found]
-    return MissionEvent.PILOT_TOOK_OVER in events
+    return MissionEvent.TAKEN_OVER in events
 
 
 def test_all_is_well_is_nothing() -> None:
@@ -125,7 +125,7 @@ def test_what_was_heard_of_the_mode_before_the_link_was_lost_is_old() -> None:
 @pytest.mark.parametrize("state", sorted(IN_AIR))
 def test_motors_that_the_pilot_cut_are_the_pilots_in_every_state(state: State) -> None:
     cut = inputs(replace(FLYING, motors_cut=True))
-    assert gravest(cut, state) is MissionEvent.PILOT_TOOK_OVER
+    assert gravest(cut, state) is MissionEvent.TAKEN_OVER
 
 
 @pytest.mark.parametrize(("share", "critical"), [(None, False), (0.13, False), (0.12, True), (0.0, True)])
@@ -151,14 +151,14 @@ def test_a_link_is_late_beyond_its_bound_while_that_is_fresh(
     ("given", "state", "event"),
     [
         (inputs(replace(FLYING, armed=False)), State.APPROACH, MissionEvent.DISARMED),
-        (inputs(HELD), State.APPROACH, MissionEvent.PILOT_TOOK_OVER),
+        (inputs(HELD), State.APPROACH, MissionEvent.TAKEN_OVER),
         (inputs(stop=True), State.APPROACH, MissionEvent.STOP),
         (inputs(replace(FLYING, connected=False)), State.APPROACH, MissionEvent.LINK_LOST),
         (inputs(vehicle=False), State.APPROACH, MissionEvent.ESTIMATE_LOST),
         (inputs(replace(FLYING, connected=False)), State.STAND, None),
         (inputs(vehicle=False), State.STAND, None),
         # a pilot is asked before the one at the keyboard, and a lost link knows no mode
-        (inputs(HELD, stop=True), State.APPROACH, MissionEvent.PILOT_TOOK_OVER),
+        (inputs(HELD, stop=True), State.APPROACH, MissionEvent.TAKEN_OVER),
         (inputs(replace(HELD, connected=False)), State.APPROACH, MissionEvent.LINK_LOST),
         # in the final descent a stop waits, and what else is wrong does not
         (inputs(stop=True), State.WAIT, MissionEvent.STOP),
@@ -298,4 +298,21 @@ def test_a_mode_that_follows_setpoints_that_stopped_is_not_the_pilots_alone(
     given = replace(inputs(replace(HELD, mode="POSCTL")), computer=held_up, keeps_setpoint_s=1.0)
     watch.detect(inputs(), 49.0, control_granted=True)
     found = dict(watch.detect(given, 50.0, control_granted=True))
-    assert found[MissionEvent.PILOT_TOOK_OVER] == f"mode POSCTL was not requested{words}"
+    assert found[MissionEvent.TAKEN_OVER] == f"mode POSCTL was not requested{words}"
+
+
+@pytest.mark.parametrize(
+    ("intended", "words"),
+    [
+        ("", "mode AUTO.LAND was not requested"),
+        ("AUTO.LAND", "mode AUTO.LAND was not requested"),
+        ("OFFBOARD", "the autopilot's failsafe flies AUTO.LAND in place of OFFBOARD"),
+    ],
+)
+def test_a_failsafe_of_the_autopilots_is_not_called_a_pilot(intended: str, words: str) -> None:
+    # PX4's CURRENT_MODE tells what was chosen from what a failsafe flies in its place
+    watch, _ = monitor()
+    watch.detect(inputs(), 49.0, control_granted=True)
+    landing = replace(HELD, mode="AUTO.LAND", intended_mode=intended)
+    found = dict(watch.detect(inputs(landing), 50.0, control_granted=True))
+    assert found[MissionEvent.TAKEN_OVER] == words

@@ -23,7 +23,7 @@ from companion.plan.mission.table import (
 from docs import state_machine
 from tests.unit.plan.mission.table_walk import E, S, kinds, taken
 
-AFTER_END = (S.ABORT, E.PILOT_TOOK_OVER)  # while the end still asks for something
+AFTER_END = (S.ABORT, E.TAKEN_OVER)  # while the end still asks for something
 NOT_BY_TIME = {S.STANDBY, S.AUTO_LAND}  # it waits for the operator; it stands, and asks on
 EVERY_CIRCUMSTANCE = [
     Circumstances(authority, *flags) for authority in Authority for flags in product((False, True), repeat=9)
@@ -54,7 +54,7 @@ def test_what_may_happen_anywhere_is_handled_in_every_state_or_excepted_with_a_r
     ("event", "excepted"),
     [
         (E.STOP, COMMITTED | {S.HOLD}),
-        (E.PILOT_TOOK_OVER, {S.STANDBY, S.CONNECT}),
+        (E.TAKEN_OVER, {S.STANDBY, S.CONNECT}),
         (E.LINK_LOST, ON_GROUND | COMMITTED | {S.HOLD, S.AWAIT_LINK}),
         (E.ESTIMATE_LOST, ON_GROUND | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
         (E.ESTIMATE_DISPUTED, ON_GROUND | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),

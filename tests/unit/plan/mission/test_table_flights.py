@@ -42,7 +42,7 @@ def test_a_good_flight_goes_through_in_order() -> None:
 
 @pytest.mark.parametrize("state", sorted(LIVE - {S.STANDBY, S.CONNECT}))
 def test_a_pilot_who_takes_over_keeps_the_vehicle(state: State) -> None:
-    branch = taken(state, E.PILOT_TOOK_OVER)
+    branch = taken(state, E.TAKEN_OVER)
     assert (branch.to, branch.actions, branch.authority) == (S.ABORT, (), Authority.RELEASED)
     assert Effect.STOP_SETPOINTS in branch.effects
 
