@@ -1,7 +1,7 @@
 """What disturbs the vehicle besides the command, by what is measured and how fast that may be trusted.
 
-- The wind's disturbance sideways (`WindObserver`): a multirotor's thrust lies along its up axis, so what its
-  accelerometer feels across that axis is the wind's doing. No model of the autopilot comes between, and no
+- The air's disturbance sideways (`WindObserver`): a multirotor's thrust lies along its up axis, so what its
+  accelerometer feels across that axis is wind and drag. No model of the autopilot comes between, and no
   loop closes through one.
 - What is left between the command and what the thrust makes (`LastingObserver`): the autopilot's attitude is
   not quite ours, its integrals wind up, thrust differs from what was assumed. That closes a loop through
@@ -20,6 +20,7 @@ from companion.base.geometry import (
     ZERO3,
     Vector3,
     add,
+    dot,
     horizontal_acceleration,
     norm,
     scale,
@@ -136,17 +137,20 @@ class LastingObserver:
 
 
 class WindObserver:
-    """The wind's disturbance sideways: the side force that the accelerometer feels. NED, m/s2.
+    """The air's disturbance sideways, wind and drag: the side force that the accelerometer feels. NED, m/s2.
 
     No attitude of one instant is set against an acceleration of another, so the vehicle's own manoeuvres,
-    however late they are measured, are no wind. It is known late, and acted upon later still; a gust lasts,
-    so its trend carries it on.
+    however late they are measured, are no wind. It is known late, and acted upon later still. What the wind
+    does lasts, so its trend carries it on; the drag follows the vehicle's own velocity, which is known: over a
+    pad that drives a circle it turns with it, and nothing that smooths would keep up.
 
     A turbulent wind's force is a random walk from a tenth of a second to some seconds. The sensor's noise
     moves the vehicle hardly less by a longer lag, the walk moves it more: the lag is as long as its own error
     stays half of the noise's, and spares the tilts that noise would ask for in calm air. The walk's density
     is learnt from the difference of two means: its mean square is density (T2 - T1)^2 / (2 (T1 + T2)), and
-    the noise's own part in it noise (1 / 2 T1 + 1 / 2 T2 - 2 / (T1 + T2)).
+    the noise's own part in it noise (1 / 2 T1 + 1 / 2 T2 - 2 / (T1 + T2)). The drag (1/s) is learnt from the
+    same difference against that of the velocity, walk and noise being its measurement's variance: nothing in
+    gusts, to a tenth within a few changes of speed in calm air. None is known at first.
     """
 
     QUICKEST_S: Final = 0.03
@@ -157,12 +161,16 @@ class WindObserver:
     MEAN_S: Final = 1.0
     SLOW_MEAN_S: Final = 3.0
     MOST_CHANGE_M_S2: Final = 1.0  # a steeper trend is a gust that is over before
+    # 1/s: rotors' and body's is 0.1 to 0.5 on real multirotors, 1.0 in PX4's SIH
+    FIRST_DRAG_STD: Final = 0.5
 
     def __init__(self, sensor_lag_s: float, maximum_m_s2: float) -> None:
         """`sensor_lag_s` is how late the side force is measured."""
         self._lag_s, self._maximum_m_s2 = sensor_lag_s, maximum_m_s2
         self._smoothing_s, self._walk, self._noise = self.QUICKEST_S, self.FIRST_WALK, 0.0
+        self.drag_per_s, self._drag_variance = 0.0, self.FIRST_DRAG_STD**2
         self.mean_wind_ned_m_s2 = self._slow_wind_ned_m_s2 = ZERO3
+        self._velocity_m_s = self._mean_velocity_m_s = self._slow_velocity_m_s = ZERO3
         self._known = False  # the mean of late, which outlives a start anew
         self.reset()
 
@@ -171,57 +179,91 @@ class WindObserver:
         self._begun = False
         self.thrust_ned_m_s2: Vector3 = ZERO3
         self.late_thrust_ned_m_s2: Vector3 = ZERO3
-        self.wind_ned_m_s2: Vector3 = self.mean_wind_ned_m_s2
+        self._at_rest_ned_m_s2 = self._without_drag(self.mean_wind_ned_m_s2, self._mean_velocity_m_s)
         self._trend_ned_m_s3: Vector3 = ZERO3
 
+    @property
+    def wind_ned_m_s2(self) -> Vector3:
+        """The air's part in the acceleration by now, wind and drag."""
+        return self._with_drag(self._at_rest_ned_m_s2, self._velocity_m_s)
+
     def ahead_ned_m_s2(self, ahead_s: float) -> Vector3:
-        """The wind's part `ahead_s` from now, by its trend; what it is late by is added."""
+        """The same `ahead_s` from now, by the wind's trend and the vehicle's motion.
+
+        What the wind is late by is added.
+        """
         change = scale(self._trend_ned_m_s3, ahead_s + self._lag_s + self._smoothing_s)
         size = norm(change)
         change = scale(change, min(1.0, self.MOST_CHANGE_M_S2 / size) if size > 0.0 else 0.0)
-        x, y, _ = add(self.wind_ned_m_s2, change)
-        return (_clamp(x, self._maximum_m_s2), _clamp(y, self._maximum_m_s2), 0.0)
+        return self._with_drag(add(self._at_rest_ned_m_s2, change), self._velocity_at(ahead_s))
 
     def step(self, vehicle: VehicleState, elapsed_s: float) -> None:
-        """Take in attitude, acceleration and side force, the last were `elapsed_s` ago.
+        """Take in attitude, velocity, acceleration and side force, the last were `elapsed_s` ago.
 
         `thrust_ned_m_s2` is then what the tilt makes now, `late_thrust_ned_m_s2` what the thrust made when
-        the acceleration was measured, and `wind_ned_m_s2` the wind's part, with its mean of late beside it.
+        the acceleration was measured, and `wind_ned_m_s2` the air's part, with its mean of late beside it.
         Along down all of the acceleration is thrust.
         """
         (x, y, z), (a, b, _) = vehicle.acceleration_ned_m_s2, vehicle.side_force_ned_m_s2
-        if not all(map(math.isfinite, (x, y, z, a, b, *vehicle.attitude))):
+        north, east, _ = vehicle.velocity_ned_m_s
+        if not all(map(math.isfinite, (x, y, z, a, b, north, east, *vehicle.attitude))):
             return
         by_tilt, carried = horizontal_acceleration(vehicle.attitude), 1.0 - z / GRAVITY_M_S2
         self.thrust_ned_m_s2 = (by_tilt[0] * carried, by_tilt[1] * carried, z)
         self.late_thrust_ned_m_s2 = (x - a, y - b, z)
-        bound, before = self._maximum_m_s2, self.wind_ned_m_s2
-        wind = (_clamp(a, bound), _clamp(b, bound), 0.0)
+        self._velocity_m_s = (north, east, 0.0)
+        bound, before = self._maximum_m_s2, self._at_rest_ned_m_s2
+        felt = (_clamp(a, bound), _clamp(b, bound), 0.0)
+        felt_at_m_s = self._velocity_at(-self._lag_s)
         smoothing = elapsed_s / self._smoothing_s if self._known else math.inf
-        self.wind_ned_m_s2 = _follow(before, wind, smoothing)
-        self._learn(wind, vehicle.acceleration_density_m2_s3, elapsed_s)
+        self._at_rest_ned_m_s2 = _follow(before, self._without_drag(felt, felt_at_m_s), smoothing)
+        self._learn(felt, felt_at_m_s, vehicle.acceleration_density_m2_s3, elapsed_s)
         if elapsed_s > 0.0 and self._begun:
-            slope = scale(subtract(self.wind_ned_m_s2, before), 1.0 / elapsed_s)
+            slope = scale(subtract(self._at_rest_ned_m_s2, before), 1.0 / elapsed_s)
             smoothing = elapsed_s / (self.TREND_TIMES * self._smoothing_s)
             self._trend_ned_m_s3 = _follow(self._trend_ned_m_s3, slope, smoothing)
         self._begun = True
 
-    def _learn(self, wind: Vector3, density_m2_s3: float, elapsed_s: float) -> None:
-        """The means, the noise, the walk and the lag that suits them.
+    def _velocity_at(self, ahead_s: float) -> Vector3:
+        """The vehicle's velocity sideways so long from now (m/s, NED), by tilt and air."""
+        north, east, _ = add(
+            self._velocity_m_s, scale(add(self.thrust_ned_m_s2, self.wind_ned_m_s2), ahead_s)
+        )
+        return (north, east, 0.0)
+
+    def _with_drag(self, at_rest_m_s2: Vector3, velocity_m_s: Vector3) -> Vector3:
+        x, y, _ = subtract(at_rest_m_s2, scale(velocity_m_s, self.drag_per_s))
+        return (_clamp(x, self._maximum_m_s2), _clamp(y, self._maximum_m_s2), 0.0)
+
+    def _without_drag(self, moving_m_s2: Vector3, velocity_m_s: Vector3) -> Vector3:
+        return add(moving_m_s2, scale(velocity_m_s, self.drag_per_s))
+
+    def _learn(self, felt: Vector3, velocity: Vector3, density_m2_s3: float, elapsed_s: float) -> None:
+        """The means, the noise, the walk and the lag that suits them, and the drag.
 
         A blow passes for noise for a while: it doubles in a second at most.
         """
         mean, slow = (elapsed_s / t if self._known else math.inf for t in (self.MEAN_S, self.SLOW_MEAN_S))
-        self.mean_wind_ned_m_s2 = _follow(self.mean_wind_ned_m_s2, wind, mean)
-        self._slow_wind_ned_m_s2 = _follow(self._slow_wind_ned_m_s2, wind, slow)
+        self.mean_wind_ned_m_s2 = _follow(self.mean_wind_ned_m_s2, felt, mean)
+        self._slow_wind_ned_m_s2 = _follow(self._slow_wind_ned_m_s2, felt, slow)
+        self._mean_velocity_m_s = _follow(self._mean_velocity_m_s, velocity, mean)
+        self._slow_velocity_m_s = _follow(self._slow_velocity_m_s, velocity, slow)
         self._known = True
         least = self.QUICKEST_S**2 * self.FIRST_WALK
         self._noise = min(density_m2_s3, max(self._noise, least) * 2.0**elapsed_s)
-        north, east, _ = subtract(self.mean_wind_ned_m_s2, self._slow_wind_ned_m_s2)
-        walk = north * north + east * east - self._noise / 3.0  # both axes'
+        changed = subtract(self._mean_velocity_m_s, self._slow_velocity_m_s)
+        left = subtract(self.mean_wind_ned_m_s2, self._slow_wind_ned_m_s2)
+        left = self._without_drag(left, changed)
+        walk = dot(left, left) - self._noise / 3.0  # both axes'
         self._walk += _share(elapsed_s / self.WALK_MEMORY_S) * (walk - self._walk)
         suits_s = 0.5 * math.sqrt(self._noise / max(self._walk, least))
         self._smoothing_s = min(max(self.QUICKEST_S, suits_s), self.SLOWEST_S)
+        # the differences are new after the means' times, half of them each
+        news = 2.0 * elapsed_s / (self.MEAN_S + self.SLOW_MEAN_S)
+        variance = 0.5 * (max(self._walk, least) + self._noise / 3.0)  # of one axis
+        gain = self._drag_variance * news / (variance + self._drag_variance * dot(changed, changed) * news)
+        self.drag_per_s = max(0.0, self.drag_per_s - gain * dot(left, changed))
+        self._drag_variance *= 1.0 - gain * dot(changed, changed)
 
 
 def _follow(state: Vector3, measured: Vector3, exponent: float) -> Vector3:
