@@ -141,8 +141,8 @@ class WindObserver:
 
     No attitude of one instant is set against an acceleration of another, so the vehicle's own manoeuvres,
     however late they are measured, are no wind. It is known late, and acted upon later still. What the wind
-    does lasts, so its trend carries it on; the drag follows the vehicle's own velocity, which is known: over a
-    pad that drives a circle it turns with it, and nothing that smooths would keep up.
+    does lasts, so its trend carries it on; the drag follows the vehicle's own velocity, which is known: over
+    a pad that drives a circle it turns with it, and nothing that smooths would keep up.
 
     A turbulent wind's force is a random walk from a tenth of a second to some seconds. The sensor's noise
     moves the vehicle hardly less by a longer lag, the walk moves it more: the lag is as long as its own error
@@ -262,7 +262,8 @@ class WindObserver:
         news = 2.0 * elapsed_s / (self.MEAN_S + self.SLOW_MEAN_S)
         variance = 0.5 * (max(self._walk, least) + self._noise / 3.0)  # of one axis
         gain = self._drag_variance * news / (variance + self._drag_variance * dot(changed, changed) * news)
-        self.drag_per_s = max(0.0, self.drag_per_s - gain * dot(left, changed))
+        learnt_per_s = self.drag_per_s - gain * dot(left, changed)
+        self.drag_per_s = min(max(0.0, learnt_per_s), 3.0 * self.FIRST_DRAG_STD)
         self._drag_variance *= 1.0 - gain * dot(changed, changed)
 
 

@@ -159,3 +159,53 @@ def test_a_start_anew_begins_with_the_wind_of_late() -> None:
     wind.reset()
     wind.step(replace(feeling(LEVEL, ZERO3), side_force_ned_m_s2=(9.0, 0.0, 0.0)), 0.0)
     assert wind.wind_ned_m_s2[0] == pytest.approx(1.5, abs=0.01)
+
+
+def test_a_drag_that_turns_with_the_vehicle_is_known_ahead() -> None:
+    """PX4's SIH: drag of 1 1/s, an accelerometer that errs by 0.5 m/s2; over a pad that drives a circle."""
+    drag_per_s, turn_rad_s, ahead_s, speed_m_s = 1.0, 0.28, 0.2, 1.5
+    wind, rng, off = WindObserver(SENSOR_LAG_S, 5.0), np.random.default_rng(7), list[complex]()
+    for k in range(round(24.0 / PERIOD_S)):
+        time_s = k * PERIOD_S
+
+        def velocity(at_s: float) -> complex:
+            # at rest, then along a line, then around
+            speed = speed_m_s * min(max(0.0, at_s - 2.0) / 1.5, 1.0)
+            return speed * complex(np.exp(1j * turn_rad_s * max(0.0, at_s - 8.0)))
+
+        late_m_s = velocity(time_s - SENSOR_LAG_S)
+        force = -drag_per_s * late_m_s + complex(*rng.normal(0.0, 0.5, 2))
+        flown = (velocity(time_s + 0.01) - velocity(time_s - 0.01)) / 0.02
+        tilted = flown + drag_per_s * velocity(time_s)
+        now_m_s = velocity(time_s)
+        state = replace(
+            feeling(attitude_from_acceleration((tilted.real, tilted.imag, 0.0), 0.0), ZERO3),
+            velocity_ned_m_s=(now_m_s.real, now_m_s.imag, 0.0),
+            side_force_ned_m_s2=(force.real, force.imag, 0.0),
+            acceleration_density_m2_s3=0.25 * PERIOD_S,
+        )
+        wind.step(state, PERIOD_S)
+        north, east, _ = wind.ahead_ned_m_s2(ahead_s)
+        if time_s > 14.0:
+            off.append(complex(north, east) + drag_per_s * velocity(time_s + ahead_s))
+    assert wind.drag_per_s == pytest.approx(drag_per_s, abs=0.15)
+    # what a smoothed force is late by turned to one side: 0.1 m/s2, and 5 cm beside the pad
+    aside = np.array(off) * np.exp(-1j * turn_rad_s * (np.arange(len(off)) * PERIOD_S + 6.0))
+    assert abs(aside.imag.mean()) < 0.04
+
+
+def test_gusts_that_push_the_vehicle_are_no_drag() -> None:
+    rng, wind, velocity_m_s, push = np.random.default_rng(8), WindObserver(SENSOR_LAG_S, 5.0), 0.0, 0.0
+    drags = list[float]()
+    for _ in range(round(60.0 / PERIOD_S)):
+        push += float(rng.normal(0.0, math.sqrt(0.3 * PERIOD_S))) - 0.3 * push * PERIOD_S
+        velocity_m_s += (0.3 * push - 1.5 * velocity_m_s) * PERIOD_S
+        state = replace(
+            feeling(LEVEL, ZERO3),
+            velocity_ned_m_s=(velocity_m_s, 0.0, 0.0),
+            side_force_ned_m_s2=(push, 0.0, 0.0),
+            acceleration_density_m2_s3=1e-4,
+        )
+        wind.step(state, PERIOD_S)
+        drags.append(wind.drag_per_s)
+    assert max(drags[len(drags) // 2 :]) < 0.15
