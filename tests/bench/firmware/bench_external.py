@@ -40,6 +40,11 @@ SCENARIOS: Final = ("static", "line", "circle")
 MEDIAN_CM: Final = 6.0
 BROKEN_COMMITS: Final = 1
 BREAKS_OFF: Final = ": waiting again over the pad"
+# as it arms, the list of PX4's timers (drv_hrt.cpp of its posix build) has lost its middle in 1 of 12 starts:
+# the simulated magnetometer, barometer and GPS stop, and its failsafe lands it
+TIMERS_LOST: Final = ("no magnetic field in the IMU's messages", "the autopilot's failsafe flies AUTO.LAND")
+STARTS: Final = 3
+LOG: Final = "app.log"
 BOOT_S: Final = 120.0
 FLIGHT_S: Final = 400.0
 HOME: Final = "47.397742,8.545594,489,0"
@@ -154,10 +159,27 @@ def hold_first_port(ready: threading.Event, ended: threading.Event) -> None:
 
 
 def fly(flight: Flight) -> dict[str, Any]:
-    """Fly one; the row of the table, written beside the flight."""
+    """Fly one; the row of the table, written beside the flight.
+
+    A start at which PX4 lost its timers is no flight: it is kept beside, counted, and made again.
+    """
+    for lost in range(STARTS):
+        row = attempt(flight) | {"lost_starts": lost}
+        said = (flight.folder / LOG).read_text(errors="replace")
+        if lost + 1 == STARTS or not all(words in said for words in TIMERS_LOST):
+            break
+        beside = flight.folder.with_name(f"{flight.folder.name}-lost-{lost}")
+        shutil.rmtree(beside, ignore_errors=True)
+        flight.folder.rename(beside)
+    flight.row.write_text(json.dumps(row))
+    return row
+
+
+def attempt(flight: Flight) -> dict[str, Any]:
+    """Start the firmware and fly."""
     shutil.rmtree(flight.folder, ignore_errors=True)  # of a flight that was interrupted
     flight.folder.mkdir(parents=True)
-    result, log = flight.folder / "result.json", flight.folder / "app.log"
+    result, log = flight.folder / "result.json", flight.folder / LOG
     with firmware(flight), log.open("wb") as said:
         code = subprocess.run(
             (sys.executable, "-m", "companion.cli", "--sitl", "--autopilot", "external",
@@ -166,13 +188,11 @@ def fly(flight: Flight) -> dict[str, Any]:
             cwd=CONFIG_FOLDER.parent, stdout=said, stderr=subprocess.STDOUT, timeout=FLIGHT_S, check=False,
         ).returncode  # fmt: skip
     found = json.loads(result.read_text()) if result.exists() else {}
-    row = {
+    return {
         "outcome": found.get("outcome", f"exit code {code}"),
         "touchdown": found.get("touchdown"),
         "broken_commits": log.read_text(errors="replace").count(BREAKS_OFF),
     }
-    flight.row.write_text(json.dumps(row))
-    return row
 
 
 def shown(flights: Sequence[Flight]) -> tuple[Table, list[Bar]]:
@@ -184,6 +204,7 @@ def shown(flights: Sequence[Flight]) -> tuple[Table, list[Bar]]:
         "lateral cm p50 worst",
         "down, sideways m/s worst",
         "broken",
+        "lost starts",
     ):
         table.add_column(heading, no_wrap=True)
     for kind, scenario in dict.fromkeys((f.kind, f.scenario) for f in flights):
@@ -199,7 +220,7 @@ def shown(flights: Sequence[Flight]) -> tuple[Table, list[Bar]]:
         name = f"{kind} {scenario}"
         table.add_row(
             name, f"{len(landed)}/{len(rows)}", f"{median:.1f} {max(lateral, default=0.0):.1f}",
-            f"{speeds[0]:.2f} {speeds[1]:.2f}", str(broken),
+            f"{speeds[0]:.2f} {speeds[1]:.2f}", str(broken), str(sum(row["lost_starts"] for row in rows)),
         )  # fmt: skip
         bars.append(Bar(f"{name} landed", f"{len(landed)} of {len(rows)} (all)", len(landed) == len(rows)))
         bars.append(Bar(f"{name} p50", f"{median:.1f} (<= {MEDIAN_CM:g}) cm", median <= MEDIAN_CM))
