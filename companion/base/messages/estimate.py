@@ -126,6 +126,11 @@ class PadState:
         """Horizontal speed (m/s) between the two."""
         return math.hypot(self.relative_velocity_ned_m_s[0], self.relative_velocity_ned_m_s[1])
 
+    @property
+    def height_std_m(self) -> float:
+        """Standard deviation (m) of `height_m`; 0 without a covariance."""
+        return math.sqrt(max(0.0, self.covariance[2][2])) if self.covariance else 0.0
+
     def lateral_std_m(self, ahead_s: float = 0.0) -> float:
         """Standard deviation (m) of the horizontal relative position on an axis, `ahead_s` from `time_s`.
 

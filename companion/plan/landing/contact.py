@@ -33,6 +33,9 @@ _ARRIVES_S = 0.3
 # Echoes so much longer than what the feet stand on give, for so long: a hop is shorter.
 _LIFTED_M = 0.08
 _LIFTED_S = 0.3
+# The camera sees a millimetre: from half of `contact_margin_m` it falls with 0.4 m/s, from 3 cm with 0.8.
+_LIFTED_SHARE = 0.5
+_SURELY = 3.0  # standard deviations
 # An autopilot that is not heard for this share of the time for which it keeps a setpoint may not hear us
 # either, and soon flies by itself. Heard again, it is where that took it: for so long after the silence the
 # feet have to be shown down.
@@ -144,7 +147,8 @@ class Standing:
         """The feet are on the pad from now on: where they were felt, if the file has shorter legs."""
         self._since_s = now_s
         felt_m = 0.0 if sight is None or sight.age_s > KNOWN_S else sight.height_m
-        self._feet_m = max(self._vehicle.leg_height_m, felt_m) + self._config.contact_margin_m
+        self._stood_m = max(self._vehicle.leg_height_m, felt_m)
+        self._feet_m = self._stood_m + self._config.contact_margin_m
         self._away, self._resting, self._falling, self._unshown = (Debounce() for _ in range(4))
         self._lifted, self._able = Debounce(), Debounce()
         self._silent_s = self._unsure_s = -math.inf
@@ -158,28 +162,38 @@ class Standing:
         away = sight.unseen_s <= UNSEEN_S and sight.height_m > self._vehicle.leg_height_m + _AWAY_M
         return self._away.held_s(away, now_s) >= _AWAY_S
 
-    def after_silence(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> tuple[bool, bool]:
-        """In and just after a silence of the link: whether echoes show it off the pad, and whether nothing
-        shows it on the pad.
+    def doubted(self, inputs: PlanInputs, now_s: float) -> bool:
+        """Whether our setpoints may not arrive, or just now may not have; what lifts it or makes it slide
+        then is the autopilot.
 
-        An autopilot holds by itself once setpoints do not arrive, over a pad that moves on; obeying again by
-        our first setpoint it would be pressed down from there. Where the IMU is silent too (all comes by
-        the link), what is not shown says nothing.
+        It holds by itself once setpoints do not arrive, over a pad that moves on; obeying again by our first
+        setpoint it would be pressed down from there.
         """
         if unheard(inputs):
             self._silent_s = now_s
-        if inputs.silent_s >= FRESH_S:
+        if unheard(inputs) or inputs.silent_s >= FRESH_S:
             self._unsure_s = now_s
+        return now_s - self._unsure_s <= _DOUBTED_S
+
+    def off_by_itself(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> tuple[bool, bool]:
+        """Whether it is shown off the pad while our setpoints are `doubted`, and whether nothing shows it on
+        the pad.
+
+        A pad that is seen decides, against the height at which it stood while we were heard; else echoes do.
+        Where the IMU is silent too (all comes by the link), what is not shown says nothing.
+        """
+        doubted = self.doubted(inputs, now_s)
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
         high = echo_m is not None and echo_m > self._vehicle.leg_height_m + _LIFTED_M
         lifted = self._lifted.held_s(high, now_s) >= _LIFTED_S
         able = self._able.held_s(felt(inputs.vehicle, now_s), now_s) >= FRESH_S
-        # an echo may be wrong where the pad is seen at the feet
-        if self._shown_down(sight, None, now_s):
-            return False, False
-        # what shows it lifted needs no more than a doubt that our setpoints arrive
-        lifted = lifted and now_s - self._unsure_s <= _DOUBTED_S
-        return lifted, able and echo_m is None and now_s - self._silent_s <= _DOUBTED_S
+        if sight is not None and sight.unseen_s <= UNSEEN_S:
+            if not doubted:
+                self._stood_m = sight.height_m
+            surely_m = sight.height_m - _SURELY * sight.height_std_m
+            return doubted and surely_m > self._stood_m + _LIFTED_SHARE * self._config.contact_margin_m, False
+        unshown = able and echo_m is None and now_s - self._silent_s <= _DOUBTED_S
+        return doubted and lifted, unshown
 
     def step(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Detect a landing: by the autopilot, by rest on the pad, or that nothing proves it."""

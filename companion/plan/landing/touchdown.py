@@ -340,15 +340,16 @@ class TouchdownSequence:
 
     def _leaves(self, state: State, sight: PadState | None, inputs: PlanInputs, now_s: float) -> str:
         """Why it does not stay on the pad; "" while it does."""
-        lifted, unshown = self._standing.after_silence(sight, inputs, now_s)
+        lifted, unshown = self._standing.off_by_itself(sight, inputs, now_s)
         if lifted:
             return "the autopilot, not heard, has taken it off"
         # LAND is asked for just where nothing shows the feet down
         if unshown and state is State.STAND:
             return "the autopilot is not heard, and nothing shows the feet down"
         away = sight is not None and self._standing.off_pad(sight, now_s)
-        if sight is not None and self._standing.arrives(now_s):
-            return self._slides(sight)
+        slips = self._standing.arrives(now_s) or self._standing.doubted(inputs, now_s)
+        if sight is not None and slips and (slides := self._slides(sight)):
+            return slides
         return "the pad is well below the feet" if away else ""
 
     def _stay_down(self, now_s: float) -> None:

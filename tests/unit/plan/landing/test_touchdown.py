@@ -158,6 +158,39 @@ def test_a_silent_autopilot_that_lifts_it_off_the_pad_is_not_pressed_down(
     assert (found is not None and found[0] is MissionEvent.OFF_PAD) == leaves
 
 
+@pytest.mark.parametrize(
+    ("silent_s", "risen_m", "std_m", "speed_m_s", "leaves"),
+    [
+        (0.5, 0.015, 0.001, 0.0, True),
+        (0.5, 0.005, 0.001, 0.0, False),
+        (0.5, 0.015, 0.003, 0.0, False),  # not for sure
+        (0.0, 0.015, 0.001, 0.0, False),  # it obeys: a bounce
+        (0.5, 0.0, 0.001, 1.4, True),  # held in place, the pad drives on beneath it
+        (0.0, 0.0, 0.001, 1.4, False),
+    ],
+)
+def test_what_the_camera_sees_of_the_feet_counts_while_our_setpoints_may_not_arrive(
+    silent_s: float, risen_m: float, std_m: float, speed_m_s: float, leaves: bool
+) -> None:
+    """Pressed down again from a centimetre or two it falls with 0.5 m/s, before an echo shows it lifted."""
+    touchdown, now_s = standing()
+    covariance = tuple(tuple(std_m**2 if row == column else 0.0 for column in range(6)) for row in range(6))
+    found = None
+    for k in range(25):
+        now_s += CYCLE_S
+        later = k >= 15
+        seen = sight(height=0.19 + later * risen_m, velocity=(later * speed_m_s, 0.0, 0.0))
+        found = found or touchdown.step(
+            replace(seen, covariance=covariance),
+            RangeSample(now_s, 0.1),
+            LandedState.IN_AIR,
+            now_s,
+            silent_s=later * silent_s,
+            vehicle=vehicle_state(now_s),
+        )
+    assert (found is not None and found[0] is MissionEvent.OFF_PAD) == leaves
+
+
 @pytest.mark.parametrize(("after_s", "leaves"), [(0.1, True), (1.5, False)])
 def test_just_after_a_silence_the_feet_have_to_be_shown_down_too(after_s: float, leaves: bool) -> None:
     touchdown, now_s = standing()
