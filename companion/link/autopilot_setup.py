@@ -14,8 +14,13 @@ NAMES: Final[dict[AutopilotKind, tuple[str, ...]]] = {
     "ardupilot": ("ANGLE_MAX", "WPNAV_ACCEL", "PSC_JERK_XY", "MOT_THST_HOVER", "GUID_TIMEOUT"),
 }
 _CENTI: Final = 0.01
-# how long an autopilot should fly on without setpoints; what PX4's COM_OBL_RC_ACT then asks for
-SHORTEST_TIMEOUT_S, LONGEST_TIMEOUT_S = 0.3, 1.0
+TIMEOUT_NAMES: Final[dict[AutopilotKind, str]] = {"px4": "COM_OF_LOSS_T", "ardupilot": "GUID_TIMEOUT"}
+# How long an autopilot should fly on without setpoints. Shorter, whether it hears us is known too late to
+# tell its failsafe from a pilot. A PX4 that holds then drags the vehicle over a pad that moves on (0.44 to
+# 0.66 m/s with 0.3 and 0.5 s), unless the motors stop first, a second of proven rest after the contact.
+SHORTEST_TIMEOUT_S, SHORTEST_WITH_HOLD_S, LONGEST_TIMEOUT_S = 0.3, 1.0, 1.0
+# what PX4's COM_OBL_RC_ACT then asks for
+_LAND_ACTION: Final = 4
 STICK_ACTIONS: Final = {0: "Position", 1: "Altitude", 2: "Stabilized"}
 MOTOR_STOP_ACTIONS: Final = {6: "Terminate", 7: "Disarm"}
 
@@ -88,23 +93,41 @@ def _setup_of(kind: AutopilotKind, value: Mapping[str, float | None]) -> Autopil
     )
 
 
-def motors_stop(setup: AutopilotSetup) -> str:
-    """Why the loss of setpoints would stop the motors in the air; empty when it would not."""
-    action = setup.setpoints_lost_action
+def shortest_timeout_s(autopilot_kind: AutopilotKind, action: int | None) -> float:
+    """The shortest time (s) without setpoints after which it may do what it does then."""
+    lands = autopilot_kind == "ardupilot" or action == _LAND_ACTION  # ArduPilot levels, and obeys again
+    return SHORTEST_TIMEOUT_S if lands else SHORTEST_WITH_HOLD_S
+
+
+def expected_timeout(shortest_s: float) -> str:
+    """What is expected, in words."""
+    least = f"{shortest_s:g} to " if shortest_s < LONGEST_TIMEOUT_S else ""
+    return f"expected {least}{LONGEST_TIMEOUT_S:g} s"
+
+
+def loss_refusal(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> str:
+    """Why nobody flies with what it does without setpoints; empty when it can be flown with."""
+    action, timeout_s = setup.setpoints_lost_action, setup.setpoint_timeout_s
     title = MOTOR_STOP_ACTIONS.get(-1 if action is None else action)
-    if title is None:
+    if title is not None:
+        return (
+            f"COM_OBL_RC_ACT is {action} ({title}): the motors stop in the air when setpoints do; "
+            "expected 5 (Hold) or 4 (Land)"
+        )
+    least_s = shortest_timeout_s(autopilot_kind, action)
+    if timeout_s is None or timeout_s >= least_s:
         return ""
-    return (
-        f"COM_OBL_RC_ACT is {action} ({title}): the motors stop in the air when setpoints do; "
-        "expected 5 (Hold) or 4 (Land)"
-    )
+    why = "too short to know that it does not hear us"
+    if least_s > SHORTEST_TIMEOUT_S:
+        why = "on a pad that moves its Hold drags the vehicle before the motors stop"
+    return f"{TIMEOUT_NAMES[autopilot_kind]} is {timeout_s:g}: {why}; {expected_timeout(least_s)}"
 
 
 def loss_warnings(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> list[str]:
     """What is not safe about the loss of setpoints, as of the link, by the autopilot's parameters."""
     found = []
     action, timeout_s = setup.setpoints_lost_action, setup.setpoint_timeout_s
-    timeout_name = "COM_OF_LOSS_T" if autopilot_kind == "px4" else "GUID_TIMEOUT"
+    timeout_name = TIMEOUT_NAMES[autopilot_kind]
     unknown = [timeout_name] if timeout_s is None else []
     if action is None and autopilot_kind == "px4":
         unknown.append("COM_OBL_RC_ACT")
@@ -120,8 +143,8 @@ def loss_warnings(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> list[
         )
     if timeout_s is not None and timeout_s > LONGEST_TIMEOUT_S:
         found.append(
-            f"link loss: {timeout_name} is {timeout_s:g}: so long the last setpoint is kept; expected "
-            f"{SHORTEST_TIMEOUT_S:g} to {LONGEST_TIMEOUT_S:g} s"
+            f"link loss: {timeout_name} is {timeout_s:g}: so long the last setpoint is kept; "
+            f"{expected_timeout(shortest_timeout_s(autopilot_kind, action))}"
         )
     return found
 

@@ -18,7 +18,7 @@ from companion.base.messages import Action, ActionKind, ActionResult, AutopilotS
 from companion.config import LinkConfig
 from companion.link.actions.dialogue import Dialogue
 from companion.link.actions.performing import Handler, Performances, Refused, Unanswered
-from companion.link.autopilot_setup import motors_stop
+from companion.link.autopilot_setup import loss_refusal
 from companion.link.codec import mavlink
 from companion.link.commands import request_message
 from companion.link.modes import CONTROL_MODE, HOLD_MODE, LAND_MODE
@@ -251,7 +251,8 @@ class PymavlinkActions:
         Raises:
             Refused: they do not, and may not be or were not changed.
         """
-        if why := motors_stop(await self._setup()):
+        setup, kind = await self._setup(), self.dialogue.autopilot_kind()
+        if why := loss_refusal(setup, kind):
             self._session.renew_setup()  # corrected, it is known by the next request
             raise Refused(why)
         await self._require_thrust()

@@ -21,6 +21,8 @@ from companion.link.autopilot_setup import (
     MOTOR_STOP_ACTIONS,
     SHORTEST_TIMEOUT_S,
     STICK_ACTIONS,
+    expected_timeout,
+    shortest_timeout_s,
 )
 from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST
 from companion.tools.preflight.findings import Finding, FindingGroup, FindingState
@@ -76,15 +78,19 @@ def _warn(text: str) -> Verdict:
     return FindingState.WARNING, text
 
 
-def _timeout(value: float, _: Wanted) -> Verdict:
+def _timeout(shortest_s: float) -> _Judge:
     """How long an autopilot flies on without setpoints."""
-    if SHORTEST_TIMEOUT_S <= value <= LONGEST_TIMEOUT_S:
-        return None
-    expected = f"expected {SHORTEST_TIMEOUT_S:g} to {LONGEST_TIMEOUT_S:g} s"
-    if value < SHORTEST_TIMEOUT_S:
-        return _warn(f"{expected}: a link that drops a few setpoints ends the landing")
-    why = f"{expected}: so long it keeps the last tilt when the app hangs"
-    return _fail(why) if value > TOO_LONG_S else _warn(why)
+
+    def judge(value: float, _: Wanted) -> Verdict:
+        expected = expected_timeout(shortest_s)
+        if value < shortest_s:
+            return _fail(f"{expected}: the loss of a few setpoints ends the landing; control is refused")
+        if value <= LONGEST_TIMEOUT_S:
+            return None
+        why = f"{expected}: so long it keeps the last tilt when the app hangs"
+        return _fail(why) if value > TOO_LONG_S else _warn(why)
+
+    return judge
 
 
 def _offboard_loss(value: float, _: Wanted) -> Verdict:
@@ -163,7 +169,7 @@ def _velocity_shaping(value: float, wanted: Wanted) -> Verdict:
 
 JUDGES: Final[dict[AutopilotKind, dict[str, _Judge]]] = {
     "px4": {
-        "COM_OF_LOSS_T": _timeout,
+        "COM_OF_LOSS_T": _timeout(SHORTEST_TIMEOUT_S),
         "COM_OBL_RC_ACT": _offboard_loss,
         "COM_RC_OVERRIDE": _bit(
             _OVERRIDE_OFFBOARD,
@@ -187,7 +193,7 @@ JUDGES: Final[dict[AutopilotKind, dict[str, _Judge]]] = {
         "MPC_Z_VEL_MAX_UP": _speed("climb_speed_m_s", lambda wanted: wanted.climb_m_s),
     },
     "ardupilot": {
-        "GUID_TIMEOUT": _timeout,
+        "GUID_TIMEOUT": _timeout(SHORTEST_TIMEOUT_S),
         GUIDED_OPTIONS: _thrust_is_thrust,
         "ANGLE_MAX": _tilt(_CENTI),
         "MOT_THST_HOVER": _hover_thrust,
@@ -238,6 +244,9 @@ def judge_parameters(
     found = []
     for first in JUDGES[autopilot_kind]:
         names = _names(autopilot_kind, first)
+        if first == "COM_OF_LOSS_T":
+            action = values.get("COM_OBL_RC_ACT")
+            names[first] = _timeout(shortest_timeout_s("px4", None if action is None else round(action)))
         reported = [name for name in names if values.get(name) is not None]
         found += [_finding(name, values.get(name), names[name], wanted) for name in reported or [first]]
     return found

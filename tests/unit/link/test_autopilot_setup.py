@@ -6,7 +6,7 @@ import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.messages import AutopilotSetup
-from companion.link.autopilot_setup import NAMES, SetupReader, loss_warnings, motors_stop
+from companion.link.autopilot_setup import NAMES, SetupReader, loss_refusal, loss_warnings
 from companion.link.codec import mavlink
 from companion.link.parameters import ParameterRequests
 
@@ -102,13 +102,13 @@ def test_every_parameter_has_a_name_that_mavlink_can_carry() -> None:
 
 @pytest.mark.parametrize("action", [3, 4, 5])
 def test_a_failsafe_that_holds_or_lands_is_no_matter(action: int | None) -> None:
-    setup = AutopilotSetup(setpoint_timeout_s=0.5, setpoints_lost_action=action)
-    assert motors_stop(setup) == ""
+    setup = AutopilotSetup(setpoint_timeout_s=1.0, setpoints_lost_action=action)
+    assert loss_refusal(setup, "px4") == ""
     assert loss_warnings(setup, "px4") == []
 
 
 def test_what_is_not_reported_is_warned_of() -> None:
-    assert motors_stop(AutopilotSetup()) == ""
+    assert loss_refusal(AutopilotSetup(), "px4") == ""
     (warning,) = loss_warnings(AutopilotSetup(), "px4")
     assert "does not report COM_OF_LOSS_T and COM_OBL_RC_ACT" in warning
     (warning,) = loss_warnings(AutopilotSetup(), "ardupilot")
@@ -118,7 +118,7 @@ def test_what_is_not_reported_is_warned_of() -> None:
 def test_a_failsafe_for_a_pilot_at_the_sticks_is_warned_of() -> None:
     (warning,) = loss_warnings(AutopilotSetup(setpoint_timeout_s=0.5, setpoints_lost_action=0), "px4")
     assert warning.startswith("link loss: COM_OBL_RC_ACT is 0 (Position)")
-    assert motors_stop(AutopilotSetup(setpoints_lost_action=0)) == ""
+    assert loss_refusal(AutopilotSetup(setpoints_lost_action=0), "px4") == ""
 
 
 @pytest.mark.parametrize(("kind", "name"), [("px4", "COM_OF_LOSS_T"), ("ardupilot", "GUID_TIMEOUT")])
@@ -129,6 +129,29 @@ def test_setpoints_that_are_kept_for_long_are_warned_of(kind: AutopilotKind, nam
 
 @pytest.mark.parametrize("action", [6, 7])
 def test_a_failsafe_that_stops_the_motors_is_no_way_to_fly(action: int) -> None:
-    assert motors_stop(AutopilotSetup(setpoints_lost_action=action)).startswith(
+    assert loss_refusal(AutopilotSetup(setpoints_lost_action=action), "px4").startswith(
         f"COM_OBL_RC_ACT is {action} ("
     )
+
+
+@pytest.mark.parametrize(
+    ("kind", "action", "timeout_s", "refused"),
+    [
+        ("px4", 5, 0.3, "COM_OF_LOSS_T is 0.3: on a pad that moves its Hold drags"),
+        ("px4", 5, 0.9, "COM_OF_LOSS_T is 0.9: on a pad that moves its Hold drags"),
+        ("px4", None, 0.5, "COM_OF_LOSS_T is 0.5: on a pad that moves its Hold drags"),
+        ("px4", 5, 1.0, ""),
+        ("px4", 4, 0.5, ""),
+        ("px4", 4, 0.2, "COM_OF_LOSS_T is 0.2: too short to know that it does not hear us"),
+        ("ardupilot", None, 0.5, ""),
+        ("ardupilot", None, 0.1, "GUID_TIMEOUT is 0.1: too short to know that it does not hear us"),
+    ],
+)
+def test_a_time_out_shorter_than_a_landing_needs_is_no_way_to_fly(
+    kind: AutopilotKind, action: int | None, timeout_s: float, refused: str
+) -> None:
+    setup = AutopilotSetup(setpoint_timeout_s=timeout_s, setpoints_lost_action=action)
+    text = loss_refusal(setup, kind)
+    assert text.startswith(refused)
+    assert bool(text) == bool(refused)
+    assert not text or text.endswith(("expected 1 s", "expected 0.3 to 1 s"))

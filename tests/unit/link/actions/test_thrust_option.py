@@ -101,16 +101,29 @@ def test_where_thrust_is_thrust_or_is_not_sent_no_parameter_is_asked_for(
 
 
 @pytest.mark.parametrize("kind", [ActionKind.ARM, ActionKind.TAKE_CONTROL])
-def test_where_the_motors_would_stop_with_the_setpoints_nothing_begins(
-    kind: ActionKind, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("setup", "why"),
+    [
+        (
+            AutopilotSetup(setpoints_lost_action=6),
+            "COM_OBL_RC_ACT is 6 (Terminate): the motors stop in the air",
+        ),
+        (
+            AutopilotSetup(setpoint_timeout_s=0.3, setpoints_lost_action=5),
+            "COM_OF_LOSS_T is 0.3: on a pad that moves",
+        ),
+    ],
+    ids=["motors stop", "short time-out"],
+)
+def test_what_is_unsafe_without_setpoints_lets_nothing_begin(
+    kind: ActionKind, setup: AutopilotSetup, why: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    setup = AutopilotSetup(setpoints_lost_action=6)
     monkeypatch.setattr(Session, "setup", property(lambda _session: setup))
     autopilot = autopilot_of("px4")
     before = (autopilot.mode, autopilot.armed)
     [result] = perform(autopilot, Action(kind), attitude_setpoints=False)
     assert not result.accepted
-    assert result.text.startswith("COM_OBL_RC_ACT is 6 (Terminate): the motors stop in the air")
+    assert result.text.startswith(why)
     assert (autopilot.mode, autopilot.armed) == before
 
 

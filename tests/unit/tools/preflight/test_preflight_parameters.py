@@ -76,7 +76,7 @@ def test_another_version_s_name_and_unit_are_known(
     ("kind", "name", "value", "state"),
     [
         ("px4", "COM_OF_LOSS_T", 5.0, FindingState.FAIL),
-        ("px4", "COM_OF_LOSS_T", 0.1, FindingState.WARNING),
+        ("px4", "COM_OF_LOSS_T", 0.1, FindingState.FAIL),
         ("px4", "COM_OF_LOSS_T", 1.5, FindingState.WARNING),
         ("px4", "COM_OBL_RC_ACT", 6, FindingState.FAIL),
         ("px4", "COM_OBL_RC_ACT", 7, FindingState.FAIL),
@@ -107,6 +107,11 @@ def test_a_value_that_differs_is_found_alone(
     kind: AutopilotKind, name: str, value: float | None, state: FindingState
 ) -> None:
     assert states(kind, {name: value}) == {name: state}
+
+
+def test_how_short_the_time_out_may_be_depends_on_what_follows_it() -> None:
+    assert states("px4", {"COM_OF_LOSS_T": 0.5, "COM_OBL_RC_ACT": 4}) == {}
+    assert states("px4", {"COM_OF_LOSS_T": 0.5, "COM_OBL_RC_ACT": 5}) == {"COM_OF_LOSS_T": FindingState.FAIL}
 
 
 def test_what_is_expected_follows_the_settings() -> None:
