@@ -5,8 +5,9 @@
 The vehicle's true hover thrust is 0.5 to 1.6 times the one that its builder, the app's file and the
 autopilot's parameter tell (`sitl.scenario.as_built`). It takes off by the autopilot's own control, in 5 m/s
 of wind; from the app's first setpoint on, the bench looks how far it falls below the highest that it has
-been since. In virtual time, with the bundled behaviour of ArduPilot and, given its SITL build, with the real
-ArduCopter in lockstep. Where the app refuses control, nothing falls: its reason is told.
+been since, beyond what its plan descends; once the plan was moved after the vehicle, all of it counts. In
+virtual time, with the bundled behaviour of ArduPilot and, given its SITL build, with the real ArduCopter in
+lockstep. Where the app refuses control, nothing falls: its reason is told.
 """
 
 from __future__ import annotations
@@ -48,40 +49,61 @@ MOST_FALL_M: Final = 0.3
 LOOKS_FOR_S: Final = 6.0  # the vehicle is on its way to the waypoint, at one height
 REFUSED_AFTER_S: Final = 45.0
 LOOK_S: Final = 0.1
+REPLANNED: Final = "off the reference"
 WIND: Final = {"mean_m_s": 5.0}
 
 
 @dataclass
 class Grant:
-    """The app's first setpoint, and how far the vehicle fell from there on; None: it never came."""
+    """The app's first setpoint, and how far the vehicle came down from there on; None: it never came.
+
+    `sunk_m`: below its highest; `lag_m`: of that, more than its plan descended.
+    """
 
     share: float
     seed: int
     began_s: float | None = None
-    fall_m: float = 0.0
+    sunk_m: float = 0.0
+    lag_m: float = 0.0
     texts: list[str] = field(default_factory=list)
+
+    @property
+    def fall_m(self) -> float:
+        """How far it fell: a plan that was moved after it says nothing."""
+        return self.sunk_m if any(REPLANNED in text for text in self.texts) else self.lag_m
 
 
 class GrantWitness:
     """Follows the height from the first setpoint by attitude on."""
 
-    def __init__(self, simulation: Simulation, found: Grant) -> None:
-        self._simulation, self._found = simulation, found
+    def __init__(self, simulation: Simulation, found: Grant, log: FlightLog) -> None:
+        self._simulation, self._found, self._log = simulation, found, log
         self._reader = FrameReader(datagrams=True)
-        self._highest_m = 0.0
+        self._stepped_s, self._planned_m = 0.0, 0.0  # how far the plan has climbed since
+        self._highest_m = self._most_over_m = 0.0
 
     def hear(self, data: bytes, now_s: float) -> None:
         """Take what the app has just sent."""
         wanted: Any = dialect
         kinds = {frame.message_id for frame in self._reader.read(data, now_s)}
         if self._found.began_s is None and wanted.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET in kinds:
-            self._found.began_s, self._highest_m = now_s, self._height_m()
+            self._found.began_s, self._stepped_s = now_s, now_s
+            self._highest_m = self._most_over_m = self._height_m()
 
     def step(self) -> None:
         """Look at the world."""
-        if self._found.began_s is not None:
-            self._highest_m = max(self._highest_m, self._height_m())
-            self._found.fall_m = max(self._found.fall_m, self._highest_m - self._height_m())
+        found, now_s = self._found, self._simulation.world.time_s
+        if found.began_s is None:
+            return
+        reference = self._log.kept["plan"][-1].reference
+        if reference is not None:
+            self._planned_m -= float(reference.velocity_m_s[0, 2]) * (now_s - self._stepped_s)
+        self._stepped_s, height_m = now_s, self._height_m()
+        over_m = height_m - self._planned_m
+        self._highest_m = max(self._highest_m, height_m)
+        self._most_over_m = max(self._most_over_m, over_m)
+        found.sunk_m = max(found.sunk_m, self._highest_m - height_m)
+        found.lag_m = max(found.lag_m, self._most_over_m - over_m)
 
     def _height_m(self) -> float:
         return -self._simulation.world.state.position_ned_m[2]
@@ -111,7 +133,7 @@ async def _fly(trial: Trial, found: Grant) -> Grant:
     )
     log = FlightLog(None, start_unix_s=0.0)
     with closing(vehicle.simulation) as simulation, closing(log):
-        witness = GrantWitness(simulation, found)
+        witness = GrantWitness(simulation, found, log)
         simulation.on_step = witness.step
         simulation.line.listeners.append(witness.hear)
         app = App(config, hardware_of(vehicle, app_end, config), log, make_own_actions)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+import pytest
+
 from sitl.mavlink.framing import dialect
 from tests.bench.control.bench_grant import Grant, GrantWitness, bar, rows, scenario_of
 
@@ -19,23 +22,33 @@ def attitude_setpoint() -> bytes:
     return bytes(message.pack(mav))
 
 
-def fallen(heights_m: list[float], first: int) -> Grant:
-    """What the witness finds when the first setpoint comes at that step."""
-    found = Grant(1.0, 0)
+def fallen(heights_m: list[float], first: int, descends_m_s: float = 0.0, text: str = "") -> Grant:
+    """What the witness finds when the first setpoint comes at that step; the plan descends so fast."""
+    found = Grant(1.0, 0, texts=[text])
     state = SimpleNamespace(position_ned_m=(0.0, 0.0, 0.0))
-    simulation: Any = SimpleNamespace(world=SimpleNamespace(state=state))
-    witness = GrantWitness(simulation, found)
+    world = SimpleNamespace(state=state, time_s=0.0)
+    simulation: Any = SimpleNamespace(world=world)
+    plan = SimpleNamespace(reference=SimpleNamespace(velocity_m_s=np.array([[0.0, 0.0, descends_m_s]])))
+    log: Any = SimpleNamespace(kept={"plan": [plan]})
+    witness = GrantWitness(simulation, found, log)
     for k, height_m in enumerate(heights_m):
-        state.position_ned_m = (0.0, 0.0, -height_m)
+        state.position_ned_m, world.time_s = (0.0, 0.0, -height_m), 0.1 * k
         witness.step()
         if k == first:
-            witness.hear(attitude_setpoint(), 0.1 * k)
+            witness.hear(attitude_setpoint(), world.time_s)
     return found
 
 
 def test_a_fall_is_what_is_lost_from_the_highest_after_the_first_setpoint() -> None:
-    assert fallen([9.0, 5.0, 5.2, 4.8, 5.3], 1).fall_m == 5.2 - 4.8
+    assert fallen([9.0, 5.0, 5.2, 4.8, 5.3], 1).fall_m == pytest.approx(0.4)
     assert fallen([5.0, 4.0, 3.0], 9).began_s is None
+
+
+def test_what_the_plan_descends_is_no_fall_unless_it_was_moved_after_the_vehicle() -> None:
+    heights_m = [5.0, 4.95, 4.9, 4.7, 4.7]
+    assert fallen(heights_m, 0, 0.5).fall_m == pytest.approx(0.15)
+    moved = fallen(heights_m, 0, 0.5, "1.0 m off the reference: replanned")
+    assert moved.fall_m == pytest.approx(0.3)
 
 
 def test_the_vehicle_needs_another_hover_thrust_than_was_told() -> None:
@@ -45,7 +58,11 @@ def test_the_vehicle_needs_another_hover_thrust_than_was_told() -> None:
 
 
 def test_the_bar_is_on_the_worst_and_needs_one_that_was_taken() -> None:
-    grants = [Grant(0.5, 0, 9.0, 0.1), Grant(0.5, 1, 9.0, 0.31), Grant(1.6, 0, None, 0.0, ["abort: no"])]
+    grants = [
+        Grant(0.5, 0, 9.0, lag_m=0.1),
+        Grant(0.5, 1, 9.0, lag_m=0.31),
+        Grant(1.6, 0, texts=["abort: no"]),
+    ]
     assert not bar("bundled", grants).holds
     assert bar("bundled", grants[:1]).holds
     assert not bar("bundled", grants[2:]).holds
