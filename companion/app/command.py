@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +18,7 @@ from companion.app.page.live_page import LivePage
 from companion.app.service.computer_status import ComputerWatch, ground_report, throttled
 from companion.app.service.latch import FlightLatch, state_folder, unattended
 from companion.app.service.local_socket import served, socket_path
-from companion.app.service.state_report import state_report
+from companion.app.service.state_report import StateReport, state_report
 from companion.app.signals import stopping_on_signals
 from companion.app.terminal import StatusView
 from companion.base.clock import Clock, start_unix_s, unix_time_s
@@ -139,16 +140,19 @@ async def _service(
     async with open_hardware(config, waits=True, state=record or state_folder()) as hardware:
         app = App(config, hardware, log, make_actions, view, stays=True)
 
-        async def report() -> str:
+        async def report() -> StateReport:
             held_back = await asyncio.to_thread(throttled)
             now_s = clock.now_s()
             recording = None if log.flight_folder is None else str(log.flight_folder)
             state = machine.state(now_s, record, held_back)
-            return state_report(app, log.meter, state, recording, now_s, start_s).model_dump_json()
+            return state_report(app, log.meter, state, recording, now_s, start_s)
 
-        telling = asyncio.create_task(_tell_ground(app, hardware, log, record, start_s))
+        async def report_json() -> str:
+            return (await report()).model_dump_json()
+
+        telling = asyncio.create_task(_tell_ground(app, hardware, log, record, start_s, report))
         try:
-            async with served(socket_path(), report, app.missions.give, clock), page.served(app):
+            async with served(socket_path(), report_json, app.missions.give, clock), page.served(app):
                 with stopping_on_signals(app.request_stop):
                     phase = await app.run()
         finally:
@@ -158,9 +162,14 @@ async def _service(
 
 
 async def _tell_ground(
-    app: App, hardware: Hardware, log: FlightsRecorder, record: Path | None, start_s: float
+    app: App,
+    hardware: Hardware,
+    log: FlightsRecorder,
+    record: Path | None,
+    start_s: float,
+    report: Callable[[], Awaitable[StateReport]],
 ) -> None:
-    """The computer's state for ground stations, as ONBOARD_COMPUTER_STATUS."""
+    """The computer's state for ground stations, as ONBOARD_COMPUTER_STATUS; ours, in words, when asked."""
     clock, watch = Clock(), ComputerWatch(start_s)
     while True:
         await asyncio.sleep(GROUND_REPORT_S)
@@ -170,6 +179,9 @@ async def _tell_ground(
             data = app.session.encode(message)
             hardware.transport.write(data)
             log.write_mavlink(data, now_s, "out")
+        if app.session.orders.take_question():
+            state = await report()
+            app.announcer.notify("status", state.words, "warning" if state.problems else "info")
 
 
 def _make_room(record: Path | None, config: CompanionConfig) -> None:

@@ -33,6 +33,7 @@ UNBROKEN_S: Final = 1.0
 # Between two heartbeats (1 Hz) one may be lost.
 _NEXT_HEARTBEAT_S: Final = 2.5
 BY_PARAMETER: Final = {0: OrderKind.STOP, 1: OrderKind.LAND, 2: OrderKind.FLY}  # of MAV_CMD_USER_1
+ASKS_STATUS: Final = 3  # of the same: no order, how it stands is told
 ORDER_MESSAGES: Final = frozenset({mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT})
 SWITCH_MESSAGES: Final = frozenset({mavlink.MAVLINK_MSG_ID_RC_CHANNELS})
 MISSION_MESSAGES: Final = frozenset({mavlink.MAVLINK_MSG_ID_MISSION_ITEM_REACHED})
@@ -68,6 +69,7 @@ class OrderListener:
         self._senders: dict[Order, _Sender] = {}
         self._under_way: tuple[_Sender, Order] | None = None
         self._last: tuple[_Sender, OrderOutcome, float] | None = None
+        self._asked = False
         self._settled_s = -math.inf
         self._mode = ""
         self._by_hand_s = -math.inf  # when a pilot's stick mode was last said to be flown
@@ -105,6 +107,11 @@ class OrderListener:
         orders, self._orders = self._orders, []
         return orders
 
+    def take_question(self) -> bool:
+        """Whether the ground station has asked how it stands since the last call."""
+        asked, self._asked = self._asked, False
+        return asked
+
     def answers(self) -> list[Message]:
         """The COMMAND_ACKs to send since the last call."""
         answers, self._answers = self._answers, []
@@ -118,6 +125,14 @@ class OrderListener:
         if message.get_srcSystem() != self._ground or target != (us, self._component_id):
             return
         sender = _Sender(message.get_srcSystem(), message.get_srcComponent(), message.command)
+        if (
+            self._config.mavlink
+            and message.command == mavlink.MAV_CMD_USER_1
+            and message.param1 == ASKS_STATUS
+        ):
+            self._asked = True
+            self._answer(sender, mavlink.MAV_RESULT_ACCEPTED)
+            return
         kind = self._kind(message)
         if kind is None:
             self._answer(sender, mavlink.MAV_RESULT_UNSUPPORTED)

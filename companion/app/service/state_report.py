@@ -98,6 +98,15 @@ class StateReport(_Model):
     events: tuple[Event, ...]
     problems: tuple[str, ...]
 
+    @property
+    def words(self) -> str:
+        """In one line, for a ground station."""
+        if self.order is not None:
+            head = f"{self.phase.replace('_', ' ')}, {self.order}"
+        else:
+            head = "not ready to land" if self.problems else "ready to land"
+        return ": ".join((head, "; ".join(self.problems))) if self.problems else head
+
 
 def state_report(
     app: App, meter: Meter, machine: ComputerStatus, recording: str | None, now_s: float, start_s: float

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from companion.app import command
 from companion.app.command import Output, fly_the_vehicle
+from companion.app.service.state_report import StateReport
 from companion.base.messages import Notice, Phase
 from companion.flightlog.record import FlightLog
 
@@ -28,3 +32,31 @@ def test_a_flight_on_board_fills_no_memory_with_what_only_a_score_reads(
     assert fly_the_vehicle(settings, Output.of(tmp_path / "flights", None, live=False)) == 0
     assert dict(logs[0].kept) == {}
     assert (tmp_path / "flights" / "flight-0001" / "flight.mcap").stat().st_size > 0
+
+
+async def test_who_asks_by_the_link_is_told_how_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(command, "GROUND_REPORT_S", 0.0)
+    problems = [("GPS: silent for 7.0 s", "no home position"), ()]
+    asked = iter([False, True, True])
+    told: list[tuple[str, str, str]] = []
+
+    async def report() -> StateReport:
+        return StateReport.model_construct(phase="standby", order=None, problems=problems.pop(0))
+
+    app: Any = SimpleNamespace(
+        session=SimpleNamespace(
+            state=SimpleNamespace(connected=False),
+            orders=SimpleNamespace(take_question=lambda: next(asked, False)),
+        ),
+        announcer=SimpleNamespace(notify=lambda *said: told.append(said)),
+    )
+    telling = asyncio.create_task(command._tell_ground(app, None, None, None, 0.0, report))  # type: ignore[arg-type]
+    for _ in range(100):
+        await asyncio.sleep(0.01)
+        if len(told) == 2:
+            break
+    telling.cancel()
+    assert told == [
+        ("status", "not ready to land: GPS: silent for 7.0 s; no home position", "warning"),
+        ("status", "ready to land", "info"),
+    ]

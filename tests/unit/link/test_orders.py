@@ -87,12 +87,23 @@ def test_nobody_else_gives_orders_and_nobody_else_s_are_taken() -> None:
     assert (orders.take(), orders.answers()) == ([], [])
 
 
-@pytest.mark.parametrize("value", [3.0, 0.5, float("nan"), float("inf")])
+@pytest.mark.parametrize("value", [4.0, 0.5, float("nan"), float("inf")])
 def test_what_is_no_order_is_answered_as_unsupported(value: float) -> None:
     orders = listener()
     orders.hear_command(from_system(command(mavlink.MAV_CMD_USER_1, value)), US, 5.0)
     assert orders.take() == []
     assert [a.result for a in orders.answers()] == [mavlink.MAV_RESULT_UNSUPPORTED]
+
+
+def test_who_asks_how_it_stands_orders_nothing() -> None:
+    orders = listener()
+    assert not orders.take_question()
+    orders.hear_command(from_system(command(mavlink.MAV_CMD_USER_1, 3.0)), US, 5.0)
+    orders.hear_command(from_system(command(mavlink.MAV_CMD_USER_1, 3.0), system_id=7), US, 5.0)
+    assert [answer.result for answer in orders.answers()] == [mavlink.MAV_RESULT_ACCEPTED]
+    assert orders.take() == []
+    assert orders.take_question()
+    assert not orders.take_question()
 
 
 def test_with_commands_turned_off_they_are_unsupported() -> None:

@@ -10,7 +10,7 @@ import pytest
 from companion.app.service.computer_status import ComputerStatus, ground_report
 from companion.config import CONFIG_FOLDER, LinkConfig
 from companion.link.codec import Codec, mavlink
-from companion.link.orders import BY_PARAMETER
+from companion.link.orders import ASKS_STATUS, BY_PARAMETER
 
 
 def test_the_computer_s_state_is_a_message_that_others_read(tmp_path: Path) -> None:
@@ -37,7 +37,9 @@ def test_qgroundcontrol_s_actions_are_orders_that_the_companion_takes() -> None:
     plan = json.loads((CONFIG_FOLDER / "qgroundcontrol" / "companion.json").read_text())
     assert set(plan) == {"version", "fileType", "actions"}
     assert plan["fileType"] == "MavlinkActions"
-    assert [BY_PARAMETER[action["param1"]].value for action in plan["actions"]] == ["land", "stop"]
+    *orders, status = plan["actions"]
+    assert [BY_PARAMETER[action["param1"]].value for action in orders] == ["land", "stop"]
+    assert status["param1"] == ASKS_STATUS
     for action in plan["actions"]:
         assert set(action) == {"label", "description", "mavCmd", "compId", "param1"}
         assert action["mavCmd"] == mavlink.MAV_CMD_USER_1
