@@ -4,8 +4,9 @@ NAV-POSLLH, NAV-VELNED and NAV-SOL at every epoch make a fix; NAV-STATUS and NAV
 and come as often where the line carries them (190 bytes an epoch in all: at 9600 baud five of them would
 fill it), else once a second.
 From the M9 on NAV-SOL is gone, and NAV-PVT (u-blox M9 Interface Description UBX-19035940) holds a whole fix.
-NMEA, which serves until then, is switched off once a receiver has been seen to send the fixes asked for; one
-that sends neither keeps to NMEA.
+The M10 takes none of the old commands: CFG-VALSET (u-blox M10 Interface Description UBX-20053845) sets keys
+to the same effect. NMEA, which serves until then, is switched off once a receiver has been seen to send the
+fixes asked for; one that sends none keeps to NMEA.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from pyubx2 import POLL, SET, UBXMessage, UBXReader
 
 from companion.config import GpsConfig
 
-Dialect = Literal["sol", "pvt", "nmea"]
-NEXT_DIALECT: Final[dict[Dialect, Dialect]] = {"sol": "pvt", "pvt": "nmea"}
+Dialect = Literal["sol", "pvt", "keys", "nmea"]
+NEXT_DIALECT: Final[dict[Dialect, Dialect]] = {"sol": "pvt", "pvt": "keys", "keys": "nmea"}
 # what identifies the receiver; asked for once it is heard
 VERSION_REQUEST: Final = bytes(UBXMessage("MON", "MON-VER", POLL).serialize())
 PVT_MESSAGE: Final = {b"\x01\x07": "PVT"}
@@ -32,6 +33,7 @@ _UART1: Final = 1
 _MODE_8N1: Final = 0x08D0
 _UBX_AND_NMEA: Final = 0x0003
 _SLOWEST_FOR_ALL_BAUD: Final = 19200
+_IN_RAM: Final = 1  # until the receiver loses power, as with the old commands
 
 
 def configuration(config: GpsConfig, baud: int, dialect: Dialect = "sol") -> list[bytes]:
@@ -42,6 +44,10 @@ def configuration(config: GpsConfig, baud: int, dialect: Dialect = "sol") -> lis
 def trial(config: GpsConfig, baud: int, dialect: Dialect = "sol") -> list[bytes]:
     """What asks for the fixes, beside NMEA and once a second as after power-up."""
     seldom = config.rate_hz if baud < _SLOWEST_FOR_ALL_BAUD else 1
+    if dialect == "keys":
+        sent = {"PVT": 1, "STATUS": seldom, "DOP": seldom}
+        rates = {f"CFG_MSGOUT_UBX_NAV_{name}_UART1": rate for name, rate in sent.items()}
+        return [_keys_command(rates | {"CFG_NAVSPG_DYNMODEL": _AIRBORNE_2G})]
     if dialect == "nmea":
         messages = [_message_rate(0xF0, sentence, 1) for sentence in _NMEA_FIX]
     else:
@@ -54,8 +60,11 @@ def trial(config: GpsConfig, baud: int, dialect: Dialect = "sol") -> list[bytes]
 
 def conclusion(config: GpsConfig, dialect: Dialect = "sol") -> list[bytes]:
     """What follows once fixes come as asked for: the rate, and no NMEA that is not needed."""
+    period_ms = 1000 // config.rate_hz
+    if dialect == "keys":
+        return [_keys_command({"CFG_UART1OUTPROT_NMEA": 0, "CFG_RATE_MEAS": period_ms})]
     silent = [] if dialect == "nmea" else [_message_rate(0xF0, sentence, 0) for sentence in _NMEA_SENTENCES]
-    rate = UBXMessage("CFG", "CFG-RATE", SET, measRate=1000 // config.rate_hz, navRate=1, timeRef=1)
+    rate = UBXMessage("CFG", "CFG-RATE", SET, measRate=period_ms, navRate=1, timeRef=1)
     return [bytes(message.serialize()) for message in (*silent, rate)]
 
 
@@ -63,6 +72,16 @@ def port_command(baud: int) -> bytes:
     """CFG-PRT: UART 1 at `baud`, 8N1, UBX and NMEA both ways. Its answer comes at the new rate."""
     payload = struct.pack("<BBHIIHHHH", _UART1, 0, 0, _MODE_8N1, baud, _UBX_AND_NMEA, _UBX_AND_NMEA, 0, 0)
     return bytes(UBXMessage("CFG", "CFG-PRT", SET, payload=payload).serialize())
+
+
+def baud_commands(baud: int) -> bytes:
+    """The change to `baud`, as old receivers take it and as the M10 does: the other is refused."""
+    return port_command(baud) + _keys_command({"CFG_UART1_BAUDRATE": baud})
+
+
+def _keys_command(values: dict[str, int]) -> bytes:
+    """CFG-VALSET of some keys."""
+    return bytes(UBXMessage.config_set(_IN_RAM, 0, list(values.items())).serialize())
 
 
 def command_name(command: bytes) -> str:

@@ -4,8 +4,9 @@ It wakes up at 1 Hz with NMEA at 9600 baud; its baud rate is found and moved to 
 then it is asked for NAV-POSLLH, -VELNED, -SOL, -STATUS and -DOP at `config.rate_hz` and no NMEA
 (`commands`; u-blox 6 Receiver Description GPS.G6-SW-10018). The messages of one epoch carry the same time
 of week (iTOW) and make one fix (`fixes`). One that refuses NAV-SOL or does not send it (M9 and later) is
-asked for NAV-PVT. Until fixes come so, or on a receiver that knows none of it, NMEA's RMC and GGA serve; on
-one that sends NAV-SOL and no other position, that.
+asked for NAV-PVT, one that refuses that as well by keys (CFG-VALSET, M10). Until fixes come so, or on a
+receiver that knows none of it, NMEA's RMC and GGA serve; on one that sends NAV-SOL and no other position,
+that.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ from companion.sense.gps.commands import (
     TRUST_MESSAGES,
     VERSION_REQUEST,
     Dialect,
+    baud_commands,
     command_name,
     conclusion,
-    port_command,
     receiver_name,
     trial,
 )
@@ -49,6 +50,7 @@ TRIES: Final = 5
 
 _ACK_ACK, _ACK_NAK = b"\x05\x01", b"\x05\x00"
 _VERSION: Final = b"\x0a\x04"
+_BY_KEYS: Final = b"\x06\x8a"  # CFG-VALSET
 _REFUSED_FIX: Final = frozenset(FIX_MESSAGES) | frozenset(PVT_MESSAGE)
 _PARTS: Final = FIX_MESSAGES | PVT_MESSAGE | TRUST_MESSAGES
 # NAV-PVT grew from 84 bytes (u-blox 7) to 92 (u-blox 8 on)
@@ -144,7 +146,7 @@ class Neo6m:
             self._line_problem(now_s) or self._altitude_problem or self._unanswered or self._refused
         )
         if not self._line.there:
-            return port_command(self._line.wanted) if change else b""
+            return baud_commands(self._line.wanted) if change else b""
         if not self._concluded and self._next >= len(self._commands):
             return self._judge_trial(now_s)
         if self.configured or (self._asked_s is not None and now_s - self._asked_s < ANSWER_TIMEOUT_S):
@@ -152,7 +154,8 @@ class Neo6m:
         if self._tries >= TRIES:
             self._unanswered = f"{self.name}: no answer to {command_name(self._commands[self._next])}"
             self.problem = self.problem or self._unanswered
-            self._begin_anew()
+            # none of the old ones knows keys: silence is an answer too
+            self._begin_anew("nmea" if self._dialect == "keys" else "sol")
         self._tries += 1
         self._asked_s = now_s
         return self._commands[self._next]
@@ -177,7 +180,7 @@ class Neo6m:
             self._commands = self._commands + conclusion(self._config, self._dialect)
             self._concluded = True
             if self._dialect != "sol":
-                self._refused = None if self._dialect == "pvt" else f"{self.name}: {ONLY_NMEA}"
+                self._refused = f"{self.name}: {ONLY_NMEA}" if self._dialect == "nmea" else None
         elif self._fix_refused or now_s - self._tried_s > SILENCE_S:
             if not self._named:
                 self.name = "GPS receiver, no NEO-6M"
@@ -222,8 +225,10 @@ class Neo6m:
             return
         if message[2:4] == _ACK_NAK:
             command = self._commands[self._next]
-            self._fix_refused |= command[2:4] == b"\x06\x01" and command[6:8] in _REFUSED_FIX
-            self._refused = f"{self.name}: refuses {command_name(command)}"
+            asked_fix = command[2:4] == b"\x06\x01" and command[6:8] in _REFUSED_FIX
+            self._fix_refused |= asked_fix or command[2:4] == _BY_KEYS
+            if not self._concluded or self._refused is None:  # else what serves, and lacks, is said already
+                self._refused = f"{self.name}: refuses {command_name(command)}"
         self._unanswered = None
         self._next += 1
         self._tries = 0

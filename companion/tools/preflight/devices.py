@@ -47,6 +47,9 @@ EARTH_UT: Final = (20.0, 70.0)
 GOOD_FIX_M: Final = 5.0
 CAMERA_HINT: Final = "the cable, group video, no other program on it; the size is the calibration's"
 IMU_HINT: Final = "sense.imu.bus; dtparam=i2c_arm=on (or spi=on) in config.txt, group i2c (spi)"
+NO_NEO_HINT: Final = (
+    "it serves, less well: expected a u-blox receiver (NEO-6M to M10) that takes its settings"
+)
 GPS_HINT: Final = "sense.gps.port: ls /dev/ttyAMA*; the UART in config.txt, group dialout"
 RANGE_HINT: Final = "sense.range.kind and port (or pins): ls /dev/ttyAMA*; group dialout (gpio)"
 
@@ -241,29 +244,33 @@ def _magnetometer(fields: list[MagSample], problem: str | None) -> Finding:
 
 async def _gps(config: CompanionConfig) -> list[Finding]:
     gps, clock = config.sense.gps, Clock()
-    receiver, fixes = Neo6m(gps), list[GpsFix]()
+    receiver, fixes, early = Neo6m(gps), list[GpsFix](), list[GpsFix]()
     with closing(SerialPort(gps.port, gps.baud)) as port:
         until_s = clock.now_s() + GPS_TIMEOUT_S
+        # fixes come before it has taken all settings; only then it shows what it can
         while clock.now_s() < until_s and len(fixes) < 2 * gps.rate_hz:
             question = receiver.pending(clock.now_s())
             port.set_baud(receiver.baud)
             port.write(question)
             with suppress(TimeoutError):
                 async with asyncio.timeout(POLL_S):
-                    fixes += receiver.feed(await port.read(), clock.now_s())
-    if fixes:
-        return [_fix(fixes)]
+                    came = receiver.feed(await port.read(), clock.now_s())
+                    (fixes if receiver.configured else early).extend(came)
+    if fixes or early:
+        return [_fix(fixes or early, receiver)]
     problem = receiver.problem or f"no fix within {GPS_TIMEOUT_S:g} s"
     if "no fix" in problem:
         return [_GPS.warn("fix", problem, "sky view; a cold start takes half a minute and more")]
     return [_GPS.fail("fix", f"{gps.port}: {problem}", "power, TX and RX crossed, sense.gps.port")]
 
 
-def _fix(fixes: list[GpsFix]) -> Finding:
+def _fix(fixes: list[GpsFix], receiver: Neo6m) -> Finding:
     last = fixes[-1]
-    detail = f"{last.satellites} satellites, {last.horizontal_accuracy_m:.1f} m"
+    detail = f"{receiver.name}: {last.satellites} satellites, {last.horizontal_accuracy_m:.1f} m"
     if last.horizontal_accuracy_m > GOOD_FIX_M:
         return _GPS.warn("fix", detail, f"expected {GOOD_FIX_M:g} m or better: sky view, and patience")
+    if receiver.problem is not None:
+        return _GPS.warn("fix", f"{receiver.problem} ({last.satellites} satellites)", NO_NEO_HINT)
     return _GPS.ok("fix", detail)
 
 

@@ -52,6 +52,46 @@ class Later(Neo6mDevice):
         return out
 
 
+class ByKeys(Later):
+    """A u-blox M10: it takes CFG-VALSET alone (key 32 bits, its size in bits 28 to 30; value)."""
+
+    KEYS: Final = {0x20910007: NAV_PVT, 0x2091001B: (0x01, 0x03), 0x20910039: (0x01, 0x04)}
+
+    def __init__(self, wake_baud: int = 38400) -> None:
+        super().__init__(old_commands=False, pvt=True)
+        self._wake_baud = wake_baud
+        self.power_cycle()
+
+    def _obey(self, message_class: int, message_id: int, payload: bytes) -> None:
+        if (message_class, message_id) != (0x06, 0x8A):
+            super()._obey(message_class, message_id, payload)
+            return
+        assert payload[:4] == b"\x00\x01\x00\x00"  # version 0, into RAM
+        rest = payload[4:]
+        while rest:
+            (key,) = struct.unpack_from("<I", rest)
+            size = {1: 1, 2: 1, 3: 2, 4: 4}[key >> 28 & 7]
+            self._set(key, int.from_bytes(rest[4 : 4 + size], "little"))
+            rest = rest[4 + size :]
+        self._replies += ubx(5, 1, bytes((message_class, message_id)))
+
+    def _set(self, key: int, value: int) -> None:
+        if key in self.KEYS:
+            self._rates[self.KEYS[key]] = value
+        elif key == 0x30210001:
+            self._period_ms, self._next_ms = value, None
+        elif key == 0x40520001:
+            self.baud = value
+        elif key == 0x10740002:
+            assert value == 0
+            for sentence in list(self._rates):
+                if sentence[0] == 0xF0:
+                    self._rates[sentence] = 0
+                    self.switched_off.append(sentence)
+        else:
+            assert (key, value) == (0x20110021, 7), f"{key:#x}"
+
+
 def pvt_payload(time_of_week_ms: int, r: GpsReading) -> bytes:
     north, east, down = (round(1000.0 * v) for v in r.velocity_ned_m_s)
     head = struct.pack(
@@ -102,6 +142,20 @@ def test_one_that_sends_neither_keeps_nmea_and_is_named() -> None:
 def test_one_that_refuses_every_old_command_serves_by_its_nmea() -> None:
     _, times_s = run(Later(old_commands=False, pvt=False))
     assert sum(time_s > 20.0 for time_s in times_s) >= 19
+
+
+@pytest.mark.parametrize("wake_baud", [38400, 9600])
+def test_one_that_takes_keys_alone_gives_its_fixes_at_the_rate_asked_for(wake_baud: int) -> None:
+    driver, times_s = run(device := ByKeys(wake_baud))
+    assert sum(time_s > 20.0 for time_s in times_s) == pytest.approx(100, abs=2)
+    assert driver.baud == device.baud == 38400
+    assert len(device.switched_off) == 6
+    assert driver.problem is None
+
+
+def test_one_that_refuses_all_says_what_its_nmea_lacks() -> None:
+    driver, _ = run(Later(old_commands=False, pvt=False))
+    assert driver.problem == f"NEO-M9N: {ONLY_NMEA}"
 
 
 @pytest.mark.parametrize("length", [84, 92])
