@@ -13,6 +13,7 @@ import asyncio
 import errno
 import os
 import threading
+import warnings
 from dataclasses import dataclass
 from tempfile import gettempdir
 from typing import Any, Final
@@ -23,6 +24,7 @@ from companion.sense.imu.i2c import SensorError
 
 TRIGGER_S: Final = 10e-6
 TIMEOUT_S: Final = 0.25
+_FALLBACK: Final = "Falling back from "  # gpiozero, of a library of pins that does not serve
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +57,16 @@ class EchoPins:
         self._pulse: asyncio.Future[tuple[float, float]] | None = None
         self._closed = False
         try:
-            self._trigger = gpiozero.OutputDevice(trigger_pin, pin_factory=pin_factory)
-            self._echo = gpiozero.InputDevice(echo_pin, pull_up=False, pin_factory=pin_factory)
+            # of a library that does not serve it only warns, and its error names none
+            with warnings.catch_warnings(record=True) as fallbacks:
+                warnings.simplefilter("always")
+                self._trigger = gpiozero.OutputDevice(trigger_pin, pin_factory=pin_factory)
+                self._echo = gpiozero.InputDevice(echo_pin, pull_up=False, pin_factory=pin_factory)
         except (gpiozero.GPIOZeroError, OSError, ImportError) as error:
-            raise ConfigError(f"GPIO pins {trigger_pin} and {echo_pin}: cannot be opened: {error}") from error
+            said = [str(told.message) for told in fallbacks]
+            tried = [words.removeprefix(_FALLBACK) for words in said if words.startswith(_FALLBACK)]
+            why = "; ".join([str(error).rstrip("!"), *tried])
+            raise ConfigError(f"GPIO pins {trigger_pin} and {echo_pin}: cannot be opened: {why}") from error
         pin = self._echo.pin
         pin.edges = "both"
         pin.bounce = None

@@ -269,3 +269,14 @@ async def test_a_trigger_that_fails_is_the_sensors_fault(sensor: Sensor) -> None
     opened._trigger.close()
     with pytest.raises(SensorError, match="ultrasonic: "):
         await opened.ping()
+
+
+async def test_where_no_library_of_pins_serves_each_is_named_with_its_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv("GPIOZERO_PIN_FACTORY", raising=False)
+    for module in ("lgpio", "RPi", "RPi.GPIO", "pigpio"):
+        monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ConfigError, match=r"cannot be opened: .*; lgpio: .*; rpigpio: ") as error:
+        EchoPins(TRIGGER, ECHO, Clock())
+    assert "\n" not in str(error.value)
