@@ -99,8 +99,9 @@ def _draw_plots(
     except ModuleNotFoundError as error:
         print(f"companion: no plots: they need {error.name}; expected it installed", file=sys.stderr)
         return
-    passes_m = trial.scenario.pass_bounds.lateral_error_m
-    write_plots(folder, kept, truth, trial.scenario.obstacles, title_of(result), passes_m)
+    passes = trial.scenario.pass_bounds
+    bounds = passes.lateral_error_m, passes.vertical_speed_m_s
+    write_plots(folder, kept, truth, trial.scenario.obstacles, title_of(result), *bounds)
 
 
 def _write_page(trial: Trial, folder: Path) -> None:

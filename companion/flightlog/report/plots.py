@@ -36,6 +36,7 @@ TITLES: Final = {
     "detections.png": "markers accepted, by group",
     "estimators.png": "errors of the estimates against the truth",
 }
+_PASSES: Final[dict[str, Any]] = {"color": "#b80000", "linestyle": "--"}
 LEAST_DISTANCE_CM: Final = 0.01  # a logarithm has no zero
 GROUP_NAMES: Final = {"F": "far", "M": "medium", "C": "close"}
 SIZE_IN: Final = (9.0, 6.5)
@@ -53,10 +54,11 @@ def write_plots(
     obstacles: Sequence[Shape] = (),
     title: str = "",
     pass_lateral_m: float | None = None,
+    pass_vertical_m_s: float | None = None,
 ) -> list[Path]:
     """Draw all plots into a folder and return their paths; the obstacles (from home) go into `path.png`.
 
-    `pass_lateral_m` is what passes at touchdown, drawn as a line.
+    `pass_lateral_m` and `pass_vertical_m_s` are what passes at touchdown, drawn as lines.
 
     Raises:
         ValueError: fewer than two records of truth.
@@ -64,7 +66,7 @@ def write_plots(
     track = TruthTrack(truth)
     drawings: dict[str, Callable[[Figure], None]] = {
         "path.png": lambda figure: draw_path(figure, track, obstacles),
-        "height.png": lambda figure: draw_height(figure, track, kept),
+        "height.png": lambda figure: draw_height(figure, track, kept, pass_vertical_m_s),
         "lateral.png": lambda figure: draw_lateral(figure, track, kept, pass_lateral_m),
         "detections.png": lambda figure: draw_detections(figure, track, kept),
         "estimators.png": lambda figure: draw_estimators(figure, track, kept),
@@ -109,10 +111,13 @@ def draw_path(figure: Figure, track: TruthTrack, obstacles: Sequence[Shape] = ()
     for axes in (space, ground):
         axes.set_xlabel("east (m)")
         axes.set_ylabel("north (m)")
+    # beyond the ticks of an axis that is drawn steeply
+    space.yaxis.labelpad = 12.0
     space.set_zlabel("up (m)")
     # among obstacles a clearance must look as it is; a long low path needs its own scale upward
     space.set_aspect("equal" if obstacles else "equalxy")
     ground.set_aspect("equal")
+    ground.margins(0.1)
     _ticks_by_length(space)
     ground.yaxis.tick_right()
     ground.yaxis.set_label_position("right")
@@ -142,9 +147,14 @@ def outline_m(shape: Shape) -> tuple[FloatArray, FloatArray]:
 # ---------------------------------------------------------------- over time
 
 
-def draw_height(figure: Figure, track: TruthTrack, kept: Mapping[str, Sequence[Any]]) -> None:
+def draw_height(
+    figure: Figure,
+    track: TruthTrack,
+    kept: Mapping[str, Sequence[Any]],
+    pass_vertical_m_s: float | None = None,
+) -> None:
     """Height over the pad and vertical speed relative to it."""
-    top, bottom = _over_time(figure, 2, kept)
+    top, bottom = _over_time(figure, 2, kept, track)
     times = track.time_s
     height = track.at("pad_position", times)[:, 2] - track.at("position", times)[:, 2]
     top.plot(times, height, color=VEHICLE_COLOUR, linewidth=1.0, zorder=4, label="truth")
@@ -153,8 +163,10 @@ def draw_height(figure: Figure, track: TruthTrack, kept: Mapping[str, Sequence[A
     top.set_ylabel("height over the pad (m)")
     relative = track.at("velocity", times)[:, 2] - track.at("pad_velocity", times)[:, 2]
     bottom.plot(times, relative, color=VEHICLE_COLOUR)
+    if pass_vertical_m_s is not None:
+        bottom.axhline(pass_vertical_m_s, **_PASSES, label="passes below this, at the touchdown")
     bottom.set_ylabel("sink rate relative\nto the pad (m/s)")
-    _legend_below(figure, top)
+    _legend_below(figure, top, bottom)
 
 
 def draw_lateral(
@@ -164,7 +176,7 @@ def draw_lateral(
     pass_lateral_m: float | None = None,
 ) -> None:
     """Horizontal distance to the pad's centre, true and estimated, on a logarithmic scale."""
-    (axes,) = _over_time(figure, 1, kept)
+    (axes,) = _over_time(figure, 1, kept, track)
     times = track.time_s
     offset = (track.at("position", times) - track.at("pad_position", times))[:, :2]
     distance = np.maximum(100.0 * np.linalg.norm(offset, axis=1), LEAST_DISTANCE_CM)
@@ -174,7 +186,7 @@ def draw_lateral(
     distance = np.maximum(100.0 * np.linalg.norm(estimated, axis=1), LEAST_DISTANCE_CM)
     _dots(axes, [pad.time_s for pad in pads], distance, ESTIMATE_COLOUR, "pad filter")
     if pass_lateral_m is not None:
-        axes.axhline(100.0 * pass_lateral_m, color="#b80000", linestyle="--", label="passes below this")
+        axes.axhline(100.0 * pass_lateral_m, **_PASSES, label="passes below this, at the touchdown")
     axes.set_ylabel("lateral distance to the pad's centre (cm)")
     axes.yaxis.set_major_formatter(FuncFormatter(lambda distance_cm, _: f"{distance_cm:g}"))
     axes.grid(visible=True, which="both", alpha=0.2)
@@ -185,7 +197,7 @@ def draw_detections(figure: Figure, track: TruthTrack, kept: Mapping[str, Sequen
     """How many markers of each group were accepted, over time and over height."""
     halves: Any = figure.subfigures(2, 1, height_ratios=(1.0 + STRIP_SHARE, 1.0))
     over_time, over_height = halves
-    (top,) = _over_time(over_time, 1, kept)
+    (top,) = _over_time(over_time, 1, kept, track)
     bottom = over_height.subplots()
     reports: Sequence[FrameReport] = kept.get("frame_report", ())
     times = np.array([report.time_s for report in reports])
@@ -210,7 +222,7 @@ def draw_detections(figure: Figure, track: TruthTrack, kept: Mapping[str, Sequen
 def draw_estimators(figure: Figure, track: TruthTrack, kept: Mapping[str, Sequence[Any]]) -> None:
     """Errors of attitude, velocity, pad position and pad velocity against the truth, airborne."""
     errors = estimate_errors(kept, track)
-    grid = _over_time(figure, 4, kept)
+    grid = _over_time(figure, 4, kept, track)
     grid[0].plot(errors["time_s"], errors["attitude_deg"], color="black", linewidth=0.8)
     grid[0].set_ylabel("attitude\nerror (°)")
     _plot_axes(grid[1], errors["time_s"], errors["velocity_m_s"], "velocity\nerror (m/s)")
@@ -231,9 +243,10 @@ def _dots(axes: Any, times: Any, values: Any, colour: str, label: str | None = N
     axes.plot(times, values, ".", markersize=2.5, color=colour, label=label)
 
 
-def _legend_below(figure: Any, axes: Any) -> None:
-    """The legend of one plot under all of them, where it hides nothing."""
-    legend = figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+def _legend_below(figure: Any, *plots: Any) -> None:
+    """The legend of some plots under all of them, where it hides nothing."""
+    shown = [entry for axes in plots for entry in zip(*axes.get_legend_handles_labels(), strict=True)]
+    legend = figure.legend(*zip(*shown, strict=True), loc="outside lower center", ncols=4)
     for handle in legend.legend_handles:
         handle.set_markersize(6.0)
 
@@ -241,7 +254,7 @@ def _legend_below(figure: Any, axes: Any) -> None:
 # ---------------------------------------------------------------- phases
 
 
-def _over_time(figure: Any, rows: int, kept: Mapping[str, Sequence[Any]]) -> list[Any]:
+def _over_time(figure: Any, rows: int, kept: Mapping[str, Sequence[Any]], track: TruthTrack) -> list[Any]:
     """Plots under one another over one time axis, the phases behind them and their names over them."""
     plans: Sequence[PlanStep] = kept.get("plan", ())
     strip, *grid = figure.subplots(
@@ -253,7 +266,7 @@ def _over_time(figure: Any, rows: int, kept: Mapping[str, Sequence[Any]]) -> lis
     for span in spans:
         for axes in grid:
             axes.axvspan(span.start_s, span.end_s, color=span.colour, alpha=0.22, linewidth=0.0)
-    _mark_touchdown(grid, spans)
+    _mark_touchdown(grid, spans, track)
     if spans:
         strip.set_xlim(spans[0].start_s, spans[-1].end_s)
         strip.margins(x=0.0)
@@ -261,17 +274,21 @@ def _over_time(figure: Any, rows: int, kept: Mapping[str, Sequence[Any]]) -> lis
     return list(grid)
 
 
-def _mark_touchdown(grid: Sequence[Any], spans: Sequence[PhaseSpan]) -> None:
-    """A line where the landing was found to be over; named once."""
-    landed_s = next((span.start_s for span in spans if span.phase is Phase.LANDED), None)
-    if landed_s is None:
-        return
-    for axes in grid:
-        axes.axvline(landed_s, color="black", linestyle=":", linewidth=1.0)
-    grid[0].annotate(
-        "landed", (landed_s, 1.0), xycoords=("data", "axes fraction"), xytext=(-4, -4),
-        textcoords="offset points", ha="right", va="top", fontsize=9, rotation=90,
-    )  # fmt: skip
+def _mark_touchdown(grid: Sequence[Any], spans: Sequence[PhaseSpan], track: TruthTrack) -> None:
+    """Lines where it touched, and where the landing was found to be over; each named once."""
+    touches = track.at("in_contact", track.time_s)[:, 0] > 0.5
+    contacts_s = track.time_s[1:][touches[1:] & ~touches[:-1]]
+    landed_s = [span.start_s for span in spans if span.phase is Phase.LANDED][:1]
+    for name, times_s, side in (("contact", contacts_s, "right"), ("landed", landed_s, "left")):
+        for axes in grid:
+            for time_s in times_s:
+                axes.axvline(time_s, color="black", linestyle=":", linewidth=1.0)
+        if len(times_s):
+            grid[0].annotate(
+                name, (times_s[0], 1.0), xycoords=("data", "axes fraction"),
+                xytext=(-4 if side == "right" else 4, -4), textcoords="offset points", ha=side, va="top",
+                fontsize=9, rotation=90,
+            )  # fmt: skip
 
 
 def _name_phases(strip: Any, spans: Sequence[PhaseSpan]) -> None:

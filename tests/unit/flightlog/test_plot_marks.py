@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from companion.flightlog.report.tables import stage_text
 from companion.pad.colours import GROUP_COLOURS, bgr
 from tests.unit.flightlog.test_result import truth_at
 
-TRUTH = [truth_at(0.1 * k) for k in range(100)]
+TRUTH = [replace(truth_at(0.1 * k), in_contact=k >= 76) for k in range(100)]
 PLANS = [PlanStep(0.1 * k, Phase.DESCEND if k < 80 else Phase.LANDED) for k in range(100)]
 
 
@@ -42,7 +43,17 @@ def test_the_distance_has_the_pass_line_and_the_touchdown_s_mark_in_centimetres(
     heights = [line.get_ydata() for line in axes.lines]
     assert any(np.all(np.asarray(y) == 15.0) for y in heights)
     assert any(np.all(np.asarray(line.get_xdata()) == PLANS[80].time_s) for line in axes.lines)
-    assert [text.get_text() for text in axes.texts] == ["landed"]
+    assert any(np.all(np.asarray(line.get_xdata()) == TRUTH[76].time_s) for line in axes.lines)
+    assert [text.get_text() for text in axes.texts] == ["contact", "landed"]
+
+
+def test_the_sink_rate_has_its_pass_line_and_the_legend_names_it() -> None:
+    figure = Figure()
+    plots.draw_height(figure, TruthTrack(TRUTH), {"plan": PLANS}, 0.4)
+    axes = next(axes for axes in figure.axes if "sink rate" in axes.get_ylabel())
+    assert any(np.all(np.asarray(line.get_ydata()) == 0.4) for line in axes.lines)
+    (legend,) = figure.legends
+    assert "passes below this, at the touchdown" in [text.get_text() for text in legend.get_texts()]
 
 
 def test_a_stage_that_was_never_reached_has_no_time() -> None:
