@@ -117,7 +117,13 @@ restart_is_healthy() {
     fi
     until service_runs && pid="$(service_property MainPID)" && answers; do
         if [ "$SECONDS" -ge "$until" ] || [ "$(service_property ActiveState)" = failed ]; then
-            echo "it does not come up: $(why_down "no answer within $PATIENCE_S s")"
+            if service_runs; then
+                # what it said last is not why: it may wait for a device, as it does in standby
+                told="$(why_down "")"
+                echo "it runs and gives no answer within $PATIENCE_S s${told:+; last it said: $told}"
+            else
+                echo "it does not come up: $(why_down "no answer within $PATIENCE_S s")"
+            fi
             return 1
         fi
         sleep 0.5

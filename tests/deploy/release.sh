@@ -7,6 +7,7 @@
 # page answers to its token, the signing key is read, and owner and mode of both stay. Pins under the unit: a simulated
 # gpiochip (gpiochip.c) beneath lgpio, where the release has that.
 # SUITES: the Debians (else "bookworm trixie"). PYTHON: the Python whose pip fetches the wheels (else python3).
+# PATIENCE_S: how long a service may take to answer (else 120 s here, and the installer's own time in it).
 # BUNDLE: a release that is built already. OLD: a checkout of 0.1, which is installed first and upgraded.
 # Exit codes: 0 all well, 1 something is not, 77 skipped, with one line that says why.
 set -euo pipefail
@@ -16,7 +17,8 @@ readonly PYTHON="${PYTHON:-python3}"
 # the mirror of this machine, unless told
 readonly MIRROR="${MIRROR:-$(sed -n "s/^deb[^h]*\(http[^ ]*\).*/\1/p; s/^URIs: *//p" /etc/apt/sources.list /etc/apt/sources.list.d/* 2>/dev/null | head -n 1)}"
 readonly SUITES="${SUITES:-bookworm trixie}"
-readonly PATIENCE_S=120
+readonly INSTALLER_PATIENCE_S="${PATIENCE_S:-}"
+readonly PATIENCE_S="${PATIENCE_S:-120}"
 readonly TOKEN=0123456789abcdef0123
 suite="" ROOT="" container="" leader=""
 
@@ -57,7 +59,7 @@ END
 }
 
 put() { rm -rf "$ROOT/release"; cp -rl "$1" "$ROOT/release"; }
-installer() { inside /release/install.sh >"$FOLDER/install.log" 2>&1; }
+installer() { inside env ${INSTALLER_PATIENCE_S:+COMPANION_PATIENCE_S="$INSTALLER_PATIENCE_S"} /release/install.sh >"$FOLDER/install.log" 2>&1; }
 said() { tail -n 1 "$FOLDER/install.log"; }
 version_in_use() { inside companion --version; }
 restarts() { inside systemctl show companion --property=NRestarts --value; }
@@ -173,7 +175,8 @@ END
     holds 9.1.0 "refused"
 
     step "companion-rollback, and downgrade, and upgrade again"
-    inside companion-rollback >"$FOLDER/install.log" 2>&1 || fail "companion-rollback: $(said)"
+    inside env ${INSTALLER_PATIENCE_S:+COMPANION_PATIENCE_S="$INSTALLER_PATIENCE_S"} companion-rollback \
+        >"$FOLDER/install.log" 2>&1 || fail "companion-rollback: $(said)"
     holds "$version" "rolled back"
     put "$NEXT"
     installer || fail "the upgrade: $(said)"

@@ -47,6 +47,8 @@ base = pathlib.Path(os.environ["COMPANION_BASE"])
 def main():
     if sys.argv[1:] == ["--version"]:
         print(__version__)
+    elif (pathlib.Path(__file__).parent / "configs/mute").exists():
+        sys.exit(2)
     elif (base / "status.json").exists() and (base / "active").exists():
         print((base / "status.json").read_text())
         sys.exit(1)  # not healthy, and it answers
@@ -120,8 +122,8 @@ class System:
         return (self.base / "starts").read_text().split()
 
 
-def release(folder: Path, version: str, *, fault: bool = False, needs: str = "") -> Path:
-    """A release; with a `fault` its service does not start, `needs` names what no wheel is there for."""
+def release(folder: Path, version: str, *, fault: str = "", needs: str = "") -> Path:
+    """A release. `fault`: "fault", it does not start, or "mute"; `needs`: what no wheel is there for."""
     bundle = folder / f"companion-{version}-{os.uname().machine}"
     (bundle / "wheels").mkdir(parents=True)
     assert PIP is not None
@@ -150,7 +152,7 @@ def release(folder: Path, version: str, *, fault: bool = False, needs: str = "")
     return bundle
 
 
-def _wheel(folder: Path, version: str, *, fault: bool, needs: str) -> None:
+def _wheel(folder: Path, version: str, *, fault: str, needs: str) -> None:
     info = f"companion_landing-{version}.dist-info"
     files = {
         "companion/__init__.py": f'__version__ = "{version}"\n',
@@ -159,7 +161,7 @@ def _wheel(folder: Path, version: str, *, fault: bool, needs: str) -> None:
         "companion/app/command.py": "",
         "companion/app/app.py": "",
         "companion/configs/companion.yaml": "# shipped\n",
-        **({"companion/configs/fault": ""} if fault else {}),
+        **({f"companion/configs/{fault}": ""} if fault else {}),
         f"{info}/METADATA": (
             f"Metadata-Version: 2.1\nName: companion-landing\nVersion: {version}\nProvides-Extra: release\n"
             + (f"Requires-Dist: {needs}\n" if needs else "")

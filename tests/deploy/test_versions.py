@@ -65,11 +65,25 @@ def test_no_line_of_the_installer_changes_who_owns_the_settings() -> None:
 def test_one_that_does_not_come_up_is_taken_back_with_the_service_up(system: System, tmp_path: Path) -> None:
     installed(system, tmp_path, "1.0")
     system.serves()
-    done = system.run(release(tmp_path, "1.1", fault=True) / "install.sh")
+    done = system.run(release(tmp_path, "1.1", fault="fault") / "install.sh")
     assert done.returncode == 1
     assert "1.1 was taken back; 1.0 is in use, the service runs" in done.stderr
     assert (system.in_use, system.starts, unit(system)) == ("1.0", ["1.1", "1.0"], "# 1.0")
     assert (system.base / "active").exists()
+
+
+def test_one_that_runs_and_says_nothing_is_told_apart_from_one_that_went_down(
+    system: System, tmp_path: Path
+) -> None:
+    installed(system, tmp_path, "1.0")
+    system.serves()
+    (system.programs / "journalctl").write_text("#!/bin/sh\necho 'NEO-6M: nothing received'\n")
+    done = system.run(release(tmp_path, "1.1", fault="mute") / "install.sh")
+    assert done.returncode == 1
+    assert (
+        "1.1: it runs and gives no answer within 2 s; last it said: NEO-6M: nothing received" in done.stdout
+    )
+    assert system.in_use == "1.0"
 
 
 @pytest.mark.parametrize(
@@ -172,7 +186,7 @@ def test_the_version_in_use_and_the_one_before_it_are_kept(system: System, tmp_p
 def test_another_content_of_the_same_version_gets_a_folder_of_its_own(system: System, tmp_path: Path) -> None:
     installed(system, tmp_path, "1.0")
     system.serves()
-    done = system.run(release(tmp_path / "other", "1.0", fault=True) / "install.sh")
+    done = system.run(release(tmp_path / "other", "1.0", fault="fault") / "install.sh")
     assert done.returncode == 1
     assert system.in_use == "1.0"
     assert (system.prefix / "versions/1.0/COMPLETE").exists()
@@ -183,7 +197,7 @@ def test_the_layout_of_0_1_is_kept_until_it_is_not_the_one_before(system: System
     old = tmp_path / "old"
     shutil.copytree(old_layout(system, tmp_path), old)
     system.serves()
-    done = system.run(release(tmp_path, "1.1", fault=True) / "install.sh")
+    done = system.run(release(tmp_path, "1.1", fault="fault") / "install.sh")
     assert done.returncode == 1, done.stderr
     assert (system.in_use, unit(system)) == ("0.1.0", "# 0.1")
     installed(system, tmp_path, "1.2")
