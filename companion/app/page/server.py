@@ -10,6 +10,7 @@ import asyncio
 import json
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
+from html import escape
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +23,7 @@ from companion.app.page.viewer import Viewer
 from companion.base.clock import Clock
 
 STATIC: Final = Path(__file__).parent / "static"
+WAITING: Final = Path(__file__).parent / "wait.html"
 FILES: Final = {
     "/": ("index.html", "text/html"),
     "/page.css": ("page.css", "text/css"),
@@ -67,12 +69,14 @@ class PageServer:
         self._orders: dict[int, Viewer] = {}
         self._ordered = 0
         self._contents = {path: (STATIC / name).read_bytes() for path, (name, _) in FILES.items()}
+        self._waiting_page = WAITING.read_text("utf-8")
 
     def application(self) -> web.Application:
         """The routes."""
         app = web.Application(middlewares=[self._guarded], client_max_size=LONGEST_MESSAGE)
         app.add_routes([web.get(path, self._file) for path in FILES])
         app.router.add_get("/live", self._live)
+        app.router.add_get("/wait.html", self._waiting)
         add_file_routes(app, self._start)
         return app
 
@@ -127,6 +131,14 @@ class PageServer:
         return web.Response(
             body=self._contents[request.path], content_type=FILES[request.path][1], charset="utf-8"
         )
+
+    async def _waiting(self, request: web.Request) -> web.Response:
+        """A file to keep: opened before we run, it waits for us, where a browser shows its own error."""
+        host = request.headers["Host"]  # one of ours, see _guarded
+        text = self._waiting_page.replace("@ADDRESS@", escape(f"{request.scheme}://{host}/"))
+        response = web.Response(text=text, content_type="text/html")
+        response.headers["Content-Disposition"] = "attachment; filename=companion.html"
+        return response
 
     async def _live(self, request: web.Request) -> web.StreamResponse:
         if not same_origin(request.headers.get("Origin"), request.headers.get("Host")):
