@@ -14,7 +14,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Final, Protocol
@@ -55,6 +55,7 @@ from companion.sense.vision.pipeline import VisionResult
 GPS_CONFIGURATION_PERIOD_S: Final = 0.2
 FAULT_PERIOD_S: Final = 2.0
 WATCH_PERIOD_S: Final = 1.0
+GONE_S: Final = 2.0  # a port that is gone is tried once a second
 
 
 def load_used_magnetometer(sense: SenseConfig) -> MagnetometerCalibration | None:
@@ -142,6 +143,7 @@ class Sensing:
         self.last_frame: FrameReport | None = None
         self.frame_count = 0
         self.frame_fused: Callable[[], None] = lambda: None  # called after each
+        self._gone_s: dict[str, float] = {}  # ports, and when
         self._fault_reported_s = self._attitude_s = float("-inf")
         # a camera that is kept judges its frames itself
         kept = isinstance(hardware.frames, KeptCamera)
@@ -240,7 +242,8 @@ class Sensing:
     async def _gps_task(self, port: SerialLine) -> None:
         """Turn the receiver's bytes into fixes."""
         while True:
-            data = await port.read()
+            with self._gone_if_it_fails("gps"):
+                data = await port.read()
             for fix in self._gps.feed(data, self._clock.now_s()):
                 self._take_fix(fix)
 
@@ -261,8 +264,19 @@ class Sensing:
     async def _range_task(self, finder: RangeFinder) -> None:
         """Turn the ultrasonic's echoes into distances."""
         while True:
-            for sample in await finder.read():
+            with self._gone_if_it_fails("ultrasonic"):
+                samples = await finder.read()
+            for sample in samples:
                 self._take_range(sample)
+
+    @contextlib.contextmanager
+    def _gone_if_it_fails(self, name: str) -> Iterator[None]:
+        """Note when a port was last found to be gone: that is told, and silence then says no more."""
+        try:
+            yield
+        except OSError:
+            self._gone_s[name] = self._clock.now_s()
+            raise
 
     def _take_range(self, sample: RangeSample) -> None:
         self.last_range = sample
@@ -283,11 +297,12 @@ class Sensing:
     def _problems(self, now_s: float) -> list[str | None]:
         """What is wrong with each of the sensors that are used and do not speak for themselves."""
         problems: list[str | None] = []
+        gone = {name for name, time_s in self._gone_s.items() if now_s - time_s < GONE_S}
         if self._hardware.gps_port is not None:
-            problems.append(self._gps.problem)
+            problems.append(None if "gps" in gone else self._gps.problem)
         if self._range is not None:
             self._range.watch(now_s)
-            problems.append(self._range.problem)
+            problems.append(None if "ultrasonic" in gone else self._range.problem)
         if self._onboard is not None:
             problems.append(self._onboard.watch(now_s))
         return problems
