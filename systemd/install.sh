@@ -148,7 +148,8 @@ put_link "$PREFIX/tools/companion-rollback" "$PROGRAMS_FOLDER/companion-rollback
 first="$(in_use)"
 activate "$name"
 [ -n "$first" ] && exit 0
-say "look through $SETTINGS/companion.yaml, then: sudo systemctl enable --now companion"
-say "on a Raspberry Pi, UARTs, I2C and the rest: sudo companion setup"
+say "next, on a Raspberry Pi, UARTs, I2C and the rest: sudo companion setup"
+say "then look through $SETTINGS/companion.yaml, and see what is missing: sudo -u $SERVICE_USER companion check"
+say "then: sudo systemctl enable --now companion"
 say "it stands by and flies nothing unasked: companion status, companion order land; see docs/service.md"
 say "root and the group companion may ask it: usermod -aG companion ${SUDO_USER:-USER}, and a new login"
