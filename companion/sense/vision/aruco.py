@@ -31,6 +31,9 @@ from companion.sense.vision.print_fit import fit_prints
 GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 ERROR_CORRECTION_RATE: Final = 0.5
 THRESHOLD_WINDOW_PX: Final = 11
+# a cell is told by its middle, where its neighbours' blur reaches least: of so many places across it by all
+# but the outermost. Those are an odd number: a cell whose edges show its neighbours is never half white
+CELL_SAMPLES: Final = 5
 # an outline on the outermost pixels is cut off; OpenCV's usual 3 px of a shrunk image are up to 18 px in full
 BORDER_PX: Final = 1
 # a marker smaller than this in a shrunk image gives corners too coarse to refine in the full one
@@ -155,6 +158,8 @@ class CodeReader:
         self._parameters.adaptiveThreshWinSizeMin = THRESHOLD_WINDOW_PX
         self._parameters.adaptiveThreshWinSizeMax = THRESHOLD_WINDOW_PX
         self._parameters.errorCorrectionRate = ERROR_CORRECTION_RATE
+        self._parameters.perspectiveRemovePixelPerCell = CELL_SAMPLES
+        self._parameters.perspectiveRemoveIgnoredMarginPerCell = 1.0 / CELL_SAMPLES
         self._parameters.minDistanceToBorder = BORDER_PX
         # a dictionary is cut behind the last id of the list
         last = [max((i for which, i in codes if which == k), default=0) for k in range(len(dictionaries))]

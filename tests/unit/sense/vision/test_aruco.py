@@ -15,7 +15,14 @@ from companion.base.geometry import Quaternion, Vector3, quat_from_euler
 from companion.base.messages import Frame, MarkerGroup
 from companion.config import CameraConfig, VisionConfig
 from companion.pad import DICTIONARIES, DictionaryName, Pad
-from companion.sense.vision.aruco import GROUPS, Detection, PadDetector, SearchPass, farthest_apart
+from companion.sense.vision.aruco import (
+    GROUPS,
+    CodeReader,
+    Detection,
+    PadDetector,
+    SearchPass,
+    farthest_apart,
+)
 from companion.sense.vision.lens import Lens
 
 TakePicture = Callable[..., tuple[Frame, Vector3, Quaternion]]
@@ -96,6 +103,25 @@ def test_hardly_legible_markers_are_read_enlarged(
     assert sum(map(len, found)) > sum(len(detector.detect(picture, look)) for picture in pictures)
     for detection in (each for read in found for each in read):
         assert detection.corner_std_px < 0.35
+
+
+@pytest.mark.parametrize("cell_px", [2.9, 3.2, 3.5])
+def test_cells_of_a_few_pixels_are_read_wherever_between_pixels_they_lie(cell_px: float) -> None:
+    """Half of a cell's pixels may be its neighbours': it is told by its middle, and one way or the other."""
+    reader = CodeReader([cv2.aruco.getPredefinedDictionary(DICTIONARIES["4x4_50"])], [(0, 0)])
+    fine = 20
+    code = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(DICTIONARIES["4x4_50"]), 0, 6)
+    light = cv2.resize(code, None, fx=fine, fy=fine, interpolation=cv2.INTER_NEAREST).astype(np.float32)
+    rng = np.random.default_rng(2)
+    read = 0
+    for x, y in rng.uniform(10.0, 11.0, (60, 2)):
+        share = cell_px * 8 / fine  # each pixel is the mean of 8 by 8 places
+        place = np.array([(share, 0.0, 8.0 * x), (0.0, share, 8.0 * y)])
+        wide = cv2.warpAffine(light, place, (360, 360), flags=cv2.INTER_NEAREST, borderValue=255.0)
+        seen = cv2.resize(wide, (45, 45), interpolation=cv2.INTER_AREA) * 0.8 + 20.0
+        seen = cv2.GaussianBlur(seen, (0, 0), 0.4) + rng.normal(0.0, 2.0, seen.shape)
+        read += len(reader.read(np.rint(seen).clip(0, 255).astype(np.uint8), 12.0))
+    assert read == 60
 
 
 def test_corners_are_those_of_the_whole_image_whatever_part_or_size_was_searched(
