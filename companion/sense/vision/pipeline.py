@@ -123,10 +123,11 @@ class Vision:
         pose = estimate_pose(found, self._lens, self._config, *motion)
         few = FEW_MARKERS if down is None else 1
         if pose is not None and (len(pose.used) <= few or pose.second is not None):
-            more = max((self._unread.find(frame.image, each) for each in pose.hypotheses()), key=len)
+            starts = pose.hypotheses()
+            more = max((self._unread.find(frame.image, each) for each in starts), key=len)
             if more:
                 sure = [d for d in found if d.refined]
-                pose = estimate_pose([*sure, *more], self._lens, self._config, *motion) or pose
+                pose = estimate_pose([*sure, *more], self._lens, self._config, *motion, starts) or pose
         if pose is None or (len(pose.used) == 1 and not self._print.bears_out(frame.image, pose)):
             return None
         turn_rad2 = float(np.linalg.eigvalsh(pose.covariance[3:, 3:])[-1])

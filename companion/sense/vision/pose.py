@@ -25,6 +25,7 @@ shrink it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -144,6 +145,7 @@ def estimate_pose(
     down_camera: Vector3 | None,
     climb_m_s: float = 0.0,
     rate_camera_rad_s: Vector3 = ZERO3,
+    near: Sequence[PoseFit] = (),
 ) -> PoseFit | None:
     """Fit one pose to all corners, dropping the worst marker while some disagree.
 
@@ -152,6 +154,7 @@ def estimate_pose(
         down_camera: gravity's direction (unit) in camera axes, or None when the attitude is unknown.
         climb_m_s: how fast the height over the pad is expected to change.
         rate_camera_rad_s: how the camera turns, in its own axes.
+        near: poses that some of the corners have given; without them it begins with what all of them show.
 
     Returns:
         None when no majority of the markers agrees on a level pad in front of the camera.
@@ -159,7 +162,7 @@ def estimate_pose(
     candidates = list(found)
     while 2 * len(candidates) > len(found):
         problem = _problem(candidates, lens, config, down_camera, climb_m_s, rate_camera_rad_s)
-        fits = _fits(problem)
+        fits = _fits(problem, near)
         if not fits:
             return None
         fit = fits[0]
@@ -224,8 +227,7 @@ def _accept(
     problem: _Problem, fits: list[_Fit], used: list[Detection], errors_px: FloatArray, config: VisionConfig
 ) -> PoseFit:
     """The pose with its covariance: the corners' noise as observed, what they do not show, a second pose."""
-    freedom = max(2 * len(problem.points) - 6, 0)
-    scale = (PRIOR_MISSES + fits[0].squares) / (PRIOR_MISSES + freedom)
+    scale = _scale(fits[0], problem)
     row_px = float(np.mean([d.corners_px[:, 1].mean() for d in used]))
     rms_px = float(np.sqrt((errors_px**2).mean()))
     made = []
@@ -236,7 +238,7 @@ def _accept(
         covariance[:3, :3] += np.eye(3) * (common + unseen)
         made.append(PoseFit(fit.position, fit.rotation, covariance, row_px, tuple(used), rms_px, common))
     best = made[0]
-    if len(made) == 1 or fits[1].squares - fits[0].squares > scale * SECOND_SIGMA**2:
+    if len(made) == 1 or fits[1].squares > _most_squares(fits[0], problem):
         return best
     apart = np.concatenate((made[1].position_camera_m - best.position_camera_m, _turn(fits[1], fits[0])))
     covariance = best.covariance + np.outer(apart, apart)
@@ -255,22 +257,43 @@ def _is_tilted(problem: _Problem, fit: _Fit) -> bool:
     return tilt_rad > MAXIMUM_TILT_SIGMA * problem.level_sigma
 
 
-def _fits(problem: _Problem) -> list[_Fit]:
+def _fits(problem: _Problem, near: Sequence[PoseFit]) -> list[_Fit]:
     """Poses in front of the camera that the corners show, the best first: one, or where gravity is not known
     two at the most."""
-    if problem.down is not None:
+    starts: Sequence[Start]
+    if near:
+        starts = [(pose.camera_from_pad, pose.position_camera_m) for pose in near]
+    elif problem.down is not None:
         starts = level_start(problem.points, problem.rays, problem.down)
     else:
         starts = planar_starts(problem.points, problem.rays)
-    fits = [fit for start in starts if (fit := _fit(problem, start)) is not None]
+    fits: list[_Fit] = []
+    for start in starts:
+        fit = _fit(problem, start, _most_squares(fits[0], problem) if fits else math.inf)
+        fits += [] if fit is None else [fit]
     fits.sort(key=lambda fit: fit.squares)
     if len(fits) == 2 and float(np.linalg.norm(_turn(fits[1], fits[0]))) < SAME_RAD:
         del fits[1]
     return fits
 
 
-def _fit(problem: _Problem, start: Start) -> _Fit | None:
-    """Gauss-Newton; None when there is no pad in front."""
+def _scale(fit: _Fit, problem: _Problem) -> float:
+    """By how much the corners' variances are larger than stated, as observed."""
+    freedom = max(2 * len(problem.points) - 6, 0)
+    return (PRIOR_MISSES + fit.squares) / (PRIOR_MISSES + freedom)
+
+
+def _most_squares(best: _Fit, problem: _Problem) -> float:
+    """Of a second pose that is not ruled out by the best one."""
+    return best.squares + _scale(best, problem) * SECOND_SIGMA**2
+
+
+def _fit(problem: _Problem, start: Start, most_squares: float = math.inf) -> _Fit | None:
+    """Gauss-Newton; None when there is no pad in front.
+
+    And where a step would leave more than `most_squares`: from there the fit leads nowhere, or, far round, to
+    the pose that is known.
+    """
     rotation, position = start
     expected = np.zeros(len(problem.weight))
     expected[3:6] = -problem.rate
@@ -284,6 +307,9 @@ def _fit(problem: _Problem, start: Start) -> _Fit | None:
             step = np.linalg.solve(information, gradient)
         except np.linalg.LinAlgError:
             return None
+        squares = float(((missed - white @ step) ** 2).sum())
+        if squares > most_squares:
+            return None
         position, moved = position + step[:3], moved + step[6:]
         turn = quat_from_rotation_vector(vector3(step[3:6].tolist()))
         rotation = matrix_from_quat(turn) @ rotation
@@ -292,7 +318,6 @@ def _fit(problem: _Problem, start: Start) -> _Fit | None:
         if np.abs(step[:6]).max() < CONVERGED:
             break
     left = (misses - jacobian @ step).reshape(2, -1)
-    squares = float(((missed - white @ step) ** 2).sum())
     covariance = np.linalg.inv(information)[:6, :6]
     return _Fit(rotation, position, 0.5 * (covariance + covariance.T), left, squares)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from companion.base.geometry import quat_from_euler
 from companion.base.messages import Frame, PadPrior
 from companion.config import CameraConfig, VehicleConfig, VisionConfig
 from companion.pad import Pad, load_pad
+from companion.sense.vision import pose as pose_module
 from companion.sense.vision.aruco import GROUPS, PadDetector, SearchPass
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.pipeline import Vision
@@ -63,6 +65,42 @@ def test_many_markers_have_no_second_pose(pad: Pad, camera: CameraConfig) -> Non
     assert pose is not None
     assert pose.second is None
     assert pose.hypotheses() == (pose,)
+
+
+def test_a_second_pose_that_fits_badly_is_left_where_it_starts(
+    pad: Pad, camera: CameraConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the other start the fit goes round to the same pose, or nowhere: a step shows that."""
+    linearised, steps = pose_module._linearised, 0
+
+    def counted(*given: Any) -> Any:
+        nonlocal steps
+        steps += 1
+        return linearised(*given)
+
+    monkeypatch.setattr(pose_module, "_linearised", counted)
+    for tilt_deg in (25.0, 40.0, 55.0):
+        rotation = camera_from_pad_at(0.3, math.radians(tilt_deg))
+        found = detections(pad, camera, rotation, (0.1, -0.1, 1.2))[:4]
+        before = steps
+        pose = estimate_pose(found, Lens(camera), VisionConfig(), None)
+        assert pose is not None
+        assert pose.second is None
+        assert steps - before <= 4
+
+
+def test_more_markers_are_fitted_from_the_pose_that_found_them(pad: Pad, camera: CameraConfig) -> None:
+    lens, config = Lens(camera), VisionConfig()
+    rotation = camera_from_pad_at(0.3, math.radians(12.0))
+    found = detections(pad, camera, rotation, (0.3, -0.2, 3.0))
+    one = estimate_pose(found[:1], lens, config, None)
+    assert one is not None
+    afresh = estimate_pose(found, lens, config, None)
+    near = estimate_pose(found, lens, config, None, near=one.hypotheses())
+    assert afresh is not None
+    assert near is not None
+    assert near.position_camera_m == pytest.approx(afresh.position_camera_m, abs=1e-6)
+    assert near.camera_from_pad == pytest.approx(afresh.camera_from_pad, abs=1e-6)
 
 
 def test_markers_that_were_not_read_are_found_by_one_that_was(
