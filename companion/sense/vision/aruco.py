@@ -36,8 +36,6 @@ THRESHOLD_WINDOW_PX: Final = 11
 CELL_SAMPLES: Final = 5
 # an outline on the outermost pixels is cut off; OpenCV's usual 3 px of a shrunk image are up to 18 px in full
 BORDER_PX: Final = 1
-# a marker smaller than this in a shrunk image gives corners too coarse to refine in the full one
-SHRUNK_SIDE_PX: Final = 17.0
 # corners of a contour, where a marker's sides cannot be followed: pixels of the image that was searched
 CONTOUR_STD_PX: Final = 0.7
 # of the variance at a side's ends, when it is a straight line through places that err independently
@@ -121,12 +119,12 @@ class PadDetector:
             size = (part.shape[1] * where.enlarge, part.shape[0] * where.enlarge)
             part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
         scale = s / where.enlarge
-        smallest_px = max(self._config.minimum_side_px / min(scale, 1.0), SHRUNK_SIDE_PX if s > 1 else 0.0)
+        smallest_px = self._config.minimum_side_px / min(scale, 1.0)
         origin = np.array([where.left, where.top], dtype=np.float64)
         found = []
         for code in reader.read(part, smallest_px):
             marker = markers[code.number]
-            corners = (code.corners_px + 0.5) * scale - 0.5 + origin
+            corners = (_outlined(code.corners_px) + 0.5) * scale - 0.5 + origin
             found.append(
                 Detection(marker, marker.corners_pad_m(), corners, side_px(corners), CONTOUR_STD_PX * scale)
             )
@@ -284,6 +282,11 @@ def sides_to_corners(corners: FloatArray) -> FloatArray:
     along = corners[(1, 2, 3, 0), :] - corners
     along /= np.sqrt((along**2).sum(axis=1))[:, None]
     moves = np.zeros((4, 2, 4))
+def _outlined(corners: FloatArray) -> FloatArray:
+    """Corners (4, 2) of a square by its outline's, which runs through the middles of its outermost pixels."""
+    return corners + (sides_to_corners(corners) @ np.full(4, 0.5)).reshape(4, 2)
+
+
     for side, (x, y) in enumerate(along.tolist()):
         moves[side, :, side] = moves[(side + 1) % 4, :, side] = y, -x
     return moves.reshape(8, 4)

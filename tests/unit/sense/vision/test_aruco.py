@@ -15,6 +15,7 @@ from companion.base.geometry import Quaternion, Vector3, quat_from_euler
 from companion.base.messages import Frame, MarkerGroup
 from companion.config import CameraConfig, VisionConfig
 from companion.pad import DICTIONARIES, DictionaryName, Pad
+from companion.sense.vision import aruco
 from companion.sense.vision.aruco import (
     GROUPS,
     CodeReader,
@@ -139,6 +140,34 @@ def test_corners_are_those_of_the_whole_image_whatever_part_or_size_was_searched
         for a in part:
             b = next(d for d in whole if d.marker == a.marker)
             assert np.abs(a.corners_px - b.corners_px).max() < 0.1
+
+
+def test_an_outline_is_half_a_pixel_within_the_marker(
+    detector: PadDetector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """OpenCV's runs through the middles of the outermost black pixels: a marker of 96 px seems one of 95."""
+    monkeypatch.setattr(aruco, "refine_corners", lambda _image, found, *_: found)
+    for shrink in (1, 2, 4):
+        place = SearchPass(0, 0, 640, 480, shrink, GROUPS)
+        (found,) = detector.detect(drawn([("4x4_50", 1, 200, 100)]), place)
+        square = np.array([(199.5, 99.5), (295.5, 99.5), (295.5, 195.5), (199.5, 195.5)])
+        assert found.corners_px == pytest.approx(square, abs=0.1 * shrink)
+
+
+@pytest.mark.parametrize("height_m", [0.24, 0.28, 0.32])
+def test_what_is_legible_in_a_shrunk_image_is_refined_in_the_full_one(
+    detector: PadDetector, take_picture: TakePicture, height_m: float
+) -> None:
+    frame, _, _ = take_picture((-0.03, 0.0, -height_m - 0.08), LEVEL)
+    shrunk = detector.detect(frame.image, SearchPass(0, 0, 640, 480, 4, ("C",)))
+    whole = detector.detect(frame.image, SearchPass(0, 0, 640, 480, 1, ("C",)))
+    assert len(shrunk) == 8
+    both = {d.marker.id: d.corners_px for d in whole}
+    alike = [d for d in shrunk if d.marker.id in both]
+    assert len(alike) >= 4
+    for detection in alike:
+        assert detection.refined
+        assert detection.corners_px == pytest.approx(both[detection.marker.id], abs=0.1)
 
 
 def test_corners_go_round_from_the_top_left_of_the_code(detector: PadDetector) -> None:
