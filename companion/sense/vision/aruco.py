@@ -257,17 +257,22 @@ def _by_sides(
     return made
 
 
-def farthest_apart(found: list[Detection], maximum: int) -> list[Detection]:
-    """At most `maximum` of the detections, spread over the image; the order is kept."""
+def farthest_apart(found: list[Detection], maximum: int, beside: Sequence[Detection] = ()) -> list[Detection]:
+    """At most `maximum` of the detections, spread over the image beside others; the order is kept."""
     if len(found) <= maximum:
         return found
     centres = np.array([d.corners_px for d in found]).sum(axis=1)
     apart = ((centres[:, None] - centres) ** 2).sum(axis=2)
-    chosen = [int(np.argmax(apart.sum(axis=1)))]
-    distance = apart[chosen[0]]
-    while len(chosen) < maximum:
+    if beside:
+        others = np.array([d.corners_px for d in beside]).sum(axis=1)
+        distance = ((centres[:, None] - others) ** 2).sum(axis=2).min(axis=1)
+    else:
+        distance = apart.sum(axis=1)
+    chosen: list[int] = []
+    for _ in range(maximum):
         chosen.append(int(distance.argmax()))
-        distance = np.minimum(distance, apart[chosen[-1]])
+        nearest = apart[chosen[-1]]
+        distance = np.minimum(distance, nearest) if beside or len(chosen) > 1 else nearest
     return [found[k] for k in sorted(chosen)]
 
 
@@ -277,16 +282,16 @@ def side_px(corners: FloatArray) -> float:
     return 0.5 * math.sqrt(0.5) * (math.hypot(e - a, f - b) + math.hypot(g - c, h - d))
 
 
-def sides_to_corners(corners: FloatArray) -> FloatArray:
-    """How corners (4, 2) move, u and v of each in turn, when each side moves outwards by one: (8, 4)."""
-    along = corners[(1, 2, 3, 0), :] - corners
-    along /= np.sqrt((along**2).sum(axis=1))[:, None]
-    moves = np.zeros((4, 2, 4))
 def _outlined(corners: FloatArray) -> FloatArray:
     """Corners (4, 2) of a square by its outline's, which runs through the middles of its outermost pixels."""
     return corners + (sides_to_corners(corners) @ np.full(4, 0.5)).reshape(4, 2)
 
 
+def sides_to_corners(corners: FloatArray) -> FloatArray:
+    """How corners (4, 2) move, u and v of each in turn, when each side moves outwards by one: (8, 4)."""
+    along = corners[(1, 2, 3, 0), :] - corners
+    along /= np.sqrt((along**2).sum(axis=1))[:, None]
+    moves = np.zeros((4, 2, 4))
     for side, (x, y) in enumerate(along.tolist()):
         moves[side, :, side] = moves[(side + 1) % 4, :, side] = y, -x
     return moves.reshape(8, 4)

@@ -22,6 +22,8 @@ from companion.sense.vision.lens import Lens
 from companion.sense.vision.pose import PoseFit
 from companion.sense.vision.print_check import CELL_PX, LIKENESS, PrintCheck
 
+# so many more are enough, if they lie apart
+ENOUGH: Final = 4
 # one that is expected with a larger standard deviation may be refined to its neighbour's side: cells
 VAGUE_CELLS: Final = 0.8
 
@@ -36,39 +38,42 @@ class UnreadMarkers:
         self._corners = np.array([marker.corners_pad_m() for marker in pad.markers])
 
     def find(self, image: NDArray[np.uint8], pose: PoseFit) -> list[Detection]:
-        """Markers that are not in the pose, with refined corners."""
-        pixels = self._pixels(pose.camera_from_pad, pose.position_camera_m)
+        """Some markers that are not in the pose, with refined corners: those farthest from what is in it."""
+        points = self._corners.reshape(-1, 3)
+        seen = points @ pose.camera_from_pad.T + pose.position_camera_m
+        pixels = self._lens.project(seen)[0].reshape(-1, 4, 2)
         width, height = self._lens.size_px
         inside = ((pixels > 0.0) & (pixels < (width - 1.0, height - 1.0))).all(axis=(1, 2))
-        std_px = self._std_px(pose, pixels)
         used = {detection.marker for detection in pose.used}
-        expected = []
+        legible = []
         for k in np.flatnonzero(inside):
-            marker, corners = self._markers[k], pixels[k]
-            side = side_px(corners)
-            cell = side / marker.cells
-            legible = side >= self._config.minimum_side_px and cell >= CELL_PX
-            if marker not in used and legible and std_px[k] < VAGUE_CELLS * cell:
-                expected.append(Detection(marker, self._corners[k], corners, side))
-        chosen = farthest_apart(expected, self._config.maximum_markers)
+            marker, side = self._markers[k], side_px(pixels[k])
+            least = max(self._config.minimum_side_px, CELL_PX * marker.cells)
+            if marker not in used and side >= least:
+                legible.append((k, Detection(marker, self._corners[k], pixels[k], side)))
+        if not legible:
+            return []
+        numbers = [k for k, _ in legible]
+        std_px = self._std_px(pose, self._corners[numbers].reshape(-1, 3), pixels[numbers])
+        expected = [
+            d for (_, d), std in zip(legible, std_px.tolist(), strict=True)
+            if std < VAGUE_CELLS * d.side_px / d.marker.cells
+        ]  # fmt: skip
+        chosen = farthest_apart(expected, ENOUGH, pose.used)
         refined = (d for d in refine_corners(image, chosen, self._lens, self._dot_m) if d.refined)
         return [d for d in refined if self._prints.likeness(image, d.marker, d.corners_px) >= LIKENESS]
 
-    def _pixels(self, rotation: FloatArray, position: FloatArray) -> FloatArray:
-        """Corners (n, 4, 2) of all markers; NaN where the lens cannot see."""
-        return self._lens.project(self._corners.reshape(-1, 3) @ rotation.T + position)[0].reshape(-1, 4, 2)
-
-    def _std_px(self, pose: PoseFit, pixels: FloatArray) -> FloatArray:
-        """How far (n,) off each marker's corners may be expected, by the pose's covariance.
+    def _std_px(self, pose: PoseFit, points: FloatArray, pixels: FloatArray) -> FloatArray:
+        """How far (n,) off markers' corners (4n, 3) on the pad may be from (n, 4, 2) px, by the covariance.
 
         Without the calibration's error, which is the same in all that this picture shows.
         """
         covariance = pose.covariance.copy()
         covariance[:3, :3] -= pose.common_variance_m2 * np.eye(3)
         values, axes = np.linalg.eigh(covariance)
-        variance = np.zeros(len(pixels))
+        moved = []
         for step in (axes * np.sqrt(np.maximum(values, 0.0))).T:
             turn = matrix_from_quat(quat_from_rotation_vector(vector3(step[3:].tolist())))
-            moved = self._pixels(turn @ pose.camera_from_pad, pose.position_camera_m + step[:3])
-            variance += ((moved - pixels) ** 2).sum(axis=2).max(axis=1)
-        return np.asarray(np.sqrt(variance))
+            moved.append(points @ (turn @ pose.camera_from_pad).T + pose.position_camera_m + step[:3])
+        there = self._lens.project(np.concatenate(moved))[0].reshape(len(moved), -1, 4, 2)
+        return np.asarray(np.sqrt(((there - pixels) ** 2).sum(axis=3).max(axis=2).sum(axis=0)))

@@ -217,3 +217,15 @@ def test_of_many_markers_those_farthest_apart_are_kept_in_order(pad: Pad) -> Non
     spread = np.array([d.marker.position_pad_m for d in kept])
     assert np.abs(spread) == pytest.approx(np.full((4, 2), 0.1))  # the four corners of the grid
     assert farthest_apart(found[:3], 4) == found[:3]
+
+
+def test_markers_beside_others_are_those_farthest_from_them(pad: Pad) -> None:
+    markers = [m for m in pad.markers if m.group == "C"]
+    found = [Detection(m, m.corners_pad_m(), m.corners_pad_m()[:, :2] * 2000.0, 66.0) for m in markers]
+    corner = next(d for d in found if np.array(d.marker.position_pad_m) == pytest.approx((0.1, 0.1)))
+    others = [d for d in found if d is not corner]
+    (first,) = farthest_apart(others, 1, [corner])
+    assert first.marker.position_pad_m == pytest.approx((-0.1, -0.1))
+    kept = farthest_apart(others, 3, [corner])
+    spread = np.array([d.marker.position_pad_m for d in kept])
+    assert np.abs(spread) == pytest.approx(np.full((3, 2), 0.1))
