@@ -284,7 +284,7 @@ def side_px(corners: FloatArray) -> float:
 
 def _outlined(corners: FloatArray) -> FloatArray:
     """Corners (4, 2) of a square by its outline's, which runs through the middles of its outermost pixels."""
-    return corners + (sides_to_corners(corners) @ np.full(4, 0.5)).reshape(4, 2)
+    return np.asarray(corners + (sides_to_corners(corners) @ np.full(4, 0.5)).reshape(4, 2))
 
 
 def sides_to_corners(corners: FloatArray) -> FloatArray:
