@@ -9,6 +9,7 @@ rest take seconds to import on a Raspberry Pi (`companion.base.command_line`).
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final
@@ -189,6 +190,8 @@ def refuse(options: Mapping[str, object]) -> None:
 
 def main() -> None:
     """Entry point: whatever the user got wrong ends in one line on standard error."""
+    # before numpy is imported: our matrices are small, and threads that wait for one another only cost
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     run_program(cli, PROGRAM)
 
 

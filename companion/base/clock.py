@@ -10,15 +10,22 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import os
 import selectors
+import sys
 import time
 from collections.abc import Callable, Coroutine, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any, Final, TypeVar
+from typing import Any, Final, ParamSpec, TypeVar
 
 T = TypeVar("T")
+P = ParamSpec("P")
 ALLOCATIONS_BETWEEN_COLLECTIONS: Final = 50_000  # CPython's own: 700
 LOOK_OUTSIDE_EVERY: Final = 64  # turns of the virtual loop: a few milliseconds
+BESIDE: Final = 2  # threads: a picture is drawn while the one before is searched
+# how long a thread that wants the interpreter waits for the one that has it; CPython's own: 5 ms
+HAND_OVER_S: Final = 1e-4
 
 
 class NothingScheduled(RuntimeError):  # noqa: N818 - it reads as what happened
@@ -49,17 +56,42 @@ class _JumpingSelector(selectors.SelectSelector):
         return []
 
 
+class _AtOnce(Executor):
+    """Computes on the calling thread, before `submit` returns."""
+
+    def submit(self, function: Callable[P, T], /, *arguments: P.args, **named: P.kwargs) -> Future[T]:
+        future = Future[T]()
+        try:
+            future.set_result(function(*arguments, **named))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+AT_ONCE: Final = _AtOnce()
+
+
 class VirtualTimeLoop(asyncio.SelectorEventLoop):
-    """An event loop whose time() starts at 0 and jumps to the next timer. No real input or output in it."""
+    """An event loop whose time() starts at 0 and jumps to the next timer. No real input or output in it.
+
+    `beside` computes while its time goes on: in threads, or at once where this process has one core, or is
+    told to take no more by OMP_NUM_THREADS=1, as where flights share the cores. No fork takes threads along.
+    """
 
     def __init__(self) -> None:
         self._jumping = _JumpingSelector()
         super().__init__(self._jumping)
         # a timer within the clock's resolution counts as due: keep it small, so that none is early
         self._clock_resolution = 1e-9
+        alone = os.environ.get("OMP_NUM_THREADS") == "1" or os.cpu_count() == 1
+        self.beside: Executor = AT_ONCE if alone else ThreadPoolExecutor(BESIDE, "beside the loop")
 
     def time(self) -> float:
         return self._jumping.now_s
+
+    def close(self) -> None:
+        self.beside.shutdown()
+        super().close()
 
 
 class Clock:
@@ -89,12 +121,21 @@ class Clock:
 
         In real time it takes a worker thread and as long as it takes. In virtual time, where computing
         takes no time, the result is held back for `modelled_s`, so that its latency is not hidden.
+        What is given no time is computed on the loop: it may read what changes.
         """
         if not self.virtual:
             return await asyncio.to_thread(function, *arguments)
-        result = function(*arguments)
+        result = (self.begin if modelled_s > 0.0 else AT_ONCE.submit)(function, *arguments)
         await asyncio.sleep(modelled_s)
-        return result
+        return result.result()
+
+    def begin(self, function: Callable[..., T], *arguments: Any) -> Future[T]:
+        """Compute a heavy pure function beside the virtual loop, or in real time at once.
+
+        Whoever needs the result waits for it, and virtual time with him: so it is the same to the bit.
+        """
+        beside = self._loop.beside if isinstance(self._loop, VirtualTimeLoop) else AT_ONCE
+        return beside.submit(function, *arguments)
 
     async def spend(self, modelled_s: float) -> None:
         """In virtual time let `modelled_s` pass, for what was just computed on the loop; else nothing."""
@@ -147,7 +188,7 @@ def run_in_virtual_time(main: Coroutine[Any, Any, T]) -> T:
     Raises:
         NothingScheduled: all tasks wait for something that nothing will ever bring.
     """
-    with _collecting_seldom(), asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+    with _collecting_seldom(), _handing_over_soon(), asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         return runner.run(main)
 
 
@@ -160,3 +201,14 @@ def _collecting_seldom() -> Iterator[None]:
         yield
     finally:
         gc.set_threshold(*before)
+
+
+@contextmanager
+def _handing_over_soon() -> Iterator[None]:
+    """What computes beside the loop calls OpenCV in steps of 0.1 ms, and wants the interpreter after each."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(HAND_OVER_S)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import cv2
@@ -138,6 +139,10 @@ class CameraModel:
         half of it."""
         return self._exposure_s + self._readout_s
 
+    def blank(self) -> GreyImage:
+        """Room for a picture."""
+        return np.empty((self._camera.height_px, self._camera.width_px), np.uint8)
+
     def render(self, time_s: float, scene_at: Callable[[float], ScenePose]) -> GreyImage:
         """Take one picture.
 
@@ -148,14 +153,30 @@ class CameraModel:
         Returns:
             (height, width) grey image.
         """
+        return self.expose(time_s, scene_at)()
+
+    def expose(self, time_s: float, scene_at: Callable[[float], ScenePose]) -> Callable[[], GreyImage]:
+        """Look at the scene for one picture, as `render` does; what is returned draws it.
+
+        It reads no world: it may run beside. To be called once, before the next is exposed.
+        """
         half = 0.5 * max(self.span_s, 1e-6)
         middle = self._instants // 2
         scenes = [scene_at(time_s + half * (k / middle - 1.0)) for k in range(self._instants)]
-        grounds = [(ZERO3, IDENTITY)] * self._instants
         pads = [(s.pad_position_ned_m, _pad_attitude(s)) for s in scenes]
+        pad = self._surface(self._pad_texture, scenes, pads, self.print_scale)
+        twin = None
+        if self.twin_ned_m is not None:
+            places = [(self.twin_ned_m(s.pad_position_ned_m), _pad_attitude(s)) for s in scenes]
+            twin = self._surface(self._printed, scenes, places)
+        return partial(self._picture, time_s, scenes, pad, twin)
+
+    def _picture(
+        self, time_s: float, scenes: list[ScenePose], pad: _Surface, twin: _Surface | None
+    ) -> GreyImage:
+        grounds = [(ZERO3, IDENTITY)] * self._instants
         size = (self._camera.width_px, self._camera.height_px)
         image = np.empty((size[1] * self._finer, size[0] * self._finer), np.uint8)
-        pad = self._surface(self._pad_texture, scenes, pads, self.print_scale)
         pad_map = self._node_map(pad) if pad.height_m > 0.0 else None
         part = None if pad_map is None else visible_part(pad_map, pad.level.image.shape)
         seen = pad
@@ -163,7 +184,8 @@ class CameraModel:
             ground = self._surface(self._ground_texture, scenes, grounds)
             self._draw(image, ground, self._node_map(ground), None)
             seen = pad if part is not None else ground
-            self._draw_twin(image, scenes)
+            if twin is not None:
+                self._draw_twin(image, twin)
         if part is not None and pad_map is not None:
             self._draw(image, pad, pad_map, part)
         if self._finer > 1:
@@ -171,14 +193,10 @@ class CameraModel:
         glow = None
         if self._metering is not None:
             inside = None if pad_map is None else within_board(pad_map, pad.level.image.shape)
-            image, glow = self._lit(image, scenes[middle], time_s, inside)
+            image, glow = self._lit(image, scenes[self._instants // 2], time_s, inside)
         return self._expose(self._through_lens(image, seen, part), glow)
 
-    def _draw_twin(self, image: GreyImage, scenes: list[ScenePose]) -> None:
-        if self.twin_ned_m is None:
-            return
-        places = [(self.twin_ned_m(s.pad_position_ned_m), _pad_attitude(s)) for s in scenes]
-        twin = self._surface(self._printed, scenes, places)
+    def _draw_twin(self, image: GreyImage, twin: _Surface) -> None:
         nodes = self._node_map(twin) if twin.height_m > 0.0 else None
         part = None if nodes is None else visible_part(nodes, twin.level.image.shape)
         if nodes is not None and part is not None:

@@ -7,11 +7,14 @@ error of the scenario's camera.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
+from companion.base.clock import AT_ONCE
 from companion.base.encoding import light_of_greys
 from companion.base.geometry import FloatArray, Vector3, add
 from companion.base.messages import Frame, Truth
@@ -19,6 +22,7 @@ from companion.config import CameraConfig, VehicleConfig, find_file, load_model
 from companion.pad import load_pad
 from sitl.camera import camera as optics
 from sitl.camera.exposure import ImagingSettings
+from sitl.camera.textures import GreyImage
 from sitl.scenario.as_built import AS_BELIEVED, BuiltVehicle
 from sitl.scenario.scenario import Scenario
 
@@ -58,8 +62,9 @@ class SceneCamera:
         lens_rng: np.random.Generator,
         start_s: float = 0.0,
         built: BuiltVehicle = AS_BELIEVED,
+        begin: Callable[..., Future[None]] = AT_ONCE.submit,
     ) -> None:
-        """Its first frame is a period after `start_s` (world time)."""
+        """Its first frame is a period after `start_s` (world time); `begin` has its pictures drawn."""
         settings = scenario.camera
         calibration = load_model(CameraConfig, find_file("cameras", settings.config))
         config = perturbed_lens(calibration, settings.calibration_error, lens_rng, built.focal_length)
@@ -96,6 +101,7 @@ class SceneCamera:
         self._period_s = 1.0 / (settings.rate_hz or config.rate_hz)
         self._sequence = 0
         self._next_s = start_s + self._period_s
+        self._begin, self._drawing = begin, AT_ONCE.submit(lambda: None)
 
     @property
     def model(self) -> optics.CameraModel:
@@ -105,6 +111,7 @@ class SceneCamera:
     @property
     def exposed_s(self) -> float:
         """When the next frame's last row will have been read (world time)."""
+        self.finish()  # an automatic exposure goes by the picture before
         return self._next_s + 0.5 * self._model.span_s
 
     def skip_to(self, now_s: float) -> None:
@@ -114,12 +121,16 @@ class SceneCamera:
         self._sequence += missed
 
     def step(self, now_s: float) -> tuple[Frame, float] | None:
-        """The frame whose exposure has just ended, and when it is to be delivered (world time)."""
-        if now_s < self.exposed_s:
+        """The frame whose exposure has just ended, and when it is to be delivered (world time).
+
+        Its image is being drawn, until `finish` has returned.
+        """
+        if now_s < self._next_s or now_s < self.exposed_s:
             return None
         time_s = self._next_s
         self._next_s += self._period_s
-        image = self._model.render(time_s, self._scene_at)
+        image = self._model.blank()
+        self._drawing = self._begin(_draw, image, self._model.expose(time_s, self._scene_at))
         late = self._settings.latency_s + self._settings.latency_jitter_s * float(
             self._rng.uniform(-1.0, 1.0)
         )
@@ -131,6 +142,10 @@ class SceneCamera:
         )
         self._sequence += 1
         return frame, time_s + late
+
+    def finish(self) -> None:
+        """Wait until the newest frame's image is drawn."""
+        self._drawing.result()
 
     def _stamp_error_s(self) -> float:
         error_s = self.truth.stamp_error_s
@@ -148,6 +163,10 @@ class SceneCamera:
             pad_roll_rad=truth.pad_roll_rad,
             pad_pitch_rad=truth.pad_pitch_rad,
         )
+
+
+def _draw(image: GreyImage, picture: Callable[[], GreyImage]) -> None:
+    image[:] = picture()
 
 
 def perturbed_lens(

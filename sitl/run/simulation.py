@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 
+from companion.base.clock import Clock
 from companion.base.geometry import ZERO3, Vector3
 from companion.base.messages import Frame, Phase, Truth
 from companion.config import ConfigError, VehicleConfig, find_file, load_model
@@ -125,9 +126,8 @@ class Simulation:
         imu_filter = PROFILES[scenario.autopilot].imu_filter if firmware is None else IMU_FILTER
         sensors = autopilot_sensors(scenario.sensors, sensors_rng, PHYSICS_STEP_S, place, imu_filter, built)
         self._autopilot_sensors = sensors
-        self._camera = SceneCamera(
-            scenario, self._vehicle, world, noise_rng, latency_rng, lens_rng, built=built
-        )
+        rngs = (noise_rng, latency_rng, lens_rng)
+        self._camera = SceneCamera(scenario, self._vehicle, world, *rngs, built=built, begin=Clock().begin)
         self.line = line = MavlinkLine(built.links(scenario.link), fault_rng, self._timer)
         self._frame_line = FrameLine(fault_rng, scenario.camera.lost_share, scenario.camera.lost_burst_frames)
         signing = Signing(scenario.autopilot, signing_key)
@@ -328,7 +328,7 @@ class Simulation:
         return OUT_OF_RANGE_M if distance_m is None else distance_m
 
     def _expose(self, now_s: float) -> None:
-        """Render the exposed frame; it arrives after the scenario's latency, subject to faults."""
+        """Have the exposed frame drawn; it arrives after the scenario's latency, subject to faults."""
         if not self._camera_wanted():
             self._camera.skip_to(now_s)
         taken = self._camera.step(now_s)
@@ -339,11 +339,14 @@ class Simulation:
         if held_up_s is None:
             return
         delivery_s += held_up_s
+        if self._frame_line.garbled_share > 0.0:
+            self._camera.finish()
         frame = replace(
             frame, time_s=self._timer.start_s + frame.time_s, image=self._frame_line.carried(frame.image)
         )
 
         def deliver() -> None:
+            self._camera.finish()
             self._deliver_frame(replace(frame, received_s=self._timer.now_s))
 
         asyncio.get_running_loop().call_at(self._timer.start_s + max(delivery_s, now_s), deliver)

@@ -113,6 +113,7 @@ def fly_landing(number: int, rows: Path) -> None:
     scenario = Scenario.model_validate(content)
     trial = Trial(Path(f"{scenario.name}.yaml"), scenario, seed)
     prepare_opencv()
+    os.environ["OMP_NUM_THREADS"] = "1"  # no fork takes along what computes beside the loop
     law = Switch(laws())
     log = Branching(law)
     controller = SpeedController(law, law.pace)

@@ -63,7 +63,7 @@ PARTS: Final[Methods] = {
         (SimulatedAutopilotSensors, ("step",)),
         (Mpu9250Device, ("read", "write")),
     ),
-    "SITL: rendering": ((CameraModel, ("render",)),),
+    "SITL: rendering": ((CameraModel, ("_surface", "_node_map", "_draw", "_through_lens", "_expose")),),
     "SITL: MAVLink": ((Network, ("receive", "transmit")),),
 }
 ONCE: Final = (START, "SITL: made")  # for a flight, however long

@@ -1,5 +1,6 @@
-"""Faults in flight: the flights share the cores, so linear algebra is to take no more than one each."""
+"""Faults in flight: each takes one core, since they share them, and no thread, which no fork takes along."""
 
 import os
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported
+for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(_library, "1")  # before numpy is imported

@@ -4,6 +4,7 @@ import asyncio
 import gc
 import os
 import signal
+import sys
 import threading
 
 import pytest
@@ -51,6 +52,65 @@ def test_computing_takes_its_modelled_time() -> None:
     value, now_s = run_in_virtual_time(compute())
     assert value == 1024
     assert now_s == pytest.approx(0.030)
+
+
+def two_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the user's machine, though these tests share theirs."""
+    monkeypatch.delenv("OMP_NUM_THREADS")
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+
+
+def test_the_virtual_loop_goes_on_beside_what_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+    two_cores(monkeypatch)
+
+    async def compute() -> tuple[bool, float]:
+        clock, of_the_loop = Clock(), threading.Event()
+        asyncio.get_running_loop().call_later(0.020, of_the_loop.set)
+        heard = await clock.run(of_the_loop.wait, 10.0, modelled_s=0.025)
+        return heard, clock.now_s()
+
+    assert run_in_virtual_time(compute()) == (True, 0.025)
+
+
+@pytest.mark.parametrize("share", [True, False])
+def test_an_error_comes_when_the_result_was_due(*, share: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not share:
+        two_cores(monkeypatch)
+
+    async def compute() -> float:
+        clock = Clock()
+        with pytest.raises(ValueError, match="not a number"):
+            await clock.run(float, "not a number", modelled_s=0.025)
+        return clock.now_s()
+
+    assert run_in_virtual_time(compute()) == 0.025
+
+
+@pytest.mark.parametrize(("share", "modelled_s"), [(True, 0.025), (False, 0.0)])
+def test_where_cores_are_shared_and_what_takes_no_time_is_computed_on_the_loop(
+    *, share: bool, modelled_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not share:
+        two_cores(monkeypatch)
+
+    async def compute() -> int:
+        return await Clock().run(threading.get_ident, modelled_s=modelled_s)
+
+    assert run_in_virtual_time(compute()) == threading.get_ident()
+
+
+def test_no_thread_is_left_when_virtual_time_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    two_cores(monkeypatch)
+    before, interval_s = threading.active_count(), sys.getswitchinterval()
+
+    async def compute() -> tuple[int, float]:
+        await Clock().run(pow, 2, 10, modelled_s=0.025)
+        return threading.active_count(), sys.getswitchinterval()
+
+    count, during_s = run_in_virtual_time(compute())
+    assert count > before
+    assert during_s < interval_s
+    assert (threading.active_count(), sys.getswitchinterval()) == (before, interval_s)
 
 
 def test_waiting_for_nothing_is_reported_instead_of_hanging() -> None:

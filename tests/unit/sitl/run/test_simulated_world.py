@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -173,3 +174,20 @@ def test_light_and_dirt_reach_the_camera(plain: SentMessages) -> None:
     assert mean(light={"illuminance_lux": 500.0}, camera=fixed) < 0.3 * usual
     dirt = {"blobs": 60, "largest_share": 0.4, "opacity": 1.0}
     assert mean(camera={"rate_hz": 10.0, "dirt": dirt}) < 0.8 * usual
+
+
+@pytest.mark.parametrize(
+    "hardship", [{"light": {}}, {"faults": [{"kind": "frame_garbled", "start_s": 0.0, "share": 0.5}]}]
+)
+def test_pictures_drawn_beside_the_loop_are_the_same(
+    hardship: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # they come later than the next is exposed
+    late = {"rate_hz": 10.0, "latency_s": 0.15}
+    at_once = stand(1.5, camera=late, **hardship)
+    monkeypatch.delenv("OMP_NUM_THREADS")
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    beside = stand(1.5, camera=late, **hardship)
+    assert [f.received_s for f in beside.frames] == [f.received_s for f in at_once.frames]
+    assert all(np.array_equal(a.image, b.image) for a, b in zip(beside.frames, at_once.frames, strict=True))
+    assert len(beside.frames) > 10
