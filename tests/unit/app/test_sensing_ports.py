@@ -12,6 +12,7 @@ from companion.app.supervision import supervised
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.config import CompanionConfig
 from companion.flightlog.record import FlightLog
+from companion.link.codec import Severity
 from companion.link.inbox import memory_pair
 from companion.tools.pad_check.samples import RecentSamples
 
@@ -36,6 +37,8 @@ class Port:
 
     def set_baud(self, baud: int) -> None: ...
 
+    def close(self) -> None: ...
+
 
 def test_a_port_that_is_not_there_is_told_once_and_its_silence_only_when_it_is() -> None:
     told: list[tuple[float, str]] = []
@@ -43,7 +46,8 @@ def test_a_port_that_is_not_there_is_told_once_and_its_silence_only_when_it_is()
     async def main() -> None:
         clock = Clock()
 
-        def notify(_kind: str, text: str, _severity: str) -> None:
+        def notify(kind: str, text: str, severity: Severity) -> None:
+            del kind, severity
             told.append((clock.now_s(), text))
 
         camera: Any = SimpleNamespace(next=asyncio.Event().wait)
