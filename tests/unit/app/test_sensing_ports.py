@@ -20,7 +20,7 @@ MISSING = "serial port /dev/ttyAMA0: cannot be opened"
 PLUGGED_IN_S = 6.5
 
 
-class Port:
+class PortPluggedInLate:
     """One that is not there before `PLUGGED_IN_S`, and says nothing then."""
 
     def __init__(self, clock: Clock) -> None:
@@ -52,7 +52,9 @@ def test_a_port_that_is_not_there_is_told_once_and_its_silence_only_when_it_is()
 
         camera: Any = SimpleNamespace(next=asyncio.Event().wait)
         vision: Any = None
-        hardware = Hardware(memory_pair()[0], camera, gps_port=Port(clock), range_port=Port(clock))
+        hardware = Hardware(
+            memory_pair()[0], camera, gps_port=PortPluggedInLate(clock), range_port=PortPluggedInLate(clock)
+        )
         sensing = Sensing(
             CompanionConfig(), hardware, vision, RecentSamples(),
             clock=clock, log=FlightLog(None, start_unix_s=0.0), notify=notify,
