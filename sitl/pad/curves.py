@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import ellipj
 
 from companion.base.geometry import Vector3, add, rotate_yaw
 
@@ -82,6 +81,8 @@ def lemniscate_point(arc_m: float, a: float, speed_m_s: float, axis_rad: float) 
     With u the arc over a, r / a = sl(u) = sd(u sqrt 2 | 1/2) / sqrt 2 and y / x = cl(u) = cn(u sqrt 2 | 1/2);
     the curvature is 3 r / a^2.
     """
+    from scipy.special import ellipj  # noqa: PLC0415 - slow
+
     sn, cl, dn, _ = (float(value) for value in ellipj(math.sqrt(2.0) * arc_m / a, 0.5))
     r = sn / dn / math.sqrt(2.0)
     stretch = math.sqrt(0.5 * (1.0 + r * r))
