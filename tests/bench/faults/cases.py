@@ -16,6 +16,7 @@ from sitl.faults.faults import Fault
 from sitl.scenario.as_built import NOTHING_ELSE
 from sitl.scenario.scenario import Scenario, load_scenario
 
+StandingBy = Literal["own_take_off", "link_back"]
 PhaseName = Literal["start", "search", "approach", "descend", "last_metre", "on_pad"]
 PHASES: Final[tuple[PhaseName, ...]] = ("start", "search", "approach", "descend", "last_metre", "on_pad")
 IN_AIR: Final[tuple[PhaseName, ...]] = ("search", "approach", "descend", "last_metre")
@@ -34,7 +35,8 @@ class FaultRowCase:
     """A fault (or several) by the name of its row; `lands`: a landing is possible all the same.
 
     A fault's own `delay_s` counts from the row's beginning. `changes` are of the scenario: what is wrong from
-    the start; `parameters` what the autopilot's are. `signed`: the link is.
+    the start; `parameters` what the autopilot's are. `signed`: the link is. `stands_by`: so does the app,
+    under a pilot who flies this story, and the flight mode that orders a landing is set.
     """
 
     faults: tuple[dict[str, Any], ...]
@@ -43,12 +45,13 @@ class FaultRowCase:
     changes: dict[str, Any] = field(default_factory=dict)
     parameters: dict[AutopilotKind, dict[str, float]] = field(default_factory=dict)
     signed: bool = False
+    stands_by: StandingBy | None = None
 
     @property
     def flown_alone(self) -> bool:
         """Whether its flight has nothing in common with those of other rows."""
         on_disk = any(fault["kind"].startswith("disk") for fault in self.faults)
-        return on_disk or bool(self.changes or self.parameters) or self.signed
+        return on_disk or bool(self.changes or self.parameters or self.stands_by) or self.signed
 
 
 def _case(phases: tuple[PhaseName, ...], *faults: dict[str, Any], lands: bool = False) -> FaultRowCase:
@@ -164,6 +167,14 @@ _AUTOPILOT: Final[dict[str, FaultRowCase]] = {
     "battery critical": _one("battery", remaining_percent=6),
     "follow me": _one("follow_me", ("start", "search", "descend")),
 }
+# the flight mode that orders, which an autopilot enters by itself, too
+_ORDERS_BY: Final[dict[AutopilotKind, str]] = {"px4": "LOITER", "ardupilot": "GUIDED"}
+_STANDING_BY: Final[dict[str, FaultRowCase]] = {
+    "flight mode: own take-off": FaultRowCase((), ("start",), stands_by="own_take_off"),
+    "flight mode: link back after our abort": FaultRowCase(
+        ({"kind": "link_blackout", "duration_s": 60.0},), ("descend",), stands_by="link_back"
+    ),
+}
 _DISK: Final[dict[str, FaultRowCase]] = {
     "disk full": _one("disk_full"),
     "disk slow": _one("disk_slow"),
@@ -208,6 +219,7 @@ CASES: Final[dict[str, FaultRowCase]] = {
     **_PAD,
     **_SOLVER,
     **_AUTOPILOT,
+    **_STANDING_BY,
     **_DISK,
     **_BUILT,
     **_COMPUTER_AND_WIND,
@@ -294,7 +306,9 @@ def scenario_of(run: FaultRun) -> Scenario:
         {**fault, **when, **({"delay_s": since_s + fault["delay_s"]} if "delay_s" in fault else {})}
         for fault in case.faults
     ]
-    told = {"autopilot_parameters": case.parameters[run.autopilot]} if case.parameters else {}
+    told: dict[str, Any] = {"autopilot_parameters": case.parameters[run.autopilot]} if case.parameters else {}
+    if case.stands_by is not None:
+        told["companion"] = {"orders": {"flight_mode": _ORDERS_BY[run.autopilot]}}
     return _with(run.scenario, {**case.changes, **told, "faults": faults, "autopilot": run.autopilot})
 
 

@@ -19,6 +19,7 @@ from companion.app.hardware import make_own_actions
 from companion.base.clock import run_in_virtual_time
 from companion.base.messages import VehicleState
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError
+from companion.flightlog.flights_recorder import FlightsRecorder
 from companion.flightlog.record import FlightLog
 from companion.link.inbox import memory_pair
 from companion.link.signing import KEY_BYTES
@@ -35,10 +36,11 @@ from sitl.run.in_process import InProcess
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario
 from tests.bench.faults.branches import ForkedSchedule
-from tests.bench.faults.cases import CASES, FaultRun, changed, faultless, faults_of, scenario_of
+from tests.bench.faults.cases import CASES, FaultRun, StandingBy, changed, faultless, faults_of, scenario_of
 from tests.bench.faults.computer import applied
 from tests.bench.faults.forks import Forks
 from tests.bench.faults.judge import HOLD_MODES, SafetyBounds, SafetyVerdict, judge
+from tests.bench.faults.standing_by import play
 from tests.bench.faults.witness import Commanded, FaultWitness, TruthSample, WitnessedFlight
 
 HELD_S: Final = 4.0
@@ -64,7 +66,8 @@ def fly_run(run: FaultRun) -> tuple[SafetyVerdict, WitnessedFlight]:
     """Fly one from its start and judge it."""
     prepare_opencv()
     with _key(CASES[run.fault].signed) as changes:
-        record, config = fly(changed(scenario_of(run), changes), run.seed, on_disk=on_disk(run))
+        scenario, story = changed(scenario_of(run), changes), CASES[run.fault].stands_by
+        record, config = fly(scenario, run.seed, on_disk=on_disk(run), story=story)
     return judged(run, record, config), record
 
 
@@ -117,14 +120,22 @@ def bounds_of(config: CompanionConfig) -> SafetyBounds:
 
 
 def fly(
-    scenario: Scenario, seed: int, *, on_disk: bool = False, prepare: Callable[[Simulation], None] = _as_is
+    scenario: Scenario,
+    seed: int,
+    *,
+    on_disk: bool = False,
+    story: StandingBy | None = None,
+    prepare: Callable[[Simulation], None] = _as_is,
 ) -> tuple[WitnessedFlight, CompanionConfig]:
-    """Fly a scenario to its end; returns what was seen and the settings that it was flown with."""
+    """Fly a scenario, or a story of an app that stands by, to its end.
+
+    Returns what was seen and the settings that it was flown with.
+    """
     trial = Trial(Path(f"{scenario.name}.yaml"), scenario, seed)
     config = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
     faults = ComputerFaults()
-    with _log(on_disk) as log, applied(faults):
-        record = run_in_virtual_time(_fly(trial, config, log, faults, prepare))
+    with _log(on_disk, story) as log, applied(faults):
+        record = run_in_virtual_time(_fly(trial, config, log, faults, prepare, story))
         faults.clear_faults()  # what is left of the log is written
         log.close()
     return record, config
@@ -143,9 +154,9 @@ def _key(signed: bool) -> Iterator[dict[str, Any]]:
 
 
 @contextmanager
-def _log(on_disk: bool) -> Iterator[FlightLog]:
+def _log(on_disk: bool, story: StandingBy | None) -> Iterator[FlightLog]:
     if not on_disk:
-        yield FlightLog(None, start_unix_s=0.0)
+        yield FlightLog(None, start_unix_s=0.0) if story is None else FlightsRecorder(None, lambda: 0.0)
         return
     with tempfile.TemporaryDirectory(prefix="bench-faults-") as folder:
         yield FlightLog(Path(folder), start_unix_s=0.0)
@@ -157,6 +168,7 @@ async def _fly(
     log: FlightLog,
     faults: ComputerFaults,
     prepare: Callable[[Simulation], None],
+    story: StandingBy | None,
 ) -> WitnessedFlight:
     app_end, vehicle_end = memory_pair()
     vehicle = InProcess(
@@ -175,12 +187,15 @@ async def _fly(
     witness = FaultWitness(simulation)
     simulation.on_step = witness.step
     simulation.line.listeners.append(witness.hear)
-    app = App(config, hardware_of(vehicle, app_end, config), log, make_own_actions)
+    app = App(config, hardware_of(vehicle, app_end, config), log, make_own_actions, stays=story is not None)
     world = asyncio.create_task(simulation.run())
     try:
-        await _run_app(app, trial.scenario.time_limit_s, vehicle, witness.record)
-        vehicle.wants_frames = False
-        await _aftermath(vehicle, witness.record)
+        if story is None:
+            await _run_app(app, trial.scenario.time_limit_s, vehicle, witness.record)
+            vehicle.wants_frames = False
+            await _aftermath(vehicle, witness.record)
+        else:
+            await _play(story, app, vehicle, witness.record)
     finally:
         await _cancel(world)
     record = witness.record
@@ -206,6 +221,18 @@ def with_belief(samples: Sequence[TruthSample], believed: Sequence[VehicleState]
             state, after = after, next(following)
         low_m = 0.0 if state is None else state.position_ned_m[2] - sample.position_ned_m[2]
         yield sample._replace(believed_low_m=low_m)
+
+
+async def _play(story: StandingBy, app: App, vehicle: InProcess, record: WitnessedFlight) -> None:
+    """Run an app that stays beside a story; a failed app is the bench's failure too."""
+    running = asyncio.create_task(app.run())
+    playing = asyncio.create_task(play(story, app, vehicle, record))
+    try:
+        await asyncio.wait([running, playing], return_when=asyncio.FIRST_COMPLETED)
+        (running if running.done() else playing).result()
+    finally:
+        await _cancel(playing)
+        await _cancel(running)
 
 
 async def _run_app(app: App, limit_s: float, vehicle: InProcess, record: WitnessedFlight) -> None:

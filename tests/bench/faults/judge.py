@@ -80,9 +80,9 @@ def judge(record: WitnessedFlight, bounds: SafetyBounds) -> SafetyVerdict:
         *_contacts(record),
         *_disarmings(record),
         *_strayed(record, bounds),
-        *unannounced_climbs(_obeyed(record), record.texts, record.commanded),
+        *_climbs(record),
         *broken_limits(record, bounds.limits),
-        *_silent_end(record),
+        *(_silent_end(record) if record.unasked_from_s is None else _unasked(record)),
         *_false_landing(record),
         *_overruled(record),
     )
@@ -183,6 +183,23 @@ def _silent_end(record: WitnessedFlight) -> Iterator[str]:
             yield f"the app failed without a text: {record.app_failed}"
     elif not _says_why(record):
         yield "ended without a text that says why"
+
+
+def _climbs(record: WitnessedFlight) -> Iterator[str]:
+    """What nobody announced; a pilot's take-off in GUIDED, with no setpoint sent, is his own."""
+    sent_s = -math.inf
+    if record.unasked_from_s is not None:
+        sent_s = min((setpoint.time_s for setpoint in record.setpoints), default=math.inf)
+    flown = (sample for sample in _obeyed(record) if sample.time_s >= sent_s)
+    return unannounced_climbs(flown, record.texts, record.commanded)
+
+
+def _unasked(record: WitnessedFlight) -> Iterator[str]:
+    """What flies nobody's order."""
+    asked_s = math.inf if record.unasked_from_s is None else record.unasked_from_s
+    first_s = next((setpoint.time_s for setpoint in record.setpoints if setpoint.time_s > asked_s), None)
+    if first_s is not None:
+        yield f"a setpoint at {first_s:.1f} s that nobody asked for"
 
 
 def _false_landing(record: WitnessedFlight) -> Iterator[str]:

@@ -101,6 +101,7 @@ class WitnessedFlight:
     app_failed: str = ""
     pilot_took_over: bool = False
     pilot_mode: str = ""  # what the fault has put it into, as the autopilot calls it
+    unasked_from_s: float | None = None  # the app stands by, and what it sends from then on nobody asked for
     fault_began: bool = False
     fault_began_s: float = math.inf  # the last of them
 

@@ -360,3 +360,11 @@ def test_an_attitude_is_judged_by_its_tilt() -> None:
     assert "tilt (deg) 31.00" in judge(record, BOUNDS).unsafe[0]
     message.thrust = NAN
     assert not attitude_setpoint(message, 5.0).finite
+
+
+def test_an_app_that_stands_by_sends_what_somebody_asked_for_and_says_no_end() -> None:
+    record = landing()
+    record.app_ended_s, record.texts, record.unasked_from_s = None, [], 12.5
+    assert judge(record, BOUNDS) == SafetyVerdict("landed")
+    record.unasked_from_s = 11.0
+    assert judge(record, BOUNDS).unsafe == ("a setpoint at 12.0 s that nobody asked for",)

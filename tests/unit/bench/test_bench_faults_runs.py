@@ -214,7 +214,7 @@ def test_ardupilot_flies_every_pair_too_and_what_is_wrong_from_the_start_is_flow
         scenario = scenario_of(run)
         assert scenario.autopilot == run.autopilot
         case = CASES[run.fault]
-        of_its_own = case.changes or case.parameters or case.signed
+        of_its_own = case.changes or case.parameters or case.signed or case.stands_by
         assert flown_alone(run) == bool(on_disk(run) or of_its_own)
         assert scenario.faults or of_its_own
 
