@@ -209,9 +209,9 @@ class WindObserver:
         if not all(map(math.isfinite, (x, y, z, a, b, north, east, *vehicle.attitude))):
             return
         by_tilt, carried = horizontal_acceleration(vehicle.attitude), 1.0 - z / GRAVITY_M_S2
+        self._move_on((north, east, 0.0), elapsed_s)
         self.thrust_ned_m_s2 = (by_tilt[0] * carried, by_tilt[1] * carried, z)
         self.late_thrust_ned_m_s2 = (x - a, y - b, z)
-        self._velocity_m_s = (north, east, 0.0)
         bound, before = self._maximum_m_s2, self._at_rest_ned_m_s2
         felt = (_clamp(a, bound), _clamp(b, bound), 0.0)
         felt_at_m_s = self._velocity_at(-self._lag_s)
@@ -223,6 +223,15 @@ class WindObserver:
             smoothing = elapsed_s / (self.TREND_TIMES * self._smoothing_s)
             self._trend_ned_m_s3 = _follow(self._trend_ned_m_s3, slope, smoothing)
         self._begun = True
+
+    def _move_on(self, velocity_m_s: Vector3, elapsed_s: float) -> None:
+        """Take the velocity; a jump is the estimate's (a fix came in), and no drag comes of it."""
+        jump = subtract(velocity_m_s, self._velocity_at(elapsed_s))
+        self._velocity_m_s = velocity_m_s
+        if self._begun and norm(jump) > LARGEST_VELOCITY_INNOVATION_M_S:
+            self._at_rest_ned_m_s2 = self._without_drag(self._at_rest_ned_m_s2, jump)
+            self._mean_velocity_m_s = add(self._mean_velocity_m_s, jump)
+            self._slow_velocity_m_s = add(self._slow_velocity_m_s, jump)
 
     def _velocity_at(self, ahead_s: float) -> Vector3:
         """The vehicle's velocity sideways so long from now (m/s, NED), by tilt and air."""
@@ -262,9 +271,12 @@ class WindObserver:
         news = 2.0 * elapsed_s / (self.MEAN_S + self.SLOW_MEAN_S)
         variance = 0.5 * (max(self._walk, least) + self._noise / 3.0)  # of one axis
         gain = self._drag_variance * news / (variance + self._drag_variance * dot(changed, changed) * news)
-        learnt_per_s = self.drag_per_s - gain * dot(left, changed)
+        before, learnt_per_s = self.drag_per_s, self.drag_per_s - gain * dot(left, changed)
         self.drag_per_s = min(max(0.0, learnt_per_s), 3.0 * self.FIRST_DRAG_STD)
         self._drag_variance *= 1.0 - gain * dot(changed, changed)
+        # the force is the same; what of it is the wind's has changed
+        others = scale(self._velocity_m_s, self.drag_per_s - before)
+        self._at_rest_ned_m_s2 = add(self._at_rest_ned_m_s2, others)
 
 
 def _follow(state: Vector3, measured: Vector3, exponent: float) -> Vector3:

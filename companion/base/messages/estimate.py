@@ -112,6 +112,16 @@ class PadState:
         return self.relative_position_ned_m[2]
 
     @property
+    def clearance_m(self) -> float:
+        """Distance (m) of the vehicle's reference point from the pad's plane, along its normal.
+
+        Of a vehicle that stands on a deck that rocks it stays the same, wherever the vehicle stands.
+        """
+        (north, east, down), (tilt_n, tilt_e) = self.relative_position_ned_m, self.tilt_rad
+        upright = math.sqrt(max(0.0, 1.0 - tilt_n * tilt_n - tilt_e * tilt_e))
+        return tilt_n * north + tilt_e * east + upright * down
+
+    @property
     def sink_m_s(self) -> float:
         """Speed (m/s) at which that height decreases."""
         return -self.relative_velocity_ned_m_s[2]
@@ -128,8 +138,8 @@ class PadState:
 
     @property
     def height_std_m(self) -> float:
-        """Standard deviation (m) of `height_m`; 0 without a covariance."""
-        return math.sqrt(max(0.0, self.covariance[2][2])) if self.covariance else 0.0
+        """Standard deviation (m) of `height_m`; without a covariance it is not known at all."""
+        return math.sqrt(max(0.0, self.covariance[2][2])) if self.covariance else math.inf
 
     def lateral_std_m(self, ahead_s: float = 0.0) -> float:
         """Standard deviation (m) of the horizontal relative position on an axis, `ahead_s` from `time_s`.

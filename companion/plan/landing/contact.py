@@ -150,7 +150,7 @@ class Standing:
         self._stood_m = max(self._vehicle.leg_height_m, felt_m)
         self._feet_m = self._stood_m + self._config.contact_margin_m
         self._away, self._resting, self._falling, self._unshown = (Debounce() for _ in range(4))
-        self._lifted, self._able = Debounce(), Debounce()
+        self._lifted, self._able, self._risen = Debounce(), Debounce(), Debounce()
         self._silent_s = self._unsure_s = -math.inf
 
     def arrives(self, now_s: float) -> bool:
@@ -189,9 +189,10 @@ class Standing:
         able = self._able.held_s(felt(inputs.vehicle, now_s), now_s) >= FRESH_S
         if sight is not None and sight.unseen_s <= UNSEEN_S:
             if not doubted:
-                self._stood_m = sight.height_m
-            surely_m = sight.height_m - _SURELY * sight.height_std_m
-            return doubted and surely_m > self._stood_m + _LIFTED_SHARE * self._config.contact_margin_m, False
+                self._stood_m = min(sight.clearance_m, self._feet_m)
+            surely_m = sight.clearance_m - _SURELY * sight.height_std_m
+            risen = doubted and surely_m > self._stood_m + _LIFTED_SHARE * self._config.contact_margin_m
+            return self._risen.held_s(risen, now_s) > 0.0, False  # in one sighting more
         unshown = able and echo_m is None and now_s - self._silent_s <= _DOUBTED_S
         return doubted and lifted, unshown
 

@@ -209,3 +209,14 @@ def test_gusts_that_push_the_vehicle_are_no_drag() -> None:
         wind.step(state, PERIOD_S)
         drags.append(wind.drag_per_s)
     assert max(drags[len(drags) // 2 :]) < 0.15
+
+
+def test_a_velocity_that_jumps_at_a_fix_is_no_drag() -> None:
+    wind = WindObserver(SENSOR_LAG_S, 5.0)
+    wind.drag_per_s = 1.0
+    for velocity_m_s, steps in ((1.0, 60), (2.5, 1)):
+        tilted = attitude_from_acceleration((1.0, 0.0, 0.0), 0.0)
+        state = replace(feeling(tilted, ZERO3), velocity_ned_m_s=(velocity_m_s, 0.0, 0.0))
+        for _ in range(steps):
+            wind.step(replace(state, side_force_ned_m_s2=(-1.0, 0.0, 0.0)), PERIOD_S)
+            assert wind.ahead_ned_m_s2(0.2)[0] == pytest.approx(-1.0, abs=0.05)

@@ -191,6 +191,36 @@ def test_what_the_camera_sees_of_the_feet_counts_while_our_setpoints_may_not_arr
     assert (found is not None and found[0] is MissionEvent.OFF_PAD) == leaves
 
 
+@pytest.mark.parametrize(("risen_m", "leaves"), [(0.0, False), (0.03, True)])
+def test_a_deck_that_rocks_under_the_feet_lifts_nothing(risen_m: float, leaves: bool) -> None:
+    """18 cm beside the middle of a deck that rolls by 8 deg the height over the middle swings by 2.5 cm."""
+    touchdown, now_s = standing()
+    covariance = tuple(tuple(1e-6 if row == column else 0.0 for column in range(6)) for row in range(6))
+    found: list[MissionEvent] = []
+    for k in range(120):
+        now_s += CYCLE_S
+        roll = math.radians(8.0) * math.sin(math.tau * k * CYCLE_S / 4.0)
+        over_m, aside_m = 0.19 + (k >= 60) * risen_m, 0.18
+        normal, along = (math.sin(roll), math.cos(roll)), (math.cos(roll), -math.sin(roll))
+        east, down = (n * over_m - a * aside_m for n, a in zip(normal, along, strict=True))
+        seen = replace(
+            sight(),
+            relative_position_ned_m=(0.0, east, down),
+            tilt_rad=(0.0, normal[0]),
+            covariance=covariance,
+        )
+        event = touchdown.step(
+            seen,
+            RangeSample(now_s, 0.1),
+            LandedState.IN_AIR,
+            now_s,
+            silent_s=0.5 * (k >= 15),
+            vehicle=vehicle_state(now_s),
+        )
+        found += [] if event is None else [event[0]]
+    assert (MissionEvent.OFF_PAD in found) == leaves
+
+
 @pytest.mark.parametrize(("after_s", "leaves"), [(0.1, True), (1.5, False)])
 def test_just_after_a_silence_the_feet_have_to_be_shown_down_too(after_s: float, leaves: bool) -> None:
     touchdown, now_s = standing()
