@@ -23,7 +23,7 @@ from companion.plan.landing.contact import FRESH_S
 from companion.plan.mission.bounds import Bounds
 from companion.plan.mission.departure import refused_words, rival_words
 from companion.plan.mission.inputs import PlanInputs
-from companion.plan.mission.mode_monitor import ModeMonitor
+from companion.plan.mission.mode_monitor import WITHOUT_STICKS, ModeMonitor, short_name
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import DetectedEvent, MissionEvent, State
 from companion.plan.mission.table import FINAL, ON_GROUND
@@ -52,7 +52,8 @@ def _mode_words(inputs: PlanInputs) -> str:
     """Whose the mode is, as far as the autopilot tells, and whether our setpoints had stopped."""
     autopilot = inputs.autopilot
     words = f"mode {autopilot.mode or 'unknown'} was not requested"
-    if autopilot.intended_mode not in {"", autopilot.mode}:
+    # in a mode with sticks a pilot may fly, whatever was intended
+    if autopilot.intended_mode not in {"", autopilot.mode} and short_name(autopilot.mode) in WITHOUT_STICKS:
         words = f"the autopilot's failsafe flies {autopilot.mode} in place of {autopilot.intended_mode}"
     if inputs.computer.held_up_s >= inputs.keeps_setpoint_s:
         words += f": our setpoints had stopped for {inputs.computer.held_up_s:.1f} s"

@@ -34,7 +34,7 @@ _LAND: Final = "LAND"
 # framework): that one is heeded.
 _SILENT_SHARE: Final = 0.5
 _OBEYS_AGAIN_S: Final = 1.0
-_WITHOUT_STICKS: Final = frozenset({"LOITER", "RTL", "LAND"})
+WITHOUT_STICKS: Final = frozenset({"LOITER", "RTL", "LAND"})
 _LANDING: Final = frozenset({State.SET_DOWN, State.AUTO_LAND})
 _BEFORE_ANY_REQUEST: Final = frozenset({State.STANDBY, State.CONNECT})
 
@@ -177,4 +177,4 @@ class ModeMonitor:
     ) -> bool:
         """Whether it waits for setpoints, which a silent link has kept from it: nobody chose its mode."""
         lately = now_s - self._silent_s <= _OBEYS_AGAIN_S
-        return lately and mode in _WITHOUT_STICKS and short_name(autopilot.intended_mode) == _CONTROL[kind]
+        return lately and mode in WITHOUT_STICKS and short_name(autopilot.intended_mode) == _CONTROL[kind]

@@ -302,17 +302,18 @@ def test_a_mode_that_follows_setpoints_that_stopped_is_not_the_pilots_alone(
 
 
 @pytest.mark.parametrize(
-    ("intended", "words"),
+    ("mode", "intended", "words"),
     [
-        ("", "mode AUTO.LAND was not requested"),
-        ("AUTO.LAND", "mode AUTO.LAND was not requested"),
-        ("OFFBOARD", "the autopilot's failsafe flies AUTO.LAND in place of OFFBOARD"),
+        ("AUTO.LAND", "", "mode AUTO.LAND was not requested"),
+        ("AUTO.LAND", "AUTO.LAND", "mode AUTO.LAND was not requested"),
+        ("AUTO.LAND", "OFFBOARD", "the autopilot's failsafe flies AUTO.LAND in place of OFFBOARD"),
+        ("POSCTL", "OFFBOARD", "mode POSCTL was not requested"),
     ],
 )
-def test_a_failsafe_of_the_autopilots_is_not_called_a_pilot(intended: str, words: str) -> None:
+def test_a_failsafe_of_the_autopilots_is_not_called_a_pilot(mode: str, intended: str, words: str) -> None:
     # PX4's CURRENT_MODE tells what was chosen from what a failsafe flies in its place
     watch, _ = monitor()
     watch.detect(inputs(), 49.0, control_granted=True)
-    landing = replace(HELD, mode="AUTO.LAND", intended_mode=intended)
-    found = dict(watch.detect(inputs(landing), 50.0, control_granted=True))
+    flown = replace(HELD, mode=mode, intended_mode=intended)
+    found = dict(watch.detect(inputs(flown), 50.0, control_granted=True))
     assert found[MissionEvent.TAKEN_OVER] == words
