@@ -127,11 +127,12 @@ class MavsdkActions:
         mavsdk, plugins = self._mavsdk, (self._action, self._param)
         # from here on nothing may reach it: bytes handed to an instance under destruction crash the process
         self._mavsdk = self._action = self._param = None
+        if mavsdk is not None:
+            _log_lines.hush()  # it takes its subscriber away before the connection, as in `start`
         for plugin in plugins:
             if plugin is not None:
                 plugin.destroy()
         if mavsdk is not None:
-            _log_lines.hush()  # it takes its subscriber away before the connection, as in `start`
             # it joins threads of its own that may be calling us just now
             try:
                 await asyncio.to_thread(mavsdk.destroy)
