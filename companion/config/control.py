@@ -44,7 +44,7 @@ class PidGains(StrictModel):
 
 
 class PidConfig(StrictModel):
-    """The PID's gains; by `companion-experiments tune-flight-pid`."""
+    """The PID's gains; by `python -m experiments tune-flight-pid`."""
 
     horizontal: PidGains = PidGains(position_gain_1_s2=12.5, velocity_gain_1_s=5.63, integral_gain_1_s3=11.87)
     vertical: PidGains = PidGains(position_gain_1_s2=20.25, velocity_gain_1_s=13.99, integral_gain_1_s3=34.28)

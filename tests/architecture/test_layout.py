@@ -5,7 +5,7 @@ from collections import Counter, defaultdict
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-CODE = ("companion", "sitl", "calibration", "tests")
+CODE = ("companion", "sitl", "calibration", "tests", "benchmarks", "experiments")
 MOST_MODULES_IN_A_FOLDER = 18
 # at 350 one looks whether it is one thought; none is split only to be shorter
 MOST_LINES_IN_A_FILE = 450

@@ -68,7 +68,7 @@ run "${wheels[0]#"$ROOT"}/pip" install --quiet --disable-pip-version-check --no-
     --no-cache-dir --root-user-action ignore -c "$release/constraints.txt" "${wheels[1]#"$ROOT"}[release]" \
     "${lgpio[@]#"$ROOT"}" 2>"$FOLDER.log" || fail "the release does not install: $(tail -n 1 "$FOLDER.log")"
 # two metres to the pad, four down: a whole flight, and half of the shipped ones' time
-cp "$SOURCE/tests/bench/service/near.yaml" "$ROOT/opt/companion/"
+cp "$SOURCE/benchmarks/service/near.yaml" "$ROOT/opt/companion/"
 
 step "import"
 run -c 'import cv2, mavsdk, numpy, osqp, pymavlink, scipy; import companion.app.app, sitl.run.in_process' \

@@ -33,13 +33,13 @@ from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from pymavlink import mavutil
 
+from benchmarks.service import judging
+from benchmarks.service.running import NEAR, ask
+from benchmarks.service.trials import reached
+from benchmarks.service.witness import Beat, UdpWitness
 from companion.app.service.local_socket import FILE_NAME, SYSTEM_FOLDER
 from companion.config import merge
 from sitl.scenario.scenario import load_scenario
-from tests.bench.service import judging
-from tests.bench.service.running import NEAR, ask
-from tests.bench.service.trials import reached
-from tests.bench.service.witness import Beat, UdpWitness
 
 SIGNALS: Final = {"kill": signal.SIGKILL, "stop": signal.SIGSTOP}
 PLUGGED: Final = Path("/run/vehicle")

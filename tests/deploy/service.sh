@@ -59,7 +59,7 @@ for glibc in 17 24 27 28 31 34; do platforms+=(--platform "manylinux_2_${glibc}_
     || fail "the wheels: $(grep -m 1 ERROR "$FOLDER/pip.log")"
 rm -rf "$ROOT/src"
 install -d "$ROOT/src"
-for name in companion sitl calibration configs docs systemd tests pyproject.toml constraints.txt README.md CHANGELOG.md \
+for name in companion sitl calibration configs docs systemd tests benchmarks experiments pyproject.toml constraints.txt README.md CHANGELOG.md \
     LICENSE; do
     cp -r "$SOURCE/$name" "$ROOT/src/"
 done

@@ -24,6 +24,7 @@ import yaml
 from mcap.reader import make_reader
 from pydantic import BaseModel
 
+from benchmarks.command import discover
 from calibration.camera.command import app as camera_cli
 from calibration.magnetometer.command import cli as magnetometer_cli
 from calibration.mount.command import cli as mount_cli
@@ -36,8 +37,8 @@ from companion.config import (
     validate,
 )
 from companion.flightlog.result import Result
-from companion.research.command import app as experiments_cli
 from docs import settings_table
+from experiments.command import app as experiments_cli
 from sitl.campaign import SCENARIOS
 from sitl.cli import cli as sitl_cli
 from sitl.scenario.scenario import Scenario, load_scenario
@@ -62,9 +63,12 @@ PROGRAMS = {
     "calibrate-magnetometer": magnetometer_cli,
     "calibrate-mount": mount_cli,
     "calibrate-camera": camera_cli,
-    "companion-experiments": experiments_cli,
 }
-FOLDERS = ("companion/", "sitl/", "calibration/", "configs/", "docs/", "tests/", "systemd/")
+BENCHMARKS = discover()
+FOLDERS = (
+    *("companion/", "sitl/", "calibration/", "configs/", "docs/", "tests/", "systemd/"),
+    *("benchmarks/", "experiments/"),
+)
 
 
 def commands(text: str) -> list[list[str]]:
@@ -94,7 +98,6 @@ def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         "calibrate-magnetometer": "calibration.magnetometer.command",
         "calibrate-mount": "calibration.mount.command",
         "calibrate-camera": "calibration.camera.command",
-        "companion-experiments": "companion.research.command",
     }
     module = [ours[words[0]], *words[1:]] if words[0] in ours else words[2:]
     return subprocess.run(
@@ -116,12 +119,12 @@ def is_run(words: list[str], page: str) -> bool:
         flies = "--fast" in words and "--firmware" not in words
         runs = flies or "--help" in words or words[1:] == ["replay", "flights/circle"]
         return runs or words[1:3] == ["pad", "indoor_400"]
-    if words[0] == "companion-experiments":
-        return "--help" in words
     if words[0].startswith("calibrate-"):
         return "--help" in words or "--make-board" in words
     if words[0] == "companion-sitl":
         return words[1:2] in (["scenarios"], ["schema"])
+    if words[:3] == ["python", "-m", "experiments"]:
+        return "--help" in words
     return words[:3] == ["python", "-m", "docs.pictures"]
 
 
@@ -131,23 +134,33 @@ def command_of(program: typer.Typer, name: str) -> Any:
     return group.resolve_command(group.make_context("", [name]), [name])[1]
 
 
+def check_options(program: typer.Typer, words: list[str]) -> None:
+    """Raise when a command of a program names an option or a scenario that does not exist."""
+    command = typer.main.get_command(program)
+    context = command.make_context(None, words)
+    if words[:1] and words[0] in getattr(command, "commands", {}):
+        command_of(program, words[0]).make_context(words[0], words[1:])
+    if context.params.get("scenario") is not None:
+        load_scenario(context.params["scenario"])
+
+
 def check_without_running(words: list[str]) -> None:
     """Raise when a command names an option, module, target or file that does not exist."""
     if words[0] in PROGRAMS:
-        command = typer.main.get_command(PROGRAMS[words[0]])
-        context = command.make_context(words[0], words[1:])
-        if words[1:2] and words[1] in getattr(command, "commands", {}):
-            command_of(PROGRAMS[words[0]], words[1]).make_context(words[1], words[2:])
-        if context.params.get("scenario") is not None:
-            load_scenario(context.params["scenario"])
+        check_options(PROGRAMS[words[0]], words[1:])
+    elif words[:3] == ["python", "-m", "experiments"] and words[3:]:
+        check_options(experiments_cli, words[3:])
     elif words[:2] == ["python", "-m"]:
         assert importlib.util.find_spec(words[2]) is not None
-        options = [word for word in words[3:] if word.startswith("--")]
-        known = run([*words[:3], "--help"], ROOT).stdout if options else ""
+        named = 4 if words[2] == "benchmarks" else 3
+        assert named == 3 or words[3:4] == [] or words[3] in BENCHMARKS
+        options = [word for word in words[named:] if word.startswith("--")]
+        known = run([*words[:named], "--help"], ROOT).stdout if options else ""
         assert [option for option in options if option not in known] == []
     elif words[0] == "make":
         makefile = (ROOT / "Makefile").read_text().replace("$(VENV)", ".venv")
-        assert re.search(rf"^{re.escape(words[1])}:", makefile, re.MULTILINE)
+        targets = {f"bench-{name}" for name in BENCHMARKS}
+        assert words[1] in targets or re.search(rf"^{re.escape(words[1])}:", makefile, re.MULTILINE)
     elif words[0] == "sudo" and "/" in words[1]:
         assert os.access(ROOT / words[1], os.X_OK)
     elif words[0] == "pip":

@@ -74,7 +74,13 @@ def test_the_checks_would_notice() -> None:
     ):
         with pytest.raises(TyperException):
             check_without_running(shlex.split(wrong))
-    for wrong in ("make bench-nothing", "python -m docs.nothing", "pip install -r no.txt", "rm -rf ."):
+    for wrong in (
+        "make bench-nothing",
+        "python -m docs.nothing",
+        "python -m benchmarks nothing",
+        "pip install -r no.txt",
+        "rm -rf .",
+    ):
         with pytest.raises((AssertionError, ModuleNotFoundError)):
             check_without_running(shlex.split(wrong))
 

@@ -4,7 +4,7 @@ Per axis, u = a_ref + K_p e + K_d e' + integral of K_i e, with e the target's po
 where the command takes effect: the same prediction past the delay, the same reference with its velocity
 and acceleration fed forward, the same drawing near of far targets as the others get. A disturbance is met by
 the integral alone; it is held while the command is at its bound and the error would drive it further
-(clamping), and is bounded itself. Gains: `control.pid`, from `companion-experiments tune-flight-pid`.
+(clamping), and is bounded itself. Gains: `control.pid`, from `python -m experiments tune-flight-pid`.
 
 Frame: as the MPC's, NED axes that do not accelerate; SI units.
 """

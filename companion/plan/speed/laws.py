@@ -1,6 +1,6 @@
 """Which speed law feeds T = |Δ| / V + T_min (eq. 37): `plan.speed_law`.
 
-`fuzzy` is the paper's and the default. The two others are what it is held against (`companion-experiments
+`fuzzy` is the paper's and the default. The two others are what it is held against (`python -m experiments
 profiles`): a `fixed` speed, and a `log_polynomial` of the distance, the kind of profile that the paper cites
 of Alvika et al. [11] without telling its coefficients:
 

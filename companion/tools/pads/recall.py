@@ -3,7 +3,7 @@
 What counts is the cell of the code: how many pixels wide its image is, and what blur leaves of it. The
 probability is a constant times two logistic curves in logarithms, one of the cell's width and one of the
 blur's share of it. Blur is one standard deviation: of the lens and its focus as a Gauss bell, of motion as a
-stroke (its length over sqrt(12)). The numbers are fitted, not assumed: `companion-experiments pad-recall`
+stroke (its length over sqrt(12)). The numbers are fitted, not assumed: `python -m experiments pad-recall`
 shows single markers to vision through the simulated camera, and prints them.
 """
 
@@ -56,5 +56,5 @@ def _logistic(x: FloatArray) -> FloatArray:
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(x, -50.0, 50.0))))
 
 
-# `companion-experiments pad-recall` with its defaults
+# `python -m experiments pad-recall` with its defaults
 FITTED: Final = RecallModel(2.151, 15.59, 0.4071, 7.009, 0.9943)

@@ -7,10 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.base.messages import PadSighting
-from companion.sim.trial import Trial
-from sitl.faults.faults import FrameLate, FrameLost, RangeSpikes
-from tests.bench.state.streams import (
+from benchmarks.state.streams import (
     INPUTS,
     Stream,
     StreamEvent,
@@ -23,6 +20,9 @@ from tests.bench.state.streams import (
     save,
     settings_of,
 )
+from companion.base.messages import PadSighting
+from companion.sim.trial import Trial
+from sitl.faults.faults import FrameLate, FrameLost, RangeSpikes
 from tests.scenario.flying import FEW_PICTURES
 
 LATE_S = 0.25

@@ -9,11 +9,11 @@ import traceback
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from tests.bench.faults.cases import FaultRun
-from tests.bench.faults.fault_flight import fly_together
-from tests.bench.faults.forks import Forks
-from tests.bench.faults.judge import SafetyVerdict
-from tests.bench.faults.witness import WitnessedFlight
+from benchmarks.faults.cases import FaultRun
+from benchmarks.faults.fault_flight import fly_together
+from benchmarks.faults.forks import Forks
+from benchmarks.faults.judge import SafetyVerdict
+from benchmarks.faults.witness import WitnessedFlight
 from tests.scenario.flying import FEW_PICTURES
 
 Seen = TypeVar("Seen")

@@ -5,8 +5,8 @@ Level at hover thrust kept speed and sink here: it touched the ground at 0.74 m/
 
 from __future__ import annotations
 
-from tests.bench.faults.cases import FaultRun, scenario_of
-from tests.bench.faults.fault_flight import fly, judged
+from benchmarks.faults.cases import FaultRun, scenario_of
+from benchmarks.faults.fault_flight import fly, judged
 
 
 def test_without_a_plan_it_stops_where_it_is() -> None:

@@ -6,9 +6,9 @@ from typing import Final
 
 import pytest
 
-from tests.bench.faults.cases import FaultRun, PhaseName
-from tests.bench.faults.judge import SafetyVerdict
-from tests.bench.faults.witness import WitnessedFlight
+from benchmarks.faults.cases import FaultRun, PhaseName
+from benchmarks.faults.judge import SafetyVerdict
+from benchmarks.faults.witness import WitnessedFlight
 from tests.scenario.flights.forked import fly_forked
 
 # fault and phase; the outcome, and words of its reason

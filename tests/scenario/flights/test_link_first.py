@@ -14,6 +14,9 @@ from typing import Any, Final
 
 import pytest
 
+from benchmarks.faults import fault_flight
+from benchmarks.faults.cases import FaultRun, faultless, scenario_of
+from benchmarks.faults.witness import WitnessedFlight
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import Clock
 from companion.config import merge
@@ -22,9 +25,6 @@ from companion.link.dialect import CURRENT_MODE
 from companion.link.inbox import MemoryTransport, memory_pair
 from companion.link.modes import CONTROL_MODE, custom_mode
 from sitl.scenario.scenario import Scenario
-from tests.bench.faults import fault_flight
-from tests.bench.faults.cases import FaultRun, faultless, scenario_of
-from tests.bench.faults.witness import WitnessedFlight
 from tests.scenario.flights.forked import fly_forked
 from tests.scenario.flying import FEW_PICTURES
 

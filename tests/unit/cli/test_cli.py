@@ -67,7 +67,7 @@ NOT_FOUND = {
         ["hold", "--motion", "still", "--scenario", "nope"],  # its earlier name, for scripts
         ["view", "nope"],
     ],
-    "companion-experiments": [
+    "python -m experiments": [
         ["nope"],
         ["fig13", "--scenario", "nope"],
         ["profiles", "--scenario", "nope"],
@@ -90,7 +90,7 @@ NOT_FOUND = {
 MODULES = {
     "companion": "companion.cli",
     "companion-sitl": "sitl.cli",
-    "companion-experiments": "companion.research.command",
+    "python -m experiments": "experiments.command",
     "calibrate-camera": "calibration.camera.command",
     "calibrate-magnetometer": "calibration.magnetometer.command",
     "calibrate-mount": "calibration.mount.command",

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.mavlink.fuzzing import Fuzz
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import ZERO3
 from companion.link.signing import LinkSigning, SigningKey
@@ -21,7 +22,6 @@ from sitl.mavlink.network import Network
 from sitl.mavlink.signing import Signing
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.quadrotor import resting_state
-from tests.bench.mavlink.fuzzing import Fuzz
 from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
 
 mavlink: Any = dialect

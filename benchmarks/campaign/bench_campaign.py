@@ -1,0 +1,58 @@
+"""How much faster a campaign is on two jobs than on one, and that its runs are the same to the bit.
+
+    python -m benchmarks campaign --runs 100
+
+Flies one scenario under so many seeds on one job, then on two, each with workers of its own: what they cost
+to start is part of it. Needs the machine to itself. Ends in one line that says whether the bar holds; the
+exit status is 0 when it does.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import Any, Final
+
+from rich.console import Console
+from rich.progress import track
+
+from companion.base.clock import wall_clock_s
+from sitl.campaign.manifest import CampaignRun, make_plan
+from sitl.campaign.pool import fly_locally
+
+JOBS: Final = 2
+FASTER: Final = 1.8
+
+
+def timed(flights: Sequence[CampaignRun], jobs: int, console: Console) -> tuple[float, dict[int, Any]]:
+    """Fly on so many jobs: seconds it took, and each seed's result but for what depends on the machine."""
+    started_s = wall_clock_s()
+    ended = track(fly_locally(flights, jobs), f"jobs: {jobs}", len(flights), console=console, transient=True)
+    results = {flown.flight.seed: flown.result or {"failed": flown.error} for flown in ended}
+    taken_s = wall_clock_s() - started_s
+    for result in results.values():
+        result.pop("sim", None)
+    console.print(f"{len(flights)} runs on {jobs} job(s): {taken_s:.1f} s", highlight=False)
+    return taken_s, results
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit status."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--scenario", default="static")
+    parser.add_argument("--runs", type=int, default=100)
+    chosen = parser.parse_args(arguments)
+    flights = list(make_plan([chosen.scenario], 0, chosen.runs, None).flights())
+    console = Console()
+    one_s, alone = timed(flights, 1, console)
+    several_s, together = timed(flights, JOBS, console)
+    failed = [result["failed"] for result in (*alone.values(), *together.values()) if "failed" in result]
+    faster = one_s / several_s
+    held = {
+        f"{faster:.2f} x as fast on {JOBS} jobs (>= {FASTER:g})": faster >= FASTER,
+        "same results to the bit": alone == together,
+        f"{len(failed)} failed": not failed,
+    }
+    words = ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in held.items())
+    console.print(f"bars: {words}", highlight=False, soft_wrap=True)
+    return 0 if all(held.values()) else 1

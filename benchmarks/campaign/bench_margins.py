@@ -1,0 +1,57 @@
+"""Landings of a vehicle that is not as the app believes, with the bundled autopilots, in virtual time.
+
+    python -m benchmarks margins --seeds 5 --out flights/bench-margins
+
+Every one of them has to land: within 15 cm, at no more than 0.5 m/s down and 0.3 m/s sideways. Give the same
+command again after an interruption, and it goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from benchmarks.campaign.bench_landing import fly, landed_share
+from benchmarks.campaign.landing_cases import write_flights
+from benchmarks.campaign.margins_cases import margin_cases
+from benchmarks.ending import judged
+from benchmarks.firmware.bench_firmware import line, table
+from companion.base.autopilot_kind import AutopilotKind
+from sitl.campaign.rows import Row
+from sitl.campaign.tables import print_worst
+
+AUTOPILOT_KINDS: tuple[AutopilotKind, ...] = ("px4", "ardupilot")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Fly, print the table, and say which bars hold."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=5, help="of each scenario")
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--case", default="", help="cases whose name begins so, alone: px4-slower")
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--out", type=Path, default=Path("flights/bench-margins"))
+    options = parser.parse_args(arguments)
+    console = Console(width=None if sys.stdout.isatty() else 150)
+    options.out.mkdir(parents=True, exist_ok=True)
+    seeds = range(options.first, options.first + options.seeds)
+    cases = [
+        case
+        for autopilot_kind in AUTOPILOT_KINDS
+        for case in margin_cases(autopilot_kind, seeds, options.out.resolve())
+        if case.name.startswith(options.case)
+    ]
+    lines, bars, flown = [], [], list[Row]()
+    for case in cases:
+        rows = fly(write_flights(case, options.out), options.out, options.jobs, console)
+        lines.append(line(case.name, rows))
+        bars.append(landed_share(case.name, rows, 1.0))
+        flown += rows
+    console.print(table(lines))
+    print_worst(console, flown)
+    return judged(console, bars)

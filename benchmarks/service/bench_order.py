@@ -1,0 +1,129 @@
+"""What an order costs the app: the kept minute is written to the card while the landing begins.
+
+    python -m benchmarks order
+
+Real time, app and simulator as two processes, for two minutes: the app stands by until its minute is full,
+then is ordered to fly. By the flight's own log, `WATCHED_S` after the order beside as long before it: how
+late control cycles begin, how long a frame takes from its arrival to its result, and the steps between the
+IMU's stamps, where a FIFO that overflows leaves a gap. Other programs show before the order as after it.
+
+Prints the figures beside the bars, and ends in one line that says which hold; the exit status matches.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from mcap.reader import make_reader
+
+from benchmarks.cpu.bench_cpu import CostBar
+from benchmarks.service.running import NEAR, stage
+from companion.base.geometry import FloatArray
+from companion.flightlog.flights_recorder import KEPT_S
+
+WATCHED_S: Final = 10.0
+FLOWN_S: Final = 20.0
+LATE_MS: Final = 20.0
+# a cycle that follows the camera lasts so many periods at most: see `companion.app.timing.control_timer`
+LONGEST_CYCLE: Final = 1.4
+CONTROL_HZ: Final = 30.0
+IMU_GAP: Final = 1.5  # of the usual step: a sample is missing
+TOPICS: Final = ("/plan", "/imu", "/frame_report", "/order")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit status."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--kept-s", type=float, default=KEPT_S, help="how long it stands by before the order")
+    kept_s = parser.parse_args(arguments).kept_s
+    with tempfile.TemporaryDirectory(prefix="order-") as folder, stage(Path(folder), NEAR, 0) as on:
+        on.start_service()
+        on.wait_until(None, healthy=True)
+        time.sleep(kept_s)
+        on.ask({"request": "order", "kind": "fly"})
+        time.sleep(FLOWN_S)
+        on.end_service()  # which finishes the log
+        timing = read_timing(Path(folder) / "flights" / "flight-0001" / "flight.mcap")
+    for line in timing.lines():
+        print(line)
+    bars = timing.bars()
+    for bar in bars:
+        print(bar)
+    failed = [bar.name for bar in bars if not bar.holds]
+    print(f"bars: {'all hold' if not failed else 'FAILED: ' + ', '.join(failed)}")
+    return 1 if failed else 0
+
+
+@dataclass(frozen=True)
+class Window:
+    """One side of the order: cycles' lateness and frames' time to a result (ms), gaps of the IMU."""
+
+    late_ms: FloatArray
+    vision_ms: FloatArray
+    imu_gaps: int
+
+
+@dataclass(frozen=True)
+class OrderTiming:
+    """Before the order and after it."""
+
+    before: Window
+    after: Window
+    kept_s: float
+
+    def lines(self) -> list[str]:
+        """A line a figure."""
+        rows = {"cycle late": "late_ms", "frame to result": "vision_ms"}
+        lines = [f"kept before the order: {self.kept_s:.0f} s"]
+        for name, of in rows.items():
+            shown = (
+                f"{side} p50 {np.median(values):.1f}, p99 {np.percentile(values, 99):.1f}, "
+                f"most {values.max():.1f} ms"
+                for side, values in (("before", getattr(self.before, of)), ("after", getattr(self.after, of)))
+            )
+            lines.append(f"{name}: {'; '.join(shown)}")
+        return [*lines, f"IMU gaps: before {self.before.imu_gaps}, after {self.after.imu_gaps}"]
+
+    def bars(self) -> list[CostBar]:
+        """What the order adds."""
+        later_ms = float(self.after.late_ms.max() - self.before.late_ms.max())
+        gaps = self.after.imu_gaps - self.before.imu_gaps
+        return [
+            CostBar("latest cycle after the order, beyond the latest before", later_ms, LATE_MS, "ms"),
+            CostBar("gaps of the IMU after the order, beyond those before", gaps, 0.0, ""),
+        ]
+
+
+def read_timing(path: Path) -> OrderTiming:
+    """Both sides of the order of a flight's log."""
+    rows: dict[str, list[tuple[float, dict[str, Any]]]] = {topic: [] for topic in TOPICS}
+    with path.open("rb") as stream:
+        for _, channel, message in make_reader(stream).iter_messages(topics=TOPICS):
+            rows[channel.topic].append((1e-9 * message.log_time, json.loads(message.data)))
+    ordered_s = rows["/order"][0][0]
+
+    def window(from_s: float, to_s: float) -> Window:
+        within = {t: [(at, m) for at, m in rows[t] if from_s <= at < to_s] for t in TOPICS}
+        cycles_s = np.diff([at for at, _ in within["/plan"]])
+        steps_s = np.diff([m["time_s"] for _, m in within["/imu"]])
+        reports = [m for _, m in within["/frame_report"]]
+        return Window(
+            late_ms=1e3 * np.maximum(0.0, cycles_s - LONGEST_CYCLE / CONTROL_HZ),
+            vision_ms=1e3 * np.array([m["done_s"] - m["received_s"] for m in reports]),
+            imu_gaps=int((steps_s > IMU_GAP * np.median(steps_s)).sum()),
+        )
+
+    first_s = rows["/plan"][0][0]
+    return OrderTiming(
+        window(ordered_s - WATCHED_S, ordered_s),
+        window(ordered_s, ordered_s + WATCHED_S),
+        ordered_s - first_s,
+    )
