@@ -1,5 +1,6 @@
 # make sitl    fly the bundled simulator from a fresh checkout
 # make test    lint, types, architecture, unit, property and scenario tests
+# make docs    the documentation as a site, site/index.html
 # make release ARCHITECTURES=aarch64  bundles that install without a network on Debian 12 and 13, into dist/
 # make test-deploy DEPLOY=DIR  the service in a container that boots systemd, the app on arm64 by qemu; needs root
 # make bench   where the time goes, the estimators' bars and the landing campaign's
@@ -47,6 +48,10 @@ test: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest
+
+.PHONY: docs
+docs: $(VENV)/.dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 # without ARCHITECTURES both; fetches every dependency's wheels
 .PHONY: release

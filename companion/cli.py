@@ -44,6 +44,9 @@ COMMANDS: Final = {
         "companion.tools.pads.command:pad_command", "Check and print a pad; show how a camera sees it."
     ),
     "logs": Command("companion.flightlog.logs:logs_command", "List, export, convert, repair flight logs."),
+    "settings": Command(
+        "companion.tools.settings.command:settings_command", "Explain settings: unit, default, meaning."
+    ),
     "setup": Command(
         "companion.tools.setup.command:setup_command",
         "Switch on what the wiring needs, on a Raspberry Pi.",

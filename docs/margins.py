@@ -1,4 +1,4 @@
-"""The picture and the table of docs/margins.md: the margins of every control loop that is shipped.
+"""Picture and table of docs/explanation/margins.md: the margins of every control loop that is shipped.
 
     python -m docs.margins --to docs/images
 

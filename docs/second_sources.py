@@ -1,4 +1,4 @@
-"""Writes docs/second-sources.md from the table of second sources.
+"""Writes docs/reference/second-sources.md from the table of second sources.
 
 python -m docs.second_sources
 """
@@ -10,7 +10,7 @@ from typing import Final
 
 from companion.base.second_sources import ROWS, SourceRow
 
-PAGE: Final = Path(__file__).resolve().parent / "second-sources.md"
+PAGE: Final = Path(__file__).resolve().parent / "reference" / "second-sources.md"
 INTRODUCTION: Final = """\
 # Second sources
 

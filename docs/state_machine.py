@@ -1,4 +1,4 @@
-"""Writes docs/state-machine.md, the diagram and the tables of the mission's state machine, from its table.
+"""Writes docs/reference/state-machine.md, the diagram and the tables of the mission, from its table.
 
 python -m docs.state_machine
 """
@@ -13,7 +13,7 @@ from companion.base.messages import Action, Phase
 from companion.plan.mission.states import Branch, Guard, MissionEvent, State
 from companion.plan.mission.table import ANYWHERE, FINAL, IN_AIR, LIVE, ROWS, TABLE
 
-PAGE: Final = Path(__file__).resolve().parent / "state-machine.md"
+PAGE: Final = Path(__file__).resolve().parent / "reference" / "state-machine.md"
 # these may come in any state: drawn once, not from each
 FAILSAFES: Final = frozenset(ANYWHERE) - {MissionEvent.TIMEOUT, MissionEvent.LINK_UP}
 PARTS: Final = {

@@ -54,7 +54,7 @@ SETTLES_S: Final = 5.0
 DEFAULT_CEILING_M: Final = 40.0
 
 
-# docs/autopilot-parameters.md: what PX4 is to do when setpoints stop, 5: hold
+# docs/reference/autopilot-parameters.md: what PX4 is to do when setpoints stop, 5: hold
 SETPOINTS_LOST: Final = ("COM_OBL_RC_ACT", 5.0)
 
 

@@ -1,4 +1,4 @@
-"""Landings on the firmwares' own simulators in real time, as docs/real-autopilots.md has people fly them.
+"""Landings on the firmwares' own simulators in real time, as docs/how-to/real-autopilots.md flies them.
 
     python -m benchmarks external --px4 BIN --arducopter BIN --flights 5
 

@@ -124,7 +124,7 @@ def stage(folder: Path, scenario: str | Path, seed: int) -> Iterator[Stage]:
     }
     settings = folder / "companion.yaml"
     settings.write_text(yaml.safe_dump(merge(merge(wired, operator), changes)))
-    # docs/autopilot-parameters.md: what PX4 does when setpoints stop, 5: hold; by default it comes down
+    # docs/reference/autopilot-parameters.md: what PX4 does when setpoints stop, 5: hold; default: land
     witness.set_parameter("COM_OBL_RC_ACT", 5)
     made = Stage(folder, settings, witness, simulator)
     try:

@@ -236,7 +236,7 @@ def _said_of(error: ConfigError | RecursionError | ModuleNotFoundError) -> str:
     missing = (error.name or "").partition(".")[0]
     if missing in OUR_PACKAGES:
         raise error
-    return f"needs {missing}; expected it installed, see docs/package.md"
+    return f"needs {missing}; expected it installed, see docs/reference/package.md"
 
 
 def _end(program: str, ending: Ending, text: str) -> int:

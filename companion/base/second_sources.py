@@ -4,7 +4,7 @@ A row names a quantity, its two sources, how far they may be apart, and what fol
 Where the two are measured, a monitor makes a `SourceComparison` of them; `companion check`, the refusal of an
 order, the failsafe in flight and `companion status` all judge it by its row, in the same words. The
 difference counts as beyond a bound when it is so for sure: by `SIGMA_THRESHOLD` of its own standard
-deviations. docs/second-sources.md is written from here.
+deviations. docs/reference/second-sources.md is written from here.
 """
 
 from __future__ import annotations

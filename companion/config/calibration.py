@@ -10,11 +10,11 @@ from companion.config.reading import StrictModel
 class Provenance(StrictModel):
     """Where a calibration comes from, for whoever wonders in a year; nothing is reckoned with it."""
 
-    tool: str  # program and version
-    source: str  # device, connection or file that the samples came from
-    date: str  # ISO 8601, UTC, of the calibration
-    samples: int = Field(ge=0)  # used
-    dropped: int = Field(default=0, ge=0)  # left out as outliers
+    tool: str = Field(description="Program and version")
+    source: str = Field(description="Device, connection or file that the samples came from")
+    date: str = Field(description="ISO 8601, UTC, of the calibration")
+    samples: int = Field(ge=0, description="Used")
+    dropped: int = Field(default=0, ge=0, description="Left out as outliers")
 
 
 class CameraCalibration(StrictModel):
@@ -25,19 +25,23 @@ class CameraCalibration(StrictModel):
     """
 
     provenance: Provenance
-    board: str  # what was shown
-    board_bow_m: float = Field(ge=0.0)  # how far from flat it was found to be
-    corners: int = Field(ge=0)  # used
-    corners_dropped: int = Field(default=0, ge=0)  # left out as outliers, of the views used
-    rms_px: float = Field(ge=0.0)  # reprojection error of the corners used
-    rms_all_px: float = Field(ge=0.0)  # of all corners that were found, outliers too
-    held_out_rms_px: float | None = Field(ge=0.0)  # of views that the calibration had not seen
-    fx_std_px: float = Field(ge=0.0)  # standard deviation of fx_px
-    fy_std_px: float = Field(ge=0.0)  # of fy_px
-    cx_std_px: float = Field(ge=0.0)  # of cx_px
-    cy_std_px: float = Field(ge=0.0)  # of cy_px
-    distortion_std: tuple[float, ...]  # of each of its numbers
-    projection_std_px: float = Field(ge=0.0)  # where the calibration is least certain in the image
-    coverage: float = Field(ge=0.0, le=1.0)  # share of the image where corners were seen
-    largest_tilt_deg: float = Field(ge=0.0, le=90.0)  # of the board, off square
-    verdict: tuple[str, ...] = ()  # what speaks against it; it was written by force
+    board: str = Field(description="What was shown")
+    board_bow_m: float = Field(ge=0.0, description="How far from flat it was found to be")
+    corners: int = Field(ge=0, description="Used")
+    corners_dropped: int = Field(default=0, ge=0, description="Left out as outliers, of the views used")
+    rms_px: float = Field(ge=0.0, description="Reprojection error of the corners used")
+    rms_all_px: float = Field(ge=0.0, description="Of all corners that were found, outliers too")
+    held_out_rms_px: float | None = Field(ge=0.0, description="Of views that the calibration had not seen")
+    fx_std_px: float = Field(ge=0.0, description="Standard deviation of fx_px")
+    fy_std_px: float = Field(ge=0.0, description="Of fy_px")
+    cx_std_px: float = Field(ge=0.0, description="Of cx_px")
+    cy_std_px: float = Field(ge=0.0, description="Of cy_px")
+    distortion_std: tuple[float, ...] = Field(description="Of each of its numbers")
+    projection_std_px: float = Field(
+        ge=0.0, description="Where the calibration is least certain in the image"
+    )
+    coverage: float = Field(ge=0.0, le=1.0, description="Share of the image where corners were seen")
+    largest_tilt_deg: float = Field(ge=0.0, le=90.0, description="Of the board, off square")
+    verdict: tuple[str, ...] = Field(
+        default=(), description="What speaks against it; it was written by force"
+    )

@@ -19,20 +19,20 @@ class Cylinder(StrictModel):
     """A pole, a tree, a silo."""
 
     kind: Literal["cylinder"]
-    centre_ned_m: tuple[Place, Place]  # north, east of home
-    radius_m: float = Field(gt=0.0, le=100.0)  # of its widest part
-    height_m: float = Field(gt=0.0, le=500.0)  # of its top over home
+    centre_ned_m: tuple[Place, Place] = Field(description="North, east of home")
+    radius_m: float = Field(gt=0.0, le=100.0, description="Of its widest part")
+    height_m: float = Field(gt=0.0, le=500.0, description="Of its top over home")
 
 
 class Box(StrictModel):
     """A wall, a house, a parked truck."""
 
     kind: Literal["box"]
-    centre_ned_m: tuple[Place, Place]  # north, east of home
-    length_m: float = Field(gt=0.0, le=500.0)  # along its heading
-    width_m: float = Field(gt=0.0, le=500.0)  # across it
-    heading_deg: float = Field(default=0.0, ge=-360.0, le=360.0)  # clockwise from north
-    height_m: float = Field(gt=0.0, le=500.0)  # of its top over home
+    centre_ned_m: tuple[Place, Place] = Field(description="North, east of home")
+    length_m: float = Field(gt=0.0, le=500.0, description="Along its heading")
+    width_m: float = Field(gt=0.0, le=500.0, description="Across it")
+    heading_deg: float = Field(default=0.0, ge=-360.0, le=360.0, description="Clockwise from north")
+    height_m: float = Field(gt=0.0, le=500.0, description="Of its top over home")
 
 
 Shape = Annotated[Cylinder | Box, Field(discriminator="kind")]

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic.config import JsonDict
 from pydantic_core import ErrorDetails
 
 from companion.base.errors import ConfigError
 from companion.base.files import cannot_read
 from companion.config.near_names import near_name
+
+# marks the settings that an operator sets: `json_schema_extra=OPERATOR`; the others are for experts
+OPERATOR: Final[JsonDict] = {"audience": "operator"}
 
 _LONGEST_FOUND = 80
 _NAMED = 4

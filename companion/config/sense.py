@@ -6,34 +6,94 @@ from typing import Final, Literal
 
 from pydantic import Field, model_validator
 
-from companion.config.reading import StrictModel, Vector
+from companion.config.reading import OPERATOR, StrictModel, Vector
 
 
 class ImuConfig(StrictModel):
-    """MPU9250: its bus, ranges and rates.
+    """MPU9250: its bus, ranges and rates. The default is a chip face up, x forward: its z up and y left."""
 
-    `bus` is "i2c:1", "spi:0.0", or "socket:PATH" / "spi-socket:PATH" for a simulated chip in another process,
-    wired the one way or the other. `mag_path` is how its magnetometer is reached: by the chip's own I2C
-    master, or past it, on our bus ("bypass"), which SPI cannot. `read` is how samples are taken: from the
-    FIFO, or from the output registers when the chip says that there is a new one.
-
-    `body_from_sensor_deg` (roll, pitch, yaw) turns sensor axes into body FRD. The default is a chip that
-    lies face up with its x axis forward: z up and y left become z down and y right.
-    """
-
-    bus: str = "i2c:1"
-    address: int = Field(default=0x68, ge=0x68, le=0x69)
-    rate_hz: int = Field(default=200, ge=50, le=1000)
-    poll_hz: int = Field(default=100, ge=20, le=500)
-    read: Literal["fifo", "registers"] = "fifo"
-    gyro_range_deg_s: Literal[250, 500, 1000, 2000] = 500
-    accel_range_g: Literal[2, 4, 8, 16] = 8
-    filter_hz: Literal[184, 92, 41, 20] = 92
-    mag_path: Literal["master", "bypass"] = "master"
-    mag_rate_hz: Literal[8, 100] = 100
-    body_from_sensor_deg: Vector = (180.0, 0.0, 0.0)
-    magnetometer_calibration: str | None = None
-    inertial_calibration: str | None = None
+    bus: str = Field(
+        default="i2c:1",
+        description=(
+            "`i2c:N` for /dev/i2c-N; `spi:B.C` for /dev/spidevB.C; `socket:PATH` or `spi-socket:PATH` for "
+            "a simulator in another process; set it to the wiring's"
+        ),
+        json_schema_extra=OPERATOR,
+    )
+    address: int = Field(
+        default=0x68,
+        ge=0x68,
+        le=0x69,
+        description="I²C address: 0x68 (104), or 0x69 (105) with AD0 high; set it to the board's",
+        json_schema_extra=OPERATOR,
+    )
+    rate_hz: int = Field(
+        default=200,
+        ge=50,
+        le=1000,
+        description=(
+            "Sample rate of gyroscope and accelerometer; a divisor of 1000; lower it for a slow bus or "
+            "computer"
+        ),
+    )
+    poll_hz: int = Field(
+        default=100,
+        ge=20,
+        le=500,
+        description=(
+            "How often the chip is read; its FIFO holds 36 samples; lower it to save CPU, but not so far "
+            "that the FIFO fills between two polls"
+        ),
+    )
+    read: Literal["fifo", "registers"] = Field(
+        default="fifo",
+        description=(
+            "From the FIFO, or from the output registers as soon as they hold a new sample; change it only"
+            " for a chip whose FIFO does not work"
+        ),
+    )
+    gyro_range_deg_s: Literal[250, 500, 1000, 2000] = Field(
+        default=500, description="Full scale of the gyroscope; raise it only if it saturates in flight"
+    )
+    accel_range_g: Literal[2, 4, 8, 16] = Field(
+        default=8, description="Full scale of the accelerometer; raise it if vibration makes it clip"
+    )
+    filter_hz: Literal[184, 92, 41, 20] = Field(
+        default=92,
+        description="The chip's digital low-pass filter; lower it against vibration, at the price of delay",
+    )
+    mag_path: Literal["master", "bypass"] = Field(
+        default="master",
+        description=(
+            "How the magnetometer is read: through the chip's own I2C master, or past it on our bus (not "
+            "on SPI); change it for chips whose master does not work"
+        ),
+    )
+    mag_rate_hz: Literal[8, 100] = Field(default=100, description="Magnetometer rate; lower it on a slow bus")
+    body_from_sensor_deg: Vector = Field(
+        default=(180.0, 0.0, 0.0),
+        description=(
+            "Roll, pitch, yaw that turn the chip's axes into the body's (FRD); [180, 0, 0] lies face up, x"
+            " forward. Set it to how the chip is mounted"
+        ),
+        json_schema_extra=OPERATOR,
+    )
+    magnetometer_calibration: str | None = Field(
+        default=None,
+        description=(
+            "File that `calibrate-magnetometer` (docs/how-to/calibrate-magnetometer.md) wrote for this "
+            "chip; none: readings are used uncalibrated; set it once you have calibrated"
+        ),
+        json_schema_extra=OPERATOR,
+    )
+    inertial_calibration: str | None = Field(
+        default=None,
+        description=(
+            "File of `calibrate-mount accelerometer` or `gyro`; none: readings are used uncalibrated; set "
+            "it once you have calibrated"
+        ),
+        json_schema_extra=OPERATOR,
+    )
 
     @property
     def over_spi(self) -> bool:
@@ -64,38 +124,118 @@ class ImuConfig(StrictModel):
 
 
 class GpsConfig(StrictModel):
-    """NEO-6M on a serial port.
+    """NEO-6M on a serial port: its rate is found, and then set to `baud`."""
 
-    It may talk at any rate when we come: it is found, and then set to `baud`. `latency_s` is from the
-    instant a fix is valid to the first bit of its first message, at the quickest.
-    """
-
-    port: str = "/dev/ttyAMA0"
-    baud: Literal[9600, 19200, 38400, 57600, 115200] = 38400
-    rate_hz: int = Field(default=5, ge=1, le=5)
-    latency_s: float = Field(default=0.12, ge=0.0, le=0.5)
-    maximum_hdop: float = Field(default=6.0, ge=1.0, le=50.0)
-    antenna_position_body_m: Vector = (0.0, 0.0, -0.05)
+    port: str = Field(
+        default="/dev/ttyAMA0",
+        description="Serial port of the NEO-6M; set it to the wiring's",
+        json_schema_extra=OPERATOR,
+    )
+    baud: Literal[9600, 19200, 38400, 57600, 115200] = Field(
+        default=38400,
+        description=(
+            "Baud rate to set; the receiver's present rate is found first. Lower it only on a line that "
+            "loses bytes"
+        ),
+    )
+    rate_hz: int = Field(
+        default=5,
+        ge=1,
+        le=5,
+        description="Requested fixes per second; lower it for a receiver or line that cannot keep it",
+    )
+    latency_s: float = Field(
+        default=0.12,
+        ge=0.0,
+        le=0.5,
+        description=(
+            "From the moment a fix is valid to the first bit of its first message, at least; set it for "
+            "another receiver"
+        ),
+    )
+    maximum_hdop: float = Field(
+        default=6.0,
+        ge=1.0,
+        le=50.0,
+        description=(
+            "A fix with a larger horizontal dilution of precision is refused; lower it among buildings, "
+            "where such fixes are wrong; raise it where the app waits for a fix in vain"
+        ),
+    )
+    antenna_position_body_m: Vector = Field(
+        default=(0.0, 0.0, -0.05),
+        description="Position of the antenna from the centre of mass, FRD; measure it on your vehicle",
+        json_schema_extra=OPERATOR,
+    )
 
 
 class RangeConfig(StrictModel):
     """Downward ultrasonic.
 
-    `kind`: "frames" for a serial port on which it talks by itself (JSN-SR04T in serial mode, A02YYUW or
-    alike: 4-byte frames); "polled" for one on which it answers (US-100: 2 bytes); "gpio" for a trigger and an
-    echo pin (HC-SR04, JSN-SR04T in mode 0), numbered as Broadcom does. `rate_hz` is how often the latter two
-    are asked; `air_temperature_c` gives the speed of sound where we are the ones that reckon with it (gpio).
+    `kind`: "frames" for a serial port on which it talks by itself (JSN-SR04T in serial mode, A02YYUW: 4-byte
+    frames); "polled" for a US-100 (2 bytes); "gpio" for trigger and echo pins (HC-SR04, JSN-SR04T in mode 0).
     """
 
-    kind: Literal["frames", "polled", "gpio"] = "frames"
-    port: str = "/dev/ttyAMA1"
-    trigger_pin: int = Field(default=23, ge=0, le=27)
-    echo_pin: int = Field(default=24, ge=0, le=27)
-    rate_hz: float = Field(default=12.5, ge=2.0, le=16.0)
-    air_temperature_c: float = Field(default=20.0, ge=-30.0, le=50.0)
-    minimum_m: float = Field(default=0.03, ge=0.02, le=0.5)
-    maximum_m: float = Field(default=4.5, ge=0.5, le=10.0)
-    maximum_speed_m_s: float = Field(default=3.0, ge=0.5, le=20.0)
+    kind: Literal["frames", "polled", "gpio"] = Field(
+        default="frames",
+        description=(
+            "`frames`: a serial port with 4-byte frames; `polled`: a US-100, polled over a serial port; "
+            "`gpio`: trigger and echo pins; set it to the sensor that is mounted"
+        ),
+        json_schema_extra=OPERATOR,
+    )
+    port: str = Field(
+        default="/dev/ttyAMA1",
+        description="Serial port of the rangefinder (frames, polled); set it to the wiring's",
+        json_schema_extra=OPERATOR,
+    )
+    trigger_pin: int = Field(
+        default=23,
+        ge=0,
+        le=27,
+        description="Trigger pin, Broadcom number (gpio); set it to the wiring's",
+        json_schema_extra=OPERATOR,
+    )
+    echo_pin: int = Field(
+        default=24,
+        ge=0,
+        le=27,
+        description="Echo pin, Broadcom number, behind a divider to 3.3 V (gpio); set it to the wiring's",
+        json_schema_extra=OPERATOR,
+    )
+    rate_hz: float = Field(
+        default=12.5,
+        ge=2.0,
+        le=16.0,
+        description="Polling rate (polled, gpio); lower it where the echo of one pulse reaches the next",
+    )
+    air_temperature_c: float = Field(
+        default=20.0,
+        ge=-30.0,
+        le=50.0,
+        description=(
+            "Air temperature, for the speed of sound (gpio); 10 °C off are nearly 2 % of the height. Set "
+            "it to the day's"
+        ),
+    )
+    minimum_m: float = Field(
+        default=0.03,
+        ge=0.02,
+        le=0.5,
+        description="Shorter distances are refused; raise it if legs or ground give false ones",
+    )
+    maximum_m: float = Field(
+        default=4.5, ge=0.5, le=10.0, description="Longer distances are refused; set it to the sensor's range"
+    )
+    maximum_speed_m_s: float = Field(
+        default=3.0,
+        ge=0.5,
+        le=20.0,
+        description=(
+            "A distance that changes faster is a spike until the next one confirms it; raise it for a pad "
+            "that moves up and down faster than this"
+        ),
+    )
 
     @model_validator(mode="after")
     def _pins_differ(self) -> RangeConfig:
@@ -118,16 +258,52 @@ class AutopilotSensorsConfig(StrictModel):
     `sense.range` still bounds what is believed.
     """
 
-    imu_rate_hz: float = Field(default=200.0, ge=50.0, le=400.0)  # asked for; what comes counts
+    imu_rate_hz: float = Field(
+        default=200.0,
+        ge=50.0,
+        le=400.0,
+        description="Requested IMU rate, at least 50; lower it on a slow serial line",
+    )
     imu_latency_s: float | None = Field(
-        default=None, ge=0.0, le=0.1
-    )  # age of a sample at its stamp, by the autopilot's filters; none: 0.004 for PX4, 0.011 for ArduPilot
-    gps_rate_hz: float = Field(default=5.0, ge=1.0, le=20.0)  # asked for
-    gps_latency_s: float = Field(default=0.12, ge=0.0, le=0.5)  # age of a fix at its stamp
-    range_source: Literal["autopilot", "boards"] = "autopilot"  # boards: our ultrasonic all the same
-    range_rate_hz: float = Field(default=20.0, ge=1.0, le=100.0)  # asked for
-    magnetometer_calibration: str | None = (
-        None  # file of `calibrate-magnetometer`, on top of the autopilot's own calibration; none: as it comes
+        default=None,
+        ge=0.0,
+        le=0.1,
+        description=(
+            "Age of an IMU sample at its stamp, from the autopilot's filters; none: 0.004 for PX4, 0.011 "
+            "for ArduPilot. Set it when you changed those filters"
+        ),
+    )
+    gps_rate_hz: float = Field(
+        default=5.0, ge=1.0, le=20.0, description="Requested GPS rate; lower it on a slow serial line"
+    )
+    gps_latency_s: float = Field(
+        default=0.12,
+        ge=0.0,
+        le=0.5,
+        description="Age of a GPS fix at its stamp; raise it for a slow receiver",
+    )
+    range_source: Literal["autopilot", "boards"] = Field(
+        default="autopilot",
+        description=(
+            "`autopilot`: its rangefinder; `boards`: the rangefinder on the companion computer; change it "
+            "where the autopilot has no rangefinder of its own"
+        ),
+        json_schema_extra=OPERATOR,
+    )
+    range_rate_hz: float = Field(
+        default=20.0,
+        ge=1.0,
+        le=100.0,
+        description="Requested rangefinder rate; lower it on a slow serial line",
+    )
+    magnetometer_calibration: str | None = Field(
+        default=None,
+        description=(
+            "File of `calibrate-magnetometer` (docs/how-to/calibrate-magnetometer.md), applied on top of "
+            "the autopilot's own calibration; none: readings are used as received; set it where the "
+            "autopilot's own calibration leaves the heading off"
+        ),
+        json_schema_extra=OPERATOR,
     )
 
 
@@ -138,23 +314,105 @@ _TILT_STD_DEG: Final = {"fixed": 0.0, "vehicle": 3.0, "ship": 6.0}
 class VisionConfig(StrictModel):
     """Marker detection and pose."""
 
-    source: str = "v4l2:0"  # or picamera2:N, video:FILE, images:FOLDER, socket:PATH, tcp:HOST:PORT
+    source: str = Field(
+        default="v4l2:0",
+        description=(
+            "The camera (docs/how-to/cameras.md): `v4l2:N` for /dev/videoN, `v4l2:/dev/v4l/by-id/NAME` for"
+            " one whose number changes, `picamera2:N` for a Raspberry Pi's, `video:FILE` or "
+            "`images:FOLDER` for a recording; `socket:PATH` or `tcp:HOST:PORT` for frames from another "
+            "process (docs/reference/camera-frames.md); set it to the camera that is mounted"
+        ),
+        json_schema_extra=OPERATOR,
+    )
     unstamped_latency_s: float = Field(
-        default=0.045, ge=0.0, le=0.5
-    )  # age, when it comes, of another process's frame that does not say when it was exposed
-    pose: Literal["joint", "paper"] = "joint"
-    minimum_side_px: float = Field(default=12.0, ge=8.0, le=100.0)  # smaller markers are not looked for
-    maximum_markers: int = Field(default=8, ge=1, le=100)  # refined and used in one frame
-    corner_noise_px: float = Field(default=0.005, gt=0.0, le=5.0)
+        default=0.045,
+        ge=0.0,
+        le=0.5,
+        description=(
+            "Assumed age, on arrival, of a frame from another process that carries no time; set it to what"
+            " you measured"
+        ),
+    )
+    pose: Literal["joint", "paper"] = Field(
+        default="joint",
+        description=(
+            "`joint`: one fit to all corners; `paper`: the mean of single-marker poses (eq. 1). Change it "
+            "for comparison only"
+        ),
+    )
+    minimum_side_px: float = Field(
+        default=12.0, ge=8.0, le=100.0, description="Smaller markers are not searched; raise it to save CPU"
+    )
+    maximum_markers: int = Field(
+        default=8,
+        ge=1,
+        le=100,
+        description="Largest number of markers refined and used in one frame; lower it to save CPU",
+    )
+    corner_noise_px: float = Field(
+        default=0.005,
+        gt=0.0,
+        le=5.0,
+        description=(
+            "Noise of a corner, each axis, beyond what the scatter of its marker's sides shows; raise it "
+            "for a soft lens or a creased print"
+        ),
+    )
     scale_error: float = Field(
-        default=0.003, ge=0.0, le=0.1
-    )  # of the calibration, as a share of the distance
-    pad_on: Literal["fixed", "vehicle", "ship"] = "fixed"  # how far the pad may tilt
-    level_std_deg: float = Field(default=2.0, gt=0.0, le=30.0)  # of a fixed pad and our attitude together
-    relative_speed_std_m_s: float = Field(default=0.5, gt=0.0, le=20.0)  # for a rolling shutter's shear
-    relative_climb_std_m_s: float = Field(default=0.2, gt=0.0, le=20.0)  # near the pad, for the same
-    turn_rate_std_rad_s: float = Field(default=0.1, gt=0.0, le=10.0)
-    vibration_mrad: float = Field(default=0.035, gt=0.0, le=10.0)
+        default=0.003,
+        ge=0.0,
+        le=0.1,
+        description="Calibration error as a share of the distance; raise it for a poor calibration",
+    )
+    pad_on: Literal["fixed", "vehicle", "ship"] = Field(
+        default="fixed",
+        description=(
+            "What the pad lies on: the ground (`fixed`), a car or a trailer (`vehicle`, tilts by 3° "
+            "standard deviation) or a ship (`ship`, by 6°); set it to yours. A pad that tilts by four "
+            "times as much is refused"
+        ),
+        json_schema_extra=OPERATOR,
+    )
+    level_std_deg: float = Field(
+        default=2.0,
+        gt=0.0,
+        le=30.0,
+        description=(
+            "Standard deviation of pad tilt and horizon error together; raise it for a pad that is not level"
+        ),
+    )
+    relative_speed_std_m_s: float = Field(
+        default=0.5,
+        gt=0.0,
+        le=20.0,
+        description=(
+            "Plausible speed over the pad, for the rolling-shutter correction; raise it for pads faster "
+            "than this"
+        ),
+    )
+    relative_climb_std_m_s: float = Field(
+        default=0.2,
+        gt=0.0,
+        le=20.0,
+        description=(
+            "Plausible speed towards the pad close to it, for the same; a fifth of the distance per second"
+            " is added; raise it with that one"
+        ),
+    )
+    turn_rate_std_rad_s: float = Field(
+        default=0.1,
+        gt=0.0,
+        le=10.0,
+        description=(
+            "Plausible turn rate beyond the gyroscope's, for the same; raise it for a pad that turns faster"
+        ),
+    )
+    vibration_mrad: float = Field(
+        default=0.035,
+        gt=0.0,
+        le=10.0,
+        description="Rotor vibration of the camera within a frame, rms; raise it for a badly damped mount",
+    )
 
     @property
     def tilt_std_deg(self) -> float:
@@ -165,7 +423,15 @@ class VisionConfig(StrictModel):
 class SenseConfig(StrictModel):
     """All sensors. `boards` are our own: MPU9250, NEO-6M and ultrasonic; the camera is always ours."""
 
-    source: Literal["boards", "autopilot"] = "boards"  # of IMU, magnetometer, GPS and range
+    source: Literal["boards", "autopilot"] = Field(
+        default="boards",
+        description=(
+            "Source of IMU, magnetometer, GPS and range: `boards` on the companion computer, or "
+            "`autopilot` by telemetry (docs/how-to/telemetry-sensors.md); set it to `autopilot` where the "
+            "companion computer has no sensors of its own"
+        ),
+        json_schema_extra=OPERATOR,
+    )
     autopilot: AutopilotSensorsConfig = AutopilotSensorsConfig()
     imu: ImuConfig = ImuConfig()
     gps: GpsConfig = GpsConfig()

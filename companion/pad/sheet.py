@@ -34,13 +34,20 @@ EXACT_M: Final = 1e-9
 class Sheet(StrictModel):
     """What the pad is printed on."""
 
-    paper: Literal[PaperName, "large"] = "large"  # tiles of a paper, or one large sheet
-    size_m: tuple[Metres, Metres] | None = None  # of a large sheet, two sides; none: what the board needs
+    paper: Literal[PaperName, "large"] = Field(
+        default="large", description="Tiles of a paper, or one large sheet"
+    )
+    size_m: tuple[Metres, Metres] | None = Field(
+        default=None, description="Of a large sheet, two sides; none: what the board needs"
+    )
     margin_m: float = Field(
-        default=1e-3 * MARGIN_MM, ge=0.006, le=0.1
-    )  # around the part of the board that is on it; printers do not reach the outer half
-    dots_per_inch: float = Field(default=300.0, ge=30.0, le=2400.0)  # of the printer
-    whole_markers: bool = False  # no cut may divide a marker
+        default=1e-3 * MARGIN_MM,
+        ge=0.006,
+        le=0.1,
+        description="Around the part of the board that is on it; printers do not reach the outer half",
+    )
+    dots_per_inch: float = Field(default=300.0, ge=30.0, le=2400.0, description="Of the printer")
+    whole_markers: bool = Field(default=False, description="No cut may divide a marker")
 
     @model_validator(mode="after")
     def _size_is_of_a_large_sheet(self) -> Sheet:

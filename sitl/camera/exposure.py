@@ -21,9 +21,11 @@ LONGEST_KERNEL_PX: Final = 2.5
 class DirtSettings(StrictModel):
     """Dust and dried drops on the lens: soft dark blobs that stay where they are in the image."""
 
-    blobs: int = Field(default=12, ge=1, le=200)  # How many
-    largest_share: float = Field(default=0.08, gt=0.005, le=0.5)  # Width of the largest, of the image's
-    opacity: float = Field(default=0.7, gt=0.0, le=1.0)  # Of the most opaque one's middle
+    blobs: int = Field(default=12, ge=1, le=200, description="How many")
+    largest_share: float = Field(
+        default=0.08, gt=0.005, le=0.5, description="Width of the largest, of the image's"
+    )
+    opacity: float = Field(default=0.7, gt=0.0, le=1.0, description="Of the most opaque one's middle")
 
 
 class ImagingSettings(StrictModel):

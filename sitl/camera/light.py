@@ -30,28 +30,34 @@ LEAST_PENUMBRA_M: Final = 0.02
 class ShadowSettings(StrictModel):
     """A straight edge of shade that moves over the pad; what it has passed lies in shade."""
 
-    depth: float = Field(default=0.7, gt=0.0, le=0.98)  # Share of the light that is missing in it
-    penumbra_m: float = Field(default=0.05, ge=0.0, le=5.0)  # Width of its edge
-    course_deg: Angle = "random"  # Where it goes, clockwise from north
-    speed_m_s: float = Field(default=0.1, ge=-10.0, le=10.0)  # Relative to the pad
-    crosses_s: float = Field(default=25.0, ge=0.0, le=900.0)  # It is over the pad's centre then
-    stripes_m: Annotated[float, Field(gt=0.1, le=100.0)] | None = None  # Light and shade alternate
+    depth: float = Field(default=0.7, gt=0.0, le=0.98, description="Share of the light that is missing in it")
+    penumbra_m: float = Field(default=0.05, ge=0.0, le=5.0, description="Width of its edge")
+    course_deg: Angle = Field(default="random", description="Where it goes, clockwise from north")
+    speed_m_s: float = Field(default=0.1, ge=-10.0, le=10.0, description="Relative to the pad")
+    crosses_s: float = Field(default=25.0, ge=0.0, le=900.0, description="It is over the pad's centre then")
+    stripes_m: Annotated[float, Field(gt=0.1, le=100.0)] | None = Field(
+        default=None, description="Light and shade alternate"
+    )
 
 
 class GlareSettings(StrictModel):
     """The sun's image in the pad's print: a patch that saturates and hides what it lies on."""
 
-    elevation_deg: float = Field(default=75.0, ge=5.0, le=90.0)  # Of the sun
-    azimuth_deg: Angle = "random"  # Of the sun, clockwise from north
-    strength: float = Field(default=4.0, gt=0.0, le=1000.0)  # Its middle over a white sheet
-    spread_deg: float = Field(default=4.0, ge=0.5, le=30.0)  # How far a matt print spreads it
+    elevation_deg: float = Field(default=75.0, ge=5.0, le=90.0, description="Of the sun")
+    azimuth_deg: Angle = Field(default="random", description="Of the sun, clockwise from north")
+    strength: float = Field(default=4.0, gt=0.0, le=1000.0, description="Its middle over a white sheet")
+    spread_deg: float = Field(default=4.0, ge=0.5, le=30.0, description="How far a matt print spreads it")
 
 
 class LightSettings(StrictModel):
     """How bright it is; without it the camera's exposure is right and its noise constant."""
 
-    illuminance_lux: float = Field(default=3000.0, ge=0.1, le=150000.0)  # Dusk 50, overcast 3000, sun 80000
-    veil: float = Field(default=0.0, ge=0.0, le=0.9)  # Stray light of a low sun, of a white sheet's
+    illuminance_lux: float = Field(
+        default=3000.0, ge=0.1, le=150000.0, description="Dusk 50, overcast 3000, sun 80000"
+    )
+    veil: float = Field(
+        default=0.0, ge=0.0, le=0.9, description="Stray light of a low sun, of a white sheet's"
+    )
     shadow: ShadowSettings | None = None
     glare: GlareSettings | None = None
 

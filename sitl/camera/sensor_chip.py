@@ -36,11 +36,11 @@ GREYS: Final = np.arange(256.0)
 class ExposureSettings(StrictModel):
     """What an automatic exposure may do; with `automatic` off, `camera.exposure_s` and `gain` stay."""
 
-    automatic: bool = True  # Follows the mean of the last pictures
-    shortest_s: float = Field(default=0.0001, gt=0.0, le=0.03)  # Shutter
-    longest_s: float = Field(default=0.01, gt=0.0, le=0.03)  # Shutter; then it amplifies
-    gain: float = Field(default=1.0, ge=1.0, le=64.0)  # When it is not automatic
-    most_gain: float = Field(default=16.0, ge=1.0, le=64.0)  # When it is
+    automatic: bool = Field(default=True, description="Follows the mean of the last pictures")
+    shortest_s: float = Field(default=0.0001, gt=0.0, le=0.03, description="Shutter")
+    longest_s: float = Field(default=0.01, gt=0.0, le=0.03, description="Shutter; then it amplifies")
+    gain: float = Field(default=1.0, ge=1.0, le=64.0, description="When it is not automatic")
+    most_gain: float = Field(default=16.0, ge=1.0, le=64.0, description="When it is")
 
     @model_validator(mode="after")
     def _shortest_first(self) -> ExposureSettings:

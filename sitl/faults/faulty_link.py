@@ -20,11 +20,15 @@ NEXT_S: Final = 1e-6
 class LinkSettings(StrictModel):
     """Quality of the line, the same in both directions."""
 
-    loss_share: float = Field(default=0.0, ge=0.0, le=1.0)  # Of the datagrams
-    delay_s: float = Field(default=0.0, ge=0.0, le=2.0)  # Of each
-    jitter_s: float = Field(default=0.0, ge=0.0, le=1.0)  # And up to so much more; the order stays
-    reorder_share: float = Field(default=0.0, ge=0.0, le=1.0)  # Of the datagrams, which later ones overtake
-    reorder_hold_s: float = Field(default=0.05, gt=0.0, le=2.0)  # So long such a one is held back
+    loss_share: float = Field(default=0.0, ge=0.0, le=1.0, description="Of the datagrams")
+    delay_s: float = Field(default=0.0, ge=0.0, le=2.0, description="Of each")
+    jitter_s: float = Field(
+        default=0.0, ge=0.0, le=1.0, description="And up to so much more; the order stays"
+    )
+    reorder_share: float = Field(
+        default=0.0, ge=0.0, le=1.0, description="Of the datagrams, which later ones overtake"
+    )
+    reorder_hold_s: float = Field(default=0.05, gt=0.0, le=2.0, description="So long such a one is held back")
 
 
 class LinkWay:

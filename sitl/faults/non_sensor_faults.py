@@ -31,16 +31,18 @@ class PadResized(FaultTimes):
     """The pad is printed larger or smaller than its file says, as A3 on A4."""
 
     kind: Literal["pad_resized"]
-    scale: float = Field(default=0.71, ge=0.2, le=3.0)  # Of all lengths of the print
+    scale: float = Field(default=0.71, ge=0.2, le=3.0, description="Of all lengths of the print")
 
 
 class PadTwin(FaultTimes):
     """A second, identical pad is in view. It is a picture alone: nothing can stand on it."""
 
     kind: Literal["pad_twin"]
-    north_m: float = Field(default=0.0, ge=-50.0, le=50.0)  # From the pad's centre to its twin's
-    east_m: float = Field(default=2.0, ge=-50.0, le=50.0)  # The same, east
-    moves: bool = True  # With the pad; else it rests on the ground from where the pad was
+    north_m: float = Field(default=0.0, ge=-50.0, le=50.0, description="From the pad's centre to its twin's")
+    east_m: float = Field(default=2.0, ge=-50.0, le=50.0, description="The same, east")
+    moves: bool = Field(
+        default=True, description="With the pad; else it rests on the ground from where the pad was"
+    )
 
 
 class PadStops(FaultTimes):
@@ -53,22 +55,22 @@ class PadBrakes(FaultTimes):
     """The pad brakes to a standstill, straight on; at the end of the fault it goes on."""
 
     kind: Literal["pad_brakes"]
-    deceleration_m_s2: float = Field(default=3.0, gt=0.0, le=20.0)  # Until it stands
+    deceleration_m_s2: float = Field(default=3.0, gt=0.0, le=20.0, description="Until it stands")
 
 
 class PadTurnsBack(FaultTimes):
     """The pad brakes and drives back the way it came."""
 
     kind: Literal["pad_turns_back"]
-    acceleration_m_s2: float = Field(default=2.0, gt=0.0, le=20.0)  # Backwards
+    acceleration_m_s2: float = Field(default=2.0, gt=0.0, le=20.0, description="Backwards")
 
 
 class PadLeaves(FaultTimes):
     """The pad drives away, straight on."""
 
     kind: Literal["pad_leaves"]
-    speed_m_s: float = Field(default=6.0, gt=0.0, le=30.0)  # At last
-    acceleration_m_s2: float = Field(default=2.0, gt=0.0, le=20.0)  # Up to it
+    speed_m_s: float = Field(default=6.0, gt=0.0, le=30.0, description="At last")
+    acceleration_m_s2: float = Field(default=2.0, gt=0.0, le=20.0, description="Up to it")
 
 
 class PadVanishes(FaultTimes):
@@ -81,8 +83,8 @@ class PadTilts(FaultTimes):
     """The pad tilts, as on a vehicle that drives on to a kerb."""
 
     kind: Literal["pad_tilts"]
-    roll_deg: float = Field(default=15.0, ge=-45.0, le=45.0)  # About its heading
-    rate_deg_s: float = Field(default=15.0, gt=0.0, le=360.0)  # To there
+    roll_deg: float = Field(default=15.0, ge=-45.0, le=45.0, description="About its heading")
+    rate_deg_s: float = Field(default=15.0, gt=0.0, le=360.0, description="To there")
 
 
 # ---------------------------------------------------------------- the autopilot
@@ -92,14 +94,18 @@ class AutopilotRefuses(FaultTimes):
     """It denies a request, with or without force. `auto_disarm`: it does not disarm by itself either."""
 
     kind: Literal["autopilot_refuses"]
-    what: Literal["arm", "take_off", "offboard", "land", "disarm", "auto_disarm"]  # Which request
+    what: Literal["arm", "take_off", "offboard", "land", "disarm", "auto_disarm"] = Field(
+        description="Which request"
+    )
 
 
 class PilotMode(FaultTimes):
     """The pilot changes the mode, once."""
 
     kind: Literal["pilot_mode"]
-    mode: Literal["position", "hold", "return", "land"] = "position"  # By what the autopilot calls it
+    mode: Literal["position", "hold", "return", "land"] = Field(
+        default="position", description="By what the autopilot calls it"
+    )
 
 
 class AutopilotReboots(FaultTimes):
@@ -109,7 +115,7 @@ class AutopilotReboots(FaultTimes):
     """
 
     kind: Literal["autopilot_reboots"]
-    silent_s: float = Field(default=2.0, gt=0.0, le=60.0)  # Nothing is sent or taken
+    silent_s: float = Field(default=2.0, gt=0.0, le=60.0, description="Nothing is sent or taken")
 
     @property
     def lasts_s(self) -> float:
@@ -133,31 +139,31 @@ class BatteryCharge(FaultTimes):
     """The battery's remaining charge, as reported in SYS_STATUS and BATTERY_STATUS."""
 
     kind: Literal["battery"]
-    remaining_percent: int = Field(default=15, ge=-1, le=100)  # -1: the autopilot does not know
+    remaining_percent: int = Field(default=15, ge=-1, le=100, description="-1: the autopilot does not know")
 
 
 class FollowMe(FaultTimes):
     """The ground station sends its operator's place as FOLLOW_TARGET, unasked, as QGroundControl does."""
 
     kind: Literal["follow_me"]
-    north_m: float = Field(default=20.0, ge=-500.0, le=500.0)  # Where the operator is, from home
-    east_m: float = Field(default=-15.0, ge=-500.0, le=500.0)  # The same, east
-    rate_hz: float = Field(default=1.0, gt=0.0, le=10.0)  # How often it is sent
+    north_m: float = Field(default=20.0, ge=-500.0, le=500.0, description="Where the operator is, from home")
+    east_m: float = Field(default=-15.0, ge=-500.0, le=500.0, description="The same, east")
+    rate_hz: float = Field(default=1.0, gt=0.0, le=10.0, description="How often it is sent")
 
 
 class SecondCompanion(FaultTimes):
     """A duplicate of the companion, under another component id, sends setpoints too: stand still."""
 
     kind: Literal["second_companion"]
-    component_id: int = Field(default=196, ge=1, le=255)  # Of the vehicle's system
-    rate_hz: float = Field(default=10.0, gt=0.0, le=50.0)  # How often it sends one
+    component_id: int = Field(default=196, ge=1, le=255, description="Of the vehicle's system")
+    rate_hz: float = Field(default=10.0, gt=0.0, le=50.0, description="How often it sends one")
 
 
 class ForgedFrames(FaultTimes):
     """Somebody without the key sends frames in the autopilot's name, with the largest time stamp there is."""
 
     kind: Literal["forged_frames"]
-    rate_hz: float = Field(default=1.0, gt=0.0, le=50.0)  # How often one is sent
+    rate_hz: float = Field(default=1.0, gt=0.0, le=50.0, description="How often one is sent")
 
 
 # ---------------------------------------------------------------- the companion computer
@@ -197,7 +203,7 @@ class DiskSlow(FaultTimes):
     """Every write to the log's disk takes long."""
 
     kind: Literal["disk_slow"]
-    write_s: float = Field(default=0.02, gt=0.0, le=10.0)  # Each, by the clock on the wall
+    write_s: float = Field(default=0.02, gt=0.0, le=10.0, description="Each, by the clock on the wall")
 
 
 NonSensorFault = (

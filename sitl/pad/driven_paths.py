@@ -36,13 +36,22 @@ class RandomTurnsMotion(StrictModel):
     """Random turns and speed changes; beyond the radius, back to the middle."""
 
     kind: Literal["random_turns"]
-    speed_m_s: float = Field(gt=0.0, le=10.0)
-    slowest_m_s: Annotated[float, Field(gt=0.0, le=10.0)] | None = None
-    max_turn_rate_deg_s: float = Field(default=20.0, gt=0.0, le=90.0)
-    max_acceleration_m_s2: float = Field(default=1.5, gt=0.05, le=10.0)
-    arc_s: tuple[Seconds, Seconds] = (2.0, 5.0)  # shortest and longest
-    radius_m: float = Field(default=12.0, ge=2.0, le=200.0)
-    course_deg: Angle = "random"
+    speed_m_s: float = Field(gt=0.0, le=10.0, description="Highest speed, through random turns")
+    slowest_m_s: Annotated[float, Field(gt=0.0, le=10.0)] | None = Field(
+        default=None, description="Lowest speed; none: the speed is constant"
+    )
+    max_turn_rate_deg_s: float = Field(default=20.0, gt=0.0, le=90.0, description="Largest turn rate")
+    max_acceleration_m_s2: float = Field(
+        default=1.5,
+        gt=0.05,
+        le=10.0,
+        description="Largest acceleration, of turning, speeding up and slowing down together",
+    )
+    arc_s: tuple[Seconds, Seconds] = Field(default=(2.0, 5.0), description="Shortest and longest arc")
+    radius_m: float = Field(
+        default=12.0, ge=2.0, le=200.0, description="Distance from the start beyond which it turns back"
+    )
+    course_deg: Angle = Field(default="random", description="First course")
     meet: Meeting = Meeting()
 
     @model_validator(mode="after")
@@ -89,13 +98,24 @@ class WaypointsMotion(StrictModel):
     """From point to point at a constant speed, each corner rounded as tightly as the bounds allow."""
 
     kind: Literal["waypoints"]
-    points_ned_m: tuple[Point, ...] = Field(min_length=2, max_length=100)
-    speed_m_s: float = Field(gt=0.0, le=10.0)
-    max_acceleration_m_s2: float = Field(default=1.0, gt=0.05, le=10.0)
-    max_turn_rate_deg_s: float = Field(default=45.0, gt=0.0, le=90.0)
-    loop: bool = False
-    start_s: float = Field(default=0.0, ge=0.0, le=600.0)
-    spread_m: float = Field(default=0.0, ge=0.0, le=30.0)
+    points_ned_m: tuple[Point, ...] = Field(
+        min_length=2, max_length=100, description="North and east of home; independent of the seed"
+    )
+    speed_m_s: float = Field(gt=0.0, le=10.0, description="Speed all the way")
+    max_acceleration_m_s2: float = Field(
+        default=1.0, gt=0.05, le=10.0, description="Corners are rounded to keep this acceleration"
+    )
+    max_turn_rate_deg_s: float = Field(default=45.0, gt=0.0, le=90.0, description="And this turn rate")
+    loop: bool = Field(default=False, description="After the last point to the first again; else straight on")
+    start_s: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=600.0,
+        description="At the first point at this time, coming straight from behind it",
+    )
+    spread_m: float = Field(
+        default=0.0, ge=0.0, le=30.0, description="Largest random shift of the whole path"
+    )
 
     @property
     def meet(self) -> Meeting:

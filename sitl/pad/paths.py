@@ -32,9 +32,11 @@ def drawn_angle(angle: Angle, rng: np.random.Generator) -> float:
 class Meeting(StrictModel):
     """Where and when the pad can be met."""
 
-    point_ned_m: tuple[Metres, Metres] = (10.0, 0.0)
-    time_s: float = Field(default=22.0, ge=0.0, le=600.0)
-    spread_m: float = Field(default=3.0, ge=0.0, le=30.0)
+    point_ned_m: tuple[Metres, Metres] = Field(
+        default=(10.0, 0.0), description="The pad passes this point, north and east of home"
+    )
+    time_s: float = Field(default=22.0, ge=0.0, le=600.0, description="At this time")
+    spread_m: float = Field(default=3.0, ge=0.0, le=30.0, description="Largest random shift of the point")
 
 
 class StaticMotion(StrictModel):
@@ -53,8 +55,8 @@ class LineMotion(StrictModel):
     """Straight on at a constant speed."""
 
     kind: Literal["line"]
-    speed_m_s: float = Field(gt=0.0, le=10.0)
-    course_deg: Angle = "random"
+    speed_m_s: float = Field(gt=0.0, le=10.0, description="Speed of a straight motion")
+    course_deg: Angle = Field(default="random", description="Course, clockwise from north")
     meet: Meeting = Meeting()
 
     def path(self, rng: np.random.Generator) -> Path:
@@ -68,10 +70,14 @@ class CircleMotion(StrictModel):
     """Round and round at a constant speed."""
 
     kind: Literal["circle"]
-    speed_m_s: float = Field(gt=0.0, le=10.0)
-    radius_m: float = Field(gt=0.2, le=100.0)
-    direction: Literal["clockwise", "anticlockwise", "random"] = "random"
-    phase_deg: Angle = "random"
+    speed_m_s: float = Field(gt=0.0, le=10.0, description="Speed along the circle")
+    radius_m: float = Field(gt=0.2, le=100.0, description="Radius of the circle")
+    direction: Literal["clockwise", "anticlockwise", "random"] = Field(
+        default="random", description="Seen from above"
+    )
+    phase_deg: Angle = Field(
+        default="random", description="Position on the circle at time 0, clockwise from north"
+    )
     meet: Meeting = Meeting()
 
     def path(self, rng: np.random.Generator) -> Path:
@@ -94,10 +100,12 @@ class FigureEightMotion(StrictModel):
     """Bernoulli's lemniscate at a constant speed: the lemniscate sine is its arc length's inverse."""
 
     kind: Literal["figure_8"]
-    speed_m_s: float = Field(gt=0.0, le=10.0)
-    half_length_m: float = Field(gt=0.5, le=100.0)
-    axis_deg: Angle = "random"
-    phase: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["random"] = "random"  # share of a lap
+    speed_m_s: float = Field(gt=0.0, le=10.0, description="Speed along the lemniscate, constant")
+    half_length_m: float = Field(gt=0.5, le=100.0, description="From its middle to an end")
+    axis_deg: Angle = Field(default="random", description="Direction of its length, clockwise from north")
+    phase: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["random"] = Field(
+        default="random", description="Share of a lap done at time 0"
+    )
     meet: Meeting = Meeting()
 
     def path(self, rng: np.random.Generator) -> Path:
@@ -121,11 +129,17 @@ class HeaveMotion(StrictModel):
     """
 
     kind: Literal["heave"]
-    significant_height_m: float = Field(gt=0.0, le=4.0)
-    peak_period_s: float = Field(ge=2.0, le=20.0)
-    surge_share: float = Field(default=0.3, ge=0.0, le=1.0)
-    surge_course_deg: Angle = "random"
-    drift_speed_m_s: float = Field(default=0.0, ge=0.0, le=3.0)
+    significant_height_m: float = Field(
+        gt=0.0,
+        le=4.0,
+        description="Significant wave height (Pierson-Moskowitz): trough to crest, highest third",
+    )
+    peak_period_s: float = Field(ge=2.0, le=20.0, description="Peak period of the waves")
+    surge_share: float = Field(
+        default=0.3, ge=0.0, le=1.0, description="Horizontal motion as a share of the heave"
+    )
+    surge_course_deg: Angle = Field(default="random", description="Direction of the surge")
+    drift_speed_m_s: float = Field(default=0.0, ge=0.0, le=3.0, description="Steady drift in addition")
     meet: Meeting = Meeting()
 
     def largest_excursion_m(self) -> float:

@@ -1,4 +1,4 @@
-"""`companion-sitl view`: shows or records the frames of a socket (docs/camera-frames.md).
+"""`companion-sitl view`: shows or records the frames of a socket (docs/reference/camera-frames.md).
 
 A machine without a screen shows them in a browser: Motion JPEG on the loopback. Recorded are PNG files, one a
 frame, or an MP4 file. Each picture carries its number, its time and its age when it came.

@@ -154,25 +154,41 @@ class AsBuiltSettings(StrictModel):
     `exactly` sets values by the names of `BuiltVehicle` instead of drawing them.
     """
 
-    hover_thrust: Part = 0.35  # Of the hover thrust that app and autopilot are told
-    thrust_exponent: tuple[Low, High] = (
-        0.6,
-        2.0,
-    )  # Power of thrust over command, from, to; told: 1
-    mass: Part = 0.2  # Of the mass
-    leg_height_m: float = Field(default=0.03, ge=0.0, le=0.08)  # Longer or shorter legs
-    imu_offset_m: float = Field(default=0.1, ge=0.0, le=0.5)  # Both IMUs from the centre of mass
-    camera_mount_deg: float = Field(default=2.0, ge=0.0, le=30.0)  # About each axis
-    focal_length: Part = 0.015  # Of the focal length
-    pad_print: Part = 0.015  # Of the pad's size
-    stamp_s: float = Field(default=0.02, ge=0.0, le=0.1)  # Of the frames' stamps, constant
-    stamp_jitter_s: float = Field(default=0.005, ge=0.0, le=0.03)  # And up to so much of each
-    link_delay_s: float = Field(default=0.04, ge=0.0, le=0.5)  # Of the MAVLink line, on one side
-    vibration: float = Field(default=15.0, ge=1.0, le=50.0)  # Factor on the rotors' vibration, from 1
-    other_place: bool = True  # It flies elsewhere than the app's magnetic field is of, within 60° of latitude
-    deck_field_ut: float = Field(default=30.0, ge=0.0, le=200.0)  # Of a steel deck, for both compasses
-    yaw_reset_deg: float = Field(default=15.0, ge=0.0, le=180.0)  # The bundled autopilot's heading leaps once
-    exactly: dict[str, float | tuple[float, ...]] = Field(default_factory=dict)  # Values that are not drawn
+    hover_thrust: Part = Field(
+        default=0.35, description="Of the hover thrust that app and autopilot are told"
+    )
+    thrust_exponent: tuple[Low, High] = Field(
+        default=(
+            0.6,
+            2.0,
+        ),
+        description="Power of thrust over command, from, to; told: 1",
+    )
+    mass: Part = Field(default=0.2, description="Of the mass")
+    leg_height_m: float = Field(default=0.03, ge=0.0, le=0.08, description="Longer or shorter legs")
+    imu_offset_m: float = Field(default=0.1, ge=0.0, le=0.5, description="Both IMUs from the centre of mass")
+    camera_mount_deg: float = Field(default=2.0, ge=0.0, le=30.0, description="About each axis")
+    focal_length: Part = Field(default=0.015, description="Of the focal length")
+    pad_print: Part = Field(default=0.015, description="Of the pad's size")
+    stamp_s: float = Field(default=0.02, ge=0.0, le=0.1, description="Of the frames' stamps, constant")
+    stamp_jitter_s: float = Field(default=0.005, ge=0.0, le=0.03, description="And up to so much of each")
+    link_delay_s: float = Field(default=0.04, ge=0.0, le=0.5, description="Of the MAVLink line, on one side")
+    vibration: float = Field(
+        default=15.0, ge=1.0, le=50.0, description="Factor on the rotors' vibration, from 1"
+    )
+    other_place: bool = Field(
+        default=True,
+        description="It flies elsewhere than the app's magnetic field is of, within 60° of latitude",
+    )
+    deck_field_ut: float = Field(
+        default=30.0, ge=0.0, le=200.0, description="Of a steel deck, for both compasses"
+    )
+    yaw_reset_deg: float = Field(
+        default=15.0, ge=0.0, le=180.0, description="The bundled autopilot's heading leaps once"
+    )
+    exactly: dict[str, float | tuple[float, ...]] = Field(
+        default_factory=dict, description="Values that are not drawn"
+    )
 
     @model_validator(mode="after")
     def _named(self) -> AsBuiltSettings:

@@ -28,9 +28,19 @@ _EXPECTED: Final = (
 class HomeSettings(StrictModel):
     """The world's origin."""
 
-    latitude_deg: float = Field(ge=-85.0, le=85.0)
-    longitude_deg: float = Field(ge=-180.0, le=180.0)
-    altitude_m: float = Field(default=0.0, ge=-500.0, le=9000.0)
+    latitude_deg: float = Field(
+        ge=-85.0,
+        le=85.0,
+        description=(
+            "Latitude of the world's origin. Without `home` it is where the autopilot's own simulator "
+            "starts: 47.397742, 8.545594, 488 m (PX4), -35.363262, 149.165237, 584 m (ArduPilot). Magnetic"
+            " field and the app's `magnetic_field_ned_ut` follow the place"
+        ),
+    )
+    longitude_deg: float = Field(ge=-180.0, le=180.0, description="Longitude of the world's origin")
+    altitude_m: float = Field(
+        default=0.0, ge=-500.0, le=9000.0, description="Altitude of the world's origin above sea level"
+    )
 
     @property
     def place(self) -> Vector3:

@@ -53,9 +53,14 @@ class AirframeConfig(StrictModel):
 class PadSettings(StrictModel):
     """Which pad, how high its surface is over the ground, how it moves and where it points."""
 
-    name: str = "moving_1300"
-    surface_height_m: float = Field(default=0.1, ge=0.0, le=10.0)
-    heading: Heading = "along"
+    name: str = Field(default="moving_1300", description="A name in configs/pads, or a path")
+    surface_height_m: float = Field(
+        default=0.1,
+        ge=0.0,
+        le=10.0,
+        description="Height of the pad's surface over the ground; of a heaving pad over the mean sea level",
+    )
+    heading: Heading = Field(default="along", description="`along`: it points where it moves")
     motion: Annotated[PadMotionSettings, Field(discriminator="kind")] = StaticMotion(kind="static")
     deck: DeckSettings | None = None
 
@@ -75,56 +80,135 @@ class PadSettings(StrictModel):
 class CameraSettings(StrictModel):
     """The simulated camera: its optics (configs/cameras) and its faults."""
 
-    config: str = "sitl_640x480"
-    latency_s: float = Field(default=0.045, ge=0.0, le=0.25)
-    latency_jitter_s: float = Field(default=0.005, ge=0.0, le=0.05)
-    exposure_s: float = Field(default=0.003, gt=0.0, le=0.03)
-    readout_s: float = Field(default=0.015, ge=0.0, le=0.03)
-    noise_grey: float = Field(default=3.0, ge=0.0, le=50.0)
-    calibration_error: float = Field(default=0.003, ge=0.0, le=0.1)  # of the focal length, and sideways
-    mount_error_deg: tuple[Tilt, Tilt, Tilt] = (0.0, 0.0, 0.0)
-    mount_offset_m: tuple[Shift, Shift, Shift] = (0.0, 0.0, 0.0)
-    stamp_error_s: float = Field(default=0.0, ge=-0.04, le=0.1)
-    blur: bool = True
-    rate_hz: Annotated[float, Field(ge=1.0, le=120.0)] | None = None
+    config: str = Field(
+        default="sitl_640x480", description="Camera file: a name in configs/cameras, or a path"
+    )
+    latency_s: float = Field(default=0.045, ge=0.0, le=0.25, description="From mid-exposure to delivery")
+    latency_jitter_s: float = Field(default=0.005, ge=0.0, le=0.05, description="Random part of the latency")
+    exposure_s: float = Field(
+        default=0.003,
+        gt=0.0,
+        le=0.03,
+        description="Exposure of every row; with a `light`, automatic exposure sets it",
+    )
+    readout_s: float = Field(
+        default=0.015, ge=0.0, le=0.03, description="From the first to the last row of the rolling shutter"
+    )
+    noise_grey: float = Field(
+        default=3.0,
+        ge=0.0,
+        le=50.0,
+        description="Standard deviation of a pixel; with a `light`, of a white pixel at gain 1",
+    )
+    calibration_error: float = Field(
+        default=0.003, ge=0.0, le=0.1, description="Of the focal length, and sideways"
+    )
+    mount_error_deg: tuple[Tilt, Tilt, Tilt] = Field(
+        default=(0.0, 0.0, 0.0),
+        description=(
+            "Error of the camera's mounting against the vehicle's file: further roll, pitch and yaw about "
+            "the body's axes"
+        ),
+    )
+    mount_offset_m: tuple[Shift, Shift, Shift] = Field(
+        default=(0.0, 0.0, 0.0), description="Error of its position: forward, right, down"
+    )
+    stamp_error_s: float = Field(
+        default=0.0, ge=-0.04, le=0.1, description="Added to every frame's exposure time"
+    )
+    blur: bool = Field(default=True, description="Motion blur during the exposure")
+    rate_hz: Annotated[float, Field(ge=1.0, le=120.0)] | None = Field(
+        default=None, description="Frames per second; none: as its file says"
+    )
     exposure: ExposureSettings = ExposureSettings()
     dirt: DirtSettings | None = None
-    lost_share: float = Field(default=0.0, ge=0.0, lt=1.0)
-    lost_burst_frames: float = Field(default=1.0, ge=1.0, le=300.0)
+    lost_share: float = Field(
+        default=0.0, ge=0.0, lt=1.0, description="Share of the frames that the camera drops"
+    )
+    lost_burst_frames: float = Field(
+        default=1.0, ge=1.0, le=300.0, description="Mean number of frames dropped in a row; 1: single frames"
+    )
 
 
 class SensorSettings(StrictModel):
     """Factors on each sensor's data-sheet noise, whether anybody has calibrated it, GPS delay, wiring."""
 
-    calibrated: bool = True
-    imu_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
-    vibration_factor: float = Field(default=1.0, ge=0.0, le=50.0)
-    mag_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
-    gps_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
-    range_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
-    gps_delay_s: float = Field(default=0.12, ge=0.0, le=1.0)
-    gps_wake_baud: Literal[4800, 9600, 19200, 38400, 57600, 115200] = 9600
-    imu_interface: Literal["i2c", "spi"] = "i2c"
-    ultrasonic: Literal["frames", "polled"] = "frames"
+    calibrated: bool = Field(
+        default=True,
+        description="`false`: IMUs and magnetometers uncalibrated, with the iron of the vehicle about them",
+    )
+    imu_noise_factor: float = Field(
+        default=1.0,
+        ge=0.0,
+        le=20.0,
+        description="Factor on the data sheet's noise of the IMU, vibration included",
+    )
+    vibration_factor: float = Field(
+        default=1.0,
+        ge=0.0,
+        le=50.0,
+        description="Factor on the rotors' vibration alone; 1 is a well damped mount, 4 a bad one",
+    )
+    mag_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0, description="The same for the magnetometer")
+    gps_noise_factor: float = Field(
+        default=1.0, ge=0.0, le=20.0, description="The same for GPS, its wander included"
+    )
+    range_noise_factor: float = Field(
+        default=1.0, ge=0.0, le=20.0, description="The same for the rangefinder"
+    )
+    gps_delay_s: float = Field(default=0.12, ge=0.0, le=1.0, description="From a fix to its message")
+    gps_wake_baud: Literal[4800, 9600, 19200, 38400, 57600, 115200] = Field(
+        default=9600, description="Baud rate of the receiver until it is configured"
+    )
+    imu_interface: Literal["i2c", "spi"] = Field(default="i2c", description="How the MPU9250 is wired")
+    ultrasonic: Literal["frames", "polled"] = Field(
+        default="frames", description="One that sends 4-byte frames, or a US-100 that is polled"
+    )
 
 
 class BeaconSettings(StrictModel):
     """The pad's own GPS, which the ground station sends on."""
 
-    available: bool = True
-    position_std_m: float = Field(default=1.5, ge=0.0, le=50.0)
-    velocity_std_m_s: float = Field(default=0.1, ge=0.0, le=5.0)
-    rate_hz: Annotated[float, Field(gt=0.0, le=10.0)] | None = None
-    delay_s: float = Field(default=0.5, ge=0.0, le=5.0)
+    available: bool = Field(
+        default=True, description="`false`: the ground station answers that it has no pad position"
+    )
+    position_std_m: float = Field(
+        default=1.5,
+        ge=0.0,
+        le=50.0,
+        description="Error of the pad's own GPS, which the ground station forwards on request",
+    )
+    velocity_std_m_s: float = Field(
+        default=0.1, ge=0.0, le=5.0, description="Error of its velocity, each axis"
+    )
+    rate_hz: Annotated[float, Field(gt=0.0, le=10.0)] | None = Field(
+        default=None,
+        description="Rate of its fixes; an answer carries the newest; none: a fix made for the answer",
+    )
+    delay_s: float = Field(default=0.5, ge=0.0, le=5.0, description="From the request to the answer")
 
 
 class PassBounds(StrictModel):
     """What a landing has to keep at touchdown, relative to the pad."""
 
-    lateral_error_m: float = Field(default=0.15, gt=0.0, le=5.0)
-    vertical_speed_m_s: float = Field(default=0.4, gt=0.0, le=5.0)
-    horizontal_speed_m_s: float = Field(default=0.3, gt=0.0, le=5.0)
-    tilt_deg: float = Field(default=10.0, gt=0.0, le=90.0)
+    lateral_error_m: float = Field(
+        default=0.15, gt=0.0, le=5.0, description="Largest lateral offset from the pad's centre at touchdown"
+    )
+    vertical_speed_m_s: float = Field(
+        default=0.4,
+        gt=0.0,
+        le=5.0,
+        description="Largest speed at touchdown, relative to the pad and along its normal",
+    )
+    horizontal_speed_m_s: float = Field(
+        default=0.3,
+        gt=0.0,
+        le=5.0,
+        description="Largest speed at touchdown, relative to the pad and along its surface",
+    )
+    tilt_deg: float = Field(
+        default=10.0, gt=0.0, le=90.0, description="Largest angle from the pad's normal at touchdown"
+    )
 
 
 class Scenario(StrictModel):
@@ -132,18 +216,45 @@ class Scenario(StrictModel):
 
     model_config = ConfigDict(populate_by_name=True)
 
-    name: str = Field(min_length=1)
-    description: str = Field(min_length=1)
-    time_limit_s: float = Field(default=120.0, ge=5.0, le=900.0)
-    autopilot: AutopilotKind = "px4"
-    autopilot_parameters: dict[str, float] = Field(default_factory=dict)  # of the bundled one
-    airframe: str = "x500"
-    estimator: EstimatorName = "typical"
-    mass_factor: float = Field(default=1.0, ge=0.5, le=1.6)
+    name: str = Field(min_length=1, description="Name of the scenario")
+    description: str = Field(min_length=1, description="One line")
+    time_limit_s: float = Field(
+        default=120.0, ge=5.0, le=900.0, description="The flight is judged at this time at the latest"
+    )
+    autopilot: AutopilotKind = Field(
+        default="px4", description="Autopilot profile of the simulated autopilot"
+    )
+    autopilot_parameters: dict[str, float] = Field(
+        default_factory=dict,
+        description=(
+            "Parameters of the bundled autopilot by name, instead of its defaults: MOT_THST_HOVER as "
+            "somebody typed it"
+        ),
+    )
+    airframe: str = Field(default="x500", description="A name in configs/airframes, or a path")
+    estimator: EstimatorName = Field(
+        default="typical",
+        description=(
+            "Quality of the autopilot's own estimate: typical, exact, or as in PX4's or ArduPilot's own "
+            "simulator"
+        ),
+    )
+    mass_factor: float = Field(
+        default=1.0,
+        ge=0.5,
+        le=1.6,
+        description="Factor on the mass, unknown to the app and the autopilot; 1.1 is 10 % heavier",
+    )
     home: HomeSettings | None = None
-    start_heading_deg: Angle = "random"
+    start_heading_deg: Angle = Field(default="random", description="Heading of the vehicle on the ground")
     pad: PadSettings = PadSettings()
-    obstacles: tuple[Shape, ...] = ()
+    obstacles: tuple[Shape, ...] = Field(
+        default=(),
+        description=(
+            "Obstacles in the world: a list as in obstacles and waypoints (docs/how-to/obstacles.md); the "
+            "app knows of none unless `companion` lists them too"
+        ),
+    )
     wind: WindSettings = WindSettings()
     light: LightSettings | None = None
     camera: CameraSettings = CameraSettings()
@@ -151,9 +262,14 @@ class Scenario(StrictModel):
     beacon: BeaconSettings = BeaconSettings()
     link: LinkSettings = LinkSettings()
     as_built: AsBuiltSettings | None = None
-    faults: tuple[Annotated[Fault, Field(discriminator="kind")], ...] = ()
+    faults: tuple[Annotated[Fault, Field(discriminator="kind")], ...] = Field(
+        default=(), description="Faults and their times: a list, see below"
+    )
     pass_bounds: PassBounds = Field(default=PassBounds(), alias="pass")
-    companion: dict[str, Any] = Field(default_factory=dict)
+    companion: dict[str, Any] = Field(
+        default_factory=dict,
+        description="Settings of the app for this scenario, as in docs/reference/settings.md",
+    )
 
     @property
     def place(self) -> Vector3:

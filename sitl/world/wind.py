@@ -44,20 +44,28 @@ _PROFILE_AT_20_FT: Final = math.log(FOOT_M * REFERENCE_HEIGHT_FT / ROUGHNESS_M)
 class GustSettings(StrictModel):
     """Discrete gusts: each rises and falls as (1 - cos) and blows roughly along the wind."""
 
-    amplitude_m_s: float = Field(gt=0.0, le=15.0)
-    duration_s: float = Field(default=3.0, ge=0.5, le=30.0)
-    interval_s: float = Field(default=8.0, ge=1.0, le=120.0)
-    spread_deg: float = Field(default=45.0, ge=0.0, le=180.0)
+    amplitude_m_s: float = Field(
+        gt=0.0, le=15.0, description="Peak of a 1-cosine gust; gusts come at random if `gusts` is set"
+    )
+    duration_s: float = Field(default=3.0, ge=0.5, le=30.0, description="Duration of one gust")
+    interval_s: float = Field(default=8.0, ge=1.0, le=120.0, description="Mean pause between two gusts")
+    spread_deg: float = Field(
+        default=45.0, ge=0.0, le=180.0, description="Largest angle between gust and mean wind"
+    )
 
 
 class DiscreteGust(StrictModel):
     """One gust at a known time, or the same again and again: rises and falls as (1 - cos)."""
 
-    at_s: float = Field(ge=0.0, le=900.0)  # It begins then, from the start of the simulation
-    amplitude_m_s: float = Field(gt=0.0, le=20.0)  # Peak, at 6.1 m like the mean wind
-    duration_s: float = Field(default=3.0, ge=0.2, le=60.0)  # From calm to calm
-    from_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | Literal["wind"] = "wind"  # Where it comes from
-    every_s: Annotated[float, Field(ge=1.0, le=900.0)] | None = None  # Again after so long; none: once
+    at_s: float = Field(ge=0.0, le=900.0, description="It begins then, from the start of the simulation")
+    amplitude_m_s: float = Field(gt=0.0, le=20.0, description="Peak, at 6.1 m like the mean wind")
+    duration_s: float = Field(default=3.0, ge=0.2, le=60.0, description="From calm to calm")
+    from_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | Literal["wind"] = Field(
+        default="wind", description="Where it comes from"
+    )
+    every_s: Annotated[float, Field(ge=1.0, le=900.0)] | None = Field(
+        default=None, description="Again after so long; none: once"
+    )
 
     @model_validator(mode="after")
     def _one_after_another(self) -> DiscreteGust:
@@ -80,9 +88,16 @@ class DiscreteGust(StrictModel):
 class WindSettings(StrictModel):
     """What blows: `mean_m_s` at 20 ft (6.1 m), `from_deg` where it comes from."""
 
-    mean_m_s: float = Field(default=0.0, ge=0.0, le=20.0)
-    from_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | Literal["random"] = "random"
-    turbulence: Literal["none", "light", "moderate", "severe"] = "none"
+    mean_m_s: float = Field(
+        default=0.0, ge=0.0, le=20.0, description="Mean wind at 6.1 m (20 ft); less below"
+    )
+    from_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | Literal["random"] = Field(
+        default="random", description="Direction the wind comes from"
+    )
+    turbulence: Literal["none", "light", "moderate", "severe"] = Field(
+        default="none",
+        description="Dryden turbulence after MIL-F-8785C (wind at 20 ft of 15, 30 and 45 knots)",
+    )
     gusts: GustSettings | None = None
     gust: DiscreteGust | None = None
 

@@ -29,7 +29,7 @@ from calibration.camera.command import app as camera_cli
 from calibration.magnetometer.command import cli as magnetometer_cli
 from calibration.mount.command import cli as mount_cli
 from companion.app.command import EXIT_CODES
-from companion.cli import cli
+from companion.cli import COMMANDS, cli
 from companion.config import (
     CONFIG_FOLDER,
     CompanionConfig,
@@ -45,7 +45,11 @@ from sitl.scenario.scenario import Scenario, load_scenario
 from tests.scenario.flying import SharedFlights, figures
 
 ROOT = CONFIG_FOLDER.parent
-PAGES = {page.name: page for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))}
+FILES = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
+PAGES = {page.name: page for page in FILES}
 TEXTS = {name: page.read_text(encoding="utf-8") for name, page in PAGES.items()}
 # also indented, in a list
 FENCE = re.compile(r"^ *```(\w*)\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
@@ -159,8 +163,9 @@ def check_without_running(words: list[str]) -> None:
         assert [option for option in options if option not in known] == []
     elif words[0] == "make":
         makefile = (ROOT / "Makefile").read_text().replace("$(VENV)", ".venv")
-        targets = {f"bench-{name}" for name in BENCHMARKS}
-        assert words[1] in targets or re.search(rf"^{re.escape(words[1])}:", makefile, re.MULTILINE)
+        targets = re.findall(r"^([\w./%-]+):", makefile, re.MULTILINE)
+        targets += [f"bench-{name}" for name in BENCHMARKS]
+        assert any(re.fullmatch(target.replace("%", ".+"), words[1]) for target in targets)
     elif words[0] == "sudo" and "/" in words[1]:
         assert os.access(ROOT / words[1], os.X_OK)
     elif words[0] == "pip":
@@ -212,6 +217,10 @@ def assert_flight_is_as_documented(folder: Path) -> None:
 # ---------------------------------------------------------------- what the pages name
 
 
+def test_no_two_pages_have_one_name() -> None:
+    assert len(FILES) == len(PAGES)
+
+
 @pytest.mark.parametrize("name", PAGES)
 def test_every_relative_link_leads_to_a_file(name: str) -> None:
     links = [link.partition("#")[0] for link in LINK.findall(prose(TEXTS[name]))]
@@ -244,17 +253,20 @@ def test_every_shipped_scenario_is_in_the_readme() -> None:
     assert [name for name in SCENARIOS if f"`{name}`" not in TEXTS["README.md"]] == []
 
 
-def test_the_exit_codes_are_in_the_readme() -> None:
-    text = TEXTS["README.md"].partition("Exit codes:")[2].partition("\n\n")[0]
+def test_the_exit_codes_are_in_their_page() -> None:
+    text = TEXTS["command-line.md"].partition("Exit codes:")[2].partition("\n\n")[0]
     told = {word: int(code) for code, word in re.findall(r"`(\d)` (\w+)", text)}
     assert {str(outcome): code for outcome, code in EXIT_CODES.items()}.items() <= told.items()
 
 
-def test_the_options_are_in_the_readme() -> None:
+def test_the_options_and_commands_are_in_their_page() -> None:
+    page = TEXTS["command-line.md"]
     options = {option for parameter in typer.main.get_command(cli).params for option in parameter.opts}
-    told = set(re.findall(r"^\| `(--[\w-]+)", TEXTS["README.md"], re.MULTILINE))
-    assert options - {"-h", "--help"} == told
-    assert "`-h`" in TEXTS["README.md"]
+    assert options - {"-h", "--help"} == set(re.findall(r"^\| `(--[\w-]+)", page, re.MULTILINE))
+    assert "`-h`" in page
+    table = page.partition("## Commands")[2]
+    told = {name for row in re.findall(r"^\| (`[^|]+) \|", table, re.MULTILINE) for name in CODE.findall(row)}
+    assert {name for name, command in COMMANDS.items() if not command.hidden} == told
 
 
 def test_the_simulator_s_options_are_in_its_page() -> None:
@@ -316,7 +328,8 @@ def test_every_key_of_the_result_is_documented() -> None:
 
 @pytest.mark.parametrize("name", settings_table.PAGES)
 def test_the_tables_are_up_to_date(name: str) -> None:
-    assert settings_table.page_text(TEXTS[name]) == TEXTS[name], "run: python -m docs.settings_table"
+    page = TEXTS[Path(name).name]
+    assert settings_table.page_text(page) == page, "run: python -m docs.settings_table"
 
 
 def yaml_examples() -> list[tuple[str, dict[str, Any]]]:

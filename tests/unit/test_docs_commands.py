@@ -91,6 +91,21 @@ def test_every_command_of_the_tour_runs() -> None:
     assert all(is_run(words, "tour.md") for words in shown)
 
 
-def test_the_readme_leads_to_every_page() -> None:
+def test_the_readme_leads_to_every_page_but_the_single_decisions() -> None:
     linked = {link.partition("#")[0] for link in LINK.findall(prose(TEXTS["README.md"]))}
-    assert [page.name for page in (ROOT / "docs").glob("*.md") if f"docs/{page.name}" not in linked] == []
+    pages = {str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md")}
+    decisions = {page for page in pages if re.fullmatch(r"docs/decisions/\d{4}-.*", page)}
+    assert pages - decisions - {"docs/index.md"} <= linked
+
+
+def test_the_list_of_decisions_leads_to_each() -> None:
+    folder = ROOT / "docs" / "decisions"
+    linked = set(LINK.findall(TEXTS["decisions.md"]))
+    assert {page.name for page in folder.glob("*.md")} - {"decisions.md"} <= linked
+
+
+MOST_WORDS_OF_THE_README = 1200
+
+
+def test_the_readme_is_short() -> None:
+    assert len(TEXTS["README.md"].split()) <= MOST_WORDS_OF_THE_README

@@ -31,7 +31,7 @@ RECENT_CYCLES: Final = 90  # three seconds, in which an autopilot's failsafe sho
 CYCLES: Final = 600  # twenty seconds at 30 Hz
 LATELY: Final = 30  # cycles, by which the computer is judged
 
-# The delay margin that control promises (docs/margins.md): later, the vehicle swings.
+# The delay margin that control promises (docs/explanation/margins.md): later, the vehicle swings.
 LATEST_S: Final = 0.1
 
 

@@ -16,7 +16,7 @@ numbers little-endian:
     24      8     time (ns): CLOCK_MONOTONIC at mid-exposure of the image's middle row; 0: not known
     32      size  the image
 
-docs/camera-frames.md is this for users. Pure.
+docs/reference/camera-frames.md is this for users. Pure.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What a log lacks for a replay, and why the estimators never aligned over one, in words. Pure.
 
-What a log needs is documented in docs/replay.md: the IMU's rate, no gaps in it, a rest.
+What a log needs is documented in docs/how-to/replay.md: the IMU's rate, no gaps in it, a rest.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ MANUAL_FOCUS: Final = 0  # libcamera's AfModeManual
 NEUTRAL: Final = (1.0, 1.0)
 INSTALL: Final = (
     "expected 'sudo apt install python3-picamera2' and a virtual environment made with "
-    "--system-site-packages (docs/cameras.md)"
+    "--system-site-packages (docs/how-to/cameras.md)"
 )
 
 
@@ -191,5 +191,5 @@ def _picamera2(source: str) -> Any:
         # the distribution's simplejpeg, made for numpy 1, under the numpy 2 of the virtual environment
         raise ConfigError(
             f"{source}: picamera2 does not load: {error}; expected 'pip install simplejpeg' in the virtual "
-            "environment (docs/cameras.md)"
+            "environment (docs/how-to/cameras.md)"
         ) from error

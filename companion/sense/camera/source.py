@@ -2,7 +2,7 @@
 
 The newest frame wins: whoever is slow misses frames and never works through old ones. `Frame.time_s` is
 mid-exposure of the image's middle row on the loop's clock (CLOCK_MONOTONIC); how each source comes by it
-stands in its own module, and in docs/cameras.md for users.
+stands in its own module, and in docs/how-to/cameras.md for users.
 
 Sources, as in `sense.vision.source`:
 
@@ -11,7 +11,7 @@ Sources, as in `sense.vision.source`:
     picamera2:0                       libcamera's first camera                camera_picamera2
     video:flight.mp4                  a video file, in real time              camera_replay
     images:frames                     a folder of images, in real time        camera_replay
-    socket:/run/companion/frames      another process (docs/camera-frames.md) camera_socket
+    socket:/run/companion/frames      another process (docs/reference/camera-frames.md) camera_socket
     tcp:127.0.0.1:5600                the same over TCP
 """
 

@@ -124,7 +124,7 @@ def _camera_findings(
     frames: list[Frame], faults: set[str], camera: CameraConfig, source: LiveSource, spec: str
 ) -> list[Finding]:
     found = [_frame_rate(frames, camera, spec), _exposure(source.read_back, camera), _picture(frames, faults)]
-    notes = [_CAMERA.warn("driver", note, "docs/cameras.md") for note in source.take_notes()]
+    notes = [_CAMERA.warn("driver", note, "docs/how-to/cameras.md") for note in source.take_notes()]
     if spec.startswith(("video:", "images:")):
         notes.append(
             _CAMERA.warn("source", f"{spec}: a recording", "sense.vision.source: the camera, to fly")
@@ -141,7 +141,7 @@ def _frame_rate(frames: list[Frame], camera: CameraConfig, spec: str) -> Finding
     detail = f"{spec}: {size}, {rate_hz:.1f} frames/s, {1e3 * age_s:.0f} ms old on arrival"
     if rate_hz >= LEAST_RATE * camera.rate_hz:
         return _CAMERA.ok("frames", detail)
-    hint = "the camera's mode, USB bandwidth, pixel_format, an exposure longer than a frame; docs/cameras.md"
+    hint = "camera mode, USB bandwidth, pixel_format, exposure longer than a frame; docs/how-to/cameras.md"
     return _CAMERA.warn("frames", f"{detail}; expected {camera.rate_hz:g}", hint)
 
 
@@ -159,7 +159,8 @@ def _exposure(read_back: ReadBack, camera: CameraConfig) -> Finding:
 
 def _picture(frames: list[Frame], faults: set[str]) -> Finding:
     if faults:
-        return _CAMERA.fail("picture", "; ".join(sorted(faults)), "cable, driver, lens cap; docs/cameras.md")
+        hint = "cable, driver, lens cap; docs/how-to/cameras.md"
+        return _CAMERA.fail("picture", "; ".join(sorted(faults)), hint)
     image = frames[-1].image
     mean, clipped = float(image.mean()), float(np.mean(image >= 255))
     detail = f"mean grey {mean:.0f} of 255, {clipped:.0%} clipped"

@@ -19,7 +19,7 @@ from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST
 from companion.tools.preflight.findings import Finding, FindingState, ParameterChange
 from companion.tools.preflight.parameters import GROUP, Wanted
 
-# of PX4's COM_OBL_RC_ACT, and how long it then may fly on the last setpoint (docs/autopilot-parameters.md)
+# PX4's COM_OBL_RC_ACT, and how long it may fly on the last setpoint: docs/reference/autopilot-parameters.md
 _HOLD, _LAND, _LAND_TIMEOUT_S, _HOLD_TIMEOUT_S = 5.0, 4, 0.5, 1.0
 _OVERRIDE_OFFBOARD, _EXCEPT_OFFBOARD, _CONTINUE_GUIDED = 2, 4, 4
 _REAL: Final = mavlink.MAV_PARAM_TYPE_REAL32

@@ -2,7 +2,7 @@
 
 Names and meanings after PX4 1.16 (commander_params.c, multicopter_position_control_*_params.c), PX4 after
 1.17, ArduCopter 4.6 (Parameters.cpp, AP_MotorsMulticopter.cpp) and 4.7 (its list of renamed parameters);
-docs/autopilot-parameters.md has the same table.
+docs/reference/autopilot-parameters.md has the same table.
 Values keep the autopilot's units. Nothing here is ever written to an autopilot.
 """
 

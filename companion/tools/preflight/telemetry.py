@@ -170,7 +170,7 @@ def _rates(heard: Heard) -> list[Finding]:
 
 
 def _sensors(heard: Heard, config: CompanionConfig) -> list[Finding]:
-    hint = "docs/telemetry-sensors.md: stream rates and baud rate"
+    hint = "docs/how-to/telemetry-sensors.md: stream rates and baud rate"
     if heard.sensors_problem is not None:
         return [_SENSORS.fail("telemetry", heard.sensors_problem.partition(": ")[2], hint)]
     imu_hz, field_hz = heard.samples_hz[ImuSample], heard.samples_hz[MagSample]

@@ -35,7 +35,7 @@ class Model:
     rangefinder: str | None
 
 
-# docs/wiring.md has the pins; the words are those of /proc/device-tree/model
+# docs/how-to/wiring.md has the pins; the words are those of /proc/device-tree/model
 MODELS: Final = {
     ("Raspberry Pi 5", "Compute Module 5", "Raspberry Pi 500"): Model(
         "Pi 5",

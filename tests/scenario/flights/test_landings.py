@@ -1,7 +1,7 @@
 """The app lands in the five standard scenarios under two seeds, and in some with more in their way.
 
 A scenario with a seed is one flight, to the bit, also in another process (test_docs.py). How it fares in the
-other shipped ones is in docs/scenarios.md.
+other shipped ones is in docs/reference/scenarios.md.
 """
 
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The service's set of packages (docs/package.md) is all that a landing imports."""
+"""The service's set of packages (docs/reference/package.md) is all that a landing imports."""
 
 from __future__ import annotations
 
@@ -83,5 +83,5 @@ def test_what_is_missing_is_reported_in_one_line(tmp_path: Path) -> None:
     done = companion_without_the_rest(tmp_path, "pad", "indoor_400", "-o", "pad.pdf")
     assert (done.returncode, done.stderr) == (
         2,
-        "companion: needs matplotlib; expected it installed, see docs/package.md\n",
+        "companion: needs matplotlib; expected it installed, see docs/reference/package.md\n",
     )

@@ -1,4 +1,4 @@
-"""The example of docs/camera-frames.md feeds the app: run as it stands there, in a process of its own."""
+"""The example of docs/reference/camera-frames.md feeds the app: run as written, in its own process."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from companion.base.clock import Clock
 from companion.config import CONFIG_FOLDER, CameraConfig, find_file, load_model
 from companion.sense.camera.source import open_camera
 
-PAGE = (CONFIG_FOLDER.parent / "docs" / "camera-frames.md").read_text(encoding="utf-8")
+PAGE = (CONFIG_FOLDER.parent / "docs" / "reference" / "camera-frames.md").read_text(encoding="utf-8")
 
 
 def example(folder: Path) -> Path:

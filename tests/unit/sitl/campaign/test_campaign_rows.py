@@ -11,8 +11,8 @@ import pytest
 from pydantic import BaseModel
 
 from companion.config import CONFIG_FOLDER, ConfigError
+from companion.config.catalogue import inner_model
 from companion.flightlog.result import Result
-from docs.settings_table import inner_model
 from sitl.campaign.rows import (
     COLUMNS,
     CSV_NAME,
@@ -52,7 +52,7 @@ def test_every_figure_of_the_result_has_its_column() -> None:
 
 
 def test_every_column_is_documented() -> None:
-    page = (CONFIG_FOLDER.parent / "docs" / "campaigns.md").read_text(encoding="utf-8")
+    page = (CONFIG_FOLDER.parent / "docs" / "how-to" / "campaigns.md").read_text(encoding="utf-8")
     table = page.partition("| Column | |")[2].partition("\n\n")[0]
     told = re.findall(r"`(\w+)`", "".join(line.split("|")[1] for line in table.splitlines() if line))
     assert told == list(COLUMNS)

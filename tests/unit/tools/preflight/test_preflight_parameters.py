@@ -134,6 +134,6 @@ def test_every_hint_says_what_was_expected() -> None:
 
 
 def test_each_is_in_its_page() -> None:
-    page = (CONFIG_FOLDER.parent / "docs" / "autopilot-parameters.md").read_text()
+    page = (CONFIG_FOLDER.parent / "docs" / "reference" / "autopilot-parameters.md").read_text()
     names = {name for kind in GOOD for name in parameter_names(kind)}
     assert [name for name in names if f"| `{name}` |" not in page] == []

@@ -92,7 +92,7 @@ def test_the_uarts_are_the_models_and_those_of_the_wiring_page(
     model: str, gps: str, autopilot: str, rangefinder: str, tmp_path: Path
 ) -> None:
     found = steps(raspberry_pi(tmp_path, model))
-    page = (CONFIG_FOLDER.parent / "docs" / "wiring.md").read_text()
+    page = (CONFIG_FOLDER.parent / "docs" / "how-to" / "wiring.md").read_text()
     lines = {"gps_uart": gps, "autopilot_uart": autopilot, "rangefinder_uart": rangefinder}
     for name, line in lines.items():
         [change] = found[name].changes

@@ -1,0 +1,1 @@
+"""`companion settings`: what each setting means."""
