@@ -36,6 +36,7 @@ from companion.config import (
     load_config,
     validate,
 )
+from companion.config.catalogue import inner_model, settings_of
 from companion.flightlog.result import Result
 from docs import settings_table
 from experiments.command import app as experiments_cli
@@ -122,7 +123,7 @@ def is_run(words: list[str], page: str) -> bool:
     if words[0] == "companion":
         flies = "--fast" in words and "--firmware" not in words
         runs = flies or "--help" in words or words[1:] == ["replay", "flights/circle"]
-        return runs or words[1:3] == ["pad", "indoor_400"]
+        return runs or words[1:3] == ["pad", "indoor_400"] or words[1] == "settings"
     if words[0].startswith("calibrate-"):
         return "--help" in words or "--make-board" in words
     if words[0] == "companion-sitl":
@@ -236,12 +237,12 @@ def test_every_path_of_the_tree_that_is_named_exists(name: str) -> None:
 
 @pytest.mark.parametrize("name", PAGES)
 def test_every_setting_that_is_named_exists(name: str) -> None:
-    keys = {setting.key for setting in settings_table.settings_of(CompanionConfig)}
+    keys = {setting.key for setting in settings_of(CompanionConfig)}
     parents = {key.rsplit(".", depth)[0] for key in keys for depth in range(1, key.count(".") + 1)}
     sections = tuple(f"{section}." for section in CompanionConfig.model_fields)
     named = [word for word in code_words(TEXTS[name]) if re.fullmatch(r"[a-z]+(\.[a-z_0-9]+)+", word)]
     # a scenario's own sections and the result's share some of these words
-    scenario = {setting.key for setting in settings_table.settings_of(Scenario)}
+    scenario = {setting.key for setting in settings_of(Scenario)}
     scenario |= {key.rpartition(".")[0] for key in scenario} | {"pad.motion"}
     known = keys | parents | scenario | set(result_keys(Result))
     assert [word for word in named if word.startswith(sections) and word not in known] == []
@@ -310,7 +311,7 @@ def result_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
     """The dotted keys of result.json; a list of events is one key."""
     keys = []
     for name, field in model.model_fields.items():
-        inner = settings_table.inner_model(field.annotation)
+        inner = inner_model(field.annotation)
         keys += [f"{prefix}{name}"] if inner is None else result_keys(inner, f"{prefix}{name}.")
     return keys
 
@@ -329,7 +330,7 @@ def test_every_key_of_the_result_is_documented() -> None:
 @pytest.mark.parametrize("name", settings_table.PAGES)
 def test_the_tables_are_up_to_date(name: str) -> None:
     page = TEXTS[Path(name).name]
-    assert settings_table.page_text(page) == page, "run: python -m docs.settings_table"
+    assert settings_table.page_text(page, name) == page, "run: python -m docs.settings_table"
 
 
 def yaml_examples() -> list[tuple[str, dict[str, Any]]]:
