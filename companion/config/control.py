@@ -155,7 +155,7 @@ class PidGains(StrictModel):
         ge=0.0,
         le=30.0,
         description=(
-            "With `controller: pid`: acceleration for a metre of error; tune it by `companion-experiments "
+            "With `controller: pid`: acceleration for a metre of error; tune it by `python -m experiments "
             "tune-flight-pid`"
         ),
     )
@@ -163,14 +163,14 @@ class PidGains(StrictModel):
         ge=0.0,
         le=15.0,
         description=(
-            "Acceleration for a metre per second of error; tune it by `companion-experiments tune-flight-pid`"
+            "Acceleration for a metre per second of error; tune it by `python -m experiments tune-flight-pid`"
         ),
     )
     integral_gain_1_s3: float = Field(
         ge=0.0,
         le=40.0,
         description=(
-            "Acceleration for a metre of error over a second; tune it by `companion-experiments "
+            "Acceleration for a metre of error over a second; tune it by `python -m experiments "
             "tune-flight-pid`"
         ),
     )
