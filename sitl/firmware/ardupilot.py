@@ -203,10 +203,11 @@ def _parameters(setup: Setup) -> dict[str, float]:
         **compasses,
         "FRAME_CLASS": 1,
         "FRAME_TYPE": 6,  # plus, the front rotor anticlockwise
-        # thrust goes with the pulse, as our plant has it
+        # Thrust goes with the pulse and begins at the least one, as our plant has it: a share of the throttle
+        # is that share of the plant's full thrust, so that MOT_THST_HOVER is in the plant's scale.
         "MOT_THST_EXPO": 0.0,
-        "MOT_SPIN_ARM": 0.03,
-        "MOT_SPIN_MIN": 0.05,
+        "MOT_SPIN_ARM": 0.0,
+        "MOT_SPIN_MIN": 0.0,
         "MOT_SPIN_MAX": 1.0,
         "MOT_THST_HOVER": setup.airframe.body.hover_share(),
         **({} if setup.rate_scale == 1.0 else _tuned(setup.rate_scale)),

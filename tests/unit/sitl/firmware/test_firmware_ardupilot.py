@@ -112,6 +112,19 @@ def test_its_parameters_are_those_of_the_vehicle(tmp_path: Path) -> None:
     assert (given["SIM_RATE_HZ"], given["SCHED_LOOP_RATE"]) == ("800", "400")
 
 
+@pytest.mark.parametrize("throttle", [0.0, 0.21, 0.5, 1.0])
+def test_a_share_of_its_throttle_is_that_share_of_the_plants_thrust(throttle: float, tmp_path: Path) -> None:
+    program = fake("ardupilot", tmp_path)
+    with running(program):
+        pass
+    given = {name: float(value) for name, value in parameters(program).items() if name.startswith("MOT_")}
+    # Thrust_Linearization::thrust_to_actuator without its curve, then output_to_pwm
+    actuator = given["MOT_SPIN_MIN"] + (given["MOT_SPIN_MAX"] - given["MOT_SPIN_MIN"]) * throttle
+    pulse_us = given["MOT_PWM_MIN"] + (given["MOT_PWM_MAX"] - given["MOT_PWM_MIN"]) * actuator
+    assert given["MOT_THST_EXPO"] == 0.0
+    assert ardupilot._share(round(pulse_us)) == pytest.approx(throttle, abs=1e-3)
+
+
 def test_a_users_parameter_is_over_all_others_and_keeps_its_digits(tmp_path: Path) -> None:
     program = fake("ardupilot", tmp_path, {"GUID_OPTIONS": 0.0, "MASK": 12345678.0, "SMALL": 0.123456789})
     with running(program):
