@@ -34,6 +34,10 @@ def imported_late(*names: str) -> Iterator[None]:
     """
     late = {name: _LateModule(name) for name in names if name not in sys.modules}
     sys.modules.update(late)
+    for name, module in late.items():
+        parent, _, last = name.rpartition(".")
+        if parent in sys.modules:  # as an import leaves it: a package may import its modules when asked for
+            setattr(sys.modules[parent], last, module)
     try:
         yield
     finally:

@@ -19,10 +19,10 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
-import osqp
 from scipy.sparse import csc_matrix
 
 from companion.base.geometry import FloatArray, Vector3
+from companion.base.late_import import imported_late
 from companion.base.motion import Motion
 from companion.config import ControlConfig
 from companion.control.mpc.free_optimum import FreeOptimum
@@ -45,6 +45,9 @@ from companion.control.mpc.qp import (
     step_matrices,
 )
 from companion.control.tracking import Cone, Target, TrackingSolution, needed_inputs
+
+with imported_late("jinja2"):  # with which it would write C code
+    import osqp
 
 # Out of iterations, with inputs at their bounds for long, the first input is within 0.2 m/s2 of the best by
 # these: of the rows (m, m/s, m/s2), and of the gradient as a share of its parts.

@@ -46,6 +46,24 @@ def test_what_is_imported_already_is_left_alone(slow_package: str) -> None:
     assert package.slow is real
 
 
+def test_a_package_that_imports_its_modules_when_asked_for_is_given_the_late_one(
+    slow_package: str, tmp_path: Path
+) -> None:
+    (tmp_path / slow_package / "__init__.py").write_text(
+        "def __getattr__(name):\n"
+        "    if name == 'slow':\n"
+        f"        import {slow_package}.slow as slow\n"
+        "        return slow\n"
+        "    raise AttributeError(name)\n"
+    )
+    package = __import__(slow_package)
+    with imported_late(f"{slow_package}.slow"):
+        double = package.slow.double
+    assert f"{slow_package}.slow" not in sys.modules
+    assert double(21) == 42
+    assert package.slow.double is sys.modules[f"{slow_package}.slow"].double
+
+
 def test_a_flight_imports_neither_statistics_nor_image_filters_of_scipy() -> None:
     code = (
         "import sys, companion.sim.runner, filterpy.kalman; print(*sys.modules); "
@@ -55,5 +73,6 @@ def test_a_flight_imports_neither_statistics_nor_image_filters_of_scipy() -> Non
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout.splitlines()
     assert not {"scipy.stats", "scipy.ndimage"} & set(said[0].split())
+    assert not {"numpy.f2py", "numpy.testing", "jinja2"} & set(said[0].split())
     assert "filterpy.kalman.EKF" in said[0].split()
     assert float(said[1]) == pytest.approx(-0.9189385)
