@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import PROFILES
 from companion.base.geometry import ZERO3, FloatArray, Vector3, add, scale, subtract, vector3, yaw_from_quat
 from companion.base.messages import (
     AutopilotSetup,
@@ -106,7 +107,7 @@ class Controller:
         response = vehicle.responses.of(autopilot_kind, flown_kind(config))
         self._config = config = fitted(config, response, setup)
         self._lags_s = lags(vehicle, config, autopilot_kind)
-        self._raises_thrust = autopilot_kind == "ardupilot"  # by its tilt, besides what is asked for
+        self._raises_thrust = PROFILES[autopilot_kind].raises_thrust_by_tilt
         self._stopwatch = stopwatch or (lambda: 0.0)
         self._tracker = make_tracker(config, self._lags_s, self._stopwatch)
         self._plant = Plant(config, vehicle, self._lags_s, autopilot_kind, measures_thrust=measures_thrust)

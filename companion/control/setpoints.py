@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import PROFILES
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, norm, subtract
 from companion.base.messages import PadState, Reference, Setpoint
 from companion.base.motion import Motion
@@ -45,18 +46,12 @@ class Heading:
 
 
 def resolved(config: ControlConfig, autopilot_kind: AutopilotKind) -> ControlConfig:
-    """Settings in which the kind of setpoint is the one that this autopilot gets.
-
-    PX4 skips its horizontal velocity loop for a setpoint without such a velocity; that loop's integral and
-    derivative, and its own estimate of the velocity, would else act on every turn and gust besides ours.
-    ArduPilot shapes velocities and accelerations so slowly that no loop around them is quick: it gets
-    attitudes.
-    """
+    """Settings in which the kind of setpoint is the one that this autopilot answers quickest."""
     kind = config.setpoint
     if kind == "auto" and config.controller == "pid":
         kind = "velocity"  # its gains are tuned for the autopilot's velocity loop below it
     elif kind in ("auto", "acceleration"):
-        kind = "acceleration" if autopilot_kind == "px4" else "attitude"
+        kind = PROFILES[autopilot_kind].setpoint
     return config.model_copy(update={"setpoint": kind})
 
 

@@ -6,15 +6,11 @@ from collections.abc import Mapping
 from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import PROFILES
 from companion.base.messages import AutopilotSetup
 from companion.link.parameters import ParameterRequest, ParameterRequests, all_names, value_of
 
-NAMES: Final[dict[AutopilotKind, tuple[str, ...]]] = {
-    "px4": ("MPC_TILTMAX_AIR", "MPC_THR_HOVER", "COM_OF_LOSS_T", "COM_OBL_RC_ACT"),
-    "ardupilot": ("ANGLE_MAX", "WPNAV_ACCEL", "PSC_JERK_XY", "MOT_THST_HOVER", "GUID_TIMEOUT"),
-}
 _CENTI: Final = 0.01
-TIMEOUT_NAMES: Final[dict[AutopilotKind, str]] = {"px4": "COM_OF_LOSS_T", "ardupilot": "GUID_TIMEOUT"}
 # How long an autopilot should fly on without setpoints. Shorter, whether it hears us is known too late to
 # tell its failsafe from a pilot. A PX4 that holds then drags the vehicle over a pad that moves on (0.44 to
 # 0.66 m/s with 0.3 and 0.5 s), unless the motors stop first, a second of proven rest after the contact.
@@ -48,7 +44,7 @@ class SetupReader:
             return
         self._known, self._final = self.setup, None
         kind = self._autopilot_kind
-        names = [name for first in NAMES[kind] for name in all_names(kind, first)]
+        names = [name for first in PROFILES[kind].read_parameters for name in all_names(kind, first)]
         self._asked = {name: ParameterRequest(name) for name in names}
         for request in self._asked.values():
             self._requests.submit(request)
@@ -65,10 +61,16 @@ class SetupReader:
         if self._final is not None:
             return self._final
         kind = self._autopilot_kind
-        if kind is None or not self._asked or any(self._open(kind, name) for name in NAMES[kind]):
+        if (
+            kind is None
+            or not self._asked
+            or any(self._open(kind, name) for name in PROFILES[kind].read_parameters)
+        ):
             return self._known
         reported = {name: request.value for name, request in self._asked.items()}
-        found = _setup_of(kind, {name: value_of(kind, name, reported) for name in NAMES[kind]})
+        found = _setup_of(
+            kind, {name: value_of(kind, name, reported) for name in PROFILES[kind].read_parameters}
+        )
         if all(request.outcome is not None for request in self._asked.values()):
             self._final = found
         return found
@@ -120,14 +122,16 @@ def loss_refusal(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> str:
     why = "too short to know that it does not hear us"
     if least_s > SHORTEST_TIMEOUT_S:
         why = "on a pad that moves its Hold drags the vehicle before the motors stop"
-    return f"{TIMEOUT_NAMES[autopilot_kind]} is {timeout_s:g}: {why}; {expected_timeout(least_s)}"
+    return (
+        f"{PROFILES[autopilot_kind].timeout_parameter} is {timeout_s:g}: {why}; {expected_timeout(least_s)}"
+    )
 
 
 def loss_warnings(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> list[str]:
     """What is not safe about the loss of setpoints, as of the link, by the autopilot's parameters."""
     found = []
     action, timeout_s = setup.setpoints_lost_action, setup.setpoint_timeout_s
-    timeout_name = TIMEOUT_NAMES[autopilot_kind]
+    timeout_name = PROFILES[autopilot_kind].timeout_parameter
     unknown = [timeout_name] if timeout_s is None else []
     if action is None and autopilot_kind == "px4":
         unknown.append("COM_OBL_RC_ACT")

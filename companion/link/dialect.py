@@ -53,3 +53,13 @@ class CurrentMode(mavlink.MAVLink_message):  # type: ignore[misc]
 
 
 mavlink.mavlink_map.setdefault(CURRENT_MODE, CurrentMode)
+
+
+def message_number(name: str) -> int:
+    """MAVLink's number of a message.
+
+    Raises:
+        KeyError: the dialect has no such message.
+    """
+    number: int = CURRENT_MODE if name == CurrentMode.msgname else vars(mavlink)[f"MAVLINK_MSG_ID_{name}"]
+    return number

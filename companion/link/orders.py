@@ -21,10 +21,10 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+from companion.base.autopilots import PROFILES
 from companion.base.messages import AutopilotState, Order, OrderKind, OrderOutcome, OrderReply
 from companion.config.service import OrdersConfig
 from companion.link.codec import Message, mavlink
-from companion.link.modes import STICK_MODES
 
 SETTLES_S: Final = 3.0
 REPEATED_S: Final = 3.0
@@ -213,7 +213,7 @@ class OrderListener:
         active = system_status == mavlink.MAV_STATE_ACTIVE
         intended = state.intended_mode in {"", state.mode}
         chosen = active and intended and state.armed and now_s - self._by_hand_s <= _NEXT_HEARTBEAT_S
-        by_hand = active and state.mode in STICK_MODES[kind]
+        by_hand = active and state.mode in PROFILES[kind].stick_modes
         entered = mode in {wanted, f"AUTO.{wanted}"} and mode != self._mode
         if entered and chosen and now_s >= self._settled_s:
             self._orders.append(Order(now_s, OrderKind.LAND, f"flight mode {mode}"))

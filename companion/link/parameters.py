@@ -4,8 +4,8 @@ PARAM_REQUEST_READ and PARAM_SET are both answered by PARAM_VALUE of the same na
 that the autopilot does not have. ArduPilot sends integers as numbers; PX4 sends their bytes in a float's
 place, which is read here and never written: only ArduPilot's parameters are ever set.
 
-Names and units depend on the firmware's version: `OTHER_NAMES`. ArduCopter 4.7 renamed and rescaled
-(ardupilot.org, parameter name changes from 4.6 to 4.7). All names of one are asked for; one answers.
+Names and units depend on the firmware's version (`AutopilotMake.other_names`). All names of one are asked
+for; one answers.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ import math
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import PROFILES
 from companion.link.codec import AUTOPILOT_COMPONENT, Message, mavlink
 from companion.link.commands import NO_ANSWER, WITHDRAWN
 
@@ -36,7 +37,8 @@ _INTEGERS: Final = {
 def reported_value(message: Message, autopilot_kind: AutopilotKind | None) -> float:
     """The value in a PARAM_VALUE, whichever way its autopilot sends integers."""
     value: float = message.param_value
-    form = _INTEGERS.get(message.param_type) if autopilot_kind == "px4" else None
+    as_bytes = autopilot_kind is not None and PROFILES[autopilot_kind].integers_as_bytes
+    form = _INTEGERS.get(message.param_type) if as_bytes else None
     return value if form is None else float(struct.unpack(form, struct.pack("<f", value))[0])
 
 
@@ -112,31 +114,13 @@ class ParameterRequests:
         return messages
 
 
-class OtherName(NamedTuple):
-    """Another version's name, and what its value is to be multiplied by to be in the first name's unit."""
-
-    name: str
-    scale: float
-
-
-OTHER_NAMES: Final[dict[AutopilotKind, dict[str, tuple[OtherName, ...]]]] = {
-    "px4": {},
-    "ardupilot": {
-        "ANGLE_MAX": (OtherName("ATC_ANGLE_MAX", 100.0),),  # centidegrees; degrees
-        "LAND_SPEED": (OtherName("LAND_SPD_MS", 100.0),),  # cm/s; m/s
-        "WPNAV_ACCEL": (OtherName("WP_ACC", 100.0),),  # cm/s²; m/s²
-        "PSC_JERK_XY": (OtherName("PSC_NE_JERK", 1.0),),  # m/s³
-    },
-}
-
-
 def all_names(kind: AutopilotKind, name: str) -> tuple[str, ...]:
     """A parameter's name, and those that other versions have for it."""
-    return name, *(other.name for other in OTHER_NAMES[kind].get(name, ()))
+    return name, *(other.name for other in PROFILES[kind].other_names.get(name, ()))
 
 
 def value_of(kind: AutopilotKind, name: str, values: Mapping[str, float | None]) -> float | None:
     """What the autopilot has reported under any of the names, in the first one's unit; None: nothing."""
-    scales = {name: 1.0} | {other.name: other.scale for other in OTHER_NAMES[kind].get(name, ())}
+    scales = {name: 1.0} | {other.name: other.scale for other in PROFILES[kind].other_names.get(name, ())}
     reported = [(known, value) for known in scales if (value := values.get(known)) is not None]
     return next((scales[known] * value for known, value in reported), None)

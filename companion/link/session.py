@@ -29,7 +29,7 @@ from companion.link.notices import Notices
 from companion.link.orders import ORDER_MESSAGES, OrderListener
 from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.link.signing import LinkSigning
-from companion.link.streams import HEARD, OWN_RATES_HZ, TelemetryRates
+from companion.link.streams import HEARD, TelemetryRates, telemetry_rates_hz
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, Sample, TelemetrySensors
 from companion.link.telemetry.heading_offset import HeadingOffset
 from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state, without_old
@@ -241,7 +241,7 @@ class Session:
             self.heartbeats += 1
             if self.reads_setup:
                 self._setup.begin(self.state.autopilot_kind)
-            self.rates.want(OWN_RATES_HZ.get(self.state.autopilot_kind, {}) | self.orders.rates_hz)
+            self.rates.want(telemetry_rates_hz(self.state.autopilot_kind) | self.orders.rates_hz)
             if self.onboard is not None:
                 self.onboard.heartbeat(self.state.autopilot_kind, now_s)
                 self.rates.want(self.onboard.rates_hz())

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import PROFILES
 from companion.link.codec import mavlink
-from companion.link.dialect import CURRENT_MODE
+from companion.link.dialect import CURRENT_MODE, message_number
 
 # what is decoded; the rest is checked and passed over
 HEARD: Final = frozenset(
@@ -41,20 +42,17 @@ TELEMETRY_RATES_HZ: Final[dict[int, float]] = {
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
 }
-# what one make alone sends
-OWN_RATES_HZ: Final[dict[AutopilotKind | None, dict[int, float]]] = {
-    # The mode is a pilot's word. PX4 refuses another rate of HEARTBEAT (1 Hz), ArduPilot has no CURRENT_MODE.
-    "px4": {CURRENT_MODE: 10.0},
-    "ardupilot": {
-        mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 2.0,
-        mavlink.MAVLINK_MSG_ID_HEARTBEAT: 5.0,
-    },
-}
 # for whoever takes over by attitude and thrust
 THRUST_RATES_HZ: Final[dict[int, float]] = {mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 20.0}
 _WINDOW_S: Final = 2.0
 _LONGEST_WINDOW_S: Final = 16.0
 _HONOURED_SHARE: Final = 0.6
+
+
+def telemetry_rates_hz(autopilot_kind: AutopilotKind | None) -> dict[int, float]:
+    """Rates (Hz) by message number: of every autopilot, and of this make alone."""
+    own = {} if autopilot_kind is None else PROFILES[autopilot_kind].rates_hz
+    return TELEMETRY_RATES_HZ | {message_number(name): rate_hz for name, rate_hz in own.items()}
 
 
 @dataclass(slots=True)

@@ -21,11 +21,8 @@ from companion.link.codec import Message, is_autopilot_heartbeat, mavlink
 from companion.link.parameters import reported_value
 from companion.link.telemetry import readings
 from companion.link.telemetry.autopilot_sensors import IMU_MESSAGES
+from companion.link.telemetry.telemetry import AUTOPILOT_KINDS
 
-AUTOPILOT_KINDS: Final[dict[int, AutopilotKind]] = {
-    mavlink.MAV_AUTOPILOT_PX4: "px4",
-    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
-}
 _HEARTBEAT: Final = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 _PARAMETER: Final = mavlink.MAVLINK_MSG_ID_PARAM_VALUE
 _POSITION: Final = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT

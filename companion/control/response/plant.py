@@ -10,6 +10,7 @@ import math
 from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import PROFILES
 from companion.base.geometry import (
     GRAVITY_M_S2,
     ZERO3,
@@ -55,7 +56,7 @@ class Plant:
         self._gains = {
             heard: velocity_gains(vehicle, config, autopilot_kind, sideways=heard) for heard in (True, False)
         }
-        self._raises_thrust = autopilot_kind == "ardupilot"  # by the tilt: what it reports is the upward part
+        self._raises_thrust = PROFILES[autopilot_kind].raises_thrust_by_tilt
         self._history = CommandHistory(config.command_delay_s)
         sensor_lag_s, most = config.acceleration_estimate_lag_s, config.maximum_disturbance_m_s2
         sideways = LASTING_SHARE * loop_rad_s(config.horizontal)

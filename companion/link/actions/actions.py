@@ -12,6 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final, Protocol
 
+from companion.base.autopilots import PROFILES
 from companion.base.clock import Clock
 from companion.base.geometry import Vector3
 from companion.base.messages import Action, ActionKind, ActionResult, AutopilotSetup
@@ -21,7 +22,6 @@ from companion.link.actions.performing import Handler, Performances, Refused, Un
 from companion.link.autopilot_setup import loss_refusal
 from companion.link.codec import mavlink
 from companion.link.commands import request_message
-from companion.link.modes import CONTROL_MODE, HOLD_MODE, LAND_MODE
 from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST
 from companion.link.session import Session
 
@@ -110,23 +110,24 @@ class PymavlinkActions:
 
     async def _arm(self, action: Action) -> None:
         await self.require_setup()  # on the ground is the better place to hear that control will be refused
-        if self.dialogue.autopilot_kind() == "ardupilot":
-            await self.dialogue.set_mode("GUIDED")  # it takes off in this mode only
+        profile = self.dialogue.profile()
+        if profile.takes_off_under_control:
+            await self.dialogue.set_mode(profile.control_mode)
         await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0))
         await self.dialogue.confirm(lambda: self._session.state.armed, "armed")
 
     async def _take_off(self, action: Action) -> None:
-        unused = self.dialogue.unused()
-        if self.dialogue.autopilot_kind() == "ardupilot":
-            await self.dialogue.set_mode("GUIDED")
-            height_m = action.height_m  # ArduPilot counts from home
-        else:
-            height_m = self._ground_altitude_m() + action.height_m
-        await self.dialogue.command(mavlink.MAV_CMD_NAV_TAKEOFF, (unused,) * 6 + (height_m,))
+        profile = self.dialogue.profile()
+        if profile.takes_off_under_control:
+            await self.dialogue.set_mode(profile.control_mode)
+        ground_m = 0.0 if profile.takes_off_from_home else self._ground_altitude_m()
+        unused = (profile.unused_parameter,) * 6
+        await self.dialogue.command(mavlink.MAV_CMD_NAV_TAKEOFF, (*unused, ground_m + action.height_m))
 
     async def _go_to(self, action: Action) -> None:
         latitude_deg, longitude_deg, altitude_m = self.destination(action)
-        heading_rad = self.dialogue.unused() if action.heading_rad is None else action.heading_rad
+        unused = self.dialogue.profile().unused_parameter
+        heading_rad = unused if action.heading_rad is None else action.heading_rad
         change_mode = float(mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
         await self.dialogue.command(
             mavlink.MAV_CMD_DO_REPOSITION,
@@ -142,14 +143,14 @@ class PymavlinkActions:
         """
         self._session.renew_setup()
         await self.require_setup()
-        mode = CONTROL_MODE[self.dialogue.autopilot_kind()]
-        void = self.unless_taken(HOLD_MODE["px4"])  # to which PX4 goes by itself, at the end of its take-off
+        profile = self.dialogue.profile()
+        mode, void = profile.control_mode, self.unless_taken(profile.after_take_off)
         await self.dialogue.set_mode(mode, void)
         await self.dialogue.confirm(lambda: self._session.state.offboard, mode, void)
 
     async def leave_offboard(self, action: Action) -> None:
         """Hold instead of OFFBOARD while disarmed; not sent once anybody chose another mode or has armed."""
-        kind = self.dialogue.autopilot_kind()
+        hold_mode = self.dialogue.profile().hold_mode
 
         def void() -> str:
             state = self._session.state
@@ -158,18 +159,18 @@ class PymavlinkActions:
         if not self._session.state.offboard:
             return
         try:
-            await self.dialogue.set_mode(HOLD_MODE[kind], void)
+            await self.dialogue.set_mode(hold_mode, void)
         except Refused:
             if self._session.state.offboard:
                 raise
-        await self.dialogue.confirm(lambda: not self._session.state.offboard, HOLD_MODE[kind], void)
+        await self.dialogue.confirm(lambda: not self._session.state.offboard, hold_mode, void)
 
     async def hold(self, action: Action, void: Callable[[], str] | None = None) -> None:
         """Stop and stay, by the autopilot's own mode; not sent again once another has been chosen.
 
         With a `height_m` the autopilot first rises to there by itself, where it can.
         """
-        mode = HOLD_MODE[self.dialogue.autopilot_kind()]
+        mode = self.dialogue.profile().hold_mode
         void = void or self.unless_taken(mode)
         if action.height_m != 0.0:
             await self._rise(action.height_m, void)
@@ -183,7 +184,7 @@ class PymavlinkActions:
         position = (here[0], here[1], home[2] + height_m)
         wanted_m = here[2] + _RISEN_SHARE * (position[2] - here[2])
         change_mode = float(mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
-        parameters = (-1.0, change_mode, 0.0, self.dialogue.unused())
+        parameters = (-1.0, change_mode, 0.0, self.dialogue.profile().unused_parameter)
 
         def risen() -> bool:
             now = self._session.state.global_position
@@ -195,7 +196,7 @@ class PymavlinkActions:
 
     async def land(self, action: Action, void: Callable[[], str] | None = None) -> None:
         """Come down where it is, by the autopilot's own mode; as `hold`."""
-        mode = LAND_MODE[self.dialogue.autopilot_kind()]
+        mode = self.dialogue.profile().land_mode
         await self.dialogue.set_mode(mode, void or self.unless_taken(mode))
 
     def unless_taken(self, *ours: str) -> Callable[[], str]:
@@ -203,7 +204,8 @@ class PymavlinkActions:
 
         The mode that obeys setpoints is among them: it may have been asked for just before.
         """
-        expected = {self._session.state.mode, *CONTROL_MODE.values(), *ours}
+        control_modes = (profile.control_mode for profile in PROFILES.values())
+        expected = {self._session.state.mode, *control_modes, *ours}
 
         def void() -> str:
             now = self._session.state.mode
@@ -277,7 +279,7 @@ class PymavlinkActions:
         Raises:
             Refused: it is a climb rate, and may not be or was not changed; or it is not reported.
         """
-        if not self._attitude_setpoints or self.dialogue.autopilot_kind() != "ardupilot":
+        if not self._attitude_setpoints or not self.dialogue.profile().thrust_may_be_climb_rate:
             return
         options = await self.dialogue.parameter(self._session.read_parameter(GUIDED_OPTIONS))
         if options & THRUST_IS_THRUST:

@@ -6,11 +6,12 @@ end of the waiting when what was asked for is void.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import PROFILES
+from companion.base.autopilots.profile import AutopilotMake
 from companion.base.clock import Clock
 from companion.base.geometry import Vector3
 from companion.link.actions.performing import Refused, Unanswered
@@ -59,6 +60,14 @@ class Dialogue:
             raise Refused("the autopilot is neither PX4's nor ArduPilot's of a multirotor")
         return state.autopilot_kind
 
+    def profile(self) -> AutopilotMake:
+        """The autopilot's profile.
+
+        Raises:
+            Refused: none is connected, or an unknown one.
+        """
+        return PROFILES[self.autopilot_kind()]
+
     async def set_mode(self, mode: str, void: Callable[[], str] = _wanted_still) -> None:
         """Change the flight mode, unless `void` says meanwhile why it is not wanted any more.
 
@@ -82,9 +91,9 @@ class Dialogue:
             Unanswered: it does not answer.
             Refused: it answers something else than "accepted", or it is void.
         """
-        self.autopilot_kind()
+        unused = self.profile().unused_parameter
         if position is None:
-            parameters = (*parameters, *(self.unused(),) * (7 - len(parameters)))
+            parameters = (*parameters, *(unused,) * (7 - len(parameters)))
         command = VehicleCommand(number, parameters, position, target_system=self._session.system_id)
         outcome = await self.outcome(self._session.command(command), void=void)
         if outcome == NO_ANSWER:
@@ -149,7 +158,3 @@ class Dialogue:
             self._waited_for.remove(pending)
             self._session.withdraw(pending)
         return pending.outcome or NO_ANSWER
-
-    def unused(self) -> float:
-        """A parameter without a value: NaN for PX4; ArduPilot takes NaN for a number and wants 0."""
-        return 0.0 if self._session.state.autopilot_kind == "ardupilot" else math.nan

@@ -27,13 +27,13 @@ from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.exceptions import MavsdkError
 from mavsdk.plugins.param import ParamError, ParamResult
 
+from companion.base.autopilots import PROFILES
 from companion.base.clock import Clock
 from companion.base.messages import Action, ActionKind, ActionResult
 from companion.config import ConfigError, LinkConfig
 from companion.link.actions.actions import PymavlinkActions
 from companion.link.actions.performing import Handler, Performances, Refused
 from companion.link.codec import has_command
-from companion.link.modes import HOLD_MODE, LAND_MODE
 from companion.link.session import Session
 
 T = TypeVar("T")
@@ -175,8 +175,9 @@ class MavsdkActions:
     async def _arm(self, action: Action) -> None:
         await self._connect()
         await self._own.require_setup()
-        if self._own.dialogue.autopilot_kind() == "ardupilot":
-            await self._own.dialogue.set_mode("GUIDED")  # it takes off in this mode only
+        profile = self._own.dialogue.profile()
+        if profile.takes_off_under_control:
+            await self._own.dialogue.set_mode(profile.control_mode)
         await self._try(self._action.arm())
         await self._own.dialogue.confirm(lambda: self._session.state.armed, "armed")
 
@@ -196,7 +197,7 @@ class MavsdkActions:
 
         Not where another mode was chosen meanwhile, by a pilot or a failsafe.
         """
-        void = self._own.unless_taken(*HOLD_MODE.values())
+        void = self._own.unless_taken(*(profile.hold_mode for profile in PROFILES.values()))
         if action.height_m != 0.0:
             return await self._own.hold(action, void)
         try:
@@ -208,7 +209,7 @@ class MavsdkActions:
 
     async def _land(self, action: Action) -> None:
         """As `_hold`."""
-        void = self._own.unless_taken(*LAND_MODE.values())
+        void = self._own.unless_taken(*(profile.land_mode for profile in PROFILES.values()))
         try:
             await self._connect()
             await self._try(self._action.land())

@@ -13,9 +13,11 @@ from dataclasses import replace
 from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import PROFILES
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import SenseConfig
 from companion.link.codec import Message, mavlink
+from companion.link.dialect import message_number
 from companion.link.telemetry import readings
 from companion.link.timing.boot_clock import BootClock, Instant
 
@@ -27,15 +29,10 @@ _SCALED: Final = mavlink.MAVLINK_MSG_ID_SCALED_IMU
 _GPS: Final = mavlink.MAVLINK_MSG_ID_GPS_RAW_INT
 _RANGE: Final = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
 SENSOR_MESSAGES: Final = frozenset({_HIGHRES, _RAW, _SCALED, _GPS, _RANGE})
-# best first; PX4's RAW_IMU is in counts, and its SCALED_IMU has the field in the compass's own axes.
-# ArduPilot's HIGHRES_IMU is not in every firmware, and replaces RAW_IMU where another client asked for it
-IMU_MESSAGES: Final[dict[AutopilotKind, tuple[int, ...]]] = {
-    "px4": (_HIGHRES,),
-    "ardupilot": (_RAW, _SCALED, _HIGHRES),
+# best first
+IMU_MESSAGES: Final = {
+    kind: tuple(message_number(name) for name in profile.imu_messages) for kind, profile in PROFILES.items()
 }
-# of a sample at its stamp. PX4: half the integration interval and the chip's filter; ArduPilot: the two-pole
-# filters at 20 Hz (INS_GYRO_FILTER, INS_ACCEL_FILTER) delay by sqrt(2) / (2 pi 20 Hz)
-IMU_LATENCY_S: Final[dict[AutopilotKind, float]] = {"px4": 0.004, "ardupilot": 0.011}
 _NAMES: Final = {number: mavlink.mavlink_map[number].msgname for number in SENSOR_MESSAGES}
 
 SWITCH_S: Final = 0.5  # a better message is silent for so long: take the next best
@@ -49,10 +46,6 @@ CLIMB_AGE_S: Final = 0.1
 _CLIMBS_KEPT: Final = 40
 SLOWEST_IMU_HZ: Final = 45.0  # 50 Hz less what a stream may be off
 _WINDOW_S: Final = 2.0
-_ADVICE: Final[dict[AutopilotKind, str]] = {
-    "px4": "PX4: MAV_x_MODE Onboard, MAV_x_RATE for the bandwidth",
-    "ardupilot": "ArduPilot: SRx_RAW_SENS, SRx_EXTRA3, and the port's baud rate",
-}
 
 
 class TelemetrySensors:
@@ -139,8 +132,9 @@ class TelemetrySensors:
         assert self._autopilot_kind is not None
         if (instant := self._instant("imu", message, now_s)) is None:
             return
-        latency_s = self._config.autopilot.imu_latency_s
-        time_s = instant.time_s - (IMU_LATENCY_S[self._autopilot_kind] if latency_s is None else latency_s)
+        set_s = self._config.autopilot.imu_latency_s
+        latency_s = PROFILES[self._autopilot_kind].imu_latency_s if set_s is None else set_s
+        time_s = instant.time_s - latency_s
         sample = readings.imu_sample(message, time_s, self._since_used_s(instant))
         if sample is not None:
             self._unused_s = 0.0
@@ -225,6 +219,7 @@ class TelemetrySensors:
         return "no answers to TIMESYNC; without its clock no sample has a time"
 
     def _imu_problem(self, autopilot_kind: AutopilotKind, now_s: float) -> str | None:
+        advice = PROFILES[autopilot_kind].stream_advice
         if self._missing("imu", now_s, IMU_SILENCE_S):
             heard = [
                 n
@@ -234,14 +229,12 @@ class TelemetrySensors:
             if heard:
                 return f"{_NAMES[heard[0]]} comes but cannot be used: {self._most_refused('imu')}"
             rate_hz, name = self._config.autopilot.imu_rate_hz, _NAMES[IMU_MESSAGES[autopilot_kind][0]]
-            return f"no {name} comes; expected it at {rate_hz:g} Hz ({_ADVICE[autopilot_kind]})"
+            return f"no {name} comes; expected it at {rate_hz:g} Hz ({advice})"
         if self._imu_rate_hz < SLOWEST_IMU_HZ:
             name = _NAMES[self._imu_message or IMU_MESSAGES[autopilot_kind][0]]
             # a rate that wavers is one problem, not one a second
             rounded_hz = 5 * round(self._imu_rate_hz / 5)
-            return (
-                f"{name} comes at about {rounded_hz} Hz; expected 50 Hz or more ({_ADVICE[autopilot_kind]})"
-            )
+            return f"{name} comes at about {rounded_hz} Hz; expected 50 Hz or more ({advice})"
         return None
 
     def _others_problem(self, now_s: float) -> str | None:

@@ -11,19 +11,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import PROFILES
 from companion.base.geometry import Vector3, quat_from_euler, quat_normalise, vector3
 from companion.base.messages import AutopilotState, LandedState
 from companion.link.codec import Message, mavlink
 from companion.link.dialect import CURRENT_MODE
-from companion.link.modes import CONTROL_MODE, mode_name
+from companion.link.modes import mode_name
 
 KEPT_TEXTS: Final = 10
 _CHUNK_BYTES: Final = 50
-_AUTOPILOT_KINDS: Final[dict[int, AutopilotKind]] = {
-    mavlink.MAV_AUTOPILOT_PX4: "px4",
-    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
-}
+AUTOPILOT_KINDS: Final = {profile.mavlink_autopilot: kind for kind, profile in PROFILES.items()}
 # What our setpoints, take-off and landing are made for. A VTOL flies as a plane at a mode's change.
 _MULTIROTORS: Final = frozenset(
     {
@@ -109,15 +106,17 @@ class StatusTexts:
 
 def _heartbeat(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
     known = message.type in _MULTIROTORS
-    autopilot_kind = _AUTOPILOT_KINDS.get(message.autopilot) if known else None
+    autopilot_kind = AUTOPILOT_KINDS.get(message.autopilot) if known else None
     mode = "" if autopilot_kind is None else mode_name(autopilot_kind, message.custom_mode)
     # another mode is a choice, unless PX4 says that a failsafe flies: then what was intended stays so
     kept = mode == state.mode or message.system_status == mavlink.MAV_STATE_CRITICAL
+    profile = None if autopilot_kind is None else PROFILES[autopilot_kind]
+    reports_outputs = profile is not None and profile.reports_outputs
     # PX4 says it here, ArduPilot in SYS_STATUS
     terminated = message.system_status == mavlink.MAV_STATE_FLIGHT_TERMINATION
-    cut = terminated or (autopilot_kind == "ardupilot" and state.motors_cut)
+    cut = terminated or (reports_outputs and state.motors_cut)
     # its filter's report is asked for: until that comes it is not known to be ready
-    ekf_ready = False if autopilot_kind == "ardupilot" and state.ekf_ready is None else state.ekf_ready
+    ekf_ready = False if reports_outputs and state.ekf_ready is None else state.ekf_ready
     return replace(
         state,
         time_s=time_s,
@@ -126,7 +125,7 @@ def _heartbeat(state: AutopilotState, message: Message, time_s: float) -> Autopi
         armed=bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
         mode=mode,
         intended_mode=state.intended_mode if kept else "",
-        offboard=autopilot_kind is not None and mode == CONTROL_MODE[autopilot_kind],
+        offboard=profile is not None and mode == profile.control_mode,
         motors_cut=cut,
         ekf_ready=ekf_ready,
     )
@@ -140,23 +139,25 @@ def _current_mode(state: AutopilotState, message: Message, time_s: float) -> Aut
     mode, intended = mode_name(kind, message.custom_mode), ""
     if message.intended_custom_mode != 0:  # the message's value for one that is not supplied
         intended = mode_name(kind, message.intended_custom_mode)
-    offboard = mode == CONTROL_MODE[kind]
+    offboard = mode == PROFILES[kind].control_mode
     return replace(state, time_s=time_s, mode=mode, intended_mode=intended, offboard=offboard)
 
 
 def _sys_status(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
-    """PX4 puts the check before arming into `health` alone, an old ArduPilot has no such bit at all."""
+    """Whether it may be armed, its battery, and whether its outputs are cut."""
     enabled = message.onboard_control_sensors_enabled
     healthy = message.onboard_control_sensors_health
     prearm = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-    if state.autopilot_kind == "ardupilot" and not message.onboard_control_sensors_present & prearm:
+    profile = None if state.autopilot_kind is None else PROFILES[state.autopilot_kind]
+    by_bit = profile is None or profile.prearm_in_health_alone
+    if not by_bit and not message.onboard_control_sensors_present & prearm:
         ready = enabled & ~healthy == 0
     else:
         ready = bool(healthy & prearm)
     charge = message.battery_remaining  # percent, -1 unknown
     battery_share = 0.01 * charge if 0 <= charge <= 100 else None
     state = replace(state, time_s=time_s, ready_to_arm=ready, battery_share=battery_share)
-    if state.autopilot_kind != "ardupilot":
+    if profile is None or not profile.reports_outputs:
         return state
     # an emergency stop, or a safety switch, takes its outputs out of what is enabled (GCS.cpp)
     outputs = mavlink.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS

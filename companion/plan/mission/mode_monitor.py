@@ -15,6 +15,7 @@ import math
 from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import PROFILES
 from companion.base.messages import ActionKind, AutopilotState, LandedState
 from companion.plan.mission.states import Authority, State
 
@@ -22,11 +23,6 @@ from companion.plan.mission.states import Authority, State
 TAKES_S: Final = 3.0
 # PX4 ends a take-off in LOITER within its acceptance radius (NAV_MC_ALT_RAD, 0.8 m). So low it was a pilot.
 _TAKE_OFF_DONE_SHARE: Final = 0.6
-# Where PX4 stands and flies as long as nobody chooses anything. It flies to a position in LOITER as well.
-_PX4_WAITS: Final = frozenset({"LOITER", "TAKEOFF", "READY", "HOLD"})
-_PX4_FLIES: Final = frozenset({"LOITER", "TAKEOFF"})
-_CONTROL: Final[dict[AutopilotKind, str]] = {"px4": "OFFBOARD", "ardupilot": "GUIDED"}
-_HOLD: Final[dict[AutopilotKind, str]] = {"px4": "LOITER", "ardupilot": "BRAKE"}
 _LAND: Final = "LAND"
 # Setpoints have not arrived for `COM_OF_LOSS_T`, and PX4 flies the mode of `COM_OBL_RC_ACT`: this share of
 # that time was silent. It obeys again with the first that arrives, but may say so a heartbeat later. In a
@@ -44,28 +40,32 @@ def short_name(mode: str) -> str:
     return mode.upper().rsplit(".", 1)[-1].replace(" ", "_")
 
 
+def _control(kind: AutopilotKind) -> str:
+    return short_name(PROFILES[kind].control_mode)
+
+
 def in_land(autopilot: AutopilotState) -> bool:
     """Whether the autopilot says that it lands."""
     return autopilot.connected and short_name(autopilot.mode or "") == _LAND
 
 
 def in_offboard(autopilot: AutopilotState) -> bool:
-    """Whether it is a PX4 in OFFBOARD, where it does not get ready to arm unless setpoints come.
-
-    (`mode_req_offboard_signal` of its failsafe_flags.) ArduPilot's GUIDED asks for none.
-    """
-    return autopilot.connected and autopilot.autopilot_kind == "px4" and autopilot.offboard
+    """Whether it is in a mode in which it does not get ready to arm unless setpoints come."""
+    kind = autopilot.autopilot_kind
+    waits = kind is not None and PROFILES[kind].needs_setpoints_to_arm
+    return autopilot.connected and waits and autopilot.offboard
 
 
 def _asked_for(
     asked: frozenset[ActionKind], autopilot: AutopilotState, kind: AutopilotKind
 ) -> frozenset[str]:
     """The modes that these requests lead to."""
-    modes = {ActionKind.TAKE_CONTROL: _CONTROL[kind], ActionKind.HOLD: _HOLD[kind], ActionKind.LAND: _LAND}
+    hold = short_name(PROFILES[kind].hold_mode)
+    modes = {ActionKind.TAKE_CONTROL: _control(kind), ActionKind.HOLD: hold, ActionKind.LAND: _LAND}
     found = {modes[action] for action in asked if action in modes}
     # a PX4 that has come down in LAND and disarmed goes to Hold by itself; in the air it is chosen
     if _LAND in found and autopilot.landed is LandedState.ON_GROUND:
-        found.add(_HOLD[kind])
+        found.add(hold)
     return frozenset(found)
 
 
@@ -123,7 +123,7 @@ class ModeMonitor:
         self._climbed = self._climbed or over_home_m is None or over_home_m >= self._done_m
         theirs = ordered_in_air and authority is Authority.NONE
         ours = self._ours(state, authority, autopilot, kind, asked)
-        if mode in (frozenset({_CONTROL[kind]}) if theirs else ours):
+        if mode in (frozenset({_control(kind)}) if theirs else ours):
             self._left_found = self._left_found or mode != self._found
             return False
         if authority is Authority.OURS and self._awaits_setpoints(autopilot, mode, kind, now_s):
@@ -149,20 +149,20 @@ class ModeMonitor:
         asked: frozenset[ActionKind],
     ) -> frozenset[str]:
         """The modes that what we requested leads to."""
-        control = frozenset({_CONTROL[kind]})
+        control = frozenset({_control(kind)})
         if state in _LANDING or authority is Authority.RELEASED:
             asked = frozenset({ActionKind.LAND}) if state in _LANDING else asked
             return control | _asked_for(asked, autopilot, kind)
         if authority is Authority.OURS:
             return control
-        if kind == "ardupilot":
-            return control
+        profile = PROFILES[kind]
         if state is State.ARM:
-            return _PX4_WAITS
+            return profile.waits_in
         if state is State.TAKE_OFF and not self._climbed:
-            # LOITER is also where the vehicle may have been found
-            return _PX4_FLIES - ({"LOITER"} if self._left_found or self._found != "LOITER" else frozenset())
-        return _PX4_FLIES | control
+            # where a take-off ends is also where the vehicle may have been found
+            end = short_name(profile.hold_mode)
+            return profile.climbs_in - ({end} if self._left_found or self._found != end else frozenset())
+        return profile.climbs_in | control
 
     def _still_as_found(self, mode: str, *, requested: bool, now_s: float) -> bool:
         """Whether the autopilot has not changed the mode yet in which it was found."""
@@ -177,4 +177,4 @@ class ModeMonitor:
     ) -> bool:
         """Whether it waits for setpoints, which a silent link has kept from it: nobody chose its mode."""
         lately = now_s - self._silent_s <= _OBEYS_AGAIN_S
-        return lately and mode in WITHOUT_STICKS and short_name(autopilot.intended_mode) == _CONTROL[kind]
+        return lately and mode in WITHOUT_STICKS and short_name(autopilot.intended_mode) == _control(kind)

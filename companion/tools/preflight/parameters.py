@@ -213,7 +213,7 @@ JUDGES: Final[dict[AutopilotKind, dict[str, _Judge]]] = {
         "PSC_JERK_XY": _velocity_shaping,
     },
 }  # fmt: skip
-# the same by the names and units of other versions (`companion.link.parameters.OTHER_NAMES`)
+# the same by the names and units of other versions (`AutopilotMake.other_names`)
 OTHERS: Final[dict[AutopilotKind, dict[str, dict[str, _Judge]]]] = {
     "px4": {
         "COM_RC_OVERRIDE": {

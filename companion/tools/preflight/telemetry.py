@@ -7,12 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
+from companion.base.autopilots import PROFILES
 from companion.base.geometry import euler_from_quat
 from companion.base.messages import AutopilotState, GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import CompanionConfig
 from companion.link.codec import mavlink
 from companion.link.dialect import CURRENT_MODE
-from companion.link.streams import OWN_RATES_HZ, TELEMETRY_RATES_HZ
+from companion.link.streams import telemetry_rates_hz
 from companion.plan.mission.departure import offboard_words
 from companion.tools.preflight.findings import Finding, FindingGroup
 from companion.tools.preflight.losses import FrameCounter
@@ -73,8 +74,7 @@ def _heartbeat(heard: Heard) -> Finding:
     if kind is None:
         return _LINK.fail("heartbeat", "of an unknown autopilot", "expected PX4 or ArduPilot")
     rate_hz = heard.rates_hz.get(mavlink.MAVLINK_MSG_ID_HEARTBEAT, 0.0)
-    name = {"px4": "PX4", "ardupilot": "ArduPilot"}[kind]
-    return _LINK.ok("heartbeat", f"{name}, mode {state.mode or 'unknown'}, {rate_hz:.1f} Hz")
+    return _LINK.ok("heartbeat", f"{PROFILES[kind].title}, mode {state.mode or 'unknown'}, {rate_hz:.1f} Hz")
 
 
 def _disarmed(state: AutopilotState) -> Finding:
@@ -155,7 +155,7 @@ def _clock(*, clock_settled: bool) -> Finding:
 
 def _rates(heard: Heard) -> list[Finding]:
     """One line when all is well, else one for each message that comes too seldom."""
-    wanted = {**TELEMETRY_RATES_HZ, **OWN_RATES_HZ.get(heard.state.autopilot_kind, {})}
+    wanted = telemetry_rates_hz(heard.state.autopilot_kind)
     slow, well = list[Finding](), list[str]()
     for number, asked_hz in wanted.items():
         name, rate_hz = mavlink.mavlink_map[number].msgname, heard.rates_hz.get(number, 0.0)

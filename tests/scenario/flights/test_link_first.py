@@ -18,12 +18,13 @@ from benchmarks.faults import fault_flight
 from benchmarks.faults.cases import FaultRun, faultless, scenario_of
 from benchmarks.faults.witness import WitnessedFlight
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import PROFILES
 from companion.base.clock import Clock
 from companion.config import merge
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, mavlink
 from companion.link.dialect import CURRENT_MODE
 from companion.link.inbox import MemoryTransport, memory_pair
-from companion.link.modes import CONTROL_MODE, custom_mode
+from companion.link.modes import custom_mode
 from sitl.scenario.scenario import Scenario
 from tests.scenario.flights.forked import fly_forked
 from tests.scenario.flying import FEW_PICTURES
@@ -141,7 +142,7 @@ def assert_prompt(heard: RecordedFlight, autopilot: AutopilotKind) -> None:
     """No setpoint left later than `PROMPT_S` after the pilot's mode was told."""
     assert heard.record.fault_began
     # until control is ours PX4 flies in LOITER, which is no pilot's word
-    ours = {custom_mode(autopilot, CONTROL_MODE[autopilot]), custom_mode("px4", "AUTO.LOITER")}
+    ours = {custom_mode(autopilot, PROFILES[autopilot].control_mode), custom_mode("px4", "AUTO.LOITER")}
     first_s = heard.setpoints_s[0]
     other_s = next(time_s for time_s, mode in heard.modes if time_s > first_s and mode not in ours)
     before = [time_s for time_s in heard.setpoints_s if time_s < other_s]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import PROFILES
 from companion.base.messages import AutopilotSetup
-from companion.link.autopilot_setup import NAMES, SetupReader, loss_refusal, loss_warnings
+from companion.link.autopilot_setup import SetupReader, loss_refusal, loss_warnings
 from companion.link.codec import mavlink
 from companion.link.parameters import ParameterRequests
 
@@ -94,7 +95,7 @@ def test_both_autopilots_say_it_in_si_units() -> None:
 
 
 def test_every_parameter_has_a_name_that_mavlink_can_carry() -> None:
-    assert all(len(name) <= 16 for names in NAMES.values() for name in names)
+    assert all(len(name) <= 16 for profile in PROFILES.values() for name in profile.read_parameters)
 
 
 # ---------------------------------------------------------------- the loss of setpoints

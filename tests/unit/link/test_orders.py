@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import PROFILES
 from companion.base.messages import (
     AutopilotState,
     Order,
@@ -15,7 +16,6 @@ from companion.base.messages import (
 from companion.config import LinkConfig, OrdersConfig
 from companion.link.codec import Codec, command_int, command_long, heartbeat, mavlink
 from companion.link.dialect import CURRENT_MODE
-from companion.link.modes import STICK_MODES
 from companion.link.orders import SETTLES_S, UNBROKEN_S, OrderListener
 from companion.link.session import Session
 from tests.unit.link.fake_autopilot import FakeAutopilot
@@ -232,14 +232,14 @@ def flown(
     return [order.source for order in orders.take()]
 
 
-@pytest.mark.parametrize("by_hand", sorted(STICK_MODES["ardupilot"]))
+@pytest.mark.parametrize("by_hand", sorted(PROFILES["ardupilot"].stick_modes))
 def test_a_mode_asks_when_the_pilot_enters_it(by_hand: str) -> None:
     orders = listener(flight_mode="GUIDED")
     assert flown(orders, "GUIDED", by_hand, "GUIDED", "GUIDED", kind="ardupilot") == ["flight mode GUIDED"]
     assert flown(orders, by_hand, "GUIDED", kind="ardupilot", armed=False) == []
 
 
-@pytest.mark.parametrize("by_hand", sorted(STICK_MODES["px4"]))
+@pytest.mark.parametrize("by_hand", sorted(PROFILES["px4"].stick_modes))
 @pytest.mark.parametrize("name", ["LOITER", "AUTO.LOITER"])
 def test_px4_s_modes_go_by_their_short_names(by_hand: str, name: str) -> None:
     assert flown(listener(flight_mode=name), by_hand, "AUTO.LOITER") == ["flight mode AUTO.LOITER"]

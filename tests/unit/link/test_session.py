@@ -13,12 +13,12 @@ from companion.config import LinkConfig
 from companion.link.codec import Codec, heartbeat, mavlink, status_texts
 from companion.link.notices import UNHEARD
 from companion.link.session import Session
-from companion.link.streams import OWN_RATES_HZ, TELEMETRY_RATES_HZ
+from companion.link.streams import telemetry_rates_hz
 from companion.plan.mission.departure import refused_words
 from tests.unit.link.fake_autopilot import FakeAutopilot
 from tests.unit.link.session_flight import SessionFlight
 
-PX4_RATES_HZ = TELEMETRY_RATES_HZ | OWN_RATES_HZ["px4"]
+PX4_RATES_HZ = telemetry_rates_hz("px4")
 
 
 def test_heartbeats_go_out_at_1_hz_though_nobody_answers() -> None:

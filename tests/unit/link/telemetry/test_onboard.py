@@ -7,9 +7,10 @@ from itertools import pairwise
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import PROFILES
 from companion.base.messages import GpsFix, MagSample, RangeSample
 from companion.link.codec import mavlink
-from companion.link.telemetry.autopilot_sensors import CLIMB_ACCURACY_M_S, IMU_LATENCY_S
+from companion.link.telemetry.autopilot_sensors import CLIMB_ACCURACY_M_S
 from companion.link.telemetry.readings import UNKNOWN_SPEED_M_S
 from companion.link.timing.boot_clock import WRAP_S, BootClock
 from tests.unit.link.telemetry.autopilot_readings import (
@@ -40,7 +41,7 @@ def test_the_age_of_a_sample_at_its_stamp_is_taken_off(autopilot_kind: Autopilot
     onboard = ReadAutopilot(autopilot_kind, imu_latency_s=None, gps_latency_s=0.15)
     build = highres if autopilot_kind == "px4" else raw
     [sample] = onboard.imu(build(onboard.boot_s))
-    assert onboard.now_s - sample.time_s == pytest.approx(IMU_LATENCY_S[autopilot_kind], abs=1e-5)
+    assert onboard.now_s - sample.time_s == pytest.approx(PROFILES[autopilot_kind].imu_latency_s, abs=1e-5)
     [fix] = onboard.hear(gps(onboard.boot_s))
     assert onboard.now_s - fix.time_s == pytest.approx(0.15, abs=1e-5)
     told = ReadAutopilot(autopilot_kind, imu_latency_s=0.03)

@@ -8,11 +8,12 @@ from dataclasses import replace
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import PROFILES
 from companion.base.geometry import euler_from_quat, quat_from_euler
 from companion.base.messages import AutopilotState, LandedState
 from companion.link.codec import Codec, Message, mavlink, status_texts
 from companion.link.dialect import CurrentMode
-from companion.link.modes import ARDUCOPTER_MODES, PX4_MODES, custom_mode, mode_name, mode_parameters
+from companion.link.modes import custom_mode, mode_name, mode_parameters
 from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state
 
 FRESH = AutopilotState(time_s=0.0)
@@ -34,14 +35,14 @@ def heartbeat(
     return mavlink.MAVLink_heartbeat_message(2, autopilot, base_mode, mode, status, 3)
 
 
-@pytest.mark.parametrize("mode", PX4_MODES)
+@pytest.mark.parametrize("mode", PROFILES["px4"].modes)
 def test_px4_modes_have_their_names(mode: str) -> None:
     state = after(heartbeat(mavlink.MAV_AUTOPILOT_PX4, custom_mode("px4", mode)))
     assert (state.connected, state.autopilot_kind, state.mode) == (True, "px4", mode)
     assert state.offboard == (mode == "OFFBOARD")
 
 
-@pytest.mark.parametrize("mode", ARDUCOPTER_MODES)
+@pytest.mark.parametrize("mode", PROFILES["ardupilot"].modes)
 def test_arducopter_modes_have_their_names(mode: str) -> None:
     state = after(heartbeat(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, custom_mode("ardupilot", mode)))
     assert (state.connected, state.autopilot_kind, state.mode) == (True, "ardupilot", mode)
@@ -228,7 +229,7 @@ def test_the_batterys_charge_is_a_share_or_not_known(percent: int, share: float 
     assert after(message).battery_share == share
 
 
-@pytest.mark.parametrize("mode", PX4_MODES)
+@pytest.mark.parametrize("mode", PROFILES["px4"].modes)
 def test_current_mode_has_the_same_numbers_and_arms_nothing(mode: str) -> None:
     state = after(heartbeat(mavlink.MAV_AUTOPILOT_PX4, 0, 129))
     told = after(CurrentMode(0, custom_mode("px4", mode), 0), state)

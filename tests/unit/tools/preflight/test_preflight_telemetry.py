@@ -13,7 +13,7 @@ from companion.base.messages import AutopilotState, GpsFix, ImuSample, MagSample
 from companion.config import CompanionConfig, validate
 from companion.link.codec import Codec, mavlink
 from companion.link.dialect import CURRENT_MODE
-from companion.link.streams import OWN_RATES_HZ, TELEMETRY_RATES_HZ
+from companion.link.streams import telemetry_rates_hz
 from companion.tools.preflight.findings import FindingState
 from companion.tools.preflight.losses import FrameCounter
 from companion.tools.preflight.parameter_file import ParameterReadings
@@ -27,7 +27,7 @@ WELL = Heard(
     refused=0,
     line=FrameCounter(),
     clock_settled=True,
-    rates_hz={**TELEMETRY_RATES_HZ, **OWN_RATES_HZ["px4"]},
+    rates_hz=telemetry_rates_hz("px4"),
     samples_hz={ImuSample: 200.0, MagSample: 100.0, GpsFix: 5.0, RangeSample: 20.0},
     sensors_problem=None,
     parameters=ParameterReadings(1, {}, {}),
