@@ -105,7 +105,7 @@ def sys_status(autopilot: SimulatedAutopilot, now_s: float, unhealthy: int = 0) 
     # without a fence it is not breached: a ground station takes a missing bit for a breach
     if not autopilot.fence_broken:
         health |= mavlink.MAV_SYS_STATUS_GEOFENCE
-    if autopilot.fence.items:
+    if autopilot.fence.items or autopilot.fence_enabled:
         present |= mavlink.MAV_SYS_STATUS_GEOFENCE
     enabled = present if autopilot.fence_enabled else present & ~mavlink.MAV_SYS_STATUS_GEOFENCE
     battery = autopilot.battery

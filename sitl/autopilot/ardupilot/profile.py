@@ -120,6 +120,9 @@ ARDUPILOT = AutopilotProfile(
         hover_thrust=ParameterRef("MOT_THST_HOVER"),
         fence_action=ParameterRef("FENCE_ACTION"),
         fence_enabled=ParameterRef("FENCE_ENABLE"),
+        fence_types=ParameterRef("FENCE_TYPE"),
+        fence_ceiling=ParameterRef("FENCE_ALT_MAX"),
+        fence_radius=ParameterRef("FENCE_RADIUS"),
     ),
     texts=Texts(
         boot=("ArduPilot Ready", "AHRS: DCM active"),
@@ -167,9 +170,9 @@ ARDUPILOT = AutopilotProfile(
             mode="RTL",
             over=lambda now: now.rc_available,
         ),
-        fence_left("Polygon fence breached", (1, 3, 5), "RTL"),
-        fence_left("Polygon fence breached", (2,), "LAND"),
-        fence_left("Polygon fence breached", (4,), "BRAKE"),
+        fence_left("Fence breached", (1, 3, 5), "RTL"),
+        fence_left("Fence breached", (2,), "LAND"),
+        fence_left("Fence breached", (4,), "BRAKE"),
         Failsafe(
             "on the ground",
             lambda now: now.landed,

@@ -17,6 +17,7 @@ from companion.base.geometry import (
     Vector3,
     geodetic_from_ned,
     ned_from_geodetic,
+    subtract,
 )
 from companion.base.messages import LandedState
 from sitl.autopilot.ardupilot.profile import ARDUPILOT
@@ -40,6 +41,7 @@ from sitl.autopilot.px4.profile import PX4
 from sitl.vehicle.battery import Battery
 
 RefusedRequest = Literal["arm", "take_off", "offboard", "land", "disarm", "auto_disarm"]
+_CEILING, _CIRCLE = 1, 2  # bits of an autopilot's own fences
 PROFILES: dict[AutopilotKind, AutopilotProfile] = {"px4": PX4, "ardupilot": ARDUPILOT}
 
 
@@ -127,6 +129,12 @@ class FlightState:
         return self._commander.task
 
     @property
+    def obeys_setpoints(self) -> bool:
+        """It flies a streamed setpoint whose time is not up."""
+        now = self._commander.situation
+        return self.task is Task.SETPOINT and now.setpoint_age_s <= now.setpoint_timeout_s
+
+    @property
     def aligned(self) -> bool:
         """The estimator knows attitude and position."""
         return self._commander.situation.aligned
@@ -168,7 +176,8 @@ class FlightState:
     def fence_enabled(self) -> bool:
         """There is a fence, and it is switched on."""
         switch = self.profile.parameter_map.fence_enabled
-        return bool(self.fence.items) and (switch is None or self.parameters.si(switch) != 0.0)
+        present = bool(self.fence.items) or bool(self._own_fences())
+        return present and (switch is None or self.parameters.si(switch) != 0.0)
 
     @property
     def fence_broken(self) -> bool:
@@ -176,7 +185,24 @@ class FlightState:
         if not self.fence_enabled or not self.aligned:
             return False
         latitude, longitude, _ = self.geodetic(self.estimate.position_ned_m)
-        return self.fence.broken_at(latitude, longitude)
+        return self.fence.broken_at(latitude, longitude) or self._beyond_own_fence()
+
+    def _own_fences(self) -> int:
+        """Bits of the ceiling and the circle about home that the autopilot has by its parameters alone."""
+        types = self.profile.parameter_map.fence_types
+        return 0 if types is None else int(self.parameters.si(types)) & (_CEILING | _CIRCLE)
+
+    def _beyond_own_fence(self) -> bool:
+        own = self.profile.parameter_map
+        north, east, down = subtract(self.estimate.position_ned_m, self.home_ned_m)
+        bounds = (
+            (_CIRCLE, own.fence_radius, math.hypot(north, east)),
+            (_CEILING, own.fence_ceiling, -down),
+        )
+        return any(
+            self._own_fences() & bit and most is not None and value > self.parameters.si(most)
+            for bit, most, value in bounds
+        )
 
     @property
     def battery_percent(self) -> int:

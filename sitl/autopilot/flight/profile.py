@@ -47,8 +47,9 @@ class ParameterMap:
     """Which parameter holds which setting; None: the autopilot has none for it.
 
     `landing_speed` holds down to `final_landing_height` (one of 0 is the descent speed), then the final one.
-    A fence without `fence_enabled` is on as long as there is one. `rc_loss_enabled` at 0 lets a lost radio
-    be; `rc_loss_exceptions` are bits of modes that a lost radio does not end: 1 mission, 2 hold, 4 external.
+    A fence without `fence_enabled` is on as long as there is one; bit 0 of `fence_types` is a ceiling over
+    home, bit 1 a circle about it. `rc_loss_enabled` at 0 lets a lost radio be; `rc_loss_exceptions` are bits
+    of modes that a lost radio does not end: 1 mission, 2 hold, 4 external.
     `hover_thrust` is what the height law begins with, and learns in hover.
     """
 
@@ -71,6 +72,9 @@ class ParameterMap:
     stick_yaw_rate: ParameterRef
     fence_action: ParameterRef
     fence_enabled: ParameterRef | None = None
+    fence_types: ParameterRef | None = None
+    fence_ceiling: ParameterRef | None = None
+    fence_radius: ParameterRef | None = None
     rc_loss_exceptions: ParameterRef | None = None
     rc_loss_enabled: ParameterRef | None = None
     gcs_system_id: ParameterRef | None = None

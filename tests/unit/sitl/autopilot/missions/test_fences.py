@@ -165,3 +165,38 @@ def test_an_ardupilot_whose_fence_is_off_flies_on_through_it() -> None:
     station.run(25.0)
     assert station.flight.vehicle.position[0] > 40.0
     assert station.flight.autopilot.mode == "AUTO"
+
+
+@pytest.mark.parametrize(
+    ("parameters", "mode"),
+    [
+        ({"FENCE_RADIUS": 30.0}, "RTL"),
+        ({"FENCE_RADIUS": 30.0, "FENCE_ACTION": 4.0}, "BRAKE"),
+        ({"FENCE_RADIUS": 30.0, "FENCE_TYPE": 5.0}, "AUTO"),  # without the circle
+        ({"FENCE_RADIUS": 30.0, "FENCE_ENABLE": 0.0}, "AUTO"),
+        ({"FENCE_RADIUS": 80.0}, "AUTO"),
+        ({"FENCE_ALT_MAX": 10.0}, "RTL"),
+    ],
+)
+def test_an_ardupilot_has_a_circle_and_a_ceiling_of_its_own(parameters: dict[str, float], mode: str) -> None:
+    station = Station("ardupilot")
+    for name, value in {"FENCE_ENABLE": 1.0, **parameters}.items():
+        assert station.flight.autopilot.parameters.set(name, value)
+    way = [
+        item(mavlink.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 5.0),
+        item(16, 60.0, 0.0, 5.0),
+        item(16, 60.0, 0.0, 15.0),
+    ]
+    station.fly(way)
+    for _ in range(300):
+        station.run(0.1)
+        if station.flight.autopilot.mode == mode != "AUTO":
+            break
+    north_m, _, down_m = station.flight.vehicle.position
+    assert station.flight.autopilot.mode == mode
+    if mode == "AUTO":
+        assert north_m > 40.0
+    elif "FENCE_ALT_MAX" in parameters:
+        assert 9.5 < -down_m < 11.5
+    else:
+        assert 29.0 < north_m < 36.0
