@@ -59,6 +59,7 @@ ARDUPILOT_PARAMETERS: Final = {
     "GUID_OPTIONS": 8,
     "GUID_TIMEOUT": 0.5,
     "FS_GCS_ENABLE": 0,
+    "FENCE_ENABLE": 1,
     "SIM_TERRAIN": 0,
     "SIM_SPEEDUP": 1,
 }

@@ -246,7 +246,9 @@ class App:
             if self._controller.thrust.measures:
                 self.session.rates.want(THRUST_RATES_HZ)
             own = misfits(resolved(control, kind), self._vehicle, setup)
-            for warning in (*own, *loss_warnings(setup, kind)):
+            by_attitude, ours = resolved(control, kind).setpoint == "attitude", self.session.system_id
+            lost = loss_warnings(setup, kind, by_attitude=by_attitude, system_id=ours)
+            for warning in (*own, *lost):
                 self.announcer.notify_once("setup", warning, "warning")
         return self._controller
 

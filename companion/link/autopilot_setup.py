@@ -11,10 +11,11 @@ from companion.base.messages import AutopilotSetup
 from companion.link.parameters import ParameterRequest, ParameterRequests, all_names, value_of
 
 _CENTI: Final = 0.01
+CIRCLE_FENCE: Final = 2  # FENCE_TYPE bit 1, about home
 # How long an autopilot should fly on without setpoints. Shorter, whether it hears us is known too late to
 # tell its failsafe from a pilot. A PX4 that holds then drags the vehicle over a pad that moves on (0.44 to
 # 0.66 m/s with 0.3 and 0.5 s), unless the motors stop first, a second of proven rest after the contact.
-SHORTEST_TIMEOUT_S, SHORTEST_WITH_HOLD_S, LONGEST_TIMEOUT_S = 0.3, 1.0, 1.0
+SHORTEST_TIMEOUT_S, LONGEST_TIMEOUT_S = 0.3, 1.0
 # what PX4's COM_OBL_RC_ACT then asks for
 _LAND_ACTION: Final = 4
 STICK_ACTIONS: Final = {0: "Position", 1: "Altitude", 2: "Stabilized"}
@@ -27,27 +28,37 @@ class SetupReader:
     def __init__(self, requests: ParameterRequests) -> None:
         self._requests = requests
         self._autopilot_kind: AutopilotKind | None = None
+        self._system_id = 0
         self._asked: dict[str, ParameterRequest] = {}
-        self._known: AutopilotSetup | None = None
+        self._values: dict[str, float | None] = {}  # by first names, of all that was asked for before
         self._final: AutopilotSetup | None = None  # once every request has ended: nothing changes any more
 
-    def begin(self, autopilot_kind: AutopilotKind | None) -> None:
-        """An autopilot has been received; another one is asked again."""
+    def begin(self, autopilot_kind: AutopilotKind | None, system_id: int = 1) -> None:
+        """An autopilot, and its system id, has been received; another one is asked again."""
         if autopilot_kind is None or autopilot_kind == self._autopilot_kind:
             return
-        self._autopilot_kind, self._known, self._final, self._asked = autopilot_kind, None, None, {}
+        self._autopilot_kind, self._system_id = autopilot_kind, system_id
+        self._final, self._asked, self._values = None, {}, {}
         self.renew()
 
     def renew(self) -> None:
-        """Ask afresh: an operator may have changed them. What is known counts until all are answered."""
-        if self._autopilot_kind is None:
-            return
-        self._known, self._final = self.setup, None
+        """Ask afresh: an operator may have changed them. Each counts as it was known until it is answered."""
         kind = self._autopilot_kind
+        if kind is None:
+            return
+        if self.setup is not None:
+            self._values = self._reported(kind)
+        self._final = None
         names = [name for first in PROFILES[kind].read_parameters for name in all_names(kind, first)]
         self._asked = {name: ParameterRequest(name) for name in names}
         for request in self._asked.values():
             self._requests.submit(request)
+
+    @property
+    def loss_is_fresh(self) -> bool:
+        """Whether what decides about the loss of setpoints has been answered, or given up, since `renew`."""
+        kind = self._autopilot_kind
+        return kind is not None and not any(self._open(kind, name) for name in PROFILES[kind].loss_parameters)
 
     def _open(self, kind: AutopilotKind, first: str) -> bool:
         """Whether a parameter may still be answered; once it is under one name, the others are no matter."""
@@ -55,56 +66,77 @@ class SetupReader:
         answered = any(request.value is not None for request in requests)
         return not answered and any(request.outcome is None for request in requests)
 
+    def _reported(self, kind: AutopilotKind) -> dict[str, float | None]:
+        """The newest values; a request that a bad link has left unanswered takes none back."""
+        reported = {name: request.value for name, request in self._asked.items()}
+        newest = {first: value_of(kind, first, reported) for first in PROFILES[kind].read_parameters}
+        return {first: self._values.get(first) if new is None else new for first, new in newest.items()}
+
     @property
     def setup(self) -> AutopilotSetup | None:
         """What is known of it; a parameter that it does not have is unknown."""
         if self._final is not None:
             return self._final
         kind = self._autopilot_kind
-        if (
-            kind is None
-            or not self._asked
-            or any(self._open(kind, name) for name in PROFILES[kind].read_parameters)
-        ):
-            return self._known
-        reported = {name: request.value for name, request in self._asked.items()}
-        found = _setup_of(
-            kind, {name: value_of(kind, name, reported) for name in PROFILES[kind].read_parameters}
-        )
+        if kind is None or not self._asked:
+            return None
+        if not self._values and any(self._open(kind, name) for name in PROFILES[kind].read_parameters):
+            return None
+        found = setup_of(kind, self._reported(kind), self._system_id)
         if all(request.outcome is not None for request in self._asked.values()):
             self._final = found
         return found
 
 
-def _setup_of(kind: AutopilotKind, value: Mapping[str, float | None]) -> AutopilotSetup:
-    """What the parameters of `NAMES` say, by their first names."""
+def setup_of(kind: AutopilotKind, value: Mapping[str, float | None], system_id: int) -> AutopilotSetup:
+    """What the parameters say, by their first names and in their units; None: not reported."""
     if kind == "px4":
-        action = value["COM_OBL_RC_ACT"]
+        action = value.get("COM_OBL_RC_ACT")
         return AutopilotSetup(
-            tilt_deg=value["MPC_TILTMAX_AIR"],
-            hover_thrust=value["MPC_THR_HOVER"],
-            setpoint_timeout_s=value["COM_OF_LOSS_T"],
+            tilt_deg=value.get("MPC_TILTMAX_AIR"),
+            hover_thrust=value.get("MPC_THR_HOVER"),
+            setpoint_timeout_s=value.get("COM_OF_LOSS_T"),
             setpoints_lost_action=None if action is None else round(action),
         )
     return AutopilotSetup(
-        tilt_deg=_scaled(value["ANGLE_MAX"]),
-        hover_thrust=value["MOT_THST_HOVER"],
-        acceleration_m_s2=_scaled(value["WPNAV_ACCEL"]),
-        jerk_m_s3=value["PSC_JERK_XY"],
-        setpoint_timeout_s=value["GUID_TIMEOUT"],
+        tilt_deg=_scaled(value.get("ANGLE_MAX")),
+        hover_thrust=value.get("MOT_THST_HOVER"),
+        acceleration_m_s2=_scaled(value.get("WPNAV_ACCEL")),
+        jerk_m_s3=value.get("PSC_JERK_XY"),
+        setpoint_timeout_s=value.get("GUID_TIMEOUT"),
+        drift_ends=_drift_ends({name: number or 0.0 for name, number in value.items()}, system_id),
     )
 
 
-def shortest_timeout_s(autopilot_kind: AutopilotKind, action: int | None) -> float:
+def _drift_ends(value: Mapping[str, float], system_id: int) -> bool:
+    """Whether a fence about home, or the GCS failsafe, if that listens to our heartbeats, acts."""
+    circle = int(value.get("FENCE_TYPE", 0.0)) & CIRCLE_FENCE
+    fence = value.get("FENCE_ENABLE", 0.0) > 0.0 and circle and value.get("FENCE_ACTION", 0.0) > 0.0
+    listens = value.get("SYSID_MYGCS") == system_id
+    return bool(fence) or (value.get("FS_GCS_ENABLE", 0.0) > 0.0 and listens)
+
+
+def _shortest_timeout_s(autopilot_kind: AutopilotKind, action: int | None) -> float:
     """The shortest time (s) without setpoints after which it may do what it does then."""
-    lands = autopilot_kind == "ardupilot" or action == _LAND_ACTION  # ArduPilot levels, and obeys again
-    return SHORTEST_TIMEOUT_S if lands else SHORTEST_WITH_HOLD_S
+    stays = PROFILES[autopilot_kind].levels_without_setpoints or action == _LAND_ACTION
+    return SHORTEST_TIMEOUT_S if stays else LONGEST_TIMEOUT_S
 
 
-def expected_timeout(shortest_s: float) -> str:
+def expected_timeout(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> str:
     """What is expected, in words."""
+    shortest_s = _shortest_timeout_s(autopilot_kind, setup.setpoints_lost_action)
     least = f"{shortest_s:g} to " if shortest_s < LONGEST_TIMEOUT_S else ""
     return f"expected {least}{LONGEST_TIMEOUT_S:g} s"
+
+
+def short_timeout(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> str:
+    """Why its time without setpoints is too short; empty when it is not, or not known."""
+    least_s = _shortest_timeout_s(autopilot_kind, setup.setpoints_lost_action)
+    if setup.setpoint_timeout_s is None or setup.setpoint_timeout_s >= least_s:
+        return ""
+    if least_s > SHORTEST_TIMEOUT_S:
+        return "on a pad that moves its Hold drags the vehicle before the motors stop"
+    return "too short to know that it does not hear us"
 
 
 def loss_refusal(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> str:
@@ -116,41 +148,48 @@ def loss_refusal(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> str:
             f"COM_OBL_RC_ACT is {action} ({title}): the motors stop in the air when setpoints do; "
             "expected 5 (Hold) or 4 (Land)"
         )
-    least_s = shortest_timeout_s(autopilot_kind, action)
-    if timeout_s is None or timeout_s >= least_s:
-        return ""
-    why = "too short to know that it does not hear us"
-    if least_s > SHORTEST_TIMEOUT_S:
-        why = "on a pad that moves its Hold drags the vehicle before the motors stop"
-    return (
-        f"{PROFILES[autopilot_kind].timeout_parameter} is {timeout_s:g}: {why}; {expected_timeout(least_s)}"
-    )
-
-
-def loss_warnings(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> list[str]:
-    """What is not safe about the loss of setpoints, as of the link, by the autopilot's parameters."""
-    found = []
-    action, timeout_s = setup.setpoints_lost_action, setup.setpoint_timeout_s
-    timeout_name = PROFILES[autopilot_kind].timeout_parameter
-    unknown = [timeout_name] if timeout_s is None else []
-    if action is None and autopilot_kind == "px4":
-        unknown.append("COM_OBL_RC_ACT")
-    if unknown:
-        found.append(
-            f"link loss: the autopilot does not report {' and '.join(unknown)}: "
-            "what it does when setpoints stop is not known"
+    names = PROFILES[autopilot_kind].loss_parameters
+    told = dict(zip(names, (timeout_s, action), strict=False))
+    if unknown := [name for name, value in told.items() if value is None]:
+        return (
+            f"the autopilot does not report {' and '.join(unknown)}: what it does when setpoints stop is not "
+            "known; expected an answer (a slow link, or another version's name)"
         )
+    if why := short_timeout(setup, autopilot_kind):
+        return f"{names[0]} is {timeout_s:g}: {why}; {expected_timeout(setup, autopilot_kind)}"
+    return ""
+
+
+def loss_warnings(
+    setup: AutopilotSetup, autopilot_kind: AutopilotKind, *, by_attitude: bool, system_id: int = 1
+) -> list[str]:
+    """What is not safe about the loss of setpoints, as of the link, by the autopilot's parameters.
+
+    `by_attitude`: they are attitudes; `system_id`: the vehicle's, and ours.
+    """
+    action, timeout_s = setup.setpoints_lost_action, setup.setpoint_timeout_s
+    found = [loss_refusal(setup, autopilot_kind)]
     if action is not None and action in STICK_ACTIONS:
         found.append(
-            f"link loss: COM_OBL_RC_ACT is {action} ({STICK_ACTIONS[action]}): with nobody at the sticks it "
+            f"COM_OBL_RC_ACT is {action} ({STICK_ACTIONS[action]}): with nobody at the sticks it "
             "comes down with the speed over ground it has; expected 5 (Hold) or 4 (Land)"
         )
     if timeout_s is not None and timeout_s > LONGEST_TIMEOUT_S:
         found.append(
-            f"link loss: {timeout_name} is {timeout_s:g}: so long the last setpoint is kept; "
-            f"{expected_timeout(shortest_timeout_s(autopilot_kind, action))}"
+            f"{PROFILES[autopilot_kind].loss_parameters[0]} is {timeout_s:g}: so long the last setpoint is kept; "
+            f"{expected_timeout(setup, autopilot_kind)}"
         )
-    return found
+    if by_attitude and setup.drift_ends is False:
+        found.append(f"level, it drifts with the wind, and {endless_drift(system_id)}")
+    return [f"link loss: {text}" for text in found if text]
+
+
+def endless_drift(system_id: int) -> str:
+    """What an ArduPilot lacks that would end a flight by attitude without setpoints."""
+    return (
+        "nothing of the autopilot's ends it; expected FENCE_ENABLE 1 with a circle (FENCE_TYPE 2) and a "
+        f"FENCE_ACTION, or FS_GCS_ENABLE 5 with SYSID_MYGCS {system_id}, who we are"
+    )
 
 
 def _scaled(hundredths: float | None) -> float | None:

@@ -123,6 +123,11 @@ class Session:
         self._setup.renew()
 
     @property
+    def loss_is_fresh(self) -> bool:
+        """Whether what `setup` says of lost setpoints is as fresh as the last `renew_setup`."""
+        return not self.reads_setup or self._setup.loss_is_fresh
+
+    @property
     def system_id(self) -> int:
         """The vehicle's system id, which is ours too; 0 while none has been received and none is set."""
         return self._system_id
@@ -240,7 +245,7 @@ class Session:
             self._heartbeat_heard_s = now_s
             self.heartbeats += 1
             if self.reads_setup:
-                self._setup.begin(self.state.autopilot_kind)
+                self._setup.begin(self.state.autopilot_kind, self._system_id)
             self.rates.want(telemetry_rates_hz(self.state.autopilot_kind) | self.orders.rates_hz)
             if self.onboard is not None:
                 self.onboard.heartbeat(self.state.autopilot_kind, now_s)

@@ -51,13 +51,26 @@ ARDUPILOT: Final = AutopilotMake(
     imu_latency_s=0.011,
     stream_advice="ArduPilot: SRx_RAW_SENS, SRx_EXTRA3, and the port's baud rate",
     integers_as_bytes=False,
-    read_parameters=("ANGLE_MAX", "WPNAV_ACCEL", "PSC_JERK_XY", "MOT_THST_HOVER", "GUID_TIMEOUT"),
-    timeout_parameter="GUID_TIMEOUT",
+    read_parameters=(
+        "ANGLE_MAX",
+        "WPNAV_ACCEL",
+        "PSC_JERK_XY",
+        "MOT_THST_HOVER",
+        "GUID_TIMEOUT",
+        "FENCE_ENABLE",
+        "FENCE_TYPE",
+        "FENCE_ACTION",
+        "FS_GCS_ENABLE",
+        "SYSID_MYGCS",
+    ),
+    loss_parameters=("GUID_TIMEOUT",),
+    levels_without_setpoints=True,
     # ArduCopter 4.7 renamed and rescaled (ardupilot.org, parameter name changes from 4.6 to 4.7)
     other_names={
         "ANGLE_MAX": (OtherName("ATC_ANGLE_MAX", 100.0),),  # centidegrees; degrees
         "LAND_SPEED": (OtherName("LAND_SPD_MS", 100.0),),  # cm/s; m/s
         "WPNAV_ACCEL": (OtherName("WP_ACC", 100.0),),  # cm/s²; m/s²
         "PSC_JERK_XY": (OtherName("PSC_NE_JERK", 1.0),),  # m/s³
+        "SYSID_MYGCS": (OtherName("MAV_GCS_SYSID", 1.0),),
     },
 )

@@ -77,8 +77,10 @@ class AutopilotMake:
     integers_as_bytes: bool
     # on which our loop depends: read, never written
     read_parameters: tuple[str, ...]
-    # for how long it keeps a setpoint
-    timeout_parameter: str
+    # without these nobody knows what follows once setpoints stop; the first is for how long it keeps the last
+    loss_parameters: tuple[str, ...]
+    # then it levels, and obeys the next setpoint, whatever its parameters say
+    levels_without_setpoints: bool
     other_names: Mapping[str, tuple[OtherName, ...]] = field(default_factory=dict)
 
     @property

@@ -61,5 +61,6 @@ PX4: Final = AutopilotMake(
     stream_advice="PX4: MAV_x_MODE Onboard, MAV_x_RATE for the bandwidth",
     integers_as_bytes=True,
     read_parameters=("MPC_TILTMAX_AIR", "MPC_THR_HOVER", "COM_OF_LOSS_T", "COM_OBL_RC_ACT"),
-    timeout_parameter="COM_OF_LOSS_T",
+    loss_parameters=("COM_OF_LOSS_T", "COM_OBL_RC_ACT"),
+    levels_without_setpoints=False,
 )

@@ -17,7 +17,8 @@ class AutopilotSetup:
     """What the autopilot's parameters say of how it obeys; None: unknown.
 
     `acceleration_m_s2` and `jerk_m_s3` bind velocity setpoints sideways. When setpoints stop, it keeps the
-    last one for `setpoint_timeout_s`; then `setpoints_lost_action` follows (PX4's COM_OBL_RC_ACT).
+    last one for `setpoint_timeout_s`; then `setpoints_lost_action` follows (PX4's COM_OBL_RC_ACT), or
+    (ArduPilot) it keeps level and its height, and goes with the wind until `drift_ends`, if anything does it.
     """
 
     tilt_deg: float | None = None
@@ -26,6 +27,7 @@ class AutopilotSetup:
     jerk_m_s3: float | None = None
     setpoint_timeout_s: float | None = None
     setpoints_lost_action: int | None = None
+    drift_ends: bool | None = None
 
     @property
     def keeps_setpoint_s(self) -> float:

@@ -254,24 +254,24 @@ class PymavlinkActions:
             Refused: they do not, and may not be or were not changed.
         """
         setup, kind = await self._setup(), self.dialogue.autopilot_kind()
-        if why := loss_refusal(setup, kind):
+        if setup is not None and (why := loss_refusal(setup, kind)):
             self._session.renew_setup()  # corrected, it is known by the next request
             raise Refused(why)
         await self._require_thrust()
 
-    async def _setup(self) -> AutopilotSetup:
-        """What its parameters say; waits until they have been read, or given up.
+    async def _setup(self) -> AutopilotSetup | None:
+        """What its parameters say, of lost setpoints as freshly as it was asked for; None: nobody reads them.
 
         Raises:
-            Refused: neither in time.
+            Refused: neither read nor given up in time.
         """
-        by_s = self.dialogue.now_s() + _SETUP_S
-        while self._session.reads_setup and self._session.setup is None:
+        by_s, session = self.dialogue.now_s() + _SETUP_S, self._session
+        while session.reads_setup and (session.setup is None or not session.loss_is_fresh):
             now_s = self.dialogue.now_s()
             if now_s >= by_s:
                 raise Refused("the autopilot's parameters are not read yet")
             await self._clock.sleep_until(now_s + _LOOK_S)
-        return self._session.setup or AutopilotSetup()
+        return session.setup
 
     async def _require_thrust(self) -> None:
         """See to it that an attitude setpoint's thrust is thrust: to ArduPilot it is a climb rate by default.

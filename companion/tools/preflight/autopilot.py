@@ -66,7 +66,8 @@ async def check_link(config: CompanionConfig, vehicle: VehicleConfig | None) -> 
             else "the vehicle's file is not usable"
         )
         return [*found, FindingGroup(GROUP).skip("parameters", why)]
-    wanted, read = Wanted.of(config, vehicle, kind), heard.parameters
+    read = heard.parameters
+    wanted = Wanted.of(config, vehicle, kind, read.system_id)
     return found + with_changes(judge_parameters(kind, read.values, wanted), read, wanted)
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from companion import __version__
+from companion.link.autopilot_setup import CIRCLE_FENCE
 from companion.link.codec import AUTOPILOT_COMPONENT, mavlink
 from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST
 from companion.tools.preflight.findings import Finding, FindingState, ParameterChange
@@ -69,6 +70,9 @@ TARGETS: Final[dict[str, _Target]] = {
     "MPC_Z_VEL_MAX_DN": lambda _value, wanted, _read: wanted.descent_m_s,
     "MPC_Z_VEL_MAX_UP": lambda _value, wanted, _read: wanted.climb_m_s,
     "GUID_TIMEOUT": _to(1.0),
+    "FENCE_ENABLE": _to(1.0),
+    "FENCE_TYPE": _bits(set_=CIRCLE_FENCE),
+    "FENCE_ACTION": _to(1.0),
     GUIDED_OPTIONS: _bits(set_=THRUST_IS_THRUST),
     # the second name and unit of each pair: from ArduCopter 4.7 on
     "ANGLE_MAX": lambda _value, wanted, _read: float(math.ceil(100.0 * wanted.tilt_deg - 1e-6)),

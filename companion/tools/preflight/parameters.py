@@ -9,22 +9,27 @@ Values keep the autopilot's units. Nothing here is ever written to an autopilot.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import PROFILES
+from companion.base.messages import AutopilotSetup
 from companion.config import CompanionConfig, VehicleConfig
 from companion.control.response.fitting import HOVER_DIFFERS
 from companion.control.setpoints import resolved
 from companion.link.autopilot_setup import (
+    CIRCLE_FENCE,
     LONGEST_TIMEOUT_S,
     MOTOR_STOP_ACTIONS,
-    SHORTEST_TIMEOUT_S,
+    NAMES,
     STICK_ACTIONS,
+    endless_drift,
     expected_timeout,
-    shortest_timeout_s,
+    setup_of,
+    short_timeout,
 )
-from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST
+from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST, all_names, value_of
 from companion.tools.preflight.findings import Finding, FindingGroup, FindingState
 
 GROUP: Final = "autopilot's parameters"
@@ -39,7 +44,10 @@ TOO_LONG_S: Final = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What the settings and the vehicle's file want of the autopilot."""
+    """What the settings and the vehicle's file want of the autopilot, whose system id is `system_id`.
+
+    `setup`: what its parameters say together.
+    """
 
     tilt_deg: float
     descent_m_s: float
@@ -48,9 +56,17 @@ class Wanted:
     sends_attitude: bool
     sends_velocity: bool
     may_set: bool  # link.set_parameters
+    system_id: int = 1
+    setup: AutopilotSetup = field(default_factory=AutopilotSetup)
 
     @classmethod
-    def of(cls, config: CompanionConfig, vehicle: VehicleConfig, autopilot_kind: AutopilotKind) -> Wanted:
+    def of(
+        cls,
+        config: CompanionConfig,
+        vehicle: VehicleConfig,
+        autopilot_kind: AutopilotKind,
+        system_id: int = 1,
+    ) -> Wanted:
         """From the settings, for that autopilot."""
         setpoint = resolved(config.control, autopilot_kind).setpoint
         limits = config.control.limits
@@ -62,6 +78,7 @@ class Wanted:
             setpoint == "attitude",
             setpoint == "velocity",
             config.link.set_parameters,
+            system_id,
         )
 
 
@@ -78,17 +95,30 @@ def _warn(text: str) -> Verdict:
     return FindingState.WARNING, text
 
 
-def _timeout(shortest_s: float) -> _Judge:
+def _timeout(autopilot_kind: AutopilotKind) -> _Judge:
     """How long an autopilot flies on without setpoints."""
 
-    def judge(value: float, _: Wanted) -> Verdict:
-        expected = expected_timeout(shortest_s)
-        if value < shortest_s:
-            return _fail(f"{expected}: the loss of a few setpoints ends the landing; control is refused")
+    def judge(value: float, wanted: Wanted) -> Verdict:
+        expected = expected_timeout(wanted.setup, autopilot_kind)
+        if why := short_timeout(wanted.setup, autopilot_kind):
+            return _fail(f"{expected}: {why}; control is refused")
         if value <= LONGEST_TIMEOUT_S:
             return None
         why = f"{expected}: so long it keeps the last tilt when the app hangs"
         return _fail(why) if value > TOO_LONG_S else _warn(why)
+
+    return judge
+
+
+def _fence(off: Callable[[float], bool]) -> _Judge:
+    """A part of the fence that ends what nothing else would; `off`: the part is missing."""
+
+    def judge(value: float, wanted: Wanted) -> Verdict:
+        if not wanted.sends_attitude or wanted.setup.drift_ends is not False or not off(value):
+            return None
+        return _warn(
+            f"when setpoints stop it drifts level with the wind, and {endless_drift(wanted.system_id)}"
+        )
 
     return judge
 
@@ -169,7 +199,7 @@ def _velocity_shaping(value: float, wanted: Wanted) -> Verdict:
 
 JUDGES: Final[dict[AutopilotKind, dict[str, _Judge]]] = {
     "px4": {
-        "COM_OF_LOSS_T": _timeout(SHORTEST_TIMEOUT_S),
+        "COM_OF_LOSS_T": _timeout("px4"),
         "COM_OBL_RC_ACT": _offboard_loss,
         "COM_RC_OVERRIDE": _bit(
             _OVERRIDE_OFFBOARD,
@@ -193,7 +223,10 @@ JUDGES: Final[dict[AutopilotKind, dict[str, _Judge]]] = {
         "MPC_Z_VEL_MAX_UP": _speed("climb_speed_m_s", lambda wanted: wanted.climb_m_s),
     },
     "ardupilot": {
-        "GUID_TIMEOUT": _timeout(SHORTEST_TIMEOUT_S),
+        "GUID_TIMEOUT": _timeout("ardupilot"),
+        "FENCE_ENABLE": _fence(lambda value: value <= 0.0),
+        "FENCE_TYPE": _fence(lambda value: not int(value) & CIRCLE_FENCE),
+        "FENCE_ACTION": _fence(lambda value: value <= 0.0),
         GUIDED_OPTIONS: _thrust_is_thrust,
         "ANGLE_MAX": _tilt(_CENTI),
         "MOT_THST_HOVER": _hover_thrust,
@@ -232,22 +265,26 @@ OTHERS: Final[dict[AutopilotKind, dict[str, dict[str, _Judge]]]] = {
 
 
 def parameter_names(autopilot_kind: AutopilotKind) -> tuple[str, ...]:
-    """Those to read, by the names of all versions: only one of each answers."""
-    judges = JUDGES[autopilot_kind]
-    return tuple(name for first in judges for name in _names(autopilot_kind, first))
+    """Those to read, by the names of all versions: only one of each answers. A judge may need others, too."""
+    judged = [name for first in JUDGES[autopilot_kind] for name in _names(autopilot_kind, first)]
+    needed = [name for first in NAMES[autopilot_kind] for name in all_names(autopilot_kind, first)]
+    return tuple(dict.fromkeys(judged + needed))
 
 
 def judge_parameters(
     autopilot_kind: AutopilotKind, values: Mapping[str, float | None], wanted: Wanted
 ) -> list[Finding]:
     """A finding each; None is a parameter that the autopilot did not report."""
-    found = []
-    for first in JUDGES[autopilot_kind]:
-        names = _names(autopilot_kind, first)
-        if first == "COM_OF_LOSS_T":
-            action = values.get("COM_OBL_RC_ACT")
-            names[first] = _timeout(shortest_timeout_s("px4", None if action is None else round(action)))
+    kind, found = autopilot_kind, []
+    told = {first: value_of(kind, first, values) for first in NAMES[kind]}
+    wanted = replace(wanted, setup=setup_of(kind, told, wanted.system_id))
+    for first in JUDGES[kind]:
+        names = _names(kind, first)
         reported = [name for name in names if values.get(name) is not None]
+        if not reported and first in PROFILES[kind].loss_parameters:
+            why = "an answer: what it does when setpoints stop is not known; control is refused"
+            found.append(_GROUP.fail(first, "the autopilot does not report it", f"expected {why}"))
+            continue
         found += [_finding(name, values.get(name), names[name], wanted) for name in reported or [first]]
     return found
 

@@ -15,14 +15,19 @@ TOLD: dict[str, float] = {
     "ANGLE_MAX": 3000.0, "WPNAV_ACCEL": 250.0, "PSC_JERK_XY": 5.0,
     "MOT_THST_HOVER": 0.36, "MPC_TILTMAX_AIR": 45.0, "MPC_THR_HOVER": 0.5,
     "COM_OF_LOSS_T": 0.5, "GUID_TIMEOUT": 0.6,
+    "FENCE_ENABLE": 1.0, "FENCE_TYPE": 7.0, "FENCE_ACTION": 1.0, "FS_GCS_ENABLE": 0.0, "SYSID_MYGCS": 255.0,
 }  # fmt: skip
 
 
 def answer(
-    reader: SetupReader, requests: ParameterRequests, kind: AutopilotKind, told: dict[str, float]
+    reader: SetupReader,
+    requests: ParameterRequests,
+    kind: AutopilotKind,
+    told: dict[str, float],
+    during: int = 30,
 ) -> None:
-    """Three seconds in which the autopilot answers."""
-    for k in range(30):
+    """Tenths of a second in which the autopilot answers."""
+    for k in range(during):
         for message in requests.to_send(0.1 * k, 1):
             assert message.get_type() != "PARAM_SET"
             name = str(message.param_id)
@@ -51,9 +56,40 @@ def test_a_parameter_that_was_corrected_is_known_once_asked_for_afresh() -> None
     reader.renew()
     assert reader.setup == before  # until it has been answered
     answer(reader, requests, "ardupilot", TOLD)
-    assert reader.setup == AutopilotSetup(30.0, 0.36, 2.5, 5.0, setpoint_timeout_s=0.6)
+    assert reader.setup == AutopilotSetup(30.0, 0.36, 2.5, 5.0, 0.6, drift_ends=True)
     reader.begin("px4")
     assert reader.setup is None  # nothing of the other one's counts
+
+
+def test_what_follows_a_silence_is_fresh_once_it_has_been_answered_again() -> None:
+    # GIVEN an autopilot that lacks a parameter, which is asked for in vain for two seconds
+    requests, told = ParameterRequests(), TOLD | {"GUID_TIMEOUT": 3.0}
+    del told["PSC_JERK_XY"]
+    reader = SetupReader(requests)
+    reader.begin("ardupilot")
+    answer(reader, requests, "ardupilot", told)
+    assert reader.loss_is_fresh
+    # WHEN it is asked afresh
+    reader.renew()
+    assert not reader.loss_is_fresh
+    answer(reader, requests, "ardupilot", told | {"GUID_TIMEOUT": 0.5}, during=1)
+    # THEN what matters is not waited for with the rest
+    assert reader.loss_is_fresh
+    assert reader.setup is not None
+    assert reader.setup.setpoint_timeout_s == 0.5
+    assert reader.setup.hover_thrust == TOLD["MOT_THST_HOVER"]
+
+
+def test_what_a_bad_link_leaves_unanswered_is_known_still() -> None:
+    requests = ParameterRequests()
+    reader = SetupReader(requests)
+    reader.begin("px4")
+    answer(reader, requests, "px4", TOLD | {"COM_OBL_RC_ACT": 4.0})
+    before = reader.setup
+    reader.renew()
+    answer(reader, requests, "px4", {})
+    assert reader.loss_is_fresh
+    assert reader.setup == before
 
 
 def test_what_nothing_can_change_any_more_is_not_put_together_again() -> None:
@@ -73,8 +109,10 @@ def test_arducopter_4_7_s_names_and_units_are_known() -> None:
         "PSC_NE_JERK": 4.0,
         "MOT_THST_HOVER": 0.3,
         "GUID_TIMEOUT": 1.0,
+        "FS_GCS_ENABLE": 5.0,
+        "MAV_GCS_SYSID": 1.0,
     }
-    assert read("ardupilot", told) == AutopilotSetup(25.0, 0.3, 1.5, 4.0, setpoint_timeout_s=1.0)
+    assert read("ardupilot", told) == AutopilotSetup(25.0, 0.3, 1.5, 4.0, 1.0, drift_ends=True)
 
 
 def test_nothing_is_known_before_the_answers() -> None:
@@ -86,12 +124,13 @@ def test_nothing_is_known_before_the_answers() -> None:
 
 @pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 def test_an_autopilot_without_these_parameters_is_taken_as_it_is_set(autopilot_kind: AutopilotKind) -> None:
-    assert read(autopilot_kind, {}) == AutopilotSetup()
+    nothing = {"px4": AutopilotSetup(), "ardupilot": AutopilotSetup(drift_ends=False)}
+    assert read(autopilot_kind, {}) == nothing[autopilot_kind]
 
 
 def test_both_autopilots_say_it_in_si_units() -> None:
     assert read("px4", TOLD) == AutopilotSetup(tilt_deg=45.0, hover_thrust=0.5, setpoint_timeout_s=0.5)
-    assert read("ardupilot", TOLD) == AutopilotSetup(30.0, 0.36, 2.5, 5.0, setpoint_timeout_s=0.6)
+    assert read("ardupilot", TOLD) == AutopilotSetup(30.0, 0.36, 2.5, 5.0, 0.6, drift_ends=True)
 
 
 def test_every_parameter_has_a_name_that_mavlink_can_carry() -> None:
@@ -101,30 +140,67 @@ def test_every_parameter_has_a_name_that_mavlink_can_carry() -> None:
 # ---------------------------------------------------------------- the loss of setpoints
 
 
+def warnings_of(setup: AutopilotSetup, kind: AutopilotKind, *, by_attitude: bool = True) -> list[str]:
+    return loss_warnings(setup, kind, by_attitude=by_attitude)
+
+
 @pytest.mark.parametrize("action", [3, 4, 5])
-def test_a_failsafe_that_holds_or_lands_is_no_matter(action: int | None) -> None:
+def test_a_failsafe_that_holds_or_lands_is_no_matter(action: int) -> None:
     setup = AutopilotSetup(setpoint_timeout_s=1.0, setpoints_lost_action=action)
     assert loss_refusal(setup, "px4") == ""
-    assert loss_warnings(setup, "px4") == []
+    assert warnings_of(setup, "px4") == []
 
 
-def test_what_is_not_reported_is_warned_of() -> None:
-    assert loss_refusal(AutopilotSetup(), "px4") == ""
-    (warning,) = loss_warnings(AutopilotSetup(), "px4")
-    assert "does not report COM_OF_LOSS_T and COM_OBL_RC_ACT" in warning
-    (warning,) = loss_warnings(AutopilotSetup(), "ardupilot")
-    assert "does not report GUID_TIMEOUT:" in warning
+@pytest.mark.parametrize(
+    ("kind", "setup", "names"),
+    [
+        ("px4", AutopilotSetup(), "COM_OF_LOSS_T and COM_OBL_RC_ACT"),
+        ("px4", AutopilotSetup(setpoints_lost_action=5), "COM_OF_LOSS_T"),
+        ("px4", AutopilotSetup(setpoint_timeout_s=1.0), "COM_OBL_RC_ACT"),
+        ("ardupilot", AutopilotSetup(), "GUID_TIMEOUT"),
+    ],
+)
+def test_what_is_not_reported_is_not_unlimited(
+    kind: AutopilotKind, setup: AutopilotSetup, names: str
+) -> None:
+    why = f"the autopilot does not report {names}: "
+    assert loss_refusal(setup, kind).startswith(why)
+    assert warnings_of(setup, kind)[0].startswith(f"link loss: {why}")
+
+
+@pytest.mark.parametrize(
+    ("changed", "ends"),
+    [
+        ({}, True),
+        ({"FENCE_ENABLE": 0.0}, False),
+        ({"FENCE_TYPE": 5.0}, False),  # no circle
+        ({"FENCE_ACTION": 0.0}, False),  # is reported only
+        ({"FENCE_ENABLE": 0.0, "FS_GCS_ENABLE": 5.0}, False),  # another's heartbeats
+        ({"FENCE_ENABLE": 0.0, "FS_GCS_ENABLE": 5.0, "SYSID_MYGCS": 1.0}, True),
+        ({"FENCE_ENABLE": 0.0, "FS_GCS_ENABLE": 0.0, "SYSID_MYGCS": 1.0}, False),
+    ],
+)
+def test_an_ardupilot_that_nothing_stops_drifting_is_warned_of(changed: dict[str, float], ends: bool) -> None:
+    setup = read("ardupilot", TOLD | changed)
+    assert setup is not None
+    assert setup.drift_ends is ends
+    assert loss_refusal(setup, "ardupilot") == ""
+    found = warnings_of(setup, "ardupilot")
+    assert all("FENCE_ENABLE" in text and "FS_GCS_ENABLE" in text for text in found)
+    assert bool(found) is not ends
+    assert warnings_of(setup, "ardupilot", by_attitude=False) == []  # by velocity it stops
 
 
 def test_a_failsafe_for_a_pilot_at_the_sticks_is_warned_of() -> None:
-    (warning,) = loss_warnings(AutopilotSetup(setpoint_timeout_s=0.5, setpoints_lost_action=0), "px4")
+    setup = AutopilotSetup(setpoint_timeout_s=1.0, setpoints_lost_action=0)
+    (warning,) = warnings_of(setup, "px4")
     assert warning.startswith("link loss: COM_OBL_RC_ACT is 0 (Position)")
-    assert loss_refusal(AutopilotSetup(setpoints_lost_action=0), "px4") == ""
+    assert loss_refusal(setup, "px4") == ""
 
 
 @pytest.mark.parametrize(("kind", "name"), [("px4", "COM_OF_LOSS_T"), ("ardupilot", "GUID_TIMEOUT")])
 def test_setpoints_that_are_kept_for_long_are_warned_of(kind: AutopilotKind, name: str) -> None:
-    (warning,) = loss_warnings(AutopilotSetup(setpoint_timeout_s=3.0, setpoints_lost_action=5), kind)
+    (warning,) = warnings_of(AutopilotSetup(setpoint_timeout_s=3.0, setpoints_lost_action=5), kind)
     assert warning.startswith(f"link loss: {name} is 3")
 
 
@@ -140,7 +216,6 @@ def test_a_failsafe_that_stops_the_motors_is_no_way_to_fly(action: int) -> None:
     [
         ("px4", 5, 0.3, "COM_OF_LOSS_T is 0.3: on a pad that moves its Hold drags"),
         ("px4", 5, 0.9, "COM_OF_LOSS_T is 0.9: on a pad that moves its Hold drags"),
-        ("px4", None, 0.5, "COM_OF_LOSS_T is 0.5: on a pad that moves its Hold drags"),
         ("px4", 5, 1.0, ""),
         ("px4", 4, 0.5, ""),
         ("px4", 4, 0.2, "COM_OF_LOSS_T is 0.2: too short to know that it does not hear us"),

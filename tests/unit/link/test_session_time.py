@@ -101,7 +101,7 @@ def test_an_autopilot_that_no_longer_hears_us_is_silent_though_it_talks() -> Non
 def test_that_it_hears_us_no_more_is_known_before_it_gives_our_setpoint_up(keeps_s: float) -> None:
     flight = SessionFlight()
     flight.run(3.0)
-    flight.session._setup._known = AutopilotSetup(setpoint_timeout_s=keeps_s)
+    flight.session._setup._final = AutopilotSetup(setpoint_timeout_s=keeps_s)
     flight.run(3.0)
     flight.unheard = True
     flight.run(keeps_s)

@@ -143,7 +143,7 @@ def test_before_the_parameters_are_read_nothing_begins(
         asked = asyncio.ensure_future(actions.perform(Action(kind)))
         await asyncio.sleep(1.0)
         assert (autopilot.mode, autopilot.armed) == before
-        known.extend([AutopilotSetup(setpoints_lost_action=5)] * told)
+        known.extend([AutopilotSetup(setpoint_timeout_s=1.0, setpoints_lost_action=5)] * told)
         return [await asked]
 
     [result] = fly(autopilot, story)

@@ -42,6 +42,9 @@ BAD: dict[AutopilotKind, dict[str, float]] = {
     },
     "ardupilot": {
         "GUID_TIMEOUT": 5.0,
+        "FENCE_ENABLE": 0.0,
+        "FENCE_TYPE": 5.0,
+        "FENCE_ACTION": 0.0,
         "GUID_OPTIONS": 1.0,
         "ANGLE_MAX": 500.0,
         "MOT_THST_HOVER": 0.9,

@@ -29,6 +29,7 @@ GOOD: dict[AutopilotKind, dict[str, float | None]] = {
     "ardupilot": {
         "GUID_TIMEOUT": 1.0, "GUID_OPTIONS": 8, "ANGLE_MAX": 3000, "MOT_THST_HOVER": 0.5, "FS_THR_ENABLE": 1,
         "FS_OPTIONS": 16, "DISARM_DELAY": 10, "LAND_SPEED": 50, "WPNAV_ACCEL": 250.0, "PSC_JERK_XY": 5.0,
+        "FENCE_ENABLE": 1, "FENCE_TYPE": 7, "FENCE_ACTION": 1, "FS_GCS_ENABLE": 0, "SYSID_MYGCS": 255,
     },
 }  # fmt: skip
 
@@ -100,7 +101,13 @@ def test_another_version_s_name_and_unit_are_known(
         ("ardupilot", "FS_OPTIONS", 4, FindingState.WARNING),
         ("ardupilot", "DISARM_DELAY", 0, FindingState.WARNING),
         ("ardupilot", "LAND_SPEED", 150, FindingState.WARNING),
-        ("px4", "COM_OBL_RC_ACT", None, FindingState.NOT_CHECKED),
+        ("px4", "COM_OBL_RC_ACT", None, FindingState.FAIL),
+        ("px4", "COM_OF_LOSS_T", None, FindingState.FAIL),
+        ("ardupilot", "GUID_TIMEOUT", None, FindingState.FAIL),
+        ("ardupilot", "FENCE_ENABLE", 0, FindingState.WARNING),
+        ("ardupilot", "FENCE_TYPE", 5, FindingState.WARNING),
+        ("ardupilot", "FENCE_ACTION", 0, FindingState.WARNING),
+        ("px4", "MPC_USE_HTE", None, FindingState.NOT_CHECKED),
     ],
 )
 def test_a_value_that_differs_is_found_alone(
