@@ -19,10 +19,12 @@ from benchmarks.faults.cases import CASES, FaultRun, StandingBy, changed, faultl
 from benchmarks.faults.computer import applied
 from benchmarks.faults.forks import Forks
 from benchmarks.faults.judge import HOLD_MODES, SafetyBounds, SafetyVerdict, judge
+from benchmarks.faults.sent_limits import OBEYED_MODES
 from benchmarks.faults.standing_by import play
 from benchmarks.faults.witness import Commanded, FaultWitness, TruthSample, WitnessedFlight
 from companion.app.app import App
 from companion.app.hardware import make_own_actions
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import run_in_virtual_time
 from companion.base.messages import VehicleState
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError
@@ -45,6 +47,7 @@ from sitl.scenario.scenario import Scenario
 
 HELD_S: Final = 4.0
 AFTERMATH_S: Final = 60.0
+DRIFTS_S: Final = 240.0  # so long it is left to what ends a flight without setpoints
 LOOK_S: Final = 0.1
 # what stands on the pad so long with its motors on, nothing disarms: longer than the touchdown's time-out
 STANDS_S: Final = 55.0
@@ -54,8 +57,12 @@ SETTLES_S: Final = 5.0
 DEFAULT_CEILING_M: Final = 40.0
 
 
-# docs/reference/autopilot-parameters.md: what PX4 is to do when setpoints stop, 5: hold
-SETPOINTS_LOST: Final = ("COM_OBL_RC_ACT", 5.0)
+# docs/reference/autopilot-parameters.md: what the autopilot is to do when setpoints stop, where a case says nothing
+# else. PX4 holds; ArduPilot returns where it has drifted to the app's own fence (`plan.mission.fence_m`).
+SETPOINTS_LOST: Final[dict[AutopilotKind, dict[str, float]]] = {
+    "px4": {"COM_OBL_RC_ACT": 5.0},
+    "ardupilot": {"GUID_TIMEOUT": 1.0, "FENCE_ENABLE": 1.0, "FENCE_RADIUS": 150.0},
+}
 
 
 def _as_is(_simulation: Simulation) -> None:
@@ -180,9 +187,10 @@ async def _fly(
         signing_key=None if config.link.signing_key is None else read_key(config.link.signing_key),
     )
     simulation = vehicle.simulation
-    px4 = trial.scenario.autopilot == "px4"
-    if px4 and not simulation.autopilot.parameters.set(*SETPOINTS_LOST):
-        raise ConfigError(f"{SETPOINTS_LOST[0]}: expected a parameter of the autopilot")
+    for name, value in SETPOINTS_LOST[trial.scenario.autopilot].items():
+        chosen = trial.scenario.autopilot_parameters.get(name, value)
+        if not simulation.autopilot.parameters.set(name, chosen):
+            raise ConfigError(f"{name}: expected a parameter of the autopilot")
     prepare(simulation)
     witness = FaultWitness(simulation)
     simulation.on_step = witness.step
@@ -260,8 +268,10 @@ def _words(failure: BaseException) -> str:
 async def _aftermath(vehicle: InProcess, record: WitnessedFlight) -> None:
     """Go on until it is disarmed and at rest, has held for a while, or has crashed."""
     world, autopilot = vehicle.simulation.world, vehicle.simulation.autopilot
-    ended_s = held_s = world.time_s
+    began_s = ended_s = held_s = world.time_s
     while autopilot.armed and not world.crashed and world.time_s < ended_s + AFTERMATH_S:
+        if autopilot.mode in OBEYED_MODES and world.time_s < began_s + DRIFTS_S:
+            ended_s = world.time_s
         if autopilot.mode not in HOLD_MODES:
             held_s = world.time_s
         if world.time_s >= held_s + HELD_S:

@@ -6,8 +6,8 @@ vehicle's as the app believes it.
 Unsafe is a crash; touching anything, the pad included, faster than 0.3 m/s sideways or 0.7 m/s down relative
 to it; touching the ground by the app's setpoints and flying on; disarming in the air; flying outside fence
 or ceiling by the app's setpoints; a climb that was not announced; a setpoint outside the limits; an end
-without a text that says why; "landed" told of a vehicle beside the pad; a mode changed that the pilot, or a
-failsafe, has chosen.
+without a text that says why; an end in the air in a mode that waits for setpoints; "landed" told of a vehicle
+beside the pad; a mode changed that the pilot, or a failsafe, has chosen.
 """
 
 from __future__ import annotations
@@ -82,7 +82,11 @@ def judge(record: WitnessedFlight, bounds: SafetyBounds) -> SafetyVerdict:
         *_strayed(record, bounds),
         *_climbs(record),
         *broken_limits(record, bounds.limits),
-        *(_silent_end(record) if record.unasked_from_s is None else _unasked(record)),
+        *(
+            (*_silent_end(record), *_left_alone(record))
+            if record.unasked_from_s is None
+            else _unasked(record)
+        ),
         *_false_landing(record),
         *_overruled(record),
     )
@@ -185,12 +189,20 @@ def _silent_end(record: WitnessedFlight) -> Iterator[str]:
         yield "ended without a text that says why"
 
 
+def _left_alone(record: WitnessedFlight) -> Iterator[str]:
+    """An end that is none: in the air it waits for setpoints, and nothing changes that."""
+    last = record.samples[-1]
+    if last.armed and not last.touching and last.mode in OBEYED_MODES:
+        yield f"left in the air in {last.mode}, {_away_m(last):.0f} m from home"
+
+
 def _climbs(record: WitnessedFlight) -> Iterator[str]:
-    """What nobody announced; a pilot's take-off in GUIDED, with no setpoint sent, is his own."""
+    """What nobody announced; a pilot's take-off in GUIDED, with no setpoint sent, is his own, and where none
+    arrives the autopilot flies."""
     sent_s = -math.inf
     if record.unasked_from_s is not None:
         sent_s = min((setpoint.time_s for setpoint in record.setpoints), default=math.inf)
-    flown = (sample for sample in _obeyed(record) if sample.time_s >= sent_s)
+    flown = (sample for sample in _obeyed(record) if sample.obeys and sample.time_s >= sent_s)
     return unannounced_climbs(flown, record.texts, record.commanded)
 
 

@@ -25,7 +25,8 @@ _YAW_IGNORED: Final = 1 << 10
 
 
 class TruthSample(NamedTuple):
-    """The truth at a time. `feet_over_surface_m`: over what is beneath, board or ground.
+    """The truth at a time. `feet_over_surface_m`: over what is beneath, board or ground. `obeys`: a setpoint
+    that has reached it of late.
 
     So much too low the GPS receiver has its height, and the app believes itself: `receiver_low_m` and
     `believed_low_m`, whose zero may be anywhere.
@@ -40,6 +41,7 @@ class TruthSample(NamedTuple):
     mode: str
     receiver_low_m: float = 0.0
     believed_low_m: float = 0.0
+    obeys: bool = True
 
 
 class GroundTouch(NamedTuple):
@@ -146,9 +148,8 @@ class FaultWitness:
         place, velocity = state.position_ned_m, state.velocity_ned_m_s
         armed, mode = self._autopilot.armed, self._autopilot.mode
         low_m = self._simulation.receiver_wander_ned_m[2]
-        self.record.samples.append(
-            TruthSample(now_s, place, velocity, self._feet_m(), touching, armed, mode, low_m)
-        )
+        sample = TruthSample(now_s, place, velocity, self._feet_m(), touching, armed, mode, low_m)
+        self.record.samples.append(sample._replace(obeys=self._autopilot.obeys_setpoints))
 
     def hear(self, data: bytes, now_s: float) -> None:
         """Take what the app has just sent."""

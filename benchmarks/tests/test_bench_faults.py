@@ -160,6 +160,11 @@ def go_on_for_ever(record: WitnessedFlight) -> None:
     record.app_ended_s = None
 
 
+def left_in_the_air(record: WitnessedFlight) -> None:
+    for k in range(1500, 1850):
+        record.samples[k] = record.samples[k]._replace(touching=False, armed=True, mode="GUIDED")
+
+
 def land_beside(record: WitnessedFlight) -> None:
     record.contacts = [contact(35.0, on_pad=False)]
 
@@ -182,6 +187,7 @@ def take_back(record: WitnessedFlight) -> None:
     ("spoil", "words"),
     [
         (crash, "crash"),
+        (left_in_the_air, "left in the air in GUIDED, 10 m from home"),
         (slide, "0.31 m/s sideways at 34.0 s"),
         (drop, "0.71 m/s down at 34.0 s"),
         (fall, "0.90 m/s down at 36.5 s"),
@@ -368,3 +374,12 @@ def test_an_app_that_stands_by_sends_what_somebody_asked_for_and_says_no_end() -
     assert judge(record, BOUNDS) == SafetyVerdict("landed")
     record.unasked_from_s = 11.0
     assert judge(record, BOUNDS).unsafe == ("a setpoint at 12.0 s that nobody asked for",)
+
+
+def test_what_rises_without_the_apps_setpoints_is_no_climb_of_the_apps() -> None:
+    record = landing()
+    climb(record)
+    assert judge(record, BOUNDS).outcome == "unsafe"
+    for k in range(1280, 1420):
+        record.samples[k] = record.samples[k]._replace(obeys=False)
+    assert judge(record, BOUNDS) == SafetyVerdict("landed")

@@ -268,6 +268,7 @@ class App:
             control_failure=self._control_failure,
             thrust_doubt="" if self._controller is None else self._controller.thrust.doubt,
             silent_s=self.session.silent_s(now_s),
+            deaf=self.session.silent_s(now_s) > self.session.heartbeat_timeout_s,
             keeps_setpoint_s=(self.session.setup or AutopilotSetup()).keeps_setpoint_s,
         )
         before, plan = self.phase, self.missions.step(inputs, now_s)

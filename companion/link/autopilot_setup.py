@@ -176,8 +176,8 @@ def loss_warnings(
         )
     if timeout_s is not None and timeout_s > LONGEST_TIMEOUT_S:
         found.append(
-            f"{PROFILES[autopilot_kind].loss_parameters[0]} is {timeout_s:g}: so long the last setpoint is kept; "
-            f"{expected_timeout(setup, autopilot_kind)}"
+            f"{PROFILES[autopilot_kind].loss_parameters[0]} is {timeout_s:g}: so long the last setpoint is "
+            f"kept; {expected_timeout(setup, autopilot_kind)}"
         )
     if by_attitude and setup.drift_ends is False:
         found.append(f"level, it drifts with the wind, and {endless_drift(system_id)}")

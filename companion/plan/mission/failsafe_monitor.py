@@ -125,6 +125,8 @@ class FailsafeMonitor:
             asked=asked,
         )
         silence = f"no heartbeat from the autopilot{refused_words(autopilot)}"
+        if heard:
+            silence = f"nothing has shown for {inputs.silent_s:.0f} s that the autopilot hears us"
         signs = (
             (
                 control_granted and autopilot.offboard,
@@ -139,14 +141,14 @@ class FailsafeMonitor:
             ),
             (taken_over, MissionEvent.TAKEN_OVER, _mode_words(inputs)),
             (inputs.stop_requested, MissionEvent.STOP, "by the operator"),
-            (not heard, MissionEvent.LINK_LOST, silence),
+            (not heard or inputs.deaf, MissionEvent.LINK_LOST, silence),
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
         found += [*self._late(inputs, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
         found += [*self._control(inputs.control_failure, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
         found += [*_disputed(inputs.comparisons, bounds), *bounds, *self._time(now_s)]
-        found += [(MissionEvent.LINK_UP, "heartbeat again")] if heard else []
+        found += [(MissionEvent.LINK_UP, "heartbeat again")] if heard and not inputs.deaf else []
         return tuple(found)
 
     def after_end(self, autopilot: AutopilotState, asked: frozenset[ActionKind]) -> tuple[DetectedEvent, ...]:

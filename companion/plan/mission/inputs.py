@@ -31,7 +31,7 @@ class PlanInputs:
 
     `keeps_setpoint_s`: for how long the autopilot goes by the last setpoint that arrived.
     `silent_s`: since anything was last heard of the autopilot, or showed that it hears us, seen by an app
-    that runs.
+    that runs. `deaf`: for as long as after which a link is lost, nothing has shown that it hears us.
     `comparisons`: what was measured by two sources.
     `control_failure`: why the last setpoint was a stop. `thrust_doubt`: what stands against control by
     thrust.
@@ -51,4 +51,5 @@ class PlanInputs:
     control_failure: str = ""
     thrust_doubt: str = ""
     silent_s: float = 0.0
+    deaf: bool = False
     keeps_setpoint_s: float = UNKNOWN_TIMEOUT_S

@@ -147,6 +147,14 @@ def test_a_link_is_late_beyond_its_bound_while_that_is_fresh(
     assert gravest(inputs(replace(slow, connected=False))) is MissionEvent.LINK_LOST
 
 
+def test_a_link_is_lost_where_the_autopilot_does_not_hear_us() -> None:
+    deaf = replace(inputs(FLYING), silent_s=3.2, deaf=True)
+    assert gravest(deaf) is MissionEvent.LINK_LOST
+    assert gravest(deaf, State.AWAIT_LINK) is None  # no heartbeat of its ends the wait
+    assert gravest(replace(deaf, deaf=False), State.AWAIT_LINK) is MissionEvent.LINK_UP
+    assert gravest(deaf, State.SINK) is None
+
+
 @pytest.mark.parametrize(
     ("given", "state", "event"),
     [
