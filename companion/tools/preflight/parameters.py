@@ -22,7 +22,6 @@ from companion.link.autopilot_setup import (
     CIRCLE_FENCE,
     LONGEST_TIMEOUT_S,
     MOTOR_STOP_ACTIONS,
-    NAMES,
     STICK_ACTIONS,
     endless_drift,
     expected_timeout,
@@ -267,7 +266,11 @@ OTHERS: Final[dict[AutopilotKind, dict[str, dict[str, _Judge]]]] = {
 def parameter_names(autopilot_kind: AutopilotKind) -> tuple[str, ...]:
     """Those to read, by the names of all versions: only one of each answers. A judge may need others, too."""
     judged = [name for first in JUDGES[autopilot_kind] for name in _names(autopilot_kind, first)]
-    needed = [name for first in NAMES[autopilot_kind] for name in all_names(autopilot_kind, first)]
+    needed = [
+        name
+        for first in PROFILES[autopilot_kind].read_parameters
+        for name in all_names(autopilot_kind, first)
+    ]
     return tuple(dict.fromkeys(judged + needed))
 
 
@@ -276,7 +279,7 @@ def judge_parameters(
 ) -> list[Finding]:
     """A finding each; None is a parameter that the autopilot did not report."""
     kind, found = autopilot_kind, []
-    told = {first: value_of(kind, first, values) for first in NAMES[kind]}
+    told = {first: value_of(kind, first, values) for first in PROFILES[kind].read_parameters}
     wanted = replace(wanted, setup=setup_of(kind, told, wanted.system_id))
     for first in JUDGES[kind]:
         names = _names(kind, first)
