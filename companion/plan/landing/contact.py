@@ -162,27 +162,27 @@ class Standing:
         away = sight.unseen_s <= UNSEEN_S and sight.height_m > self._vehicle.leg_height_m + _AWAY_M
         return self._away.held_s(away, now_s) >= _AWAY_S
 
-    def doubted(self, inputs: PlanInputs, now_s: float) -> bool:
-        """Whether our setpoints may not arrive, or just now may not have; what lifts it or makes it slide
-        then is the autopilot.
+    def doubted(self, now_s: float) -> bool:
+        """Whether our setpoints may not arrive, or just now may not have, as `off_by_itself` has seen it; what
+        lifts it or makes it slide then is the autopilot.
 
         It holds by itself once setpoints do not arrive, over a pad that moves on; obeying again by our first
         setpoint it would be pressed down from there.
+        """
+        return now_s - self._unsure_s <= _DOUBTED_S
+
+    def off_by_itself(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> tuple[bool, bool]:
+        """Whether it is shown off the pad while our setpoints are `doubted`, and whether nothing shows it on
+        the pad. Once a cycle.
+
+        A pad that is seen decides, against the height at which it stood while we were heard; else echoes do.
+        Where the IMU is silent too (all comes by the link), what is not shown says nothing.
         """
         if unheard(inputs):
             self._silent_s = now_s
         if unheard(inputs) or inputs.silent_s >= FRESH_S:
             self._unsure_s = now_s
-        return now_s - self._unsure_s <= _DOUBTED_S
-
-    def off_by_itself(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> tuple[bool, bool]:
-        """Whether it is shown off the pad while our setpoints are `doubted`, and whether nothing shows it on
-        the pad.
-
-        A pad that is seen decides, against the height at which it stood while we were heard; else echoes do.
-        Where the IMU is silent too (all comes by the link), what is not shown says nothing.
-        """
-        doubted = self.doubted(inputs, now_s)
+        doubted = self.doubted(now_s)
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
         high = echo_m is not None and echo_m > self._vehicle.leg_height_m + _LIFTED_M
         lifted = self._lifted.held_s(high, now_s) >= _LIFTED_S

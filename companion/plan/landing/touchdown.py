@@ -347,7 +347,7 @@ class TouchdownSequence:
         if unshown and state is State.STAND:
             return "the autopilot is not heard, and nothing shows the feet down"
         away = sight is not None and self._standing.off_pad(sight, now_s)
-        slips = self._standing.arrives(now_s) or self._standing.doubted(inputs, now_s)
+        slips = self._standing.arrives(now_s) or self._standing.doubted(now_s)
         if sight is not None and slips and (slides := self._slides(sight)):
             return slides
         return "the pad is well below the feet" if away else ""
