@@ -3,13 +3,16 @@
 A frame that was exposed d later than its stamp says takes the attitude of another moment: a vehicle that
 turns at w sees the pad jump by -d w x q, although nothing moves. A pad that is printed smaller than its file
 says, or a focal length that is wrong, makes every distance k times what it is, and the pad seems to move k
-times as the vehicle does. Both are constants of one linear filter, beside the pad's own motion (q, v: the
-relative position and velocity as they are seen, NED; a: the pad's acceleration, a Gauss-Markov process; U:
-the vehicle's own motion beyond constant velocity, by the IMU):
+times as the vehicle does. An IMU that sits r (body) from where the file says swings by R r where the vehicle
+turns: at a swing of w rad/s that looks like a scale of 1 + w^2 r / g, 20 % of 0.1 m. All are constants of one
+linear filter, beside the pad's own motion (q, v: position and velocity relative to the IMU as they are seen,
+NED; a: the pad's acceleration, a Gauss-Markov process; U: the IMU's own motion beyond constant velocity):
 
     predict   q += v dt + a dt^2 / 2 - k U_q        v += a dt - k U_v        a *= exp(-dt / tau)
-    sighting  z = q - (d - d0) w x z + noise        d0: the delay that is corrected already
-    echo      k h = q_down + noise                  h: the height over the board
+    sighting  z = q + R r - (d - d0) w x z + noise  d0: the delay that is corrected already
+    echo      k h = (q + R r)_down + noise          h: the height over the board
+
+Where a fix corrects the attitude by a small rotation, q, v and a - g turn with it (see `frame_correction`).
 
 What the pad shares with a vehicle that follows it is slow, and goes to its acceleration. A vehicle that
 neither moves nor turns shows nothing but by its echoes.
@@ -28,7 +31,17 @@ from typing import Final
 
 import numpy as np
 
-from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, cross, norm, quat_rotate
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    FloatArray,
+    Quaternion,
+    Vector3,
+    cross,
+    matrix_from_quat,
+    norm,
+    quat_rotate,
+    quat_rotate_inverse,
+)
 from companion.base.messages import Quantity, SourceComparison
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.pad_types import HeightMeasurement
@@ -57,8 +70,9 @@ MEDIAN_OF: Final = 7  # echoes
 LARGEST_DELAY_S: Final = 0.1
 UNSETTLED_S: Final = 0.005  # what is still to be corrected of the delay: less does not show in the scale
 SLEW: Final = 0.01  # s a second: what is corrected moves slowly, so that sightings stay in order
-_Q, _V, _A, _K, _D = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10
-_STATES: Final = 11
+LEVER_STD_M: Final = 0.05  # of the IMU's place, an axis: people put boards up to 10 cm off
+_Q, _V, _A, _K, _D, _R = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, slice(11, 14)
+_STATES: Final = 14
 _EYE3: Final = np.eye(3)
 
 
@@ -83,7 +97,8 @@ class CameraCheck:
         self.link_delay_s = 0.0
         self._x = np.zeros(_STATES)
         self._x[_K] = 1.0
-        self._P = np.diag([0.0] * 9 + [SCALE_STD**2, delay_std_s**2])
+        self._P = np.diag([0.0] * 9 + [SCALE_STD**2, delay_std_s**2] + [LEVER_STD_M**2] * 3)
+        self._down_body: Vector3 = (0.0, 0.0, 1.0)  # at the last sighting
         self._time_s = -math.inf
         self._echoes: deque[tuple[float, float]] = deque(maxlen=4)  # time (s), our height over it (m)
         self._heights_m: tuple[float, float, float] | None = None  # when, as it is seen, by echoes
@@ -116,16 +131,17 @@ class CameraCheck:
         if attitude is None or time_s <= self._time_s:
             return
         seen = quat_rotate(attitude, pad_position_body_m)
+        self._down_body = quat_rotate_inverse(attitude, (0.0, 0.0, 1.0))
         attitude_rad2 = NOISE_RAD**2 + self._motion.turn_density_rad2_s * ATTITUDE_WANDERS_S
         noise_m2 = variance_m2 + NOISE_M**2 + attitude_rad2 * norm(seen) ** 2
         if time_s - self._time_s > LONGEST_GAP_S:
-            self._begin(seen, noise_m2)
+            self._begin(attitude, seen, noise_m2)
         else:
             self._predict(time_s)
             rate = quat_rotate(attitude, self._motion.rate_body_rad_s(time_s, RATE_SPAN_S))
             # by a horizon that wanders as much as this filter takes it to, motion tells nothing of the scale
             quiet = attitude_rad2 <= 2.0 * NOISE_RAD**2
-            self._see(seen, cross(rate, seen), noise_m2, scale=quiet)
+            self._see(attitude, seen, cross(rate, seen), noise_m2, scale=quiet)
             self._follow(time_s - self._time_s)
         self._time_s = time_s
         for echo in tuple(self._echoes):
@@ -133,14 +149,28 @@ class CameraCheck:
                 self._echoes.remove(echo)
                 self._hear(*echo)
 
-    def _begin(self, seen: Vector3, noise_m2: float) -> None:
-        self._x[_Q], self._x[_V], self._x[_A] = seen, 0.0, 0.0
-        self._P[:9, :], self._P[:, :9] = 0.0, 0.0
+    def _begin(self, attitude: Quaternion, seen: Vector3, noise_m2: float) -> None:
+        """The pad's motion anew; it is from the IMU, as far as it is known where that is."""
+        x, P, R = self._x, self._P, matrix_from_quat(attitude)
+        x[_Q], x[_V], x[_A] = np.array(seen) - R @ x[_R], 0.0, 0.0
+        P[:9, :], P[:, :9] = 0.0, 0.0
         spread = (noise_m2, FIRST_SPEED_M_S**2, PAD_ACCELERATION_M_S2**2)
-        self._P[:9, :9] = np.diag(np.repeat(spread, 3))
+        P[:9, :9] = np.diag(np.repeat(spread, 3))
+        P[_Q, _K:] = -R @ P[_R, _K:]
+        P[_K:, _Q] = P[_Q, _K:].T
+        P[_Q, _Q] += R @ P[_R, _R] @ R.T
+
+    def _turn(self, dt: float, correction_rad: Vector3) -> None:
+        """A corrected attitude turns what was seen before with it."""
+        turn, x = np.array(correction_rad), self._x
+        pushed = np.cross(turn, (0.0, 0.0, -GRAVITY_M_S2))
+        x[_Q] += np.cross(turn, x[_Q] + dt * x[_V]) - dt * dt / 3.0 * pushed
+        x[_V] += np.cross(turn, x[_V]) - 0.5 * dt * pushed
+        x[_A] += pushed
 
     def _predict(self, time_s: float) -> None:
         dt = time_s - self._time_s
+        self._turn(dt, self._motion.corrected(self._time_s, time_s))
         moved, sped = (np.array(u) for u in self._motion.moved(self._time_s, time_s))
         fade = math.exp(-dt / PAD_ACCELERATION_S)
         F = np.eye(_STATES)
@@ -159,11 +189,14 @@ class CameraCheck:
         self._P[_K, _K] += SCALE_WALK_RTS**2 * dt
         self._P[_D, _D] += self._delay_walk**2 * dt
 
-    def _see(self, seen: Vector3, sweep_m_s: Vector3, noise_m2: float, *, scale: bool) -> None:
+    def _see(
+        self, attitude: Quaternion, seen: Vector3, sweep_m_s: Vector3, noise_m2: float, *, scale: bool
+    ) -> None:
         sweep = np.array(sweep_m_s)
         H = np.zeros((3, _STATES))
         H[:, _Q] = _EYE3
         H[:, _D] = -sweep
+        H[:, _R] = matrix_from_quat(attitude)
         self._update(np.array(seen) - self.delay_s * sweep - H @ self._x, H, noise_m2 * _EYE3, scale=scale)
 
     def _follow(self, elapsed_s: float) -> None:
@@ -178,6 +211,7 @@ class CameraCheck:
     def _hear(self, echo_s: float, height_m: float) -> None:
         """Of some echoes the median counts: single ones come from anywhere between sensor and floor."""
         north, east, down = self._x[_Q].tolist()
+        down += float(np.dot(self._down_body, self._x[_R]))
         if height_m <= 0.0 or math.hypot(north, east) > self._half_width_m:
             return
         seen_m = down - (self._time_s - echo_s) * float(self._x[5])
@@ -188,7 +222,7 @@ class CameraCheck:
         self._ratios.clear()
         self._heights_m = (self._time_s, down, height_m)
         H = np.zeros((1, _STATES))
-        H[0, 2], H[0, _K] = 1.0, -height_m
+        H[0, 2], H[0, _K], H[0, _R] = 1.0, -height_m, self._down_body
         variance = 0.5 * math.pi / MEDIAN_OF * (float(self._x[_K]) * ECHO_NOISE_M) ** 2
         self._update(-H @ self._x, H, np.array([[variance]]))
 

@@ -12,9 +12,11 @@ from companion.base.geometry import (
     GRAVITY_M_S2,
     Quaternion,
     Vector3,
+    add,
     quat_from_euler,
     quat_rotate,
     quat_rotate_inverse,
+    scale,
     subtract,
 )
 from companion.estimate.motion import MotionHistory
@@ -34,15 +36,26 @@ class Sway:
     noise_m: float = 0.005
     pad_speed_m_s: float = 1.0
     pad_acceleration_m_s2: float = 0.0
+    imu_m: Vector3 = (0.0, 0.0, 0.0)  # the IMU's place from where its file says, body
+    swing_rad_s: float = 6.0
 
     def attitude(self, time_s: float) -> Quaternion:
-        return quat_from_euler(
-            self.roll_rad * math.sin(6.0 * time_s), 0.5 * self.roll_rad * math.sin(8.0 * time_s), 0.3
-        )
+        phase_rad = self.swing_rad_s * time_s
+        roll, pitch = math.sin(phase_rad), 0.5 * math.sin(8.0 / 6.0 * phase_rad)
+        return quat_from_euler(self.roll_rad * roll, self.roll_rad * pitch, 0.3)
 
     def acceleration(self, time_s: float) -> Vector3:
         x, y, z = quat_rotate(self.attitude(time_s), (0.0, 0.0, -GRAVITY_M_S2))
         return (x, y, z + GRAVITY_M_S2)
+
+    def felt(self, time_s: float) -> Vector3:
+        """Acceleration of the IMU, which swings about the centre of mass."""
+        step_s = 1e-3
+        before, here, after = (
+            quat_rotate(self.attitude(time_s + k * step_s), self.imu_m) for k in (-1.0, 0.0, 1.0)
+        )
+        swing = subtract(add(before, after), scale(here, 2.0))
+        return add(self.acceleration(time_s), scale(swing, 1.0 / step_s**2))
 
     def pad(self, time_s: float) -> Vector3:
         return (self.pad_speed_m_s * time_s + 0.5 * self.pad_acceleration_m_s2 * time_s**2, 0.0, 0.0)
@@ -59,7 +72,7 @@ def sightings(
     exposed_s = 0.1
     for k in range(round(duration_s / IMU_S)):
         now_s = k * IMU_S
-        motion.add(now_s, sway.attitude(now_s), sway.acceleration(now_s))
+        motion.add(now_s, sway.attitude(now_s), sway.felt(now_s))
         places.append((float(position[0]), float(position[1]), float(position[2])))
         acceleration = np.array(sway.acceleration(now_s))
         position = position + velocity * IMU_S + 0.5 * acceleration * IMU_S**2
