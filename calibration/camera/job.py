@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -31,6 +30,7 @@ from companion import __version__
 from companion.base.clock import start_unix_s
 from companion.base.files import write_atomically
 from companion.base.printing.paper import PaperName
+from companion.base.signals import run_until_stopped
 from companion.config import CaptureConfig, ConfigError, validate
 from companion.sense.camera.source import is_camera
 
@@ -165,7 +165,7 @@ def _live(job: CameraCalibrationJob, board: CalibrationBoard, capture: CaptureCo
     options = LiveOptions(
         job.sources[0], capture, job.most_views, job.model, job.keep, job.overlay, job.serve_port
     )
-    session = asyncio.run(capture_live(board, options, typer.echo))
+    session = run_until_stopped(capture_live(board, options, typer.echo))
     return CollectedViews(session.views, session.size_px, options.source)
 
 

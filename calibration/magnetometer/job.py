@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import sys
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from calibration.magnetometer.solve.true_field import field_at, field_by, year_o
 from companion import __version__
 from companion.base.clock import start_unix_s
 from companion.base.files import write_atomically
+from companion.base.signals import run_until_stopped
 from companion.config import CompanionConfig, ConfigError, load_config
 from companion.config.magnetometer import Sensor
 
@@ -113,7 +113,7 @@ def _samples(
         limits = CollectionLimits(
             source.time_limit_s, job.output.with_suffix(".coverage.png"), source.serve_port
         )
-        return asyncio.run(_live(source, job.config is not None, settings, limits, console))
+        return run_until_stopped(_live(source, job.config is not None, settings, limits, console))
     if source.bus is not None or source.connect is not None or source.serve_port is not None:
         raise ConfigError("RECORDING: expected it without --bus, --connect and --serve, which are live")
     strength = None if field is None else field.strength_ut

@@ -19,11 +19,11 @@ from companion.app.service.computer_status import ComputerWatch, ground_report, 
 from companion.app.service.latch import FlightLatch, state_folder, unattended
 from companion.app.service.local_socket import served, socket_path
 from companion.app.service.state_report import StateReport, state_report
-from companion.app.signals import stopping_on_signals
 from companion.app.terminal import StatusView
 from companion.base.clock import Clock, start_unix_s, unix_time_s
 from companion.base.errors import ConfigError
 from companion.base.messages import Outcome, Phase
+from companion.base.signals import run_until_stopped, signals_held_back, stopping_on_signals
 from companion.config import CompanionConfig, ServeConfig, load_config, merge, validate
 from companion.flightlog.flights import make_room, next_flight_folder
 from companion.flightlog.flights_recorder import FlightsRecorder
@@ -85,17 +85,21 @@ def fly_the_vehicle(config_path: Path, output: Output) -> int:
     latch = FlightLatch(output.record or state_folder())
     folder = None if output.record is None else next_flight_folder(output.record)
     _make_room(output.record, config)
-    log = new_log(folder, virtual=False, keeps=False)  # nothing on board scores the flight
-    try:
-        standby = latch.refusal(unattended=unattended())
-        with StatusView(output.console, config.vehicle, live=output.live) as view:
-            phase, idle = asyncio.run(_vehicle_flight(config, log, view, latch, standby))
-    except ConfigError:
-        log.discard()
-        latch.end("by an error in the settings")
-        raise
-    finally:
-        log.close()
+    with signals_held_back():
+        log = new_log(folder, virtual=False, keeps=False)  # nothing on board scores the flight
+        try:
+            standby = latch.refusal(unattended=unattended())
+            with StatusView(output.console, config.vehicle, live=output.live) as view:
+                phase, idle = run_until_stopped(_vehicle_flight(config, log, view, latch, standby))
+        except KeyboardInterrupt:  # before there was an app to hand anything back
+            log.discard()
+            raise
+        except ConfigError:
+            log.discard()
+            latch.end("by an error in the settings")
+            raise
+        finally:
+            log.close()
     latch.end(phase.value)
     return 0 if phase is Phase.LANDED or idle else EXIT_CODES[Outcome.ABORTED]
 
@@ -106,10 +110,10 @@ async def _vehicle_flight(
     page = LivePage(config, log)
     async with open_hardware(config, waits=True, state=latch.folder) as hardware:
         app = App(config, hardware, log, make_actions, view, standby=standby)
-        if standby is None:
-            latch.begin()
-        async with page.served(app):
-            with stopping_on_signals(app.request_stop):
+        with stopping_on_signals(app.request_stop):
+            if standby is None:
+                latch.begin()
+            async with page.served(app):
                 return await app.run(), standby is not None and app.missions.stopped_idle
 
 
@@ -123,10 +127,10 @@ def stand_by(config_path: Path, output: Output) -> int:
     config = output.shown(load_config(config_path))
     clear = partial(_make_room, output.record, config)
     clear()
-    with StatusView(output.console, config.vehicle, live=output.live) as view:
+    with signals_held_back(), StatusView(output.console, config.vehicle, live=output.live) as view:
         log = FlightsRecorder(output.record, partial(start_unix_s, virtual=False), clear)
         try:
-            return asyncio.run(_service(config, log, view, output.record))
+            return run_until_stopped(_service(config, log, view, output.record))
         finally:
             log.close()
 
@@ -152,8 +156,8 @@ async def _service(
 
         telling = asyncio.create_task(_tell_ground(app, hardware, log, record, start_s, report))
         try:
-            async with served(socket_path(), report_json, app.missions.give, clock), page.served(app):
-                with stopping_on_signals(app.request_stop):
+            with stopping_on_signals(app.request_stop):
+                async with served(socket_path(), report_json, app.missions.give, clock), page.served(app):
                     phase = await app.run()
         finally:
             telling.cancel()

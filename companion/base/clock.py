@@ -19,6 +19,8 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, Final, ParamSpec, TypeVar
 
+from companion.base.signals import run_until_stopped
+
 T = TypeVar("T")
 P = ParamSpec("P")
 ALLOCATIONS_BETWEEN_COLLECTIONS: Final = 50_000  # CPython's own: 700
@@ -188,8 +190,8 @@ def run_in_virtual_time(main: Coroutine[Any, Any, T]) -> T:
     Raises:
         NothingScheduled: all tasks wait for something that nothing will ever bring.
     """
-    with _collecting_seldom(), _handing_over_soon(), asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
-        return runner.run(main)
+    with _collecting_seldom(), handing_over_soon():
+        return run_until_stopped(main, VirtualTimeLoop)
 
 
 @contextmanager
@@ -204,8 +206,12 @@ def _collecting_seldom() -> Iterator[None]:
 
 
 @contextmanager
-def _handing_over_soon() -> Iterator[None]:
-    """What computes beside the loop calls OpenCV in steps of 0.1 ms, and wants the interpreter after each."""
+def handing_over_soon() -> Iterator[None]:
+    """While inside, no thread has the interpreter for long while another wants it.
+
+    The loop gives it up at each system call, and gets it back from a thread that computes (vision, the log)
+    after `HAND_OVER_S`; in virtual time it is the thread that wants it, after each step of OpenCV's.
+    """
     before = sys.getswitchinterval()
     sys.setswitchinterval(HAND_OVER_S)
     try:

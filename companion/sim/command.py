@@ -14,6 +14,7 @@ from companion.base.command_line import print_error
 from companion.base.errors import ConfigError
 from companion.base.files import write_atomically
 from companion.base.messages import Outcome, Truth
+from companion.base.signals import signals_held_back
 from companion.flightlog.report.command import write_report
 from companion.flightlog.report.tables import result_table, title_of
 from companion.flightlog.result import Result, from_start
@@ -66,20 +67,21 @@ def fly_in_sitl(config_path: Path, trial: Trial, output: Output, *, fast: bool) 
     if (differs := vehicle_differs(settings, trial)) is not None:
         output.console.print(differs, style="yellow", highlight=False, markup=False, soft_wrap=True)
     writable(output.json_file)
-    log = new_log(output.record, virtual=fast)
     title = f"{trial.scenario.name}, seed {trial.seed}"
-    try:
-        with StatusView(output.console, title, live=output.live) as view:
-            flight = fly(settings, trial, log, view, fast=fast)
-        for record in flight.report.truth:
-            log.write("truth", record, record.time_s)
-    except SimulatorError as error:
-        return print_error("companion", str(error), SIMULATOR_FAILED)
-    except ConfigError:
-        log.discard()
-        raise
-    finally:
-        log.close()
+    with signals_held_back():
+        log = new_log(output.record, virtual=fast)
+        try:
+            with StatusView(output.console, title, live=output.live) as view:
+                flight = fly(settings, trial, log, view, fast=fast)
+            for record in flight.report.truth:
+                log.write("truth", record, record.time_s)
+        except SimulatorError as error:
+            return print_error("companion", str(error), SIMULATOR_FAILED)
+        except ConfigError:
+            log.discard()
+            raise
+        finally:
+            log.close()
     result = score(trial, flight, log)
     publish(trial, result, flight, output)
     if output.record is not None:

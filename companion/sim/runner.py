@@ -22,10 +22,10 @@ from typing import Any
 from companion.app.app import App
 from companion.app.hardware import Hardware, make_actions, make_own_actions, open_hardware
 from companion.app.page.live_page import LivePage
-from companion.app.signals import stopping_on_signals
 from companion.app.status import Status
 from companion.base.clock import Clock, run_in_virtual_time, unix_time_s, wall_clock_s
 from companion.base.messages import Phase
+from companion.base.signals import run_until_stopped, stopping_on_signals
 from companion.config import CompanionConfig, merge, validate
 from companion.flightlog.record import FlightLog
 from companion.link.inbox import MemoryTransport, memory_pair
@@ -63,7 +63,7 @@ def fly(
             return run_in_virtual_time(_virtual_flight(config, trial, log, on_status))
         except FirmwareError as error:
             raise SimulatorError(str(error)) from error
-    return asyncio.run(_real_flight(config, trial, log, on_status))
+    return run_until_stopped(_real_flight(config, trial, log, on_status))
 
 
 async def _fly(app: App, time_limit_s: float, world: asyncio.Task[None]) -> Phase:

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import signal
 import sys
 from pathlib import Path
 from typing import Any
 
 from companion.base.messages import Phase
+from companion.base.signals import stopping_on_signals
 from sitl.camera.frame_server import FrameServer
 from sitl.devices.ports import PtyPort
 from sitl.external.link import check_connection, open_link, open_relay
@@ -51,7 +51,10 @@ async def serve_external(
         simulation = ExternalSimulation(
             scenario, seed, ExternalConnections(link, relay, range_port, frames), tell
         )
-        ending = final_phase() if child else _landed_once(_stop_signals())
+        stopped = asyncio.Event()
+        if not child:
+            stack.enter_context(stopping_on_signals(stopped.set))
+        ending = final_phase() if child else _landed_once(stopped)
         _tell_pad(scenario)
         tell(f"waiting for a vehicle on {connection}")
         endpoints = _endpoints(relay_port, range_port.path, frames.address)
@@ -80,14 +83,6 @@ async def _tell_once_found(simulation: ExternalSimulation, endpoints: dict[str, 
     # with another place's field the app's heading would be wrong by the difference of the declinations
     field_ned_ut = magnetic_field_ned_ut(simulation.place)
     print_json({**endpoints, "estimate": {"magnetic_field_ned_ut": list(field_ned_ut)}})
-
-
-def _stop_signals() -> asyncio.Event:
-    """Set by Ctrl-C, SIGTERM or SIGHUP, from now on."""
-    loop, stopped = asyncio.get_running_loop(), asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, stopped.set)
-    return stopped
 
 
 async def _landed_once(stopped: asyncio.Event) -> Phase:

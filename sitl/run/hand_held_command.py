@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
 
 from companion.base.files import find_file
+from companion.base.signals import run_until_stopped, signals_held_back
 from sitl.run.port_options import (
     COMPANION_PORT,
     GROUND_PORT,
@@ -70,10 +70,10 @@ def hand_held_command(
     from sitl.scenario.scenario import load_scenario  # noqa: PLC0415
 
     loaded = load_scenario(scenario)
-    with terminated_as_interrupted(), socket_folder(folder) as place:
+    with terminated_as_interrupted(), signals_held_back(), socket_folder(folder) as place:
         if child:
-            asyncio.run(serve_child(loaded, seed, place, motion))
+            run_until_stopped(serve_child(loaded, seed, place, motion))
         else:
             service = Service(companion_port=port, ground_port=gcs_port, tcp_port=tcp_port)
             path = settings or place / SETTINGS_NAME
-            asyncio.run(serve(loaded, seed, place, service, motion=motion, settings_path=path))
+            run_until_stopped(serve(loaded, seed, place, service, motion=motion, settings_path=path))

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from companion.base.messages import Phase
+from companion.base.signals import STOPPING
 from companion.config import ConfigError
 from sitl.run.report import SimulationReport, write_report
 
@@ -98,16 +99,18 @@ def socket_folder(wanted: Path | None) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def interrupted_at_once() -> Iterator[None]:
-    """While inside, Ctrl-C interrupts code that blocks the loop, for which asyncio would wait."""
-    loops_own = signal.getsignal(signal.SIGINT)
-    if not callable(loops_own) or threading.current_thread() is not threading.main_thread():
-        yield  # the signal is ignored, or this is not the main thread
+    """While inside, a signal interrupts code that blocks the loop, for which asyncio would wait."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
         return
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    own = {number: handler for number in STOPPING if callable(handler := signal.getsignal(number))}
+    for number in own:
+        signal.signal(number, signal.default_int_handler)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, loops_own)
+        for number, handler in own.items():
+            signal.signal(number, handler)
 
 
 @contextlib.contextmanager

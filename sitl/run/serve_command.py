@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import dataclass
 from pathlib import Path
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.signals import run_until_stopped, signals_held_back
 from sitl.external.server import serve_external
 from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.signing import read_key
@@ -53,17 +53,17 @@ def serve_vehicle(served: Served, bind: str, ports: tuple[int, int, int]) -> Non
         loaded = loaded.model_copy(update={"autopilot": flown.kind})
     key = None if served.signing_key is None else read_key(served.signing_key)
     seed, truth = served.seed, served.serve_truth
-    with terminated_as_interrupted(), socket_folder(served.folder) as place:
+    with terminated_as_interrupted(), signals_held_back(), socket_folder(served.folder) as place:
         if served.external is not None:
-            asyncio.run(serve_external(loaded, seed, place, served.external, child=served.child))
+            run_until_stopped(serve_external(loaded, seed, place, served.external, child=served.child))
         elif served.child:
-            asyncio.run(serve_child(loaded, seed, place, firmware=flown))
+            run_until_stopped(serve_child(loaded, seed, place, firmware=flown))
         else:
             service = Service(bind, *ports)
             if served.signing_key is not None:
                 loaded = signed(loaded, served.signing_key)
             path = served.settings
-            asyncio.run(
+            run_until_stopped(
                 serve(
                     loaded, seed, place, service, key, serve_truth=truth, settings_path=path, firmware=flown
                 )

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import signal
 import socket
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from typing import Any, Final
 
 from companion.base.clock import Clock, start_unix_s
 from companion.base.files import write_atomically
+from companion.base.signals import stopping_on_signals
 from sitl.camera.frame_server import FrameServer
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import PtyPort
@@ -103,7 +103,7 @@ async def serve(
         if settings_path is not None:
             connection = f"udp:{LOOPBACK}:{companion_port}"
             write_atomically(settings_path, settings_text(scenario, connection, devices.settings))
-        with _stopping_on_signals(devices.simulation) as flying:
+        with _running(devices.simulation) as flying:
             print(_greeting(scenario, seed, service, own, devices.settings, motion), flush=True)
             if settings_path is not None:
                 print(f"The app's settings for it are in {settings_path}", flush=True)
@@ -246,10 +246,8 @@ def _udp_lines(whom: str, example: str, host: str, client_port: int, own_port: i
 
 
 @contextlib.contextmanager
-def _stopping_on_signals(simulation: Simulation) -> Iterator[asyncio.Task[None]]:
+def _running(simulation: Simulation) -> Iterator[asyncio.Task[None]]:
     """A running simulation, which Ctrl-C, SIGTERM and SIGHUP cancel while inside."""
     flying = asyncio.create_task(simulation.run())
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, flying.cancel)
-    yield flying
+    with stopping_on_signals(flying.cancel):
+        yield flying

@@ -7,7 +7,6 @@ frame, or an MP4 file. Each picture carries its number, its time and its age whe
 from __future__ import annotations
 
 import asyncio
-import signal
 import sys
 from collections import deque
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from companion.base.clock import Clock
 from companion.base.formats.frame_format import FrameHeader
 from companion.base.formats.frame_stream import FrameStream
 from companion.base.formats.mjpeg import MjpegServer
+from companion.base.signals import run_until_stopped, stopping_on_signals
 from companion.config import ConfigError
 from sitl.run.process_control import terminated_as_interrupted
 
@@ -179,10 +179,8 @@ async def _view_until_stopped(address: str, options: ViewOptions) -> Statistics:
     """As `view`; SIGTERM and SIGHUP end it like the server's end does, and what was recorded is whole."""
     statistics = Statistics()
     viewing = asyncio.create_task(view(address, options, statistics))
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, viewing.cancel)
-    await asyncio.wait([viewing])
+    with stopping_on_signals(viewing.cancel):
+        await asyncio.wait([viewing])
     if not viewing.cancelled():
         viewing.result()
     return statistics
@@ -273,5 +271,5 @@ def run_view(address: str, options: ViewOptions) -> None:
         ConfigError: nobody serves frames there, or they cannot be recorded.
     """
     with terminated_as_interrupted():
-        statistics = asyncio.run(_view_until_stopped(address, options))
+        statistics = run_until_stopped(_view_until_stopped(address, options))
     print(f"\n{statistics}" if sys.stdout.isatty() else statistics)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -43,6 +42,7 @@ from calibration.mount.shared import (
     write_file,
 )
 from companion.base.messages import ImuSample
+from companion.base.signals import run_until_stopped
 from companion.config import (
     CompanionConfig,
     ConfigError,
@@ -100,7 +100,7 @@ def calibrate_on_faces(job: ImuJob, order: str | None) -> None:
     """
     settings = load_config(job.config)
     if job.log is None:
-        rested = asyncio.run(faces_from(settings, job.keep, connected_sensors, virtual=False))
+        rested = run_until_stopped(faces_from(settings, job.keep, connected_sensors, virtual=False))
     else:
         rested = _rested(job, job.log, settings.sense.imu)
         if order is not None:
@@ -151,7 +151,7 @@ def calibrate_gyro_bias(job: ImuJob) -> None:
     settings = load_config(job.config)
     before = inertial_file(job.output) if job.output.exists() else None
     if job.log is None:
-        rested = asyncio.run(stillness_from(settings, job.keep, connected_sensors, virtual=False))
+        rested = run_until_stopped(stillness_from(settings, job.keep, connected_sensors, virtual=False))
     else:
         rested = _rested(job, job.log, settings.sense.imu)
     if not rested.rests:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -16,6 +15,7 @@ from calibration.mount.record.coverage import MotionProgress
 from calibration.mount.record.live import MountRecorder, ShowImage
 from calibration.mount.shared import SensorOpener, connected_sensors, new_log
 from companion.base.formats.mjpeg import MjpegServer
+from companion.base.signals import run_until_stopped
 from companion.config import CompanionConfig, ConfigError, load_config
 
 
@@ -28,7 +28,7 @@ def record_motion(config: Path, folder: Path, seconds: float, serve: int | None)
     """
     settings = load_config(config)
     cv2.setNumThreads(1)
-    progress = asyncio.run(record(settings, folder, seconds, serve, connected_sensors, virtual=False))
+    progress = run_until_stopped(record(settings, folder, seconds, serve, connected_sensors, virtual=False))
     if not progress.complete:
         raise RefusedError(f"time is up, and it lacks: {progress.advice}; what there is of it is in {folder}")
     typer.echo(f"recorded in {folder}; next: {NAME} camera {folder} -o mount.yaml")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from pathlib import Path
 from typing import Final
 
@@ -14,6 +13,7 @@ from companion.app.calibration_warnings import forced_calibrations
 from companion.app.hardware import open_hardware
 from companion.base.files import write_atomically
 from companion.base.formats.mjpeg import MjpegServer
+from companion.base.signals import run_until_stopped
 from companion.config import CompanionConfig, ConfigError, load_config
 from companion.sense.vision.opencv import prepare_opencv
 from companion.tools.pad_check.command import STANDARD_OUTPUT
@@ -50,7 +50,7 @@ def check_vehicle(
         Exit: with 1 when something is not well.
     """
     prepare_opencv()
-    found = asyncio.run(preflight(load_config(config), config, record, linked=linked))
+    found = run_until_stopped(preflight(load_config(config), config, record, linked=linked))
     show_findings(found, json_file)
     if params_file is not None:
         if not parameters_read(found):
@@ -88,7 +88,7 @@ def check_over_pad(config: Path, json_file: Path | None, *, linked: bool, port: 
     console = Console(stderr=json_file == STANDARD_OUTPUT)
     for doubt in forced_calibrations(settings):
         console.print(f"warning: {doubt}", style="yellow", highlight=False, markup=False, soft_wrap=True)
-    report = asyncio.run(_check(settings, console, linked=linked, port=port))
+    report = run_until_stopped(_check(settings, console, linked=linked, port=port))
     show(report, console)
     if json_file == STANDARD_OUTPUT:
         print(report_json(report), end="")

@@ -8,6 +8,7 @@ import pytest
 
 from companion.app.command import EXIT_CODES
 from companion.app.missions import LAST_REQUESTS_S, LINGER_S
+from companion.base.command_line import INTERRUPTED
 from companion.base.messages import Outcome
 from companion.config import CompanionConfig
 
@@ -35,7 +36,7 @@ def test_the_unit_starts_the_command_that_is_installed() -> None:
 
 def test_a_stop_in_flight_is_no_failure_and_wrong_settings_are_not_tried_again() -> None:
     unit = (FOLDER / "companion.service").read_text().splitlines()
-    assert f"SuccessExitStatus={EXIT_CODES[Outcome.ABORTED]}" in unit
+    assert f"SuccessExitStatus={EXIT_CODES[Outcome.ABORTED]} {INTERRUPTED}" in unit
     assert "RestartPreventExitStatus=2" in unit
     assert "Restart=always" in unit
 

@@ -142,7 +142,7 @@ def hold_still(monkeypatch: pytest.MonkeyPatch, part: str) -> None:
     """The sensors that a command finds are those of a vehicle which nobody moves."""
     held = HandHeld(scenario_of({}), 0, "still")
     monkeypatch.setattr(f"calibration.mount.{part}.job.connected_sensors", held.boards)
-    monkeypatch.setattr(f"calibration.mount.{part}.job.asyncio.run", run_in_virtual_time)
+    monkeypatch.setattr(f"calibration.mount.{part}.job.run_until_stopped", run_in_virtual_time)
 
 
 def test_interrupted_rests_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

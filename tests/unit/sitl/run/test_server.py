@@ -5,6 +5,7 @@ import os
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -111,9 +112,15 @@ def test_a_file_in_a_sockets_place_is_said(
     assert (tmp_path / name).read_text() == "a file"
 
 
-def test_terminated_while_it_starts_it_leaves_nothing(tmp_path: Path) -> None:
-    place = tmp_path / "tmp"
-    place.mkdir()
+@pytest.fixture
+def short_path() -> Iterator[Path]:
+    """A folder whose sockets have names that are short enough, whatever pytest calls its own."""
+    with tempfile.TemporaryDirectory(prefix="sitl-") as folder:
+        yield Path(folder)
+
+
+def test_terminated_while_it_starts_it_leaves_nothing(short_path: Path) -> None:
+    place = short_path
     with subprocess.Popen(
         (*COMMAND, "--port", "0", "--gcs-port", "0", "--tcp-port", "0"),
         cwd=CONFIG_FOLDER.parent,
