@@ -28,7 +28,7 @@ from companion.app.stages import build_stages
 from companion.app.status import STATUS_PERIOD_S, FrameRate, Status
 from companion.app.supervision import failure_words, supervised
 from companion.app.timing.loop_monitor import LoopMonitor
-from companion.base.clock import Clock
+from companion.base.clock import Clock, handing_over_soon
 from companion.base.garbage_collection import infrequent_collection
 from companion.base.messages import (
     ActionResult,
@@ -121,7 +121,7 @@ class App:
         await self._actions.start()
         try:
             # in virtual time nothing waits for a collection, and others share the process
-            with nullcontext() if self._clock.virtual else infrequent_collection():
+            with handing_over_soon(), nullcontext() if self._clock.virtual else infrequent_collection():
                 return await self._run_tasks()
         except ExceptionGroup as group:
             mendable, _ = group.split(ConfigError)
