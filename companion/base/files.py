@@ -7,7 +7,7 @@ import shutil
 import tempfile
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -162,6 +162,8 @@ def write_durably(path: Path, content: str) -> None:
         finally:
             os.close(folder)
     except OSError as error:
+        with suppress(OSError):
+            fresh.unlink()
         raise ConfigError(
             f"{path}: cannot be written: {error.strerror}; expected a folder to write to"
         ) from None

@@ -23,6 +23,7 @@ from typing import Literal
 import numpy as np
 from pydantic import ValidationError
 
+from companion.base.files import write_atomically
 from companion.config import ConfigError, StrictModel, find_file, load_model
 from companion.plan.speed.fuzzy_rules import FuzzyRules, RuleSet, Terms, mamdani
 
@@ -171,12 +172,7 @@ def write_table(name: str | Path) -> Path:
     rows = asdict(table)
     target = _table_path(path)
     text = json.dumps({"fingerprint": rules.fingerprint(_SAMPLING), **rows}, separators=(",", ":"))
-    try:
-        scratch = target.with_suffix(".part")
-        scratch.write_text(text.replace("]],[[", "]],\n[[") + "\n", encoding="utf-8")
-        scratch.replace(target)
-    except OSError as error:
-        raise ConfigError(f"{target}: cannot be written: {error.strerror}") from error
+    write_atomically(target, text.replace("]],[[", "]],\n[[") + "\n")
     return target
 
 

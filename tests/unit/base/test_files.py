@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.base.files import unpacked, write_atomically
+from companion.base.files import unpacked, write_atomically, write_durably
 from companion.config import CONFIG_FOLDER, ConfigError
 
 
@@ -80,9 +80,25 @@ def test_a_disk_that_fills_up_leaves_nothing_behind(tmp_path: Path, monkeypatch:
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_disk_that_fills_up_leaves_no_half_of_a_latch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "latch.json"
+    write_durably(path, "old")
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(ConfigError, match="No space left"):
+        write_durably(path, "new")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_no_other_place_renames_a_file_onto_an_output() -> None:
     # what stands in the way of an output is known to `replaced` alone; the latch is nobody's choice
-    own = {"companion/base/files.py", "companion/app/service/latch.py", "companion/plan/speed/speed_table.py"}
+    own = {"companion/base/files.py", "companion/app/service/latch.py"}
     root = CONFIG_FOLDER.parent
     for folder in ("companion", "sitl", "calibration"):
         for path in (root / folder).rglob("*.py"):
