@@ -2,8 +2,8 @@
 
 CSV is read liberally: any number of lines before the samples, a heading or none, comma, semicolon, tab or
 blanks between the columns, decimal commas where the comma does not separate, columns of other things in
-between, a serial monitor's time stamp or a label before a number, UTF-8 or UTF-16. The magnetometer's columns
-are found by their names, of a heading or of the labels.
+between, a serial monitor's time stamp or a label before a number, rows as Python and JSON print them, UTF-8
+or UTF-16. The magnetometer's columns are found by their names, of a heading or of the labels.
 """
 
 from __future__ import annotations
@@ -33,8 +33,10 @@ _RAW_MAGNETOMETER: Final = re.compile(r"^(?=.*(mag|compass))(?=.*(raw|uncal)).*$
 _NAMELESS: Final = re.compile(r"^$")
 _OTHER: Final = re.compile(r"^(a|f|g|w|.*acc.*|.*specificforce.*|.*gyr.*|.*rate.*|.*vel.*|.*pos.*)$")
 _ACCELEROMETER: Final = re.compile(r"^(a|f|.*acc.*|.*specificforce.*)$")
-# before a number in its cell: what ends in a bracket or an arrow (a serial monitor's time stamp), a label
-_BEFORE: Final = re.compile(r"^(?:.*(?:->|\]))?\s*(?:([^\W\d][^:=]*)[:=])?\s*")
+# before a number in its cell: the time stamp of a serial monitor (it ends in ] or ->), a label, a type
+_BEFORE: Final = re.compile(r"^(?:.*(?:->|\]))?\s*(?:([^\W\d][^:=]*)[:=])?\s*(?:[\w.]*\()?")
+_AROUND: Final = " \r\n()[]{}"  # a row as Python and JSON print it
+_QUOTES: Final = "\"'"
 _WORD: Final = re.compile(r"[a-zµμ]+|\d+")
 _BRACKETS: Final = re.compile(r"[\[({]([^\])}]*)[\])}]")
 _NPZ_MAGNETOMETER: Final = ("mag", "magnetometer", "m", "magnetic_field", "compass", "raw", "data", "arr_0")
@@ -88,15 +90,23 @@ def read_text_table(path: Path, columns: str | None) -> SampleTable:
 
 
 def _text(data: bytes) -> str:
-    """As text, by its byte order mark (Excel's "Unicode text" and PowerShell write UTF-16)."""
-    utf_16 = data.startswith((b"\xff\xfe", b"\xfe\xff"))
-    return data.decode("utf-16" if utf_16 else "utf-8-sig", errors="replace")
+    """As text; Excel's "Unicode text" and PowerShell write UTF-16, some without its byte order mark."""
+    encoding = "utf-8-sig"
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        encoding = "utf-16"
+    elif data[:2].count(0) == 1:  # the first character is ASCII
+        encoding = "utf-16-le" if data[1] == 0 else "utf-16-be"
+    return data.decode(encoding, errors="replace")
 
 
 def _labels(row: list[str]) -> list[str]:
     """What stands before the numbers of a row, cell by cell; nothing unless each has a name of its own."""
-    found = [_BEFORE.match(word.strip()) for word in row]
-    labels = [match[1].strip() for match in found if match is not None and match[1]]
+    found = [_BEFORE.match(word.strip(_AROUND + _QUOTES)) for word in row]
+    labels = [
+        match[1].rpartition("(")[2].strip(_AROUND + _QUOTES)
+        for match in found
+        if match is not None and match[1]
+    ]
     return labels if len(labels) == len(set(labels)) == len(row) else []
 
 
@@ -104,7 +114,8 @@ def _best_split(lines: list[str]) -> tuple[list[list[str]] | None, int]:
     """The lines as words, split where most of them become rows of numbers, and the first row's index."""
     best: tuple[int, list[list[str]] | None, int] = (_LEAST_ROWS - 1, None, 0)
     for separator in _SEPARATORS:
-        rows = [line.strip("\r\n ").rstrip(",;\t" if separator else "").split(separator) for line in lines]
+        ends = _AROUND + (",;\t" if separator else "")
+        rows = [line.lstrip(_AROUND).rstrip(ends).split(separator) for line in lines]
         data = [k for k, row in enumerate(rows) if _is_data(row)]
         widths = Counter(len(rows[k]) for k in data)
         if widths and widths.most_common(1)[0][1] > best[0]:
@@ -118,13 +129,13 @@ def _is_data(row: list[str]) -> bool:
 
 
 def _number(word: str) -> float:
-    bare = word.strip().strip("\"'").replace(",", ".")
+    bare = word.strip(_AROUND + _QUOTES).replace(",", ".")
     try:
         return float(bare)
     except ValueError:
         pass
     try:
-        return float(_BEFORE.sub("", bare, count=1))
+        return float(_BEFORE.sub("", bare, count=1).lstrip(_AROUND))
     except ValueError:
         return math.nan
 

@@ -83,6 +83,29 @@ def test_a_serial_monitors_time_stamps_and_labels_cost_no_column(tmp_path: Path,
     assert found.raw == pytest.approx(RAW, abs=1e-3)
 
 
+def printed(row: str, before: str = "", after: str = "") -> str:
+    return before + "\n".join(row.format(*values) for values in RAW.tolist()) + after
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        printed("({:.4f}, {:.4f}, {:.4f})"),  # print(sensor.magnetic)
+        printed("Magnetometer: ({:.4f}, {:.4f}, {:.4f})"),
+        printed("[{:.4f} {:.4f} {:.4f}]"),  # NumPy's
+        printed("[ {:.4f}  {:.4f}  {:.4f}]"),
+        printed("(np.float64({:.4f}), np.float64({:.4f}), np.float64({:.4f}))"),
+        printed("Vector3(x={:.4f}, y={:.4f}, z={:.4f})"),
+        printed("  [{:.4f}, {:.4f}, {:.4f}],", "[\n", "\n]\n"),
+        printed('{{"t": 1, "mx": {:.4f}, "my": {:.4f}, "mz": {:.4f}}}'),
+        printed('{{"acc": [0.0, 0.0, 9.8], "mag": [{:.4f}, {:.4f}, {:.4f}]}}'),
+    ],
+)
+def test_rows_as_python_and_json_print_them_are_read(tmp_path: Path, text: str) -> None:
+    found = read(tmp_path / "printed.txt", text)
+    assert found.raw == pytest.approx(RAW, abs=1e-3)
+
+
 def test_labels_name_the_columns(tmp_path: Path) -> None:
     rows = (
         f"mx:{m[0]:.4f},my:{m[1]:.4f},mz:{m[2]:.4f},ax:{a[0]:.4f},ay:{a[1]:.4f},az:{a[2]:.4f}"
@@ -93,10 +116,10 @@ def test_labels_name_the_columns(tmp_path: Path) -> None:
     assert found.force == pytest.approx(FORCE, abs=1e-3)
 
 
-@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
-def test_utf_16_is_read(tmp_path: Path, encoding: str) -> None:
+@pytest.mark.parametrize("mark", ["\ufeff", ""])
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_utf_16_is_read(tmp_path: Path, encoding: str, mark: str) -> None:
     path = tmp_path / "unicode.txt"
-    mark = "" if encoding == "utf-16" else "\ufeff"
     path.write_bytes((mark + table("mx\tmy\tmz\n", RAW, "\t")).encode(encoding))
     assert read_text_table(path, None).raw == pytest.approx(RAW, abs=1e-3)
 
