@@ -126,8 +126,12 @@ class Planner:
         return self._requests.open
 
     def not_ready(self, inputs: PlanInputs, now_s: float) -> list[str]:
-        """What stands against an order to land, wherever the vehicle is."""
-        return list(not_ready(inputs, self._mission, now_s))
+        """What stands against a landing, wherever the vehicle is: the next one, or the one under way."""
+        machine = self._machine
+        ours = machine.phase is not Phase.STANDBY and (
+            machine.authority is not Authority.RELEASED or self.waiting
+        )
+        return list(not_ready(inputs, self._mission, now_s, ours=ours))
 
     def estimate_problem(self, inputs: PlanInputs, now_s: float) -> str | None:
         """What stands against flying by the estimate of the vehicle, as among `not_ready`."""

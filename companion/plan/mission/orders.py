@@ -40,15 +40,20 @@ def _not_flying(inputs: PlanInputs, config: PlanConfig) -> Refusal | None:
     return None
 
 
-def not_ready(inputs: PlanInputs, mission: MissionConfig, now_s: float) -> Iterator[str]:
-    """What stands against a landing wherever the vehicle is; on the ground it can be ready too."""
+def not_ready(
+    inputs: PlanInputs, mission: MissionConfig, now_s: float, *, ours: bool = False
+) -> Iterator[str]:
+    """What stands against a landing wherever the vehicle is; on the ground it can be ready too.
+
+    `ours`: setpoints that fly it now are our own.
+    """
     yield from _autopilot(inputs.autopilot, mission)
     if now_s - inputs.autopilot.twin_time_s <= TWIN_GONE_S:
         yield "another companion with our ids is on the link; expected one"
     if others := rival_words(inputs.autopilot, now_s):
         yield f"{others}; expected ours alone"
     # PX4 flies in it only while somebody's setpoints come, and we send none
-    if inputs.autopilot.armed and in_offboard(inputs.autopilot):
+    if inputs.autopilot.armed and in_offboard(inputs.autopilot) and not ours:
         yield "it is in OFFBOARD: another program's setpoints fly it; expected ours alone"
     if inputs.camera_problem is not None:
         yield f"no pad camera: {inputs.camera_problem}"

@@ -51,6 +51,19 @@ def test_ordered_in_the_air_it_takes_over_lands_and_disarms(pad: Callable[..., o
     assert asked(w)[-2:] == [ActionKind.DISARM, ActionKind.LEAVE_OFFBOARD]
 
 
+def test_its_own_setpoints_are_no_other_programs() -> None:
+    w = flown_by_a_pilot()
+    said = set[str]()
+
+    def look(world: PlanWorld) -> bool:
+        said.update(world.planner.not_ready(world.inputs(), world.now_s))
+        return False
+
+    assert order(w) is None
+    assert w.fly(90.0, until=look).phase is Phase.LANDED
+    assert said == set()
+
+
 def test_control_granted_late_begins_where_the_pilot_has_flown_meanwhile() -> None:
     w = flown_by_a_pilot()
     w.blind = lambda _t, _height: True
