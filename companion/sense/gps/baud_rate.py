@@ -14,7 +14,8 @@ import math
 from collections.abc import Iterator
 from typing import Final
 
-RATES: Final = (9600, 38400, 57600, 115200, 19200, 4800)  # what a NEO-6M can, the likely ones first
+# what a NEO-6M can, the likely ones first, and what ArduPilot leaves in later ones
+RATES: Final = (9600, 38400, 57600, 115200, 19200, 4800, 230400, 460800)
 LISTEN_S: Final = 1.6  # a receiver without settings talks once a second
 SILENCE_S: Final = 3.0  # what was understood has stopped
 CHANGES: Final = 3  # so often a receiver may be asked in vain
@@ -67,7 +68,9 @@ class BaudRate:
     def _ask(self, understood: bool, quiet_s: float) -> bool:
         if not understood and quiet_s <= LISTEN_S:
             return False
-        self._in_vain += understood
+        if understood:  # if it does not follow, it is here
+            self._in_vain += 1
+            self._others = itertools.chain([self.baud], self._all_others())
         if self._in_vain > CHANGES:
             self.wanted = self.baud
             return False

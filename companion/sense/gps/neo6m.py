@@ -63,7 +63,9 @@ _LENGTHS: Final = {
     "VELNED": (36,),
 }
 _SENTENCES: Final = (b"RMC", b"GGA", b"GSA")
-ONLY_NMEA: Final = "sends no UBX fixes; NMEA serves, without vertical speed"
+NMEA_SERVES: Final = "NMEA serves, without vertical speed"
+ONLY_NMEA: Final = f"sends no UBX fixes; {NMEA_SERVES}"
+UNHEARD: Final = f"its RX is not wired, or it is no u-blox; {NMEA_SERVES}"
 ABOVE_ELLIPSOID: Final = (
     "sends NAV-SOL alone: altitudes are above the ellipsoid, up to 110 m from sea level's"
 )
@@ -153,6 +155,8 @@ class Neo6m:
             return b""
         if self._tries >= TRIES:
             self._unanswered = f"{self.name}: no answer to {command_name(self._commands[self._next])}"
+            if self._nmea_seen:
+                self._unanswered += f": {UNHEARD}"
             self.problem = self.problem or self._unanswered
             # none of the old ones knows keys: silence is an answer too
             self._begin_anew("nmea" if self._dialect == "keys" else "sol")

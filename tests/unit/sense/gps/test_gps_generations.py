@@ -9,8 +9,8 @@ import pytest
 
 from companion.config import GpsConfig
 from companion.sense.gps.commands import VERSION_REQUEST
-from companion.sense.gps.neo6m import ONLY_NMEA, Neo6m
-from sitl.devices.neo6m import NAV_SOL, Neo6mDevice, ubx
+from companion.sense.gps.neo6m import ONLY_NMEA, UNHEARD, Neo6m
+from sitl.devices.neo6m import NAV_SOL, Neo6mDevice, nmea, ubx
 from sitl.sensors.sensors import GpsReading
 
 NAV_PVT: Final = (0x01, 0x07)
@@ -169,3 +169,29 @@ def test_nav_pvt_is_read_from_one_that_cannot_be_configured(length: int) -> None
     assert len(fixes) == 25
     assert fixes[-1].altitude_m == pytest.approx(400.0)
     assert fixes[-1].velocity_ned_m_s == pytest.approx((1.0, 2.0, -0.5))
+
+
+@pytest.mark.parametrize(
+    ("talker", "baud", "rate_hz"), [("GN", 9600, 1), ("BD", 115200, 5), ("GP", 230400, 10)]
+)
+def test_one_that_hears_nothing_serves_by_its_nmea_without_further_search(
+    talker: str, baud: int, rate_hz: int
+) -> None:
+    # a receiver that is no u-blox's (many a "NEO-6M"), or one whose RX is not wired
+    driver, times_s, sent = Neo6m(GpsConfig()), [], 0
+    for k in range(20 * 60):
+        now_s = 0.05 * k
+        driver.pending(now_s)
+        if now_s < sent / rate_hz:
+            continue
+        sent += 1
+        clock = f"12{int(now_s / 60):02d}{now_s % 60:05.2f}"
+        sentences = (
+            f"{talker}GGA,{clock},4718.0000,N,00830.0000,E,1,09,0.9,400.0,M,47.0,M,,",
+            f"{talker}RMC,{clock},A,4718.0000,N,00830.0000,E,0.20,90.0,070126,,,A",
+        )
+        data = b"".join(nmea(text) for text in sentences)
+        fixes = driver.feed(data if driver.baud == baud else bytes(range(128, 200)), now_s)
+        times_s += [now_s] * len(fixes)
+    assert sum(time_s >= 30.0 for time_s in times_s) == pytest.approx(30 * rate_hz, abs=2)
+    assert driver.problem == f"NEO-6M: no answer to CFG-PRT: {UNHEARD}"

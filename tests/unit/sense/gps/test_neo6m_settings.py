@@ -12,7 +12,7 @@ from companion.base.geometry import Vector3, ned_from_geodetic
 from companion.base.messages import GpsFix
 from companion.sense.gps.baud_rate import SILENCE_S
 from companion.sense.gps.commands import VERSION_REQUEST, conclusion, configuration, trial
-from companion.sense.gps.neo6m import Neo6m
+from companion.sense.gps.neo6m import UNHEARD, Neo6m
 from sitl.devices.neo6m import Neo6mDevice, ubx
 from sitl.sensors.sensors import NO_GPS_ERRORS, GpsSensor
 from tests.unit.sense.gps.nmea import BYTE_S, CONFIG, gga, rmc
@@ -71,7 +71,7 @@ def test_a_lost_answer_is_asked_for_again_and_silence_is_reported() -> None:
         assert receiver.problem is None
     receiver.feed(rmc() + gga(), 5.9)
     assert receiver.pending(6.0) == first
-    assert receiver.problem == "NEO-6M: no answer to CFG-PRT"
+    assert receiver.problem == f"NEO-6M: no answer to CFG-PRT: {UNHEARD}"
     receiver.feed(acknowledge(first), 6.1)
     receiver.pending(6.2)
     assert receiver.problem is None
