@@ -38,6 +38,7 @@ FEWEST_FITTING: Final = 0.8
 # points on a line fix no pose: the smaller spread, of the larger one
 THINNEST: Final = 0.05
 EDGE_PATCH_PX: Final = 5
+KALIBRS_BORDER: Final = 2  # cells of black about the code in its grids of AprilTags; OpenCV draws one
 NO_EDGES: Final = np.empty((0, COLUMNS))
 
 
@@ -73,7 +74,11 @@ class BoardFinder:
                 board.charuco, cv2.aruco.CharucoParameters(), parameters
             )
         elif board.pattern == "grid":
-            self._markers = cv2.aruco.ArucoDetector(board.grid.getDictionary(), parameters)
+            wide = cv2.aruco.DetectorParameters()
+            wide.markerBorderBits = KALIBRS_BORDER
+            self._markers = [
+                cv2.aruco.ArucoDetector(board.grid.getDictionary(), border) for border in (parameters, wide)
+            ]
 
     def find(self, image: NDArray[np.uint8], name: str = "") -> BoardView | None:
         """The board in a grey image (height, width), or None where too little of it is seen."""
@@ -84,7 +89,7 @@ class BoardFinder:
         """The board in a grey image (height, width), or why it is not usable in it."""
         ids, corners = self._coarse(image)
         if self.board.pattern == "grid":
-            corners = self._as_drawn(ids, corners, image.shape[::-1])
+            ids, corners = self._as_drawn(ids, corners, image.shape[::-1])
         inside = ((corners > 1.0) & (corners < np.array(image.shape[::-1]) - 2.0)).all(axis=1)
         ids, corners = ids[inside], corners[inside]
         if len(ids) < FEWEST_POINTS:
@@ -108,22 +113,30 @@ class BoardFinder:
         white_m = 0.5 * (board.square_m - (board.marker_m if board.pattern == "charuco" else 0.0))
         return edge_pixels(image, points, corners, board.square_m, white_m)
 
-    def _as_drawn(self, ids: NDArray[np.int64], corners_px: FloatArray, size_px: Sequence[int]) -> FloatArray:
-        """A grid's corners (n, 2) in the order of its points, whichever way round its markers are printed.
+    def _as_drawn(
+        self, ids: NDArray[np.int64], corners_px: FloatArray, size_px: Sequence[int]
+    ) -> tuple[NDArray[np.int64], FloatArray]:
+        """A grid's ids (n,) and corners (n, 2) as OpenCV would draw it, whichever way round they are printed.
 
-        AprilRobotics' pictures of AprilTags are half a turn from OpenCV's. All markers of a board are alike:
-        of the four turns the first that fits a plane, OpenCV's own before the others.
+        AprilRobotics' pictures of AprilTags are half a turn from OpenCV's, and Kalibr counts its markers from
+        the lowest row. All markers of a board are alike: of both counts and the four turns the first that
+        fits a plane, OpenCV's own before the others.
         """
         if len(ids) < FEWEST_POINTS:
-            return corners_px
-        points = self.board.points_m[ids]
-        fits = []
-        for turn in range(4):
-            turned = np.roll(corners_px.reshape(-1, 4, 2), turn, axis=1).reshape(-1, 2)
-            fits.append((int(np.count_nonzero(on_a_plane(points, turned, size_px))), turned))
-            if fits[-1][0] >= FEWEST_FITTING * len(ids):
-                return turned
-        return max(fits, key=lambda fit: fit[0])[1]
+            return ids, corners_px
+        row, column = np.divmod(ids // 4, self.board.columns)
+        from_below = 4 * ((self.board.rows - 1 - row) * self.board.columns + column) + ids % 4
+        most, best = -1, (ids, corners_px)
+        for counted in (ids, from_below):
+            points = self.board.points_m[counted]
+            for turn in range(4):
+                turned = np.roll(corners_px.reshape(-1, 4, 2), turn, axis=1).reshape(-1, 2)
+                fitting = int(np.count_nonzero(on_a_plane(points, turned, size_px)))
+                if fitting > most:
+                    most, best = fitting, (counted, turned)
+                if fitting >= FEWEST_FITTING * len(ids):
+                    return best
+        return best
 
     def _too_few(self, corners: int) -> str:
         if self.board.pattern == "chessboard":
@@ -140,7 +153,8 @@ class BoardFinder:
         if board.pattern == "charuco":
             found, identities, _, _ = self._charuco.detectBoard(image)
         elif board.pattern == "grid":
-            quads, markers, _ = self._markers.detectMarkers(image)
+            seen: list[Any] = [detector.detectMarkers(image)[:2] for detector in self._markers]
+            quads, markers = max(seen, key=lambda one: 0 if one[1] is None else len(one[1]))
             pairs = {} if markers is None else dict(zip(np.ravel(markers).tolist(), quads, strict=True))
             known = sorted(pairs)
             found = None if not known else np.concatenate([np.reshape(pairs[k], (4, 2)) for k in known])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -19,6 +20,8 @@ ENOUGH_WIDTH_PX: Final = 1000
 FEWEST_IMAGES: Final = 2
 # a less likely board has to show so many times as many points in as many images
 LIKELIER: Final = 1.15
+# share of the markers seen that a board need not have: misread ones
+MOST_UNEXPLAINED: Final = 0.2
 # fewer markers than this may be anything
 FEWEST_MARKERS: Final = 3
 # in each image; a dictionary that explains as many is the right one, or of its kind
@@ -50,8 +53,12 @@ def _better_board(board: CalibrationBoard, images: Sequence[Image]) -> tuple[str
 
     Of one image alone nothing follows if there are more.
     """
-    most, points, words = min(len(images), FEWEST_IMAGES) - 1, 0.0, ""
+    most, points, words = min(len(images), FEWEST_IMAGES) - 1, math.inf, ""
+    detector = cv2.aruco.ArucoDetector(board.whole_dictionary())
+    ids = np.array([int(i) for image in images for i in np.ravel(_ids_of(detector, image))])
     for option, other in near_misses(board):
+        if np.count_nonzero(ids >= other.marker_count) > MOST_UNEXPLAINED * len(ids):
+            continue  # what it has not says that it is another
         views = [view for view in map(BoardFinder(other).find, images) if view is not None]
         seen = sum(len(view.ids) for view in views)
         if len(views) > most or (len(views) == most and seen > LIKELIER * points):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 import cv2
 import numpy as np
@@ -168,16 +169,17 @@ def test_where_no_photo_can_be_read_that_is_the_error(tmp_path: Path) -> None:
         list(read_photos(photo_paths([tmp_path]), lambda _: None))
 
 
-def tag_pictures(turn: int) -> list[np.ndarray]:
+def tag_pictures(turn: int, *, from_below: bool = False, border: int = 1, first: int = 0) -> list[np.ndarray]:
     """Three views of a grid of AprilTags, each printed `turn` quarter turns from OpenCV's drawing."""
     tags = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_25h9)
     side, gap = 210, 25
     sheet = np.full((2 * side + 3 * gap, 2 * side + 3 * gap), 255, np.uint8)
     for k in range(4):
         row, column = divmod(k, 2)
+        row = 1 - row if from_below else row
         top, left = gap + row * (side + gap), gap + column * (side + gap)
         sheet[top : top + side, left : left + side] = np.rot90(
-            cv2.aruco.generateImageMarker(tags, k, side), turn
+            cv2.aruco.generateImageMarker(tags, first + k, side, borderBits=border), turn
         )
     views, size = [], float(len(sheet))
     for lean in (0.0, 30.0, -40.0):
@@ -188,19 +190,29 @@ def tag_pictures(turn: int) -> list[np.ndarray]:
     return views
 
 
+TAGS: Final = CalibrationBoard(
+    pattern="grid", columns=2, rows=2, marker_m=0.06, gap_m=0.0071, dictionary="apriltag_25h9"
+)
+
+
 @pytest.mark.parametrize("turn", [0, 1, 2, 3])
-def test_tags_printed_another_way_round_are_taken(turn: int) -> None:
-    # AprilRobotics' own pictures are half a turn from OpenCV's
-    board = CalibrationBoard(
-        pattern="grid", columns=2, rows=2, marker_m=0.06, gap_m=0.0071, dictionary="apriltag_25h9"
-    )
-    for picture in tag_pictures(turn):
-        view = BoardFinder(board).find(picture)
+@pytest.mark.parametrize(("from_below", "border"), [(False, 1), (True, 1), (True, 2)])
+def test_tags_printed_another_way_round_are_taken(turn: int, from_below: bool, border: int) -> None:
+    # AprilRobotics' own pictures are half a turn from OpenCV's; Kalibr's besides count from below, in two
+    # cells of black
+    for picture in tag_pictures(turn, from_below=from_below, border=border):
+        view = BoardFinder(TAGS).find(picture)
         assert view is not None
         assert len(view.ids) >= 8
         fit, _ = cv2.findHomography(view.points_m[:, :2], view.corners_px)
         there = cv2.perspectiveTransform(view.points_m[:, None, :2], fit)[:, 0]
         assert np.abs(there - view.corners_px).max() < 1.0
+
+
+def test_a_larger_board_that_has_some_of_the_ids_hides_no_diagnosis() -> None:
+    shifted = tag_pictures(0, first=7)  # 7 to 10; a board of 3x3 has 7 and 8, side by side as here
+    assert hint(TAGS, shifted) is None
+    assert "markers 7 to 10 of apriltag_25h9 are seen; expected 0 to 3" in what_is_seen(TAGS, shifted)
 
 
 def test_one_accidental_match_hides_no_diagnosis(tmp_path: Path) -> None:
