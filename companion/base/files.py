@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import tempfile
@@ -9,7 +10,7 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from companion.base.errors import ConfigError
 
@@ -140,6 +141,17 @@ def write_atomically(path: Path, content: str | bytes) -> None:
             part.write_bytes(content.encode() if isinstance(content, str) else content)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def save_figure(figure: Any, path: Path, **options: Any) -> None:
+    """Write a figure of Matplotlib's whole, in the form that the name ends in; see `write_atomically`.
+
+    Raises:
+        ConfigError: it cannot be written.
+    """
+    data = io.BytesIO()
+    figure.savefig(data, format=path.suffix.removeprefix(".") or "png", **options)
+    write_atomically(path, data.getvalue())
 
 
 def write_durably(path: Path, content: str) -> None:

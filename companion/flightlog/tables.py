@@ -15,6 +15,7 @@ from typing import Any, Final
 
 from mcap.records import Channel, Message, Schema
 
+from companion.base.files import replaced
 from companion.config import ConfigError
 from companion.flightlog.log_file import records
 
@@ -92,7 +93,7 @@ def _write(folder: Path, topic: str, rows: list[Row], form: TableFormat) -> str:
     path = folder / f"{topic.strip('/').replace('/', '_')}.{form.value}"
     columns = list(dict.fromkeys(name for row in rows for name in row))
     if form is TableFormat.CSV:
-        with path.open("w", encoding="utf-8", newline="") as stream:
+        with replaced(path) as part, part.open("w", encoding="utf-8", newline="") as stream:
             writer = csv.DictWriter(stream, columns)
             writer.writeheader()
             writer.writerows(rows)
@@ -102,5 +103,6 @@ def _write(folder: Path, topic: str, rows: list[Row], form: TableFormat) -> str:
         from pyarrow import parquet  # noqa: PLC0415
     except ModuleNotFoundError:
         raise ConfigError("--to parquet needs pyarrow: pip install 'companion-landing[campaign]'") from None
-    parquet.write_table(pyarrow.table({name: [row.get(name) for row in rows] for name in columns}), path)
+    with replaced(path) as part:
+        parquet.write_table(pyarrow.table({name: [row.get(name) for row in rows] for name in columns}), part)
     return path.name

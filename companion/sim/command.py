@@ -103,7 +103,10 @@ def _draw_plots(
         return
     passes = trial.scenario.pass_bounds
     bounds = passes.lateral_error_m, passes.vertical_speed_m_s
-    write_plots(folder, kept, truth, trial.scenario.obstacles, title_of(result), *bounds)
+    try:
+        write_plots(folder, kept, truth, trial.scenario.obstacles, title_of(result), *bounds)
+    except ConfigError as error:  # how the flight ended is another thing
+        print(f"companion: no plots: {error}", file=sys.stderr)
 
 
 def _write_page(trial: Trial, folder: Path) -> None:

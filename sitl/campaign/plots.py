@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from companion.base.files import save_figure
 from companion.pad import Pad, load_pad
 from sitl.campaign.figures import by_scenario, share, values
 from sitl.campaign.rows import OUTCOMES, Row
@@ -80,7 +81,7 @@ def write_plots(folder: Path, rows: Sequence[Row], scenarios: Mapping[str, Scena
     paths = []
     for name, figure in drawings.items():
         paths.append(folder / name)
-        figure.savefig(paths[-1])
+        save_figure(figure, paths[-1])
     return paths
 
 

@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from calibration.camera.board.board import CalibrationBoard
 from calibration.camera.solve.quality import Assessment
 from calibration.camera.views.coverage import COLUMNS, ROWS
-from companion.base.files import replaced
+from companion.base.files import save_figure
 from companion.config import ConfigError
 
 SEEN_COLOUR: Final = "tab:green"
@@ -43,8 +43,7 @@ def write_plots(folder: Path, found: Assessment, board: CalibrationBoard) -> lis
             figure = Figure(figsize=size, layout="constrained")
             draw(figure, found, board)
             path = folder / f"{name}.png"
-            with replaced(path) as part:
-                figure.savefig(part, format="png", dpi=110)
+            save_figure(figure, path, dpi=110)
             written.append(path)
     except OSError as error:
         raise ConfigError(f"--plots {folder}: cannot be written: {error.strerror}") from error

@@ -20,6 +20,7 @@ from calibration.magnetometer.collect.live import LiveCompass
 from calibration.magnetometer.ellipsoid.coverage import CELLS
 from calibration.magnetometer.read.recording import MagnetometerRecording, paired
 from companion.base.clock import Clock
+from companion.base.files import write_atomically
 from companion.base.formats.mjpeg import MjpegServer
 from companion.config import ConfigError
 
@@ -63,8 +64,11 @@ async def collect(source: LiveCompass, limits: CollectionLimits, console: Consol
                     break
     if limits.picture is not None and now.samples:
         # samples that took minutes are not given up for a picture
-        saved = cv2.imwrite(str(limits.picture), picture(now))
-        line = f"coverage in {limits.picture}" if saved else f"{limits.picture}: cannot be written"
+        line = f"coverage in {limits.picture}"
+        try:
+            write_atomically(limits.picture, cv2.imencode(".png", picture(now))[1].tobytes())
+        except ConfigError as error:
+            line = str(error)
         console.print(line, highlight=False, markup=False)
     return source.recording()
 

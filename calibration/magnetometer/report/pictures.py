@@ -14,8 +14,8 @@ import numpy as np
 
 from calibration.magnetometer.ellipsoid.coverage import BoolArray
 from calibration.magnetometer.solve.calibrate import Calibrated
+from companion.base.files import save_figure
 from companion.base.geometry import FloatArray
-from companion.config import ConfigError
 
 _MOST_POINTS: Final = 3000
 _RAW, _CALIBRATED, _DROPPED = "tab:red", "tab:blue", "black"
@@ -42,10 +42,7 @@ def write_picture(path: Path, done: Calibrated) -> None:
     _draw_residuals(figure.add_subplot(2, 3, 6), done)
     figure.suptitle(f"{done.recording.source}: raw ellipsoid and calibrated sphere", fontsize=11)
     figure.tight_layout()
-    try:
-        figure.savefig(path, dpi=110)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
+    save_figure(figure, path, dpi=110)
 
 
 def _draw_solid(axes: Any, raw: FloatArray, sphere: FloatArray) -> None:

@@ -11,6 +11,7 @@ from calibration.mount.record.samples import ImuSamples, PadObservations
 from calibration.mount.solve.rotations import log, transposed
 from calibration.mount.solve.solve import MountSolution
 from calibration.mount.solve.unknowns import GYRO_BIAS
+from companion.base.files import save_figure
 from companion.base.geometry import FloatArray
 from companion.config import ConfigError
 
@@ -39,7 +40,7 @@ def write_mount_plots(
         folder.mkdir(parents=True, exist_ok=True)
         for figure, path in zip((rates, residuals), paths, strict=True):
             FigureCanvasAgg(figure)
-            figure.savefig(path, dpi=100)
+            save_figure(figure, path, dpi=100)
     except OSError as error:
         raise ConfigError(f"--plots {folder}: cannot be written: {error.strerror}") from error
     return paths

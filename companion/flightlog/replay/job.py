@@ -10,7 +10,7 @@ from typing import Final
 from rich.console import Console
 from rich.progress import Progress
 
-from companion.base.files import replaced
+from companion.base.files import write_atomically
 from companion.config import ConfigError
 from companion.flightlog.log_file import LOG_NAMES, log_file
 from companion.flightlog.replay.compare import ReplayResult, build_result
@@ -38,14 +38,11 @@ def replay_and_show(log: Path, output: Path | None, config: Path | None) -> None
     with _progress(console, str(log)) as report:
         replayed = replay(record.events, choice.rig, report)
     result = _result(log, record, replayed, choice)
-    try:
-        _write(folder / RESULT_NAME, result.model_dump_json(indent=2) + "\n")
-        write_plots(folder, record, replayed)
-    except OSError as error:
-        raise ConfigError(f"--output {folder}: cannot be written: {error.strerror}") from error
-    console.print(replay_table(result))
+    console.print(replay_table(result))  # first: the disk may be full
     for line in replay_lines(result):
         console.print(line, highlight=False, soft_wrap=True, markup=False)
+    write_atomically(folder / RESULT_NAME, result.model_dump_json(indent=2) + "\n")
+    write_plots(folder, record, replayed)
     console.print(f"{RESULT_NAME} and plots in {folder}", highlight=False, soft_wrap=True, markup=False)
 
 
@@ -79,11 +76,6 @@ def _new_folder(folder: Path) -> Path:
     except OSError as error:
         raise ConfigError(f"--output {folder}: cannot be made: {error.strerror}") from error
     return folder
-
-
-def _write(path: Path, text: str) -> None:
-    with replaced(path) as part:
-        part.write_text(text, encoding="utf-8")
 
 
 @contextmanager

@@ -16,6 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.table import Table
 
+from companion.base.files import save_figure
 from companion.base.geometry import FloatArray, euler_from_quat
 from companion.flightlog.replay.compare import Comparison, Repetition, ReplayResult, tracks_of
 from companion.flightlog.replay.flight_record import FlightRecord, RecordedTrack, Source, TrackName
@@ -124,7 +125,7 @@ def write_plots(folder: Path, record: FlightRecord, replayed: Replayed) -> list[
         figure = Figure(figsize=(9.0, 6.5), dpi=110, layout="constrained")
         draw(figure, drawing)
         paths.append(folder / name)
-        figure.savefig(paths[-1])
+        save_figure(figure, paths[-1])
     return paths
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from companion.base.files import save_figure
 from companion.base.geometry import FloatArray
 from companion.base.messages import FrameReport, Phase, PlanStep, Truth
 from companion.config import Cylinder, Shape
@@ -77,7 +78,7 @@ def write_plots(
         figure.suptitle(f"{TITLES[name]}\n{title}" if title else TITLES[name])
         draw(figure)
         paths.append(folder / name)
-        figure.savefig(paths[-1])
+        save_figure(figure, paths[-1])
     return paths
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from companion.base.clock import wall_clock_s
+from companion.base.files import write_atomically
 from companion.config import CameraConfig, ConfigError, find_file, load_config, load_model
 from companion.pad import load_pad
 from companion.sense.camera.photos import Photo, photo_paths, read_photos
@@ -172,10 +173,7 @@ class Overlays:
         return free
 
     def _write_photo(self, path: Path, picture: NDArray[np.uint8]) -> None:
-        try:
-            path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
-        except OSError as error:
-            raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
+        write_atomically(path, cv2.imencode(".png", picture)[1].tobytes())
         self._written.append(path)
 
     def _video(self, photo: Photo, picture: NDArray[np.uint8]) -> Any:

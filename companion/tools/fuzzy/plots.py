@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from companion.base.files import save_figure
 from companion.plan.speed.fuzzy_check import AnyTable
 from companion.plan.speed.fuzzy_rules import OUTPUT, FuzzyRules, RuleSet, Terms, in_order
 from companion.plan.speed.speed_table import SpeedTable
@@ -34,7 +35,7 @@ def draw(rules: FuzzyRules, table: SpeedTable, path: Path) -> None:
     """Draw all into a PNG.
 
     Raises:
-        OSError: it cannot be written.
+        ConfigError: it cannot be written.
     """
     sets: list[tuple[RuleSet, AnyTable]] = [(rules, table)]
     if rules.pace is not None and table.pace is not None:
@@ -49,7 +50,7 @@ def draw(rules: FuzzyRules, table: SpeedTable, path: Path) -> None:
             axes = surfaces.add_subplot(1, 3, column + 1, projection="3d")
             _draw_surface(axes, rule_set, surface, value)
     figure.suptitle(f"{rules.name}: the expert's terms, the speed V, and its pace by the conditions")
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def _draw_terms(axes: Any, terms: Terms, label: str) -> None:

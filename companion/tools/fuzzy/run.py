@@ -9,10 +9,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from companion.config import ConfigError
 from companion.plan.speed.fuzzy_check import LARGEST_ERROR, AnyTable, TableError, table_error, worst_slips
-from companion.plan.speed.fuzzy_rules import FuzzyRules, PaceRules, RuleSet, in_order, load_rules
-from companion.plan.speed.speed_table import MONOTONE_TOLERANCE_M_S, SpeedTable, load_table, write_table
+from companion.plan.speed.fuzzy_rules import PaceRules, RuleSet, in_order, load_rules
+from companion.plan.speed.speed_table import MONOTONE_TOLERANCE_M_S, load_table, write_table
 from companion.tools.fuzzy.plots import draw
 
 SENSE: Final = {
@@ -53,7 +52,7 @@ def run_fuzzy(rules: str, plot: Path | None, points: int, seed: int, *, rewrite:
     elif how == "computed":
         console.print("no table belongs to these rules: computed anew, at each start; see --write-table")
     if plot is not None:
-        _draw(read, table, plot)
+        draw(read, table, plot)
         console.print(f"picture: {plot}", highlight=False, soft_wrap=True, markup=False)
     held = [_check(console, *each, points, np.random.default_rng(seed)) for each in sets]
     return all(held)  # all are shown, whichever fails
@@ -104,10 +103,3 @@ def sense_lines(slips: dict[str, float]) -> list[str]:
         unit = "" if name in PaceRules.inputs else " m/s"
         lines.append(f"{SENSE[name]}: " + (f"BROKEN, by up to {slip:.3f}{unit}" if broken else "holds"))
     return lines
-
-
-def _draw(rules: FuzzyRules, table: SpeedTable, path: Path) -> None:
-    try:
-        draw(rules, table, path)
-    except OSError as error:
-        raise ConfigError(f"--plot {path}: cannot be written: {error.strerror}") from error

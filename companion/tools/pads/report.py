@@ -9,9 +9,10 @@ from typing import Final
 import numpy as np
 from rich.table import Table
 
+from companion.base.files import save_figure
 from companion.base.geometry import FloatArray
 from companion.base.messages import MarkerGroup
-from companion.config import CameraConfig, ConfigError
+from companion.config import CameraConfig
 from companion.pad import Pad
 from companion.pad.colours import GROUP_COLOURS
 from companion.sense.vision.aruco import GROUPS
@@ -95,7 +96,4 @@ def draw_coverage(coverage: PredictedRecall, pad: Pad, camera: CameraConfig, pat
     axes.set_title(f"{pad.name} seen by {camera.name}")
     axes.grid(alpha=0.3)
     figure.legend(loc="outside lower center", ncols=5, frameon=False)
-    try:
-        figure.savefig(path)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
+    save_figure(figure, path)

@@ -13,8 +13,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
-from companion.base.files import unpacked, write_atomically, write_durably
+from companion.base.files import save_figure, unpacked, write_atomically, write_durably
 from companion.config import CONFIG_FOLDER, ConfigError
 
 
@@ -104,6 +105,32 @@ def test_no_other_place_renames_a_file_onto_an_output() -> None:
         for path in (root / folder).rglob("*.py"):
             renames = re.search(r"\b(part|fresh|scratch)\.(replace|rename)\(", path.read_text())
             assert renames is None or str(path.relative_to(root)) in own, path
+
+
+def test_a_figure_is_drawn_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "path.png"
+    save_figure(Figure(figsize=(1.0, 1.0)), path, dpi=50)
+    drawn = path.read_bytes()
+    assert drawn.startswith(b"\x89PNG")
+
+    def full(self: Path, _: bytes) -> int:
+        self.touch()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(ConfigError, match=r"path\.png: cannot be written: No space left"):
+        save_figure(Figure(figsize=(1.0, 1.0)), path, dpi=60)
+    assert path.read_bytes() == drawn
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_no_other_place_draws_a_figure_into_a_file() -> None:
+    root = CONFIG_FOLDER.parent
+    for folder in ("companion", "sitl", "calibration"):
+        for path in (root / folder).rglob("*.py"):
+            own = path.match("companion/base/*") or path.match("companion/base/printing/*")
+            if not (own or "research" in path.parts):  # the paper's figures are no operator's
+                assert ".savefig(" not in path.read_text(), path
 
 
 def test_an_exported_flight_is_unpacked_and_anything_else_is_as_it_is(tmp_path: Path) -> None:

@@ -1,7 +1,10 @@
 """Foxglove's well-known messages in flight.mcap: by Foxglove's own schemas, and true to the flight."""
 
+import csv
+import errno
 import json
 import math
+import os
 import subprocess
 import sys
 from dataclasses import is_dataclass
@@ -34,6 +37,7 @@ from companion.config import (
     CONFIG_FOLDER,
     Box,
     CameraConfig,
+    ConfigError,
     Cylinder,
     find_file,
     load_config,
@@ -44,6 +48,7 @@ from companion.flightlog.foxglove.parts import ENU_FROM_NED
 from companion.flightlog.foxglove.schemas import SCHEMAS
 from companion.flightlog.foxglove.translator import Translator
 from companion.flightlog.record import FlightLog
+from companion.flightlog.tables import TableFormat, convert
 from companion.pad import load_pad
 from tests.unit.flightlog.foxglove_official import as_proto, official
 from tests.unit.flightlog.test_result import pad_at, vehicle_at
@@ -326,3 +331,15 @@ def test_a_log_becomes_tables(log: Path, tmp_path: Path, form: str) -> None:
     assert float(row["velocity_ned_m_s[1]"]) == vehicle.velocity_ned_m_s[1]
     assert float(row["log_time_s"]) == pytest.approx(START_UNIX_S + 1.0)
     assert not (tmp_path / "tables" / f"camera.{form}").exists()
+
+
+def test_a_full_disk_leaves_no_half_of_a_table(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(csv.DictWriter, "writerows", full)
+    with pytest.raises(ConfigError, match="tables: cannot be written: No space left"):
+        convert(log, tmp_path / "tables", TableFormat.CSV)
+    assert list((tmp_path / "tables").iterdir()) == []
