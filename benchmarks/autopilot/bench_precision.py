@@ -21,9 +21,9 @@ from typing import Any, Final
 
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.report import Report
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import IDENTITY, Vector3, add, norm, quat_conjugate, quat_rotate, subtract
 from companion.base.messages import Outcome, Phase
@@ -33,6 +33,7 @@ from sitl.scenario.scenario import PassBounds, Scenario
 from sitl.world.score import judge
 from sitl.world.world import World
 
+SMOKE: Final = ("--runs", "1", "--autopilot_kind", "px4", "--case", "line 1")
 STEP_S: Final = 1.0 / 400.0
 STEPS_A_TICK: Final = 4
 TARGET_PERIOD_S: Final = 1.0 / 30.0
@@ -269,13 +270,14 @@ def row(
     return (autopilot_kind, case.name, share, *middles, REAL[autopilot_kind][kind])
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> Report:
     """Fly all cases for both autopilots and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--runs", type=int, default=6, help="landings a case")
     parser.add_argument("--autopilot_kind", choices=["ardupilot", "px4"], help="one alone")
     parser.add_argument("--case", default="", help="cases whose name begins so")
     options = parser.parse_args(arguments)
+    report = Report(width=120)
     table = Table(
         *("autopilot", "case", "landed", "lateral p50 cm", "vertical p50 m/s", "seconds p50", "real firmware")
     )
@@ -287,5 +289,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
             table.add_row(
                 *row(autopilot_kind, case, [fly(autopilot_kind, case, seed) for seed in range(options.runs)])
             )
-    Console(width=120).print(table)
-    return 0
+    report.show(table)
+    return report

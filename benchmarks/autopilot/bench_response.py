@@ -10,23 +10,23 @@ truly followed, along down to the acceleration. What the file has of integrals i
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from benchmarks.autopilot.response_flight import AnswerRecord, fly
+from benchmarks.report import Report
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import FloatArray
 from companion.config import Kind, VehicleConfig, find_file, load_model
 from sitl.firmware.spec import FirmwareSpec
 
+SMOKE: Final = ()
 FINER: Final = 4  # dead times fall between rows
 SETTLING_ROWS: Final = 240
 KINDS: Final[dict[AutopilotKind, tuple[Kind, ...]]] = {
@@ -118,7 +118,7 @@ def rows_of(
     return rows
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> Report:
     """Fly, fit and show."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--px4", type=Path, help="the program px4")
@@ -138,5 +138,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             record = fly(autopilot_kind, options.vehicle, kind, options.seed, spec)
             for cells in rows_of(vehicle, autopilot_kind, kind, record):
                 shown.add_row(*cells)
-    Console(width=None if sys.stdout.isatty() else 150).print(shown)
-    return 0
+    report = Report()
+    report.show(shown)
+    return report

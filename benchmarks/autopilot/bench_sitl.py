@@ -17,22 +17,24 @@ and landed states have to be the same, mode changes within the second that a hea
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Final
 
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.autopilot.answers import Figures, figures
 from benchmarks.autopilot.autopilot_record import AutopilotRecord, read_tlog
 from benchmarks.autopilot.setpoint_flight import fly
 from benchmarks.autopilot.what_was_said import Saying, sayings
+from benchmarks.report import Report
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.errors import ConfigError
 
+SMOKE: Final = ("--seeds", "1")
+NEEDS: Final = "DATA: recordings of PX4 and ArduCopter"
 FILES: Final[dict[AutopilotKind, str]] = {"ardupilot": "arducopter.tlog", "px4": "px4.tlog"}
 SHARES: Final[dict[AutopilotKind, float]] = {"ardupilot": 0.15, "px4": 0.25}
 SEEDS: Final[dict[AutopilotKind, int]] = {"ardupilot": 6, "px4": 6}
@@ -94,7 +96,7 @@ def _rows(theirs: Figures, ours: Sequence[Figures], share: float) -> list[Compar
 
 
 def show(
-    console: Console, autopilot_kind: AutopilotKind, rows: Sequence[ComparisonRow], said: Sequence[Saying]
+    report: Report, autopilot_kind: AutopilotKind, rows: Sequence[ComparisonRow], said: Sequence[Saying]
 ) -> None:
     """One table an autopilot."""
     table = Table(title=f"{autopilot_kind}: recorded, and ours by the same setpoints")
@@ -107,7 +109,7 @@ def show(
         table.add_row(r.name, _number(r.recorded), _number(r.ours), ratio, limit, r.rule, _word(r.holds))
     for s in said:
         table.add_row(s.name, s.recorded, s.ours, "", "", "same", _word(s.holds))
-    console.print(table)
+    report.show(table)
 
 
 def _number(value: float | None) -> str:
@@ -120,31 +122,33 @@ def _word(holds: bool | None) -> str:
 
 def verdict(
     autopilot_kind: AutopilotKind, rows: Sequence[ComparisonRow], said: Sequence[Saying]
-) -> tuple[bool, str]:
-    """Whether all holds, and a few words about it."""
+) -> tuple[str, bool]:
+    """A few words about what holds, and whether all does."""
     judged: list[tuple[str, bool | None]] = [(r.name, r.holds) for r in rows]
     judged += [(s.name, s.holds) for s in said]
     failed = [name for name, holds in judged if holds is False]
     counted = sum(holds is not None for _, holds in judged)
     words = f"{autopilot_kind}: {counted - len(failed)} of {counted} rows hold"
-    return not failed, words + (f" (not: {'; '.join(failed)})" if failed else "")
+    return words + (f" (not: {'; '.join(failed)})" if failed else ""), not failed
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the comparison; 0 when every row holds, 1 when not, 2 when there is no recording."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Show the comparison; the bars hold when every row does.
+
+    Raises:
+        ConfigError: there is no recording.
+    """
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("folder", type=Path, help="folder with arducopter.tlog and px4.tlog")
     parser.add_argument("--seeds", type=int, default=0, help="flights of ours each; 0: as many as it takes")
     chosen = parser.parse_args(arguments)
-    console, verdicts = Console(width=150), []
+    report, bars = Report(), list[tuple[str, bool]]()
     for autopilot_kind, file in FILES.items():
         try:
             recorded = read_tlog(chosen.folder / file)
             rows, said = compare(autopilot_kind, recorded, chosen.seeds or SEEDS[autopilot_kind])
         except (OSError, ValueError) as error:
-            print(f"bench-sitl: {error}", file=sys.stderr)
-            return 2
-        show(console, autopilot_kind, rows, said)
-        verdicts.append(verdict(autopilot_kind, rows, said))
-    print("; ".join(words for _, words in verdicts))
-    return 0 if all(holds for holds, _ in verdicts) else 1
+            raise ConfigError(str(error)) from error
+        show(report, autopilot_kind, rows, said)
+        bars.append(verdict(autopilot_kind, rows, said))
+    return report.judge(dict(bars))

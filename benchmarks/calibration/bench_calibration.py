@@ -9,14 +9,23 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from typing import Final
 
 from benchmarks.calibration import bench_camera, bench_magnetometer, bench_mount
+from benchmarks.report import Report
+
+SMOKE: Final = ("--seeds", "1")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("data", nargs="?", metavar="DATA")
+    parser.add_argument("--seeds", help="of each; without it, their own number")
     chosen = parser.parse_args(arguments)
     words = [] if chosen.data is None else [chosen.data]
-    return max([run(words) for run in (bench_magnetometer.main, bench_camera.main, bench_mount.main)])
+    words += [] if chosen.seeds is None else ["--seeds", chosen.seeds]
+    report = Report()
+    for run in (bench_magnetometer.main, bench_camera.main, bench_mount.main):
+        report.include(run(words))
+    return report

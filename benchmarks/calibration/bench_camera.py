@@ -18,11 +18,11 @@ from typing import Final
 
 import cv2
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from scipy.stats import chi2
 
 from benchmarks.progress import watched
+from benchmarks.report import Report
 from calibration.camera.board.board import CalibrationBoard, read_dictionary
 from calibration.camera.solve.adjustment import UnsolvableError
 from calibration.camera.solve.quality import Assessment, assess
@@ -32,6 +32,7 @@ from companion.config import CameraConfig, find_file, load_model
 from companion.sense.camera.photos import photo_paths, read_photos
 from tests.unit.calibration.camera.board_pictures import BoardPainter, hand_held_poses
 
+SMOKE: Final = ("--seeds", "1")
 VIEWS: Final = 25
 FOCAL_SHARE: Final = 0.001
 CENTRE_PX: Final = 1.0
@@ -131,7 +132,7 @@ def real_rows(folder: Path) -> list[tuple[str, CalibrationBoard, list[Path]]]:
     ]
 
 
-def real(folder: Path) -> bool:
+def real(folder: Path, report: Report) -> bool:
     """Calibrate from the photos as far as they go; whether each was refused, as two photos have to be."""
     refused = []
     for name, board, paths in real_rows(folder):
@@ -141,10 +142,10 @@ def real(folder: Path) -> bool:
         try:
             found = assess(views, photos[0].size_px, board.surface)
         except UnsolvableError as error:
-            print(f"real photos, {name}: {len(views)} views: refused: {error}")
+            report.show(f"real photos, {name}: {len(views)} views: refused: {error}")
             refused.append(True)
             continue
-        print(
+        report.show(
             f"real photos, {name}: {len(views)} views, reprojection {found.rms_px:.3f} px "
             f"(<= {PEER_RMS_PX} on 42 photos, which are not here); against it: {len(found.reasons)} reasons"
         )
@@ -152,13 +153,14 @@ def real(folder: Path) -> bool:
     return all(refused)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("data", nargs="?", type=Path, metavar="DATA")
     parser.add_argument("--seeds", type=int, default=12)
     parser.add_argument("--first-seed", type=int, default=0)
     chosen = parser.parse_args(arguments)
+    report = Report(width=200)
     cv2.setNumThreads(1)
     camera = load_model(CameraConfig, find_file("cameras", "hd_1280x720"))
     board = load_model(CalibrationBoard, find_file("boards", "charuco_a4"))
@@ -167,7 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         bow_m: [calibrated(camera, board, bow_m, seed) for seed in seeds]
         for bow_m in watched(BOWS_M, "boards")
     }
-    Console(width=200).print(table(rows, camera))
+    report.show(table(rows, camera))
     band = nees_band(chosen.seeds, 9)
     worst = np.abs([run.errors for runs in rows.values() for run in runs]).max(axis=0)
     nees = [float(np.mean([run.nees for run in runs])) for runs in rows.values()]
@@ -179,8 +181,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     folder = None if chosen.data is None else chosen.data / "aruco"
     if folder is not None and folder.is_dir():
-        bars["two photos refused"] = real(folder)
+        bars["two photos refused"] = real(folder, report)
     else:
-        print("real photos: not run; expected DATA, a folder with aruco in it")
-    print("bars: " + ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in bars.items()))
-    return 0 if all(bars.values()) else 1
+        report.show("real photos: not run; expected DATA, a folder with aruco in it")
+    return report.judge(bars)

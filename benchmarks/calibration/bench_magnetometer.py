@@ -25,6 +25,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.report import Report
 from benchmarks.state.streams import fly_stream, rerun, rms, settings_of
 from calibration.magnetometer.collect.collecting import CollectionLimits, collect
 from calibration.magnetometer.collect.live import Mpu9250Compass
@@ -43,6 +44,7 @@ from sitl.scenario.home import magnetic_field_ned_ut
 from sitl.scenario.scenario import Scenario, SensorSettings
 from tests.unit.calibration.magnetometer.magnetometer_truth import FIELD_UT, turned
 
+SMOKE: Final = ("--seeds", "3", "--flights", "0")
 OFFSET: Final = 0.01  # share of the field, in 95 of 100
 BAR_SAMPLES: Final = 6000  # a minute of the AK8963
 SAMPLES: Final = (500, 1500, BAR_SAMPLES)
@@ -70,7 +72,7 @@ def scores(seed: int, samples: int, *, half: bool) -> tuple[float, float, float]
     return float(np.linalg.norm(centre)), stated, float(error @ np.linalg.solve(fit.covariance, error)) / 9.0
 
 
-def made_up(seeds: int, console: Console) -> dict[str, bool]:
+def made_up(seeds: int, report: Report) -> dict[str, bool]:
     """The table over made-up truth, and its bars."""
     grid = Table(title=f"30 % soft iron, 2 % noise, {seeds} seeds")
     for heading in ("sphere", "samples", "hard iron rms %", f"95 % (<= {100 * OFFSET:g})", "stated %"):
@@ -87,17 +89,17 @@ def made_up(seeds: int, console: Console) -> dict[str, bool]:
         held[f"NEES {name} {samples}"] = NEES_BAND[0] <= nees <= NEES_BAND[1]
         if samples == BAR_SAMPLES:
             held["hard iron over half a sphere"] = worst <= OFFSET
-    console.print(grid)
+    report.show(grid)
     return held
 
 
 # ---------------------------------------------------------------- real logs
 
 
-def real(data: Path | None, console: Console) -> dict[str, bool]:
+def real(data: Path | None, report: Report) -> dict[str, bool]:
     """Residuals over all samples of real logs; nothing without the data."""
     if data is None:
-        console.print("real logs: not run; give the folder that has magnetometer/ in it")
+        report.show("real logs: not run; give the folder that has magnetometer/ in it")
         return {}
     grid = Table("log", "samples", "residual %", "published %", "verdict", title="Real logs, all samples")
     held = {}
@@ -110,7 +112,7 @@ def real(data: Path | None, console: Console) -> dict[str, bool]:
         figures = (f"{100 * quality.residual:.3f}", f"{100 * published:.3f}")
         grid.add_row(name, str(len(recording.raw)), *figures, quality.verdict)
         held[f"residual of {name}"] = quality.residual <= published + ROUNDING
-    console.print(grid)
+    report.show(grid)
     return held
 
 
@@ -141,7 +143,7 @@ def attitude_deg(trial: Trial) -> tuple[float, str]:
     return rms(samples.where(samples.airborne).attitude_deg), stream.outcome
 
 
-def flown(seeds: int, console: Console) -> dict[str, bool]:
+def flown(seeds: int, report: Report) -> dict[str, bool]:
     """Flights by the calibration, beside those of the simulator's default residuals."""
     grid = Table(title=f"Carried about by hand, then flown: {SCENARIO}")
     for heading in ("seed", f"hard iron % (<= {100 * LIVE_OFFSET:g})", f"attitude ° (<= {ATTITUDE_DEG:g})"):
@@ -166,7 +168,7 @@ def flown(seeds: int, console: Console) -> dict[str, bool]:
         errors.append(error)
         attitudes.append(by_file)
         outcomes.append(outcome)
-    console.print(grid)
+    report.show(grid)
     return {
         "hard iron over the registers": max(errors) <= LIVE_OFFSET,
         "attitude by the file": rms(np.array(attitudes)) <= ATTITUDE_DEG,
@@ -174,15 +176,14 @@ def flown(seeds: int, console: Console) -> dict[str, bool]:
     }
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("data", type=Path, nargs="?", help="folder of real data")
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--flights", type=int, default=2)
-    chosen, console = parser.parse_args(arguments), Console(width=110)
-    held = made_up(chosen.seeds, console) | real(chosen.data, console)
+    chosen, report = parser.parse_args(arguments), Report(width=110)
+    held = made_up(chosen.seeds, report) | real(chosen.data, report)
     if chosen.flights:
-        held |= flown(chosen.flights, console)
-    print("bars: " + ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in held.items()))
-    return 0 if all(held.values()) else 1
+        held |= flown(chosen.flights, report)
+    return report.judge(held)

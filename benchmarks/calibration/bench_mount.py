@@ -27,10 +27,10 @@ from typing import Any, Final
 
 import numpy as np
 import yaml
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.progress import watched
+from benchmarks.report import Report
 from benchmarks.state.consistency import band
 from calibration.mount.imu.job import calibrate_accelerometer, faces_from
 from calibration.mount.record.recording import read_recording
@@ -44,6 +44,7 @@ from companion.config import CompanionConfig, InertialCalibration, MountCalibrat
 from tests.scenario.flying import fly, scenario_file
 from tests.unit.calibration.mount.mount_world import HandHeld, mount_errors, record_sway, scenario_of
 
+SMOKE: Final = ("--seeds", "1", "--flights", "0")
 ROTATION_DEG: Final = 0.3
 OFFSET_S: Final = 0.002
 ACCEL_OFFSET_M_S2: Final = 0.03  # 3 mg: 2 % across the axes, felt on faces that lie 3° askew
@@ -261,33 +262,33 @@ def flight_table(rows: list[tuple[str, list[dict[str, Any]]]]) -> Table:
     return grid
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("data", nargs="?", help="not looked at: no real recordings of this kind")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--flights", type=int, default=3)
     chosen = parser.parse_args(arguments)
-    console = Console(width=170)
+    report = Report(width=170)
     with tempfile.TemporaryDirectory(prefix="bench-mount-") as name:
         folder = Path(name)
         rows = [swayed(seed, folder / f"sway{seed}") for seed in watched(range(chosen.seeds), "swayed")]
-        console.print(table(rows))
+        report.show(table(rows))
         faces = np.array([six_faces(seed, folder) for seed in watched(range(chosen.seeds), "six faces")])
         flown = flights(folder, chosen.flights) if chosen.flights else []
         hover = hovered(folder) if chosen.flights else ""
-    print(worst_line(rows))
+    report.show(worst_line(rows))
     low, high = band(3, len(rows))
     nees, offset_nees = (
         float(np.mean([getattr(row, what) for row in rows])) for what in ("nees", "offset_nees")
     )
     offset_high = band(1, len(rows))[1]
-    print(
+    report.show(
         f"NEES of the rotation {nees:.2f} ({low:.2f}..{high:.2f}), of the offset {offset_nees:.2f} "
         f"(<= {offset_high:.2f})"
     )
     worst = faces.max(axis=0)
-    print(
+    report.show(
         f"six faces, shop-fresh sensors: offset within {worst[0]:.4f} m/s² (<= {ACCEL_OFFSET_M_S2:g}), scale "
         f"within {100 * worst[1]:.2f} %, gyroscope's bias within {worst[2]:.3f}°/s"
     )
@@ -299,12 +300,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "six faces": worst[0] <= ACCEL_OFFSET_M_S2,
     }
     if flown:
-        console.print(flight_table(flown))
-        print(hover)
+        report.show(flight_table(flown))
+        report.show(hover)
         away = [
             np.mean([r["touchdown"]["lateral_error_m"] if r.get("touchdown") else 9.0 for r in results])
             for _, results in flown
         ]
         bars["flights"] = bool(away[2] < away[1])
-    print("bars: " + ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in bars.items()))
-    return 0 if all(bars.values()) else 1
+    return report.judge(bars)

@@ -13,39 +13,40 @@ import argparse
 from collections.abc import Sequence
 from typing import Any, Final
 
-from rich.console import Console
 from rich.progress import track
 
+from benchmarks.report import Report
 from companion.base.clock import wall_clock_s
 from sitl.campaign.manifest import CampaignRun, make_plan
 from sitl.campaign.pool import fly_locally
 
+SMOKE: Final = ("--runs", "1")
 JOBS: Final = 2
 FASTER: Final = 1.8
 
 
-def timed(flights: Sequence[CampaignRun], jobs: int, console: Console) -> tuple[float, dict[int, Any]]:
+def timed(flights: Sequence[CampaignRun], jobs: int, report: Report) -> tuple[float, dict[int, Any]]:
     """Fly on so many jobs: seconds it took, and each seed's result but for what depends on the machine."""
     started_s = wall_clock_s()
-    ended = track(fly_locally(flights, jobs), f"jobs: {jobs}", len(flights), console=console, transient=True)
+    ended = track(fly_locally(flights, jobs), f"jobs: {jobs}", len(flights), console=report, transient=True)
     results = {flown.flight.seed: flown.result or {"failed": flown.error} for flown in ended}
     taken_s = wall_clock_s() - started_s
     for result in results.values():
         result.pop("sim", None)
-    console.print(f"{len(flights)} runs on {jobs} job(s): {taken_s:.1f} s", highlight=False)
+    report.show(f"{len(flights)} runs on {jobs} job(s): {taken_s:.1f} s")
     return taken_s, results
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--scenario", default="static")
     parser.add_argument("--runs", type=int, default=100)
     chosen = parser.parse_args(arguments)
     flights = list(make_plan([chosen.scenario], 0, chosen.runs, None).flights())
-    console = Console()
-    one_s, alone = timed(flights, 1, console)
-    several_s, together = timed(flights, JOBS, console)
+    report = Report()
+    one_s, alone = timed(flights, 1, report)
+    several_s, together = timed(flights, JOBS, report)
     failed = [result["failed"] for result in (*alone.values(), *together.values()) if "failed" in result]
     faster = one_s / several_s
     held = {
@@ -53,6 +54,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "same results to the bit": alone == together,
         f"{len(failed)} failed": not failed,
     }
-    words = ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in held.items())
-    console.print(f"bars: {words}", highlight=False, soft_wrap=True)
-    return 0 if all(held.values()) else 1
+    return report.judge(held)

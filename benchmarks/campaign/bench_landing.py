@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -21,7 +20,6 @@ from typing import Final
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.campaign.landing_cases import (
@@ -31,7 +29,7 @@ from benchmarks.campaign.landing_cases import (
     random_landings,
     write_flights,
 )
-from benchmarks.ending import judged
+from benchmarks.report import Report
 from companion.config import ConfigError
 from sitl.campaign.figures import Bar, share, values
 from sitl.campaign.manifest import CampaignRun, code_digest
@@ -41,6 +39,7 @@ from sitl.campaign.rows import Row, RunsFile, make_row, pending
 from sitl.campaign.tables import print_worst
 
 # measured on the real firmware: landed (%), median lateral error (cm), vertical speed (m/s), time (s)
+SMOKE: Final = ("--runs", "1", "--seeds", "0", "--case", "random", "--jobs", "1")
 PEER: Final = {"line": "100 %, 1-2 cm, 0.47 m/s, 20 s", "turn": "0 % (0.56 m behind)", "wind": "20 to 60 %"}
 PEER_TIME_S: Final = 20.0
 
@@ -50,7 +49,7 @@ def kind_of(name: str) -> str:
     return "wind" if name.endswith("wind_8") else "line" if name.startswith("line") else "turn"
 
 
-def fly(flights: Sequence[CampaignRun], folder: Path, jobs: int, console: Console) -> list[Row]:
+def fly(flights: Sequence[CampaignRun], folder: Path, jobs: int, report: Report) -> list[Row]:
     """Fly what has no row in the folder yet; returns the rows of the flights asked for."""
     version, runs = code_digest(), RunsFile(folder)
     with closing(runs):
@@ -62,7 +61,7 @@ def fly(flights: Sequence[CampaignRun], folder: Path, jobs: int, console: Consol
         if left:
             with (
                 closing(fly_locally(left, jobs)) as ended,
-                CampaignMeter(console, done, len(flights), quiet=False) as meter,
+                CampaignMeter(report, done, len(flights), quiet=False) as meter,
             ):
                 for flown in ended:
                     runs.append(make_row(flown, version))
@@ -170,7 +169,7 @@ def by_motion(case: LandingCase, rows: Sequence[Row]) -> dict[str, list[Row]]:
     return {**dict(sorted(groups.items())), case.name: list(rows)}
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> Report:
     """Fly, print the table, and say which bars hold."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--runs", type=int, default=200, help="random landings")
@@ -180,7 +179,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--out", type=Path, default=Path("flights/bench-landing"))
     options = parser.parse_args(arguments)
-    console = Console(width=None if sys.stdout.isatty() else 150)
+    report = Report()
     drawn = (random_landings(options.runs, options.first), as_built_landings(options.runs, options.first))
     cases, drawn_bars = (
         (*drawn, *peer_cases(options.seeds)),
@@ -190,10 +189,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     bars: list[Bar] = []
     options.out.mkdir(parents=True, exist_ok=True)
     for case in (case for case in cases if case.flights and case.name.startswith(options.case)):
-        console.print(f"{case.name}: {len(case.flights)} flights")
-        rows = fly(write_flights(case, options.out), options.out, options.jobs, console)
+        report.show(f"{case.name}: {len(case.flights)} flights")
+        rows = fly(write_flights(case, options.out), options.out, options.jobs, report)
         groups |= by_motion(case, rows) if case.name in drawn_bars else {case.name: rows}
         bars += drawn_bars[case.name](rows) if case.name in drawn_bars else peer_bars(case.name, rows)
-    console.print(table(groups))
-    print_worst(console, [row for name, rows in groups.items() if "," not in name for row in rows])
-    return judged(console, bars)
+    report.show(table(groups))
+    print_worst(report, [row for name, rows in groups.items() if "," not in name for row in rows])
+    return report.judge(bars)

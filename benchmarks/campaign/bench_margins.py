@@ -10,25 +10,24 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-
-from rich.console import Console
+from typing import Final
 
 from benchmarks.campaign.bench_landing import fly, landed_share
 from benchmarks.campaign.landing_cases import write_flights
 from benchmarks.campaign.margins_cases import margin_cases
-from benchmarks.ending import judged
 from benchmarks.firmware.bench_firmware import line, table
+from benchmarks.report import Report
 from companion.base.autopilot_kind import AutopilotKind
 from sitl.campaign.rows import Row
 from sitl.campaign.tables import print_worst
 
+SMOKE: Final = ("--seeds", "1", "--case", "px4-as_believed", "--jobs", "1")
 AUTOPILOT_KINDS: tuple[AutopilotKind, ...] = ("px4", "ardupilot")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> Report:
     """Fly, print the table, and say which bars hold."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", type=int, default=5, help="of each scenario")
@@ -37,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--out", type=Path, default=Path("flights/bench-margins"))
     options = parser.parse_args(arguments)
-    console = Console(width=None if sys.stdout.isatty() else 150)
+    report = Report()
     options.out.mkdir(parents=True, exist_ok=True)
     seeds = range(options.first, options.first + options.seeds)
     cases = [
@@ -48,10 +47,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ]
     lines, bars, flown = [], [], list[Row]()
     for case in cases:
-        rows = fly(write_flights(case, options.out), options.out, options.jobs, console)
+        rows = fly(write_flights(case, options.out), options.out, options.jobs, report)
         lines.append(line(case.name, rows))
         bars.append(landed_share(case.name, rows, 1.0))
         flown += rows
-    console.print(table(lines))
-    print_worst(console, flown)
-    return judged(console, bars)
+    report.show(table(lines))
+    print_worst(report, flown)
+    return report.judge(bars)

@@ -21,12 +21,11 @@ from unittest import mock
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.campaign.landing_cases import random_landings
-from benchmarks.ending import judged
 from benchmarks.progress import watched
+from benchmarks.report import Report
 from companion.app import stages
 from companion.base.messages import Conditions, Phase, PlanStep
 from companion.config import ConfigError, PlanConfig
@@ -44,6 +43,7 @@ from sitl.campaign.figures import Bar
 from sitl.campaign.manifest import code_digest
 from sitl.scenario.scenario import Scenario
 
+SMOKE: Final = ("--runs", "1")
 FUZZY: Final = "fuzzy"
 PACED: Final = "fuzzy, by conditions"
 FIXED_M_S: Final = (0.9, 1.6, 3.0)
@@ -203,7 +203,7 @@ def bars(groups: Mapping[str, Sequence[Row]]) -> list[Bar]:
     ]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> Report:
     """Fly, print the table and the bars; returns the exit status."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -215,12 +215,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
-    console, path = Console(), options.out / f"{code_digest()}.jsonl"
+    report, path = Report(), options.out / f"{code_digest()}.jsonl"
     numbers = range(options.first, options.first + options.runs)
     fly_all(numbers, path)
     rows = [row for row in read_rows(path) if row["number"] in numbers]
     if not rows:
         raise ConfigError(f"{path}: no landing has ended")
     groups = {name: [row for row in rows if row["law"] == name] for name in laws()}
-    console.print(table(groups))
-    return judged(console, bars(groups))
+    report.show(table(groups))
+    return report.judge(bars(groups))

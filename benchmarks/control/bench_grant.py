@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
@@ -24,9 +23,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
-from rich.console import Console
-
-from benchmarks.ending import judged
+from benchmarks.report import Report
 from companion.app.app import App
 from companion.app.hardware import make_own_actions
 from companion.base.clock import run_in_virtual_time
@@ -44,6 +41,7 @@ from sitl.run.simulation import Simulation
 from sitl.scenario.as_built import NOTHING_ELSE
 from sitl.scenario.scenario import Scenario, load_scenario
 
+SMOKE: Final = ("--seeds", "1", "--shares", "1", "--jobs", "1")
 SHARES: Final = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6)
 MOST_FALL_M: Final = 0.3
 LOOKS_FOR_S: Final = 6.0  # the vehicle is on its way to the waypoint, at one height
@@ -176,7 +174,7 @@ def bar(name: str, grants: Sequence[Grant]) -> Bar:
     return Bar(f"{name} fall at the grant", f"{worst_m:.2f} (<= {MOST_FALL_M:g}) m", worst_m <= MOST_FALL_M)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> Report:
     """Fly, print the table, and say which bars hold."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--arducopter", type=Path, help="the program arducopter")
@@ -186,7 +184,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--shares", type=float, nargs="+", default=SHARES, help="true over told")
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args(arguments)
-    console = Console(width=None if sys.stdout.isatty() else 150)
+    report = Report()
     flown: list[tuple[str, FirmwareSpec | None]] = [] if options.only_firmware else [("bundled", None)]
     if options.arducopter is not None:
         flown.append(("ArduCopter", FirmwareSpec.of("ardupilot", options.arducopter)))
@@ -198,8 +196,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for grant in pool.map(partial(fly, firmware), flights):
                 grants.append(grant)
                 (text,) = rows(name, [grant])
-                console.print(f"{len(grants)}/{len(flights)} {text}", highlight=False, soft_wrap=True)
+                report.show(f"{len(grants)}/{len(flights)} {text}")
             for text in rows(name, grants):
-                console.print(text, highlight=False, soft_wrap=True)
+                report.show(text)
             bars.append(bar(name, grants))
-    return judged(console, bars)
+    return report.judge(bars)

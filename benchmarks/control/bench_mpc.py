@@ -19,9 +19,9 @@ from typing import Final
 
 import numpy as np
 import osqp
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.report import Report
 from companion.base.geometry import ZERO3, FloatArray, Vector3, add, vector3
 from companion.base.motion import Motion
 from companion.config import ControlConfig
@@ -31,6 +31,7 @@ from companion.control.mpc.target import within_reach
 from companion.control.response.flight_model import advance
 from companion.control.tracking import Cone, Target
 
+SMOKE: Final = ("--steps", "20")
 LAGS_S: Final = (0.11, 0.11, 0.04)
 STEP_P99_MS: Final = 5.0
 FASTER_THAN_SETUP: Final = 5.0
@@ -152,21 +153,21 @@ def table(all_found: dict[str, MpcFigures]) -> Table:
     return grid
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--steps", type=int, default=600)
     chosen = parser.parse_args(arguments)
+    report = Report(width=150)
     found = {name: fly(course, chosen.steps, ControlConfig()) for name, course in COURSES.items()}
-    Console(width=150).print(table(found))
+    report.show(table(found))
     step_ms = np.concatenate([each.step_ms for each in found.values()])
     anew_ms = np.concatenate([each.anew_ms for each in found.values()])
     ratio = float(np.median(anew_ms) / np.median(step_ms))
     p50, p99 = np.percentile(step_ms, (50, 99))
-    print(f"all: p50 {p50:.2f} ms, p99 {p99:.2f} ms; set up anew {ratio:.1f} times as long")
+    report.show(f"all: p50 {p50:.2f} ms, p99 {p99:.2f} ms; set up anew {ratio:.1f} times as long")
     bars = {
         "step p99": float(p99) <= STEP_P99_MS,
         "faster than setting up anew": ratio >= FASTER_THAN_SETUP,
     }
-    print("bars: " + ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in bars.items()))
-    return 0 if all(bars.values()) else 1
+    return report.judge(bars)

@@ -15,10 +15,10 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.progress import watched
+from benchmarks.report import Report
 from companion.base.clock import wall_clock_s
 from companion.base.geometry import Vector3
 from companion.base.motion import Motion
@@ -27,6 +27,7 @@ from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m, route
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
+SMOKE: Final = ("--scenes", "2")
 CYCLE_S: Final = 1.0 / 30.0
 RADIUS_M: Final = 0.4
 MARGIN_M: Final = 1.0
@@ -99,7 +100,7 @@ def route_ms(rng: np.random.Generator, questions: int) -> float:
     return 1e3 * float(np.median(times))
 
 
-def report(name: str, flights: list[SceneFlight], table: Table) -> None:
+def add_row(name: str, flights: list[SceneFlight], table: Table) -> None:
     """A row of the table."""
     clearances = [flown.clearance_m for flown in flights]
     table.add_row(
@@ -112,12 +113,13 @@ def report(name: str, flights: list[SceneFlight], table: Table) -> None:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> Report:
     """Run; 0 when every bar holds."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=int, default=40)
     parser.add_argument("--seed", type=int, default=100)
     options = parser.parse_args(arguments)
+    report = Report(width=120)
     rng = np.random.default_rng(options.seed)
     scenes = [scene(rng) for _ in range(options.scenes)]
     within: Callable[[tuple[Shape, ...]], Vector3] = lambda shapes: (*shapes[0].centre_ned_m, -1.0)  # noqa: E731
@@ -128,16 +130,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     table = Table(title="the reference among obstacles")
     for heading in ("goal", "scenes", "reached", "holding", "nearest, m", "slowest cycle, ms (median)"):
         table.add_column(heading, justify="right")
-    report("behind", free, table)
-    report("inside one", hopeless, table)
-    Console(width=120).print(table)
+    add_row("behind", free, table)
+    add_row("inside one", hopeless, table)
+    report.show(table)
     asked_ms = route_ms(rng, 200)
-    print(f"a way among ten obstacles: {asked_ms:.2f} ms (<= {ROUTE_MS:g}); margin {MARGIN_M:g} m")
+    report.show(f"a way among ten obstacles: {asked_ms:.2f} ms (<= {ROUTE_MS:g}); margin {MARGIN_M:g} m")
     bars = {
         "margin kept": min(f.clearance_m for f in free + hopeless) >= KEPT_SHARE * MARGIN_M,
         "a goal behind is reached or held before": all(f.reached or f.blocked for f in free),
         "a goal inside is held before": all(f.blocked and not f.reached for f in hopeless),
         "time of a way": asked_ms <= ROUTE_MS,
     }
-    print("bars: " + ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in bars.items()))
-    return 0 if all(bars.values()) else 1
+    return report.judge(bars)

@@ -14,6 +14,7 @@ Prints a table and the bars, and ends in one line that says which hold; the exit
 from __future__ import annotations
 
 import argparse
+import math
 import resource
 import tempfile
 from collections.abc import Sequence
@@ -21,10 +22,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.cpu.cpu_watch import CpuWatch
+from benchmarks.report import Report
 from companion.app.status import Status
 from companion.base.clock import start_unix_s
 from companion.base.messages import Outcome, Phase
@@ -32,10 +33,11 @@ from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate
 from companion.flightlog.record import FlightLog
 from companion.flightlog.result import latency
 from companion.sense.vision.opencv import prepare_opencv
-from companion.sim.runner import SitlFlight, fly
+from companion.sim.runner import fly
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
 
+SMOKE: Final = ("--fast", "--scenario", "static")
 CORE_PERCENT: Final = 40.0
 LATENCY_MS: Final = 60.0
 LOOP_MS: Final = 5.0
@@ -81,12 +83,14 @@ class CostBar:
         return self.measured <= self.most
 
     def __str__(self) -> str:
+        if math.isnan(self.measured):
+            return f"{self.name} NOT MEASURED"
         word = "holds" if self.holds else "FAILS"
-        return f"{self.name} {self.measured:.1f} {self.unit} (at most {self.most:g}): {word}"
+        return f"{self.name} {self.measured:.1f} {self.unit} (at most {self.most:g}) {word}"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--scenario", default="figure_8")
     parser.add_argument("--seed", type=int, default=0)
@@ -94,6 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--fast", action="store_true", help="in virtual time")
     parser.add_argument("--record", action="store_true", help="with the flight log on disk")
     chosen = parser.parse_args(arguments)
+    report = Report()
     prepare_opencv()
     trial = Trial.load(chosen.scenario, chosen.seed)
     settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=chosen.fast)
@@ -104,21 +109,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         log = FlightLog(Path(folder) if chosen.record else None, start_unix_s(virtual=chosen.fast))
         flight = fly(settings, trial, log, span, fast=chosen.fast)
         log.close()
-    _print_parts(span, fast=chosen.fast)
-    return report(_bars(span, log, trial, fast=chosen.fast), flight)
-
-
-def report(bars: list[CostBar], flight: SitlFlight) -> int:
-    """Print the bars and the verdict; returns the exit status."""
-    for bar in bars:
-        print(bar)
+    report.show(_parts(span, fast=chosen.fast))
+    found = _bars(span, log, trial, report, fast=chosen.fast)
     landed = flight.report.outcome is Outcome.LANDED
-    failed = [bar.name for bar in bars if not bar.holds] + ([] if landed else ["landing"])
-    print(f"bars: {'all hold' if not failed else 'FAILED: ' + ', '.join(failed)}")
-    return 1 if failed else 0
+    return report.judge([*found, CostBar("landings missed", float(not landed), 0.0, "")])
 
 
-def _print_parts(span: FlightSpan, *, fast: bool) -> None:
+def _parts(span: FlightSpan, *, fast: bool) -> Table:
     rows = dict(span.spent_s)
     if not fast:
         rows[REST] = span.cpu_s - sum(rows.values())
@@ -131,7 +128,7 @@ def _print_parts(span: FlightSpan, *, fast: bool) -> None:
         table.add_row(part, f"{1e3 * spent_s / span.flown_s:.1f}", *figures, f"{1e3 * longest_s:.1f}")
     table.add_section()
     table.add_row("all", f"{1e3 * _share(span, fast=fast):.1f}", "", "", "")
-    Console().print(table)
+    return table
 
 
 def _share(span: FlightSpan, *, fast: bool) -> float:
@@ -139,7 +136,7 @@ def _share(span: FlightSpan, *, fast: bool) -> float:
     return (sum(span.spent_s.values()) if fast else span.cpu_s) / span.flown_s
 
 
-def _bars(span: FlightSpan, log: FlightLog, trial: Trial, *, fast: bool) -> list[CostBar]:
+def _bars(span: FlightSpan, log: FlightLog, trial: Trial, report: Report, *, fast: bool) -> list[CostBar]:
     bars = [CostBar("CPU", 100.0 * _share(span, fast=fast), CORE_PERCENT, "% of a core")]
     if fast:
         return bars
@@ -151,10 +148,10 @@ def _bars(span: FlightSpan, log: FlightLog, trial: Trial, *, fast: bool) -> list
     camera_ms = 1e3 * trial.scenario.camera.latency_s
     longest = sorted(span.watch.callbacks, reverse=True)
     held = sum(callback.cpu_s > 1e-3 * LOOP_MS for callback in longest)
-    print(f"exposure to setpoint, beyond the camera's delay: p50 {exposure_p50 - camera_ms:.1f} ms")
-    print(f"event loop's delay, by the control cycles: p50 {delays.cycle_late_p50:.1f} ms")
+    report.show(f"exposure to setpoint, beyond the camera's delay: p50 {exposure_p50 - camera_ms:.1f} ms")
+    report.show(f"event loop's delay, by the control cycles: p50 {delays.cycle_late_p50:.1f} ms")
     shown = ", ".join(f"{1e3 * callback.cpu_s:.1f} ({callback.part})" for callback in longest[:5])
-    print(f"longest callbacks, ms: {shown}; {held} of {len(longest)} above {LOOP_MS:g} ms")
+    report.show(f"longest callbacks, ms: {shown}; {held} of {len(longest)} above {LOOP_MS:g} ms")
     return [
         *bars,
         CostBar("exposure to setpoint p99", exposure_p99 - camera_ms, LATENCY_MS, "ms"),

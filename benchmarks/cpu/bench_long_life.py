@@ -23,9 +23,9 @@ from typing import Any, Final
 from unittest import mock
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.report import Report
 from companion.app.app import App
 from companion.app.hardware import make_own_actions
 from companion.base.clock import run_in_virtual_time
@@ -43,6 +43,7 @@ from sitl.campaign.figures import Bar
 from sitl.run.in_process import InProcess
 from sitl.scenario.scenario import Scenario, load_scenario
 
+SMOKE: Final = ("--minutes", "1")
 SEES_S: Final = 9.0
 BLIND_S: Final = 6.5
 FIRST_BLIND_S: Final = 25.0
@@ -192,12 +193,13 @@ def _median(minutes: Sequence[Minute]) -> float:
     return float(np.median([minute.step_p50_ms for minute in minutes])) or 1e-9
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> Report:
     """Fly; 0 when the bars hold."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=int, default=60)
     parser.add_argument("--without-log", action="store_true", help="no flight log on disk, whose index grows")
     options = parser.parse_args(arguments)
+    report = Report()
     prepare_opencv()
     steps_s: list[float] = []
     with timed(steps_s):
@@ -206,7 +208,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for number, m in enumerate(minutes, 1):
         step = (f"{m.step_p50_ms:.2f} ms", f"{m.step_p99_ms:.2f} ms")
         table.add_row(f"{number}", f"{m.memory_mb:.1f} MB", *step, f"{m.tasks}", f"{m.tries}")
-    Console(width=100).print(table)
+    report.show(table)
     found = bars(minutes, options.minutes, ended)
-    print(f"bars: {', '.join(map(str, found))}")
-    return 0 if all(bar.holds for bar in found) else 1
+    return report.judge(found)

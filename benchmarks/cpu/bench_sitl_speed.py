@@ -19,10 +19,10 @@ from contextlib import contextmanager
 from typing import Any, Final, NamedTuple
 
 import cv2
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.cpu.speed_flight import HIGH_M, SpeedClient, SpeedFlight, fly
+from benchmarks.report import Report
 from sitl.autopilot import SimulatedAutopilot
 from sitl.camera.camera import CameraModel
 from sitl.devices.rack import SensorRack
@@ -32,6 +32,7 @@ from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.world.contact import Contact
 from sitl.world.world import World
 
+SMOKE: Final = ("--runs", "1")
 BARE_FACTOR: Final = 40.0
 CAMERA_FACTOR: Final = 8.0
 LEAST_PHYSICS_HZ: Final = 400.0
@@ -62,6 +63,11 @@ class SpeedBar(NamedTuple):
     def holds(self) -> bool:
         """Whether it is that much."""
         return self.measured >= self.least
+
+    def __str__(self) -> str:
+        return (
+            f"{self.name} {self.measured:.1f} (at least {self.least:g}) {'holds' if self.holds else 'FAILS'}"
+        )
 
 
 class Watch:
@@ -99,13 +105,14 @@ class Watch:
         return timed
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--autopilot", choices=("px4", "ardupilot"), default="px4")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--runs", type=int, default=RUNS, help="the best of so many flights counts")
     chosen = parser.parse_args(arguments)
+    report = Report()
     cv2.setNumThreads(1)
     flights: dict[bool, SpeedFlight] = {}
     parts: dict[bool, dict[str, float]] = {}
@@ -116,8 +123,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with watch.watching():
             fly(chosen.autopilot, chosen.seed, camera=camera)
         parts[camera] = _scaled(watch.spent_s, 1e3 / flights[camera].whole.real_time_factor)
-    _print_parts(parts)
-    return report(_bars(flights), flights[True])
+    report.show(_parts_table(parts))
+    return report.judge(_bars(flights))
 
 
 def _scaled(spent_s: dict[str, float], total_ms: float) -> dict[str, float]:
@@ -127,7 +134,7 @@ def _scaled(spent_s: dict[str, float], total_ms: float) -> dict[str, float]:
     return {part: total_ms * value / whole_s for part, value in own.items()}
 
 
-def _print_parts(parts: dict[bool, dict[str, float]]) -> None:
+def _parts_table(parts: dict[bool, dict[str, float]]) -> Table:
     table = Table(title="ms of CPU a simulated second")
     table.add_column("part")
     for name in ("without camera", "with camera"):
@@ -136,7 +143,7 @@ def _print_parts(parts: dict[bool, dict[str, float]]) -> None:
         table.add_row(part, *(f"{parts[camera][part]:.2f}" for camera in (False, True)))
     table.add_section()
     table.add_row("all", *(f"{sum(parts[camera].values()):.2f}" for camera in (False, True)))
-    Console().print(table)
+    return table
 
 
 def _bars(flights: dict[bool, SpeedFlight]) -> list[SpeedBar]:
@@ -153,16 +160,3 @@ def _bars(flights: dict[bool, SpeedFlight]) -> list[SpeedBar]:
         SpeedBar("over the pad, m to spare", FLOWN_M - max(bare.away_m.values()), 0.0),
         SpeedBar("frames a second", rendered.frames / rendered.seconds, 29.0),
     ]
-
-
-def report(bars: Sequence[SpeedBar], rendered: SpeedFlight) -> int:
-    """Print the bars and the verdict; returns the exit status."""
-    table = Table(title=f"one vehicle, flown for {rendered.whole.simulated_s:.0f} s")
-    for column in ("bar", "measured", "at least", ""):
-        table.add_column(column, justify="left" if column == "bar" else "right")
-    for bar in bars:
-        table.add_row(bar.name, f"{bar.measured:.1f}", f"{bar.least:g}", "holds" if bar.holds else "FAILS")
-    Console().print(table)
-    broken = [bar.name for bar in bars if not bar.holds]
-    print("bars: all hold" if not broken else f"bars: FAILS: {'; '.join(broken)}")
-    return 1 if broken else 0

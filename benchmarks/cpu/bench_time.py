@@ -27,10 +27,10 @@ from collections.abc import Coroutine, Generator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.cpu.cpu_watch import GARBAGE, LOOP, METHODS, TASKS, CpuWatch, Methods
+from benchmarks.report import Report
 from companion.app.app import App
 from companion.base.clock import VirtualTimeLoop
 from companion.config import CONFIG_FOLDER
@@ -48,6 +48,7 @@ from sitl.run.in_process import InProcess
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.world.world import World
 
+SMOKE: Final = ("--scenario", "static", "--time-limit", "5")
 REAL_TIME_FACTOR: Final = 3.0
 ROOT: Final = Path(__file__).parents[2]
 START: Final = "app: made"
@@ -96,29 +97,31 @@ class TimedCoroutine(Coroutine[Any, Any, Any]):
         self._inner.close()
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--scenario", default="circle")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--time-limit", type=float, help="end the flight after so many simulated seconds")
-    parser.add_argument("--json", type=Path, help="write the figures there")
-    parser.add_argument("--against", type=Path, help="figures of an earlier run, to be put beside")
+    parser.add_argument("--against", type=Path, help="JSON of an earlier run, to be put beside")
     parser.add_argument("--beside", type=Path, help="another checkout, to be flown in turn with this one")
     parser.add_argument("--rounds", type=int, default=3, help="flights of either checkout")
     chosen = parser.parse_args(arguments)
+    report = Report()
     if chosen.beside is None:
         found = measure(chosen.scenario, chosen.seed, chosen.time_limit)
-        before = None if chosen.against is None else json.loads(chosen.against.read_text("utf-8"))
+        before = None if chosen.against is None else json.loads(chosen.against.read_text("utf-8"))["figures"]
     else:
         runs: dict[Path, list[dict[str, Any]]] = {chosen.beside: [], ROOT: []}
         for _ in range(chosen.rounds):
             for tree, flown in runs.items():
                 flown.append(_fly_tree(tree, chosen))
         before, found = (_least(flown) for flown in runs.values())
-    if chosen.json is not None:
-        chosen.json.write_text(json.dumps(found, indent=2) + "\n", "utf-8")
-    return report(found, before)
+    report.figures = found
+    report.show(table_of(found, before))
+    factor = found["real_time_factor"]
+    name = f"{factor:.1f}x real time, at least {REAL_TIME_FACTOR:g}x:"
+    return report.judge({name: factor >= REAL_TIME_FACTOR})
 
 
 def measure(scenario: str, seed: int, time_limit_s: float | None = None) -> dict[str, Any]:
@@ -202,7 +205,7 @@ def _fly_tree(tree: Path, chosen: argparse.Namespace) -> dict[str, Any]:
         )
         if not out.exists():
             raise SystemExit(f"{tree}: {flown.stderr.strip()[-300:]}")
-        found: dict[str, Any] = json.loads(out.read_text("utf-8"))
+        found: dict[str, Any] = json.loads(out.read_text("utf-8"))["figures"]
         return found
 
 
@@ -226,8 +229,8 @@ def totals(found: dict[str, Any]) -> dict[str, float]:
     return {**summed, "all": sum(summed.values())}
 
 
-def report(found: dict[str, Any], before: dict[str, Any] | None) -> int:
-    """Print the table and the verdict; returns the exit status."""
+def table_of(found: dict[str, Any], before: dict[str, Any] | None) -> Table:
+    """Now, and beside it what was before."""
     table = Table(title=f"{found['scenario']}, seed {found['seed']}: {found['simulated_s']:.0f} s simulated")
     table.add_column("CPU, ms a simulated second")
     for name in ("now",) if before is None else ("before", "now", "ratio"):
@@ -247,8 +250,4 @@ def report(found: dict[str, Any], before: dict[str, Any] | None) -> int:
     for group, title in (("threads_ms_per_s", "by thread"), ("once_ms", "once, ms")):
         table.add_row(f"[bold]{title}")
         rows(found[group], None if before is None else before[group])
-    Console().print(table)
-    factor = found["real_time_factor"]
-    holds = factor >= REAL_TIME_FACTOR
-    print(f"bar: {factor:.1f}x real time, at least {REAL_TIME_FACTOR:g}x: {'holds' if holds else 'FAILS'}")
-    return 0 if holds else 1
+    return table

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Final, get_args
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.faults.cases import CASES, PHASES, FaultRun, all_runs, one_each
@@ -30,9 +29,14 @@ from benchmarks.faults.forks import Forks
 from benchmarks.faults.judge import OUTCOMES, SafetyVerdict
 from benchmarks.faults.runs_file import FaultRow, FaultRunsFile, flights_key
 from benchmarks.faults.witness import WitnessedFlight
+from benchmarks.report import Report
 from companion.base.autopilot_kind import AutopilotKind
 from sitl.campaign.figures import Bar
 
+SMOKE: Final = (
+    *("--faults", "GPS lost", "--phases", "descend", "--autopilots", "px4"),
+    *("--scenarios", "line", "--seeds", "1", "--jobs", "1"),
+)
 SCENARIOS: Final = ("line", "circle")
 SEEDS: Final = 5
 LANDED_SHARE: Final = 0.95
@@ -101,7 +105,7 @@ def fly_all(runs: Sequence[FaultRun], code: str, jobs: int, take: Take) -> None:
 
 
 def fly_left(
-    left: Sequence[FaultRun], code: str, jobs: int, file: FaultRunsFile, console: Console
+    left: Sequence[FaultRun], code: str, jobs: int, file: FaultRunsFile, report: Report
 ) -> dict[FaultRun, FaultRow]:
     """Fly and write down; what the bench could not fly is flown once more."""
     rows: dict[FaultRun, FaultRow] = {}
@@ -112,7 +116,7 @@ def fly_left(
         file.append(row)
         rows[run] = row
         where = place_of(row)
-        console.print(f"{len(rows)}/{len(left)} {where}: {row.outcome} {row.unsafe}", highlight=False)
+        report.progress(f"{len(rows)}/{len(left)} {where}: {row.outcome} {row.unsafe}")
 
     for _ in range(2):
         fly_all([run for run in left if run not in rows], code, jobs, take)
@@ -161,13 +165,11 @@ def bars(rows: Sequence[FaultRow]) -> list[Bar]:
     return found
 
 
-def print_unsafe(console: Console, rows: Sequence[FaultRow]) -> None:
+def print_unsafe(report: Report, rows: Sequence[FaultRow]) -> None:
     """Each unsafe flight in a line, with what was unsafe and what the app said last."""
     for row in rows:
         if row.outcome == "unsafe":
-            console.print(
-                f"unsafe: {place_of(row)}: {row.unsafe} ({row.said})", highlight=False, soft_wrap=True
-            )
+            report.show(f"unsafe: {place_of(row)}: {row.unsafe} ({row.said})")
 
 
 def _names(text: str, known: Sequence[str]) -> list[str]:
@@ -178,7 +180,7 @@ def _names(text: str, known: Sequence[str]) -> list[str]:
     return names
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> Report:
     """Fly, print the table, and say which bars hold."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
@@ -198,23 +200,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--out", type=Path, default=Path("flights/bench-faults"))
     options = parser.parse_args(arguments)
-    console = Console(width=None if sys.stdout.isatty() else 150)
+    report = Report()
     file, code = FaultRunsFile(options.out / "runs.csv"), flights_key()
     choice = (options.faults, options.phases, options.scenarios, options.seeds)
     whole = list(all_runs(*choice, options.autopilots))
     asked = whole if options.each is None else one_each(*choice, options.each, options.autopilots)
     done = {row.run: row for row in file.read(code)}
     left = [run for run in asked if run not in done]
-    console.print(f"{len(asked)} flights, {len(left)} to fly")
-    done.update(fly_left(left, code, options.jobs, file, console))
+    report.show(f"{len(asked)} flights, {len(left)} to fly")
+    done.update(fly_left(left, code, options.jobs, file, report))
     rows = [done[run] for run in asked if run in done]
     for autopilot in options.autopilots:
-        console.print(f"{autopilot}:", highlight=False)
-        console.print(table([row for row in rows if row.autopilot == autopilot]))
-    print_unsafe(console, rows)
+        report.show(f"{autopilot}:")
+        report.show(table([row for row in rows if row.autopilot == autopilot]))
+    print_unsafe(report, rows)
     found = bars(rows)
-    console.print(f"flown: {len(rows)} of the whole {len(whole)}", highlight=False)
+    report.show(f"flown: {len(rows)} of the whole {len(whole)}")
     if len(rows) < len(asked):
         found.append(Bar("not flown", f"{len(asked) - len(rows)} of {len(asked)}", holds=False))
-    console.print(f"bars: {', '.join(map(str, found))}", highlight=False, soft_wrap=True)
-    return 0 if all(bar.holds for bar in found) else 1
+    return report.judge(found)

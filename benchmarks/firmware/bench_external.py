@@ -27,15 +27,16 @@ from typing import Any, Final
 import numpy as np
 from pymavlink import mavutil
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
-from benchmarks.ending import judged
+from benchmarks.report import Report
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import CONFIG_FOLDER, ConfigError
 from sitl.campaign.figures import Bar
 from sitl.firmware.process import Process
 
+SMOKE: Final = ("--flights", "1", "--scenarios", "static")
+NEEDS: Final = "PX4, ARDUCOPTER and the machine to itself"
 SCENARIOS: Final = ("static", "line", "circle")
 MEDIAN_CM: Final = 6.0
 BROKEN_COMMITS: Final = 1
@@ -231,7 +232,7 @@ def shown(flights: Sequence[Flight]) -> tuple[Table, list[Bar]]:
     return table, bars
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> Report:
     """Fly what has no row yet, print the table, and say which bars hold."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--px4", type=Path, help="the program px4")
@@ -250,10 +251,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ]
     if not flights:
         raise ConfigError("bench-external: expected --px4 BIN, --arducopter BIN or both")
+    report = Report()
     for flight in flights:
         if not flight.row.exists():
-            print(f"{flight.kind} {flight.scenario} {flight.seed}: {json.dumps(fly(flight))}", flush=True)
+            report.progress(f"{flight.kind} {flight.scenario} {flight.seed}: {json.dumps(fly(flight))}")
     table, bars = shown(flights)
-    console = Console(width=None if sys.stdout.isatty() else 150)
-    console.print(table)
-    return judged(console, bars)
+    report.show(table)
+    return report.judge(bars)

@@ -14,19 +14,17 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, get_args
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.campaign.bench_landing import fly, landed_share, unplanned_bar
-from benchmarks.ending import judged
 from benchmarks.firmware.firmware_cases import CASES, SETPOINTS, FirmwareCase, write_flights
+from benchmarks.report import Report
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError, Kind
 from sitl.campaign.figures import Bar, values
@@ -34,6 +32,8 @@ from sitl.campaign.rows import Row
 from sitl.campaign.tables import print_worst
 from sitl.firmware.spec import FirmwareSpec
 
+SMOKE: Final = ("--seeds", "1", "--jobs", "1")
+NEEDS: Final = "PX4 or ARDUCOPTER"
 LEAST_LANDED: Final = 0.98
 AS_BUILT_LANDED: Final = 0.97
 CALM_MEDIAN_CM: Final = 5.0
@@ -72,7 +72,7 @@ def table(lines: Sequence[Sequence[str]]) -> Table:
     return shown
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> Report:
     """Fly, print the table, and say which bars hold."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--px4", type=Path, help="the program px4")
@@ -97,11 +97,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     specs = [spec for kind, path in paths.items() if path and (spec := FirmwareSpec.of(kind, path))]
     if not specs:
         raise ConfigError("bench-firmware: expected --px4 BIN, --arducopter BIN or both")
-    return judge(specs, options, Console(width=None if sys.stdout.isatty() else 150))
+    return judge(specs, options, Report())
 
 
-def judge(specs: Sequence[FirmwareSpec], options: argparse.Namespace, console: Console) -> int:
-    """Fly what has no row yet; returns the exit status."""
+def judge(specs: Sequence[FirmwareSpec], options: argparse.Namespace, report: Report) -> Report:
+    """Fly what has no row yet."""
     options.out.mkdir(parents=True, exist_ok=True)
     seeds = range(options.first, options.first + options.seeds)
     cases = tuple(case for case in CASES if case.name.startswith(options.case))
@@ -118,8 +118,8 @@ def judge(specs: Sequence[FirmwareSpec], options: argparse.Namespace, console: C
             spec, setpoint, options.sensors, cases, seeds, options.out, as_built=as_built
         )
     ]
-    console.print(f"{len(flights)} flights")
-    rows = fly(flights, options.out, options.jobs, console)
+    report.show(f"{len(flights)} flights")
+    rows = fly(flights, options.out, options.jobs, report)
     lines, bars = [], []
     for spec, setpoint in kinds:
         of_kind: list[Row] = []
@@ -132,6 +132,6 @@ def judge(specs: Sequence[FirmwareSpec], options: argparse.Namespace, console: C
         least = AS_BUILT_LANDED if as_built else LEAST_LANDED
         bars.append(landed_share(f"{spec.kind} {setpoint} landed", of_kind, least))
         bars.append(unplanned_bar(f"{spec.kind} {setpoint}", of_kind))
-    console.print(table(lines))
-    print_worst(console, rows)
-    return judged(console, bars)
+    report.show(table(lines))
+    print_worst(report, rows)
+    return report.judge(bars)

@@ -11,16 +11,18 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Sequence
+from typing import Final
 
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.mavlink.fuzzing import Fuzz, FuzzResult
 from benchmarks.progress import watched
+from benchmarks.report import Report
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import wall_clock_s
 
 # autopilot_kind, whether it has a key, whether most frames are orders, share of the frames
+SMOKE: Final = ("--frames", "300")
 RUNS: tuple[tuple[AutopilotKind, bool, bool, float], ...] = (
     ("px4", False, False, 0.35),
     ("ardupilot", False, False, 0.35),
@@ -51,23 +53,23 @@ def table(results: Sequence[tuple[str, FuzzResult]]) -> Table:
     return made
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> Report:
     """Fire; 0 when the bar holds."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
+    report = Report(width=160)
     began_s = wall_clock_s()
     results = []
     for autopilot_kind, with_key, orders, share in watched(RUNS, "frames"):
         name = autopilot_kind + ", signed" * with_key + ", orders" * orders
         fuzz = Fuzz(autopilot_kind, options.seed, KEY if with_key else None, orders=orders)
         results.append((name, fuzz.run(round(options.frames * share))))
-    Console(width=160).print(table(results))
+    report.show(table(results))
     kinds: Counter[str] = sum((found.kinds for _, found in results), Counter())
-    print("kinds: " + ", ".join(f"{kind} {count}" for kind, count in kinds.most_common()))
-    print(f"{kinds.total()} frames in {wall_clock_s() - began_s:.0f} s, no exception")
+    report.show("kinds: " + ", ".join(f"{kind} {count}" for kind, count in kinds.most_common()))
+    report.show(f"{kinds.total()} frames in {wall_clock_s() - began_s:.0f} s, no exception")
     holds = all(found.holds for _, found in results)
     lost = sum(found.lost for _, found in results)
-    print(f"bar: legal stream between {kinds.total()} frames, {lost} lost: {'holds' if holds else 'FAILS'}")
-    return 0 if holds else 1
+    return report.judge({f"legal stream between {kinds.total()} frames, {lost} lost": holds})

@@ -23,14 +23,15 @@ from pathlib import Path
 from typing import Final
 
 import pytest
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.mutants.mutate import BranchMarker, Mutant, mutants
 from benchmarks.mutants.survivors import SURVIVORS
+from benchmarks.report import Report
 from companion.control import limits
 from sitl.campaign.figures import Bar
 
+SMOKE: Final = ("--branches-only",)
 MODULE: Final = "companion.control.limits"
 SOURCE: Final = Path(limits.__file__)
 _ROOT: Final = Path(__file__).resolve().parents[2]
@@ -126,22 +127,22 @@ def survivors_table(survived: Sequence[Mutant]) -> Table:
     return made
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> Report:
     """Mutate; 0 when the bars hold."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--branches-only", action="store_true", help="no mutants")
     options = parser.parse_args(arguments)
+    report = Report()
     source = SOURCE.read_text(encoding="utf-8")
     count, missed = branches_missed(source, TESTS)
     for text in missed:
-        print(text)
+        report.show(text)
     bars = [Bar("conditions both true and false", f"{count - len(missed)} of {count}", not missed)]
     if not options.branches_only:
         made = list(mutants(source))
         survived = [mutant for mutant in made if passes(mutant.tree, TESTS)]
-        Console(width=150).print(survivors_table(survived))
+        report.show(survivors_table(survived))
         unexplained = sum(mutant.name not in SURVIVORS for mutant in survived)
         bars.append(Bar("mutants killed", f"{len(made) - len(survived)} of {len(made)}", holds=True))
         bars.append(Bar("survivors not explained", f"{unexplained}", unexplained == 0))
-    print(f"bars: {', '.join(map(str, bars))}")
-    return 0 if all(bar.holds for bar in bars) else 1
+    return report.judge(bars)

@@ -18,15 +18,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.mutations.drivers import gps, imu, ultrasonic
 from benchmarks.mutations.files import texts, trees
 from benchmarks.mutations.link import link
+from benchmarks.report import Report
 from companion.base.clock import wall_clock_s
 from sitl.campaign.figures import Bar
 
+SMOKE: Final = ("--count", "200")
 Target = Callable[[random.Random], Iterator[None]]
 # with each target's share of the inputs
 TARGETS: Final[dict[str, tuple[Target, float]]] = {
@@ -92,22 +93,23 @@ def table(results: Sequence[TargetResult]) -> Table:
     return made
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> Report:
     """Spoil; 0 when the bars hold."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--target", choices=list(TARGETS), help="this one alone")
     options = parser.parse_args(arguments)
+    report = Report()
     results = [
         run_target(name, target, round(options.count * share), options.seed)
         for name, (target, share) in TARGETS.items()
         if options.target in {None, name}
     ]
-    Console(width=120).print(table(results))
+    report.show(table(results))
     for found in results:
         for text in dict.fromkeys(found.failures[:SHOWN]):
-            print(text)
+            report.show(text)
     failures = sum(len(found.failures) for found in results)
     grown_mb = max(found.grown_mb for found in results)
     inputs = sum(found.inputs for found in results)
@@ -115,5 +117,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Bar("exceptions that are not ours", f"{failures} of {inputs} inputs", failures == 0),
         Bar("memory, most grown", f"{grown_mb:.1f} MB, at most {MEMORY_MB:g},", grown_mb <= MEMORY_MB),
     ]
-    print(f"bars: {', '.join(map(str, bars))}")
-    return 0 if all(bar.holds for bar in bars) else 1
+    return report.judge(bars)

@@ -27,15 +27,17 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Final
 
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.faults.runs_file import flights_key
+from benchmarks.report import Report
 from benchmarks.service import judging
 from benchmarks.service.running import NEAR, Stage, stage
 from benchmarks.service.trials import KINDS, InterruptedTrial, Kind, TrialsFile, moment, reached
 from sitl.run.report import read_report
 
+SMOKE: Final = ("--trials", "1")
+NEEDS: Final = "the machine to itself"
 OUT: Final = Path("flights/bench-interruptions")
 TRIALS: Final = 20
 STOPPED_S: Final = 5.0
@@ -56,14 +58,15 @@ class NotFlown(Exception):  # noqa: N818 - it reads as what happened
 
 def main(
     arguments: Sequence[str] | None = None, fly: Callable[[Kind, int, str], InterruptedTrial] | None = None
-) -> int:
-    """Entry point; returns the exit status."""
+) -> Report:
+    """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--trials", type=int, default=TRIALS, help="of each kind")
     parser.add_argument("--jobs", type=int, default=1, help="so many at once; each takes a core")
     parser.add_argument("--minutes", type=float, help="begin no trial after so long")
     parser.add_argument("--out", type=Path, default=OUT)
     chosen = parser.parse_args(arguments)
+    report = Report()
     file, code = TrialsFile(chosen.out / "trials.jsonl"), flights_key(bench=Path(__file__).parent)
     asked = [(kind, seed) for seed in range(chosen.trials) for kind in KINDS]
     done = file.read(code)
@@ -84,26 +87,23 @@ def main(
             if (trial := future.result()) is not None:
                 file.append(trial)
                 done[trial.kind, trial.seed] = trial
-                print(
-                    f"{trial.kind} {trial.seed}, {trial.phase}: {_words(trial)}", file=sys.stderr, flush=True
-                )
-    return report([done[key] for key in asked if key in done], len(asked))
+                report.progress(f"{trial.kind} {trial.seed}, {trial.phase}: {_words(trial)}")
+    return shown(report, [done[key] for key in asked if key in done], len(asked))
 
 
-def report(trials: Sequence[InterruptedTrial], asked: int) -> int:
-    """Print the table and the verdict; returns the exit status."""
+def shown(report: Report, trials: Sequence[InterruptedTrial], asked: int) -> Report:
+    """Show the table and judge."""
     table = Table("kind", "seed", "phase", "after the order, s", "failsafe, s", "found")
     for trial in trials:
         failsafe = "" if trial.failsafe_s is None else f"{trial.failsafe_s:.1f}"
         cells = (trial.kind, str(trial.seed), trial.phase, f"{trial.ordered_s:.1f}", failsafe)
         table.add_row(*cells, _words(trial))
-    Console(width=150).print(table)
+    report.show(table)
     unsafe = sum(bool(trial.found) for trial in trials)
     flown = ", ".join(f"{kind} {sum(trial.kind == kind for trial in trials)}" for kind in KINDS)
     missing = f", {asked - len(trials)} not flown" if len(trials) < asked else ""
     holds = not unsafe and not missing
-    print(f"interruptions: {flown}{missing}; {unsafe} unsafe: {'holds' if holds else 'FAILED'}")
-    return 0 if holds else 1
+    return report.judge({f"interruptions: {flown}{missing}; {unsafe} unsafe": holds})
 
 
 def _words(trial: InterruptedTrial) -> str:

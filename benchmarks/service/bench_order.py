@@ -26,10 +26,13 @@ import numpy as np
 from mcap.reader import make_reader
 
 from benchmarks.cpu.bench_cpu import CostBar
+from benchmarks.report import Report
 from benchmarks.service.running import NEAR, stage
 from companion.base.geometry import FloatArray
 from companion.flightlog.flights_recorder import KEPT_S
 
+SMOKE: Final = ("--kept-s", "3")
+NEEDS: Final = "the machine to itself"
 WATCHED_S: Final = 4.0  # until the minute is written, which takes 3 s
 FLOWN_S: Final = 20.0
 LATE_MS: Final = 20.0
@@ -40,8 +43,8 @@ IMU_GAP: Final = 1.5  # of the usual step: a sample is missing
 TOPICS: Final = ("/plan", "/imu", "/frame_report", "/order")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--kept-s", type=float, default=KEPT_S, help="how long it stands by before the order")
     kept_s = parser.parse_args(arguments).kept_s
@@ -53,14 +56,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         time.sleep(FLOWN_S)
         on.end_service()  # which finishes the log
         timing = read_timing(Path(folder) / "flights" / "flight-0001" / "flight.mcap")
+    report = Report()
     for line in timing.lines():
-        print(line)
-    bars = timing.bars()
-    for bar in bars:
-        print(bar)
-    failed = [bar.name for bar in bars if not bar.holds]
-    print(f"bars: {'all hold' if not failed else 'FAILED: ' + ', '.join(failed)}")
-    return 1 if failed else 0
+        report.show(line)
+    return report.judge(timing.bars())
 
 
 @dataclass(frozen=True)

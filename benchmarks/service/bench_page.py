@@ -28,9 +28,12 @@ import aiohttp
 from mcap.reader import make_reader
 
 from benchmarks.cpu.bench_cpu import CostBar
+from benchmarks.report import Report
 from tests.browser import PHONE, Tab, browser, program
 from tests.scenario.flying import COMMAND, ROOT, environment
 
+SMOKE: Final = ("--part", "load")
+NEEDS: Final = "the machine to itself"
 PIXEL_MS: Final = 200.0
 VIEWER_PERCENT: Final = 10.0
 IDLE_PERCENT: Final = 0.5
@@ -62,44 +65,33 @@ class PageFlight:
         return f"viewers: {self.viewers}: {cpu}, {late}, {self.pictures} pictures"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--scenario", default="static")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--rounds", type=int, default=1, help="landings with each number of viewers")
     parser.add_argument("--part", choices=("load", "pixel"), help="only CPU and cycles, or only the delay")
     chosen = parser.parse_args(arguments)
-    return asyncio.run(_bench(chosen))
+    report = Report()
+    return report.judge(asyncio.run(_bench(chosen, report)))
 
 
-async def _bench(chosen: argparse.Namespace) -> int:
+async def _bench(chosen: argparse.Namespace, report: Report) -> list[CostBar]:
     bars: list[CostBar] = []
     if chosen.part != "pixel":
-        bars += await _load_bars(chosen)
+        bars += await _load_bars(chosen, report)
     if chosen.part != "load":
-        bars += await _pixel_bars(chosen)
-    return report(bars)
+        bars += await _pixel_bars(chosen, report)
+    return bars
 
 
-def report(bars: Sequence[CostBar]) -> int:
-    """Print the bars and the verdict; returns the exit status. What was not measured holds nothing."""
-    for bar in bars:
-        print(f"{bar.name}: not measured" if math.isnan(bar.measured) else bar)
-    missing = [bar.name for bar in bars if math.isnan(bar.measured)]
-    failed = [bar.name for bar in bars if not bar.holds and bar.name not in missing]
-    words = [f"FAILED: {', '.join(failed)}"] * bool(failed)
-    words += [f"NOT MEASURED: {', '.join(missing)}"] * bool(missing)
-    print(f"bars: {'; '.join(words) or 'all hold'}")
-    return 1 if words else 0
-
-
-async def _load_bars(chosen: argparse.Namespace) -> list[CostBar]:
+async def _load_bars(chosen: argparse.Namespace, report: Report) -> list[CostBar]:
     flown: dict[int, list[PageFlight]] = {0: [], MANY: [], 1: []}
     for number in range(chosen.rounds):
         for viewers, flights in flown.items():
             flights.append(await _fly(chosen.scenario, chosen.seed + number, viewers))
-            print(flights[-1], flush=True)
+            report.show(flights[-1])
     return [
         CostBar("CPU of the page while nobody looks", _mean(flown[0], "page_percent"), IDLE_PERCENT, "%"),
         CostBar("CPU for one viewer", _viewer_percent(flown), VIEWER_PERCENT, "% of a core"),
@@ -107,13 +99,13 @@ async def _load_bars(chosen: argparse.Namespace) -> list[CostBar]:
     ]
 
 
-async def _pixel_bars(chosen: argparse.Namespace) -> list[CostBar]:
+async def _pixel_bars(chosen: argparse.Namespace, report: Report) -> list[CostBar]:
     ordered: list[float] = []
     if program() is None:
-        print("Chromium is not installed; expected it for the delay to the pixel")
+        report.show("Chromium is not installed; expected it for the delay to the pixel")
     else:
         looked = await _fly(chosen.scenario, chosen.seed, None)
-        print(looked, flush=True)
+        report.show(looked)
         ordered = sorted(looked.latencies_ms)
     return [
         CostBar(

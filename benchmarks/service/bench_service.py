@@ -34,10 +34,12 @@ import numpy as np
 from mcap.reader import make_reader
 
 from benchmarks.cpu.bench_cpu import CostBar
+from benchmarks.report import Report
 from benchmarks.service.running import NEAR, Stage, stage
 from companion.base.messages import Phase
 from tests.scenario.standing_by import StoryField, stand_by
 
+SMOKE: Final = ("--part", "orders", "--orders", "1")
 START_S: Final = 4.0
 STANDBY_PERCENT: Final = 25.0
 LANDING_PERCENT: Final = 40.0
@@ -52,29 +54,26 @@ GROUND: Final = frozenset({"standby", "connect", "arm"})
 PARTS: Final = ("landing", "orders")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--part", choices=PARTS, help="else both, one after the other")
     parser.add_argument("--scenario", default="static", help="of the landing")
     parser.add_argument("--orders", type=int, default=ORDERS)
     chosen = parser.parse_args(arguments)
+    report = Report()
     bars: list[CostBar] = []
     if chosen.part in (None, "landing"):
-        bars += _landing(chosen.scenario)
+        bars += _landing(chosen.scenario, report)
     if chosen.part in (None, "orders"):
         bars += _many_orders(chosen.orders)
-    for bar in bars:
-        print(bar)
-    failed = [bar.name for bar in bars if not bar.holds]
-    print(f"bars: {'all hold' if not failed else 'FAILED: ' + ', '.join(failed)}")
-    return 1 if failed else 0
+    return report.judge(bars)
 
 
 # ---------------------------------------------------------------- one landing, real time
 
 
-def _landing(scenario: str) -> list[CostBar]:
+def _landing(scenario: str, report: Report) -> list[CostBar]:
     with (
         tempfile.TemporaryDirectory(prefix="service-") as folder,
         stage(Path(folder), scenario, 0) as on,
@@ -87,7 +86,7 @@ def _landing(scenario: str) -> list[CostBar]:
         on.end_service()  # which finishes the log
         delays = read_delays(Path(folder) / "flights" / "flight-0001" / "flight.mcap")
     for line in delays.lines():
-        print(line)
+        report.show(line)
     return [
         *bars,
         CostBar("exposure to setpoint p99, beyond the camera", delays.beyond_ms, LATENCY_MS, "ms"),

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -27,16 +26,18 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.report import Report
 from companion.base.geometry import FloatArray, Quaternion, Vector3, quat_rotate, vector3
 from companion.base.messages import ImuSample, MagSample
-from companion.config import EstimateConfig, VehicleConfig, find_file, load_model
+from companion.config import ConfigError, EstimateConfig, VehicleConfig, find_file, load_model
 from companion.estimate.ahrs.complementary import OrientationFilter
 from companion.estimate.ahrs.madgwick import MadgwickFilter, align
 from companion.estimate.estimator import StateEstimator
 
+SMOKE: Final = ("--jobs", "1")
+NEEDS: Final = "DATA: trials of BROAD"
 EKF_BAR_DEG: Final = 2.5  # without VQF to compare with
 VQF_SHARE: Final = 0.75  # of VQF's error: the EKF's, mean over the trials
 LARGEST_VQF_SHARE: Final = 1.3  # on one trial, or
@@ -227,8 +228,12 @@ def judge(path: Path) -> tuple[str, dict[str, tuple[float, float, float]]]:
     return trial.name, {name: errors_deg(trial, run(trial)) for name, run in runs.items()}
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point: 0 when the bars hold, 1 when not, 2 when there is nothing to judge."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge.
+
+    Raises:
+        ConfigError: there is nothing to judge.
+    """
     parser = argparse.ArgumentParser(description="Orientation filters over trials of BROAD.")
     parser.add_argument("folder", type=Path, help="the trials, *.npz")
     parser.add_argument("--jobs", type=int, default=2)
@@ -236,45 +241,43 @@ def main(arguments: Sequence[str] | None = None) -> int:
     folder = chosen.folder / "broad" if (chosen.folder / "broad").is_dir() else chosen.folder
     paths = sorted(folder.glob("*.npz")) if folder.is_dir() else []
     if not paths:
-        print(f"bench-ahrs: {chosen.folder}: expected a folder with trials of BROAD, *.npz", file=sys.stderr)
-        return 2
+        raise ConfigError(f"{chosen.folder}: expected a folder with trials of BROAD, *.npz")
     with ProcessPoolExecutor(chosen.jobs) as pool:
         try:
             results = list(pool.map(judge, paths))
         except ValueError as error:
-            print(f"bench-ahrs: {error}", file=sys.stderr)
-            return 2
-    show(results)
-    return verdict({name: [errors[name][0] for _, errors in results] for name in results[0][1]})
+            raise ConfigError(str(error)) from error
+    report = Report(width=max(110, 44 + 24 * len(results[0][1])))
+    report.show(table(results))
+    return verdict(report, {name: [errors[name][0] for _, errors in results] for name in results[0][1]})
 
 
-def show(results: list[tuple[str, dict[str, tuple[float, float, float]]]]) -> None:
-    """Print the table."""
+def table(results: list[tuple[str, dict[str, tuple[float, float, float]]]]) -> Table:
+    """A line a trial, and their mean."""
     names = list(results[0][1])
-    table = Table("trial", title="RMS error in movement, deg: total (heading / inclination)")
+    shown = Table("trial", title="RMS error in movement, deg: total (heading / inclination)")
     for name in names:
-        table.add_column(name, justify="right")
+        shown.add_column(name, justify="right")
     for trial, errors in results:
-        table.add_row(trial.removeprefix("broad_"), *(_cell(errors[name]) for name in names))
+        shown.add_row(trial.removeprefix("broad_"), *(_cell(errors[name]) for name in names))
     rows = {name: np.mean([errors[name] for _, errors in results], axis=0) for name in names}
-    table.add_section()
-    table.add_row("mean", *(_cell(rows[name]) for name in names))
-    Console(width=max(110, 44 + 24 * len(names))).print(table)
+    shown.add_section()
+    shown.add_row("mean", *(_cell(rows[name]) for name in names))
+    return shown
 
 
 def _cell(row: Sequence[float] | FloatArray) -> str:
     return f"{row[0]:.2f} ({row[1]:.2f} / {row[2]:.2f})"
 
 
-def verdict(totals: dict[str, list[float]]) -> int:
-    """The line that says which bars hold, from the total error (deg) of each filter on each trial."""
-    trials, words = len(totals["EKF"]), {True: "holds", False: "FAILS"}
+def verdict(report: Report, totals: dict[str, list[float]]) -> Report:
+    """Judge by the total error (deg) of each filter on each trial."""
+    trials = len(totals["EKF"])
     means = {name: float(np.mean(values)) for name, values in totals.items()}
-    bars, parts = [], []
+    bars: dict[str, bool] = {}
 
     def judged(what: str, value: float, bar: float) -> None:
-        bars.append(value <= bar)
-        parts.append(f"{what} {value:.2f} <= {bar:.2f} {words[value <= bar]}")
+        bars[f"{what} {value:.2f} <= {bar:.2f}"] = value <= bar
 
     if "VQF" in totals:
         judged(f"EKF's mean against {VQF_SHARE:g} x VQF's, deg", means["EKF"], VQF_SHARE * means["VQF"])
@@ -285,13 +288,12 @@ def verdict(totals: dict[str, list[float]]) -> int:
         judged(f"worst trial against {LARGEST_VQF_SHARE:g} x VQF's or {LARGEST_DEG:g} deg", max(shares), 1.0)
     else:
         judged("EKF's mean, deg", means["EKF"], EKF_BAR_DEG)
-        parts.append("VQF is not installed")
+        report.show("VQF is not installed")
     own = max(e - p for e, p in zip(totals["EKF"], totals["pre-filter"], strict=True))
     judged("EKF less its pre-filter at worst, deg", own, 0.0)
     peer = means.get("ahrs Madgwick 0.12", PUBLISHED_DEG.get(trials))
     if peer is None:
-        parts.append("Madgwick: no peer (install ahrs, or run the 6 or 30 trials of the published figure)")
+        report.show("Madgwick: no peer (install ahrs, or run the 6 or 30 trials of the published figure)")
     else:
         judged("Madgwick from its peer, deg", abs(means["Madgwick 0.12"] - peer), MADGWICK_BAR_DEG)
-    print(f"bench-ahrs, {trials} trials: " + "; ".join(parts))
-    return 0 if all(bars) else 1
+    return report.judge(bars)

@@ -15,14 +15,15 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Final
 
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.progress import watched
+from benchmarks.report import Report
 from benchmarks.state.streams import Stream, fly_stream
 from companion.base.messages import Outcome, PadSighting, Phase
 from companion.sim.trial import Trial
 
+SMOKE: Final = ("--seeds", "1", "--jobs", "1")
 SCENARIO: Final = "rolling_deck"
 LEAST_SEEN: Final = 0.99  # of the frames
 LEAST_LANDED: Final = 0.95
@@ -92,18 +93,14 @@ def table(landings: Sequence[DeckLanding]) -> Table:
     return shown
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--jobs", type=int, default=2)
-    chosen, console = parser.parse_args(arguments), Console()
+    chosen, report = parser.parse_args(arguments), Report()
     with ProcessPoolExecutor(chosen.jobs) as pool:
         landings = list(watched(pool.map(flown, range(chosen.seeds)), "flights", chosen.seeds))
     held = bars(landings)
-    console.print(table(landings))
-    words = ", ".join(
-        f"{name}: {value:.3g} {'holds' if ok else 'FAILS'}" for name, (value, ok) in held.items()
-    )
-    console.print(f"bars: {words}", highlight=False, soft_wrap=True)
-    return 0 if all(ok for _, ok in held.values()) else 1
+    report.show(table(landings))
+    return report.judge({f"{name}: {value:.3g}": ok for name, (value, ok) in held.items()})

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.report import Report
 from companion.base.clock import wall_clock_s
 from tests.unit.estimate.pad.pad_scores import (
     BLIND_S,
@@ -34,6 +34,7 @@ from tests.unit.estimate.pad.pad_scores import (
 )
 from tests.unit.estimate.pad.pad_track import MOTIONS, PadTrack
 
+SMOKE: Final = ("--seeds", "1")
 VELOCITY_M_S: Final = 0.12
 STEP_US: Final = 200.0
 SPIKES_COST_M: Final = 0.03
@@ -123,15 +124,16 @@ def table(rows: Sequence[PadFilterRow]) -> Table:
     return grid
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)
     chosen = parser.parse_args(arguments)
+    report = Report(width=190)
     seeds = chosen.seeds
     rows = fly(range(chosen.first_seed, chosen.first_seed + seeds))
-    Console(width=190).print(table(rows))
+    report.show(table(rows))
     ours = [row for row in rows if row.filter == "now"]
     cost_us = step_us(PadTrack("figure-8", 0))
     late_m = late_frames_cost_m(PadTrack("figure-8", 0))
@@ -140,9 +142,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     worst_m = max(found.worst_height_error_m for found in spikes)
     clean_m = max(with_spikes(track, spike_share=0.0).worst_height_error_m for track in tracks)
     taken = sum(found.false_taken for found in spikes)
-    print(f"one step: {cost_us:.0f} µs (<= {STEP_US:g})")
-    print(f"every tenth frame 250 ms late changes the state by {late_m:g}")
-    print(
+    report.show(f"one step: {cost_us:.0f} µs (<= {STEP_US:g})")
+    report.show(f"every tenth frame 250 ms late changes the state by {late_m:g}")
+    report.show(
         f"range spikes: {taken} of {sum(found.false for found in spikes)} taken; a heaving pad's height by "
         f"echoes alone within {100 * worst_m:.1f} cm, {100 * clean_m:.1f} without spikes "
         f"(<= {100 * SPIKES_COST_M:g} cm more)"
@@ -155,5 +157,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "late frames": late_m == 0.0,
         "range spikes": taken == 0 and worst_m <= clean_m + SPIKES_COST_M,
     }
-    print("bars: " + ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in bars.items()))
-    return 0 if all(bars.values()) else 1
+    return report.judge(bars)

@@ -19,9 +19,8 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Final
 
-from rich.console import Console
-
 from benchmarks.progress import watched
+from benchmarks.report import Report
 from benchmarks.state import pictures
 from benchmarks.state.consistency import Consistency
 from benchmarks.state.costs import measure
@@ -40,6 +39,18 @@ from benchmarks.state.streams import Stream, fly_stream, load, rerun, save, sett
 from benchmarks.state.tables import consistency_table, cost_table, error_table, fault_table
 from companion.sim.trial import Trial
 
+SMOKE: Final = (
+    "--scenarios",
+    "static",
+    "--vibration",
+    "1",
+    "--seeds",
+    "1",
+    "--fault-seeds",
+    "0",
+    "--jobs",
+    "1",
+)
 SCENARIOS: Final = ("figure_8", "static", "line", "circle", "heave")
 
 
@@ -106,9 +117,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
-    chosen, console = parse(arguments), Console()
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge."""
+    chosen, report = parse(arguments), Report()
     cases = cases_of(chosen.scenarios, chosen.vibration)
     with ProcessPoolExecutor(chosen.jobs) as pool:
         waiting = [
@@ -122,17 +133,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         flights = [f.result() for f in watched(waiting, "flights")]
         faulted = [f.result() for f in watched(more, "faults")]
     by_case = {case: consistencies([flight for flight in flights if flight.case == case]) for case in cases}
-    console.print(error_table(flights), consistency_table(by_case))
+    report.show(error_table(flights), consistency_table(by_case))
     held = bars(flights, by_case)
     if faulted:
-        console.print(fault_table(faulted))
+        report.show(fault_table(faulted))
         held |= fault_bars(faulted)
     trial = cases[0].trial(0)
     costs = measure(obtain(trial, cases[0].slug, chosen.streams), settings_of(trial))
-    console.print(cost_table(costs))
+    report.show(cost_table(costs))
     held |= cost_bars(costs)
     if chosen.pictures is not None:
         draw(chosen.pictures, flights, by_case, faulted)
-    words = ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in held.items())
-    console.print(f"bars: {words}", highlight=False, soft_wrap=True)
-    return 0 if all(held.values()) else 1
+    return report.judge(held)

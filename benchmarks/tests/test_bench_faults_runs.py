@@ -147,11 +147,11 @@ def test_flights_that_are_there_are_not_flown_again(
     monkeypatch.setattr("benchmarks.faults.bench_faults.fly_group", landings(flown))
     asked = ["bench", "--jobs", "1", "--faults", "GPS lost;30 uT", "--phases", "descend"]
     monkeypatch.setattr("sys.argv", [*asked, "--seeds", "1", "--out", str(tmp_path)])
-    assert main() == 0
+    assert main().exit_status == 0
     assert len(flown) == 8
     assert {run.autopilot for run in flown} == {"px4", "ardupilot"}
     monkeypatch.setattr("sys.argv", [*asked, "--seeds", "2", "--out", str(tmp_path)])
-    assert main() == 0
+    assert main().exit_status == 0
     assert [run.seed for run in flown[8:]] == [1] * 8
     said = capsys.readouterr().out
     assert "bars: unsafe ends 0 of 16 holds, landed where possible 100.0 % holds" in said
@@ -178,7 +178,7 @@ def test_a_flight_that_the_bench_could_not_fly_is_flown_again_and_not_kept(
     asked = ["bench", "--jobs", "1", "--faults", "GPS lost", "--phases", "descend", "--seeds", "1"]
     asked += ["--autopilots", "px4"]
     monkeypatch.setattr("sys.argv", [*asked, "--out", str(tmp_path)])
-    assert main() == 1
+    assert main().exit_status == 1
     assert [run.scenario for run in tries] == ["line", "circle"] * 2
     assert "unsafe ends 0 of 1 holds" in capsys.readouterr().out
     assert [row.scenario for row in FaultRunsFile(tmp_path / "runs.csv").read(flights_key())] == ["line"]
@@ -202,7 +202,7 @@ def test_one_flight_of_each_fault_in_each_phase_takes_scenarios_and_seeds_in_tur
     # those with the disk are flown from their start
     asked = ["bench", "--jobs", "1", "--each", "1", "--out", str(tmp_path), "--faults", "GPS lost;30 uT"]
     monkeypatch.setattr("sys.argv", asked)
-    assert main() == 0
+    assert main().exit_status == 0
     assert "flown: 20 of the whole 200" in capsys.readouterr().out
 
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import io
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
-from rich.console import Console
 
 from benchmarks.firmware import bench_firmware
 from benchmarks.firmware.bench_firmware import judge, line, main, median_bar
 from benchmarks.firmware.firmware_cases import CASES, SETPOINTS, FirmwareCase, write_flights
+from benchmarks.report import Report
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
 from sitl.campaign.manifest import CampaignRun
@@ -108,8 +107,10 @@ def flown(
 
 def judged(specs: Sequence[FirmwareSpec], given: argparse.Namespace) -> tuple[int, str]:
     """Exit status and what is said."""
-    said = io.StringIO()
-    return judge(specs, given, Console(file=said, width=200)), said.getvalue()
+    report = Report(width=200)
+    with report.capture() as said:
+        judge(specs, given, report)
+    return report.exit_status, said.get()
 
 
 def test_every_case_is_flown_by_every_setpoint_of_every_firmware(

@@ -29,7 +29,7 @@ def test_an_exception_is_reported_with_its_seed_and_the_target_begins_anew(
             yield
 
     monkeypatch.setattr(bench_mutations, "TARGETS", {"x": (sometimes, 1.0)})
-    assert main(["--count", "2000"]) == 1
+    assert main(["--count", "2000"]).exit_status == 1
     said = capsys.readouterr().out
     assert "exceptions that are not ours" in said
     assert "FAILS" in said
@@ -49,7 +49,7 @@ def test_memory_that_grows_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
             yield
 
     monkeypatch.setattr(bench_mutations, "TARGETS", {"x": (leaks, 1.0)})
-    assert main(["--count", "400"]) == 1
+    assert main(["--count", "400"]).exit_status == 1
 
 
 def test_mutations_differ_and_come_again_with_their_seed() -> None:

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import os
+import re
+import subprocess
 import sys
+from datetime import datetime
+from importlib import import_module
+from pathlib import Path
 
 import pytest
 
 from benchmarks.command import discover, main
+from benchmarks.report import ROOT
 
 
 @pytest.mark.parametrize("name", discover())
@@ -27,7 +35,41 @@ def test_without_a_name_all_are_listed_each_with_a_line(capsys: pytest.CaptureFi
     assert [line for line in lines if len(line.split()) < 5] == []
 
 
-def test_a_name_that_is_none_is_answered_with_those_there_are() -> None:
-    assert str(main(["wings"])).startswith(
-        "python -m benchmarks: wings: no such benchmark; expected one of ahrs,"
+@pytest.mark.slow
+@pytest.mark.parametrize("name", discover())
+def test_a_smoke_run_leaves_results_with_commit_machine_and_date(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    needs = getattr(import_module(discover()[name]), "NEEDS", None)
+    if needs is not None:
+        pytest.skip(f"needs {needs}")
+    monkeypatch.chdir(tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks", name, "--smoke", "--json", "results.json"],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
     )
+    assert done.returncode in {0, 1}, done.stderr
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert done.returncode == int(not results["holds"])
+    assert results["benchmark"] == name
+    assert re.fullmatch(r"[0-9a-f]{40}\+?", results["commit"])
+    assert results["machine"]["cores"] >= 1
+    assert datetime.fromisoformat(results["date"]).tzinfo is not None
+    assert [row for table in results["tables"] for row in table["rows"]] != [] or results["lines"] != []
+
+
+def test_results_that_cannot_be_written_are_said_before_anything_is_measured(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", [])
+    assert main(["mpc", "--json", "nowhere/results.json"]) == 2
+    assert "mpc: --json nowhere/results.json: expected" in capsys.readouterr().err
+
+
+def test_a_name_that_is_none_is_answered_with_those_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["wings"]) == 2
+    assert "wings: no such benchmark; expected one of" in capsys.readouterr().err

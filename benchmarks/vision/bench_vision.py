@@ -31,9 +31,9 @@ from typing import Final
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import cv2
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
+from benchmarks.report import Report
 from benchmarks.vision.cases import SEED, CaseOutcome, VisionCase, run_chunk
 from benchmarks.vision.clutter import SHOTS_OF_A_BOARD, false_pads
 from benchmarks.vision.photoreal import SETS, photoreal_table, read_set
@@ -55,6 +55,7 @@ from benchmarks.vision.tables import (
     speed_table,
 )
 
+SMOKE: Final = ("--only", "clutter", "--clutter", "10", "--jobs", "1")
 PARTS: Final = ("tables", "clutter", "flips", "speed", "photos", "photoreal", "sweep")
 SHOTS_OF_A_CHUNK: Final = 100
 DATA_FOLDER: Final = "aruco"
@@ -126,7 +127,7 @@ def work_of(parts: Sequence[str], amount: Amount) -> list[Work]:
     return works
 
 
-def run(works: Sequence[Work], jobs: int, console: Console) -> Iterator[tuple[Work, CaseOutcome | int]]:
+def run(works: Sequence[Work], jobs: int, report: Report) -> Iterator[tuple[Work, CaseOutcome | int]]:
     """Results, in the order of the work: the same however many processes share it."""
     columns = (
         "[progress.description]{task.description}",
@@ -135,7 +136,7 @@ def run(works: Sequence[Work], jobs: int, console: Console) -> Iterator[tuple[Wo
         TimeRemainingColumn(),
     )
     found: dict[Work, CaseOutcome | int] = {}
-    with Progress(*columns, console=console, transient=True) as progress:
+    with Progress(*columns, console=report, transient=True) as progress:
         task = progress.add_task("rendering and looking", total=len(works))
         for work, result in _results(works, jobs):
             found[work] = result
@@ -166,64 +167,64 @@ def joined(results: Iterable[tuple[Work, CaseOutcome | int]]) -> tuple[Outcomes,
     return outcomes, false, clutter
 
 
-def timed(frames: int, console: Console) -> list[Times]:
+def timed(frames: int, report: Report) -> list[Times]:
     """Both cameras at every height; nothing else of the bench runs meanwhile."""
     cv2.setNumThreads(1)
     wanted = [(size, height_m) for size in FASTER for height_m in HEIGHTS_M]
-    with Progress(console=console, transient=True) as progress:
+    with Progress(console=report, transient=True) as progress:
         return [measure(*each, frames) for each in progress.track(wanted, description="timing")]
 
 
-def swept(shots: int, jobs: int, console: Console) -> list[SweepOutcome]:
+def swept(shots: int, jobs: int, report: Report) -> list[SweepOutcome]:
     """Every pad before every camera."""
     cv2.setNumThreads(1)
     with (
-        Progress(console=console, transient=True) as progress,
+        Progress(console=report, transient=True) as progress,
         ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool,
     ):
         each = pool.map(sweep, cases(), itertools.repeat(shots))
         return list(progress.track(each, total=len(cases()), description="sweeping"))
 
 
-def report(parts: Sequence[str], amount: Amount, jobs: int, data: Path | None, console: Console) -> Bars:
+def measured(parts: Sequence[str], amount: Amount, jobs: int, data: Path | None, report: Report) -> Bars:
     """Run what is asked for, and print it."""
-    outcomes, false, clutter = joined(run(work_of(parts, amount), jobs, console))
+    outcomes, false, clutter = joined(run(work_of(parts, amount), jobs, report))
     bars: Bars = {}
     if "tables" in parts:
         plain = {case: outcome for case, outcome in outcomes.items() if not case.tilted}
         for tables, held in (recall_tables(plain), error_tables(plain)):
             bars |= held
             for grid in tables:
-                console.print(grid)
+                report.show(grid)
     if "clutter" in parts:
-        console.print(f"false pads in {clutter} frames of clutter: {false} (0)")
+        report.show(f"false pads in {clutter} frames of clutter: {false} (0)")
         bars["clutter"] = false == 0
     if "flips" in parts:
         grid, held = flips_table({case: outcome for case, outcome in outcomes.items() if case.tilted})
-        console.print(grid)
+        report.show(grid)
         bars |= held
     if "speed" in parts:
-        grid, held = speed_table(timed(amount.timed, console))
-        console.print(grid)
+        grid, held = speed_table(timed(amount.timed, report))
+        report.show(grid)
         bars |= held
     if "sweep" in parts:
-        grid, held = sweep_table(swept(amount.sweep, jobs, console))
-        console.print(grid)
+        grid, held = sweep_table(swept(amount.sweep, jobs, report))
+        report.show(grid)
         bars |= held
     if "photoreal" in parts and data is not None and (data / PHOTOREAL_FOLDER).is_dir():
         folders = {name: data / PHOTOREAL_FOLDER / name for name in SETS}
         grid, held = photoreal_table([read_set(folder, SETS[name]) for name, folder in folders.items()])
-        console.print(grid)
+        report.show(grid)
         bars |= held
     if "photos" in parts and data is not None and (data / DATA_FOLDER).is_dir():
         grid, held = photo_table(read_photos(data / DATA_FOLDER))
-        console.print(grid)
+        report.show(grid)
         bars |= held
     return bars
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument(
         "data", nargs="?", type=Path, metavar="DATA", help="a folder with aruco or photoreal in it"
@@ -242,10 +243,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     amount = QUICK if chosen.quick else FULL
     if chosen.clutter is not None:
         amount = replace(amount, clutter=chosen.clutter)
-    console = Console(width=200)
+    report = Report(width=200)
     if chosen.pictures is not None:
         contact_sheet(chosen.pictures / "vision_frames.png")
-    console.print(f"seed {SEED}, {PAPER_SIZE} f = 1065 px and 640x480, {chosen.jobs} jobs")
-    bars = report(chosen.only, amount, chosen.jobs, chosen.data, console)
-    print("bars: " + ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in bars.items()))
-    return 0 if all(bars.values()) else 1
+    report.show(f"seed {SEED}, {PAPER_SIZE} f = 1065 px and 640x480, {chosen.jobs} jobs")
+    return report.judge(measured(chosen.only, amount, chosen.jobs, chosen.data, report))
