@@ -1,5 +1,7 @@
 # make sitl    fly the bundled simulator from a fresh checkout
-# make test    lint, types, architecture, unit, property and scenario tests
+# make test    lint, types, architecture, unit and property tests, eight landings, every documented command
+# make test-all  what make test leaves out: real time, clients of others, firmware, further seeds, the laboratory
+# make durations  both, and how long each test takes, by which they are ordered and split
 # make docs    the documentation as a site, site/index.html
 # make release ARCHITECTURES=aarch64  bundles that install without a network on Debian 12 and 13, into dist/
 # make test-deploy DEPLOY=DIR  the service in a container that boots systemd, the app on arm64 by qemu; needs root
@@ -11,6 +13,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH   = $(BIN)/python -m benchmarks
+PYTEST  = PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest
 
 .PHONY: sitl test lint bench clean
 
@@ -47,7 +50,18 @@ style:
 test: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest
+	$(PYTEST) -m 'not slow' $(ARGS)
+
+.PHONY: test-all durations
+test-all: $(VENV)/.dev
+	$(PYTEST) -m slow $(ARGS)
+
+# only those of a second and more are kept
+durations: $(VENV)/.dev
+	$(PYTEST) --store-durations --clean-durations
+	$(BIN)/python -c 'import json, pathlib; path = pathlib.Path(".test_durations"); \
+		kept = {test: round(s, 1) for test, s in sorted(json.loads(path.read_text()).items()) if s >= 1}; \
+		path.write_text(json.dumps(kept, indent=4) + "\n")'
 
 .PHONY: docs
 docs: $(VENV)/.dev

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import json
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import pytest
@@ -28,36 +30,12 @@ WORKERS: Final = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
 COMPUTES_AT: Final = os.nice(0) + 5
 # the folder of those that wait by the clock: simulators, autopilots and browsers in real time
 REAL_TIME: Final = "tests/scenario/real_time/"
-# of a file of flights that is not listed: a new one shall not be left to the end
+# what `make test` leaves to `make test-all`, besides what is marked slow itself
+SLOW: Final = (REAL_TIME, "tests/scenario/flights/", "benchmarks/", "experiments/")
+# seconds by test, of those that take one: recorded by pytest-split (`make durations`)
+DURATIONS: Final = Path(__file__).with_name(".test_durations")
+# of a file of flights of which nothing is recorded: a new one shall not be left to the end
 FLIGHTS_S: Final = 40.0
-# rough seconds of a core; a new file of some ten seconds belongs here too
-SLOW_S: Final = {
-    "tests/scenario/flights/test_landings.py": 140,
-    "tests/unit/test_docs.py": 90,
-    "tests/scenario/flights/test_standby.py": 60,
-    "tests/scenario/commands/test_campaign.py": 50,
-    "tests/scenario/flights/test_autopilot_sensors.py": 45,
-    "tests/unit/control/response/test_margins.py": 41,
-    "tests/scenario/commands/test_records.py": 35,
-    "tests/scenario/flights/test_firmware_flights.py": 27,
-    "tests/architecture/test_types.py": 25,
-    "tests/scenario/flights/test_link_first.py": 25,
-    "tests/unit/control/test_closed_loop.py": 24,
-    "tests/scenario/flights/test_no_landing.py": 20,
-    "tests/unit/estimate/test_estimate_flight.py": 17,
-    "tests/unit/base/test_service_packages.py": 17,
-    "benchmarks/tests/test_bench_mutants.py": 16,
-    "tests/unit/tools/pad_check/test_pad_check_samples.py": 15,
-    "tests/unit/tools/pad_check/test_pad_check.py": 14,
-    "tests/unit/flightlog/replay/test_replay_command.py": 14,
-    "tests/unit/control/mpc/test_mpc.py": 13,
-    "benchmarks/tests/test_bench_mutations.py": 12,
-    "tests/unit/calibration/mount/test_mount_command.py": 12,
-    "tests/scenario/flights/test_faults.py": 11,
-    "tests/scenario/flights/test_wirings.py": 11,
-    "benchmarks/tests/test_bench_faults_runs.py": 11,
-    "tests/scenario/flights/test_fault_phases.py": 8,
-}
 
 
 def file_of(nodeid: str) -> str:
@@ -65,9 +43,12 @@ def file_of(nodeid: str) -> str:
     return nodeid.partition("::")[0]
 
 
-def took_s(file: str) -> float:
-    """Rough seconds of a file, by which files are ordered."""
-    return SLOW_S.get(file, FLIGHTS_S if file.startswith("tests/scenario/flights/") else 0.0)
+def recorded_s() -> dict[str, float]:
+    """Seconds by file."""
+    files: dict[str, float] = {}
+    for test, seconds in json.loads(DURATIONS.read_text(encoding="utf-8")).items():
+        files[file_of(test)] = files.get(file_of(test), 0.0) + seconds
+    return files
 
 
 class ByFile(LoadScopeScheduling):  # type: ignore[misc]
@@ -85,11 +66,20 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByFile:
     return ByFile(config, log)
 
 
+@pytest.hookimpl(tryfirst=True)  # before -m looks at the marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with what is in real time, then the slow files, the slowest first."""
-    files = {file_of(item.nodeid) for item in items}
-    order = {file: (not file.startswith(REAL_TIME), -took_s(file)) for file in files}
-    items.sort(key=lambda item: order[file_of(item.nodeid)])
+    """Begin with what is in real time, then the slow files, the slowest first; mark whole folders as slow."""
+    recorded = recorded_s()
+
+    def order(item: pytest.Item) -> tuple[bool, float]:
+        file = file_of(item.nodeid)
+        flies = FLIGHTS_S if file.startswith("tests/scenario/flights/") else 0.0
+        return not file.startswith(REAL_TIME), -recorded.get(file, flies)
+
+    items.sort(key=order)
+    for item in items:
+        if item.nodeid.startswith(SLOW) and item.get_closest_marker("fast") is None:
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.hookimpl(tryfirst=True)

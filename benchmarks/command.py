@@ -1,9 +1,9 @@
 """`python -m benchmarks NAME [options]` runs one benchmark; without NAME it lists them.
 
 A benchmark is a module `bench_*.py` anywhere below this folder, with a function `main` that takes the words
-after NAME and returns a `Report`. Its name is the module's, with hyphens; its line in the list is the first
-of its docstring. `SMOKE` are the words of a run that takes seconds, and `NEEDS` what not every machine has.
-All of them know `--json FILE` (write the results, with commit, machine and date) and `--smoke`.
+after NAME and returns a `BenchReport`. Its name is the module's, with hyphens; its line in the list is the
+first of its docstring. `SMOKE` are the words of a run that takes seconds, and `NEEDS` what not every machine
+has. All of them know `--json FILE` (write the results, with commit, machine and date) and `--smoke`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Final
 
-from benchmarks.report import Report, writable
+from benchmarks.report import BenchReport, writable
 from companion.base.errors import ConfigError
 
 HERE: Final = Path(__file__).resolve().parent
@@ -61,7 +61,7 @@ def main(words: Sequence[str] | None = None) -> int:
         if ours.json is not None:
             writable(ours.json)
         chosen = [*module.SMOKE, *rest] if ours.smoke else rest
-        report: Report = module.main(chosen)
+        report: BenchReport = module.main(chosen)
         if ours.json is not None:
             report.write(ours.json, name, chosen)
     except ConfigError as problem:

@@ -27,7 +27,7 @@ ROOT: Final = Path(__file__).resolve().parents[1]
 WIDTH: Final = 150  # where nobody sets one: a file, a pipe
 
 
-class Judged(Protocol):
+class JudgedBar(Protocol):
     """A bar that was measured; its text has the figure, the bar and whether it holds."""
 
     @property
@@ -39,7 +39,7 @@ class Judged(Protocol):
         """Whether the bar holds."""
 
 
-class Report(Console):
+class BenchReport(Console):
     """A console that keeps what it shows; strings are printed as they are."""
 
     def __init__(self, width: int | None = None) -> None:
@@ -64,7 +64,7 @@ class Report(Console):
         """Print what is of no use when all is done."""
         self.print(text, highlight=False, soft_wrap=True, markup=False)
 
-    def judge(self, bars: Mapping[str, bool] | Iterable[Judged]) -> Report:
+    def judge(self, bars: Mapping[str, bool] | Iterable[JudgedBar]) -> BenchReport:
         """Print the bars in one line; returns this report."""
         if isinstance(bars, Mapping):
             said = {name: f"{name} {'holds' if holds else 'FAILS'}" for name, holds in bars.items()}
@@ -78,7 +78,7 @@ class Report(Console):
         self.progress(f"bars: {', '.join(text for *_, text in found) or 'none was measured'}")
         return self
 
-    def include(self, other: Report) -> None:
+    def include(self, other: BenchReport) -> None:
         """Take over what another has shown and judged."""
         self._tables += other._tables
         self._lines += other._lines

@@ -23,7 +23,7 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 from rich.table import Table
 
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import IDENTITY, Vector3, add, norm, quat_conjugate, quat_rotate, subtract
 from companion.base.messages import Outcome, Phase
@@ -270,14 +270,14 @@ def row(
     return (autopilot_kind, case.name, share, *middles, REAL[autopilot_kind][kind])
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Fly all cases for both autopilots and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--runs", type=int, default=6, help="landings a case")
     parser.add_argument("--autopilot_kind", choices=["ardupilot", "px4"], help="one alone")
     parser.add_argument("--case", default="", help="cases whose name begins so")
     options = parser.parse_args(arguments)
-    report = Report(width=120)
+    report = BenchReport(width=120)
     table = Table(
         *("autopilot", "case", "landed", "lateral p50 cm", "vertical p50 m/s", "seconds p50", "real firmware")
     )

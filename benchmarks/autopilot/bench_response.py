@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from benchmarks.autopilot.response_flight import AnswerRecord, fly
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import FloatArray
 from companion.config import Kind, VehicleConfig, find_file, load_model
@@ -118,7 +118,7 @@ def rows_of(
     return rows
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Fly, fit and show."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--px4", type=Path, help="the program px4")
@@ -138,6 +138,6 @@ def main(arguments: Sequence[str] | None = None) -> Report:
             record = fly(autopilot_kind, options.vehicle, kind, options.seed, spec)
             for cells in rows_of(vehicle, autopilot_kind, kind, record):
                 shown.add_row(*cells)
-    report = Report()
+    report = BenchReport()
     report.show(shown)
     return report

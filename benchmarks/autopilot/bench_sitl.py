@@ -29,7 +29,7 @@ from benchmarks.autopilot.answers import Figures, figures
 from benchmarks.autopilot.autopilot_record import AutopilotRecord, read_tlog
 from benchmarks.autopilot.setpoint_flight import fly
 from benchmarks.autopilot.what_was_said import Saying, sayings
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.errors import ConfigError
 
@@ -96,7 +96,7 @@ def _rows(theirs: Figures, ours: Sequence[Figures], share: float) -> list[Compar
 
 
 def show(
-    report: Report, autopilot_kind: AutopilotKind, rows: Sequence[ComparisonRow], said: Sequence[Saying]
+    report: BenchReport, autopilot_kind: AutopilotKind, rows: Sequence[ComparisonRow], said: Sequence[Saying]
 ) -> None:
     """One table an autopilot."""
     table = Table(title=f"{autopilot_kind}: recorded, and ours by the same setpoints")
@@ -132,7 +132,7 @@ def verdict(
     return words + (f" (not: {'; '.join(failed)})" if failed else ""), not failed
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Show the comparison; the bars hold when every row does.
 
     Raises:
@@ -142,7 +142,7 @@ def main(arguments: Sequence[str] | None = None) -> Report:
     parser.add_argument("folder", type=Path, help="folder with arducopter.tlog and px4.tlog")
     parser.add_argument("--seeds", type=int, default=0, help="flights of ours each; 0: as many as it takes")
     chosen = parser.parse_args(arguments)
-    report, bars = Report(), list[tuple[str, bool]]()
+    report, bars = BenchReport(), list[tuple[str, bool]]()
     for autopilot_kind, file in FILES.items():
         try:
             recorded = read_tlog(chosen.folder / file)

@@ -22,7 +22,7 @@ from rich.table import Table
 from scipy.stats import chi2
 
 from benchmarks.progress import watched
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from calibration.camera.board.board import CalibrationBoard, read_dictionary
 from calibration.camera.solve.adjustment import UnsolvableError
 from calibration.camera.solve.quality import Assessment, assess
@@ -132,7 +132,7 @@ def real_rows(folder: Path) -> list[tuple[str, CalibrationBoard, list[Path]]]:
     ]
 
 
-def real(folder: Path, report: Report) -> bool:
+def real(folder: Path, report: BenchReport) -> bool:
     """Calibrate from the photos as far as they go; whether each was refused, as two photos have to be."""
     refused = []
     for name, board, paths in real_rows(folder):
@@ -153,14 +153,14 @@ def real(folder: Path, report: Report) -> bool:
     return all(refused)
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("data", nargs="?", type=Path, metavar="DATA")
     parser.add_argument("--seeds", type=int, default=12)
     parser.add_argument("--first-seed", type=int, default=0)
     chosen = parser.parse_args(arguments)
-    report = Report(width=200)
+    report = BenchReport(width=200)
     cv2.setNumThreads(1)
     camera = load_model(CameraConfig, find_file("cameras", "hd_1280x720"))
     board = load_model(CalibrationBoard, find_file("boards", "charuco_a4"))

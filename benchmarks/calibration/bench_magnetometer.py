@@ -25,7 +25,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from benchmarks.state.streams import fly_stream, rerun, rms, settings_of
 from calibration.magnetometer.collect.collecting import CollectionLimits, collect
 from calibration.magnetometer.collect.live import Mpu9250Compass
@@ -72,7 +72,7 @@ def scores(seed: int, samples: int, *, half: bool) -> tuple[float, float, float]
     return float(np.linalg.norm(centre)), stated, float(error @ np.linalg.solve(fit.covariance, error)) / 9.0
 
 
-def made_up(seeds: int, report: Report) -> dict[str, bool]:
+def made_up(seeds: int, report: BenchReport) -> dict[str, bool]:
     """The table over made-up truth, and its bars."""
     grid = Table(title=f"30 % soft iron, 2 % noise, {seeds} seeds")
     for heading in ("sphere", "samples", "hard iron rms %", f"95 % (<= {100 * OFFSET:g})", "stated %"):
@@ -96,7 +96,7 @@ def made_up(seeds: int, report: Report) -> dict[str, bool]:
 # ---------------------------------------------------------------- real logs
 
 
-def real(data: Path | None, report: Report) -> dict[str, bool]:
+def real(data: Path | None, report: BenchReport) -> dict[str, bool]:
     """Residuals over all samples of real logs; nothing without the data."""
     if data is None:
         report.show("real logs: not run; give the folder that has magnetometer/ in it")
@@ -143,7 +143,7 @@ def attitude_deg(trial: Trial) -> tuple[float, str]:
     return rms(samples.where(samples.airborne).attitude_deg), stream.outcome
 
 
-def flown(seeds: int, report: Report) -> dict[str, bool]:
+def flown(seeds: int, report: BenchReport) -> dict[str, bool]:
     """Flights by the calibration, beside those of the simulator's default residuals."""
     grid = Table(title=f"Carried about by hand, then flown: {SCENARIO}")
     for heading in ("seed", f"hard iron % (<= {100 * LIVE_OFFSET:g})", f"attitude ° (<= {ATTITUDE_DEG:g})"):
@@ -176,13 +176,13 @@ def flown(seeds: int, report: Report) -> dict[str, bool]:
     }
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("data", type=Path, nargs="?", help="folder of real data")
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--flights", type=int, default=2)
-    chosen, report = parser.parse_args(arguments), Report(width=110)
+    chosen, report = parser.parse_args(arguments), BenchReport(width=110)
     held = made_up(chosen.seeds, report) | real(chosen.data, report)
     if chosen.flights:
         held |= flown(chosen.flights, report)

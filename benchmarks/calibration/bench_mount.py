@@ -30,7 +30,7 @@ import yaml
 from rich.table import Table
 
 from benchmarks.progress import watched
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from benchmarks.state.consistency import band
 from calibration.mount.imu.job import calibrate_accelerometer, faces_from
 from calibration.mount.record.recording import read_recording
@@ -262,14 +262,14 @@ def flight_table(rows: list[tuple[str, list[dict[str, Any]]]]) -> Table:
     return grid
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("data", nargs="?", help="not looked at: no real recordings of this kind")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--flights", type=int, default=3)
     chosen = parser.parse_args(arguments)
-    report = Report(width=170)
+    report = BenchReport(width=170)
     with tempfile.TemporaryDirectory(prefix="bench-mount-") as name:
         folder = Path(name)
         rows = [swayed(seed, folder / f"sway{seed}") for seed in watched(range(chosen.seeds), "swayed")]

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from rich.progress import track
 
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.base.clock import wall_clock_s
 from sitl.campaign.manifest import CampaignRun, make_plan
 from sitl.campaign.pool import fly_locally
@@ -25,7 +25,7 @@ JOBS: Final = 2
 FASTER: Final = 1.8
 
 
-def timed(flights: Sequence[CampaignRun], jobs: int, report: Report) -> tuple[float, dict[int, Any]]:
+def timed(flights: Sequence[CampaignRun], jobs: int, report: BenchReport) -> tuple[float, dict[int, Any]]:
     """Fly on so many jobs: seconds it took, and each seed's result but for what depends on the machine."""
     started_s = wall_clock_s()
     ended = track(fly_locally(flights, jobs), f"jobs: {jobs}", len(flights), console=report, transient=True)
@@ -37,14 +37,14 @@ def timed(flights: Sequence[CampaignRun], jobs: int, report: Report) -> tuple[fl
     return taken_s, results
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--scenario", default="static")
     parser.add_argument("--runs", type=int, default=100)
     chosen = parser.parse_args(arguments)
     flights = list(make_plan([chosen.scenario], 0, chosen.runs, None).flights())
-    report = Report()
+    report = BenchReport()
     one_s, alone = timed(flights, 1, report)
     several_s, together = timed(flights, JOBS, report)
     failed = [result["failed"] for result in (*alone.values(), *together.values()) if "failed" in result]

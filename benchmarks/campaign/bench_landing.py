@@ -29,7 +29,7 @@ from benchmarks.campaign.landing_cases import (
     random_landings,
     write_flights,
 )
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.config import ConfigError
 from sitl.campaign.figures import Bar, share, values
 from sitl.campaign.manifest import CampaignRun, code_digest
@@ -49,7 +49,7 @@ def kind_of(name: str) -> str:
     return "wind" if name.endswith("wind_8") else "line" if name.startswith("line") else "turn"
 
 
-def fly(flights: Sequence[CampaignRun], folder: Path, jobs: int, report: Report) -> list[Row]:
+def fly(flights: Sequence[CampaignRun], folder: Path, jobs: int, report: BenchReport) -> list[Row]:
     """Fly what has no row in the folder yet; returns the rows of the flights asked for."""
     version, runs = code_digest(), RunsFile(folder)
     with closing(runs):
@@ -169,7 +169,7 @@ def by_motion(case: LandingCase, rows: Sequence[Row]) -> dict[str, list[Row]]:
     return {**dict(sorted(groups.items())), case.name: list(rows)}
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Fly, print the table, and say which bars hold."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--runs", type=int, default=200, help="random landings")
@@ -179,7 +179,7 @@ def main(arguments: Sequence[str] | None = None) -> Report:
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--out", type=Path, default=Path("flights/bench-landing"))
     options = parser.parse_args(arguments)
-    report = Report()
+    report = BenchReport()
     drawn = (random_landings(options.runs, options.first), as_built_landings(options.runs, options.first))
     cases, drawn_bars = (
         (*drawn, *peer_cases(options.seeds)),

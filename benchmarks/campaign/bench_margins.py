@@ -18,7 +18,7 @@ from benchmarks.campaign.bench_landing import fly, landed_share
 from benchmarks.campaign.landing_cases import write_flights
 from benchmarks.campaign.margins_cases import margin_cases
 from benchmarks.firmware.bench_firmware import line, table
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from sitl.campaign.rows import Row
 from sitl.campaign.tables import print_worst
@@ -27,7 +27,7 @@ SMOKE: Final = ("--seeds", "1", "--case", "px4-as_believed", "--jobs", "1")
 AUTOPILOT_KINDS: tuple[AutopilotKind, ...] = ("px4", "ardupilot")
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Fly, print the table, and say which bars hold."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", type=int, default=5, help="of each scenario")
@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> Report:
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--out", type=Path, default=Path("flights/bench-margins"))
     options = parser.parse_args(arguments)
-    report = Report()
+    report = BenchReport()
     options.out.mkdir(parents=True, exist_ok=True)
     seeds = range(options.first, options.first + options.seeds)
     cases = [

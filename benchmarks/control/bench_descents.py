@@ -25,7 +25,7 @@ from rich.table import Table
 
 from benchmarks.campaign.landing_cases import random_landings
 from benchmarks.progress import watched
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.app import stages
 from companion.base.messages import Conditions, Phase, PlanStep
 from companion.config import ConfigError, PlanConfig
@@ -203,7 +203,7 @@ def bars(groups: Mapping[str, Sequence[Row]]) -> list[Bar]:
     ]
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Fly, print the table and the bars; returns the exit status."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -215,7 +215,7 @@ def main(arguments: Sequence[str] | None = None) -> Report:
     )
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
-    report, path = Report(), options.out / f"{code_digest()}.jsonl"
+    report, path = BenchReport(), options.out / f"{code_digest()}.jsonl"
     numbers = range(options.first, options.first + options.runs)
     fly_all(numbers, path)
     rows = [row for row in read_rows(path) if row["number"] in numbers]

@@ -23,7 +23,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.app.app import App
 from companion.app.hardware import make_own_actions
 from companion.base.clock import run_in_virtual_time
@@ -174,7 +174,7 @@ def bar(name: str, grants: Sequence[Grant]) -> Bar:
     return Bar(f"{name} fall at the grant", f"{worst_m:.2f} (<= {MOST_FALL_M:g}) m", worst_m <= MOST_FALL_M)
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Fly, print the table, and say which bars hold."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--arducopter", type=Path, help="the program arducopter")
@@ -184,7 +184,7 @@ def main(arguments: Sequence[str] | None = None) -> Report:
     parser.add_argument("--shares", type=float, nargs="+", default=SHARES, help="true over told")
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args(arguments)
-    report = Report()
+    report = BenchReport()
     flown: list[tuple[str, FirmwareSpec | None]] = [] if options.only_firmware else [("bundled", None)]
     if options.arducopter is not None:
         flown.append(("ArduCopter", FirmwareSpec.of("ardupilot", options.arducopter)))

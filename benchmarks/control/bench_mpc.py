@@ -21,7 +21,7 @@ import numpy as np
 import osqp
 from rich.table import Table
 
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.base.geometry import ZERO3, FloatArray, Vector3, add, vector3
 from companion.base.motion import Motion
 from companion.config import ControlConfig
@@ -153,12 +153,12 @@ def table(all_found: dict[str, MpcFigures]) -> Table:
     return grid
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--steps", type=int, default=600)
     chosen = parser.parse_args(arguments)
-    report = Report(width=150)
+    report = BenchReport(width=150)
     found = {name: fly(course, chosen.steps, ControlConfig()) for name, course in COURSES.items()}
     report.show(table(found))
     step_ms = np.concatenate([each.step_ms for each in found.values()])

@@ -18,7 +18,7 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.progress import watched
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.base.clock import wall_clock_s
 from companion.base.geometry import Vector3
 from companion.base.motion import Motion
@@ -113,13 +113,13 @@ def add_row(name: str, flights: list[SceneFlight], table: Table) -> None:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Run; 0 when every bar holds."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=int, default=40)
     parser.add_argument("--seed", type=int, default=100)
     options = parser.parse_args(arguments)
-    report = Report(width=120)
+    report = BenchReport(width=120)
     rng = np.random.default_rng(options.seed)
     scenes = [scene(rng) for _ in range(options.scenes)]
     within: Callable[[tuple[Shape, ...]], Vector3] = lambda shapes: (*shapes[0].centre_ned_m, -1.0)  # noqa: E731

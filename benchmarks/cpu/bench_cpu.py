@@ -25,7 +25,7 @@ from typing import Any, Final
 from rich.table import Table
 
 from benchmarks.cpu.cpu_watch import CpuWatch
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.app.status import Status
 from companion.base.clock import start_unix_s
 from companion.base.messages import Outcome, Phase
@@ -89,7 +89,7 @@ class CostBar:
         return f"{self.name} {self.measured:.1f} {self.unit} (at most {self.most:g}) {word}"
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--scenario", default="figure_8")
@@ -98,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> Report:
     parser.add_argument("--fast", action="store_true", help="in virtual time")
     parser.add_argument("--record", action="store_true", help="with the flight log on disk")
     chosen = parser.parse_args(arguments)
-    report = Report()
+    report = BenchReport()
     prepare_opencv()
     trial = Trial.load(chosen.scenario, chosen.seed)
     settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=chosen.fast)
@@ -136,7 +136,9 @@ def _share(span: FlightSpan, *, fast: bool) -> float:
     return (sum(span.spent_s.values()) if fast else span.cpu_s) / span.flown_s
 
 
-def _bars(span: FlightSpan, log: FlightLog, trial: Trial, report: Report, *, fast: bool) -> list[CostBar]:
+def _bars(
+    span: FlightSpan, log: FlightLog, trial: Trial, report: BenchReport, *, fast: bool
+) -> list[CostBar]:
     bars = [CostBar("CPU", 100.0 * _share(span, fast=fast), CORE_PERCENT, "% of a core")]
     if fast:
         return bars

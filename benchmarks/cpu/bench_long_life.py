@@ -25,7 +25,7 @@ from unittest import mock
 import numpy as np
 from rich.table import Table
 
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.app.app import App
 from companion.app.hardware import make_own_actions
 from companion.base.clock import run_in_virtual_time
@@ -193,13 +193,13 @@ def _median(minutes: Sequence[Minute]) -> float:
     return float(np.median([minute.step_p50_ms for minute in minutes])) or 1e-9
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Fly; 0 when the bars hold."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=int, default=60)
     parser.add_argument("--without-log", action="store_true", help="no flight log on disk, whose index grows")
     options = parser.parse_args(arguments)
-    report = Report()
+    report = BenchReport()
     prepare_opencv()
     steps_s: list[float] = []
     with timed(steps_s):

@@ -22,7 +22,7 @@ import cv2
 from rich.table import Table
 
 from benchmarks.cpu.speed_flight import HIGH_M, SpeedClient, SpeedFlight, fly
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from sitl.autopilot import SimulatedAutopilot
 from sitl.camera.camera import CameraModel
 from sitl.devices.rack import SensorRack
@@ -105,14 +105,14 @@ class Watch:
         return timed
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--autopilot", choices=("px4", "ardupilot"), default="px4")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--runs", type=int, default=RUNS, help="the best of so many flights counts")
     chosen = parser.parse_args(arguments)
-    report = Report()
+    report = BenchReport()
     cv2.setNumThreads(1)
     flights: dict[bool, SpeedFlight] = {}
     parts: dict[bool, dict[str, float]] = {}

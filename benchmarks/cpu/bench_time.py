@@ -30,7 +30,7 @@ from typing import Any, Final
 from rich.table import Table
 
 from benchmarks.cpu.cpu_watch import GARBAGE, LOOP, METHODS, TASKS, CpuWatch, Methods
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.app.app import App
 from companion.base.clock import VirtualTimeLoop
 from companion.config import CONFIG_FOLDER
@@ -97,7 +97,7 @@ class TimedCoroutine(Coroutine[Any, Any, Any]):
         self._inner.close()
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--scenario", default="circle")
@@ -107,7 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> Report:
     parser.add_argument("--beside", type=Path, help="another checkout, to be flown in turn with this one")
     parser.add_argument("--rounds", type=int, default=3, help="flights of either checkout")
     chosen = parser.parse_args(arguments)
-    report = Report()
+    report = BenchReport()
     if chosen.beside is None:
         found = measure(chosen.scenario, chosen.seed, chosen.time_limit)
         before = None if chosen.against is None else json.loads(chosen.against.read_text("utf-8"))["figures"]

@@ -29,7 +29,7 @@ from benchmarks.faults.forks import Forks
 from benchmarks.faults.judge import OUTCOMES, SafetyVerdict
 from benchmarks.faults.runs_file import FaultRow, FaultRunsFile, flights_key
 from benchmarks.faults.witness import WitnessedFlight
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from sitl.campaign.figures import Bar
 
@@ -105,7 +105,7 @@ def fly_all(runs: Sequence[FaultRun], code: str, jobs: int, take: Take) -> None:
 
 
 def fly_left(
-    left: Sequence[FaultRun], code: str, jobs: int, file: FaultRunsFile, report: Report
+    left: Sequence[FaultRun], code: str, jobs: int, file: FaultRunsFile, report: BenchReport
 ) -> dict[FaultRun, FaultRow]:
     """Fly and write down; what the bench could not fly is flown once more."""
     rows: dict[FaultRun, FaultRow] = {}
@@ -165,7 +165,7 @@ def bars(rows: Sequence[FaultRow]) -> list[Bar]:
     return found
 
 
-def print_unsafe(report: Report, rows: Sequence[FaultRow]) -> None:
+def print_unsafe(report: BenchReport, rows: Sequence[FaultRow]) -> None:
     """Each unsafe flight in a line, with what was unsafe and what the app said last."""
     for row in rows:
         if row.outcome == "unsafe":
@@ -180,7 +180,7 @@ def _names(text: str, known: Sequence[str]) -> list[str]:
     return names
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Fly, print the table, and say which bars hold."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
@@ -200,7 +200,7 @@ def main(arguments: Sequence[str] | None = None) -> Report:
     )
     parser.add_argument("--out", type=Path, default=Path("flights/bench-faults"))
     options = parser.parse_args(arguments)
-    report = Report()
+    report = BenchReport()
     file, code = FaultRunsFile(options.out / "runs.csv"), flights_key()
     choice = (options.faults, options.phases, options.scenarios, options.seeds)
     whole = list(all_runs(*choice, options.autopilots))

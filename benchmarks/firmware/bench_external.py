@@ -29,7 +29,7 @@ from pymavlink import mavutil
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import CONFIG_FOLDER, ConfigError
 from sitl.campaign.figures import Bar
@@ -232,7 +232,7 @@ def shown(flights: Sequence[Flight]) -> tuple[Table, list[Bar]]:
     return table, bars
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Fly what has no row yet, print the table, and say which bars hold."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--px4", type=Path, help="the program px4")
@@ -251,7 +251,7 @@ def main(arguments: Sequence[str] | None = None) -> Report:
     ]
     if not flights:
         raise ConfigError("bench-external: expected --px4 BIN, --arducopter BIN or both")
-    report = Report()
+    report = BenchReport()
     for flight in flights:
         if not flight.row.exists():
             report.progress(f"{flight.kind} {flight.scenario} {flight.seed}: {json.dumps(fly(flight))}")

@@ -24,7 +24,7 @@ from rich.table import Table
 
 from benchmarks.campaign.bench_landing import fly, landed_share, unplanned_bar
 from benchmarks.firmware.firmware_cases import CASES, SETPOINTS, FirmwareCase, write_flights
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError, Kind
 from sitl.campaign.figures import Bar, values
@@ -72,7 +72,7 @@ def table(lines: Sequence[Sequence[str]]) -> Table:
     return shown
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Fly, print the table, and say which bars hold."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--px4", type=Path, help="the program px4")
@@ -97,10 +97,10 @@ def main(arguments: Sequence[str] | None = None) -> Report:
     specs = [spec for kind, path in paths.items() if path and (spec := FirmwareSpec.of(kind, path))]
     if not specs:
         raise ConfigError("bench-firmware: expected --px4 BIN, --arducopter BIN or both")
-    return judge(specs, options, Report())
+    return judge(specs, options, BenchReport())
 
 
-def judge(specs: Sequence[FirmwareSpec], options: argparse.Namespace, report: Report) -> Report:
+def judge(specs: Sequence[FirmwareSpec], options: argparse.Namespace, report: BenchReport) -> BenchReport:
     """Fly what has no row yet."""
     options.out.mkdir(parents=True, exist_ok=True)
     seeds = range(options.first, options.first + options.seeds)

@@ -17,7 +17,7 @@ from rich.table import Table
 
 from benchmarks.mavlink.fuzzing import Fuzz, FuzzResult
 from benchmarks.progress import watched
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import wall_clock_s
 
@@ -53,13 +53,13 @@ def table(results: Sequence[tuple[str, FuzzResult]]) -> Table:
     return made
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Fire; 0 when the bar holds."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
-    report = Report(width=160)
+    report = BenchReport(width=160)
     began_s = wall_clock_s()
     results = []
     for autopilot_kind, with_key, orders, share in watched(RUNS, "frames"):

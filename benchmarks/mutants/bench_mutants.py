@@ -27,7 +27,7 @@ from rich.table import Table
 
 from benchmarks.mutants.mutate import BranchMarker, Mutant, mutants
 from benchmarks.mutants.survivors import SURVIVORS
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.control import limits
 from sitl.campaign.figures import Bar
 
@@ -127,12 +127,12 @@ def survivors_table(survived: Sequence[Mutant]) -> Table:
     return made
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Mutate; 0 when the bars hold."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--branches-only", action="store_true", help="no mutants")
     options = parser.parse_args(arguments)
-    report = Report()
+    report = BenchReport()
     source = SOURCE.read_text(encoding="utf-8")
     count, missed = branches_missed(source, TESTS)
     for text in missed:

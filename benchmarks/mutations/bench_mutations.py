@@ -23,7 +23,7 @@ from rich.table import Table
 from benchmarks.mutations.drivers import gps, imu, ultrasonic
 from benchmarks.mutations.files import texts, trees
 from benchmarks.mutations.link import link
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.base.clock import wall_clock_s
 from sitl.campaign.figures import Bar
 
@@ -93,14 +93,14 @@ def table(results: Sequence[TargetResult]) -> Table:
     return made
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Spoil; 0 when the bars hold."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--target", choices=list(TARGETS), help="this one alone")
     options = parser.parse_args(arguments)
-    report = Report()
+    report = BenchReport()
     results = [
         run_target(name, target, round(options.count * share), options.seed)
         for name, (target, share) in TARGETS.items()

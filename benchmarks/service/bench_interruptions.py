@@ -30,7 +30,7 @@ from typing import Final
 from rich.table import Table
 
 from benchmarks.faults.runs_file import flights_key
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from benchmarks.service import judging
 from benchmarks.service.running import NEAR, Stage, stage
 from benchmarks.service.trials import KINDS, InterruptedTrial, Kind, TrialsFile, moment, reached
@@ -58,7 +58,7 @@ class NotFlown(Exception):  # noqa: N818 - it reads as what happened
 
 def main(
     arguments: Sequence[str] | None = None, fly: Callable[[Kind, int, str], InterruptedTrial] | None = None
-) -> Report:
+) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--trials", type=int, default=TRIALS, help="of each kind")
@@ -66,7 +66,7 @@ def main(
     parser.add_argument("--minutes", type=float, help="begin no trial after so long")
     parser.add_argument("--out", type=Path, default=OUT)
     chosen = parser.parse_args(arguments)
-    report = Report()
+    report = BenchReport()
     file, code = TrialsFile(chosen.out / "trials.jsonl"), flights_key(bench=Path(__file__).parent)
     asked = [(kind, seed) for seed in range(chosen.trials) for kind in KINDS]
     done = file.read(code)
@@ -91,7 +91,7 @@ def main(
     return shown(report, [done[key] for key in asked if key in done], len(asked))
 
 
-def shown(report: Report, trials: Sequence[InterruptedTrial], asked: int) -> Report:
+def shown(report: BenchReport, trials: Sequence[InterruptedTrial], asked: int) -> BenchReport:
     """Show the table and judge."""
     table = Table("kind", "seed", "phase", "after the order, s", "failsafe, s", "found")
     for trial in trials:

@@ -26,7 +26,7 @@ import numpy as np
 from mcap.reader import make_reader
 
 from benchmarks.cpu.bench_cpu import CostBar
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from benchmarks.service.running import NEAR, stage
 from companion.base.geometry import FloatArray
 from companion.flightlog.flights_recorder import KEPT_S
@@ -43,7 +43,7 @@ IMU_GAP: Final = 1.5  # of the usual step: a sample is missing
 TOPICS: Final = ("/plan", "/imu", "/frame_report", "/order")
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--kept-s", type=float, default=KEPT_S, help="how long it stands by before the order")
@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> Report:
         time.sleep(FLOWN_S)
         on.end_service()  # which finishes the log
         timing = read_timing(Path(folder) / "flights" / "flight-0001" / "flight.mcap")
-    report = Report()
+    report = BenchReport()
     for line in timing.lines():
         report.show(line)
     return report.judge(timing.bars())

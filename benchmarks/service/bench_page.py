@@ -28,7 +28,7 @@ import aiohttp
 from mcap.reader import make_reader
 
 from benchmarks.cpu.bench_cpu import CostBar
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from tests.browser import PHONE, Tab, browser, program
 from tests.scenario.flying import COMMAND, ROOT, environment
 
@@ -65,7 +65,7 @@ class PageFlight:
         return f"viewers: {self.viewers}: {cpu}, {late}, {self.pictures} pictures"
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--scenario", default="static")
@@ -73,11 +73,11 @@ def main(arguments: Sequence[str] | None = None) -> Report:
     parser.add_argument("--rounds", type=int, default=1, help="landings with each number of viewers")
     parser.add_argument("--part", choices=("load", "pixel"), help="only CPU and cycles, or only the delay")
     chosen = parser.parse_args(arguments)
-    report = Report()
+    report = BenchReport()
     return report.judge(asyncio.run(_bench(chosen, report)))
 
 
-async def _bench(chosen: argparse.Namespace, report: Report) -> list[CostBar]:
+async def _bench(chosen: argparse.Namespace, report: BenchReport) -> list[CostBar]:
     bars: list[CostBar] = []
     if chosen.part != "pixel":
         bars += await _load_bars(chosen, report)
@@ -86,7 +86,7 @@ async def _bench(chosen: argparse.Namespace, report: Report) -> list[CostBar]:
     return bars
 
 
-async def _load_bars(chosen: argparse.Namespace, report: Report) -> list[CostBar]:
+async def _load_bars(chosen: argparse.Namespace, report: BenchReport) -> list[CostBar]:
     flown: dict[int, list[PageFlight]] = {0: [], MANY: [], 1: []}
     for number in range(chosen.rounds):
         for viewers, flights in flown.items():
@@ -99,7 +99,7 @@ async def _load_bars(chosen: argparse.Namespace, report: Report) -> list[CostBar
     ]
 
 
-async def _pixel_bars(chosen: argparse.Namespace, report: Report) -> list[CostBar]:
+async def _pixel_bars(chosen: argparse.Namespace, report: BenchReport) -> list[CostBar]:
     ordered: list[float] = []
     if program() is None:
         report.show("Chromium is not installed; expected it for the delay to the pixel")

@@ -34,7 +34,7 @@ import numpy as np
 from mcap.reader import make_reader
 
 from benchmarks.cpu.bench_cpu import CostBar
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from benchmarks.service.running import NEAR, Stage, stage
 from companion.base.messages import Phase
 from tests.scenario.standing_by import StoryField, stand_by
@@ -54,14 +54,14 @@ GROUND: Final = frozenset({"standby", "connect", "arm"})
 PARTS: Final = ("landing", "orders")
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--part", choices=PARTS, help="else both, one after the other")
     parser.add_argument("--scenario", default="static", help="of the landing")
     parser.add_argument("--orders", type=int, default=ORDERS)
     chosen = parser.parse_args(arguments)
-    report = Report()
+    report = BenchReport()
     bars: list[CostBar] = []
     if chosen.part in (None, "landing"):
         bars += _landing(chosen.scenario, report)
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> Report:
 # ---------------------------------------------------------------- one landing, real time
 
 
-def _landing(scenario: str, report: Report) -> list[CostBar]:
+def _landing(scenario: str, report: BenchReport) -> list[CostBar]:
     with (
         tempfile.TemporaryDirectory(prefix="service-") as folder,
         stage(Path(folder), scenario, 0) as on,

@@ -28,7 +28,7 @@ from typing import Any, Final
 import numpy as np
 from rich.table import Table
 
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.base.geometry import FloatArray, Quaternion, Vector3, quat_rotate, vector3
 from companion.base.messages import ImuSample, MagSample
 from companion.config import ConfigError, EstimateConfig, VehicleConfig, find_file, load_model
@@ -228,7 +228,7 @@ def judge(path: Path) -> tuple[str, dict[str, tuple[float, float, float]]]:
     return trial.name, {name: errors_deg(trial, run(trial)) for name, run in runs.items()}
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge.
 
     Raises:
@@ -247,7 +247,7 @@ def main(arguments: Sequence[str] | None = None) -> Report:
             results = list(pool.map(judge, paths))
         except ValueError as error:
             raise ConfigError(str(error)) from error
-    report = Report(width=max(110, 44 + 24 * len(results[0][1])))
+    report = BenchReport(width=max(110, 44 + 24 * len(results[0][1])))
     report.show(table(results))
     return verdict(report, {name: [errors[name][0] for _, errors in results] for name in results[0][1]})
 
@@ -270,7 +270,7 @@ def _cell(row: Sequence[float] | FloatArray) -> str:
     return f"{row[0]:.2f} ({row[1]:.2f} / {row[2]:.2f})"
 
 
-def verdict(report: Report, totals: dict[str, list[float]]) -> Report:
+def verdict(report: BenchReport, totals: dict[str, list[float]]) -> BenchReport:
     """Judge by the total error (deg) of each filter on each trial."""
     trials = len(totals["EKF"])
     means = {name: float(np.mean(values)) for name, values in totals.items()}

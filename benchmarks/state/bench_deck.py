@@ -18,7 +18,7 @@ from typing import Final
 from rich.table import Table
 
 from benchmarks.progress import watched
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from benchmarks.state.streams import Stream, fly_stream
 from companion.base.messages import Outcome, PadSighting, Phase
 from companion.sim.trial import Trial
@@ -93,12 +93,12 @@ def table(landings: Sequence[DeckLanding]) -> Table:
     return shown
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--jobs", type=int, default=2)
-    chosen, report = parser.parse_args(arguments), Report()
+    chosen, report = parser.parse_args(arguments), BenchReport()
     with ProcessPoolExecutor(chosen.jobs) as pool:
         landings = list(watched(pool.map(flown, range(chosen.seeds)), "flights", chosen.seeds))
     held = bars(landings)

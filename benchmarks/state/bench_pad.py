@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 from rich.table import Table
 
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.base.clock import wall_clock_s
 from tests.unit.estimate.pad.pad_scores import (
     BLIND_S,
@@ -124,13 +124,13 @@ def table(rows: Sequence[PadFilterRow]) -> Table:
     return grid
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)
     chosen = parser.parse_args(arguments)
-    report = Report(width=190)
+    report = BenchReport(width=190)
     seeds = chosen.seeds
     rows = fly(range(chosen.first_seed, chosen.first_seed + seeds))
     report.show(table(rows))

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Final
 
 from benchmarks.progress import watched
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from benchmarks.state import pictures
 from benchmarks.state.consistency import Consistency
 from benchmarks.state.costs import measure
@@ -117,9 +117,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
-    chosen, report = parse(arguments), Report()
+    chosen, report = parse(arguments), BenchReport()
     cases = cases_of(chosen.scenarios, chosen.vibration)
     with ProcessPoolExecutor(chosen.jobs) as pool:
         waiting = [

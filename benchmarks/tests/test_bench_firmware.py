@@ -13,7 +13,7 @@ import pytest
 from benchmarks.firmware import bench_firmware
 from benchmarks.firmware.bench_firmware import judge, line, main, median_bar
 from benchmarks.firmware.firmware_cases import CASES, SETPOINTS, FirmwareCase, write_flights
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
 from sitl.campaign.manifest import CampaignRun
@@ -107,7 +107,7 @@ def flown(
 
 def judged(specs: Sequence[FirmwareSpec], given: argparse.Namespace) -> tuple[int, str]:
     """Exit status and what is said."""
-    report = Report(width=200)
+    report = BenchReport(width=200)
     with report.capture() as said:
         judge(specs, given, report)
     return report.exit_status, said.get()

@@ -17,6 +17,7 @@ from benchmarks.command import discover, main
 from benchmarks.report import ROOT
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize("name", discover())
 def test_a_benchmark_says_what_it_is_for(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -35,7 +36,6 @@ def test_without_a_name_all_are_listed_each_with_a_line(capsys: pytest.CaptureFi
     assert [line for line in lines if len(line.split()) < 5] == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", discover())
 def test_a_smoke_run_leaves_results_with_commit_machine_and_date(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

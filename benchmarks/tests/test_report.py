@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from rich.table import Table
 
-from benchmarks.report import Report, commit
+from benchmarks.report import BenchReport, commit
 from sitl.campaign.figures import Bar
 
 
 def test_results_hold_the_tables_the_lines_and_the_bars(capsys: pytest.CaptureFixture[str]) -> None:
-    report = Report(width=100)
+    report = BenchReport(width=100)
     table = Table("case", "landed", title="landings")
     table.add_row("line", "[bold]20[/bold] of 20")
     report.show(table, "median [1.3] cm")
@@ -33,7 +33,7 @@ def test_results_hold_the_tables_the_lines_and_the_bars(capsys: pytest.CaptureFi
     [(None, 0), ({}, 1), ({"a": True}, 0), ({"a": True, "b": False}, 1)],
 )
 def test_the_exit_status_needs_bars_that_hold(bars: dict[str, bool] | None, status: int) -> None:
-    report = Report()
+    report = BenchReport()
     assert (report if bars is None else report.judge(bars)).exit_status == status
 
 

@@ -33,7 +33,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import cv2
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-from benchmarks.report import Report
+from benchmarks.report import BenchReport
 from benchmarks.vision.cases import SEED, CaseOutcome, VisionCase, run_chunk
 from benchmarks.vision.clutter import SHOTS_OF_A_BOARD, false_pads
 from benchmarks.vision.photoreal import SETS, photoreal_table, read_set
@@ -127,7 +127,7 @@ def work_of(parts: Sequence[str], amount: Amount) -> list[Work]:
     return works
 
 
-def run(works: Sequence[Work], jobs: int, report: Report) -> Iterator[tuple[Work, CaseOutcome | int]]:
+def run(works: Sequence[Work], jobs: int, report: BenchReport) -> Iterator[tuple[Work, CaseOutcome | int]]:
     """Results, in the order of the work: the same however many processes share it."""
     columns = (
         "[progress.description]{task.description}",
@@ -167,7 +167,7 @@ def joined(results: Iterable[tuple[Work, CaseOutcome | int]]) -> tuple[Outcomes,
     return outcomes, false, clutter
 
 
-def timed(frames: int, report: Report) -> list[Times]:
+def timed(frames: int, report: BenchReport) -> list[Times]:
     """Both cameras at every height; nothing else of the bench runs meanwhile."""
     cv2.setNumThreads(1)
     wanted = [(size, height_m) for size in FASTER for height_m in HEIGHTS_M]
@@ -175,7 +175,7 @@ def timed(frames: int, report: Report) -> list[Times]:
         return [measure(*each, frames) for each in progress.track(wanted, description="timing")]
 
 
-def swept(shots: int, jobs: int, report: Report) -> list[SweepOutcome]:
+def swept(shots: int, jobs: int, report: BenchReport) -> list[SweepOutcome]:
     """Every pad before every camera."""
     cv2.setNumThreads(1)
     with (
@@ -186,7 +186,7 @@ def swept(shots: int, jobs: int, report: Report) -> list[SweepOutcome]:
         return list(progress.track(each, total=len(cases()), description="sweeping"))
 
 
-def measured(parts: Sequence[str], amount: Amount, jobs: int, data: Path | None, report: Report) -> Bars:
+def measured(parts: Sequence[str], amount: Amount, jobs: int, data: Path | None, report: BenchReport) -> Bars:
     """Run what is asked for, and print it."""
     outcomes, false, clutter = joined(run(work_of(parts, amount), jobs, report))
     bars: Bars = {}
@@ -223,7 +223,7 @@ def measured(parts: Sequence[str], amount: Amount, jobs: int, data: Path | None,
     return bars
 
 
-def main(arguments: Sequence[str] | None = None) -> Report:
+def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument(
@@ -243,7 +243,7 @@ def main(arguments: Sequence[str] | None = None) -> Report:
     amount = QUICK if chosen.quick else FULL
     if chosen.clutter is not None:
         amount = replace(amount, clutter=chosen.clutter)
-    report = Report(width=200)
+    report = BenchReport(width=200)
     if chosen.pictures is not None:
         contact_sheet(chosen.pictures / "vision_frames.png")
     report.show(f"seed {SEED}, {PAPER_SIZE} f = 1065 px and 640x480, {chosen.jobs} jobs")

@@ -12,6 +12,8 @@ import pytest
 from sitl.campaign.rows import CSV_NAME, RESULT_KEYS, Row, read_rows
 from tests.scenario.flying import COMMAND, FLIGHT_TIMEOUT_S, ROOT, SharedFlights, environment, scenario_file
 
+pytestmark = pytest.mark.slow
+
 
 def campaign(*words: str | int | Path) -> subprocess.CompletedProcess[str]:
     """Run `companion-sitl campaign` to its end."""

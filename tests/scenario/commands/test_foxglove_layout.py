@@ -13,6 +13,8 @@ from mcap.reader import make_reader
 from companion.config import CONFIG_FOLDER
 from tests.scenario.flying import SharedFlights
 
+pytestmark = pytest.mark.slow
+
 LAYOUT: Final = json.loads((CONFIG_FOLDER / "foxglove" / "landing.json").read_text())
 MODIFIER: Final = re.compile(r"\.@\w+$")  # arithmetic of a plotted path
 STEP: Final = re.compile(r"\.(\w+)|\[(\d+)\]")

@@ -9,6 +9,8 @@ from pymavlink import mavutil
 
 from tests.scenario.flying import FlownCommand, SharedFlights, run
 
+pytestmark = pytest.mark.slow
+
 PLOTS = {"path.png", "height.png", "lateral.png", "detections.png", "estimators.png"}
 LOGS = {"flight.mcap", "flight.tlog", "result.json", "report.html", "settings.yaml"}
 TOPICS = {

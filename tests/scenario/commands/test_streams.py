@@ -25,6 +25,8 @@ from companion.sim.trial import Trial
 from sitl.faults.faults import FrameLate, FrameLost, RangeSpikes
 from tests.scenario.flying import FEW_PICTURES
 
+pytestmark = pytest.mark.slow
+
 LATE_S = 0.25
 FAULTS = (
     FrameLate(kind="frame_late", start_s=15.0, duration_s=8.0, extra_s=LATE_S, every=5),

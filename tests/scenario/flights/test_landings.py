@@ -14,7 +14,8 @@ from sitl.scenario.scenario import load_scenario
 from tests.scenario.flying import FEW_PICTURES, SharedFlights, fly, scenario_file
 
 HARDER = ("deck", "glare", "random_turns", "waypoints", "weak_motor")
-FLOWN = [(scenario, seed) for scenario in SCENARIOS for seed in (0, 1)] + [(name, 0) for name in HARDER]
+STANDARD = [pytest.param(scenario, 0, marks=pytest.mark.fast) for scenario in SCENARIOS]
+FLOWN = [*STANDARD, *((scenario, 1) for scenario in SCENARIOS), *((name, 0) for name in HARDER)]
 LATERAL_M = 0.15
 ATTITUDE: dict[str, Any] = {
     "companion": {"control": {"setpoint": "attitude"}, "link": {"set_parameters": True}}
@@ -36,6 +37,7 @@ def test_another_seed_gives_another_flight(shared_flights: SharedFlights) -> Non
     assert one["estimate"] != other["estimate"]
 
 
+@pytest.mark.fast
 @pytest.mark.parametrize(
     "changes", [ATTITUDE, ARDUPILOT, {**ATTITUDE, **ARDUPILOT}], ids=["attitude", "ardupilot", "both"]
 )
