@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 import tomllib
 
+import pytest
+import yaml
+
 from companion import __version__
 from companion.config import CONFIG_FOLDER
 
@@ -39,3 +42,22 @@ def test_the_version_is_stated_once_and_stands_first_in_the_change_log() -> None
     assert "version" in PROJECT["dynamic"]
     log = re.findall(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
     assert log[0] == __version__
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == __version__
+
+
+def test_what_a_hosting_site_reads_is_well_formed_and_calls_our_make_targets() -> None:
+    files = [*(ROOT / ".github").rglob("*.yml"), ROOT / ".pre-commit-config.yaml"]
+    content = {path.name: yaml.safe_load(path.read_text()) for path in files}
+    steps = [step for job in content["checks.yml"]["jobs"].values() for step in job["steps"]]
+    targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    ran = [step["run"] for step in steps if "run" in step]
+    assert {"make test", "make test-all", "make docs"} == set(ran)
+    assert {words.removeprefix("make ") for words in ran} <= set(targets)
+    for form in ("bug.yml", "idea.yml"):
+        assert all(field["type"] in {"input", "textarea"} for field in content[form]["body"])
+
+
+@pytest.mark.parametrize("package", ["companion", "sitl", "calibration"])
+def test_a_package_says_that_it_is_typed(package: str) -> None:
+    assert (ROOT / package / "py.typed").read_bytes() == b""
