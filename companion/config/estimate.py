@@ -60,8 +60,11 @@ class OrientationConfig(StrictModel):
 class EkfConfig(StrictModel):
     """The 31-state EKF (Table 5): noises are standard deviations of one sample unless the name says more."""
 
-    imu_samples_per_step: int = Field(
-        default=2, ge=1, le=10, description="IMU samples averaged into one step; raise it to save CPU"
+    imu_step_s: float = Field(
+        default=0.02,
+        gt=0.0,
+        le=0.04,
+        description="Length of a step of the filter, into which IMU samples are summed; raise it to save CPU",
     )
     gyro_noise_rad_s: float = Field(
         default=0.005,

@@ -40,7 +40,7 @@ class Strapdown:
 
     def __init__(self) -> None:
         self.samples = 0
-        self._span_s = 0.0
+        self.span_s = 0.0
         self._turn: Quaternion = IDENTITY
         self._push: Vector3 = ZERO3
 
@@ -49,7 +49,7 @@ class Strapdown:
         middle = quat_integrate(self._turn, rate_body_rad_s, 0.5 * dt_s)
         self._push = add(self._push, scale(quat_rotate(middle, specific_force_m_s2), dt_s))
         self._turn = quat_integrate(self._turn, rate_body_rad_s, dt_s)
-        self._span_s += dt_s
+        self.span_s += dt_s
         self.samples += 1
 
     def take(self) -> Increment:
@@ -58,10 +58,10 @@ class Strapdown:
         Raises:
             ZeroDivisionError: nothing was collected.
         """
-        rate = scale(rotation_vector_from_quat(self._turn), 1.0 / self._span_s)
+        rate = scale(rotation_vector_from_quat(self._turn), 1.0 / self.span_s)
         # the sum is in the axes of the start, a constant force in those of the middle
-        middle = quat_from_rotation_vector(scale(rate, 0.5 * self._span_s))
-        force = scale(quat_rotate_inverse(middle, self._push), 1.0 / self._span_s)
-        result = Increment(self._span_s, self.samples, rate, force)
-        self.samples, self._span_s, self._turn, self._push = 0, 0.0, IDENTITY, ZERO3
+        middle = quat_from_rotation_vector(scale(rate, 0.5 * self.span_s))
+        force = scale(quat_rotate_inverse(middle, self._push), 1.0 / self.span_s)
+        result = Increment(self.span_s, self.samples, rate, force)
+        self.samples, self.span_s, self._turn, self._push = 0, 0.0, IDENTITY, ZERO3
         return result

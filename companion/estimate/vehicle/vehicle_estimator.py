@@ -127,7 +127,7 @@ class VehicleEstimator:
             if dt_s > GAP_S:
                 self._reset.note_gap(sample.time_s, dt_s)
             self._move(sample, dt_s)
-            self._collect(sample)
+            self._collect(sample, dt_s)
         if block is not None and self._aligner is not None:
             self._try_to_align(sample.time_s, block)
         return True
@@ -188,9 +188,11 @@ class VehicleEstimator:
         assert self._timeline is not None
         assert self._ekf is not None
         self._timeline.add(self.newest_s, at_rest(self._inertial.attitude, report.attitude))
-        self._read_ekf()
-        refused = self._ekf.gates.get("second_attitude", Gate()).refused_in_a_row
-        self._compare_s = report.time_s + _COMPARE_AGAIN_S if refused else math.inf
+        if self._ekf.gates.get("second_attitude", Gate()).refused_in_a_row:
+            self._compare_s = report.time_s + _COMPARE_AGAIN_S
+        else:
+            self._compare_s = math.inf
+            self._read_ekf()
 
     def _reset_to(self, report: AutopilotAttitude) -> None:
         """Correct the attitude by the autopilot's, where that has to be."""
@@ -312,16 +314,16 @@ class VehicleEstimator:
         self._noise.add(*raw, dt_s)
         self._inertial.add(sample, dt_s, mean_rate, mean_force, self._orientation)
 
-    def _collect(self, sample: ImuSample) -> None:
-        """Give the EKF a step when enough samples have come."""
-        if self._strapdown.samples < self._config.ekf.imu_samples_per_step:
+    def _collect(self, sample: ImuSample, dt_s: float) -> None:
+        """Give the EKF a step when the samples have lasted for one, to the nearest sample."""
+        if self._strapdown.span_s + 0.5 * dt_s < self._config.ekf.imu_step_s:
             return
         assert self._timeline is not None
         assert self._ekf is not None
         assert self._orientation is not None
         time_s, mean, noise = sample.time_s, self._strapdown.take(), self._noise.now
         self.motion.turn_density_rad2_s = noise.rate_density_rad2_s
-        with_attitude = time_s - self._orientation_step_s >= 1.0 / ORIENTATION_RATE_HZ
+        with_attitude = self._is_due(time_s - self._orientation_step_s, ORIENTATION_RATE_HZ)
         settled, trusted = time_s >= self._settled_s, time_s - self._mag_trusted_s < MAG_TIMEOUT_S
         step = ImuStep(
             rate_body_rad_s=mean.rate_body_rad_s,
@@ -348,10 +350,15 @@ class VehicleEstimator:
         self.motion.noise_density_m2_s3 = self._ekf.force_density_m2_s3
         self._inertial.follow(self._ekf.attitude, self.newest_s - self._ekf.time_s, self._ekf.yaw_error.share)
 
+    def _is_due(self, elapsed_s: float, rate_hz: float) -> bool:
+        """Whether what comes at a rate is due at this step rather than at the next."""
+        return elapsed_s >= 1.0 / rate_hz - 0.5 * self._config.ekf.imu_step_s
+
     def _field_at(self, time_s: float) -> Vector3 | None:
         """The field since the last time, averaged in NED and seen by the body now; None out of turn."""
-        due = time_s - self._field_step_s >= 1.0 / self._config.ekf.mag_rate_hz - 1e-6
-        if not (self._fields.count and due):
+        if not (
+            self._fields.count and self._is_due(time_s - self._field_step_s, self._config.ekf.mag_rate_hz)
+        ):
             return None
         self._field_step_s = time_s
         return quat_rotate_inverse(self._inertial.attitude, self._fields.take())

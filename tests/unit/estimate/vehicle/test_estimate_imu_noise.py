@@ -182,7 +182,7 @@ def density_for_the_pad(shaking_m_s2: float, fixes_until_s: float = 0.0, gap_s: 
     rng, motion = np.random.default_rng(4), MotionHistory(1.0)
     vehicle, config = VehicleEstimator(EstimateConfig(), ZERO3, motion, ZERO3), EkfConfig()
     for k in range(1600):
-        time_s = k * DT_S + gap_s * (k >= 1600 - config.imu_samples_per_step)
+        time_s = k * DT_S + gap_s * (k >= 1600 - round(config.imu_step_s / DT_S))
         vehicle.add_mag(MagSample(time_s, (20.9, 0.6, 42.9)))
         shaken = shaking_m_s2 * (k > 1200) * rng.standard_normal(3)
         vehicle.add_imu(ImuSample(time_s, ZERO3, vector3(RESTING + shaken), 20.0))
