@@ -82,7 +82,7 @@ class FrameJudge:
         found = self._stamp_fault(frame)
         if found is not None:
             return found
-        sample = frame.image[::STRIDE, ::STRIDE]
+        sample = frame.image[::STRIDE, ::STRIDE].copy()  # in one piece: it is gone through several times
         found = self._content_fault(frame, sample)
         self._last, self._last_sample = frame, sample
         return found
@@ -110,7 +110,7 @@ class FrameJudge:
             # the rest is what was seen
             return Fault("content", "its images are torn: the lower part is empty", usable=True)
         last, last_sample = self._last, self._last_sample
-        if last is None or last_sample is None or sample.shape != last_sample.shape:
+        if last is None or last_sample is None or _lowest_is_new(sample, last_sample):
             return None
         same = (sample == last_sample).all(axis=1)
         if same.all():
@@ -122,10 +122,15 @@ class FrameJudge:
         return None
 
 
+def _lowest_is_new(sample: NDArray[np.uint8], last: NDArray[np.uint8]) -> bool:
+    """Whether the image is, by its lowest row, neither the same nor from below that of the one before."""
+    return bool(sample.shape != last.shape or (sample[-1] != last[-1]).any())
+
+
 def _filled_share(sample: NDArray[np.uint8]) -> float:
     """Share of the rows, from the lower edge up, that hold nothing but one and the same grey."""
     grey = sample[-1, 0]
-    if grey == WHITE:
+    if grey == WHITE or (sample[-1] != grey).any():
         return 0.0
     return _run_from_below((sample == grey).all(axis=1))
 
