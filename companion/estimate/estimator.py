@@ -40,7 +40,7 @@ from companion.base.messages import (
 from companion.config import EstimateConfig, VehicleConfig
 from companion.estimate.attitude_check import AttitudeCheck
 from companion.estimate.gating import Timeline
-from companion.estimate.input_tally import InputTally
+from companion.estimate.input_tally import GATES, InputTally
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_check import CameraCheck
 from companion.estimate.pad.mount_check import MountCheck
@@ -351,13 +351,17 @@ class StateEstimator:
             self._why_not = ""
         return not self._why_not
 
+    def _refused_by(self, gate: str) -> int:
+        found = self._pad.gates.get(gate)
+        return self._vehicle.refused_by(gate) if found is None else found.refused
+
     def _count(self, kind: str, taken: bool) -> bool:
         why_not, self._why_not = self._why_not, ""
         if taken:
             why_not = ""
         elif not why_not:
             why_not = "older than what is remembered" if self._vehicle.aligned else "before the alignment"
-        self.tally.note(kind, why_not, {} if kind == "imu" else self._gates)
+        self.tally.note(kind, why_not, {gate: self._refused_by(gate) for gate in GATES.get(kind, ())})
         return taken
 
 

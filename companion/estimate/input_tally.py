@@ -42,8 +42,10 @@ class InputTally:
         self._counts: dict[str, _Count] = {}
 
     def note(self, kind: str, why_not: str, gates: dict[str, int]) -> None:
-        """Count one; `why_not` is empty where it was taken, `gates` are the tests' refusals so far."""
-        count = self._counts.setdefault(kind, _Count())
+        """Count one; `why_not` is empty where it was taken, `gates` are its own tests' refusals so far."""
+        count = self._counts.get(kind)
+        if count is None:
+            count = self._counts[kind] = _Count()
         failed = [name for name in GATES.get(kind, ()) if gates.get(name, 0) > count.gated.get(name, 0)]
         count.gated = gates
         if why_not:

@@ -233,6 +233,12 @@ class VehicleEstimator:
         counts = {kind: gate.refused for kind, gate in self._ekf.gates.items()}
         return {**counts, "field": self._fields_untrusted}
 
+    def refused_by(self, kind: str) -> int:
+        """How many measurements of a kind have failed their innovation test."""
+        if self._ekf is None:
+            return 0
+        return self._fields_untrusted if kind == "field" else self._ekf.gates.get(kind, Gate()).refused
+
     def rotation_covariance(self) -> FloatArray | None:
         """Covariance (3, 3) of the attitude about NED axes (rad²); None before the alignment."""
         return None if self._ekf is None else self._ekf.rotation_covariance()
