@@ -127,7 +127,12 @@ class Clock:
         """
         if not self.virtual:
             return await asyncio.to_thread(function, *arguments)
-        result = (self.begin if modelled_s > 0.0 else AT_ONCE.submit)(function, *arguments)
+        if modelled_s <= 0.0:
+            try:
+                return function(*arguments)
+            finally:
+                await asyncio.sleep(0.0)
+        result = self.begin(function, *arguments)
         await asyncio.sleep(modelled_s)
         return result.result()
 

@@ -89,7 +89,7 @@ class ControlTimer:
         if len(self._intervals_s) < INTERVALS:
             return None
         middle_s = median(self._intervals_s)
-        interval_s = fmean(t for t in self._intervals_s if t <= LOST * middle_s)
+        interval_s = fmean([t for t in self._intervals_s if t <= LOST * middle_s])
         frames = max(1, round(self.period_s / max(interval_s, 1e-3)))
         fits = abs(frames * interval_s - self.period_s) <= FITS * self.period_s
         return interval_s if fits else None

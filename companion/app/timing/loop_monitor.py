@@ -83,7 +83,7 @@ class LoopMonitor:
         """In words, that it is too slow to fly by. One stall is not: what stands still again and again is."""
         vision_s = None if self._pace is None else self._pace.vision_s
         recent, stall_s = list(self._late_s)[-LATELY:], self.stall_s
-        late_s = fmean(min(late, stall_s) for late in recent) if len(recent) == LATELY else 0.0
+        late_s = fmean([min(late, stall_s) for late in recent]) if len(recent) == LATELY else 0.0
         if late_s > LATEST_S:
             late_ms, most_ms = 1e3 * late_s, 1e3 * LATEST_S
             return f"computer too slow: control {late_ms:.0f} ms late, at most {most_ms:.0f} are flown by"
