@@ -81,7 +81,7 @@ class EkfConfig(StrictModel):
         description="Noise of a specific force sample, without vibration; raise it for a noisier IMU",
     )
     mag_rate_hz: float = Field(
-        default=25.0,
+        default=10.0,
         ge=1.0,
         le=100.0,
         description="Highest rate at which the magnetometer is fused; lower it to save CPU",
