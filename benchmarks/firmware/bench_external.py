@@ -43,7 +43,7 @@ BROKEN_COMMITS: Final = 1
 BREAKS_OFF: Final = ": waiting again over the pad"
 # as it arms, the list of PX4's timers (drv_hrt.cpp of its posix build) has lost its middle in 1 of 12 starts:
 # the simulated magnetometer, barometer and GPS stop, and its failsafe lands it
-TIMERS_LOST: Final = ("no magnetic field in the IMU's messages", "the autopilot's failsafe flies AUTO.LAND")
+TIMERS_LOST: Final = ("no magnetic field in the IMU's messages", "autopilot failsafe: AUTO.LAND")
 STARTS: Final = 3
 LOG: Final = "app.log"
 BOOT_S: Final = 120.0

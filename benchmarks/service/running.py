@@ -25,7 +25,7 @@ from sitl.scenario.scenario import load_scenario
 ROOT: Final = CONFIG_FOLDER.parent
 PATIENCE_S: Final = 60.0
 NEAR: Final = Path(__file__).with_name("near.yaml")
-STANDS_BY: Final = b"standby: waits for an order"
+STANDS_BY: Final = b"standby: waiting for an order"
 
 
 def ask(path: Path, request: dict[str, Any]) -> dict[str, Any]:

@@ -47,7 +47,7 @@ def test_a_fall_is_what_is_lost_from_the_highest_after_the_first_setpoint() -> N
 def test_what_the_plan_descends_is_no_fall_unless_it_was_moved_after_the_vehicle() -> None:
     heights_m = [5.0, 4.95, 4.9, 4.7, 4.7]
     assert fallen(heights_m, 0, 0.5).fall_m == pytest.approx(0.15)
-    moved = fallen(heights_m, 0, 0.5, "1.0 m off the reference: replanned")
+    moved = fallen(heights_m, 0, 0.5, "reference error 1.0 m: replanned")
     assert moved.fall_m == pytest.approx(0.3)
 
 

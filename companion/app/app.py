@@ -194,7 +194,7 @@ class App:
             self._action_queue.clear()
         if await self.loop_monitor.catch_up(late_s, self._service.alive):
             self.announcer.notify(
-                "stalled", f"stood still for {late_s:.1f} s: read the autopilot anew", "warning"
+                "stalled", f"app stalled for {late_s:.1f} s: autopilot state read again", "warning"
             )
 
     def _over(self) -> bool:

@@ -84,7 +84,7 @@ class Missions:
         """Say so, and what the autopilot is asked for; returns that."""
         word = self.last_word
         ordered = "nothing" if word is None else word.kind.value
-        self._announcer.notify("control", f"control failed: {why}; {ordered} is ordered", "error")
+        self._announcer.notify("control", f"control failed: {why}; {ordered} requested", "error")
         return word
 
     def not_ready(self, now_s: float) -> list[str]:
@@ -153,7 +153,7 @@ class Missions:
     def tell(self) -> None:
         """Say what it waits for."""
         if self.stays:
-            self._announcer.notify("standby", "standby: waits for an order", "info")
+            self._announcer.notify("standby", "standby: waiting for an order", "info")
 
     def _replied(self, order: Order, reply: OrderReply) -> None:
         """An order has its answer: tell whoever gave it, and everybody why it is refused."""

@@ -121,7 +121,7 @@ class StateEstimator:
             return None
         self._begin(self._vehicle.origin, self._vehicle.corrections)
         self.tally = InputTally()
-        return f"{found}; the estimate starts again"
+        return f"{found}; estimate restarted"
 
     # ------------------------------------------------------------ inputs
 

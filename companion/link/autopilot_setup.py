@@ -135,8 +135,8 @@ def short_timeout(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> str:
     if setup.setpoint_timeout_s is None or setup.setpoint_timeout_s >= least_s:
         return ""
     if least_s > SHORTEST_TIMEOUT_S:
-        return "on a pad that moves its Hold drags the vehicle before the motors stop"
-    return "too short to know that it does not hear us"
+        return "its Hold would drag the vehicle on a moving pad"
+    return "too short to detect the lost link"
 
 
 def loss_refusal(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> str:
@@ -152,8 +152,8 @@ def loss_refusal(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> str:
     told = dict(zip(names, (timeout_s, action), strict=False))
     if unknown := [name for name, value in told.items() if value is None]:
         return (
-            f"the autopilot does not report {' and '.join(unknown)}: what it does when setpoints stop is not "
-            "known; expected an answer (a slow link, or another version's name)"
+            f"the autopilot does not report {' and '.join(unknown)}: its failsafe is "
+            "unknown; expected an answer (a slow link, or another version's name)"
         )
     if why := short_timeout(setup, autopilot_kind):
         return f"{names[0]} is {timeout_s:g}: {why}; {expected_timeout(setup, autopilot_kind)}"
@@ -171,13 +171,13 @@ def loss_warnings(
     found = [loss_refusal(setup, autopilot_kind)]
     if action is not None and action in STICK_ACTIONS:
         found.append(
-            f"COM_OBL_RC_ACT is {action} ({STICK_ACTIONS[action]}): with nobody at the sticks it "
-            "comes down with the speed over ground it has; expected 5 (Hold) or 4 (Land)"
+            f"COM_OBL_RC_ACT is {action} ({STICK_ACTIONS[action]}): without sticks it "
+            "lands at its speed over ground; expected 5 (Hold) or 4 (Land)"
         )
     if timeout_s is not None and timeout_s > LONGEST_TIMEOUT_S:
         found.append(
-            f"{PROFILES[autopilot_kind].loss_parameters[0]} is {timeout_s:g}: so long the last setpoint is "
-            f"kept; {expected_timeout(setup, autopilot_kind)}"
+            f"{PROFILES[autopilot_kind].loss_parameters[0]} is {timeout_s:g}: the last setpoint is "
+            f"held that long; {expected_timeout(setup, autopilot_kind)}"
         )
     if by_attitude and setup.drift_ends is False:
         found.append(f"level, it drifts with the wind, and {endless_drift(system_id)}")

@@ -105,7 +105,7 @@ class UdpTransport(UdpSocket):
         if not self._stranger_told and now_s - self._first_stranger_s > _PEER_SILENCE_S:
             self._stranger_told = True
             wanted = f"of system {self._system_id}" if self._system_id else "of an autopilot"
-            _log.warning("link: %s:%d is not heard: no heartbeat %s", *address[:2], wanted)
+            _log.warning("link: %s:%d ignored: no heartbeat %s", *address[:2], wanted)
 
 
 class TcpTransport:

@@ -173,7 +173,7 @@ class Planner:
             ours_m = None if inputs.vehicle is None else -inputs.vehicle.position_ned_m[2]
             theirs_m = None if position is None else position[2]
             if self._echoes.update(echo, ours_m, theirs_m, now_s) and echo is not None:
-                words = f"stuck at {echo.distance_m:.2f} m while we and the autopilot climb or sink: not used"
+                words = f"rangefinder stuck at {echo.distance_m:.2f} m: not used"
                 self._say("rangefinder", words, now_s, "warning")
         return replace(inputs, range=None) if self._echoes.stuck else inputs
 
@@ -215,7 +215,7 @@ class Planner:
         distance_m, fence_m = math.hypot(north, east), self._fence_m
         if distance_m > fence_m and not self._fence_reported:
             self._fence_reported = True
-            words = f"pad beacon {distance_m:.0f} m from home, outside the fence of {fence_m:.0f} m: ignored"
+            words = f"pad beacon ignored: {distance_m:.0f} m from home, fence {fence_m:.0f} m"
             self._say("fence", words, beacon.time_s, "warning")
         return distance_m <= fence_m
 
@@ -263,7 +263,7 @@ class Planner:
         if self.phase in {Phase.STANDBY, Phase.CONNECT}:
             return  # departure says what it waits for
         self._battery_reported = self._machine.no_new_try = True
-        self._say("battery", f"low, {100.0 * share:.0f} % left: no new try", now_s, "warning")
+        self._say("battery", f"battery low: {100.0 * share:.0f} % left, no new try", now_s, "warning")
 
     def _circumstances(self, inputs: PlanInputs, now_s: float) -> Circumstances:
         landed = inputs.autopilot.landed
@@ -321,7 +321,7 @@ class Planner:
         if branch is None:
             if event is MissionEvent.COMMIT and not self._leaving_reported:
                 self._leaving_reported = True
-                words = f"the pad leaves the fence of {self._fence_m:.0f} m before a landing ends: waiting"
+                words = f"waiting: the pad leaves the fence ({self._fence_m:.0f} m) before contact"
                 self._say("fence", words, now_s, "warning")
             return
         if impossible(state, event):
@@ -338,13 +338,13 @@ class Planner:
         if Effect.ASK_AFRESH in branch.effects:
             self._requests.forget()
             self._monitor.phase_begins(now_s)
-            self._say("motors_on", "down, and the motors still run: LAND, disarm again", now_s, "error")
+            self._say("motors_on", "landed, motors still on: LAND and disarm requested", now_s, "error")
         if Effect.ASK_NOTHING in branch.effects:
             self._requests.forget()
             self._generator.stop()
             self._say("pilot", reason, now_s, "warning")
         if ActionKind.LEAVE_OFFBOARD in {action.kind for action in branch.actions}:
-            self._say("leave_offboard", "from OFFBOARD to Hold, in which it can be armed again", now_s)
+            self._say("leave_offboard", "mode Hold instead of OFFBOARD, so that it can be armed", now_s)
         for action in branch.actions:
             self._requests.ask(self._steering.departure.with_numbers(action, inputs.autopilot), now_s)
 
@@ -362,7 +362,7 @@ class Planner:
             where = "on the pad" if before is State.SINK else "down"
             self._say("contact", f"{where}: {reason}", now_s)
         elif self._machine.state is State.SET_DOWN:
-            self._say("set_down", f"{reason}: straight down in LAND", now_s, "warning")
+            self._say("set_down", f"{reason}: landing in LAND mode", now_s, "warning")
 
     def _say(self, kind: str, text: str, now_s: float, severity: NoticeSeverity = "info") -> None:
         self._notices.append(Notice(now_s, kind, text, severity))

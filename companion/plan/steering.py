@@ -254,7 +254,7 @@ class PhaseSteering:
             self.search.go_along(self.steps.step_m)
         climb_m = self.search.keep_above(self._lowest_down_m())
         if climb_m > 0.0:
-            self._say("climb", f"climbing {climb_m:.1f} m: too near to the ground", now_s, "warning")
+            self._say("climb", f"climbing {climb_m:.1f} m: ground near", now_s, "warning")
         if self._pad.steady(now_s):
             self._ground_near(now_s)
         # echoes that disagree for a moment do not end a contradiction
@@ -267,9 +267,7 @@ class PhaseSteering:
         if step.worth_telling:
             doing = "searching" if step.flying else "holding"
             known = self.search.locator.source(now_s)
-            self._say(
-                "pad_lost", f"pad not seen: {doing} ({known}), new position requested", now_s, "warning"
-            )
+            self._say("pad_lost", f"pad lost: {doing} ({known}), position requested", now_s, "warning")
         return (MissionEvent.PAD_SEEN, self._pad.in_words()) if step.seen else None
 
     def _come_in(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
@@ -297,7 +295,7 @@ class PhaseSteering:
         self.search.locator.distrust()
         return (
             MissionEvent.GROUND_NEAR,
-            f"{surface_m:.1f} m below, pad estimated {sight.height_m:.1f} m below",
+            f"range {surface_m:.1f} m, pad estimated {sight.height_m:.1f} m below",
         )
 
     def _touch_down(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
@@ -339,7 +337,7 @@ class PhaseSteering:
     def _keep_near(self, actual: Motion, now_s: float) -> None:
         distance_m = self._generator.keep_near(actual, now_s)
         if distance_m > 0.0 and self._machine.in_control:
-            self._say("strayed", f"{distance_m:.1f} m off the reference: replanned", now_s, "warning")
+            self._say("strayed", f"reference error {distance_m:.1f} m: replanned", now_s, "warning")
 
     def turn(self, now_s: float) -> None:
         """Slew the heading to the pad's over the pad, if the settings say so."""

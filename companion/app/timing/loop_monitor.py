@@ -86,12 +86,10 @@ class LoopMonitor:
         late_s = fmean([min(late, stall_s) for late in recent]) if len(recent) == LATELY else 0.0
         if late_s > LATEST_S:
             late_ms, most_ms = 1e3 * late_s, 1e3 * LATEST_S
-            return f"computer too slow: control {late_ms:.0f} ms late, at most {most_ms:.0f} are flown by"
+            return f"computer too slow: control {late_ms:.0f} ms late, limit {most_ms:.0f}"
         if vision_s is not None and vision_s > UNSEEN_S:
             took_ms, most_ms = 1e3 * vision_s, 1e3 * UNSEEN_S
-            return (
-                f"computer too slow: {took_ms:.0f} ms of vision a frame, at most {most_ms:.0f} are flown by"
-            )
+            return f"computer too slow: vision {took_ms:.0f} ms a frame, limit {most_ms:.0f}"
         return None
 
     @property

@@ -55,7 +55,7 @@ class VisionPace:
         more = late and self._fewer_left
         if late and not more and not self._told:
             self._told = True
-            words = f"control {1e3 * mean_s:.0f} ms late, and vision takes no fewer frames"
+            words = f"control {1e3 * mean_s:.0f} ms late, vision already at its lowest rate"
             self._notify("computer", words, "warning")
         if self._calm >= CALM_CYCLES:
             self._told = False

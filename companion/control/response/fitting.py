@@ -52,18 +52,15 @@ def misfits(config: ControlConfig, vehicle: VehicleConfig, setup: AutopilotSetup
     own = setup.hover_thrust
     if own is not None and not abs(own / vehicle.hover_thrust - 1.0) <= HOVER_DIFFERS:
         found.append(
-            f"hover thrust: the autopilot's is {own:.2f}, vehicle '{vehicle.name}' says "
-            f"{vehicle.hover_thrust:.2f}; by attitude what holds it in the air is taken"
+            f"hover thrust: autopilot {own:.2f}, vehicle '{vehicle.name}' "
+            f"{vehicle.hover_thrust:.2f}; by attitude the measured one is used"
         )
     if setup.tilt_deg is None and config.limits.tilt_deg > CAREFUL_TILT_DEG:
-        found.append(
-            "tilt: the autopilot does not report its limit (another version's name, or a slow link); "
-            f"{CAREFUL_TILT_DEG:.0f} deg is taken"
-        )
+        found.append(f"tilt limit: not reported by the autopilot; {CAREFUL_TILT_DEG:.0f} deg assumed")
     if setup.tilt_deg is not None and setup.tilt_deg < config.limits.tilt_deg:
         found.append(
-            f"tilt: the autopilot allows {setup.tilt_deg:.0f} deg, control.limits.tilt_deg is "
-            f"{config.limits.tilt_deg:.0f}; the autopilot's is taken"
+            f"tilt limit: autopilot {setup.tilt_deg:.0f} deg, control.limits.tilt_deg "
+            f"{config.limits.tilt_deg:.0f}; the autopilot's is used"
         )
     return found
 

@@ -76,8 +76,8 @@ class HoverThrust:
         """Why control by thrust may not be taken: it is not measured, or contradicts all that was `told`."""
         if self.std > KNOWN_STD:
             return (
-                f"hover thrust: known to {100.0 * self.std:.0f} % alone, expected {100.0 * KNOWN_STD:.0f} %: "
-                "the thrust that holds it in the air (ATTITUDE_TARGET) is not received"
+                f"hover thrust: uncertain: {100.0 * self.std:.0f} %, limit {100.0 * KNOWN_STD:.0f} %: "
+                "no ATTITUDE_TARGET received"
             )
         numbers = {name: value for name, value in told.items() if value is not None}
         surely = SIGMA_THRESHOLD * self.std
@@ -86,7 +86,7 @@ class HoverThrust:
             return ""
         words = ", ".join(f"{name} {value:.2f}" for name, value in numbers.items())
         return (
-            f"hover thrust: {self.value:.2f} holds it, told was {words}; "
+            f"hover thrust: {self.value:.2f} measured, {words} configured; "
             f"expected {LEAST_SHARE:g} to {MOST_SHARE:g} times that"
         )
 

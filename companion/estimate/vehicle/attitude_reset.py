@@ -91,7 +91,7 @@ class AttitudeReset:
         if self._gap is not None:
             return self._after_gap(report, tilt_rad, off_rad)
         if own.tilt_std_rad > POORLY_KNOWN_RAD and tilt_rad > AFTER_GAP_RAD:
-            return self._correction(report, report.time_s, tilt_rad, "ours was not known well")
+            return self._correction(report, report.time_s, tilt_rad, "ours was uncertain")
         if tilt_rad <= max(limit_rad, LEAST_APART_RAD):
             self._wrong_since_s = None
             self._learn(report.time_s, off_rad)
@@ -99,7 +99,7 @@ class AttitudeReset:
         self._wrong_since_s = report.time_s if self._wrong_since_s is None else self._wrong_since_s
         if report.time_s - self._wrong_since_s < PERSISTS_S:
             return None
-        return self._correction(report, self._wrong_since_s, tilt_rad, "its horizon is another")
+        return self._correction(report, self._wrong_since_s, tilt_rad, "its horizon differs")
 
     def _after_gap(self, report: AutopilotAttitude, tilt_rad: float, off_rad: float) -> Correction | None:
         assert self._gap is not None
@@ -109,7 +109,7 @@ class AttitudeReset:
         self._gap = None
         if tilt_rad <= AFTER_GAP_RAD and abs(off_rad) <= HEADING_AFTER_GAP_RAD:
             return None
-        why = f"{1e3 * lasted_s:.0f} ms of the IMU's stream are missing"
+        why = f"{1e3 * lasted_s:.0f} ms of IMU data missing"
         return self._correction(report, end_s, math.hypot(tilt_rad, off_rad), why)
 
     def _correction(

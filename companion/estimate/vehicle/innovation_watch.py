@@ -71,9 +71,9 @@ class TroubleReport:
     def news(self, watch: InnovationWatch, fixes: FixWatch) -> tuple[str, ...]:
         """What was not said before."""
         happened = {
-            "doubted": (watch.doubted_s, "attitude doubted: the orientation filter keeps to one side of it"),
-            "fixes": (fixes.suspected_s, "attitude doubted: GPS keeps to one side of the velocity"),
-            "restarted": (watch.restarted_s, "attitude started again from the orientation filter"),
+            "doubted": (watch.doubted_s, "attitude uncertain: biased against the orientation filter"),
+            "fixes": (fixes.suspected_s, "attitude uncertain: velocity biased against GPS"),
+            "restarted": (watch.restarted_s, "attitude reset to the orientation filter"),
         }
         fresh = {kind: what for kind, what in happened.items() if what[0] > self._reported_s[kind]}
         self._reported_s |= {kind: when_s for kind, (when_s, _) in fresh.items()}

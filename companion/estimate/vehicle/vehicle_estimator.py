@@ -220,7 +220,7 @@ class VehicleEstimator:
         self._inertial.attitude = quat_multiply(step.turn, self._inertial.attitude)  # as the history
         self._read_ekf()
         self._orientation.attitude = self._inertial.attitude
-        words = f"attitude corrected by {math.degrees(correction.apart_rad):.0f} deg, by the autopilot's"
+        words = f"attitude corrected by {math.degrees(correction.apart_rad):.0f} deg to the autopilot's"
         self.corrections += (f"{words}: {correction.why}",)
 
     # ------------------------------------------------------------ outputs

@@ -226,7 +226,7 @@ class PymavlinkActions:
             if state.armed and state.mode != before:
                 return f"the autopilot has changed to {state.mode}"
             silent_s = self.dialogue.now_s() - state.attitude_time_s
-            return f"attitude not heard for {silent_s:.1f} s" if _SILENT_S < silent_s < math.inf else ""
+            return f"no attitude received for {silent_s:.1f} s" if _SILENT_S < silent_s < math.inf else ""
 
         try:
             await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, 0.0), void=void)

@@ -55,9 +55,9 @@ class Dialogue:
         """
         state = self._session.state
         if not state.connected:
-            raise Refused("no autopilot is heard")
+            raise Refused("no autopilot on the link")
         if state.autopilot_kind is None:
-            raise Refused("the autopilot is neither PX4's nor ArduPilot's of a multirotor")
+            raise Refused("no PX4 or ArduPilot multirotor")
         return state.autopilot_kind
 
     def profile(self) -> AutopilotMake:

@@ -216,7 +216,7 @@ class TelemetrySensors:
     def _clock_problem(self) -> str | None:
         if self._clock.settled:
             return None
-        return "no answers to TIMESYNC; without its clock no sample has a time"
+        return "no answer to TIMESYNC: samples have no time"
 
     def _imu_problem(self, autopilot_kind: AutopilotKind, now_s: float) -> str | None:
         advice = PROFILES[autopilot_kind].stream_advice
@@ -227,14 +227,14 @@ class TelemetrySensors:
                 if now_s - self._heard_s.get(n, -math.inf) < IMU_SILENCE_S
             ]
             if heard:
-                return f"{_NAMES[heard[0]]} comes but cannot be used: {self._most_refused('imu')}"
+                return f"{_NAMES[heard[0]]} received but unusable: {self._most_refused('imu')}"
             rate_hz, name = self._config.autopilot.imu_rate_hz, _NAMES[IMU_MESSAGES[autopilot_kind][0]]
-            return f"no {name} comes; expected it at {rate_hz:g} Hz ({advice})"
+            return f"no {name} received; expected {rate_hz:g} Hz ({advice})"
         if self._imu_rate_hz < SLOWEST_IMU_HZ:
             name = _NAMES[self._imu_message or IMU_MESSAGES[autopilot_kind][0]]
             # a rate that wavers is one problem, not one a second
             rounded_hz = 5 * round(self._imu_rate_hz / 5)
-            return f"{name} comes at about {rounded_hz} Hz; expected 50 Hz or more ({advice})"
+            return f"{name} at about {rounded_hz} Hz; expected 50 Hz or more ({advice})"
         return None
 
     def _others_problem(self, now_s: float) -> str | None:
@@ -243,7 +243,7 @@ class TelemetrySensors:
         for number in self.rates_hz():
             if number in (_GPS, _RANGE) and now_s - self._heard_s.get(number, -math.inf) > SILENCE_S:
                 what = " of a rangefinder that looks down" if number == _RANGE else ""
-                return f"no {_NAMES[number]}{what} comes; expected it at {self.rates_hz()[number]:g} Hz"
+                return f"no {_NAMES[number]}{what} received; expected {self.rates_hz()[number]:g} Hz"
         return None
 
     def _missing(self, stream: str, now_s: float, timeout_s: float) -> bool:
@@ -252,5 +252,5 @@ class TelemetrySensors:
     def _most_refused(self, stream: str) -> str:
         stamps, values = self.refused[f"{stream}_stamp"], self.refused[f"{stream}_values"]
         if stamps >= values:
-            return "expected stamps of the clock that TIMESYNC tells, each newer than the last"
+            return "expected increasing stamps of TIMESYNC's clock"
         return "expected finite values of gyroscope and accelerometer"

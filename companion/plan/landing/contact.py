@@ -207,7 +207,7 @@ class Standing:
             return MissionEvent.AT_REST, f"for {rested_s:.1f} s on the pad"
         unshown_s = self._unshown.held_s(not down, now_s)
         if unshown_s >= _UNSHOWN_S and now_s - self._since_s >= _UNSHOWN_AFTER_S:
-            return MissionEvent.UNPROVEN, f"nothing shows the feet down for {unshown_s:.1f} s"
+            return MissionEvent.UNPROVEN, f"contact not confirmed for {unshown_s:.1f} s"
         return None
 
     def _shown_down(self, sight: PadState | None, echo: RangeSample | None, now_s: float) -> bool:

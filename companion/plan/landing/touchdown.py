@@ -145,7 +145,7 @@ class TouchdownSequence:
         if waited_s >= c.giving_up_s:
             return (
                 MissionEvent.MISALIGNED,
-                f"no moment to land in {waited_s:.0f} s, at last lateral offset "
+                f"not settled in {waited_s:.0f} s, lateral offset "
                 f"{100.0 * sight.lateral_m:.0f} cm, tilt {math.degrees(self.tilt.tilt_rad):.0f} deg",
             )
         if self._settled.held_s(ready, now_s) >= c.settled_s:
@@ -241,9 +241,9 @@ class TouchdownSequence:
             return None
         sink_m_s = self._levelling.planned_m_s if sight is None else sight.sink_m_s
         if not self._has_room(below_m if echo_m is None else echo_m, sink_m_s):
-            return MissionEvent.PAD_GONE, "pad not seen, and no room to rise"
+            return MissionEvent.PAD_GONE, "pad lost, no room to climb"
         self._generator.rise(now_s)
-        why = "not below any more" if gone else f"not seen for {c.blind_s:.1f} s"
+        why = "pad no longer below" if gone else f"not seen for {c.blind_s:.1f} s"
         return MissionEvent.PAD_LOST, f"{why} while sinking"
 
     def _near(self, sight: PadState, unfelt_s: float = 0.0) -> bool:
@@ -252,7 +252,7 @@ class TouchdownSequence:
     def _go_down(self, sight: PadState, signs: ContactSigns, now_s: float) -> DetectedEvent | None:
         overdue_s = self._config.overdue_s
         if now_s > self._contact_due_s + overdue_s:
-            overdue = f"no contact felt {overdue_s:.1f} s after it was due"
+            overdue = f"no contact {overdue_s:.1f} s after the expected time"
             if signs.near:
                 return MissionEvent.PAD_GONE, overdue
             self._generator.rise(now_s)
@@ -342,10 +342,10 @@ class TouchdownSequence:
         """Why it does not stay on the pad; "" while it does."""
         lifted, unshown = self._standing.off_by_itself(sight, inputs, now_s)
         if lifted:
-            return "the autopilot, not heard, has taken it off"
+            return "link silent: the vehicle left the pad"
         # LAND is asked for just where nothing shows the feet down
         if unshown and state is State.STAND:
-            return "the autopilot is not heard, and nothing shows the feet down"
+            return "link silent, contact not confirmed"
         away = sight is not None and self._standing.off_pad(sight, now_s)
         slips = self._standing.arrives(now_s) or self._standing.doubted(now_s)
         if sight is not None and slips and (slides := self._slides(sight)):

@@ -41,13 +41,13 @@ def not_standing(
     attitudes = [*_attitudes(inputs, now_s)]
     tilt_rad = max((_tilt_rad(attitude) for attitude in attitudes), default=None)
     if tilt_rad is None:
-        return "its attitude is not known"
+        return "attitude unknown"
     if tilt_rad > _UPRIGHT_RAD:
         return f"tilted by {math.degrees(tilt_rad):.0f} deg"
     if why := _elsewhere(sight, surface_m, vehicle.leg_height_m + _BELOW_M, pad_reach_m):
         return why
     if not touched and inputs.autopilot.landed is not LandedState.ON_GROUND:
-        return "nothing has shown the feet down"
+        return "contact never confirmed"
     return ""
 
 
@@ -55,9 +55,9 @@ def _elsewhere(sight: PadState | None, surface_m: float | None, deepest_m: float
     """Where the pad is instead, by a fresh sight or else by the echoes; "" where neither says so."""
     if sight is None or sight.age_s > _FRESH_S:
         away = surface_m is not None and surface_m > deepest_m
-        return f"what is below is {surface_m:.1f} m away" if away else ""
+        return f"surface {surface_m:.1f} m below" if away else ""
     if sight.lateral_m > pad_reach_m:
-        return f"{sight.lateral_m:.1f} m aside of the pad's middle"
+        return f"{sight.lateral_m:.1f} m beside the pad's centre"
     return f"the pad is {sight.height_m:.1f} m below" if sight.height_m > deepest_m else ""
 
 

@@ -103,9 +103,9 @@ class Bounds:
         away_m = math.hypot(north, east)
         outward_m_s = (north * vn + east * ve) / away_m if away_m > 0.0 else 0.0
         if away_m + stopping_m(outward_m_s) > c.fence_m:
-            yield MissionEvent.OUT_OF_BOUNDS, f"fence of {c.fence_m:.0f} m, {away_m:.0f} m from home"
+            yield MissionEvent.OUT_OF_BOUNDS, f"{away_m:.0f} m from home, fence {c.fence_m:.0f} m"
         if -down + stopping_m(-vd) > c.ceiling_m:
-            yield MissionEvent.OUT_OF_BOUNDS, f"ceiling of {c.ceiling_m:.0f} m, {-down:.0f} m over home"
+            yield MissionEvent.OUT_OF_BOUNDS, f"{-down:.0f} m over home, ceiling {c.ceiling_m:.0f} m"
 
     def _pad(self, pad: PadState | None, now_s: float) -> Iterator[DetectedEvent]:
         c = self._config
@@ -114,7 +114,7 @@ class Bounds:
             speed = math.hypot(*pad.velocity_ned_m_s[:2])
             acceleration = math.hypot(*pad.acceleration_ned_m_s2[:2])
         if self._too_fast.held_s(speed > c.pad_speed_m_s, now_s) >= _TOO_FAST_S:
-            yield MissionEvent.PAD_TOO_FAST, f"{speed:.1f} m/s, at most {c.pad_speed_m_s:g} are followed"
+            yield MissionEvent.PAD_TOO_FAST, f"{speed:.1f} m/s, limit {c.pad_speed_m_s:g}"
         if self._too_hard.held_s(acceleration > c.pad_acceleration_m_s2, now_s) >= _TOO_FAST_S:
             most = c.pad_acceleration_m_s2
-            yield MissionEvent.PAD_TOO_FAST, f"{acceleration:.1f} m/s², at most {most:g} are followed"
+            yield MissionEvent.PAD_TOO_FAST, f"{acceleration:.1f} m/s², limit {most:g}"

@@ -46,7 +46,7 @@ def rival_words(autopilot: AutopilotState, now_s: float, within_s: float = TWIN_
     if autopilot.rival is None or now_s - autopilot.rival_time_s > within_s:
         return ""
     system_id, component_id = autopilot.rival
-    return f"component {component_id} of system {system_id} sends setpoints"
+    return f"setpoints of system {system_id}, component {component_id}"
 
 
 def offboard_words(autopilot: AutopilotState) -> str:
@@ -130,24 +130,27 @@ class Departure:
     ) -> tuple[tuple[str, bool], ...]:
         low, share = self._config.battery.low, autopilot.battery_share
         late_s, most_s = autopilot.round_trip_s, self._config.largest_round_trip_s
-        late = "" if late_s is None else f": answers after {late_s:.2f} s, at most {most_s:g} are flown by"
+        late = "" if late_s is None else f": round trip {late_s:.2f} s, limit {most_s:g}"
         charged = share is None or share > low
-        charge = "" if share is None else f": {100.0 * share:.0f} % left, low at {100.0 * low:.0f} %"
+        charge = "" if share is None else f": {100.0 * share:.0f} % left, limit {100.0 * low:.0f} %"
         return (
             (f"the autopilot{refused_words(autopilot)}", autopilot.connected),
             (
                 "a PX4 or ArduPilot that flies a multirotor",
                 not autopilot.connected or autopilot.autopilot_kind is not None,
             ),
-            ("its home position", autopilot.home is not None),
-            (f"it to be ready to arm{offboard_words(autopilot)}", autopilot.ready_to_arm),
-            ("its estimate of position", autopilot.ekf_ready is not False),
-            ("our own alignment", vehicle is not None and vehicle.aligned),
+            ("the home position", autopilot.home is not None),
+            (f"the autopilot to be ready to arm{offboard_words(autopilot)}", autopilot.ready_to_arm),
+            ("the autopilot's position estimate", autopilot.ekf_ready is not False),
+            ("attitude alignment", vehicle is not None and vehicle.aligned),
             ("GPS", vehicle is not None and vehicle.has_gps and vehicle.origin is not None),
             (f"a charged battery{charge}", charged),
             (f"a quicker link{late}", late_s is None or late_s <= most_s),
-            ("another companion with our ids to go", now_s - autopilot.twin_time_s > TWIN_GONE_S),
-            (f"others to be silent: {rival_words(autopilot, now_s)}", not rival_words(autopilot, now_s)),
+            ("the duplicate companion to leave", now_s - autopilot.twin_time_s > TWIN_GONE_S),
+            (
+                f"others to stop: {rival_words(autopilot, now_s)}",
+                not rival_words(autopilot, now_s),
+            ),
         )
 
     def _take_off(

@@ -54,9 +54,9 @@ def _mode_words(inputs: PlanInputs) -> str:
     words = f"mode {autopilot.mode or 'unknown'} was not requested"
     # in a mode with sticks a pilot may fly, whatever was intended
     if autopilot.intended_mode not in {"", autopilot.mode} and short_name(autopilot.mode) in WITHOUT_STICKS:
-        words = f"the autopilot's failsafe flies {autopilot.mode} in place of {autopilot.intended_mode}"
+        words = f"autopilot failsafe: {autopilot.mode} instead of {autopilot.intended_mode}"
     if inputs.computer.held_up_s >= inputs.keeps_setpoint_s:
-        words += f": our setpoints had stopped for {inputs.computer.held_up_s:.1f} s"
+        words += f": setpoints stopped for {inputs.computer.held_up_s:.1f} s"
     return words
 
 
@@ -156,9 +156,9 @@ class FailsafeMonitor:
         if not autopilot.connected:
             return ()
         if autopilot.motors_cut:
-            return ((MissionEvent.TAKEN_OVER, "motors cut: nothing more is asked"),)
+            return ((MissionEvent.TAKEN_OVER, "motors cut: no further requests"),)
         if self._modes.taken_since_end(autopilot, asked):
-            return ((MissionEvent.TAKEN_OVER, f"mode {autopilot.mode}: nothing more is asked"),)
+            return ((MissionEvent.TAKEN_OVER, f"mode {autopilot.mode}: no further requests"),)
         return ()
 
     def _late(self, inputs: PlanInputs, now_s: float) -> Iterator[DetectedEvent]:
@@ -174,7 +174,7 @@ class FailsafeMonitor:
         late_s, most_s = autopilot.round_trip_s, self._config.largest_round_trip_s
         known = autopilot.connected and now_s - autopilot.round_trip_time_s <= _OLDEST_ROUND_TRIP_S
         if known and late_s is not None and late_s > most_s:
-            yield MissionEvent.LINK_LATE, f"answers after {late_s:.2f} s, at most {most_s:g} are flown by"
+            yield MissionEvent.LINK_LATE, f"round trip {late_s:.2f} s, limit {most_s:g}"
 
     def _control(self, failure: str, now_s: float) -> Iterator[DetectedEvent]:
         if self._no_plan.held_s(bool(failure), now_s) >= _NO_PLAN_S:
@@ -190,9 +190,10 @@ class FailsafeMonitor:
         follows = self._machine.state is State.SINK and _seen_until_lost(vehicle, pad)
         longest_s = _STALE_SINKING_S if follows else _STALE_ESTIMATE_S
         if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > longest_s:
-            yield MissionEvent.ESTIMATE_LOST, "no fresh estimate of the vehicle"
+            yield MissionEvent.ESTIMATE_LOST, "no current vehicle estimate"
         elif not vehicle.velocity_std_m_s <= self._config.largest_speed_std_m_s:
-            yield MissionEvent.VELOCITY_UNKNOWN, f"standard deviation {vehicle.velocity_std_m_s:.1f} m/s"
+            std_m_s, most_m_s = vehicle.velocity_std_m_s, self._config.largest_speed_std_m_s
+            yield MissionEvent.VELOCITY_UNCERTAIN, f"{std_m_s:.1f} m/s, limit {most_m_s:g}"
 
     def _time(self, now_s: float) -> Iterator[DetectedEvent]:
         assert self._phase_since_s is not None

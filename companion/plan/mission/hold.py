@@ -91,7 +91,7 @@ class Hold:
         if self._generator.keep_near(actual, now_s) == 0.0:
             return place
         x, y, z = self._generator.resting_place_m()
-        self._say("strayed", f"{norm(step_m):.1f} m off by the estimate's step: held here", now_s, "warning")
+        self._say("strayed", f"position reset by {norm(step_m):.1f} m: holding here", now_s, "warning")
         return (x, y, place[2] + step_m[2] if self._climbs else z)
 
     def _climb_m(self) -> float:

@@ -49,12 +49,12 @@ def not_ready(
     """
     yield from _autopilot(inputs.autopilot, mission)
     if now_s - inputs.autopilot.twin_time_s <= TWIN_GONE_S:
-        yield "another companion with our ids is on the link; expected one"
+        yield "duplicate companion on the link; expected one"
     if others := rival_words(inputs.autopilot, now_s):
-        yield f"{others}; expected ours alone"
+        yield f"foreign setpoints: {others}"
     # PX4 flies in it only while somebody's setpoints come, and we send none
     if inputs.autopilot.armed and in_offboard(inputs.autopilot) and not ours:
-        yield "it is in OFFBOARD: another program's setpoints fly it; expected ours alone"
+        yield "already in OFFBOARD by another program's setpoints"
     if inputs.camera_problem is not None:
         yield f"no pad camera: {inputs.camera_problem}"
     if inputs.computer.problem is not None:
@@ -71,9 +71,9 @@ def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> It
     if inputs.thrust_doubt:
         yield inputs.thrust_doubt
     if config.obstacles:
-        yield "plan.obstacles count from the place of a take-off, which was not ours"
+        yield "plan.obstacles need a take-off by the app"
     for _, words in Bounds(config.mission).detect(inputs.vehicle, None, inputs.autopilot, now_s):
-        yield f"beyond the {words}"
+        yield f"out of bounds: {words}"
 
 
 def _not_in_the_air(autopilot: AutopilotState) -> Iterator[str]:
@@ -87,14 +87,14 @@ def _autopilot(autopilot: AutopilotState, mission: MissionConfig) -> Iterator[st
     if not autopilot.connected:
         yield f"no heartbeat from the autopilot{refused_words(autopilot)}"
     elif autopilot.autopilot_kind is None:
-        yield "the autopilot is neither PX4's nor ArduPilot's of a multirotor"
+        yield "no PX4 or ArduPilot multirotor"
     if autopilot.motors_cut:
         yield "kill switch, emergency stop or flight termination"
     if autopilot.home is None:
-        yield "the autopilot has no home position, from which the fence counts"
+        yield "no home position for the fence"
     late_s, most_s = autopilot.round_trip_s, mission.largest_round_trip_s
     if late_s is not None and late_s > most_s:
-        yield f"the link answers after {late_s:.2f} s, at most {most_s:g} are flown by"
+        yield f"link late: round trip {late_s:.2f} s, limit {most_s:g}"
     share = autopilot.battery_share
     if share is not None and share <= mission.battery.critical:
         yield f"battery critical: {100.0 * share:.0f} % left"
@@ -103,8 +103,9 @@ def _autopilot(autopilot: AutopilotState, mission: MissionConfig) -> Iterator[st
 def estimate_problems(vehicle: VehicleState | None, mission: MissionConfig, now_s: float) -> Iterator[str]:
     """What stands against flying by an estimate of the vehicle."""
     if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > _STALE_S:
-        yield "no fresh estimate of the vehicle"
+        yield "no current vehicle estimate"
     elif vehicle.origin is None:
-        yield "our own estimate has no GPS position yet"
+        yield "no GPS position in our estimate yet"
     elif not vehicle.velocity_std_m_s <= mission.largest_speed_std_m_s:
-        yield f"velocity uncertain: standard deviation {vehicle.velocity_std_m_s:.1f} m/s"
+        std_m_s, most_m_s = vehicle.velocity_std_m_s, mission.largest_speed_std_m_s
+        yield f"velocity uncertain: {std_m_s:.1f} m/s, limit {most_m_s:g}"

@@ -106,7 +106,7 @@ class Requests:
     def _put_off(self, pending: _Pending, now_s: float, why: str) -> None:
         kind = pending.action.kind
         if kind in PATIENT and why != pending.why:
-            self._news.append(f"{kind.value} refused: {why}; asked again every {self._retry_s:g} s")
+            self._news.append(f"{kind.value} refused: {why}; retry every {self._retry_s:g} s")
         self._pending[kind] = replace(pending, due_s=now_s + self._retry_s, answer_by_s=float("inf"), why=why)
 
     def _give_up(self, now_s: float) -> tuple[str, ...]:

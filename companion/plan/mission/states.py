@@ -96,7 +96,7 @@ class MissionEvent(StrEnum):
     RIVAL = "rival"  # somebody else sends setpoints to the vehicle
     ESTIMATE_LOST = "estimate_lost"
     CONTROL_FAILED = "control_failed"  # the controller finds no plan, and has long commanded to stop
-    VELOCITY_UNKNOWN = "velocity_unknown"  # our estimate is there, but its velocity is too uncertain
+    VELOCITY_UNCERTAIN = "velocity_uncertain"  # ours, though there is an estimate
     BATTERY_CRITICAL = "battery_critical"
     OUT_OF_BOUNDS = "out_of_bounds"  # the fence or the ceiling, with room to stop before it
     ESTIMATE_DISPUTED = "estimate_disputed"  # our own motion, by a second source of it

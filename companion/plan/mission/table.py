@@ -54,7 +54,7 @@ BLIND: Final = (E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED)  # setpo
 # what may be detected in any state: each state has a row or a reason for none
 ANYWHERE: Final = (
     *(E.DISARMED, E.TAKEN_OVER, E.STOP, E.LINK_LOST, E.LINK_UP, *LATE, E.RIVAL),
-    *(E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED, E.VELOCITY_UNKNOWN, E.BATTERY_CRITICAL),
+    *(E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED, E.VELOCITY_UNCERTAIN, E.BATTERY_CRITICAL),
     *(E.OUT_OF_BOUNDS, E.PAD_DISPUTED, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT),
 )
 
@@ -305,7 +305,7 @@ ROWS: Final = (
     ),
     *(_row(event, S.SINK, Branch(S.STAND, guard=Guard.FEET_DOWN), _SET_DOWN) for event in BLIND),
     _row(
-        E.VELOCITY_UNKNOWN,
+        E.VELOCITY_UNCERTAIN,
         IN_AIR,
         *_RETURN_CONTROL,
         except_={

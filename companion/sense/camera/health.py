@@ -90,35 +90,35 @@ class FrameJudge:
     def _stamp_fault(self, frame: Frame) -> Fault | None:
         age_s = frame.received_s - frame.time_s
         if age_s > self._oldest_s:
-            return Fault("stamp", f"its frames are stamped {age_s:.1f} s before they come")
+            return Fault("stamp", f"frame stamps {age_s:.1f} s before arrival")
         if age_s < -FUTURE_S:
-            return Fault("stamp", f"its frames are stamped {-age_s:.1f} s after they come")
+            return Fault("stamp", f"frame stamps {-age_s:.1f} s after arrival")
         if self._last is None:
             return None
         step_s = frame.time_s - self._last.time_s
         if step_s == 0.0:
-            return Fault("stamp", "its time stamps stand still")
+            return Fault("stamp", "frame stamps do not advance")
         if step_s < 0.0:
-            return Fault("stamp", f"its time stamps jump back by {-step_s:.3f} s")
+            return Fault("stamp", f"frame stamps jump back by {-step_s:.3f} s")
         return None
 
     def _content_fault(self, frame: Frame, sample: NDArray[np.uint8]) -> Fault | None:
         low, high = int(sample.min()), int(sample.max())
         if high - low <= FLAT_GREY:
-            return Fault("content", f"its images are of one grey ({low} of 255)")
+            return Fault("content", f"images of one grey ({low} of 255)")
         if _filled_share(sample) >= LEAST_TORN:
             # the rest is what was seen
-            return Fault("content", "its images are torn: the lower part is empty", usable=True)
+            return Fault("content", "torn images: lower part empty", usable=True)
         last, last_sample = self._last, self._last_sample
         if last is None or last_sample is None or _lowest_is_new(sample, last_sample):
             return None
         same = (sample == last_sample).all(axis=1)
         if same.all():
             again = np.array_equal(frame.image, last.image)
-            return Fault("content", "it gives the same image over and over") if again else None
+            return Fault("content", "the same image repeated") if again else None
         # a row of one grey (clipped, white or black) is the same without being old
         if _old_share(same & (sample != sample[:, :1]).any(axis=1)) >= LEAST_TORN:
-            return Fault("content", "its images are torn: the lower part is of the one before")
+            return Fault("content", "torn images: lower part of the previous one")
         return None
 
 

@@ -196,7 +196,7 @@ class KeptCamera:
             self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
             self._hanging = [source for source in self._hanging if source.held]
             if len(self._hanging) >= MOST_HANGING:
-                self._set_trouble("its driver hangs, and does not let go of it")
+                self._set_trouble("driver hangs")
                 continue
             try:
                 return await self._reopen()

@@ -35,7 +35,7 @@ LOOK_S: Final = 5.0
 TICK_S: Final = 0.05
 WATCH_S: Final = 1.0
 _GROUP: Final = FindingGroup("link")
-_NO_HEARTBEAT: Final = "no autopilot is heard"
+_NO_HEARTBEAT: Final = "no autopilot on the link"
 
 
 async def check_link(config: CompanionConfig, vehicle: VehicleConfig | None) -> list[Finding]:
@@ -60,11 +60,7 @@ async def check_link(config: CompanionConfig, vehicle: VehicleConfig | None) -> 
     found = telemetry.judge(heard, config)
     kind = heard.state.autopilot_kind
     if kind is None or vehicle is None:
-        why = (
-            "the autopilot is neither PX4's nor ArduPilot's of a multirotor"
-            if kind is None
-            else "the vehicle's file is not usable"
-        )
+        why = "no PX4 or ArduPilot multirotor" if kind is None else "the vehicle's file is not usable"
         return [*found, FindingGroup(GROUP).skip("parameters", why)]
     read = heard.parameters
     wanted = Wanted.of(config, vehicle, kind, read.system_id)

@@ -92,8 +92,8 @@ def test_an_imu_stream_that_stops_in_the_descent_hands_the_vehicle_back(
     monkeypatch.setattr(SensorMessages, "build", until_then)
     flight, log = fly_logged(scenario_file(tmp_path, "static", by_telemetry("px4", SENSE)))
     assert flight.report.outcome is Outcome.ABORTED, flight.report.failures
-    assert "no fresh estimate of the vehicle" in notices(log)
-    assert notices(log).count("autopilot's sensors: no HIGHRES_IMU comes; expected it at 200 Hz") == 1
+    assert "no current vehicle estimate" in notices(log)
+    assert notices(log).count("autopilot's sensors: no HIGHRES_IMU received; expected 200 Hz") == 1
 
 
 @pytest.mark.parametrize(("autopilot_kind", "name"), [("px4", "HIGHRES_IMU"), ("ardupilot", "RAW_IMU")])
@@ -109,7 +109,7 @@ def test_an_imu_stream_that_never_comes_is_reported_once_and_nothing_is_armed(
     flight, log = fly_logged(scenario_file(tmp_path, "static", changes))
     assert flight.report.outcome is Outcome.TIMEOUT, flight.report.failures
     assert [plan.phase for plan in log.kept["plan"]][-1] is Phase.CONNECT
-    assert notices(log).count(f"autopilot's sensors: no {name} comes; expected it at 200 Hz") == 1
+    assert notices(log).count(f"autopilot's sensors: no {name} received; expected 200 Hz") == 1
     assert notices(log).count("autopilot's sensors") == 1
 
 

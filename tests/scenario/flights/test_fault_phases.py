@@ -15,7 +15,7 @@ from tests.scenario.flights.forked import fly_forked
 PAIRS: Final[dict[tuple[str, PhaseName], tuple[str, str]]] = {
     ("link lost 1 s", "descend"): ("landed", "landed: "),
     ("IMU NaN", "approach"): ("held", "estimate lost"),
-    ("link 0.5 s late", "approach"): ("held", "link late: answers after 1.0"),
+    ("link 0.5 s late", "approach"): ("held", "link late: round trip 1.0"),
     ("pilot: Position", "last_metre"): ("pilot", "taken over"),
 }
 RUNS: Final = {pair: FaultRun(*pair, "line", 0) for pair in PAIRS}

@@ -83,5 +83,5 @@ def test_an_imu_that_is_stuck_is_believed_for_50_ms_and_the_estimate_is_given_up
     assert flight.report.outcome is Outcome.ABORTED, flight.report.failures
     rest_on_s = [state.time_s - state.imu_age_s for state in log.kept["vehicle"]]
     assert IN_DESCENT_S < max(rest_on_s) < IN_DESCENT_S + 0.05 + 0.02  # and a poll or two
-    assert "estimate lost: no fresh estimate of the vehicle" in notices(log)
+    assert "estimate lost: no current vehicle estimate" in notices(log)
     assert "stuck: the same sample" in notices(log)

@@ -186,7 +186,7 @@ def test_a_machine_that_was_suspended_in_the_descent_flies_by_nothing_that_it_kn
     words = [said.text for said in record.texts]
     before = [said.text for said in record.texts if said.time_s < woken_s]
     assert any(text.startswith("descend: ") for text in before), words
-    assert any("stood still for 3600" in text for text in words), words
+    assert any("stalled for 3600" in text for text in words), words
     assert any(text.startswith("abort: estimate lost") for text in words), words
     assert max(heard.setpoints_s) <= woken_s + PROMPT_S
     assert record.samples[-1].mode == "BRAKE"

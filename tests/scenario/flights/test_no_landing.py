@@ -51,6 +51,6 @@ def test_no_landing_begins_that_would_end_outside_the_fence(tmp_path: Path) -> N
     assert report.outcome is Outcome.ABORTED, report.failures
     assert report.touchdown is None
     assert [notice.text for notice in log.kept["notice"] if notice.kind == "commit"] == []
-    assert f"the pad leaves the fence of {fence_m:.0f} m before a landing ends: waiting" in notices(log)
+    assert f"waiting: the pad leaves the fence ({fence_m:.0f} m) before contact" in notices(log)
     farthest_m = max(math.hypot(*truth.vehicle_position_ned_m[:2]) for truth in report.truth)
     assert farthest_m < fence_m + 1.0  # the autopilot's own position is off by its GPS

@@ -156,7 +156,7 @@ def test_an_ardupilot_that_its_pilot_puts_into_guided_is_landed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ordered", "said"), [(False, "nothing is ordered"), (True, "hold is ordered")], ids=["theirs", "ours"]
+    ("ordered", "said"), [(False, "nothing requested"), (True, "hold requested")], ids=["theirs", "ours"]
 )
 def test_a_control_task_that_fails_says_so_and_brakes_only_what_is_ours(ordered: bool, said: str) -> None:
     fields = list[StoryField]()

@@ -170,7 +170,7 @@ def test_the_service_stands_by_lands_when_it_is_ordered_to_and_stands_by_again(t
         managed = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "RUNTIME_DIRECTORY": str(asked.parent)}
         service = ("--no-ui", "--config", settings, "--record", flights)
         with started(*service, variables=managed) as process:
-            wait_for_line(process, "standby: waits for an order")
+            wait_for_line(process, "standby: waiting for an order")
             wait_until(lambda: healthy(asked), "healthy")
             assert run("order", "land", "--socket", asked).code == 1  # it stands on the ground
             ordered = run("order", "fly", "--wait", "--socket", asked)

@@ -116,7 +116,7 @@ def test_a_picture_that_stands_still_with_new_stamps_is_no_sighting() -> None:
     times = [sighting.time_s for sighting in samples.sightings]
     assert len(times) > 10
     assert max(times) < 1.05
-    assert [text.partition(": ")[2] for text in told] == ["it gives the same image over and over"]
+    assert [text.partition(": ")[2] for text in told] == ["the same image repeated"]
 
 
 async def run(work: Callable[[], Awaitable[None]]) -> None:

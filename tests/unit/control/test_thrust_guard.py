@@ -72,7 +72,7 @@ def test_unmeasured_it_is_left_to_the_autopilots_own_loops_and_told(case: str) -
         controller.thrust.feel(vehicle, state, TOLD, now_s)
     setpoint, report = step(controller, 2.0)
     assert (setpoint.attitude, setpoint.thrust, setpoint.velocity_ned_m_s) == (None, None, ZERO3)
-    assert report.failure.startswith("hover thrust: known to 100 % alone")
+    assert report.failure.startswith("hover thrust: uncertain: 100 %")
     assert controller.thrust.doubt == report.failure
 
 
@@ -81,7 +81,7 @@ def test_what_contradicts_the_file_and_the_parameter_is_left_too_until_it_is_res
     now_s = feel(controller, 0.98, 6.0)
     setpoint, report = step(controller, now_s)
     assert setpoint.attitude is None
-    assert "0.98 holds it, told was vehicle 'test' 0.50, the autopilot's parameter 0.35" in report.failure
+    assert "0.98 measured, vehicle 'test' 0.50, the autopilot's parameter 0.35 configured" in report.failure
     controller.thrust.feel(
         vehicle_state(now_s), held_by(0.98, now_s), AutopilotSetup(hover_thrust=0.8), now_s
     )

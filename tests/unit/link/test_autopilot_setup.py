@@ -214,13 +214,13 @@ def test_a_failsafe_that_stops_the_motors_is_no_way_to_fly(action: int) -> None:
 @pytest.mark.parametrize(
     ("kind", "action", "timeout_s", "refused"),
     [
-        ("px4", 5, 0.3, "COM_OF_LOSS_T is 0.3: on a pad that moves its Hold drags"),
-        ("px4", 5, 0.9, "COM_OF_LOSS_T is 0.9: on a pad that moves its Hold drags"),
+        ("px4", 5, 0.3, "COM_OF_LOSS_T is 0.3: its Hold would drag the vehicle"),
+        ("px4", 5, 0.9, "COM_OF_LOSS_T is 0.9: its Hold would drag the vehicle"),
         ("px4", 5, 1.0, ""),
         ("px4", 4, 0.5, ""),
-        ("px4", 4, 0.2, "COM_OF_LOSS_T is 0.2: too short to know that it does not hear us"),
+        ("px4", 4, 0.2, "COM_OF_LOSS_T is 0.2: too short to detect the lost link"),
         ("ardupilot", None, 0.5, ""),
-        ("ardupilot", None, 0.1, "GUID_TIMEOUT is 0.1: too short to know that it does not hear us"),
+        ("ardupilot", None, 0.1, "GUID_TIMEOUT is 0.1: too short to detect the lost link"),
     ],
 )
 def test_a_time_out_shorter_than_a_landing_needs_is_no_way_to_fly(

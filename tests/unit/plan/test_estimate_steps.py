@@ -74,7 +74,7 @@ def test_a_hold_that_waits_for_the_link_stays_where_it_is(step_m: Vector3) -> No
     assert w.flight.phase is Phase.HOLD
     assert aside_m < 0.3
     assert sinks_m < 0.3
-    assert w.flight.told("strayed") == [f"{norm(step_m):.1f} m off by the estimate's step: held here"]
+    assert w.flight.told("strayed") == [f"position reset by {norm(step_m):.1f} m: holding here"]
 
 
 @pytest.mark.parametrize("step_m", STEPS_M)

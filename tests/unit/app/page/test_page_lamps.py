@@ -45,7 +45,7 @@ def state(inputs: dict[str, dict[str, Any] | None] | None = None, **changes: Any
 
 
 GOOD: Final = dict.fromkeys(("autopilot", *NAMES, "estimate", "pad"), "good")
-UNCERTAIN: Final = "velocity uncertain: standard deviation 11.0 m/s"
+UNCERTAIN: Final = "velocity uncertain: 11.0 m/s, limit 1"
 CASES: Final[dict[str, tuple[dict[str, Any], dict[str, str]]]] = {
     "standing by": (state(), GOOD),
     "starting": (

@@ -57,7 +57,7 @@ REPORT: dict[str, Any] = {
     "late_cycles_percent": 0.1,
     "machine": {"cpu_percent": 14.0, "memory_mb": 180.0, "temperature_deg_c": 51.0, "disk_free_mb": 9000.0},
     "recording": None,
-    "events": [{"time_s": 0.2, "severity": "info", "text": "standby: waits for an order"}],
+    "events": [{"time_s": 0.2, "severity": "info", "text": "standby: waiting for an order"}],
     "problems": [],
 }
 

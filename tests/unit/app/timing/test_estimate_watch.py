@@ -23,7 +23,7 @@ class StarvedEstimator:
 
     def recover(self, _: float) -> str:
         self.recovered += 1
-        return "GPS refused for 10 s; the estimate starts again"
+        return "GPS refused for 10 s: estimate restarted"
 
 
 class KeptLog:

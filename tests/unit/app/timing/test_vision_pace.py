@@ -38,7 +38,7 @@ def test_late_control_takes_frames_from_vision_step_by_step_and_says_each_once()
     assert said[1:] == [f"control 20 ms late: vision takes 1 of {n} frames" for n in (3, 4)]
     # four of its times are as long as a pad may be unseen: no fewer, however late control is
     cycles(pace, 0.02, 5 * CYCLES)
-    assert said[3:] == ["control 20 ms late, and vision takes no fewer frames"]
+    assert said[3:] == ["control 20 ms late, vision already at its lowest rate"]
     assert abs(frames(pace, 0.05) - 0.15) < 1e-9
 
 
@@ -58,7 +58,7 @@ def test_a_vision_that_is_slow_by_itself_is_not_slowed_any_more_and_late_control
     said: list[str] = []
     pace = VisionPace(lambda _kind, text, _severity: said.append(text))
     frames(pace, 0.21)
-    told = ["control 50 ms late, and vision takes no fewer frames"]
+    told = ["control 50 ms late, vision already at its lowest rate"]
     cycles(pace, 0.05, 5 * CYCLES)
     assert said == told
     assert pace.rests == 0

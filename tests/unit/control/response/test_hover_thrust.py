@@ -82,7 +82,7 @@ def test_what_is_not_measured_or_contradicts_all_that_was_told_is_doubted_with_i
     assert estimate.doubt({"vehicle": 0.65 / MOST_SHARE + 0.02, "parameter": None}) == ""
     assert estimate.doubt({"vehicle": 0.2, "parameter": 0.65 / LEAST_SHARE - 0.02}) == ""
     words = estimate.doubt({"vehicle": 0.3, "parameter": 0.35})
-    assert words.startswith("hover thrust: 0.65 holds it, told was vehicle 0.30, parameter 0.35;")
+    assert words.startswith("hover thrust: 0.65 measured, vehicle 0.30, parameter 0.35 configured;")
     assert estimate.doubt({"vehicle": 0.0})
 
 

@@ -106,7 +106,7 @@ def test_after_a_gap_in_the_imus_stream_the_attitude_is_the_autopilots() -> None
     assert alone.worst_deg(GAP[1] + 0.1) > 15.0
     [told] = anchored.told
     assert told.startswith("attitude corrected by")
-    assert told.endswith("350 ms of the IMU's stream are missing")
+    assert told.endswith("350 ms of IMU data missing")
 
 
 def test_without_a_gap_nothing_is_set_right() -> None:

@@ -174,7 +174,7 @@ def test_before_any_heartbeat_everything_is_refused() -> None:
     autopilot = FakeAutopilot(system_id=5)
     kinds = [ActionKind.ARM, ActionKind.TAKE_OFF, ActionKind.HOLD, ActionKind.TAKE_CONTROL]
     results = perform(autopilot, *(Action(kind) for kind in kinds))
-    assert {(r.accepted, r.text) for r in results} == {(False, "no autopilot is heard")}
+    assert {(r.accepted, r.text) for r in results} == {(False, "no autopilot on the link")}
 
 
 def test_without_home_nobody_goes_anywhere() -> None:

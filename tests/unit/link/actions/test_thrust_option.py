@@ -110,7 +110,7 @@ def test_where_thrust_is_thrust_or_is_not_sent_no_parameter_is_asked_for(
         ),
         (
             AutopilotSetup(setpoint_timeout_s=0.3, setpoints_lost_action=5),
-            "COM_OF_LOSS_T is 0.3: on a pad that moves",
+            "COM_OF_LOSS_T is 0.3: its Hold would drag",
         ),
     ],
     ids=["motors stop", "short time-out"],

@@ -206,9 +206,7 @@ def problem(onboard: ReadAutopilot, after_s: float = 8.0) -> str:
 
 def test_what_never_comes_is_named_with_what_was_expected() -> None:
     text = problem(ReadAutopilot(imu_rate_hz=100.0))
-    assert text.startswith(
-        "autopilot's sensors: no HIGHRES_IMU comes; expected it at 100 Hz (PX4: MAV_x_MODE"
-    )
+    assert text.startswith("autopilot's sensors: no HIGHRES_IMU received; expected 100 Hz (PX4: MAV_x_MODE")
     assert "no answers to TIMESYNC" in problem(ReadAutopilot(settled=False))
 
 
@@ -221,18 +219,18 @@ def test_nothing_is_said_before_there_was_time_or_when_the_link_is_gone() -> Non
 def test_what_comes_and_cannot_be_used_says_why() -> None:
     onboard = ReadAutopilot()
     onboard.run(8.0, lambda boot_s: highres(boot_s + 100.0))
-    assert "HIGHRES_IMU comes but cannot be used" in str(onboard.sensors.watch(onboard.now_s))
+    assert "HIGHRES_IMU received but unusable" in str(onboard.sensors.watch(onboard.now_s))
 
 
 def test_an_imu_that_is_too_slow_gps_and_rangefinder_that_are_missing_are_reported() -> None:
     slow = ReadAutopilot("ardupilot")
     slow.run(10.0, raw, rate_hz=10.0)
-    assert "RAW_IMU comes at about 10 Hz; expected 50 Hz or more (ArduPilot: SRx" in str(
+    assert "RAW_IMU at about 10 Hz; expected 50 Hz or more (ArduPilot: SRx" in str(
         slow.sensors.watch(slow.now_s)
     )
     onboard = ReadAutopilot()
     onboard.run(10.0, highres)
-    assert "no GPS_RAW_INT comes; expected it at 5 Hz" in str(onboard.sensors.watch(onboard.now_s))
+    assert "no GPS_RAW_INT received; expected 5 Hz" in str(onboard.sensors.watch(onboard.now_s))
     onboard.hear(gps(onboard.boot_s, fix_type=1))  # waiting for satellites is nothing wrong
     assert "no DISTANCE_SENSOR of a rangefinder that looks down" in str(onboard.sensors.watch(onboard.now_s))
 

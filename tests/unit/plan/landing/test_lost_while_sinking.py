@@ -32,7 +32,7 @@ def test_a_pad_that_is_gone_by_the_echoes_is_left_upward_at_once(speed_m_s: floa
     w.fly(1.5, until=lambda _w: False)
     assert min(w.flight.heights_m[before:]) > LEG_M + 0.02
     assert w.velocity[2] < 0.1
-    assert any("not below any more" in text for text in w.flight.told("phase"))
+    assert any("pad no longer below" in text for text in w.flight.told("phase"))
 
 
 def test_unseen_for_too_long_with_no_room_to_rise_it_goes_straight_down_in_land() -> None:

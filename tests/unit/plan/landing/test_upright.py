@@ -63,15 +63,15 @@ def test_toppled_it_has_not_by_whichever_attitude(ours_deg: float, theirs_deg: f
 def test_without_any_attitude_it_is_not_known_to_have() -> None:
     inputs = standing()
     unknown = replace(inputs, vehicle=None, autopilot=replace(inputs.autopilot, attitude=None))
-    assert judged(unknown, sight()) == "its attitude is not known"
+    assert judged(unknown, sight()) == "attitude unknown"
     old = replace(unknown, autopilot=replace(inputs.autopilot, attitude=IDENTITY, attitude_time_s=40.0))
-    assert judged(old, sight()) == "its attitude is not known"
+    assert judged(old, sight()) == "attitude unknown"
 
 
 def test_beside_the_pad_or_above_it_it_has_not() -> None:
-    assert judged(standing(), sight(aside_m=0.9)) == "0.9 m aside of the pad's middle"
+    assert judged(standing(), sight(aside_m=0.9)) == "0.9 m beside the pad's centre"
     assert judged(standing(), sight(below_m=1.4)) == "the pad is 1.4 m below"
-    assert judged(standing(), None, surface_m=1.4) == "what is below is 1.4 m away"
+    assert judged(standing(), None, surface_m=1.4) == "surface 1.4 m below"
     assert judged(standing(), sight(), surface_m=1.4) == ""  # the pad is seen at the feet
     assert judged(standing(), sight(aside_m=0.9, age_s=1.5)) == ""  # from too long ago
 
@@ -79,7 +79,7 @@ def test_beside_the_pad_or_above_it_it_has_not() -> None:
 def test_where_nothing_has_shown_the_feet_down_it_has_not() -> None:
     up = standing()
     up = replace(up, autopilot=replace(up.autopilot, landed=LandedState.IN_AIR))
-    assert judged(up, sight(), touched=False) == "nothing has shown the feet down"
+    assert judged(up, sight(), touched=False) == "contact never confirmed"
     down = replace(up, autopilot=replace(up.autopilot, landed=LandedState.ON_GROUND))
     assert judged(down, sight(), touched=False) == ""
 

@@ -48,7 +48,7 @@ def test_the_fence_is_reached_so_early_that_it_can_stop_before_it(speed: float, 
 
 def test_the_ceiling_likewise() -> None:
     assert found(vehicle_at((0.0, 0.0, -19.5), (0.0, 0.0, 1.0))) == []
-    assert found(vehicle_at((0.0, 0.0, -19.5), (0.0, 0.0, -1.0))) == ["ceiling of 20 m, 20 m over home"]
+    assert found(vehicle_at((0.0, 0.0, -19.5), (0.0, 0.0, -1.0))) == ["20 m over home, ceiling 20 m"]
 
 
 def test_the_room_to_stop_in_is_that_of_a_late_and_gentle_brake() -> None:
@@ -60,9 +60,9 @@ def test_the_room_to_stop_in_is_that_of_a_late_and_gentle_brake() -> None:
 @pytest.mark.parametrize(
     ("ours", "theirs", "reason"),
     [
-        ((20.0, 0.0, -5.0), (0.0, 60.0, -5.0), "fence of 50 m, 60 m from home"),
-        ((60.0, 0.0, -5.0), (0.0, 20.0, -5.0), "fence of 50 m, 60 m from home"),
-        ((0.0, 0.0, -5.0), (0.0, 0.0, -22.0), "ceiling of 20 m, 22 m over home"),
+        ((20.0, 0.0, -5.0), (0.0, 60.0, -5.0), "60 m from home, fence 50 m"),
+        ((60.0, 0.0, -5.0), (0.0, 20.0, -5.0), "60 m from home, fence 50 m"),
+        ((0.0, 0.0, -5.0), (0.0, 0.0, -22.0), "22 m over home, ceiling 20 m"),
     ],
 )
 def test_without_gps_the_autopilots_position_counts_as_well(

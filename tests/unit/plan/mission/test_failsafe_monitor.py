@@ -196,7 +196,7 @@ def test_a_velocity_that_nobody_knows_ends_a_search_but_not_a_descent() -> None:
     given = inputs()
     assert given.vehicle is not None
     lost = replace(given, vehicle=replace(given.vehicle, velocity_std_m_s=2.0))
-    assert gravest(lost, State.SEARCH) is MissionEvent.VELOCITY_UNKNOWN
+    assert gravest(lost, State.SEARCH) is MissionEvent.VELOCITY_UNCERTAIN
     assert gravest(lost, State.DESCEND) is None
 
 
@@ -314,7 +314,7 @@ def test_a_mode_that_follows_setpoints_that_stopped_is_not_the_pilots_alone(
     [
         ("AUTO.LAND", "", "mode AUTO.LAND was not requested"),
         ("AUTO.LAND", "AUTO.LAND", "mode AUTO.LAND was not requested"),
-        ("AUTO.LAND", "OFFBOARD", "the autopilot's failsafe flies AUTO.LAND in place of OFFBOARD"),
+        ("AUTO.LAND", "OFFBOARD", "autopilot failsafe: AUTO.LAND instead of OFFBOARD"),
         ("POSCTL", "OFFBOARD", "mode POSCTL was not requested"),
     ],
 )

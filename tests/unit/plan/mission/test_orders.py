@@ -115,7 +115,7 @@ REFUSALS: dict[str, tuple[Callable[[PlanWorld], None], str]] = {
     "on the ground": (on_the_ground, "on the ground"),
     "a rival": (
         lambda w: setattr(w.autopilot, "rival", (1, 150)),
-        "component 150 of system 1 sends setpoints; expected ours alone",
+        "foreign setpoints: setpoints of system 1, component 150",
     ),
     "another's OFFBOARD": (
         lambda w: setattr(w.autopilot, "mode", "OFFBOARD"),
@@ -123,10 +123,16 @@ REFUSALS: dict[str, tuple[Callable[[PlanWorld], None], str]] = {
     ),
     "a twin": (lambda w: setattr(w.autopilot, "twin_until_s", 1e9), "another companion with our ids"),
     "no home": (lambda w: setattr(w, "home", lambda _t: None), "no home position"),
-    "no estimate": (lambda w: setattr(w, "vehicle_known", False), "no fresh estimate"),
+    "no estimate": (lambda w: setattr(w, "vehicle_known", False), "no current vehicle estimate"),
     "battery": (lambda w: setattr(w.autopilot, "battery_share", 0.1), "battery critical: 10 % left"),
-    "fence": (lambda w: setattr(w, "position", (500.0, 0.0, -6.0)), "beyond the fence of 150 m"),
-    "ceiling": (lambda w: setattr(w, "position", (0.0, 0.0, -70.0)), "beyond the ceiling of 60 m"),
+    "fence": (
+        lambda w: setattr(w, "position", (500.0, 0.0, -6.0)),
+        "500 m from home, fence 150 m",
+    ),
+    "ceiling": (
+        lambda w: setattr(w, "position", (0.0, 0.0, -70.0)),
+        "70 m over home, ceiling 60 m",
+    ),
 }
 
 

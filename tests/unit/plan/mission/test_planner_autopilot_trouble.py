@@ -45,7 +45,7 @@ def test_an_autopilot_whose_filter_does_not_know_where_it_is_is_not_asked_to_arm
     w.autopilot.ekf_ready_from_s = 30.0
     flight = w.fly(60.0)
     assert min(t for t, kind in w.autopilot.heard if kind is ActionKind.ARM) > 30.0
-    assert "waiting for its estimate of position" in flight.told("waiting")
+    assert "waiting for the autopilot's position estimate" in flight.told("waiting")
 
 
 def test_a_take_off_whose_answers_are_lost_is_landed_not_left_in_the_air() -> None:
@@ -92,7 +92,7 @@ def test_a_px4_is_put_into_hold_once_it_is_disarmed_in_offboard() -> None:
     w.fly(5.0, until=lambda _w: False)
     assert w.autopilot.mode == "LOITER"
     assert [kind for _, kind in w.autopilot.heard][-2:] == [ActionKind.LEAVE_OFFBOARD] * 2
-    assert flight.told("leave_offboard") == ["from OFFBOARD to Hold, in which it can be armed again"]
+    assert flight.told("leave_offboard") == ["mode Hold instead of OFFBOARD, so that it can be armed"]
 
 
 def test_after_the_landing_a_pilots_mode_stays_and_so_does_guided() -> None:
@@ -155,7 +155,7 @@ def test_a_hold_that_is_still_asked_for_is_dropped_once_somebody_else_flies(mode
     w.fly(10.0, until=lambda _w: False)
     assert len(w.autopilot.heard) == before
     assert all(s.reference is None for s in w.flight.steps if s.time_s > 13.2)
-    assert w.flight.told("pilot") == [f"mode {mode}: nothing more is asked"]
+    assert w.flight.told("pilot") == [f"mode {mode}: no further requests"]
 
 
 @pytest.mark.parametrize("at_s", [1.0, 4.0, 8.0, 12.0, 20.0])
@@ -278,10 +278,7 @@ def test_nobody_takes_off_by_a_late_link() -> None:
     w.autopilot.round_trip_s = 0.5
     flight = w.fly(20.0)
     assert flight.phase is Phase.CONNECT
-    assert any(
-        "a quicker link: answers after 0.50 s, at most 0.3 are flown by" in text
-        for text in flight.told("waiting")
-    )
+    assert any("a quicker link: round trip 0.50 s, limit 0.3" in text for text in flight.told("waiting"))
 
 
 @pytest.mark.parametrize("phase", [Phase.SEARCH, Phase.APPROACH, Phase.DESCEND])
@@ -292,7 +289,7 @@ def test_late_on_the_way_it_is_handed_back_and_said(phase: Phase) -> None:
     w.fly(2.0)
     assert w.flight.phase is Phase.ABORT
     assert [kind for _, kind in w.autopilot.heard][-1] is ActionKind.HOLD
-    assert w.flight.told("phase")[-1] == "abort: link late: answers after 1.00 s, at most 0.3 are flown by"
+    assert w.flight.told("phase")[-1] == "abort: link late: round trip 1.00 s, limit 0.3"
 
 
 def test_the_autopilot_goes_on_to_the_waypoint_and_what_is_committed_lands() -> None:
@@ -313,7 +310,7 @@ def test_nobody_takes_off_beside_another_companion_with_the_same_ids() -> None:
     w = world(still())
     w.autopilot.twin_until_s = 12.0
     flight = w.fly(20.0)
-    assert any("another companion with our ids to go" in text for text in flight.told("waiting"))
+    assert any("the duplicate companion to leave" in text for text in flight.told("waiting"))
     arms = [t for t, kind in w.autopilot.heard if kind is ActionKind.ARM]
     assert min(arms) > 12.0 + 5.0
 
@@ -324,7 +321,7 @@ def test_where_another_program_sends_setpoints_too_control_is_returned_and_the_p
     w.fly(14.0, until=lambda _w: False)
     assert w.flight.phase is Phase.ABORT
     assert w.autopilot.heard[-1][1] is ActionKind.HOLD
-    assert w.flight.told("phase")[-1] == "abort: rival: component 150 of system 1 sends setpoints"
+    assert w.flight.told("phase")[-1] == "abort: rival: setpoints of system 1, component 150"
 
 
 def test_a_hold_that_rises_first_is_asked_for_by_one_height_over_home() -> None:

@@ -20,7 +20,7 @@ def test_a_pad_that_is_not_at_the_waypoint_is_found_by_its_beacon() -> None:
     flight = w.fly(120.0)
     assert flight.phase is Phase.LANDED
     first = flight.told("pad_lost")[0]
-    assert first.startswith("pad not seen: holding")
+    assert first.startswith("pad lost: holding")
     assert first.endswith("new position requested")
     assert any("by its beacon" in text for text in flight.told("pad_lost"))
 
@@ -28,7 +28,7 @@ def test_a_pad_that_is_not_at_the_waypoint_is_found_by_its_beacon() -> None:
 def test_a_beacon_outside_the_fence_is_ignored_and_announced() -> None:
     w = world(still(0.0, 200.0))
     flight = w.fly(60.0)
-    assert flight.told("fence") == ["pad beacon 200 m from home, outside the fence of 150 m: ignored"]
+    assert flight.told("fence") == ["pad beacon ignored: 200 m from home, fence 150 m"]
     assert w.position[1] < 20.0  # by the beacon it would be at 48 m
 
 

@@ -62,7 +62,7 @@ def test_arming_is_never_given_up_and_each_new_reason_is_reported_once() -> None
         assert r.due(10.0 * k) == (ARM,)
         assert r.hear(refused(text=text), 10.0 * k + 1.0) == ()
         told.append(r.news())
-    first, then = (f"arm refused: {text}; asked again every 2 s" for text in (GYROS, POSITION))
+    first, then = (f"arm refused: {text}; retry every 2 s" for text in (GYROS, POSITION))
     assert told == [(first,), (), (), (), (then,), ()]
 
 

@@ -40,7 +40,7 @@ def test_a_low_battery_is_not_taken_off_with() -> None:
     w.autopilot.battery_share = 0.25
     flight = w.fly(20.0)
     assert flight.phase is Phase.CONNECT
-    assert any("charged battery: 25 % left, low at 25 %" in text for text in flight.told("waiting"))
+    assert any("charged battery: 25 % left, limit 25 %" in text for text in flight.told("waiting"))
 
 
 def test_low_in_flight_the_try_under_way_is_the_last() -> None:
@@ -50,7 +50,7 @@ def test_low_in_flight_the_try_under_way_is_the_last() -> None:
     w.autopilot.battery_share = 0.2
     w.fly(60.0, until=lambda w: w.flight.phase in {Phase.HOLD, Phase.LANDED, Phase.ABORT})
     assert w.flight.phase is Phase.HOLD
-    assert w.flight.told("battery") == ["low, 20 % left: no new try"]
+    assert w.flight.told("battery") == ["battery low: 20 % left, no new try"]
 
 
 def test_critical_on_the_way_it_is_handed_back_and_said() -> None:

@@ -85,8 +85,8 @@ FROZEN = noisy_frame(0, 0.0).image
         (images(lambda *_: FROZEN), "the same image over and over", False),
         (lambda frame, _: replace(frame, time_s=101.0 - AGE_S), "time stamps stand still", False),
         (lambda frame, _: replace(frame, time_s=frame.time_s - 0.4), "time stamps jump back", False),
-        (lambda frame, _: replace(frame, time_s=frame.time_s - 7.0), "7.0 s before they come", False),
-        (lambda frame, _: replace(frame, time_s=frame.time_s + 2.0), "2.0 s after they come", False),
+        (lambda frame, _: replace(frame, time_s=frame.time_s - 7.0), "7.0 s before arrival", False),
+        (lambda frame, _: replace(frame, time_s=frame.time_s + 2.0), "2.0 s after arrival", False),
     ],
 )
 def test_garbage_is_named_within_a_third_of_a_second(fed: Fed, spoil: Spoil, told: str, used: bool) -> None:

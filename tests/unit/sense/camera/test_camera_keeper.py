@@ -224,7 +224,7 @@ def test_a_camera_whose_driver_hangs_in_opening_is_tried_a_few_times(camera: Cam
     assert told == [
         "camera: unplugged",
         "camera: the camera does not open within 6 s: its driver hangs",
-        "camera: its driver hangs, and does not let go of it",
+        "camera: driver hangs",
     ]
     assert len(makers) == camera_keeper.MOST_HANGING
 

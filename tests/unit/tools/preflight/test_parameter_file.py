@@ -172,7 +172,7 @@ def test_the_file_is_written_or_the_reason_why_not_is_said(
     findings = (
         found("px4", BAD["px4"])
         if read
-        else [Finding(GROUP, "parameters", FindingState.NOT_CHECKED, "no autopilot is heard")]
+        else [Finding(GROUP, "parameters", FindingState.NOT_CHECKED, "no autopilot on the link")]
     )
 
     async def checked(*_words: object, **_options: object) -> list[Finding]:
@@ -186,7 +186,7 @@ def test_the_file_is_written_or_the_reason_why_not_is_said(
             job.check_vehicle(path, None, None, linked=True, params_file=target)
         assert as_mission_planner(target.read_text())["COM_OBL_RC_ACT"] == 5.0
     else:
-        with pytest.raises(ConfigError, match=r"--write-params .*: not written: no autopilot is heard"):
+        with pytest.raises(ConfigError, match=r"--write-params .*: not written: no autopilot on the link"):
             job.check_vehicle(path, None, None, linked=True, params_file=target)
         assert not target.exists()
 
