@@ -47,7 +47,7 @@ MOST_FALL_M: Final = 0.3
 LOOKS_FOR_S: Final = 6.0  # the vehicle is on its way to the waypoint, at one height
 REFUSED_AFTER_S: Final = 45.0
 LOOK_S: Final = 0.1
-REPLANNED: Final = "off the reference"
+REPLANNED: Final = "replanned"
 WIND: Final = {"mean_m_s": 5.0}
 
 

@@ -103,9 +103,9 @@ class Bounds:
         away_m = math.hypot(north, east)
         outward_m_s = (north * vn + east * ve) / away_m if away_m > 0.0 else 0.0
         if away_m + stopping_m(outward_m_s) > c.fence_m:
-            yield MissionEvent.OUT_OF_BOUNDS, f"{away_m:.0f} m from home, fence {c.fence_m:.0f} m"
+            yield MissionEvent.OUT_OF_BOUNDS, f"fence: {away_m:.0f} m from home, limit {c.fence_m:.0f} m"
         if -down + stopping_m(-vd) > c.ceiling_m:
-            yield MissionEvent.OUT_OF_BOUNDS, f"{-down:.0f} m over home, ceiling {c.ceiling_m:.0f} m"
+            yield MissionEvent.OUT_OF_BOUNDS, f"ceiling: {-down:.0f} m over home, limit {c.ceiling_m:.0f} m"
 
     def _pad(self, pad: PadState | None, now_s: float) -> Iterator[DetectedEvent]:
         c = self._config

@@ -73,7 +73,7 @@ def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> It
     if config.obstacles:
         yield "plan.obstacles need a take-off by the app"
     for _, words in Bounds(config.mission).detect(inputs.vehicle, None, inputs.autopilot, now_s):
-        yield f"out of bounds: {words}"
+        yield words
 
 
 def _not_in_the_air(autopilot: AutopilotState) -> Iterator[str]:

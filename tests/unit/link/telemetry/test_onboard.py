@@ -207,7 +207,7 @@ def problem(onboard: ReadAutopilot, after_s: float = 8.0) -> str:
 def test_what_never_comes_is_named_with_what_was_expected() -> None:
     text = problem(ReadAutopilot(imu_rate_hz=100.0))
     assert text.startswith("autopilot's sensors: no HIGHRES_IMU received; expected 100 Hz (PX4: MAV_x_MODE")
-    assert "no answers to TIMESYNC" in problem(ReadAutopilot(settled=False))
+    assert "no answer to TIMESYNC" in problem(ReadAutopilot(settled=False))
 
 
 def test_nothing_is_said_before_there_was_time_or_when_the_link_is_gone() -> None:

@@ -131,7 +131,7 @@ def test_an_autopilot_that_speaks_before_its_heartbeat_is_no_stranger_to_warn_of
 
 def test_a_stranger_that_goes_on_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
     answered_to(*((0.5 * i, heartbeat_of(2), STRAY) for i in range(20)))
-    assert caplog.messages == ["link: 192.0.2.7:999 is not heard: no heartbeat of system 1"]
+    assert caplog.messages == ["link: 192.0.2.7:999 ignored: no heartbeat of system 1"]
 
 
 def test_what_strangers_say_is_not_heard() -> None:

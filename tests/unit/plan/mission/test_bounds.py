@@ -48,7 +48,7 @@ def test_the_fence_is_reached_so_early_that_it_can_stop_before_it(speed: float, 
 
 def test_the_ceiling_likewise() -> None:
     assert found(vehicle_at((0.0, 0.0, -19.5), (0.0, 0.0, 1.0))) == []
-    assert found(vehicle_at((0.0, 0.0, -19.5), (0.0, 0.0, -1.0))) == ["20 m over home, ceiling 20 m"]
+    assert found(vehicle_at((0.0, 0.0, -19.5), (0.0, 0.0, -1.0))) == ["ceiling: 20 m over home, limit 20 m"]
 
 
 def test_the_room_to_stop_in_is_that_of_a_late_and_gentle_brake() -> None:
@@ -60,9 +60,9 @@ def test_the_room_to_stop_in_is_that_of_a_late_and_gentle_brake() -> None:
 @pytest.mark.parametrize(
     ("ours", "theirs", "reason"),
     [
-        ((20.0, 0.0, -5.0), (0.0, 60.0, -5.0), "60 m from home, fence 50 m"),
-        ((60.0, 0.0, -5.0), (0.0, 20.0, -5.0), "60 m from home, fence 50 m"),
-        ((0.0, 0.0, -5.0), (0.0, 0.0, -22.0), "22 m over home, ceiling 20 m"),
+        ((20.0, 0.0, -5.0), (0.0, 60.0, -5.0), "fence: 60 m from home, limit 50 m"),
+        ((60.0, 0.0, -5.0), (0.0, 20.0, -5.0), "fence: 60 m from home, limit 50 m"),
+        ((0.0, 0.0, -5.0), (0.0, 0.0, -22.0), "ceiling: 22 m over home, limit 20 m"),
     ],
 )
 def test_without_gps_the_autopilots_position_counts_as_well(
@@ -119,7 +119,7 @@ def test_a_pad_that_leads_away_is_left_before_the_fence() -> None:
     flight = w.fly(120.0)
     w.fly(6.0, until=lambda _w: False)
     assert flight.phase is Phase.ABORT
-    assert any("fence of 30 m" in text for text in flight.told("phase"))
+    assert any("limit 30 m" in text for text in flight.told("phase"))
     assert [kind for _, kind in w.autopilot.heard][-1] is ActionKind.HOLD
     assert farthest_m <= 30.0
 
@@ -135,7 +135,7 @@ def test_no_landing_begins_on_a_pad_that_is_beyond_the_fence_before_it_ends() ->
     assert flight.phase is Phase.ABORT
     assert any("the pad leaves the fence" in text for text in flight.told("fence"))
     assert flight.told("commit") == []
-    assert any(f"fence of {fence_m:.0f} m" in text for text in flight.told("phase"))
+    assert any(f"limit {fence_m:.0f} m" in text for text in flight.told("phase"))
     assert math.hypot(*low.position[:2]) <= fence_m
 
 

@@ -297,7 +297,7 @@ def test_a_computer_that_is_too_slow_is_named_before_what_it_causes() -> None:
     assert gravest(replace(given, computer=ComputerLoad())) is MissionEvent.LINK_LATE
 
 
-@pytest.mark.parametrize(("held_up_s", "words"), [(0.7, ""), (1.3, ": our setpoints had stopped for 1.3 s")])
+@pytest.mark.parametrize(("held_up_s", "words"), [(0.7, ""), (1.3, ": setpoints stopped for 1.3 s")])
 def test_a_mode_that_follows_setpoints_that_stopped_is_not_the_pilots_alone(
     held_up_s: float, words: str
 ) -> None:

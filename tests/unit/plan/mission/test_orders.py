@@ -119,19 +119,19 @@ REFUSALS: dict[str, tuple[Callable[[PlanWorld], None], str]] = {
     ),
     "another's OFFBOARD": (
         lambda w: setattr(w.autopilot, "mode", "OFFBOARD"),
-        "it is in OFFBOARD: another program's setpoints fly it",
+        "already in OFFBOARD by another program's setpoints",
     ),
-    "a twin": (lambda w: setattr(w.autopilot, "twin_until_s", 1e9), "another companion with our ids"),
+    "a twin": (lambda w: setattr(w.autopilot, "twin_until_s", 1e9), "duplicate companion on the link"),
     "no home": (lambda w: setattr(w, "home", lambda _t: None), "no home position"),
     "no estimate": (lambda w: setattr(w, "vehicle_known", False), "no current vehicle estimate"),
     "battery": (lambda w: setattr(w.autopilot, "battery_share", 0.1), "battery critical: 10 % left"),
     "fence": (
         lambda w: setattr(w, "position", (500.0, 0.0, -6.0)),
-        "500 m from home, fence 150 m",
+        "fence: 500 m from home, limit 150 m",
     ),
     "ceiling": (
         lambda w: setattr(w, "position", (0.0, 0.0, -70.0)),
-        "70 m over home, ceiling 60 m",
+        "ceiling: 70 m over home, limit 60 m",
     ),
 }
 

@@ -74,7 +74,7 @@ def test_an_autopilot_that_is_not_ready_is_not_asked_and_what_is_missing_is_repo
     flight = w.fly(120.0)
     assert flight.phase is Phase.ABORT
     assert w.autopilot.heard == []
-    assert flight.told("waiting")[-1] == "waiting for it to be ready to arm"
+    assert flight.told("waiting")[-1] == "waiting for the autopilot to be ready to arm"
     assert len(flight.told("waiting")) <= 10
 
 

@@ -166,7 +166,7 @@ def test_a_camera_that_opens_and_gives_nothing_is_tried_with_growing_pauses_too(
     [
         (lambda frame: replace(frame, image=np.zeros((480, 640), np.uint8)), "one grey"),
         (lambda frame: replace(frame, time_s=frame.time_s - 9.0), "9.0 s before"),
-        (lambda frame: replace(frame, time_s=2.0), "stand still"),
+        (lambda frame: replace(frame, time_s=2.0), "do not advance"),
     ],
 )
 def test_garbage_is_reported_kept_from_the_eyes_and_opened_anew(
@@ -199,7 +199,7 @@ def test_a_driver_that_hangs_is_left_alone(camera: CameraConfig) -> None:
 def test_no_more_than_a_few_drivers_are_left_hanging(camera: CameraConfig) -> None:
     seen = run(camera, [silent], 200.0, held_for_s=1e6)
     assert len(seen.openings) == camera_keeper.MOST_HANGING
-    assert len(seen.told("does not let go")) == 1
+    assert len(seen.told("driver hangs")) == 1
 
 
 def test_a_camera_whose_driver_hangs_in_opening_is_tried_a_few_times(camera: CameraConfig) -> None:
