@@ -5,6 +5,7 @@ python -m docs.state_machine
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
@@ -14,6 +15,31 @@ from companion.plan.mission.states import Branch, Guard, MissionEvent, State
 from companion.plan.mission.table import ANYWHERE, FINAL, IN_AIR, LIVE, ROWS, TABLE
 
 PAGE: Final = Path(__file__).resolve().parent / "reference" / "state-machine.md"
+PICTURE: Final = Path(__file__).resolve().parent / "images" / "state-machine.svg"
+# column and row of each state in the picture
+PLACES: Final[dict[State, tuple[float, float]]] = {
+    State.STANDBY: (0, 1),
+    State.CONNECT: (0, 0),
+    State.ARM: (1, 0),
+    State.TAKE_OFF: (2, 0),
+    State.WAYPOINT: (3, 0),
+    State.ROUTE: (4, 0),
+    State.SEARCH: (3, 1),
+    State.APPROACH: (4, 1),
+    State.DESCEND: (5, 1),
+    State.WAIT: (5, 2.1),
+    State.RISE: (3.2, 2),
+    State.SINK: (4, 3),
+    State.SET_DOWN: (2.6, 3),
+    State.STAND: (5, 3),
+    State.AUTO_LAND: (3.4, 4),
+    State.LANDED: (5, 4),
+    State.HOLD: (1, 3),
+    State.AWAIT_LINK: (1, 2),
+    State.ABORT: (1, 4),
+}
+CELL: Final = (150, 84)
+BOX: Final = (108, 36)
 # these may come in any state: drawn once, not from each
 FAILSAFES: Final = frozenset(ANYWHERE) - {MissionEvent.TIMEOUT, MissionEvent.LINK_UP}
 PARTS: Final = {
@@ -45,6 +71,7 @@ reports it, asks the autopilot to hold its position (to land, if the vehicle sta
 def main() -> None:
     """Write the page."""
     PAGE.write_text(page_text(), encoding="utf-8")
+    PICTURE.write_text(picture(), encoding="utf-8")
 
 
 def page_text() -> str:
@@ -52,9 +79,18 @@ def page_text() -> str:
     return "\n".join(
         (
             INTRODUCTION,
+            "![States and how a flight goes through them](../images/state-machine.svg)",
+            "",
+            "*Red: control goes back; every state in the air leads there. The table has each row.*",
+            "",
+            "<details markdown>",
+            "<summary>All transitions as a diagram (Mermaid)</summary>",
+            "",
             "```mermaid",
             *diagram(),
             "```",
+            "",
+            "</details>",
             "",
             "*in the air* is every state from take off to the last hold. The last table says where a",
             "failsafe is ignored.",
@@ -99,6 +135,55 @@ def diagram() -> Iterator[str]:
         yield f"    {source} --> {target}: {', '.join(labels)}"
     for state in sorted(FINAL):
         yield f"    {state.value} --> [*]"
+
+
+def picture() -> str:
+    """The states and the changes between them as SVG, without those that return control."""
+    ends = {State.HOLD, State.AWAIT_LINK, State.ABORT}
+    width, height = 6 * CELL[0], 5 * CELL[1]
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif">',
+        '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="8" markerHeight="8" '
+        'orient="auto"><path d="M0 0 8 4 0 8z" fill="#546e7a"/></marker></defs>',
+        f'<rect width="{width}" height="{height}" fill="#fff"/>',
+    ]
+    for source, target in _edges():
+        if source not in (target, "in_the_air") and State(target) not in ends:
+            parts.append(_arrow(PLACES[State(source)], PLACES[State(target)]))
+    for state, place in PLACES.items():
+        x, y = _middle(place)
+        fill = "#ffcdd2" if state in ends else "#c8e6c9" if state is State.LANDED else "#eceff1"
+        parts.append(
+            f'<rect x="{x - BOX[0] / 2:g}" y="{y - BOX[1] / 2:g}" width="{BOX[0]}" height="{BOX[1]}" rx="8" '
+            f'fill="{fill}" stroke="#546e7a"/>'
+            f'<text x="{x:g}" y="{y + 5:g}" font-size="15" text-anchor="middle">{_name(state)}</text>'
+        )
+    return "\n".join([*parts, "</svg>", ""])
+
+
+def _middle(place: tuple[float, float]) -> tuple[float, float]:
+    return (place[0] + 0.5) * CELL[0], (place[1] + 0.5) * CELL[1]
+
+
+def _arrow(source: tuple[float, float], target: tuple[float, float]) -> str:
+    """A curve from box to box, bent to its right so that two ways do not lie on one another."""
+    (x0, y0), (x1, y1) = _middle(source), _middle(target)
+    dx, dy = x1 - x0, y1 - y0
+    bend = 0.12 * math.hypot(dx, dy)
+    length = math.hypot(dx, dy)
+    middle = (x0 + x1) / 2 - bend * dy / length, (y0 + y1) / 2 + bend * dx / length
+    (ax, ay), (bx, by) = _border((x0, y0), middle), _border((x1, y1), middle)
+    return (
+        f'<path d="M{ax:.0f} {ay:.0f}Q{middle[0]:.0f} {middle[1]:.0f} {bx:.0f} {by:.0f}" fill="none" '
+        'stroke="#546e7a" marker-end="url(#tip)"/>'
+    )
+
+
+def _border(centre: tuple[float, float], towards: tuple[float, float]) -> tuple[float, float]:
+    """Where the line from a box's centre leaves the box."""
+    dx, dy = towards[0] - centre[0], towards[1] - centre[1]
+    share = min((BOX[0] / 2 + 3) / max(abs(dx), 1e-9), (BOX[1] / 2 + 3) / max(abs(dy), 1e-9), 1.0)
+    return centre[0] + share * dx, centre[1] + share * dy
 
 
 def _edges() -> dict[tuple[str, str], list[str]]:

@@ -26,7 +26,7 @@ class LimitsConfig(StrictModel):
         gt=0.0,
         le=5.0,
         description=(
-            "Greatest climb rate that is sent. Higher is worse for whoever tilts over it. Lower it for a "
+            "Greatest climb rate that is sent. Higher is worse after an overshoot. Lower it for a "
             "heavy vehicle with little thrust to spare"
         ),
     )

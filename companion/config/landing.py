@@ -70,7 +70,7 @@ class SearchConfig(StrictModel):
         default=5.0,
         ge=0.0,
         le=30.0,
-        description="And its velocity is extrapolated this long; raise it for a beacon that is heard rarely",
+        description="Its velocity is extrapolated this long; raise it for a beacon that is received rarely",
     )
     climb_m: float = Field(
         default=6.0,

@@ -97,8 +97,8 @@ class LinkConfig(StrictModel):
         ge=1.0,
         le=30.0,
         description=(
-            "No heartbeat this long: the link is lost. Longer is worse: the app believes what it heard "
-            "last. Raise it only on a radio that loses heartbeats"
+            "No heartbeat this long: the link is lost. Longer is worse: the app flies on old telemetry. "
+            "Raise it only on a radio that loses heartbeats"
         ),
     )
     command_timeout_s: float = Field(
@@ -134,7 +134,7 @@ class LinkConfig(StrictModel):
         description=(
             "File with the key of MAVLink 2 signing, mode 0600: 32 bytes or a passphrase. All that is sent"
             " is signed; unsigned frames, and those sent a second time, are refused; needs `actions: "
-            "pymavlink`. Without it whoever reaches the link can command the vehicle: set it on a radio or"
+            "pymavlink`. Without it anyone who reaches the link can command the vehicle: set it on a radio or"
             " a network that others reach"
         ),
         json_schema_extra=OPERATOR,

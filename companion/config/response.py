@@ -48,7 +48,7 @@ class AxisResponse(StrictModel):
         ge=0.0,
         le=10.0,
         description=(
-            "I: acceleration for each metre of integrated velocity error, likewise (`MPC_XY_VEL_I_ACC`, "
+            "I: acceleration for each metre of integrated velocity error (`MPC_XY_VEL_I_ACC`, "
             "`MPC_Z_VEL_I_ACC`)"
         ),
     )
@@ -74,7 +74,10 @@ class KindResponse(StrictModel):
         ),
     )
     jerk_m_s3: float | None = Field(
-        default=None, gt=0.0, le=200.0, description="Largest horizontal jerk that it flies, likewise"
+        default=None,
+        gt=0.0,
+        le=200.0,
+        description="Largest horizontal jerk that it flies; none: no such limit",
     )
 
 

@@ -279,6 +279,8 @@ def test_what_should_not_happen_returns_control_to_the_autopilot() -> None:
 def test_the_page_with_the_diagram_is_the_tables() -> None:
     page = state_machine.PAGE.read_text(encoding="utf-8")
     assert page == state_machine.page_text(), "run: python -m docs.state_machine"
+    picture = state_machine.PICTURE.read_text(encoding="utf-8")
+    assert picture == state_machine.picture(), "run: python -m docs.state_machine"
 
 
 def test_the_diagram_shows_every_change_of_state_but_the_failsafes_from_each() -> None:
