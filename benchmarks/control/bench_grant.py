@@ -147,7 +147,7 @@ async def _fly(trial: Trial, found: Grant) -> Grant:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-        found.texts = [said.text for said in simulation.app_words.texts]
+        found.texts = [said.text for said in simulation.status_text_monitor.texts]
     return found
 
 

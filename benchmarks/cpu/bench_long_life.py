@@ -151,7 +151,7 @@ async def fly(minutes: int, steps_s: list[float], *, logs: bool = True) -> tuple
                 task.cancel()
             await asyncio.gather(flight, world, return_exceptions=True)
             log.close()
-    words = [said.text for said in vehicle.simulation.app_words.texts]
+    words = [said.text for said in vehicle.simulation.status_text_monitor.texts]
     return made, words[-1] if len(made) < minutes else ""
 
 
@@ -159,7 +159,7 @@ async def _minutes(
     count: int, vehicle: InProcess, frames: Interrupted, flight: asyncio.Task[Any], steps_s: list[float]
 ) -> Any:
     """Look at each minute as it ends, until the flight does."""
-    words = vehicle.simulation.app_words.texts
+    words = vehicle.simulation.status_text_monitor.texts
     for number in range(1, count + 1):
         while vehicle.simulation.world.time_s < number * MINUTE_S:
             if flight.done():

@@ -58,7 +58,7 @@ DEFAULT_CEILING_M: Final = 40.0
 
 
 # docs/reference/autopilot-parameters.md: what the autopilot is to do when setpoints stop, where a case says
-# nothing else. PX4 holds; ArduPilot returns where it has drifted to the fence of the app (plan.mission).
+# nothing else. PX4 holds; ArduPilot returns where it drifts to the fence of the app (`plan.mission.fence_m`).
 SETPOINTS_LOST: Final[dict[AutopilotKind, dict[str, float]]] = {
     "px4": {"COM_OBL_RC_ACT": 5.0},
     "ardupilot": {"GUID_TIMEOUT": 1.0, "FENCE_ENABLE": 1.0, "FENCE_RADIUS": 150.0},
@@ -214,7 +214,7 @@ async def _fly(
     ]
     record.samples = list(with_belief(record.samples, log.kept["vehicle"]))
     record.fault_began = simulation.faults.all_begun
-    record.texts = list(simulation.app_words.texts)
+    record.texts = list(simulation.status_text_monitor.texts)
     record.crashed, record.at_rest_on_pad = simulation.world.crashed, simulation.world.at_rest_on_pad
     record.contacts = list(simulation.world.contacts)
     return record

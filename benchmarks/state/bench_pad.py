@@ -32,7 +32,7 @@ from tests.unit.estimate.pad.pad_scores import (
     score,
     with_spikes,
 )
-from tests.unit.estimate.pad.pad_track import MOTIONS, PadTrack
+from tests.unit.estimate.pad.pad_track import MOTIONS, SimulatedPadTrack
 
 SMOKE: Final = ("--seeds", "1")
 VELOCITY_M_S: Final = 0.12
@@ -87,7 +87,7 @@ def fly(seeds: range) -> list[PadFilterRow]:
     """Both filters over all motions."""
     rows = []
     for motion in MOTIONS:
-        tracks = [PadTrack(motion, seed) for seed in seeds]
+        tracks = [SimulatedPadTrack(motion, seed) for seed in seeds]
         makers: dict[str, NewFilter] = {"single": old_filter, "now": new_filter}
         for name, make in makers.items():
             scores = [score(track, make) for track in tracks]
@@ -97,7 +97,7 @@ def fly(seeds: range) -> list[PadFilterRow]:
     return rows
 
 
-def step_us(track: PadTrack) -> float:
+def step_us(track: SimulatedPadTrack) -> float:
     """Median of what one sighting costs, prediction and update."""
     judged = new_filter(track.motion_history())
     spent_s = []
@@ -135,9 +135,9 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
     rows = fly(range(chosen.first_seed, chosen.first_seed + seeds))
     report.show(table(rows))
     ours = [row for row in rows if row.filter == "now"]
-    cost_us = step_us(PadTrack("figure-8", 0))
-    late_m = late_frames_cost_m(PadTrack("figure-8", 0))
-    tracks = [PadTrack("heave", seed) for seed in range(min(seeds, 5))]
+    cost_us = step_us(SimulatedPadTrack("figure-8", 0))
+    late_m = late_frames_cost_m(SimulatedPadTrack("figure-8", 0))
+    tracks = [SimulatedPadTrack("heave", seed) for seed in range(min(seeds, 5))]
     spikes = [with_spikes(track) for track in tracks]
     worst_m = max(found.worst_height_error_m for found in spikes)
     clean_m = max(with_spikes(track, spike_share=0.0).worst_height_error_m for track in tracks)

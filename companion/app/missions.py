@@ -70,7 +70,7 @@ class Missions:
         return self._desk.followed
 
     @property
-    def last_word(self) -> Action | None:
+    def failsafe_action(self) -> Action | None:
         """What the autopilot is asked for when control has failed; one that stands a hold would lift off.
 
         None: somebody else flies it, in a mode that may look like ours.
@@ -82,7 +82,7 @@ class Missions:
 
     def control_failed(self, why: str) -> Action | None:
         """Say so, and what the autopilot is asked for; returns that."""
-        word = self.last_word
+        word = self.failsafe_action
         ordered = "nothing" if word is None else word.kind.value
         self._announcer.notify("control", f"control failed: {why}; {ordered} requested", "error")
         return word

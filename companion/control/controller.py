@@ -204,7 +204,7 @@ class Controller:
             (*velocity[:2], sink_m_s or 0.0),
             ZERO3 if followed is None else followed.acceleration_ned_m_s2,
             plant.mean_disturbance_ned_m_s2,
-            self._look(),
+            self._heading_command(),
         )
         setpoint, limited = self._gate.apply(_seen(setpoint, reference, pad), now_s)
         return setpoint, ControlReport(
@@ -221,7 +221,7 @@ class Controller:
         self, reference: Reference, pad: PadState | None, now_s: float
     ) -> tuple[Setpoint, ControlReport]:
         self._flying = False
-        setpoint = ground_setpoint(now_s, self._config, pad, self._look())
+        setpoint = ground_setpoint(now_s, self._config, pad, self._heading_command())
         setpoint, limited = self._gate.apply(_seen(setpoint, reference, pad), now_s, on_ground=True)
         return setpoint, ControlReport(now_s, solved=True, iterations=0, solve_s=0.0, limited=limited)
 
@@ -310,7 +310,7 @@ class Controller:
         return _Start(times_s, self._plant.carry(motion, from_s, effect_s), prediction)
 
     def _setpoint(self, motion: Motion, solution: TrackingSolution, now_s: float) -> Setpoint:
-        plant, look = self._plant, self._look()
+        plant, look = self._plant, self._heading_command()
         if self._stopped:
             return stop_setpoint(now_s, look)
         u = vector3(solution.inputs_m_s2[0].tolist())
@@ -338,7 +338,7 @@ class Controller:
         thrust = ZERO3 if self._raises_thrust else subtract(flown, disturbance)
         return tilt_compensation(thrust, asked, math.radians(self._config.limits.tilt_deg))
 
-    def _look(self) -> Heading:
+    def _heading_command(self) -> Heading:
         return Heading(self._heading.heading_rad, self._heading.rate_rad_s)
 
 

@@ -3,9 +3,9 @@
 - The air's disturbance sideways (`WindObserver`): a multirotor's thrust lies along its up axis, so what its
   accelerometer feels across that axis is wind and drag. No model of the autopilot comes between, and no
   loop closes through one.
-- What is left between the command and what the thrust makes (`LastingObserver`): the autopilot's attitude is
-  not quite ours, its integrals wind up, thrust differs from what was assumed. That closes a loop through
-  the autopilot's lag, so it is trusted slowly: `margins` shows how slowly.
+- What is left between the command and what the thrust makes (`SlowDisturbanceObserver`): the autopilot's
+  attitude is not quite ours, its integrals wind up, thrust differs from what was assumed. That closes a
+  loop through the autopilot's lag, so it is trusted slowly: `margins` shows how slowly.
 
 NED axes, SI units.
 """
@@ -44,13 +44,15 @@ class _Axis:
     def __init__(self, bandwidth_rad_s: float, velocity: float, made: float, lasting: float) -> None:
         self.bandwidth_rad_s = bandwidth_rad_s
         self.velocity = velocity
-        self.made = self.made_late = made
+        self.made = self.delayed_response = made
         self.bias, self.lasting = 0.0, lasting
 
     def predict(self, wanted_m_s2: float, duration_s: float, tau_s: float, sensor_lag_s: float) -> None:
         _, gained, self.made = advance_axis((0.0, 0.0, self.made), wanted_m_s2, duration_s, tau_s)
         # over so short a time the mean is enough
-        self.made_late += _share(duration_s / sensor_lag_s) * (gained / duration_s - self.made_late)
+        self.delayed_response += _share(duration_s / sensor_lag_s) * (
+            gained / duration_s - self.delayed_response
+        )
 
     def correct(
         self, velocity: float, acceleration: float, thrust: float, elapsed_s: float, bound: float
@@ -60,12 +62,12 @@ class _Axis:
         # both poles at the bandwidth; a jump is taken over as it is
         self.velocity = velocity - (1.0 - _share(2.0 * BIAS_RAD_S * elapsed_s)) * innovation
         self.bias = _clamp(self.bias - BIAS_RAD_S**2 * elapsed_s * innovation, MAXIMUM_BIAS_M_S2)
-        left = thrust - self.bias - self.made_late - self.lasting
+        left = thrust - self.bias - self.delayed_response - self.lasting
         fresh = _clamp(left, LARGEST_ACCELERATION_INNOVATION_M_S2)
         self.lasting = _clamp(self.lasting + _share(self.bandwidth_rad_s * elapsed_s) * fresh, bound)
 
 
-class LastingObserver:
+class SlowDisturbanceObserver:
     """What lasts between the acceleration commanded and the one that the thrust makes."""
 
     def __init__(
@@ -125,15 +127,15 @@ class LastingObserver:
                 axis.velocity = velocity
 
     @property
-    def made_late_down_m_s2(self) -> float:
+    def delayed_response_down_m_s2(self) -> float:
         """What the commands alone make along down (m/s2), as late as the acceleration is measured."""
-        return self._axes[2].made_late
+        return self._axes[2].delayed_response
 
     def scale_thrust(self, factor: float) -> None:
         """The thrust that makes it all is worth so much more than was believed."""
         for axis, gravity in zip(self._axes, (0.0, 0.0, GRAVITY_M_S2), strict=True):
             axis.made = gravity + factor * (axis.made - gravity)
-            axis.made_late = gravity + factor * (axis.made_late - gravity)
+            axis.delayed_response = gravity + factor * (axis.delayed_response - gravity)
 
 
 class WindObserver:

@@ -8,4 +8,4 @@ from typing import Final, Literal
 NoticeSeverity = Literal["info", "warning", "error"]
 NoticeSink = Callable[[str, str, float, NoticeSeverity], None]
 
-WORTH_TELLING_M: Final = 0.2  # a climb that is announced
+NOTICE_THRESHOLD_M: Final = 0.2  # a climb that is announced

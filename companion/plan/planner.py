@@ -16,8 +16,8 @@ from companion.base.geometry import ned_from_geodetic
 from companion.base.messages import ActionKind, Conditions, LandedState, Notice, Phase, PlanStep, Refusal
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.landing.echo_check import EchoCheck
-from companion.plan.landing.ground_contact import Ground
-from companion.plan.landing.relative_state import PadKnowledge
+from companion.plan.landing.height_above_ground import HeightAboveGround
+from companion.plan.landing.relative_state import PadTrack
 from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.upright import not_standing
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
@@ -30,7 +30,7 @@ from companion.plan.mission.states import Authority, Circumstances, DetectedEven
 from companion.plan.mission.table import BY_THE_PAD, COMMITTED, FINAL, impossible
 from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance
-from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, unhurried
+from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, constant_pace
 from companion.plan.steering import PhaseSteering
 from companion.plan.trajectory.reference_generator import ReferenceGenerator, SpeedLaw
 from companion.plan.trajectory.waypoints import check_places
@@ -54,7 +54,7 @@ class Planner:
         step_s: float,
         law: SpeedLaw,
         *,
-        pace: PaceLaw = unhurried,
+        pace: PaceLaw = constant_pace,
         standby: str | None = None,
         pad_half_width_m: float = 0.0,
         pad_reach_m: float = 0.5,
@@ -79,8 +79,8 @@ class Planner:
         self._fence_m, self._fence_reported, self._leaving_reported = mission.fence_m, False, False
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
         self._monitor = FailsafeMonitor(mission, self._machine)
-        self._pad = PadKnowledge(search.sightings, SIGHTINGS_GAP_S)
-        self._ground, self._echoes = Ground(vehicle.range_position_body_m), EchoCheck()
+        self._pad = PadTrack(search.sightings, SIGHTINGS_GAP_S)
+        self._ground, self._echoes = HeightAboveGround(vehicle.range_position_body_m), EchoCheck()
         self._standing_height = standing_height or StandingHeight(vehicle)
         avoidance = Avoidance(config, vehicle.radius_m)
         self._generator = ReferenceGenerator(config.guidance, law, horizon_steps, step_s, avoidance)

@@ -17,8 +17,8 @@ from companion.base.motion import Motion
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.estimate_steps import EstimateSteps
 from companion.plan.landing.approach_descent import Landing, Unseen
-from companion.plan.landing.ground_contact import Ground
-from companion.plan.landing.relative_state import PadKnowledge, misaligned_heading, vehicle_motion
+from companion.plan.landing.height_above_ground import HeightAboveGround
+from companion.plan.landing.relative_state import PadTrack, misaligned_heading, vehicle_motion
 from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.departure import Departure
 from companion.plan.mission.hold import Hold
@@ -28,7 +28,7 @@ from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Branch, DetectedEvent, Effect, MissionEvent, State
 from companion.plan.mission.table import BY_THE_PAD, COMMITTED, ON_PAD, OVER_PAD
-from companion.plan.notices import WORTH_TELLING_M, NoticeSink
+from companion.plan.notices import NOTICE_THRESHOLD_M, NoticeSink
 from companion.plan.obstacles.obstacle_monitor import ObstacleMonitor
 from companion.plan.search.search import Search
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
@@ -49,8 +49,8 @@ class PhaseSteering:
         *,
         machine: StateMachine,
         generator: ReferenceGenerator,
-        pad: PadKnowledge,
-        ground: Ground,
+        pad: PadTrack,
+        ground: HeightAboveGround,
         requests: Requests,
         say: NoticeSink,
         pad_half_width_m: float,
@@ -176,7 +176,7 @@ class PhaseSteering:
         missing_m = 0.0 if previous in {State.WAYPOINT, State.ROUTE} else self._missing_m()
         climb_m = self.search.begin(missing_m, self._lowest_down_m(), now_s)
         self._pilot_flies = previous is State.STANDBY  # until control is granted
-        if climb_m > WORTH_TELLING_M and not self._pilot_flies:
+        if climb_m > NOTICE_THRESHOLD_M and not self._pilot_flies:
             self._say("climb", f"climbing {climb_m:.1f} m to look for the pad", now_s, "warning")
 
     def _missing_m(self) -> float:

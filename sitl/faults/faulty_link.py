@@ -31,7 +31,7 @@ class LinkSettings(StrictModel):
     reorder_hold_s: float = Field(default=0.05, gt=0.0, le=2.0, description="So long such a one is held back")
 
 
-class LinkWay:
+class LinkChannel:
     """One direction of a line. `cut` is a blackout; faults add to its delay and its loss."""
 
     def __init__(self, settings: LinkSettings, rng: np.random.Generator) -> None:

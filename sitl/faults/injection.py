@@ -15,7 +15,7 @@ from companion.base.geometry import GRAVITY_M_S2, ZERO3, add
 from sitl.camera.frame_line import FrameLine
 from sitl.devices.rack import SensorRack
 from sitl.faults import faults
-from sitl.faults.faulty_link import LinkWay
+from sitl.faults.faulty_link import LinkChannel
 from sitl.faults.non_sensor_faults import AutopilotReboots
 from sitl.faults.non_sensor_injection import NON_SENSOR, NonSensorTargets
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
@@ -31,8 +31,8 @@ class FaultTargets:
         autopilot_sensors: SimulatedAutopilotSensors,
         frames: FrameLine,
         motors: Motors,
-        to_app: LinkWay,
-        to_vehicle: LinkWay,
+        to_app: LinkChannel,
+        to_vehicle: LinkChannel,
         non_sensor: NonSensorTargets | None = None,
     ) -> None:
         """`autopilot_sensors`: faults of the environment act on them too; `non_sensor`: what is no sensor."""
@@ -255,7 +255,7 @@ def fill_frames_with_garbage(_fault: faults.FrameGarbage, targets: FaultTargets)
 # ---------------------------------------------------------------- link and motors
 
 
-def ways(direction: faults.LinkDirection, targets: FaultTargets) -> tuple[LinkWay, ...]:
+def ways(direction: faults.LinkDirection, targets: FaultTargets) -> tuple[LinkChannel, ...]:
     """The directions of the line that a fault is in."""
     both = {"to_app": targets.to_app, "to_vehicle": targets.to_vehicle}
     return tuple(both.values()) if direction == "both" else (both[direction],)

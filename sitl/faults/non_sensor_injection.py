@@ -259,8 +259,8 @@ def reboot(_fault: non_sensor_faults.AutopilotReboots, targets: NonSensorTargets
     targets.restart_streams()
 
 
-Happening = Callable[[Any, NonSensorTargets, float], None]
-BEGIN: Final[dict[str, Happening]] = {
+OneShotInjection = Callable[[Any, NonSensorTargets, float], None]
+BEGIN: Final[dict[str, OneShotInjection]] = {
     "pad_twin": place_twin,
     "pad_stops": stop_pad,
     "pad_brakes": brake_pad,
@@ -272,7 +272,7 @@ BEGIN: Final[dict[str, Happening]] = {
     "autopilot_reboots": reboot,
     "autopilot_disarms": stop_motors,
 }
-END: Final[dict[str, Happening]] = {
+END: Final[dict[str, OneShotInjection]] = {
     "pad_twin": remove_twin,
     **dict.fromkeys(("pad_stops", "pad_brakes", "pad_turns_back", "pad_leaves"), resume_pad),
     "pad_vanishes": bring_pad_back,

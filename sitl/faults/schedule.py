@@ -13,14 +13,14 @@ from sitl.faults import faults
 from sitl.faults.injection import INJECT, FaultTargets
 from sitl.faults.non_sensor_injection import BEGIN, END, NonSensorTargets
 from sitl.faults.times import FaultTimes
-from sitl.mavlink.app_words import AppWords
+from sitl.mavlink.status_text_monitor import StatusTextMonitor
 
 
 @dataclass(frozen=True, slots=True)
 class Moments:
     """What a fault can begin by: the app's words, and the feet's height (m) over the pad, None beside it."""
 
-    words: AppWords = field(default_factory=AppWords)
+    words: StatusTextMonitor = field(default_factory=StatusTextMonitor)
     feet_over_pad_m: Callable[[], float | None] = field(default=lambda: None)
 
     def happened_s(self, fault: FaultTimes, now_s: float) -> float | None:

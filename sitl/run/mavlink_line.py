@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from companion.base.geometry import Vector3
-from sitl.faults.faulty_link import LinkSettings, LinkWay
+from sitl.faults.faulty_link import LinkChannel, LinkSettings
 from sitl.mavlink.network import Write
 from sitl.run.tick_timer import TickTimer
 
@@ -56,8 +56,8 @@ class MavlinkLine:
     ) -> None:
         """`ways`: of the one to the app and of the one to the vehicle."""
         to_app_rng, to_vehicle_rng = rng.spawn(2)
-        self.to_app = LinkWay(ways[0], to_app_rng)
-        self.to_vehicle = LinkWay(ways[1], to_vehicle_rng)
+        self.to_app = LinkChannel(ways[0], to_app_rng)
+        self.to_vehicle = LinkChannel(ways[1], to_vehicle_rng)
         self._timer = timer
         # called with what clients send, before the line loses or delays it, and the time (s)
         self.listeners: list[Callable[[bytes, float], None]] = []
@@ -94,7 +94,7 @@ class MavlinkLine:
         while True:
             self.receive(port, await link.read())
 
-    def _carry(self, way: LinkWay, deliver: Callable[[], None]) -> None:
+    def _carry(self, way: LinkChannel, deliver: Callable[[], None]) -> None:
         """Deliver a datagram when it arrives, if it does."""
         now_s = self._timer.now_s
         arrival_s = way.arrival_s(now_s)

@@ -34,10 +34,10 @@ from sitl.faults.schedule import FaultSchedule, Moments, Schedule
 from sitl.firmware.errors import FirmwareError
 from sitl.firmware.spec import FirmwareSpec
 from sitl.firmware.vehicle import IMU_FILTER, FirmwareVehicle
-from sitl.mavlink.app_words import AppWords
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.network import Network
 from sitl.mavlink.signing import Signing
+from sitl.mavlink.status_text_monitor import StatusTextMonitor
 from sitl.mavlink.truth_telemetry import TruthMessages
 from sitl.run.mavlink_line import ByteLink, MavlinkLine, VehicleNetwork
 from sitl.run.process_control import interrupted_at_once
@@ -134,8 +134,8 @@ class Simulation:
         self._station = station = GroundStation.of(scenario.beacon, beacon_rng, home, signing)
         self._flight_controller = self._autopilot(firmware, station, autopilot_rng)
         line.network = self._network(station, signing, unix_at_start_s, serve_truth=serve_truth)
-        self.app_words = AppWords()
-        line.listeners.append(self.app_words.hear)
+        self.status_text_monitor = StatusTextMonitor()
+        line.listeners.append(self.status_text_monitor.hear)
         self.on_step: Callable[[], None] | None = None  # after each step of the physics: for benches
         self._fault_targets = self._targets(sensors, computer)
         self.faults: Schedule = self.fault_schedule(scenario.faults)
@@ -179,7 +179,7 @@ class Simulation:
         """
         world = self._world
         return FaultSchedule(
-            faults, self._fault_targets, Moments(self.app_words, lambda: world.feet_over_pad_m)
+            faults, self._fault_targets, Moments(self.status_text_monitor, lambda: world.feet_over_pad_m)
         )
 
     def begin_motion(self) -> None:

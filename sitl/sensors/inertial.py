@@ -219,7 +219,7 @@ class ImuSensor:
         self.force_offset_m_s2: Vector3 = ZERO3
         self.gyro_glitches, self.accel_glitches = (Glitches(own) for own in rng.spawn(2))
         if not errors.calibrated:
-            self._take_from_the_shop(rng.spawn(1)[0])
+            self._apply_factory_errors(rng.spawn(1)[0])
         self.accel_limit_m_s2 = math.inf
         self.vibration_factor = 1.0
         self._draw_rotors(rng.spawn(1)[0])
@@ -232,7 +232,7 @@ class ImuSensor:
         self._rotors_at = tuple(zip(speeds.tolist(), phases.tolist(), strict=True))
         self._rectified = (rectified * rng.standard_normal(3)).tolist()
 
-    def _take_from_the_shop(self, rng: np.random.Generator) -> None:
+    def _apply_factory_errors(self, rng: np.random.Generator) -> None:
         accel, gyro = uncalibrated_accelerometer(rng), uncalibrated_gyroscope(rng)
         self._accel_matrix, self._accel_noise.bias = accel.rows(self._mounting), accel.offset
         self._gyro_matrix, self._gyro_noise.bias = gyro.rows(self._mounting), gyro.offset

@@ -63,12 +63,12 @@ def view_weights(solution: CameraSolution) -> FloatArray:
     squares = np.array([np.sum(s.errors_px**2) for s in solution.seen])
     # corners without any error at all are no reason to divide by nought
     variances = np.maximum(squares / freedom, 1e-6 * np.sum(squares) / np.sum(freedom) + 1e-18)
-    usual, of_usual = usual_variance(variances, freedom)
+    usual, of_usual = empirical_bayes_variance(variances, freedom)
     weights = usual * (freedom + of_usual) / (freedom * variances + of_usual * usual)
     return np.asarray(np.maximum(weights, SMALLEST_WEIGHT))
 
 
-def usual_variance(variances: FloatArray, freedom: FloatArray) -> tuple[float, float]:
+def empirical_bayes_variance(variances: FloatArray, freedom: FloatArray) -> tuple[float, float]:
     """The usual one of variances, each with so many degrees of freedom, and how many it is worth itself.
 
     If true variances are usual · n / χ²(n), then logarithms of those found scatter by ψ'(n/2) more than by

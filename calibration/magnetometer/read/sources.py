@@ -17,7 +17,7 @@ from calibration.magnetometer.read.logs import (
 )
 from calibration.magnetometer.read.recording import MagnetometerRecording
 from calibration.magnetometer.read.tables import SampleTable, read_numpy_table, read_text_table
-from calibration.magnetometer.read.units import COUNTS, EARTH_UT, UT_PER, unit_called, worked_out
+from calibration.magnetometer.read.units import COUNTS, EARTH_UT, UT_PER, infer_unit, unit_called
 from companion.base.files import cannot_read
 from companion.base.geometry import FloatArray
 from companion.config import ConfigError
@@ -110,7 +110,7 @@ def _radius(raw: FloatArray, rng: np.random.Generator) -> float | None:
 def _by_size(raw: FloatArray, radius: float | None, field_ut: float | None) -> str:
     if radius is None:
         return COUNTS
-    return worked_out(radius, field_ut, whole_numbers=bool(np.array_equal(raw, np.round(raw))))
+    return infer_unit(radius, field_ut, whole_numbers=bool(np.array_equal(raw, np.round(raw))))
 
 
 def _must_be_the_earths(source: str, radius: float, unit: str, *, by_option: bool) -> None:
@@ -119,7 +119,7 @@ def _must_be_the_earths(source: str, radius: float, unit: str, *, by_option: boo
     Raises:
         ConfigError: it is.
     """
-    other = worked_out(radius, None, whole_numbers=False)
+    other = infer_unit(radius, None, whole_numbers=False)
     if COUNTS in (unit, other) or unit == other:
         return
     low, high = EARTH_UT

@@ -25,7 +25,7 @@ def unit_called(name: str) -> str | None:
     return _SPELLINGS.get(name.strip().lower())
 
 
-def worked_out(radius: float, field_ut: float | None, *, whole_numbers: bool) -> str:
+def infer_unit(radius: float, field_ut: float | None, *, whole_numbers: bool) -> str:
     """The unit in which a field of this size (the ellipsoid's mean radius) is the Earth's; else counts.
 
     Whole numbers are an ADC's as likely as anything's: without `field_ut`, the field's known size, they stay

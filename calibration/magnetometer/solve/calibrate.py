@@ -14,7 +14,7 @@ from calibration.magnetometer.ellipsoid.fit import EllipsoidFit, Objective, fit_
 from calibration.magnetometer.read.onboard import parameters_for
 from calibration.magnetometer.read.recording import MagnetometerRecording
 from calibration.magnetometer.solve.alignment import AxisMisalignment, align, dip_of
-from calibration.magnetometer.solve.missing_turns import beside_plane, least_seen
+from calibration.magnetometer.solve.missing_turns import beside_plane, suggest_next_rotation
 from calibration.magnetometer.solve.quality import FLATTEST, Figures, flatness, judge
 from companion.base.geometry import FloatArray, Vector3, vector3
 from companion.config.calibration import Provenance
@@ -131,7 +131,7 @@ def _figures(
         residual=_rms(deviation),
         residual_kept=_rms(deviation[fit.kept]),
         coverage=covered_share(directions),
-        next_turn=least_seen(directions, _mounting(recording)),
+        next_turn=suggest_next_rotation(directions, _mounting(recording)),
         strength_ratio=None
         if field is None or recording.unit == "counts"
         else fit.radius / field.strength_ut,

@@ -32,6 +32,6 @@ def beside_plane(raw: FloatArray, body_from_sensor: FloatArray) -> str:
     return "; ".join(words for axis, words in enumerate(_TURNS) if axis != turned_about)
 
 
-def least_seen(directions: FloatArray, body_from_sensor: FloatArray) -> str:
+def suggest_next_rotation(directions: FloatArray, body_from_sensor: FloatArray) -> str:
     """What to do next after calibrated directions (n, 3): turns about the axis the field was least near."""
     return _TURNS[int(np.argmin(np.mean((directions @ body_from_sensor.T) ** 2, axis=0)))]

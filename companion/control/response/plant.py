@@ -24,7 +24,7 @@ from companion.base.geometry import (
 from companion.base.messages import Setpoint, VehicleState
 from companion.base.motion import Motion
 from companion.config import ControlConfig, VehicleConfig
-from companion.control.disturbance_observer import LastingObserver, WindObserver
+from companion.control.disturbance_observer import SlowDisturbanceObserver, WindObserver
 from companion.control.response.fitting import loop_rad_s
 from companion.control.response.flight_model import flown_kind, velocity_gains
 from companion.control.response.history import CommandHistory, SentCommand
@@ -62,7 +62,7 @@ class Plant:
         sideways = LASTING_SHARE * loop_rad_s(config.horizontal)
         down = LASTING_DOWN_SHARE[flown_kind(config)] * loop_rad_s(config.vertical)
         bandwidths = (sideways, sideways, 0.0 if self.by_attitude else down)
-        self._lasting = LastingObserver(lags_s, sensor_lag_s, most, bandwidths)
+        self._lasting = SlowDisturbanceObserver(lags_s, sensor_lag_s, most, bandwidths)
         self._wind = WindObserver(sensor_lag_s, most)
         self.hover = HoverThrust(vehicle.hover_thrust, down, TOLD_STD if measures_thrust else 0.0)
         self._held = HeldThrust(lags_s[2], sensor_lag_s)
@@ -138,7 +138,7 @@ class Plant:
             vehicle.velocity_ned_m_s, acceleration, self._wind.late_thrust_ned_m_s2, elapsed_s
         )
         if self.by_attitude:
-            self._weigh(acceleration[2], self._lasting.made_late_down_m_s2, elapsed_s)
+            self._weigh(acceleration[2], self._lasting.delayed_response_down_m_s2, elapsed_s)
             self._weighed_s = vehicle.time_s
 
     def hold(self, vehicle: VehicleState, thrust: float | None, elapsed_s: float) -> None:

@@ -25,7 +25,7 @@ _TAUGHT_S: Final = 0.3  # a pad's acceleration is as sightings have taught it fo
 _PLANE, _CLIMB = 0, -1  # a model of each group: all of a group are at about the same place
 
 
-def ways(
+def frame_rotation_increment(
     moved: tuple[Vector3, Vector3], correction_rad: Vector3, means: FloatArray, dt_s: float, unseen_s: float
 ) -> FloatArray:
     """What a step of dt_s adds to the plane's and the vertical's means (2, 8), beyond the models' own motion.

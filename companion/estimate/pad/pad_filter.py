@@ -19,7 +19,7 @@ from companion.base.geometry import FloatArray, Vector3, add, scale, wrap_angle
 from companion.config import PadFilterConfig
 from companion.estimate.gating import CHI_SQUARE_999, Gate, passes
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad.frame_correction import ways
+from companion.estimate.pad.frame_correction import frame_rotation_increment
 from companion.estimate.pad.heading_filter import HeadingState
 from companion.estimate.pad.model_bank import (
     BankState,
@@ -172,7 +172,9 @@ class PadFilter:
     ) -> tuple[ModelTransition, float]:
         """How the models move between two times, the vehicle's motion taken off; how north turns (rad)."""
         dt_s, correction = end_s - start_s, self._motion.corrected(start_s, end_s)
-        added = ways(self._motion.moved(start_s, end_s), correction, models.means, dt_s, end_s - seen_s)
+        added = frame_rotation_increment(
+            self._motion.moved(start_s, end_s), correction, models.means, dt_s, end_s - seen_s
+        )
         F, Q = self._models.step(dt_s, turn, self._motion.noise_density_m2_s3)
         return ModelTransition(F, Q, added.take(self._bank.group_of, axis=0)), correction[2]
 

@@ -181,11 +181,11 @@ class VehicleEkf(EkfState):
         R = model.attitude_covariance(self.attitude, rotation) + 1e-2 * np.outer(expected, expected)
         if self._update("orientation", measured - expected, C, R, R):
             self.watch = self.watch.after(self.time_s, vector3(np.linalg.solve(root, apart)))
-            self._heed_watch(attitude, rotation, apart)
+            self._handle_inconsistency(attitude, rotation, apart)
         elif self.gates["orientation"].shut_out(self.time_s, self._config.orientation_timeout_s):
             self._restart_attitude(attitude, rotation)
 
-    def _heed_watch(self, attitude: Quaternion, rotation: FloatArray, apart: Vector3) -> None:
+    def _handle_inconsistency(self, attitude: Quaternion, rotation: FloatArray, apart: Vector3) -> None:
         """Doubt our attitude when the pre-filter's keeps to one side of it; then start again from that.
 
         Fixes that fit know the tilt better, the heading only in motion: while they come that alone is

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from companion.base.messages import DescentCone, PadState
 from companion.base.motion import Motion
 from companion.config import LandingConfig, VehicleConfig
-from companion.plan.landing.relative_state import PadKnowledge
+from companion.plan.landing.relative_state import PadTrack
 from companion.plan.mission.states import DetectedEvent, MissionEvent
-from companion.plan.notices import WORTH_TELLING_M
+from companion.plan.notices import NOTICE_THRESHOLD_M
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 # At the height of the goal, and slow enough to stay in the cone: the descent corrects the rest on the way.
@@ -65,7 +65,7 @@ class Landing:
         self._begun_s = now_s
         self._chasing = False
 
-    def approach(self, pad: PadKnowledge, unseen: Unseen, now_s: float) -> DetectedEvent | None:
+    def approach(self, pad: PadTrack, unseen: Unseen, now_s: float) -> DetectedEvent | None:
         """Towards the point above the pad, down a slope that keeps the pad in view."""
         sight = pad.sight
         if sight is None or min(sight.age_s, now_s - self._begun_s) > self._config.lost_unseen_s:
@@ -84,7 +84,7 @@ class Landing:
         aside_m = max(math.hypot(x, y), sight.lateral_m)
         return max(self.goal_m, min(-z, aside_m / self._config.approach_slope))
 
-    def descend(self, pad: PadKnowledge, unseen: Unseen, now_s: float) -> DetectedEvent | None:
+    def descend(self, pad: PadTrack, unseen: Unseen, now_s: float) -> DetectedEvent | None:
         """Straight down to where touchdown starts, only inside the cone and with the pad in view."""
         sight = pad.sight
         if sight is None or sight.age_s > self._config.lost_unseen_s:
@@ -114,9 +114,7 @@ class Landing:
         c = self._config
         return DescentCone(c.cone_slope, c.cone_floor_m, self._leg_m)
 
-    def _by_sight(
-        self, pad: PadKnowledge, sight: PadState, goal_m: float, unseen: Unseen, now_s: float
-    ) -> bool:
+    def _by_sight(self, pad: PadTrack, sight: PadState, goal_m: float, unseen: Unseen, now_s: float) -> bool:
         """Whether the pad is in view; if not, the vehicle flies on level over its predicted place.
 
         A climb to goal_m over the pad that was under way is ended, at the height as it was last seen.
@@ -133,7 +131,7 @@ class Landing:
         climb_m = self._generator.fly_level(
             unseen.place, min(unseen.lowest_down_m, self._blind_down_m), now_s
         )
-        if climb_m > WORTH_TELLING_M:
+        if climb_m > NOTICE_THRESHOLD_M:
             self.climbs = f"{climb_m:.1f} m while the pad is unseen"
         return False
 

@@ -35,7 +35,7 @@ _LIFTED_M = 0.08
 _LIFTED_S = 0.3
 # The camera sees a millimetre: from half of `contact_margin_m` it falls with 0.4 m/s, from 3 cm with 0.8.
 _LIFTED_SHARE = 0.5
-_SURELY = 3.0  # standard deviations
+_SIGMA_THRESHOLD = 3.0  # standard deviations
 # An autopilot that is not heard for this share of the time for which it keeps a setpoint may not hear us
 # either, and soon flies by itself. Heard again, it is where that took it: for so long after the silence the
 # feet have to be shown down.
@@ -126,17 +126,17 @@ def _echo_within(echo: RangeSample | None, distance_m: float, now_s: float) -> b
     return echo is not None and now_s - echo.time_s <= FRESH_S and echo.distance_m <= distance_m
 
 
-def unheard(inputs: PlanInputs) -> bool:
+def link_silent(inputs: PlanInputs) -> bool:
     """Whether the autopilot has been silent for about as long as it waits for setpoints."""
     return inputs.silent_s >= _UNHEARD_SHARE * inputs.keeps_setpoint_s
 
 
-def felt(vehicle: VehicleState | None, now_s: float) -> bool:
+def imu_fresh(vehicle: VehicleState | None, now_s: float) -> bool:
     """Whether our IMU is heard."""
     return vehicle is not None and now_s - vehicle.sensed_time_s <= FRESH_S
 
 
-class Standing:
+class LandDetector:
     """A vehicle on the pad, from `begin` on: detects that it rests there, and that it left."""
 
     def __init__(self, config: TouchdownConfig, vehicle: VehicleConfig) -> None:
@@ -178,19 +178,19 @@ class Standing:
         A pad that is seen decides, against the height at which it stood while we were heard; else echoes do.
         Where the IMU is silent too (all comes by the link), what is not shown says nothing.
         """
-        if unheard(inputs):
+        if link_silent(inputs):
             self._silent_s = now_s
-        if unheard(inputs) or inputs.silent_s >= FRESH_S:
+        if link_silent(inputs) or inputs.silent_s >= FRESH_S:
             self._unsure_s = now_s
         doubted = self.doubted(now_s)
         echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
         high = echo_m is not None and echo_m > self._vehicle.leg_height_m + _LIFTED_M
         lifted = self._lifted.held_s(high, now_s) >= _LIFTED_S
-        able = self._able.held_s(felt(inputs.vehicle, now_s), now_s) >= FRESH_S
+        able = self._able.held_s(imu_fresh(inputs.vehicle, now_s), now_s) >= FRESH_S
         if sight is not None and sight.unseen_s <= UNSEEN_S:
             if not doubted:
                 self._stood_m = min(sight.clearance_m, self._feet_m)
-            surely_m = sight.clearance_m - _SURELY * sight.height_std_m
+            surely_m = sight.clearance_m - _SIGMA_THRESHOLD * sight.height_std_m
             risen = doubted and surely_m > self._stood_m + _LIFTED_SHARE * self._config.contact_margin_m
             return self._risen.held_s(risen, now_s) > 0.0, False  # in one sighting more
         unshown = able and echo_m is None and now_s - self._silent_s <= _DOUBTED_S
@@ -221,7 +221,7 @@ class Standing:
         What is pressed down without thrust, with its feet shown down (`down`), and does not fall, stands. A
         silent IMU feels no fall: then it has to be shown down for longer.
         """
-        silent = not felt(vehicle, now_s)
+        silent = not imu_fresh(vehicle, now_s)
         jolted = vehicle is not None and norm(vehicle.acceleration_ned_m_s2) > _FALLS_M_S2
         falls = self._falling.held_s(jolted and not silent, now_s) >= _FALLS_S
         rested_s = self._resting.held_s(down and not falls, now_s)

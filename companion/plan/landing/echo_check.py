@@ -11,7 +11,7 @@ from typing import Final
 
 from companion.base.messages import RangeSample
 
-# Farther echoes keep nothing up (see `Ground.above`).
+# Farther echoes keep nothing up (see `HeightAboveGround.above`).
 _NEAR_M: Final = 1.5
 # The others have moved so far, and alike, within so long, and the echo has not: nothing is there.
 _MOVED_M: Final = 0.5

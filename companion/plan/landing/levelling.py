@@ -17,7 +17,7 @@ from companion.base.geometry import GRAVITY_M_S2
 from companion.base.messages import LevelOff, PadState
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.landing.contact import UNSEEN_S
-from companion.plan.landing.level_moment import TiltForecast
+from companion.plan.landing.tilt_prediction import TiltPrediction
 
 # From the decision to level off until the tilt has begun to fall (command, dead time, the gate of jerk), how
 # fast it then falls, and what the contact may come early.
@@ -68,7 +68,7 @@ class Levelling:
         return max(c.contact_speed_m_s, min(c.firm_contact_m_s, excess_m_s2 * KNOWN_M / c.lateral_speed_m_s))
 
     @property
-    def most_tilt_m_s2(self) -> float:
+    def max_horizontal_acceleration_m_s2(self) -> float:
         """The most tilt that can be levelled off: the rest makes it drift while the contact may be late."""
         c = self._config
         firmest_m_s = max(c.contact_speed_m_s, c.firm_contact_m_s)
@@ -90,7 +90,7 @@ class Levelling:
         until_s = max(self._from_s + late_s, self._too_low_s) + self._lead_s + AFTER_S
         return LevelOff(self._from_s, until_s, self._tilt_rad)
 
-    def expect(self, sight: PadState, tilt: TiltForecast, now_s: float) -> None:
+    def expect(self, sight: PadState, tilt: TiltPrediction, now_s: float) -> None:
         """When the feet will touch: by the speed as planned, until it goes level; from then on as seen.
 
         Unseen, what was expected last holds: it goes level by that.
@@ -103,10 +103,14 @@ class Levelling:
             self.due_s = now_s + max(0.0, over_m - FOOT_DROP_M) / sink_m_s
         lead_s = self._levelling_s(tilt.tilt_rad)
         if not self.begun and now_s >= self.due_s - lead_s:
-            self._from_s, self._lead_s, self._needed_m_s2 = now_s, lead_s, tilt.at_m_s2(0.0)
+            self._from_s, self._lead_s, self._needed_m_s2 = (
+                now_s,
+                lead_s,
+                tilt.predicted_acceleration_m_s2(0.0),
+            )
         self._steady = None
         if now_s >= self.due_s - STEADY_S:
-            most_m_s2 = max(self._level_m_s2, tilt.at_m_s2(0.0) + BEYOND_M_S2)
+            most_m_s2 = max(self._level_m_s2, tilt.predicted_acceleration_m_s2(0.0) + BEYOND_M_S2)
             self._steady = LevelOff(now_s, now_s + STEADY_S, math.atan(most_m_s2 / GRAVITY_M_S2))
         # no tilt that would put a foot on the pad, unless the level vehicle drifts so fast that this is worse
         slow = sight.lateral_speed_m_s <= FASTEST_DRIFT * self._config.lateral_speed_m_s

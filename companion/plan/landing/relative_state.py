@@ -92,7 +92,7 @@ class SteadySightings:
         return self._count >= self._needed and now_s - self._seen_s <= self._gap_s
 
 
-class PadKnowledge:
+class PadTrack:
     """What the planner holds of the pad: `sight`, predicted to now, and its motion in the EKF's NED."""
 
     def __init__(self, sightings: int, gap_s: float) -> None:

@@ -9,7 +9,7 @@ from companion.base.messages import LandedState, PadState, VehicleState
 from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
-from companion.plan.landing.contact import SIGNS_NEEDED, contact_signs, felt, unheard
+from companion.plan.landing.contact import SIGNS_NEEDED, contact_signs, imu_fresh, link_silent
 from companion.plan.landing.relative_state import vehicle_motion
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import DetectedEvent, MissionEvent
@@ -51,7 +51,7 @@ class SetDown:
             config=self._config,
             vehicle=self._vehicle,
             sink_m_s=None if inputs.vehicle is None else inputs.vehicle.velocity_ned_m_s[2],
-            imu_fresh=felt(inputs.vehicle, now_s),
+            imu_fresh=imu_fresh(inputs.vehicle, now_s),
         )
         if self._touching.held_s(signs.count >= SIGNS_NEEDED, now_s) >= self._config.contact_s:
             return MissionEvent.CONTACT, signs.in_words()
@@ -62,11 +62,11 @@ class SetDown:
         vehicle, autopilot = inputs.vehicle, inputs.autopilot
         if vehicle is None:
             return False
-        if unheard(inputs) or not autopilot.offboard:
+        if link_silent(inputs) or not autopilot.offboard:
             return True
         ahead_m = self._generator.at(now_s).position_m[2] - vehicle_motion(vehicle, now_s).position_m[2]
         # without the IMU its height is a guess
-        return felt(vehicle, now_s) and ahead_m > _AHEAD_M
+        return imu_fresh(vehicle, now_s) and ahead_m > _AHEAD_M
 
     def _sink_from(self, vehicle: VehicleState | None, now_s: float) -> None:
         if vehicle is not None:

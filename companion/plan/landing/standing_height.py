@@ -14,7 +14,7 @@ from companion.base.geometry import norm, tilt_from_quat
 from companion.base.messages import PadState, Quantity, SourceComparison, VehicleState
 from companion.config import VehicleConfig
 from companion.plan.debounce import Debounce
-from companion.plan.landing.contact import UNSEEN_S, echo_height_m, felt
+from companion.plan.landing.contact import UNSEEN_S, echo_height_m, imu_fresh
 from companion.plan.landing.relative_state import predicted
 from companion.plan.mission.inputs import PlanInputs
 
@@ -97,7 +97,7 @@ def _still(vehicle: VehicleState | None, now_s: float) -> bool:
     return (
         vehicle is not None
         and vehicle.aligned
-        and felt(vehicle, now_s)
+        and imu_fresh(vehicle, now_s)
         and norm(vehicle.acceleration_ned_m_s2) <= _STILL_M_S2
         and norm(vehicle.rate_body_rad_s) <= _STILL_RAD_S
         and tilt_from_quat(vehicle.attitude) <= _LEVEL_RAD

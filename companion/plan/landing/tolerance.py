@@ -18,7 +18,7 @@ _HEIGHT_TOLERANCE_M = 0.10
 _SINK_TOLERANCE_M_S = 0.15
 # In units of `gentle_wait_s`: from then on the tolerances widen steadily, to 2.4 times after six.
 _WAITS_UNTIL_WIDER = 2.0
-_BORNE_PER_TIME = 0.35
+_TOLERANCE_GROWTH = 0.35
 # After one wait, a tilt so little above the least within `gentle_wait_s` is a lull: a wind that does not
 # calm has none better.
 _LULL_M_S2 = 0.2
@@ -38,7 +38,7 @@ _STOPS_M_S2 = 2.5
 # Sliding over the pad slows it down by so much, with half its weight on the feet (friction 0.6).
 _SLIDES_M_S2 = 3.0
 _SLIDES_M_S = 0.5  # slower it stays where it touches
-_SURELY = 3.0  # standard deviations
+_SIGMA_THRESHOLD = 3.0  # standard deviations
 # While it corrects it tilts this much more than now or at contact: a foot hangs lower.
 _TILTS_MORE_RAD = math.radians(3.0)
 
@@ -51,14 +51,14 @@ def gentle(sight: PadState, config: TouchdownConfig) -> bool:
     )
 
 
-def aligned(sight: PadState, wait_height_m: float, slack: float, config: TouchdownConfig) -> bool:
+def aligned(sight: PadState, wait_height_m: float, tolerance_scale: float, config: TouchdownConfig) -> bool:
     """Whether the vehicle is over the pad's centre closely and quietly enough to commit."""
     return (
         sight.unseen_s <= UNSEEN_S
-        and sight.lateral_m <= config.lateral_m * slack
-        and sight.lateral_speed_m_s <= config.lateral_speed_m_s * slack
-        and abs(sight.height_m - wait_height_m) <= _HEIGHT_TOLERANCE_M * slack
-        and abs(sight.sink_m_s) <= _SINK_TOLERANCE_M_S * slack
+        and sight.lateral_m <= config.lateral_m * tolerance_scale
+        and sight.lateral_speed_m_s <= config.lateral_speed_m_s * tolerance_scale
+        and abs(sight.height_m - wait_height_m) <= _HEIGHT_TOLERANCE_M * tolerance_scale
+        and abs(sight.sink_m_s) <= _SINK_TOLERANCE_M_S * tolerance_scale
     )
 
 
@@ -79,16 +79,18 @@ def slides_off(sight: PadState, farthest_m: float) -> str:
     speed_m_s = math.hypot(vx, vy)
     slides_s = 0.5 * speed_m_s / _SLIDES_M_S2
     # a filter that has just started says any speed, but not that it knows it
-    known = sight.unseen_s <= UNSEEN_S and speed_m_s >= max(_SLIDES_M_S, _SURELY * sight.velocity_std_m_s)
+    known = sight.unseen_s <= UNSEEN_S and speed_m_s >= max(
+        _SLIDES_M_S, _SIGMA_THRESHOLD * sight.velocity_std_m_s
+    )
     off = known and math.hypot(x + slides_s * vx, y + slides_s * vy) > farthest_m
     return f"sliding over the pad at {speed_m_s:.1f} m/s" if off else ""
 
 
 class Tolerance:
-    """The tolerances of one try, from `since_s` on; `slack` widens all of them."""
+    """The tolerances of one try, from `since_s` on; `tolerance_scale` widens all of them."""
 
-    def __init__(self, config: TouchdownConfig, since_s: float, slack: float) -> None:
-        self._config, self._since_s, self.slack = config, since_s, slack
+    def __init__(self, config: TouchdownConfig, since_s: float, tolerance_scale: float) -> None:
+        self._config, self._since_s, self.tolerance_scale = config, since_s, tolerance_scale
         self._tilts: deque[tuple[float, float]] = deque()  # of the last gentle_wait_s: when, m/s²
         self._lull_m_s2 = 0.0
 
@@ -106,17 +108,17 @@ class Tolerance:
     @property
     def escape_m(self) -> float:
         """Farther aside the feet may miss the pad: it climbs and tries again."""
-        return self._config.escape_lateral_m * self.slack
+        return self._config.escape_lateral_m * self.tolerance_scale
 
     def waits(self, now_s: float) -> float:
         """How many times `gentle_wait_s` this try has lasted."""
         return (now_s - self._since_s) / self._config.gentle_wait_s
 
     def slack_by_now(self, now_s: float) -> float:
-        """The slack, wider after two waits."""
-        return self.slack * (1.0 if self.waits(now_s) < _WAITS_UNTIL_WIDER else 1.5)
+        """The tolerance_scale, wider after two waits."""
+        return self.tolerance_scale * (1.0 if self.waits(now_s) < _WAITS_UNTIL_WIDER else 1.5)
 
-    def aside(self, sight: PadState, now_s: float, *, surely: bool = False) -> bool:
+    def exceeds_lateral_tolerance(self, sight: PadState, now_s: float, *, surely: bool = False) -> bool:
         """Whether the vehicle is too far aside to start down, or will be; `surely`: to go on.
 
         A vehicle that sinks is not stopped for what is the estimate's own noise.
@@ -128,22 +130,22 @@ class Tolerance:
         )
         farthest_m = self._farthest_aside_m(now_s)
         aside = sight.lateral_m - now_std_m > farthest_m
-        return aside or soon_m - soon_std_m > farthest_m * self._borne(now_s)
+        return aside or soon_m - soon_std_m > farthest_m * self._tolerance_growth(now_s)
 
-    def most_tilt_m_s2(self, now_s: float) -> float:
+    def max_horizontal_acceleration_m_s2(self, now_s: float) -> float:
         """How much tilt (m/s²) at contact is borne: grows with the waits, and is no less than a lull's."""
         lull_m_s2 = self._lull_m_s2 if self.waits(now_s) >= 1.0 else 0.0
-        return max(self._config.gentle_tilt_m_s2 * self._borne(now_s), lull_m_s2)
+        return max(self._config.gentle_tilt_m_s2 * self._tolerance_growth(now_s), lull_m_s2)
 
     def most_tilt_rad(self, now_s: float) -> float:
         """How far a deck may tilt at contact; grows with the waits."""
-        return math.radians(self._config.contact_deck_tilt_deg) * self._borne(now_s)
+        return math.radians(self._config.contact_deck_tilt_deg) * self._tolerance_growth(now_s)
 
     def _farthest_aside_m(self, now_s: float) -> float:
         """Farther aside than this it neither starts down nor goes on."""
         setting_m = self._config.break_off_lateral_m
         return min(max(setting_m, _FARTHEST_ASIDE_M), setting_m * self.slack_by_now(now_s))
 
-    def _borne(self, now_s: float) -> float:
+    def _tolerance_growth(self, now_s: float) -> float:
         """Factor on the tolerances of tilt and drift, which will not get less by waiting."""
-        return 1.0 + _BORNE_PER_TIME * max(0.0, self.waits(now_s) - _WAITS_UNTIL_WIDER)
+        return 1.0 + _TOLERANCE_GROWTH * max(0.0, self.waits(now_s) - _WAITS_UNTIL_WIDER)

@@ -22,14 +22,14 @@ from companion.plan.landing.contact import (
     SIGNS_NEEDED,
     UNSEEN_S,
     ContactSigns,
-    Standing,
+    LandDetector,
     contact_signs,
     echo_height_m,
 )
-from companion.plan.landing.level_moment import TiltForecast, level_at
 from companion.plan.landing.levelling import Levelling
 from companion.plan.landing.set_down import SetDown
 from companion.plan.landing.short_echoes import ShortEchoes
+from companion.plan.landing.tilt_prediction import TiltPrediction, level_at
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle, slides_off, stopping_m
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import DetectedEvent, MissionEvent, State
@@ -73,18 +73,18 @@ class TouchdownSequence:
         self._feet_on_pad_m = pad_half_width_m - vehicle.foot_reach_m
         self._wait_height_m = vehicle.leg_height_m + wait_height_m
         self._low_m = vehicle.leg_height_m + 2.0 * config.contact_margin_m
-        self._standing, self._set_down = Standing(config, vehicle), SetDown(config, vehicle, generator)
+        self._standing, self._set_down = LandDetector(config, vehicle), SetDown(config, vehicle, generator)
         self._sight: PadState | None = None
-        self.begin(0.0, slack=1.0)
+        self.begin(0.0, tolerance_scale=1.0)
 
-    def begin(self, now_s: float, slack: float) -> None:
-        """Start a try; `slack` widens its tolerances."""
+    def begin(self, now_s: float, tolerance_scale: float) -> None:
+        """Start a try; `tolerance_scale` widens its tolerances."""
         self._since_s = self._sunk_s = self._contact_due_s = self._blended_s = now_s
-        self._tolerance = Tolerance(self._config, now_s, slack)
+        self._tolerance = Tolerance(self._config, now_s, tolerance_scale)
         self._settled, self._touching, self._stalled, self._deeper = (Debounce() for _ in range(4))
         self._too_fast, self._far_aside = Debounce(), Debounce()
         self._short_echoes = ShortEchoes(self._config.contact_speed_m_s)
-        self.tilt = TiltForecast()
+        self.tilt = TiltPrediction()
         self._levelling = Levelling(self._config, self._vehicle)
 
     def enter(self, state: State, vehicle: VehicleState | None, now_s: float) -> None:
@@ -136,7 +136,7 @@ class TouchdownSequence:
         tolerance.note_tilt(self._tilt_at_contact_m_s2(), now_s)
         ready = (
             aligned(sight, self._wait_height_m, tolerance.slack_by_now(now_s), c)
-            and not tolerance.aside(sight, now_s)
+            and not tolerance.exceeds_lateral_tolerance(sight, now_s)
             and (tolerance.waits(now_s) >= 1.0 or gentle(sight, c))
             and level_at(sight, self._sinks_for_s(), tolerance.most_tilt_rad(now_s))
             and self._tilt_at_contact_m_s2() <= self._tilt_to_commit_m_s2(now_s)
@@ -153,10 +153,13 @@ class TouchdownSequence:
         return None
 
     def _tilt_to_commit_m_s2(self, now_s: float) -> float:
-        return min(self._tolerance.most_tilt_m_s2(now_s), _COMMITS_BELOW * self._levelling.most_tilt_m_s2)
+        return min(
+            self._tolerance.max_horizontal_acceleration_m_s2(now_s),
+            _COMMITS_BELOW * self._levelling.max_horizontal_acceleration_m_s2,
+        )
 
     def _tilt_at_contact_m_s2(self) -> float:
-        return self.tilt.at_m_s2(self._sinks_for_s())
+        return self.tilt.predicted_acceleration_m_s2(self._sinks_for_s())
 
     def way_down_s(self) -> float:
         """How long from here until the feet stand and the motors are off, at most."""
@@ -166,7 +169,7 @@ class TouchdownSequence:
     def _sinks_for_s(self) -> float:
         """How long from the commit until the feet touch, by the sink that the tilt by then asks for."""
         slowest_s = self._way_s(self._config.contact_speed_m_s)
-        return self._way_s(self._levelling.sink_m_s(self.tilt.at_m_s2(slowest_s)))
+        return self._way_s(self._levelling.sink_m_s(self.tilt.predicted_acceleration_m_s2(slowest_s)))
 
     def _way_s(self, sink_m_s: float) -> float:
         """The way down at that speed; the blend covers half of what the speed would."""
@@ -276,7 +279,7 @@ class TouchdownSequence:
 
     def _sink_firmer(self, now_s: float) -> None:
         """Levelling off begins: by the tilt there is now, which a gust may have made since the commit."""
-        firm_m_s = self._levelling.sink_m_s(self.tilt.at_m_s2(0.0))
+        firm_m_s = self._levelling.sink_m_s(self.tilt.predicted_acceleration_m_s2(0.0))
         if firm_m_s > self._levelling.planned_m_s:
             self._levelling.planned_m_s = firm_m_s
             self._generator.sink(firm_m_s, max(_FIRMER_S, self._blended_s - now_s), now_s)
@@ -298,11 +301,11 @@ class TouchdownSequence:
         if self._too_fast.held_s(fast, now_s) >= _TOO_FAST_S:
             return "sinking too fast"
         due_s = self._levelling.due_s if self._levelling.begun else self._contact_due_s
-        tilt_m_s2 = self.tilt.at_m_s2(max(0.0, due_s - now_s))
-        most_m_s2 = _TOO_MUCH_TILT * self._tolerance.most_tilt_m_s2(now_s)
-        if tilt_m_s2 > min(most_m_s2, self._levelling.most_tilt_m_s2):
+        tilt_m_s2 = self.tilt.predicted_acceleration_m_s2(max(0.0, due_s - now_s))
+        most_m_s2 = _TOO_MUCH_TILT * self._tolerance.max_horizontal_acceleration_m_s2(now_s)
+        if tilt_m_s2 > min(most_m_s2, self._levelling.max_horizontal_acceleration_m_s2):
             return "too much tilt at contact"
-        far = fresh and self._tolerance.aside(sight, now_s, surely=True)
+        far = fresh and self._tolerance.exceeds_lateral_tolerance(sight, now_s, surely=True)
         if self._far_aside.held_s(far, now_s) >= _TOO_FAST_S:
             return f"lateral offset {100.0 * sight.lateral_m:.0f} cm at {sight.lateral_speed_m_s:.2f} m/s"
         return ""

@@ -14,8 +14,8 @@ from companion.base.messages import Action, ActionKind, AutopilotState, LandedSt
 from companion.base.second_sources import refused
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
-from companion.plan.landing.ground_contact import Ground
-from companion.plan.landing.relative_state import PadKnowledge, vehicle_motion
+from companion.plan.landing.height_above_ground import HeightAboveGround
+from companion.plan.landing.relative_state import PadTrack, vehicle_motion
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.mode_monitor import in_offboard
 from companion.plan.mission.states import DetectedEvent, MissionEvent, State
@@ -63,8 +63,8 @@ class Departure:
         self,
         config: MissionConfig,
         *,
-        pad: PadKnowledge,
-        ground: Ground,
+        pad: PadTrack,
+        ground: HeightAboveGround,
         waypoints: Waypoints,
         obstacle_monitor: ObstacleMonitor,
         say: NoticeSink,

@@ -14,8 +14,8 @@ from companion.base.geometry import Vector3, norm, subtract
 from companion.base.messages import VehicleState
 from companion.base.motion import Motion
 from companion.config import PlanConfig
-from companion.plan.landing.ground_contact import Ground
-from companion.plan.landing.relative_state import PadKnowledge, vehicle_motion
+from companion.plan.landing.height_above_ground import HeightAboveGround
+from companion.plan.landing.relative_state import PadTrack, vehicle_motion
 from companion.plan.mission.states import DetectedEvent, MissionEvent
 from companion.plan.notices import NoticeSink
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
@@ -35,8 +35,8 @@ class Hold:
         leg_m: float,
         *,
         generator: ReferenceGenerator,
-        pad: PadKnowledge,
-        ground: Ground,
+        pad: PadTrack,
+        ground: HeightAboveGround,
         say: NoticeSink,
     ) -> None:
         self._clear_m = leg_m + config.landing.retry_height_m

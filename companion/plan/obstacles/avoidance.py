@@ -31,7 +31,7 @@ from companion.plan.obstacles.obstacles import (
     way_cost,
 )
 from companion.plan.trajectory.coordinate_frames import STILL, in_space, predicted_places, space_seen_from
-from companion.plan.trajectory.course import Course, Way, halting, paced
+from companion.plan.trajectory.course import Course, PlannedPath, halting, paced
 from companion.plan.trajectory.min_jerk import Trajectory, brake, carried
 
 # Corners are first passed with this much spare room, so that a smooth curve fits.
@@ -115,7 +115,7 @@ class Avoidance:
         *,
         level: bool = False,
         may_wait: bool = False,
-    ) -> Way:
+    ) -> PlannedPath:
         """What to fly instead of a direct trajectory to a moving target, all in the reference's frame.
 
         Args:
@@ -181,16 +181,16 @@ class Avoidance:
         points = np.array(place) + predicted_places(self._frame, times_s)
         return bool(np.min(self._clearance_m(points)) >= self._margin_m)
 
-    def still_clear(self, way: Way, now_s: float) -> bool:
+    def still_clear(self, way: PlannedPath, now_s: float) -> bool:
         """Whether what is left of a way keeps the margin."""
         return not self.needed or self._clear(way, now_s)
 
     # ------------------------------------------------------------ judging
 
-    def _clear(self, way: Way, now_s: float) -> bool:
+    def _clear(self, way: PlannedPath, now_s: float) -> bool:
         return self._keeps_clear(way, now_s, self._frame)
 
-    def _keeps_clear(self, way: Way, now_s: float, frame: Motion = STILL) -> bool:
+    def _keeps_clear(self, way: PlannedPath, now_s: float, frame: Motion = STILL) -> bool:
         """Whether a way in a frame keeps the margin to its stop; from within it, never nearer than it got."""
         last = in_space(way.at(way.end_s), frame)
         after_s = _EXTRA_S + self._stop_s(norm(last.velocity_m_s))
@@ -319,7 +319,7 @@ class Avoidance:
         return stop
 
 
-def _places(way: Way, frame: Motion, now_s: float, from_s: float, to_s: float) -> FloatArray:
+def _places(way: PlannedPath, frame: Motion, now_s: float, from_s: float, to_s: float) -> FloatArray:
     """Where a way in a frame leads in space from one time after now to another, (n, 3)."""
     count = min(_MOST_CHECKS, 1 + math.ceil((to_s - from_s) / _CHECK_STEP_S)) + 1
     step_s = (to_s - from_s) / (count - 1)

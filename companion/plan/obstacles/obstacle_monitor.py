@@ -11,8 +11,8 @@ from typing import Final
 
 from companion.base.geometry import Vector3, add
 from companion.base.messages import VehicleState
-from companion.plan.landing.ground_contact import Ground
-from companion.plan.landing.relative_state import PadKnowledge
+from companion.plan.landing.height_above_ground import HeightAboveGround
+from companion.plan.landing.relative_state import PadTrack
 from companion.plan.notices import NoticeSink
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
@@ -29,7 +29,7 @@ _WORDS: Final = {
 class ObstacleMonitor:
     """Home's position among the obstacles, and the notices about them."""
 
-    def __init__(self, generator: ReferenceGenerator, ground: Ground, say: NoticeSink) -> None:
+    def __init__(self, generator: ReferenceGenerator, ground: HeightAboveGround, say: NoticeSink) -> None:
         self._generator, self._ground, self._say = generator, ground, say
         self._stood_ned_m: Vector3 | None = None
         self._reported_way, self._reported_s = "clear", -math.inf
@@ -39,7 +39,7 @@ class ObstacleMonitor:
         """Remember where the vehicle stands: it is about to take off."""
         self._stood_ned_m = None if vehicle is None else vehicle.position_ned_m
 
-    def update(self, pad: PadKnowledge) -> None:
+    def update(self, pad: PadTrack) -> None:
         """Take in where home and the pad are now; home's height is that over which the vehicle flies."""
         down_m = self._ground.home_down_m
         if self._stood_ned_m is not None and down_m is not None:

@@ -17,7 +17,7 @@ from companion.base.messages import PadBeacon, PadState
 from companion.base.motion import Motion
 from companion.config import SearchConfig
 from companion.plan.debounce import Debounce
-from companion.plan.landing.relative_state import PadKnowledge
+from companion.plan.landing.relative_state import PadTrack
 from companion.plan.search.pad_locator import Lead, PadLocator
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
@@ -136,7 +136,7 @@ class Search:
         self._next_request_s = now_s + self._config.request_s
         return True
 
-    def _takes_up(self, pad: PadKnowledge, now_s: float) -> bool:
+    def _takes_up(self, pad: PadTrack, now_s: float) -> bool:
         """Whether the pad will stay in view: its velocity is known, and no overshoot loses it."""
         steady = pad.steady(now_s)
         long = self._in_view.held_s(steady, now_s) >= _LONG_IN_VIEW_S
@@ -152,7 +152,7 @@ class Search:
         return sight.velocity_std_m_s <= c.velocity_std_m_s and overshoot_m <= VIEW_SLOPE * sight.height_m
 
     def step(
-        self, actual: Motion, in_control: bool, pad: PadKnowledge, now_s: float, *, believed: bool = True
+        self, actual: Motion, in_control: bool, pad: PadTrack, now_s: float, *, believed: bool = True
     ) -> SearchStep:
         """One cycle; `actual` is the vehicle in the EKF's NED. A pad that is not believed ends no search."""
         seen = self._takes_up(pad, now_s) and believed

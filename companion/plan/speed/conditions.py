@@ -21,7 +21,7 @@ _LONGEST_CYCLE_S: Final = 0.1
 PaceLaw = Callable[[Conditions], float]
 
 
-def unhurried(_conditions: Conditions) -> float:
+def constant_pace(_conditions: Conditions) -> float:
     """The pace of those that know no conditions."""
     return 1.0
 

@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from companion.config import PlanConfig
-from companion.plan.speed.conditions import PaceLaw, unhurried
+from companion.plan.speed.conditions import PaceLaw, constant_pace
 from companion.plan.speed.speed_table import SpeedTable, load_table
 from companion.plan.trajectory.reference_generator import SpeedLaw
 
@@ -64,18 +64,18 @@ def load_speed_controller(config: PlanConfig) -> SpeedController:
     """
     if config.speed_law == "fixed":
         speed_m_s = config.fixed_speed_m_s
-        return SpeedController(lambda _distance, _velocity, _acceleration: speed_m_s, unhurried)
+        return SpeedController(lambda _distance, _velocity, _acceleration: speed_m_s, constant_pace)
     table = load_table(config.fuzzy)[0]
     if config.speed_law == "log_polynomial":
-        return SpeedController(LogPolynomial(table), unhurried)
-    return SpeedController(table, by_conditions(table) if config.pace else unhurried)
+        return SpeedController(LogPolynomial(table), constant_pace)
+    return SpeedController(table, by_conditions(table) if config.pace else constant_pace)
 
 
 def by_conditions(table: SpeedTable) -> PaceLaw:
     """The pace of a table; rules without one come in alike in all conditions."""
     pace = table.pace
     if pace is None:
-        return unhurried
+        return constant_pace
     return lambda c: pace(c.sight_rad, c.relative_speed_m_s, c.gust_m_s2)
 
 

@@ -77,7 +77,7 @@ class Course:
         return Course(tuple(carried(leg, by, at_s) for leg in self.legs))
 
 
-Way = Trajectory | Course
+PlannedPath = Trajectory | Course
 
 
 def through(

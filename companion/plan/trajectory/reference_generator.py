@@ -22,18 +22,18 @@ from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.trajectory.coordinate_frames import STILL
-from companion.plan.trajectory.course import Course, Way
+from companion.plan.trajectory.course import Course, PlannedPath
 from companion.plan.trajectory.limits import within_limits
 from companion.plan.trajectory.min_jerk import Trajectory, brake, carried, plan
 from companion.plan.trajectory.trajectory_time import trajectory_time_s
 
-STRAY_M: Final = 0.8  # reference to estimate: beyond it the reference starts afresh
+RESET_DISTANCE_M: Final = 0.8  # reference to estimate: beyond it the reference starts afresh
 
 ReferenceFrame = Literal["pad", "local"]
 SpeedLaw = Callable[[float, float, float], float]
 
-_STRAYS_AT = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7)
-_MOST_STRAY_M = 0.3
+_OVERSHOOT_SAMPLES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7)
+_MAX_OVERSHOOT_M = 0.3
 # The climb that begins a break-off close to the pad.
 _RISES_M_S = 0.3
 _RISES_WITHIN_S = 0.3
@@ -62,7 +62,7 @@ class ReferenceGenerator:
         self.avoidance = avoidance or Avoidance(PlanConfig(), 0.0)
         self._count, self._step_s = horizon_steps + 1, step_s
         self.origin: ReferenceFrame = "local"
-        self._trajectory: Way | None = None
+        self._trajectory: PlannedPath | None = None
         self._along: Course | None = None
         self._pad = STILL
         self._level: Trajectory | None = None
@@ -128,7 +128,7 @@ class ReferenceGenerator:
     def keep_near(self, actual: Motion, now_s: float) -> float:
         """Take the estimate up when the reference is too far from it; returns how far (m), else 0."""
         distance_m = norm(subtract(self.at(now_s).position_m, actual.position_m))
-        if distance_m <= STRAY_M:
+        if distance_m <= RESET_DISTANCE_M:
             return 0.0
         self.take_up(actual, now_s)
         return distance_m
@@ -216,12 +216,12 @@ class ReferenceGenerator:
         z, goal, drift = start.position_m[2], target.position_m[2], target.velocity_m_s[2]
         over_something = isinstance(self._trajectory, Course)
         beyond_m = 0.0
-        for after_s in (share * lasts_s for share in _STRAYS_AT):
+        for after_s in (share * lasts_s for share in _OVERSHOOT_SAMPLES):
             there = way.at(now_s + after_s).position_m[2]
             goal_then = goal + drift * after_s
             above_m = 0.0 if over_something else min(z, goal, goal_then) - there
             beyond_m = max(beyond_m, there - max(z, goal, goal_then), above_m)
-        if beyond_m <= _MOST_STRAY_M:
+        if beyond_m <= _MAX_OVERSHOOT_M:
             return None
         level = brake(_upright(start), now_s, _LEVEL_OFF_M_S2)
         stopped_m = abs(level.at(level.end_s).position_m[2] - z)
@@ -323,7 +323,7 @@ class ReferenceGenerator:
     def _look_from_frame(self) -> None:
         self.avoidance.see_from(self._pad if self.origin == "pad" else STILL)
 
-    def _follow(self, trajectory: Way, now_s: float) -> None:
+    def _follow(self, trajectory: PlannedPath, now_s: float) -> None:
         self.avoidance.forget()
         self._trajectory, self._level = trajectory, None
         self.speed_m_s, self.time_to_go_s = 0.0, max(0.0, trajectory.end_s - now_s)

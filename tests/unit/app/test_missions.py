@@ -27,7 +27,7 @@ from companion.plan.planner import PlanInputs, Planner
 from tests.unit.plan.mission.planner_world import world
 
 
-async def last_word(
+async def failsafe_action(
     state: State,
     authority: Authority,
     landed: LandedState = LandedState.IN_AIR,
@@ -43,7 +43,7 @@ async def last_word(
     if asked is not None:
         planner._requests.ask(Action(asked), clock.now_s())
     session.state = replace(session.state, landed=landed, offboard=offboard)
-    word = missions.last_word
+    word = missions.failsafe_action
     return None if word is None else word.kind
 
 
@@ -61,7 +61,7 @@ async def last_word(
 def test_a_vehicle_that_stands_or_is_about_to_is_not_ordered_to_hold(
     state: State, landed: LandedState, asked: ActionKind
 ) -> None:
-    assert run_in_virtual_time(last_word(state, Authority.OURS, landed)) is asked
+    assert run_in_virtual_time(failsafe_action(state, Authority.OURS, landed)) is asked
 
 
 @pytest.mark.parametrize(
@@ -77,11 +77,11 @@ def test_a_vehicle_that_stands_or_is_about_to_is_not_ordered_to_hold(
 def test_a_vehicle_that_somebody_else_flies_is_ordered_nothing(
     state: State, authority: Authority, offboard: bool
 ) -> None:
-    assert run_in_virtual_time(last_word(state, authority, offboard=offboard)) is None
+    assert run_in_virtual_time(failsafe_action(state, authority, offboard=offboard)) is None
 
 
 def test_a_hold_that_was_asked_for_and_not_answered_is_asked_for_once_more() -> None:
-    word = last_word(State.ABORT, Authority.RELEASED, asked=ActionKind.HOLD)
+    word = failsafe_action(State.ABORT, Authority.RELEASED, asked=ActionKind.HOLD)
     assert run_in_virtual_time(word) is ActionKind.HOLD
 
 

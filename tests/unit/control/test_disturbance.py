@@ -5,7 +5,7 @@ import math
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3
-from companion.control.disturbance_observer import LastingObserver
+from companion.control.disturbance_observer import SlowDisturbanceObserver
 from companion.control.response.flight_model import advance_axis
 
 PERIOD_S = 1.0 / 30.0
@@ -15,9 +15,9 @@ SENSOR_LAG_S = 0.035
 BANDWIDTHS_RAD_S = (0.5, 0.5, 2.0)
 
 
-def _observe(lasting: Vector3, bias: float, seconds: float, bound: float = 3.0) -> LastingObserver:
+def _observe(lasting: Vector3, bias: float, seconds: float, bound: float = 3.0) -> SlowDisturbanceObserver:
     """Fly the model itself with something on top, and measure its acceleration late and with a bias."""
-    observer = LastingObserver(LAGS_S, SENSOR_LAG_S, bound, BANDWIDTHS_RAD_S)
+    observer = SlowDisturbanceObserver(LAGS_S, SENSOR_LAG_S, bound, BANDWIDTHS_RAD_S)
     axes, shown = [(0.0, 0.0, 0.0)] * 3, [0.0, 0.0, 0.0]
     for k in range(round(seconds / PERIOD_S)):
         u = (math.sin(0.2 * k), 0.5, 0.0)
@@ -53,7 +53,7 @@ def test_stays_within_its_bound() -> None:
 
 
 def test_a_jump_of_the_estimate_hardly_disturbs() -> None:
-    observer = LastingObserver(LAGS_S, SENSOR_LAG_S, 3.0, BANDWIDTHS_RAD_S)
+    observer = SlowDisturbanceObserver(LAGS_S, SENSOR_LAG_S, 3.0, BANDWIDTHS_RAD_S)
     still = (0.0, 0.0, 0.0)
     for _ in range(30):
         observer.correct((5.0, 0.0, 0.0), still, still, PERIOD_S)
@@ -62,7 +62,7 @@ def test_a_jump_of_the_estimate_hardly_disturbs() -> None:
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_passes_over_a_measurement_that_is_not_finite(bad: float) -> None:
-    observer = LastingObserver(LAGS_S, SENSOR_LAG_S, 3.0, BANDWIDTHS_RAD_S)
+    observer = SlowDisturbanceObserver(LAGS_S, SENSOR_LAG_S, 3.0, BANDWIDTHS_RAD_S)
     observer.start((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.3, 0.0, 0.0))
     still = (0.0, 0.0, 0.0)
     observer.correct((bad, 0.0, 0.0), still, still, PERIOD_S)
@@ -72,8 +72,8 @@ def test_passes_over_a_measurement_that_is_not_finite(bad: float) -> None:
 
 
 def test_what_thrust_makes_is_known_anew_once_thrust_is_worth_more() -> None:
-    observer = LastingObserver(LAGS_S, SENSOR_LAG_S, 3.0, BANDWIDTHS_RAD_S)
+    observer = SlowDisturbanceObserver(LAGS_S, SENSOR_LAG_S, 3.0, BANDWIDTHS_RAD_S)
     observer.start((0.0, 0.0, 0.0), (1.0, 0.0, -GRAVITY_M_S2))  # twice the weight, tilted
     observer.scale_thrust(1.1)
     assert observer.made_ned_m_s2 == pytest.approx((1.1, 0.0, -1.2 * GRAVITY_M_S2))
-    assert observer.made_late_down_m_s2 == pytest.approx(-1.2 * GRAVITY_M_S2)
+    assert observer.delayed_response_down_m_s2 == pytest.approx(-1.2 * GRAVITY_M_S2)

@@ -13,7 +13,7 @@ from calibration.camera.solve.adjustment import UnsolvableError
 from calibration.camera.solve.quality import Assessment, assess, unfolded_share
 from calibration.camera.solve.solving import solve
 from calibration.camera.solve.uncertainty import projection_std_px, uncertainty
-from calibration.camera.solve.weights import usual_variance
+from calibration.camera.solve.weights import empirical_bayes_variance
 from calibration.camera.views.coverage import ImageCoverage, tilt_of
 from calibration.camera.views.detection import BoardView
 from companion.base.geometry import FloatArray
@@ -133,11 +133,11 @@ def test_sharp_views_count_for_more_and_deviations_stay_honest() -> None:
 def test_views_alike_count_alike() -> None:
     rng = np.random.default_rng(5)
     freedom = np.tile((6.0, 20.0, 42.0), 200)
-    usual, worth = usual_variance(2.5 * rng.chisquare(freedom) / freedom, freedom)
+    usual, worth = empirical_bayes_variance(2.5 * rng.chisquare(freedom) / freedom, freedom)
     assert usual == pytest.approx(2.5, rel=0.06)
     assert worth > 50.0
     true = 2.5 * 8.0 / rng.chisquare(8.0, len(freedom))
-    usual, worth = usual_variance(true * rng.chisquare(freedom) / freedom, freedom)
+    usual, worth = empirical_bayes_variance(true * rng.chisquare(freedom) / freedom, freedom)
     assert usual == pytest.approx(2.5, rel=0.1)
     assert worth == pytest.approx(8.0, rel=0.3)
 

@@ -9,7 +9,7 @@ import pytest
 
 from calibration.magnetometer.read.recording import MagnetometerRecording
 from calibration.magnetometer.solve.calibrate import UnfitError, calibrate
-from calibration.magnetometer.solve.missing_turns import beside_plane, least_seen
+from calibration.magnetometer.solve.missing_turns import beside_plane, suggest_next_rotation
 from companion.base.geometry import FloatArray, matrix_from_quat, quat_from_rotation_vector, vector3
 
 FIELD_NED_UT = np.array([21.0, 0.0, 43.0])
@@ -90,4 +90,4 @@ def test_the_axis_that_the_field_was_never_near_is_turned_about_next(axis: int, 
     directions = np.random.default_rng(5).standard_normal((2000, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     seen = directions[np.abs(directions[:, axis]) < 0.6]
-    assert faces(least_seen(seen @ mounting, mounting)) == list(FACES)[2 * axis : 2 * axis + 2]
+    assert faces(suggest_next_rotation(seen @ mounting, mounting)) == list(FACES)[2 * axis : 2 * axis + 2]

@@ -14,7 +14,7 @@ from companion.estimate.estimator import ATTITUDE_WANDER_RAD_S
 from companion.estimate.gating import Gate, Timeline
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.pad_filter import CombinedEstimate, HeightMeasurement, PadFilter
-from tests.unit.estimate.pad.pad_track import IMU_HZ, PadTrack, lever
+from tests.unit.estimate.pad.pad_track import IMU_HZ, SimulatedPadTrack, lever
 from tests.unit.estimate.pad.single_model_filter import SingleModelFilter
 
 NewFilter = Callable[[MotionHistory], Any]
@@ -54,7 +54,7 @@ class Score:
         return float(np.sqrt(np.mean(np.sum(self.error[:, list(columns)] ** 2, axis=1))))
 
 
-def score(track: PadTrack, make: NewFilter = new_filter) -> Score:
+def score(track: SimulatedPadTrack, make: NewFilter = new_filter) -> Score:
     """Feed the sightings as they arrive; judge at each arrival, once the pad has been seen for 2 s."""
     history = track.motion_history()
     judged = make(history)
@@ -86,7 +86,7 @@ def score(track: PadTrack, make: NewFilter = new_filter) -> Score:
     return Score(*(np.array(column) for column in (*columns[:4], *blind)))
 
 
-def lag_s(track: PadTrack, found: Score, axis: int = 2) -> float:
+def lag_s(track: SimulatedPadTrack, found: Score, axis: int = 2) -> float:
     """By how much the estimated acceleration of the pad trails the true one: where they agree best."""
     steps = np.arange(-10, 81)
     rows = np.rint(found.times_s * IMU_HZ).astype(int)
@@ -105,7 +105,7 @@ class Spikes:
 
 
 def with_spikes(
-    track: PadTrack, blind_s: float = 2.0, spike_share: float = 0.2, false_m: float = 0.25
+    track: SimulatedPadTrack, blind_s: float = 2.0, spike_share: float = 0.2, false_m: float = 0.25
 ) -> Spikes:
     """Sink onto the pad with echoes of which some are wild; the last of the way by echoes alone."""
     judged = new_filter(track.motion_history())
@@ -131,7 +131,7 @@ def with_spikes(
     return Spikes(max(errors), false, false_taken, true_taken / max(true, 1))
 
 
-def late_frames_cost_m(track: PadTrack, late_s: float = 0.25, every: int = 10) -> float:
+def late_frames_cost_m(track: SimulatedPadTrack, late_s: float = 0.25, every: int = 10) -> float:
     """How far (m) the state after a run is from that of the same run with every tenth frame late."""
     ends = []
     for late in (False, True):
@@ -149,13 +149,13 @@ def late_frames_cost_m(track: PadTrack, late_s: float = 0.25, every: int = 10) -
     return float(np.abs(ends[0] - ends[1]).max())
 
 
-def _error(track: PadTrack, estimate: Any, time_s: float) -> FloatArray:
+def _error(track: SimulatedPadTrack, estimate: Any, time_s: float) -> FloatArray:
     row = round(time_s * IMU_HZ)
     truth = np.concatenate((track.relative[0][row], track.relative[1][row], track.pad[2][row]))
     return np.asarray(estimate.x - truth)
 
 
-def _nees(track: PadTrack, estimate: Any, error: FloatArray) -> float:
+def _nees(track: SimulatedPadTrack, estimate: Any, error: FloatArray) -> float:
     if isinstance(estimate, CombinedEstimate):
         P = estimate.covariance(track.attitude_covariance, WANDER_RAD_S)
     else:

@@ -78,7 +78,7 @@ class PadEcho:
 
 
 @dataclass(frozen=True)
-class PadTrack:
+class SimulatedPadTrack:
     """One run under a seed. `sinks`: from 7 m to 0.6 m in 20 s, else at 3 m."""
 
     motion: str

@@ -11,7 +11,7 @@ from companion.base.geometry import GRAVITY_M_S2, IDENTITY, ZERO3, Vector3, add,
 from companion.config import PadFilterConfig
 from companion.estimate.gating import Timeline
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad.frame_correction import ways
+from companion.estimate.pad.frame_correction import frame_rotation_increment
 from companion.estimate.pad.pad_filter import PadFilter, PadInput, PadMeasurement, PadSnapshot
 
 CORRECTED_S = 4.0
@@ -94,7 +94,7 @@ def test_a_moving_pads_place_and_velocity_turn_as_a_whole_and_its_acceleration_w
     velocity, dt_s = (1.5, -2.0, 0.4), 2.0
     means = np.zeros((2, 8))
     means[0, :4], means[1, 0], means[1, 2] = (3.0, -1.0, 1.5, -2.0), 7.0, 0.4
-    plane, climb = ways((ZERO3, ZERO3), CORRECTION_RAD, means, dt_s, 0.1 if seen else 0.5)
+    plane, climb = frame_rotation_increment((ZERO3, ZERO3), CORRECTION_RAD, means, dt_s, 0.1 if seen else 0.5)
     by_tilt = cross(CORRECTION_RAD, (0.0, 0.0, -GRAVITY_M_S2)) if seen else ZERO3
     place = add(cross(CORRECTION_RAD, add(PAD_M, scale(velocity, dt_s))), scale(by_tilt, dt_s * dt_s / 6.0))
     speed = add(cross(CORRECTION_RAD, velocity), scale(by_tilt, 0.5 * dt_s))

@@ -15,14 +15,14 @@ from tests.unit.estimate.pad.pad_scores import (
     score,
     with_spikes,
 )
-from tests.unit.estimate.pad.pad_track import PadTrack
+from tests.unit.estimate.pad.pad_track import SimulatedPadTrack
 
 SEEDS = (0, 1, 2)
 MOTION_NAMES = ("static", "circle", "figure-8", "heave", "random turns")
 
 
-def track(motion: str, seed: int) -> PadTrack:
-    return PadTrack(motion, seed, duration_s=14.0, sinks=False)
+def track(motion: str, seed: int) -> SimulatedPadTrack:
+    return SimulatedPadTrack(motion, seed, duration_s=14.0, sinks=False)
 
 
 @lru_cache
@@ -80,7 +80,7 @@ def test_frames_a_quarter_of_a_second_late_change_nothing() -> None:
 
 
 def test_wild_echoes_are_refused_and_true_ones_carry_the_height() -> None:
-    spikes = with_spikes(PadTrack("heave", 0))
+    spikes = with_spikes(SimulatedPadTrack("heave", 0))
     assert spikes.false > 5
     assert spikes.false_taken == 0
     assert spikes.true_taken_share > 0.95

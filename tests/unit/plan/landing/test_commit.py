@@ -77,7 +77,7 @@ def test_a_little_aside_is_accepted_late_and_far_aside_never() -> None:
 
 
 def test_the_last_try_has_more_slack() -> None:
-    assert wait(fresh(slack=1.6), sight(aside=0.085), 30.0)[0] < 1.0
+    assert wait(fresh(tolerance_scale=1.6), sight(aside=0.085), 30.0)[0] < 1.0
 
 
 def test_a_pad_unseen_while_waiting_is_lost() -> None:
@@ -140,7 +140,7 @@ def test_what_would_break_it_off_at_once_is_no_moment_to_commit() -> None:
 
 
 def test_it_does_not_start_down_into_a_drift_that_would_break_it_off() -> None:
-    touchdown, told = fresh(slack=1.6), 0
+    touchdown, told = fresh(tolerance_scale=1.6), 0
     drifting = sight(0.088, velocity=(0.17, 0.0, 0.0))
     for k in range(round(15.0 / CYCLE_S)):
         was = touchdown.committed
@@ -169,7 +169,7 @@ def test_drift_that_does_not_get_less_is_borne_by_and_by() -> None:
 
 def test_the_most_patient_of_tries_goes_on_from_no_farther_aside_than_twelve_centimetres() -> None:
     for aside, goes_on in ((0.115, True), (0.125, False)):
-        touchdown = fresh(slack=2.0)
+        touchdown = fresh(tolerance_scale=2.0)
         wait(touchdown, sight(), 5.0)
         for k in range(6):
             touchdown.step(sight(aside, LEG_M + 0.2), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
@@ -177,7 +177,7 @@ def test_the_most_patient_of_tries_goes_on_from_no_farther_aside_than_twelve_cen
 
 
 def test_it_does_not_start_down_from_where_it_would_break_off() -> None:
-    touchdown = fresh(slack=1.6)
+    touchdown = fresh(tolerance_scale=1.6)
     at, found = wait(touchdown, sight(0.13), 40.0)
     assert found is MissionEvent.MISALIGNED
     assert at == pytest.approx(CONFIG.giving_up_s, abs=0.08)
@@ -195,18 +195,18 @@ def test_for_a_larger_pad_it_may_be_farther_aside(aside: float, goes_on: bool) -
 
 def test_after_one_wait_a_lull_of_the_wind_is_taken() -> None:
     config = TouchdownConfig()
-    tolerance = Tolerance(config, since_s=0.0, slack=1.0)
+    tolerance = Tolerance(config, since_s=0.0, tolerance_scale=1.0)
     gentle = config.gentle_tilt_m_s2
     for tenth in range(120):
         now_s = 0.1 * tenth
         tolerance.note_tilt(4.0 if 40 <= tenth < 45 else 2.5, now_s)
         if now_s < config.gentle_wait_s:
-            assert tolerance.most_tilt_m_s2(now_s) == gentle  # a gentler moment may come
+            assert tolerance.max_horizontal_acceleration_m_s2(now_s) == gentle  # a gentler moment may come
         else:
-            assert tolerance.most_tilt_m_s2(now_s) == pytest.approx(
+            assert tolerance.max_horizontal_acceleration_m_s2(now_s) == pytest.approx(
                 2.7
             )  # no more than the least, and a little
     # the least is that of the last seconds: a wind that has grown is met by what it grants now
     for tenth in range(120, 180):
         tolerance.note_tilt(3.0, 0.1 * tenth)
-    assert tolerance.most_tilt_m_s2(17.9) == pytest.approx(3.2)
+    assert tolerance.max_horizontal_acceleration_m_s2(17.9) == pytest.approx(3.2)

@@ -7,7 +7,7 @@ import pytest
 
 from companion.base.geometry import quat_from_euler
 from companion.base.messages import AutopilotState, RangeSample, VehicleState
-from companion.plan.landing.ground_contact import Ground
+from companion.plan.landing.height_above_ground import HeightAboveGround
 from tests.unit.plan.pad_paths import still
 from tests.unit.plan.plan_harness import PlanWorld
 
@@ -21,8 +21,8 @@ def state(down_m: float = -5.0, roll_rad: float = 0.0) -> VehicleState:
     return replace(vehicle, position_ned_m=(0.0, 0.0, down_m), attitude=quat_from_euler(roll_rad, 0.0, 0.7))
 
 
-def after(*distances_m: float, roll_rad: float = 0.0, late_s: float = 0.0) -> Ground:
-    ground = Ground(SENSOR_M)
+def after(*distances_m: float, roll_rad: float = 0.0, late_s: float = 0.0) -> HeightAboveGround:
+    ground = HeightAboveGround(SENSOR_M)
     for k, distance_m in enumerate(distances_m):
         for _ in range(3):  # the same echo is there for several cycles
             ground.update(state(roll_rad=roll_rad), SILENT, RangeSample(k / 15.0, distance_m), k / 15.0)
@@ -53,7 +53,7 @@ def test_a_slanted_echo_is_shortened_to_the_vertical(roll_deg: float) -> None:
 
 
 def test_the_height_over_home_is_the_autopilots_else_our_own_climb() -> None:
-    ground = Ground(SENSOR_M)
+    ground = HeightAboveGround(SENSOR_M)
     ground.update(state(-5.0), SILENT, None, 0.0)
     assert ground.over_home_m is None
     assert ground.floor_down_m(1.5) is None
@@ -66,7 +66,7 @@ def test_the_height_over_home_is_the_autopilots_else_our_own_climb() -> None:
 
 
 def test_the_floor_is_over_the_higher_of_home_and_the_echoes_surface() -> None:
-    ground = Ground(SENSOR_M)
+    ground = HeightAboveGround(SENSOR_M)
     told = replace(SILENT, home=(47.0, 8.0, 400.0), global_position=(47.0, 8.0, 404.0))
     ground.update(state(-5.0), told, None, 0.0)
     assert ground.floor_down_m(1.5) == pytest.approx(-5.0 + 4.0 - 1.5)

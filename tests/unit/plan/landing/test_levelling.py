@@ -6,8 +6,8 @@ import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
 from companion.base.messages import LandedState, RangeSample
-from companion.plan.landing.level_moment import TiltForecast
 from companion.plan.landing.levelling import AFTER_S, EARLY_S, TILTS_ON_S, Levelling
+from companion.plan.landing.tilt_prediction import TiltPrediction
 from companion.plan.mission.states import MissionEvent
 from tests.unit.plan.landing.touchdown_attempt import (
     CONFIG,
@@ -195,7 +195,7 @@ def test_while_contact_is_made_sure_of_it_stays_level() -> None:
 
 
 def test_it_stays_level_while_it_touches_late_and_drifting() -> None:
-    levelling_off, tilt = Levelling(CONFIG, VEHICLE), TiltForecast()
+    levelling_off, tilt = Levelling(CONFIG, VEHICLE), TiltPrediction()
     tilted = tilting(GRAVITY_M_S2 * math.tan(math.radians(15.0)))
     for k in range(40):
         now_s = 1.0 + k * CYCLE_S

@@ -9,7 +9,7 @@ import pytest
 from companion.base.geometry import GRAVITY_M_S2
 from companion.base.messages import ActionKind, AutopilotState, LandedState, PadState, Phase
 from companion.config import TouchdownConfig
-from companion.plan.landing.contact import Standing
+from companion.plan.landing.contact import LandDetector
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import MissionEvent
 from tests.unit.control.controller_inputs import vehicle_state
@@ -29,7 +29,7 @@ def rests_at_s(
     silent_s: float = 0.0,
 ) -> float:
     """When standing since 0 s is proven by rest; inf when not within 5 s."""
-    standing = Standing(TouchdownConfig(), VEHICLE)
+    standing = LandDetector(TouchdownConfig(), VEHICLE)
     standing.begin(0.0)
     for k in range(150):
         now_s = k * CYCLE_S

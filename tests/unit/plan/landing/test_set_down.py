@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from companion.base.messages import AutopilotState, LandedState, RangeSample
-from companion.plan.landing.relative_state import PadKnowledge
+from companion.plan.landing.relative_state import PadTrack
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import Authority, Circumstances, MissionEvent, State
 from companion.plan.mission.table import follows
@@ -50,7 +50,7 @@ def test_with_a_rival_low_over_the_pad_nothing_rises_in_the_mode_that_obeys_it()
 
 
 def test_a_pad_whose_sightings_come_late_is_not_fresh() -> None:
-    pad = PadKnowledge(5, 0.5)
+    pad = PadTrack(5, 0.5)
     for k in range(10):
         now_s = 50.0 + k * CYCLE_S
         late = replace(sight(), time_s=now_s, seen_time_s=now_s - 0.9)

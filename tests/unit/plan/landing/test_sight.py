@@ -6,7 +6,7 @@ import pytest
 from companion.base.geometry import quat_from_euler
 from companion.base.messages import PadState
 from companion.plan.landing.relative_state import (
-    PadKnowledge,
+    PadTrack,
     SteadySightings,
     misaligned_heading,
     pad_motion,
@@ -87,7 +87,7 @@ def test_steady_means_so_many_sightings_without_a_gap_whatever_time_they_take(pe
 
 
 def test_how_long_unseen_does_not_count_what_a_slow_vision_takes() -> None:
-    knowledge = PadKnowledge(1, 0.5)
+    knowledge = PadTrack(1, 0.5)
     knowledge.update(pad(1.0, 0.7), None, 1.0)
     assert knowledge.sight is not None
     assert knowledge.sight.unseen_s == pytest.approx(0.3)  # it may have come long before
@@ -102,7 +102,7 @@ def test_what_is_known_of_the_pad_outlives_a_cycle_without_an_estimate() -> None
     w = PlanWorld(still())
     w.position = (10.0, 1.0, -6.0)
     w._sense()
-    knowledge = PadKnowledge(1, 0.5)
+    knowledge = PadTrack(1, 0.5)
     assert not knowledge.steady(0.0)
     knowledge.update(w.inputs().pad, w.inputs().vehicle, 0.0)
     assert knowledge.steady(0.0)

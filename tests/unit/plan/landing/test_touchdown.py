@@ -8,7 +8,7 @@ import pytest
 from companion.base.messages import AutopilotState, LandedState, PadState, RangeSample
 from companion.base.motion import Motion
 from companion.plan.debounce import Debounce
-from companion.plan.landing.contact import contact_signs, unheard
+from companion.plan.landing.contact import contact_signs, link_silent
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import MissionEvent, State
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
@@ -407,4 +407,6 @@ def test_how_long_a_silence_is_one_the_vehicles_own_time_out_says(
     keeps_s: float, silent_s: float, counts: bool
 ) -> None:
     autopilot = AutopilotState(0.0, connected=True)
-    assert unheard(PlanInputs(None, None, autopilot, silent_s=silent_s, keeps_setpoint_s=keeps_s)) is counts
+    assert (
+        link_silent(PlanInputs(None, None, autopilot, silent_s=silent_s, keeps_setpoint_s=keeps_s)) is counts
+    )

@@ -90,11 +90,13 @@ class Attempt:
         return None
 
 
-def fresh(slack: float = 1.0, config: TouchdownConfig = CONFIG, half_width_m: float = SMALL_PAD_M) -> Attempt:
+def fresh(
+    tolerance_scale: float = 1.0, config: TouchdownConfig = CONFIG, half_width_m: float = SMALL_PAD_M
+) -> Attempt:
     generator = ReferenceGenerator(GuidanceConfig(), lambda _d, _v, _a: 0.4, 20, 0.1)
     generator.start("pad", Motion((0.0, 0.0, -WAIT_M)), 0.0)
     sequence = TouchdownSequence(config, VEHICLE, 0.35, generator, half_width_m)
-    sequence.begin(0.0, slack)
+    sequence.begin(0.0, tolerance_scale)
     return Attempt(sequence, generator)
 
 

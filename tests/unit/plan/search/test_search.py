@@ -8,7 +8,7 @@ import pytest
 
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig
-from companion.plan.landing.relative_state import PadKnowledge
+from companion.plan.landing.relative_state import PadTrack
 from companion.plan.search.search import Search
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.plan.pad_paths import still
@@ -18,14 +18,14 @@ from tests.unit.plan.search.search_words import CONFIG, ORIGIN, UNSEEN, beacon
 
 def in_view(
     aside_m: float = 0.0, speed_m_s: float = 0.0, velocity_std_m_s: float = 0.1, now_s: float = 0.0
-) -> PadKnowledge:
+) -> PadTrack:
     """A pad 7 m below, `aside_m` south of the vehicle, which flies north at a speed."""
     w = PlanWorld(still())
     w.now_s, w.position, w.velocity = now_s, (10.6 + aside_m, 0.8, -7.3), (speed_m_s, 0.0, 0.0)
     w._sense()
     given = w.inputs()
     assert given.pad is not None
-    known = PadKnowledge(1, 0.5)
+    known = PadTrack(1, 0.5)
     known.update(replace(given.pad, velocity_std_m_s=velocity_std_m_s), given.vehicle, now_s)
     return known
 
@@ -146,7 +146,7 @@ def test_a_floor_that_rises_is_kept_above_in_steps_and_not_without_end() -> None
         (in_view(speed_m_s=5.0), False),
     ],
 )
-def test_a_pad_is_taken_up_when_it_is_known_and_will_stay_in_view(known: PadKnowledge, taken: bool) -> None:
+def test_a_pad_is_taken_up_when_it_is_known_and_will_stay_in_view(known: PadTrack, taken: bool) -> None:
     search, generator = searching()
     step = search.step(generator.at(0.0), True, known, 0.0)
     assert step.seen is taken

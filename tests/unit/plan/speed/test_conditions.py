@@ -9,7 +9,7 @@ import pytest
 
 from companion.base.messages import Conditions, Phase
 from companion.plan.planner import Planner
-from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, unhurried
+from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, constant_pace
 from companion.plan.speed.laws import by_conditions
 from tests.unit.control.controller_inputs import pad_state, vehicle_state
 from tests.unit.plan.pad_paths import still
@@ -68,7 +68,7 @@ def flown(pace: PaceLaw) -> PlanFlight:
 
 
 def test_the_pace_sets_the_way_to_the_pad_and_leaves_the_final_descent_alone() -> None:
-    usual, slow = flown(unhurried), flown(lambda _conditions: 0.5)
+    usual, slow = flown(constant_pace), flown(lambda _conditions: 0.5)
     assert usual.phase is slow.phase is Phase.LANDED
 
     def took_s(flight: PlanFlight, begins: Phase, ends: Phase) -> float:

@@ -8,7 +8,7 @@ from companion.base.geometry import norm, subtract
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
 from companion.plan.obstacles.avoidance import Avoidance
-from companion.plan.trajectory.course import Way, paced
+from companion.plan.trajectory.course import PlannedPath, paced
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 CYCLE_S = 1.0 / 30.0
@@ -256,7 +256,7 @@ def test_a_way_round_obstacles_keeps_its_own_heights() -> None:
     course = paced(start, [(5.0, 0.0, -3.0)], target, 0.0, CONFIG)
 
     class Leading(Avoidance):
-        def way(self, *_: object, **__: object) -> Way:
+        def way(self, *_: object, **__: object) -> PlannedPath:
             return course
 
     led = ReferenceGenerator(CONFIG, constant_law, 20, 0.1, Leading(PlanConfig(), 0.3))

@@ -20,7 +20,7 @@ from sitl.camera.frame_line import FrameLine
 from sitl.devices.ports import MemoryPort
 from sitl.devices.rack import SensorRack
 from sitl.faults.faults import Fault
-from sitl.faults.faulty_link import LinkSettings, LinkWay
+from sitl.faults.faulty_link import LinkChannel, LinkSettings
 from sitl.faults.injection import FaultTargets
 from sitl.faults.schedule import FaultSchedule
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
@@ -93,7 +93,7 @@ class _Drivers:
 async def _world(rack: SensorRack, seconds: float, faults: Sequence[Fault]) -> None:
     """The vehicle turns and drifts, in its time."""
     clock, rng = Clock(), np.random.default_rng(0)
-    ways = (LinkWay(LinkSettings(), rng), LinkWay(LinkSettings(), rng))
+    ways = (LinkChannel(LinkSettings(), rng), LinkChannel(LinkSettings(), rng))
     onboard = SimulatedAutopilotSensors(rng, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, imu_filter=2)
     schedule = FaultSchedule(faults, FaultTargets(rack, onboard, FrameLine(rng), Motors(), *ways))
     for k in range(round(seconds / STEP_S)):

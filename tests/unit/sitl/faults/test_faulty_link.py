@@ -7,13 +7,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sitl.faults.faulty_link import LinkSettings, LinkWay
+from sitl.faults.faulty_link import LinkChannel, LinkSettings
 
 SENT = [0.02 * k for k in range(5000)]
 
 
 def arrivals(seed: int = 1, **settings: float) -> list[float | None]:
-    way = LinkWay(LinkSettings.model_validate(settings), np.random.default_rng(seed))
+    way = LinkChannel(LinkSettings.model_validate(settings), np.random.default_rng(seed))
     return [way.arrival_s(sent) for sent in SENT]
 
 
@@ -51,7 +51,7 @@ def test_reordered_ones_are_overtaken() -> None:
 
 
 def test_a_blackout_lets_nothing_through_and_then_everything() -> None:
-    way = LinkWay(LinkSettings(), np.random.default_rng(0))
+    way = LinkChannel(LinkSettings(), np.random.default_rng(0))
     way.cut = True
     assert way.arrival_s(1.0) is None
     way.cut = False

@@ -15,7 +15,7 @@ from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
 from sitl.camera.frame_line import FrameLine
 from sitl.faults import faults, non_sensor_faults
-from sitl.faults.faulty_link import LinkSettings, LinkWay
+from sitl.faults.faulty_link import LinkChannel, LinkSettings
 from sitl.faults.non_sensor_injection import NonSensorTargets
 from sitl.faults.schedule import FaultSchedule
 from sitl.mavlink.telemetry import battery_status, local_position, sys_status
@@ -142,7 +142,7 @@ def test_something_nearer_answers_now_and_then_and_nothing_farther_does() -> Non
 
 
 def test_what_is_under_way_is_not_overtaken_when_the_delay_ends() -> None:
-    way = LinkWay(LinkSettings(), np.random.default_rng(0))
+    way = LinkChannel(LinkSettings(), np.random.default_rng(0))
     assert way.arrival_s(1.0) == 1.0
     way.extra_delay_s = 0.5
     late = way.arrival_s(2.0)
@@ -156,7 +156,7 @@ def test_what_is_under_way_is_not_overtaken_when_the_delay_ends() -> None:
 
 
 def test_a_share_is_lost() -> None:
-    way = LinkWay(LinkSettings(), np.random.default_rng(0))
+    way = LinkChannel(LinkSettings(), np.random.default_rng(0))
     way.extra_loss = 0.5
     assert np.mean([way.arrival_s(float(k)) is None for k in range(400)]) == pytest.approx(0.5, abs=0.08)
 

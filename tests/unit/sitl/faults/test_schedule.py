@@ -18,12 +18,12 @@ from sitl.camera.frame_line import FrameLine
 from sitl.devices.ports import MemoryPort
 from sitl.devices.rack import SensorRack
 from sitl.faults.faults import FrameBlack
-from sitl.faults.faulty_link import LinkSettings, LinkWay
+from sitl.faults.faulty_link import LinkChannel, LinkSettings
 from sitl.faults.injection import FaultTargets
 from sitl.faults.non_sensor_faults import AutopilotReboots, DiskFull
 from sitl.faults.non_sensor_injection import NonSensorTargets
 from sitl.faults.schedule import FaultSchedule, Moments
-from sitl.mavlink.app_words import AppWords
+from sitl.mavlink.status_text_monitor import StatusTextMonitor
 from sitl.scenario.scenario import Scenario
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.actuators import Motors
@@ -48,7 +48,7 @@ async def _targets(non_sensor: NonSensorTargets | None) -> FaultTargets:
     gps, echo = MemoryPort(9600), MemoryPort(9600)
     rack = SensorRack(0, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, gps_port=gps, range_port=echo)
     onboard = SimulatedAutopilotSensors(rng, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, imu_filter=2)
-    ways = (LinkWay(LinkSettings(), rng), LinkWay(LinkSettings(), rng))
+    ways = (LinkChannel(LinkSettings(), rng), LinkChannel(LinkSettings(), rng))
     return FaultTargets(rack, onboard, FrameLine(rng), Motors(), *ways, non_sensor)
 
 
@@ -56,7 +56,9 @@ def black(**when: Any) -> FrameBlack:
     return FrameBlack(kind="frame_black", **when)
 
 
-def black_from_to(fault: FrameBlack, words: AppWords, heights_m: dict[float, float]) -> tuple[float, float]:
+def black_from_to(
+    fault: FrameBlack, words: StatusTextMonitor, heights_m: dict[float, float]
+) -> tuple[float, float]:
     """Between which whole seconds the frames are black; the height is the last one given."""
     now = {"s": 0.0}
     moments = Moments(words, lambda: next((heights_m[t] for t in reversed(heights_m) if t <= now["s"]), None))
@@ -98,11 +100,11 @@ def test_a_fault_begins_when_its_moment_has_come_and_once(
     when: dict[str, Any], expected: tuple[float, float]
 ) -> None:
     heights_m = {15.0: 6.0, 30.0: 1.2, 31.0: 0.9, 33.0: 0.0, 35.0: 1.5, 36.0: 0.2}
-    assert black_from_to(black(**when), AppWords(), heights_m) == expected
+    assert black_from_to(black(**when), StatusTextMonitor(), heights_m) == expected
 
 
 def test_beside_the_pad_there_is_no_height_over_it() -> None:
-    assert black_from_to(black(below_m=3.0), AppWords(), {}) == (-1.0, -1.0)
+    assert black_from_to(black(below_m=3.0), StatusTextMonitor(), {}) == (-1.0, -1.0)
 
 
 @pytest.mark.parametrize(
@@ -128,7 +130,7 @@ def test_overlapping_faults_end_each_for_itself() -> None:
 
 
 def test_words_are_put_together_and_only_the_first_of_a_phase_counts() -> None:
-    words = AppWords()
+    words = StatusTextMonitor()
     long = "approach: pad seen: " + "x" * 80
     words.hear(said("search: arrived") + said(long, 2), 3.0)
     words.hear(said("search: pad lost", 3), 9.0)
@@ -138,7 +140,7 @@ def test_words_are_put_together_and_only_the_first_of_a_phase_counts() -> None:
 
 
 def test_a_text_of_whole_chunks_ends_with_an_empty_one() -> None:
-    words = AppWords()
+    words = StatusTextMonitor()
     words.hear(said("y" * 100, 7), 1.0)
     assert [t.text for t in words.texts] == ["y" * 100]
 

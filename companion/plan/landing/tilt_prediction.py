@@ -40,7 +40,7 @@ def level_at(sight: PadState, ahead_s: float, most_rad: float) -> bool:
     return sight.tilt_swing_rad < SWINGS_RAD or tilt_in_rad(sight, ahead_s) <= most_rad
 
 
-class TiltForecast:
+class TiltPrediction:
     """How far the vehicle tilts, and will have to, as the horizontal acceleration that its thrust makes."""
 
     SMOOTHING_S: Final = 0.25
@@ -64,7 +64,7 @@ class TiltForecast:
         self._noted_s = now_s
         self._lasting_m_s2 += share * (lasting - self._lasting_m_s2)
 
-    def at_m_s2(self, ahead_s: float) -> float:
+    def predicted_acceleration_m_s2(self, ahead_s: float) -> float:
         """How much it will take (m/s²) so much later."""
         turned = cmath.rect(1.0, self._turn_rad_s * ahead_s)
         return abs(self._lasting_m_s2 + self._with_pad_m_s2 * turned)

@@ -21,7 +21,7 @@ _NEAR_M: Final = 1.5  # an echo this near, and the pad thought to lie
 _LOWER_M: Final = 0.8  # so much lower: what is below is not the pad
 
 
-class Ground:
+class HeightAboveGround:
     """The newest of both, by `update`; `sensor_body_m` is the ultrasonic's place (FRD)."""
 
     def __init__(self, sensor_body_m: Vector3) -> None:

@@ -23,7 +23,7 @@ class AppText(NamedTuple):
     text: str
 
 
-class AppWords:
+class StatusTextMonitor:
     """Collects an app's texts. The bytes are whole frames."""
 
     def __init__(self) -> None:
