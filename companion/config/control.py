@@ -231,7 +231,7 @@ class ControlConfig(StrictModel):
         default=0.03,
         ge=0.0,
         le=0.2,
-        description="From the decision to the autopilot's loop; set it to your link's delay",
+        description="Delay from the decision to the autopilot's loop; set it to your link's delay",
     )
     velocity_lookahead_s: float = Field(
         default=0.02,
@@ -253,7 +253,10 @@ class ControlConfig(StrictModel):
         ),
     )
     autopilot_climb_gain_1_s: float | None = Field(
-        default=None, ge=0.2, le=12.0, description="The same vertically; set it from a recorded flight"
+        default=None,
+        ge=0.2,
+        le=12.0,
+        description="The autopilot's vertical velocity gain; set it from a recorded flight",
     )
     autopilot_lag_s: float | None = Field(
         default=None,
@@ -265,7 +268,10 @@ class ControlConfig(StrictModel):
         ),
     )
     autopilot_climb_lag_s: float | None = Field(
-        default=None, ge=0.01, le=1.5, description="The same vertically; set it from a recorded flight"
+        default=None,
+        ge=0.01,
+        le=1.5,
+        description="What its shaping of velocity adds to the lag, vertically; set it from a recorded flight",
     )
     acceleration_estimate_lag_s: float = Field(
         default=0.035,
@@ -301,7 +307,7 @@ class ControlConfig(StrictModel):
         default=0.7,
         gt=0.0,
         le=20.0,
-        description="The same vertically; lower it where a far reference gives hard drops or climbs",
+        description="A reference farther above or below is drawn nearer; lower it against hard drops",
     )
     ground_descent_m_s: float = Field(
         default=1.0,

@@ -44,7 +44,7 @@ class AlignmentConfig(StrictModel):
         default=0.25,
         gt=0.0,
         le=2.0,
-        description="The same of the specific force; raise it together with that one",
+        description="Deviation of the specific force that counts as still; raise it with that one",
     )
 
 

@@ -70,7 +70,7 @@ class SearchConfig(StrictModel):
         default=5.0,
         ge=0.0,
         le=30.0,
-        description="Its velocity is extrapolated this long; raise it for a beacon that is received rarely",
+        description="Extrapolation time of a beacon's velocity; raise it for a beacon received rarely",
     )
     climb_m: float = Field(
         default=6.0,
@@ -132,7 +132,10 @@ class LandingConfig(StrictModel):
         description="Descent cone: metres aside allowed per metre of height; lower it for a narrow lens",
     )
     cone_floor_m: float = Field(
-        default=0.10, gt=0.0, le=1.0, description="Its narrowest half width; lower it for a small pad"
+        default=0.10,
+        gt=0.0,
+        le=1.0,
+        description="Narrowest half width of the descent cone; lower it for a small pad",
     )
     wait_height_m: float = Field(
         default=0.35,
@@ -223,7 +226,7 @@ class TouchdownConfig(StrictModel):
         default=0.2,
         gt=0.0,
         le=5.0,
-        description="And its vertical acceleration; raise it for a deck in heavy sea",
+        description="Largest vertical acceleration of the pad at contact; raise it for a deck in heavy sea",
     )
     contact_tilt_deg: float = Field(
         default=7.0,
@@ -309,7 +312,7 @@ class TouchdownConfig(StrictModel):
         default=0.8,
         ge=0.2,
         le=3.0,
-        description="From waiting to that sink rate; raise it for a heavy vehicle",
+        description="Time from waiting to the contact's sink rate; raise it for a heavy vehicle",
     )
     blind_s: float = Field(
         default=1.5,

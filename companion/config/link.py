@@ -111,7 +111,7 @@ class LinkConfig(StrictModel):
         default=4,
         ge=1,
         le=10,
-        description="And given up after this number of tries; raise it for a lossy link",
+        description="Tries of a command before it is given up; raise it for a lossy link",
     )
     force_disarm: bool = Field(
         default=True,

@@ -20,8 +20,8 @@ class Cylinder(StrictModel):
 
     kind: Literal["cylinder"]
     centre_ned_m: tuple[Place, Place] = Field(description="North, east of home")
-    radius_m: float = Field(gt=0.0, le=100.0, description="Of its widest part")
-    height_m: float = Field(gt=0.0, le=500.0, description="Of its top over home")
+    radius_m: float = Field(gt=0.0, le=100.0, description="Radius of its widest part")
+    height_m: float = Field(gt=0.0, le=500.0, description="Height of its top over home")
 
 
 class Box(StrictModel):
@@ -29,10 +29,10 @@ class Box(StrictModel):
 
     kind: Literal["box"]
     centre_ned_m: tuple[Place, Place] = Field(description="North, east of home")
-    length_m: float = Field(gt=0.0, le=500.0, description="Along its heading")
-    width_m: float = Field(gt=0.0, le=500.0, description="Across it")
-    heading_deg: float = Field(default=0.0, ge=-360.0, le=360.0, description="Clockwise from north")
-    height_m: float = Field(gt=0.0, le=500.0, description="Of its top over home")
+    length_m: float = Field(gt=0.0, le=500.0, description="Length along its heading")
+    width_m: float = Field(gt=0.0, le=500.0, description="Width across its heading")
+    heading_deg: float = Field(default=0.0, ge=-360.0, le=360.0, description="Heading, clockwise from north")
+    height_m: float = Field(gt=0.0, le=500.0, description="Height of its top over home")
 
 
 Shape = Annotated[Cylinder | Box, Field(discriminator="kind")]

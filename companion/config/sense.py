@@ -395,8 +395,8 @@ class VisionConfig(StrictModel):
         gt=0.0,
         le=20.0,
         description=(
-            "Plausible speed towards the pad close to it, for the same; a fifth of the distance per second"
-            " is added; raise it with that one"
+            "Plausible speed towards the pad, for the rolling shutter; a fifth of the distance per second is "
+            "added; raise it with the speed over the pad"
         ),
     )
     turn_rate_std_rad_s: float = Field(
@@ -404,7 +404,7 @@ class VisionConfig(StrictModel):
         gt=0.0,
         le=10.0,
         description=(
-            "Plausible turn rate beyond the gyroscope's, for the same; raise it for a pad that turns faster"
+            "Plausible turn rate beyond the gyroscope's, for the rolling shutter; raise it for a faster turn"
         ),
     )
     vibration_mrad: float = Field(

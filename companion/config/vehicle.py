@@ -174,7 +174,9 @@ class ModelConfig(StrictModel):
     inertia_kg_m2: tuple[Inertia, Inertia, Inertia] = Field(
         description="Moments of inertia about the forward, right and down axes"
     )
-    arm_length_m: float = Field(gt=0.03, le=1.0, description="From the centre of mass to a rotor's axis")
+    arm_length_m: float = Field(
+        gt=0.03, le=1.0, description="Distance from the centre of mass to a rotor's axis"
+    )
     thrust_coefficient_n_s2: float = Field(
         gt=1e-8, le=1e-2, description="B: thrust divided by the square of the rotor speed"
     )
@@ -185,7 +187,9 @@ class ModelConfig(StrictModel):
         ge=0.0, le=0.01, description="J_TP: moment of inertia of one rotor about its axis"
     )
     max_rotor_speed_rad_s: float = Field(gt=100.0, le=5000.0, description="Rotor speed at full command")
-    motor_time_constant_s: float = Field(ge=0.001, le=0.5, description="From commanded to delivered thrust")
+    motor_time_constant_s: float = Field(
+        ge=0.001, le=0.5, description="Lag from commanded to delivered thrust"
+    )
 
 
 class VehicleConfig(StrictModel):
@@ -233,7 +237,7 @@ class VehicleConfig(StrictModel):
         default=0.4,
         gt=0.0,
         le=3.0,
-        description="From the centre of mass to the farthest rotor's tip, for obstacles",
+        description="Distance from the centre of mass to the farthest rotor's tip, for obstacles",
     )
     leg_height_m: float = Field(
         ge=0.02,
@@ -258,7 +262,7 @@ class VehicleConfig(StrictModel):
         ),
     )
     thrust_time_constant_s: float | None = Field(
-        default=None, ge=0.01, le=1.0, description="The same vertically: thrust alone"
+        default=None, ge=0.01, le=1.0, description="Lag of the thrust alone, vertically"
     )
     hover_thrust: float = Field(
         ge=0.1,

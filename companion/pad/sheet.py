@@ -38,7 +38,7 @@ class Sheet(StrictModel):
         default="large", description="Tiles of a paper, or one large sheet"
     )
     size_m: tuple[Metres, Metres] | None = Field(
-        default=None, description="Of a large sheet, two sides; none: what the board needs"
+        default=None, description="Size of a large sheet; none: what the board needs"
     )
     margin_m: float = Field(
         default=1e-3 * MARGIN_MM,
@@ -46,7 +46,7 @@ class Sheet(StrictModel):
         le=0.1,
         description="Around the part of the board that is on it; printers do not reach the outer half",
     )
-    dots_per_inch: float = Field(default=300.0, ge=30.0, le=2400.0, description="Of the printer")
+    dots_per_inch: float = Field(default=300.0, ge=30.0, le=2400.0, description="Resolution of the printer")
     whole_markers: bool = Field(default=False, description="No cut may divide a marker")
 
     @model_validator(mode="after")

@@ -25,7 +25,9 @@ class DirtSettings(StrictModel):
     largest_share: float = Field(
         default=0.08, gt=0.005, le=0.5, description="Width of the largest, of the image's"
     )
-    opacity: float = Field(default=0.7, gt=0.0, le=1.0, description="Of the most opaque one's middle")
+    opacity: float = Field(
+        default=0.7, gt=0.0, le=1.0, description="Opacity of the most opaque blob's middle"
+    )
 
 
 class ImagingSettings(StrictModel):

@@ -43,9 +43,11 @@ class ShadowSettings(StrictModel):
 class GlareSettings(StrictModel):
     """The sun's image in the pad's print: a patch that saturates and hides what it lies on."""
 
-    elevation_deg: float = Field(default=75.0, ge=5.0, le=90.0, description="Of the sun")
-    azimuth_deg: Angle = Field(default="random", description="Of the sun, clockwise from north")
-    strength: float = Field(default=4.0, gt=0.0, le=1000.0, description="Its middle over a white sheet")
+    elevation_deg: float = Field(default=75.0, ge=5.0, le=90.0, description="Elevation of the sun")
+    azimuth_deg: Angle = Field(default="random", description="Azimuth of the sun, clockwise from north")
+    strength: float = Field(
+        default=4.0, gt=0.0, le=1000.0, description="Brightness of its middle over a white sheet"
+    )
     spread_deg: float = Field(default=4.0, ge=0.5, le=30.0, description="How far a matt print spreads it")
 
 

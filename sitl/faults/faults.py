@@ -66,7 +66,7 @@ class GyroSpikes(FaultTimes):
     """Some rates are garbled."""
 
     kind: Literal["gyro_spikes"]
-    share: Share = Field(default=0.01, description="Of the readings")
+    share: Share = Field(default=0.01, description="Share of the readings")
     size_deg_s: float = Field(
         default=100.0, gt=0.0, le=2000.0, description="Off by up to so much, on one axis"
     )
@@ -83,7 +83,7 @@ class AccelSpikes(FaultTimes):
     """Some forces are garbled."""
 
     kind: Literal["accel_spikes"]
-    share: Share = Field(default=0.01, description="Of the readings")
+    share: Share = Field(default=0.01, description="Share of the readings")
     size_m_s2: float = Field(default=30.0, gt=0.0, le=160.0, description="Off by up to so much, on one axis")
 
 
@@ -102,7 +102,7 @@ class ImuTurned(FaultTimes):
 
     kind: Literal["imu_turned"]
     rotation_body_deg: BodyVector = Field(
-        default=(0.0, 12.0, 0.0), description="By which it is turned about forward, right and down"
+        default=(0.0, 12.0, 0.0), description="Angles by which it is turned about forward, right and down"
     )
     slips_for_s: float = Field(
         default=0.0, ge=0.0, le=10.0, description="How long it takes to slip; 0: it lay so"
@@ -142,7 +142,7 @@ class MagSpikes(FaultTimes):
     """Some fields are garbled."""
 
     kind: Literal["mag_spikes"]
-    share: Share = Field(default=0.05, description="Of the readings")
+    share: Share = Field(default=0.05, description="Share of the readings")
     size_ut: float = Field(default=100.0, gt=0.0, le=4900.0, description="Off by up to so much, on one axis")
 
 
@@ -175,7 +175,7 @@ class GpsSpikes(FaultTimes):
     """Some fixes are far off."""
 
     kind: Literal["gps_spikes"]
-    share: Share = Field(default=0.1, description="Of the fixes")
+    share: Share = Field(default=0.1, description="Share of the fixes")
     size_m: float = Field(
         default=30.0, gt=0.0, le=1000.0, description="Off by up to so much, north, east or down"
     )
@@ -188,7 +188,7 @@ class RangeLost(FaultTimes):
     """It receives no echo, or its line is disconnected."""
 
     kind: Literal["range_lost"]
-    share: Share = Field(default=1.0, description="Of the pings")
+    share: Share = Field(default=1.0, description="Share of the pings")
     unplugged: bool = Field(
         default=False, description="Nothing on the line at all, instead of frames without an echo"
     )
@@ -215,7 +215,7 @@ class RangeSpikes(FaultTimes):
 
     kind: Literal["range_spikes"]
     share: float = Field(
-        default=0.3, ge=0.0, le=1.0, description="Of the pings: an echo from anywhere in between"
+        default=0.3, ge=0.0, le=1.0, description="Share of the pings: an echo from anywhere in between"
     )
 
 
@@ -224,7 +224,7 @@ class RangeOtherEcho(FaultTimes):
 
     kind: Literal["range_other_echo"]
     distance_m: float = Field(default=0.4, ge=0.0, le=4.5, description="Where it hangs")
-    share: Share = Field(default=0.7, description="Of the pings")
+    share: Share = Field(default=0.7, description="Share of the pings")
 
 
 # ---------------------------------------------------------------- camera
@@ -243,10 +243,10 @@ class FrameLost(FaultTimes):
 
     kind: Literal["frame_lost"]
     share: float = Field(
-        default=1.0, gt=0.0, le=1.0, description="Of the frames; 1 is a camera that has stalled"
+        default=1.0, gt=0.0, le=1.0, description="Share of the frames; 1 is a camera that has stalled"
     )
     burst_frames: float = Field(
-        default=1.0, ge=1.0, le=300.0, description="So many in a row on average; 1: singly"
+        default=1.0, ge=1.0, le=300.0, description="Frames in a row on average; 1: singly"
     )
 
 
@@ -260,7 +260,7 @@ class FrameGarbled(FaultTimes):
     """Frames are garbage from some row on, as of a loose cable."""
 
     kind: Literal["frame_garbled"]
-    share: Share = Field(default=0.3, description="Of the frames")
+    share: Share = Field(default=0.3, description="Share of the frames")
 
 
 class FrameBlack(FaultTimes):
@@ -289,7 +289,7 @@ class LinkLoss(FaultTimes):
     """Datagrams are lost between vehicle and app."""
 
     kind: Literal["link_loss"]
-    share: Share = Field(default=0.5, description="Of the datagrams")
+    share: Share = Field(default=0.5, description="Share of the datagrams")
     way: LinkDirection = Field(default="both", description="Which direction")
 
 

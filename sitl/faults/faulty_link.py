@@ -20,15 +20,17 @@ NEXT_S: Final = 1e-6
 class LinkSettings(StrictModel):
     """Quality of the line, the same in both directions."""
 
-    loss_share: float = Field(default=0.0, ge=0.0, le=1.0, description="Of the datagrams")
-    delay_s: float = Field(default=0.0, ge=0.0, le=2.0, description="Of each")
+    loss_share: float = Field(default=0.0, ge=0.0, le=1.0, description="Share of the datagrams that is lost")
+    delay_s: float = Field(default=0.0, ge=0.0, le=2.0, description="Delay of each datagram")
     jitter_s: float = Field(
-        default=0.0, ge=0.0, le=1.0, description="And up to so much more; the order stays"
+        default=0.0, ge=0.0, le=1.0, description="Further random delay, at most; the order stays"
     )
     reorder_share: float = Field(
-        default=0.0, ge=0.0, le=1.0, description="Of the datagrams, which later ones overtake"
+        default=0.0, ge=0.0, le=1.0, description="Share of the datagrams that later ones overtake"
     )
-    reorder_hold_s: float = Field(default=0.05, gt=0.0, le=2.0, description="So long such a one is held back")
+    reorder_hold_s: float = Field(
+        default=0.05, gt=0.0, le=2.0, description="How long an overtaken datagram is held back"
+    )
 
 
 class LinkChannel:

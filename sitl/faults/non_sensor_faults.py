@@ -31,15 +31,17 @@ class PadResized(FaultTimes):
     """The pad is printed larger or smaller than its file says, as A3 on A4."""
 
     kind: Literal["pad_resized"]
-    scale: float = Field(default=0.71, ge=0.2, le=3.0, description="Of all lengths of the print")
+    scale: float = Field(default=0.71, ge=0.2, le=3.0, description="Factor on all lengths of the print")
 
 
 class PadTwin(FaultTimes):
     """A second, identical pad is in view. It is a picture alone: nothing can stand on it."""
 
     kind: Literal["pad_twin"]
-    north_m: float = Field(default=0.0, ge=-50.0, le=50.0, description="From the pad's centre to its twin's")
-    east_m: float = Field(default=2.0, ge=-50.0, le=50.0, description="The same, east")
+    north_m: float = Field(
+        default=0.0, ge=-50.0, le=50.0, description="North, from the pad's centre to its twin's"
+    )
+    east_m: float = Field(default=2.0, ge=-50.0, le=50.0, description="East, from the same point")
     moves: bool = Field(
         default=True, description="With the pad; else it rests on the ground from where the pad was"
     )
@@ -55,7 +57,7 @@ class PadBrakes(FaultTimes):
     """The pad brakes to a standstill, straight on; at the end of the fault it goes on."""
 
     kind: Literal["pad_brakes"]
-    deceleration_m_s2: float = Field(default=3.0, gt=0.0, le=20.0, description="Until it stands")
+    deceleration_m_s2: float = Field(default=3.0, gt=0.0, le=20.0, description="Deceleration until it stands")
 
 
 class PadTurnsBack(FaultTimes):
@@ -84,7 +86,7 @@ class PadTilts(FaultTimes):
 
     kind: Literal["pad_tilts"]
     roll_deg: float = Field(default=15.0, ge=-45.0, le=45.0, description="About its heading")
-    rate_deg_s: float = Field(default=15.0, gt=0.0, le=360.0, description="To there")
+    rate_deg_s: float = Field(default=15.0, gt=0.0, le=360.0, description="Rate of tilting")
 
 
 # ---------------------------------------------------------------- the autopilot
@@ -104,7 +106,7 @@ class PilotMode(FaultTimes):
 
     kind: Literal["pilot_mode"]
     mode: Literal["position", "hold", "return", "land"] = Field(
-        default="position", description="By what the autopilot calls it"
+        default="position", description="Mode, as the autopilot calls it"
     )
 
 
@@ -147,7 +149,7 @@ class FollowMe(FaultTimes):
 
     kind: Literal["follow_me"]
     north_m: float = Field(default=20.0, ge=-500.0, le=500.0, description="Where the operator is, from home")
-    east_m: float = Field(default=-15.0, ge=-500.0, le=500.0, description="The same, east")
+    east_m: float = Field(default=-15.0, ge=-500.0, le=500.0, description="East, from the same point")
     rate_hz: float = Field(default=1.0, gt=0.0, le=10.0, description="How often it is sent")
 
 
@@ -155,7 +157,7 @@ class SecondCompanion(FaultTimes):
     """A duplicate of the companion, under another component id, sends setpoints too: stand still."""
 
     kind: Literal["second_companion"]
-    component_id: int = Field(default=196, ge=1, le=255, description="Of the vehicle's system")
+    component_id: int = Field(default=196, ge=1, le=255, description="Component of the vehicle's system")
     rate_hz: float = Field(default=10.0, gt=0.0, le=50.0, description="How often it sends one")
 
 

@@ -23,19 +23,21 @@ class FaultTimes(StrictModel):
     """When a fault is there: one of the four beginnings, and a duration."""
 
     start_s: Since | None = Field(
-        default=None, description="It begins so long after the start of the simulation,"
+        default=None, description="It begins this long after the start of the simulation"
     )
-    phase: FlownPhase | None = Field(default=None, description="Or when the app first announces this phase,")
+    phase: FlownPhase | None = Field(
+        default=None, description="It begins when the app first announces this phase"
+    )
     below_m: Low | None = Field(
         default=None,
-        description="Or when the feet, over the pad, first come this low in flight; 0: they touch",
+        description="It begins when the feet, over the pad, first come this low in flight; 0: they touch",
     )
     after_sighting_s: Since | None = Field(
-        default=None, description="Or so long after the app announces that it sees the pad"
+        default=None, description="It begins this long after the first sighting"
     )
     delay_s: float = Field(default=0.0, ge=0.0, le=900.0, description="Further delay after that")
     duration_s: float = Field(
-        default=900.0, gt=0.0, le=900.0, description="By default to the end of the flight"
+        default=900.0, gt=0.0, le=900.0, description="Duration; by default to the end of the flight"
     )
 
     @model_validator(mode="after")

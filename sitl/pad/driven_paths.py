@@ -105,8 +105,10 @@ class WaypointsMotion(StrictModel):
     max_acceleration_m_s2: float = Field(
         default=1.0, gt=0.05, le=10.0, description="Corners are rounded to keep this acceleration"
     )
-    max_turn_rate_deg_s: float = Field(default=45.0, gt=0.0, le=90.0, description="And this turn rate")
-    loop: bool = Field(default=False, description="After the last point to the first again; else straight on")
+    max_turn_rate_deg_s: float = Field(default=45.0, gt=0.0, le=90.0, description="Largest turn rate")
+    loop: bool = Field(
+        default=False, description="Whether the first point follows the last; else straight on"
+    )
     start_s: float = Field(
         default=0.0,
         ge=0.0,

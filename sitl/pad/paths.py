@@ -35,7 +35,9 @@ class Meeting(StrictModel):
     point_ned_m: tuple[Metres, Metres] = Field(
         default=(10.0, 0.0), description="The pad passes this point, north and east of home"
     )
-    time_s: float = Field(default=22.0, ge=0.0, le=600.0, description="At this time")
+    time_s: float = Field(
+        default=22.0, ge=0.0, le=600.0, description="Time at which the pad passes that point"
+    )
     spread_m: float = Field(default=3.0, ge=0.0, le=30.0, description="Largest random shift of the point")
 
 
@@ -101,7 +103,7 @@ class FigureEightMotion(StrictModel):
 
     kind: Literal["figure_8"]
     speed_m_s: float = Field(gt=0.0, le=10.0, description="Speed along the lemniscate, constant")
-    half_length_m: float = Field(gt=0.5, le=100.0, description="From its middle to an end")
+    half_length_m: float = Field(gt=0.5, le=100.0, description="Distance from its middle to an end")
     axis_deg: Angle = Field(default="random", description="Direction of its length, clockwise from north")
     phase: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["random"] = Field(
         default="random", description="Share of a lap done at time 0"

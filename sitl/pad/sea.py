@@ -24,11 +24,13 @@ class DeckSettings(StrictModel):
 
     significant_height_m: float = Field(default=0.0, ge=0.0, le=4.0, description="Heave, trough to crest")
     significant_roll_deg: float = Field(
-        default=0.0, ge=0.0, le=30.0, description="From one side to the other"
+        default=0.0, ge=0.0, le=30.0, description="Roll, from one side to the other"
     )
-    significant_pitch_deg: float = Field(default=0.0, ge=0.0, le=30.0, description="From bow up to bow down")
-    peak_period_s: float = Field(default=6.0, ge=2.0, le=20.0, description="Of heave and pitch")
-    roll_period_s: float = Field(default=8.0, ge=2.0, le=30.0, description="Of roll, a ship's own")
+    significant_pitch_deg: float = Field(
+        default=0.0, ge=0.0, le=30.0, description="Pitch, from bow up to bow down"
+    )
+    peak_period_s: float = Field(default=6.0, ge=2.0, le=20.0, description="Period of heave and pitch")
+    roll_period_s: float = Field(default=8.0, ge=2.0, le=30.0, description="Period of roll, a ship's own")
 
     def largest_excursion_m(self, half_diagonal_m: float) -> float:
         """How far the lowest corner of a board goes below the mean, all crests at once."""

@@ -155,7 +155,7 @@ class AsBuiltSettings(StrictModel):
     """
 
     hover_thrust: Part = Field(
-        default=0.35, description="Of the hover thrust that app and autopilot are told"
+        default=0.35, description="Error of the hover thrust that app and autopilot are given"
     )
     thrust_exponent: tuple[Low, High] = Field(
         default=(
@@ -164,15 +164,19 @@ class AsBuiltSettings(StrictModel):
         ),
         description="Power of thrust over command, from, to; told: 1",
     )
-    mass: Part = Field(default=0.2, description="Of the mass")
+    mass: Part = Field(default=0.2, description="Error of the mass")
     leg_height_m: float = Field(default=0.03, ge=0.0, le=0.08, description="Longer or shorter legs")
     imu_offset_m: float = Field(default=0.1, ge=0.0, le=0.5, description="Both IMUs from the centre of mass")
     camera_mount_deg: float = Field(default=2.0, ge=0.0, le=30.0, description="About each axis")
-    focal_length: Part = Field(default=0.015, description="Of the focal length")
-    pad_print: Part = Field(default=0.015, description="Of the pad's size")
-    stamp_s: float = Field(default=0.02, ge=0.0, le=0.1, description="Of the frames' stamps, constant")
-    stamp_jitter_s: float = Field(default=0.005, ge=0.0, le=0.03, description="And up to so much of each")
-    link_delay_s: float = Field(default=0.04, ge=0.0, le=0.5, description="Of the MAVLink line, on one side")
+    focal_length: Part = Field(default=0.015, description="Error of the focal length")
+    pad_print: Part = Field(default=0.015, description="Error of the pad's size")
+    stamp_s: float = Field(default=0.02, ge=0.0, le=0.1, description="Constant error of the frames' stamps")
+    stamp_jitter_s: float = Field(
+        default=0.005, ge=0.0, le=0.03, description="Random error of each stamp, at most"
+    )
+    link_delay_s: float = Field(
+        default=0.04, ge=0.0, le=0.5, description="Delay of the MAVLink line, on one side"
+    )
     vibration: float = Field(
         default=15.0, ge=1.0, le=50.0, description="Factor on the rotors' vibration, from 1"
     )
@@ -181,7 +185,7 @@ class AsBuiltSettings(StrictModel):
         description="It flies elsewhere than the app's magnetic field is of, within 60° of latitude",
     )
     deck_field_ut: float = Field(
-        default=30.0, ge=0.0, le=200.0, description="Of a steel deck, for both compasses"
+        default=30.0, ge=0.0, le=200.0, description="Field of a steel deck, for both compasses"
     )
     yaw_reset_deg: float = Field(
         default=15.0, ge=0.0, le=180.0, description="The bundled autopilot's heading leaps once"

@@ -83,7 +83,9 @@ class CameraSettings(StrictModel):
     config: str = Field(
         default="sitl_640x480", description="Camera file: a name in configs/cameras, or a path"
     )
-    latency_s: float = Field(default=0.045, ge=0.0, le=0.25, description="From mid-exposure to delivery")
+    latency_s: float = Field(
+        default=0.045, ge=0.0, le=0.25, description="Latency from mid-exposure to delivery"
+    )
     latency_jitter_s: float = Field(default=0.005, ge=0.0, le=0.05, description="Random part of the latency")
     exposure_s: float = Field(
         default=0.003,
@@ -92,7 +94,10 @@ class CameraSettings(StrictModel):
         description="Exposure of every row; with a `light`, automatic exposure sets it",
     )
     readout_s: float = Field(
-        default=0.015, ge=0.0, le=0.03, description="From the first to the last row of the rolling shutter"
+        default=0.015,
+        ge=0.0,
+        le=0.03,
+        description="Time from the first to the last row of the rolling shutter",
     )
     noise_grey: float = Field(
         default=3.0,
@@ -101,7 +106,7 @@ class CameraSettings(StrictModel):
         description="Standard deviation of a pixel; with a `light`, of a white pixel at gain 1",
     )
     calibration_error: float = Field(
-        default=0.003, ge=0.0, le=0.1, description="Of the focal length, and sideways"
+        default=0.003, ge=0.0, le=0.1, description="Error of focal length and principal point"
     )
     mount_error_deg: tuple[Tilt, Tilt, Tilt] = Field(
         default=(0.0, 0.0, 0.0),
@@ -149,14 +154,16 @@ class SensorSettings(StrictModel):
         le=50.0,
         description="Factor on the rotors' vibration alone; 1 is a well damped mount, 4 a bad one",
     )
-    mag_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0, description="The same for the magnetometer")
+    mag_noise_factor: float = Field(
+        default=1.0, ge=0.0, le=20.0, description="Factor on the magnetometer's noise"
+    )
     gps_noise_factor: float = Field(
-        default=1.0, ge=0.0, le=20.0, description="The same for GPS, its wander included"
+        default=1.0, ge=0.0, le=20.0, description="Factor on the GPS noise, its wander included"
     )
     range_noise_factor: float = Field(
-        default=1.0, ge=0.0, le=20.0, description="The same for the rangefinder"
+        default=1.0, ge=0.0, le=20.0, description="Factor on the rangefinder's noise"
     )
-    gps_delay_s: float = Field(default=0.12, ge=0.0, le=1.0, description="From a fix to its message")
+    gps_delay_s: float = Field(default=0.12, ge=0.0, le=1.0, description="Delay from a fix to its message")
     gps_wake_baud: Literal[4800, 9600, 19200, 38400, 57600, 115200] = Field(
         default=9600, description="Baud rate of the receiver until it is configured"
     )
@@ -185,7 +192,7 @@ class BeaconSettings(StrictModel):
         default=None,
         description="Rate of its fixes; an answer carries the newest; none: a fix made for the answer",
     )
-    delay_s: float = Field(default=0.5, ge=0.0, le=5.0, description="From the request to the answer")
+    delay_s: float = Field(default=0.5, ge=0.0, le=5.0, description="Delay from the request to the answer")
 
 
 class PassBounds(StrictModel):

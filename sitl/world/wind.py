@@ -59,7 +59,7 @@ class DiscreteGust(StrictModel):
 
     at_s: float = Field(ge=0.0, le=900.0, description="It begins then, from the start of the simulation")
     amplitude_m_s: float = Field(gt=0.0, le=20.0, description="Peak, at 6.1 m like the mean wind")
-    duration_s: float = Field(default=3.0, ge=0.2, le=60.0, description="From calm to calm")
+    duration_s: float = Field(default=3.0, ge=0.2, le=60.0, description="Duration from calm to calm")
     from_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | Literal["wind"] = Field(
         default="wind", description="Where it comes from"
     )
