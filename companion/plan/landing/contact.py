@@ -163,8 +163,9 @@ class LandDetector:
         return self._away.held_s(away, now_s) >= _AWAY_S
 
     def doubted(self, now_s: float) -> bool:
-        """Whether our setpoints may not arrive, or just now may not have, as `off_by_itself` has seen it; what
-        lifts it or makes it slide then is the autopilot.
+        """Whether our setpoints may not arrive, or just now may not have, as `off_by_itself` has seen it.
+
+        What lifts it or makes it slide then is the autopilot.
 
         It holds by itself once setpoints do not arrive, over a pad that moves on; obeying again by our first
         setpoint it would be pressed down from there.
