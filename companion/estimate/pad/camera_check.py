@@ -41,6 +41,8 @@ from companion.base.geometry import (
     norm,
     quat_rotate,
     quat_rotate_inverse,
+    scale,
+    subtract,
 )
 from companion.base.messages import Quantity, SourceComparison
 from companion.estimate.motion import MotionHistory
@@ -138,7 +140,7 @@ class CameraCheck:
             self._begin(attitude, seen, noise_m2)
         else:
             self._predict(time_s)
-            rate = quat_rotate(attitude, self._motion.rate_body_rad_s(time_s, RATE_SPAN_S))
+            rate = self._rate_ned_rad_s(time_s, attitude)
             # by a horizon that wanders as much as this filter takes it to, motion tells nothing of the scale
             quiet = attitude_rad2 <= 2.0 * NOISE_RAD**2
             self._see(attitude, seen, cross(rate, seen), noise_m2, scale=quiet)
@@ -148,6 +150,14 @@ class CameraCheck:
             if abs(echo[0] - time_s) <= ECHO_APART_S:
                 self._echoes.remove(echo)
                 self._hear(*echo)
+
+    def _rate_ned_rad_s(self, time_s: float, attitude: Quaternion) -> Vector3:
+        """How fast the vehicle turns: what corrects the attitude is no turn."""
+        newest_s = self._motion.newest_s
+        end_s = min(time_s + 0.5 * RATE_SPAN_S, math.inf if newest_s is None else newest_s)
+        corrected = self._motion.corrected(end_s - RATE_SPAN_S, end_s)
+        rate = quat_rotate(attitude, self._motion.rate_body_rad_s(time_s, RATE_SPAN_S))
+        return subtract(rate, scale(corrected, 1.0 / RATE_SPAN_S))
 
     def _begin(self, attitude: Quaternion, seen: Vector3, noise_m2: float) -> None:
         """The pad's motion anew; it is from the IMU, as far as it is known where that is."""

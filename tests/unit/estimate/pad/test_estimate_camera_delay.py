@@ -4,9 +4,22 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
-from companion.base.geometry import Quaternion, Vector3
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    IDENTITY,
+    Quaternion,
+    Vector3,
+    add,
+    quat_conjugate,
+    quat_from_rotation_vector,
+    quat_multiply,
+    quat_rotate,
+    rotation_vector_from_quat,
+    subtract,
+)
 from companion.base.messages import Quantity
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_check import LARGEST_DELAY_S, CameraCheck
@@ -52,6 +65,40 @@ def test_a_sighting_of_something_else_is_passed_over() -> None:
 
 def test_the_correction_stays_within_its_bound() -> None:
     assert abs(learnt(Sway(-0.13), duration_s=20.0).delay_s) <= LARGEST_DELAY_S
+
+
+class CorrectedMotion(MotionHistory):
+    """Five times a second a fix corrects the attitude, which errs by so much about the axes (rad, NED)."""
+
+    def __init__(self, error_rad: Vector3) -> None:
+        super().__init__(3.0)
+        self._error_rad, self._rng = error_rad, np.random.default_rng(3)
+        self._error, self._next_s = IDENTITY, 0.2
+
+    def add(self, time_s: float, attitude: Quaternion, acceleration_ned_m_s2: Vector3, *rest: Any) -> None:
+        if time_s >= self._next_s:
+            self._next_s += 0.2
+            x, y, z = (self._rng.standard_normal(3) * self._error_rad).tolist()
+            error = quat_from_rotation_vector((x, y, z))
+            self.correct(rotation_vector_from_quat(quat_multiply(error, quat_conjugate(self._error))))
+            self._error = error
+        gravity = (0.0, 0.0, GRAVITY_M_S2)
+        felt = quat_rotate(self._error, subtract(acceleration_ned_m_s2, gravity))
+        super().add(time_s, quat_multiply(self._error, attitude), add(felt, gravity), *rest)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.02])
+@pytest.mark.parametrize("error_rad", [(0.0, 0.0, 0.02), (0.01, 0.01, 0.0)], ids=["heading", "horizon"])
+def test_a_fix_that_corrects_the_attitude_is_neither_delay_nor_scale(
+    late_s: float, error_rad: Vector3
+) -> None:
+    motion, sway = CorrectedMotion(error_rad), Sway(late_s, height_m=5.0)
+    check = CameraCheck(motion, 0.03, 0.65)
+    for exposed_s, seen in sightings(sway, motion, 12.0):
+        check.take(exposed_s + check.delay_s, seen, sway.noise_m**2)
+    assert check.delay_s == pytest.approx(late_s, abs=0.001)
+    scale, std = check.scale
+    assert abs(scale - 1.0) <= std
 
 
 class LateMotion(MotionHistory):
