@@ -1,22 +1,12 @@
 """`python -m experiments`: what a user gets wrong is one line, and comes before minutes of flying."""
 
-import sys
 from pathlib import Path
 
 import pytest
 
-from experiments.command import main
+from experiments.command import PROGRAM
 from experiments.output import writable
-
-
-def _said(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *words: str
-) -> tuple[str, int]:
-    monkeypatch.setattr(sys, "argv", ["python -m experiments", *words])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert isinstance(ended.value.code, int)
-    return capsys.readouterr().err, ended.value.code
+from tests.programs import Program
 
 
 @pytest.mark.parametrize(
@@ -29,25 +19,18 @@ def _said(
         (("fig99",), "No such command 'fig99'"),
     ],
 )
-def test_mistakes_are_one_line(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], said: str
-) -> None:
-    error, code = _said(capsys, monkeypatch, *words)
-    assert code == 2
-    assert error.startswith(f"python -m experiments: {said}")
-    assert error.count("\n") == 1
+def test_mistakes_are_one_line(words: tuple[str, ...], said: str, program: Program) -> None:
+    assert program(PROGRAM, *words).refusal.startswith(f"python -m experiments: {said}")
 
 
 def test_a_picture_that_cannot_be_written_is_reported_before_the_flight(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, program: Program
 ) -> None:
     folder = tmp_path / "folder.png"
     folder.mkdir()
     for output in (folder, Path("/proc/fig13.png")):
-        error, code = _said(capsys, monkeypatch, "fig13", "-o", str(output))
-        assert code == 2
-        assert error.startswith(f"python -m experiments: --output {output}: expected a .png file")
-        assert error.count("\n") == 1
+        said = program(PROGRAM, "fig13", "-o", output).refusal
+        assert said.startswith(f"python -m experiments: --output {output}: expected a .png file")
 
 
 def test_what_can_be_written_is_left_as_it_was(tmp_path: Path) -> None:
@@ -59,9 +42,7 @@ def test_what_can_be_written_is_left_as_it_was(tmp_path: Path) -> None:
     assert not new.exists()
 
 
-def test_help_needs_no_flight(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["python -m experiments", "--help"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert not ended.value.code
-    assert "fig13" in capsys.readouterr().out
+def test_help_needs_no_flight(program: Program) -> None:
+    said = program(PROGRAM, "--help")
+    assert said.code == 0
+    assert "fig13" in said.out

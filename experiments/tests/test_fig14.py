@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,6 @@ import numpy as np
 import pytest
 
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m
-from experiments.command import main
 from experiments.fig14 import CASE_NAMES
 from experiments.fig14 import figure as fig14
 from experiments.fig14.figure import BY_NAME, FlightScore, flight_of, judge, load_settings
@@ -37,6 +35,7 @@ from experiments.fig14.reference import (
 from experiments.fig14.report import picture, step_line, table
 from experiments.fig14.world import CASES, FLOWN_S, disturbed, draw_world
 from experiments.tune_pid import TRAINING
+from tests.programs import Program
 
 SEED = 4
 
@@ -177,16 +176,8 @@ def test_table_line_and_picture(flight: PilotKnowledge, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("option", "said"), [("--case=storm", "no 'storm'"), ("--output=x.gif", "expected a .png")]
 )
-def test_what_a_user_gets_wrong_is_reported_in_a_line(
-    option: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["python -m experiments", "fig14", option])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    told = capsys.readouterr().err
-    assert said in told
-    assert told.count("\n") == 1
+def test_what_a_user_gets_wrong_is_reported_in_a_line(option: str, said: str, program: Program) -> None:
+    assert said in program("python -m experiments", "fig14", option).refusal
 
 
 def test_the_seeds_that_tuned_are_not_those_that_judge() -> None:

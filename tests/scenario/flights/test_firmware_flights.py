@@ -14,7 +14,6 @@ from typing import Any, NoReturn
 
 import pytest
 
-from companion import cli
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.messages import Outcome, Phase
 from companion.config import ConfigError
@@ -24,6 +23,7 @@ from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.trial import Trial
 from sitl.firmware import px4, start
 from sitl.run.server import Service, _kept_free
+from tests.programs import Program
 from tests.scenario.flying import COMMAND, ROOT, alive, children, environment, started
 from tests.unit.sitl.campaign.campaign_parts import scenario_file
 from tests.unit.sitl.external.external_vehicle import ARDUPILOT, MessageSender, heartbeat
@@ -99,10 +99,8 @@ def test_nothing_is_left_when_the_apps_settings_are_wrong(
     assert program.is_gone
 
 
-def test_the_command_says_in_one_line_that_the_firmware_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    program = fake("ardupilot", tmp_path, ends_after=500)
+def test_the_command_says_in_one_line_that_the_firmware_ended(tmp_path: Path, program: Program) -> None:
+    firmware = fake("ardupilot", tmp_path, ends_after=500)
     words = [
         "companion",
         "--sitl",
@@ -111,12 +109,10 @@ def test_the_command_says_in_one_line_that_the_firmware_ended(
         "--scenario",
         str(scenario_file(tmp_path)),
     ]
-    monkeypatch.setattr(sys, "argv", [*words, *options(program)])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == 1
-    assert re.fullmatch(f"companion: {ENDED}\n", capsys.readouterr().err)
-    assert program.is_gone
+    said = program(*words, *options(firmware))
+    assert said.code == 1
+    assert re.fullmatch(f"companion: {ENDED}\n", said.err)
+    assert firmware.is_gone
 
 
 @pytest.mark.parametrize(

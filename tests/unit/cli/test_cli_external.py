@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from companion import cli
 from companion.config import CONFIG_FOLDER, ConfigError
 from companion.sim import process
 from companion.sim.external import External
 from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
+from tests.programs import Program
 
 UDP, TCP = "udpin:127.0.0.1:14540", "tcp:127.0.0.1:5763"
 
@@ -64,14 +63,8 @@ def test_what_does_not_go_together_is_said(given: dict[str, Any], fast: bool, te
 
 
 @pytest.mark.parametrize("words", [("--connect", UDP), ("--autopilot", "external")])
-def test_without_the_desk_they_are_refused(
-    words: tuple[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["companion", *words])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == 2
-    assert capsys.readouterr().err.startswith(f"companion: {words[0]}: needs --sitl")
+def test_without_the_desk_they_are_refused(words: tuple[str, str], program: Program) -> None:
+    assert program("companion", *words).refusal.startswith(f"companion: {words[0]}: needs --sitl")
 
 
 def test_the_app_takes_the_autopilots_own_sensors_and_our_echoes() -> None:

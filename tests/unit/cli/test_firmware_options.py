@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from companion import cli
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import CONFIG_FOLDER, ConfigError
 from companion.sim.external import External
@@ -19,6 +18,7 @@ from sitl import cli as simulator
 from sitl.campaign.manifest import CampaignRun, check_goes_on, make_plan
 from sitl.campaign.worker import Worker
 from sitl.firmware.spec import FirmwareSpec, number_text
+from tests.programs import Program
 from tests.unit.sitl.campaign.campaign_parts import flight
 from tests.unit.sitl.firmware.fake_firmware import fake
 
@@ -100,13 +100,6 @@ def test_its_words_and_its_json_make_it_again(px4: FirmwareSpec) -> None:
 # ---------------------------------------------------------------- the commands
 
 
-def companion(words: list[str], monkeypatch: pytest.MonkeyPatch) -> object:
-    monkeypatch.setattr(sys, "argv", ["companion", *words])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    return ended.value.code
-
-
 @pytest.mark.parametrize(
     ("words", "text"),
     [
@@ -132,16 +125,10 @@ def companion(words: list[str], monkeypatch: pytest.MonkeyPatch) -> object:
     ],
 )
 def test_the_app_refuses_in_one_line_what_does_not_go_together(
-    words: list[str],
-    text: str,
-    px4: FirmwareSpec,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: list[str], text: str, px4: FirmwareSpec, program: Program
 ) -> None:
-    assert companion([str(px4.path) if word == "BIN" else word for word in words], monkeypatch) == 2
-    said = capsys.readouterr().err
+    said = program("companion", *(px4.path if word == "BIN" else word for word in words)).refusal
     assert said.startswith(f"companion: {text}")
-    assert said.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -7,21 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from companion import cli
 from companion.flightlog.record import FlightLog
 from companion.flightlog.replay.job import log_name
+from tests.programs import Program
 from tests.unit.estimate.estimate_flight import EstimateFlight, hover, pad_at_rest, sprint
 from tests.unit.flightlog.replay.log_files import FLIGHT, write_dataflash, write_own, write_ulog
 
 PLOTS = {"attitude.png", "velocity.png", "position.png", "biases.png", "refused.png"}
-
-
-def run(monkeypatch: pytest.MonkeyPatch, *words: str | Path) -> int:
-    """The command in this process; returns its exit code."""
-    monkeypatch.setattr(sys, "argv", ["companion", *(str(word) for word in words)])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    return int(ended.value.code or 0)
 
 
 @pytest.fixture(autouse=True)
@@ -31,12 +23,10 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setenv("COLUMNS", "200")
 
 
-def test_a_flight_of_ours_leaves_numbers_and_plots(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_flight_of_ours_leaves_numbers_and_plots(tmp_path: Path, program: Program) -> None:
     write_own(tmp_path / "circle")
-    assert run(monkeypatch, "replay", tmp_path / "circle") == 0
-    said = capsys.readouterr()
+    said = program("companion", "replay", tmp_path / "circle")
+    assert said.code == 0
     folder = Path("replay/circle")
     assert {path.name for path in folder.iterdir()} == PLOTS | {"pad_motion.png", "replay.json"}
     result = json.loads((folder / "replay.json").read_text())
@@ -51,12 +41,10 @@ def test_a_flight_of_ours_leaves_numbers_and_plots(
 
 
 @pytest.mark.parametrize("write", [write_dataflash, write_ulog])
-def test_an_autopilots_log_leaves_them_where_asked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: object
-) -> None:
+def test_an_autopilots_log_leaves_them_where_asked(tmp_path: Path, write: object, program: Program) -> None:
     assert callable(write)
     log = write(tmp_path / "log.of.mine")
-    assert run(monkeypatch, "replay", log, "-o", tmp_path / "out" / "first") == 0
+    assert program("companion", "replay", log, "-o", tmp_path / "out" / "first").code == 0
     left = {path.name for path in (tmp_path / "out" / "first").iterdir()}
     assert left == PLOTS | {"replay.json"}
     result = json.loads((tmp_path / "out" / "first" / "replay.json").read_text())
@@ -66,39 +54,24 @@ def test_an_autopilots_log_leaves_them_where_asked(
     assert result["duration_s"] == pytest.approx(16.0, abs=0.1)
 
 
-def test_the_same_replay_twice_gives_the_same_numbers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_replay_twice_gives_the_same_numbers(tmp_path: Path, program: Program) -> None:
     log = write_ulog(tmp_path / "a.ulg")
     texts = []
     for name in ("one", "two"):
-        assert run(monkeypatch, "replay", log, "--output", tmp_path / name) == 0
+        assert program("companion", "replay", log, "--output", tmp_path / name).code == 0
         texts.append((tmp_path / name / "replay.json").read_text())
     assert texts[0] == texts[1]
 
 
-def test_a_cut_log_is_replayed_and_said_to_be_cut(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_cut_log_is_replayed_and_said_to_be_cut(tmp_path: Path, program: Program) -> None:
     log = write_own(tmp_path / "flight")
     log.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
-    assert run(monkeypatch, "replay", log) == 0
-    assert "note: the log is cut after" in capsys.readouterr().out
+    said = program("companion", "replay", log)
+    assert said.code == 0
+    assert "note: the log is cut after" in said.out
 
 
-def refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
-    """What is said in the one line of a command that a user can mend."""
-    assert run(monkeypatch, *words) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith("companion: ")
-    assert said.err.count("\n") == 1
-    return said.err
-
-
-def test_what_is_no_log_is_refused_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_log_is_refused_in_one_line(tmp_path: Path, program: Program) -> None:
     (tmp_path / "empty.bin").touch()
     (tmp_path / "text.log").write_text("FMT, 128, 89, FMT, BBnNZ, Type")
     (tmp_path / "magic.bin").write_bytes(b"\xa3\x95")
@@ -113,45 +86,40 @@ def test_what_is_no_log_is_refused_in_one_line(
         "magic.ulg": "not a ULog that can be read",
         "magic.mcap": "no IMU samples in the log (the log is cut after 0.0 s",
     }.items():
-        assert words in refused(monkeypatch, capsys, "replay", tmp_path / name), name
+        assert words in program("companion", "replay", tmp_path / name).refusal, name
     assert not Path("replay").exists()
 
 
-def test_a_log_that_nothing_can_be_replayed_from_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_log_that_nothing_can_be_replayed_from_is_refused(tmp_path: Path, program: Program) -> None:
     FlightLog(tmp_path / "own", 0.0).close()
-    assert "no IMU samples" in refused(monkeypatch, capsys, "replay", tmp_path / "own")
+    assert "no IMU samples" in program("companion", "replay", tmp_path / "own").refusal
     no_imu = write_dataflash(tmp_path / "a.bin", leave_out=("IMU",))
-    assert "no IMU samples" in refused(monkeypatch, capsys, "replay", no_imu)
+    assert "no IMU samples" in program("companion", "replay", no_imu).refusal
     no_mag = write_dataflash(tmp_path / "b.bin", leave_out=("MAG",))
-    assert "no magnetometer samples" in refused(monkeypatch, capsys, "replay", no_mag)
+    assert "no magnetometer samples" in program("companion", "replay", no_mag).refusal
     short = write_ulog(tmp_path / "c.ulg", EstimateFlight(hover, pad_at_rest, duration_s=1.0))
-    words = refused(monkeypatch, capsys, "replay", short)
+    words = program("companion", "replay", short).refusal
     assert "never aligned: it is at rest for" in words
     assert "1.0 s long" in words
 
 
-def test_settings_and_folders_that_are_wrong_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_settings_and_folders_that_are_wrong_are_refused(tmp_path: Path, program: Program) -> None:
     log = write_ulog(tmp_path / "a.ulg", EstimateFlight(hover, pad_at_rest, duration_s=4.0))
     (tmp_path / "bad.yaml").write_text("estimat: {}\n")
-    config = refused(monkeypatch, capsys, "replay", log, "--config", tmp_path / "bad.yaml")
+    config = program("companion", "replay", log, "--config", tmp_path / "bad.yaml").refusal
     assert "unknown key 'estimat'" in config
-    assert "cannot be made" in refused(monkeypatch, capsys, "replay", log, "-o", log / "inside")
-    assert "--config: belongs to a flight" in refused(
-        monkeypatch, capsys, "--config", tmp_path / "bad.yaml", "replay", log
+    assert "cannot be made" in program("companion", "replay", log, "-o", log / "inside").refusal
+    assert (
+        "--config: belongs to a flight"
+        in program("companion", "--config", tmp_path / "bad.yaml", "replay", log).refusal
     )
-    assert "companion replay --help" in refused(monkeypatch, capsys, "replay")
-    assert "companion --help" in refused(monkeypatch, capsys, "replai", log)
+    assert "companion replay --help" in program("companion", "replay").refusal
+    assert "companion --help" in program("companion", "replai", log).refusal
 
 
-def test_a_log_that_starts_in_flight_is_aligned_all_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_log_that_starts_in_flight_is_aligned_all_the_same(tmp_path: Path, program: Program) -> None:
     log = write_ulog(tmp_path / "a.ulg", EstimateFlight(sprint, pad_at_rest, duration_s=42.0), start_s=12.0)
-    assert run(monkeypatch, "replay", log, "-o", tmp_path / "out") == 0
+    assert program("companion", "replay", log, "-o", tmp_path / "out").code == 0
     result = json.loads((tmp_path / "out" / "replay.json").read_text())
     assert 1.8 < result["aligned_after_s"] < 2.2
     assert result["errors"]["recorded"]["inclination_deg"]["rms"] < 5.0
@@ -179,11 +147,9 @@ def test_a_log_is_called_by_its_file_or_its_folder(path: str, name: str) -> None
     assert log_name(Path(path)) == name
 
 
-def test_nothing_is_drawn_while_nobody_watches(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, "replay", write_ulog(tmp_path / "a.ulg", FLIGHT), "-o", tmp_path / "o") == 0
-    said = capsys.readouterr()
+def test_nothing_is_drawn_while_nobody_watches(tmp_path: Path, program: Program) -> None:
+    said = program("companion", "replay", write_ulog(tmp_path / "a.ulg", FLIGHT), "-o", tmp_path / "o")
+    assert said.code == 0
     assert "\x1b" not in said.out
     assert "━━━━━━━━━ 1" not in said.out
     assert said.err == ""

@@ -11,25 +11,17 @@ import pytest
 import yaml
 
 from companion.config import CONFIG_FOLDER
-from sitl.cli import main
 from sitl.scenario.listing import listing, schema_text, shipped
 from sitl.scenario.scenario import load_scenario
+from tests.programs import Program
 
 FIRST_LINE = "# yaml-language-server: $schema=scenario.schema.json"
 
 
-def said(words: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
-    """Exit code, standard output and standard error of `companion-sitl WORDS`."""
-    with pytest.raises(SystemExit) as ended:
-        main(words)
-    out = capsys.readouterr()
-    return int(ended.value.code or 0), out.out, out.err
-
-
-def test_every_shipped_scenario_has_a_line_of_what_it_is(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = said(["scenarios"], capsys)
-    lines = out.splitlines()
-    assert code == 0
+def test_every_shipped_scenario_has_a_line_of_what_it_is(program: Program) -> None:
+    ended = program("companion-sitl", "scenarios")
+    lines = ended.out.splitlines()
+    assert ended.code == 0
     assert lines[0].split() == ["name", "pad", "wind", "faults", "description"]
     assert [line.split()[0] for line in lines[1:]] == shipped()
     by_name = {line.split()[0]: line for line in lines[1:]}
@@ -42,29 +34,23 @@ def test_every_shipped_scenario_has_a_line_of_what_it_is(capsys: pytest.CaptureF
         assert [word for word in words if word not in by_name[name]] == []
 
 
-def test_a_name_prints_settings_that_give_the_same_scenario_again(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_name_prints_settings_that_give_the_same_scenario_again(tmp_path: Path, program: Program) -> None:
     for name in ("deck", "figure_8", "lossy_link"):
-        code, out, _ = said(["scenarios", name], capsys)
-        assert code == 0
+        out = program("companion-sitl", "scenarios", name).out
         copy = tmp_path / f"{name}.yaml"
         copy.write_text(out)
         assert load_scenario(copy) == load_scenario(name)
         assert yaml.safe_load(out)["camera"]["exposure"]["longest_s"] == 0.01
 
 
-def test_an_unknown_name_is_one_line_and_exit_code_2(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = said(["scenarios", "nowhere"], capsys)
-    assert (code, out) == (2, "")
-    assert err.count("\n") == 1
+def test_an_unknown_name_is_one_line_and_exit_code_2(program: Program) -> None:
+    err = program("companion-sitl", "scenarios", "nowhere").refusal
     assert "nowhere" in err
     assert "figure_8" in err
 
 
-def test_the_shipped_schema_is_current(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = said(["schema"], capsys)
-    assert code == 0
+def test_the_shipped_schema_is_current(program: Program) -> None:
+    out = program("companion-sitl", "schema").out
     assert out == schema_text()
     path = CONFIG_FOLDER / "scenarios" / "scenario.schema.json"
     assert path.read_text(encoding="utf-8") == out, (

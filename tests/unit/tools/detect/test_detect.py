@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import sys
 from pathlib import Path
 
 import cv2
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion import cli
 from companion.base.geometry import IDENTITY
 from companion.config import CameraConfig, VehicleConfig, VisionConfig, find_file, load_model
 from companion.pad import load_pad
@@ -20,6 +18,7 @@ from companion.tools.detect.finder import Found, PadFinder
 from companion.tools.detect.overlay import GROUP_COLOURS, OUTLINE, UNUSED, draw
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
+from tests.programs import Program
 
 CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
 VEHICLE = load_model(VehicleConfig, find_file("vehicles", "x500"))
@@ -42,14 +41,6 @@ def finder() -> PadFinder:
 def painted(image: NDArray[np.uint8], colour: tuple[int, int, int]) -> NDArray[np.bool_]:
     """Where a picture has a colour; the edges of lines are blended."""
     return np.asarray((np.abs(image.astype(int) - colour) < 30).all(axis=-1))
-
-
-def run(*words: object, monkeypatch: pytest.MonkeyPatch) -> int:
-    monkeypatch.setattr(sys, "argv", ["companion", "detect", *map(str, words)])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert isinstance(ended.value.code, int)
-    return ended.value.code
 
 
 @pytest.mark.parametrize(("height_m", "aside_m"), [(0.5, 0.02), (2.0, 0.3), (9.0, -1.0)])
@@ -96,17 +87,16 @@ def test_the_overlay_marks_the_markers_and_the_board() -> None:
     assert not painted(without, OUTLINE).any()
 
 
-def test_a_folder_of_photos_gives_a_line_and_an_overlay_for_each(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_of_photos_gives_a_line_and_an_overlay_for_each(tmp_path: Path, program: Program) -> None:
     folder, out = tmp_path / "photos", tmp_path / "seen"
     folder.mkdir()
     for height_m in (1, 4):
         cv2.imwrite(str(folder / f"from_{height_m}_m.png"), picture(height_m))
     cv2.imwrite(str(folder / "other.png"), np.full((480, 640), 120, np.uint8))
     cv2.imwrite(str(folder / "small.png"), np.full((240, 320), 120, np.uint8))
-    assert run(folder, *OPTIONS, "--out", out, monkeypatch=monkeypatch) == 0
-    near, far, other, *rest = capsys.readouterr().out.splitlines()
+    said = program("companion", "detect", folder, *OPTIONS, "--out", out)
+    assert said.code == 0
+    near, far, other, *rest = said.out.splitlines()
     for height_m, line in ((1, near), (4, far)):
         assert line.startswith(f"{folder}/from_{height_m}_m.png: ")
         said = re.search(
@@ -120,16 +110,15 @@ def test_a_folder_of_photos_gives_a_line_and_an_overlay_for_each(
     assert {path.name for path in out.iterdir()} == {"from_1_m.png", "from_4_m.png", "other.png"}
 
 
-def test_a_video_gives_a_video(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_video_gives_a_video(tmp_path: Path, program: Program) -> None:
     flight, out = tmp_path / "flight.avi", tmp_path / "seen"
     video = cv2.VideoWriter(str(flight), cv2.VideoWriter.fourcc(*"MJPG"), 15.0, (640, 480))
     for number in range(4):
         video.write(cv2.cvtColor(picture(2.0 - 0.2 * number, seed=number), cv2.COLOR_GRAY2BGR))
     video.release()
-    assert run(flight, *OPTIONS, "--out", out, monkeypatch=monkeypatch) == 0
-    lines = capsys.readouterr().out.splitlines()
+    said = program("companion", "detect", flight, *OPTIONS, "--out", out)
+    assert said.code == 0
+    lines = said.out.splitlines()
     assert [line.partition(":")[0] for line in lines[:4]] == [f"{flight} frame {k}" for k in range(4)]
     written = cv2.VideoCapture(str(out / "flight.mp4"))
     assert written.get(cv2.CAP_PROP_FRAME_COUNT) == 4
@@ -137,22 +126,18 @@ def test_a_video_gives_a_video(
     written.release()
 
 
-def test_photos_of_one_name_do_not_overwrite_each_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_photos_of_one_name_do_not_overwrite_each_other(tmp_path: Path, program: Program) -> None:
     folders = [tmp_path / name for name in ("a", "b")]
     for folder in folders:
         folder.mkdir()
         cv2.imwrite(str(folder / "photo.png"), picture(1.0))
-    assert run(*folders, *OPTIONS, "--out", tmp_path / "seen", monkeypatch=monkeypatch) == 0
+    assert program("companion", "detect", *folders, *OPTIONS, "--out", tmp_path / "seen").code == 0
     assert {path.name for path in (tmp_path / "seen").iterdir()} == {"photo.png", "photo-2.png"}
 
 
-def test_no_pad_in_any_picture_is_reported_by_the_exit_code(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_pad_in_any_picture_is_reported_by_the_exit_code(tmp_path: Path, program: Program) -> None:
     cv2.imwrite(str(tmp_path / "grey.png"), np.full((480, 640), 120, np.uint8))
-    assert run(tmp_path / "grey.png", *OPTIONS, monkeypatch=monkeypatch) == 1
+    assert program("companion", "detect", tmp_path / "grey.png", *OPTIONS).code == 1
 
 
 @pytest.mark.parametrize(
@@ -176,12 +161,9 @@ def test_what_the_user_can_correct_is_one_line(
     text: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    program: Program,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     photo = b"not one" if size is None else cv2.imencode(".png", np.zeros(size, np.uint8))[1].tobytes()
     Path("photo.png").write_bytes(photo)
-    assert run("photo.png", *words, monkeypatch=monkeypatch) == 2
-    said = capsys.readouterr().err
-    assert text in said
-    assert said.count("\n") == 1
+    assert text in program("companion", "detect", "photo.png", *words).refusal
