@@ -272,41 +272,26 @@ def test_the_options_and_commands_are_in_their_page() -> None:
     assert {name for name, command in COMMANDS.items() if not command.hidden} == told
 
 
-def test_the_simulator_s_options_are_in_its_page() -> None:
-    shown = [p for p in typer.main.get_command(sitl_cli).params if not getattr(p, "hidden", False)]
-    options = {option for parameter in shown for option in parameter.opts}
-    assert options - EVERYWHERE == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["simulator.md"], re.MULTILINE))
-
-
-def test_the_fuzzy_command_s_options_are_in_its_page() -> None:
-    fuzzy = command_of(cli, "fuzzy")
-    options = {option for parameter in fuzzy.params for option in parameter.opts if option.startswith("--")}
-    assert options - EVERYWHERE == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["fuzzy.md"], re.MULTILINE))
-
-
-def test_the_pad_command_s_options_are_in_its_page() -> None:
-    pad = command_of(cli, "pad")
-    options = {option for parameter in pad.params for option in parameter.opts if option.startswith("--")}
-    assert options - EVERYWHERE == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["pads.md"], re.MULTILINE))
-
-
-def test_the_detect_command_s_options_are_in_its_page() -> None:
-    detect = command_of(cli, "detect")
-    options = {option for parameter in detect.params for option in parameter.opts if option.startswith("--")}
-    assert options - EVERYWHERE == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["detect.md"], re.MULTILINE))
+@pytest.mark.parametrize(
+    ("page", "program", "command"),
+    [
+        ("simulator.md", sitl_cli, None),
+        ("fuzzy.md", cli, "fuzzy"),
+        ("pads.md", cli, "pad"),
+        ("detect.md", cli, "detect"),
+        ("calibrate-magnetometer.md", magnetometer_cli, None),
+    ],
+)
+def test_a_command_s_options_are_in_its_page(page: str, program: typer.Typer, command: str | None) -> None:
+    run = typer.main.get_command(program) if command is None else command_of(program, command)
+    shown = [parameter for parameter in run.params if not getattr(parameter, "hidden", False)]
+    options = {option for parameter in shown for option in parameter.opts if option.startswith("--")}
+    assert options - EVERYWHERE == set(re.findall(r"^\| `(--[\w-]+)", TEXTS[page], re.MULTILINE))
 
 
 def test_every_experiment_is_in_its_page() -> None:
     experiments = typer.main.get_command(experiments_cli).commands  # type: ignore[attr-defined]
     assert set(experiments) <= set(re.findall(r"^## ([\w-]+)", TEXTS["experiments.md"], re.MULTILINE))
-
-
-def test_the_magnetometer_tools_options_are_in_its_page() -> None:
-    options = {
-        o for p in typer.main.get_command(magnetometer_cli).params for o in p.opts if o.startswith("--")
-    }
-    page = TEXTS["calibrate-magnetometer.md"]
-    assert options - EVERYWHERE == set(re.findall(r"^\| `(--[\w-]+)", page, re.MULTILINE))
 
 
 def result_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
