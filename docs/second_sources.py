@@ -16,11 +16,10 @@ INTRODUCTION: Final = """\
 
 Written by `python -m docs.second_sources` from `companion/base/second_sources.py`.
 
-No number that holds the vehicle up is believed on one word. Each quantity of this table has two sources. From
-the notice on, a difference between them is announced, with both figures, and flown with. Beyond the bound the
-app acts as the last two columns say. A difference counts when it exceeds the notice or the bound by three of
-its own standard deviations. The refusal of an order, the failsafe in flight, `companion check` and
-`companion status` judge by this table, in the same words.
+Each quantity of this table has two sources. A difference beyond the notice is announced, with both
+figures, and flown with. Beyond the bound the app acts as the last two columns say. A difference counts
+when it exceeds notice or bound by three of its own standard deviations. The refusal of an order, the
+failsafe in flight, `companion check` and `companion status` use this table and the same words.
 
 | Quantity | First source | Second source | Notice | Bound | Before control is taken | In flight |
 |---|---|---|---|---|---|---|

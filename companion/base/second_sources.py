@@ -65,13 +65,13 @@ class SourceRow:
         return _surely_beyond(comparison, self.notice)
 
     def refuses(self, comparison: SourceComparison) -> bool:
-        """Whether the two are surely so far apart that nobody flies with it."""
+        """Whether the two are surely too far apart to fly."""
         return _surely_beyond(comparison, self.bound)
 
     def words(self, comparison: SourceComparison) -> str:
         """Both figures, and how far they may be apart."""
         most = self.bound if self.refuses(comparison) or self.notice is None else self.notice
-        allowed = "" if most is None else f", at most {most:g} expected"
+        allowed = "" if most is None else f", limit {most:g}"
         hint = f": {self.hint}" if self.hint else ""
         return f"{self.quantity}: {self.figures(comparison)} apart{allowed}{hint}"
 

@@ -42,7 +42,7 @@ def test_an_echo_before_take_off_says_whether_the_leg_height_is_right(wrong_m: f
     assert [words for _, words in second_sources.refused(height.comparisons)] == (
         [
             "leg height: the vehicle's file 26 cm, measured where it stands 18 cm by the rangefinder: "
-            "8.0 ±0.0 cm apart, at most 5 expected: measure from the centre of mass to the feet, and "
+            "8.0 ±0.0 cm apart, limit 5: measure from the centre of mass to the feet, and "
             "range_position_body_m"
         ]
         if refused
