@@ -57,4 +57,4 @@ def test_its_limits_on_velocity_setpoints_bind_no_attitude() -> None:
 def test_what_does_not_fit_is_reported_a_line_each() -> None:
     assert misfits(CONFIG, VEHICLE, AutopilotSetup(45.0, VEHICLE.hover_thrust)) == []
     told = misfits(CONFIG, VEHICLE, AutopilotSetup(tilt_deg=20.0, hover_thrust=0.2))
-    assert [line.split(":")[0] for line in told] == ["hover thrust", "tilt"]
+    assert [line.split(":")[0] for line in told] == ["hover thrust", "tilt limit"]

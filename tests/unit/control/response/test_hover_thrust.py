@@ -77,7 +77,7 @@ def test_falling_freely_nothing_is_learnt_and_the_estimate_stays_one() -> None:
 
 def test_what_is_not_measured_or_contradicts_all_that_was_told_is_doubted_with_its_figures() -> None:
     estimate = HoverThrust(0.5, BANDWIDTH_RAD_S, TOLD_STD)
-    assert "known to 100 % alone" in estimate.doubt({"vehicle": 0.5})
+    assert "uncertain: 100 %, limit 10 %" in estimate.doubt({"vehicle": 0.5})
     fly(estimate, 0.65, 0.65, 2.0)
     assert estimate.doubt({"vehicle": 0.65 / MOST_SHARE + 0.02, "parameter": None}) == ""
     assert estimate.doubt({"vehicle": 0.2, "parameter": 0.65 / LEAST_SHARE - 0.02}) == ""
