@@ -20,7 +20,7 @@ import pytest
 from xdist.scheduler import LoadScopeScheduling
 
 if TYPE_CHECKING:
-    from tests.programs import Program
+    from tests.programs import ProgramHere
     from tests.scenario.flying import SharedFlights
 
 for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
@@ -119,7 +119,7 @@ def own_state_folder(
 
 
 @pytest.fixture
-def program(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Program:
+def program(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> ProgramHere:
     """Runs a program of ours in this process: `program("companion", "replay", log).code`."""
     from tests.programs import program_here
 

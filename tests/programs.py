@@ -35,14 +35,14 @@ class EndedProgram:
         return self.err
 
 
-class Program(Protocol):
+class ProgramHere(Protocol):
     """Runs a program by its name, with these words, until it exits."""
 
     def __call__(self, name: str, *words: object) -> EndedProgram:
         """The words may be paths and numbers."""
 
 
-def program_here(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Program:
+def program_here(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> ProgramHere:
     """For the fixture."""
 
     def run(name: str, *words: object) -> EndedProgram:

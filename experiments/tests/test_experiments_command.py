@@ -6,7 +6,7 @@ import pytest
 
 from experiments.command import PROGRAM
 from experiments.output import writable
-from tests.programs import Program
+from tests.programs import ProgramHere
 
 
 @pytest.mark.parametrize(
@@ -19,12 +19,12 @@ from tests.programs import Program
         (("fig99",), "No such command 'fig99'"),
     ],
 )
-def test_mistakes_are_one_line(words: tuple[str, ...], said: str, program: Program) -> None:
+def test_mistakes_are_one_line(words: tuple[str, ...], said: str, program: ProgramHere) -> None:
     assert program(PROGRAM, *words).refusal.startswith(f"python -m experiments: {said}")
 
 
 def test_a_picture_that_cannot_be_written_is_reported_before_the_flight(
-    tmp_path: Path, program: Program
+    tmp_path: Path, program: ProgramHere
 ) -> None:
     folder = tmp_path / "folder.png"
     folder.mkdir()
@@ -42,7 +42,7 @@ def test_what_can_be_written_is_left_as_it_was(tmp_path: Path) -> None:
     assert not new.exists()
 
 
-def test_help_needs_no_flight(program: Program) -> None:
+def test_help_needs_no_flight(program: ProgramHere) -> None:
     said = program(PROGRAM, "--help")
     assert said.code == 0
     assert "fig13" in said.out

@@ -35,7 +35,7 @@ from experiments.fig14.reference import (
 from experiments.fig14.report import picture, step_line, table
 from experiments.fig14.world import CASES, FLOWN_S, disturbed, draw_world
 from experiments.tune_pid import TRAINING
-from tests.programs import Program
+from tests.programs import ProgramHere
 
 SEED = 4
 
@@ -176,7 +176,7 @@ def test_table_line_and_picture(flight: PilotKnowledge, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("option", "said"), [("--case=storm", "no 'storm'"), ("--output=x.gif", "expected a .png")]
 )
-def test_what_a_user_gets_wrong_is_reported_in_a_line(option: str, said: str, program: Program) -> None:
+def test_what_a_user_gets_wrong_is_reported_in_a_line(option: str, said: str, program: ProgramHere) -> None:
     assert said in program("python -m experiments", "fig14", option).refusal
 
 

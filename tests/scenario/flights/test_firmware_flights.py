@@ -23,7 +23,7 @@ from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.trial import Trial
 from sitl.firmware import px4, start
 from sitl.run.server import Service, _kept_free
-from tests.programs import Program
+from tests.programs import ProgramHere
 from tests.scenario.flying import COMMAND, ROOT, alive, children, environment, started
 from tests.unit.sitl.campaign.campaign_parts import scenario_file
 from tests.unit.sitl.external.external_vehicle import ARDUPILOT, MessageSender, heartbeat
@@ -99,7 +99,7 @@ def test_nothing_is_left_when_the_apps_settings_are_wrong(
     assert program.is_gone
 
 
-def test_the_command_says_in_one_line_that_the_firmware_ended(tmp_path: Path, program: Program) -> None:
+def test_the_command_says_in_one_line_that_the_firmware_ended(tmp_path: Path, program: ProgramHere) -> None:
     firmware = fake("ardupilot", tmp_path, ends_after=500)
     words = [
         "companion",

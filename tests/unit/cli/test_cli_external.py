@@ -14,7 +14,7 @@ from companion.sim.external import External
 from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
-from tests.programs import Program
+from tests.programs import ProgramHere
 
 UDP, TCP = "udpin:127.0.0.1:14540", "tcp:127.0.0.1:5763"
 
@@ -63,7 +63,7 @@ def test_what_does_not_go_together_is_said(given: dict[str, Any], fast: bool, te
 
 
 @pytest.mark.parametrize("words", [("--connect", UDP), ("--autopilot", "external")])
-def test_without_the_desk_they_are_refused(words: tuple[str, str], program: Program) -> None:
+def test_without_the_desk_they_are_refused(words: tuple[str, str], program: ProgramHere) -> None:
     assert program("companion", *words).refusal.startswith(f"companion: {words[0]}: needs --sitl")
 
 

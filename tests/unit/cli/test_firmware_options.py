@@ -18,7 +18,7 @@ from sitl import cli as simulator
 from sitl.campaign.manifest import CampaignRun, check_goes_on, make_plan
 from sitl.campaign.worker import Worker
 from sitl.firmware.spec import FirmwareSpec, number_text
-from tests.programs import Program
+from tests.programs import ProgramHere
 from tests.unit.sitl.campaign.campaign_parts import flight
 from tests.unit.sitl.firmware.fake_firmware import fake
 
@@ -125,7 +125,7 @@ def test_its_words_and_its_json_make_it_again(px4: FirmwareSpec) -> None:
     ],
 )
 def test_the_app_refuses_in_one_line_what_does_not_go_together(
-    words: list[str], text: str, px4: FirmwareSpec, program: Program
+    words: list[str], text: str, px4: FirmwareSpec, program: ProgramHere
 ) -> None:
     said = program("companion", *(px4.path if word == "BIN" else word for word in words)).refusal
     assert said.startswith(f"companion: {text}")

@@ -9,7 +9,7 @@ import pytest
 
 from companion.flightlog.record import FlightLog
 from companion.flightlog.replay.job import log_name
-from tests.programs import Program
+from tests.programs import ProgramHere
 from tests.unit.estimate.estimate_flight import EstimateFlight, hover, pad_at_rest, sprint
 from tests.unit.flightlog.replay.log_files import FLIGHT, write_dataflash, write_own, write_ulog
 
@@ -23,7 +23,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setenv("COLUMNS", "200")
 
 
-def test_a_flight_of_ours_leaves_numbers_and_plots(tmp_path: Path, program: Program) -> None:
+def test_a_flight_of_ours_leaves_numbers_and_plots(tmp_path: Path, program: ProgramHere) -> None:
     write_own(tmp_path / "circle")
     said = program("companion", "replay", tmp_path / "circle")
     assert said.code == 0
@@ -41,7 +41,9 @@ def test_a_flight_of_ours_leaves_numbers_and_plots(tmp_path: Path, program: Prog
 
 
 @pytest.mark.parametrize("write", [write_dataflash, write_ulog])
-def test_an_autopilots_log_leaves_them_where_asked(tmp_path: Path, write: object, program: Program) -> None:
+def test_an_autopilots_log_leaves_them_where_asked(
+    tmp_path: Path, write: object, program: ProgramHere
+) -> None:
     assert callable(write)
     log = write(tmp_path / "log.of.mine")
     assert program("companion", "replay", log, "-o", tmp_path / "out" / "first").code == 0
@@ -54,7 +56,7 @@ def test_an_autopilots_log_leaves_them_where_asked(tmp_path: Path, write: object
     assert result["duration_s"] == pytest.approx(16.0, abs=0.1)
 
 
-def test_the_same_replay_twice_gives_the_same_numbers(tmp_path: Path, program: Program) -> None:
+def test_the_same_replay_twice_gives_the_same_numbers(tmp_path: Path, program: ProgramHere) -> None:
     log = write_ulog(tmp_path / "a.ulg")
     texts = []
     for name in ("one", "two"):
@@ -63,7 +65,7 @@ def test_the_same_replay_twice_gives_the_same_numbers(tmp_path: Path, program: P
     assert texts[0] == texts[1]
 
 
-def test_a_cut_log_is_replayed_and_said_to_be_cut(tmp_path: Path, program: Program) -> None:
+def test_a_cut_log_is_replayed_and_said_to_be_cut(tmp_path: Path, program: ProgramHere) -> None:
     log = write_own(tmp_path / "flight")
     log.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
     said = program("companion", "replay", log)
@@ -71,7 +73,7 @@ def test_a_cut_log_is_replayed_and_said_to_be_cut(tmp_path: Path, program: Progr
     assert "note: the log is cut after" in said.out
 
 
-def test_what_is_no_log_is_refused_in_one_line(tmp_path: Path, program: Program) -> None:
+def test_what_is_no_log_is_refused_in_one_line(tmp_path: Path, program: ProgramHere) -> None:
     (tmp_path / "empty.bin").touch()
     (tmp_path / "text.log").write_text("FMT, 128, 89, FMT, BBnNZ, Type")
     (tmp_path / "magic.bin").write_bytes(b"\xa3\x95")
@@ -90,7 +92,7 @@ def test_what_is_no_log_is_refused_in_one_line(tmp_path: Path, program: Program)
     assert not Path("replay").exists()
 
 
-def test_a_log_that_nothing_can_be_replayed_from_is_refused(tmp_path: Path, program: Program) -> None:
+def test_a_log_that_nothing_can_be_replayed_from_is_refused(tmp_path: Path, program: ProgramHere) -> None:
     FlightLog(tmp_path / "own", 0.0).close()
     assert "no IMU samples" in program("companion", "replay", tmp_path / "own").refusal
     no_imu = write_dataflash(tmp_path / "a.bin", leave_out=("IMU",))
@@ -103,7 +105,7 @@ def test_a_log_that_nothing_can_be_replayed_from_is_refused(tmp_path: Path, prog
     assert "1.0 s long" in words
 
 
-def test_settings_and_folders_that_are_wrong_are_refused(tmp_path: Path, program: Program) -> None:
+def test_settings_and_folders_that_are_wrong_are_refused(tmp_path: Path, program: ProgramHere) -> None:
     log = write_ulog(tmp_path / "a.ulg", EstimateFlight(hover, pad_at_rest, duration_s=4.0))
     (tmp_path / "bad.yaml").write_text("estimat: {}\n")
     config = program("companion", "replay", log, "--config", tmp_path / "bad.yaml").refusal
@@ -117,7 +119,7 @@ def test_settings_and_folders_that_are_wrong_are_refused(tmp_path: Path, program
     assert "companion --help" in program("companion", "replai", log).refusal
 
 
-def test_a_log_that_starts_in_flight_is_aligned_all_the_same(tmp_path: Path, program: Program) -> None:
+def test_a_log_that_starts_in_flight_is_aligned_all_the_same(tmp_path: Path, program: ProgramHere) -> None:
     log = write_ulog(tmp_path / "a.ulg", EstimateFlight(sprint, pad_at_rest, duration_s=42.0), start_s=12.0)
     assert program("companion", "replay", log, "-o", tmp_path / "out").code == 0
     result = json.loads((tmp_path / "out" / "replay.json").read_text())
@@ -147,7 +149,7 @@ def test_a_log_is_called_by_its_file_or_its_folder(path: str, name: str) -> None
     assert log_name(Path(path)) == name
 
 
-def test_nothing_is_drawn_while_nobody_watches(tmp_path: Path, program: Program) -> None:
+def test_nothing_is_drawn_while_nobody_watches(tmp_path: Path, program: ProgramHere) -> None:
     said = program("companion", "replay", write_ulog(tmp_path / "a.ulg", FLIGHT), "-o", tmp_path / "o")
     assert said.code == 0
     assert "\x1b" not in said.out

@@ -13,12 +13,12 @@ import yaml
 from companion.config import CONFIG_FOLDER
 from sitl.scenario.listing import listing, schema_text, shipped
 from sitl.scenario.scenario import load_scenario
-from tests.programs import Program
+from tests.programs import ProgramHere
 
 FIRST_LINE = "# yaml-language-server: $schema=scenario.schema.json"
 
 
-def test_every_shipped_scenario_has_a_line_of_what_it_is(program: Program) -> None:
+def test_every_shipped_scenario_has_a_line_of_what_it_is(program: ProgramHere) -> None:
     ended = program("companion-sitl", "scenarios")
     lines = ended.out.splitlines()
     assert ended.code == 0
@@ -34,7 +34,9 @@ def test_every_shipped_scenario_has_a_line_of_what_it_is(program: Program) -> No
         assert [word for word in words if word not in by_name[name]] == []
 
 
-def test_a_name_prints_settings_that_give_the_same_scenario_again(tmp_path: Path, program: Program) -> None:
+def test_a_name_prints_settings_that_give_the_same_scenario_again(
+    tmp_path: Path, program: ProgramHere
+) -> None:
     for name in ("deck", "figure_8", "lossy_link"):
         out = program("companion-sitl", "scenarios", name).out
         copy = tmp_path / f"{name}.yaml"
@@ -43,13 +45,13 @@ def test_a_name_prints_settings_that_give_the_same_scenario_again(tmp_path: Path
         assert yaml.safe_load(out)["camera"]["exposure"]["longest_s"] == 0.01
 
 
-def test_an_unknown_name_is_one_line_and_exit_code_2(program: Program) -> None:
+def test_an_unknown_name_is_one_line_and_exit_code_2(program: ProgramHere) -> None:
     err = program("companion-sitl", "scenarios", "nowhere").refusal
     assert "nowhere" in err
     assert "figure_8" in err
 
 
-def test_the_shipped_schema_is_current(program: Program) -> None:
+def test_the_shipped_schema_is_current(program: ProgramHere) -> None:
     out = program("companion-sitl", "schema").out
     assert out == schema_text()
     path = CONFIG_FOLDER / "scenarios" / "scenario.schema.json"

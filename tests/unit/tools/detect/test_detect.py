@@ -18,7 +18,7 @@ from companion.tools.detect.finder import Found, PadFinder
 from companion.tools.detect.overlay import GROUP_COLOURS, OUTLINE, UNUSED, draw
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
-from tests.programs import Program
+from tests.programs import ProgramHere
 
 CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
 VEHICLE = load_model(VehicleConfig, find_file("vehicles", "x500"))
@@ -87,16 +87,18 @@ def test_the_overlay_marks_the_markers_and_the_board() -> None:
     assert not painted(without, OUTLINE).any()
 
 
-def test_a_folder_of_photos_gives_a_line_and_an_overlay_for_each(tmp_path: Path, program: Program) -> None:
+def test_a_folder_of_photos_gives_a_line_and_an_overlay_for_each(
+    tmp_path: Path, program: ProgramHere
+) -> None:
     folder, out = tmp_path / "photos", tmp_path / "seen"
     folder.mkdir()
     for height_m in (1, 4):
         cv2.imwrite(str(folder / f"from_{height_m}_m.png"), picture(height_m))
     cv2.imwrite(str(folder / "other.png"), np.full((480, 640), 120, np.uint8))
     cv2.imwrite(str(folder / "small.png"), np.full((240, 320), 120, np.uint8))
-    said = program("companion", "detect", folder, *OPTIONS, "--out", out)
-    assert said.code == 0
-    near, far, other, *rest = said.out.splitlines()
+    ended = program("companion", "detect", folder, *OPTIONS, "--out", out)
+    assert ended.code == 0
+    near, far, other, *rest = ended.out.splitlines()
     for height_m, line in ((1, near), (4, far)):
         assert line.startswith(f"{folder}/from_{height_m}_m.png: ")
         said = re.search(
@@ -110,7 +112,7 @@ def test_a_folder_of_photos_gives_a_line_and_an_overlay_for_each(tmp_path: Path,
     assert {path.name for path in out.iterdir()} == {"from_1_m.png", "from_4_m.png", "other.png"}
 
 
-def test_a_video_gives_a_video(tmp_path: Path, program: Program) -> None:
+def test_a_video_gives_a_video(tmp_path: Path, program: ProgramHere) -> None:
     flight, out = tmp_path / "flight.avi", tmp_path / "seen"
     video = cv2.VideoWriter(str(flight), cv2.VideoWriter.fourcc(*"MJPG"), 15.0, (640, 480))
     for number in range(4):
@@ -126,7 +128,7 @@ def test_a_video_gives_a_video(tmp_path: Path, program: Program) -> None:
     written.release()
 
 
-def test_photos_of_one_name_do_not_overwrite_each_other(tmp_path: Path, program: Program) -> None:
+def test_photos_of_one_name_do_not_overwrite_each_other(tmp_path: Path, program: ProgramHere) -> None:
     folders = [tmp_path / name for name in ("a", "b")]
     for folder in folders:
         folder.mkdir()
@@ -135,7 +137,7 @@ def test_photos_of_one_name_do_not_overwrite_each_other(tmp_path: Path, program:
     assert {path.name for path in (tmp_path / "seen").iterdir()} == {"photo.png", "photo-2.png"}
 
 
-def test_no_pad_in_any_picture_is_reported_by_the_exit_code(tmp_path: Path, program: Program) -> None:
+def test_no_pad_in_any_picture_is_reported_by_the_exit_code(tmp_path: Path, program: ProgramHere) -> None:
     cv2.imwrite(str(tmp_path / "grey.png"), np.full((480, 640), 120, np.uint8))
     assert program("companion", "detect", tmp_path / "grey.png", *OPTIONS).code == 1
 
@@ -161,7 +163,7 @@ def test_what_the_user_can_correct_is_one_line(
     text: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    program: Program,
+    program: ProgramHere,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     photo = b"not one" if size is None else cv2.imencode(".png", np.zeros(size, np.uint8))[1].tobytes()
