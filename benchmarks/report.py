@@ -11,17 +11,30 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, TypeVar
 
 from rich.console import Console
+from rich.progress import track
 from rich.table import Table
 from rich.text import Text
 
 from companion.base.errors import ConfigError
 from companion.base.files import write_atomically
+
+T = TypeVar("T")
+
+
+def watched(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
+    """The items, with a bar on standard error until all are done; `total` where they have no length."""
+    console = Console(stderr=True)
+    count = len(items) if total is None and isinstance(items, Sized) else total
+    yield from track(
+        items, what, total=count, console=console, transient=True, disable=not console.is_terminal
+    )
+
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 WIDTH: Final = 150  # where nobody sets one: a file, a pipe

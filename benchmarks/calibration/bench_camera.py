@@ -21,8 +21,7 @@ import numpy as np
 from rich.table import Table
 from scipy.stats import chi2
 
-from benchmarks.progress import watched
-from benchmarks.report import BenchReport
+from benchmarks.report import BenchReport, watched
 from calibration.camera.board.board import CalibrationBoard, read_dictionary
 from calibration.camera.solve.adjustment import UnsolvableError
 from calibration.camera.solve.quality import Assessment, assess

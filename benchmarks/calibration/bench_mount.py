@@ -29,8 +29,7 @@ import numpy as np
 import yaml
 from rich.table import Table
 
-from benchmarks.progress import watched
-from benchmarks.report import BenchReport
+from benchmarks.report import BenchReport, watched
 from benchmarks.state.consistency import band
 from calibration.mount.imu.job import calibrate_accelerometer, faces_from
 from calibration.mount.record.recording import read_recording

@@ -24,8 +24,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from benchmarks.campaign.landing_cases import random_landings
-from benchmarks.progress import watched
-from benchmarks.report import BenchReport
+from benchmarks.report import BenchReport, watched
 from companion.app import stages
 from companion.base.messages import Conditions, Phase, PlanStep
 from companion.config import ConfigError, PlanConfig

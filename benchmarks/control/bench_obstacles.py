@@ -17,8 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from rich.table import Table
 
-from benchmarks.progress import watched
-from benchmarks.report import BenchReport
+from benchmarks.report import BenchReport, watched
 from companion.base.clock import wall_clock_s
 from companion.base.geometry import Vector3
 from companion.base.motion import Motion

@@ -16,8 +16,7 @@ from typing import Final
 from rich.table import Table
 
 from benchmarks.mavlink.fuzzing import Fuzz, FuzzResult
-from benchmarks.progress import watched
-from benchmarks.report import BenchReport
+from benchmarks.report import BenchReport, watched
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import wall_clock_s
 

@@ -17,8 +17,7 @@ from typing import Final
 
 from rich.table import Table
 
-from benchmarks.progress import watched
-from benchmarks.report import BenchReport
+from benchmarks.report import BenchReport, watched
 from benchmarks.state.streams import Stream, fly_stream
 from companion.base.messages import Outcome, PadSighting, Phase
 from companion.sim.trial import Trial

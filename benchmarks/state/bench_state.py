@@ -19,8 +19,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Final
 
-from benchmarks.progress import watched
-from benchmarks.report import BenchReport
+from benchmarks.report import BenchReport, watched
 from benchmarks.state import pictures
 from benchmarks.state.consistency import Consistency
 from benchmarks.state.costs import measure

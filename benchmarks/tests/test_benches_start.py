@@ -49,7 +49,7 @@ def test_a_smoke_run_leaves_results_with_commit_machine_and_date(
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=580,
         check=False,
     )
     assert done.returncode in {0, 1}, done.stderr

@@ -7,7 +7,7 @@ import pytest
 from companion.base.messages import Phase, PlanStep, Reference
 from companion.base.motion import Motion
 from companion.plan.trajectory.min_jerk import plan
-from experiments.authority import RuleAuthority, authority, way_to_go_m
+from experiments.profiles import RuleAuthority, authority, way_to_go_m
 
 START = Motion((3.0, -1.0, -6.0), (-0.4, 0.2, 0.5), (0.1, 0.3, -0.2))
 END = Motion((0.0, 0.0, -0.6))

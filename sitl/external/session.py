@@ -10,7 +10,7 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from rich.console import Console
@@ -26,17 +26,45 @@ from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
 from sitl.external.client import VehicleClient
 from sitl.external.link import pump
 from sitl.external.pose import LONGEST_GUESS_S
-from sitl.external.rangefinder import RangefinderMessages
 from sitl.external.world import ExternalWorld
 from sitl.mavlink.ground_station import GroundStation
+from sitl.mavlink.sensor_telemetry import distance_sensor
 from sitl.run.mavlink_line import ByteLink
 from sitl.run.report import SimulationReport
 from sitl.run.scene_camera import SceneCamera
 from sitl.run.sensor_setup import sensor_errors
 from sitl.run.simulation import OUT_OF_RANGE_M, TRUTH_EVERY_TICKS
 from sitl.scenario.scenario import PassBounds, Scenario
-from sitl.sensors.sensors import RangeSensor
+from sitl.sensors.sensors import RangeErrors, RangeSensor
 from sitl.world.score import Verdict
+
+RANGE_PERIOD_S: Final = 0.05
+Message = Any  # pymavlink's classes are generated without types
+
+
+class RangefinderMessages:
+    """A rangefinder for an external autopilot: DISTANCE_SENSOR of the height over pad and ground.
+
+    PX4 takes it as it is, ArduPilot with RNGFND1_TYPE 10. It is of the same make as the companion computer's
+    ultrasonic, with noise of its own.
+    """
+
+    def __init__(self, sensor: RangeSensor, bounds: RangeErrors) -> None:
+        """Of a sensor with these bounds."""
+        self._sensor, self._bounds = sensor, bounds
+        self._first_s: float | None = None
+        self._due_s = 0.0
+
+    def due(self, now_s: float, height_m: float, tilt_rad: float) -> Message | None:
+        """The message that is due: `height_m` over what is below, tilting by `tilt_rad`."""
+        if self._first_s is None:
+            self._first_s = self._due_s = now_s
+        if now_s < self._due_s:
+            return None
+        self._due_s = max(self._due_s + RANGE_PERIOD_S, now_s)
+        distance_m = self._sensor.sample(height_m, tilt_rad)
+        return distance_sensor(round(1e3 * (now_s - self._first_s)), distance_m, self._bounds)
+
 
 TICK_S: Final = 0.005
 # a picture waits so long for the message after its last row; then the newest pose is carried on

@@ -18,18 +18,43 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Generic, TypeVar
 
 from companion.base.messages import Frame
 from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.ports import AppEnd, MemoryPort
 from sitl.faults.computer import ComputerFaults
 from sitl.firmware.spec import FirmwareSpec
-from sitl.run.latest_value import LatestValue
 from sitl.run.mavlink_line import ByteLink
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.vehicle.hand_motion import HandMotion
+
+T = TypeVar("T")
+
+
+class LatestValue(Generic[T]):
+    """The newest value of one topic, and a way to wait for the next.
+
+    A slow reader sees the newest value and never a queue of old ones.
+    """
+
+    def __init__(self) -> None:
+        self._value: T | None = None
+        self._arrived = asyncio.Event()
+
+    def put(self, value: T) -> None:
+        """Replace the value and wake who waits."""
+        self._value = value
+        self._arrived.set()
+
+    async def next(self) -> T:
+        """Wait for a value that came after the last call, then return the newest. For one reader."""
+        await self._arrived.wait()
+        self._arrived.clear()
+        assert self._value is not None
+        return self._value
+
 
 GPS_BAUD: Final = 38400
 RANGE_BAUD: Final = 9600

@@ -27,8 +27,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import ConfigError
-from companion.flightlog.packets import split_packets
-from companion.flightlog.record import FlightLog
+from companion.flightlog.record import FlightLog, split_packets
 
 START_UNIX_S = 1.7e9
 

@@ -17,7 +17,7 @@ from companion.config import (
 )
 from companion.sense.camera.source import at_exposure
 from companion.sense.vision.pipeline import body_from_camera
-from sitl.camera.mounting import body_from_camera as simulated_body_from_camera
+from sitl.camera.camera import body_from_camera as simulated_body_from_camera
 
 
 @pytest.mark.parametrize("angles", [(0.0, 0.0, 0.0), (5.0, -3.0, 20.0), (-30.0, 20.0, 170.0)])

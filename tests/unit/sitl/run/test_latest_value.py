@@ -2,7 +2,7 @@
 
 import asyncio
 
-from sitl.run.latest_value import LatestValue
+from sitl.run.in_process import LatestValue
 
 
 async def test_a_slow_reader_sees_the_newest_value_only() -> None:
