@@ -84,15 +84,22 @@ _POLYNOMIALS: Final = np.linalg.inv(_TRIANGLE)
 
 
 class _Curves(NamedTuple):
-    """Curves through places: coefficients (m, 4, 3), scatter (m,) px, share of the places used (m,).
-
-    Then that of the side (m,) with the fewest.
-    """
+    """Curves through places: coefficients (m, 4, 3), where places (m, 4, NORMALS) lie, and which count."""
 
     coefficients: FloatArray
-    scatter_px: FloatArray
-    used: FloatArray
-    least_used: FloatArray
+    offset: FloatArray
+    kept: NDArray[np.bool_]
+
+    def used(self) -> tuple[FloatArray, FloatArray]:
+        """The share (m,) of the places that count, and that of the side with the fewest."""
+        share = self.kept.sum(axis=2) / NORMALS
+        return share.mean(axis=1), share.min(axis=1)
+
+    def scatter_px(self) -> FloatArray:
+        """Standard deviation (m,) of the places that count."""
+        away = np.where(self.kept, self.offset - self.coefficients @ _BASIS.T, 0.0)
+        count = self.kept.sum(axis=(1, 2))
+        return np.asarray(np.sqrt((away**2).sum(axis=(1, 2)) / np.maximum(count - PARAMETERS, 1)))
 
 
 class Refined(NamedTuple):
@@ -136,10 +143,10 @@ def refine_quads(
         encoding_error: by which share the light's exponent may be off, one standard deviation.
     """
     corners = np.array(quads, dtype=np.float64)
-    farthest = np.clip(REACH_CELLS * _lengths(corners) / cells, *REACH_PX)
+    farthest = np.minimum(np.maximum(REACH_CELLS * _lengths(corners) / cells, REACH_PX[0]), REACH_PX[1])
     # beyond the picture there is nothing to see: a side by its edge is looked at no farther than that
     room = _room(corners, image.shape)
-    farthest = np.clip(room, LEAST_REACH_PX, farthest)
+    farthest = np.minimum(np.maximum(room, LEAST_REACH_PX), farthest)
     light = PROPORTIONAL if light is None else light
     patches = decoded(image, corners, 2.5 * farthest, light)
     reach = farthest
@@ -152,14 +159,15 @@ def refine_quads(
         moved = np.abs(moves).max(axis=(1, 2))
         # a side that is still on its way must not leave the edge behind
         looked, wanted = reach, np.maximum(REACH_BLURS * median(places.blur_px), REACH_MOVES * moved)
-        reach = np.clip(wanted, LEAST_REACH_PX, farthest)
+        reach = np.minimum(np.maximum(wanted, LEAST_REACH_PX), farthest)
+        lost = np.abs(corners - quads).max(axis=(1, 2)) > 1.5 * farthest
         # nor is one at rest that was last looked at with taps far apart
-        if ((moved < SETTLED_PX) & (looked < COARSE * reach)).all():
+        if (lost | ((moved < SETTLED_PX) & (looked < COARSE * reach))).all():
             break
-    offset_std, turn_std = _side_std(sides, curves)
-    lost = np.abs(corners - quads).max(axis=(1, 2)) > 1.5 * farthest
+    used, least_used = curves.used()
+    offset_std, turn_std = _side_std(sides, curves, used)
     lost |= ~np.isfinite(offset_std + turn_std) | (moved > UNSETTLED_PX)
-    lost |= (curves.used < LEAST_USED) | (curves.least_used < LEAST_USED_OF_A_SIDE)
+    lost |= (used < LEAST_USED) | (least_used < LEAST_USED_OF_A_SIDE)
     # a rise that the picture's edge cuts off seems to be where it is not
     lost |= room < REACH_BLURS * places.blur_px.max(axis=1)
     corners[lost], offset_std[lost], turn_std[lost] = quads[lost], np.inf, np.inf
@@ -185,7 +193,7 @@ def _outwards(normal: FloatArray, by: FloatArray) -> FloatArray:
 
 def _lengths(corners: FloatArray) -> FloatArray:
     """Mean length (m,) of the sides."""
-    across = np.roll(corners, -1, axis=1) - corners
+    across = corners[:, (1, 2, 3, 0)] - corners
     return np.asarray(np.sqrt((across**2).sum(axis=2)).mean(axis=1))
 
 
@@ -193,7 +201,7 @@ def _sides(corners: FloatArray, image_width_px: int, bow_px: FloatArray | None) 
     across = corners[:, (1, 2, 3, 0)] - corners
     length = np.maximum(np.sqrt((across**2).sum(axis=2)), 1.0)
     along = across / length[..., None]
-    normal = np.stack((along[..., 1], -along[..., 0]), axis=2)
+    normal = along[..., ::-1] * (1.0, -1.0)
     end = np.maximum(END_SHARE, END_PX / length.mean(axis=1))
     span = 1.0 - 2.0 * np.minimum(end, MOST_END_SHARE)
     if bow_px is None:
@@ -210,26 +218,21 @@ def _curves(places: Places, sides: Sides) -> _Curves:
     A place that is left out is put on the curve and the fit repeated: with few of them that is as good as to
     weigh them with nothing, and one small product does for all sides.
     """
-    offset = places.offset - sides.bow[..., None] * (1.0 - (sides.span[:, None] * PLACES) ** 2)[:, None]
+    bend = 1.0 - (sides.span**2)[:, None] * PLACES**2
+    offset = places.offset - sides.bow[..., None] * bend[:, None]
     m = len(offset)
     usual = median(places.contrast.reshape(m, -1))
-    keep = places.contrast > LEAST_CONTRAST * usual[:, None, None]
-    shrink = _shrink(sides)
-    gain = np.stack((np.ones_like(shrink), np.ones_like(shrink), shrink), axis=2)
+    keep = places.contrast > (LEAST_CONTRAST * usual)[:, None, None]
+    gain = np.ones((m, 4, 3))
+    gain[..., 2] = _shrink(sides)
     filled = offset if keep.all() else np.where(keep, offset, median(offset)[..., None])
     for _ in range(REFITS):
         fitted = ((filled @ _BASIS) * gain) @ _BASIS.T
         away = np.abs(offset - fitted)
-        spread = 1.48 * median(away.reshape(m, -1))
-        keep &= away < OUTLIER_SIGMA * np.maximum(spread, LEAST_SPREAD_PX)[:, None, None]
+        most = np.maximum(1.48 * median(away.reshape(m, -1)), LEAST_SPREAD_PX) * OUTLIER_SIGMA
+        keep &= away < most[:, None, None]
         filled = np.where(keep, offset, fitted)
-    coefficients = (filled @ _BASIS) * gain
-    away = np.where(keep, offset - coefficients @ _BASIS.T, 0.0)
-    of_a_side = keep.sum(axis=2)
-    count = of_a_side.sum(axis=1)
-    variance = np.einsum("ijk,ijk->i", away, away) / np.maximum(count - PARAMETERS, 1)
-    used, least_used = count / (4 * NORMALS), of_a_side.min(axis=1) / NORMALS
-    return _Curves(coefficients, np.sqrt(variance), used, least_used)
+    return _Curves((filled @ _BASIS) * gain, offset, keep)
 
 
 def _shrink(sides: Sides) -> FloatArray:
@@ -247,23 +250,24 @@ def _meeting(sides: Sides, curves: _Curves) -> FloatArray:
     """How far (m, 4, 2) px the corners are from where each side's curve meets that of the side before."""
     plain = curves.coefficients @ _POLYNOMIALS.T  # of u^0, u^1, u^2
     u = (1.0 / sides.span)[:, None]
-    slope = 2.0 * u / sides.length
-    c0, c1, c2 = plain[..., 0], plain[..., 1], plain[..., 2]
     # the lens's bow belongs to the curve, and vanishes at the corners
-    c0, c2 = c0 + sides.bow, c2 - sides.bow / u**2
-    ahead, behind = c0 + u * (c1 + u * c2), c0 - u * (c1 - u * c2)
+    c0, c1, c2 = plain[..., 0] + sides.bow, plain[..., 1], plain[..., 2] - sides.bow / u**2
+    middle, tilt, bent = c0 + u**2 * c2, u * c1, 2.0 * u * c2
+    slope = ((2.0 * u) / sides.length)[..., None] * sides.along
     # tangents at a side's start and, of the side before, at its end: lines a . x = offset
-    a = sides.normal - ((c1 - 2.0 * u * c2) * slope)[..., None] * sides.along
-    b = (sides.normal - ((c1 + 2.0 * u * c2) * slope)[..., None] * sides.along)[:, (3, 0, 1, 2)]
-    ahead = ahead[:, (3, 0, 1, 2)]
-    determinant = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    determinant = np.where(np.abs(determinant) < 0.05, np.inf, determinant)
-    x = (behind * b[..., 1] - ahead * a[..., 1]) / determinant
-    y = (ahead * a[..., 0] - behind * b[..., 0]) / determinant
-    return np.stack((x, y), axis=2)
+    a = sides.normal - (c1 - bent)[..., None] * slope
+    b = (sides.normal - (c1 + bent)[..., None] * slope)[:, (3, 0, 1, 2)]
+    ahead, behind = (middle + tilt)[:, (3, 0, 1, 2)], middle - tilt
+    ax, ay, bx, by = a[..., 0], a[..., 1], b[..., 0], b[..., 1]
+    determinant = ax * by - ay * bx
+    determinant[np.abs(determinant) < 0.05] = np.inf
+    moves = np.empty_like(a)
+    moves[..., 0] = (behind * by - ahead * ay) / determinant
+    moves[..., 1] = (ahead * ax - behind * bx) / determinant
+    return moves
 
 
-def _side_std(sides: Sides, curves: _Curves) -> tuple[FloatArray, FloatArray]:
+def _side_std(sides: Sides, curves: _Curves, used: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Standard deviations (m,) px of a side's ends from the scatter of the places.
 
     What both ends have in common, by the curve's height and what is not known of its bow, and what they have
@@ -274,7 +278,7 @@ def _side_std(sides: Sides, curves: _Curves) -> tuple[FloatArray, FloatArray]:
     length = sides.length.mean(axis=1)
     spacing = length * sides.span / (NORMALS - 1)
     alike = np.maximum(CORRELATED_PX / spacing, 1.0)
-    place = curves.scatter_px**2 * alike / np.maximum(curves.used, 0.1)
+    place = curves.scatter_px() ** 2 * alike / np.maximum(used, 0.1)
     shrink = _shrink(sides)
     bow = (shrink**2).mean(axis=1) * place + (((1.0 - shrink) * _bow_std(sides)) ** 2).mean(axis=1)
     offset = ends[:, 0] ** 2 * place + ends[:, 2] ** 2 * bow

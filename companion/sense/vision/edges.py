@@ -10,7 +10,7 @@ Pixels: u right, v down, whole numbers at pixel centres. Side k of a marker runs
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -29,7 +29,12 @@ LEAST_GAIN: Final = 0.4
 
 PROPORTIONAL: Final = np.arange(256, dtype=np.float32)
 
+PLACES: Final = np.linspace(-1.0, 1.0, NORMALS)
 _TAPS: Final = np.linspace(-1.0, 1.0, TAPS, dtype=np.float32)
+# where a side's samples are, from its middle: in terms of 1, the half of it that is looked at, and the reach
+_SAMPLES: Final[FloatArray] = np.stack(
+    (np.ones(NORMALS * TAPS), np.repeat(PLACES, TAPS), np.tile(_TAPS, NORMALS)), axis=1
+)
 _BETWEEN: Final = 0.5 * (_TAPS[1:] + _TAPS[:-1])
 _WINDOW: Final = 1.0 - _BETWEEN**4
 # what a normal's differences are summed with: their weight, mean and mean square (12, 3)
@@ -56,7 +61,6 @@ def _gains() -> tuple[FloatArray, FloatArray]:
 
 
 _WIDTHS, _GAINS = _gains()
-PLACES: Final = np.linspace(-1.0, 1.0, NORMALS)
 
 
 class Sides(NamedTuple):
@@ -83,13 +87,15 @@ class Places(NamedTuple):
 class Patches(NamedTuple):
     """The light about each of m markers, one patch below the other in one image.
 
-    `shift` (m, 2) px is from the whole image, of that size, to there; `full` is the light of cut-off white.
+    `shift` (m, 2) px is from the whole image, of that size, to there; `full` is the light of cut-off white,
+    and `whole` are patches of which the picture's edge cuts nothing off.
     """
 
     light: NDArray[np.float32]
     shift: FloatArray
     size_px: tuple[int, int]
     full: float
+    whole: bool
 
 
 def decoded(
@@ -97,67 +103,65 @@ def decoded(
 ) -> Patches:
     """Decode what lies within so many pixels (m,) of markers: most of an image is none of theirs."""
     rows, columns = image.shape
-    low = np.clip((quads.min(axis=1) - margin[:, None]).astype(int), 0, (columns - 2, rows - 2))
-    high = np.clip((quads.max(axis=1) + margin[:, None]).astype(int) + 2, low + 2, (columns, rows))
+    least = (quads.min(axis=1) - margin[:, None]).astype(int)
+    most = (quads.max(axis=1) + margin[:, None]).astype(int) + 2
+    whole = bool((least >= 0).all() and (most <= (columns, rows)).all())
+    low = np.minimum(np.maximum(least, 0), (columns - 2, rows - 2))
+    high = np.minimum(np.maximum(most, low + 2), (columns, rows))
     width, height = (high - low).T
     top = np.cumsum(height) - height
     seen = np.zeros((int(height.sum()), int(width.max())), np.float32)
     for (left, above), (right, below), y in zip(low.tolist(), high.tolist(), top.tolist(), strict=True):
         seen[y : y + below - above, : right - left] = cv2.LUT(image[above:below, left:right], light)
     shift = np.stack((-low[:, 0], top - low[:, 1]), axis=1).astype(np.float64)
-    return Patches(seen, shift, (columns, rows), float(light[FULL_GREY]))
+    return Patches(seen, shift, (columns, rows), float(light[FULL_GREY]), whole)
 
 
 def places_along(patches: Patches, sides: Sides, reach: FloatArray) -> Places:
     """Where each normal goes from black to white: the centre of its rise, more weight near its middle."""
     m = len(reach)
-    half = 0.5 * sides.length[..., None]
-    # (m, 4, NORMALS) along the side, then (m, TAPS) across it
-    share = half * (1.0 + sides.span[:, None, None] * PLACES)
-    across = reach[:, None] * _TAPS
-    start = sides.start + patches.shift[:, None]
-    maps = [
-        (
-            (start[..., axis, None] + share * sides.along[..., axis, None])[..., None]
-            + (sides.normal[..., axis, None] * across[:, None, :])[:, :, None, :]
-        )
-        .astype(np.float32)
-        .reshape(m * 4, NORMALS * TAPS)
-        for axis in (0, 1)
-    ]
-    seen = cv2.remap(patches.light, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    brightness = seen.reshape(-1, TAPS)
+    half = 0.5 * sides.length[..., None] * sides.along
+    ways = np.empty((m, 4, 3, 2))
+    ways[:, :, 0] = sides.start + half + patches.shift[:, None]
+    ways[:, :, 1] = sides.span[:, None, None] * half
+    ways[:, :, 2] = reach[:, None, None] * sides.normal
+    at = (_SAMPLES @ ways.reshape(m * 4, 3, 2)).astype(np.float32)
+    # one map has both u and v
+    none = cast(FloatArray, None)
+    seen = cv2.remap(patches.light, at, none, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    brightness = np.asarray(seen, np.float32).reshape(-1, TAPS)
     # blurred white between two edges is nowhere as bright as it is in the middle
-    black, white = (
-        median(each.astype(np.float64).reshape(m, -1)) for each in (brightness[:, 0], brightness.max(axis=1))
-    )
+    black = median(brightness[:, 0].astype(np.float64).reshape(m, -1))
+    white = median(brightness.max(axis=1).astype(np.float64).reshape(m, -1))
     # what falls is another edge, of the code inside or of what lies beside the marker; noise that falls stays
     # in, for without it the noise that rises moves edges to where there is more of it, into the white
     floor = (-NOISE_SHARE * np.maximum(white - black, 0.0)).astype(np.float32)
     rise = (brightness[:, 1:] - brightness[:, :-1]).reshape(m, -1)
-    rise = np.where(rise < floor[:, None], np.float32(0.0), rise).reshape(-1, TAPS - 1)
-    moments = (rise @ _MOMENTS).astype(np.float64).reshape(m, 4, NORMALS, 3)
-    contrast = np.where(_within(maps, patches), moments[..., 0].reshape(m * 4, NORMALS), 0.0)
-    contrast = contrast.reshape(m, 4, NORMALS)
+    rise *= rise >= floor[:, None]
+    moments = (rise.reshape(-1, TAPS - 1) @ _MOMENTS).reshape(m, 4, NORMALS, 3)
+    contrast = moments[..., 0]
+    if not patches.whole:
+        contrast = np.where(_within(at, patches), contrast, 0.0)
     sure = np.maximum(contrast, 1.0)
     mean = moments[..., 1] / sure
     width = np.sqrt(np.maximum(moments[..., 2] / sure - mean**2, 0.0))
     # what moves is blurred along its way, and so are the sides across it
     blur = median(width)
     gain = np.maximum(np.interp(blur, _WIDTHS, _GAINS), LEAST_GAIN)
-    offset = np.clip(mean / gain[..., None], -1.0, 1.0) * reach[:, None, None]
+    offset = np.maximum(np.minimum(mean / gain[..., None], 1.0), -1.0) * reach[:, None, None]
     full = white >= patches.full
     return Places(offset, contrast, blur * reach[:, None], full)
 
 
-def _within(maps: list[NDArray[np.float32]], patches: Patches) -> NDArray[np.bool_]:
-    """Which normals (4m, NORMALS) end in the image; beyond, its last pixels are repeated: a rise is cut."""
-    inside = []
-    for each, first, n in zip(maps, patches.shift.T, patches.size_px, strict=True):
-        ends = each.reshape(len(first), -1, TAPS)[..., :: TAPS - 1]
-        low = first.astype(np.float32)[:, None, None]
-        inside.append(((ends >= low) & (ends <= low + np.float32(n - 1))).all(axis=2))
-    return np.asarray(inside[0] & inside[1]).reshape(-1, NORMALS)
+def _within(at: NDArray[np.float32], patches: Patches) -> NDArray[np.bool_]:
+    """Which normals, samples (4m, NORMALS * TAPS, 2) along them, end in the image (m, 4, NORMALS).
+
+    Beyond, its last pixels are repeated: a rise is cut.
+    """
+    ends = at.reshape(len(patches.shift), 4, NORMALS, TAPS, 2)[..., :: TAPS - 1, :]
+    first = patches.shift.astype(np.float32)[:, None, None, None]
+    last = first + np.float32(np.array(patches.size_px) - 1)
+    return np.asarray(((ends >= first) & (ends <= last)).all(axis=(3, 4)))
 
 
 def median(values: FloatArray) -> FloatArray:
