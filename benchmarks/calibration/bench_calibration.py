@@ -14,18 +14,17 @@ from typing import Final
 from benchmarks.calibration import bench_camera, bench_magnetometer, bench_mount
 from benchmarks.report import BenchReport
 
-SMOKE: Final = ("--seeds", "1")
+SMOKE: Final = ("--quick",)
 
 
 def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("data", nargs="?", metavar="DATA")
-    parser.add_argument("--seeds", help="of each; without it, their own number")
+    parser.add_argument("--quick", action="store_true", help="of each what takes seconds")
     chosen = parser.parse_args(arguments)
-    words = [] if chosen.data is None else [chosen.data]
-    words += [] if chosen.seeds is None else ["--seeds", chosen.seeds]
+    data = [] if chosen.data is None else [chosen.data]
     report = BenchReport()
-    for run in (bench_magnetometer.main, bench_camera.main, bench_mount.main):
-        report.include(run(words))
+    for bench in (bench_magnetometer, bench_camera, bench_mount):
+        report.include(bench.main([*data, *(bench.SMOKE if chosen.quick else ())]))
     return report

@@ -119,9 +119,9 @@ def real(data: Path | None, report: BenchReport) -> dict[str, bool]:
 # ---------------------------------------------------------------- carried about, then flown
 
 
-def magnetometer_from_the_shop(settings: SensorSettings) -> SensorErrors:
+def magnetometer_from_the_shop(settings: SensorSettings, vibration: float = 1.0) -> SensorErrors:
     """The simulator's sensors, of which the magnetometer alone is not calibrated."""
-    errors = sensor_errors(settings)
+    errors = sensor_errors(settings, vibration)
     return replace(errors, magnetometer=replace(errors.magnetometer, calibrated=False))
 
 

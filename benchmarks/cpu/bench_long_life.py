@@ -43,7 +43,7 @@ from sitl.campaign.figures import Bar
 from sitl.run.in_process import InProcess
 from sitl.scenario.scenario import Scenario, load_scenario
 
-SMOKE: Final = ("--minutes", "1")
+SMOKE: Final = ("--minutes", "2")
 SEES_S: Final = 9.0
 BLIND_S: Final = 6.5
 FIRST_BLIND_S: Final = 25.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from datetime import datetime
@@ -14,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.command import discover, main
-from benchmarks.report import ROOT
+from benchmarks.report import ROOT, commit
 
 
 @pytest.mark.fast
@@ -52,14 +53,32 @@ def test_a_smoke_run_leaves_results_with_commit_machine_and_date(
         timeout=580,
         check=False,
     )
-    assert done.returncode in {0, 1}, done.stderr
-    results = json.loads((tmp_path / "results.json").read_text())
+    # a crash ends in 1 too, but leaves nothing
+    path = tmp_path / "results.json"
+    assert path.exists(), done.stderr
+    results = json.loads(path.read_text())
     assert done.returncode == int(not results["holds"])
     assert results["benchmark"] == name
-    assert re.fullmatch(r"[0-9a-f]{40}\+?", results["commit"])
+    assert results["commit"] == commit()
     assert results["machine"]["cores"] >= 1
     assert datetime.fromisoformat(results["date"]).tzinfo is not None
-    assert [row for table in results["tables"] for row in table["rows"]] != [] or results["lines"] != []
+    rows = [row for table in results["tables"] for row in table["rows"]]
+    assert [*rows, *results["lines"], *results["bars"]] != []
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
+def test_a_checkouts_commit_is_marked_where_files_differ_from_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("benchmarks.report.ROOT", tmp_path)
+    assert commit() is None
+    figures, author = tmp_path / "figures", ("-c", "user.name=a", "-c", "user.email=a@b.c")
+    figures.write_text("1")
+    for words in (("init", "--quiet"), ("add", "."), (*author, "commit", "--quiet", "--message", "first")):
+        subprocess.run(("git", *words), cwd=tmp_path, check=True)
+    assert re.fullmatch(r"[0-9a-f]{40}", commit() or "")
+    figures.write_text("2")
+    assert re.fullmatch(r"[0-9a-f]{40}\+", commit() or "")
 
 
 def test_results_that_cannot_be_written_are_said_before_anything_is_measured(
