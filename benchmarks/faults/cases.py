@@ -130,7 +130,7 @@ _LINK: Final[dict[str, FaultRowCase]] = {
         {"kind": "pilot_mode", "mode": "land", "delay_s": 3.0},
     ),
     "time-out 0.3 s, link lost 0.6 s": _timed_out(0.3, 0.6),
-    "time-out 5 s, link lost 5 s": _timed_out(5.0, 5.0),
+    "time-out 3 s, link lost 3 s": _timed_out(3.0, 3.0),
     "second companion": _one("second_companion", ("start", *TO_THE_END)),
     "forged frames": FaultRowCase(
         ({"kind": "forged_frames"},), ("start", "descend"), lands=True, signed=True

@@ -16,6 +16,9 @@ CIRCLE_FENCE: Final = 2  # FENCE_TYPE bit 1, about home
 # tell its failsafe from a pilot. A PX4 that holds then drags the vehicle over a pad that moves on (0.44 to
 # 0.66 m/s with 0.3 and 0.5 s), unless the motors stop first, a second of proven rest after the contact.
 SHORTEST_TIMEOUT_S, LONGEST_TIMEOUT_S = 0.3, 1.0
+# ArduPilot's default. Longer, what is tilted on the pad, or over it, when the link is lost reaches the ground
+# beside it by that tilt: with 5 s at 1.5 and 2.9 m/s sideways. Nothing on board can end that.
+REFUSED_TIMEOUT_S: Final = 3.0
 # what PX4's COM_OBL_RC_ACT then asks for
 _LAND_ACTION: Final = 4
 STICK_ACTIONS: Final = {0: "Position", 1: "Altitude", 2: "Stabilized"}
@@ -139,6 +142,13 @@ def short_timeout(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> str:
     return "too short to detect the lost link"
 
 
+def long_timeout(setup: AutopilotSetup) -> str:
+    """Why its time without setpoints is too long; empty when it is not, or not known."""
+    if setup.setpoint_timeout_s is None or setup.setpoint_timeout_s <= REFUSED_TIMEOUT_S:
+        return ""
+    return "so long it keeps the last tilt when the link is lost"
+
+
 def loss_refusal(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> str:
     """Why nobody flies with what it does without setpoints; empty when it can be flown with."""
     action, timeout_s = setup.setpoints_lost_action, setup.setpoint_timeout_s
@@ -155,7 +165,7 @@ def loss_refusal(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> str:
             f"the autopilot does not report {' and '.join(unknown)}: its failsafe is "
             "unknown; expected an answer (a slow link, or another version's name)"
         )
-    if why := short_timeout(setup, autopilot_kind):
+    if why := short_timeout(setup, autopilot_kind) or long_timeout(setup):
         return f"{names[0]} is {timeout_s:g}: {why}; {expected_timeout(setup, autopilot_kind)}"
     return ""
 
@@ -174,7 +184,7 @@ def loss_warnings(
             f"COM_OBL_RC_ACT is {action} ({STICK_ACTIONS[action]}): without sticks it "
             "lands at its speed over ground; expected 5 (Hold) or 4 (Land)"
         )
-    if timeout_s is not None and timeout_s > LONGEST_TIMEOUT_S:
+    if timeout_s is not None and LONGEST_TIMEOUT_S < timeout_s <= REFUSED_TIMEOUT_S:
         found.append(
             f"{PROFILES[autopilot_kind].loss_parameters[0]} is {timeout_s:g}: the last setpoint is "
             f"held that long; {expected_timeout(setup, autopilot_kind)}"

@@ -25,6 +25,7 @@ from companion.link.autopilot_setup import (
     STICK_ACTIONS,
     endless_drift,
     expected_timeout,
+    long_timeout,
     setup_of,
     short_timeout,
 )
@@ -38,7 +39,6 @@ _OVERRIDE_OFFBOARD: Final = 2  # COM_RC_OVERRIDE bit 1
 _EXCEPT_OFFBOARD: Final = 4  # COM_RCL_EXCEPT bit 2
 _CONTINUE_GUIDED: Final = 4  # FS_OPTIONS bit 2
 _FASTEST_LAND_CM_S: Final = 70.0
-TOO_LONG_S: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,12 +99,11 @@ def _timeout(autopilot_kind: AutopilotKind) -> _Judge:
 
     def judge(value: float, wanted: Wanted) -> Verdict:
         expected = expected_timeout(wanted.setup, autopilot_kind)
-        if why := short_timeout(wanted.setup, autopilot_kind):
+        if why := short_timeout(wanted.setup, autopilot_kind) or long_timeout(wanted.setup):
             return _fail(f"{expected}: {why}; control is refused")
         if value <= LONGEST_TIMEOUT_S:
             return None
-        why = f"{expected}: so long it keeps the last tilt when the app hangs"
-        return _fail(why) if value > TOO_LONG_S else _warn(why)
+        return _warn(f"{expected}: so long it keeps the last tilt when the app hangs")
 
     return judge
 

@@ -221,9 +221,12 @@ def test_a_failsafe_that_stops_the_motors_is_no_way_to_fly(action: int) -> None:
         ("px4", 4, 0.2, "COM_OF_LOSS_T is 0.2: too short to detect the lost link"),
         ("ardupilot", None, 0.5, ""),
         ("ardupilot", None, 0.1, "GUID_TIMEOUT is 0.1: too short to detect the lost link"),
+        ("ardupilot", None, 3.0, ""),
+        ("ardupilot", None, 3.1, "GUID_TIMEOUT is 3.1: so long it keeps the last tilt"),
+        ("px4", 5, 5.0, "COM_OF_LOSS_T is 5: so long it keeps the last tilt"),
     ],
 )
-def test_a_time_out_shorter_than_a_landing_needs_is_no_way_to_fly(
+def test_a_time_out_shorter_or_longer_than_a_landing_bears_is_no_way_to_fly(
     kind: AutopilotKind, action: int | None, timeout_s: float, refused: str
 ) -> None:
     setup = AutopilotSetup(setpoint_timeout_s=timeout_s, setpoints_lost_action=action)
@@ -231,3 +234,5 @@ def test_a_time_out_shorter_than_a_landing_needs_is_no_way_to_fly(
     assert text.startswith(refused)
     assert bool(text) == bool(refused)
     assert not text or text.endswith(("expected 1 s", "expected 0.3 to 1 s"))
+    about_it = [warning for warning in warnings_of(setup, kind) if f" {timeout_s:g}: " in warning]
+    assert len(about_it) == (bool(refused) or timeout_s > 1.0)  # once
