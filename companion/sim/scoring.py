@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict
+from typing import Final
 
-from companion.base.messages import Outcome
+from companion.base.messages import Outcome, Phase
 from companion.flightlog.record import FlightLog
-from companion.flightlog.result import Result, ResultContact, build_result, from_start, start_s
+from companion.flightlog.result import Result, ResultContact, ResultEvent, build_result, from_start, start_s
 from companion.sim.runner import SitlFlight
 from companion.sim.trial import Trial
 from sitl.world.score import ContactResult
+
+GIVEN_UP: Final = frozenset({Phase.HOLD.value, Phase.ABORT.value})
 
 
 def score(trial: Trial, flight: SitlFlight, log: FlightLog) -> Result:
@@ -37,9 +41,27 @@ def _counted_from(contact: ContactResult, start_s: float) -> ResultContact:
 
 
 def reason(result: Result, flight: SitlFlight) -> str:
-    """Why a flight did not end in a landing: the mission's own words, or what was touched or broken."""
-    said = [event.text.removeprefix("abort: ") for event in result.events if event.kind == "phase"]
-    failures = flight.report.failures
-    if result.outcome is Outcome.ABORTED and said:
-        failures = (said[-1], *failures[1:])
-    return "; ".join(failures)
+    """Why a flight did not end in a landing: what ended the mission, and what was touched or broken.
+
+    The app's own words go first wherever it gave up, whatever became of the vehicle afterwards.
+    """
+    failures, ended = flight.report.failures, _first_end(result.events)
+    if not ended or result.outcome is Outcome.LANDED:
+        return "; ".join(failures)
+    if result.outcome is Outcome.ABORTED:
+        failures = failures[1:]  # that it aborted
+    return "; ".join((ended, *failures))
+
+
+def _first_end(events: Iterable[ResultEvent]) -> str:
+    """The event by which the mission went into the hold or abort that it ended in; empty: it did not.
+
+    A hold ends in an abort whose own event is that it has come to rest; one that the mission went on from
+    ended nothing.
+    """
+    ended = ""
+    for event in events:
+        if event.kind == "phase":
+            phase, _, words = event.text.partition(": ")
+            ended = (ended or words) if phase in GIVEN_UP else ""
+    return ended
