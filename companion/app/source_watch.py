@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from companion.app.sensing import Notify
+from companion.base.clock import unix_time_s
+from companion.base.geometry import Vector3
+from companion.base.magnetic_field import compare_declination
 from companion.base.messages import Quantity, SourceComparison
 from companion.base.second_sources import announced
-from companion.config import VehicleConfig
+from companion.config import EstimateConfig, VehicleConfig
 from companion.estimate.estimator import StateEstimator
 from companion.link.session import Session
 from companion.plan.landing.standing_height import StandingHeight
@@ -21,11 +24,13 @@ class SourceWatch:
         estimator: StateEstimator,
         session: Session,
         standing_height: StandingHeight,
+        config: EstimateConfig,
         vehicle: VehicleConfig,
         notify: Notify,
     ) -> None:
         self._estimator, self._session, self._standing_height = estimator, session, standing_height
-        self._vehicle, self._notify = vehicle, notify
+        self._config, self._vehicle, self._notify = config, vehicle, notify
+        self._declination: tuple[Vector3, SourceComparison] | None = None  # and where
         self._announced: set[Quantity] = set()
 
     def begin(self) -> None:
@@ -36,7 +41,12 @@ class SourceWatch:
     @property
     def comparisons(self) -> tuple[SourceComparison, ...]:
         """The newest of each."""
-        return (*self._estimator.comparisons, *self._of_the_link(), *self._standing_height.comparisons)
+        return (
+            *self._estimator.comparisons,
+            *self._of_the_place(),
+            *self._of_the_link(),
+            *self._standing_height.comparisons,
+        )
 
     def look(self) -> tuple[SourceComparison, ...]:
         """The newest of each; announces what was not announced before."""
@@ -46,6 +56,16 @@ class SourceWatch:
                 self._announced.add(quantity)
                 self._notify("sources", words, "warning")
         return found
+
+    def _of_the_place(self) -> Iterator[SourceComparison]:
+        """The geomagnetic field where the first fix is, which is looked up once."""
+        place = self._estimator.origin
+        if place is None:
+            return
+        if self._declination is None or self._declination[0] != place:
+            told, std_ut = self._config.magnetic_field_ned_ut, self._config.ekf.field_std_ut
+            self._declination = place, compare_declination(told, std_ut, place, unix_time_s())
+        yield self._declination[1]
 
     def _of_the_link(self) -> Iterator[SourceComparison]:
         setup, line = self._session.setup, self._session.timesync.line

@@ -90,7 +90,7 @@ def build_stages(
     )
     standing_height = StandingHeight(vehicle, config.sense.range.minimum_m)
     make_planner = _planner_maker(config, vehicle, pad, standing_height)
-    sources = SourceWatch(estimator, session, standing_height, vehicle, notify)
+    sources = SourceWatch(estimator, session, standing_height, config.estimate, vehicle, notify)
     stamps = StampKeeper(
         hardware.stamp_file, hardware.signing, lambda text: notify("signing", text, "warning")
     )

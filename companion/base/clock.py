@@ -180,7 +180,7 @@ def up_s() -> float:
 
 
 def unix_time_s() -> float:
-    """Seconds since 1970 now, for the stamps of signed frames; never for estimation or control."""
+    """Seconds since 1970 now, for signed frames and the magnetic model; never for estimation or control."""
     return time.time()
 
 

@@ -71,7 +71,7 @@ class SourceRow:
     def words(self, comparison: SourceComparison) -> str:
         """Both figures, and how far they may be apart."""
         most = self.bound if self.refuses(comparison) or self.notice is None else self.notice
-        allowed = "" if most is None else f", limit {most:g}"
+        allowed = f", limit {most:g}" if most else ""
         hint = f": {self.hint}" if self.hint else ""
         return f"{self.quantity}: {self.figures(comparison)} apart{allowed}{hint}"
 
@@ -125,6 +125,19 @@ ROWS: Final = (
         before=_REFUSED,
         reaction=Reaction.HAND_BACK,
         hint="is one compass disturbed, or the IMU's board turned?",
+    ),
+    SourceRow(
+        Quantity.DECLINATION,
+        first="magnetic_field_ned_ut",
+        second="the World Magnetic Model at the GPS position",
+        unit="deg",
+        # the standard deviation holds what model and setting may err by
+        notice=0.0,
+        bound=None,
+        before="announced; the heading that it turns is refused as heading",
+        reaction=None,
+        in_flight="learnt from the GPS velocities of the first manoeuvres",
+        hint="set estimate.magnetic_field_ned_ut to the model's",
     ),
     SourceRow(
         Quantity.HEIGHT_OVER_PAD,

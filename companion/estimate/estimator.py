@@ -179,6 +179,11 @@ class StateEstimator:
         return self._camera_check.link_delay_s
 
     @property
+    def origin(self) -> Vector3 | None:
+        """Latitude and longitude (deg), altitude (m) of the first fix that was taken; None before it."""
+        return self._vehicle.origin
+
+    @property
     def comparisons(self) -> tuple[SourceComparison, ...]:
         """What has been measured by two sources, of the table of `companion.base.second_sources`."""
         attitudes = self._attitude_check.comparisons(self._vehicle.rotation_covariance())

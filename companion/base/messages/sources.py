@@ -12,6 +12,7 @@ class Quantity(StrEnum):
     HOVER_THRUST = "hover thrust"
     ATTITUDE = "attitude"
     HEADING = "heading"
+    DECLINATION = "magnetic declination"
     HEIGHT_OVER_PAD = "height over the pad"
     PAD_SCALE = "pad's scale"
     CAMERA_ROTATION = "camera's rotation"

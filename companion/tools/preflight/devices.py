@@ -258,7 +258,9 @@ async def _gps(config: CompanionConfig) -> list[Finding]:
                     came = receiver.feed(await port.read(), clock.now_s())
                     (fixes if receiver.configured else early).extend(came)
     if fixes or early:
-        return [_fix(fixes or early, receiver)]
+        last = (fixes or early)[-1]
+        place = (last.latitude_deg, last.longitude_deg, last.altitude_m)
+        return [replace(_fix(fixes or early, receiver), place=place)]
     problem = receiver.problem or f"no fix within {GPS_TIMEOUT_S:g} s"
     if "no fix" in problem:
         return [_GPS.warn("fix", problem, "sky view; a cold start takes half a minute and more")]

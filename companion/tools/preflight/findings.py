@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from companion.base.geometry import Vector3
+
 NO_HINT = ""
 
 
@@ -34,7 +36,8 @@ class ParameterChange:
 class Finding:
     """One line of the table: its group, its name, the state, what was found, and what to do about it.
 
-    `detail` of what was not checked says why not. `horizon_rad`: roll and pitch, where it has measured them.
+    `detail` of what was not checked says why not. `horizon_rad`: roll and pitch, where it has measured them;
+    `place`: latitude and longitude (deg), altitude (m).
     `change` is of a parameter of the autopilot's that differs.
     """
 
@@ -44,6 +47,7 @@ class Finding:
     detail: str
     hint: str = NO_HINT
     horizon_rad: tuple[float, float] | None = None
+    place: Vector3 | None = None
     change: ParameterChange | None = None
 
 

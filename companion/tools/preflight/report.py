@@ -56,7 +56,7 @@ def findings_json(findings: list[Finding]) -> str:
         {
             key: value
             for key, value in asdict(finding).items()
-            if key != "horizon_rad" and (key != "change" or value is not None)
+            if key not in {"horizon_rad", "place"} and (key != "change" or value is not None)
         }
         for finding in findings
     ]

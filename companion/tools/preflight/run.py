@@ -39,7 +39,7 @@ async def preflight(
             check_devices(config, files.camera),
             check_link(config, files.vehicle) if linked else _not_linked(),
         )
-        found += devices + link + compared(devices, link)
+        found += devices + link + compared(devices, link, config.estimate, now)
     return found + check_computer(record, state, now)
 
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from datetime import datetime
 from typing import Final
 
+from companion.base.magnetic_field import compare_declination
 from companion.base.messages import Quantity, SourceComparison
 from companion.base.second_sources import SourceState, judged
+from companion.config import EstimateConfig
 from companion.tools.preflight.findings import Finding, FindingGroup
 
 # of the difference of two horizons at rest: accelerometers' offsets, and how the boards lie
@@ -15,29 +18,51 @@ HORIZON_STD_DEG: Final = 0.8
 _GROUP: Final = FindingGroup("second sources")
 
 
-def compared(devices: Sequence[Finding], link: Sequence[Finding]) -> list[Finding]:
-    """Our horizon against the autopilot's, by what the IMU's and the link's findings have measured."""
+def compared(
+    devices: Sequence[Finding], link: Sequence[Finding], config: EstimateConfig, now: datetime
+) -> list[Finding]:
+    """What the findings of devices and link have measured: two horizons, and the magnetic field's place."""
+    return [_horizons(devices, link), _declination([*devices, *link], config, now)]
+
+
+def _horizons(devices: Sequence[Finding], link: Sequence[Finding]) -> Finding:
+    """Our horizon against the autopilot's."""
     horizons = [
         next((finding.horizon_rad for finding in found if finding.horizon_rad is not None), None)
         for found in (devices, link)
     ]
     ours, theirs = horizons
     if ours is None or theirs is None:
-        return [_GROUP.skip(Quantity.ATTITUDE, "it takes our IMU at rest and the autopilot's attitude")]
-    comparison = SourceComparison(
-        0.0,
-        Quantity.ATTITUDE,
-        _words(ours),
-        _words(theirs),
-        difference=math.degrees(math.dist(ours, theirs)),
-        std=HORIZON_STD_DEG,
+        return _GROUP.skip(Quantity.ATTITUDE, "it takes our IMU at rest and the autopilot's attitude")
+    return _judged(
+        SourceComparison(
+            0.0,
+            Quantity.ATTITUDE,
+            _words(ours),
+            _words(theirs),
+            difference=math.degrees(math.dist(ours, theirs)),
+            std=HORIZON_STD_DEG,
+        )
     )
-    row, state, figures = next(each for each in judged([comparison]) if each[0].quantity == Quantity.ATTITUDE)
+
+
+def _declination(found: Sequence[Finding], config: EstimateConfig, now: datetime) -> Finding:
+    """The setting of the field against the model's where it stands: our fix, else the autopilot's home."""
+    place = next((finding.place for finding in found if finding.place is not None), None)
+    if place is None:
+        return _GROUP.skip(Quantity.DECLINATION, "it takes a GPS fix, or the autopilot's home")
+    told_ned_ut, told_std_ut = config.magnetic_field_ned_ut, config.ekf.field_std_ut
+    return _judged(compare_declination(told_ned_ut, told_std_ut, place, now.timestamp()))
+
+
+def _judged(comparison: SourceComparison) -> Finding:
+    quantity = comparison.quantity
+    row, state, figures = next(each for each in judged([comparison]) if each[0].quantity == quantity)
     if state is SourceState.REFUSED:
-        return [_GROUP.fail(row.quantity, figures, row.hint)]
+        return _GROUP.fail(row.quantity, figures, row.hint)
     if state is SourceState.DIFFERS:
-        return [_GROUP.warn(row.quantity, figures, row.hint)]
-    return [_GROUP.ok(row.quantity, figures)]
+        return _GROUP.warn(row.quantity, figures, row.hint)
+    return _GROUP.ok(row.quantity, figures)
 
 
 def _words(horizon_rad: tuple[float, float]) -> str:

@@ -52,7 +52,7 @@ def judge(heard: Heard, config: CompanionConfig) -> list[Finding]:
     found = [
         _heartbeat(heard),
         _disarmed(heard.state),
-        _ready(heard.state),
+        replace(_ready(heard.state), place=heard.state.home),
         *_attitude(heard.state),
         _battery(heard.state, config),
         _signing(heard.refused, config),
