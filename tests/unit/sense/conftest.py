@@ -50,7 +50,7 @@ def vehicle() -> VehicleConfig:
 def take_picture(pad: Pad, camera: CameraConfig, vehicle: VehicleConfig) -> TakePicture:
     """A picture at time 0 with the default noise; truth: the pad in body axes, and body-from-pad."""
     models: dict[VehicleConfig, CameraModel] = {}
-    noise = np.random.default_rng()
+    noise = np.random.default_rng(0)
 
     def take(
         position_m: Vector3,
@@ -66,9 +66,11 @@ def take_picture(pad: Pad, camera: CameraConfig, vehicle: VehicleConfig) -> Take
             x, y, z = (p + v * time_s for p, v in zip(position_m, velocity_m_s, strict=True))
             return ScenePose((x, y, z - 0.3), attitude, (0.0, 0.0, -0.3), heading_rad)
 
+        # a camera draws from it as it is made: its pixels are the same ones, whichever tests ran before
+        noise.bit_generator.state = np.random.default_rng(0).bit_generator.state
         if mounted not in models:
             models[mounted] = CameraModel(camera, mounted, pad, ImagingSettings(), noise)
-        # a picture's noise is its own, whichever tests ran before
+        # and a picture's noise is its own
         noise.bit_generator.state = np.random.default_rng(seed).bit_generator.state
         image = models[mounted].render(0.0, scene)
         to_body = quat_conjugate(attitude)
