@@ -1,15 +1,12 @@
-"""How large a folder and a function may grow: a reader takes in each at a time. A file's length is advice."""
+"""How large a folder and a function may grow: a reader takes in each at a time."""
 
 import ast
-import warnings
 from collections import Counter, defaultdict
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 CODE = ("companion", "sitl", "calibration", "tests", "benchmarks", "experiments")
 MOST_MODULES_IN_A_FOLDER = 18
-# there one looks whether a file is one thought; none is split only to be shorter
-ADVISED_LINES_IN_A_FILE = 450
 MOST_LINES_IN_A_FUNCTION = 60
 
 
@@ -28,13 +25,6 @@ def is_command(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
 def test_no_folder_has_more_modules_than_a_reader_keeps_apart() -> None:
     counts = Counter(path.parent for path in modules(*CODE) if path.name != "__init__.py")
     assert {str(folder): n for folder, n in counts.items() if n > MOST_MODULES_IN_A_FOLDER} == {}
-
-
-def test_long_files_are_named() -> None:
-    lengths = {str(path): len((ROOT / path).read_text().splitlines()) for path in modules(*CODE)}
-    for path, lines in lengths.items():
-        if lines > ADVISED_LINES_IN_A_FILE:
-            warnings.warn(f"{path}: {lines} lines; is it one thought?", stacklevel=1)
 
 
 def test_no_function_is_longer_than_a_screen_but_the_lists_of_options() -> None:
