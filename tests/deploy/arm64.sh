@@ -52,7 +52,7 @@ if [ -n "${BUNDLE:-}" ]; then
     cp "$BUNDLE" "$FOLDER/"
 else
     step "the release"
-    PYTHON="$PYTHON" "$SOURCE/systemd/release.sh" "$FOLDER" aarch64 || fail "systemd/release.sh"
+    env PYTHON="$PYTHON" "$SOURCE/systemd/release.sh" "$FOLDER" aarch64 || fail "systemd/release.sh"
 fi
 install -d "$ROOT/opt"
 rm -rf "$ROOT/opt/companion" "$ROOT"/opt/companion-*

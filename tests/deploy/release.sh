@@ -82,7 +82,7 @@ if [ -n "${BUNDLE:-}" ]; then
     cp "$BUNDLE" "$FOLDER/"
 else
     step "the release"
-    PYTHON="$PYTHON" "$SOURCE/systemd/release.sh" "$FOLDER" "$(uname -m)" || fail "systemd/release.sh"
+    env PYTHON="$PYTHON" "$SOURCE/systemd/release.sh" "$FOLDER" "$(uname -m)" || fail "systemd/release.sh"
 fi
 version="$(sed -n 's/^__version__ = "\(.*\)"/\1/p' "$SOURCE/companion/__init__.py")"
 first="$FOLDER/companion-$version-$(uname -m)"
