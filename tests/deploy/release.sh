@@ -217,7 +217,7 @@ sys.exit(not distance)' || fail "no distance by pins: $(inside journalctl --unit
     list_files >"$FOLDER/after"
     local left
     left="$(comm -13 "$FOLDER/before" "$FOLDER/after" | grep -v -e '^/etc/companion\(/\|$\)' -e '^/var/lib/companion\(/\|$\)' \
-        -e '^/release\(/\|$\)' -e '^/etc/\(passwd\|group\|shadow\|gshadow\)-$' -e '^/var/lib/systemd/' -e '^/etc/resolv.conf' || true)"
+        -e '^/release\(/\|$\)' -e '^/etc/\(passwd\|group\|shadow\|gshadow\)-$' -e '^/var/lib/\(systemd\|apt\)/' -e '^/etc/resolv.conf' || true)"
     [ -z "$left" ] || fail "removed, and still there: $left"
     shut_down
 }

@@ -146,6 +146,6 @@ left="$(inside sh -c 'ls -d /opt/companion /etc/systemd/system/companion.service
 # `vehicle` and the backups of passwd and group are not ours
 list_files >"$FOLDER/after"
 left="$(comm -13 "$FOLDER/before" "$FOLDER/after" | grep -v -e '^/etc/companion\(/\|$\)' -e '^/var/lib/companion\(/\|$\)' \
-    -e '/vehicle.service$' -e '^/etc/\(passwd\|group\|shadow\|gshadow\)-$' -e '^/var/lib/systemd/' || true)"
+    -e '/vehicle.service$' -e '^/etc/\(passwd\|group\|shadow\|gshadow\)-$' -e '^/var/lib/\(systemd\|apt\)/' || true)"
 [ -z "$left" ] || fail "removed, and still there: $left"
 step "install, boot, restarts, check, flights and removal are well"
