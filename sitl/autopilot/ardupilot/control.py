@@ -99,6 +99,17 @@ class ArdupilotControl(PositionControl):
         self._felt = SecondOrderLowPass(gains.accelerometer_hz)
         self._throttle_integral = 0.0
 
+    def start_height(self, position: Vector3, velocity: Vector3, upward: float) -> None:
+        """From the motion and the throttle that there are (AC_PosControl::init_z_controller).
+
+        What stands on the ground without thrust so stays there without: nothing is off its height.
+        """
+        super().start_height(position, velocity, upward)
+        self._down_kind = None
+        self._climb_error.reset()
+        self._throttle_error.reset()
+        self._throttle_integral = clamp(-self._hover_share(upward), 2.0 * GRAVITY_M_S2)
+
     def _let_go_sideways(self) -> None:
         self._kinds = None
         self._commanded = (0.0, 0.0)

@@ -114,4 +114,4 @@ def as_aged(
 
 def _level(heading_rad: float) -> AttitudeSetpoint:
     half = 0.5 * heading_rad
-    return AttitudeSetpoint((cos(half), 0.0, 0.0, sin(half)), _HOLDS_HEIGHT)
+    return AttitudeSetpoint((cos(half), 0.0, 0.0, sin(half)), _HOLDS_HEIGHT, holds_height=True)

@@ -55,7 +55,7 @@ class Cascade:
         self._spool = 0.0
         self._share = 1.0
         self._feed_rate = ZERO3
-        self._rates_alone = False
+        self._rates_alone = self._by_thrust = False
         self.thrust = self._throttle = 0.0
         self.attitude_setpoint: Quaternion = IDENTITY
 
@@ -75,7 +75,7 @@ class Cascade:
         self._attitude.reset()
         self._spool, self._share, self.thrust = 0.0, 1.0, 0.0
         self._throttle = 0.0
-        self._feed_rate, self._rates_alone = ZERO3, False
+        self._feed_rate, self._rates_alone, self._by_thrust = ZERO3, False, False
         self.attitude_setpoint = self._position.attitude
         if self._reference is not None:
             self._reference.reset(self.attitude_setpoint)
@@ -97,7 +97,8 @@ class Cascade:
     ) -> bool:
         """Whether a setpoint commands a climb, as for a take-off."""
         if isinstance(setpoint, AttitudeSetpoint):
-            return setpoint.thrust > 1.02 * (_HOLDS_HEIGHT if thrust_is_climb_rate else self._hover)
+            still = _HOLDS_HEIGHT if thrust_is_climb_rate else self._hover
+            return setpoint.thrust > 1.02 * still and not setpoint.holds_height
         return (
             setpoint.velocity_ned_m_s[2] < -0.1
             or setpoint.position_ned_m[2] < estimate.position_ned_m[2] - 0.3
@@ -156,6 +157,7 @@ class Cascade:
     ) -> bool:
         """Fly a motion setpoint; returns whether it is a descent."""
         law = self._position
+        self._take_over_height(estimate)
         law.step(
             estimate.position_ned_m,
             estimate.velocity_ned_m_s,
@@ -191,18 +193,27 @@ class Cascade:
             self._leave_rates(estimate)
             self.attitude_setpoint = setpoint.attitude
         share = min(max(setpoint.thrust, 0.0), 1.0)
-        if not thrust_is_climb_rate:
+        if not (thrust_is_climb_rate or setpoint.holds_height):
+            self._by_thrust = True
             upward = self._thrust_is_upward and setpoint.attitude is not None
             self.thrust = min(1.0, share / tilt_cosine(estimate.attitude)) if upward else share
             self._throttle = self.thrust
             return share < 0.85 * self._hover
-        climb = 2.0 * (share - _HOLDS_HEIGHT)
+        self._take_over_height(estimate)
+        climb = 0.0 if setpoint.holds_height else 2.0 * (share - _HOLDS_HEIGHT)
         climb *= _CLIMB_RATE_M_S if climb > 0.0 else _DESCENT_RATE_M_S
         position, velocity = estimate.position_ned_m, estimate.velocity_ned_m_s
         acceleration = estimate.acceleration_ned_m_s2
         law.step_climb(position, velocity, acceleration, estimate.attitude, climb, dt_s, frozen)
         self._throttle_up(estimate, dt_s)
         return climb < -_DESCENDING_M_S
+
+    def _take_over_height(self, estimate: SimulatedEstimator) -> None:
+        """From a thrust that was commanded to a law that makes its own."""
+        if self._by_thrust:
+            upward = self.thrust * tilt_cosine(estimate.attitude)
+            self._position.start_height(estimate.position_ned_m, estimate.velocity_ned_m_s, upward)
+        self._by_thrust = False
 
     def _throttle_up(self, estimate: SimulatedEstimator, dt_s: float) -> None:
         """Take the height law's thrust, directly or with tilt compensation and a low-pass."""

@@ -102,6 +102,10 @@ class PositionControl(ABC):
         self.velocity_reference = (vx, vy, self.velocity_reference[2])
         self._let_go_sideways()
 
+    def start_height(self, position: Vector3, velocity: Vector3, upward: float) -> None:
+        """The height is ours again after a thrust that was commanded externally; `upward` is its share."""
+        self.upward = upward
+
     # ------------------------------------------------------------ the law
 
     @abstractmethod

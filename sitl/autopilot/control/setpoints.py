@@ -43,13 +43,14 @@ class AttitudeSetpoint:
     """Attitude (body to NED) and the field `thrust` (0..1), whose meaning depends on the autopilot.
 
     `attitude` None: only the body rates are flown. With an attitude they are what it turns at, and
-    `yaw_rate_rad_s` is a turn about the world's down axis.
+    `yaw_rate_rad_s` is a turn about the world's down axis. `holds_height`: whatever `thrust` means, none.
     """
 
     attitude: Quaternion | None
     thrust: float
     yaw_rate_rad_s: float = 0.0
     rate_body_rad_s: Vector3 = ZERO3
+    holds_height: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from math import nan
 
 import pytest
@@ -18,6 +19,7 @@ from companion.base.geometry import (
     wrap_angle,
     yaw_from_quat,
 )
+from companion.base.messages import LandedState
 from sitl.autopilot import (
     AttitudeSetpoint,
     EstimatorErrors,
@@ -181,6 +183,29 @@ def test_ardupilot_raises_thrust_for_the_tilt_it_flies_and_px4_does_not() -> Non
         sank[autopilot_kind] = flight.run(1.5, AttitudeSetpoint(tilting, thrust))[-1].velocity[2]
     assert sank["ardupilot"] == pytest.approx(0.0, abs=0.3)
     assert sank["px4"] > 0.8
+
+
+@pytest.mark.parametrize("share", [0.0, 0.8])
+def test_at_ardupilots_time_out_what_stands_by_a_thrust_stays_down_and_what_hovers_holds_its_height(
+    share: float,
+) -> None:
+    """Its height controller begins from the throttle that there is; the field is a thrust no more."""
+    flight = in_the_air("ardupilot")
+    flight.autopilot.parameters.set("GUID_OPTIONS", 8)
+    flight.autopilot.parameters.set("GUID_TIMEOUT", 0.5)
+    flight.vehicle.airframe = replace(flight.vehicle.airframe, mass_kg=1.2 * flight.vehicle.airframe.mass_kg)
+    hover, level = 1.2 * flight.autopilot.thrust, quat_from_euler(0.0, 0.0, 0.0)
+    flight.run(1.0, AttitudeSetpoint(level, hover))
+    held = flight.run(5.0)
+    assert held[-1].velocity[2] == pytest.approx(0.0, abs=0.05)
+    assert held[-1].position[2] == pytest.approx(held[0].position[2], abs=0.5)
+    flight.run(0.5, AttitudeSetpoint(level, 0.9 * hover))
+    flight.vehicle.floor_z_m = flight.vehicle.position[2] + 0.01
+    flight.run(0.5, AttitudeSetpoint(level, share * hover))  # too short to be a landing
+    assert flight.autopilot.landed_state is not LandedState.ON_GROUND
+    assert flight.vehicle.height_m == 0.0
+    flight.run(4.0)
+    assert flight.vehicle.height_m < 0.005
 
 
 # ---------------------------------------------------------------- its own idea of the world
