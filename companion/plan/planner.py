@@ -160,7 +160,7 @@ class Planner:
             notices=tuple(self._notices),
             speed_m_s=self._generator.speed_m_s,
             time_to_go_s=self._generator.time_to_go_s,
-            on_ground=self._steering.on_pad,
+            on_ground=self._steering.presses_down,
             conditions=self._conditions if self.phase in PACED else None,
         )
 

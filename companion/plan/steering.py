@@ -100,6 +100,11 @@ class PhaseSteering:
         return self._machine.state in ON_PAD
 
     @property
+    def presses_down(self) -> bool:
+        """Whether the vehicle is to be kept on the pad without thrust."""
+        return self.on_pad and not self._touchdown.unconfirmed
+
+    @property
     def way_down_s(self) -> float:
         """How long (s) the final descent takes, until the motors are off."""
         return self._touchdown.way_down_s()

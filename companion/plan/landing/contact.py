@@ -30,17 +30,12 @@ _STALLED_M_S = 0.06  # a third of the slowest sink
 _AWAY_M = 0.25
 _AWAY_S = 0.3
 _ARRIVES_S = 0.3
-# Echoes so much longer than what the feet stand on give, for so long: a hop is shorter.
-_LIFTED_M = 0.08
-_LIFTED_S = 0.3
 # The camera sees a millimetre: from half of `contact_margin_m` it falls with 0.4 m/s, from 3 cm with 0.8.
 _LIFTED_SHARE = 0.5
 _SIGMA_THRESHOLD = 3.0  # standard deviations
 # An autopilot that is not heard for this share of the time for which it keeps a setpoint may not hear us
-# either, and soon flies by itself. Heard again, it is where that took it: for so long after the silence the
-# feet have to be shown down.
+# either, and soon flies by itself.
 _UNHEARD_SHARE = 0.8
-_DOUBTED_S = 1.0
 # Without thrust it falls at g; a third of that is no deck's motion.
 _FALLS_M_S2 = GRAVITY_M_S2 / 3.0
 _FALLS_S = 0.15  # a bump of the pad is over sooner; a fall is 11 cm by then
@@ -127,7 +122,10 @@ def _echo_within(echo: RangeSample | None, distance_m: float, now_s: float) -> b
 
 
 def link_silent(inputs: PlanInputs) -> bool:
-    """Whether the autopilot has been silent for about as long as it waits for setpoints."""
+    """Whether the autopilot has been silent for about as long as it waits for setpoints.
+
+    Then it may fly by itself: what the vehicle does says nothing any more by what we command.
+    """
     return inputs.silent_s >= _UNHEARD_SHARE * inputs.keeps_setpoint_s
 
 
@@ -150,8 +148,8 @@ class LandDetector:
         self._stood_m = max(self._vehicle.leg_height_m, felt_m)
         self._feet_m = self._stood_m + self._config.contact_margin_m
         self._away, self._resting, self._falling, self._unshown = (Debounce() for _ in range(4))
-        self._lifted, self._able, self._risen = Debounce(), Debounce(), Debounce()
-        self._silent_s = self._unsure_s = -math.inf
+        self._able, self._risen = Debounce(), Debounce()
+        self.doubted = self.unconfirmed = False
 
     def arrives(self, now_s: float) -> bool:
         """Whether it may still slide; what says so later is wrong."""
@@ -162,49 +160,39 @@ class LandDetector:
         away = sight.unseen_s <= UNSEEN_S and sight.height_m > self._vehicle.leg_height_m + _AWAY_M
         return self._away.held_s(away, now_s) >= _AWAY_S
 
-    def doubted(self, now_s: float) -> bool:
-        """Whether our setpoints may not arrive, or just now may not have, as `off_by_itself` has seen it.
+    def off_by_itself(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> str:
+        """Why it is not on the pad, though we had it pressed down; "" while it may be. Once a cycle.
 
-        What lifts it or makes it slide then is the autopilot.
-
-        It holds by itself once setpoints do not arrive, over a pad that moves on; obeying again by our first
-        setpoint it would be pressed down from there.
+        An autopilot that no setpoint reaches flies by itself: it levels and holds its height, over a pad that
+        moves on. So a silence makes the contact `doubted`, until rest is proven anew or the autopilot has
+        landed. Then only a pad that is seen, where it was seen while we were heard, shows the feet down: an
+        echo tells a hand's breadth over it from standing on it no better than the leg height is known.
+        Where the IMU is silent too (all comes by the link), what is not seen says nothing.
         """
-        return now_s - self._unsure_s <= _DOUBTED_S
-
-    def off_by_itself(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> tuple[bool, bool]:
-        """Whether it is shown off the pad while our setpoints are `doubted`, and whether nothing shows it on
-        the pad. Once a cycle.
-
-        A pad that is seen decides, against the height at which it stood while we were heard; else echoes do.
-        Where the IMU is silent too (all comes by the link), what is not shown says nothing.
-        """
-        if link_silent(inputs):
-            self._silent_s = now_s
-        if link_silent(inputs) or inputs.silent_s >= FRESH_S:
-            self._unsure_s = now_s
-        doubted = self.doubted(now_s)
-        echo_m = echo_height_m(inputs.range, self._vehicle, now_s)
-        high = echo_m is not None and echo_m > self._vehicle.leg_height_m + _LIFTED_M
-        lifted = self._lifted.held_s(high, now_s) >= _LIFTED_S
         able = self._able.held_s(imu_fresh(inputs.vehicle, now_s), now_s) >= FRESH_S
-        if sight is not None and sight.unseen_s <= UNSEEN_S:
-            if not doubted:
-                self._stood_m = min(sight.clearance_m, self._feet_m)
-            surely_m = sight.clearance_m - _SIGMA_THRESHOLD * sight.height_std_m
-            risen = doubted and surely_m > self._stood_m + _LIFTED_SHARE * self._config.contact_margin_m
-            return self._risen.held_s(risen, now_s) > 0.0, False  # in one sighting more
-        unshown = able and echo_m is None and now_s - self._silent_s <= _DOUBTED_S
-        return doubted and lifted, unshown
+        landed = inputs.autopilot.landed is LandedState.ON_GROUND
+        self.doubted = not landed and (self.doubted or link_silent(inputs))
+        seen = sight if sight is not None and sight.unseen_s <= UNSEEN_S else None
+        self.unconfirmed = self.doubted and seen is None
+        if not self.doubted:
+            self._stood_m = self._stood_m if seen is None else min(seen.clearance_m, self._feet_m)
+            return ""
+        if seen is None:
+            return "link silent, contact not confirmed" if able else ""
+        surely_m = seen.clearance_m - _SIGMA_THRESHOLD * seen.height_std_m
+        risen = surely_m > self._stood_m + _LIFTED_SHARE * self._config.contact_margin_m
+        # in one sighting more
+        return "link silent: the vehicle left the pad" if self._risen.held_s(risen, now_s) > 0.0 else ""
 
     def step(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Detect a landing: by the autopilot, by rest on the pad, or that nothing proves it."""
         agrees = inputs.autopilot.landed is LandedState.ON_GROUND
-        down = self._shown_down(sight, inputs.range, now_s)
+        down = self._shown_down(sight, None if self.doubted else inputs.range, now_s)
         rested_s = self._rested_s(inputs.vehicle, now_s, down=down)
         if agrees:
             return MissionEvent.LANDING_DETECTED, "the autopilot reports landed"
         if rested_s >= self._config.land_after_s:
+            self.doubted = False
             return MissionEvent.AT_REST, f"for {rested_s:.1f} s on the pad"
         unshown_s = self._unshown.held_s(not down, now_s)
         if unshown_s >= _UNSHOWN_S and now_s - self._since_s >= _UNSHOWN_AFTER_S:

@@ -53,7 +53,8 @@ class SetDown:
             sink_m_s=None if inputs.vehicle is None else inputs.vehicle.velocity_ned_m_s[2],
             imu_fresh=imu_fresh(inputs.vehicle, now_s),
         )
-        if self._touching.held_s(signs.count >= SIGNS_NEEDED, now_s) >= self._config.contact_s:
+        touching = signs.count >= SIGNS_NEEDED and not link_silent(inputs)
+        if self._touching.held_s(touching, now_s) >= self._config.contact_s:
             return MissionEvent.CONTACT, signs.in_words()
         return None
 

@@ -25,6 +25,7 @@ from companion.plan.landing.contact import (
     LandDetector,
     contact_signs,
     echo_height_m,
+    link_silent,
 )
 from companion.plan.landing.levelling import Levelling
 from companion.plan.landing.set_down import SetDown
@@ -121,6 +122,11 @@ class TouchdownSequence:
             return MissionEvent.RISEN, "on the way back up"
         return event
 
+    @property
+    def unconfirmed(self) -> bool:
+        """Whether nothing shows the feet on the pad since our setpoints may not have arrived."""
+        return self._standing.unconfirmed
+
     def level_off(self) -> LevelOff | None:
         """That the vehicle may tilt no further than it may at contact; None until the contact is near."""
         return self._levelling.window()
@@ -207,8 +213,10 @@ class TouchdownSequence:
             tilt_rad=tilt_rad,
             imu_fresh=not silent,
         )
-        near = sight is not None and self._near(sight, unfelt_s)
-        touching = signs.count >= SIGNS_NEEDED
+        # by itself it may hold its height just over the pad: there its feet are seen, or nothing is felt
+        obeys = not link_silent(inputs)
+        near = obeys and sight is not None and self._near(sight, unfelt_s)
+        touching = signs.count >= SIGNS_NEEDED and (obeys or signs.low)
         self._short_echoes.note(inputs.range if near and signs.short_echo else None)
         down = sight is not None and sight.age_s > self._config.blind_s and self.feet_down(now_s)
         # what is controlled to sink and does not for so long stands, though its file has shorter legs
@@ -343,14 +351,12 @@ class TouchdownSequence:
 
     def _leaves(self, state: State, sight: PadState | None, inputs: PlanInputs, now_s: float) -> str:
         """Why it does not stay on the pad; "" while it does."""
-        lifted, unshown = self._standing.off_by_itself(sight, inputs, now_s)
-        if lifted:
-            return "link silent: the vehicle left the pad"
+        why = self._standing.off_by_itself(sight, inputs, now_s)
         # LAND is asked for just where nothing shows the feet down
-        if unshown and state is State.STAND:
-            return "link silent, contact not confirmed"
+        if why and (state is State.STAND or not self._standing.unconfirmed):
+            return why
         away = sight is not None and self._standing.off_pad(sight, now_s)
-        slips = self._standing.arrives(now_s) or self._standing.doubted(now_s)
+        slips = self._standing.arrives(now_s) or self._standing.doubted
         if sight is not None and slips and (slides := self._slides(sight)):
             return slides
         return "the pad is well below the feet" if away else ""

@@ -129,11 +129,11 @@ def test_sliding_ends_the_stand_in_its_first_moments_alone(since_s: float, leave
     ("silent_s", "echo_m", "age_s", "imu_age_s", "leaves"),
     [
         (0.5, 0.25, 9.0, 0.0, True),
-        (0.3, 0.25, 9.0, 0.0, True),  # our setpoints may not arrive, and an echo shows it lifted
+        (0.3, 0.25, 9.0, 0.0, False),  # the last setpoint that arrived still counts
         (0.0, 0.25, 9.0, 0.0, False),
-        (0.5, 0.14, 9.0, 0.0, False),
+        (0.5, 0.10, 9.0, 0.0, True),  # an echo does not tell standing from 3 cm over the pad
         (0.5, 0.25, 0.0, 0.0, False),
-        # no echo at all: what is not shown counts where it could be
+        # what is not seen counts where it could be
         (0.5, None, 9.0, 0.0, True),
         (0.3, None, 9.0, 0.0, False),
         (0.5, None, 0.0, 0.0, False),
@@ -222,22 +222,84 @@ def test_a_deck_that_rocks_under_the_feet_lifts_nothing(risen_m: float, leaves: 
 
 
 @pytest.mark.parametrize(("after_s", "leaves"), [(0.1, True), (1.5, False)])
-def test_just_after_a_silence_the_feet_have_to_be_shown_down_too(after_s: float, leaves: bool) -> None:
+def test_after_a_silence_the_feet_have_to_be_seen_down_until_rest_is_proven(
+    after_s: float, leaves: bool
+) -> None:
     touchdown, now_s = standing()
-    found = None
-    # it is shown down until the silence ends: the pad drives away while the first setpoints arrive again
-    for silent_s, steps, shown in ((1.0, 10, True), (0.0, round(after_s / CYCLE_S), True), (0.0, 15, False)):
+    found: list[MissionEvent] = []
+    # it is seen down until the silence ends: the pad drives away while the first setpoints arrive again
+    for silent_s, steps, seen in ((1.0, 10, True), (0.0, round(after_s / CYCLE_S), True), (0.0, 15, False)):
         for _ in range(steps):
             now_s += CYCLE_S
-            found = found or touchdown.step(
-                sight(height=0.19, age=0.0 if shown else 9.0),
-                RangeSample(now_s, 0.1 if shown else 0.25),
+            event = touchdown.step(
+                sight(height=0.19, age=0.0 if seen else 9.0),
+                RangeSample(now_s, 0.1),
                 LandedState.IN_AIR,
                 now_s,
                 silent_s=silent_s,
                 vehicle=vehicle_state(now_s),
             )
-    assert (found is not None and found[0] is MissionEvent.OFF_PAD) == leaves
+            found += [] if event is None else [event[0]]
+    assert (MissionEvent.OFF_PAD in found) == leaves
+    assert (MissionEvent.AT_REST in found) != leaves
+
+
+@pytest.mark.parametrize(("silent_s", "landed"), [(0.0, False), (0.5, False), (0.5, True)])
+def test_an_echo_proves_no_rest_to_a_silent_link_unless_the_autopilot_has_landed(
+    silent_s: float, landed: bool
+) -> None:
+    """Pressed down by nobody it may float a centimetre over the pad, whatever we command."""
+    touchdown, now_s = standing()
+    found: list[MissionEvent] = []
+    for k in range(60):
+        now_s += CYCLE_S
+        event = touchdown.step(
+            sight(height=0.19, age=0.0 if k < 5 else 9.0),
+            RangeSample(now_s, 0.1),
+            LandedState.ON_GROUND if landed else LandedState.IN_AIR,
+            now_s,
+            silent_s=silent_s * (k >= 5),
+            vehicle=vehicle_state(now_s),
+        )
+        found += [] if event is None else [event[0]]
+    assert (MissionEvent.OFF_PAD in found) == (silent_s > 0.0 and not landed)
+    assert (MissionEvent.AT_REST in found) == (silent_s == 0.0)
+    assert (MissionEvent.LANDING_DETECTED in found) == landed
+
+
+def test_without_its_imu_and_unheard_it_is_not_pressed_down_until_it_is_seen() -> None:
+    """All comes by the link: nothing shows that it left the pad, and nothing that it stands."""
+    touchdown, now_s = standing()
+    unconfirmed = []
+    for silent_s, imu_age_s in ((0.0, 0.0), (0.5, 0.5), (0.0, 0.5)):
+        now_s += CYCLE_S
+        step = sight(height=0.19, age=9.0), None, LandedState.IN_AIR, now_s
+        touchdown.step(*step, silent_s=silent_s, vehicle=vehicle_state(now_s, imu_age_s=imu_age_s))
+        unconfirmed.append(touchdown.unconfirmed)
+    seen = sight(height=0.19), None, LandedState.IN_AIR, now_s + CYCLE_S
+    touchdown.step(*seen, vehicle=vehicle_state(now_s))
+    assert [*unconfirmed, touchdown.unconfirmed] == [False, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("silent_s", "over_m", "stands"),
+    [(0.0, 0.05, True), (0.5, 0.05, False), (0.5, 0.01, True)],
+)
+def test_what_stops_over_the_pad_unheard_is_held_by_the_autopilot(
+    silent_s: float, over_m: float, stands: bool
+) -> None:
+    """Heard, what does not sink though it is asked to stands on legs longer than the file's."""
+    touchdown, now_s = sinking(), 1.0
+    for _ in range(40):
+        now_s += CYCLE_S
+        still = sight(height=LEG_M + over_m)
+        echo = RangeSample(now_s, 0.1)  # one that would show it down
+        touchdown.step(
+            still, echo, LandedState.IN_AIR, now_s, silent_s=silent_s, vehicle=vehicle_state(now_s)
+        )
+        if touchdown.on_pad:
+            break
+    assert touchdown.on_pad == stands
 
 
 def test_no_contact_long_after_it_was_due_is_a_miss() -> None:

@@ -56,6 +56,10 @@ class Attempt:
     def on_pad(self) -> bool:
         return self.state in ON_PAD
 
+    @property
+    def unconfirmed(self) -> bool:
+        return self._sequence.unconfirmed
+
     def feet_down(self, now_s: float) -> bool:
         return self._sequence.feet_down(now_s)
 
