@@ -70,13 +70,15 @@ def _from_start(*, lands: bool = False, **changes: Any) -> FaultRowCase:
     return FaultRowCase((), ("start",), lands, changes)
 
 
-def _timed_out(after_s: float, lost_s: float) -> FaultRowCase:
-    """The vehicle's own time-out of setpoints, and a link to it that is lost for so long."""
+def _timed_out(after_s: float, lost_s: float | None = None) -> FaultRowCase:
+    """The vehicle's own time-out of setpoints, and a link to it that is lost for so long; None: never."""
     lost = {"kind": "link_blackout", "way": "to_vehicle", "duration_s": lost_s}
     parameters: dict[AutopilotKind, dict[str, float]] = {
         "px4": {"COM_OF_LOSS_T": after_s},
         "ardupilot": {"GUID_TIMEOUT": after_s},
     }
+    if lost_s is None:
+        return FaultRowCase((), ("start",), parameters=parameters)
     return FaultRowCase((lost,), TO_THE_END, parameters=parameters)
 
 
@@ -130,7 +132,7 @@ _LINK: Final[dict[str, FaultRowCase]] = {
         {"kind": "pilot_mode", "mode": "land", "delay_s": 3.0},
     ),
     "time-out 0.3 s, link lost 0.6 s": _timed_out(0.3, 0.6),
-    "time-out 3 s, link lost 3 s": _timed_out(3.0, 3.0),
+    "time-out 3 s": _timed_out(3.0),
     "second companion": _one("second_companion", ("start", *TO_THE_END)),
     "forged frames": FaultRowCase(
         ({"kind": "forged_frames"},), ("start", "descend"), lands=True, signed=True

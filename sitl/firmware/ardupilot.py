@@ -215,6 +215,7 @@ def _parameters(setup: Setup) -> dict[str, float]:
         "MOT_PWM_MAX": 2000,
         "FS_GCS_ENABLE": 0,
         "GUID_OPTIONS": 8,  # thrust in attitude setpoints is thrust
+        "GUID_TIMEOUT": 1.0,  # with its default, 3, the app refuses control
         "SIM_TERRAIN": 0,
         "SIM_RATE_HZ": FRAMES_PER_STEP * STEP_HZ,
         "SCHED_LOOP_RATE": STEP_HZ,

@@ -20,7 +20,6 @@ from companion.control.response.fitting import HOVER_DIFFERS
 from companion.control.setpoints import resolved
 from companion.link.autopilot_setup import (
     CIRCLE_FENCE,
-    LONGEST_TIMEOUT_S,
     MOTOR_STOP_ACTIONS,
     STICK_ACTIONS,
     endless_drift,
@@ -97,13 +96,11 @@ def _warn(text: str) -> Verdict:
 def _timeout(autopilot_kind: AutopilotKind) -> _Judge:
     """How long an autopilot flies on without setpoints."""
 
-    def judge(value: float, wanted: Wanted) -> Verdict:
+    def judge(_value: float, wanted: Wanted) -> Verdict:
         expected = expected_timeout(wanted.setup, autopilot_kind)
         if why := short_timeout(wanted.setup, autopilot_kind) or long_timeout(wanted.setup):
             return _fail(f"{expected}: {why}; control is refused")
-        if value <= LONGEST_TIMEOUT_S:
-            return None
-        return _warn(f"{expected}: so long it keeps the last tilt when the app hangs")
+        return None
 
     return judge
 

@@ -84,7 +84,7 @@ PARAMETERS: Final[tuple[Parameter, ...]] = (
     _w("ARMING_OPTIONS", 0, 0, _ANY),
     _b("AUTO_OPTIONS", 0, 0, 127),
     _w("GUID_OPTIONS", 0, 0, 255),
-    _f("GUID_TIMEOUT", 3.0, 0.1, 5.0),
+    _f("GUID_TIMEOUT", 1.0, 0.1, 5.0),  # ArduPilot's default is 3, with which the app refuses control
     _w("FS_OPTIONS", 16, 0, 255),
     _f("FS_DR_TIMEOUT", 30.0, 0.0, 120.0),
     _b("FENCE_ENABLE", 0, 0, 1),

@@ -78,7 +78,7 @@ def test_another_version_s_name_and_unit_are_known(
     [
         ("px4", "COM_OF_LOSS_T", 5.0, FindingState.FAIL),
         ("px4", "COM_OF_LOSS_T", 0.1, FindingState.FAIL),
-        ("px4", "COM_OF_LOSS_T", 1.5, FindingState.WARNING),
+        ("px4", "COM_OF_LOSS_T", 1.5, FindingState.FAIL),
         ("px4", "COM_OBL_RC_ACT", 6, FindingState.FAIL),
         ("px4", "COM_OBL_RC_ACT", 7, FindingState.FAIL),
         ("px4", "COM_OBL_RC_ACT", 2, FindingState.WARNING),
@@ -92,7 +92,7 @@ def test_another_version_s_name_and_unit_are_known(
         ("px4", "MPC_Z_VEL_MAX_DN", 0.5, FindingState.WARNING),
         ("px4", "MPC_Z_VEL_MAX_UP", 0.5, FindingState.WARNING),
         ("ardupilot", "GUID_TIMEOUT", 5.0, FindingState.FAIL),
-        ("ardupilot", "GUID_TIMEOUT", 3.0, FindingState.WARNING),
+        ("ardupilot", "GUID_TIMEOUT", 3.0, FindingState.FAIL),
         ("ardupilot", "GUID_OPTIONS", 0, FindingState.FAIL),
         ("ardupilot", "GUID_OPTIONS", 7, FindingState.FAIL),
         ("ardupilot", "ANGLE_MAX", 2000, FindingState.WARNING),
