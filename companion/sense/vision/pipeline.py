@@ -33,15 +33,13 @@ from companion.pad import Pad
 from companion.sense.vision.aruco import GROUPS, Detection, PadDetector, SearchPass
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.paper_pose import paper_pose
-from companion.sense.vision.pose import PoseFit, estimate_pose
+from companion.sense.vision.pose import MAXIMUM_TURN_RAD, PoseFit, estimate_pose
 from companion.sense.vision.print_check import PrintCheck
 from companion.sense.vision.search import SearchPlanner
 from companion.sense.vision.unread import UnreadMarkers
 
 # without gravity, where no more give the pose, the others are looked for where it has them; with it, for one
 FEW_MARKERS: Final = 3
-# of two poses that are farther apart than this, and fit alike, neither is told
-MAXIMUM_TURN_RAD: Final = math.radians(10.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +129,7 @@ class Vision:
         if pose is None or (len(pose.used) == 1 and not self._print.bears_out(frame.image, pose)):
             return None
         turn_rad2 = float(np.linalg.eigvalsh(pose.covariance[3:, 3:])[-1])
-        return pose if pose.second is None or turn_rad2 < MAXIMUM_TURN_RAD**2 else None
+        return pose if turn_rad2 < MAXIMUM_TURN_RAD**2 else None
 
     def _whole_frame(self, prior: PadPrior | None) -> tuple[SearchPass, ...]:
         self._turn += 1

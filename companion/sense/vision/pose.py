@@ -66,10 +66,16 @@ APPROACH_PER_S: Final = 0.2
 PRIOR_MISSES: Final = 20.0
 # a blurred marker that is large in the image may miss by this share of its side
 RELATIVE_ERROR: Final = 0.03
-# a second pose is ruled out when it fits worse by more than this many standard deviations
-SECOND_SIGMA: Final = 4.0
+# what fits worse than the best by more than this many standard deviations is ruled out
+RULED_OUT_SIGMA: Final = 4.0
+# how far the pad's normal is turned, in standard deviations, to see if misses grow as the covariance says
+TURNED_SIGMA: Final = (-4.0, 4.0)
+# about the fit's own covariance, and about what came of it
+ROUNDS: Final = 2
 # and is the same when it is turned by less
 SAME_RAD: Final = 0.002
+# a pose that may be turned by more than this, one standard deviation, says nothing
+MAXIMUM_TURN_RAD: Final = math.radians(10.0)
 # a pad whose tilt is more than this many standard deviations is not our pad
 MAXIMUM_TILT_SIGMA: Final = 4.0
 
@@ -80,8 +86,9 @@ class PoseFit:
 
     `covariance` is 6x6: position (m), small rotation about camera axes (rad).
     `common_variance_m2`, of each axis of the position, is the part of it that all frames share. The pose
-    holds when `row_px` is exposed. Where a `second` pose fits about as well, the covariance has the square of
-    `second_apart` (6,) in it, how far that one is off.
+    holds when `row_px` is exposed. `curvature` is by how much the covariance is larger than the fit's own,
+    which takes the corners' moves for straight: in its terms no pose is farther off than it fits worse, a
+    `second` one that fits about as well among them.
     """
 
     position_camera_m: FloatArray
@@ -92,14 +99,14 @@ class PoseFit:
     reprojection_error_px: float
     common_variance_m2: float = 0.0
     second: PoseFit | None = None
-    second_apart: FloatArray | None = None
+    curvature: FloatArray | None = None
 
     def hypotheses(self) -> tuple[PoseFit, ...]:
         """This pose and the second one, each with the covariance that it has where the other is ruled out."""
-        if self.second is None or self.second_apart is None:
+        if self.curvature is None:
             return (self,)
-        own = self.covariance - np.outer(self.second_apart, self.second_apart)
-        return replace(self, covariance=own, second=None, second_apart=None), self.second
+        own = replace(self, covariance=self.covariance - self.curvature, second=None, curvature=None)
+        return (own,) if self.second is None else (own, self.second)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,10 +132,8 @@ class _Problem:
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """A pose with its covariance (6, 6), each point's miss (2, n) as a ray, and the sum of the misses'
-    squares.
-
-    The latter in terms of what was expected of them.
+    """A pose with its covariance (6, 6), each point's miss (2, n) as a ray, and the sum of the squares of the
+    misses and of the motion that it takes, in terms of what was expected of them.
     """
 
     rotation: FloatArray
@@ -238,11 +243,63 @@ def _accept(
         covariance[:3, :3] += np.eye(3) * (common + unseen)
         made.append(PoseFit(fit.position, fit.rotation, covariance, row_px, tuple(used), rms_px, common))
     best = made[0]
-    if len(made) == 1 or fits[1].squares > _most_squares(fits[0], problem):
+    curvature = _curvature(problem, fits, scale) if problem.down is None else None
+    if curvature is None:
         return best
-    apart = np.concatenate((made[1].position_camera_m - best.position_camera_m, _turn(fits[1], fits[0])))
-    covariance = best.covariance + np.outer(apart, apart)
-    return replace(best, covariance=covariance, second=made[1], second_apart=apart)
+    second = made[1] if len(fits) > 1 and fits[1].squares <= _most_squares(fits[0], problem) else None
+    return replace(best, covariance=best.covariance + curvature, second=second, curvature=curvature)
+
+
+def _curvature(problem: _Problem, fits: list[_Fit], scale: float) -> FloatArray | None:
+    """What the best fit's covariance lacks (6, 6) of poses that fit as well, or not as much worse as it says.
+
+    The second pose, and those with other normals, about each of the two and then about what came of it.
+    """
+    best = fits[0]
+    linear = covariance = scale * best.covariance
+    others = fits[1:] + [o for fit in fits[1:] for o in _turned(problem, fit, scale * fit.covariance)]
+    for _ in range(ROUNDS):
+        others += _turned(problem, best, covariance)
+        if not others:
+            return None
+        for other in others:
+            apart = np.concatenate((other.position - best.position, _turn(other, best)))
+            covariance = _reaching(covariance, apart, (other.squares - best.squares) / scale)
+        if np.linalg.eigvalsh(covariance[3:, 3:])[-1] > MAXIMUM_TURN_RAD**2:
+            break
+    return None if covariance is linear else covariance - linear
+
+
+def _turned(problem: _Problem, fit: _Fit, covariance: FloatArray) -> list[_Fit]:
+    """The best poses whose normals are some standard deviations off, where a turn's square is not negligible.
+
+    Foreshortening grows with the square of the pad's tilt: where that is all that is seen of the tilt, the
+    misses do not grow as the fit's Jacobian says.
+    """
+    variances, axes = np.linalg.eigh(covariance[3:, 3:])
+    # the square of so many standard deviations of the least certain turn, beside the most certain one
+    if 0.5 * TURNED_SIGMA[-1] ** 2 * variances[-1] < math.sqrt(variances[0]):
+        return []
+    found = []
+    for variance, axis in zip(variances[1:], axes.T[1:], strict=True):
+        for sigma in TURNED_SIGMA:
+            turn = quat_from_rotation_vector(vector3((sigma * math.sqrt(variance) * axis).tolist()))
+            down = matrix_from_quat(turn) @ fit.rotation[:, 2]
+            for start in level_start(problem.points, problem.rays, down):
+                other = _fit(replace(problem, down=down, level_sigma=CONVERGED), start)
+                found += [] if other is None else [other]
+    return found
+
+
+def _reaching(covariance: FloatArray, apart: FloatArray, worse: float) -> FloatArray:
+    """The covariance (6, 6), so much larger that what lies `apart` (6,) is within as many of its standard
+    deviations as its fit is `worse` (in variances), or within one.
+    """
+    stated = float(apart @ np.linalg.solve(covariance, apart))
+    allowed = max(worse, 1.0)
+    if stated <= allowed:
+        return covariance
+    return np.asarray(covariance + (1.0 / allowed - 1.0 / stated) * np.outer(apart, apart))
 
 
 def _turn(fit: _Fit, other: _Fit) -> FloatArray:
@@ -285,7 +342,7 @@ def _scale(fit: _Fit, problem: _Problem) -> float:
 
 def _most_squares(best: _Fit, problem: _Problem) -> float:
     """Of a second pose that is not ruled out by the best one."""
-    return best.squares + _scale(best, problem) * SECOND_SIGMA**2
+    return best.squares + _scale(best, problem) * RULED_OUT_SIGMA**2
 
 
 def _fit(problem: _Problem, start: Start, most_squares: float = math.inf) -> _Fit | None:
@@ -307,7 +364,8 @@ def _fit(problem: _Problem, start: Start, most_squares: float = math.inf) -> _Fi
             step = np.linalg.solve(information, gradient)
         except np.linalg.LinAlgError:
             return None
-        squares = float(((missed - white @ step) ** 2).sum())
+        unexpected = moved + step[6:] - expected
+        squares = float(((missed - white @ step) ** 2).sum() + problem.weight @ unexpected**2)
         if squares > most_squares:
             return None
         position, moved = position + step[:3], moved + step[6:]
