@@ -1,9 +1,10 @@
 """Model predictive control (eqs. 38 and 39, with constraints): the next accelerations to command.
 
 Frame: NED axes, at rest or in straight unaccelerated motion; the controller puts the pad's own motion into
-the reference, so that nothing here depends on the pad. SI units. Solved by OSQP: the matrices are set up
-once, a step changes vectors only (and the cone's slope, when that changes) and starts from the last solution;
-the first starts from the optimum without constraints.
+the reference, so that nothing here depends on the pad. SI units. The optimum without constraints is the
+answer wherever it breaks none, by one solve with factors that are made once. Else OSQP goes on from there, or
+from its own last solution: its matrices are set up once, a step changes vectors only (and the cone's slope,
+when that changes).
 
 Iterations bound the work, in slices; between two of them a stopwatch, when there is one, may say that the
 time is up. An answer that is not nearly converged is replaced: out of time by the last solution, moved on;
@@ -126,12 +127,20 @@ class Mpc:
         self._update_bounds(start, target, np.array(disturbance_m_s2), last_input)
         if not self._consistent(q):
             return self._fall_back()
+        x, y = self._free_optimum.solve(q, self._l[self._rows["dynamics"]])
+        if self._allowed(x):
+            self._last, self._cold = x, True
+            return self._solution(solved=True, iterations=0, late=False)
         self._solver.update(q=q, l=self._l, u=self._u)
         if self._cold:
-            x, y = self._free_optimum.solve(q, self._l[self._rows["dynamics"]])
             self._solver.warm_start(x=x, y=np.concatenate([y, np.zeros(self._l.size - y.size)]))
             self._cold = False
         return self._take(*self._search())
+
+    def _allowed(self, x: FloatArray) -> bool:
+        """Whether the rows hold, to OSQP's own tolerance."""
+        reached, slack = self._constraints_now @ x, SETTINGS["eps_abs"]
+        return bool((reached >= self._l - slack).all() and (reached <= self._u + slack).all())
 
     def _consistent(self, q: FloatArray) -> bool:
         """Whether OSQP may see the data: it goes on with the old data on l > u, and never forgets a NaN."""
@@ -139,7 +148,7 @@ class Mpc:
 
     def problem(self) -> QuadraticProgram:
         """The last step's quadratic programme, for who wants to solve it in another way."""
-        P, A = cost_matrix(self._costs, self._N), self._constraints(self._cone_slope)
+        P, A = cost_matrix(self._costs, self._N), self._constraints_now.copy()
         return QuadraticProgram(P, self._q.copy(), A, self._l.copy(), self._u.copy())
 
     def clip_input(self, input_m_s2: FloatArray) -> FloatArray:
@@ -175,7 +184,7 @@ class Mpc:
         P = cost_matrix(self._costs, self._N)
         self._q = np.zeros(self._layout.variables)
         self._cone_slope = 1.0
-        constraints = self._constraints(self._cone_slope)
+        self._constraints_now = constraints = self._constraints(self._cone_slope)
         self._cone_places = np.flatnonzero(constraints.data != self._constraints(2.0).data)
         self._free_optimum = FreeOptimum(P, constraints[self._rows["dynamics"]])
         solver = osqp.OSQP()
@@ -268,7 +277,8 @@ class Mpc:
         """
         if cone.slope != self._cone_slope:
             self._cone_slope = cone.slope
-            new = self._constraints(cone.slope).data[self._cone_places]
+            self._constraints_now = self._constraints(cone.slope)
+            new = self._constraints_now.data[self._cone_places]
             self._solver.update(Ax=new, Ax_idx=self._cone_places)
         rows = cone_rows(cone.slope)
         outside = float(np.max(rows @ (np.array(position_m) - cone.apex_m[0])))
