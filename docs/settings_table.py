@@ -107,7 +107,7 @@ def markdown(name: str, groups: dict[str, list[Setting]], page: str) -> str:
 def _row(group: str, setting: Setting, page: str, *, audience: bool) -> str:
     if not setting.meaning:
         key = f"{group}.{setting.key}".lstrip(".")
-        raise ConfigError(f"{key}: nothing says what it means; expected Field(description=...)")
+        raise ConfigError(f"{key}: nothing says what it means; expected a docstring under it")
     whom = f" {'operator' if setting.for_operators else 'expert'} |" if audience else ""
     facts = f"| `{setting.key}` | {setting.unit} | {setting.default} | {setting.bounds} |"
     return f"{facts}{whom} {_linked(setting.meaning, page)} |"

@@ -152,58 +152,28 @@ NAMED_FILES: Final = (
 class ComputeConfig(StrictModel):
     """How long things take on a Raspberry Pi; virtual time holds results back for as long."""
 
-    vision_s: float = Field(
-        default=0.025,
-        ge=0.0,
-        le=0.5,
-        description="Virtual time only: how long a frame takes on a Raspberry Pi; set it to your computer's",
-    )
-    control_s: float = Field(
-        default=0.003,
-        ge=0.0,
-        le=0.1,
-        description=(
-            "Virtual time only: how long a control step takes; set it to what `make bench-cpu` measured on"
-            " the vehicle's computer"
-        ),
-    )
+    vision_s: float = Field(default=0.025, ge=0.0, le=0.5)
+    """Virtual time only: how long a frame takes on a Raspberry Pi; set it to your computer's"""
+    control_s: float = Field(default=0.003, ge=0.0, le=0.1)
+    """Virtual time only: how long a control step takes; set it to what `make bench-cpu` measured on the
+    vehicle's computer"""
 
 
 class CompanionConfig(StrictModel):
     """The whole tree."""
 
-    pad: str = Field(
-        default="moving_1300",
-        description=(
-            "Layout of the pad: a name in configs/pads, or the path of a .yaml file; set it to the pad "
-            "that you printed"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    camera: str = Field(
-        default="sitl_640x480",
-        description=(
-            "Calibrated camera: a name in configs/cameras, or a path; set it to the file that "
-            "`calibrate-camera` wrote"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    vehicle: str = Field(
-        default="x500",
-        description=(
-            "Geometry and response of the airframe: a name in configs/vehicles, or a path; set it to a "
-            "copy with the measures of your own vehicle"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    mount: str | None = Field(
-        default=None,
-        description=(
-            "File of `calibrate-mount camera`: the camera's rotation, position and time offset; overrides "
-            "the vehicle's file; set it once the camera's mounting is calibrated"
-        ),
-        json_schema_extra=OPERATOR,
-    )
+    pad: str = Field(default="moving_1300", json_schema_extra=OPERATOR)
+    """Layout of the pad: a name in configs/pads, or the path of a .yaml file; set it to the pad that you
+    printed"""
+    camera: str = Field(default="sitl_640x480", json_schema_extra=OPERATOR)
+    """Calibrated camera: a name in configs/cameras, or a path; set it to the file that `calibrate-camera`
+    wrote"""
+    vehicle: str = Field(default="x500", json_schema_extra=OPERATOR)
+    """Geometry and response of the airframe: a name in configs/vehicles, or a path; set it to a copy with the
+    measures of your own vehicle"""
+    mount: str | None = Field(default=None, json_schema_extra=OPERATOR)
+    """File of `calibrate-mount camera`: the camera's rotation, position and time offset; overrides the
+    vehicle's file; set it once the camera's mounting is calibrated"""
     sense: SenseConfig = SenseConfig()
     estimate: EstimateConfig = EstimateConfig()
     plan: PlanConfig = PlanConfig()

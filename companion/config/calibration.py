@@ -10,11 +10,16 @@ from companion.config.reading import StrictModel
 class Provenance(StrictModel):
     """Where a calibration comes from, for whoever wonders in a year; nothing is reckoned with it."""
 
-    tool: str = Field(description="Program and version")
-    source: str = Field(description="Device, connection or file that the samples came from")
-    date: str = Field(description="ISO 8601, UTC, of the calibration")
-    samples: int = Field(ge=0, description="Samples used")
-    dropped: int = Field(default=0, ge=0, description="Samples left out as outliers")
+    tool: str
+    """Program and version"""
+    source: str
+    """Device, connection or file that the samples came from"""
+    date: str
+    """ISO 8601, UTC, of the calibration"""
+    samples: int = Field(ge=0)
+    """Samples used"""
+    dropped: int = Field(default=0, ge=0)
+    """Samples left out as outliers"""
 
 
 class CameraCalibration(StrictModel):
@@ -25,25 +30,35 @@ class CameraCalibration(StrictModel):
     """
 
     provenance: Provenance
-    board: str = Field(description="What was shown")
-    board_bow_m: float = Field(ge=0.0, description="How far from flat it was found to be")
-    corners: int = Field(ge=0, description="Corners used")
-    corners_dropped: int = Field(
-        default=0, ge=0, description="Corners of the used views that were left out as outliers"
-    )
-    rms_px: float = Field(ge=0.0, description="Reprojection error of the corners used")
-    rms_all_px: float = Field(ge=0.0, description="Reprojection error of all corners, outliers too")
-    held_out_rms_px: float | None = Field(ge=0.0, description="Reprojection error of views kept back")
-    fx_std_px: float = Field(ge=0.0, description="Standard deviation of fx_px")
-    fy_std_px: float = Field(ge=0.0, description="Standard deviation of fy_px")
-    cx_std_px: float = Field(ge=0.0, description="Standard deviation of cx_px")
-    cy_std_px: float = Field(ge=0.0, description="Standard deviation of cy_px")
-    distortion_std: tuple[float, ...] = Field(description="Standard deviation of each distortion coefficient")
-    projection_std_px: float = Field(
-        ge=0.0, description="Where the calibration is least certain in the image"
-    )
-    coverage: float = Field(ge=0.0, le=1.0, description="Share of the image where corners were seen")
-    largest_tilt_deg: float = Field(ge=0.0, le=90.0, description="Largest tilt of the board")
-    verdict: tuple[str, ...] = Field(
-        default=(), description="What speaks against it; it was written by force"
-    )
+    board: str
+    """What was shown"""
+    board_bow_m: float = Field(ge=0.0)
+    """How far from flat it was found to be"""
+    corners: int = Field(ge=0)
+    """Corners used"""
+    corners_dropped: int = Field(default=0, ge=0)
+    """Corners of the used views that were left out as outliers"""
+    rms_px: float = Field(ge=0.0)
+    """Reprojection error of the corners used"""
+    rms_all_px: float = Field(ge=0.0)
+    """Reprojection error of all corners, outliers too"""
+    held_out_rms_px: float | None = Field(ge=0.0)
+    """Reprojection error of views kept back"""
+    fx_std_px: float = Field(ge=0.0)
+    """Standard deviation of fx_px"""
+    fy_std_px: float = Field(ge=0.0)
+    """Standard deviation of fy_px"""
+    cx_std_px: float = Field(ge=0.0)
+    """Standard deviation of cx_px"""
+    cy_std_px: float = Field(ge=0.0)
+    """Standard deviation of cy_px"""
+    distortion_std: tuple[float, ...]
+    """Standard deviation of each distortion coefficient"""
+    projection_std_px: float = Field(ge=0.0)
+    """Where the calibration is least certain in the image"""
+    coverage: float = Field(ge=0.0, le=1.0)
+    """Share of the image where corners were seen"""
+    largest_tilt_deg: float = Field(ge=0.0, le=90.0)
+    """Largest tilt of the board"""
+    verdict: tuple[str, ...] = Field(default=())
+    """What speaks against it; it was written by force"""

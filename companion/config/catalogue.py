@@ -1,7 +1,8 @@
 """Every setting with its unit, default, bounds and meaning, read from the models that check the files.
 
 The one source of docs/reference/settings.md, of the JSON schema and of `companion settings`: a meaning is the
-field's `description`; what an operator sets is marked `json_schema_extra=OPERATOR`, the rest is for experts.
+docstring under its field; what an operator sets is marked `json_schema_extra=OPERATOR`, the rest is for
+experts.
 """
 
 from __future__ import annotations

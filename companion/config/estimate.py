@@ -13,174 +13,66 @@ from companion.config.reading import OPERATOR, StrictModel, Vector
 class AlignmentConfig(StrictModel):
     """The first attitude and the gyroscope's bias, from standing still before arming."""
 
-    still_s: float = Field(
-        default=2.0,
-        ge=0.5,
-        le=20.0,
-        description=(
-            "Standing still this long gives the first attitude and the gyroscope's bias; raise it for a "
-            "noisy gyroscope"
-        ),
-    )
-    timeout_s: float = Field(
-        default=15.0,
-        ge=1.0,
-        le=120.0,
-        description=(
-            "Started in motion, a rest within this long from the beginning starts the estimate again; "
-            "raise it for a vehicle that is carried to its place"
-        ),
-    )
-    still_rate_rad_s: float = Field(
-        default=0.02,
-        gt=0.0,
-        le=0.2,
-        description=(
-            "Standard deviation of the turn rate that counts as still; raise it if wind or a deck shakes "
-            "the vehicle"
-        ),
-    )
-    still_force_m_s2: float = Field(
-        default=0.25,
-        gt=0.0,
-        le=2.0,
-        description="Deviation of the specific force that counts as still; raise it with that one",
-    )
+    still_s: float = Field(default=2.0, ge=0.5, le=20.0)
+    """Standing still this long gives the first attitude and the gyroscope's bias; raise it for a noisy
+    gyroscope"""
+    timeout_s: float = Field(default=15.0, ge=1.0, le=120.0)
+    """Started in motion, a rest within this long from the beginning starts the estimate again; raise it for a
+    vehicle that is carried to its place"""
+    still_rate_rad_s: float = Field(default=0.02, gt=0.0, le=0.2)
+    """Standard deviation of the turn rate that counts as still; raise it if wind or a deck shakes the
+    vehicle"""
+    still_force_m_s2: float = Field(default=0.25, gt=0.0, le=2.0)
+    """Deviation of the specific force that counts as still; raise it with that one"""
 
 
 class OrientationConfig(StrictModel):
     """The orientation pre-filter (eqs. 14-16); error rates are of the quaternion: half of rad/s."""
 
-    kind: Literal["complementary", "madgwick"] = Field(
-        default="complementary",
-        description="The pre-filter: eqs. 14-16, or Madgwick's; change it for comparison only",
-    )
+    kind: Literal["complementary", "madgwick"] = Field(default="complementary")
+    """The pre-filter: eqs. 14-16, or Madgwick's; change it for comparison only"""
 
 
 class EkfConfig(StrictModel):
     """The 31-state EKF (Table 5): noises are standard deviations of one sample unless the name says more."""
 
-    imu_step_s: float = Field(
-        default=0.02,
-        gt=0.0,
-        le=0.04,
-        description="Length of a step of the filter, into which IMU samples are summed; raise it to save CPU",
-    )
-    gyro_noise_rad_s: float = Field(
-        default=0.005,
-        gt=0.0,
-        le=1.0,
-        description=(
-            "Noise of an averaged turn rate, vibration included; raise it on a vehicle with strong vibration"
-        ),
-    )
-    accel_noise_m_s2: float = Field(
-        default=0.05,
-        gt=0.0,
-        le=20.0,
-        description="Noise of a specific force sample, without vibration; raise it for a noisier IMU",
-    )
-    mag_rate_hz: float = Field(
-        default=10.0,
-        ge=1.0,
-        le=100.0,
-        description="Highest rate at which the magnetometer is fused; lower it to save CPU",
-    )
-    mag_noise_ut: float = Field(
-        default=5.0,
-        gt=0.0,
-        le=20.0,
-        description="Noise of a magnetometer sample; raise it near motor currents",
-    )
-    mag_wander_s: float = Field(
-        default=0.4,
-        ge=0.0,
-        le=100.0,
-        description="How long a field's error lasts; lower it where the field changes fast (a steel deck)",
-    )
-    orientation_timeout_s: float = Field(
-        default=3.0,
-        gt=0.0,
-        le=60.0,
-        description=(
-            "The pre-filter's attitude refused this long: the EKF takes it over; raise it where the EKF "
-            "restarts its attitude without need"
-        ),
-    )
-    gps_accuracy_factor: float = Field(
-        default=0.3,
-        gt=0.0,
-        le=5.0,
-        description=(
-            "Standard deviation as a multiple of the accuracy that the receiver claims; raise it for a "
-            "receiver that claims too much"
-        ),
-    )
-    gps_position_noise_m: float = Field(
-        default=1.0,
-        gt=0.0,
-        le=50.0,
-        description="Least noise of a fix's position, which wanders slowly; lower it only for RTK",
-    )
-    gps_wander_s: float = Field(
-        default=60.0,
-        ge=0.0,
-        le=1000.0,
-        description=(
-            "How long a GPS position's error lasts; raise it where buildings hold a wrong position for long"
-        ),
-    )
-    gps_velocity_noise_m_s: float = Field(
-        default=0.085,
-        gt=0.0,
-        le=5.0,
-        description=(
-            "Least noise of a fix's velocity; raise it for a receiver whose velocities are worse than it "
-            "claims"
-        ),
-    )
-    remember_s: float = Field(
-        default=0.6,
-        ge=0.1,
-        le=3.0,
-        description="Largest delay of a measurement that is still fused; raise it for a slow link",
-    )
-    shaking_bound_m_s2: float = Field(
-        default=2.0,
-        gt=0.0,
-        le=50.0,
-        description=(
-            "Vibration beyond this lowers the accelerometer's weight; raise it only if normal flight "
-            "exceeds it"
-        ),
-    )
-    unaided_speed_m_s: float = Field(
-        default=1.0,
-        gt=0.0,
-        le=100.0,
-        description=(
-            "Standard deviation of zero velocity, taken as a measurement before the first fix; raise it "
-            "for a start on a moving deck"
-        ),
-    )
-    accel_bias_std_m_s2: float = Field(
-        default=0.1,
-        gt=0.0,
-        le=2.0,
-        description="First uncertainty of the accelerometer's bias; raise it without an inertial calibration",
-    )
-    field_std_ut: float = Field(
-        default=0.3,
-        gt=0.0,
-        le=20.0,
-        description="First uncertainty of the geomagnetic field; raise it when the field setting is a guess",
-    )
-    mag_bias_std_ut: float = Field(
-        default=1.0,
-        gt=0.0,
-        le=50.0,
-        description="First uncertainty of the magnetometer's bias; raise it without a calibration",
-    )
+    imu_step_s: float = Field(default=0.02, gt=0.0, le=0.04)
+    """Length of a step of the filter, into which IMU samples are summed; raise it to save CPU"""
+    gyro_noise_rad_s: float = Field(default=0.005, gt=0.0, le=1.0)
+    """Noise of an averaged turn rate, vibration included; raise it on a vehicle with strong vibration"""
+    accel_noise_m_s2: float = Field(default=0.05, gt=0.0, le=20.0)
+    """Noise of a specific force sample, without vibration; raise it for a noisier IMU"""
+    mag_rate_hz: float = Field(default=10.0, ge=1.0, le=100.0)
+    """Highest rate at which the magnetometer is fused; lower it to save CPU"""
+    mag_noise_ut: float = Field(default=5.0, gt=0.0, le=20.0)
+    """Noise of a magnetometer sample; raise it near motor currents"""
+    mag_wander_s: float = Field(default=0.4, ge=0.0, le=100.0)
+    """How long a field's error lasts; lower it where the field changes fast (a steel deck)"""
+    orientation_timeout_s: float = Field(default=3.0, gt=0.0, le=60.0)
+    """The pre-filter's attitude refused this long: the EKF takes it over; raise it where the EKF restarts its
+    attitude without need"""
+    gps_accuracy_factor: float = Field(default=0.3, gt=0.0, le=5.0)
+    """Standard deviation as a multiple of the accuracy that the receiver claims; raise it for a receiver that
+    claims too much"""
+    gps_position_noise_m: float = Field(default=1.0, gt=0.0, le=50.0)
+    """Least noise of a fix's position, which wanders slowly; lower it only for RTK"""
+    gps_wander_s: float = Field(default=60.0, ge=0.0, le=1000.0)
+    """How long a GPS position's error lasts; raise it where buildings hold a wrong position for long"""
+    gps_velocity_noise_m_s: float = Field(default=0.085, gt=0.0, le=5.0)
+    """Least noise of a fix's velocity; raise it for a receiver whose velocities are worse than it claims"""
+    remember_s: float = Field(default=0.6, ge=0.1, le=3.0)
+    """Largest delay of a measurement that is still fused; raise it for a slow link"""
+    shaking_bound_m_s2: float = Field(default=2.0, gt=0.0, le=50.0)
+    """Vibration beyond this lowers the accelerometer's weight; raise it only if normal flight exceeds it"""
+    unaided_speed_m_s: float = Field(default=1.0, gt=0.0, le=100.0)
+    """Standard deviation of zero velocity, taken as a measurement before the first fix; raise it for a start
+    on a moving deck"""
+    accel_bias_std_m_s2: float = Field(default=0.1, gt=0.0, le=2.0)
+    """First uncertainty of the accelerometer's bias; raise it without an inertial calibration"""
+    field_std_ut: float = Field(default=0.3, gt=0.0, le=20.0)
+    """First uncertainty of the geomagnetic field; raise it when the field setting is a guess"""
+    mag_bias_std_ut: float = Field(default=1.0, gt=0.0, le=50.0)
+    """First uncertainty of the magnetometer's bias; raise it without a calibration"""
 
 
 WavePeriod = Annotated[float, Field(ge=1.0, le=30.0)]
@@ -190,127 +82,52 @@ class PadFilterConfig(StrictModel):
     """The relative motion of the pad; `_rthz` is a density per root of hertz."""
 
     # horizontally: a pad that drives straight on, one that speeds up or brakes, one that turns
-    manoeuvre_jerk_m_s3_rthz: float = Field(
-        default=1.0,
-        gt=0.0,
-        le=50.0,
-        description=(
-            "Process noise of the acceleration of a pad that speeds up or brakes; raise it for a pad that "
-            "does so abruptly"
-        ),
-    )
-    turn_snap_m_s4_rthz: float = Field(
-        default=0.3,
-        gt=0.0,
-        le=50.0,
-        description=(
-            "Process noise of the jerk of a turning pad, beyond the turn itself; lower it for less motion "
-            "of the vehicle over the pad, raise it for a pad whose bends begin abruptly"
-        ),
-    )
-    sway_period_s: WavePeriod = Field(
-        default=3.5, description="Period of the pad's horizontal motion in waves; set it to your deck's"
-    )
-    sway_acceleration_std_m_s2: float = Field(
-        default=0.2,
-        gt=0.0,
-        le=10.0,
-        description="Horizontal acceleration in waves; raise it for higher waves",
-    )
+    manoeuvre_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
+    """Process noise of the acceleration of a pad that speeds up or brakes; raise it for a pad that does so
+    abruptly"""
+    turn_snap_m_s4_rthz: float = Field(default=0.3, gt=0.0, le=50.0)
+    """Process noise of the jerk of a turning pad, beyond the turn itself; lower it for less motion of the
+    vehicle over the pad, raise it for a pad whose bends begin abruptly"""
+    sway_period_s: WavePeriod = Field(default=3.5)
+    """Period of the pad's horizontal motion in waves; set it to your deck's"""
+    sway_acceleration_std_m_s2: float = Field(default=0.2, gt=0.0, le=10.0)
+    """Horizontal acceleration in waves; raise it for higher waves"""
     # vertically: a pad that stays level, and seas of these periods
-    wave_periods_s: tuple[WavePeriod, ...] = Field(
-        default=(7.0, 4.5, 2.8),
-        min_length=1,
-        max_length=6,
-        description="Periods of the waves that a pad may ride, a model each; change them for a known deck",
-    )
-    wave_acceleration_std_m_s2: float = Field(
-        default=0.5, gt=0.0, le=10.0, description="Vertical acceleration in waves; raise it for higher waves"
-    )
-    tilt_acceleration_rad_s2_rthz: float = Field(
-        default=0.1,
-        gt=0.0,
-        le=20.0,
-        description="Process noise of the pad's roll and pitch rates; raise it for a deck that rolls faster",
-    )
-    sighting_noise_scale: float = Field(
-        default=1.0,
-        ge=0.1,
-        le=20.0,
-        description=(
-            "Factor on the position noise that a sighting states; raise it above 1 for a camera whose "
-            "noise is understated"
-        ),
-    )
-    camera_delay_std_s: float = Field(
-        default=0.03,
-        ge=0.0,
-        le=0.05,
-        description=(
-            "Uncertainty of the camera stamps' delay, which is learnt in flight; 0: it is known; lower it "
-            "once `calibrate-mount` has measured the delay"
-        ),
-    )
-    exposure_jitter_s: float = Field(
-        default=0.001,
-        ge=0.0,
-        le=0.1,
-        description=(
-            "Jitter of the exposure time against the IMU's clock; raise it where frames are stamped on "
-            "arrival"
-        ),
-    )
-    first_speed_std_m_s: float = Field(
-        default=2.0,
-        gt=0.0,
-        le=20.0,
-        description="Uncertainty of the pad's speed at the first sighting; raise it for faster pads",
-    )
-    range_noise_m: float = Field(
-        default=0.03, gt=0.0, le=1.0, description="Noise of an echo; raise it for a rough or soft pad surface"
-    )
-    sighting_timeout_s: float = Field(
-        default=0.5,
-        gt=0.0,
-        le=10.0,
-        description=(
-            "Sightings refused this long: start again from the next; lower it for a pad that moves abruptly"
-        ),
-    )
-    remember_s: float = Field(
-        default=1.0,
-        ge=0.1,
-        le=5.0,
-        description="Largest delay of a sighting that is still fused; raise it for a slow camera",
-    )
-    forget_s: float = Field(
-        default=10.0,
-        ge=1.0,
-        le=60.0,
-        description="The pad is forgotten when unseen this long; lower it for a pad that turns often",
-    )
+    wave_periods_s: tuple[WavePeriod, ...] = Field(default=(7.0, 4.5, 2.8), min_length=1, max_length=6)
+    """Periods of the waves that a pad may ride, a model each; change them for a known deck"""
+    wave_acceleration_std_m_s2: float = Field(default=0.5, gt=0.0, le=10.0)
+    """Vertical acceleration in waves; raise it for higher waves"""
+    tilt_acceleration_rad_s2_rthz: float = Field(default=0.1, gt=0.0, le=20.0)
+    """Process noise of the pad's roll and pitch rates; raise it for a deck that rolls faster"""
+    sighting_noise_scale: float = Field(default=1.0, ge=0.1, le=20.0)
+    """Factor on the position noise that a sighting states; raise it above 1 for a camera whose noise is
+    understated"""
+    camera_delay_std_s: float = Field(default=0.03, ge=0.0, le=0.05)
+    """Uncertainty of the camera stamps' delay, which is learnt in flight; 0: it is known; lower it once
+    `calibrate-mount` has measured the delay"""
+    exposure_jitter_s: float = Field(default=0.001, ge=0.0, le=0.1)
+    """Jitter of the exposure time against the IMU's clock; raise it where frames are stamped on arrival"""
+    first_speed_std_m_s: float = Field(default=2.0, gt=0.0, le=20.0)
+    """Uncertainty of the pad's speed at the first sighting; raise it for faster pads"""
+    range_noise_m: float = Field(default=0.03, gt=0.0, le=1.0)
+    """Noise of an echo; raise it for a rough or soft pad surface"""
+    sighting_timeout_s: float = Field(default=0.5, gt=0.0, le=10.0)
+    """Sightings refused this long: start again from the next; lower it for a pad that moves abruptly"""
+    remember_s: float = Field(default=1.0, ge=0.1, le=5.0)
+    """Largest delay of a sighting that is still fused; raise it for a slow camera"""
+    forget_s: float = Field(default=10.0, ge=1.0, le=60.0)
+    """The pad is forgotten when unseen this long; lower it for a pad that turns often"""
 
 
 class EstimateConfig(StrictModel):
     """Orientation filters, the 31-state EKF and the pad filter. Declination and dip follow from the field."""
 
-    madgwick_gain: float = Field(
-        default=0.041,
-        ge=0.0,
-        le=2.0,
-        description=(
-            "Gain β, when `orientation.kind` is madgwick; raise it for a gyroscope that drifts, lower it "
-            "where vibration tilts the attitude"
-        ),
-    )
-    magnetic_field_ned_ut: Vector = Field(
-        default=(20.9, 0.6, 42.9),
-        description=(
-            "The Earth's field at the flying site (north, east, down); declination and dip follow from it."
-            " Set it when you fly elsewhere"
-        ),
-        json_schema_extra=OPERATOR,
-    )
+    madgwick_gain: float = Field(default=0.041, ge=0.0, le=2.0)
+    """Gain β, when `orientation.kind` is madgwick; raise it for a gyroscope that drifts, lower it where
+    vibration tilts the attitude"""
+    magnetic_field_ned_ut: Vector = Field(default=(20.9, 0.6, 42.9), json_schema_extra=OPERATOR)
+    """The Earth's field at the flying site (north, east, down); declination and dip follow from it. Set it
+    when you fly elsewhere"""
     alignment: AlignmentConfig = AlignmentConfig()
     orientation: OrientationConfig = OrientationConfig()
     ekf: EkfConfig = EkfConfig()

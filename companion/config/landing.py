@@ -14,169 +14,61 @@ _GUST_M_S: Final = 0.08  # what a gust adds to a planned sink
 class SearchConfig(StrictModel):
     """Looking for the pad; Algorithm 1's other branch."""
 
-    stream_s: float = Field(
-        default=0.5,
-        ge=0.1,
-        le=5.0,
-        description="Time of setpoints before control is requested; raise it if the autopilot refuses",
-    )
-    hold_s: float = Field(
-        default=0.7,
-        ge=0.0,
-        le=30.0,
-        description="Hold this long before the search; raise it for a pad that is often hidden briefly",
-    )
-    request_s: float = Field(
-        default=1.5,
-        ge=1.0,
-        le=60.0,
-        description=(
-            "How often the ground station is asked for the pad's position; raise it for a slow telemetry "
-            "radio"
-        ),
-    )
-    dwell_s: float = Field(
-        default=2.0,
-        ge=0.0,
-        le=30.0,
-        description=(
-            "Stay over the pad's likely place this long before the spiral; raise it for a beacon with an "
-            "accurate position"
-        ),
-    )
-    spacing_m: float = Field(
-        default=4.0,
-        ge=0.5,
-        le=30.0,
-        description="Spacing of the square spiral's turns; lower it for a narrow lens or a low search",
-    )
-    radius_m: float = Field(
-        default=12.0,
-        ge=1.0,
-        le=200.0,
-        description="Beyond this the spiral begins again; set it to how far the pad may be off",
-        json_schema_extra=OPERATOR,
-    )
-    trust_s: float = Field(
-        default=12.0,
-        ge=1.0,
-        le=120.0,
-        description=(
-            "The pad's last position, by its beacon or a sighting, is trusted this long; lower it for a "
-            "fast pad"
-        ),
-    )
-    lead_s: float = Field(
-        default=5.0,
-        ge=0.0,
-        le=30.0,
-        description="Extrapolation time of a beacon's velocity; raise it for a beacon received rarely",
-    )
-    climb_m: float = Field(
-        default=6.0,
-        ge=0.0,
-        le=30.0,
-        description=(
-            "Greatest climb to look for a pad that was lost; announced. 0 keeps the height; lower it under"
-            " a roof, a bridge or a low airspace limit"
-        ),
-    )
-    floor_m: float = Field(
-        default=1.5,
-        ge=0.5,
-        le=10.0,
-        description=(
-            "Least height over home and over the last echoes while the pad is unseen; raise it over uneven"
-            " ground; lower is worse: unseen pads and their vehicles stand up from the ground"
-        ),
-    )
-    sightings: int = Field(
-        default=5,
-        ge=1,
-        le=100,
-        description="This number of sightings confirm a pad; raise it where false markers occur",
-    )
-    velocity_std_m_s: float = Field(
-        default=0.5,
-        gt=0.0,
-        le=5.0,
-        description=(
-            "Uncertainty of the pad's velocity below which the approach begins. Larger is worse: it begins"
-            " by a motion that is hardly known. Lower it for fast pads"
-        ),
-    )
+    stream_s: float = Field(default=0.5, ge=0.1, le=5.0)
+    """Time of setpoints before control is requested; raise it if the autopilot refuses"""
+    hold_s: float = Field(default=0.7, ge=0.0, le=30.0)
+    """Hold this long before the search; raise it for a pad that is often hidden briefly"""
+    request_s: float = Field(default=1.5, ge=1.0, le=60.0)
+    """How often the ground station is asked for the pad's position; raise it for a slow telemetry radio"""
+    dwell_s: float = Field(default=2.0, ge=0.0, le=30.0)
+    """Stay over the pad's likely place this long before the spiral; raise it for a beacon with an accurate
+    position"""
+    spacing_m: float = Field(default=4.0, ge=0.5, le=30.0)
+    """Spacing of the square spiral's turns; lower it for a narrow lens or a low search"""
+    radius_m: float = Field(default=12.0, ge=1.0, le=200.0, json_schema_extra=OPERATOR)
+    """Beyond this the spiral begins again; set it to how far the pad may be off"""
+    trust_s: float = Field(default=12.0, ge=1.0, le=120.0)
+    """The pad's last position, by its beacon or a sighting, is trusted this long; lower it for a fast pad"""
+    lead_s: float = Field(default=5.0, ge=0.0, le=30.0)
+    """Extrapolation time of a beacon's velocity; raise it for a beacon received rarely"""
+    climb_m: float = Field(default=6.0, ge=0.0, le=30.0)
+    """Greatest climb to look for a pad that was lost; announced. 0 keeps the height; lower it under a roof, a
+    bridge or a low airspace limit"""
+    floor_m: float = Field(default=1.5, ge=0.5, le=10.0)
+    """Least height over home and over the last echoes while the pad is unseen; raise it over uneven ground;
+    lower is worse: unseen pads and their vehicles stand up from the ground"""
+    sightings: int = Field(default=5, ge=1, le=100)
+    """This number of sightings confirm a pad; raise it where false markers occur"""
+    velocity_std_m_s: float = Field(default=0.5, gt=0.0, le=5.0)
+    """Uncertainty of the pad's velocity below which the approach begins. Larger is worse: it begins by a
+    motion that is hardly known. Lower it for fast pads"""
 
 
 class LandingConfig(StrictModel):
     """Approach and descent over the pad; heights are of the feet over the pad."""
 
-    approach_height_m: float = Field(
-        default=3.0,
-        ge=1.0,
-        le=20.0,
-        description=(
-            "Height of the feet over the pad where the approach ends; raise it for a pad with masts or "
-            "people about it, lower it for a pad of small markers"
-        ),
-    )
-    approach_slope: float = Field(
-        default=0.35,
-        gt=0.0,
-        le=3.0,
-        description="Slope of the approach, metres aside per metre of height; lower it for a steeper one",
-    )
-    cone_slope: float = Field(
-        default=0.2,
-        gt=0.0,
-        le=1.0,
-        description="Descent cone: metres aside allowed per metre of height; lower it for a narrow lens",
-    )
-    cone_floor_m: float = Field(
-        default=0.10,
-        gt=0.0,
-        le=1.0,
-        description="Narrowest half width of the descent cone; lower it for a small pad",
-    )
-    wait_height_m: float = Field(
-        default=0.35,
-        ge=0.1,
-        le=2.0,
-        description="Height of the feet where touchdown begins; raise it in gusts, within the camera's view",
-    )
-    retry_height_m: float = Field(
-        default=1.5,
-        ge=0.3,
-        le=5.0,
-        description=(
-            "Height to climb back to after a failed try. Lower is worse: the pad may heave or pitch "
-            "beneath it. Raise it for a deck that heaves by more than a metre"
-        ),
-    )
-    retries: int = Field(
-        default=3,
-        ge=0,
-        le=20,
-        description=(
-            "Tries after the first; more is worse: each is another time low over the pad. Lower it for a "
-            "small battery"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    pause_unseen_s: float = Field(
-        default=0.5,
-        gt=0.0,
-        le=5.0,
-        description="Unseen this long: the descent pauses; raise it where single frames are often lost",
-    )
-    lost_unseen_s: float = Field(
-        default=5.0,
-        gt=0.0,
-        le=10.0,
-        description=(
-            "Unseen this long: the pad is lost; longer is worse: it follows a prediction. Lower it for a "
-            "pad that changes its course often"
-        ),
-    )
+    approach_height_m: float = Field(default=3.0, ge=1.0, le=20.0)
+    """Height of the feet over the pad where the approach ends; raise it for a pad with masts or people about
+    it, lower it for a pad of small markers"""
+    approach_slope: float = Field(default=0.35, gt=0.0, le=3.0)
+    """Slope of the approach, metres aside per metre of height; lower it for a steeper one"""
+    cone_slope: float = Field(default=0.2, gt=0.0, le=1.0)
+    """Descent cone: metres aside allowed per metre of height; lower it for a narrow lens"""
+    cone_floor_m: float = Field(default=0.10, gt=0.0, le=1.0)
+    """Narrowest half width of the descent cone; lower it for a small pad"""
+    wait_height_m: float = Field(default=0.35, ge=0.1, le=2.0)
+    """Height of the feet where touchdown begins; raise it in gusts, within the camera's view"""
+    retry_height_m: float = Field(default=1.5, ge=0.3, le=5.0)
+    """Height to climb back to after a failed try. Lower is worse: the pad may heave or pitch beneath it.
+    Raise it for a deck that heaves by more than a metre"""
+    retries: int = Field(default=3, ge=0, le=20, json_schema_extra=OPERATOR)
+    """Tries after the first; more is worse: each is another time low over the pad. Lower it for a small
+    battery"""
+    pause_unseen_s: float = Field(default=0.5, gt=0.0, le=5.0)
+    """Unseen this long: the descent pauses; raise it where single frames are often lost"""
+    lost_unseen_s: float = Field(default=5.0, gt=0.0, le=10.0)
+    """Unseen this long: the pad is lost; longer is worse: it follows a prediction. Lower it for a pad that
+    changes its course often"""
 
     @model_validator(mode="after")
     def _waits_lowest(self) -> Self:
@@ -189,183 +81,67 @@ class LandingConfig(StrictModel):
 class TouchdownConfig(StrictModel):
     """The last third of a metre: when to commit, how fast, and what counts as contact."""
 
-    lateral_m: float = Field(
-        default=0.06,
-        gt=0.0,
-        le=0.5,
-        description=(
-            "Lateral offset from the pad's centre below which the final descent begins; raise it where the"
-            " wind keeps it from settling; larger is worse: feet come down nearer to the edge"
-        ),
-    )
-    lateral_speed_m_s: float = Field(
-        default=0.12,
-        gt=0.0,
-        le=1.0,
-        description=(
-            "Speed relative to the pad below which it begins; raise it in strong gusts, within what the "
-            "landing gear takes"
-        ),
-    )
-    settled_s: float = Field(
-        default=0.2,
-        ge=0.0,
-        le=5.0,
-        description="Both hold this long; raise it for a steadier vehicle at contact, after a longer wait",
-    )
-    gentle_horizontal_m_s2: float = Field(
-        default=1.2,
-        gt=0.0,
-        le=5.0,
-        description=(
-            "The pad's horizontal acceleration stays below this at a gentle moment; raise it for a pad "
-            "that always turns harder"
-        ),
-    )
-    gentle_vertical_m_s2: float = Field(
-        default=0.2,
-        gt=0.0,
-        le=5.0,
-        description="Largest vertical acceleration of the pad at contact; raise it for a deck in heavy sea",
-    )
-    contact_tilt_deg: float = Field(
-        default=7.0,
-        ge=1.0,
-        le=30.0,
-        description=(
-            "The vehicle levels to at most this tilt at contact; raise it for wind in which level is not "
-            "reached; more is worse: one foot touches first, and it slides"
-        ),
-    )
-    gentle_tilt_m_s2: float = Field(
-        default=1.6,
-        gt=0.0,
-        le=6.0,
-        description=(
-            "Horizontal acceleration by tilt that following the pad may take at a gentle moment, wind "
-            "included; raise it in strong wind. What cannot be levelled off by contact_tilt_deg and "
-            "lateral_speed_m_s is never accepted"
-        ),
-    )
-    contact_deck_tilt_deg: float = Field(
-        default=5.0,
-        ge=1.0,
-        le=30.0,
-        description=(
-            "A deck that swings is met when it will tilt no more than this at contact; widens the longer a"
-            " try lasts. Raise it for a wide landing gear on a rough sea"
-        ),
-    )
-    gentle_wait_s: float = Field(
-        default=5.0,
-        ge=0.5,
-        le=60.0,
-        description=(
-            "A gentle moment is awaited this long; after twice that, tolerances for offset and tilt widen "
-            "gradually, after six times the try has failed. Raise it on a rough deck"
-        ),
-    )
-    contact_speed_m_s: float = Field(
-        default=0.19,
-        ge=0.05,
-        le=0.4,
-        description=(
-            "Sink rate at contact, relative to the pad; lower it for fragile legs; higher is worse: a "
-            "harder contact, and a bounce"
-        ),
-    )
-    firm_contact_m_s: float = Field(
-        default=0.32,
-        ge=0.05,
-        le=0.4,
-        description=(
-            "Largest planned sink rate at contact, for a vehicle that tilts with the pad or against the "
-            "wind and levels off for the contact; lower it for fragile legs, raise it where the vehicle "
-            "slides at contact in strong wind; higher is worse: a harder contact"
-        ),
-    )
-    fastest_contact_m_s: float = Field(
-        default=0.42,
-        ge=0.05,
-        le=1.0,
-        description=(
-            "Sinking faster than this: rise and wait again. Higher is worse: a harder contact. Raise it "
-            "for a landing gear that takes more, lower it for a fragile one"
-        ),
-    )
-    break_off_lateral_m: float = Field(
-        default=0.07,
-        gt=0.0,
-        le=0.5,
-        description=(
-            "Lateral offset beyond which the final descent is broken off. Larger is worse: feet come down "
-            "nearer to the edge. Raise it for a large pad in strong gusts, lower it for a small one"
-        ),
-    )
-    break_off_above_m: float = Field(
-        default=0.06,
-        ge=0.03,
-        le=1.0,
-        description="Break off only with the feet higher than this; raise it for a sluggish climb",
-    )
-    blend_s: float = Field(
-        default=0.8,
-        ge=0.2,
-        le=3.0,
-        description="Time from waiting to the contact's sink rate; raise it for a heavy vehicle",
-    )
-    blind_s: float = Field(
-        default=1.5,
-        ge=0.1,
-        le=5.0,
-        description=(
-            "Unseen this long just over the pad: climb and try again. Longer is worse: it sinks on by a "
-            "prediction. Lower it for a pad that changes its course often"
-        ),
-    )
-    overdue_s: float = Field(
-        default=1.5,
-        ge=0.3,
-        le=10.0,
-        description=(
-            "No contact this long after it was due: climb and try again; raise it for a pad whose height "
-            "is known badly"
-        ),
-    )
-    escape_lateral_m: float = Field(
-        default=0.18,
-        gt=0.0,
-        le=1.0,
-        description=(
-            "Lateral offset in the final descent beyond which it climbs and tries again. Larger is worse: "
-            "a foot may miss the pad. Raise it for a large pad, lower it for a small one"
-        ),
-    )
-    contact_margin_m: float = Field(
-        default=0.02,
-        gt=0.0,
-        le=0.2,
-        description="Feet this near to the pad count as low; raise it where the height is known badly",
-    )
-    contact_s: float = Field(
-        default=0.15,
-        ge=0.0,
-        le=1.0,
-        description=(
-            "Two signs of contact for this long count as contact. Shorter is worse: chance may look like "
-            "contact, and thrust goes down in the air. Raise it for a springy landing gear"
-        ),
-    )
-    land_after_s: float = Field(
-        default=1.0,
-        ge=0.5,
-        le=30.0,
-        description=(
-            "Shown to rest on the pad this long without thrust: disarm, by force if refused. Longer is "
-            "worse: a link lost meanwhile leaves the motors on; much shorter, too: a bounce may look like "
-            "rest. Raise it for a landing gear that bounces"
-        ),
-    )
+    lateral_m: float = Field(default=0.06, gt=0.0, le=0.5)
+    """Lateral offset from the pad's centre below which the final descent begins; raise it where the wind
+    keeps it from settling; larger is worse: feet come down nearer to the edge"""
+    lateral_speed_m_s: float = Field(default=0.12, gt=0.0, le=1.0)
+    """Speed relative to the pad below which it begins; raise it in strong gusts, within what the landing gear
+    takes"""
+    settled_s: float = Field(default=0.2, ge=0.0, le=5.0)
+    """Both hold this long; raise it for a steadier vehicle at contact, after a longer wait"""
+    gentle_horizontal_m_s2: float = Field(default=1.2, gt=0.0, le=5.0)
+    """The pad's horizontal acceleration stays below this at a gentle moment; raise it for a pad that always
+    turns harder"""
+    gentle_vertical_m_s2: float = Field(default=0.2, gt=0.0, le=5.0)
+    """Largest vertical acceleration of the pad at contact; raise it for a deck in heavy sea"""
+    contact_tilt_deg: float = Field(default=7.0, ge=1.0, le=30.0)
+    """The vehicle levels to at most this tilt at contact; raise it for wind in which level is not reached;
+    more is worse: one foot touches first, and it slides"""
+    gentle_tilt_m_s2: float = Field(default=1.6, gt=0.0, le=6.0)
+    """Horizontal acceleration by tilt that following the pad may take at a gentle moment, wind included;
+    raise it in strong wind. What cannot be levelled off by contact_tilt_deg and lateral_speed_m_s is never
+    accepted"""
+    contact_deck_tilt_deg: float = Field(default=5.0, ge=1.0, le=30.0)
+    """A deck that swings is met when it will tilt no more than this at contact; widens the longer a try
+    lasts. Raise it for a wide landing gear on a rough sea"""
+    gentle_wait_s: float = Field(default=5.0, ge=0.5, le=60.0)
+    """A gentle moment is awaited this long; after twice that, tolerances for offset and tilt widen gradually,
+    after six times the try has failed. Raise it on a rough deck"""
+    contact_speed_m_s: float = Field(default=0.19, ge=0.05, le=0.4)
+    """Sink rate at contact, relative to the pad; lower it for fragile legs; higher is worse: a harder
+    contact, and a bounce"""
+    firm_contact_m_s: float = Field(default=0.32, ge=0.05, le=0.4)
+    """Largest planned sink rate at contact, for a vehicle that tilts with the pad or against the wind and
+    levels off for the contact; lower it for fragile legs, raise it where the vehicle slides at contact in
+    strong wind; higher is worse: a harder contact"""
+    fastest_contact_m_s: float = Field(default=0.42, ge=0.05, le=1.0)
+    """Sinking faster than this: rise and wait again. Higher is worse: a harder contact. Raise it for a
+    landing gear that takes more, lower it for a fragile one"""
+    break_off_lateral_m: float = Field(default=0.07, gt=0.0, le=0.5)
+    """Lateral offset beyond which the final descent is broken off. Larger is worse: feet come down nearer to
+    the edge. Raise it for a large pad in strong gusts, lower it for a small one"""
+    break_off_above_m: float = Field(default=0.06, ge=0.03, le=1.0)
+    """Break off only with the feet higher than this; raise it for a sluggish climb"""
+    blend_s: float = Field(default=0.8, ge=0.2, le=3.0)
+    """Time from waiting to the contact's sink rate; raise it for a heavy vehicle"""
+    blind_s: float = Field(default=1.5, ge=0.1, le=5.0)
+    """Unseen this long just over the pad: climb and try again. Longer is worse: it sinks on by a prediction.
+    Lower it for a pad that changes its course often"""
+    overdue_s: float = Field(default=1.5, ge=0.3, le=10.0)
+    """No contact this long after it was due: climb and try again; raise it for a pad whose height is known
+    badly"""
+    escape_lateral_m: float = Field(default=0.18, gt=0.0, le=1.0)
+    """Lateral offset in the final descent beyond which it climbs and tries again. Larger is worse: a foot may
+    miss the pad. Raise it for a large pad, lower it for a small one"""
+    contact_margin_m: float = Field(default=0.02, gt=0.0, le=0.2)
+    """Feet this near to the pad count as low; raise it where the height is known badly"""
+    contact_s: float = Field(default=0.15, ge=0.0, le=1.0)
+    """Two signs of contact for this long count as contact. Shorter is worse: chance may look like contact,
+    and thrust goes down in the air. Raise it for a springy landing gear"""
+    land_after_s: float = Field(default=1.0, ge=0.5, le=30.0)
+    """Shown to rest on the pad this long without thrust: disarm, by force if refused. Longer is worse: a link
+    lost meanwhile leaves the motors on; much shorter, too: a bounce may look like rest. Raise it for a
+    landing gear that bounces"""
 
     @property
     def giving_up_s(self) -> float:

@@ -29,116 +29,46 @@ class LinkConfig(StrictModel):
     refused while the bit is missing.
     """
 
-    connection: str = Field(
-        default="udpin:127.0.0.1:14540",
-        description=(
-            "Link to the autopilot: `serial:PATH:BAUD`, `udp:HOST:PORT` or `tcp:HOST:PORT` (we call), "
-            "`udpin:HOST:PORT` (we listen); set it to the wiring's"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    actions: Literal["mavsdk", "pymavlink"] = Field(
-        default="mavsdk",
-        description=(
-            "Arming, take-off and the like by MAVSDK, or by pymavlink; change it for signing, or to run "
-            "without MAVSDK's server. Flights in real time use this setting; with `--fast` it is always "
-            "pymavlink, since MAVSDK has threads and a clock of its own"
-        ),
-    )
-    system_id: int = Field(
-        default=1,
-        ge=0,
-        le=255,
-        description=(
-            "The vehicle's system, and so ours; 0 takes the first autopilot received. Set it when several "
-            "vehicles share a link"
-        ),
-    )
-    component_id: int = Field(
-        default=191,
-        ge=2,
-        le=255,
-        description="Our component; change it where another component has this number",
-    )
-    mavsdk_component_id: int = Field(
-        default=192,
-        ge=2,
-        le=255,
-        description="Component number of MAVSDK; change it where another component has this number",
-    )
-    ground_system_id: int = Field(
-        default=255,
-        ge=1,
-        le=255,
-        description=(
-            "The ground station's system; only its pad position reports are used; set it to the ground "
-            "station's where it is not the usual 255"
-        ),
-    )
-    beacon_component_id: int | None = Field(
-        default=None,
-        ge=1,
-        le=255,
-        description=(
-            "Component of the ground station's whose FOLLOW_TARGET is the pad's position without being "
-            "asked for; none: only an answer to our request, accepted by COMMAND_ACK, counts, since ground"
-            " stations stream their operator's position (Follow Me); set it to that of a beacon that "
-            "streams"
-        ),
-    )
-    maximum_pad_speed_m_s: float = Field(
-        default=8.0,
-        gt=0.0,
-        le=30.0,
-        description="A pad position report with a greater speed is refused; raise it for faster pads",
-    )
-    heartbeat_timeout_s: float = Field(
-        default=3.0,
-        ge=1.0,
-        le=30.0,
-        description=(
-            "No heartbeat this long: the link is lost. Longer is worse: the app flies on old telemetry. "
-            "Raise it only on a radio that loses heartbeats"
-        ),
-    )
-    command_timeout_s: float = Field(
-        default=0.5,
-        ge=0.1,
-        le=5.0,
-        description="A command is repeated after this long without an answer; raise it on a slow radio",
-    )
-    command_tries: int = Field(
-        default=4,
-        ge=1,
-        le=10,
-        description="Tries of a command before it is given up; raise it for a lossy link",
-    )
-    force_disarm: bool = Field(
-        default=True,
-        description=(
-            "Allow disarming by force after a touchdown that has stood for seconds; never elsewhere. "
-            "Without it PX4 may stay armed on a moving pad. Turn it off where a pilot disarms"
-        ),
-    )
-    set_parameters: bool = Field(
-        default=False,
-        description=(
-            "Allow setting bit 3 of ArduPilot's GUID_OPTIONS, which attitude setpoints need; without it "
-            "arming and control are refused while the bit is missing. Set it where you do not set the "
-            "parameter yourself"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    signing_key: Path | None = Field(
-        default=None,
-        description=(
-            "File with the key of MAVLink 2 signing, mode 0600: 32 bytes or a passphrase. All that is sent"
-            " is signed; unsigned frames, and those sent a second time, are refused; needs `actions: "
-            "pymavlink`. Without it anyone who reaches the link can command the vehicle: set it on a radio or"
-            " a network that others reach"
-        ),
-        json_schema_extra=OPERATOR,
-    )
+    connection: str = Field(default="udpin:127.0.0.1:14540", json_schema_extra=OPERATOR)
+    """Link to the autopilot: `serial:PATH:BAUD`, `udp:HOST:PORT` or `tcp:HOST:PORT` (we call),
+    `udpin:HOST:PORT` (we listen); set it to the wiring's"""
+    actions: Literal["mavsdk", "pymavlink"] = Field(default="mavsdk")
+    """Arming, take-off and the like by MAVSDK, or by pymavlink; change it for signing, or to run without
+    MAVSDK's server. Flights in real time use this setting; with `--fast` it is always pymavlink, since MAVSDK
+    has threads and a clock of its own"""
+    system_id: int = Field(default=1, ge=0, le=255)
+    """The vehicle's system, and so ours; 0 takes the first autopilot received. Set it when several vehicles
+    share a link"""
+    component_id: int = Field(default=191, ge=2, le=255)
+    """Our component; change it where another component has this number"""
+    mavsdk_component_id: int = Field(default=192, ge=2, le=255)
+    """Component number of MAVSDK; change it where another component has this number"""
+    ground_system_id: int = Field(default=255, ge=1, le=255)
+    """The ground station's system; only its pad position reports are used; set it to the ground station's
+    where it is not the usual 255"""
+    beacon_component_id: int | None = Field(default=None, ge=1, le=255)
+    """Component of the ground station's whose FOLLOW_TARGET is the pad's position without being asked for;
+    none: only an answer to our request, accepted by COMMAND_ACK, counts, since ground stations stream their
+    operator's position (Follow Me); set it to that of a beacon that streams"""
+    maximum_pad_speed_m_s: float = Field(default=8.0, gt=0.0, le=30.0)
+    """A pad position report with a greater speed is refused; raise it for faster pads"""
+    heartbeat_timeout_s: float = Field(default=3.0, ge=1.0, le=30.0)
+    """No heartbeat this long: the link is lost. Longer is worse: the app flies on old telemetry. Raise it
+    only on a radio that loses heartbeats"""
+    command_timeout_s: float = Field(default=0.5, ge=0.1, le=5.0)
+    """A command is repeated after this long without an answer; raise it on a slow radio"""
+    command_tries: int = Field(default=4, ge=1, le=10)
+    """Tries of a command before it is given up; raise it for a lossy link"""
+    force_disarm: bool = Field(default=True)
+    """Allow disarming by force after a touchdown that has stood for seconds; never elsewhere. Without it PX4
+    may stay armed on a moving pad. Turn it off where a pilot disarms"""
+    set_parameters: bool = Field(default=False, json_schema_extra=OPERATOR)
+    """Allow setting bit 3 of ArduPilot's GUID_OPTIONS, which attitude setpoints need; without it arming and
+    control are refused while the bit is missing. Set it where you do not set the parameter yourself"""
+    signing_key: Path | None = Field(default=None, json_schema_extra=OPERATOR)
+    """File with the key of MAVLink 2 signing, mode 0600: 32 bytes or a passphrase. All that is sent is
+    signed; unsigned frames, and those sent a second time, are refused; needs `actions: pymavlink`. Without it
+    anyone who reaches the link can command the vehicle: set it on a radio or a network that others reach"""
 
     @field_validator("connection")
     @classmethod

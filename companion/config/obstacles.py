@@ -19,20 +19,28 @@ class Cylinder(StrictModel):
     """A pole, a tree, a silo."""
 
     kind: Literal["cylinder"]
-    centre_ned_m: tuple[Place, Place] = Field(description="North, east of home")
-    radius_m: float = Field(gt=0.0, le=100.0, description="Radius of its widest part")
-    height_m: float = Field(gt=0.0, le=500.0, description="Height of its top over home")
+    centre_ned_m: tuple[Place, Place]
+    """North, east of home"""
+    radius_m: float = Field(gt=0.0, le=100.0)
+    """Radius of its widest part"""
+    height_m: float = Field(gt=0.0, le=500.0)
+    """Height of its top over home"""
 
 
 class Box(StrictModel):
     """A wall, a house, a parked truck."""
 
     kind: Literal["box"]
-    centre_ned_m: tuple[Place, Place] = Field(description="North, east of home")
-    length_m: float = Field(gt=0.0, le=500.0, description="Length along its heading")
-    width_m: float = Field(gt=0.0, le=500.0, description="Width across its heading")
-    heading_deg: float = Field(default=0.0, ge=-360.0, le=360.0, description="Heading, clockwise from north")
-    height_m: float = Field(gt=0.0, le=500.0, description="Height of its top over home")
+    centre_ned_m: tuple[Place, Place]
+    """North, east of home"""
+    length_m: float = Field(gt=0.0, le=500.0)
+    """Length along its heading"""
+    width_m: float = Field(gt=0.0, le=500.0)
+    """Width across its heading"""
+    heading_deg: float = Field(default=0.0, ge=-360.0, le=360.0)
+    """Heading, clockwise from north"""
+    height_m: float = Field(gt=0.0, le=500.0)
+    """Height of its top over home"""
 
 
 Shape = Annotated[Cylinder | Box, Field(discriminator="kind")]

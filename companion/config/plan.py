@@ -18,116 +18,48 @@ _ROOM_M: Final = 2.0  # to stop in before fence and ceiling
 class GuidanceConfig(StrictModel):
     """What the reference may ask for, relative to the pad: a fixed camera must keep it in view."""
 
-    minimum_time_s: float = Field(
-        default=1.0,
-        ge=0.3,
-        le=5.0,
-        description=(
-            "T_min of eq. 37: the shortest time for a trajectory; raise it for a vehicle that answers "
-            "slowly; lower it only to compare with the paper"
-        ),
-    )
-    horizontal_speed_m_s: float = Field(
-        default=3.0,
-        gt=0.0,
-        le=10.0,
-        description=(
-            "Greatest horizontal speed of the reference, relative to the pad, so on top of its own speed; "
-            "raise it to catch up sooner"
-        ),
-    )
-    vertical_speed_m_s: float = Field(
-        default=1.2,
-        gt=0.0,
-        le=5.0,
-        description="Greatest vertical speed of the reference; lower it against vortex ring state",
-    )
-    horizontal_acceleration_m_s2: float = Field(
-        default=2.0,
-        gt=0.0,
-        le=5.0,
-        description=(
-            "Greatest horizontal acceleration of the reference; a fixed camera must keep the pad in view, "
-            "so lower it for a narrow lens"
-        ),
-    )
-    vertical_acceleration_m_s2: float = Field(
-        default=0.8,
-        gt=0.0,
-        le=5.0,
-        description=(
-            "Greatest vertical acceleration of the reference; lower it for a heavy vehicle with little "
-            "thrust to spare"
-        ),
-    )
-    heading_rate_deg_s: float = Field(
-        default=30.0,
-        gt=0.0,
-        le=180.0,
-        description=(
-            "Greatest turn rate of the reference, beside that of the pad itself; lower it for a vehicle "
-            "that yaws slowly"
-        ),
-    )
+    minimum_time_s: float = Field(default=1.0, ge=0.3, le=5.0)
+    """T_min of eq. 37: the shortest time for a trajectory; raise it for a vehicle that answers slowly; lower
+    it only to compare with the paper"""
+    horizontal_speed_m_s: float = Field(default=3.0, gt=0.0, le=10.0)
+    """Greatest horizontal speed of the reference, relative to the pad, so on top of its own speed; raise it
+    to catch up sooner"""
+    vertical_speed_m_s: float = Field(default=1.2, gt=0.0, le=5.0)
+    """Greatest vertical speed of the reference; lower it against vortex ring state"""
+    horizontal_acceleration_m_s2: float = Field(default=2.0, gt=0.0, le=5.0)
+    """Greatest horizontal acceleration of the reference; a fixed camera must keep the pad in view, so lower
+    it for a narrow lens"""
+    vertical_acceleration_m_s2: float = Field(default=0.8, gt=0.0, le=5.0)
+    """Greatest vertical acceleration of the reference; lower it for a heavy vehicle with little thrust to
+    spare"""
+    heading_rate_deg_s: float = Field(default=30.0, gt=0.0, le=180.0)
+    """Greatest turn rate of the reference, beside that of the pad itself; lower it for a vehicle that yaws
+    slowly"""
 
 
 class PlanConfig(StrictModel):
     """The planner."""
 
-    speed_law: Literal["fuzzy", "fixed", "log_polynomial"] = Field(
-        default="fuzzy",
-        description=(
-            "Approach speed: by the fuzzy rules, fixed, or a log polynomial of the distance; change it for"
-            " comparison only"
-        ),
-    )
-    fuzzy: str = Field(
-        default="landing",
-        description=(
-            "Rules for the approach speed: a name in configs/fuzzy, or a path; set it to rules of your own"
-            " for a slower or faster approach (docs/explanation/fuzzy.md)"
-        ),
-    )
-    pace: bool = Field(
-        default=False,
-        description=(
-            "Approach and descent quicker or slower by how well the pad is seen and followed, and by "
-            "gusts, as the fuzzy rules say; set it to come in more slowly in bad conditions and more "
-            "quickly in good ones (docs/explanation/fuzzy.md)"
-        ),
-    )
-    fixed_speed_m_s: float = Field(
-        default=0.9,
-        ge=0.2,
-        le=3.0,
-        description=(
-            "With `speed_law: fixed`: the average speed over the remaining path; set it to the speed that "
-            "you compare"
-        ),
-    )
-    obstacles: tuple[Shape, ...] = Field(
-        default=(),
-        max_length=MOST_OBSTACLES,
-        description="Obstacles to keep clear of (docs/how-to/obstacles.md); list them as they stand",
-        json_schema_extra=OPERATOR,
-    )
-    obstacle_margin_m: float = Field(
-        default=1.5,
-        ge=0.1,
-        le=20.0,
-        description=(
-            "Kept between the rotors' tips and every obstacle; covers the drift of our position. Raise it "
-            "for long flights or GPS loss"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    obstacle_ceiling_m: float = Field(
-        default=15.0,
-        ge=1.0,
-        le=120.0,
-        description="Greatest height over home to pass over an obstacle; set it to the legal one",
-        json_schema_extra=OPERATOR,
-    )
+    speed_law: Literal["fuzzy", "fixed", "log_polynomial"] = Field(default="fuzzy")
+    """Approach speed: by the fuzzy rules, fixed, or a log polynomial of the distance; change it for
+    comparison only"""
+    fuzzy: str = Field(default="landing")
+    """Rules for the approach speed: a name in configs/fuzzy, or a path; set it to rules of your own for a
+    slower or faster approach (docs/explanation/fuzzy.md)"""
+    pace: bool = Field(default=False)
+    """Approach and descent quicker or slower by how well the pad is seen and followed, and by gusts, as the
+    fuzzy rules say; set it to come in more slowly in bad conditions and more quickly in good ones
+    (docs/explanation/fuzzy.md)"""
+    fixed_speed_m_s: float = Field(default=0.9, ge=0.2, le=3.0)
+    """With `speed_law: fixed`: the average speed over the remaining path; set it to the speed that you
+    compare"""
+    obstacles: tuple[Shape, ...] = Field(default=(), max_length=MOST_OBSTACLES, json_schema_extra=OPERATOR)
+    """Obstacles to keep clear of (docs/how-to/obstacles.md); list them as they stand"""
+    obstacle_margin_m: float = Field(default=1.5, ge=0.1, le=20.0, json_schema_extra=OPERATOR)
+    """Kept between the rotors' tips and every obstacle; covers the drift of our position. Raise it for long
+    flights or GPS loss"""
+    obstacle_ceiling_m: float = Field(default=15.0, ge=1.0, le=120.0, json_schema_extra=OPERATOR)
+    """Greatest height over home to pass over an obstacle; set it to the legal one"""
     mission: MissionConfig = MissionConfig()
     guidance: GuidanceConfig = GuidanceConfig()
     search: SearchConfig = SearchConfig()

@@ -12,88 +12,39 @@ from companion.config.reading import OPERATOR, StrictModel, Vector
 class ImuConfig(StrictModel):
     """MPU9250: its bus, ranges and rates. The default is a chip face up, x forward: its z up and y left."""
 
-    bus: str = Field(
-        default="i2c:1",
-        description=(
-            "`i2c:N` for /dev/i2c-N; `spi:B.C` for /dev/spidevB.C; `socket:PATH` or `spi-socket:PATH` for "
-            "a simulator in another process; set it to the wiring's"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    address: int = Field(
-        default=0x68,
-        ge=0x68,
-        le=0x69,
-        description="I²C address: 0x68 (104), or 0x69 (105) with AD0 high; set it to the board's",
-        json_schema_extra=OPERATOR,
-    )
-    rate_hz: int = Field(
-        default=200,
-        ge=50,
-        le=1000,
-        description=(
-            "Sample rate of gyroscope and accelerometer; a divisor of 1000; lower it for a slow bus or "
-            "computer"
-        ),
-    )
-    poll_hz: int = Field(
-        default=100,
-        ge=20,
-        le=500,
-        description=(
-            "How often the chip is read; its FIFO holds 36 samples; lower it to save CPU, but not so far "
-            "that the FIFO fills between two polls"
-        ),
-    )
-    read: Literal["fifo", "registers"] = Field(
-        default="fifo",
-        description=(
-            "From the FIFO, or from the output registers as soon as they hold a new sample; change it only"
-            " for a chip whose FIFO does not work"
-        ),
-    )
-    gyro_range_deg_s: Literal[250, 500, 1000, 2000] = Field(
-        default=500, description="Full scale of the gyroscope; raise it only if it saturates in flight"
-    )
-    accel_range_g: Literal[2, 4, 8, 16] = Field(
-        default=8, description="Full scale of the accelerometer; raise it if vibration makes it clip"
-    )
-    filter_hz: Literal[184, 92, 41, 20] = Field(
-        default=92,
-        description="The chip's digital low-pass filter; lower it against vibration, at the price of delay",
-    )
-    mag_path: Literal["master", "bypass"] = Field(
-        default="master",
-        description=(
-            "How the magnetometer is read: through the chip's own I2C master, or past it on our bus (not "
-            "on SPI); change it for chips whose master does not work"
-        ),
-    )
-    mag_rate_hz: Literal[8, 100] = Field(default=100, description="Magnetometer rate; lower it on a slow bus")
-    body_from_sensor_deg: Vector = Field(
-        default=(180.0, 0.0, 0.0),
-        description=(
-            "Roll, pitch, yaw that turn the chip's axes into the body's (FRD); [180, 0, 0] lies face up, x"
-            " forward. Set it to how the chip is mounted"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    magnetometer_calibration: str | None = Field(
-        default=None,
-        description=(
-            "File that `calibrate-magnetometer` (docs/how-to/calibrate-magnetometer.md) wrote for this "
-            "chip; none: readings are used uncalibrated; set it once you have calibrated"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    inertial_calibration: str | None = Field(
-        default=None,
-        description=(
-            "File of `calibrate-mount accelerometer` or `gyro`; none: readings are used uncalibrated; set "
-            "it once you have calibrated"
-        ),
-        json_schema_extra=OPERATOR,
-    )
+    bus: str = Field(default="i2c:1", json_schema_extra=OPERATOR)
+    """`i2c:N` for /dev/i2c-N; `spi:B.C` for /dev/spidevB.C; `socket:PATH` or `spi-socket:PATH` for a
+    simulator in another process; set it to the wiring's"""
+    address: int = Field(default=0x68, ge=0x68, le=0x69, json_schema_extra=OPERATOR)
+    """I²C address: 0x68 (104), or 0x69 (105) with AD0 high; set it to the board's"""
+    rate_hz: int = Field(default=200, ge=50, le=1000)
+    """Sample rate of gyroscope and accelerometer; a divisor of 1000; lower it for a slow bus or computer"""
+    poll_hz: int = Field(default=100, ge=20, le=500)
+    """How often the chip is read; its FIFO holds 36 samples; lower it to save CPU, but not so far that the
+    FIFO fills between two polls"""
+    read: Literal["fifo", "registers"] = Field(default="fifo")
+    """From the FIFO, or from the output registers as soon as they hold a new sample; change it only for a
+    chip whose FIFO does not work"""
+    gyro_range_deg_s: Literal[250, 500, 1000, 2000] = Field(default=500)
+    """Full scale of the gyroscope; raise it only if it saturates in flight"""
+    accel_range_g: Literal[2, 4, 8, 16] = Field(default=8)
+    """Full scale of the accelerometer; raise it if vibration makes it clip"""
+    filter_hz: Literal[184, 92, 41, 20] = Field(default=92)
+    """The chip's digital low-pass filter; lower it against vibration, at the price of delay"""
+    mag_path: Literal["master", "bypass"] = Field(default="master")
+    """How the magnetometer is read: through the chip's own I2C master, or past it on our bus (not on SPI);
+    change it for chips whose master does not work"""
+    mag_rate_hz: Literal[8, 100] = Field(default=100)
+    """Magnetometer rate; lower it on a slow bus"""
+    body_from_sensor_deg: Vector = Field(default=(180.0, 0.0, 0.0), json_schema_extra=OPERATOR)
+    """Roll, pitch, yaw that turn the chip's axes into the body's (FRD); [180, 0, 0] lies face up, x forward.
+    Set it to how the chip is mounted"""
+    magnetometer_calibration: str | None = Field(default=None, json_schema_extra=OPERATOR)
+    """File that `calibrate-magnetometer` (docs/how-to/calibrate-magnetometer.md) wrote for this chip; none:
+    readings are used uncalibrated; set it once you have calibrated"""
+    inertial_calibration: str | None = Field(default=None, json_schema_extra=OPERATOR)
+    """File of `calibrate-mount accelerometer` or `gyro`; none: readings are used uncalibrated; set it once
+    you have calibrated"""
 
     @property
     def over_spi(self) -> bool:
@@ -126,47 +77,21 @@ class ImuConfig(StrictModel):
 class GpsConfig(StrictModel):
     """NEO-6M on a serial port: its rate is found, and then set to `baud`."""
 
-    port: str = Field(
-        default="/dev/ttyAMA0",
-        description="Serial port of the NEO-6M; set it to the wiring's",
-        json_schema_extra=OPERATOR,
-    )
-    baud: Literal[9600, 19200, 38400, 57600, 115200] = Field(
-        default=38400,
-        description=(
-            "Baud rate to set; the receiver's present rate is found first. Lower it only on a line that "
-            "loses bytes"
-        ),
-    )
-    rate_hz: int = Field(
-        default=5,
-        ge=1,
-        le=5,
-        description="Requested fixes per second; lower it for a receiver or line that cannot keep it",
-    )
-    latency_s: float = Field(
-        default=0.12,
-        ge=0.0,
-        le=0.5,
-        description=(
-            "From the moment a fix is valid to the first bit of its first message, at least; set it for "
-            "another receiver"
-        ),
-    )
-    maximum_hdop: float = Field(
-        default=6.0,
-        ge=1.0,
-        le=50.0,
-        description=(
-            "A fix with a larger horizontal dilution of precision is refused; lower it among buildings, "
-            "where such fixes are wrong; raise it where the app waits for a fix in vain"
-        ),
-    )
-    antenna_position_body_m: Vector = Field(
-        default=(0.0, 0.0, -0.05),
-        description="Position of the antenna from the centre of mass, FRD; measure it on your vehicle",
-        json_schema_extra=OPERATOR,
-    )
+    port: str = Field(default="/dev/ttyAMA0", json_schema_extra=OPERATOR)
+    """Serial port of the NEO-6M; set it to the wiring's"""
+    baud: Literal[9600, 19200, 38400, 57600, 115200] = Field(default=38400)
+    """Baud rate to set; the receiver's present rate is found first. Lower it only on a line that loses
+    bytes"""
+    rate_hz: int = Field(default=5, ge=1, le=5)
+    """Requested fixes per second; lower it for a receiver or line that cannot keep it"""
+    latency_s: float = Field(default=0.12, ge=0.0, le=0.5)
+    """From the moment a fix is valid to the first bit of its first message, at least; set it for another
+    receiver"""
+    maximum_hdop: float = Field(default=6.0, ge=1.0, le=50.0)
+    """A fix with a larger horizontal dilution of precision is refused; lower it among buildings, where such
+    fixes are wrong; raise it where the app waits for a fix in vain"""
+    antenna_position_body_m: Vector = Field(default=(0.0, 0.0, -0.05), json_schema_extra=OPERATOR)
+    """Position of the antenna from the centre of mass, FRD; measure it on your vehicle"""
 
 
 class RangeConfig(StrictModel):
@@ -176,66 +101,27 @@ class RangeConfig(StrictModel):
     frames); "polled" for a US-100 (2 bytes); "gpio" for trigger and echo pins (HC-SR04, JSN-SR04T in mode 0).
     """
 
-    kind: Literal["frames", "polled", "gpio"] = Field(
-        default="frames",
-        description=(
-            "`frames`: a serial port with 4-byte frames; `polled`: a US-100, polled over a serial port; "
-            "`gpio`: trigger and echo pins; set it to the sensor that is mounted"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    port: str = Field(
-        default="/dev/ttyAMA1",
-        description="Serial port of the rangefinder (frames, polled); set it to the wiring's",
-        json_schema_extra=OPERATOR,
-    )
-    trigger_pin: int = Field(
-        default=23,
-        ge=0,
-        le=27,
-        description="Trigger pin, Broadcom number (gpio); set it to the wiring's",
-        json_schema_extra=OPERATOR,
-    )
-    echo_pin: int = Field(
-        default=24,
-        ge=0,
-        le=27,
-        description="Echo pin, Broadcom number, behind a divider to 3.3 V (gpio); set it to the wiring's",
-        json_schema_extra=OPERATOR,
-    )
-    rate_hz: float = Field(
-        default=12.5,
-        ge=2.0,
-        le=16.0,
-        description="Polling rate (polled, gpio); lower it where the echo of one pulse reaches the next",
-    )
-    air_temperature_c: float = Field(
-        default=20.0,
-        ge=-30.0,
-        le=50.0,
-        description=(
-            "Air temperature, for the speed of sound (gpio); 10 °C off are nearly 2 % of the height. Set "
-            "it to the day's"
-        ),
-    )
-    minimum_m: float = Field(
-        default=0.03,
-        ge=0.02,
-        le=0.5,
-        description="Shorter distances are refused; raise it if legs or ground give false ones",
-    )
-    maximum_m: float = Field(
-        default=4.5, ge=0.5, le=10.0, description="Longer distances are refused; set it to the sensor's range"
-    )
-    maximum_speed_m_s: float = Field(
-        default=3.0,
-        ge=0.5,
-        le=20.0,
-        description=(
-            "A distance that changes faster is a spike until the next one confirms it; raise it for a pad "
-            "that moves up and down faster than this"
-        ),
-    )
+    kind: Literal["frames", "polled", "gpio"] = Field(default="frames", json_schema_extra=OPERATOR)
+    """`frames`: a serial port with 4-byte frames; `polled`: a US-100, polled over a serial port; `gpio`:
+    trigger and echo pins; set it to the sensor that is mounted"""
+    port: str = Field(default="/dev/ttyAMA1", json_schema_extra=OPERATOR)
+    """Serial port of the rangefinder (frames, polled); set it to the wiring's"""
+    trigger_pin: int = Field(default=23, ge=0, le=27, json_schema_extra=OPERATOR)
+    """Trigger pin, Broadcom number (gpio); set it to the wiring's"""
+    echo_pin: int = Field(default=24, ge=0, le=27, json_schema_extra=OPERATOR)
+    """Echo pin, Broadcom number, behind a divider to 3.3 V (gpio); set it to the wiring's"""
+    rate_hz: float = Field(default=12.5, ge=2.0, le=16.0)
+    """Polling rate (polled, gpio); lower it where the echo of one pulse reaches the next"""
+    air_temperature_c: float = Field(default=20.0, ge=-30.0, le=50.0)
+    """Air temperature, for the speed of sound (gpio); 10 °C off are nearly 2 % of the height. Set it to the
+    day's"""
+    minimum_m: float = Field(default=0.03, ge=0.02, le=0.5)
+    """Shorter distances are refused; raise it if legs or ground give false ones"""
+    maximum_m: float = Field(default=4.5, ge=0.5, le=10.0)
+    """Longer distances are refused; set it to the sensor's range"""
+    maximum_speed_m_s: float = Field(default=3.0, ge=0.5, le=20.0)
+    """A distance that changes faster is a spike until the next one confirms it; raise it for a pad that moves
+    up and down faster than this"""
 
     @model_validator(mode="after")
     def _pins_differ(self) -> RangeConfig:
@@ -258,53 +144,24 @@ class AutopilotSensorsConfig(StrictModel):
     `sense.range` still bounds what is believed.
     """
 
-    imu_rate_hz: float = Field(
-        default=200.0,
-        ge=50.0,
-        le=400.0,
-        description="Requested IMU rate, at least 50; lower it on a slow serial line",
-    )
-    imu_latency_s: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=0.1,
-        description=(
-            "Age of an IMU sample at its stamp, from the autopilot's filters; none: 0.004 for PX4, 0.011 "
-            "for ArduPilot. Set it when you changed those filters"
-        ),
-    )
-    gps_rate_hz: float = Field(
-        default=5.0, ge=1.0, le=20.0, description="Requested GPS rate; lower it on a slow serial line"
-    )
-    gps_latency_s: float = Field(
-        default=0.12,
-        ge=0.0,
-        le=0.5,
-        description="Age of a GPS fix at its stamp; raise it for a slow receiver",
-    )
-    range_source: Literal["autopilot", "boards"] = Field(
-        default="autopilot",
-        description=(
-            "`autopilot`: its rangefinder; `boards`: the rangefinder on the companion computer; change it "
-            "where the autopilot has no rangefinder of its own"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    range_rate_hz: float = Field(
-        default=20.0,
-        ge=1.0,
-        le=100.0,
-        description="Requested rangefinder rate; lower it on a slow serial line",
-    )
-    magnetometer_calibration: str | None = Field(
-        default=None,
-        description=(
-            "File of `calibrate-magnetometer` (docs/how-to/calibrate-magnetometer.md), applied on top of "
-            "the autopilot's own calibration; none: readings are used as received; set it where the "
-            "autopilot's own calibration leaves the heading off"
-        ),
-        json_schema_extra=OPERATOR,
-    )
+    imu_rate_hz: float = Field(default=200.0, ge=50.0, le=400.0)
+    """Requested IMU rate, at least 50; lower it on a slow serial line"""
+    imu_latency_s: float | None = Field(default=None, ge=0.0, le=0.1)
+    """Age of an IMU sample at its stamp, from the autopilot's filters; none: 0.004 for PX4, 0.011 for
+    ArduPilot. Set it when you changed those filters"""
+    gps_rate_hz: float = Field(default=5.0, ge=1.0, le=20.0)
+    """Requested GPS rate; lower it on a slow serial line"""
+    gps_latency_s: float = Field(default=0.12, ge=0.0, le=0.5)
+    """Age of a GPS fix at its stamp; raise it for a slow receiver"""
+    range_source: Literal["autopilot", "boards"] = Field(default="autopilot", json_schema_extra=OPERATOR)
+    """`autopilot`: its rangefinder; `boards`: the rangefinder on the companion computer; change it where the
+    autopilot has no rangefinder of its own"""
+    range_rate_hz: float = Field(default=20.0, ge=1.0, le=100.0)
+    """Requested rangefinder rate; lower it on a slow serial line"""
+    magnetometer_calibration: str | None = Field(default=None, json_schema_extra=OPERATOR)
+    """File of `calibrate-magnetometer` (docs/how-to/calibrate-magnetometer.md), applied on top of the
+    autopilot's own calibration; none: readings are used as received; set it where the autopilot's own
+    calibration leaves the heading off"""
 
 
 # roads and loading areas slope by a few degrees; a deck that rolls by 15 deg from side to side tilts up to 13
@@ -314,105 +171,41 @@ _TILT_STD_DEG: Final = {"fixed": 0.0, "vehicle": 3.0, "ship": 6.0}
 class VisionConfig(StrictModel):
     """Marker detection and pose."""
 
-    source: str = Field(
-        default="v4l2:0",
-        description=(
-            "The camera (docs/how-to/cameras.md): `v4l2:N` for /dev/videoN, `v4l2:/dev/v4l/by-id/NAME` for"
-            " one whose number changes, `picamera2:N` for a Raspberry Pi's, `video:FILE` or "
-            "`images:FOLDER` for a recording; `socket:PATH` or `tcp:HOST:PORT` for frames from another "
-            "process (docs/reference/camera-frames.md); set it to the camera that is mounted"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    unstamped_latency_s: float = Field(
-        default=0.045,
-        ge=0.0,
-        le=0.5,
-        description=(
-            "Assumed age, on arrival, of a frame from another process that carries no time; set it to what"
-            " you measured"
-        ),
-    )
-    pose: Literal["joint", "paper"] = Field(
-        default="joint",
-        description=(
-            "`joint`: one fit to all corners; `paper`: the mean of single-marker poses (eq. 1). Change it "
-            "for comparison only"
-        ),
-    )
-    minimum_side_px: float = Field(
-        default=12.0, ge=8.0, le=100.0, description="Smaller markers are not searched; raise it to save CPU"
-    )
-    maximum_markers: int = Field(
-        default=8,
-        ge=1,
-        le=100,
-        description="Largest number of markers refined and used in one frame; lower it to save CPU",
-    )
-    corner_noise_px: float = Field(
-        default=0.005,
-        gt=0.0,
-        le=5.0,
-        description=(
-            "Noise of a corner, each axis, beyond what the scatter of its marker's sides shows; raise it "
-            "for a soft lens or a creased print"
-        ),
-    )
-    scale_error: float = Field(
-        default=0.003,
-        ge=0.0,
-        le=0.1,
-        description="Calibration error as a share of the distance; raise it for a poor calibration",
-    )
-    pad_on: Literal["fixed", "vehicle", "ship"] = Field(
-        default="fixed",
-        description=(
-            "What the pad lies on: the ground (`fixed`), a car or a trailer (`vehicle`, tilts by 3° "
-            "standard deviation) or a ship (`ship`, by 6°); set it to yours. A pad that tilts by four "
-            "times as much is refused"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    level_std_deg: float = Field(
-        default=2.0,
-        gt=0.0,
-        le=30.0,
-        description=(
-            "Standard deviation of pad tilt and horizon error together; raise it for a pad that is not level"
-        ),
-    )
-    relative_speed_std_m_s: float = Field(
-        default=0.5,
-        gt=0.0,
-        le=20.0,
-        description=(
-            "Plausible speed over the pad, for the rolling-shutter correction; raise it for pads faster "
-            "than this"
-        ),
-    )
-    relative_climb_std_m_s: float = Field(
-        default=0.2,
-        gt=0.0,
-        le=20.0,
-        description=(
-            "Plausible speed towards the pad, for the rolling shutter; a fifth of the distance per second is "
-            "added; raise it with the speed over the pad"
-        ),
-    )
-    turn_rate_std_rad_s: float = Field(
-        default=0.1,
-        gt=0.0,
-        le=10.0,
-        description=(
-            "Plausible turn rate beyond the gyroscope's, for the rolling shutter; raise it for a faster turn"
-        ),
-    )
-    vibration_mrad: float = Field(
-        default=0.035,
-        gt=0.0,
-        le=10.0,
-        description="Rotor vibration of the camera within a frame, rms; raise it for a badly damped mount",
-    )
+    source: str = Field(default="v4l2:0", json_schema_extra=OPERATOR)
+    """The camera (docs/how-to/cameras.md): `v4l2:N` for /dev/videoN, `v4l2:/dev/v4l/by-id/NAME` for one whose
+    number changes, `picamera2:N` for a Raspberry Pi's, `video:FILE` or `images:FOLDER` for a recording;
+    `socket:PATH` or `tcp:HOST:PORT` for frames from another process (docs/reference/camera-frames.md); set it
+    to the camera that is mounted"""
+    unstamped_latency_s: float = Field(default=0.045, ge=0.0, le=0.5)
+    """Assumed age, on arrival, of a frame from another process that carries no time; set it to what you
+    measured"""
+    pose: Literal["joint", "paper"] = Field(default="joint")
+    """`joint`: one fit to all corners; `paper`: the mean of single-marker poses (eq. 1). Change it for
+    comparison only"""
+    minimum_side_px: float = Field(default=12.0, ge=8.0, le=100.0)
+    """Smaller markers are not searched; raise it to save CPU"""
+    maximum_markers: int = Field(default=8, ge=1, le=100)
+    """Largest number of markers refined and used in one frame; lower it to save CPU"""
+    corner_noise_px: float = Field(default=0.005, gt=0.0, le=5.0)
+    """Noise of a corner, each axis, beyond what the scatter of its marker's sides shows; raise it for a soft
+    lens or a creased print"""
+    scale_error: float = Field(default=0.003, ge=0.0, le=0.1)
+    """Calibration error as a share of the distance; raise it for a poor calibration"""
+    pad_on: Literal["fixed", "vehicle", "ship"] = Field(default="fixed", json_schema_extra=OPERATOR)
+    """What the pad lies on: the ground (`fixed`), a car or a trailer (`vehicle`, tilts by 3° standard
+    deviation) or a ship (`ship`, by 6°); set it to yours. A pad that tilts by four times as much is
+    refused"""
+    level_std_deg: float = Field(default=2.0, gt=0.0, le=30.0)
+    """Standard deviation of pad tilt and horizon error together; raise it for a pad that is not level"""
+    relative_speed_std_m_s: float = Field(default=0.5, gt=0.0, le=20.0)
+    """Plausible speed over the pad, for the rolling-shutter correction; raise it for pads faster than this"""
+    relative_climb_std_m_s: float = Field(default=0.2, gt=0.0, le=20.0)
+    """Plausible speed towards the pad, for the rolling shutter; a fifth of the distance per second is added;
+    raise it with the speed over the pad"""
+    turn_rate_std_rad_s: float = Field(default=0.1, gt=0.0, le=10.0)
+    """Plausible turn rate beyond the gyroscope's, for the rolling shutter; raise it for a faster turn"""
+    vibration_mrad: float = Field(default=0.035, gt=0.0, le=10.0)
+    """Rotor vibration of the camera within a frame, rms; raise it for a badly damped mount"""
 
     @property
     def tilt_std_deg(self) -> float:
@@ -423,15 +216,10 @@ class VisionConfig(StrictModel):
 class SenseConfig(StrictModel):
     """All sensors. `boards` are our own: MPU9250, NEO-6M and ultrasonic; the camera is always ours."""
 
-    source: Literal["boards", "autopilot"] = Field(
-        default="boards",
-        description=(
-            "Source of IMU, magnetometer, GPS and range: `boards` on the companion computer, or "
-            "`autopilot` by telemetry (docs/how-to/telemetry-sensors.md); set it to `autopilot` where the "
-            "companion computer has no sensors of its own"
-        ),
-        json_schema_extra=OPERATOR,
-    )
+    source: Literal["boards", "autopilot"] = Field(default="boards", json_schema_extra=OPERATOR)
+    """Source of IMU, magnetometer, GPS and range: `boards` on the companion computer, or `autopilot` by
+    telemetry (docs/how-to/telemetry-sensors.md); set it to `autopilot` where the companion computer has no
+    sensors of its own"""
     autopilot: AutopilotSensorsConfig = AutopilotSensorsConfig()
     imu: ImuConfig = ImuConfig()
     gps: GpsConfig = GpsConfig()

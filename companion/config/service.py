@@ -19,50 +19,21 @@ LOCALHOST: Final = "localhost"
 class OrdersConfig(StrictModel):
     """Who may ask for a landing; whatever is left out asks for nothing. See docs/how-to/service.md."""
 
-    mavlink: bool = Field(
-        default=True,
-        description=(
-            "Take MAV_CMD_NAV_LAND, MAV_CMD_DO_LAND_START and MAV_CMD_USER_1 from `link.ground_system_id` "
-            "for orders; turn it off where others share the link without signing"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    rc_channel: int | None = Field(
-        default=None,
-        ge=1,
-        le=18,
-        description=(
-            "RC channel whose rise above `rc_on_us` orders a landing, and whose fall stops it; set it to a"
-            " free switch"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    rc_on_us: int = Field(
-        default=1700,
-        ge=1000,
-        le=2000,
-        description="Pulse width (µs) above which that switch is on; set it to the transmitter's switch",
-        json_schema_extra=OPERATOR,
-    )
-    flight_mode: ModeName | None = Field(
-        default=None,
-        description=(
-            "Flight mode whose entry by the pilot, from a mode flown by hand, orders a landing, for "
-            "example GUIDED on ArduPilot; not RTL, LAND or BRAKE; see docs/how-to/service.md; set it where"
-            " the pilot has no free switch"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    mission_item: int | None = Field(
-        default=None,
-        ge=0,
-        le=65535,
-        description=(
-            "Number of the mission item that orders a landing when it is reached; set it to the last "
-            "waypoint of your mission"
-        ),
-        json_schema_extra=OPERATOR,
-    )
+    mavlink: bool = Field(default=True, json_schema_extra=OPERATOR)
+    """Take MAV_CMD_NAV_LAND, MAV_CMD_DO_LAND_START and MAV_CMD_USER_1 from `link.ground_system_id` for
+    orders; turn it off where others share the link without signing"""
+    rc_channel: int | None = Field(default=None, ge=1, le=18, json_schema_extra=OPERATOR)
+    """RC channel whose rise above `rc_on_us` orders a landing, and whose fall stops it; set it to a free
+    switch"""
+    rc_on_us: int = Field(default=1700, ge=1000, le=2000, json_schema_extra=OPERATOR)
+    """Pulse width (µs) above which that switch is on; set it to the transmitter's switch"""
+    flight_mode: ModeName | None = Field(default=None, json_schema_extra=OPERATOR)
+    """Flight mode whose entry by the pilot, from a mode flown by hand, orders a landing, for example GUIDED
+    on ArduPilot; not RTL, LAND or BRAKE; see docs/how-to/service.md; set it where the pilot has no free
+    switch"""
+    mission_item: int | None = Field(default=None, ge=0, le=65535, json_schema_extra=OPERATOR)
+    """Number of the mission item that orders a landing when it is reached; set it to the last waypoint of
+    your mission"""
 
     @field_validator("flight_mode")
     @classmethod
@@ -75,48 +46,23 @@ class OrdersConfig(StrictModel):
 class ServeConfig(StrictModel):
     """Who may look at the app with a browser; without an address nobody. See docs/how-to/live-page.md."""
 
-    address: str | None = Field(
-        default=None,
-        description=(
-            "Address and port of the live page (docs/how-to/live-page.md), ADDRESS:PORT, an IP address or "
-            "localhost; none: no page. `--serve` goes over it. Anything but loopback needs a token. Set it"
-            " to watch every flight of the service"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    token_file: Path | None = Field(
-        default=None,
-        description=(
-            "File with the page's token, mode 0600; else the environment variable COMPANION_SERVE_TOKEN. "
-            "With a token nothing is shown without it. Set it where others reach the network"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    allow_commands: bool = Field(
-        default=False,
-        description=(
-            "Whether the page has buttons to land and to stop; needs a token. Set it where an operator "
-            "orders landings by the page"
-        ),
-        json_schema_extra=OPERATOR,
-    )
-    host_names: tuple[str, ...] = Field(
-        default=(),
-        max_length=16,
-        description=(
-            "Names by which browsers may call the page, beside IP addresses, localhost and the machine's "
-            "own name; set it for a name of your own network"
-        ),
-    )
-    rate_hz: float = Field(
-        default=10.0, ge=1.0, le=30.0, description="Pictures a second at most; lower it on a slow network"
-    )
-    most_viewers: int = Field(
-        default=4,
-        ge=1,
-        le=16,
-        description="Browsers at once; more are turned away; lower it for a slow computer or radio",
-    )
+    address: str | None = Field(default=None, json_schema_extra=OPERATOR)
+    """Address and port of the live page (docs/how-to/live-page.md), ADDRESS:PORT, an IP address or localhost;
+    none: no page. `--serve` goes over it. Anything but loopback needs a token. Set it to watch every flight
+    of the service"""
+    token_file: Path | None = Field(default=None, json_schema_extra=OPERATOR)
+    """File with the page's token, mode 0600; else the environment variable COMPANION_SERVE_TOKEN. With a
+    token nothing is shown without it. Set it where others reach the network"""
+    allow_commands: bool = Field(default=False, json_schema_extra=OPERATOR)
+    """Whether the page has buttons to land and to stop; needs a token. Set it where an operator orders
+    landings by the page"""
+    host_names: tuple[str, ...] = Field(default=(), max_length=16)
+    """Names by which browsers may call the page, beside IP addresses, localhost and the machine's own name;
+    set it for a name of your own network"""
+    rate_hz: float = Field(default=10.0, ge=1.0, le=30.0)
+    """Pictures a second at most; lower it on a slow network"""
+    most_viewers: int = Field(default=4, ge=1, le=16)
+    """Browsers at once; more are turned away; lower it for a slow computer or radio"""
 
     @field_validator("address")
     @classmethod

@@ -29,62 +29,35 @@ class CaptureConfig(StrictModel):
 
     size_is: ClassVar[str] = "the size asked for,"
 
-    name: str = Field(description="Name of the camera")
-    width_px: int = Field(ge=160, le=8192, description="Width of the image")
-    height_px: int = Field(ge=120, le=8192, description="Height of the image")
-    rate_hz: float = Field(ge=5.0, le=240.0, description="Frames per second")
-    exposure_s: float = Field(
-        default=0.004,
-        ge=0.00002,
-        le=0.05,
-        description="Exposure time, short and fixed against motion blur: 1 to 2 ms in the sun, 8 ms at dusk",
-    )
-    readout_s: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.05,
-        description="Time from the first to the last row of a rolling shutter; 0: global shutter",
-    )
-    gain: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=100000.0,
-        description=(
-            "Fixed gain: a factor (Raspberry Pi), or the driver's own number (V4L2); none: automatic or "
-            "unchanged, for light that changes during a landing"
-        ),
-    )
-    focus: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=100000.0,
-        description=(
-            "Focus of a lens that moves: dioptres (Raspberry Pi), or the driver's own number (V4L2); none:"
-            " only autofocus is switched off. Calibrate again after a change"
-        ),
-    )
-    sensor_mode_px: tuple[int, int] | None = Field(
-        default=None,
-        description=(
-            "Raspberry Pi: width and height of the sensor mode from which images are scaled; none: "
-            "libcamera's choice, which may crop the view"
-        ),
-    )
-    pixel_format: str | None = Field(
-        default=None,
-        pattern=r"^[ -~]{4}$",
-        description=(
-            "V4L2: format that the camera sends, such as MJPG, YUYV, GREY; none: OpenCV's choice. Set MJPG"
-            " for large images on USB 2"
-        ),
-    )
+    name: str
+    """Name of the camera"""
+    width_px: int = Field(ge=160, le=8192)
+    """Width of the image"""
+    height_px: int = Field(ge=120, le=8192)
+    """Height of the image"""
+    rate_hz: float = Field(ge=5.0, le=240.0)
+    """Frames per second"""
+    exposure_s: float = Field(default=0.004, ge=0.00002, le=0.05)
+    """Exposure time, short and fixed against motion blur: 1 to 2 ms in the sun, 8 ms at dusk"""
+    readout_s: float = Field(default=0.0, ge=0.0, le=0.05)
+    """Time from the first to the last row of a rolling shutter; 0: global shutter"""
+    gain: float | None = Field(default=None, ge=0.0, le=100000.0)
+    """Fixed gain: a factor (Raspberry Pi), or the driver's own number (V4L2); none: automatic or unchanged,
+    for light that changes during a landing"""
+    focus: float | None = Field(default=None, ge=0.0, le=100000.0)
+    """Focus of a lens that moves: dioptres (Raspberry Pi), or the driver's own number (V4L2); none: only
+    autofocus is switched off. Calibrate again after a change"""
+    sensor_mode_px: tuple[int, int] | None = Field(default=None)
+    """Raspberry Pi: width and height of the sensor mode from which images are scaled; none: libcamera's
+    choice, which may crop the view"""
+    pixel_format: str | None = Field(default=None, pattern=r"^[ -~]{4}$")
+    """V4L2: format that the camera sends, such as MJPG, YUYV, GREY; none: OpenCV's choice. Set MJPG for large
+    images on USB 2"""
     stamped_at: Literal["auto", "start_of_exposure", "start_of_readout", "end_of_readout"] = Field(
-        default="auto",
-        description=(
-            "The moment of a frame that its driver stamps (docs/how-to/cameras.md); auto: by the driver. "
-            "Prefer `calibrate-mount` to a guess"
-        ),
+        default="auto"
     )
+    """The moment of a frame that its driver stamps (docs/how-to/cameras.md); auto: by the driver. Prefer
+    `calibrate-mount` to a guess"""
 
 
 class CameraConfig(CaptureConfig):
@@ -97,30 +70,22 @@ class CameraConfig(CaptureConfig):
 
     size_is: ClassVar[str] = "the calibration's"
 
-    fx_px: float = Field(gt=50.0, lt=20000.0, description="Focal length along the rows (eq. 2)")
-    fy_px: float = Field(gt=50.0, lt=20000.0, description="Focal length along the columns")
-    cx_px: float = Field(gt=0.0, lt=8192.0, description="Principal point, from the left")
-    cy_px: float = Field(gt=0.0, lt=8192.0, description="Principal point, from the top")
-    distortion: tuple[float, ...] = Field(
-        description="K1, k2, p1, p2, k3 (eq. 3), and for the rational model k4, k5, k6"
-    )
-    encoding: Literal["srgb", "linear"] | tuple[float, ...] = Field(
-        default="srgb",
-        description=(
-            "How the camera makes grey values of light: srgb, linear, or a table: the light (0 to 1) of "
-            "evenly spaced grey values. `calibrate-camera` measures it; a wrong one moves every edge by up"
-            " to 0.3 px"
-        ),
-    )
-    encoding_error: float = Field(
-        default=0.02,
-        ge=0.0,
-        le=1.0,
-        description=(
-            "By which share the exponent of that curve may be off (standard deviation). `calibrate-camera`"
-            " measures it; more for a camera whose contrast is automatic"
-        ),
-    )
+    fx_px: float = Field(gt=50.0, lt=20000.0)
+    """Focal length along the rows (eq. 2)"""
+    fy_px: float = Field(gt=50.0, lt=20000.0)
+    """Focal length along the columns"""
+    cx_px: float = Field(gt=0.0, lt=8192.0)
+    """Principal point, from the left"""
+    cy_px: float = Field(gt=0.0, lt=8192.0)
+    """Principal point, from the top"""
+    distortion: tuple[float, ...]
+    """K1, k2, p1, p2, k3 (eq. 3), and for the rational model k4, k5, k6"""
+    encoding: Literal["srgb", "linear"] | tuple[float, ...] = Field(default="srgb")
+    """How the camera makes grey values of light: srgb, linear, or a table: the light (0 to 1) of evenly
+    spaced grey values. `calibrate-camera` measures it; a wrong one moves every edge by up to 0.3 px"""
+    encoding_error: float = Field(default=0.02, ge=0.0, le=1.0)
+    """By which share the exponent of that curve may be off (standard deviation). `calibrate-camera` measures
+    it; more for a camera whose contrast is automatic"""
     calibration: CameraCalibration | None = None
 
     @field_validator("distortion")
@@ -164,109 +129,62 @@ class ModelConfig(StrictModel):
     the first and the third turn anticlockwise.
     """
 
-    layout: Literal["plus", "x"] = Field(
-        description=(
-            "A rotor in front (`plus`) or a pair of rotors (`x`). The model serves the paper's experiments"
-            " alone: measure it for a vehicle that you compare them on"
-        )
-    )
-    mass_kg: float = Field(gt=0.1, le=20.0, description="Take-off mass")
-    inertia_kg_m2: tuple[Inertia, Inertia, Inertia] = Field(
-        description="Moments of inertia about the forward, right and down axes"
-    )
-    arm_length_m: float = Field(
-        gt=0.03, le=1.0, description="Distance from the centre of mass to a rotor's axis"
-    )
-    thrust_coefficient_n_s2: float = Field(
-        gt=1e-8, le=1e-2, description="B: thrust divided by the square of the rotor speed"
-    )
-    torque_coefficient_n_m_s2: float = Field(
-        gt=1e-10, le=1e-3, description="D: reaction torque divided by the same"
-    )
-    rotor_inertia_kg_m2: float = Field(
-        ge=0.0, le=0.01, description="J_TP: moment of inertia of one rotor about its axis"
-    )
-    max_rotor_speed_rad_s: float = Field(gt=100.0, le=5000.0, description="Rotor speed at full command")
-    motor_time_constant_s: float = Field(
-        ge=0.001, le=0.5, description="Lag from commanded to delivered thrust"
-    )
+    layout: Literal["plus", "x"]
+    """A rotor in front (`plus`) or a pair of rotors (`x`). The model serves the paper's experiments alone:
+    measure it for a vehicle that you compare them on"""
+    mass_kg: float = Field(gt=0.1, le=20.0)
+    """Take-off mass"""
+    inertia_kg_m2: tuple[Inertia, Inertia, Inertia]
+    """Moments of inertia about the forward, right and down axes"""
+    arm_length_m: float = Field(gt=0.03, le=1.0)
+    """Distance from the centre of mass to a rotor's axis"""
+    thrust_coefficient_n_s2: float = Field(gt=1e-8, le=1e-2)
+    """B: thrust divided by the square of the rotor speed"""
+    torque_coefficient_n_m_s2: float = Field(gt=1e-10, le=1e-3)
+    """D: reaction torque divided by the same"""
+    rotor_inertia_kg_m2: float = Field(ge=0.0, le=0.01)
+    """J_TP: moment of inertia of one rotor about its axis"""
+    max_rotor_speed_rad_s: float = Field(gt=100.0, le=5000.0)
+    """Rotor speed at full command"""
+    motor_time_constant_s: float = Field(ge=0.001, le=0.5)
+    """Lag from commanded to delivered thrust"""
 
 
 class VehicleConfig(StrictModel):
     """Where things sit on the airframe (FRD from the centre of mass) and how it answers."""
 
-    name: str = Field(description="Name of the vehicle")
-    camera_position_body_m: Vector = Field(
-        description="Position of the camera from the centre of mass, FRD; measure it"
-    )
-    camera_yaw_deg: float = Field(
-        default=0.0,
-        ge=-180.0,
-        le=180.0,
-        description=(
-            "Clockwise seen from above; 0: the image's top edge points forward. `companion check` finds a "
-            "wrong quarter turn"
-        ),
-    )
-    camera_tilt_deg: float = Field(
-        default=0.0, ge=-90.0, le=90.0, description="0: straight down; positive looks forward"
-    )
-    camera_roll_deg: float = Field(
-        default=0.0,
-        ge=-180.0,
-        le=180.0,
-        description="About the forward axis, before tilt and yaw; positive looks to the left",
-    )
-    camera_time_offset_s: float = Field(
-        default=0.0,
-        ge=-0.5,
-        le=0.5,
-        description="Added to every frame's stamp: negative when late; `calibrate-mount` measures it",
-    )
-    range_position_body_m: Vector = Field(
-        description="Position of the rangefinder from the centre of mass, FRD; measure it"
-    )
-    imu_position_body_m: Vector = Field(
-        default=(0.0, 0.0, 0.0),
-        description=(
-            "Position of the IMU that the app flies by from the centre of mass, FRD; measure it where it "
-            "is more than 2 cm off: what it feels of a turn looks like wind"
-        ),
-    )
-    radius_m: float = Field(
-        default=0.4,
-        gt=0.0,
-        le=3.0,
-        description="Distance from the centre of mass to the farthest rotor's tip, for obstacles",
-    )
-    leg_height_m: float = Field(
-        ge=0.02,
-        le=1.0,
-        description=(
-            "Height of the centre of mass over the feet; measure it: it says where the feet may touch. 5 "
-            "cm off what rangefinder or pad measure before take-off, orders are refused"
-        ),
-    )
-    foot_reach_m: float = Field(
-        default=0.18, ge=0.0, le=2.0, description="Horizontal distance from the centre to the farthest foot"
-    )
+    name: str
+    """Name of the vehicle"""
+    camera_position_body_m: Vector
+    """Position of the camera from the centre of mass, FRD; measure it"""
+    camera_yaw_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
+    """Clockwise seen from above; 0: the image's top edge points forward. `companion check` finds a wrong
+    quarter turn"""
+    camera_tilt_deg: float = Field(default=0.0, ge=-90.0, le=90.0)
+    """0: straight down; positive looks forward"""
+    camera_roll_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
+    """About the forward axis, before tilt and yaw; positive looks to the left"""
+    camera_time_offset_s: float = Field(default=0.0, ge=-0.5, le=0.5)
+    """Added to every frame's stamp: negative when late; `calibrate-mount` measures it"""
+    range_position_body_m: Vector
+    """Position of the rangefinder from the centre of mass, FRD; measure it"""
+    imu_position_body_m: Vector = Field(default=(0.0, 0.0, 0.0))
+    """Position of the IMU that the app flies by from the centre of mass, FRD; measure it where it is more
+    than 2 cm off: what it feels of a turn looks like wind"""
+    radius_m: float = Field(default=0.4, gt=0.0, le=3.0)
+    """Distance from the centre of mass to the farthest rotor's tip, for obstacles"""
+    leg_height_m: float = Field(ge=0.02, le=1.0)
+    """Height of the centre of mass over the feet; measure it: it says where the feet may touch. 5 cm off what
+    rangefinder or pad measure before take-off, orders are refused"""
+    foot_reach_m: float = Field(default=0.18, ge=0.0, le=2.0)
+    """Horizontal distance from the centre to the farthest foot"""
     responses: Responses = Responses()
     # measured on this very vehicle: instead of what the responses say of the tilt and of the thrust
-    acceleration_time_constant_s: float | None = Field(
-        default=None,
-        ge=0.02,
-        le=1.0,
-        description=(
-            "Lag from commanded to flown acceleration, horizontally: the vehicle tilts first. `companion "
-            "identify` finds it"
-        ),
-    )
-    thrust_time_constant_s: float | None = Field(
-        default=None, ge=0.01, le=1.0, description="Lag of the thrust alone, vertically"
-    )
-    hover_thrust: float = Field(
-        ge=0.1,
-        le=0.9,
-        description="Share of full thrust that carries the weight, 0..1; change it with the take-off mass",
-    )
+    acceleration_time_constant_s: float | None = Field(default=None, ge=0.02, le=1.0)
+    """Lag from commanded to flown acceleration, horizontally: the vehicle tilts first. `companion identify`
+    finds it"""
+    thrust_time_constant_s: float | None = Field(default=None, ge=0.01, le=1.0)
+    """Lag of the thrust alone, vertically"""
+    hover_thrust: float = Field(ge=0.1, le=0.9)
+    """Share of full thrust that carries the weight, 0..1; change it with the take-off mass"""
     model: ModelConfig | None = None  # For comparisons that command U1..U4; a flight needs none

@@ -15,11 +15,15 @@ from companion.pad.sheet import Sheet, Tiling, tile
 class Pad(StrictModel):
     """A landing pad: a board with markers of several sizes."""
 
-    name: str = Field(description="Name of the pad")
-    width_m: float = Field(gt=0.05, le=10.0, description="Board width, across its heading")
-    length_m: float = Field(gt=0.05, le=10.0, description="Board length, along its heading")
+    name: str
+    """Name of the pad"""
+    width_m: float = Field(gt=0.05, le=10.0)
+    """Board width, across its heading"""
+    length_m: float = Field(gt=0.05, le=10.0)
+    """Board length, along its heading"""
     sheet: Sheet = Sheet()
-    markers: tuple[Marker, ...] = Field(min_length=1, description="List of the markers")
+    markers: tuple[Marker, ...] = Field(min_length=1)
+    """List of the markers"""
 
     @model_validator(mode="after")
     def _can_be(self) -> Pad:

@@ -29,23 +29,20 @@ Corners = tuple[tuple[float, float], ...]
 class Marker(StrictModel):
     """One printed marker."""
 
-    dictionary: DictionaryName = Field(description="ArUco dictionary")
-    id: int = Field(ge=0, lt=50, description="Number of the marker in its dictionary; each once")
-    side_m: float = Field(
-        gt=0.005, le=3.0, description="Side of the black square; set it to what was printed"
-    )
-    position_pad_m: tuple[float, float] = Field(
-        description="Centre of the marker, along the heading and to the right"
-    )
-    yaw_deg: float = Field(
-        default=0.0, ge=-180.0, le=180.0, description="0: its top edge points along the heading"
-    )
-    group: MarkerGroup = Field(
-        description="F (far), M (medium) or C (close): the height at which it is looked for"
-    )
-    quiet_zone_m: float | None = Field(
-        default=None, ge=0.0, le=1.0, description="White all around it; none: a cell of its code"
-    )
+    dictionary: DictionaryName
+    """ArUco dictionary"""
+    id: int = Field(ge=0, lt=50)
+    """Number of the marker in its dictionary; each once"""
+    side_m: float = Field(gt=0.005, le=3.0)
+    """Side of the black square; set it to what was printed"""
+    position_pad_m: tuple[float, float]
+    """Centre of the marker, along the heading and to the right"""
+    yaw_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
+    """0: its top edge points along the heading"""
+    group: MarkerGroup
+    """F (far), M (medium) or C (close): the height at which it is looked for"""
+    quiet_zone_m: float | None = Field(default=None, ge=0.0, le=1.0)
+    """White all around it; none: a cell of its code"""
 
     @property
     def name(self) -> str:

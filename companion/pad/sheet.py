@@ -34,20 +34,16 @@ EXACT_M: Final = 1e-9
 class Sheet(StrictModel):
     """What the pad is printed on."""
 
-    paper: Literal[PaperName, "large"] = Field(
-        default="large", description="Tiles of a paper, or one large sheet"
-    )
-    size_m: tuple[Metres, Metres] | None = Field(
-        default=None, description="Size of a large sheet; none: what the board needs"
-    )
-    margin_m: float = Field(
-        default=1e-3 * MARGIN_MM,
-        ge=0.006,
-        le=0.1,
-        description="Around the part of the board that is on it; printers do not reach the outer half",
-    )
-    dots_per_inch: float = Field(default=300.0, ge=30.0, le=2400.0, description="Resolution of the printer")
-    whole_markers: bool = Field(default=False, description="No cut may divide a marker")
+    paper: Literal[PaperName, "large"] = Field(default="large")
+    """Tiles of a paper, or one large sheet"""
+    size_m: tuple[Metres, Metres] | None = Field(default=None)
+    """Size of a large sheet; none: what the board needs"""
+    margin_m: float = Field(default=1e-3 * MARGIN_MM, ge=0.006, le=0.1)
+    """Around the part of the board that is on it; printers do not reach the outer half"""
+    dots_per_inch: float = Field(default=300.0, ge=30.0, le=2400.0)
+    """Resolution of the printer"""
+    whole_markers: bool = Field(default=False)
+    """No cut may divide a marker"""
 
     @model_validator(mode="after")
     def _size_is_of_a_large_sheet(self) -> Sheet:
