@@ -20,7 +20,7 @@ PYTEST  = PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) -e '.[report]'
+	$(PIP) -e .
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.run

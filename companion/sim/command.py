@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from companion.app.command import EXIT_CODES, Output, new_log, writable
 from companion.app.terminal import StatusView
@@ -13,11 +13,11 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.command_line import print_error
 from companion.base.errors import ConfigError
 from companion.base.files import write_atomically
-from companion.base.messages import Outcome, Truth
+from companion.base.messages import Outcome
 from companion.base.signals import signals_held_back
 from companion.flightlog.report.command import write_report
-from companion.flightlog.report.tables import result_table, title_of
-from companion.flightlog.result import Result, from_start
+from companion.flightlog.report.tables import result_table
+from companion.flightlog.result import Result
 from companion.sense.vision.opencv import prepare_opencv
 from companion.sim.external import External
 from companion.sim.process import SimulatorError
@@ -85,32 +85,13 @@ def fly_in_sitl(config_path: Path, trial: Trial, output: Output, *, fast: bool) 
     result = score(trial, flight, log)
     publish(trial, result, flight, output)
     if output.record is not None:
-        kept, truth = from_start(log.kept, flight.report.truth)
-        _draw_plots(trial, result, output.record, kept, truth)
         _write_page(trial, output.record)
-        output.console.print(f"logs and plots in {output.record}", highlight=False, soft_wrap=True)
+        output.console.print(f"logs and report in {output.record}", highlight=False, soft_wrap=True)
     return EXIT_CODES[result.outcome]
 
 
-def _draw_plots(
-    trial: Trial, result: Result, folder: Path, kept: dict[str, list[Any]], truth: list[Truth]
-) -> None:
-    """The plots, where the library that draws them is installed: a flight needs none."""
-    try:
-        from companion.flightlog.report.plots import write_plots  # noqa: PLC0415 - loads matplotlib
-    except ModuleNotFoundError as error:
-        print(f"companion: no plots: they need {error.name}; expected it installed", file=sys.stderr)
-        return
-    passes = trial.scenario.pass_bounds
-    bounds = passes.lateral_error_m, passes.vertical_speed_m_s
-    try:
-        write_plots(folder, kept, truth, trial.scenario.obstacles, title_of(result), *bounds)
-    except ConfigError as error:  # how the flight ended is another thing
-        print(f"companion: no plots: {error}", file=sys.stderr)
-
-
 def _write_page(trial: Trial, folder: Path) -> None:
-    """The page beside the plots, where the library that draws it is installed."""
+    """The page, where the library that draws its plots is installed: a flight needs none."""
     try:
         write_report(folder, bounds=trial.scenario.pass_bounds.model_dump())
     except ConfigError as error:

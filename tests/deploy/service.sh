@@ -55,7 +55,7 @@ platforms=()
 for glibc in 17 24 27 28 31 34; do platforms+=(--platform "manylinux_2_${glibc}_$(uname -m)"); done
 "$PYTHON" -m pip download --quiet --dest "$ROOT/wheels" "${platforms[@]}" \
     --platform "manylinux2014_$(uname -m)" --python-version 3.11 --only-binary=:all: \
-    -c "$SOURCE/constraints.txt" hatchling pip plotly simplejpeg gpiozero "${needed[@]}" 2>"$FOLDER/pip.log" \
+    -c "$SOURCE/constraints.txt" hatchling pip simplejpeg gpiozero "${needed[@]}" 2>"$FOLDER/pip.log" \
     || fail "the wheels: $(grep -m 1 ERROR "$FOLDER/pip.log")"
 rm -rf "$ROOT/src"
 install -d "$ROOT/src"

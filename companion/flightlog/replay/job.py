@@ -1,4 +1,4 @@
-"""A replay: a log in, a table, `replay.json` and plots out."""
+"""A replay: a log in, a table, `replay.json` and a page out."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from companion.config import ConfigError
 from companion.flightlog.log_file import LOG_NAMES, log_file
 from companion.flightlog.replay.compare import ReplayResult, build_result
 from companion.flightlog.replay.flight_record import FlightRecord
-from companion.flightlog.replay.plots import replay_lines, replay_table, write_plots
+from companion.flightlog.replay.plots import replay_lines, replay_table, write_page
 from companion.flightlog.replay.reading import read_log
 from companion.flightlog.replay.refusal import shortcomings, why_unaligned
 from companion.flightlog.replay.run import Replayed, replay
@@ -23,6 +23,7 @@ from companion.flightlog.replay.settings import Choice, choose
 from companion.flightlog.version import versions
 
 RESULT_NAME: Final = "replay.json"
+PAGE_NAME: Final = "replay.html"
 
 
 def replay_and_show(log: Path, output: Path | None, config: Path | None) -> None:
@@ -42,8 +43,8 @@ def replay_and_show(log: Path, output: Path | None, config: Path | None) -> None
     for line in replay_lines(result):
         console.print(line, highlight=False, soft_wrap=True, markup=False)
     write_atomically(folder / RESULT_NAME, result.model_dump_json(indent=2) + "\n")
-    write_plots(folder, record, replayed)
-    console.print(f"{RESULT_NAME} and plots in {folder}", highlight=False, soft_wrap=True, markup=False)
+    write_page(folder / PAGE_NAME, result, record, replayed)
+    console.print(f"{RESULT_NAME} and {PAGE_NAME} in {folder}", highlight=False, soft_wrap=True, markup=False)
 
 
 def _result(log: Path, record: FlightRecord, replayed: Replayed, choice: Choice) -> ReplayResult:

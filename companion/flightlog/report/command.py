@@ -22,7 +22,7 @@ companion report flights/flight-0007 -o flight.html
 companion report flight-0007.zip
 """
 EXPECTED: Final = "a flight's folder, its flight.mcap or its exported zip"
-NO_PLOTLY: Final = "needs plotly; expected it installed: pip install 'companion-landing[report]'"
+NO_PLOTLY: Final = "needs plotly; expected it installed: pip install plotly"
 
 
 def report_command(
@@ -60,7 +60,7 @@ def write_report(folder: Path, output: Path | None = None, bounds: Mapping[str, 
         ConfigError: there is no flight, plotly is missing, or the page cannot be written.
     """
     try:
-        from companion.flightlog.report.page import PAGE_NAME, write_page  # noqa: PLC0415 - an extra
+        from companion.flightlog.report.page import PAGE_NAME, write_page  # noqa: PLC0415 - may be left out
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "plotly":
             raise

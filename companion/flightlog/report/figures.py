@@ -6,7 +6,7 @@ The truth is drawn where there is one (the simulator's); else the estimates stan
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -14,21 +14,21 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from companion.base.geometry import FloatArray
-from companion.config import PlanConfig
-from companion.flightlog.errors import TruthTrack
+from companion.base.messages import Phase
+from companion.config import Cylinder, PlanConfig, Shape
+from companion.flightlog.errors import TruthTrack, estimate_errors, sighting_errors_body_m
 from companion.flightlog.report.logged_flight import LoggedFlight
 from companion.flightlog.report.phases import PhaseSpan, phase_spans
-from companion.flightlog.report.plots import (
-    ESTIMATE_COLOUR,
-    GROUP_NAMES,
-    OBSTACLE_COLOUR,
-    PAD_COLOUR,
-    VEHICLE_COLOUR,
-    outline_m,
-)
 from companion.flightlog.result import setpoint_delays_s
 from companion.pad.colours import GROUP_COLOURS
 
+VEHICLE_COLOUR: Final = "#c0392b"
+PAD_COLOUR: Final = "#27ae60"
+OBSTACLE_COLOUR: Final = "#7f8c8d"
+ESTIMATE_COLOUR: Final = "#2471a3"
+AXIS_COLOURS: Final = (ESTIMATE_COLOUR, "#b9770e", "#148f77")
+PASS_COLOUR: Final = "#b80000"
+GROUP_NAMES: Final = {"F": "far", "M": "medium", "C": "close"}
 HEIGHT_PX: Final = 330
 PATH_HEIGHT_PX: Final = 560
 NAMES_PX: Final = 95  # over the plots, for the phases' names
@@ -37,16 +37,26 @@ NAMED_SHARE: Final = 0.045
 AXES: Final = ("north", "east", "down")
 
 
-def figures(flight: LoggedFlight) -> dict[str, tuple[str, go.Figure]]:
-    """Titles and plots by the name of their place on the page; a plot without data is left out."""
+def figures(
+    flight: LoggedFlight, bounds: Mapping[str, float] | None = None
+) -> dict[str, tuple[str, go.Figure]]:
+    """Titles and plots by the name of their place on the page; a plot without data is left out.
+
+    `bounds`: what passes, by the touchdown's keys; drawn as lines.
+    """
+    pass_m, pass_m_s = ((bounds or {}).get(key) for key in ("lateral_error_m", "vertical_speed_m_s"))
     track = TruthTrack(flight.truth) if len(flight.truth) > 1 else None
     drawings: dict[str, tuple[str, Callable[[], go.Figure | None]]] = {
         "path": ("Path", lambda: path_figure(flight, track)),
-        "height": ("Height over the pad", lambda: height_figure(flight, track)),
-        "lateral": ("Lateral distance", lambda: lateral_figure(flight, track)),
+        "height": (
+            "Height over the pad",
+            lambda: height_figure(flight, track, pass_m_s),
+        ),
+        "lateral": ("Lateral distance", lambda: lateral_figure(flight, track, pass_m)),
         "velocity": ("Velocity", lambda: velocity_figure(flight)),
         "stated": ("Stated errors", lambda: stated_figure(flight)),
-        "markers": ("Markers", lambda: marker_figure(flight)),
+        "errors": ("Errors against the truth", lambda: error_figure(flight, track)),
+        "markers": ("Markers", lambda: marker_figure(flight, track)),
         "latency": ("Latency", lambda: latency_figure(flight)),
     }
     drawn = {name: (title, draw()) for name, (title, draw) in drawings.items()}
@@ -85,7 +95,7 @@ def path_figure(flight: LoggedFlight, track: TruthTrack | None) -> go.Figure | N
     scene = {f"{axis}axis": spec for axis, spec in axes.items()}
     figure.update_layout(scene={**scene, **_equal_axes(figure)}, height=PATH_HEIGHT_PX)
     # labels in three dimensions need no margin beside them
-    return _plain(figure).update_layout(margin={"l": 5, "r": 5})
+    return plain(figure).update_layout(margin={"l": 5, "r": 5})
 
 
 def _equal_axes(figure: go.Figure) -> dict[str, Any]:
@@ -133,7 +143,19 @@ def _estimated_paths(flight: LoggedFlight) -> dict[str, FloatArray]:
     return {"vehicle": vehicle, "pad": under + relative}
 
 
-def _obstacles(flight: LoggedFlight) -> Sequence[Any]:
+def outline_m(shape: Shape) -> tuple[FloatArray, FloatArray]:
+    """North and east (m, from home) of an obstacle's outline, closed, (n,) each."""
+    north, east = shape.centre_ned_m
+    if isinstance(shape, Cylinder):
+        turn = np.linspace(0.0, 2.0 * np.pi, 25)
+        return north + shape.radius_m * np.cos(turn), east + shape.radius_m * np.sin(turn)
+    along = 0.5 * shape.length_m * np.array([1.0, 1.0, -1.0, -1.0, 1.0])
+    across = 0.5 * shape.width_m * np.array([1.0, -1.0, -1.0, 1.0, 1.0])
+    c, s = np.cos(np.radians(shape.heading_deg)), np.sin(np.radians(shape.heading_deg))
+    return north + c * along - s * across, east + s * along + c * across
+
+
+def _obstacles(flight: LoggedFlight) -> Sequence[Shape]:
     plan = flight.settings.get("config", {}).get("plan")
     return () if plan is None else PlanConfig.model_validate(plan).obstacles
 
@@ -141,40 +163,48 @@ def _obstacles(flight: LoggedFlight) -> Sequence[Any]:
 # ---------------------------------------------------------------- over time
 
 
-def height_figure(flight: LoggedFlight, track: TruthTrack | None) -> go.Figure | None:
-    """Height over the pad, and the rate at which it decreases."""
+def height_figure(
+    flight: LoggedFlight, track: TruthTrack | None, pass_m_s: float | None = None
+) -> go.Figure | None:
+    """Height over the pad, and the rate at which it decreases; `pass_m_s` passes at the touchdown."""
     pads = flight.kept.get("pad", ())
     if track is None and not pads:
         return None
+    seen_s = [pad.time_s for pad in pads]
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
     if track is not None:
         times = track.time_s
         height = (track.at("pad_position", times) - track.at("position", times))[:, 2]
         sink = (track.at("velocity", times) - track.at("pad_velocity", times))[:, 2]
-        _line(figure, times, height, VEHICLE_COLOUR, "truth", 1)
-        _line(figure, times, sink, VEHICLE_COLOUR, "truth", 2, legend=False)
-    _dots(figure, pads, [pad.height_m for pad in pads], ESTIMATE_COLOUR, "pad filter", 1)
-    _dots(figure, pads, [pad.sink_m_s for pad in pads], ESTIMATE_COLOUR, "pad filter", 2, legend=False)
-    _label_rows(figure, "height (m)", "sink rate (m/s)")
+        add_line(figure, times, height, VEHICLE_COLOUR, "truth", 1)
+        add_line(figure, times, sink, VEHICLE_COLOUR, "truth", 2, legend=False)
+    add_dots(figure, seen_s, [pad.height_m for pad in pads], ESTIMATE_COLOUR, "pad filter", 1)
+    add_dots(figure, seen_s, [pad.sink_m_s for pad in pads], ESTIMATE_COLOUR, "pad filter", 2, legend=False)
+    label_rows(figure, "height (m)", "sink rate (m/s)")
+    _mark_pass(figure, pass_m_s, 2)
     figure.update_layout(height=int(1.6 * HEIGHT_PX))
-    return _over_time(figure, flight)
+    return _over_time(figure, flight, track)
 
 
-def lateral_figure(flight: LoggedFlight, track: TruthTrack | None) -> go.Figure | None:
-    """Horizontal distance to the pad's centre, logarithmic."""
+def lateral_figure(
+    flight: LoggedFlight, track: TruthTrack | None, pass_m: float | None = None
+) -> go.Figure | None:
+    """Horizontal distance to the pad's centre, logarithmic; `pass_m` passes at the touchdown."""
     pads = flight.kept.get("pad", ())
     if track is None and not pads:
         return None
+    seen_s = [pad.time_s for pad in pads]
     figure = make_subplots(rows=1, cols=1)
     if track is not None:
         offset = (track.at("position", track.time_s) - track.at("pad_position", track.time_s))[:, :2]
         distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-3)
-        _line(figure, track.time_s, distance, VEHICLE_COLOUR, "truth", 1)
+        add_line(figure, track.time_s, distance, VEHICLE_COLOUR, "truth", 1)
     distances = [max(pad.lateral_m, 1e-3) for pad in pads]
-    _dots(figure, pads, distances, ESTIMATE_COLOUR, "pad filter", 1)
+    add_dots(figure, seen_s, distances, ESTIMATE_COLOUR, "pad filter", 1)
     figure.update_yaxes(type="log", dtick="D2")  # labels at 1, 2, 5: all nine overprint
-    _label_rows(figure, "lateral (m)")
-    return _over_time(figure, flight)
+    label_rows(figure, "lateral (m)")
+    _mark_pass(figure, pass_m, 1)
+    return _over_time(figure, flight, track)
 
 
 def velocity_figure(flight: LoggedFlight) -> go.Figure | None:
@@ -187,10 +217,10 @@ def velocity_figure(flight: LoggedFlight) -> go.Figure | None:
     for k in range(3):
         first = k == 0
         flown = [v.velocity_ned_m_s[k] for v in vehicles]
-        _line(figure, times, flown, VEHICLE_COLOUR, "estimate", k + 1, legend=first)
+        add_line(figure, times, flown, VEHICLE_COLOUR, "estimate", k + 1, legend=first)
         commanded = [s.velocity_ned_m_s[k] for s in setpoints]
-        _line(figure, sent, commanded, ESTIMATE_COLOUR, "setpoint", k + 1, legend=first)
-    _label_rows(figure, *(f"{axis} (m/s)" for axis in AXES))
+        add_line(figure, sent, commanded, ESTIMATE_COLOUR, "setpoint", k + 1, legend=first)
+    label_rows(figure, *(f"{axis} (m/s)" for axis in AXES))
     figure.update_layout(height=int(1.8 * HEIGHT_PX))
     return _over_time(figure, flight)
 
@@ -202,31 +232,61 @@ def stated_figure(flight: LoggedFlight) -> go.Figure | None:
         return None
     # a plot for each unit: degrees and metres have no scale in common
     figure = make_subplots(rows=4, cols=1, shared_xaxes=True, vertical_spacing=0.04)
-    times = [v.time_s for v in vehicles]
+    times, seen_s = [v.time_s for v in vehicles], [pad.time_s for pad in pads]
     attitude = [math.degrees(v.attitude_std_rad) for v in vehicles]
-    _line(figure, times, attitude, VEHICLE_COLOUR, "attitude", 1)
-    _line(figure, times, [v.velocity_std_m_s for v in vehicles], "#b9770e", "velocity", 2)
-    _dots(figure, pads, [pad.position_std_m for pad in pads], ESTIMATE_COLOUR, "pad position", 3)
-    _dots(figure, pads, [pad.velocity_std_m_s for pad in pads], "#148f77", "pad velocity", 4)
+    add_line(figure, times, attitude, VEHICLE_COLOUR, "attitude", 1)
+    add_line(figure, times, [v.velocity_std_m_s for v in vehicles], "#b9770e", "velocity", 2)
+    add_dots(figure, seen_s, [pad.position_std_m for pad in pads], ESTIMATE_COLOUR, "pad position", 3)
+    add_dots(figure, seen_s, [pad.velocity_std_m_s for pad in pads], "#148f77", "pad velocity", 4)
     figure.update_yaxes(type="log", dtick="D2")  # labels at 1, 2, 5: all nine overprint
-    _label_rows(figure, "attitude (°)", "velocity (m/s)", "pad position (m)", "pad velocity (m/s)")
+    label_rows(figure, "attitude (°)", "velocity (m/s)", "pad position (m)", "pad velocity (m/s)")
     figure.update_layout(height=int(2.4 * HEIGHT_PX))
     return _over_time(figure, flight)
 
 
-def marker_figure(flight: LoggedFlight) -> go.Figure | None:
-    """How many markers of each group were accepted in each frame."""
+def error_figure(flight: LoggedFlight, track: TruthTrack | None) -> go.Figure | None:
+    """Errors of attitude, velocity, pad position and pad velocity in the air; north, east, down."""
+    if track is None or not flight.kept.get("vehicle"):
+        return None
+    errors = estimate_errors(flight.kept, track)
+    figure = make_subplots(rows=4, cols=1, shared_xaxes=True, vertical_spacing=0.04)
+    add_line(figure, errors["time_s"], errors["attitude_deg"], "black", "attitude", 1, legend=False)
+    seen_s, seen_m = sighting_errors_body_m(flight.kept.get("sighting", ()), track)
+    add_dots(figure, seen_s, np.linalg.norm(seen_m, axis=1), "grey", "sightings (distance)", 3)
+    for row, times, name in (
+        (2, "time_s", "velocity_m_s"),
+        (3, "pad_time_s", "pad_position_m"),
+        (4, "pad_time_s", "pad_velocity_m_s"),
+    ):
+        for axis, colour, values in zip(AXES, AXIS_COLOURS, errors[name].T, strict=True):
+            add_line(figure, errors[times], values, colour, axis, row, legend=row == 2)
+    label_rows(figure, "attitude (°)", "velocity (m/s)", "pad position (m)", "pad velocity (m/s)")
+    figure.update_layout(height=int(2.4 * HEIGHT_PX))
+    return _over_time(figure, flight, track)
+
+
+def marker_figure(flight: LoggedFlight, track: TruthTrack | None) -> go.Figure | None:
+    """How many markers of each group were accepted in each frame; by the height, where that is true."""
     reports = flight.kept.get("frame_report", ())
     if not reports:
         return None
-    figure = make_subplots(rows=1, cols=1)
+    rows = 1 if track is None else 2
+    figure = make_subplots(rows=rows, cols=1, vertical_spacing=0.2)
     for group, colour in GROUP_COLOURS.items():
         seen = [report for report in reports if report.marker_count.get(group)]
         counts = [report.marker_count[group] for report in seen]
-        _dots(figure, seen, counts, colour, f"{group} ({GROUP_NAMES[group]})", 1)
+        times, name = np.array([report.time_s for report in seen]), f"{group} ({GROUP_NAMES[group]})"
+        add_dots(figure, times, counts, colour, name, 1)
+        if track is not None:
+            heights = (track.at("pad_position", times) - track.at("position", times))[:, 2]
+            add_dots(figure, heights, counts, colour, name, 2, legend=False)
     figure.update_yaxes(rangemode="tozero")
-    _label_rows(figure, "markers")
-    return _over_time(figure, flight)
+    label_rows(figure, *("markers",) * rows)
+    if rows == 2:
+        figure.update_xaxes(title_text="time (s)", row=1, col=1)
+        figure.update_xaxes(title_text="height over the pad (m)", type="log", dtick="D2", row=2, col=1)
+        figure.update_layout(height=2 * HEIGHT_PX)
+    return _over_time(figure, flight, track, row=1)
 
 
 def latency_figure(flight: LoggedFlight) -> go.Figure | None:
@@ -251,13 +311,13 @@ def latency_figure(flight: LoggedFlight) -> go.Figure | None:
             figure.add_vline(x=p99, line={"color": VEHICLE_COLOUR, "dash": "dot"}, row=row, col=1)
     figure.update_xaxes(title_text="ms; dotted: p99", row=3, col=1)
     figure.update_layout(showlegend=False, height=2 * HEIGHT_PX)
-    return _plain(figure)
+    return plain(figure)
 
 
 # ---------------------------------------------------------------- parts
 
 
-def _line(
+def add_line(
     figure: go.Figure, times: Any, values: Any, colour: str, name: str, row: int, *, legend: bool = True
 ) -> None:
     line = {"color": colour, "width": 1.5}
@@ -274,20 +334,20 @@ def _line(
     )
 
 
-def _dots(
+def add_dots(
     figure: go.Figure,
-    messages: Sequence[Any],
-    values: Sequence[float],
+    times: Any,
+    values: Any,
     colour: str,
     name: str,
     row: int,
     *,
     legend: bool = True,
 ) -> None:
-    if not messages:
+    if not len(times):
         return
     figure.add_scattergl(
-        x=np.array([message.time_s for message in messages]),
+        x=np.asarray(times),
         y=np.asarray(values),
         mode="markers",
         marker={"color": colour, "size": 3},
@@ -299,24 +359,45 @@ def _dots(
     )
 
 
-def _label_rows(figure: go.Figure, *labels: str) -> None:
+def label_rows(figure: go.Figure, *labels: str) -> None:
     for row, label in enumerate(labels, start=1):
         figure.update_yaxes(title_text=label, row=row, col=1)
     figure.update_xaxes(title_text="time (s)", row=len(labels), col=1)
 
 
-def _over_time(figure: go.Figure, flight: LoggedFlight) -> go.Figure:
-    """The phases behind the curves, their names over the uppermost."""
+def _mark_pass(figure: go.Figure, bound: float | None, row: int) -> None:
+    if bound is not None:
+        line = {"color": PASS_COLOUR, "dash": "dash", "width": 1}
+        figure.add_hline(y=bound, line=line, annotation_text="passes below, at the touchdown", row=row, col=1)
+
+
+def _over_time(
+    figure: go.Figure, flight: LoggedFlight, track: TruthTrack | None = None, row: int | str = "all"
+) -> go.Figure:
+    """The phases behind the curves, their names over the uppermost; lines at the contact and at landed."""
     spans = phase_spans(flight.kept.get("plan", ()))
     seconds = spans[-1].end_s - spans[0].start_s if spans else 0.0
+    marks = [("contact", time_s) for time_s in _contacts_s(track)]
+    marks += [("landed", span.start_s) for span in spans if span.phase is Phase.LANDED][:1]
+    timed = {"row": row, "col": 1}
+    for name, time_s in marks:
+        line = {"color": "black", "dash": "dot", "width": 1}
+        figure.add_vline(x=time_s, line=line, annotation_text=name, annotation_textangle=-90, **timed)
     for span in spans:
-        figure.add_vrect(
-            x0=span.start_s, x1=span.end_s, fillcolor=span.colour, opacity=0.18, line_width=0, layer="below"
-        )
+        look = {"fillcolor": span.colour, "opacity": 0.18, "line_width": 0, "layer": "below"}
+        figure.add_vrect(x0=span.start_s, x1=span.end_s, **look, **timed)
         if span.end_s - span.start_s > NAMED_SHARE * seconds:
             figure.add_annotation(**_name_of(span))
-    _plain(figure).update_layout(hovermode="x unified", margin_t=NAMES_PX)
+    plain(figure).update_layout(hovermode="x unified", margin_t=NAMES_PX)
     return figure
+
+
+def _contacts_s(track: TruthTrack | None) -> list[float]:
+    if track is None:
+        return []
+    touches = track.at("in_contact", track.time_s)[:, 0] > 0.5
+    times: list[float] = track.time_s[1:][touches[1:] & ~touches[:-1]].tolist()
+    return times
 
 
 def _name_of(span: PhaseSpan) -> dict[str, Any]:
@@ -333,7 +414,7 @@ def _name_of(span: PhaseSpan) -> dict[str, Any]:
     }
 
 
-def _plain(figure: go.Figure) -> go.Figure:
+def plain(figure: go.Figure) -> go.Figure:
     if figure.layout.height is None:
         figure.update_layout(height=HEIGHT_PX)
     figure.update_layout(

@@ -65,30 +65,47 @@ def write_page(flight: LoggedFlight, path: Path, bounds: Mapping[str, float] | N
 
 def page(flight: LoggedFlight, bounds: Mapping[str, float]) -> str:
     """The page's HTML."""
-    drawn = figures(flight)
+    drawn = figures(flight, bounds)
     sections = {
         "result": (
             "Result",
-            _table(("", "measured", "passes at" if bounds else ""), _verdict_rows(flight, bounds)),
+            table_html(("", "measured", "passes at" if bounds else ""), _verdict_rows(flight, bounds)),
         ),
         "events": ("Events", _events(flight)),
-        **{name: (title, _plot(figure, name)) for name, (title, figure) in drawn.items()},
+        **{name: (title, plot_html(figure, name)) for name, (title, figure) in drawn.items()},
         "pictures": ("What the camera saw", _pictures(flight)),
-        "sensors": ("Sensors", _table(SENSOR_COLUMNS, sensor_rows(flight.sensors))),
+        "sensors": ("Sensors", table_html(SENSOR_COLUMNS, sensor_rows(flight.sensors))),
         "settings": ("Settings that differ from the defaults", _settings(flight)),
     }
+    colour = VERDICT_COLOURS.get(flight.outcome, OTHER_COLOUR)
+    title = flight.title.rpartition(":")[0]
+    return html_page(title, (flight.outcome, colour), _said(flight), sections, flight.versions)
+
+
+def html_page(
+    title: str,
+    verdict: tuple[str, str],
+    said: str,
+    sections: Mapping[str, tuple[str, str]],
+    versions: Mapping[str, str],
+) -> str:
+    """A page that needs nothing but itself; `sections`: title and HTML of each by its name, in order.
+
+    `verdict`: a word and its colour; `versions` stand in the foot.
+    """
+    outcome, colour = verdict
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
-        title=escape(flight.title.rpartition(":")[0]),
-        outcome=escape(flight.outcome),
-        verdict_colour=VERDICT_COLOURS.get(flight.outcome, OTHER_COLOUR),
-        said=escape(_said(flight)),
+        title=escape(title),
+        outcome=escape(outcome),
+        verdict_colour=colour,
+        said=escape(said),
         plotly_js=get_plotlyjs(),
         links=" ".join(f'<a href="#{name}">{title}</a>' for name, (title, _) in sections.items()),
         sections="\n".join(
             f'<section id="{name}"><h2>{title}</h2>{body}</section>'
             for name, (title, body) in sections.items()
         ),
-        footer=escape(_footer(flight)),
+        footer=escape(", ".join(f"{name} {version}" for name, version in versions.items())),
     )
 
 
@@ -100,10 +117,6 @@ def _said(flight: LoggedFlight) -> str:
     cut = "; the log is cut short" if flight.cut else ""
     started = datetime.fromtimestamp(flight.start_unix_s, UTC)
     return f"{words}{cut}. {started:%Y-%m-%d %H:%M:%S} UTC"
-
-
-def _footer(flight: LoggedFlight) -> str:
-    return ", ".join(f"{name} {version}" for name, version in flight.versions.items())
 
 
 # ---------------------------------------------------------------- tables
@@ -154,7 +167,7 @@ def sensor_rows(sensors: Mapping[str, SensorRecord]) -> list[Sequence[str]]:
 def _events(flight: LoggedFlight) -> str:
     notices = flight.kept.get("notice", ())
     rows = [(f"{max(n.time_s, 0.0):.1f} s", n.kind, n.text) for n in notices]  # the first by a hair before 0
-    return _table(("time", "kind", "text"), rows, [n.severity for n in notices])
+    return table_html(("time", "kind", "text"), rows, [n.severity for n in notices])
 
 
 def _settings(flight: LoggedFlight) -> str:
@@ -164,7 +177,7 @@ def _settings(flight: LoggedFlight) -> str:
     changed = differences(config, CompanionConfig().model_dump(mode="json"))
     if not changed:
         return "<p>None.</p>"
-    return _table(("setting", "flown with", "default"), changed)
+    return table_html(("setting", "flown with", "default"), changed)
 
 
 def differences(flown: Any, default: Any, name: str = "") -> list[Sequence[str]]:
@@ -177,7 +190,7 @@ def differences(flown: Any, default: Any, name: str = "") -> list[Sequence[str]]
     return [] if flown == default else [(name, json.dumps(flown), json.dumps(default))]
 
 
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]], classes: Sequence[str] = ()) -> str:
+def table_html(heads: Sequence[str], rows: Sequence[Sequence[str]], classes: Sequence[str] = ()) -> str:
     """A table of texts; `classes` are those of its rows."""
     head = "".join(f"<th>{escape(text)}</th>" for text in heads)
     lines = []
@@ -190,7 +203,8 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[str]], classes: Sequenc
 # ---------------------------------------------------------------- pictures and plots
 
 
-def _plot(figure: Any, name: str) -> str:
+def plot_html(figure: Any, name: str) -> str:
+    """A plot of the page; `name` is its place."""
     html: str = to_html(
         figure,
         config=PLOT_OPTIONS,

@@ -1,4 +1,4 @@
-"""The phases of a flight as spans of time, their colours, and where their names fit beside one another."""
+"""The phases of a flight as spans of time, and their colours."""
 
 from __future__ import annotations
 
@@ -51,23 +51,3 @@ def phase_spans(plans: Sequence[PlanStep]) -> list[PhaseSpan]:
     starts = [(Phase(phase), next(steps).time_s) for phase, steps in groupby(plans, lambda p: p.phase)]
     ends = [start_s for _, start_s in starts[1:]] + [plan.time_s for plan in plans[-1:]]
     return [PhaseSpan(phase, start_s, end_s) for (phase, start_s), end_s in zip(starts, ends, strict=True)]
-
-
-def spread_out(wanted: Sequence[float], apart: float, low: float, high: float) -> list[float]:
-    """Places in rising order, `apart` at least, within low..high, each near the one wanted.
-
-    There must be room: (n - 1) * apart <= high - low.
-
-    Raises:
-        ValueError: there is not.
-    """
-    if (len(wanted) - 1) * apart > high - low:
-        raise ValueError(f"no room for {len(wanted)} places {apart} apart within {low}..{high}")
-    places: list[float] = []
-    for place in sorted(wanted):
-        places.append(max(place, low, places[-1] + apart if places else low))
-    limit = high
-    for k in range(len(places) - 1, -1, -1):
-        places[k] = min(places[k], limit)
-        limit = places[k] - apart
-    return places

@@ -1,9 +1,11 @@
 """`companion report`: one page that needs nothing else, from a flight with truth, without, and cut short."""
 
 import asyncio
+import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -12,15 +14,18 @@ import numpy as np
 import pytest
 import typer
 
-from companion.base.messages import ControlReport, Frame, Notice, Outcome
+from companion.base.messages import ControlReport, Frame, Notice, Outcome, Phase, PlanStep
 from companion.cli import cli
-from companion.config import ConfigError
+from companion.config import CONFIG_FOLDER, ConfigError
 from companion.flightlog.record import FlightLog
 from companion.flightlog.report.command import write_report
 from companion.flightlog.report.figures import figures
 from companion.flightlog.report.logged_flight import SensorRecord, read_flight
 from companion.flightlog.report.page import differences, sensor_rows
+from companion.flightlog.report.phases import PHASE_COLOURS, phase_spans
+from companion.flightlog.report.tables import stage_text
 from companion.flightlog.result import build_result
+from companion.pad.colours import GROUP_COLOURS, bgr
 from tests.browser import DESK, PHONE, browser
 from tests.unit.flightlog.replay.log_files import own_rig
 from tests.unit.flightlog.test_result import made_up_flight
@@ -100,7 +105,7 @@ def test_the_page_of_a_simulated_flight_holds_everything_and_loads_nothing(tmp_p
         assert told in text
 
 
-PLOTS = ("path", "height", "lateral", "velocity", "stated", "markers", "latency")
+PLOTS = ("path", "height", "lateral", "velocity", "stated", "errors", "markers", "latency")
 
 
 def test_a_real_flight_without_truth_and_result_is_judged_by_its_last_phase(tmp_path: Path) -> None:
@@ -176,7 +181,7 @@ def test_without_plotly_it_says_what_to_install(tmp_path: Path, monkeypatch: pyt
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "plotly", None)
     monkeypatch.setitem(sys.modules, "plotly.io", None)
-    with pytest.raises(ConfigError, match=r"companion-landing\[report\]"):
+    with pytest.raises(ConfigError, match="pip install plotly"):
         write_report(tmp_path)
 
 
@@ -246,3 +251,49 @@ def test_latencies_start_at_nothing_and_span_a_millisecond_at_least(tmp_path: Pa
     assert all(last >= max(1.0, most) for (_, last), most in zip(ranges, longest, strict=True))
     # the cycles of the virtual loop are off by rounding alone
     assert ranges[2][1] == 1.0
+
+
+def test_what_passes_and_the_touchdown_are_marked(tmp_path: Path) -> None:
+    write_flight(tmp_path)
+    flight = read_flight(tmp_path)
+    flight.truth[:] = [replace(t, in_contact=k >= len(flight.truth) - 3) for k, t in enumerate(flight.truth)]
+    touched_s = flight.truth[-3].time_s
+    drawn = figures(flight, {"lateral_error_m": 0.15, "vertical_speed_m_s": 0.4})
+    for name, bound in (("lateral", 0.15), ("height", 0.4)):
+        layout = drawn[name][1].layout
+        assert bound in [shape.y0 for shape in layout.shapes if shape.y0 == shape.y1]
+        assert touched_s in [shape.x0 for shape in layout.shapes if shape.x0 == shape.x1]
+        assert {"contact", "passes below, at the touchdown"} <= {note.text for note in layout.annotations}
+
+
+def test_the_errors_are_those_against_the_truth(tmp_path: Path) -> None:
+    write_flight(tmp_path)
+    flight = read_flight(tmp_path)
+    traces = figures(flight)["errors"][1].data
+    assert [trace.name for trace in traces].count("north") == 3
+    flight.truth.clear()
+    assert "errors" not in figures(flight)
+
+
+def test_a_stage_that_was_never_reached_has_no_time() -> None:
+    assert [stage_text(seconds) for seconds in (0.0, 4.96)] == ["-", "5.0"]
+
+
+def test_the_marker_groups_have_one_colour_set() -> None:
+    assert bgr(GROUP_COLOURS["M"]) == (0, 159, 230)
+    root = CONFIG_FOLDER.parent
+    for folder in ("companion", "docs", "sitl", "calibration"):
+        for path in (root / folder).rglob("*.py"):
+            own = re.search(r'"F": ["(][#\d]', path.read_text())
+            assert own is None or path.name == "colours.py", path
+
+
+def test_a_phase_lasts_until_the_next_begins() -> None:
+    plans = [PlanStep(t, phase) for t, phase in ((0.0, Phase.ARM), (1.0, Phase.ARM), (2.5, Phase.SEARCH))]
+    spans = phase_spans([*plans, PlanStep(4.0, Phase.SEARCH)])
+    assert [(s.name, s.start_s, s.end_s) for s in spans] == [("arm", 0.0, 2.5), ("search", 2.5, 4.0)]
+    assert phase_spans([]) == []
+
+
+def test_every_phase_has_a_colour_of_its_own() -> None:
+    assert len({PHASE_COLOURS[phase] for phase in Phase}) == len(Phase)

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from companion.base.messages import (
 )
 from companion.config import Box, Cylinder
 from companion.flightlog.errors import TruthTrack
-from companion.flightlog.report.plots import outline_m, write_plots
+from companion.flightlog.report.figures import outline_m
 from companion.flightlog.report.tables import result_table
 from companion.flightlog.result import Result, build_result, control_result, from_start, latency, phase_times
 
@@ -185,23 +184,6 @@ def test_a_flight_that_never_saw_the_pad_still_has_a_result() -> None:
     assert told.touchdown is None
     assert told.vision.frames == 0
     assert told.estimate.velocity_rmse_m_s is None
-
-
-def test_all_plots_are_drawn(tmp_path: Path) -> None:
-    kept, truth = made_up_flight()
-    paths = write_plots(tmp_path, kept, truth)
-    assert [path.name for path in paths] == [
-        "path.png",
-        "height.png",
-        "lateral.png",
-        "detections.png",
-        "estimators.png",
-    ]
-    assert all(path.stat().st_size > 10_000 for path in paths)
-    write_plots(tmp_path, {}, truth)
-    plain = paths[0].read_bytes()
-    write_plots(tmp_path, {}, truth, [POLE, WALL])
-    assert paths[0].read_bytes() != plain
 
 
 def test_an_obstacles_outline_lies_on_its_surface() -> None:
