@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-from companion.base.messages.sources import Quantity, SourceComparison
+from companion.base.messages import Quantity, SourceComparison
 
 SIGMA_THRESHOLD: Final = 3.0
 

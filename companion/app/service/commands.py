@@ -18,7 +18,7 @@ from rich.text import Text
 from companion.app.service.local_socket import where_to_ask
 from companion.base.clock import sleep_s
 from companion.base.errors import ConfigError
-from companion.base.messages.order import OrderKind, OrderOutcome
+from companion.base.messages import OrderKind, OrderOutcome
 
 STATUS_HELP: Final = """Show what the service does: phase, inputs, estimate, pad, machine, last events.
 
