@@ -2,8 +2,8 @@
 
 Single markers of each dictionary are shown to `companion.sense.vision.pipeline.Vision` through the simulated
 camera (rolling shutter, noise, ground around the board), at random sizes, angles, speeds and blurs, expected
-as in flight; what is read is fitted by maximum likelihood (`companion.tools.pads.recall.RecallModel`). Frames
-that took no part in the fit, and another camera, judge it.
+as in flight; what is read is fitted by maximum likelihood (`companion.tools.pads.coverage.RecallModel`).
+Frames that took no part in the fit, and another camera, judge it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from companion.base.messages import Frame, PadPrior
 from companion.config import CameraConfig, VehicleConfig, VisionConfig, find_file, load_model
 from companion.pad import DICTIONARIES, Marker, Pad
 from companion.sense.vision.pipeline import Vision
-from companion.tools.pads.recall import Optics, RecallModel
+from companion.tools.pads.coverage import Optics, RecallModel
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
 

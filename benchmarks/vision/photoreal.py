@@ -28,7 +28,7 @@ from companion.base.messages import Frame
 from companion.config import CameraConfig, VisionConfig
 from companion.pad import DICTIONARIES, Pad, load_pad
 from companion.sense.vision.pipeline import Vision, body_from_camera, turn_covariance
-from companion.tools.detect.finder import CAMERA_ALONE, LOOKS
+from companion.tools.detect.run import CAMERA_ALONE, LOOKS
 
 SETS: Final = {"moving": "moving_1300", "indoor": "indoor_400", "hard": "moving_1300"}
 TRUTH: Final = "truth.json"

@@ -15,25 +15,10 @@ from typing import Any, Final, Literal, Union
 import numpy as np
 
 from companion.base.message_json import columns_of
+from companion.base.units import without_unit
 
 Schema = dict[str, Any]
 
-# longest first: a name ends in its unit
-_UNITS: Final = {
-    "rad_s2": "rad/s²",
-    "m_s2": "m/s²",
-    "m_s3": "m/s³",
-    "rad_s": "rad/s",
-    "m_s": "m/s",
-    "deg": "°",
-    "rad": "rad",
-    "m2": "m²",
-    "px": "px",
-    "ut": "µT",
-    "c": "°C",
-    "m": "m",
-    "s": "s",
-}
 _AXES: Final = {"ned": "north, east, down", "body": "forward, right, down", "camera": "right, down, ahead"}
 _PLAIN: Final[dict[Any, str]] = {float: "number", int: "integer", bool: "boolean", str: "string"}
 
@@ -53,7 +38,7 @@ def schema_of(kind: Any) -> Schema:
 
 def _field(kind: type[Any], name: str, hint: Any) -> Schema:
     schema = dict(_kind(_known(hint), columns_of(kind, name)))
-    words = [*_axes(name, schema), *_unit(name)]
+    words = [*_axes(name, schema), *filter(None, (without_unit(name)[1],))]
     if "description" in schema:
         words.insert(0, schema.pop("description"))
     if _known(hint) is not hint:
@@ -111,7 +96,3 @@ def _axes(name: str, schema: Schema) -> list[str]:
     if name in ("origin", "position"):
         return ["latitude °, longitude °, altitude or height m"]
     return [words for axes, words in _AXES.items() if f"_{axes}" in name]
-
-
-def _unit(name: str) -> list[str]:
-    return next(([unit] for suffix, unit in _UNITS.items() if name.endswith(f"_{suffix}")), [])

@@ -49,10 +49,10 @@ class SourceRow:
     first: str
     second: str
     unit: str
-    notice: float | None
-    bound: float | None
-    before: str
-    reaction: Reaction | None
+    notice: float | None = None
+    bound: float | None = None
+    before: str = "refused"
+    reaction: Reaction | None = None
     in_flight: str = ""
     hint: str = ""
 
@@ -87,7 +87,6 @@ def _surely_beyond(comparison: SourceComparison, bound: float | None) -> bool:
     return bound is not None and comparison.difference - SIGMA_THRESHOLD * comparison.std > bound
 
 
-_REFUSED: Final = "refused"
 _SHOWN: Final = "shown by companion status"
 
 ROWS: Final = (
@@ -96,11 +95,8 @@ ROWS: Final = (
         first="the vehicle's file",
         second="the autopilot's parameter; by attitude, the thrust that holds it in the air",
         unit="%",
-        notice=None,
-        bound=None,
         before="announced from 15 % on; by attitude, refused where what holds it is not known to 10 %, "
         "or is not 0.5 to 1.6 times either",
-        reaction=None,
         in_flight="learnt from what is felt; falling 0.5 m/s faster than planned, control returns to the "
         "autopilot",
     ),
@@ -111,7 +107,6 @@ ROWS: Final = (
         unit="deg",
         notice=1.5,
         bound=3.0,
-        before=_REFUSED,
         reaction=Reaction.HAND_BACK,
         hint="is the IMU's board loose, or sense.imu.body_from_sensor_deg wrong?",
     ),
@@ -122,7 +117,6 @@ ROWS: Final = (
         unit="deg",
         notice=10.0,
         bound=20.0,
-        before=_REFUSED,
         reaction=Reaction.HAND_BACK,
         hint="is one compass disturbed, or the IMU's board turned?",
     ),
@@ -133,9 +127,7 @@ ROWS: Final = (
         unit="deg",
         # the standard deviation holds what model and setting may err by
         notice=0.0,
-        bound=None,
         before="announced; the heading that it turns is refused as heading",
-        reaction=None,
         in_flight="learnt from the GPS velocities of the first manoeuvres",
         hint="set estimate.magnetic_field_ned_ut to the model's",
     ),
@@ -144,10 +136,7 @@ ROWS: Final = (
         first="the camera's",
         second="the echo",
         unit="m",
-        notice=None,
-        bound=None,
         before=_SHOWN,
-        reaction=None,
         in_flight="echoes far nearer than the pad: it searches again (ground near)",
     ),
     SourceRow(
@@ -157,7 +146,6 @@ ROWS: Final = (
         unit="%",
         notice=2.0,
         bound=4.0,
-        before=_REFUSED,
         reaction=Reaction.LEAVE_PAD,
         hint="measure a marker's edge, and the camera's focal length",
     ),
@@ -168,7 +156,6 @@ ROWS: Final = (
         unit="deg",
         notice=10.0,
         bound=20.0,
-        before=_REFUSED,
         reaction=Reaction.LEAVE_PAD,
         hint="see companion check --pad",
     ),
@@ -179,7 +166,6 @@ ROWS: Final = (
         unit="ms",
         notice=20.0,
         bound=90.0,
-        before=_REFUSED,
         reaction=Reaction.LEAVE_PAD,
         hint="see calibrate-mount, and whether the camera's driver stamps its frames",
     ),
@@ -190,7 +176,6 @@ ROWS: Final = (
         unit="ms",
         notice=60.0,
         bound=120.0,
-        before=_REFUSED,
         reaction=Reaction.HAND_BACK,
         hint="one direction of the link is slower than the other, or the IMU's stamps are late",
     ),
@@ -202,7 +187,6 @@ ROWS: Final = (
         notice=20.0,
         # twice of it the IMU's samples are late, a message besides; for 0.1 s an acceleration is carried on
         bound=40.0,
-        before=_REFUSED,
         reaction=Reaction.LEAVE_PAD,
         hint="one direction of the link is slower than the other",
     ),
@@ -211,10 +195,7 @@ ROWS: Final = (
         first="ours",
         second="the autopilot's by TIMESYNC",
         unit="%",
-        notice=None,
-        bound=None,
         before=_SHOWN,
-        reaction=None,
         in_flight="stamps are mapped by the measured rate",
     ),
     SourceRow(
@@ -222,10 +203,7 @@ ROWS: Final = (
         first="the camera's file",
         second="frames looked at",
         unit="Hz",
-        notice=None,
-        bound=None,
         before="not compared",
-        reaction=None,
         in_flight="without sightings the descent stops",
     ),
     SourceRow(
@@ -236,8 +214,6 @@ ROWS: Final = (
         notice=4.0,
         # grass, a place measured by a ruler: 3 cm each; a vehicle that falls from there lands at 1 m/s
         bound=5.0,
-        before=_REFUSED,
-        reaction=None,
         in_flight="contact needs several signs",
         hint="measure from the centre of mass to the feet, and range_position_body_m",
     ),
@@ -246,10 +222,7 @@ ROWS: Final = (
         first="the share that the autopilot reports",
         second="none",
         unit="%",
-        notice=None,
-        bound=None,
         before="low: no take-off; critical: no landing is begun",
-        reaction=None,
         in_flight="critical: control returns to the autopilot",
     ),
 )

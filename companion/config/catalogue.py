@@ -17,41 +17,9 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
+from companion.base.units import without_unit
 from companion.config.reading import OPERATOR
 
-# longest first: a name ends in its unit
-UNITS: Final = {
-    "rad_s2_rthz": "rad/s²/√Hz",
-    "m_s4_rthz": "m/s⁴/√Hz",
-    "mrad": "mrad",
-    "m_s2_rthz": "m/s²/√Hz",
-    "m_s3_rthz": "m/s³/√Hz",
-    "rad_s_rts": "rad/s/√s",
-    "m_s2_rts": "m/s²/√s",
-    "ut_rts": "µT/√s",
-    "n_m_s2": "N·m·s²",
-    "n_s2": "N·s²",
-    "kg_m2": "kg·m²",
-    "kg": "kg",
-    "deg_s": "°/s",
-    "rad_s": "rad/s",
-    "m_s2": "m/s²",
-    "m_s3": "m/s³",
-    "m_s": "m/s",
-    "1_s2": "1/s²",
-    "1_s3": "1/s³",
-    "1_s": "1/s",
-    "deg": "°",
-    "hz": "Hz",
-    "px": "px",
-    "mb": "MB",
-    "ut": "µT",
-    "grey": "grey values",
-    "lux": "lx",
-    "g": "g",
-    "m": "m",
-    "s": "s",
-}
 BOUND_SIGNS: Final = {"ge": "≥ {:g}", "gt": "> {:g}", "le": "≤ {:g}", "lt": "< {:g}"}
 
 
@@ -103,7 +71,7 @@ def _alternatives(annotation: Any) -> tuple[Any, ...]:
 
 def _unit(name: str) -> str:
     name = re.sub(r"_(ned|body|sensor|pad)(?=_)", "", name)
-    return next((unit for suffix, unit in UNITS.items() if name.endswith(f"_{suffix}")), "")
+    return without_unit(name)[1]
 
 
 def _default(field: FieldInfo) -> str:

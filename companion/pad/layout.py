@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from companion.base.geometry import FloatArray
 from companion.config import ConfigError, StrictModel, find_file, load_model
 from companion.pad.marker import Marker
 from companion.pad.rules import extent, impossible, unfit
@@ -31,6 +33,11 @@ class Pad(StrictModel):
         if wrong is not None:
             raise ValueError(wrong)
         return self
+
+    def corners_pad_m(self) -> FloatArray:
+        """The board's corners (4, 3) in pad axes (m), from the front left clockwise seen from above."""
+        x, y = 0.5 * self.length_m, 0.5 * self.width_m
+        return np.array([(x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0), (-x, -y, 0.0)])
 
     def tiling(self) -> Tiling:
         """Where the board is cut into sheets.

@@ -102,14 +102,15 @@ class CameraAnnotations:
 
     def outlines(self, sighting: PadSighting) -> list[Outline]:
         """The pad's edge and the used markers, where the pose has them; what leaves the lens is left out."""
-        x, y = 0.5 * self._pad.length_m, 0.5 * self._pad.width_m
-        edge = np.array([(x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0), (-x, -y, 0.0)])
         used = set(sighting.marker_ids)
         shown = [m for m in self._pad.markers if m.group == sighting.group and m.id in used]
         turn, place = matrix_from_quat(sighting.body_from_pad), np.array(sighting.pad_position_body_m)
         found = [
             Outline(self.pixels(corners_m @ turn.T + place), marker_id)
-            for corners_m, marker_id in [(edge, None), *((m.corners_pad_m(), m.id) for m in shown)]
+            for corners_m, marker_id in [
+                (self._pad.corners_pad_m(), None),
+                *((m.corners_pad_m(), m.id) for m in shown),
+            ]
         ]
         return [outline for outline in found if np.isfinite(outline.corners_px).all()]
 

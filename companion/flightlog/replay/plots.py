@@ -18,6 +18,7 @@ from rich.table import Table
 
 from companion.base.files import write_atomically
 from companion.base.geometry import FloatArray, euler_from_quat
+from companion.base.units import without_unit
 from companion.flightlog.replay.compare import Comparison, Repetition, ReplayResult, tracks_of
 from companion.flightlog.replay.flight_record import FlightRecord, RecordedTrack, Source, TrackName
 from companion.flightlog.replay.run import Replayed
@@ -35,7 +36,6 @@ from companion.flightlog.report.figures import (
 from companion.flightlog.report.page import OTHER_COLOUR, html_page, plot_html, table_html
 
 COLOURS: Final[dict[Source, str]] = {"recorded": "black", "truth": VEHICLE_COLOUR}
-UNITS: Final = {"deg": "°", "m_s": "m/s", "m": "m"}
 
 
 def replay_table(result: ReplayResult) -> Table:
@@ -54,8 +54,7 @@ def replay_table(result: ReplayResult) -> Table:
 
 
 def _row(name: str, all_figures: Sequence[Any]) -> list[str]:
-    suffix = next(key for key in UNITS if name.endswith(f"_{key}"))
-    cells = [f"{name.removesuffix(f'_{suffix}').replace('_', ' ')}, {UNITS[suffix]}"]
+    cells = [", ".join(without_unit(name))]
     for figures in all_figures:
         if figures is None:
             cells += ["-", "-", "-"]

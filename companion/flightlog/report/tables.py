@@ -7,9 +7,9 @@ from typing import Final
 
 from rich.table import Table
 
+from companion.base.units import without_unit
 from companion.flightlog.result import Result
 
-UNITS: Final = {"m_s": "m/s", "m": "m", "deg": "°"}
 # decimals that mean something: a landing is not repeated to the tenth of a millimetre or of a millisecond
 DECIMALS: Final = {"m": 3, "m/s": 2, "°": 1, "ms": 0}
 MOST_DECIMALS: Final = 6
@@ -41,7 +41,7 @@ def result_rows(result: Result, bounds: Mapping[str, float]) -> list[tuple[str, 
     rows: list[tuple[str, str, str]] = []
     if result.touchdown is not None:
         for key, value in result.touchdown.model_dump().items():
-            name, unit = _name_and_unit(key)
+            name, unit = without_unit(key)
             bound = bounds.get(key)
             limit = "" if bound is None else f"<= {bound:g} {unit}"
             rows.append((f"touchdown {name}", figure(value, unit, bound), limit))
@@ -61,13 +61,6 @@ def result_rows(result: Result, bounds: Mapping[str, float]) -> list[tuple[str, 
         "simulated / real time": f"{result.sim.real_time_factor:.1f}",
     }
     return rows + [(name, text, "") for name, text in texts.items()]
-
-
-def _name_and_unit(key: str) -> tuple[str, str]:
-    for suffix, unit in UNITS.items():
-        if key.endswith(f"_{suffix}"):
-            return key.removesuffix(f"_{suffix}").replace("_", " "), unit
-    return key, ""
 
 
 def figure(value: float, unit: str, bound: float | None = None) -> str:

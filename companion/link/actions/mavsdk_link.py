@@ -23,9 +23,7 @@ from typing import Any, Final, TypeVar
 from mavsdk import LogLevel, log_subscribe
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
 from mavsdk.asyncio.plugins.action import ActionAsync
-from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.exceptions import MavsdkError
-from mavsdk.plugins.param import ParamError, ParamResult
 
 from companion.base.autopilots import PROFILES
 from companion.base.clock import Clock
@@ -70,7 +68,6 @@ class MavsdkActions:
         self._performances = Performances(session, clock)
         self._mavsdk: Any = None
         self._action: Any = None
-        self._param: Any = None
         self._calls: set[asyncio.Future[Any]] = set()
         self._withdrawn_calls: set[asyncio.Future[Any]] = set()
         self._handlers: dict[ActionKind, Handler] = {
@@ -124,51 +121,19 @@ class MavsdkActions:
         """Wait for the calls under way (MAVSDK gives up by itself), then end its threads."""
         while self._calls:
             await asyncio.wait(self._calls)
-        mavsdk, plugins = self._mavsdk, (self._action, self._param)
+        mavsdk, action = self._mavsdk, self._action
         # from here on nothing may reach it: bytes handed to an instance under destruction crash the process
-        self._mavsdk = self._action = self._param = None
+        self._mavsdk = self._action = None
         if mavsdk is not None:
             _log_lines.hush()  # it takes its subscriber away before the connection, as in `start`
-        for plugin in plugins:
-            if plugin is not None:
-                plugin.destroy()
+        if action is not None:
+            action.destroy()
         if mavsdk is not None:
             # it joins threads of its own that may be calling us just now
             try:
                 await asyncio.to_thread(mavsdk.destroy)
             finally:
                 _log_lines.pass_on()
-
-    # ------------------------------------------------------------ parameters
-
-    async def parameter(self, name: str) -> float:
-        """One of the autopilot's parameters, whatever its type.
-
-        Raises:
-            Refused: there is no such parameter, or no answer.
-        """
-        await self._connect()
-        try:
-            value: float = await self._call(self._param.get_param_float(name))
-        except ParamError as error:
-            if error.result != ParamResult.WRONG_TYPE:
-                raise Refused(f"{name}: {_words(error)}") from error
-            value = await self._try(self._param.get_param_int(name))
-        return float(value)
-
-    async def set_parameter(self, name: str, value: float) -> None:
-        """Set one of the autopilot's floating-point or integer parameters.
-
-        Raises:
-            Refused: there is no such parameter, or no answer.
-        """
-        await self._connect()
-        try:
-            await self._call(self._param.set_param_float(name, value))
-        except ParamError as error:
-            if error.result != ParamResult.WRONG_TYPE:
-                raise Refused(f"{name}: {_words(error)}") from error
-            await self._try(self._param.set_param_int(name, round(value)))
 
     # ------------------------------------------------------------ the actions
 
@@ -232,7 +197,7 @@ class MavsdkActions:
     # ------------------------------------------------------------ MAVSDK
 
     async def _connect(self) -> None:
-        """Make the plugins once MAVSDK has found the autopilot.
+        """Make the plugin once MAVSDK has found the autopilot.
 
         Raises:
             Refused: it has not, or it is still busy with what was withdrawn.
@@ -248,7 +213,7 @@ class MavsdkActions:
         if system is None or self._mavsdk is None:
             raise Refused("MAVSDK has found no autopilot")
         if self._action is None:
-            self._action, self._param = ActionAsync(system), ParamAsync(system)
+            self._action = ActionAsync(system)
 
     async def _try(self, call: Coroutine[Any, Any, T]) -> T:
         """The outcome of a call; MAVSDK's error as a refusal."""

@@ -1,7 +1,14 @@
-"""Pictures in, a line for each out, and overlays: photos as .png, a video as a video."""
+"""Pictures in, a line for each out, and overlays: photos as .png, a video as a video.
+
+One picture through the vision stage: the markers, and the pad's pose as the camera has it. Pure.
+
+Nothing is known of the vehicle here, so there is no expectation of the pad and no direction of gravity: what
+is found is what the app would find in its first look. Camera axes are OpenCV's (x right, y down, z ahead).
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,13 +22,204 @@ from rich.console import Console
 
 from companion.base.clock import wall_clock_s
 from companion.base.files import write_atomically
-from companion.config import CameraConfig, ConfigError, find_file, load_config, load_model
-from companion.pad import load_pad
+from companion.base.geometry import FloatArray, matrix_from_quat
+from companion.base.messages import Frame, PadSighting
+from companion.config import (
+    CameraConfig,
+    ConfigError,
+    VehicleConfig,
+    VisionConfig,
+    find_file,
+    load_config,
+    load_model,
+)
+from companion.pad import Pad, colours, load_pad
 from companion.sense.camera.photos import Photo, photo_paths, read_photos
 from companion.sense.vision.aruco import Detection
+from companion.sense.vision.lens import Lens
 from companion.sense.vision.opencv import prepare_opencv
-from companion.tools.detect.finder import Found, PadFinder
-from companion.tools.detect.overlay import draw
+from companion.sense.vision.pipeline import Vision, body_from_camera
+
+# without an expectation, vision looks in turn for what is far and what is near
+LOOKS: Final = 2
+# the camera alone: it is the vehicle's reference point, and the body's axes are turned from its own
+CAMERA_ALONE: Final = VehicleConfig(
+    name="camera", camera_position_body_m=(0.0, 0.0, 0.0), range_position_body_m=(0.0, 0.0, 0.0),
+    leg_height_m=0.02, hover_thrust=0.5,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class PadView:
+    """The pad as one picture shows it, in camera axes.
+
+    `position_m` (3,) is the pad's centre, `camera_from_pad` (3, 3) its rotation. `along_std_m` is the stated
+    standard deviation along the line of sight, `across_std_m` in each direction across it.
+    """
+
+    position_m: FloatArray
+    camera_from_pad: FloatArray
+    along_std_m: float
+    across_std_m: float
+    reprojection_error_px: float
+
+    @property
+    def distance_m(self) -> float:
+        """From the camera to the pad's centre."""
+        return float(np.linalg.norm(self.position_m))
+
+    @property
+    def slant_deg(self) -> float:
+        """Angle between the line of sight and the pad's normal: 0 is straight above it."""
+        cosine = float(self.camera_from_pad[:, 2] @ self.position_m) / self.distance_m
+        return math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What one picture gave. `markers` are those of the pose; without a pose, those that were read."""
+
+    markers: tuple[Detection, ...]
+    view: PadView | None
+
+
+class PadFinder:
+    """The app's vision over single pictures."""
+
+    def __init__(self, pad: Pad, camera: CameraConfig, config: VisionConfig) -> None:
+        self.pad = pad
+        self.camera = camera
+        self.lens = Lens(camera)
+        self._vision = Vision(pad, camera, CAMERA_ALONE, config)
+        self._camera_from_body = matrix_from_quat(body_from_camera(CAMERA_ALONE)).T
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height that the calibration is for."""
+        return self.lens.size_px
+
+    def find(self, image: NDArray[np.uint8]) -> Found:
+        """Look for what is far and for what is near, as the app does in two frames that follow each other.
+
+        Raises:
+            ValueError: the image (height, width) is not of the calibrated size.
+        """
+        read: tuple[Detection, ...] = ()
+        for _ in range(LOOKS):
+            result = self._vision.step(Frame(0.0, 0.0, 0, image), None)
+            if result.sighting is not None:
+                return Found(result.used, self._view(result.sighting))
+            read = max(read, result.read, key=len)
+        return Found(read, None)
+
+    def _view(self, sighting: PadSighting) -> PadView:
+        turn = self._camera_from_body
+        position = turn @ np.array(sighting.pad_position_body_m)
+        covariance = turn @ sighting.covariance[:3, :3] @ turn.T
+        ray = position / np.linalg.norm(position)
+        along = float(ray @ covariance @ ray)
+        across = 0.5 * max(float(np.trace(covariance)) - along, 0.0)
+        return PadView(
+            position, turn @ matrix_from_quat(sighting.body_from_pad), math.sqrt(along), math.sqrt(across),
+            sighting.reprojection_error_px,
+        )  # fmt: skip
+
+
+# ---------------------------------------------------------------- the overlay
+
+# blue, green, red
+GROUP_COLOURS: Final = {group: colours.bgr(colour) for group, colour in colours.GROUP_COLOURS.items()}
+UNUSED: Final = (40, 40, 220)
+OUTLINE: Final = (255, 180, 0)
+AXES: Final = (("front", (60, 60, 255)), ("right", (80, 220, 80)), ("up", (255, 120, 60)))
+WHITE: Final = (255, 255, 255)
+FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
+# lines and text are drawn for an image of this width
+DESIGN_WIDTH_PX: Final = 960
+LEAST_TEXT: Final = 0.45
+AXIS_SHARE: Final = 0.35  # of the pad's shorter side, or of the distance to it
+SIDE_POINTS: Final = 16  # a lens bends the board's sides
+SHIFT: Final = 4  # sub-pixel bits of OpenCV's drawing
+
+
+def draw(image: NDArray[np.uint8], found: Found, pad: Pad, lens: Lens, text: str) -> NDArray[np.uint8]:
+    """A colour picture (height, width, 3) of a grey one with what was found, and a line of text below."""
+    picture: Any = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    unit = max(image.shape[1] / DESIGN_WIDTH_PX, 0.4)
+    width = max(2, round(2 * unit))
+    for detection in found.markers:
+        colour = UNUSED if found.view is None else GROUP_COLOURS[detection.marker.group]
+        _lines(picture, detection.corners_px, colour, width, closed=True)
+        _mark(picture, detection.corners_px[0], colour, unit)
+        above = detection.corners_px.min(axis=0) - (0.0, 9.0 * unit)
+        above[0] = detection.corners_px[:, 0].mean()
+        _write(picture, str(detection.marker.id), above, colour, max(0.6 * unit, LEAST_TEXT))
+    if found.view is not None:
+        _lines(picture, _seen(lens, found.view, board_outline(pad)), OUTLINE, width, closed=True)
+        length_m = AXIS_SHARE * min(pad.length_m, pad.width_m, found.view.distance_m)
+        _draw_axes(picture, lens, found.view, length_m, unit)
+    bar = round(28 * unit)
+    strip = np.zeros((bar, picture.shape[1], 3), np.uint8)
+    cv2.putText(strip, text, (round(8 * unit), bar - round(9 * unit)), FONT, 0.5 * unit, WHITE,
+                max(1, round(unit)), cv2.LINE_AA)  # fmt: skip
+    return np.vstack((picture, strip)).astype(np.uint8)
+
+
+def board_outline(pad: Pad) -> FloatArray:
+    """Points (n, 3) along the board's edge, in pad axes (m)."""
+    corners = pad.corners_pad_m()
+    share = np.arange(SIDE_POINTS)[None, :, None] / SIDE_POINTS
+    sides = corners[:, None] + share * (np.roll(corners, -1, axis=0) - corners)[:, None]
+    return np.asarray(sides.reshape(-1, 3))
+
+
+def _seen(lens: Lens, view: PadView, points_pad_m: FloatArray) -> FloatArray:
+    """Pixels (n, 2) of points on the pad, NaN where the lens cannot see."""
+    return lens.project(points_pad_m @ view.camera_from_pad.T + view.position_m)[0]
+
+
+def _draw_axes(picture: Any, lens: Lens, view: PadView, length_m: float, unit: float) -> None:
+    # the pad's z axis goes into the ground
+    ends = np.diag((length_m, length_m, -length_m))
+    pixels = _seen(lens, view, np.vstack((np.zeros(3), ends)))
+    for end, (name, colour) in zip(pixels[1:], AXES, strict=True):
+        if np.isfinite((pixels[0], end)).all():
+            start, tip = _fixed(pixels[0]), _fixed(end)
+            width = max(2, round(2 * unit))
+            cv2.arrowedLine(picture, start, tip, colour, width, cv2.LINE_AA, shift=SHIFT, tipLength=0.12)
+            _write(picture, name, end, colour, max(0.5 * unit, LEAST_TEXT))
+
+
+def _lines(
+    picture: Any, pixels: FloatArray, colour: tuple[int, int, int], width: int, *, closed: bool
+) -> None:
+    whole = np.isfinite(pixels).all()
+    points = pixels if whole else pixels[np.isfinite(pixels).all(axis=1)]
+    if len(points) > 1:
+        fixed = np.rint(points * (1 << SHIFT)).astype(np.int32)
+        cv2.polylines(picture, [fixed], bool(closed and whole), colour, width, cv2.LINE_AA, shift=SHIFT)
+
+
+def _mark(picture: Any, pixel: FloatArray, colour: tuple[int, int, int], unit: float) -> None:
+    """A dot at a marker's first corner: top left of its code."""
+    cv2.circle(picture, _fixed(pixel), round(4 * unit * (1 << SHIFT)), colour, -1, cv2.LINE_AA, shift=SHIFT)
+
+
+def _fixed(pixel: FloatArray) -> tuple[int, int]:
+    u, v = np.rint(pixel * (1 << SHIFT)).astype(int).tolist()
+    return u, v
+
+
+def _write(picture: Any, text: str, pixel: FloatArray, colour: tuple[int, int, int], scale: float) -> None:
+    """Text about a pixel, on a dark edge so that it can be read on black and on white."""
+    thick = max(1, round(2 * scale))
+    (width, height), _ = cv2.getTextSize(text, FONT, scale, thick)
+    at = (round(float(pixel[0]) - 0.5 * width), round(float(pixel[1]) + 0.5 * height))
+    cv2.putText(picture, text, at, FONT, scale, (0, 0, 0), thick + 2, cv2.LINE_AA)
+    cv2.putText(picture, text, at, FONT, scale, colour, thick, cv2.LINE_AA)
+
+
+# ---------------------------------------------------------------- pictures in, a line for each out, and
 
 VIDEO_CODE: Final = "mp4v"
 VIDEO_ENDING: Final = ".mp4"

@@ -4,15 +4,37 @@ A fit gives numbers even where the flight's setpoints leave something open; then
 the remains of whole windows, is explained better by numbers that fly worse. So each pair of gain and lag has
 to predict the velocity half a second ahead better than the assumed pair, and the hover thrust has to be
 nearer to what another flight shows: in the flight that it comes from, and in the other if there is one.
+
+A recorded flight as identification needs it: settings, messages and commands on an even grid.
+
+Reads what the app recorded (flight.mcap): its own estimates, the setpoints as they left, and when the
+autopilot obeyed. NED, SI units.
+
+What of a flight's numbers may be offered: those that predict a flight better than the assumed ones. Pure.
+
+A fit gives numbers even where the flight's setpoints leave something open; then what they were fitted to,
+the remains of whole windows, is explained better by numbers that fly worse. So each pair of gain and lag has
+to predict the velocity half a second ahead better than the assumed pair, and the hover thrust has to be
+nearer to what another flight shows: in the flight that it comes from, and in the other if there is one.
 """
 
 from __future__ import annotations
 
+import json
 import math
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
 
-from companion.config import ConfigError
+import numpy as np
+from mcap.records import Channel, Message, Metadata
+
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.files import cannot_read
+from companion.base.geometry import GRAVITY_M_S2, FloatArray
+from companion.base.messages import Phase
+from companion.config import CompanionConfig, ConfigError, ControlConfig, VehicleConfig, validate_recorded
+from companion.control.response.flight_model import lags, velocity_gains
 from companion.control.response.identification import (
     IdentifiedResponse,
     ResponseEstimate,
@@ -24,7 +46,121 @@ from companion.control.response.identification import (
     prediction_error_m_s,
     windows,
 )
-from companion.tools.identify.flight import DIRECTIONS, IdentificationLog
+from companion.control.setpoints import resolved
+from companion.flightlog.log_file import SETTINGS_RECORD, log_file, records
+
+TOPICS: Final = {"/vehicle", "/setpoint", "/plan", "/control_report"}
+# low over the ground, or on it, other forces act than the model knows
+IN_THE_AIR: Final = {Phase.ROUTE.value, Phase.SEARCH.value, Phase.APPROACH.value, Phase.DESCEND.value}
+LONGEST_STEP_S: Final = 0.2
+DIRECTIONS: Final[dict[str, tuple[int, ...]]] = {"sideways": (0, 1), "down": (2,)}
+
+
+@dataclass
+class IdentificationLog:
+    """What the log says: the settings that were flown with, and messages by topic in their order.
+
+    `control.setpoint` is the kind that was sent, and `autopilot_kind` whose autopilot it was sent to.
+    """
+
+    control: ControlConfig
+    vehicle: VehicleConfig
+    messages: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    autopilot_kind: AutopilotKind = "px4"
+
+    @property
+    def by_attitude(self) -> bool:
+        """Whether attitude and thrust were sent."""
+        return self.control.setpoint == "attitude"
+
+    def starting_points(self) -> dict[str, IdentifiedResponse]:
+        """The responses that the settings assume."""
+        by_velocity = self.control.setpoint == "velocity"
+        gains = velocity_gains(self.vehicle, self.control, self.autopilot_kind, sideways=by_velocity)
+        tau = lags(self.vehicle, self.control, self.autopilot_kind)
+        return {name: IdentifiedResponse(gains[axes[0]], tau[axes[0]]) for name, axes in DIRECTIONS.items()}
+
+
+def read_flight(path: Path) -> IdentificationLog:
+    """Read the topics that show how the vehicle answered.
+
+    Raises:
+        ConfigError: it is not a flight of ours.
+    """
+    path = log_file(path)
+    topics: dict[int, str] = {}
+    messages: dict[str, list[dict[str, Any]]] = {topic: [] for topic in TOPICS}
+    settings: dict[str, str] = {}
+    try:
+        with path.open("rb") as stream:
+            for item in records(stream, lambda: None):
+                if isinstance(item, Channel):
+                    topics[item.id] = item.topic
+                elif isinstance(item, Metadata) and item.name == SETTINGS_RECORD:
+                    settings = item.metadata
+                elif isinstance(item, Message) and topics[item.channel_id] in TOPICS:
+                    messages[topics[item.channel_id]].append(json.loads(item.data))
+    except OSError as error:
+        raise cannot_read(path, error, expected="a flight.mcap") from error
+    if not {"config", "vehicle"} <= settings.keys():
+        raise ConfigError(f"{path}: no settings in it; expected a flight.mcap that `--record` left")
+    config = validate_recorded(CompanionConfig, json.loads(settings["config"]), f"{path}: config")
+    vehicle = validate_recorded(VehicleConfig, json.loads(settings["vehicle"]), f"{path}: vehicle")
+    # in a flight by `auto` the setpoints show whose autopilot it was: PX4 is sent no attitudes then
+    by_attitude = any(row.get("attitude") is not None for row in messages["/setpoint"])
+    autopilot_kind: AutopilotKind = (
+        "ardupilot" if by_attitude and config.control.setpoint == "auto" else "px4"
+    )
+    return IdentificationLog(resolved(config.control, autopilot_kind), vehicle, messages, autopilot_kind)
+
+
+def flown(record: IdentificationLog, path: Path) -> ResponseRecord:
+    """The flight on an even grid at the setpoints' rate.
+
+    Raises:
+        ConfigError: the autopilot never obeyed setpoints in it.
+    """
+    vehicles, setpoints = record.messages["/vehicle"], record.messages["/setpoint"]
+    obeyed = _obeyed_times(record)
+    if len(obeyed) < 2 or len(vehicles) < 2:
+        raise ConfigError(f"{path}: no flight by setpoints in it; expected one to a pad, or a search for one")
+    period_s = 1.0 / record.control.rate_hz
+    time_s = np.arange(obeyed[0], obeyed[-1], period_s)
+
+    def column(rows: list[dict[str, Any]], key: str) -> FloatArray:
+        at = [row["time_s"] for row in rows]
+        values = np.array([row[key] for row in rows], dtype=float).reshape(len(rows), -1)
+        return np.stack([np.interp(time_s, at, each) for each in values.T], axis=1)
+
+    acceleration = column(vehicles, "acceleration_ned_m_s2")
+    return ResponseRecord(
+        time_s=time_s,
+        velocity_ned_m_s=column(vehicles, "velocity_ned_m_s"),
+        force_m_s2=np.linalg.norm(acceleration - np.array([0.0, 0.0, GRAVITY_M_S2]), axis=1),
+        command_velocity_ned_m_s=column(setpoints, "velocity_ned_m_s"),
+        command_acceleration_ned_m_s2=column(setpoints, "acceleration_ned_m_s2"),
+        thrust=column(setpoints, "thrust")[:, 0] if record.by_attitude else None,
+        pieces=_pieces(time_s, obeyed),
+    )
+
+
+def _obeyed_times(record: IdentificationLog) -> FloatArray:
+    """Times of the cycles in which the autopilot obeyed, in the air."""
+    phases = {plan["time_s"]: plan["phase"] for plan in record.messages["/plan"]}
+    reports = [report for report in record.messages["/control_report"] if report.get("obeyed", True)]
+    times_s = [report["time_s"] for report in reports if phases.get(report["time_s"]) in IN_THE_AIR]
+    return np.array(times_s)
+
+
+def _pieces(time_s: FloatArray, obeyed_s: FloatArray) -> tuple[tuple[int, int], ...]:
+    """Rows [first, last) of the runs in which no two cycles lie far apart."""
+    breaks = np.flatnonzero(np.diff(obeyed_s) > LONGEST_STEP_S)
+    begins, ends = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [len(obeyed_s) - 1]])
+    places = np.searchsorted(time_s, np.stack([obeyed_s[begins], obeyed_s[ends]], axis=1))
+    return tuple((int(first), int(last)) for first, last in places)
+
+
+# ---------------------------------------------------------------- what of a flight's numbers may be offered
 
 OWN: Final = "this flight"
 

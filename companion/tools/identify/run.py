@@ -9,8 +9,15 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.config import ConfigError
-from companion.tools.identify.flight import IdentificationLog, flown, read_flight
-from companion.tools.identify.judge import Identified, Judged, identify, is_open
+from companion.tools.identify.judge import (
+    IdentificationLog,
+    Identified,
+    Judged,
+    flown,
+    identify,
+    is_open,
+    read_flight,
+)
 
 # settings by direction: of the vehicle, and of the app by velocity setpoints
 OWN_LAGS: Final = {"sideways": "acceleration_time_constant_s", "down": "thrust_time_constant_s"}

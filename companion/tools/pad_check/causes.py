@@ -28,8 +28,7 @@ from companion.base.geometry import (
     wrap_angle,
 )
 from companion.tools.pad_check.judge import Part, height_by_camera
-from companion.tools.pad_check.moves import Move, down_by_force
-from companion.tools.pad_check.rest import StandstillMeans
+from companion.tools.pad_check.moves import Move, StandstillMeans, down_by_force
 
 QUARTERS_DEG: Final = (0.0, 90.0, 180.0, -90.0)
 SNAP_DEG: Final = 20.0  # nearer to a quarter turn than this is one

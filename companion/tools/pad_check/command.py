@@ -10,7 +10,6 @@ import typer
 from companion.base.errors import ConfigError
 from companion.base.files import DEFAULT_SETTINGS, must_be_readable
 
-STANDARD_OUTPUT: Final = Path("-")
 HELP: Final = """Check, before a flight, all that can be checked of a vehicle that stands there disarmed.
 
 Settings, calibrations, camera, IMU, GPS, ultrasonic, link, the autopilot's parameters, clock, disk and
@@ -76,7 +75,7 @@ def check_command(
         Exit: with 1 when something is not well.
     """
     must_be_readable(config)
-    if json_file != STANDARD_OUTPUT:
+    if json_file is not None and str(json_file) != "-":
         _writable("--json", json_file)
     _writable("--write-params", params_file)
     if params_file is not None and (pad or no_link):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Final
 
 import typer
 from rich.console import Console
+from rich.table import Table
 from rich.text import Text
 
 from companion.app.calibration_warnings import forced_calibrations
@@ -16,17 +18,68 @@ from companion.base.formats.mjpeg import MjpegServer
 from companion.base.signals import run_until_stopped
 from companion.config import CompanionConfig, ConfigError, load_config
 from companion.sense.vision.opencv import prepare_opencv
-from companion.tools.pad_check.command import STANDARD_OUTPUT
-from companion.tools.pad_check.report import cause_lines, report_json, report_table, verdict_line
 from companion.tools.pad_check.session import Outlets, PadCheck
-from companion.tools.pad_check.steps import Say
-from companion.tools.pad_check.wizard import Report
-from companion.tools.preflight.findings import Finding, FindingState, worst
-from companion.tools.preflight.parameter_file import parameter_file, parameters_read
-from companion.tools.preflight.parameters import GROUP
-from companion.tools.preflight.report import STYLES, findings_json, findings_table, summary_line
+from companion.tools.pad_check.wizard import Report, Say
+from companion.tools.preflight.findings import (
+    STYLES,
+    Finding,
+    FindingState,
+    findings_json,
+    findings_table,
+    summary_line,
+    worst,
+)
+from companion.tools.preflight.parameters import GROUP, parameter_file, parameters_read
 from companion.tools.preflight.run import preflight
 
+
+def report_table(report: Report) -> Table:
+    """A line for each question."""
+    table = Table(title="check over the pad", title_justify="left", show_lines=False)
+    for heading in ("", "question", "measured"):
+        table.add_column(heading)
+    for finding in report.findings:
+        table.add_row("[green]ok[/]" if finding.passed else "[bold red]NO[/]", finding.name, finding.detail)
+    return table
+
+
+def cause_lines(report: Report) -> list[str]:
+    """What to correct, one line a cause, with the questions that it answers."""
+    questions: dict[str, list[str]] = {}
+    for name, cause in report.causes.items():
+        questions.setdefault(cause, []).append(name)
+    return [f"{', '.join(names)}: {cause}" for cause, names in questions.items()]
+
+
+def verdict_line(report: Report) -> str:
+    """All in one line."""
+    bad = sum(not finding.passed for finding in report.findings)
+    if not bad:
+        return (
+            f"all {len(report.findings)} answers are right: right is right, forward is forward, down is down"
+        )
+    return f"{bad} of {len(report.findings)} answers are wrong: not ready to fly"
+
+
+def report_json(report: Report) -> str:
+    """The result as JSON: `passed`, and for each question `name`, `passed`, `detail`, `values`, `cause`."""
+    checks = [
+        {
+            "name": finding.name,
+            "passed": finding.passed,
+            "detail": finding.detail,
+            "blamed": list(finding.blamed),
+            "cause": report.causes.get(finding.name),
+            "values": {name: round(value, 4) for name, value in finding.values.items()},
+        }
+        for finding in report.findings
+    ]
+    return json.dumps({"passed": report.passed, "checks": checks}, indent=2, ensure_ascii=False) + "\n"
+
+
+# ---------------------------------------------------------------- what `companion check` does once its
+
+STANDARD_OUTPUT: Final = Path("-")
 _STYLES: Final = {
     "order": ("→ ", "bold"),
     "good": ("  ok  ", "green"),

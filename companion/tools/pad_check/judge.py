@@ -21,8 +21,7 @@ from companion.base.geometry import (
     scale,
     subtract,
 )
-from companion.tools.pad_check.moves import Move, carried_along, down_by_force, down_by_pad
-from companion.tools.pad_check.rest import StandstillMeans
+from companion.tools.pad_check.moves import Move, StandstillMeans, carried_along, down_by_force, down_by_pad
 
 # what may be to blame for a finding
 Part = Literal[

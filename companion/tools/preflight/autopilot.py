@@ -23,10 +23,15 @@ from companion.link.signing import signing_of
 from companion.link.transport import Transport, open_transport
 from companion.tools.preflight import telemetry
 from companion.tools.preflight.findings import Finding, FindingGroup
-from companion.tools.preflight.losses import FrameCounter
-from companion.tools.preflight.parameter_file import ParameterReadings, with_changes
-from companion.tools.preflight.parameters import GROUP, Wanted, judge_parameters, parameter_names
-from companion.tools.preflight.telemetry import Heard
+from companion.tools.preflight.parameters import (
+    GROUP,
+    ParameterReadings,
+    Wanted,
+    judge_parameters,
+    parameter_names,
+    with_changes,
+)
+from companion.tools.preflight.telemetry import FrameCounter, Heard
 
 HEARTBEAT_PATIENCE_S: Final = 6.0
 # rates are asked for at the first heartbeat, and what does not come is asked for again

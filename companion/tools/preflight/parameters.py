@@ -4,14 +4,22 @@ Names and meanings after PX4 1.16 (commander_params.c, multicopter_position_cont
 1.17, ArduCopter 4.6 (Parameters.cpp, AP_MotorsMulticopter.cpp) and 4.7 (its list of renamed parameters);
 docs/reference/autopilot-parameters.md has the same table.
 Values keep the autopilot's units. Nothing here is ever written to an autopilot.
+
+Those that differ go into a file that both ground stations load. QGroundControl takes lines of five columns
+between tabs (system, component, name, value, MAV_PARAM_TYPE) and skips others; Mission Planner takes lines of
+a name and a value (`NAME,VALUE`) and skips others, so that each parameter stands in both forms. Both skip
+what begins with '#'. Sources: QGroundControl, "Parameters, file format", and its ParameterManager; Mission
+Planner, ParamFile.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+from companion import __version__
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.autopilots import PROFILES
 from companion.base.messages import AutopilotSetup
@@ -28,8 +36,9 @@ from companion.link.autopilot_setup import (
     setup_of,
     short_timeout,
 )
+from companion.link.codec import AUTOPILOT_COMPONENT, mavlink
 from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST, all_names, value_of
-from companion.tools.preflight.findings import Finding, FindingGroup, FindingState
+from companion.tools.preflight.findings import Finding, FindingGroup, FindingState, ParameterChange
 
 GROUP: Final = "autopilot's parameters"
 _GROUP: Final = FindingGroup(GROUP)
@@ -38,6 +47,8 @@ _OVERRIDE_OFFBOARD: Final = 2  # COM_RC_OVERRIDE bit 1
 _EXCEPT_OFFBOARD: Final = 4  # COM_RCL_EXCEPT bit 2
 _CONTINUE_GUIDED: Final = 4  # FS_OPTIONS bit 2
 _FASTEST_LAND_CM_S: Final = 70.0
+# PX4's COM_OBL_RC_ACT, and how long it may fly on the last setpoint: docs/reference/autopilot-parameters.md
+_HOLD, _LAND, _LAND_TIMEOUT_S, _HOLD_TIMEOUT_S = 5.0, 4, 0.5, 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,9 +91,43 @@ class Wanted:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class ParameterReadings:
+    """What the autopilot reported: its system id; values and MAV_PARAM_TYPE by name."""
+
+    system_id: int
+    values: Mapping[str, float | None]
+    types: Mapping[str, int]
+
+
 # (state, what was expected and why it matters); None: all is well
 Verdict = tuple[FindingState, str] | None
 _Judge = Callable[[float, Wanted], Verdict]
+_Target = Callable[[float, Wanted, ParameterReadings], float]
+
+
+@dataclass(frozen=True, slots=True)
+class _Rule:
+    """How a parameter is judged, and what one that differs is set to.
+
+    The target is the expected value nearest to the firmware's default. The hover thrust has none: either the
+    autopilot's or the vehicle file's is wrong, and only a hover tells which.
+    """
+
+    judge: _Judge
+    target: _Target | None = None
+
+
+def _to(value: float) -> _Target:
+    return lambda _value, _wanted, _read: value
+
+
+def _bits(set_: int = 0, cleared: int = 0) -> _Target:
+    return lambda value, _wanted, _read: float((int(value) | set_) & ~cleared)
+
+
+def _offboard_timeout(_value: float, _wanted: Wanted, read: ParameterReadings) -> float:
+    return _LAND_TIMEOUT_S if read.values.get("COM_OBL_RC_ACT") == _LAND else _HOLD_TIMEOUT_S
 
 
 def _fail(text: str) -> Verdict:
@@ -140,7 +185,7 @@ def _positive(text: str) -> _Judge:
     return lambda value, _: None if value > 0.0 else _warn(text)
 
 
-def _tilt(scale: float) -> _Judge:
+def _tilt(scale: float) -> _Rule:
     def judge(value: float, wanted: Wanted) -> Verdict:
         if scale * value >= wanted.tilt_deg:
             return None
@@ -149,7 +194,10 @@ def _tilt(scale: float) -> _Judge:
             "smaller one, and follows fast pads less well in wind"
         )
 
-    return judge
+    def target(_value: float, wanted: Wanted, _read: ParameterReadings) -> float:
+        return wanted.tilt_deg if scale == 1.0 else float(math.ceil(wanted.tilt_deg / scale - 1e-6))
+
+    return _Rule(judge, target)
 
 
 def _hover_thrust(value: float, wanted: Wanted) -> Verdict:
@@ -171,13 +219,13 @@ def _thrust_is_thrust(value: float, wanted: Wanted) -> Verdict:
     return _fail(f"{why}, and control is refused")
 
 
-def _speed(key: str, pick: Callable[[Wanted], float]) -> _Judge:
+def _speed(key: str, pick: Callable[[Wanted], float]) -> _Rule:
     def judge(value: float, wanted: Wanted) -> Verdict:
         if value >= pick(wanted):
             return None
         return _warn(f"expected {pick(wanted):g} or more (control.limits.{key}): setpoints are cut to it")
 
-    return judge
+    return _Rule(judge, lambda _value, wanted, _read: pick(wanted))
 
 
 def _land_speed(unit: float, name: str) -> _Judge:
@@ -192,76 +240,93 @@ def _velocity_shaping(value: float, wanted: Wanted) -> Verdict:
     return _warn("expected more than 0: velocity setpoints are shaped by it")
 
 
-JUDGES: Final[dict[AutopilotKind, dict[str, _Judge]]] = {
+_STAYS_ARMED: Final = "expected more than 0: on the pad it does not disarm by itself; the app has to"
+_NO_STICKS: Final = "in Offboard only the mode switch takes over, the sticks do not"
+
+RULES: Final[dict[AutopilotKind, dict[str, _Rule]]] = {
     "px4": {
-        "COM_OF_LOSS_T": _timeout("px4"),
-        "COM_OBL_RC_ACT": _offboard_loss,
-        "COM_RC_OVERRIDE": _bit(
-            _OVERRIDE_OFFBOARD,
-            set_=True,
-            text="expected bit 1 (value 2): in Offboard only the mode switch takes over, the sticks do not",
+        "COM_OF_LOSS_T": _Rule(_timeout("px4"), _offboard_timeout),
+        "COM_OBL_RC_ACT": _Rule(_offboard_loss, _to(_HOLD)),
+        "COM_RC_OVERRIDE": _Rule(
+            _bit(_OVERRIDE_OFFBOARD, set_=True, text=f"expected bit 1 (value 2): {_NO_STICKS}"),
+            _bits(set_=_OVERRIDE_OFFBOARD),
         ),
-        "COM_RCL_EXCEPT": _bit(
-            _EXCEPT_OFFBOARD,
-            set_=False,
-            text="expected bit 2 (value 4) off: in Offboard the loss of the remote control is ignored",
+        "COM_RCL_EXCEPT": _Rule(
+            _bit(
+                _EXCEPT_OFFBOARD,
+                set_=False,
+                text="expected bit 2 (value 4) off: in Offboard the loss of the remote control is ignored",
+            ),
+            _bits(cleared=_EXCEPT_OFFBOARD),
         ),
-        "COM_DISARM_LAND": _positive(
-            "expected more than 0: on the pad it does not disarm by itself; the app has to"
-        ),
+        "COM_DISARM_LAND": _Rule(_positive(_STAYS_ARMED), _to(2.0)),
         "MPC_TILTMAX_AIR": _tilt(1.0),
-        "MPC_THR_HOVER": _hover_thrust,
-        "MPC_USE_HTE": _positive(
-            "expected 1: the hover thrust is not learnt; height and land detector suffer as the battery sinks"
+        "MPC_THR_HOVER": _Rule(_hover_thrust),
+        "MPC_USE_HTE": _Rule(
+            _positive(
+                "expected 1: the hover thrust is not learnt; height and land detector suffer as the battery "
+                "sinks"
+            ),
+            _to(1.0),
         ),
         "MPC_Z_VEL_MAX_DN": _speed("descent_speed_m_s", lambda wanted: wanted.descent_m_s),
         "MPC_Z_VEL_MAX_UP": _speed("climb_speed_m_s", lambda wanted: wanted.climb_m_s),
     },
     "ardupilot": {
-        "GUID_TIMEOUT": _timeout("ardupilot"),
-        "FENCE_ENABLE": _fence(lambda value: value <= 0.0),
-        "FENCE_TYPE": _fence(lambda value: not int(value) & CIRCLE_FENCE),
-        "FENCE_ACTION": _fence(lambda value: value <= 0.0),
-        GUIDED_OPTIONS: _thrust_is_thrust,
+        "GUID_TIMEOUT": _Rule(_timeout("ardupilot"), _to(1.0)),
+        "FENCE_ENABLE": _Rule(_fence(lambda value: value <= 0.0), _to(1.0)),
+        "FENCE_TYPE": _Rule(_fence(lambda value: not int(value) & CIRCLE_FENCE), _bits(set_=CIRCLE_FENCE)),
+        "FENCE_ACTION": _Rule(_fence(lambda value: value <= 0.0), _to(1.0)),
+        GUIDED_OPTIONS: _Rule(_thrust_is_thrust, _bits(set_=THRUST_IS_THRUST)),
         "ANGLE_MAX": _tilt(_CENTI),
-        "MOT_THST_HOVER": _hover_thrust,
-        "FS_THR_ENABLE": _positive(
-            "expected an action (1 RTL, 3 Land, ...): the loss of the remote control is not noticed"
-        ),
-        "FS_OPTIONS": _bit(
-            _CONTINUE_GUIDED,
-            set_=False,
-            text="expected bit 2 (value 4) off: in GUIDED the loss of the remote control is ignored",
-        ),
-        "DISARM_DELAY": _positive(
-            "expected more than 0: on the pad it does not disarm by itself; the app has to"
-        ),
-        "LAND_SPEED": _land_speed(1.0, "cm/s"),
-        "WPNAV_ACCEL": _velocity_shaping,
-        "PSC_JERK_XY": _velocity_shaping,
-    },
-}  # fmt: skip
-# the same by the names and units of other versions (`AutopilotMake.other_names`)
-OTHERS: Final[dict[AutopilotKind, dict[str, dict[str, _Judge]]]] = {
-    "px4": {
-        "COM_RC_OVERRIDE": {
-            "COM_RC_OVR_SPEED": _positive(
-                "expected more than 0: in Offboard only the mode switch takes over, the sticks do not"
+        "MOT_THST_HOVER": _Rule(_hover_thrust),
+        "FS_THR_ENABLE": _Rule(
+            _positive(
+                "expected an action (1 RTL, 3 Land, ...): the loss of the remote control is not noticed"
             ),
-        },
+            _to(1.0),
+        ),
+        "FS_OPTIONS": _Rule(
+            _bit(
+                _CONTINUE_GUIDED,
+                set_=False,
+                text="expected bit 2 (value 4) off: in GUIDED the loss of the remote control is ignored",
+            ),
+            _bits(cleared=_CONTINUE_GUIDED),
+        ),
+        "DISARM_DELAY": _Rule(_positive(_STAYS_ARMED), _to(10.0)),
+        "LAND_SPEED": _Rule(_land_speed(1.0, "cm/s"), _to(50.0)),
+        "WPNAV_ACCEL": _Rule(_velocity_shaping, _to(250.0)),
+        "PSC_JERK_XY": _Rule(_velocity_shaping, _to(5.0)),
+    },
+}
+# the same by the names and units of other versions (`AutopilotMake.other_names`)
+OTHERS: Final[dict[AutopilotKind, dict[str, dict[str, _Rule]]]] = {
+    "px4": {
+        "COM_RC_OVERRIDE": {"COM_RC_OVR_SPEED": _Rule(_positive(f"expected more than 0: {_NO_STICKS}"))},
     },
     "ardupilot": {
         "ANGLE_MAX": {"ATC_ANGLE_MAX": _tilt(1.0)},
-        "LAND_SPEED": {"LAND_SPD_MS": _land_speed(_CENTI, "m/s")},
-        "WPNAV_ACCEL": {"WP_ACC": _velocity_shaping},
-        "PSC_JERK_XY": {"PSC_NE_JERK": _velocity_shaping},
+        "LAND_SPEED": {"LAND_SPD_MS": _Rule(_land_speed(_CENTI, "m/s"), _to(0.5))},
+        "WPNAV_ACCEL": {"WP_ACC": _Rule(_velocity_shaping, _to(2.5))},
+        "PSC_JERK_XY": {"PSC_NE_JERK": _Rule(_velocity_shaping, _to(5.0))},
     },
+}
+
+
+def _names(autopilot_kind: AutopilotKind, first: str) -> dict[str, _Rule]:
+    """What a parameter is called, with the rule of each name's unit."""
+    return {first: RULES[autopilot_kind][first], **OTHERS[autopilot_kind].get(first, {})}
+
+
+_BY_NAME: Final = {
+    name: rule for kind in RULES for first in RULES[kind] for name, rule in _names(kind, first).items()
 }
 
 
 def parameter_names(autopilot_kind: AutopilotKind) -> tuple[str, ...]:
     """Those to read, by the names of all versions: only one of each answers. A judge may need others, too."""
-    judged = [name for first in JUDGES[autopilot_kind] for name in _names(autopilot_kind, first)]
+    judged = [name for first in RULES[autopilot_kind] for name in _names(autopilot_kind, first)]
     needed = [
         name
         for first in PROFILES[autopilot_kind].read_parameters
@@ -277,20 +342,15 @@ def judge_parameters(
     kind, found = autopilot_kind, []
     told = {first: value_of(kind, first, values) for first in PROFILES[kind].read_parameters}
     wanted = replace(wanted, setup=setup_of(kind, told, wanted.system_id))
-    for first in JUDGES[kind]:
+    for first in RULES[kind]:
         names = _names(kind, first)
         reported = [name for name in names if values.get(name) is not None]
         if not reported and first in PROFILES[kind].loss_parameters:
             why = "an answer: what it does when setpoints stop is not known; control is refused"
             found.append(_GROUP.fail(first, "the autopilot does not report it", f"expected {why}"))
             continue
-        found += [_finding(name, values.get(name), names[name], wanted) for name in reported or [first]]
+        found += [_finding(name, values.get(name), names[name].judge, wanted) for name in reported or [first]]
     return found
-
-
-def _names(autopilot_kind: AutopilotKind, first: str) -> dict[str, _Judge]:
-    """What a parameter is called, with the judge of each name's unit."""
-    return {first: JUDGES[autopilot_kind][first], **OTHERS[autopilot_kind].get(first, {})}
 
 
 def _finding(name: str, value: float | None, judge: _Judge, wanted: Wanted) -> Finding:
@@ -300,3 +360,51 @@ def _finding(name: str, value: float | None, judge: _Judge, wanted: Wanted) -> F
     if verdict is None:
         return _GROUP.ok(name, f"{value:g}")
     return Finding(GROUP, name, verdict[0], f"{value:g}", verdict[1])
+
+
+# ---------------------------------------------------------------- as a file
+
+_REAL: Final = mavlink.MAV_PARAM_TYPE_REAL32
+
+HEADER: Final = f"""\
+# companion {__version__}: the autopilot's parameters that differ from what a landing needs, and why.
+# QGroundControl: Vehicle Setup, Parameters, Tools, Load from file.
+# Mission Planner: Config, Full Parameter List, Load from file, Write Params.
+# Each parameter stands here in the form of the one and in that of the other.
+"""
+
+
+def with_changes(findings: Sequence[Finding], read: ParameterReadings, wanted: Wanted) -> list[Finding]:
+    """The findings about parameters; those that differ with what the parameter is to become."""
+    return [_with_change(finding, read, wanted) for finding in findings]
+
+
+def _with_change(finding: Finding, read: ParameterReadings, wanted: Wanted) -> Finding:
+    value = read.values.get(finding.name)
+    if value is None or finding.state not in {FindingState.WARNING, FindingState.FAIL}:
+        return finding
+    rule = _BY_NAME.get(finding.name)
+    expected = None if rule is None or rule.target is None else rule.target(value, wanted, read)
+    mav_type = read.types.get(finding.name, _REAL)
+    return replace(finding, change=ParameterChange(read.system_id, value, expected, mav_type))
+
+
+def parameters_read(findings: Sequence[Finding]) -> bool:
+    """Whether the autopilot reported any parameter."""
+    return any(item.group == GROUP and item.state is not FindingState.NOT_CHECKED for item in findings)
+
+
+def parameter_file(findings: Sequence[Finding]) -> str:
+    """The text of the file; a parameter without an expected value is a comment alone."""
+    changed = [(finding, finding.change) for finding in findings if finding.change is not None]
+    text = HEADER + ("" if changed else "# no parameter differs\n")
+    for finding, change in changed:
+        lead = f"{finding.name} is {change.value:g}"
+        if change.expected is None:
+            text += f"#\n# not set here: {lead}; {finding.hint}\n"
+            continue
+        value = f"{change.expected:.9g}"
+        text += f"#\n# {lead}; {finding.hint}\n"
+        text += f"{change.system_id}\t{AUTOPILOT_COMPONENT}\t{finding.name}\t{value}\t{change.mav_type}\n"
+        text += f"{finding.name},{value}\n"
+    return text

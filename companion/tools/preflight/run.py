@@ -3,19 +3,82 @@
 from __future__ import annotations
 
 import asyncio
+import math
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
 from companion.app.service.autopilot_lock import app_at
 from companion.base.clock import start_unix_s
-from companion.config import CompanionConfig
+from companion.base.magnetic_field import compare_declination
+from companion.base.messages import Quantity, SourceComparison
+from companion.base.second_sources import SourceState, judged
+from companion.config import CompanionConfig, EstimateConfig
 from companion.tools.preflight.autopilot import check_link, without_link
 from companion.tools.preflight.calibrations import check_files
 from companion.tools.preflight.computer import SERVICE, ServiceState, check_computer, service_state
 from companion.tools.preflight.devices import check_devices, without_devices
-from companion.tools.preflight.findings import Finding
-from companion.tools.preflight.second_sources import compared
+from companion.tools.preflight.findings import Finding, FindingGroup
+
+# of the difference of two horizons at rest: accelerometers' offsets, and how the boards lie
+HORIZON_STD_DEG: Final = 0.8
+_GROUP: Final = FindingGroup("second sources")
+
+
+def compared(
+    devices: Sequence[Finding], link: Sequence[Finding], config: EstimateConfig, now: datetime
+) -> list[Finding]:
+    """What the findings of devices and link have measured: two horizons, and the magnetic field's place."""
+    return [_horizons(devices, link), _declination([*devices, *link], config, now)]
+
+
+def _horizons(devices: Sequence[Finding], link: Sequence[Finding]) -> Finding:
+    """Our horizon against the autopilot's."""
+    horizons = [
+        next((finding.horizon_rad for finding in found if finding.horizon_rad is not None), None)
+        for found in (devices, link)
+    ]
+    ours, theirs = horizons
+    if ours is None or theirs is None:
+        return _GROUP.skip(Quantity.ATTITUDE, "it takes our IMU at rest and the autopilot's attitude")
+    return _judged(
+        SourceComparison(
+            0.0,
+            Quantity.ATTITUDE,
+            _words(ours),
+            _words(theirs),
+            difference=math.degrees(math.dist(ours, theirs)),
+            std=HORIZON_STD_DEG,
+        )
+    )
+
+
+def _declination(found: Sequence[Finding], config: EstimateConfig, now: datetime) -> Finding:
+    """The setting of the field against the model's where it stands: our fix, else the autopilot's home."""
+    place = next((finding.place for finding in found if finding.place is not None), None)
+    if place is None:
+        return _GROUP.skip(Quantity.DECLINATION, "it takes a GPS fix, or the autopilot's home")
+    told_ned_ut, told_std_ut = config.magnetic_field_ned_ut, config.ekf.field_std_ut
+    return _judged(compare_declination(told_ned_ut, told_std_ut, place, now.timestamp()))
+
+
+def _judged(comparison: SourceComparison) -> Finding:
+    quantity = comparison.quantity
+    row, state, figures = next(each for each in judged([comparison]) if each[0].quantity == quantity)
+    if state is SourceState.REFUSED:
+        return _GROUP.fail(row.quantity, figures, row.hint)
+    if state is SourceState.DIFFERS:
+        return _GROUP.warn(row.quantity, figures, row.hint)
+    return _GROUP.ok(row.quantity, figures)
+
+
+def _words(horizon_rad: tuple[float, float]) -> str:
+    roll_deg, pitch_deg = map(math.degrees, horizon_rad)
+    return f"roll {roll_deg:.1f}, pitch {pitch_deg:.1f} deg"
+
+
+# ---------------------------------------------------------------- the preflight check
 
 TAKEN: Final = "is running and has it: two programs on one device harm both"
 STOP_IT: Final = f"sudo systemctl stop {SERVICE}, check, and start it again"

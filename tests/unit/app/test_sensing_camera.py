@@ -20,9 +20,9 @@ from companion.pad import load_pad
 from companion.sense.camera.health import patience_with
 from companion.sense.camera.keeper import KeptCamera, LiveSource
 from companion.sense.vision.pipeline import Vision
-from companion.tools.pad_check.samples import RecentSamples
+from companion.tools.pad_check.moves import RecentSamples
 from companion.tools.pad_check.session import Outlets, PadCheck
-from companion.tools.pad_check.steps import Say
+from companion.tools.pad_check.wizard import Say
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
 from tests.unit.sense.camera.camera_frames import ScriptedCamera

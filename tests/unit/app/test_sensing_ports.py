@@ -14,7 +14,7 @@ from companion.config import CompanionConfig
 from companion.flightlog.record import FlightLog
 from companion.link.codec import Severity
 from companion.link.inbox import memory_pair
-from companion.tools.pad_check.samples import RecentSamples
+from companion.tools.pad_check.moves import RecentSamples
 
 MISSING = "serial port /dev/ttyAMA0: cannot be opened"
 PLUGGED_IN_S = 6.5

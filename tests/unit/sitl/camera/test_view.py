@@ -107,9 +107,9 @@ async def test_a_browser_gets_a_page_and_the_pictures(tmp_path: Path) -> None:
     page = MjpegServer()
     port = await page.start(0)
     assert b'src="/stream"' in await get(port, "/")
-    assert (await get(port, "/secrets")).startswith(b"HTTP/1.1 404")
+    assert (await get(port, "/secrets")).startswith(b"HTTP/1.0 404")
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
-    writer.write(b"GET /stream HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    writer.write(b"GET /stream HTTP/1.0\r\nHost: localhost\r\n\r\n")
     head = await reader.readuntil(b"\r\n\r\n")
     assert b"multipart/x-mixed-replace; boundary=frame" in head
     for level in (30, 200):
@@ -128,7 +128,7 @@ async def test_a_browser_gets_a_page_and_the_pictures(tmp_path: Path) -> None:
 
 async def get(port: int, path: str) -> bytes:
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
-    writer.write(f"GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+    writer.write(f"GET {path} HTTP/1.0\r\nHost: localhost\r\n\r\n".encode())
     answer = await asyncio.wait_for(reader.read(), 5.0)
     writer.close()
     return answer

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from companion.base.geometry import IDENTITY
 from companion.config import CameraConfig, VehicleConfig, VisionConfig, find_file, load_model
 from companion.pad import load_pad
-from companion.tools.detect.finder import Found, PadFinder
-from companion.tools.detect.overlay import GROUP_COLOURS, OUTLINE, UNUSED, draw
+from companion.tools.detect.run import GROUP_COLOURS, OUTLINE, UNUSED, Found, PadFinder, draw
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
 from tests.programs import ProgramHere

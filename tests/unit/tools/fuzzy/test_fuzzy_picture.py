@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from companion.plan.speed.fuzzy_rules import load_rules
 from companion.plan.speed.speed_table import load_table
-from companion.tools.fuzzy import plots
+from companion.tools.fuzzy import run as plots
 
 
 def test_every_axis_label_lies_within_the_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

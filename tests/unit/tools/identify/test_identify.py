@@ -23,7 +23,7 @@ from companion.control.response.identification import IdentifiedResponse, Respon
 from companion.flightlog.record import FlightLog
 from companion.tools.identify import judge
 from companion.tools.identify.command import identify_command
-from companion.tools.identify.flight import read_flight
+from companion.tools.identify.judge import read_flight
 from tests.unit.control.controller_inputs import vehicle_state
 
 PERIOD_S = 1.0 / 30.0

@@ -20,10 +20,9 @@ from companion.link.inbox import memory_pair
 from companion.sense.camera.source import FrameSource
 from companion.sim.settings import SIMULATED_HARDWARE
 from companion.tools.pad_check.causes import Mounting
-from companion.tools.pad_check.samples import RecentSamples
+from companion.tools.pad_check.moves import RecentSamples
 from companion.tools.pad_check.session import Outlets, PadCheck
-from companion.tools.pad_check.steps import Say
-from companion.tools.pad_check.wizard import Report
+from companion.tools.pad_check.wizard import Report, Say
 from sitl.run.in_process import carried
 from sitl.scenario.scenario import Scenario
 from sitl.vehicle.hand_motion import HandMotion

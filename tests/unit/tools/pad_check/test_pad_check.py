@@ -10,7 +10,7 @@ import pytest
 
 from companion.base.messages import Frame
 from companion.config import ConfigError
-from companion.tools.pad_check.report import verdict_line
+from companion.tools.pad_check.job import verdict_line
 from tests.unit.tools.pad_check.hand_check import check, mirrored, settings, vehicle_file
 
 

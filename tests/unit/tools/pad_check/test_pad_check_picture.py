@@ -12,7 +12,7 @@ from companion.base.messages import Frame, PadSighting
 from companion.config import CameraConfig, VehicleConfig, VisionConfig, find_file, load_model
 from companion.pad import load_pad
 from companion.sense.vision.pipeline import Vision
-from companion.tools.pad_check.picture import draw
+from companion.tools.pad_check.session import draw
 from companion.tools.pad_check.wizard import Wizard
 from tests.unit.tools.pad_check.hand_check import MOUNTING
 

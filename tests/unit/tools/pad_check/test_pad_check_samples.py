@@ -21,10 +21,9 @@ from companion.base.geometry import (
     scale,
 )
 from companion.base.messages import ImuSample, MagSample, PadSighting, RangeSample
-from companion.tools.pad_check.report import cause_lines, report_json, verdict_line
-from companion.tools.pad_check.samples import RecentSamples
-from companion.tools.pad_check.steps import STEPS, Say
-from companion.tools.pad_check.wizard import STEP_TIMEOUT_S, Report, Wizard
+from companion.tools.pad_check.job import cause_lines, report_json, verdict_line
+from companion.tools.pad_check.moves import RecentSamples
+from companion.tools.pad_check.wizard import STEP_TIMEOUT_S, STEPS, Report, Say, Wizard
 from tests.unit.tools.pad_check.hand_check import MOUNTING, Checked, check
 
 QUESTIONS = (

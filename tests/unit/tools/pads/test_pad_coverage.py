@@ -9,8 +9,16 @@ import pytest
 
 from companion.config import CameraConfig, find_file, load_model
 from companion.pad import Marker, Pad, load_pad
-from companion.tools.pads.coverage import HOVER, SMALL_LENS, HoverSpread, predict, seen_between
-from companion.tools.pads.recall import FITTED, Optics, RecallModel
+from companion.tools.pads.coverage import (
+    FITTED,
+    HOVER,
+    SMALL_LENS,
+    HoverSpread,
+    Optics,
+    RecallModel,
+    predict,
+    seen_between,
+)
 from tests.unit.tools.pads.hover_frames import Hover
 
 CERTAIN = RecallModel(0.01, 50.0, 50.0, 50.0, 1.0)

@@ -10,8 +10,7 @@ import pytest
 
 from companion.base.printing.page import PNG_DPI, save
 from companion.pad import Pad, load_pad
-from companion.tools.pads.labels import place_labels, words_of
-from companion.tools.pads.printing import clip, draw_pad, tiles
+from companion.tools.pads.printing import clip, draw_pad, place_labels, tiles, words_of
 from tests.unit.tools.pads.printed import (
     PX_PER_MM,
     Printed,

@@ -14,15 +14,16 @@ from companion.link.codec import mavlink
 from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.tools.pad_check import job
 from companion.tools.pad_check.command import check_command
-from companion.tools.preflight.findings import Finding, FindingState
-from companion.tools.preflight.parameter_file import (
-    TARGETS,
+from companion.tools.preflight.findings import Finding, FindingState, findings_json
+from companion.tools.preflight.parameters import (
+    GROUP,
+    RULES,
     ParameterReadings,
+    Wanted,
+    judge_parameters,
     parameter_file,
     with_changes,
 )
-from companion.tools.preflight.parameters import GROUP, JUDGES, Wanted, judge_parameters
-from companion.tools.preflight.report import findings_json
 
 VEHICLE = load_model(VehicleConfig, find_file("vehicles", "x500"))
 REAL, INT32, INT16 = mavlink.MAV_PARAM_TYPE_REAL32, mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_INT16
@@ -102,7 +103,7 @@ def as_mission_planner(text: str) -> dict[str, float]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_both_ground_stations_take_the_same_and_what_they_set_is_expected(kind: AutopilotKind) -> None:
-    assert BAD[kind].keys() == JUDGES[kind].keys()
+    assert BAD[kind].keys() == RULES[kind].keys()
     text = parameter_file(found(kind, BAD[kind]))
     theirs = as_mission_planner(text)
     assert theirs.keys() == BAD[kind].keys() - UNSETTLED
@@ -191,10 +192,9 @@ def test_the_file_is_written_or_the_reason_why_not_is_said(
         assert not target.exists()
 
 
-def test_every_target_is_a_parameters_that_is_judged_or_its_newer_name() -> None:
-    newer = {"ATC_ANGLE_MAX", "LAND_SPD_MS", "WP_ACC", "PSC_NE_JERK"}
-    assert TARGETS.keys() | UNSETTLED >= JUDGES["px4"].keys() | JUDGES["ardupilot"].keys()
-    assert TARGETS.keys() <= newer | JUDGES["px4"].keys() | JUDGES["ardupilot"].keys()
+def test_only_what_a_hover_settles_has_no_target() -> None:
+    rules = {name: rule for kind in RULES for name, rule in RULES[kind].items()}
+    assert {name for name, rule in rules.items() if rule.target is None} == UNSETTLED
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from companion.base.geometry import Vector3
 from companion.config import EstimateConfig
 from companion.tools.preflight.findings import Finding, FindingGroup, FindingState
-from companion.tools.preflight.second_sources import compared
+from companion.tools.preflight.run import compared
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 ZURICH, CAPE_TOWN = (47.4, 8.5, 488.0), (-33.9, 18.4, 20.0)

@@ -15,9 +15,8 @@ from companion.link.codec import Codec, mavlink
 from companion.link.dialect import CURRENT_MODE
 from companion.link.streams import telemetry_rates_hz
 from companion.tools.preflight.findings import FindingState
-from companion.tools.preflight.losses import FrameCounter
-from companion.tools.preflight.parameter_file import ParameterReadings
-from companion.tools.preflight.telemetry import Heard, judge
+from companion.tools.preflight.parameters import ParameterReadings
+from companion.tools.preflight.telemetry import FrameCounter, Heard, judge
 
 STATE = AutopilotState(
     time_s=0.0, connected=True, autopilot_kind="px4", mode="AUTO.LOITER", ready_to_arm=True, battery_share=0.9
