@@ -12,8 +12,6 @@ stopped in a third, hands back, is started again, and lands.
 watchdog restarts the service into standby; nothing is armed or ordered by it, and the next landing is well.
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import re

@@ -1,7 +1,5 @@
 """The deployment scripts, which fetch a Debian root: run where COMPANION_DEPLOY names a folder for them."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

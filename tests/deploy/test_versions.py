@@ -1,7 +1,5 @@
 """install.sh and companion-rollback on made-up releases: one whole version is in use, whatever happens."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
@@ -13,8 +11,26 @@ pytestmark = pytest.mark.skipif(PIP is None, reason="this Python has no ensurepi
 
 
 @pytest.fixture
-def system(tmp_path: Path) -> System:
+def empty(tmp_path: Path) -> System:
     return System.made(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def kept_with_1_0(tmp_path_factory: pytest.TempPathFactory) -> tuple[System, Path]:
+    """A system with 1.0, installed once for all tests, and a copy: an installed version stays where it is."""
+    folder = tmp_path_factory.mktemp("versions")
+    system = System.made(folder / "system")
+    installed(system, folder, "1.0")
+    return system, Path(shutil.copytree(folder / "system", folder / "kept", symlinks=True))
+
+
+@pytest.fixture
+def system(kept_with_1_0: tuple[System, Path]) -> System:
+    """Version 1.0 is installed, and nothing has happened since."""
+    system, kept = kept_with_1_0
+    shutil.rmtree(system.base.parent)
+    shutil.copytree(kept, system.base.parent, symlinks=True)
+    return system
 
 
 def installed(system: System, folder: Path, version: str) -> None:
@@ -28,20 +44,19 @@ def unit(system: System) -> str:
 
 
 def test_a_first_installation_starts_nothing_and_puts_the_shipped_settings(
-    system: System, tmp_path: Path
+    empty: System, tmp_path: Path
 ) -> None:
-    installed(system, tmp_path, "1.0")
-    assert system.starts == []
-    assert (system.base / "etc/companion/companion.yaml").read_text() == "# shipped\n"
-    assert (system.prefix / "current/REVISION").read_text() == "abc\n"
-    assert (system.prefix / "current/configs/companion.yaml").exists()
-    assert system.run(system.base / "usr/local/bin/companion", "--version").stdout == "1.0\n"
+    installed(empty, tmp_path, "1.0")
+    assert empty.starts == []
+    assert (empty.base / "etc/companion/companion.yaml").read_text() == "# shipped\n"
+    assert (empty.prefix / "current/REVISION").read_text() == "abc\n"
+    assert (empty.prefix / "current/configs/companion.yaml").exists()
+    assert empty.run(empty.base / "usr/local/bin/companion", "--version").stdout == "1.0\n"
 
 
 def test_an_upgrade_restarts_a_service_that_stands_by_says_so_and_leaves_settings_and_keys(
     system: System, tmp_path: Path
 ) -> None:
-    installed(system, tmp_path, "1.0")
     token, settings = (system.base / "etc/companion" / name for name in ("page-token", "companion.yaml"))
     token.write_text("secret")
     token.chmod(0o600)
@@ -63,7 +78,6 @@ def test_no_line_of_the_installer_changes_who_owns_the_settings() -> None:
 
 
 def test_one_that_does_not_come_up_is_taken_back_with_the_service_up(system: System, tmp_path: Path) -> None:
-    installed(system, tmp_path, "1.0")
     system.serves()
     done = system.run(release(tmp_path, "1.1", fault="fault") / "install.sh")
     assert done.returncode == 1
@@ -75,7 +89,6 @@ def test_one_that_does_not_come_up_is_taken_back_with_the_service_up(system: Sys
 def test_one_that_runs_and_says_nothing_is_told_apart_from_one_that_went_down(
     system: System, tmp_path: Path
 ) -> None:
-    installed(system, tmp_path, "1.0")
     system.serves()
     (system.programs / "journalctl").write_text("#!/bin/sh\necho 'NEO-6M: nothing received'\n")
     done = system.run(release(tmp_path, "1.1", fault="mute") / "install.sh")
@@ -97,7 +110,6 @@ def test_one_that_runs_and_says_nothing_is_told_apart_from_one_that_went_down(
 def test_in_flight_nothing_is_changed(
     status: dict[str, object], why: str, system: System, tmp_path: Path
 ) -> None:
-    installed(system, tmp_path, "1.0")
     system.serves(**status)
     done = system.run(release(tmp_path, "1.1") / "install.sh")
     assert done.returncode == 2
@@ -109,7 +121,6 @@ def test_in_flight_nothing_is_changed(
 
 
 def test_a_service_that_runs_and_does_not_answer_is_not_restarted(system: System, tmp_path: Path) -> None:
-    installed(system, tmp_path, "1.0")
     (system.base / "active").touch()
     done = system.run(release(tmp_path, "1.1") / "install.sh")
     assert done.returncode == 2
@@ -120,7 +131,6 @@ def test_a_service_that_runs_and_does_not_answer_is_not_restarted(system: System
 def test_without_a_package_it_needs_nothing_is_changed_and_one_line_says_so(
     system: System, tmp_path: Path
 ) -> None:
-    installed(system, tmp_path, "1.0")
     system.serves()
     done = system.run(release(tmp_path, "1.1", needs="no-such-package") / "install.sh")
     assert done.returncode == 2
@@ -130,10 +140,10 @@ def test_without_a_package_it_needs_nothing_is_changed_and_one_line_says_so(
     assert (system.in_use, system.starts, system.versions) == ("1.0", [], {"1.0"})
 
 
+@pytest.mark.slow
 def test_from_a_checkout_without_a_network_nothing_is_changed_and_one_line_says_so(
     system: System, tmp_path: Path
 ) -> None:
-    installed(system, tmp_path, "1.0")
     system.serves()
     done = system.run(SYSTEMD / "install.sh", PIP_NO_INDEX="1", PIP_CONFIG_FILE="/dev/null")
     assert done.returncode == 2
@@ -142,25 +152,24 @@ def test_from_a_checkout_without_a_network_nothing_is_changed_and_one_line_says_
     assert (system.in_use, system.starts, system.versions) == ("1.0", [], {"1.0"})
 
 
-def test_a_damaged_release_is_refused(system: System, tmp_path: Path) -> None:
+def test_a_damaged_release_is_refused(empty: System, tmp_path: Path) -> None:
     bundle = release(tmp_path, "1.0")
     with (bundle / "constraints.txt").open("a") as file:
         file.write("x")
-    done = system.run(bundle / "install.sh")
+    done = empty.run(bundle / "install.sh")
     assert done.returncode == 2
     assert "damaged or missing" in done.stderr
-    assert system.in_use is None
+    assert empty.in_use is None
 
 
-def test_a_release_for_another_computer_is_refused(system: System, tmp_path: Path) -> None:
+def test_a_release_for_another_computer_is_refused(empty: System, tmp_path: Path) -> None:
     bundle = release(tmp_path, "1.0")
     (bundle / "ARCHITECTURE").write_text("riscv64\n")
-    done = system.run(bundle / "install.sh")
+    done = empty.run(bundle / "install.sh")
     assert (done.returncode, "this release is for riscv64" in done.stderr) == (2, True)
 
 
 def test_back_by_hand_forward_again_and_the_same_again(system: System, tmp_path: Path) -> None:
-    installed(system, tmp_path, "1.0")
     rollback = system.base / "usr/local/bin/companion-rollback"
     assert "there is no version before 1.0" in system.run(rollback).stderr
     system.serves()
@@ -178,13 +187,12 @@ def test_back_by_hand_forward_again_and_the_same_again(system: System, tmp_path:
 
 
 def test_the_version_in_use_and_the_one_before_it_are_kept(system: System, tmp_path: Path) -> None:
-    for version in ("1.0", "1.1", "1.2"):
+    for version in ("1.1", "1.2"):
         installed(system, tmp_path, version)
     assert system.versions == {"1.1", "1.2"}
 
 
 def test_another_content_of_the_same_version_gets_a_folder_of_its_own(system: System, tmp_path: Path) -> None:
-    installed(system, tmp_path, "1.0")
     system.serves()
     done = system.run(release(tmp_path / "other", "1.0", fault="fault") / "install.sh")
     assert done.returncode == 1
@@ -192,22 +200,23 @@ def test_another_content_of_the_same_version_gets_a_folder_of_its_own(system: Sy
     assert (system.prefix / "versions/1.0/COMPLETE").exists()
 
 
-def test_the_layout_of_0_1_is_kept_until_it_is_not_the_one_before(system: System, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_the_layout_of_0_1_is_kept_until_it_is_not_the_one_before(empty: System, tmp_path: Path) -> None:
     """GIVEN 0.1, straight in /opt/companion WHEN upgraded THEN it can be gone back to, as any version."""
     old = tmp_path / "old"
-    shutil.copytree(old_layout(system, tmp_path), old)
-    system.serves()
-    done = system.run(release(tmp_path, "1.1", fault="fault") / "install.sh")
+    shutil.copytree(old_layout(empty, tmp_path), old)
+    empty.serves()
+    done = empty.run(release(tmp_path, "1.1", fault="fault") / "install.sh")
     assert done.returncode == 1, done.stderr
-    assert (system.in_use, unit(system)) == ("0.1.0", "# 0.1")
-    installed(system, tmp_path, "1.2")
-    assert (system.prefix / ".venv").exists()
-    assert system.run(system.base / "usr/local/bin/companion-rollback").returncode == 0
-    assert system.run(system.base / "usr/local/bin/companion", "--version").stdout == "0.1.0\n"
-    installed(system, tmp_path, "1.3")
-    installed(system, tmp_path, "1.4")
-    assert not (system.prefix / ".venv").exists()
-    assert not (system.prefix / "companion").exists()
+    assert (empty.in_use, unit(empty)) == ("0.1.0", "# 0.1")
+    installed(empty, tmp_path, "1.2")
+    assert (empty.prefix / ".venv").exists()
+    assert empty.run(empty.base / "usr/local/bin/companion-rollback").returncode == 0
+    assert empty.run(empty.base / "usr/local/bin/companion", "--version").stdout == "0.1.0\n"
+    installed(empty, tmp_path, "1.3")
+    installed(empty, tmp_path, "1.4")
+    assert not (empty.prefix / ".venv").exists()
+    assert not (empty.prefix / "companion").exists()
 
 
 def old_layout(system: System, folder: Path) -> Path:
@@ -228,11 +237,10 @@ def old_layout(system: System, folder: Path) -> Path:
 
 
 def test_removed_nothing_but_settings_is_left(system: System, tmp_path: Path) -> None:
-    installed(system, tmp_path, "1.0")
     key = system.base / "etc/companion/signing-key"
     key.write_text("secret")
     system.serves()
-    bundle = next(tmp_path.glob("companion-1.0-*"))
+    bundle = next(system.base.parent.parent.glob("companion-1.0-*"))
     assert system.run(bundle / "install.sh", "--remove").returncode == 0
     assert not system.prefix.exists()
     assert list((system.base / "usr/local/bin").iterdir()) == []
