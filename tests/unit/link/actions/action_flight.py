@@ -1,7 +1,5 @@
 """Actions against a fake autopilot, in virtual time."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Awaitable, Callable
 

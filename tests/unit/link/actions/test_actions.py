@@ -1,7 +1,5 @@
 """Actions by our own session against a fake PX4 and a fake ArduPilot, in virtual time."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 

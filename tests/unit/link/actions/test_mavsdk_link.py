@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mavsdk import LogLevel
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import Clock, run_in_virtual_time
@@ -22,15 +21,10 @@ from companion.link.actions.mavsdk_link import MavsdkActions
 from companion.link.codec import mavlink
 from companion.link.inbox import memory_pair
 from companion.link.session import Session
+from tests.unit.link.actions.action_flight import autopilot_of
 from tests.unit.link.fake_autopilot import FakeAutopilot
 
 AUTOPILOT_KINDS: list[AutopilotKind] = ["px4", "ardupilot"]
-
-
-def autopilot_of(autopilot_kind: AutopilotKind) -> FakeAutopilot:
-    return FakeAutopilot(
-        autopilot_kind=autopilot_kind, mode="AUTO.LOITER" if autopilot_kind == "px4" else "STABILIZE"
-    )
 
 
 @asynccontextmanager
@@ -243,22 +237,6 @@ def test_virtual_time_is_refused_in_one_line() -> None:
 
     with pytest.raises(ConfigError, match="virtual time; expected pymavlink"):
         run_in_virtual_time(main())
-
-
-def test_its_log_is_subscribed_once_since_its_threads_may_be_calling(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    subscribed: list[Any] = []
-    monkeypatch.setattr(mavsdk_link, "log_subscribe", subscribed.append)
-    lines = mavsdk_link._LogLines()
-    lines.hush()
-    (take,) = subscribed
-    assert take(LogLevel.WARN, "unheard", None, 0)
-    lines.pass_on()
-    assert take(LogLevel.WARN, "heard", None, 0)
-    lines.hush()
-    assert len(subscribed) == 1
-    assert [record.getMessage() for record in caplog.records] == ["mavsdk: heard"]
 
 
 async def test_its_first_bytes_find_someone_to_send_them(

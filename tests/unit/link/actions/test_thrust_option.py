@@ -1,8 +1,8 @@
 """Parameters without which nothing begins: ArduPilot's meaning of thrust, PX4's failsafe of setpoints."""
 
-from __future__ import annotations
-
 import asyncio
+from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -60,11 +60,19 @@ def test_the_thrust_bit_is_set_beside_the_others_where_allowed() -> None:
     assert autopilot.mode == "GUIDED"
 
 
-def test_a_parameter_that_cannot_be_set_is_a_refusal() -> None:
-    autopilot = autopilot_of("ardupilot")
-    autopilot.keeps_parameters = True
+@pytest.mark.parametrize(
+    ("behaviour", "words"),
+    [
+        ({"keeps_parameters": True}, "GUID_OPTIONS is 0:"),
+        ({"deaf_to_parameters": 99}, "the autopilot does not report its GUID_OPTIONS"),
+    ],
+)
+def test_a_parameter_that_is_not_reported_or_cannot_be_set_is_a_refusal(
+    behaviour: dict[str, Any], words: str
+) -> None:
+    autopilot = replace(autopilot_of("ardupilot"), **behaviour)
     result = take_control_by_attitude(autopilot, set_parameters=True)
-    assert (result.accepted, result.text[:18]) == (False, "GUID_OPTIONS is 0:")
+    assert (result.accepted, result.text[: len(words)]) == (False, words)
 
 
 def test_a_lost_question_for_a_parameter_is_repeated() -> None:
@@ -73,13 +81,6 @@ def test_a_lost_question_for_a_parameter_is_repeated() -> None:
     autopilot.deaf_to_parameters = 2
     assert take_control_by_attitude(autopilot).accepted
     assert len(sent(autopilot, "PARAM_REQUEST_READ")) == 3
-
-
-def test_a_parameter_that_is_not_reported_is_a_refusal() -> None:
-    autopilot = autopilot_of("ardupilot")
-    autopilot.deaf_to_parameters = 99
-    result = take_control_by_attitude(autopilot)
-    assert (result.accepted, result.text) == (False, "the autopilot does not report its GUID_OPTIONS")
 
 
 def test_cancelling_ends_the_question_for_a_parameter() -> None:

@@ -1,7 +1,5 @@
 """Actions that are withdrawn, and control that a pilot has taken."""
 
-from __future__ import annotations
-
 import asyncio
 
 import pytest
@@ -61,30 +59,12 @@ def test_cancelling_with_nothing_under_way_changes_nothing() -> None:
     assert result.accepted
 
 
-@pytest.mark.parametrize(("autopilot_kind", "sticks"), [("px4", "POSCTL"), ("ardupilot", "ALT_HOLD")])
-def test_control_is_not_asked_for_again_once_a_pilot_has_taken_the_sticks(
-    autopilot_kind: AutopilotKind, sticks: str
-) -> None:
-    autopilot = autopilot_of(autopilot_kind)
-    autopilot.deaf_to[mavlink.MAV_CMD_DO_SET_MODE] = 1
-
-    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
-        asking = asyncio.ensure_future(actions.perform(Action(ActionKind.TAKE_CONTROL)))
-        await asyncio.sleep(0.1)
-        autopilot.mode = sticks
-        session.receive(autopilot.codec.encode(autopilot.message(0, 0.0)), Clock().now_s())
-        return [await asking]
-
-    [result] = fly(autopilot, story)
-    assert (result.accepted, result.text) == (False, f"the mode was changed to {sticks}")
-    assert autopilot.mode == sticks
-    assert len(autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)) == 1
-
-
 @pytest.mark.parametrize(
     ("autopilot_kind", "asked", "chosen"),
     [
-        ("px4", ActionKind.HOLD, "AUTO.LAND"),
+        ("px4", ActionKind.TAKE_CONTROL, "POSCTL"),  # a pilot at the sticks
+        ("ardupilot", ActionKind.TAKE_CONTROL, "ALT_HOLD"),
+        ("px4", ActionKind.HOLD, "AUTO.LAND"),  # a failsafe
         ("px4", ActionKind.HOLD, "AUTO.RTL"),
         ("px4", ActionKind.LAND, "AUTO.RTL"),
         ("px4", ActionKind.TAKE_CONTROL, "AUTO.LAND"),
@@ -92,7 +72,7 @@ def test_control_is_not_asked_for_again_once_a_pilot_has_taken_the_sticks(
         ("ardupilot", ActionKind.LAND, "RTL"),
     ],
 )
-def test_a_mode_that_a_failsafe_has_chosen_meanwhile_is_not_asked_away(
+def test_a_mode_that_was_chosen_meanwhile_is_not_asked_away(
     autopilot_kind: AutopilotKind, asked: ActionKind, chosen: str
 ) -> None:
     autopilot = autopilot_of(autopilot_kind)
@@ -108,6 +88,7 @@ def test_a_mode_that_a_failsafe_has_chosen_meanwhile_is_not_asked_away(
     [result] = fly(autopilot, story)
     assert (result.accepted, result.text) == (False, f"the mode was changed to {chosen}")
     assert autopilot.mode == chosen
+    assert len(autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)) == 1
 
 
 @pytest.mark.parametrize(

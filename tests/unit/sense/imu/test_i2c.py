@@ -43,16 +43,14 @@ class Memory:
             raise OSError(errno.EREMOTEIO, "Remote I/O error")
 
 
-@given(BYTE, BYTE, st.integers(1, bus_format.MAXIMUM_READ))
-def test_read_requests_survive_the_wire(address: int, register: int, length: int) -> None:
-    request = ReadRequest(address, register, length)
-    assert bus_format.decode_request(bus_format.encode_request(request)) == request
-
-
-@given(BYTE, BYTE, BYTE)
-def test_write_requests_survive_the_wire(address: int, register: int, value: int) -> None:
-    request = WriteRequest(address, register, value)
-    assert bus_format.decode_request(bus_format.encode_request(request)) == request
+@given(
+    st.one_of(
+        st.builds(ReadRequest, BYTE, BYTE, st.integers(1, bus_format.MAXIMUM_READ)),
+        st.builds(WriteRequest, BYTE, BYTE, BYTE),
+    )
+)
+def test_requests_survive_the_wire(request_: ReadRequest | WriteRequest) -> None:
+    assert bus_format.decode_request(bus_format.encode_request(request_)) == request_
 
 
 @given(st.binary(max_size=12))
@@ -167,7 +165,13 @@ def test_a_simulator_that_restarts_is_found_again(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- the setting
 
 
-@pytest.mark.parametrize("spec", ["", "i2c", "i2c:", "i2c:x", "i2c:-1", "i2c:²", "socket:", "spi:0"])
+@pytest.mark.parametrize(
+    "spec",
+    [
+        *("", "i2c", "i2c:", "i2c:x", "i2c:-1", "i2c:²", "socket:"),
+        *("spi:", "spi:0", "spi:0.", "spi:a.b", "spi:0.0.0"),
+    ],
+)
 def test_a_bus_that_is_none_is_refused_with_what_is_expected(spec: str) -> None:
     with pytest.raises(ConfigError, match=r"expected i2c:NUMBER, spi:BUS.SELECT or socket:PATH"):
         open_bus(spec)

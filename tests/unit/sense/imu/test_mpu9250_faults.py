@@ -1,7 +1,5 @@
 """The MPU9250's driver when chip or bus fail: what is told, what is kept, and that it recovers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -12,9 +10,7 @@ from companion.sense.imu.fifo import SamplesLostError
 from companion.sense.imu.i2c import SensorError
 from companion.sense.imu.mpu9250 import Mpu9250
 from sitl.devices.mpu9250 import Mpu9250Device
-from tests.unit.sense.imu.imu_rig import FIELD, REST, STEP_S, ImuRig, at_rest
-
-POLL_S = 0.01
+from tests.unit.sense.imu.imu_rig import REST, STEP_S, ImuRig, at_rest
 
 
 @pytest.mark.parametrize("identity", [0x71, 0x73])
@@ -54,48 +50,6 @@ def test_fifo_overflow_is_reported_once_and_sampling_goes_on() -> None:
     assert fresh[-1].specific_force_body_m_s2 == pytest.approx(REST, abs=0.04)
 
 
-@pytest.mark.parametrize(
-    ("fault", "words"), [("nack", "Remote I/O error"), ("ones", "all ones"), ("stuck", "no sample for")]
-)
-def test_a_fault_is_reported_and_the_driver_recovers_by_itself(fault: str, words: str) -> None:
-    rig = ImuRig()
-    rig.run(1.0)
-    rig.device.fault = fault  # type: ignore[assignment]
-    rig.run(0.6)
-    assert words in str(rig.faults[0])
-    assert all("\n" not in str(f) for f in rig.faults)
-    rig.device.fault = "none"
-    count, mags = len(rig.imu), len(rig.mag)
-    rig.run(1.0)
-    assert len(rig.imu) > count + 80
-    assert len(rig.mag) > mags + 30
-
-
-def test_a_power_cut_in_flight_is_noticed_and_mended() -> None:
-    rig = ImuRig()
-    rig.run(1.0)
-    rig.device.power_cycle()
-    rig.run(1.2)
-    assert len(rig.faults) == 1
-    assert rig.driver.ready
-    assert rig.imu[-1].time_s > 2.1
-
-
-def test_the_same_sample_for_ever_is_a_dead_sensor() -> None:
-    rig = ImuRig()
-    rig.run(0.5)
-    alive = len(rig.imu)
-    for _ in range(300):
-        rig.now_s += POLL_S
-        rig.device.push_sample((0.0, 0.0, 9.8), (0.0, 0.0, 0.0))
-        rig.device.push_sample((0.0, 0.0, 9.8), (0.0, 0.0, 0.0))
-        rig.poll(rig.now_s)
-    assert "stuck" in str(rig.faults[0])
-    # what repeats is not handed on as if it were measured, neither before it is called stuck nor set up anew
-    assert len(rig.faults) > 1
-    assert len(rig.imu) - alive <= 0.1 * ImuConfig().rate_hz
-
-
 def test_settings_that_do_not_take_are_reported() -> None:
     rig = ImuRig()
     write = rig.device.write
@@ -106,28 +60,6 @@ def test_settings_that_do_not_take_are_reported() -> None:
     rig.device.write = forgetful  # type: ignore[method-assign]
     rig.run(0.3)
     assert "settings not taken: wrote 0442081002, read 0442080002" in str(rig.faults[0])
-
-
-def test_a_dead_magnetometer_costs_magnetometer_samples_alone() -> None:
-    """GIVEN a flight WHEN the magnetometer dies and comes back THEN rates and forces never stop."""
-    rig = ImuRig()
-    rig.run(1.5)
-    assert rig.problem() is None
-    rig.device.magnetometer.silent = True
-    rig.run(4.0)
-    assert not rig.faults
-    assert rig.driver.ready
-    assert rig.problem() == "MPU9250 at 0x68: AK8963: no acknowledge on the MPU9250's inner bus"
-    assert np.abs(np.diff([s.time_s for s in rig.imu[-1000:]]) - 0.005).max() < 0.0003
-    # the last block stands in the registers: it does not go on for long as if it were new
-    assert rig.mag[-1].time_s < 1.6
-    rig.device.magnetometer.silent = False
-    count = len(rig.mag)
-    rig.run(2.0)
-    assert rig.problem() is None
-    assert len(rig.mag) > count + 100
-    assert np.mean([m.field_body_ut for m in rig.mag[-50:]], axis=0) == pytest.approx(FIELD, abs=0.3)
-    assert np.abs(np.diff([s.time_s for s in rig.imu[-1400:]]) - 0.005).max() < 0.0003
 
 
 def test_a_magnetometer_that_loses_its_settings_is_brought_up_anew() -> None:

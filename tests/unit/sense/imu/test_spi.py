@@ -1,7 +1,5 @@
 """The SPI bus on a stand-in for the kernel's spidev that checks clock rates, a simulated chip behind it."""
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import types
@@ -123,9 +121,3 @@ def test_a_missing_device_is_reported_in_one_line(spidev: type[FakeSpiDev]) -> N
     spidev.missing = FileNotFoundError(2, "No such file or directory")
     with pytest.raises(ConfigError, match=r"/dev/spidev1.2 cannot be opened: No such file"):
         open_bus("spi:1.2")
-
-
-@pytest.mark.parametrize("spec", ["spi:", "spi:0", "spi:0.", "spi:a.b", "spi:0.0.0"])
-def test_a_misspelt_bus_is_reported(spec: str) -> None:
-    with pytest.raises(ConfigError, match=r"expected i2c:NUMBER, spi:BUS.SELECT or socket:PATH"):
-        open_bus(spec)

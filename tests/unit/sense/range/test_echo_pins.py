@@ -1,7 +1,5 @@
 """The ultrasonic on GPIO pins: gpiozero's mock pins, driven as an HC-SR04 drives them."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import sys

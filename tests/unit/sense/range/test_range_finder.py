@@ -1,7 +1,5 @@
 """Serial ultrasonics as the app meets them: the simulated devices on their lines, in virtual time."""
 
-from __future__ import annotations
-
 import asyncio
 from typing import Literal
 

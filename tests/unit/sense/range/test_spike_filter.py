@@ -1,7 +1,5 @@
 """The ultrasonic's gate: spikes stay out, what is good passes at once."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The polled ultrasonic's driver: what counts is when bytes come."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -39,14 +37,15 @@ def test_an_answer_in_two_pieces_is_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "taken"), [(0, False), (29, False), (30, True), (4500, True), (4501, False)]
+    ("data", "taken"),
+    [
+        *((millimetres(n / 1000.0), n in (30, 4500)) for n in (0, 29, 30, 4500, 4501)),
+        (b"\xff\xff", False),
+        (b"\x00\x07\xa1", False),  # more than an answer is noise
+    ],
 )
-def test_only_distances_within_the_range_are_taken(number: int, taken: bool) -> None:
-    assert len(asked().feed(millimetres(number / 1000.0), 0.03)) == taken
-
-
-def test_all_ones_is_no_distance() -> None:
-    assert asked().feed(b"\xff\xff", 0.03) == []
+def test_only_distances_within_the_range_are_taken(data: bytes, taken: bool) -> None:
+    assert len(asked().feed(data, 0.03)) == taken
 
 
 def test_what_comes_without_a_question_is_no_answer() -> None:
@@ -62,10 +61,6 @@ def test_half_an_answer_does_not_shift_the_next_one() -> None:
     assert driver.feed(b"\x07", 0.02) == []
     driver.pending(0.1)
     assert [s.distance_m for s in driver.feed(b"\x03\xe8", 0.12)] == [1.0]
-
-
-def test_more_than_an_answer_is_noise() -> None:
-    assert asked().feed(b"\x00\x07\xa1", 0.02) == []
 
 
 @settings(max_examples=60)

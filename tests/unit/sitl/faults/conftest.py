@@ -1,7 +1,5 @@
 """A flight without a fault, which the flights with one are compared with."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.unit.sitl.devices.sensor_desk import DriverSamples, fly

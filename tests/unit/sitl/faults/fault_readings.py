@@ -1,7 +1,5 @@
 """What the drivers read of a simulated vehicle with faults."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

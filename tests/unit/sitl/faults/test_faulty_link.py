@@ -1,7 +1,5 @@
 """The faulty line: what it loses, when things arrive and in which order."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -180,3 +180,11 @@ def runs(pid: int) -> bool:
 def open_files() -> int:
     """How many files this process has open."""
     return len(list(Path("/proc/self/fd").iterdir()))
+
+
+def parameters(program: Fake) -> dict[str, str]:
+    """What it was given, by name, as it was written."""
+    if program.spec.kind == "ardupilot":
+        return dict(line.split() for line in program.started["parameters"].splitlines())
+    prefix = "PX4_PARAM_"
+    return {n.removeprefix(prefix): value for n, value in program.started.items() if n.startswith(prefix)}

@@ -4,8 +4,6 @@
 behaves is in the file `<program>.json`; what it heard is left beside it, by instance.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

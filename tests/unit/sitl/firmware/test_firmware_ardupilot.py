@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import socket
-import tempfile
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from companion.base.geometry import quat_from_euler
-from companion.config import ConfigError
 from sitl.firmware import ardupilot
-from sitl.firmware.errors import FirmwareError
 from sitl.vehicle.quadrotor import QuadrotorState
 from tests.unit.sitl.firmware.fake_firmware import (
     HOME,
@@ -21,15 +17,10 @@ from tests.unit.sitl.firmware.fake_firmware import (
     fake,
     moment,
     moments,
-    open_files,
+    parameters,
     running,
     setup_of,
-    step_on,
 )
-
-
-def parameters(program: Fake) -> dict[str, str]:
-    return dict(line.split() for line in program.started["parameters"].splitlines())
 
 
 def word_after(program: Fake, option: str) -> str:
@@ -125,89 +116,7 @@ def test_a_share_of_its_throttle_is_that_share_of_the_plants_thrust(throttle: fl
     assert ardupilot._share(round(pulse_us)) == pytest.approx(throttle, abs=1e-3)
 
 
-def test_a_users_parameter_is_over_all_others_and_keeps_its_digits(tmp_path: Path) -> None:
-    program = fake("ardupilot", tmp_path, {"GUID_OPTIONS": 0.0, "MASK": 12345678.0, "SMALL": 0.123456789})
-    with running(program):
-        pass
-    given = parameters(program)
-    assert (given["GUID_OPTIONS"], given["MASK"], given["SMALL"]) == ("0", "12345678", "0.123456789")
-
-
-# ---------------------------------------------------------------- instances
-
-
-def test_two_at_once_have_ports_of_their_own(tmp_path: Path) -> None:
-    programs = [
-        fake("ardupilot", tmp_path / name, motors=[share] * 4) for name, share in (("a", 0.25), ("b", 0.75))
-    ]
-    with running(programs[0]) as first, running(programs[1]) as second:
-        for at in moments(5):
-            found = first.step(at), second.step(at)
-    assert found == ((0.25,) * 4, (0.75,) * 4)
-    assert programs[0].instances != programs[1].instances
-
-
-def test_an_instance_is_taken_before_its_program_takes_its_ports() -> None:
-    first, one = ardupilot._free_instance()
-    with closing(first):
-        second, other = ardupilot._free_instance()
-        second.close()
-    assert one != other
-    assert first.port == 5760 + 10 * one
-
-
-def test_without_a_free_instance_it_is_said_and_nothing_is_left(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    files = open_files()
-    with closing(socket.create_server(("127.0.0.1", 0))) as other:
-        monkeypatch.setattr(ardupilot, "BASE_PORT", other.getsockname()[1])
-        monkeypatch.setattr(ardupilot, "INSTANCES", 1)
-        with (
-            pytest.raises(ConfigError, match="no ArduPilot instance from 0 to 0 has its ports free"),
-            running(fake("ardupilot", tmp_path)),
-        ):
-            pass
-    assert open_files() == files
-    assert not list(tmp_path.glob("arducopter-*"))
-
-
 # ---------------------------------------------------------------- what goes wrong
-
-
-def test_one_that_ends_at_once_is_reported_of_by_its_last_words(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError) as caught, running(fake("ardupilot", tmp_path, ends_after=-1)):
-        pass
-    assert str(caught.value) == "arducopter has ended (exit status 3): last words of arducopter"
-
-
-def test_one_that_never_says_anything_is_reported_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ardupilot, "START_S", 0.5)
-    program = fake("ardupilot", tmp_path, silent_after=-1)
-    with pytest.raises(ConfigError) as caught, running(program):
-        pass
-    assert str(caught.value) == "arducopter has not answered for 0.5 s: booting"
-    assert program.is_gone
-
-
-def test_one_that_ends_in_flight_is_reported_of_by_its_last_words(tmp_path: Path) -> None:
-    with (
-        running(fake("ardupilot", tmp_path, ends_after=10)) as firmware,
-        pytest.raises(FirmwareError) as caught,
-    ):
-        step_on(firmware, 20)
-    assert str(caught.value) == "arducopter has ended (exit status 3): last words of arducopter"
-
-
-def test_one_that_answers_no_more_is_reported_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ardupilot, "ANSWER_S", 0.2)
-    with (
-        running(fake("ardupilot", tmp_path, silent_after=10)) as firmware,
-        pytest.raises(FirmwareError) as caught,
-    ):
-        step_on(firmware, 20)
-    assert str(caught.value) == "arducopter has not answered for 0.2 s: booting"
 
 
 def test_what_is_no_answer_of_its_own_is_not_taken_for_one(tmp_path: Path) -> None:
@@ -218,13 +127,3 @@ def test_what_is_no_answer_of_its_own_is_not_taken_for_one(tmp_path: Path) -> No
             stranger.sendto(junk, address)
         for at in moments(3):
             assert firmware.step(at) == (0.5,) * 4
-
-
-def test_nothing_is_left_of_it_in_the_end(tmp_path: Path) -> None:
-    program, files = fake("ardupilot", tmp_path), open_files()
-    with running(program) as firmware:
-        firmware.step(moment(STEP_S))
-        assert Path(program.started["folder"]).name.startswith("arducopter-")
-    assert program.is_gone
-    assert open_files() == files
-    firmware.close()  # twice does no harm

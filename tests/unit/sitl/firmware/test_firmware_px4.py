@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import socket
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ from companion.config import ConfigError
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.firmware import px4
 from sitl.firmware.base import Firmware
-from sitl.firmware.errors import FirmwareError
 from sitl.vehicle.quadrotor import QuadrotorState, resting_state
 from tests.unit.sitl.firmware.fake_firmware import (
     STEP_S,
@@ -26,10 +24,9 @@ from tests.unit.sitl.firmware.fake_firmware import (
     messages,
     moment,
     moments,
-    open_files,
+    parameters,
     running,
     setup_of,
-    step_on,
 )
 
 IMU, MAG, BARO = 0b111_111, 0b111_000_000, 0b1_1010_0000_0000
@@ -152,14 +149,6 @@ def test_attitude_and_place_are_for_it_to_find_out(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- parameters
 
 
-def parameters(program: Fake) -> dict[str, float]:
-    return {
-        name.removeprefix("PX4_PARAM_"): float(value)
-        for name, value in program.started.items()
-        if name.startswith("PX4_PARAM_")
-    }
-
-
 def test_it_is_reported_of_a_plus_frame_by_values_that_are_never_its_own_defaults(tmp_path: Path) -> None:
     program = fake("px4", tmp_path)
     setup = setup_of(program.spec)
@@ -167,7 +156,7 @@ def test_it_is_reported_of_a_plus_frame_by_values_that_are_never_its_own_default
     body = setup.airframe.body.model_copy(update={"torque_to_thrust_m": 0.05})
     with running(program, setup._replace(airframe=setup.airframe.model_copy(update={"body": body}))):
         pass
-    set_ = parameters(program)
+    set_ = {name: float(value) for name, value in parameters(program).items()}
     arm_m = body.arm_length_m
     for rotor, place in enumerate(((arm_m, 0.0), (0.0, arm_m), (-arm_m, 0.0), (0.0, -arm_m))):
         found = set_[f"CA_ROTOR{rotor}_PX"], set_[f"CA_ROTOR{rotor}_PY"]
@@ -183,36 +172,12 @@ def test_it_is_reported_of_the_hover_thrust_and_the_receivers_delay(tmp_path: Pa
     setup = setup_of(program.spec, gps_delay_s=0.2)
     with running(program, setup):
         pass
-    set_ = parameters(program)
+    set_ = {name: float(value) for name, value in parameters(program).items()}
     assert set_["MPC_THR_HOVER"] == pytest.approx(setup.airframe.body.hover_share(), abs=1e-5)
     assert set_["EKF2_GPS_DELAY"] == 200
 
 
-def test_a_users_parameter_is_over_all_others_and_keeps_its_digits(tmp_path: Path) -> None:
-    program = fake("px4", tmp_path, {"MPC_THR_HOVER": 0.4, "SOME_NUMBER": 12345678.0, "SMALL": 0.123456789})
-    with running(program):
-        pass
-    given = program.started
-    assert given["PX4_PARAM_MPC_THR_HOVER"] == "0.4"
-    assert given["PX4_PARAM_SOME_NUMBER"] == "12345678"
-    assert given["PX4_PARAM_SMALL"] == "0.123456789"
-
-
 # ---------------------------------------------------------------- instances
-
-
-def test_two_at_once_have_ports_of_their_own(tmp_path: Path) -> None:
-    programs = [
-        fake("px4", tmp_path / name, motors=[share] * 4) for name, share in (("a", 0.25), ("b", 0.75))
-    ]
-    with running(programs[0]) as first, running(programs[1]) as second:
-        for at in moments(30):
-            found = first.step(at), second.step(at)
-        assert found == ((0.25,) * 4, (0.75,) * 4)
-        systems = [{m.get_srcSystem() for m in heard(f)} for f in (first, second)]
-    (one,), (other,) = (program.instances for program in programs)
-    assert one != other
-    assert systems == [{one + 1}, {other + 1}]  # PX4 numbers itself so
 
 
 def heard(firmware: Firmware) -> list[Any]:
@@ -237,20 +202,6 @@ def test_an_instance_with_a_port_in_use_is_passed_over(port: int, tmp_path: Path
     assert 0 not in program.instances
 
 
-def test_without_a_free_instance_it_is_said_and_nothing_is_left(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    files = open_files()
-    with contextlib.closing(socket.create_server(("127.0.0.1", 0))) as other:
-        monkeypatch.setattr(px4, "SIMULATOR_PORT", other.getsockname()[1])
-        monkeypatch.setattr(px4, "INSTANCES", 1)
-        with pytest.raises(ConfigError, match="no PX4 instance from 0 to 0 has its ports free"):
-            running(fake("px4", tmp_path)).__enter__()
-    assert open_files() == files
-    assert not list(tmp_path.glob("px4-*"))
-
-
 # ---------------------------------------------------------------- what goes wrong
 
 
@@ -270,46 +221,3 @@ def test_what_is_no_program_for_this_machine_is_said(tmp_path: Path) -> None:
     program.spec.path.write_bytes(b"\x7fELF of another kind")
     with pytest.raises(ConfigError, match=r"px4: cannot be run \(Exec format error\)"), running(program):
         pass
-
-
-def test_one_that_ends_before_it_calls_is_reported_of_by_its_last_words(tmp_path: Path) -> None:
-    program = fake("px4", tmp_path, ends_after=-1)
-    with pytest.raises(ConfigError) as caught, running(program):
-        pass
-    assert str(caught.value) == "px4 has ended (exit status 3): last words of px4"
-
-
-def test_one_that_never_calls_is_reported_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(px4, "CALL_S", 0.5)
-    program = fake("px4", tmp_path, calls=False)
-    with pytest.raises(ConfigError) as caught, running(program):
-        pass
-    assert str(caught.value) == "px4 did not call the simulator within 0.5 s: booting"
-    assert program.is_gone
-
-
-def test_one_that_ends_in_flight_is_reported_of_by_its_last_words(tmp_path: Path) -> None:
-    program = fake("px4", tmp_path, ends_after=10)
-    with running(program) as firmware, pytest.raises(FirmwareError) as caught:
-        step_on(firmware, 20)
-    assert str(caught.value) == "px4 has ended (exit status 3): last words of px4"
-
-
-def test_one_that_answers_no_more_is_reported_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(px4, "ANSWER_S", 0.2)
-    with (
-        running(fake("px4", tmp_path, silent_after=10, says="I am\n\nstuck  here\n \n")) as firmware,
-        pytest.raises(FirmwareError) as caught,
-    ):
-        step_on(firmware, 20)
-    assert str(caught.value) == "px4 has not answered for 0.2 s: stuck here"
-
-
-def test_nothing_is_left_of_it_in_the_end(tmp_path: Path) -> None:
-    program, files = fake("px4", tmp_path), open_files()
-    with running(program) as firmware:
-        firmware.step(moment(STEP_S))
-        assert Path(program.started["folder"]).name.startswith("px4-")
-    assert program.is_gone
-    assert open_files() == files
-    firmware.close()  # twice does no harm
