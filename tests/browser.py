@@ -1,7 +1,5 @@
 """A headless Chromium, driven by its DevTools protocol over a WebSocket (chromedevtools.github.io)."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import os

@@ -1,7 +1,5 @@
 """Our programs in this process, which saves the imports of one more: the fixture `program` of conftest.py."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from importlib import import_module

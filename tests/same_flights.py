@@ -8,8 +8,6 @@ sentences are not compared, so that they may change. Exit status 0 when all are 
 folders with a checkout; both run in the environment of this interpreter.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """Properties of the estimators that hold for any input."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

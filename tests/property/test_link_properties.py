@@ -1,7 +1,5 @@
 """The link against anything that may come down a line."""
 
-from __future__ import annotations
-
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -1,7 +1,5 @@
 """What holds for the plant whatever the state: norms, momenta, energies."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

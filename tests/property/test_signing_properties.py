@@ -1,7 +1,5 @@
 """Signed links against whoever listens and sends: forged, replayed, out of order, from other systems."""
 
-from __future__ import annotations
-
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -5,8 +5,6 @@ the external world that watches its true pose, and the app, which takes the vehi
 They share one loop; pipes within the process take the place of sockets.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager

@@ -4,8 +4,6 @@
 That it is the same flight, to the bit, test_docs.py shows.
 """
 
-from __future__ import annotations
-
 import fcntl
 import gc
 import io

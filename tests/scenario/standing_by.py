@@ -4,8 +4,6 @@ A story is a coroutine that flies the vehicle by its own autopilot and gives ord
 world run beside it. All of it speaks MAVLink over the one link, as behind a router.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Awaitable, Callable
 from contextlib import closing

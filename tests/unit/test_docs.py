@@ -5,8 +5,6 @@ that would take real time, a vehicle, root or the whole tool chain are only chec
 scenario and target exist.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

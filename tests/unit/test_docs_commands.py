@@ -3,8 +3,6 @@
 `test_docs` runs or parses what stands in console blocks. Here: nothing of ours stands elsewhere unseen.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 

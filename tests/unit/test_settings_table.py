@@ -1,7 +1,5 @@
 """The tables of the settings: each setting has its unit, its meaning, and when one would change it."""
 
-from __future__ import annotations
-
 import pytest
 from pydantic import BaseModel, Field
 

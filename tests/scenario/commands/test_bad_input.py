@@ -1,7 +1,5 @@
 """What a user gets wrong ends in one line on standard error and exit code 2, and leaves nothing behind."""
 
-from __future__ import annotations
-
 import os
 import socket
 import sys

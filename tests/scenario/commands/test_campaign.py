@@ -1,7 +1,5 @@
 """Campaigns by the command a user types, flown by the app itself."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The shipped Foxglove layout over a log as a flight leaves it: each panel finds what it shows."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A flight with faults of the pad's sensors lands, and its stream repeats it without flying."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

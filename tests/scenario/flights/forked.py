@@ -3,8 +3,6 @@
 That a flight which goes on in a child is the one flown from its start, test_bench_faults_runs.py shows.
 """
 
-from __future__ import annotations
-
 import traceback
 from collections.abc import Callable, Sequence
 from typing import TypeVar

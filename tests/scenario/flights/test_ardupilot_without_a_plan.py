@@ -3,8 +3,6 @@
 Level at hover thrust kept speed and sink here: it touched the ground at 0.74 m/s down, 0.35 m/s sideways.
 """
 
-from __future__ import annotations
-
 from benchmarks.faults.cases import FaultRun, scenario_of
 from benchmarks.faults.fault_flight import fly, judged
 

@@ -1,7 +1,5 @@
 """Flights on the autopilot's own sensors, by its telemetry: no MPU9250, NEO-6M or ultrasonic of ours."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Landings on a pad that does not carry the vehicle, whose own ground stops it: as on other people's SITL."""
 
-from __future__ import annotations
-
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind

@@ -1,7 +1,5 @@
 """A few pairs of `make bench-faults`: a fault in a phase, judged by the simulator's own record."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import pytest

@@ -1,7 +1,5 @@
 """What breaks in flight: the app stays alive, and the flight lands or ends where a person can take over."""
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Callable
 from pathlib import Path

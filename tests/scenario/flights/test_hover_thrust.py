@@ -1,7 +1,5 @@
 """An ArduPilot that was told a hover thrust far off is taken over without a fall, and lands."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

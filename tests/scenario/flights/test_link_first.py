@@ -4,8 +4,6 @@ A pilot's mode ends the setpoints within 100 ms of the HEARTBEAT that tells it, 
 an app that can receive nothing any more ends its flight.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

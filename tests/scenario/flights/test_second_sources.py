@@ -1,7 +1,5 @@
 """A number that two sources contradict is not flown with: refused on the ground, handed back in flight."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A companion that stands by: asked, it lands the vehicle where it flies, again and again; never unasked."""
 
-from __future__ import annotations
-
 import asyncio
 from pathlib import Path
 from typing import Any

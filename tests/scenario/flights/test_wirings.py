@@ -1,7 +1,5 @@
 """Flights with the sensors wired in other ways: the same drivers, and a landing all the same."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A simulated vehicle in another process, standing on its pad."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 The load average would count this run's own workers, and remembers for minutes what is over.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`companion-sitl` as its users start it, on free ports, for clients that nobody here wrote."""
 
-from __future__ import annotations
-
 import re
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """MAVProxy against `companion-sitl`, as PX4 and as ArduPilot in real time: what its users type."""
 
-from __future__ import annotations
-
 import os
 import queue
 import re

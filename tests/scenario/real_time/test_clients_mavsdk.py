@@ -3,8 +3,6 @@
 Low and short. MAVSDK listens, as its tutorials have it: the vehicle finds it.
 """
 
-from __future__ import annotations
-
 import asyncio
 import socket
 from collections.abc import AsyncIterator, Callable

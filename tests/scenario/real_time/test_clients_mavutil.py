@@ -4,8 +4,6 @@ PX4's profile over TCP and unsigned; ArduPilot's over the UDP port where ground 
 a second client that has no key.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 import socket

@@ -4,8 +4,6 @@ Three parties, as with a real ArduPilot or PX4 SITL: a vehicle (here in the test
 its truth on a UDP port, the external world, and the app, which share that port.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`companion check --pad` as a program: on a vehicle in another process, and what it refuses."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import threading

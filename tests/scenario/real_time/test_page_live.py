@@ -1,7 +1,5 @@
 """A landing watched in a browser: what it shows on a phone and on a desk, and what its buttons do."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The service in standby, looked at: what a viewer is told, and what becomes of an order on the ground."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import signal

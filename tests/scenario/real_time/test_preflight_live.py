@@ -1,7 +1,5 @@
 """`companion check` as a program: on a vehicle in another process, and on wrong and missing devices."""
 
-from __future__ import annotations
-
 import json
 import socket
 import subprocess

@@ -1,7 +1,5 @@
 """What keeps real time waiting: other programs, not this run's own."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

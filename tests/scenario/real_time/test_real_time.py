@@ -1,7 +1,5 @@
 """Flights in real time: the simulator a process of its own, MAVLink over UDP, actions by MAVSDK."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

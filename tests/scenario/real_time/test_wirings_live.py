@@ -1,7 +1,5 @@
 """The sensors over sockets and pseudo-terminals in real time: the drivers hear each of them."""
 
-from __future__ import annotations
-
 import asyncio
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Which ports and buses are opened, by where the sensors are."""
 
-from __future__ import annotations
-
 import asyncio
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What is announced of the second sources: the magnetic field that is set, where the first fix shows us."""
 
-from __future__ import annotations
-
 from companion.app.source_watch import SourceWatch
 from companion.base.geometry import Vector3
 from companion.base.magnetic_field import field_ned_ut

@@ -1,7 +1,5 @@
 """A task that fails is reported and started again."""
 
-from __future__ import annotations
-
 import asyncio
 
 import pytest

@@ -1,7 +1,5 @@
 """A flight of the real vehicle as a command: what it keeps."""
 
-from __future__ import annotations
-
 import asyncio
 from pathlib import Path
 from types import SimpleNamespace

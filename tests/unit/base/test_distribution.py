@@ -1,7 +1,5 @@
 """The distribution's name and version: stated once, and used wherever somebody is told to install."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 

@@ -1,7 +1,5 @@
 """How cameras encode light, and the look-up tables there and back."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Frames as bytes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

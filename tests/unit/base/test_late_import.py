@@ -1,7 +1,5 @@
 """What is imported late is not imported until one of its functions is called, and then it is the real one."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The table of second sources: how it judges, and that its page is its own."""
 
-from __future__ import annotations
-
 import pytest
 
 from companion.base.messages import Quantity, SourceComparison

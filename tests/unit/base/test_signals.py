@@ -1,7 +1,5 @@
 """A signal ends a program in order, also at the moments in which it is just opening something."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

@@ -1,7 +1,5 @@
 """The options of a flight on the user's own autopilot: what goes together, and what it makes of them."""
 
-from __future__ import annotations
-
 import asyncio
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """All programs end alike: one line, the right help, no traceback, whatever becomes of the output."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The options that name a firmware: what goes together, on every command that flies one."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

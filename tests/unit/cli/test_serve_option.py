@@ -1,7 +1,5 @@
 """`--serve`, alone or with an address, over the address of the settings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Calibrations that were written by force are told at every start."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -4,8 +4,6 @@ The plant differs from the controller's model on purpose: other lag, other gains
 estimates, wind. It is written from the description of autopilots, not from the controller's code.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable

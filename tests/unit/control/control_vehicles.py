@@ -4,8 +4,6 @@ They differ from the controller's model on purpose: other lag, other gains, an i
 estimates. Written from the description of autopilots, not from the controller's code. NED, SI units.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

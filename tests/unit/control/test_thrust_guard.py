@@ -1,7 +1,5 @@
 """By attitude nothing is flown before the thrust that holds the vehicle is measured, nor in a fall."""
 
-from __future__ import annotations
-
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind

@@ -4,8 +4,6 @@ Independent of the simulator: attitude follows from the path's acceleration (thr
 no drag) and rates from differences of attitude. NED and FRD, SI units, µT.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

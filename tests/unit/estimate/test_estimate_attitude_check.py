@@ -1,7 +1,5 @@
 """Two horizons and two headings: what the attitude check makes of boards that lie askew, or slip."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Inputs that are wrong, not missing: GPS that is noisy or hangs, gaps of the IMU, a shaken accelerometer."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A gyroscope whose bias steps in flight, through the whole stage with the autopilot's attitude beside."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache

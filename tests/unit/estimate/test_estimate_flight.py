@@ -1,7 +1,5 @@
 """The whole stage over simulated flights: accuracy bars, and what happens when sensors fail or are late."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import lru_cache

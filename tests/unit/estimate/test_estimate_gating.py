@@ -1,7 +1,5 @@
 """Innovation gates, and the timeline that puts late measurements in their place."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import chi2

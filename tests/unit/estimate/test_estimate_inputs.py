@@ -1,7 +1,5 @@
 """What became of each input is counted with its reason, and a filter that refuses all of one starts again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

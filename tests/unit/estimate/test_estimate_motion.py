@@ -1,7 +1,5 @@
 """The motion history: interpolated attitude, pre-integrated acceleration."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

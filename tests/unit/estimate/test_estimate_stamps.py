@@ -1,7 +1,5 @@
 """IMU samples whose times jitter or jump, as another clock's do once turned into ours."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

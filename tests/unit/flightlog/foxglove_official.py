@@ -1,7 +1,5 @@
 """Foxglove's own definitions of its messages, and plain data as such a message."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import foxglove.messages

@@ -1,7 +1,5 @@
 """Many flights, a folder each, with the minute before; and what the meter says of the inputs."""
 
-from __future__ import annotations
-
 import json
 import threading
 import time

@@ -1,7 +1,5 @@
 """The figures of a flight's table have the digits that mean something."""
 
-from __future__ import annotations
-
 import pytest
 
 from companion.flightlog.report.tables import figure

@@ -3,8 +3,6 @@
 Sans I/O like the session: bytes in, bytes out, time as an argument.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """What a ground station sends of the pad's own GPS."""
 
-from __future__ import annotations
-
 from companion.base.geometry import IDENTITY, ZERO3
 from companion.base.messages import PadBeacon
 from companion.link.codec import Message, mavlink

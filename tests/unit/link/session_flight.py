@@ -1,7 +1,5 @@
 """A session and a fake autopilot, in virtual time."""
 
-from __future__ import annotations
-
 from companion.config import LinkConfig
 from companion.link.codec import Codec, Message
 from companion.link.session import Session

@@ -1,7 +1,5 @@
 """The codec: framing that survives garbage, and the messages we build, there and back."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

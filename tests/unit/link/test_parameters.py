@@ -1,7 +1,5 @@
 """Integers in a PARAM_VALUE: ArduPilot's as numbers, PX4's as bytes in a float's place."""
 
-from __future__ import annotations
-
 import math
 import struct
 

@@ -1,7 +1,5 @@
 """The session: what it sends when, whom it believes, and what it takes for the autopilot's state."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """The session's commands and parameters: sent, repeated, answered, withdrawn."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """The session's time: telemetry is stamped with our time of measurement, by a synchronised clock."""
 
-from __future__ import annotations
-
 import pytest
 
 from companion.base.messages import AutopilotSetup

@@ -1,7 +1,5 @@
 """The pad as data, and the shipped pad's fitness for a landing."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

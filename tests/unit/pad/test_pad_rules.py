@@ -1,7 +1,5 @@
 """What makes a pad unfit, on both sides of every bound."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

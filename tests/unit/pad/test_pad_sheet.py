@@ -1,7 +1,5 @@
 """Where boards are cut into sheets."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

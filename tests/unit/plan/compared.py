@@ -1,7 +1,5 @@
 """Two sources of a quantity that differ, for the planner's tests."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from companion.base.messages import Quantity, SourceComparison

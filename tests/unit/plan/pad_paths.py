@@ -1,7 +1,5 @@
 """How pads move: a place (NED, m) for each time (s)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """An autopilot for the planner alone: it answers actions and keeps the modes that are its own."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """The shipped pad, camera and airframe, and pictures of the pad with what is true in them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2

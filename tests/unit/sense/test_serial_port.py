@@ -1,7 +1,5 @@
 """The serial port on a pseudo terminal: what a tty does, unplugging included."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

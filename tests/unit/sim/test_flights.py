@@ -1,7 +1,5 @@
 """The process that flies for a campaign: every request is answered, whatever is asked and whatever fails."""
 
-from __future__ import annotations
-
 import io
 import json
 

@@ -1,7 +1,5 @@
 """Why a flight did not land, as a campaign's row has it: what ended the mission, not how the hold ended."""
 
-from __future__ import annotations
-
 import pytest
 
 from companion.base.messages import Outcome

@@ -1,7 +1,5 @@
 """What is said of settings that describe another vehicle than the simulated one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from companion.config import CONFIG_FOLDER

@@ -1,7 +1,5 @@
 """Commands that look at images prepare OpenCV as flights do."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """What the page's process begins with, for tests."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

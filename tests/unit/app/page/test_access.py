@@ -1,7 +1,5 @@
 """Who may look: addresses, tokens, hosts and origins."""
 
-from __future__ import annotations
-
 import socket
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Flights to download from the page, and the settings to read: for those who show the token."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The tap on the log: what it keeps, when it hands over, and that it never harms who logs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

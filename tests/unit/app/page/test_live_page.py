@@ -1,7 +1,5 @@
 """The page's orders go the way of `companion order`; nothing is told while nobody looks."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The page's lamps in a browser, in every one of twelve states: none is green by what is not true now."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The page's process: started with what it needs alone, started again, and never in the app's way."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

@@ -1,7 +1,5 @@
 """The page's server by aiohttp's own client: files, who is let in, what each viewer gets."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import struct

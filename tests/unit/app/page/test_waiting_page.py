@@ -1,7 +1,5 @@
 """The page that is opened before the companion runs: a file of the viewer's own, which waits for it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Two apps on one machine are never at one autopilot, however the first ended or the line is named."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

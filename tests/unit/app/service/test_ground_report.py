@@ -1,7 +1,5 @@
 """What ground stations are told of the computer, and the actions that QGroundControl is given."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

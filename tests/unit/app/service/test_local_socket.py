@@ -1,7 +1,5 @@
 """The local socket: who may open it, what it answers, and what becomes of one that is left behind."""
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import json

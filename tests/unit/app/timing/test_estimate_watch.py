@@ -1,7 +1,5 @@
 """The estimate starts again on the ground alone, and what became of its inputs is logged."""
 
-from __future__ import annotations
-
 import pytest
 
 from companion.app.timing.estimate_watch import EstimateWatch

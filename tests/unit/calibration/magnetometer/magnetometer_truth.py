@@ -1,7 +1,5 @@
 """Made-up magnetometers with known errors, turned about in a known field."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

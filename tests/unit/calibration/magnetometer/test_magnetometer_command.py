@@ -1,7 +1,5 @@
 """`calibrate-magnetometer` end to end from files: what it writes, what it refuses, what it tells."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The recursion of eqs. 40-42 against the batch problem it solves: dense, and OSQP without constraints."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

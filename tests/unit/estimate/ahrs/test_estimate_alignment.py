@@ -1,7 +1,5 @@
 """Standing still is recognised, and yields attitude and gyroscope bias."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The orientation pre-filter (eqs. 14-16): the blend, and when it believes which sensor."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

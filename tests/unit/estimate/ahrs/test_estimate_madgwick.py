@@ -1,7 +1,5 @@
 """Madgwick's filter and the first alignment (eq. 13), in NED and FRD."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

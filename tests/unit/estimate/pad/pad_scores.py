@@ -1,7 +1,5 @@
 """Runs a pad filter over a made-up track and says how far off it was, and whether it knew."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final

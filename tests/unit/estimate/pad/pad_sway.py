@@ -1,7 +1,5 @@
 """A vehicle that sways over a pad, and what its camera sees: for what is learnt of sightings in flight."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

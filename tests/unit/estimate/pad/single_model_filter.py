@@ -3,8 +3,6 @@
 It takes all that a sighting claims for noise, and its settings are those it flew with.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The delay of the camera's stamps, learnt from how a swaying vehicle sees a pad."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A correction of the vehicle's attitude is no motion of the pad."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """All models in one array operation: against filterpy's own IMM, and by the rules of probability."""
 
-from __future__ import annotations
-
 import json
 import math
 

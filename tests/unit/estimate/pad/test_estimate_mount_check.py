@@ -1,7 +1,5 @@
 """A camera that is turned against the vehicle's file is noticed by how the pad seems to move."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """The relative-motion filter: starting, tracking, blindness, outliers, echoes and heading."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The pad filter over made-up tracks: accuracy, honesty, waves, blindness, late frames, wild echoes."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

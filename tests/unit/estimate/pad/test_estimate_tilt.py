@@ -1,7 +1,5 @@
 """A deck's tilt: followed, its swing measured, its level moments predicted."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

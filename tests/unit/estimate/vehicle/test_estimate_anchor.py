@@ -1,7 +1,5 @@
 """The autopilot's attitude as an reset of ours, and what is told when the IMU's stream has a gap."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The 31-state EKF: updates, gates, consistency of its covariance."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The 31-state models' analytic Jacobians against finite differences, and their physics."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The 31-state EKF in trouble: blows, wandering and late fixes, iron, a lost attitude, a bias that steps."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The first attitude: biases of the sensors turn it, and the autopilot's is heard beside it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

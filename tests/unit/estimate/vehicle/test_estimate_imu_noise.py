@@ -1,7 +1,5 @@
 """What vibration and turns add to the IMU's noise."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An EKF that no longer fits its pre-filter: doubted, started again, and said so."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

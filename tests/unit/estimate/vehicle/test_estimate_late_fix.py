@@ -1,7 +1,5 @@
 """A late fix of the 31-state EKF: what it changes is carried over what is newer, or that is taken again."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The autopilot as a second gyroscope: a step of our bias is found, and nothing that only looks like one."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

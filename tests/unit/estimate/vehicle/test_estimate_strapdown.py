@@ -1,7 +1,5 @@
 """Samples summed up to one step: against a fine reference where sums of samples err (coning, sculling)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

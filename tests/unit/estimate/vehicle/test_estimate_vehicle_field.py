@@ -1,7 +1,5 @@
 """The field reaches the vehicle's EKF only when the orientation pre-filter trusts it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What a gyroscope makes of a yaw, beside the EKF: as one filter with three states more would have it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small logs as ArduPilot, PX4 and we write them, of the estimators' test flight, byte by byte."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Iterable, Sequence

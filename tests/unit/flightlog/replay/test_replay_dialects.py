@@ -1,7 +1,5 @@
 """One second as ArduPilot of 2014 to 2025 and PX4 1.11 to 1.16 name it: the same samples come out."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

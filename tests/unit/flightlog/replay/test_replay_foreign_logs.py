@@ -1,7 +1,5 @@
 """Logs of ArduPilot and PX4, made byte by byte of a flight whose truth is known."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Why the estimators never aligned over a log."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

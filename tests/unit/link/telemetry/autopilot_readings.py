@@ -1,7 +1,5 @@
 """Packed messages of an autopilot's sensors, and a TelemetrySensors whose clock has settled."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Heading alignment: what is sent is turned from our north to the autopilot's."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The autopilot's sensors by telemetry: when each sample was measured, which is taken, what is missing."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

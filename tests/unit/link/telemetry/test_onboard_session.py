@@ -1,7 +1,5 @@
 """The session asks for the autopilot's sensors and reads them, over a line that delays, through a restart."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Messages of the autopilot's sensors, packed and unpacked, to samples in SI units."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -3,8 +3,6 @@
 The recordings lie beside the repository, in `../shared/data/autopilot`; without them there is nothing to do.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from functools import cache

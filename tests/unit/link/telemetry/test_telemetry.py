@@ -1,7 +1,5 @@
 """Telemetry: what the autopilot says of itself, as the app sees it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

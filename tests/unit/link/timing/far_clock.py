@@ -1,7 +1,5 @@
 """A clock at the other end of a line with delays: stamped samples and answers to TIMESYNC, heard in order."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

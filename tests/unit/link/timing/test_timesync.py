@@ -1,7 +1,5 @@
 """The autopilot's clock: one that drifts, stands still, starts anew, and a line that delays."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

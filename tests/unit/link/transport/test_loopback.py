@@ -1,7 +1,5 @@
 """Unless somebody says otherwise, no socket of ours can be reached from another computer."""
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess

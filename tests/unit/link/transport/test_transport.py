@@ -1,7 +1,5 @@
 """The line in the process, and what waits in any line after a pause."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 

@@ -1,7 +1,5 @@
 """Serial lines and TCP: bytes both ways, and a clear end."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import pty

@@ -1,7 +1,5 @@
 """UDP: who becomes the peer, who is heard, and a clear end."""
 
-from __future__ import annotations
-
 import asyncio
 
 import pytest

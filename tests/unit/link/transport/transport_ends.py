@@ -1,7 +1,5 @@
 """Reading from transports, and free ports for them."""
 
-from __future__ import annotations
-
 import socket
 
 

@@ -1,7 +1,5 @@
 """When rest alone proves a landing: the motors stop a second after the contact, and no sooner."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """The set-down under the autopilot's own LAND, and what an earlier stand leaves behind."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from companion.base.messages import AutopilotState, LandedState, RangeSample

@@ -1,7 +1,5 @@
 """The conditions that the pace goes by: what raises each of the three, and what does not."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

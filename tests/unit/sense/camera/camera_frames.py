@@ -1,7 +1,5 @@
 """Frames as a sensor with noise gives them, and a camera that does what a test says."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """What is held to be wrong with a camera, frame by frame, with the clock handed in."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

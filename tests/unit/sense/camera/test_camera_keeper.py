@@ -1,7 +1,5 @@
 """A camera that is kept: lost in every way, told, and opened anew; in virtual time."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 import threading

@@ -1,7 +1,5 @@
 """Recordings as cameras: each frame when it is due, stamped by the recording's own times."""
 
-from __future__ import annotations
-
 import asyncio
 import threading
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A V4L2 camera with OpenCV's part replaced: setting up, reading back, stamps, and every way to fail."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import threading

@@ -1,7 +1,5 @@
 """Mid-exposure by a stamp at each of the three moments, and which clock a driver stamps by."""
 
-from __future__ import annotations
-
 import pytest
 
 from companion.sense.camera.stamps import ENOUGH_UNSTAMPED, StampPoint, StampReader, mid_exposure_s

@@ -1,7 +1,5 @@
 """NMEA sentences made by hand, for the receiver's tests."""
 
-from __future__ import annotations
-
 from companion.config import GpsConfig
 from sitl.devices.neo6m import nmea
 

@@ -1,7 +1,5 @@
 """The receiver's baud rate: found, moved to the wanted one, found again. On lines that garble bytes."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections.abc import Callable

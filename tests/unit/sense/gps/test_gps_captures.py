@@ -3,8 +3,6 @@
 The captures are not part of the project: without the folder these tests are skipped.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Receivers later than the NEO-6M: NAV-SOL is gone, on some the old commands too; fixes come all the same."""
 
-from __future__ import annotations
-
 import struct
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Which fixes are believed: NAV-STATUS and NAV-DOP, NAV-SOL alone, a time that stands still."""
 
-from __future__ import annotations
-
 import struct
 
 import pymap3d

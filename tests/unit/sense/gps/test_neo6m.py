@@ -1,7 +1,5 @@
 """The NEO-6M's driver on hand-made bytes: UBX, NMEA, and what a line does to them."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

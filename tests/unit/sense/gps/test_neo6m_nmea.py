@@ -1,7 +1,5 @@
 """The NEO-6M's NMEA with a right check sum and wrong contents: no sentence ends the receiver."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """The NEO-6M's settings, and its driver on the simulated receiver."""
 
-from __future__ import annotations
-
 import math
 import struct
 

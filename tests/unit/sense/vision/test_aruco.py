@@ -1,7 +1,5 @@
 """Reading markers: every group, parts of the image, shrunk images, and what must not be believed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

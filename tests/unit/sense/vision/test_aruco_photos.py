@@ -1,7 +1,5 @@
 """OpenCV's tutorial photographs with its reference corners: any list of codes is read, not only a pad's."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

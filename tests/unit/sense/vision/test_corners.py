@@ -1,7 +1,5 @@
 """Corners where a marker's sides meet, from starts that are as wrong as contours give them."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

@@ -1,7 +1,5 @@
 """The lens against OpenCV's projection."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

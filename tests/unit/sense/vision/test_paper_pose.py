@@ -1,7 +1,5 @@
 """The paper's way to the pose: each marker by itself, its group by distance, eq. 1, mean."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The joint pose, from corners made with OpenCV's own projection."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Literal

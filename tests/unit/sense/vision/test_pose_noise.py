@@ -1,7 +1,5 @@
 """How corners err: what is whitened, and what the rotors shake."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Corners by a marker's whole print, where its cells run together."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

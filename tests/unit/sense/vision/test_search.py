@@ -1,7 +1,5 @@
 """Where to look for which markers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Frames rendered by the simulator, read by the eyes: the pose against the truth."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Commands and modes, in bytes: what each autopilot does, and how it refuses what it does not do."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The autopilots' own precision landing on LANDING_TARGET, in bytes: what each follows, awaits, gives up."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Every type_mask and frame of the streamed setpoints, read as PX4 and as ArduCopter read them."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from math import inf, isnan, nan

@@ -1,7 +1,5 @@
 """Jerk-limited paths: they arrive, keep their limits, and stop where they should."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Flying by hand: RC override and joystick, in the modes that sticks fly, and when they are lost."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

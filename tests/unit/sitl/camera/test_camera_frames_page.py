@@ -1,7 +1,5 @@
 """The example of docs/reference/camera-frames.md feeds the app: run as written, in its own process."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """The words of `companion-sitl campaign`, and what a run of it leaves."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Flights, rows and scenario files for the tests of campaigns."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ Run as a program it reads requests as the real one does. The result of a seed is
 off; every one names the process that flew it in `events`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Campaigns on a Dask cluster: one within this process, whose threads fly on stand-ins for the app."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from concurrent.futures import Future
 from functools import partial

@@ -1,7 +1,5 @@
 """`companion-sitl campaign` that is killed or interrupted: nothing is lost, and it goes on."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What makes a campaign the same one, and what another."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

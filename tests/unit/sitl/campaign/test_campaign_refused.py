@@ -1,7 +1,5 @@
 """`companion-sitl campaign`: what it refuses, in one line."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rows: what they hold, and that the file never has half of one."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

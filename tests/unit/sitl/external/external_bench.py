@@ -1,7 +1,5 @@
 """Plays recorded poses to an external world over UDP, as the simulator that flies the vehicle would."""
 
-from __future__ import annotations
-
 import asyncio
 from typing import Any
 

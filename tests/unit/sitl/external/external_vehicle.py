@@ -1,7 +1,5 @@
 """Somebody else's vehicle on the table: its messages, made by hand, and a player that sends them in time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

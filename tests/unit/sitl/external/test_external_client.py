@@ -1,7 +1,5 @@
 """The client that watches somebody else's vehicle, without a socket: what it asks, hears and says."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from typing import Any

@@ -1,7 +1,5 @@
 """Connections to somebody else's vehicle: over UDP and TCP, and gone and back."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 from contextlib import closing

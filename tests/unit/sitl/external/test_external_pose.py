@@ -1,7 +1,5 @@
 """Poses of somebody else's vehicle: read from its messages, and between them."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import Any

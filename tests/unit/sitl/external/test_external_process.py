@@ -1,7 +1,5 @@
 """The external world as a process: its words, its end, and its verdict."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import signal

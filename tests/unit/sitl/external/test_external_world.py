@@ -1,7 +1,5 @@
 """The pad on the flat ground of somebody else's simulator, and the score of recorded flights over it."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

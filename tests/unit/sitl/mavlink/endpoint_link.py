@@ -1,7 +1,5 @@
 """The simulated autopilot's MAVLink port, spoken to in bytes as a companion or a ground station would."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

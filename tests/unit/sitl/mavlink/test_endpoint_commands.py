@@ -1,7 +1,5 @@
 """Commands, setpoints and parameters at the simulated autopilot's MAVLink port."""
 
-from __future__ import annotations
-
 import math
 import struct
 from typing import Any

@@ -1,7 +1,5 @@
 """The ground station at the pad: hears the companion, and answers where the pad is."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The vehicle's sockets: who listens, who calls, and that nobody holds the vehicle up."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 from typing import Any, cast

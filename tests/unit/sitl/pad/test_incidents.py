@@ -1,7 +1,5 @@
 """What happens to a pad on its way: each motion by its own derivative, and to its stated end."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """The simulation as a whole, without an app: a scenario's settings reach the line and the camera."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 from typing import Any, NamedTuple

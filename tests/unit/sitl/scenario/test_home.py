@@ -1,7 +1,5 @@
 """Where the vehicle stands on Earth: the autopilots' usual places, a scenario's own, and the field there."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scenarios: the shipped ones load and keep their promises; a wrong one says what is wrong in a line."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`companion-sitl scenarios` and `schema`."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Level attitudes, by where the nose points."""
 
-from __future__ import annotations
-
 import math
 
 from companion.base.geometry import Quaternion

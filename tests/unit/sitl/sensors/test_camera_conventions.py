@@ -4,8 +4,6 @@ The expectations are spelled out, and neither the app's code nor its settings ta
 helped: a mount or a marker that is mirrored on both sides alike would land perfectly, in simulation.
 """
 
-from __future__ import annotations
-
 import math
 
 import cv2

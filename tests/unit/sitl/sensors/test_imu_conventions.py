@@ -1,7 +1,5 @@
 """Axes and signs of the simulated IMU, each against what a person with a model in hand would say."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Truth to what the elements feel: statistics against the data sheets' figures."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

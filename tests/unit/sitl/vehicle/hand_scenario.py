@@ -1,7 +1,5 @@
 """A scenario for a vehicle that is carried by hand."""
 
-from __future__ import annotations
-
 from sitl.scenario.home import USUAL_HOMES, magnetic_field_ned_ut
 from sitl.scenario.scenario import load_scenario
 

@@ -1,7 +1,5 @@
 """The battery: full at first, drained by thrust, sagging under load."""
 
-from __future__ import annotations
-
 import pytest
 
 from sitl.mavlink.telemetry import battery_status, sys_status

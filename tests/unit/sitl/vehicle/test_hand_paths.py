@@ -1,7 +1,5 @@
 """The motion of a vehicle that is carried by hand: plausible, and repeated by its seed."""
 
-from __future__ import annotations
-
 import math
 from typing import get_args
 

@@ -1,7 +1,5 @@
 """What lies under the vehicle, and what it does to the rotors."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

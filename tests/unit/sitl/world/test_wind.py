@@ -1,7 +1,5 @@
 """Wind: directions, the standard's variances and spectra, gusts."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The watch on whether the eyes are shown a mirror image."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

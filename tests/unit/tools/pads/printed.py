@@ -3,8 +3,6 @@
 Lower left corner of the page is the origin, y up.
 """
 
-from __future__ import annotations
-
 import re
 import zlib
 from dataclasses import dataclass

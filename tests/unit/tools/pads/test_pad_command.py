@@ -1,7 +1,5 @@
 """`companion pad`: what it says, prints and draws, and what it says of what cannot be."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

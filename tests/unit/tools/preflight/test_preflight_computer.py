@@ -1,7 +1,5 @@
 """The computer: clock, disk, power, service; and what a running service does to the check."""
 
-from __future__ import annotations
-
 import asyncio
 import shutil
 from collections import namedtuple

@@ -1,7 +1,5 @@
 """Calibrations: there, fitting, fresh."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any

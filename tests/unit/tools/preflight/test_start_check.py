@@ -1,7 +1,5 @@
 """What the service reads before it opens a device is read, and what is wrong with it said in one line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

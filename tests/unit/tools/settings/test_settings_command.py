@@ -1,7 +1,5 @@
 """`companion settings`: the meaning of any setting, offline."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

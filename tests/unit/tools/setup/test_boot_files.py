@@ -1,7 +1,5 @@
 """config.txt and cmdline.txt: what counts for a model is found, and what is added counts."""
 
-from __future__ import annotations
-
 import pytest
 
 from companion.tools.setup.boot_files import has_overlay, parameter, with_lines, without_serial_console

@@ -1,7 +1,5 @@
 """The checklist on made-up Raspberry Pis: only what was agreed to is done, and it is done once."""
 
-from __future__ import annotations
-
 import io
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A ground station's side of the mission protocol, for tests: uploads, downloads, and items by hand."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Kinds of mission items, for missions over MAVLink."""
 
-from __future__ import annotations
-
 import pytest
 
 BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])

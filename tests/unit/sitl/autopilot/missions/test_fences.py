@@ -1,7 +1,5 @@
 """Geofences: how they are uploaded, what they mean, and what the autopilots do outside of one."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import pytest

@@ -1,7 +1,5 @@
 """Missions over MAVLink: uploaded, refused and downloaded as each autopilot does."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

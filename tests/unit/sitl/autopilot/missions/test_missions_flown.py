@@ -1,7 +1,5 @@
 """Missions that are flown as each autopilot does."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
