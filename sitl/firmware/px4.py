@@ -266,8 +266,8 @@ def _parameters(setup: Setup) -> dict[str, float]:
         "NAV_DLL_ACT": 0,
         "COM_OBL_RC_ACT": 5,
         "COM_OF_LOSS_T": 1.0,
-        # No log and no battery that runs down: nothing that takes time. The log is off by the first up to PX4 1.16, by
-        # the second from 1.17 on, whose logger waits within lockstep for an attitude that there is not yet.
+        # No log and no battery that runs down: nothing that takes time. The log is off by the first up to PX4
+        # 1.16, by the second from 1.17 on, whose logger waits in lockstep for an attitude that is not there yet.
         "SDLOG_MODE": -1,
         "SDLOG_BACKEND": 0,
         "SIM_BAT_DRAIN": 3600,
