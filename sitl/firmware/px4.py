@@ -267,7 +267,7 @@ def _parameters(setup: Setup) -> dict[str, float]:
         "COM_OBL_RC_ACT": 5,
         "COM_OF_LOSS_T": 1.0,
         # No log and no battery that runs down: nothing that takes time. The log is off by the first up to PX4
-        # 1.16, by the second from 1.17 on, whose logger waits in lockstep for an attitude that is not there yet.
+        # 1.16, by the second from 1.17 on, whose logger waits in lockstep for an attitude that comes later.
         "SDLOG_MODE": -1,
         "SDLOG_BACKEND": 0,
         "SIM_BAT_DRAIN": 3600,
