@@ -33,6 +33,7 @@ from companion.base.messages import (
     FrameReport,
     GpsFix,
     ImuSample,
+    LandedState,
     MagSample,
     PadPrior,
     PadSighting,
@@ -232,7 +233,11 @@ class Sensing:
         self._attitude_s = autopilot.attitude_time_s
         same_imu = self._config.sense.source == "autopilot"
         sample = AutopilotAttitude(
-            autopilot.attitude_time_s, autopilot.attitude, same_imu, autopilot.round_trip_s or 0.0
+            autopilot.attitude_time_s,
+            autopilot.attitude,
+            same_imu,
+            autopilot.round_trip_s or 0.0,
+            autopilot.landed is LandedState.IN_AIR,
         )
         self._estimator.add_autopilot_attitude(sample)
         self._log.write("autopilot_attitude", sample, self._clock.now_s())

@@ -86,12 +86,14 @@ class AutopilotAttitude:
     """The autopilot's own attitude (body to its NED), when it measured it on our clock.
 
     `same_imu`: our samples are its IMU's too, by telemetry. `round_trip_s` is the link's; 0: not known.
+    `in_air`: it says that it flies.
     """
 
     time_s: float
     attitude: Quaternion
     same_imu: bool = False
     round_trip_s: float = 0.0
+    in_air: bool = False
 
 
 @dataclass(frozen=True, slots=True)

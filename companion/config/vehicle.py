@@ -169,8 +169,8 @@ class VehicleConfig(StrictModel):
     range_position_body_m: Vector
     """Position of the rangefinder from the centre of mass, FRD; measure it"""
     imu_position_body_m: Vector = Field(default=(0.0, 0.0, 0.0))
-    """Position of the IMU that the app flies by from the centre of mass, FRD; measure it where it is more
-    than 2 cm off: what it feels of a turn looks like wind"""
+    """Position of the IMU that the app flies by from the centre of mass, FRD; what is not told is learnt in
+    the air; measure it where it is more than 5 cm off"""
     radius_m: float = Field(default=0.4, gt=0.0, le=3.0)
     """Distance from the centre of mass to the farthest rotor's tip, for obstacles"""
     leg_height_m: float = Field(ge=0.02, le=1.0)

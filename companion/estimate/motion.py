@@ -8,9 +8,13 @@ arbitrary start: only differences of them mean anything. NED, SI units, plain fl
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from typing import Final
+
+import numpy as np
 
 from companion.base.geometry import (
     ZERO3,
+    FloatArray,
     Quaternion,
     Vector3,
     add,
@@ -23,6 +27,7 @@ from companion.base.geometry import (
     scale,
 )
 
+LEVER_STD_M: Final = 0.05  # of the IMU's place as told, an axis: people put boards up to 10 cm off
 PREDICTED_S = 0.1  # beyond the newest sample an acceleration goes on for so long, and then there is none
 
 
@@ -30,11 +35,14 @@ class MotionHistory:
     """Attitudes and acceleration integrals of the last `span_s` to `2 span_s`.
 
     `noise_density_m2_s3` is the density of the acceleration's noise on an axis, lately, `turn_density_rad2_s`
-    that of the rate of turn's.
+    that of the rate of turn's. The accelerations are the centre of mass's, as far as the IMU's place from it
+    is known: `imu_body_m` is the one that was taken, `imu_covariance_m2` (3, 3) its covariance.
     """
 
     def __init__(self, span_s: float) -> None:
         self.noise_density_m2_s3 = self.turn_density_rad2_s = 0.0
+        self.imu_body_m: Vector3 = ZERO3
+        self.imu_covariance_m2: FloatArray = LEVER_STD_M**2 * np.eye(3)
         self._span_s = span_s
         self._times_s: list[float] = []
         self._attitudes: list[Quaternion] = []

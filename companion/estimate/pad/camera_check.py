@@ -3,10 +3,11 @@
 A frame that was exposed d later than its stamp says takes the attitude of another moment: a vehicle that
 turns at w sees the pad jump by -d w x q, although nothing moves. A pad that is printed smaller than its file
 says, or a focal length that is wrong, makes every distance k times what it is, and the pad seems to move k
-times as the vehicle does. An IMU that sits r (body) from where the file says swings by R r where the vehicle
-turns: at a swing of w rad/s that looks like a scale of 1 + w^2 r / g, 20 % of 0.1 m. All are constants of one
-linear filter, beside the pad's own motion (q, v: position and velocity relative to the IMU as they are seen,
-NED; a: the pad's acceleration, a Gauss-Markov process; U: the IMU's own motion beyond constant velocity):
+times as the vehicle does. An IMU that sits r (body) from where it is taken to be swings by R r where the
+vehicle turns: at a swing of w rad/s that looks like a scale of 1 + w^2 r / g, 20 % of 0.1 m. What `LeverArm`
+knows of r is where it begins. All are constants of one linear filter, beside the pad's own motion (q, v:
+position and velocity relative to the IMU as they are seen, NED; a: the pad's acceleration, a Gauss-Markov
+process; U: the IMU's own motion beyond constant velocity):
 
     predict   q += v dt + a dt^2 / 2 - k U_q        v += a dt - k U_v        a *= exp(-dt / tau)
     sighting  z = q + R r - (d - d0) w x z + noise  d0: the delay that is corrected already
@@ -72,7 +73,6 @@ MEDIAN_OF: Final = 7  # echoes
 LARGEST_DELAY_S: Final = 0.1
 UNSETTLED_S: Final = 0.005  # what is still to be corrected of the delay: less does not show in the scale
 SLEW: Final = 0.01  # s a second: what is corrected moves slowly, so that sightings stay in order
-LEVER_STD_M: Final = 0.05  # of the IMU's place, an axis: people put boards up to 10 cm off
 _Q, _V, _A, _K, _D, _R = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, slice(11, 14)
 _STATES: Final = 14
 _EYE3: Final = np.eye(3)
@@ -99,7 +99,7 @@ class CameraCheck:
         self.link_delay_s = 0.0
         self._x = np.zeros(_STATES)
         self._x[_K] = 1.0
-        self._P = np.diag([0.0] * 9 + [SCALE_STD**2, delay_std_s**2] + [LEVER_STD_M**2] * 3)
+        self._P = np.diag([0.0] * 9 + [SCALE_STD**2, delay_std_s**2] + [0.0] * 3)
         self._down_body: Vector3 = (0.0, 0.0, 1.0)  # at the last sighting
         self._time_s = -math.inf
         self._echoes: deque[tuple[float, float]] = deque(maxlen=4)  # time (s), our height over it (m)
@@ -162,6 +162,8 @@ class CameraCheck:
     def _begin(self, attitude: Quaternion, seen: Vector3, noise_m2: float) -> None:
         """The pad's motion anew; it is from the IMU, as far as it is known where that is."""
         x, P, R = self._x, self._P, matrix_from_quat(attitude)
+        x[_R], P[_R, :], P[:, _R] = 0.0, 0.0, 0.0
+        P[_R, _R] = self._motion.imu_covariance_m2
         x[_Q], x[_V], x[_A] = np.array(seen) - R @ x[_R], 0.0, 0.0
         P[:9, :], P[:, :9] = 0.0, 0.0
         spread = (noise_m2, FIRST_SPEED_M_S**2, PAD_ACCELERATION_M_S2**2)

@@ -12,7 +12,6 @@ from companion.base.geometry import (
     Quaternion,
     Vector3,
     add,
-    cross,
     norm,
     quat_conjugate,
     quat_integrate,
@@ -57,10 +56,8 @@ class InertialMotion:
     `disturbance_m_s2` is the largest acceleration within the time over which the pre-filter averages.
     """
 
-    def __init__(self, history: MotionHistory, imu_body_m: Vector3 = ZERO3) -> None:
-        """`imu_body_m`: the accelerometer from the centre of mass."""
-        self._history, self._imu_body_m = history, imu_body_m
-        self._last_rate: Vector3 | None = None
+    def __init__(self, history: MotionHistory) -> None:
+        self._history = history
         self.attitude: Quaternion = IDENTITY
         self.rate_body_rad_s: Vector3 = ZERO3
         self.acceleration_ned_m_s2: Vector3 = ZERO3
@@ -80,14 +77,16 @@ class InertialMotion:
         mean_force: Vector3,
         orientation: Orientation,
     ) -> None:
-        """Take a sample, and the means since the one before, dt_s ago; the pre-filter goes along."""
+        """Take a sample, and the means since the one before, dt_s ago; the pre-filter goes along.
+
+        The forces are the centre of mass's: what its place adds is off (see `lever_arm`).
+        """
         turned = subtract(mean_rate, self.gyro_bias_rad_s)
         without_yaw_error = subtract(turned, scale(self._yaw_share, turned[2]))
         self.attitude = quat_integrate(self.attitude, without_yaw_error, dt_s)
         orientation.update_imu(turned, subtract(mean_force, self.accel_bias_m_s2), dt_s)
         self.rate_body_rad_s = subtract(sample.rate_body_rad_s, self.gyro_bias_rad_s)
         force = subtract(sample.specific_force_body_m_s2, self.accel_bias_m_s2)
-        force = subtract(force, self._by_turning(dt_s))
         acceleration = _acceleration(self.attitude, force)
         span_s = None if sample.interval_s is None else dt_s
         k = dt_s / (ACCELERATION_FILTER_S + dt_s)
@@ -115,15 +114,6 @@ class InertialMotion:
             rotation_vector_from_quat(quat_multiply(attitude, quat_conjugate(self.attitude)))
         )
         self.attitude, self._yaw_share = attitude, vector3(yaw_share)
-
-    def _by_turning(self, dt_s: float) -> Vector3:
-        """What an accelerometer beside the centre of mass feels of a turn: alpha x r + w x (w x r)."""
-        rate, last = self.rate_body_rad_s, self._last_rate or self.rate_body_rad_s
-        self._last_rate = rate
-        if self._imu_body_m == ZERO3 or dt_s <= 0.0:
-            return ZERO3
-        tangential = cross(scale(subtract(rate, last), 1.0 / dt_s), self._imu_body_m)
-        return add(tangential, cross(rate, cross(rate, self._imu_body_m)))
 
     def turned(self, attitude: Quaternion, dt_s: float) -> Quaternion:
         """An attitude after dt_s at the newest sample's rate."""

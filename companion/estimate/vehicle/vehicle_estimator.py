@@ -9,6 +9,7 @@ NED and FRD, SI units, µT.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final
 
 from companion.base.geometry import (
@@ -25,6 +26,7 @@ from companion.base.geometry import (
     quat_rotate,
     quat_rotate_inverse,
     scale,
+    subtract,
     vector3,
 )
 from companion.base.messages import AutopilotAttitude, GpsFix, ImuSample, MagSample, VehicleState
@@ -54,6 +56,7 @@ from companion.estimate.vehicle.gyro_bias_check import SecondGyro
 from companion.estimate.vehicle.imu_noise import ImuNoise
 from companion.estimate.vehicle.inertial_motion import InertialMotion, VectorMean
 from companion.estimate.vehicle.innovation_watch import TroubleReport
+from companion.estimate.vehicle.lever_arm import LeverArm
 from companion.estimate.vehicle.state_output import vehicle_state
 from companion.estimate.vehicle.strapdown import Strapdown
 
@@ -91,7 +94,8 @@ class VehicleEstimator:
         self.corrections: tuple[str, ...] = ()  # of the attitude, in words, not yet reported
         self._last_raw: tuple[Vector3, Vector3] | None = None
         self._span_s: float | None = None  # of the samples not yet given to the EKF, by their own clock
-        self._inertial, self._trouble = InertialMotion(motion, imu_body_m), TroubleReport()
+        self._inertial, self._trouble = InertialMotion(motion), TroubleReport()
+        self._lever = LeverArm(imu_body_m)
         self._resting = self._still_block = False
         self._mag_s = self._compare_s = self._field_step_s = self._orientation_step_s = -math.inf
         self._mag_trusted_s = self._settled_s = -math.inf
@@ -166,6 +170,7 @@ class VehicleEstimator:
 
         Otherwise only its turns count, against a step of our gyroscope's bias.
         """
+        self._lever.in_air = sample.in_air
         if self._timeline is None or self._orientation is None:
             return False
         if sample.same_imu:
@@ -315,9 +320,16 @@ class VehicleEstimator:
         # between two samples both are linear
         mean_rate = scale(add(last_rate, raw[0]), 0.5)
         mean_force = scale(add(last_force, raw[1]), 0.5)
+        self._noise.add(*raw, dt_s)
+        densities = self.motion.noise_density_m2_s3, self.motion.turn_density_rad2_s
+        self._lever.add(mean_rate, mean_force, dt_s, *densities)
+        self.motion.imu_body_m = self._lever.position_body_m
+        self.motion.imu_covariance_m2 = self._lever.covariance_m2
+        of_turning = self._lever.felt_m_s2(last_rate, raw[0], dt_s)
+        mean_force = subtract(mean_force, of_turning)
+        sample = replace(sample, specific_force_body_m_s2=subtract(raw[1], of_turning))
         self._strapdown.add(dt_s, mean_rate, mean_force)
         self._second_gyro.add_rate(sample.time_s, mean_rate, dt_s)
-        self._noise.add(*raw, dt_s)
         self._inertial.add(sample, dt_s, mean_rate, mean_force, self._orientation)
 
     def _collect(self, sample: ImuSample, dt_s: float) -> None:

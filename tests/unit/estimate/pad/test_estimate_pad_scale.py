@@ -9,7 +9,7 @@ from companion.base.geometry import Vector3
 from companion.base.geometry import scale as scaled
 from companion.base.messages import Quantity, SourceComparison
 from companion.base.second_sources import TABLE
-from companion.estimate.motion import MotionHistory
+from companion.estimate.motion import LEVER_STD_M, MotionHistory
 from companion.estimate.pad.camera_check import CameraCheck
 from companion.estimate.pad.pad_types import HeightMeasurement
 from tests.unit.estimate.pad.pad_sway import Sway, sightings
@@ -26,9 +26,14 @@ def compared(
     echoes: bool = False,
     spikes: float = 0.0,
     duration_s: float = 12.0,
+    arm_std_m: float = LEVER_STD_M,
 ) -> SourceComparison:
-    """What is found in a flight over a pad that is printed so large, as a share of its file's size."""
+    """What is found in a flight over a pad that is printed so large, as a share of its file's size.
+
+    `arm_std_m`: so well the IMU's place is known.
+    """
     motion, rng = MotionHistory(3.0), np.random.default_rng(3)
+    motion.imu_covariance_m2 = arm_std_m**2 * np.eye(3)
     check = CameraCheck(motion, 0.03, 0.65)
     for k, (exposed_s, (x, y, z)) in enumerate(sightings(sway, motion, duration_s)):
         if echoes and k % 2:
@@ -49,6 +54,12 @@ def test_a_pad_printed_at_71_percent_is_refused_by_its_motion_alone(pad_speed_m_
     found = compared(sway, 0.71)
     assert ROW.refuses(found)
     assert found.first == "100 %"
+    assert float(found.second.removesuffix(" %")) == pytest.approx(71.0, abs=8.0)
+
+
+def test_it_is_refused_in_small_fast_swings_too_where_the_accelerometers_place_is_known() -> None:
+    found = compared(SWAYS, 0.71, arm_std_m=0.003)
+    assert ROW.refuses(found)
     assert float(found.second.removesuffix(" %")) == pytest.approx(71.0, abs=8.0)
 
 

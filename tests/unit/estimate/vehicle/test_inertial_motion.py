@@ -13,6 +13,7 @@ from companion.base.geometry import (
     add,
     cross,
     quat_from_euler,
+    subtract,
     yaw_from_quat,
 )
 from companion.base.messages import ImuSample
@@ -20,6 +21,7 @@ from companion.config import EstimateConfig
 from companion.estimate.ahrs.orientation import new_orientation
 from companion.estimate.motion import MotionHistory
 from companion.estimate.vehicle.inertial_motion import InertialMotion
+from companion.estimate.vehicle.lever_arm import LeverArm
 
 STEP_S = 0.005
 FASTEST_RAD_S2 = 12.0
@@ -27,8 +29,9 @@ FASTEST_RAD_S2 = 12.0
 
 def rocked(imu_body_m: Vector3, believed_m: Vector3) -> float:
     """Rolled to and fro at 10 rad/s about the centre of mass, which hovers: the largest side force (m/s2)."""
-    motion = InertialMotion(MotionHistory(1.0), believed_m)
+    motion, arm = InertialMotion(MotionHistory(1.0)), LeverArm(believed_m)
     orientation, largest, w = new_orientation(EstimateConfig(), IDENTITY), 0.0, 10.0
+    before: Vector3 = (FASTEST_RAD_S2 / w, 0.0, 0.0)
     for k in range(400):
         t = k * STEP_S
         roll = FASTEST_RAD_S2 / w**2 * math.sin(w * t)
@@ -37,7 +40,8 @@ def rocked(imu_body_m: Vector3, believed_m: Vector3) -> float:
         motion.attitude = quat_from_euler(roll, 0.0, 0.0)
         thrust = (0.0, 0.0, -GRAVITY_M_S2)
         lever = add(cross(alpha, imu_body_m), cross(rate, cross(rate, imu_body_m)))
-        sample = ImuSample(t, rate, add(thrust, lever), 25.0)
+        force = subtract(add(thrust, lever), arm.felt_m_s2(before, rate, STEP_S))
+        sample, before = ImuSample(t, rate, force, 25.0), rate
         motion.add(sample, STEP_S, ZERO3, sample.specific_force_body_m_s2, orientation)
         if k > 20:
             largest = max(largest, math.hypot(*motion.side_force_ned_m_s2[:2]))

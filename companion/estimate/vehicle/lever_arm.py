@@ -1,0 +1,143 @@
+"""Where the accelerometer is, learnt in the air, and what it feels of the vehicle's turns.
+
+At r from the centre of mass (body) it feels alpha x r + w x (w x r) besides. Across a multirotor's up axis
+there is no thrust, so a vehicle that swings at w rad/s under its thrust feels w^2 r / g of its acceleration
+there once more: as wind, which a controller meets, and which closes a loop that oscillates from 3 cm on. By
+the same token it is learnt within seconds of that swing. A linear Kalman filter over means of the force f by
+triangles of two blocks, whose alpha is the difference of the two blocks' mean rates:
+
+    f = S r + b + noise      S r = alpha x r + mean(w x (w x r))
+    r: a random walk         b: what else is felt, a random walk: the air's force across, the thrust along
+
+What carries a vehicle by hand, or rocks it on its feet, turns it about another point: only flight teaches it.
+SI units, FRD.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    ZERO3,
+    FloatArray,
+    Vector3,
+    add,
+    cross,
+    scale,
+    subtract,
+    vector3,
+)
+from companion.estimate.gating import CHI_SQUARE_999, normalised_innovation_squared
+from companion.estimate.motion import LEVER_STD_M
+
+LEVER_WALK_M_RTS: Final = 1e-4  # dampers give way
+BLOCK_S: Final = 0.04
+# what the air's force, with the vehicle's own speed, changes by in a second; a multirotor's thrust: all of it
+AIR_WALK_M_S2_RTS: Final = 1.0
+THRUST_WALK_M_S2_RTS: Final = GRAVITY_M_S2
+_EYE3: Final = np.eye(3)
+_WALK: Final = np.diag([LEVER_WALK_M_RTS**2] * 3 + [AIR_WALK_M_S2_RTS**2] * 2 + [THRUST_WALK_M_S2_RTS**2])
+_ARM, _ELSE = slice(0, 3), slice(3, 6)
+
+
+class _Block:
+    """Sums over a block: rate, its products, and the force weighed as it rises and falls."""
+
+    def __init__(self) -> None:
+        self.span_s = 0.0
+        self.rate = self.rising = self.falling = ZERO3
+        self.squares: Vector3 = ZERO3
+        self.products: Vector3 = ZERO3  # yz, zx, xy
+
+    def add(self, rate: Vector3, force: Vector3, dt_s: float) -> None:
+        """Take the mean rate and force of dt_s."""
+        since_s = self.span_s + 0.5 * dt_s
+        (p, q, r), (u, v, w), (a, b, c) = rate, self.squares, self.products
+        self.rate = add(self.rate, scale(rate, dt_s))
+        self.squares = (u + p * p * dt_s, v + q * q * dt_s, w + r * r * dt_s)
+        self.products = (a + q * r * dt_s, b + r * p * dt_s, c + p * q * dt_s)
+        self.falling = add(self.falling, scale(force, dt_s))
+        self.rising = add(self.rising, scale(force, dt_s * since_s))
+        self.span_s += dt_s
+
+
+class LeverArm:
+    """Feed it every sample; `position_body_m` is the accelerometer's place from the centre of mass."""
+
+    def __init__(self, told_body_m: Vector3) -> None:
+        """`told_body_m`: by the vehicle's file."""
+        self.position_body_m = told_body_m
+        self.in_air = False
+        self._x, self._P = np.zeros(6), np.zeros((6, 6))
+        self._x[_ARM], self._P[_ARM, _ARM] = told_body_m, LEVER_STD_M**2 * _EYE3
+        self._last: _Block | None = None
+        self._block, self._begun = _Block(), False
+
+    @property
+    def covariance_m2(self) -> FloatArray:
+        """Of the place (3, 3)."""
+        covariance: FloatArray = self._P[_ARM, _ARM]
+        return covariance
+
+    def felt_m_s2(self, before_rad_s: Vector3, rate_rad_s: Vector3, dt_s: float) -> Vector3:
+        """What is felt there of a turn between two samples (m/s2, body), dt_s apart."""
+        r = self.position_body_m
+        if r == ZERO3 or dt_s <= 0.0:
+            return ZERO3
+        rate = scale(add(before_rad_s, rate_rad_s), 0.5)
+        tangential = cross(scale(subtract(rate_rad_s, before_rad_s), 1.0 / dt_s), r)
+        return add(tangential, cross(rate, cross(rate, r)))
+
+    def add(
+        self, rate: Vector3, force: Vector3, dt_s: float, force_density: float, rate_density: float
+    ) -> None:
+        """Take what was measured over dt_s (means, biases and all), and its noise (m2/s3, rad2/s)."""
+        if not self.in_air or dt_s > BLOCK_S:
+            self._last, self._block, self._begun = None, _Block(), False
+            return
+        self._block.add(rate, force, dt_s)
+        if self._block.span_s < BLOCK_S - 0.5 * dt_s:
+            return
+        last, self._last, self._block = self._last, self._block, _Block()
+        if last is not None:
+            self._learn(last, self._last, force_density, rate_density)
+
+    def _learn(self, first: _Block, second: _Block, force_density: float, rate_density: float) -> None:
+        span_s = 0.5 * (first.span_s + second.span_s)
+        alpha = subtract(scale(second.rate, 1.0 / second.span_s), scale(first.rate, 1.0 / first.span_s))
+        alpha = scale(alpha, 1.0 / span_s)
+        rising = scale(first.rising, 1.0 / first.span_s)
+        falling = subtract(second.falling, scale(second.rising, 1.0 / second.span_s))
+        f = np.array(add(rising, falling)) / span_s
+        xx, yy, zz = scale(add(first.squares, second.squares), 0.5 / span_s)
+        yz, zx, xy = scale(add(first.products, second.products), 0.5 / span_s)
+        a, b, c = alpha
+        S = np.array([[-yy - zz, xy - c, zx + b], [xy + c, -zz - xx, yz - a], [zx - b, yz + a, -xx - yy]])
+        if not self._begun:
+            self._begin(f - S @ self._x[_ARM])
+            return
+        self._P = self._P + span_s * _WALK
+        H = np.hstack([S, _EYE3])
+        # neighbouring triangles share a block: together they tell as much as blocks do
+        turned = float(np.trace(self.covariance_m2)) + float(self._x[_ARM] @ self._x[_ARM])
+        noise = force_density / span_s + 2.0 * rate_density / span_s**3 * turned
+        PH = self._P @ H.T
+        innovation, spread = f - H @ self._x, H @ PH + noise * _EYE3
+        if normalised_innovation_squared(innovation, spread) > CHI_SQUARE_999[3]:
+            self._begun = False  # a blow, or the ground
+            return
+        K = np.linalg.solve(spread, PH.T).T
+        self._x = self._x + K @ innovation
+        P = self._P - K @ PH.T
+        self._P = 0.5 * (P + P.T)
+        self.position_body_m = vector3(self._x[_ARM])
+
+    def _begin(self, other_m_s2: FloatArray) -> None:
+        """What else is felt is anything."""
+        self._x[_ELSE] = other_m_s2
+        self._P[_ELSE, :], self._P[:, _ELSE] = 0.0, 0.0
+        self._P[_ELSE, _ELSE] = GRAVITY_M_S2**2 * _EYE3
+        self._begun = True
