@@ -86,14 +86,17 @@ class InertialMotion:
         self.attitude = quat_integrate(self.attitude, without_yaw_error, dt_s)
         orientation.update_imu(turned, subtract(mean_force, self.accel_bias_m_s2), dt_s)
         self.rate_body_rad_s = subtract(sample.rate_body_rad_s, self.gyro_bias_rad_s)
-        force = subtract(sample.specific_force_body_m_s2, self.accel_bias_m_s2)
+        felt = _acceleration(self.attitude, subtract(sample.specific_force_body_m_s2, self.accel_bias_m_s2))
+        # a rotor's tone lies near half of the samples' rate: a low-pass leaves a tenth of it as wind, of the
+        # means between samples next to nothing
+        force = subtract(mean_force, self.accel_bias_m_s2)
         acceleration = _acceleration(self.attitude, force)
         span_s = None if sample.interval_s is None else dt_s
         k = dt_s / (ACCELERATION_FILTER_S + dt_s)
         self.acceleration_ned_m_s2 = _approached(self.acceleration_ned_m_s2, acceleration, k)
         # a blow is over when it is felt: what lasts changes by no more than thrust can
         self._lasting = _approached(self._lasting, _near(self._lasting, acceleration, GRAVITY_M_S2), k)
-        self._history.add(sample.time_s, self.attitude, acceleration, span_s, self._lasting)
+        self._history.add(sample.time_s, self.attitude, felt, span_s, self._lasting)
         pushed = side_force(self.attitude, force)
         self.side_force_ned_m_s2 = _approached(self.side_force_ned_m_s2, pushed, k)
         # the pre-filter remembers an acceleration for as long as it averages; taken with its own attitude, so

@@ -83,7 +83,10 @@ class LeverArm:
         return covariance
 
     def felt_m_s2(self, before_rad_s: Vector3, rate_rad_s: Vector3, dt_s: float) -> Vector3:
-        """What is felt there of a turn between two samples (m/s2, body), dt_s apart."""
+        """What is felt there of a turn (m/s2, body) between two rates dt_s apart.
+
+        Means between samples rather than samples: these have the rotors' tones, and differences all of it.
+        """
         r = self.position_body_m
         if r == ZERO3 or dt_s <= 0.0:
             return ZERO3

@@ -93,6 +93,7 @@ class VehicleEstimator:
         self._second_gyro, self._reset, self._noise = SecondGyro(), AttitudeReset(), ImuNoise(config.ekf)
         self.corrections: tuple[str, ...] = ()  # of the attitude, in words, not yet reported
         self._last_raw: tuple[Vector3, Vector3] | None = None
+        self._last_mean_rate: Vector3 | None = None
         self._span_s: float | None = None  # of the samples not yet given to the EKF, by their own clock
         self._inertial, self._trouble = InertialMotion(motion), TroubleReport()
         self._lever = LeverArm(imu_body_m)
@@ -300,7 +301,7 @@ class VehicleEstimator:
         """Forget all but the time of the newest sample; the alignment begins again."""
         config = self._config.alignment
         self._detector, self._aligner = StillnessDetector(config), StaticAligner(config)
-        self._orientation = self._ekf = self._timeline = self._last_raw = None
+        self._orientation = self._ekf = self._timeline = self._last_raw = self._last_mean_rate = None
         self._strapdown, self._fields, self._span_s = Strapdown(), VectorMean(), None
         self._second_gyro, self._reset = SecondGyro(), AttitudeReset()
         self._noise, self._compare_s = ImuNoise(self._config.ekf), -math.inf
@@ -325,7 +326,8 @@ class VehicleEstimator:
         self._lever.add(mean_rate, mean_force, dt_s, *densities)
         self.motion.imu_body_m = self._lever.position_body_m
         self.motion.imu_covariance_m2 = self._lever.covariance_m2
-        of_turning = self._lever.felt_m_s2(last_rate, raw[0], dt_s)
+        last_mean, self._last_mean_rate = self._last_mean_rate or mean_rate, mean_rate
+        of_turning = self._lever.felt_m_s2(last_mean, mean_rate, dt_s)
         mean_force = subtract(mean_force, of_turning)
         sample = replace(sample, specific_force_body_m_s2=subtract(raw[1], of_turning))
         self._strapdown.add(dt_s, mean_rate, mean_force)

@@ -13,6 +13,7 @@ from companion.base.geometry import (
     add,
     cross,
     quat_from_euler,
+    scale,
     subtract,
     yaw_from_quat,
 )
@@ -101,3 +102,24 @@ def test_a_blow_is_not_carried_on_while_the_next_samples_are_late() -> None:
     (_, (later, _, _)) = history.moved(100 * step_s, 100 * step_s + 0.08)
     assert abs(later) < 0.25
     assert motion.acceleration_ned_m_s2[0] < -30.0  # it is felt all the same
+
+
+@pytest.mark.parametrize("tone_hz", [90.0, 97.0])
+def test_a_rotors_tone_is_no_wind_with_the_accelerometer_off_its_place(tone_hz: float) -> None:
+    """5 m/s2, and 0.14 rad/s of a gyroscope that feels it too; an IMU 8 cm below the centre of mass."""
+    motion, arm = InertialMotion(MotionHistory(1.0)), LeverArm((0.0, 0.0, 0.08))
+    orientation, largest = new_orientation(EstimateConfig(), IDENTITY), 0.0
+    last_rate, last_mean, last_force = ZERO3, ZERO3, (0.0, 0.0, -GRAVITY_M_S2)
+    for k in range(1, 401):
+        angle = math.tau * tone_hz * k * STEP_S
+        rate: Vector3 = (0.14 * math.cos(angle), 0.0, 0.0)
+        force: Vector3 = (5.0 * math.sin(angle), 0.0, -GRAVITY_M_S2)
+        mean_rate = scale(add(last_rate, rate), 0.5)
+        turning = arm.felt_m_s2(last_mean, mean_rate, STEP_S)
+        mean = subtract(scale(add(last_force, force), 0.5), turning)
+        sample = ImuSample(k * STEP_S, rate, subtract(force, turning), 25.0)
+        motion.add(sample, STEP_S, mean_rate, mean, orientation)
+        last_rate, last_mean, last_force = rate, mean_rate, force
+        if k > 50:
+            largest = max(largest, math.hypot(*motion.side_force_ned_m_s2[:2]))
+    assert largest < 0.15
