@@ -1,8 +1,8 @@
-"""Sightings and estimates against the truth. SI units, times of the app's clock."""
+"""Quantities over time, and sightings and estimates against the truth. SI units, times of the app's clock."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -13,10 +13,60 @@ from companion.base.messages import PadSighting, PadState, Truth
 # the pad's velocity counts once it has been in view for this long, and while it is
 SEEN_FOR_S: Final = 2.0
 SEEN_GAP_S: Final = 0.5
+# between samples further apart than this a track knows nothing
+TRACK_GAP_S: Final = 0.5
+
+
+class RecordedTrack:
+    """A quantity over time: quaternions (n, 4) or vectors (n, 3); interpolated, but not across gaps."""
+
+    def __init__(self, times_s: Sequence[float] | FloatArray, rows: Sequence[Sequence[float]]) -> None:
+        """Take rows in any order; of several at one time the last counts."""
+        times, values = np.asarray(times_s, dtype=float), np.asarray(rows, dtype=float)
+        newest_first = np.unique(times[::-1], return_index=True)[1]
+        self.time_s: FloatArray = times[::-1][newest_first]
+        self.values: FloatArray = values[::-1][newest_first]
+        if self.values.shape[1] == 4:
+            self._make_continuous()
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def covers(self, times_s: FloatArray) -> FloatArray:
+        """Mask (n,) of the times that have a sample on both sides, near enough to interpolate between."""
+        after = np.searchsorted(self.time_s, times_s)
+        inside = (times_s >= self.time_s[0]) & (times_s <= self.time_s[-1])
+        after = np.clip(after, 1, len(self.time_s) - 1)
+        exact = self.time_s[np.clip(np.searchsorted(self.time_s, times_s), 0, len(self) - 1)] == times_s
+        near = self.time_s[after] - self.time_s[after - 1] <= TRACK_GAP_S
+        mask: FloatArray = inside & (near | exact)
+        return mask
+
+    def at(self, times_s: FloatArray) -> FloatArray:
+        """Rows at times within the track; quaternions are of unit length."""
+        columns = [np.interp(times_s, self.time_s, column) for column in self.values.T]
+        rows: FloatArray = np.stack(columns, axis=1)
+        if rows.shape[1] == 4:
+            rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+        return rows
+
+    def _make_continuous(self) -> None:
+        """Flip signs so that neighbours lie on the same half of the sphere."""
+        products = np.sum(self.values[1:] * self.values[:-1], axis=1)
+        flips = np.cumprod(np.where(products < 0.0, -1.0, 1.0))
+        self.values[1:] *= flips[:, None]
+
+
+def track_of(samples: Iterable[tuple[float, Sequence[float]]]) -> RecordedTrack | None:
+    """A track of (time, row) pairs; None of fewer than two, or when a row is not finite in all of them."""
+    kept = [(time_s, row) for time_s, row in samples if np.isfinite(row).all()]
+    if len(kept) < 2:
+        return None
+    return RecordedTrack([time_s for time_s, _ in kept], [row for _, row in kept])
 
 
 class TruthTrack:
-    """The truth as arrays, interpolated at any times within the flight."""
+    """The truth as tracks, interpolated at any times within the flight."""
 
     def __init__(self, truth: Sequence[Truth]) -> None:
         """Take the records in order of time (at least two).
@@ -27,35 +77,23 @@ class TruthTrack:
         if len(truth) < 2:
             raise ValueError("a truth track needs at least two records")
         self.time_s = np.array([t.time_s for t in truth])
-        self._columns = {
-            "position": np.array([t.vehicle_position_ned_m for t in truth]),
-            "velocity": np.array([t.vehicle_velocity_ned_m_s for t in truth]),
-            "pad_position": np.array([t.pad_position_ned_m for t in truth]),
-            "pad_velocity": np.array([t.pad_velocity_ned_m_s for t in truth]),
-            "in_contact": np.array([[float(t.in_contact)] for t in truth]),
-            "attitude": _continuous(np.array([t.vehicle_attitude for t in truth])),
+        columns: dict[str, list[Sequence[float]]] = {
+            "position": [t.vehicle_position_ned_m for t in truth],
+            "velocity": [t.vehicle_velocity_ned_m_s for t in truth],
+            "pad_position": [t.pad_position_ned_m for t in truth],
+            "pad_velocity": [t.pad_velocity_ned_m_s for t in truth],
+            "in_contact": [(float(t.in_contact),) for t in truth],
+            "attitude": [t.vehicle_attitude for t in truth],
         }
+        self._tracks = {name: RecordedTrack(self.time_s, rows) for name, rows in columns.items()}
 
     def at(self, name: str, times_s: FloatArray) -> FloatArray:
         """Interpolate a column: position, velocity, pad_position, pad_velocity, in_contact, attitude."""
-        column = self._columns[name]
-        values = np.stack(
-            [np.interp(times_s, self.time_s, column[:, k]) for k in range(column.shape[1])], axis=1
-        )
-        if name == "attitude":
-            values /= np.linalg.norm(values, axis=1, keepdims=True)
-        return values
+        return self._tracks[name].at(times_s)
 
     def covers(self, times_s: FloatArray) -> Any:
         """Boolean mask of the times that lie within the track."""
         return (times_s >= self.time_s[0]) & (times_s <= self.time_s[-1])
-
-
-def _continuous(quaternions: FloatArray) -> FloatArray:
-    """Flip signs so that neighbours lie on the same half of the sphere, for interpolation."""
-    flips = np.where(np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0, -1.0, 1.0)
-    quaternions[1:] *= np.cumprod(flips)[:, None]
-    return quaternions
 
 
 def sighting_errors_body_m(

@@ -1,4 +1,4 @@
-"""The file of a flight, `flight.mcap`: what its parts are called, and its records in the order of writing.
+"""The file of a flight, `flight.mcap`: what its parts are called, and what it holds in the order of writing.
 
 It is read from the front without the file's index, so that a log cut short by a crash or a flat battery gives
 what its whole chunks hold.
@@ -6,15 +6,22 @@ what its whole chunks hold.
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Any, Final, TypeVar
 
 import zstandard
 from mcap.exceptions import McapError
-from mcap.records import Chunk, DataEnd
+from mcap.records import Channel, Chunk, DataEnd, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
+
+from companion.base.errors import ConfigError
+from companion.base.files import cannot_read
+from companion.base.message_json import decode
+
+T = TypeVar("T")
 
 LOG_NAMES: Final = ("flight.mcap", "flight.tlog")
 SETTINGS_NAME: Final = "settings.yaml"
@@ -43,3 +50,55 @@ def records(stream: IO[bytes], end_early: Callable[[], None]) -> Iterator[Any]:
     except (McapError, EOFError, ValueError, struct.error, zstandard.ZstdError):
         pass
     end_early()
+
+
+class LogReader:
+    """One pass over a log from its front; once `messages` has ended, `metadata` and `cut` are complete.
+
+    `schemas` are those of the topics that have come so far. Topics go without their leading slash.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = log_file(path)
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.schemas: dict[str, Schema] = {}
+        self.cut = False
+
+    def messages(self) -> Iterator[tuple[str, Message]]:
+        """Topics and messages.
+
+        Raises:
+            ConfigError: the file cannot be read.
+        """
+        schemas, topics = dict[int, Schema](), dict[int, str]()
+        try:
+            with self.path.open("rb") as stream:
+                for record in records(stream, self._end_early):
+                    if isinstance(record, Message):
+                        yield topics[record.channel_id], record
+                    elif isinstance(record, Schema):
+                        schemas[record.id] = record
+                    elif isinstance(record, Channel):
+                        topic = topics[record.id] = record.topic.removeprefix("/")
+                        self.schemas[topic] = schemas[record.schema_id]
+                    elif isinstance(record, Metadata):
+                        self.metadata[record.name] = record.metadata
+        except OSError as error:
+            raise cannot_read(self.path, error, expected="a flight's folder, or its flight.mcap") from error
+
+    def decoded(self, kind: type[T], topic: str, message: Message) -> T:
+        """A message of a topic as ours.
+
+        Raises:
+            ConfigError: it is none.
+        """
+        try:
+            return decode(kind, json.loads(message.data))
+        except (ValueError, TypeError, KeyError) as error:
+            raise ConfigError(
+                f"{self.path}: a message of /{topic} is not a {kind.__name__}: {error}; "
+                "expected a log of this program's version"
+            ) from error
+
+    def _end_early(self) -> None:
+        self.cut = True

@@ -14,15 +14,15 @@ from typing import IO, Any, Final
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.records import Channel, Message
+from mcap.records import Message
 
 from companion.base.message_json import decode
 from companion.base.messages import Outcome, PadState, Phase
 from companion.flightlog.flights import size_bytes
-from companion.flightlog.log_file import LOG_NAMES, records
+from companion.flightlog.log_file import LOG_NAMES, LogReader
 
 ENDINGS: Final = {Phase.LANDED: Outcome.LANDED.value, Phase.ABORT: Outcome.ABORTED.value}
-TOPICS: Final = ("/plan", "/pad")
+TOPICS: Final = ("plan", "pad")
 # an earlier date is that of a clock that was never set
 EARLIEST_UNIX_S: Final = 1_704_067_200.0  # 2024-01-01
 
@@ -68,14 +68,15 @@ def summary_of(folder: Path) -> FlightSummary:
         OSError: its log cannot be read.
     """
     with (folder / LOG_NAMES[0]).open("rb") as stream:
-        read = _by_index(stream) or _through(stream)
+        read = _by_index(stream)
+    read = read or _through(folder)
     last = read.last or {}
     outcome, lateral_m = _verdict(folder / "result.json")
     estimated = outcome is None
     if outcome is None:
-        outcome = ending(last["/plan"]["phase"]) if "/plan" in last else "nothing flown"
-        if outcome == Outcome.LANDED.value and "/pad" in last:
-            lateral_m = decode(PadState, last["/pad"]).lateral_m
+        outcome = ending(last["plan"]["phase"]) if "plan" in last else "nothing flown"
+        if outcome == Outcome.LANDED.value and "pad" in last:
+            lateral_m = decode(PadState, last["pad"]).lateral_m
     first_s = 0.0 if read.first_ns is None else 1e-9 * read.first_ns
     return FlightSummary(
         folder=folder,
@@ -107,8 +108,8 @@ def _by_index(stream: IO[bytes]) -> _Read | None:
         if summary is None or summary.statistics is None:
             return None
         counts = summary.statistics.channel_message_counts
-        there = {c.topic for c in summary.channels.values() if c.topic in TOPICS and counts.get(c.id)}
-        last = {topic: json.loads(_last(reader, topic).data) for topic in sorted(there)}
+        there = {c.topic[1:] for c in summary.channels.values() if c.topic[1:] in TOPICS and counts.get(c.id)}
+        last = {topic: json.loads(_last(reader, f"/{topic}").data) for topic in sorted(there)}
         statistics = summary.statistics
         first_ns = statistics.message_start_time if statistics.message_count else None
         return _Read(first_ns, statistics.message_end_time, last)
@@ -121,20 +122,12 @@ def _last(reader: Any, topic: str) -> Message:
     return next(newest)[2]
 
 
-def _through(stream: IO[bytes]) -> _Read:
-    stream.seek(0)
-    read, topics, last = _Read(), dict[int, str](), dict[str, bytes]()
-
-    def end_early() -> None:
-        read.cut = True
-
-    for record in records(stream, end_early):
-        if isinstance(record, Channel):
-            topics[record.id] = record.topic
-        elif isinstance(record, Message):
-            read.first_ns = record.log_time if read.first_ns is None else read.first_ns
-            read.last_ns = max(read.last_ns, record.log_time)
-            if topics[record.channel_id] in TOPICS:
-                last[topics[record.channel_id]] = record.data
-    read.last = {topic: json.loads(data) for topic, data in last.items()}
+def _through(folder: Path) -> _Read:
+    reader, read, last = LogReader(folder), _Read(), dict[str, bytes]()
+    for topic, message in reader.messages():
+        read.first_ns = message.log_time if read.first_ns is None else read.first_ns
+        read.last_ns = max(read.last_ns, message.log_time)
+        if topic in TOPICS:
+            last[topic] = message.data
+    read.cut, read.last = reader.cut, {topic: json.loads(data) for topic, data in last.items()}
     return read

@@ -13,11 +13,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
 
-from mcap.records import Channel, Message, Schema
-
 from companion.base.files import replaced
 from companion.config import ConfigError
-from companion.flightlog.log_file import records
+from companion.flightlog.log_file import LogReader
 
 TIME_COLUMN: Final = "log_time_s"
 IMAGE_SCHEMA: Final = "foxglove.CompressedImage"
@@ -51,23 +49,16 @@ def convert(source: Path, folder: Path, form: TableFormat) -> dict[str, int]:
 
 def read_tables(source: Path) -> dict[str, list[Row]]:
     """The rows of each topic, in the order of writing; a log that was cut short as far as it goes."""
-    schemas: dict[int, Any] = {}
-    channels: dict[int, tuple[str, Any]] = {}
-    tables: dict[str, list[Row]] = {}
-    try:
-        with source.open("rb") as stream:
-            for record in records(stream, lambda: None):
-                if isinstance(record, Schema) and record.name != IMAGE_SCHEMA:
-                    schemas[record.id] = json.loads(record.data)
-                elif isinstance(record, Channel) and record.schema_id in schemas:
-                    channels[record.id] = (record.topic, schemas[record.schema_id])
-                elif isinstance(record, Message) and record.channel_id in channels:
-                    topic, schema = channels[record.channel_id]
-                    row = {TIME_COLUMN: 1e-9 * record.log_time}
-                    row.update(_flat(json.loads(record.data), schema, ""))
-                    tables.setdefault(topic, []).append(row)
-    except OSError as error:
-        raise ConfigError(f"{source}: cannot be read: {error.strerror}") from error
+    reader, tables = LogReader(source), dict[str, list[Row]]()
+    schemas: dict[str, Any] = {}
+    for topic, message in reader.messages():
+        if reader.schemas[topic].name == IMAGE_SCHEMA:
+            continue
+        if topic not in schemas:
+            schemas[topic] = json.loads(reader.schemas[topic].data)
+        row = {TIME_COLUMN: 1e-9 * message.log_time}
+        row.update(_flat(json.loads(message.data), schemas[topic], ""))
+        tables.setdefault(topic, []).append(row)
     return tables
 
 
@@ -90,7 +81,7 @@ def _flat(value: Any, schema: Any, name: str) -> Iterator[tuple[str, Any]]:
 
 
 def _write(folder: Path, topic: str, rows: list[Row], form: TableFormat) -> str:
-    path = folder / f"{topic.strip('/').replace('/', '_')}.{form.value}"
+    path = folder / f"{topic.replace('/', '_')}.{form.value}"
     columns = list(dict.fromkeys(name for row in rows for name in row))
     if form is TableFormat.CSV:
         with replaced(path) as part, part.open("w", encoding="utf-8", newline="") as stream:

@@ -15,15 +15,13 @@ from pydantic import BaseModel, ConfigDict
 
 from companion.base.geometry import FloatArray, Vector3, ned_from_geodetic, norm
 from companion.base.message_json import encode
-from companion.flightlog.errors import settled
+from companion.flightlog.errors import RecordedTrack, settled, track_of
 from companion.flightlog.replay.flight_record import (
     FlightRecord,
     LogKind,
     RecordedReference,
-    RecordedTrack,
     Source,
     TrackName,
-    track_of,
 )
 from companion.flightlog.replay.plausible import implausible
 from companion.flightlog.replay.run import Replayed

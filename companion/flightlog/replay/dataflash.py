@@ -27,6 +27,7 @@ from companion.base.geometry import (
 )
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import ConfigError
+from companion.flightlog.errors import track_of
 from companion.flightlog.replay.flight_record import (
     FlightRecord,
     RecordedEvent,
@@ -35,7 +36,6 @@ from companion.flightlog.replay.flight_record import (
     Sample,
     Source,
     TrackName,
-    track_of,
 )
 
 UT_PER_MGAUSS: Final = 0.1

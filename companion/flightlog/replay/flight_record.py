@@ -7,13 +7,10 @@ Times are seconds of the log's own clock; a sample's `time_s` is when it was mea
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
-import numpy as np
-
-from companion.base.geometry import FloatArray, Vector3
+from companion.base.geometry import Vector3
 from companion.base.messages import (
     AutopilotAttitude,
     GpsFix,
@@ -25,10 +22,8 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import CameraConfig, CompanionConfig, VehicleConfig
+from companion.flightlog.errors import RecordedTrack
 from companion.pad import Pad
-
-# between samples further apart than this a track knows nothing
-TRACK_GAP_S: Final = 0.5
 
 Sample = ImuSample | MagSample | GpsFix | RangeSample | PadSighting | AutopilotAttitude
 TrackName = Literal["attitude", "velocity", "position", "pad_position", "pad_velocity"]
@@ -48,54 +43,6 @@ class RecordedEvent(NamedTuple):
 
     arrival_s: float
     item: Sample | Ask
-
-
-class RecordedTrack:
-    """A quantity over time: quaternions (n, 4) or vectors (n, 3); interpolated, but not across gaps."""
-
-    def __init__(self, times_s: Sequence[float] | FloatArray, rows: Sequence[Sequence[float]]) -> None:
-        """Take rows in any order; of several at one time the last counts."""
-        times, values = np.asarray(times_s, dtype=float), np.asarray(rows, dtype=float)
-        newest_first = np.unique(times[::-1], return_index=True)[1]
-        self.time_s: FloatArray = times[::-1][newest_first]
-        self.values: FloatArray = values[::-1][newest_first]
-        if self.values.shape[1] == 4:
-            self._make_continuous()
-
-    def __len__(self) -> int:
-        return len(self.time_s)
-
-    def covers(self, times_s: FloatArray) -> FloatArray:
-        """Mask (n,) of the times that have a sample on both sides, near enough to interpolate between."""
-        after = np.searchsorted(self.time_s, times_s)
-        inside = (times_s >= self.time_s[0]) & (times_s <= self.time_s[-1])
-        after = np.clip(after, 1, len(self.time_s) - 1)
-        exact = self.time_s[np.clip(np.searchsorted(self.time_s, times_s), 0, len(self) - 1)] == times_s
-        near = self.time_s[after] - self.time_s[after - 1] <= TRACK_GAP_S
-        mask: FloatArray = inside & (near | exact)
-        return mask
-
-    def at(self, times_s: FloatArray) -> FloatArray:
-        """Rows at times within the track; quaternions are of unit length."""
-        columns = [np.interp(times_s, self.time_s, column) for column in self.values.T]
-        rows: FloatArray = np.stack(columns, axis=1)
-        if rows.shape[1] == 4:
-            rows /= np.linalg.norm(rows, axis=1, keepdims=True)
-        return rows
-
-    def _make_continuous(self) -> None:
-        """Flip signs so that neighbours lie on the same half of the sphere."""
-        products = np.sum(self.values[1:] * self.values[:-1], axis=1)
-        flips = np.cumprod(np.where(products < 0.0, -1.0, 1.0))
-        self.values[1:] *= flips[:, None]
-
-
-def track_of(samples: Iterable[tuple[float, Sequence[float]]]) -> RecordedTrack | None:
-    """A track of (time, row) pairs; None of fewer than two, or when a row is not finite in all of them."""
-    kept = [(time_s, row) for time_s, row in samples if np.isfinite(row).all()]
-    if len(kept) < 2:
-        return None
-    return RecordedTrack([time_s for time_s, _ in kept], [row for _, row in kept])
 
 
 @dataclass(frozen=True, slots=True)

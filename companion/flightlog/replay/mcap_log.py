@@ -1,7 +1,6 @@
 """Our own log, `flight.mcap`: samples, control cycles and recorded states in the order they were written.
 
-Reads from the front without the file's index, so that a log cut short by a crash or a flat battery gives
-what its whole chunks hold. Every float is written with all its digits, so what is read here is, to the bit,
+Every float is written with all its digits, so what is read here is, to the bit,
 what the estimators had.
 """
 
@@ -12,11 +11,10 @@ import math
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from mcap.records import Channel, Message, Metadata
+from mcap.records import Message
 from pydantic import BaseModel
 
 from companion.base.geometry import subtract
-from companion.base.message_json import decode
 from companion.base.messages import (
     AutopilotAttitude,
     GpsFix,
@@ -29,30 +27,28 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import CameraConfig, CompanionConfig, ConfigError, VehicleConfig, validate_recorded
-from companion.flightlog.log_file import SETTINGS_RECORD, VERSIONS_RECORD, records
+from companion.flightlog.errors import RecordedTrack, track_of
+from companion.flightlog.log_file import SETTINGS_RECORD, VERSIONS_RECORD, LogReader
 from companion.flightlog.replay.flight_record import (
     Ask,
     FlightRecord,
     RecordedEvent,
     RecordedReference,
-    RecordedTrack,
     ReplaySetup,
     Source,
     TrackName,
-    track_of,
 )
 from companion.pad import Pad
 
 SAMPLES: Final = {
-    "/imu": ImuSample,
-    "/mag": MagSample,
-    "/gps": GpsFix,
-    "/range": RangeSample,
-    "/sighting": PadSighting,
-    "/autopilot_attitude": AutopilotAttitude,
+    "imu": ImuSample,
+    "mag": MagSample,
+    "gps": GpsFix,
+    "range": RangeSample,
+    "sighting": PadSighting,
+    "autopilot_attitude": AutopilotAttitude,
 }
-STATES: Final = {"/vehicle": VehicleState, "/pad": PadState}
-T = TypeVar("T")
+STATES: Final = {"vehicle": VehicleState, "pad": PadState}
 Settings = TypeVar("Settings", bound=BaseModel)
 
 
@@ -62,57 +58,43 @@ def read_mcap(path: Path) -> FlightRecord:
     Raises:
         ConfigError: the file cannot be read, or a message in it is not one of ours.
     """
-    reading = _Reading(path)
-    with path.open("rb") as stream:
-        for record in records(stream, reading.end_early):
-            reading.take(record)
+    reading = _Reading(reader := LogReader(path))
+    for topic, message in reader.messages():
+        reading.take(topic, message)
     return reading.finish()
 
 
 class _Reading:
     """What has been read of one file so far."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._topics: dict[int, str] = {}
+    def __init__(self, reader: LogReader) -> None:
+        self._reader = reader
         self._events: list[RecordedEvent] = []
         self._states: list[VehicleState | PadState] = []
         self._truth: list[Truth] = []
-        self._metadata: dict[str, dict[str, str]] = {}
         self._notes: list[str] = []
         self._asked_s = -math.inf
         self._first_ns: int | None = None
         self._newest_ns = 0
-        self._cut = False
 
-    def end_early(self) -> None:
-        self._cut = True
-
-    def take(self, record: Any) -> None:
-        if isinstance(record, Channel):
-            self._topics[record.id] = record.topic
-        elif isinstance(record, Metadata):
-            self._metadata[record.name] = record.metadata
-        elif isinstance(record, Message):
-            self._take_message(self._topics[record.channel_id], record)
-
-    def _take_message(self, topic: str, message: Message) -> None:
-        if topic == "/truth":
-            self._truth.append(self._decoded(Truth, message, topic))
+    def take(self, topic: str, message: Message) -> None:
+        decoded = self._reader.decoded
+        if topic == "truth":
+            self._truth.append(decoded(Truth, topic, message))
             return
         self._first_ns = message.log_time if self._first_ns is None else self._first_ns
         self._newest_ns = message.log_time
         if topic in SAMPLES:
             arrival_s = 1e-9 * message.log_time
-            self._events.append(RecordedEvent(arrival_s, self._decoded(SAMPLES[topic], message, topic)))
-        elif topic == "/plan":
+            self._events.append(RecordedEvent(arrival_s, decoded(SAMPLES[topic], topic, message)))
+        elif topic == "plan":
             # the first thing that a control cycle writes; a cycle with states has them under the same time
             self._ask(float(json.loads(message.data)["time_s"]), message)
         elif topic in STATES:
-            state: VehicleState | PadState = self._decoded(STATES[topic], message, topic)
+            state: VehicleState | PadState = decoded(STATES[topic], topic, message)
             self._ask(state.time_s, message)
             self._states.append(state)
-        elif topic == "/notice":
+        elif topic == "notice":
             self._take_notice(json.loads(message.data))
 
     def _ask(self, time_s: float, message: Message) -> None:
@@ -123,15 +105,6 @@ class _Reading:
     def _take_notice(self, notice: dict[str, Any]) -> None:
         if notice.get("kind") == "record":
             self._notes.append(f"the log says of itself: {notice.get('text')}")
-
-    def _decoded(self, kind: type[T], message: Message, topic: str) -> T:
-        try:
-            return decode(kind, json.loads(message.data))
-        except (ValueError, TypeError, KeyError) as error:
-            raise ConfigError(
-                f"{self._path}: a message of {topic} is not a {kind.__name__}: {error}; "
-                "expected a log of this program's version"
-            ) from error
 
     # ------------------------------------------------------------ the end
 
@@ -148,16 +121,16 @@ class _Reading:
             references=references,
             rig=self._rig(),
             states=self._states,
-            versions=self._metadata.get(VERSIONS_RECORD, {}),
-            cut=f"the log is cut after {seconds:.1f} s: read up to there" if self._cut else None,
+            versions=self._reader.metadata.get(VERSIONS_RECORD, {}),
+            cut=f"the log is cut after {seconds:.1f} s: read up to there" if self._reader.cut else None,
             notes=self._notes,
         )
 
     def _rig(self) -> ReplaySetup | None:
-        settings = self._metadata.get(SETTINGS_RECORD)
+        settings = self._reader.metadata.get(SETTINGS_RECORD)
         if settings is None:
             return None
-        source = f"{self._path}: settings"
+        source = f"{self._reader.path}: settings"
         missing = {"config", "vehicle", "pad"} - settings.keys()
         if missing:
             raise ConfigError(f"{source}: expected {', '.join(sorted(missing))} among them")
@@ -170,7 +143,7 @@ class _Reading:
 
     def _recorded(self, model: type[Settings], settings: dict[str, str], name: str) -> Settings:
         data = json.loads(settings[name])
-        return validate_recorded(model, data, f"{self._path}: settings: {name}", self._notes)
+        return validate_recorded(model, data, f"{self._reader.path}: settings: {name}", self._notes)
 
 
 # ---------------------------------------------------------------- what it is held against

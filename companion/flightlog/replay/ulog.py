@@ -21,6 +21,7 @@ from pyulog import ULog
 from companion.base.geometry import FloatArray, Vector3, quat_from_euler, vector3
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import ConfigError
+from companion.flightlog.errors import track_of
 from companion.flightlog.replay.flight_record import (
     FlightRecord,
     RecordedEvent,
@@ -28,7 +29,6 @@ from companion.flightlog.replay.flight_record import (
     RecordingPlace,
     Source,
     TrackName,
-    track_of,
 )
 
 UT_PER_GAUSS: Final = 100.0

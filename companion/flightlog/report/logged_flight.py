@@ -12,10 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from mcap.records import Channel, Message, Metadata
+from mcap.records import Message
 from pydantic import ValidationError
 
-from companion.base.message_json import decode
 from companion.base.messages import (
     ActionResult,
     ControlReport,
@@ -30,7 +29,8 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import ConfigError
-from companion.flightlog.log_file import SETTINGS_RECORD, VERSIONS_RECORD, log_file, records
+from companion.flightlog.log_file import SETTINGS_RECORD, VERSIONS_RECORD, LogReader
+from companion.flightlog.replay.mcap_log import SAMPLES
 from companion.flightlog.result import Result, from_start
 from companion.flightlog.summary import ending
 
@@ -47,7 +47,7 @@ KINDS: Final[dict[str, type[Any]]] = {
     "action_result": ActionResult,
     "truth": Truth,
 }
-SENSORS: Final = ("imu", "mag", "gps", "range", "autopilot_attitude", "frame_report", "sighting")
+SENSORS: Final[dict[str, type[Any]]] = {**SAMPLES, "frame_report": FrameReport}
 # pictures where the height over the pad first is below these, besides those where a phase begins
 PICTURE_HEIGHTS_M: Final = (5.0, 2.0, 1.0, 0.5, 0.25)
 
@@ -107,14 +107,10 @@ def read_flight(path: Path) -> LoggedFlight:
     Raises:
         ConfigError: there is none, it cannot be read, or a message is not one of ours.
     """
-    reading = _Reading(file := log_file(path))
-    try:
-        with file.open("rb") as stream:
-            for record in records(stream, reading.end_early):
-                reading.take(record)
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot be read: {error.strerror}; expected a flight's folder") from error
-    return reading.finish(_result(file.parent / RESULT_NAME))
+    reading = _Reading(reader := LogReader(path))
+    for topic, message in reader.messages():
+        reading.take(topic, message)
+    return reading.finish(_result(reader.path.parent / RESULT_NAME))
 
 
 def _result(path: Path) -> Result | None:
@@ -129,12 +125,10 @@ def _result(path: Path) -> Result | None:
 class _Reading:
     """What has been read so far."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._topics: dict[int, str] = {}
+    def __init__(self, reader: LogReader) -> None:
+        self._reader = reader
         self._kept: dict[str, list[Any]] = defaultdict(list)
         self._sensors: dict[str, SensorRecord] = {}
-        self._metadata: dict[str, dict[str, str]] = {}
         self._pictures: list[Picture] = []
         self._moments: list[str] = []
         self._heights_m = list(PICTURE_HEIGHTS_M)
@@ -142,38 +136,21 @@ class _Reading:
         self._latest_picture: Message | None = None
         # of UTC (s) over the app's clock, by messages that are written the moment they are made
         self._start_unix_s = math.inf
-        self._cut = False
 
-    def end_early(self) -> None:
-        self._cut = True
-
-    def take(self, record: Any) -> None:
-        if isinstance(record, Channel):
-            self._topics[record.id] = record.topic.removeprefix("/")
-        elif isinstance(record, Metadata):
-            self._metadata[record.name] = record.metadata
-        elif isinstance(record, Message):
-            topic = self._topics[record.channel_id]
-            if topic == "camera":
-                self._take_picture(record)
-            elif topic in KINDS or topic in SENSORS:
-                self._take_message(topic, record)
-
-    def _take_message(self, topic: str, record: Message) -> None:
-        try:
-            plain = json.loads(record.data)
-            message = decode(KINDS[topic], plain) if topic in KINDS else None
-            time_s = float(plain["time_s"])
-        except (ValueError, TypeError, KeyError) as error:
-            raise ConfigError(f"{self._path}: a message of /{topic} is not one of ours: {error}") from error
-        if topic in SENSORS:
-            sensor = self._sensors.setdefault(topic, SensorRecord())
-            sensor.arrival_s.append(1e-9 * record.log_time)
-            sensor.age_s.append(1e-9 * record.log_time - time_s)
-        if message is not None:
-            self._kept[topic].append(message)
+    def take(self, topic: str, record: Message) -> None:
+        if topic == "camera":
+            self._take_picture(record)
+        elif (kind := KINDS.get(topic) or SENSORS.get(topic)) is not None:
+            message = self._reader.decoded(kind, topic, record)
+            age_s = 1e-9 * record.log_time - message.time_s
+            if topic in SENSORS:
+                sensor = self._sensors.setdefault(topic, SensorRecord())
+                sensor.arrival_s.append(1e-9 * record.log_time)
+                sensor.age_s.append(age_s)
+            if topic in KINDS:
+                self._kept[topic].append(message)
             if topic in ("plan", "pad"):
-                self._start_unix_s = min(self._start_unix_s, 1e-9 * record.log_time - time_s)
+                self._start_unix_s = min(self._start_unix_s, age_s)
                 self._watch_moments(message)
 
     def _watch_moments(self, message: Any) -> None:
@@ -203,22 +180,24 @@ class _Reading:
             self._keep_picture(self._latest_picture, "the last one")
         plans = self._kept.get("plan")
         if not plans:
-            raise ConfigError(f"{self._path}: holds no flight; expected a flight.mcap that `--record` left")
+            raise ConfigError(
+                f"{self._reader.path}: holds no flight; expected a flight.mcap that `--record` left"
+            )
         unix_s = self._start_unix_s + plans[0].time_s
         kept, truth = from_start(self._kept, self._kept.pop("truth", []))
         for sensor in self._sensors.values():
             sensor.arrival_s = [time_s - unix_s for time_s in sensor.arrival_s]
             sensor.age_s = [age_s - self._start_unix_s for age_s in sensor.age_s]
-        settings = self._metadata.get(SETTINGS_RECORD, {})
+        settings = self._reader.metadata.get(SETTINGS_RECORD, {})
         return LoggedFlight(
-            folder=self._path.parent,
+            folder=self._reader.path.parent,
             start_unix_s=unix_s,
             kept=kept,
             truth=truth,
             pictures=[Picture(p.time_s - unix_s, p.moment, p.jpeg_base64) for p in self._pictures],
             sensors=self._sensors,
             settings={name: json.loads(text) for name, text in settings.items()},
-            versions=self._metadata.get(VERSIONS_RECORD, {}),
+            versions=self._reader.metadata.get(VERSIONS_RECORD, {}),
             result=result,
-            cut=self._cut,
+            cut=self._reader.cut,
         )

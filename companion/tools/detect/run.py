@@ -1,9 +1,8 @@
 """Pictures in, a line for each out, and overlays: photos as .png, a video as a video.
 
-One picture through the vision stage: the markers, and the pad's pose as the camera has it. Pure.
-
-Nothing is known of the vehicle here, so there is no expectation of the pad and no direction of gravity: what
-is found is what the app would find in its first look. Camera axes are OpenCV's (x right, y down, z ahead).
+Each goes through the app's vision stage. Nothing is known of the vehicle here, so there is no expectation of
+the pad and no direction of gravity: what is found is what the app would find in its first look. Camera axes
+are OpenCV's (x right, y down, z ahead).
 """
 
 from __future__ import annotations
@@ -219,7 +218,7 @@ def _write(picture: Any, text: str, pixel: FloatArray, colour: tuple[int, int, i
     cv2.putText(picture, text, at, FONT, scale, colour, thick, cv2.LINE_AA)
 
 
-# ---------------------------------------------------------------- pictures in, a line for each out, and
+# ---------------------------------------------------------------- the pictures
 
 VIDEO_CODE: Final = "mp4v"
 VIDEO_ENDING: Final = ".mp4"

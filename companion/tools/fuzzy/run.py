@@ -103,7 +103,7 @@ def _draw_surface(axes: Any, rules: RuleSet, table: AnyTable, third: float) -> N
     axes.set_title(f"{LABELS[name].partition(' (')[0]} {third:{sign}.1f} m/s²")
 
 
-# ---------------------------------------------------------------- rules in; the table of rules, what the
+# ---------------------------------------------------------------- the table and the picture
 
 SENSE: Final = {
     "distance_m": "never faster when closer",

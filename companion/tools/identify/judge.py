@@ -5,17 +5,8 @@ the remains of whole windows, is explained better by numbers that fly worse. So 
 to predict the velocity half a second ahead better than the assumed pair, and the hover thrust has to be
 nearer to what another flight shows: in the flight that it comes from, and in the other if there is one.
 
-A recorded flight as identification needs it: settings, messages and commands on an even grid.
-
-Reads what the app recorded (flight.mcap): its own estimates, the setpoints as they left, and when the
-autopilot obeyed. NED, SI units.
-
-What of a flight's numbers may be offered: those that predict a flight better than the assumed ones. Pure.
-
-A fit gives numbers even where the flight's setpoints leave something open; then what they were fitted to,
-the remains of whole windows, is explained better by numbers that fly worse. So each pair of gain and lag has
-to predict the velocity half a second ahead better than the assumed pair, and the hover thrust has to be
-nearer to what another flight shows: in the flight that it comes from, and in the other if there is one.
+The flight is what the app recorded (flight.mcap): its own estimates, the setpoints as they left, and when the
+autopilot obeyed, on an even grid. NED, SI units.
 """
 
 from __future__ import annotations
@@ -27,10 +18,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from mcap.records import Channel, Message, Metadata
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.files import cannot_read
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.base.messages import Phase
 from companion.config import CompanionConfig, ConfigError, ControlConfig, VehicleConfig, validate_recorded
@@ -47,9 +36,9 @@ from companion.control.response.identification import (
     windows,
 )
 from companion.control.setpoints import resolved
-from companion.flightlog.log_file import SETTINGS_RECORD, log_file, records
+from companion.flightlog.log_file import SETTINGS_RECORD, LogReader
 
-TOPICS: Final = {"/vehicle", "/setpoint", "/plan", "/control_report"}
+TOPICS: Final = ("vehicle", "setpoint", "plan", "control_report")
 # low over the ground, or on it, other forces act than the model knows
 IN_THE_AIR: Final = {Phase.ROUTE.value, Phase.SEARCH.value, Phase.APPROACH.value, Phase.DESCEND.value}
 LONGEST_STEP_S: Final = 0.2
@@ -87,27 +76,18 @@ def read_flight(path: Path) -> IdentificationLog:
     Raises:
         ConfigError: it is not a flight of ours.
     """
-    path = log_file(path)
-    topics: dict[int, str] = {}
+    reader = LogReader(path)
     messages: dict[str, list[dict[str, Any]]] = {topic: [] for topic in TOPICS}
-    settings: dict[str, str] = {}
-    try:
-        with path.open("rb") as stream:
-            for item in records(stream, lambda: None):
-                if isinstance(item, Channel):
-                    topics[item.id] = item.topic
-                elif isinstance(item, Metadata) and item.name == SETTINGS_RECORD:
-                    settings = item.metadata
-                elif isinstance(item, Message) and topics[item.channel_id] in TOPICS:
-                    messages[topics[item.channel_id]].append(json.loads(item.data))
-    except OSError as error:
-        raise cannot_read(path, error, expected="a flight.mcap") from error
+    for topic, message in reader.messages():
+        if topic in TOPICS:
+            messages[topic].append(json.loads(message.data))
+    path, settings = reader.path, reader.metadata.get(SETTINGS_RECORD, {})
     if not {"config", "vehicle"} <= settings.keys():
         raise ConfigError(f"{path}: no settings in it; expected a flight.mcap that `--record` left")
     config = validate_recorded(CompanionConfig, json.loads(settings["config"]), f"{path}: config")
     vehicle = validate_recorded(VehicleConfig, json.loads(settings["vehicle"]), f"{path}: vehicle")
     # in a flight by `auto` the setpoints show whose autopilot it was: PX4 is sent no attitudes then
-    by_attitude = any(row.get("attitude") is not None for row in messages["/setpoint"])
+    by_attitude = any(row.get("attitude") is not None for row in messages["setpoint"])
     autopilot_kind: AutopilotKind = (
         "ardupilot" if by_attitude and config.control.setpoint == "auto" else "px4"
     )
@@ -120,7 +100,7 @@ def flown(record: IdentificationLog, path: Path) -> ResponseRecord:
     Raises:
         ConfigError: the autopilot never obeyed setpoints in it.
     """
-    vehicles, setpoints = record.messages["/vehicle"], record.messages["/setpoint"]
+    vehicles, setpoints = record.messages["vehicle"], record.messages["setpoint"]
     obeyed = _obeyed_times(record)
     if len(obeyed) < 2 or len(vehicles) < 2:
         raise ConfigError(f"{path}: no flight by setpoints in it; expected one to a pad, or a search for one")
@@ -146,8 +126,8 @@ def flown(record: IdentificationLog, path: Path) -> ResponseRecord:
 
 def _obeyed_times(record: IdentificationLog) -> FloatArray:
     """Times of the cycles in which the autopilot obeyed, in the air."""
-    phases = {plan["time_s"]: plan["phase"] for plan in record.messages["/plan"]}
-    reports = [report for report in record.messages["/control_report"] if report.get("obeyed", True)]
+    phases = {plan["time_s"]: plan["phase"] for plan in record.messages["plan"]}
+    reports = [report for report in record.messages["control_report"] if report.get("obeyed", True)]
     times_s = [report["time_s"] for report in reports if phases.get(report["time_s"]) in IN_THE_AIR]
     return np.array(times_s)
 
@@ -160,7 +140,7 @@ def _pieces(time_s: FloatArray, obeyed_s: FloatArray) -> tuple[tuple[int, int], 
     return tuple((int(first), int(last)) for first, last in places)
 
 
-# ---------------------------------------------------------------- what of a flight's numbers may be offered
+# ---------------------------------------------------------------- what may be offered
 
 OWN: Final = "this flight"
 

@@ -89,7 +89,7 @@ def response_table(record: IdentificationLog, found: Identified) -> Table:
 
 def learnt_hover_thrust(record: IdentificationLog) -> float | None:
     """The controller's own estimate at the end of a flight by attitude."""
-    reports = record.messages["/control_report"]
+    reports = record.messages["control_report"]
     return reports[-1].get("hover_thrust") if record.by_attitude and reports else None
 
 

@@ -77,7 +77,7 @@ def report_json(report: Report) -> str:
     return json.dumps({"passed": report.passed, "checks": checks}, indent=2, ensure_ascii=False) + "\n"
 
 
-# ---------------------------------------------------------------- what `companion check` does once its
+# ---------------------------------------------------------------- the check
 
 STANDARD_OUTPUT: Final = Path("-")
 _STYLES: Final = {

@@ -1,30 +1,16 @@
-"""From one rest to the next: how the vehicle was moved, by the camera and, independently, by the IMU.
+"""What the sensors measured: lately, at a rest, and from one rest to the next. All that the check looks at.
 
-Both give a rotation (vector in the body axes before, rad) and a displacement (m) in level axes: forward and
-right as the vehicle pointed before, and down. Level is by the pad for the camera, by gravity for the IMU.
+`RecentSamples` stands where the estimator stands in flight (`companion.app.sensing.Estimates`): the check
+wants the sensors as they are, not what a filter makes of them. Held still is by the camera: a slow move is
+hidden from an accelerometer by the hand's tremor, a pad in the image shows it at once.
 
-The IMU's displacement is integrated twice from rest to rest, which is possible because the speed is zero at
-both ends: the straight line that brings the speed to zero there takes constant errors of the accelerometer
-and of the levelling out (zero-velocity update; P. G. Savage, Strapdown Analytics, 2000).
+A move is a rotation (vector in the body axes before, rad) and a displacement (m) in level axes: forward and
+right as the vehicle pointed before, and down. Level is by the pad for the camera, by gravity for the IMU,
+which are independent. The IMU's displacement is integrated twice from rest to rest, which is possible because
+the speed is zero at both ends: the straight line that brings the speed to zero there takes constant errors of
+the accelerometer and of the levelling out (zero-velocity update; P. G. Savage, Strapdown Analytics, 2000).
 
-What the sensors have measured lately, by kind and in order: all that the check over the pad looks at.
-
-Body axes are FRD, units SI, field µT; times are of measurement. Stands where the estimator stands in flight
-(`companion.app.sensing.Estimates`): the check wants the sensors as they are, not what a filter makes of them.
-
-Held still: when a vehicle in somebody's hands counts as at rest, and what its sensors say then.
-
-The camera distinguishes rest from motion: a slow move is hidden from an accelerometer by the hand's tremor, a
-pad in the image shows it at once. Body axes FRD, SI, field µT.
-
-From one rest to the next: how the vehicle was moved, by the camera and, independently, by the IMU.
-
-Both give a rotation (vector in the body axes before, rad) and a displacement (m) in level axes: forward and
-right as the vehicle pointed before, and down. Level is by the pad for the camera, by gravity for the IMU.
-
-The IMU's displacement is integrated twice from rest to rest, which is possible because the speed is zero at
-both ends: the straight line that brings the speed to zero there takes constant errors of the accelerometer
-and of the levelling out (zero-velocity update; P. G. Savage, Strapdown Analytics, 2000).
+Body axes are FRD, units SI, field µT; times are of measurement.
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ class Say:
     kind: SayKind = "note"
 
 
-# ---------------------------------------------------------------- the check over the pad, step by step
+# ---------------------------------------------------------------- the wizard
 
 STEP_TIMEOUT_S: Final = 60.0
 REMINDER_S: Final = 15.0

@@ -1,24 +1,16 @@
 """How well a camera will see a pad from each height: per group, and P_ND = prod(1 - P_i) for the pad.
 
 The vehicle hovers over the pad: its poses spread about the middle in place, tilt and heading. For each pose a
-marker counts when it is wholly in the image, with the probability of `companion.tools.pads.coverage`; the
-product over the markers is taken pose by pose and then averaged, since what is in view at the same time is
-anything but independent. Heights are those of the lens over the surface; camera axes as OpenCV has them, SI.
+marker counts when it is wholly in the image, with the probability that it is then read; the product over the
+markers is taken pose by pose and then averaged, since what is in view at the same time is anything but
+independent. Heights are those of the lens over the surface; camera axes as OpenCV has them, SI.
 
-How surely a marker that is wholly in view is read: P_i of P_ND = prod(1 - P_i) (section 2.2).
-
-What counts is the cell of the code: how many pixels wide its image is, and what blur leaves of it. The
-probability is a constant times two logistic curves in logarithms, one of the cell's width and one of the
-blur's share of it. Blur is one standard deviation: of the lens and its focus as a Gauss bell, of motion as a
-stroke (its length over sqrt(12)). The numbers are fitted, not assumed: `python -m experiments pad-recall`
-shows single markers to vision through the simulated camera, and prints them.
-
-How well a camera will see a pad from each height: per group, and P_ND = prod(1 - P_i) for the pad.
-
-The vehicle hovers over the pad: its poses spread about the middle in place, tilt and heading. For each pose a
-marker counts when it is wholly in the image, with the probability of `companion.tools.pads.coverage`; the
-product over the markers is taken pose by pose and then averaged, since what is in view at the same time is
-anything but independent. Heights are those of the lens over the surface; camera axes as OpenCV has them, SI.
+How surely a marker that is wholly in view is read (P_i, section 2.2) depends on the cell of its code: how
+many pixels wide its image is, and what blur leaves of it. The probability is a constant times two logistic
+curves in logarithms, one of the cell's width and one of the blur's share of it. Blur is one standard
+deviation: of the lens and its focus as a Gauss bell, of motion as a stroke (its length over sqrt(12)). The
+numbers are fitted, not assumed: `python -m experiments pad-recall` shows single markers to vision through the
+simulated camera, and prints them.
 """
 
 from __future__ import annotations
@@ -81,7 +73,7 @@ def _logistic(x: FloatArray) -> FloatArray:
 FITTED: Final = RecallModel(2.151, 15.59, 0.4071, 7.009, 0.9943)
 
 
-# ---------------------------------------------------------------- how well a camera will see a pad from each
+# ---------------------------------------------------------------- the camera over the pad
 
 LOWEST_M: Final = 0.03
 HIGHEST_M: Final = 30.0

@@ -1,19 +1,11 @@
 """A pad on paper at its true size: one large sheet, or tiles to be cut along marks and laid edge to edge.
 
 Each sheet has a ruler to check the print by; tiles come with a plan of where each goes and of which marker is
-which. On paper, x of the pad (its heading, the front) is up and y to the right; millimetres from the sheet's
-lower left corner.
+which. What a marker is called stands where the board has room for it, outside every quiet zone; markers in a
+dense grid have no such place, and are listed in the sheet's foot.
 
-Where on a board there is room for what a marker is called: outside every quiet zone.
-
-Pad frame (x up the page, y to the right), metres. Markers in a dense grid have no such place; they are listed
-in the sheet's foot.
-
-A pad on paper at its true size: one large sheet, or tiles to be cut along marks and laid edge to edge.
-
-Each sheet has a ruler to check the print by; tiles come with a plan of where each goes and of which marker is
-which. On paper, x of the pad (its heading, the front) is up and y to the right; millimetres from the sheet's
-lower left corner.
+Pad frame: x (its heading, the front) is up the page and y to the right, metres. On paper the same axes, in
+millimetres from the sheet's lower left corner.
 """
 
 from __future__ import annotations
@@ -128,7 +120,7 @@ def _runs(numbers: list[int]) -> str:
     return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in zip(starts, ends, strict=True))
 
 
-# ---------------------------------------------------------------- a pad on paper at its true size
+# ---------------------------------------------------------------- the pages
 
 # black goes on for so much beyond a cut, lest a cut beside its mark leave a white line
 BLEED_MM: Final = 1.0

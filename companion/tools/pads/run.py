@@ -114,7 +114,7 @@ def draw_coverage(coverage: PredictedRecall, pad: Pad, camera: CameraConfig, pat
     save_figure(figure, path)
 
 
-# ---------------------------------------------------------------- a pad checked, printed at its true size, or
+# ---------------------------------------------------------------- checked, printed or judged
 
 DEFAULT_CAMERA: Final = "sitl_640x480"
 

@@ -88,7 +88,7 @@ def worst(findings: list[Finding]) -> FindingState:
     )
 
 
-# ---------------------------------------------------------------- the preflight check's findings for people
+# ---------------------------------------------------------------- for people
 
 STYLES: Final = {
     FindingState.OK: "green",

@@ -1,8 +1,7 @@
 """What was heard of the autopilot in a few seconds, judged. Pure.
 
-Which MAVLink messages did not arrive, by their sequence numbers, whatever dialect they are of. Pure.
-
-The app's codec knows one dialect and passes over what is none of it as if it were noise; an autopilot that
+Which messages did not arrive is known by their sequence numbers, whatever dialect they are of: the app's
+codec knows one dialect and passes over what is none of it as if it were noise, so that an autopilot that
 sends messages of a newer one would look like a bad line. Here a frame is what its header says it is, provided
 that another one follows it.
 """
@@ -78,7 +77,7 @@ def _size(buffer: bytearray, start: int) -> int:
     return V2_OVERHEAD + buffer[start + 1] + signature
 
 
-# ---------------------------------------------------------------- what was heard of the autopilot in a few
+# ---------------------------------------------------------------- what was heard
 
 HONOURED_SHARE: Final = 0.6  # of a rate asked for
 # PX4 sends its mode when it changes and twice a second, whatever is asked for (CURRENT_MODE.hpp)
