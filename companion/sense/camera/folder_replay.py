@@ -22,6 +22,7 @@ import cv2
 
 from companion.base.clock import Clock
 from companion.config import CaptureConfig, ConfigError
+from companion.sense.camera.photos import natural_order
 from companion.sense.camera.reader import EndOfFrames, ReadBack, Shot, check_size, grey
 
 IMAGE_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".tif", ".tiff")
@@ -32,7 +33,7 @@ Recorded = tuple[float, Callable[[], Any]]
 
 
 class ReplayDevice:
-    """A `camera_thread.Device` that reads a recording."""
+    """A `reader.Device` that reads a recording."""
 
     def __init__(
         self,
@@ -51,7 +52,7 @@ class ReplayDevice:
         self.read_back = ReadBack(camera.exposure_s)
 
     def read(self) -> Shot:
-        """See `camera_thread.Device`."""
+        """See `reader.Device`."""
         for after_s, load in self._frames:
             now_s = self._clock.now_s()
             if self._begun_s is None:
@@ -76,7 +77,7 @@ class ReplayDevice:
         raise EndOfFrames(f"{self._name} has ended")
 
     def close(self) -> None:
-        """See `camera_thread.Device`."""
+        """See `reader.Device`."""
         self._frames = iter(())
 
 
@@ -117,18 +118,13 @@ def recorded_times(files: list[Path], rate_hz: float) -> list[tuple[float, Path]
         if all(form.fullmatch(file.stem) for file in files):
             taken = sorted((_exact_ns(file.stem, unit), file) for file in files)
             return [(1e-9 * (time_ns - taken[0][0]), file) for time_ns, file in taken]
-    return [(k / rate_hz, file) for k, file in enumerate(sorted(files, key=_natural))]
+    return [(k / rate_hz, file) for k, file in enumerate(sorted(files, key=natural_order))]
 
 
 def _exact_ns(number: str, unit_ns: int) -> int:
     """Nanoseconds; a float of seconds since 1970 would lose some."""
     whole, _, fraction = number.partition(".")
     return int(whole) * unit_ns + int(fraction[:9].ljust(9, "0") if fraction else 0)
-
-
-def _natural(file: Path) -> list[tuple[int, str]]:
-    """frame-10 comes after frame-9."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file.stem)]
 
 
 def _of_video(capture: cv2.VideoCapture, rate_hz: float) -> Iterator[Recorded]:

@@ -49,7 +49,7 @@ class SocketCamera:
         return cls(stream, camera, unstamped_latency_s, Clock())
 
     async def next(self) -> Frame:
-        """See `camera.FrameSource`."""
+        """See `source.FrameSource`."""
         return await self._newest.next()
 
     @property
@@ -71,7 +71,7 @@ class SocketCamera:
         self.close()
 
     def close(self) -> None:
-        """See `camera.FrameSource`."""
+        """See `source.FrameSource`."""
         self._task.cancel()
         self._stream.close()
 

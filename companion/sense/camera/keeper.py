@@ -4,7 +4,7 @@
                           └─► reports: notices, status
 
 Who waits for a frame simply goes on waiting while there is no camera; what is wrong goes to `report`.
-Nothing here waits for a driver: one that hangs is left alone with its thread (`camera_thread`).
+Nothing here waits for a driver: one that hangs is left alone with its thread (`reader`).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NUMBER: Final = re.compile(r"[\d.]+")
 
 
 class LiveSource(Protocol):
-    """A camera that has been opened once: `camera_thread.ThreadedCamera`, `camera_socket.SocketCamera`."""
+    """A camera that has been opened once: `reader.ThreadedCamera`, `frame_socket.SocketCamera`."""
 
     @property
     def held(self) -> bool:
@@ -45,7 +45,7 @@ class LiveSource(Protocol):
         """What the driver says of its settings."""
 
     async def next(self) -> Frame:
-        """See `camera.FrameSource`."""
+        """See `source.FrameSource`."""
 
     def take_notes(self) -> list[str]:
         """What there is to say about it, each line once."""
@@ -54,7 +54,7 @@ class LiveSource(Protocol):
         """Give it back without waiting for it."""
 
     def close(self) -> None:
-        """See `camera.FrameSource`."""
+        """See `source.FrameSource`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ class KeptCamera:
         return ReadBack() if self._source is None else self._source.read_back
 
     async def next(self) -> Frame:
-        """See `camera.FrameSource`; waits for as long as there is no camera."""
+        """See `source.FrameSource`; waits for as long as there is no camera."""
         return await self._newest.next()
 
     async def report(self) -> CameraReport:
@@ -113,7 +113,7 @@ class KeptCamera:
         return await self._reports.get()
 
     def close(self) -> None:
-        """See `camera.FrameSource`."""
+        """See `source.FrameSource`."""
         self._task.cancel()
         if self._source is not None:
             self._source.close()

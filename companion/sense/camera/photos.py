@@ -65,7 +65,7 @@ def photo_paths(sources: Sequence[Path]) -> list[Path]:
                 raise ConfigError(
                     f"{source}: holds no photos or videos; expected some ({', '.join(sorted(PHOTOS))})"
                 )
-            found += sorted(inside, key=_natural)
+            found += sorted(inside, key=natural_order)
         elif source.is_file():
             found.append(source)
         else:
@@ -127,7 +127,7 @@ def _frames(path: Path) -> Iterator[Photo]:
         raise ConfigError(f"{path}: not a video that can be read")
 
 
-def _natural(path: Path) -> list[tuple[int, int | str]]:
-    """Sorts img_2 before img_10."""
+def natural_order(path: Path) -> list[tuple[int, int | str]]:
+    """To sort by: img_2 comes before img_10."""
     parts = re.findall(r"\d+|\D+", path.name)
     return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts]

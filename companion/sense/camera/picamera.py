@@ -41,7 +41,7 @@ INSTALL: Final = (
 
 
 class Picamera2Device:
-    """A `camera_thread.Device`."""
+    """A `reader.Device`."""
 
     def __init__(self, number: int, camera: CaptureConfig, clock: Clock) -> None:
         """Open libcamera's camera of that number and start it.
@@ -71,7 +71,7 @@ class Picamera2Device:
             raise
 
     def read(self) -> Shot:
-        """See `camera_thread.Device`."""
+        """See `reader.Device`."""
         request = self._request()
         received_s = self._clock.now_s()
         try:
@@ -88,7 +88,7 @@ class Picamera2Device:
         return Shot(self._time_s(metadata, received_s), received_s, image)
 
     def close(self) -> None:
-        """See `camera_thread.Device`."""
+        """See `reader.Device`."""
         try:
             self._camera.stop()
         finally:  # one that is gone may not let itself be stopped, but stays taken until it is closed

@@ -164,7 +164,7 @@ class ThreadedCamera:
         return [notes.popleft() for _ in range(len(notes))]
 
     async def next(self) -> Frame:
-        """See `camera.FrameSource`."""
+        """See `source.FrameSource`."""
         return await self._newest.next()
 
     def let_go(self) -> None:
@@ -172,7 +172,7 @@ class ThreadedCamera:
         self._stop.set()
 
     def close(self) -> None:
-        """See `camera.FrameSource`. Waits a second for the frame that is being read, so only at the end."""
+        """See `source.FrameSource`. Waits a second for the frame that is being read, so only at the end."""
         self.let_go()
         self._thread.join(CLOSE_PATIENCE_S)
 

@@ -6,12 +6,12 @@ stands in its own module, and in docs/how-to/cameras.md for users.
 
 Sources, as in `sense.vision.source`:
 
-    v4l2:0                            /dev/video0                             camera_v4l2
-    v4l2:/dev/v4l/by-id/NAME          the same camera after each start        camera_v4l2
-    picamera2:0                       libcamera's first camera                camera_picamera2
-    video:flight.mp4                  a video file, in real time              camera_replay
-    images:frames                     a folder of images, in real time        camera_replay
-    socket:/run/companion/frames      another process (docs/reference/camera-frames.md) camera_socket
+    v4l2:0                            /dev/video0                             v4l2
+    v4l2:/dev/v4l/by-id/NAME          the same camera after each start        v4l2
+    picamera2:0                       libcamera's first camera                picamera
+    video:flight.mp4                  a video file, in real time              folder_replay
+    images:frames                     a folder of images, in real time        folder_replay
+    socket:/run/companion/frames      another process (docs/reference/camera-frames.md) frame_socket
     tcp:127.0.0.1:5600                the same over TCP
 """
 

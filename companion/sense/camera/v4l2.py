@@ -53,7 +53,7 @@ class Capture(Protocol):
 
 
 class V4l2Device:
-    """A `camera_thread.Device`: short fixed exposure, so that light changes gain and never blur."""
+    """A `reader.Device`: short fixed exposure, so that light changes gain and never blur."""
 
     def __init__(self, number: int, camera: CaptureConfig, clock: Clock) -> None:
         """Open /dev/videoN and set it up.
@@ -80,7 +80,7 @@ class V4l2Device:
             raise
 
     def read(self) -> Shot:
-        """See `camera_thread.Device`."""
+        """See `reader.Device`."""
         image = self._grab()
         received_s = self._clock.now_s()
         check_size(image.shape[1], image.shape[0], self._camera)  # a driver may promise one and send another
@@ -96,7 +96,7 @@ class V4l2Device:
         return Shot(time_s, received_s, grey(image))
 
     def close(self) -> None:
-        """See `camera_thread.Device`."""
+        """See `reader.Device`."""
         self._capture.release()
 
     def _grab(self) -> Any:

@@ -56,19 +56,7 @@ class EpochClock:
 
 def fix_from_ubx(time_s: float, posllh: Any, velned: Any, sol: Any) -> GpsFix | None:
     """One fix of an epoch's three messages (mm, cm/s and 1e-7 degrees in u-blox's units)."""
-    if not has_fix(sol):
-        return None
-    return GpsFix(
-        time_s=time_s,
-        latitude_deg=float(posllh.lat),
-        longitude_deg=float(posllh.lon),
-        altitude_m=posllh.hMSL / 1000.0,
-        velocity_ned_m_s=(velned.velN / 100.0, velned.velE / 100.0, velned.velD / 100.0),
-        horizontal_accuracy_m=posllh.hAcc / 1000.0,
-        vertical_accuracy_m=posllh.vAcc / 1000.0,
-        speed_accuracy_m_s=velned.sAcc / 100.0,
-        satellites=int(sol.numSV),
-    )
+    return _fix(time_s, posllh, velned, 100.0, sol.numSV) if has_fix(sol) else None
 
 
 def fix_from_sol(time_s: float, sol: Any, geoid_separation_m: float | None) -> GpsFix | None:
@@ -99,18 +87,22 @@ def fix_from_sol(time_s: float, sol: Any, geoid_separation_m: float | None) -> G
 
 def fix_from_pvt(time_s: float, pvt: Any) -> GpsFix | None:
     """One fix of NAV-PVT (mm, mm/s and 1e-7 degrees in u-blox's units)."""
-    if pvt.fixType not in _FIX_3D or not pvt.gnssFixOk:
-        return None
+    valid = pvt.fixType in _FIX_3D and pvt.gnssFixOk
+    return _fix(time_s, pvt, pvt, 1000.0, pvt.numSV) if valid else None
+
+
+def _fix(time_s: float, place: Any, motion: Any, units_m_s: float, satellites: int) -> GpsFix:
+    """Of a place in mm and 1e-7 degrees, and a motion of which so many units are 1 m/s."""
     return GpsFix(
         time_s=time_s,
-        latitude_deg=float(pvt.lat),
-        longitude_deg=float(pvt.lon),
-        altitude_m=pvt.hMSL / 1000.0,
-        velocity_ned_m_s=(pvt.velN / 1000.0, pvt.velE / 1000.0, pvt.velD / 1000.0),
-        horizontal_accuracy_m=pvt.hAcc / 1000.0,
-        vertical_accuracy_m=pvt.vAcc / 1000.0,
-        speed_accuracy_m_s=pvt.sAcc / 1000.0,
-        satellites=int(pvt.numSV),
+        latitude_deg=float(place.lat),
+        longitude_deg=float(place.lon),
+        altitude_m=place.hMSL / 1000.0,
+        velocity_ned_m_s=(motion.velN / units_m_s, motion.velE / units_m_s, motion.velD / units_m_s),
+        horizontal_accuracy_m=place.hAcc / 1000.0,
+        vertical_accuracy_m=place.vAcc / 1000.0,
+        speed_accuracy_m_s=motion.sAcc / units_m_s,
+        satellites=int(satellites),
     )
 
 
