@@ -53,7 +53,6 @@ class ActionQueue:
         self._actions.cancel()
 
     async def run(self) -> None:
-        """Perform actions until cancelled."""
         try:
             while True:
                 while self._waiting:

@@ -104,7 +104,6 @@ class App:
 
     @property
     def phase(self) -> Phase:
-        """Where the mission is."""
         return self.missions.phase
 
     def request_stop(self) -> None:

@@ -66,7 +66,6 @@ class Missions:
 
     @property
     def order(self) -> Order | None:
-        """The order that is being followed."""
         return self._desk.followed
 
     @property

@@ -245,7 +245,6 @@ class Sensing:
     # ------------------------------------------------------------ serial lines
 
     async def _gps_task(self, port: SerialLine) -> None:
-        """Turn the receiver's bytes into fixes."""
         while True:
             with self._gone_if_it_fails("gps"):
                 data = await port.read()
@@ -267,7 +266,6 @@ class Sensing:
                 await asyncio.sleep(GPS_CONFIGURATION_PERIOD_S)
 
     async def _range_task(self, finder: RangeFinder) -> None:
-        """Turn the ultrasonic's echoes into distances."""
         while True:
             with self._gone_if_it_fails("ultrasonic"):
                 samples = await finder.read()

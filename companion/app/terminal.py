@@ -50,7 +50,6 @@ class StatusView:
                 self._live.stop()
 
     def __call__(self, status: Status) -> None:
-        """Take a new status."""
         if self._read:
             with self._whoever_reads():
                 self._show(status)

@@ -48,7 +48,6 @@ class ImuConfig(StrictModel):
 
     @property
     def over_spi(self) -> bool:
-        """Whether the chip is wired by SPI."""
         return self.bus.startswith("spi")
 
     @model_validator(mode="after")
@@ -228,5 +227,4 @@ class SenseConfig(StrictModel):
 
     @property
     def range_by_telemetry(self) -> bool:
-        """Whether the range comes from the autopilot."""
         return self.source == "autopilot" and self.autopilot.range_source == "autopilot"

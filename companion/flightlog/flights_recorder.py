@@ -143,7 +143,6 @@ class FlightsRecorder(FlightLog):
     # ------------------------------------------------------------ as a FlightLog
 
     def write(self, topic: str, message: Any, time_s: float) -> None:
-        """See `FlightLog`."""
         self.meter.note(topic, message, time_s)
         self.tap.note(topic, message, time_s)
         self._pass_on("write", (topic, message, time_s), time_s)
@@ -156,7 +155,6 @@ class FlightsRecorder(FlightLog):
         self.tap.know(settings)
 
     def write_frame(self, frame: Frame, time_s: float) -> None:
-        """See `FlightLog`."""
         self.tap.frame(frame)
         if self._opened() is None:
             if time_s - self._kept_frame_s < KEPT_FRAME_PERIOD_S:
@@ -165,11 +163,9 @@ class FlightsRecorder(FlightLog):
         self._pass_on("write_frame", (frame, time_s), time_s)
 
     def write_mavlink(self, data: bytes, time_s: float, direction: Literal["in", "out"]) -> None:
-        """See `FlightLog`."""
         self._pass_on("write_mavlink", (data, time_s, direction), time_s)
 
     def close(self, *, wait: bool = True) -> None:
-        """See `FlightLog`."""
         self.end()
         self._opener.shutdown()
         if wait and self._ending is not None:

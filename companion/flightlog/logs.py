@@ -35,8 +35,6 @@ MEGABYTE: Final = 1_000_000
 
 
 class LogsAction(StrEnum):
-    """What to do with the logs."""
-
     LIST = "list"
     EXPORT = "export"
     REPAIR = "repair"

@@ -141,7 +141,6 @@ class FlightLog:
 
     @property
     def folder(self) -> Path | None:
-        """Where the files are."""
         return self._folder
 
     @property

@@ -159,7 +159,6 @@ def from_start(
 
 
 def start_s(kept: Mapping[str, Sequence[Any]], truth: Sequence[Truth]) -> float:
-    """When the app's first cycle was."""
     plans = kept.get("plan", ())
     return float(plans[0].time_s if plans else truth[0].time_s)
 

@@ -25,8 +25,6 @@ Row = dict[str, Any]
 
 
 class TableFormat(StrEnum):
-    """What a table is written as."""
-
     CSV = "csv"
     PARQUET = "parquet"
 

@@ -75,7 +75,6 @@ class Pending:
 
     @property
     def accepted(self) -> bool:
-        """Whether it ended well."""
         return self.outcome == "accepted"
 
 

@@ -19,11 +19,9 @@ class MemoryTransport:
         self._peer: MemoryTransport | None = None
 
     async def read(self) -> bytes:
-        """See `Transport`."""
         return await self._inbox.read()
 
     def write(self, data: bytes) -> None:
-        """See `Transport`."""
         peer = self._peer
         if peer is None or not data:
             return

@@ -58,7 +58,6 @@ class ParameterRequest:
     due_s: float = field(default=0.0)
 
     def message(self, target_system: int) -> Message:
-        """What asks for it."""
         target, name = (target_system, AUTOPILOT_COMPONENT), self.name.encode("ascii")
         if self.wanted is None:
             return mavlink.MAVLink_param_request_read_message(*target, name, -1)

@@ -32,7 +32,6 @@ class SerialTransport:
         self._loop.add_reader(self._fd, self._read_ready)
 
     async def read(self) -> bytes:
-        """See `Transport`."""
         return await self._inbox.read()
 
     def write(self, data: bytes) -> None:
@@ -50,7 +49,6 @@ class SerialTransport:
                 self._loop.add_writer(self._fd, self._write_ready)
 
     def close(self) -> None:
-        """See `Transport`."""
         self._stop(OSError(f"{self._port.name} is closed"))
 
     def _read_ready(self) -> None:

@@ -58,12 +58,10 @@ class LinkSigning:
 
     @property
     def secret(self) -> bytes:
-        """The key."""
         return self._secret
 
     @property
     def streams(self) -> int:
-        """How many streams have been accepted."""
         return len(self._streams)
 
     def advance(self, now_s: float) -> None:

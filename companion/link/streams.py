@@ -77,7 +77,6 @@ class TelemetryRates:
                 self._streams[message_id] = _Stream(rate_hz)
 
     def heard(self, message_id: int) -> None:
-        """Count a message."""
         stream = self._streams.get(message_id)
         if stream is not None:
             stream.count += 1

@@ -125,7 +125,6 @@ class TcpTransport:
         return cls(*await asyncio.open_connection(host, port))
 
     async def read(self) -> bytes:
-        """See `Transport`."""
         data = await self._reader.read(READ_BYTES)
         if not data:
             raise OSError("the TCP connection is closed")
@@ -142,7 +141,6 @@ class TcpTransport:
         self._writer.write(data)
 
     def close(self) -> None:
-        """See `Transport`."""
         self._writer.transport.abort()
 
 

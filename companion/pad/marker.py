@@ -56,7 +56,6 @@ class Marker(StrictModel):
 
     @property
     def cell_m(self) -> float:
-        """Side of a cell."""
         return self.side_m / self.cells
 
     @property

@@ -93,7 +93,6 @@ class Tiling:
 
     @property
     def count(self) -> int:
-        """How many sheets."""
         return (len(self.along_m) - 1) * (len(self.across_m) - 1)
 
     def together(self, one: tuple[Interval, Interval], other: tuple[Interval, Interval]) -> bool:

@@ -89,7 +89,6 @@ def answer(line: bytes) -> Answer:
 
 
 def flights_command() -> None:
-    """`companion flights`."""
     prepare_opencv()
     serve_flights()
 

@@ -56,7 +56,6 @@ class PageProcess:
             self._sender.put(message)
 
     async def run(self) -> None:
-        """Keep it running."""
         clock, pause_s = Clock(), FIRST_PAUSE_S
         while True:
             start_s = clock.now_s()

@@ -72,7 +72,6 @@ class PageServer:
         self._waiting_page = WAITING.read_text("utf-8")
 
     def application(self) -> web.Application:
-        """The routes."""
         app = web.Application(middlewares=[self._guarded], client_max_size=LONGEST_MESSAGE)
         app.add_routes([web.get(path, self._file) for path in FILES])
         app.router.add_get("/live", self._live)

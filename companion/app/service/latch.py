@@ -54,7 +54,6 @@ class FlightLatch:
 
     @property
     def path(self) -> Path:
-        """The file."""
         return self.folder / FILE_NAME
 
     def read(self) -> tuple[LatchState, str]:

@@ -30,7 +30,6 @@ class StampFile:
 
     @property
     def path(self) -> Path:
-        """The file."""
         return self.folder / FILE_NAME
 
     def read(self) -> int:

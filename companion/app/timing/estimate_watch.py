@@ -30,7 +30,6 @@ class EstimateWatch:
         self._clock, self._notify = clock, notify
 
     async def run(self) -> None:
-        """Watch until cancelled."""
         while True:
             await asyncio.sleep(PERIOD_S)
             self.look(self._clock.now_s())

@@ -71,7 +71,6 @@ class FrameStream:
         return unpack_image(header, await self._read(header.size, "an image"))
 
     def close(self) -> None:
-        """Part from the server."""
         self._writer.close()
 
     async def _read(self, size: int, what: str) -> bytes:

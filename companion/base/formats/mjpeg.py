@@ -29,7 +29,6 @@ class MjpegServer:
 
     @property
     def viewer_count(self) -> int:
-        """How many browsers are watching."""
         return len(self._viewers)
 
     async def start(self, port: int) -> int:
@@ -76,6 +75,5 @@ class MjpegServer:
                 frames.put_nowait(head.encode() + data + b"\r\n")
 
     async def close(self) -> None:
-        """Stop listening and part from all browsers."""
         if self._runner is not None:
             await self._runner.cleanup()

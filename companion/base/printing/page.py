@@ -56,7 +56,6 @@ class Page:
         self._axes.add_patch(whole)
 
     def lines(self, lines: Iterable[Sequence[Point]], width_pt: float = 0.3, *, dashed: bool = False) -> None:
-        """Lines, each through its points."""
         from matplotlib.patches import PathPatch  # noqa: PLC0415
         from matplotlib.path import Path as Outline  # noqa: PLC0415
 

@@ -32,13 +32,11 @@ class WellKnown(NamedTuple):
 
 
 def stamp(unix_ns: int) -> Plain:
-    """A time."""
     seconds, nanoseconds = divmod(unix_ns, 1_000_000_000)
     return {"sec": seconds, "nsec": nanoseconds}
 
 
 def vector(v: Sequence[float]) -> Plain:
-    """A vector or point."""
     return {"x": float(v[0]), "y": float(v[1]), "z": float(v[2])}
 
 
@@ -48,7 +46,6 @@ def quaternion(q: Quaternion) -> Plain:
 
 
 def pose(position: Sequence[float] = ZERO3, orientation: Quaternion = IDENTITY) -> Plain:
-    """A pose."""
     return {"position": vector(position), "orientation": quaternion(orientation)}
 
 
@@ -70,7 +67,6 @@ def transform(unix_ns: int, parent: str, child: str, translation: Vector3, rotat
 
 
 def pose_in(unix_ns: int, topic: str, frame: str, position: Vector3, orientation: Quaternion) -> WellKnown:
-    """A pose in a frame."""
     message = {"timestamp": stamp(unix_ns), "frame_id": frame, "pose": pose(position, orientation)}
     return WellKnown(topic, "foxglove.PoseInFrame", message)
 

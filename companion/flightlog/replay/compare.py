@@ -127,7 +127,6 @@ class Comparison:
         return times, difference
 
     def errors(self) -> ReplayErrors:
-        """All figures."""
         _, attitude = self.attitude_deg()
         return ReplayErrors(
             attitude_deg=_figures(attitude[:, 0]),

@@ -65,8 +65,6 @@ def read_mcap(path: Path) -> FlightRecord:
 
 
 class _Reading:
-    """What has been read of one file so far."""
-
     def __init__(self, reader: LogReader) -> None:
         self._reader = reader
         self._events: list[RecordedEvent] = []

@@ -45,12 +45,10 @@ class Replayed:
 
     @property
     def vehicles(self) -> list[VehicleState]:
-        """The vehicle's states alone."""
         return [state for state in self.states if isinstance(state, VehicleState)]
 
     @property
     def pads(self) -> list[PadState]:
-        """The pad's states alone."""
         return [state for state in self.states if isinstance(state, PadState)]
 
 

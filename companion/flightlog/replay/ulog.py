@@ -79,8 +79,6 @@ def _is_whole(path: Path) -> bool:
 
 
 class _Reading:
-    """The topics of one log."""
-
     def __init__(self, log: ULog) -> None:
         self._topics: dict[str, Columns] = {}
         for topic in log.data_list:

@@ -123,8 +123,6 @@ def _result(path: Path) -> Result | None:
 
 
 class _Reading:
-    """What has been read so far."""
-
     def __init__(self, reader: LogReader) -> None:
         self._reader = reader
         self._kept: dict[str, list[Any]] = defaultdict(list)

@@ -64,7 +64,6 @@ def write_page(flight: LoggedFlight, path: Path, bounds: Mapping[str, float] | N
 
 
 def page(flight: LoggedFlight, bounds: Mapping[str, float]) -> str:
-    """The page's HTML."""
     drawn = figures(flight, bounds)
     sections = {
         "result": (

@@ -37,12 +37,10 @@ class PhaseSpan:
 
     @property
     def name(self) -> str:
-        """For people."""
         return self.phase.value.replace("_", " ")
 
     @property
     def colour(self) -> str:
-        """Of its band."""
         return PHASE_COLOURS[self.phase]
 
 

@@ -98,11 +98,9 @@ class PymavlinkActions:
         """Nothing to give back."""
 
     async def perform(self, action: Action) -> ActionResult:
-        """See `VehicleActions`."""
         return await self._performances.perform(self._handlers[action.kind], action)
 
     def cancel(self) -> None:
-        """See `VehicleActions`."""
         self.dialogue.withdraw()
         self._performances.cancel()
 

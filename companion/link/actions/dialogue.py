@@ -44,7 +44,6 @@ class Dialogue:
             self._session.withdraw(pending)
 
     def now_s(self) -> float:
-        """The time."""
         return self._clock.now_s()
 
     def autopilot_kind(self) -> AutopilotKind:

@@ -108,11 +108,9 @@ class MavsdkActions:
             self._mavsdk._mavsdk.pass_received_raw_bytes(data)
 
     async def perform(self, action: Action) -> ActionResult:
-        """See `VehicleActions`."""
         return await self._performances.perform(self._handlers[action.kind], action)
 
     def cancel(self) -> None:
-        """See `VehicleActions`."""
         self._withdrawn_calls |= self._calls
         self._own.cancel()
         self._performances.cancel()

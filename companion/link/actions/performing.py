@@ -46,7 +46,6 @@ class Performances:
         return work.result()
 
     def cancel(self) -> None:
-        """End every action under way."""
         for work in self._under_way:
             work.cancel()
 

@@ -47,7 +47,6 @@ class BootClock:
 
     @property
     def settled(self) -> bool:
-        """Whether the autopilot's clock is known."""
         return self._timesync.settled
 
     def instant(self, stream: str, stamp_s: float, now_s: float) -> Instant | None:

@@ -35,12 +35,10 @@ class Trip:
 
     @property
     def length_s(self) -> float:
-        """How long it took."""
         return self.received_s - self.sent_s
 
     @property
     def middle_s(self) -> float:
-        """Our time halfway."""
         return 0.5 * (self.sent_s + self.received_s)
 
     @property
@@ -77,7 +75,6 @@ class ClockFilter:
         self._lengths_s = deque((first.length_s,), maxlen=_QUICKEST_OF)
 
     def add(self, trip: Trip) -> None:
-        """Take one more trip."""
         elapsed_s = max(trip.middle_s - self.line.at_s, 0.0)
         self._predict(elapsed_s)
         self._lengths_s.append(trip.length_s)

@@ -52,7 +52,6 @@ class ReplayDevice:
         self.read_back = ReadBack(camera.exposure_s)
 
     def read(self) -> Shot:
-        """See `reader.Device`."""
         for after_s, load in self._frames:
             now_s = self._clock.now_s()
             if self._begun_s is None:
@@ -77,7 +76,6 @@ class ReplayDevice:
         raise EndOfFrames(f"{self._name} has ended")
 
     def close(self) -> None:
-        """See `reader.Device`."""
         self._frames = iter(())
 
 

@@ -49,7 +49,6 @@ class SocketCamera:
         return cls(stream, camera, unstamped_latency_s, Clock())
 
     async def next(self) -> Frame:
-        """See `source.FrameSource`."""
         return await self._newest.next()
 
     @property
@@ -71,7 +70,6 @@ class SocketCamera:
         self.close()
 
     def close(self) -> None:
-        """See `source.FrameSource`."""
         self._task.cancel()
         self._stream.close()
 

@@ -101,7 +101,6 @@ class KeptCamera:
 
     @property
     def read_back(self) -> ReadBack:
-        """What the driver says of its settings."""
         return ReadBack() if self._source is None else self._source.read_back
 
     async def next(self) -> Frame:
@@ -113,7 +112,6 @@ class KeptCamera:
         return await self._reports.get()
 
     def close(self) -> None:
-        """See `source.FrameSource`."""
         self._task.cancel()
         if self._source is not None:
             self._source.close()

@@ -47,7 +47,6 @@ class Photo:
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Width and height."""
         return self.image.shape[1], self.image.shape[0]
 
 

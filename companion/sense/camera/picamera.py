@@ -71,7 +71,6 @@ class Picamera2Device:
             raise
 
     def read(self) -> Shot:
-        """See `reader.Device`."""
         request = self._request()
         received_s = self._clock.now_s()
         try:
@@ -88,7 +87,6 @@ class Picamera2Device:
         return Shot(self._time_s(metadata, received_s), received_s, image)
 
     def close(self) -> None:
-        """See `reader.Device`."""
         try:
             self._camera.stop()
         finally:  # one that is gone may not let itself be stopped, but stays taken until it is closed

@@ -148,12 +148,10 @@ class ThreadedCamera:
 
     @property
     def held(self) -> bool:
-        """Whether the thread still has the device."""
         return self._thread.is_alive()
 
     @property
     def read_back(self) -> ReadBack:
-        """What the driver says of its settings."""
         return ReadBack() if self._device is None else self._device.read_back
 
     def take_notes(self) -> list[str]:
@@ -164,7 +162,6 @@ class ThreadedCamera:
         return [notes.popleft() for _ in range(len(notes))]
 
     async def next(self) -> Frame:
-        """See `source.FrameSource`."""
         return await self._newest.next()
 
     def let_go(self) -> None:

@@ -62,7 +62,6 @@ class FrameSource(Protocol):
 
 
 def is_camera(spec: str) -> bool:
-    """Whether that names a source of frames."""
     return DEVICE_FORM.fullmatch(spec) is not None or ADDRESS_FORM.fullmatch(spec) is not None
 
 

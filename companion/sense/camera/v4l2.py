@@ -80,7 +80,6 @@ class V4l2Device:
             raise
 
     def read(self) -> Shot:
-        """See `reader.Device`."""
         image = self._grab()
         received_s = self._clock.now_s()
         check_size(image.shape[1], image.shape[0], self._camera)  # a driver may promise one and send another
@@ -96,7 +95,6 @@ class V4l2Device:
         return Shot(time_s, received_s, grey(image))
 
     def close(self) -> None:
-        """See `reader.Device`."""
         self._capture.release()
 
     def _grab(self) -> Any:

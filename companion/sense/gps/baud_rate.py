@@ -34,7 +34,6 @@ class BaudRate:
 
     @property
     def there(self) -> bool:
-        """Whether we talk at the wanted rate."""
         return self.baud == self.wanted
 
     def step(self, now_s: float, message_s: float) -> bool:

@@ -76,13 +76,11 @@ class MasterPath:
         yield 0.01
 
     def read(self, register: int) -> Generator[float, None, int]:
-        """One byte, through slave 4."""
         self._set(_SLV4_ADDR, _READ | ADDRESS)
         yield from self._transact(register)
         return self._bus.read(self._address, _SLV4_DI, 1)[0]
 
     def write(self, register: int, value: int) -> Waits:
-        """One byte, through slave 4."""
         self._set(_SLV4_ADDR, ADDRESS)
         self._set(_SLV4_DO, value)
         yield from self._transact(register)
@@ -124,12 +122,10 @@ class BypassPath:
         yield from ()
 
     def read(self, register: int) -> Generator[float, None, int]:
-        """One byte."""
         yield from ()
         return self._bus.read(ADDRESS, register, 1)[0]
 
     def write(self, register: int, value: int) -> Waits:
-        """One byte."""
         self._bus.write(ADDRESS, register, value)
         yield from ()
 

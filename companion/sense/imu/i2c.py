@@ -69,7 +69,6 @@ class SmbusBus:
         self._plain_i2c = bool(self._bus.funcs & smbus2.I2cFunc.I2C)
 
     def read(self, address: int, register: int, length: int) -> bytes:
-        """Read `length` bytes starting at `register`."""
         if self._plain_i2c:
             ask = smbus2.i2c_msg.write(address, [register])
             answer = smbus2.i2c_msg.read(address, length)
@@ -80,11 +79,9 @@ class SmbusBus:
         return bytes(self._bus.read_i2c_block_data(address, register, length))
 
     def write(self, address: int, register: int, value: int) -> None:
-        """Write one byte."""
         self._bus.write_byte_data(address, register, value)
 
     def close(self) -> None:
-        """Give the adapter back."""
         self._bus.close()
 
 
@@ -96,14 +93,12 @@ class SocketBus:
         self._socket: socket.socket | None = None
 
     def read(self, address: int, register: int, length: int) -> bytes:
-        """Read `length` bytes starting at `register`."""
         data = self._transact(encode_request(ReadRequest(address, register, length)))
         if len(data) != length:
             raise OSError(errno.EPROTO, f"bus at {self._path}: {len(data)} bytes for {length}")
         return data
 
     def write(self, address: int, register: int, value: int) -> None:
-        """Write one byte."""
         self._transact(encode_request(WriteRequest(address, register, value)))
 
     def close(self) -> None:

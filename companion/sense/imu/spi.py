@@ -47,7 +47,6 @@ class SpiBus:
         self._spi.max_speed_hz = REGISTER_HZ
 
     def read(self, address: int, register: int, length: int) -> bytes:
-        """Read `length` bytes starting at `register`."""
         _check(address)
         # FIFO and settings are not among the sensors' registers
         sensors = register >= FIRST_SENSOR_REGISTER and register + length - 1 <= LAST_SENSOR_REGISTER
@@ -55,12 +54,10 @@ class SpiBus:
         return self._transfer([register | READ_BIT, *bytes(length)], speed_hz)[1:]
 
     def write(self, address: int, register: int, value: int) -> None:
-        """Write one byte."""
         _check(address)
         self._transfer([register, value], REGISTER_HZ)
 
     def close(self) -> None:
-        """Give the device back."""
         self._spi.close()
 
     def _transfer(self, data: list[int], speed_hz: int) -> bytes:

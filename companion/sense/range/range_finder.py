@@ -72,11 +72,9 @@ class SerialRange:
 
     @property
     def problem(self) -> str | None:
-        """What is wrong with sensor or line."""
         return self._driver.problem
 
     def watch(self, now_s: float) -> None:
-        """Bring `problem` up to date."""
         self._driver.watch(now_s)
 
     async def read(self) -> list[RangeSample]:
@@ -107,7 +105,6 @@ class EchoRange:
         self.problem: str | None = None
 
     def watch(self, now_s: float) -> None:
-        """Bring `problem` up to date."""
         if self._heard_s is None:
             self._heard_s = now_s
         self.problem = self._fault if now_s - self._heard_s > SILENCE_S else None

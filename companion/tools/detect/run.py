@@ -234,7 +234,6 @@ class Tally:
     times_s: list[float] = field(default_factory=list)
 
     def lines(self, size_px: tuple[int, int]) -> list[str]:
-        """The summary."""
         made = []
         for (width, height), count in self.other_sizes.items():
             expected = "x".join(map(str, size_px))
@@ -352,12 +351,10 @@ class Overlays:
             self._video(photo, picture).write(picture)
 
     def close(self) -> None:
-        """Finish the videos."""
         for video in self._videos.values():
             video.release()
 
     def lines(self) -> list[str]:
-        """Where they are."""
         one = len(self._written) == 1
         return [f"overlay{'' if one else 's'}: {self._written[0] if one else self._folder}"]
 

@@ -59,7 +59,6 @@ class IdentificationLog:
 
     @property
     def by_attitude(self) -> bool:
-        """Whether attitude and thrust were sent."""
         return self.control.setpoint == "attitude"
 
     def starting_points(self) -> dict[str, IdentifiedResponse]:
@@ -170,7 +169,6 @@ class Judged:
 
     @property
     def contradicts(self) -> bool:
-        """Whether the flight contradicts what is assumed."""
         return self.adopted != self.assumed
 
     @property
@@ -223,7 +221,6 @@ class Identified:
 
     @property
     def all_hold(self) -> bool:
-        """Whether nothing was withheld."""
         judged = (*self.responses.values(), self.hover)
         return not any(each.withheld for each in judged if not isinstance(each, str))
 

@@ -34,7 +34,6 @@ from companion.tools.preflight.run import preflight
 
 
 def report_table(report: Report) -> Table:
-    """A line for each question."""
     table = Table(title="check over the pad", title_justify="left", show_lines=False)
     for heading in ("", "question", "measured"):
         table.add_column(heading)
@@ -173,7 +172,6 @@ async def _open(page: MjpegServer, port: int) -> int:
 
 
 def show(report: Report, console: Console) -> None:
-    """The table, the likely causes and the verdict."""
     console.print(report_table(report))
     for cause in cause_lines(report):
         console.print(Text(cause), soft_wrap=True)
@@ -181,6 +179,5 @@ def show(report: Report, console: Console) -> None:
 
 
 def line(said: Say) -> Text:
-    """One line for a person."""
     lead, style = _STYLES[said.kind]
     return Text(f"{lead}{said.text}", style=style)

@@ -59,7 +59,6 @@ class CheckAnswer:
 
     @property
     def passed(self) -> bool:
-        """Whether all is well."""
         return not self.blamed
 
 

@@ -70,19 +70,15 @@ class RecentSamples:
         self.sightings: deque[PadSighting] = deque()
 
     def add_imu(self, sample: ImuSample, received_s: float = math.inf) -> None:
-        """One of gyroscope and accelerometer."""
         _keep(self.imu, sample)
 
     def add_mag(self, sample: MagSample) -> None:
-        """One of the magnetometer."""
         _keep(self.mag, sample)
 
     def add_range(self, sample: RangeSample) -> None:
-        """One echo."""
         _keep(self.range, sample)
 
     def add_sighting(self, sighting: PadSighting) -> None:
-        """The pad in one frame."""
         _keep(self.sightings, sighting)
 
     def add_gps(self, fix: GpsFix) -> None:

@@ -181,7 +181,6 @@ class PadCheck:
         return report
 
     async def _ask(self) -> Report:
-        """Step the wizard until it has asked all."""
         if self._linked:
             await self._await_autopilot()
         self._heard_s = self._clock.now_s()

@@ -124,7 +124,6 @@ class Report:
 
     @property
     def passed(self) -> bool:
-        """Whether all is well."""
         return all(finding.passed for finding in self.findings)
 
 
@@ -153,11 +152,9 @@ class Wizard:
 
     @property
     def finished(self) -> bool:
-        """Whether all has been asked."""
         return self.stage is CheckStage.END
 
     def report(self) -> Report:
-        """What has been found so far."""
         bad = [finding for finding in self._findings if not finding.passed]
         causes = {
             finding.name: "; ".join(likely_cause(p, self._evidence, self._mounting) for p in finding.blamed)

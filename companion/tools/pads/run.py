@@ -161,7 +161,6 @@ def on_paper(pad: Pad, paper: Literal[PaperName, "large"], source: str) -> Pad:
 
 
 def summary(pad: Pad) -> list[str]:
-    """A checked pad in a few lines."""
     tiling = pad.tiling()
     kinds = Counter((m.group, m.dictionary, m.side_m) for m in pad.markers)
     width, height = (1e3 * side for side in tiling.page_m)

@@ -158,7 +158,6 @@ class _Listener:
             await asyncio.sleep(WATCH_S)
 
     async def heartbeat(self) -> bool:
-        """Whether the autopilot is heard in time."""
         until_s = self.clock.now_s() + HEARTBEAT_PATIENCE_S
         while not self.session.state.connected and self.clock.now_s() < until_s:  # noqa: ASYNC110
             await asyncio.sleep(TICK_S)

@@ -36,7 +36,6 @@ class FrameCounter:
         self._sequences: dict[tuple[int, int], int] = {}
 
     def feed(self, data: bytes) -> None:
-        """Take bytes in their order."""
         buffer = self._buffer
         buffer += data
         start = 0

@@ -29,7 +29,6 @@ def active_lines(text: str, sections: frozenset[str]) -> list[str]:
 
 
 def has_overlay(text: str, sections: frozenset[str], name: str) -> bool:
-    """Whether an overlay is loaded."""
     overlays = [
         line.partition("=")[2] for line in active_lines(text, sections) if line.startswith("dtoverlay=")
     ]

@@ -44,7 +44,6 @@ def go_through(machine: Machine, config: CompanionConfig, answers: Answers) -> b
 
 
 def show(number: int, step: Step) -> None:
-    """A step, and what would be changed."""
     advice = "" if step.needed or step.state is not StepState.TO_DO else " (the settings do not need it)"
     typer.echo(f"{number}. {step.title}: {step.state}{advice}; {step.detail}")
     for change in step.changes:
@@ -53,7 +52,6 @@ def show(number: int, step: Step) -> None:
 
 
 def change_lines(change: FileChange | Program) -> list[str]:
-    """A change, for a person."""
     if isinstance(change, Program):
         return [f"run: {shlex.join(change.words)}"]
     return [

@@ -85,7 +85,6 @@ class Machine:
     user: str | None = None
 
     def path(self, name: str) -> Path:
-        """A file of it."""
         return self.root / name.lstrip("/")
 
     def read(self, name: str) -> str | None:

@@ -22,8 +22,6 @@ _NO_PI: Final = "not a Raspberry Pi that is known here"
 
 
 class StepState(StrEnum):
-    """How a step stands."""
-
     DONE = "done"
     TO_DO = "to do"
     LEFT_OUT = "left out"
@@ -41,8 +39,6 @@ class FileChange:
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A program to run."""
-
     words: tuple[str, ...]
 
 
@@ -164,7 +160,6 @@ def i2c(machine: Machine, config: CompanionConfig) -> Step:
 
 
 def spi(machine: Machine, config: CompanionConfig) -> Step:
-    """The SPI bus."""
     title, model = "SPI", machine.model
     needed = config.sense.source == "boards" and config.sense.imu.bus.startswith("spi:")
     if model is None:
