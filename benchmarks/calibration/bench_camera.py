@@ -22,10 +22,10 @@ from rich.table import Table
 from scipy.stats import chi2
 
 from benchmarks.report import BenchReport, watched
-from calibration.camera.board.board import CalibrationBoard, read_dictionary
-from calibration.camera.solve.adjustment import UnsolvableError
-from calibration.camera.solve.quality import Assessment, assess
-from calibration.camera.views.detection import BoardFinder, BoardView
+from calibration.camera.board import CalibrationBoard, read_dictionary
+from calibration.camera.quality import Assessment, assess
+from calibration.camera.solver import UnsolvableError
+from calibration.camera.views import BoardFinder, BoardView
 from companion.base.geometry import FloatArray
 from companion.config import CameraConfig, find_file, load_model
 from companion.sense.camera.photos import photo_paths, read_photos

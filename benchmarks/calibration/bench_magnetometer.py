@@ -27,12 +27,12 @@ from rich.table import Table
 
 from benchmarks.report import BenchReport
 from benchmarks.state.streams import fly_stream, rerun, rms, settings_of
-from calibration.magnetometer.collect.collecting import CollectionLimits, collect
-from calibration.magnetometer.collect.live import Mpu9250Compass
-from calibration.magnetometer.ellipsoid.fit import fit_ellipsoid
-from calibration.magnetometer.read.sources import read_recording
-from calibration.magnetometer.report.report import yaml_text
-from calibration.magnetometer.solve.calibrate import Calibrated, TrueField, calibrate
+from calibration.magnetometer.calibrate import Calibrated, TrueField, calibrate
+from calibration.magnetometer.collect import CollectionLimits, collect
+from calibration.magnetometer.ellipsoid import fit_ellipsoid
+from calibration.magnetometer.live import Mpu9250Compass
+from calibration.magnetometer.report import yaml_text
+from calibration.magnetometer.sources import read_recording
 from companion.base.clock import run_in_virtual_time
 from companion.base.geometry import FloatArray
 from companion.config import ImuConfig

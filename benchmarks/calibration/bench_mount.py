@@ -31,12 +31,11 @@ from rich.table import Table
 
 from benchmarks.report import BenchReport, watched
 from benchmarks.state.consistency import band
-from calibration.mount.imu.job import calibrate_accelerometer, faces_from
-from calibration.mount.record.recording import read_recording
-from calibration.mount.report.result import configured_rotation, mount_calibration, prior_of, shutter_s
-from calibration.mount.solve.rotations import log
-from calibration.mount.solve.solve import MountSolution, solve
-from calibration.mount.solve.verdict import reasons
+from calibration.mount.imu_calibration import calibrate_accelerometer, faces_from
+from calibration.mount.model import log
+from calibration.mount.recording import read_recording
+from calibration.mount.result import configured_rotation, mount_calibration, prior_of, reasons, shutter_s
+from calibration.mount.solver import MountSolution, solve
 from companion.base.clock import run_in_virtual_time
 from companion.base.geometry import FloatArray
 from companion.config import CompanionConfig, InertialCalibration, MountCalibration, load_model, validate

@@ -13,15 +13,21 @@ import numpy as np
 from rich.console import Console
 
 from calibration.command_line import RefusedError
-from calibration.magnetometer.collect.collecting import CollectionLimits, collect
-from calibration.magnetometer.collect.live import open_autopilot, open_chip
-from calibration.magnetometer.ellipsoid.fit import Objective
-from calibration.magnetometer.read.recording import MagnetometerRecording
-from calibration.magnetometer.read.sources import read_recording
-from calibration.magnetometer.report.pictures import write_picture
-from calibration.magnetometer.report.report import lines, result_table, yaml_text
-from calibration.magnetometer.solve.calibrate import Calibrated, TrueField, UnfitError, calibrate
-from calibration.magnetometer.solve.true_field import field_at, field_by, year_of
+from calibration.magnetometer.calibrate import (
+    Calibrated,
+    TrueField,
+    UnfitError,
+    calibrate,
+    field_at,
+    field_by,
+    year_of,
+)
+from calibration.magnetometer.collect import CollectionLimits, collect
+from calibration.magnetometer.ellipsoid import Objective
+from calibration.magnetometer.live import open_autopilot, open_chip
+from calibration.magnetometer.recording import MagnetometerRecording
+from calibration.magnetometer.report import lines, result_table, write_picture, yaml_text
+from calibration.magnetometer.sources import read_recording
 from companion import __version__
 from companion.base.clock import start_unix_s
 from companion.base.files import write_atomically

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractAsyncContextManager
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, ExitStack, asynccontextmanager, closing
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -11,21 +12,22 @@ import typer
 import yaml
 
 from calibration.command_line import RefusedError
-from calibration.mount.options import NAME
-from calibration.mount.record.devices import MountSensors, open_sensors
+from calibration.mount.command import NAME
 from companion.base.clock import start_unix_s
 from companion.base.files import write_atomically
 from companion.config import (
+    CameraConfig,
     CompanionConfig,
     ConfigError,
     InertialCalibration,
     StrictModel,
+    find_file,
     load_model,
 )
 from companion.flightlog.log_file import LOG_NAMES
 from companion.flightlog.record import FlightLog
-
-SensorOpener = Callable[[CompanionConfig, bool], AbstractAsyncContextManager[MountSensors]]
+from companion.sense.camera.source import FrameSource, open_camera
+from companion.sense.imu.i2c import RegisterBus, open_bus
 
 
 def connected_sensors(config: CompanionConfig, camera: bool) -> AbstractAsyncContextManager[MountSensors]:
@@ -92,3 +94,37 @@ def write_file(path: Path, calibration: StrictModel, setting: str) -> None:
 def now() -> str:
     """Today, UTC."""
     return datetime.fromtimestamp(start_unix_s(virtual=True), UTC).isoformat(timespec="seconds")
+
+
+# ---------------------------------------------------------------- devices
+# The sensors that a mount calibration needs: IMU, and camera if wanted. No autopilot.
+
+
+@dataclass(frozen=True, slots=True)
+class MountSensors:
+    """Open sensors; a simulator in the same process has the same interfaces."""
+
+    imu_bus: RegisterBus
+    frames: FrameSource | None = None
+
+
+SensorOpener = Callable[[CompanionConfig, bool], AbstractAsyncContextManager[MountSensors]]
+
+
+@asynccontextmanager
+async def open_sensors(config: CompanionConfig, *, camera: bool) -> AsyncIterator[MountSensors]:
+    """Open what the settings name, and close it again at the end.
+
+    Raises:
+        ConfigError: a bus or the camera is missing, taken or misspelt; one line says which.
+    """
+    vision = config.sense.vision
+    with ExitStack() as opened:
+        bus = opened.enter_context(closing(open_bus(config.sense.imu.bus)))
+        frames: FrameSource | None = None
+        if camera:
+            lens = load_model(CameraConfig, find_file("cameras", config.camera))
+            frames = opened.enter_context(
+                closing(await open_camera(vision.source, lens, vision.unstamped_latency_s))
+            )
+        yield MountSensors(bus, frames)

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 import yaml
 
-from calibration.mount.record.recording import read_recording
-from calibration.mount.report.result import prior_of
+from calibration.mount.recording import read_recording
+from calibration.mount.result import prior_of
 from companion.config import (
     CONFIG_FOLDER,
     AccelerometerCalibration,

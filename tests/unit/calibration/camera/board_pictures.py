@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.camera.board.board import CalibrationBoard
-from calibration.camera.views.detection import BoardView
+from calibration.camera.board import CalibrationBoard
+from calibration.camera.views import BoardView
 from companion.base.geometry import FloatArray
 from companion.config import CameraConfig
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.camera.board.board import CalibrationBoard
+from calibration.camera.board import CalibrationBoard
 from companion.base.geometry import FloatArray
 from companion.config import CameraConfig, find_file, load_model
 from tests.unit.calibration.camera.board_pictures import BLACK, WHITE, BoardPainter, BoardPose

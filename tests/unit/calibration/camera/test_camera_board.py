@@ -10,9 +10,15 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.camera.board.board import CalibrationBoard, read_dictionary
-from calibration.camera.board.printing import board_yaml, pattern_corner_mm, sheet_mm, write_board
-from calibration.camera.views.detection import BoardFinder
+from calibration.camera.board import (
+    CalibrationBoard,
+    board_yaml,
+    pattern_corner_mm,
+    read_dictionary,
+    sheet_mm,
+    write_board,
+)
+from calibration.camera.views import BoardFinder
 from companion.base.printing.paper import PaperName
 from companion.config import CONFIG_FOLDER, ConfigError, load_model, validate
 

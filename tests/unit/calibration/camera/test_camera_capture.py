@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.camera.board.board import CalibrationBoard
-from calibration.camera.collect.capture import CaptureSession, CaptureStep
-from calibration.camera.views.detection import BoardFinder, BoardView
+from calibration.camera.board import CalibrationBoard
+from calibration.camera.capture import CaptureSession, CaptureStep
+from calibration.camera.views import BoardFinder, BoardView
 from companion.config import CameraConfig, find_file, load_model
 from tests.unit.calibration.camera.board_pictures import BoardPainter, BoardPose, ideal_view, tour_poses
 

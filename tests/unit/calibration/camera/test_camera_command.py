@@ -13,15 +13,14 @@ import numpy as np
 import pytest
 import yaml
 
-from calibration.camera.board.board import CalibrationBoard
-from calibration.camera.board.printing import board_yaml
+from calibration.camera.board import CalibrationBoard, board_yaml
 from calibration.camera.command import app
 from calibration.camera.job import NAME
 from calibration.command_line import run
 from companion.base.messages import Frame
 from companion.config import CONFIG_FOLDER, CameraConfig, ConfigError, find_file, load_model
 from companion.sense.camera.source import open_camera
-from sitl.camera.frame_server import FrameServer
+from sitl.devices.socket_servers import FrameServer
 from tests.unit.calibration.camera.board_pictures import BoardPainter, hand_held_poses, tour_poses
 
 CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))

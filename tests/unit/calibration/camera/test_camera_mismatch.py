@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.camera.board.board import CalibrationBoard
-from calibration.camera.collect.gathering import views_of_photos
-from calibration.camera.report.result import summary_lines
-from calibration.camera.solve.quality import assess
-from calibration.camera.views.detection import BoardFinder, on_a_plane
-from calibration.camera.views.mismatch import hint, what_is_seen
+from calibration.camera.board import CalibrationBoard
+from calibration.camera.gathering import views_of_photos
+from calibration.camera.job import summary_lines
+from calibration.camera.mismatch import hint, what_is_seen
+from calibration.camera.quality import assess
+from calibration.camera.views import BoardFinder, on_a_plane
 from companion.config import CameraConfig, ConfigError, find_file, load_model
 from companion.sense.camera.photos import photo_paths, read_photos
 from tests.unit.calibration.camera.board_pictures import BoardPainter, hand_held_poses, ideal_view, tour_poses

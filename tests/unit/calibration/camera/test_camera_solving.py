@@ -8,14 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.camera.board.board import CalibrationBoard
-from calibration.camera.solve.adjustment import UnsolvableError
-from calibration.camera.solve.quality import Assessment, assess, unfolded_share
-from calibration.camera.solve.solving import solve
-from calibration.camera.solve.uncertainty import projection_std_px, uncertainty
-from calibration.camera.solve.weights import empirical_bayes_variance
-from calibration.camera.views.coverage import ImageCoverage, tilt_of
-from calibration.camera.views.detection import BoardView
+from calibration.camera.board import CalibrationBoard
+from calibration.camera.quality import Assessment, assess, unfolded_share
+from calibration.camera.solver import (
+    UnsolvableError,
+    empirical_bayes_variance,
+    projection_std_px,
+    solve,
+    uncertainty,
+)
+from calibration.camera.views import BoardView, ImageCoverage, tilt_of
 from companion.base.geometry import FloatArray
 from companion.config import CameraConfig, find_file, load_model
 from tests.unit.calibration.camera.board_pictures import (

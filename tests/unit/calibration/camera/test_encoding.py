@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calibration.camera.board.board import CalibrationBoard
-from calibration.camera.solve.encoding import measure_encoding
-from calibration.camera.views.detection import BoardFinder
+from calibration.camera.board import CalibrationBoard
+from calibration.camera.encoding import measure_encoding
+from calibration.camera.views import BoardFinder
 from companion.base.encoding import Encoding, grey_of_light, light_of_greys
 from companion.config import CameraConfig
 from tests.unit.calibration.camera.board_pictures import BoardPainter, BoardPose

@@ -5,10 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.magnetometer.ellipsoid.distance import distance, pack, unpack
-from calibration.magnetometer.ellipsoid.ellipsoid import Ellipsoid, NoEllipsoidError, algebraic_fit
-from calibration.magnetometer.ellipsoid.fit import EllipsoidFit, fit_ellipsoid, whiteness_sigma
-from calibration.magnetometer.solve.alignment import align, dip_of
+from calibration.magnetometer.ellipsoid import (
+    Ellipsoid,
+    EllipsoidFit,
+    NoEllipsoidError,
+    algebraic_fit,
+    distance,
+    fit_ellipsoid,
+    pack,
+    unpack,
+    whiteness_sigma,
+)
+from calibration.magnetometer.quality import align, dip_of
 from companion.base.geometry import FloatArray
 from tests.unit.calibration.magnetometer.magnetometer_truth import DIP_RAD, FIELD_UT, Turned, turned
 

@@ -7,9 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from calibration.magnetometer.collect.coverage_map import picture, text_map
-from calibration.magnetometer.collect.guidance import hint, progress
-from calibration.magnetometer.ellipsoid.coverage import (
+from calibration.magnetometer.collect import hint, picture, progress, text_map
+from calibration.magnetometer.ellipsoid import (
     CELLS,
     BoolArray,
     covered_cells,

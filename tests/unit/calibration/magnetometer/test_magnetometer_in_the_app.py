@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.magnetometer.read.recording import MagnetometerRecording
-from calibration.magnetometer.report.report import yaml_text
-from calibration.magnetometer.solve.calibrate import calibrate
+from calibration.magnetometer.calibrate import calibrate
+from calibration.magnetometer.recording import MagnetometerRecording
+from calibration.magnetometer.report import yaml_text
 from companion.app.sensing import Sensing, load_used_magnetometer
 from companion.base.geometry import matrix_from_quat, quat_from_euler
 from companion.base.messages import MagSample

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from calibration.magnetometer.collect.collecting import ENOUGH, CollectionLimits, collect
-from calibration.magnetometer.collect.live import AutopilotCompass, Mpu9250Compass
-from calibration.magnetometer.solve.calibrate import Calibrated, TrueField, UnfitError, calibrate
+from calibration.magnetometer.calibrate import Calibrated, TrueField, UnfitError, calibrate
+from calibration.magnetometer.collect import ENOUGH, CollectionLimits, collect
+from calibration.magnetometer.live import AutopilotCompass, Mpu9250Compass
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.geometry import FloatArray
 from companion.config import ConfigError, ImuConfig

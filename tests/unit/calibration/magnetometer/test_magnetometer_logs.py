@@ -10,11 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.magnetometer.read.onboard import NAMES, Onboard, onboard_of, parameters_for
-from calibration.magnetometer.read.recording import MagnetometerRecording
-from calibration.magnetometer.read.sources import read_recording
-from calibration.magnetometer.report.report import lines
-from calibration.magnetometer.solve.calibrate import Calibrated, TrueField, calibrate
+from calibration.magnetometer.calibrate import Calibrated, TrueField, calibrate
+from calibration.magnetometer.recording import (
+    NAMES,
+    MagnetometerRecording,
+    Onboard,
+    onboard_of,
+    parameters_for,
+)
+from calibration.magnetometer.report import lines
+from calibration.magnetometer.sources import read_recording
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import FloatArray, vector3
 from companion.base.messages import ImuSample, MagSample

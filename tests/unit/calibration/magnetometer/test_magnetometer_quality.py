@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.magnetometer.ellipsoid.ellipsoid import Ellipsoid
-from calibration.magnetometer.ellipsoid.fit import EllipsoidFit
-from calibration.magnetometer.read.recording import MagnetometerRecording
-from calibration.magnetometer.solve.alignment import AxisMisalignment, Dip
-from calibration.magnetometer.solve.calibrate import Calibrated, TrueField, UnfitError, calibrate
-from calibration.magnetometer.solve.quality import Figures, judge
+from calibration.magnetometer.calibrate import Calibrated, TrueField, UnfitError, calibrate
+from calibration.magnetometer.ellipsoid import Ellipsoid, EllipsoidFit
+from calibration.magnetometer.quality import AxisMisalignment, Dip, Figures, judge
+from calibration.magnetometer.recording import MagnetometerRecording
 from companion.base.geometry import FloatArray
 from tests.unit.calibration.magnetometer.magnetometer_truth import FIELD_UT, turned
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.magnetometer.read.recording import MagnetometerRecording
-from calibration.magnetometer.read.sources import read_recording
-from calibration.magnetometer.read.tables import read_numpy_table, read_text_table
+from calibration.magnetometer.recording import MagnetometerRecording
+from calibration.magnetometer.sources import read_recording
+from calibration.magnetometer.tables import read_numpy_table, read_text_table
 from companion.base.geometry import FloatArray
 from companion.config import ConfigError
 from tests.unit.calibration.magnetometer.magnetometer_truth import turned

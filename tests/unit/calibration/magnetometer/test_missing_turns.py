@@ -7,9 +7,9 @@ import re
 import numpy as np
 import pytest
 
-from calibration.magnetometer.read.recording import MagnetometerRecording
-from calibration.magnetometer.solve.calibrate import UnfitError, calibrate
-from calibration.magnetometer.solve.missing_turns import beside_plane, suggest_next_rotation
+from calibration.magnetometer.calibrate import UnfitError, calibrate
+from calibration.magnetometer.quality import beside_plane, suggest_next_rotation
+from calibration.magnetometer.recording import MagnetometerRecording
 from companion.base.geometry import FloatArray, matrix_from_quat, quat_from_rotation_vector, vector3
 
 FIELD_NED_UT = np.array([21.0, 0.0, 43.0])

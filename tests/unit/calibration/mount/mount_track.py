@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calibration.mount.record.samples import ImuSamples, PadObservations
-from calibration.mount.solve.rotations import exp, log, transposed
+from calibration.mount.model import exp, log, transposed
+from calibration.mount.recording import ImuSamples, PadObservations
 from companion.base.geometry import GRAVITY_M_S2, FloatArray, matrix_from_quat, quat_from_euler
 
 H = 1e-4

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from calibration.command_line import run
-from calibration.mount.command import cli
-from calibration.mount.options import NAME
+from calibration.mount.command import NAME, cli
 
 
 def calibrate(*words: str | Path) -> int:

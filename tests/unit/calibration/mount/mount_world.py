@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from calibration.mount.record.devices import MountSensors
-from calibration.mount.record.job import record
-from calibration.mount.shared import SensorOpener
-from calibration.mount.solve.rotations import exp, log, nearest_rotation
-from calibration.mount.solve.solve import MountSolution
+from calibration.mount.model import exp, log, nearest_rotation
+from calibration.mount.record_motion import record
+from calibration.mount.shared import MountSensors, SensorOpener
+from calibration.mount.solver import MountSolution
 from companion.base.clock import run_in_virtual_time
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.config import CompanionConfig, InertialCalibration, find_file, merge, validate

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import yaml
 
-from calibration.mount.imu.job import calibrate_accelerometer, faces_from
-from calibration.mount.record.coverage import MotionCoverage, MotionProgress
-from calibration.mount.record.recording import read_recording
-from calibration.mount.report.result import shutter_s
-from calibration.mount.solve.solve import solve
+from calibration.mount.imu_calibration import calibrate_accelerometer, faces_from
+from calibration.mount.record_motion import MotionCoverage, MotionProgress
+from calibration.mount.recording import read_recording
+from calibration.mount.result import shutter_s
+from calibration.mount.solver import solve
 from companion.base.clock import run_in_virtual_time
 from companion.base.geometry import matrix_from_quat
 from companion.base.messages import ImuSample
@@ -84,9 +84,7 @@ def test_a_refused_one_is_written_only_when_forced(
     recording = read_recording(folder)
     place = np.array(recording.vehicle.camera_position_body_m)
     found = solve(recording.inertial, recording.sightings, place, shutter_s(recording))
-    monkeypatch.setattr(
-        "calibration.mount.solve.job.solve", lambda *_: found
-    )  # twice the same: once is enough
+    monkeypatch.setattr("calibration.mount.result.solve", lambda *_: found)  # twice the same: once is enough
     output = tmp_path / "mount.yaml"
     words = ("camera", folder, "-o", output, "--max-rotation-deg", "1")
     assert calibrate(*words) == 1
@@ -141,17 +139,17 @@ def test_faces_are_calibrated_live_against_the_simulated_chip(tmp_path: Path) ->
 def hold_still(monkeypatch: pytest.MonkeyPatch, part: str) -> None:
     """The sensors that a command finds are those of a vehicle which nobody moves."""
     held = HandHeld(scenario_of({}), 0, "still")
-    monkeypatch.setattr(f"calibration.mount.{part}.job.connected_sensors", held.boards)
-    monkeypatch.setattr(f"calibration.mount.{part}.job.run_until_stopped", run_in_virtual_time)
+    monkeypatch.setattr(f"calibration.mount.{part}.connected_sensors", held.boards)
+    monkeypatch.setattr(f"calibration.mount.{part}.run_until_stopped", run_in_virtual_time)
 
 
 def test_interrupted_rests_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    hold_still(monkeypatch, "imu")
+    hold_still(monkeypatch, "imu_calibration")
 
     def interrupted(*_: object) -> str:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("calibration.mount.imu.live.FaceGuide.take", interrupted)
+    monkeypatch.setattr("calibration.mount.imu_calibration.FaceGuide.take", interrupted)
     assert calibrate("accelerometer", "--keep", tmp_path / "kept", "-o", tmp_path / "out.yaml") == 130
     assert list(tmp_path.iterdir()) == []
 
@@ -193,7 +191,7 @@ def test_what_a_user_can_mend_is_one_line(
     (tmp_path / "README.md").write_text("nothing")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "flight.mcap").write_bytes(b"")
-    hold_still(monkeypatch, "record")
+    hold_still(monkeypatch, "record_motion")
     assert calibrate(*words) == 2
     told = capsys.readouterr().err
     assert line in told
@@ -212,7 +210,7 @@ def test_an_autopilot_s_samples_come_by_a_flight_s_log(
 def test_an_interrupted_recording_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    hold_still(monkeypatch, "record")
+    hold_still(monkeypatch, "record_motion")
 
     def interrupted(_self: MotionCoverage) -> MotionProgress:
         raise KeyboardInterrupt
@@ -226,7 +224,7 @@ def test_an_interrupted_recording_leaves_nothing(
 def test_a_card_that_is_full_at_the_end_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    hold_still(monkeypatch, "record")
+    hold_still(monkeypatch, "record_motion")
 
     def full(_file: object) -> None:
         raise OSError(28, "No space left on device")

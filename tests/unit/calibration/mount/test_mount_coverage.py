@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.mount.record import job
-from calibration.mount.record.coverage import MotionCoverage, MotionProgress
+from calibration.mount import record_motion
+from calibration.mount.record_motion import MotionCoverage, MotionProgress
 from companion.base.geometry import IDENTITY
 from companion.base.messages import ImuSample, PadSighting
 from tests.unit.calibration.mount.mount_words import calibrate
@@ -58,7 +58,7 @@ def test_a_recording_that_lacks_something_when_time_is_up_ends_so(
     async def recorded(*_: object, **__: object) -> MotionProgress:
         return MotionProgress(9.0, 0, (0.0, 0.0, 0.0), 0.0, "the pad is not seen", complete=False)
 
-    monkeypatch.setattr(job, "record", recorded)
+    monkeypatch.setattr(record_motion, "record", recorded)
     assert calibrate("record", tmp_path / "swayed") == 1
     said = capsys.readouterr()
     assert "refused: time is up, and it lacks: the pad is not seen" in said.err

@@ -9,19 +9,20 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from calibration.mount.record.samples import PadObservations
-from calibration.mount.solve.correlation import correlate
-from calibration.mount.solve.rotations import exp, log, nearest_rotation
-from calibration.mount.solve.solve import MountSolution, NoSolutionError, solve
-from calibration.mount.solve.unknowns import (
+from calibration.mount.model import (
     ACCEL_MATRIX,
     GYRO_BIAS,
     GYRO_MATRIX,
     OFFSET,
     POSITION,
     MountPrior,
+    exp,
+    log,
+    nearest_rotation,
 )
-from calibration.mount.solve.verdict import reasons
+from calibration.mount.recording import PadObservations
+from calibration.mount.result import reasons
+from calibration.mount.solver import MountSolution, NoSolutionError, correlate, solve
 from tests.unit.calibration.mount.mount_track import Flaws, MountTrack
 
 PLACE = np.array([0.03, 0.0, 0.08])

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from calibration.mount.report.result import camera_angles_deg
+from calibration.mount.result import camera_angles_deg
 from companion.base.geometry import matrix_from_quat
 from companion.base.messages import Frame
 from companion.config import (

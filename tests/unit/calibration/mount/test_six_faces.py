@@ -10,22 +10,23 @@ import numpy as np
 import pytest
 import yaml
 
-from calibration.mount.imu import FACES
-from calibration.mount.imu.guide import FaceGuide
-from calibration.mount.imu.result import accelerometer_calibration, gyro_calibration, mounting_line
-from calibration.mount.imu.six_faces import (
+from calibration.mount import FACES
+from calibration.mount.imu_calibration import accelerometer_calibration, gyro_calibration, mounting_line
+from calibration.mount.recording import ImuSamples
+from calibration.mount.six_faces import (
+    FaceGuide,
+    StaticInterval,
     accelerometer_reasons,
     face_of,
     faces_down,
+    find_static_intervals,
     fit_accelerometer,
     fit_gyro,
     fitting_mountings,
     gyro_reasons,
     mounting_matrix,
 )
-from calibration.mount.imu.static_intervals import StaticInterval, find_static_intervals
-from calibration.mount.record.samples import ImuSamples
-from calibration.mount.record.table import canonical, read_table
+from calibration.mount.table import canonical, read_table
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.config import ConfigError, ImuConfig, InertialCalibration, SenseConfig, load_inertial
 from companion.config.calibration import Provenance

@@ -1,1 +1,0 @@
-"""The calibration board: its description, its shape and its print."""

@@ -1,1 +1,0 @@
-"""Collects views: from photos and videos, or live with hints."""

@@ -1,1 +1,0 @@
-"""The camera's file, the summary and the plots."""

@@ -1,1 +1,0 @@
-"""Corners in, intrinsics out: bundle adjustment, uncertainty and the acceptance test."""

@@ -1,1 +1,0 @@
-"""Images in, corners of the board out, and how much of the image they cover."""

@@ -1,1 +1,0 @@
-"""Collects samples live and guides the rotation."""

@@ -1,1 +1,0 @@
-"""The ellipsoid fit: raw field in, offset (hard iron) and matrix (soft iron) out."""

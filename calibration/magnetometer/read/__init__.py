@@ -1,1 +1,0 @@
-"""Reads samples: tables, logs and an autopilot's messages."""

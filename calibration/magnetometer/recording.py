@@ -1,0 +1,210 @@
+"""What a magnetometer measured while it was turned about, wherever it comes from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.geometry import FloatArray, Vector3, matrix_from_quat, quat_from_euler
+from companion.base.messages import ImuSample, MagSample
+from companion.config import ConfigError
+from companion.config.magnetometer import AXES_OF, Axes, RawUnit, Sensor
+from companion.flightlog.replay.flight_record import RecordingPlace
+
+MOST_FIELD: Final = 1e9  # in whatever unit: beyond it stands what no sensor measured
+# what drivers give in the place of a reading: least and most of 16 and 32 bits, the HMC5883L's overflow
+NO_READING: Final = (-(2.0**31), 2.0**31 - 1.0, -(2.0**15), 2.0**15 - 1.0, -4096.0)
+LEAST_SAMPLES: Final = 50  # fewer are no recording of a turn at all
+_PAIRED_S: Final = 0.1  # an accelerometer's sample this near in time is the magnetometer's
+
+
+@dataclass(slots=True)
+class MagnetometerRecording:
+    """Samples in the order in which they were taken.
+
+    Attributes:
+        source: file, device or connection.
+        raw: (n, 3) in `unit`, in `axes`.
+        force: (n, 3) specific force in the same axes (+g upwards at rest), in any unit; None: not measured.
+        place: where and when, if the recording says so.
+        body_from_sensor: (3, 3) how the sensor is mounted, from `axes` to FRD; None: not known.
+        onboard: what the autopilot does to its compass before anybody hears it; None: it is no autopilot's,
+            or not known.
+        notes: what a reader of the result should know.
+    """
+
+    source: str
+    sensor: Sensor
+    raw: FloatArray
+    unit: RawUnit = "uT"
+    force: FloatArray | None = None
+    place: RecordingPlace | None = None
+    body_from_sensor: FloatArray | None = None
+    onboard: Onboard | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def axes(self) -> Axes:
+        """Which axes `raw` is in."""
+        return AXES_OF[self.sensor]
+
+    def checked(self) -> MagnetometerRecording:
+        """Itself, without the samples that are no readings, which is noted.
+
+        Raises:
+            ConfigError: too few are left.
+        """
+        # a comparison with no number is false
+        finite = (np.abs(self.raw) < MOST_FIELD).all(axis=1)
+        read = finite & ~np.isin(self.raw, NO_READING).any(axis=1)
+        if self.force is not None and not np.isfinite(self.force).all(axis=1).any():
+            self.force = None
+        passed_over = _passed_over(self.raw[~read])
+        self.raw = self.raw[read]
+        self.force = None if self.force is None else self.force[read]
+        if len(self.raw) < LEAST_SAMPLES:
+            more = f", {passed_over}" if passed_over else ""
+            raise ConfigError(
+                f"{self.source}: {len(self.raw)} magnetometer samples{more}; expected {LEAST_SAMPLES} or more"
+            )
+        if passed_over:
+            self.notes.append(passed_over)
+        return self
+
+
+def _passed_over(raw: FloatArray) -> str:
+    """How many samples (n, 3) are no readings, and what stands in them; nothing for none."""
+    if len(raw) == 0:
+        return ""
+    odd = raw[~(np.abs(raw) < MOST_FIELD) | np.isin(raw, NO_READING)]
+    example = "no number" if np.isnan(odd[0]) else f"{odd[0]:.10g}"
+    return f"{len(raw)} samples passed over, in which a reading is {example}"
+
+
+def paired(mags: list[MagSample], imus: list[ImuSample]) -> tuple[FloatArray, FloatArray | None]:
+    """Fields (n, 3) and, beside each, the specific force (n, 3) nearest in time; NaN: none is near."""
+    raw = np.array([mag.field_body_ut for mag in mags], dtype=float).reshape(-1, 3)
+    if not imus or not mags:
+        return raw, None
+    times = np.array([imu.time_s for imu in imus])
+    order = np.argsort(times, kind="stable")
+    times, forces = times[order], np.array([imu.specific_force_body_m_s2 for imu in imus])[order]
+    wanted = np.array([mag.time_s for mag in mags])
+    after = np.clip(np.searchsorted(times, wanted), 1, max(len(times) - 1, 1))
+    nearest = np.where(
+        np.abs(times[after - 1] - wanted) <= np.abs(times[np.minimum(after, len(times) - 1)] - wanted),
+        after - 1,
+        np.minimum(after, len(times) - 1),
+    )
+    force = forces[nearest]
+    force[np.abs(times[nearest] - wanted) > _PAIRED_S] = np.nan
+    return raw, force
+
+
+def mounting(body_from_sensor_deg: Vector3) -> FloatArray:
+    """Rotation (3, 3) from a chip's axes into the body's (FRD), of its roll, pitch and yaw."""
+    angles = (math.radians(angle) for angle in body_from_sensor_deg)
+    return matrix_from_quat(quat_from_euler(*angles))
+
+
+# ---------------------------------------------------------------- onboard
+# What an autopilot does to its compass's readings, by its own parameters, and the parameters it should have.
+#
+#     ArduPilot   heard = M s (raw + offset)   COMPASS_OFS_X/Y/Z (mGauss), COMPASS_SCALE (s; 0: 1),
+#                                              M of COMPASS_DIA_X/Y/Z and COMPASS_ODI_X/Y/Z
+#                 (AP_Compass_Backend::correct_field; the board's axes)
+#     PX4         heard = M (raw - offset)     CAL_MAG0_XOFF/YOFF/ZOFF (Gauss),
+#                                              M of CAL_MAG0_XSCALE... and CAL_MAG0_XODIAG...
+#                 (calibration::Magnetometer::Correct; the compass's own axes, turned by CAL_MAG0_ROT after)
+#
+# In both the off-diagonal three are the elements xy, xz and yz.
+
+UT_PER_MGAUSS: Final = 0.1
+UT_PER_GAUSS: Final = 100.0
+_AXES: Final = "XYZ"
+_ELEMENTS: Final = ((0, 1), (0, 2), (1, 2))
+# a rotation that leaves the axes as they are: none, or "internal: the board's"
+_UNROTATED: Final = (-1.0, 0.0)
+
+NAMES: Final[dict[AutopilotKind, tuple[str, ...]]] = {
+    "ardupilot": (
+        *(f"COMPASS_{kind}_{axis}" for kind in ("OFS", "DIA", "ODI") for axis in _AXES),
+        "COMPASS_SCALE",
+    ),
+    "px4": (
+        "CAL_MAG0_ROT",
+        *(f"CAL_MAG0_{axis}{kind}" for kind in ("OFF", "SCALE", "ODIAG") for axis in _AXES),
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Onboard:
+    """heard = matrix @ (raw + offset_ut), and the parameters that say so."""
+
+    autopilot_kind: AutopilotKind
+    matrix: FloatArray
+    offset_ut: FloatArray
+    parameters: dict[str, float]
+
+    def undo(self, heard: FloatArray) -> FloatArray:
+        """Raw readings (n, 3) of what is heard (n, 3), µT."""
+        raw: FloatArray = heard @ np.linalg.inv(self.matrix).T - self.offset_ut
+        return raw
+
+    def on_top(self, matrix: FloatArray, centre: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What does to the heard readings as `matrix (raw - centre)` does to the raw ones."""
+        return matrix @ np.linalg.inv(self.matrix), self.matrix @ (centre + self.offset_ut)
+
+
+def onboard_of(autopilot_kind: AutopilotKind, parameters: Mapping[str, float]) -> Onboard | None:
+    """By an autopilot's parameters; None when they do not say what it does."""
+    used = {name: parameters[name] for name in NAMES[autopilot_kind] if name in parameters}
+    if autopilot_kind == "ardupilot":
+        offset, unit = [used.get(f"COMPASS_OFS_{axis}") for axis in _AXES], UT_PER_MGAUSS
+        diagonal = [used.get(f"COMPASS_DIA_{axis}", 1.0) for axis in _AXES]
+        if not any(diagonal):  # as ArduPilot has it: none
+            diagonal = [1.0, 1.0, 1.0]
+        rest = [used.get(f"COMPASS_ODI_{axis}", 0.0) for axis in _AXES]
+        factor = used.get("COMPASS_SCALE", 0.0) or 1.0
+    else:
+        offset, unit = [used.get(f"CAL_MAG0_{axis}OFF") for axis in _AXES], -UT_PER_GAUSS
+        diagonal = [used.get(f"CAL_MAG0_{axis}SCALE", 1.0) for axis in _AXES]
+        rest, factor = [used.get(f"CAL_MAG0_{axis}ODIAG", 0.0) for axis in _AXES], 1.0
+    known = [value for value in offset if value is not None]
+    matrix = factor * _symmetric(diagonal, rest)
+    turned = autopilot_kind == "px4" and used.get("CAL_MAG0_ROT", 0.0) not in _UNROTATED
+    if len(known) < 3 or turned or np.linalg.det(matrix) <= 0.0:
+        return None
+    return Onboard(autopilot_kind, matrix, unit * np.array(known), used)
+
+
+def parameters_for(
+    autopilot_kind: AutopilotKind, matrix: FloatArray, centre_ut: FloatArray
+) -> dict[str, float]:
+    """The parameters that have the autopilot reckon `matrix (raw - centre)`: a symmetric matrix, µT."""
+    rest = [float(matrix[i, j]) for i, j in _ELEMENTS]
+    if autopilot_kind == "ardupilot":
+        offsets, form = (-centre_ut / UT_PER_MGAUSS).tolist(), "COMPASS_{kind}_{axis}"
+        kinds, more = {"OFS": offsets, "DIA": np.diag(matrix).tolist(), "ODI": rest}, {"COMPASS_SCALE": 1.0}
+    else:
+        offsets, form = (centre_ut / UT_PER_GAUSS).tolist(), "CAL_MAG0_{axis}{kind}"
+        kinds, more = {"OFF": offsets, "SCALE": np.diag(matrix).tolist(), "ODIAG": rest}, {}
+    named = {
+        form.format(kind=kind, axis=axis): value
+        for kind, values in kinds.items()
+        for axis, value in zip(_AXES, values, strict=True)
+    }
+    return {**named, **more}
+
+
+def _symmetric(diagonal: list[float], off_diagonal: list[float]) -> FloatArray:
+    matrix = np.diag(np.array(diagonal, dtype=float))
+    for (i, j), value in zip(_ELEMENTS, off_diagonal, strict=True):
+        matrix[i, j] = matrix[j, i] = value
+    return matrix

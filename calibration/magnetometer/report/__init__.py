@@ -1,1 +1,0 @@
-"""The calibration file, the figures and the pictures."""

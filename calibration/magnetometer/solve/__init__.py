@@ -1,1 +1,0 @@
-"""Samples in, a judged calibration out."""

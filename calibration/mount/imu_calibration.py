@@ -1,0 +1,439 @@
+"""What `calibrate-mount accelerometer` and `gyro` do: static intervals in, the IMU calibration file out."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import typer
+
+from calibration.command_line import RefusedError
+from calibration.mount import FACES
+from calibration.mount.record_motion import read_imu, until_done
+from calibration.mount.recording import ImuSamples, inertial_of, read_log
+from calibration.mount.result import provenance
+from calibration.mount.shared import (
+    MountSensors,
+    SensorOpener,
+    connected_sensors,
+    inertial_file,
+    judge,
+    new_log,
+    now,
+    write_file,
+)
+from calibration.mount.six_faces import (
+    AccelerometerFit,
+    FaceGuide,
+    GyroFit,
+    ImuBuffer,
+    StaticInterval,
+    accelerometer_reasons,
+    faces_down,
+    find_static_intervals,
+    fit_accelerometer,
+    fit_gyro,
+    fitting_mountings,
+    gyro_reasons,
+    mounting_matrix,
+)
+from calibration.mount.table import read_table
+from companion.base.clock import Clock
+from companion.base.geometry import Vector3, vector3
+from companion.base.messages import ImuSample
+from companion.base.signals import run_until_stopped
+from companion.config import (
+    AccelerometerCalibration,
+    CompanionConfig,
+    ConfigError,
+    GyroCalibration,
+    ImuConfig,
+    InertialCalibration,
+    VehicleConfig,
+    find_file,
+    load_config,
+    load_model,
+)
+from companion.flightlog.log_file import LOG_NAMES
+from companion.pad import load_pad
+from companion.sense.imu.mpu9250 import Mpu9250
+
+ACCELEROMETER_OF: Final = "accelerometer of "
+LONGEST_FACES_S: Final = 600.0
+GYRO_STILL_S: Final = 10.0
+LONGEST_STILL_S: Final = 120.0
+
+
+@dataclass(frozen=True, slots=True)
+class ImuJob:
+    """What is asked for: a recording or, without one, live samples, which `keep` saves."""
+
+    log: Path | None
+    config: Path
+    output: Path
+    columns: str | None
+    rate_hz: float | None
+    gyro_unit: str | None
+    keep: Path | None
+    force: bool
+
+
+@dataclass(frozen=True, slots=True)
+class StaticRecording:
+    """Static intervals in sensor axes, their source, and for a live run the faces that were asked for."""
+
+    rests: list[StaticInterval]
+    source: str
+    imu: ImuConfig
+    asked: tuple[str, ...] = ()
+    answers: tuple[StaticInterval, ...] = ()
+
+    def unasked(self) -> StaticRecording:
+        """The same without the faces asked for: the mounting is not checked."""
+        return replace(self, asked=(), answers=())
+
+
+def calibrate_on_faces(job: ImuJob, order: str | None) -> None:
+    """Collect static intervals, fit, judge and write; `order` is that of the faces in a recording.
+
+    Raises:
+        ConfigError: no samples, or the file cannot be written.
+        RefusedError: it is not good enough.
+    """
+    settings = load_config(job.config)
+    if job.log is None:
+        rested = run_until_stopped(faces_from(settings, job.keep, connected_sensors, virtual=False))
+    else:
+        rested = _rested(job, job.log, settings.sense.imu)
+        if order is not None:
+            rested = _ordered(rested, order)
+    calibrate_accelerometer(rested, job.output, force=job.force)
+
+
+def calibrate_accelerometer(rested: StaticRecording, output: Path, *, force: bool) -> None:
+    """Fit, judge and write.
+
+    Raises:
+        ConfigError: the file cannot be written.
+        RefusedError: it is not good enough.
+    """
+    if not rested.rests:
+        raise RefusedError(
+            f"{rested.source}: it never lay still; expected rests of 2 s and more on six faces"
+        )
+    fit, gyro = fit_accelerometer(rested.rests), fit_gyro(rested.rests)
+    faces = faces_down(rested.rests, mounting_matrix(rested.imu.body_from_sensor_deg))
+    against = accelerometer_reasons(fit, rested.rests, faces)
+    wrong = mounting_line(rested.asked, rested.answers, rested.imu.body_from_sensor_deg)
+    if rested.asked and wrong is not None:
+        against = (wrong, *against)
+    if rested.asked and not fitting_mountings(rested.asked, rested.answers):
+        typer.echo(
+            "note: the faces came in another order than asked: the mounting of the chip was not checked"
+        )
+    for line in (*accelerometer_lines(fit, faces), *gyro_lines(gyro)):
+        typer.echo(line)
+    judge(against, force=force)
+    calibration = InertialCalibration(
+        accelerometer=accelerometer_calibration(fit, faces),
+        gyro=gyro_calibration(gyro),
+        forced=against,
+        provenance=provenance(rested.source, now(), sum(rest.samples for rest in rested.rests), 0),
+    )
+    write_file(output, calibration, "sense: {{imu: {{inertial_calibration: {}}}}}")
+
+
+def calibrate_gyro_bias(job: ImuJob) -> None:
+    """Take the mean at rest, judge and write; an accelerometer part that is there stays.
+
+    Raises:
+        ConfigError: no samples, or the file cannot be written.
+        RefusedError: it is not good enough.
+    """
+    settings = load_config(job.config)
+    before = inertial_file(job.output) if job.output.exists() else None
+    if job.log is None:
+        rested = run_until_stopped(stillness_from(settings, job.keep, connected_sensors, virtual=False))
+    else:
+        rested = _rested(job, job.log, settings.sense.imu)
+    if not rested.rests:
+        raise RefusedError(f"{rested.source}: it never lay still; expected a rest of 2 s and more")
+    fit = fit_gyro(rested.rests)
+    against = gyro_reasons(fit, rested.rests)
+    for line in gyro_lines(fit):
+        typer.echo(line)
+    judge(against, force=job.force)
+    # what the accelerometer's part was forced through stays said, and where that part is from
+    kept = None if before is None or before.accelerometer is None else before
+    source = rested.source if kept is None else f"{rested.source}; {_accelerometer_of(kept)}"
+    calibration = InertialCalibration(
+        accelerometer=None if kept is None else kept.accelerometer,
+        gyro=gyro_calibration(fit),
+        forced=tuple(dict.fromkeys((*(() if kept is None else kept.forced), *against))),
+        provenance=provenance(source, now(), sum(rest.samples for rest in rested.rests), 0),
+    )
+    write_file(job.output, calibration, "sense: {{imu: {{inertial_calibration: {}}}}}")
+
+
+def _accelerometer_of(before: InertialCalibration) -> str:
+    """The source of a file's accelerometer part, named once however often the bias was renewed."""
+    _, mark, origin = before.provenance.source.partition(ACCELEROMETER_OF)
+    return ACCELEROMETER_OF + (origin if mark else f"{before.provenance.source}, {before.provenance.date}")
+
+
+async def faces_from(
+    config: CompanionConfig, keep: Path | None, sensors_of: SensorOpener, *, virtual: bool
+) -> StaticRecording:
+    """Static intervals on six faces, live."""
+    imu = config.sense.imu
+    async with sensors_of(config, False) as sensors:
+        with _SampleLog(config, keep, virtual=virtual) as kept:
+            samples, guide = await six_faces_live(imu, sensors, typer.echo, LONGEST_FACES_S, kept.take)
+    return StaticRecording(
+        find_static_intervals(samples), imu.bus, imu, tuple(guide.asked), tuple(guide.rests)
+    )
+
+
+async def stillness_from(
+    config: CompanionConfig, keep: Path | None, sensors_of: SensorOpener, *, virtual: bool
+) -> StaticRecording:
+    """One static interval, live."""
+    imu = config.sense.imu
+    async with sensors_of(config, False) as sensors:
+        with _SampleLog(config, keep, virtual=virtual) as kept:
+            samples = await still_live(imu, sensors, typer.echo, GYRO_STILL_S, LONGEST_STILL_S, kept.take)
+    return StaticRecording(find_static_intervals(samples), imu.bus, imu)
+
+
+class _SampleLog:
+    """A log of a live run's samples, in a folder if one was given."""
+
+    def __init__(self, config: CompanionConfig, folder: Path | None, *, virtual: bool) -> None:
+        self._log = None if folder is None else new_log(folder, virtual=virtual)
+        if self._log is not None:
+            imu = config.sense.imu.model_copy(update={"inertial_calibration": None})
+            sense = config.sense.model_copy(update={"imu": imu})
+            self._log.write_settings(
+                config=config.model_copy(update={"sense": sense}),
+                vehicle=load_model(VehicleConfig, find_file("vehicles", config.vehicle)),
+                pad=load_pad(config.pad),
+            )
+
+    def __enter__(self) -> _SampleLog:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._log is None:
+            return
+        if kind is None:
+            self._log.close()
+        else:  # Ctrl-C as well: half a recording is none
+            self._log.discard()
+
+    def take(self, sample: ImuSample, now_s: float) -> None:
+        """Log one."""
+        if self._log is not None:
+            self._log.write("imu", sample, now_s)
+
+
+def _rested(job: ImuJob, log: Path, imu: ImuConfig) -> StaticRecording:
+    """The static intervals of a file."""
+    if not log.is_dir() and log.suffix != ".mcap":
+        samples = read_table(log, job.columns, job.rate_hz, job.gyro_unit)
+        return StaticRecording(find_static_intervals(samples), str(log), imu)
+    file = log / LOG_NAMES[0] if log.is_dir() else log
+    record = read_log(file)
+    if record.rig is not None and record.rig.config.sense.source != "boards":
+        raise ConfigError(
+            f"{file}: its inertial samples are the autopilot's; expected a recording of the board's "
+            "(sense.source: boards)"
+        )
+    imu = imu if record.rig is None else record.rig.config.sense.imu
+    if imu.inertial_calibration is not None:
+        raise ConfigError(
+            f"{file}: its samples were calibrated by {imu.inertial_calibration}; expected a recording "
+            "without sense.imu.inertial_calibration"
+        )
+    body = inertial_of(record, file)
+    turn = mounting_matrix(imu.body_from_sensor_deg)
+    samples = ImuSamples(body.time_s, body.rate @ turn, body.force @ turn, body.temperature_c)
+    return StaticRecording(find_static_intervals(samples), str(log), imu)
+
+
+def _ordered(rested: StaticRecording, order: str) -> StaticRecording:
+    """With the faces in the order that the user gives.
+
+    Raises:
+        ConfigError: a name is no face's, or there are not as many rests.
+    """
+    names = tuple(name.strip() for name in order.split(","))
+    if unknown := [name for name in names if name not in FACES]:
+        raise ConfigError(f"--order: no face '{unknown[0]}'; expected some of {', '.join(FACES)}")
+    if len(names) != len(rested.rests):
+        raise ConfigError(
+            f"--order: {len(names)} faces, but it lay still {len(rested.rests)} times; expected one for each"
+        )
+    return StaticRecording(rested.rests, rested.source, rested.imu, names, tuple(rested.rests))
+
+
+# ---------------------------------------------------------------- live
+# Static intervals taken live while a person turns the IMU. A thin shell around `FaceGuide`.
+
+LOOK_S: Final = 0.5
+REMIND_S: Final = 10.0
+
+Tell = Callable[[str], None]
+Keep = Callable[[ImuSample, float], None]
+
+
+async def six_faces_live(
+    imu: ImuConfig, sensors: MountSensors, tell: Tell, longest_s: float, keep: Keep | None = None
+) -> tuple[ImuSamples, FaceGuide]:
+    """Ask for the six faces in turn; returns all samples (sensor axes), and what was asked and measured.
+
+    Raises:
+        ConfigError: the sensor does not answer, or not all faces came in time.
+    """
+    turn = mounting_matrix(imu.body_from_sensor_deg)
+    samples, guide, clock = ImuBuffer(turn), FaceGuide(turn), Clock()
+
+    async def watch() -> None:
+        start_s = clock.now_s()
+        advised_s, advised = -REMIND_S, ""
+        while not guide.done:
+            if clock.now_s() - start_s > longest_s:
+                raise ConfigError(f"no end after {longest_s:g} s; expected: {guide.advice}")
+            if guide.advice != advised or clock.now_s() - advised_s >= REMIND_S:
+                advised_s, advised = clock.now_s(), guide.advice
+                tell(advised)
+            await asyncio.sleep(LOOK_S)
+            if (line := guide.take(samples.since(guide.after_s))) is not None:
+                tell(line)
+
+    await _with_imu(imu, sensors, tell, samples, watch, keep)
+    return samples.since(-1e9), guide
+
+
+async def still_live(
+    imu: ImuConfig,
+    sensors: MountSensors,
+    tell: Tell,
+    seconds: float,
+    longest_s: float,
+    keep: Keep | None = None,
+) -> ImuSamples:
+    """Wait for a static interval of `seconds`; returns all samples (sensor axes).
+
+    Raises:
+        ConfigError: the sensor does not answer, or is not left alone.
+    """
+    samples, clock = ImuBuffer(mounting_matrix(imu.body_from_sensor_deg)), Clock()
+
+    async def watch() -> None:
+        start_s = clock.now_s()
+        tell(f"leave it alone for {seconds:g} s")
+        while not any(
+            rest.to_s - rest.from_s >= seconds for rest in find_static_intervals(samples.since(start_s))
+        ):
+            if clock.now_s() - start_s > longest_s:
+                raise ConfigError(
+                    f"not still for {seconds:g} s within {longest_s:g} s; expected it left alone"
+                )
+            await asyncio.sleep(LOOK_S)
+
+    await _with_imu(imu, sensors, tell, samples, watch, keep)
+    return samples.since(-1e9)
+
+
+async def _with_imu(
+    imu: ImuConfig,
+    sensors: MountSensors,
+    tell: Tell,
+    samples: ImuBuffer,
+    watch: Callable[[], Awaitable[None]],
+    keep: Keep | None,
+) -> None:
+    """Run `watch` to its end while samples come."""
+    # uncalibrated: an earlier calibration must not enter this one
+    driver = Mpu9250(sensors.imu_bus, imu)
+    clock = Clock()
+
+    def take(sample: ImuSample) -> None:
+        if keep is not None:
+            keep(sample, clock.now_s())
+        samples.add(sample)
+
+    await until_done(watch, read_imu(driver, imu, take, tell))
+
+
+# ---------------------------------------------------------------- result
+# The IMU calibration file and the summary lines, from the fits.
+
+
+def accelerometer_calibration(fit: AccelerometerFit, faces: Sequence[str]) -> AccelerometerCalibration:
+    """The file's accelerometer part."""
+    rows = np.round(fit.matrix, 6)
+    return AccelerometerCalibration(
+        offset_m_s2=vector3(np.round(fit.offset, 5)),
+        matrix=(vector3(rows[0]), vector3(rows[1]), vector3(rows[2])),
+        residual_m_s2=round(float(np.sqrt(np.mean(fit.residuals**2))), 5),
+        faces=len(faces),
+    )
+
+
+def gyro_calibration(fit: GyroFit) -> GyroCalibration:
+    """The file's gyroscope part; if the temperature is unknown, room temperature."""
+    return GyroCalibration(
+        bias_rad_s=vector3(np.round(fit.bias, 7)),
+        std_rad_s=round(fit.std, 7),
+        temperature_c=round(fit.temperature_c, 1) if math.isfinite(fit.temperature_c) else 20.0,
+    )
+
+
+def accelerometer_lines(fit: AccelerometerFit, faces: Sequence[str]) -> list[str]:
+    """Summary lines of the accelerometer."""
+    before, after = (float(np.sqrt(np.mean(m**2))) for m in (fit.raw_residuals, fit.residuals))
+    skew = np.abs(fit.matrix - np.diag(np.diag(fit.matrix))).max()
+    return [
+        f"rests         {len(fit.residuals)}, faces down: {', '.join(faces)}",
+        f"offset        {_list(fit.offset, '+.3f')} m/s² "
+        f"(standard deviations {_list(fit.offset_std, '.3f')})",
+        f"scale         {_list(np.diag(fit.matrix), '.4f')} (standard deviations "
+        f"{_list(fit.scale_std, '.4f')}), skew up to {skew:.4f}",
+        f"|a| - g       {before:.3f} m/s² rms as measured, {after:.4f} calibrated",
+    ]
+
+
+def gyro_lines(fit: GyroFit) -> list[str]:
+    """Summary lines of the gyroscope."""
+    bias, std = np.degrees(fit.bias), math.degrees(fit.std)
+    warmth = f" at {fit.temperature_c:.0f} °C" if math.isfinite(fit.temperature_c) else ""
+    return [f"gyroscope     {_list(bias, '+.3f')} deg/s at rest{warmth}, changing by {std:.3f} between rests"]
+
+
+def mounting_line(
+    asked: Sequence[str], rests: Sequence[StaticInterval], configured_deg: Vector3
+) -> str | None:
+    """What is wrong with `body_from_sensor_deg`, by the faces asked for and measured; None: nothing found.
+
+    If no mounting fits, the faces came in another order than asked; that says nothing about the mounting.
+    """
+    fitting = fitting_mountings(asked, rests)
+    now = mounting_matrix(configured_deg)
+    if any(np.abs(mounting_matrix(m) - now).max() < 0.5 for m in fitting):
+        return None
+    is_said = f"sense.imu.body_from_sensor_deg is [{_list(configured_deg, 'g', ', ')}]"
+    if len(fitting) == 1:
+        return f"{is_said}; what was asked and felt fits [{_list(fitting[0], 'g', ', ')}]"
+    if fitting:
+        return f"{is_said}, which does not fit what was asked and felt"
+    return None
+
+
+def _list(values: object, form: str, between: str = " ") -> str:
+    return between.join(format(float(v), form) for v in np.asarray(values).tolist())

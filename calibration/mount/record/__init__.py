@@ -1,1 +1,0 @@
-"""IMU samples and pad observations: live, from a log, from a table."""

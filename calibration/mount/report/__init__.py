@@ -1,1 +1,0 @@
-"""The mount's file, the summary and the plots."""

@@ -1,1 +1,0 @@
-"""Samples in, camera-IMU extrinsics and time offset out."""
