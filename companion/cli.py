@@ -19,7 +19,7 @@ import typer
 from companion.base.command_line import Command, VersionOption, lazy_app, run_program
 from companion.base.errors import ConfigError
 from companion.base.files import DEFAULT_SETTINGS, find_file, must_be_readable
-from sitl.firmware.options import FirmwareOption, FirmwareParamOption, FirmwarePathOption
+from sitl.commands import FirmwareOption, FirmwareParamOption, FirmwarePathOption
 
 PROGRAM: Final = "companion"
 COMMANDS: Final = {

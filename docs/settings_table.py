@@ -29,8 +29,7 @@ from companion.config import (
 )
 from companion.config.catalogue import Setting, settings_of
 from companion.pad import Marker, Pad
-from sitl.faults.faults import Fault
-from sitl.faults.times import FaultTimes
+from sitl.faults.faults import AnyFault, Fault
 from sitl.pad.motion import PadMotionSettings
 from sitl.scenario.scenario import Scenario
 
@@ -64,7 +63,7 @@ def tables() -> dict[str, dict[str, list[Setting]]]:
     motions = {
         motion.model_fields["kind"].annotation.__args__[0]: motion for motion in get_args(PadMotionSettings)
     }
-    times = groups_of(FaultTimes)[""]
+    times = groups_of(Fault)[""]
     vehicle = {g: s for g, s in groups_of(VehicleConfig).items() if not g.startswith("responses.")}
     # alike for each autopilot, kind of setpoint and direction
     vehicle["responses.AUTOPILOT.KIND"] = groups_of(KindResponse)[""]
@@ -81,7 +80,7 @@ def tables() -> dict[str, dict[str, list[Setting]]]:
         "fault_times": {"": times},
         "fault": {
             fault.model_fields["kind"].annotation.__args__[0]: groups_of(fault)[""][len(times) :]
-            for fault in get_args(Fault)
+            for fault in get_args(AnyFault)
         },
     }
 

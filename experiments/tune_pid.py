@@ -25,11 +25,10 @@ import yaml
 
 from companion.base.geometry import FloatArray
 from companion.config import CONFIG_FOLDER, ConfigError
-from experiments.fig14.figure import BY_NAME
 from experiments.fig14.flight import LOST_M, fly
 from experiments.fig14.pilots import PilotKnowledge
-from experiments.fig14.reference import draw_scene
-from experiments.fig14.world import DisturbanceCase, Noise
+from experiments.fig14.report import BY_NAME
+from experiments.fig14.world import DisturbanceCase, Noise, draw_scene
 from experiments.model.full_mpc import load_full
 from experiments.model.pid import AngleGains, AxisGains, CascadeGains
 from experiments.model.quadrotor import load_quadrotor

@@ -12,20 +12,32 @@ from typing import Annotated, Final
 import typer
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.command_line import INTERRUPTED, Command, Ending, VersionOption, lazy_app, run_program
+from companion.base.command_line import INTERRUPTED, Ending, VersionOption, new_app, run_program
 from companion.base.errors import ConfigError
 from companion.base.files import find_file
-from sitl.firmware.errors import FirmwareError
-from sitl.firmware.options import FirmwareOption, FirmwareParamOption, FirmwarePathOption
-from sitl.run.port_options import (
+from sitl.commands import (
+    CAMPAIGN_HELP,
     COMPANION_PORT,
     GROUND_PORT,
+    HAND_HELD_HELP,
     LOOPBACK,
+    SCENARIOS_HELP,
+    SCHEMA_HELP,
     TCP_PORT,
+    VIEW_HELP,
+    FirmwareOption,
+    FirmwareParamOption,
+    FirmwarePathOption,
     GroundPortOption,
     PortOption,
     TcpPortOption,
+    campaign_command,
+    hand_held_command,
+    scenarios_command,
+    schema_command,
+    view_command,
 )
+from sitl.firmware import FirmwareError
 
 PROGRAM: Final = "companion-sitl"
 FIRMWARE_FAILED: Final = 1
@@ -38,20 +50,15 @@ WITH_FIRMWARE: Final = (
 )  # fmt: skip
 WITH_EXTERNAL: Final = ("scenario", "seed", "folder", "child", "external")
 
-HAND_HELD: Final = "sitl.run.hand_held_command:hand_held_command"
-COMMANDS: Final = {
-    "scenarios": Command(
-        "sitl.scenario.commands:scenarios_command", "List the scenarios, or print one.", "SCENARIOS_HELP"
-    ),
-    "schema": Command(
-        "sitl.scenario.commands:schema_command", "Print the JSON schema of scenario files.", "SCHEMA_HELP"
-    ),
-    "campaign": Command("sitl.campaign.command:campaign_command", "Fly scenarios under many seeds."),
-    "view": Command("sitl.run.view_command:view_command", "Show or record the frames that a socket serves."),
-    "hand-held": Command(HAND_HELD, "Serve a vehicle that is carried by hand."),
-    "hold": Command(HAND_HELD, "The earlier name of hand-held.", hidden=True),
-}
-cli = lazy_app(COMMANDS)
+cli = new_app()
+cli.command("scenarios", help=SCENARIOS_HELP, short_help="List scenarios, or print one.")(scenarios_command)
+cli.command("schema", help=SCHEMA_HELP, short_help="Print the JSON schema of scenario files.")(schema_command)
+cli.command("campaign", help=CAMPAIGN_HELP, short_help="Fly scenarios under many seeds.")(campaign_command)
+cli.command("view", help=VIEW_HELP)(view_command)
+cli.command("hand-held", help=HAND_HELD_HELP, short_help="Serve a vehicle carried by hand.")(
+    hand_held_command
+)
+cli.command("hold", help=HAND_HELD_HELP, hidden=True)(hand_held_command)  # its earlier name
 
 
 @cli.callback(invoke_without_command=True)

@@ -27,7 +27,7 @@ from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import IDENTITY, Vector3, add, norm, quat_conjugate, quat_rotate, subtract
 from companion.base.messages import Outcome, Phase
-from sitl.autopilot import SimulatedAutopilot
+from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.scenario.scenario import PassBounds, Scenario
 from sitl.world.score import judge
@@ -110,7 +110,7 @@ class PrecisionFlight:
         """Step on by ticks of 10 ms, sending targets; yields the world's time."""
         while self.world.time_s < until_s:
             for _ in range(STEPS_A_TICK):
-                motors = self.autopilot.step(self.world.truth(), STEP_S, self.world.time_s)
+                motors = self.autopilot.step(self.world.state, STEP_S, self.world.time_s)
                 self.world.step(motors, STEP_S)
             self._look()
             self._endpoint.transmit(self.world.time_s)

@@ -25,10 +25,8 @@ from typing import Final
 
 from rich.table import Table
 
-from benchmarks.autopilot.answers import Figures, figures
+from benchmarks.autopilot.answers import Figures, Saying, figures, fly, sayings
 from benchmarks.autopilot.autopilot_record import AutopilotRecord, read_tlog
-from benchmarks.autopilot.setpoint_flight import fly
-from benchmarks.autopilot.what_was_said import Saying, sayings
 from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.errors import ConfigError

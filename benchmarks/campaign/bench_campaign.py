@@ -18,7 +18,7 @@ from rich.progress import track
 from benchmarks.report import BenchReport
 from companion.base.clock import wall_clock_s
 from sitl.campaign.manifest import CampaignRun, make_plan
-from sitl.campaign.pool import fly_locally
+from sitl.campaign.worker import fly_locally
 
 SMOKE: Final = ("--runs", "1")
 JOBS: Final = 2

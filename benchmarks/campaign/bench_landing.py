@@ -31,12 +31,11 @@ from benchmarks.campaign.landing_cases import (
 )
 from benchmarks.report import BenchReport
 from companion.config import ConfigError
-from sitl.campaign.figures import Bar, share, values
 from sitl.campaign.manifest import CampaignRun, code_digest
-from sitl.campaign.pool import fly_locally
-from sitl.campaign.progress import CampaignMeter
 from sitl.campaign.rows import Row, RunsFile, make_row, pending
-from sitl.campaign.tables import print_worst
+from sitl.campaign.run import CampaignMeter
+from sitl.campaign.tables import Bar, print_worst, share, values
+from sitl.campaign.worker import fly_locally
 
 # measured on the real firmware: landed (%), median lateral error (cm), vertical speed (m/s), time (s)
 SMOKE: Final = ("--runs", "1", "--seeds", "0", "--case", "random", "--jobs", "1")

@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from benchmarks.campaign.bench_landing import fly, landed_share
-from benchmarks.campaign.landing_cases import write_flights
-from benchmarks.campaign.margins_cases import margin_cases
+from benchmarks.campaign.landing_cases import margin_cases, write_flights
 from benchmarks.firmware.bench_firmware import line, table
 from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind

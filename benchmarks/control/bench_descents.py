@@ -38,8 +38,8 @@ from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
 from experiments.flown import SETTINGS, EndedFlight
 from experiments.profiles import Descent, measure
-from sitl.campaign.figures import Bar
 from sitl.campaign.manifest import code_digest
+from sitl.campaign.tables import Bar
 from sitl.scenario.scenario import Scenario
 
 SMOKE: Final = ("--runs", "1")

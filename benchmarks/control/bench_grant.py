@@ -33,7 +33,7 @@ from companion.link.inbox import memory_pair
 from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
-from sitl.campaign.figures import Bar
+from sitl.campaign.tables import Bar
 from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.framing import FrameReader, dialect
 from sitl.run.in_process import InProcess

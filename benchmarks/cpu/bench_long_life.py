@@ -39,7 +39,7 @@ from companion.sense.vision.opencv import prepare_opencv
 from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
-from sitl.campaign.figures import Bar
+from sitl.campaign.tables import Bar
 from sitl.run.in_process import InProcess
 from sitl.scenario.scenario import Scenario, load_scenario
 

@@ -39,7 +39,7 @@ from companion.sense.vision.opencv import prepare_opencv
 from companion.sim.runner import fly
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
-from sitl.autopilot import SimulatedAutopilot
+from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.camera.camera import CameraModel
 from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.rack import SensorRack

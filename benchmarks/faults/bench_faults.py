@@ -31,7 +31,7 @@ from benchmarks.faults.runs_file import FaultRow, FaultRunsFile, flights_key
 from benchmarks.faults.witness import WitnessedFlight
 from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
-from sitl.campaign.figures import Bar
+from sitl.campaign.tables import Bar
 
 SMOKE: Final = (
     *("--faults", "GPS lost", "--phases", "descend", "--autopilots", "px4"),

@@ -23,7 +23,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 from benchmarks.faults.witness import SAMPLE_S, Commanded, TruthSample
-from sitl.mavlink.status_text_monitor import AppText
+from sitl.faults.schedule import AppText
 
 CLIMB_M: Final = 0.7
 WITHIN_S: Final = 10.0

@@ -26,7 +26,7 @@ from companion.control import controller
 from companion.control.tracker import Tracker, make_tracker
 from companion.control.tracking import Target, TrackingSolution
 from companion.estimate.estimator import StateEstimator
-from sitl.faults.computer import ComputerFaults
+from sitl.faults.targets import ComputerFaults
 
 NO_NUMBERS: Vector3 = (math.nan, math.nan, math.nan)
 

@@ -36,11 +36,10 @@ from companion.sense.vision.opencv import prepare_opencv
 from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
-from sitl.autopilot import PROFILES
-from sitl.faults.computer import ComputerFaults
-from sitl.faults.non_sensor_faults import PilotMode
-from sitl.faults.non_sensor_injection import chosen_mode
-from sitl.mavlink.signing import read_key
+from sitl.autopilot.flight.autopilot import PROFILES
+from sitl.faults.faults import PilotMode
+from sitl.faults.targets import ComputerFaults
+from sitl.mavlink.framing import read_key
 from sitl.run.in_process import InProcess
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario
@@ -115,7 +114,7 @@ def judged(run: FaultRun, record: WitnessedFlight, config: CompanionConfig) -> S
     record.pilot_took_over = run.fault.startswith("pilot") and record.fault_began
     for fault in faults_of(run):
         if isinstance(fault, PilotMode):
-            record.pilot_mode = chosen_mode(PROFILES[run.autopilot], fault.mode)
+            record.pilot_mode = fault.chosen(PROFILES[run.autopilot])
     return judge(record, bounds_of(config))
 
 

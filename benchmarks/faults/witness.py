@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
 from companion.base.geometry import Vector3, horizontal_acceleration, tilt_from_quat, yaw_from_quat
+from sitl.faults.schedule import AppText
 from sitl.mavlink.framing import FrameReader, MavFrame, dialect
-from sitl.mavlink.status_text_monitor import AppText
 from sitl.run.simulation import Simulation
 from sitl.world.score import TouchdownState
 

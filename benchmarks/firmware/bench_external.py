@@ -32,7 +32,7 @@ from rich.table import Table
 from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import CONFIG_FOLDER, ConfigError
-from sitl.campaign.figures import Bar
+from sitl.campaign.tables import Bar
 from sitl.firmware.process import Process
 
 SMOKE: Final = ("--flights", "1", "--scenarios", "static")

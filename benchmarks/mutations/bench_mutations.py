@@ -20,12 +20,10 @@ from typing import Final
 
 from rich.table import Table
 
-from benchmarks.mutations.drivers import gps, imu, ultrasonic
-from benchmarks.mutations.files import texts, trees
-from benchmarks.mutations.link import link
+from benchmarks.mutations.targets import gps, imu, link, texts, trees, ultrasonic
 from benchmarks.report import BenchReport
 from companion.base.clock import wall_clock_s
-from sitl.campaign.figures import Bar
+from sitl.campaign.tables import Bar
 
 SMOKE: Final = ("--count", "200")
 Target = Callable[[random.Random], Iterator[None]]

@@ -32,8 +32,8 @@ from rich.table import Table
 from benchmarks.faults.runs_file import flights_key
 from benchmarks.report import BenchReport
 from benchmarks.service import judging
+from benchmarks.service.judging import KINDS, InterruptedTrial, Kind, TrialsFile, moment, reached
 from benchmarks.service.running import NEAR, Stage, stage
-from benchmarks.service.trials import KINDS, InterruptedTrial, Kind, TrialsFile, moment, reached
 from sitl.run.report import read_report
 
 SMOKE: Final = ("--trials", "1")

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import yaml
 
-from benchmarks.service.witness import UdpWitness
+from benchmarks.service.judging import UdpWitness
 from companion.base.messages import Phase
 from companion.config import CONFIG_FOLDER, merge
 from sitl.scenario.scenario import load_scenario

@@ -20,9 +20,7 @@ from pathlib import Path
 from typing import Final
 
 from benchmarks.report import BenchReport, watched
-from benchmarks.state import pictures
 from benchmarks.state.consistency import Consistency
-from benchmarks.state.costs import measure
 from benchmarks.state.fault_flights import CASES, FaultFlight, trial_of
 from benchmarks.state.figures import (
     VIBRATION,
@@ -31,11 +29,18 @@ from benchmarks.state.figures import (
     bars,
     cases_of,
     consistencies,
+    consistency_table,
     cost_bars,
+    cost_table,
+    draw_consistency,
+    draw_errors,
+    draw_faults,
+    error_table,
     fault_bars,
+    fault_table,
+    measure,
 )
 from benchmarks.state.streams import Stream, fly_stream, load, rerun, save, settings_of, stream_path
-from benchmarks.state.tables import consistency_table, cost_table, error_table, fault_table
 from companion.sim.trial import Trial
 
 SMOKE: Final = (
@@ -92,15 +97,15 @@ def draw(
     for case, figures in by_case.items():
         first = next(flight for flight in flights if flight.case == case)
         title = f"{case.name}, seed {first.seed}: truth minus estimate"
-        pictures.draw_errors(first.samples, title, folder / f"errors_{case.slug}.png")
-        pictures.draw_consistency(figures, case.name, folder / f"nees_{case.slug}.png")
+        draw_errors(first.samples, title, folder / f"errors_{case.slug}.png")
+        draw_consistency(figures, case.name, folder / f"nees_{case.slug}.png")
     if faulted:
         curves = [
             (f"{f.case.name}", f.times_s, f.errors()["attitude °"], f.errors()["velocity m/s"])
             for f in faulted
             if f.seed == faulted[0].seed
         ]
-        pictures.draw_faults(curves, folder / "faults.png")
+        draw_faults(curves, folder / "faults.png")
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:

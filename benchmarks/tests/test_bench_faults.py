@@ -20,7 +20,7 @@ from benchmarks.faults.witness import (
 from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
 from companion.config import LimitsConfig
 from companion.link import codec
-from sitl.mavlink.status_text_monitor import AppText
+from sitl.faults.schedule import AppText
 from sitl.world.score import TouchdownState
 
 BOUNDS = SafetyBounds(LimitsConfig(), fence_m=150.0, ceiling_m=40.0)

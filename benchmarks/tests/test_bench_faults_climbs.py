@@ -11,7 +11,7 @@ from benchmarks.faults.climbs import unannounced_climbs
 from benchmarks.faults.fault_flight import with_belief
 from benchmarks.faults.witness import SAMPLE_S, Commanded, TruthSample
 from companion.base.geometry import ZERO3
-from sitl.mavlink.status_text_monitor import AppText
+from sitl.faults.schedule import AppText
 from tests.unit.control.controller_inputs import vehicle_state
 
 

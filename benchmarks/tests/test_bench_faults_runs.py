@@ -23,7 +23,7 @@ from benchmarks.faults.witness import TruthSample, WitnessedFlight
 from companion.base.motion import Motion
 from companion.config import CompanionConfig
 from companion.control.tracking import Target, TrackingSolution
-from sitl.faults.computer import ComputerFaults
+from sitl.faults.targets import ComputerFaults
 
 # ---------------------------------------------------------------- the solver's faults
 

@@ -11,8 +11,16 @@ from typing import Any
 import pytest
 
 from benchmarks.firmware import bench_firmware
-from benchmarks.firmware.bench_firmware import judge, line, main, median_bar
-from benchmarks.firmware.firmware_cases import CASES, SETPOINTS, FirmwareCase, write_flights
+from benchmarks.firmware.bench_firmware import (
+    CASES,
+    SETPOINTS,
+    FirmwareCase,
+    judge,
+    line,
+    main,
+    median_bar,
+    write_flights,
+)
 from benchmarks.report import BenchReport
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError

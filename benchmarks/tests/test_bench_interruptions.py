@@ -10,9 +10,21 @@ from mcap.writer import Writer
 
 from benchmarks.service import judging
 from benchmarks.service.bench_interruptions import NotFlown, main
+from benchmarks.service.judging import (
+    KINDS,
+    OFFBOARD,
+    PHASES,
+    POSCTL,
+    AppCommand,
+    Beat,
+    InterruptedTrial,
+    Kind,
+    SeenTraffic,
+    TrialsFile,
+    moment,
+    reached,
+)
 from benchmarks.service.running import NEAR, ROOT
-from benchmarks.service.trials import KINDS, PHASES, InterruptedTrial, Kind, TrialsFile, moment, reached
-from benchmarks.service.witness import OFFBOARD, POSCTL, AppCommand, Beat, SeenTraffic
 from companion.base.messages import Phase
 from companion.link.codec import Codec, command_long, mavlink
 from sitl.scenario.scenario import load_scenario

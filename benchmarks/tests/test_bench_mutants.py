@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.mutants import bench_mutants
-from benchmarks.mutants.bench_mutants import SOURCE, TESTS, branches_missed, main, passes
-from benchmarks.mutants.mutate import mutants
+from benchmarks.mutants.bench_mutants import SOURCE, TESTS, branches_missed, main, mutants, passes
 
 MODULE = '''"""A gate."""
 

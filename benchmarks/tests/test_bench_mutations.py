@@ -9,8 +9,7 @@ import pytest
 
 from benchmarks.mutations import bench_mutations
 from benchmarks.mutations.bench_mutations import TARGETS, main, run_target
-from benchmarks.mutations.drivers import NotFiniteError, check_finite
-from benchmarks.mutations.mutating import spoiled, spoiled_text, spoiled_tree
+from benchmarks.mutations.targets import NotFiniteError, check_finite, spoiled, spoiled_text, spoiled_tree
 
 
 @pytest.mark.parametrize("name", sorted(TARGETS))

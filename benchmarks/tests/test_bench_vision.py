@@ -8,13 +8,20 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.vision import hover
-from benchmarks.vision.cases import CaseOutcome, VisionCase
-from benchmarks.vision.clutter import clutter_board, random_code
-from benchmarks.vision.hover import HoverFlight, HoverMoment
+from benchmarks.vision import shots
+from benchmarks.vision.cases import CaseOutcome, VisionCase, clutter_board, random_code
 from benchmarks.vision.judge import UNKNOWNS, JudgedShot, _errors, _rows, bound_m2, noise_px
 from benchmarks.vision.photos import outer_border
-from benchmarks.vision.shots import BenchShot, HoverScene, PadBeforeCamera, camera_named, pad_of, vehicle
+from benchmarks.vision.shots import (
+    BenchShot,
+    HoverFlight,
+    HoverMoment,
+    HoverScene,
+    PadBeforeCamera,
+    camera_named,
+    pad_of,
+    vehicle,
+)
 from benchmarks.vision.speed import Follower, Times
 from benchmarks.vision.tables import (
     PAD_HEIGHTS_M,
@@ -48,7 +55,7 @@ def _a_flight_that_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = np.arange(2000) * PHYSICS_STEP_S
     away = np.outer(steps, (0.0, 0.3, 0.0))
     attitudes = np.array([quat_from_euler(0.1 * (s - 2.5), 0.02, 0.0) for s in steps])
-    monkeypatch.setattr(hover, "flight", lambda _: HoverFlight(away, attitudes))
+    monkeypatch.setattr(shots, "flight", lambda _: HoverFlight(away, attitudes))
 
 
 def test_corners_are_where_the_detector_finds_them_in_the_middle_of_their_rows() -> None:
@@ -131,7 +138,7 @@ def sighting(shot: BenchShot, stage: PadBeforeCamera, turned: tuple[float, float
 def test_a_flip_is_a_tilt_to_the_other_side_or_far_off() -> None:
     stage = PadBeforeCamera("640x480", 18.0, np.random.default_rng(7))
     # it rolls by 4 degrees: mirrored it is off by 8
-    moment = HoverMoment(hover.flight(0), 3.2, 0.0, 0.5)
+    moment = HoverMoment(shots.flight(0), 3.2, 0.0, 0.5)
     north, east, down = quat_rotate(moment.at(0.0)[1], (0.0, 0.0, -1.0))
     scene = HoverScene(moment, (1.0, 0.0, 0.0, 0.0), (north, east, down), 0.0)
     shot = BenchShot(stage.frame(scene, 0.0), scene, stage.expectation(scene, 0.0, 1.0))

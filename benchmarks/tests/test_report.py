@@ -8,7 +8,7 @@ import pytest
 from rich.table import Table
 
 from benchmarks.report import BenchReport, commit
-from sitl.campaign.figures import Bar
+from sitl.campaign.tables import Bar
 
 
 def test_results_hold_the_tables_the_lines_and_the_bars(capsys: pytest.CaptureFixture[str]) -> None:

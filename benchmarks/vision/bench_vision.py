@@ -34,11 +34,8 @@ import cv2
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from benchmarks.report import BenchReport
-from benchmarks.vision.cases import SEED, CaseOutcome, VisionCase, run_chunk
-from benchmarks.vision.clutter import SHOTS_OF_A_BOARD, false_pads
-from benchmarks.vision.photoreal import SETS, photoreal_table, read_set
-from benchmarks.vision.photos import photo_table, read_photos
-from benchmarks.vision.pictures import contact_sheet
+from benchmarks.vision.cases import SEED, SHOTS_OF_A_BOARD, CaseOutcome, VisionCase, false_pads, run_chunk
+from benchmarks.vision.photos import SETS, photo_table, photoreal_table, read_photos, read_set
 from benchmarks.vision.speed import HEIGHTS_M, Times, measure
 from benchmarks.vision.sweep import SweepOutcome, cases, sweep, sweep_table
 from benchmarks.vision.tables import (
@@ -47,6 +44,7 @@ from benchmarks.vision.tables import (
     PAPER_SIZE,
     Bars,
     Outcomes,
+    contact_sheet,
     error_tables,
     flips_table,
     pad_cases,

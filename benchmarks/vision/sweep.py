@@ -18,7 +18,7 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.vision.cases import SEED
-from benchmarks.vision.photoreal import Peer
+from benchmarks.vision.photos import Peer
 from benchmarks.vision.shots import HoverScene, PadBeforeCamera, vehicle
 from companion.base.messages import Frame, PadPrior
 from companion.config import CameraConfig, VisionConfig, find_file, load_model

@@ -33,7 +33,7 @@ from companion.link.signing import signing_of
 from companion.link.transport import Transport
 from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.trial import Trial
-from sitl.firmware.errors import FirmwareError
+from sitl.firmware import FirmwareError
 from sitl.run.in_process import InProcess
 from sitl.run.report import SimulationReport
 

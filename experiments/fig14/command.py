@@ -27,7 +27,7 @@ def fig14(
     if case not in CASE_NAMES:
         raise ConfigError(f"--case: no '{case}'; expected one of: {'; '.join(CASE_NAMES)}")
     writable(output, ".png", "--output")
-    from experiments.fig14.run import run  # noqa: PLC0415 - minutes of flying, once all is right
+    from experiments.fig14.report import run  # noqa: PLC0415 - minutes of flying, once all is right
 
     if not run(range(seed, seed + seeds), output, case, jobs):
         raise typer.Exit(1)

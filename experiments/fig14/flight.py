@@ -27,8 +27,7 @@ from experiments.fig14.world import (
 )
 from experiments.model.disturbance_filter import DisturbanceFilter
 from experiments.model.full_mpc import FullLimits
-from experiments.model.mixer import ThrustMixer
-from experiments.model.quadrotor import ANGLES, POSITION, RATES, STATES, VELOCITY, state_from_ned
+from experiments.model.quadrotor import ANGLES, POSITION, RATES, STATES, VELOCITY, ThrustMixer, state_from_ned
 from sitl.vehicle.quadrotor import Quadrotor, QuadrotorParameters, QuadrotorState
 from sitl.world.wind import Wind
 

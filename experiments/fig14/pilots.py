@@ -17,10 +17,9 @@ import numpy as np
 from companion.base.geometry import FloatArray
 from companion.base.motion import Motion
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m
-from experiments.fig14.reference import PlannedReference
-from experiments.fig14.world import SURFACE_HEIGHT_M, LandingScene
+from experiments.fig14.world import SURFACE_HEIGHT_M, LandingScene, PlannedReference
+from experiments.model.disturbance_filter import NO_DISTURBANCE, HorizonReference
 from experiments.model.full_mpc import FullMpc, FullMpcConfig, FullRiccatiTracker, ObstacleBounds
-from experiments.model.nominal import NO_DISTURBANCE, HorizonReference
 from experiments.model.pid import CascadedPid, CascadeGains
 from experiments.model.quadrotor import QuadrotorModel, flipped
 

@@ -11,8 +11,7 @@ import pytest
 
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m
 from experiments.fig14 import CASE_NAMES
-from experiments.fig14 import figure as fig14
-from experiments.fig14.figure import BY_NAME, FlightScore, flight_of, judge, load_settings
+from experiments.fig14 import report as fig14
 from experiments.fig14.flight import FlownTrack, fly
 from experiments.fig14.pilots import (
     FLIP,
@@ -25,15 +24,27 @@ from experiments.fig14.pilots import (
     rows_of,
     surroundings,
 )
-from experiments.fig14.reference import (
+from experiments.fig14.report import (
+    BY_NAME,
+    FlightScore,
+    flight_of,
+    judge,
+    load_settings,
+    picture,
+    step_line,
+    table,
+)
+from experiments.fig14.world import (
+    CASES,
+    FLOWN_S,
     ITERATION_S,
     LEAST_CLEAR_M,
     closest_m,
+    disturbed,
     draw_scene,
+    draw_world,
     plan_reference,
 )
-from experiments.fig14.report import picture, step_line, table
-from experiments.fig14.world import CASES, FLOWN_S, disturbed, draw_world
 from experiments.tune_pid import TRAINING
 from tests.programs import ProgramHere
 

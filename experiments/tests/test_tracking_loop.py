@@ -8,7 +8,7 @@ import pytest
 from companion.base.messages import Setpoint
 from companion.config import ControlConfig
 from experiments import tune_flight_pid
-from experiments.tracking_loop import CASES, TrackingLoop, _streamed
+from experiments.tune_flight_pid import CASES, TrackingLoop, _streamed
 
 
 def test_the_app_s_controller_tracks_in_the_simulated_world_and_repeats() -> None:

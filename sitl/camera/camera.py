@@ -40,11 +40,30 @@ from companion.base.geometry import (
 )
 from companion.config import CameraConfig, VehicleConfig
 from companion.pad import Pad
-from sitl.camera.exposure import ImagingSettings, motion_blur, noise_bank, vignette
+from sitl.camera.exposure import (
+    AutoExposure,
+    ImagingSettings,
+    add_light,
+    levelled,
+    motion_blur,
+    noise_bank,
+    noise_std_grey,
+    response,
+    through,
+    vignette,
+)
 from sitl.camera.light import Lighting, LightInView
 from sitl.camera.mesh import HORIZON, NODE_PX, Part, covers, node_rays, visible_part, within_board
-from sitl.camera.sensor_chip import AutoExposure, add_light, levelled, noise_std_grey, response, through
-from sitl.camera.textures import PAD_WHITE, GreyImage, Texture, TextureLevel, ground_texture, pad_texture
+from sitl.camera.textures import (
+    PAD_WHITE,
+    GreyImage,
+    Texture,
+    TextureLevel,
+    covered_texture,
+    ground_texture,
+    other_ids_texture,
+    pad_texture,
+)
 
 
 def mounted_camera(vehicle: VehicleConfig, error_deg: Vector3 = ZERO3) -> FloatArray:
@@ -153,8 +172,8 @@ class CameraModel:
         self._exposure_s = camera.exposure_s if settings.exposure_s is None else settings.exposure_s
         self._readout_s = camera.readout_s if settings.readout_s is None else settings.readout_s
         self._printed = pad_texture(pad) if board is None else board
-        self.show(None)
-        self.print_scale = 1.0  # of the pad's print, against its file
+        self._pad = pad
+        self.clear_faults()
         # the place of a second pad's surface, from that of the pad's; None: there is none
         self.twin_ned_m: Callable[[Vector3], Vector3] | None = None
         self._ground_texture = ground_texture(ground_seed)
@@ -174,9 +193,18 @@ class CameraModel:
         self._vignette = vignette(camera, settings, dirt_rng)
         self._noise = noise_bank(camera, settings.noise_grey, rng)
 
-    def show(self, board: Texture | None) -> None:
-        """Another print on the board from now on; None: its own."""
-        self._pad_texture = self._printed if board is None else board
+    def clear_faults(self) -> None:
+        """The board's own print, in its own size; a second pad has its own end."""
+        self._pad_texture = self._printed
+        self.print_scale = 1.0  # of the pad's print, against its file
+
+    def cover(self) -> None:
+        """A tarpaulin over the markers."""
+        self._pad_texture = covered_texture(self._pad)
+
+    def show_other_ids(self) -> None:
+        """Another pad's markers."""
+        self._pad_texture = other_ids_texture(self._pad)
 
     @property
     def span_s(self) -> float:

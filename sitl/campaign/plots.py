@@ -22,8 +22,8 @@ from matplotlib.ticker import MaxNLocator
 
 from companion.base.files import save_figure
 from companion.pad import Pad, load_pad
-from sitl.campaign.figures import by_scenario, share, values
 from sitl.campaign.rows import OUTCOMES, Row
+from sitl.campaign.tables import by_scenario, share, values
 from sitl.scenario.scenario import Scenario
 
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")

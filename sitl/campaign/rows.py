@@ -15,6 +15,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
+from pydantic import Field
+
 from companion.base.files import replaced
 from companion.config import ConfigError, StrictModel, validate
 from sitl.campaign.manifest import CampaignRun
@@ -24,37 +26,11 @@ RowOutcome = Literal["landed", "missed", "aborted", "timeout", "crashed", "faile
 OUTCOMES: Final[tuple[RowOutcome, ...]] = ("landed", "missed", "aborted", "timeout", "crashed", "failed")
 CSV_NAME: Final = "runs.csv"
 PARQUET_NAME: Final = "runs.parquet"
-# a column and where result.json has it
-RESULT_KEYS: Final = {
-    "touchdown_lateral_m": "touchdown.lateral_error_m",
-    "vertical_speed_m_s": "touchdown.vertical_speed_m_s",
-    "horizontal_speed_m_s": "touchdown.horizontal_speed_m_s",
-    "tilt_deg": "touchdown.tilt_deg",
-    "yaw_error_deg": "touchdown.yaw_error_deg",
-    "pad_speed_m_s": "pad.speed_m_s",
-    "search_s": "time.search_s",
-    "approach_s": "time.approach_s",
-    "descent_s": "time.descent_s",
-    "total_s": "time.total_s",
-    "frames": "vision.frames",
-    "frames_with_pad": "vision.frames_with_pad",
-    "sighting_rmse_m": "vision.relative_position_rmse_m",
-    "attitude_rmse_deg": "estimate.attitude_rmse_deg",
-    "velocity_rmse_m_s": "estimate.velocity_rmse_m_s",
-    "pad_velocity_rmse_m_s": "estimate.pad_velocity_rmse_m_s",
-    "latency_p50_ms": "latency_ms.exposure_to_setpoint_p50",
-    "latency_p99_ms": "latency_ms.exposure_to_setpoint_p99",
-    "cycle_late_p50_ms": "latency_ms.cycle_late_p50",
-    "cycle_late_p99_ms": "latency_ms.cycle_late_p99",
-    "control_cycles": "control.cycles",
-    "control_unsolved": "control.unsolved",
-    "control_late": "control.late",
-    "control_stopped": "control.stopped",
-    "control_blind": "control.blind",
-    "control_limited": "control.limited",
-    "control_iterations_p99": "control.iterations_p99",
-    "real_time_factor": "sim.real_time_factor",
-}
+
+
+def _at(key: str) -> Any:
+    """A column that `result.json` has under a key."""
+    return Field(default=None, json_schema_extra={"at": key})
 
 
 class Row(StrictModel):
@@ -69,37 +45,37 @@ class Row(StrictModel):
     seed: int
     outcome: RowOutcome
     reason: str = ""
-    touchdown_lateral_m: float | None = None
+    touchdown_lateral_m: float | None = _at("touchdown.lateral_error_m")
     touchdown_along_m: float | None = None
     touchdown_across_m: float | None = None
-    vertical_speed_m_s: float | None = None
-    horizontal_speed_m_s: float | None = None
-    tilt_deg: float | None = None
-    yaw_error_deg: float | None = None
-    pad_speed_m_s: float | None = None
+    vertical_speed_m_s: float | None = _at("touchdown.vertical_speed_m_s")
+    horizontal_speed_m_s: float | None = _at("touchdown.horizontal_speed_m_s")
+    tilt_deg: float | None = _at("touchdown.tilt_deg")
+    yaw_error_deg: float | None = _at("touchdown.yaw_error_deg")
+    pad_speed_m_s: float | None = _at("pad.speed_m_s")
     unplanned_contacts: int | None = None
-    search_s: float | None = None
-    approach_s: float | None = None
-    descent_s: float | None = None
-    total_s: float | None = None
-    frames: int | None = None
-    frames_with_pad: int | None = None
-    sighting_rmse_m: float | None = None
-    attitude_rmse_deg: float | None = None
-    velocity_rmse_m_s: float | None = None
-    pad_velocity_rmse_m_s: float | None = None
-    latency_p50_ms: float | None = None
-    latency_p99_ms: float | None = None
-    cycle_late_p50_ms: float | None = None
-    cycle_late_p99_ms: float | None = None
-    control_cycles: int | None = None
-    control_unsolved: int | None = None
-    control_late: int | None = None
-    control_stopped: int | None = None
-    control_blind: int | None = None
-    control_limited: int | None = None
-    control_iterations_p99: float | None = None
-    real_time_factor: float | None = None
+    search_s: float | None = _at("time.search_s")
+    approach_s: float | None = _at("time.approach_s")
+    descent_s: float | None = _at("time.descent_s")
+    total_s: float | None = _at("time.total_s")
+    frames: int | None = _at("vision.frames")
+    frames_with_pad: int | None = _at("vision.frames_with_pad")
+    sighting_rmse_m: float | None = _at("vision.relative_position_rmse_m")
+    attitude_rmse_deg: float | None = _at("estimate.attitude_rmse_deg")
+    velocity_rmse_m_s: float | None = _at("estimate.velocity_rmse_m_s")
+    pad_velocity_rmse_m_s: float | None = _at("estimate.pad_velocity_rmse_m_s")
+    latency_p50_ms: float | None = _at("latency_ms.exposure_to_setpoint_p50")
+    latency_p99_ms: float | None = _at("latency_ms.exposure_to_setpoint_p99")
+    cycle_late_p50_ms: float | None = _at("latency_ms.cycle_late_p50")
+    cycle_late_p99_ms: float | None = _at("latency_ms.cycle_late_p99")
+    control_cycles: int | None = _at("control.cycles")
+    control_unsolved: int | None = _at("control.unsolved")
+    control_late: int | None = _at("control.late")
+    control_stopped: int | None = _at("control.stopped")
+    control_blind: int | None = _at("control.blind")
+    control_limited: int | None = _at("control.limited")
+    control_iterations_p99: float | None = _at("control.iterations_p99")
+    real_time_factor: float | None = _at("sim.real_time_factor")
     wall_s: float
     version: str
     command: str
@@ -112,6 +88,11 @@ class Row(StrictModel):
 
 
 COLUMNS: Final = tuple(Row.model_fields)
+RESULT_KEYS: Final = {
+    name: str(field.json_schema_extra["at"])
+    for name, field in Row.model_fields.items()
+    if isinstance(field.json_schema_extra, dict)
+}
 
 
 def make_row(flown: RunResult, version: str) -> Row:
@@ -132,11 +113,11 @@ def make_row(flown: RunResult, version: str) -> Row:
         version=version,
         command=flight.command,
         error=_one_line(flown.error),
-        **{} if result is None else {name: _at(result, key) for name, key in RESULT_KEYS.items()},
+        **{} if result is None else {name: _value(result, key) for name, key in RESULT_KEYS.items()},
     )
 
 
-def _at(result: Mapping[str, Any], key: str) -> Any:
+def _value(result: Mapping[str, Any], key: str) -> Any:
     value: Any = result
     for part in key.split("."):
         value = None if value is None else value[part]

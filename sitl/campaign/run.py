@@ -9,17 +9,24 @@ import tempfile
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 from typing import Final
 
 from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from companion.base.files import write_atomically
 from companion.config import ConfigError
 from sitl.campaign.manifest import MANIFEST_NAME, CampaignRun, Plan, check_goes_on, make_plan, read_manifest
-from sitl.campaign.pool import fly_locally
-from sitl.campaign.progress import CampaignMeter
 from sitl.campaign.rows import CSV_NAME, Row, RunsFile, make_row, pending, read_rows, write_parquet
-from sitl.campaign.worker import RunResult
+from sitl.campaign.worker import RunResult, fly_locally
 from sitl.firmware.spec import FirmwareSpec
 from sitl.run.process_control import terminated_as_interrupted
 
@@ -188,7 +195,7 @@ def _publish(folder: Path, plan: Plan, rows: Sequence[Row], console: Console) ->
 
 
 def _verdict(rows: Sequence[Row], console: Console, *, bars: bool) -> int:
-    from sitl.campaign.figures import bars as judge  # noqa: PLC0415 - as above
+    from sitl.campaign.tables import bars as judge  # noqa: PLC0415 - as above
 
     failed = any(row.outcome == "failed" for row in rows)
     if not bars:
@@ -196,3 +203,69 @@ def _verdict(rows: Sequence[Row], console: Console, *, bars: bool) -> int:
     judged = judge(rows)
     console.print(f"bars: {', '.join(map(str, judged))}", highlight=False, soft_wrap=True)
     return 0 if all(bar.holds for bar in judged) else FAILED
+
+
+# ---------------------------------------------------------------- progress
+# How far a campaign is: a live bar on a terminal, a line now and then in a log.
+
+LINES_IN_ALL: Final = 10
+
+
+class CampaignMeter:
+    """Counts runs and landings; prints each run that did not land, and the command that repeats it."""
+
+    def __init__(self, console: Console, rows: Sequence[Row], total: int, *, quiet: bool) -> None:
+        """Begin with the rows there are; `total` counts them too. Quiet: lines, as for a log."""
+        self._console = console
+        self._total = total
+        self._done = len(rows)
+        self._landed = sum(row.landed for row in rows)
+        self._bar = None if quiet or not console.is_terminal else _bar(console)
+
+    def __enter__(self) -> CampaignMeter:
+        if self._bar is not None:
+            self._bar.start()
+            self._task = self._bar.add_task(
+                "runs", total=self._total, completed=self._done, words=self._words()
+            )
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def take(self, row: Row) -> None:
+        """A run has ended."""
+        tenth = self._done * LINES_IN_ALL // self._total
+        self._done += 1
+        self._landed += row.landed
+        if not row.landed:
+            said = row.reason or row.error
+            self._console.print(
+                f"{row.outcome}: {said}: {row.command}", highlight=False, markup=False, soft_wrap=True
+            )
+        if self._bar is not None:
+            self._bar.update(self._task, completed=self._done, words=self._words())
+        elif self._done * LINES_IN_ALL // self._total > tenth:
+            self._console.print(f"{self._done} of {self._total} runs, {self._words()}", highlight=False)
+
+    def _words(self) -> str:
+        return f"{self._landed} landed" + (
+            f" ({100 * self._landed / self._done:.0f} %)" if self._done else ""
+        )
+
+
+def _bar(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[words]}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+    )

@@ -5,6 +5,7 @@ Each sensor has a random stream of its own, so that a fault in one does not chan
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, Literal
@@ -27,14 +28,20 @@ from companion.base.geometry import (
     tilt_from_quat,
 )
 from companion.config import GpsConfig, ImuConfig
-from sitl.devices.ak8963 import Ak8963Device
-from sitl.devices.mpu9250 import Interface, Mpu9250Device
+from sitl.devices.mpu9250 import Ak8963Device, Interface, Mpu9250Device
 from sitl.devices.neo6m import Neo6mDevice
 from sitl.devices.ports import DevicePort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
-from sitl.sensors.calibration_errors import BoardTruth
 from sitl.sensors.inertial import ImuErrors, ImuSensor, felt_at
-from sitl.sensors.sensors import GpsErrors, GpsSensor, MagErrors, MagSensor, RangeErrors, RangeSensor
+from sitl.sensors.sensors import (
+    BoardTruth,
+    GpsErrors,
+    GpsSensor,
+    MagErrors,
+    MagSensor,
+    RangeErrors,
+    RangeSensor,
+)
 from sitl.vehicle.quadrotor import QuadrotorState
 
 
@@ -173,6 +180,23 @@ class SensorRack:
             self.magnetometer.calibration_errors,
             SENSOR_FROM_BODY,
         )
+
+    def clear_faults(self) -> None:
+        """Clear all faults."""
+        imu, inertial = self.imu, self.inertial
+        imu.wake()
+        imu.magnetometer.silent = False
+        imu.nack_every, imu.fault = 0, "none"
+        inertial.rate_offset_rad_s = inertial.force_offset_m_s2 = ZERO3
+        inertial.accel_limit_m_s2, inertial.vibration_factor = math.inf, 1.0
+        self.magnetometer.stray_field_ut = ZERO3
+        self.range.silent = False
+        self.gps.has_fix, self.gps.silent = True, False
+        self.position.jump_ned_m, self.position.stuck = ZERO3, False
+        for part in (self.mount, inertial.gyro_glitches, inertial.accel_glitches, self.magnetometer.glitches):
+            part.clear_faults()
+        self.position.glitches.clear_faults()
+        self.echo.clear_faults()
 
     def step(
         self, now_s: float, state: QuadrotorState, throttle: float, range_height_m: Callable[[], float]

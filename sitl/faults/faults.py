@@ -1,38 +1,128 @@
-"""What fails in flight, and when: faults as data of a scenario.
+"""What fails in flight, and when: each fault of a scenario is a class of its settings and of what it does.
 
-A fault acts on a sensor's input, its chip, its line or on a frame's transport (`sitl.faults.injection`),
-never on anything the app computes. Every sensor can be lost, freeze, step aside (a bias) and spike. Axes are
-the body's (FRD). When a fault begins: `sitl.faults.times`; what is no sensor:
-`sitl.faults.non_sensor_faults`.
+A fault acts on a sensor's input, its chip, its line or on a frame's transport, on the pad, the autopilot or
+the companion computer, never on anything the app computes. Every sensor can be lost, freeze, step aside (a
+bias) and spike. Axes are the body's (FRD), SI units. `sitl.faults.schedule` begins and ends them.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import inspect
+import math
+from typing import TYPE_CHECKING, Annotated, Literal, Union
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from sitl.faults.non_sensor_faults import NonSensorFault
-from sitl.faults.times import FaultTimes
+from companion.base.geometry import GRAVITY_M_S2, add
+from companion.config import ConfigError, StrictModel
 
+if TYPE_CHECKING:  # a scenario is read without what it simulates
+    from companion.base.geometry import Vector3
+    from sitl.autopilot.flight.profile import AutopilotProfile
+    from sitl.faults.targets import FaultTargets
+
+FlownPhase = Literal[
+    "arm", "take off", "waypoint", "route", "search", "approach", "descend", "touchdown", "hold", "abort"
+]
+Since = Annotated[float, Field(ge=0.0, le=900.0)]
+Low = Annotated[float, Field(ge=0.0, le=50.0)]
 Component = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 LinkDirection = Literal["both", "to_app", "to_vehicle"]
 BodyVector = tuple[Component, Component, Component]
-
-
 Share = Annotated[float, Field(gt=0.0, le=1.0)]
+# the board's surface over the ground, for a pad that somebody has left there
+TWIN_HEIGHT_M = 0.1
+RESUMES_M_S2 = 3.0
+
+
+class Fault(StrictModel):
+    """When a fault is there: one of the four beginnings, and a duration.
+
+    It begins at a time, when the app announces a phase, at a height over the pad, or after the app's first
+    sighting of the pad. The simulator hears the phase and the sighting from outside, by the app's STATUSTEXT.
+    What lasts is applied again whenever a fault starts or ends (`apply`), so that faults may overlap; what
+    happens once has a beginning and, with some, an end.
+    """
+
+    if TYPE_CHECKING:
+        kind: str  # each has its own, as a literal
+
+    start_s: Since | None = Field(
+        default=None, description="It begins this long after the start of the simulation"
+    )
+    phase: FlownPhase | None = Field(
+        default=None, description="It begins when the app first announces this phase"
+    )
+    below_m: Low | None = Field(
+        default=None,
+        description="It begins when the feet, over the pad, first come this low in flight; 0: they touch",
+    )
+    after_sighting_s: Since | None = Field(
+        default=None, description="It begins this long after the first sighting"
+    )
+    delay_s: float = Field(default=0.0, ge=0.0, le=900.0, description="Further delay after that")
+    duration_s: float = Field(
+        default=900.0, gt=0.0, le=900.0, description="Duration; by default to the end of the flight"
+    )
+
+    @model_validator(mode="after")
+    def _begins_once(self) -> Fault:
+        ways = (self.start_s, self.phase, self.below_m, self.after_sighting_s)
+        if sum(way is not None for way in ways) != 1:
+            raise ValueError("expected one of start_s, phase, below_m and after_sighting_s")
+        return self
+
+    @property
+    def lasts_s(self) -> float:
+        """How long it is there."""
+        return self.duration_s
+
+    def check(self, targets: FaultTargets) -> None:
+        """Raise ConfigError when there is nothing that it could act on."""
+
+    def apply(self, targets: FaultTargets) -> None:
+        """Act, on targets whose faults have been cleared."""
+
+    def begin(self, targets: FaultTargets, now_s: float) -> None:
+        """What happens once, as it begins."""
+
+    def end(self, targets: FaultTargets, now_s: float) -> None:
+        """What happens once, as it ends."""
+
+
+class AutopilotFault(Fault):
+    """One of the bundled autopilot."""
+
+    def check(self, targets: FaultTargets) -> None:
+        """See `Fault`."""
+        if targets.autopilot is None:
+            raise ConfigError(f"faults: {self.kind} needs the bundled autopilot, not a firmware")
+
+
+class ComputerFault(Fault):
+    """One of the companion computer. It acts in a harness that runs the app in the simulator's process."""
+
+    def check(self, targets: FaultTargets) -> None:
+        """See `Fault`."""
+        if targets.computer is None:
+            raise ConfigError(
+                f"faults: {self.kind} is the companion computer's, which make bench-faults simulates"
+            )
 
 
 # ---------------------------------------------------------------- IMU
 
 
-class ImuLost(FaultTimes):
+class ImuLost(Fault):
     """Its cable is off: nothing on the bus answers."""
 
     kind: Literal["imu_lost"]
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.imu.fault = "nack"
 
-class ImuBusError(FaultTimes):
+
+class ImuBusError(Fault):
     """The IMU does not acknowledge now and then."""
 
     kind: Literal["imu_bus_error"]
@@ -40,20 +130,29 @@ class ImuBusError(FaultTimes):
         default=40, ge=1, le=10000, description="One transaction in so many; 1 is a cable that is off"
     )
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.imu.nack_every = self.every
 
-class ImuStuck(FaultTimes):
+
+class ImuStuck(Fault):
     """It repeats its last rates and forces."""
 
     kind: Literal["imu_stuck"]
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.inertial.gyro_glitches.stuck = targets.rack.inertial.accel_glitches.stuck = True
 
-class ImuSaturated(FaultTimes):
+
+class ImuSaturated(Fault):
     """Every axis of both is at the end of its range."""
 
     kind: Literal["imu_saturated"]
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.imu.fault = "saturated"
 
-class GyroBiasStep(FaultTimes):
+
+class GyroBiasStep(Fault):
     """The gyroscope's zero moves at once, as after a knock."""
 
     kind: Literal["gyro_bias_step"]
@@ -61,8 +160,14 @@ class GyroBiasStep(FaultTimes):
         default=(1.15, 1.15, 1.15), description="Added to every reading; by default 2 °/s in all"
     )
 
+    def apply(self, targets: FaultTargets) -> None:
+        x, y, z = self.rate_body_deg_s
+        step = (math.radians(x), math.radians(y), math.radians(z))
+        inertial = targets.rack.inertial
+        inertial.rate_offset_rad_s = add(inertial.rate_offset_rad_s, step)
 
-class GyroSpikes(FaultTimes):
+
+class GyroSpikes(Fault):
     """Some rates are garbled."""
 
     kind: Literal["gyro_spikes"]
@@ -71,23 +176,33 @@ class GyroSpikes(FaultTimes):
         default=100.0, gt=0.0, le=2000.0, description="Off by up to so much, on one axis"
     )
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.inertial.gyro_glitches.spike(self.share, math.radians(self.size_deg_s))
 
-class AccelBiasStep(FaultTimes):
+
+class AccelBiasStep(Fault):
     """The accelerometer's zero moves at once."""
 
     kind: Literal["accel_bias_step"]
     force_body_m_s2: BodyVector = Field(default=(0.5, 0.5, 0.0), description="Added to every reading")
 
+    def apply(self, targets: FaultTargets) -> None:
+        inertial = targets.rack.inertial
+        inertial.force_offset_m_s2 = add(inertial.force_offset_m_s2, self.force_body_m_s2)
 
-class AccelSpikes(FaultTimes):
+
+class AccelSpikes(Fault):
     """Some forces are garbled."""
 
     kind: Literal["accel_spikes"]
     share: Share = Field(default=0.01, description="Share of the readings")
     size_m_s2: float = Field(default=30.0, gt=0.0, le=160.0, description="Off by up to so much, on one axis")
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.inertial.accel_glitches.spike(self.share, self.size_m_s2)
 
-class AccelClips(FaultTimes):
+
+class AccelClips(Fault):
     """The accelerometer's element saturates, before any filter, under stronger vibration."""
 
     kind: Literal["accel_clips"]
@@ -96,8 +211,13 @@ class AccelClips(FaultTimes):
         default=4.0, ge=1.0, le=20.0, description="On the rotors' vibration meanwhile"
     )
 
+    def apply(self, targets: FaultTargets) -> None:
+        limit_m_s2 = self.range_g * GRAVITY_M_S2
+        targets.rack.inertial.accel_limit_m_s2 = min(targets.rack.inertial.accel_limit_m_s2, limit_m_s2)
+        targets.rack.inertial.vibration_factor *= self.vibration_factor
 
-class ImuTurned(FaultTimes):
+
+class ImuTurned(Fault):
     """The board with IMU and magnetometer lies otherwise than its file says, or slips in flight."""
 
     kind: Literal["imu_turned"]
@@ -108,48 +228,70 @@ class ImuTurned(FaultTimes):
         default=0.0, ge=0.0, le=10.0, description="How long it takes to slip; 0: it lay so"
     )
 
+    def apply(self, targets: FaultTargets) -> None:
+        x, y, z = self.rotation_body_deg
+        targets.rack.mount.target_rad = (math.radians(x), math.radians(y), math.radians(z))
+        targets.rack.mount.slips_for_s = self.slips_for_s
 
-class Vibration(FaultTimes):
+
+class Vibration(Fault):
     """A propeller is chipped, a frame resonates: the rotors' vibration grows, on the autopilot's IMU too."""
 
     kind: Literal["vibration"]
     factor: float = Field(default=4.0, ge=1.0, le=20.0, description="On the rotors' vibration")
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.inertial.vibration_factor *= self.factor
+        targets.autopilot_sensors.inertial.vibration_factor *= self.factor
+
 
 # ---------------------------------------------------------------- magnetometer
 
 
-class MagLost(FaultTimes):
+class MagLost(Fault):
     """It acknowledges nothing."""
 
     kind: Literal["mag_lost"]
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.imu.magnetometer.silent = True
 
-class MagStuck(FaultTimes):
+
+class MagStuck(Fault):
     """It repeats its last field."""
 
     kind: Literal["mag_stuck"]
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.magnetometer.glitches.stuck = True
 
-class MagDisturbed(FaultTimes):
+
+class MagDisturbed(Fault):
     """A field in addition to the earth's: a current, a steel tool, a loudspeaker's magnet."""
 
     kind: Literal["mag_disturbed"]
     field_body_ut: BodyVector = Field(default=(0.0, 30.0, 0.0), description="Added to the earth's")
 
+    def apply(self, targets: FaultTargets) -> None:
+        for sensor in (targets.rack.magnetometer, targets.autopilot_sensors):
+            sensor.stray_field_ut = add(sensor.stray_field_ut, self.field_body_ut)
 
-class MagSpikes(FaultTimes):
+
+class MagSpikes(Fault):
     """Some fields are garbled."""
 
     kind: Literal["mag_spikes"]
     share: Share = Field(default=0.05, description="Share of the readings")
     size_ut: float = Field(default=100.0, gt=0.0, le=4900.0, description="Off by up to so much, on one axis")
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.magnetometer.glitches.spike(self.share, self.size_ut)
+
 
 # ---------------------------------------------------------------- GPS
 
 
-class GpsLost(FaultTimes):
+class GpsLost(Fault):
     """The receiver has too few satellites, or its line is disconnected."""
 
     kind: Literal["gps_lost"]
@@ -157,21 +299,34 @@ class GpsLost(FaultTimes):
         default=False, description="Nothing on the line at all, instead of messages without a fix"
     )
 
+    def apply(self, targets: FaultTargets) -> None:
+        if self.unplugged:
+            targets.rack.gps.silent = True
+        else:
+            targets.rack.gps.has_fix = False
+            targets.autopilot_sensors.has_sky = False
 
-class GpsStuck(FaultTimes):
+
+class GpsStuck(Fault):
     """It repeats its last fix, with advancing time."""
 
     kind: Literal["gps_stuck"]
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.position.stuck = True
 
-class GpsJump(FaultTimes):
+
+class GpsJump(Fault):
     """The fix jumps, with unchanged accuracies: multipath, or another set of satellites."""
 
     kind: Literal["gps_jump"]
     position_ned_m: BodyVector = Field(default=(5.0, -5.0, 0.0), description="Added to every fix")
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.position.jump_ned_m = add(targets.rack.position.jump_ned_m, self.position_ned_m)
 
-class GpsSpikes(FaultTimes):
+
+class GpsSpikes(Fault):
     """Some fixes are far off."""
 
     kind: Literal["gps_spikes"]
@@ -180,11 +335,14 @@ class GpsSpikes(FaultTimes):
         default=30.0, gt=0.0, le=1000.0, description="Off by up to so much, north, east or down"
     )
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.position.glitches.spike(self.share, self.size_m)
+
 
 # ---------------------------------------------------------------- ultrasonic
 
 
-class RangeLost(FaultTimes):
+class RangeLost(Fault):
     """It receives no echo, or its line is disconnected."""
 
     kind: Literal["range_lost"]
@@ -193,8 +351,14 @@ class RangeLost(FaultTimes):
         default=False, description="Nothing on the line at all, instead of frames without an echo"
     )
 
+    def apply(self, targets: FaultTargets) -> None:
+        if self.unplugged:
+            targets.rack.range.silent = True
+        else:
+            targets.rack.echo.extra_lost = max(targets.rack.echo.extra_lost, self.share)
 
-class RangeStuck(FaultTimes):
+
+class RangeStuck(Fault):
     """It shows one distance whatever is below: something hangs before it."""
 
     kind: Literal["range_stuck"]
@@ -202,15 +366,21 @@ class RangeStuck(FaultTimes):
         default=None, description="None: the last one it had"
     )
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.echo.stuck, targets.rack.echo.stuck_m = True, self.distance_m
 
-class RangeBiasStep(FaultTimes):
+
+class RangeBiasStep(Fault):
     """It shows too much at once, or too little: air of another temperature, a mount that slipped."""
 
     kind: Literal["range_bias_step"]
     distance_m: float = Field(default=0.1, ge=-2.0, le=2.0, description="Added to every echo")
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.echo.bias_m += self.distance_m
 
-class RangeSpikes(FaultTimes):
+
+class RangeSpikes(Fault):
     """The ultrasonic receives wrong echoes."""
 
     kind: Literal["range_spikes"]
@@ -218,27 +388,36 @@ class RangeSpikes(FaultTimes):
         default=0.3, ge=0.0, le=1.0, description="Share of the pings: an echo from anywhere in between"
     )
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.echo.extra_spikes = max(targets.rack.echo.extra_spikes, self.share)
 
-class RangeOtherEcho(FaultTimes):
+
+class RangeOtherEcho(Fault):
     """Something nearer than the floor answers now and then: a cable, a strap, grass."""
 
     kind: Literal["range_other_echo"]
     distance_m: float = Field(default=0.4, ge=0.0, le=4.5, description="Where it hangs")
     share: Share = Field(default=0.7, description="Share of the pings")
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.rack.echo.other_m, targets.rack.echo.other_share = self.distance_m, self.share
+
 
 # ---------------------------------------------------------------- camera
 
 
-class FrameLate(FaultTimes):
+class FrameLate(Fault):
     """A frame is held up on its way; frames taken after it may overtake it."""
 
     kind: Literal["frame_late"]
     extra_s: float = Field(default=0.25, gt=0.0, le=5.0, description="On top of the camera's own latency")
     every: int = Field(default=10, ge=1, le=1000, description="One frame in so many; 1 is each")
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.frames.late_s, targets.frames.late_every = self.extra_s, self.every
 
-class FrameLost(FaultTimes):
+
+class FrameLost(Fault):
     """Frames do not come."""
 
     kind: Literal["frame_lost"]
@@ -249,100 +428,409 @@ class FrameLost(FaultTimes):
         default=1.0, ge=1.0, le=300.0, description="Frames in a row on average; 1: singly"
     )
 
+    def apply(self, targets: FaultTargets) -> None:
+        if self.share >= targets.frames.lost_share:
+            targets.frames.lost_share, targets.frames.burst_frames = self.share, self.burst_frames
 
-class FrameStuck(FaultTimes):
+
+class FrameStuck(Fault):
     """The same picture comes again and again, with new stamps."""
 
     kind: Literal["frame_stuck"]
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.frames.stuck = True
 
-class FrameGarbled(FaultTimes):
+
+class FrameGarbled(Fault):
     """Frames are garbage from some row on, as of a loose cable."""
 
     kind: Literal["frame_garbled"]
     share: Share = Field(default=0.3, description="Share of the frames")
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.frames.garbled_share = max(targets.frames.garbled_share, self.share)
 
-class FrameBlack(FaultTimes):
+
+class FrameBlack(Fault):
     """Frames come, but black: a cap on the lens."""
 
     kind: Literal["frame_black"]
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.frames.black = True
 
-class FrameGarbage(FaultTimes):
+
+class FrameGarbage(Fault):
     """Every frame is random data."""
 
     kind: Literal["frame_garbage"]
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.frames.garbage = True
 
 
 # ---------------------------------------------------------------- link and motors
 
 
-class LinkBlackout(FaultTimes):
+class LinkBlackout(Fault):
     """Nothing gets through between vehicle and app."""
 
     kind: Literal["link_blackout"]
     way: LinkDirection = Field(default="both", description="Which direction")
 
+    def apply(self, targets: FaultTargets) -> None:
+        for way in targets.ways(self.way):
+            way.cut = True
 
-class LinkLoss(FaultTimes):
+
+class LinkLoss(Fault):
     """Datagrams are lost between vehicle and app."""
 
     kind: Literal["link_loss"]
     share: Share = Field(default=0.5, description="Share of the datagrams")
     way: LinkDirection = Field(default="both", description="Which direction")
 
+    def apply(self, targets: FaultTargets) -> None:
+        for way in targets.ways(self.way):
+            way.extra_loss = max(way.extra_loss, self.share)
 
-class LinkDelay(FaultTimes):
+
+class LinkDelay(Fault):
     """Datagrams come late, in their order."""
 
     kind: Literal["link_delay"]
     extra_s: float = Field(default=0.5, gt=0.0, le=10.0, description="On top of the line's own delay")
     way: LinkDirection = Field(default="both", description="Which direction")
 
+    def apply(self, targets: FaultTargets) -> None:
+        for way in targets.ways(self.way):
+            way.extra_delay_s += self.extra_s
 
-class MotorWeak(FaultTimes):
+
+class MotorWeak(Fault):
     """A motor gives less thrust than commanded; all of them: the battery's voltage sags."""
 
     kind: Literal["motor_weak"]
-    motor: Literal[1, 2, 3, 4, "all"] = Field(default=1, description="1 front, 2 right, 3 back, 4 left")
+    motor: Literal[1, 2, 3, 4, 5, 6, 7, 8, "all"] = Field(
+        default=1, description="From the front clockwise; of four: 1 front, 2 right, 3 back, 4 left"
+    )
     thrust_factor: float = Field(default=0.85, ge=0.0, le=1.0, description="What is left of its thrust")
 
+    def apply(self, targets: FaultTargets) -> None:
+        targets.motors.weaken(None if self.motor == "all" else self.motor, self.thrust_factor)
 
-Fault = (
-    ImuLost
-    | ImuBusError
-    | ImuStuck
-    | ImuSaturated
-    | GyroBiasStep
-    | GyroSpikes
-    | AccelBiasStep
-    | AccelSpikes
-    | AccelClips
-    | ImuTurned
-    | Vibration
-    | MagLost
-    | MagStuck
-    | MagDisturbed
-    | MagSpikes
-    | GpsLost
-    | GpsStuck
-    | GpsJump
-    | GpsSpikes
-    | RangeLost
-    | RangeStuck
-    | RangeBiasStep
-    | RangeSpikes
-    | RangeOtherEcho
-    | FrameLate
-    | FrameLost
-    | FrameStuck
-    | FrameGarbled
-    | FrameBlack
-    | FrameGarbage
-    | LinkBlackout
-    | LinkLoss
-    | LinkDelay
-    | MotorWeak
-    | NonSensorFault
-)
+
+# ---------------------------------------------------------------- the pad
+
+
+class PadCovered(Fault):
+    """A tarpaulin lies over the markers; the board is still there."""
+
+    kind: Literal["pad_covered"]
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.camera.cover()
+
+
+class PadWrongIds(Fault):
+    """The board shows other markers than the pad's: another pad."""
+
+    kind: Literal["pad_wrong_ids"]
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.camera.show_other_ids()
+
+
+class PadResized(Fault):
+    """The pad is printed larger or smaller than its file says, as A3 on A4."""
+
+    kind: Literal["pad_resized"]
+    scale: float = Field(default=0.71, ge=0.2, le=3.0, description="Factor on all lengths of the print")
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.camera.print_scale = self.scale
+
+
+class PadTwin(Fault):
+    """A second, identical pad is in view. It is a picture alone: nothing can stand on it."""
+
+    kind: Literal["pad_twin"]
+    north_m: float = Field(
+        default=0.0, ge=-50.0, le=50.0, description="North, from the pad's centre to its twin's"
+    )
+    east_m: float = Field(default=2.0, ge=-50.0, le=50.0, description="East, from the same point")
+    moves: bool = Field(
+        default=True, description="With the pad; else it rests on the ground from where the pad was"
+    )
+
+    def begin(self, targets: FaultTargets, now_s: float) -> None:
+        north, east, _ = targets.motion.beacon_at(now_s).position_ned_m
+        left = (north + self.north_m, east + self.east_m, -TWIN_HEIGHT_M)
+
+        def beside(pad_ned_m: Vector3) -> Vector3:
+            return (pad_ned_m[0] + self.north_m, pad_ned_m[1] + self.east_m, pad_ned_m[2])
+
+        targets.camera.twin_ned_m = beside if self.moves else lambda _pad_ned_m: left
+
+    def end(self, targets: FaultTargets, now_s: float) -> None:
+        targets.camera.twin_ned_m = None
+
+
+class _PadDrives(Fault):
+    """The pad's drive changes; in the end it goes on as fast as before, straight on."""
+
+    def end(self, targets: FaultTargets, now_s: float) -> None:
+        targets.motion.drive(now_s, targets.motion.usual_m_s, RESUMES_M_S2)
+
+
+class PadStops(_PadDrives):
+    """The pad stands still at once, as against a kerb; at the end of the fault it goes on."""
+
+    kind: Literal["pad_stops"]
+
+    def begin(self, targets: FaultTargets, now_s: float) -> None:
+        targets.motion.drive(now_s, 0.0)
+
+
+class PadBrakes(_PadDrives):
+    """The pad brakes to a standstill, straight on; at the end of the fault it goes on."""
+
+    kind: Literal["pad_brakes"]
+    deceleration_m_s2: float = Field(default=3.0, gt=0.0, le=20.0, description="Deceleration until it stands")
+
+    def begin(self, targets: FaultTargets, now_s: float) -> None:
+        targets.motion.drive(now_s, 0.0, self.deceleration_m_s2)
+
+
+class PadTurnsBack(_PadDrives):
+    """The pad brakes and drives back the way it came."""
+
+    kind: Literal["pad_turns_back"]
+    acceleration_m_s2: float = Field(default=2.0, gt=0.0, le=20.0, description="Backwards")
+
+    def begin(self, targets: FaultTargets, now_s: float) -> None:
+        targets.motion.turn_back(now_s, self.acceleration_m_s2)
+
+
+class PadLeaves(_PadDrives):
+    """The pad drives away, straight on."""
+
+    kind: Literal["pad_leaves"]
+    speed_m_s: float = Field(default=6.0, gt=0.0, le=30.0, description="At last")
+    acceleration_m_s2: float = Field(default=2.0, gt=0.0, le=20.0, description="Up to it")
+
+    def begin(self, targets: FaultTargets, now_s: float) -> None:
+        targets.motion.drive(now_s, self.speed_m_s, self.acceleration_m_s2)
+
+
+class PadVanishes(Fault):
+    """The pad is gone: neither to be seen nor to be stood on. Its beacon stays where it was."""
+
+    kind: Literal["pad_vanishes"]
+
+    def begin(self, targets: FaultTargets, now_s: float) -> None:
+        targets.motion.vanish(now_s)
+
+    def end(self, targets: FaultTargets, now_s: float) -> None:
+        targets.motion.appear()
+
+
+class PadTilts(Fault):
+    """The pad tilts, as on a vehicle that drives on to a kerb."""
+
+    kind: Literal["pad_tilts"]
+    roll_deg: float = Field(default=15.0, ge=-45.0, le=45.0, description="About its heading")
+    rate_deg_s: float = Field(default=15.0, gt=0.0, le=360.0, description="Rate of tilting")
+
+    def begin(self, targets: FaultTargets, now_s: float) -> None:
+        targets.motion.tilt(now_s, math.radians(self.roll_deg), math.radians(self.rate_deg_s))
+
+    def end(self, targets: FaultTargets, now_s: float) -> None:
+        targets.motion.tilt(now_s, 0.0, math.radians(self.rate_deg_s))
+
+
+# ---------------------------------------------------------------- the autopilot
+
+
+class AutopilotRefuses(AutopilotFault):
+    """It denies a request, with or without force. `auto_disarm`: it does not disarm by itself either."""
+
+    kind: Literal["autopilot_refuses"]
+    what: Literal["arm", "take_off", "offboard", "land", "disarm", "auto_disarm"] = Field(
+        description="Which request"
+    )
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.bundled.refused |= {self.what}
+
+
+class PilotMode(AutopilotFault):
+    """The pilot changes the mode, once."""
+
+    kind: Literal["pilot_mode"]
+    mode: Literal["position", "hold", "return", "land"] = Field(
+        default="position", description="Mode, as the autopilot calls it"
+    )
+
+    def chosen(self, profile: AutopilotProfile) -> str:
+        """What an autopilot calls the mode."""
+        position = "POSCTL" if profile.name == "px4" else "LOITER"
+        modes = {"position": position, "hold": profile.hold_mode, "return": profile.return_mode}
+        return modes.get(self.mode, profile.land_mode)
+
+    def begin(self, targets: FaultTargets, now_s: float) -> None:
+        targets.bundled.set_mode_named(self.chosen(targets.bundled.profile))
+
+
+class AutopilotReboots(AutopilotFault):
+    """A watchdog's reset in flight: silence, then a new boot time, its hold mode, its default streams.
+
+    The motors stay on, as ArduPilot's in-flight recovery keeps them.
+    """
+
+    kind: Literal["autopilot_reboots"]
+    silent_s: float = Field(default=2.0, gt=0.0, le=60.0, description="Nothing is sent or taken")
+
+    @property
+    def lasts_s(self) -> float:
+        """It is silent no longer than that."""
+        return min(self.duration_s, self.silent_s)
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.to_app.cut = targets.to_vehicle.cut = True
+
+    def begin(self, targets: FaultTargets, now_s: float) -> None:
+        targets.bundled.recover(now_s)
+        targets.restart_streams()
+
+
+class AutopilotDisarms(AutopilotFault):
+    """Its motors stop wherever it is: the pilot's switch, or a land detector that errs."""
+
+    kind: Literal["autopilot_disarms"]
+
+    def begin(self, targets: FaultTargets, now_s: float) -> None:
+        targets.bundled.terminate()
+
+
+class AutopilotPositionLost(AutopilotFault):
+    """Its estimator gives no position: none is sent, and it says so. It flies on as it did."""
+
+    kind: Literal["autopilot_position_lost"]
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.bundled.position_lost = True
+
+
+class BatteryCharge(AutopilotFault):
+    """The battery's remaining charge, as reported in SYS_STATUS and BATTERY_STATUS."""
+
+    kind: Literal["battery"]
+    remaining_percent: int = Field(default=15, ge=-1, le=100, description="-1: the autopilot does not know")
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.bundled.battery.false_share = 0.01 * self.remaining_percent
+
+
+class FollowMe(Fault):
+    """The ground station sends its operator's place as FOLLOW_TARGET, unasked, as QGroundControl does."""
+
+    kind: Literal["follow_me"]
+    north_m: float = Field(default=20.0, ge=-500.0, le=500.0, description="Where the operator is, from home")
+    east_m: float = Field(default=-15.0, ge=-500.0, le=500.0, description="East, from the same point")
+    rate_hz: float = Field(default=1.0, gt=0.0, le=10.0, description="How often it is sent")
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.station.follow((self.north_m, self.east_m, 0.0), self.rate_hz)
+
+
+class SecondCompanion(AutopilotFault):
+    """A duplicate of the companion, under another component id, sends setpoints too: stand still."""
+
+    kind: Literal["second_companion"]
+    component_id: int = Field(default=196, ge=1, le=255, description="Component of the vehicle's system")
+    rate_hz: float = Field(default=10.0, gt=0.0, le=50.0, description="How often it sends one")
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.station.second_companion(self.component_id, self.rate_hz)
+
+
+class ForgedFrames(Fault):
+    """Somebody without the key sends frames in the autopilot's name, with the largest time stamp there is."""
+
+    kind: Literal["forged_frames"]
+    rate_hz: float = Field(default=1.0, gt=0.0, le=50.0, description="How often one is sent")
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.station.forge(self.rate_hz)
+
+
+# ---------------------------------------------------------------- the companion computer
+
+
+class ImuNan(ComputerFault):
+    """The IMU's driver hands on samples that are no numbers."""
+
+    kind: Literal["imu_nan"]
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.host.imu_nan = True
+
+
+class SolverInfeasible(ComputerFault):
+    """The MPC finds no solution."""
+
+    kind: Literal["solver_infeasible"]
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.host.solver = "infeasible"
+
+
+class SolverLate(ComputerFault):
+    """The MPC's time is up before it has found its solution, in each cycle."""
+
+    kind: Literal["solver_late"]
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.host.solver = "late"
+
+
+class SolverNan(ComputerFault):
+    """The MPC's solution is no number, and it says that it solved."""
+
+    kind: Literal["solver_nan"]
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.host.solver = "nan"
+
+
+class DiskFull(ComputerFault):
+    """Nothing more can be written to the log's disk."""
+
+    kind: Literal["disk_full"]
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.host.disk_full = True
+
+
+class DiskSlow(ComputerFault):
+    """Every write to the log's disk takes long."""
+
+    kind: Literal["disk_slow"]
+    write_s: float = Field(default=0.02, gt=0.0, le=10.0, description="Each, by the clock on the wall")
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.host.disk_write_s = self.write_s
+
+
+def _kinds() -> tuple[type[Fault], ...]:
+    """All of the above that a scenario can name."""
+    classes = [each for each in globals().values() if inspect.isclass(each) and issubclass(each, Fault)]
+    return tuple(each for each in classes if "kind" in each.__annotations__ and each.__subclasses__() == [])
+
+
+if TYPE_CHECKING:
+    AnyFault = Fault
+else:
+    AnyFault = Union[_kinds()]  # noqa: UP007 - of a tuple

@@ -7,13 +7,53 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
-from sitl.faults import faults
-from sitl.faults.injection import INJECT, FaultTargets
-from sitl.faults.non_sensor_injection import BEGIN, END, NonSensorTargets
-from sitl.faults.times import FaultTimes
-from sitl.mavlink.status_text_monitor import StatusTextMonitor
+from sitl.faults.faults import Fault
+from sitl.faults.targets import FaultTargets
+from sitl.mavlink.framing import FrameReader, MavFrame, dialect
+
+# ---------------------------------------------------------------- status text monitor
+# What the app says, heard on its line: STATUSTEXT, the phases and the first sighting in it. Sans I/O.
+#
+# A fault can begin by it, and a judge of the flight reads it. Only what the app says to everybody is heard.
+
+
+class StatusTextMonitor:
+    """Collects an app's texts. The bytes are whole frames."""
+
+    def __init__(self) -> None:
+        self.texts: list[AppText] = []
+        self.phase_began_s: dict[str, float] = {}
+        self.sighted_s: float | None = None
+        self._reader = FrameReader(datagrams=True)
+        self._decoder = mavlink.MAVLink(None)
+        self._chunks: dict[int, list[str]] = {}
+
+    def hear(self, data: bytes, now_s: float) -> None:
+        """Take bytes that the app has just sent."""
+        for frame in self._reader.read(data, now_s):
+            if frame.message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
+                self._take(frame, now_s)
+
+    def _take(self, frame: MavFrame, now_s: float) -> None:
+        message = self._decoder.decode(bytearray(frame.data))
+        words = str(message.text)
+        if message.id != 0:
+            self._chunks.setdefault(message.id, []).append(words)
+            if len(words.encode("utf-8", "replace")) >= _WHOLE_CHUNK_BYTES:
+                return
+            words = "".join(self._chunks.pop(message.id))
+        self._note(AppText(now_s, int(message.severity), words))
+
+    def _note(self, said: AppText) -> None:
+        self.texts.append(said)
+        phase, colon, rest = said.text.partition(": ")
+        if not colon:
+            return
+        self.phase_began_s.setdefault(phase, said.time_s)
+        if self.sighted_s is None and rest.startswith(_SIGHTING):
+            self.sighted_s = said.time_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +63,7 @@ class Moments:
     words: StatusTextMonitor = field(default_factory=StatusTextMonitor)
     feet_over_pad_m: Callable[[], float | None] = field(default=lambda: None)
 
-    def happened_s(self, fault: FaultTimes, now_s: float) -> float | None:
+    def happened_s(self, fault: Fault, now_s: float) -> float | None:
         """Since when what the fault waits for has been so (s); None: it has not yet."""
         if fault.start_s is not None:
             return fault.start_s
@@ -51,9 +91,7 @@ class Schedule(Protocol):
 class FaultSchedule:
     """Begins and ends the faults."""
 
-    def __init__(
-        self, plan: Sequence[faults.Fault], targets: FaultTargets, moments: Moments | None = None
-    ) -> None:
+    def __init__(self, plan: Sequence[Fault], targets: FaultTargets, moments: Moments | None = None) -> None:
         """Ready at time 0.
 
         Raises:
@@ -62,10 +100,10 @@ class FaultSchedule:
         self._targets = targets
         self._moments = moments or Moments()
         self._waiting = list(plan)
-        self._due: list[tuple[float, faults.Fault]] = []
-        self._present: list[tuple[float, faults.Fault]] = []  # until when, in the order of their beginnings
-        if targets.non_sensor is not None:
-            targets.non_sensor.check({fault.kind for fault in plan})
+        self._due: list[tuple[float, Fault]] = []
+        self._present: list[tuple[float, Fault]] = []  # until when, in the order of their beginnings
+        for fault in plan:
+            fault.check(targets)
 
     @property
     def all_begun(self) -> bool:
@@ -92,9 +130,11 @@ class FaultSchedule:
         self._present += [(until_s[id(fault)], fault) for fault in begun]
         self._targets.clear_faults()
         for _, fault in self._present:
-            if fault.kind in INJECT:
-                INJECT[fault.kind](fault, self._targets)
-        self._happen(begun, ended, now_s)
+            fault.apply(self._targets)
+        for fault in ended:
+            fault.end(self._targets, now_s)
+        for fault in begun:
+            fault.begin(self._targets, now_s)
 
     def _look(self, now_s: float) -> None:
         """Note the time at which each fault begins, once that is known."""
@@ -104,11 +144,16 @@ class FaultSchedule:
                 self._waiting.remove(fault)
                 self._due.append((since_s + fault.delay_s, fault))
 
-    def _happen(self, begun: list[faults.Fault], ended: list[faults.Fault], now_s: float) -> None:
-        non_sensor: NonSensorTargets | None = self._targets.non_sensor
-        if non_sensor is None:
-            return
-        for table, those in ((END, ended), (BEGIN, begun)):
-            for fault in those:
-                if fault.kind in table:
-                    table[fault.kind](fault, non_sensor, now_s)
+
+mavlink: Any = dialect
+
+_WHOLE_CHUNK_BYTES: Final = 50
+_SIGHTING: Final = "pad seen"
+
+
+class AppText(NamedTuple):
+    """One text: when (s of the simulation), MAV_SEVERITY, and the words."""
+
+    time_s: float
+    severity: int
+    text: str

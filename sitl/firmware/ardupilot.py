@@ -16,8 +16,8 @@ from typing import Final
 from companion.base.clock import wall_clock_s
 from companion.base.geometry import Vector3
 from companion.config import ConfigError
+from sitl.firmware import FirmwareError
 from sitl.firmware.base import ANSWER_S, Moment, Setup
-from sitl.firmware.errors import FirmwareError
 from sitl.firmware.process import (
     INSTANCES,
     LOOK_S,
@@ -27,7 +27,7 @@ from sitl.firmware.process import (
     is_free,
 )
 from sitl.firmware.spec import FirmwareSpec, number_text
-from sitl.vehicle.quadrotor import Four
+from sitl.vehicle.rotors import RotorValues
 
 # magic, frame rate (Hz), frame count, 16 pulses (us); ArduPilot's SIM_JSON documentation
 PULSES: Final = struct.Struct("<HHI16H")
@@ -54,7 +54,7 @@ class ArduPilot:
         """
         self._peer: tuple[str, int] | None = None
         self._frame = -1
-        self._motors: Four = (0.0, 0.0, 0.0, 0.0)
+        self._motors: RotorValues = (0.0, 0.0, 0.0, 0.0)
         with ExitStack() as opened:
             self._process = opened.enter_context(closing(Process("arducopter")))
             self._link, instance = _free_instance()
@@ -72,7 +72,7 @@ class ArduPilot:
                 raise ConfigError(str(error)) from error
             self._opened = opened.pop_all()
 
-    def step(self, moment: Moment) -> Four:
+    def step(self, moment: Moment) -> RotorValues:
         """See `Firmware`."""
         assert self._peer is not None
         for frame in range(FRAMES_PER_STEP):

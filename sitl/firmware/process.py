@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, Final
 
 from companion.config import ConfigError
-from sitl.firmware.errors import FirmwareError
+from sitl.firmware import FirmwareError
 
 LOOPBACK: Final = "127.0.0.1"
 INSTANCES: Final = 10  # PX4 gives further ones a shared port

@@ -19,9 +19,8 @@ from companion.base.clock import wall_clock_s
 from companion.base.geometry import scale
 from companion.config import ConfigError
 from sitl.devices.neo6m import UNIX_AT_START_S
-from sitl.firmware.barometer import Barometer, pressure_hpa
-from sitl.firmware.base import ANSWER_S, Moment, Setup
-from sitl.firmware.errors import FirmwareError
+from sitl.firmware import FirmwareError
+from sitl.firmware.base import ANSWER_S, Barometer, Moment, Setup, pressure_hpa
 from sitl.firmware.process import (
     INSTANCES,
     LAST_S,
@@ -33,7 +32,7 @@ from sitl.firmware.process import (
 )
 from sitl.firmware.spec import FirmwareSpec, number_text
 from sitl.mavlink.framing import FrameReader, dialect
-from sitl.vehicle.quadrotor import Four
+from sitl.vehicle.rotors import RotorValues
 
 mavlink: Any = dialect
 
@@ -52,7 +51,7 @@ _IMU: Final = 0b111_111
 _MAG: Final = 0b111_000_000
 _BARO: Final = 0b1_1010_0000_0000
 _FIX_3D: Final = 3
-_OFF: Four = (0.0, 0.0, 0.0, 0.0)
+_OFF: RotorValues = (0.0, 0.0, 0.0, 0.0)
 
 
 class Px4:
@@ -81,7 +80,7 @@ class Px4:
                 self._socket = opened.enter_context(self._accept(server))
             self._opened = opened.pop_all()
 
-    def step(self, moment: Moment) -> Four:
+    def step(self, moment: Moment) -> RotorValues:
         """See `Firmware`."""
         time_us = round(moment.clock_s * 1e6)
         try:

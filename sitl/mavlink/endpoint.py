@@ -15,18 +15,16 @@ from functools import partial
 from typing import Any, Final
 
 from companion.base.geometry import ZERO3, Vector3
-from sitl.autopilot import Severity, SimulatedAutopilot, StreamedAttitude, StreamedMotion
-from sitl.mavlink import pilot_inputs
-from sitl.mavlink.commands import execute, request_from_message
-from sitl.mavlink.framing import FrameReader, MavFrame, dialect, number
-from sitl.mavlink.protocols import file_protocols
+from sitl.autopilot.control.setpoints import StreamedAttitude, StreamedMotion
+from sitl.autopilot.flight.autopilot import SimulatedAutopilot
+from sitl.autopilot.flight.modes import Severity
+from sitl.mavlink.commands import PILOT_INPUTS, execute, request_from_message
+from sitl.mavlink.framing import FrameReader, MavFrame, Signing, dialect, number
 from sitl.mavlink.protocols.mission_protocol import MissionProtocol
-from sitl.mavlink.protocols.parameter_protocol import ParameterProtocol
-from sitl.mavlink.sensor_telemetry import SensorMessages
-from sitl.mavlink.signing import Signing
+from sitl.mavlink.protocols.parameter_protocol import ANSWERS, ParameterProtocol
+from sitl.mavlink.sensor_telemetry import SensorMessages, TruthMessages
 from sitl.mavlink.streams import Streams, grouped_messages
 from sitl.mavlink.telemetry import Message, builders_of
-from sitl.mavlink.truth_telemetry import TruthMessages
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 
 mavlink: Any = dialect
@@ -87,9 +85,9 @@ class MavlinkEndpoint:
         for protocol in (self._parameters, self._mission):
             for message_id in protocol.message_ids:
                 self._handlers[message_id] = partial(self._answer_by, protocol)
-        for message_id, handler in pilot_inputs.HANDLERS.items():
+        for message_id, handler in PILOT_INPUTS.items():
             self._handlers[message_id] = partial(handler, autopilot)
-        for message_id, answer in file_protocols.ANSWERS.items():
+        for message_id, answer in ANSWERS.items():
             self._handlers[message_id] = partial(self._answer_with, answer)
 
     def restart(self) -> None:

@@ -8,15 +8,16 @@ by a constant and a little noise. `position_cov` holds standard deviations (eph,
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 
 from companion.base.geometry import ZERO3, Vector3, geodetic_from_ned
-from sitl.mavlink.framing import FrameReader, MavFrame, dialect
-from sitl.mavlink.intruders import Intruder
-from sitl.mavlink.signing import Signing
+from sitl.mavlink.framing import FrameReader, MavFrame, Signing, dialect
 from sitl.scenario.scenario import BeaconSettings
+
+# ---------------------------------------------------------------- intruders
+# Whoever else sends on the vehicle's link: a second companion, and somebody without the key. Sans I/O.
 
 mavlink: Any = dialect
 
@@ -85,6 +86,14 @@ class GroundStation:
     def follow(self, operator_ned_m: Vector3, rate_hz: float) -> None:
         """Send the operator's place (NED from home), unasked."""
         self._operator = (operator_ned_m, 1.0 / rate_hz)
+
+    def second_companion(self, component_id: int, rate_hz: float) -> None:
+        """Somebody who tells the vehicle to stand still, as often as a companion does."""
+        self.intruders["setpoints"] = Companion(component_id, 1.0 / rate_hz)
+
+    def forge(self, rate_hz: float) -> None:
+        """Somebody without the key, in the vehicle's name."""
+        self.intruders["forged"] = Forger(1.0 / rate_hz)
 
     @classmethod
     def of(
@@ -198,3 +207,63 @@ class GroundStation:
 def _is_addressed(target: tuple[int, int]) -> bool:
     system, component = target
     return system == SYSTEM_ID and component in (0, COMPONENT_ID)
+
+
+_VEHICLE: Final = (1, 1)
+_WRONG_KEY: Final = b"not the key of this vehicle, 32b."[:32]
+_LATEST_STAMP: Final = (1 << 48) - 256  # the packer counts on from it
+_VELOCITY_ALONE: Final = 0b0000_1101_1100_0111  # of a setpoint's mask: what is ignored
+
+
+class Intruder(Protocol):
+    """Somebody on the link."""
+
+    def due(self, now_s: float) -> bytes:
+        """A frame, when one is due."""
+        ...
+
+
+class Companion:
+    """Tells the vehicle to stand still, in its own name, as often as a companion does."""
+
+    def __init__(self, component_id: int, period_s: float) -> None:
+        self._mav = mavlink.MAVLink(None, srcSystem=_VEHICLE[0], srcComponent=component_id)
+        self._period_s, self._due_s = period_s, -math.inf
+
+    def due(self, now_s: float) -> bytes:
+        """See `Intruder`."""
+        if now_s < self._due_s:
+            return b""
+        self._due_s = now_s + self._period_s
+        message = mavlink.MAVLink_set_position_target_local_ned_message(
+            max(0, round(now_s * 1e3)), *_VEHICLE, mavlink.MAV_FRAME_LOCAL_NED, _VELOCITY_ALONE,
+            0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+        )  # fmt: skip
+        return _packed(self._mav, message)
+
+
+class Forger:
+    """Sends heartbeats as the vehicle's, signed with another key, from the end of time."""
+
+    def __init__(self, period_s: float) -> None:
+        self._mav = mavlink.MAVLink(None, srcSystem=_VEHICLE[0], srcComponent=_VEHICLE[1])
+        self._mav.signing.secret_key, self._mav.signing.sign_outgoing = _WRONG_KEY, True
+        self._mav.signing.timestamp = _LATEST_STAMP
+        self._period_s, self._due_s = period_s, -math.inf
+
+    def due(self, now_s: float) -> bytes:
+        """See `Intruder`."""
+        if now_s < self._due_s:
+            return b""
+        self._due_s = now_s + self._period_s
+        message = mavlink.MAVLink_heartbeat_message(
+            mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, 0, 0, mavlink.MAV_STATE_STANDBY, 3
+        )
+        self._mav.signing.timestamp = _LATEST_STAMP
+        return _packed(self._mav, message)
+
+
+def _packed(mav: Any, message: Any) -> bytes:
+    packed = bytes(message.pack(mav))
+    mav.seq = (mav.seq + 1) % 256
+    return packed

@@ -11,12 +11,11 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from companion.base.geometry import Vector3
-from sitl.autopilot import SimulatedAutopilot
+from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
-from sitl.mavlink.framing import FrameReader, MavFrame, dialect
+from sitl.mavlink.framing import FrameReader, MavFrame, Signing, dialect
 from sitl.mavlink.ground_station import GroundStation
-from sitl.mavlink.signing import Signing
-from sitl.mavlink.truth_telemetry import TruthMessages
+from sitl.mavlink.sensor_telemetry import TruthMessages
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 
 mavlink: Any = dialect

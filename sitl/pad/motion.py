@@ -3,6 +3,12 @@
 NED, SI; headings clockwise from north. A path starts anywhere; it is then shifted so that the pad is at a
 meeting point at a meeting time, where the mission looks for it, give or take a seeded spread. What is
 "random" is drawn from the generator handed in, so a seed gives one motion.
+
+Sea motion of a deck, in addition to its path: heave, roll and pitch, each a sum of waves.
+
+SI; roll and pitch are the deck's own (aerospace angles after its heading), about the pad's centre. The waves
+of each share a Pierson-Moskowitz spectrum's energy equally. "Significant" is the mean of the highest third of
+the swings from one side to the other, 4 standard deviations, as with the height of waves.
 """
 
 from __future__ import annotations
@@ -14,18 +20,20 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from companion.base.geometry import Vector3, add, cross, subtract, wrap_angle
-from sitl.pad.curves import Path
-from sitl.pad.driven_paths import RandomTurnsMotion, WaypointsMotion
 from sitl.pad.paths import (
     CircleMotion,
+    DeckMotion,
+    DeckSettings,
     FigureEightMotion,
     Heading,
     HeaveMotion,
     LineMotion,
+    Path,
+    RandomTurnsMotion,
     StaticMotion,
+    WaypointsMotion,
     drawn_angle,
 )
-from sitl.pad.sea import DeckMotion, DeckSettings
 
 CLEAR_OF_HOME_M: Final = 3.0
 TRIES: Final = 50

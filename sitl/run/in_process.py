@@ -23,7 +23,7 @@ from typing import Any, Final, Generic, TypeVar
 from companion.base.messages import Frame
 from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.ports import AppEnd, MemoryPort
-from sitl.faults.computer import ComputerFaults
+from sitl.faults.targets import ComputerFaults
 from sitl.firmware.spec import FirmwareSpec
 from sitl.run.mavlink_line import ByteLink
 from sitl.run.simulation import Simulation

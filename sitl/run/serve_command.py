@@ -7,13 +7,13 @@ from pathlib import Path
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.signals import run_until_stopped, signals_held_back
-from sitl.external.server import serve_external
+from sitl.external.session import serve_external
 from sitl.firmware.spec import FirmwareSpec
-from sitl.mavlink.signing import read_key
+from sitl.mavlink.framing import read_key
 from sitl.run.process_control import socket_folder, terminated_as_interrupted
 from sitl.run.server import Service, serve, serve_child
-from sitl.scenario.app_settings import signed
 from sitl.scenario.home import read_home
+from sitl.scenario.listing import signed
 from sitl.scenario.scenario import load_scenario
 
 

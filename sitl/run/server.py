@@ -23,16 +23,15 @@ from typing import Any, Final
 from companion.base.clock import Clock, start_unix_s
 from companion.base.files import write_atomically
 from companion.base.signals import stopping_on_signals
-from sitl.camera.frame_server import FrameServer
+from sitl.commands import COMPANION_PORT, GROUND_PORT, LOOPBACK, TCP_PORT
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import PtyPort
-from sitl.devices.register_server import serve_registers
+from sitl.devices.socket_servers import FrameServer, serve_registers
 from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.links import TcpServer, UdpServer
-from sitl.run.port_options import COMPANION_PORT, GROUND_PORT, LOOPBACK, TCP_PORT
 from sitl.run.process_control import final_phase, print_json, run_until_finished
 from sitl.run.simulation import Simulation
-from sitl.scenario.app_settings import settings_text
+from sitl.scenario.listing import app_settings_text
 from sitl.scenario.scenario import Scenario
 from sitl.vehicle.hand_motion import HandMotion
 
@@ -102,7 +101,7 @@ async def serve(
         own = (companion_port, ground_port, tcp_port)
         if settings_path is not None:
             connection = f"udp:{LOOPBACK}:{companion_port}"
-            write_atomically(settings_path, settings_text(scenario, connection, devices.settings))
+            write_atomically(settings_path, app_settings_text(scenario, connection, devices.settings))
         with _running(devices.simulation) as flying:
             print(_greeting(scenario, seed, service, own, devices.settings, motion), flush=True)
             if settings_path is not None:

@@ -20,25 +20,22 @@ from companion.base.clock import Clock
 from companion.base.geometry import ZERO3, Vector3
 from companion.base.messages import Frame, Phase, Truth
 from companion.config import ConfigError, VehicleConfig, find_file, load_model
-from companion.pad import load_pad
-from sitl.autopilot import ESTIMATORS, PROFILES, SimulatedAutopilot
+from sitl.autopilot.control.estimator import ESTIMATORS
+from sitl.autopilot.flight.autopilot import PROFILES, SimulatedAutopilot
 from sitl.camera.frame_line import FrameLine
 from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import DevicePort
-from sitl.faults.computer import ComputerFaults
 from sitl.faults.faults import Fault
-from sitl.faults.injection import FaultTargets
-from sitl.faults.non_sensor_injection import NonSensorTargets
-from sitl.faults.schedule import FaultSchedule, Moments, Schedule
-from sitl.firmware.errors import FirmwareError
+from sitl.faults.schedule import FaultSchedule, Moments, Schedule, StatusTextMonitor
+from sitl.faults.targets import ComputerFaults, FaultTargets
+from sitl.firmware import FirmwareError
 from sitl.firmware.spec import FirmwareSpec
 from sitl.firmware.vehicle import IMU_FILTER, FirmwareVehicle
+from sitl.mavlink.framing import Signing
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.network import Network
-from sitl.mavlink.signing import Signing
-from sitl.mavlink.status_text_monitor import StatusTextMonitor
-from sitl.mavlink.truth_telemetry import TruthMessages
+from sitl.mavlink.sensor_telemetry import TruthMessages
 from sitl.run.mavlink_line import ByteLink, MavlinkLine, VehicleNetwork
 from sitl.run.process_control import interrupted_at_once
 from sitl.run.report import SimulationReport
@@ -48,13 +45,11 @@ from sitl.run.tick_timer import TickTimer
 from sitl.scenario.home import magnetic_field_ned_ut
 from sitl.scenario.scenario import Scenario
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
-from sitl.sensors.calibration_errors import BoardTruth
-from sitl.sensors.sensors import RangeErrors
+from sitl.sensors.sensors import BoardTruth, RangeErrors
 from sitl.vehicle.hand_motion import HandMotion
-from sitl.world.firm_ground import FirmGroundWorld
 from sitl.world.hand_held import HandHeldWorld
 from sitl.world.score import judge
-from sitl.world.world import World
+from sitl.world.world import FirmGroundWorld, World
 
 PHYSICS_STEP_S: Final = 1.0 / 400.0
 STEPS_PER_TICK: Final = 2
@@ -278,17 +273,20 @@ class Simulation:
     def _targets(self, sensors: SimulatedAutopilotSensors, computer: ComputerFaults | None) -> FaultTargets:
         world, line, network = self._world, self.line, self.line.network
         autopilot = self._flight_controller
-        non_sensor = NonSensorTargets(
+        return FaultTargets(
+            self._rack,
+            sensors,
+            self._frame_line,
+            world.motors,
+            line.to_app,
+            line.to_vehicle,
             self._camera.model,
-            world.built.pad(load_pad(self._scenario.pad.name)),
             world.pad_motion,
+            self._station,
             autopilot if isinstance(autopilot, SimulatedAutopilot) else None,
             network.restart if isinstance(network, Network) else lambda: None,
             computer,
-            self._station,
         )
-        devices = (self._rack, sensors, self._frame_line, world.motors, line.to_app, line.to_vehicle)
-        return FaultTargets(*devices, non_sensor)
 
     # ------------------------------------------------------------ one tick
 
@@ -307,10 +305,10 @@ class Simulation:
     def _step_physics(self) -> None:
         world = self._world
         motors = self._autopilot_sensors.motors = self._flight_controller.step(
-            world.motion(), PHYSICS_STEP_S, world.time_s
+            world.state, PHYSICS_STEP_S, world.time_s
         )
         world.step(motors, PHYSICS_STEP_S)
-        state, throttle = world.state, 0.25 * sum(motors)
+        state, throttle = world.state, sum(motors) / len(motors)
         if self._timer.count % RANGE_EVERY_TICKS == 0:
             self._range_finder = world.ranging(self._vehicle.range_position_body_m, HALF_BEAM_RAD)
         self.faults.step(world.time_s)

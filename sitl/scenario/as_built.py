@@ -84,7 +84,7 @@ class BuiltVehicle:
             update={
                 "mass_kg": mass_kg,
                 "inertia_kg_m2": (x, y, z),
-                "max_thrust_n": 0.25 * mass_kg * GRAVITY_M_S2 / share,
+                "max_thrust_n": mass_kg * GRAVITY_M_S2 / believed.layout.count / share,
             }
         )
 
@@ -102,7 +102,7 @@ class BuiltVehicle:
         rotor's thrust over its command, at hover."""
         if (self.mass, self.hover_thrust, self.thrust_exponent) == (1.0, 1.0, 1.0):
             return 1.0
-        weight_n = 0.25 * self.mass * believed.mass_kg * GRAVITY_M_S2
+        weight_n = self.mass * believed.mass_kg * GRAVITY_M_S2 / believed.layout.count
         slope_n = self.thrust_exponent * weight_n / self._hover_command(believed)
         return believed.max_thrust_n / slope_n
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from textwrap import wrap
-from typing import Final
+from typing import Any, Final
 
 import yaml
 
-from companion.config import CONFIG_FOLDER
+from companion.config import CONFIG_FOLDER, merge
 from sitl.pad.motion import PadMotionSettings
 from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.world.wind import WindSettings
@@ -54,6 +55,10 @@ def _wide(scenarios: Sequence[Scenario]) -> str:
     )
 
 
+# ---------------------------------------------------------------- app settings
+# The app's settings for a served vehicle, as a file for `--config`.
+
+
 def settings_text(scenario: Scenario) -> str:
     """Everything a scenario sets, defaults included, as YAML that can be read again."""
     return yaml.safe_dump(
@@ -96,3 +101,36 @@ def wind_words(wind: WindSettings) -> str:
 def fault_words(scenario: Scenario) -> str:
     """What fails."""
     return ", ".join(sorted({fault.kind for fault in scenario.faults})) or "-"
+
+
+_HEAD: Final = "# The app's settings for a simulated vehicle, by companion-sitl; good while that runs.\n"
+
+
+def app_settings_text(scenario: Scenario, connection: str, devices: dict[str, Any]) -> str:
+    """The settings file's text.
+
+    Args:
+        scenario: names pad, camera and vehicle, and has the operator's settings.
+        connection: where the vehicle's MAVLink is, as `link.connection` has it.
+        devices: the settings that lead to the vehicle's devices.
+    """
+    named = {
+        "pad": _findable(scenario.pad.name),
+        "camera": _findable(scenario.camera.config),
+        "vehicle": _findable(scenario.airframe),
+        "sense": {"range": {"kind": scenario.sensors.ultrasonic}},
+    }
+    there = merge(devices, {"link": {"connection": connection}})
+    found = merge(merge(named, scenario.operator_settings), there)
+    return _HEAD + str(yaml.safe_dump(found, sort_keys=False))
+
+
+def signed(scenario: Scenario, key: Path) -> Scenario:
+    """With an operator whose app signs with that key."""
+    link = {"link": {"signing_key": str(key.resolve()), "actions": "pymavlink"}}
+    return scenario.model_copy(update={"companion": merge(scenario.companion, link)})
+
+
+def _findable(name: str) -> str:
+    """A shipped file's name as it is, a path so that it leads there from every folder."""
+    return name if Path(name).suffix == "" else str(Path(name).resolve())

@@ -14,16 +14,14 @@ from pydantic import ConfigDict, Field, model_validator
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Vector3
 from companion.config import Shape, StrictModel, find_file, load_model, merge
+from sitl.autopilot.control.attitude_control import RateGains
 from sitl.autopilot.control.estimator import EstimatorName
-from sitl.autopilot.control.rate_control import RateGains
-from sitl.camera.exposure import DirtSettings
+from sitl.camera.exposure import DirtSettings, ExposureSettings
 from sitl.camera.light import LightSettings
-from sitl.camera.sensor_chip import ExposureSettings
-from sitl.faults.faults import Fault
+from sitl.faults.faults import AnyFault
 from sitl.faults.faulty_link import LinkSettings
 from sitl.pad.motion import PadMotionSettings
-from sitl.pad.paths import Angle, Heading, HeaveMotion, StaticMotion
-from sitl.pad.sea import DeckSettings
+from sitl.pad.paths import Angle, DeckSettings, Heading, HeaveMotion, StaticMotion
 from sitl.scenario.as_built import AsBuiltSettings, BuiltVehicle, draw
 from sitl.scenario.home import USUAL_HOMES, HomeSettings, magnetic_field_ned_ut
 from sitl.vehicle.quadrotor import QuadrotorParameters
@@ -269,7 +267,7 @@ class Scenario(StrictModel):
     beacon: BeaconSettings = BeaconSettings()
     link: LinkSettings = LinkSettings()
     as_built: AsBuiltSettings | None = None
-    faults: tuple[Annotated[Fault, Field(discriminator="kind")], ...] = Field(
+    faults: tuple[Annotated[AnyFault, Field(discriminator="kind")], ...] = Field(
         default=(), description="Faults and their times: a list, see below"
     )
     pass_bounds: PassBounds = Field(default=PassBounds(), alias="pass")

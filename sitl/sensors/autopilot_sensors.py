@@ -24,9 +24,9 @@ from companion.base.geometry import (
     quat_rotate_inverse,
     tilt_from_quat,
 )
-from sitl.sensors.calibration_errors import BoardTruth
 from sitl.sensors.inertial import ImuErrors, ImuSensor, felt_at
 from sitl.sensors.sensors import (
+    BoardTruth,
     GpsErrors,
     GpsReading,
     GpsSensor,
@@ -36,6 +36,7 @@ from sitl.sensors.sensors import (
     RangeSensor,
 )
 from sitl.vehicle.quadrotor import QuadrotorState
+from sitl.vehicle.rotors import RotorValues
 
 MAG_PERIOD_S: Final = 0.02
 GPS_PERIOD_S: Final = 0.2
@@ -112,7 +113,7 @@ class SimulatedAutopilotSensors:
         self.has_sky = True
         self.stray_field_ut = ZERO3
         self.throttle = 0.0
-        self.motors: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+        self.motors: RotorValues = (0.0, 0.0, 0.0, 0.0)
         self.imu: ImuReading | None = None
         self.mag: Field | None = None
         self.gps: Fix | None = None

@@ -32,13 +32,14 @@ from companion.base.geometry import (
     add,
     cross,
 )
-from sitl.sensors.calibration_errors import (
+from sitl.sensors.sensors import (
+    NOISE_BLOCK,
     CalibrationErrors,
+    Glitches,
+    flawed_rotation,
     uncalibrated_accelerometer,
     uncalibrated_gyroscope,
 )
-from sitl.sensors.glitches import Glitches
-from sitl.sensors.sensors import NOISE_BLOCK, flawed_rotation
 from sitl.vehicle.quadrotor import QuadrotorState
 
 _MILLI_G: Final = 1e-3 * GRAVITY_M_S2

@@ -15,15 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from companion.base.geometry import (
-    ZERO3,
-    FloatArray,
-    Vector3,
-    add,
-    geodetic_from_ned,
-)
-from sitl.sensors.calibration_errors import CalibrationErrors, uncalibrated_magnetometer
-from sitl.sensors.glitches import Glitches
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3, add, geodetic_from_ned
 
 NOISE_BLOCK: Final = 256  # noise is drawn in blocks: one call costs as much as a hundred numbers
 
@@ -46,9 +38,7 @@ class MagErrors:
     hard_iron_ut: float = 0.7
     soft_iron: float = 0.01
     current_ut: float = 1.0  # the motors' supply at full throttle, a fixed direction
-    calibrated: bool = (
-        True  # else the iron of `sitl.sensors.calibration_errors`, instead of what a fit leaves of it
-    )
+    calibrated: bool = True  # else the iron of `sitl.sensors.sensors`, instead of what a fit leaves of it
 
 
 NO_MAG_ERRORS: Final = MagErrors(0.0, 0.0, 0.0, 0.0)
@@ -220,3 +210,117 @@ class RangeSensor:
         received = lost >= max(e.lost, self.extra_lost) and distance_m <= e.maximum_m
         self._last_m = max(e.minimum_m, distance_m) if received else None
         return self._last_m
+
+
+# ---------------------------------------------------------------- glitches
+# Faults of a three-axis sensor's output: spikes and stuck readings.
+#
+# Pure; the sensor's own axes and units. It has its own random numbers, so that a fault changes no other
+# noise.
+
+
+class Glitches:
+    """Between a sensor's element and its output. `stuck`: the last reading before stays."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._last: Vector3 = ZERO3
+        self.clear_faults()
+
+    def clear_faults(self) -> None:
+        """Clear all faults."""
+        self.stuck = False
+        self.spike_share = 0.0
+        self.spike_size = 0.0
+
+    def spike(self, share: float, size: float) -> None:
+        """A share of the readings is off by up to `size` on one axis; the worse of two faults counts."""
+        self.spike_share = max(self.spike_share, share)
+        self.spike_size = max(self.spike_size, size)
+
+    def out(self, value: Vector3) -> Vector3:
+        """The output for a reading."""
+        if self.stuck:
+            return self._last
+        self._last = value
+        if self.spike_share == 0.0 or float(self._rng.random()) >= self.spike_share:
+            return value
+        axis, off = int(self._rng.integers(3)), float(self._rng.uniform(-self.spike_size, self.spike_size))
+        x, y, z = value
+        return ((x + off, y, z), (x, y + off, z), (x, y, z + off))[axis]
+
+
+# ---------------------------------------------------------------- calibration errors
+# Calibration errors of three-axis sensors: scale, misalignment and offset before calibration.
+#
+#     measured = matrix @ true + offset        (the sensor's own axes, SI units, field in µT)
+#
+# Of the IMU: tolerances of the MPU-9250 product specification PS-MPU-9250A-01 rev. 1.1 (tables 1 and 2),
+# taken as uniform. Of the magnetometer: the vehicle's iron about it, magnetised (hard: an offset) or not
+# (soft: a symmetric matrix, since it bends the field without turning the sensor).
+
+ACCEL_OFFSET_M_S2: Final = 0.060 * GRAVITY_M_S2
+ACCEL_SCALE: Final = 0.03
+GYRO_OFFSET_RAD_S: Final = math.radians(5.0)
+GYRO_SCALE: Final = 0.03
+CROSS_AXIS: Final = 0.02
+HARD_IRON_UT: Final = (20.0, 60.0)  # its size, whatever its direction
+SOFT_IRON: Final = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationErrors:
+    """measured = matrix (3, 3) @ true + offset (3,)."""
+
+    matrix: FloatArray
+    offset: FloatArray
+
+    @classmethod
+    def of(
+        cls, flawed_rows: list[float], sensor_from_body: FloatArray, offset: FloatArray
+    ) -> CalibrationErrors:
+        """From the nine numbers, row by row, that take the truth in body axes to the sensor's."""
+        return cls(np.reshape(flawed_rows, (3, 3)) @ sensor_from_body.T, np.array(offset, dtype=float))
+
+    def rows(self, sensor_from_body: FloatArray) -> list[float]:
+        """The inverse of `of`."""
+        return [float(value) for value in (self.matrix @ sensor_from_body).flat]
+
+
+@dataclass(frozen=True, slots=True)
+class BoardTruth:
+    """The true flaws of an IMU with its magnetometer: for tests and benches, never for the app.
+
+    `sensor_from_body` (3, 3) is how it is mounted; a gyroscope's and an accelerometer's offsets wander by
+    little (`ImuErrors`) about these.
+    """
+
+    accelerometer: CalibrationErrors
+    gyroscope: CalibrationErrors
+    magnetometer: CalibrationErrors
+    sensor_from_body: FloatArray
+
+
+def uncalibrated_accelerometer(rng: np.random.Generator) -> CalibrationErrors:
+    """An uncalibrated one."""
+    return _uncalibrated(rng, ACCEL_SCALE, ACCEL_OFFSET_M_S2)
+
+
+def uncalibrated_gyroscope(rng: np.random.Generator) -> CalibrationErrors:
+    """An uncalibrated one."""
+    return _uncalibrated(rng, GYRO_SCALE, GYRO_OFFSET_RAD_S)
+
+
+def _uncalibrated(rng: np.random.Generator, scale: float, offset: float) -> CalibrationErrors:
+    flaw = CROSS_AXIS * rng.uniform(-1.0, 1.0, (3, 3))
+    np.fill_diagonal(flaw, scale * rng.uniform(-1.0, 1.0, 3))
+    return CalibrationErrors(np.eye(3) + flaw, offset * rng.uniform(-1.0, 1.0, 3))
+
+
+def uncalibrated_magnetometer(rng: np.random.Generator) -> CalibrationErrors:
+    """Hard and soft iron: principal gains 0.7 to 1.3 along random directions."""
+    directions, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    gains = 1.0 + SOFT_IRON * rng.uniform(-1.0, 1.0, 3)
+    way = rng.standard_normal(3)
+    hard_iron = float(rng.uniform(*HARD_IRON_UT)) * way / np.linalg.norm(way)
+    return CalibrationErrors(np.asarray(directions @ np.diag(gains) @ directions.T), hard_iron)

@@ -1,7 +1,6 @@
-"""The airframe: a rigid body with four lagging rotors, drag and rotor gyroscopics (paper eqs. 5-8).
+"""The airframe: a rigid body with lagging rotors, drag and rotor gyroscopics (paper eqs. 5-8).
 
-Frames: NED and FRD. "+" layout, rotors in order front, right, rear, left; front and rear turn
-anticlockwise seen from above, right and left clockwise. Units are SI; a motor command is 0..1 of full thrust.
+Frames: NED and FRD; where the rotors are: `sitl.vehicle.rotors`. Units are SI; a motor command is 0..1.
 
 The paper writes eqs. (5)(6) z-up and in small-angle Euler rates. Here they are in vector form,
     I w' = torque - w x (I w + h),   h = (0, 0, J_TP (-W1 + W2 - W3 + W4)),
@@ -31,11 +30,10 @@ from companion.base.geometry import (
     quat_rotate_inverse,
 )
 from companion.config import StrictModel
+from sitl.vehicle.rotors import LAYOUTS, LayoutName, RotorLayout, RotorValues
 
 Positive = Annotated[float, Field(gt=1e-5, le=10.0)]
-Four = tuple[float, float, float, float]
 AIR_DENSITY_KG_M3 = 1.225
-NO_RATIO: Four = (1.0, 1.0, 1.0, 1.0)
 
 # velocity NED, quaternion w x y z, body rate: what forces depend on
 Moving = tuple[float, float, float, float, float, float, float, float, float, float]
@@ -62,10 +60,16 @@ class QuadrotorParameters(StrictModel):
     body_drag_area_m2: float = Field(ge=0.0, le=1.0)
     linear_drag_n_s_m: float = Field(default=0.0, ge=0.0, le=10.0)
     turning_drag_n_m_s: float = Field(default=0.0, ge=0.0, le=1.0)
+    rotors: LayoutName = "quad_plus"
+
+    @property
+    def layout(self) -> RotorLayout:
+        """Where the rotors are."""
+        return LAYOUTS[self.rotors]
 
     def hover_share(self) -> float:
         """Share of full thrust that carries the weight."""
-        return self.mass_kg * GRAVITY_M_S2 / (4.0 * self.max_thrust_n)
+        return self.mass_kg * GRAVITY_M_S2 / (self.layout.count * self.max_thrust_n)
 
 
 @dataclass(slots=True)
@@ -81,14 +85,15 @@ class QuadrotorState:
     velocity_ned_m_s: Vector3 = ZERO3
     attitude: Quaternion = IDENTITY
     rate_body_rad_s: Vector3 = ZERO3
-    thrust_share: Four = (0.0, 0.0, 0.0, 0.0)
+    thrust_share: RotorValues = (0.0, 0.0, 0.0, 0.0)
     specific_force_body_m_s2: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
     angular_acceleration_body_rad_s2: Vector3 = ZERO3
 
 
-def resting_state(position_ned_m: Vector3, heading_rad: float) -> QuadrotorState:
+def resting_state(position_ned_m: Vector3, heading_rad: float, rotors: int = 4) -> QuadrotorState:
     """A level vehicle with stopped motors."""
-    return QuadrotorState(position_ned_m=position_ned_m, attitude=quat_from_euler(0.0, 0.0, heading_rad))
+    attitude = quat_from_euler(0.0, 0.0, heading_rad)
+    return QuadrotorState(position_ned_m=position_ned_m, attitude=attitude, thrust_share=(0.0,) * rotors)
 
 
 class Quadrotor:
@@ -97,6 +102,8 @@ class Quadrotor:
     def __init__(self, parameters: QuadrotorParameters, mass_factor: float = 1.0) -> None:
         """`mass_factor` scales mass and inertia: a load that the autopilot does not know."""
         self.parameters = parameters
+        self._layout = parameters.layout
+        self.free_air: RotorValues = (1.0,) * self._layout.count
         self.mass_kg = parameters.mass_kg * mass_factor
         ix, iy, iz = (mass_factor * value for value in parameters.inertia_kg_m2)
         self._inertia = (ix, iy, iz)
@@ -113,11 +120,11 @@ class Quadrotor:
     def step(
         self,
         state: QuadrotorState,
-        commands: Four,
+        commands: RotorValues,
         dt_s: float,
         *,
         wind_ned_m_s: Vector3 = ZERO3,
-        thrust_ratio: Four = NO_RATIO,
+        thrust_ratio: RotorValues | None = None,
         force_ned_n: Vector3 = ZERO3,
         torque_body_n_m: Vector3 = ZERO3,
     ) -> QuadrotorState:
@@ -128,12 +135,14 @@ class Quadrotor:
             commands: share of full thrust commanded to each motor; clipped to 0..1.
             dt_s: step (s), a few milliseconds.
             wind_ned_m_s: motion of the air.
-            thrust_ratio: each rotor's thrust over that in free air (ground effect).
+            thrust_ratio: each rotor's thrust over that in free air (ground effect); none: in free air.
             force_ned_n: further force at the centre of mass (contact).
             torque_body_n_m: further torque.
         """
         share, mean = self._spin(state.thrust_share, commands, dt_s)
-        speeds, thrust, spin, torque = self._rotors(state.thrust_share, share, mean, thrust_ratio, dt_s)
+        speeds, thrust, spin, torque = self._rotors(
+            state.thrust_share, share, mean, thrust_ratio or self.free_air, dt_s
+        )
         ix, iy, iz = self._inertia
         drag, (p, q, r) = self.parameters.turning_drag_n_m_s, state.rate_body_rad_s
         held: _Held = (
@@ -155,17 +164,16 @@ class Quadrotor:
         x = state.velocity_ned_m_s + state.attitude + state.rate_body_rad_s
         return packed(state, *_rk4(state.position_ned_m, x, held, dt_s), share, dt_s)
 
-    def _spin(self, share: Four, commands: Four, dt_s: float) -> tuple[Four, Four]:
+    def _spin(
+        self, share: RotorValues, commands: RotorValues, dt_s: float
+    ) -> tuple[RotorValues, RotorValues]:
         """Thrust shares after dt, and their means over it, of a first-order lag solved exactly."""
         if dt_s != self._lag_dt_s:
             self._lag_dt_s = dt_s
             self._rise = _lag(self.parameters.motor_rise_s, dt_s)
             self._fall = _lag(self.parameters.motor_fall_s, dt_s)
-        s1, m1 = self._spin_one(share[0], commands[0])
-        s2, m2 = self._spin_one(share[1], commands[1])
-        s3, m3 = self._spin_one(share[2], commands[2])
-        s4, m4 = self._spin_one(share[3], commands[3])
-        return (s1, s2, s3, s4), (m1, m2, m3, m4)
+        spun = [self._spin_one(old, command) for old, command in zip(share, commands, strict=True)]
+        return tuple(end for end, _ in spun), tuple(mean for _, mean in spun)
 
     def _spin_one(self, share: float, command: float) -> tuple[float, float]:
         target = 0.0 if command < 0.0 else 1.0 if command > 1.0 else command
@@ -174,23 +182,24 @@ class Quadrotor:
         return target + gap * end, target + gap * mean
 
     def _rotors(
-        self, old: Four, new: Four, mean: Four, ratio: Four, dt_s: float
+        self, old: RotorValues, new: RotorValues, mean: RotorValues, ratio: RotorValues, dt_s: float
     ) -> tuple[float, float, float, Vector3]:
         """Eq. (5) in FRD over a step: sum of speeds over the full one, thrust (N), rotor momentum, torque."""
         p = self.parameters
-        t1 = mean[0] * ratio[0] * p.max_thrust_n
-        t2 = mean[1] * ratio[1] * p.max_thrust_n
-        t3 = mean[2] * ratio[2] * p.max_thrust_n
-        t4 = mean[3] * ratio[3] * p.max_thrust_n
+        thrusts = tuple(share * more * p.max_thrust_n for share, more in zip(mean, ratio, strict=True))
         # speed is proportional to the root of thrust; the ground changes a rotor's thrust, not its reaction
         # torque
-        w1, w2, w3, w4 = sqrt(new[0]), sqrt(new[1]), sqrt(new[2]), sqrt(new[3])
-        spin = self._momentum * (w2 + w4 - w1 - w3)
-        before = sqrt(old[1]) + sqrt(old[3]) - sqrt(old[0]) - sqrt(old[2])
+        layout, speeds = self._layout, tuple(map(sqrt, new))
+        spin = self._momentum * layout.momentum(speeds)
+        before = layout.momentum(tuple(map(sqrt, old)))
         spinning_up = (spin - self._momentum * before) / dt_s
-        reaction = p.torque_to_thrust_m * p.max_thrust_n * (mean[0] - mean[1] + mean[2] - mean[3])
-        torque = (p.arm_length_m * (t4 - t2), p.arm_length_m * (t1 - t3), reaction - spinning_up)
-        return w1 + w2 + w3 + w4, t1 + t2 + t3 + t4, spin, torque
+        turned = speed = thrust = 0.0
+        for share, turn, one, own in zip(mean, layout.turns, speeds, thrusts, strict=True):
+            turned, speed, thrust = turned + turn * share, speed + one, thrust + own
+        reaction = p.torque_to_thrust_m * p.max_thrust_n * turned
+        roll, pitch = layout.torques(thrusts)
+        torque = (p.arm_length_m * roll, p.arm_length_m * pitch, reaction - spinning_up)
+        return speed, thrust, spin, torque
 
 
 def _lag(time_constant_s: float, dt_s: float) -> tuple[float, float]:
@@ -257,7 +266,7 @@ def _rk4(place: Vector3, x: Moving, held: _Held, dt_s: float) -> tuple[Vector3, 
     )
 
 
-def packed(old: QuadrotorState, place: Vector3, x: Moving, share: Four, dt_s: float) -> QuadrotorState:
+def packed(old: QuadrotorState, place: Vector3, x: Moving, share: RotorValues, dt_s: float) -> QuadrotorState:
     """The new state with a unit quaternion, and the step's mean specific force and angular acceleration.
 
     Args:
@@ -284,3 +293,38 @@ def packed(old: QuadrotorState, place: Vector3, x: Moving, share: Four, dt_s: fl
         quat_rotate_inverse(halfway, force_ned),
         ((p - p0) * rate, (q - q0) * rate, (r - r0) * rate),
     )
+
+
+# ---------------------------------------------------------------- actuators
+# Motor effectiveness: each motor gives a share of the commanded thrust, by its own thrust curve.
+#
+# A worn propeller, a tired speed controller or a battery's sagging voltage costs thrust and reaction torque
+# alike, so the command itself is scaled, before the motor's lag.
+
+
+class Motors:
+    """One after another from the front clockwise, the first is 1."""
+
+    def __init__(self, thrust_exponent: float = 1.0, count: int = 4) -> None:
+        """Thrust goes with the command to this power."""
+        self.count, self._exponent = count, thrust_exponent
+        self.clear_faults()
+
+    def clear_faults(self) -> None:
+        """All motors give the commanded thrust."""
+        self._shares: RotorValues | None = None
+
+    def weaken(self, motor: int | None, share: float) -> None:
+        """One motor, or all for None, gives only this share of what it gave."""
+        shares = self._shares or (1.0,) * self.count
+        self._shares = tuple(
+            own * share if motor in (None, number) else own for number, own in enumerate(shares, start=1)
+        )
+
+    def given(self, commands: RotorValues) -> RotorValues:
+        """The effective commands (shares of full thrust)."""
+        if self._exponent != 1.0:
+            commands = tuple(min(1.0, max(0.0, c)) ** self._exponent for c in commands)
+        if self._shares is None:
+            return commands
+        return tuple(own * command for own, command in zip(self._shares, commands, strict=True))

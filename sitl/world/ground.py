@@ -9,13 +9,16 @@ gives, at the same power, 1 / (1 - (R / 4z)^2) times its thrust in free air.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from companion.base.geometry import Quaternion, Vector3, add, dot, quat_rotate, subtract, tilt_from_quat
+from companion.config import Box, Shape
 from companion.pad import Pad
 from sitl.pad.motion import PadTruth
-from sitl.vehicle.quadrotor import NO_RATIO, Four, QuadrotorState
+from sitl.vehicle.quadrotor import QuadrotorParameters, QuadrotorState
+from sitl.vehicle.rotors import RotorValues
 
 # The formula mirrors a source in the plane and is taken to hold for z / R > 0.5; nearer it is frozen.
 LOWEST_HEIGHT_IN_RADII: Final = 0.5
@@ -121,19 +124,59 @@ def ground_effect_reach_m(radius_m: float) -> float:
 
 def rotor_ratios(
     state: QuadrotorState,
-    rotors_body_m: tuple[Vector3, Vector3, Vector3, Vector3],
+    rotors_body_m: tuple[Vector3, ...],
     radius_m: float,
     board: PadBoard,
     pad: PadTruth,
-) -> Four:
+) -> RotorValues:
     """Ground effect of each rotor over what lies under its own hub."""
     position = state.position_ned_m
     if board.ceiling_down_m(pad) - position[2] > ground_effect_reach_m(radius_m):
-        return NO_RATIO
+        return (1.0,) * len(rotors_body_m)
     ratios = []
     for rotor in rotors_body_m:
         arm = quat_rotate(state.attitude, rotor)
         north, east = position[0] + arm[0], position[1] + arm[1]
         height = board.surface_down_m(pad, north, east) - position[2] - arm[2]
         ratios.append(thrust_ratio(height, radius_m))
-    return (ratios[0], ratios[1], ratios[2], ratios[3])
+    return tuple(ratios)
+
+
+# ---------------------------------------------------------------- obstacles
+# The scenario's obstacles as they are: whether the vehicle touches one, and how far it is from the nearest.
+#
+# The vehicle counts as a sphere about its centre that reaches to the farthest rotor's tip, so that no tilt
+# hides a blade. NED from home, m. Independent of the app's planner, so that no mistake is shared.
+# They are solid to the ground and touched is crashed; a pad drives through, pictures and echoes show none.
+
+
+def reach_m(body: QuadrotorParameters) -> float:
+    """From the centre to the farthest rotor's tip."""
+    return body.arm_length_m + body.rotor_radius_m
+
+
+def distance_m(place_ned_m: Vector3, shape: Shape) -> float:
+    """From a point to an obstacle's surface; 0 inside."""
+    north, east = (p - c for p, c in zip(place_ned_m[:2], shape.centre_ned_m, strict=True))
+    if isinstance(shape, Box):
+        heading = math.radians(shape.heading_deg)
+        away, bearing = math.hypot(north, east), math.atan2(east, north) - heading
+        along = max(0.0, abs(away * math.cos(bearing)) - 0.5 * shape.length_m)
+        across = max(0.0, abs(away * math.sin(bearing)) - 0.5 * shape.width_m)
+        aside = math.hypot(along, across)
+    else:
+        aside = max(0.0, math.hypot(north, east) - shape.radius_m)
+    return math.hypot(aside, max(0.0, -place_ned_m[2] - shape.height_m))
+
+
+class Obstacles:
+    """All of a scenario's, about a vehicle of a size."""
+
+    def __init__(self, shapes: Sequence[Shape], body: QuadrotorParameters) -> None:
+        self._shapes, self._reach_m = tuple(shapes), reach_m(body)
+
+    def clearance_m(self, place_ned_m: Vector3) -> float | None:
+        """From the rotors' tips to the nearest obstacle, 0 or less touching it; None without any."""
+        if not self._shapes:
+            return None
+        return min(distance_m(place_ned_m, shape) for shape in self._shapes) - self._reach_m

@@ -17,7 +17,8 @@ from companion.base.geometry import Vector3, add, quat_from_euler, rotate_yaw
 from sitl.scenario.scenario import Scenario
 from sitl.vehicle.hand_motion import HandMotion
 from sitl.vehicle.hand_paths import CarriedMotion, PoseAndRate, added, carrying
-from sitl.vehicle.quadrotor import Four, QuadrotorState, packed
+from sitl.vehicle.quadrotor import QuadrotorState, packed
+from sitl.vehicle.rotors import RotorValues
 from sitl.world.world import World
 
 HAND_STREAM: Final = 14  # of the random draws; the world has its own
@@ -51,7 +52,7 @@ class HandHeldWorld(World):
         if self._begun_s == math.inf or self.time_s > self._begun_s + self._carrying.round_s:
             self._begun_s = self.time_s
 
-    def step(self, motor_commands: Four, dt_s: float) -> None:
+    def step(self, motor_commands: RotorValues, dt_s: float) -> None:
         """Carry everything on by dt (s)."""
         self.wind_ned_m_s = self._wind_now()
         self._advance(self._felt(self._state, self.time_s + dt_s, dt_s), dt_s)

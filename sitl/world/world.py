@@ -30,11 +30,10 @@ from companion.pad import load_pad
 from sitl.pad.incidents import IncidentMotion
 from sitl.pad.motion import PadTruth, build_pad_motion
 from sitl.scenario.scenario import Scenario, load_airframe
-from sitl.vehicle.actuators import Motors
-from sitl.vehicle.quadrotor import NO_RATIO, Four, Quadrotor, QuadrotorState, resting_state
+from sitl.vehicle.quadrotor import Motors, Quadrotor, QuadrotorState, packed, resting_state
+from sitl.vehicle.rotors import RotorValues
 from sitl.world.contact import NO_CONTACT, Contact, ContactLoad
-from sitl.world.ground import PadBoard, echo_distance_m, ground_effect_reach_m, rotor_ratios
-from sitl.world.obstacles import Obstacles
+from sitl.world.ground import Obstacles, PadBoard, echo_distance_m, ground_effect_reach_m, rotor_ratios
 from sitl.world.score import TouchdownDetector, TouchdownState
 from sitl.world.wind import Wind
 
@@ -61,15 +60,6 @@ class _Snapshot(NamedTuple):
     in_contact: bool
 
 
-class VehicleMotion(NamedTuple):
-    """The true motion that the simulated estimator adds errors to, at every step."""
-
-    vehicle_position_ned_m: Vector3
-    vehicle_velocity_ned_m_s: Vector3
-    vehicle_attitude: Quaternion
-    rate_body_rad_s: Vector3
-
-
 class World:
     """A scenario's world under one seed, from rest at home at time 0."""
 
@@ -92,9 +82,13 @@ class World:
         self.wind_ned_m_s: Vector3 = (0.0, 0.0, 0.0)
         # stored with the truth for the plots
         self.attitude_setpoint: Quaternion = IDENTITY
-        self.motors = Motors(built.thrust_exponent)
+        self.motors = Motors(built.thrust_exponent, body.layout.count)
         self._quadrotor = Quadrotor(body, scenario.mass_factor)
-        self._rotors = ((arm, 0.0, up), (0.0, arm, up), (-arm, 0.0, up), (0.0, -arm, up))
+        layout = body.layout
+        self._rotors = tuple(
+            (arm * forward, arm * right, up)
+            for forward, right in zip(layout.forward, layout.right, strict=True)
+        )
         self._contact = Contact(airframe.legs, body.mass_kg, self.board, self._rotors)
         self._ground_effect_reach_m = ground_effect_reach_m(body.rotor_radius_m)
         self._wind = Wind(scenario.wind, np.random.default_rng((seed, _Stream.WIND)))
@@ -121,7 +115,9 @@ class World:
         fixed = scenario.start_heading_deg
         heading = drawn if fixed == "random" else math.radians(fixed)
         surface = self.board.surface_down_m(self.pad_state, 0.0, 0.0)
-        return resting_state((0.0, 0.0, surface - self.landed_reference_height_m), heading)
+        return resting_state(
+            (0.0, 0.0, surface - self.landed_reference_height_m), heading, self.airframe.body.layout.count
+        )
 
     def place(self, state: QuadrotorState) -> None:
         """Set the vehicle's state and clear contacts and history: to start in the air."""
@@ -134,7 +130,7 @@ class World:
 
     # ------------------------------------------------------------ stepping
 
-    def step(self, motor_commands: Four, dt_s: float) -> None:
+    def step(self, motor_commands: RotorValues, dt_s: float) -> None:
         """Move everything on by dt (s); commands are the motors' shares of full thrust, 0..1."""
         self.wind_ned_m_s = self._wind_now()
         thrust_ratio = self._surface_effects(dt_s)
@@ -163,12 +159,12 @@ class World:
     def _wind_now(self) -> Vector3:
         return self._wind.at(self.time_s, -self._state.position_ned_m[2])
 
-    def _surface_effects(self, dt_s: float) -> Four:
+    def _surface_effects(self, dt_s: float) -> RotorValues:
         """Update the contact; returns each rotor's thrust ratio in ground effect."""
         clear_m = self.board.ceiling_down_m(self.pad_state) - self._state.position_ned_m[2]
         self._update_contact(clear_m, dt_s)
         if clear_m > self._ground_effect_reach_m:
-            return NO_RATIO
+            return self._quadrotor.free_air
         return rotor_ratios(
             self._state,
             self._rotors,
@@ -273,13 +269,6 @@ class World:
         steady = norm(subtract(state.rate_body_rad_s, turned)) <= REST_RATE_RAD_S
         return self._load.on_board >= STANDING_FEET and still and steady
 
-    def motion(self) -> VehicleMotion:
-        """The vehicle's motion now."""
-        state = self._state
-        return VehicleMotion(
-            state.position_ned_m, state.velocity_ned_m_s, state.attitude, state.rate_body_rad_s
-        )
-
     def truth(self) -> Truth:
         """Everything now."""
         return self._truth_of(self._history[-1])
@@ -344,3 +333,34 @@ def _between(a: _Snapshot, b: _Snapshot, time_s: float) -> _Snapshot:
         pitch_rad=a.pad.pitch_rad + k * (b.pad.pitch_rad - a.pad.pitch_rad),
     )
     return _Snapshot(time_s, state, pad, b.wind_ned_m_s, b.in_contact)
+
+
+# ---------------------------------------------------------------- firm ground
+# A world with the ground that ArduPilot's SITL and PX4's SIH have: it stops dead what comes down on it.
+#
+# Theirs is level, acts at the reference point and not at the feet, and knows no pad that would carry the
+# vehicle along: in one step a vehicle that reaches it has no velocity any more, and the accelerometer feels
+# that step. ArduPilot's levels the vehicle besides, PX4's leaves its attitude alone; here it stays. For a
+# vehicle that plays an external one. NED, FRD, SI.
+
+_STANDS = ContactLoad(on_ground=STANDING_FEET)
+
+
+class FirmGroundWorld(World):
+    """A scenario's world under one seed, whose surface stops the vehicle instead of its legs."""
+
+    def _update_contact(self, clear_m: float, dt_s: float) -> None:
+        """The legs bear nothing: `_advance` puts the load."""
+
+    def _advance(self, state: QuadrotorState, dt_s: float) -> None:
+        """Stop what would sink below the height that it stands at."""
+        north, east, down = state.position_ned_m
+        standing_m = self.board.surface_down_m(self.pad_state, north, east) - self.landed_reference_height_m
+        self._load = NO_CONTACT
+        if down >= standing_m and state.velocity_ned_m_s[2] >= 0.0:
+            self._load = _STANDS
+            old = self._state
+            x, y, _ = old.position_ned_m
+            stopped = (0.0, 0.0, 0.0, *old.attitude, 0.0, 0.0, 0.0)
+            state = packed(old, (x, y, standing_m), stopped, state.thrust_share, dt_s)
+        super()._advance(state, dt_s)

@@ -32,9 +32,8 @@ from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from pymavlink import mavutil
 
 from benchmarks.service import judging
+from benchmarks.service.judging import Beat, UdpWitness, reached
 from benchmarks.service.running import NEAR, ask
-from benchmarks.service.trials import reached
-from benchmarks.service.witness import Beat, UdpWitness
 from companion.app.service.local_socket import FILE_NAME, SYSTEM_FOLDER
 from companion.config import merge
 from sitl.scenario.scenario import load_scenario

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilot import PROFILES
+from sitl.autopilot.flight.autopilot import PROFILES
 from sitl.autopilot.flight.fence import Fence
 from sitl.autopilot.flight.mission_items import MissionStore
 from sitl.mavlink.protocols.mission_protocol import MissionProtocol

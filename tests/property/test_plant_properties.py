@@ -11,7 +11,8 @@ from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, matrix_from_qu
 from sitl.pad.motion import PadTruth, build_pad_motion
 from sitl.pad.paths import FigureEightMotion
 from sitl.scenario.scenario import load_airframe
-from sitl.vehicle.quadrotor import Four, Quadrotor, QuadrotorState
+from sitl.vehicle.quadrotor import Quadrotor, QuadrotorState
+from sitl.vehicle.rotors import RotorValues
 from sitl.world.contact import Contact
 from sitl.world.ground import PadBoard, thrust_ratio
 
@@ -25,7 +26,7 @@ SMOOTH = X500.body.model_copy(
         "body_drag_area_m2": 0.0,
     }
 )
-OFF: Four = (0.0, 0.0, 0.0, 0.0)
+OFF: RotorValues = (0.0, 0.0, 0.0, 0.0)
 
 angles = st.floats(-3.0, 3.0)
 speeds = st.tuples(*[st.floats(-8.0, 8.0)] * 3)
@@ -47,8 +48,8 @@ def test_the_quaternion_stays_a_unit_and_everything_finite(
     attitude: tuple[float, float, float, float],
     rate: Vector3,
     velocity: Vector3,
-    share: Four,
-    command: Four,
+    share: RotorValues,
+    command: RotorValues,
 ) -> None:
     vehicle = Quadrotor(X500.body)
     state = QuadrotorState((0.0, 0.0, -50.0), velocity, attitude, rate, share)

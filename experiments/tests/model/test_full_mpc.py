@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import FloatArray
+from experiments.model.disturbance_filter import NO_DISTURBANCE, HorizonReference, along, disturbance_effect
 from experiments.model.full_mpc import (
     FullMpc,
     FullMpcConfig,
@@ -17,7 +18,6 @@ from experiments.model.full_mpc import (
     load_full,
     within_reach,
 )
-from experiments.model.nominal import NO_DISTURBANCE, HorizonReference, along, disturbance_effect
 from experiments.model.quadrotor import (
     ANGLES,
     PHI,

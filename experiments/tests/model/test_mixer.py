@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import FloatArray
-from experiments.model.mixer import ThrustMixer
-from experiments.model.quadrotor import load_quadrotor
+from experiments.model.quadrotor import ThrustMixer, load_quadrotor
 
 MODEL = load_quadrotor("x500")
 PERIOD_S = 0.02

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import FloatArray
-from experiments.model.disturbance_filter import DisturbanceFilter, stationary_gain
+from experiments.model.disturbance_filter import DisturbanceFilter, disturbance_effect, stationary_gain
 from experiments.model.full_mpc import load_full
-from experiments.model.nominal import disturbance_effect
 from experiments.model.quadrotor import PSI, STATES, load_quadrotor
 
 MODEL = load_quadrotor("x500")

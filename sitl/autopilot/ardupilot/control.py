@@ -17,8 +17,8 @@ from math import isnan
 from typing import Final
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3, wrap_angle
+from sitl.autopilot.control.attitude_control import SecondOrderLowPass
 from sitl.autopilot.control.position_control import OutputLimits, PositionControl
-from sitl.autopilot.control.rate_control import SecondOrderLowPass
 from sitl.autopilot.control.setpoints import MotionSetpoint
 from sitl.autopilot.control.shaping import (
     FirstOrderLowPass,

@@ -12,8 +12,7 @@ from sitl.autopilot.ardupilot import setpoints as ardupilot_setpoints
 from sitl.autopilot.ardupilot.control import ArdupilotControl
 from sitl.autopilot.ardupilot.parameters import PARAMETERS
 from sitl.autopilot.ardupilot.precision_landing import precision_landing
-from sitl.autopilot.control.attitude_control import AttitudeGains, ReferenceLimits
-from sitl.autopilot.control.rate_control import RateFilters, ShareGains
+from sitl.autopilot.control.attitude_control import AttitudeGains, RateFilters, ReferenceLimits, ShareGains
 from sitl.autopilot.flight.mission_items import MissionCommand, MissionRules
 from sitl.autopilot.flight.modes import (
     ArmingCheck,

@@ -1,4 +1,11 @@
-"""The control cascade and its states on the ground: idle, spool up, fly, detect the ground, idle again.
+"""Landed detection, as real autopilots do it, from thrust and vertical motion alone.
+
+Contact is suspected when a descent is commanded, thrust is clearly below hover thrust, and the vehicle still
+neither moves nor accelerates vertically. The autopilot then reduces its thrust: in the air the vehicle would
+start to fall, which ends the suspicion; on the ground nothing happens, and after `landed_time_s` it has
+landed.
+
+The control cascade and its states on the ground: idle, spool up, fly, detect the ground, idle again.
 
 `outer` at 100 Hz turns a setpoint into attitude and thrust, `step` at the physics' rate turns these into
 motor commands. On the ground with idling motors every integral stays zero. NED in the autopilot's own
@@ -8,22 +15,68 @@ frame, SI units.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from companion.base.geometry import IDENTITY, ZERO3, Quaternion, add, yaw_from_quat
-from sitl.autopilot.control.airframe import Airframe, hover_thrust
-from sitl.autopilot.control.attitude_control import AttitudeControl, AttitudeReference, turn_about_down
+from sitl.autopilot.control.attitude_control import (
+    AttitudeControl,
+    AttitudeReference,
+    RateGains,
+    turn_about_down,
+)
 from sitl.autopilot.control.estimator import SimulatedEstimator
-from sitl.autopilot.control.landed import LandedDetector
-from sitl.autopilot.control.mixer import MotorMixer, Motors
+from sitl.autopilot.control.mixer import MotorMixer
 from sitl.autopilot.control.position_control import tilt_cosine
-from sitl.autopilot.control.rate_control import RateGains
 from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
 from sitl.autopilot.control.shaping import low_pass
 from sitl.autopilot.flight.profile import AutopilotProfile
+from sitl.vehicle.quadrotor import QuadrotorParameters
+from sitl.vehicle.rotors import RotorValues
 
-STOPPED: Motors = (0.0, 0.0, 0.0, 0.0)
+_CONTACT_AFTER_S = 0.35
+_ACCELERATION_LIMIT_M_S2 = 1.0
+_ACCELERATION_FILTER_S = 0.1
+
+
+@dataclass(slots=True)
+class LandedDetector:
+    """`landed` and `contact` after each `update`; starts on the ground.
+
+    `low_thrust_share` of the hover thrust is what a descent in the air never falls below for long.
+    """
+
+    landed_time_s: float
+    low_thrust_share: float = 0.85
+    landed: bool = True
+    contact: bool = False
+    _sign_for_s: float = 0.0
+    _acceleration: float = 0.0
+    _last_speed: float = 0.0
+
+    def update(
+        self, descending: bool, thrust_share: float, speed_m_s: float, speed_limit_m_s: float, dt_s: float
+    ) -> None:
+        """Take in one outer step: is a descent commanded, the thrust over the hover's, the vertical speed."""
+        share = dt_s / (dt_s + _ACCELERATION_FILTER_S)
+        self._acceleration += share * ((speed_m_s - self._last_speed) / dt_s - self._acceleration)
+        self._last_speed = speed_m_s
+        if self.landed:
+            return
+        still = abs(speed_m_s) < speed_limit_m_s and abs(self._acceleration) < _ACCELERATION_LIMIT_M_S2
+        if not (descending and still and (self.contact or thrust_share < self.low_thrust_share)):
+            self._sign_for_s, self.contact = 0.0, False
+            return
+        self._sign_for_s += dt_s
+        self.contact = self._sign_for_s >= _CONTACT_AFTER_S
+        self.landed = self._sign_for_s >= self.landed_time_s
+
+    def lift_off(self) -> None:
+        """Take-off: no longer on the ground."""
+        self.landed = self.contact = False
+        self._sign_for_s = 0.0
+
+
 _IDLE = 0.04
-_IDLING: Motors = (_IDLE, _IDLE, _IDLE, _IDLE)
 _SPOOL_UP_S = 1.2
 # while contact is suspected the thrust decreases at this rate, down to this share
 _TAKE_BACK_PER_S = 2.0
@@ -42,8 +95,10 @@ _HOVER_LEARNING_S = 10.0
 class Cascade:
     """The controllers of one airframe with one profile's gains, and the landed detector."""
 
-    def __init__(self, profile: AutopilotProfile, airframe: Airframe, rates: RateGains | None = None) -> None:
-        self._hover = hover_thrust(airframe)
+    def __init__(
+        self, profile: AutopilotProfile, airframe: QuadrotorParameters, rates: RateGains | None = None
+    ) -> None:
+        self._hover = airframe.hover_share()
         gains = profile.attitude_gains
         self._position = profile.position_control(self._hover)
         self._thrust_is_upward = profile.thrust_is_upward
@@ -51,6 +106,7 @@ class Cascade:
         self._attitude = AttitudeControl(airframe.inertia_kg_m2, gains, rates or gains.shares.rates(airframe))
         self._reference = None if gains.reference is None else AttitudeReference(gains.reference)
         self._mixer = MotorMixer(airframe, _IDLE)
+        self._idling: RotorValues = (_IDLE,) * airframe.layout.count
         self._detector = LandedDetector(profile.landed_time_s, profile.landed_thrust_share)
         self._spool = 0.0
         self._share = 1.0
@@ -134,10 +190,10 @@ class Cascade:
             return believed
         return believed + dt_s / (dt_s + _HOVER_LEARNING_S) * (self.thrust - believed)
 
-    def step(self, estimate: SimulatedEstimator, dt_s: float) -> Motors:
+    def step(self, estimate: SimulatedEstimator, dt_s: float) -> RotorValues:
         """Motor commands 0..1 of an armed vehicle."""
         if self._detector.landed:
-            return _IDLING
+            return self._idling
         reference, wanted, feed = self._reference, self.attitude_setpoint, self._feed_rate
         if reference is not None and not self._rates_alone:
             reference.step(wanted, feed, dt_s)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, Literal, Protocol
+from typing import Final, Literal
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from companion.base.geometry import (
     quat_multiply,
     rotate_yaw,
 )
+from sitl.vehicle.quadrotor import QuadrotorState
 
 _NOISE_BLOCK = 256
 
@@ -81,19 +82,6 @@ ESTIMATORS: Final[dict[EstimatorName, EstimatorErrors]] = {
 }
 
 
-class TrueMotion(Protocol):
-    """The true motion; the world's `Truth` is one."""
-
-    @property
-    def vehicle_position_ned_m(self) -> Vector3: ...
-    @property
-    def vehicle_velocity_ned_m_s(self) -> Vector3: ...
-    @property
-    def vehicle_attitude(self) -> Quaternion: ...
-    @property
-    def rate_body_rad_s(self) -> Vector3: ...
-
-
 class SimulatedEstimator:
     """Attitude at every step, position and velocity at the outer loop's rate."""
 
@@ -136,14 +124,12 @@ class SimulatedEstimator:
         self._heading_error = quat_from_euler(0.0, 0.0, self.heading_bias_rad)
         self._velocity_turn_rad += by_rad * self._errors.velocity_turns_with_heading
 
-    def update_attitude(self, truth: TrueMotion) -> None:
+    def update_attitude(self, truth: QuadrotorState) -> None:
         """Update attitude and rate: constant heading and horizon errors, a clean gyroscope."""
-        self.attitude = quat_multiply(
-            self._heading_error, quat_multiply(truth.vehicle_attitude, self._tilt_error)
-        )
+        self.attitude = quat_multiply(self._heading_error, quat_multiply(truth.attitude, self._tilt_error))
         self.rate_body_rad_s = truth.rate_body_rad_s
 
-    def update_position(self, truth: TrueMotion, dt_s: float) -> None:
+    def update_position(self, truth: QuadrotorState, dt_s: float) -> None:
         """Advance the errors by dt and update position and velocity; acceleration is the IMU's, clean."""
         errors = self._errors
         decay = math.exp(-dt_s / errors.velocity_correlation_s)
@@ -161,10 +147,10 @@ class SimulatedEstimator:
         wn, we, wd = self._wander
         wn, we, wd = wn * keep + en * dt_s, we * keep + ee * dt_s, wd * keep + ed * dt_s
         self._velocity_error, self._wander = (en, ee, ed), (wn, we, wd)
-        pn, pe, pd = truth.vehicle_position_ned_m
+        pn, pe, pd = truth.position_ned_m
         on, oe, od = self._offset
         self.position_ned_m = (pn + on + wn, pe + oe + we, pd + od + wd)
-        vn, ve, vd = rotate_yaw(truth.vehicle_velocity_ned_m_s, self._velocity_turn_rad)
+        vn, ve, vd = rotate_yaw(truth.velocity_ned_m_s, self._velocity_turn_rad)
         ln, le, ld = self._true_velocity or (vn, ve, vd)
         self._true_velocity = (vn, ve, vd)
         self.acceleration_ned_m_s2 = ((vn - ln) / dt_s, (ve - le) / dt_s, (vd - ld) / dt_s)

@@ -1,14 +1,34 @@
-"""The simulated flight controller's interface for its MAVLink endpoint: commands and streamed setpoints.
+"""The simulated flight controller: estimator, commander, navigator and cascade, at the pace of the physics.
 
-Commands are method calls that return a MAV_RESULT; texts for the ground are in `take_texts`. SI units.
+Attitude and rates at every call (400 Hz), the outer loop at the profile's rate. Its NED frame, height and
+heading have the errors of `estimator`. The MAVLink endpoint's commands are method calls that return a
+MAV_RESULT; texts for the ground are in `take_texts`. SI units.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from math import inf, isfinite, isnan, nan
+from typing import Literal
 
-from companion.base.geometry import Vector3, yaw_from_quat
+import numpy as np
+
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.geometry import (
+    Quaternion,
+    Vector3,
+    geodetic_from_ned,
+    ned_from_geodetic,
+    subtract,
+    tilt_from_quat,
+    yaw_from_quat,
+)
+from companion.base.messages import LandedState
+from sitl.autopilot.ardupilot.profile import ARDUPILOT
+from sitl.autopilot.control.attitude_control import RateGains
+from sitl.autopilot.control.cascade import Cascade
+from sitl.autopilot.control.estimator import EstimatorErrors, SimulatedEstimator
 from sitl.autopilot.control.setpoints import (
     OVER_HOME,
     AttitudeSetpoint,
@@ -17,18 +37,464 @@ from sitl.autopilot.control.setpoints import (
     StreamedAttitude,
     StreamedMotion,
 )
-from sitl.autopilot.flight.flight import FlightLoop
-from sitl.autopilot.flight.landing_target import LandingTarget
-from sitl.autopilot.flight.mission import heading_from_condition
-from sitl.autopilot.flight.modes import CommandResult, Severity, Task
-from sitl.autopilot.flight.sticks import Sticks
+from sitl.autopilot.flight.commander import Commander, Text
+from sitl.autopilot.flight.fence import Fence
+from sitl.autopilot.flight.landing_target import LandingTarget, VehicleEstimate
+from sitl.autopilot.flight.manual_control import ManualControl, RcInput, Sticks
+from sitl.autopilot.flight.mission import MissionInputs, MissionRunner, heading_from_condition
+from sitl.autopilot.flight.mission_items import ItemFrame, MissionCommand, MissionItem, MissionStore
+from sitl.autopilot.flight.modes import CommandResult, Mode, Severity, StickMode, Task
+from sitl.autopilot.flight.navigator import Navigator
+from sitl.autopilot.flight.parameters import Parameters
+from sitl.autopilot.flight.profile import AutopilotProfile, setpoints_stopped
+from sitl.autopilot.px4.profile import PX4
+from sitl.vehicle.battery import Battery
+from sitl.vehicle.quadrotor import QuadrotorParameters, QuadrotorState
+from sitl.vehicle.rotors import RotorValues
 
+RefusedRequest = Literal["arm", "take_off", "offboard", "land", "disarm", "auto_disarm"]
+_CEILING, _CIRCLE = 1, 2  # bits of an autopilot's own fences
+PROFILES: dict[AutopilotKind, AutopilotProfile] = {"px4": PX4, "ardupilot": ARDUPILOT}
+_EARLY_S = 1e-6
+_THRUST_OPTION = 8
+_NO_ATTITUDE = AttitudeSetpoint(None, 0.0)
 _LEAST_TAKE_OFF_M = 0.5
 _MOST_ALTITUDE_M = 30_000.0
 
 
-class SimulatedAutopilot(FlightLoop):
-    """The flight loop with its commands."""
+class SimulatedAutopilot:
+    """One autopilot on one airframe.
+
+    `home` is latitude (deg), longitude (deg), altitude (m) of the origin of the SITL's NED.
+    """
+
+    def __init__(
+        self,
+        profile: AutopilotKind,
+        airframe: QuadrotorParameters,
+        rng: np.random.Generator,
+        home: Vector3,
+        errors: EstimatorErrors | None = None,
+        rates: RateGains | None = None,
+    ) -> None:
+        self.profile = PROFILES[profile]
+        self.parameters = Parameters(self.profile.parameters)
+        self.estimate = SimulatedEstimator(errors or EstimatorErrors(), rng)
+        self.mission = MissionStore(self.profile.mission, home=self._home_item)
+        self.fence = Fence(self.profile.mission.fences_unite)
+        self._airframe, self._rates = airframe, rates
+        self._origin = home
+        self.battery = Battery(airframe.max_thrust_n)
+        self._stopped: RotorValues = (0.0,) * airframe.layout.count
+        self._motors = self._stopped
+        self._setpoint: MotionSetpoint | AttitudeSetpoint | None = None
+        self.clear_faults()
+        self._boot()
+
+    def clear_faults(self) -> None:
+        """Nothing refused, the position known, the battery's charge as it is."""
+        self.refused: frozenset[RefusedRequest] = frozenset()
+        self.position_lost = False
+        self.battery.false_share = None
+
+    def _boot(self) -> None:
+        """Reset everything but the parameters and the mission, as a reboot does."""
+        self.booted_s: float | None = None
+        self._commander = Commander(self.profile)
+        self._navigator = Navigator(self.profile, self.parameters)
+        self._cascade = Cascade(self.profile, self._airframe, self._rates)
+        self._runner = MissionRunner(
+            self.mission, self._navigator, self.parameters, self.profile.parameter_map, self._local
+        )
+        self._precision_landing = self.profile.precision_landing(self.parameters)
+        self._manual_control = ManualControl(self.profile, self.parameters, self._airframe.hover_share())
+        self._outer_due_s = -inf
+        self._now_s = -inf
+        self._setpoint = None
+        self.wanted: MotionSetpoint | AttitudeSetpoint | None = None  # what is flown, None before
+        self._setpoint_s = -inf
+        self._arming_seen = (False, 0)  # armed, and disarmings so far
+        self._mission_version = -1
+        self._last_task: Task | None = None
+        self._precision_landing_active = False
+
+    # ------------------------------------------------------------ public state
+
+    @property
+    def armed(self) -> bool:
+        """Motors live."""
+        return self._commander.armed
+
+    @property
+    def mode(self) -> str:
+        """Name of the flight mode."""
+        return self._commander.mode.name
+
+    @property
+    def mode_numbers(self) -> tuple[int, int]:
+        """HEARTBEAT's base_mode and custom_mode."""
+        mode = self._commander.mode
+        return mode.base_mode | (128 if self.armed else 0), mode.custom_mode
+
+    @property
+    def intended_mode_number(self) -> int:
+        """CURRENT_MODE's intended_custom_mode: what is flown again once a failsafe that left it is over."""
+        return self._commander.intended_mode.custom_mode
+
+    @property
+    def task(self) -> Task:
+        """What is being flown."""
+        return self._commander.task
+
+    @property
+    def obeys_setpoints(self) -> bool:
+        """It flies a streamed setpoint whose time is not up."""
+        now = self._commander.situation
+        return self.task is Task.SETPOINT and now.setpoint_age_s <= now.setpoint_timeout_s
+
+    @property
+    def aligned(self) -> bool:
+        """The estimator knows attitude and position."""
+        return self._commander.situation.aligned
+
+    @property
+    def home_set(self) -> bool:
+        """Home is set, even if the position is not yet known."""
+        return self._commander.situation.home_set
+
+    @property
+    def ready_to_arm(self) -> bool:
+        """What SYS_STATUS reports as the pre-arm check: level, and what the mode needs is there.
+
+        That is a known position, and for PX4's OFFBOARD setpoints that keep coming.
+        """
+        now, mode = self._commander.situation, self._commander.mode
+        needs_position = mode.sticks in (None, StickMode.VELOCITY)
+        known = now.aligned if needs_position else now.home_set
+        if self.profile.external_needs_setpoints and setpoints_stopped(now):
+            return False
+        return known and (now.tilt_rad < math.radians(20.0) or not now.landed)
+
+    @property
+    def in_failsafe(self) -> bool:
+        """A failsafe has taken over."""
+        return self._commander.in_failsafe
+
+    @property
+    def landed_state(self) -> LandedState:
+        """EXTENDED_SYS_STATE's landed_state."""
+        if self._cascade.landed:
+            return LandedState.ON_GROUND
+        if self._commander.flown is Task.TAKE_OFF:
+            return LandedState.TAKEOFF
+        landing = self._commander.flown in (Task.LAND, Task.PRECISION_LAND)
+        return LandedState.LANDING if landing else LandedState.IN_AIR
+
+    @property
+    def fence_enabled(self) -> bool:
+        """There is a fence, and it is switched on."""
+        switch = self.profile.parameter_map.fence_enabled
+        present = bool(self.fence.items) or bool(self._own_fences())
+        return present and (switch is None or self.parameters.si(switch) != 0.0)
+
+    @property
+    def fence_broken(self) -> bool:
+        """The vehicle is outside a fence that is switched on."""
+        if not self.fence_enabled or not self.aligned:
+            return False
+        latitude, longitude, _ = self.geodetic(self.estimate.position_ned_m)
+        return self.fence.broken_at(latitude, longitude) or self._beyond_own_fence()
+
+    def _own_fences(self) -> int:
+        """Bits of the ceiling and the circle about home that the autopilot has by its parameters alone."""
+        types = self.profile.parameter_map.fence_types
+        return 0 if types is None else int(self.parameters.si(types)) & (_CEILING | _CIRCLE)
+
+    def _beyond_own_fence(self) -> bool:
+        own = self.profile.parameter_map
+        north, east, down = subtract(self.estimate.position_ned_m, self.home_ned_m)
+        bounds = (
+            (_CIRCLE, own.fence_radius, math.hypot(north, east)),
+            (_CEILING, own.fence_ceiling, -down),
+        )
+        return any(
+            self._own_fences() & bit and most is not None and value > self.parameters.si(most)
+            for bit, most, value in bounds
+        )
+
+    @property
+    def battery_percent(self) -> int:
+        """Remaining charge as the autopilot reports it."""
+        return round(100.0 * self.battery.share)
+
+    @property
+    def thrust(self) -> float:
+        """Collective thrust setpoint, 0..1."""
+        return self._cascade.thrust
+
+    @property
+    def attitude_setpoint(self) -> Quaternion:
+        """Attitude that the inner loop follows, in the autopilot's own frame."""
+        return self._cascade.attitude_setpoint
+
+    @property
+    def rc_input(self) -> RcInput:
+        """The RC input."""
+        return self._manual_control.rc_input
+
+    @property
+    def home_ned_m(self) -> Vector3:
+        """Where it was last disarmed, in its own NED."""
+        return self._navigator.home_ned_m
+
+    def geodetic(self, position_ned_m: Vector3) -> Vector3:
+        """Latitude (deg), longitude (deg), altitude (m) of a place in its own NED."""
+        return geodetic_from_ned(position_ned_m, self._origin)
+
+    def take_texts(self) -> list[Text]:
+        """Severities and texts since the last call."""
+        speakers = (
+            [self.mission.texts]
+            if self._precision_landing is None
+            else [self.mission.texts, self._precision_landing.texts]
+        )
+        texts = list(self._commander.texts)
+        self._commander.texts.clear()
+        for speaker in speakers:
+            texts += speaker
+            speaker.clear()
+        return texts
+
+    def set_mode_named(self, name: str) -> CommandResult:
+        """Change to one of the profile's modes by name."""
+        return self._change_mode(self.profile.mode(name))
+
+    def _change_mode(self, mode: Mode | None, number: int = 0) -> CommandResult:
+        refused: RefusedRequest | None = None
+        if mode is not None and mode.takes_setpoints:
+            refused = "offboard"
+        elif mode is not None and mode.task is Task.LAND:
+            refused = "land"
+        if refused in self.refused:
+            return self.profile.refused_mode
+        self._watch_mission()  # one received since the last step counts already
+        return self._commander.change_mode(mode, number)
+
+    def _watch_mission(self) -> None:
+        if self._mission_version != self.mission.version:
+            self._mission_version = self.mission.version
+            now = self._commander.situation
+            now.mission_ready = self.mission.flyable
+            now.mission_climbs = self.mission.starts_with_take_off()
+
+    # ------------------------------------------------------------ places
+
+    def _local(self, place: Vector3, over_home: bool) -> Vector3:
+        """Latitude, longitude (deg) and altitude (m) in local NED; NaN means the present one."""
+        latitude, longitude, altitude = self.geodetic(self.estimate.position_ned_m)
+        if math.isfinite(place[0]) and math.isfinite(place[1]):
+            latitude, longitude = place[0], place[1]
+        if math.isfinite(place[2]):
+            altitude = place[2] + (self.geodetic(self.home_ned_m)[2] if over_home else 0.0)
+        return ned_from_geodetic(latitude, longitude, altitude, self._origin)
+
+    def _home_item(self) -> MissionItem:
+        """Home as a mission's item 0."""
+        latitude, longitude, altitude = self.geodetic(self.home_ned_m)
+        parameters = (0.0, 0.0, 0.0, 0.0)
+        return MissionItem(
+            MissionCommand.WAYPOINT, ItemFrame.GLOBAL, parameters, latitude, longitude, altitude
+        )
+
+    # ------------------------------------------------------------ time
+
+    def step(self, truth: QuadrotorState, dt_s: float, now_s: float) -> RotorValues:
+        """One step of the physics: the four motor commands 0..1 (front, right, rear, left)."""
+        self.estimate.update_attitude(truth)
+        if now_s >= self._outer_due_s - _EARLY_S:
+            self._outer(truth, now_s)
+        armed = self._commander.armed
+        motors = self._motors = self._cascade.step(self.estimate, dt_s) if armed else self._stopped
+        return motors
+
+    def _outer(self, truth: QuadrotorState, now_s: float) -> None:
+        if self.booted_s is None:
+            self.booted_s = now_s
+        # a late step is made up for by the next ones, a long gap is not
+        self._outer_due_s = (
+            max(self._outer_due_s, now_s - self.profile.outer_period_s) + self.profile.outer_period_s
+        )
+        self._now_s = now_s
+        estimate = self.estimate
+        self.battery.step(self._motors, self.profile.outer_period_s)
+        estimate.step_to(now_s)
+        estimate.update_position(truth, self.profile.outer_period_s)
+        self._note_arming()  # by commands since the step before
+        self._watch(now_s - self.booted_s, now_s - self._setpoint_s)
+        self._note_arming()  # by a failsafe in this one
+        if self._precision_landing is not None:
+            self._precision_landing.watch(self._view(), self.profile.outer_period_s)
+        if self._commander.armed:
+            self._fly()
+        elif not self._navigator.home_is_fixed:
+            self._navigator.home_ned_m = estimate.position_ned_m
+
+    def _note_arming(self) -> None:
+        """Reset the cascade after every arming and disarming, however close together."""
+        now = (self._commander.armed, self._commander.disarmings)
+        if now == self._arming_seen:
+            return
+        stopped, self._arming_seen = now[1] != self._arming_seen[1], now
+        self._cascade.disarm(self.estimate)
+        if stopped:
+            self._runner.rest()
+            self._navigator.speeds.forget()
+
+    def _watch(self, up_s: float, setpoint_age_s: float) -> None:
+        """Update the commander's vehicle status."""
+        now = self._commander.situation
+        now.home_set = up_s >= self.profile.home_s
+        if self.position_lost:
+            now.aligned = False
+        elif not now.aligned and up_s >= self.profile.alignment_s:
+            now.aligned = True
+            for text in self.profile.texts.aligned:
+                self._commander.send_text(Severity.INFO, text)
+        now.landed = self._cascade.landed
+        now.has_flown = now.has_flown or self._cascade.airborne
+        now.tilt_rad = tilt_from_quat(self.estimate.attitude)
+        now.setpoint_age_s = setpoint_age_s
+        parameters = self.profile.parameter_map
+        now.setpoint_timeout_s = self.parameters.si(parameters.setpoint_timeout)
+        if parameters.setpoints_lost_action is not None:
+            now.setpoints_lost_action = round(self.parameters.si(parameters.setpoints_lost_action))
+        now.fence_broken = self.fence_broken
+        now.fence_action = round(self.parameters.si(parameters.fence_action))
+        self._watch_mission()
+        self._manual_control.watch(now, self.task, self._now_s)
+        self._runner.started = self._runner.started or now.throttle_up
+        self._commander.stays_armed = "auto_disarm" in self.refused
+        self._commander.update(self.profile.outer_period_s)
+
+    def _begin_task(self) -> None:
+        """The task has changed since the last step."""
+        self._last_task, self._precision_landing_active = self.task, False
+        if self.task is Task.MISSION:
+            self._runner.enter()
+
+    def _fly(self) -> None:
+        if self.task is not self._last_task:
+            self._begin_task()
+        setpoint = self.wanted = self._wanted()
+        cascade, texts = self._cascade, self.profile.texts
+        if cascade.landed:
+            lifts = self.profile.takes_off_by_setpoint or self._commander.mode.by_attitude
+            by_setpoint = self.task is Task.SETPOINT and lifts
+            may_lift = (
+                by_setpoint or self._manual_control.stick_mode or self._commander.flown is Task.TAKE_OFF
+            )
+            by_climb_rate = self._thrust_is_climb_rate()
+            if not may_lift or not cascade.wants_up(setpoint, self.estimate, by_climb_rate):
+                return
+            cascade.lift_off()
+            self._commander.send_text(Severity.INFO, texts.lifted)
+        if (hover := self.profile.parameter_map.hover_thrust) is not None:
+            believed = self.parameters.si(hover)
+            learnt = cascade.learn_hover(believed, self.estimate, self.profile.outer_period_s)
+            self.parameters.set(hover.name, learnt)  # what lies beyond its range is not learnt
+        cascade.outer(
+            setpoint,
+            self.estimate,
+            self._thrust_is_climb_rate(),
+            self._still_speed(),
+            self.profile.outer_period_s,
+        )
+        if cascade.landed:
+            self._navigator.let_go()
+            self._commander.send_text(Severity.INFO, texts.landed)
+
+    def _wanted(self) -> MotionSetpoint | AttitudeSetpoint:
+        """The setpoint of the present task; after a task is done, the next one starts."""
+        heading = yaw_from_quat(self.estimate.attitude)
+        if self.task is Task.SETPOINT and self._setpoint is not None:
+            self._navigator.let_go()  # the next hold starts at a new position
+            now = self._commander.situation
+            return self.profile.as_aged(self._setpoint, now.setpoint_age_s, now.setpoint_timeout_s, heading)
+        if self.task is Task.HOLD and self._commander.mode.by_attitude:
+            self._navigator.let_go()
+            return self.profile.as_aged(_NO_ATTITUDE, math.inf, 0.0, heading)
+        by_sticks = self._manual_control.setpoint(
+            self._commander.mode, heading, self._now_s, self.profile.outer_period_s
+        )
+        if by_sticks is not None:
+            self._navigator.let_go()
+            return by_sticks
+        task = self.task
+        if task is Task.MISSION:
+            here = MissionInputs(
+                self.estimate.position_ned_m, heading, self._cascade.landed, self.profile.outer_period_s
+            )
+            wanted = self._runner.step(here)
+            self._commander.subtask = wanted if isinstance(wanted, Task) else None
+            if isinstance(wanted, MotionSetpoint):
+                self._navigator.let_go()
+                return wanted
+            task = wanted
+        return self._by_task(task)
+
+    def _by_task(self, task: Task) -> MotionSetpoint:
+        """The setpoint of a task; after a task is done, the next one starts."""
+        landing = self._precision_landing_setpoint(task)
+        if landing is not None:
+            self._navigator.let_go()
+            return landing
+        task = Task.LAND if task is Task.PRECISION_LAND else task
+        estimate = self.estimate
+        setpoint, following = self._navigator.step(task, estimate.position_ned_m, estimate.velocity_ned_m_s)
+        if following is None:
+            return setpoint
+        if self.task is Task.MISSION:
+            self._runner.task_done(following)
+            return setpoint
+        if task is Task.TAKE_OFF:
+            self.set_mode_named(self.profile.after_take_off_mode)
+        self._commander.begin(following)
+        return setpoint
+
+    def _precision_landing_setpoint(self, task: Task) -> MotionSetpoint | None:
+        """The setpoint of the autopilot's precision landing, or None."""
+        precision_landing = self._precision_landing
+        if precision_landing is None or task not in self.profile.precision_landing_tasks:
+            self._precision_landing_active = False
+            return None
+        if not self._precision_landing_active:
+            self._precision_landing_active = True
+            precision_landing.begin(required=self.task is not Task.MISSION or self._runner.precision_required)
+        return precision_landing.fly(self._view(), self.profile.outer_period_s)
+
+    def _view(self) -> VehicleEstimate:
+        estimate = self.estimate
+        position = estimate.position_ned_m
+        return VehicleEstimate(
+            self._now_s,
+            position,
+            estimate.velocity_ned_m_s,
+            estimate.attitude,
+            self._navigator.home_ned_m[2] - position[2],
+            self._navigator.landing_speed(position),
+        )
+
+    def _thrust_is_climb_rate(self) -> bool:
+        if self._manual_control.stick_mode is not None:
+            return self._manual_control.stick_mode is StickMode.ANGLE_AND_CLIMB
+        options = self.profile.parameter_map.guided_options
+        if options is None:
+            return self.profile.thrust_is_climb_rate
+        return not int(self.parameters.si(options)) & _THRUST_OPTION
+
+    def _still_speed(self) -> float:
+        setting = self.profile.parameter_map.still_speed
+        return self.profile.still_speed_m_s if setting is None else self.parameters.si(setting)
 
     # ------------------------------------------------------------ commands
 

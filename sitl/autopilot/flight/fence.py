@@ -1,7 +1,7 @@
 """A geofence: polygons and circles that the vehicle has to stay in or out of, as MAVLink's mission items.
 
 Places are latitude and longitude in degrees, radii in metres. The autopilots' own cylinders
-about home are not part of it (`FlightState`). Sources: MAVLink's mission protocol (plan type "fence"); PX4
+about home are not part of it. Sources: MAVLink's mission protocol (plan type "fence"); PX4
 1.16 `geofence.cpp`; ArduPilot 4.6 `AC_PolyFence_loader`.
 """
 

@@ -1,14 +1,159 @@
-"""Manual control in the flight loop: RC availability, RC loss, and the setpoints of the sticks."""
+"""RC input: channels or a ground station's joystick, and the setpoints that the sticks mean.
+
+Sticks are -1..1: roll right, pitch forward, throttle up (0: middle), yaw clockwise. Channels are in
+microseconds, ordered roll, pitch, throttle, yaw, then switches. Without RC input since boot there is no RC
+loss: a simulator is flown without. Sources: MAVLink RC_CHANNELS_OVERRIDE and MANUAL_CONTROL; PX4's and
+ArduPilot's stick mapping in outline (dead band, full scale), without their expo and smoothing.
+
+Manual control in the flight loop: RC availability, RC loss, and the setpoints of the sticks.
+"""
 
 from __future__ import annotations
 
-from math import inf
+import math
+from dataclasses import dataclass
+from math import inf, nan
 
+from companion.base.geometry import Vector3, quat_from_euler, rotate_yaw, wrap_angle
 from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
 from sitl.autopilot.flight.modes import Mode, StickMode, Task, VehicleStatus
 from sitl.autopilot.flight.parameters import Parameters
 from sitl.autopilot.flight.profile import AutopilotProfile
-from sitl.autopilot.flight.sticks import RcInput, StickMapper, Sticks, StickScales
+
+CHANNELS = 18
+_MIDDLE_US, _SPAN_US = 1500, 500
+_DEAD_BAND = 0.1
+_RAISED = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Sticks:
+    """The four axes, -1..1."""
+
+    roll: float = 0.0
+    pitch: float = 0.0
+    throttle: float = 0.0
+    yaw: float = 0.0
+
+    @property
+    def throttle_is_up(self) -> bool:
+        """The throttle stick commands a climb."""
+        return self.throttle > _RAISED
+
+
+@dataclass(frozen=True, slots=True)
+class StickScales:
+    """Full scales of one autopilot: m/s, rad, rad/s; `hover` is the thrust of the throttle's middle."""
+
+    speed_m_s: float
+    climb_m_s: float
+    descent_m_s: float
+    tilt_rad: float
+    yaw_rate_rad_s: float
+    hover: float
+
+
+class RcInput:
+    """The last RC input and its time."""
+
+    def __init__(self, pitch_channel_reversed: bool) -> None:
+        self._pitch_sign = -1.0 if pitch_channel_reversed else 1.0
+        self._heard_s = -inf
+        self._channels = [0] * CHANNELS
+        self._sticks: Sticks | None = None
+
+    @property
+    def channels(self) -> list[int] | None:
+        """The 18 channels (microseconds, 0: none), None without RC input."""
+        return None if self._sticks is None else list(self._channels)
+
+    def override(self, values: list[int | None], now_s: float) -> None:
+        """RC_CHANNELS_OVERRIDE: 18 values; 0 releases a channel, None leaves it as it is."""
+        for index, value in enumerate(values[:CHANNELS]):
+            if value is not None:
+                self._channels[index] = value
+        if not any(self._channels):
+            self._sticks = None  # released: as if RC input had never been received
+            return
+        roll, pitch, throttle, yaw = (_axis(value) for value in self._channels[:4])
+        self._sticks, self._heard_s = Sticks(roll, self._pitch_sign * pitch, throttle, yaw), now_s
+
+    def manual(self, sticks: Sticks, now_s: float) -> None:
+        """MANUAL_CONTROL: a joystick."""
+        self._sticks, self._heard_s = sticks, now_s
+        axes = (sticks.roll, self._pitch_sign * sticks.pitch, sticks.throttle, sticks.yaw)
+        self._channels[:4] = [round(_MIDDLE_US + _SPAN_US * axis) for axis in axes]
+
+    def sticks(self, now_s: float, timeout_s: float) -> Sticks | None:
+        """The last sticks, None when they are older than the time-out or were never received."""
+        return self._sticks if now_s - self._heard_s <= timeout_s else None
+
+    def lost(self, now_s: float, timeout_s: float) -> bool:
+        """RC input was received, and has timed out."""
+        return self._sticks is not None and now_s - self._heard_s > timeout_s
+
+
+class StickMapper:
+    """Maps sticks to setpoints; holds the heading while the yaw stick is centred."""
+
+    def __init__(self) -> None:
+        self._heading_rad = nan
+
+    def rest(self) -> None:
+        """The sticks do not fly: the next time starts from the present heading."""
+        self._heading_rad = nan
+
+    def setpoint(
+        self, stick_mode: StickMode, sticks: Sticks, scales: StickScales, heading_rad: float, dt_s: float
+    ) -> MotionSetpoint | AttitudeSetpoint | None:
+        """The sticks' setpoint; None when they are centred in a mode that then holds position."""
+        yaw_rate = scales.yaw_rate_rad_s * _outside_band(sticks.yaw)
+        if stick_mode is not StickMode.VELOCITY:
+            return self._tilt(stick_mode, sticks, scales, heading_rad, yaw_rate, dt_s)
+        forward, right = _outside_band(sticks.pitch), _outside_band(sticks.roll)
+        climb = _outside_band(sticks.throttle)
+        if not (forward or right or climb or yaw_rate):
+            return None
+        down = -climb * (scales.climb_m_s if climb > 0.0 else scales.descent_m_s)
+        level: Vector3 = (scales.speed_m_s * forward, scales.speed_m_s * right, down)
+        return MotionSetpoint(
+            velocity_ned_m_s=rotate_yaw(level, heading_rad),
+            yaw_rate_rad_s=yaw_rate,
+            horizontal_speed_m_s=scales.speed_m_s,
+        )
+
+    def _tilt(
+        self,
+        stick_mode: StickMode,
+        sticks: Sticks,
+        scales: StickScales,
+        heading_rad: float,
+        yaw_rate: float,
+        dt_s: float,
+    ) -> AttitudeSetpoint:
+        if yaw_rate or math.isnan(self._heading_rad):
+            self._heading_rad = wrap_angle(heading_rad + yaw_rate * dt_s)
+        attitude = quat_from_euler(
+            scales.tilt_rad * sticks.roll, -scales.tilt_rad * sticks.pitch, self._heading_rad
+        )
+        up = _outside_band(sticks.throttle) if stick_mode is StickMode.ANGLE_AND_CLIMB else sticks.throttle
+        if stick_mode is StickMode.ANGLE_AND_CLIMB:
+            thrust = 0.5 + 0.5 * up
+        else:
+            thrust = scales.hover * (1.0 + up) + max(up, 0.0) * (1.0 - 2.0 * scales.hover)
+        return AttitudeSetpoint(attitude, thrust, yaw_rate)
+
+
+def _axis(channel_us: int) -> float:
+    """-1..1 of a channel; a missing one is centred."""
+    return 0.0 if channel_us == 0 else min(max((channel_us - _MIDDLE_US) / _SPAN_US, -1.0), 1.0)
+
+
+def _outside_band(axis: float) -> float:
+    """The stick beyond its dead band, stretched to -1..1 again."""
+    beyond = max(0.0, abs(axis) - _DEAD_BAND) / (1.0 - _DEAD_BAND)
+    return math.copysign(beyond, axis) if beyond else 0.0
+
 
 # bits of the parameter that excepts tasks from the RC loss failsafe, and tasks that are always excepted
 _EXCEPTIONS = {Task.MISSION: 1, Task.HOLD: 2, Task.GO_TO: 2, Task.SETPOINT: 4}

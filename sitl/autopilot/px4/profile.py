@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 
-from sitl.autopilot.control.attitude_control import AttitudeGains
-from sitl.autopilot.control.rate_control import RateFilters, ShareGains
+from sitl.autopilot.control.attitude_control import AttitudeGains, RateFilters, ShareGains
 from sitl.autopilot.flight.mission_items import MissionCommand, MissionRules
 from sitl.autopilot.flight.modes import (
     ArmingCheck,

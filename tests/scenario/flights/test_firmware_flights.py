@@ -21,7 +21,7 @@ from companion.sim import runner
 from companion.sim.flights import Answer, answer
 from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.trial import Trial
-from sitl.firmware import px4, start
+from sitl.firmware import px4, vehicle
 from sitl.run.server import Service, _kept_free
 from tests.programs import ProgramHere
 from tests.scenario.flying import COMMAND, ROOT, alive, children, environment, started
@@ -37,7 +37,7 @@ NEVER_READY: dict[str, Any] = {"boot_steps": 10**9}
 @pytest.fixture(autouse=True)
 def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is ready settles at once, in this process."""
-    monkeypatch.setattr(start, "SETTLE_S", 0.1)
+    monkeypatch.setattr(vehicle, "SETTLE_S", 0.1)
 
 
 def asked(program: Fake, scenario: Path) -> Answer:
@@ -80,7 +80,7 @@ def test_a_firmware_that_ends_in_flight_is_a_fault_of_that_flight_alone(
 def test_a_firmware_that_is_not_ready_is_refused_with_its_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(start, "MOST_BOOT_S", 0.5)
+    monkeypatch.setattr(vehicle, "MOST_BOOT_S", 0.5)
     program = fake("px4", tmp_path, ready=False, text="Preflight Fail: no home")
     refused = asked(program, scenario_file(tmp_path)).refused
     assert refused == "the firmware is not ready to arm after 0.5 s: Preflight Fail: no home"

@@ -13,7 +13,7 @@ from sitl.campaign import SCENARIOS
 from sitl.scenario.scenario import load_scenario
 from tests.scenario.flying import FEW_PICTURES, SharedFlights, fly, scenario_file
 
-HARDER = ("deck", "glare", "random_turns", "waypoints", "weak_motor")
+HARDER = ("deck", "glare", "hexacopter", "random_turns", "waypoints", "weak_motor")
 STANDARD = [pytest.param(scenario, 0, marks=pytest.mark.fast) for scenario in SCENARIOS]
 FLOWN = [*STANDARD, *((scenario, 1) for scenario in SCENARIOS), *((name, 0) for name in HARDER)]
 LATERAL_M = 0.15

@@ -7,9 +7,8 @@ import io
 import numpy as np
 from rich.console import Console
 
-from calibration.magnetometer.collect.collecting import drawn
-from calibration.magnetometer.collect.guidance import CoverageProgress
-from calibration.magnetometer.ellipsoid.coverage import CELLS
+from calibration.magnetometer.collect import CoverageProgress, drawn
+from calibration.magnetometer.ellipsoid import CELLS
 from companion.app.status import Status
 from companion.app.terminal import status_table
 from companion.base.messages import Phase

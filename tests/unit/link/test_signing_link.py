@@ -19,7 +19,7 @@ from companion.link.signing import (
     stamp_from_unix,
 )
 from sitl.mavlink.endpoint import MavlinkEndpoint
-from sitl.mavlink.signing import Signing
+from sitl.mavlink.framing import Signing
 from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight
 
 KEY, OTHER = bytes(range(32)), bytes(range(1, 33))

@@ -19,13 +19,13 @@ import numpy as np
 from companion.base.geometry import GRAVITY_M_S2, IDENTITY, FloatArray, vector3
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.pad_filter import HeightMeasurement, PadMeasurement
-from sitl.pad.driven_paths import RandomTurnsMotion
 from sitl.pad.motion import PadMotionSettings, build_pad_motion
 from sitl.pad.paths import (
     CircleMotion,
     FigureEightMotion,
     HeaveMotion,
     LineMotion,
+    RandomTurnsMotion,
     StaticMotion,
 )
 

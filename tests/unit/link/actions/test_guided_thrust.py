@@ -14,9 +14,10 @@ from companion.base.messages import Action, ActionKind, ActionResult, Setpoint
 from companion.config import LinkConfig
 from companion.link.actions.actions import PymavlinkActions
 from companion.link.session import Session
-from sitl.autopilot import NO_ERRORS, SimulatedAutopilot
+from sitl.autopilot.control.estimator import NO_ERRORS
+from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
-from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight, Frame450, SimpleVehicle
+from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight, SimpleVehicle, frame_450
 
 HOVER_THRUST = 0.35
 STEP_S = 0.01
@@ -34,7 +35,7 @@ class ControlTaken:
 def hovering() -> AutopilotFlight:
     flight = AutopilotFlight("ardupilot")
     mass_kg = flight.vehicle.airframe.mass_kg
-    strong = Frame450(max_thrust_n=mass_kg * GRAVITY_M_S2 / (4.0 * HOVER_THRUST))
+    strong = frame_450(max_thrust_n=mass_kg * GRAVITY_M_S2 / (4.0 * HOVER_THRUST))
     flight.vehicle = SimpleVehicle(strong)
     flight.autopilot = SimulatedAutopilot("ardupilot", strong, np.random.default_rng(1), HOME, NO_ERRORS)
     flight.take_off(4.0)

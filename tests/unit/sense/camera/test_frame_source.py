@@ -17,7 +17,7 @@ from companion.base.messages import Frame
 from companion.config import CameraConfig, ConfigError
 from companion.sense.camera.frame_socket import MOST_STRANGE, SocketCamera
 from companion.sense.camera.source import FrameSource, keep_camera, open_camera
-from sitl.camera.frame_server import FrameServer
+from sitl.devices.socket_servers import FrameServer
 from tests.unit.sense.camera.camera_frames import AGE_S, noisy_frame
 
 

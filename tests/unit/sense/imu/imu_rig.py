@@ -13,8 +13,7 @@ from companion.base.messages import ImuSample, MagSample
 from companion.config import ImuConfig, SenseConfig, load_inertial
 from companion.sense.imu.i2c import RegisterBus, SensorError
 from companion.sense.imu.mpu9250 import Mpu9250
-from sitl.devices.ak8963 import Ak8963Device
-from sitl.devices.mpu9250 import Mpu9250Device
+from sitl.devices.mpu9250 import Ak8963Device, Mpu9250Device
 from sitl.sensors.inertial import NO_IMU_ERRORS, ImuErrors, ImuSensor
 from sitl.sensors.sensors import MagErrors, MagSensor
 

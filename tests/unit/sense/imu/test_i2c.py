@@ -19,7 +19,7 @@ from companion.base.formats import bus_format
 from companion.base.formats.bus_format import BusFormatError, ReadRequest, WriteRequest
 from companion.config import ConfigError
 from companion.sense.imu.i2c import SmbusBus, SocketBus, open_bus
-from sitl.devices.register_server import answer, serve_registers
+from sitl.devices.socket_servers import answer, serve_registers
 
 BYTE = st.integers(0, 255)
 

@@ -19,9 +19,8 @@ from companion.sense.vision.pipeline import Vision
 from companion.sense.vision.pose import estimate_pose
 from companion.sense.vision.print_check import PrintCheck
 from sitl.camera.camera import CameraModel, ScenePose
-from sitl.camera.exposure import DirtSettings, ImagingSettings
+from sitl.camera.exposure import DirtSettings, ExposureSettings, ImagingSettings
 from sitl.camera.light import GlareSettings, LightSettings, ShadowSettings
-from sitl.camera.sensor_chip import ExposureSettings
 
 LEVEL = quat_from_euler(0.0, 0.0, 0.3)
 DOWN: Vector3 = (0.0, 0.0, 1.0)

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,21 +20,19 @@ from companion.base.geometry import (
     quat_integrate,
     quat_rotate,
 )
-from companion.base.messages import LandedState, Truth
-from sitl.autopilot import (
-    NO_ERRORS,
-    AttitudeSetpoint,
-    CommandResult,
-    EstimatorErrors,
-    MotionSetpoint,
-    SimulatedAutopilot,
-)
-from sitl.autopilot.control.rate_control import RateGains
+from companion.base.messages import LandedState
+from sitl.autopilot.control.attitude_control import RateGains
+from sitl.autopilot.control.estimator import NO_ERRORS, EstimatorErrors
+from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
+from sitl.autopilot.flight.autopilot import SimulatedAutopilot
+from sitl.autopilot.flight.modes import CommandResult
+from sitl.scenario.scenario import load_airframe
+from sitl.vehicle.quadrotor import QuadrotorParameters, QuadrotorState
+from sitl.vehicle.rotors import RotorValues
 
 HOME: Vector3 = (47.0, 8.0, 400.0)
 RATE_HZ = 400
 Streamed = MotionSetpoint | AttitudeSetpoint | Callable[[float], MotionSetpoint | AttitudeSetpoint]
-Four = tuple[float, float, float, float]
 
 
 class MotionSample(NamedTuple):
@@ -47,21 +44,24 @@ class MotionSample(NamedTuple):
     attitude: Quaternion
 
 
-@dataclass(frozen=True)
-class Frame450:
+def frame_450(**other: Any) -> QuadrotorParameters:
     """An airframe of 1.5 kg that hovers at half throttle."""
-
-    mass_kg: float = 1.5
-    inertia_kg_m2: Vector3 = (0.016, 0.016, 0.03)
-    arm_length_m: float = 0.25
-    max_thrust_n: float = 7.36
-    torque_to_thrust_m: float = 0.016
+    numbers: dict[str, Any] = {
+        "mass_kg": 1.5,
+        "inertia_kg_m2": (0.016, 0.016, 0.03),
+        "arm_length_m": 0.25,
+        "max_thrust_n": 7.36,
+        "torque_to_thrust_m": 0.016,
+    }
+    return load_airframe("x500").body.model_copy(update=numbers | other)
 
 
 class SimpleVehicle:
     """Stands on a floor until it flies; `floor_velocity_ned_m_s` lets the floor move like a pad."""
 
-    def __init__(self, airframe: Frame450, heading_rad: float = 0.0, floor_z_m: float = -0.18) -> None:
+    def __init__(
+        self, airframe: QuadrotorParameters, heading_rad: float = 0.0, floor_z_m: float = -0.18
+    ) -> None:
         self.airframe = airframe
         self.wind_ned_m_s: Vector3 = ZERO3
         self.floor_velocity_ned_m_s: Vector3 = ZERO3
@@ -70,30 +70,22 @@ class SimpleVehicle:
         self.velocity: Vector3 = ZERO3
         self.attitude: Quaternion = (math.cos(heading_rad / 2), 0.0, 0.0, math.sin(heading_rad / 2))
         self.rate: Vector3 = ZERO3
-        self._motors: Four = (0.0, 0.0, 0.0, 0.0)
+        self._motors: RotorValues = (0.0, 0.0, 0.0, 0.0)
 
     @property
     def height_m(self) -> float:
         """Feet over the floor."""
         return self.floor_z_m - self.position[2]
 
-    def truth(self, time_s: float) -> Truth:
-        """What the autopilot's sensors would feel."""
-        return Truth(
-            time_s=time_s,
-            vehicle_position_ned_m=self.position,
-            vehicle_velocity_ned_m_s=self.velocity,
-            vehicle_attitude=self.attitude,
-            pad_position_ned_m=ZERO3,
-            pad_velocity_ned_m_s=ZERO3,
-            pad_heading_rad=0.0,
-            rate_body_rad_s=self.rate,
-        )
+    @property
+    def state(self) -> QuadrotorState:
+        """The true motion."""
+        return QuadrotorState(self.position, self.velocity, self.attitude, self.rate)
 
-    def step(self, commands: Four, dt_s: float) -> None:
+    def step(self, commands: RotorValues, dt_s: float) -> None:
         """Semi-implicit Euler; at 400 Hz that is plenty for a controller's test."""
         a, lag = self.airframe, 1.0 - math.exp(-dt_s / 0.04)
-        m1, m2, m3, m4 = self._motors = tuple(  # type: ignore[assignment]
+        m1, m2, m3, m4 = self._motors = tuple(
             m + lag * (c - m) for m, c in zip(self._motors, commands, strict=True)
         )
         full, arm, k = a.max_thrust_n, a.arm_length_m, a.torque_to_thrust_m
@@ -139,7 +131,7 @@ class AutopilotFlight:
         seed: int = 1,
         heading_rad: float = 0.0,
     ) -> None:
-        airframe = Frame450()
+        airframe = frame_450()
         self.vehicle = SimpleVehicle(airframe, heading_rad)
         # tuned to it: by the autopilots' defaults the yaw of a vehicle without any drag hardly settles
         self.autopilot = SimulatedAutopilot(
@@ -161,7 +153,7 @@ class AutopilotFlight:
                 wanted = setpoint(self.now_s) if callable(setpoint) else setpoint
                 self.autopilot.stream(wanted, self.now_s)
             vehicle = self.vehicle
-            motors = self.autopilot.step(vehicle.truth(self.now_s), 1.0 / RATE_HZ, self.now_s)
+            motors = self.autopilot.step(vehicle.state, 1.0 / RATE_HZ, self.now_s)
             vehicle.step(motors, 1.0 / RATE_HZ)
             self._steps += 1
             if self._steps % 8 == 0:

@@ -16,12 +16,8 @@ from companion.base.geometry import (
 )
 from companion.base.messages import LandedState
 from companion.link.modes import custom_mode
-from sitl.autopilot import (
-    CommandResult,
-    LocalFrame,
-    MotionSetpoint,
-    StreamedMotion,
-)
+from sitl.autopilot.control.setpoints import LocalFrame, MotionSetpoint, StreamedMotion
+from sitl.autopilot.flight.modes import CommandResult
 from sitl.mavlink.telemetry import current_mode
 from tests.unit.sitl.autopilot.autopilot_flight import (
     HOME,

@@ -20,14 +20,9 @@ from companion.base.geometry import (
     yaw_from_quat,
 )
 from companion.base.messages import LandedState
-from sitl.autopilot import (
-    AttitudeSetpoint,
-    EstimatorErrors,
-    LocalFrame,
-    MotionSetpoint,
-    StreamedMotion,
-    Task,
-)
+from sitl.autopilot.control.estimator import EstimatorErrors
+from sitl.autopilot.control.setpoints import AttitudeSetpoint, LocalFrame, MotionSetpoint, StreamedMotion
+from sitl.autopilot.flight.modes import Task
 from tests.unit.sitl.autopilot.autopilot_flight import (
     AUTOPILOT_KINDS,
     STAND_STILL,

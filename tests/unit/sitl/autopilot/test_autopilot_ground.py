@@ -6,7 +6,8 @@ import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.messages import LandedState
-from sitl.autopilot import CommandResult, EstimatorErrors
+from sitl.autopilot.control.estimator import EstimatorErrors
+from sitl.autopilot.flight.modes import CommandResult
 from tests.unit.sitl.autopilot.autopilot_flight import (
     AUTOPILOT_KINDS,
     PX4_OFFBOARD,

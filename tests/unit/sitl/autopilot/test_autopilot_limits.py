@@ -12,13 +12,15 @@ import pytest
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import IDENTITY, ZERO3
 from companion.base.messages import LandedState
-from sitl.autopilot import NO_ERRORS, PROFILES, AttitudeSetpoint, CommandResult, MotionSetpoint
 from sitl.autopilot.control.cascade import Cascade
-from sitl.autopilot.control.estimator import SimulatedEstimator
+from sitl.autopilot.control.estimator import NO_ERRORS, SimulatedEstimator
+from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
+from sitl.autopilot.flight.autopilot import PROFILES
+from sitl.autopilot.flight.modes import CommandResult
 from tests.unit.sitl.autopilot.autopilot_flight import (
     STAND_STILL,
     AutopilotFlight,
-    Frame450,
+    frame_450,
     in_the_air,
     landed_state,
     velocity,
@@ -95,7 +97,7 @@ def test_while_the_motors_spool_up_a_climb_by_the_sticks_integrates_no_more_than
     thrusts = []
     for wanted in (AttitudeSetpoint(IDENTITY, 0.6), MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, -0.5))):
         estimate = SimulatedEstimator(NO_ERRORS, np.random.default_rng(1))
-        cascade = Cascade(PROFILES[autopilot_kind], Frame450())
+        cascade = Cascade(PROFILES[autopilot_kind], frame_450())
         cascade.lift_off()
         while not cascade.airborne:
             cascade.outer(wanted, estimate, True, 0.25, STEP_S)

@@ -12,59 +12,61 @@ import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import ZERO3, Vector3, quat_from_euler, quat_multiply, quat_rotate, yaw_from_quat
-from companion.base.messages import Truth
-from sitl.autopilot import PROFILES, EstimatorErrors, Task
 from sitl.autopilot.ardupilot.profile import ARDUPILOT
 from sitl.autopilot.control.attitude_control import (
     AttitudeControl,
     AttitudeReference,
+    RateFilters,
+    RateGains,
     turn_about_down,
 )
-from sitl.autopilot.control.estimator import SimulatedEstimator
-from sitl.autopilot.control.landed import LandedDetector
+from sitl.autopilot.control.cascade import LandedDetector
+from sitl.autopilot.control.estimator import EstimatorErrors, SimulatedEstimator
 from sitl.autopilot.control.mixer import MotorMixer
-from sitl.autopilot.control.rate_control import RateFilters, RateGains
 from sitl.autopilot.control.setpoints import MotionSetpoint
+from sitl.autopilot.flight.autopilot import PROFILES
+from sitl.autopilot.flight.modes import Task
 from sitl.autopilot.flight.parameters import Parameter, ParameterRef, Parameters
 from sitl.autopilot.px4.control import Px4Control
 from sitl.autopilot.px4.profile import PX4
-from tests.unit.sitl.autopilot.autopilot_flight import Frame450
+from sitl.vehicle.quadrotor import QuadrotorState
+from sitl.vehicle.rotors import LAYOUTS, LayoutName, RotorValues
+from tests.unit.sitl.autopilot.autopilot_flight import frame_450
 
 
-def produced(motors: tuple[float, float, float, float]) -> tuple[float, Vector3]:
-    """Thrust (share) and torques (N m) that motor commands make in the end."""
-    a = Frame450()
-    t1, t2, t3, t4 = (a.max_thrust_n * m for m in motors)
-    torque = (
-        a.arm_length_m * (t4 - t2),
-        a.arm_length_m * (t1 - t3),
-        a.torque_to_thrust_m * (t1 - t2 + t3 - t4),
-    )
-    return sum(motors) / 4.0, torque
+def produced(motors: RotorValues, rotors: LayoutName = "quad_plus") -> tuple[float, Vector3]:
+    """Thrust (share) and torques (N m) that motor commands make in the end: places times forces."""
+    a, layout = frame_450(rotors=rotors), LAYOUTS[rotors]
+    up = a.max_thrust_n * np.array(motors)
+    places = a.arm_length_m * np.stack((layout.forward, layout.right, np.zeros(len(up))), axis=1)
+    forces = np.stack((np.zeros(len(up)), np.zeros(len(up)), -up), axis=1)
+    roll, pitch, _ = np.cross(places, forces).sum(axis=0).tolist()
+    return sum(motors) / len(motors), (roll, pitch, a.torque_to_thrust_m * float(up @ layout.turns))
 
 
 # ---------------------------------------------------------------- mixer
 
 
-def test_motors_make_the_thrust_and_torques_asked_for() -> None:
-    thrust, torque = produced(MotorMixer(Frame450(), 0.04).mix(0.5, (0.3, -0.2, 0.05)))
+@pytest.mark.parametrize("rotors", LAYOUTS)
+def test_motors_make_the_thrust_and_torques_asked_for(rotors: LayoutName) -> None:
+    thrust, torque = produced(MotorMixer(frame_450(rotors=rotors), 0.04).mix(0.5, (0.3, -0.2, 0.05)), rotors)
     assert thrust == pytest.approx(0.5)
     assert torque == pytest.approx((0.3, -0.2, 0.05))
 
 
 def test_commands_stay_within_the_motors_range_whatever_is_asked() -> None:
-    mixer = MotorMixer(Frame450(), 0.04)
+    mixer = MotorMixer(frame_450(), 0.04)
     for thrust, *torque in itertools.product((0.0, 0.1, 0.5, 0.9, 1.0), *[(-9.0, -0.5, 0.0, 0.5, 9.0)] * 3):
         motors = mixer.mix(thrust, (torque[0], torque[1], torque[2]))
         assert all(0.04 - 1e-12 <= motor <= 1.0 + 1e-12 for motor in motors)
 
 
 def test_roll_and_pitch_outrank_thrust_and_thrust_outranks_yaw() -> None:
-    thrust, torque = produced(MotorMixer(Frame450(), 0.04).mix(0.95, (1.5, 0.0, 0.3)))
+    thrust, torque = produced(MotorMixer(frame_450(), 0.04).mix(0.95, (1.5, 0.0, 0.3)))
     assert torque[0] == pytest.approx(1.5)
     assert thrust < 0.95
     assert 0.0 < torque[2] < 0.1
-    thrust, torque = produced(MotorMixer(Frame450(), 0.04).mix(0.5, (0.0, 0.0, 5.0)))
+    thrust, torque = produced(MotorMixer(frame_450(), 0.04).mix(0.5, (0.0, 0.0, 5.0)))
     assert thrust == pytest.approx(0.5)
     assert torque[2] > 0.0
 
@@ -72,7 +74,7 @@ def test_roll_and_pitch_outrank_thrust_and_thrust_outranks_yaw() -> None:
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_at_full_thrust_yaw_keeps_a_margin_for_which_the_collective_gives_way(sign: float) -> None:
     # GIVEN all the thrust there is, as in a storm, and a turn to be stopped
-    frame, margin = Frame450(), 0.15 * (1.0 - 0.04)
+    frame, margin = frame_450(), 0.15 * (1.0 - 0.04)
     thrust, torque = produced(MotorMixer(frame, 0.04).mix(1.0, (0.0, 0.0, 5.0 * sign)))
     # THEN the turn is stopped by the margin, and no more of the thrust is given up than that
     assert torque[2] == pytest.approx(sign * 4.0 * frame.torque_to_thrust_m * frame.max_thrust_n * margin)
@@ -197,7 +199,7 @@ def test_motion_ends_the_suspicion() -> None:
 
 
 def test_its_errors_have_the_sizes_they_should() -> None:
-    truth = Truth(0.0, ZERO3, ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, 0.0)
+    truth = QuadrotorState(ZERO3)
     wanders, speeds = [], []
     for seed in range(40):
         estimator = SimulatedEstimator(

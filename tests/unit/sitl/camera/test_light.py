@@ -14,15 +14,16 @@ from companion.base.geometry import matrix_from_quat, quat_from_euler
 from companion.config import CameraConfig, VehicleConfig, find_file, load_model
 from companion.pad import load_pad
 from sitl.camera.camera import CameraModel, ScenePose
-from sitl.camera.exposure import DirtSettings, ImagingSettings
-from sitl.camera.light import GlareSettings, LightSettings, ShadowSettings
-from sitl.camera.sensor_chip import (
+from sitl.camera.exposure import (
     AutoExposure,
+    DirtSettings,
     ExposureSettings,
+    ImagingSettings,
     levelled,
     noise_std_grey,
     response,
 )
+from sitl.camera.light import GlareSettings, LightSettings, ShadowSettings
 
 PAD = load_pad("moving_1300")
 # what is looked at here is light, before it is encoded

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from companion.config import ConfigError
-from sitl.camera.unix_socket import MOST_PATH_BYTES, UnixServer
+from sitl.devices.socket_servers import MOST_PATH_BYTES, UnixServer
 
 
 async def silent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

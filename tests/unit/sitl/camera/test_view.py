@@ -18,8 +18,8 @@ from companion.base.formats.frame_format import FrameHeader, pack_frame
 from companion.base.formats.mjpeg import MjpegServer
 from companion.base.messages import Frame
 from companion.config import CONFIG_FOLDER, ConfigError
-from sitl.camera.frame_server import FrameServer
 from sitl.cli import main
+from sitl.devices.socket_servers import FrameServer
 from sitl.run.view import Statistics, ViewOptions, annotated, view
 
 GREY = np.full((120, 160), 90, np.uint8)

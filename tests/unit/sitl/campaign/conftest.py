@@ -9,8 +9,7 @@ import pytest
 
 from sitl.campaign import run as running
 from sitl.campaign.manifest import CampaignRun
-from sitl.campaign.pool import fly_locally
-from sitl.campaign.worker import RunResult, Worker
+from sitl.campaign.worker import RunResult, Worker, fly_locally
 from tests.unit.sitl.campaign.fake_flights import COMMAND
 
 

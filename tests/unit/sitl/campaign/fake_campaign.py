@@ -6,8 +6,7 @@ from functools import partial
 from unittest.mock import patch
 
 from sitl.campaign import run
-from sitl.campaign.pool import fly_locally
-from sitl.campaign.worker import Worker
+from sitl.campaign.worker import Worker, fly_locally
 from sitl.cli import main
 from tests.unit.sitl.campaign.fake_flights import COMMAND
 

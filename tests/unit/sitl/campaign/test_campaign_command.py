@@ -11,8 +11,8 @@ from rich.console import Console
 from companion.config import ConfigError
 from sitl.campaign.manifest import CampaignRun
 from sitl.campaign.plots import write_plots
-from sitl.campaign.progress import CampaignMeter
 from sitl.campaign.rows import CSV_NAME, read_rows
+from sitl.campaign.run import CampaignMeter
 from tests.unit.sitl.campaign.campaign_command import options, run, seeds
 from tests.unit.sitl.campaign.campaign_parts import row
 from tests.unit.sitl.campaign.fake_flights import DIES, IS_REFUSED, MISSES

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from sitl.campaign.figures import Percentiles, bars, share, spread, worst
 from sitl.campaign.manifest import make_plan
 from sitl.campaign.plots import (
     draw_outcomes,
@@ -20,7 +19,7 @@ from sitl.campaign.plots import (
     write_plots,
 )
 from sitl.campaign.rows import Row
-from sitl.campaign.tables import print_summary
+from sitl.campaign.tables import Percentiles, bars, print_summary, share, spread, worst
 from sitl.scenario.scenario import PassBounds
 from tests.unit.sitl.campaign.campaign_parts import row
 

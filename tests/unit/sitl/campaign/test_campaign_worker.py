@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from companion.config import ConfigError
-from sitl.campaign.pool import fly_locally
-from sitl.campaign.worker import RunResult, Worker
+from sitl.campaign.worker import RunResult, Worker, fly_locally
 from tests.unit.sitl.campaign.campaign_parts import flight
 from tests.unit.sitl.campaign.fake_flights import COMMAND, DIES, FAULTS, HANGS, IS_REFUSED, LEAVES, WAITS
 

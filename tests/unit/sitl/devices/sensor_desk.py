@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from typing import NamedTuple
+from unittest.mock import Mock
 
 import numpy as np
 
@@ -21,11 +22,10 @@ from sitl.devices.ports import MemoryPort
 from sitl.devices.rack import SensorRack
 from sitl.faults.faults import Fault
 from sitl.faults.faulty_link import LinkChannel, LinkSettings
-from sitl.faults.injection import FaultTargets
 from sitl.faults.schedule import FaultSchedule
+from sitl.faults.targets import FaultTargets
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
-from sitl.vehicle.actuators import Motors
-from sitl.vehicle.quadrotor import QuadrotorState
+from sitl.vehicle.quadrotor import Motors, QuadrotorState
 
 STEP_S = 1.0 / 400.0
 FORCE: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
@@ -95,7 +95,9 @@ async def _world(rack: SensorRack, seconds: float, faults: Sequence[Fault]) -> N
     clock, rng = Clock(), np.random.default_rng(0)
     ways = (LinkChannel(LinkSettings(), rng), LinkChannel(LinkSettings(), rng))
     onboard = SimulatedAutopilotSensors(rng, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, imu_filter=2)
-    schedule = FaultSchedule(faults, FaultTargets(rack, onboard, FrameLine(rng), Motors(), *ways))
+    schedule = FaultSchedule(
+        faults, FaultTargets(rack, onboard, FrameLine(rng), Motors(), *ways, Mock(), Mock(), Mock())
+    )
     for k in range(round(seconds / STEP_S)):
         schedule.step(k * STEP_S)
         state = QuadrotorState(

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3
-from sitl.devices.ak8963 import Ak8963Device
-from sitl.devices.mpu9250 import Mpu9250Device
+from sitl.devices.mpu9250 import Ak8963Device, Mpu9250Device
 from sitl.sensors.inertial import NO_IMU_ERRORS, ImuSensor
 from sitl.sensors.sensors import (
     NO_MAG_ERRORS,

@@ -27,8 +27,8 @@ from companion.sense.range.ultrasonic import Ultrasonic
 from companion.sense.serial_port import SerialPort
 from sitl.camera import camera as lens
 from sitl.camera.exposure import ImagingSettings
-from sitl.camera.frame_server import FrameServer
 from sitl.devices.ports import PtyPort
+from sitl.devices.socket_servers import FrameServer
 from sitl.external import client as external_client
 from sitl.external.link import open_link, open_relay
 from sitl.external.session import ExternalConnections, ExternalSimulation

@@ -9,7 +9,7 @@ import pytest
 
 from companion.base.geometry import IDENTITY, ZERO3, Vector3
 from sitl.external.pose import Pose
-from sitl.external.touched_pad import TouchedPad
+from sitl.external.world import TouchedPad
 from sitl.pad.motion import build_pad_motion
 from sitl.scenario.scenario import Scenario
 

@@ -10,13 +10,12 @@ import pytest
 
 from companion.base.geometry import IDENTITY
 from companion.pad import DICTIONARIES, load_pad
-from sitl.autopilot import CommandResult
+from sitl.autopilot.flight.modes import CommandResult
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
 from sitl.camera.frame_line import FrameLine
-from sitl.faults import faults, non_sensor_faults
+from sitl.faults import faults
 from sitl.faults.faulty_link import LinkChannel, LinkSettings
-from sitl.faults.non_sensor_injection import NonSensorTargets
 from sitl.faults.schedule import FaultSchedule
 from sitl.mavlink.telemetry import battery_status, local_position, sys_status
 from sitl.scenario.scenario import Scenario
@@ -38,8 +37,8 @@ class FaultedParts:
         self.world = World(Scenario(name="x", description="x"), 0)
         self.camera = CameraModel(CAMERA, VEHICLE, PAD, SHARP, np.random.default_rng(0))
         self.restarted = 0
-        at = NonSensorTargets(self.camera, PAD, self.world.pad_motion, restart_streams=self._restart, **parts)
-        self.targets = targets(at)
+        parts |= {"camera": self.camera, "motion": self.world.pad_motion}
+        self.targets = targets(restart_streams=self._restart, **parts)
         self.schedule = FaultSchedule([fault], self.targets)
 
     def _restart(self) -> None:
@@ -66,14 +65,14 @@ OWN = {marker.id for marker in PAD.markers}
 
 
 def test_under_a_tarpaulin_no_code_is_seen() -> None:
-    desk = FaultedParts(non_sensor_faults.PadCovered(kind="pad_covered", **times()))
+    desk = FaultedParts(faults.PadCovered(kind="pad_covered", **times()))
     assert desk.codes(0.0) & OWN
     assert desk.codes(1.0) == set()
     assert desk.codes(2.0) & OWN
 
 
 def test_another_pad_shows_other_codes() -> None:
-    desk = FaultedParts(non_sensor_faults.PadWrongIds(kind="pad_wrong_ids", **times()))
+    desk = FaultedParts(faults.PadWrongIds(kind="pad_wrong_ids", **times()))
     own = desk.codes(0.0)
     assert own
     assert own <= OWN
@@ -84,9 +83,7 @@ def test_another_pad_shows_other_codes() -> None:
 
 @pytest.mark.parametrize("moves", [True, False])
 def test_a_twin_is_seen_beside_the_pad(moves: bool) -> None:
-    desk = FaultedParts(
-        non_sensor_faults.PadTwin(kind="pad_twin", north_m=0.0, east_m=1.6, moves=moves, **times())
-    )
+    desk = FaultedParts(faults.PadTwin(kind="pad_twin", north_m=0.0, east_m=1.6, moves=moves, **times()))
     pose = ScenePose((10.0, 0.8, -6.0), IDENTITY, (10.0, 0.0, -0.3), 0.0)
 
     def bright(now_s: float) -> int:
@@ -170,7 +167,7 @@ def test_a_refused_request_is_denied_for_as_long_as_the_fault(profile: Any) -> N
     flight.run(8.0)
     autopilot = flight.autopilot
     desk = FaultedParts(
-        non_sensor_faults.AutopilotRefuses(kind="autopilot_refuses", what="arm", **times()),
+        faults.AutopilotRefuses(kind="autopilot_refuses", what="arm", **times()),
         autopilot=autopilot,
     )
     autopilot.set_mode_named(autopilot.profile.take_off_mode if profile == "ardupilot" else "AUTO_LOITER")
@@ -199,7 +196,7 @@ def test_the_pilot_changes_the_mode_once() -> None:
     flight = AutopilotFlight("px4")
     flight.run(5.0)
     desk = FaultedParts(
-        non_sensor_faults.PilotMode(kind="pilot_mode", mode="position", **times()), autopilot=flight.autopilot
+        faults.PilotMode(kind="pilot_mode", mode="position", **times()), autopilot=flight.autopilot
     )
     desk.schedule.step(1.0)
     assert flight.autopilot.mode == "POSCTL"
@@ -216,9 +213,7 @@ def test_the_motors_stop_in_the_air_as_well(profile: Any) -> None:
     autopilot = flight.autopilot
     autopilot.set_mode_named(autopilot.profile.take_off_mode)
     assert autopilot.arm() is CommandResult.ACCEPTED
-    desk = FaultedParts(
-        non_sensor_faults.AutopilotDisarms(kind="autopilot_disarms", **times()), autopilot=autopilot
-    )
+    desk = FaultedParts(faults.AutopilotDisarms(kind="autopilot_disarms", **times()), autopilot=autopilot)
     desk.schedule.step(0.9)
     assert autopilot.armed
     desk.schedule.step(1.0)
@@ -229,7 +224,7 @@ def test_a_reboot_is_silent_and_starts_the_clock_and_the_streams_again() -> None
     flight = AutopilotFlight("px4")
     flight.run(5.0)
     flight.autopilot.set_mode_named("POSCTL")
-    reboots = non_sensor_faults.AutopilotReboots(kind="autopilot_reboots", start_s=6.0, silent_s=2.0)
+    reboots = faults.AutopilotReboots(kind="autopilot_reboots", start_s=6.0, silent_s=2.0)
     desk = FaultedParts(reboots, autopilot=flight.autopilot)
     desk.schedule.step(6.0)
     assert (flight.autopilot.booted_s, flight.autopilot.mode, desk.restarted) == (6.0, "AUTO_LOITER", 1)
@@ -242,7 +237,7 @@ def test_a_reboot_is_silent_and_starts_the_clock_and_the_streams_again() -> None
 def test_without_its_position_the_autopilot_sends_none() -> None:
     flight = AutopilotFlight("px4")
     flight.run(5.0)
-    lost = non_sensor_faults.AutopilotPositionLost(kind="autopilot_position_lost", **times())
+    lost = faults.AutopilotPositionLost(kind="autopilot_position_lost", **times())
     desk = FaultedParts(lost, autopilot=flight.autopilot)
     assert local_position(flight.autopilot, 5.0) is not None
     desk.schedule.step(1.0)
@@ -257,7 +252,7 @@ def test_without_its_position_the_autopilot_sends_none() -> None:
 def test_the_battery_is_reported_in_both_messages() -> None:
     flight = AutopilotFlight("px4")
     desk = FaultedParts(
-        non_sensor_faults.BatteryCharge(kind="battery", remaining_percent=12, **times()),
+        faults.BatteryCharge(kind="battery", remaining_percent=12, **times()),
         autopilot=flight.autopilot,
     )
     desk.schedule.step(1.0)

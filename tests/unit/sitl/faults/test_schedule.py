@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -11,24 +12,15 @@ from pydantic import ValidationError
 
 from companion.config import ConfigError
 from companion.link import codec
-from companion.pad import load_pad
-from sitl.camera.camera import CameraModel
-from sitl.camera.exposure import ImagingSettings
 from sitl.camera.frame_line import FrameLine
 from sitl.devices.ports import MemoryPort
 from sitl.devices.rack import SensorRack
-from sitl.faults.faults import FrameBlack
+from sitl.faults.faults import AutopilotReboots, DiskFull, FrameBlack
 from sitl.faults.faulty_link import LinkChannel, LinkSettings
-from sitl.faults.injection import FaultTargets
-from sitl.faults.non_sensor_faults import AutopilotReboots, DiskFull
-from sitl.faults.non_sensor_injection import NonSensorTargets
-from sitl.faults.schedule import FaultSchedule, Moments
-from sitl.mavlink.status_text_monitor import StatusTextMonitor
-from sitl.scenario.scenario import Scenario
+from sitl.faults.schedule import FaultSchedule, Moments, StatusTextMonitor
+from sitl.faults.targets import FaultTargets
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
-from sitl.vehicle.actuators import Motors
-from sitl.world.world import World
-from tests.unit.sitl.camera.test_camera import CAMERA, VEHICLE
+from sitl.vehicle.quadrotor import Motors
 from tests.unit.sitl.devices.sensor_desk import FIELD_NED_UT, HOME, STEP_S
 
 ENCODER = codec.mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
@@ -38,18 +30,19 @@ def said(text: str, text_id: int = 1) -> bytes:
     return b"".join(bytes(m.pack(ENCODER)) for m in codec.status_texts(text, "info", text_id))
 
 
-def targets(non_sensor: NonSensorTargets | None = None) -> FaultTargets:
-    return asyncio.run(_targets(non_sensor))
+def targets(**parts: Any) -> FaultTargets:
+    return asyncio.run(_targets(parts))
 
 
-async def _targets(non_sensor: NonSensorTargets | None) -> FaultTargets:
+async def _targets(parts: dict[str, Any]) -> FaultTargets:
     """In a loop, for the ports want one."""
     rng = np.random.default_rng(0)
     gps, echo = MemoryPort(9600), MemoryPort(9600)
     rack = SensorRack(0, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, gps_port=gps, range_port=echo)
     onboard = SimulatedAutopilotSensors(rng, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, imu_filter=2)
     ways = (LinkChannel(LinkSettings(), rng), LinkChannel(LinkSettings(), rng))
-    return FaultTargets(rack, onboard, FrameLine(rng), Motors(), *ways, non_sensor)
+    unused = {name: Mock() for name in ("camera", "motion", "station")}
+    return FaultTargets(rack, onboard, FrameLine(rng), Motors(), *ways, **(unused | parts))
 
 
 def black(**when: Any) -> FrameBlack:
@@ -148,12 +141,6 @@ def test_a_text_of_whole_chunks_ends_with_an_empty_one() -> None:
 # ---------------------------------------------------------------- what is not there cannot fail
 
 
-def non_sensor_of(world: World, **more: Any) -> NonSensorTargets:
-    pad = load_pad("moving_1300")
-    model = CameraModel(CAMERA, VEHICLE, pad, ImagingSettings(), np.random.default_rng(0))
-    return NonSensorTargets(model, pad, world.pad_motion, **more)
-
-
 @pytest.mark.parametrize(
     ("fault", "words"),
     [
@@ -162,6 +149,5 @@ def non_sensor_of(world: World, **more: Any) -> NonSensorTargets:
     ],
 )
 def test_a_fault_of_what_is_not_simulated_is_refused(fault: Any, words: str) -> None:
-    world = World(Scenario(name="x", description="x"), 0)
     with pytest.raises(ConfigError, match=words):
-        FaultSchedule([fault], targets(non_sensor_of(world)))
+        FaultSchedule([fault], targets())

@@ -16,10 +16,9 @@ import numpy as np
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Vector3
 from companion.config import find_file, load_model
-from sitl.firmware.barometer import Barometer
-from sitl.firmware.base import Firmware, Moment, Setup
+from sitl.firmware.base import Barometer, Firmware, Moment, Setup
 from sitl.firmware.spec import FirmwareSpec
-from sitl.firmware.start import start_firmware
+from sitl.firmware.vehicle import start_firmware
 from sitl.mavlink.framing import FrameReader, dialect
 from sitl.scenario.scenario import AirframeConfig
 from sitl.sensors.autopilot_sensors import Field, Fix, ImuReading, SimulatedAutopilotSensors

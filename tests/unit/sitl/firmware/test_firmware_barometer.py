@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sitl.firmware.barometer import NOISE_M, PERIOD_S, WANDER_M, Barometer, pressure_hpa
+from sitl.firmware.base import NOISE_M, PERIOD_S, WANDER_M, Barometer, pressure_hpa
 
 
 @pytest.mark.parametrize(

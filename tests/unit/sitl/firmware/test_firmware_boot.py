@@ -18,15 +18,15 @@ import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
-from sitl.firmware import ardupilot, process, px4, start
+from sitl.firmware import FirmwareError, ardupilot, process, px4
+from sitl.firmware import vehicle as firmware_vehicle
 from sitl.firmware.base import Moment
-from sitl.firmware.errors import FirmwareError
 from sitl.firmware.process import Datagrams, Process
 from sitl.firmware.vehicle import FirmwareVehicle
 from sitl.mavlink.ground_station import GroundStation
 from sitl.scenario.scenario import load_scenario
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
-from sitl.vehicle.quadrotor import Four
+from sitl.vehicle.rotors import RotorValues
 from sitl.world.world import World
 from tests.unit.sitl.firmware.fake_firmware import HOME, STEP_S, Fake, fake, runs, sensors_at_rest, soon
 
@@ -36,8 +36,8 @@ BOTH = pytest.mark.parametrize("kind", ["px4", "ardupilot"])
 @pytest.fixture(autouse=True)
 def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is ready settles at once; what is not is not waited for."""
-    monkeypatch.setattr(start, "SETTLE_S", 0.1)
-    monkeypatch.setattr(start, "MOST_BOOT_S", 3.0)
+    monkeypatch.setattr(firmware_vehicle, "SETTLE_S", 0.1)
+    monkeypatch.setattr(firmware_vehicle, "MOST_BOOT_S", 3.0)
 
 
 def vehicle(program: Fake, sensors: SimulatedAutopilotSensors | None = None) -> FirmwareVehicle:
@@ -59,11 +59,13 @@ def booted(program: Fake, sensors: SimulatedAutopilotSensors | None = None) -> I
         yield flies
 
 
-def fly(flies: FirmwareVehicle, steps: int, sensors: SimulatedAutopilotSensors | None = None) -> list[Four]:
+def fly(
+    flies: FirmwareVehicle, steps: int, sensors: SimulatedAutopilotSensors | None = None
+) -> list[RotorValues]:
     """The motors of so many steps from the world's time 0 on; the world stands still."""
     motors, state = [], flies._world.state
     for count in range(steps):
-        motors.append(flies.step(flies._world.motion(), STEP_S, count * STEP_S))
+        motors.append(flies.step(flies._world.state, STEP_S, count * STEP_S))
         (sensors or flies._sensors).step((count + 1) * STEP_S, state, 0.0, lambda: 0.2)
     return motors
 
@@ -130,7 +132,7 @@ def test_it_is_armed_as_its_heartbeat_tells(kind: AutopilotKind, tmp_path: Path)
 def test_while_it_boots_a_ground_station_asks_it_for_what_tells_that_it_is_ready(
     kind: AutopilotKind, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(start, "SETTLE_S", 1.2)  # it is asked once a second
+    monkeypatch.setattr(firmware_vehicle, "SETTLE_S", 1.2)  # it is asked once a second
     program = fake(kind, tmp_path)
     with booted(program):
         pass
@@ -159,7 +161,7 @@ def test_one_that_is_never_ready_is_refused_with_its_reason(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(start, "MOST_BOOT_S", 0.6)
+    monkeypatch.setattr(firmware_vehicle, "MOST_BOOT_S", 0.6)
     program = fake(kind, tmp_path, **behaviour)
     with pytest.raises(ConfigError) as caught:
         vehicle(program)
@@ -182,7 +184,7 @@ def test_one_that_ends_while_it_boots_is_refused_with_its_last_words(
 def test_nothing_is_left_when_the_boot_is_broken_off(
     kind: AutopilotKind, kind_of_end: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def breaks_off(_firmware: object, _moment: Moment) -> Four:
+    def breaks_off(_firmware: object, _moment: Moment) -> RotorValues:
         raise kind_of_end
 
     monkeypatch.setattr({"px4": px4.Px4, "ardupilot": ardupilot.ArduPilot}[kind], "step", breaks_off)

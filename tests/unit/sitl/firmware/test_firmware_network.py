@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from sitl.firmware.base import Moment
-from sitl.firmware.network import FirmwareNetwork
+from sitl.firmware.vehicle import FirmwareNetwork
 from sitl.mavlink.framing import dialect as mavlink
 from sitl.mavlink.ground_station import GroundStation
-from sitl.vehicle.quadrotor import Four
+from sitl.vehicle.rotors import RotorValues
 from tests.unit.sitl.external.external_vehicle import ARDUPILOT, PX4, MessageSender, heartbeat
 from tests.unit.sitl.firmware.fake_firmware import HOME, messages
 
@@ -26,7 +26,7 @@ class RecordedFirmware:
         self.says: list[bytes] = []
         self.told: list[bytes] = []
 
-    def step(self, moment: Moment) -> Four:
+    def step(self, moment: Moment) -> RotorValues:
         raise NotImplementedError
 
     def read(self) -> list[bytes]:

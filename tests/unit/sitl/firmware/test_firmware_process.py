@@ -10,9 +10,8 @@ import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
-from sitl.firmware import ardupilot, px4
+from sitl.firmware import FirmwareError, ardupilot, px4
 from sitl.firmware.base import Firmware
-from sitl.firmware.errors import FirmwareError
 from tests.unit.sitl.firmware.fake_firmware import (
     STEP_S,
     fake,

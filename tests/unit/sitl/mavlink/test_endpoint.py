@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.base.autopilot_kind import AutopilotKind
-from sitl.autopilot import EstimatorErrors
+from sitl.autopilot.control.estimator import EstimatorErrors
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
 from tests.unit.sitl.mavlink.endpoint_link import BOTH, Link, of, velocity_message

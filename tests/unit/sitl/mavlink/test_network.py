@@ -14,12 +14,10 @@ from benchmarks.mavlink.fuzzing import Fuzz
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import ZERO3
 from companion.link.signing import LinkSigning, SigningKey
-from sitl.autopilot import CommandResult
-from sitl.mavlink.framing import FrameReader, dialect
-from sitl.mavlink.ground_station import GroundStation
-from sitl.mavlink.intruders import Companion, Forger
+from sitl.autopilot.flight.modes import CommandResult
+from sitl.mavlink.framing import FrameReader, Signing, dialect
+from sitl.mavlink.ground_station import Companion, Forger, GroundStation
 from sitl.mavlink.network import Network
-from sitl.mavlink.signing import Signing
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.quadrotor import resting_state
 from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight

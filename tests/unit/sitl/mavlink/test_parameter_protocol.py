@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.autopilot_kind import AutopilotKind
-from sitl.autopilot import PROFILES
+from sitl.autopilot.flight.autopilot import PROFILES
 from tests.unit.sitl.autopilot.missions.mission_desk import Station
 
 BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])

@@ -12,8 +12,7 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
 from companion.link.signing import EPOCH_UNIX_S, STAMPS_PER_S, stamp_from_unix
 from sitl.mavlink.endpoint import MavlinkEndpoint
-from sitl.mavlink.framing import FrameReader, MavFrame, dialect
-from sitl.mavlink.signing import Signing, read_key
+from sitl.mavlink.framing import FrameReader, MavFrame, Signing, dialect, read_key
 from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight
 
 mavlink: Any = dialect

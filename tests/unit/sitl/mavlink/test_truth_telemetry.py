@@ -13,10 +13,10 @@ from companion.base.geometry import ned_from_geodetic, quat_from_euler
 from companion.config import LinkConfig, SenseConfig
 from companion.link.codec import Codec, command_long
 from companion.link.session import Session
-from sitl.autopilot import SimulatedAutopilot
+from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.external import pose as external_pose
 from sitl.mavlink.endpoint import MavlinkEndpoint
-from sitl.mavlink.truth_telemetry import HIL_STATE, SIM_STATE, TruthMessages
+from sitl.mavlink.sensor_telemetry import HIL_STATE, SIM_STATE, TruthMessages
 from sitl.scenario.home import USUAL_HOMES
 from sitl.scenario.scenario import Scenario
 from sitl.vehicle.quadrotor import QuadrotorState

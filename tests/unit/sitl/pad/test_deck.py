@@ -18,8 +18,7 @@ from companion.base.geometry import (
 )
 from companion.config import ConfigError, validate
 from sitl.pad.motion import PadTruth, build_pad_motion
-from sitl.pad.paths import LineMotion, StaticMotion
-from sitl.pad.sea import DeckMotion, DeckSettings
+from sitl.pad.paths import DeckMotion, DeckSettings, LineMotion, StaticMotion
 from sitl.scenario.scenario import Scenario
 from sitl.vehicle.quadrotor import QuadrotorState
 from sitl.world.ground import PadBoard, tilt_from_normal

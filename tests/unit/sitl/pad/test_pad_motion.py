@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import wrap_angle
-from sitl.pad.driven_paths import RandomTurnsMotion, WaypointsMotion
 from sitl.pad.motion import PadMotion, PadMotionSettings, build_pad_motion
 from sitl.pad.paths import (
     CircleMotion,
@@ -18,7 +17,9 @@ from sitl.pad.paths import (
     HeaveMotion,
     LineMotion,
     Meeting,
+    RandomTurnsMotion,
     StaticMotion,
+    WaypointsMotion,
 )
 
 BLOCK = ((8.0, -9.0), (8.0, 7.0), (20.0, 7.0), (20.0, -9.0))

@@ -12,8 +12,7 @@ import pytest
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.geometry import GRAVITY_M_S2, Vector3, geodetic_from_ned, quat_from_euler
 from companion.base.messages import Frame, Phase
-from sitl.devices.ak8963 import Ak8963Device
-from sitl.devices.mpu9250 import Mpu9250Device
+from sitl.devices.mpu9250 import Ak8963Device, Mpu9250Device
 from sitl.devices.ports import MemoryPort
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import load_scenario

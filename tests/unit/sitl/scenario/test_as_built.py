@@ -11,13 +11,12 @@ import pytest
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, norm
 from companion.config import ConfigError, validate
 from companion.pad import load_pad
-from sitl.autopilot import hover_thrust
 from sitl.faults.faulty_link import LinkSettings
 from sitl.scenario.as_built import AS_BELIEVED, NOTHING_ELSE, AsBuiltSettings, BuiltVehicle, draw
 from sitl.scenario.scenario import Scenario, load_airframe
 from sitl.sensors.inertial import felt_at
-from sitl.vehicle.actuators import Motors
-from sitl.vehicle.quadrotor import Four, QuadrotorState
+from sitl.vehicle.quadrotor import Motors, QuadrotorState
+from sitl.vehicle.rotors import RotorValues
 from sitl.world.world import World
 
 SEEDS = range(200)
@@ -79,7 +78,7 @@ def test_what_it_hovers_at_is_what_was_told_over_the_error(seed: int) -> None:
     true = BODY.hover_share() / built.hover_thrust
     (thrust, *_) = Motors(built.thrust_exponent).given((true,) * 4)
     assert 4.0 * thrust * body.max_thrust_n == pytest.approx(built.mass * BODY.mass_kg * GRAVITY_M_S2)
-    assert hover_thrust(built.told_body(BODY)) == pytest.approx(BODY.hover_share())
+    assert built.told_body(BODY).hover_share() == pytest.approx(BODY.hover_share())
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -129,6 +128,6 @@ def test_a_delay_is_on_one_side_of_the_line() -> None:
 
 
 def test_motors_that_are_believed_rightly_pass_the_command_on() -> None:
-    command: Four = (0.1, 0.2, 0.3, 0.4)
+    command: RotorValues = (0.1, 0.2, 0.3, 0.4)
     assert Motors().given(command) is command
     assert Motors(2.0).given((0.5, 0.5, -0.1, 1.2)) == pytest.approx((0.25, 0.25, 0.0, 1.0))

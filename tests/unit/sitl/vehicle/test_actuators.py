@@ -6,8 +6,7 @@ import pytest
 
 from companion.config import validate
 from sitl.scenario.scenario import Scenario
-from sitl.vehicle.actuators import Motors
-from sitl.vehicle.quadrotor import QuadrotorState
+from sitl.vehicle.quadrotor import Motors, QuadrotorState
 from sitl.world.world import World
 
 HOVER = (0.5, 0.5, 0.5, 0.5)

@@ -33,13 +33,12 @@ from companion.config import (
 from companion.pad import load_pad
 from companion.sense.imu.mpu9250 import Mpu9250
 from companion.sense.vision.pipeline import Vision
-from sitl.camera.frame_server import FrameServer
 from sitl.cli import main
-from sitl.devices.register_server import serve_registers
+from sitl.devices.socket_servers import FrameServer, serve_registers
 from sitl.run.in_process import InProcess, carried
 from sitl.run.scene_camera import CameraTruth
 from sitl.scenario.scenario import Scenario
-from sitl.sensors.calibration_errors import ACCEL_OFFSET_M_S2, GYRO_OFFSET_RAD_S, HARD_IRON_UT
+from sitl.sensors.sensors import ACCEL_OFFSET_M_S2, GYRO_OFFSET_RAD_S, HARD_IRON_UT
 from sitl.vehicle.hand_motion import HandMotion
 from sitl.world.hand_held import HandHeldWorld
 from tests.unit.sitl.run.test_server import child_in

@@ -17,13 +17,14 @@ from companion.base.geometry import (
     tilt_from_quat,
 )
 from sitl.scenario.scenario import load_airframe
-from sitl.vehicle.quadrotor import Four, Quadrotor, QuadrotorParameters, QuadrotorState, resting_state
+from sitl.vehicle.quadrotor import Quadrotor, QuadrotorParameters, QuadrotorState, resting_state
+from sitl.vehicle.rotors import RotorValues
 
 DT = 0.0025
 X500 = load_airframe("x500").body
 HOVER = X500.hover_share()
-ALL_HOVER: Four = (HOVER, HOVER, HOVER, HOVER)
-OFF: Four = (0.0, 0.0, 0.0, 0.0)
+ALL_HOVER: RotorValues = (HOVER, HOVER, HOVER, HOVER)
+OFF: RotorValues = (0.0, 0.0, 0.0, 0.0)
 
 
 def changed(**values: Any) -> QuadrotorParameters:
@@ -76,7 +77,7 @@ def test_each_motor_turns_the_body_its_way(more: tuple[int, ...], axis: int, sig
 
 
 def test_torques_have_the_agreed_arms() -> None:
-    share: Four = (0.5, 0.4, 0.42, 0.6)
+    share: RotorValues = (0.5, 0.4, 0.42, 0.6)
     accelerations = (
         Quadrotor(X500).step(hovering(thrust_share=share), share, 1e-5).angular_acceleration_body_rad_s2
     )
@@ -93,7 +94,7 @@ def test_torques_have_the_agreed_arms() -> None:
 
 def test_gyroscopics_equal_the_vector_form_with_opposite_signs_in_roll_and_pitch() -> None:
     parameters = changed(inertia_kg_m2=(0.015, 0.02, 0.03), rotor_inertia_kg_m2=2e-3)
-    share: Four = (0.2, 0.6, 0.2, 0.6)
+    share: RotorValues = (0.2, 0.6, 0.2, 0.6)
     rate = (0.8, -1.1, 0.5)
     state = hovering(thrust_share=share, rate_body_rad_s=rate)
     got = Quadrotor(parameters).step(state, share, 1e-6).angular_acceleration_body_rad_s2
@@ -115,7 +116,7 @@ def test_gyroscopics_equal_the_vector_form_with_opposite_signs_in_roll_and_pitch
 
 def test_spinning_a_rotor_up_turns_the_body_against_it() -> None:
     parameters = changed(torque_to_thrust_m=1e-9, rotor_inertia_kg_m2=1e-3)
-    up: Four = (1.0, HOVER, 1.0, HOVER)
+    up: RotorValues = (1.0, HOVER, 1.0, HOVER)
     state = Quadrotor(parameters).step(hovering(), up, DT)
     # front and rear turn anticlockwise: speeding up pushes the body clockwise
     assert state.rate_body_rad_s[2] > 0.0
@@ -141,7 +142,7 @@ def test_a_step_of_another_length_has_the_same_lag() -> None:
 
 def test_integration_is_of_fourth_order() -> None:
     vehicle = Quadrotor(X500)
-    share: Four = (0.45, 0.55, 0.47, 0.5)
+    share: RotorValues = (0.45, 0.55, 0.47, 0.5)
 
     def flown(dt: float) -> np.ndarray[Any, Any]:
         state = hovering(
@@ -164,7 +165,7 @@ def test_integration_is_of_fourth_order() -> None:
 def test_motion_does_not_depend_on_where_north_is(yaw_deg: int) -> None:
     yaw = math.radians(yaw_deg)
     vehicle = Quadrotor(X500)
-    share: Four = (0.52, 0.5, 0.48, 0.53)
+    share: RotorValues = (0.52, 0.5, 0.48, 0.53)
     tilted = quat_from_euler(0.3, -0.25, 0.4)
 
     def flown(turn: float) -> QuadrotorState:

@@ -17,14 +17,15 @@ from companion.base.geometry import (
 )
 from sitl.pad.motion import PadTruth
 from sitl.scenario.scenario import load_airframe
-from sitl.vehicle.quadrotor import Four, Quadrotor, QuadrotorState
+from sitl.vehicle.quadrotor import Quadrotor, QuadrotorState
+from sitl.vehicle.rotors import RotorValues
 from sitl.world.contact import NO_CONTACT, Contact
 from sitl.world.ground import PadBoard
 
 DT = 0.0025
 X500 = load_airframe("x500")
 STAND = X500.legs.standing_height_m()
-OFF: Four = (0.0, 0.0, 0.0, 0.0)
+OFF: RotorValues = (0.0, 0.0, 0.0, 0.0)
 BOARD = PadBoard(0.65, 0.65)
 HUBS = tuple((0.25 * x, 0.25 * y, -0.05) for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1)))
 

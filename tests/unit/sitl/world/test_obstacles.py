@@ -7,7 +7,7 @@ from companion.base.messages import Outcome, Phase
 from companion.config import Box, ConfigError, Cylinder, Shape, validate
 from sitl.scenario.scenario import PassBounds, Scenario, load_airframe, load_scenario
 from sitl.vehicle.quadrotor import resting_state
-from sitl.world.obstacles import Obstacles, distance_m, reach_m
+from sitl.world.ground import Obstacles, distance_m, reach_m
 from sitl.world.score import judge
 from sitl.world.world import World
 

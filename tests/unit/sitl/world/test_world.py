@@ -17,14 +17,14 @@ from companion.base.geometry import (
     yaw_from_quat,
 )
 from companion.config import validate
-from sitl.autopilot.control.airframe import hover_thrust
 from sitl.scenario.scenario import Scenario
-from sitl.vehicle.quadrotor import Four, QuadrotorState
+from sitl.vehicle.quadrotor import QuadrotorState
+from sitl.vehicle.rotors import RotorValues
 from sitl.world.wind import shear
 from sitl.world.world import World
 
 DT = 0.0025
-OFF: Four = (0.0, 0.0, 0.0, 0.0)
+OFF: RotorValues = (0.0, 0.0, 0.0, 0.0)
 STAND = 0.18
 
 
@@ -37,7 +37,7 @@ def pad_at(north: float, east: float, height: float = 0.3, **motion: Any) -> dic
     return {"surface_height_m": height, "motion": {"kind": "static", "meet": meet, **motion}, "heading": 0.0}
 
 
-def run(world: World, seconds: float, commands: Four = OFF) -> World:
+def run(world: World, seconds: float, commands: RotorValues = OFF) -> World:
     for _ in range(round(seconds / DT)):
         world.step(commands, DT)
     return world
@@ -132,7 +132,7 @@ def test_a_touchdown_is_measured_just_before_contact_and_relative_to_the_pad() -
 def test_a_hop_below_a_metre_is_no_flight_and_a_later_flight_replaces_the_touchdown() -> None:
     world = put(World(scenario(pad=pad_at(20.0, 0.0)), 0), 0.1)
     assert run(world, 1.0).touchdown is None
-    full: Four = (0.9, 0.9, 0.9, 0.9)
+    full: RotorValues = (0.9, 0.9, 0.9, 0.9)
     while world.height_m < 1.5:
         world.step(full, DT)
     run(world, 3.0, (0.46, 0.46, 0.46, 0.46))
@@ -149,7 +149,7 @@ def test_a_hop_below_a_metre_is_no_flight_and_a_later_flight_replaces_the_touchd
 def test_feet_that_touch_the_pad_are_not_above_it_however_little_they_bear() -> None:
     world = put(World(scenario(pad=pad_at(5.0, 5.0)), 0), 1.1)
     assert world.feet_over_pad_m == pytest.approx(1.1)
-    most = 0.95 * hover_thrust(world.airframe.body)
+    most = 0.95 * world.airframe.body.hover_share()
     heights = []
     for _ in range(2000):
         world.step((most,) * 4, DT)
@@ -195,7 +195,7 @@ def test_lying_on_its_side_or_back_is_a_crash() -> None:
 def test_hovering_low_over_the_pad_takes_less_thrust() -> None:
     world = World(scenario(pad=pad_at(20.0, 0.0)), 0)
     share = world.airframe.body.hover_share()
-    hover: Four = (share, share, share, share)
+    hover: RotorValues = (share, share, share, share)
     gained = []
     for height in (5.0, 0.05):
         put(world, height, thrust_share=hover)
