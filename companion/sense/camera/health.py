@@ -60,7 +60,7 @@ def patience_with(camera: CaptureConfig, source: Literal["device", "socket", "re
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class FrameFault:
     """What is wrong with a frame; not `usable`: it must not be looked at."""
 
     kind: Kind
@@ -77,7 +77,7 @@ class FrameJudge:
         self._last: Frame | None = None
         self._last_sample: NDArray[np.uint8] | None = None
 
-    def fault(self, frame: Frame) -> Fault | None:
+    def fault(self, frame: Frame) -> FrameFault | None:
         """What is wrong with it, None when it is good."""
         found = self._stamp_fault(frame)
         if found is not None:
@@ -87,38 +87,38 @@ class FrameJudge:
         self._last, self._last_sample = frame, sample
         return found
 
-    def _stamp_fault(self, frame: Frame) -> Fault | None:
+    def _stamp_fault(self, frame: Frame) -> FrameFault | None:
         age_s = frame.received_s - frame.time_s
         if age_s > self._oldest_s:
-            return Fault("stamp", f"frame stamps {age_s:.1f} s before arrival")
+            return FrameFault("stamp", f"frame stamps {age_s:.1f} s before arrival")
         if age_s < -FUTURE_S:
-            return Fault("stamp", f"frame stamps {-age_s:.1f} s after arrival")
+            return FrameFault("stamp", f"frame stamps {-age_s:.1f} s after arrival")
         if self._last is None:
             return None
         step_s = frame.time_s - self._last.time_s
         if step_s == 0.0:
-            return Fault("stamp", "frame stamps do not advance")
+            return FrameFault("stamp", "frame stamps do not advance")
         if step_s < 0.0:
-            return Fault("stamp", f"frame stamps jump back by {-step_s:.3f} s")
+            return FrameFault("stamp", f"frame stamps jump back by {-step_s:.3f} s")
         return None
 
-    def _content_fault(self, frame: Frame, sample: NDArray[np.uint8]) -> Fault | None:
+    def _content_fault(self, frame: Frame, sample: NDArray[np.uint8]) -> FrameFault | None:
         low, high = int(sample.min()), int(sample.max())
         if high - low <= FLAT_GREY:
-            return Fault("content", f"images of one grey ({low} of 255)")
+            return FrameFault("content", f"images of one grey ({low} of 255)")
         if _filled_share(sample) >= LEAST_TORN:
             # the rest is what was seen
-            return Fault("content", "torn images: lower part empty", usable=True)
+            return FrameFault("content", "torn images: lower part empty", usable=True)
         last, last_sample = self._last, self._last_sample
         if last is None or last_sample is None or _lowest_is_new(sample, last_sample):
             return None
         same = (sample == last_sample).all(axis=1)
         if same.all():
             again = np.array_equal(frame.image, last.image)
-            return Fault("content", "the same image repeated") if again else None
+            return FrameFault("content", "the same image repeated") if again else None
         # a row of one grey (clipped, white or black) is the same without being old
         if _old_share(same & (sample != sample[:, :1]).any(axis=1)) >= LEAST_TORN:
-            return Fault("content", "torn images: lower part of the previous one")
+            return FrameFault("content", "torn images: lower part of the previous one")
         return None
 
 
@@ -158,7 +158,7 @@ class CameraHealth:
         self._frame_s: float | None = None
         self._good_s: float | None = None  # the last good frame
         self._run_s: float | None = None  # the first good one after the last trouble
-        self._fault: Fault | None = None
+        self._fault: FrameFault | None = None
 
     def take(self, frame: Frame, now_s: float) -> bool:
         """Note a frame that has come; whether it may be looked at."""
