@@ -15,7 +15,7 @@ RATE_NOISE_RAD_S = 0.01
 
 
 @dataclass
-class Replayed:
+class SwingFlight:
     """Swings under its own thrust in a turbulent wind: 0.3 m2/s5 of random walk, an x500's in 8 m/s."""
 
     imu_body_m: Vector3
@@ -61,7 +61,7 @@ class Replayed:
 @pytest.mark.parametrize("imu_body_m", [(0.0, 0.0, 0.08), (0.05, -0.06, -0.05), ZERO3], ids=str)
 def test_an_arm_that_nobody_told_is_learnt_within_seconds_of_a_swing(imu_body_m: Vector3) -> None:
     arm = LeverArm(ZERO3)
-    left = Replayed(imu_body_m).fly(arm, 10.0)
+    left = SwingFlight(imu_body_m).fly(arm, 10.0)
     error = np.array(subtract(arm.position_body_m, imu_body_m))
     std = np.sqrt(np.diag(arm.covariance_m2))
     assert np.abs(error / std).max() < 3.0
@@ -71,21 +71,21 @@ def test_an_arm_that_nobody_told_is_learnt_within_seconds_of_a_swing(imu_body_m:
 
 def test_what_is_told_counts_where_nothing_turns() -> None:
     arm = LeverArm((0.0, 0.0, 0.04))
-    Replayed((0.0, 0.0, 0.04), swing_rad=0.0).fly(arm, 5.0)
+    SwingFlight((0.0, 0.0, 0.04), swing_rad=0.0).fly(arm, 5.0)
     assert arm.position_body_m == pytest.approx((0.0, 0.0, 0.04), abs=0.03)
     assert min(np.diag(arm.covariance_m2)) > 0.04**2
 
 
 def test_in_somebodys_hands_or_on_a_rocking_deck_nothing_is_learnt() -> None:
     arm = LeverArm(ZERO3)
-    Replayed(ZERO3, swing_rad=0.2, in_air=False, pivot_body_m=(0.0, 0.0, 0.8)).fly(arm, 5.0)
+    SwingFlight(ZERO3, swing_rad=0.2, in_air=False, pivot_body_m=(0.0, 0.0, 0.8)).fly(arm, 5.0)
     assert arm.position_body_m == ZERO3
 
 
 def test_a_blow_teaches_nothing() -> None:
     """The feet strike: 30 m/s2 across for 40 ms while it turns."""
     arm = LeverArm(ZERO3)
-    Replayed((0.0, 0.0, 0.05)).fly(arm, 10.0)
+    SwingFlight((0.0, 0.0, 0.05)).fly(arm, 10.0)
     before = arm.position_body_m
     for k in range(24):
         struck = 30.0 if 8 <= k < 16 else 0.0
