@@ -609,8 +609,6 @@ class AutopilotState:
     landed_time_s: float = float("-inf")
     attitude: Quaternion | None = None
     attitude_time_s: float = float("-inf")
-    position_ned_m: Vector3 | None = None
-    velocity_ned_m_s: Vector3 | None = None
     global_position: Vector3 | None = None
     global_position_time_s: float = float("-inf")
     home: Vector3 | None = None

@@ -42,7 +42,6 @@ _STAMPED: Final = frozenset(
         mavlink.MAVLINK_MSG_ID_ATTITUDE,
         mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
         mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET,
-        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
     }
 )
@@ -236,8 +235,6 @@ class Session:
         if measured_s is None:
             return
         self.state = update_state(self.state, message, measured_s)
-        if message_id == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED and self.onboard is not None:
-            self.onboard.hear_climb(message)
         if self.state.armed and not was_armed:
             self._home_due_s = now_s  # arming sets home again
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:

@@ -23,7 +23,6 @@ HEARD: Final = frozenset(
         mavlink.MAVLINK_MSG_ID_ATTITUDE,
         mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
         mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET,
-        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
         mavlink.MAVLINK_MSG_ID_HOME_POSITION,
         mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
@@ -36,8 +35,7 @@ HEARD: Final = frozenset(
     }
 )
 TELEMETRY_RATES_HZ: Final[dict[int, float]] = {
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: 30.0,  # a control cycle looks at the newest
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,

@@ -28,7 +28,8 @@ _RAW: Final = mavlink.MAVLINK_MSG_ID_RAW_IMU
 _SCALED: Final = mavlink.MAVLINK_MSG_ID_SCALED_IMU
 _GPS: Final = mavlink.MAVLINK_MSG_ID_GPS_RAW_INT
 _RANGE: Final = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
-SENSOR_MESSAGES: Final = frozenset({_HIGHRES, _RAW, _SCALED, _GPS, _RANGE})
+_POSITION: Final = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+SENSOR_MESSAGES: Final = frozenset({_HIGHRES, _RAW, _SCALED, _GPS, _RANGE, _POSITION})
 # best first
 IMU_MESSAGES: Final = {
     kind: tuple(message_number(name) for name in profile.imu_messages) for kind, profile in PROFILES.items()
@@ -43,6 +44,7 @@ PATIENCE_S: Final = 6.0  # after the first heartbeat: rates are asked for, and a
 # may miss the fix's
 CLIMB_ACCURACY_M_S: Final = 1.0
 CLIMB_AGE_S: Final = 0.1
+_CLIMBS_HZ: Final = 30.0
 _CLIMBS_KEPT: Final = 40
 SLOWEST_IMU_HZ: Final = 45.0  # 50 Hz less what a stream may be off
 _WINDOW_S: Final = 2.0
@@ -71,7 +73,8 @@ class TelemetrySensors:
         if self._autopilot_kind is None:
             return {}
         config = self._config.autopilot
-        rates = {IMU_MESSAGES[self._autopilot_kind][0]: config.imu_rate_hz, _GPS: config.gps_rate_hz}
+        imu = IMU_MESSAGES[self._autopilot_kind][0]
+        rates = {imu: config.imu_rate_hz, _GPS: config.gps_rate_hz, _POSITION: _CLIMBS_HZ}
         if self._config.range_by_telemetry:
             rates[_RANGE] = config.range_rate_hz
         return rates
@@ -98,12 +101,10 @@ class TelemetrySensors:
             self._hear_gps(message, now_s)
         elif number == _RANGE:
             self._hear_range(message, now_s)
+        elif number == _POSITION:  # its vertical velocity, for a fix of that time
+            self._climbs.append((readings.stamp_s(message), message.vz))
         elif self._is_best(number, now_s):
             self._hear_imu(message, now_s)
-
-    def hear_climb(self, message: Message) -> None:
-        """Remember LOCAL_POSITION_NED's vertical velocity, for a fix of that time."""
-        self._climbs.append((readings.stamp_s(message), message.vz))
 
     def _with_climb(self, fix: GpsFix, stamp_s: float) -> GpsFix:
         """A fix with the vertical velocity of its time (by the autopilot's clock), if that is known."""

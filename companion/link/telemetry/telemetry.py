@@ -198,14 +198,6 @@ def _attitude_target(state: AutopilotState, message: Message, time_s: float) -> 
     return replace(state, time_s=time_s, thrust=message.thrust, thrust_time_s=time_s)
 
 
-def _local_position(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
-    position = _finite(message.x, message.y, message.z)
-    velocity = _finite(message.vx, message.vy, message.vz)
-    if position is None or velocity is None:
-        return state
-    return replace(state, time_s=time_s, position_ned_m=position, velocity_ned_m_s=velocity)
-
-
 def _global_position(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
     if message.lat == 0 and message.lon == 0:
         return state  # ArduPilot's value for unknown
@@ -231,7 +223,6 @@ _HANDLERS: Final[dict[int, Callable[[AutopilotState, Message, float], AutopilotS
     mavlink.MAVLINK_MSG_ID_ATTITUDE: _attitude,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _attitude_quaternion,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: _attitude_target,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: _home_position,
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: _ekf_status_report,

@@ -39,7 +39,6 @@ def test_the_autopilot_is_connected_ready_and_known() -> None:
         True,
     )
     assert state.home == pytest.approx((47.0, 8.0, 400.0))
-    assert state.position_ned_m == pytest.approx((1.0, 2.0, -3.0))
     assert state.landed == "in_air"
 
 

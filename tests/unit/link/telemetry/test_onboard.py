@@ -133,7 +133,11 @@ def test_a_clock_that_runs_slow_is_followed() -> None:
 
 
 def test_px4_is_asked_for_highres_imu_and_ardupilot_for_raw_imu() -> None:
-    common = {mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0, mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: 20.0}
+    common = {
+        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
+        mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: 20.0,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
+    }
     assert ReadAutopilot("px4").sensors.rates_hz() == {mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: 200.0, **common}
     ardupilot = ReadAutopilot("ardupilot", imu_rate_hz=100.0)
     assert ardupilot.sensors.rates_hz() == {mavlink.MAVLINK_MSG_ID_RAW_IMU: 100.0, **common}
@@ -243,7 +247,7 @@ def test_a_fix_has_the_autopilots_climb_rate_of_its_own_time(
     boot_s = onboard.boot_s
     for at_s, down_m_s in ((boot_s - since_s, -1.5), (boot_s - since_s - 0.3, 9.0)):
         message = mavlink.MAVLink_local_position_ned_message(round(at_s * 1e3), 0, 0, 0, 0, 0, down_m_s)
-        onboard.sensors.hear_climb(packed(message))
+        onboard.sensors.hear(packed(message), at_s)
     [fix] = onboard.hear(gps(boot_s))
     assert isinstance(fix, GpsFix)
     assert (fix.velocity_ned_m_s[2], fix.vertical_speed_accuracy_m_s) == vertical
