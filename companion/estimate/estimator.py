@@ -17,6 +17,7 @@ from companion.base.geometry import (
     FloatArray,
     Vector3,
     add,
+    norm,
     quat_conjugate,
     quat_from_euler,
     quat_multiply,
@@ -128,11 +129,12 @@ class StateEstimator:
     def add_imu(self, sample: ImuSample, received_s: float = math.inf) -> bool:
         """Take one sample; they must come in order of time, and none is of the time after its receipt."""
         rate, force = sample.rate_body_rad_s, sample.specific_force_body_m_s2
+        # what is no number is not smaller than anything
         usable = (
-            _finite((sample.time_s, *rate, *force))
-            and sample.time_s <= received_s + FUTURE_S
-            and max(map(abs, rate)) <= LARGEST_RATE_RAD_S
-            and max(map(abs, force)) <= LARGEST_FORCE_M_S2
+            -math.inf < sample.time_s <= received_s + FUTURE_S
+            and sample.time_s < math.inf
+            and norm(rate) <= LARGEST_RATE_RAD_S
+            and norm(force) <= LARGEST_FORCE_M_S2
         )
         taken = usable and self._vehicle.add_imu(sample)
         while (

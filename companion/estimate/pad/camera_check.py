@@ -44,6 +44,7 @@ from companion.base.geometry import (
     quat_rotate_inverse,
     scale,
     subtract,
+    vector3,
 )
 from companion.base.messages import Quantity, SourceComparison
 from companion.estimate.motion import MotionHistory
@@ -174,10 +175,11 @@ class CameraCheck:
 
     def _turn(self, dt: float, correction_rad: Vector3) -> None:
         """A corrected attitude turns what was seen before with it."""
-        turn, x = np.array(correction_rad), self._x
-        pushed = np.cross(turn, (0.0, 0.0, -GRAVITY_M_S2))
-        x[_Q] += np.cross(turn, x[_Q] + dt * x[_V]) - dt * dt / 3.0 * pushed
-        x[_V] += np.cross(turn, x[_V]) - 0.5 * dt * pushed
+        x = self._x
+        place, speed = vector3(x[_Q] + dt * x[_V]), vector3(x[_V])
+        pushed = cross(correction_rad, (0.0, 0.0, -GRAVITY_M_S2))
+        x[_Q] += subtract(cross(correction_rad, place), scale(pushed, dt * dt / 3.0))
+        x[_V] += subtract(cross(correction_rad, speed), scale(pushed, 0.5 * dt))
         x[_A] += pushed
 
     def _predict(self, time_s: float) -> None:
@@ -197,7 +199,8 @@ class CameraCheck:
         leans = GRAVITY_M_S2**2 * self._motion.turn_density_rad2_s * dt
         added = push * np.outer(pushed, pushed) + np.diag([shaken * dt * dt / 3.0, shaken, leans])
         self._P = F @ self._P @ F.T
-        self._P[:9, :9] += np.kron(added, _EYE3)
+        for axis in range(3):
+            self._P[axis:9:3, axis:9:3] += added
         self._P[_K, _K] += SCALE_WALK_RTS**2 * dt
         self._P[_D, _D] += self._delay_walk**2 * dt
 

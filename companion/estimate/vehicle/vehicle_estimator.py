@@ -331,7 +331,6 @@ class VehicleEstimator:
         mean_force = subtract(mean_force, of_turning)
         sample = replace(sample, specific_force_body_m_s2=subtract(raw[1], of_turning))
         self._strapdown.add(dt_s, mean_rate, mean_force)
-        self._second_gyro.add_rate(sample.time_s, mean_rate, dt_s)
         self._inertial.add(sample, dt_s, mean_rate, mean_force, self._orientation)
 
     def _collect(self, sample: ImuSample, dt_s: float) -> None:
@@ -342,6 +341,7 @@ class VehicleEstimator:
         assert self._ekf is not None
         assert self._orientation is not None
         time_s, mean, noise = sample.time_s, self._strapdown.take(), self._noise.now
+        self._second_gyro.add_rate(time_s, mean.rate_body_rad_s, mean.span_s)
         self.motion.turn_density_rad2_s = noise.rate_density_rad2_s
         with_attitude = self._is_due(time_s - self._orientation_step_s, ORIENTATION_RATE_HZ)
         settled, trusted = time_s >= self._settled_s, time_s - self._mag_trusted_s < MAG_TIMEOUT_S
