@@ -28,6 +28,7 @@ from companion.app.stages import build_stages
 from companion.app.status import STATUS_PERIOD_S, FrameRate, Status
 from companion.app.supervision import failure_words, supervised
 from companion.app.timing.loop_monitor import LoopMonitor
+from companion.base.autopilots import PROFILES
 from companion.base.clock import Clock, handing_over_soon
 from companion.base.garbage_collection import infrequent_collection
 from companion.base.messages import (
@@ -247,7 +248,8 @@ class App:
             own = misfits(resolved(control, kind), self._vehicle, setup)
             by_attitude, ours = resolved(control, kind).setpoint == "attitude", self.session.system_id
             lost = loss_warnings(setup, kind, by_attitude=by_attitude, system_id=ours)
-            for warning in (*own, *lost):
+            unflown = PROFILES[kind].unflown(self.session.state.version)
+            for warning in (*own, *lost, *([unflown] if unflown else [])):
                 self.announcer.notify_once("setup", warning, "warning")
         return self._controller
 

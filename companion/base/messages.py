@@ -593,7 +593,8 @@ class AutopilotState:
     has sent setpoints to the vehicle, last at `rival_time_s`. `refused_frames`: what came without a
     right signature, where the link demands one. `mavlink_1`: it speaks version 1 alone, which is not
     listened to; PX4 begins so, until it receives our version 2. `thrust`: what its rotors are asked for, as
-    a share of full thrust (ArduPilot: the upward part), measured at `thrust_time_s`.
+    a share of full thrust (ArduPilot: the upward part), measured at `thrust_time_s`. `version`: of its
+    firmware: major, minor and patch.
     """
 
     time_s: float
@@ -617,6 +618,7 @@ class AutopilotState:
     motors_cut: bool = False
     refused_frames: int = 0
     mavlink_1: bool = False
+    version: tuple[int, int, int] | None = None
     round_trip_s: float | None = None
     round_trip_time_s: float = float("-inf")
     twin_time_s: float = float("-inf")

@@ -366,12 +366,14 @@ class Session:
         messages.append(codec.timesync(0, self.timesync.ask(now_s)))
 
     def _ask(self, now_s: float) -> None:
-        """Rates that are not honoured, and home until it is known and again after arming."""
+        """Rates that are not honoured, home until it is known and again after arming, with it the version."""
         for message_id, rate_hz in self.rates.to_ask(now_s):
             self._command_once(set_message_interval(message_id, rate_hz, self._system_id))
         if now_s >= self._home_due_s:
             self._home_due_s = now_s + _HOME_S if self.state.home is None else math.inf
             self._command_once(request_message(mavlink.MAVLINK_MSG_ID_HOME_POSITION, self._system_id))
+            if self.state.version is None:
+                self._command_once(request_message(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, self._system_id))
 
     def _command_once(self, command: VehicleCommand) -> None:
         """Not again while the same one still waits for its answer."""

@@ -18,6 +18,7 @@ from companion.link.dialect import CURRENT_MODE, message_number
 HEARD: Final = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+        mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
         mavlink.MAVLINK_MSG_ID_SYS_STATUS,
         mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
         mavlink.MAVLINK_MSG_ID_ATTITUDE,

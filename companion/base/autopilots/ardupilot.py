@@ -10,6 +10,7 @@ ARDUPILOT: Final = AutopilotMake(
     kind="ardupilot",
     title="ArduPilot",
     mavlink_autopilot=3,
+    flown_versions=((4, 6),),
     modes={  # COPTER_MODE of MAVLink's ardupilotmega dialect
         "STABILIZE": 0,
         "ACRO": 1,

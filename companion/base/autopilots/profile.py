@@ -16,6 +16,11 @@ class OtherName(NamedTuple):
     scale: float
 
 
+def version_text(version: tuple[int, int, int]) -> str:
+    """As people write it: 1.17.0."""
+    return ".".join(map(str, version))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AutopilotMake:
     """One make. Modes by their names on the ground station, messages by MAVLink's names."""
@@ -24,6 +29,8 @@ class AutopilotMake:
     title: str
     # MAV_AUTOPILOT, as its heartbeat says it
     mavlink_autopilot: int
+    # major and minor, of the versions whose real firmware has been flown with this program
+    flown_versions: tuple[tuple[int, int], ...]
 
     # ------------------------------------------------------------ modes
     # HEARTBEAT.custom_mode of each
@@ -82,6 +89,13 @@ class AutopilotMake:
     # then it levels, and obeys the next setpoint, whatever its parameters say
     levels_without_setpoints: bool
     other_names: Mapping[str, tuple[OtherName, ...]] = field(default_factory=dict)
+
+    def unflown(self, version: tuple[int, int, int] | None) -> str:
+        """Why this version (major, minor, patch) is new to us, in words; "" where it is not, or not known."""
+        if version is None or version[:2] in self.flown_versions:
+            return ""
+        flown = ", ".join(f"{major}.{minor}" for major, minor in self.flown_versions)
+        return f"{self.title} {version_text(version)} has not been flown; flown: {flown}"
 
     @property
     def takes_off_under_control(self) -> bool:

@@ -17,6 +17,7 @@ PX4: Final = AutopilotMake(
     kind="px4",
     title="PX4",
     mavlink_autopilot=12,
+    flown_versions=((1, 16), (1, 17)),
     modes={
         "MANUAL": _custom_mode(1),
         "ALTCTL": _custom_mode(2),

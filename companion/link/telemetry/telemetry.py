@@ -143,6 +143,12 @@ def _current_mode(state: AutopilotState, message: Message, time_s: float) -> Aut
     return replace(state, time_s=time_s, mode=mode, intended_mode=intended, offboard=offboard)
 
 
+def _autopilot_version(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
+    """Its firmware's: major, minor and patch are the upper three bytes."""
+    major, minor, patch, _ = message.flight_sw_version.to_bytes(4, "big")
+    return replace(state, time_s=time_s, version=(major, minor, patch))
+
+
 def _sys_status(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
     """Whether it may be armed, its battery, and whether its outputs are cut."""
     enabled = message.onboard_control_sensors_enabled
@@ -218,6 +224,7 @@ def _finite(x: float, y: float, z: float) -> Vector3 | None:
 
 _HANDLERS: Final[dict[int, Callable[[AutopilotState, Message, float], AutopilotState]]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
+    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _autopilot_version,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: _sys_status,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _extended_sys_state,
     mavlink.MAVLINK_MSG_ID_ATTITUDE: _attitude,

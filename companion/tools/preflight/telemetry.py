@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from companion.base.autopilots import PROFILES
+from companion.base.autopilots.profile import version_text
 from companion.base.geometry import euler_from_quat
 from companion.base.messages import AutopilotState, GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import CompanionConfig
@@ -133,7 +134,12 @@ def _heartbeat(heard: Heard) -> Finding:
     if kind is None:
         return _LINK.fail("heartbeat", "of an unknown autopilot", "expected PX4 or ArduPilot")
     rate_hz = heard.rates_hz.get(mavlink.MAVLINK_MSG_ID_HEARTBEAT, 0.0)
-    return _LINK.ok("heartbeat", f"{PROFILES[kind].title}, mode {state.mode or 'unknown'}, {rate_hz:.1f} Hz")
+    profile = PROFILES[kind]
+    version = "" if state.version is None else f" {version_text(state.version)}"
+    words = f"{profile.title}{version}, mode {state.mode or 'unknown'}, {rate_hz:.1f} Hz"
+    if unflown := profile.unflown(state.version):
+        return _LINK.warn("heartbeat", words, f"{unflown}; try it in its own simulator first")
+    return _LINK.ok("heartbeat", words)
 
 
 def _disarmed(state: AutopilotState) -> Finding:

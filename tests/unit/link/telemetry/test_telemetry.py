@@ -128,6 +128,16 @@ def test_an_attitude_older_than_the_last_one_is_dropped() -> None:
     assert after(mavlink.MAVLink_attitude_message(9, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), newer, 1.9) == newer
 
 
+def test_a_version_that_has_not_been_flown_is_named_beside_those_that_have() -> None:
+    told = mavlink.MAVLink_autopilot_version_message(
+        0, 1 << 24 | 18 << 16 | 2 << 8 | 64, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0
+    )
+    version = after(told).version
+    assert version == (1, 18, 2)
+    assert PROFILES["px4"].unflown(version) == "PX4 1.18.2 has not been flown; flown: 1.16, 1.17"
+    assert PROFILES["px4"].unflown((1, 16, 0)) == PROFILES["px4"].unflown(None) == ""
+
+
 def test_a_position_comes_in_degrees_and_metres() -> None:
     world = after(
         mavlink.MAVLink_global_position_int_message(10, 471234567, -81234567, 412340, 0, 0, 0, 0, 0)

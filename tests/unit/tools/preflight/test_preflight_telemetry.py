@@ -52,6 +52,8 @@ def test_a_good_link_is_well() -> None:
     ("heard", "expected"),
     [
         (replace(WELL, state=replace(STATE, connected=False)), {"heartbeat": FindingState.FAIL}),
+        (replace(WELL, state=replace(STATE, version=(1, 17, 0))), {}),
+        (replace(WELL, state=replace(STATE, version=(1, 18, 0))), {"heartbeat": FindingState.WARNING}),
         (replace(WELL, state=replace(STATE, armed=True)), {"disarmed": FindingState.FAIL}),
         (replace(WELL, state=replace(STATE, ready_to_arm=False)), {"ready to arm": FindingState.WARNING}),
         (
