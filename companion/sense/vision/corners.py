@@ -43,8 +43,8 @@ REACH_PX: Final = (2.5, 14.0)
 LEAST_REACH_PX: Final = 1.6
 # then in terms of how wide the edge is blurred
 REACH_BLURS: Final = 3.0
-# and of how far the corners still moved
-REACH_MOVES: Final = 2.0
+# and of how far the corners still moved: of a move a tenth is left, rarely (one in twenty) a third
+REACH_MOVES: Final = 0.5
 # near a corner a normal would see the other side: left out, as a share of the side and at least in pixels
 END_SHARE: Final = 0.1
 END_PX: Final = 1.5
