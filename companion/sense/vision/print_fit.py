@@ -51,6 +51,7 @@ LOST_CELLS: Final = 1.0
 LEAST_EXPLAINED: Final = 0.5
 # of the information that is whole, what keeps a matrix from being singular
 UNSEEN: Final = 1e-6
+LEAST: Final = 1e-9
 LEAST_FREE: Final = 0.2
 CORNERS: Final = 8
 UNKNOWNS: Final = CORNERS + 3  # blur, black and white
@@ -122,11 +123,11 @@ def fit_prints(
         unlike = _unlike(step)
         # white that is cut off says that there is as much light, or more
         shown = np.where(pixels.full, pixels.light - step.left < light[FULL_GREY], pixels.shown)
-        if number >= PLAIN_ROUNDS and (moved < SETTLED_PX).all():
+        lost = ~(np.abs(corners - quads).max(axis=(1, 2)) < LOST_CELLS * cell_px)
+        if number >= PLAIN_ROUNDS and (lost | (moved < SETTLED_PX)).all():
             break
     covariance = _covariance(step, unlike, counts, to_pixels)
-    lost = ~np.isfinite(covariance).all(axis=(1, 2)) | ~(moved < UNSETTLED_PX)
-    lost |= ~(np.abs(corners - quads).max(axis=(1, 2)) < LOST_CELLS * cell_px)
+    lost |= ~np.isfinite(covariance).all(axis=(1, 2)) | ~(moved < UNSETTLED_PX)
     lost |= ~(_explained(step, pixels.light) > LEAST_EXPLAINED)
     corners[lost], covariance[lost] = quads[lost], np.inf
     return PrintFit(corners, covariance, blur * cell_px)
@@ -190,31 +191,14 @@ def _on_markers(
     at: FloatImage, corners: FloatArray, cells: NDArray[np.int_]
 ) -> tuple[FloatImage, FloatArray]:
     """Places (m, n, 2) of pixels on markers; and at each corner a cell's way in pixels (m, 4, 2, 2)."""
-    across = _homographies(corners)
-    across[:, :, :2] /= cells[:, None, None]
+    square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * cells[:, None, None]
+    squares, seen_at = square.astype(np.float32), corners.astype(np.float32)
+    across = np.array([cv2.getPerspectiveTransform(*each) for each in zip(squares, seen_at, strict=True)])
     back = np.linalg.inv(across).astype(np.float32)
     seen = at @ back[:, :, :2].transpose(0, 2, 1) + back[:, None, :, 2]
-    square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * cells[:, None, None]
     depth = (square @ across[:, 2, :2, None])[..., 0] + across[:, 2, 2, None]
     ways = across[:, None, :2, :2] - corners[..., None] * across[:, None, 2:, :2]
     return seen[..., :2] / seen[..., 2:], ways / depth[..., None, None]
-
-
-def _homographies(corners: FloatArray) -> FloatArray:
-    """From the unit square, its corners (0, 0), (1, 0), (1, 1) and (0, 1), to corners (m, 4, 2): (m, 3, 3).
-
-    Source: Heckbert, Fundamentals of Texture Mapping and Image Warping (1989), section 2.2.3.
-    """
-    first, second, third, fourth = np.moveaxis(corners, 1, 0)
-    a, b, away = second - third, fourth - third, first - second + third - fourth
-    determinant = a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1]
-    g = (away[:, 0] * b[:, 1] - b[:, 0] * away[:, 1]) / determinant
-    h = (a[:, 0] * away[:, 1] - away[:, 0] * a[:, 1]) / determinant
-    made = np.ones((len(corners), 3, 3))
-    made[:, :2, 0] = second - first + g[:, None] * second
-    made[:, :2, 1] = fourth - first + h[:, None] * fourth
-    made[:, :2, 2], made[:, 2, 0], made[:, 2, 1] = first, g, h
-    return made
 
 
 def _clear(at: FloatImage, cells: NDArray[np.int_], about: FloatArray) -> NDArray[np.bool_]:
@@ -257,16 +241,16 @@ def _solved(rows: FloatImage, values: FloatImage, weight: FloatImage) -> tuple[F
     """Weighted least squares: the unknowns (m, k), and what they leave of the values (m, n)."""
     weighted = rows * weight[:, None]
     information = weighted @ rows.transpose(0, 2, 1)
-    unknown = (_inverse(information) @ (weighted @ values[..., None])).astype(np.float32)
+    unknown = np.linalg.solve(_regular(information), weighted @ values[..., None]).astype(np.float32)
     return unknown[..., 0], values - (unknown.transpose(0, 2, 1) @ rows)[:, 0]
 
 
-def _inverse(information: NDArray[np.floating]) -> FloatArray:
-    """Of symmetric matrices (m, k, k); what the pixels do not show at all is as good as unknown."""
-    size = information.shape[-1]
-    scale = np.sqrt(np.maximum(np.einsum("mkk->mk", information.astype(np.float64)), 1e-9))
-    scale = scale[:, :, None] * scale[:, None]
-    return np.asarray(np.linalg.inv(information / scale + UNSEEN * np.eye(size)) / scale)
+def _regular(information: NDArray[np.floating]) -> FloatArray:
+    """Symmetric matrices (m, k, k) that can be inverted: what pixels do not show is as good as unknown."""
+    known = information.astype(np.float64)
+    diagonal = np.einsum("mkk->mk", known)
+    diagonal += UNSEEN * diagonal + LEAST
+    return known
 
 
 def _unlike(step: _Step) -> FloatImage:
@@ -282,7 +266,7 @@ def _covariance(step: _Step, unlike: FloatImage, counts: FloatImage, to_pixels: 
     A pixel that the fit follows misses by less than its noise: by the share that it does not decide itself.
     """
     weighted = step.jacobian * step.weight[:, None]
-    inverse = _inverse(weighted @ step.jacobian.transpose(0, 2, 1))
+    inverse = np.linalg.inv(_regular(weighted @ step.jacobian.transpose(0, 2, 1)))
     own = ((inverse.astype(np.float32) @ weighted) * step.jacobian).sum(axis=1)
     pulls = weighted * (step.left / np.maximum(1.0 - own, LEAST_FREE))[:, None]
     covariance = inverse @ (pulls @ pulls.transpose(0, 2, 1)) @ inverse
