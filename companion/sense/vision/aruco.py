@@ -98,7 +98,7 @@ class PadDetector:
         self._pad = pad
         self._config = config
         self._lens = lens
-        self._readers: dict[tuple[MarkerGroup, ...], tuple[tuple[Marker, ...], CodeReader]] = {}
+        self._readers: dict[tuple[MarkerGroup, ...], _Reader] = {}
 
     def detect(self, image: NDArray[np.uint8], where: SearchPass) -> list[Detection]:
         """Read the markers in one part of an image.
@@ -106,7 +106,7 @@ class PadDetector:
         Of more than `maximum_markers` those that lie farthest apart are kept. Returned in the order of
         the pad's markers.
         """
-        markers, reader = self._reader(where.groups)
+        markers, corners_m, reader = self._reader(where.groups)
         part = image[where.top : where.bottom, where.left : where.right]
         s = where.shrink
         if s > 1:
@@ -121,25 +121,30 @@ class PadDetector:
         scale = s / where.enlarge
         smallest_px = self._config.minimum_side_px / min(scale, 1.0)
         origin = np.array([where.left, where.top], dtype=np.float64)
-        found = []
-        for code in reader.read(part, smallest_px):
-            marker = markers[code.number]
-            corners = (_outlined(code.corners_px) + 0.5) * scale - 0.5 + origin
-            found.append(
-                Detection(marker, marker.corners_pad_m(), corners, side_px(corners), CONTOUR_STD_PX * scale)
-            )
+        codes = reader.read(part, smallest_px)
+        outlines = np.array([code.corners_px for code in codes]).reshape(-1, 4, 2)
+        quads = (_outlined(outlines) + 0.5) * scale - 0.5 + origin
+        found = [
+            Detection(markers[code.number], corners_m[code.number], quad, side, CONTOUR_STD_PX * scale)
+            for code, quad, side in zip(codes, quads, sides_px(quads).tolist(), strict=True)
+        ]
         chosen = farthest_apart(found, self._config.maximum_markers)
         return refine_corners(image, chosen, self._lens, self._pad.sheet.dot_m)
 
-    def _reader(self, groups: tuple[MarkerGroup, ...]) -> tuple[tuple[Marker, ...], CodeReader]:
+    def _reader(self, groups: tuple[MarkerGroup, ...]) -> _Reader:
         made = self._readers.get(groups)
         if made is None:
             markers = tuple(m for m in self._pad.markers if m.group in groups)
             names = sorted({m.dictionary for m in markers})
             dictionaries = [cv2.aruco.getPredefinedDictionary(DICTIONARIES[name]) for name in names]
             reader = CodeReader(dictionaries, [(names.index(m.dictionary), m.id) for m in markers])
-            made = self._readers[groups] = (markers, reader)
+            corners_m = np.array([m.corners_pad_m() for m in markers])
+            made = self._readers[groups] = (markers, corners_m, reader)
         return made
+
+
+# markers, their corners (n, 4, 3) on the pad (m), and what reads them
+_Reader = tuple[tuple[Marker, ...], FloatArray, "CodeReader"]
 
 
 class CodeReader:
@@ -177,10 +182,13 @@ class CodeReader:
         quads, ids, _, which = self._detector.detectMarkersMultiDict(image)
         found: dict[int, FloatArray] = {}
         twice: set[int] = set()
-        for quad, identity, dictionary in zip(quads, _flat(ids), _flat(which), strict=True):
-            number = self._order.get((dictionary, identity))
-            corners = np.asarray(quad, dtype=np.float64).reshape(4, 2)
-            if number is None or side_px(corners) < minimum_side_px:
+        outlines = np.array(quads, dtype=np.float64).reshape(-1, 4, 2)
+        large = (sides_px(outlines) >= minimum_side_px).tolist()
+        for corners, enough, code in zip(
+            outlines, large, zip(_flat(which), _flat(ids), strict=True), strict=True
+        ):
+            number = self._order.get(code)
+            if number is None or not enough:
                 continue
             if number in found:
                 twice.add(number)
@@ -276,25 +284,33 @@ def farthest_apart(found: list[Detection], maximum: int, beside: Sequence[Detect
     return [found[k] for k in sorted(chosen)]
 
 
-def side_px(corners: FloatArray) -> float:
-    """Mean length of the two diagonals over sqrt(2)."""
-    (a, b), (c, d), (e, f), (g, h) = corners.tolist()
-    return 0.5 * math.sqrt(0.5) * (math.hypot(e - a, f - b) + math.hypot(g - c, h - d))
+def sides_px(quads: FloatArray) -> FloatArray:
+    """Mean length (n,) of the two diagonals of quads (n, 4, 2), over sqrt(2)."""
+    across = quads[:, 2:] - quads[:, :2]
+    return np.asarray(math.sqrt(0.5) * np.hypot(across[..., 0], across[..., 1]).mean(axis=1))
 
 
-def _outlined(corners: FloatArray) -> FloatArray:
-    """Corners (4, 2) of a square by its outline's, which runs through the middles of its outermost pixels."""
-    return np.asarray(corners + (sides_to_corners(corners) @ np.full(4, 0.5)).reshape(4, 2))
+def _outlined(quads: FloatArray) -> FloatArray:
+    """Corners (n, 4, 2) of squares by their outlines', which run through the middles of their outermost
+    pixels.
+    """
+    moved = 0.5 * _normals(quads)
+    return np.asarray(quads + moved + moved[:, (3, 0, 1, 2)])
 
 
 def sides_to_corners(corners: FloatArray) -> FloatArray:
     """How corners (4, 2) move, u and v of each in turn, when each side moves outwards by one: (8, 4)."""
-    along = corners[(1, 2, 3, 0), :] - corners
-    along /= np.sqrt((along**2).sum(axis=1))[:, None]
     moves = np.zeros((4, 2, 4))
-    for side, (x, y) in enumerate(along.tolist()):
-        moves[side, :, side] = moves[(side + 1) % 4, :, side] = y, -x
+    for side, normal in enumerate(_normals(corners[None])[0]):
+        moves[side, :, side] = moves[(side + 1) % 4, :, side] = normal
     return moves.reshape(8, 4)
+
+
+def _normals(quads: FloatArray) -> FloatArray:
+    """Outward unit normals (n, 4, 2) of the sides."""
+    along = quads[:, (1, 2, 3, 0)] - quads
+    along /= np.hypot(along[..., 0], along[..., 1])[..., None]
+    return np.asarray(along[..., ::-1] * (1.0, -1.0))
 
 
 def _flat(values: Any) -> list[int]:

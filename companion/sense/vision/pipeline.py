@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -36,10 +35,7 @@ from companion.sense.vision.paper_pose import paper_pose
 from companion.sense.vision.pose import MAXIMUM_TURN_RAD, PoseFit, estimate_pose
 from companion.sense.vision.print_check import PrintCheck
 from companion.sense.vision.search import SearchPlanner
-from companion.sense.vision.unread import UnreadMarkers
-
-# without gravity, where no more give the pose, the others are looked for where it has them; with it, for one
-FEW_MARKERS: Final = 3
+from companion.sense.vision.unread import ENOUGH, UnreadMarkers
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,8 +115,8 @@ class Vision:
             return paper_pose(found, self._lens, self._config)
         motion = (down, climb_m_s, rate)
         pose = estimate_pose(found, self._lens, self._config, *motion)
-        few = FEW_MARKERS if down is None else 1
-        if pose is not None and (len(pose.used) <= few or pose.second is not None):
+        few = ENOUGH if down is None else 2
+        if pose is not None and (len(pose.used) < few or pose.second is not None):
             starts = pose.hypotheses()
             more = max((self._unread.find(frame.image, each) for each in starts), key=len)
             if more:

@@ -286,7 +286,7 @@ def _turned(problem: _Problem, fit: _Fit, covariance: FloatArray) -> list[_Fit]:
             turn = quat_from_rotation_vector(vector3((sigma * math.sqrt(variance) * axis).tolist()))
             down = matrix_from_quat(turn) @ fit.rotation[:, 2]
             for start in level_start(problem.points, problem.rays, down):
-                other = _fit(replace(problem, down=down, level_sigma=CONVERGED), start)
+                other = _fit(replace(problem, down=down, level_sigma=CONVERGED), start, iterations=1)
                 found += [] if other is None else [other]
     return found
 
@@ -345,7 +345,9 @@ def _most_squares(best: _Fit, problem: _Problem) -> float:
     return best.squares + _scale(best, problem) * RULED_OUT_SIGMA**2
 
 
-def _fit(problem: _Problem, start: Start, most_squares: float = math.inf) -> _Fit | None:
+def _fit(
+    problem: _Problem, start: Start, most_squares: float = math.inf, iterations: int = ITERATIONS
+) -> _Fit | None:
     """Gauss-Newton; None when there is no pad in front.
 
     And where a step would leave more than `most_squares`: from there the fit leads nowhere, or, far round, to
@@ -356,7 +358,7 @@ def _fit(problem: _Problem, start: Start, most_squares: float = math.inf) -> _Fi
     expected[3:6] = -problem.rate
     expected[:3] = cross(vector3(expected[3:6]), vector3(position))
     moved = expected.copy()
-    for _ in range(ITERATIONS):
+    for _ in range(iterations):
         jacobian, misses = _linearised(problem, rotation, position, moved)
         white, missed = problem.whitening @ jacobian, problem.whitening @ misses
         information, gradient = _normal_equations(problem, white, missed, rotation, moved - expected)

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from companion.base.geometry import FloatArray, matrix_from_quat, quat_from_rotation_vector, vector3
 from companion.config import VisionConfig
 from companion.pad import Pad
-from companion.sense.vision.aruco import Detection, farthest_apart, refine_corners, side_px
+from companion.sense.vision.aruco import Detection, farthest_apart, refine_corners, sides_px
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.pose import PoseFit
 from companion.sense.vision.print_check import CELL_PX, LIKENESS, PrintCheck
 
-# so many more are enough, if they lie apart
+# so many are enough, if they lie apart: of fewer, one that errs is not shown by the others
 ENOUGH: Final = 4
 # one that is expected with a larger standard deviation may be refined to its neighbour's side: cells
 VAGUE_CELLS: Final = 0.8
@@ -36,6 +36,8 @@ class UnreadMarkers:
         self._markers = pad.markers
         self._dot_m = pad.sheet.dot_m
         self._corners = np.array([marker.corners_pad_m() for marker in pad.markers])
+        cells = np.array([marker.cells for marker in pad.markers])
+        self._least_px = np.maximum(config.minimum_side_px, CELL_PX * cells)
 
     def find(self, image: NDArray[np.uint8], pose: PoseFit) -> list[Detection]:
         """Some markers that are not in the pose, with refined corners: those farthest from what is in it."""
@@ -45,11 +47,11 @@ class UnreadMarkers:
         width, height = self._lens.size_px
         inside = ((pixels > 0.0) & (pixels < (width - 1.0, height - 1.0))).all(axis=(1, 2))
         used = {detection.marker for detection in pose.used}
+        sides = sides_px(pixels)
         legible = []
-        for k in np.flatnonzero(inside):
-            marker, side = self._markers[k], side_px(pixels[k])
-            least = max(self._config.minimum_side_px, CELL_PX * marker.cells)
-            if marker not in used and side >= least:
+        for k in np.flatnonzero(inside & (sides >= self._least_px)):
+            marker, side = self._markers[k], float(sides[k])
+            if marker not in used:
                 legible.append((k, Detection(marker, self._corners[k], pixels[k], side)))
         if not legible:
             return []
@@ -59,7 +61,7 @@ class UnreadMarkers:
             d for (_, d), std in zip(legible, std_px.tolist(), strict=True)
             if std < VAGUE_CELLS * d.side_px / d.marker.cells
         ]  # fmt: skip
-        chosen = farthest_apart(expected, ENOUGH, pose.used)
+        chosen = farthest_apart(expected, max(ENOUGH - len(used), 1), pose.used)
         refined = (d for d in refine_corners(image, chosen, self._lens, self._dot_m) if d.refined)
         return [d for d in refined if self._prints.likeness(image, d.marker, d.corners_px) >= LIKENESS]
 

@@ -26,7 +26,7 @@ from companion.sense.vision.lens import Lens
 from companion.sense.vision.pipeline import Vision
 from companion.sense.vision.pose import estimate_pose
 from companion.sense.vision.print_check import PrintCheck
-from companion.sense.vision.unread import UnreadMarkers
+from companion.sense.vision.unread import ENOUGH, UnreadMarkers
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
 from tests.unit.sense.vision.test_pose import camera_from_pad_at, detections, noise_of_sides
@@ -159,7 +159,7 @@ def test_markers_that_were_not_read_are_found_by_one_that_was(
     assert one is not None
     assert every is not None
     more = UnreadMarkers(pad, lens, config, PrintCheck(pad, lens)).find(frame.image, one)
-    assert len(more) >= 4
+    assert len(more) == ENOUGH - 1
     assert read[0].marker not in {d.marker for d in more}
     for detection in more:
         pixels, _ = lens.project(detection.corners_pad_m @ every.camera_from_pad.T + every.position_camera_m)
