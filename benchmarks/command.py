@@ -6,8 +6,6 @@ first of its docstring. `SMOKE` are the words of a run that takes seconds, and `
 has. All of them know `--json FILE` (write the results, with commit, machine and date) and `--smoke`.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import sys

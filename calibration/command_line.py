@@ -4,8 +4,6 @@ Exit codes: 0 calibrated (or made what was asked for), 1 refused: the line says 
 mend, reported in one line on standard error, 130 interrupted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final, NoReturn
 

@@ -9,8 +9,6 @@ where the wander was when it aligned: reported, without a bar. Judged is what an
 NED from the simulator's home, m and s.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final

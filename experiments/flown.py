@@ -4,8 +4,6 @@ The flight is the one that `companion --sitl --fast` flies under the shipped set
 experiment says otherwise. Times count from the app's first cycle; NED from the simulator's home, SI units.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

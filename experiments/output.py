@@ -1,7 +1,5 @@
 """Whether a file can be written, asked before the minutes of flying that it is for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from companion.base.errors import ConfigError

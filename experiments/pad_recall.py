@@ -6,8 +6,6 @@ as in flight; what is read is fitted by maximum likelihood (`companion.tools.pad
 Frames that took no part in the fit, and another camera, judge it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

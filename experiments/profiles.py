@@ -9,8 +9,6 @@ Speed, acceleration and jerk are the vehicle's own, relative to the pad, by trut
 differentiated by a Savitzky-Golay filter. SI units.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field

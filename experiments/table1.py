@@ -7,8 +7,6 @@ known alone. Vision knows where the pad is expected, as in flight. Precision is 
 of the pad's position, all axes together.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ all cases of the training seeds; horizontal and vertical gains are drawn togethe
 the axes hardly meet. Afterwards the winner flies held-out seeds, beside the other controllers.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Sequence

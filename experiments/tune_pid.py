@@ -9,8 +9,6 @@ ends in gains that hold the training flights by a hair and lose others. Powell's
 the gains, from a hand-made start; the heading has gains of its own, which these flights do not ask for.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

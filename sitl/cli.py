@@ -3,8 +3,6 @@
 Exit codes: 0 success, 1 a run failed, 2 a user error.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Annotated, Final

@@ -4,8 +4,6 @@
 --bars, a bar does not hold, 2 for a user error, 130 interrupted (the same command continues).
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

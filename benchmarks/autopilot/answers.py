@@ -5,8 +5,6 @@ manoeuvre is a run of one and the same streamed setpoint. Signals are taken alon
 were in the half second before it; t63 and t90 count from its first frame. NED, SI units, degrees in names.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ the shortest way that a message took within a second of it: a simulator's clock 
 wall's. NED and radians as MAVLink has them.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable, Iterable, Iterator

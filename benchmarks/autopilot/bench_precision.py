@@ -9,8 +9,6 @@ Landed: within 15 cm, 0.5 m/s down and 0.3 m/s sideways relative to the pad, 8 d
 Virtual time, no rendering. Beside each row stands what recordings of the real firmware gave.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections import deque

@@ -14,8 +14,6 @@ size, or that one of the flights never showed, is lost in the wander and marked 
 and landed states have to be the same, mode changes within the second that a heartbeat takes.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass

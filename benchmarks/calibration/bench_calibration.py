@@ -5,8 +5,6 @@
 DATA is a folder of real logs and photos in its subfolders magnetometer and aruco.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from typing import Final

@@ -8,8 +8,6 @@ and on one that is bowed by 0.5 mm. DATA is a folder of real data with the photo
 Prints a table and ends in one line that says which bars hold; the exit status matches.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass

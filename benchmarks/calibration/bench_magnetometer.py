@@ -10,8 +10,6 @@ beside them the same flights with the simulator's default residuals. Ends in one
 hold; the exit status is 0 when all do.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import tempfile

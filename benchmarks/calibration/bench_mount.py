@@ -14,8 +14,6 @@ Prints tables and ends in one line that says which bars hold; the exit status ma
 of real vehicles: DATA is not looked at.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from collections.abc import Sequence

@@ -7,8 +7,6 @@ to start is part of it. Needs the machine to itself. Ends in one line that says 
 exit status is 0 when it does.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from typing import Any, Final

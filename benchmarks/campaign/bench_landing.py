@@ -8,8 +8,6 @@ the same command again after an interruption, and it goes on. The time to land i
 disarmed.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 from collections.abc import Sequence

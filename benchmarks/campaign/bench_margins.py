@@ -6,8 +6,6 @@ Every one of them has to land: within 15 cm, at no more than 0.5 m/s down and 0.
 command again after an interruption, and it goes on.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 from collections.abc import Sequence

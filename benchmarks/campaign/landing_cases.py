@@ -11,8 +11,6 @@ As built, each of them is flown by a vehicle about which its builder is wrong (`
 mass among the rest; those of even numbers with the behaviour of PX4, those of odd ones with ArduPilot's.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final

@@ -8,8 +8,6 @@ goes on. The bar: the fuzzy speed controller is down to 0.6 m in at most 0.8 of 
 speed that touches down as softly and as near the centre. POSIX alone.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

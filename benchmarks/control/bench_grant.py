@@ -10,8 +10,6 @@ virtual time, with the bundled behaviour of ArduPilot and, given its SITL build,
 lockstep. Where the app refuses control, nothing falls: its reason is told.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 from collections.abc import Sequence

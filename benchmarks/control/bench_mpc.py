@@ -8,8 +8,6 @@ with the same settings. Times are of the thread, so that a busy machine does not
 ends in one line that says which bars hold; the exit status matches.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import time

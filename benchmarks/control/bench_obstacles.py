@@ -7,8 +7,6 @@ every cycle, as the planner does. Prints a table and ends in one line that says 
 status matches. Nothing was tuned on these scenes (the unit tests' have other seeds).
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Callable, Sequence

@@ -11,8 +11,6 @@ it is; the longest callback is in CPU time.
 Prints a table and the bars, and ends in one line that says which hold; the exit status matches.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import resource

@@ -7,8 +7,6 @@ some seconds again and again, so that the pad is lost, searched and approached a
 steps and tasks are noted; the first quarter is for warming up. One line says at the end which bars hold.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import gc

@@ -13,8 +13,6 @@ Prints a table and ends in one line that says whether the bar holds (3x real tim
 exit status matches.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

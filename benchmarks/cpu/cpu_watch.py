@@ -4,8 +4,6 @@ A part's share leaves out what watched methods within it take. Time is the threa
 machine changes nothing but what it does to a CPU second.
 """
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import threading

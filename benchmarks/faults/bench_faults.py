@@ -9,8 +9,6 @@ it ends; give the same command again after an interruption, and it goes on. Flig
 code, the settings, the cases or the judge are not counted.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

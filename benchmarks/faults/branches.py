@@ -4,8 +4,6 @@ Up to its fault a flight is the same whatever will fail, to the bit. So a flight
 once per scenario and seed, and forks for each run at the step of the physics at which its fault begins.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby

@@ -3,8 +3,6 @@
 Under each seed a fault begins at another moment of its phase.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache

@@ -14,8 +14,6 @@ error, which the simulator knows, explains it. Of a slow rise the judge allows w
 ceiling.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections import deque

@@ -4,8 +4,6 @@ The app's code is as it flies. What is replaced for the time of a flight is what
 the controller is given, the samples that the estimator is handed, and the MCAP library's writer.
 """
 
-from __future__ import annotations
-
 import errno
 import math
 import os

@@ -4,8 +4,6 @@ When the app has ended, the world goes on until the vehicle is disarmed or has h
 autopilot makes of what it was handed belongs to how the flight ended.
 """
 
-from __future__ import annotations
-
 import asyncio
 import secrets
 import tempfile

@@ -3,8 +3,6 @@
 POSIX alone. A child is the whole process again, in the middle of its flight and on the same event loop.
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import pickle

@@ -10,8 +10,6 @@ without a text that says why; an end in the air in a mode that waits for setpoin
 beside the pad; a mode changed that the pilot, or a failsafe, has chosen.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

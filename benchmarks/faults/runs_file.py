@@ -1,7 +1,5 @@
 """The flights that are done, a CSV line each: what is there is not flown again."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 from dataclasses import asdict, dataclass, fields

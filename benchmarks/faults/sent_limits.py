@@ -5,8 +5,6 @@ the autopilot has obeyed them for 2 s, since the gate begins anew with each setp
 they are obeyed. Where the heading leaps, the app has turned all into a heading that the autopilot has reset.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from itertools import pairwise

@@ -5,8 +5,6 @@ the pilot orders a landing by that mode, the link is lost in it until the app ha
 with the vehicle in that mode. What the app sends unasked counts from `WitnessedFlight.unasked_from_s` on.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from typing import Final

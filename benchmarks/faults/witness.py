@@ -5,8 +5,6 @@ with pad or ground by its worst touch, each change of
 arming, every setpoint as it left the app, and every text that the app sent. NED, SI.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple

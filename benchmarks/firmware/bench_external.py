@@ -8,8 +8,6 @@ with an empty parameter set but for the documented ones. `--out DIR` (default: f
 them; give the same command again after an interruption, and it goes on.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

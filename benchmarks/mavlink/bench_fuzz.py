@@ -6,8 +6,6 @@ Prints a table and ends in one line that says whether the bar holds: no exceptio
 a heartbeat every second, the vehicle's state finite. The exit status matches.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections import Counter
 from collections.abc import Sequence

@@ -6,8 +6,6 @@ are known. Everything comes from one seed. Garbage bears other names than the le
 of it is legal in form, and slower, so that the vehicle does something about it (`fuzz_orders`).
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections import Counter

@@ -6,8 +6,6 @@ Every target draws from its own generator, seeded by `--seed` and its name. Afte
 begins anew with the next seed. Prints a table and ends in one line that says which bars hold.
 """
 
-from __future__ import annotations
-
 import argparse
 import gc
 import random

@@ -4,8 +4,6 @@ Each target is an endless iterator: a step gives one spoilt input to the driver,
 should not have raised. What comes out has to be finite.
 """
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import errno

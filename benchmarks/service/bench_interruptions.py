@@ -15,8 +15,6 @@ Each trial is written down when it ends; give the same command again after an in
 Prints a table, and ends in one line that says whether all are safe; the exit status matches.
 """
 
-from __future__ import annotations
-
 import argparse
 import signal
 import sys

@@ -11,8 +11,6 @@ the flight itself computes, once it sees the pad, lies behind the window.
 Prints the figures beside the bars, and ends in one line that says which hold; the exit status matches.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import tempfile

@@ -9,8 +9,6 @@ stamp and the machine's clock when the frame that shows it has begun. Prints the
 ends in one line that says which hold; the exit status matches.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

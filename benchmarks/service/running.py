@@ -1,7 +1,5 @@
 """A service and a simulated vehicle as two processes in real time, with a witness on the line between."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -15,8 +15,6 @@ installed (extra `peers`) the peers run on the same trials. On no trial may the 
 pre-filter.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Callable, Sequence

@@ -7,8 +7,6 @@ approached to the first contact; the tilt at contact is between the vehicle and 
 that says which bars hold; the exit status is 0 when all do.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor

@@ -8,8 +8,6 @@ calibration are off by as much as they are said to be. Settings were chosen with
 seeds (--first-seed) are the fairer judges.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -11,8 +11,6 @@ there are not flown again, but the estimators run over them again as they are no
 flights know what an estimator does: empty the folder for that).
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor

@@ -6,8 +6,6 @@ chi2(N d) / N; below the band a filter is too modest, above it too sure (Bar-Sha
 section 5.4).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """The bench's own arithmetic: NEES, its band, and when an error counts as recovered."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How the descents' bench judges: against the quickest fixed speed, of those that touch down as well."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

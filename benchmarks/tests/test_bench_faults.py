@@ -1,7 +1,5 @@
 """The judge of `bench_faults` finds each unsafe thing in a made-up record, and nothing else."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The judge of `bench_faults` on climbs: which count, where one begins, and what announces it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

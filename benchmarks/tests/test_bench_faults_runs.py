@@ -1,7 +1,5 @@
 """The bench of faults beside its judge: the solver's faults, the cases, the bars, and going on."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The bench of the real firmwares: what is flown, how rows are judged, and its exit status."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

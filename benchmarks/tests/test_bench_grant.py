@@ -1,7 +1,5 @@
 """How the bench of the grant judges: by the fall below the highest since the first setpoint."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The bench of interruptions: its moments, its judge, its file, and going on."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The bench of random landings: those as built are the same flights, by vehicles that are not as told."""
 
-from __future__ import annotations
-
 from benchmarks.campaign.bench_landing import as_built_bars, random_bars
 from benchmarks.campaign.landing_cases import as_built_landings, random_landings
 from sitl.scenario.scenario import Scenario

@@ -1,7 +1,5 @@
 """The bench of mutants: what it changes, which test kills a mutant, and every branch of the gate."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The bench of spoilt inputs finds what is not ours, and goes on; the app has none."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterator
 

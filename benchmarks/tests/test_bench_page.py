@@ -1,7 +1,5 @@
 """The live page's bench: without a browser nothing is said to hold."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.service import bench_page

@@ -1,7 +1,5 @@
 """The service's bench: delays from a flight's log, and what is held between two orders."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

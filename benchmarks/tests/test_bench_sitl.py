@@ -1,7 +1,5 @@
 """The comparison with recordings: how a row is judged, how a record is read."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

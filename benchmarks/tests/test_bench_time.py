@@ -1,7 +1,5 @@
 """The bench of where the time goes runs, tells the sides apart, and puts an earlier run beside."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The vision bench's own reckoning: where corners truly are, the bound, flips, bands, clutter and tables."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

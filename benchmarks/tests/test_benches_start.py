@@ -1,7 +1,5 @@
 """Every benchmark is found, imports and knows its words: one that nobody runs dies unseen."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """What a benchmark's results hold, and what exit status they give."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -15,8 +15,6 @@ here.
 Prints its tables and ends in one line that says which bars hold; the exit status matches.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import multiprocessing

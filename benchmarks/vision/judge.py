@@ -12,8 +12,6 @@ of the camera shifts it by p x d.
 Camera axes for the bound, body axes for errors and covariances; the trace is the same.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field

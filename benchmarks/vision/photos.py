@@ -9,8 +9,6 @@ judged by them; the border that they mean runs half a pixel further out, and wha
 to is measured against that.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import zlib

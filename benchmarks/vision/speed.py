@@ -8,8 +8,6 @@ Both look at each frame in turn, on one thread; times are that thread's, so that
 count.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field

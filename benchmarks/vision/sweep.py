@@ -6,8 +6,6 @@ gravity. A hole is a frame in which the peer reads a marker of the pad, and ours
 has looked at that frame three times, as at three that follow each other.
 """
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections import Counter

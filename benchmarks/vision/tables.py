@@ -4,8 +4,6 @@ Paper: table 2 (recall, %) and table 3 (precision, cm) by a marker's side (cm) a
 calls not applicable, or leaves out, are not here.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which frames of a moving picture are worth keeping: sharp, still, and of something not yet seen. Pure."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass

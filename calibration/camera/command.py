@@ -3,8 +3,6 @@
 Exit codes: as in `calibration.command_line`.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Final, Literal
 

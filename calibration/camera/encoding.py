@@ -7,8 +7,6 @@ powers of sRGB's, the one by which they are off by nothing in the median. A bend
 as much into white as into black: at a corner the two change sides.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final

@@ -1,7 +1,5 @@
 """Gathers the views of a board from photos and videos, and the board itself from what a user says of it."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence

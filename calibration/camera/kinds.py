@@ -1,7 +1,5 @@
 """The kinds of boards and lens models, by name: what the command line needs before OpenCV is imported."""
 
-from __future__ import annotations
-
 from typing import Final, Literal
 
 Pattern = Literal["charuco", "grid", "chessboard"]

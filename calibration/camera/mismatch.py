@@ -1,7 +1,5 @@
 """Why the board that was described is not the one in the pictures: what was seen instead, in words. Pure."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, Final

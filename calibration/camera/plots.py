@@ -1,7 +1,5 @@
 """Pictures of a camera's calibration: errors over the image, coverage, and the board's poses (PNG)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final

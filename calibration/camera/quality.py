@@ -1,7 +1,5 @@
 """The acceptance test of a camera calibration: good enough to fly with, or why not. Pure."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final

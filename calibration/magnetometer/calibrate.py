@@ -1,7 +1,5 @@
 """From a recording to a calibration: fit, scale, align, judge. Pure."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`calibrate-magnetometer`: options and help. Samples in, calibration file, figures and picture out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Final
 

@@ -1,7 +1,5 @@
 """What `calibrate-magnetometer` does: read or collect samples, calibrate, judge and write."""
 
-from __future__ import annotations
-
 import os
 import sys
 from dataclasses import dataclass

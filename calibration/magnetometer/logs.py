@@ -10,8 +10,6 @@ What is in them has been through a calibration as often as not:
                 that was applied is taken off again
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """A calibration in words: the table on the terminal, the autopilot's parameters, the YAML file."""
 
-from __future__ import annotations
-
 import textwrap
 from pathlib import Path
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Opening a recording: what it is by its first bytes, else by its name, else a table of text."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final

@@ -6,8 +6,6 @@ between, a serial monitor's time stamp or a label before a number, rows as Pytho
 or UTF-16. The magnetometer's columns are found by their names, of a heading or of the labels.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import zipfile

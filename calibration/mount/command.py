@@ -1,7 +1,5 @@
 """`calibrate-mount`: its subcommands, their options and help."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Final
 

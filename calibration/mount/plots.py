@@ -1,7 +1,5 @@
 """Plots of a mount calibration: rates before and after, residuals, the time offset search."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, Final
 

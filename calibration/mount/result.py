@@ -1,7 +1,5 @@
 """What `calibrate-mount camera` does: a recording in, the mount file and its plots out."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ missing when a rate is given. The accelerometer's unit shows in what it measures
 time's that the header leaves open by its steps: s, ms, µs or ns.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """`python -m experiments fig14`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Final
 

@@ -4,8 +4,6 @@ The plant is the simulator's airframe (motors that lag, drag, rotor gyroscopics,
 controllers' model. NED, SI; the reference begins at time 0.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

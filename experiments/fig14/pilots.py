@@ -5,8 +5,6 @@ paper has it; PID gets its position, velocity and acceleration now. The recursio
 model and no estimate of the disturbance, as in the paper; "riccati + push" has that too.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ NED, SI. The pad and the wind are the simulator's; obstacles are drawn again unt
 are clear of them and there is something to go round.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

@@ -7,8 +7,6 @@ inertia that is off appears here too, as the acceleration that it takes or adds 
 ones.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

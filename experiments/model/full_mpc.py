@@ -10,8 +10,6 @@ bound the work.
 Axes: the paper's z-up ones, SI units.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final

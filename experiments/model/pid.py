@@ -9,8 +9,6 @@ will be later it knows nothing.
 come from `python -m experiments.tune_pid`.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

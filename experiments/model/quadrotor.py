@@ -13,8 +13,6 @@ it is +J_TP theta' Omega about x and -J_TP phi' Omega about y; the paper's text 
 Everything takes one state (12,) or many (N, 12) at once: a horizon is linearised in one sweep.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Final

@@ -1,7 +1,5 @@
 """Made-up flights for the experiments' tests: known paths, known errors."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

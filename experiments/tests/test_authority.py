@@ -1,7 +1,5 @@
 """Which cycles the speed law decides, from ways whose end and time are known."""
 
-from __future__ import annotations
-
 import pytest
 
 from companion.base.messages import Phase, PlanStep, Reference

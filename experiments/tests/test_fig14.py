@@ -1,7 +1,5 @@
 """Fig. 14: its worlds and reference, short flights of each pilot, the bars and the picture."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Table 1 shows all ways of looking the same frames, and its bars can fail."""
 
-from __future__ import annotations
-
 import math
 
 from experiments.table1 import (

@@ -11,8 +11,6 @@ exposure, of what is in the middle of the pad's part of the image.
 World NED with the ground at z = 0; the pad's surface is at the height of its position.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A camera may drop frames by itself, singly or in bursts (a Gilbert model: two st
 change at each frame); faults add to that.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from sitl.camera.textures import GreyImage

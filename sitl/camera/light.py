@@ -8,8 +8,6 @@ Mirror: a ray that leaves the camera along d and meets a surface with the unit n
 d - 2 (d.n) n. Print that shines a little spreads the sun about that direction as a Gauss bell.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Final
 

@@ -4,8 +4,6 @@ One more row and column of nodes lies around the image, so that everything in it
 smooth over a cell (texture coordinates, shade) is worked out at the nodes and interpolated.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 import cv2

@@ -6,8 +6,6 @@ samples them. Each coarser scale is an exact area average
 of the finest, so that a pixel never skips texels (no aliasing) and no edge moves (no bias).
 """
 
-from __future__ import annotations
-
 import math
 import zlib
 from dataclasses import dataclass

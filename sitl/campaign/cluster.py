@@ -4,8 +4,6 @@ The cluster needs `companion` installed in the same version, and sees the same f
 each worker compares before it flies.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Generator, Sequence

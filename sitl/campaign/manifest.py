@@ -4,8 +4,6 @@ The manifest is stored with the rows. A command that differs from it is rejected
 mixes two campaigns; one with more seeds or more scenarios continues the campaign.
 """
 
-from __future__ import annotations
-
 import hashlib
 import shlex
 from collections.abc import Iterable, Iterator, Sequence

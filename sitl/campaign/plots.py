@@ -6,8 +6,6 @@ Pad axes: along the pad's heading up, to its right to the right; metres. Colours
 people who see few colours tell apart.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ lost no run that had ended; half a line, which only a full disk or a power cut l
 file is opened again. SI units, as the names say; angles in degrees.
 """
 
-from __future__ import annotations
-
 import csv
 import fcntl
 import io

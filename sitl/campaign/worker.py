@@ -5,8 +5,6 @@ its command line. The start of Python and the libraries (two seconds) is paid on
 flight is the one that the command line flies, to the bit.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -6,8 +6,6 @@ serial line is simulated in `ports`. Messages are packed here independently of t
 library that the driver parses with, so that one mistake cannot cancel itself.
 """
 
-from __future__ import annotations
-
 import datetime
 import math
 import struct

@@ -6,8 +6,6 @@ pieces, as out of a UART's own buffer, and each piece when its last bit would ha
 baud rate of their own: where they differ, what arrives is garbage.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno

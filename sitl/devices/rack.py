@@ -3,8 +3,6 @@
 Each sensor has a random stream of its own, so that a fault in one does not change the noise of another.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -18,10 +16,8 @@ from companion.base.geometry import (
     Quaternion,
     Vector3,
     add,
-    cross,
     norm,
     quat_from_rotation_vector,
-    quat_rotate,
     quat_rotate_inverse,
     scale,
     subtract,
@@ -32,7 +28,7 @@ from sitl.devices.mpu9250 import Ak8963Device, Interface, Mpu9250Device
 from sitl.devices.neo6m import Neo6mDevice
 from sitl.devices.ports import DevicePort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
-from sitl.sensors.inertial import ImuErrors, ImuSensor, felt_at
+from sitl.sensors.inertial import ImuErrors, ImuSensor, felt_at, moved_at
 from sitl.sensors.sensors import (
     BoardTruth,
     GpsErrors,
@@ -221,12 +217,8 @@ class SensorRack:
             gps.receive(heard)
         if now_s < gps.next_s:
             return
-        lever, attitude = self._antenna_body_m, state.attitude
-        turning = quat_rotate(attitude, cross(state.rate_body_rad_s, lever))
-        position = add(state.position_ned_m, quat_rotate(attitude, lever))
-        velocity = add(state.velocity_ned_m_s, turning)
         port.set_baud(gps.baud)
-        port.send(gps.step(now_s, position, velocity))
+        port.send(gps.step(now_s, *moved_at(self._antenna_body_m, state)))
 
     def _step_range(self, now_s: float, state: QuadrotorState, range_height_m: Callable[[], float]) -> None:
         sonar, port = self.range, self._range_port

@@ -5,8 +5,6 @@ falling edge and looks at the middle of each of its own bits. A byte whose stop 
 reads as 0, as Linux's tty gives it by default (termios(3), neither IGNPAR nor PARMRK).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

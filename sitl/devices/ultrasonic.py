@@ -4,8 +4,6 @@ Both wait for their own sound before they write. A02YYUW data sheet (frames), US
 distance in two bytes of millimetres, 0x50 for a temperature in one byte of degrees plus 45).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -7,8 +7,6 @@ for a while, it reports that and uses the autopilot's estimates. A late truth st
 them, but not while armed nor after a flight, whose score would be lost: the two are metres apart.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable

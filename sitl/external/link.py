@@ -5,8 +5,6 @@
 is absent it waits; `tell` gets one line about that, and one when the vehicle is back.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

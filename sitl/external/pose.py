@@ -11,8 +11,6 @@ A message without a stamp gets its arrival time: on a loopback it is some
 milliseconds old. NED, FRD, SI; quaternions (w, x, y, z) body to NED.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from typing import Any, Final, NamedTuple

@@ -4,8 +4,6 @@ It receives a vehicle's pose over MAVLink and flies nothing. The app may share t
 to the relay's port is forwarded to the vehicle, and the vehicle's bytes are forwarded there.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import sys

@@ -11,8 +11,6 @@ NED from where the vehicle was first seen, z = 0 the ground, the vehicle's refer
 standing height over it; SI.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Final, NamedTuple

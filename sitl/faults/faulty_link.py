@@ -4,8 +4,6 @@ Pure: from the time a datagram is sent (s) it returns when it arrives, or that i
 or lost, as over UDP, or as radio packets are. Each direction has its own random numbers.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What faults act on, and the companion computer as far as they change it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal

@@ -5,8 +5,6 @@ run meanwhile. It simulates barometer, compass and GPS itself from the position 
 receives; the IMU is the simulator's, with vibration. MAVLink is on UDP too, on its first serial port.
 """
 
-from __future__ import annotations
-
 import os
 import socket
 import struct

@@ -1,7 +1,5 @@
 """What both firmwares have in common, as the simulation sees them."""
 
-from __future__ import annotations
-
 import math
 from typing import Final, NamedTuple, Protocol
 

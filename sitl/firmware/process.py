@@ -1,7 +1,5 @@
 """A firmware's process: started in an empty folder of its own, ended by us whatever happens."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

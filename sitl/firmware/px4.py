@@ -6,8 +6,6 @@ that clock, so that nothing moves between two of them. It answers each once its 
 answers come only when it has booted. MAVLink for companions comes by UDP to 14540 + instance.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import select

@@ -1,7 +1,5 @@
 """A firmware in the place of the bundled autopilot: the simulation steps it and connects its clients."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable, Iterator, Sequence

@@ -6,8 +6,6 @@ numbers and rates; they share the signing key. Commands are accepted from any se
 sender. Bytes that are not MAVLink, and messages for other targets, are dropped.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable

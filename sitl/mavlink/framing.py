@@ -6,8 +6,6 @@ a datagram a frame never extends beyond its end. In a stream a frame that is not
 is dropped. Source: mavlink.io, "Packet serialization".
 """
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import math

@@ -5,8 +5,6 @@ all, are forwarded unchanged to the ports behind which their target has been see
 autopilots forward so). The ground station at the pad has no socket: it receives from and sends to all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 

@@ -4,8 +4,6 @@ Stamped in time since boot. PX4's HIGHRES_IMU has in `fields_updated` what is ne
 one; ArduPilot's RAW_IMU and SCALED_IMU repeat the newest field. Both send integers where MAVLink does.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, Final

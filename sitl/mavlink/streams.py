@@ -4,8 +4,6 @@ Every link has its own rates: MAV_CMD_SET_MESSAGE_INTERVAL sets one message's, R
 ArduPilot still supports and PX4 does not) a whole group's.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, Final

@@ -4,8 +4,6 @@ Sensor messages are in `sensor_telemetry`.
 Built from the autopilot's estimate, in MAVLink's units (degrees times 1e7, mm, cm/s).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, Final

@@ -5,8 +5,6 @@ along the course that it had, by a speed that changes at a constant rate. Its he
 stay those of the scenario's motion. NED, SI.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final, NamedTuple, Protocol
 

@@ -12,8 +12,6 @@ SITL, for campaigns, and for tools with a vehicle that stands or is carried by h
     run_in_virtual_time(main())
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager

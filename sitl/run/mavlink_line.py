@@ -1,7 +1,5 @@
 """The MAVLink line between the vehicle and its clients, with the scenario's loss, delay and reordering."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol

@@ -1,7 +1,5 @@
 """The interface to the parent process: JSON lines on standard output, one command on standard input."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

@@ -1,7 +1,5 @@
 """The report on a flight that has ended, and its transfer between processes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Times are the world's (s); a frame is stamped with the mid-exposure of its middl
 error of the scenario's camera.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from concurrent.futures import Future

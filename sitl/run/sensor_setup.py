@@ -1,7 +1,5 @@
 """The sensors of a scenario: their errors, those of the companion computer and those of the autopilot."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

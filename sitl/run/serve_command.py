@@ -1,7 +1,5 @@
 """`companion-sitl` without a command: serve a vehicle until it is interrupted."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

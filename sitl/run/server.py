@@ -10,8 +10,6 @@ Either way the GPS and the ultrasonic are on ptys, the MPU9250's registers and t
 sockets in its folder.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import socket

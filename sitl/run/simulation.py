@@ -6,8 +6,6 @@ bytes, frames and MAVLink; `report` has the truth, for scoring alone.
 Simulation time starts at 0; stamps that leave it (frames, truth) are loop time.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Callable, Sequence

@@ -5,8 +5,6 @@ One that comes very late is not: the world has stood still meanwhile, which a fl
 of motion would overflow the vehicle's buffers.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from typing import Final

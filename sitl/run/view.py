@@ -4,8 +4,6 @@ A machine without a screen shows them in a browser: Motion JPEG on the loopback.
 frame, or an MP4 file. Each picture carries its number, its time and its age when it came.
 """
 
-from __future__ import annotations
-
 import asyncio
 import sys
 from collections import deque

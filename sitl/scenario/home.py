@@ -1,7 +1,5 @@
 """Where on Earth a vehicle stands: the origin of the world's NED, and the magnetic field there."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from pydantic import Field

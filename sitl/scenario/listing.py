@@ -1,7 +1,5 @@
 """What is shipped, and what a scenario may hold, as text."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

@@ -5,8 +5,6 @@ their own. IMU, compass and rangefinder cost time at every step, so they are off
 one of their messages. Axes FRD (the autopilot has turned the mounting out), SI units, µT; pure.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable
@@ -18,13 +16,11 @@ from companion.base.geometry import (
     ZERO3,
     Vector3,
     add,
-    cross,
     norm,
-    quat_rotate,
     quat_rotate_inverse,
     tilt_from_quat,
 )
-from sitl.sensors.inertial import ImuErrors, ImuSensor, felt_at
+from sitl.sensors.inertial import ImuErrors, ImuSensor, felt_at, moved_at
 from sitl.sensors.sensors import (
     BoardTruth,
     GpsErrors,
@@ -75,6 +71,20 @@ class Echo(NamedTuple):
     distance_m: float | None
 
 
+class Pace:
+    """When the next sample of a period is due: a late one is made up for, a long gap is not."""
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s, self._due_s = period_s, -math.inf
+
+    def due(self, now_s: float) -> bool:
+        """Whether it is now; then the next one is a period later."""
+        if now_s < self._due_s - _EARLY_S:
+            return False
+        self._due_s = max(self._due_s, now_s - self._period_s) + self._period_s
+        return True
+
+
 class SimulatedAutopilotSensors:
     """Step it with the physics; the newest of each sensor is in its attribute, None before the first."""
 
@@ -107,7 +117,8 @@ class SimulatedAutopilotSensors:
         self._gps_latency_s = gps_latency_s
         self._antenna_body_m = antenna_body_m
         self._enabled = False
-        self._mag_due_s = self._gps_due_s = self._range_due_s = -math.inf
+        self._mag_pace, self._range_pace = Pace(MAG_PERIOD_S), Pace(RANGE_PERIOD_S)
+        self._gps_pace = Pace(GPS_PERIOD_S)
         self._pending: deque[Fix] = deque()  # epochs on their way, oldest first
         # for faults that the world around does, and so to these sensors too: no sky, another field
         self.has_sky = True
@@ -153,13 +164,11 @@ class SimulatedAutopilotSensors:
         felt = felt_at(self._imu_position_body_m, state)
         force, rate = self.inertial.sample(felt, state.rate_body_rad_s, throttle)
         self.imu = ImuReading(now_s, force, rate)
-        if now_s >= self._mag_due_s - _EARLY_S:
-            self._mag_due_s = max(self._mag_due_s, now_s - MAG_PERIOD_S) + MAG_PERIOD_S
+        if self._mag_pace.due(now_s):
             field_ned = add(self._field_ned_ut, self.deck_field_ned_ut)
             field_body = add(quat_rotate_inverse(state.attitude, field_ned), self.stray_field_ut)
             self.mag = Field(now_s, self._mag.sample(field_body, throttle))
-        if now_s >= self._range_due_s - _EARLY_S:
-            self._range_due_s = max(self._range_due_s, now_s - RANGE_PERIOD_S) + RANGE_PERIOD_S
+        if self._range_pace.due(now_s):
             distance_m = self._range.sample(range_height_m(), tilt_from_quat(state.attitude))
             self.range = Echo(now_s, distance_m)
 
@@ -167,15 +176,7 @@ class SimulatedAutopilotSensors:
         """An epoch of the receiver reaches the autopilot with a delay, and is stamped on arrival."""
         while self._pending and now_s >= self._pending[0].time_s - _EARLY_S:
             self.gps = self._pending.popleft()
-        if now_s < self._gps_due_s - _EARLY_S:
+        if not self._gps_pace.due(now_s) or not self.has_sky:
             return
-        self._gps_due_s = max(self._gps_due_s, now_s - GPS_PERIOD_S) + GPS_PERIOD_S
-        if not self.has_sky:
-            return
-        attitude, rate = state.attitude, state.rate_body_rad_s
-        antenna = quat_rotate(attitude, self._antenna_body_m)
-        turning = quat_rotate(attitude, cross(rate, self._antenna_body_m))
-        reading = self._gps.sample(
-            now_s, add(state.position_ned_m, antenna), add(state.velocity_ned_m_s, turning)
-        )
+        reading = self._gps.sample(now_s, *moved_at(self._antenna_body_m, state))
         self._pending.append(Fix(now_s + self._gps_latency_s, reading))

@@ -15,8 +15,6 @@ RM-MPU-9250A-00 rev. 1.6 (filters). What a start-up or six-position calibration 
 here too: the figures are residuals, unless the sensor is uncalibrated.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,6 +29,7 @@ from companion.base.geometry import (
     Vector3,
     add,
     cross,
+    quat_rotate,
 )
 from sitl.sensors.sensors import (
     NOISE_BLOCK,
@@ -47,6 +46,13 @@ _MILLI_G: Final = 1e-3 * GRAVITY_M_S2
 # DLPF_CFG -> (bandwidth Hz, delay s), register map rev. 1.6
 GYRO_FILTER: Final = {1: (184.0, 0.0029), 2: (92.0, 0.0039), 3: (41.0, 0.0059), 4: (20.0, 0.0099)}
 ACCEL_FILTER: Final = {1: (218.1, 0.00188), 2: (99.0, 0.00288), 3: (44.8, 0.00488), 4: (21.2, 0.00887)}
+
+
+def moved_at(position_body_m: Vector3, state: QuadrotorState) -> tuple[Vector3, Vector3]:
+    """Position and velocity (NED) of a point of a rigid body, as an antenna at it measures them."""
+    turning = quat_rotate(state.attitude, cross(state.rate_body_rad_s, position_body_m))
+    place = add(state.position_ned_m, quat_rotate(state.attitude, position_body_m))
+    return place, add(state.velocity_ned_m_s, turning)
 
 
 def felt_at(position_body_m: Vector3, state: QuadrotorState) -> Vector3:

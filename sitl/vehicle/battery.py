@@ -6,8 +6,6 @@ charge, the sag one inner resistance. Empty it stays at its lowest voltage: what
 simulated. SI units but for mAh, as MAVLink has it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The motions of a vehicle that is carried by hand, by name."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 HandMotion = Literal["still", "tumble", "faces", "sway", "over-pad"]

@@ -10,8 +10,6 @@ Hands tremble: a slow sway of the arms below 1 Hz and physiological tremor of 6 
 W. C. Koller, Tremor, 1990), of some millimetres and a few tenths of a degree.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise

@@ -10,8 +10,6 @@ Thrust, contact, wind and the rotational drag are held over a step; within it dr
 by RK4. It all runs on plain floats, because arrays of three cost ten times as much.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from math import sqrt

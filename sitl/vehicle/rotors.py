@@ -4,8 +4,6 @@ Rotors lie on one circle and are numbered clockwise from the front, seen from ab
 one another, the first anticlockwise. Plain floats and loops: arrays this short cost ten times as much.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final, Literal

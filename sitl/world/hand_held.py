@@ -6,8 +6,6 @@ means over a step, as those of a flight are: Δv/Δt less gravity in body axes h
 NED, FRD, SI.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -3,8 +3,6 @@
 NED from home, the ground at z = 0; FRD; SI. The app gets it only through the simulated sensors.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from collections import deque

@@ -1,7 +1,5 @@
 """The MPC on 12 states: the recursion where no bound is near, and each bound where one is."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

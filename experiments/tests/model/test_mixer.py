@@ -1,7 +1,5 @@
 """U to motors: what is flown is what was asked, the range is kept, the lag is made up for."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The cascade: feed-forward, integral and its bounds, axes and signs, on the paper's model."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

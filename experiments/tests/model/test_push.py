@@ -1,7 +1,5 @@
 """The observer of what pushes: it finds a force, a wrong mass and a torque, and bounds what it says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

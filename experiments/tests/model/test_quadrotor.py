@@ -1,7 +1,5 @@
 """The paper's model: eq. 5 both ways, eq. 6 against the vector form, eqs. 9-11 against differences."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

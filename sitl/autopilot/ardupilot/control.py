@@ -8,8 +8,6 @@ the kind of setpoint changes, the path restarts from the vehicle. Where tilt or 
 path waits for the vehicle. After ArduCopter 4.6; gains by its names.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import Enum

@@ -5,8 +5,6 @@ Names, defaults and bounds after ArduCopter 4.6's parameter list. Defaults that 
 describe this vehicle or its recording. Units are ArduPilot's (cm, cm/s, centidegrees, s).
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 from sitl.autopilot.flight.parameters import Parameter

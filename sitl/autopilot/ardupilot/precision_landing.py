@@ -8,8 +8,6 @@ waits, then returns to where it last saw the target, at most PLND_RET_MAX times.
 Without a range finder the height over home replaces the measured height. SI units.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from math import inf, nan

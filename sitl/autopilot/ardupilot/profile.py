@@ -4,8 +4,6 @@ Taken from a recording of ArduCopter with its own simulator.
 The landed detector takes 2 s; the recording shows 2.5 s from contact.
 """
 
-from __future__ import annotations
-
 import math
 
 from sitl.autopilot.ardupilot import setpoints as ardupilot_setpoints

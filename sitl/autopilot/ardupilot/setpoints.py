@@ -6,8 +6,6 @@ stops the vehicle without a text: an unknown frame, a force, a position with an 
 numbers that are not finite. NED, SI units.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from math import cos, isfinite, isnan, nan, sin
 from typing import Final

@@ -10,8 +10,6 @@ The attitude error becomes a rate setpoint. ArduPilot puts a shaped reference be
 and feeds its rates forward; PX4 uses the setpoint directly. FRD, rad, N m.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Final

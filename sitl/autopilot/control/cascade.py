@@ -12,8 +12,6 @@ motor commands. On the ground with idling motors every integral stays zero. NED 
 frame, SI units.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@ so that position and velocity agree with each other as a filter's do. Sizes: rec
 ArduPilot 4.6 in flight. World NED relative to the SITL's home, FRD, SI units.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final, Literal

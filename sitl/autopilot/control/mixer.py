@@ -6,8 +6,6 @@ MINIMUM_YAW_MARGIN; ArduPilot's MOT_YAW_HEADROOM likewise keeps 0.2). Without it
 thrust against the wind turns without end. FRD torques.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 from companion.base.geometry import Vector3

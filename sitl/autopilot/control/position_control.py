@@ -6,8 +6,6 @@ tilt's cosine: both autopilots decouple them so. What a setpoint does not give i
 together. NED in the autopilot's own heading frame, SI units.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass

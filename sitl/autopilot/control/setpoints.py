@@ -4,8 +4,6 @@ The meaning of fields, mask and frame differs between autopilots: `px4.setpoints
 in the autopilot's own heading frame, SI units; a value that is not given is NaN.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from math import isfinite, nan

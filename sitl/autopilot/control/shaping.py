@@ -6,8 +6,6 @@ acceleration, whose own rate of change (jerk) is bounded. After ArduPilot 4.6, A
 one or two axes.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

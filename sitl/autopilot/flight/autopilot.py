@@ -5,8 +5,6 @@ heading have the errors of `estimator`. The MAVLink endpoint's commands are meth
 MAV_RESULT; texts for the ground are in `take_texts`. SI units.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from math import inf, isfinite, isnan, nan
@@ -48,6 +46,7 @@ from sitl.autopilot.flight.navigator import Navigator
 from sitl.autopilot.flight.parameters import Parameters
 from sitl.autopilot.flight.profile import AutopilotProfile, setpoints_stopped
 from sitl.autopilot.px4.profile import PX4
+from sitl.sensors.autopilot_sensors import Pace
 from sitl.vehicle.battery import Battery
 from sitl.vehicle.quadrotor import QuadrotorParameters, QuadrotorState
 from sitl.vehicle.rotors import RotorValues
@@ -55,7 +54,6 @@ from sitl.vehicle.rotors import RotorValues
 RefusedRequest = Literal["arm", "take_off", "offboard", "land", "disarm", "auto_disarm"]
 _CEILING, _CIRCLE = 1, 2  # bits of an autopilot's own fences
 PROFILES: dict[AutopilotKind, AutopilotProfile] = {"px4": PX4, "ardupilot": ARDUPILOT}
-_EARLY_S = 1e-6
 _THRUST_OPTION = 8
 _NO_ATTITUDE = AttitudeSetpoint(None, 0.0)
 _LEAST_TAKE_OFF_M = 0.5
@@ -108,7 +106,7 @@ class SimulatedAutopilot:
         )
         self._precision_landing = self.profile.precision_landing(self.parameters)
         self._manual_control = ManualControl(self.profile, self.parameters, self._airframe.hover_share())
-        self._outer_due_s = -inf
+        self._pace = Pace(self.profile.outer_period_s)
         self._now_s = -inf
         self._setpoint = None
         self.wanted: MotionSetpoint | AttitudeSetpoint | None = None  # what is flown, None before
@@ -311,7 +309,7 @@ class SimulatedAutopilot:
     def step(self, truth: QuadrotorState, dt_s: float, now_s: float) -> RotorValues:
         """One step of the physics: the four motor commands 0..1 (front, right, rear, left)."""
         self.estimate.update_attitude(truth)
-        if now_s >= self._outer_due_s - _EARLY_S:
+        if self._pace.due(now_s):
             self._outer(truth, now_s)
         armed = self._commander.armed
         motors = self._motors = self._cascade.step(self.estimate, dt_s) if armed else self._stopped
@@ -320,10 +318,6 @@ class SimulatedAutopilot:
     def _outer(self, truth: QuadrotorState, now_s: float) -> None:
         if self.booted_s is None:
             self.booted_s = now_s
-        # a late step is made up for by the next ones, a long gap is not
-        self._outer_due_s = (
-            max(self._outer_due_s, now_s - self.profile.outer_period_s) + self.profile.outer_period_s
-        )
         self._now_s = now_s
         estimate = self.estimate
         self.battery.step(self._motors, self.profile.outer_period_s)

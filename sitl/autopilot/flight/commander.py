@@ -3,8 +3,6 @@
 Everything that differs between autopilots comes from the tables of the `AutopilotProfile`.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from math import inf
 

@@ -5,8 +5,6 @@ about home are not part of it. Sources: MAVLink's mission protocol (plan type "f
 1.16 `geofence.cpp`; ArduPilot 4.6 `AC_PolyFence_loader`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@
 NED in the autopilot's own frame, FRD, SI units. Source: ArduPilot 4.6 `AC_PrecLand` and its `PosVelEKF`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import IntEnum

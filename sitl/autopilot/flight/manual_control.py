@@ -8,8 +8,6 @@ ArduPilot's stick mapping in outline (dead band, full scale), without their expo
 Manual control in the flight loop: RC availability, RC loss, and the setpoints of the sticks.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from math import inf, nan

@@ -4,8 +4,6 @@ Items act in their order; a DO item acts when its turn comes, and the next item 
 NED in the autopilot's own frame, SI units.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ gives them (degrees, seconds). Sources: MAVLink's mission protocol; PX4 1.16 `ma
 ArduPilot 4.6 `MissionItemProtocol` and `AP_Mission`.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable

@@ -4,8 +4,6 @@ A mode is what the autopilot reports; a task is what it flies. Some modes allow 
 GUIDED allows several. A check or failsafe is a predicate on the `VehicleStatus`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, IntEnum

@@ -3,8 +3,6 @@
 NED in the autopilot's own frame, SI units. Targets are stored here; the commander selects the task.
 """
 
-from __future__ import annotations
-
 import math
 from math import nan
 

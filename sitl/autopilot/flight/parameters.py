@@ -4,8 +4,6 @@ Small: the flight code reads the ones that act in flight, the others describe th
 the unit that the real autopilot gives them (ArduPilot: cm/s, cm); `ParameterRef` carries the factor to SI.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 

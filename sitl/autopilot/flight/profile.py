@@ -4,8 +4,6 @@
 checks which autopilot it is.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ velocity on an axis skips the velocity loop there, integral included. In autonom
 trajectory generator, the velocity changes at a bounded acceleration. After PX4 1.16; gains by its names.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from math import isnan

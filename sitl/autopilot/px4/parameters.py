@@ -4,8 +4,6 @@ Names, defaults and bounds after PX4 1.16's parameter reference, in its alphabet
 differ from PX4's describe this vehicle or its recording. Units are PX4's (m, m/s, deg, s).
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 from sitl.autopilot.flight.parameters import Parameter

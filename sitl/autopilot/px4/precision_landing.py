@@ -4,8 +4,6 @@ It takes the target's position in LOCAL_NED only, unfiltered, and flies to it as
 of the target is known, so that a moving one is followed at a lag and never met within PLD_HACC_RAD. SI units.
 """
 
-from __future__ import annotations
-
 import math
 from enum import Enum
 from math import inf, nan

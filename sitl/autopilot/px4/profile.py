@@ -5,8 +5,6 @@ MPC_THR_MIN + LNDMC_LOW_T_THR (hover - MPC_THR_MIN), which takes the climb's int
 0.3 m/s, and then LNDMC_TRIG_TIME.
 """
 
-from __future__ import annotations
-
 import math
 
 from sitl.autopilot.control.attitude_control import AttitudeGains, RateFilters, ShareGains

@@ -5,8 +5,6 @@ frame is rejected with a text, so that OFFBOARD ends without setpoints. An axis 
 without its east, stops the vehicle. NED, SI units.
 """
 
-from __future__ import annotations
-
 from math import isfinite, isnan, nan
 from typing import Final
 

@@ -8,8 +8,6 @@ Rally points are not simulated: their list is empty and stays so.
 Source: mavlink.io's mission protocol; results and time-outs as in `MissionRules`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

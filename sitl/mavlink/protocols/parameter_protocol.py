@@ -5,8 +5,6 @@ missed is served meanwhile. Integers go bytewise in the float field with PX4, as
 Sources: mavlink.io's parameter protocol; PX4 1.16 `mavlink_parameters.cpp`; ArduPilot 4.6 `GCS_Param.cpp`.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 import zlib
