@@ -16,7 +16,7 @@ from typing import Final
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3, wrap_angle
 from sitl.autopilot.control.attitude_control import SecondOrderLowPass
-from sitl.autopilot.control.position_control import OutputLimits, PositionControl
+from sitl.autopilot.control.position_control import Motion, OutputLimits, PositionControl
 from sitl.autopilot.control.setpoints import MotionSetpoint
 from sitl.autopilot.control.shaping import (
     FirstOrderLowPass,
@@ -112,15 +112,8 @@ class ArdupilotControl(PositionControl):
         self._kinds = None
         self._commanded = (0.0, 0.0)
 
-    def _wanted(
-        self,
-        position: Vector3,
-        velocity: Vector3,
-        acceleration: Vector3,
-        setpoint: MotionSetpoint,
-        dt_s: float,
-        frozen: bool,
-    ) -> Vector3:
+    def _wanted(self, motion: Motion, setpoint: MotionSetpoint, dt_s: float, frozen: bool) -> Vector3:
+        position, velocity, _ = motion
         kinds = (_kind(setpoint, 0), _kind(setpoint, 2))
         if kinds != self._kinds:
             self._kinds = kinds
@@ -130,17 +123,10 @@ class ArdupilotControl(PositionControl):
             self._start_sideways(position, velocity)
         self._follow_track(setpoint, dt_s)
         ax, ay = self._hold_sideways(position, velocity, dt_s, frozen)
-        return (ax, ay, self._wanted_down(position, velocity, acceleration, setpoint, dt_s, frozen))
+        return (ax, ay, self._wanted_down(motion, setpoint, dt_s, frozen))
 
-    def _wanted_down(
-        self,
-        position: Vector3,
-        velocity: Vector3,
-        acceleration: Vector3,
-        setpoint: MotionSetpoint,
-        dt_s: float,
-        frozen: bool,
-    ) -> float:
+    def _wanted_down(self, motion: Motion, setpoint: MotionSetpoint, dt_s: float, frozen: bool) -> float:
+        position, velocity, acceleration = motion
         kind = _kind(setpoint, 2)
         self._start_down(position, velocity, kind)
         self._move_down(setpoint, kind, dt_s)

@@ -212,14 +212,7 @@ class Cascade:
         """Fly a motion setpoint; returns whether it is a descent."""
         law = self._position
         self._take_over_height(estimate)
-        law.step(
-            estimate.position_ned_m,
-            estimate.velocity_ned_m_s,
-            estimate.acceleration_ned_m_s2,
-            setpoint,
-            dt_s,
-            frozen,
-        )
+        law.step(estimate.motion, setpoint, dt_s, frozen)
         self._leave_rates(estimate)
         self.attitude_setpoint = law.attitude
         self._throttle_up(estimate, dt_s)
@@ -256,9 +249,7 @@ class Cascade:
         self._take_over_height(estimate)
         climb = 0.0 if setpoint.holds_height else 2.0 * (share - _HOLDS_HEIGHT)
         climb *= _CLIMB_RATE_M_S if climb > 0.0 else _DESCENT_RATE_M_S
-        position, velocity = estimate.position_ned_m, estimate.velocity_ned_m_s
-        acceleration = estimate.acceleration_ned_m_s2
-        law.step_climb(position, velocity, acceleration, estimate.attitude, climb, dt_s, frozen)
+        law.step_climb(estimate.motion, estimate.attitude, climb, dt_s, frozen)
         self._throttle_up(estimate, dt_s)
         return climb < -_DESCENDING_M_S
 

@@ -109,6 +109,11 @@ class SimulatedEstimator:
         self._true_velocity: Vector3 | None = None
         self._yaw_reset: tuple[float, float] | None = None
 
+    @property
+    def motion(self) -> tuple[Vector3, Vector3, Vector3]:
+        """Position, velocity and acceleration."""
+        return self.position_ned_m, self.velocity_ned_m_s, self.acceleration_ned_m_s2
+
     def reset_yaw_at(self, time_s: float, by_rad: float) -> None:
         """Reset the heading then: it leaps, and with it the frame of the velocities."""
         self._yaw_reset = (time_s, by_rad)

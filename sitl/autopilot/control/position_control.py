@@ -23,6 +23,8 @@ from companion.base.geometry import (
 )
 from sitl.autopilot.control.setpoints import MotionSetpoint
 
+# position, velocity and acceleration of the vehicle, as the autopilot estimates them
+Motion = tuple[Vector3, Vector3, Vector3]
 _STEEPEST_COSINE: Final = 0.5  # below it there is no further tilt compensation
 SLEW_RAD_S: Final = math.radians(60.0)  # of headings in autonomous modes: MPC_YAWRAUTO_MAX, ATC_SLEW_YAW
 
@@ -63,33 +65,18 @@ class PositionControl(ABC):
         self.saturated = False
         self._forget(velocity_ned_m_s)
 
-    def step(
-        self,
-        position: Vector3,
-        velocity: Vector3,
-        acceleration: Vector3,
-        setpoint: MotionSetpoint,
-        dt_s: float,
-        frozen: bool = False,
-    ) -> None:
+    def step(self, motion: Motion, setpoint: MotionSetpoint, dt_s: float, frozen: bool = False) -> None:
         """One outer step; `frozen` holds the integrals (before lift-off)."""
         self._turn(setpoint, dt_s)
-        wanted = self._wanted(position, velocity, acceleration, setpoint, dt_s, frozen)
+        wanted = self._wanted(motion, setpoint, dt_s, frozen)
         self._point_thrust(*wanted)
 
     def step_climb(
-        self,
-        position: Vector3,
-        velocity: Vector3,
-        acceleration: Vector3,
-        attitude: Quaternion,
-        climb_m_s: float,
-        dt_s: float,
-        frozen: bool = False,
+        self, motion: Motion, attitude: Quaternion, climb_m_s: float, dt_s: float, frozen: bool = False
     ) -> None:
         """Height only: thrust for a climb rate at an externally commanded attitude."""
         setpoint = MotionSetpoint(velocity_ned_m_s=(nan, nan, -climb_m_s))
-        down = self._wanted_down(position, velocity, acceleration, setpoint, dt_s, frozen)
+        down = self._wanted_down(motion, setpoint, dt_s, frozen)
         self.upward = self.hover * (1.0 - down / GRAVITY_M_S2)
         self.thrust = self._bounded_thrust(self.upward / tilt_cosine(attitude))
 
@@ -115,27 +102,11 @@ class PositionControl(ABC):
         """The tilt is commanded externally: reset the horizontal states."""
 
     @abstractmethod
-    def _wanted(
-        self,
-        position: Vector3,
-        velocity: Vector3,
-        acceleration: Vector3,
-        setpoint: MotionSetpoint,
-        dt_s: float,
-        frozen: bool,
-    ) -> Vector3:
+    def _wanted(self, motion: Motion, setpoint: MotionSetpoint, dt_s: float, frozen: bool) -> Vector3:
         """The acceleration setpoint (NED, without gravity); sets `velocity_reference`."""
 
     @abstractmethod
-    def _wanted_down(
-        self,
-        position: Vector3,
-        velocity: Vector3,
-        acceleration: Vector3,
-        setpoint: MotionSetpoint,
-        dt_s: float,
-        frozen: bool,
-    ) -> float:
+    def _wanted_down(self, motion: Motion, setpoint: MotionSetpoint, dt_s: float, frozen: bool) -> float:
         """The vertical acceleration setpoint alone."""
 
     # ------------------------------------------------------------ heading, tilt and thrust

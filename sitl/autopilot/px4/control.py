@@ -11,7 +11,7 @@ from math import isnan
 from typing import Final
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3
-from sitl.autopilot.control.position_control import OutputLimits, PositionControl
+from sitl.autopilot.control.position_control import Motion, OutputLimits, PositionControl
 from sitl.autopilot.control.setpoints import MotionSetpoint
 from sitl.autopilot.control.shaping import FirstOrderLowPass, Two, approach, root_law
 
@@ -53,17 +53,9 @@ class Px4Control(PositionControl):
     def _let_go_sideways(self) -> None:
         self._integral = (0.0, 0.0)
 
-    def _wanted(
-        self,
-        position: Vector3,
-        velocity: Vector3,
-        acceleration: Vector3,
-        setpoint: MotionSetpoint,
-        dt_s: float,
-        frozen: bool,
-    ) -> Vector3:
-        ax, ay = self._sideways(position, velocity, setpoint, dt_s, frozen)
-        return (ax, ay, self._wanted_down(position, velocity, acceleration, setpoint, dt_s, frozen))
+    def _wanted(self, motion: Motion, setpoint: MotionSetpoint, dt_s: float, frozen: bool) -> Vector3:
+        ax, ay = self._sideways(motion[0], motion[1], setpoint, dt_s, frozen)
+        return (ax, ay, self._wanted_down(motion, setpoint, dt_s, frozen))
 
     def _sideways(
         self, position: Vector3, velocity: Vector3, sp: MotionSetpoint, dt_s: float, frozen: bool
@@ -119,16 +111,8 @@ class Px4Control(PositionControl):
             vx, vy = vx * sp.horizontal_speed_m_s / speed, vy * sp.horizontal_speed_m_s / speed
         return vx, vy
 
-    def _wanted_down(
-        self,
-        position: Vector3,
-        velocity: Vector3,
-        acceleration: Vector3,
-        setpoint: MotionSetpoint,
-        dt_s: float,
-        frozen: bool,
-    ) -> float:
-        gains, sp, place, speed = self._gains, setpoint, position[2], velocity[2]
+    def _wanted_down(self, motion: Motion, setpoint: MotionSetpoint, dt_s: float, frozen: bool) -> float:
+        gains, sp, place, speed = self._gains, setpoint, motion[0][2], motion[1][2]
         v, p, ff = sp.velocity_ned_m_s[2], sp.position_ned_m[2], sp.acceleration_ned_m_s2[2]
         rx, ry, rz = self.velocity_reference
         if isnan(v) and isnan(p) and not isnan(ff):

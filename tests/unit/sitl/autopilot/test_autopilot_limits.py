@@ -48,7 +48,7 @@ def test_ardupilots_tilt_goes_on_at_its_limit_and_is_reported() -> None:
     control: Any = PROFILES["ardupilot"].position_control(HOVER)
     told = []
     for _ in range(300):  # held back by whatever it is
-        control.step(ZERO3, ZERO3, ZERO3, velocity(10.0), STEP_S)
+        control.step((ZERO3, ZERO3, ZERO3), velocity(10.0), STEP_S)
         told.append(control.saturated)
     assert not told[0]
     assert all(told[200:])
@@ -62,7 +62,7 @@ def test_a_climb_raises_the_thrust_as_soon_however_long_it_stood_pressed_down(
     control = PROFILES[autopilot_kind].position_control(HOVER)
 
     def hold(wanted: MotionSetpoint) -> None:
-        control.step(ZERO3, ZERO3, ZERO3, dataclasses.replace(wanted, streamed=True), STEP_S)
+        control.step((ZERO3, ZERO3, ZERO3), dataclasses.replace(wanted, streamed=True), STEP_S)
 
     for _ in range(round(pressed_s / STEP_S)):
         hold(velocity(0.0, 0.0, 1.0))

@@ -136,7 +136,7 @@ def test_thrust_points_where_the_acceleration_asks_in_every_heading(yaw_deg: flo
     control = Px4Control(0.5)
     control.reset(yaw, ZERO3)
     setpoint = MotionSetpoint(acceleration_ned_m_s2=(1.0, -2.0, -0.5))
-    control.step(ZERO3, ZERO3, ZERO3, setpoint, 0.01)
+    control.step((ZERO3, ZERO3, ZERO3), setpoint, 0.01)
     force = quat_rotate(control.attitude, (0.0, 0.0, -control.thrust / 0.5 * 9.80665))
     # the tilt is the one of level flight, as both autopilots have it; the vertical share is exact
     share = 1.0 + 0.5 / 9.80665
@@ -147,7 +147,7 @@ def test_thrust_points_where_the_acceleration_asks_in_every_heading(yaw_deg: flo
 def test_tilt_is_limited_and_height_comes_first() -> None:
     control = Px4Control(0.5)
     setpoint = MotionSetpoint(acceleration_ned_m_s2=(50.0, 0.0, 0.0))
-    control.step(ZERO3, ZERO3, ZERO3, setpoint, 0.01)
+    control.step((ZERO3, ZERO3, ZERO3), setpoint, 0.01)
     force = quat_rotate(control.attitude, (0.0, 0.0, -control.thrust / 0.5 * 9.80665))
     assert force[2] == pytest.approx(-9.80665, abs=1e-6)
     assert math.atan2(force[0], -force[2]) == pytest.approx(math.radians(45.0), abs=1e-6)
