@@ -186,12 +186,14 @@ def test_back_by_hand_forward_again_and_the_same_again(system: System, tmp_path:
     assert (unknown.returncode, "7.0 is not installed" in unknown.stderr) == (2, True)
 
 
+@pytest.mark.slow
 def test_the_version_in_use_and_the_one_before_it_are_kept(system: System, tmp_path: Path) -> None:
     for version in ("1.1", "1.2"):
         installed(system, tmp_path, version)
     assert system.versions == {"1.1", "1.2"}
 
 
+@pytest.mark.slow
 def test_another_content_of_the_same_version_gets_a_folder_of_its_own(system: System, tmp_path: Path) -> None:
     system.serves()
     done = system.run(release(tmp_path / "other", "1.0", fault="fault") / "install.sh")

@@ -9,6 +9,8 @@ import tomllib
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
+import pytest
+
 from companion.config import CONFIG_FOLDER
 
 ROOT = CONFIG_FOLDER.parent
@@ -68,6 +70,7 @@ def test_the_set_holds_the_packages_that_the_app_is_built_on() -> None:
     assert core - listed() == {"matplotlib", "plotly", "pyulog"}
 
 
+@pytest.mark.slow
 def test_it_lands_with_the_service_s_set_alone(tmp_path: Path) -> None:
     record = tmp_path / "flight"
     words = ("--sitl", "--fast", "--scenario", "static", "--no-ui", "--record", str(record))

@@ -152,12 +152,6 @@ def test_a_long_pause_does_not_allow_a_long_jump() -> None:
     assert limited.acceleration_ned_m_s2[0] == pytest.approx(-4.0 + 20.0 * LONGEST_STEP_S)
 
 
-def test_a_pause_counts_as_a_fifth_of_a_second() -> None:
-    gate = _gate()
-    gate.apply(_acceleration(-4.0, 0.0, 0.0), 0.0)
-    assert gate.apply(_acceleration(4.0, 0.0, 0.0), 60.0)[0].acceleration_ned_m_s2[0] == pytest.approx(0.0)
-
-
 def test_the_same_time_again_is_no_time_that_runs_backwards() -> None:
     gate = _gate()
     gate.apply(_acceleration(1.0, 0.0, 0.0), 10.0)

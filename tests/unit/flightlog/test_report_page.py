@@ -207,6 +207,7 @@ def test_a_browser_draws_every_plot(tmp_path: Path) -> None:
         assert "plot-container" in body[start : start + 1000], name
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here; Debian: apt install chromium")
 async def test_on_a_phone_the_path_is_seen_from_further_away(tmp_path: Path) -> None:
     write_flight(tmp_path)

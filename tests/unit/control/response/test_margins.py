@@ -118,8 +118,8 @@ def _answer(case: MarginCase, from_s: float) -> float:
     "case_of",
     [
         ("x500", "px4", "acceleration", SIDEWAYS),
-        ("x500", "ardupilot", "attitude", SIDEWAYS),
-        ("x500", "px4", "attitude", DOWN),
+        pytest.param(("x500", "ardupilot", "attitude", SIDEWAYS), marks=pytest.mark.slow),
+        pytest.param(("x500", "px4", "attitude", DOWN), marks=pytest.mark.slow),
     ],
 )
 def test_the_mpc_that_flies_swings_where_the_margins_say(

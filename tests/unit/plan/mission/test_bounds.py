@@ -175,8 +175,3 @@ def test_what_turns_gets_as_far_as_its_arc() -> None:
 def test_what_is_planned_outside_is_refused_at_the_start(settings: dict[str, float], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         PlanConfig.model_validate({"mission": settings})
-
-
-def test_the_harness_has_home_where_it_says() -> None:
-    assert geodetic_from_ned(ORIGIN_NED_M, HOME) == ORIGIN
-    assert world(still()).inputs().autopilot.home == HOME

@@ -77,17 +77,14 @@ def test_a_flight_as_requested_is_nobody_elses() -> None:
 
 
 @pytest.mark.parametrize("state", WITHOUT_CONTROL)
-@pytest.mark.parametrize("mode", PX4_OTHERS)
-def test_before_control_any_mode_that_was_not_requested_is_a_pilots_on_px4(state: State, mode: str) -> None:
-    modes = Modes()
-    modes.take_off()
-    assert modes.taken_over(mode, state, up_m=TAKE_OFF_M)
-
-
-@pytest.mark.parametrize("state", WITHOUT_CONTROL)
-@pytest.mark.parametrize("mode", ARDUPILOT_OTHERS)
-def test_and_on_ardupilot(state: State, mode: str) -> None:
-    modes = Modes("ardupilot", "STABILIZE")
+@pytest.mark.parametrize(
+    ("kind", "mode"),
+    [*(("px4", mode) for mode in PX4_OTHERS), *(("ardupilot", mode) for mode in ARDUPILOT_OTHERS)],
+)
+def test_before_control_any_mode_that_was_not_requested_is_a_pilots(
+    state: State, kind: AutopilotKind, mode: str
+) -> None:
+    modes = Modes(kind, "AUTO.LOITER" if kind == "px4" else "STABILIZE")
     modes.take_off()
     assert modes.taken_over(mode, state, up_m=TAKE_OFF_M)
 
@@ -107,16 +104,12 @@ def test_before_the_first_request_every_mode_is_just_found(state: State) -> None
         assert not modes.taken_over(mode, state)
 
 
-def test_a_pilots_hold_during_the_climb_is_a_pilots() -> None:
-    modes = Modes()
+def test_a_hold_during_the_climb_is_a_pilots_and_the_one_that_ends_px4s_take_off_is_not() -> None:
+    modes, climbed = Modes(), Modes()
     assert not modes.taken_over("AUTO.TAKEOFF", State.TAKE_OFF, up_m=2.0)
     assert modes.taken_over("AUTO.LOITER", State.TAKE_OFF, up_m=2.5)
-
-
-def test_the_hold_that_ends_px4s_take_off_is_not() -> None:
-    modes = Modes()
-    modes.take_off()
-    assert not modes.taken_over("AUTO.LOITER", State.TAKE_OFF, up_m=TAKE_OFF_M - 0.8)
+    climbed.take_off()
+    assert not climbed.taken_over("AUTO.LOITER", State.TAKE_OFF, up_m=TAKE_OFF_M - 0.8)
 
 
 @pytest.mark.parametrize("found", ["POSCTL", "MANUAL", "AUTO.RTL"])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from companion.base.messages import ActionKind, Phase
+from companion.base.messages import Phase
 from companion.config import PlanConfig
 from companion.plan.planner import Planner
 from tests.unit.plan.mission.planner_world import world
@@ -35,14 +35,6 @@ def test_standby_ends_when_the_operator_says_so() -> None:
     assert w.autopilot.heard == []
 
 
-def test_a_low_battery_is_not_taken_off_with() -> None:
-    w = world(still())
-    w.autopilot.battery_share = 0.25
-    flight = w.fly(20.0)
-    assert flight.phase is Phase.CONNECT
-    assert any("charged battery: 25 % left, limit 25 %" in text for text in flight.told("waiting"))
-
-
 def test_low_in_flight_the_try_under_way_is_the_last() -> None:
     w = world(still())
     w.blind = lambda _t, height: height < 0.9 and w.now_s < 60.0  # the first try fails
@@ -51,16 +43,6 @@ def test_low_in_flight_the_try_under_way_is_the_last() -> None:
     w.fly(60.0, until=lambda w: w.flight.phase in {Phase.HOLD, Phase.LANDED, Phase.ABORT})
     assert w.flight.phase is Phase.HOLD
     assert w.flight.told("battery") == ["battery low: 20 % left, no new try"]
-
-
-def test_critical_on_the_way_it_is_handed_back_and_said() -> None:
-    w = world(still())
-    w.fly(60.0, until=lambda w: w.flight.phase is Phase.APPROACH)
-    w.autopilot.battery_share = 0.1
-    w.fly(2.0)
-    assert w.flight.phase is Phase.ABORT
-    assert [kind for _, kind in w.autopilot.heard][-1] is ActionKind.HOLD
-    assert any("battery critical: 10 % left" in text for text in w.flight.told("phase"))
 
 
 @pytest.mark.parametrize("finishes", [True, False])

@@ -166,6 +166,7 @@ def test_a_silent_line_is_reported_and_tried_at_all_rates() -> None:
     assert rig.problems == ["NEO-6M: nothing received: check its power and wiring"]
 
 
+@pytest.mark.slow
 async def test_it_works_on_a_pseudo_terminal_in_real_time() -> None:
     line = PtyPort(9600)
     port = SerialPort(line.path, 57600)

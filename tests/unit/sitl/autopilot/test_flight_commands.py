@@ -211,7 +211,7 @@ def test_homes_upon_homes_stay_within_what_a_message_holds(autopilot_kind: Autop
 
 
 @BOTH
-@pytest.mark.parametrize("value", [math.inf, -math.inf, 1e38, -1e38, 2.0**31])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e38, -1e38, 2.0**31])
 def test_commands_full_of_huge_numbers_do_no_harm(autopilot_kind: AutopilotKind, value: float) -> None:
     station = flying(autopilot_kind)
     avoided = {mavlink.MAV_CMD_DO_FLIGHTTERMINATION}

@@ -81,6 +81,7 @@ def test_ardupilot_casts_integers_and_names_no_index_in_answers_by_name() -> Non
     answer = store(station, b"LAND_SPEED", 60.4, REAL32)[0]
     assert (answer.param_value, answer.param_index) == (60.0, 0xFFFF)
     assert read(station, b"", 3)[0].param_index == 3
+    assert not read(station, b"NONE")
 
 
 @BOTH

@@ -14,6 +14,8 @@ from companion.tools.pad_check.job import verdict_line
 from tests.unit.tools.pad_check.hand_check import check, mirrored, settings, vehicle_file
 
 
+# the whole check of a right vehicle, and wrong settings on its samples: test_pad_check_samples.py
+@pytest.mark.slow
 def test_wrong_settings_are_named_with_what_would_fit(tmp_path: Path) -> None:
     wrong = settings(
         vehicle=vehicle_file(tmp_path, camera_yaw_deg=90.0),
