@@ -1,6 +1,8 @@
 """How large a folder and a function may grow: a reader takes in each at a time."""
 
 import ast
+import subprocess
+import sys
 from collections import Counter, defaultdict
 from pathlib import Path
 
@@ -45,3 +47,13 @@ def test_the_name_of_a_public_class_stands_for_one_thing() -> None:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places[node.name].append(str(path))
     assert {name: files for name, files in places.items() if len(files) > 1} == {}
+
+
+# ---------------- Who may import whom: the contracts are in pyproject.toml
+
+
+def test_no_module_imports_what_it_must_not() -> None:
+    command = (sys.executable, "-c", "from importlinter.cli import lint_imports_command as run; run()")
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert " 0 broken" in done.stdout

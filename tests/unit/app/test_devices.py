@@ -2,12 +2,40 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
+from companion.app import hardware
 from companion.app.devices import AwaitedBus, AwaitedPort, AwaitedTransport, opened_if_there
+from companion.app.hardware import Hardware
+from companion.app.sensing import Sensing
+from companion.app.supervision import supervised
+from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.errors import ConfigError, DeviceMissing
+from companion.base.messages import Frame
+from companion.config import CameraConfig, CompanionConfig, SenseConfig, VehicleConfig, find_file, load_model
+from companion.config.reading import validate
+from companion.flightlog.record import FlightLog
+from companion.link.codec import Severity
+from companion.link.inbox import memory_pair
+from companion.pad import load_pad
+from companion.sense.camera.health import patience_with
+from companion.sense.camera.keeper import KeptCamera, LiveSource
+from companion.sense.vision.pipeline import Vision
+from companion.tools.pad_check.moves import RecentSamples
+from companion.tools.pad_check.session import Outlets, PadCheck
+from companion.tools.pad_check.wizard import Say
+from sitl.camera.camera import CameraModel, ScenePose
+from sitl.camera.exposure import ImagingSettings
+from tests.unit.sense.camera.camera_frames import ScriptedCamera
 
 
 class UnpluggedLine:
@@ -151,3 +179,253 @@ def test_only_what_is_missing_is_waited_for() -> None:
 
     with pytest.raises(ConfigError, match="no such kind"):
         opened_if_there(misspelt, waits=True)
+
+
+# ---------------- Which ports and buses are opened, by where the sensors are
+
+
+class Opened:
+    """Anything that can be opened; remembers that it was."""
+
+    def __init__(self, name: str, names: list[str]) -> None:
+        names.append(name)
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+
+def opened(sense: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> tuple[list[str], hardware.Hardware]:
+    names: list[str] = []
+
+    async def transport(*_: object) -> Opened:
+        return Opened("autopilot", names)
+
+    async def camera(*_: object, waits: bool) -> Opened:
+        return Opened("camera", names)
+
+    monkeypatch.setattr(hardware, "open_transport", transport)
+    monkeypatch.setattr(hardware, "keep_camera", camera)
+    monkeypatch.setattr(hardware, "open_bus", lambda bus: Opened(bus, names))
+    monkeypatch.setattr(hardware, "SerialPort", lambda port, baud: Opened(port, names))
+    # an address where no companion of this machine is: two do not share one
+    link = {"connection": "udpin:127.0.0.1:1"}
+    config = validate(CompanionConfig, {"sense": sense, "link": link}, "test")
+
+    async def main() -> hardware.Hardware:
+        async with hardware.open_hardware(config) as found:
+            return found
+
+    return names, asyncio.run(main())
+
+
+def test_our_boards_are_opened_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    names, found = opened({}, monkeypatch)
+    defaults = SenseConfig()
+    assert names == ["autopilot", defaults.imu.bus, defaults.gps.port, defaults.range.port, "camera"]
+    assert None not in (found.imu_bus, found.gps_port, found.range_port)
+
+
+def test_no_board_is_opened_when_the_autopilots_sensors_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    names, found = opened({"source": "autopilot"}, monkeypatch)
+    assert names == ["autopilot", "camera"]
+    assert (found.imu_bus, found.gps_port, found.range_port) == (None, None, None)
+
+
+def test_the_ultrasonic_alone_may_be_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    sense = {"source": "autopilot", "autopilot": {"range_source": "boards"}}
+    names, found = opened(sense, monkeypatch)
+    assert names == ["autopilot", SenseConfig().range.port, "camera"]
+    assert found.range_port is not None
+
+
+# ---------------- What is told of a serial port that is not there, in virtual time
+
+MISSING = "serial port /dev/ttyAMA0: cannot be opened"
+PLUGGED_IN_S = 6.5
+
+
+class PortPluggedInLate:
+    """One that is not there before `PLUGGED_IN_S`, and says nothing then."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+
+    async def read(self) -> bytes:
+        await self._clock.sleep_until(self._clock.now_s() + 0.01)
+        if self._clock.now_s() < PLUGGED_IN_S:
+            raise OSError(MISSING)
+        await asyncio.Event().wait()
+        return b""
+
+    def write(self, data: bytes) -> None: ...
+
+    def set_baud(self, baud: int) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def test_a_port_that_is_not_there_is_told_once_and_its_silence_only_when_it_is() -> None:
+    told: list[tuple[float, str]] = []
+
+    async def main() -> None:
+        clock = Clock()
+
+        def notify(kind: str, text: str, severity: Severity) -> None:
+            del kind, severity
+            told.append((clock.now_s(), text))
+
+        camera: Any = SimpleNamespace(next=asyncio.Event().wait)
+        vision: Any = None
+        hardware = Hardware(
+            memory_pair()[0], camera, gps_port=PortPluggedInLate(clock), range_port=PortPluggedInLate(clock)
+        )
+        sensing = Sensing(
+            CompanionConfig(), hardware, vision, RecentSamples(),
+            clock=clock, log=FlightLog(None, start_unix_s=0.0), notify=notify,
+        )  # fmt: skip
+        tasks = [
+            asyncio.create_task(supervised(name, work, notify, lambda: True))
+            for name, work in sensing.tasks().items()
+        ]
+        await clock.sleep_until(20.0)
+        for task in tasks:
+            task.cancel()
+
+    run_in_virtual_time(main())
+    before = sorted(text for time_s, text in told if time_s < PLUGGED_IN_S)
+    assert before == [f"gps lost: {MISSING}", f"ultrasonic lost: {MISSING}"]
+    after = {text for time_s, text in told if time_s > PLUGGED_IN_S}
+    assert after >= {"gps is back", "ultrasonic is back", "ultrasonic: nothing received"}
+    assert "NEO-6M: nothing received: check its power and wiring" in after
+
+
+# ---------------- The app's own vision task on a camera that is lost and comes back, in virtual time
+
+CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
+VEHICLE = load_model(VehicleConfig, find_file("vehicles", "x500"))
+PAD = load_pad("moving_1300")
+LOST_S, FOUND_S = 1.0, 2.5
+
+
+def test_the_pad_is_seen_again_and_people_are_reported_when_the_camera_comes_back() -> None:
+    told = list[tuple[float, str, str, str]]()
+    samples, problems = RecentSamples(), dict[float, str | None]()
+
+    async def main() -> None:
+        clock = Clock()
+        sensing = Sensing(
+            CompanionConfig(),
+            Hardware(memory_pair()[0], over_the_pad(unplugged_from_s=LOST_S, until_s=FOUND_S)),
+            Vision(PAD, CAMERA, VEHICLE, CompanionConfig().sense.vision),
+            samples,
+            clock=clock,
+            log=FlightLog(None, start_unix_s=0.0),
+            notify=lambda kind, text, severity: told.append((clock.now_s(), kind, text, severity)),
+        )
+        tasks = [asyncio.create_task(run(work)) for work in sensing.tasks().values()]
+        for time_s in (0.9, 1.5, 4.5):
+            await clock.sleep_until(time_s)
+            problems[time_s] = sensing.camera_problem
+        for task in tasks:
+            task.cancel()
+
+    run_in_virtual_time(main())
+    times = [sighting.time_s for sighting in samples.sightings]
+    assert min(times) < 0.2
+    assert not [time_s for time_s in times if LOST_S + 0.05 < time_s < FOUND_S]
+    assert sum(FOUND_S < time_s < 4.5 for time_s in times) > 25
+    lost, back = told[0], told[-1]
+    assert lost[0] - LOST_S <= 0.3
+    assert lost[1:] == ("device_lost", "camera: unplugged", "error")
+    assert back[1] == "sensor"
+    assert back[2].startswith("camera: frames again after")
+    assert [text for _, _, text, _ in told[1:-1]] == ["camera: no camera at /dev/video0"]
+    assert (problems[0.9], problems[4.5]) == (None, None)
+    assert problems[1.5] is not None
+
+
+class FrozenPicture:
+    """Frames with new stamps and numbers, and from a moment on with the same picture."""
+
+    def __init__(self, frozen_from_s: float) -> None:
+        self._model = CameraModel(CAMERA, VEHICLE, PAD, ImagingSettings(), np.random.default_rng(5))
+        self._from_s, self._count, self._clock = frozen_from_s, 0, Clock()
+        self._image = self._render(0.0)
+
+    def _render(self, time_s: float) -> np.ndarray:
+        still = ScenePose((0.0, 0.0, -2.3), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -0.3), 0.0)
+        return self._model.render(time_s, lambda _: still)
+
+    async def next(self) -> Frame:
+        await asyncio.sleep(1.0 / 30.0)
+        now_s, self._count = self._clock.now_s(), self._count + 1
+        if now_s < self._from_s:
+            self._image = self._render(now_s)
+        return Frame(now_s - 0.01, now_s, self._count, self._image)
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_picture_that_stands_still_with_new_stamps_is_no_sighting() -> None:
+    told = list[str]()
+    samples = RecentSamples()
+
+    async def main() -> None:
+        clock = Clock()
+        sensing = Sensing(
+            CompanionConfig(),
+            Hardware(memory_pair()[0], FrozenPicture(frozen_from_s=1.0)),
+            Vision(PAD, CAMERA, VEHICLE, CompanionConfig().sense.vision),
+            samples,
+            clock=clock,
+            log=FlightLog(None, start_unix_s=0.0),
+            notify=lambda _kind, text, _severity: told.append(text),
+        )
+        task = asyncio.create_task(run(sensing.tasks()["camera"]))
+        await clock.sleep_until(2.0)
+        task.cancel()
+
+    run_in_virtual_time(main())
+    times = [sighting.time_s for sighting in samples.sightings]
+    assert len(times) > 10
+    assert max(times) < 1.05
+    assert [text.partition(": ")[2] for text in told] == ["the same image repeated"]
+
+
+async def run(work: Callable[[], Awaitable[None]]) -> None:
+    await work()
+
+
+def over_the_pad(*, unplugged_from_s: float, until_s: float) -> KeptCamera:
+    """A camera two metres over the pad that is unplugged for a while."""
+    model = CameraModel(CAMERA, VEHICLE, PAD, ImagingSettings(), np.random.default_rng(5))
+    still = ScenePose((0.0, 0.0, -2.3), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -0.3), 0.0)
+    clock = Clock()
+
+    def show(frame: Frame) -> Frame:
+        if unplugged_from_s <= clock.now_s() < until_s:
+            raise OSError("unplugged")
+        return replace(frame, image=model.render(frame.time_s, lambda _: still))
+
+    async def open_it() -> LiveSource:
+        if unplugged_from_s <= clock.now_s() < until_s:
+            raise OSError("no camera at /dev/video0")
+        return ScriptedCamera(show)
+
+    return KeptCamera(ScriptedCamera(show), open_it, patience_with(CAMERA, "device"))
+
+
+def test_the_check_says_how_the_camera_does() -> None:
+    async def main() -> list[str]:
+        said, transport = list[Say](), memory_pair()[0]
+        frames = over_the_pad(unplugged_from_s=1e6, until_s=1e6)
+        check = PadCheck(CompanionConfig(), Hardware(transport, frames), Outlets(said.append), linked=False)
+        with suppress(TimeoutError):
+            await asyncio.wait_for(check.run(), 4.0)
+        return [line.text for line in said if line.text.startswith("camera")]
+
+    (line,) = run_in_virtual_time(main())
+    rate, rest = line.split(" frames/s looked at, ")
+    assert 25.0 < float(rate.removeprefix("camera: ")) < 32.0
+    assert rest == "20 ms old on arrival; the driver says: exposure 4.00 ms, gain 2"

@@ -2,13 +2,24 @@
 
 import math
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 import pytest
 
-from companion.base.geometry import ZERO3, quat_from_euler, tilt_from_quat, yaw_from_quat
+from companion.base.geometry import (
+    ZERO3,
+    Vector3,
+    norm,
+    quat_from_euler,
+    subtract,
+    tilt_from_quat,
+    yaw_from_quat,
+)
+from companion.base.messages import Phase, Setpoint
 from companion.config import ControlConfig
-from companion.control.controller import Controller
+from companion.control.attitude import attitude_from_acceleration
+from companion.control.controller import FAILURES_TO_STOP, Controller
 from tests.unit.control.control_plants import controller, reference_rows, vehicle_config
 from tests.unit.control.controller_inputs import (
     PERIOD_S,
@@ -184,3 +195,275 @@ def test_by_attitude_ardupilot_gets_the_upward_part_alone_since_it_raises_it_its
         thrust[autopilot_kind] = step[0].thrust
     assert thrust["ardupilot"] == pytest.approx(0.5, abs=0.005)
     assert thrust["px4"] == pytest.approx(0.5 / math.cos(0.4), abs=0.01)
+
+
+# ----------------
+# The controller's step without an estimate, a pad, the IMU or a solution in time, and after pauses.
+
+
+def test_a_reference_by_the_pad_without_a_pad_is_a_stop() -> None:
+    fly, speed, flown = controller(), 1.0, 0.0
+    for k in range(150):
+        now = k * PERIOD_S
+        vehicle = vehicle_state(
+            now, velocity_ned_m_s=(speed, 0.0, 0.0), acceleration_ned_m_s2=(flown, 0.0, 0.0)
+        )
+        answer = fly.step(plan_step(now, hover_reference(now)), vehicle, None, now)
+        assert answer is not None
+        setpoint = answer[0]
+        assert setpoint.exposure_time_s is None
+        # an autopilot's velocity loop, and the lag of tilting
+        wanted = setpoint.acceleration_ned_m_s2[0] + 2.5 * (setpoint.velocity_ned_m_s[0] - speed)
+        flown += (wanted - flown) * PERIOD_S / 0.2
+        speed += flown * PERIOD_S
+        assert speed < 1.05
+    assert abs(speed) < 0.05
+
+
+@pytest.mark.parametrize("kind", ["velocity", "attitude"])
+def test_an_estimate_that_is_no_number_ends_in_a_hold_and_is_survived(kind: str) -> None:
+    fly = controller(setpoint=kind)
+    broken = vehicle_state(0.0, velocity_ned_m_s=(math.nan, 0.0, 0.0), position_ned_m=(math.nan, 0.0, 0.0))
+    lost = replace(pad_state(0.0), relative_position_ned_m=(math.nan, math.nan, math.nan))
+    for k in range(40):
+        now = k * PERIOD_S
+        bad = 10 <= k < 20
+        vehicle = replace(broken if bad else vehicle_state(now), time_s=now)
+        pad = replace(lost if bad else pad_state(now), time_s=now)
+        answer = fly.step(plan_step(now, hover_reference(now)), vehicle, pad, now)
+        assert answer is not None
+        assert _all_finite(answer[0])
+        assert answer[1].solved is not bad
+    assert answer is not None
+    assert np.linalg.norm(answer[0].velocity_ned_m_s) < 0.05
+
+
+def test_after_a_pause_all_begins_anew() -> None:
+    fly, fresh = controller(), controller()
+    for k in range(20):
+        now = k * PERIOD_S
+        fly.step(
+            plan_step(now, hover_reference(now)), vehicle_state(now), pad_state(now, (1.0, 0.0, 3.0)), now
+        )
+    later = 60.0
+    arguments = (
+        plan_step(later, hover_reference(later)),
+        vehicle_state(later),
+        pad_state(later, (0.3, 0.0, 2.0)),
+        later,
+    )
+    again, first = fly.step(*arguments), fresh.step(*arguments)
+    assert again is not None
+    assert first is not None
+    assert again[0].velocity_ned_m_s == pytest.approx(first[0].velocity_ned_m_s, abs=1e-4)
+    assert again[0].acceleration_ned_m_s2 == pytest.approx(first[0].acceleration_ned_m_s2, abs=1e-3)
+    assert again[1].disturbance_ned_m_s2 == first[1].disturbance_ned_m_s2 == ZERO3
+
+
+@pytest.mark.parametrize("kind", ["velocity", "attitude"])
+def test_without_the_imu_it_is_reported_not_to_accelerate_until_samples_come_again(kind: str) -> None:
+    fly = controller(setpoint=kind)
+    drifting = (1.0, -0.5, 0.4)
+    silent_from, silent_to = 10, 24
+    for k in range(30):
+        now = k * PERIOD_S
+        silent = silent_from <= k < silent_to
+        vehicle = vehicle_state(now, velocity_ned_m_s=drifting, imu_age_s=0.12 if silent else 0.004)
+        answer = fly.step(plan_step(now, hover_reference(now)), vehicle, pad_state(now, (3.0, 0.0, 2.0)), now)
+        assert answer is not None
+        setpoint, report = answer
+        assert report.blind is silent
+        if k != silent_to - 1:  # the limits let it come down from what was commanded before
+            continue
+        # its own loops feel what we do not
+        assert setpoint.attitude is None
+        assert setpoint.velocity_ned_m_s == pytest.approx((1.0, -0.5, 0.0))
+        assert setpoint.acceleration_ned_m_s2 == pytest.approx(ZERO3)
+    assert report.solved
+
+
+def test_without_the_imu_px4_keeps_the_tilt_and_goes_on_down_where_contact_is_near() -> None:
+    fly = controller(setpoint="acceleration")
+    sinking = replace(hover_reference(0.0), velocity_m_s=np.full_like(hover_reference(0.0).velocity_m_s, 0.2))
+    for phase, sink_m_s in ((Phase.DESCEND, 0.0), (Phase.TOUCHDOWN, 0.4)):  # as firmly as it ever sinks
+        for k in range(10):
+            now = k * PERIOD_S
+            plan = replace(plan_step(now, replace(sinking, time_s=now)), phase=phase)
+            vehicle = vehicle_state(now, velocity_ned_m_s=(1.0, 0.0, 0.2), imu_age_s=0.2)
+            pad = pad_state(now, velocity=(1.0, 0.0, 0.1))  # it sinks itself: the reference counts from it
+            answer = fly.step(plan, vehicle, pad, now)
+        assert answer is not None
+        setpoint = answer[0]
+        # its velocity loop, whose integral is from another wind, stays passed by
+        assert not setpoint.holds_horizontal_velocity
+        assert setpoint.acceleration_ned_m_s2 == pytest.approx(ZERO3, abs=1e-9)
+        assert setpoint.velocity_ned_m_s[2] == pytest.approx(sink_m_s)
+
+
+@pytest.mark.parametrize("kind", ["acceleration", "velocity", "attitude"])
+def test_without_the_imu_it_turns_with_the_pad_that_it_sinks_onto(kind: str) -> None:
+    fly = controller(setpoint=kind)
+    level = hover_reference(0.0)
+    sinking = replace(level, velocity_m_s=np.full_like(level.velocity_m_s, 0.2))
+    for reference, acceleration in ((level, ZERO3), (sinking, (0.0, -0.45, 0.0))):
+        for k in range(40):  # the limits let it turn only so fast
+            now = k * PERIOD_S
+            plan = replace(plan_step(now, replace(reference, time_s=now)), phase=Phase.TOUCHDOWN)
+            vehicle = vehicle_state(now, velocity_ned_m_s=(1.4, 0.1, 0.2), imu_age_s=0.2)
+            pad = replace(pad_state(now, velocity=(1.5, 0.0, 0.0)), acceleration_ned_m_s2=(0.0, -0.45, 0.3))
+            answer = fly.step(plan, vehicle, pad, now)
+        assert answer is not None
+        setpoint, followed = answer[0], acceleration != ZERO3
+        assert setpoint.velocity_ned_m_s[:2] == pytest.approx((1.5, 0.0) if followed else (1.4, 0.1))
+        assert setpoint.attitude is None
+        assert setpoint.acceleration_ned_m_s2 == pytest.approx(acceleration, abs=1e-9)
+        assert setpoint.holds_horizontal_velocity is (kind != "acceleration")
+
+
+def test_without_the_imu_it_stays_with_a_pad_that_rises() -> None:
+    fly, reference = controller(setpoint="acceleration"), hover_reference(0.0)
+    sinking = replace(reference, velocity_m_s=np.full_like(reference.velocity_m_s, 0.2))
+    pad = replace(pad_state(0.0, velocity=(1.5, 0.0, -0.5)), acceleration_ned_m_s2=(0.0, -0.4, 0.0))
+    plan = replace(plan_step(0.0, sinking), phase=Phase.TOUCHDOWN)
+    answer = fly.step(plan, vehicle_state(0.0, imu_age_s=0.2), pad, 0.0)
+    assert answer is not None
+    assert answer[0].velocity_ned_m_s == pytest.approx((1.5, 0.0, -0.2))
+    assert answer[0].acceleration_ned_m_s2[1] == pytest.approx(-0.4)
+
+
+def test_without_an_estimate_only_what_presses_it_onto_the_pad_is_sent() -> None:
+    fly = controller()
+    plan = plan_step(0.0, hover_reference(0.0))
+    assert fly.step(plan, None, None, 0.0) is None
+    answer = fly.step(replace(plan, on_ground=True), None, None, 0.0)
+    assert answer is not None
+    assert answer[0].velocity_ned_m_s[2] > 0.0
+
+
+def test_without_the_imu_it_goes_on_tilting_against_the_wind() -> None:
+    fly = controller(setpoint="acceleration")
+    tilt = quat_from_euler(0.0, -0.1, 0.0)  # nose down, and yet no acceleration
+    for k in range(90):
+        now = k * PERIOD_S
+        fly.step(plan_step(now, hover_reference(now)), vehicle_state(now, attitude=tilt), pad_state(now), now)
+    for _ in range(15):
+        now += PERIOD_S
+        blind = vehicle_state(now, attitude=tilt, imu_age_s=0.2)
+        answer = fly.step(plan_step(now, hover_reference(now)), blind, pad_state(now), now)
+    assert answer is not None
+    setpoint, report = answer
+    assert report.blind
+    assert attitude_from_acceleration(setpoint.acceleration_ned_m_s2, 0.0) == pytest.approx(tilt, abs=0.02)
+
+
+def test_a_stopwatch_times_the_solve_and_none_is_needed() -> None:
+    ticks = count(1.0, 0.25)  # read before and after; at rest nothing has to be searched for
+    timed = controller(lambda: next(ticks)).step(
+        plan_step(0.0, hover_reference(0.0)), vehicle_state(0.0), pad_state(0.0), 0.0
+    )
+    untimed = controller().step(plan_step(0.0, hover_reference(0.0)), vehicle_state(0.0), pad_state(0.0), 0.0)
+    assert timed is not None
+    assert untimed is not None
+    assert timed[1].solve_s == pytest.approx(0.25)
+    assert untimed[1].solve_s == 0.0
+
+
+def _all_finite(setpoint: Setpoint) -> bool:
+    numbers = [*setpoint.velocity_ned_m_s, *setpoint.acceleration_ned_m_s2, setpoint.heading_rad]
+    numbers += [*(setpoint.attitude or ()), setpoint.thrust or 0.0]
+    return all(map(math.isfinite, numbers))
+
+
+@pytest.mark.parametrize("kind", ["velocity", "attitude"])
+def test_a_solver_that_is_always_too_late_is_flown_by_its_last_plan_and_then_stopped(kind: str) -> None:
+    seconds, slow = count(0.0, 1.0), [False]
+    fly = controller(lambda: next(seconds) if slow[0] else 0.0, setpoint=kind)
+    reports, setpoints = [], []
+    for k in range(6 + FAILURES_TO_STOP):
+        now_s = k * PERIOD_S
+        slow[0] = k >= 5
+        # what no solver settles in one slice: a reference that jumps, from beyond the limits
+        wild = reference_rows(now_s, _jumping) if slow[0] else hover_reference(now_s)
+        speed = (7.0 * (-1.0) ** k, 3.0, 2.0) if slow[0] else ZERO3
+        answer = fly.step(
+            plan_step(now_s, wild), vehicle_state(now_s, velocity_ned_m_s=speed), pad_state(now_s), now_s
+        )
+        assert answer is not None
+        setpoints.append(answer[0])
+        reports.append(answer[1])
+    assert all(report.solved and not report.late for report in reports[:5])
+    assert not any(report.solved for report in reports[5:])
+    assert [report.stopped for report in reports] == [False] * (4 + FAILURES_TO_STOP) + [True] * 2
+    assert setpoints[-1].velocity_ned_m_s == ZERO3
+    # by attitude as well: only the autopilot's own loops stop what no plan flies
+    assert (setpoints[-1].attitude, setpoints[-1].thrust) == (None, None)
+    assert setpoints[-1].holds_horizontal_velocity
+
+
+def _jumping(time_s: float) -> tuple[Vector3, Vector3, Vector3]:
+    return (40.0 * round(math.sin(7.0 * time_s)), -40.0 * round(math.cos(5.0 * time_s)), -9.0), ZERO3, ZERO3
+
+
+def test_what_was_no_number_at_the_very_first_is_survived_too() -> None:
+    fly = controller(setpoint="acceleration")
+    for k in range(40):
+        now = k * PERIOD_S
+        vehicle = (
+            vehicle_state(now, acceleration_ned_m_s2=(math.nan, 0.0, 0.0)) if k < 5 else vehicle_state(now)
+        )
+        answer = fly.step(plan_step(now, hover_reference(now)), vehicle, pad_state(now), now)
+        assert answer is not None
+        assert not answer[1].stopped
+        assert _all_finite(answer[0])
+
+
+@pytest.mark.parametrize("kind", ["acceleration", "attitude"])
+def test_taking_over_keeps_the_tilt_however_long_the_setpoints_were_not_obeyed(kind: str) -> None:
+    fly = controller(setpoint=kind)
+    tilting = attitude_from_acceleration((1.5, -0.8, 0.0), 0.0)
+    for k in range(40):
+        now, obeyed = k * PERIOD_S, k >= 30
+        answer = fly.step(
+            plan_step(now, hover_reference(now)),
+            vehicle_state(now, attitude=tilting),
+            pad_state(now),
+            now,
+            obeyed=obeyed,
+        )
+        assert answer is not None
+        assert answer[0].acceleration_ned_m_s2 == pytest.approx((1.5, -0.8, 0.0), abs=0.05)
+        assert answer[1].obeyed is obeyed
+
+
+@pytest.mark.parametrize("kind", ["acceleration", "attitude"])
+def test_an_autopilot_that_is_not_heard_may_obey_and_its_setpoints_stay_within_the_jerk(kind: str) -> None:
+    """The way to us alone may be lost. Once it is heard again, it is flown on from how it moves."""
+    fly = controller(setpoint=kind)
+    tilting = attitude_from_acceleration((1.5, -0.8, 0.0), 0.0)
+    limits, last = ControlConfig().limits, None
+    for k in range(90):
+        now, silent_s = k * PERIOD_S, k * PERIOD_S if k < 60 else 0.0
+        vehicle = vehicle_state(now, attitude=tilting)
+        answer = fly.step(
+            plan_step(now, hover_reference(now)), vehicle, pad_state(now), now, silent_s=silent_s
+        )
+        assert answer is not None
+        asked = answer[0].acceleration_ned_m_s2
+        if last is not None:
+            assert norm(subtract(asked, last)) <= 1.01 * limits.jerk_m_s3 * PERIOD_S
+        last = asked
+
+
+@pytest.mark.parametrize("kind", ["acceleration", "attitude", "velocity"])
+def test_what_a_silent_autopilot_does_not_do_is_no_disturbance(kind: str) -> None:
+    """It may hold by itself since the link was lost; what is asked for in vain would throw it afterwards."""
+    heeded, believed = controller(setpoint=kind), controller(setpoint=kind)
+    for k in range(150):
+        now = k * PERIOD_S
+        step = plan_step(now, hover_reference(now)), vehicle_state(now), pad_state(now, (3.0, 0.0, 3.0)), now
+        silent_s = now - 0.3 if 0.3 <= now < 4.9 else 0.0
+        unheard, heard = heeded.step(*step, silent_s=silent_s), believed.step(*step)
+    assert unheard is not None
+    assert heard is not None
+    assert norm(heard[1].disturbance_ned_m_s2) > 1.0
+    assert norm(unheard[1].disturbance_ned_m_s2) < 0.2

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import foxglove.messages
 import numpy as np
 import pytest
-from google.protobuf import json_format
+from google.protobuf import descriptor_pb2, json_format, message_factory
 from mcap.reader import make_reader
 
 from companion.base import messages as ours
@@ -50,8 +51,38 @@ from companion.flightlog.foxglove.translator import Translator
 from companion.flightlog.record import FlightLog
 from companion.flightlog.tables import TableFormat, convert
 from companion.pad import load_pad
-from tests.unit.flightlog.foxglove_official import as_proto, official
 from tests.unit.flightlog.test_result import pad_at, vehicle_at
+
+
+def official(name: str) -> Any:
+    """The message class that Foxglove's SDK describes."""
+    schema = getattr(foxglove.messages, name.removeprefix("foxglove.")).get_schema()
+    files = descriptor_pb2.FileDescriptorSet()
+    files.ParseFromString(schema.data)
+    return message_factory.GetMessages(files.file)[schema.name]
+
+
+def as_proto(descriptor: Any, plain: Any) -> Any:
+    """Our JSON as protobuf's JSON, which differs in the form of times alone."""
+    if descriptor is None or not isinstance(plain, dict):
+        return plain
+    if descriptor.full_name in ("google.protobuf.Timestamp", "google.protobuf.Duration"):
+        assert plain.keys() == {"sec", "nsec"}
+        assert all(isinstance(number, int) for number in plain.values())
+        if descriptor.name == "Duration":
+            return f"{plain['sec']}.{plain['nsec']:09d}s"
+        return f"2020-01-01T00:00:00.{plain['nsec']:09d}Z"
+    out = {}
+    for key, value in plain.items():
+        assert key in descriptor.fields_by_name, f"{descriptor.full_name} has no {key}"
+        inner = descriptor.fields_by_name[key].message_type
+        several = isinstance(value, list)
+        out[key] = [as_proto(inner, item) for item in value] if several else as_proto(inner, value)
+    return out
+
+
+# ----------------
+# Foxglove's well-known messages in flight.mcap: by Foxglove's own schemas, and true to the flight.
 
 START_UNIX_S = 1.7e9
 WELL_KNOWN = {

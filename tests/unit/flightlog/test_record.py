@@ -3,13 +3,17 @@
 import base64
 import errno
 import json
+import shutil
 import threading
+import zipfile
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+import typer
+import yaml
 from mcap.reader import make_reader
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
@@ -26,8 +30,14 @@ from companion.base.messages import (
     Reference,
     VehicleState,
 )
+from companion.cli import cli
 from companion.config import ConfigError
+from companion.flightlog import version
+from companion.flightlog.flights import make_room, next_flight_folder, numbered_flights, recorded_flights
 from companion.flightlog.record import FlightLog, split_packets
+from companion.flightlog.summary import summary_of
+from tests.unit.flightlog.replay.log_files import own_rig
+from tests.unit.flightlog.test_result import pad_at
 
 START_UNIX_S = 1.7e9
 
@@ -171,3 +181,214 @@ def test_what_the_disk_lost_is_reported(tmp_path: Path, monkeypatch: pytest.Monk
 
 def _raise_full(*_arguments: object) -> None:
     raise OSError(errno.ENOSPC, "No space left on device")
+
+
+# ----------------
+# Many flights: numbers that sort by time, room for the next, `companion logs` and what it lists.
+
+
+def run(*words: object) -> Any:
+    command = typer.main.get_command(cli)
+    return command.main(args=[str(word) for word in words], prog_name="companion", standalone_mode=False)
+
+
+def record(folder: Path, start_unix_s: float = 1.79e9, last: Phase = Phase.LANDED) -> Path:
+    log, rig = FlightLog(folder, start_unix_s), own_rig()
+    log.write_settings(config=rig.config, vehicle=rig.vehicle, pad=rig.pad)
+    for k in range(300):
+        log.write("plan", PlanStep(0.1 * k, Phase.SEARCH if k < 250 else last), 0.1 * k)
+        log.write("pad", pad_at(0.1 * k, 0.0), 0.1 * k)
+    log.close()
+    return folder
+
+
+def cut(folder: Path) -> None:
+    log = folder / "flight.mcap"
+    log.write_bytes(log.read_bytes()[: log.stat().st_size * 2 // 3])
+
+
+def filled(root: Path, numbers: range, size: int) -> list[Path]:
+    folders = [root / f"flight-{number:04d}" for number in numbers]
+    for folder in folders:
+        folder.mkdir(parents=True)
+        (folder / "flight.mcap").write_bytes(bytes(size))
+    return folders
+
+
+# ---------------------------------------------------------------- folders
+
+
+def test_flights_are_numbered_and_sort_by_number_past_9999(tmp_path: Path) -> None:
+    assert next_flight_folder(tmp_path / "new") == tmp_path / "new" / "flight-0001"
+    for name in ("flight-0009", "flight-0010", "flight-9999", "flight-10000", "flight-9-of-last-year"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "flight-20000").touch()
+    assert [path.name for path in numbered_flights(tmp_path)][-2:] == ["flight-9999", "flight-10000"]
+    assert next_flight_folder(tmp_path) == tmp_path / "flight-10001"
+
+
+def test_a_clock_that_went_back_overwrites_nothing(tmp_path: Path) -> None:
+    """GIVEN a flight of today, WHEN the next start has the clock of 1970, THEN it is the newest still."""
+    record(next_flight_folder(tmp_path), 1.79e9)
+    before = (tmp_path / "flight-0001" / "flight.mcap").read_bytes()
+    record(next_flight_folder(tmp_path), 30.0)
+    assert [path.name for path in recorded_flights(tmp_path)] == ["flight-0001", "flight-0002"]
+    assert (tmp_path / "flight-0001" / "flight.mcap").read_bytes() == before
+    with pytest.raises(ConfigError, match="File exists"):
+        FlightLog(tmp_path / "flight-0001", 30.0)
+
+
+def test_the_oldest_flights_make_room(tmp_path: Path) -> None:
+    flights = filled(tmp_path, range(8, 13), 1000)
+    other = tmp_path / "flight-of-mine"
+    other.mkdir()
+    (other / "flight.mcap").write_bytes(bytes(50_000))
+    assert make_room(tmp_path, 5000, 0) == []
+    assert make_room(tmp_path, 3500, 0) == flights[:2]
+    assert [path.name for path in sorted(tmp_path.iterdir())] == [
+        *(f"flight-{n:04d}" for n in (10, 11, 12)),
+        "flight-of-mine",
+    ]
+
+
+def test_a_full_disk_makes_room_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    flights = filled(tmp_path, range(1, 6), 1000)
+
+    def usage(_: Path) -> Any:
+        free = 1000 * sum(not path.exists() for path in flights)
+        return shutil._ntuple_diskusage(9000, 9000 - free, free)
+
+    monkeypatch.setattr(shutil, "disk_usage", usage)
+    assert make_room(tmp_path, 10**9, 2000) == flights[:2]
+
+
+def test_neither_the_newest_nor_the_one_being_written_is_removed(tmp_path: Path) -> None:
+    flights = filled(tmp_path, range(1, 5), 1000)
+    assert make_room(tmp_path, 0, 0, keep=[flights[1]]) == [flights[0], flights[2]]
+    assert numbered_flights(tmp_path) == [flights[1], flights[3]]
+    assert next_flight_folder(tmp_path).name == "flight-0005"
+
+
+def test_a_flight_that_cannot_be_removed_is_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flights = filled(tmp_path, range(1, 5), 1000)
+    rename = Path.rename
+
+    def refused(self: Path, target: Path) -> Path:
+        if self == flights[0]:
+            raise PermissionError
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", refused)
+    assert make_room(tmp_path, 2000, 0) == flights[1:3]
+
+
+def test_a_removal_that_was_cut_short_is_ended_by_the_next(tmp_path: Path) -> None:
+    (tmp_path / ".removed-flight-0001").mkdir()
+    make_room(tmp_path, 10**9, 0)
+    assert list(tmp_path.iterdir()) == []
+
+
+# ---------------------------------------------------------------- the list
+
+
+def test_flights_are_listed_with_date_outcome_error_and_length(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record(tmp_path / "flight-0001", 1.7e9)
+    cut(record(tmp_path / "flight-0002", 30.0, Phase.ABORT))
+    record(tmp_path / "flight-0003", 1.79e9, Phase.ABORT)
+    simulated = record(tmp_path / "circle", 1.79e9, Phase.ABORT)
+    result = {"outcome": "missed", "touchdown": {"lateral_error_m": 1.25}}
+    (simulated / "result.json").write_text(json.dumps(result))
+    (tmp_path / "latch.json").touch()
+    run("logs", "--record", tmp_path)
+    said = capsys.readouterr()
+    assert said.err.split() == ["flight", "began", "time", "off", "the", "pad", "size", "outcome"]
+    lines = said.out.splitlines()
+    assert [line.split()[0] for line in lines[:4]] == ["flight-0001", "flight-0002", "flight-0003", "circle"]
+    assert "2023-11-14 22:13" not in lines[0]  # 1.7e9 is before 2024: no clock of today's
+    assert lines[0].split()[-1] == "landed"
+    assert " 30 s" in lines[0]
+    assert "~50.0 cm" in lines[0]
+    assert "no date (clock)" in lines[1]
+    assert "log cut short" in lines[1]
+    assert "2026-09-21 14:13" in lines[2]
+    assert lines[2].split()[-1] == "aborted"
+    assert "125.0 cm  " in lines[3]
+    assert lines[3].split()[-1] == "missed"
+    assert lines[4].startswith("4 flights in")
+    assert max(map(len, lines[:4])) <= 100
+
+
+def test_a_summary_by_the_index_is_that_of_the_whole_log(tmp_path: Path) -> None:
+    folder = record(tmp_path / "flight-0001")
+    by_index = summary_of(folder)
+    log = folder / "flight.mcap"
+    log.write_bytes(log.read_bytes()[:-16])  # no magic at the end, so no index
+    through = summary_of(folder)
+    assert (through.outcome, through.lateral_m, through.start_unix_s, through.seconds) == (
+        by_index.outcome,
+        by_index.lateral_m,
+        by_index.start_unix_s,
+        by_index.seconds,
+    )
+
+
+# ---------------------------------------------------------------- one flight
+
+
+def test_a_flight_is_exported_whole_by_its_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    record(tmp_path / "flights" / "flight-0007")
+    monkeypatch.chdir(tmp_path)
+    run("logs", "export", "7", "--record", "flights")
+    with zipfile.ZipFile("flight-0007.zip") as archive:
+        assert {name for name in archive.namelist() if not name.endswith("/")} == {
+            f"flight-0007/{name}" for name in ("flight.mcap", "flight.tlog", "settings.yaml")
+        }
+        assert archive.read("flight-0007/flight.mcap") == Path("flights/flight-0007/flight.mcap").read_bytes()
+    with pytest.raises(ConfigError, match=r"flight-0007\.zip: exists already"):
+        run("logs", "export", "flights/flight-0007")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        pytest.param(("export", "8"), "no flight 8", id="no such number"),
+        pytest.param(("export",), "which one", id="none named"),
+        pytest.param(("list", "7"), "lists all flights", id="one too many"),
+        pytest.param(("export", "nowhere"), "cannot be read", id="no such folder"),
+        pytest.param(("--record", "nowhere"), "nowhere: cannot be read", id="no such root"),
+    ],
+)
+def test_what_is_wrong_is_reported_in_one_line(
+    words: tuple[str, ...], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    record(Path("flights/flight-0007"))
+    with pytest.raises(ConfigError, match=told):
+        run("logs", *words)
+
+
+def test_settings_calibrations_versions_and_revision_lie_in_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(version, "revision", lambda: "0123456789ab-dirty")
+    told = yaml.safe_load((record(tmp_path / "flight-0001") / "settings.yaml").read_text())
+    assert told.keys() == {"versions", "config", "vehicle", "pad"}
+    assert told["versions"]["revision"] == "0123456789ab-dirty"
+    assert told["config"] == own_rig().config.model_dump(mode="json")
+
+
+def test_an_installed_copy_knows_its_revision_by_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(version, "REVISION_FILE", tmp_path / "REVISION")
+    monkeypatch.setattr(version, "ROOT", tmp_path)
+    version.revision.cache_clear()
+    assert version.revision() is None
+    (tmp_path / "REVISION").write_text("abc123\n")
+    version.revision.cache_clear()
+    assert version.revision() == "abc123"
+    version.revision.cache_clear()

@@ -24,7 +24,7 @@ from companion.base.messages import (
 from companion.config import Box, Cylinder
 from companion.flightlog.errors import TruthTrack
 from companion.flightlog.report.figures import outline_m
-from companion.flightlog.report.tables import result_table
+from companion.flightlog.report.tables import figure, result_table
 from companion.flightlog.result import Result, build_result, control_result, from_start, latency, phase_times
 
 STEP_S = 0.02
@@ -222,3 +222,26 @@ def test_times_count_from_the_first_plan_whatever_the_clock_said() -> None:
     assert kept["pad"][0].time_s == 3.0
     assert kept["pad"][0].seen_time_s == pytest.approx(2.9)
     assert [record.time_s for record in records] == [-0.5, 0.5]
+
+
+# ---------------- The figures of a flight's table have the digits that mean something
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "bound", "shown"),
+    [
+        (78.992, "ms", None, "79 ms"),
+        (1.5953, "°", 10.0, "1.6 °"),
+        (0.1584, "m/s", 0.4, "0.16 m/s"),
+        (0.0503, "m", 0.15, "0.050 m"),
+        # on the side of the bound where it is
+        (0.4003, "m/s", 0.4, "0.4003 m/s"),
+        (0.4, "m/s", 0.4, "0.40 m/s"),
+        (10.04, "°", 10.0, "10.04 °"),
+        (float("inf"), "m", 0.15, "inf m"),
+    ],
+)
+def test_a_figure_has_the_digits_that_mean_something(
+    value: float, unit: str, bound: float | None, shown: str
+) -> None:
+    assert figure(value, unit, bound) == shown

@@ -18,7 +18,7 @@ from companion.app.page import process as page
 from companion.app.page.access import TOKEN_VARIABLE
 from companion.app.page.process import Line, PageProcess
 from tests.scenario.flying import alive, children
-from tests.unit.app.page.starting import TOKEN, frame, look, start
+from tests.unit.app.page.test_server import TOKEN, frame, look, start
 
 PATIENCE_S = 20.0
 

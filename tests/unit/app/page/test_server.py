@@ -1,24 +1,73 @@
 """The page's server by aiohttp's own client: files, who is let in, what each viewer gets."""
 
 import asyncio
+import io
 import json
+import socket
 import struct
+import zipfile
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import aiohttp
+import numpy as np
 import pytest
 from aiohttp import WSMsgType, web
 from aiohttp.test_utils import TestClient, TestServer
 
 from companion.app.page import server as page
+from companion.app.page.access import (
+    TOKEN_VARIABLE,
+    host_is_ours,
+    own_names,
+    read_access,
+    same_origin,
+    same_token,
+    url_of,
+)
 from companion.app.page.listener import _protocol
-from companion.app.page.look import Reply, Start, Text
+from companion.app.page.look import Look, Reply, Start, Text, TrackPoint
 from companion.app.page.picture import Painter
 from companion.app.page.server import FILES, LONGEST_MESSAGE, STATIC, TOO_MANY, WRONG_TOKEN, PageServer
 from companion.app.page.viewer import BURST, MOST_UNDER_WAY
-from tests.unit.app.page.starting import TOKEN, frame, look, start
+from companion.base.errors import ConfigError
+from companion.base.messages import Frame
+from companion.config import CameraConfig, ServeConfig, find_file, load_model, load_vehicle, validate
+from companion.pad import load_pad
+
+TOKEN = "a token of enough characters"
+START = Start(
+    host="127.0.0.1",
+    port=0,
+    token=None,
+    allow_commands=False,
+    host_names=("rover.lan",),
+    most_viewers=2,
+    camera=load_model(CameraConfig, find_file("cameras", "sitl_640x480")),
+    vehicle=load_vehicle("x500", None, "sitl_640x480"),
+    pad=load_pad("moving_1300"),
+    start_unix_s=1.7e9,
+    start_s=100.0,
+)
+
+
+def start(**changes: Any) -> Start:
+    return replace(START, **changes)
+
+
+def frame(time_s: float = 101.0, sequence: int = 7) -> Frame:
+    image = np.zeros((START.camera.height_px, START.camera.width_px), dtype=np.uint8)
+    return Frame(time_s, time_s + 0.03, sequence, image)
+
+
+def look(**values: Any) -> Look:
+    return Look(TrackPoint(102.0, 2.0, 0.1, 2.5), "descend", **values)
+
+
+# ---------------- The page's server by aiohttp's own client: files, who is let in, what each viewer gets
 
 Socket = aiohttp.ClientWebSocketResponse
 
@@ -283,3 +332,180 @@ async def test_an_order_is_handed_on_and_its_answers_come_back_to_who_gave_it() 
         await socket.close()
         await asyncio.sleep(0.05)
         on.server.reply(Reply(2, "stop", "accepted", ""))  # nobody is there to hear it
+
+
+# ---------------- Who may look: addresses, tokens, hosts and origins
+
+NAMES = own_names(("rover.lan",))
+
+
+def config(**values: object) -> ServeConfig:
+    return validate(ServeConfig, values, "serve")
+
+
+@pytest.mark.parametrize(
+    "address", ["127.0.0.1:8080", "[::1]:8080", "0.0.0.0:1", "localhost:65535", "[::]:0"]
+)
+def test_an_address_is_an_ip_address_and_a_port(address: str) -> None:
+    assert config(address=address).address == address
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["8080", "127.0.0.1", "::1:8080", "rover:8080", "127.0.0.1:65536", "127.0.0.1:", ":80", "[::1]"],
+)
+def test_anything_else_is_refused_in_one_line(address: str) -> None:
+    with pytest.raises(ConfigError, match=r"^serve: address: expected ADDRESS:PORT[^\n]*$"):
+        config(address=address)
+
+
+@pytest.mark.parametrize(
+    ("host", "shown"),
+    [
+        ("127.0.0.1", "127.0.0.1"),
+        ("::1", "[::1]"),
+        ("localhost", "localhost"),
+        ("192.168.4.1", "192.168.4.1"),
+    ],
+)
+def test_the_address_that_is_told_can_be_typed_into_a_browser(host: str, shown: str) -> None:
+    assert url_of(host, 8080) == f"http://{shown}:8080/"
+    for every in ("0.0.0.0", "::"):
+        url = url_of(every, 8080)
+        assert url == f"http://{socket.gethostname()}:8080/"
+        assert host_is_ours(url.removeprefix("http://").rstrip("/"), NAMES)
+
+
+def test_without_an_address_there_is_no_page() -> None:
+    assert read_access(config(), {TOKEN_VARIABLE: TOKEN}) is None
+
+
+def test_only_loopback_without_commands_needs_no_token() -> None:
+    for address in ("127.0.0.1:80", "[::1]:80", "localhost:80"):
+        access = read_access(config(address=address), {})
+        assert access is not None
+        assert access.token is None
+    for values in ({"address": "0.0.0.0:80"}, {"address": "192.168.4.1:80"}, {"address": "[::]:80"}):
+        with pytest.raises(ConfigError, match=r"others reach it; expected a token: serve\.token_file"):
+            read_access(config(**values), {})
+    with pytest.raises(ConfigError, match=r"serve\.allow_commands; expected a token"):
+        read_access(config(address="127.0.0.1:80", allow_commands=True), {})
+
+
+def test_a_token_comes_from_the_environment_or_a_file_of_its_owner_s(tmp_path: Path) -> None:
+    access = read_access(config(address="0.0.0.0:80"), {TOKEN_VARIABLE: f" {TOKEN}\n"})
+    assert access is not None
+    assert access.token == TOKEN
+    assert TOKEN not in repr(access)
+    path = tmp_path / "token"
+    path.write_text(f"{TOKEN}, in the file\n")
+    path.chmod(0o600)
+    access = read_access(config(address="0.0.0.0:80", token_file=path), {TOKEN_VARIABLE: TOKEN})
+    assert access is not None
+    assert access.token == f"{TOKEN}, in the file"
+    path.chmod(0o640)
+    with pytest.raises(ConfigError, match="mode 0640, others may read it; expected 0600"):
+        read_access(config(address="0.0.0.0:80", token_file=path), {})
+
+
+@pytest.mark.parametrize("content", [b"", b"short", b"x" * 257, "sécret de seize lettres".encode()])
+def test_a_token_that_is_none_is_refused_and_not_repeated(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "token"
+    path.write_bytes(content)
+    path.chmod(0o600)
+    with pytest.raises(ConfigError) as error:
+        read_access(config(address="0.0.0.0:80", token_file=path), {})
+    assert str(path) in str(error.value)
+    assert "cret" not in str(error.value)
+    with pytest.raises(ConfigError, match="No such file"):
+        read_access(config(address="0.0.0.0:80", token_file=tmp_path / "nope"), {})
+
+
+def test_tokens_are_compared_whatever_is_given() -> None:
+    assert same_token(TOKEN, TOKEN)
+    for wrong in ("", TOKEN[:-1], TOKEN + " ", None, 7, ["x"], "é" * 20):
+        assert not same_token(wrong, TOKEN)
+
+
+@pytest.mark.parametrize(
+    "host", ["127.0.0.1:8080", "192.168.4.1", "[::1]:80", "localhost:1", "Rover.LAN:80", "rover.lan.:80"]
+)
+def test_an_ip_address_and_our_own_names_are_ours(host: str) -> None:
+    assert host_is_ours(host, NAMES)
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        None,
+        "",
+        "evil.example",
+        "127.0.0.1.evil.example",
+        "evil.example:8080",
+        "x@127.0.0.1",
+        "127.0.0.1/x",
+        "[::1",
+    ],
+)
+def test_a_foreign_name_is_not_whatever_it_resolves_to(host: str | None) -> None:
+    assert not host_is_ours(host, NAMES)
+
+
+def test_a_websocket_is_opened_by_the_page_that_we_served() -> None:
+    assert same_origin("http://127.0.0.1:8080", "127.0.0.1:8080")
+    assert same_origin("http://rover.lan", "rover.lan")
+    assert same_origin("https://rover.lan", "rover.lan:443")
+    for origin, host in (
+        (None, "127.0.0.1:8080"),
+        ("null", "127.0.0.1:8080"),
+        ("http://evil.example", "127.0.0.1:8080"),
+        ("http://127.0.0.1:8081", "127.0.0.1:8080"),
+        ("http://127.0.0.1:8080@evil.example", "127.0.0.1:8080"),
+        ("file://127.0.0.1:8080", "127.0.0.1:8080"),
+        ("http://127.0.0.1:8080", None),
+    ):
+        assert not same_origin(origin, host)
+
+
+# ---------------- Flights to download from the page, and the settings to read: for those who show the token
+
+BEARER = {"Authorization": f"Bearer {TOKEN}"}
+
+
+@pytest.fixture
+def flights(tmp_path: Path) -> Path:
+    for name in ("flight-0001", "flight-0002"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "flight.mcap").write_bytes(name.encode())
+    (tmp_path / "latch.json").write_text("not a flight")
+    return tmp_path
+
+
+async def test_flights_are_listed_and_come_whole(flights: Path) -> None:
+    async with served(flights=flights, token=TOKEN) as on:
+        listed = await (await on.client.get("/flights", headers=BEARER)).json()
+        assert [flight["name"] for flight in listed] == ["flight-0002", "flight-0001"]
+        answer = await on.client.get("/flights/flight-0002", headers=BEARER)
+        assert answer.headers["Content-Disposition"] == 'attachment; filename="flight-0002.zip"'
+        with zipfile.ZipFile(io.BytesIO(await answer.read())) as archive:
+            assert archive.namelist() == ["flight-0002/flight.mcap"]
+            assert archive.read("flight-0002/flight.mcap") == b"flight-0002"
+
+
+@pytest.mark.parametrize("name", ["latch.json", "%2e%2e%2fetc", "flight-0009"])
+async def test_nothing_else_can_be_had(flights: Path, name: str) -> None:
+    async with served(flights=flights, token=TOKEN) as on:
+        assert (await on.client.get(f"/flights/{name}", headers=BEARER)).status == 404
+
+
+async def test_without_the_token_nothing_is_shown(flights: Path) -> None:
+    async with served(flights=flights, token=TOKEN, settings_text="pad: x") as on:
+        for path in ("/flights", "/flights/flight-0001", "/settings"):
+            for headers in ({}, {"Authorization": "Bearer wrong"}, {"Authorization": f"Basic {TOKEN}"}):
+                assert (await on.client.get(path, headers=headers)).status == 403
+        assert await (await on.client.get("/settings", headers=BEARER)).text() == "pad: x"
+
+
+async def test_where_nothing_is_recorded_there_are_no_flights() -> None:
+    async with served() as on:
+        assert await (await on.client.get("/flights")).json() == []

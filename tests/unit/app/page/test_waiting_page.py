@@ -7,8 +7,7 @@ from aiohttp.test_utils import TestServer, unused_port
 
 from companion.app.page.server import PageServer
 from tests.browser import browser, program
-from tests.unit.app.page.starting import start
-from tests.unit.app.page.test_server import served
+from tests.unit.app.page.test_server import served, start
 
 
 async def test_it_is_a_file_to_keep_with_the_address_it_was_asked_by() -> None:

@@ -1,13 +1,20 @@
 """What systemd is told, over the socket that it names."""
 
+import shutil
 import socket
+import subprocess
 from collections.abc import Iterator
 from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
 
+from companion.app.command import EXIT_CODES
+from companion.app.missions import LAST_REQUESTS_S, LINGER_S
 from companion.app.service.systemd import ServiceNotifier
+from companion.base.command_line import INTERRUPTED
+from companion.base.messages import Outcome
+from companion.config import CompanionConfig
 
 
 @pytest.fixture
@@ -62,3 +69,47 @@ def test_without_a_manager_nothing_is_opened_or_sent(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("companion.app.service.systemd.socket.socket", lambda *kind: opened.append(kind))
     ServiceNotifier().ready()
     assert opened == []
+
+
+# ---------------- The systemd unit: systemd itself finds nothing wrong with it
+
+FOLDER = Path(__file__).resolve().parents[4] / "systemd"
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed here")
+def test_the_unit_is_verified_by_systemd(tmp_path: Path) -> None:
+    # the program is not installed here: put one in its place that is
+    unit = (FOLDER / "companion.service").read_text()
+    path = tmp_path / "companion.service"
+    path.write_text(unit.replace("/opt/companion/current/.venv/bin/companion", "/bin/true"))
+    done = subprocess.run(
+        ["systemd-analyze", "verify", str(path)], capture_output=True, text=True, timeout=60, check=False
+    )
+    about_ours = [line for line in done.stderr.splitlines() if "companion.service" in line]
+    assert (done.returncode, about_ours) == (0, []), done.stderr
+
+
+def test_the_unit_starts_the_command_that_is_installed() -> None:
+    unit = (FOLDER / "companion.service").read_text()
+    assert "ExecStart=/opt/companion/current/.venv/bin/companion " in unit
+    assert "KillSignal=SIGINT" in unit
+
+
+def test_a_stop_in_flight_is_no_failure_and_wrong_settings_are_not_tried_again() -> None:
+    unit = (FOLDER / "companion.service").read_text().splitlines()
+    assert f"SuccessExitStatus={EXIT_CODES[Outcome.ABORTED]} {INTERRUPTED}" in unit
+    assert "RestartPreventExitStatus=2" in unit
+    assert "Restart=always" in unit
+
+
+def test_systemd_waits_until_a_vehicle_that_climbs_clear_of_the_pad_is_handed_back() -> None:
+    unit = (FOLDER / "companion.service").read_text().splitlines()
+    [waits_s] = [float(line.split("=")[1]) for line in unit if line.startswith("TimeoutStopSec=")]
+    climbs_s = CompanionConfig().plan.mission.phases.hold_s
+    assert waits_s >= climbs_s + LAST_REQUESTS_S + LINGER_S + 5.0  # and the log is closed
+
+
+def test_the_install_script_is_sound_bash() -> None:
+    command = ["bash", "-n", str(FOLDER / "install.sh")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -3,10 +3,13 @@
 import itertools
 import math
 from math import inf, isnan, nan
+from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
-from companion.base.geometry import IDENTITY, ZERO3, Vector3, quat_from_euler
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.geometry import IDENTITY, ZERO3, Vector3, quat_from_euler, tilt_from_quat, yaw_from_quat
 from sitl.autopilot.ardupilot import setpoints as ardupilot_setpoints
 from sitl.autopilot.control.setpoints import (
     STOP,
@@ -20,8 +23,17 @@ from sitl.autopilot.control.setpoints import (
     StreamedAttitude,
     StreamedMotion,
 )
+from sitl.autopilot.control.shaping import (
+    FirstOrderLowPass,
+    Path1,
+    Path2,
+    ShapingLimits,
+    root_law,
+    signed_root_law,
+)
 from sitl.autopilot.px4 import setpoints as px4_setpoints
 from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight, velocity
+from tests.unit.sitl.autopilot.missions.mission_desk import Station
 
 HERE: Vector3 = (10.0, 20.0, -5.0)
 MASKS = range(1 << 12)
@@ -305,3 +317,249 @@ def test_guided_nogps_lifts_off_by_an_attitude_that_climbs_and_then_holds_level(
     flight.run(3.0, velocity(-3.0))
     assert flight.vehicle.position[0] > north + 0.5
     assert flight.vehicle.attitude == pytest.approx(level, abs=0.02)
+
+
+# ---------------- Jerk-limited paths: they arrive, keep their limits, and stop where they should
+
+LIMITS = ShapingLimits(acceleration=2.5, jerk=5.0)
+DT_S = 0.01
+
+
+def test_the_root_law_joins_smoothly_and_never_asks_for_more_than_can_be_braked() -> None:
+    knee = LIMITS.braking / LIMITS.position_gain**2
+    below, above = (root_law(knee + d, LIMITS.position_gain, LIMITS.braking, DT_S) for d in (-1e-6, 1e-6))
+    assert above == pytest.approx(below, abs=1e-5)
+    for distance in (0.1, 1.0, 5.0, 50.0):
+        speed = root_law(distance, LIMITS.position_gain, LIMITS.braking, DT_S)
+        assert speed * speed <= 2.0 * LIMITS.braking * distance
+        assert signed_root_law(-distance, LIMITS.position_gain, LIMITS.braking, DT_S) == -speed
+
+
+@pytest.mark.parametrize("distance_m", [0.3, 5.0, 40.0])
+def test_a_path_to_a_place_keeps_its_limits_and_overshoots_little(distance_m: float) -> None:
+    path, last = Path2(), (0.0, 0.0)
+    furthest = fastest = hardest = jerkiest = 0.0
+    place = (0.6 * distance_m, 0.8 * distance_m)
+    for _ in range(4000):
+        path.to_place(place, (0.0, 0.0), (0.0, 0.0), 4.0, LIMITS, DT_S)
+        furthest = max(furthest, 0.6 * path.position[0] + 0.8 * path.position[1])
+        fastest = max(fastest, math.hypot(*path.velocity))
+        hardest = max(hardest, math.hypot(*path.acceleration))
+        jerkiest = max(jerkiest, math.dist(path.acceleration, last) / DT_S)
+        last = path.acceleration
+    assert path.position == pytest.approx(place, abs=1e-3)
+    assert furthest < 1.05 * distance_m
+    assert fastest < 4.1
+    assert hardest <= LIMITS.acceleration * 1.001
+    assert jerkiest <= LIMITS.jerk * 1.001
+
+
+def test_one_axis_moves_as_a_plane_does_along_one_of_its_axes() -> None:
+    line, plane = Path1(), Path2()
+    for step in range(600):
+        wish = 1.0 if step < 300 else -0.5
+        line.to_velocity(wish, 0.0, LIMITS, DT_S)
+        plane.to_velocity((wish, 0.0), (0.0, 0.0), LIMITS, DT_S)
+    assert (line.position, line.velocity) == pytest.approx((plane.position[0], plane.velocity[0]))
+    assert line.velocity == pytest.approx(-0.5, abs=1e-2)
+
+
+def test_an_acceleration_is_reached_at_the_jerk_and_flown_on() -> None:
+    path = Path1()
+    for _ in range(200):
+        path.to_acceleration(1.0, LIMITS, DT_S)
+    # 0.2 s of jerk cost 0.1 m/s
+    assert path.velocity == pytest.approx(1.9, abs=0.01)
+
+
+def test_a_path_waits_where_the_vehicle_cannot_follow_and_goes_on_every_other_way() -> None:
+    line, plane = Path1(velocity=1.0), Path2(velocity=(1.0, 1.0))
+    line.limit, line.behind_m, line.slower_m_s = 1.0, 0.5, 0.5
+    plane.limit, plane.behind_m, plane.slower_m_s = (3.0, 0.0), (0.5, 0.0), (0.5, 0.0)
+    for _ in range(100):
+        line.to_acceleration(1.0, LIMITS, DT_S)
+        plane.to_acceleration((1.0, 1.0), LIMITS, DT_S)
+    assert (line.position, line.velocity) == (0.0, 1.0)
+    assert (plane.position, plane.velocity) == ((0.0, 0.0), (1.0, 1.0))
+    for _ in range(400):  # braking and turning back are free
+        line.to_velocity(-1.0, 0.0, LIMITS, DT_S)
+        plane.to_velocity((-1.0, 0.0), (0.0, 0.0), LIMITS, DT_S)
+    assert line.velocity == pytest.approx(-1.0, abs=1e-2)
+    assert plane.velocity == pytest.approx((-1.0, 0.0), abs=1e-2)
+    assert line.position < -1.0
+    for _ in range(400):  # and it may brake into the limit
+        line.to_velocity(1.0, 0.0, LIMITS, DT_S)
+    assert line.velocity == pytest.approx(0.0, abs=0.03)
+
+
+def test_a_vehicle_that_has_caught_up_moves_the_path_on_at_the_limit_too() -> None:
+    line, plane = Path1(velocity=1.0), Path2(velocity=(1.0, 0.0))
+    line.limit, line.behind_m, line.slower_m_s = 1.0, -0.5, -0.5
+    plane.limit, plane.behind_m, plane.slower_m_s = (3.0, 0.0), (-0.5, 0.0), (-0.5, 0.0)
+    line.to_acceleration(1.0, LIMITS, DT_S)
+    plane.to_acceleration((1.0, 0.0), LIMITS, DT_S)
+    assert line.position == pytest.approx(plane.position[0])
+    assert line.position > 0.0
+    assert line.velocity == pytest.approx(plane.velocity[0])
+    assert line.velocity > 1.0
+
+
+def test_a_low_pass_starts_from_its_first_value_and_lags_by_its_cutoff() -> None:
+    low = FirstOrderLowPass(1.0 / (2.0 * math.pi))  # a time constant of 1 s
+    assert low.step(3.0, DT_S) == 3.0
+    for _ in range(100):
+        low.step(4.0, DT_S)
+    assert low.value == pytest.approx(4.0 - math.exp(-1.0), abs=0.01)
+    low.reset()
+    assert low.step(-1.0, DT_S) == -1.0
+
+
+# ----------------
+# Flying by hand: RC override and joystick, in the modes that sticks fly, and when they are lost.
+
+BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+VELOCITY_MODE = {"px4": "POSCTL", "ardupilot": "LOITER"}
+ANGLE_MODE = {"px4": "ALTCTL", "ardupilot": "ALT_HOLD"}
+THRUST_MODE = {"px4": "STABILIZED", "ardupilot": "STABILIZE"}
+RETURN_MODE = {"px4": "AUTO_RTL", "ardupilot": "RTL"}
+
+
+def joystick(x: int = 0, y: int = 0, z: int = 500, r: int = 0) -> Any:
+    return mavlink.MAVLink_manual_control_message(1, x, y, z, r, 0)
+
+
+def override(*channels: int) -> Any:
+    return mavlink.MAVLink_rc_channels_override_message(1, 1, *channels, *(0,) * (8 - len(channels)))
+
+
+def hold(station: Station, message: Any, seconds: float) -> None:
+    """Keep sending, as a ground station does."""
+    for _ in range(round(seconds * 10)):
+        station.send(message)
+        station.run(0.1)
+
+
+def hovering(autopilot_kind: AutopilotKind, mode: dict[str, str]) -> Station:
+    station = Station(autopilot_kind)
+    station.flight.take_off(8.0)
+    hold(station, joystick(), 0.3)
+    assert station.flight.autopilot.set_mode_named(mode[autopilot_kind]) == 0
+    return station
+
+
+@BOTH
+def test_sticks_fly_velocities_and_letting_go_holds(autopilot_kind: AutopilotKind) -> None:
+    station = hovering(autopilot_kind, VELOCITY_MODE)
+    hold(station, joystick(x=300, y=-300, z=600), 4.0)
+    vx, vy, vz = station.flight.vehicle.velocity
+    assert vx > 1.0
+    assert vy < -1.0
+    assert vz < -0.1
+    hold(station, joystick(), 5.0)
+    assert math.dist(station.flight.vehicle.velocity, (0.0, 0.0, 0.0)) < 0.15
+
+
+@BOTH
+def test_sticks_tilt_the_vehicle_and_turn_it_while_its_height_is_held(autopilot_kind: AutopilotKind) -> None:
+    station = hovering(autopilot_kind, ANGLE_MODE)
+    height = station.flight.vehicle.height_m
+    hold(station, joystick(y=300), 1.5)
+    assert tilt_from_quat(station.flight.vehicle.attitude) > math.radians(6.0)
+    assert station.flight.vehicle.velocity[1] > 0.5
+    hold(station, joystick(r=500), 2.0)
+    assert yaw_from_quat(station.flight.vehicle.attitude) > 0.5
+    assert station.flight.vehicle.height_m == pytest.approx(height, abs=0.5)
+
+
+@BOTH
+def test_the_throttle_is_thrust_in_the_simplest_mode(autopilot_kind: AutopilotKind) -> None:
+    station = hovering(autopilot_kind, THRUST_MODE)
+    hold(station, joystick(z=700), 1.5)
+    assert station.flight.vehicle.velocity[2] < -1.0
+    hold(station, joystick(z=300), 3.0)
+    assert station.flight.vehicle.velocity[2] > 0.5
+
+
+@BOTH
+def test_channels_fly_as_the_joystick_does_and_are_reported(autopilot_kind: AutopilotKind) -> None:
+    station = hovering(autopilot_kind, VELOCITY_MODE)
+    forward = 1300 if autopilot_kind == "ardupilot" else 1700
+    hold(station, override(1500, forward, 1500, 1500), 3.0)
+    assert station.flight.vehicle.velocity[0] > 1.0
+    told = [m for m in station.run(1.0) if m.get_type() == "RC_CHANNELS"][-1]
+    assert (told.chan1_raw, told.chan2_raw, told.chancount) == (1500, forward, 18)
+
+
+@BOTH
+def test_nobody_at_the_sticks_from_the_start_triggers_nothing(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
+    station.flight.take_off(3.0)
+    station.flight.autopilot.set_mode_named(VELOCITY_MODE[autopilot_kind])
+    station.run(12.0)
+    assert station.flight.autopilot.mode == VELOCITY_MODE[autopilot_kind]
+    assert {m.chancount for m in station.heard if m.get_type() == "RC_CHANNELS"} == {0}
+    assert station.flight.vehicle.height_m == pytest.approx(3.0, abs=0.3)
+
+
+@BOTH
+def test_sticks_that_fall_silent_bring_it_home_once(autopilot_kind: AutopilotKind) -> None:
+    station = hovering(autopilot_kind, VELOCITY_MODE)
+    hold(station, override(1500, 1500, 1500, 1500), 1.0)
+    station.run(0.4)
+    assert station.flight.autopilot.mode == VELOCITY_MODE[autopilot_kind]
+    station.run(6.0)
+    assert station.flight.autopilot.mode == RETURN_MODE[autopilot_kind]
+    assert any("Manual control lost" in t or "Radio Failsafe" in t for t in station.texts)
+    # a mode chosen after that is the pilot's own business
+    station.flight.autopilot.set_mode_named(station.flight.autopilot.profile.hold_mode)
+    station.run(8.0)
+    assert station.flight.autopilot.mode == station.flight.autopilot.profile.hold_mode
+
+
+@BOTH
+def test_released_channels_are_no_loss(autopilot_kind: AutopilotKind) -> None:
+    station = hovering(autopilot_kind, VELOCITY_MODE)
+    hold(station, override(1500, 1500, 1500, 1500), 0.5)
+    station.send(override(0, 0, 0, 0))
+    station.run(8.0)
+    assert station.flight.autopilot.mode == VELOCITY_MODE[autopilot_kind]
+
+
+def test_exceptions_keep_a_mode_without_sticks() -> None:
+    station = hovering("px4", {"px4": "AUTO_LOITER"})
+    station.flight.autopilot.parameters.set("COM_RCL_EXCEPT", 2)
+    station.run(8.0)
+    assert station.flight.autopilot.mode == "AUTO_LOITER"
+    station.flight.autopilot.parameters.set("COM_RCL_EXCEPT", 0)
+    station.run(6.0)
+    assert station.flight.autopilot.mode == "AUTO_RTL"
+
+
+def heard(station: Station) -> bool:
+    return station.flight.autopilot.rc_input.channels is not None
+
+
+def test_ardupilot_heeds_its_own_ground_station_alone_and_does_not_arm_with_the_throttle_up() -> None:
+    station = Station("ardupilot")
+    station.us.srcSystem = 42
+    station.send(joystick(z=900))
+    assert not heard(station)
+    station.us.srcSystem = 255
+    station.send(joystick(z=900))
+    assert heard(station)
+    station.run(0.1)
+    assert station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == mavlink.MAV_RESULT_FAILED
+
+
+@BOTH
+def test_the_throttle_lifts_it_off_and_a_pushed_down_one_lands_it(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
+    hold(station, joystick(), 0.3)
+    station.flight.autopilot.set_mode_named(VELOCITY_MODE[autopilot_kind])
+    assert station.flight.autopilot.arm() == 0
+    hold(station, joystick(), 1.0)
+    assert station.flight.vehicle.height_m == 0.0
+    hold(station, joystick(z=900), 4.0)
+    assert station.flight.vehicle.height_m > 2.0
+    hold(station, joystick(z=200), 12.0)
+    assert station.flight.vehicle.height_m == 0.0

@@ -12,6 +12,7 @@ from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.messages import Frame, Phase
 from companion.config import validate
 from sitl.devices.ports import MemoryPort
+from sitl.run.in_process import LatestValue
 from sitl.run.report import SimulationReport
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario
@@ -189,3 +190,18 @@ def test_pictures_drawn_beside_the_loop_are_the_same(
     assert [f.received_s for f in beside.frames] == [f.received_s for f in at_once.frames]
     assert all(np.array_equal(a.image, b.image) for a, b in zip(beside.frames, at_once.frames, strict=True))
     assert len(beside.frames) > 10
+
+
+# ---------------- A slot hands on the newest value only
+
+
+async def test_a_slow_reader_sees_the_newest_value_only() -> None:
+    slot: LatestValue[int] = LatestValue()
+    slot.put(1)
+    slot.put(2)
+    assert await slot.next() == 2
+    waiting = asyncio.ensure_future(slot.next())
+    await asyncio.sleep(0)
+    assert not waiting.done()
+    slot.put(3)
+    assert await waiting == 3

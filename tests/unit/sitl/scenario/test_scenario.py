@@ -1,15 +1,31 @@
 """Scenarios: the shipped ones load and keep their promises; a wrong one says what is wrong in a line."""
 
+import json
 import math
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
-from companion.config import CONFIG_FOLDER, ConfigError, load_config, validate
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.geometry import quat_rotate, vector3
+from companion.base.magnetic_field import field_ned_ut
+from companion.base.messages import MagSample
+from companion.config import CONFIG_FOLDER, ConfigError, ImuConfig, load_config, validate
+from companion.sense.imu.mpu9250 import Mpu9250
+from companion.sim.external import External
+from companion.sim.settings import sitl_settings
+from companion.sim.trial import Trial
+from sitl.run.in_process import carried
+from sitl.scenario.home import HomeSettings, magnetic_field_ned_ut, read_home
+from sitl.scenario.listing import listing, schema_text, shipped
 from sitl.scenario.scenario import AirframeConfig, Scenario, load_airframe, load_scenario
 from sitl.world.world import World
+from tests.programs import ProgramHere
 
 SHIPPED = sorted(path.stem for path in (CONFIG_FOLDER / "scenarios").glob("*.yaml"))
 BARS = ["circle", "figure_8", "heave", "line", "static"]
@@ -129,3 +145,173 @@ def test_an_unknown_airframe_or_pad_is_refused_when_the_world_is_built() -> None
         World(validate(Scenario, {**base, "airframe": "zeppelin"}, "mine"), 0)
     with pytest.raises(ConfigError, match="moving_1300"):
         World(validate(Scenario, {**base, "pad": {"name": "none"}}, "mine"), 0)
+
+
+# ---------------- `companion-sitl scenarios` and `schema`
+
+FIRST_LINE = "# yaml-language-server: $schema=scenario.schema.json"
+
+
+def test_every_shipped_scenario_has_a_line_of_what_it_is(program: ProgramHere) -> None:
+    ended = program("companion-sitl", "scenarios")
+    lines = ended.out.splitlines()
+    assert ended.code == 0
+    assert lines[0].split() == ["name", "pad", "wind", "faults", "description"]
+    assert [line.split()[0] for line in lines[1:]] == shipped()
+    by_name = {line.split()[0]: line for line in lines[1:]}
+    for name, words in {
+        "deck": ["line 0.5 m/s, at sea", "4 m/s, light", "A ship's deck"],
+        "static": ["static", "calm", " - "],
+        "gps_loss": ["gps_jump, gps_lost"],
+        "gust": ["2 m/s, gusts"],
+    }.items():
+        assert [word for word in words if word not in by_name[name]] == []
+
+
+def test_a_name_prints_settings_that_give_the_same_scenario_again(
+    tmp_path: Path, program: ProgramHere
+) -> None:
+    for name in ("deck", "figure_8", "lossy_link"):
+        out = program("companion-sitl", "scenarios", name).out
+        copy = tmp_path / f"{name}.yaml"
+        copy.write_text(out)
+        assert load_scenario(copy) == load_scenario(name)
+        assert yaml.safe_load(out)["camera"]["exposure"]["longest_s"] == 0.01
+
+
+def test_an_unknown_name_is_one_line_and_exit_code_2(program: ProgramHere) -> None:
+    err = program("companion-sitl", "scenarios", "nowhere").refusal
+    assert "nowhere" in err
+    assert "figure_8" in err
+
+
+def test_the_shipped_schema_is_current(program: ProgramHere) -> None:
+    out = program("companion-sitl", "schema").out
+    assert out == schema_text()
+    path = CONFIG_FOLDER / "scenarios" / "scenario.schema.json"
+    assert path.read_text(encoding="utf-8") == out, (
+        "run: companion-sitl schema > configs/scenarios/scenario.schema.json"
+    )
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_a_shipped_scenario_names_the_schema_and_uses_its_words(name: str) -> None:
+    text = (CONFIG_FOLDER / "scenarios" / f"{name}.yaml").read_text(encoding="utf-8")
+    assert text.splitlines()[0] == FIRST_LINE
+    schema = read_schema()
+    assert unknown_words(yaml.safe_load(text), schema, schema) == []
+
+
+@cache
+def read_schema() -> dict[str, Any]:
+    """The schema, made once."""
+    schema: dict[str, Any] = json.loads(schema_text())
+    return schema
+
+
+def unknown_words(data: dict[str, Any], part: dict[str, Any], schema: dict[str, Any]) -> list[str]:
+    """Keys of a file, and of the mappings in it, that the schema does not have."""
+    unknown = []
+    for key, value in data.items():
+        known = part.get("properties", {}).get(key)
+        if known is None:
+            unknown.append(key)
+        elif isinstance(value, dict) and (inner := referred(known, schema, value)) is not None:
+            unknown += unknown_words(value, inner, schema)
+    return unknown
+
+
+def referred(known: dict[str, Any], schema: dict[str, Any], value: dict[str, Any]) -> dict[str, Any] | None:
+    """The definition that a property leads to, of several the one of the value's kind."""
+    leads = [known, *known.get("anyOf", ()), *known.get("oneOf", ()), *known.get("allOf", ())]
+    for lead in leads:
+        if "$ref" in lead:
+            definition: dict[str, Any] = schema["$defs"][lead["$ref"].rpartition("/")[2]]
+            kind = definition["properties"].get("kind", {}).get("const")
+            if kind in (None, value.get("kind")):
+                return definition
+    return None
+
+
+def test_the_list_fits_a_narrow_terminal() -> None:
+    narrow = listing(80)
+    assert max(map(len, narrow.splitlines())) <= 80
+    for scenario in map(load_scenario, shipped()):
+        assert f"{scenario.name}\n  {scenario.description[:20]}" in narrow
+    assert listing(1000) == listing()
+
+
+# ----------------
+# Where the vehicle stands on Earth: the autopilots' usual places, a scenario's own, and the field there.
+
+CMAC = (-35.363262, 149.165237, 584.0)
+ELSEWHERE = {"latitude_deg": 60.0, "longitude_deg": -150.0, "altitude_m": 20.0}
+
+
+def scenario_here(**settings: Any) -> Scenario:
+    return validate(Scenario, {"name": "here", "description": "somewhere", **settings}, "the test")
+
+
+@pytest.mark.parametrize(("kind", "place"), [("px4", (47.397742, 8.545594, 488.0)), ("ardupilot", CMAC)])
+def test_without_a_home_it_stands_where_its_autopilots_simulator_does(
+    kind: AutopilotKind, place: tuple[float, float, float]
+) -> None:
+    assert scenario_here(autopilot=kind).place == place
+    assert scenario_here(autopilot=kind, home=ELSEWHERE).place == (60.0, -150.0, 20.0)
+
+
+@pytest.mark.parametrize("settings", [{"autopilot": "ardupilot"}, {"home": ELSEWHERE}])
+def test_the_sensors_and_the_autopilot_are_at_that_place(settings: dict[str, Any]) -> None:
+    there = scenario_here(**settings)
+
+    async def main() -> tuple[Any, list[MagSample], Any]:
+        async with carried(there, 0, "still", camera=False) as vehicle:
+            clock, driver, fields = Clock(), Mpu9250(vehicle.imu_bus, ImuConfig()), list[MagSample]()
+            while clock.now_s() < 4.0:
+                fields += driver.poll(clock.now_s)[1]
+                await clock.sleep_until(clock.now_s() + 0.01)
+            simulation = vehicle.simulation
+            return simulation.autopilot.geodetic((0.0, 0.0, 0.0)), fields, simulation.world.state.attitude
+
+    origin, fields, attitude = run_in_virtual_time(main())
+    assert origin == pytest.approx(there.place, abs=1e-6)
+    mean = vector3(np.mean([sample.field_body_ut for sample in fields], axis=0).tolist())
+    left_by_calibration_ut = 2.5
+    expected = field_ned_ut(*there.place, 2026.0)
+    assert quat_rotate(attitude, mean) == pytest.approx(expected, abs=left_by_calibration_ut)
+
+
+def test_the_app_is_reported_the_field_of_the_place_unless_the_scenario_tells_it_otherwise() -> None:
+    path = CONFIG_FOLDER / "companion.yaml"
+
+    def told(flown: Scenario, external: External | None = None) -> tuple[float, ...]:
+        return sitl_settings(path, Trial(path, flown, 0, external), fast=True).estimate.magnetic_field_ned_ut
+
+    assert told(scenario_here(home=ELSEWHERE)) == magnetic_field_ned_ut((60.0, -150.0, 20.0))
+    mistaken = {"estimate": {"magnetic_field_ned_ut": [20.0, 0.0, 40.0]}}
+    assert told(scenario_here(home=ELSEWHERE, companion=mistaken)) == (20.0, 0.0, 40.0)
+    assert told(scenario_here(home=ELSEWHERE), External("udp:127.0.0.1:14550", None)) == (20.9, 0.6, 42.9)
+
+
+def test_the_option_is_that_of_ardupilots_simulator() -> None:
+    home, heading_deg = read_home("-35.363262,149.165237,584,353")
+    assert (home, heading_deg) == (
+        HomeSettings(latitude_deg=CMAC[0], longitude_deg=CMAC[1], altitude_m=CMAC[2]),
+        353.0,
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("47.4,8.5", "--home: expected LAT,LON,ALT,HEADING"),
+        ("here", "found 'here'"),
+        ("95,8.5,0,0", "--home: latitude_deg"),
+        ("47.4,8.5,nan,0", "--home: altitude_m"),
+        ("47.4,8.5,488,900", "expected a heading of -360 to 360 degrees, found 900"),
+    ],
+)
+def test_a_home_that_is_none_is_refused_in_a_line(text: str, complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint) as refused:
+        read_home(text)
+    assert "\n" not in str(refused.value)

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from companion.base.messages import Frame
-from companion.config import ConfigError
+from companion.base.geometry import IDENTITY
+from companion.base.messages import Frame, PadPrior, PadSighting
+from companion.config import CameraConfig, ConfigError, VehicleConfig, VisionConfig, find_file, load_model
+from companion.pad import load_pad
+from companion.sense.vision.pipeline import Vision, VisionResult
 from companion.tools.pad_check.job import verdict_line
-from tests.unit.tools.pad_check.hand_check import check, mirrored, settings, vehicle_file
+from companion.tools.pad_check.mirror import MirrorWatch
+from companion.tools.pad_check.session import draw
+from companion.tools.pad_check.wizard import Wizard
+from tests.unit.tools.pad_check.hand_check import MOUNTING, check, mirrored, settings, vehicle_file
 
 
 # the whole check of a right vehicle, and wrong settings on its samples: test_pad_check_samples.py
@@ -61,3 +68,82 @@ def test_an_autopilot_that_falls_silent_may_be_armed() -> None:
 def test_an_armed_vehicle_is_refused() -> None:
     with pytest.raises(ConfigError, match="the autopilot says armed"):
         check(linked=True, arm=True, motion="still", camera={"rate_hz": 1.0})
+
+
+# ---------------- The watch on whether the eyes are shown a mirror image
+
+IMAGE = np.tile(np.arange(64, dtype=np.uint8), (48, 1))
+
+
+class CountingVision:
+    """Sees nothing, and notes at which turn of the search it was shown a mirrored frame."""
+
+    def __init__(self) -> None:
+        self.turn = 0
+        self.mirrored_at: list[int] = []
+
+    def step(self, frame: Frame, prior: PadPrior | None) -> VisionResult:
+        self.turn += 1
+        if frame.image[0, 0] > frame.image[0, -1]:
+            self.mirrored_at.append(self.turn)
+        return VisionResult(None, {"F": 0, "M": 0, "C": 0}, searched_whole_frame=True)
+
+
+def test_a_mirrored_pad_is_looked_for_far_and_near() -> None:
+    vision: Any = CountingVision()
+    eyes = MirrorWatch(vision)
+    for k in range(60):
+        eyes.step(Frame(k / 30, k / 30, k, IMAGE), None)
+    turns = [turn % 2 for turn in vision.mirrored_at]
+    assert len(turns) >= 8
+    assert abs(turns.count(0) - turns.count(1)) <= 1
+
+
+# ---------------- The live picture shows what the app takes for forward and right
+
+GREEN, RED = (80, 220, 80), (60, 60, 255)  # forward, right; blue, green, red
+PAD = load_pad("moving_1300")
+BLACK = Frame(0.0, 0.0, 0, np.zeros((480, 640), np.uint8))
+SIGHTING = PadSighting(
+    time_s=0.0,
+    sequence=0,
+    pad_position_body_m=(0.03, 0.0, 1.0),  # under the camera
+    body_from_pad=IDENTITY,
+    covariance=np.eye(6),
+    group="F",
+    marker_ids=(0,),
+    marker_count={"F": 1, "M": 0, "C": 0},
+    reprojection_error_px=0.1,
+)
+
+
+def middle_of(
+    colour: tuple[int, int, int], camera_yaw_deg: float, sighting: PadSighting | None
+) -> np.ndarray:
+    """Where a colour is in the picture (right, down), from the image's middle (px)."""
+    camera = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
+    shipped = load_model(VehicleConfig, find_file("vehicles", "x500"))
+    vehicle = shipped.model_copy(update={"camera_yaw_deg": camera_yaw_deg})
+    image = draw(BLACK, sighting, Vision(PAD, camera, vehicle, VisionConfig()), PAD, Wizard(MOUNTING, 0.0))
+    assert image.shape == (480, 640, 3)
+    rows, columns = np.nonzero((image == np.array(colour)).all(axis=2))
+    assert len(rows) > 50
+    return np.array((columns.mean() - 321.4, rows.mean() - 238.2))
+
+
+@pytest.mark.parametrize("sighting", [SIGHTING, None])
+def test_the_arrows_point_where_the_settings_say(sighting: PadSighting | None) -> None:
+    forward, right = (middle_of(colour, 0.0, sighting) for colour in (GREEN, RED))
+    assert forward[1] < -20.0 < 20.0 < right[0]
+    # a camera whose image's top is to the right shows forward to the left
+    forward, right = (middle_of(colour, 90.0, sighting) for colour in (GREEN, RED))
+    assert forward[0] < -20.0
+    assert right[1] < -20.0
+
+
+def test_a_pad_that_is_out_of_view_draws_nothing_wrong() -> None:
+    behind = replace(SIGHTING, pad_position_body_m=(0.0, 0.0, -1.0))
+    camera = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
+    vehicle = load_model(VehicleConfig, find_file("vehicles", "x500"))
+    image = draw(BLACK, behind, Vision(PAD, camera, vehicle, VisionConfig()), PAD, Wizard(MOUNTING, 0.0))
+    assert not (image[40:] != 0).any()

@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.autopilot_kind import AutopilotKind
@@ -125,3 +126,9 @@ def plain(command: int, *parameters: float) -> Any:
     """An item that has no place."""
     filled = (*parameters, 0.0, 0.0, 0.0, 0.0)[:4]
     return mavlink.MAVLink_mission_item_int_message(1, 1, 0, 2, command, 0, 1, *filled, 0, 0, 0.0, 0)
+
+
+# ---------------- Kinds of mission items, for missions over MAVLink
+
+BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+WAYPOINT, TAKE_OFF, LAND, RETURN = 16, 22, 21, 20

@@ -1,3 +1,5 @@
+"""Trajectory."""
+
 import math
 from itertools import pairwise
 
@@ -8,8 +10,251 @@ from companion.base.geometry import norm, subtract
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
 from companion.plan.obstacles.avoidance import Avoidance
-from companion.plan.trajectory.course import PlannedPath, paced
+from companion.plan.trajectory.course import Course, PlannedPath, halting, paced, through
+from companion.plan.trajectory.min_jerk import Trajectory, brake, carried, plan, quintic
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
+
+START = Motion((1.0, -2.0, -7.0), (0.8, -0.3, 0.5), (0.2, 0.1, -0.4))
+FINAL = Motion((4.0, 1.0, -3.0), (-0.5, 0.4, 0.2), (0.1, -0.2, 0.3))
+
+
+def numeric(trajectory: Trajectory, t: float, h: float = 1e-4) -> tuple[np.ndarray, np.ndarray]:
+    before, here, after = (np.array(trajectory.at(t + d).position_m) for d in (-h, 0.0, h))
+    return (after - before) / (2 * h), (after - 2 * here + before) / (h * h)
+
+
+def test_coefficients_are_the_papers_when_the_end_is_at_rest() -> None:
+    # GIVEN equation 30 with a final velocity and acceleration of zero
+    x0, v0, a0, xf, t = 1.3, -0.7, 0.4, 5.1, 2.6
+    delta = xf - x0
+    paper = (
+        x0,
+        t * v0,
+        t * t * a0 / 2,
+        10 * delta - 6 * t * v0 - 1.5 * t * t * a0,
+        -15 * delta + 8 * t * v0 + 1.5 * t * t * a0,
+        6 * delta - 3 * t * v0 - 0.5 * t * t * a0,
+    )
+    assert quintic((x0, v0, a0), (xf, 0.0, 0.0), t) == pytest.approx(paper, abs=1e-12)
+
+
+def test_both_ends_are_met_in_position_velocity_and_acceleration() -> None:
+    trajectory = plan(START, FINAL, 10.0, 3.0)
+    for time_s, wanted in ((10.0, START), (13.0, FINAL)):
+        motion = trajectory.at(time_s)
+        assert motion.position_m == pytest.approx(wanted.position_m, abs=1e-9)
+        assert motion.velocity_m_s == pytest.approx(wanted.velocity_m_s, abs=1e-9)
+        assert motion.acceleration_m_s2 == pytest.approx(wanted.acceleration_m_s2, abs=1e-9)
+
+
+def test_velocity_and_acceleration_are_the_derivatives_of_position() -> None:
+    trajectory = plan(START, FINAL, 10.0, 3.0)
+    for t in (10.3, 11.5, 12.9):
+        velocity, acceleration = numeric(trajectory, t)
+        assert trajectory.at(t).velocity_m_s == pytest.approx(velocity, abs=1e-5)
+        assert trajectory.at(t).acceleration_m_s2 == pytest.approx(acceleration, abs=1e-4)
+
+
+def test_jerk_at_the_start_is_equation_34() -> None:
+    rest = Motion((4.0, 1.0, -3.0))
+    trajectory = plan(START, rest, 0.0, 3.0)
+    h = 1e-6
+    slope = (trajectory.at(h).acceleration_m_s2[0] - START.acceleration_m_s2[0]) / h
+    v, a, t = START.velocity_m_s[0], START.acceleration_m_s2[0], 3.0
+    expected = 60.0 / t**3 * 3.0 - 36.0 / t**2 * v - 9.0 / t * a
+    assert slope == pytest.approx(expected, rel=1e-4)
+
+
+def test_no_other_smooth_way_between_the_same_ends_has_less_jerk() -> None:
+    # GIVEN the jerk of the quintic and of the quintic with a bump that leaves the ends alone
+    tau = np.linspace(0.0, 1.0, 4001)
+    c = quintic((0.0, 0.3, -0.2), (2.0, 0.1, 0.0), 1.0)
+    jerk = 6 * c[3] + 24 * c[4] * tau + 60 * c[5] * tau**2
+    bump = np.gradient(np.gradient(np.gradient(tau**4 * (1 - tau) ** 4, tau), tau), tau)
+    for size in (-3.0, -0.1, 0.1, 3.0):
+        assert np.trapezoid((jerk + size * bump) ** 2, tau) > np.trapezoid(jerk**2, tau)
+
+
+def test_rows_are_the_trajectory_sampled_over_the_horizon_and_beyond_its_end() -> None:
+    trajectory = plan(START, FINAL, 10.0, 1.25)
+    position, velocity, acceleration = trajectory.rows(10.4, 21, 0.1)
+    assert position.shape == velocity.shape == acceleration.shape == (21, 3)
+    for k in range(21):
+        motion = trajectory.at(10.4 + 0.1 * k)
+        assert position[k] == pytest.approx(motion.position_m, abs=1e-9)
+        assert velocity[k] == pytest.approx(motion.velocity_m_s, abs=1e-9)
+        assert acceleration[k] == pytest.approx(motion.acceleration_m_s2, abs=1e-9)
+
+
+def test_after_the_end_the_final_velocity_goes_on() -> None:
+    motion = plan(START, FINAL, 10.0, 3.0).at(15.0)
+    assert motion.position_m == pytest.approx((3.0, 1.8, -2.6), abs=1e-9)
+    assert motion.velocity_m_s == pytest.approx(FINAL.velocity_m_s)
+    assert motion.acceleration_m_s2 == (0.0, 0.0, 0.0)
+
+
+def test_before_the_start_the_start_holds() -> None:
+    assert plan(START, FINAL, 10.0, 3.0).at(9.0).position_m == START.position_m
+
+
+def test_braking_ends_at_rest_ahead_and_stays_about_within_its_deceleration() -> None:
+    trajectory = brake(Motion((0.0, 0.0, 0.0), (3.0, -4.0, 0.0)), 5.0, 1.5)
+    end = trajectory.at(100.0)
+    assert math.hypot(*end.velocity_m_s) == pytest.approx(0.0, abs=1e-9)
+    assert end.position_m[0] > 0.0
+    assert end.position_m[1] == pytest.approx(-4.0 / 3.0 * end.position_m[0])
+    steepest = max(math.hypot(*trajectory.at(5.0 + 0.01 * k).acceleration_m_s2) for k in range(600))
+    assert steepest == pytest.approx(1.5, rel=0.05)
+
+
+@pytest.mark.parametrize("duration_s", [0.0, -1.0, math.nan])
+def test_a_trajectory_without_time_is_refused(duration_s: float) -> None:
+    with pytest.raises(ValueError, match="takes time"):
+        plan(START, FINAL, 0.0, duration_s)
+
+
+# ---------------- test_course
+
+COURSE_START = Motion((0.0, 1.0, -5.0), (1.0, -0.5, 0.2), (0.3, 0.1, -0.2))
+COURSE_END = Motion((9.0, 4.0, -3.0), (0.0, 1.0, 0.0), (0.1, 0.0, 0.0))
+VIA = [(3.0, 4.0, -5.0), (4.0, 4.5, -6.0), (7.0, -1.0, -4.0)]
+DURATIONS_S = [3.0, 1.2, 4.0, 3.5]
+LIMITS = GuidanceConfig()
+
+
+def derivative(leg: Trajectory, tau: float, order: int) -> np.ndarray:
+    """Of a leg's position by time, from its coefficients."""
+    values = [
+        np.polynomial.Polynomial(c).deriv(order)(tau) if order else np.polynomial.Polynomial(c)(tau)
+        for c in leg.axes
+    ]
+    return np.array(values) / leg.duration_s**order
+
+
+def jerk_cost(course: Course) -> float:
+    """Integral of the squared jerk."""
+    total = 0.0
+    for leg in course.legs:
+        for c in leg.axes:
+            square = (np.polynomial.Polynomial(c).deriv(3) ** 2).integ()
+            total += (square(1.0) - square(0.0)) / leg.duration_s**5
+    return total
+
+
+def test_it_passes_through_every_point_in_time_and_keeps_both_ends() -> None:
+    course = through(COURSE_START, VIA, COURSE_END, 10.0, DURATIONS_S)
+    at_start = course.at(10.0)
+    assert at_start.velocity_m_s == pytest.approx(COURSE_START.velocity_m_s)
+    assert at_start.acceleration_m_s2 == pytest.approx(COURSE_START.acceleration_m_s2)
+    at_end = course.at(course.end_s)
+    assert at_end.position_m == pytest.approx(COURSE_END.position_m)
+    assert at_end.velocity_m_s == pytest.approx(COURSE_END.velocity_m_s)
+    assert at_end.acceleration_m_s2 == pytest.approx(COURSE_END.acceleration_m_s2)
+    for when, point in zip(np.cumsum(DURATIONS_S), VIA, strict=False):
+        assert course.at(10.0 + float(when)).position_m == pytest.approx(point)
+
+
+def test_it_is_smooth_to_the_fourth_derivative() -> None:
+    for before, after in pairwise(through(COURSE_START, VIA, COURSE_END, 0.0, DURATIONS_S).legs):
+        for order in range(5):
+            assert derivative(before, 1.0, order) == pytest.approx(derivative(after, 0.0, order), abs=1e-9)
+
+
+def test_no_other_speeds_at_the_points_have_less_jerk() -> None:
+    best = through(COURSE_START, VIA, COURSE_END, 0.0, DURATIONS_S)
+    rng = np.random.default_rng(3)
+    ends = [COURSE_START, *(leg.at(leg.start_s) for leg in best.legs[1:]), COURSE_END]
+    for _ in range(20):
+        moved = [COURSE_START]
+        for m in ends[1:-1]:
+            v, a = np.array(m.velocity_m_s), np.array(m.acceleration_m_s2)
+            moved.append(
+                Motion(
+                    m.position_m,
+                    tuple(v + 0.05 * rng.standard_normal(3)),
+                    tuple(a + 0.05 * rng.standard_normal(3)),
+                )
+            )
+        moved.append(COURSE_END)
+        legs = tuple(plan(p, q, 0.0, t) for (p, q), t in zip(pairwise(moved), DURATIONS_S, strict=True))
+        assert jerk_cost(Course(legs)) > jerk_cost(best)
+
+
+def test_without_points_it_is_the_one_quintic() -> None:
+    assert through(COURSE_START, [], COURSE_END, 2.0, [4.0]).legs == (
+        plan(COURSE_START, COURSE_END, 2.0, 4.0),
+    )
+
+
+def test_rows_are_what_it_is_at_their_times_before_between_and_beyond() -> None:
+    course = through(COURSE_START, VIA, COURSE_END, 10.0, DURATIONS_S)
+    position, velocity, acceleration = course.rows(9.5, 30, 0.5)
+    for k in range(30):
+        motion = course.at(9.5 + 0.5 * k)
+        assert position[k] == pytest.approx(motion.position_m)
+        assert velocity[k] == pytest.approx(motion.velocity_m_s)
+        assert acceleration[k] == pytest.approx(motion.acceleration_m_s2)
+
+
+@pytest.mark.parametrize("durations", [[1.0], [1.0, 0.0]])
+def test_durations_that_do_not_fit_are_refused(durations: list[float]) -> None:
+    with pytest.raises(ValueError, match="durations"):
+        through(COURSE_START, [(1.0, 1.0, 1.0)], COURSE_END, 0.0, durations)
+
+
+@pytest.mark.parametrize("make", [paced, halting])
+@pytest.mark.parametrize("target_m_s", [0.0, 4.0])
+def test_it_keeps_the_limits_and_meets_a_target_that_moves(make: object, target_m_s: float) -> None:
+    target = Motion((30.0, 2.0, -3.0), (0.0, target_m_s, 0.0))
+    course = make(Motion((0.0, 0.0, -5.0)), VIA, target, 1.0, LIMITS)  # type: ignore[operator]
+    end = course.at(course.end_s)
+    assert end.position_m[1] == pytest.approx(2.0 + target_m_s * course.duration_s)
+    assert end.velocity_m_s == pytest.approx(target.velocity_m_s, abs=1e-9)
+    _, v, a = course.rows(1.0, 500, course.duration_s / 499)
+    if make is halting and target_m_s > 0.0:
+        return  # what has to be made up for from a halt is
+    most_m_s = max(LIMITS.horizontal_speed_m_s, target_m_s) + target_m_s
+    assert np.max(np.hypot(v[:, 0], v[:, 1])) <= 1.06 * most_m_s
+    assert np.max(np.abs(v[:, 2])) <= 1.06 * LIMITS.vertical_speed_m_s
+    if make is paced:
+        assert np.max(np.hypot(a[:, 0], a[:, 1])) <= 1.12 * LIMITS.horizontal_acceleration_m_s2
+        assert np.max(np.abs(a[:, 2])) <= 1.12 * LIMITS.vertical_acceleration_m_s2
+
+
+def test_with_halts_it_keeps_to_the_straight_lines() -> None:
+    course = halting(Motion((0.0, 0.0, -5.0)), VIA, Motion((9.0, 4.0, -3.0)), 0.0, LIMITS)
+    for leg in course.legs:
+        p, q = (np.array(leg.at(t).position_m) for t in (leg.start_s, leg.end_s))
+        for k in np.linspace(0.0, 1.0, 9):
+            along = np.array(leg.at(leg.start_s + k * leg.duration_s).position_m) - p
+            assert np.linalg.norm(np.cross(along, q - p)) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_seen_from_a_moving_frame_it_is_the_same_motion() -> None:
+    course = through(COURSE_START, VIA, COURSE_END, 10.0, DURATIONS_S)
+    seen = course.carried(Motion((1.0, 2.0, 3.0), (0.5, -0.25, 0.1)), 8.0)
+    for t in (10.0, 13.7, 20.0, 25.0):
+        expected = (
+            np.array(course.at(t).position_m) + [1.0, 2.0, 3.0] + (t - 8.0) * np.array([0.5, -0.25, 0.1])
+        )
+        assert seen.at(t).position_m == pytest.approx(expected)
+        assert seen.at(t).acceleration_m_s2 == pytest.approx(course.at(t).acceleration_m_s2)
+
+
+def test_a_leg_is_carried_along_with_a_frame_that_gains_speed() -> None:
+    leg = plan(Motion((1.0, 2.0, -3.0), (0.5, 0.0, 0.2)), Motion((4.0, 0.0, -5.0)), 10.0, 4.0)
+    by = Motion((2.0, -1.0, 0.5), (0.5, -0.25, 0.1), (0.4, 0.3, -0.2))
+    seen = carried(leg, by, 9.0)
+    for time_s in (10.0, 11.5, 14.0):
+        t, own, there = time_s - 9.0, leg.at(time_s), seen.at(time_s)
+        for k in range(3):
+            p, v, a = by.position_m[k], by.velocity_m_s[k], by.acceleration_m_s2[k]
+            assert there.position_m[k] == pytest.approx(own.position_m[k] + p + v * t + 0.5 * a * t * t)
+            assert there.velocity_m_s[k] == pytest.approx(own.velocity_m_s[k] + v + a * t)
+            assert there.acceleration_m_s2[k] == pytest.approx(own.acceleration_m_s2[k] + a)
+
+
+# ---------------- test_reference_generator
 
 CYCLE_S = 1.0 / 30.0
 CONFIG = GuidanceConfig()

@@ -1,0 +1,138 @@
+"""The process that flies for a campaign: every request is answered, whatever is asked and whatever fails."""
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+
+from companion.base.messages import Outcome
+from companion.config import CONFIG_FOLDER
+from companion.flightlog.result import Result, ResultEvent
+from companion.sim import flights
+from companion.sim.flights import Answer, Request, answer
+from companion.sim.runner import SitlFlight
+from companion.sim.scoring import reason
+from companion.sim.settings import sitl_settings, vehicle_differs
+from companion.sim.trial import Trial
+from sitl.campaign.rows import make_row
+from sitl.campaign.worker import RunResult
+from sitl.run.report import SimulationReport
+from tests.unit.sitl.campaign.campaign_parts import flight
+from tests.unit.sitl.campaign.fake_flights import result
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (b"", "Invalid JSON"),
+        (b'{"scenario": "static"}', "seed"),
+        (b'{"scenario": "nosuch", "seed": 0}', "scenarios: no 'nosuch'"),
+        (b'{"scenario": "static", "seed": 0, "config": "nosuch.yaml"}', "nosuch.yaml: cannot be read"),
+    ],
+)
+def test_a_request_that_cannot_be_flown_is_refused_in_one_line(line: bytes, words: str) -> None:
+    refused = answer(line).refused
+    assert refused is not None
+    assert words in refused
+    assert "\n" not in refused
+
+
+def test_a_fault_of_ours_is_reported_and_shown_in_full(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(_request: Request) -> Answer:
+        raise ZeroDivisionError("of a bug")
+
+    monkeypatch.setattr(flights, "fly_request", fails)
+    assert answer(b'{"scenario": "static", "seed": 0}') == Answer(fault="ZeroDivisionError: of a bug")
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_an_answer_has_all_its_keys() -> None:
+    said = json.loads(Answer(refused="no").model_dump_json())
+    assert said == {"result": None, "reason": "", "touchdown_pad_m": None, "refused": "no", "fault": None}
+
+
+def test_requests_are_handed_on_until_the_input_ends() -> None:
+    told: list[object] = []
+    flights._read(io.BytesIO(b"one\ntwo\n"), told.append, told.append)
+    assert told == [b"one\n", b"two\n", 0]
+
+
+# ----------------
+# Why a flight did not land, as a campaign's row has it: what ended the mission, not how the hold ended.
+
+SEARCH = "search: control granted: OFFBOARD"
+HELD = "hold: pad disputed: camera's rotation: 45 deg apart"
+RESTS = "abort: clear: at rest"
+ABORTED = ("the app aborted",)
+
+
+def row_reason(outcome: Outcome, failures: tuple[str, ...], *phases: str) -> str:
+    texts = [("phase", text) for text in phases]
+    said = [*texts[:1], ("climb", "climbing 1.0 m clear of the pad"), *texts[1:]]
+    events = tuple(ResultEvent(time_s=1.0 + k, kind=kind, text=text) for k, (kind, text) in enumerate(said))
+    report = SimulationReport(outcome, failures, None, 0.0, 30.0, 0.0, ())
+    why = reason(Result.model_construct(outcome=outcome, events=events), SitlFlight(report, 1.0, 0.0))
+    return make_row(RunResult(flight(1), 1.0, result(1, "static", outcome.value), why), "0.1.0").reason
+
+
+@pytest.mark.parametrize(
+    ("phases", "told"),
+    [
+        ((SEARCH, HELD, RESTS), "pad disputed: camera's rotation: 45 deg apart"),
+        ((SEARCH, "abort: taken over: mode POSCTL"), "taken over: mode POSCTL"),
+        # it went on from the first hold, which ended nothing
+        (
+            (SEARCH, "hold: link lost: 1.2 s", "search: link up: 0.1 s", "hold: stop requested: told", RESTS),
+            "stop requested: told",
+        ),
+        ((), "the app aborted"),
+    ],
+)
+def test_the_reason_of_an_aborted_flight_is_the_first_event_that_ended_it(
+    phases: tuple[str, ...], told: str
+) -> None:
+    assert row_reason(Outcome.ABORTED, ABORTED, *phases) == told
+
+
+def test_what_was_touched_stands_beside_it() -> None:
+    touched = "touched 1.0 m off at 0.9 m/s"
+    aborted = row_reason(Outcome.ABORTED, (*ABORTED, touched), SEARCH, HELD, RESTS)
+    assert aborted == f"pad disputed: camera's rotation: 45 deg apart; {touched}"
+    crashed = row_reason(Outcome.CRASHED, ("crashed", touched), SEARCH, HELD)
+    assert crashed == f"pad disputed: camera's rotation: 45 deg apart; crashed; {touched}"
+
+
+def test_a_flight_that_gave_nothing_up_has_what_it_failed_by_alone() -> None:
+    went_on = (SEARCH, HELD, SEARCH, "landed: disarmed: by LAND")
+    assert row_reason(Outcome.MISSED, ("0.9 m off",), *went_on) == "0.9 m off"
+    assert row_reason(Outcome.LANDED, (), SEARCH, "landed: disarmed: by LAND") == ""
+
+
+# ---------------- What is said of settings that describe another vehicle than the simulated one
+
+
+def test_a_vehicle_like_the_airframe_is_not_reported() -> None:
+    trial = Trial.load("line", 0)
+    assert vehicle_differs(sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True), trial) is None
+
+
+def test_a_vehicle_that_sits_otherwise_is_reported_with_what_differs(tmp_path: Path) -> None:
+    text = (CONFIG_FOLDER / "vehicles" / "x500.yaml").read_text()
+    other = tmp_path / "other.yaml"
+    other.write_text(text.replace("camera_yaw_deg: 0.0", "camera_yaw_deg: 90.0"))
+    trial = Trial.load("line", 0)
+    # by the settings, and by the scenario's own overrides of them
+    settings = tmp_path / "settings.yaml"
+    settings.write_text("vehicle: other.yaml\n")
+    scenario = trial.scenario.model_copy(update={"companion": {"vehicle": str(other)}})
+    for config, told in (
+        (settings, trial),
+        (CONFIG_FOLDER / "companion.yaml", Trial(trial.path, scenario, 0)),
+    ):
+        said = vehicle_differs(sitl_settings(config, told, fast=True), told)
+        assert said == (
+            f"vehicle '{other}' is not the scenario's airframe 'x500': camera_yaw_deg 90.0 (simulated 0.0)"
+        )
