@@ -5,8 +5,6 @@ cancelled and what waits is dropped, so that no late command undoes them. A requ
 the pad's position does not wait in the queue.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections import deque
 from collections.abc import Callable

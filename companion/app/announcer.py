@@ -1,7 +1,5 @@
 """Notices to people: each goes into the log and on to whoever listens, and is kept for a while."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from typing import Final

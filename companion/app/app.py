@@ -10,8 +10,6 @@ Only the control task sends setpoints: when it stops, they stop, and the autopil
 A mission is one planner's; an app that stays goes back to standby after it, with a new one.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from contextlib import nullcontext, suppress

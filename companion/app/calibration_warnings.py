@@ -3,8 +3,6 @@
 The app flies with them, since the user asked for it, but warns at every start.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from companion.app.sensing import load_used_magnetometer

@@ -5,8 +5,6 @@ reads a device that is missing raises OSError; its task is started again and aga
 what tries to open it. What is written meanwhile is dropped.
 """
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress

@@ -1,7 +1,5 @@
 """What the app is plugged into: opening the ports, buses and cameras that the settings name."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator, Callable
 from contextlib import ExitStack, asynccontextmanager, closing
 from dataclasses import dataclass

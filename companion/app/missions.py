@@ -4,8 +4,6 @@ An app that flies at once has one mission. One that stays begins in standby, fol
 to standby once the mission has ended and nothing that was asked of the autopilot is open.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Final

@@ -9,8 +9,6 @@ Each task runs until it is cancelled or its device is gone (OSError). A board th
 has no task: the link hands over the autopilot's samples instead (`take_samples`).
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import math

@@ -1,7 +1,5 @@
 """The second sources' newest comparisons, from where they are measured, and what is announced of them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from companion.app.sensing import Notify

@@ -1,7 +1,5 @@
 """The stages of one flight, made from the settings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

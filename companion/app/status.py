@@ -1,7 +1,5 @@
 """The live status of a flight: what the terminal shows."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 from typing import Final

@@ -6,8 +6,6 @@ until the next timer, the virtual one jumps there, so that a minute's landing ta
 the same result for the same seed.
 """
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import os

@@ -9,8 +9,6 @@ Light is relative: 0 is black, 1 what gives the grey value 255.
 Source: IEC 61966-2-1:1999 (sRGB), section 5.2.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final, Literal
 

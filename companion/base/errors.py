@@ -1,7 +1,5 @@
 """Errors that end in one line for the user."""
 
-from __future__ import annotations
-
 
 class ConfigError(Exception):
     """A setting, a file or an option that the user can correct; the text is the one line to show."""

@@ -1,7 +1,5 @@
 """Files: where settings are found, and writing so that nobody ever sees half of a file."""
 
-from __future__ import annotations
-
 import io
 import os
 import shutil

@@ -4,8 +4,6 @@ A full collection walks every object of the program and its libraries: it stops 
 of a second on a desktop, longer on a small board. Nearly all that a flight makes dies at once without it.
 """
 
-from __future__ import annotations
-
 import gc
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Modules that a library imports for functions which we never call, left out until one of them is called."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

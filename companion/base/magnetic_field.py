@@ -6,8 +6,6 @@ those years the nearest model is carried on, which errs by a degree or so in ten
 The heading takes its declination from the setting of the field; `compare_declination` checks it by the model.
 """
 
-from __future__ import annotations
-
 import math
 from datetime import UTC, datetime
 from functools import lru_cache

@@ -4,8 +4,6 @@ Arrays and tuples are lists, an array of rows one list of all numbers (older log
 is left out; NaN and infinity, which JSON does not know, are null.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any, Final, TypeVar

@@ -4,8 +4,6 @@ They keep to what Foxglove's reader takes: an object has properties, an array ha
 objects. So an array of rows is one long array, and what is not known is left out rather than null.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import types
 import typing

@@ -1,7 +1,5 @@
 """How a point moves at one moment: the one form for a vehicle's or a pad's motion in a named frame."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from companion.base.geometry import ZERO3, Vector3

@@ -7,8 +7,6 @@ difference counts as beyond a bound when it is so for sure: by `SIGMA_THRESHOLD`
 deviations. docs/reference/second-sources.md is written from here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum

@@ -5,8 +5,6 @@ until the event loop hears them. Between two lines of Python, as KeyboardInterru
 they would leave behind whatever was just being opened.
 """
 
-from __future__ import annotations
-
 import asyncio
 import signal
 import threading

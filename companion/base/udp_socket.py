@@ -1,7 +1,5 @@
 """A UDP socket as a stream of bytes, and the queue of received bytes. For app and simulator alike."""
 
-from __future__ import annotations
-
 import asyncio
 from typing import Final
 

@@ -1,7 +1,5 @@
 """The units that names end in, for tables, schemas and plots."""
 
-from __future__ import annotations
-
 from typing import Final
 
 # longest first: a name ends in its unit

@@ -4,8 +4,6 @@ An unknown key, a wrong type or a value out of range stops the start with one li
 the key and what was expected.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, Final
 

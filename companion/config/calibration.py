@@ -1,7 +1,5 @@
 """What the calibration tools write and the app reads."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from companion.config.reading import StrictModel

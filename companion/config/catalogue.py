@@ -5,8 +5,6 @@ docstring under its field; what an operator sets is marked `json_schema_extra=OP
 experts.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Settings of the controller and of the last gate."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """Settings of the estimators: alignment, orientation, the EKF and the pad filter."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal
 

@@ -3,8 +3,6 @@
 Body axes are FRD, sensor axes the chip's own, camera axes OpenCV's. SI units.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """What a key that nobody knows was probably meant to be: the nearest of the names that are known there."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches

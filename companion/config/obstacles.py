@@ -4,8 +4,6 @@ Places are north and east of home (m), heights over home (m); what is under a to
 The app's settings and the simulator's scenarios describe them by the same models, but share no geometry.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Final, Literal
 
 from pydantic import Field

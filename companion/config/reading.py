@@ -1,7 +1,5 @@
 """Reading settings: YAML into strict models, and one line for what is wrong with it."""
 
-from __future__ import annotations
-
 import ast
 import copy
 import functools

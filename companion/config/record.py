@@ -1,7 +1,5 @@
 """How much room the flight logs may take."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from companion.config.reading import StrictModel

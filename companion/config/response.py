@@ -5,8 +5,6 @@ setpoint's acceleration and velocity; what it wants is flown after a dead time a
 attitude setpoints K and I are 0 and u is what attitude and thrust make. `make bench-response` finds them.
 """
 
-from __future__ import annotations
-
 from typing import Final, Literal
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """Settings of the service: the orders that a companion in standby takes, and the live page."""
 
-from __future__ import annotations
-
 import ipaddress
 from pathlib import Path
 from typing import Annotated, Final

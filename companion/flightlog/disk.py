@@ -8,8 +8,6 @@ ends the log, not the flight; what cannot be written for any other reason is lef
 However the log ends, its files are closed.
 """
 
-from __future__ import annotations
-
 import queue
 import threading
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Quantities over time, and sightings and estimates against the truth. SI units, times of the app's clock."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 

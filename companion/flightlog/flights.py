@@ -4,8 +4,6 @@ Names are numbers, not dates: they sort by time also where the clock was wrong a
 without a network. The newest flight always stays, so no number comes twice.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Collection
 from pathlib import Path

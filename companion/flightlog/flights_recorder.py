@@ -6,8 +6,6 @@ files are opened in a thread too, and what comes meanwhile joins the minute. Not
 in a flight or at its end, and no failure to open a log reaches whoever writes to it, the control loop.
 """
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Callable

@@ -4,8 +4,6 @@ It is read from the front without the file's index, so that a log cut short by a
 what its whole chunks hold.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Callable, Iterator

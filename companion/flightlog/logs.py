@@ -4,8 +4,6 @@ Our own tools read a cut log as it is; others', Foxglove and the seeking reader 
 them, look for the index at its end.
 """
 
-from __future__ import annotations
-
 import zipfile
 from datetime import UTC, datetime
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """How often and how lately each input came, and how late what is sent is: from what the log takes. Pure."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 from typing import Any, Final

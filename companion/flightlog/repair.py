@@ -1,7 +1,5 @@
 """Writes what can be read of an MCAP file into a new one, with an index."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ All values are SI unless the name says otherwise. PhaseTimes are those of the ap
 start of the flight. Only `sim.real_time_factor` depends on the machine.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

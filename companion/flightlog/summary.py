@@ -4,8 +4,6 @@ Read from the log's index and its last chunks, so that a hundred flights are lis
 was cut short has no index and is read through.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Columns are the fields' names, dotted within an object, `name[k]` within an arra
 fixed length (a reference's rows, a scene) stands as JSON in one column. Pictures are left out.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Iterator

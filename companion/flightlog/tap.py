@@ -1,7 +1,5 @@
 """Who hears of what is logged, beside the log itself: the live page."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Protocol
 

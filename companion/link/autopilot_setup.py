@@ -1,7 +1,5 @@
 """Those of the autopilot's parameters on which our loop depends: read, never written. Pure."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Final
 

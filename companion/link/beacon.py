@@ -5,8 +5,6 @@ refused, and so is what was not asked for: ground stations stream their operator
 FOLLOW_TARGET, too (QGroundControl's Follow Me).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -6,8 +6,6 @@ number to the same target cannot be distinguished by their answers, so they go o
 withdrawn one the next answer is taken for its answer, as long as that may still come.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ use has it among the messages in development only, whose dialects take a second 
 from the message's definition: custom_mode and intended_custom_mode, 32 bits each, and the standard mode.
 """
 
-from __future__ import annotations
-
 import struct
 from typing import Any, Final
 

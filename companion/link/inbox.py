@@ -1,7 +1,5 @@
 """A pipe within the process: the transport to a simulated autopilot in the same event loop."""
 
-from __future__ import annotations
-
 import asyncio
 from collections import deque
 

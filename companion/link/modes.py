@@ -1,7 +1,5 @@
 """Flight modes by MAVLink's numbers and by the names that people know, from the autopilots' profiles."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind

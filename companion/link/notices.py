@@ -3,8 +3,6 @@
 The texts that matter most come from the silence itself: why it holds, what it does meanwhile. Sans I/O.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from typing import Final

@@ -15,8 +15,6 @@ ended; the same command again after its end is a new one, but for a repeat (conf
 `REPEATED_S`, which gets the old answer: only that may have been lost.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

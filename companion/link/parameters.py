@@ -8,8 +8,6 @@ Names and units depend on the firmware's version (`AutopilotMake.other_names`). 
 for; one answers.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Mapping

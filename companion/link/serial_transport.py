@@ -1,7 +1,5 @@
 """A serial port to the autopilot as a byte transport."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 from typing import Final

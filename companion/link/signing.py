@@ -7,8 +7,6 @@ pymavlink's advances a stream's time before it has verified, so that one forged 
 Source: mavlink.io, "Message Signing".
 """
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import stat

@@ -4,8 +4,6 @@ An autopilot that restarts forgets the rates, and another program on the link ma
 EXTENDED_SYS_STATE to 1 Hz), so what counts is what arrives. Pure.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

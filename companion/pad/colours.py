@@ -3,8 +3,6 @@
 After Okabe and Ito's set: reddish purple, orange, bluish green.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 from companion.base.messages import MarkerGroup

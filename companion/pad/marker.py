@@ -4,8 +4,6 @@ Corners go round as OpenCV's do: top-left, top-right, bottom-right, bottom-left 
 marker with yaw 0 is printed with its top edge towards +x of the pad.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final, Literal
 

@@ -3,8 +3,6 @@
 Markers are squares in the pad's plane, turned by their yaw; lengths in metres, in messages millimetres.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import combinations
 from typing import Final, Protocol

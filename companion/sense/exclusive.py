@@ -4,8 +4,6 @@ A lock on the open file (flock(2)): the kernel drops it with the file, however t
 nobody else away who does not ask for it, such as `i2cdetect`.
 """
 
-from __future__ import annotations
-
 import fcntl
 from typing import Final
 

@@ -3,8 +3,6 @@
 pyserial sets the line up (raw, 8N1, baud); reading and writing go through the loop, without a thread.
 """
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import os

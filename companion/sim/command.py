@@ -1,7 +1,5 @@
 """`companion --sitl`: a flight against the simulator, from the options to the result and the exit code."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping
 from pathlib import Path

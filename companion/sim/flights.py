@@ -7,8 +7,6 @@ and the libraries is shared. The process ends with its standard input, even in t
 outlives nobody who started it.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import sys

@@ -9,8 +9,6 @@ With an external autopilot (an ArduPilot or PX4 SITL of the user's) that process
 camera and ultrasonic about the user's vehicle, whose own sensors the app takes by telemetry.
 """
 
-from __future__ import annotations
-
 import asyncio
 import tempfile
 from collections.abc import Callable

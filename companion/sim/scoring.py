@@ -1,7 +1,5 @@
 """The result of a flight against the simulator, by the truth that the simulator reports."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Final

@@ -1,7 +1,5 @@
 """The app's settings against the simulator: the user's file, and over it the simulated vehicle."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, Final
 

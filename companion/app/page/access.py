@@ -6,8 +6,6 @@ its own that suddenly means our address (DNS rebinding) makes Origin and Host ag
 address or a name that is ours. Source: RFC 6455, section 10.2, and OWASP's WebSocket cheat sheet.
 """
 
-from __future__ import annotations
-
 import hmac
 import ipaddress
 import os

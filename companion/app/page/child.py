@@ -1,7 +1,5 @@
 """The page's process: `python -m companion.app.page.child FD`. It ends when the pipe from the app does."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

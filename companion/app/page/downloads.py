@@ -3,8 +3,6 @@
 Whoever asks shows the token, where there is one, as a bearer's (RFC 6750). Nothing is changed from here.
 """
 
-from __future__ import annotations
-
 import asyncio
 import tempfile
 import zipfile

@@ -4,8 +4,6 @@ It gets every message on the control loop, so it keeps references and computes n
 put together when one is due and somebody looks.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Final, TypeVar

@@ -1,7 +1,5 @@
 """In the page's process: it listens for browsers, and shows them what comes through the pipe."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """The live page in the app: what it is fed with, and the orders that come from it."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager

@@ -1,7 +1,5 @@
 """What goes from the app's process to the page's."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 Only the picture is compressed here; lines and words are drawn by the browser, in its own resolution.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from typing import Any, Final

@@ -4,8 +4,6 @@ It dies with the pipe from us, so it cannot outlive the app. What it says comes 
 network reaches: one short line of JSON at a time, and nothing in it is believed but what is expected.
 """
 
-from __future__ import annotations
-
 import asyncio
 import fcntl
 import json

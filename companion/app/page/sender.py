@@ -1,7 +1,5 @@
 """A thread that sends to the page's process: the newest of each kind, so it never lags and never grows."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from contextlib import suppress

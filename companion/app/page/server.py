@@ -4,8 +4,6 @@ Whoever has not shown the token takes no viewer's place, and keeps no connection
 them makes room for a new one.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Awaitable, Callable, Sequence

@@ -1,7 +1,5 @@
 """One viewer: the newest of each kind waits for it, and nothing queues."""
 
-from __future__ import annotations
-
 import asyncio
 from collections import deque
 from typing import Final

@@ -6,8 +6,6 @@ made of the address, in Linux's abstract namespace of sockets: it belongs to no 
 gone with the process that holds it, however that ends (unix(7)). Elsewhere than on Linux nothing is held.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import os

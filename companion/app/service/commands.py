@@ -1,7 +1,5 @@
 """`companion status` and `companion order`: what a person asks of the running service."""
 
-from __future__ import annotations
-
 import json
 import socket
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What the machine under the app is like: its load, temperature and disk."""
 
-from __future__ import annotations
-
 import os
 import resource
 import shutil

@@ -9,8 +9,6 @@ is reported in order gives it back. It holds for an hour and until the computer 
 the vehicle up tomorrow has not given it.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

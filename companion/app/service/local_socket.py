@@ -6,8 +6,6 @@
 A socket of the file system, for the owner and the group alone: who may give orders is who may open it.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -5,8 +5,6 @@ local socket (`companion order`) ───────┴─► OrderDesk ──
                                         ◄── replies ──────┴── refused, followed, ended
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Final

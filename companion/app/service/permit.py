@@ -1,7 +1,5 @@
 """`companion permit`: the operator's word that the next start may fly."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Final
 

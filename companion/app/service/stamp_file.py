@@ -5,8 +5,6 @@ minute, and on a computer whose clock is behind for as long as that is. The file
 each new stream of the link, once a minute, and at the end.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What the running service says of itself: `companion status` shows it, as text or as JSON."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, Final
 

@@ -4,8 +4,6 @@ The protocol of sd_notify(3): one datagram of KEY=VALUE lines to the socket name
 Without that variable (in SITL, or started by hand) nothing is sent.
 """
 
-from __future__ import annotations
-
 import os
 import socket
 

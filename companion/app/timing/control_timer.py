@@ -6,8 +6,6 @@ drawn towards the frames, and stands where few come too late. A camera whose rat
 second beside 30 cycles), or that is silent, changes nothing: the timer goes on.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections import deque

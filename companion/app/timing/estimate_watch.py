@@ -1,7 +1,5 @@
 """Once a second: what became of the estimator's inputs, into the log; on the ground a new start."""
 
-from __future__ import annotations
-
 import asyncio
 from typing import Final
 

@@ -8,8 +8,6 @@ The loop's clock stands still while the machine is suspended, so that nothing lo
 here goes on (CLOCK_BOOTTIME).
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections import deque
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The autopilots that the app flies with: one profile for each make."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Final
 

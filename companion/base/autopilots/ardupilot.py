@@ -1,7 +1,5 @@
 """ArduPilot's ArduCopter, versions 4.3 to 4.7."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from companion.base.autopilots.profile import AutopilotMake, OtherName

@@ -1,7 +1,5 @@
 """What the app has to know of a make of autopilot, as data: another make is another of these."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple

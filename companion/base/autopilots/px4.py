@@ -1,7 +1,5 @@
 """PX4, versions 1.14 to 1.17."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -11,8 +11,6 @@ Reads run on from the register as the device itself does (most step on, a FIFO's
 Pure: no socket in here.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from typing import Final

@@ -19,8 +19,6 @@ numbers little-endian:
 docs/reference/camera-frames.md is this for users. Pure.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from typing import Final

@@ -4,8 +4,6 @@
 yet misses this one.
 """
 
-from __future__ import annotations
-
 import asyncio
 from typing import Any, Final
 

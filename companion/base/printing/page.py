@@ -4,8 +4,6 @@ Coordinates on a page are millimetres from its lower left corner, as PDF has the
 SVG or PNG by the ending of the file's name; the same pages give the same file.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterable, Sequence
 from pathlib import Path

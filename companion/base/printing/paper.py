@@ -1,7 +1,5 @@
 """Sheets of paper: their sizes, and what a printed page keeps free of its picture. Millimetres."""
 
-from __future__ import annotations
-
 from typing import Final, Literal
 
 PaperName = Literal["a4", "a3", "letter"]

@@ -1,7 +1,5 @@
 """The camera in Foxglove's messages: calibration, frames, and the markers where the pose has them."""
 
-from __future__ import annotations
-
 import base64
 from typing import Final, NamedTuple
 

@@ -5,8 +5,6 @@ EKF's origin; `vehicle` (FRD) and `pad` (forward, right, down) move in that, `ca
 the vehicle.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple

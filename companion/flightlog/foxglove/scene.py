@@ -1,7 +1,5 @@
 """The landing as a scene: pad, predicted touchdown, planned path, obstacles."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -3,8 +3,6 @@
 Source: Foxglove's documentation, "Message schemas". Times are {sec, nsec} since 1970; enums are numbers.
 """
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 Schema = dict[str, Any]

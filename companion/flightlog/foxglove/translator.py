@@ -1,7 +1,5 @@
 """From each of our messages what Foxglove knows by itself, in the order of writing."""
 
-from __future__ import annotations
-
 import math
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping

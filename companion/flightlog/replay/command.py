@@ -1,7 +1,5 @@
 """`companion replay`: its options and help. The estimators are imported once the log is there."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Final
 

@@ -5,8 +5,6 @@ the vertical (heading) and off it (inclination). A position whose origin the log
 in shape: without the mean difference.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -6,8 +6,6 @@ airframe's, its samples are the board's. Older logs name things otherwise (TimeM
 other than the first are left out.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import math

@@ -5,8 +5,6 @@ Times are seconds of the log's own clock; a sample's `time_s` is when it was mea
 `arrival_s` when the estimators could have had it. NED and FRD, SI units, µT.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 

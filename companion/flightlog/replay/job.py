@@ -1,7 +1,5 @@
 """A replay: a log in, a table, `replay.json` and a page out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path

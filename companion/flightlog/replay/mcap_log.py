@@ -4,8 +4,6 @@ Every float is written with all its digits, so what is read here is, to the bit,
 what the estimators had.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

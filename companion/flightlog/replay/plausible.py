@@ -1,7 +1,5 @@
 """What a replay came to that no vehicle, sensor or place can have, in words for its reader. Pure."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Final

@@ -3,8 +3,6 @@
 Times count from the first sample.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Opening a log: what it is by its first bytes, whatever it is called, and what every replay needs of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final

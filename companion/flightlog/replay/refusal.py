@@ -3,8 +3,6 @@
 What a log needs is documented in docs/how-to/replay.md: the IMU's rate, no gaps in it, a rest.
 """
 
-from __future__ import annotations
-
 import itertools
 import statistics
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ Pure: no I/O and no clock. The estimators are built and fed as the app does it (
 companion/app/sensing.py), so that a flight of ours under its own settings repeats to the bit.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence

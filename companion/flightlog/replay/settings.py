@@ -4,8 +4,6 @@ A flight of ours holds its own. For an autopilot's log it is a settings file, an
 the log shows: the antenna's place, and the place and date by which the Earth's field is known.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

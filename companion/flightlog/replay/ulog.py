@@ -5,8 +5,6 @@ within sensor_combined; a log that has only sensor_mag is calibrated here by its
 Topics that PX4's simulators add (`..._groundtruth`) are the truth.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import math

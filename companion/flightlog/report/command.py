@@ -1,7 +1,5 @@
 """`companion report`: a flight's folder in, one page out."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final

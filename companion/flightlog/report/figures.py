@@ -3,8 +3,6 @@
 The truth is drawn where there is one (the simulator's); else the estimates stand alone.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final

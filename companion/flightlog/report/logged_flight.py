@@ -3,8 +3,6 @@
 Times count from the app's first cycle, as in result.json.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections import defaultdict

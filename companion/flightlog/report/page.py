@@ -1,7 +1,5 @@
 """`report.html`: a flight on one page that needs nothing but itself, neither a network nor other files."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime

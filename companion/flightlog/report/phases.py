@@ -1,7 +1,5 @@
 """The phases of a flight as spans of time, and their colours."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby

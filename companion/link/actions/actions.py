@@ -5,8 +5,6 @@ sea where they go somewhere. Nothing here sends setpoints: they come from the co
 stop when it stops.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from contextlib import suppress

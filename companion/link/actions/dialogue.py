@@ -4,8 +4,6 @@ On top of the session, which sends, repeats and receives: here are the waiting, 
 end of the waiting when what was asked for is void.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Final
 

@@ -11,8 +11,6 @@ its thread repeats the last setpoint at 20 Hz though the program that made it ha
 subscribed to either: its queues are unbounded, and the session hears everything already.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

@@ -1,7 +1,5 @@
 """Performing an action: from its handler to a result, and the end at once of one whose purpose is void."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Coroutine
 from typing import Any, Final

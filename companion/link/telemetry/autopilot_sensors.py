@@ -5,8 +5,6 @@ the link's delay. Of the messages that may carry the IMU the best one that comes
 `IMU_MESSAGES`; a lesser one only while the better ones are silent. `watch` says in one line what is missing.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter, deque
 from dataclasses import replace

@@ -8,8 +8,6 @@ The difference is the twist about the down axis of q_autopilot * conj(q_ours) (s
 mix in roll and pitch the way a difference of Euler yaw angles does when the vehicle is tilted.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass, replace

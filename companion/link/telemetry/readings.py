@@ -14,8 +14,6 @@ ArduPilot's HIGHRES_IMU has its field in thousandths of what the message says (4
 231.7 mG, in the recording as in the source): a field that is no planet's is read as that.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Final

@@ -4,8 +4,6 @@ One function a message, in a table by message id. The autopilot's frame is its o
 Values that are not finite are dropped: the last good one stays.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -4,8 +4,6 @@ A second companion with another component id is a component of the vehicle's lik
 setpoints. (A router passes those on to the autopilot alone: then only the autopilot's mode tells.)
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Final
 

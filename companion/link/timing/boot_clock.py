@@ -7,8 +7,6 @@ Until TIMESYNC has settled, and from a restart of the autopilot until it has set
 times: a stamp that makes a moment long past, or still to come, belongs to another clock.
 """
 
-from __future__ import annotations
-
 from typing import Final, NamedTuple
 
 from companion.link.timing.clock_line import ClockLine

@@ -7,8 +7,6 @@ not noise. A little outside, the clock's rate has changed; far outside, that clo
 (a simulator on a busy machine does both), and the offset starts again with the rate kept.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass

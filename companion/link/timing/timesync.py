@@ -5,8 +5,6 @@ makes of trips what they can show. A clock that goes back has been restarted: un
 come it is unknown again.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from typing import Final
 

@@ -8,8 +8,6 @@ by one at the camera's `rate_hz`. A name is a time when it is a number of second
 Who comes late misses frames, as with a camera. After the last one there are none (`EndOfFrames`).
 """
 
-from __future__ import annotations
-
 import re
 import threading
 from collections import deque

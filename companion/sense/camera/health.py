@@ -9,8 +9,6 @@ Judgements of images rest on noise: no sensor gives the same number for thousand
 part that is all white is none that is empty: glare is just that.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import inf
 from typing import Final, Literal

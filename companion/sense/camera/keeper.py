@@ -7,8 +7,6 @@ Who waits for a frame simply goes on waiting while there is no camera; what is w
 Nothing here waits for a driver: one that hangs is left alone with its thread (`reader`).
 """
 
-from __future__ import annotations
-
 import asyncio
 import re
 from collections.abc import Awaitable, Callable

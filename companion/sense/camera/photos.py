@@ -4,8 +4,6 @@ A photo is read as the sensor took it: a turn that the camera has noted beside i
 app gets its frames unturned too. For a recording that plays in real time see `folder_replay`.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -13,8 +13,6 @@ Exposure and gain are given as values; libcamera leaves its automatic alone then
 given stays automatic while the exposure stays fixed. Fixed ColourGains end the automatic white balance.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections import deque
 from typing import Any, Final

@@ -15,8 +15,6 @@ Sources, as in `sense.vision.source`:
     tcp:127.0.0.1:5600                the same over TCP
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from functools import partial

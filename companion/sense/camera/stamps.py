@@ -11,8 +11,6 @@ comes `readout_s` after the first one's (0: global shutter). With t_k the end of
 Times are of the loop's clock (CLOCK_MONOTONIC), in s.
 """
 
-from __future__ import annotations
-
 from typing import Final, Literal
 
 StampPoint = Literal["start_of_exposure", "start_of_readout", "end_of_readout"]

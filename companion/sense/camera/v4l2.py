@@ -11,8 +11,6 @@ Sources: the kernel's documentation of struct v4l2_buffer and of its flags; its 
 uvc_video_decode_start; OpenCV's cap_v4l.cpp, getProperty.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections import deque

@@ -7,8 +7,6 @@ rate and listen there. A receiver that says nothing unasked is asked at each rat
 output here, and no clock.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator

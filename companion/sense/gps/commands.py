@@ -9,8 +9,6 @@ to the same effect. NMEA, which serves until then, is switched off once a receiv
 fixes asked for; one that sends none keeps to NMEA.
 """
 
-from __future__ import annotations
-
 import struct
 from typing import Any, Final, Literal
 

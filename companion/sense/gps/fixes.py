@@ -4,8 +4,6 @@ Altitudes are above mean sea level, positions in degrees, velocities NED in m/s.
 u-blox 6 Receiver Description GPS.G6-SW-10018. What is no three-dimensional, valid fix gives None.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, Final
 

@@ -4,8 +4,6 @@ Garbage, halves and damaged messages are skipped: after a message that does not 
 at its second byte, so that a whole one inside it is not lost.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 from typing import Final

@@ -9,8 +9,6 @@ receiver that knows none of it, NMEA's RMC and GGA serve; on one that sends NAV-
 that.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from dataclasses import dataclass, field

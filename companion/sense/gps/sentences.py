@@ -1,7 +1,5 @@
 """NMEA sentences, as far as a fix needs them. Pure."""
 
-from __future__ import annotations
-
 import datetime
 from typing import Any, Final
 

@@ -8,8 +8,6 @@ The bring-up is a generator that yields the seconds to wait before it goes on, s
 A magnetometer that fails costs nothing but its own samples: it is brought up anew beside the running IMU.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from typing import Final

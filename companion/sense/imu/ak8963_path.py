@@ -8,8 +8,6 @@ MPU9250's driver sets BYPASS_EN. Registers: RM-MPU-9250A-00 rev. 1.6.
 What waits is a generator that yields the seconds to wait before it goes on, so that it needs no clock.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from typing import Final, Protocol
 

@@ -10,8 +10,6 @@ A remainder of the count that stays from one poll to the next counts too: the ch
 Registers: RM-MPU-9250A-00 rev. 1.6.
 """
 
-from __future__ import annotations
-
 import errno
 from typing import Final
 

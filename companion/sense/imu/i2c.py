@@ -4,8 +4,6 @@ A bus is synchronous: a transaction of a few bytes takes 0.1 to 1 ms at 400 kHz.
 for the event loop, the app runs a driver's whole poll off it (`Clock.run`).
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import re

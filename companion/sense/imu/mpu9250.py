@@ -11,8 +11,6 @@ holds the samples), a magnetometer that fails costs magnetometer samples alone, 
 chip set up anew.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable

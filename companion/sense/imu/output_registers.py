@@ -7,8 +7,6 @@ ranges: so each sample counts only if the settings still stand after it (a FIFO 
 Registers: RM-MPU-9250A-00 rev. 1.6.
 """
 
-from __future__ import annotations
-
 import errno
 from typing import Final
 

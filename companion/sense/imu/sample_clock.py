@@ -8,8 +8,6 @@ filter), held constant once they are small. An error counts as one period at mos
 bends the time scale.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 FIRST_READS: Final = 20  # what the nominal period is worth, in reads

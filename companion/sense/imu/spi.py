@@ -5,8 +5,6 @@ which steps on by itself; 1 MHz for any register, 20 MHz for reading those of se
 `spidev` is imported when a bus is opened: it is compiled on the machine that has such a bus.
 """
 
-from __future__ import annotations
-
 import errno
 from typing import Any, Final
 

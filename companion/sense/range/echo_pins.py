@@ -7,8 +7,6 @@ distance. Its ticks are put on the app's clock, which is handed in. gpiozero is 
 nothing else here needs it.
 """
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import os

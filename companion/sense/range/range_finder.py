@@ -4,8 +4,6 @@
 times pulses on GPIO pins (`echo_pins`). Both pass what they find through a `SpikeFilter`.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 from typing import Final, Protocol

@@ -7,8 +7,6 @@ fits is passed on at once, as it is: no filter, no lag. Spikes that last are the
 knows more than one sensor.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 from companion.base.messages import RangeSample

@@ -5,8 +5,6 @@ Frames of the JSN-SR04T (serial mode), A02YYUW and alike, 9600 8N1, by themselve
 range, is "no echo".
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -8,8 +8,6 @@ a question are no answer, and a question whose answer is not whole when the next
 sensor reckons with the temperature that it measures itself. 0 or a distance beyond the range is "no echo".
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

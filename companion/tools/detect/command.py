@@ -3,8 +3,6 @@
 Only the options are here: OpenCV is imported once the files are known to be there.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Final
 

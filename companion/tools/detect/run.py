@@ -5,8 +5,6 @@ the pad and no direction of gravity: what is found is what the app would find in
 are OpenCV's (x right, y down, z ahead).
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """`companion fuzzy`: its options and help. What computes and draws is imported once the rules are there."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Final
 

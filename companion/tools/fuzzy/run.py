@@ -1,7 +1,5 @@
 """Rules in; the table of rules, what the flight's table is worth, and a picture out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, Final
 

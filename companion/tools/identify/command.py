@@ -1,7 +1,5 @@
 """`companion identify`: its options and help. What reads and fits is imported once the logs are there."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Final

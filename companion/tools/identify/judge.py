@@ -9,8 +9,6 @@ The flight is what the app recorded (flight.mcap): its own estimates, the setpoi
 autopilot obeyed, on an even grid. NED, SI units.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Reads the flights, and shows what was found, what is offered, and what is withheld and why."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Final
 

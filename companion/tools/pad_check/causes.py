@@ -6,8 +6,6 @@ that take axes to axes. Two heights distinguish an offset from a scale, and the 
 it is.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from itertools import product

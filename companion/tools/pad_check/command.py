@@ -1,7 +1,5 @@
 """`companion check`: the preflight check; with --pad the first-flight check, held over the pad."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Final
 

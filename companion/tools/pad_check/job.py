@@ -1,7 +1,5 @@
 """What `companion check` does once its options are right: checks, shows and writes."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Final

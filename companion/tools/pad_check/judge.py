@@ -6,8 +6,6 @@ another one, unless the IMU is known to be wrong. Body axes FRD; level axes forw
 down; SI, field µT.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Final, Literal

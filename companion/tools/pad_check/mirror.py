@@ -1,7 +1,5 @@
 """The app's vision, and a watch on whether it is shown a mirror image. Pure."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Final
 

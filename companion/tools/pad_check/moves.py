@@ -13,8 +13,6 @@ the accelerometer and of the levelling out (zero-velocity update; P. G. Savage, 
 Body axes are FRD, units SI, field µT; times are of measurement.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence

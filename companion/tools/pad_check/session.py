@@ -8,8 +8,6 @@
 Nothing is asked of the autopilot but its telemetry, and nothing goes on while it is armed.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace

@@ -9,8 +9,6 @@ the two rests and has the vehicle brought back:
 Every wait ends by time. `Wizard.step` is called some ten times a second with all samples so far.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`companion pad`: its options and help. What draws and judges is imported once the files are there."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Final, Literal
 

@@ -13,8 +13,6 @@ numbers are fitted, not assumed: `python -m experiments pad-recall` shows single
 simulated camera, and prints them.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

@@ -8,8 +8,6 @@ Pad frame: x (its heading, the front) is up the page and y to the right, metres.
 millimetres from the sheet's lower left corner.
 """
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A pad checked, printed at its true size, or judged for a camera."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The files that the settings name: whether they are there, fit one another, and are fresh."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta

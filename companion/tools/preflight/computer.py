@@ -1,7 +1,5 @@
 """The computer: its clock, its disk, its power, and whether the service is installed, enabled and running."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -3,8 +3,6 @@
 Each check ends by itself, and what goes wrong with one is one finding of its own.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Awaitable, Callable

@@ -1,7 +1,5 @@
 """What the preflight check says of one thing. Pure."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from dataclasses import asdict, dataclass

@@ -1,7 +1,5 @@
 """The preflight check: everything that can be known of a vehicle that stands there, untouched."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Sequence

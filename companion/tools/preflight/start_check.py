@@ -6,8 +6,6 @@ The installer asks a new version this before it switches to it (systemd/versions
 read, 2 something is not, with one line that says what.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -6,8 +6,6 @@ sends messages of a newer one would look like a bad line. Here a frame is what i
 that another one follows it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

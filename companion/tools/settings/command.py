@@ -1,7 +1,5 @@
 """`companion settings`: what each setting means, offline, from the models that check the files."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import textwrap

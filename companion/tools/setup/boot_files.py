@@ -5,8 +5,6 @@ config.txt: `[section]` lines restrict what follows to a model; `dtoverlay=NAME,
 documentation, config.txt.
 """
 
-from __future__ import annotations
-
 import re
 from typing import Final
 

@@ -1,7 +1,5 @@
 """`companion setup`: the checklist, gone through one by one; nothing is changed that was not agreed to."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Annotated, Final

@@ -1,7 +1,5 @@
 """Going through the checklist: show a step, ask, change, say what was changed."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from enum import Enum

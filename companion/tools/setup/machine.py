@@ -4,8 +4,6 @@ Files are below `root`, which is "/" but in tests. A file is kept as it was unde
 its first change.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from collections.abc import Callable

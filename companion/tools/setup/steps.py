@@ -4,8 +4,6 @@ Each step looks at the machine as it is then, so that the list can be gone throu
 is done already is found done. Nothing is changed here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
