@@ -251,6 +251,8 @@ async def _run_app(app: App, limit_s: float, vehicle: InProcess, record: Witness
         await asyncio.wait([flight], timeout=LOOK_S)
     if flight.done() or world.crashed:
         record.app_ended_s = world.time_s
+    else:
+        record.app_stopped_s = world.time_s
     if flight.done() and (failure := flight.exception()) is not None:
         record.app_failed = _words(failure)
     await _cancel(flight)

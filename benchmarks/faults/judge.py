@@ -169,8 +169,8 @@ def _away_m(sample: TruthSample) -> float:
 
 
 def _stands_and_shouts(record: WitnessedFlight) -> bool:
-    """Whether it stands on the pad, and the app keeps saying that it cannot be disarmed."""
-    last_s = record.samples[-1].time_s
+    """Whether it stands on the pad, and the app keeps saying that it cannot be disarmed, while it runs."""
+    last_s = record.samples[-1].time_s if record.app_stopped_s is None else record.app_stopped_s
     shouts = (t for t in record.texts if t.severity <= _WARNING and t.time_s >= last_s - SHOUTS_EVERY_S)
     return record.at_rest_on_pad and any(shouts)
 

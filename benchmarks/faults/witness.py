@@ -98,6 +98,7 @@ class WitnessedFlight:
     crashed: bool = False
     at_rest_on_pad: bool = False
     app_ended_s: float | None = None
+    app_stopped_s: float | None = None  # by the bench; the vehicle is watched for minutes more
     app_failed: str = ""
     pilot_took_over: bool = False
     pilot_mode: str = ""  # what the fault has put it into, as the autopilot calls it

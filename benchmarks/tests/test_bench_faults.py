@@ -328,6 +328,12 @@ def test_one_that_nothing_disarms_stands_and_has_to_say_so() -> None:
     assert judge(record, BOUNDS).unsafe == ("no end within the time limit",)
     record.texts.append(AppText(36.0, 3, "on the pad and armed: disarm refused"))
     assert judge(record, BOUNDS) == SafetyVerdict("stands")
+    # stopped, it says no more, while the vehicle is watched: an ArduPilot waits in GUIDED for minutes
+    last = record.samples[-1]
+    record.samples.append(last._replace(time_s=last.time_s + 240.0))
+    assert judge(record, BOUNDS).unsafe == ("no end within the time limit",)
+    record.app_stopped_s = last.time_s
+    assert judge(record, BOUNDS) == SafetyVerdict("stands")
 
 
 def test_one_that_never_left_the_ground() -> None:
