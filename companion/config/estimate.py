@@ -44,8 +44,8 @@ class EkfConfig(StrictModel):
     """Highest rate at which the magnetometer is fused; lower it to save CPU"""
     mag_noise_ut: float = Field(default=5.0, gt=0.0, le=20.0)
     """Noise of a magnetometer sample; raise it near motor currents"""
-    mag_wander_s: float = Field(default=0.4, ge=0.0, le=100.0)
-    """How long a field's error lasts; lower it where the field changes fast (a steel deck)"""
+    mag_wander_s: float = Field(default=0.05, ge=0.0, le=100.0)
+    """How long a field's error lasts beyond biases; lower it where the field changes fast (a steel deck)"""
     orientation_timeout_s: float = Field(default=3.0, gt=0.0, le=60.0)
     """The pre-filter's attitude refused this long: the EKF takes it over; raise it where the EKF restarts its
     attitude without need"""

@@ -47,7 +47,8 @@ from companion.estimate.vehicle.gyro_bias_check import BiasStep
 from companion.estimate.vehicle.imu_noise import StepNoise
 from companion.estimate.vehicle.yaw_error import YawError
 
-MAG_DIP_NOISE_UT: Final = 20.0  # of the field in its own vertical plane, which gives no heading
+MAG_DIP_NOISE_UT: Final = 50.0  # of the field in its own vertical plane, which gives no heading: all of it
+UNKNOWN_HEADING_RAD: Final = math.pi
 MAG_REFUSED_S: Final = 20.0  # magnetometer refused for so long: the heading's uncertainty grows
 GPS_TIME_ERROR_S: Final = 0.05  # of a fix's time: a quarter of the interval at 5 Hz
 GPS_REFUSED_S: Final = 2.0  # fixes refused for so long: start again from GPS
@@ -178,12 +179,21 @@ class VehicleEkf(EkfState):
         apart = rotation_vector_from_quat(quat_multiply(attitude, quat_conjugate(self.attitude)))
         root = np.linalg.cholesky(self.rotation_covariance() + rotation)
         # along the quaternion's length there is nothing to learn: any noise that keeps R regular
-        R = model.attitude_covariance(self.attitude, rotation) + 1e-2 * np.outer(expected, expected)
-        if self._update("orientation", measured - expected, C, R, R):
+        length = 1e-2 * np.outer(expected, expected)
+        gate_noise = model.attitude_covariance(self.attitude, rotation) + length
+        R = model.attitude_covariance(self.attitude, rotation + self._counted_already()) + length
+        if self._update("orientation", measured - expected, C, R, gate_noise):
             self.watch = self.watch.after(self.time_s, vector3(np.linalg.solve(root, apart)))
             self._handle_inconsistency(attitude, rotation, apart)
         elif self.gates["orientation"].shut_out(self.time_s, self._config.orientation_timeout_s):
             self._restart_attitude(attitude, rotation)
+
+    def _counted_already(self) -> FloatArray:
+        """Variance (3, 3) about NED axes: a pre-filter's heading is the field's, which counts by itself while
+        it is not refused."""
+        mag = self.gates.get("mag", Gate())
+        counted = mag.accepted and not mag.refused_in_a_row
+        return np.diag((0.0, 0.0, UNKNOWN_HEADING_RAD**2 if counted else 0.0))
 
     def _handle_inconsistency(self, attitude: Quaternion, rotation: FloatArray, apart: Vector3) -> None:
         """Doubt our attitude when the pre-filter's keeps to one side of it; then start again from that.

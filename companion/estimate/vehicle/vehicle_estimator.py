@@ -23,7 +23,6 @@ from companion.base.geometry import (
     quat_from_rotation_vector,
     quat_multiply,
     quat_normalise,
-    quat_rotate,
     quat_rotate_inverse,
     scale,
     subtract,
@@ -52,9 +51,10 @@ from companion.estimate.vehicle.ekf import VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuStep, at_rest, gps_step
 from companion.estimate.vehicle.ekf_start import start_state
 from companion.estimate.vehicle.ekf_state import EkfSnapshot
+from companion.estimate.vehicle.field_mean import FieldMean
 from companion.estimate.vehicle.gyro_bias_check import SecondGyro
 from companion.estimate.vehicle.imu_noise import ImuNoise
-from companion.estimate.vehicle.inertial_motion import InertialMotion, VectorMean
+from companion.estimate.vehicle.inertial_motion import InertialMotion
 from companion.estimate.vehicle.innovation_watch import TroubleReport
 from companion.estimate.vehicle.lever_arm import LeverArm
 from companion.estimate.vehicle.state_output import vehicle_state
@@ -88,7 +88,7 @@ class VehicleEstimator:
         self._timeline: Timeline[EkfSnapshot, EkfInput] | None = None
         self.origin: Vector3 | None = None
         self.newest_s = self._leap_s = -math.inf
-        self._strapdown, self._fields = Strapdown(), VectorMean()
+        self._strapdown, self._fields = Strapdown(), FieldMean(config.ekf)
         self._fields_untrusted = 0  # of the wrong size or dip
         self._second_gyro, self._reset, self._noise = SecondGyro(), AttitudeReset(), ImuNoise(config.ekf)
         self.corrections: tuple[str, ...] = ()  # of the attitude, in words, not yet reported
@@ -147,10 +147,12 @@ class VehicleEstimator:
             self._aligner.add_field(sample.field_body_ut)
         if self._orientation is None:
             return True
-        self._orientation.update_mag(sample.field_body_ut, dt_s)
+        rate = self._inertial.rate_body_rad_s
+        field = self._fields.on_time(sample.field_body_ut, rate)
+        self._orientation.update_mag(field, dt_s)
         if self._orientation.mag_trusted:
             self._mag_trusted_s = sample.time_s
-            self._fields.add(quat_rotate(self._attitude_near(sample.time_s), sample.field_body_ut))
+            self._fields.add(self._attitude_near(sample.time_s), field, rate)
         else:
             self._fields_untrusted += 1
         return True
@@ -287,7 +289,8 @@ class VehicleEstimator:
             return
         if found.still:
             self._aligner = None
-        self._strapdown, self._fields, self._span_s = Strapdown(), VectorMean(), None
+        self._strapdown, self._span_s = Strapdown(), None
+        self._fields.start_over()
         self._second_gyro, self._reset = SecondGyro(), AttitudeReset()
         self._orientation = new_orientation(self._config, start.attitude)
         self._ekf = VehicleEkf(self._config.ekf, self._antenna_body_m, start)
@@ -302,7 +305,8 @@ class VehicleEstimator:
         config = self._config.alignment
         self._detector, self._aligner = StillnessDetector(config), StaticAligner(config)
         self._orientation = self._ekf = self._timeline = self._last_raw = self._last_mean_rate = None
-        self._strapdown, self._fields, self._span_s = Strapdown(), VectorMean(), None
+        self._strapdown, self._span_s = Strapdown(), None
+        self._fields.start_over()
         self._second_gyro, self._reset = SecondGyro(), AttitudeReset()
         self._noise, self._compare_s = ImuNoise(self._config.ekf), -math.inf
 
@@ -380,8 +384,8 @@ class VehicleEstimator:
             self._fields.count and self._is_due(time_s - self._field_step_s, self._config.ekf.mag_rate_hz)
         ):
             return None
-        self._field_step_s = time_s
-        return quat_rotate_inverse(self._inertial.attitude, self._fields.take())
+        span_s, self._field_step_s = time_s - self._field_step_s, time_s
+        return quat_rotate_inverse(self._inertial.attitude, self._fields.take(span_s))
 
     def _attitude_near(self, time_s: float) -> Quaternion:
         """Attitude at a time near the newest sample's; further on its rotation is unknown."""

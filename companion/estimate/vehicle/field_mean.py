@@ -1,0 +1,91 @@
+"""The magnetometer's samples between two steps of the filter, and how late they are, learnt from turns.
+
+A magnetometer converts, filters and is read out, and its stamp knows little of that: 10 to 60 ms are usual
+(13 ms on the boards of BROAD; ArduPilot's EK3_MAG_DELAY is 60). In a turn at w a field that is late by t is
+off by t w x F (NED), F the Earth's: where turns are mostly to one side, the heading goes with them. F stands
+still, so that what a sample has moved by shows t: a scalar Kalman filter of what is left of the sample after
+its running mean, against what is left of w x F after its own. NED and FRD, µT, rad/s, s, plain floats.
+"""
+
+import math
+from typing import Final
+
+from companion.base.geometry import (
+    Quaternion,
+    Vector3,
+    add,
+    cross,
+    dot,
+    quat_from_rotation_vector,
+    quat_rotate,
+    quat_rotate_inverse,
+    scale,
+    subtract,
+)
+from companion.config import EkfConfig
+from companion.estimate.vehicle.inertial_motion import VectorMean
+
+DELAY_STD_S: Final = 0.05  # before anything has turned
+FADING_S: Final = 2.0  # what changes more slowly is the place's field, or an error of the attitude
+
+
+class FieldMean:
+    """The mean field since it was last taken; `delay_s` is by how much the samples' stamps are late."""
+
+    def __init__(self, config: EkfConfig) -> None:
+        lasts_s = max(2.0 * config.mag_wander_s, 1.0 / config.mag_rate_hz)
+        self._density_ut2_s = (
+            lasts_s * config.mag_noise_ut**2
+        )  # of a field's error on an axis, as white noise
+        self._variance_s2 = DELAY_STD_S**2
+        self.delay_s = 0.0
+        self._fields, self._sweeps = VectorMean(), VectorMean()
+        self._lasting: tuple[Vector3, Vector3] | None = None
+
+    def start_over(self) -> None:
+        """The attitude is another; the sensor, and so its delay, is the same."""
+        self._fields, self._sweeps, self._lasting = VectorMean(), VectorMean(), None
+
+    @property
+    def count(self) -> int:
+        """Samples since it was last taken."""
+        return self._fields.count
+
+    @property
+    def delay_std_s(self) -> float:
+        """Standard deviation of `delay_s`."""
+        return math.sqrt(self._variance_s2)
+
+    def on_time(self, field_body_ut: Vector3, rate_body_rad_s: Vector3) -> Vector3:
+        """A sample as it would be had it come without delay."""
+        return quat_rotate_inverse(
+            quat_from_rotation_vector(scale(rate_body_rad_s, self.delay_s)), field_body_ut
+        )
+
+    def add(self, attitude: Quaternion, field_body_ut: Vector3, rate_body_rad_s: Vector3) -> None:
+        """Take a sample that is on time."""
+        self._fields.add(quat_rotate(attitude, field_body_ut))
+        self._sweeps.add(quat_rotate(attitude, cross(rate_body_rad_s, field_body_ut)))
+
+    def take(self, span_s: float) -> Vector3:
+        """The mean (NED) over span_s; then it starts again.
+
+        Raises:
+            ZeroDivisionError: there was no sample.
+        """
+        field, sweep = self._fields.take(), self._sweeps.take()
+        self._learn(add(field, scale(sweep, self.delay_s)), sweep, min(span_s, FADING_S))
+        return field
+
+    def _learn(self, field: Vector3, sweep: Vector3, span_s: float) -> None:
+        """Take the mean field at the samples' own stamps, and that of w x F."""
+        last_field, last_sweep = self._lasting or (field, sweep)
+        share = span_s / (FADING_S + span_s)
+        field_mean = add(last_field, scale(subtract(field, last_field), share))
+        sweep_mean = add(last_sweep, scale(subtract(sweep, last_sweep), share))
+        self._lasting = (field_mean, sweep_mean)
+        moved, by = subtract(field, field_mean), subtract(sweep, sweep_mean)
+        square = dot(by, by)
+        gain = self._variance_s2 / (self._density_ut2_s / span_s + self._variance_s2 * square)
+        self.delay_s += gain * (dot(by, moved) - self.delay_s * square)
+        self._variance_s2 *= 1.0 - gain * square
