@@ -243,12 +243,11 @@ def test_an_answer_that_is_none_is_not_flown(
 # ---------------------------------------------------------------- the start, and a limit in time
 
 
-def test_a_start_costs_no_more_than_a_step() -> None:
+def test_where_no_constraint_binds_nothing_is_searched() -> None:
     mpc, target = Mpc(CONFIG, LAGS_S), curve()
     start, last = Motion((0.05, -0.1, 0.02), (0.2, 0.0, -0.1), (0.1, -0.2, 0.0)), (-0.6, 1.2, 0.3)
-    assert mpc.solve(start, target, (0.3, -0.2, 0.1), last).iterations <= 10
-    mpc.reset()
-    assert mpc.solve(start, target, (0.3, -0.2, 0.1), last).iterations <= 10
+    free = mpc.solve(start, target, (0.3, -0.2, 0.1), last)
+    assert (free.solved, free.iterations) == (True, 0)
 
 
 def _hard() -> tuple[Motion, Target]:
