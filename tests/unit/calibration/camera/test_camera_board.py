@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from calibration.camera.board import (
     CalibrationBoard,
@@ -18,9 +20,21 @@ from calibration.camera.board import (
     sheet_mm,
     write_board,
 )
-from calibration.camera.views import BoardFinder
+from calibration.camera.capture import CaptureSession, CaptureStep
+from calibration.camera.encoding import measure_encoding
+from calibration.camera.views import BoardFinder, BoardView
+from companion.base.encoding import Encoding, grey_of_light, light_of_greys
+from companion.base.geometry import FloatArray
 from companion.base.printing.paper import PaperName
-from companion.config import CONFIG_FOLDER, ConfigError, load_model, validate
+from companion.config import CONFIG_FOLDER, CameraConfig, ConfigError, find_file, load_model, validate
+from tests.unit.calibration.camera.board_pictures import (
+    BLACK,
+    WHITE,
+    BoardPainter,
+    BoardPose,
+    ideal_view,
+    tour_poses,
+)
 
 CHARUCO = CalibrationBoard(columns=7, rows=5, square_m=0.034, marker_m=0.025)
 LEGACY = CalibrationBoard(columns=5, rows=6, square_m=0.03, marker_m=0.02, legacy_pattern=True)
@@ -172,3 +186,186 @@ def test_a_board_that_does_not_fit_the_paper_is_refused(tmp_path: Path) -> None:
         write_board(wide, tmp_path / "board.pdf", "a4")
     assert list(tmp_path.iterdir()) == []
     assert sheet_mm(wide, "a3") == (420.0, 297.0)
+
+
+# ----------------
+# The pictures that camera calibration is tested with are true: edges are where the projection has them.
+
+HD = load_model(CameraConfig, find_file("cameras", "hd_1280x720"))
+# markers far apart, so that each can be looked at alone
+MARKERS = CalibrationBoard(pattern="grid", columns=2, rows=2, marker_m=0.06, gap_m=0.06, square_m=0.06)
+
+
+def area_and_moment(painter: BoardPainter, edges: tuple[float, ...], pose: BoardPose) -> FloatArray:
+    """Area of a rectangle's image, and that times its centre: (3,). Its outline is followed in fine steps."""
+    left, top, right, bottom = edges
+    line = np.linspace(0.0, 1.0, 100, endpoint=False)
+    x = np.concatenate(
+        (left + (right - left) * line, 0 * line + right, right - (right - left) * line, 0 * line + left)
+    )
+    y = np.concatenate(
+        (0 * line + top, top + (bottom - top) * line, 0 * line + bottom, bottom - (bottom - top) * line)
+    )
+    u, v = painter.project(np.column_stack((x, y, 0 * x)), pose).T
+    cross = u * np.roll(v, -1) - np.roll(u, -1) * v
+    moments = [((w + np.roll(w, -1)) * cross).sum() / 6.0 for w in (u, v)]
+    return np.array([0.5 * cross.sum(), *moments])
+
+
+@pytest.mark.parametrize("bow_m", [0.0, 0.003])
+@pytest.mark.parametrize("tilt", [(0.0, 0.0, 0.1), (0.6, 0.1, 0.3), (-0.2, 0.7, -0.4)])
+def test_each_marker_s_centre_of_area_is_where_the_projection_has_it(
+    tilt: tuple[float, float, float], bow_m: float
+) -> None:
+    painter = BoardPainter(MARKERS, HD, bow_m)
+    rotation = np.asarray(cv2.Rodrigues(np.array(tilt))[0])
+    pose = BoardPose(np.array(tilt), np.array((0.08, -0.03, 0.5)) - rotation @ np.array((0.09, 0.09, 0.0)))
+    image = painter.take(pose, np.random.default_rng(0), defocus_px=0.5, motion_px=(1.5, -1.0))
+    dark = (WHITE - image.astype(float)) / (WHITE - BLACK)
+    for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        corner = np.array((0.12 * column, 0.12 * row))
+        own = [
+            edges
+            for edges in MARKERS.black_rectangles()
+            if 0 <= edges[0] - corner[0] + 1e-6 < 0.06 and 0 <= edges[1] - corner[1] + 1e-6 < 0.06
+        ]
+        area, *moment = np.sum([area_and_moment(painter, edges, pose) for edges in own], axis=0)
+        reach = np.array([(-0.02, -0.02, 0), (0.08, -0.02, 0), (0.08, 0.08, 0), (-0.02, 0.08, 0)])
+        outline = painter.project(reach + np.array((*corner, 0.0)), pose)
+        mask = cv2.fillPoly(np.zeros(image.shape, np.uint8), [np.rint(outline).astype(np.int32)], 1)
+        v, u = np.nonzero(np.asarray(mask))
+        weight = dark[v, u]
+        assert weight.sum() == pytest.approx(area, rel=0.005)
+        found = np.array([(weight * u).sum(), (weight * v).sum()]) / weight.sum()
+        assert np.abs(found - np.array(moment) / area).max() < 0.02
+
+
+# ---------------- Which frames are kept: sharp, still and new; and what is said of the others
+
+CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
+BOARD = load_model(CalibrationBoard, find_file("boards", "charuco_a4"))
+PERIOD_S = 1.0 / 30.0
+PAINTER = BoardPainter(BOARD, CAMERA)
+MIDDLE = BoardPose(np.array((0.3, 0.0, 0.0)), np.array((-0.12, -0.08, 0.45)))
+
+
+def seen(pose: BoardPose, right_px: float = 0.0) -> BoardView:
+    view = ideal_view(PAINTER, pose, np.random.default_rng(0), 0.03, "")
+    return replace(view, corners_px=view.corners_px + np.array((right_px, 0.0)))
+
+
+def stepped(
+    session: CaptureSession, views: list[BoardView | None], start_s: float = 0.0
+) -> list[CaptureStep]:
+    return [session.step(start_s + PERIOD_S * k, view) for k, view in enumerate(views)]
+
+
+def test_a_board_that_is_still_is_kept_once() -> None:
+    session = CaptureSession((640, 480))
+    steps = stepped(session, [seen(MIDDLE)] * 30)
+    assert [step.kept for step in steps].count(True) == len(session.views) == 1
+    assert not any(step.kept for step in steps[:3])
+    assert steps[0].text == "hold it still"
+    assert steps[-1].text == "show it at the upper left of the image"
+
+
+@pytest.mark.parametrize(("px_a_frame", "kept"), [(0.2, True), (0.6, False)])
+def test_a_board_that_moves_is_not_kept(px_a_frame: float, kept: bool) -> None:
+    session = CaptureSession((640, 480))
+    steps = stepped(session, [seen(MIDDLE, px_a_frame * k) for k in range(10)])
+    assert any(step.kept for step in steps) is kept
+
+
+def test_a_blurred_view_is_not_kept_unless_the_lens_makes_no_sharper_ones() -> None:
+    sharp, soft = replace(seen(MIDDLE), edge_px=2.2), replace(seen(MIDDLE), edge_px=5.0)
+    session = CaptureSession((640, 480))
+    assert not any(s.kept for s in stepped(session, [sharp, *[soft] * 10]))
+    assert "blurred" in session.step(1.0, soft).text
+    assert any(s.kept for s in stepped(CaptureSession((640, 480)), [soft] * 10))
+
+
+def test_out_of_sight_it_has_to_be_still_anew() -> None:
+    session = CaptureSession((640, 480))
+    steps = stepped(session, [seen(MIDDLE)] * 3 + [None] + [seen(MIDDLE)] * 3)
+    assert steps[3].text == "no board in sight"
+    assert not any(step.kept for step in steps)
+
+
+def test_it_is_complete_when_all_has_been_seen() -> None:
+    session = CaptureSession((640, 480))
+    for number, pose in enumerate(tour_poses(BOARD, CAMERA, width_share=0.55) * 2):
+        right_px = 30.0 if number >= 15 else 0.0
+        stepped(session, [seen(pose, right_px)] * 8, start_s=10.0 * number)
+    assert session.coverage.missing_tilts == []
+    assert session.coverage.missing_corners == []
+    assert session.complete
+    assert session.hint() == "all has been seen"
+
+
+def test_the_edge_s_width_tells_a_blurred_picture() -> None:
+    rng = np.random.default_rng(2)
+    finder = BoardFinder(BOARD)
+    widths = []
+    for blur_px in (0.4, 0.8, 1.3):
+        view = finder.find(PAINTER.take(MIDDLE, rng, noise_grey=2.0, defocus_px=blur_px))
+        assert view is not None
+        widths.append(view.edge_px)
+    assert 1.8 < widths[0] < 2.7
+    assert widths[0] + 0.3 < widths[1] < widths[2] - 0.3
+
+
+# ---------------- The encoding that the board's edges tell
+
+CURVED_BOARD = CalibrationBoard(
+    pattern="charuco", columns=7, rows=5, square_m=0.034, marker_m=0.025, dictionary="5x5_100"
+)
+CURVED_CAMERA = CameraConfig(
+    name="test", width_px=640, height_px=480, rate_hz=30.0, fx_px=620.0, fy_px=620.0, cx_px=320.0,
+    cy_px=240.0,
+    distortion=(0.05, -0.1, 0.0, 0.0, 0.0),
+)  # fmt: skip
+VIEWS = 6
+
+
+@pytest.fixture(scope="module")
+def light() -> list[NDArray[np.float64]]:
+    """What the lens shows: 0..1."""
+    rng, painter = np.random.default_rng(4), BoardPainter(CURVED_BOARD, CURVED_CAMERA)
+    pictures = []
+    for _ in range(VIEWS):
+        turn = np.array([*rng.uniform(-0.4, 0.4, 2), rng.uniform(-0.3, 0.3)])
+        place = np.array([-0.119 + rng.uniform(-0.02, 0.02), -0.085 + rng.uniform(-0.02, 0.02), 0.28])
+        pictures.append(painter.take(BoardPose(turn, place), rng, defocus_px=0.6) / 255.0)
+    return pictures
+
+
+def pixels_of(light: list[NDArray[np.float64]], encoding: Encoding) -> list[NDArray[np.float64]]:
+    rng, finder = np.random.default_rng(5), BoardFinder(CURVED_BOARD)
+    found = []
+    for each in light:
+        grey = grey_of_light(encoding, 0.9 * each) + rng.normal(0.0, 2.0, each.shape)
+        view = finder.find(np.rint(grey).clip(0, 255).astype(np.uint8))
+        assert view is not None
+        found.append(view.edges)
+    return found
+
+
+@pytest.mark.parametrize("encoding", ["srgb", "linear"])
+def test_an_encoding_with_a_name_is_told_by_it(light: list[NDArray[np.float64]], encoding: Encoding) -> None:
+    measured = measure_encoding(pixels_of(light, encoding))
+    assert measured is not None
+    assert measured.encoding == encoding
+
+
+def test_another_one_is_told_as_a_table(light: list[NDArray[np.float64]]) -> None:
+    true = light_of_greys("srgb") ** 1.6
+    measured = measure_encoding(pixels_of(light, tuple(true.tolist())))
+    assert measured is not None
+    assert measured.power == pytest.approx(1.6, abs=max(0.05, 3.0 * measured.power_std))
+    assert not isinstance(measured.encoding, str)
+    assert light_of_greys(measured.encoding) == pytest.approx(true, abs=0.03)
+
+
+def test_few_views_tell_nothing(light: list[NDArray[np.float64]]) -> None:
+    assert measure_encoding(pixels_of(light[:2], "srgb")) is None
+    assert measure_encoding([np.empty((0, 4))] * 9) is None

@@ -2,22 +2,42 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from calibration.magnetometer.calibrate import Calibrated, TrueField, UnfitError, calibrate
+from calibration.magnetometer.collect import hint, picture, progress, text_map
 from calibration.magnetometer.ellipsoid import (
+    CELLS,
+    BoolArray,
     Ellipsoid,
     EllipsoidFit,
     NoEllipsoidError,
     algebraic_fit,
+    covered_cells,
+    covered_share,
     distance,
     fit_ellipsoid,
+    lattice,
     pack,
     unpack,
     whiteness_sigma,
 )
-from calibration.magnetometer.quality import align, dip_of
-from companion.base.geometry import FloatArray
+from calibration.magnetometer.quality import (
+    AxisMisalignment,
+    Dip,
+    Figures,
+    align,
+    beside_plane,
+    dip_of,
+    judge,
+    suggest_next_rotation,
+)
+from calibration.magnetometer.recording import MagnetometerRecording
+from companion.base.geometry import FloatArray, matrix_from_quat, quat_from_rotation_vector, vector3
 from tests.unit.calibration.magnetometer.magnetometer_truth import DIP_RAD, FIELD_UT, Turned, turned
 
 SEEDS = range(16)
@@ -155,3 +175,275 @@ def test_the_dip_and_the_accelerometers_axes_are_found() -> None:
     assert found.rotation == pytest.approx(rotation, abs=5e-3)
     assert found.angle_deg == pytest.approx(4.0, abs=4.0 * found.std_deg + 0.02)
     assert align(directions[:10], case.force[:10]) is None
+
+
+# ---------------- Each reason for a refusal, and what is refused without a fit
+
+GOOD_FIT = EllipsoidFit(
+    ellipsoid=Ellipsoid(np.diag([1.0, 1.1, 0.9]), np.zeros(3)),
+    objective="likelihood",
+    covariance=1e-6 * np.eye(9),
+    radius=48.0,
+    kept=np.ones(1000, dtype=bool),
+    noise=0.01,
+    condition=4.0,
+    correlation_samples=1.0,
+)
+GOOD = Figures(samples=1000, kept=990, residual=0.02, residual_kept=0.01, coverage=0.95)
+
+
+def vague(index: int, std: float) -> EllipsoidFit:
+    covariance = GOOD_FIT.covariance.copy()
+    covariance[index, index] = std**2
+    return replace(GOOD_FIT, covariance=covariance)
+
+
+def calibrated(raw: FloatArray, **options: object) -> Calibrated:
+    recording = MagnetometerRecording("test", "mpu9250", raw)
+    given = {"field": None, "aligned": False, "objective": None, "tool": "t", "date": "d", **options}
+    return calibrate(recording, np.random.default_rng(0), **given)  # type: ignore[arg-type]
+
+
+def test_a_good_one_is_good() -> None:
+    assert judge(GOOD_FIT, GOOD) == ("good", ())
+
+
+@pytest.mark.parametrize(
+    ("fit", "changes", "reason"),
+    [
+        (GOOD_FIT, {"samples": 60, "kept": 60}, "60 samples; expected 100"),
+        (GOOD_FIT, {"coverage": 0.2}, "20% of the sphere is covered"),
+        (vague(7, 0.04), {}, "hard iron is known to 4.0% of the field only; expected 2.5% or less"),
+        (vague(2, 0.07), {}, "soft iron is known to 7.0% only"),
+        (GOOD_FIT, {"residual_kept": 0.2}, "residual is 20.0% of the field"),
+        (GOOD_FIT, {"kept": 600}, "40.0% of the samples are outliers"),
+        (
+            replace(GOOD_FIT, ellipsoid=Ellipsoid(np.diag([6.0, 1.0, 1.0]), np.zeros(3))),
+            {},
+            "6.0 times as long as wide",
+        ),
+        (GOOD_FIT, {"strength_ratio": 2.5}, "2.50 times the field that there is"),
+        (GOOD_FIT, {"strength_ratio": 0.4}, "0.40 times the field that there is"),
+        (GOOD_FIT, {"dip": Dip(60.0, 25.0, 500)}, "the dip wavers by 25.0°"),
+        (GOOD_FIT, {"dip": Dip(40.0, 1.0, 500), "true_dip_deg": 64.0}, "24.0° off the 64.0° there is"),
+        (GOOD_FIT, {"alignment": AxisMisalignment(np.eye(3), 50.0, 0.1)}, "axes stand 50.0° apart"),
+        (GOOD_FIT, {"alignment": AxisMisalignment(np.eye(3), 1.0, 3.0)}, "alignment is known to 3.0° only"),
+    ],
+)
+def test_each_reason_for_a_refusal(fit: EllipsoidFit, changes: dict[str, object], reason: str) -> None:
+    verdict, reasons = judge(fit, replace(GOOD, **changes))  # type: ignore[arg-type]
+    assert verdict == "refused"
+    assert [text for text in reasons if reason in text] == list(reasons[:1])
+
+
+@pytest.mark.parametrize("changes", [{"coverage": 0.55}, {"residual_kept": 0.05}, {"strength_ratio": 1.4}])
+def test_between_the_bounds_it_is_usable(changes: dict[str, float]) -> None:
+    verdict, reasons = judge(GOOD_FIT, replace(GOOD, **changes))  # type: ignore[arg-type]
+    assert verdict == "usable"
+    assert len(reasons) == 1
+
+
+def test_a_turn_about_one_axis_alone_is_refused() -> None:
+    angle = np.linspace(0.0, 12.0, 800)
+    rng = np.random.default_rng(0)
+    cone = np.stack([20.0 * np.cos(angle), 20.0 * np.sin(angle), np.full(800, 40.0)], axis=1)
+    with pytest.raises(UnfitError, match="one plane or on a narrow band"):
+        calibrated(cone + 0.5 * rng.standard_normal((800, 3)))
+    with pytest.raises(UnfitError, match="all readings are the same"):
+        calibrated(np.ones((800, 3)))
+
+
+def test_a_cap_is_refused_for_what_it_cannot_know() -> None:
+    case = turned(1, samples=3000, half=False, soft_iron=0.0)
+    direction = (case.raw - case.centre) / FIELD_UT
+    cap = case.raw[direction[:, 0] > 0.6]
+    assert calibrated(cap).file.quality.verdict == "refused"
+
+
+def test_the_half_sphere_of_the_bar_is_not_refused() -> None:
+    quality = calibrated(turned(0, samples=1500).raw).file.quality
+    assert quality.verdict == "usable"
+    assert "of the sphere is covered" in quality.reasons[0]
+
+
+def test_the_scale_is_the_fields_or_as_measured() -> None:
+    case = turned(2, samples=3000, half=False)
+    scaled = calibrated(case.raw, field=TrueField((20.0, 0.0, 44.0), "test"))
+    strength = float(np.hypot(20.0, 44.0))
+    size = np.linalg.norm(scaled.file.apply(case.raw), axis=1)
+    assert size.mean() == pytest.approx(strength, rel=2e-3)
+    as_measured = calibrated(case.raw)
+    assert np.linalg.det(as_measured.file.matrix) == pytest.approx(1.0)
+    assert as_measured.file.field_source == "as measured"
+
+
+def test_an_alignment_needs_an_accelerometer() -> None:
+    with pytest.raises(UnfitError, match="needs an accelerometer"):
+        calibrated(turned(0).raw, aligned=True)
+
+
+# ----------------
+# Which turns a recording lacks: named by the vehicle's faces, and carried out they make the calibration.
+
+FIELD_NED_UT = np.array([21.0, 0.0, 43.0])
+HARD_IRON_UT = np.array([12.0, -30.0, 8.0])
+FACES = {
+    "nose down": (1.0, 0.0, 0.0),
+    "nose up": (-1.0, 0.0, 0.0),
+    "right side down": (0.0, 1.0, 0.0),
+    "left side down": (0.0, -1.0, 0.0),
+    "upright": (0.0, 0.0, 1.0),
+    "upside down": (0.0, 0.0, -1.0),
+}
+SIDEWAYS = matrix_from_quat(quat_from_rotation_vector(vector3([2.0, -1.0, 0.5])))
+
+
+def held(face: str, rng: np.random.Generator) -> FloatArray:
+    """The field (n, 3) in body axes, of a vehicle that a hand turns once right round with a face down."""
+    down = np.array(FACES[face]) + 0.06 * rng.standard_normal((300, 3))
+    down /= np.linalg.norm(down, axis=1)[:, None]
+    north = np.cross(down, np.roll(FACES[face], 1))
+    north /= np.linalg.norm(north, axis=1)[:, None]
+    east = np.cross(down, north)
+    angle = np.linspace(0.0, 2.0 * np.pi, 300)[:, None]
+    across = np.cos(angle) * north + np.sin(angle) * east
+    field: FloatArray = FIELD_NED_UT[0] * across + FIELD_NED_UT[2] * down
+    return field
+
+
+def faces(words: str) -> list[str]:
+    """What the words have a person do, in their order."""
+    found = re.findall("|".join(FACES), words)
+    assert words.count("once right round") == len(found) / 2
+    return found
+
+
+def recording(
+    field: FloatArray, body_from_sensor: FloatArray, rng: np.random.Generator
+) -> MagnetometerRecording:
+    raw = field @ body_from_sensor + HARD_IRON_UT + 0.3 * rng.standard_normal(field.shape)
+    return MagnetometerRecording("test", "mpu9250", raw, body_from_sensor=body_from_sensor)
+
+
+def refusal(made: MagnetometerRecording, rng: np.random.Generator) -> str:
+    """Why no good calibration comes of it; empty where one does."""
+    try:
+        done = calibrate(made, rng, field=None, aligned=False, objective=None, tool="test", date="")
+    except UnfitError as error:
+        return str(error)
+    quality = done.file.quality
+    return "; ".join(quality.reasons) if quality.verdict == "refused" else ""
+
+
+@pytest.mark.parametrize("mounting", [np.eye(3), SIDEWAYS], ids=["square", "sideways"])
+@pytest.mark.parametrize("face", ["nose down", "right side down", "upright"])
+def test_after_a_turn_about_one_axis_the_other_two_are_named_and_enough(
+    face: str, mounting: FloatArray
+) -> None:
+    rng = np.random.default_rng(3)
+    field = held(face, rng)
+    words = refusal(recording(field, mounting, rng), rng)
+    assert "one plane or on a narrow band; next: " in words
+    turns = faces(words)
+    assert len(turns) == 4
+    assert face not in turns
+    for turn in turns:
+        field = np.vstack((field, held(turn, rng)))
+    assert refusal(recording(field, mounting, rng), rng) == ""
+
+
+def test_a_vehicle_that_was_not_turned_is_to_be_turned_about_all_axes() -> None:
+    line = np.outer(np.linspace(-1.0, 1.0, 100), (1.0, 2.0, 3.0))
+    assert faces(beside_plane(line, np.eye(3))) == list(FACES)
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("mounting", [np.eye(3), SIDEWAYS], ids=["square", "sideways"])
+def test_the_axis_that_the_field_was_never_near_is_turned_about_next(axis: int, mounting: FloatArray) -> None:
+    directions = np.random.default_rng(5).standard_normal((2000, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    seen = directions[np.abs(directions[:, axis]) < 0.6]
+    assert faces(suggest_next_rotation(seen @ mounting, mounting)) == list(FACES)[2 * axis : 2 * axis + 2]
+
+
+# ----------------
+# What a person is told while the vehicle is turned about: carried out, it leads to what is missing.
+
+CENTRES = lattice(CELLS)
+
+
+def all_but(direction: FloatArray, cosine: float = 0.8) -> BoolArray:
+    """A mask with a hole about a direction."""
+    return np.asarray(CENTRES @ direction < cosine)
+
+
+def carried_out(words: str, now: FloatArray) -> FloatArray:
+    """Where the field points after the vehicle has been turned as it was told."""
+    axes = {"roll": 0, "nose": 1, "turn": 2}
+    turn = np.zeros(3)
+    for kind, side, degrees in re.findall(r"(roll|nose|turn) (\w+) (\d+)°", words):
+        turn[axes[kind]] = np.radians(float(degrees)) * (1.0 if side in ("right", "up") else -1.0)
+    return matrix_from_quat(quat_from_rotation_vector(vector3(turn.tolist()))).T @ now
+
+
+@pytest.mark.parametrize("missing", [(1.0, 0, 0), (0, -1.0, 0), (0, 0, -1.0), (0.6, 0.0, 0.8)])
+@pytest.mark.parametrize("now", [(0.0, 0.8, 0.6), (0.0, 0.0, 1.0), (-0.9, 0.1, 0.4)])
+def test_the_hint_leads_to_the_hole(missing: tuple[float, ...], now: tuple[float, ...]) -> None:
+    direction, wanted = np.array(now) / np.linalg.norm(now), np.array(missing)
+    words = hint(all_but(wanted), direction, None)
+    # components under 15 degrees are not told, and the hole has a size
+    assert carried_out(words, direction) @ wanted > np.cos(np.radians(40.0))
+
+
+def test_level_and_facing_north_the_words_are_a_pilots() -> None:
+    dip = np.array([0.5, 0.0, 0.866])
+    down = np.array([0.0, 0.0, 1.0])
+    # the field is to come to the nose: it points down at 60 degrees, so the nose must go down by as much
+    words = hint(all_but(np.array([1.0, 0.0, 0.0]), 0.95), dip, down)
+    assert re.fullmatch(r"nose down \d0°(, \w+ \w+ 20°)*, until its (nose|belly) is lowest", words)
+    assert hint(np.ones(CELLS, dtype=bool), dip, down) == "all covered"
+
+
+def test_progress_grows_to_the_whole_and_shows_no_more_than_there_is() -> None:
+    case = turned(1, samples=3000, half=False)
+    few = progress(case.raw[:10], None, np.eye(3))
+    assert few.share == 0.0
+    assert few.hint == "begin to turn it about"
+    whole = progress(case.raw, case.force, np.eye(3))
+    assert whole.share == 1.0
+    half = progress(turned(1, samples=3000).raw, None, np.eye(3))
+    assert 0.4 < half.share < 0.75
+
+
+@pytest.mark.parametrize("noise_ut", [0.3, 0.6, 2.0])
+def test_a_sensor_that_is_held_still_covers_nothing(noise_ut: float) -> None:
+    """Its noise is a ball with points on all sides, which is no sphere that it was turned about on."""
+    still = np.random.default_rng(0).normal((20.0, -5.0, 40.0), noise_ut, (1000, 3))
+    assert progress(still, None, np.eye(3)).share < 0.1
+    on_a_grid = 0.15 * np.round(still / 0.15)
+    assert progress(on_a_grid, None, np.eye(3)).share < 0.1
+
+
+def test_a_few_still_samples_cover_next_to_nothing() -> None:
+    still = np.random.default_rng(0).normal((20.0, -5.0, 40.0), 0.5, (400, 3))
+    moved = still + np.linspace(0.0, 10.0, 400)[:, None] * (1.0, 0.0, 0.0)
+    assert progress(moved, None, np.eye(3)).share < 0.5
+
+
+def test_a_full_lattice_covers_everything_and_one_direction_one_cell() -> None:
+    assert covered_share(CENTRES) == 1.0
+    assert covered_cells(np.array([[0.0, 0.0, 1.0]])).sum() == 1
+    assert covered_share(np.zeros((0, 3))) == 0.0
+    assert np.linalg.norm(lattice(50), axis=1) == pytest.approx(np.ones(50))
+
+
+def test_the_map_shows_the_hole_where_it_is() -> None:
+    now = progress(turned(1, samples=3000, half=False).raw, None, np.eye(3))
+    assert not any("." in line for line in text_map(now.covered)[1:])
+    lines = text_map(all_but(np.array([0.0, 0.0, 1.0])))
+    left, right = zip(*((line[:22], line[25:]) for line in lines[1:]), strict=True)
+    assert "." in left[5][8:14]  # the belly's disc has it in the middle
+    assert not any("." in line for line in right)
+    image = picture(now)
+    assert image.shape == (430, 720, 3)
+    assert image.max() > 200

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -11,14 +12,17 @@ import numpy as np
 import pytest
 import yaml
 
+from calibration.command_line import run
+from calibration.mount import record_motion
+from calibration.mount.command import NAME, cli
 from calibration.mount.imu_calibration import calibrate_accelerometer, faces_from
 from calibration.mount.record_motion import MotionCoverage, MotionProgress
 from calibration.mount.recording import read_recording
 from calibration.mount.result import shutter_s
 from calibration.mount.solver import solve
 from companion.base.clock import run_in_virtual_time
-from companion.base.geometry import matrix_from_quat
-from companion.base.messages import ImuSample
+from companion.base.geometry import IDENTITY, matrix_from_quat
+from companion.base.messages import ImuSample, PadSighting
 from companion.config import (
     CameraConfig,
     CompanionConfig,
@@ -34,8 +38,20 @@ from companion.config import (
 from companion.flightlog.record import FlightLog
 from companion.pad import load_pad
 from companion.sense.vision.pipeline import body_from_camera
-from tests.unit.calibration.mount.mount_words import calibrate
 from tests.unit.calibration.mount.mount_world import HandHeld, record_sway, scenario_of
+
+
+def calibrate(*words: str | Path) -> int:
+    """Run the program; its exit code."""
+    with pytest.raises(SystemExit) as ended:
+        run(cli, NAME, [str(word) for word in words])
+    code = ended.value.code
+    assert isinstance(code, int)
+    return code
+
+
+# ----------------
+# `calibrate-mount` from its words to its files, on a hand-held vehicle, and the refusals of its files.
 
 MOUNT_DEG = (2.0, -3.0, 1.5)
 STAMP_S = 0.018
@@ -269,3 +285,56 @@ def test_the_output_s_folder_is_looked_for_before_the_work(
     for words in (("accelerometer",), ("gyro",), ("camera", tmp_path / "none")):
         assert calibrate(*words, "-o", tmp_path / "none" / "x.yaml") == 2
         assert "expected a file in an existing folder" in capsys.readouterr().err
+
+
+# ---------------- What `calibrate-mount` asks for next, and how a recording ends that lacks something
+
+
+def test_the_coverage_asks_for_what_is_missing() -> None:
+    coverage = MotionCoverage()
+    assert coverage.progress().advice == "waiting for the inertial sensor"
+    coverage.add_imu(ImuSample(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8), 20.0))
+    assert "pad is not seen" in coverage.progress().advice
+    sighting = PadSighting(
+        0.0, 1, (0.0, 0.0, 1.0), IDENTITY, np.eye(6), "M", (1,), {"F": 0, "M": 1, "C": 0}, 0.1
+    )
+    move(coverage, sighting, 0.0, 15.0, (0.0, 0.5, 0.5))
+    assert coverage.progress().advice == "roll it left and right"
+    move(coverage, sighting, 15.0, 36.0, (0.4, 0.0, 0.0))
+    assert coverage.progress().advice == "enough"
+    assert coverage.progress().complete
+
+
+def test_slow_motion_is_not_enough() -> None:
+    coverage = MotionCoverage()
+    sighting = PadSighting(
+        0.0, 1, (0.0, 0.0, 1.0), IDENTITY, np.eye(6), "M", (1,), {"F": 0, "M": 1, "C": 0}, 0.1
+    )
+    move(coverage, sighting, 0.0, 40.0, (0.2, 0.2, 0.2))
+    assert coverage.progress().advice == "the same again, more quickly"
+
+
+def move(
+    coverage: MotionCoverage,
+    sighting: PadSighting,
+    from_s: float,
+    to_s: float,
+    rate: tuple[float, float, float],
+) -> None:
+    for k in range(round(50 * (to_s - from_s))):
+        time_s = from_s + k / 50.0
+        coverage.add_sighting(replace(sighting, time_s=time_s))
+        coverage.add_imu(ImuSample(time_s, rate, (0.0, 0.0, -9.8), 20.0))
+
+
+def test_a_recording_that_lacks_something_when_time_is_up_ends_so(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def recorded(*_: object, **__: object) -> MotionProgress:
+        return MotionProgress(9.0, 0, (0.0, 0.0, 0.0), 0.0, "the pad is not seen", complete=False)
+
+    monkeypatch.setattr(record_motion, "record", recorded)
+    assert calibrate("record", tmp_path / "swayed") == 1
+    said = capsys.readouterr()
+    assert "refused: time is up, and it lacks: the pad is not seen" in said.err
+    assert "next:" not in said.out

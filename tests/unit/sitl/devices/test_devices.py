@@ -1,23 +1,31 @@
 """The receiver, the ultrasonics and their lines as hardware, and all devices with the app's drivers."""
 
+from __future__ import annotations
+
 import asyncio
 import math
 import struct
+from typing import Literal
 
 import numpy as np
 import pytest
 
 from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.geometry import GRAVITY_M_S2, Vector3
+from sitl.devices.mpu9250 import Ak8963Device, Mpu9250Device
 from sitl.devices.neo6m import Neo6mDevice, nmea, ubx
 from sitl.devices.ports import MemoryPort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice, frame
+from sitl.sensors.inertial import NO_IMU_ERRORS, ImuSensor
 from sitl.sensors.sensors import (
     NO_GPS_ERRORS,
+    NO_MAG_ERRORS,
     NO_RANGE_ERRORS,
     GpsSensor,
+    MagSensor,
     RangeSensor,
 )
-from tests.unit.sitl.devices.sensor_desk import FORCE, fly
+from tests.unit.sitl.devices.sensor_desk import FORCE, STEP_S, fly
 
 # ---------------------------------------------------------------- NEO-6M
 
@@ -179,3 +187,223 @@ def test_what_the_app_gets_is_the_world_with_the_sensors_errors() -> None:
 def test_the_same_seed_gives_the_app_the_same_samples_to_the_bit() -> None:
     assert fly(seed=4, seconds=2.0) == fly(seed=4, seconds=2.0)
     assert fly(seed=4, seconds=2.0) != fly(seed=5, seconds=2.0)
+
+
+# ----------------
+# The simulated MPU9250 and its magnetometer: registers, FIFO, buses and the chip's own clock.
+
+CHIP = 0x68
+
+
+FIELD: Vector3 = (20.0, 0.0, 40.0)
+
+
+def make_chip(clock_error: float = 0.0, interface: Literal["i2c", "spi"] = "i2c") -> Mpu9250Device:
+    rng = np.random.default_rng(1)
+    magnetometer = Ak8963Device(MagSensor(NO_MAG_ERRORS, rng, np.eye(3)), clock_error=0.0)
+    return Mpu9250Device(
+        ImuSensor(NO_IMU_ERRORS, rng, STEP_S, np.eye(3)),
+        magnetometer,
+        clock_error=clock_error,
+        interface=interface,
+    )
+
+
+def start_fifo(chip: Mpu9250Device, mode: int = 0x40, enable: int = 0xF8) -> None:
+    for register, value in ((0x19, 4), (0x1A, mode | 2), (0x23, enable), (0x6A, 0x04), (0x6A, 0x40)):
+        chip.write(CHIP, register, value)
+
+
+def fifo_count(chip: Mpu9250Device) -> int:
+    return int.from_bytes(chip.read(CHIP, 0x72, 2), "big")
+
+
+def run(chip: Mpu9250Device, seconds: float, start_s: float = 0.0) -> None:
+    for k in range(round(seconds / STEP_S)):
+        chip.step(start_s + k * STEP_S, FORCE, (0.1, 0.2, 0.3), FIELD, 0.0)
+
+
+def test_power_on_values_are_the_register_maps() -> None:
+    chip = make_chip()
+    assert chip.read(CHIP, 0x75, 1) == b"\x71"
+    assert chip.read(CHIP, 0x6B, 1) == b"\x01"
+    assert chip.read(CHIP, 0x19, 5) == bytes(5)
+
+
+def test_nobody_answers_at_another_address() -> None:
+    with pytest.raises(OSError, match="Remote I/O error"):
+        make_chip().read(0x69, 0x75, 1)
+    with pytest.raises(OSError, match="Remote I/O error"):
+        make_chip().write(0x69, 0x6B, 0)
+
+
+def test_the_output_registers_hold_the_scaled_sample() -> None:
+    chip = make_chip()
+    chip.write(CHIP, 0x1B, 1 << 3)  # 500 deg/s
+    chip.write(CHIP, 0x1C, 2 << 3)  # 8 g
+    chip.push_sample((GRAVITY_M_S2, 0.0, -GRAVITY_M_S2), (1.0, 0.0, -1.0))
+    ax, ay, az, temperature, gx, gy, gz = struct.unpack(">7h", chip.read(CHIP, 0x3B, 14))
+    assert (ax, ay, az) == (4096, 0, -4096)
+    # 65.5 counts a degree a second
+    assert (gx, gy, gz) == (
+        pytest.approx(57.2958 * 65.536, abs=1),
+        0,
+        pytest.approx(-57.2958 * 65.536, abs=1),
+    )
+    assert temperature / 333.87 + 21.0 == pytest.approx(38.0, abs=0.01)
+
+
+def test_values_beyond_the_range_clip() -> None:
+    chip = make_chip()
+    chip.push_sample((30.0, -30.0, 0.0), (5.0, -5.0, 0.0))
+    words = struct.unpack(">7h", chip.read(CHIP, 0x3B, 14))
+    assert (words[0], words[1], words[4], words[5]) == (32767, -32768, 32767, -32768)
+
+
+def test_the_fifo_fills_at_the_configured_rate_and_empties_by_reading() -> None:
+    chip = make_chip()
+    start_fifo(chip)
+    run(chip, 0.1)
+    assert fifo_count(chip) == 20 * 14
+    assert chip.read(CHIP, 0x74, 14) == chip.read(CHIP, 0x3B, 14)
+    assert fifo_count(chip) == 19 * 14
+    chip.write(CHIP, 0x6A, 0x44)
+    assert fifo_count(chip) == 0
+
+
+@pytest.mark.parametrize(("clock_error", "samples"), [(0.01, 198), (0.0, 200), (-0.01, 203)])
+def test_the_chips_own_clock_sets_the_rate(clock_error: float, samples: int) -> None:
+    chip = make_chip(clock_error)
+    start_fifo(chip)
+    count = 0
+    for k in range(400):
+        chip.step(k * STEP_S, FORCE, (0.0, 0.0, 0.0), FIELD, 0.0)
+        count += len(chip.read(CHIP, 0x74, fifo_count(chip))) // 14
+    assert count == pytest.approx(samples, abs=1)
+
+
+@pytest.mark.parametrize(("mode", "first"), [(0x40, 0), (0x00, 1)])
+def test_a_full_fifo_stops_or_forgets_the_oldest_and_says_so(mode: int, first: int) -> None:
+    chip = make_chip()
+    start_fifo(chip, mode)
+    for k in range(37):
+        chip.push_sample((0.01 * k, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert fifo_count(chip) == 512
+    assert chip.read(CHIP, 0x3A, 1)[0] & 0x10
+    assert not chip.read(CHIP, 0x3A, 1)[0] & 0x10
+    start = chip.read(CHIP, 0x74, 2)
+    # 37 frames are 518 bytes: the last six are missing, or the first six (one accelerometer)
+    assert (start == bytes(2)) == (first == 0)
+
+
+def test_only_what_is_enabled_goes_into_the_fifo() -> None:
+    chip = make_chip()
+    start_fifo(chip, enable=0x08)
+    chip.push_sample((1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
+    assert chip.read(CHIP, 0x74, 6) == chip.read(CHIP, 0x3B, 6)
+    assert fifo_count(chip) == 0
+
+
+def test_reset_forgets_every_setting() -> None:
+    chip = make_chip()
+    start_fifo(chip)
+    run(chip, 0.05)
+    chip.write(CHIP, 0x6B, 0x80)
+    assert chip.read(CHIP, 0x19, 2) == bytes(2)
+    assert fifo_count(chip) == 0
+    assert chip.read(CHIP, 0x6B, 1) == b"\x01"
+
+
+def test_a_sleeping_chip_does_not_sample() -> None:
+    chip = make_chip()
+    start_fifo(chip)
+    chip.write(CHIP, 0x6B, 0x40)
+    run(chip, 0.05)
+    assert fifo_count(chip) == 0
+
+
+@pytest.mark.parametrize(
+    ("interface", "pin_cfg", "user_ctrl", "answers"),
+    [
+        ("i2c", 0x00, 0x00, False),
+        ("i2c", 0x02, 0x00, True),
+        ("i2c", 0x02, 0x20, False),  # the inner master owns the lines
+        ("spi", 0x02, 0x00, False),  # there is no I2C to be on
+    ],
+)
+def test_the_magnetometer_is_on_our_bus_with_the_bypass_alone(
+    interface: Literal["i2c", "spi"], pin_cfg: int, user_ctrl: int, answers: bool
+) -> None:
+    chip = make_chip(interface=interface)
+    chip.write(CHIP, 0x37, pin_cfg)
+    chip.write(CHIP, 0x6A, user_ctrl)
+    if answers:
+        assert chip.read(0x0C, 0x00, 1) == b"\x48"
+    else:
+        with pytest.raises(OSError, match="Remote I/O error"):
+            chip.read(0x0C, 0x00, 1)
+
+
+@pytest.mark.parametrize(("interface", "answers"), [("i2c", False), ("spi", True)])
+def test_switching_i2c_off_ends_it_on_i2c(interface: Literal["i2c", "spi"], answers: bool) -> None:
+    chip = make_chip(interface=interface)
+    chip.write(CHIP, 0x6A, 0x10)
+    if answers:
+        assert chip.read(CHIP, 0x75, 1) == b"\x71"
+        return
+    with pytest.raises(OSError, match="Remote I/O error"):
+        chip.read(CHIP, 0x75, 1)
+
+
+def step_magnetometer(mag: Ak8963Device, seconds: float, field: Vector3 = FIELD, start_s: float = 0.0) -> int:
+    ready = 0
+    for k in range(round(seconds / STEP_S)):
+        mag.step(start_s + k * STEP_S, field, 0.0)
+        ready += mag.read(0x02, 1)[0] & 1
+        mag.read(0x03, 7)
+    return ready
+
+
+def make_magnetometer() -> Ak8963Device:
+    return Ak8963Device(MagSensor(NO_MAG_ERRORS, np.random.default_rng(1), np.eye(3)), clock_error=0.0)
+
+
+def test_the_magnetometer_sleeps_until_it_is_reported_to_measure() -> None:
+    mag = make_magnetometer()
+    assert mag.read(0x00, 1) == b"\x48"
+    assert step_magnetometer(mag, 0.1) == 0
+
+
+@pytest.mark.parametrize(("mode", "expected"), [(0x16, 100), (0x12, 8)])
+def test_continuous_modes_have_their_rates(mode: int, expected: int) -> None:
+    mag = make_magnetometer()
+    mag.write(0x0A, mode)
+    assert step_magnetometer(mag, 1.0) == pytest.approx(expected, abs=1)
+
+
+def test_fuses_are_readable_in_their_mode_alone() -> None:
+    mag = make_magnetometer()
+    assert mag.read(0x10, 3) == bytes(3)
+    mag.write(0x0A, 0x0F)
+    assert mag.read(0x10, 3) == bytes((176, 178, 165))
+
+
+def test_the_field_is_in_the_magnetometers_own_axes_and_adjusted() -> None:
+    mag = make_magnetometer()
+    mag.write(0x0A, 0x16)
+    for k in range(8):
+        mag.step(k * STEP_S, (20.0, -10.0, 40.0), 0.0)
+    status, x, y, z, status_2 = struct.unpack("<BhhhB", mag.read(0x02, 8))
+    per_count = [0.15 * ((a - 128) * 0.5 / 128 + 1) for a in (176, 178, 165)]
+    assert (status, status_2) == (0x01, 0x10)
+    assert (x * per_count[0], y * per_count[1], z * per_count[2]) == pytest.approx(
+        (-10.0, 20.0, -40.0), abs=0.1
+    )
+
+
+def test_a_field_beyond_the_range_raises_the_overflow_bit() -> None:
+    mag = make_magnetometer()
+    mag.write(0x0A, 0x16)
+    for k in range(8):
+        mag.step(k * STEP_S, (4000.0, 2000.0, 0.0), 0.0)
+    assert mag.read(0x09, 1)[0] & 0x08

@@ -1,13 +1,22 @@
 """Frames out of bytes: no garbage costs a good frame, whatever it claims and however the bytes are cut."""
 
+from __future__ import annotations
+
+import hashlib
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sitl.mavlink.framing import PATIENCE_S, FrameReader, dialect, number
+from companion.base.autopilot_kind import AutopilotKind
+from companion.config import ConfigError
+from companion.link.signing import EPOCH_UNIX_S, STAMPS_PER_S, stamp_from_unix
+from sitl.mavlink.endpoint import MavlinkEndpoint
+from sitl.mavlink.framing import PATIENCE_S, FrameReader, MavFrame, Signing, dialect, number, read_key
+from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight
 
 mavlink: Any = dialect
 SENDER = mavlink.MAVLink(None, srcSystem=7, srcComponent=9)
@@ -76,3 +85,137 @@ def test_a_wrong_check_sum_and_unknown_flags_are_no_frame() -> None:
 def test_what_is_beyond_all_that_flies_is_not_given(value: float) -> None:
     assert math.isnan(number(value))
     assert number(-123.5) == -123.5
+
+
+# ----------------
+# Signing as the guide has it: who has the key is believed, once; of others, what may be unsigned.
+
+KEY, OTHER = bytes(range(32)), bytes(range(1, 33))
+NOW = 1000 * STAMPS_PER_S
+
+
+def packer(key: bytes | None, stamp: int = NOW, link_id: int = 3) -> Any:
+    made = mavlink.MAVLink(None, srcSystem=9, srcComponent=8)
+    if key is not None:
+        made.signing.secret_key, made.signing.sign_outgoing = key, True
+        made.signing.timestamp, made.signing.link_id = stamp, link_id
+    return made
+
+
+def frame(key: bytes | None, stamp: int = NOW, link_id: int = 3, message: Any = None) -> MavFrame:
+    message = message or mavlink.MAVLink_timesync_message(0, 5)
+    (found,) = FrameReader().read(bytes(message.pack(packer(key, stamp, link_id))), 0.0)
+    return found
+
+
+def with_key() -> Signing:
+    signing = Signing("ardupilot", KEY)
+    signing.stamp = NOW
+    return signing
+
+
+def test_the_right_key_is_believed_and_no_other() -> None:
+    signing = with_key()
+    assert signing.accepts(frame(KEY))
+    assert not signing.accepts(frame(OTHER, NOW + 1))
+    assert not signing.accepts(frame(None))
+    assert signing.refused == 2
+    assert Signing("px4").accepts(frame(None))
+
+
+def test_a_changed_byte_is_refused() -> None:
+    good = frame(KEY)
+    for at in (4, 12, len(good.data) - 1):
+        data = bytearray(good.data)
+        data[at] ^= 1
+        assert not with_key().accepts(good._replace(data=bytes(data)))
+
+
+def test_what_was_heard_cannot_be_said_again() -> None:
+    signing = with_key()
+    assert signing.accepts(frame(KEY, NOW + 5))
+    assert not signing.accepts(frame(KEY, NOW + 5))
+    assert not signing.accepts(frame(KEY, NOW + 4))
+    assert signing.accepts(frame(KEY, NOW + 4, link_id=4)), "another stream has another time"
+    assert signing.accepts(frame(KEY, NOW + 6))
+
+
+def test_the_same_key_set_up_again_forgets_nothing() -> None:
+    signing = with_key()
+    heard = frame(KEY, NOW + 5)
+    assert signing.accepts(heard)
+    signing.set_up(KEY, 0)
+    assert not signing.accepts(heard)
+    signing.set_up(OTHER, 0)
+    assert signing.accepts(frame(OTHER, NOW + 5))
+
+
+def test_a_new_stream_may_be_a_minute_behind() -> None:
+    assert with_key().accepts(frame(KEY, NOW - 60 * STAMPS_PER_S))
+    assert not with_key().accepts(frame(KEY, NOW - 61 * STAMPS_PER_S))
+
+
+def test_a_forged_time_does_not_lock_the_owner_out() -> None:
+    signing = with_key()
+    assert signing.accepts(frame(KEY, NOW + 1))
+    assert not signing.accepts(frame(OTHER, NOW + 10**9))
+    assert signing.accepts(frame(KEY, NOW + 2))
+
+
+@pytest.mark.parametrize(
+    ("autopilot_kind", "heartbeat", "radio"), [("px4", True, True), ("ardupilot", False, True)]
+)
+def test_some_messages_need_no_signature(autopilot_kind: AutopilotKind, heartbeat: bool, radio: bool) -> None:
+    signing = Signing(autopilot_kind, KEY)
+    beat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)
+    status = mavlink.MAVLink_radio_status_message(0, 0, 0, 0, 0, 0, 0)
+    assert signing.accepts(frame(None, message=beat)) is heartbeat
+    assert signing.accepts(frame(None, message=status)) is radio
+
+
+def test_our_own_stamps_follow_the_clock_and_never_repeat() -> None:
+    signing, ours = with_key(), packer(None)
+    stamps = []
+    for unix_s in (EPOCH_UNIX_S + 2000.0, EPOCH_UNIX_S + 1990.0, EPOCH_UNIX_S + 3000.0):
+        signing.advance(unix_s)
+        signing.prepare(ours, 2)
+        for _ in range(3):
+            data = mavlink.MAVLink_timesync_message(0, 5).pack(ours)
+            stamps.append(int.from_bytes(data[-12:-6], "little"))
+            assert data[-13] == 2
+    assert stamps == sorted(set(stamps))
+    assert stamps[0] == stamp_from_unix(EPOCH_UNIX_S + 2000.0)
+    assert stamps[-1] >= 3000 * STAMPS_PER_S
+
+
+def test_a_key_is_set_up_and_ended_over_the_link() -> None:
+    endpoint = MavlinkEndpoint(AutopilotFlight("px4").autopilot, unix_at_start_s=EPOCH_UNIX_S + 1000.0)
+    unsigned, signed = packer(None), packer(KEY)
+
+    def answers(sender: Any, message: Any = None) -> list[Any]:
+        message = message or mavlink.MAVLink_timesync_message(0, 5)
+        endpoint.receive(bytes(message.pack(sender)), 0.0)
+        listener = mavlink.MAVLink(None)
+        heard = listener.parse_buffer(bytearray(b"".join(endpoint.answers(0.0)))) or []
+        return [m for m in heard if m.get_type() == "TIMESYNC"]
+
+    assert answers(unsigned)
+    answers(unsigned, mavlink.MAVLink_setup_signing_message(1, 1, KEY, NOW))
+    assert not answers(unsigned)
+    (answer,) = answers(signed)
+    assert answer.get_header().incompat_flags & 1
+    answers(signed, mavlink.MAVLink_setup_signing_message(1, 1, bytes(32), 0))
+    assert answers(unsigned)
+
+
+def test_a_key_file_holds_the_key_or_a_passphrase(tmp_path: Path) -> None:
+    raw, words, empty = tmp_path / "raw", tmp_path / "words", tmp_path / "empty"
+    raw.write_bytes(KEY)
+    words.write_bytes(b"open sesame\n")
+    empty.write_bytes(b"\n")
+    assert read_key(raw) == KEY
+    assert read_key(words) == hashlib.sha256(b"open sesame").digest()
+    with pytest.raises(ConfigError, match="empty; expected 32 bytes or a passphrase"):
+        read_key(empty)
+    with pytest.raises(ConfigError, match="No such file or directory; expected a file with the key"):
+        read_key(tmp_path / "none")

@@ -1,5 +1,7 @@
 """The airframe against what Newton and Euler say."""
 
+from __future__ import annotations
+
 import math
 from typing import Any
 
@@ -16,9 +18,14 @@ from companion.base.geometry import (
     rotate_yaw,
     tilt_from_quat,
 )
-from sitl.scenario.scenario import load_airframe
-from sitl.vehicle.quadrotor import Quadrotor, QuadrotorParameters, QuadrotorState, resting_state
+from companion.config import validate
+from sitl.mavlink.telemetry import battery_status, sys_status
+from sitl.scenario.scenario import Scenario, load_airframe
+from sitl.vehicle.battery import CAPACITY_MAH, CELLS, Battery
+from sitl.vehicle.quadrotor import Motors, Quadrotor, QuadrotorParameters, QuadrotorState, resting_state
 from sitl.vehicle.rotors import RotorValues
+from sitl.world.world import World
+from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight
 
 DT = 0.0025
 X500 = load_airframe("x500").body
@@ -237,3 +244,111 @@ def test_the_rates_it_reports_are_those_it_turns_by() -> None:
         state = vehicle.step(state, OFF, DT)
     assert tilt_from_quat(state.attitude) == pytest.approx(1.0, abs=1e-6)
     assert quat_rotate(state.attitude, (0.0, 1.0, 0.0))[2] > 0.0  # right side down
+
+
+# ---------------- Weak motors: what is left of each command, and that the vehicle feels it
+
+HALF = (0.5, 0.5, 0.5, 0.5)
+
+
+def test_sound_motors_give_what_is_asked() -> None:
+    assert Motors().given(HALF) is HALF
+
+
+def test_one_is_weak_or_all_are_and_mended_they_are_sound() -> None:
+    motors = Motors()
+    motors.weaken(2, 0.85)
+    assert motors.given((0.2, 0.4, 0.6, 0.8)) == pytest.approx((0.2, 0.34, 0.6, 0.8))
+    motors.weaken(None, 0.5)
+    assert motors.given((0.2, 0.4, 0.6, 0.8)) == pytest.approx((0.1, 0.17, 0.3, 0.4))
+    motors.clear_faults()
+    assert motors.given(HALF) is HALF
+
+
+def rates_after(motor: int | None, share: float) -> tuple[float, float, float, float]:
+    """Body rates and climb speed after a fifth of a second in the air with equal commands."""
+    world = World(validate(Scenario, {"name": "x", "description": "x"}, "x"), 0)
+    world.place(QuadrotorState((0.0, 0.0, -20.0), thrust_share=HALF))
+    world.motors.weaken(motor, share)
+    for _ in range(80):
+        world.step(HALF, 0.0025)
+    return (*world.state.rate_body_rad_s, world.state.velocity_ned_m_s[2])
+
+
+@pytest.mark.parametrize(
+    ("motor", "axis", "sign"),
+    [(1, 1, -1.0), (2, 0, -1.0), (3, 1, 1.0), (4, 0, 1.0)],  # front: nose down; right: right side down...
+)
+def test_the_vehicle_sinks_on_the_side_of_a_weak_motor(motor: int, axis: int, sign: float) -> None:
+    # negative pitch rate is nose down, positive roll rate right side down
+    rates = rates_after(motor, 0.85)
+    expected = sign if axis == 1 else -sign
+    assert rates[axis] * expected > 0.3
+    assert abs(rates[1 - axis]) < 0.1
+
+
+def test_a_sagging_battery_costs_lift_and_turns_nothing() -> None:
+    sound, sagging = rates_after(None, 1.0), rates_after(None, 0.9)
+    # a tenth of g for a fifth of a second, less the motors' lag
+    assert 0.12 < sagging[3] - sound[3] < 0.19
+    assert max(abs(rate) for rate in sagging[:3]) < 1e-6
+
+
+# ---------------- The battery: full at first, drained by thrust, sagging under load
+
+HOVER_SHARES = (0.5, 0.5, 0.5, 0.5)
+
+
+def drained(motors: tuple[float, ...], seconds: int) -> Battery:
+    battery = Battery(max_thrust_n=7.36)
+    for _ in range(seconds):
+        battery.step(motors, 1.0)
+    return battery
+
+
+def test_it_is_full_at_first() -> None:
+    battery = drained(HOVER_SHARES, 0)
+    assert battery.share == 1.0
+    assert battery.voltage_v == pytest.approx(4.2 * CELLS)
+
+
+def test_a_hover_lasts_about_twenty_minutes() -> None:
+    assert drained(HOVER_SHARES, 600).share == pytest.approx(0.5, abs=0.1)
+    assert drained(HOVER_SHARES, 1500).share < 0.1
+
+
+def test_what_has_flowed_is_what_is_missing() -> None:
+    battery = drained(HOVER_SHARES, 120)
+    assert battery.share == pytest.approx(1.0 - battery.consumed_mah / CAPACITY_MAH)
+    assert battery.consumed_mah == pytest.approx(battery.current_a * 120.0 / 3.6, rel=0.03)
+
+
+def test_more_thrust_takes_more_and_sags_deeper() -> None:
+    off, hover, full = (drained(motors, 1) for motors in ((0.0,) * 4, HOVER_SHARES, (1.0,) * 4))
+    assert off.current_a < 1.0 < hover.current_a
+    # power goes with thrust to the power of 1.5
+    assert full.current_a / hover.current_a == pytest.approx(2.0**1.5, rel=0.1)
+    assert off.voltage_v > hover.voltage_v > full.voltage_v
+
+
+def test_empty_it_stays_at_its_lowest_voltage() -> None:
+    battery = drained((1.0,) * 4, 3600)
+    assert battery.share == 0.0
+    assert 2.8 * CELLS < battery.voltage_v < 3.3 * CELLS
+
+
+def test_a_flight_drains_what_is_reported_in_both_messages() -> None:
+    flight = AutopilotFlight("px4")
+    flight.run(4.0)
+    resting = sys_status(flight.autopilot, 4.0)
+    flight.autopilot.arm()
+    flight.autopilot.take_off(405.0)
+    flight.run(40.0)
+    status, battery = sys_status(flight.autopilot, 44.0), battery_status(flight.autopilot, 44.0)
+    assert resting.battery_remaining == 100
+    assert status.battery_remaining == battery.battery_remaining < 100
+    assert status.voltage_battery < resting.voltage_battery
+    assert status.current_battery == battery.current_battery > 10 * resting.current_battery
+    assert sum(battery.voltages[:CELLS]) == pytest.approx(status.voltage_battery, abs=CELLS)
+    assert battery.current_consumed > 50
+    assert battery.energy_consumed > 10

@@ -6,20 +6,28 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from companion.base.geometry import (
     GRAVITY_M_S2,
+    ZERO3,
+    Vector3,
     euler_from_quat,
     quat_from_euler,
     quat_rotate_inverse,
     wrap_angle,
     yaw_from_quat,
 )
-from companion.config import validate
-from sitl.scenario.scenario import Scenario
-from sitl.vehicle.quadrotor import QuadrotorState
+from companion.base.messages import Outcome, Phase
+from companion.config import Box, ConfigError, Cylinder, Shape, validate
+from companion.pad import load_pad
+from sitl.pad.motion import PadTruth
+from sitl.scenario.scenario import PassBounds, Scenario, load_airframe, load_scenario
+from sitl.vehicle.quadrotor import QuadrotorState, resting_state
 from sitl.vehicle.rotors import RotorValues
+from sitl.world.ground import Obstacles, PadBoard, distance_m, reach_m, rotor_ratios, thrust_ratio
+from sitl.world.score import judge
 from sitl.world.wind import shear
 from sitl.world.world import World
 
@@ -280,3 +288,157 @@ def test_an_off_centre_accelerometer_can_be_built_from_what_it_tells() -> None:
     assert world.state.angular_acceleration_body_rad_s2[2] == pytest.approx(0.0, abs=1e-6)
     down = quat_rotate_inverse(world.truth().vehicle_attitude, (0.0, 0.0, 1.0))
     assert down == pytest.approx((0.0, 0.0, 1.0), abs=1e-9)
+
+
+# ---------------- What lies under the vehicle, and what it does to the rotors
+
+R = 0.127
+ROTORS = ((0.25, 0.0, -0.05), (0.0, 0.25, -0.05), (-0.25, 0.0, -0.05), (0.0, -0.25, -0.05))
+
+
+def pad_truth(position: Vector3 = (0.0, 0.0, -1.0), heading: float = 0.0) -> PadTruth:
+    return PadTruth(0.0, position, ZERO3, ZERO3, heading, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("radii", "ratio"), [(0.5, 4.0 / 3.0), (1.0, 16.0 / 15.0), (2.0, 64.0 / 63.0), (4.0, 256.0 / 255.0)]
+)
+def test_thrust_follows_cheeseman_and_bennett(radii: float, ratio: float) -> None:
+    assert thrust_ratio(radii * R, R) == pytest.approx(ratio)
+
+
+@pytest.mark.parametrize("height", [0.4 * R, 0.01, 0.0, -0.2])
+def test_thrust_is_bounded_where_the_formula_ends(height: float) -> None:
+    assert thrust_ratio(height, R) == pytest.approx(4.0 / 3.0)
+
+
+def test_thrust_grows_steadily_towards_the_ground() -> None:
+    ratios = [thrust_ratio(0.02 * i, R) for i in range(100)]
+    assert ratios == sorted(ratios, reverse=True)
+    assert ratios[-1] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_only_rotors_over_the_board_feel_it() -> None:
+    board = PadBoard(0.5, 0.5)
+    # the front rotor's hub is over the rear edge of a high board, the others over the ground
+    state = QuadrotorState((-0.6, 0.0, -1.2))
+    ratios = rotor_ratios(state, ROTORS, R, board, pad_truth())
+    assert ratios[0] == pytest.approx(thrust_ratio(0.25, R))
+    assert ratios[1:] == pytest.approx((thrust_ratio(1.25, R),) * 3)
+
+
+def test_a_tilted_vehicle_has_its_low_rotor_deeper_in_ground_effect() -> None:
+    state = QuadrotorState((0.0, 0.0, -0.4), attitude=quat_from_euler(0.2, 0.0, 1.0))
+    ratios = rotor_ratios(state, ROTORS, R, PadBoard(0.5, 0.5), pad_truth((50.0, 0.0, -0.1)))
+    assert ratios[1] > ratios[0] == pytest.approx(ratios[2])
+    assert ratios[0] > ratios[3]
+
+
+def test_high_up_there_is_none() -> None:
+    assert rotor_ratios(QuadrotorState((0.0, 0.0, -5.0)), ROTORS, R, PadBoard(1, 1), pad_truth()) == (
+        1,
+        1,
+        1,
+        1,
+    )
+
+
+@pytest.mark.parametrize("heading_deg", [0, 90, 180, 270])
+def test_the_board_turns_with_the_heading(heading_deg: int) -> None:
+    board, heading = PadBoard(2.0, 0.5), math.radians(heading_deg)
+    pad = pad_truth((3.0, 4.0, -0.2), heading)
+    ahead = (3.0 + 1.5 * math.cos(heading), 4.0 + 1.5 * math.sin(heading))
+    aside = (3.0 - 1.5 * math.sin(heading), 4.0 + 1.5 * math.cos(heading))
+    assert board.local(pad, (*ahead, -0.2)) == pytest.approx((1.5, 0.0, 0.0), abs=1e-12)
+    assert board.local(pad, (*aside, -0.3)) == pytest.approx((0.0, 1.5, -0.1), abs=1e-12)
+    assert board.surface_down_m(pad, *ahead) == -0.2
+    assert board.surface_down_m(pad, *aside) == 0.0
+
+
+def test_the_distance_to_the_board_is_to_its_nearest_point() -> None:
+    board, pad = PadBoard(0.5, 0.5), pad_truth()
+    assert board.distance_m(pad, (0.2, 0.1, -3.0)) == pytest.approx((0.0, 2.0))
+    assert board.distance_m(pad, (0.8, 0.9, -3.0)) == pytest.approx((0.5, 2.0))
+
+
+def test_the_board_has_the_pads_size() -> None:
+    assert PadBoard.of(load_pad("moving_1300")) == PadBoard(0.65, 0.65)
+
+
+# ---------------- test_obstacles
+
+POLE = Cylinder(kind="cylinder", centre_ned_m=(3.0, 4.0), radius_m=1.0, height_m=2.0)
+WALL = Box(kind="box", centre_ned_m=(3.0, 4.0), length_m=4.0, width_m=1.0, heading_deg=30.0, height_m=2.0)
+
+
+@pytest.mark.parametrize("shape", [POLE, WALL])
+def test_the_distance_is_that_to_the_nearest_point_of_the_surface(shape: Shape) -> None:
+    # against a cloud of points within the obstacle, which the simulator knows nothing of
+    rng = np.random.default_rng(0)
+    if isinstance(shape, Cylinder):
+        r, turn = shape.radius_m * np.sqrt(rng.random(60_000)), rng.uniform(0.0, 2.0 * np.pi, 60_000)
+        north, east = 3.0 + r * np.cos(turn), 4.0 + r * np.sin(turn)
+    else:
+        along, across = rng.uniform(-2.0, 2.0, 60_000), rng.uniform(-0.5, 0.5, 60_000)
+        c, s = math.cos(math.radians(30.0)), math.sin(math.radians(30.0))
+        north, east = 3.0 + c * along - s * across, 4.0 + s * along + c * across
+    cloud = np.stack((north, east, -rng.uniform(0.0, 2.0, 60_000)), axis=1)
+    for place in ((0.0, 0.0, -1.0), (6.0, 7.0, -4.0), (3.0, 4.0, -5.0), (2.0, 9.0, -0.5), (3.0, 4.0, -1.0)):
+        nearest = float(np.min(np.linalg.norm(cloud - np.array(place), axis=1)))
+        assert distance_m(place, shape) == pytest.approx(nearest, abs=0.12)
+
+
+def test_the_clearance_counts_from_the_rotors_tips() -> None:
+    body = load_airframe("x500").body
+    assert reach_m(body) == pytest.approx(0.377)
+    assert Obstacles((POLE, WALL), body).clearance_m((3.0, 4.0, -5.0)) == pytest.approx(3.0 - 0.377)
+    assert Obstacles((), body).clearance_m((3.0, 4.0, -5.0)) is None
+
+
+def world_at(east_m: float) -> World:
+    pole = Cylinder(kind="cylinder", centre_ned_m=(0.0, 2.0), radius_m=0.5, height_m=9.0)
+    world = World(Scenario(name="poles", description="one pole", obstacles=(pole,)), 0)
+    world.place(resting_state((0.0, east_m, -5.0), 0.0))
+    world.step((0.5, 0.5, 0.5, 0.5), 0.0025)
+    return world
+
+
+def test_touching_one_is_a_crash_and_passing_close_by_is_not() -> None:
+    near, touched = world_at(1.1), world_at(1.13)
+    assert not near.crashed
+    assert near.truth().obstacle_clearance_m == pytest.approx(1.5 - 1.1 - 0.377, abs=1e-3)
+    assert touched.crashed
+    assert touched.nearest_obstacle_m is not None
+    assert touched.nearest_obstacle_m < 0.0
+
+
+def test_the_verdict_says_what_it_was() -> None:
+    verdict = judge(
+        None,
+        PassBounds(),
+        contacts=(),
+        crashed=True,
+        at_rest_on_pad=False,
+        disarmed=False,
+        final_phase=Phase.SEARCH,
+        nearest_obstacle_m=-0.1,
+    )
+    assert (verdict.outcome, verdict.failures) == (Outcome.CRASHED, ("touched an obstacle",))
+
+
+def test_an_obstacle_of_no_kind_is_refused_in_one_line() -> None:
+    with pytest.raises(
+        ConfigError, match=r"obstacles.0.kind: expected one of 'cylinder', 'box', found 'cone'"
+    ):
+        validate(
+            Scenario,
+            {"name": "x", "description": "y", "obstacles": [{"kind": "cone", "centre_ned_m": [0, 0]}]},
+            "file",
+        )
+
+
+@pytest.mark.parametrize("name", ["obstacles", "gate", "roadside"])
+def test_the_app_knows_of_a_shipped_scenarios_obstacles_because_its_settings_list_them(name: str) -> None:
+    scenario = load_scenario(name)
+    listed = scenario.companion["plan"]["obstacles"]
+    assert [shape.model_dump(exclude_defaults=True, mode="json") for shape in scenario.obstacles] == listed
