@@ -17,7 +17,6 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 
 from companion.base.errors import ConfigError
 from companion.base.files import cannot_read
-from companion.base.message_json import decode
 
 T = TypeVar("T")
 
@@ -90,6 +89,8 @@ class LogReader:
         Raises:
             ConfigError: it is none.
         """
+        from companion.base.message_json import decode  # noqa: PLC0415 - NumPy; a wrong name is reported first
+
         try:
             return decode(kind, json.loads(message.data))
         except (ValueError, TypeError, KeyError) as error:

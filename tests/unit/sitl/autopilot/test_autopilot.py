@@ -202,6 +202,7 @@ def test_a_mode_command_ends_the_failsafe_for_good() -> None:
 
 def test_ardupilot_keeps_flying_for_three_seconds_then_stops_within_guided() -> None:
     flight = in_the_air("ardupilot")
+    flight.autopilot.parameters.set("GUID_TIMEOUT", 3)
     flight.run(3.0, velocity(1.0))
     samples = flight.run(6.0)
     assert samples[int(2.8 * 50)].velocity[0] == pytest.approx(1.0, abs=0.1)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from math import nan
 
 import pytest
@@ -188,7 +187,9 @@ def test_at_ardupilots_time_out_what_stands_by_a_thrust_stays_down_and_what_hove
     flight = in_the_air("ardupilot")
     flight.autopilot.parameters.set("GUID_OPTIONS", 8)
     flight.autopilot.parameters.set("GUID_TIMEOUT", 0.5)
-    flight.vehicle.airframe = replace(flight.vehicle.airframe, mass_kg=1.2 * flight.vehicle.airframe.mass_kg)
+    flight.vehicle.airframe = flight.vehicle.airframe.model_copy(
+        update={"mass_kg": 1.2 * flight.vehicle.airframe.mass_kg}
+    )
     hover, level = 1.2 * flight.autopilot.thrust, quat_from_euler(0.0, 0.0, 0.0)
     flight.run(1.0, AttitudeSetpoint(level, hover))
     held = flight.run(5.0)
