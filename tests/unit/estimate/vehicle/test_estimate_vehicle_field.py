@@ -39,6 +39,9 @@ def test_a_field_of_the_wrong_size_or_dip_counts_as_none(iron_body_ut: Vector3) 
 
 
 def test_a_field_that_fits_is_taken() -> None:
-    _, with_field = heading_and_doubt((0.0, 0.0, 0.0))
+    """One that is turned within its size and dip turns the heading; the doubt is the compass's own bias."""
+    heading, with_field = heading_and_doubt((0.0, 0.0, 0.0))
+    turned, _ = heading_and_doubt((0.0, 3.0, 0.0))
     _, without = heading_and_doubt((0.0, 0.0, 0.0), dead=True)
-    assert with_field < without - 0.1
+    assert abs(turned - heading) > 0.3
+    assert with_field < without
