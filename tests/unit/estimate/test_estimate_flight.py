@@ -66,10 +66,10 @@ def test_velocity_within_15_cm_s(name: str) -> None:
 
 
 def test_claimed_uncertainty_is_honest() -> None:
-    """Over all flights, each with a compass as wrong as the filter expects: most of the attitude's error is that.
+    """Over all flights, each with a compass as wrong as the filter expects: most of the attitude's error.
 
-    One flight alone has one such error and some twenty others, too few to judge by. 0.52 to 0.77 of the attitude's
-    claim by four draws of the compasses.
+    One flight alone has one such error and some twenty others, too few to judge by. 0.52 to 0.77 of the
+    attitude's claim by four draws of the compasses.
     """
     draws = np.random.default_rng(0)
     expected_ut = EstimateConfig().ekf.mag_bias_std_ut
