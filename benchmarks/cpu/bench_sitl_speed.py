@@ -316,7 +316,7 @@ class SpeedClient:
 
 
 PARTS: Final[dict[str, tuple[tuple[type[Any], str], ...]]] = {
-    "physics": ((World, "step"), (World, "motion"), (World, "truth")),
+    "physics": ((World, "step"), (World, "truth")),
     "contact": ((Contact, "step"),),
     "autopilot": ((SimulatedAutopilot, "step"),),
     "sensor chips": ((SensorRack, "step"),),

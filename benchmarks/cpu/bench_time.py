@@ -55,7 +55,7 @@ SITL_TASKS: Final = "SITL: tasks, ticks"
 PARTS: Final[Methods] = {
     START: ((App, ("__init__",)),),
     "SITL: made": ((InProcess, ("__init__",)),),
-    "SITL: world": ((World, ("step", "motion", "truth")),),
+    "SITL: world": ((World, ("step", "truth")),),
     "SITL: autopilot": ((SimulatedAutopilot, ("step",)),),
     "SITL: sensors and devices": (
         (SensorRack, ("step",)),

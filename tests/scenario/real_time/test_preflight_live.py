@@ -66,7 +66,7 @@ def test_a_px4_vehicle_that_stands_there(tmp_path: Path) -> None:
     groups = {group for group, _ in not_well(findings, "fail")}
     assert groups <= {"camera", "telemetry"}, findings
     assert code == bool(groups)
-    assert findings["link", "heartbeat"]["detail"].startswith("PX4, mode ")
+    assert findings["link", "heartbeat"]["detail"].startswith("PX4 1.16.1, mode ")
     assert findings["autopilot's parameters", "COM_RC_OVERRIDE"]["detail"] == "1"
     assert findings["autopilot's parameters", "COM_RC_OVERRIDE"]["state"] == "warning"
     assert findings["autopilot's parameters", "COM_OF_LOSS_T"]["state"] == "ok"
@@ -109,7 +109,7 @@ def test_an_ardupilot_vehicle_by_its_telemetry_alone(tmp_path: Path) -> None:
     assert not_well(findings, "fail") == {("autopilot's parameters", "GUID_OPTIONS")}
     assert findings["autopilot's parameters", "GUID_OPTIONS"]["detail"] == "0"
     assert findings["autopilot's parameters", "GUID_OPTIONS"]["hint"].startswith("expected 8 (bit 3)")
-    assert findings["link", "heartbeat"]["detail"].startswith("ArduPilot, mode ")
+    assert findings["link", "heartbeat"]["detail"].startswith("ArduPilot 4.6.0, mode ")
     assert not_well(findings, "ok") >= {
         ("autopilot's sensors", "IMU and compass"),
         ("autopilot's sensors", "range"),
