@@ -115,7 +115,7 @@ def stage(folder: Path, scenario: str | Path, seed: int) -> Iterator[Stage]:
     assert simulator.stdout is not None
     wired = json.loads(simulator.stdout.readline())
     witness = UdpWitness(int(wired["link"]["connection"].rpartition(":")[2]))
-    operator = load_scenario(scenario).operator_settings
+    operator = load_scenario(scenario).companion
     changes: dict[str, Any] = {
         "link": {"connection": f"udp:127.0.0.1:{witness.port}"},
         "plan": {"mission": {"may_arm": True}},

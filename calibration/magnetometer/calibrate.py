@@ -252,10 +252,9 @@ def field_by(
     """
     if position is not None:
         return field_at(_place(position), year, "--position")
-    if config is not None and "magnetic_field_ned_ut" in settings.estimate.model_fields_set:
-        return TrueField(
-            settings.estimate.magnetic_field_ned_ut, f"estimate.magnetic_field_ned_ut of {config}"
-        )
+    if config is not None and settings.estimate.magnetic_field_ned_ut is not None:
+        told = settings.estimate.magnetic_field_ned_ut
+        return TrueField(told, f"estimate.magnetic_field_ned_ut of {config}")
     return None
 
 

@@ -56,12 +56,12 @@ class SourceWatch:
         return found
 
     def _of_the_place(self) -> Iterator[SourceComparison]:
-        """The geomagnetic field where the first fix is, which is looked up once."""
-        place = self._estimator.origin
-        if place is None:
+        """The geomagnetic field that was told, where the first fix is; looked up once."""
+        place, told = self._estimator.origin, self._config.magnetic_field_ned_ut
+        if place is None or told is None:
             return
         if self._declination is None or self._declination[0] != place:
-            told, std_ut = self._config.magnetic_field_ned_ut, self._config.ekf.field_std_ut
+            std_ut = self._config.ekf.field_std_ut
             self._declination = place, compare_declination(told, std_ut, place, unix_time_s())
         yield self._declination[1]
 

@@ -3,7 +3,8 @@
 The model is fitted anew every five years; the coefficients of 2010 to 2029 come with the library. Beyond
 those years the nearest model is carried on, which errs by a degree or so in ten years.
 
-The heading takes its declination from the setting of the field; `compare_declination` checks it by the model.
+The heading takes its declination from the model at the first fix (`field_here`), or from the setting of the
+field, which `compare_declination` checks by the model.
 """
 
 import math
@@ -38,6 +39,14 @@ def field_ned_ut(latitude_deg: float, longitude_deg: float, altitude_m: float, y
         allow_date_outside_lifespan=True,
     )
     return (_UT_PER_NT * field.x, _UT_PER_NT * field.y, _UT_PER_NT * field.z)
+
+
+def field_here(place: Vector3) -> Vector3:
+    """The field (µT, NED) at latitude, longitude (deg) and altitude (m), in the newest model's middle year.
+
+    Without a clock: a computer's may not be set yet, and the declination changes by 0.1 to 0.2 deg a year.
+    """
+    return field_ned_ut(*place, NEWEST_EPOCH + 2.5)
 
 
 def compare_declination(

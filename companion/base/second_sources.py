@@ -127,7 +127,7 @@ ROWS: Final = (
         notice=0.0,
         before="announced; the heading that it turns is refused as heading",
         in_flight="learnt from the GPS velocities of the first manoeuvres",
-        hint="set estimate.magnetic_field_ned_ut to the model's",
+        hint="leave estimate.magnetic_field_ned_ut out: the model's is taken",
     ),
     SourceRow(
         Quantity.HEIGHT_OVER_PAD,

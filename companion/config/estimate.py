@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from companion.config.reading import OPERATOR, StrictModel, Vector
+from companion.config.reading import StrictModel, Vector
 
 
 class AlignmentConfig(StrictModel):
@@ -123,9 +123,9 @@ class EstimateConfig(StrictModel):
     madgwick_gain: float = Field(default=0.041, ge=0.0, le=2.0)
     """Gain β, when `orientation.kind` is madgwick; raise it for a gyroscope that drifts, lower it where
     vibration tilts the attitude"""
-    magnetic_field_ned_ut: Vector = Field(default=(20.9, 0.6, 42.9), json_schema_extra=OPERATOR)
-    """The Earth's field at the flying site (north, east, down); declination and dip follow from it. Set it
-    when you fly elsewhere"""
+    magnetic_field_ned_ut: Vector | None = None
+    """The Earth's field at the flying site (north, east, down); declination and dip follow from it. Left out,
+    it is the World Magnetic Model's at the first GPS fix; set it where the model does not hold"""
     alignment: AlignmentConfig = AlignmentConfig()
     orientation: OrientationConfig = OrientationConfig()
     ekf: EkfConfig = EkfConfig()
@@ -133,7 +133,9 @@ class EstimateConfig(StrictModel):
 
     @field_validator("magnetic_field_ned_ut")
     @classmethod
-    def _has_a_north(cls, field: Vector) -> Vector:
+    def _has_a_north(cls, field: Vector | None) -> Vector | None:
+        if field is None:
+            return None
         if math.hypot(field[0], field[1]) < 1.0:
             raise ValueError(f"expected a horizontal field of at least 1 µT to tell north by, found {field}")
         if not 15.0 <= math.hypot(*field) <= 100.0:

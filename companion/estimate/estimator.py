@@ -158,6 +158,8 @@ class StateEstimator:
         accuracy = (fix.horizontal_accuracy_m, fix.vertical_accuracy_m, fix.speed_accuracy_m_s)
         climb_accuracy = fix.vertical_speed_accuracy_m_s or 0.0
         usable = self._usable(fix.time_s, (*place, *fix.velocity_ned_m_s, *accuracy, climb_accuracy))
+        if usable and self.origin is None:
+            self._attitude_check.forget()  # the first fix may turn north
         return self._count("gps", usable and self._vehicle.add_gps(fix))
 
     def add_autopilot_attitude(self, sample: AutopilotAttitude) -> bool:

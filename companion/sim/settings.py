@@ -62,10 +62,8 @@ def sitl_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionCo
     elif trial.firmware is not None:
         link = {"link": {"system_id": 0}}  # PX4 numbers itself by its instance
     hardware = merge(merge(SIMULATED_HARDWARE, link), _wiring(trial.scenario))
-    # where somebody else's vehicle stands is not the scenario's to say
     scenario = trial.scenario
-    given = scenario.companion if trial.external else scenario.operator_settings
-    overrides = merge(merge(hardware, _MAY_ARM), given)
+    overrides = merge(merge(hardware, _MAY_ARM), scenario.companion)
     if fast:
         # MAVSDK has threads and a clock of its own; the same actions by our own messages in virtual time
         overrides = merge(overrides, {"link": {"actions": "pymavlink"}})

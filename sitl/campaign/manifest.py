@@ -168,7 +168,7 @@ def scenario_digest(source: str, config: str | None) -> str:
     scenario = load_scenario(source)
     settings = load_config(SHIPPED_SETTINGS if config is None else Path(config))
     merged = validate(
-        CompanionConfig, merge(settings.model_dump(), scenario.operator_settings), f"{source}: companion"
+        CompanionConfig, merge(settings.model_dump(), scenario.companion), f"{source}: companion"
     )
     files = (
         find_file("airframes", scenario.airframe),

@@ -39,7 +39,6 @@ from sitl.run.scene_camera import SceneCamera
 from sitl.run.sensor_setup import sensor_errors
 from sitl.run.server import REPORT_NAME, SENSOR_BAUD
 from sitl.run.simulation import OUT_OF_RANGE_M, TRUTH_EVERY_TICKS
-from sitl.scenario.home import magnetic_field_ned_ut
 from sitl.scenario.scenario import PassBounds, Scenario
 from sitl.sensors.sensors import RangeErrors, RangeSensor
 from sitl.world.score import Verdict
@@ -134,7 +133,6 @@ class ExternalSimulation:
         self.client = VehicleClient(tell)
         self.world = ExternalWorld(scenario, seed)
         self.ready = asyncio.Event()
-        self.place: Vector3 | None = None  # of the world's origin (deg, deg, m AMSL), once it is known
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
         *rngs, rangefinder_rng = np.random.default_rng((seed, STREAM)).spawn(7)
         streams = iter(rngs)
@@ -234,7 +232,6 @@ class ExternalSimulation:
             ground = self.client.home
             self._tell("WARNING: the vehicle is armed already; the ground is taken to be at its home")
         self.world.begin(ground)
-        self.place = ground
         self._origin_source = self.client.source
         self._station = GroundStation.of(self._beacon, self._station_rng, ground)
         self._tell(
@@ -397,11 +394,7 @@ def _endpoints(relay_port: int, range_path: str, frames: str) -> dict[str, Any]:
 
 async def _tell_once_found(simulation: ExternalSimulation, endpoints: dict[str, Any]) -> None:
     await simulation.ready.wait()
-    assert simulation.place is not None  # chosen with the first pose
-    # both autopilots' simulators take their field from the magnetic model at the place where they stand;
-    # with another place's field the app's heading would be wrong by the difference of the declinations
-    field_ned_ut = magnetic_field_ned_ut(simulation.place)
-    print_json({**endpoints, "estimate": {"magnetic_field_ned_ut": list(field_ned_ut)}})
+    print_json(endpoints)
 
 
 async def _landed_once(stopped: asyncio.Event) -> Phase:

@@ -31,8 +31,8 @@ class HomeSettings(StrictModel):
         le=85.0,
         description=(
             "Latitude of the world's origin. Without `home` it is where the autopilot's own simulator "
-            "starts: 47.397742, 8.545594, 488 m (PX4), -35.363262, 149.165237, 584 m (ArduPilot). Magnetic"
-            " field and the app's `magnetic_field_ned_ut` follow the place"
+            "starts: 47.397742, 8.545594, 488 m (PX4), -35.363262, 149.165237, 584 m (ArduPilot). The "
+            "magnetic field follows the place"
         ),
     )
     longitude_deg: float = Field(ge=-180.0, le=180.0, description="Longitude of the world's origin")

@@ -119,7 +119,7 @@ def app_settings_text(scenario: Scenario, connection: str, devices: dict[str, An
         "sense": {"range": {"kind": scenario.sensors.ultrasonic}},
     }
     there = merge(devices, {"link": {"connection": connection}})
-    found = merge(merge(named, scenario.operator_settings), there)
+    found = merge(merge(named, scenario.companion), there)
     return _HEAD + str(yaml.safe_dump(found, sort_keys=False))
 
 

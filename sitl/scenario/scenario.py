@@ -13,7 +13,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Vector3
-from companion.config import Shape, StrictModel, find_file, load_model, merge
+from companion.config import Shape, StrictModel, find_file, load_model
 from sitl.autopilot.control.attitude_control import RateGains
 from sitl.autopilot.control.estimator import EstimatorName
 from sitl.camera.exposure import DirtSettings, ExposureSettings
@@ -23,7 +23,7 @@ from sitl.faults.faulty_link import LinkSettings
 from sitl.pad.motion import PadMotionSettings
 from sitl.pad.paths import Angle, DeckSettings, Heading, HeaveMotion, StaticMotion
 from sitl.scenario.as_built import AsBuiltSettings, BuiltVehicle, draw
-from sitl.scenario.home import USUAL_HOMES, HomeSettings, magnetic_field_ned_ut
+from sitl.scenario.home import USUAL_HOMES, HomeSettings
 from sitl.vehicle.quadrotor import QuadrotorParameters
 from sitl.world.contact import ContactParameters
 from sitl.world.wind import WindSettings
@@ -284,12 +284,6 @@ class Scenario(StrictModel):
     def built(self, seed: int) -> BuiltVehicle:
         """What was built, against what this file and the app's say: by `as_built`, under a seed."""
         return draw(self.as_built, seed)
-
-    @property
-    def operator_settings(self) -> dict[str, Any]:
-        """The app's settings by who flies here: `companion`, and the magnetic field of the place."""
-        here = {"estimate": {"magnetic_field_ned_ut": list(magnetic_field_ned_ut(self.place))}}
-        return merge(here, self.companion)
 
 
 def load_scenario(name: str | Path) -> Scenario:

@@ -67,7 +67,7 @@ def settings_text() -> str:
             "vision": {"source": f"socket:{PLUGGED}/camera"},
         },
     }
-    return str(yaml.safe_dump(merge(load_scenario(NEAR).operator_settings, devices)))
+    return str(yaml.safe_dump(merge(load_scenario(NEAR).companion, devices)))
 
 
 def step(words: str) -> None:

@@ -28,7 +28,6 @@ from sitl.devices.ports import MemoryPort
 from sitl.external.session import ExternalConnections, ExternalSimulation
 from sitl.run.in_process import RANGE_BAUD, MemoryFrames
 from sitl.run.simulation import Simulation
-from sitl.scenario.home import magnetic_field_ned_ut
 from sitl.scenario.scenario import Scenario, load_scenario
 
 SPEC: Final = "udp:127.0.0.1:1"  # nobody connects: the pipes are there already
@@ -80,9 +79,7 @@ async def _fly(name: str, seed: int, kind: AutopilotKind, changes: dict[str, Any
     settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
     log = FlightLog(None, start_unix_s=0.0)
     async with _world(trial, kind) as (world, app_end, frames, range_port):
-        assert world.place is not None
-        found = {"estimate": {"magnetic_field_ned_ut": list(magnetic_field_ned_ut(world.place))}}
-        wired = validate(CompanionConfig, merge(merge(settings.model_dump(), found), changes), "the flight")
+        wired = validate(CompanionConfig, merge(settings.model_dump(), changes), "the flight")
         hardware = Hardware(app_end, frames, imu_bus=None, gps_port=None, range_port=range_port.app)
         app = App(wired, hardware, log, make_own_actions, lambda _status: None)
         flight = asyncio.create_task(app.run())

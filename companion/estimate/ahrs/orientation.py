@@ -41,9 +41,8 @@ class Orientation(Protocol):
         ...
 
 
-def new_orientation(config: EstimateConfig, attitude: Quaternion) -> Orientation:
-    """The pre-filter that the settings name, starting from an attitude."""
-    field = config.magnetic_field_ned_ut
+def new_orientation(config: EstimateConfig, field: Vector3, attitude: Quaternion) -> Orientation:
+    """The pre-filter that the settings name, starting from an attitude in a field (µT, NED)."""
     if config.orientation.kind == "madgwick":
         return MadgwickFilter(config.madgwick_gain, math.atan2(field[1], field[0]), attitude)
     return OrientationFilter(field, attitude)

@@ -13,11 +13,13 @@ from companion.base.geometry import (
     FloatArray,
     Quaternion,
     Vector3,
+    dot,
     euler_from_quat,
+    norm,
     quat_rotate_inverse,
     vector3,
 )
-from companion.config import EkfConfig, EstimateConfig
+from companion.config import EkfConfig
 from companion.estimate.ahrs.alignment import InitialAlignment
 from companion.estimate.ahrs.madgwick import align
 from companion.estimate.vehicle import ekf_model as model
@@ -27,6 +29,9 @@ ACCEL_BIAS_WALK_M_S2_RTS: Final = 0.0005
 GYRO_BIAS_WALK_RAD_S_RTS: Final = 2e-5
 FIELD_WALK_UT_RTS: Final = 0.005
 MAG_BIAS_WALK_UT_RTS: Final = 0.02
+
+# of the field while no fix has told the place: between 60 deg south and north nine in ten are within 30 deg
+DECLINATION_STD_RAD: Final = math.radians(20.0)
 
 MOVING_SPEED_M_S: Final = 10.0  # an axis, of a vehicle that is started in motion
 
@@ -50,27 +55,41 @@ class InitialState:
     heading_std_rad: float
     gyro_bias_std_rad_s: float
     speed_std_m_s: float = 0.1
+    north_unknown: bool = False  # magnetic north stands for it
 
 
-def start_state(time_s: float, found: InitialAlignment, config: EstimateConfig) -> InitialState | None:
-    """What the alignment shows; one in motion shows little. None when a sensor is dead."""
-    field = config.magnetic_field_ned_ut
+def start_state(
+    time_s: float, found: InitialAlignment, config: EkfConfig, field_ned_ut: Vector3 | None
+) -> InitialState | None:
+    """What the alignment shows; one in motion shows little. None when a sensor is dead.
+
+    `field_ned_ut` None: it is not known yet, and magnetic north stands for north.
+    """
+    field = field_ned_ut or _measured_field(found)
     declination_rad = math.atan2(field[1], field[0])
     try:
         attitude = align(found.specific_force_body_m_s2, found.field_body_ut, declination_rad)
     except ValueError:
         return None
-    gyro_std = config.ekf.gyro_noise_rad_s / math.sqrt(found.samples) + 2e-4
+    gyro_std = config.gyro_noise_rad_s / math.sqrt(found.samples) + 2e-4
     return InitialState(
         time_s=time_s,
         attitude=attitude,
         gyro_bias_rad_s=found.rate_body_rad_s if found.still else ZERO3,
         field_ned_ut=field,
+        north_unknown=field_ned_ut is None,
         tilt_std_rad=math.radians(2.0 if found.still else 15.0),
         heading_std_rad=math.radians(1.5 if found.still else 40.0),
         gyro_bias_std_rad_s=gyro_std if found.still else math.radians(1.0),
         speed_std_m_s=0.1 if found.still else MOVING_SPEED_M_S,
     )
+
+
+def _measured_field(found: InitialAlignment) -> Vector3:
+    """Size and dip (µT, NED with magnetic north for north) as the alignment measures them."""
+    size_ut, force = norm(found.field_body_ut), norm(found.specific_force_body_m_s2)
+    down_ut = -dot(found.field_body_ut, found.specific_force_body_m_s2) / force if force > 0.0 else 0.0
+    return (math.sqrt(max(size_ut * size_ut - down_ut * down_ut, 0.0)), 0.0, down_ut)
 
 
 def noise_density() -> FloatArray:
@@ -108,6 +127,8 @@ def initial_covariance(config: EkfConfig, start: InitialState) -> FloatArray:
     diagonal[model.ACCEL_BIAS] = config.accel_bias_std_m_s2**2
     diagonal[model.GYRO_BIAS] = start.gyro_bias_std_rad_s**2
     diagonal[model.FIELD] = config.field_std_ut**2
+    if start.north_unknown:
+        diagonal[model.FIELD] += (math.tan(DECLINATION_STD_RAD) * start.field_ned_ut[0]) ** 2
     diagonal[model.MAG_BIAS] = config.mag_bias_std_ut**2
     north, east, _ = start.field_ned_ut
     turned_by = np.array((-east, north, 0.0)) / (north**2 + east**2)  # rad/µT

@@ -28,9 +28,10 @@ from companion.base.geometry import (
     subtract,
     vector3,
 )
+from companion.base.magnetic_field import field_here
 from companion.base.messages import AutopilotAttitude, GpsFix, ImuSample, MagSample, VehicleState
 from companion.config import EstimateConfig
-from companion.estimate.ahrs.alignment import Block, StaticAligner, StillnessDetector
+from companion.estimate.ahrs.alignment import Block, InitialAlignment, StaticAligner, StillnessDetector
 from companion.estimate.ahrs.orientation import (
     Orientation,
     heading_noise_rad,
@@ -83,10 +84,12 @@ class VehicleEstimator:
         self.motion = motion
         self._detector = StillnessDetector(config.alignment)
         self._aligner: StaticAligner | None = StaticAligner(config.alignment)
+        self._found: InitialAlignment | None = None  # the last
         self._orientation: Orientation | None = None
         self._ekf: VehicleEkf | None = None
         self._timeline: Timeline[EkfSnapshot, EkfInput] | None = None
         self.origin: Vector3 | None = None
+        self._field_ned_ut = config.magnetic_field_ned_ut  # the Earth's; None: not known yet
         self.newest_s = self._leap_s = -math.inf
         self._strapdown, self._fields = Strapdown(), FieldMean(config.ekf)
         self._fields_untrusted = 0  # of the wrong size or dip
@@ -158,10 +161,21 @@ class VehicleEstimator:
         return True
 
     def add_gps(self, fix: GpsFix) -> bool:
-        """Take one fix; False before the alignment, or when it is older than anything remembered."""
+        """Take one fix; False before the alignment, or when it is older than anything remembered.
+
+        The first tells where on Earth this is, and with that the field: an alignment to magnetic north was
+        only for want of it, and is made anew.
+        """
+        place = (fix.latitude_deg, fix.longitude_deg, fix.altitude_m)
+        if self._field_ned_ut is None:
+            self._field_ned_ut = field_here(place)
+            if self._found is not None and self._resting:
+                self._start(self.newest_s, self._found)  # what stands still still reads the same
+            elif self._ekf is not None:
+                self.start_over()
         if self._timeline is None:
             return False
-        origin = self.origin or (fix.latitude_deg, fix.longitude_deg, fix.altitude_m)
+        origin = self.origin or place
         step = gps_step(fix, origin, self._config.ekf)
         if not self._timeline.add(fix.time_s, step):
             return False
@@ -284,27 +298,33 @@ class VehicleEstimator:
             self._aligner = None
         if found is None or (self._ekf is not None and not found.still):
             return
-        start = start_state(time_s, found, self._config)
-        if start is None:
-            return
-        if found.still:
+        if self._start(time_s, found) and found.still:
             self._aligner = None
+
+    def _start(self, time_s: float, found: InitialAlignment) -> bool:
+        """Begin afresh from an alignment; False when it shows that a sensor is dead."""
+        start = start_state(time_s, found, self._config.ekf, self._field_ned_ut)
+        if start is None:
+            return False
+        self._found = found
         self._strapdown, self._span_s = Strapdown(), None
         self._fields.start_over()
         self._second_gyro, self._reset = SecondGyro(), AttitudeReset()
-        self._orientation = new_orientation(self._config, start.attitude)
+        self._orientation = new_orientation(self._config, start.field_ned_ut, start.attitude)
         self._ekf = VehicleEkf(self._config.ekf, self._antenna_body_m, start)
         self._timeline = Timeline(self._ekf, self._config.ekf.remember_s)
         self._inertial.gyro_bias_rad_s, self._inertial.attitude = start.gyro_bias_rad_s, start.attitude
         self._resting = found.still
         self._mag_trusted_s = time_s
         self._settled_s = time_s if found.still else time_s + SETTLING_S
+        return True
 
     def start_over(self) -> None:
         """Forget all but the time of the newest sample; the alignment begins again."""
         config = self._config.alignment
         self._detector, self._aligner = StillnessDetector(config), StaticAligner(config)
         self._orientation = self._ekf = self._timeline = self._last_raw = self._last_mean_rate = None
+        self._found = None
         self._strapdown, self._span_s = Strapdown(), None
         self._fields.start_over()
         self._second_gyro, self._reset = SecondGyro(), AttitudeReset()

@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import ZERO3, Vector3, dot, norm
-from companion.base.magnetic_field import field_ned_ut
-from companion.base.messages import ImuSample, MagSample
+from companion.base.magnetic_field import field_here, field_ned_ut
+from companion.base.messages import GpsFix, ImuSample, MagSample
 from companion.config import CONFIG_FOLDER, CompanionConfig, load_config, load_vehicle
 from companion.flightlog.replay.compare import FieldUsed
 from companion.flightlog.replay.flight_record import FlightRecord, RecordedEvent, ReplaySetup
@@ -41,14 +41,11 @@ def choose(record: FlightRecord, config_path: Path | None) -> Choice:
         ConfigError: the file, or one that it names, is missing or wrong.
     """
     if record.kind == "companion" and record.rig is not None and config_path is None:
-        field = FieldUsed(ned_ut=record.rig.config.estimate.magnetic_field_ned_ut, source="settings")
-        return Choice(record.rig, field, "the flight's own", repeats=True)
+        return Choice(record.rig, _field(record, record.rig.config), "the flight's own", repeats=True)
     path = config_path or DEFAULT_SETTINGS
     config = load_config(path)
-    if record.kind == "companion":
-        field = FieldUsed(ned_ut=config.estimate.magnetic_field_ned_ut, source="settings")
-    else:
-        field = _field(record, config)
+    field = _field(record, config)
+    if record.kind != "companion":
         config = _fitted(config, record, field.ned_ut)
     vehicle = load_vehicle(config.vehicle, config.mount, config.camera)
     return Choice(ReplaySetup(config, vehicle, load_pad(config.pad)), field, str(path), repeats=False)
@@ -65,8 +62,14 @@ def _fitted(config: CompanionConfig, record: FlightRecord, field: Vector3) -> Co
 
 
 def _field(record: FlightRecord, config: CompanionConfig) -> FieldUsed:
-    if "magnetic_field_ned_ut" in config.estimate.model_fields_set:
-        return FieldUsed(ned_ut=config.estimate.magnetic_field_ned_ut, source="settings")
+    """As the estimator takes it; by the date of another program's log, which may be from before the model."""
+    if (told := config.estimate.magnetic_field_ned_ut) is not None:
+        return FieldUsed(ned_ut=told, source="settings")
+    if record.kind == "companion":
+        fix = next((item for _, item in record.events if isinstance(item, GpsFix)), None)
+        if fix is not None:
+            here = field_here((fix.latitude_deg, fix.longitude_deg, fix.altitude_m))
+            return FieldUsed(ned_ut=here, source="World Magnetic Model at the first fix")
     place = record.place
     if place is None:
         source = "the log's magnetometer (no GPS in it): heading counts from magnetic north"

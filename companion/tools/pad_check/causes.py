@@ -50,7 +50,7 @@ class Mounting:
     camera_tilt_deg: float
     body_from_sensor_deg: Vector3 | None
     range_position_body_m: Vector3
-    field_ned_ut: Vector3
+    field_ned_ut: Vector3 | None
 
 
 @dataclass(slots=True)
@@ -69,7 +69,7 @@ _ADVICE: Final[dict[Part, str]] = {
     "range": "the ultrasonic does not answer: sense.range.kind, sense.range.port, its wiring, and a hard "
     "surface under it",
     "compass": "the compass is disturbed or not calibrated: run calibrate-magnetometer, keep away from iron; "
-    "estimate.magnetic_field_ned_ut is the field that is expected",
+    "expected is estimate.magnetic_field_ned_ut, or else what the Earth has",
     "compass axes": "the compass does not sit as the settings say, or is disturbed: its orientation in the "
     "autopilot (COMPASS_ORIENT, CAL_MAG0_ROT), or a calibration file of another sensor",
     "pad": "the pad does not lie level, or camera_tilt_deg ({m.camera_tilt_deg:g}) of the vehicle "

@@ -34,6 +34,7 @@ ALIKE_SIZE: Final = (math.radians(3.0), 0.2)  # and between the angles: so much,
 HEIGHT: Final = (0.04, 0.07)  # likewise between two heights (m)
 # what a compass that nobody has calibrated may be off by without being grossly wrong
 FIELD_SHARE: Final = 0.35
+EARTH_FIELD_UT: Final = (22.0, 67.0)  # World Magnetic Model, least (South Atlantic) and most
 DIP_RAD: Final = math.radians(25.0)
 COMPASS_TURN: Final = (math.radians(10.0), 0.3)
 GRAVITY_SHARE: Final = 0.15  # 60 mg and 3 % by the data sheet, and a hand
@@ -108,19 +109,27 @@ def height_by_camera(rest: StandstillMeans, range_position_body_m: Vector3) -> f
     return dot(down_by_pad(rest), subtract(rest.pad_position_body_m, range_position_body_m))
 
 
-def judge_compass(rest: StandstillMeans, field_ned_ut: Vector3) -> CheckAnswer:
-    """A field of about the earth's strength, that dips about as it does; nothing finer than gross."""
+def judge_compass(rest: StandstillMeans, field_ned_ut: Vector3 | None) -> CheckAnswer:
+    """A field of about the earth's strength, that dips about as it does; nothing finer than gross.
+
+    `field_ned_ut` None: nobody says where this is, and anything that the Earth has somewhere will do.
+    """
     if rest.field_ut is None:
         return CheckAnswer("compass", "no samples of the magnetometer", ("compass",))
-    strength_ut, expected_ut = norm(rest.field_ut), norm(field_ned_ut)
+    strength_ut = norm(rest.field_ut)
     dip = 0.5 * math.pi - angle_between(rest.field_ut, down_by_force(rest))
+    values = {"field_ut": strength_ut, "dip_deg": math.degrees(dip)}
+    if field_ned_ut is None:
+        low_ut, high_ut = EARTH_FIELD_UT
+        detail = f"{strength_ut:.0f} µT; {low_ut:.0f} to {high_ut:.0f} µT are expected"
+        return CheckAnswer("compass", detail, () if low_ut < strength_ut < high_ut else ("compass",), values)
+    expected_ut = norm(field_ned_ut)
     expected_dip = math.asin(field_ned_ut[2] / expected_ut)
     detail = (
         f"{strength_ut:.0f} µT, dip {math.degrees(dip):.0f}°; "
         f"{expected_ut:.0f} µT and {math.degrees(expected_dip):.0f}° are expected"
     )
     good = abs(strength_ut - expected_ut) < FIELD_SHARE * expected_ut and abs(dip - expected_dip) < DIP_RAD
-    values = {"field_ut": strength_ut, "dip_deg": math.degrees(dip)}
     return CheckAnswer("compass", detail, () if good else ("compass",), values)
 
 

@@ -54,10 +54,12 @@ def _horizons(devices: Sequence[Finding], link: Sequence[Finding]) -> Finding:
 
 def _declination(found: Sequence[Finding], config: EstimateConfig, now: datetime) -> Finding:
     """The setting of the field against the model's where it stands: our fix, else the autopilot's home."""
+    told_ned_ut, told_std_ut = config.magnetic_field_ned_ut, config.ekf.field_std_ut
+    if told_ned_ut is None:
+        return _GROUP.skip(Quantity.DECLINATION, "the World Magnetic Model's at the first fix is taken")
     place = next((finding.place for finding in found if finding.place is not None), None)
     if place is None:
         return _GROUP.skip(Quantity.DECLINATION, "it takes a GPS fix, or the autopilot's home")
-    told_ned_ut, told_std_ut = config.magnetic_field_ned_ut, config.ekf.field_std_ut
     return _judged(compare_declination(told_ned_ut, told_std_ut, place, now.timestamp()))
 
 

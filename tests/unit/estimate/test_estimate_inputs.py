@@ -1,9 +1,12 @@
 """What became of each input is counted with its reason, and a filter that refuses all of one starts again."""
 
+import math
 from dataclasses import replace
 
 import pytest
 
+from companion.base.geometry import yaw_from_quat
+from companion.base.magnetic_field import field_here
 from companion.base.messages import GpsFix, ImuSample, InputUse, MagSample
 from companion.config import EstimateConfig, VehicleConfig, find_file, load_model
 from companion.estimate.estimator import StateEstimator
@@ -29,17 +32,17 @@ class VehicleAtRest:
         config = EstimateConfig()
         vehicle = load_model(VehicleConfig, find_file("vehicles", "px4_500mm"))
         self.estimator = StateEstimator(config, vehicle, (0.0, 0.0, 0.0), 0.5)
-        self.field_ut = config.magnetic_field_ned_ut
+        self.field_ut = field_here((FIX.latitude_deg, FIX.longitude_deg, FIX.altitude_m))
         self.time_s = 0.0
         self.said: list[str] = []
 
-    def stand(self, seconds: float, fix: GpsFix = FIX, ahead_s: float = 0.0) -> None:
+    def stand(self, seconds: float, fix: GpsFix | None = FIX, ahead_s: float = 0.0) -> None:
         for k in range(round(100 * seconds)):
             self.time_s += 0.01
             self.estimator.add_imu(ImuSample(self.time_s, (0.0, 0.0, 0.0), (0.0, 0.0, -9.81), 25.0))
             if k % 2 == 0:
                 self.estimator.add_mag(MagSample(self.time_s, self.field_ut))
-            if k % 20 == 0:
+            if k % 20 == 0 and fix is not None:
                 self.estimator.add_gps(replace(fix, time_s=self.time_s + ahead_s))
             if k % 100 == 0 and (said := self.estimator.recover(self.time_s)) is not None:
                 self.said.append(said)
@@ -105,3 +108,32 @@ def test_fixes_before_the_alignment_start_nothing_again() -> None:
     for second in range(30):
         ground.estimator.add_gps(replace(FIX, time_s=float(second)))
         assert ground.estimator.recover(float(second)) is None
+
+
+CAPE_TOWN = replace(FIX, latitude_deg=-33.92, longitude_deg=18.42)  # declination -27 deg
+
+
+def heading_deg(vehicle: VehicleAtRest) -> float:
+    state = vehicle.estimator.vehicle(vehicle.time_s)
+    assert state is not None
+    return math.degrees(yaw_from_quat(state.attitude))
+
+
+@pytest.mark.parametrize("later_s", [0.0, 5.0])
+def test_the_first_fix_tells_the_declination_of_the_place(later_s: float) -> None:
+    """It points north in Cape Town's field; nobody has told it where that is."""
+    ground = VehicleAtRest()
+    ground.field_ut = field_here((CAPE_TOWN.latitude_deg, CAPE_TOWN.longitude_deg, CAPE_TOWN.altitude_m))
+    ground.stand(later_s, fix=None)
+    ground.stand(8.0, fix=CAPE_TOWN)
+    assert heading_deg(ground) == pytest.approx(0.0, abs=0.5)
+
+
+def test_without_a_fix_it_counts_from_magnetic_north_and_does_not_claim_to_know_better() -> None:
+    ground = VehicleAtRest()
+    ground.field_ut = field_here((CAPE_TOWN.latitude_deg, CAPE_TOWN.longitude_deg, CAPE_TOWN.altitude_m))
+    ground.stand(8.0, fix=None)
+    assert heading_deg(ground) == pytest.approx(27.0, abs=1.0)
+    covariance = ground.estimator.vehicle_covariance()
+    assert covariance is not None
+    assert math.degrees(math.sqrt(covariance[2, 2])) > 14.0

@@ -24,6 +24,8 @@ from companion.estimate.motion import MotionHistory
 from companion.estimate.vehicle.inertial_motion import InertialMotion
 from companion.estimate.vehicle.lever_arm import LeverArm
 
+FIELD_NED_UT = (20.9, 0.6, 42.9)
+
 STEP_S = 0.005
 FASTEST_RAD_S2 = 12.0
 
@@ -31,7 +33,7 @@ FASTEST_RAD_S2 = 12.0
 def rocked(imu_body_m: Vector3, believed_m: Vector3) -> float:
     """Rolled to and fro at 10 rad/s about the centre of mass, which hovers: the largest side force (m/s2)."""
     motion, arm = InertialMotion(MotionHistory(1.0)), LeverArm(believed_m)
-    orientation, largest, w = new_orientation(EstimateConfig(), IDENTITY), 0.0, 10.0
+    orientation, largest, w = new_orientation(EstimateConfig(), FIELD_NED_UT, IDENTITY), 0.0, 10.0
     before: Vector3 = (FASTEST_RAD_S2 / w, 0.0, 0.0)
     for k in range(400):
         t = k * STEP_S
@@ -62,7 +64,7 @@ def test_the_history_is_told_by_what_the_attitude_is_corrected() -> None:
     """A yaw error that the EKF takes off is no correction: the attitude between its steps has it off, too."""
     history = MotionHistory(1.0)
     motion, share, yaw = InertialMotion(history), np.array([0.002, 0.0, 0.005]), 1.0
-    orientation = new_orientation(EstimateConfig(), IDENTITY)
+    orientation = new_orientation(EstimateConfig(), FIELD_NED_UT, IDENTITY)
     force: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
     rate: Vector3 = (0.002 * yaw, 0.0, 1.005 * yaw)
     motion.follow(IDENTITY, 0.0, share)
@@ -78,7 +80,10 @@ def test_the_history_is_told_by_what_the_attitude_is_corrected() -> None:
 def test_vibration_does_not_go_on_beyond_the_newest_sample() -> None:
     # GIVEN a vehicle at rest whose IMU shakes by 2 m/s² at 90 Hz
     history = MotionHistory(1.0)
-    motion, orientation = InertialMotion(history), new_orientation(EstimateConfig(), IDENTITY)
+    motion, orientation = (
+        InertialMotion(history),
+        new_orientation(EstimateConfig(), FIELD_NED_UT, IDENTITY),
+    )
     swings, speeds = [], []
     for k in range(1, 401):
         shaken = 2.0 * math.sin(math.tau * 90.0 * k * STEP_S)
@@ -95,7 +100,10 @@ def test_vibration_does_not_go_on_beyond_the_newest_sample() -> None:
 def test_a_blow_is_not_carried_on_while_the_next_samples_are_late() -> None:
     """Feet that are stopped within one sample: 127 m/s2 for 8 ms."""
     history, step_s = MotionHistory(1.0), 0.008
-    motion, orientation = InertialMotion(history), new_orientation(EstimateConfig(), IDENTITY)
+    motion, orientation = (
+        InertialMotion(history),
+        new_orientation(EstimateConfig(), FIELD_NED_UT, IDENTITY),
+    )
     for k in range(1, 101):
         force: Vector3 = (-127.0 if k == 100 else 0.0, 0.0, -GRAVITY_M_S2)
         motion.add(ImuSample(k * step_s, ZERO3, force, 25.0), step_s, ZERO3, force, orientation)
@@ -108,7 +116,7 @@ def test_a_blow_is_not_carried_on_while_the_next_samples_are_late() -> None:
 def test_a_rotors_tone_is_no_wind_with_the_accelerometer_off_its_place(tone_hz: float) -> None:
     """5 m/s2, and 0.14 rad/s of a gyroscope that feels it too; an IMU 8 cm below the centre of mass."""
     motion, arm = InertialMotion(MotionHistory(1.0)), LeverArm((0.0, 0.0, 0.08))
-    orientation, largest = new_orientation(EstimateConfig(), IDENTITY), 0.0
+    orientation, largest = new_orientation(EstimateConfig(), FIELD_NED_UT, IDENTITY), 0.0
     last_rate, last_mean, last_force = ZERO3, ZERO3, (0.0, 0.0, -GRAVITY_M_S2)
     for k in range(1, 401):
         angle = math.tau * tone_hz * k * STEP_S

@@ -24,7 +24,6 @@ from sitl.external import pose as external_pose
 from sitl.external.link import check_connection, open_link, open_relay, pump
 from sitl.external.pose import LONGEST_GUESS_S, Pose, PoseTrack
 from sitl.run.report import read_report
-from sitl.scenario.home import magnetic_field_ned_ut
 from tests.unit.sitl.external.external_bench import Player
 from tests.unit.sitl.external.external_vehicle import GROUND, LEVEL, PX4, hil_state, sim_state
 
@@ -200,8 +199,6 @@ async def test_as_a_process_it_serves_and_judges(tmp_path: Path) -> None:
     assert process.stdout is not None
     endpoints = json.loads(await asyncio.wait_for(process.stdout.readline(), 20.0))
     assert endpoints["sense"]["source"] == "autopilot"
-    # by a heading of another place's declination the app would be told wrong
-    assert endpoints["estimate"]["magnetic_field_ned_ut"] == list(magnetic_field_ned_ut(GROUND))
     assert endpoints["sense"]["range"]["port"].startswith("/dev/")
     assert endpoints["sense"]["vision"]["source"] == f"socket:{tmp_path / 'camera'}"
     said, words = await asyncio.wait_for(process.communicate(b"finish search\n"), 20.0)

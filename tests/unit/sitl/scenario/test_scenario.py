@@ -21,13 +21,10 @@ from companion.base.messages import MagSample
 from companion.config import CONFIG_FOLDER, ConfigError, ImuConfig, load_config, validate
 from companion.pad import load_pad
 from companion.sense.imu.mpu9250 import Mpu9250
-from companion.sim.external import External
-from companion.sim.settings import sitl_settings
-from companion.sim.trial import Trial
 from sitl.faults.faulty_link import LinkSettings
 from sitl.run.in_process import carried
 from sitl.scenario.as_built import AS_BELIEVED, NOTHING_ELSE, AsBuiltSettings, BuiltVehicle, draw
-from sitl.scenario.home import HomeSettings, magnetic_field_ned_ut, read_home
+from sitl.scenario.home import HomeSettings, read_home
 from sitl.scenario.listing import listing, schema_text, shipped
 from sitl.scenario.scenario import AirframeConfig, Scenario, load_airframe, load_scenario
 from sitl.sensors.inertial import felt_at
@@ -290,18 +287,6 @@ def test_the_sensors_and_the_autopilot_are_at_that_place(settings: dict[str, Any
     assert quat_rotate(attitude, mean) == pytest.approx(expected, abs=left_by_calibration_ut)
 
 
-def test_the_app_is_reported_the_field_of_the_place_unless_the_scenario_tells_it_otherwise() -> None:
-    path = CONFIG_FOLDER / "companion.yaml"
-
-    def told(flown: Scenario, external: External | None = None) -> tuple[float, ...]:
-        return sitl_settings(path, Trial(path, flown, 0, external), fast=True).estimate.magnetic_field_ned_ut
-
-    assert told(scenario_here(home=ELSEWHERE)) == magnetic_field_ned_ut((60.0, -150.0, 20.0))
-    mistaken = {"estimate": {"magnetic_field_ned_ut": [20.0, 0.0, 40.0]}}
-    assert told(scenario_here(home=ELSEWHERE, companion=mistaken)) == (20.0, 0.0, 40.0)
-    assert told(scenario_here(home=ELSEWHERE), External("udp:127.0.0.1:14550", None)) == (20.9, 0.6, 42.9)
-
-
 def test_the_option_is_that_of_ardupilots_simulator() -> None:
     home, heading_deg = read_home("-35.363262,149.165237,584,353")
     assert (home, heading_deg) == (
@@ -412,11 +397,10 @@ def test_the_world_stands_on_its_own_legs_and_its_own_print() -> None:
     assert world.truth().in_contact or world.height_m == pytest.approx(0.21, abs=1e-3)
 
 
-def test_the_app_is_told_nothing_of_it() -> None:
-    """Its field is that of the place in the scenario, wherever it flies."""
+def test_it_flies_elsewhere_and_the_app_is_told_nothing_of_it() -> None:
     believed = Scenario.model_validate({"name": "t", "description": "t"})
     as_built = built_scenario()
-    assert as_built.operator_settings == believed.operator_settings
+    assert as_built.companion == believed.companion
     assert as_built.built(0).home(as_built.place)[:2] != believed.place[:2]
 
 

@@ -45,7 +45,8 @@ def with_place(place: Vector3 | None) -> list[Finding]:
 
 
 def declination(ours: Vector3 | None, autopilots: Vector3 | None) -> Finding:
-    _, found = compared(with_place(ours), with_place(autopilots), EstimateConfig(), NOW)
+    told = EstimateConfig(magnetic_field_ned_ut=(20.9, 0.6, 42.9))
+    _, found = compared(with_place(ours), with_place(autopilots), told, NOW)
     assert found.name == "magnetic declination"
     return found
 
@@ -57,4 +58,4 @@ def test_the_field_that_is_set_is_judged_at_our_fix_before_the_autopilots_home()
         assert told.state is FindingState.WARNING
         assert "magnetic_field_ned_ut 1.6 deg, the World Magnetic Model" in told.detail
         assert " -26.7 deg [9.6, " in told.detail
-        assert told.hint == "set estimate.magnetic_field_ned_ut to the model's"
+        assert told.hint == "leave estimate.magnetic_field_ned_ut out: the model's is taken"
