@@ -17,7 +17,7 @@ from sitl.vehicle.hand_motion import HandMotion
 from sitl.vehicle.hand_paths import CarriedMotion, PoseAndRate, added, carrying
 from sitl.vehicle.quadrotor import QuadrotorState, packed
 from sitl.vehicle.rotors import RotorValues
-from sitl.world.world import World
+from sitl.world.world import Effects, World
 
 HAND_STREAM: Final = 14  # of the random draws; the world has its own
 # the state at time 0 is that after a step
@@ -52,7 +52,7 @@ class HandHeldWorld(World):
 
     def step(self, motor_commands: RotorValues, dt_s: float) -> None:
         """Carry everything on by dt (s)."""
-        self.wind_ned_m_s = self._wind_now()
+        self._wind_blows(Effects(()), dt_s)
         self._advance(self._felt(self._state, self.time_s + dt_s, dt_s), dt_s)
 
     def _felt(self, before: QuadrotorState, time_s: float, dt_s: float) -> QuadrotorState:

@@ -7,6 +7,7 @@ import math
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
 from typing import Final, NamedTuple
@@ -15,8 +16,10 @@ import numpy as np
 
 from companion.base.geometry import (
     IDENTITY,
+    ZERO3,
     Quaternion,
     Vector3,
+    add,
     norm,
     quat_normalise,
     quat_rotate_inverse,
@@ -58,8 +61,25 @@ class _Snapshot(NamedTuple):
     in_contact: bool
 
 
+@dataclass(slots=True)
+class Effects:
+    """What acts on the vehicle in a step besides motors and weight; disturbances add to it."""
+
+    thrust_ratio: RotorValues  # of each rotor, over that in free air
+    wind_ned_m_s: Vector3 = ZERO3
+    force_ned_n: Vector3 = ZERO3
+    torque_body_n_m: Vector3 = ZERO3
+
+
+# (effects, dt_s): one disturbance's part of the coming step, from the world as it is now
+Disturbance = Callable[[Effects, float], None]
+
+
 class World:
-    """A scenario's world under one seed, from rest at home at time 0."""
+    """A scenario's world under one seed, from rest at home at time 0.
+
+    `disturbances` act in their order at every step; one more is one more function in the list.
+    """
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
         """Build it.
@@ -106,6 +126,7 @@ class World:
         self._obstacles = Obstacles(scenario.obstacles, body)
         self._watch = TouchdownDetector()
         self._history: deque[_Snapshot] = deque([self._snapshot()])
+        self.disturbances: list[Disturbance] = [self._wind_blows, self._legs_stand, self._ground_effect]
 
     def _at_home(self, scenario: Scenario, rng: np.random.Generator) -> QuadrotorState:
         """Standing on what is at home: the ground, or the pad if that is there."""
@@ -130,17 +151,18 @@ class World:
 
     def step(self, motor_commands: RotorValues, dt_s: float) -> None:
         """Move everything on by dt (s); commands are the motors' shares of full thrust, 0..1."""
-        self.wind_ned_m_s = self._wind_now()
-        thrust_ratio = self._surface_effects(dt_s)
+        effects = Effects(self._quadrotor.free_air)
+        for disturb in self.disturbances:
+            disturb(effects, dt_s)
         self._watch.step(self.time_s, self._state, self.pad_state, self._load)
         state = self._quadrotor.step(
             self._state,
             self.motors.given(motor_commands),
             dt_s,
-            wind_ned_m_s=self.wind_ned_m_s,
-            thrust_ratio=thrust_ratio,
-            force_ned_n=self._load.force_ned_n,
-            torque_body_n_m=self._load.torque_body_n_m,
+            wind_ned_m_s=effects.wind_ned_m_s,
+            thrust_ratio=effects.thrust_ratio,
+            force_ned_n=effects.force_ned_n,
+            torque_body_n_m=effects.torque_body_n_m,
         )
         self._advance(state, dt_s)
 
@@ -154,30 +176,28 @@ class World:
             self._watch.airborne(self.height_m - self.landed_reference_height_m)
         self._record()
 
-    def _wind_now(self) -> Vector3:
-        return self._wind.at(self.time_s, -self._state.position_ned_m[2])
+    def _wind_blows(self, effects: Effects, dt_s: float) -> None:
+        self.wind_ned_m_s = self._wind.at(self.time_s, -self._state.position_ned_m[2])
+        effects.wind_ned_m_s = add(effects.wind_ned_m_s, self.wind_ned_m_s)
 
-    def _surface_effects(self, dt_s: float) -> RotorValues:
-        """Update the contact; returns each rotor's thrust ratio in ground effect."""
-        clear_m = self.board.ceiling_down_m(self.pad_state) - self._state.position_ned_m[2]
-        self._update_contact(clear_m, dt_s)
-        if clear_m > self._ground_effect_reach_m:
-            return self._quadrotor.free_air
-        return rotor_ratios(
-            self._state,
-            self._rotors,
-            self.airframe.body.rotor_radius_m,
-            self.board,
-            self.pad_state,
-        )
-
-    def _update_contact(self, clear_m: float, dt_s: float) -> None:
-        """The legs' load for the coming step; nothing that touches lies less than `clear_m` beneath."""
-        if clear_m <= self._contact.reach_m:
+    def _legs_stand(self, effects: Effects, dt_s: float) -> None:
+        if self._clear_m() <= self._contact.reach_m:
             self._load = self._contact.step(self._state, self.pad_state, dt_s)
+            effects.force_ned_n = add(effects.force_ned_n, self._load.force_ned_n)
+            effects.torque_body_n_m = add(effects.torque_body_n_m, self._load.torque_body_n_m)
         elif self._load is not NO_CONTACT:
             self._contact.release()
             self._load = NO_CONTACT
+
+    def _ground_effect(self, effects: Effects, dt_s: float) -> None:
+        if self._clear_m() <= self._ground_effect_reach_m:
+            effects.thrust_ratio = rotor_ratios(
+                self._state, self._rotors, self.airframe.body.rotor_radius_m, self.board, self.pad_state
+            )
+
+    def _clear_m(self) -> float:
+        """Height over all that could be touched: nothing lies less beneath."""
+        return self.board.ceiling_down_m(self.pad_state) - self._state.position_ned_m[2]
 
     def _snapshot(self) -> _Snapshot:
         return _Snapshot(self.time_s, self._state, self.pad_state, self.wind_ned_m_s, self._load.touching)
@@ -347,8 +367,8 @@ _STANDS = ContactLoad(on_ground=STANDING_FEET)
 class FirmGroundWorld(World):
     """A scenario's world under one seed, whose surface stops the vehicle instead of its legs."""
 
-    def _update_contact(self, clear_m: float, dt_s: float) -> None:
-        """The legs bear nothing: `_advance` puts the load."""
+    def _legs_stand(self, effects: Effects, dt_s: float) -> None:
+        """The legs bear nothing: `_advance` sets the load."""
 
     def _advance(self, state: QuadrotorState, dt_s: float) -> None:
         """Stop what would sink below the height that it stands at."""

@@ -56,6 +56,8 @@ FENCE = re.compile(r"^ *```(\w*)\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
 EXAMPLE_FILE = re.compile(r"into `(\w+\.yaml)`[^`]*```yaml\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 CODE = re.compile(r"`([^`\n]+)`")
+PACKAGES = ("benchmarks", "calibration", "companion", "docs", "experiments", "sitl", "tests")
+FOREIGN_MODULES = {"sim_vehicle.py"}  # ArduPilot's
 COMMAND_TIMEOUT_S = 300.0
 MOST_GIF_BYTES = 2_000_000
 # what each program has, as the README says
@@ -233,6 +235,12 @@ def test_every_relative_link_leads_to_a_file(name: str) -> None:
 def test_every_path_of_the_tree_that_is_named_exists(name: str) -> None:
     paths = [word for word in code_words(TEXTS[name]) if word.startswith(FOLDERS) and "NAME" not in word]
     assert [path for path in paths if not (ROOT / path).exists()] == []
+
+
+def test_every_module_that_is_named_exists() -> None:
+    modules = {path.name for folder in PACKAGES for path in (ROOT / folder).rglob("*.py")} | FOREIGN_MODULES
+    named = {(code, page) for page, text in TEXTS.items() for code in re.findall(r"`(\w+\.py)`", text)}
+    assert [pair for pair in sorted(named) if pair[0] not in modules] == []
 
 
 @pytest.mark.parametrize("name", PAGES)

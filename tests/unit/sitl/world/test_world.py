@@ -13,6 +13,7 @@ from companion.base.geometry import (
     GRAVITY_M_S2,
     ZERO3,
     Vector3,
+    add,
     euler_from_quat,
     quat_from_euler,
     quat_rotate_inverse,
@@ -29,7 +30,7 @@ from sitl.vehicle.rotors import RotorValues
 from sitl.world.ground import Obstacles, PadBoard, distance_m, reach_m, rotor_ratios, thrust_ratio
 from sitl.world.score import judge
 from sitl.world.wind import shear
-from sitl.world.world import World
+from sitl.world.world import Effects, World
 
 DT = 0.0025
 OFF: RotorValues = (0.0, 0.0, 0.0, 0.0)
@@ -68,6 +69,15 @@ def test_starts_standing_at_home_with_a_drawn_heading() -> None:
         assert world.state.specific_force_body_m_s2 == pytest.approx((0.0, 0.0, -GRAVITY_M_S2), abs=1e-3)
     headings = {round(yaw_from_quat(world.truth().vehicle_attitude), 3) for world in worlds}
     assert len(headings) == 4
+
+
+def test_a_disturbance_is_one_more_function() -> None:
+    def magnet(effects: Effects, dt_s: float) -> None:
+        effects.force_ned_n = add(effects.force_ned_n, (0.0, 2.0 * world.airframe.body.mass_kg, 0.0))
+
+    world = put(World(scenario(), 0), 20.0)
+    world.disturbances.append(magnet)
+    assert run(world, 0.1).state.velocity_ned_m_s[1] == pytest.approx(0.2, rel=0.02)
 
 
 def test_starts_on_the_pad_when_the_pad_is_at_home() -> None:
