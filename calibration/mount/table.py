@@ -5,16 +5,14 @@ missing when a rate is given. The accelerometer's unit shows in what it measures
 time's that the header leaves open by its steps: s, ms, µs or ns.
 """
 
-import csv
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
-from zipfile import BadZipFile
 
 import numpy as np
 
 from calibration.mount.recording import ImuSamples
+from calibration.tables import read_arrays, read_text, vectors
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.config import ConfigError
 
@@ -37,13 +35,7 @@ def read_table(path: Path, columns: str | None, rate_hz: float | None, gyro_unit
     Raises:
         ConfigError: unreadable, or what is needed is not in it.
     """
-    try:
-        found = _npz(path) if path.suffix == ".npz" else _csv(path, columns)
-    # what numpy raises of a file that is no archive, a cut one, and one of other things than numbers
-    except (OSError, EOFError, BadZipFile, ValueError, TypeError) as error:
-        raise ConfigError(
-            f"{path}: cannot be read: {error}; expected a table of {', '.join(NAMES)}"
-        ) from error
+    found = _npz(path) if path.suffix == ".npz" else _csv(path, columns)
     missing = [name for name in NAMES[1:] if name not in found]
     if missing:
         raise ConfigError(
@@ -86,55 +78,28 @@ def _time_unit(step: float) -> float:
 
 
 def _npz(path: Path) -> dict[str, FloatArray]:
-    with np.load(path) as archive:
-        arrays = {name.lower(): np.asarray(archive[name], dtype=float) for name in archive.files}
-    found = {canonical(name): a for name, a in arrays.items() if a.ndim == 1 and canonical(name) in NAMES}
+    arrays = read_arrays(path)
+    found = {canonical(name): array for name, array in arrays.items() if np.ndim(array) == 1}
     for letter, stem in (("a", "acc"), ("g", "gyr")):
-        wide = (a for name, a in arrays.items() if name.startswith(stem) and a.ndim == 2)
-        whole = next((a if a.shape[1] == 3 else a.T for a in wide if 3 in a.shape), None)
+        whole = vectors(arrays | found, [name for name in arrays if name.startswith(stem)], letter)
         if whole is not None:
             found |= {f"{letter}{axis}": whole[:, k] for k, axis in enumerate("xyz")}
-    rate_hz = arrays.get("fs", np.zeros(1)).ravel()
+    rate_hz = np.ravel(arrays.get("fs", 0.0))
     if "t" not in found and "ax" in found and rate_hz.size == 1 and rate_hz[0] > 0.0:
         found["t"] = np.arange(len(found["ax"])) / rate_hz[0]
     return found
 
 
 def _csv(path: Path, columns: str | None) -> dict[str, FloatArray]:
-    lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
-    first = next((k for k, line in enumerate(lines) if _numbers(_split(line)) >= 6), None)
-    if first is None:
-        raise ValueError("no row of six numbers")
-    header = _split(lines[first - 1]) if first else []
-    names = [word.strip() for word in columns.split(",")] if columns else [canonical(word) for word in header]
-    wide = len(_split(lines[first]))
-    cells = [_split(line) for line in lines[first:]]
-    values = np.array([[_number(cell) for cell in row] for row in cells if len(row) == wide])
-    found = {name: values[:, k] for k, name in enumerate(names[:wide]) if name in NAMES}
+    table = read_text(path, f"a table of {', '.join(NAMES)}")
+    names = [word.strip() for word in columns.split(",")] if columns else list(map(canonical, table.names))
+    found = {name: table.values[:, k] for k, name in enumerate(names[: table.values.shape[1]])}
     if "t" in found and not columns:
-        word = next(word for word in header if canonical(word) == "t").lower().strip(" )]")
+        word = table.names[names.index("t")].lower().strip(" )]")
         found["t"] = found["t"] * next((u for end, u in TIME_UNITS.items() if word.endswith(end)), 1.0)
-    if any(canonical(word).startswith("g") and DEGREES.search(word.lower()) for word in header):
+    if any(canonical(word).startswith("g") and DEGREES.search(word.lower()) for word in table.names):
         found["degrees"] = np.ones(1)
     return found
-
-
-def _split(line: str) -> list[str]:
-    for mark in (";", "\t", ","):
-        if mark in line:
-            return next(csv.reader([line], delimiter=mark))
-    return line.split()
-
-
-def _number(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return float("nan")
-
-
-def _numbers(cells: Sequence[str]) -> int:
-    return int(np.isfinite([_number(cell) for cell in cells]).sum())
 
 
 def canonical(word: str) -> str:

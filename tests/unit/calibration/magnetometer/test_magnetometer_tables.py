@@ -19,8 +19,7 @@ from calibration.magnetometer.recording import (
     parameters_for,
 )
 from calibration.magnetometer.report import lines
-from calibration.magnetometer.sources import read_recording
-from calibration.magnetometer.tables import read_numpy_table, read_text_table
+from calibration.magnetometer.sources import read_numpy_table, read_recording, read_text_table
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import FloatArray, vector3
 from companion.base.messages import ImuSample, MagSample
