@@ -36,7 +36,7 @@ from companion.config import (
 )
 from companion.config.catalogue import inner_model, settings_of
 from companion.flightlog.result import Result
-from docs import settings_table
+from docs import results, settings_table
 from experiments.command import app as experiments_cli
 from sitl.campaign import SCENARIOS
 from sitl.cli import cli as sitl_cli
@@ -324,6 +324,31 @@ def test_every_key_of_the_result_is_documented() -> None:
 def test_the_tables_are_up_to_date(name: str) -> None:
     page = TEXTS[Path(name).name]
     assert settings_table.page_text(page, name) == page, "run: python -m docs.settings_table"
+
+
+def test_the_results_are_up_to_date_and_say_where_they_are_from() -> None:
+    assert results.page_text() == TEXTS["measured.md"], "run: python -m docs.results"
+    kept = [json.loads(path.read_text(encoding="utf-8")) for path in results.KEPT.glob("*.json")]
+    assert kept
+    assert [result for result in kept if results.refusal(result) is not None] == []
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"commit": "0123abc+"}, "files differed from it"),
+        ({"commit": None}, "no commit; expected"),
+        ({"date": "", "machine": {}}, "no machine, date; expected"),
+    ],
+)
+def test_a_result_without_its_origin_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: dict[str, Any], why: str
+) -> None:
+    good = json.loads((results.KEPT / "mpc.json").read_text(encoding="utf-8"))
+    path = tmp_path / "mpc.json"
+    path.write_text(json.dumps(good | change))
+    assert results.main([str(path)]) == 2
+    assert why in capsys.readouterr().err
 
 
 def yaml_examples() -> list[tuple[str, dict[str, Any]]]:
