@@ -192,9 +192,10 @@ class CameraModel:
         self._noise = noise_bank(camera, settings.noise_grey, rng)
 
     def clear_faults(self) -> None:
-        """The board's own print, in its own size; a second pad has its own end."""
+        """The board is there with its own print, in its own size; a second pad has its own end."""
         self._pad_texture = self._printed
         self.print_scale = 1.0  # of the pad's print, against its file
+        self.shows_pad = True
 
     def cover(self) -> None:
         """A tarpaulin over the markers."""
@@ -236,19 +237,20 @@ class CameraModel:
         scenes = [scene_at(time_s + half * (k / middle - 1.0)) for k in range(self._instants)]
         pads = [(s.pad_position_ned_m, _pad_attitude(s)) for s in scenes]
         pad = self._surface(self._pad_texture, scenes, pads, self.print_scale)
+        shown = self.shows_pad and pad.height_m > 0.0
         twin = None
         if self.twin_ned_m is not None:
             places = [(self.twin_ned_m(s.pad_position_ned_m), _pad_attitude(s)) for s in scenes]
             twin = self._surface(self._printed, scenes, places)
-        return partial(self._picture, time_s, scenes, pad, twin)
+        return partial(self._picture, time_s, scenes, pad, twin, shown=shown)
 
     def _picture(
-        self, time_s: float, scenes: list[ScenePose], pad: _Surface, twin: _Surface | None
+        self, time_s: float, scenes: list[ScenePose], pad: _Surface, twin: _Surface | None, *, shown: bool
     ) -> GreyImage:
         grounds = [(ZERO3, IDENTITY)] * self._instants
         size = (self._camera.width_px, self._camera.height_px)
         image = np.empty((size[1] * self._finer, size[0] * self._finer), np.uint8)
-        pad_map = self._node_map(pad) if pad.height_m > 0.0 else None
+        pad_map = self._node_map(pad) if shown else None
         part = None if pad_map is None else visible_part(pad_map, pad.level.image.shape)
         seen = pad
         if part is None or not covers(pad_map, pad.level.image.shape):

@@ -565,7 +565,7 @@ class PadTwin(Fault):
     )
 
     def begin(self, targets: FaultTargets, now_s: float) -> None:
-        north, east, _ = targets.motion.beacon_at(now_s).position_ned_m
+        north, east, _ = targets.motion.at(now_s).position_ned_m
         left = (north + self.north_m, east + self.east_m, -TWIN_HEIGHT_M)
 
         def beside(pad_ned_m: Vector3) -> Vector3:
@@ -628,6 +628,9 @@ class PadVanishes(Fault):
     """The pad is gone: neither to be seen nor to be stood on. Its beacon stays where it was."""
 
     kind: Literal["pad_vanishes"]
+
+    def apply(self, targets: FaultTargets) -> None:
+        targets.camera.shows_pad = False
 
     def begin(self, targets: FaultTargets, now_s: float) -> None:
         targets.motion.vanish(now_s)

@@ -13,8 +13,6 @@ from sitl.pad.motion import PadTruth
 
 # a speed that changes at once: so fast that the pad moves by less than a millimetre meanwhile
 AT_ONCE_M_S2: Final = 1e5
-# where a pad is that is gone: out of every camera's and every foot's reach
-GONE_M: Final = 1e5
 
 
 class Moving(Protocol):
@@ -89,14 +87,7 @@ class IncidentMotion:
         self._gone: PadTruth | None = None
 
     def at(self, time_s: float) -> PadTruth:
-        """The pad at a time (s)."""
-        pad = self.beacon_at(time_s)
-        if self._gone is None:
-            return pad
-        return pad._replace(position_ned_m=(GONE_M, GONE_M, pad.position_ned_m[2]))
-
-    def beacon_at(self, time_s: float) -> PadTruth:
-        """Where its beacon says that it is: of a pad that is gone, where it was."""
+        """The pad at a time (s); one that is gone stays where it was, as its beacon says."""
         if self._gone is not None:
             return self._gone._replace(time_s=time_s)
         pad = self._motion.at(time_s)
@@ -109,7 +100,7 @@ class IncidentMotion:
 
     def drive(self, now_s: float, target_m_s: float, rate_m_s2: float = AT_ONCE_M_S2) -> None:
         """From now on straight along the course, to that speed; negative is backwards."""
-        pad = self.beacon_at(now_s)
+        pad = self.at(now_s)
         north, east, _ = pad.position_ned_m
         vn, ve, _ = pad.velocity_ned_m_s
         speed = math.hypot(vn, ve)
@@ -128,7 +119,7 @@ class IncidentMotion:
 
     def turn_back(self, now_s: float, rate_m_s2: float) -> None:
         """From now on back the way it came, as fast as it came."""
-        vn, ve, _ = self.beacon_at(now_s).velocity_ned_m_s
+        vn, ve, _ = self.at(now_s).velocity_ned_m_s
         self.drive(now_s, -math.hypot(vn, ve), rate_m_s2)
 
     def tilt(self, now_s: float, roll_rad: float, rate_rad_s: float) -> None:
@@ -138,8 +129,8 @@ class IncidentMotion:
 
     def vanish(self, now_s: float) -> None:
         """It is gone from now on."""
-        self._gone = self.beacon_at(now_s)._replace(
-            velocity_ned_m_s=(0.0, 0.0, 0.0), acceleration_ned_m_s2=(0.0, 0.0, 0.0)
+        self._gone = self.at(now_s)._replace(
+            velocity_ned_m_s=(0.0, 0.0, 0.0), acceleration_ned_m_s2=(0.0, 0.0, 0.0), is_there=False
         )
 
     def appear(self) -> None:

@@ -90,7 +90,10 @@ def _axes(heading_rad: float, roll_rad: float, pitch_rad: float) -> Axes:
 
 
 class PadTruth(NamedTuple):
-    """The pad's surface centre at one time; roll and pitch (after the heading) are of a deck at sea."""
+    """The pad's surface centre at one time; roll and pitch (after the heading) are of a deck at sea.
+
+    One that is not there can be neither touched nor heard.
+    """
 
     time_s: float
     position_ned_m: Vector3
@@ -102,6 +105,7 @@ class PadTruth(NamedTuple):
     pitch_rad: float = 0.0
     roll_rate_rad_s: float = 0.0
     pitch_rate_rad_s: float = 0.0
+    is_there: bool = True
 
     def axes(self) -> Axes:
         """The board's axes: yaw, then pitch, then roll."""

@@ -293,7 +293,7 @@ class Simulation:
             self._step_physics()
         now_s = self._world.time_s
         self._expose(now_s)
-        pad = self._world.pad_motion.beacon_at(now_s)
+        pad = self._world.pad_motion.at(now_s)
         self.line.network.transmit(now_s, pad.position_ned_m, pad.velocity_ned_m_s)
         if self._timer.count % TRUTH_EVERY_TICKS == 0:
             self._world.attitude_setpoint = self._flight_controller.attitude_setpoint

@@ -147,7 +147,7 @@ class Contact:
         )
         place = add(add(state.position_ned_m, arm), scale(velocity, ahead_s))
         local = self._board.local(pad, place)
-        if self._stands_on_board(point, local):
+        if pad.is_there and self._stands_on_board(point, local):
             return self._on_board(point, place, local, velocity, pad)
         if place[2] > 0.0:
             return self._pressed(point, "ground", (place[0], place[1]), place[2], velocity)

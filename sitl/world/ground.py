@@ -54,12 +54,13 @@ class PadBoard:
     def is_under(self, pad: PadTruth, point_ned_m: Vector3) -> bool:
         """Whether the board is under a point (or over it)."""
         dn, de = point_ned_m[0] - pad.position_ned_m[0], point_ned_m[1] - pad.position_ned_m[1]
-        return math.hypot(dn, de) <= self.half_diagonal_m and self.contains(self.local(pad, point_ned_m))
+        near = pad.is_there and math.hypot(dn, de) <= self.half_diagonal_m
+        return near and self.contains(self.local(pad, point_ned_m))
 
     def surface_down_m(self, pad: PadTruth, north_m: float, east_m: float) -> float:
         """Down coordinate of what lies under a point: the board's top or the ground."""
         dn, de = north_m - pad.position_ned_m[0], east_m - pad.position_ned_m[1]
-        if math.hypot(dn, de) > self.half_diagonal_m:
+        if not pad.is_there or math.hypot(dn, de) > self.half_diagonal_m:
             return 0.0
         axes = pad.axes()
         normal = axes.down
@@ -99,7 +100,7 @@ def echo_distance_m(
     sideways, height = board.distance_m(pad, sensor)
     # next to the board its edge is in the cone by the angle from its normal alone: tilts are small
     tilt = max(tilt_from_normal(pad, state.attitude), math.atan2(sideways, height))
-    if height > 0.0 and tilt <= half_angle_rad:
+    if pad.is_there and height > 0.0 and tilt <= half_angle_rad:
         echoes.append(math.hypot(sideways, height))
     return min(echoes, default=None)
 

@@ -222,6 +222,8 @@ class World:
 
     def deck_field_ned_ut(self) -> Vector3:
         """The pad's own magnetic field where the vehicle is."""
+        if not self.pad_state.is_there:
+            return ZERO3
         away = subtract(self._state.position_ned_m, self.pad_state.position_ned_m)
         return self.built.deck_field_at(norm(away))
 

@@ -224,6 +224,17 @@ def test_another_pad_shows_other_codes() -> None:
     assert not others & own
 
 
+def test_a_pad_that_vanishes_is_in_no_picture_and_comes_back() -> None:
+    desk = FaultedParts(faults.PadVanishes(kind="pad_vanishes", **times()))
+    pose = ScenePose((10.0, 0.0, -4.0), IDENTITY, (10.0, 0.0, -0.3), 0.0)
+    shown = []
+    for now_s in (0.0, 1.0, 2.0):
+        desk.schedule.step(now_s)
+        bright = int((desk.camera.render(now_s, lambda _t: pose) > 190).sum())
+        shown.append((bright > 1000, desk.world.pad_motion.at(now_s).is_there))
+    assert shown == [(True, True), (False, False), (True, True)]
+
+
 @pytest.mark.parametrize("moves", [True, False])
 def test_a_twin_is_seen_beside_the_pad(moves: bool) -> None:
     desk = FaultedParts(faults.PadTwin(kind="pad_twin", north_m=0.0, east_m=1.6, moves=moves, **times()))
@@ -238,7 +249,7 @@ def test_a_twin_is_seen_beside_the_pad(moves: bool) -> None:
     if moves:
         assert bright(1.0) == pytest.approx(2 * alone, rel=0.1)
     else:  # it rests where the world's pad was, out of this picture or in it
-        place = desk.world.pad_motion.beacon_at(1.0).position_ned_m
+        place = desk.world.pad_motion.at(1.0).position_ned_m
         desk.schedule.step(1.0)
         assert desk.camera.twin_ned_m is not None
         assert desk.camera.twin_ned_m((50.0, 50.0, -3.0))[1] == pytest.approx(place[1] + 1.6)

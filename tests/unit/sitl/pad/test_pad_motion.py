@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from companion.base.geometry import wrap_angle
-from sitl.pad.incidents import GONE_M, IncidentMotion
+from companion.base.geometry import ZERO3, wrap_angle
+from sitl.pad.incidents import IncidentMotion
 from sitl.pad.motion import PadMotion, PadMotionSettings, PadTruth, build_pad_motion
 from sitl.pad.paths import (
     CircleMotion,
@@ -22,6 +22,8 @@ from sitl.pad.paths import (
     StaticMotion,
     WaypointsMotion,
 )
+from sitl.vehicle.quadrotor import QuadrotorState
+from sitl.world.ground import PadBoard, echo_distance_m
 
 BLOCK = ((8.0, -9.0), (8.0, 7.0), (20.0, 7.0), (20.0, -9.0))
 MOTIONS: dict[str, PadMotionSettings] = {
@@ -348,10 +350,17 @@ def test_it_tilts_to_its_angle_and_back() -> None:
     assert motion.at(13.0).roll_rad == 0.0
 
 
-def test_one_that_is_gone_is_out_of_reach_and_its_beacon_stays() -> None:
+def test_one_that_is_gone_stays_for_its_beacon_alone() -> None:
     motion = IncidentMotion(Straight())
     motion.vanish(10.0)
-    assert motion.at(11.0).position_ned_m[0] == GONE_M
-    assert motion.beacon_at(11.0).position_ned_m == Straight().at(10.0).position_ned_m
+    gone, was = motion.at(11.0), Straight().at(10.0)
+    assert (gone.position_ned_m, gone.is_there) == (was.position_ned_m, False)
+    assert gone.velocity_ned_m_s == ZERO3
+    board, above = PadBoard(0.5, 0.5), (*was.position_ned_m[:2], -2.0)
+    for pad, under in ((was, True), (gone, False)):
+        assert board.is_under(pad, above) is under
+        assert board.surface_down_m(pad, *above[:2]) == (was.position_ned_m[2] if under else 0.0)
+        echo = echo_distance_m(board, pad, QuadrotorState(position_ned_m=above), ZERO3, 0.2)
+        assert echo == pytest.approx(1.7 if under else 2.0)
     motion.appear()
     assert motion.at(12.0) == Straight().at(12.0)
