@@ -173,19 +173,21 @@ async def _tell_ground(
     start_s: float,
     report: Callable[[], Awaitable[StateReport]],
 ) -> None:
-    """The computer's state for ground stations, as ONBOARD_COMPUTER_STATUS; ours, in words, when asked."""
+    """The computer's state, for the log and (ONBOARD_COMPUTER_STATUS) ground stations; ours when asked."""
     clock, watch = Clock(), ComputerWatch(start_s)
     while True:
         await asyncio.sleep(GROUND_REPORT_S)
         now_s = clock.now_s()
-        message = ground_report(watch.state(now_s, record), record, unix_time_s(), now_s - start_s)
+        state = watch.state(now_s, record)
+        log.write("computer", state, now_s)
+        message = ground_report(state, record, unix_time_s(), now_s - start_s)
         if app.session.state.connected and not app.loop_monitor.silent:
             data = app.session.encode(message)
             hardware.transport.write(data)
             log.write_mavlink(data, now_s, "out")
         if app.session.orders.take_question():
-            state = await report()
-            app.announcer.notify("status", state.words, "warning" if state.problems else "info")
+            said = await report()
+            app.announcer.notify("status", said.words, "warning" if said.problems else "info")
 
 
 def _make_room(record: Path | None, config: CompanionConfig) -> None:

@@ -244,6 +244,8 @@ def _machine(m: dict[str, Any]) -> str:
         cells.insert(0, f"{m['cpu_percent']:.0f} % of a core")
     if m["temperature_deg_c"] is not None:
         cells.append(f"{m['temperature_deg_c']:.0f} °C")
+    if m.get("clock_mhz") is not None and m["full_clock_mhz"] is not None:
+        cells.append(f"{m['clock_mhz']:.0f} of {m['full_clock_mhz']:.0f} MHz")
     if m["disk_free_mb"] is not None:
         cells.append(f"{m['disk_free_mb'] / 1000.0:.1f} GB free")
     return ", ".join(cells)

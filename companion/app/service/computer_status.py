@@ -1,31 +1,35 @@
-"""What the machine under the app is like: its load, temperature and disk."""
+"""What the machine under the app is like: its load, temperature, clock frequency and disk."""
 
 import os
 import resource
 import shutil
 import subprocess
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from pydantic import BaseModel, ConfigDict
-
 from companion.link.codec import Message, computer_status
 
-_THERMAL: Final = Path("/sys/class/thermal/thermal_zone0/temp")
+_THERMAL: Final = Path("/sys/class/thermal/thermal_zone0/temp")  # 0.001 deg C
+_CLOCK: Final = Path("/sys/devices/system/cpu/cpu0/cpufreq")  # files in kHz
 _MEGABYTE: Final = 1e6
 _VCGENCMD_S: Final = 1.0
 # bits of `vcgencmd get_throttled` that hold now (Raspberry Pi documentation)
 _THROTTLED: Final = {0: "under-voltage", 1: "frequency capped", 2: "throttled", 3: "soft temperature limit"}
 
 
-class ComputerStatus(BaseModel):
-    """`cpu_percent` of one core, since the last time it was asked; None: not known here."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComputerStatus:
+    """`cpu_percent` of one core, since the last time it was asked; None: not known here.
 
-    model_config = ConfigDict(frozen=True)
+    `clock_mhz` is the processor's clock frequency now, `full_clock_mhz` the most that it may be.
+    """
 
     cpu_percent: float | None = None
     memory_mb: float
     temperature_deg_c: float | None = None
+    clock_mhz: float | None = None
+    full_clock_mhz: float | None = None
     throttled: tuple[str, ...] | None = None
     disk_free_mb: float | None = None
 
@@ -47,7 +51,9 @@ class ComputerWatch:
         return ComputerStatus(
             cpu_percent=share,
             memory_mb=_memory_mb(),
-            temperature_deg_c=_temperature_deg_c(),
+            temperature_deg_c=_thousandth(_THERMAL),
+            clock_mhz=_thousandth(_CLOCK / "scaling_cur_freq"),
+            full_clock_mhz=_thousandth(_CLOCK / "cpuinfo_max_freq"),
             throttled=held_back,
             disk_free_mb=_disk_free_mb(folder),
         )
@@ -96,9 +102,10 @@ def _memory_mb() -> float:
     return pages * resource.getpagesize() / 1e6
 
 
-def _temperature_deg_c() -> float | None:
+def _thousandth(file: Path) -> float | None:
+    """A thousandth of the number in a file of the kernel's; None where there is none."""
     try:
-        return int(_THERMAL.read_text(encoding="ascii")) / 1000.0
+        return int(file.read_text(encoding="ascii")) / 1000.0
     except (OSError, ValueError):
         return None
 

@@ -9,7 +9,6 @@ NED and FRD, SI units, µT.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Final
 
 from companion.base.geometry import (
@@ -353,7 +352,8 @@ class VehicleEstimator:
         last_mean, self._last_mean_rate = self._last_mean_rate or mean_rate, mean_rate
         of_turning = self._lever.felt_m_s2(last_mean, mean_rate, dt_s)
         mean_force = subtract(mean_force, of_turning)
-        sample = replace(sample, specific_force_body_m_s2=subtract(raw[1], of_turning))
+        force = subtract(raw[1], of_turning)
+        sample = ImuSample(sample.time_s, raw[0], force, sample.temperature_c, sample.interval_s)
         self._strapdown.add(dt_s, mean_rate, mean_force)
         self._inertial.add(sample, dt_s, mean_rate, mean_force, self._orientation)
 

@@ -48,7 +48,9 @@ async def test_who_asks_by_the_link_is_told_how_it_stands(monkeypatch: pytest.Mo
         ),
         announcer=SimpleNamespace(notify=lambda *said: told.append(said)),
     )
-    telling = asyncio.create_task(command._tell_ground(app, None, None, None, 0.0, report))  # type: ignore[arg-type]
+    logged = set[str]()
+    log: Any = SimpleNamespace(write=lambda topic, _state, _now_s: logged.add(topic))
+    telling = asyncio.create_task(command._tell_ground(app, None, log, None, 0.0, report))  # type: ignore[arg-type]
     for _ in range(100):
         await asyncio.sleep(0.01)
         if len(told) == 2:
@@ -58,3 +60,4 @@ async def test_who_asks_by_the_link_is_told_how_it_stands(monkeypatch: pytest.Mo
         ("status", "not ready to land: GPS: silent for 7.0 s; no home position", "warning"),
         ("status", "ready to land", "info"),
     ]
+    assert logged == {"computer"}

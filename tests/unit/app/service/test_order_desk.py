@@ -1,12 +1,16 @@
 """The desk of orders: one at a time, each answered, and a stop for whatever is under way."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
-from companion.app.service.computer_status import ComputerStatus, ground_report
+from companion.app.service import computer_status
+from companion.app.service.commands import _machine
+from companion.app.service.computer_status import ComputerStatus, ComputerWatch, ground_report
 from companion.app.service.order_desk import MOST_WAITING, TOO_MANY, OrderDesk
+from companion.base.message_schema import schema_of
 from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply, Phase, Refusal
 from companion.config import CONFIG_FOLDER, LinkConfig
 from companion.link.codec import Codec, mavlink
@@ -127,6 +131,25 @@ def test_the_computer_s_state_is_a_message_that_others_read(tmp_path: Path) -> N
     assert heard.temperature_board == 61
     assert heard.ram_usage == 120 < heard.ram_total
     assert heard.storage_total[0] - heard.storage_usage[0] == pytest.approx(1000, abs=1)
+
+
+def test_temperature_and_clock_frequency_are_the_kernel_s(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, text in {
+        "temp": "81400\n",
+        "scaling_cur_freq": "1000000\n",
+        "cpuinfo_max_freq": "1800000\n",
+    }.items():
+        (tmp_path / name).write_text(text, "ascii")
+    monkeypatch.setattr(computer_status, "_THERMAL", tmp_path / "temp")
+    monkeypatch.setattr(computer_status, "_CLOCK", tmp_path)
+    hot = ComputerWatch(0.0).state(1.0, None)
+    assert (hot.temperature_deg_c, hot.clock_mhz, hot.full_clock_mhz) == (81.4, 1000.0, 1800.0)
+    assert _machine(asdict(hot)).endswith("81 °C, 1000 of 1800 MHz")
+    assert schema_of(ComputerStatus)["required"] == ["memory_mb"]
+    monkeypatch.setattr(computer_status, "_CLOCK", tmp_path / "none")
+    assert ComputerWatch(0.0).state(1.0, None).clock_mhz is None
 
 
 def test_what_is_not_known_is_said_to_be_unknown(tmp_path: Path) -> None:
