@@ -243,10 +243,14 @@ BODY_FROM_DOWNWARD_CAMERA: Final[Quaternion] = quat_from_matrix(
 )
 
 
+@lru_cache(maxsize=8)
 def ned_from_geodetic(
     latitude_deg: float, longitude_deg: float, altitude_m: float, origin: Vector3
 ) -> Vector3:
-    """Position NED (m) relative to the origin (latitude deg, longitude deg, altitude m), on WGS-84."""
+    """Position NED (m) relative to the origin (latitude deg, longitude deg, altitude m), on WGS-84.
+
+    The last ones are kept: a place that comes a few times a second is asked for in every control cycle.
+    """
     return vector3(pymap3d.geodetic2ned(latitude_deg, longitude_deg, altitude_m, *origin))
 
 
