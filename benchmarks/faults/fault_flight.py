@@ -57,7 +57,7 @@ DEFAULT_CEILING_M: Final = 40.0
 # docs/reference/autopilot-parameters.md: what the autopilot is to do when setpoints stop, where a case says
 # nothing else. PX4 holds; ArduPilot returns where it drifts to the fence of the app (`plan.mission.fence_m`).
 SETPOINTS_LOST: Final[dict[AutopilotKind, dict[str, float]]] = {
-    "px4": {"COM_OBL_RC_ACT": 5.0},
+    "px4": {},
     "ardupilot": {"GUID_TIMEOUT": 1.0, "FENCE_ENABLE": 1.0, "FENCE_RADIUS": 150.0},
 }
 

@@ -9,7 +9,6 @@ import json
 import random
 import select
 import socket
-import struct
 import sys
 import threading
 import time
@@ -308,12 +307,6 @@ class UdpWitness:
         """A command of the ground station's to the autopilot."""
         filled = (*parameters, *(0.0,) * (7 - len(parameters)))
         self._vehicle_side.send(self._pilot.encode(command_long(number, filled, 1, 1)))
-
-    def set_parameter(self, name: str, number: int) -> None:
-        """Set an integer parameter as a ground station does: PX4 takes its bytes in a float's place."""
-        value = struct.unpack("<f", struct.pack("<i", number))[0]
-        message = mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, mavlink.MAV_PARAM_TYPE_INT32)
-        self._vehicle_side.send(self._pilot.encode(message))
 
     def until(self, holds: Callable[[Beat], bool], most_s: float) -> bool:
         """Wait for a heartbeat of which something holds; whether one came in time."""

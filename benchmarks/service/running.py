@@ -122,8 +122,6 @@ def stage(folder: Path, scenario: str | Path, seed: int) -> Iterator[Stage]:
     }
     settings = folder / "companion.yaml"
     settings.write_text(yaml.safe_dump(merge(merge(wired, operator), changes)))
-    # docs/reference/autopilot-parameters.md: what PX4 does when setpoints stop, 5: hold; default: land
-    witness.set_parameter("COM_OBL_RC_ACT", 5)
     made = Stage(folder, settings, witness, simulator)
     try:
         yield made

@@ -352,7 +352,7 @@ class Planner:
         """Announce a change of phase, and those within the touchdown that matter."""
         if self.phase is not before.phase:
             severity: NoticeSeverity = "warning" if self.phase in {Phase.ABORT, Phase.HOLD} else "info"
-            words = f"{self.phase.value}: {event.value}: {reason}".replace("_", " ")
+            words = f"{self.phase.value}: {event.value}".replace("_", " ") + f": {reason}"
             self._say("phase", words, now_s, severity)
         elif event is MissionEvent.COMMIT:
             self._say("commit", reason, now_s)

@@ -150,21 +150,27 @@ class LiveFeed:
         if leg_ends_s is None:
             return None
         leg_s = max(0.0, leg_ends_s - now_s)
-        config, vehicle = self.settings.get("config"), self.settings.get("vehicle")
-        if not isinstance(config, CompanionConfig) or not isinstance(vehicle, VehicleConfig):
+        config = self.settings.get("config")
+        if not isinstance(config, CompanionConfig):
             return leg_s
         speed_m_s = config.plan.touchdown.contact_speed_m_s
         if self._phase == Phase.DESCEND.value:
             return leg_s + config.plan.landing.wait_height_m / speed_m_s
         if self._phase == Phase.TOUCHDOWN.value and pad is not None:
-            return max(0.0, pad.height_m - vehicle.leg_height_m) / speed_m_s
+            return max(0.0, pad.height_m - self._legs_m) / speed_m_s
         return None
+
+    @property
+    def _legs_m(self) -> float:
+        """From the vehicle's reference point down to its feet."""
+        vehicle = self.settings.get("vehicle")
+        return vehicle.leg_height_m if isinstance(vehicle, VehicleConfig) else 0.0
 
     def _point(self, time_s: float) -> TrackPoint:
         vehicle, pad = _newest(self._vehicles, time_s), _newest(self._pads, time_s)
         return TrackPoint(
             time_s,
-            None if pad is None else pad.height_m,
+            None if pad is None else pad.height_m - self._legs_m,
             None if pad is None else pad.lateral_m,
             None if vehicle is None else -vehicle.position_ned_m[2],
         )

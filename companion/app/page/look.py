@@ -33,7 +33,7 @@ class Start:
 
 
 class TrackPoint(NamedTuple):
-    """A point of the plots; over the pad where it is known, and over the EKF's origin (m)."""
+    """A point of the plots: the feet over the pad where it is known, and over the EKF's origin (m)."""
 
     time_s: float
     height_m: float | None
@@ -46,7 +46,7 @@ class Look:
     """One camera frame with what was seen in it; without a camera the frame is None.
 
     `attitude` is the vehicle's near the exposure. `touchdown_ned_m` is where the pad will be when the planned
-    motion ends, relative to where the vehicle was then, NED axes.
+    motion ends, relative to where the vehicle was then, NED axes. The time is without waiting over the pad.
     """
 
     point: TrackPoint

@@ -106,7 +106,7 @@ class Requests:
     def _put_off(self, pending: _Pending, now_s: float, why: str) -> None:
         kind = pending.action.kind
         if kind in PATIENT and why != pending.why:
-            self._news.append(f"{kind.value} refused: {why}; retry every {self._retry_s:g} s")
+            self._news.append(f"{_words(kind)} refused: {why}; retry every {self._retry_s:g} s")
         self._pending[kind] = replace(pending, due_s=now_s + self._retry_s, answer_by_s=float("inf"), why=why)
 
     def _give_up(self, now_s: float) -> tuple[str, ...]:
@@ -120,4 +120,8 @@ class Requests:
         ]
         for pending in spent:
             del self._pending[pending.action.kind]
-        return tuple(f"{p.action.kind.value} refused {p.sent} times: {p.why}" for p in spent)
+        return tuple(f"{_words(p.action.kind)} refused {p.sent} times: {p.why}" for p in spent)
+
+
+def _words(kind: ActionKind) -> str:
+    return kind.value.replace("_", " ")

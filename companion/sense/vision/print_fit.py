@@ -89,6 +89,8 @@ class _Step(NamedTuple):
     weight: FloatImage
 
 
+# a print that is nowhere divides by nothing, and is lost; OpenBLAS on arm64 says so of sums that are finite
+@np.errstate(all="ignore")
 def fit_prints(
     image: NDArray[np.uint8], light: FloatImage, markers: Sequence[Marker], quads: FloatArray
 ) -> PrintFit:

@@ -29,7 +29,7 @@ PARAMETERS: Final[tuple[Parameter, ...]] = (
     _f("COM_DISARM_LAND", 2.0, -1.0, 20.0),
     _f("COM_FAIL_ACT_T", 5.0, 0.0, 25.0),
     _i("COM_FLTMODE1", -1, -1, 16),
-    _i("COM_OBL_RC_ACT", 0, 0, 7),
+    _i("COM_OBL_RC_ACT", 5, 0, 7),  # PX4's default is 0, of which the app warns
     _f("COM_OF_LOSS_T", 1.0, 0.0, 60.0),
     _i("COM_RCL_EXCEPT", 0, 0, 31),
     _i("COM_RC_IN_MODE", 3, 0, 4),

@@ -98,8 +98,7 @@ def test_restarted_in_flight_it_asks_for_nothing_and_follows_the_next_order() ->
         await field.phase(Phase.DESCEND)
         await field.restart()
         sent = field.setpoints(), field.commands()
-        await field.until(lambda: field.autopilot.mode == "POSCTL", 5.0, "the autopilot's failsafe")
-        field.pilot_mode("AUTO.LOITER")
+        await field.until(lambda: field.autopilot.mode == "AUTO.LOITER", 5.0, "the autopilot's failsafe")
         field.vehicle.wants_frames = False  # rendering takes most of the time
         await field.until(field.aligned, 40.0, "aligned in the air")
         field.vehicle.wants_frames = True

@@ -148,7 +148,7 @@ function figures(look) {
   figure("height", metres(overPad ? look.height_m : look.altitude_m));
   write("height-of", overPad ? "over the pad" : "over the start");
   figure("lateral", metres(look.lateral_m));
-  figure("touchdown", look.touchdown_in_s === null ? ["–", ""] : [look.touchdown_in_s.toFixed(1), "s"]);
+  figure("touchdown", look.touchdown_in_s === null ? ["–", ""] : [`≥${look.touchdown_in_s.toFixed(1)}`, "s"]);
   at("head").dataset.phase = look.phase;
   write("phase", words(look.phase) || "starting");
 }

@@ -134,6 +134,12 @@ def test_a_pad_straight_below_is_drawn_in_the_middle_of_the_picture() -> None:
     assert {o["id"] for o in drawing["outlines"]} == {None, *SIGHTING.marker_ids}
 
 
+def test_the_height_is_that_of_the_feet(feed: LiveFeed) -> None:
+    feed.know({"vehicle": START.vehicle})
+    feed.note("pad", pad_below(1.0, START.vehicle.leg_height_m), 1.0)
+    assert feed.look(1.0).point.height_m == pytest.approx(0.0)
+
+
 def pad_below(time_s: float, height_m: float) -> PadState:
     known = pad_at(time_s, 0.0)
     return replace(known, relative_position_ned_m=(0.0, 0.0, height_m))

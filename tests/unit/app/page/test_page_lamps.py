@@ -1,4 +1,4 @@
-"""The page's lamps in a browser, in every one of twelve states: none is green by what is not true now."""
+"""The page's lamps in a browser, in every one of fourteen states: none is green by what is not true now."""
 
 import asyncio
 import json
@@ -74,6 +74,9 @@ CASES: Final[dict[str, tuple[dict[str, Any], dict[str, str]]]] = {
     ),
     "descending": (state(phase="descend", order="land by RC"), GOOD),
     "pad lost": (state(phase="search", pad_seen_s=6.0), {**GOOD, "pad": "warning"}),
+    # so near that no marker is whole: the pad is not in sight any more
+    "contact": (state(phase="touchdown", order="land by RC", pad_seen_s=1.4), {**GOOD, "pad": "warning"}),
+    "landed": (state(phase="landed", armed=False), GOOD),
 }  # fmt: skip
 
 
@@ -95,7 +98,7 @@ async def test_the_lamps_are_true_in_every_state(tmp_path: Path) -> None:
         # 1: nothing is known yet
         await opened(on, tab)
         assert {kind for kind, _ in (await lamps(tab)).values()} == {"unknown"}
-        # 2 to 11
+        # 2 to 13
         for name, (shown, expected) in CASES.items():
             on.server.text(Text("state", json.dumps({**shown, "up_s": shown["up_s"] + 0.001 * len(name)})))
             async with asyncio.timeout(10.0):
@@ -104,7 +107,7 @@ async def test_the_lamps_are_true_in_every_state(tmp_path: Path) -> None:
                     await asyncio.sleep(0.1)
         on.server.text(Text("state", json.dumps(state())))
         await tab.wait_for("document.getElementById('vehicle').textContent.includes('ARMED')")
-        # 12: nothing comes any more: nothing stays green, and ages go on
+        # 14: nothing comes any more: nothing stays green, and ages go on
         await tab.wait_for("!document.querySelector('#lights .good')")
         assert {kind for kind, _ in (await lamps(tab)).values()} == {"unknown"}
         vehicle = "document.getElementById('vehicle').textContent"

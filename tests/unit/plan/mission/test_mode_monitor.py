@@ -327,7 +327,7 @@ def test_after_its_attempts_it_is_given_up_with_the_autopilots_words() -> None:
         assert r.due(10.0 * k) == (GO,)
         given_up = r.hear(refused(ActionKind.GO_TO, "too far"), 10.0 * k + 1.0)
         assert (given_up == ()) == (k < 2)
-    assert given_up == ("go_to refused 3 times: too far",)
+    assert given_up == ("go to refused 3 times: too far",)
     assert r.due(100.0) == ()
 
 

@@ -101,3 +101,11 @@ def test_what_is_not_there_is_not_found(marker: Marker) -> None:
     fit = fit_prints(clutter, PROPORTIONAL, [marker], quad[None])
     assert np.isinf(fit.covariance_px2).all()
     assert np.array_equal(fit.corners[0], quad)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_print_that_is_nowhere_is_lost_without_a_word(marker: Marker) -> None:
+    quads = np.array([[(0.0, 0.0), (20.0, 20.0), (20.0, 0.0), (0.0, 20.0)]])  # crosses itself: a depth is 0
+    fit = fit_prints(np.full((40, 40), 90, np.uint8), PROPORTIONAL, [marker], quads)
+    assert np.isinf(fit.covariance_px2).all()
+    assert fit.corners == pytest.approx(quads)

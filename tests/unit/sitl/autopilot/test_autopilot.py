@@ -142,6 +142,7 @@ def test_px4_enters_offboard_only_on_fresh_setpoints() -> None:
 
 def test_px4_leaves_offboard_when_setpoints_stop_and_comes_back_with_them() -> None:
     flight = in_the_air("px4")
+    flight.autopilot.parameters.set("COM_OBL_RC_ACT", 0.0)
     flight.run(2.0, velocity(1.0))
     flight.run(0.9)
     assert flight.autopilot.mode == "OFFBOARD"
@@ -249,7 +250,7 @@ def test_px4_does_not_take_offset_frames_and_says_so() -> None:
     flight.autopilot.stream_fields(fields, flight.now_s)
     flight.run(1.5)
     assert any("frame 9 unsupported" in text for text in flight.texts)
-    assert flight.autopilot.mode == "POSCTL"
+    assert flight.autopilot.mode == "AUTO_LOITER"
 
 
 @BOTH
