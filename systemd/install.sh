@@ -41,7 +41,7 @@ python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' || fail "needs Pyt
 python3 -c 'import venv' 2>/dev/null || fail "needs Python's venv; run: apt install python3-venv"
 readonly TAG="$(python3 -c 'import sys; print(f"cp{sys.version_info[0]}{sys.version_info[1]}")')"
 
-install -d "$PREFIX" "$VERSIONS" "$SETTINGS" "$PROGRAMS_FOLDER"
+need_place
 free_mb="$(($(stat -f --format='%a * %S' "$PREFIX") / 1000000))"
 [ "$free_mb" -ge "$NEEDED_MB" ] || fail "$free_mb MB free in $PREFIX; expected $NEEDED_MB MB"
 adopt_old_layout
@@ -138,7 +138,9 @@ else
     touch "$folder/COMPLETE"
 fi
 
-[ -e "$SETTINGS/companion.yaml" ] || install -m 0644 "$VERSIONS/$name/configs/companion.yaml" "$SETTINGS/companion.yaml"
+# a link to a disk that is not there now is the settings' too
+[ -e "$SETTINGS/companion.yaml" ] || [ -L "$SETTINGS/companion.yaml" ] \
+    || install -m 0644 "$VERSIONS/$name/configs/companion.yaml" "$SETTINGS/companion.yaml"
 install -d "$PREFIX/tools"
 for file in versions.sh companion-rollback; do
     install -m 0755 "$HERE/$file" "$PREFIX/tools/$file.new" && mv -T "$PREFIX/tools/$file.new" "$PREFIX/tools/$file"

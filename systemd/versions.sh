@@ -33,6 +33,17 @@ need_root() {
     command -v systemctl >/dev/null || fail "no systemctl here; expected a system that runs systemd"
 }
 
+# every folder that a switch writes to, before anything is changed; and nobody else does so meanwhile
+need_place() {
+    local folder
+    for folder in "$PREFIX" "$VERSIONS" "$SETTINGS" "$PROGRAMS_FOLDER" "$(dirname "$UNIT")"; do
+        install -d "$folder" 2>/dev/null && [ -w "$folder" ] \
+            || fail "$folder cannot be written to, and nothing was changed; expected a folder on a disk that is not read-only"
+    done
+    exec 9>"$PREFIX/lock"
+    flock --nonblock 9 || fail "another installation is under way, and nothing was changed; expected its end"
+}
+
 in_use() { [ -L "$CURRENT" ] && basename "$(readlink "$CURRENT")" || true; }
 one_before() { [ -L "$PREVIOUS" ] && basename "$(readlink "$PREVIOUS")" || true; }
 complete() { [ -e "$VERSIONS/$1/COMPLETE" ]; }

@@ -1,5 +1,6 @@
 """install.sh and companion-rollback on made-up releases: one whole version is in use, whatever happens."""
 
+import fcntl
 import shutil
 from pathlib import Path
 
@@ -150,6 +151,34 @@ def test_from_a_checkout_without_a_network_nothing_is_changed_and_one_line_says_
     (line,) = done.stderr.splitlines()
     assert "the wheels cannot be built, and nothing was changed: ERROR: " in line
     assert (system.in_use, system.starts, system.versions) == ("1.0", [], {"1.0"})
+
+
+def test_where_it_cannot_write_nothing_is_changed_and_one_line_says_so(system: System, tmp_path: Path) -> None:
+    bundle, programs = release(tmp_path, "1.1"), system.base / "usr/local/bin"
+    programs.rename(system.base / "elsewhere")
+    programs.write_text("no folder")
+    done = system.run(bundle / "install.sh")
+    assert done.returncode == 2
+    assert "usr/local/bin cannot be written to, and nothing was changed" in done.stderr
+    assert (system.in_use, system.versions) == ("1.0", {"1.0"})
+
+
+def test_two_installations_do_not_run_at_once(system: System, tmp_path: Path) -> None:
+    bundle = release(tmp_path, "1.1")
+    with (system.prefix / "lock").open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        for command in ((bundle / "install.sh",), (system.base / "usr/local/bin/companion-rollback", "1.0")):
+            done = system.run(*command)
+            assert done.returncode == 2, done.stderr
+    assert system.in_use == "1.0"
+
+
+def test_settings_that_are_a_link_to_a_disk_that_is_away_stay(system: System, tmp_path: Path) -> None:
+    settings = system.base / "etc/companion/companion.yaml"
+    settings.unlink()
+    settings.symlink_to("/media/stick/companion.yaml")
+    installed(system, tmp_path, "1.1")
+    assert settings.readlink() == Path("/media/stick/companion.yaml")
 
 
 def test_a_damaged_release_is_refused(empty: System, tmp_path: Path) -> None:
