@@ -153,7 +153,9 @@ def test_from_a_checkout_without_a_network_nothing_is_changed_and_one_line_says_
     assert (system.in_use, system.starts, system.versions) == ("1.0", [], {"1.0"})
 
 
-def test_where_it_cannot_write_nothing_is_changed_and_one_line_says_so(system: System, tmp_path: Path) -> None:
+def test_where_it_cannot_write_nothing_is_changed_and_one_line_says_so(
+    system: System, tmp_path: Path
+) -> None:
     bundle, programs = release(tmp_path, "1.1"), system.base / "usr/local/bin"
     programs.rename(system.base / "elsewhere")
     programs.write_text("no folder")

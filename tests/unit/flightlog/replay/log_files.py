@@ -26,6 +26,7 @@ from companion.flightlog.replay.run import new_estimator
 from companion.pad import load_pad
 from tests.unit.estimate.estimate_flight import (
     ANTENNA,
+    FIELD_NED_UT,
     HOME,
     VEHICLE,
     EstimateFlight,
@@ -45,9 +46,11 @@ BOOT_S = 10.0  # the autopilots' clocks started before the flight
 
 def own_rig() -> ReplaySetup:
     """The settings that the flight of ours was flown with."""
-    config = load_config(
-        CONFIG_FOLDER / "companion.yaml", {"sense": {"gps": {"antenna_position_body_m": list(ANTENNA)}}}
-    )
+    flown = {
+        "sense": {"gps": {"antenna_position_body_m": list(ANTENNA)}},
+        "estimate": {"magnetic_field_ned_ut": list(FIELD_NED_UT)},
+    }
+    config = load_config(CONFIG_FOLDER / "companion.yaml", flown)
     return ReplaySetup(config, VEHICLE, load_pad(config.pad))
 
 

@@ -17,7 +17,6 @@ from companion.flightlog.replay.flight_record import FlightRecord
 from companion.flightlog.replay.mcap_log import read_mcap
 from companion.flightlog.replay.run import replay
 from companion.flightlog.replay.settings import choose
-from tests.unit.estimate.estimate_flight import FIELD_NED_UT
 from tests.unit.flightlog.replay.log_files import FLIGHT, own_rig, write_own
 
 
@@ -110,7 +109,7 @@ def test_an_older_log_without_settings_is_replayed_under_the_shipped_ones(tmp_pa
     assert record.rig is None
     choice = choose(record, None)
     assert not choice.repeats
-    assert choice.field.ned_ut == FIELD_NED_UT
+    assert choice.field.source == "World Magnetic Model at the first fix"
 
 
 def test_settings_that_this_version_does_not_have_are_left_out_and_noted(tmp_path: Path) -> None:
