@@ -25,6 +25,7 @@ from companion.app.service.systemd import ServiceNotifier
 from companion.app.stages import build_stages
 from companion.app.status import STATUS_PERIOD_S, FrameRate, Status
 from companion.app.supervision import failure_words, supervised
+from companion.app.target_output import STANDBY_WORDS
 from companion.app.timing.loop_monitor import LoopMonitor
 from companion.base.autopilots import PROFILES
 from companion.base.clock import Clock, handing_over_soon
@@ -85,7 +86,9 @@ class App:
         stages = build_stages(config, hardware, log, self._clock, self.announcer.notify)
         self._vehicle, self.session, self._timer = stages.vehicle, stages.session, stages.control_timer
         self.estimator, self.sensing, self.sources = stages.estimator, stages.sensing, stages.sources
-        self._stamps, self._watch = stages.stamps, stages.estimate_watch
+        self._stamps, self._watch, self._target = stages.stamps, stages.estimate_watch, stages.target
+        if self._target is not None:
+            standby = STANDBY_WORDS
         self.missions = Missions(
             stages.make_planner, self.session, log, self.announcer, self._clock, standby=standby, stays=stays
         )
@@ -104,6 +107,15 @@ class App:
     @property
     def phase(self) -> Phase:
         return self.missions.phase
+
+    @property
+    def vision_only(self) -> bool:
+        """Whether it flies nothing and sends landing targets (`control.output: landing_target`)."""
+        return self._target is not None
+
+    def not_ready(self, now_s: float) -> list[str]:
+        """What stands against a landing; vision only: against sending a pad that is seen."""
+        return self.missions.not_ready(now_s) if self._target is None else self._target.problems(now_s)
 
     def request_stop(self) -> None:
         """Hold, hand the vehicle back to the autopilot and end (Ctrl-C, or the service's stop)."""
@@ -225,6 +237,14 @@ class App:
         for topic, estimate in (("vehicle", vehicle), ("pad", pad)):
             if estimate is not None:
                 self._log.write(topic, estimate, now_s)
+        if self._target is not None:
+            self.missions.record(armed=self.session.state.armed)
+            target = self._target.due(vehicle, pad, self.sensing.last_sighting, now_s)
+            if target is not None:
+                self._send(self.session.send_landing_target(target))
+                self._log.write("landing_target", target, now_s)
+                self._latency_ms = 1e3 * (now_s - target.time_s)
+            return
         if plan.reference is None or self.session.setup is None:
             return
         if vehicle is not None and vehicle.imu_age_s <= BLIND_S:

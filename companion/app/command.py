@@ -82,6 +82,7 @@ def fly_the_vehicle(config_path: Path, output: Output) -> int:
             f"--fly: {config_path}: plan.mission.may_arm is false; "
             "expected true, which allows the app to arm and take off"
         )
+    must_fly(config, f"--fly: {config_path}")
     latch = FlightLatch(output.record or state_folder())
     folder = None if output.record is None else next_flight_folder(output.record)
     _make_room(output.record, config)
@@ -102,6 +103,16 @@ def fly_the_vehicle(config_path: Path, output: Output) -> int:
             log.close()
     latch.end(phase.value)
     return 0 if phase is Phase.LANDED or idle else EXIT_CODES[Outcome.ABORTED]
+
+
+def must_fly(config: CompanionConfig, where: str) -> None:
+    """Refuse a flight by settings that fly nothing.
+
+    Raises:
+        ConfigError: they send landing targets alone.
+    """
+    if config.control.output == "landing_target":
+        raise ConfigError(f"{where}: control.output landing_target flies nothing; expected setpoints")
 
 
 async def _vehicle_flight(

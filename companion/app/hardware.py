@@ -126,7 +126,8 @@ def make_actions(
     Raises:
         ModuleNotFoundError: MAVSDK, if it was left out of the installation.
     """
-    if config.link.actions == "pymavlink":
+    # what asks for nothing needs no MAVSDK
+    if config.link.actions == "pymavlink" or config.control.output == "landing_target":
         return make_own_actions(session, send, clock, config)
     from companion.link.actions.mavsdk_link import MavsdkActions  # noqa: PLC0415 - may be left out
 

@@ -58,7 +58,7 @@ class Missions:
         self._ended_s: float | None = None
         self._held_words = self._end_words = ""
         self._inputs: PlanInputs | None = None  # of the last cycle
-        self.stopped_idle = False
+        self.stopped_idle = self._recorded = False
         self.phase = self._planner.phase
         session.orders.stand_by(clock.now_s())
 
@@ -147,10 +147,16 @@ class Missions:
         if isinstance(self._log, FlightsRecorder):
             self._log.end()
 
+    def record(self, *, armed: bool) -> None:
+        """Where no mission begins a record, the autopilot's own flight does: as long as it is armed."""
+        if isinstance(self._log, FlightsRecorder) and armed is not self._recorded:
+            self._recorded = armed
+            (self._log.begin if armed else self._log.end)()
+
     def tell(self) -> None:
         """Say what it waits for."""
         if self.stays:
-            self._announcer.notify("standby", "standby: waiting for an order", "info")
+            self._announcer.notify("standby", f"standby: {self._standby or 'waiting for an order'}", "info")
 
     def _replied(self, order: Order, reply: OrderReply) -> None:
         """An order has its answer: tell whoever gave it, and everybody why it is refused."""

@@ -140,6 +140,7 @@ class Sensing:
         self.pace = VisionPace(notify)
         self.last_range: RangeSample | None = None
         self.last_frame: FrameReport | None = None
+        self.last_sighting: PadSighting | None = None
         self.frame_count = 0
         self.frame_fused: Callable[[], None] = lambda: None  # called after each
         self._gone_s: dict[str, float] = {}  # ports, and when
@@ -350,6 +351,7 @@ class Sensing:
         if seen.sighting is not None:
             self._estimator.add_sighting(seen.sighting)
             self._log.write("sighting", seen.sighting, now_s)
+            self.last_sighting = seen.sighting
         self.frame_count += 1
         times_s, found = (frame.time_s, frame.received_s, now_s), seen.sighting is not None
         self.last_frame = FrameReport(

@@ -8,6 +8,7 @@ from companion.app.hardware import Hardware
 from companion.app.sensing import Notify, Sensing
 from companion.app.service.stamp_file import StampKeeper
 from companion.app.source_watch import SourceWatch
+from companion.app.target_output import TargetOutput
 from companion.app.timing.control_timer import ControlTimer
 from companion.app.timing.estimate_watch import EstimateWatch
 from companion.base.clock import Clock, unix_time_s
@@ -43,6 +44,7 @@ class Stages:
     control_timer: ControlTimer
     stamps: StampKeeper
     estimate_watch: EstimateWatch
+    target: TargetOutput | None  # with `control.output: landing_target`
     make_planner: Callable[[str | None], Planner]  # of a mission; given why it stands by, if it does
 
 
@@ -93,7 +95,11 @@ def build_stages(
         hardware.stamp_file, hardware.signing, lambda text: notify("signing", text, "warning")
     )
     watch = EstimateWatch(estimator, session, log, clock, notify)
-    return Stages(vehicle, session, estimator, sensing, sources, control_timer, stamps, watch, make_planner)
+    tells = config.control.output == "landing_target"
+    target = TargetOutput(config.control, pad, estimator, session) if tells else None
+    return Stages(
+        vehicle, session, estimator, sensing, sources, control_timer, stamps, watch, target, make_planner
+    )
 
 
 def _planner_maker(
@@ -121,10 +127,12 @@ def _planner_maker(
 
 
 def _session(config: CompanionConfig, signing: LinkSigning | None) -> Session:
+    flies = config.control.output == "setpoints"
     return Session(
         config.link,
         config.sense if config.sense.source == "autopilot" else None,
-        reads_setup=True,
+        reads_setup=flies,
+        follows_pose=not flies,
         signing=signing,
         orders=config.orders,
         process=int(1e3 * unix_time_s()) % 2**32,

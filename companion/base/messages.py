@@ -496,6 +496,23 @@ class Setpoint:
     holds_horizontal_velocity: bool = True
 
 
+@dataclass(frozen=True, slots=True)
+class LandingTargetPose:
+    """The pad, sent to an autopilot that lands on it by itself; `time_s` is the exposure that shows it.
+
+    `position_body_m`: the pad's centre minus the vehicle's reference point, body axes at the exposure.
+    `position_ned_m`: its place in the autopilot's own local NED, for one that takes that alone; else None.
+    `attitude`: the pad's, in the frame of the position that is sent. `size_rad`: its width and length as seen
+    from the vehicle.
+    """
+
+    time_s: float
+    position_body_m: Vector3
+    attitude: Quaternion
+    size_rad: tuple[float, float]
+    position_ned_m: Vector3 | None = None
+
+
 # a wind that takes more than the bounds allow is a gust, or it carries the vehicle away
 LONGEST_CUT_S: Final = 2.0
 

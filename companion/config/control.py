@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from companion.config.reading import StrictModel
+from companion.config.reading import OPERATOR, StrictModel
 
 
 class LimitsConfig(StrictModel):
@@ -86,6 +86,14 @@ class PidConfig(StrictModel):
 class ControlConfig(StrictModel):
     """The tracker and what it sends."""
 
+    output: Literal["setpoints", "landing_target"] = Field(default="setpoints", json_schema_extra=OPERATOR)
+    """`setpoints` fly the vehicle; `landing_target` flies nothing: it sends the pad as LANDING_TARGET, to
+    the autopilot's own landing (docs/how-to/vision-only.md); set it where the autopilot is to land by
+    itself"""
+    target_lead_s: float = Field(default=0.0, ge=0.0, le=2.0)
+    """With `output: landing_target`: the target is where the pad will be so much later, since the autopilot
+    follows late; 0 sends it as seen. Set it for a pad that drives, as docs/how-to/vision-only.md says; too
+    long is worse: the vehicle lands ahead of the pad"""
     controller: Literal["mpc", "riccati", "pid"] = Field(default="mpc")
     """Tracker of the plan: the constrained MPC, the paper's recursion without constraints, or a PID; change
     it for comparison only"""

@@ -15,6 +15,7 @@ import numpy as np
 
 from companion.base.geometry import (
     FloatArray,
+    Quaternion,
     Vector3,
     add,
     norm,
@@ -290,6 +291,10 @@ class StateEstimator:
             tilt_frequency_rad_s=estimate.tilt.frequency_rad_s,
             seen_velocity_ned_m_s=add(relative_velocity, self._motion.moved(estimate.seen_time_s, now_s)[1]),
         )
+
+    def attitude(self, time_s: float) -> Quaternion | None:
+        """The attitude, body to NED, at a time of the last seconds; None before the alignment."""
+        return self._motion.attitude(time_s)
 
     def vehicle_covariance(self) -> FloatArray | None:
         """Covariance (9, 9) of `vehicle`; None before the alignment.

@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any, Final
 
-from companion.base.messages import FrameReport, Setpoint
+from companion.base.messages import FrameReport, LandingTargetPose, Setpoint
 
 WINDOW_S: Final = 5.0
 LATENCIES: Final = 300  # of the last frames or setpoints: ten seconds at 30 Hz
@@ -38,6 +38,8 @@ class Meter:
             self._vision_s.append(message.done_s - message.time_s)
         elif isinstance(message, Setpoint) and message.exposure_time_s is not None:
             self._sent(message.time_s, message.exposure_time_s)
+        elif isinstance(message, LandingTargetPose):
+            self._sent(time_s, message.time_s)
         self._turn(time_s)
 
     def rates(self, now_s: float) -> dict[str, Rate]:
@@ -49,7 +51,7 @@ class Meter:
         }
 
     def latency_ms(self) -> dict[str, tuple[float, float]]:
-        """Median and 99th percentile (ms) from exposure to the frame's result, and to the setpoint."""
+        """Median and 99th percentile (ms) from exposure to the frame's result, and to what is sent."""
         found = {"frame": self._vision_s, "setpoint": self._setpoint_s}
         return {name: _percentiles_ms(values) for name, values in found.items() if values}
 

@@ -16,8 +16,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-from companion.base.geometry import ZERO3, Vector3
-from companion.base.messages import Setpoint
+from companion.base.geometry import ZERO3, Vector3, norm
+from companion.base.messages import LandingTargetPose, Setpoint
 from companion.link.dialect import mavlink as mavlink  # noqa: PLC0414 - named here for all
 from companion.link.signing import LinkSigning
 
@@ -270,6 +270,22 @@ def setpoint_message(
         time_ms, target_system, target_component, mavlink.MAV_FRAME_LOCAL_NED, ignore, *ZERO3,
         *setpoint.velocity_ned_m_s, *setpoint.acceleration_ned_m_s2,
         setpoint.heading_rad, setpoint.heading_rate_rad_s,
+    )  # fmt: skip
+
+
+def landing_target_message(target: LandingTargetPose, time_us: int) -> Message:
+    """LANDING_TARGET of a position: BODY_FRD, or LOCAL_NED where there is one in the autopilot's own frame.
+
+    `time_us` is the exposure by the clock that TIMESYNC tells of. The angles are to the right and backwards
+    off the body's downward axis. ArduPilot divides the position by the distance and takes their product.
+    """
+    x, y, z = target.position_body_m
+    own = target.position_ned_m
+    frame = mavlink.MAV_FRAME_BODY_FRD if own is None else mavlink.MAV_FRAME_LOCAL_NED
+    return mavlink.MAVLink_landing_target_message(
+        time_us, 0, frame, math.atan2(y, z), math.atan2(-x, z), norm(target.position_body_m),
+        *target.size_rad, *(target.position_body_m if own is None else own), list(target.attitude),
+        mavlink.LANDING_TARGET_TYPE_VISION_FIDUCIAL, 1,
     )  # fmt: skip
 
 

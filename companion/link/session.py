@@ -12,7 +12,13 @@ from dataclasses import replace
 from typing import Final
 
 from companion.base.geometry import Quaternion
-from companion.base.messages import AutopilotSetup, AutopilotState, LandedState, Setpoint
+from companion.base.messages import (
+    AutopilotSetup,
+    AutopilotState,
+    LandedState,
+    LandingTargetPose,
+    Setpoint,
+)
 from companion.config import LinkConfig, OrdersConfig, SenseConfig
 from companion.link import codec
 from companion.link.autopilot_setup import SetupReader
@@ -29,9 +35,10 @@ from companion.link.notices import Notices
 from companion.link.orders import ORDER_MESSAGES, OrderListener
 from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.link.signing import LinkSigning
-from companion.link.streams import HEARD, TelemetryRates, telemetry_rates_hz
+from companion.link.streams import HEARD, POSE_RATES_HZ, TelemetryRates, telemetry_rates_hz
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, Sample, TelemetrySensors
 from companion.link.telemetry.heading_offset import HeadingOffset
+from companion.link.telemetry.poses import PoseHistory
 from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state, without_old
 from companion.link.telemetry.twins import SETPOINT_MESSAGES, with_twin
 from companion.link.timing.boot_clock import BootClock
@@ -43,6 +50,7 @@ _STAMPED: Final = frozenset(
         mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
         mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET,
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
     }
 )
 _HEARTBEAT_S: Final = 1.0
@@ -65,11 +73,14 @@ class Session:
         sense: SenseConfig | None = None,
         *,
         reads_setup: bool = False,
+        follows_pose: bool = False,
         signing: LinkSigning | None = None,
         orders: OrdersConfig | None = None,
         process: int = 0,
     ) -> None:
         """`process` (32 bits) tells this one's heartbeats from those of another with the same ids.
+
+        `follows_pose`: the autopilot's own position and attitude are asked for and kept in `poses`.
 
         `reads_setup`: the parameters on which our loop depends are asked for as soon as it is received.
 
@@ -92,6 +103,7 @@ class Session:
             | SETPOINT_MESSAGES
             | self.orders.messages
             | (frozenset() if sense is None else SENSOR_MESSAGES)
+            | (frozenset(POSE_RATES_HZ) if follows_pose else frozenset())
         )
         self._codec = Codec(config.system_id or 1, config.component_id, wanted=heard)
         if signing is not None:
@@ -99,6 +111,7 @@ class Session:
         self._commands = CommandQueue(config.command_timeout_s, config.command_tries)
         self._parameters = ParameterRequests(config.command_timeout_s, config.command_tries)
         self.reads_setup = reads_setup
+        self.poses = PoseHistory() if follows_pose else None
         self._process = process
         self._setup = SetupReader(self._parameters)
         self.rates = TelemetryRates()
@@ -213,6 +226,10 @@ class Session:
         self.orders.heard(now_s)
         self._replies += self._notices.heard(now_s - self.heard_s)
         self.heard_s = now_s
+        if self.poses is not None and message_id == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
+            measured_s = self._measured_s(message, message_id, now_s)
+            if measured_s is not None:
+                self.poses.take_position(measured_s, (message.x, message.y, message.z))
         if message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
             for text in self._texts.receive(message):
                 self.state = add_text(self.state, text, now_s)
@@ -235,6 +252,8 @@ class Session:
         if measured_s is None:
             return
         self.state = update_state(self.state, message, measured_s)
+        if self.poses is not None and self.state.attitude is not None:
+            self.poses.take_attitude(self.state.attitude_time_s, self.state.attitude)
         if self.state.armed and not was_armed:
             self._home_due_s = now_s  # arming sets home again
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
@@ -244,6 +263,8 @@ class Session:
             if self.reads_setup:
                 self._setup.begin(self.state.autopilot_kind, self._system_id)
             self.rates.want(telemetry_rates_hz(self.state.autopilot_kind) | self.orders.rates_hz)
+            if self.poses is not None:
+                self.rates.want(POSE_RATES_HZ)
             if self.onboard is not None:
                 self.onboard.heartbeat(self.state.autopilot_kind, now_s)
                 self.rates.want(self.onboard.rates_hz())
@@ -301,6 +322,10 @@ class Session:
         """A setpoint in our NED as bytes, turned into the autopilot's heading as far as that is known."""
         rotated = self.heading_offset.rotate(setpoint)
         return self._codec.encode(codec.setpoint_message(rotated, now_s, self._codec.system_id))
+
+    def send_landing_target(self, target: LandingTargetPose) -> bytes:
+        """A landing target as bytes, with its exposure by the clock that we tell of in TIMESYNC."""
+        return self._codec.encode(codec.landing_target_message(target, clock_ns(target.time_s) // 1000))
 
     def send_notice(self, text: str, severity: Severity) -> bytes:
         """A text for the ground station's and the autopilot's log, as bytes."""

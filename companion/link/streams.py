@@ -41,6 +41,11 @@ TELEMETRY_RATES_HZ: Final[dict[int, float]] = {
 }
 # for whoever takes over by attitude and thrust
 THRUST_RATES_HZ: Final[dict[int, float]] = {mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 20.0}
+# for whoever tells an autopilot of a place in its own frame
+POSE_RATES_HZ: Final[dict[int, float]] = {
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: 30.0,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
+}
 _WINDOW_S: Final = 2.0
 _LONGEST_WINDOW_S: Final = 16.0
 _HONOURED_SHARE: Final = 0.6

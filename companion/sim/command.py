@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from companion.app.command import EXIT_CODES, Output, new_log, writable
+from companion.app.command import EXIT_CODES, Output, must_fly, new_log, writable
 from companion.app.terminal import StatusView
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.command_line import print_error
@@ -60,6 +60,7 @@ def fly_in_sitl(config_path: Path, trial: Trial, output: Output, *, fast: bool) 
     """
     prepare_opencv()
     settings = output.shown(sitl_settings(config_path, trial, fast=fast))
+    must_fly(settings, f"--sitl: {config_path}")
     if left_out := calibrations_left_out(config_path, settings):
         output.console.print(f"left out, for the simulated vehicle is another: {', '.join(left_out)}")
     if (differs := vehicle_differs(settings, trial)) is not None:

@@ -150,6 +150,11 @@ class Simulation:
             self._flight_controller.close()
 
     @property
+    def home(self) -> Vector3:
+        """Latitude (deg), longitude (deg), altitude (m AMSL) where the vehicle starts: for benches."""
+        return self._home
+
+    @property
     def sensor_truth(self) -> SensorTruth:
         """The true errors of the sensors: for tests and benches."""
         return SensorTruth(self._rack.truth, self._autopilot_sensors.truth, self._camera.truth)

@@ -82,6 +82,7 @@ class StateReport(_Model):
     inputs: tuple[InputReport, ...]
     aligned: bool
     estimate_problem: str | None = None
+    vision_only: bool = False  # it flies nothing, and needs the camera and the autopilot alone
     attitude_std_deg: float | None
     velocity_std_m_s: float | None
     position_std_m: float | None
@@ -101,6 +102,8 @@ class StateReport(_Model):
         """In one line, for a ground station."""
         if self.order is not None:
             head = f"{self.phase.replace('_', ' ')}, {self.order}"
+        elif self.vision_only:
+            head = "does not send the pad" if self.problems else "sends the pad when it is seen"
         else:
             head = "not ready to land" if self.problems else "ready to land"
         return ": ".join((head, "; ".join(self.problems))) if self.problems else head
@@ -130,11 +133,12 @@ def state_report(
                 silent=rates[topic].age_s > oldest_s,
                 **_use(uses.get(topic)),
             )
-            for topic, (name, oldest_s) in INPUTS.items()
+            for topic, (name, oldest_s) in _inputs(app)
             if topic in rates
         ),
         aligned=vehicle is not None and vehicle.aligned,
-        estimate_problem=app.missions.estimate_problem(now_s),
+        estimate_problem=None if app.vision_only else app.missions.estimate_problem(now_s),
+        vision_only=app.vision_only,
         attitude_std_deg=None if vehicle is None else math.degrees(vehicle.attitude_std_rad),
         velocity_std_m_s=None if vehicle is None else vehicle.velocity_std_m_s,
         position_std_m=None if vehicle is None else vehicle.position_std_m,
@@ -167,16 +171,21 @@ def _event(notice: Notice, start_s: float) -> Event:
     return Event(time_s=notice.time_s - start_s, severity=notice.severity, text=notice.text)
 
 
+def _inputs(app: App) -> list[tuple[str, tuple[str, float]]]:
+    """Those that are needed: their topic in the log, their name, and how old the newest may be (s)."""
+    return [item for item in INPUTS.items() if item[0] == "frame_report" or not app.vision_only]
+
+
 def _problems(app: App, rates: dict[str, Rate], machine: ComputerStatus, now_s: float) -> list[str]:
-    found = app.missions.not_ready(now_s)
+    found, inputs = app.not_ready(now_s), dict(_inputs(app))
     if app.sensing.camera_problem is None and "frame_report" not in rates:
         found.append("camera: no frame yet")
-    for topic, (name, oldest_s) in INPUTS.items():
+    for topic, (name, oldest_s) in inputs.items():
         if topic in rates and rates[topic].age_s > oldest_s:
             age_s = rates[topic].age_s
             found.append(f"{name}: silent for {age_s:.{0 if age_s >= 10.0 else 1}f} s")
     for use in app.estimator.tally.uses():
-        known = use.name in INPUTS and use.name != "range"  # an echo is of use over the pad only
+        known = use.name in inputs and use.name != "range"  # an echo is of use over the pad only
         if known and use.refused_in_a_row >= UNUSED_IN_A_ROW and rates[use.name].age_s <= INPUTS[use.name][1]:
             found.append(f"{INPUTS[use.name][0]}: not used: {use.reason}")
     if app.loop_monitor.late_share > LATE_SHARE:

@@ -44,6 +44,8 @@ ARDUPILOT: Final = AutopilotMake(
     rates_hz={"EKF_STATUS_REPORT": 2.0, "HEARTBEAT": 5.0},
     prearm_in_health_alone=False,  # an old one has no such bit at all
     reports_outputs=True,
+    target_frame="body",  # AC_PrecLand_Companion.cpp; other positions are dropped
+    carries_target_on=True,  # with bit 0 of PLND_OPTIONS
     # HIGHRES_IMU is not in every firmware, and replaces RAW_IMU where another client asked for it
     imu_messages=("RAW_IMU", "SCALED_IMU", "HIGHRES_IMU"),
     # the two-pole filters at 20 Hz (INS_GYRO_FILTER, INS_ACCEL_FILTER) delay by sqrt(2) / (2 pi 20 Hz)

@@ -70,6 +70,12 @@ class AutopilotMake:
     # SYS_STATUS says that its outputs are cut, EKF_STATUS_REPORT whether its filter is ready
     reports_outputs: bool
 
+    # ------------------------------------------------------------ its own precision landing
+    # LANDING_TARGET's position is taken in this frame alone: body axes (FRD), or its own local NED
+    target_frame: Literal["body", "local_ned"]
+    # it carries a target on at the velocity that it has found; else it flies to where the target was told
+    carries_target_on: bool
+
     # ------------------------------------------------------------ its sensors
     # messages with the IMU, best first
     imu_messages: tuple[str, ...]

@@ -54,6 +54,8 @@ PX4: Final = AutopilotMake(
     rates_hz={"CURRENT_MODE": 10.0},
     prearm_in_health_alone=True,
     reports_outputs=False,
+    target_frame="local_ned",  # mavlink_receiver.cpp; other positions are refused with a text
+    carries_target_on=False,
     # its RAW_IMU is in counts, and its SCALED_IMU has the field in the compass's own axes
     imu_messages=("HIGHRES_IMU",),
     imu_latency_s=0.004,  # half the integration interval and the chip's filter

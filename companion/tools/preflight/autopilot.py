@@ -25,6 +25,7 @@ from companion.tools.preflight import telemetry
 from companion.tools.preflight.findings import Finding, FindingGroup
 from companion.tools.preflight.parameters import (
     GROUP,
+    Output,
     ParameterReadings,
     Wanted,
     judge_parameters,
@@ -50,7 +51,7 @@ async def check_link(config: CompanionConfig, vehicle: VehicleConfig | None) -> 
         async with _listening(config) as listener:
             if not await listener.heartbeat():
                 return [_silence(listener, connection), *_without_autopilot(_NO_HEARTBEAT)]
-            heard = await listener.look()
+            heard = await listener.look(config.control.output)
     except ConfigError as error:
         hint = (
             "see link.connection and link.signing_key; does another program, or the service, have the port?"
@@ -163,10 +164,11 @@ class _Listener:
             await asyncio.sleep(TICK_S)
         return self.session.state.connected
 
-    async def look(self) -> Heard:
-        """Count for a while what comes, and read the parameters meanwhile."""
+    async def look(self, output: Output) -> Heard:
+        """Count for a while what comes, and read the parameters meanwhile that this output depends on."""
         kind = self.session.state.autopilot_kind
-        asked = [] if kind is None else [self.session.read_parameter(name) for name in parameter_names(kind)]
+        names = () if kind is None else parameter_names(kind, output)
+        asked = [self.session.read_parameter(name) for name in names]
         await asyncio.sleep(SETTLING_S)
         before, sampled = self.counts.copy(), self.samples.copy()
         began_s = self.clock.now_s()
@@ -198,7 +200,8 @@ async def _listening(config: CompanionConfig) -> AsyncIterator[_Listener]:
     """The link, open and tended; a link that is lost raises OSError at the end of what goes on with it."""
     link = config.link
     signing = signing_of(link, start_unix_s(virtual=True))
-    session = Session(link, config.sense if config.sense.source == "autopilot" else None, signing=signing)
+    sense = config.sense if config.sense.source == "autopilot" else None
+    session = Session(link, sense, signing=signing, follows_pose=config.control.output == "landing_target")
     with closing(await open_transport(link.connection, link.system_id, signing)) as transport:
         listener = _Listener(session, transport, Clock())
         works = [asyncio.create_task(work()) for work in (listener.receive, listener.tick, listener.watch)]

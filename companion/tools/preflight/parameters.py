@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, Literal
 
 from companion import __version__
 from companion.base.autopilot_kind import AutopilotKind
@@ -47,8 +47,13 @@ _OVERRIDE_OFFBOARD: Final = 2  # COM_RC_OVERRIDE bit 1
 _EXCEPT_OFFBOARD: Final = 4  # COM_RCL_EXCEPT bit 2
 _CONTINUE_GUIDED: Final = 4  # FS_OPTIONS bit 2
 _FASTEST_LAND_CM_S: Final = 70.0
+_DEFAULT_LAG_S: Final = 0.02  # PLND_LAG
+_MOVING_TARGET: Final = 1  # PLND_OPTIONS bit 0
 # PX4's COM_OBL_RC_ACT, and how long it may fly on the last setpoint: docs/reference/autopilot-parameters.md
 _HOLD, _LAND, _LAND_TIMEOUT_S, _HOLD_TIMEOUT_S = 5.0, 4, 0.5, 1.0
+
+
+Output = Literal["setpoints", "landing_target"]  # control.output
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +72,8 @@ class Wanted:
     may_set: bool  # link.set_parameters
     system_id: int = 1
     setup: AutopilotSetup = field(default_factory=AutopilotSetup)
+    output: Output = "setpoints"
+    pad_moves: bool = False
 
     @classmethod
     def of(
@@ -88,6 +95,8 @@ class Wanted:
             setpoint == "velocity",
             config.link.set_parameters,
             system_id,
+            output=config.control.output,
+            pad_moves=config.sense.vision.pad_on != "fixed",
         )
 
 
@@ -243,6 +252,45 @@ def _velocity_shaping(value: float, wanted: Wanted) -> Verdict:
 _STAYS_ARMED: Final = "expected more than 0: on the pad it does not disarm by itself; the app has to"
 _NO_STICKS: Final = "in Offboard only the mode switch takes over, the sticks do not"
 
+
+def _exactly(expected: float, why: str) -> _Rule:
+    """One value, without which the target is not used, or is taken for another place."""
+    text = f"expected {expected:g}: {why}"
+    return _Rule(lambda value, _: None if value == expected else _fail(text), _to(expected))
+
+
+def _lag(value: float, _: Wanted) -> Verdict:
+    if value > _DEFAULT_LAG_S:
+        return None
+    return _warn("expected the delay to what is sent that `companion status` shows: its default is too short")
+
+
+def _moving_target(value: float, wanted: Wanted) -> Verdict:
+    if not wanted.pad_moves or int(value) & _MOVING_TARGET:
+        return None
+    return _warn("expected bit 0 (value 1): sense.vision.pad_on says that the pad moves")
+
+
+_BY_REFERENCE: Final = "the target is sent from the vehicle's reference point, in body axes"
+# with `control.output: landing_target`, where no setpoint is sent
+TARGET_RULES: Final[dict[AutopilotKind, dict[str, _Rule]]] = {
+    "px4": {
+        "RTL_PLD_MD": _Rule(
+            _positive("expected 2: RTL lands beside the target; with 1 it lands on one that it sees at once"),
+            _to(2.0),
+        ),
+    },
+    "ardupilot": {
+        "PLND_ENABLED": _exactly(1.0, "the target is not used"),
+        "PLND_TYPE": _exactly(1.0, "the target comes by MAVLink"),
+        "PLND_LAG": _Rule(_lag),
+        "PLND_OPTIONS": _Rule(_moving_target, _bits(set_=_MOVING_TARGET)),
+        **{
+            f"PLND_{name}": _exactly(0.0, _BY_REFERENCE)
+            for name in ("YAW_ALIGN", "CAM_POS_X", "CAM_POS_Y", "CAM_POS_Z")
+        },
+    },
+}
 RULES: Final[dict[AutopilotKind, dict[str, _Rule]]] = {
     "px4": {
         "COM_OF_LOSS_T": _Rule(_timeout("px4"), _offboard_timeout),
@@ -316,17 +364,24 @@ OTHERS: Final[dict[AutopilotKind, dict[str, dict[str, _Rule]]]] = {
 
 def _names(autopilot_kind: AutopilotKind, first: str) -> dict[str, _Rule]:
     """What a parameter is called, with the rule of each name's unit."""
-    return {first: RULES[autopilot_kind][first], **OTHERS[autopilot_kind].get(first, {})}
+    return {first: _ALL[autopilot_kind][first], **OTHERS[autopilot_kind].get(first, {})}
 
 
+_ALL: Final = {kind: RULES[kind] | TARGET_RULES[kind] for kind in RULES}
 _BY_NAME: Final = {
-    name: rule for kind in RULES for first in RULES[kind] for name, rule in _names(kind, first).items()
+    name: rule for kind in _ALL for first in _ALL[kind] for name, rule in _names(kind, first).items()
 }
 
 
-def parameter_names(autopilot_kind: AutopilotKind) -> tuple[str, ...]:
+def _rules(autopilot_kind: AutopilotKind, output: Output) -> dict[str, _Rule]:
+    return (RULES if output == "setpoints" else TARGET_RULES)[autopilot_kind]
+
+
+def parameter_names(autopilot_kind: AutopilotKind, output: Output = "setpoints") -> tuple[str, ...]:
     """Those to read, by the names of all versions: only one of each answers. A judge may need others, too."""
-    judged = [name for first in RULES[autopilot_kind] for name in _names(autopilot_kind, first)]
+    judged = [name for first in _rules(autopilot_kind, output) for name in _names(autopilot_kind, first)]
+    if output == "landing_target":
+        return tuple(judged)
     needed = [
         name
         for first in PROFILES[autopilot_kind].read_parameters
@@ -342,7 +397,7 @@ def judge_parameters(
     kind, found = autopilot_kind, []
     told = {first: value_of(kind, first, values) for first in PROFILES[kind].read_parameters}
     wanted = replace(wanted, setup=setup_of(kind, told, wanted.system_id))
-    for first in RULES[kind]:
+    for first in _rules(kind, wanted.output):
         names = _names(kind, first)
         reported = [name for name in names if values.get(name) is not None]
         if not reported and first in PROFILES[kind].loss_parameters:

@@ -18,7 +18,7 @@ from companion.base.messages import AutopilotState, GpsFix, ImuSample, MagSample
 from companion.config import CompanionConfig
 from companion.link.codec import MARKER, SIGNATURE_BYTES, SIGNED_FLAG, V2_MARKER, mavlink
 from companion.link.dialect import CURRENT_MODE
-from companion.link.streams import telemetry_rates_hz
+from companion.link.streams import POSE_RATES_HZ, telemetry_rates_hz
 from companion.plan.mission.departure import offboard_words
 from companion.tools.preflight.findings import Finding, FindingGroup
 from companion.tools.preflight.parameters import ParameterReadings
@@ -116,7 +116,7 @@ def judge(heard: Heard, config: CompanionConfig) -> list[Finding]:
         _signing(heard.refused, config),
         _losses(heard.line),
         _clock(clock_settled=heard.clock_settled),
-        *_rates(heard),
+        *_rates(heard, config),
     ]
     if config.sense.source == "autopilot":
         found += _sensors(heard, config)
@@ -216,9 +216,11 @@ def _clock(*, clock_settled: bool) -> Finding:
     )
 
 
-def _rates(heard: Heard) -> list[Finding]:
+def _rates(heard: Heard, config: CompanionConfig) -> list[Finding]:
     """One line when all is well, else one for each message that comes too seldom."""
     wanted = telemetry_rates_hz(heard.state.autopilot_kind)
+    if config.control.output == "landing_target":
+        wanted |= POSE_RATES_HZ
     slow, well = list[Finding](), list[str]()
     for number, asked_hz in wanted.items():
         name, rate_hz = mavlink.mavlink_map[number].msgname, heard.rates_hz.get(number, 0.0)

@@ -10,8 +10,9 @@ export function lamps(state, oldS) {
   if (!state) return ["autopilot", ...INPUTS, "estimate", "pad"].map((name) => ({ name, words: "not known yet", kind: "unknown" }));
   const found = new Map(state.inputs.map((input) => [input.name, input]));
   const rows = [{ name: "autopilot", words: state.autopilot || "no heartbeat", kind: state.autopilot ? "good" : "silent" }];
-  for (const name of INPUTS) rows.push({ name, ...inputLamp(name, found.get(name), oldS) });
-  rows.push({ name: "estimate", ...estimateLamp(state) }, { name: "pad", ...padLamp(state, oldS) });
+  for (const name of state.vision_only ? ["camera"] : INPUTS) rows.push({ name, ...inputLamp(name, found.get(name), oldS) });
+  if (!state.vision_only) rows.push({ name: "estimate", ...estimateLamp(state) });
+  rows.push({ name: "pad", ...padLamp(state, oldS) });
   if (oldS <= STALE_S) return rows;
   return rows.map((row) => ({ ...row, words: `was: ${row.words}`, kind: "unknown" }));
 }
