@@ -45,6 +45,7 @@ def test_the_pilots_landing_ends_on_the_pad_and_the_app_flies_nothing(kind: Auto
         assert not sent(field, "LANDING_TARGET")  # the vehicle stands beside the pad
         await field.take_off(6.0)
         await field.until(lambda: len(sent(field, "LANDING_TARGET")) > 30, 10.0, "targets")
+        assert field.app.not_ready(field.clock.now_s()) == []
         # neither by the link nor at the desk does an order make it fly
         field.order()
         await field.until(lambda: bool(field.acks(mavlink.MAV_CMD_NAV_LAND)), 5.0, "an answer")

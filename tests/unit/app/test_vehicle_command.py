@@ -11,7 +11,10 @@ from companion.app import command
 from companion.app.command import Output, fly_the_vehicle
 from companion.app.service.state_report import StateReport
 from companion.base.messages import Notice, Phase
+from companion.config import ConfigError
 from companion.flightlog.record import FlightLog
+from companion.sim.command import fly_in_sitl
+from companion.sim.trial import Trial
 
 
 def test_a_flight_on_board_fills_no_memory_with_what_only_a_score_reads(
@@ -61,3 +64,26 @@ async def test_who_asks_by_the_link_is_told_how_it_stands(monkeypatch: pytest.Mo
         ("status", "ready to land", "info"),
     ]
     assert logged == {"computer"}
+
+
+TELLS = "plan: {mission: {may_arm: true}}\ncontrol: {output: landing_target}\n"
+
+
+def test_no_flight_is_flown_by_settings_that_fly_nothing(tmp_path: Path) -> None:
+    settings = tmp_path / "settings.yaml"
+    settings.write_text(TELLS, encoding="utf-8")
+    output, refused = Output.of(None, None, live=False), "landing_target flies nothing; expected setpoints"
+    with pytest.raises(ConfigError, match=f"--fly: .*{refused}"):
+        fly_the_vehicle(settings, output)
+    with pytest.raises(ConfigError, match=f"--sitl: .*{refused}"):
+        fly_in_sitl(settings, Trial.load("static", 0), output, fast=True)
+
+
+def test_vision_only_says_what_it_does() -> None:
+    def words(*problems: str) -> str:
+        return StateReport.model_construct(
+            phase="standby", order=None, problems=problems, vision_only=True
+        ).words
+
+    assert words() == "sends the pad when it is seen"
+    assert words("camera: no frame yet") == "does not send the pad: camera: no frame yet"

@@ -5,13 +5,14 @@ import math
 import pytest
 from pydantic import ValidationError
 
-from companion.base.geometry import quat_from_euler
-from companion.base.messages import Setpoint
-from companion.config import LinkConfig
+from companion.base.geometry import quat_from_euler, yaw_from_quat
+from companion.base.messages import LandingTargetPose, Setpoint
+from companion.config import LinkConfig, SenseConfig
 from companion.link.codec import Codec, heartbeat, mavlink, status_texts
 from companion.link.notices import UNHEARD
 from companion.link.session import Session
 from companion.link.streams import telemetry_rates_hz
+from companion.link.timing.timesync import clock_ns
 from companion.plan.mission.departure import refused_words
 from tests.unit.link.fake_autopilot import FakeAutopilot
 from tests.unit.link.session_flight import SessionFlight
@@ -320,3 +321,29 @@ def test_another_companion_with_our_ids_is_noticed_and_an_echo_is_none() -> None
     assert flight.session.state.twin_time_s == -math.inf
     flight.session.receive(Codec(*ids).encode(heartbeat(7)), flight.now_s)
     assert flight.session.state.twin_time_s == flight.now_s
+
+
+def test_the_autopilot_s_own_pose_is_kept_beside_its_sensors() -> None:
+    # LOCAL_POSITION_NED is a sensor's message too: by telemetry it has the climb rate
+    for sense in (None, SenseConfig(source="autopilot")):
+        session, autopilot = Session(LinkConfig(), sense, follows_pose=True), Codec(1, 1)
+        for k in range(4):
+            now_s = 100.0 + 0.05 * k
+            for message in (
+                mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3),
+                mavlink.MAVLink_local_position_ned_message(50 * k, 1.0 + k, 2.0, -3.0, 20.0, 0.0, 0.0),
+                mavlink.MAVLink_attitude_message(50 * k, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0),
+            ):
+                session.receive(autopilot.encode(message), now_s)
+        assert session.poses is not None
+        pose = session.poses.at(100.075)
+        assert pose is not None
+        assert pose.position_ned_m == pytest.approx((2.5, 2.0, -3.0))
+        assert yaw_from_quat(pose.attitude) == pytest.approx(0.5)
+    assert Session(LinkConfig()).poses is None
+
+
+def test_a_landing_target_is_stamped_by_the_clock_of_timesync() -> None:
+    target = LandingTargetPose(123.456, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), (0.1, 0.1))
+    (m,) = Codec(9).decode(Session(LinkConfig()).send_landing_target(target))
+    assert m.time_usec == clock_ns(123.456) // 1000 == 123_456_000

@@ -1,4 +1,4 @@
-"""The page's lamps in a browser, in every one of fourteen states: none is green by what is not true now."""
+"""The page's lamps in a browser, in every one of fifteen states: none is green by what is not true now."""
 
 import asyncio
 import json
@@ -53,6 +53,14 @@ CASES: Final[dict[str, tuple[dict[str, Any], dict[str, str]]]] = {
             attitude_std_deg=None, velocity_std_m_s=None,
         ),
         {**dict.fromkeys(GOOD, "silent"), "ultrasonic": "absent", "pad": "absent"},
+    ),
+    # no sensor but the camera: nothing is said of the others
+    "vision only": (
+        state(
+            {name: None for name in NAMES if name != "camera"},
+            vision_only=True, aligned=False, attitude_std_deg=None, velocity_std_m_s=None,
+        ),
+        dict.fromkeys(("autopilot", "camera", "pad"), "good"),
     ),
     "estimate bad": (
         state(velocity_std_m_s=11.02, estimate_problem=UNCERTAIN, problems=[UNCERTAIN]),

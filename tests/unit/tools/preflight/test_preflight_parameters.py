@@ -144,3 +144,52 @@ def test_each_is_in_its_page() -> None:
     page = (CONFIG_FOLDER.parent / "docs" / "reference" / "autopilot-parameters.md").read_text()
     names = {name for kind in GOOD for name in parameter_names(kind)}
     assert [name for name in names if f"| `{name}` |" not in page] == []
+
+
+# ---------------------------------------------------------------- vision only
+
+TELLS: dict[str, Any] = {"control": {"output": "landing_target"}}
+TARGET_GOOD: dict[AutopilotKind, dict[str, float | None]] = {
+    "px4": {"RTL_PLD_MD": 2},
+    "ardupilot": {
+        "PLND_ENABLED": 1, "PLND_TYPE": 1, "PLND_LAG": 0.09, "PLND_OPTIONS": 1, "PLND_YAW_ALIGN": 0,
+        "PLND_CAM_POS_X": 0.0, "PLND_CAM_POS_Y": 0.0, "PLND_CAM_POS_Z": 0.0,
+    },
+}  # fmt: skip
+
+
+def target_states(
+    kind: AutopilotKind, changed: Mapping[str, float | None], settings: dict[str, Any] | None = None
+) -> dict[str, FindingState]:
+    config = validate(CompanionConfig, {**TELLS, **(settings or {})}, "test")
+    found = judge_parameters(kind, {**TARGET_GOOD[kind], **changed}, Wanted.of(config, VEHICLE, kind))
+    return {finding.name: finding.state for finding in found if finding.state is not FindingState.OK}
+
+
+@pytest.mark.parametrize("kind", ["px4", "ardupilot"])
+def test_vision_only_asks_for_the_landing_s_own_parameters_and_for_no_other(kind: AutopilotKind) -> None:
+    assert set(parameter_names(kind, "landing_target")) == set(TARGET_GOOD[kind])
+    assert target_states(kind, {}) == {}
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value", "state"),
+    [
+        ("ardupilot", "PLND_ENABLED", 0, FindingState.FAIL),
+        ("ardupilot", "PLND_TYPE", 2, FindingState.FAIL),
+        ("ardupilot", "PLND_LAG", 0.02, FindingState.WARNING),
+        ("ardupilot", "PLND_YAW_ALIGN", 9000, FindingState.FAIL),
+        ("ardupilot", "PLND_CAM_POS_X", 0.1, FindingState.FAIL),
+        ("px4", "RTL_PLD_MD", 0, FindingState.WARNING),
+    ],
+)
+def test_what_keeps_a_target_from_being_used_is_said(
+    kind: AutopilotKind, name: str, value: float, state: FindingState
+) -> None:
+    assert target_states(kind, {name: value}) == {name: state}
+
+
+def test_a_pad_that_moves_wants_moving_targets() -> None:
+    assert target_states("ardupilot", {"PLND_OPTIONS": 0}) == {}
+    moves = {"sense": {"vision": {"pad_on": "vehicle"}}}
+    assert target_states("ardupilot", {"PLND_OPTIONS": 0}, moves) == {"PLND_OPTIONS": FindingState.WARNING}
