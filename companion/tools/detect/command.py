@@ -49,6 +49,12 @@ def detect_command(
     out: Annotated[
         Path | None, typer.Option("--out", help="Write the overlays to this folder.", metavar="DIR")
     ] = None,
+    sends: Annotated[
+        bool,
+        typer.Option(
+            "--send", help="Send each as LANDING_TARGET to the autopilot at the settings' link.connection."
+        ),
+    ] = False,
 ) -> None:
     """Look for the pad in each picture, and show what was found.
 
@@ -66,4 +72,11 @@ def detect_command(
         raise ConfigError(f"--out {out}: a file; expected a folder")
     from companion.tools.detect.run import detect_all, find_with  # noqa: PLC0415 - see above
 
-    raise typer.Exit(0 if detect_all(sources, find_with(config, pad, camera), out) else 1)
+    finder = find_with(config, pad, camera)
+    if not sends:
+        raise typer.Exit(0 if detect_all(sources, finder, out) else 1)
+    from companion.config import load_config  # noqa: PLC0415 - see above
+    from companion.tools.detect.send import TargetLink  # noqa: PLC0415 - see above
+
+    with TargetLink(load_config(config)).opened() as link:
+        raise typer.Exit(0 if detect_all(sources, finder, out, link.send) else 1)

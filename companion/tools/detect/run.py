@@ -7,7 +7,7 @@ are OpenCV's (x right, y down, z ahead).
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -78,6 +78,7 @@ class Found:
 
     markers: tuple[Detection, ...]
     view: PadView | None
+    sighting: PadSighting | None = None
 
 
 class PadFinder:
@@ -105,7 +106,7 @@ class PadFinder:
         for _ in range(LOOKS):
             result = self._vision.step(Frame(0.0, 0.0, 0, image), None)
             if result.sighting is not None:
-                return Found(result.used, self._view(result.sighting))
+                return Found(result.used, self._view(result.sighting), result.sighting)
             read = max(read, result.read, key=len)
         return Found(read, None)
 
@@ -257,8 +258,15 @@ def find_with(config: Path, pad: str | None, camera: str | None) -> PadFinder:
     return PadFinder(load_pad(pad or settings.pad), calibrated, settings.sense.vision)
 
 
-def detect_all(sources: Sequence[Path], finder: PadFinder, out: Path | None) -> bool:
+def detect_all(
+    sources: Sequence[Path],
+    finder: PadFinder,
+    out: Path | None,
+    send: Callable[[PadSighting, Pad], None] | None = None,
+) -> bool:
     """Look at all pictures, print what they show, write the overlays; whether any shows the pad.
+
+    `send` is given what each picture with the pad shows.
 
     Raises:
         ConfigError: no picture can be read, none is of the calibrated size, or an overlay cannot be written.
@@ -280,6 +288,8 @@ def detect_all(sources: Sequence[Path], finder: PadFinder, out: Path | None) -> 
             tally.times_s.append(took_s)
             if found.view is not None:
                 tally.distances_m.append(found.view.distance_m)
+            if send is not None and found.sighting is not None:
+                send(found.sighting, finder.pad)
             words = line(found)
             say(f"{photo.name}: {words}, {1e3 * took_s:.0f} ms")
             if overlays is not None:
