@@ -11,6 +11,7 @@ top-right, bottom-right, bottom-left of the printed code.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -36,6 +37,8 @@ THRESHOLD_WINDOW_PX: Final = 11
 CELL_SAMPLES: Final = 5
 # an outline on the outermost pixels is cut off; OpenCV's usual 3 px of a shrunk image are up to 18 px in full
 BORDER_PX: Final = 1
+# a code's side less its outline's, which runs through the middles of its outermost pixels
+OUTLINE_PX: Final = 1.0
 # corners of a contour, where a marker's sides cannot be followed: pixels of the image that was searched
 CONTOUR_STD_PX: Final = 0.7
 # of the variance at a side's ends, when it is a straight line through places that err independently
@@ -44,6 +47,8 @@ STRAIGHT_SHARE: Final = 0.25
 DOT_STD: Final = 1.0 / math.sqrt(12.0)
 # cells of fewer pixels run together by a usual lens's blur: a marker of such is measured by its whole print
 SMALL_CELL_PX: Final = 4.0
+# so many markers are enough, if they lie apart: of fewer, one that errs is not shown by the others
+ENOUGH: Final = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +106,15 @@ class PadDetector:
         self._readers: dict[tuple[MarkerGroup, ...], _Reader] = {}
 
     def detect(self, image: NDArray[np.uint8], where: SearchPass) -> list[Detection]:
-        """Read the markers in one part of an image.
+        """The markers in one part of an image, their corners refined where they can be."""
+        return self.refine(image, self.read(image, where))
+
+    def refine(self, image: NDArray[np.uint8], found: list[Detection]) -> list[Detection]:
+        """Markers that were read in an image, with better corners; see `refine_corners`."""
+        return refine_corners(image, found, self._lens, self._pad.sheet.dot_m)
+
+    def read(self, image: NDArray[np.uint8], where: SearchPass) -> list[Detection]:
+        """Read the markers in one part of an image; their corners are their contours'.
 
         Of more than `maximum_markers` those that lie farthest apart are kept. Returned in the order of
         the pad's markers.
@@ -121,15 +134,14 @@ class PadDetector:
         scale = s / where.enlarge
         smallest_px = self._config.minimum_side_px / min(scale, 1.0)
         origin = np.array([where.left, where.top], dtype=np.float64)
-        codes = reader.read(part, smallest_px)
+        codes = _printed_once(reader.read(part, smallest_px))
         outlines = np.array([code.corners_px for code in codes]).reshape(-1, 4, 2)
         quads = (_outlined(outlines) + 0.5) * scale - 0.5 + origin
         found = [
             Detection(markers[code.number], corners_m[code.number], quad, side, CONTOUR_STD_PX * scale)
             for code, quad, side in zip(codes, quads, sides_px(quads).tolist(), strict=True)
         ]
-        chosen = farthest_apart(found, self._config.maximum_markers)
-        return refine_corners(image, chosen, self._lens, self._pad.sheet.dot_m)
+        return farthest_apart(found, self._config.maximum_markers)
 
     def _reader(self, groups: tuple[MarkerGroup, ...]) -> _Reader:
         made = self._readers.get(groups)
@@ -173,28 +185,32 @@ class CodeReader:
         self._detector = cv2.aruco.ArucoDetector(cut, self._parameters) if codes else None
 
     def read(self, image: NDArray[np.uint8], minimum_side_px: float) -> list[Code]:
-        """Codes, each at most once, in the list's order, with the corners of their contours."""
+        """All sightings of codes, in the list's order, with the corners of their contours.
+
+        `minimum_side_px` is a code's; its outline, through the middles of its outermost pixels, is one less.
+        """
         if self._detector is None or min(image.shape) < minimum_side_px:
             return []
+        outline_px = minimum_side_px - OUTLINE_PX
         # OpenCV counts an outline's pixels: a square that stands on its corner has sqrt(2) times fewer
-        self._parameters.minMarkerPerimeterRate = 2.0 * math.sqrt(2.0) * minimum_side_px / max(image.shape)
+        self._parameters.minMarkerPerimeterRate = 2.0 * math.sqrt(2.0) * outline_px / max(image.shape)
         self._detector.setDetectorParameters(self._parameters)
         quads, ids, _, which = self._detector.detectMarkersMultiDict(image)
-        found: dict[int, FloatArray] = {}
-        twice: set[int] = set()
         outlines = np.array(quads, dtype=np.float64).reshape(-1, 4, 2)
-        large = (sides_px(outlines) >= minimum_side_px).tolist()
-        for corners, enough, code in zip(
-            outlines, large, zip(_flat(which), _flat(ids), strict=True), strict=True
-        ):
-            number = self._order.get(code)
-            if number is None or not enough:
-                continue
-            if number in found:
-                twice.add(number)
-            found[number] = corners
-        # a code seen at two places is a reflection or a forgery: neither is trusted
-        return [Code(k, found[k]) for k in sorted(found) if k not in twice]
+        numbers = (self._order.get(code) for code in zip(_flat(which), _flat(ids), strict=True))
+        large = (sides_px(outlines) >= outline_px).tolist()
+        found = [
+            Code(number, corners)
+            for number, corners, enough in zip(numbers, outlines, large, strict=True)
+            if number is not None and enough
+        ]
+        return sorted(found, key=lambda code: code.number)
+
+
+def _printed_once(codes: list[Code]) -> list[Code]:
+    """As a pad has them: of a code at two places one is a reflection or a forgery, and neither is trusted."""
+    seen = Counter(code.number for code in codes)
+    return [code for code in codes if seen[code.number] == 1]
 
 
 def refine_corners(
@@ -202,13 +218,17 @@ def refine_corners(
 ) -> list[Detection]:
     """The detections with their corners where each marker's sides meet; those alone, where there are any.
 
-    Markers of small cells by their whole print. `dot_m`: a dot of the print. Each edge is printed up to half
-    a dot off, and ink runs about as far.
+    Markers of small cells by their whole print, as far as others are not enough. `dot_m`: a dot of the print.
+    Each edge is printed up to half a dot off, and ink runs about as far.
     """
     small = [d for d in found if d.side_px < SMALL_CELL_PX * d.marker.cells]
-    made = _by_prints(image, small, lens, dot_m) if small else {}
-    large = [d for d in found if d.marker not in made]
-    made |= _by_sides(image, large, lens, dot_m) if large else {}
+    large = [d for d in found if d.side_px >= SMALL_CELL_PX * d.marker.cells]
+    made = _by_sides(image, large, lens, dot_m) if large else {}
+    more = ENOUGH - len(made)
+    small = farthest_apart(small, more, list(made.values())) if more > 0 else []
+    prints = _by_prints(image, small, lens, dot_m) if small else {}
+    unfit = [d for d in small if d.marker not in prints]
+    made |= prints | (_by_sides(image, unfit, lens, dot_m) if unfit else {})
     return [made[d.marker] for d in found if d.marker in made] or found
 
 
@@ -294,7 +314,7 @@ def _outlined(quads: FloatArray) -> FloatArray:
     """Corners (n, 4, 2) of squares by their outlines', which run through the middles of their outermost
     pixels.
     """
-    moved = 0.5 * _normals(quads)
+    moved = 0.5 * OUTLINE_PX * _normals(quads)
     return np.asarray(quads + moved + moved[:, (3, 0, 1, 2)])
 
 

@@ -29,13 +29,16 @@ from companion.base.geometry import (
 from companion.base.messages import Frame, MarkerGroup, PadPrior, PadSighting
 from companion.config import CameraConfig, VehicleConfig, VisionConfig
 from companion.pad import Pad
-from companion.sense.vision.aruco import GROUPS, Detection, PadDetector, SearchPass
+from companion.sense.vision.aruco import ENOUGH, GROUPS, Detection, PadDetector, SearchPass
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.paper_pose import paper_pose
 from companion.sense.vision.pose import MAXIMUM_TURN_RAD, PoseFit, estimate_pose
 from companion.sense.vision.print_check import PrintCheck
-from companion.sense.vision.search import SearchPlanner
-from companion.sense.vision.unread import ENOUGH, UnreadMarkers
+from companion.sense.vision.search import CELL_PX, SearchPlanner
+from companion.sense.vision.unread import UnreadMarkers
+
+# what is known of it, in camera axes: gravity's direction, if it is, the speed of climb, the rate of turn
+_Motion = tuple[Vector3 | None, float, Vector3]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,38 +87,49 @@ class Vision:
         down = None if prior is None else self._to_camera(prior.down_body)
         climb_m_s = 0.0 if prior is None else prior.climb_m_s
         rate = ZERO3 if prior is None else self._to_camera(prior.rate_body_rad_s)
+        motion = (down, climb_m_s, rate)
         looks = self._expected(prior)
         wide = self._planner.widened(looks[0]) if looks else self._whole_frame(prior)
         found: list[Detection] = []
         coarse: VisionResult | None = None
+        lucky: list[list[Detection]] = []
         for number, look in enumerate((*looks, *wide)):
-            found = self._detector.detect(frame.image, look)
-            pose = self._pose(frame, found, down, climb_m_s, rate) if found else None
-            if pose is None:
+            found, everywhere = self._detector.read(frame.image, look), number >= len(looks)
+            legible = any(d.side_px >= CELL_PX * look.shrink * d.marker.cells for d in found)
+            if everywhere and look.shrink > 1 and not legible and len(found) < ENOUGH:
+                # of what a shrunk picture shows a little by luck, a look that shrinks it less shows more
+                lucky += [found] if found else []
                 continue
-            sighting = sighting_of(frame, pose, self._camera, self._rotation, self._mount)
-            result = VisionResult(
-                sighting, count_groups(pose.used), number >= len(looks), pose.used, tuple(found)
-            )
-            if pose.used[0].refined:
+            result = self._result(frame, found, everywhere, motion)
+            if result is not None and result.used[0].refined:
                 return result
             # corners of contours: another look may show markers whose sides can be followed
             coarse = coarse or result
+        for seen in lucky:
+            coarse = coarse or self._result(frame, seen, True, motion)
         return coarse or VisionResult(None, count_groups(tuple(found)), bool(wide), read=tuple(found))
+
+    def _result(
+        self, frame: Frame, read: list[Detection], everywhere: bool, motion: _Motion
+    ) -> VisionResult | None:
+        """The sighting that markers give which were read, if they give one."""
+        found = self._detector.refine(frame.image, read)
+        pose = self._pose(frame, found, motion) if found else None
+        if pose is None:
+            return None
+        sighting = sighting_of(frame, pose, self._camera, self._rotation, self._mount)
+        return VisionResult(sighting, count_groups(pose.used), everywhere, pose.used, tuple(found))
 
     def pixels(self, points_body_m: FloatArray) -> FloatArray:
         """Where points (n, 3) in body axes are in the image: (n, 2), NaN where the lens cannot see."""
         return self._lens.project((points_body_m - self._mount) @ self._rotation)[0]
 
-    def _pose(
-        self, frame: Frame, found: list[Detection], down: Vector3 | None, climb_m_s: float, rate: Vector3
-    ) -> PoseFit | None:
+    def _pose(self, frame: Frame, found: list[Detection], motion: _Motion) -> PoseFit | None:
         """The pose as the settings have it; one marker alone is trusted when the print about it fits."""
         if self._config.pose == "paper":
             return paper_pose(found, self._lens, self._config)
-        motion = (down, climb_m_s, rate)
         pose = estimate_pose(found, self._lens, self._config, *motion)
-        few = ENOUGH if down is None else 2
+        few = ENOUGH if motion[0] is None else 2
         if pose is not None and (len(pose.used) < few or pose.second is not None):
             starts = pose.hypotheses()
             more = max((self._unread.find(frame.image, each) for each in starts), key=len)

@@ -17,13 +17,11 @@ from numpy.typing import NDArray
 from companion.base.geometry import FloatArray, matrix_from_quat, quat_from_rotation_vector, vector3
 from companion.config import VisionConfig
 from companion.pad import Pad
-from companion.sense.vision.aruco import Detection, farthest_apart, refine_corners, sides_px
+from companion.sense.vision.aruco import ENOUGH, Detection, farthest_apart, refine_corners, sides_px
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.pose import PoseFit
 from companion.sense.vision.print_check import CELL_PX, LIKENESS, PrintCheck
 
-# so many are enough, if they lie apart: of fewer, one that errs is not shown by the others
-ENOUGH: Final = 4
 # one that is expected with a larger standard deviation may be refined to its neighbour's side: cells
 VAGUE_CELLS: Final = 0.8
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from companion.base.geometry import Quaternion, Vector3, quat_from_euler
 from companion.base.messages import Frame, MarkerGroup
 from companion.config import CameraConfig, VisionConfig
-from companion.pad import DICTIONARIES, DictionaryName, Pad
+from companion.pad import DICTIONARIES, DictionaryName, Marker, Pad
 from companion.sense.vision import aruco
 from companion.sense.vision.aruco import (
     GROUPS,
@@ -202,6 +202,49 @@ def test_markers_that_are_not_on_the_pad_are_not_reported(detector: PadDetector)
 def test_a_code_that_is_seen_twice_is_believed_nowhere(detector: PadDetector) -> None:
     image = drawn([("4x4_50", 1, 60, 60), ("4x4_50", 1, 300, 260), ("4x4_50", 0, 460, 60)])
     assert [d.marker.id for d in detector.detect(image, WHOLE)] == [0]
+
+
+def test_a_reader_tells_every_sighting_of_a_code() -> None:
+    """Ten prints of one tag lie about in some pictures: to believe none of them is the pad's own rule."""
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    image = np.full((200, 480), 230, np.uint8)
+    for left, number in ((20, 0), (170, 3), (320, 0)):
+        image[40:136, left : left + 96] = cv2.aruco.generateImageMarker(dictionary, number, 96)
+    codes = CodeReader([dictionary], [(0, k) for k in range(len(dictionary.bytesList))]).read(image, 12.0)
+    assert [code.number for code in codes] == [0, 0, 3]
+
+
+@pytest.mark.parametrize(("least_px", "read"), [(95.5, [0]), (96.5, [])])
+def test_the_least_side_is_the_markers_and_not_its_outlines(least_px: float, read: list[int]) -> None:
+    """The outline runs through the middles of the outermost pixels: 95 px about a marker of 96."""
+    reader = CodeReader([cv2.aruco.getPredefinedDictionary(DICTIONARIES["4x4_50"])], [(0, 0)])
+    codes = reader.read(drawn([("4x4_50", 0, 60, 60)]), least_px)
+    assert [code.number for code in codes] == read
+
+
+def test_small_markers_are_measured_as_far_as_others_are_not_enough(pad: Pad) -> None:
+    """A print costs ten times a side's; of small ones those that lie farthest from the others are fitted."""
+    large = [m for m in pad.markers if m.group == "F"]
+    small = [m for m in pad.markers if m.group == "M"]
+    image = np.full((480, 640), 230, np.uint8)
+
+    def found(markers: list[Marker], side: int, top: int) -> list[Detection]:
+        made = []
+        for k, marker in enumerate(markers):
+            left = 30 + (side + 40) * k
+            dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[marker.dictionary])
+            code = cv2.aruco.generateImageMarker(dictionary, marker.id, side)
+            image[top : top + side, left : left + side] = code
+            right, bottom = left + side, top + side
+            square = np.array([(left, top), (right, top), (right, bottom), (left, bottom)]) - 0.5
+            made.append(Detection(marker, marker.corners_pad_m(), square, float(side)))
+        return made
+
+    large_found, small_found = found(large[:4], 72, 40), found(small[:4], 21, 300)
+    for beside, fitted in ((4, 0), (3, 1), (0, 4)):
+        made = aruco.refine_corners(image, large_found[:beside] + small_found)
+        assert [d.marker.group for d in made] == ["F"] * beside + ["M"] * fitted
+        assert all(d.refined for d in made)
 
 
 def test_plain_noise_and_empty_parts_hold_no_markers(detector: PadDetector) -> None:

@@ -21,12 +21,12 @@ from companion.base.messages import Frame, PadPrior
 from companion.config import CameraConfig, VehicleConfig, VisionConfig
 from companion.pad import Pad, load_pad
 from companion.sense.vision import pose as pose_module
-from companion.sense.vision.aruco import GROUPS, PadDetector, SearchPass
+from companion.sense.vision.aruco import ENOUGH, GROUPS, PadDetector, SearchPass
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.pipeline import Vision
 from companion.sense.vision.pose import estimate_pose
 from companion.sense.vision.print_check import PrintCheck
-from companion.sense.vision.unread import ENOUGH, UnreadMarkers
+from companion.sense.vision.unread import UnreadMarkers
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
 from tests.unit.sense.vision.test_pose import camera_from_pad_at, detections, noise_of_sides

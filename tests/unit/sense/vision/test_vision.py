@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from companion.base.geometry import (
     Quaternion,
@@ -21,6 +22,7 @@ from companion.base.geometry import (
 from companion.base.messages import Frame, PadPrior, PadSighting
 from companion.config import CameraConfig, VehicleConfig, VisionConfig
 from companion.pad import Pad
+from companion.sense.vision.aruco import Detection, PadDetector, SearchPass
 from companion.sense.vision.pipeline import Vision
 from companion.sense.vision.search import ENOUGH_MARKERS
 
@@ -189,6 +191,34 @@ def test_without_any_prior_the_pose_comes_from_the_corners_alone(
     attitude = quat_from_euler(0.1, 0.1, 0.3)
     frame, truth, _ = take_picture((0.2, 0.1, -2.0), attitude)
     assert norm(subtract(seen(vision, frame, None).pad_position_body_m, truth)) < 0.02
+
+
+@pytest.mark.parametrize(("height_m", "shrinkings"), [(1.8, [4]), (3.2, [4, 2])])
+def test_codes_that_a_shrunk_picture_shows_by_luck_are_looked_at_more_closely(
+    pad: Pad,
+    camera: CameraConfig,
+    vehicle: VehicleConfig,
+    take_picture: TakePicture,
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    height_m: float,
+    shrinkings: list[int],
+) -> None:
+    """Shrunk four times, one code of cells of 4.4 px is no luck; of cells of 2.5 px it is, if it is alone."""
+    looks: list[int] = []
+    read = PadDetector.read
+
+    def unlucky(self: PadDetector, image: NDArray[np.uint8], where: SearchPass) -> list[Detection]:
+        looks.append(where.shrink)
+        found = read(self, image, where)
+        return found[:1] if where.shrink == 4 else found
+
+    monkeypatch.setattr(PadDetector, "read", unlucky)
+    frame, _, _ = take_picture((0.0, 0.0, -height_m), LEVEL)
+    result = Vision(pad, camera, vehicle, VisionConfig()).step(frame, gravity_only(LEVEL))
+    assert looks == shrinkings
+    assert result.sighting is not None
+    assert sum(d.refined for d in result.read) == (1 if looks == [4] else 4)
 
 
 def test_where_there_is_no_pad_nothing_is_seen(vision: Vision, take_picture: TakePicture) -> None:
