@@ -461,7 +461,10 @@ class Conditions:
 
 @dataclass(frozen=True, slots=True)
 class PlanStep:
-    """What the planner makes of one cycle. No reference: no setpoint leaves."""
+    """What the planner makes of one cycle. No reference: no setpoint leaves.
+
+    `unloading`: the share of the thrust (0 to 1) to take away, since the feet may stand.
+    """
 
     time_s: float
     phase: Phase
@@ -472,6 +475,7 @@ class PlanStep:
     time_to_go_s: float = 0.0
     on_ground: bool = False
     conditions: Conditions | None = None
+    unloading: float = 0.0
 
 
 # ---------------------------------------------------------------- control

@@ -165,7 +165,7 @@ class Controller:
             self._plant.observe(vehicle, elapsed_s, learns=silent_s < SILENT_S)
         else:
             self._begin(vehicle)
-        setpoint, report = self._fly(plan.reference, vehicle, pad, now_s, learns=silent_s < SILENT_S)
+        setpoint, report = self._fly(plan, plan.reference, vehicle, pad, now_s, learns=silent_s < SILENT_S)
         return setpoint, replace(report, obeyed=obeyed)
 
     def _elapsed(self, vehicle: VehicleState, now_s: float) -> float:
@@ -227,6 +227,7 @@ class Controller:
 
     def _fly(
         self,
+        plan: PlanStep,
         reference: Reference,
         vehicle: VehicleState,
         pad: PadState | None,
@@ -260,7 +261,7 @@ class Controller:
             self._learn(start, target, disturbance, solution)
         setpoint = _seen(self._setpoint(start.motion, solution, now_s), reference, pad)
         boost = self._boost(start.motion, solution)
-        setpoint, limited = self._gate.apply(boosted(setpoint, boost), now_s)
+        setpoint, limited = self._gate.apply(boosted(setpoint, boost * (1.0 - plan.unloading)), now_s)
         self._plant.remember(boosted(setpoint, 1.0 / boost))
         predicted = solution.states[:, :3] - start.prediction.displacement_m[1:]
         return setpoint, ControlReport(

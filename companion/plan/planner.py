@@ -161,6 +161,7 @@ class Planner:
             speed_m_s=self._generator.speed_m_s,
             time_to_go_s=self._generator.time_to_go_s,
             on_ground=self._steering.presses_down,
+            unloading=self._steering.unloading,
             conditions=self._conditions if self.phase in PACED else None,
         )
 

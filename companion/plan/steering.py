@@ -132,6 +132,11 @@ class PhaseSteering:
         """When the vehicle is to be level, in its final descent."""
         return self._touchdown.level_off() if self._machine.state in COMMITTED else None
 
+    @property
+    def unloading(self) -> float:
+        """The share of the thrust (0 to 1) that is taken away, for the feet to carry."""
+        return self._touchdown.unloading(self._machine.state)
+
     def feet_down(self, now_s: float) -> bool:
         """Whether echoes alone show the feet on the pad, when no other sign can be had any more."""
         return self._touchdown.feet_down(now_s)

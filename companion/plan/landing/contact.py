@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 from companion.base.geometry import GRAVITY_M_S2, norm
 from companion.base.messages import LandedState, PadState, RangeSample, VehicleState
@@ -24,8 +25,9 @@ UNSEEN_S = 0.2  # five frames lost in a row at 30 Hz; a slower vision's every fr
 # An age counts from the exposure, and vision may take 0.2 s of it. So old the pad is off its predicted place
 # by 0.4 m at most, at a pad that brakes with 3 m/s²; older it is no sign.
 KNOWN_S = 0.5
-SIGNS_NEEDED = 2  # each alone has a cause other than contact: a gust, a wrong leg height, a stray echo
-_STALLED_M_S = 0.06  # a third of the slowest sink
+# Held up so far it has stopped, but for what the other feet still come down: a third of the sink asked for.
+_STALLED: Final = 1.0 / 3.0
+_LONGEST_CYCLE_S: Final = 0.1
 # The pad this far below the feet for so long has driven away or fallen: a bounce is lower and shorter.
 _AWAY_M = 0.25
 _AWAY_S = 0.3
@@ -50,12 +52,21 @@ _MOST_FOOT_TILT_RAD = math.radians(15.0)
 
 @dataclass(frozen=True, slots=True)
 class ContactSigns:
-    """The signs of contact with the pad: two measure the height, two feel the contact."""
+    """The signs of contact with the pad: two measure the height, two feel the contact.
+
+    `held_up` compares the sink with the one asked for: 1 at rest, 0 at half of it, -1 sinking as asked, and
+    where nothing tells.
+    """
 
     low: bool
-    stalled: bool
+    held_up: float
     short_echo: bool
     landed: bool
+
+    @property
+    def stalled(self) -> bool:
+        """Whether it does not sink although it is asked to."""
+        return self.held_up >= _STALLED
 
     @property
     def near(self) -> bool:
@@ -63,9 +74,9 @@ class ContactSigns:
         return self.low or self.short_echo
 
     @property
-    def count(self) -> int:
-        """How many independent ones agree: two of them include one that is felt."""
-        return self.near + self.stalled + self.landed
+    def down(self) -> bool:
+        """Whether a height, or else both that are felt, says that the feet are down."""
+        return self.near or (self.stalled and self.landed)
 
     def in_words(self) -> str:
         """Their names."""
@@ -99,14 +110,11 @@ def contact_signs(
     if sight is not None and sight.age_s <= config.blind_s:
         sink_m_s = sight.sink_m_s
     # the reference goes on down and the vehicle does not; it may bounce
-    stalled = (
-        imu_fresh
-        and sink_m_s is not None
-        and sink_m_s <= _STALLED_M_S
-        and reference.velocity_m_s[2] >= 0.5 * config.contact_speed_m_s
-    )
+    asked_m_s, held_up = reference.velocity_m_s[2], -1.0
+    if imu_fresh and sink_m_s is not None and asked_m_s >= 0.5 * config.contact_speed_m_s:
+        held_up = max(-1.0, min(1.0, 1.0 - 2.0 * sink_m_s / asked_m_s))
     short_echo = _echo_within(echo, feet_m - vehicle.range_position_body_m[2], now_s)
-    return ContactSigns(low, stalled, short_echo, landed is LandedState.ON_GROUND)
+    return ContactSigns(low, held_up, short_echo, landed is LandedState.ON_GROUND)
 
 
 def echo_height_m(echo: RangeSample | None, vehicle: VehicleConfig, now_s: float) -> float | None:
@@ -132,6 +140,42 @@ def link_silent(inputs: PlanInputs) -> bool:
 def imu_fresh(vehicle: VehicleState | None, now_s: float) -> bool:
     """Whether our IMU is heard."""
     return vehicle is not None and now_s - vehicle.sensed_time_s <= FRESH_S
+
+
+class ContactTest:
+    """Whether the feet carry the vehicle: a cumulative sum (Page's test) for a sink that has become zero.
+
+    `share` runs from 0 to 1, contact, within `contact_s` of standing still with the feet down by what they
+    are told to be, within `land_after_s` a hand's breadth over that, since legs may be longer than their
+    file says. It runs back while the vehicle sinks. So much of the thrust is taken away meanwhile: what only
+    a gust holds up sinks at once and is told from what stands, and feet that carry weight do not slide.
+    """
+
+    def __init__(self, config: TouchdownConfig) -> None:
+        self._down_s, self._near_s = max(config.contact_s, 1e-3), config.land_after_s
+        self.share = 0.0
+        self._updated_s: float | None = None
+
+    def update(self, signs: ContactSigns, now_s: float, *, down: bool, near: bool = False) -> None:
+        """Take in a cycle's signs; `down`, `near`: whether the feet are there by signs that count."""
+        last_s, self._updated_s = self._updated_s, now_s
+        elapsed_s = 0.0 if last_s is None else min(_LONGEST_CYCLE_S, now_s - last_s)
+        held_up = signs.held_up if down or near else -1.0
+        if down and signs.landed:
+            held_up = 1.0
+        rises_s = self._down_s if down else self._near_s
+        change = held_up * elapsed_s / (rises_s if held_up > 0.0 else self._down_s)
+        self.share = max(0.0, min(1.0, self.share + change))
+
+    @property
+    def touching(self) -> bool:
+        """Whether it may stand."""
+        return self.share > 0.0
+
+    @property
+    def contact(self) -> bool:
+        """Whether it stands."""
+        return self.share >= 1.0
 
 
 class LandDetector:

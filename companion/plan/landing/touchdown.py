@@ -19,9 +19,9 @@ from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import (
     FRESH_S,
-    SIGNS_NEEDED,
     UNSEEN_S,
     ContactSigns,
+    ContactTest,
     LandDetector,
     contact_signs,
     echo_height_m,
@@ -82,8 +82,8 @@ class TouchdownSequence:
         """Start a try; `tolerance_scale` widens its tolerances."""
         self._since_s = self._sunk_s = self._contact_due_s = self._blended_s = now_s
         self._tolerance = Tolerance(self._config, now_s, tolerance_scale)
-        self._settled, self._touching, self._stalled, self._deeper = (Debounce() for _ in range(4))
-        self._too_fast, self._far_aside = Debounce(), Debounce()
+        self._settled, self._too_fast, self._far_aside, self._deeper = (Debounce() for _ in range(4))
+        self._contact_test = ContactTest(self._config)
         self._short_echoes = ShortEchoes(self._config.contact_speed_m_s)
         self.tilt = TiltPrediction()
         self._levelling = Levelling(self._config, self._vehicle)
@@ -126,6 +126,11 @@ class TouchdownSequence:
     def unconfirmed(self) -> bool:
         """Whether nothing shows the feet on the pad since our setpoints may not have arrived."""
         return self._standing.unconfirmed
+
+    def unloading(self, state: State) -> float:
+        """The share of the thrust (0 to 1) that is taken away in that state, for the feet to carry."""
+        tests = {State.SINK: self._contact_test, State.SET_DOWN: self._set_down.contact_test}
+        return tests[state].share if state in tests else 0.0
 
     def level_off(self) -> LevelOff | None:
         """That the vehicle may tilt no further than it may at contact; None until the contact is near."""
@@ -188,6 +193,7 @@ class TouchdownSequence:
     def _commit(self, now_s: float) -> None:
         c = self._config
         self._sunk_s = now_s
+        self._contact_test = ContactTest(c)
         speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(self._tilt_at_contact_m_s2())
         self._blended_s = now_s + c.blend_s
         blended_m = self._generator.sink(speed_m_s, c.blend_s, now_s)
@@ -216,12 +222,12 @@ class TouchdownSequence:
         # by itself it may hold its height just over the pad: there its feet are seen, or nothing is felt
         obeys = not link_silent(inputs)
         near = obeys and sight is not None and self._near(sight, unfelt_s)
-        touching = signs.count >= SIGNS_NEEDED and (obeys or signs.low)
+        stands = signs.down and (obeys or signs.low)
+        self._contact_test.update(signs, now_s, down=stands, near=near)
+        touching = stands and self._contact_test.touching
         self._short_echoes.note(inputs.range if near and signs.short_echo else None)
         down = sight is not None and sight.age_s > self._config.blind_s and self.feet_down(now_s)
-        # what is controlled to sink and does not for so long stands, though its file has shorter legs
-        down |= self._stalled.held_s(near and signs.stalled, now_s) >= self._config.land_after_s
-        if down or self._touching.held_s(touching, now_s) >= self._config.contact_s:
+        if down or self._contact_test.contact:
             return MissionEvent.CONTACT, signs.in_words()
         if touching:
             self._levelling.touching(now_s)

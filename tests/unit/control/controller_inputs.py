@@ -54,5 +54,7 @@ def hover_reference(
     return reference_rows(now_s, lambda _t: place, origin=origin, heading_rad=heading_rad)
 
 
-def plan_step(now_s: float, reference: Reference | None, *, on_ground: bool = False) -> PlanStep:
-    return PlanStep(now_s, Phase.DESCEND, reference, on_ground=on_ground)
+def plan_step(
+    now_s: float, reference: Reference | None, *, on_ground: bool = False, unloading: float = 0.0
+) -> PlanStep:
+    return PlanStep(now_s, Phase.DESCEND, reference, on_ground=on_ground, unloading=unloading)

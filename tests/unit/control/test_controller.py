@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import (
+    GRAVITY_M_S2,
     ZERO3,
     Vector3,
     norm,
@@ -41,6 +42,26 @@ def test_straight_above_the_pad_it_stays() -> None:
     assert report.solved
     assert setpoint.velocity_ned_m_s == pytest.approx(ZERO3, abs=2e-3)
     assert setpoint.acceleration_ned_m_s2 == pytest.approx(ZERO3, abs=2e-2)
+
+
+def test_thrust_that_the_feet_are_to_carry_is_taken_away() -> None:
+    full, less = (
+        controller(setpoint="attitude").step(
+            plan_step(0.0, hover_reference(0.0), unloading=share), vehicle_state(0.0), pad_state(0.0), 0.0
+        )
+        for share in (0.0, 0.4)
+    )
+    assert full is not None
+    assert less is not None
+    assert full[0].thrust is not None
+    assert less[0].thrust == pytest.approx(0.6 * full[0].thrust)
+
+
+def test_to_an_autopilot_that_chooses_the_thrust_it_is_an_acceleration_downwards() -> None:
+    plan = plan_step(0.0, hover_reference(0.0), unloading=0.2)
+    answer = controller(setpoint="velocity").step(plan, vehicle_state(0.0), pad_state(0.0), 0.0)
+    assert answer is not None
+    assert answer[0].acceleration_ned_m_s2[2] == pytest.approx(0.2 * GRAVITY_M_S2, abs=0.05)
 
 
 @pytest.mark.parametrize("direction_deg", [0.0, 90.0, 180.0, 270.0])

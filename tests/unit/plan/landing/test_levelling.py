@@ -162,7 +162,7 @@ def test_so_low_that_a_tilt_would_touch_it_stays_level_unless_it_drifts_fast(
     touchdown = levelling(GRAVITY_M_S2 * math.tan(math.radians(11.0)))  # a foot hangs 3.4 cm lower
     for k in range(34):  # the sink stalls
         now_s = 1.0 + k * CYCLE_S
-        low = sight(height=LEG_M + over_m, velocity=(speed_m_s, 0.0, 0.08))
+        low = sight(height=LEG_M + over_m, velocity=(speed_m_s, 0.0, 0.16))
         touchdown.step(low, None, LandedState.IN_AIR, now_s)
     level = touchdown.level_off()
     assert level is not None

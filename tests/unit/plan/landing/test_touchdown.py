@@ -323,7 +323,7 @@ def test_no_contact_long_after_it_was_due_is_a_miss() -> None:
         (sight(height=0.199, velocity=(0.0, 0.0, 0.2)), None, LandedState.IN_AIR, {"low"}),
         (sight(height=0.201, velocity=(0.0, 0.0, 0.2)), None, LandedState.IN_AIR, set()),
         (sight(height=0.21, velocity=(0.0, 0.0, 0.05)), None, LandedState.IN_AIR, {"stalled"}),
-        (sight(height=0.21, velocity=(0.0, 0.0, 0.07)), None, LandedState.IN_AIR, set()),
+        (sight(height=0.21, velocity=(0.0, 0.0, 0.08)), None, LandedState.IN_AIR, set()),
         (None, 0.119, LandedState.IN_AIR, {"short_echo"}),
         (None, 0.121, LandedState.IN_AIR, set()),
         (None, None, LandedState.ON_GROUND, {"landed"}),
@@ -336,7 +336,6 @@ def test_each_sign_of_contact_on_both_sides_of_its_bound(
     sample = None if echo is None else RangeSample(9.9, echo)
     signs = contact_signs(seen, SINKING, sample, landed, 10.0, config=CONFIG, vehicle=VEHICLE)
     assert {n for n in ("low", "stalled", "short_echo", "landed") if getattr(signs, n)} == names
-    assert signs.count == len(names) - (names >= {"low", "short_echo"})
 
 
 def test_an_old_echo_and_a_hover_are_no_signs() -> None:
@@ -345,7 +344,8 @@ def test_an_old_echo_and_a_hover_are_no_signs() -> None:
     signs = contact_signs(
         sight(height=0.6), hover, old, LandedState.IN_AIR, 10.0, config=CONFIG, vehicle=VEHICLE
     )
-    assert signs.count == 0
+    assert not signs.down
+    assert not signs.stalled
 
 
 @pytest.mark.parametrize(
@@ -386,6 +386,54 @@ def test_contact_is_felt_for_a_moment_whatever_the_heights_say() -> None:
     assert found is not None
     assert found[0] is MissionEvent.CONTACT
     assert touchdown.contact_s == pytest.approx(1.0 + 30 * CYCLE_S + CONFIG.contact_s, abs=0.05)
+
+
+# Estimated sinks in the simulator, one a cycle from the first foot's contact on: in 8 m/s of wind the vehicle
+# bounced, over a turning pad it came slowly to level.
+BOUNCES_M_S = (0.25, 0.18, 0.11, 0.10, -0.12, -0.17, -0.07, -0.01, 0.04, 0.09, -0.01, -0.11, -0.02, 0.05)
+LEVELS_M_S = (0.24, 0.18, 0.03, 0.02, 0.04, 0.05, 0.06, 0.07, 0.07, -0.03, -0.05, -0.01, 0.01, 0.03)
+
+
+@pytest.mark.parametrize("sinks_m_s", [BOUNCES_M_S, LEVELS_M_S])
+def test_feet_that_bounce_or_come_down_one_by_one_are_found_in_a_third_of_a_second(
+    sinks_m_s: tuple[float, ...],
+) -> None:
+    touchdown = sinking()
+    for k, sink_m_s in enumerate(sinks_m_s):
+        seen = sight(height=LEG_M, velocity=(0.0, 0.0, sink_m_s))
+        touchdown.step(seen, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+    assert touchdown.on_pad
+    assert touchdown.contact_s - 1.0 < 0.34
+
+
+def test_feet_that_may_stand_are_given_weight_and_a_vehicle_that_sinks_gets_its_thrust_back() -> None:
+    touchdown, shares = sinking(), []
+    for k, sink_m_s in enumerate((0.2, 0.2, 0.0, 0.0, 0.2, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0)):
+        seen = sight(height=LEG_M, velocity=(0.0, 0.0, sink_m_s))
+        touchdown.step(seen, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+        shares.append(touchdown.unloading)
+    assert shares[1] == shares[6] == 0.0
+    assert 0.0 < shares[2] < shares[3] < 1.0
+    assert shares[3] > shares[4]
+    assert touchdown.on_pad
+
+
+def test_legs_longer_than_told_are_found_by_what_they_bear_though_the_heights_flicker() -> None:
+    """Feet down at 3 cm more than the file says: an echo now and then says that they are."""
+    touchdown = sinking()
+    for k in range(18):
+        now = 1.0 + k * CYCLE_S
+        echo = RangeSample(now, 0.115 if k % 3 == 0 else 0.125)
+        touchdown.step(sight(height=LEG_M + 0.03), echo, LandedState.IN_AIR, now)
+    assert touchdown.on_pad
+    assert touchdown.contact_s - 1.0 < 0.5
+
+
+def test_high_over_the_pad_no_thrust_is_taken_away() -> None:
+    touchdown = sinking()
+    for k in range(20):
+        touchdown.step(sight(height=LEG_M + 0.15), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+        assert touchdown.unloading == 0.0
 
 
 def test_what_sinks_no_more_for_a_second_stands_though_the_leg_height_is_too_low_in_its_file() -> None:

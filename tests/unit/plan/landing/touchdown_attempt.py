@@ -57,6 +57,10 @@ class Attempt:
         return self.state in ON_PAD
 
     @property
+    def unloading(self) -> float:
+        return self._sequence.unloading(self.state)
+
+    @property
     def unconfirmed(self) -> bool:
         return self._sequence.unconfirmed
 
