@@ -19,9 +19,9 @@ class ImuConfig(StrictModel):
     """I²C address: 0x68 (104), or 0x69 (105) with AD0 high; set it to the board's"""
     rate_hz: int = Field(default=200, ge=50, le=1000)
     """Sample rate of gyroscope and accelerometer; a divisor of 1000; lower it for a slow bus or computer"""
-    poll_hz: int = Field(default=100, ge=20, le=500)
-    """How often the chip is read; its FIFO holds 36 samples; lower it to save CPU, but not so far that the
-    FIFO fills between two polls"""
+    poll_hz: int = Field(default=50, ge=20, le=500)
+    """How often the chip is read, magnetometer included; its FIFO holds 36 samples; raise it for a faster
+    `rate_hz`, lower it to save CPU"""
     read: Literal["fifo", "registers"] = Field(default="fifo")
     """From the FIFO, or from the output registers as soon as they hold a new sample; change it only for a
     chip whose FIFO does not work"""

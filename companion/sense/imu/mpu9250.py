@@ -64,7 +64,7 @@ _MOST_TEMPERATURE_STEP_C: Final = 5.0
 _SILENT_S: Final = 0.25
 _STUCK_S: Final = 0.5
 _REPEATED_S: Final = 0.05  # and what repeats for longer than this is not handed on: it says nothing new
-_BUS_PATIENCE_POLLS: Final = 5  # so many polls may fail in a row: 50 ms at 100 Hz, of the FIFO's 180 ms
+_BUS_PATIENCE_POLLS: Final = 5  # so many polls may fail in a row: 100 ms at 50 Hz, of the FIFO's 180 ms
 # centre of an AK8963 measurement (7.2 ms long) before its end, and the mean wait until it is copied
 _MAG_MEASUREMENT_S: Final = 0.0036
 
@@ -288,8 +288,8 @@ class Mpu9250:
 
     def _mag_sample(self, now_s: float, field_ut: Vector3, newest: bool) -> MagSample:
         if self._config.mag_path == "bypass":
-            # it came at any time since the last poll
-            age_s = 0.5 / self._config.poll_hz
+            # it came at any time since the last poll, or the measurement before
+            age_s = 0.5 / max(self._config.poll_hz, self._config.mag_rate_hz)
         else:
             # copied at the newest sample, or at the one before; measured up to one sample earlier than that
             age_s = (1.0 if newest else 2.0) * self._clock.period_s

@@ -11,7 +11,7 @@ bends the time scale.
 from typing import Final
 
 FIRST_READS: Final = 20  # what the nominal period is worth, in reads
-MOST_READS: Final = 800  # the memory: 8 s of polls at 100 Hz
+MOST_READS: Final = 800  # the memory: 16 s of polls at 50 Hz
 OSCILLATOR_TOLERANCE: Final = 0.03
 LOST_PERIODS: Final = 6.0
 LOST_READS: Final = 10

@@ -44,7 +44,7 @@ class ImuRig:
         identity: int = 0x71,
         wrap: Callable[[Mpu9250Device], RegisterBus] = lambda device: device,
     ) -> None:
-        self.config = config or ImuConfig()
+        self.config = config or ImuConfig(poll_hz=100)
         rng = np.random.default_rng(7)
         roll, pitch, yaw = (math.radians(angle) for angle in self.config.body_from_sensor_deg)
         mount = matrix_from_quat(quat_from_euler(roll, pitch, yaw)).T  # sensor from body

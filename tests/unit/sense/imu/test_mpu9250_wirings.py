@@ -12,7 +12,9 @@ from tests.unit.sense.imu.imu_rig import FIELD, REST, STILL, ImuRig
 
 WIRINGS: dict[str, dict[str, Any]] = {
     "i2c, master, fifo": {},
+    "i2c, master, fifo, 100 Hz": {"poll_hz": 100},
     "i2c, bypass, fifo": {"mag_path": "bypass"},
+    "i2c, bypass, fifo, 100 Hz": {"mag_path": "bypass", "poll_hz": 100},
     "i2c, bypass, registers": {"mag_path": "bypass", "read": "registers", "poll_hz": 200},
     "i2c, master, registers": {"read": "registers", "poll_hz": 200},
     "spi, master, fifo": {"bus": "spi:0.0"},
@@ -35,8 +37,11 @@ def test_samples_of_all_three_sensors_flow(config: ImuConfig) -> None:
     assert rig.imu[-1].rate_body_rad_s == pytest.approx(truth[1], abs=0.001)
     assert rig.imu[-1].temperature_c == pytest.approx(38.0, abs=0.01)
     assert np.mean([m.field_body_ut for m in rig.mag], axis=0) == pytest.approx(truth[2], abs=0.3)
-    assert len([s for s in rig.imu if s.time_s > 1.0]) == pytest.approx(200, rel=0.02)
-    assert len([m for m in rig.mag if m.time_s > 1.0]) == pytest.approx(100, rel=0.05)
+    seconds = rig.imu[-1].time_s - 1.0
+    assert seconds == pytest.approx(1.0, abs=1.0 / config.poll_hz + 0.01)
+    assert len([s for s in rig.imu if s.time_s > 1.0]) == pytest.approx(200 * seconds, rel=0.02)
+    mag_hz = min(config.poll_hz, config.mag_rate_hz)
+    assert len([m for m in rig.mag if m.time_s > 1.0]) == pytest.approx(mag_hz * seconds, rel=0.05)
 
 
 @pytest.mark.parametrize("clock_error", [-0.01, 0.01])
@@ -163,7 +168,7 @@ def test_a_chip_on_i2c_whose_i2c_is_switched_off_answers_no_more() -> None:
     [
         ({"bus": "spi:0.0", "mag_path": "bypass"}, "expected master on SPI"),
         ({"bus": "spi-socket:/run/x", "mag_path": "bypass"}, "expected master on SPI"),
-        ({"read": "registers"}, r"poll_hz 100: expected at least 200"),
+        ({"read": "registers"}, r"poll_hz 50: expected at least 200"),
     ],
 )
 def test_wirings_that_cannot_work_are_refused(settings: dict[str, str], expected: str) -> None:
