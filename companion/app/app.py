@@ -89,6 +89,7 @@ class App:
         self._stamps, self._watch, self._target = stages.stamps, stages.estimate_watch, stages.target
         if self._target is not None:
             standby = STANDBY_WORDS
+        self.sensing.on_ground = self._on_ground
         self.missions = Missions(
             stages.make_planner, self.session, log, self.announcer, self._clock, standby=standby, stays=stays
         )

@@ -54,6 +54,7 @@ from companion.sense.vision.pipeline import VisionResult
 GPS_CONFIGURATION_PERIOD_S: Final = 0.2
 FAULT_PERIOD_S: Final = 2.0
 WATCH_PERIOD_S: Final = 1.0
+GROUND_LOOK_S: Final = 0.2  # while nothing is flown one frame in so long is searched for the pad
 GONE_S: Final = 2.0  # a port that is gone is tried once a second
 
 
@@ -142,7 +143,8 @@ class Sensing:
         self.last_frame: FrameReport | None = None
         self.last_sighting: PadSighting | None = None
         self.frame_count = 0
-        self.frame_fused: Callable[[], None] = lambda: None  # called after each
+        self.frame_fused: Callable[[], None] = lambda: None  # called after each that was looked at
+        self.on_ground: Callable[[], bool] = lambda: False  # whether the vehicle stands, and nothing is flown
         self._gone_s: dict[str, float] = {}  # ports, and when
         self._fault_reported_s = self._attitude_s = float("-inf")
         # a camera that is kept judges its frames itself
@@ -326,6 +328,7 @@ class Sensing:
 
     async def _vision_task(self) -> None:
         """Look at the newest frame; what it shows enters the estimator at its exposure time."""
+        looked_s = float("-inf")
         while True:
             frame = at_exposure(await self._hardware.frames.next(), self._frame_time_offset_s)
             self._log.write_frame(frame, self._clock.now_s())
@@ -334,6 +337,10 @@ class Sensing:
             if fault is not None and fault.kind == "content" and not fault.usable:
                 self._notify_fault(f"frame {frame.sequence} not used: {fault.text}")
                 continue
+            self.frame_count += 1
+            if self.on_ground() and 0.0 <= frame.time_s - looked_s < GROUND_LOOK_S:
+                continue
+            looked_s = frame.time_s
             prior = self._estimator.pad_prior(frame.time_s)
             try:
                 seen = await self._clock.run(
@@ -352,7 +359,6 @@ class Sensing:
             self._estimator.add_sighting(seen.sighting)
             self._log.write("sighting", seen.sighting, now_s)
             self.last_sighting = seen.sighting
-        self.frame_count += 1
         times_s, found = (frame.time_s, frame.received_s, now_s), seen.sighting is not None
         self.last_frame = FrameReport(
             *times_s, frame.sequence, seen.marker_count, found, seen.searched_whole_frame

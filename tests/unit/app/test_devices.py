@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import math
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -391,6 +392,35 @@ def test_a_picture_that_stands_still_with_new_stamps_is_no_sighting() -> None:
     assert len(times) > 10
     assert max(times) < 1.05
     assert [text.partition(": ")[2] for text in told] == ["the same image repeated"]
+
+
+def test_before_take_off_a_look_at_the_pad_now_and_then_is_enough() -> None:
+    samples, counts = RecentSamples(), list[int]()
+
+    async def main() -> None:
+        clock = Clock()
+        sensing = Sensing(
+            CompanionConfig(),
+            Hardware(memory_pair()[0], FrozenPicture(frozen_from_s=math.inf)),
+            Vision(PAD, CAMERA, VEHICLE, CompanionConfig().sense.vision),
+            samples,
+            clock=clock,
+            log=FlightLog(None, start_unix_s=0.0),
+            notify=lambda _kind, _text, _severity: None,
+        )
+        sensing.on_ground = lambda: clock.now_s() < 2.0
+        task = asyncio.create_task(run(sensing.tasks()["camera"]))
+        for time_s in (2.0, 4.0):
+            await clock.sleep_until(time_s)
+            counts.append(sensing.frame_count)
+        task.cancel()
+
+    run_in_virtual_time(main())
+    times = [sighting.time_s for sighting in samples.sightings]
+    on_ground = sum(time_s < 1.95 for time_s in times)
+    assert 8 <= on_ground <= 11
+    assert len(times) - on_ground > 3 * on_ground
+    assert counts[0] > 3 * on_ground  # every frame is judged and counts all the same
 
 
 async def run(work: Callable[[], Awaitable[None]]) -> None:
