@@ -38,6 +38,7 @@ SMOKE: Final = (
 SCENARIOS: Final = ("line", "circle")
 SEEDS: Final = 5
 LANDED_SHARE: Final = 0.95
+NAMED_SHARE: Final = 0.9
 
 
 Take = Callable[[FaultRun, FaultRow | None], None]
@@ -45,11 +46,18 @@ Take = Callable[[FaultRun, FaultRow | None], None]
 
 def row_of(run: FaultRun, code: str, verdict: SafetyVerdict, record: WitnessedFlight) -> FaultRow:
     """What is written down of a flight."""
-    said = record.texts[-1].text if record.texts else ""
+    texts = [text.text for text in record.texts]
+    named = (text for text in reversed(texts) if names_it(run.fault, text))
+    said = next(named, texts[-1] if texts else "")
     ended_s = round(record.app_ended_s or record.samples[-1].time_s, 1)
     return FaultRow(
         *run, code, int(record.fault_began), verdict.outcome, "; ".join(verdict.unsafe), ended_s, said
     )
+
+
+def names_it(fault: str, text: str) -> bool:
+    """Whether a text of the app names the quantity that is wrong."""
+    return any(name in text for name in CASES[fault].names)
 
 
 def print_failure(run: FaultRun) -> None:
@@ -153,13 +161,18 @@ def table(rows: Sequence[FaultRow]) -> Table:
 
 
 def bars(rows: Sequence[FaultRow]) -> list[Bar]:
-    """No unsafe end, and landings where the fault leaves one possible."""
+    """No unsafe end, landings where the fault leaves one possible, and the wrong quantity by its name."""
     unsafe = sum(row.outcome == "unsafe" for row in rows)
     found = [Bar("unsafe ends", f"{unsafe} of {len(rows)}", unsafe == 0)]
     gentle = [row for row in rows if CASES[row.fault].lands]
     if gentle:
         landed = sum(row.outcome == "landed" for row in gentle) / len(gentle)
         found.append(Bar("landed where possible", f"{100 * landed:.1f} %", landed >= LANDED_SHARE))
+    kept_off = [row for row in rows if CASES[row.fault].names and row.outcome != "landed"]
+    if kept_off:
+        named = sum(names_it(row.fault, row.said) for row in kept_off)
+        words = f"{named} of {len(kept_off)} (>= {100 * NAMED_SHARE:g} %)"
+        found.append(Bar("wrong quantity named", words, named >= NAMED_SHARE * len(kept_off)))
     return found
 
 

@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any, Final, Literal, NamedTuple
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.messages import Quantity
 from companion.config import merge
 from sitl.faults.faults import Fault
 from sitl.scenario.as_built import NOTHING_ELSE
@@ -34,7 +35,8 @@ class FaultRowCase:
 
     A fault's own `delay_s` counts from the row's beginning. `changes` are of the scenario: what is wrong from
     the start; `parameters` what the autopilot's are. `signed`: the link is. `stands_by`: so does the app,
-    under a pilot who flies this story, and the flight mode that orders a landing is set.
+    under a pilot who flies this story, and the flight mode that orders a landing is set. `names`: what of a
+    quantity has to be in a text where it keeps the vehicle from landing, one of several.
     """
 
     faults: tuple[dict[str, Any], ...]
@@ -44,6 +46,7 @@ class FaultRowCase:
     parameters: dict[AutopilotKind, dict[str, float]] = field(default_factory=dict)
     signed: bool = False
     stands_by: StandingBy | None = None
+    names: tuple[str, ...] = ()
 
     @property
     def flown_alone(self) -> bool:
@@ -80,9 +83,10 @@ def _timed_out(after_s: float, lost_s: float | None = None) -> FaultRowCase:
     return FaultRowCase((lost,), TO_THE_END, parameters=parameters)
 
 
-def _built(**exactly: Any) -> FaultRowCase:
+def _built(*names: str, **exactly: Any) -> FaultRowCase:
     """What the builder got wrong, by this much, and in nothing else (`sitl.scenario.as_built`)."""
-    return _from_start(as_built={**NOTHING_ELSE, "exactly": exactly})
+    changes = {"as_built": {**NOTHING_ELSE, "exactly": exactly}}
+    return FaultRowCase((), ("start",), changes=changes, names=names)
 
 
 _CAMERA: Final[dict[str, FaultRowCase]] = {
@@ -181,27 +185,31 @@ _DISK: Final[dict[str, FaultRowCase]] = {
 }
 # twice what `sitl.scenario.as_built` draws, one at a time, and what was flown into the ground
 _BUILT: Final[dict[str, FaultRowCase]] = {
-    "hover told x0.6": _built(hover_thrust=0.6),
-    "hover told x1.7": _built(hover_thrust=1.7),
-    "thrust exponent 0.4": _built(thrust_exponent=0.4),
-    "thrust exponent 3": _built(thrust_exponent=3.0),
-    "mass +40 %": _built(mass=1.4),
-    "mass -40 %": _built(mass=0.6),
-    "legs 6 cm longer": _built(leg_height_m=0.06),
-    "legs 6 cm shorter": _built(leg_height_m=-0.06),
-    "IMU 20 cm off": _built(imu_offset_body_m=(0.15, -0.13, 0.0)),
-    "camera 4 deg off": _built(camera_mount_deg=(4.0, -4.0, 4.0)),
-    "focal length +3 %": _built(focal_length=1.03),
-    "print -3 %": _built(pad_print=0.97),
-    "print -29 %": _built(pad_print=0.71),
-    "stamps 40 ms late": _built(stamp_s=0.04, stamp_jitter_s=0.01),
-    "stamps 40 ms early": _built(stamp_s=-0.04, stamp_jitter_s=0.01),
-    "delay to app 80 ms": _built(delay_to_app_s=0.08),
-    "delay to vehicle 80 ms": _built(delay_to_vehicle_s=0.08),
-    "vibration x30": _built(vibration=30.0),
-    "place of other files": _built(place_deg=(-55.0, -70.0)),
-    "steel deck 60 uT": _built(deck_field_ned_ut=(20.0, 56.0, 10.0)),
-    "yaw reset 30 deg": _built(yaw_reset_deg=30.0, yaw_reset_s=25.0),
+    "hover told x0.6": _built(Quantity.HOVER_THRUST, hover_thrust=0.6),
+    "hover told x1.7": _built(Quantity.HOVER_THRUST, hover_thrust=1.7),
+    "thrust exponent 0.4": _built(Quantity.HOVER_THRUST, thrust_exponent=0.4),
+    "thrust exponent 3": _built(Quantity.HOVER_THRUST, thrust_exponent=3.0),
+    "mass +40 %": _built(Quantity.HOVER_THRUST, mass=1.4),
+    "mass -40 %": _built(Quantity.HOVER_THRUST, mass=0.6),
+    "legs 6 cm longer": _built(Quantity.LEG_HEIGHT, leg_height_m=0.06),
+    "legs 6 cm shorter": _built(Quantity.LEG_HEIGHT, leg_height_m=-0.06),
+    "IMU 20 cm off": _built("IMU", imu_offset_body_m=(0.15, -0.13, 0.0)),
+    "camera 4 deg off": _built(Quantity.CAMERA_ROTATION, camera_mount_deg=(4.0, -4.0, 4.0)),
+    "focal length +3 %": _built(Quantity.PAD_SCALE, focal_length=1.03),
+    "print -3 %": _built(Quantity.PAD_SCALE, pad_print=0.97),
+    "print -29 %": _built(Quantity.PAD_SCALE, pad_print=0.71),
+    "stamps 40 ms late": _built(Quantity.CAMERA_DELAY, stamp_s=0.04, stamp_jitter_s=0.01),
+    "stamps 40 ms early": _built(Quantity.CAMERA_DELAY, stamp_s=-0.04, stamp_jitter_s=0.01),
+    "delay to app 80 ms": _built(
+        Quantity.LINK_DELAY, Quantity.CAMERA_DELAY, Quantity.IMU_DELAY, delay_to_app_s=0.08
+    ),
+    "delay to vehicle 80 ms": _built(
+        Quantity.LINK_DELAY, Quantity.CAMERA_DELAY, Quantity.IMU_DELAY, delay_to_vehicle_s=0.08
+    ),
+    "vibration x30": _built("vibration", vibration=30.0),
+    "place of other files": _built(Quantity.DECLINATION, Quantity.HEADING, place_deg=(-55.0, -70.0)),
+    "steel deck 60 uT": _built(Quantity.HEADING, "magnetic field", deck_field_ned_ut=(20.0, 56.0, 10.0)),
+    "yaw reset 30 deg": _built(Quantity.HEADING, yaw_reset_deg=30.0, yaw_reset_s=25.0),
 }
 _COMPUTER_AND_WIND: Final[dict[str, FaultRowCase]] = {
     "vision 130 ms": _from_start(companion={"compute": {"vision_s": 0.13}}),

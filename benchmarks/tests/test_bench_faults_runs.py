@@ -114,6 +114,15 @@ def test_the_bars_count_unsafe_ends_and_landings_where_a_fault_leaves_one_possib
     )
 
 
+def test_what_was_built_wrongly_and_is_not_landed_is_named() -> None:
+    named = row("held", "print -3 %", "start", said="abort: estimate disputed: pad's scale: 3 % off")
+    silent = row("held", "print -3 %", "start", said="abort: timeout: 30 s in search")
+    landed = row("landed", "print -3 %", "start", said="landed: disarmed")
+    assert [bar.holds for bar in bars([landed])] == [True]
+    assert [bar.holds for bar in bars([*9 * [named], silent, landed])] == [True, True]
+    assert [bar.holds for bar in bars([*8 * [named], silent])] == [True, False]
+
+
 def test_what_is_written_is_read_again_and_a_torn_line_is_not(tmp_path: Path) -> None:
     file = FaultRunsFile(tmp_path / "there" / "runs.csv")
     rows = [row("landed"), row("unsafe", unsafe='crash; "x", y', seed=1)]
