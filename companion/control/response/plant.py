@@ -120,11 +120,13 @@ class Plant:
         self._observed_s = vehicle.time_s
         self._history.clear()
 
-    def observe(self, vehicle: VehicleState, elapsed_s: float, *, learns: bool = True) -> None:
+    def observe(
+        self, vehicle: VehicleState, elapsed_s: float, *, learns: bool = True, may_stand: bool = False
+    ) -> None:
         """Compare what the vehicle does with what was commanded; the last call was `elapsed_s` ago.
 
         Without `learns` what was commanded may explain nothing: only the wind, which no command explains, is
-        learnt.
+        learnt. With `may_stand` a pad may carry it too.
         """
         for duration_s, command in self._history.segments(self._observed_s, vehicle.time_s):
             self._lasting.predict(self._wanted(command, vehicle), duration_s)
@@ -138,7 +140,12 @@ class Plant:
             vehicle.velocity_ned_m_s, acceleration, self._wind.late_thrust_ned_m_s2, elapsed_s
         )
         if self.by_attitude:
-            self._weigh(acceleration[2], self._lasting.delayed_response_down_m_s2, elapsed_s)
+            made_m_s2 = self._lasting.delayed_response_down_m_s2
+            self._weigh(
+                self.hover.correct(
+                    acceleration[2], made_m_s2, elapsed_s, follows_gusts=True, may_stand=may_stand
+                )
+            )
             self._weighed_s = vehicle.time_s
 
     def hold(self, vehicle: VehicleState, thrust: float | None, elapsed_s: float) -> None:
@@ -148,11 +155,11 @@ class Plant:
         if acting is not None:
             down = 1.0 if self._raises_thrust else math.cos(tilt_from_quat(vehicle.attitude))
             made_m_s2 = GRAVITY_M_S2 * (1.0 - acting * down / self.hover.value)
-            self._weigh(vehicle.acceleration_ned_m_s2[2], made_m_s2, elapsed_s)
+            self._weigh(self.hover.correct(vehicle.acceleration_ned_m_s2[2], made_m_s2, elapsed_s))
 
-    def _weigh(self, acceleration_m_s2: float, made_m_s2: float, elapsed_s: float) -> None:
-        """Correct what thrust is worth, and with it what it was believed to make."""
-        self._lasting.scale_thrust(self.hover.correct(acceleration_m_s2, made_m_s2, elapsed_s))
+    def _weigh(self, changed: float) -> None:
+        """Thrust is worth so much more than it was believed to be, and what it made with it."""
+        self._lasting.scale_thrust(changed)
         self._history.full_thrust_m_s2 = GRAVITY_M_S2 / self.hover.value
 
     def carry(self, motion: Motion, from_s: float, to_s: float) -> Motion:

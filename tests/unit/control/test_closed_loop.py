@@ -8,6 +8,7 @@ import pytest
 
 from companion.base.geometry import ZERO3, Vector3, tilt_from_quat
 from tests.unit.control.control_plants import (
+    LINK_DELAY_S,
     Loop,
     PadMotion,
     circle,
@@ -67,6 +68,29 @@ def test_gusts_are_held_to_a_few_centimetres(kind: str) -> None:
     error = np.hypot(*flight.error_m(SETTLED_S)[:, :2].T)
     assert np.median(error) < 0.04
     assert error.max() < 0.07
+
+
+def _sinking_gust(time_s: float) -> Vector3:
+    return (0.0, 0.0, 3.0 * min(1.0, max(0.0, (time_s - 3.0) / 0.5)))
+
+
+@pytest.mark.parametrize(
+    ("link_delay_s", "sensor_delay_s"), [(LINK_DELAY_S, 0.0), (0.08, 0.0), (LINK_DELAY_S, 0.05)]
+)
+def test_a_gust_that_sinks_is_met_and_leaves_no_swing(link_delay_s: float, sensor_delay_s: float) -> None:
+    flight = Loop(
+        controller(setpoint="attitude"),
+        AttitudeAutopilot(),
+        still,
+        min_jerk_offset((0.0, 0.0, -3.0), (0.0, 0.0, -3.0), 1.0),
+        wind=_sinking_gust,
+        link_delay_s=link_delay_s,
+        sensor_delay_s=sensor_delay_s,
+    ).fly(8.0)
+    late = np.array(flight.time_s) > 6.0
+    assert flight.error_m(3.0)[:, 2].max() < 0.24
+    assert np.abs(np.array(flight.relative_velocity_m_s)[late, 2]).max() < 0.05
+    assert not any(report.fault for report in flight.reports)
 
 
 @pytest.mark.parametrize(

@@ -286,6 +286,31 @@ def test_settled_it_follows_a_change_as_fast_as_asked_and_passes_over_what_is_no
     assert estimate.value == before
 
 
+def settled_in_gust(air_g: float, **told: bool) -> float:
+    """The estimate, 0.5 before, half a second after the air has begun to add so much to what is felt."""
+    estimate = HoverThrust(0.5, BANDWIDTH_RAD_S)
+    for _ in range(round(0.5 / PERIOD_S)):
+        made_g = 0.5 / estimate.value
+        estimate.correct(-GRAVITY_M_S2 * air_g, GRAVITY_M_S2 * (1.0 - made_g), PERIOD_S, **told)
+    return estimate.value
+
+
+@pytest.mark.parametrize("air_g", [-0.3, 0.3])
+def test_a_gust_is_followed_within_half_a_second_and_what_is_small_as_slowly_as_ever(air_g: float) -> None:
+    slow, quick = (settled_in_gust(air_g, follows_gusts=follows) for follows in (False, True))
+    holds = 0.5 / (1.0 + air_g)
+    assert abs(slow - holds) > 0.6 * abs(0.5 - holds)
+    assert abs(quick - holds) < 0.4 * abs(0.5 - holds)
+    assert settled_in_gust(0.1 * air_g, follows_gusts=True) == settled_in_gust(0.1 * air_g)
+
+
+def test_where_a_pad_may_carry_it_only_what_sinks_is_a_gust() -> None:
+    assert settled_in_gust(0.3, follows_gusts=True, may_stand=True) == settled_in_gust(0.3)
+    assert settled_in_gust(-0.3, follows_gusts=True, may_stand=True) == settled_in_gust(
+        -0.3, follows_gusts=True
+    )
+
+
 def test_falling_freely_nothing_is_learnt_and_the_estimate_stays_one() -> None:
     estimate = HoverThrust(0.5, BANDWIDTH_RAD_S, TOLD_STD)
     for acceleration in (GRAVITY_M_S2, 5.0 * GRAVITY_M_S2):
