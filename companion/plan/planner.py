@@ -154,7 +154,7 @@ class Planner:
                 now_s,
                 self._steering.minimum_height_m(now_s),
                 self._steering.cone(),
-                self._steering.level_off(),
+                self._steering.level_off(now_s),
             ),
             actions=self._requests.due(now_s),
             notices=tuple(self._notices),

@@ -128,9 +128,10 @@ class PhaseSteering:
         descending = self._machine.state in OVER_PAD | {State.DESCEND}
         return self._landing.cone if descending and self._generator.origin == "pad" else None
 
-    def level_off(self) -> LevelOff | None:
-        """When the vehicle is to be level, in its final descent."""
-        return self._touchdown.level_off() if self._machine.state in COMMITTED else None
+    def level_off(self, now_s: float) -> LevelOff | None:
+        """When the vehicle is to be level, in its final descent and as it leaves the pad again."""
+        level = self._machine.state in COMMITTED or self._touchdown.leaving(now_s)
+        return self._touchdown.level_off() if level else None
 
     @property
     def unloading(self) -> float:
@@ -284,6 +285,9 @@ class PhaseSteering:
         wrong = self._ground_near(now_s)
         if wrong is not None:
             return wrong
+        if self._touchdown.leaving(now_s):
+            self._touchdown.leave(inputs, self._pad.sight, now_s)
+            return None
         self._keep_near_pad(inputs, now_s)
         fly = self._landing.approach if self._machine.state is State.APPROACH else self._landing.descend
         place = self.search.locator.likely(now_s)

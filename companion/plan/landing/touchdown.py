@@ -87,6 +87,7 @@ class TouchdownSequence:
         self._short_echoes = ShortEchoes(self._config.contact_speed_m_s)
         self.tilt = TiltPrediction()
         self._levelling = Levelling(self._config, self._vehicle)
+        self._left = False
 
     def enter(self, state: State, vehicle: VehicleState | None, now_s: float) -> None:
         """Begin with one of the states within a try."""
@@ -350,10 +351,27 @@ class TouchdownSequence:
     ) -> DetectedEvent | None:
         self._stay_down(now_s)
         if why := self._leaves(state, sight, inputs, now_s):
-            if sight is not None:
-                self._generator.start("pad", sight.vehicle_from_pad, now_s)
+            self._lift_off(sight, now_s)
             return MissionEvent.OFF_PAD, why
         return self._standing.step(sight, inputs, now_s)
+
+    def leave(self, inputs: PlanInputs, sight: PadState | None, now_s: float) -> None:
+        """Go on leaving the pad: while the link is silent, ever again from where the autopilot has it."""
+        if link_silent(inputs):
+            self._lift_off(sight, now_s)
+
+    def leaving(self, now_s: float) -> bool:
+        """Whether it has just left the pad, and its feet are over it by no more than a tilt drops them."""
+        return self._left and self._generator.rising(now_s)
+
+    def _lift_off(self, sight: PadState | None, now_s: float) -> None:
+        """Up before anything else, and level: the tilt that follows the pad would drag a foot over it."""
+        if sight is not None:
+            self._generator.start("pad", sight.vehicle_from_pad, now_s)
+        self._generator.rise(now_s)
+        self._left = True
+        self._levelling.reset()
+        self._levelling.stay(now_s)
 
     def _leaves(self, state: State, sight: PadState | None, inputs: PlanInputs, now_s: float) -> str:
         """Why it does not stay on the pad; "" while it does."""

@@ -244,6 +244,35 @@ def test_after_a_silence_the_feet_have_to_be_seen_down_until_rest_is_proven(
     assert (MissionEvent.AT_REST in found) != leaves
 
 
+def test_off_the_pad_it_rises_level_and_ever_again_from_where_a_silent_autopilot_has_it() -> None:
+    touchdown, now_s = standing()
+    generator, event = touchdown._generator, None
+    while event is None and now_s < 5.0:
+        now_s += CYCLE_S
+        moved = sight(height=0.19, age=9.0, velocity=(0.5, 0.0, 0.0))
+        event = touchdown.step(
+            moved, None, LandedState.IN_AIR, now_s, silent_s=1.0, vehicle=vehicle_state(now_s)
+        )
+    assert event is not None
+    assert event[0] is MissionEvent.OFF_PAD
+    assert generator.at(now_s + 0.3).velocity_m_s == pytest.approx((0.0, 0.0, -0.3))
+    for silent_s, height_m in ((1.0, 0.21), (1.0, 0.2), (0.0, 0.3)):
+        level = touchdown.level_off()
+        assert touchdown._sequence.leaving(now_s)
+        assert level is not None
+        assert level.from_s <= now_s < now_s + 0.3 <= level.until_s
+        now_s += CYCLE_S
+        before = generator.at(now_s)
+        autopilot = AutopilotState(now_s, landed=LandedState.IN_AIR, connected=True)
+        inputs = PlanInputs(vehicle_state(now_s), None, autopilot, silent_s=silent_s)
+        touchdown._sequence.leave(inputs, sight(height=height_m, age=9.0), now_s)
+        if silent_s > 0.0:
+            assert generator.at(now_s).position_m[2] == pytest.approx(-height_m)
+        else:
+            assert generator.at(now_s) == before
+    assert not touchdown._sequence.leaving(now_s + 0.3)
+
+
 @pytest.mark.parametrize(("silent_s", "landed"), [(0.0, False), (0.5, False), (0.5, True)])
 def test_an_echo_proves_no_rest_to_a_silent_link_unless_the_autopilot_has_landed(
     silent_s: float, landed: bool
