@@ -35,7 +35,13 @@ from companion.link.notices import Notices
 from companion.link.orders import ORDER_MESSAGES, OrderListener
 from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.link.signing import LinkSigning
-from companion.link.streams import HEARD, POSE_RATES_HZ, TelemetryRates, telemetry_rates_hz
+from companion.link.streams import (
+    HEARD,
+    POSE_RATES_HZ,
+    TelemetryRates,
+    pose_rates_hz,
+    telemetry_rates_hz,
+)
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, Sample, TelemetrySensors
 from companion.link.telemetry.heading_offset import HeadingOffset
 from companion.link.telemetry.poses import PoseHistory
@@ -264,7 +270,7 @@ class Session:
                 self._setup.begin(self.state.autopilot_kind, self._system_id)
             self.rates.want(telemetry_rates_hz(self.state.autopilot_kind) | self.orders.rates_hz)
             if self.poses is not None:
-                self.rates.want(POSE_RATES_HZ)
+                self.rates.want(pose_rates_hz(self.state.autopilot_kind))
             if self.onboard is not None:
                 self.onboard.heartbeat(self.state.autopilot_kind, now_s)
                 self.rates.want(self.onboard.rates_hz())

@@ -41,11 +41,8 @@ TELEMETRY_RATES_HZ: Final[dict[int, float]] = {
 }
 # for whoever takes over by attitude and thrust
 THRUST_RATES_HZ: Final[dict[int, float]] = {mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 20.0}
-# for whoever tells an autopilot of a place in its own frame
-POSE_RATES_HZ: Final[dict[int, float]] = {
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: 30.0,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
-}
+# for whoever tells an autopilot of a place in its own frame, beside its attitude
+POSE_RATES_HZ: Final[dict[int, float]] = {mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0}
 _WINDOW_S: Final = 2.0
 _LONGEST_WINDOW_S: Final = 16.0
 _HONOURED_SHARE: Final = 0.6
@@ -55,6 +52,12 @@ def telemetry_rates_hz(autopilot_kind: AutopilotKind | None) -> dict[int, float]
     """Rates (Hz) by message number: of every autopilot, and of this make alone."""
     own = {} if autopilot_kind is None else PROFILES[autopilot_kind].rates_hz
     return TELEMETRY_RATES_HZ | {message_number(name): rate_hz for name, rate_hz in own.items()}
+
+
+def pose_rates_hz(autopilot_kind: AutopilotKind | None) -> dict[int, float]:
+    """Rates (Hz) by message number, of a make that takes landing targets in its own frame alone."""
+    local = autopilot_kind is not None and PROFILES[autopilot_kind].target_frame == "local_ned"
+    return POSE_RATES_HZ if local else {}
 
 
 @dataclass(slots=True)

@@ -18,7 +18,7 @@ from companion.base.messages import AutopilotState, GpsFix, ImuSample, MagSample
 from companion.config import CompanionConfig
 from companion.link.codec import MARKER, SIGNATURE_BYTES, SIGNED_FLAG, V2_MARKER, mavlink
 from companion.link.dialect import CURRENT_MODE
-from companion.link.streams import POSE_RATES_HZ, telemetry_rates_hz
+from companion.link.streams import pose_rates_hz, telemetry_rates_hz
 from companion.plan.mission.departure import offboard_words
 from companion.tools.preflight.findings import Finding, FindingGroup
 from companion.tools.preflight.parameters import ParameterReadings
@@ -110,9 +110,8 @@ def judge(heard: Heard, config: CompanionConfig) -> list[Finding]:
     found = [
         _heartbeat(heard),
         _disarmed(heard.state),
-        replace(_ready(heard.state), place=heard.state.home),
         *_attitude(heard.state),
-        _battery(heard.state, config),
+        *(_for_a_flight(heard, config) if config.control.output == "setpoints" else ()),
         _signing(heard.refused, config),
         _losses(heard.line),
         _clock(clock_settled=heard.clock_settled),
@@ -121,6 +120,11 @@ def judge(heard: Heard, config: CompanionConfig) -> list[Finding]:
     if config.sense.source == "autopilot":
         found += _sensors(heard, config)
     return found
+
+
+def _for_a_flight(heard: Heard, config: CompanionConfig) -> list[Finding]:
+    """What matters where the app flies."""
+    return [replace(_ready(heard.state), place=heard.state.home), _battery(heard.state, config)]
 
 
 def _heartbeat(heard: Heard) -> Finding:
@@ -220,7 +224,7 @@ def _rates(heard: Heard, config: CompanionConfig) -> list[Finding]:
     """One line when all is well, else one for each message that comes too seldom."""
     wanted = telemetry_rates_hz(heard.state.autopilot_kind)
     if config.control.output == "landing_target":
-        wanted |= POSE_RATES_HZ
+        wanted |= pose_rates_hz(heard.state.autopilot_kind)
     slow, well = list[Finding](), list[str]()
     for number, asked_hz in wanted.items():
         name, rate_hz = mavlink.mavlink_map[number].msgname, heard.rates_hz.get(number, 0.0)

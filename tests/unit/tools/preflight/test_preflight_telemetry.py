@@ -13,7 +13,7 @@ from companion.base.messages import AutopilotState, GpsFix, ImuSample, MagSample
 from companion.config import CompanionConfig, validate
 from companion.link.codec import Codec, mavlink
 from companion.link.dialect import CURRENT_MODE
-from companion.link.streams import telemetry_rates_hz
+from companion.link.streams import POSE_RATES_HZ, telemetry_rates_hz
 from companion.tools.preflight.findings import FindingState
 from companion.tools.preflight.parameters import ParameterReadings
 from companion.tools.preflight.telemetry import FrameCounter, Heard, judge
@@ -46,6 +46,16 @@ def rates(changed: Mapping[int, float]) -> Heard:
 def test_a_good_link_is_well() -> None:
     assert found(WELL) == {}
     assert found(WELL, {"sense": {"source": "autopilot"}}) == {}
+
+
+def test_where_nothing_is_flown_neither_arming_nor_the_battery_matters_but_the_pose_does() -> None:
+    tells = {"control": {"output": "landing_target"}}
+    poor = replace(rates(POSE_RATES_HZ), state=replace(STATE, ready_to_arm=False, battery_share=0.05))
+    assert found(poor, tells) == {}
+    assert found(WELL, tells) == {"LOCAL_POSITION_NED": FindingState.FAIL}
+    ardupilot = replace(STATE, autopilot_kind="ardupilot")  # it takes body axes
+    needed = replace(WELL, state=ardupilot, rates_hz=telemetry_rates_hz("ardupilot"))
+    assert found(needed, tells) == {}
 
 
 @pytest.mark.parametrize(
