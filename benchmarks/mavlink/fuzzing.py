@@ -17,7 +17,7 @@ import numpy as np
 
 from companion.base.autopilot_kind import AutopilotKind
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
-from sitl.mavlink.commands import FORCE_MAGIC, HANDLERS
+from sitl.mavlink.commands import FORCE_MAGIC, HANDLERS, LINK_HANDLERS
 from sitl.mavlink.framing import FrameReader, Signing, dialect
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.network import VEHICLE, Network, Port
@@ -285,12 +285,12 @@ class Orders:
     # ------------------------------------------------------------ one function a kind
 
     def _command(self) -> Message:
-        return _long(self._one(tuple(HANDLERS)), *self._floats(7))
+        return _long(self._one((*HANDLERS, *LINK_HANDLERS)), *self._floats(7))
 
     def _command_int(self) -> Message:
         return mavlink.MAVLink_command_int_message(
-            1, 1, self._one((0, 1, 3, 5, 6, 10, 255)), self._one(tuple(HANDLERS)), 0, 0, *self._floats(4),
-            self._one(WHOLE), self._one(WHOLE), *self._floats(1),
+            1, 1, self._one((0, 1, 3, 5, 6, 10, 255)), self._one((*HANDLERS, *LINK_HANDLERS)), 0, 0,
+            *self._floats(4), self._one(WHOLE), self._one(WHOLE), *self._floats(1),
         )  # fmt: skip
 
     def _home(self) -> Message:

@@ -84,44 +84,27 @@ def request_from_message(message: Any) -> CommandRequest:
     return CommandRequest(m.command, (*first, latitude, longitude, m.z), m.frame)
 
 
-def _arm_or_disarm(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
+def _arm_or_disarm(autopilot: SimulatedAutopilot, request: CommandRequest) -> CommandResult:
     force = request.whole(2) in (FORCE_MAGIC, _ARDUPILOT_FORCE_ARM)
     if request.parameters[0] == 1.0:
-        return sender.autopilot.arm(force)
+        return autopilot.arm(force)
     if request.parameters[0] == 0.0:
-        return sender.autopilot.disarm(force)
+        return autopilot.disarm(force)
     return CommandResult.UNSUPPORTED
 
 
-def _set_mode(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
+def _set_mode(autopilot: SimulatedAutopilot, request: CommandRequest) -> CommandResult:
     flags, main, sub = request.whole(1), request.whole(2), request.whole(3)
     if flags < 0 or not flags & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED or main < 0:
         return CommandResult.DENIED
-    return sender.autopilot.set_mode(sender.autopilot.profile.custom_mode(main, max(sub, 0)))
+    return autopilot.set_mode(autopilot.profile.custom_mode(main, max(sub, 0)))
 
 
-def _take_off(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    return sender.autopilot.take_off(request.parameters[6])
-
-
-def _land(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    return sender.autopilot.set_mode_named(sender.autopilot.profile.land_mode)
-
-
-def _return(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    return sender.autopilot.set_mode_named(sender.autopilot.profile.return_mode)
-
-
-def _hold(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    return sender.autopilot.set_mode_named(sender.autopilot.profile.hold_mode)
-
-
-def _reposition(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
+def _reposition(autopilot: SimulatedAutopilot, request: CommandRequest) -> CommandResult:
     speed, yaw = request.parameters[0], request.parameters[3]
     if request.frame not in _GLOBAL_FRAMES:
         return CommandResult.DENIED
     changes_mode = request.whole(2) > 0 and request.whole(2) & mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
-    autopilot = sender.autopilot
     if not changes_mode and autopilot.mode != autopilot.profile.after_take_off_mode:
         return CommandResult.DENIED
     return autopilot.go_to(
@@ -132,75 +115,43 @@ def _reposition(sender: CommandSender, request: CommandRequest, now_s: float) ->
     )
 
 
-def _start_mission(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    return sender.autopilot.start_mission(request.whole(1) if request.whole(1) > 0 else -1)
-
-
-def _select_item(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    return sender.autopilot.select_mission_item(request.whole(1))
-
-
-def _land_by_mission(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    return sender.autopilot.land_by_mission()
-
-
-def _precision_land(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    return sender.autopilot.precision_land()
-
-
-def _pause(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
+def _pause(autopilot: SimulatedAutopilot, request: CommandRequest) -> CommandResult:
     if request.whole(1) not in (0, 1):
         return CommandResult.DENIED
-    return sender.autopilot.pause(request.whole(1) == 0)
+    return autopilot.pause(request.whole(1) == 0)
 
 
-def _change_speed(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    return sender.autopilot.change_speed(request.whole(1), request.parameters[1])
-
-
-def _turn(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    if not sender.autopilot.profile.turns_by_command:
+def _turn(autopilot: SimulatedAutopilot, request: CommandRequest) -> CommandResult:
+    if not autopilot.profile.turns_by_command:
         return CommandResult.UNSUPPORTED
-    return sender.autopilot.turn_to(request.parameters)
+    return autopilot.turn_to(request.parameters)
 
 
-def _set_home(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
+def _set_home(autopilot: SimulatedAutopilot, request: CommandRequest) -> CommandResult:
     if request.whole(1) == 1:
-        return sender.autopilot.set_home(None)
+        return autopilot.set_home(None)
     latitude, longitude, altitude = request.place()
     usable = abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and abs(altitude) < 1e5
     if not usable or request.frame not in _GLOBAL_FRAMES:
         return CommandResult.DENIED
-    return sender.autopilot.set_home((latitude, longitude, altitude), request.frame in _OVER_HOME)
+    return autopilot.set_home((latitude, longitude, altitude), request.frame in _OVER_HOME)
 
 
-def _enable_fence(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    switch = sender.autopilot.profile.parameter_map.fence_enabled
+def _enable_fence(autopilot: SimulatedAutopilot, request: CommandRequest) -> CommandResult:
+    switch = autopilot.profile.parameter_map.fence_enabled
     if switch is None:
         return CommandResult.UNSUPPORTED
-    accepted = sender.autopilot.parameters.set(switch.name, request.parameters[0])
+    accepted = autopilot.parameters.set(switch.name, request.parameters[0])
     return CommandResult.ACCEPTED if accepted else CommandResult.FAILED
 
 
-def _terminate(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    return sender.autopilot.terminate() if request.parameters[0] > 0.5 else CommandResult.DENIED
-
-
-def _reboot(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    return sender.autopilot.reboot() if request.whole(1) in _REBOOT else CommandResult.UNSUPPORTED
-
-
-def _store_parameters(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
+def _store_parameters(autopilot: SimulatedAutopilot, request: CommandRequest) -> CommandResult:
     """PREFLIGHT_STORAGE: 0 and 1 (load, save) have no effect here; 2 resets."""
-    if sender.autopilot.armed or request.whole(1) not in (0, 1, 2):
+    if autopilot.armed or request.whole(1) not in (0, 1, 2):
         return CommandResult.DENIED
     if request.whole(1) == 2:
-        sender.autopilot.parameters.reset()
+        autopilot.parameters.reset()
     return CommandResult.ACCEPTED
-
-
-def _prearm(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    return CommandResult.TEMPORARILY_REJECTED if sender.autopilot.armed else CommandResult.ACCEPTED
 
 
 def _request_message(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
@@ -219,7 +170,7 @@ def _get_interval(sender: CommandSender, request: CommandRequest, now_s: float) 
     return CommandResult.ACCEPTED
 
 
-def _sender_of(message_id: int) -> Handler:
+def _sender_of(message_id: int) -> Callable[[CommandSender, CommandRequest, float], CommandResult]:
     def send(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
         sender.send_once(message_id, now_s)
         return CommandResult.ACCEPTED
@@ -227,33 +178,39 @@ def _sender_of(message_id: int) -> Handler:
     return send
 
 
-# ---------------------------------------------------------------- pilot inputs
-# Messages that control the autopilot without commands: RC override, manual control, LANDING_TARGET.
-#
-# Each handler takes (autopilot, message, now_s); invalid values are ignored.
-
-Handler = Callable[[CommandSender, CommandRequest, float], CommandResult]
+Handler = Callable[[SimulatedAutopilot, CommandRequest], CommandResult]
 HANDLERS: Final[dict[int, Handler]] = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_or_disarm,
     mavlink.MAV_CMD_DO_SET_MODE: _set_mode,
-    mavlink.MAV_CMD_NAV_TAKEOFF: _take_off,
-    mavlink.MAV_CMD_NAV_LAND: _land,
-    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: _return,
-    mavlink.MAV_CMD_NAV_LOITER_UNLIM: _hold,
+    mavlink.MAV_CMD_NAV_TAKEOFF: lambda ap, request: ap.take_off(request.parameters[6]),
+    mavlink.MAV_CMD_NAV_LAND: lambda ap, _: ap.set_mode_named(ap.profile.land_mode),
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda ap, _: ap.set_mode_named(ap.profile.return_mode),
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM: lambda ap, _: ap.set_mode_named(ap.profile.hold_mode),
     mavlink.MAV_CMD_DO_REPOSITION: _reposition,
-    mavlink.MAV_CMD_MISSION_START: _start_mission,
-    mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: _select_item,
-    mavlink.MAV_CMD_DO_LAND_START: _land_by_mission,
+    mavlink.MAV_CMD_MISSION_START: lambda ap, request: ap.start_mission(max(request.whole(1), 0) or -1),
+    mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: lambda ap, request: ap.select_mission_item(request.whole(1)),
+    mavlink.MAV_CMD_DO_LAND_START: lambda ap, _: ap.land_by_mission(),
     mavlink.MAV_CMD_DO_PAUSE_CONTINUE: _pause,
-    mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
+    mavlink.MAV_CMD_DO_CHANGE_SPEED: lambda ap, request: ap.change_speed(
+        request.whole(1), request.parameters[1]
+    ),
     mavlink.MAV_CMD_CONDITION_YAW: _turn,
     mavlink.MAV_CMD_DO_SET_HOME: _set_home,
     mavlink.MAV_CMD_DO_FENCE_ENABLE: _enable_fence,
-    mavlink.MAV_CMD_DO_FLIGHTTERMINATION: _terminate,
-    mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
+    mavlink.MAV_CMD_DO_FLIGHTTERMINATION: lambda ap, request: (
+        ap.terminate() if request.parameters[0] > 0.5 else CommandResult.DENIED
+    ),
+    mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: lambda ap, request: (
+        ap.reboot() if request.whole(1) in _REBOOT else CommandResult.UNSUPPORTED
+    ),
     mavlink.MAV_CMD_PREFLIGHT_STORAGE: _store_parameters,
-    mavlink.MAV_CMD_RUN_PREARM_CHECKS: _prearm,
-    _NAV_PRECLAND: _precision_land,
+    mavlink.MAV_CMD_RUN_PREARM_CHECKS: lambda ap, _: (
+        CommandResult.TEMPORARILY_REJECTED if ap.armed else CommandResult.ACCEPTED
+    ),
+    _NAV_PRECLAND: lambda ap, _: ap.precision_land(),
+}
+# those that concern the link they come over
+LINK_HANDLERS: Final[dict[int, Callable[[CommandSender, CommandRequest, float], CommandResult]]] = {
     mavlink.MAV_CMD_REQUEST_MESSAGE: _request_message,
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: _set_interval,
     mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: _get_interval,
@@ -264,9 +221,16 @@ HANDLERS: Final[dict[int, Handler]] = {
 
 def execute(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
     """Execute a command; one that is not in the table is UNSUPPORTED."""
-    handler = HANDLERS.get(request.command)
-    return CommandResult.UNSUPPORTED if handler is None else handler(sender, request, now_s)
+    if (handler := HANDLERS.get(request.command)) is not None:
+        return handler(sender.autopilot, request)
+    of_link = LINK_HANDLERS.get(request.command)
+    return CommandResult.UNSUPPORTED if of_link is None else of_link(sender, request, now_s)
 
+
+# ---------------------------------------------------------------- pilot inputs
+# Messages that control the autopilot without commands: RC override, manual control, LANDING_TARGET.
+#
+# Each handler takes (autopilot, message, now_s); invalid values are ignored.
 
 Message = Any  # pymavlink's classes are generated without types
 
