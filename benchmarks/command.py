@@ -14,8 +14,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Final
 
-from benchmarks.report import BenchReport, writable
+from benchmarks.report import BenchReport
 from companion.base.errors import ConfigError
+from companion.base.files import must_be_writable
 
 HERE: Final = Path(__file__).resolve().parent
 PROGRAM: Final = "python -m benchmarks"
@@ -57,7 +58,7 @@ def main(words: Sequence[str] | None = None) -> int:
     module = import_module(found[name])
     try:
         if ours.json is not None:
-            writable(ours.json)
+            must_be_writable("--json", ours.json)
         chosen = [*module.SMOKE, *rest] if ours.smoke else rest
         report: BenchReport = module.main(chosen)
         if ours.json is not None:

@@ -21,7 +21,6 @@ from rich.progress import track
 from rich.table import Table
 from rich.text import Text
 
-from companion.base.errors import ConfigError
 from companion.base.files import write_atomically
 
 T = TypeVar("T")
@@ -126,16 +125,6 @@ class BenchReport(Console):
             ConfigError: the file cannot be written.
         """
         write_atomically(path, json.dumps(self.as_json(name, words), indent=1, ensure_ascii=False) + "\n")
-
-
-def writable(path: Path) -> None:
-    """Make sure before hours of measuring.
-
-    Raises:
-        ConfigError: the folder is not there or cannot be written.
-    """
-    if not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
-        raise ConfigError(f"--json {path}: expected a file in a folder that can be written")
 
 
 def commit() -> str | None:

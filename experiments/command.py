@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from companion.base.command_line import Command, VersionOption, lazy_app, run_program
-from companion.base.files import find_file
+from companion.base.files import find_file, must_be_writable
 from experiments import PROFILED
-from experiments.output import writable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -48,7 +47,7 @@ def fig13_command(
 ) -> None:
     """Fig. 13: the EKF's position beside the GPS's and the truth, in a simulated flight."""
     find_file("scenarios", scenario)
-    writable(output, ".png", "--output")
+    must_be_writable("--output", output, ".png")
     from rich.console import Console  # noqa: PLC0415
 
     from experiments import fig13  # noqa: PLC0415
@@ -80,7 +79,7 @@ def profiles_command(
     """Descents by the fuzzy speed controller, a fixed speed and a log polynomial, in whole flights."""
     for scenario in scenarios:
         find_file("scenarios", scenario)
-    writable(output, ".png", "--output")
+    must_be_writable("--output", output, ".png")
     from rich.console import Console  # noqa: PLC0415
     from rich.progress import track  # noqa: PLC0415
 
@@ -127,7 +126,7 @@ def pad_recall_command(
     """Fit how surely vision reads a marker: what `companion pad --coverage` goes by."""
     for name in (camera, other):
         find_file("cameras", name)
-    writable(output, ".png", "--output")
+    must_be_writable("--output", output, ".png")
     from rich.console import Console  # noqa: PLC0415
 
     from experiments import pad_recall  # noqa: PLC0415

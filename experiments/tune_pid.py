@@ -21,6 +21,7 @@ import numpy as np
 import scipy.optimize
 import yaml
 
+from companion.base.files import must_be_writable
 from companion.base.geometry import FloatArray
 from companion.config import CONFIG_FOLDER, ConfigError
 from experiments.fig14.flight import LOST_M, fly
@@ -30,7 +31,6 @@ from experiments.fig14.world import DisturbanceCase, Noise, draw_scene
 from experiments.model.full_mpc import load_full
 from experiments.model.pid import AngleGains, AxisGains, CascadeGains
 from experiments.model.quadrotor import load_quadrotor
-from experiments.output import writable
 from sitl.scenario.scenario import load_airframe
 
 HARSH: Final = DisturbanceCase("all, twice the noise", True, True, Noise(0.04, 0.08, math.radians(1.0), 0.06))
@@ -124,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--to", type=Path, default=CONFIG_FOLDER / "control" / "pid.yaml")
     chosen = parser.parse_args(arguments)
     try:
-        writable(chosen.to, ".yaml", "--to")
+        must_be_writable("--to", chosen.to, ".yaml")
     except ConfigError as error:
         print(f"tune_pid: {error}", file=sys.stderr)
         return 2

@@ -28,7 +28,7 @@ from calibration.camera.solver import UnsolvableError
 from calibration.command_line import RefusedError
 from companion import __version__
 from companion.base.clock import start_unix_s
-from companion.base.files import write_atomically
+from companion.base.files import must_be_writable, write_atomically
 from companion.base.printing.paper import PaperName
 from companion.base.signals import run_until_stopped
 from companion.config import CameraConfig, CaptureConfig, ConfigError, validate
@@ -129,7 +129,8 @@ def print_board(options: BoardOptions, sources: Sequence[str], output: Path, pap
         ConfigError: there is no such board, it does not fit the paper, or a file cannot be written.
     """
     board = options.chosen(sources)
-    for path in write_board(board, _checked(output, "--make-board"), paper):
+    must_be_writable("--make-board", output)
+    for path in write_board(board, output, paper):
         typer.echo(f"{path}: {board.text}")
 
 
@@ -143,7 +144,7 @@ def calibrate_camera(job: CameraCalibrationJob) -> None:
     board = job.board.chosen(job.sources)
     if not job.sources:
         raise ConfigError("SOURCE: expected a camera (v4l2:0) or photos; or --make-board")
-    _checked(job.output, "--output")
+    must_be_writable("--output", job.output)
     _make_folder(job.keep, "--keep")
     capture = job.camera.settings()
     if any(is_camera(source) for source in job.sources):
@@ -205,13 +206,6 @@ def _verdict(result: Assessment, output: Path) -> str:
 def _origin(source: str) -> Origin:
     date = datetime.fromtimestamp(start_unix_s(virtual=True), UTC).isoformat(timespec="seconds")
     return Origin(f"{NAME} {__version__}", source, date)
-
-
-def _checked(path: Path, option: str) -> Path:
-    """Check before the work that its result can be written after it."""
-    if path.is_dir() or not path.parent.is_dir():
-        raise ConfigError(f"{option} {path}: expected a file in an existing folder")
-    return path
 
 
 def _make_folder(folder: Path | None, option: str) -> None:

@@ -1,6 +1,5 @@
 """What `calibrate-magnetometer` does: read or collect samples, calibrate, judge and write."""
 
-import os
 import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -28,7 +27,7 @@ from calibration.magnetometer.report import lines, result_table, write_picture, 
 from calibration.magnetometer.sources import read_recording
 from companion import __version__
 from companion.base.clock import start_unix_s
-from companion.base.files import write_atomically
+from companion.base.files import must_be_writable, write_atomically
 from companion.base.signals import run_until_stopped
 from companion.config import CompanionConfig, ConfigError, load_config
 from companion.config.magnetometer import Sensor
@@ -97,9 +96,9 @@ def calibrate_magnetometer(job: MagnetometerCalibrationJob) -> None:
 
 def _check_outputs(job: MagnetometerCalibrationJob) -> None:
     """Check before anybody turns a vehicle for minutes."""
-    _check_writable("--output", job.output)
+    must_be_writable("--output", job.output)
     if job.picture is not None:
-        _check_writable("--plot", job.picture)
+        must_be_writable("--plot", job.picture)
         if job.picture.suffix.lower() not in PICTURE_KINDS:
             kinds = ", ".join(PICTURE_KINDS)
             raise ConfigError(f"--plot {job.picture}: expected a name that ends in {kinds}")
@@ -210,9 +209,3 @@ def _choice(option: str, word: str, known: tuple[str, ...]) -> str:
     if word not in known:
         raise ConfigError(f"{option} {word}: expected {', '.join(known[:-1])} or {known[-1]}")
     return word
-
-
-def _check_writable(option: str, path: Path) -> None:
-    folder = path.resolve().parent
-    if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise ConfigError(f"{option} {path}: cannot be written; expected a file in a folder of yours")

@@ -9,7 +9,7 @@ from calibration.command_line import run
 from calibration.mount import FACES
 from companion.base.command_line import VersionOption, new_app
 from companion.base.errors import ConfigError
-from companion.base.files import DEFAULT_SETTINGS, find_file, must_be_readable, must_exist
+from companion.base.files import DEFAULT_SETTINGS, find_file, must_be_readable, must_be_writable, must_exist
 
 NAME: Final = "calibrate-mount"
 HELP: Final = """Calibrate the IMU and the camera mount (camera-IMU extrinsics and time offset) in the field.
@@ -40,16 +40,6 @@ OutputOption = Annotated[Path, typer.Option("--output", "-o", help="File to writ
 ForceOption = Annotated[
     bool, typer.Option("--force", help="Write the file even if it is refused; the file says so.")
 ]
-
-
-def check_output(path: Path) -> None:
-    """Make sure before the work that its result can be written after it.
-
-    Raises:
-        ConfigError: it cannot.
-    """
-    if path.is_dir() or not path.parent.is_dir():
-        raise ConfigError(f"-o {path}: expected a file in an existing folder")
 
 
 ACCELEROMETER_HELP: Final = """Calibrate accelerometer offset, scale and skew on six faces, and the gyro bias.
@@ -113,7 +103,7 @@ def accelerometer_command(
         ConfigError: no samples, or the file cannot be written.
         RefusedError: it is not good enough.
     """
-    check_output(output)
+    must_be_writable("-o", output)
     _check(log, config, gyro_unit)
     from calibration.mount.imu_calibration import ImuJob, calibrate_on_faces  # noqa: PLC0415 - once the files are there
 
@@ -138,7 +128,7 @@ def gyro_command(
         ConfigError: no samples, or the file cannot be written.
         RefusedError: it is not good enough.
     """
-    check_output(output)
+    must_be_writable("-o", output)
     _check(log, config, gyro_unit)
     from calibration.mount.imu_calibration import ImuJob, calibrate_gyro_bias  # noqa: PLC0415 - once the files are there
 
@@ -234,7 +224,7 @@ def camera_command(
         ConfigError: the recording is none, or the file cannot be written.
         RefusedError: it is not good enough.
     """
-    check_output(output)
+    must_be_writable("-o", output)
     must_exist(log, EXPECTED)
     lens = None if camera is None else find_file("cameras", camera)
     from calibration.mount.result import SolveJob, solve_mount  # noqa: PLC0415 - once the files are there

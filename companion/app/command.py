@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from functools import partial
@@ -216,15 +215,3 @@ def new_log(folder: Path | None, *, virtual: bool, keeps: bool = True) -> Flight
     if folder is not None and (folder / "flight.mcap").exists():
         raise ConfigError(f"--record {folder}: holds a flight already; expected a new or empty folder")
     return FlightLog(folder, start_unix_s=start_unix_s(virtual=virtual), virtual=virtual, keeps=keeps)
-
-
-def writable(path: Path | None) -> None:
-    """Make sure before the flight that its result can be written after it.
-
-    Raises:
-        ConfigError: it cannot.
-    """
-    if path is None:
-        return
-    if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        raise ConfigError(f"--json {path}: cannot be written; expected a file in an existing folder")

@@ -84,6 +84,28 @@ def must_be_readable(path: Path) -> None:
         raise cannot_read(path, error) from error
 
 
+def must_be_writable(option: str, path: Path, suffix: str = "") -> None:
+    """See that a file can be written, before the work whose result it is to hold.
+
+    It is opened: permissions show nothing of a folder by that name or a read-only disk.
+
+    Raises:
+        ConfigError: it cannot, or does not end in the suffix.
+    """
+    expected = f"{option} {path}: expected a {suffix and f'{suffix} '}file in an existing folder"
+    if not path.name.lower().endswith(suffix):
+        raise ConfigError(expected)
+    existed = path.exists()
+    if existed and not (path.is_file() or path.is_dir()):
+        return  # a device or a named pipe
+    try:
+        path.open("ab").close()
+        if not existed:
+            path.unlink()
+    except OSError as error:
+        raise ConfigError(f"{expected}: {error.strerror}") from error
+
+
 @contextmanager
 def unpacked(path: Path) -> Iterator[Path]:
     """Yield the path, or the folder in it where it is a zip file as `companion logs export` writes one.

@@ -5,12 +5,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from companion.app.command import EXIT_CODES, Output, must_fly, new_log, writable
+from companion.app.command import EXIT_CODES, Output, must_fly, new_log
 from companion.app.terminal import StatusView
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.command_line import print_error
 from companion.base.errors import ConfigError
-from companion.base.files import write_atomically
+from companion.base.files import must_be_writable, write_atomically
 from companion.base.messages import Outcome
 from companion.base.signals import signals_held_back
 from companion.flightlog.report.command import write_report
@@ -65,7 +65,8 @@ def fly_in_sitl(config_path: Path, trial: Trial, output: Output, *, fast: bool) 
         output.console.print(f"left out, for the simulated vehicle is another: {', '.join(left_out)}")
     if (differs := vehicle_differs(settings, trial)) is not None:
         output.console.print(differs, style="yellow", highlight=False, markup=False, soft_wrap=True)
-    writable(output.json_file)
+    if output.json_file is not None:
+        must_be_writable("--json", output.json_file)
     title = f"{trial.scenario.name}, seed {trial.seed}"
     with signals_held_back():
         log = new_log(output.record, virtual=fast)

@@ -6,8 +6,8 @@ from typing import Annotated, Final
 import typer
 
 from companion.base.errors import ConfigError
+from companion.base.files import must_be_writable
 from experiments.fig14 import CASE_NAMES
-from experiments.output import writable
 
 HELP: Final = "MPC, the paper's recursion and PID on one minimum-jerk reference to a moving pad (Fig. 14)."
 
@@ -24,7 +24,7 @@ def fig14(
     """MPC, the paper's recursion and PID on one minimum-jerk reference to a moving pad (Fig. 14)."""
     if case not in CASE_NAMES:
         raise ConfigError(f"--case: no '{case}'; expected one of: {'; '.join(CASE_NAMES)}")
-    writable(output, ".png", "--output")
+    must_be_writable("--output", output, ".png")
     from experiments.fig14.report import run  # noqa: PLC0415 - minutes of flying, once all is right
 
     if not run(range(seed, seed + seeds), output, case, jobs):

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from companion.base.files import must_be_writable
 from experiments.command import PROGRAM
-from experiments.output import writable
 from tests.programs import ProgramHere
 
 
@@ -37,7 +37,7 @@ def test_what_can_be_written_is_left_as_it_was(tmp_path: Path) -> None:
     old, new = tmp_path / "old.png", tmp_path / "new.png"
     old.write_bytes(b"picture")
     for path in (old, new):
-        writable(path, ".png", "--output")
+        must_be_writable("--output", path, ".png")
     assert old.read_bytes() == b"picture"
     assert not new.exists()
 

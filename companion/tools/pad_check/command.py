@@ -6,7 +6,7 @@ from typing import Annotated, Final
 import typer
 
 from companion.base.errors import ConfigError
-from companion.base.files import DEFAULT_SETTINGS, must_be_readable
+from companion.base.files import DEFAULT_SETTINGS, must_be_readable, must_be_writable
 
 HELP: Final = """Check, before a flight, all that can be checked of a vehicle that stands there disarmed.
 
@@ -74,8 +74,9 @@ def check_command(
     """
     must_be_readable(config)
     if json_file is not None and str(json_file) != "-":
-        _writable("--json", json_file)
-    _writable("--write-params", params_file)
+        must_be_writable("--json", json_file)
+    if params_file is not None:
+        must_be_writable("--write-params", params_file)
     if params_file is not None and (pad or no_link):
         other = "--pad" if pad else "--no-link"
         raise ConfigError(f"--write-params: reads the autopilot's parameters; expected it without {other}")
@@ -87,8 +88,3 @@ def check_command(
         check_over_pad(config, json_file, linked=not no_link, port=serve)
     else:
         check_vehicle(config, json_file, record, linked=not no_link, params_file=params_file)
-
-
-def _writable(option: str, path: Path | None) -> None:
-    if path is not None and (path.is_dir() or not path.resolve().parent.is_dir()):
-        raise ConfigError(f"{option} {path}: cannot be written; expected a file in an existing folder")
