@@ -216,13 +216,13 @@ class StateEstimator:
         It is refused before the alignment, and before another after the IMU was lost.
         """
         values = (*sighting.pad_position_body_m, *sighting.body_from_pad, *sighting.covariance.flat)
-        if not self._vehicle.aligned:
+        moved_s = self._motion.newest_s  # none before the first sample after the alignment's
+        if not self._vehicle.aligned or moved_s is None:
             self._early.clear()
             return self._count("sighting", False)
         if not self._usable(sighting.time_s, values):
             return self._count("sighting", False)
-        assert self._motion.newest_s is not None
-        if self._exposed_s(sighting) > self._motion.newest_s:
+        if self._exposed_s(sighting) > moved_s:
             self._early.append(sighting)
             return True
         return self._see(sighting)

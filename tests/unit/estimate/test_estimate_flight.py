@@ -251,6 +251,16 @@ def test_before_the_alignment_there_is_no_state() -> None:
     assert estimator.pad_prior(1.5) is None
 
 
+def test_the_pad_may_be_seen_in_the_step_of_the_alignment() -> None:
+    estimator, flight = new_estimator(), FLIGHTS["hover over a pad at rest"]
+    seen = next(sample for _, sample in flight.samples if isinstance(sample, PadSighting))
+    taken = []
+    for time_s, sample in replace(flight, duration_s=4.0).samples:
+        feed(estimator, sample)  # between two samples of the IMU it is aligned, and has not moved yet
+        taken.append(estimator.add_sighting(replace(seen, time_s=time_s - 0.05)))
+    assert (taken[0], taken[-1]) == (False, True)
+
+
 def test_silent_imu_means_no_state() -> None:
     estimator = new_estimator()
     for _, sample in EstimateFlight(seed=11, duration_s=3.0).samples:
