@@ -161,8 +161,9 @@ why_down() {
 # Switch to a complete version, restart a service that runs, check it, and go back if it is not well.
 # Exit code 1 of the script: it was taken back.
 activate() {
-    local name="$1" before reason ran=no
+    local name="$1" before earlier reason ran=no
     before="$(in_use)"
+    earlier="$(one_before)"
     complete "$name" || fail "$name is not installed; expected one of: $(list_versions | tr '\n' ' ')"
     reason="$(why_no_restart)"
     [ -z "$reason" ] || fail "$reason: nothing was switched, ${before:-nothing} stays in use; expected a vehicle on" \
@@ -180,20 +181,19 @@ activate() {
     service_runs && ran=yes
     trap '' HUP
     trap 'take_back "$before" "$name" "$ran" "interrupted"' INT TERM
+    # first: the way back if the power fails now
+    [ -z "$before" ] || put_link "versions/$before" "$PREVIOUS"
     switch_to "$name"
     if [ "$ran" = yes ]; then
         say "restarting the service: it stood by, disarmed"
         reason="$(restart_is_healthy)" || take_back "$before" "$name" "$ran" "$reason"
     fi
     trap - INT TERM
-    if [ -n "$before" ]; then
-        put_link "versions/$before" "$PREVIOUS"
-    fi
     prune
     if [ "$ran" = yes ]; then
-        say "$name is in use; the service runs, and answers${before:+ (before: $before; back: companion-rollback)}"
+        say "$name is in use; the service runs, and answers (before: $before; back: companion-rollback)"
     else
-        say "$name is in use; the service does not run: sudo systemctl start companion"
+        say "$name is in use; the service does not run${before:+: sudo systemctl start companion}"
     fi
 }
 
@@ -206,6 +206,7 @@ take_back() {
     fi
     say "$name: $reason; going back to $before"
     switch_to "$before"
+    if [ -n "$earlier" ]; then put_link "versions/$earlier" "$PREVIOUS"; else rm -f "$PREVIOUS"; fi
     if [ "$ran" = yes ]; then
         reason="$(restart_is_healthy)" || {
             echo "$(basename "$0"): $before is back in use and not well either: $reason" >&2

@@ -304,7 +304,8 @@ async def interrupted(pilot: ScriptedPilot, number: signal.Signals, wanted: str)
     found = judging.killed(seen, signalled_s)
     if found or phase() != "standby":
         raise DeploymentError(f"{number.name} in {there}: {'; '.join(found)}, phase '{phase()}'")
-    await until(lambda: not pilot.beat.armed, "landed by the autopilot's failsafe")
+    await pilot.action.land()  # the failsafe holds
+    await until(lambda: not pilot.beat.armed, "landed by the pilot")
     left_s = judging.left_after_s(seen, signalled_s) or 0.0
     step(f"{number.name} in {there}: failsafe after {left_s:.1f} s, standby after {took_s:.0f} s, silent")
 

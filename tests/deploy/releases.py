@@ -27,6 +27,8 @@ SYSTEMCTL: Final = """#!/bin/bash
 version="$(basename "$(readlink -f "$COMPANION_BASE/opt/companion/current")")"
 start() {
     echo "$version" >>"$COMPANION_BASE/starts"
+    [ ! -L "$COMPANION_BASE/opt/companion/previous" ] \
+        || basename "$(readlink "$COMPANION_BASE/opt/companion/previous")" >"$COMPANION_BASE/way_back"
     rm -f "$COMPANION_BASE/active"
     [ ! -e "$COMPANION_BASE/opt/companion/versions/$version/configs/fault" ] || return 1
     touch "$COMPANION_BASE/active"

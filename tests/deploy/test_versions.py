@@ -78,6 +78,20 @@ def test_no_line_of_the_installer_changes_who_owns_the_settings() -> None:
     assert commands == []
 
 
+def test_the_way_back_is_laid_before_the_switch_and_is_as_it_was_when_that_is_taken_back(
+    system: System, tmp_path: Path
+) -> None:
+    installed(system, tmp_path, "1.1")  # nothing runs
+    system.serves()
+    done = system.run(release(tmp_path, "1.2", fault="fault") / "install.sh")
+    assert done.returncode == 1
+    # while 1.2 started, of which a power cut would leave nothing but the links; and in the end
+    assert (system.starts, (system.prefix / "previous").readlink().name) == (["1.2", "1.1"], "1.0")
+    done = system.run(release(tmp_path, "1.3") / "install.sh")
+    assert done.returncode == 0, done.stderr
+    assert (system.base / "way_back").read_text() == "1.1\n"
+
+
 def test_one_that_does_not_come_up_is_taken_back_with_the_service_up(system: System, tmp_path: Path) -> None:
     system.serves()
     done = system.run(release(tmp_path, "1.1", fault="fault") / "install.sh")
