@@ -187,7 +187,7 @@ function lights(oldS) {
 // header: the mode and whether it is armed, as long as that is known
 function vehicle(oldS) {
   if (!state) return write("vehicle", "");
-  const battery = state.battery_percent === null ? "" : `battery ${state.battery_percent.toFixed(0)}\u00a0%`;
+  const battery = state.battery_percent === null || !state.autopilot ? "" : `battery ${state.battery_percent.toFixed(0)}\u00a0%`;
   const mode = state.autopilot ? `${state.mode} · ${state.armed ? "ARMED" : "disarmed"}` : "no autopilot";
   const known = [mode, battery].filter(Boolean).join(" · ");
   write("vehicle", oldS > STALE_S ? `unknown for ${duration(oldS)}; was ${known.replace("ARMED", "armed")}` : known);

@@ -103,19 +103,21 @@ async def opened(on: ServedPage, tab: Tab) -> None:
 
 async def test_the_lamps_are_true_in_every_state(tmp_path: Path) -> None:
     async with served() as on, browser(tmp_path) as tab:
-        # 1: nothing is known yet
+        # nothing is known yet
         await opened(on, tab)
         assert {kind for kind, _ in (await lamps(tab)).values()} == {"unknown"}
-        # 2 to 13
+        # all that are known
         for name, (shown, expected) in CASES.items():
             on.server.text(Text("state", json.dumps({**shown, "up_s": shown["up_s"] + 0.001 * len(name)})))
             async with asyncio.timeout(10.0):
                 while {n: kind for n, (kind, _) in (await lamps(tab)).items()} != expected:
                     on.server.text(Text("state", json.dumps(shown)))
                     await asyncio.sleep(0.1)
+            header = await tab.evaluate("document.getElementById('vehicle').textContent")
+            assert ("battery" in header) == (shown["autopilot"] is not None)  # nobody else knows it
         on.server.text(Text("state", json.dumps(state())))
         await tab.wait_for("document.getElementById('vehicle').textContent.includes('ARMED')")
-        # 14: nothing comes any more: nothing stays green, and ages go on
+        # nothing comes any more: nothing stays green, and ages go on
         await tab.wait_for("!document.querySelector('#lights .good')")
         assert {kind for kind, _ in (await lamps(tab)).values()} == {"unknown"}
         vehicle = "document.getElementById('vehicle').textContent"
