@@ -24,12 +24,11 @@ from companion.sim.scoring import reason, score
 from companion.sim.settings import calibrations_left_out, sitl_settings, vehicle_differs
 from companion.sim.trial import Trial
 from sitl.firmware.spec import FirmwareSpec
+from sitl.run.tick_timer import LATE_S
 
 SIMULATOR_FAILED: Final = 1
 
-# a simulator in real time that falls behind by this much hands out frames and samples too late to fly by
-LATE_S: Final = 0.1
-# and an app whose cycles come late more often than this has no time for its samples either
+# an app whose cycles come late more often than this has no time for its samples either
 LATE_SHARE: Final = 0.01
 
 
@@ -84,9 +83,6 @@ def fly_in_sitl(config_path: Path, trial: Trial, output: Output, *, fast: bool) 
             log.close()
     result = score(trial, flight, log)
     publish(trial, result, flight, output)
-    if output.record is not None:
-        _write_page(trial, output.record)
-        output.console.print(f"logs and report in {output.record}", highlight=False, soft_wrap=True)
     return EXIT_CODES[result.outcome]
 
 
@@ -119,7 +115,9 @@ def publish(trial: Trial, result: Result, flight: SitlFlight, output: Output) ->
     if result.outcome is not Outcome.LANDED:
         print_error("companion", f"{result.outcome}: {reason(result, flight)}", EXIT_CODES[result.outcome])
     text = result.model_dump_json(indent=2) + "\n"  # after the table: the disk may be full
-    if output.json_file is not None:
-        write_atomically(output.json_file, text)
     if output.record is not None:
         write_atomically(output.record / "result.json", text)
+        _write_page(trial, output.record)
+        output.console.print(f"logs and report in {output.record}", highlight=False, soft_wrap=True)
+    if output.json_file is not None:
+        write_atomically(output.json_file, text)

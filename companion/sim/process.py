@@ -45,6 +45,7 @@ class SimulatorProcess:
         self._process = process
         self._words = words
         self._finished = False
+        self._passed_on = 0  # of its words
 
     @classmethod
     async def start(cls, trial: Trial, folder: Path) -> SimulatorProcess:
@@ -78,6 +79,7 @@ class SimulatorProcess:
             if isinstance(error, SimulatorError):
                 raise ConfigError(f"the simulator did not start: {error}") from error
             raise
+        simulator._passed_on = words.stat().st_size
         return simulator
 
     async def _find(self, external: External) -> dict[str, Any]:
@@ -92,10 +94,12 @@ class SimulatorProcess:
         return endpoints
 
     async def _pass_words_on(self) -> None:
-        """A minute of silence would leave a person guessing what is waited for."""
+        """What it waits for, or that it is late: silence would leave a person guessing."""
         with self._words.open(errors="replace") as words:
-            while True:
+            words.seek(self._passed_on)
+            while self._process.returncode is None:
                 print(words.read(), end="", file=sys.stderr, flush=True)
+                self._passed_on = words.tell()
                 await asyncio.sleep(WORDS_PERIOD_S)
 
     async def watch(self) -> None:
@@ -104,7 +108,11 @@ class SimulatorProcess:
         Raises:
             SimulatorError: it has come.
         """
-        await self._process.wait()
+        passing_on = asyncio.create_task(self._pass_words_on())
+        try:
+            await self._process.wait()
+        finally:
+            passing_on.cancel()
         raise SimulatorError(f"the simulator ended in flight: {self._last_words()}")
 
     async def finish(self, phase: Phase) -> SimulationReport:

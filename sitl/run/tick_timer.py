@@ -6,6 +6,7 @@ of motion would overflow the vehicle's buffers.
 """
 
 import asyncio
+import sys
 from collections.abc import Callable
 from typing import Final
 
@@ -13,6 +14,8 @@ from companion.base.clock import Clock
 
 # well within what the MPU9250's FIFO holds (0.18 s)
 LONGEST_CATCH_UP_S: Final = 0.03
+# a simulator in real time that falls behind by this much hands out frames and samples too late to fly by
+LATE_S: Final = 0.1
 
 
 class TickTimer:
@@ -75,7 +78,10 @@ class TickTimer:
         return self.start_s + (self.count + 0.5) * self._period_s
 
     def _keep_pace(self, late_s: float) -> None:
-        """Shift simulation time by a delay that is too long to make up for."""
+        """Shift simulation time by a delay that is too long to make up for; the first such is said."""
+        if late_s > LATE_S >= self.latest_s:
+            words = f"companion-sitl: {late_s:.1f} s late: too busy a machine for real time"
+            print(words, file=sys.stderr, flush=True)
         self.latest_s = max(self.latest_s, late_s)
         if late_s > LONGEST_CATCH_UP_S:
             self.start_s += late_s

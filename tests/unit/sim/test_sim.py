@@ -1,7 +1,10 @@
 """The process that flies for a campaign: every request is answered, whatever is asked and whatever fails."""
 
+import asyncio
 import io
 import json
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -11,6 +14,7 @@ from companion.config import CONFIG_FOLDER
 from companion.flightlog.result import Result, ResultEvent
 from companion.sim import flights
 from companion.sim.flights import Answer, Request, answer
+from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.runner import SitlFlight
 from companion.sim.scoring import reason
 from companion.sim.settings import sitl_settings, vehicle_differs
@@ -18,6 +22,7 @@ from companion.sim.trial import Trial
 from sitl.campaign.rows import make_row
 from sitl.campaign.worker import RunResult
 from sitl.run.report import SimulationReport
+from sitl.run.tick_timer import LATE_S, TickTimer
 from tests.unit.sitl.campaign.campaign_parts import flight
 from tests.unit.sitl.campaign.fake_flights import result
 
@@ -136,3 +141,39 @@ def test_a_vehicle_that_sits_otherwise_is_reported_with_what_differs(tmp_path: P
         assert said == (
             f"vehicle '{other}' is not the scenario's airframe 'x500': camera_yaw_deg 90.0 (simulated 0.0)"
         )
+
+
+# ---------------- A machine too busy for real time is said while it flies, not at its end
+
+
+async def test_a_tick_that_comes_too_late_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+    timer = TickTimer(0.01)
+
+    def tick() -> None:
+        if timer.count == 5:
+            raise EOFError
+        time.sleep(1.2 * LATE_S)
+
+    with pytest.raises(EOFError):
+        await timer.run(tick)
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert said[0].endswith(" s late: too busy a machine for real time")
+
+
+async def test_what_the_simulator_says_in_flight_is_passed_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = tmp_path / "stderr"
+    words.touch()
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-c", "input()", stdin=asyncio.subprocess.PIPE
+    )
+    watching = asyncio.create_task(SimulatorProcess(process, {}, words).watch())
+    words.write_text("companion-sitl: 0.2 s late\n")
+    async with asyncio.timeout(20.0):
+        while "0.2 s late" not in capsys.readouterr().err:  # noqa: ASYNC110
+            await asyncio.sleep(0.05)
+    process.kill()
+    with pytest.raises(SimulatorError, match="ended in flight"):
+        await watching
