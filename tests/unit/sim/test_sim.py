@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from companion.app.command import Output
 from companion.base.messages import Outcome
-from companion.config import CONFIG_FOLDER
+from companion.config import CONFIG_FOLDER, ConfigError
 from companion.flightlog.result import Result, ResultEvent
-from companion.sim import flights
+from companion.sim import command, flights
 from companion.sim.flights import Answer, Request, answer
 from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.runner import SitlFlight
@@ -177,3 +178,17 @@ async def test_what_the_simulator_says_in_flight_is_passed_on(
     process.kill()
     with pytest.raises(SimulatorError, match="ended in flight"):
         await watching
+
+
+def test_a_result_that_cannot_be_written_is_in_the_record_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("write_report", "result_table"):
+        monkeypatch.setattr(command, name, lambda *_, **__: "")
+    report = SimulationReport(Outcome.LANDED, (), None, 0.0, 30.0, 0.0, ())
+    output = Output.of(tmp_path, Path("/dev/full"), live=False)
+    trial, flown = Trial.load("static", 0), SitlFlight(report, 1.0, 0.0)
+    landed = Result.model_construct(outcome=Outcome.LANDED)
+    with pytest.raises(ConfigError, match="No space left"):
+        command.publish(trial, landed, flown, output)
+    assert (tmp_path / "result.json").exists()
