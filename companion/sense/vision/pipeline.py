@@ -114,7 +114,7 @@ class Vision:
     ) -> VisionResult | None:
         """The sighting that markers give which were read, if they give one."""
         found = self._detector.refine(frame.image, read)
-        pose = self._pose(frame, found, motion) if found else None
+        pose = self._pose(frame, found, motion, read) if found else None
         if pose is None:
             return None
         sighting = sighting_of(frame, pose, self._camera, self._rotation, self._mount)
@@ -124,7 +124,9 @@ class Vision:
         """Where points (n, 3) in body axes are in the image: (n, 2), NaN where the lens cannot see."""
         return self._lens.project((points_body_m - self._mount) @ self._rotation)[0]
 
-    def _pose(self, frame: Frame, found: list[Detection], motion: _Motion) -> PoseFit | None:
+    def _pose(
+        self, frame: Frame, found: list[Detection], motion: _Motion, read: list[Detection]
+    ) -> PoseFit | None:
         """The pose as the settings have it; one marker alone is trusted when the print about it fits."""
         if self._config.pose == "paper":
             return paper_pose(found, self._lens, self._config)
@@ -136,7 +138,7 @@ class Vision:
             if more:
                 sure = [d for d in found if d.refined]
                 pose = estimate_pose([*sure, *more], self._lens, self._config, *motion, starts) or pose
-        if pose is None or (len(pose.used) == 1 and not self._print.bears_out(frame.image, pose)):
+        if pose is None or (len(pose.used) == 1 and not self._print.bears_out(frame.image, pose, read)):
             return None
         turn_rad2 = float(np.linalg.eigvalsh(pose.covariance[3:, 3:])[-1])
         return pose if turn_rad2 < MAXIMUM_TURN_RAD**2 else None

@@ -9,6 +9,7 @@ Pixels: u right, v down. Pad frame: metres.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import cv2
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from companion.base.geometry import FloatArray
 from companion.pad import Marker, Pad
+from companion.sense.vision.aruco import Detection
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.pose import PoseFit
 from companion.sense.vision.print_fit import white_cells
@@ -34,14 +36,25 @@ class PrintCheck:
         self._lens = lens
         self._prints = {marker: _cells(marker) for marker in pad.markers}
 
-    def bears_out(self, image: NDArray[np.uint8], pose: PoseFit) -> bool:
-        """Whether another marker is where the pose has it, or none is to be seen there."""
+    def bears_out(self, image: NDArray[np.uint8], pose: PoseFit, read: Sequence[Detection] = ()) -> bool:
+        """Whether another marker is where the pose has it, or none is to be seen there.
+
+        One that was `read` there is another, though its corners may be too near to the picture's edge.
+        """
         used = {detection.marker for detection in pose.used}
+        if any(self._is_about(pose, detection) for detection in read if detection.marker not in used):
+            return True
         others = [marker for marker in self._prints if marker not in used]
         likenesses = [
             likeness for marker in others if (likeness := self._likeness(image, pose, marker)) is not None
         ]
         return not likenesses or max(likenesses) >= LIKENESS
+
+    def _is_about(self, pose: PoseFit, seen: Detection) -> bool:
+        """Whether a marker was seen nearer than half of its side to where the pose has it."""
+        middle = seen.corners_pad_m.mean(axis=0, keepdims=True)
+        there, _ = self._lens.project(middle @ pose.camera_from_pad.T + pose.position_camera_m)
+        return bool(np.hypot(*(there[0] - seen.corners_px.mean(axis=0))) < 0.5 * seen.side_px)
 
     def likeness(self, image: NDArray[np.uint8], marker: Marker, corners_px: FloatArray) -> float:
         """Correlation of a marker's print with the image between its corners (4, 2) px."""

@@ -195,6 +195,26 @@ def test_indoor_400_is_found_where_only_close_markers_are_in_view(
     assert any(look.sighting is not None for look in looks)
 
 
+def test_a_marker_that_was_read_by_the_pictures_edge_bears_out_the_only_one_that_was_measured(
+    camera: CameraConfig, vehicle: VehicleConfig
+) -> None:
+    """From 6 cm in motion its print is 27 px from where one marker has it: its code was read all the same."""
+    pad, lens = load_pad("indoor_400"), Lens(camera)
+    image = image_over(pad, camera, vehicle, 0.12).image
+    found = PadDetector(pad, VisionConfig(), lens).detect(image, SearchPass(0, 0, 640, 480, 1, GROUPS))
+    pose = estimate_pose(found[:1], lens, VisionConfig(), None)
+    assert pose is not None
+    other = found[1]
+    moved = replace(pose, position_camera_m=pose.position_camera_m + np.array((0.004, 0.004, 0.0)))
+    check = PrintCheck(pad, lens)
+    assert check.bears_out(image, pose)
+    assert not check.bears_out(image, moved)
+    assert check.bears_out(image, moved, [other])
+    elsewhere = replace(other, corners_px=other.corners_px + other.side_px)
+    assert not check.bears_out(image, moved, [elsewhere])
+    assert not check.bears_out(image, moved, [found[0]])
+
+
 def test_a_marker_whose_sides_are_lost_is_left_out_where_others_are_not(
     pad: Pad, camera: CameraConfig, vehicle: VehicleConfig
 ) -> None:
