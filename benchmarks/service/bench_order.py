@@ -6,16 +6,20 @@ Real time, app and simulator as two processes, for two minutes: the app stands b
 then is ordered to fly. By the flight's own log, `WATCHED_S` after the order beside as long before it: how
 late control cycles begin, how long a frame takes from its arrival to its result, and the steps between the
 IMU's stamps, where a FIFO that overflows leaves a gap. Other programs show before the order as after it; what
-the flight itself computes, once it sees the pad, lies behind the window.
+the flight itself computes, once it sees the pad, lies behind the window. `--busy` sets how many programs compute
+without end beside it, at the same priority.
 
 Prints the figures beside the bars, and ends in one line that says which hold; the exit status matches.
 """
 
 import argparse
 import json
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -45,11 +49,19 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--kept-s", type=float, default=KEPT_S, help="how long it stands by before the order")
-    kept_s = parser.parse_args(arguments).kept_s
-    with tempfile.TemporaryDirectory(prefix="order-") as folder, stage(Path(folder), NEAR, 0) as on:
+    parser.add_argument("--busy", type=int, default=0, help="programs that compute without end beside it")
+    options = parser.parse_args(arguments)
+    with (
+        tempfile.TemporaryDirectory(prefix="order-") as folder,
+        stage(Path(folder), NEAR, 0) as on,
+        ExitStack() as beside,
+    ):
+        for _ in range(options.busy):
+            busy = beside.enter_context(subprocess.Popen((sys.executable, "-c", "while True: pass")))
+            beside.callback(busy.kill)
         on.start_service()
         on.wait_until(None, healthy=True)
-        time.sleep(kept_s)
+        time.sleep(options.kept_s)
         on.ask({"request": "order", "kind": "fly"})
         time.sleep(FLOWN_S)
         on.end_service()  # which finishes the log
