@@ -6,7 +6,7 @@ Real time, app and simulator as two processes, for two minutes: the app stands b
 then is ordered to fly. By the flight's own log, `WATCHED_S` after the order beside as long before it: how
 late control cycles begin, how long a frame takes from its arrival to its result, and the steps between the
 IMU's stamps, where a FIFO that overflows leaves a gap. Other programs show before the order as after it; what
-the flight itself computes, once it sees the pad, lies behind the window. `--busy` sets how many programs compute
+the flight itself computes, once it sees the pad, lies behind the window. `--busy`: so many programs compute
 without end beside it, at the same priority.
 
 Prints the figures beside the bars, and ends in one line that says which hold; the exit status matches.

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 from pymavlink import mavutil
 
-from companion.sim.command import LATE_S
 from sitl.devices.ports import MemoryPort
 from sitl.external.link import open_relay
 from sitl.run.simulation import Simulation
+from sitl.run.tick_timer import LATE_S
 from sitl.scenario.scenario import Scenario, load_scenario
 from tests.scenario.flying import COMMAND, FEW_PICTURES, ROOT, environment, scenario_file
 from tests.scenario.real_time.quiet_machine import MOST, MOST_BESIDE_THREE, used_by_others, wait_for_quiet

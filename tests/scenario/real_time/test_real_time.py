@@ -15,8 +15,8 @@ import pytest
 import yaml
 from pymavlink import mavutil
 
-from companion.sim.command import LATE_S
 from sitl.run.report import read_report
+from sitl.run.tick_timer import LATE_S
 from tests.scenario.flying import (
     FEW_PICTURES,
     ROOT,
