@@ -162,8 +162,7 @@ class Controller:
             setpoint, report = self._wait_for_imu(plan.phase, plan.reference, vehicle, pad, now_s)
             return setpoint, replace(report, obeyed=obeyed)
         if self._flying and not self._stopped:
-            lands = plan.phase is Phase.TOUCHDOWN
-            self._plant.observe(vehicle, elapsed_s, learns=silent_s < SILENT_S, may_stand=lands)
+            self._plant.observe(vehicle, elapsed_s, learns=silent_s < SILENT_S)
         else:
             self._begin(vehicle)
         setpoint, report = self._fly(plan, plan.reference, vehicle, pad, now_s, learns=silent_s < SILENT_S)

@@ -9,12 +9,12 @@ v is what the air adds, `AIR_G` for `AIR_S` at a time: it counts as white noise 
 and f say together is the same whoever flies, so that control is taken over with the thrust that holds the
 vehicle. (PX4's hover thrust estimator has this form, with the hover thrust as its state.)
 
-A gust is none of that: it lasts, and it is strong. While the mean of the innovations is larger than air and
-covariance make it, the covariance is opened until it explains that mean (a strong tracking filter, Zhou and
-Frank 1996, on the mean): the thrust follows a gust within a fraction of a second, small changes as slowly as
-the margins of a vehicle that differs from its model want it. (At 13 rad/s of bandwidth, which a gust opens it
-to for a moment, the loop of an x500 has 42 deg and 88 ms of margin; 24 deg and 47 ms where the acceleration
-is measured 50 ms later than believed.)
+A gust that sinks is none of that: it lasts, and it is strong. While the mean of the innovations is larger
+than air and covariance make it, the covariance is opened until it explains that mean (a strong tracking
+filter, Zhou and Frank 1996, on the mean): the thrust follows a gust within a fraction of a second, small
+changes as slowly as the margins of a vehicle that differs from its model want it. (At 13 rad/s of bandwidth,
+which a gust opens it to for a moment, the loop of an x500 has 42 deg and 88 ms of margin; 24 deg and 47 ms
+where the acceleration is measured 50 ms later than believed.)
 """
 
 from __future__ import annotations
@@ -70,12 +70,11 @@ class HoverThrust:
         elapsed_s: float,
         *,
         follows_gusts: bool = False,
-        may_stand: bool = False,
     ) -> float:
         """Take in what is felt over `elapsed_s`; returns by how much the lift has changed, as a factor.
 
         `predicted_down_m_s2`: what the thrust makes by the present estimate, as late as it is measured. What
-        carries more than the thrust may be a pad under the feet, where it `may_stand`: that is no gust.
+        carries more than the thrust may be a pad under the feet, and only lifts: that is followed slowly.
         """
         felt, made = (1.0 - a / GRAVITY_M_S2 for a in (acceleration_down_m_s2, predicted_down_m_s2))
         if not (math.isfinite(felt) and math.isfinite(made)) or elapsed_s <= 0.0:
@@ -88,7 +87,7 @@ class HoverThrust:
         innovation_g = max(0.0, felt) - thrust * before
         self._mean_g += -math.expm1(-elapsed_s / MEAN_S) * (innovation_g - self._mean_g)
         self._variance += self._walk * before**2 * elapsed_s
-        if follows_gusts and thrust > 0.0 and not (may_stand and self._mean_g > 0.0):
+        if follows_gusts and thrust > 0.0 and self._mean_g < 0.0:
             by_air_g2 = AIR_G**2 * AIR_S / (AIR_S + MEAN_S)
             self._variance = max(self._variance, (self._mean_g**2 - by_air_g2) / thrust**2)
         gain = self._variance * thrust / (self._variance * thrust**2 + AIR_G2_S / elapsed_s)

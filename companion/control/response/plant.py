@@ -120,13 +120,11 @@ class Plant:
         self._observed_s = vehicle.time_s
         self._history.clear()
 
-    def observe(
-        self, vehicle: VehicleState, elapsed_s: float, *, learns: bool = True, may_stand: bool = False
-    ) -> None:
+    def observe(self, vehicle: VehicleState, elapsed_s: float, *, learns: bool = True) -> None:
         """Compare what the vehicle does with what was commanded; the last call was `elapsed_s` ago.
 
         Without `learns` what was commanded may explain nothing: only the wind, which no command explains, is
-        learnt. With `may_stand` a pad may carry it too.
+        learnt.
         """
         for duration_s, command in self._history.segments(self._observed_s, vehicle.time_s):
             self._lasting.predict(self._wanted(command, vehicle), duration_s)
@@ -141,11 +139,7 @@ class Plant:
         )
         if self.by_attitude:
             made_m_s2 = self._lasting.delayed_response_down_m_s2
-            self._weigh(
-                self.hover.correct(
-                    acceleration[2], made_m_s2, elapsed_s, follows_gusts=True, may_stand=may_stand
-                )
-            )
+            self._weigh(self.hover.correct(acceleration[2], made_m_s2, elapsed_s, follows_gusts=True))
             self._weighed_s = vehicle.time_s
 
     def hold(self, vehicle: VehicleState, thrust: float | None, elapsed_s: float) -> None:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from typing import Final, Protocol
 
-from companion.base.geometry import GRAVITY_M_S2, Quaternion, Vector3
+from companion.base.geometry import GRAVITY_M_S2, Quaternion, Vector3, norm
 from companion.config import EstimateConfig
-from companion.estimate.ahrs.complementary import OrientationFilter
+from companion.estimate.ahrs.complementary import MAG_GATE, OrientationFilter
 from companion.estimate.ahrs.madgwick import MadgwickFilter
 
 ORIENTATION_TILT_NOISE_DEG: Final = 12.0  # of the pre-filter's attitude in flight
-ORIENTATION_HEADING_NOISE_DEG: Final = 20.0
 
 # the pre-filter corrects a bad start slowly, the EKF at once: until then it shall not hold the EKF back
 SETTLING_NOISE_RAD: Final = 1.0
@@ -57,9 +56,13 @@ def tilt_noise_rad(orientation: Orientation, disturbance_m_s2: float, settled: b
     return base + 3.0 * (disturbance_m_s2 + orientation.gravity_error_m_s2) / GRAVITY_M_S2
 
 
-def heading_noise_rad(mag_trusted: bool, settled: bool) -> float:
-    """By how much its heading may be off; without a trusted field nothing is known of it."""
-    base = math.radians(ORIENTATION_HEADING_NOISE_DEG) + _unsettled_rad(settled)
+def heading_noise_rad(field_ned_ut: Vector3, mag_trusted: bool, settled: bool) -> float:
+    """By how much its heading may be off; without a trusted field nothing is known of it.
+
+    A disturbance that its gate lets pass turns the heading the further the weaker the horizontal field is.
+    """
+    north, east, _ = field_ned_ut
+    base = math.atan2(MAG_GATE * norm(field_ned_ut), math.hypot(north, east)) + _unsettled_rad(settled)
     return base if mag_trusted else base + 3.0
 
 

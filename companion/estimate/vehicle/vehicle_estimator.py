@@ -84,6 +84,7 @@ class VehicleEstimator:
         self._detector = StillnessDetector(config.alignment)
         self._aligner: StaticAligner | None = StaticAligner(config.alignment)
         self._found: InitialAlignment | None = None  # the last
+        self._expected_ut = ZERO3  # the field that it was aligned by
         self._orientation: Orientation | None = None
         self._ekf: VehicleEkf | None = None
         self._timeline: Timeline[EkfSnapshot, EkfInput] | None = None
@@ -309,11 +310,12 @@ class VehicleEstimator:
         self._strapdown, self._span_s = Strapdown(), None
         self._fields.start_over()
         self._second_gyro, self._reset = SecondGyro(), AttitudeReset()
+        self._expected_ut = start.field_ned_ut
         self._orientation = new_orientation(self._config, start.field_ned_ut, start.attitude)
         self._ekf = VehicleEkf(self._config.ekf, self._antenna_body_m, start)
         self._timeline = Timeline(self._ekf, self._config.ekf.remember_s)
         self._inertial.gyro_bias_rad_s, self._inertial.attitude = start.gyro_bias_rad_s, start.attitude
-        self._resting = found.still
+        self._resting, self._compare_s = found.still, -math.inf
         self._mag_trusted_s = time_s
         self._settled_s = time_s if found.still else time_s + SETTLING_S
         return True
@@ -327,7 +329,7 @@ class VehicleEstimator:
         self._strapdown, self._span_s = Strapdown(), None
         self._fields.start_over()
         self._second_gyro, self._reset = SecondGyro(), AttitudeReset()
-        self._noise, self._compare_s = ImuNoise(self._config.ekf), -math.inf
+        self._noise = ImuNoise(self._config.ekf)
 
     @property
     def aligned(self) -> bool:
@@ -377,7 +379,7 @@ class VehicleEstimator:
             field_body_ut=self._field_at(time_s),
             attitude=self._orientation_at(time_s) if with_attitude else None,
             tilt_noise_rad=tilt_noise_rad(self._orientation, self._inertial.disturbance_m_s2, settled),
-            heading_noise_rad=heading_noise_rad(trusted, settled),
+            heading_noise_rad=heading_noise_rad(self._expected_ut, trusted, settled),
             still=self._resting and self._still_block,
             at_rest=self._resting and self._still_block and not self._ekf.has_position,
             span_s=self._span_s,

@@ -269,7 +269,7 @@ class TouchdownSequence:
 
     def _go_down(self, sight: PadState, signs: ContactSigns, now_s: float) -> DetectedEvent | None:
         overdue_s = self._config.overdue_s
-        if now_s > self._contact_due_s + overdue_s:
+        if now_s > self._contact_due_s + overdue_s and not self._contact_test.touching:
             overdue = f"no contact {overdue_s:.1f} s after the expected time"
             if signs.near:
                 return MissionEvent.PAD_GONE, overdue

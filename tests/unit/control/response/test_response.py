@@ -295,20 +295,16 @@ def settled_in_gust(air_g: float, **told: bool) -> float:
     return estimate.value
 
 
-@pytest.mark.parametrize("air_g", [-0.3, 0.3])
-def test_a_gust_is_followed_within_half_a_second_and_what_is_small_as_slowly_as_ever(air_g: float) -> None:
-    slow, quick = (settled_in_gust(air_g, follows_gusts=follows) for follows in (False, True))
-    holds = 0.5 / (1.0 + air_g)
+def test_a_gust_that_sinks_is_followed_within_half_a_second_and_what_is_small_as_slowly_as_ever() -> None:
+    slow, quick = (settled_in_gust(-0.3, follows_gusts=follows) for follows in (False, True))
+    holds = 0.5 / 0.7
     assert abs(slow - holds) > 0.6 * abs(0.5 - holds)
     assert abs(quick - holds) < 0.4 * abs(0.5 - holds)
-    assert settled_in_gust(0.1 * air_g, follows_gusts=True) == settled_in_gust(0.1 * air_g)
+    assert settled_in_gust(-0.03, follows_gusts=True) == settled_in_gust(-0.03)
 
 
-def test_where_a_pad_may_carry_it_only_what_sinks_is_a_gust() -> None:
-    assert settled_in_gust(0.3, follows_gusts=True, may_stand=True) == settled_in_gust(0.3)
-    assert settled_in_gust(-0.3, follows_gusts=True, may_stand=True) == settled_in_gust(
-        -0.3, follows_gusts=True
-    )
+def test_what_carries_more_than_the_thrust_may_be_a_pad_and_is_no_gust() -> None:
+    assert settled_in_gust(0.3, follows_gusts=True) == settled_in_gust(0.3)
 
 
 def test_falling_freely_nothing_is_learnt_and_the_estimate_stays_one() -> None:
