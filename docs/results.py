@@ -19,7 +19,7 @@ PAGE: Final = RESULTS / "measured.md"
 INTRODUCTION: Final = """\
 # Measured
 
-Written by `python -m docs.results` from the JSON that `python -m benchmarks NAME --json FILE` leaves. Each
+Written by `python -m docs.results` from the JSON that `python -m benchmarks` leaves with `--json`. Each
 benchmark has its commit, day and machine, and the command that repeats it. **Bold** is a bar that fails.
 """
 
