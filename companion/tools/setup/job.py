@@ -27,7 +27,7 @@ def go_through(machine: Machine, config: CompanionConfig, answers: Answers) -> b
         ConfigError: there is nobody to ask.
     """
     if answers is Answers.ASKED and not sys.stdin.isatty():
-        raise ConfigError("companion setup: no terminal to ask at; expected --plan, --yes, or a terminal")
+        raise ConfigError("setup: no terminal to ask at; expected --plan, --yes, or a terminal")
     well, reboot = True, False
     for number, look in enumerate(STEPS, 1):
         step = look(machine, config)
