@@ -9,6 +9,7 @@ from companion.base.geometry import yaw_from_quat
 from companion.base.magnetic_field import field_here
 from companion.base.messages import GpsFix, ImuSample, InputUse, MagSample
 from companion.config import EstimateConfig, VehicleConfig, find_file, load_model
+from companion.estimate.ahrs.orientation import heading_noise_rad
 from companion.estimate.estimator import StateEstimator
 from companion.estimate.input_tally import STARVED_S
 
@@ -137,3 +138,13 @@ def test_without_a_fix_it_counts_from_magnetic_north_and_does_not_claim_to_know_
     covariance = ground.estimator.vehicle_covariance()
     assert covariance is not None
     assert math.degrees(math.sqrt(covariance[2, 2])) > 14.0
+
+
+def test_a_weak_horizontal_field_tells_little_of_the_heading() -> None:
+    """A disturbance that the gate lets pass turns it the further the weaker the field is."""
+    zurich, near_the_pole = (
+        math.degrees(heading_noise_rad(field, mag_trusted=True, settled=True))
+        for field in ((20.9, 0.6, 42.9), (3.6, -0.6, -66.8))
+    )
+    assert zurich == pytest.approx(18.9, abs=0.1)
+    assert near_the_pole > 65.0

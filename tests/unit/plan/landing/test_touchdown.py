@@ -346,6 +346,21 @@ def test_no_contact_long_after_it_was_due_is_a_miss() -> None:
     assert k * CYCLE_S == pytest.approx(CONFIG.settled_s + due_s + CONFIG.overdue_s, abs=0.1)
 
 
+def test_a_contact_is_not_overdue_while_the_feet_may_stand() -> None:
+    """Legs longer than told touch late: half a second before the miss they bear, a second shows it."""
+    touchdown, k, found = sinking(), 6, None
+    speed_m_s = CONFIG.contact_speed_m_s
+    due_s = CONFIG.blend_s + (0.35 - 0.5 * CONFIG.blend_s * speed_m_s) / speed_m_s
+    stands_s = CONFIG.settled_s + due_s + CONFIG.overdue_s - 0.5
+    while not touchdown.on_pad and k < 300:
+        k += 1
+        stands = k * CYCLE_S > stands_s
+        seen = sight(height=LEG_M + 0.08, velocity=(0.0, 0.0, 0.0 if stands else speed_m_s))
+        found = touchdown.step(seen, None, LandedState.IN_AIR, k * CYCLE_S)
+        assert found is None or found[0] is MissionEvent.CONTACT, found
+    assert touchdown.on_pad
+
+
 @pytest.mark.parametrize(
     ("seen", "echo", "landed", "names"),
     [
