@@ -66,7 +66,10 @@ def test_it_checks_by_the_devices_and_ends_when_the_vehicle_is_armed(tmp_path: P
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (("--pad", "--json", "/nowhere/check.json"), "--json /nowhere/check.json: cannot be written"),
+        (
+            ("--pad", "--json", "/nowhere/check.json"),
+            "--json /nowhere/check.json: expected a file in an existing folder",
+        ),
         (("--pad", "--config", "missing.yaml"), "missing.yaml: cannot be read"),
         (("--pad", "--no-link", "--config", "telemetry.yaml"), "--no-link: sense.source is autopilot"),
         (("--pad", "--no-link", "--config", "absent.yaml"), "serial port /nowhere/gps: cannot be opened"),

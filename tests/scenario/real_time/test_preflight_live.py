@@ -160,7 +160,10 @@ def test_the_result_goes_to_a_file_beside_the_table(
     ("words", "expected"),
     [
         (("--serve", "8080"), "--serve: belongs to --pad"),
-        (("--json", "/nowhere/check.json"), "--json /nowhere/check.json: cannot be written"),
+        (
+            ("--json", "/nowhere/check.json"),
+            "--json /nowhere/check.json: expected a file in an existing folder",
+        ),
         (("--config", "missing.yaml"), "missing.yaml: cannot be read"),
     ],
 )
