@@ -131,4 +131,4 @@ def test_a_cluster_of_other_processes_flies(tmp_path: Path) -> None:
     assert (row.scenario, row.outcome, row.error) == ("line_changed", "timeout", "")
     assert row.total_s == pytest.approx(5.0, abs=0.2)
     assert row.frames is not None
-    assert row.frames > 100
+    assert row.frames > 20, "five pictures a second are searched on the ground"
