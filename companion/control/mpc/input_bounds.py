@@ -58,6 +58,16 @@ def input_bounds(limits: LimitsConfig, hover_thrust: float) -> tuple[FloatArray,
     return lower, upper
 
 
+def side_left_m_s2(limits: LimitsConfig, hover_thrust: float) -> float:
+    """The horizontal input (m/s2) at which full thrust still carries the weight, with room to rise.
+
+    Height before place: who has too little thrust for both tilts less and drifts, but does not fall.
+    """
+    most = GRAVITY_M_S2 * limits.maximum_thrust / hover_thrust
+    room = LEAST_ROOM * GRAVITY_M_S2
+    return max(room, math.sqrt(max(0.0, most**2 - (GRAVITY_M_S2 + room) ** 2)))
+
+
 def shrunk(input_m_s2: FloatArray, rows: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """The input (3,), or as much of it, in its own direction, as the bounds allow."""
     reach = rows @ input_m_s2

@@ -35,6 +35,7 @@ from companion.control.mpc.input_bounds import (
     input_bounds,
     input_rows,
     shrunk,
+    side_left_m_s2,
 )
 from companion.control.mpc.qp import (
     QpLayout,
@@ -177,7 +178,7 @@ class Mpc:
         self._l[rows["dynamics"]] = self._u[rows["dynamics"]] = 0.0
         self._first_change = JERK_SHARE * limits.jerk_m_s3 * self._period_s
         self._input_rows = input_rows(limits)
-        self._hover_thrust, self._levels_off = math.nan, False
+        self._hover_thrust = math.nan
         self._bound_inputs(hover_thrust)
 
     def _set_up(self, iterations: int) -> osqp.OSQP:
@@ -242,8 +243,7 @@ class Mpc:
         upper[change : change + 3] = last_input + self._first_change
         upper[rows["floor"]] = np.inf if target.floor_down_m is None else target.floor_down_m[1:]
         upper[rows["cone"]] = np.inf
-        if target.horizontal_bound_m_s2 is not None or self._levels_off:
-            self._level_off(target.horizontal_bound_m_s2, last_input)
+        self._bound_sideways(target.horizontal_bound_m_s2, last_input)
         if target.cone is not None:
             upper[rows["cone"]] = self._cone(target.cone, start.position_m).ravel()
 
@@ -252,19 +252,21 @@ class Mpc:
         if hover_thrust is None or hover_thrust == self._hover_thrust:
             return
         self._hover_thrust = hover_thrust
-        self._input_lower, self._input_upper = input_bounds(self._limits, self._hover_thrust)
+        self._input_lower, self._input_upper = input_bounds(self._limits, hover_thrust)
+        self._side_left_m_s2 = side_left_m_s2(self._limits, hover_thrust)
         rows = self._rows["input"]
         self._l[rows], self._u[rows] = np.tile([self._input_lower, self._input_upper], self._N)
 
-    def _level_off(self, horizontal_bound_m_s2: FloatArray | None, last_input: FloatArray) -> None:
-        """Bound the horizontal input over each step, no faster than it may change; None: as ever."""
-        self._levels_off = horizontal_bound_m_s2 is not None
-        most = np.full(self._N, self._input_upper[0])
+    def _bound_sideways(self, horizontal_bound_m_s2: FloatArray | None, last_input: FloatArray) -> None:
+        """Bound the horizontal input over each step, no faster than it may change; None: by thrust alone."""
+        full = self._input_upper[0]
+        most = np.full(self._N, min(full, self._side_left_m_s2 * OCTAGON_WITHIN_CIRCLE))
         if horizontal_bound_m_s2 is not None:
-            change = JERK_SHARE * self._limits.jerk_m_s3 * self._dt
-            reach = float(np.max(np.abs(OCTAGON @ last_input[:2])))
-            still = reach - self._first_change - change * np.arange(self._N)
-            most = np.minimum(most, np.maximum(horizontal_bound_m_s2 * OCTAGON_WITHIN_CIRCLE, still))
+            most = np.minimum(most, horizontal_bound_m_s2 * OCTAGON_WITHIN_CIRCLE)
+        change = JERK_SHARE * self._limits.jerk_m_s3 * self._dt
+        reach = float(np.max(np.abs(OCTAGON @ last_input[:2])))
+        still = reach - self._first_change - change * np.arange(self._N)
+        most = np.minimum(full, np.maximum(most, still))
         rows = self._rows["input"]
         self._u[rows].reshape(self._N, INPUT_ROWS)[:, :4] = most[:, None]
         self._l[rows].reshape(self._N, INPUT_ROWS)[:, :4] = -most[:, None]

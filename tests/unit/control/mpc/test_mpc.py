@@ -15,7 +15,7 @@ from companion.base.motion import Motion
 from companion.config import ControlConfig, LimitsConfig
 from companion.control.attitude import attitude_from_acceleration, thrust_from_acceleration
 from companion.control.limits import LimitsGate
-from companion.control.mpc.input_bounds import input_bounds, input_rows, shrunk
+from companion.control.mpc.input_bounds import LEAST_ROOM, input_bounds, input_rows, shrunk, side_left_m_s2
 from companion.control.mpc.mpc import ACCEPTED_PRIMAL, Mpc
 from companion.control.mpc.qp import (
     QpLayout,
@@ -523,6 +523,25 @@ def test_whatever_was_learnt_hovering_is_allowed(hover_thrust: float) -> None:
     lower, upper = input_bounds(LimitsConfig(minimum_thrust=0.5, maximum_thrust=0.6), hover_thrust)
     assert (upper > 0.0).all()
     assert (lower < 0.0).all()
+
+
+@pytest.mark.parametrize("hover_thrust", [0.6, 0.75, 0.8])
+def test_sideways_gets_what_height_leaves_of_the_thrust(hover_thrust: float) -> None:
+    side = side_left_m_s2(LIMITS, hover_thrust)
+    most = LIMITS.maximum_thrust / hover_thrust * GRAVITY_M_S2
+    assert math.hypot(side, (1.0 + LEAST_ROOM) * GRAVITY_M_S2) == pytest.approx(most)
+    push = np.array([0.0, 6.0, 0.0])
+    target = replace(hover_at((0.0, 0.0, 0.0)), hover_thrust=hover_thrust)
+    mpc = Mpc(CONFIG, LAGS_S)
+    motion = Motion(ZERO3, ZERO3, ZERO3)
+    u = mpc.solve(motion, target, vector3((-push).tolist()), vector3(push.tolist())).inputs_m_s2
+    later = np.hypot(u[4:, 0], u[4:, 1])
+    assert later.max() == pytest.approx(min(side, LIMITS.horizontal_acceleration_m_s2), rel=0.09)
+
+
+@pytest.mark.parametrize("hover_thrust", [0.85, 1.2])
+def test_who_has_no_thrust_to_spare_still_leans_a_little(hover_thrust: float) -> None:
+    assert side_left_m_s2(LIMITS, hover_thrust) == LEAST_ROOM * GRAVITY_M_S2
 
 
 def test_planes_that_others_imply_are_left_out() -> None:
