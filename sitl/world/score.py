@@ -275,8 +275,13 @@ def _told(contact: TouchdownState, landing: TouchdownState | None, bounds: PassB
     if contact is landing:
         violations = _violated(contact, bounds)
     else:
-        when = () if contact.before_flight else ("before the landing",)
-        violations = (*when, *_too_fast(contact, bounds))
+        # An autopilot that takes off in a gust slides before it lifts: the real ArduCopter at 1.3 m/s in
+        # 11 m/s. That is its own doing, on the ground where it stood.
+        violations = (
+            _too_hard(contact, bounds)
+            if contact.before_flight
+            else ("before the landing", *_too_fast(contact, bounds))
+        )
     return ContactResult(
         time_s=contact.time_s,
         surface="pad" if contact.on_pad else "ground",
@@ -306,13 +311,13 @@ def _over(measured: Iterable[tuple[str, float, float, str]]) -> tuple[str, ...]:
     )
 
 
+def _too_hard(contact: TouchdownState, bounds: PassBounds) -> tuple[str, ...]:
+    return _over((("vertical speed", contact.vertical_speed_m_s, bounds.vertical_speed_m_s, "m/s"),))
+
+
 def _too_fast(contact: TouchdownState, bounds: PassBounds) -> tuple[str, ...]:
-    return _over(
-        (
-            ("vertical speed", contact.vertical_speed_m_s, bounds.vertical_speed_m_s, "m/s"),
-            ("horizontal speed", contact.horizontal_speed_m_s, bounds.horizontal_speed_m_s, "m/s"),
-        )
-    )
+    sideways = ("horizontal speed", contact.horizontal_speed_m_s, bounds.horizontal_speed_m_s, "m/s")
+    return (*_too_hard(contact, bounds), *_over((sideways,)))
 
 
 def _violated(touchdown: TouchdownState, bounds: PassBounds) -> tuple[str, ...]:

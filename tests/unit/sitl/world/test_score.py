@@ -111,6 +111,8 @@ def test_a_gentle_touch_before_the_landing_is_a_failed_flight_with_its_place_and
 def test_hops_of_the_take_off_count_when_they_are_harder_than_allowed() -> None:
     hop = dataclasses.replace(GENTLE, before_flight=True)
     assert judged(GOOD, contacts=(hop, GOOD)).outcome is Outcome.LANDED
+    slides = dataclasses.replace(hop, horizontal_speed_m_s=1.3)
+    assert judged(GOOD, contacts=(slides, GOOD)).outcome is Outcome.LANDED
     hard = dataclasses.replace(hop, vertical_speed_m_s=0.9)
     assert judged(GOOD, contacts=(hard, GOOD)).outcome is Outcome.MISSED
 
