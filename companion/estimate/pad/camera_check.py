@@ -15,6 +15,11 @@ process; U: the IMU's own motion beyond constant velocity):
 
 Where a fix corrects the attitude by a small rotation, q, v and a - g turn with it (see `frame_correction`).
 
+Errors that wander with the way it flies (attitude, lens, mounting) look like a scale for seconds, and no
+variance of the filter's knows of them; the spans of time do. What each has told, by the information that it
+has added, scatters about the estimate by more than it should, and by so much more motion's word is less sure
+(R. T. Birge, Phys. Rev. 40, 1932); one span alone says nothing. An echo's word needs no motion.
+
 What the pad shares with a vehicle that follows it is slow, and goes to its acceleration. A vehicle that
 neither moves nor turns shows nothing but by its echoes.
 
@@ -52,6 +57,7 @@ from companion.estimate.pad.pad_types import HeightMeasurement
 
 SCALE_STD: Final = 0.3  # before anything is known
 SCALE_WALK_RTS: Final = 1e-3  # a lens that heats, an echo's air
+SCALE_SPAN_S: Final = 3.0  # of sightings
 DELAY_WALK_S_RTS: Final = 1e-3
 PAD_ACCELERATION_M_S2: Final = 2.0
 PAD_ACCELERATION_S: Final = 2.0
@@ -101,6 +107,11 @@ class CameraCheck:
         self._x = np.zeros(_STATES)
         self._x[_K] = 1.0
         self._P = np.diag([0.0] * 9 + [SCALE_STD**2, delay_std_s**2] + [0.0] * 3)
+        # of the scale: the present span's time and beginning (mean, variance), and what the earlier ones have
+        # told (mean, information); whether echoes have
+        self._span_s, self._span_began = 0.0, (1.0, SCALE_STD**2)
+        self._spans: list[tuple[float, float]] = []
+        self._heard = False
         self._down_body: Vector3 = (0.0, 0.0, 1.0)  # at the last sighting
         self._time_s = -math.inf
         self._echoes: deque[tuple[float, float]] = deque(maxlen=4)  # time (s), our height over it (m)
@@ -115,7 +126,13 @@ class CameraCheck:
     @property
     def scale(self) -> tuple[float, float]:
         """How many times as far away the pad seems as it is, and the standard deviation."""
-        return float(self._x[_K]), math.sqrt(float(self._P[_K, _K]))
+        k, variance = float(self._x[_K]), float(self._P[_K, _K])
+        if self._heard:
+            return k, math.sqrt(variance)
+        if len(self._spans) < 2:
+            return k, SCALE_STD
+        scatter = sum(told * (found - k) ** 2 for found, told in self._spans) / (len(self._spans) - 1)
+        return k, min(SCALE_STD, math.sqrt(variance * max(1.0, scatter)))
 
     @property
     def delay_std_s(self) -> float:
@@ -146,6 +163,7 @@ class CameraCheck:
             quiet = attitude_rad2 <= 2.0 * NOISE_RAD**2
             self._see(attitude, seen, cross(rate, seen), noise_m2, scale=quiet)
             self._follow(time_s - self._time_s)
+            self._end_span(time_s - self._time_s)
         self._time_s = time_s
         for echo in tuple(self._echoes):
             if abs(echo[0] - time_s) <= ECHO_APART_S:
@@ -223,6 +241,17 @@ class CameraCheck:
         links_s = max(0.0, min(self.delay_s, self.half_trip_s)) if self.imu_by_link else 0.0
         self.link_delay_s += max(-reach_s, min(reach_s, links_s - self.link_delay_s))
 
+    def _end_span(self, elapsed_s: float) -> None:
+        """Note what the last span of time alone has told of the scale."""
+        self._span_s += elapsed_s
+        if self._span_s < SCALE_SPAN_S:
+            return
+        (before, variance), now = self._span_began, (float(self._x[_K]), float(self._P[_K, _K]))
+        told = 1.0 / now[1] - 1.0 / variance
+        if told > 0.0:
+            self._spans.append(((now[0] / now[1] - before / variance) / told, told))
+        self._span_s, self._span_began = 0.0, now
+
     def _hear(self, echo_s: float, height_m: float) -> None:
         """Of some echoes the median counts: single ones come from anywhere between sensor and floor."""
         north, east, down = self._x[_Q].tolist()
@@ -240,11 +269,15 @@ class CameraCheck:
         H[0, 2], H[0, _K], H[0, _R] = 1.0, -height_m, self._down_body
         variance = 0.5 * math.pi / MEDIAN_OF * (float(self._x[_K]) * ECHO_NOISE_M) ** 2
         self._update(-H @ self._x, H, np.array([[variance]]))
+        self._heard = True
 
     def _forget_scale(self) -> None:
         self._x[_K] = 1.0
         self._P[_K, :], self._P[:, _K] = 0.0, 0.0
         self._P[_K, _K] = SCALE_STD**2
+        self._span_s, self._span_began = 0.0, (1.0, SCALE_STD**2)
+        self._spans.clear()
+        self._heard = False
 
     def _update(self, y: FloatArray, H: FloatArray, R: FloatArray, *, scale: bool = True) -> None:
         """An update; without `scale` that is only considered (Schmidt): it learns nothing."""
@@ -275,8 +308,8 @@ class CameraCheck:
                 Quantity.PAD_SCALE,
                 "100 %",
                 f"{100.0 / max(k, 0.01):.0f} %",
-                difference=100.0 * abs(1.0 / max(k, 0.01) - 1.0),
-                std=100.0 * math.hypot(k_std, ECHO_SCALE_STD) / max(k, 0.01) ** 2,
+                difference=100.0 * abs(k - 1.0),  # of the distance: its error is the Gaussian one
+                std=100.0 * math.hypot(k_std, ECHO_SCALE_STD),
             ),
             SourceComparison(
                 self._time_s,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -27,12 +29,16 @@ def compared(
     spikes: float = 0.0,
     duration_s: float = 12.0,
     arm_std_m: float = LEVER_STD_M,
+    wanders_m: float = 0.0,
+    seed: int = 3,
 ) -> SourceComparison:
     """What is found in a flight over a pad that is printed so large, as a share of its file's size.
 
-    `arm_std_m`: so well the IMU's place is known.
+    `arm_std_m`: so well the IMU's place is known. `wanders_m`: by so much, from one second to the next, what
+    is seen is wrong.
     """
-    motion, rng = MotionHistory(3.0), np.random.default_rng(3)
+    motion, rng = MotionHistory(3.0), np.random.default_rng(seed)
+    wrong_m = wanders_m * rng.standard_normal(3)
     motion.imu_covariance_m2 = arm_std_m**2 * np.eye(3)
     check = CameraCheck(motion, 0.03, 0.65)
     for k, (exposed_s, (x, y, z)) in enumerate(sightings(sway, motion, duration_s)):
@@ -42,7 +48,8 @@ def compared(
             spike = rng.uniform() if rng.uniform() < spikes else 1.0
             echo_m = spike * away_m + 0.02 * rng.standard_normal()
             check.take_echo(exposed_s, HeightMeasurement(float(echo_m), (0.0, 0.0, 0.0), 0.03))
-        seen = scaled((x, y, z), 1.0 / printed)
+        wrong_m += (wanders_m * math.sqrt(2.0 / 30.0)) * rng.standard_normal(3) - wrong_m / 30.0
+        seen = scaled((x + wrong_m[0], y + wrong_m[1], z + wrong_m[2]), 1.0 / printed)
         check.take(exposed_s + check.delay_s, seen, (sway.noise_m / printed) ** 2)
     return next(found for found in check.comparisons if found.quantity is Quantity.PAD_SCALE)
 
@@ -74,6 +81,13 @@ def test_it_is_refused_in_small_fast_swings_too_where_the_accelerometers_place_i
 )
 def test_a_pad_of_its_size_is_not_announced(sway: Sway) -> None:
     assert not ROW.announces(compared(sway, 1.0))
+
+
+def test_errors_that_wander_for_a_second_are_known_to_make_the_scale_unsure() -> None:
+    sway = Sway(0.0, height_m=7.0, noise_m=0.02)
+    found = [compared(sway, 1.0, wanders_m=0.1, seed=seed) for seed in range(12)]
+    assert [each for each in found if ROW.refuses(each)] == []
+    assert sum((each.difference / each.std) ** 2 for each in found) <= len(found)
 
 
 @pytest.mark.parametrize("imu_m", [(0.0, 0.0, 0.1), (0.0, 0.0, -0.1), (0.06, -0.08, 0.0)], ids=str)
