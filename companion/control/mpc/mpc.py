@@ -3,8 +3,7 @@
 Frame: NED axes, at rest or in straight unaccelerated motion; the controller puts the pad's own motion into
 the reference, so that nothing here depends on the pad. SI units. The optimum without constraints is the
 answer wherever it breaks none, by one solve with factors that are made once. Else OSQP goes on from there, or
-from its own last solution: its matrices are set up once, a step changes vectors only (and the cone's slope,
-when that changes).
+from its own last solution: its matrices are set up once, a step changes vectors only.
 
 Iterations bound the work, in slices; between two of them a stopwatch, when there is one, may say that the
 time is up. An answer that is not nearly converged is replaced: out of time by the last solution, moved on;
@@ -20,9 +19,8 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
-from scipy.sparse import csc_matrix
 
-from companion.base.geometry import FloatArray, Vector3
+from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3
 from companion.base.late_import import imported_late
 from companion.base.motion import Motion
 from companion.config import ControlConfig
@@ -41,7 +39,6 @@ from companion.control.mpc.qp import (
     QpLayout,
     QuadraticProgram,
     axis_costs,
-    cone_rows,
     constraint_matrix,
     cost_matrix,
     step_matrices,
@@ -113,6 +110,7 @@ class Mpc:
     def reset(self) -> None:
         """Forget the last solution."""
         self._last = np.zeros(self._layout.variables)
+        self._last_apex: FloatArray | None = None  # of the cone (N, 3), when it was solved
         self._cold = True
 
     def solve(
@@ -125,7 +123,7 @@ class Mpc:
         needed = needed_inputs(target, disturbance_m_s2, self._lags_s, self._dt)
         last_input = self.clip_input(np.array(last_input_m_s2))
         self._q = q = self._linear_cost(target, needed, last_input)
-        self._update_bounds(start, target, np.array(disturbance_m_s2), last_input)
+        self._update_bounds(start, target, np.array(disturbance_m_s2), last_input, needed[:, 2])
         if not self._consistent(q):
             return self._fall_back()
         x, y = self._free_optimum.solve(q, self._l[self._rows["dynamics"]])
@@ -140,7 +138,7 @@ class Mpc:
 
     def _allowed(self, x: FloatArray) -> bool:
         """Whether the rows hold, to OSQP's own tolerance."""
-        reached, slack = self._constraints_now @ x, SETTINGS["eps_abs"]
+        reached, slack = self._constraints @ x, SETTINGS["eps_abs"]
         return bool((reached >= self._l - slack).all() and (reached <= self._u + slack).all())
 
     def _consistent(self, q: FloatArray) -> bool:
@@ -149,7 +147,7 @@ class Mpc:
 
     def problem(self) -> QuadraticProgram:
         """The last step's quadratic programme, for who wants to solve it in another way."""
-        P, A = cost_matrix(self._costs, self._N), self._constraints_now.copy()
+        P, A = cost_matrix(self._costs, self._N), self._constraints.copy()
         return QuadraticProgram(P, self._q.copy(), A, self._l.copy(), self._u.copy())
 
     def clip_input(self, input_m_s2: FloatArray) -> FloatArray:
@@ -166,7 +164,7 @@ class Mpc:
 
     def _fixed_bounds(self, config: ControlConfig, hover_thrust: float) -> None:
         limits, rows = config.limits, self._rows
-        count = rows["cone"].stop
+        count = rows["floor"].stop
         self._l, self._u = np.full(count, -np.inf), np.full(count, np.inf)
         speed = limits.horizontal_speed_m_s * OCTAGON_WITHIN_CIRCLE
         for name, low, high in (
@@ -178,31 +176,26 @@ class Mpc:
         self._l[rows["dynamics"]] = self._u[rows["dynamics"]] = 0.0
         self._first_change = JERK_SHARE * limits.jerk_m_s3 * self._period_s
         self._input_rows = input_rows(limits)
+        self._tilt_tangent = math.tan(math.radians(limits.tilt_deg))
         self._hover_thrust = math.nan
         self._bound_inputs(hover_thrust)
 
     def _set_up(self, iterations: int) -> osqp.OSQP:
         P = cost_matrix(self._costs, self._N)
         self._q = np.zeros(self._layout.variables)
-        self._cone_slope = 1.0
-        self._constraints_now = constraints = self._constraints(self._cone_slope)
-        self._cone_places = np.flatnonzero(constraints.data != self._constraints(2.0).data)
-        self._free_optimum = FreeOptimum(P, constraints[self._rows["dynamics"]])
+        self._constraints = constraint_matrix(self._A, self._B, self._N, inputs=self._input_rows)
+        self._free_optimum = FreeOptimum(P, self._constraints[self._rows["dynamics"]])
         solver = osqp.OSQP()
         solver.setup(
             P,
             self._q,
-            constraints,
+            self._constraints,
             self._l,
             self._u,
             max_iter=iterations,
             **SETTINGS,
         )
         return solver
-
-    def _constraints(self, cone_slope: float) -> csc_matrix:
-        rows = self._input_rows
-        return constraint_matrix(self._A, self._B, self._N, inputs=rows, cone_slope=cone_slope)
 
     # ------------------------------------------------------------ each step
 
@@ -230,7 +223,12 @@ class Mpc:
         last -= pull[:, 3]
 
     def _update_bounds(
-        self, start: Motion, target: Target, disturbance: FloatArray, last_input: FloatArray
+        self,
+        start: Motion,
+        target: Target,
+        disturbance: FloatArray,
+        last_input: FloatArray,
+        needed_down: FloatArray,
     ) -> None:
         rows, lower, upper = self._rows, self._l, self._u
         drift = self._B @ disturbance
@@ -241,11 +239,13 @@ class Mpc:
         change = rows["change"].start
         lower[change : change + 3] = last_input - self._first_change
         upper[change : change + 3] = last_input + self._first_change
-        upper[rows["floor"]] = np.inf if target.floor_down_m is None else target.floor_down_m[1:]
-        upper[rows["cone"]] = np.inf
-        self._bound_sideways(target.horizontal_bound_m_s2, last_input)
-        if target.cone is not None:
-            upper[rows["cone"]] = self._cone(target.cone, start.position_m).ravel()
+        floor = np.inf if target.floor_down_m is None else target.floor_down_m[1:]
+        if target.cone is None:
+            self._last_apex = None
+        else:
+            floor = np.minimum(floor, self._cone_floor(target.cone, start.position_m))
+        upper[rows["floor"]] = floor
+        self._bound_sideways(target.horizontal_bound_m_s2, last_input, needed_down)
 
     def _bound_inputs(self, hover_thrust: float | None) -> None:
         """Bounds of all inputs, by what hovering takes."""
@@ -257,10 +257,17 @@ class Mpc:
         rows = self._rows["input"]
         self._l[rows], self._u[rows] = np.tile([self._input_lower, self._input_upper], self._N)
 
-    def _bound_sideways(self, horizontal_bound_m_s2: FloatArray | None, last_input: FloatArray) -> None:
-        """Bound the horizontal input over each step, no faster than it may change; None: by thrust alone."""
+    def _bound_sideways(
+        self, horizontal_bound_m_s2: FloatArray | None, last_input: FloatArray, needed_down: FloatArray
+    ) -> None:
+        """Bound the horizontal input over each step, no faster than it may change.
+
+        Height comes first: what its own input down leaves of the thrust, and of the tilt, is for the place.
+        """
         full = self._input_upper[0]
-        most = np.full(self._N, min(full, self._side_left_m_s2 * OCTAGON_WITHIN_CIRCLE))
+        down = np.clip(needed_down, 0.0, self._limits.vertical_acceleration_m_s2)
+        by_tilt = self._tilt_tangent * (GRAVITY_M_S2 - down)
+        most = np.minimum(full, np.minimum(self._side_left_m_s2, by_tilt) * OCTAGON_WITHIN_CIRCLE)
         if horizontal_bound_m_s2 is not None:
             most = np.minimum(most, horizontal_bound_m_s2 * OCTAGON_WITHIN_CIRCLE)
         change = JERK_SHARE * self._limits.jerk_m_s3 * self._dt
@@ -271,22 +278,23 @@ class Mpc:
         self._u[rows].reshape(self._N, INPUT_ROWS)[:, :4] = most[:, None]
         self._l[rows].reshape(self._N, INPUT_ROWS)[:, :4] = -most[:, None]
 
-    def _cone(self, cone: Cone, position_m: Vector3) -> FloatArray:
-        """Bounds (N, 8) of the cone's rows.
+    def _cone_floor(self, cone: Cone, position_m: Vector3) -> FloatArray:
+        """How low (N,; m, down) it may be: within the cone as far aside as the last solution has it.
 
-        Outside the cone it is as wide as the way aside: the vehicle comes back in without a climb, and goes
-        down no faster than in.
+        Never higher than it is now, and outside the cone as low as it comes in: it comes back, or is carried
+        out by what it cannot resist, without a climb. (With the cone as rows on all three axes the optimiser
+        buys with height the place that thrust does not give: 8 m up in a gust.)
         """
-        if cone.slope != self._cone_slope:
-            self._cone_slope = cone.slope
-            self._constraints_now = self._constraints(cone.slope)
-            new = self._constraints_now.data[self._cone_places]
-            self._solver.update(Ax=new, Ax_idx=self._cone_places)
-        rows = cone_rows(cone.slope)
-        outside = float(np.max(rows @ (np.array(position_m) - cone.apex_m[0])))
-        radius = max(cone.radius_m * OCTAGON_WITHIN_CIRCLE, outside)
-        bounds: FloatArray = cone.apex_m[1:] @ rows.T + radius
-        return bounds
+        now, apex = np.subtract(position_m, cone.apex_m[0]), cone.apex_m[1:]
+        aside = np.hypot(now[0], now[1])
+        ahead = np.full(self._N, aside)
+        if self._last_apex is not None:
+            states = self._last[self._layout.states].reshape(self._N, 9)
+            ahead = np.hypot(*(states[:, :2] - self._last_apex[:, :2]).T)
+        self._last_apex = apex
+        radius = max(cone.radius_m, aside + cone.slope * now[2])
+        floor: FloatArray = np.maximum(apex[:, 2] + (radius - ahead) / cone.slope, position_m[2])
+        return floor
 
     def _search(self) -> tuple[Any, int, bool]:
         """OSQP's last result, how many iterations it took, and whether the stopwatch ended it."""

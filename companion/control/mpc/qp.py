@@ -1,12 +1,12 @@
 """The MPC as a sparse quadratic programme (eq. 39): its matrices, built once.
 
 Variables, in this order, for N steps: states x_1..x_N (9 each: position, velocity, acceleration, NED),
-inputs u_0..u_{N-1} (3 each), velocity slacks (3 each), floor slacks and cone slacks (1 each). The slacks are
-free and costly, so that a vehicle that already breaks a bound on its state still has a solution.
+inputs u_0..u_{N-1} (3 each), velocity slacks (3 each), floor slacks (1 each). The slacks are free and costly,
+so that a vehicle that already breaks a bound on its state still has a solution.
 
 Rows, in this order: dynamics (9N, equalities), inputs (`input_bounds`: 17N), input change (3N), speed octagon
-(4N), vertical speed (N), floor (N), descent cone (8N). The flown acceleration needs no rows: behind a lag it
-stays between where it starts and the bounds of the inputs, plus the disturbance.
+(4N), vertical speed (N), floor (N). The flown acceleration needs no rows: behind a lag it stays between where
+it starts and the bounds of the inputs, plus the disturbance.
 """
 
 from __future__ import annotations
@@ -20,12 +20,11 @@ from scipy import sparse
 
 from companion.base.geometry import FloatArray, Vector3
 from companion.config import ControlConfig, TrackingConfig
-from companion.control.mpc.input_bounds import EIGHT, INPUT_ROWS, OCTAGON, OCTAGON_WITHIN_CIRCLE
+from companion.control.mpc.input_bounds import INPUT_ROWS, OCTAGON
 from companion.control.response.flight_model import discretise
 
 VELOCITY_SLACK_WEIGHT = 400.0
 FLOOR_SLACK_WEIGHT = 4000.0
-CONE_SLACK_WEIGHT = 6000.0
 # rows of one step, in their order
 ROWS: Final = (
     ("dynamics", 9),
@@ -34,7 +33,6 @@ ROWS: Final = (
     ("speed", 4),
     ("vertical_speed", 1),
     ("floor", 1),
-    ("cone", 8),
 )
 
 
@@ -83,12 +81,8 @@ class QpLayout:
         return slice(15 * self.steps, 16 * self.steps)
 
     @property
-    def cone_slacks(self) -> slice:
-        return slice(16 * self.steps, 17 * self.steps)
-
-    @property
     def variables(self) -> int:
-        return 17 * self.steps
+        return 16 * self.steps
 
     def rows(self) -> dict[str, slice]:
         """Slices of the constraint rows by name."""
@@ -153,21 +147,13 @@ def cost_matrix(costs: tuple[AxisCost, AxisCost, AxisCost], steps: int) -> spars
     for slacks, weight in (
         (layout.velocity_slacks, VELOCITY_SLACK_WEIGHT),
         (layout.floor_slacks, FLOOR_SLACK_WEIGHT),
-        (layout.cone_slacks, CONE_SLACK_WEIGHT),
     ):
         for i in range(slacks.start, slacks.stop):
             P[i, i] = weight
     return sparse.csc_matrix(np.triu(P))
 
 
-def cone_rows(slope: float) -> FloatArray:
-    """Rows (8, 3) on a position: within a cone about the down axis whose radius grows by `slope` upwards."""
-    return np.hstack([EIGHT, np.full((8, 1), OCTAGON_WITHIN_CIRCLE * slope)])
-
-
-def constraint_matrix(
-    A: FloatArray, B: FloatArray, steps: int, *, inputs: FloatArray, cone_slope: float
-) -> sparse.csc_matrix:
+def constraint_matrix(A: FloatArray, B: FloatArray, steps: int, *, inputs: FloatArray) -> sparse.csc_matrix:
     """The rows' matrix, in the order of the module's docstring, for one step's `step_matrices`.
 
     `inputs` (17, 3) are `input_bounds.input_rows`.
@@ -185,12 +171,11 @@ def constraint_matrix(
         return each(np.pad(rows, ((0, 0), (offset, 6 - offset))))
 
     blocks = [
-        [state, -each(B), None, None, None],
-        [None, each(inputs), None, None, None],
-        [None, sparse.kron(eye - previous, three), None, None, None],
-        [on_states(octagon, 3), None, each(octagon), None, None],
-        [on_states(down, 3), None, each(down), None, None],
-        [on_states(down, 0), None, None, eye, None],
-        [on_states(cone_rows(cone_slope), 0), None, None, None, -each(np.ones((8, 1)))],
+        [state, -each(B), None, None],
+        [None, each(inputs), None, None],
+        [None, sparse.kron(eye - previous, three), None, None],
+        [on_states(octagon, 3), None, each(octagon), None],
+        [on_states(down, 3), None, each(down), None],
+        [on_states(down, 0), None, None, eye],
     ]
     return sparse.csc_matrix(sparse.bmat(blocks, format="csc"))
