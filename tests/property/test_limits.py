@@ -153,5 +153,5 @@ def test_a_sane_first_setpoint_is_not_touched(
 def test_the_bounds_of_this_file_are_the_settings_own() -> None:
     assert (CONFIG.horizontal_speed_m_s, CONFIG.climb_speed_m_s, CONFIG.descent_speed_m_s) == (6.0, 1.5, 1.5)
     assert (CONFIG.horizontal_acceleration_m_s2, CONFIG.vertical_acceleration_m_s2) == (5.5, 3.0)
-    assert (CONFIG.minimum_thrust, CONFIG.maximum_thrust, CONFIG.heading_rate_deg_s) == (0.05, 0.9, 90.0)
+    assert (CONFIG.minimum_thrust, CONFIG.maximum_thrust, CONFIG.heading_rate_deg_s) == (0.05, 1.0, 90.0)
     assert GRAVITY_M_S2 * math.tan(math.radians(CONFIG.tilt_deg)) > CONFIG.horizontal_acceleration_m_s2

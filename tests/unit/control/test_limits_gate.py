@@ -52,7 +52,7 @@ BOUNDS: list[tuple[str, Callable[[float], Setpoint]]] = [
     ("vertical_acceleration", lambda k: _acceleration(0.0, 0.0, -3.0 * k)),
     ("heading_rate", lambda k: Setpoint(0.0, heading_rate_rad_s=math.radians(90.0) * k)),
     ("heading_rate", lambda k: Setpoint(0.0, heading_rate_rad_s=-math.radians(90.0) * k)),
-    ("thrust", lambda k: Setpoint(0.0, attitude=IDENTITY, thrust=0.9 * k)),
+    ("thrust", lambda k: Setpoint(0.0, attitude=IDENTITY, thrust=1.0 * k)),
     ("thrust", lambda k: Setpoint(0.0, attitude=IDENTITY, thrust=0.05 / k)),
     ("tilt", lambda k: _tilt(math.radians(30.0) * k)),
     ("tilt", lambda k: _tilt(math.radians(30.0) * k, 2.0)),
