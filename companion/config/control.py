@@ -38,8 +38,9 @@ class LimitsConfig(StrictModel):
     """Least thrust in attitude setpoints, 0..1; it holds in the air only. Lower is worse: rotors that hardly
     turn hold no attitude. Raise it to the autopilot's own least thrust (`MPC_THR_MIN`, `MOT_SPIN_MIN`)"""
     maximum_thrust: float = Field(default=1.0, gt=0.5, le=1.0)
-    """Greatest thrust in attitude setpoints, 0..1. What roll and pitch need goes before it in the mixers of both
-    autopilots, whose own altitude hold uses all of it. Lower it for a motor or battery that must be spared"""
+    """Greatest thrust in attitude setpoints, 0..1. What roll and pitch need goes before it in the mixers of
+    both autopilots, whose own altitude hold uses all of it. Lower it for a motor or battery that must be
+    spared"""
 
 
 class TrackingConfig(StrictModel):
