@@ -13,7 +13,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from companion.app.service.local_socket import where_to_ask
+from companion.app.service.local_socket import listening_elsewhere, where_to_ask
+from companion.app.service.systemd import SERVICE, service_state
 from companion.base.clock import sleep_s
 from companion.base.errors import ConfigError
 from companion.base.messages import OrderKind, OrderOutcome
@@ -30,6 +31,13 @@ carried out), 1: refused or failed, 2: no service answers.
 """
 UNHEALTHY: Final = 1
 RUNNING: Final = "a running companion, see 'systemctl status companion'"
+# by systemd's word for a service that is installed and does not listen
+NOT_LISTENING: Final = {
+    "activating": "is starting; expected the same again in some seconds, else 'journalctl --unit companion'",
+    "deactivating": "is stopping; expected 'sudo systemctl start companion'",
+    "failed": "has failed; expected what 'journalctl --unit companion' says to be mended",
+    "inactive": "is stopped; expected 'sudo systemctl start companion'",
+}
 OF_THE_GROUP: Final = "sudo, or 'sudo usermod -aG companion USER' and a new login"
 NOT_OURS: Final = (
     "that is no answer of this version's service; expected its local socket, or a restart after an upgrade"
@@ -146,16 +154,28 @@ class _Asking:
 
 @contextmanager
 def _connected(path: Path | None) -> Iterator[_Asking]:
-    where = path or where_to_ask()
+    where = where_to_ask() if path is None else path
     with closing(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)) as connection:
         try:
             connection.settimeout(ANSWER_S)
             connection.connect(str(where))
         except OSError as error:
-            reason = error.strerror or str(error)
-            denied = isinstance(error, PermissionError)
-            raise ConfigError(f"{where}: {reason}; expected {OF_THE_GROUP if denied else RUNNING}") from error
+            raise ConfigError(_no_answer(where, error, chosen=path is not None)) from error
         yield _Asking(where, connection)
+
+
+def _no_answer(where: Path, error: OSError, *, chosen: bool) -> str:
+    """Why nobody takes the call, in a line; not `chosen` by the user, `where` may be the wrong place."""
+    reason = f"{where}: {error.strerror or error}"
+    if isinstance(error, PermissionError):
+        return f"{reason}; expected {OF_THE_GROUP}"
+    if not chosen:
+        if others := listening_elsewhere(where):
+            return f"{reason}; one listens at {', '.join(others)}: expected --socket with its path"
+        state = service_state()
+        if state is not None and state.load == "loaded" and state.active in NOT_LISTENING:
+            return f"{SERVICE} {NOT_LISTENING[state.active]}"
+    return f"{reason}; expected {RUNNING}"
 
 
 # ---------------------------------------------------------------- as text

@@ -22,6 +22,8 @@ FILE_NAME: Final = "companion.sock"
 MODE: Final = 0o660
 LONGEST_REQUEST: Final = 4096
 SYSTEM_FOLDER: Final = Path("/run/companion")
+SOCKETS: Final = Path("/proc/net/unix")  # proc_pid_net(5)
+_LISTENS: Final = 0x10000  # of a socket's flags there
 
 Give = Callable[[Order, Callable[[OrderReply], None]], None]
 
@@ -39,6 +41,16 @@ def where_to_ask() -> Path:
     """Where a client looks: the system's service first, then the user's own."""
     # the folder is there while the service runs; who is not of its group sees nothing in it
     return SYSTEM_FOLDER / FILE_NAME if SYSTEM_FOLDER.is_dir() else socket_path()
+
+
+def listening_elsewhere(than: Path) -> list[str]:
+    """Where other services on this machine listen, of whatever user; none where the kernel does not tell."""
+    try:
+        rows = [line.split(maxsplit=7) for line in SOCKETS.read_text(errors="replace").splitlines()[1:]]
+    except OSError:
+        return []
+    paths = {row[7] for row in rows if len(row) == 8 and int(row[3], 16) & _LISTENS}
+    return sorted(path for path in paths if Path(path).name == FILE_NAME and path != str(than))
 
 
 @asynccontextmanager

@@ -1,11 +1,19 @@
-"""What systemd is notified of: that the app is ready, that its control loop is alive, and what it does.
+"""What systemd is notified of, and what it says of the service.
 
-The protocol of sd_notify(3): one datagram of KEY=VALUE lines to the socket named in NOTIFY_SOCKET.
-Without that variable (in SITL, or started by hand) nothing is sent.
+It is told that the app is ready, that its control loop is alive, and what it does, by the protocol of
+sd_notify(3): one datagram of KEY=VALUE lines to the socket named in NOTIFY_SOCKET. Without that variable (in
+SITL, or started by hand) nothing is sent.
 """
 
 import os
+import shutil
 import socket
+import subprocess
+from dataclasses import dataclass
+from typing import Final
+
+SERVICE: Final = "companion.service"
+PATIENCE_S: Final = 5.0
 
 
 class ServiceNotifier:
@@ -45,3 +53,39 @@ class ServiceNotifier:
         except OSError:
             # a manager that went away must not take the vehicle with it
             self._socket = None
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceState:
+    """What systemd says of the service; empty words where it says nothing."""
+
+    load: str = ""
+    enabled: str = ""
+    active: str = ""
+
+    @property
+    def running(self) -> bool:
+        """Whether it has the devices."""
+        return self.active in {"active", "activating", "reloading", "deactivating"}
+
+
+def output_of(*words: str) -> str | None:
+    """What a program prints; None when there is none, or when it does not end well."""
+    if shutil.which(words[0]) is None:
+        return None
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout if done.returncode == 0 else None
+
+
+def service_state() -> ServiceState | None:
+    """The service's state; None where no systemd runs."""
+    detail = output_of("systemctl", "show", SERVICE, "--property=LoadState,UnitFileState,ActiveState")
+    if detail is None:
+        return None
+    words = dict(line.split("=", 1) for line in detail.splitlines() if "=" in line)
+    return ServiceState(
+        words.get("LoadState", ""), words.get("UnitFileState", ""), words.get("ActiveState", "")
+    )

@@ -24,6 +24,7 @@ from companion.tools.preflight.findings import (
     FindingState,
     findings_json,
     findings_table,
+    not_looked_at,
     summary_line,
     worst,
 )
@@ -104,9 +105,10 @@ def check_vehicle(
     show_findings(found, json_file)
     if params_file is not None:
         if not parameters_read(found):
-            why = next(item.detail for item in found if item.group == GROUP)
+            why = next(item for item in found if item.group == GROUP)
             raise ConfigError(
-                f"--write-params {params_file}: not written: {why}; expected an autopilot's answers"
+                f"--write-params {params_file}: not written, since no parameter was read: {why.detail}; "
+                f"expected {why.hint or 'an autopilot that answers'}"
             )
         write_atomically(params_file, parameter_file(found))
     raise typer.Exit(1 if worst(found) is FindingState.FAIL else 0)
@@ -119,7 +121,10 @@ def show_findings(found: list[Finding], json_file: Path | None) -> None:
         return
     console = Console()
     console.print(findings_table(found))
-    console.print(Text(summary_line(found), STYLES[worst(found)]), soft_wrap=True)
+    state = worst(found)
+    if state is FindingState.OK and not_looked_at(found):
+        state = FindingState.WARNING
+    console.print(Text(summary_line(found), STYLES[state]), soft_wrap=True)
     if json_file is not None:
         write_atomically(json_file, findings_json(found))
 

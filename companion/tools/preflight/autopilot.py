@@ -22,7 +22,7 @@ from companion.link.session import Session
 from companion.link.signing import signing_of
 from companion.link.transport import Transport, open_transport
 from companion.tools.preflight import telemetry
-from companion.tools.preflight.findings import Finding, FindingGroup
+from companion.tools.preflight.findings import NO_HINT, Finding, FindingGroup
 from companion.tools.preflight.parameters import (
     GROUP,
     Output,
@@ -41,6 +41,16 @@ LOOK_S: Final = 5.0
 TICK_S: Final = 0.05
 WATCH_S: Final = 1.0
 _GROUP: Final = FindingGroup("link")
+# by the kind of `link.connection`: what is looked at where not one byte comes
+SILENCE_HINTS: Final = {
+    "serial": "power, TX and RX crossed, the port's name, link.connection",
+    "udpin": (
+        "nothing sends to this port: the autopilot, mavlink-router or the simulator has to be told this "
+        "machine's address and the port; from another machine not 127.0.0.1 but 0.0.0.0; a firewall"
+    ),
+    "udp": "nobody answers at this address: is it the autopilot's; a firewall; if it calls us: udpin:",
+    "tcp": "what took the call says nothing: is it the autopilot's or mavlink-router's port?",
+}
 _NO_HEARTBEAT: Final = "no autopilot on the link"
 
 
@@ -58,9 +68,8 @@ async def check_link(config: CompanionConfig, vehicle: VehicleConfig | None) -> 
         )
         return [_GROUP.fail("heartbeat", str(error), hint), *_without_autopilot("the link is not open")]
     except OSError as error:
-        hint = "is the autopilot powered, and the line plugged in?"
         return [
-            _GROUP.fail("heartbeat", f"{connection}: {error}", hint),
+            _GROUP.fail("heartbeat", f"{connection}: {error}", SILENCE_HINTS[connection.partition(":")[0]]),
             *_without_autopilot("the link was lost"),
         ]
     found = telemetry.judge(heard, config)
@@ -73,19 +82,22 @@ async def check_link(config: CompanionConfig, vehicle: VehicleConfig | None) -> 
     return found + with_changes(judge_parameters(kind, read.values, wanted), read, wanted)
 
 
-def without_link(why: str) -> list[Finding]:
+def without_link(why: str, hint: str) -> list[Finding]:
     """The findings when the link is not to be opened."""
-    return [_GROUP.skip("heartbeat", why), *_without_autopilot(why)]
+    return [_GROUP.skip("heartbeat", why, hint), *_without_autopilot(why, hint)]
 
 
-def _without_autopilot(why: str) -> list[Finding]:
-    return [FindingGroup("telemetry").skip("rates", why), FindingGroup(GROUP).skip("parameters", why)]
+def _without_autopilot(why: str, hint: str = NO_HINT) -> list[Finding]:
+    return [
+        FindingGroup("telemetry").skip("rates", why, hint),
+        FindingGroup(GROUP).skip("parameters", why, hint),
+    ]
 
 
 def _silence(listener: _Listener, connection: str) -> Finding:
     """What a link without the autopilot's heartbeat has instead."""
     session, detail = listener.session, f"{connection}: no heartbeat within {HEARTBEAT_PATIENCE_S:g} s"
-    counters = session.counters
+    counters, kind = session.counters, connection.partition(":")[0]
     if session.state.mavlink_1:
         return _GROUP.fail(
             "heartbeat",
@@ -114,11 +126,10 @@ def _silence(listener: _Listener, connection: str) -> Finding:
         return _GROUP.fail(
             "heartbeat",
             f"{detail}, but {counters.skipped_bytes} bytes that are no MAVLink 2",
-            "the baud rate, in link.connection and in the autopilot; MAV_PROTO_VER, SERIALx_PROTOCOL 2",
+            f"{'the baud rate, in link.connection and in the autopilot; ' if kind == 'serial' else ''}"
+            "MAV_PROTO_VER, SERIALx_PROTOCOL 2",
         )
-    return _GROUP.fail(
-        "heartbeat", f"{detail}, not one byte", "power, TX and RX crossed, the port's name, link.connection"
-    )
+    return _GROUP.fail("heartbeat", f"{detail}, not one byte", SILENCE_HINTS[kind])
 
 
 @dataclass(eq=False)

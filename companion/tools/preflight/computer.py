@@ -2,67 +2,29 @@
 
 import os
 import shutil
-import subprocess
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+from companion.app.service.systemd import SERVICE, ServiceState, output_of
 from companion.tools.preflight.findings import Finding, FindingGroup
 
-SERVICE: Final = "companion.service"
 SERVICE_FOLDER: Final = Path("/var/lib/companion")
 LEAST_FREE_MB, LOW_FREE_MB = 200, 2000  # a flight leaves up to 100 MB a minute
-PATIENCE_S: Final = 5.0
 # of vcgencmd get_throttled
 UNDER_VOLTAGE, THROTTLED, HOT, UNDER_VOLTAGE_SINCE = 0x1, 0x4, 0x8, 0x10000
 _GROUP: Final = FindingGroup("computer")
 
 
-@dataclass(frozen=True, slots=True)
-class ServiceState:
-    """What systemd says of the service; empty words where it says nothing."""
-
-    load: str = ""
-    enabled: str = ""
-    active: str = ""
-
-    @property
-    def running(self) -> bool:
-        """Whether it has the devices."""
-        return self.active in {"active", "activating", "reloading", "deactivating"}
-
-
-def output_of(*words: str) -> str | None:
-    """What a program prints; None when there is none, or when it does not end well."""
-    if shutil.which(words[0]) is None:
-        return None
-    try:
-        done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return done.stdout if done.returncode == 0 else None
-
-
-def service_state() -> ServiceState | None:
-    """The service's state; None where no systemd runs."""
-    detail = output_of("systemctl", "show", SERVICE, "--property=LoadState,UnitFileState,ActiveState")
-    if detail is None:
-        return None
-    words = dict(line.split("=", 1) for line in detail.splitlines() if "=" in line)
-    return ServiceState(
-        words.get("LoadState", ""), words.get("UnitFileState", ""), words.get("ActiveState", "")
-    )
-
-
 def check_computer(record: Path | None, state: ServiceState | None, now: datetime) -> list[Finding]:
     """All findings about the computer; `record` is where flights are kept, if not in the usual place."""
-    return [_clock(now), _disk(record or flights_folder()), _power(), _service(state)]
+    return [_clock(now), _disk(record or _flights_folder(state)), _power(), _service(state)]
 
 
-def flights_folder() -> Path:
-    """Where flights are kept: the service's folder if there is one, else where we are."""
-    return SERVICE_FOLDER if SERVICE_FOLDER.is_dir() else Path.cwd()
+def _flights_folder(state: ServiceState | None) -> Path:
+    """Where flights are kept: the service's folder where it is installed, else where we are."""
+    installed = SERVICE_FOLDER.is_dir() or (state is not None and state.load == "loaded")
+    return SERVICE_FOLDER if installed else Path.cwd()
 
 
 def _clock(now: datetime) -> Finding:
@@ -91,9 +53,9 @@ def _disk(folder: Path) -> Finding:
     if free_mb < LOW_FREE_MB:
         return _GROUP.warn("disk", detail, f"expected {LOW_FREE_MB / 1000:g} GB or more for a day's flights")
     if not os.access(there, os.W_OK):
-        return _GROUP.skip(
-            "disk", f"{detail}, not writable by this user", "sudo -u companion companion check"
-        )
+        ours = folder == SERVICE_FOLDER
+        hint = "sudo -u companion companion check" if ours else "--record DIR: where flights are to be kept"
+        return _GROUP.skip("disk", f"{detail}, not writable by this user", hint)
     return _GROUP.ok("disk", detail)
 
 

@@ -86,6 +86,12 @@ def worst(findings: list[Finding]) -> FindingState:
     )
 
 
+def not_looked_at(findings: list[Finding]) -> list[str]:
+    """The groups in which nothing at all was looked at."""
+    looked_at = {finding.group for finding in findings if finding.state is not FindingState.NOT_CHECKED}
+    return list(dict.fromkeys(finding.group for finding in findings if finding.group not in looked_at))
+
+
 # ---------------------------------------------------------------- for people
 
 STYLES: Final = {
@@ -117,13 +123,17 @@ def _words(finding: Finding) -> Text:
 
 
 def summary_line(findings: list[Finding]) -> str:
-    """All in one line, with the names of what failed."""
+    """All in one line, with the names of what failed, and of what nobody looked at."""
     counts = Counter(finding.state for finding in findings)
     detail = ", ".join(f"{counts[state]} {state}" for state in FindingState if counts[state])
     failed = [
         f"{finding.group}: {finding.name}" for finding in findings if finding.state is FindingState.FAIL
     ]
-    return f"{detail}; not ready to fly: {', '.join(failed)}" if failed else f"{detail}; nothing fails"
+    left = not_looked_at(findings)
+    verdict = "of what was looked at nothing fails" if left else "nothing fails"
+    if failed:
+        verdict = f"not ready to fly: {', '.join(failed)}"
+    return f"{detail}; {verdict}" + (f"; not looked at: {', '.join(left)}" if left else "")
 
 
 def findings_json(findings: list[Finding]) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from companion.app.service.autopilot_lock import app_at
+from companion.app.service.systemd import SERVICE, ServiceState, service_state
 from companion.base.clock import start_unix_s
 from companion.base.magnetic_field import compare_declination
 from companion.base.messages import Quantity, SourceComparison
@@ -15,9 +16,9 @@ from companion.base.second_sources import SourceState, judged
 from companion.config import CompanionConfig, EstimateConfig
 from companion.tools.preflight.autopilot import check_link, without_link
 from companion.tools.preflight.calibrations import check_files
-from companion.tools.preflight.computer import SERVICE, ServiceState, check_computer, service_state
+from companion.tools.preflight.computer import check_computer
 from companion.tools.preflight.devices import check_devices, without_devices
-from companion.tools.preflight.findings import Finding, FindingGroup
+from companion.tools.preflight.findings import NO_HINT, Finding, FindingGroup
 
 # of the difference of two horizons at rest: accelerometers' offsets, and how the boards lie
 HORIZON_STD_DEG: Final = 0.8
@@ -96,13 +97,14 @@ async def preflight(
     state = service_state()
     if (running := _running(config, state)) is not None:
         who, hint = running
-        found += without_devices(config, f"{who} {TAKEN}", hint) + without_link(f"{who} {TAKEN}")
+        devices = without_devices(config, f"{who} {TAKEN}", hint)
+        link = without_link(f"{who} {TAKEN}", hint)
     else:
         devices, link = await asyncio.gather(
             check_devices(config, files.camera),
             check_link(config, files.vehicle) if linked else _not_linked(),
         )
-        found += devices + link + compared(devices, link, config.estimate, now)
+    found += devices + link + compared(devices, link, config.estimate, now)
     return found + check_computer(record, state, now)
 
 
@@ -115,4 +117,4 @@ def _running(config: CompanionConfig, state: ServiceState | None) -> tuple[str, 
 
 
 async def _not_linked() -> list[Finding]:
-    return without_link("--no-link")
+    return without_link("--no-link", NO_HINT)

@@ -18,6 +18,7 @@ import typer
 from companion.app.service import commands, local_socket
 from companion.app.service.commands import order_command, status_command
 from companion.app.service.local_socket import served
+from companion.app.service.systemd import ServiceState
 from companion.base.clock import Clock
 from companion.base.errors import ConfigError
 from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply
@@ -223,6 +224,53 @@ def test_the_services_socket_is_asked_while_its_folder_is_there(
     assert local_socket.where_to_ask() == tmp_path / local_socket.FILE_NAME  # seen or not
     monkeypatch.setattr(local_socket, "SYSTEM_FOLDER", tmp_path / "gone")
     assert local_socket.where_to_ask() == local_socket.socket_path()
+
+
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [
+        (
+            ServiceState("loaded", "enabled", "activating"),
+            r"^companion.service is starting; .*in some seconds",
+        ),
+        (ServiceState("loaded", "enabled", "failed"), r"^companion.service has failed; .*journalctl"),
+        (ServiceState("loaded", "enabled", "inactive"), r"^companion.service is stopped; .*systemctl start"),
+        (ServiceState("not-found", "", "inactive"), r"gone/companion.sock: No such .*a running companion"),
+        (None, r"gone/companion.sock: No such file or directory; expected a running companion"),
+    ],
+)
+def test_where_no_socket_is_yet_it_says_what_the_installed_service_does(
+    state: ServiceState | None, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(commands, "where_to_ask", lambda: tmp_path / "gone" / local_socket.FILE_NAME)
+    monkeypatch.setattr(commands, "listening_elsewhere", lambda _: [])
+    monkeypatch.setattr(commands, "service_state", lambda: state)
+    with pytest.raises(ConfigError, match=words):
+        status_command(False, False)
+    with pytest.raises(ConfigError, match="other: No such file or directory; expected a running companion"):
+        status_command(False, False, tmp_path / "other")
+
+
+def test_a_service_that_listens_elsewhere_is_named_with_its_socket(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "theirs" / local_socket.FILE_NAME
+    path.parent.mkdir()
+    monkeypatch.setattr(commands, "where_to_ask", lambda: tmp_path / "ours" / local_socket.FILE_NAME)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as theirs:
+        theirs.bind(str(path))
+        assert str(path) not in local_socket.listening_elsewhere(tmp_path)  # it does not listen yet
+        theirs.listen()
+        assert str(path) not in local_socket.listening_elsewhere(path)
+        with pytest.raises(ConfigError, match=rf"one listens at .*{path}.*: expected --socket with its path"):
+            status_command(False, False)
+
+
+def test_where_the_kernel_names_no_sockets_none_listens_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(local_socket, "SOCKETS", tmp_path / "no_proc")
+    assert local_socket.listening_elsewhere(tmp_path) == []
 
 
 def test_without_a_service_it_is_said_in_one_line(tmp_path: Path) -> None:

@@ -173,7 +173,7 @@ def test_the_file_is_written_or_the_reason_why_not_is_said(
     findings = (
         found("px4", BAD["px4"])
         if read
-        else [Finding(GROUP, "parameters", FindingState.NOT_CHECKED, "no autopilot on the link")]
+        else [Finding(GROUP, "parameters", FindingState.NOT_CHECKED, "the service has it", "stop it")]
     )
 
     async def checked(*_words: object, **_options: object) -> list[Finding]:
@@ -187,7 +187,9 @@ def test_the_file_is_written_or_the_reason_why_not_is_said(
             job.check_vehicle(path, None, None, linked=True, params_file=target)
         assert as_mission_planner(target.read_text())["COM_OBL_RC_ACT"] == 5.0
     else:
-        with pytest.raises(ConfigError, match=r"--write-params .*: not written: no autopilot on the link"):
+        with pytest.raises(
+            ConfigError, match=r"since no parameter was read: the service has it; expected stop it$"
+        ):
             job.check_vehicle(path, None, None, linked=True, params_file=target)
         assert not target.exists()
 

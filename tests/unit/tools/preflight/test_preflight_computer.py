@@ -1,6 +1,7 @@
 """The computer: clock, disk, power, service; and what a running service does to the check."""
 
 import asyncio
+import os
 import shutil
 from collections import namedtuple
 from datetime import UTC, datetime
@@ -8,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from companion.app.service.systemd import ServiceState
 from companion.config import CompanionConfig
 from companion.tools.preflight import computer, run
-from companion.tools.preflight.computer import ServiceState
-from companion.tools.preflight.findings import Finding, FindingState
+from companion.tools.preflight.findings import Finding, FindingGroup, FindingState, summary_line
 
 NOW = datetime(2099, 1, 1, tzinfo=UTC)
 RUNNING = ServiceState("loaded", "enabled", "active")
@@ -115,4 +116,36 @@ def test_what_a_running_app_has_is_left_alone(
     left = [finding for finding in findings if f"{who} is running" in finding.detail]
     groups = {"camera", "IMU", "GPS", "range", "link", "telemetry", "autopilot's parameters"}
     assert {finding.group for finding in left} == groups
-    assert any(finding.hint.startswith(hint) for finding in left)
+    assert all(finding.hint.startswith(hint) for finding in left)
+    line = summary_line(findings)
+    named = "camera, IMU, GPS, range, link, telemetry, autopilot's parameters, second sources"
+    assert line.endswith(f"; not looked at: {named}")
+    assert "nothing fails" not in line.replace("of what was looked at nothing fails", "")
+
+
+def test_a_check_that_looked_at_all_says_that_nothing_fails() -> None:
+    group, other = FindingGroup("IMU"), FindingGroup("computer")
+    looked_at = [group.ok("samples", "200 Hz"), other.ok("disk", "9 GB"), other.skip("power", "no vcgencmd")]
+    assert summary_line(looked_at) == "2 ok, 1 not checked; nothing fails"
+    failed = [group.skip("opens", "taken"), other.fail("disk", "0 GB", "")]
+    assert summary_line(failed) == (
+        "1 fail, 1 not checked; not ready to fly: computer: disk; not looked at: IMU"
+    )
+
+
+@pytest.mark.parametrize("state", [ServiceState("loaded", "disabled", "inactive"), None])
+def test_the_disk_is_that_of_the_installed_service_before_its_first_start_too(
+    state: ServiceState | None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(computer, "SERVICE_FOLDER", tmp_path / "var" / "lib" / "companion")
+    (disk,) = (finding for finding in computer.check_computer(None, state, NOW) if finding.name == "disk")
+    where = Path.cwd() if state is None else computer.SERVICE_FOLDER
+    assert f"GB free for {where}" in disk.detail
+
+
+def test_who_may_not_write_is_told_what_mends_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(0, 0, 9e9))
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may write anywhere
+    assert found(monkeypatch, tmp_path)["disk"].hint.startswith("--record DIR")
+    monkeypatch.setattr(computer, "SERVICE_FOLDER", tmp_path)
+    assert found(monkeypatch, tmp_path)["disk"].hint == "sudo -u companion companion check"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import os
+import socket
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +17,7 @@ from companion.config import CompanionConfig, validate
 from companion.link.codec import Codec, mavlink
 from companion.link.dialect import CURRENT_MODE
 from companion.link.streams import POSE_RATES_HZ, telemetry_rates_hz
+from companion.tools.preflight import autopilot
 from companion.tools.preflight.findings import FindingState
 from companion.tools.preflight.parameters import ParameterReadings
 from companion.tools.preflight.telemetry import FrameCounter, Heard, judge
@@ -46,6 +50,34 @@ def rates(changed: Mapping[int, float]) -> Heard:
 def test_a_good_link_is_well() -> None:
     assert found(WELL) == {}
     assert found(WELL, {"sense": {"source": "autopilot"}}) == {}
+
+
+@pytest.mark.parametrize(
+    ("connection", "hint"),
+    [
+        ("udpin:127.0.0.1:{port}", "nothing sends to this port"),
+        ("udp:127.0.0.1:{port}", "nobody answers at this address"),
+        ("serial:{line}:57600", "power, TX and RX crossed"),
+    ],
+)
+def test_a_silent_link_has_the_hint_of_its_kind(
+    connection: str, hint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(autopilot, "HEARTBEAT_PATIENCE_S", 0.1)
+    ours, theirs = os.openpty()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+        if connection.startswith("udpin"):
+            free.close()
+        line = connection.format(port=port, line=os.ttyname(theirs))
+        config = validate(CompanionConfig, {"link": {"connection": line}}, "test")
+        heartbeat, *others = asyncio.run(autopilot.check_link(config, None))
+    os.close(ours)
+    os.close(theirs)
+    assert heartbeat.detail == f"{line}: no heartbeat within 0.1 s, not one byte"
+    assert heartbeat.hint.startswith(hint)
+    assert {finding.state for finding in others} == {FindingState.NOT_CHECKED}
 
 
 def test_where_nothing_is_flown_neither_arming_nor_the_battery_matters_but_the_pose_does() -> None:
