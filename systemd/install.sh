@@ -31,7 +31,7 @@ if [ "${1:-}" = "--remove" ]; then
         rm -f "$PROGRAMS_FOLDER/$program"
     done
     systemctl daemon-reload
-    echo "removed; settings stay in $SETTINGS, flight logs in /var/lib/companion"
+    echo "removed; settings stay in $SETTINGS, flight logs in $FLIGHTS"
     exit 0
 fi
 [ $# -eq 0 ] || fail "unknown argument '$1'; expected none or --remove"
@@ -124,7 +124,8 @@ else
     # from "/": where we are may hold a package of that name, a checkout
     package="$(cd / && "$folder/.venv/bin/python" -c 'import companion; print(companion.__path__[0])')"
     ln -s "${package#"$folder/"}/configs" "$folder/configs"
-    cp "$SOURCE/README.md" "$SOURCE/CHANGELOG.md" "$SOURCE/LICENSE" "$folder/"
+    # beside the installer: the one of who installs, not of who develops
+    cp "$HERE/README.md" "$SOURCE/CHANGELOG.md" "$SOURCE/LICENSE" "$folder/"
     [ ! -d "$SOURCE/docs" ] || cp -r "$SOURCE/docs" "$folder/"
     put_file "$UNIT_SOURCE" "$folder/companion.service"
     echo "$revision" >"$folder/REVISION"
@@ -138,6 +139,8 @@ else
     touch "$folder/COMPLETE"
 fi
 
+# where flights go, and the user's home, there for the first check too; systemd would make it at the first start
+[ -d "$FLIGHTS" ] || install -d -o "$SERVICE_USER" -g "$SERVICE_USER" "$FLIGHTS"
 # a link to a disk that is not there now is the settings' too
 [ -e "$SETTINGS/companion.yaml" ] || [ -L "$SETTINGS/companion.yaml" ] \
     || install -m 0644 "$VERSIONS/$name/configs/companion.yaml" "$SETTINGS/companion.yaml"

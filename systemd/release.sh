@@ -7,7 +7,7 @@ readonly HERE="$(cd "$(dirname "$0")" && pwd)"
 readonly SOURCE="$(dirname "$HERE")"
 readonly PYTHON="${PYTHON:-python3}"
 readonly PYTHONS=(3.11 3.13) # Debian 12, 13
-readonly DOCUMENTS=(README.md CHANGELOG.md LICENSE constraints.txt)
+readonly DOCUMENTS=(systemd/README.md CHANGELOG.md LICENSE constraints.txt)
 
 fail() { echo "release: $*" >&2; exit 1; }
 pip() {

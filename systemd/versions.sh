@@ -12,6 +12,7 @@ umask 022
 readonly BASE="${COMPANION_BASE:-}"
 readonly PREFIX="$BASE/opt/companion"
 readonly SETTINGS="$BASE/etc/companion"
+readonly FLIGHTS="$BASE/var/lib/companion"
 readonly UNIT="$BASE/etc/systemd/system/companion.service"
 readonly PROGRAMS_FOLDER="$BASE/usr/local/bin"
 readonly VERSIONS="$PREFIX/versions"

@@ -1,6 +1,7 @@
 """install.sh and companion-rollback on made-up releases: one whole version is in use, whatever happens."""
 
 import fcntl
+import re
 import shutil
 from pathlib import Path
 
@@ -50,6 +51,7 @@ def test_a_first_installation_starts_nothing_and_puts_the_shipped_settings(
     installed(empty, tmp_path, "1.0")
     assert empty.starts == []
     assert (empty.base / "etc/companion/companion.yaml").read_text() == "# shipped\n"
+    assert (empty.base / "var/lib/companion").is_dir()  # the first check asks for room there
     assert (empty.prefix / "current/REVISION").read_text() == "abc\n"
     assert (empty.prefix / "current/configs/companion.yaml").exists()
     assert empty.run(empty.base / "usr/local/bin/companion", "--version").stdout == "1.0\n"
@@ -70,6 +72,16 @@ def test_an_upgrade_restarts_a_service_that_stands_by_says_so_and_leaves_setting
     assert (system.in_use, system.starts, unit(system)) == ("1.1", ["1.1"], "# 1.1")
     assert settings.read_text() == "# mine\n"
     assert before == [(p.stat().st_uid, p.stat().st_gid, p.stat().st_mode) for p in (token, settings)]
+
+
+def test_the_releases_readme_names_nothing_that_a_release_lacks() -> None:
+    text = (SYSTEMD / "README.md").read_text()
+    links = re.findall(r"\]\(([^)]+)\)", text)
+    missing = [link for link in links if not (SYSTEMD.parent / link).is_file()]
+    outside = [link for link in links if not link.startswith(("docs/", "CHANGELOG.md", "LICENSE"))]
+    assert (missing, outside) == ([], [])
+    assert [word for word in ("make ", "checkout", "CONTRIBUTING") if word in text] == []
+    assert "systemd/README.md" in (SYSTEMD / "release.sh").read_text()
 
 
 def test_no_line_of_the_installer_changes_who_owns_the_settings() -> None:
