@@ -50,12 +50,13 @@ class Stage:
     simulator: subprocess.Popen[str]
     service: subprocess.Popen[str] | None = None
 
-    def start_service(self) -> float:
+    def start_service(self, *, nice: int = 0) -> float:
         """Start the service; returns how long (s) it took to say that it stands by."""
         begun_s = time.monotonic()
         self.service = subprocess.Popen(
             (
-                *(sys.executable, "-m", "companion.cli", "--no-ui", "--config", str(self.settings)),
+                *("nice", "-n", str(nice), sys.executable, "-m", "companion.cli"),
+                *("--no-ui", "--config", str(self.settings)),
                 *("--record", str(self.folder / "flights")),
             ),
             cwd=ROOT,
