@@ -102,6 +102,18 @@ def test_a_stop_in_flight_is_no_failure_and_wrong_settings_are_not_tried_again()
     assert "Restart=always" in unit
 
 
+def test_the_service_comes_before_other_programs_and_not_before_the_kernels() -> None:
+    unit = dict(
+        line.split("=", 1)
+        for line in (FOLDER / "companion.service").read_text().splitlines()
+        if "=" in line and not line.startswith("#")
+    )
+    assert int(unit["Nice"]) < 0  # within a control group
+    assert int(unit["CPUWeight"]) > 100  # between groups; systemd's own
+    # all its threads would have a real-time policy: vision, the log
+    assert unit.get("CPUSchedulingPolicy", "other") == "other"
+
+
 def test_systemd_waits_until_a_vehicle_that_climbs_clear_of_the_pad_is_handed_back() -> None:
     unit = (FOLDER / "companion.service").read_text().splitlines()
     [waits_s] = [float(line.split("=")[1]) for line in unit if line.startswith("TimeoutStopSec=")]
