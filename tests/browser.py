@@ -76,6 +76,17 @@ class Tab:
             while not await self.evaluate(f"Boolean({expression})"):  # noqa: ASYNC110 - it is another process
                 await asyncio.sleep(0.1)
 
+    async def touch(self, element: str) -> None:
+        """A person's click in the middle of an element: what a page may do only after one, it may then."""
+        box = await self.evaluate(
+            f"{element}.scrollIntoView(), "
+            f"((b) => [b.x + b.width / 2, b.y + b.height / 2])({element}.getBoundingClientRect())"
+        )
+        for kind in ("mousePressed", "mouseReleased"):
+            await self.call(
+                "Input.dispatchMouseEvent", type=kind, x=box[0], y=box[1], button="left", clickCount=1
+            )
+
     async def screenshot(self, path: Path) -> None:
         """What the window shows, as PNG."""
         shot = await self.call("Page.captureScreenshot", format="png")

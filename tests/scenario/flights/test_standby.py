@@ -29,6 +29,8 @@ def test_two_landings_in_one_run_each_with_a_log_of_its_own(tmp_path: Path) -> N
             await field.landed()
             assert field.acks(LAND) == [IN_PROGRESS, ACCEPTED] * number
             await asyncio.sleep(5.0)
+            # frames have come all along
+            assert not any("no frame" in text for text in field.notices)
         assert field.app.missions.order is None
 
     play(story, record=tmp_path)
@@ -44,6 +46,7 @@ def test_in_standby_it_asks_for_nothing_and_refuses_what_cannot_be() -> None:
         field.order()
         await asyncio.sleep(0.5)
         assert field.acks(LAND) == [mavlink.MAV_RESULT_TEMPORARILY_REJECTED]
+        assert sum("refused" in text for text in field.notices) == 1
         await field.ready()
         field.order(mavlink.MAV_CMD_USER_1, 2.0)
         await asyncio.sleep(0.5)

@@ -139,3 +139,38 @@ async def test_the_inputs_are_on_the_first_screen(tmp_path: Path, size: tuple[in
         bottom = await tab.evaluate("document.getElementById('lights').getBoundingClientRect().bottom")
         orders = await tab.evaluate("document.getElementById('orders').getBoundingClientRect().top")
         assert bottom <= (orders if size == PHONE else size[1])
+
+
+# what a phone does, counted in place of done
+COUNTED: Final = """
+  window.done = {tones: 0, shakes: 0, locks: 0};
+  const made = AudioContext.prototype.createOscillator;
+  AudioContext.prototype.createOscillator = function () { done.tones += 1; return made.call(this); };
+  navigator.vibrate = () => { done.shakes += 1; };
+  Object.defineProperty(navigator, "wakeLock", {value: {request: async () => { done.locks += 1;
+    return {release: async () => {}}; }}});
+"""
+
+
+async def test_who_wants_it_hears_and_feels_a_problem_and_the_screen_stays_on(tmp_path: Path) -> None:
+    async with served() as on, browser(tmp_path) as tab:
+        await opened(on, tab)
+        await tab.evaluate(COUNTED)
+        on.server.text(Text("state", json.dumps(state())))
+        await tab.wait_for("document.querySelector('#lights .good')")
+        bad = state(problems=[UNCERTAIN])
+        on.server.text(Text("state", json.dumps({**bad, "up_s": 100.5})))
+        await tab.wait_for("!document.getElementById('alarm').hidden")
+        assert await tab.evaluate("done.tones + done.locks") == 0  # nobody has asked for it
+        await tab.touch("document.getElementById('watch')")
+        await tab.wait_for("done.locks === 1")
+        assert "screen stays on" in await tab.evaluate("document.getElementById('watching').textContent")
+        on.server.text(Text("state", json.dumps({**state(), "up_s": 101.0})))
+        await tab.wait_for("document.getElementById('alarm').hidden")
+        before = await tab.evaluate("done")
+        on.server.text(Text("state", json.dumps({**bad, "up_s": 101.5})))
+        await tab.wait_for("!document.getElementById('alarm').hidden")
+        after = await tab.evaluate("done")
+        assert after["tones"] > before["tones"]
+        assert after["shakes"] > before["shakes"]
+        assert tab.console == []

@@ -149,6 +149,9 @@ async def test_status_shows_it_and_its_exit_code_says_healthy_or_not(
     assert "used 1200, refused 7: too late" in words
     for expected in ("begins, now", "silent for 8 s", "2 h ago"):  # a GPS that has just come, the first event
         assert expected in words
+    service.report["inputs"][0].update(unused=True, reason="stamped ahead")
+    _, words = await command(service, path, lambda: status_command(False, False, path), capsys)
+    assert "NOT USED, refused 7: stamped ahead" in words
     service.report["problems"] = ["camera: no frame yet"]
     code, words = await command(service, path, lambda: status_command(False, True, path), capsys)
     assert (code, json.loads(words)["problems"]) == (1, ["camera: no frame yet"])

@@ -102,12 +102,20 @@ def test_a_stop_in_flight_is_no_failure_and_wrong_settings_are_not_tried_again()
     assert "Restart=always" in unit
 
 
+def settings_of_the_unit() -> dict[str, str]:
+    lines = (FOLDER / "companion.service").read_text().splitlines()
+    return dict(line.split("=", 1) for line in lines if "=" in line and not line.startswith("#"))
+
+
+def test_it_is_started_where_it_may_write() -> None:
+    # lgpio leaves a pipe in the working folder; a service's is "/", read-only
+    unit = settings_of_the_unit()
+    assert unit["WorkingDirectory"] == f"%S/{unit['StateDirectory']}"
+    assert unit["ProtectSystem"] == "strict"
+
+
 def test_the_service_comes_before_other_programs_and_not_before_the_kernels() -> None:
-    unit = dict(
-        line.split("=", 1)
-        for line in (FOLDER / "companion.service").read_text().splitlines()
-        if "=" in line and not line.startswith("#")
-    )
+    unit = settings_of_the_unit()
     assert int(unit["Nice"]) < 0  # within a control group
     assert int(unit["CPUWeight"]) > 100  # between groups; systemd's own
     # all its threads would have a real-time policy: vision, the log
