@@ -131,12 +131,21 @@ END
     put "$first"
     installer || fail "install.sh: $(said)"
     step "installed"
+    # before the first start: where flights will be kept, and what there is to ask
+    inside runuser -u companion -- companion check --no-link --json - >"$FOLDER/check.json" || [ $? -eq 1 ] \
+        || fail "the first check: exit code $?"
+    grep -q "GB free for /var/lib/companion\"" "$FOLDER/check.json" || fail "the first check: $(grep -m 1 free "$FOLDER/check.json")"
+    local answer; answer="$(inside companion status 2>&1 || true)"
+    grep -q "companion.service is stopped" <<<"$answer" || fail "status before the first start: $answer"
+    ! grep -q "make " "$ROOT/opt/companion/current/README.md" || fail "the release's README names make"
     # with devices that are not there, a page that asks for a token, and a key
     inside sh -c "install -m 0600 -o companion -g companion /dev/null /etc/companion/page-token; echo $TOKEN >/etc/companion/page-token
         install -m 0600 -o companion -g companion /dev/null /etc/companion/signing-key; echo a passphrase >/etc/companion/signing-key
         printf 'serve: {address: \"0.0.0.0:8080\", token_file: /etc/companion/page-token}\nlink: {connection: \"udpin:127.0.0.1:14540\", signing_key: /etc/companion/signing-key, actions: pymavlink}\n' >/etc/companion/companion.yaml"
     inside systemctl enable --quiet --now companion || fail "enable: $(inside journalctl --unit companion --no-pager --output cat | tail -n 5)"
     holds "$version" "installed"
+    answer="$(inside ps -o ni= -p "$(main_process)" | tr -d ' ') $(inside systemctl show companion --property=CPUWeight --value)"
+    [ "$answer" = "-10 1000" ] || fail "nice and weight: $answer"
 
     step "upgrade while standing by"
     local before; before="$(main_process)"
