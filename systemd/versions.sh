@@ -121,7 +121,7 @@ switch_to() {
 
 # restart, and wait: active, answering, and still the same process after a while. Prints the reason if it is not
 restart_is_healthy() {
-    local until=$((SECONDS + PATIENCE_S)) pid told
+    local until=$((SECONDS + PATIENCE_S)) since="@$(date +%s)" pid told
     systemctl reset-failed companion.service 2>/dev/null || true
     if ! told="$(timeout "$((2 * PATIENCE_S))" systemctl restart companion.service 2>&1)"; then
         echo "it does not start: $(why_down "$told")"
@@ -151,12 +151,14 @@ answers() {
     timeout 20 "$CURRENT/.venv/bin/companion" status --json >/dev/null 2>&1 || [ $? -eq 1 ]
 }
 
-# its own last line, else what is known otherwise
+# of what was said since the restart: why systemd ended it, and its own last line; else what is known otherwise
 why_down() {
-    local line
-    line="$(journalctl --unit companion.service --no-pager --output cat --lines 30 2>/dev/null \
-        | grep -v -e '^companion.service: ' -e '^Start' -e '^Stop' -e '^Failed to start' | tail -n 1)" || true
-    echo "${line:-$(tail -n 1 <<<"$1")}"
+    local lines ended line
+    lines="$(journalctl --unit companion.service --since "$since" --no-pager --output cat --lines 30 2>/dev/null)" || true
+    ended="$(grep -o -m 1 -e 'Watchdog timeout.*' -e 'start operation timed out' <<<"$lines")" || true
+    line="$(grep -v -e '^companion.service: ' -e '^Start' -e '^Stop' -e '^Failed to start' <<<"$lines" | tail -n 1)" || true
+    line="${line:-$(tail -n 1 <<<"$1")}"
+    echo "${ended:+$ended (too busy a machine?)${line:+; last it said: }}$line"
 }
 
 # Switch to a complete version, restart a service that runs, check it, and go back if it is not well.

@@ -126,6 +126,16 @@ def test_one_that_runs_and_says_nothing_is_told_apart_from_one_that_went_down(
     assert system.in_use == "1.0"
 
 
+def test_one_that_systemd_ended_is_told_with_systemds_reason(system: System, tmp_path: Path) -> None:
+    system.serves()
+    said = "companion.service: Watchdog timeout (limit 2s)!\\ncontrol 23 ms late\\nStopped companion.service"
+    (system.programs / "journalctl").write_text(f"#!/bin/sh\nprintf '{said}'\n")
+    done = system.run(release(tmp_path, "1.1", fault="fault") / "install.sh")
+    assert done.returncode == 1
+    assert "1.1: it does not start: Watchdog timeout (limit 2s)! (too busy a machine?)" in done.stdout
+    assert "; last it said: control 23 ms late" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("status", "why"),
     [
