@@ -32,7 +32,7 @@ from companion.pad import Pad
 from companion.sense.vision.aruco import ENOUGH, GROUPS, Detection, PadDetector, SearchPass
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.paper_pose import paper_pose
-from companion.sense.vision.pose import MAXIMUM_TURN_RAD, PoseFit, estimate_pose
+from companion.sense.vision.pose import MAXIMUM_TURN_RAD, PoseFit, fit_poses
 from companion.sense.vision.print_check import PrintCheck
 from companion.sense.vision.search import CELL_PX, SearchPlanner
 from companion.sense.vision.unread import UnreadMarkers
@@ -130,15 +130,19 @@ class Vision:
         """The pose as the settings have it; one marker alone is trusted when the print about it fits."""
         if self._config.pose == "paper":
             return paper_pose(found, self._lens, self._config)
-        pose = estimate_pose(found, self._lens, self._config, *motion)
+        given = (self._lens, self._config, *motion)
+        fits = fit_poses(found, *given)
+        if fits is None:
+            return None
         few = ENOUGH if motion[0] is None else 2
-        if pose is not None and (len(pose.used) < few or pose.second is not None):
-            starts = pose.hypotheses()
+        starts = fits.hypotheses
+        if len(starts[0].used) < few or len(starts) > 1:
             more = max((self._unread.find(frame.image, each) for each in starts), key=len)
             if more:
                 sure = [d for d in found if d.refined]
-                pose = estimate_pose([*sure, *more], self._lens, self._config, *motion, starts) or pose
-        if pose is None or (len(pose.used) == 1 and not self._print.bears_out(frame.image, pose, read)):
+                fits = fit_poses([*sure, *more], *given, starts) or fits
+        pose = fits.pose()
+        if len(pose.used) == 1 and not self._print.bears_out(frame.image, pose, read):
             return None
         turn_rad2 = float(np.linalg.eigvalsh(pose.covariance[3:, 3:])[-1])
         return pose if turn_rad2 < MAXIMUM_TURN_RAD**2 else None

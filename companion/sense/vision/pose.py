@@ -86,9 +86,7 @@ class PoseFit:
 
     `covariance` is 6x6: position (m), small rotation about camera axes (rad).
     `common_variance_m2`, of each axis of the position, is the part of it that all frames share. The pose
-    holds when `row_px` is exposed. `curvature` is by how much the covariance is larger than the fit's own,
-    which takes the corners' moves for straight: in its terms no pose is farther off than it fits worse, a
-    `second` one that fits about as well among them.
+    holds when `row_px` is exposed.
     """
 
     position_camera_m: FloatArray
@@ -98,15 +96,6 @@ class PoseFit:
     used: tuple[Detection, ...]
     reprojection_error_px: float
     common_variance_m2: float = 0.0
-    second: PoseFit | None = None
-    curvature: FloatArray | None = None
-
-    def hypotheses(self) -> tuple[PoseFit, ...]:
-        """This pose and the second one, each with the covariance that it has where the other is ruled out."""
-        if self.curvature is None:
-            return (self,)
-        own = replace(self, covariance=self.covariance - self.curvature, second=None, curvature=None)
-        return (own,) if self.second is None else (own, self.second)
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +132,28 @@ class _Fit:
     squares: float
 
 
+@dataclass(frozen=True, slots=True)
+class PoseFits:
+    """What the corners fit.
+
+    `hypotheses` are the best pose and, where gravity does not choose, a second one that fits about as well:
+    each with the fit's own covariance, which takes the corners' moves for straight and the other for ruled
+    out.
+    """
+
+    hypotheses: tuple[PoseFit, ...]
+    problem: _Problem
+    fits: tuple[_Fit, ...]
+
+    def pose(self) -> PoseFit:
+        """The best one, in whose covariance no pose is farther off than it fits worse."""
+        best, problem = self.hypotheses[0], self.problem
+        if problem.down is not None:
+            return best
+        curvature = _curvature(problem, list(self.fits), _scale(self.fits[0], problem))
+        return replace(best, covariance=best.covariance + curvature)
+
+
 def estimate_pose(
     found: list[Detection],
     lens: Lens,
@@ -150,8 +161,21 @@ def estimate_pose(
     down_camera: Vector3 | None,
     climb_m_s: float = 0.0,
     rate_camera_rad_s: Vector3 = ZERO3,
-    near: Sequence[PoseFit] = (),
 ) -> PoseFit | None:
+    """The pose that fits all corners: see `fit_poses`."""
+    fits = fit_poses(found, lens, config, down_camera, climb_m_s, rate_camera_rad_s)
+    return None if fits is None else fits.pose()
+
+
+def fit_poses(
+    found: list[Detection],
+    lens: Lens,
+    config: VisionConfig,
+    down_camera: Vector3 | None,
+    climb_m_s: float = 0.0,
+    rate_camera_rad_s: Vector3 = ZERO3,
+    near: Sequence[PoseFit] = (),
+) -> PoseFits | None:
     """Fit one pose to all corners, dropping the worst marker while some disagree.
 
     Args:
@@ -230,8 +254,8 @@ def _climb_std_m_s(detections: list[Detection], lens: Lens, config: VisionConfig
 
 def _accept(
     problem: _Problem, fits: list[_Fit], used: list[Detection], errors_px: FloatArray, config: VisionConfig
-) -> PoseFit:
-    """The pose with its covariance: the corners' noise as observed, what they do not show, a second pose."""
+) -> PoseFits:
+    """Poses with their covariances: the corners' noise as observed, and what they do not show."""
     scale = _scale(fits[0], problem)
     row_px = float(np.mean([d.corners_px[:, 1].mean() for d in used]))
     rms_px = float(np.sqrt((errors_px**2).mean()))
@@ -242,15 +266,11 @@ def _accept(
         unseen = unseen_m2(float(fit.position[2]), problem.delay_s, problem.focal_px)
         covariance[:3, :3] += np.eye(3) * (common + unseen)
         made.append(PoseFit(fit.position, fit.rotation, covariance, row_px, tuple(used), rms_px, common))
-    best = made[0]
-    curvature = _curvature(problem, fits, scale) if problem.down is None else None
-    if curvature is None:
-        return best
-    second = made[1] if len(fits) > 1 and fits[1].squares <= _most_squares(fits[0], problem) else None
-    return replace(best, covariance=best.covariance + curvature, second=second, curvature=curvature)
+    alike = len(fits) > 1 and fits[1].squares <= _most_squares(fits[0], problem)
+    return PoseFits(tuple(made[: 1 + alike]), problem, tuple(fits))
 
 
-def _curvature(problem: _Problem, fits: list[_Fit], scale: float) -> FloatArray | None:
+def _curvature(problem: _Problem, fits: list[_Fit], scale: float) -> FloatArray:
     """What the best fit's covariance lacks (6, 6) of poses that fit as well, or not as much worse as it says.
 
     The second pose, and those with other normals, about each of the two and then about what came of it.
@@ -259,15 +279,14 @@ def _curvature(problem: _Problem, fits: list[_Fit], scale: float) -> FloatArray 
     linear = covariance = scale * best.covariance
     others = fits[1:] + [o for fit in fits[1:] for o in _turned(problem, fit, scale * fit.covariance)]
     for _ in range(ROUNDS):
+        before = covariance
         others += _turned(problem, best, covariance)
-        if not others:
-            return None
         for other in others:
             apart = np.concatenate((other.position - best.position, _turn(other, best)))
             covariance = _reaching(covariance, apart, (other.squares - best.squares) / scale)
-        if np.linalg.eigvalsh(covariance[3:, 3:])[-1] > MAXIMUM_TURN_RAD**2:
+        if covariance is before or np.linalg.eigvalsh(covariance[3:, 3:])[-1] > MAXIMUM_TURN_RAD**2:
             break
-    return None if covariance is linear else covariance - linear
+    return covariance - linear
 
 
 def _turned(problem: _Problem, fit: _Fit, covariance: FloatArray) -> list[_Fit]:

@@ -24,7 +24,7 @@ from companion.sense.vision import pose as pose_module
 from companion.sense.vision.aruco import ENOUGH, GROUPS, PadDetector, SearchPass
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.pipeline import Vision
-from companion.sense.vision.pose import estimate_pose
+from companion.sense.vision.pose import estimate_pose, fit_poses
 from companion.sense.vision.print_check import PrintCheck
 from companion.sense.vision.unread import UnreadMarkers
 from sitl.camera.camera import CameraModel, ScenePose
@@ -104,12 +104,9 @@ def _turn_sigmas(covariance: np.ndarray, turn: np.ndarray) -> float:
 
 def test_many_markers_have_no_second_pose(pad: Pad, camera: CameraConfig) -> None:
     rotation = camera_from_pad_at(0.3, math.radians(12.0))
-    pose = estimate_pose(
-        detections(pad, camera, rotation, (0.3, -0.2, 3.0)), Lens(camera), VisionConfig(), None
-    )
-    assert pose is not None
-    assert pose.second is None
-    assert len(pose.hypotheses()) == 1
+    fits = fit_poses(detections(pad, camera, rotation, (0.3, -0.2, 3.0)), Lens(camera), VisionConfig(), None)
+    assert fits is not None
+    assert len(fits.hypotheses) == 1
 
 
 def test_a_second_pose_that_fits_badly_is_left_where_it_starts(
@@ -128,22 +125,45 @@ def test_a_second_pose_that_fits_badly_is_left_where_it_starts(
         rotation = camera_from_pad_at(0.3, math.radians(tilt_deg))
         found = detections(pad, camera, rotation, (0.1, -0.1, 1.2))[:4]
         before = steps
-        pose = estimate_pose(found, Lens(camera), VisionConfig(), None)
-        assert pose is not None
-        assert pose.second is None
+        fits = fit_poses(found, Lens(camera), VisionConfig(), None)
+        assert fits is not None
+        assert len(fits.hypotheses) == 1
         assert steps - before <= 4
+
+
+def test_how_far_a_turn_may_go_is_asked_of_the_last_pose_alone(
+    pad: Pad, camera: CameraConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Poses that are but the way to more markers are fitted, and not turned this way and that."""
+    turned, asked = pose_module._turned, 0
+
+    def counted(*given: Any) -> Any:
+        nonlocal asked
+        asked += 1
+        return turned(*given)
+
+    monkeypatch.setattr(pose_module, "_turned", counted)
+    rotation = camera_from_pad_at(0.3, math.radians(5.0))
+    found = detections(pad, camera, rotation, (0.3, -0.2, 9.0))[:1]
+    fits = fit_poses([replace(d, corner_std_px=0.1) for d in found], Lens(camera), VisionConfig(), None)
+    assert fits is not None
+    assert asked == 0
+    own, pose = fits.hypotheses[0], fits.pose()
+    assert asked > 0
+    assert np.linalg.eigvalsh(pose.covariance - own.covariance)[-1] > 1e-6
 
 
 def test_more_markers_are_fitted_from_the_pose_that_found_them(pad: Pad, camera: CameraConfig) -> None:
     lens, config = Lens(camera), VisionConfig()
     rotation = camera_from_pad_at(0.3, math.radians(12.0))
     found = detections(pad, camera, rotation, (0.3, -0.2, 3.0))
-    one = estimate_pose(found[:1], lens, config, None)
+    one = fit_poses(found[:1], lens, config, None)
     assert one is not None
     afresh = estimate_pose(found, lens, config, None)
-    near = estimate_pose(found, lens, config, None, near=one.hypotheses())
+    more = fit_poses(found, lens, config, None, near=one.hypotheses)
     assert afresh is not None
-    assert near is not None
+    assert more is not None
+    near = more.pose()
     assert near.position_camera_m == pytest.approx(afresh.position_camera_m, abs=1e-6)
     assert near.camera_from_pad == pytest.approx(afresh.camera_from_pad, abs=1e-6)
 
