@@ -16,9 +16,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from benchmarks.control.margins import DOWN, SIDEWAYS, MarginCase, loop_transfer, margins
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ControlConfig, Kind, VehicleConfig, find_file, load_model
-from companion.control.response.margins import DOWN, SIDEWAYS, MarginCase, loop_transfer, margins
 
 mpl.use("Agg")
 

@@ -8,6 +8,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from benchmarks.control.margins import (
+    DOWN,
+    SIDEWAYS,
+    MarginCase,
+    Margins,
+    loop_transfer,
+    margins,
+    respond,
+    while_turning,
+)
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import FloatArray
 from companion.config import (
@@ -21,16 +31,6 @@ from companion.config import (
 )
 from companion.control.adaptive_feedforward import FASTEST_TURN_SHARE, learning_s
 from companion.control.response.fitting import fitted, loop_rad_s
-from companion.control.response.margins import (
-    DOWN,
-    SIDEWAYS,
-    MarginCase,
-    Margins,
-    loop_transfer,
-    margins,
-    respond,
-    while_turning,
-)
 
 VEHICLES = sorted(path.stem for path in (CONFIG_FOLDER / "vehicles").glob("*.yaml"))
 FLOWN: tuple[tuple[AutopilotKind, Kind], ...] = (
