@@ -25,7 +25,7 @@ from calibration.camera.views import (
     ImageCoverage,
 )
 from companion.base.files import write_atomically
-from companion.base.formats.mjpeg import MjpegServer
+from companion.base.formats.mjpeg import MjpegServer, serving
 from companion.config import CaptureConfig, ConfigError
 from companion.sense.camera.source import FrameSource, open_camera
 
@@ -151,26 +151,17 @@ async def capture_live(
             cannot be used.
     """
     source = await open_camera(options.source, options.capture)
-    server = MjpegServer()
     try:
-        if options.serve_port is not None:
-            try:
-                port = await server.start(options.serve_port)
-            except OSError as error:
-                raise ConfigError(
-                    f"--serve {options.serve_port}: {error.strerror}; expected a free port, or 0 for any"
-                ) from error
-            tell(f"live picture: http://127.0.0.1:{port}/")
-        for note in source.take_notes():
-            tell(f"camera: {note}")
-        capture = _Capture(board, options, server, tell)
-        await capture.run(source)
-        return capture.session
+        async with serving(options.serve_port, tell) as server:
+            for note in source.take_notes():
+                tell(f"camera: {note}")
+            capture = _Capture(board, options, server, tell)
+            await capture.run(source)
+            return capture.session
     except OSError as error:
         raise ConfigError(f"{options.source}: {error}") from error
     finally:
         source.close()
-        await server.close()
 
 
 class _Capture:

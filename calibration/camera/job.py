@@ -28,7 +28,7 @@ from calibration.camera.solver import UnsolvableError
 from calibration.command_line import RefusedError
 from companion import __version__
 from companion.base.clock import start_unix_s
-from companion.base.files import must_be_writable, write_atomically
+from companion.base.files import make_folder, must_be_writable, write_atomically
 from companion.base.printing.paper import PaperName
 from companion.base.signals import run_until_stopped
 from companion.config import CameraConfig, CaptureConfig, ConfigError, validate
@@ -145,7 +145,8 @@ def calibrate_camera(job: CameraCalibrationJob) -> None:
     if not job.sources:
         raise ConfigError("SOURCE: expected a camera (v4l2:0) or photos; or --make-board")
     must_be_writable("--output", job.output)
-    _make_folder(job.keep, "--keep")
+    if job.keep is not None:
+        _empty_folder("--keep", job.keep)
     capture = job.camera.settings()
     if any(is_camera(source) for source in job.sources):
         if len(job.sources) > 1:
@@ -190,7 +191,7 @@ def _finish(
         typer.echo(f"plots in {job.plots}")
     if result.reasons and not job.force:
         raise RefusedError("; ".join(result.reasons))
-    camera = camera_config(result, board, capture, _origin(found.source), encoding)
+    camera = camera_config(result, board, capture, found.source, encoding)
     write_atomically(job.output, camera_yaml(camera))
     for reason in result.reasons:
         typer.echo(f"not good enough: {reason}")
@@ -203,20 +204,9 @@ def _verdict(result: Assessment, output: Path) -> str:
     return f"{output}: good; name it in the app's settings: camera: {output}"
 
 
-def _origin(source: str) -> Origin:
-    date = datetime.fromtimestamp(start_unix_s(virtual=True), UTC).isoformat(timespec="seconds")
-    return Origin(f"{NAME} {__version__}", source, date)
-
-
-def _make_folder(folder: Path | None, option: str) -> None:
-    if folder is None:
-        return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{option} {folder}: cannot be made: {error.strerror}") from error
+def _empty_folder(option: str, folder: Path) -> None:
     # an earlier attempt that took no picture has left its board there
-    if any(path.name != BOARD_FILE for path in folder.iterdir()):
+    if any(path.name != BOARD_FILE for path in make_folder(option, folder).iterdir()):
         raise ConfigError(f"{option} {folder}: holds files already; expected a new or empty folder")
 
 
@@ -229,20 +219,11 @@ WORST_VIEWS: Final = 3
 WRONG_SPREAD: Final = 0.03
 
 
-@dataclass(frozen=True, slots=True)
-class Origin:
-    """Where the pictures came from, when, and what worked them out."""
-
-    tool: str
-    source: str
-    date: str
-
-
 def camera_config(
     found: Assessment,
     board: CalibrationBoard,
     capture: CaptureConfig,
-    origin: Origin,
+    source: str,
     encoding: MeasuredEncoding | None = None,
 ) -> CameraConfig:
     """The camera as the app reads it; without a measured encoding it has the settings' own.
@@ -255,9 +236,9 @@ def camera_config(
     std = [float(f"{x:.3g}") for x in found.uncertainty.std]
     made = CameraCalibration(
         provenance=Provenance(
-            tool=origin.tool,
-            source=origin.source,
-            date=origin.date,
+            tool=f"{NAME} {__version__}",
+            source=source,
+            date=datetime.fromtimestamp(start_unix_s(virtual=True), UTC).isoformat(timespec="seconds"),
             samples=len(solution.seen),
             dropped=len(solution.dropped_views),
         ),

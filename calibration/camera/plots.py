@@ -12,10 +12,8 @@ from matplotlib.patches import Rectangle
 from calibration.camera.board import CalibrationBoard
 from calibration.camera.quality import Assessment
 from calibration.camera.views import COLUMNS, ROWS
-from companion.base.files import save_figure
-from companion.config import ConfigError
+from companion.base.files import make_folder, save_figure
 
-SEEN_COLOUR: Final = "tab:green"
 ERROR_COLOUR: Final = "tab:blue"
 # the longest usual error is drawn this long, of the image's width
 ARROW_SHARE: Final = 0.03
@@ -35,16 +33,11 @@ def write_plots(folder: Path, found: Assessment, board: CalibrationBoard) -> lis
         "poses": (_poses, (8.5, 7.5)),
     }
     written = []
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, (draw, size) in drawings.items():
-            figure = Figure(figsize=size, layout="constrained")
-            draw(figure, found, board)
-            path = folder / f"{name}.png"
-            save_figure(figure, path, dpi=110)
-            written.append(path)
-    except OSError as error:
-        raise ConfigError(f"--plots {folder}: cannot be written: {error.strerror}") from error
+    for name, (draw, size) in drawings.items():
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure, found, board)
+        written.append(make_folder("--plots", folder) / f"{name}.png")
+        save_figure(figure, written[-1], dpi=110)
     return written
 
 

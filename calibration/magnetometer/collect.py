@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -30,7 +30,7 @@ from calibration.magnetometer.live import LiveCompass
 from calibration.magnetometer.recording import MagnetometerRecording, paired
 from companion.base.clock import Clock
 from companion.base.files import write_atomically
-from companion.base.formats.mjpeg import MjpegServer
+from companion.base.formats.mjpeg import serving
 from companion.base.geometry import FloatArray
 from companion.config import ConfigError
 
@@ -59,7 +59,7 @@ async def collect(source: LiveCompass, limits: CollectionLimits, console: Consol
     clock = Clock()
     start_s = looked_s = clock.now_s()
     now = CoverageProgress(0, np.zeros(CELLS, dtype=bool), None, "")
-    async with _browser(limits.port) as browser:
+    async with serving(limits.port, console.print) as browser:
         with _screen(console) as screen:
             while clock.now_s() - start_s < limits.time_s:
                 mags, imus = await source.more()
@@ -68,7 +68,7 @@ async def collect(source: LiveCompass, limits: CollectionLimits, console: Consol
                 looked_s = clock.now_s()
                 now = progress(*paired(mags, imus[-_RECENT:]), source.body_from_sensor)
                 screen.show(now, looked_s - start_s)
-                if browser is not None:
+                if browser.viewer_count:
                     browser.show(picture(now))
                 if now.share >= ENOUGH and now.samples >= LEAST_SAMPLES:
                     break
@@ -81,22 +81,6 @@ async def collect(source: LiveCompass, limits: CollectionLimits, console: Consol
             line = str(error)
         console.print(line, highlight=False, markup=False)
     return source.recording()
-
-
-@asynccontextmanager
-async def _browser(port: int | None) -> AsyncIterator[MjpegServer | None]:
-    if port is None:
-        yield None
-        return
-    server = MjpegServer()
-    try:
-        await server.start(port)
-    except OSError as error:
-        raise ConfigError(f"--serve {port}: {error.strerror}; expected a free port") from error
-    try:
-        yield server
-    finally:
-        await server.close()
 
 
 # ---------------------------------------------------------------- on the terminal

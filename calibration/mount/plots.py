@@ -8,9 +8,8 @@ import numpy as np
 from calibration.mount.model import GYRO_BIAS, log, transposed
 from calibration.mount.recording import ImuSamples, PadObservations
 from calibration.mount.solver import MountSolution
-from companion.base.files import save_figure
+from companion.base.files import make_folder, save_figure
 from companion.base.geometry import FloatArray
-from companion.config import ConfigError
 
 AXES: Final = ("forward", "right", "down")
 COLOURS: Final = ("tab:blue", "tab:orange", "tab:green")
@@ -32,14 +31,10 @@ def write_mount_plots(
     rates, residuals = Figure((11, 8), layout="constrained"), Figure((11, 8), layout="constrained")
     _draw_rates(rates, solution, inertial, configured)
     _draw_residuals(residuals, solution)
-    paths = [folder / GYRO_NAME, folder / MISSES_NAME]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for figure, path in zip((rates, residuals), paths, strict=True):
-            FigureCanvasAgg(figure)
-            save_figure(figure, path, dpi=100)
-    except OSError as error:
-        raise ConfigError(f"--plots {folder}: cannot be written: {error.strerror}") from error
+    paths = [make_folder("--plots", folder) / name for name in (GYRO_NAME, MISSES_NAME)]
+    for figure, path in zip((rates, residuals), paths, strict=True):
+        FigureCanvasAgg(figure)
+        save_figure(figure, path, dpi=100)
     return paths
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -20,7 +19,7 @@ from calibration.mount.command import NAME
 from calibration.mount.recording import INERTIAL, MARK, GravityFreePadDetector, RecordingMark
 from calibration.mount.shared import MountSensors, SensorOpener, connected_sensors, new_log
 from companion.base.clock import Clock
-from companion.base.formats.mjpeg import MjpegServer
+from companion.base.formats.mjpeg import MjpegServer, serving
 from companion.base.geometry import norm
 from companion.base.messages import Frame, FrameReport, ImuSample, PadSighting
 from companion.base.signals import run_until_stopped
@@ -71,10 +70,10 @@ async def record(
     Raises:
         ConfigError: the folder holds a recording, or a device does not answer.
     """
-    async with sensors_of(config, True) as sensors, _served(serve) as show:
+    async with sensors_of(config, True) as sensors, serving(serve, typer.echo) as page:
         log = new_log(folder, virtual=virtual)
         try:
-            progress = await MountRecorder(config, sensors, log, typer.echo, show).run(longest_s)
+            progress = await MountRecorder(config, sensors, log, typer.echo, page).run(longest_s)
         except BaseException:  # Ctrl-C as well: half a recording is none
             log.discard()
             raise
@@ -83,24 +82,6 @@ async def record(
             log.discard()
             raise ConfigError(f"{folder}: {log.problem}; expected room for the recording")
     return progress
-
-
-@asynccontextmanager
-async def _served(port: int | None) -> AsyncIterator[ShowImage | None]:
-    """What shows a picture in browsers, if a port was given."""
-    if port is None:
-        yield None
-        return
-    server = MjpegServer()
-    try:
-        taken = await server.start(port)
-    except OSError as error:
-        raise ConfigError(f"--serve {port}: {error.strerror}; expected a free port") from error
-    typer.echo(f"picture at http://127.0.0.1:{taken}/")
-    try:
-        yield server.show
-    finally:
-        await server.close()
 
 
 # ---------------------------------------------------------------- live
@@ -112,7 +93,6 @@ PROGRESS_S: Final = 1.0
 SILENCE_S: Final = 5.0
 
 TakeImu = Callable[[ImuSample], None]
-ShowImage = Callable[[NDArray[np.uint8]], None]
 
 
 async def read_imu(driver: Mpu9250, config: ImuConfig, take: TakeImu, tell: Callable[[str], None]) -> None:
@@ -169,7 +149,7 @@ class MountRecorder:
         sensors: MountSensors,
         log: FlightLog,
         tell: Callable[[str], None],
-        show: ShowImage | None = None,
+        page: MjpegServer,
     ) -> None:
         """Make drivers and eye. The vehicle's file is used as it stands, without an earlier mount file.
 
@@ -177,7 +157,7 @@ class MountRecorder:
             ConfigError: a settings file that the configuration names is missing or wrong.
         """
         self._config, self._sensors, self._log = config, sensors, log
-        self._tell, self._show = tell, show
+        self._tell, self._page = tell, page
         vehicle = load_model(VehicleConfig, find_file("vehicles", config.vehicle))
         vehicle = vehicle.model_copy(update={"camera_time_offset_s": 0.0})
         camera = load_model(CameraConfig, find_file("cameras", config.camera))
@@ -251,8 +231,8 @@ class MountRecorder:
             searched_whole_frame=False,
         )
         self._log.write("frame_report", report, now_s)
-        if self._show is not None:
-            self._show(annotated(frame.image, self._coverage.progress()))
+        if self._page.viewer_count:
+            self._page.show(annotated(frame.image, self._coverage.progress()))
 
 
 def annotated(image: NDArray[np.uint8], progress: MotionProgress) -> NDArray[np.uint8]:

@@ -106,6 +106,21 @@ def must_be_writable(option: str, path: Path, suffix: str = "") -> None:
         raise ConfigError(f"{expected}: {error.strerror}") from error
 
 
+def make_folder(option: str, folder: Path) -> Path:
+    """The folder, which is made, and those above it.
+
+    Raises:
+        ConfigError: it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(
+            f"{option} {folder}: cannot be made: {error.strerror}; expected a folder"
+        ) from error
+    return folder
+
+
 @contextmanager
 def unpacked(path: Path) -> Iterator[Path]:
     """Yield the path, or the folder in it where it is a zip file as `companion logs export` writes one.

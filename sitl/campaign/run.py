@@ -22,7 +22,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from companion.base.files import write_atomically
+from companion.base.files import make_folder, write_atomically
 from companion.config import ConfigError
 from sitl.campaign.manifest import MANIFEST_NAME, CampaignRun, Plan, check_goes_on, make_plan, read_manifest
 from sitl.campaign.rows import CSV_NAME, Row, RunsFile, make_row, pending, read_rows, write_parquet
@@ -98,11 +98,7 @@ def _open(folder: Path, plan: Plan) -> RunsFile:
 
     The file of rows is opened first: who has it is alone with the folder, the manifest included.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--out {folder}: cannot be written: {error.strerror}") from error
-    runs = RunsFile(folder)
+    runs = RunsFile(make_folder("--out", folder))
     try:
         _check_is_ours(folder, plan, runs)
         write_atomically(folder / MANIFEST_NAME, plan.manifest.model_dump_json(indent=2) + "\n")

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.base.clock import Clock
+from companion.base.files import make_folder
 from companion.base.formats.frame_format import FrameHeader
 from companion.base.formats.frame_stream import FrameStream
-from companion.base.formats.mjpeg import MjpegServer
+from companion.base.formats.mjpeg import MjpegServer, serving
 from companion.base.signals import run_until_stopped, stopping_on_signals
 from companion.config import ConfigError
 from sitl.run.process_control import terminated_as_interrupted
@@ -95,11 +96,7 @@ class PngFolder:
         Raises:
             ConfigError: it cannot be made.
         """
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(f"--record {folder}: {error.strerror}; expected a folder") from error
-        self._folder = folder
+        self._folder = make_folder("--record", folder)
 
     def keep(self, picture: Image, header: FrameHeader, rate_hz: float) -> None:
         """Write a file; see `Recorder`."""
@@ -195,31 +192,20 @@ async def view(address: str, options: ViewOptions, statistics: Statistics | None
     except (OSError, ValueError) as error:
         raise ConfigError(str(error)) from error
     recorder: Recorder | None = None
-    page = MjpegServer()
     statistics = statistics or Statistics()
     try:
         recorder = _recorder(options.record)
-        if options.serve_port is not None:
-            await _open_page(page, options.serve_port)
-        await _watch(stream, options, recorder, page, statistics)
+        async with serving(options.serve_port, lambda text: print(text, flush=True)) as page:
+            await _watch(stream, options, recorder, page, statistics)
     except OSError as error:
         if statistics.count == 0 or "does not send frames" in str(error):
             raise ConfigError(str(error)) from error
         print(f"companion-sitl view: {error}", file=sys.stderr)
     finally:
         stream.close()
-        await page.close()
         if recorder is not None:
             recorder.close()
     return statistics
-
-
-async def _open_page(page: MjpegServer, port: int) -> None:
-    try:
-        taken = await page.start(port)
-    except OSError as error:
-        raise ConfigError(f"--serve {port}: {error.strerror}; expected a free port") from error
-    print(f"http://127.0.0.1:{taken}/", flush=True)
 
 
 async def _watch(

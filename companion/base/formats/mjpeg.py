@@ -5,11 +5,15 @@ yet misses this one.
 """
 
 import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from companion.base.errors import ConfigError
 
 _PAGE: Final = """<!DOCTYPE html><html><head><title>companion</title></head>
 <body style="margin:0;background:#222">
@@ -75,3 +79,23 @@ class MjpegServer:
     async def close(self) -> None:
         if self._runner is not None:
             await self._runner.cleanup()
+
+
+@asynccontextmanager
+async def serving(port: int | None, tell: Callable[[str], object]) -> AsyncIterator[MjpegServer]:
+    """A server while inside, as `--serve` asks for it; `tell` gets its address. No port: nobody watches.
+
+    Raises:
+        ConfigError: the port cannot be listened at.
+    """
+    server = MjpegServer()
+    try:
+        if port is not None:
+            try:
+                taken = await server.start(port)
+            except OSError as error:
+                raise ConfigError(f"--serve {port}: {error.strerror}; expected a free port, or 0") from error
+            tell(f"picture at http://127.0.0.1:{taken}/")
+        yield server
+    finally:
+        await server.close()

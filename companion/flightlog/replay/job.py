@@ -8,7 +8,7 @@ from typing import Final
 from rich.console import Console
 from rich.progress import Progress
 
-from companion.base.files import write_atomically
+from companion.base.files import make_folder, write_atomically
 from companion.config import ConfigError
 from companion.flightlog.log_file import LOG_NAMES, log_file
 from companion.flightlog.replay.compare import ReplayResult, build_result
@@ -33,7 +33,7 @@ def replay_and_show(log: Path, output: Path | None, config: Path | None) -> None
     console = Console()
     record = read_log(log)
     choice = choose(record, config)
-    folder = _new_folder(output or Path("replay") / log_name(log))
+    folder = make_folder("--output", output or Path("replay") / log_name(log))
     with _progress(console, str(log)) as report:
         replayed = replay(record.events, choice.rig, report)
     result = _result(log, record, replayed, choice)
@@ -67,14 +67,6 @@ def log_name(log: Path) -> str:
     """What to call a log: its file's name, or its folder's where all files are called alike."""
     file = log_file(log.resolve())
     return file.parent.name if file.name == LOG_NAMES[0] else file.stem
-
-
-def _new_folder(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--output {folder}: cannot be made: {error.strerror}") from error
-    return folder
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from companion.base.clock import wall_clock_s
-from companion.base.files import write_atomically
+from companion.base.files import make_folder, write_atomically
 from companion.base.geometry import FloatArray, matrix_from_quat
 from companion.base.messages import Frame, PadSighting
 from companion.config import (
@@ -339,13 +339,9 @@ class Overlays:
     """Writes overlays to a folder: photos under their own names, and one video for each video."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
+        self._folder = make_folder("--out", folder)
         self._videos: dict[Path, Any] = {}
         self._written: list[Path] = []
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(f"--out {folder}: cannot be made: {error.strerror}") from error
 
     def write(self, photo: Photo, picture: NDArray[np.uint8]) -> None:
         """Write one picture (height, width, 3).

@@ -12,7 +12,7 @@ from rich.text import Text
 from companion.app.calibration_warnings import forced_calibrations
 from companion.app.hardware import open_hardware
 from companion.base.files import write_atomically
-from companion.base.formats.mjpeg import MjpegServer
+from companion.base.formats.mjpeg import serving
 from companion.base.signals import run_until_stopped
 from companion.config import CompanionConfig, ConfigError, load_config
 from companion.sense.vision.opencv import prepare_opencv
@@ -153,25 +153,12 @@ def check_over_pad(config: Path, json_file: Path | None, *, linked: bool, port: 
 
 
 async def _check(config: CompanionConfig, console: Console, *, linked: bool, port: int | None) -> Report:
-    page = None if port is None else MjpegServer()
-    try:
-        if page is not None:
-            console.print(f"picture at http://127.0.0.1:{await _open(page, port or 0)}", highlight=False)
-        async with open_hardware(config, linked=linked) as hardware:
-            outlets = Outlets(lambda said: console.print(line(said), highlight=False, soft_wrap=True), page)
-            return await PadCheck(config, hardware, outlets, linked=linked).run()
-    finally:
-        if page is not None:
-            await page.close()
-
-
-async def _open(page: MjpegServer, port: int) -> int:
-    try:
-        return await page.start(port)
-    except OSError as error:
-        raise ConfigError(
-            f"--serve {port}: cannot be listened at: {error.strerror}; expected a free port"
-        ) from error
+    async with (
+        serving(port, lambda text: console.print(text, highlight=False)) as page,
+        open_hardware(config, linked=linked) as hardware,
+    ):
+        outlets = Outlets(lambda said: console.print(line(said), highlight=False, soft_wrap=True), page)
+        return await PadCheck(config, hardware, outlets, linked=linked).run()
 
 
 def show(report: Report, console: Console) -> None:

@@ -10,7 +10,7 @@ Nothing is asked of the autopilot but its telemetry, and nothing goes on while i
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from statistics import median
 from typing import Any, Final
 
@@ -107,7 +107,7 @@ class Outlets:
     """Where the check shows itself."""
 
     say: Callable[[Say], None]
-    page: MjpegServer | None = None
+    page: MjpegServer = field(default_factory=MjpegServer)
 
 
 class PadCheck:
@@ -161,10 +161,9 @@ class PadCheck:
             ConfigError: the autopilot is armed or silent, or a sensor's settings are wrong.
         """
         works = {**self._sensing.tasks(), "camera's figures": self._camera_task}
+        works["picture"] = self._picture_task
         if self._linked:
             works |= {"autopilot link": self._receive_task, "heartbeat": self._link_task}
-        if self._outlets.page is not None:
-            works["picture"] = self._picture_task
         try:
             async with asyncio.TaskGroup() as group:
                 workers = [
@@ -247,7 +246,6 @@ class PadCheck:
 
     async def _picture_task(self) -> None:
         page = self._outlets.page
-        assert page is not None
         while True:
             await asyncio.sleep(PICTURE_PERIOD_S)
             if page.viewer_count and self._mirror.last is not None and self._wizard is not None:

@@ -1,7 +1,5 @@
 """`calibrate-camera` as a person runs it: from photos, from a live camera, and what it refuses."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
@@ -181,7 +179,7 @@ async def test_live_it_captures_by_itself_and_stops_by_itself(
     said = capsys.readouterr().out
     assert code == 0
     assert "view 1 kept; show it at the" in said
-    assert "live picture: http://127.0.0.1:" in said
+    assert "picture at http://127.0.0.1:" in said
     camera = load_model(CameraConfig, output)
     assert camera.fx_px == pytest.approx(CAMERA.fx_px, rel=3e-3)
     picture = cv2.imread(str(overlay))

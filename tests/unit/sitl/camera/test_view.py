@@ -1,7 +1,5 @@
 """`companion-sitl view`: frames from a socket into files and a browser, end to end."""
 
-from __future__ import annotations
-
 import asyncio
 import sys
 from asyncio.subprocess import PIPE
@@ -139,7 +137,7 @@ async def test_what_is_served_is_watched_as_it_comes(
 ) -> None:
     async with camera(tmp_path / "camera") as address:
         await view(address, ViewOptions(frames=3, serve_port=0))
-    assert capsys.readouterr().out.startswith("http://127.0.0.1:")
+    assert capsys.readouterr().out.startswith("picture at http://127.0.0.1:")
 
 
 async def test_a_server_that_goes_ends_it_with_what_there_is(

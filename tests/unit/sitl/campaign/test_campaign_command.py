@@ -1,7 +1,5 @@
 """`companion-sitl campaign`: what it leaves, tells and returns, and how it goes on."""
 
-from __future__ import annotations
-
 import io
 import os
 import signal
@@ -212,7 +210,7 @@ def test_rows_without_a_manifest_are_refused(tmp_path: Path, capsys: pytest.Capt
         (["--jobs", "0"], "--jobs"),
         (["--config", "nosuch.yaml"], "nosuch.yaml: cannot be read"),
         (["--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"], "--jobs: the cluster has its own"),
-        (["--out", "/dev/null/here"], "--out /dev/null/here: cannot be written"),
+        (["--out", "/dev/null/here"], "--out /dev/null/here: cannot be made"),
     ],
 )
 def test_what_a_user_gets_wrong_is_one_line(
