@@ -8,7 +8,7 @@ in a frame that begins at the pad (`Reference` with origin "pad") is a place lik
 the frame's origin.
 """
 
-from __future__ import annotations
+from __future__ import annotations  # message_json reads the fields' kinds as they are written
 
 import math
 from dataclasses import dataclass, field
@@ -769,3 +769,21 @@ class Truth:
     pad_roll_rad: float = 0.0
     pad_pitch_rad: float = 0.0
     obstacle_clearance_m: float | None = None  # from the rotors' tips; None without obstacles
+
+
+@dataclass(frozen=True, slots=True)
+class ContactResult:
+    """A contact with pad or ground: its first touch, and the worst of its touches, relative to what it met.
+
+    `violations`: what of it makes the flight a failed one.
+    """
+
+    time_s: float
+    surface: Literal["pad", "ground"]
+    position_ned_m: Vector3
+    lateral_error_m: float
+    vertical_speed_m_s: float
+    horizontal_speed_m_s: float
+    tilt_deg: float
+    touches: int
+    violations: tuple[str, ...]

@@ -6,15 +6,16 @@ start of the flight. Only `sim.real_time_factor` depends on the machine.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import pairwise
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from companion.base.geometry import FloatArray, Vector3
+from companion.base.geometry import FloatArray
 from companion.base.messages import (
+    ContactResult,
     ControlReport,
     FrameReport,
     Notice,
@@ -43,23 +44,6 @@ class FirstContact(_Part):
     horizontal_speed_m_s: float
     tilt_deg: float
     yaw_error_deg: float
-
-
-class ResultContact(_Part):
-    """A contact with pad or ground: its first touch, and the worst of its touches, relative to what it met.
-
-    `violations`: what of it makes the flight a failed one.
-    """
-
-    time_s: float
-    surface: Literal["pad", "ground"]
-    position_ned_m: Vector3
-    lateral_error_m: float
-    vertical_speed_m_s: float
-    horizontal_speed_m_s: float
-    tilt_deg: float
-    touches: int
-    violations: tuple[str, ...]
 
 
 class PadResult(_Part):
@@ -136,7 +120,7 @@ class Result(_Part):
     as_built: dict[str, float | list[float]] | None = None
     outcome: Outcome
     touchdown: FirstContact | None
-    contacts: tuple[ResultContact, ...] = ()
+    contacts: tuple[ContactResult, ...] = ()
     pad: PadResult
     time: PhaseTimes
     vision: CameraResult
@@ -179,7 +163,7 @@ def build_result(
     kept: Mapping[str, Sequence[Any]],
     truth: Sequence[Truth],
     real_time_factor: float,
-    contacts: Sequence[ResultContact] = (),
+    contacts: Sequence[ContactResult] = (),
     as_built: Mapping[str, float | list[float]] | None = None,
 ) -> Result:
     """Put the contract together from the log's kept topics and the simulator's truth.
@@ -212,10 +196,10 @@ def _round(value: float) -> float:
     return round(float(value), _DIGITS)
 
 
-def _rounded(contact: ResultContact) -> ResultContact:
-    numbers = {k: _round(v) for k, v in contact.model_dump().items() if isinstance(v, float)}
+def _rounded(contact: ContactResult) -> ContactResult:
+    numbers: dict[str, Any] = {k: _round(v) for k, v in asdict(contact).items() if isinstance(v, float)}
     north, east, down = map(_round, contact.position_ned_m)
-    return contact.model_copy(update={**numbers, "position_ned_m": (north, east, down)})
+    return replace(contact, **numbers, position_ned_m=(north, east, down))
 
 
 def _event(notice: Notice) -> ResultEvent:

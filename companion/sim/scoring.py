@@ -1,15 +1,14 @@
 """The result of a flight against the simulator, by the truth that the simulator reports."""
 
 from collections.abc import Iterable
-from dataclasses import asdict
+from dataclasses import replace
 from typing import Final
 
 from companion.base.messages import Outcome, Phase
 from companion.flightlog.record import FlightLog
-from companion.flightlog.result import Result, ResultContact, ResultEvent, build_result, from_start, start_s
+from companion.flightlog.result import Result, ResultEvent, build_result, from_start, start_s
 from companion.sim.runner import SitlFlight
 from companion.sim.trial import Trial
-from sitl.world.score import ContactResult
 
 GIVEN_UP: Final = frozenset({Phase.HOLD.value, Phase.ABORT.value})
 
@@ -25,17 +24,12 @@ def score(trial: Trial, flight: SitlFlight, log: FlightLog) -> Result:
         outcome=report.outcome,
         touchdown=report.touchdown,
         as_built=report.as_built,
-        contacts=[_counted_from(contact, begun_s) for contact in report.contacts],
+        contacts=[replace(contact, time_s=contact.time_s - begun_s) for contact in report.contacts],
         pad_speed_m_s=report.pad_speed_m_s,
         kept=kept,
         truth=truth,
         real_time_factor=flight.real_time_factor,
     )
-
-
-def _counted_from(contact: ContactResult, start_s: float) -> ResultContact:
-    values = asdict(contact)
-    return ResultContact(**{**values, "time_s": contact.time_s - start_s})
 
 
 def reason(result: Result, flight: SitlFlight) -> str:

@@ -5,8 +5,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
-from companion.base.messages import Outcome, Truth
-from sitl.world.score import ContactResult
+from companion.base.messages import ContactResult, Outcome, Truth
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Final
 
 from companion.base.geometry import (
     ZERO3,
@@ -27,7 +27,7 @@ from companion.base.geometry import (
     wrap_angle,
     yaw_from_quat,
 )
-from companion.base.messages import Outcome, Phase
+from companion.base.messages import ContactResult, Outcome, Phase
 from sitl.pad.motion import PadTruth
 from sitl.scenario.scenario import PassBounds
 from sitl.vehicle.quadrotor import QuadrotorState
@@ -100,21 +100,6 @@ class TouchdownResult:
         return cls(
             t.lateral_error_m, t.vertical_speed_m_s, t.horizontal_speed_m_s, t.tilt_deg, t.yaw_error_deg
         )
-
-
-@dataclass(frozen=True, slots=True)
-class ContactResult:
-    """A contact as the result file has it; `violations`: what of it makes the flight a failed one."""
-
-    time_s: float
-    surface: Literal["pad", "ground"]
-    position_ned_m: Vector3
-    lateral_error_m: float
-    vertical_speed_m_s: float
-    horizontal_speed_m_s: float
-    tilt_deg: float
-    touches: int
-    violations: tuple[str, ...]
 
 
 class TouchdownDetector:
