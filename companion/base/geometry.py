@@ -8,8 +8,6 @@ Quaternions are Hamilton, (w, x, y, z), and turn body vectors into NED: v_ned = 
 Everything here works on plain floats: at these sizes a tuple is several times faster than an array.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import Final
@@ -67,6 +65,11 @@ def norm(a: Vector3) -> float:
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
+def between(a: Vector3, b: Vector3, share: float) -> Vector3:
+    """Straight between two vectors: a at 0, b at 1."""
+    return (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2]))
+
+
 def vector3(values: FloatArray | list[float] | tuple[float, ...]) -> Vector3:
     """Three plain floats from any sequence of three.
 
@@ -104,6 +107,13 @@ def quat_normalise(q: Quaternion) -> Quaternion:
     w, x, y, z = q
     n = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
     return (w * n, x * n, y * n, z * n)
+
+
+def quat_between(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
+    """Between two attitudes that are near one another, the short way: the chord, scaled to unit length."""
+    sign = 1.0 if sum(x * y for x, y in zip(a, b, strict=True)) >= 0.0 else -1.0
+    w, x, y, z = (p + share * (sign * q - p) for p, q in zip(a, b, strict=True))
+    return quat_normalise((w, x, y, z))
 
 
 def quat_rotate(q: Quaternion, v: Vector3) -> Vector3:

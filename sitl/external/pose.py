@@ -19,8 +19,10 @@ from companion.base.geometry import (
     Quaternion,
     Vector3,
     add,
+    between,
     geodetic_from_ned,
     norm,
+    quat_between,
     quat_from_euler,
     quat_integrate,
     quat_normalise,
@@ -288,18 +290,12 @@ def _between(a: Pose, b: Pose, time_s: float) -> Pose:
     k, dt_s = (time_s - a.time_s) / (b.time_s - a.time_s), b.simulated_s - a.simulated_s
     h = k * k * (3.0 - 2.0 * k)
     from_a, from_b = dt_s * k * (1.0 - k) ** 2, -dt_s * k * k * (1.0 - k)
-    position = add(_mixed(a.position_ned_m, b.position_ned_m, h), scale(a.velocity_ned_m_s, from_a))
-    sign = 1.0 if sum(x * y for x, y in zip(a.attitude, b.attitude, strict=True)) >= 0.0 else -1.0
-    w, x, y, z = (p + k * (sign * q - p) for p, q in zip(a.attitude, b.attitude, strict=True))
+    position = add(between(a.position_ned_m, b.position_ned_m, h), scale(a.velocity_ned_m_s, from_a))
     return Pose(
         time_s=time_s,
         position_ned_m=add(position, scale(b.velocity_ned_m_s, from_b)),
-        velocity_ned_m_s=_mixed(a.velocity_ned_m_s, b.velocity_ned_m_s, k),
-        attitude=quat_normalise((w, x, y, z)),
-        rate_body_rad_s=_mixed(a.rate_body_rad_s, b.rate_body_rad_s, k),
+        velocity_ned_m_s=between(a.velocity_ned_m_s, b.velocity_ned_m_s, k),
+        attitude=quat_between(a.attitude, b.attitude, k),
+        rate_body_rad_s=between(a.rate_body_rad_s, b.rate_body_rad_s, k),
         simulated_s=a.simulated_s + k * (b.simulated_s - a.simulated_s),
     )
-
-
-def _mixed(a: Vector3, b: Vector3, k: float) -> Vector3:
-    return (a[0] + k * (b[0] - a[0]), a[1] + k * (b[1] - a[1]), a[2] + k * (b[2] - a[2]))

@@ -20,8 +20,9 @@ from companion.base.geometry import (
     Quaternion,
     Vector3,
     add,
+    between,
     norm,
-    quat_normalise,
+    quat_between,
     quat_rotate_inverse,
     subtract,
     wrap_angle,
@@ -328,26 +329,20 @@ class World:
         )
 
 
-def _mixed(a: Vector3, b: Vector3, k: float) -> Vector3:
-    return (a[0] + k * (b[0] - a[0]), a[1] + k * (b[1] - a[1]), a[2] + k * (b[2] - a[2]))
-
-
 def _between(a: _Snapshot, b: _Snapshot, time_s: float) -> _Snapshot:
     """Straight between two neighbouring steps; at 2.5 ms a chord and an arc differ by nothing that shows."""
     k = min(1.0, max(0.0, (time_s - a.time_s) / (b.time_s - a.time_s)))
     p, q = a.state, b.state
-    sign = 1.0 if sum(x * y for x, y in zip(p.attitude, q.attitude, strict=True)) >= 0.0 else -1.0
-    w, x, y, z = (u + k * (sign * v - u) for u, v in zip(p.attitude, q.attitude, strict=True))
     state = QuadrotorState(
-        position_ned_m=_mixed(p.position_ned_m, q.position_ned_m, k),
-        velocity_ned_m_s=_mixed(p.velocity_ned_m_s, q.velocity_ned_m_s, k),
-        attitude=quat_normalise((w, x, y, z)),
-        rate_body_rad_s=_mixed(p.rate_body_rad_s, q.rate_body_rad_s, k),
+        position_ned_m=between(p.position_ned_m, q.position_ned_m, k),
+        velocity_ned_m_s=between(p.velocity_ned_m_s, q.velocity_ned_m_s, k),
+        attitude=quat_between(p.attitude, q.attitude, k),
+        rate_body_rad_s=between(p.rate_body_rad_s, q.rate_body_rad_s, k),
     )
     turned = wrap_angle(b.pad.heading_rad - a.pad.heading_rad)
     pad = b.pad._replace(
-        position_ned_m=_mixed(a.pad.position_ned_m, b.pad.position_ned_m, k),
-        velocity_ned_m_s=_mixed(a.pad.velocity_ned_m_s, b.pad.velocity_ned_m_s, k),
+        position_ned_m=between(a.pad.position_ned_m, b.pad.position_ned_m, k),
+        velocity_ned_m_s=between(a.pad.velocity_ned_m_s, b.pad.velocity_ned_m_s, k),
         heading_rad=wrap_angle(a.pad.heading_rad + k * turned),
         roll_rad=a.pad.roll_rad + k * (b.pad.roll_rad - a.pad.roll_rad),
         pitch_rad=a.pad.pitch_rad + k * (b.pad.pitch_rad - a.pad.pitch_rad),
