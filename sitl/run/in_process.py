@@ -16,7 +16,7 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final
 
 from companion.base.messages import Frame
 from sitl.devices.mpu9250 import Mpu9250Device
@@ -28,32 +28,6 @@ from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.vehicle.hand_motion import HandMotion
 
-T = TypeVar("T")
-
-
-class LatestValue(Generic[T]):
-    """The newest value of one topic, and a way to wait for the next.
-
-    A slow reader sees the newest value and never a queue of old ones.
-    """
-
-    def __init__(self) -> None:
-        self._value: T | None = None
-        self._arrived = asyncio.Event()
-
-    def put(self, value: T) -> None:
-        """Replace the value and wake who waits."""
-        self._value = value
-        self._arrived.set()
-
-    async def next(self) -> T:
-        """Wait for a value that came after the last call, then return the newest. For one reader."""
-        await self._arrived.wait()
-        self._arrived.clear()
-        assert self._value is not None
-        return self._value
-
-
 GPS_BAUD: Final = 38400
 RANGE_BAUD: Final = 9600
 
@@ -62,15 +36,20 @@ class MemoryFrames:
     """The camera of an app in the same process: the newest frame replaces the one before."""
 
     def __init__(self) -> None:
-        self._slot: LatestValue[Frame] = LatestValue()
+        self._frame: Frame | None = None
+        self._arrived = asyncio.Event()
 
     def deliver(self, frame: Frame) -> None:
         """A frame has arrived."""
-        self._slot.put(frame)
+        self._frame = frame
+        self._arrived.set()
 
     async def next(self) -> Frame:
-        """Wait for a frame newer than the last."""
-        return await self._slot.next()
+        """Wait for a frame newer than the last. For one reader."""
+        await self._arrived.wait()
+        self._arrived.clear()
+        assert self._frame is not None
+        return self._frame
 
     def close(self) -> None:
         """Nothing to release."""

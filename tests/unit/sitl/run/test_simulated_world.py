@@ -1,7 +1,5 @@
 """The simulation as a whole, without an app: a scenario's settings reach the line and the camera."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import os
@@ -18,7 +16,7 @@ from companion.base.messages import Frame, Phase
 from companion.config import validate
 from sitl.devices.mpu9250 import Ak8963Device, Mpu9250Device
 from sitl.devices.ports import MemoryPort
-from sitl.run.in_process import LatestValue
+from sitl.run.in_process import MemoryFrames
 from sitl.run.report import SimulationReport
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario, load_scenario
@@ -202,19 +200,20 @@ def test_pictures_drawn_beside_the_loop_are_the_same(
     assert len(beside.frames) > 10
 
 
-# ---------------- A slot hands on the newest value only
+# ---------------- The camera hands on the newest frame only
 
 
-async def test_a_slow_reader_sees_the_newest_value_only() -> None:
-    slot: LatestValue[int] = LatestValue()
-    slot.put(1)
-    slot.put(2)
-    assert await slot.next() == 2
-    waiting = asyncio.ensure_future(slot.next())
+async def test_a_slow_reader_sees_the_newest_frame_only() -> None:
+    camera = MemoryFrames()
+    first, second, third = (Frame(0.0, 0.0, k, np.zeros((1, 1), np.uint8)) for k in range(3))
+    camera.deliver(first)
+    camera.deliver(second)
+    assert await camera.next() is second
+    waiting = asyncio.ensure_future(camera.next())
     await asyncio.sleep(0)
     assert not waiting.done()
-    slot.put(3)
-    assert await waiting == 3
+    camera.deliver(third)
+    assert await waiting is third
 
 
 # ----------------
