@@ -25,7 +25,7 @@ from companion.base.geometry import FloatArray
 from companion.base.messages import Conditions, Outcome, Phase, PlanStep, Reference
 from companion.config import GuidanceConfig, PlanConfig
 from companion.flightlog.errors import TruthTrack
-from companion.plan.speed.laws import load_speed_law
+from companion.plan.speed.laws import load_speed_controller
 from companion.plan.trajectory.trajectory_time import trajectory_time_s
 from experiments.flown import EndedFlight, fly_scenario
 
@@ -313,7 +313,7 @@ def draw(descents: Sequence[Descent], path: Path) -> None:
     laws, height, lateral = figure.subplots(1, 3)
     distance = np.linspace(0.0, 10.0, 200)
     for name in LAWS[:-1]:  # at pace 1 the rules are the rules
-        law = load_speed_law(PlanConfig.model_validate(law_settings(name)))
+        law = load_speed_controller(PlanConfig.model_validate(law_settings(name))).law
         laws.plot(distance, [law(d, 0.0, 0.0) for d in distance.tolist()], color=COLOURS[name], label=name)
     laws.plot([], [], color=COLOURS[PACED], label=f"{PACED}: fuzzy x 0.5 to 1.25")
     laws.set_xlabel("distance (m)")

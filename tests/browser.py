@@ -1,7 +1,6 @@
 """A headless Chromium, driven by its DevTools protocol over a WebSocket (chromedevtools.github.io)."""
 
 import asyncio
-import base64
 import os
 import shutil
 import signal
@@ -86,11 +85,6 @@ class Tab:
             await self.call(
                 "Input.dispatchMouseEvent", type=kind, x=box[0], y=box[1], button="left", clickCount=1
             )
-
-    async def screenshot(self, path: Path) -> None:
-        """What the window shows, as PNG."""
-        shot = await self.call("Page.captureScreenshot", format="png")
-        await asyncio.to_thread(path.write_bytes, base64.b64decode(shot["data"]))
 
     async def _receive(self) -> None:
         async for message in self._socket:

@@ -19,7 +19,6 @@ from calibration.mount.model import (
     COUNT,
     FIRST_OF_PATH,
     GYRO_BIAS,
-    GYRO_MATRIX,
     MARGIN_S,
     OFFSET,
     POSITION,
@@ -104,12 +103,6 @@ class MountSolution:
     def position_m(self) -> FloatArray:
         """The camera (3,) from the inertial sensor, body axes."""
         return self.unknowns.values[POSITION]
-
-    @property
-    def gyro_from_camera(self) -> FloatArray:
-        """The camera's rotation (3, 3) into the axes about which the gyroscope, as it is, feels turns."""
-        flaw = self.unknowns.values[GYRO_MATRIX].reshape(3, 3)
-        return nearest_rotation(np.eye(3) + flaw) @ self.unknowns.body_from_camera
 
     @property
     def rotation_covariance(self) -> FloatArray:

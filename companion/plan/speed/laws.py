@@ -12,8 +12,6 @@ acceleration, which only the fuzzy speed controller uses. m, m/s, m/s²; closing
 target.
 """
 
-from __future__ import annotations
-
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -77,8 +75,3 @@ def by_conditions(table: SpeedTable) -> PaceLaw:
     if pace is None:
         return constant_pace
     return lambda c: pace(c.sight_rad, c.relative_speed_m_s, c.gust_m_s2)
-
-
-def load_speed_law(config: PlanConfig) -> SpeedLaw:
-    """V alone, as `load_speed_controller`."""
-    return load_speed_controller(config).law

@@ -34,11 +34,6 @@ _SLOWEST_FOR_ALL_BAUD: Final = 19200
 _IN_RAM: Final = 1  # until the receiver loses power, as with the old commands
 
 
-def configuration(config: GpsConfig, baud: int, dialect: Dialect = "sol") -> list[bytes]:
-    """All commands, in the order to send them on a line at `baud`; each is acknowledged."""
-    return trial(config, baud, dialect) + conclusion(config, dialect)
-
-
 def trial(config: GpsConfig, baud: int, dialect: Dialect = "sol") -> list[bytes]:
     """What asks for the fixes, beside NMEA and once a second as after power-up."""
     seldom = config.rate_hz if baud < _SLOWEST_FOR_ALL_BAUD else 1

@@ -29,7 +29,6 @@ class FenceCommand(IntEnum):
 
 
 FENCE_COMMANDS: Final = frozenset(FenceCommand)
-_POLYGONS: Final = (FenceCommand.STAY_IN_POLYGON, FenceCommand.STAY_OUT_OF_POLYGON)
 _CIRCLES: Final = (FenceCommand.STAY_IN_CIRCLE, FenceCommand.STAY_OUT_OF_CIRCLE)
 _STAY_IN: Final = (FenceCommand.STAY_IN_POLYGON, FenceCommand.STAY_IN_CIRCLE)
 

@@ -1,7 +1,5 @@
 """The hand-held world for `calibrate-mount`, in virtual time: its boards for the program, and the truth."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass
@@ -10,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.mount.model import exp, log, nearest_rotation
+from calibration.mount.model import GYRO_MATRIX, exp, log, nearest_rotation
 from calibration.mount.record_motion import record
 from calibration.mount.shared import MountSensors, SensorOpener
 from calibration.mount.solver import MountSolution
@@ -69,7 +67,8 @@ class HandHeld:
         """Errors (3,) rad of a solution's rotations: against the airframe, and against the gyroscope."""
         to_gyro = self.gyro_axes @ self.body_from_camera
         to_body = solution.unknowns.body_from_camera @ self.body_from_camera.T
-        return log(to_body), log(solution.gyro_from_camera @ to_gyro.T)
+        felt = nearest_rotation(np.eye(3) + solution.unknowns.values[GYRO_MATRIX].reshape(3, 3))
+        return log(to_body), log(felt @ solution.unknowns.body_from_camera @ to_gyro.T)
 
 
 def scenario_of(changes: dict[str, Any], base: str = "static") -> Scenario:

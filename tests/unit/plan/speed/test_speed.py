@@ -14,7 +14,7 @@ from companion.plan.planner import Planner
 from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, constant_pace
 from companion.plan.speed.fuzzy_check import sample_points, table_error, worst_slips
 from companion.plan.speed.fuzzy_rules import INPUTS, load_rules, mamdani
-from companion.plan.speed.laws import LogPolynomial, by_conditions, load_speed_controller, load_speed_law
+from companion.plan.speed.laws import LogPolynomial, by_conditions, load_speed_controller
 from companion.plan.speed.speed_table import SpeedTable, load_table, write_table
 from tests.unit.control.controller_inputs import pad_state, vehicle_state
 from tests.unit.plan.pad_paths import still
@@ -28,24 +28,24 @@ def _law(name: str, **changes: object) -> PlanConfig:
 
 
 def test_the_fuzzy_pilot_flies_unless_set_otherwise() -> None:
-    law = load_speed_law(PlanConfig())
+    law = load_speed_controller(PlanConfig()).law
     assert isinstance(law, SpeedTable)
     assert law == SHIPPED_TABLE
 
 
 def test_a_fixed_speed_knows_no_distance() -> None:
-    law = load_speed_law(_law("fixed", fixed_speed_m_s=1.2))
+    law = load_speed_controller(_law("fixed", fixed_speed_m_s=1.2)).law
     assert {law(d, v, a) for d in (0.0, 5.0, 50.0) for v in (-1.0, 2.0) for a in (-1.0, 1.0)} == {1.2}
 
 
 def test_a_fixed_speed_needs_no_rules() -> None:
-    load_speed_law(_law("fixed", fuzzy="nobody"))
+    load_speed_controller(_law("fixed", fuzzy="nobody"))
     with pytest.raises(ConfigError, match="nobody"):
-        load_speed_law(_law("log_polynomial", fuzzy="nobody"))
+        load_speed_controller(_law("log_polynomial", fuzzy="nobody"))
 
 
 def test_the_log_polynomial_follows_the_pilot_at_rest_and_nothing_else() -> None:
-    law = load_speed_law(_law("log_polynomial"))
+    law = load_speed_controller(_law("log_polynomial")).law
     for distance in np.linspace(0.0, 8.0, 33).tolist():
         assert law(distance, 0.0, 0.0) == pytest.approx(SHIPPED_TABLE(distance, 0.0, 0.0), abs=0.06)
         assert law(distance, 1.4, 1.0) == law(distance, -1.0, -1.0)

@@ -15,7 +15,7 @@ from companion.base.geometry import Vector3, ned_from_geodetic
 from companion.base.messages import GpsFix
 from companion.config import GpsConfig
 from companion.sense.gps.baud_rate import CHANGES, LISTEN_S, SILENCE_S, BaudRate
-from companion.sense.gps.commands import VERSION_REQUEST, conclusion, configuration, port_command, trial
+from companion.sense.gps.commands import VERSION_REQUEST, conclusion, port_command, trial
 from companion.sense.gps.neo6m import ONLY_NMEA, UNHEARD, Neo6m
 from companion.sense.serial_port import SerialPort
 from sitl.devices.neo6m import NAV_SOL, Neo6mDevice, nmea, ubx
@@ -223,7 +223,7 @@ def test_the_port_command_is_the_protocols() -> None:
 @pytest.mark.parametrize(("baud", "rate"), [(9600, 5), (19200, 1), (38400, 1), (115200, 1)])
 def test_what_is_asked_for_fits_the_line(baud: int, rate: int) -> None:
     """At 9600 baud status and dilution come once a second: 190 bytes five times would leave nothing over."""
-    commands = configuration(GpsConfig(), baud)
+    commands = trial(GpsConfig(), baud) + conclusion(GpsConfig())
     rates = {
         command[7]: command[9] for command in commands if command[2:4] == b"\x06\x01" and command[6] == 1
     }
@@ -270,7 +270,7 @@ def acknowledge(command: bytes, kind: int = 1) -> bytes:
 
 
 def test_the_commands_are_those_of_the_protocol() -> None:
-    commands = configuration(CONFIG, 38400)
+    commands = trial(CONFIG, 38400) + conclusion(CONFIG)
     assert ubx(6, 8, struct.pack("<HHH", 200, 1, 1)) in commands
     assert ubx(6, 1, bytes((1, 2, 0, 1, 0, 0, 0, 0))) in commands
     assert ubx(6, 1, bytes((0xF0, 4, 0, 0, 0, 0, 0, 0))) in commands
@@ -348,7 +348,7 @@ def test_a_refused_command_is_reported_and_passed_over() -> None:
     receiver = Neo6m(CONFIG)
     first = receiver.pending(0.0)
     receiver.feed(acknowledge(first, kind=0), 0.1)
-    assert receiver.pending(0.2) == configuration(CONFIG, 9600)[1]
+    assert receiver.pending(0.2) == trial(CONFIG, 9600)[1]
     assert receiver.problem == "NEO-6M: refuses CFG-PRT"
 
 

@@ -1,7 +1,5 @@
 """The check over the pad in virtual time, on a simulated vehicle that is carried as the check asks."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Callable
@@ -124,18 +122,6 @@ def vehicle_file(folder: Path, **values: Any) -> str:
     shipped = yaml.safe_load((CONFIG_FOLDER / "vehicles" / "x500.yaml").read_text())
     path = folder / "vehicle.yaml"
     path.write_text(yaml.safe_dump({**shipped, **values}))
-    return str(path)
-
-
-def pad_file(folder: Path, size: float) -> str:
-    """The shipped pad's file for a print of another size, as a path."""
-    pad = yaml.safe_load((CONFIG_FOLDER / "pads" / "moving_1300.yaml").read_text())
-    pad["width_m"], pad["length_m"] = size * pad["width_m"], size * pad["length_m"]
-    for marker in pad["markers"]:
-        marker["side_m"] *= size
-        marker["position_pad_m"] = [size * value for value in marker["position_pad_m"]]
-    path = folder / "pad.yaml"
-    path.write_text(yaml.safe_dump(pad))
     return str(path)
 
 
