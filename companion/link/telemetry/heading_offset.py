@@ -10,8 +10,9 @@ mix in roll and pitch the way a difference of Euler yaw angles does when the veh
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
+from typing import Final
 
 from companion.base.geometry import (
     Quaternion,
@@ -24,15 +25,10 @@ from companion.base.geometry import (
 )
 from companion.base.messages import Setpoint
 
-
-@dataclass(frozen=True, slots=True)
-class HeadingOffsetSettings:
-    """How it follows, and when it jumps: `jump_samples` in a row, all off by over `jump_rad`."""
-
-    time_constant_s: float = 2.0
-    jump_rad: float = math.radians(6.0)
-    jump_samples: int = 5
-
+TIME_CONSTANT_S: Final = 2.0
+# it jumps after so many samples in a row, all off by over so much
+JUMP_SAMPLES: Final = 5
+JUMP_RAD: Final = math.radians(6.0)
 
 _Stamped = tuple[float, Quaternion]
 
@@ -40,8 +36,7 @@ _Stamped = tuple[float, Quaternion]
 class HeadingOffset:
     """Estimates autopilot heading minus our heading, and turns setpoints by it."""
 
-    def __init__(self, settings: HeadingOffsetSettings | None = None) -> None:
-        self._settings = settings or HeadingOffsetSettings()
+    def __init__(self) -> None:
         self._ours: deque[_Stamped] = deque(maxlen=64)
         self._waiting: deque[_Stamped] = deque(maxlen=16)
         self._newest_autopilot_s = -math.inf
@@ -103,23 +98,23 @@ class HeadingOffset:
 
     def _take(self, time_s: float, difference_rad: float) -> None:
         error = wrap_angle(difference_rad - self.offset_rad)
-        if self._samples and abs(error) > self._settings.jump_rad:
+        if self._samples and abs(error) > JUMP_RAD:
             self._take_stray(time_s, error)
             return
         self._strays.clear()
         self._samples += 1
         # an average at first, so that it is right at once; then a low-pass
-        low_pass = -math.expm1(-max(time_s - self._sample_time_s, 0.0) / self._settings.time_constant_s)
+        low_pass = -math.expm1(-max(time_s - self._sample_time_s, 0.0) / TIME_CONSTANT_S)
         gain = max(low_pass if self._samples > 1 else 1.0, 1.0 / self._samples)
         self.offset_rad = wrap_angle(self.offset_rad + min(gain, 1.0) * error)
         self._sample_time_s = time_s
 
     def _take_stray(self, time_s: float, error: float) -> None:
         """One that is far off is dropped; several in a row that agree are the autopilot's heading reset."""
-        if self._strays and abs(wrap_angle(error - self._strays[-1])) > self._settings.jump_rad:
+        if self._strays and abs(wrap_angle(error - self._strays[-1])) > JUMP_RAD:
             self._strays.clear()
         self._strays.append(error)
-        if len(self._strays) < self._settings.jump_samples:
+        if len(self._strays) < JUMP_SAMPLES:
             return
         first = self._strays[0]
         mean = first + sum(wrap_angle(stray - first) for stray in self._strays) / len(self._strays)

@@ -14,7 +14,7 @@ from companion.base.geometry import (
     wrap_angle,
 )
 from companion.base.messages import Setpoint
-from companion.link.telemetry.heading_offset import HeadingOffset, HeadingOffsetSettings
+from companion.link.telemetry.heading_offset import JUMP_SAMPLES, HeadingOffset
 
 YAWS = [0.0, 90.0, 180.0, 270.0]
 
@@ -121,7 +121,7 @@ def test_a_heading_reset_is_followed_after_a_few_samples(jump_deg: float) -> Non
     alignment = HeadingOffset()
     now_s = feed(alignment, 0.05, 0.0, 60)
     target = 0.05 + math.radians(jump_deg)
-    feed(alignment, target, now_s, HeadingOffsetSettings().jump_samples + 1)
+    feed(alignment, target, now_s, JUMP_SAMPLES + 1)
     assert wrap_angle(alignment.offset_rad - target) == pytest.approx(0.0, abs=1e-3)
 
 
