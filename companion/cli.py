@@ -7,8 +7,6 @@ Only the options are here. What flies is imported once they are right, since Ope
 rest take seconds to import on a Raspberry Pi (`companion.base.command_line`).
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What becomes of a flight when one of its tasks fails: it continues, and the task is started again."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Final

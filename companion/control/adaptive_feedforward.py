@@ -11,8 +11,6 @@ Over a pad that turns at the rate w the loop becomes L (1 + 1 / (T (s - j w))), 
 computes. A pad that does not accelerate teaches nothing, and the loop over it is as ever. NED axes, SI units.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 from companion.base.geometry import Vector3

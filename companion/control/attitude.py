@@ -5,8 +5,6 @@ down), fixes where that axis points, and the heading fixes the rest (eq. 6, turn
 FRD; quaternions body to NED; the heading is the yaw of the aerospace angles.
 """
 
-from __future__ import annotations
-
 import math
 
 from companion.base.geometry import (

@@ -5,8 +5,6 @@ the pad was estimated (the EKF's, for local references). The pad's own motion be
 SI units.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

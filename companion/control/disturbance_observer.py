@@ -10,8 +10,6 @@
 NED axes, SI units.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -11,8 +11,6 @@ takes more tilt than that, which the MPC's own bounds exclude and the gate does 
 velocity loop adds to a velocity setpoint nothing here bounds. NED and FRD, SI units.
 """
 
-from __future__ import annotations
-
 import math
 
 from companion.base.geometry import (

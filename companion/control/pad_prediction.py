@@ -7,8 +7,6 @@ acceleration always dies away. A pad that brakes comes to a halt, and does not d
 axes, SI units; the origin is where the pad was estimated.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

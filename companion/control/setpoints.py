@@ -11,8 +11,6 @@ offset of v_sp does, and that closes a loop, which has to be slow.
 NED and FRD, SI units.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Final

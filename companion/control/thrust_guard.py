@@ -3,8 +3,6 @@
 By every other kind of setpoint the autopilot's own loops hold the height. NED, SI units.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 from companion.base.messages import AutopilotSetup, AutopilotState, LandedState, VehicleState

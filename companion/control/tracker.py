@@ -5,8 +5,6 @@ model and weights, without constraints) or `pid`. All get the same start, target
 answers passes the same gate of limits. Frame: as the MPC's, NED axes that do not accelerate; SI units.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Protocol
 

@@ -3,8 +3,6 @@
 Frame: NED axes, at rest or in straight unaccelerated motion. SI units.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

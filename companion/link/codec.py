@@ -8,8 +8,6 @@ Framing is our own and pymavlink decodes whole frames only: its parser drops eve
 claims, where this one goes back to the next byte, so that garbage never costs a good message.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence

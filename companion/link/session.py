@@ -5,8 +5,6 @@ heartbeats, clock synchronisation, rate requests, commands and their repeats. On
 component 1 of `config.system_id`, or the first one received when that is 0.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Final

@@ -1,7 +1,5 @@
 """Debouncing: a condition counts once it has held without a break for a time."""
 
-from __future__ import annotations
-
 
 class Debounce:
     """How long a condition has held without a break."""

@@ -3,8 +3,6 @@
 EKF's NED, m, s.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 from companion.base.geometry import Vector3, add, norm, scale, subtract

@@ -1,7 +1,5 @@
 """How the parts of the planner announce something: kind, text, time and severity."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Final, Literal
 

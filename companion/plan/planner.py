@@ -6,8 +6,6 @@ actions and notices of the cycle. Pure: no I/O, no clock. NED, m, s, rad; refere
 as soon as the pad is what is flown to.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Final

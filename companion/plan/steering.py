@@ -5,8 +5,6 @@ HOLD and ABORT the reference is in the EKF's NED, in APPROACH, DESCEND and the t
 counts from the pad, NED axes. m, s, rad.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Final

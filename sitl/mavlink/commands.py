@@ -3,8 +3,6 @@
 Both kinds of message become a `CommandRequest`; the function's result is sent as COMMAND_ACK.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Whatever is said to the mission protocol, in whatever order, it answers and keeps a list in order."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -5,8 +5,6 @@ frame; a step back follows after long enough without a late cycle. Each is annou
 is late all the same: FIFO overflows and lost estimates follow from it. s.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections import deque
 from collections.abc import Callable

@@ -9,8 +9,6 @@ the integral alone; it is held while the command is at its bound and the error w
 Frame: as the MPC's, NED axes that do not accelerate; SI units.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

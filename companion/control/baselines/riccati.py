@@ -11,8 +11,6 @@ matrix inversion lemma A'P (I + B R⁻¹ B' P)⁻¹ A = A'P (A - B K), which nee
 equations, not n. Frame-free, in the units of the model that is handed in.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -9,8 +9,6 @@ MPC's; what a constraint would have bounded is left to the gate of limits.
 Frame: as the MPC's, NED axes that do not accelerate; SI units.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from companion.base.geometry import FloatArray, Vector3

@@ -3,8 +3,6 @@
 Solves eq. 39 under eq. 38 alone: P z + q + A'y = 0, A z = b, by a factorisation that is made once.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu

@@ -6,8 +6,6 @@ downwards is tilted further for the same horizontal part), and its size, which i
 spheres become planes from within, so that what the MPC plans is never cut by the gate. SI units.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

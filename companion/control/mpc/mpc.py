@@ -11,8 +11,6 @@ out of iterations, which happens while a wind needs more than the bounds allow, 
 constraints, cut to the inputs' bounds.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -9,8 +9,6 @@ Rows, in this order: dynamics (9N, equalities), inputs (`input_bounds`: 17N), in
 it starts and the bounds of the inputs, plus the disturbance.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

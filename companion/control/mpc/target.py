@@ -5,8 +5,6 @@ Frames: in, the reference's (pad's or EKF's origin); out, NED axes that do not a
 where the pad was estimated. SI units.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -6,8 +6,6 @@ below the ringing as the square of its peak says: what is fed back of velocity a
 `margins` shows what is left. SI units.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 from companion.base.messages import AutopilotSetup

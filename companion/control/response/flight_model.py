@@ -6,8 +6,6 @@ adds, tau the lag of attitude and motors (sideways) or of the motors alone (down
 turn or accelerate, NED axes; SI units. Discretised exactly under a zero-order hold.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -4,8 +4,6 @@ A command that leaves at t reaches the autopilot's loop at t + delay. To know wh
 the next one arrives, the commands that are still under way are flown through the model first. NED, SI units.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 

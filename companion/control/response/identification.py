@@ -12,8 +12,6 @@ velocity. North and east share theirs. Standard deviations allow for correlated 
 NED, SI units.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

@@ -4,8 +4,6 @@ What was commanded, what disturbs it, what thrust is worth: joins the command hi
 observer and the hover thrust's estimate. NED and FRD, SI units.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

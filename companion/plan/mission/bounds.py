@@ -5,8 +5,6 @@ at the speed v towards it that takes v t + v^2 / (2 a), with the time t until a 
 deceleration a that both autopilots reach in it. m, s; NED.
 """
 
-from __future__ import annotations
-
 import cmath
 import math
 from collections.abc import Iterator

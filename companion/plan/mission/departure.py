@@ -4,8 +4,6 @@ Requests use latitude, longitude and height over home, since the autopilot's est
 estimate decides whether the vehicle has arrived. Metres, seconds, degrees.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

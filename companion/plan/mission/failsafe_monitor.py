@@ -4,8 +4,6 @@ Control is ours from the moment the autopilot granted it and says that it obeys 
 did not request is a pilot's word or a failsafe of the autopilot, and that is final (`mode_monitor`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from companion.base.messages import (

@@ -5,8 +5,6 @@ autopilot's own hold is as good. When the EKF's position steps, the place that i
 vehicle stays where it is. EKF's NED; m, s.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -1,7 +1,5 @@
 """The planner's inputs of a cycle."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from companion.base.messages import (

@@ -9,8 +9,6 @@ After the mission's end, while a hold or a landing is still asked for, the mode 
 the one that is asked for: a LAND that nobody asked for is not, or a hold that is repeated would stop it.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

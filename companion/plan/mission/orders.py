@@ -4,8 +4,6 @@ Pure. An order is followed or refused in the cycle in which it comes, never kept
 looks at the vehicle now.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from companion.base.messages import AutopilotState, LandedState, Order, OrderKind, Refusal, VehicleState

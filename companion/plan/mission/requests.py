@@ -5,8 +5,6 @@ at most. Arming alone is asked for until its phase ends by time: an autopilot th
 for, not hammered, and what it lacks is reported whenever that changes. Pure: time is an argument.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Final
 

@@ -1,7 +1,5 @@
 """The mission's state: where it is, who has the vehicle, how many tries it has used. The table moves it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from companion.base.messages import Phase

@@ -4,8 +4,6 @@ A state is a phase of the mission, or one of its sub-phases: the touchdown has s
 no I/O.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum

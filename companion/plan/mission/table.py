@@ -14,8 +14,6 @@ Its rules:
 No clock, no I/O: the failsafe monitor and the phases detect events, and here stands what follows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Final

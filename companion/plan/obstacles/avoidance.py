@@ -9,8 +9,6 @@ and the result is returned in the reference's frame. Obstacles count from home, 
 origin, so that what was surveyed does not move with an estimate. m, s.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise

@@ -4,8 +4,6 @@ Obstacles are surveyed from the place of the take-off. Our own estimate at take-
 EKF's NED (m): two GPS receivers disagree by metres, one receiver drifts little over a flight.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

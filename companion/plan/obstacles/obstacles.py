@@ -5,8 +5,6 @@ about the grown shapes; the way over is the same at a height where some are belo
 the same question has the same answer. NED, m, in the obstacles' frame.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import lru_cache

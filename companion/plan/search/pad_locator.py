@@ -4,8 +4,6 @@ Each is a `Lead`; the newest counts, and is predicted along its arc for a while 
 by metres, but its error changes slowly: a sighting shows it. EKF's NED, m, s and rad.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ and rad; the height is chosen on entry and kept, but for a floor that rises. A s
 none of the vehicle: the height goes along with it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

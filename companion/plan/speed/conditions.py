@@ -4,8 +4,6 @@ Three numbers: how well the pad is seen, how well it is followed, and how the wi
 over the pad is planned says nothing here: the closing velocity is an input of V already. NED, SI units.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Final

@@ -4,8 +4,6 @@ Distances in m, closing velocity in m/s and acceleration in m/s², positive towa
 relative speed in m/s, gusts in m/s².
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

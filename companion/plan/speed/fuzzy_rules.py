@@ -9,8 +9,6 @@ centroid. Two choices make the surface smooth and monotone (never faster when cl
 which min-max inference is not: AND is the product, and rules with the same conclusion add up.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import warnings

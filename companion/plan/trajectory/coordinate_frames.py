@@ -3,8 +3,6 @@
 Space is the EKF's NED; a frame is the motion of its origin, its axes are NED's. m, s.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A trajectory within the limits of speed and acceleration: as long as it takes, within reason. m, s."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

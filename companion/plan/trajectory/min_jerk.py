@@ -11,8 +11,6 @@ meet a point that moves. With x(1) = xf, x'(1) = T vf, x''(1) = T² af the three
 which for vf = af = 0 gives back eq. 30.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -9,8 +9,6 @@ of speed and acceleration. Planning happens in the frame that moves with the tar
 (eqs. 29, 30). Frames, NED axes: places count from the pad ("pad") or the EKF's origin ("local"). m, s, rad.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

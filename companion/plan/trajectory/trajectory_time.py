@@ -5,8 +5,6 @@ generator asks for this time; `limits.within_limits` lengthens it where speed or
 limit.
 """
 
-from __future__ import annotations
-
 
 def trajectory_time_s(distance_m: float, speed_m_s: float, minimum_time_s: float) -> float:
     """T (s) of a way |Δ| (m) at an average speed V (m/s)."""

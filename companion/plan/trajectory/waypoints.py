@@ -4,8 +4,6 @@ Waypoints are north and east of home (m), with a height over home where it is no
 flown is in the EKF's NED. m, s.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

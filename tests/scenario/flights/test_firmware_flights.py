@@ -1,7 +1,5 @@
 """Flights with a firmware from end to end, by fakes that cannot fly: who hears whom, how they end."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import re

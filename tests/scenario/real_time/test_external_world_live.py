@@ -1,7 +1,5 @@
 """The external world in real time, with a player of recorded poses as the vehicle, over UDP."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager

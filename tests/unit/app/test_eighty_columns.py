@@ -1,7 +1,5 @@
 """What is shown live fits the 80 columns of a usual terminal: nothing that tells what to do is cut off."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The service's set of packages (docs/reference/package.md) is all that a landing imports."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

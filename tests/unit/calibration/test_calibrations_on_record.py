@@ -1,7 +1,5 @@
 """What a log says of the calibrations that its samples went through, and whose they are on the desk."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What the autopilot's parameters say of how it obeys: read once it is heard."""
 
-from __future__ import annotations
-
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind

@@ -5,8 +5,6 @@ of a grid finer than the pixels, blurred there, and averaged over each pixel. Ed
 hundredth of a pixel (`test_board_pictures.py`).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Boards: the print is what OpenCV looks for, at its true size."""
 
-from __future__ import annotations
-
 import re
 import zlib
 from dataclasses import replace

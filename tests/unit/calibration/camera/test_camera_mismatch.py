@@ -1,7 +1,5 @@
 """A board that is not the one described: what is told; and photos that are not all as they should be."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Final
 

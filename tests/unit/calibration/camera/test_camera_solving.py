@@ -1,7 +1,5 @@
 """The fit, its honesty and its verdict, on corners whose truth is known."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The ellipsoid fit on made-up truth: unbiased, honest about its uncertainty, not carried away."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

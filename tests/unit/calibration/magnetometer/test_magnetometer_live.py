@@ -1,7 +1,5 @@
 """Live against the simulator's devices: the vehicle is turned about by hand, in virtual time."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Awaitable, Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables of every shape are read; what cannot be is told in one line."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import replace

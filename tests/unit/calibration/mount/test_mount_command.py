@@ -1,7 +1,5 @@
 """`calibrate-mount` from its words to its files, on a hand-held vehicle, and the refusals of its files."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`calibrate-mount camera`: what it finds in made-up recordings, and what it refuses."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Accelerometer and gyroscope by rests: the fit, the faces, the mounting, tables, and the driver's use."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -7,8 +7,6 @@ grows with the distance, lasts over a few frames and has a share that never chan
 45 ms late. NED, SI units.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """The pad's scale by a second source: how a pad of another size seems to move, and the echoes over it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

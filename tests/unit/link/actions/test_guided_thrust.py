@@ -1,7 +1,5 @@
 """Attitude and thrust to a simulated ArduPilot that hovers at 0.35: thrust has to be thrust."""
 
-from __future__ import annotations
-
 import asyncio
 from dataclasses import dataclass
 

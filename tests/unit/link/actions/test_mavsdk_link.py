@@ -1,7 +1,5 @@
 """Actions by MAVSDK against the fake autopilot over an in-memory pair, in real time: it has its own clock."""
 
-from __future__ import annotations
-
 import asyncio
 import threading
 from collections.abc import AsyncIterator

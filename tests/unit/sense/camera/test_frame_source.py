@@ -1,7 +1,5 @@
 """The camera on a socket, with the simulator's server or a stranger behind it; sources' names."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 from collections.abc import AsyncIterator, Sequence

@@ -1,7 +1,5 @@
 """One simulated MPU9250 with the driver on it, and the time that passes for both."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

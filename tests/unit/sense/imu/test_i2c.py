@@ -1,7 +1,5 @@
 """The register bus and the little format that carries it to a simulator in another process."""
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import os

@@ -3,8 +3,6 @@
 Deliberately apart from the simulator's own plant, so that a sign that is wrong in both cannot hide. NED, FRD.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """The simulated flight controller keeps the real ones' rules: arming, modes, failsafes."""
 
-from __future__ import annotations
-
 import math
 from math import nan
 

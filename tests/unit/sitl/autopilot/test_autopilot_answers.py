@@ -1,7 +1,5 @@
 """The simulated flight controller answers setpoints like the recorded ones, in a frame of its own."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from math import nan

@@ -1,7 +1,5 @@
 """The simulated flight controller notices the ground as the real ones do, and nothing else for it."""
 
-from __future__ import annotations
-
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind

@@ -1,7 +1,5 @@
 """The simulated flight controller at its limits: nothing winds up there that would be flown afterwards."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

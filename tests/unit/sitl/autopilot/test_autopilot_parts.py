@@ -1,7 +1,5 @@
 """The flight controller's parts one by one: mixer, attitude control, setpoints, landed detector, tables."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The simulated camera against geometry worked out apart from it, with OpenCV's projection."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import re

@@ -1,7 +1,5 @@
 """Campaigns whose flights are stand-ins."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import partial
 

@@ -1,7 +1,5 @@
 """`companion-sitl` as a program whose campaigns fly on stand-ins for the app's processes."""
 
-from __future__ import annotations
-
 from functools import partial
 from unittest.mock import patch
 

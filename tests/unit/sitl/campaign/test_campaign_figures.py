@@ -1,7 +1,5 @@
 """A campaign's numbers, tables and pictures."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A campaign's processes: one flies many, and one that dies, hangs or fails takes only its own run along."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 from collections.abc import Iterator

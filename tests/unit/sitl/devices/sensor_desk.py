@@ -1,7 +1,5 @@
 """A vehicle that stands in the air with all its sensors, heard through the app's own drivers."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Sequence
 from typing import NamedTuple

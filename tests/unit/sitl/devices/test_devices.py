@@ -1,7 +1,5 @@
 """The receiver, the ultrasonics and their lines as hardware, and all devices with the app's drivers."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import struct

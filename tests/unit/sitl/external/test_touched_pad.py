@@ -1,7 +1,5 @@
 """The pad goes with the vehicle that touches it, and drives on after it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """When a fault begins and ends: by the clock, by what the app says, by the height over the pad."""
 
-from __future__ import annotations
-
 import asyncio
 from typing import Any
 from unittest.mock import Mock

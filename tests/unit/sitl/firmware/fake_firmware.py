@@ -1,7 +1,5 @@
 """Firmwares that are none: programs with the other side of each protocol, and what they may be told."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time

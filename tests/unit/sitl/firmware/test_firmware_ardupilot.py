@@ -1,7 +1,5 @@
 """ArduCopter in lockstep: who waits for whom, what it is told in which frames, and how it starts and ends."""
 
-from __future__ import annotations
-
 import socket
 from pathlib import Path
 

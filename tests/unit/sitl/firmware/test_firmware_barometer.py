@@ -1,7 +1,5 @@
 """The barometer that PX4 is told of: the standard atmosphere, noise, wander, and how often."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A firmware in the autopilot's place: it boots before the world begins, and leaves nothing behind."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

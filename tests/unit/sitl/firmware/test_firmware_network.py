@@ -1,7 +1,5 @@
 """Between a firmware and its clients: all passes through unchanged, and the ground station hears it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

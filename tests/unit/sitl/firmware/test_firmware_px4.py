@@ -1,7 +1,5 @@
 """PX4 in lockstep: who waits for whom, what it is told in which units, and how it starts and ends."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 from collections.abc import Iterator

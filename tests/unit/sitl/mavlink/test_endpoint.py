@@ -1,7 +1,5 @@
 """The simulated autopilot's MAVLink port: telemetry, and bytes that nobody should send."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from typing import Any

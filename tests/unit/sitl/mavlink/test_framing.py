@@ -1,7 +1,5 @@
 """Frames out of bytes: no garbage costs a good frame, whatever it claims and however the bytes are cut."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Several clients of one vehicle: each has a link of its own, and what is for others gets to them."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Logs and files of a vehicle without any: every request of a client has an answer."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from typing import Any

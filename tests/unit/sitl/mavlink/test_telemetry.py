@@ -1,7 +1,5 @@
 """The simulated autopilot's own sensors: their messages as PX4 and as ArduPilot, their cost."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

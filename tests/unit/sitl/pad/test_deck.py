@@ -1,7 +1,5 @@
 """A deck at sea: its motion, and how vehicle, ultrasonic, camera and score take its tilt."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

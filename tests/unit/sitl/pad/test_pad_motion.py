@@ -1,7 +1,5 @@
 """The pad's motions: each against its own finite differences, and against what its settings promise."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """Scenarios: the shipped ones load and keep their promises; a wrong one says what is wrong in a line."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import fields

@@ -1,7 +1,5 @@
 """The vehicle that is carried by hand: exact sensors, truths that can be read, and who is served."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The airframe against what Newton and Euler say."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The world: its parts together, what its sensors see and what it remembers."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

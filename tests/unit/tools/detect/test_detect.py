@@ -1,7 +1,5 @@
 """`companion detect`: photos and videos through the vision that flies."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

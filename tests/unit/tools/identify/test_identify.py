@@ -1,7 +1,5 @@
 """`companion identify`: from a log to lines for the settings, and what it says of logs that tell nothing."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

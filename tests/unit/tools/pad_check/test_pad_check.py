@@ -1,7 +1,5 @@
 """The check over the pad, whole, in virtual time: what is wrong with a vehicle is named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

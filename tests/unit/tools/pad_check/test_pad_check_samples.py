@@ -1,7 +1,5 @@
 """The check over the pad of a right vehicle, and on its samples as if they came from wrong settings."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

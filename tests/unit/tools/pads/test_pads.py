@@ -1,7 +1,5 @@
 """Frames of a pad as a hovering vehicle's camera takes them: poses spread as the prediction assumes them."""
 
-from __future__ import annotations
-
 import math
 import re
 import zlib
