@@ -250,8 +250,8 @@ class App:
             return
         if vehicle is not None and vehicle.imu_age_s <= BLIND_S:
             self.session.align(vehicle.attitude, vehicle.time_s)
-        obeyed, silent_s = self.session.state.offboard, self.session.silent_s(now_s)
-        controlled = self._control().step(plan, vehicle, pad, now_s, obeyed=obeyed, silent_s=silent_s)
+        obeyed, link = self.session.state.offboard, self.session.health(now_s)
+        controlled = self._control().step(plan, vehicle, pad, now_s, obeyed=obeyed, link=link)
         self._control_failure = "" if controlled is None else controlled[1].failure
         await self._clock.spend(self._config.compute.control_s)
         if controlled is not None:
@@ -287,9 +287,7 @@ class App:
             computer=self.loop_monitor.load,
             control_failure=self._control_failure,
             thrust_doubt="" if self._controller is None else self._controller.thrust.doubt,
-            silent_s=self.session.silent_s(now_s),
-            deaf=self.session.silent_s(now_s) > self.session.heartbeat_timeout_s,
-            keeps_setpoint_s=(self.session.setup or AutopilotSetup()).keeps_setpoint_s,
+            link=self.session.health(now_s),
         )
         before, plan = self.phase, self.missions.step(inputs, now_s)
         # a disarming that was asked for on the pad is none for a vehicle that has left it

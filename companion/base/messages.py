@@ -587,6 +587,45 @@ class AutopilotSetup:
         return UNKNOWN_TIMEOUT_S if self.setpoint_timeout_s is None else self.setpoint_timeout_s
 
 
+@dataclass(frozen=True, slots=True)
+class LinkHealth:
+    """Whether the autopilot still goes by what we send: five degrees of one silence, by its own time-outs.
+
+    `silent_s`: since anything was last heard of it, or showed that it hears us, seen by an app that runs.
+    `keeps_setpoint_s`: for how long it goes by the last setpoint that arrived. `lost_after_s`: a link that is
+    silent for longer is lost.
+    """
+
+    silent_s: float = 0.0
+    keeps_setpoint_s: float = UNKNOWN_TIMEOUT_S
+    lost_after_s: float = math.inf
+
+    @property
+    def fresh(self) -> bool:
+        """What it does is what it was asked for. Its attitude alone is sent at 50 Hz."""
+        return self.silent_s < 0.3
+
+    @property
+    def late(self) -> bool:
+        """Setpoints may have stopped arriving: a mode that it tells of next may be its own failsafe's."""
+        return self.silent_s > 0.5 * self.keeps_setpoint_s
+
+    @property
+    def silent(self) -> bool:
+        """It soon flies by itself, if it does not already: what it does says nothing by what we command."""
+        return self.silent_s >= 0.8 * self.keeps_setpoint_s
+
+    @property
+    def holding(self) -> bool:
+        """It has given our setpoints up, unless they arrive all the same."""
+        return self.silent_s >= self.keeps_setpoint_s
+
+    @property
+    def lost(self) -> bool:
+        """Nothing has shown for as long as after which a link is lost that it hears us."""
+        return self.silent_s > self.lost_after_s
+
+
 class LandedState(StrEnum):
     """MAV_LANDED_STATE."""
 

@@ -18,6 +18,7 @@ from companion.base.geometry import ZERO3, FloatArray, Vector3, add, scale, subt
 from companion.base.messages import (
     AutopilotSetup,
     ControlReport,
+    LinkHealth,
     PadState,
     Phase,
     PlanStep,
@@ -50,6 +51,7 @@ from companion.control.thrust_guard import ThrustGuard
 from companion.control.tracker import make_tracker
 from companion.control.tracking import Target, TrackingSolution, needed_inputs
 
+HEARD: Final = LinkHealth()
 PAD_ACCELERATION_DECAY_S: Final = 1.0  # a pad's measured acceleration is believed to fade so fast
 
 # a pause after which what was commanded before no longer says anything
@@ -60,8 +62,6 @@ LONGEST_PREDICTION_S = 0.4
 BLIND_S = 0.1
 # after so many solves in a row without a solution the old plan is worth nothing
 FAILURES_TO_STOP = 10
-# Its attitude alone is sent at 50 Hz: unheard for so long, it may not hear us either.
-SILENT_S = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,6 @@ class Controller:
 
         In virtual time it does not advance while the solver works: then iterations alone bound it.
         """
-        self._keeps_setpoint_s = (setup or AutopilotSetup()).keeps_setpoint_s
         config = resolved(config, autopilot_kind)
         response = vehicle.responses.of(autopilot_kind, flown_kind(config))
         self._config = config = fitted(config, response, setup)
@@ -129,7 +128,7 @@ class Controller:
         now_s: float,
         *,
         obeyed: bool = True,
-        silent_s: float = 0.0,
+        link: LinkHealth = HEARD,
     ) -> tuple[Setpoint, ControlReport] | None:
         """The setpoint that leaves at `now_s`; None when the plan has no reference.
 
@@ -137,9 +136,9 @@ class Controller:
         `vehicle` and `pad` are the estimates carried to about now. A reference in the pad's frame without a
         pad is answered by a stop. While the autopilot does not obey setpoints yet (PX4 wants to receive some
         before it does), each step starts again from how the vehicle moves: what was asked for in vain
-        explains nothing, and the take-over is without a jump. An autopilot that has sent nothing for
-        `silent_s` may not hear us either, or may obey all the same: soon nothing is learnt from what it does,
-        and once it is heard again after long, the step starts again too.
+        explains nothing, and the take-over is without a jump. An autopilot that is silent may not hear us
+        either, or may obey all the same: soon nothing is learnt from what it does, and once it is heard again
+        after long, the step starts again too.
         """
         if plan.reference is None:
             self._stepped_s = None
@@ -150,8 +149,8 @@ class Controller:
         self._heading.step(plan.reference.heading_rad, elapsed_s)
         if plan.on_ground:
             return self._rest(plan.reference, pad, now_s)
-        heard_again = self._given_up and silent_s < self._keeps_setpoint_s
-        self._given_up = silent_s >= self._keeps_setpoint_s
+        heard_again = self._given_up and not link.holding
+        self._given_up = link.holding
         if not obeyed:
             self._gate.reset()
         if not obeyed or heard_again:
@@ -160,10 +159,10 @@ class Controller:
             setpoint, report = self._wait_for_imu(plan.phase, plan.reference, vehicle, pad, now_s)
             return setpoint, replace(report, obeyed=obeyed)
         if self._flying and not self._stopped:
-            self._plant.observe(vehicle, elapsed_s, learns=silent_s < SILENT_S)
+            self._plant.observe(vehicle, elapsed_s, learns=link.fresh)
         else:
             self._begin(vehicle)
-        setpoint, report = self._fly(plan, plan.reference, vehicle, pad, now_s, learns=silent_s < SILENT_S)
+        setpoint, report = self._fly(plan, plan.reference, vehicle, pad, now_s, learns=link.fresh)
         return setpoint, replace(report, obeyed=obeyed)
 
     def _elapsed(self, vehicle: VehicleState, now_s: float) -> float:

@@ -15,6 +15,7 @@ from companion.base.messages import (
     AutopilotState,
     LandedState,
     LandingTargetPose,
+    LinkHealth,
     Setpoint,
 )
 from companion.config import LinkConfig, OrdersConfig, SenseConfig
@@ -161,6 +162,11 @@ class Session:
         """For how long (s) nothing has been received, or nothing has shown that it receives us."""
         unanswered_s = now_s - self.state.round_trip_time_s - 2.0 * self._asks_every_s
         return max(now_s - self.heard_s, unanswered_s if math.isfinite(unanswered_s) else 0.0)
+
+    def health(self, now_s: float) -> LinkHealth:
+        """Whether the autopilot still goes by what is sent to it."""
+        keeps_s = (self.setup or AutopilotSetup()).keeps_setpoint_s
+        return LinkHealth(self.silent_s(now_s), keeps_s, self.heartbeat_timeout_s)
 
     @property
     def _asks_every_s(self) -> float:

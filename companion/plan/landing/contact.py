@@ -35,9 +35,6 @@ _ARRIVES_S = 0.3
 # The camera sees a millimetre: from half of `contact_margin_m` it falls with 0.4 m/s, from 3 cm with 0.8.
 _LIFTED_SHARE = 0.5
 _SIGMA_THRESHOLD = 3.0  # standard deviations
-# An autopilot that is not heard for this share of the time for which it keeps a setpoint may not hear us
-# either, and soon flies by itself.
-_UNHEARD_SHARE = 0.8
 # Without thrust it falls at g; a third of that is no deck's motion.
 _FALLS_M_S2 = GRAVITY_M_S2 / 3.0
 _FALLS_S = 0.15  # a bump of the pad is over sooner; a fall is 11 cm by then
@@ -134,7 +131,7 @@ def link_silent(inputs: PlanInputs) -> bool:
 
     Then it may fly by itself: what the vehicle does says nothing any more by what we command.
     """
-    return inputs.silent_s >= _UNHEARD_SHARE * inputs.keeps_setpoint_s
+    return inputs.link.silent
 
 
 def imu_fresh(vehicle: VehicleState | None, now_s: float) -> bool:

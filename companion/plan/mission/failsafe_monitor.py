@@ -53,7 +53,7 @@ def _mode_words(inputs: PlanInputs) -> str:
     # in a mode with sticks a pilot may fly, whatever was intended
     if autopilot.intended_mode not in {"", autopilot.mode} and short_name(autopilot.mode) in WITHOUT_STICKS:
         words = f"autopilot failsafe: {autopilot.mode} instead of {autopilot.intended_mode}"
-    if inputs.computer.held_up_s >= inputs.keeps_setpoint_s:
+    if inputs.computer.held_up_s >= inputs.link.keeps_setpoint_s:
         words += f": setpoints stopped for {inputs.computer.held_up_s:.1f} s"
     return words
 
@@ -111,7 +111,7 @@ class FailsafeMonitor:
         if state in FINAL:
             return ()
         heard = autopilot.connected
-        self._modes.listen(autopilot, inputs.silent_s, now_s, inputs.keeps_setpoint_s)
+        self._modes.listen(autopilot, inputs.link, now_s)
         taken_over = heard and self._modes.taken_over(
             state,
             self._machine.authority,
@@ -124,7 +124,7 @@ class FailsafeMonitor:
         )
         silence = f"no heartbeat from the autopilot{refused_words(autopilot)}"
         if heard:
-            silence = f"nothing has shown for {inputs.silent_s:.0f} s that the autopilot hears us"
+            silence = f"nothing has shown for {inputs.link.silent_s:.0f} s that the autopilot hears us"
         signs = (
             (
                 control_granted and autopilot.offboard,
@@ -139,14 +139,14 @@ class FailsafeMonitor:
             ),
             (taken_over, MissionEvent.TAKEN_OVER, _mode_words(inputs)),
             (inputs.stop_requested, MissionEvent.STOP, "by the operator"),
-            (not heard or inputs.deaf, MissionEvent.LINK_LOST, silence),
+            (not heard or inputs.link.lost, MissionEvent.LINK_LOST, silence),
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
         found += [*self._late(inputs, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
         found += [*self._control(inputs.control_failure, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
         found += [*_disputed(inputs.comparisons, bounds), *bounds, *self._time(now_s)]
-        found += [(MissionEvent.LINK_UP, "heartbeat again")] if heard and not inputs.deaf else []
+        found += [(MissionEvent.LINK_UP, "heartbeat again")] if heard and not inputs.link.lost else []
         return tuple(found)
 
     def after_end(self, autopilot: AutopilotState, asked: frozenset[ActionKind]) -> tuple[DetectedEvent, ...]:

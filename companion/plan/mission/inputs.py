@@ -1,11 +1,11 @@
 """The planner's inputs of a cycle."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from companion.base.messages import (
-    UNKNOWN_TIMEOUT_S,
     ActionResult,
     AutopilotState,
+    LinkHealth,
     Order,
     PadBeacon,
     PadState,
@@ -27,9 +27,6 @@ class ComputerLoad:
 class PlanInputs:
     """The newest of everything the planner goes by; `results` holds each answer once, `order` comes once.
 
-    `keeps_setpoint_s`: for how long the autopilot goes by the last setpoint that arrived.
-    `silent_s`: since anything was last heard of the autopilot, or showed that it hears us, seen by an app
-    that runs. `deaf`: for as long as after which a link is lost, nothing has shown that it hears us.
     `comparisons`: what was measured by two sources.
     `control_failure`: why the last setpoint was a stop. `thrust_doubt`: what stands against control by
     thrust.
@@ -48,6 +45,4 @@ class PlanInputs:
     computer: ComputerLoad = ComputerLoad()
     control_failure: str = ""
     thrust_doubt: str = ""
-    silent_s: float = 0.0
-    deaf: bool = False
-    keeps_setpoint_s: float = UNKNOWN_TIMEOUT_S
+    link: LinkHealth = field(default_factory=LinkHealth)

@@ -14,7 +14,12 @@ from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.autopilots import PROFILES
-from companion.base.messages import ActionKind, AutopilotState, LandedState
+from companion.base.messages import (
+    ActionKind,
+    AutopilotState,
+    LandedState,
+    LinkHealth,
+)
 from companion.plan.mission.states import Authority, State
 
 # A mode change is in the next HEARTBEAT (1 Hz), which may be lost once.
@@ -22,11 +27,9 @@ TAKES_S: Final = 3.0
 # PX4 ends a take-off in LOITER within its acceptance radius (NAV_MC_ALT_RAD, 0.8 m). So low it was a pilot.
 _TAKE_OFF_DONE_SHARE: Final = 0.6
 _LAND: Final = "LAND"
-# Setpoints have not arrived for `COM_OF_LOSS_T`, and PX4 flies the mode of `COM_OBL_RC_ACT`: this share of
-# that time was silent. It obeys again with the first that arrives, but may say so a heartbeat later. In a
-# mode with sticks a pilot may fly without having chosen it (`actionAllowsUserTakeover` of its failsafe
-# framework): that one is heeded.
-_SILENT_SHARE: Final = 0.5
+# Setpoints have not arrived for `COM_OF_LOSS_T`, and PX4 flies the mode of `COM_OBL_RC_ACT`. It obeys again
+# with the first that arrives, but may say so a heartbeat later. In a mode with sticks a pilot may fly without
+# having chosen it (`actionAllowsUserTakeover` of its failsafe framework): that one is heeded.
 _OBEYS_AGAIN_S: Final = 1.0
 WITHOUT_STICKS: Final = frozenset({"LOITER", "RTL", "LAND"})
 _LANDING: Final = frozenset({State.SET_DOWN, State.AUTO_LAND})
@@ -79,15 +82,9 @@ class ModeMonitor:
         self._climbed = False
         self._last: str | None = None  # while the mission went on
 
-    def listen(
-        self, autopilot: AutopilotState, silent_s: float, now_s: float, keeps_setpoint_s: float
-    ) -> None:
-        """Note a silence of the link that began while the autopilot obeyed; after one it has to obey again.
-
-        `keeps_setpoint_s`: for how long it goes by the last setpoint. `silent_s`: how long nothing has been
-        heard, while we run; a link that we did not read is not silent.
-        """
-        if silent_s <= _SILENT_SHARE * keeps_setpoint_s:
+    def listen(self, autopilot: AutopilotState, link: LinkHealth, now_s: float) -> None:
+        """Note a silence that began while the autopilot obeyed; after one it has to obey again."""
+        if not link.late:
             self._obeyed = autopilot.connected and autopilot.offboard
         elif self._obeyed:
             self._silent_s = now_s

@@ -17,7 +17,11 @@ from companion.base.geometry import (
     tilt_from_quat,
     yaw_from_quat,
 )
-from companion.base.messages import Phase, Setpoint
+from companion.base.messages import (
+    LinkHealth,
+    Phase,
+    Setpoint,
+)
 from companion.config import ControlConfig
 from companion.control.attitude import attitude_from_acceleration
 from companion.control.controller import FAILURES_TO_STOP, Controller
@@ -466,7 +470,7 @@ def test_an_autopilot_that_is_not_heard_may_obey_and_its_setpoints_stay_within_t
         now, silent_s = k * PERIOD_S, k * PERIOD_S if k < 60 else 0.0
         vehicle = vehicle_state(now, attitude=tilting)
         answer = fly.step(
-            plan_step(now, hover_reference(now)), vehicle, pad_state(now), now, silent_s=silent_s
+            plan_step(now, hover_reference(now)), vehicle, pad_state(now), now, link=LinkHealth(silent_s)
         )
         assert answer is not None
         asked = answer[0].acceleration_ned_m_s2
@@ -483,7 +487,7 @@ def test_what_a_silent_autopilot_does_not_do_is_no_disturbance(kind: str) -> Non
         now = k * PERIOD_S
         step = plan_step(now, hover_reference(now)), vehicle_state(now), pad_state(now, (3.0, 0.0, 3.0)), now
         silent_s = now - 0.3 if 0.3 <= now < 4.9 else 0.0
-        unheard, heard = heeded.step(*step, silent_s=silent_s), believed.step(*step)
+        unheard, heard = heeded.step(*step, link=LinkHealth(silent_s)), believed.step(*step)
     assert unheard is not None
     assert heard is not None
     assert norm(heard[1].disturbance_ned_m_s2) > 1.0

@@ -2,7 +2,7 @@
 
 import pytest
 
-from companion.base.messages import AutopilotSetup
+from companion.base.messages import UNKNOWN_TIMEOUT_S, AutopilotSetup, LinkHealth
 from companion.config import LinkConfig
 from companion.link.codec import Codec, mavlink, timesync
 from companion.link.session import Session
@@ -112,7 +112,26 @@ def test_that_it_hears_us_no_more_is_known_before_it_gives_our_setpoint_up(keeps
 def test_one_that_never_tells_the_time_is_heard_by_what_it_says() -> None:
     session = Session(LinkConfig())
     session.heard_s = 9.8
-    assert session.silent_s(10.0) == pytest.approx(0.2)
+    link = session.health(10.0)
+    told = (link.silent_s, link.keeps_setpoint_s, link.lost_after_s)
+    assert told == pytest.approx((0.2, UNKNOWN_TIMEOUT_S, 3.0))
+
+
+@pytest.mark.parametrize(
+    ("silent_s", "holds"),
+    [
+        (0.29, {"fresh"}),
+        (0.5, set()),
+        (0.51, {"late"}),
+        (0.8, {"late", "silent"}),
+        (1.0, {"late", "silent", "holding"}),
+        (3.1, {"late", "silent", "holding", "lost"}),
+    ],
+)
+def test_a_silence_counts_by_the_autopilots_own_time_out(silent_s: float, holds: set[str]) -> None:
+    link = LinkHealth(silent_s, keeps_setpoint_s=1.0, lost_after_s=3.0)
+    assert {name for name in ("fresh", "late", "silent", "holding", "lost") if getattr(link, name)} == holds
+    assert not LinkHealth(silent_s, keeps_setpoint_s=2.0 * silent_s).late
 
 
 def test_one_slow_answer_is_no_late_link() -> None:

@@ -19,6 +19,7 @@ from companion.base.messages import (
     ActionResult,
     AutopilotState,
     LandedState,
+    LinkHealth,
     Notice,
     Order,
     PadBeacon,
@@ -169,8 +170,7 @@ class PlanWorld:
             order=self.order,
             camera_problem=self.camera_problem,
             comparisons=self.comparisons,
-            silent_s=max(0.0, self.now_s - self.silent_from_s),
-            keeps_setpoint_s=1.0,
+            link=LinkHealth(max(0.0, self.now_s - self.silent_from_s), keeps_setpoint_s=1.0),
         )
 
     # ------------------------------------------------------------ what the planner is told

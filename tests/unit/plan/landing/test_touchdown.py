@@ -5,7 +5,13 @@ from dataclasses import replace
 
 import pytest
 
-from companion.base.messages import AutopilotState, LandedState, PadState, RangeSample
+from companion.base.messages import (
+    AutopilotState,
+    LandedState,
+    LinkHealth,
+    PadState,
+    RangeSample,
+)
 from companion.base.motion import Motion
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import contact_signs, link_silent
@@ -264,7 +270,7 @@ def test_off_the_pad_it_rises_level_and_ever_again_from_where_a_silent_autopilot
         now_s += CYCLE_S
         before = generator.at(now_s)
         autopilot = AutopilotState(now_s, landed=LandedState.IN_AIR, connected=True)
-        inputs = PlanInputs(vehicle_state(now_s), None, autopilot, silent_s=silent_s)
+        inputs = PlanInputs(vehicle_state(now_s), None, autopilot, link=LinkHealth(silent_s))
         touchdown._sequence.leave(inputs, sight(height=height_m, age=9.0), now_s)
         if silent_s > 0.0:
             assert generator.at(now_s).position_m[2] == pytest.approx(-height_m)
@@ -561,6 +567,4 @@ def test_how_long_a_silence_is_one_the_vehicles_own_time_out_says(
     keeps_s: float, silent_s: float, counts: bool
 ) -> None:
     autopilot = AutopilotState(0.0, connected=True)
-    assert (
-        link_silent(PlanInputs(None, None, autopilot, silent_s=silent_s, keeps_setpoint_s=keeps_s)) is counts
-    )
+    assert link_silent(PlanInputs(None, None, autopilot, link=LinkHealth(silent_s, keeps_s))) is counts

@@ -3,7 +3,14 @@
 import math
 
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, quat_from_euler, scale
-from companion.base.messages import AutopilotState, LandedState, PadState, RangeSample, VehicleState
+from companion.base.messages import (
+    AutopilotState,
+    LandedState,
+    LinkHealth,
+    PadState,
+    RangeSample,
+    VehicleState,
+)
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, TouchdownConfig
 from companion.plan.landing.touchdown import TouchdownSequence
@@ -81,7 +88,7 @@ class Attempt:
         vehicle: VehicleState | None = None,
     ) -> DetectedEvent | None:
         autopilot = AutopilotState(now_s, landed=landed, connected=True)
-        inputs = PlanInputs(vehicle, None, autopilot, range=echo, silent_s=silent_s)
+        inputs = PlanInputs(vehicle, None, autopilot, range=echo, link=LinkHealth(silent_s))
         detected = self._sequence.step(self.state, seen, inputs, now_s)
         if detected is None:
             return None

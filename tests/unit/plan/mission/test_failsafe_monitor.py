@@ -10,6 +10,7 @@ from companion.base.messages import (
     ActionKind,
     AutopilotState,
     ControlReport,
+    LinkHealth,
     PadState,
     Phase,
     Quantity,
@@ -164,10 +165,10 @@ def test_a_link_is_late_beyond_its_bound_while_that_is_fresh(
 
 
 def test_a_link_is_lost_where_the_autopilot_does_not_hear_us() -> None:
-    deaf = replace(inputs(FLYING), silent_s=3.2, deaf=True)
+    deaf = replace(inputs(FLYING), link=LinkHealth(3.2, lost_after_s=3.0))
     assert gravest(deaf) is MissionEvent.LINK_LOST
     assert gravest(deaf, State.AWAIT_LINK) is None  # no heartbeat of its ends the wait
-    assert gravest(replace(deaf, deaf=False), State.AWAIT_LINK) is MissionEvent.LINK_UP
+    assert gravest(replace(deaf, link=LinkHealth()), State.AWAIT_LINK) is MissionEvent.LINK_UP
     assert gravest(deaf, State.SINK) is None
 
 
@@ -319,7 +320,9 @@ def test_a_mode_that_follows_setpoints_that_stopped_is_not_the_pilots_alone(
 ) -> None:
     watch, _ = monitor()
     held_up = ComputerLoad(None, held_up_s)
-    given = replace(inputs(replace(HELD, mode="POSCTL")), computer=held_up, keeps_setpoint_s=1.0)
+    given = replace(
+        inputs(replace(HELD, mode="POSCTL")), computer=held_up, link=LinkHealth(keeps_setpoint_s=1.0)
+    )
     watch.detect(inputs(), 49.0, control_granted=True)
     found = dict(watch.detect(given, 50.0, control_granted=True))
     assert found[MissionEvent.TAKEN_OVER] == f"mode POSCTL was not requested{words}"

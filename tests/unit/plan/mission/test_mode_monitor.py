@@ -5,7 +5,14 @@ from dataclasses import replace
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.messages import Action, ActionKind, ActionResult, AutopilotState, LandedState
+from companion.base.messages import (
+    Action,
+    ActionKind,
+    ActionResult,
+    AutopilotState,
+    LandedState,
+    LinkHealth,
+)
 from companion.plan.mission.mode_monitor import TAKES_S, ModeMonitor, in_land
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.states import Authority, State
@@ -219,10 +226,11 @@ def silenced(
     from_s: float = 10.0,
     keeps_s: float = 1.0,
 ) -> bool:
-    monitor.listen(before, 0.0, from_s, keeps_s)
-    monitor.listen(replace(before, connected=False, offboard=False), silent_s, from_s + silent_s, keeps_s)
+    monitor.listen(before, LinkHealth(0.0, keeps_s), from_s)
+    unheard = replace(before, connected=False, offboard=False)
+    monitor.listen(unheard, LinkHealth(silent_s, keeps_s), from_s + silent_s)
     now_s = from_s + silent_s + since_s
-    monitor.listen(after, 0.0, now_s, keeps_s)
+    monitor.listen(after, LinkHealth(0.0, keeps_s), now_s)
     return monitor.taken_over(
         State.APPROACH, Authority.OURS, after, requested=True, over_home_m=5.0, now_s=now_s
     )
