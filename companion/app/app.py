@@ -11,6 +11,7 @@ A mission is one planner's; an app that stays goes back to standby after it, wit
 """
 
 import asyncio
+import math
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import replace
@@ -101,6 +102,7 @@ class App:
         self._action_results: list[ActionResult] = []
         self._service = ServiceNotifier()
         self._latency_ms: float | None = None
+        self._short_of: set[str] = set()  # told of, in this mission
         self._last_exposure_s: float | None = None
         self._stop_requested = self._on_pad = False
         self._start_s = self._clock.now_s()
@@ -217,6 +219,7 @@ class App:
         self.missions.stand_by()
         self.sources.begin()
         self._controller = self._latency_ms = None
+        self._short_of.clear()
         self._action_queue.clear()
         self._action_results.clear()
         self._on_pad, self._control_failure = False, ""
@@ -308,6 +311,9 @@ class App:
         self._send(self.session.send_setpoint(sent, now_s))
         self._log.write("setpoint", sent, now_s)
         self._log.write("control_report", report, now_s)
+        if report.short_of and report.short_of not in self._short_of:
+            self._short_of.add(report.short_of)
+            self.announcer.notify("control", _shortage(report), "warning")
         # later setpoints that still live on the same sighting say nothing about the latency
         if sent.exposure_time_s is not None and sent.exposure_time_s != self._last_exposure_s:
             self._latency_ms = 1e3 * (now_s - sent.exposure_time_s)
@@ -375,3 +381,10 @@ class App:
                 camera_problem=self.sensing.camera_problem,
             )
             self._on_status(status)
+
+
+def _shortage(report: ControlReport) -> str:
+    """What the wind takes all of, with the figure that says so."""
+    pushes_m_s2 = math.hypot(*report.disturbance_ned_m_s2[:2])
+    hover = "" if report.hover_thrust is None else f", hover thrust {report.hover_thrust:.2f}"
+    return f"too little {report.short_of} for this wind ({pushes_m_s2:.1f} m/s2{hover}): it drifts"

@@ -531,7 +531,7 @@ class ControlReport:
     `blind`: for want of IMU samples it flew on by its last motion or the pad's. `cut_s`: for how long in a
     row what was flown is the optimum without constraints, cut to the inputs' bounds. `cycle_late_s` is how
     much later than due the cycle began: the event loop's delay. `fault`: why it was stopped, where that is
-    not for want of a plan.
+    not for want of a plan. `short_of`: what the wind has taken all of for a while ("thrust", "tilt").
     """
 
     time_s: float
@@ -551,6 +551,7 @@ class ControlReport:
     cycle_late_s: float = 0.0
     cut_s: float = 0.0
     fault: str = ""
+    short_of: str = ""
 
     @property
     def failure(self) -> str:

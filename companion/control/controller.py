@@ -62,6 +62,8 @@ LONGEST_PREDICTION_S = 0.4
 BLIND_S = 0.1
 # after so many solves in a row without a solution the old plan is worth nothing
 FAILURES_TO_STOP = 10
+# a gust is over before; a wind that takes all of the thrust or tilt for longer carries the vehicle away
+SHORT_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +120,7 @@ class Controller:
         self._nodes_s: FloatArray = config.step_s * np.arange(config.horizon_steps + 1, dtype=np.float64)
         self._stepped_s: float | None = None
         self._flying = self._given_up = False
-        self._failures, self._cuts = FAILURES_TO_STOP, 0
+        self._failures, self._cuts, self._short = FAILURES_TO_STOP, 0, 0
 
     def step(
         self,
@@ -181,7 +183,7 @@ class Controller:
         self._plant.begin(vehicle)
         self._tracker.reset()
         self._feedforward.reset()
-        self._failures, self._cuts = FAILURES_TO_STOP, 0
+        self._failures, self._cuts, self._short = FAILURES_TO_STOP, 0, 0
         self._flying = True
 
     def _wait_for_imu(
@@ -254,6 +256,7 @@ class Controller:
         solve_s = self._stopwatch() - began_s
         self._failures = 0 if solution.solved or solution.cut else self._failures + 1
         self._cuts = self._cuts + 1 if solution.cut else 0
+        self._short = self._short + 1 if solution.short_of else 0
         if learns:
             self._learn(start, target, disturbance, solution)
         setpoint = _seen(self._setpoint(start.motion, solution, now_s), reference, pad)
@@ -274,6 +277,7 @@ class Controller:
             hover_thrust=self._plant.hover_thrust,
             cut_s=self._cuts / self._config.rate_hz,
             fault=self.thrust.fault,
+            short_of=solution.short_of if self._short / self._config.rate_hz >= SHORT_S else "",
         )
 
     def _learn(self, start: _Start, target: Target, disturbance: Vector3, solution: TrackingSolution) -> None:

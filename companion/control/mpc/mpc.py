@@ -70,6 +70,7 @@ SETTINGS: Final[dict[str, Any]] = {
 # OSQP's status values: solved to its tolerances; out of iterations, to ten times these or not even that
 SOLVED, NEARLY_SOLVED, UNSOLVED = 1, 2, 7
 UNFINISHED = (NEARLY_SOLVED, UNSOLVED)
+AT_BOUND = 0.98
 # the gate bounds the whole vector's jerk, here it is each axis': stay within it, and clear of jitter
 JERK_SHARE = 0.95 / 3.0**0.5
 
@@ -109,6 +110,7 @@ class Mpc:
         """Forget the last solution."""
         self._last = np.zeros(self._layout.variables)
         self._last_apex: FloatArray | None = None  # of the cone (N, 3), when it was solved
+        self._short = "", math.inf
         self._cold = True
 
     def solve(
@@ -266,6 +268,7 @@ class Mpc:
         down = np.clip(needed_down, 0.0, self._limits.vertical_acceleration_m_s2)
         by_tilt = self._tilt_tangent * (GRAVITY_M_S2 - down)
         most = np.minimum(full, np.minimum(self._side_left_m_s2, by_tilt) * OCTAGON_WITHIN_CIRCLE)
+        self._short = "thrust" if self._side_left_m_s2 < by_tilt[0] else "tilt", float(most[0])
         if horizontal_bound_m_s2 is not None:
             most = np.minimum(most, horizontal_bound_m_s2 * OCTAGON_WITHIN_CIRCLE)
         change = JERK_SHARE * self._limits.jerk_m_s3 * self._dt
@@ -350,7 +353,11 @@ class Mpc:
     def _solution(self, *, solved: bool, iterations: int, late: bool) -> TrackingSolution:
         inputs = self._last[self._layout.inputs].reshape(self._N, 3).copy()
         states = self._last[self._layout.states].reshape(self._N, 9).copy()
-        return TrackingSolution(inputs, states, solved, iterations, late)
+        short_of, most = self._short
+        at_bound = float(np.max(np.abs(OCTAGON @ inputs[0, :2]))) >= AT_BOUND * most
+        return TrackingSolution(
+            inputs, states, solved, iterations, late, short_of=short_of if at_bound else ""
+        )
 
 
 def _finite(motion: Motion) -> bool:

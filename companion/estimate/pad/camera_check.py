@@ -68,7 +68,10 @@ NOISE_RAD: Final = 0.003
 ATTITUDE_WANDERS_S: Final = 1.0
 ECHO_NOISE_M: Final = 0.03
 SQUARE: Final = 1.1  # so near to the least noise of an echo it comes square to the board
-ECHO_SCALE_STD: Final = 0.003  # the speed of sound, which does not average out
+# What does not average out: the speed of sound; of motion, errors of lens and mounting, which turn with the
+# view as the vehicle tilts to move: 2 deg of mounting shift it by 2 to 4 cm of 7 m, where it has moved 0.5 m.
+ECHO_SCALE_STD: Final = 0.003
+MOTION_SCALE_STD: Final = 0.06
 # lower, an offset of the echoes of some centimetres, which never averages out, would pass for a wrong scale
 LOWEST_ECHO_M: Final = 1.0
 HIGHEST_ECHO_M: Final = 2.5  # an ultrasonic's cone is then as wide as a pad
@@ -128,11 +131,11 @@ class CameraCheck:
         """How many times as far away the pad seems as it is, and the standard deviation."""
         k, variance = float(self._x[_K]), float(self._P[_K, _K])
         if self._heard:
-            return k, math.sqrt(variance)
+            return k, math.sqrt(variance + ECHO_SCALE_STD**2)
         if len(self._spans) < 2:
             return k, SCALE_STD
         scatter = sum(told * (found - k) ** 2 for found, told in self._spans) / (len(self._spans) - 1)
-        return k, min(SCALE_STD, math.sqrt(variance * max(1.0, scatter)))
+        return k, min(SCALE_STD, math.sqrt(variance * max(1.0, scatter) + MOTION_SCALE_STD**2))
 
     @property
     def delay_std_s(self) -> float:
@@ -309,7 +312,7 @@ class CameraCheck:
                 "100 %",
                 f"{100.0 / max(k, 0.01):.0f} %",
                 difference=100.0 * abs(k - 1.0),  # of the distance: its error is the Gaussian one
-                std=100.0 * math.hypot(k_std, ECHO_SCALE_STD),
+                std=100.0 * k_std,
             ),
             SourceComparison(
                 self._time_s,

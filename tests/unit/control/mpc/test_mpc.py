@@ -403,6 +403,18 @@ def test_outside_the_cone_it_comes_in_without_a_climb() -> None:
     assert states[-1, 0] < 0.3
 
 
+@pytest.mark.parametrize(
+    ("push_m_s2", "hover_thrust", "short_of"), [(7.0, 0.5, "tilt"), (5.0, 0.85, "thrust"), (2.0, 0.5, "")]
+)
+def test_what_the_wind_takes_all_of_is_named(push_m_s2: float, hover_thrust: float, short_of: str) -> None:
+    mpc, target = Mpc(CONFIG, LAGS_S), replace(hover_at(ZERO3), hover_thrust=hover_thrust)
+    motion = Motion((-1.0, 0.0, 0.0), ZERO3, ZERO3)
+    against: Vector3 = (-push_m_s2, 0.0, 0.0)
+    for _ in range(10):
+        solution = mpc.solve(motion, target, against, (min(push_m_s2, 5.0), 0.0, 0.0))
+    assert solution.short_of == short_of
+
+
 def test_carried_out_of_the_cone_by_what_it_cannot_resist_it_does_not_climb() -> None:
     target = replace(hover_at((0.0, 0.0, -0.5)), cone=_cone(0.2))
     flown = _flown(Motion((0.0, 0.0, -0.5), ZERO3, ZERO3), target, against=(-9.0, 0.0, 0.0), duration_s=1.0)

@@ -63,7 +63,7 @@ def test_a_pad_printed_at_71_percent_is_refused_by_its_motion_alone(pad_speed_m_
 
 
 def test_it_is_refused_in_small_fast_swings_too_where_the_accelerometers_place_is_known() -> None:
-    found = compared(SWAYS, 0.71, arm_std_m=0.003)
+    found = compared(SWAYS, 0.71, duration_s=20.0, arm_std_m=0.003)
     assert ROW.refuses(found)
     assert float(found.second.removesuffix(" %")) == pytest.approx(71.0, abs=8.0)
 
