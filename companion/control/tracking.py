@@ -47,8 +47,8 @@ class TrackingSolution:
     """Inputs (N, 3) in m/s2 and the predicted states (N, 9); `solved` is false for what takes their place.
 
     That is the optimum without constraints, cut to the inputs' bounds (`cut`), where the iterations ran out,
-    else the old solution, shifted. `late`: the stopwatch ended the search. `short_of`: what there is too little
-    of for the place ("thrust", "tilt"), where the first input is at its bound sideways.
+    else the old solution, shifted. `late`: the stopwatch ended the search. `short_of`: what there is too
+    little of for the place ("thrust", "tilt"), where the first input is at its bound sideways.
     """
 
     inputs_m_s2: FloatArray
