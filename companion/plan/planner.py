@@ -95,6 +95,7 @@ class Planner:
             say=self._say,
             pad_half_width_m=pad_half_width_m,
             standby=standby,
+            standing_height=self._standing_height,
         )
 
     @property

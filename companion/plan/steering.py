@@ -17,6 +17,7 @@ from companion.plan.estimate_steps import EstimateSteps
 from companion.plan.landing.approach_descent import Landing, Unseen
 from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack, misaligned_heading, vehicle_motion
+from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.departure import Departure
 from companion.plan.mission.hold import Hold
@@ -53,6 +54,7 @@ class PhaseSteering:
         say: NoticeSink,
         pad_half_width_m: float,
         standby: str | None = None,
+        standing_height: StandingHeight | None = None,
     ) -> None:
         self._standby = standby
         self.refused: Refusal | None = None  # this cycle's order
@@ -72,7 +74,12 @@ class PhaseSteering:
         self.search = Search(config.search, generator, config.mission.pad_speed_m_s)
         self._landing = Landing(config.landing, vehicle, generator)
         self._touchdown = TouchdownSequence(
-            config.touchdown, vehicle, config.landing.wait_height_m, generator, pad_half_width_m
+            config.touchdown,
+            vehicle,
+            config.landing.wait_height_m,
+            generator,
+            pad_half_width_m,
+            standing_height,
         )
         self._held = Hold(config, vehicle.leg_height_m, generator=generator, pad=pad, ground=ground, say=say)
         self._begun_s, self._contradicted_s, self._pilot_flies = 0.0, -math.inf, False

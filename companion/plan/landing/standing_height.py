@@ -26,6 +26,9 @@ _LEVEL_RAD: Final = math.radians(10.0)
 _COUNT: Final = 10  # echoes, and sightings, that have to agree
 _SPREAD_M: Final = 0.03
 _ECHO_NOISE_M: Final = 0.01  # of one that comes from near
+# What a builder measures by a ruler, and grass below a rangefinder: 3 cm each; a pad has none.
+_TOLD_STD_M: Final = 0.03
+_BELOW_STD_M: Final = {"the rangefinder": 0.03, "the pad": 0.01}
 _MEDIAN_STD: Final = math.sqrt(0.5 * math.pi / _COUNT)  # of the median of so many, in theirs
 
 
@@ -62,6 +65,15 @@ class StandingHeight:
         if sight is not None and self._stands_on(sight) and sight.seen_time_s > self._seen_s:
             self._seen_s = sight.seen_time_s
             self._learn("the pad", self._by_pad, sight.height_m, now_s)
+
+    @property
+    def vehicle(self) -> VehicleConfig:
+        """The vehicle with the leg height of file and measurements together, by their variances."""
+        heights = [(self._vehicle.leg_height_m, _TOLD_STD_M**-2)]
+        for source, (measured_m, std_m) in self.measured_m.items():
+            heights.append((measured_m, 1.0 / (std_m**2 + _BELOW_STD_M[source] ** 2)))
+        leg_m = sum(m * weight for m, weight in heights) / sum(weight for _, weight in heights)
+        return self._vehicle.model_copy(update={"leg_height_m": leg_m})
 
     @property
     def comparisons(self) -> tuple[SourceComparison, ...]:

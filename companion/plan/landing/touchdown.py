@@ -30,6 +30,7 @@ from companion.plan.landing.contact import (
 from companion.plan.landing.levelling import Levelling
 from companion.plan.landing.set_down import SetDown
 from companion.plan.landing.short_echoes import ShortEchoes
+from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.tilt_prediction import TiltPrediction, level_at
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle, slides_off, stopping_m
 from companion.plan.mission.inputs import PlanInputs
@@ -69,17 +70,24 @@ class TouchdownSequence:
         wait_height_m: float,
         generator: ReferenceGenerator,
         pad_half_width_m: float,
+        standing_height: StandingHeight | None = None,
     ) -> None:
-        self._config, self._vehicle, self._generator = config, vehicle, generator
+        """`standing_height` has watched the vehicle stand: a try begins with the leg height by then."""
+        self._config, self._generator = config, generator
+        self._standing_height = standing_height or StandingHeight(vehicle)
         self._feet_on_pad_m = pad_half_width_m - vehicle.foot_reach_m
-        self._wait_height_m = vehicle.leg_height_m + wait_height_m
-        self._low_m = vehicle.leg_height_m + 2.0 * config.contact_margin_m
-        self._standing, self._set_down = LandDetector(config, vehicle), SetDown(config, vehicle, generator)
+        self._waits_over_m = wait_height_m
         self._sight: PadState | None = None
         self.begin(0.0, tolerance_scale=1.0)
 
     def begin(self, now_s: float, tolerance_scale: float) -> None:
         """Start a try; `tolerance_scale` widens its tolerances."""
+        config, vehicle = self._config, self._standing_height.vehicle
+        self._vehicle = vehicle
+        self._wait_height_m = vehicle.leg_height_m + self._waits_over_m
+        self._low_m = vehicle.leg_height_m + 2.0 * config.contact_margin_m
+        self._standing = LandDetector(config, vehicle)
+        self._set_down = SetDown(config, vehicle, self._generator)
         self._since_s = self._sunk_s = self._contact_due_s = self._blended_s = now_s
         self._tolerance = Tolerance(self._config, now_s, tolerance_scale)
         self._settled, self._too_fast, self._far_aside, self._deeper = (Debounce() for _ in range(4))

@@ -6,9 +6,15 @@ import pytest
 
 from companion.base import second_sources
 from companion.base.geometry import ZERO3
-from companion.base.messages import Phase, Quantity
+from companion.base.messages import AutopilotState, Phase, Quantity
+from companion.base.motion import Motion
+from companion.config import GuidanceConfig, TouchdownConfig
 from companion.plan.landing.standing_height import StandingHeight
+from companion.plan.landing.touchdown import TouchdownSequence
+from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.states import State
 from companion.plan.planner import Planner
+from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import still
 from tests.unit.plan.plan_harness import LEG_M, TABLE, VEHICLE, PlanWorld
@@ -63,6 +69,27 @@ def test_the_pad_beneath_says_it_too_and_without_either_it_is_not_refused() -> N
     assert "18 cm by the pad: 8.0" in words
     neither, _ = stood(LEG_M - 0.08)
     assert neither.comparisons == ()
+
+
+def test_what_is_measured_counts_beside_the_file_by_its_variance() -> None:
+    neither, _ = stood(LEG_M - 0.03)
+    by_echo, _ = stood(LEG_M - 0.03, echo_m=ECHO_M)
+    by_pad, _ = stood(LEG_M - 0.03, on_pad=True)
+    heights = [height.vehicle.leg_height_m for height in (neither, by_echo, by_pad)]
+    assert heights == pytest.approx([LEG_M - 0.03, LEG_M - 0.015, LEG_M - 0.003], abs=1e-6)
+
+
+def test_a_try_begins_with_what_was_measured_until_then() -> None:
+    """Legs 3 cm longer than the file says: it waits higher, and goes level for a sooner contact."""
+    height, _ = stood(LEG_M, on_pad=True)
+    generator = ReferenceGenerator(GuidanceConfig(), lambda _d, _v, _a: 0.4, 20, 0.1)
+    sequence = TouchdownSequence(TouchdownConfig(), VEHICLE, 0.35, generator, 0.5, height)
+    height.measured_m["the pad"] = (LEG_M + 0.03, 0.0)
+    generator.start("pad", Motion((0.0, 0.0, -1.0), ZERO3), 0.0)
+    sequence.begin(0.0, 1.0)
+    sequence.step(State.WAIT, None, PlanInputs(None, None, AutopilotState(0.0)), 0.0)
+    end = generator.at(20.0).position_m[2]
+    assert end == pytest.approx(-(LEG_M + 0.027 + 0.35), abs=1e-3)
 
 
 def test_carried_or_armed_it_measures_nothing() -> None:
