@@ -212,7 +212,7 @@ ROWS: Final = (
         notice=4.0,
         # grass, a place measured by a ruler: 3 cm each; a vehicle that falls from there lands at 1 m/s
         bound=5.0,
-        in_flight="contact needs several signs",
+        in_flight="flown is the mean of both, by their variances; contact needs several signs",
         hint="measure from the centre of mass to the feet, and range_position_body_m",
     ),
     SourceRow(

@@ -43,6 +43,7 @@ from companion.estimate.vehicle.ekf_inputs import (
 )
 from companion.estimate.vehicle.ekf_start import InitialState
 from companion.estimate.vehicle.ekf_state import EYE, EYE3, EkfSnapshot, EkfState
+from companion.estimate.vehicle.fix_watch import LastFix
 from companion.estimate.vehicle.gyro_bias_check import BiasStep
 from companion.estimate.vehicle.imu_noise import StepNoise
 from companion.estimate.vehicle.yaw_error import YawError
@@ -50,6 +51,7 @@ from companion.estimate.vehicle.yaw_error import YawError
 MAG_DIP_NOISE_UT: Final = 50.0  # of the field in its own vertical plane, which gives no heading: all of it
 UNKNOWN_HEADING_RAD: Final = math.pi
 MAG_REFUSED_S: Final = 20.0  # magnetometer refused for so long: the heading's uncertainty grows
+WRONG_HEADING_RAD: Final = math.radians(30.0)  # by so much
 GPS_TIME_ERROR_S: Final = 0.05  # of a fix's time: a quarter of the interval at 5 Hz
 GPS_REFUSED_S: Final = 2.0  # fixes refused for so long: start again from GPS
 GPS_TIMEOUT_S: Final = 2.0  # no fix for so long: the state has no GPS
@@ -198,12 +200,16 @@ class VehicleEkf(EkfState):
     def _handle_inconsistency(self, attitude: Quaternion, rotation: FloatArray, apart: Vector3) -> None:
         """Doubt our attitude when the pre-filter's keeps to one side of it; then start again from that.
 
-        Fixes that fit know the tilt better, the heading only in motion: while they come that alone is
-        doubted, and nothing started again.
+        Fixes that fit know the tilt better, the heading only where the velocity changes: while they come that
+        alone is doubted, unless they refute the other (a steel deck turns a compass, within size and dip),
+        and nothing started again.
         """
         if not self.watch.misfits:
             return
         fixes_fit = self.time_s - self.gps_time_s < GPS_TIMEOUT_S
+        if fixes_fit and self.fix_watch.refutes(apart[2]):
+            self.watch = self.watch.renewed()
+            return
         if not self.watch.doubted_lately:
             self.watch = self.watch.renewed()._replace(doubted_s=self.time_s)
             tilt = 0.0 if fixes_fit else apart[0] ** 2 + apart[1] ** 2
@@ -225,7 +231,8 @@ class VehicleEkf(EkfState):
         gate = self.gates["mag"]
         if gate.shut_out(self.time_s, MAG_REFUSED_S):
             # a field that fits in size and dip for so long is right, and the heading wrong
-            self._inflate_rotation(np.diag((0.0, 0.0, math.radians(30.0) ** 2)))
+            if not (self.fix_watch.refutes(WRONG_HEADING_RAD) and self.fix_watch.refutes(-WRONG_HEADING_RAD)):
+                self._inflate_rotation(np.diag((0.0, 0.0, WRONG_HEADING_RAD**2)))
             self.gates = {**self.gates, "mag": Gate(gate.accepted, gate.refused)}
 
     def _magnetic_east(self) -> FloatArray:
@@ -280,6 +287,7 @@ class VehicleEkf(EkfState):
             self._start_from(time_s, fix, keep_speed=False)
             return
         expected, C = model.gps_velocity_model(self.x, self._antenna_body_m, later_s)
+        predicted = vector3(expected)
         # a fix whose time is off is off by what the vehicle's velocity has changed meanwhile
         lag = GPS_TIME_ERROR_S * self.x[model.ACCELERATION]
         R = np.diag(np.square(fix.velocity_std_m_s)) + np.outer(lag, lag)
@@ -295,6 +303,7 @@ class VehicleEkf(EkfState):
         fits &= self._update("gps_position", innovation, C, alike * R, R)
         if fits:
             self.gps_time_s = time_s
+            self._watch_heading(time_s, fix, predicted, lag)
         kinds = ("gps_velocity", "gps_position")
         if any(self.gates[kind].shut_out(time_s, timeout_s) for kind in kinds):
             keep_speed = not self.gates["gps_velocity"].refused_in_a_row
@@ -306,6 +315,12 @@ class VehicleEkf(EkfState):
         gate = self.gates.get("gps_velocity", Gate())
         if self.fix_watch.suspicious(self.time_s, gate.refused_in_a_row):
             self._suspect_bias()
+
+    def _watch_heading(self, time_s: float, fix: GpsStep, predicted_m_s: Vector3, lag: FloatArray) -> None:
+        corrected, _ = model.gps_velocity_model(self.x, self._antenna_body_m, time_s - self.time_s)
+        variance = float(np.mean(np.square(fix.velocity_std_m_s[:2]) + np.square(lag[:2])))
+        last = LastFix(time_s, fix.velocity_ned_m_s, vector3(corrected))
+        self.fix_watch = self.fix_watch.turned(last, predicted_m_s, variance)
 
     def _take_bias_step(self, step: BiasStep) -> None:
         """Take the bias that a second gyroscope shows, and turn back what the old one has turned."""

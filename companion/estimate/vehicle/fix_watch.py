@@ -4,7 +4,11 @@ A bias that steps tilts the estimate, and a tilt drives the velocity away from t
 seconds. Noise, however large, has no direction; a receiver that hangs or jumps is refused by its own test.
 So the excess alone says nothing: it has to last in one direction, of fixes that are still taken.
 An excess without a direction is noise that is larger than claimed, or of a time that is uncertain: it makes
-the next fixes count for less. Immutable, so that a snapshot may hold it.
+the next fixes count for less.
+
+Changes of velocity show the heading, without any compass: between two fixes the receiver's and ours differ
+by the turn about down that ours lacks. What those of late leave of its uncertainty says whether another
+heading may be right. Immutable, so that a snapshot may hold it.
 """
 
 from __future__ import annotations
@@ -13,6 +17,7 @@ import math
 from typing import Final, NamedTuple
 
 from companion.base.geometry import ZERO3, Vector3, add, dot, scale, subtract
+from companion.estimate.gating import CHI_SQUARE_999
 
 EXCESS_SHARE: Final = 0.35  # of a new fix in the fading mean of the tests
 SCATTER_SHARE: Final = 0.1  # the same, for the noise
@@ -25,6 +30,16 @@ CHANCE_MARGIN: Final = 2.0
 DRIFT_S: Final = 0.2  # a force that is off leads the velocity away for so long before a fix shows it
 PAUSE_S: Final = 3.0  # for the last suspicion to have its effect
 MOST_REFUSED: Final = 5  # in a row; a jump needs more to show its direction
+HEADING_S: Final = 5.0  # changes of velocity count for the heading that it has had for so long
+LONGEST_CHANGE_S: Final = 1.0  # between two fixes
+
+
+class LastFix(NamedTuple):
+    """The antenna's velocity (NED, m/s) at a fix: the receiver's, and ours after it."""
+
+    time_s: float
+    measured_m_s: Vector3
+    estimated_m_s: Vector3
 
 
 class FixWatch(NamedTuple):
@@ -35,18 +50,42 @@ class FixWatch(NamedTuple):
     mean_m_s: Vector3 = ZERO3
     mean_square: float = 0.0
     suspected_s: float = -math.inf
+    last: LastFix | None = None
+    turn_information: float = 0.0  # 1/rad²
+    informed_turn: float = 0.0  # that times the turn about down (rad) that our heading lacks
 
     def after(self, innovation_m_s: Vector3, test: float) -> FixWatch:
         """With one fix more; `test` is its normalised innovation squared, a degree of freedom."""
         mean = add(self.mean_m_s, scale(subtract(innovation_m_s, self.mean_m_s), DIRECTION_SHARE))
         square = dot(innovation_m_s, innovation_m_s)
-        return FixWatch(
+        return self._replace(
             excess=self.excess + EXCESS_SHARE * (min(test, LARGEST_TEST) - self.excess),
             scatter=self.scatter + SCATTER_SHARE * (min(test, LARGEST_TEST) - self.scatter),
             mean_m_s=mean,
             mean_square=self.mean_square + DIRECTION_SHARE * (square - self.mean_square),
-            suspected_s=self.suspected_s,
         )
+
+    def turned(self, fix: LastFix, predicted_m_s: Vector3, variance_m2_s2: float) -> FixWatch:
+        """With how the velocity has changed since the last fix; the receiver's errs by a variance an axis.
+
+        `predicted_m_s` is ours before this fix.
+        """
+        last, elapsed_s = self.last, math.inf if self.last is None else fix.time_s - self.last.time_s
+        if last is None or not 0.0 < elapsed_s <= LONGEST_CHANGE_S:
+            return self._replace(last=fix, turn_information=0.0, informed_turn=0.0)
+        north, east, _ = ours = subtract(predicted_m_s, last.estimated_m_s)
+        apart = subtract(subtract(fix.measured_m_s, last.measured_m_s), ours)
+        kept, weight = math.exp(-elapsed_s / HEADING_S), 0.5 / variance_m2_s2  # it errs at both fixes
+        return self._replace(
+            last=fix,
+            turn_information=kept * self.turn_information + weight * (north * north + east * east),
+            informed_turn=kept * self.informed_turn + weight * (north * apart[1] - east * apart[0]),
+        )
+
+    def refutes(self, turn_rad: float) -> bool:
+        """Whether our heading fits the fixes far better than one turned by so much about down would."""
+        better = turn_rad * (turn_rad * self.turn_information - 2.0 * self.informed_turn)
+        return better > CHI_SQUARE_999[1]
 
     @property
     def noise_factor(self) -> float:

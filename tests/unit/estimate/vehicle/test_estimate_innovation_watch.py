@@ -1,6 +1,7 @@
 """An EKF that no longer fits its pre-filter: doubted, started again, and said so."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from companion.base.geometry import (
     quat_from_euler,
     quat_multiply,
     quat_normalise,
+    quat_rotate_inverse,
     rotation_vector_from_quat,
     vector3,
 )
@@ -103,6 +105,28 @@ def test_while_fixes_fit_it_is_not_started_again() -> None:
     assert math.isfinite(ekf.watch.doubted_s)
     assert ekf.watch.restarted_s == -math.inf
     assert apart_deg(ekf, IDENTITY) < 5.0
+
+
+@pytest.mark.parametrize("wrong", ["compass", "ours"])
+def test_fixes_of_a_vehicle_that_turns_say_which_heading_is_wrong(wrong: str) -> None:
+    """A circle at 2 m/s, heading north: a steel deck turns the compass by 30 deg, or ours has run away."""
+    ekf, field = sure_ekf(), quat_from_euler(0.0, 0.0, -30 * DEGREE)
+    truth = IDENTITY if wrong == "compass" else field
+    speed, rate = 2.0, 0.9
+    for k in range(1, 2001):
+        t = 0.01 * k
+        force = (-speed * rate * math.sin(rate * t), speed * rate * math.cos(rate * t), -GRAVITY_M_S2)
+        step = ImuStep(quat_rotate_inverse(truth, ZERO3), quat_rotate_inverse(truth, force), 2)
+        attitude = IDENTITY if t < 8.0 and wrong == "compass" else field
+        step = replace(step, attitude=attitude if k % 10 == 0 else None)
+        step = replace(step, tilt_noise_rad=TILT_NOISE, heading_noise_rad=HEADING_NOISE)
+        ekf.apply(t, step)
+        if k % 20 == 0:
+            velocity = (speed * math.cos(rate * t), speed * math.sin(rate * t), 0.0)
+            place = (speed / rate * math.sin(rate * t), -speed / rate * math.cos(rate * t), 0.0)
+            ekf.apply(t, GpsStep(place, velocity, (3.0, 3.0, 4.5), (0.15, 0.15, 0.2)))
+    assert apart_deg(ekf, truth) < 5.0
+    assert math.isfinite(ekf.watch.doubted_s) == (wrong == "ours")
 
 
 def test_an_attitude_that_fits_is_left_alone() -> None:
