@@ -107,7 +107,10 @@ try_suite() {
             >"$FOLDER/debootstrap.log" 2>&1 \
             || skip "debootstrap from $MIRROR: $(tail -n 1 "$FOLDER/debootstrap.log")"
     fi
-    rm -rf "$ROOT/etc/companion" "$ROOT/var/lib/companion" "$ROOT/release-test" "$ROOT/etc/systemd/system/companion.service.d"
+    # also what a run that was broken off has left: the first installation is to be one
+    rm -rf "$ROOT/etc/companion" "$ROOT/var/lib/companion" "$ROOT/release-test" "$ROOT/opt/companion" \
+        "$ROOT"/etc/systemd/system/companion.service* "$ROOT"/etc/systemd/system/*.wants/companion.service \
+        "$ROOT"/usr/local/bin/*companion* "$ROOT"/usr/local/bin/calibrate-*
     install -d "$ROOT/release-test"
     cat >"$ROOT/release-test/ask-page" <<END
 #!/bin/sh
