@@ -128,7 +128,7 @@ class ThreadedCamera:
 
     @classmethod
     async def open(cls, make: MakeDevice) -> ThreadedCamera:
-        """Open the device; given up meanwhile, it is closed as soon as it lets itself be.
+        """Open the device; given up meanwhile, it is closed, after a second at most.
 
         Raises:
             ConfigError, OSError: what its maker raised.
@@ -142,7 +142,7 @@ class ThreadedCamera:
             camera.let_go()
             raise OpeningHangs(camera) from error
         except BaseException:
-            camera.let_go()
+            camera.close()  # a driver that comes back while the interpreter ends aborts the process
             raise
         return camera
 

@@ -258,6 +258,28 @@ class SteadySocket(ScriptedCamera):
         self._far.close()
 
 
+def test_opening_that_is_given_up_ends_with_its_thread() -> None:
+    """A driver that comes back while the interpreter ends would abort the process."""
+    opening, back = threading.Event(), threading.Event()
+
+    def make(stop: threading.Event) -> Device:
+        opening.set()
+        stop.wait(10.0)
+        time.sleep(0.05)
+        back.set()
+        raise OSError("given up")
+
+    async def give_up() -> None:
+        task = asyncio.create_task(ThreadedCamera.open(make))
+        await asyncio.to_thread(opening.wait, 10.0)
+        task.cancel()
+        with suppress(asyncio.CancelledError):
+            await task
+
+    asyncio.run(give_up())
+    assert back.is_set()
+
+
 def test_a_loop_that_was_held_up_does_not_blame_the_camera(camera: CameraConfig) -> None:
     """As when a service goes back to standby: what has come meanwhile counts before it is judged."""
 
