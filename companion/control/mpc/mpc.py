@@ -70,7 +70,7 @@ SETTINGS: Final[dict[str, Any]] = {
 # OSQP's status values: solved to its tolerances; out of iterations, to ten times these or not even that
 SOLVED, NEARLY_SOLVED, UNSOLVED = 1, 2, 7
 UNFINISHED = (NEARLY_SOLVED, UNSOLVED)
-AT_BOUND = 0.98
+AT_BOUND = 0.98  # of it, sideways: OSQP stops short of a bound
 # the gate bounds the whole vector's jerk, here it is each axis': stay within it, and clear of jitter
 JERK_SHARE = 0.95 / 3.0**0.5
 
@@ -283,8 +283,7 @@ class Mpc:
         """How low (N,; m, down) it may be: within the cone as far aside as the last solution has it.
 
         Never higher than it is now, and outside the cone as low as it comes in: it comes back, or is carried
-        out by what it cannot resist, without a climb. (With the cone as rows on all three axes the optimiser
-        buys with height the place that thrust does not give: 8 m up in a gust.)
+        out by what it cannot resist, without a climb. Rows on all three axes would let height buy place.
         """
         now, apex = np.subtract(position_m, cone.apex_m[0]), cone.apex_m[1:]
         aside = np.hypot(now[0], now[1])
