@@ -17,8 +17,14 @@ MOST_BESIDE_THREE: Final = 0.25  # beside three processes in real time, which wa
 PATIENCE_S: Final = 120.0
 WINDOW_S: Final = 1.0
 SCHED_IDLE: Final = 5
+LATE: Final = "too busy a machine for real time"  # how a simulator or a flight says that it came late
 
 _waited_s = 0.0
+
+
+def beside_lateness(errors: str) -> str:
+    """What a program wrote to its standard error, without what it says about a slow machine."""
+    return "".join(line for line in errors.splitlines(keepends=True) if LATE not in line)
 
 
 def wait_for_quiet(most: float = MOST) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import CONFIG_FOLDER
+from tests.scenario.real_time.quiet_machine import beside_lateness
 
 START_TIMEOUT_S = 30.0
 
@@ -28,7 +29,7 @@ class ServedVehicle:
 
 @contextmanager
 def serving(autopilot_kind: AutopilotKind, *arguments: str | int | Path) -> Iterator[ServedVehicle]:
-    """Start it with `arguments`, and end it as Ctrl-C does; nothing may be left on its standard error."""
+    """Start it with `arguments`, and end it as Ctrl-C does; nothing else may be on its standard error."""
     command = (
         *(sys.executable, "-m", "sitl.cli", "--autopilot", autopilot_kind, "--scenario", "static"),
         *("--port", "0", "--gcs-port", "0", "--tcp-port", "0", *map(str, arguments)),
@@ -50,7 +51,8 @@ def serving(autopilot_kind: AutopilotKind, *arguments: str | int | Path) -> Iter
             except subprocess.TimeoutExpired:
                 process.kill()
                 raise
-            assert (process.returncode, errors) == (0, "")
+            ended = process.returncode, beside_lateness(errors)
+            assert ended == (0, ""), ended
 
 
 def _ports(process: subprocess.Popen[str]) -> tuple[int, int, int]:

@@ -18,10 +18,15 @@ from sitl.run.simulation import Simulation
 from sitl.run.tick_timer import LATE_S
 from sitl.scenario.scenario import Scenario, load_scenario
 from tests.scenario.flying import COMMAND, FEW_PICTURES, ROOT, environment, scenario_file
-from tests.scenario.real_time.quiet_machine import MOST, MOST_BESIDE_THREE, used_by_others, wait_for_quiet
+from tests.scenario.real_time.quiet_machine import (
+    LATE,
+    MOST,
+    MOST_BESIDE_THREE,
+    used_by_others,
+    wait_for_quiet,
+)
 
 FLIGHT_TIMEOUT_S = 180.0
-LATE = "too busy a machine for real time"
 TRUTHS = (108, 115, 164)  # SIM_STATE, HIL_STATE_QUATERNION, ArduPilot's SIMSTATE
 SET_INTERVAL, REQUEST = 511, 512
 # a pad that drives slowly: the vehicle's own simulator, whose ground it is, does not carry it along;

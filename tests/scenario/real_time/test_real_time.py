@@ -28,10 +28,9 @@ from tests.scenario.flying import (
     started,
     wait_for_line,
 )
-from tests.scenario.real_time.quiet_machine import wait_for_quiet
+from tests.scenario.real_time.quiet_machine import LATE, beside_lateness, wait_for_quiet
 
 DESK = ("--sitl", "--no-ui", "--scenario", "line", "--seed", "0")
-LATE = "too busy a machine for real time"
 END_TIMEOUT_S = 30.0
 
 
@@ -56,7 +55,7 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
     That the machine was late is left out: it says something of the machine.
     """
     _, words = process.communicate(timeout=END_TIMEOUT_S)
-    return process.returncode, "".join(line for line in words.splitlines(True) if LATE not in line)
+    return process.returncode, beside_lateness(words)
 
 
 def gone(pid: int) -> bool:
