@@ -19,17 +19,15 @@ from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.landing.contact import UNSEEN_S
 from companion.plan.landing.tilt_prediction import TiltPrediction
 
-# From the decision to level off until the tilt has begun to fall (command, dead time, the gate of jerk), how
-# fast it then falls, and what the contact may come early.
+# From the decision to level off until the tilt has begun to fall (command, dead time, the gate of jerk), and
+# how fast it then falls.
 TILTS_ON_S: Final = 0.2
 LEVELS_M_S3: Final = 8.0
-EARLY_S: Final = 0.05
 # The attitude stays level for so long after the contact was due.
 AFTER_S: Final = 0.11
-FOOT_DROP_M: Final = 0.02  # of the foot that hangs lower, about level
-# The height of the contact is known so well: pose and feet to 2 cm, and a sink that wind and ground effect
-# change by 0.1 m/s in the 0.3 s of levelling off.
-KNOWN_M: Final = 0.05
+# Beside the leg height's own: the pose, and a sink that wind and ground effect change by 0.05 m/s in 0.3 s
+# of levelling off (a standard deviation).
+CONTACT_STD_M: Final = 0.015
 # Near the pad the air carries, and the sink slows below what is planned; below this share of it not for long.
 SLOWEST_SINK: Final = 0.5
 # So long before the contact the tilt is bounded by what has been needed, and so much.
@@ -42,9 +40,11 @@ FASTEST_DRIFT: Final = 2.0
 class Levelling:
     """One window of level attitude; `reset` for the next."""
 
-    def __init__(self, config: TouchdownConfig, vehicle: VehicleConfig) -> None:
+    def __init__(self, config: TouchdownConfig, vehicle: VehicleConfig, leg_height_std_m: float) -> None:
         self._config, self._vehicle = config, vehicle
+        self._std_m = math.hypot(leg_height_std_m, CONTACT_STD_M)
         self._tilt_rad = math.radians(config.contact_tilt_deg)
+        self._foot_drop_m = vehicle.foot_reach_m * math.sin(self._tilt_rad)  # of the foot that hangs lower
         self._level_m_s2 = GRAVITY_M_S2 * math.tan(self._tilt_rad)
         self.reset()
 
@@ -65,14 +65,21 @@ class Levelling:
         """
         c = self._config
         excess_m_s2 = needed_m_s2 - self._level_m_s2
-        return max(c.contact_speed_m_s, min(c.firm_contact_m_s, excess_m_s2 * KNOWN_M / c.lateral_speed_m_s))
+        return max(
+            c.contact_speed_m_s, min(c.firm_contact_m_s, excess_m_s2 * self._late_m / c.lateral_speed_m_s)
+        )
 
     @property
     def max_horizontal_acceleration_m_s2(self) -> float:
         """The most tilt that can be levelled off: the rest makes it drift while the contact may be late."""
         c = self._config
         firmest_m_s = max(c.contact_speed_m_s, c.firm_contact_m_s)
-        return self._level_m_s2 + FASTEST_DRIFT * c.lateral_speed_m_s * firmest_m_s / KNOWN_M
+        return self._level_m_s2 + FASTEST_DRIFT * c.lateral_speed_m_s * firmest_m_s / self._late_m
+
+    @property
+    def _late_m(self) -> float:
+        """What the contact may lie deeper than expected (two standard deviations)."""
+        return 2.0 * self._std_m
 
     @property
     def begun(self) -> bool:
@@ -100,7 +107,7 @@ class Levelling:
         if fresh:
             planned_m_s = (SLOWEST_SINK if self.begun else 1.0) * self.planned_m_s
             sink_m_s = max(planned_m_s, sight.sink_m_s)
-            self.due_s = now_s + max(0.0, over_m - FOOT_DROP_M) / sink_m_s
+            self.due_s = now_s + max(0.0, over_m - self._foot_drop_m) / sink_m_s
         lead_s = self._levelling_s(tilt.tilt_rad)
         if not self.begun and now_s >= self.due_s - lead_s:
             self._from_s, self._lead_s, self._needed_m_s2 = (
@@ -127,10 +134,11 @@ class Levelling:
     def stay(self, now_s: float) -> None:
         """Level until told otherwise."""
         if self._from_s is None:
-            self._from_s, self._lead_s = now_s, TILTS_ON_S + EARLY_S
+            self._from_s, self._lead_s = now_s, TILTS_ON_S
         self.due_s = now_s + self._lead_s
 
     def _levelling_s(self, tilt_rad: float) -> float:
         """How long before the contact it has to begin to level off from a tilt."""
         excess_m_s2 = GRAVITY_M_S2 * math.tan(tilt_rad) - self._level_m_s2
-        return TILTS_ON_S + EARLY_S + max(0.0, excess_m_s2) / LEVELS_M_S3
+        early_s = self._std_m / self.planned_m_s
+        return TILTS_ON_S + early_s + max(0.0, excess_m_s2) / LEVELS_M_S3

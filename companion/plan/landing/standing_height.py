@@ -69,11 +69,19 @@ class StandingHeight:
     @property
     def vehicle(self) -> VehicleConfig:
         """The vehicle with the leg height of file and measurements together, by their variances."""
+        leg_m = sum(m * weight for m, weight in self._weighted()) * self.std_m**2
+        return self._vehicle.model_copy(update={"leg_height_m": leg_m})
+
+    @property
+    def std_m(self) -> float:
+        """Of that leg height."""
+        return sum(weight for _, weight in self._weighted()) ** -0.5
+
+    def _weighted(self) -> list[tuple[float, float]]:
         heights = [(self._vehicle.leg_height_m, _TOLD_STD_M**-2)]
         for source, (measured_m, std_m) in self.measured_m.items():
             heights.append((measured_m, 1.0 / (std_m**2 + _BELOW_STD_M[source] ** 2)))
-        leg_m = sum(m * weight for m, weight in heights) / sum(weight for _, weight in heights)
-        return self._vehicle.model_copy(update={"leg_height_m": leg_m})
+        return heights
 
     @property
     def comparisons(self) -> tuple[SourceComparison, ...]:

@@ -94,7 +94,7 @@ class TouchdownSequence:
         self._contact_test = ContactTest(self._config)
         self._short_echoes = ShortEchoes(self._config.contact_speed_m_s)
         self.tilt = TiltPrediction()
-        self._levelling = Levelling(self._config, self._vehicle)
+        self._levelling = Levelling(config, vehicle, self._standing_height.std_m)
         self._left = False
 
     def enter(self, state: State, vehicle: VehicleState | None, now_s: float) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
 from companion.base.messages import LandedState, RangeSample
-from companion.plan.landing.levelling import AFTER_S, EARLY_S, TILTS_ON_S, Levelling
+from companion.plan.landing.levelling import AFTER_S, CONTACT_STD_M, TILTS_ON_S, Levelling
 from companion.plan.landing.tilt_prediction import TiltPrediction
 from companion.plan.mission.states import MissionEvent
 from tests.unit.plan.landing.touchdown_attempt import (
@@ -21,7 +21,10 @@ from tests.unit.plan.landing.touchdown_attempt import (
 )
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
-LEAD_S = TILTS_ON_S + EARLY_S
+# the leg height is told to 3 cm, and measured as well
+STD_M = math.hypot(0.03 / math.sqrt(2.0), CONTACT_STD_M)
+LEAD_S = TILTS_ON_S + STD_M / CONFIG.contact_speed_m_s
+DROP_M = VEHICLE.foot_reach_m * math.sin(math.radians(CONFIG.contact_tilt_deg))  # of the lower foot
 
 
 def levelling(tilt_m_s2: float) -> Attempt:
@@ -37,7 +40,7 @@ def levelling(tilt_m_s2: float) -> Attempt:
 def test_it_levels_off_shortly_before_the_contact_and_not_earlier() -> None:
     touchdown = levelling(0.0)
     sink_m_s, level = CONFIG.contact_speed_m_s, None
-    due_s = 1.0 + (0.3 - 0.02) / sink_m_s  # low on one side
+    due_s = 1.0 + (0.3 - DROP_M) / sink_m_s  # low on one side
     for k in range(60):
         now_s = 1.0 + k * CYCLE_S
         height_m = LEG_M + 0.3 - sink_m_s * (now_s - 1.0)
@@ -57,7 +60,7 @@ def test_it_levels_off_shortly_before_the_contact_and_not_earlier() -> None:
 def test_a_pad_out_of_view_in_the_last_second_is_met_level_when_it_was_due(unseen_from_m: float) -> None:
     touchdown = levelling(0.0)
     sink_m_s = CONFIG.contact_speed_m_s
-    due_s, seen_s = 1.0 + (0.3 - 0.02) / sink_m_s, 1.0
+    due_s, seen_s = 1.0 + (0.3 - DROP_M) / sink_m_s, 1.0
     for k in range(60):
         now_s = 1.0 + k * CYCLE_S
         over_m = 0.3 - sink_m_s * (now_s - 1.0)
@@ -81,7 +84,7 @@ def test_a_pad_out_of_view_in_the_last_second_is_met_level_when_it_was_due(unsee
     ],
 )
 def test_tilting_far_it_begins_to_level_off_sooner(tilt_deg: float, lead_s: float) -> None:
-    above_m = 0.02 + lead_s * 0.2
+    above_m = DROP_M + lead_s * 0.2
     for over_m, levels in ((above_m + 0.004, False), (above_m - 0.004, True)):
         touchdown = levelling(0.0)
         touchdown.note_tilt(quat_from_euler(math.radians(tilt_deg), 0.0, 0.0), 1.0)
@@ -92,8 +95,8 @@ def test_tilting_far_it_begins_to_level_off_sooner(tilt_deg: float, lead_s: floa
 
 @pytest.mark.parametrize(
     ("excess_m_s2", "sink_m_s"),
-    # 5 cm of contact not known, a drift of 0.12 m/s meanwhile
-    [(-1.0, 0.19), (0.4, 0.19), (0.6, 0.25), (0.85, 0.32)],
+    # so deep may the contact lie, with a drift of 0.12 m/s meanwhile
+    [(-1.0, 0.19), (0.4, 0.19), (0.6, 0.6 * 2.0 * STD_M / 0.12), (0.85, 0.32)],
 )
 def test_the_more_tilt_it_levels_off_the_firmer_it_sets_down(excess_m_s2: float, sink_m_s: float) -> None:
     level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
@@ -108,8 +111,9 @@ def test_the_more_tilt_it_levels_off_the_firmer_it_sets_down(excess_m_s2: float,
 
 def test_a_tilt_that_cannot_be_levelled_off_is_waited_out_however_long_it_lasts() -> None:
     level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
-    # 0.24 m/s of drift in the 0.15 s by which a contact may be late
-    for excess_m_s2, breaks_off in ((1.5, False), (1.7, True)):
+    # 0.24 m/s of drift in the time by which a contact at 0.32 m/s may be late
+    most_m_s2 = 0.24 * 0.32 / (2.0 * STD_M)
+    for excess_m_s2, breaks_off in ((0.95 * most_m_s2, False), (1.05 * most_m_s2, True)):
         touchdown = fresh()
         waited(touchdown, 0.0, 0.0, 0.5)
         assert touchdown.committed
@@ -177,7 +181,7 @@ def test_a_sink_that_slows_once_it_is_level_is_a_later_contact() -> None:
     level = touchdown.level_off()
     assert level is not None
     assert level.from_s == pytest.approx(1.0)
-    assert level.until_s == pytest.approx(1.3 + 0.04 / 0.1 + AFTER_S)
+    assert level.until_s == pytest.approx(1.3 + (0.06 - DROP_M) / 0.1 + AFTER_S)
 
 
 def test_while_contact_is_made_sure_of_it_stays_level() -> None:
@@ -195,7 +199,7 @@ def test_while_contact_is_made_sure_of_it_stays_level() -> None:
 
 
 def test_it_stays_level_while_it_touches_late_and_drifting() -> None:
-    levelling_off, tilt = Levelling(CONFIG, VEHICLE), TiltPrediction()
+    levelling_off, tilt = Levelling(CONFIG, VEHICLE, 0.03), TiltPrediction()
     tilted = tilting(GRAVITY_M_S2 * math.tan(math.radians(15.0)))
     for k in range(40):
         now_s = 1.0 + k * CYCLE_S

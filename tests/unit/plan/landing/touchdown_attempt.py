@@ -13,6 +13,7 @@ from companion.base.messages import (
 )
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, TouchdownConfig
+from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import Circumstances, DetectedEvent, MissionEvent, State
@@ -110,7 +111,9 @@ def fresh(
 ) -> Attempt:
     generator = ReferenceGenerator(GuidanceConfig(), lambda _d, _v, _a: 0.4, 20, 0.1)
     generator.start("pad", Motion((0.0, 0.0, -WAIT_M)), 0.0)
-    sequence = TouchdownSequence(config, VEHICLE, 0.35, generator, half_width_m)
+    standing = StandingHeight(VEHICLE)
+    standing.measured_m["the rangefinder"] = VEHICLE.leg_height_m, 0.0
+    sequence = TouchdownSequence(config, VEHICLE, 0.35, generator, half_width_m, standing)
     sequence.begin(0.0, tolerance_scale)
     return Attempt(sequence, generator)
 
