@@ -23,7 +23,8 @@ class LimitsConfig(StrictModel):
     """Greatest horizontal acceleration that is sent. Higher is worse: it tilts farther. Raise it in strong
     wind, which takes its part of it"""
     vertical_acceleration_m_s2: float = Field(default=3.0, gt=0.0, le=8.0)
-    """Greatest vertical acceleration that is sent; lower it for a vehicle with little thrust to spare"""
+    """Greatest vertical acceleration that is asked for, beside what a push downward takes; lower it for a
+    vehicle with little thrust to spare"""
     tilt_deg: float = Field(default=30.0, gt=0.0, le=45.0)
     """Greatest tilt of the thrust axis from the vertical; set it below the autopilot's own limit
     (`MPC_TILTMAX_AIR`, `ANGLE_MAX`). Attitude setpoints: of the attitude. Acceleration setpoints, and the

@@ -49,11 +49,12 @@ class LimitsGate:
         self._last_by_tilt: Vector3 | None = None
 
     def apply(
-        self, setpoint: Setpoint, now_s: float, *, on_ground: bool = False
+        self, setpoint: Setpoint, now_s: float, *, on_ground: bool = False, pressed_m_s2: float = 0.0
     ) -> tuple[Setpoint, tuple[str, ...]]:
         """The setpoint within all bounds, stamped `now_s`, and the names of the bounds that it broke.
 
         `on_ground` lifts the least thrust: there none at all is what shows the autopilot that it has landed.
+        What presses it down by `pressed_m_s2` may be met beyond the bound on vertical acceleration.
 
         The stamp never runs backwards. After a `reset` nothing is known to have been sent, and the bounds on
         change (jerk, heading rate) do not apply to the first setpoint.
@@ -67,7 +68,9 @@ class LimitsGate:
         limited = Setpoint(
             time_s=time_s,
             velocity_ned_m_s=self._velocity(setpoint.velocity_ned_m_s, broken),
-            acceleration_ned_m_s2=self._acceleration(setpoint.acceleration_ned_m_s2, step_s, broken),
+            acceleration_ned_m_s2=self._acceleration(
+                setpoint.acceleration_ned_m_s2, max(0.0, pressed_m_s2), step_s, broken
+            ),
             heading_rad=heading,
             heading_rate_rad_s=self._heading_rate(setpoint.heading_rate_rad_s, broken),
             attitude=self._attitude(setpoint.attitude, heading, step_s, broken),
@@ -97,11 +100,13 @@ class LimitsGate:
         low, high = -self._config.climb_speed_m_s, self._config.descent_speed_m_s
         return (x, y, _between(velocity[2], low, high, "vertical_speed", broken))
 
-    def _acceleration(self, acceleration: Vector3, step_s: float, broken: list[str]) -> Vector3:
+    def _acceleration(
+        self, acceleration: Vector3, pressed_m_s2: float, step_s: float, broken: list[str]
+    ) -> Vector3:
         most = min(self._config.horizontal_acceleration_m_s2, self._by_tilt_m_s2)
         x, y = _within(acceleration[0], acceleration[1], most, "horizontal_acceleration", broken)
         bound = self._config.vertical_acceleration_m_s2
-        z = _between(acceleration[2], -bound, bound, "vertical_acceleration", broken)
+        z = _between(acceleration[2], -bound - pressed_m_s2, bound, "vertical_acceleration", broken)
         last = self._last.acceleration_ned_m_s2 if self._last else None
         return self._slewed((x, y, z), last, step_s, "jerk", broken)
 

@@ -34,9 +34,13 @@ def input_rows(limits: LimitsConfig) -> FloatArray:
     return np.vstack([octagon, [[0.0, 0.0, 1.0]], tilt, thrust])
 
 
-def input_bounds(limits: LimitsConfig, hover_thrust: float) -> tuple[FloatArray, FloatArray]:
+def input_bounds(
+    limits: LimitsConfig, hover_thrust: float, pressed_m_s2: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
     """Lower and upper bounds (17,) of `input_rows`, for a share of full thrust that carries the weight.
 
+    What presses it down by `pressed_m_s2` may be met beyond the bound on vertical acceleration, which is for
+    what is flown: bounded with it, a vehicle in a falling gust keeps the bound and falls.
     Zero lies inside with room to spare, whatever the numbers: the vehicle may always hover.
     """
     side = min(GRAVITY_M_S2 * _tangent(limits), limits.horizontal_acceleration_m_s2) * OCTAGON_WITHIN_CIRCLE
@@ -46,8 +50,9 @@ def input_bounds(limits: LimitsConfig, hover_thrust: float) -> tuple[FloatArray,
     tilt = OCTAGON_WITHIN_CIRCLE * _tangent(limits) * GRAVITY_M_S2
     thrust = most * _ring_within_sphere(limits) - GRAVITY_M_S2 * math.cos(_ring_rad(limits))
     vertical = limits.vertical_acceleration_m_s2
+    climb = vertical + min(pressed_m_s2, max(0.0, most - GRAVITY_M_S2 - vertical))
     upper = np.array([*[side] * 4, min(vertical, sink), *[tilt] * 8, *[thrust] * 4])
-    lower = np.array([*[-side] * 4, -vertical, *[-math.inf] * 12])
+    lower = np.array([*[-side] * 4, -climb, *[-math.inf] * 12])
     # a plane that the first five rows imply gets no bound: such a row costs OSQP no iterations
     rows = input_rows(limits)
     vertically = np.maximum(rows[:, 2] * upper[4], rows[:, 2] * lower[4])

@@ -119,7 +119,7 @@ class Mpc:
         """Best inputs from `start`; the last solution shifted, then zeros, when there is none."""
         if not _finite(start):
             return self._fall_back()
-        self._bound_inputs(target.hover_thrust)
+        self._bound_inputs(target.hover_thrust, max(0.0, disturbance_m_s2[2]))
         needed = needed_inputs(target, disturbance_m_s2, self._lags_s, self._dt)
         last_input = self.clip_input(np.array(last_input_m_s2))
         self._q = q = self._linear_cost(target, needed, last_input)
@@ -177,8 +177,8 @@ class Mpc:
         self._first_change = JERK_SHARE * limits.jerk_m_s3 * self._period_s
         self._input_rows = input_rows(limits)
         self._tilt_tangent = math.tan(math.radians(limits.tilt_deg))
-        self._hover_thrust = math.nan
-        self._bound_inputs(hover_thrust)
+        self._bounded_for = math.nan, 0.0
+        self._bound_inputs(hover_thrust, 0.0)
 
     def _set_up(self, iterations: int) -> osqp.OSQP:
         P = cost_matrix(self._costs, self._N)
@@ -247,12 +247,13 @@ class Mpc:
         upper[rows["floor"]] = floor
         self._bound_sideways(target.horizontal_bound_m_s2, last_input, needed_down)
 
-    def _bound_inputs(self, hover_thrust: float | None) -> None:
-        """Bounds of all inputs, by what hovering takes."""
-        if hover_thrust is None or hover_thrust == self._hover_thrust:
+    def _bound_inputs(self, hover_thrust: float | None, pressed_m_s2: float) -> None:
+        """Bounds of all inputs, by what hovering takes and what presses it down."""
+        bounded_for = hover_thrust or self._bounded_for[0], pressed_m_s2
+        if bounded_for == self._bounded_for:
             return
-        self._hover_thrust = hover_thrust
-        self._input_lower, self._input_upper = input_bounds(self._limits, hover_thrust)
+        self._bounded_for = hover_thrust, _ = bounded_for
+        self._input_lower, self._input_upper = input_bounds(self._limits, hover_thrust, pressed_m_s2)
         self._side_left_m_s2 = side_left_m_s2(self._limits, hover_thrust)
         rows = self._rows["input"]
         self._l[rows], self._u[rows] = np.tile([self._input_lower, self._input_upper], self._N)

@@ -59,6 +59,17 @@ BOUNDS: list[tuple[str, Callable[[float], Setpoint]]] = [
 ]
 
 
+def test_what_presses_it_down_may_be_met_beyond_the_bound_on_vertical_acceleration() -> None:
+    wanted = _acceleration(0.0, 0.0, -5.0)
+    met, broken = _gate().apply(wanted, 0.0, pressed_m_s2=2.5)
+    assert broken == ()
+    assert met.acceleration_ned_m_s2 == wanted.acceleration_ned_m_s2
+    cut, broken = _gate().apply(wanted, 0.0, pressed_m_s2=1.5)
+    assert broken == ("vertical_acceleration",)
+    assert cut.acceleration_ned_m_s2[2] == pytest.approx(-4.5)
+    assert _gate().apply(_acceleration(0.0, 0.0, 5.0), 0.0, pressed_m_s2=2.5)[1] == ("vertical_acceleration",)
+
+
 @pytest.mark.parametrize(("name", "make"), BOUNDS)
 def test_just_inside_a_bound_nothing_changes(name: str, make: Callable[[float], Setpoint]) -> None:
     wanted = make(INSIDE)

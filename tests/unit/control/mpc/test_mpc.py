@@ -351,6 +351,17 @@ def test_thrust_is_bounded_by_what_hovering_takes_by_now() -> None:
     assert np.linalg.norm(weak - [0.0, 0.0, GRAVITY_M_S2], axis=1).max() <= most + 5e-3
 
 
+def test_pressed_down_by_more_than_the_bound_on_acceleration_it_keeps_its_height() -> None:
+    start, target = (
+        Motion((0.0, 0.0, -3.0), ZERO3, ZERO3),
+        replace(hover_at((0.0, 0.0, -3.0)), hover_thrust=0.4),
+    )
+    pressed_m_s2 = 1.5 * CONFIG.limits.vertical_acceleration_m_s2
+    heights = -_flown(start, target, against=(0.0, 0.0, pressed_m_s2))[:, 2]
+    assert heights.min() > 2.5
+    assert heights[-1] == pytest.approx(3.0, abs=0.05)
+
+
 def test_the_tilt_is_bounded_while_it_drops() -> None:
     start, target = Motion((0.0, 0.0, -9.0), ZERO3, ZERO3), hover_at((3.0, 3.0, -7.0))
     mpc, last, worst = Mpc(CONFIG, LAGS_S), ZERO3, 0.0
