@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -188,3 +189,9 @@ class VehicleConfig(StrictModel):
     hover_thrust: float = Field(ge=0.1, le=0.9)
     """Share of full thrust that carries the weight, 0..1; change it with the take-off mass"""
     model: ModelConfig | None = None  # For comparisons that command U1..U4; a flight needs none
+
+    @property
+    def camera_turn_rad(self) -> tuple[float, float, float]:
+        """Roll, tilt and yaw (rad) of a camera that looks straight down, as Euler angles of its axes."""
+        roll, tilt, yaw = self.camera_roll_deg, self.camera_tilt_deg, self.camera_yaw_deg
+        return math.radians(roll), math.radians(tilt), math.radians(yaw)

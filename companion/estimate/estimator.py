@@ -93,7 +93,8 @@ class StateEstimator:
         self._vehicle.origin, self._vehicle.corrections = origin, corrections
         self._no_pad()
         delay_std_s = config.pad.camera_delay_std_s
-        self._camera_check = CameraCheck(self._motion, delay_std_s, self._board_half_width_m)
+        axis = quat_rotate(quat_from_euler(*airframe.camera_turn_rad), (0.0, 0.0, 1.0))
+        self._camera_check = CameraCheck(self._motion, delay_std_s, self._board_half_width_m, axis)
         self._mount_check = MountCheck(self._motion, airframe.camera_position_body_m, airframe.camera_yaw_deg)
         self._attitude_check = AttitudeCheck(self._motion)
 

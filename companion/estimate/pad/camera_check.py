@@ -5,17 +5,22 @@ turns at w sees the pad jump by -d w x q, although nothing moves. A pad that is 
 says, or a focal length that is wrong, makes every distance k times what it is, and the pad seems to move k
 times as the vehicle does. An IMU that sits r (body) from where it is taken to be swings by R r where the
 vehicle turns: at a swing of w rad/s that looks like a scale of 1 + w^2 r / g, 20 % of 0.1 m. What `LeverArm`
-knows of r is where it begins. All are constants of one linear filter, beside the pad's own motion (q, v:
-position and velocity relative to the IMU as they are seen, NED; a: the pad's acceleration, a Gauss-Markov
-process; U: the IMU's own motion beyond constant velocity):
+knows of r is where it begins. A camera that is turned by m (body, small) and whose focal length is wrong by
+f shows the pad aside by m x p, and deeper by f (c . p) c along its optical axis c: 2 deg and 1.5 % are 0.3 m
+of 7 m, which turn with the view as the vehicle tilts to move, and look like a scale where it tilts far. All
+are constants of one linear filter, beside the pad's own motion (q, v: position and velocity relative to the
+IMU as they are seen, NED; a: the pad's acceleration, a Gauss-Markov process; U: the IMU's own motion beyond
+constant velocity):
 
     predict   q += v dt + a dt^2 / 2 - k U_q        v += a dt - k U_v        a *= exp(-dt / tau)
-    sighting  z = q + R r - (d - d0) w x z + noise  d0: the delay that is corrected already
+    sighting  z = q + R (r + m x p + f (c . p) c) - (d - d0) w x z + noise
+                                                    z = R p; d0: the delay that is corrected already
     echo      k h = (q + R r)_down + noise          h: the height over the board
 
 Where a fix corrects the attitude by a small rotation, q, v and a - g turn with it (see `frame_correction`).
 
-Errors that wander with the way it flies (attitude, lens, mounting) look like a scale for seconds, and no
+The scale is told as what the pad's distance is off by: k, and f. Errors that wander with the way it flies
+(attitude, a lens's distortion) look like a scale for seconds, and no
 variance of the filter's knows of them; the spans of time do. What each has told, by the information that it
 has added, scatters about the estimate by more than it should, and by so much more motion's word is less sure
 (R. T. Birge, Phys. Rev. 40, 1932); one span alone says nothing. An echo's word needs no motion.
@@ -68,10 +73,10 @@ NOISE_RAD: Final = 0.003
 ATTITUDE_WANDERS_S: Final = 1.0
 ECHO_NOISE_M: Final = 0.03
 SQUARE: Final = 1.1  # so near to the least noise of an echo it comes square to the board
-# What does not average out: the speed of sound; of motion, errors of lens and mounting, which turn with the
-# view as the vehicle tilts to move: 2 deg of mounting shift it by 2 to 4 cm of 7 m, where it has moved 0.5 m.
-ECHO_SCALE_STD: Final = 0.003
-MOTION_SCALE_STD: Final = 0.06
+ECHO_SCALE_STD: Final = 0.003  # the speed of sound, which does not average out
+# what a builder measures: how the camera is turned, and its focal length, as a share
+MOUNT_STD_RAD: Final = 0.02
+FOCAL_STD: Final = 0.01
 # lower, an offset of the echoes of some centimetres, which never averages out, would pass for a wrong scale
 LOWEST_ECHO_M: Final = 1.0
 HIGHEST_ECHO_M: Final = 2.5  # an ultrasonic's cone is then as wide as a pad
@@ -84,7 +89,8 @@ LARGEST_DELAY_S: Final = 0.1
 UNSETTLED_S: Final = 0.005  # what is still to be corrected of the delay: less does not show in the scale
 SLEW: Final = 0.01  # s a second: what is corrected moves slowly, so that sightings stay in order
 _Q, _V, _A, _K, _D, _R = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, slice(11, 14)
-_STATES: Final = 14
+_M, _F, _BODY = slice(14, 17), 17, slice(11, 18)
+_STATES: Final = 18
 _EYE3: Final = np.eye(3)
 
 
@@ -100,8 +106,10 @@ class CameraCheck:
         motion: MotionHistory,
         delay_std_s: float,
         board_half_width_m: float,
+        optical_axis_body: Vector3 = (0.0, 0.0, 1.0),
     ) -> None:
         """`delay_std_s`: how far off the stamps may be before anything is known (s); 0: not at all."""
+        self._axis = np.array(optical_axis_body)
         self._motion, self._half_width_m = motion, board_half_width_m
         self._delay_walk = DELAY_WALK_S_RTS if delay_std_s > 0.0 else 0.0
         self.delay_s = 0.0
@@ -109,7 +117,8 @@ class CameraCheck:
         self.link_delay_s = 0.0
         self._x = np.zeros(_STATES)
         self._x[_K] = 1.0
-        self._P = np.diag([0.0] * 9 + [SCALE_STD**2, delay_std_s**2] + [0.0] * 3)
+        camera = [MOUNT_STD_RAD**2] * 3 + [FOCAL_STD**2]
+        self._P = np.diag([0.0] * 9 + [SCALE_STD**2, delay_std_s**2] + [0.0] * 3 + camera)
         # of the scale: the present span's time and beginning (mean, variance), and what the earlier ones have
         # told (mean, information); whether echoes have
         self._span_s, self._span_began = 0.0, (1.0, SCALE_STD**2)
@@ -129,13 +138,14 @@ class CameraCheck:
     @property
     def scale(self) -> tuple[float, float]:
         """How many times as far away the pad seems as it is, and the standard deviation."""
-        k, variance = float(self._x[_K]), float(self._P[_K, _K])
+        k = float(self._x[_K] + self._x[_F])
+        variance = float(self._P[_K, _K] + 2.0 * self._P[_K, _F] + self._P[_F, _F])
         if self._heard:
             return k, math.sqrt(variance + ECHO_SCALE_STD**2)
         if len(self._spans) < 2:
             return k, SCALE_STD
         scatter = sum(told * (found - k) ** 2 for found, told in self._spans) / (len(self._spans) - 1)
-        return k, min(SCALE_STD, math.sqrt(variance * max(1.0, scatter) + MOTION_SCALE_STD**2))
+        return k, min(SCALE_STD, math.sqrt(variance * max(1.0, scatter)))
 
     @property
     def delay_std_s(self) -> float:
@@ -158,13 +168,13 @@ class CameraCheck:
         attitude_rad2 = NOISE_RAD**2 + self._motion.turn_density_rad2_s * ATTITUDE_WANDERS_S
         noise_m2 = variance_m2 + NOISE_M**2 + attitude_rad2 * norm(seen) ** 2
         if time_s - self._time_s > LONGEST_GAP_S:
-            self._begin(attitude, seen, noise_m2)
+            self._begin(attitude, pad_position_body_m, noise_m2)
         else:
             self._predict(time_s)
             rate = self._rate_ned_rad_s(time_s, attitude)
             # by a horizon that wanders as much as this filter takes it to, motion tells nothing of the scale
             quiet = attitude_rad2 <= 2.0 * NOISE_RAD**2
-            self._see(attitude, seen, cross(rate, seen), noise_m2, scale=quiet)
+            self._see(attitude, pad_position_body_m, cross(rate, seen), noise_m2, scale=quiet)
             self._follow(time_s - self._time_s)
             self._end_span(time_s - self._time_s)
         self._time_s = time_s
@@ -181,18 +191,28 @@ class CameraCheck:
         rate = quat_rotate(attitude, self._motion.rate_body_rad_s(time_s, RATE_SPAN_S))
         return subtract(rate, scale(corrected, 1.0 / RATE_SPAN_S))
 
-    def _begin(self, attitude: Quaternion, seen: Vector3, noise_m2: float) -> None:
+    def _body(self, attitude: Quaternion, pad_body_m: Vector3) -> FloatArray:
+        """How the pad's place as seen (NED) changes by what is constant in the body (3, 7)."""
+        (x, y, z), columns = pad_body_m, np.zeros((3, 7))
+        columns[:, :3] = _EYE3
+        columns[:, 3:6] = ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))
+        columns[:, 6] = self._axis * (self._axis @ np.array(pad_body_m))
+        turned: FloatArray = matrix_from_quat(attitude) @ columns
+        return turned
+
+    def _begin(self, attitude: Quaternion, pad_body_m: Vector3, noise_m2: float) -> None:
         """The pad's motion anew; it is from the IMU, as far as it is known where that is."""
-        x, P, R = self._x, self._P, matrix_from_quat(attitude)
+        x, P, H = self._x, self._P, self._body(attitude, pad_body_m)
         x[_R], P[_R, :], P[:, _R] = 0.0, 0.0, 0.0
         P[_R, _R] = self._motion.imu_covariance_m2
-        x[_Q], x[_V], x[_A] = np.array(seen) - R @ x[_R], 0.0, 0.0
+        seen = np.array(quat_rotate(attitude, pad_body_m))
+        x[_Q], x[_V], x[_A] = seen - H @ x[_BODY], 0.0, 0.0
         P[:9, :], P[:, :9] = 0.0, 0.0
         spread = (noise_m2, FIRST_SPEED_M_S**2, PAD_ACCELERATION_M_S2**2)
         P[:9, :9] = np.diag(np.repeat(spread, 3))
-        P[_Q, _K:] = -R @ P[_R, _K:]
+        P[_Q, _K:] = -H @ P[_BODY, _K:]
         P[_K:, _Q] = P[_Q, _K:].T
-        P[_Q, _Q] += R @ P[_R, _R] @ R.T
+        P[_Q, _Q] += H @ P[_BODY, _BODY] @ H.T
 
     def _turn(self, dt: float, correction_rad: Vector3) -> None:
         """A corrected attitude turns what was seen before with it."""
@@ -226,14 +246,14 @@ class CameraCheck:
         self._P[_D, _D] += self._delay_walk**2 * dt
 
     def _see(
-        self, attitude: Quaternion, seen: Vector3, sweep_m_s: Vector3, noise_m2: float, *, scale: bool
+        self, attitude: Quaternion, pad_body_m: Vector3, sweep_m_s: Vector3, noise_m2: float, *, scale: bool
     ) -> None:
-        sweep = np.array(sweep_m_s)
+        seen, sweep = np.array(quat_rotate(attitude, pad_body_m)), np.array(sweep_m_s)
         H = np.zeros((3, _STATES))
         H[:, _Q] = _EYE3
         H[:, _D] = -sweep
-        H[:, _R] = matrix_from_quat(attitude)
-        self._update(np.array(seen) - self.delay_s * sweep - H @ self._x, H, noise_m2 * _EYE3, scale=scale)
+        H[:, _BODY] = self._body(attitude, pad_body_m)
+        self._update(seen - self.delay_s * sweep - H @ self._x, H, noise_m2 * _EYE3, scale=scale)
 
     def _follow(self, elapsed_s: float) -> None:
         wanted_s = max(-LARGEST_DELAY_S, min(LARGEST_DELAY_S, float(self._x[_D])))

@@ -7,7 +7,6 @@ looks towards the image's top edge) after being rolled by `camera_roll_deg` (pos
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -194,8 +193,7 @@ def sighting_of(
 
 def body_from_camera(vehicle: VehicleConfig) -> Quaternion:
     """The rotation of camera axes (OpenCV's) into body axes by the vehicle's settings."""
-    angles = (vehicle.camera_roll_deg, vehicle.camera_tilt_deg, vehicle.camera_yaw_deg)
-    roll, tilt, yaw = (math.radians(angle) for angle in angles)
+    roll, tilt, yaw = vehicle.camera_turn_rad
     return quat_multiply(quat_from_euler(roll, tilt, yaw), BODY_FROM_DOWNWARD_CAMERA)
 
 
