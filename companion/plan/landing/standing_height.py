@@ -75,7 +75,7 @@ class StandingHeight:
     @property
     def std_m(self) -> float:
         """Of that leg height."""
-        return sum(weight for _, weight in self._weighted()) ** -0.5
+        return 1.0 / math.sqrt(sum(weight for _, weight in self._weighted()))
 
     def _weighted(self) -> list[tuple[float, float]]:
         heights = [(self._vehicle.leg_height_m, _TOLD_STD_M**-2)]
