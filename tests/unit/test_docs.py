@@ -212,9 +212,9 @@ def assert_flight_is_as_documented(folder: Path) -> None:
     assert logged == {topic: kind for topics, kind in told for topic in re.findall(r"`([\w/]+)`", topics)}
     pictures = {path.name for path in (folder / "pictures").iterdir()}
     assert (folder / "pictures" / "landing.gif").stat().st_size < MOST_GIF_BYTES
-    assert pictures | {"live-page.png", "margins.png", "state-machine.svg", "wiring.svg"} == {
-        path.name for path in (ROOT / "docs" / "images").iterdir()
-    }
+    assert pictures | {
+        *("live-page.png", "margins.png", "qgroundcontrol.svg", "state-machine.svg", "wiring.svg")
+    } == {path.name for path in (ROOT / "docs" / "images").iterdir()}
 
 
 # ---------------------------------------------------------------- what the pages name
