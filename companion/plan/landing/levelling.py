@@ -140,5 +140,5 @@ class Levelling:
     def _levelling_s(self, tilt_rad: float) -> float:
         """How long before the contact it has to begin to level off from a tilt."""
         excess_m_s2 = GRAVITY_M_S2 * math.tan(tilt_rad) - self._level_m_s2
-        early_s = self._std_m / self.planned_m_s
+        early_s = self._std_m / self.sink_m_s(GRAVITY_M_S2 * math.tan(tilt_rad))
         return TILTS_ON_S + early_s + max(0.0, excess_m_s2) / LEVELS_M_S3

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 
+from companion.base.geometry import GRAVITY_M_S2
 from companion.base.messages import LevelOff, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
@@ -137,9 +138,17 @@ class TouchdownSequence:
         return self._standing.unconfirmed
 
     def unloading(self, state: State) -> float:
-        """The share of the thrust (0 to 1) that is taken away in that state, for the feet to carry."""
+        """The share of the thrust (0 to 1) that is taken away in that state, for the feet to carry.
+
+        No more than what would make a fall, from where the feet may still be, too hard a contact.
+        """
         tests = {State.SINK: self._contact_test, State.SET_DOWN: self._set_down.contact_test}
-        return tests[state].share if state in tests else 0.0
+        share, sight = tests[state].share if state in tests else 0.0, self._sight
+        if share > 0.0 and sight is not None and sight.unseen_s <= UNSEEN_S:
+            falls_m = sight.height_m - self._vehicle.leg_height_m - self._standing_height.std_m
+            if falls_m > 0.0:
+                share = min(share, self._config.fastest_contact_m_s**2 / (2.0 * GRAVITY_M_S2 * falls_m))
+        return share
 
     def level_off(self) -> LevelOff | None:
         """That the vehicle may tilt no further than it may at contact; None until the contact is near."""

@@ -23,8 +23,16 @@ from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
 # the leg height is told to 3 cm, and measured as well
 STD_M = math.hypot(0.03 / math.sqrt(2.0), CONTACT_STD_M)
-LEAD_S = TILTS_ON_S + STD_M / CONFIG.contact_speed_m_s
 DROP_M = VEHICLE.foot_reach_m * math.sin(math.radians(CONFIG.contact_tilt_deg))  # of the lower foot
+
+
+def lead_after(excess_m_s2: float) -> float:
+    """How long before the contact it levels off a tilt that is so much more than it may have then."""
+    sink_m_s = min(CONFIG.firm_contact_m_s, excess_m_s2 * 2.0 * STD_M / CONFIG.lateral_speed_m_s)
+    return TILTS_ON_S + STD_M / max(CONFIG.contact_speed_m_s, sink_m_s) + excess_m_s2 / 8.0
+
+
+LEAD_S = lead_after(0.0)
 
 
 def levelling(tilt_m_s2: float) -> Attempt:
@@ -80,7 +88,7 @@ def test_a_pad_out_of_view_in_the_last_second_is_met_level_when_it_was_due(unsee
     # the tilt has to fall to 7 deg, at 8 m/s3
     [
         (0.0, LEAD_S),
-        (20.0, LEAD_S + (9.81 * (math.tan(math.radians(20.0)) - math.tan(math.radians(7.0)))) / 8.0),
+        (20.0, lead_after(9.81 * (math.tan(math.radians(20.0)) - math.tan(math.radians(7.0))))),
     ],
 )
 def test_tilting_far_it_begins_to_level_off_sooner(tilt_deg: float, lead_s: float) -> None:
@@ -151,7 +159,7 @@ def test_a_contact_that_comes_late_keeps_it_level_while_that_makes_little_speed(
     level = touchdown.level_off()
     assert level is not None
     assert level.from_s == pytest.approx(1.0)
-    lead_s = LEAD_S + excess_m_s2 / 8.0
+    lead_s = lead_after(excess_m_s2)
     assert level.until_s - level.from_s - lead_s - AFTER_S == pytest.approx(
         longer_s, abs=0.15 if longer_s > 0.5 else 1e-3
     )

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from companion.base.geometry import GRAVITY_M_S2
 from companion.base.messages import (
     AutopilotState,
     LandedState,
@@ -477,6 +478,16 @@ def test_legs_longer_than_told_are_found_by_what_they_bear_though_the_heights_fl
         touchdown.step(sight(height=LEG_M + 0.03), echo, LandedState.IN_AIR, now)
     assert touchdown.on_pad
     assert touchdown.contact_s - 1.0 < 0.5
+
+
+def test_held_up_over_the_pad_no_more_is_unloaded_than_makes_a_gentle_fall() -> None:
+    touchdown, over_m, most = sinking(), 0.08, 0.0
+    for k in range(round(0.9 / CYCLE_S)):
+        held = sight(height=LEG_M + over_m, velocity=(0.0, 0.0, 0.0))
+        touchdown.step(held, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+        most = max(most, touchdown.unloading)
+    falls_m = over_m - 0.03 / math.sqrt(2.0)  # the leg height is told and measured to 3 cm
+    assert most == pytest.approx(CONFIG.fastest_contact_m_s**2 / (2.0 * GRAVITY_M_S2 * falls_m))
 
 
 def test_high_over_the_pad_no_thrust_is_taken_away() -> None:
