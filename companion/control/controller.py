@@ -119,6 +119,7 @@ class Controller:
         self._heading = HeadingReference(math.radians(config.limits.heading_rate_deg_s))
         self._nodes_s: FloatArray = config.step_s * np.arange(config.horizon_steps + 1, dtype=np.float64)
         self._stepped_s: float | None = None
+        self._asked_down_m_s2: float | None = None  # while thrust is taken away beside it
         self._flying = self._given_up = False
         self._failures, self._cuts, self._short = FAILURES_TO_STOP, 0, 0
 
@@ -250,9 +251,12 @@ class Controller:
         missing = self._feedforward.missing_m_s2(pad_acceleration)
         disturbance = subtract(self._plant.disturbance_ahead_ned_m_s2, missing)
         began_s = self._stopwatch()
-        solution = self._tracker.solve(
-            start.motion, target, disturbance, self._plant.last_input(start.motion)
-        )
+        last_input = self._plant.last_input(start.motion)
+        if self._asked_down_m_s2 is not None:
+            last_input = (*last_input[:2], self._asked_down_m_s2)
+        solution = self._tracker.solve(start.motion, target, disturbance, last_input)
+        # what is taken away for the feet to carry is none of the tracker's changes: it comes back at once
+        self._asked_down_m_s2 = float(solution.inputs_m_s2[0, 2]) if plan.unloading > 0.0 else None
         solve_s = self._stopwatch() - began_s
         self._failures = 0 if solution.solved or solution.cut else self._failures + 1
         self._cuts = self._cuts + 1 if solution.cut else 0
@@ -261,8 +265,9 @@ class Controller:
             self._learn(start, target, disturbance, solution)
         setpoint = _seen(self._setpoint(start.motion, solution, now_s), reference, pad)
         boost = self._boost(start.motion, solution)
-        setpoint = boosted(setpoint, boost * (1.0 - plan.unloading))
-        setpoint, limited = self._gate.apply(setpoint, now_s, pressed_m_s2=disturbance[2])
+        setpoint, limited = self._gate.apply(
+            boosted(setpoint, boost), now_s, pressed_m_s2=disturbance[2], unloading=plan.unloading
+        )
         self._plant.remember(boosted(setpoint, 1.0 / boost))
         predicted = solution.states[:, :3] - start.prediction.displacement_m[1:]
         return setpoint, ControlReport(
