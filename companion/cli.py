@@ -8,6 +8,7 @@ rest take seconds to import on a Raspberry Pi (`companion.base.command_line`).
 """
 
 import os
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final
@@ -193,7 +194,14 @@ def main() -> None:
     """Entry point: whatever the user got wrong ends in one line on standard error."""
     # before numpy is imported: our matrices are small, and threads that wait for one another only cost
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    run_program(cli, PROGRAM)
+    try:
+        run_program(cli, PROGRAM)
+    except SystemExit as end:
+        if threading.active_count() > 1:
+            from companion.base.signals import leave_drivers  # noqa: PLC0415 - see above
+
+            leave_drivers(int(end.code or 0))
+        raise
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from calibration.camera.views import (
 )
 from companion.base.files import write_atomically
 from companion.base.formats.mjpeg import MjpegServer, serving
-from companion.config import CaptureConfig, ConfigError
+from companion.config import CaptureConfig, ConfigError, without_password
 from companion.sense.camera.source import FrameSource, open_camera
 
 # an edge wider than this is blurred, unless this lens makes no sharper ones
@@ -159,7 +159,7 @@ async def capture_live(
             await capture.run(source)
             return capture.session
     except OSError as error:
-        raise ConfigError(f"{options.source}: {error}") from error
+        raise ConfigError(f"{without_password(options.source)}: {error}") from error
     finally:
         source.close()
 

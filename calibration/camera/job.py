@@ -31,7 +31,7 @@ from companion.base.clock import start_unix_s
 from companion.base.files import make_folder, must_be_writable, write_atomically
 from companion.base.printing.paper import PaperName
 from companion.base.signals import run_until_stopped
-from companion.config import CameraConfig, CaptureConfig, ConfigError, validate
+from companion.config import CameraConfig, CaptureConfig, ConfigError, validate, without_password
 from companion.config.calibration import CameraCalibration, Provenance
 from companion.sense.camera.source import is_camera
 
@@ -169,7 +169,7 @@ def _live(job: CameraCalibrationJob, board: CalibrationBoard, capture: CaptureCo
         job.sources[0], capture, job.most_views, job.model, job.keep, job.overlay, job.serve_port
     )
     session = run_until_stopped(capture_live(board, options, typer.echo))
-    return CollectedViews(session.views, session.size_px, options.source)
+    return CollectedViews(session.views, session.size_px, without_password(options.source))
 
 
 def _finish(

@@ -184,7 +184,8 @@ class MountRecorder:
                 self._read_camera(),
             )
         except OSError as error:
-            raise ConfigError(f"sense.vision.source {self._config.sense.vision.source}: {error}") from error
+            source = self._config.sense.vision.shown_source
+            raise ConfigError(f"sense.vision.source {source}: {error}") from error
         if self._log.problem is not None:
             raise ConfigError(self._log.problem)
         return self._coverage.progress()
@@ -213,7 +214,7 @@ class MountRecorder:
                     self._detector.look, frame, modelled_s=self._config.compute.vision_s
                 )
             except ValueError as error:
-                raise ConfigError(f"{self._config.sense.vision.source}: {error}") from error
+                raise ConfigError(f"{self._config.sense.vision.shown_source}: {error}") from error
             self._take_seen(frame, sighting)
 
     def _take_seen(self, frame: Frame, sighting: PadSighting | None) -> None:

@@ -6,15 +6,19 @@ they would leave behind whatever was just being opened.
 """
 
 import asyncio
+import atexit
+import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Coroutine, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from typing import Any, Final, TypeVar
 
 T = TypeVar("T")
 STOPPING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+DRIVER_THREAD: Final = "camera"  # one that may be left behind in a driver that hangs
 _stop: ContextVar[Callable[[], object] | None] = ContextVar("_stop", default=None)
 
 
@@ -83,3 +87,13 @@ def run_until_stopped(
         if stopped:
             raise KeyboardInterrupt from None
         raise
+
+
+def leave_drivers(code: int) -> None:
+    """End the process where a thread hangs in a driver: if it came back meanwhile, it would abort us."""
+    if any(thread.name == DRIVER_THREAD for thread in threading.enumerate()):
+        atexit._run_exitfuncs()
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(code)

@@ -62,6 +62,7 @@ from companion.config.sense import (
     RangeConfig,
     SenseConfig,
     VisionConfig,
+    without_password,
 )
 from companion.config.service import OrdersConfig, ServeConfig
 from companion.config.vehicle import CameraConfig, CaptureConfig, ModelConfig, VehicleConfig

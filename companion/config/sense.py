@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from typing import Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_serializer, model_validator
 
 from companion.config.reading import OPERATOR, StrictModel, Vector
+
+# of a URL, the password (which may hold an @) and all that is asked of a camera after the path
+_PASSWORD: Final = re.compile(r"(?<=://)([^\s:/]*):\S*(?=@)")
+_ASKED: Final = re.compile(r"(?<=\w)\?\S+")
+
+
+def without_password(source: str) -> str:
+    """A source as it may be shown and recorded: without the password of a URL."""
+    return _ASKED.sub("?***", _PASSWORD.sub(r"\1:***", source)) if "://" in source else source
 
 
 class ImuConfig(StrictModel):
@@ -172,12 +182,12 @@ class VisionConfig(StrictModel):
 
     source: str = Field(default="v4l2:0", json_schema_extra=OPERATOR)
     """The camera (docs/how-to/cameras.md): `v4l2:N` for /dev/videoN, `v4l2:/dev/v4l/by-id/NAME` for one whose
-    number changes, `picamera2:N` for a Raspberry Pi's, `video:FILE` or `images:FOLDER` for a recording;
-    `socket:PATH` or `tcp:HOST:PORT` for frames from another process (docs/reference/camera-frames.md); set it
-    to the camera that is mounted"""
+    number changes, `picamera2:N` for a Raspberry Pi's, `rtsp://...` or `http://...` for one on the network,
+    `gstreamer:PIPELINE`, `video:FILE` or `images:FOLDER` for a recording; `socket:PATH` or `tcp:HOST:PORT`
+    for frames from another process (docs/reference/camera-frames.md); set it to the camera that is mounted"""
     unstamped_latency_s: float = Field(default=0.045, ge=0.0, le=0.5)
-    """Assumed age, on arrival, of a frame from another process that carries no time; set it to what you
-    measured"""
+    """Assumed age, on arrival, of a frame that carries no time: a network camera's, some of another
+    process's; set it to what you measured (docs/how-to/cameras.md)"""
     pose: Literal["joint", "paper"] = Field(default="joint")
     """`joint`: one fit to all corners; `paper`: the mean of single-marker poses (eq. 1). Change it for
     comparison only"""
@@ -205,6 +215,15 @@ class VisionConfig(StrictModel):
     """Plausible turn rate beyond the gyroscope's, for the rolling shutter; raise it for a faster turn"""
     vibration_mrad: float = Field(default=0.035, gt=0.0, le=10.0)
     """Rotor vibration of the camera within a frame, rms; raise it for a badly damped mount"""
+
+    @field_serializer("source", when_used="json")
+    def _to_be_recorded(self, source: str) -> str:
+        return without_password(source)
+
+    @property
+    def shown_source(self) -> str:
+        """The source as messages have it."""
+        return without_password(self.source)
 
     @property
     def tilt_std_deg(self) -> float:

@@ -22,7 +22,7 @@ from companion.sense.camera.reader import EndOfFrames, Newest, OpeningHangs, Rea
 WATCH_S: Final = 0.02
 LETTING_GO_S: Final = 1.5  # for a driver's thread to end, before the device is opened all the same
 FIRST_PAUSE_S: Final = 0.25
-LONGEST_PAUSE_S: Final = 2.0
+LONGEST_PAUSE_S: Final = 1.0
 # images of no use may be the light's or the lens cap's fault, which opening does not mend: ever more patience
 LONGEST_PATIENCE_S: Final = 30.0
 RECOVERED_S: Final = 5.0
@@ -205,9 +205,9 @@ class KeptCamera:
 
     def _tell_notes(self, source: LiveSource) -> None:
         for note in source.take_notes():
-            if note in self._reported_notes:
+            if (shape := NUMBER.sub("", note)) in self._reported_notes:
                 continue
-            self._reported_notes.add(note)
+            self._reported_notes.add(shape)
             self._reports.put_nowait(CameraReport(f"camera: {note}", "warning"))
 
     def _tell_trouble(self, health: CameraHealth) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.base.messages import Frame
+from companion.base.signals import DRIVER_THREAD
 from companion.config import CaptureConfig, ConfigError
 
 OPENING_S: Final = 6.0
@@ -123,7 +124,7 @@ class ThreadedCamera:
         self._opened: asyncio.Future[None] = self._loop.create_future()
         self._device: Device | None = None
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=DRIVER_THREAD, daemon=True)
         self._thread.start()
 
     @classmethod

@@ -13,6 +13,7 @@ Sources, as in `sense.vision.source`:
     images:frames                     a folder of images, in real time        folder_replay
     socket:/run/companion/frames      another process (docs/reference/camera-frames.md) frame_socket
     tcp:127.0.0.1:5600                the same over TCP
+    rtsp://HOST/PATH, http://HOST/PATH, gstreamer:PIPELINE  a camera on the network  stream
 """
 
 import re
@@ -25,13 +26,14 @@ from companion.base.clock import Clock
 from companion.base.errors import DeviceMissing
 from companion.base.formats.frame_stream import ADDRESS_FORM
 from companion.base.messages import Frame
-from companion.config import CaptureConfig, ConfigError
+from companion.config import CaptureConfig, ConfigError, without_password
 from companion.sense.camera.folder_replay import open_folder, open_video
 from companion.sense.camera.frame_socket import SocketCamera
 from companion.sense.camera.health import patience_with
 from companion.sense.camera.keeper import KeptCamera, LiveSource
 from companion.sense.camera.picamera import Picamera2Device
 from companion.sense.camera.reader import MakeDevice, OpeningHangs, ThreadedCamera
+from companion.sense.camera.stream import STREAM_FORM, StreamDevice
 from companion.sense.camera.v4l2 import V4l2Device, device_number
 
 DEVICE_FORM: Final = re.compile(
@@ -39,8 +41,8 @@ DEVICE_FORM: Final = re.compile(
     r"|(?P<recording>video|images):(?P<path>.+)"
 )
 EXPECTED: Final = (
-    "expected v4l2:NUMBER, picamera2:NUMBER, v4l2:/dev/v4l/by-id/NAME, video:FILE, images:FOLDER, "
-    "socket:PATH or tcp:HOST:PORT"
+    "expected v4l2:NUMBER, picamera2:NUMBER, v4l2:/dev/v4l/by-id/NAME, rtsp://..., http://..., "
+    "gstreamer:PIPELINE, video:FILE, images:FOLDER, socket:PATH or tcp:HOST:PORT"
 )
 
 
@@ -60,20 +62,20 @@ class FrameSource(Protocol):
 
 
 def is_camera(spec: str) -> bool:
-    return DEVICE_FORM.fullmatch(spec) is not None or ADDRESS_FORM.fullmatch(spec) is not None
+    return any(form.fullmatch(spec) for form in (DEVICE_FORM, ADDRESS_FORM, STREAM_FORM))
 
 
 async def open_camera(spec: str, camera: CaptureConfig, unstamped_latency_s: float = 0.0) -> LiveSource:
     """Open the source named by `spec`, once: what goes wrong with it ends `next` with an error.
 
-    `unstamped_latency_s` is how old a socket's frame without a time is when it has come.
+    `unstamped_latency_s` is how old a frame without a time is when it has come.
 
     Raises:
         ConfigError: no such source; one line with what was expected.
     """
     if ADDRESS_FORM.fullmatch(spec) is not None:
         return await SocketCamera.connect(spec, camera, unstamped_latency_s)
-    return await ThreadedCamera.open(_maker(spec, camera))
+    return await ThreadedCamera.open(_maker(spec, camera, unstamped_latency_s))
 
 
 async def keep_camera(
@@ -101,16 +103,18 @@ async def keep_camera(
         return KeptCamera(None, open_it, patience, missing=str(error))
 
 
-def _maker(spec: str, camera: CaptureConfig) -> MakeDevice:
+def _maker(spec: str, camera: CaptureConfig, unstamped_latency_s: float) -> MakeDevice:
     """What opens a device, in the thread that will read it.
 
     Raises:
         ConfigError: no such kind of source.
     """
+    clock = Clock()
+    if STREAM_FORM.fullmatch(spec) is not None:
+        return lambda _: StreamDevice(spec, camera, unstamped_latency_s, clock)
     form = DEVICE_FORM.fullmatch(spec)
     if form is None:
-        raise ConfigError(f"sense.vision.source: '{spec}'; {EXPECTED}")
-    clock = Clock()
+        raise ConfigError(f"sense.vision.source: '{without_password(spec)}'; {EXPECTED}")
     if form["recording"] is not None:
         open_recording = open_video if form["recording"] == "video" else open_folder
         return partial(open_recording, Path(form["path"]), camera, clock)

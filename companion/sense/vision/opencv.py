@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import cv2
 
 
@@ -10,3 +12,4 @@ def prepare_opencv() -> None:
     cv2.setNumThreads(1)
     # what OpenCV has to say about a camera that is not there, we say ourselves
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: and it may name a URL's password

@@ -79,7 +79,7 @@ def _camera(config: CompanionConfig, camera: CameraConfig, now: datetime) -> Fin
     detail = f"'{camera.name}' {size}, {made.rms_px:.2f} px, {_date(made.provenance)}"
     if made.verdict:
         return _forced("camera", detail, made.verdict, "calibrate-camera")
-    source, used = made.provenance.source, config.sense.vision.source
+    source, used = made.provenance.source, config.sense.vision.shown_source
     if _is_device(source) and _is_device(used) and source != used:
         return _GROUP.warn(
             "camera",

@@ -110,12 +110,14 @@ async def _camera(config: CompanionConfig, camera: CameraConfig) -> list[Finding
         except TimeoutError:
             return [
                 _CAMERA.fail(
-                    "frames", f"{vision.source}: none within {FIRST_FRAME_S:g} s", "cable; another program"
+                    "frames",
+                    f"{vision.shown_source}: none within {FIRST_FRAME_S:g} s",
+                    "cable; another program",
                 )
             ]
         except EndOfFrames:
             pass  # a short recording
-        return _camera_findings(frames, faults, camera, source, vision.source)
+        return _camera_findings(frames, faults, camera, source, vision.shown_source)
 
 
 def _camera_findings(

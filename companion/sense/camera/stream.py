@@ -1,0 +1,152 @@
+"""A camera over the network, or any pipeline, through OpenCV's VideoCapture: FFmpeg's, or GStreamer's.
+
+    rtsp://HOST/PATH, http://HOST/PATH (MJPEG), ...   FFmpeg
+    gstreamer:PIPELINE                                GStreamer, of an OpenCV that was built with it
+
+Its time stamps. A stream has none of the exposure: its own count from where its sender began. A frame counts
+as exposed `unstamped_latency_s` before it has been decoded, all of sensor, encoder, network and decoder in
+one. `calibrate-mount camera` measures what that is off by (`camera_time_offset_s`).
+
+No frame is queued here: one decoding thread (FFmpeg's threads hold back a frame each), no demuxer's buffer,
+and every frame is read as it comes. A host that is not there ends the opening in a second, one that stalls
+the reading in one.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+from collections import deque
+from contextlib import closing
+from typing import Final
+from urllib.parse import urlsplit
+
+import cv2
+import numpy as np
+
+from companion.base.clock import Clock
+from companion.base.errors import DeviceMissing
+from companion.config import CaptureConfig, ConfigError, without_password
+from companion.sense.camera.reader import ReadBack, Shot, check_size, grey
+from companion.sense.camera.v4l2 import Capture
+
+STREAM_FORM: Final = re.compile(
+    r"(?P<url>(?P<scheme>rtsp|rtsps|http|https|udp|rtmp)://.+)|gstreamer:(?P<pipeline>.+)"
+)
+PORTS: Final = {"rtsp": 554, "rtsps": 322, "http": 80, "https": 443, "rtmp": 1935}  # where a TCP server waits
+CONNECT_S: Final = 1.0
+OPEN_S: Final = 5.0  # for the first whole picture: an encoder may send one every few seconds only
+READ_S: Final = 1.0
+# FFmpeg's, for OpenCV. TCP: a lost packet of UDP's smears what follows. The
+# rate is not probed for, which takes a second of frames
+OPTIONS_VARIABLE: Final = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
+OPTIONS: Final = "rtsp_transport;tcp|fflags;nobuffer|flags;low_delay|fpsprobesize;0"
+RHYTHM_FRAMES: Final = 60  # until it is known how evenly frames arrive
+
+
+class StreamDevice:
+    """A `reader.Device`."""
+
+    def __init__(self, spec: str, camera: CaptureConfig, latency_s: float, clock: Clock) -> None:
+        """Open the stream; `latency_s` is how old its frames are as they arrive.
+
+        Raises:
+            DeviceMissing: nobody serves it now.
+            ConfigError: it is no address, or needs what this OpenCV has not got.
+        """
+        self._camera, self._latency_s, self._clock = camera, latency_s, clock
+        self._shown = without_password(spec)
+        self._arrivals_s: list[float] = []
+        self.notes: deque[str] = deque()
+        self.read_back = ReadBack()
+        form = STREAM_FORM.fullmatch(spec)
+        assert form is not None
+        if form["url"] is not None:
+            self._capture = self._open_url(form["url"])
+        else:
+            self._capture = self._open_pipeline(form["pipeline"])
+
+    def read(self) -> Shot:
+        good, image = self._capture.read()
+        received_s = self._clock.now_s()
+        if not good or image is None:
+            raise OSError("the stream gives no frames any more: its server closed it, or stalls")
+        check_size(image.shape[1], image.shape[0], self._camera)
+        self._note_rhythm(received_s)
+        return Shot(received_s - self._latency_s, received_s, grey(image))
+
+    def close(self) -> None:
+        self._capture.release()
+
+    def _open_url(self, url: str) -> Capture:
+        self._must_answer(url)
+        os.environ.setdefault(OPTIONS_VARIABLE, OPTIONS)
+        capture = cv2.VideoCapture(url, cv2.CAP_FFMPEG, [*_limits(), cv2.CAP_PROP_N_THREADS, 1])
+        if not capture.isOpened():
+            raise self._missing("its host answers, but gives no video")
+        return capture
+
+    def _open_pipeline(self, pipeline: str) -> Capture:
+        if not cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER):
+            raise ConfigError(
+                f"sense.vision.source: {self._shown}: this OpenCV is built without GStreamer; expected the "
+                "distribution's (apt install python3-opencv), or the stream's own URL (rtsp://...)"
+            )
+        capture = cv2.VideoCapture(pipeline, cv2.CAP_GSTREAMER, _limits())
+        if not capture.isOpened():
+            raise self._missing("the pipeline gives no video")
+        return capture
+
+    def _must_answer(self, url: str) -> None:
+        """A host that is away is known in a second, and why: FFmpeg takes five, and cannot be called off.
+
+        Raises:
+            ConfigError: no host, or no port of one.
+            DeviceMissing: nobody answers there.
+        """
+        if url.startswith("udp://"):
+            return  # waits for whoever sends
+        try:
+            parts = urlsplit(url)
+            host, port = parts.hostname, parts.port or PORTS[parts.scheme]
+        except ValueError:
+            host, port = None, 0
+        if not host:
+            raise ConfigError(
+                f"sense.vision.source: {self._shown}: no address; expected SCHEME://HOST:PORT/PATH"
+            )
+        try:
+            with closing(socket.create_connection((host, port), CONNECT_S)):
+                pass
+        except OSError as error:
+            raise self._missing(error.strerror or "no answer") from error
+
+    def _missing(self, why: str) -> DeviceMissing:
+        return DeviceMissing(
+            f"sense.vision.source: {self._shown}: {why}; expected the address of a stream that is on, with "
+            "user and password if it wants them"
+        )
+
+    def _note_rhythm(self, received_s: float) -> None:
+        """Say, once it is known, what the frames' times rest on, and how arrivals scatter about a rhythm."""
+        if len(self._arrivals_s) == RHYTHM_FRAMES:
+            return
+        self._arrivals_s.append(received_s)
+        if len(self._arrivals_s) < RHYTHM_FRAMES:
+            return
+        number = np.arange(RHYTHM_FRAMES)
+        line = np.polyval(np.polyfit(number, self._arrivals_s, 1), number)
+        scatter_s = float(np.std(np.array(self._arrivals_s) - line))
+        self.notes.append(
+            f"no exposure stamps: frames count as {1e3 * self._latency_s:.0f} ms old on arrival "
+            f"(sense.vision.unstamped_latency_s), which scatters by {1e3 * scatter_s:.0f} ms"
+        )
+
+
+def _limits() -> list[int]:
+    """How long opening and reading may take, as VideoCapture has it."""
+    return [
+        *(cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, round(1e3 * OPEN_S)),
+        *(cv2.CAP_PROP_READ_TIMEOUT_MSEC, round(1e3 * READ_S)),
+    ]

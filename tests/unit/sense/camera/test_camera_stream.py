@@ -1,0 +1,289 @@
+"""A camera on the network: HTTP-MJPEG and RTSP on loopback, lost and found again, and one that hangs."""
+
+import asyncio
+import http.server
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from companion.config import CameraConfig, CompanionConfig, ConfigError, validate, without_password
+from companion.sense.camera import stream
+from companion.sense.camera.keeper import LONGEST_PAUSE_S
+from companion.sense.camera.source import FrameSource, is_camera, keep_camera, open_camera
+from tests.unit.sense.camera.camera_frames import noisy
+
+BITS, ROWS = 24, 40
+LATENCY_S = 0.25
+PYTHONS = (sys.executable, "/usr/bin/python3")
+
+
+def stamped_picture(number: int) -> NDArray[np.uint8]:
+    """A picture whose upper rows say when it was made: ms of CLOCK_MONOTONIC as black and white fields."""
+    image = noisy(number).copy()
+    made_ms = int(1e3 * time.monotonic())
+    for bit in range(BITS):
+        image[:ROWS, bit * BITS : (bit + 1) * BITS] = 255 if made_ms >> bit & 1 else 0
+    return image
+
+
+def age_s(image: NDArray[np.uint8], received_s: float) -> float:
+    """How old the picture was when it had come."""
+    made_ms: int = sum(int(image[ROWS // 2, bit * BITS + BITS // 2] > 128) << bit for bit in range(BITS))
+    age_ms: int = (int(1e3 * received_s) - made_ms) & (2**BITS - 1)
+    return 1e-3 * age_ms
+
+
+class Pictures(http.server.BaseHTTPRequestHandler):
+    """MJPEG as cameras serve it, 30 a second, while the server is `on`."""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
+        self.end_headers()
+        server: Any = self.server
+        for number in range(100_000):
+            if not server.on:
+                return
+            data = cv2.imencode(".jpg", stamped_picture(number))[1].tobytes()
+            head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n\r\n"
+            try:
+                self.wfile.write(head.encode() + data + b"\r\n")
+            except OSError:
+                return
+            time.sleep(1 / 30)
+
+    def log_message(self, *_: object) -> None:
+        """It is quiet."""
+
+
+@contextmanager
+def mjpeg_server(port: int = 0) -> Iterator[int]:
+    """An HTTP-MJPEG camera on loopback; its port."""
+    with http.server.ThreadingHTTPServer(("127.0.0.1", port), Pictures) as server:
+        server.daemon_threads, server.on = True, True  # type: ignore[attr-defined]
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield server.server_port
+        server.on = False  # type: ignore[attr-defined]
+        server.shutdown()
+
+
+@contextmanager
+def silent_server(says: bytes = b"") -> Iterator[int]:
+    """A server that takes connections, says that, and then nothing for ever."""
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+        taken = []
+
+        def take() -> None:
+            while True:
+                try:
+                    client, _ = server.accept()
+                except OSError:
+                    return
+                taken.append(client)
+                with suppress(OSError):  # who only asks whether anybody is there has gone again
+                    client.sendall(says)
+
+        threading.Thread(target=take, daemon=True).start()
+        yield server.getsockname()[1]
+        for client in taken:
+            client.close()
+
+
+@contextmanager
+def rtsp_server(port: int = 0) -> Iterator[int]:
+    """GStreamer's RTSP server in a process of its own; its port."""
+    script = str(Path(__file__).with_name("rtsp_server.py"))
+    for python in PYTHONS:
+        process = subprocess.Popen(
+            [python, script, str(port)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
+        assert process.stdout is not None
+        if line := process.stdout.readline():
+            break
+        process.wait()
+    else:
+        pytest.skip("no RTSP server: needs Debian's gir1.2-gst-rtsp-server-1.0, python3-gi and x264enc")
+    try:
+        yield int(line)
+    finally:
+        process.kill()
+        process.wait()
+
+
+async def until_it_fails(source: FrameSource) -> None:
+    while True:
+        await asyncio.wait_for(source.next(), 10.0)
+
+
+async def test_frames_of_an_http_camera_are_stamped_by_their_arrival_less_the_settings_delay(
+    camera: CameraConfig,
+) -> None:
+    with mjpeg_server() as port:
+        source = await open_camera(f"http://user:secret@127.0.0.1:{port}/video", camera, LATENCY_S)
+        frames = [await source.next() for _ in range(stream.RHYTHM_FRAMES + 2)]
+        source.close()
+    assert [frame.received_s - frame.time_s for frame in frames] == pytest.approx([LATENCY_S] * len(frames))
+    assert frames[0].image.shape == (480, 640)
+    (note,) = source.take_notes()
+    assert "250 ms old on arrival (sense.vision.unstamped_latency_s)" in note
+    assert "secret" not in note
+
+
+async def test_only_the_newest_frame_of_a_stream_is_handed_on(camera: CameraConfig) -> None:
+    with mjpeg_server() as port:
+        source = await open_camera(f"http://127.0.0.1:{port}/", camera)
+        await source.next()
+        await asyncio.sleep(1.0)  # thirty come meanwhile
+        late = await source.next()
+        following = await source.next()
+        source.close()
+    assert late.sequence > 10
+    assert following.sequence > late.sequence
+    assert age_s(following.image, following.received_s) < 0.5  # of now: nothing was queued meanwhile
+
+
+async def test_a_stream_that_went_is_opened_anew(camera: CameraConfig) -> None:
+    with mjpeg_server() as port:
+        kept = await keep_camera(f"http://127.0.0.1:{port}/", camera, LATENCY_S)
+        first = await kept.next()
+    async with asyncio.timeout(20.0):
+        while "closed it, or stalls" not in (await kept.report()).text:
+            pass
+    with mjpeg_server(port):
+        back_s = asyncio.get_running_loop().time()
+        async with asyncio.timeout(20.0):
+            while (frame := await kept.next()).received_s < back_s:
+                pass
+        kept.close()
+    assert frame.sequence > first.sequence
+    assert LONGEST_PAUSE_S + stream.CONNECT_S <= 2.0  # a host that is away is asked again within that
+
+
+@pytest.mark.parametrize("scheme", ["http", "rtsp"])
+async def test_an_app_ends_while_a_server_keeps_the_opening_waiting(
+    scheme: str, camera: CameraConfig
+) -> None:
+    with silent_server() as port:
+        opening = asyncio.ensure_future(open_camera(f"{scheme}://127.0.0.1:{port}/", camera))
+        await asyncio.sleep(0.3)
+        opening.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await asyncio.wait_for(opening, 10.0)
+
+
+async def test_a_server_that_answers_and_gives_no_video_is_said(
+    camera: CameraConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stream, "OPEN_S", 0.5)
+    with (
+        silent_server(b"HTTP/1.0 404 Not Found\r\n\r\n") as port,
+        pytest.raises(ConfigError, match="its host answers, but gives no video") as found,
+    ):
+        await open_camera(f"http://user:secret@127.0.0.1:{port}/video?pwd=hidden", camera)
+    assert "secret" not in str(found.value)
+    assert "hidden" not in str(found.value)
+    assert "user" in str(found.value)
+
+
+async def test_a_stream_that_stalls_is_lost_and_can_be_closed(
+    camera: CameraConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stream, "READ_S", 0.3)
+    picture = cv2.imencode(".jpg", stamped_picture(0))[1].tobytes()
+    part = b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % len(picture) + picture
+    head = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n"
+    with silent_server(head + 60 * (part + b"\r\n")) as port:
+        source = await open_camera(f"http://127.0.0.1:{port}/", camera)
+        with pytest.raises(OSError, match="closed it, or stalls"):
+            await until_it_fails(source)
+        source.close()
+        assert not source.held
+
+
+@pytest.mark.parametrize(
+    ("spec", "said"),
+    [
+        ("rtsp://", "expected v4l2:NUMBER"),
+        ("rtsp:///live", "no address; expected SCHEME://HOST:PORT/PATH"),
+        ("http://127.0.0.1:99999/video", "no address; expected SCHEME://HOST:PORT/PATH"),
+        (
+            "rtsp://operator:secret@127.0.0.1:1/live",
+            "rtsp://operator:***@127.0.0.1:1/live: Connection refused",
+        ),
+        ("ftp://operator:secret@host/live", "'ftp://operator:***@host/live'; expected v4l2:NUMBER"),
+    ],
+)
+async def test_an_address_that_cannot_be_is_said_in_one_line(
+    spec: str, said: str, camera: CameraConfig
+) -> None:
+    with pytest.raises(ConfigError) as found:
+        await open_camera(spec, camera)
+    assert said in str(found.value)
+    assert "secret" not in str(found.value)
+    assert "\n" not in str(found.value)
+
+
+async def test_a_pipeline_needs_an_opencv_with_gstreamer(camera: CameraConfig) -> None:
+    if cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER):
+        pytest.skip("this OpenCV has GStreamer")
+    with pytest.raises(ConfigError, match="built without GStreamer; expected the distribution's"):
+        await open_camera("gstreamer:videotestsrc ! appsink", camera)
+
+
+def test_what_is_a_stream_is_a_camera() -> None:
+    assert is_camera("rtsp://192.168.1.10/live")
+    assert is_camera("gstreamer:udpsrc port=5600 ! appsink")
+
+
+@pytest.mark.parametrize(
+    ("source", "shown"),
+    [
+        ("rtsp://10.0.0.2:8554/live", "rtsp://10.0.0.2:8554/live"),
+        ("rtsp://admin:pa@ss/w:rd@10.0.0.2/live", "rtsp://admin:***@10.0.0.2/live"),
+        ("http://10.0.0.2/video.cgi?user=admin&pwd=secret", "http://10.0.0.2/video.cgi?***"),
+        (
+            "gstreamer:rtspsrc location=rtsp://a:b@h/x ! appsink",
+            "gstreamer:rtspsrc location=rtsp://a:***@h/x ! appsink",
+        ),
+        ("images:frames?old", "images:frames?old"),
+    ],
+)
+def test_a_password_is_not_shown(source: str, shown: str) -> None:
+    assert without_password(source) == shown
+
+
+def test_a_password_is_not_recorded_with_the_settings() -> None:
+    source = "rtsp://admin:secret@10.0.0.2/live"
+    config = validate(CompanionConfig, {"sense": {"vision": {"source": source}}}, "test")
+    assert "secret" not in config.model_dump_json()
+    assert config.sense.vision.source == source
+    assert config.sense.vision.shown_source == "rtsp://admin:***@10.0.0.2/live"
+
+
+@pytest.mark.slow
+async def test_an_rtsp_stream_is_read_without_a_queue_and_found_again(camera: CameraConfig) -> None:
+    with rtsp_server() as port:
+        kept = await keep_camera(f"rtsp://127.0.0.1:{port}/camera", camera, LATENCY_S)
+        ages_s = []
+        for _ in range(90):
+            frame = await kept.next()
+            ages_s.append(age_s(frame.image, frame.received_s))
+    # decoding holds nothing back: at 30 frames/s a queue of a few would be 0.1 s and more
+    assert np.median(ages_s) < 0.1
+    with rtsp_server(port):
+        back_s = asyncio.get_running_loop().time()
+        async with asyncio.timeout(30.0):
+            while (frame := await kept.next()).received_s < back_s:
+                pass
+        kept.close()
