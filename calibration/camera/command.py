@@ -111,7 +111,9 @@ def command(
     model: Annotated[
         Model,
         typer.Option(
-            "--model", help="Distortion model. brown: k1 k2 p1 p2 k3; rational: 8 numbers, for wide lenses."
+            "--model",
+            help="Distortion model. brown: k1 k2 p1 p2 k3; rational: 8 numbers, for wide lenses; "
+            "fisheye: k1 k2 k3 k4.",
         ),
     ] = "brown",
     views: Annotated[int, typer.Option("--views", help="Live: maximum number of views.", min=4)] = 60,

@@ -214,6 +214,7 @@ def _empty_folder(option: str, folder: Path) -> None:
 # What a camera's calibration leaves: the YAML that the app reads, and lines for a person. Pure.
 
 NAMES: Final = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+FISHEYE_NAMES: Final = ("k1", "k2", "k3", "k4")
 WORST_VIEWS: Final = 3
 # a grid whose markers are as much larger than specified was measured wrongly; less may be ink and light
 WRONG_SPREAD: Final = 0.03
@@ -260,6 +261,8 @@ def camera_config(
         verdict=found.reasons,
     )
     numbers = {"fx_px": fx, "fy_px": fy, "cx_px": cx, "cy_px": cy, "distortion": tuple(distortion)}
+    if solution.camera.model == "fisheye":
+        numbers["projection"] = "fisheye"
     measured = {}
     if encoding is not None:
         measured = {"encoding": encoding.encoding, "encoding_error": float(f"{encoding.error:.2g}")}
@@ -267,10 +270,14 @@ def camera_config(
     return validate(CameraConfig, data, "calibration")
 
 
+def _distortion_names(count: int) -> tuple[str, ...]:
+    return FISHEYE_NAMES if count == len(FISHEYE_NAMES) else NAMES[4 : 4 + count]
+
+
 def camera_yaml(camera: CameraConfig) -> str:
     """The file's text."""
     assert camera.calibration is not None
-    words = ", ".join(NAMES[4 : 4 + len(camera.distortion)])
+    words = ", ".join(_distortion_names(len(camera.distortion)))
     forced = (
         "# NOT GOOD ENOUGH, written by force: see calibration.verdict\n" if camera.calibration.verdict else ""
     )
@@ -289,7 +296,9 @@ def summary_lines(found: Assessment) -> list[str]:
     ]
     lines += [
         f"{name} = {value:.5f} ± {deviation:.5f}"
-        for name, value, deviation in zip(NAMES[4:], camera.distortion, std[4:], strict=False)
+        for name, value, deviation in zip(
+            _distortion_names(len(camera.distortion)), camera.distortion, std[4:], strict=True
+        )
     ]
     held = found.held_out_rms_px
     lines.append(

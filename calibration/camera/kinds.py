@@ -3,5 +3,5 @@
 from typing import Final, Literal
 
 Pattern = Literal["charuco", "grid", "chessboard"]
-Model = Literal["brown", "rational"]
+Model = Literal["brown", "rational", "fisheye"]
 DEFAULT_BOARD: Final = "charuco_a4"

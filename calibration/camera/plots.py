@@ -113,8 +113,8 @@ def _poses(figure: Figure, found: Assessment, board: CalibrationBoard) -> None:
         farthest = max(farthest, float(z.max()))
     camera = found.solution.camera
     u, v = camera.size_px
-    corners = np.array([(0, 0), (u, 0), (u, v), (0, v), (0, 0)], dtype=float).reshape(-1, 1, 2)
-    rays = cv2.undistortPoints(corners, camera.matrix, camera.distortion).reshape(-1, 2) * 0.2 * farthest
+    corners = np.array([(0, 0), (u, 0), (u, v), (0, v), (0, 0)], dtype=float)
+    rays = camera.rays(corners) * 0.2 * farthest
     axes.plot(rays[:, 0], np.full(5, 0.2 * farthest), -rays[:, 1], color="black", linewidth=1.2)
     for x, y in rays[:4]:
         axes.plot((0, x), (0, 0.2 * farthest), (0, -y), color="black", linewidth=1.2)

@@ -22,7 +22,7 @@ from calibration.camera.solver import (
 )
 from calibration.camera.views import CORNERS, BoardView, ImageCoverage
 from companion.base.geometry import FloatArray
-from companion.sense.vision.lens import radial_factor
+from companion.sense.vision.lens import fisheye_radius, radial_factor
 
 FEWEST_VIEWS: Final = 8
 SMALLEST_COVERAGE: Final = 0.55
@@ -170,8 +170,8 @@ def _fits(found: Assessment) -> list[str]:
     if brown is not None and (held_out is None or held_out >= brown):
         left_out = "no figure" if held_out is None else f"{held_out:.3f} px"
         reasons.append(
-            f"the rational model overfits: {left_out} on views held out, {brown:.3f} px with five numbers; "
-            "expected --model brown"
+            f"the {found.solution.camera.model} model overfits: {left_out} on views held out, "
+            f"{brown:.3f} px with five numbers; expected --model brown"
         )
     return reasons
 
@@ -194,6 +194,11 @@ def unfolded_share(camera: Intrinsics) -> float:
     fx, fy, cx, cy = camera.numbers[:4].tolist()
     width, height = camera.size_px
     farthest = max(np.hypot((u - cx) / fx, (v - cy) / fy) for u in (0, width) for v in (0, height))
+    if camera.model == "fisheye":
+        # what lies beyond is seen by no lens, however black the image's corners are
+        r = np.linspace(0.0, np.pi / 2, 3 * FOLD_SAMPLES + 1)
+        distorted = fisheye_radius(camera.distortion.tolist(), r)
+        return 1.0 if (np.diff(distorted) > 0.0).all() else float(distorted.max() / farthest)
     r = np.linspace(0.0, 3.0 * farthest, 3 * FOLD_SAMPLES + 1)
     distorted = r * radial_factor(camera.distortion.tolist(), r * r)
     falls = np.flatnonzero(np.diff(distorted) <= 0.0)

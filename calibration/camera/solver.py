@@ -14,6 +14,7 @@ from calibration.camera.board import Surface
 from calibration.camera.kinds import Model
 from calibration.camera.views import FEWEST_POINTS, BoardView, on_a_plane
 from companion.base.geometry import FloatArray
+from companion.sense.vision.lens import FISHEYE
 
 FEWEST_VIEWS: Final = 2
 # with fewer, the board's shape and the camera are not separable
@@ -24,6 +25,10 @@ RAYLEIGH_MEDIAN: Final = 1.1774
 # of pure noise, one corner in 25,000 is farther off than this many σ
 CORNER_SIGMAS: Final = 4.5
 VIEW_RATIO: Final = 3.0
+# a fisheye's image from its middle to its corners, where the fit begins
+HALF_ANGLES_DEG: Final = (50.0, 65.0, 80.0, 95.0)
+FISHEYE_ROUNDS: Final = 4
+POSE_STEPS: Final = 5
 
 # ---------------------------------------------------------------- weights
 # Weights of the views by the variance of their reprojection errors. Pure.
@@ -84,8 +89,11 @@ def fit(
     Raises:
         UnsolvableError: as `solve`.
     """
-    if len(views) < FEWEST_VIEWS:
-        raise UnsolvableError(f"{len(views)} usable views of the board; expected {FEWEST_VIEWS} or more")
+    fewest = FEWEST_VIEWS_FOR_SHAPE if model == "fisheye" else FEWEST_VIEWS
+    if len(views) < fewest:
+        raise UnsolvableError(f"{len(views)} usable views of the board; expected {fewest} or more")
+    if model == "fisheye":
+        return _fit_fisheye(views, size_px, board, guess)
     flags = cv2.CALIB_RATIONAL_MODEL if model == "rational" else 0
     matrix: Any = np.eye(3)
     distortion: Any = np.zeros(8 if model == "rational" else 5)
@@ -115,8 +123,41 @@ def fit(
     return refine(flat) if len(views) >= FEWEST_VIEWS_FOR_SHAPE else flat
 
 
+def _fit_fisheye(
+    views: Sequence[BoardView], size_px: tuple[int, int], board: Surface, guess: Intrinsics | None
+) -> CameraSolution:
+    """Least squares from a camera without distortion, of whatever angle the poses fit best.
+
+    OpenCV's own (cv2.fisheye.calibrate) knows no bent board, and ends in an assertion where a view is poor.
+    """
+    width, height = size_px
+    half_px = 0.5 * float(np.hypot(width, height))
+    middle = (0.5 * width, 0.5 * height)
+    focal = [half_px / angle for angle in np.radians(HALF_ANGLES_DEG)]
+    plain = [Intrinsics(np.array((f, f, *middle, *(0.0,) * FISHEYE)), size_px) for f in focal]
+    starts = []
+    for camera in plain if guess is None else [guess]:
+        try:
+            seen = tuple(place(camera, board.flat(), view) for view in views)
+        except cv2.error:
+            continue  # corners that this camera does not see
+        starts.append(CameraSolution(camera, board.flat(), seen))
+    if not starts:
+        raise UnsolvableError("the views fit no fisheye; expected another --model")
+    solution = min(starts, key=lambda start: start.squares)
+    for _ in range(FISHEYE_ROUNDS):
+        before, solution = solution.squares, refine(solution)
+        if solution.squares > (1.0 - SMALLEST_STEP) * before:
+            break
+    if not np.isfinite(solution.camera.numbers).all():
+        raise UnsolvableError("the views do not determine the camera: its numbers are not finite")
+    return solution
+
+
 def place(camera: Intrinsics, surface: Surface, view: BoardView) -> PosedView:
     """Estimate the board's pose in a view, with a known camera and board."""
+    if camera.model == "fisheye":
+        return _place_in_fisheye(camera, surface, view)
     corners = view.corners_px.reshape(-1, 1, 2)
     _, turn, position = cv2.solvePnP(
         view.points_m, corners, camera.matrix, camera.distortion, flags=cv2.SOLVEPNP_IPPE
@@ -124,6 +165,24 @@ def place(camera: Intrinsics, surface: Surface, view: BoardView) -> PosedView:
     points = surface.of(view.points_m)
     turn, position = cv2.solvePnPRefineLM(points, corners, camera.matrix, camera.distortion, turn, position)
     return seen_at(camera, surface, view, np.ravel(turn), np.ravel(position))
+
+
+def _place_in_fisheye(camera: Intrinsics, surface: Surface, view: BoardView) -> PosedView:
+    """The pose by rays, which a fisheye's corners weigh wrongly, then by Gauss-Newton in the image."""
+    rays = camera.rays(view.corners_px).reshape(-1, 1, 2)
+    eye, straight = np.eye(3), np.zeros(5)
+    _, turn, position = cv2.solvePnP(view.points_m, rays, eye, straight, flags=cv2.SOLVEPNP_IPPE)
+    points = surface.of(view.points_m)
+    turn, position = cv2.solvePnPRefineLM(points, rays, eye, straight, turn, position)
+    seen = seen_at(camera, surface, view, np.ravel(turn), np.ravel(position))
+    for _ in range(POSE_STEPS):
+        _, jacobian = camera.project(points, seen.turn, seen.position_m)
+        step = np.linalg.lstsq(jacobian[:, :6], seen.errors_px.reshape(-1), rcond=None)[0]
+        nearer = seen_at(camera, surface, view, seen.turn + step[:3], seen.position_m + step[3:])
+        if nearer.rms_px >= seen.rms_px:
+            break
+        seen = nearer
+    return seen
 
 
 def rms_of_all(solution: CameraSolution, views: Sequence[BoardView]) -> float:
@@ -196,13 +255,14 @@ def _same(some: Sequence[BoardView], others: Sequence[BoardView]) -> bool:
 #
 # The model is eqs. 2 and 3: pixel = K distort(x/z, y/z), with distortion k1 k2 p1 p2 k3, or with the rational
 # model's k4 k5 k6 after them (radial factor (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶)). The
-# vector of a camera's parameters is fx fy cx cy, then the distortion.
+# vector of a camera's parameters is fx fy cx cy, then the distortion; a fisheye's is k1 k2 k3 k4 (`lens`).
 
 STEPS: Final = 12
 SMALLEST_STEP: Final = 1e-7  # as a share of a parameter's own uncertainty
 HALVINGS: Final = 6
 # eight distortion coefficients are nearly degenerate; beyond this, double precision fails
 LARGEST_CONDITION: Final = 1e15
+MODELS: Final[dict[int, Model]] = {5: "brown", 8: "rational", FISHEYE: "fisheye"}
 
 
 class UnsolvableError(ValueError):
@@ -211,7 +271,7 @@ class UnsolvableError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
-    """A camera's parameters: fx fy cx cy (px) and the distortion (5 or 8), for images of one size."""
+    """A camera's parameters: fx fy cx cy (px) and the distortion (5, 8 or 4), for images of one size."""
 
     numbers: FloatArray
     size_px: tuple[int, int]
@@ -224,13 +284,35 @@ class Intrinsics:
 
     @property
     def distortion(self) -> FloatArray:
-        """(5,) or (8,)."""
+        """(5,) or (8,), of a fisheye (4,)."""
         return self.numbers[4:]
 
     @property
     def model(self) -> Model:
         """The distortion model."""
-        return "brown" if len(self.distortion) == 5 else "rational"
+        return MODELS[len(self.distortion)]
+
+    def project(
+        self, points_m: FloatArray, turn: FloatArray, position_m: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Pixels (n, 2) of points (n, 3), and their Jacobian (2n, 6 + c): turn, position, the numbers."""
+        if self.model == "fisheye":
+            points = np.ascontiguousarray(points_m, dtype=np.float64).reshape(-1, 1, 3)
+            pixels, given = cv2.fisheye.projectPoints(
+                points, np.array(turn), np.array(position_m), self.matrix, self.distortion
+            )
+            # OpenCV's order: numbers, turn, position, skew
+            count = len(self.numbers)
+            jacobian = np.hstack((given[:, count : count + 6], given[:, :count]))
+        else:
+            pixels, jacobian = cv2.projectPoints(points_m, turn, position_m, self.matrix, self.distortion)
+        return np.asarray(pixels, dtype=np.float64).reshape(-1, 2), np.asarray(jacobian)
+
+    def rays(self, pixels: FloatArray) -> FloatArray:
+        """Ideal image coordinates (n, 2) of pixels (n, 2)."""
+        points = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
+        undo = cv2.fisheye.undistortPoints if self.model == "fisheye" else cv2.undistortPoints
+        return np.asarray(undo(points, self.matrix, self.distortion), dtype=np.float64).reshape(-1, 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,8 +367,8 @@ def seen_at(
 ) -> PosedView:
     """A view with its reprojection errors at a pose."""
     points = surface.of(view.points_m)
-    pixels, _ = cv2.projectPoints(points, turn, position_m, camera.matrix, camera.distortion)
-    return PosedView(view, turn, position_m, view.corners_px - np.asarray(pixels).reshape(-1, 2), weight)
+    pixels, _ = camera.project(points, turn, position_m)
+    return PosedView(view, turn, position_m, view.corners_px - pixels, weight)
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,7 +388,7 @@ class ViewEquations:
 def normal_equations(camera: Intrinsics, surface: Surface, seen: PosedView) -> ViewEquations:
     """A view's part of the normal equations, its pose eliminated."""
     points = surface.of(seen.view.points_m)
-    _, jacobian = cv2.projectPoints(points, seen.turn, seen.position_m, camera.matrix, camera.distortion)
+    _, jacobian = camera.project(points, seen.turn, seen.position_m)
     of_pose, of_camera = jacobian[:, :6], jacobian[:, 6 : 6 + len(camera.numbers)]
     # a point's motion on the board, rotated into camera axes
     rotation, _ = cv2.Rodrigues(seen.turn)
@@ -516,10 +598,9 @@ def projection_std_px(camera: Intrinsics, covariance: FloatArray) -> FloatArray:
     width, height = camera.size_px
     rows, columns = MAP_SHAPE
     grid = np.meshgrid(np.linspace(0.0, width - 1.0, columns), np.linspace(0.0, height - 1.0, rows))
-    pixels = np.stack(grid, axis=-1).reshape(-1, 1, 2)
-    rays = cv2.undistortPoints(pixels, camera.matrix, camera.distortion).reshape(-1, 2)
+    rays = camera.rays(np.stack(grid, axis=-1).reshape(-1, 2))
     points = np.column_stack((rays, np.ones(len(rays))))
-    _, jacobian = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, camera.distortion)
+    _, jacobian = camera.project(points, np.zeros(3), np.zeros(3))
     basis, _ = np.linalg.qr(jacobian[:, :3])
     of_camera = jacobian[:, 6 : 6 + len(camera.numbers)]
     free = of_camera - basis @ (basis.T @ of_camera)

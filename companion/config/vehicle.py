@@ -64,7 +64,8 @@ class CaptureConfig(StrictModel):
 class CameraConfig(CaptureConfig):
     """A calibrated camera, as `calibrate-camera` writes it (eqs. 2 and 3).
 
-    `distortion` has OpenCV's order: k1 k2 p1 p2 k3, and for the rational model k4 k5 k6 after them.
+    `distortion` has OpenCV's order: k1 k2 p1 p2 k3, and for the rational model k4 k5 k6 after them; of a
+    fisheye lens k1 k2 k3 k4 (Kannala and Brandt 2006, as OpenCV's fisheye module has it).
     `encoding` is how it makes grey values of light: sRGB's curve, in proportion (linear), or the light of
     evenly spaced grey values, from 0 (black) to 1 (full).
     """
@@ -79,8 +80,11 @@ class CameraConfig(CaptureConfig):
     """Principal point, from the left"""
     cy_px: float = Field(gt=0.0, lt=8192.0)
     """Principal point, from the top"""
+    projection: Literal["perspective", "fisheye"] = Field(default="perspective")
+    """Whether straight lines stay nearly straight (`perspective`), or the image grows with the angle
+    (`fisheye`), for lenses beyond 120° across"""
     distortion: tuple[float, ...]
-    """K1, k2, p1, p2, k3 (eq. 3), and for the rational model k4, k5, k6"""
+    """K1, k2, p1, p2, k3 (eq. 3), and for the rational model k4, k5, k6; of a fisheye k1, k2, k3, k4"""
     encoding: Literal["srgb", "linear"] | tuple[float, ...] = Field(default="srgb")
     """How the camera makes grey values of light: srgb, linear, or a table: the light (0 to 1) of evenly
     spaced grey values. `calibrate-camera` measures it; a wrong one moves every edge by up to 0.3 px"""
@@ -89,12 +93,16 @@ class CameraConfig(CaptureConfig):
     it; more for a camera whose contrast is automatic"""
     calibration: CameraCalibration | None = None
 
-    @field_validator("distortion")
-    @classmethod
-    def _of_a_known_model(cls, numbers: tuple[float, ...]) -> tuple[float, ...]:
-        if len(numbers) not in {5, 8}:
-            raise ValueError(f"expected 5 numbers (k1 k2 p1 p2 k3) or 8 (and k4 k5 k6), found {len(numbers)}")
-        return numbers
+    @model_validator(mode="after")
+    def _of_a_known_model(self) -> CameraConfig:
+        fisheye, count = self.projection == "fisheye", len(self.distortion)
+        if fisheye and count != 4:
+            raise ValueError(f"distortion: expected 4 numbers (k1 k2 k3 k4) of a fisheye, found {count}")
+        if not fisheye and count not in {5, 8}:
+            raise ValueError(
+                f"distortion: expected 5 numbers (k1 k2 p1 p2 k3) or 8 (and k4 k5 k6), found {count}"
+            )
+        return self
 
     @field_validator("encoding")
     @classmethod

@@ -16,6 +16,8 @@ from companion.config import CameraConfig
 NODE_PX: Final = 8
 # a ray this close to the horizon (sine of its angle) or above it shows ground far away
 HORIZON: Final = 0.02
+WIDEST_RAD: Final = 1.5
+TABLE: Final = 100_001  # places in the table of a fisheye: wrong by less than 1e-9
 Part = tuple[int, int, int, int]
 
 
@@ -25,12 +27,30 @@ def node_rays(camera: CameraConfig) -> FloatArray:
     u = NODE_PX * (np.arange(columns) - 1.0) + 0.5 * (NODE_PX - 1)
     v = NODE_PX * (np.arange(rows) - 1.0) + 0.5 * (NODE_PX - 1)
     pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 1, 2)
+    rays = np.ones((rows, columns, 3))
+    if camera.projection == "fisheye":
+        centre, focal = np.array([camera.cx_px, camera.cy_px]), np.array([camera.fx_px, camera.fy_px])
+        rays[..., :2] = _fisheye_rays((pixels[:, 0] - centre) / focal, camera.distortion).reshape(
+            rows, columns, 2
+        )
+        return rays
     matrix = np.array([[camera.fx_px, 0.0, camera.cx_px], [0.0, camera.fy_px, camera.cy_px], [0.0, 0.0, 1.0]])
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
     ideal = cv2.undistortPoints(pixels, matrix, np.array(camera.distortion), criteria=criteria)
-    rays = np.ones((rows, columns, 3))
     rays[..., :2] = ideal.reshape(rows, columns, 2)
     return rays
+
+
+def _fisheye_rays(places: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
+    """Rays (n, 2) of places (n, 2) in an image of focal length 1: by a table of the lens, angle to radius.
+
+    What is drawn farther out than at `WIDEST_RAD` shows what is there: nearly the horizon.
+    """
+    angles = np.linspace(0.0, WIDEST_RAD, TABLE)
+    terms = [angles ** (2 * power + 3) * k for power, k in enumerate(distortion)]
+    radius = np.linalg.norm(places, axis=1)
+    angle = np.interp(radius, angles + np.sum(terms, axis=0), angles)
+    return np.asarray(places * (np.tan(angle) / np.maximum(radius, 1e-12))[:, None])
 
 
 def pixels_of(nodes: FloatArray) -> NDArray[np.float32]:

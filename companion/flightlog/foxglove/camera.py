@@ -15,8 +15,8 @@ from companion.sense.vision.lens import Lens
 from companion.sense.vision.pipeline import body_from_camera
 
 JPEG_QUALITY: Final = 85
-# OpenCV's five coefficients, and its eight
-DISTORTION_MODELS: Final = {5: "plumb_bob", 8: "rational_polynomial"}
+# OpenCV's four coefficients of a fisheye, its five, and its eight
+DISTORTION_MODELS: Final = {4: "kannala_brandt", 5: "plumb_bob", 8: "rational_polynomial"}
 MARKER_COLOUR: Final = colour(0.18, 0.8, 0.44)
 PAD_COLOUR: Final = colour(0.95, 0.61, 0.07)
 LINE_PX: Final = 2.0

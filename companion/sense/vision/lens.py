@@ -23,6 +23,9 @@ USUAL_TANGENT: Final = 1.2
 WIDEST_TANGENT: Final = 4.0
 TANGENT_STEP: Final = 0.01
 NEAREST_M: Final = 0.02
+FISHEYE: Final = 4  # numbers of distortion
+NEAR_AXIS: Final = 1e-9
+SLOPE_STEP: Final = 1e-5
 # codes are read in light to this power. In light itself white blurs into black as far as black into white,
 # but a deep shadow is lost; in sRGB (0.45) white blurs so much farther that black cells of 3 px are
 LEGIBLE: Final = 0.8
@@ -31,14 +34,27 @@ LEGIBLE: Final = 0.8
 def radial_factor(distortion: Sequence[float], squared: FloatArray) -> FloatArray:
     """By how much the lens stretches rays whose ideal image coordinates have these squared lengths (eq. 3).
 
-    `distortion` is k1 k2 p1 p2 k3, and for the rational model k4 k5 k6.
+    `distortion` is k1 k2 p1 p2 k3, and for the rational model k4 k5 k6; of a fisheye k1 k2 k3 k4.
     """
+    if len(distortion) == FISHEYE:
+        tangent = np.sqrt(np.maximum(squared, NEAR_AXIS**2))
+        return fisheye_radius(distortion, np.arctan(tangent)) / tangent
     k1, k2, _, _, k3, *denominator = distortion
     factor = 1.0 + squared * (k1 + squared * (k2 + squared * k3))
     if denominator:
         k4, k5, k6 = denominator
         factor = factor / (1.0 + squared * (k4 + squared * (k5 + squared * k6)))
     return factor
+
+
+def fisheye_radius(distortion: Sequence[float], angle_rad: FloatArray) -> FloatArray:
+    """How far off the middle (in focal lengths) a fisheye draws what is seen at these angles to the axis.
+
+    t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8): Kannala and Brandt, IEEE PAMI 28 (2006), as OpenCV has it.
+    """
+    k1, k2, k3, k4 = distortion
+    t2 = angle_rad * angle_rad
+    return np.asarray(angle_rad * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))))
 
 
 class Lens:
@@ -60,6 +76,7 @@ class Lens:
         self._matrix = np.array(
             [[camera.fx_px, 0.0, camera.cx_px], [0.0, camera.fy_px, camera.cy_px], [0.0, 0.0, 1.0]]
         )
+        self.fisheye = camera.projection == "fisheye"
         self._distortion = np.array(camera.distortion)
         self._farthest = self._farthest_tangent()
         self._criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-9)
@@ -78,7 +95,12 @@ class Lens:
     def undistort(self, pixels: FloatArray) -> FloatArray:
         """Rays (n, 2) of pixels (n, 2)."""
         points = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
-        rays = cv2.undistortPoints(points, self._matrix, self._distortion, criteria=self._criteria)
+        if self.fisheye:
+            rays = cv2.fisheye.undistortPoints(
+                points, self._matrix, self._distortion, criteria=self._criteria
+            )
+        else:
+            rays = cv2.undistortPoints(points, self._matrix, self._distortion, criteria=self._criteria)
         return np.asarray(rays, dtype=np.float64).reshape(-1, 2)
 
     def project(self, points_camera_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -102,7 +124,15 @@ class Lens:
         cross = away[..., 0] * across[..., 1] - away[..., 1] * across[..., 0]
         return np.asarray(cross / np.maximum(np.sqrt((across**2).sum(axis=2)), 1.0))
 
+    def slopes(self, rays: FloatArray) -> FloatArray:
+        """How pixels move with rays (n, 2): (n, 2, 2), d pixel / d ray."""
+        steps = SLOPE_STEP * np.eye(2)
+        apart = [self._distort(rays + step) - self._distort(rays - step) for step in steps]
+        return np.asarray(np.stack(apart, axis=2) * self._scale[:, None] / (2.0 * SLOPE_STEP))
+
     def _distort(self, ideal: FloatArray) -> FloatArray:
+        if self.fisheye:
+            return ideal * radial_factor(self._distortion.tolist(), (ideal * ideal).sum(axis=1))[:, None]
         _, _, p1, p2, *_ = self._distortion.tolist()
         x, y = ideal[:, 0], ideal[:, 1]
         r2 = x * x + y * y

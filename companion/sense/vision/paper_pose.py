@@ -140,5 +140,8 @@ def _reprojection_px(
 ) -> FloatArray:
     """How far (n,) px the corners are from where the mean pose puts them."""
     points = np.concatenate([d.corners_pad_m for d in used]) @ rotation.T + position
-    away = lens.undistort(np.concatenate([d.corners_px for d in used])) - points[:, :2] / points[:, 2:]
+    pixels = np.concatenate([d.corners_px for d in used])
+    if lens.fisheye:
+        return np.asarray(np.linalg.norm(pixels - lens.project(points)[0], axis=1))
+    away = lens.undistort(pixels) - points[:, :2] / points[:, 2:]
     return np.asarray(np.hypot(away[:, 0], away[:, 1]) * lens.focal_px)

@@ -117,6 +117,7 @@ class _Problem:
     weight: FloatArray
     rate: FloatArray
     focal_px: float
+    slopes: FloatArray | None  # (n, 2, 2) d pixel / d ray, of a fisheye; else it is the focal length
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +196,7 @@ def fit_poses(
         if not fits:
             return None
         fit = fits[0]
-        errors_px = np.hypot(fit.misses[0], fit.misses[1]).reshape(-1, 4) * lens.focal_px
+        errors_px = _errors_px(problem, fit.misses).reshape(-1, 4)
         limits = [max(MAXIMUM_REPROJECTION_ERROR_PX, RELATIVE_ERROR * d.side_px) for d in candidates]
         excess = np.sqrt((errors_px**2).mean(axis=1)) / limits
         if excess.max() <= 1.0:
@@ -215,7 +216,13 @@ def _problem(
     pixels = np.concatenate([d.corners_px for d in detections])
     delay_s = (pixels[:, 1] - pixels[:, 1].mean()) * (lens.readout_s / lens.size_px[1])
     vibrating, rays = vibration(delay_s), lens.undistort(pixels)
-    shrunk = shrinking(rays, np.array([edge_std_px(d) for d in detections]) / lens.focal_px)
+    slopes = lens.slopes(rays) if lens.fisheye else None
+    shrunk_px = np.array([edge_std_px(d) for d in detections])
+    if slopes is None:
+        shrunk = shrinking(rays, shrunk_px / lens.focal_px)
+    else:
+        moved_px = shrinking(pixels, shrunk_px).reshape(2, -1).T[..., None]
+        shrunk = np.asarray(np.linalg.solve(slopes, moved_px)[..., 0].T.reshape(-1, 1), dtype=np.float64)
     speed = config.relative_speed_std_m_s
     climb = math.hypot(_climb_std_m_s(detections, lens, config), climb_m_s)
     spread = [speed, speed, climb] + [config.turn_rate_std_rad_s] * 3
@@ -225,21 +232,40 @@ def _problem(
         rays=rays,
         delay_s=delay_s,
         down=None if down_camera is None else np.array(down_camera),
-        whitening=_whitening(detections, rays, lens, config),
+        whitening=_whitening(detections, rays, slopes, lens, config),
         level_sigma=math.radians(config.tilt_std_deg),
         shared=np.concatenate((vibrating, shrunk), axis=1),
         weight=np.array(spread) ** -2,
         rate=np.array(rate_camera_rad_s),
         focal_px=lens.focal_px,
+        slopes=slopes,
     )
 
 
-def _whitening(detections: list[Detection], rays: FloatArray, lens: Lens, config: VisionConfig) -> FloatArray:
-    """By what each marker's sides, or its whole print, say of how its corners err."""
-    sigma = np.array([side_noise_px(d, config) for d in detections]) / lens.focal_px
+def _whitening(
+    detections: list[Detection],
+    rays: FloatArray,
+    slopes: FloatArray | None,
+    lens: Lens,
+    config: VisionConfig,
+) -> FloatArray:
+    """By what each marker's sides, or its whole print, say of how its corners err in the image."""
+    sigma = np.array([side_noise_px(d, config) for d in detections])
     covariances = [corner_covariance_px2(d, config) for d in detections]
-    scaled = [None if each is None else each / lens.focal_px**2 for each in covariances]
-    return whitening(rays, sigma, scaled)
+    if slopes is None:
+        scaled = [None if each is None else each / lens.focal_px**2 for each in covariances]
+        return whitening(rays, sigma / lens.focal_px, scaled)
+    n = len(rays)
+    white = whitening(np.concatenate([d.corners_px for d in detections]), sigma, covariances)
+    in_u, in_v = white[:, :n], white[:, n:]
+    return np.hstack([in_u * slopes[:, 0, k] + in_v * slopes[:, 1, k] for k in (0, 1)])
+
+
+def _errors_px(problem: _Problem, misses: FloatArray) -> FloatArray:
+    """The lengths (n,) in the image of misses (2, n) of the rays."""
+    if problem.slopes is None:
+        return np.asarray(np.hypot(misses[0], misses[1]) * problem.focal_px)
+    return np.asarray(np.linalg.norm(problem.slopes @ misses.T[..., None], axis=(1, 2)))
 
 
 def _climb_std_m_s(detections: list[Detection], lens: Lens, config: VisionConfig) -> float:

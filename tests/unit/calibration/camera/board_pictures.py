@@ -50,7 +50,13 @@ class BoardPainter:
     def project(self, points_m: FloatArray, pose: BoardPose) -> FloatArray:
         """Where points (n, 3) of the board are in the image (n, 2)."""
         bent = points_m + np.array((0.0, 0.0, 1.0)) * self._bow(points_m)[:, None]
-        pixels, _ = cv2.projectPoints(bent, pose.turn, pose.position_m, self.matrix, self.distortion)
+        if self.camera.projection == "fisheye":
+            seen = bent.reshape(-1, 1, 3)
+            pixels, _ = cv2.fisheye.projectPoints(
+                seen, pose.turn, pose.position_m, self.matrix, self.distortion
+            )
+        else:
+            pixels, _ = cv2.projectPoints(bent, pose.turn, pose.position_m, self.matrix, self.distortion)
         return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
 
     def take(
@@ -159,7 +165,8 @@ def _make_rays(camera: CameraConfig) -> NDArray[np.float32]:
     pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 1, 2)
     matrix = np.array([[camera.fx_px, 0, camera.cx_px], [0, camera.fy_px, camera.cy_px], [0, 0, 1.0]])
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
-    ideal = cv2.undistortPoints(pixels, matrix, np.array(camera.distortion), criteria=criteria)
+    undo = cv2.fisheye.undistortPoints if camera.projection == "fisheye" else cv2.undistortPoints
+    ideal = undo(pixels, matrix, np.array(camera.distortion), criteria=criteria)
     cell = MESH_PX * FINER
     mesh = np.asarray(ideal).reshape(rows, columns, 2).astype(np.float32)
     full = cv2.resize(mesh, (columns * cell, rows * cell), interpolation=cv2.INTER_LINEAR)
@@ -225,9 +232,12 @@ def hand_held_poses(
             camera.width_px,
             camera.height_px,
         )
-        at = distance_m * np.array(
-            ((x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px, 1.0)
-        )
+        right, down = (x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px
+        at = distance_m * np.array((right, down, 1.0))
+        if camera.projection == "fisheye":  # these are angles then; as near there as in the middle
+            angle = math.hypot(right, down)
+            across = math.sin(angle) / angle
+            at = distance_m * np.array((right * across, down * across, math.cos(angle)))
         axis, tilt = (
             rng.uniform(0.0, 2.0 * math.pi),
             math.radians(tilt_deg) * math.sqrt(rng.uniform(0.02, 1.0)),

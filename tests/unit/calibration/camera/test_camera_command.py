@@ -229,7 +229,7 @@ async def test_live_images_of_another_size_are_reported(
             "--output nowhere/x.yaml: expected a file in an existing folder",
         ),
         (("{photos}", "--keep", "{photos}"), "holds files already"),
-        (("{photos}", "--model", "fisheye"), "'fisheye' is not one of 'brown', 'rational'"),
+        (("{photos}", "--model", "fish"), "'fish' is not one of 'brown', 'rational', 'fisheye'"),
         (("--make-board", "x.pdf", "--square-mm", "60", "--marker-mm", "40"), "does not fit"),
     ],
 )

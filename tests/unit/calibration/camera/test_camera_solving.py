@@ -258,3 +258,14 @@ def test_hints_name_what_is_missing_until_nothing_is() -> None:
     assert coverage.complete
     assert coverage.hints() == []
     assert coverage.share == 1.0
+
+
+def test_a_fisheye_comes_out_as_surely_as_it_is_stated() -> None:
+    camera = load_model(CameraConfig, find_file("cameras", "fisheye_800x600"))
+    found = assess(views_of(4, camera=camera, tilt_deg=35.0), (800, 600), BOARD.surface, "fisheye")
+    errors = found.solution.camera.numbers - numbers_of(camera)
+    assert found.reasons == ()
+    assert abs(errors[0]) < 0.002 * camera.fx_px
+    assert np.abs(errors / found.uncertainty.std).max() < 4.0
+    # with five numbers no camera fits, and it is said
+    assert assess(views_of(4, camera=camera, tilt_deg=35.0), (800, 600), BOARD.surface, "brown").reasons
