@@ -31,7 +31,7 @@ from companion.base.geometry import (
 )
 from companion.base.messages import Frame, PadPrior
 from companion.config import CameraConfig, VehicleConfig, VisionConfig, find_file, load_model
-from companion.pad import DICTIONARIES, Marker, Pad
+from companion.pad import Marker, Pad
 from companion.sense.vision.pipeline import Vision
 from companion.tools.pads.coverage import Optics, RecallModel
 from sitl.camera.camera import CameraModel, ScenePose
@@ -40,6 +40,7 @@ from sitl.camera.exposure import ImagingSettings
 mpl.use("Agg")
 
 SIDE_M: Final = 0.12
+FAMILIES: Final = ("4x4_50", "5x5_50", "6x6_50")
 IDS: Final = (3, 17)
 LENS_BLURS_PX: Final = (0.45, 1.0, 2.0, 4.0)
 CELL_PX: Final = (1.4, 25.0)
@@ -80,7 +81,7 @@ def look(camera_name: str, frames: int, seed: int) -> Looks:
     rng = np.random.default_rng(seed)
     rows = [
         row
-        for name in DICTIONARIES
+        for name in FAMILIES
         for identity in IDS
         for lens_px in LENS_BLURS_PX
         for row in _look_at(

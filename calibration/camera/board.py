@@ -24,13 +24,7 @@ from companion.base.geometry import FloatArray
 from companion.base.printing.page import RULER_MM, Page, Rectangle, code_rectangles, save
 from companion.base.printing.paper import FOOT_MM, MARGIN_MM, PAPERS_MM, PaperName
 from companion.config import ConfigError, StrictModel
-
-# OpenCV has some names twice, in capitals and not
-DICTIONARIES: Final = {
-    name.removeprefix("DICT_").lower(): int(getattr(cv2.aruco, name))
-    for name in dir(cv2.aruco)
-    if name.startswith("DICT_")
-}
+from companion.pad import DICTIONARIES
 
 
 class Codes(StrictModel):

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from calibration.camera.board import DICTIONARIES, CalibrationBoard
+from calibration.camera.board import CalibrationBoard
 from calibration.camera.views import BoardFinder
+from companion.pad import DICTIONARIES
 
 # looking for many boards in large photos takes minutes; to tell them apart, this width is enough
 ENOUGH_WIDTH_PX: Final = 1000

@@ -5,7 +5,16 @@ Loading a pad checks it: what cannot be printed, or could not be distinguished f
 """
 
 from companion.pad.layout import Pad, checked, load_pad
-from companion.pad.marker import DICTIONARIES, DictionaryName, Marker
+from companion.pad.marker import DICTIONARIES, ERROR_CORRECTION_RATE, Marker, dictionary_named
 from companion.pad.sheet import Sheet
 
-__all__ = ["DICTIONARIES", "DictionaryName", "Marker", "Pad", "Sheet", "checked", "load_pad"]
+__all__ = [
+    "DICTIONARIES",
+    "ERROR_CORRECTION_RATE",
+    "Marker",
+    "Pad",
+    "Sheet",
+    "checked",
+    "dictionary_named",
+    "load_pad",
+]

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from companion.base.geometry import FloatArray
 from companion.config import ConfigError, StrictModel, find_file, load_model
-from companion.pad.marker import Marker
+from companion.pad.marker import Marker, dictionary_named
 from companion.pad.rules import extent, impossible, unfit
 from companion.pad.sheet import Sheet, Tiling, tile
 
@@ -27,6 +31,23 @@ class Pad(StrictModel):
     markers: tuple[Marker, ...] = Field(min_length=1)
     """List of the markers"""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _grouped_by_size(cls, data: Any) -> Any:
+        """Markers without a group get one by their size: nearest to the largest, the smallest or between."""
+        given = data.get("markers") if isinstance(data, dict) else None
+        if not isinstance(given, (list, tuple)) or not given or not all(isinstance(m, dict) for m in given):
+            return data
+        sides = [m.get("side_m") for m in given]
+        if not all(isinstance(side, (int, float)) and side > 0.0 for side in sides):
+            return data  # which is told of where it stands
+        steps = np.unique(np.log(np.array(sides, dtype=float)))
+        least, span = float(steps[0]), float(steps[-1] - steps[0])
+        shares = [1.0 if span == 0.0 else (math.log(side) - least) / span for side in sides]
+        groups = ["F" if share > 2.0 / 3.0 else "M" if share > 1.0 / 3.0 else "C" for share in shares]
+        marked = [{"group": group, **m} for group, m in zip(groups, given, strict=True)]
+        return {**data, "markers": marked}
+
     @model_validator(mode="after")
     def _can_be(self) -> Pad:
         wrong = impossible(self)
@@ -38,6 +59,15 @@ class Pad(StrictModel):
         """The board's corners (4, 3) in pad axes (m), from the front left clockwise seen from above."""
         x, y = 0.5 * self.length_m, 0.5 * self.width_m
         return np.array([(x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0), (-x, -y, 0.0)])
+
+    def printed(self, marker: Marker) -> NDArray[np.uint8]:
+        """A marker's cells as OpenCV draws them (0 or 255), white where another one is nested in it."""
+        dictionary = dictionary_named(marker.dictionary)
+        image = np.array(cv2.aruco.generateImageMarker(dictionary, marker.id, marker.cells), dtype=np.uint8)
+        for other in self.markers:
+            if other.side_m < marker.side_m and (under := marker.cells_under(other)) is not None:
+                image[under] = 255
+        return image
 
     def tiling(self) -> Tiling:
         """Where the board is cut into sheets.

@@ -3,11 +3,16 @@
 Markers are squares in the pad's plane, turned by their yaw; lengths in metres, in messages millimetres.
 """
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import combinations
 from typing import Final, Protocol
 
-from companion.pad.marker import Corners, Marker
+import cv2
+import numpy as np
+
+from companion.base.geometry import FloatArray
+from companion.pad.marker import ERROR_CORRECTION_RATE, Corners, Marker, dictionary_named
 from companion.pad.sheet import EXACT_M, Interval, Sheet, tile
 
 # of a cell: single markers on dark ground were read as well with 0.67 of a cell of white around them as with
@@ -16,6 +21,9 @@ LEAST_QUIET_CELLS: Final = 0.66
 # an edge is printed up to half a dot off: with 8 dots that is a sixteenth of a cell
 LEAST_DOTS: Final = 8.0
 MOST_NAMED: Final = 4
+# of a cell's side, by which vision reads it; places across that
+MIDDLE_SHARE: Final = 0.6
+MIDDLES: Final = 8
 
 
 class Layout(Protocol):
@@ -33,7 +41,7 @@ class Layout(Protocol):
 
 def impossible(pad: Layout) -> str | None:
     """Why there can be no such pad, naming the markers; None when there can."""
-    return _first((_repeated, _over_the_edge, _overlapping), pad)
+    return _first((_repeated, _over_the_edge, _overlapping, _illegible), pad)
 
 
 def unfit(pad: Layout) -> str | None:
@@ -69,9 +77,49 @@ def _over_the_edge(pad: Layout) -> str | None:
 
 
 def _overlapping(pad: Layout) -> str | None:
-    pairs = ((a, b) for a, b in combinations(pad.markers, 2) if _may_meet(a, b, 0.0))
+    pairs = ((a, b) for a, b in combinations(pad.markers, 2) if _may_meet(a, b, 0.0) and not _nested(a, b))
     found = _named(f"{a.name} and {b.name}" for a, b in pairs if overlap(a.square_pad_m(), b.square_pad_m()))
     return found and f"markers overlap: {found}"
+
+
+def _nested(a: Marker, b: Marker) -> bool:
+    """Whether one of the two lies within the other's code."""
+    return a.cells_under(b) is not None or b.cells_under(a) is not None
+
+
+def _illegible(pad: Layout) -> str | None:
+    """What lies within a code may change no more of its cells than are corrected.
+
+    They become white, but those whose middle the other's black square fills to more than a half: these are
+    read by luck.
+    """
+    found = []
+    for marker in pad.markers:
+        dictionary = dictionary_named(marker.dictionary)
+        code = np.asarray(cv2.aruco.generateImageMarker(dictionary, marker.id, marker.cells)) < 128
+        changed = np.zeros_like(code)
+        for other in pad.markers:
+            under = marker.cells_under(other) if other is not marker else None
+            if under is not None:
+                changed[under] |= code[under] | (_filled(marker, other)[under] > 0.5)
+        most = int(ERROR_CORRECTION_RATE * dictionary.maxCorrectionBits)
+        if (lost := int(changed.sum())) > most:
+            found.append(f"{marker.name} ({lost}; expected {most} or fewer)")
+    named = _named(found)
+    return named and f"markers within another's code change too many of its cells: {named}"
+
+
+def _filled(marker: Marker, other: Marker) -> FloatArray:
+    """How much of the middle of each cell (n, n) another marker's square fills."""
+    (x0, y0), (x1, y1), _, (x3, y3) = marker.square_pad_m()
+    share = (np.arange(MIDDLES * marker.cells) % MIDDLES + 0.5) / MIDDLES * MIDDLE_SHARE
+    share = (share + 0.5 * (1.0 - MIDDLE_SHARE) + np.arange(len(share)) // MIDDLES) / marker.cells
+    down, right = share[:, None, None], share[None, :, None]
+    places = np.array((x0, y0)) + right * (x1 - x0, y1 - y0) + down * (x3 - x0, y3 - y0)
+    yaw = math.radians(other.yaw_deg)
+    away = (places - other.position_pad_m) @ ((math.cos(yaw), -math.sin(yaw)), (math.sin(yaw), math.cos(yaw)))
+    inside = (np.abs(away) < 0.5 * other.side_m).all(axis=2)
+    return np.asarray(inside.reshape(marker.cells, MIDDLES, -1, MIDDLES).mean(axis=(1, 3)))
 
 
 def _without_quiet_zone(pad: Layout) -> str | None:
@@ -96,7 +144,7 @@ def _quiet_zone_cut_into(pad: Layout) -> str | None:
     cut = _named(
         f"{a.name} ({_mm(a.quiet_m)}) by {b.name}"
         for pair in combinations(pad.markers, 2)
-        if _may_meet(*pair, max(m.quiet_m for m in pair))
+        if _may_meet(*pair, max(m.quiet_m for m in pair)) and not _nested(*pair)
         for a, b in (pair, pair[::-1])
         if overlap(a.square_pad_m(a.quiet_m), b.square_pad_m())
     )

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.base.geometry import FloatArray
-from companion.pad import DICTIONARIES, Marker, Pad
+from companion.pad import Marker, Pad, dictionary_named
 
 GreyImage = NDArray[np.uint8]
 
@@ -65,8 +65,12 @@ def pad_texture(pad: Pad) -> Texture:
 @lru_cache(maxsize=4)
 def other_ids_texture(pad: Pad) -> Texture:
     """The board of another pad: the same layout, other markers."""
-    others = tuple(marker.model_copy(update={"id": (marker.id + 25) % 50}) for marker in pad.markers)
-    return pad_texture(pad.model_copy(update={"markers": others}))
+    return pad_texture(pad.model_copy(update={"markers": tuple(map(_with_another_id, pad.markers))}))
+
+
+def _with_another_id(marker: Marker) -> Marker:
+    count = len(dictionary_named(marker.dictionary).bytesList)
+    return marker.model_copy(update={"id": (marker.id + count // 2) % count})
 
 
 @lru_cache(maxsize=4)
@@ -128,12 +132,15 @@ def _paint_pad(pad: Pad, texels_per_m: float) -> GreyImage:
     dot_m = pad.sheet.dot_m
     ink_m = float(rng.uniform(-0.5, 0.5)) * dot_m
     for marker in pad.markers:
-        _paint_marker(canvas, plane, marker, ink_m + rng.uniform(-0.5, 0.5, 4) * dot_m)
+        edges_m = ink_m + rng.uniform(-0.5, 0.5, 4) * dot_m
+        _paint_marker(canvas, plane, marker, pad.printed(marker), edges_m)
     return canvas
 
 
-def _paint_marker(canvas: GreyImage, plane: TextureLevel, marker: Marker, outwards_m: FloatArray) -> None:
-    """Lay one code on the board, its edges where the printer puts them to a fraction of a texel.
+def _paint_marker(
+    canvas: GreyImage, plane: TextureLevel, marker: Marker, code: GreyImage, outwards_m: FloatArray
+) -> None:
+    """Lay one code (n, n) on the board, its edges where the printer puts them to a fraction of a texel.
 
     That is so far outwards (4,) of where the pad's data put them: top, right, bottom and left. An edge is up
     to half a dot off, and the ink runs on all edges alike.
@@ -141,10 +148,10 @@ def _paint_marker(canvas: GreyImage, plane: TextureLevel, marker: Marker, outwar
     The code is drawn a little finer than the board and sampled bilinearly: the ramp of each edge is then
     centred on the true edge, whatever fraction of a texel or angle it lies at.
     """
-    dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[marker.dictionary])
-    cells = dictionary.markerSize + 2
+    cells = len(code)
     per_cell = math.ceil(marker.side_m / cells * plane.texels_per_m)
-    code = cv2.aruco.generateImageMarker(dictionary, marker.id, cells)
+    if marker.dictionary.startswith("apriltag"):
+        code = np.rot90(code, 2)  # AprilRobotics' own picture of a tag, against OpenCV's
     print_ = np.where(code > 127, PAD_WHITE, PAD_BLACK).astype(np.uint8)
     print_ = np.pad(print_, 1, constant_values=PAD_WHITE).repeat(per_cell, axis=0).repeat(per_cell, axis=1)
     bounds = (

@@ -11,6 +11,7 @@ from typing import Any, Final, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.base.files import write_atomically
 from companion.base.printing.paper import MM_PER_INCH
@@ -87,14 +88,18 @@ class Page:
 
 
 def code_rectangles(dictionary: cv2.aruco.Dictionary, identity: int) -> list[Rectangle]:
-    """A marker's black cells as (left, top, right, bottom), y down, the marker being 1 wide.
+    """A marker's black cells: see `black_rectangles`."""
+    cells = dictionary.markerSize + 2
+    return black_rectangles(np.asarray(cv2.aruco.generateImageMarker(dictionary, identity, cells)))
+
+
+def black_rectangles(image: NDArray[np.generic]) -> list[Rectangle]:
+    """What is black of a marker's cells (n, n), as (left, top, right, bottom), y down; the marker is 1 wide.
 
     Neighbours in a row are one; none overlap.
     """
-    cells = dictionary.markerSize + 2
-    image = cv2.aruco.generateImageMarker(dictionary, identity, cells)
-    found = []
-    for row, line in enumerate(np.asarray(image) < 128):
+    cells, found = len(image), list[Rectangle]()
+    for row, line in enumerate(np.asarray(image, dtype=float) < 128.0):
         edges = np.flatnonzero(np.diff(np.pad(line.astype(int), 1)))
         found += [
             (a / cells, row / cells, b / cells, (row + 1) / cells) for a, b in edges.reshape(-1, 2).tolist()

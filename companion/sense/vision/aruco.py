@@ -23,14 +23,13 @@ from numpy.typing import NDArray
 from companion.base.geometry import FloatArray
 from companion.base.messages import MarkerGroup
 from companion.config import VisionConfig
-from companion.pad import DICTIONARIES, Marker, Pad
+from companion.pad import ERROR_CORRECTION_RATE, Marker, Pad, dictionary_named
 from companion.sense.vision.corners import ENCODED, refine_quads
 from companion.sense.vision.edges import PROPORTIONAL
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.print_fit import fit_prints
 
 GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
-ERROR_CORRECTION_RATE: Final = 0.5
 THRESHOLD_WINDOW_PX: Final = 11
 # a cell is told by its middle, where its neighbours' blur reaches least: of so many places across it by all
 # but the outermost. Those are an odd number: a cell whose edges show its neighbours is never half white
@@ -148,7 +147,7 @@ class PadDetector:
         if made is None:
             markers = tuple(m for m in self._pad.markers if m.group in groups)
             names = sorted({m.dictionary for m in markers})
-            dictionaries = [cv2.aruco.getPredefinedDictionary(DICTIONARIES[name]) for name in names]
+            dictionaries = [dictionary_named(name) for name in names]
             reader = CodeReader(dictionaries, [(names.index(m.dictionary), m.id) for m in markers])
             corners_m = np.array([m.corners_pad_m() for m in markers])
             made = self._readers[groups] = (markers, corners_m, reader)

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.base.geometry import FloatArray
-from companion.pad import DICTIONARIES, Marker
+from companion.pad import Marker, dictionary_named
 from companion.sense.vision.edges import FULL_GREY
 
 FloatImage = NDArray[np.float32]
@@ -137,7 +137,7 @@ def fit_prints(
 
 def white_cells(marker: Marker) -> FloatArray:
     """A marker's code, a row of the white around it included: 0 black, 1 white, (cells + 2, cells + 2)."""
-    dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[marker.dictionary])
+    dictionary = dictionary_named(marker.dictionary)
     code = cv2.aruco.generateImageMarker(dictionary, marker.id, marker.cells)
     return np.pad(code.astype(np.float64) / 255.0, 1, constant_values=1.0)
 

@@ -11,22 +11,28 @@ from companion.base.printing.paper import PaperName
 
 HELP: Final = """Check a pad, print it at its true size, or predict how well a camera sees it.
 
-PAD is a name in configs/pads or a .yaml file; else the shipped moving_1300. What cannot be printed, or not be
-read from the air, is refused in one line that names the markers.
+PAD is a name in configs/pads or a .yaml file; else the shipped moving_1300; or 'single', one marker alone,
+whose .yaml file -o writes beside the print. What cannot be printed, or not be read from the air, is refused
+in one line that names the markers.
 
 \b
 companion pad mine.yaml
 companion pad mine.yaml -o mine.pdf
 companion pad mine.yaml --paper a3 -o mine.pdf
 companion pad mine.yaml --coverage --camera hd_1280x720 -o coverage.png
+companion pad single --family apriltag_36h11 --id 0 --size 0.4 -o tag.pdf
 """
+SINGLE: Final = "single"
 
 
 def pad_command(
     pad: Annotated[str, typer.Argument(metavar="PAD", show_default=False)] = "moving_1300",
     *,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Print here: .pdf, .svg or .png.", metavar="FILE")
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="Print here: .pdf, .svg or .png; single: or .yaml alone.", metavar="FILE"
+        ),
     ] = None,
     paper: Annotated[
         Literal[PaperName, "large"] | None,
@@ -51,6 +57,13 @@ def pad_command(
     speed: Annotated[
         float | None, typer.Option("--speed", help="Across the pad (m/s), which blurs.", min=0.0)
     ] = None,
+    family: Annotated[
+        str | None, typer.Option("--family", help="single: 4x4_50, ... Default: apriltag_36h11.")
+    ] = None,
+    number: Annotated[int | None, typer.Option("--id", help="single: its id. Default: 0.", min=0)] = None,
+    size: Annotated[
+        float | None, typer.Option("--size", help="single: side of its black square (m). Default: 0.4.")
+    ] = None,
 ) -> None:
     """Check, print or judge.
 
@@ -61,9 +74,14 @@ def pad_command(
     given = {name: value for name, value in spread.items() if value is not None}
     if not coverage and (given or camera is not None):
         raise ConfigError("--camera, --offset, --tilt and --speed: expected with --coverage")
-    find_file("pads", pad)
+    chosen = {"dictionary": family, "id": number, "side_m": size}
+    alone = {name: value for name, value in chosen.items() if value is not None}
+    if pad != SINGLE:
+        if alone:
+            raise ConfigError("--family, --id and --size: expected with single")
+        find_file("pads", pad)
     if camera is not None:
         find_file("cameras", camera)
     from companion.tools.pads.run import PadOptions, run_pad  # noqa: PLC0415 - see above
 
-    run_pad(pad, PadOptions(output, paper, coverage, camera, given))
+    run_pad(pad, PadOptions(output, paper, coverage, camera, given, alone if pad == SINGLE else None))

@@ -14,11 +14,9 @@ from dataclasses import dataclass
 from itertools import pairwise, product
 from typing import Final
 
-import cv2
-
-from companion.base.printing.page import RULER_MM, Page, Point, Rectangle, code_rectangles
+from companion.base.printing.page import RULER_MM, Page, Point, Rectangle, black_rectangles
 from companion.base.printing.paper import FOOT_MM, PAPERS_MM
-from companion.pad import DICTIONARIES, Marker, Pad
+from companion.pad import Marker, Pad
 from companion.pad.marker import Corners
 from companion.pad.rules import extent, overlap
 from companion.pad.sheet import Tiling
@@ -184,7 +182,7 @@ def draw_pad(pad: Pad) -> list[Page]:
     tiling = pad.tiling()
     sheets = tiles(pad, tiling)
     labels, unlabelled = place_labels(pad, tiling)
-    black = [corners for marker in pad.markers for corners in black_cells(marker)]
+    black = [corners for marker in pad.markers for corners in black_cells(pad, marker)]
     pages = []
     for sheet in sheets:
         page = Page(*(1e3 * side for side in tiling.page_m))
@@ -195,18 +193,17 @@ def draw_pad(pad: Pad) -> list[Page]:
     return [*pages, _plan(pad, tiling, sheets)] if len(sheets) > 1 else pages
 
 
-def black_cells(marker: Marker) -> list[list[tuple[float, float]]]:
+def black_cells(pad: Pad, marker: Marker) -> list[list[tuple[float, float]]]:
     """The black of a marker as rectangles, corners (x, y) in the pad frame (m)."""
     (x0, y0), (x1, y1), _, (x3, y3) = marker.square_pad_m()
     # from the top left corner to the right, and down the code
     right, down = (x1 - x0, y1 - y0), (x3 - x0, y3 - y0)
-    dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[marker.dictionary])
     return [
         [
             (x0 + u * right[0] + v * down[0], y0 + u * right[1] + v * down[1])
             for u, v in ((left, top), (end, top), (end, bottom), (left, bottom))
         ]
-        for left, top, end, bottom in code_rectangles(dictionary, marker.id)
+        for left, top, end, bottom in black_rectangles(pad.printed(marker))
     ]
 
 

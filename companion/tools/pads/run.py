@@ -8,16 +8,17 @@ from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
+import yaml
 from rich.console import Console
 from rich.table import Table
 
-from companion.base.files import save_figure
+from companion.base.files import YAML_SUFFIXES, save_figure, write_atomically
 from companion.base.geometry import FloatArray
 from companion.base.messages import MarkerGroup
 from companion.base.printing.page import ENDINGS, png_dpi, save
 from companion.base.printing.paper import PaperName
 from companion.config import CameraConfig, ConfigError, find_file, load_model, validate
-from companion.pad import Pad, Sheet, checked, load_pad
+from companion.pad import Marker, Pad, Sheet, checked, load_pad
 from companion.pad.colours import GROUP_COLOURS
 from companion.sense.vision.aruco import GROUPS
 from companion.sense.vision.opencv import prepare_opencv
@@ -126,6 +127,7 @@ class PadOptions:
     coverage: bool
     camera: str | None
     spread: Mapping[str, float]
+    single: Mapping[str, object] | None = None  # the marker of a pad that has but one; None: a pad's file
 
 
 def run_pad(pad: str, options: PadOptions) -> None:
@@ -136,7 +138,7 @@ def run_pad(pad: str, options: PadOptions) -> None:
     """
     prepare_opencv()
     console = Console()
-    made = load_pad(pad)
+    made = load_pad(pad) if options.single is None else single_pad(options.single)
     if options.paper is not None:
         made = on_paper(made, options.paper, pad)
     _say(console, *summary(made))
@@ -144,7 +146,31 @@ def run_pad(pad: str, options: PadOptions) -> None:
         spread = replace(HOVER, **options.spread)
         _judge(made, options.camera or DEFAULT_CAMERA, spread, options.output, console)
     elif options.output is not None:
-        _print(made, options.output, console)
+        if options.single is not None:
+            _write_file(made, options.output.with_suffix(".yaml"), console)
+        if options.single is None or options.output.suffix.lower() not in YAML_SUFFIXES:
+            _print(made, options.output, console)
+
+
+def single_pad(marker: Mapping[str, object]) -> Pad:
+    """One marker in the middle of a board that is as large as its white needs.
+
+    Raises:
+        ConfigError: no such marker, or it cannot be printed.
+    """
+    given = {"dictionary": "apriltag_36h11", "id": 0, "side_m": 0.4, "position_pad_m": (0.0, 0.0), **marker}
+    one = validate(Marker, given, "single")
+    board_m = math.ceil(1e3 * (one.side_m + 2.0 * one.quiet_m) - 1e-6) / 1e3
+    name = f"{one.dictionary}_{one.id}_{1e3 * one.side_m:.0f}"
+    data = {"name": name, "width_m": board_m, "length_m": board_m, "markers": [given]}
+    return checked(validate(Pad, data, "single"), "single")
+
+
+def _write_file(pad: Pad, path: Path, console: Console) -> None:
+    """The pad as the settings name it."""
+    body = yaml.safe_dump(pad.model_dump(mode="json", exclude_defaults=True), sort_keys=False)
+    write_atomically(path, f"# Written by companion pad single\n{body}")
+    _say(console, f"{path}: name it in the settings: pad: {path}")
 
 
 def on_paper(pad: Pad, paper: Literal[PaperName, "large"], source: str) -> Pad:

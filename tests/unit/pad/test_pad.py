@@ -50,7 +50,7 @@ def test_a_turned_marker_turns_clockwise(yaw_deg: float, top_left: tuple[float, 
             "  - {dictionary: 4x4_50, id: 0, side_m: 0.3, position_pad_m: [0.4, 0], group: F}",
             "over the board's edge",
         ),
-        ("  - {dictionary: 7x7_50, id: 0, side_m: 0.1, position_pad_m: [0, 0], group: F}", "4x4_50"),
+        ("  - {dictionary: 9x9_50, id: 0, side_m: 0.1, position_pad_m: [0, 0], group: F}", "4x4_50"),
         (
             "  - {dictionary: 4x4_50, id: 0, side_m: 0.1, position_pad_m: [0, 0], group: F, colour: red}",
             "colour",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from companion.base.geometry import Quaternion, Vector3, quat_from_euler
 from companion.base.messages import Frame, MarkerGroup
 from companion.config import CameraConfig, VisionConfig
-from companion.pad import DICTIONARIES, DictionaryName, Marker, Pad
+from companion.pad import DICTIONARIES, Marker, Pad
 from companion.sense.vision import aruco
 from companion.sense.vision.aruco import (
     GROUPS,
@@ -29,7 +29,7 @@ LEVEL = quat_from_euler(0.0, 0.0, 0.3)
 WHOLE = SearchPass(0, 0, 640, 480, 1, GROUPS)
 
 
-def drawn(codes: list[tuple[DictionaryName, int, int, int]], side: int = 96) -> NDArray[np.uint8]:
+def drawn(codes: list[tuple[str, int, int, int]], side: int = 96) -> NDArray[np.uint8]:
     """A white image with codes (dictionary, id, left, top)."""
     image = np.full((480, 640), 230, np.uint8)
     for name, identity, left, top in codes:
