@@ -22,7 +22,7 @@ from companion.base.messages import ImuSample
 from companion.base.motion import Motion
 from companion.control import controller
 from companion.control.tracker import Tracker, make_tracker
-from companion.control.tracking import Target, TrackingSolution
+from companion.control.tracking import SolveOutcome, Target, TrackingSolution
 from companion.estimate.estimator import StateEstimator
 from sitl.faults.targets import ComputerFaults
 
@@ -44,7 +44,7 @@ class FaultyTracker:
             return found
         if self._faults.solver == "nan":
             return replace(found, inputs_m_s2=np.full_like(found.inputs_m_s2, math.nan))
-        return replace(found, solved=False, late=self._faults.solver == "late")
+        return replace(found, outcome=SolveOutcome.KEPT, late=self._faults.solver == "late")
 
     def reset(self) -> None:
         """As the tracker's."""

@@ -517,10 +517,6 @@ class LandingTargetPose:
     position_ned_m: Vector3 | None = None
 
 
-# a wind that takes more than the bounds allow is a gust, or it carries the vehicle away
-LONGEST_CUT_S: Final = 2.0
-
-
 @dataclass(frozen=True, slots=True)
 class ControlReport:
     """How a setpoint came about: for the log and the status line.
@@ -530,8 +526,8 @@ class ControlReport:
     weight, as learnt by then; while not `obeyed`, the autopilot receives setpoints without following them.
     `blind`: for want of IMU samples it flew on by its last motion or the pad's. `cut_s`: for how long in a
     row what was flown is the optimum without constraints, cut to the inputs' bounds. `cycle_late_s` is how
-    much later than due the cycle began: the event loop's delay. `fault`: why it was stopped, where that is
-    not for want of a plan. `short_of`: what the wind has taken all of for a while ("thrust", "tilt").
+    much later than due the cycle began: the event loop's delay. `failure`: why no plan is flown; "" while
+    one is. `short_of`: what the wind has taken all of for a while ("thrust", "tilt").
     """
 
     time_s: float
@@ -550,14 +546,8 @@ class ControlReport:
     blind: bool = False
     cycle_late_s: float = 0.0
     cut_s: float = 0.0
-    fault: str = ""
+    failure: str = ""
     short_of: str = ""
-
-    @property
-    def failure(self) -> str:
-        """Why no plan was flown (a stop, what the last gate made of no number, cut ones for long), or ""."""
-        failed = self.stopped or "not_finite" in self.limited or self.cut_s >= LONGEST_CUT_S
-        return self.fault or ("the controller finds no plan to fly" if failed else "")
 
 
 # ---------------------------------------------------------------- link

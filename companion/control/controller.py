@@ -47,6 +47,7 @@ from companion.control.setpoints import (
     tilt_compensation,
     velocity_setpoint,
 )
+from companion.control.solver_health import SolverHealth
 from companion.control.thrust_guard import ThrustGuard
 from companion.control.tracker import make_tracker
 from companion.control.tracking import Target, TrackingSolution, needed_inputs
@@ -60,10 +61,6 @@ RESTART_AFTER_S = 0.5
 LONGEST_PREDICTION_S = 0.4
 # without the IMU for longer it flies on as it did, or with the pad that it sinks onto
 BLIND_S = 0.1
-# after so many solves in a row without a solution the old plan is worth nothing
-FAILURES_TO_STOP = 10
-# a gust is over before; a wind that takes all of the thrust or tilt for longer carries the vehicle away
-SHORT_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,9 +78,9 @@ class _Start:
 class Controller:
     """Tracks the plan's reference.
 
-    When a solve fails, the last plan is flown on, through the gate of limits as all else; after
-    `FAILURES_TO_STOP` in a row, or when there is no last plan, the vehicle is stopped and each step begins
-    anew: whatever was learnt or kept may be what went wrong.
+    When a solve fails, the last plan is flown on, through the gate of limits as all else; after so many in a
+    row, or when there is no last plan, the vehicle is stopped (`SolverHealth`) and each step begins anew:
+    whatever was learnt or kept may be what went wrong.
     """
 
     def __init__(
@@ -121,7 +118,7 @@ class Controller:
         self._stepped_s: float | None = None
         self._asked_down_m_s2: float | None = None  # while thrust is taken away beside it
         self._flying = self._given_up = False
-        self._failures, self._cuts, self._short = FAILURES_TO_STOP, 0, 0
+        self._health = SolverHealth(config.rate_hz)
 
     def step(
         self,
@@ -184,7 +181,7 @@ class Controller:
         self._plant.begin(vehicle)
         self._tracker.reset()
         self._feedforward.reset()
-        self._failures, self._cuts, self._short = FAILURES_TO_STOP, 0, 0
+        self._health.begin()
         self._flying = True
 
     def _wait_for_imu(
@@ -258,9 +255,7 @@ class Controller:
         # what is taken away for the feet to carry is none of the tracker's changes: it comes back at once
         self._asked_down_m_s2 = float(solution.inputs_m_s2[0, 2]) if plan.unloading > 0.0 else None
         solve_s = self._stopwatch() - began_s
-        self._failures = 0 if solution.solved or solution.cut else self._failures + 1
-        self._cuts = self._cuts + 1 if solution.cut else 0
-        self._short = self._short + 1 if solution.short_of else 0
+        self._health.note(solution)
         if learns:
             self._learn(start, target, disturbance, solution)
         setpoint = _seen(self._setpoint(start.motion, solution, now_s), reference, pad)
@@ -281,9 +276,9 @@ class Controller:
             late=solution.late,
             stopped=self._stopped,
             hover_thrust=self._plant.hover_thrust,
-            cut_s=self._cuts / self._config.rate_hz,
-            fault=self.thrust.fault,
-            short_of=solution.short_of if self._short / self._config.rate_hz >= SHORT_S else "",
+            cut_s=self._health.cut_s,
+            failure=self.thrust.fault or self._health.failure(limited),
+            short_of=self._health.short_of,
         )
 
     def _learn(self, start: _Start, target: Target, disturbance: Vector3, solution: TrackingSolution) -> None:
@@ -299,7 +294,7 @@ class Controller:
     @property
     def _stopped(self) -> bool:
         """Whether no plan is left that is worth flying, or none that thrust could fly."""
-        return self._failures >= FAILURES_TO_STOP or bool(self.thrust.fault)
+        return self._health.stopped or bool(self.thrust.fault)
 
     def _start(self, vehicle: VehicleState, pad: PadState | None, now_s: float) -> _Start:
         """The motion when the next command takes effect, from the newest estimate and what is under way."""

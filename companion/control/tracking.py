@@ -4,6 +4,7 @@ Frame: NED axes, at rest or in straight unaccelerated motion. SI units.
 """
 
 from dataclasses import dataclass
+from enum import Enum, auto
 
 import numpy as np
 
@@ -42,22 +43,33 @@ class Target:
     horizontal_bound_m_s2: FloatArray | None = None
 
 
+class SolveOutcome(Enum):
+    """What a tracker's answer is."""
+
+    SOLVED = auto()
+    CUT = auto()  # the optimum without constraints, cut to the inputs' bounds
+    KEPT = auto()  # the last answer, moved on
+
+
 @dataclass(frozen=True)
 class TrackingSolution:
-    """Inputs (N, 3) in m/s2 and the predicted states (N, 9); `solved` is false for what takes their place.
+    """Inputs (N, 3) in m/s2 and the predicted states (N, 9), and what they are.
 
-    That is the optimum without constraints, cut to the inputs' bounds (`cut`), where the iterations ran out,
-    else the old solution, shifted. `late`: the stopwatch ended the search. `short_of`: what there is too
-    little of for the place ("thrust", "tilt"), where the first input is at its bound sideways.
+    `late`: the stopwatch ended the search. `short_of`: what there is too little of for the place ("thrust",
+    "tilt"), where the first input is at its bound sideways.
     """
 
     inputs_m_s2: FloatArray
     states: FloatArray
-    solved: bool
-    iterations: int
+    outcome: SolveOutcome = SolveOutcome.SOLVED
+    iterations: int = 0
     late: bool = False
-    cut: bool = False
     short_of: str = ""
+
+    @property
+    def solved(self) -> bool:
+        """Whether it is the optimum, or near enough."""
+        return self.outcome is SolveOutcome.SOLVED
 
 
 def needed_inputs(target: Target, disturbance_m_s2: Vector3, lags_s: Vector3, step_s: float) -> FloatArray:

@@ -17,7 +17,7 @@ from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, vector3
 from companion.base.motion import Motion
 from companion.config import ControlConfig, PidGains
 from companion.control.response.flight_model import advance
-from companion.control.tracking import Target, TrackingSolution
+from companion.control.tracking import SolveOutcome, Target, TrackingSolution
 
 
 class PidTracker:
@@ -52,7 +52,7 @@ class PidTracker:
         rows = reference.tolist()
         first = self._bounded(self._command(start, rows[0]))
         if not (np.isfinite(reference).all() and all(map(math.isfinite, first))):
-            return TrackingSolution(np.zeros((self._steps, 3)), np.zeros((self._steps, 9)), False, 0)
+            return TrackingSolution(np.zeros((self._steps, 3)), np.zeros((self._steps, 9)), SolveOutcome.KEPT)
         self._integrate(start, rows[0], first)
         return self._rollout(start, rows)
 
@@ -95,7 +95,7 @@ class PidTracker:
             motion = advance(motion, add(command, push), self._step_s, self._lags_s)
             inputs.append(command)
             states.append((*motion.position_m, *motion.velocity_m_s, *motion.acceleration_m_s2))
-        return TrackingSolution(np.array(inputs), np.array(states), True, 0)
+        return TrackingSolution(np.array(inputs), np.array(states))
 
 
 def _integrated(integral: float, error_m: float, cut_m_s2: float, gains: PidGains, period_s: float) -> float:

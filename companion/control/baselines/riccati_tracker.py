@@ -16,7 +16,7 @@ from companion.base.motion import Motion
 from companion.config import ControlConfig
 from companion.control.baselines.riccati import Weights, solve_tracking, tracking_gains
 from companion.control.mpc.qp import axis_costs, step_matrices
-from companion.control.tracking import Target, TrackingSolution, needed_inputs
+from companion.control.tracking import SolveOutcome, Target, TrackingSolution, needed_inputs
 
 
 class RiccatiTracker:
@@ -48,12 +48,10 @@ class RiccatiTracker:
         drift = np.zeros((self._N, 12))
         drift[:, :9] = (needed + np.array(disturbance_m_s2)) @ self._B.T
         if not (np.isfinite(state).all() and np.isfinite(reference).all() and np.isfinite(drift).all()):
-            return TrackingSolution(
-                np.zeros((self._N, 3)), np.zeros((self._N, 9)), solved=False, iterations=0
-            )
+            return TrackingSolution(np.zeros((self._N, 3)), np.zeros((self._N, 9)), SolveOutcome.KEPT)
         answer = solve_tracking(state, *self._model, reference, self._weights, drift=drift, gains=self._gains)
         states = answer.states[1:]
-        return TrackingSolution(needed + states[:, 9:], states[:, :9], solved=True, iterations=0)
+        return TrackingSolution(needed + states[:, 9:], states[:, :9])
 
 
 def _with_memory(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:

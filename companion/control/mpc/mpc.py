@@ -13,7 +13,6 @@ constraints, cut to the inputs' bounds.
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -41,15 +40,12 @@ from companion.control.mpc.qp import (
     cost_matrix,
     step_matrices,
 )
-from companion.control.tracking import Cone, Target, TrackingSolution, needed_inputs
+from companion.control.solver_health import UNFINISHED, outcome
+from companion.control.tracking import Cone, SolveOutcome, Target, TrackingSolution, needed_inputs
 
 with imported_late("jinja2"):  # with which it would write C code
     import osqp
 
-# Out of iterations, with inputs at their bounds for long, the first input is within 0.2 m/s2 of the best by
-# these: of the rows (m, m/s, m/s2), and of the gradient as a share of its parts.
-ACCEPTED_PRIMAL = 0.05
-ACCEPTED_DUAL_SHARE = 1e-2
 # measured: 15 to 25 iterations from a warm start; rho moves only when a far start takes more than 50, and by
 # OSQP's count of iterations, since its own choice of interval goes by time
 RHO = 1.0
@@ -67,9 +63,6 @@ SETTINGS: Final[dict[str, Any]] = {
     "warm_starting": True,
     "verbose": False,
 }
-# OSQP's status values: solved to its tolerances; out of iterations, to ten times these or not even that
-SOLVED, NEARLY_SOLVED, UNSOLVED = 1, 2, 7
-UNFINISHED = (NEARLY_SOLVED, UNSOLVED)
 AT_BOUND = 0.98  # of it, sideways: OSQP stops short of a bound
 # the gate bounds the whole vector's jerk, here it is each axis': stay within it, and clear of jitter
 JERK_SHARE = 0.95 / 3.0**0.5
@@ -118,18 +111,18 @@ class Mpc:
     ) -> TrackingSolution:
         """Best inputs from `start`; the last solution shifted, then zeros, when there is none."""
         if not _finite(start):
-            return self._fall_back()
+            return self._answer(SolveOutcome.KEPT)
         self._bound_inputs(target.hover_thrust, max(0.0, disturbance_m_s2[2]))
         needed = needed_inputs(target, disturbance_m_s2, self._lags_s, self._dt)
         last_input = self.clip_input(np.array(last_input_m_s2))
         self._q = q = self._linear_cost(target, needed, last_input)
         self._update_bounds(start, target, np.array(disturbance_m_s2), last_input, needed[:, 2])
         if not self._consistent(q):
-            return self._fall_back()
+            return self._answer(SolveOutcome.KEPT)
         x, y = self._free_optimum.solve(q, self._l[self._rows["dynamics"]])
         if self._allowed(x):
             self._last, self._cold = x, True
-            return self._solution(solved=True, iterations=0, late=False)
+            return self._answer(SolveOutcome.SOLVED)
         self._solver.update(q=q, l=self._l, u=self._u)
         if self._cold:
             self._solver.warm_start(x=x, y=np.concatenate([y, np.zeros(self._l.size - y.size)]))
@@ -311,20 +304,32 @@ class Mpc:
 
     def _take(self, result: Any, iterations: int, late: bool) -> TrackingSolution:
         info, x = result.info, np.array(result.x)
-        if not np.isfinite(x).all() or info.status_val not in (SOLVED, *UNFINISHED):
+        if not np.isfinite(x).all():
             self._cold = True
-            return self._fall_back(iterations)
-        if info.status_val == UNSOLVED and not self._accepted(x, info.prim_res, info.dual_res):
-            # and go on from this iterate next time
-            return self._fall_back(iterations, late=True) if late else self._cut(iterations)
-        self._last = x
-        return self._solution(solved=True, iterations=iterations, late=late)
-
-    def _accepted(self, x: FloatArray, primal: float, dual: float) -> bool:
+            return self._answer(SolveOutcome.KEPT, iterations)
         gradient = max(1.0, float(np.abs(self._free_optimum.P @ x).max()), float(np.abs(self._q).max()))
-        return primal <= ACCEPTED_PRIMAL and dual <= ACCEPTED_DUAL_SHARE * gradient
+        found = outcome(info.status_val, primal=info.prim_res, dual_share=info.dual_res / gradient, late=late)
+        if found is SolveOutcome.SOLVED:
+            self._last = x
+        # else it goes on from this iterate next time, but from what is no answer
+        elif info.status_val not in UNFINISHED:
+            self._cold = True
+        return self._answer(found, iterations, late=late)
 
-    def _cut(self, iterations: int) -> TrackingSolution:
+    def _answer(self, outcome: SolveOutcome, iterations: int = 0, *, late: bool = False) -> TrackingSolution:
+        """The last solution, or what takes its place and becomes it."""
+        inputs = self._last[self._layout.inputs].reshape(self._N, 3)
+        states = self._last[self._layout.states].reshape(self._N, 9)
+        if outcome is SolveOutcome.CUT:
+            self._cut(inputs, states)
+        elif outcome is SolveOutcome.KEPT:
+            self._move_on(inputs, states)
+        short_of, most = self._short
+        at_bound = float(np.max(np.abs(OCTAGON @ inputs[0, :2]))) >= AT_BOUND * most
+        short_of = short_of if at_bound else ""
+        return TrackingSolution(inputs.copy(), states.copy(), outcome, iterations, late, short_of)
+
+    def _cut(self, inputs: FloatArray, states: FloatArray) -> None:
         """The optimum without constraints, its inputs cut to their bounds, sideways first."""
         rows, N = self._rows, self._N
         dynamics = self._l[rows["dynamics"]]
@@ -332,32 +337,17 @@ class Mpc:
         bounds = zip(
             *(edge[rows["input"]].reshape(N, INPUT_ROWS) for edge in (self._l, self._u)), strict=True
         )
-        inputs = self._last[self._layout.inputs].reshape(N, 3)
-        states = self._last[self._layout.states].reshape(N, 9)
         for k, (lower, upper) in enumerate(bounds):
             inputs[k] = cut_sideways(best[k], self._input_rows, lower, upper)
             moved = self._A @ states[k - 1] if k else 0.0
             states[k] = moved + self._B @ inputs[k] + dynamics[9 * k : 9 * k + 9]
-        return replace(self._solution(solved=False, iterations=iterations, late=False), cut=True)
 
-    def _fall_back(self, iterations: int = 0, *, late: bool = False) -> TrackingSolution:
+    def _move_on(self, inputs: FloatArray, states: FloatArray) -> None:
         """The old plan, one period on; when it runs out, it commands no acceleration."""
-        inputs = self._last[self._layout.inputs].reshape(self._N, 3)
-        states = self._last[self._layout.states].reshape(self._N, 9)
         share = min(1.0, self._period_s / self._dt)
         following = np.vstack([inputs[1:], np.zeros((1, 3))])
         inputs += share * (following - inputs)
         states[:-1] += share * (states[1:] - states[:-1])
-        return self._solution(solved=False, iterations=iterations, late=late)
-
-    def _solution(self, *, solved: bool, iterations: int, late: bool) -> TrackingSolution:
-        inputs = self._last[self._layout.inputs].reshape(self._N, 3).copy()
-        states = self._last[self._layout.states].reshape(self._N, 9).copy()
-        short_of, most = self._short
-        at_bound = float(np.max(np.abs(OCTAGON @ inputs[0, :2]))) >= AT_BOUND * most
-        return TrackingSolution(
-            inputs, states, solved, iterations, late, short_of=short_of if at_bound else ""
-        )
 
 
 def _finite(motion: Motion) -> bool:

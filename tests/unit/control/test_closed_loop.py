@@ -90,7 +90,7 @@ def test_a_gust_that_sinks_is_met_and_leaves_no_swing(link_delay_s: float, senso
     late = np.array(flight.time_s) > 6.0
     assert flight.error_m(3.0)[:, 2].max() < 0.24
     assert np.abs(np.array(flight.relative_velocity_m_s)[late, 2]).max() < 0.05
-    assert not any(report.fault for report in flight.reports)
+    assert not any(report.failure for report in flight.reports)
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,8 @@ from companion.base.messages import (
 )
 from companion.config import ControlConfig
 from companion.control.attitude import attitude_from_acceleration
-from companion.control.controller import FAILURES_TO_STOP, Controller
+from companion.control.controller import Controller
+from companion.control.solver_health import FAILURES_TO_STOP
 from tests.unit.control.control_plants import controller, reference_rows, vehicle_config
 from tests.unit.control.controller_inputs import (
     PERIOD_S,

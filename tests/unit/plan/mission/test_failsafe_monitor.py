@@ -9,7 +9,6 @@ from companion.base.geometry import Vector3, add, geodetic_from_ned
 from companion.base.messages import (
     ActionKind,
     AutopilotState,
-    ControlReport,
     LinkHealth,
     PadState,
     Phase,
@@ -283,21 +282,6 @@ def test_a_controller_without_a_plan_for_a_second_ends_the_flight_by_setpoints()
         told.append(MissionEvent.CONTROL_FAILED in [event for event, _ in found])
     assert told.index(True) == 51  # counted from the last plan on
     assert all(told[51:])
-
-
-@pytest.mark.parametrize(
-    ("report", "failed"),
-    [
-        (ControlReport(0.0, True, 9, 0.0), False),
-        (ControlReport(0.0, False, 9, 0.0), False),  # the last plan is flown on
-        (ControlReport(0.0, False, 9, 0.0, stopped=True), True),
-        (ControlReport(0.0, True, 9, 0.0, limited=("jerk", "not_finite")), True),
-        (ControlReport(0.0, False, 400, 0.0, cut_s=1.9), False),  # a gust
-        (ControlReport(0.0, False, 400, 0.0, cut_s=2.0), True),
-    ],
-)
-def test_a_stop_and_what_is_no_number_are_no_plan(report: ControlReport, failed: bool) -> None:
-    assert bool(report.failure) is failed
 
 
 def test_a_computer_that_is_too_slow_is_named_before_what_it_causes() -> None:
