@@ -54,8 +54,6 @@ from companion.plan.planner import PlanInputs
 LINK_TICK_S: Final = 0.05
 LAST_HOLD_S: Final = 2.0
 NO_MORE_ACTIONS: Final = (*END_PHASES, Phase.HOLD)  # entering one of these clears the action queue
-# A flight is stopped after a suspension of the machine; here nothing flies, or the lost estimate ends it.
-NOT_STOPPED: Final = (Phase.STANDBY, Phase.DESCEND, Phase.TOUCHDOWN)
 # there an error in the settings ends the app
 ON_THE_GROUND: Final = (Phase.STANDBY, Phase.CONNECT, Phase.ARM)
 
@@ -284,7 +282,7 @@ class App:
             beacon=self.session.beacons.beacon,
             range=self.sensing.last_range,
             results=results,
-            stop_requested=self._stop_requested or (self.loop_monitor.woke and self.phase not in NOT_STOPPED),
+            stop_requested=self._stop_requested,
             camera_problem=self.sensing.camera_problem,
             comparisons=self.sources.look(),
             computer=self.loop_monitor.load,

@@ -13,8 +13,6 @@ from companion.app.service.order_desk import OrderDesk
 from companion.base.clock import Clock
 from companion.base.messages import (
     Action,
-    ActionKind,
-    LandedState,
     Order,
     OrderOutcome,
     OrderReply,
@@ -66,20 +64,9 @@ class Missions:
     def order(self) -> Order | None:
         return self._desk.followed
 
-    @property
-    def failsafe_action(self) -> Action | None:
-        """What the autopilot is asked for when control has failed; one that stands a hold would lift off.
-
-        None: somebody else flies it, in a mode that may look like ours.
-        """
-        if not (self._session.state.offboard and self._planner.in_charge):
-            return None
-        stands = self._planner.committed or self._session.state.landed is LandedState.ON_GROUND
-        return Action(ActionKind.LAND if stands else ActionKind.HOLD)
-
     def control_failed(self, why: str) -> Action | None:
         """Say so, and what the autopilot is asked for; returns that."""
-        word = self.failsafe_action
+        word = self._planner.last_request(self._session.state)
         ordered = "nothing" if word is None else word.kind.value
         self._announcer.notify("control", f"control failed: {why}; {ordered} requested", "error")
         return word

@@ -11,7 +11,17 @@ from dataclasses import replace
 from typing import Final
 
 from companion.base.geometry import ned_from_geodetic
-from companion.base.messages import ActionKind, Conditions, LandedState, Notice, Phase, PlanStep, Refusal
+from companion.base.messages import (
+    Action,
+    ActionKind,
+    AutopilotState,
+    Conditions,
+    LandedState,
+    Notice,
+    Phase,
+    PlanStep,
+    Refusal,
+)
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.landing.echo_check import EchoCheck
 from companion.plan.landing.height_above_ground import HeightAboveGround
@@ -24,8 +34,16 @@ from companion.plan.mission.mode_monitor import in_land, in_offboard
 from companion.plan.mission.orders import estimate_problems, not_ready
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
-from companion.plan.mission.states import Authority, Circumstances, DetectedEvent, Effect, MissionEvent, State
-from companion.plan.mission.table import BY_THE_PAD, COMMITTED, FINAL, impossible
+from companion.plan.mission.states import (
+    Authority,
+    Branch,
+    Circumstances,
+    DetectedEvent,
+    Effect,
+    MissionEvent,
+    State,
+)
+from companion.plan.mission.table import BY_THE_PAD, COMMITTED, FINAL, impossible, last_request
 from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, constant_pace
@@ -71,7 +89,7 @@ class Planner:
         self._vehicle, self._pad_reach_m = vehicle, pad_reach_m
         search = config.search
         self._machine = StateMachine(config.landing.retries, may_fly=standby is None)
-        self._battery, self._battery_reported = mission.battery, False
+        self._finish_descent = mission.battery.finish_descent
         self._notices: list[Notice] = []
         self._heard_s = -math.inf
         self._fence_m, self._fence_reported, self._leaving_reported = mission.fence_m, False, False
@@ -108,16 +126,12 @@ class Planner:
         """Why this cycle's order is not followed; None when it is, and without one."""
         return self._steering.refused
 
-    @property
-    def committed(self) -> bool:
-        """Whether it is on the pad, or so low over it that to come down is gentler than to hold."""
-        return self._machine.state in COMMITTED
-
-    @property
-    def in_charge(self) -> bool:
-        """Whether the vehicle flies by our word: control is ours, or its return is asked for."""
+    def last_request(self, autopilot: AutopilotState) -> Action | None:
+        """What is asked for when control has failed: it flies by our word, or its return is asked for."""
         machine = self._machine
-        return machine.authority is Authority.OURS or (machine.in_control and self.waiting)
+        ours = machine.authority is Authority.OURS or (machine.in_control and self.waiting)
+        stands = autopilot.landed is LandedState.ON_GROUND
+        return last_request(machine.state, ours=autopilot.offboard and ours, stands=stands)
 
     @property
     def waiting(self) -> bool:
@@ -143,7 +157,6 @@ class Planner:
         inputs = self._checked(inputs, now_s)
         self._see(inputs, now_s)
         self._set_pace(inputs, now_s)
-        self._watch_battery(inputs, now_s)
         self._react(inputs, now_s)
         self._steering.turn(now_s)
         return PlanStep(
@@ -255,16 +268,6 @@ class Planner:
         )
         return (*detected, *refused)
 
-    def _watch_battery(self, inputs: PlanInputs, now_s: float) -> None:
-        """With a low battery no new try is begun; said once. It stays low, whatever the load does to it."""
-        share = inputs.autopilot.battery_share
-        if share is None or share > self._battery.low or self._battery_reported:
-            return
-        if self.phase in {Phase.STANDBY, Phase.CONNECT}:
-            return  # departure says what it waits for
-        self._battery_reported = self._machine.no_new_try = True
-        self._say("battery", f"battery low: {100.0 * share:.0f} % left, no new try", now_s, "warning")
-
     def _circumstances(self, inputs: PlanInputs, now_s: float) -> Circumstances:
         landed = inputs.autopilot.landed
         return Circumstances(
@@ -274,7 +277,7 @@ class Planner:
             heard=now_s - self._heard_s <= GAP_S,
             # a request that is asked afresh is not granted yet, while the autopilot lands all the same
             land_granted=self._requests.granted(ActionKind.LAND) or in_land(inputs.autopilot),
-            may_finish=self._battery.finish_descent,
+            may_finish=self._finish_descent,
             in_offboard=in_offboard(inputs.autopilot),
             ends_inside=self._ends_inside(inputs),
             feet_down=self._steering.feet_down(now_s),
@@ -333,6 +336,12 @@ class Planner:
                 self._requests.forget()
                 self._monitor.phase_begins(now_s)
             self._steering.enter(branch, state, had, inputs, now_s)
+        self._carry_out(branch, reason, inputs, now_s)
+        for action in branch.actions:
+            self._requests.ask(self._steering.departure.with_numbers(action, inputs.autopilot), now_s)
+
+    def _carry_out(self, branch: Branch, reason: str, inputs: PlanInputs, now_s: float) -> None:
+        """A branch's effects on the mission itself."""
         if Effect.COUNT_AFRESH in branch.effects:
             self._monitor.phase_begins(now_s)
         if Effect.ASK_AFRESH in branch.effects:
@@ -345,8 +354,11 @@ class Planner:
             self._say("pilot", reason, now_s, "warning")
         if ActionKind.LEAVE_OFFBOARD in {action.kind for action in branch.actions}:
             self._say("leave_offboard", "mode Hold instead of OFFBOARD, so that it can be armed", now_s)
-        for action in branch.actions:
-            self._requests.ask(self._steering.departure.with_numbers(action, inputs.autopilot), now_s)
+        if Effect.SEARCH_FROM_HERE in branch.effects:
+            self._steering.search_from_here(inputs, now_s)
+        if Effect.NO_NEW_TRY in branch.effects and not self._machine.no_new_try:
+            self._machine.no_new_try = True  # it stays low, whatever the load does to it
+            self._say("battery", f"battery low: {reason}, no new try", now_s, "warning")
 
     def _tell(self, before: State, event: MissionEvent, reason: str, now_s: float) -> None:
         """Announce a change of phase, and those within the touchdown that matter."""

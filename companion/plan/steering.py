@@ -82,7 +82,7 @@ class PhaseSteering:
             standing_height,
         )
         self._held = Hold(config, vehicle.leg_height_m, generator=generator, pad=pad, ground=ground, say=say)
-        self._begun_s, self._contradicted_s, self._pilot_flies = 0.0, -math.inf, False
+        self._begun_s, self._contradicted_s = 0.0, -math.inf
         self._steered_by: dict[Phase, Callable[[PlanInputs, float], DetectedEvent | None]] = {
             Phase.STANDBY: self._stand_by,
             Phase.CONNECT: self._depart,
@@ -191,9 +191,12 @@ class PhaseSteering:
         self._held.stand_still(inputs.vehicle, now_s)
         missing_m = 0.0 if previous in {State.WAYPOINT, State.ROUTE} else self._missing_m()
         climb_m = self.search.begin(missing_m, self._lowest_down_m(), now_s)
-        self._pilot_flies = previous is State.STANDBY  # until control is granted
-        if climb_m > NOTICE_THRESHOLD_M and not self._pilot_flies:
+        if climb_m > NOTICE_THRESHOLD_M and previous is not State.STANDBY:
             self._say("climb", f"climbing {climb_m:.1f} m to look for the pad", now_s, "warning")
+
+    def search_from_here(self, inputs: PlanInputs, now_s: float) -> None:
+        """Begin the search anew."""
+        self._enter_search(State.SEARCH, inputs, now_s)
 
     def _missing_m(self) -> float:
         """How far (m) below the search height; the pad's estimate may be wrong."""
@@ -262,8 +265,6 @@ class PhaseSteering:
     def _look_for_pad(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         if inputs.vehicle is None or not self._generator.active:
             return None
-        if self._pilot_flies and self._machine.in_control:
-            self._enter_search(State.SEARCH, inputs, now_s)  # from where the pilot has flown meanwhile
         actual = vehicle_motion(inputs.vehicle, now_s)
         self._keep_near(actual, now_s)
         if self.steps.step_m is not None:

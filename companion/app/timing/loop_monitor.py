@@ -75,7 +75,7 @@ class LoopMonitor:
     @property
     def load(self) -> ComputerLoad:
         """Whether the computer keeps up, for the planner."""
-        return ComputerLoad(self._too_slow(), max(self._late_s, default=0.0))
+        return ComputerLoad(self._too_slow(), max(self._late_s, default=0.0), self.woke)
 
     def _too_slow(self) -> str | None:
         """In words, that it is too slow to fly by. One stall is not: what stands still again and again is."""

@@ -139,6 +139,7 @@ class FailsafeMonitor:
             ),
             (taken_over, MissionEvent.TAKEN_OVER, _mode_words(inputs)),
             (inputs.stop_requested, MissionEvent.STOP, "by the operator"),
+            (inputs.computer.woke, MissionEvent.SUSPENDED, "this computer"),
             (not heard or inputs.link.lost, MissionEvent.LINK_LOST, silence),
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
@@ -179,8 +180,13 @@ class FailsafeMonitor:
             yield MissionEvent.CONTROL_FAILED, failure
 
     def _battery(self, autopilot: AutopilotState) -> Iterator[DetectedEvent]:
-        if autopilot.battery_share is not None and autopilot.battery_share <= self._config.battery.critical:
-            yield MissionEvent.BATTERY_CRITICAL, f"{100.0 * autopilot.battery_share:.0f} % left"
+        battery, share = self._config.battery, autopilot.battery_share
+        for event, limit in (
+            (MissionEvent.BATTERY_CRITICAL, battery.critical),
+            (MissionEvent.BATTERY_LOW, battery.low),
+        ):
+            if share is not None and share <= limit:
+                yield event, f"{100.0 * share:.0f} % left"
 
     def _estimate(
         self, vehicle: VehicleState | None, pad: PadState | None, now_s: float

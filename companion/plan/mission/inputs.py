@@ -17,10 +17,14 @@ from companion.base.messages import (
 
 @dataclass(frozen=True, slots=True)
 class ComputerLoad:
-    """Whether our computer keeps up: why it is too slow to fly by; how long control stood still lately."""
+    """Whether our computer keeps up: why it is too slow to fly by; how long control stood still lately.
+
+    `woke`: this cycle is the first after the machine was suspended.
+    """
 
     problem: str | None = None
     held_up_s: float = 0.0
+    woke: bool = False
 
 
 @dataclass(frozen=True, slots=True)

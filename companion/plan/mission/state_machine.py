@@ -40,7 +40,7 @@ class StateMachine:
             circumstances,
             authority=self.authority,
             tries_left=not self.last_try,
-            not_taken=self.ordered_in_air and self.authority is Authority.NONE,
+            ordered_in_air=self.ordered_in_air,
         )
         return follows(self.state, event, ours)
 

@@ -87,6 +87,7 @@ class MissionEvent(StrEnum):
     DISARMED = "disarmed"
     TAKEN_OVER = "taken_over"
     STOP = "stop_requested"
+    SUSPENDED = "suspended"  # our computer was: what is known is from long before
     LINK_LOST = "link_lost"
     LINK_UP = "link_up"
     COMPUTER_LATE = "computer_late"  # ours is too slow to fly by
@@ -96,6 +97,7 @@ class MissionEvent(StrEnum):
     CONTROL_FAILED = "control_failed"  # the controller finds no plan, and has long commanded to stop
     VELOCITY_UNCERTAIN = "velocity_uncertain"  # ours, though there is an estimate
     BATTERY_CRITICAL = "battery_critical"
+    BATTERY_LOW = "battery_low"
     OUT_OF_BOUNDS = "out_of_bounds"  # the fence or the ceiling, with room to stop before it
     ESTIMATE_DISPUTED = "estimate_disputed"  # our own motion, by a second source of it
     PAD_DISPUTED = "pad_disputed"  # what the pad's estimate rests on, by a second source of it
@@ -144,6 +146,8 @@ class Effect(StrEnum):
     ASK_AFRESH = "forget what was answered, count the phase's time again"
     COUNT_AFRESH = "count the phase's time again"
     ASK_NOTHING = "drop what is asked, stop setpoints"
+    SEARCH_FROM_HERE = "search from here"
+    NO_NEW_TRY = "begin no new try"
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +156,7 @@ class Circumstances:
 
     authority: Authority = Authority.NONE
     tries_left: bool = True
-    not_taken: bool = False
+    ordered_in_air: bool = False
     on_surface: bool = False
     disarm_asked: bool = False
     land_granted: bool = False
@@ -169,7 +173,7 @@ class Circumstances:
         """Whether a guard holds."""
         return {
             Guard.ALWAYS: True,
-            Guard.NOT_TAKEN: self.not_taken,
+            Guard.NOT_TAKEN: self.ordered_in_air and self.authority is Authority.NONE,
             Guard.CONTROL_NONE: self.authority is Authority.NONE,
             Guard.CONTROL_OURS: self.authority is Authority.OURS,
             Guard.STILL_FLIES: self.airborne and self.authority is Authority.NONE,

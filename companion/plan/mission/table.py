@@ -51,9 +51,9 @@ LATE: Final = (E.COMPUTER_LATE, E.LINK_LATE)  # setpoints of ours come too late
 BLIND: Final = (E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED)  # setpoints of ours lead nowhere
 # what may be detected in any state: each state has a row or a reason for none
 ANYWHERE: Final = (
-    *(E.DISARMED, E.TAKEN_OVER, E.STOP, E.LINK_LOST, E.LINK_UP, *LATE, E.RIVAL),
+    *(E.DISARMED, E.TAKEN_OVER, E.STOP, E.SUSPENDED, E.LINK_LOST, E.LINK_UP, *LATE, E.RIVAL),
     *(E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED, E.VELOCITY_UNCERTAIN, E.BATTERY_CRITICAL),
-    *(E.OUT_OF_BOUNDS, E.PAD_DISPUTED, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT),
+    *(E.BATTERY_LOW, E.OUT_OF_BOUNDS, E.PAD_DISPUTED, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT),
 )
 
 _ARM, _TAKE_OFF, _GO_TO = Action(ActionKind.ARM), Action(ActionKind.TAKE_OFF), Action(ActionKind.GO_TO)
@@ -139,6 +139,8 @@ ROWS: Final = (
     _row(
         E.CONTROL_GRANTED,
         {S.ROUTE, S.SEARCH},
+        # its pilot has flown on meanwhile
+        Branch(None, (), Authority.OURS, (Effect.SEARCH_FROM_HERE,), Guard.NOT_TAKEN),
         Branch(None, authority=Authority.OURS, guard=Guard.CONTROL_NONE),
     ),
     # ---- to the pad
@@ -235,10 +237,25 @@ ROWS: Final = (
         )
         for event in UNFOLLOWED
     ),
+    _row(
+        E.BATTERY_LOW,
+        LIVE - {S.STANDBY, S.CONNECT},
+        Branch(None, effects=(Effect.NO_NEW_TRY,)),
+        except_=_all({S.STANDBY, S.CONNECT}, _NOTHING_ASKED),
+    ),
     _row(E.STOP, {S.STANDBY, S.CONNECT}, _GIVE_UP),
-    _row(E.STOP, S.ARM, _end(_DISARM)),
     _row(E.STOP, LOW, *_HOLD_CLEAR),
-    _row(E.STOP, IN_AIR - LOW, *_RETURN_CONTROL, except_={S.HOLD: _CLEARS, **_GO_ON}),
+    _row(
+        E.SUSPENDED,
+        S.CONNECT,
+        _GIVE_UP,
+        except_={S.STANDBY: _WAITS_FOR_OPERATOR, **_all(LOW, "the estimate, lost with it, ends it")},
+    ),
+    *(_row(event, S.ARM, _end(_DISARM)) for event in (E.STOP, E.SUSPENDED)),
+    *(
+        _row(event, IN_AIR - LOW, *_RETURN_CONTROL, except_={S.HOLD: _CLEARS, **_GO_ON})
+        for event in (E.STOP, E.SUSPENDED)
+    ),
     _row(
         E.TAKEN_OVER,
         LIVE,
@@ -339,6 +356,12 @@ TABLE: Final = _table(ROWS)
 def impossible(state: State, event: MissionEvent) -> bool:
     """Whether an event cannot arise in a state."""
     return TABLE[state, event] is IMPOSSIBLE
+
+
+def last_request(state: State, *, ours: bool, stands: bool) -> Action | None:
+    """What is asked for when control itself has failed, and the app ends; None: somebody else flies it."""
+    # to hold a position a vehicle that stands would lift off
+    return (_LAND if stands or state in COMMITTED else _HOLD) if ours else None
 
 
 def follows(state: State, event: MissionEvent, circumstances: Circumstances) -> Branch | None:

@@ -196,4 +196,4 @@ def test_a_machine_that_was_suspended_before_the_take_off_does_not_take_off() ->
         record, _ = fault_flight.fly(faultless("line"), 0)
     assert not any(sample.armed for sample in record.samples)
     assert put_together(record).setpoints_s == []
-    assert any(said.text.startswith("abort: stop requested") for said in record.texts), record.texts
+    assert any(said.text.startswith("abort: suspended") for said in record.texts), record.texts

@@ -1,7 +1,5 @@
 """What the app asks for when control has failed, and what whoever ordered a landing is told at its end."""
 
-from dataclasses import replace
-
 import pytest
 
 from companion.app.announcer import Announcer
@@ -27,7 +25,7 @@ from companion.plan.planner import PlanInputs, Planner
 from tests.unit.plan.mission.planner_world import world
 
 
-async def failsafe_action(
+def last_request(
     state: State,
     authority: Authority,
     landed: LandedState = LandedState.IN_AIR,
@@ -35,15 +33,11 @@ async def failsafe_action(
     offboard: bool = True,
     asked: ActionKind | None = None,
 ) -> ActionKind | None:
-    clock, session, planner = Clock(), Session(LinkConfig()), world().planner
-    log = FlightLog(None, 0.0)
-    announcer = Announcer(clock, log, lambda _notice: None)
-    missions = Missions(lambda _standby: planner, session, log, announcer, clock, standby=None, stays=False)
+    planner = world().planner
     planner._machine.state, planner._machine.authority = state, authority
     if asked is not None:
-        planner._requests.ask(Action(asked), clock.now_s())
-    session.state = replace(session.state, landed=landed, offboard=offboard)
-    word = missions.failsafe_action
+        planner._requests.ask(Action(asked), 0.0)
+    word = planner.last_request(AutopilotState(0.0, landed=landed, offboard=offboard))
     return None if word is None else word.kind
 
 
@@ -61,7 +55,7 @@ async def failsafe_action(
 def test_a_vehicle_that_stands_or_is_about_to_is_not_ordered_to_hold(
     state: State, landed: LandedState, asked: ActionKind
 ) -> None:
-    assert run_in_virtual_time(failsafe_action(state, Authority.OURS, landed)) is asked
+    assert last_request(state, Authority.OURS, landed) is asked
 
 
 @pytest.mark.parametrize(
@@ -77,12 +71,11 @@ def test_a_vehicle_that_stands_or_is_about_to_is_not_ordered_to_hold(
 def test_a_vehicle_that_somebody_else_flies_is_ordered_nothing(
     state: State, authority: Authority, offboard: bool
 ) -> None:
-    assert run_in_virtual_time(failsafe_action(state, authority, offboard=offboard)) is None
+    assert last_request(state, authority, offboard=offboard) is None
 
 
 def test_a_hold_that_was_asked_for_and_not_answered_is_asked_for_once_more() -> None:
-    word = failsafe_action(State.ABORT, Authority.RELEASED, asked=ActionKind.HOLD)
-    assert run_in_virtual_time(word) is ActionKind.HOLD
+    assert last_request(State.ABORT, Authority.RELEASED, asked=ActionKind.HOLD) is ActionKind.HOLD
 
 
 class Scripted(Planner):

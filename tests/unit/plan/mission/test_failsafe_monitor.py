@@ -150,6 +150,20 @@ def test_a_battery_is_critical_on_both_sides_of_its_bound(share: float | None, c
     assert (found is MissionEvent.BATTERY_CRITICAL) is critical
 
 
+@pytest.mark.parametrize(("share", "low"), [(None, False), (0.26, False), (0.25, True), (0.1, True)])
+def test_a_battery_is_low_on_both_sides_of_its_bound(share: float | None, low: bool) -> None:
+    watch, _ = monitor()
+    found = dict(watch.detect(inputs(replace(FLYING, battery_share=share)), 50.0, control_granted=False))
+    assert (MissionEvent.BATTERY_LOW in found) is low
+
+
+@pytest.mark.parametrize("woke", [False, True])
+def test_a_machine_that_was_suspended_ends_the_flight(woke: bool) -> None:
+    given = replace(inputs(), computer=ComputerLoad(woke=woke))
+    assert gravest(given) is (MissionEvent.SUSPENDED if woke else None)
+    assert gravest(given, State.DESCEND) is None  # the estimate, lost with it, ends that
+
+
 @pytest.mark.parametrize(
     ("round_trip_s", "age_s", "late"),
     [(None, 0.0, False), (0.3, 0.0, False), (0.31, 0.0, True), (0.31, 3.0, True), (0.31, 3.1, False)],

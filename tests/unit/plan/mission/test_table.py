@@ -82,6 +82,8 @@ def test_what_may_happen_anywhere_is_handled_in_every_state_or_excepted_with_a_r
         (E.LINK_LATE, ON_GROUND | COMMITTED | {S.TAKE_OFF, S.WAYPOINT}),
         (E.COMPUTER_LATE, ON_GROUND | COMMITTED | {S.TAKE_OFF, S.WAYPOINT}),
         (E.BATTERY_CRITICAL, ON_GROUND | COMMITTED | {S.HOLD}),
+        (E.BATTERY_LOW, {S.STANDBY, S.CONNECT}),
+        (E.SUSPENDED, COMMITTED | {S.STANDBY, S.DESCEND, S.WAIT, S.RISE, S.HOLD}),
         (E.OUT_OF_BOUNDS, ON_GROUND | COMMITTED | {S.HOLD}),
         (E.PAD_DISPUTED, LIVE - {S.APPROACH, S.DESCEND, S.WAIT, S.RISE}),
         (E.PAD_TOO_FAST, LIVE - {S.APPROACH, S.DESCEND, S.WAIT, S.RISE}),
@@ -350,7 +352,7 @@ CLIMBS_CLEAR = {E.STOP, E.OVERTIME, E.OUT_OF_BOUNDS, E.PAD_DISPUTED, E.PAD_TOO_F
 @pytest.mark.parametrize(
     "event",
     [
-        *(E.STOP, E.OVERTIME, E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED),
+        *(E.STOP, E.SUSPENDED, E.OVERTIME, E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED),
         *(E.VELOCITY_UNCERTAIN, E.OUT_OF_BOUNDS, E.PAD_DISPUTED, E.PAD_TOO_FAST),
     ],
 )
@@ -365,8 +367,20 @@ def test_stop_overtime_and_a_lost_estimate_return_control_holding(state: State, 
 
 
 def test_stopped_on_the_ground_it_disarms_or_does_nothing() -> None:
-    assert taken(S.CONNECT, E.STOP).actions == ()
-    assert kinds(taken(S.ARM, E.STOP)) == [ActionKind.DISARM]
+    for event in (E.STOP, E.SUSPENDED):
+        assert taken(S.CONNECT, event).actions == ()
+        assert kinds(taken(S.ARM, event)) == [ActionKind.DISARM]
+
+
+def test_a_search_begins_anew_where_its_pilot_has_flown_until_control_is_granted() -> None:
+    flown = Circumstances(Authority.NONE, ordered_in_air=True)
+    assert taken(S.SEARCH, E.CONTROL_GRANTED, flown).effects == (Effect.SEARCH_FROM_HERE,)
+    assert taken(S.SEARCH, E.CONTROL_GRANTED, Circumstances(Authority.NONE)).effects == ()
+
+
+def test_a_low_battery_changes_no_state_and_begins_no_new_try() -> None:
+    for state in LIVE - {S.STANDBY, S.CONNECT}:
+        assert taken(state, E.BATTERY_LOW) == Branch(None, effects=(Effect.NO_NEW_TRY,))
 
 
 @pytest.mark.parametrize("state", [S.APPROACH, S.DESCEND])
