@@ -43,7 +43,7 @@ from companion.plan.mission.states import (
     MissionEvent,
     State,
 )
-from companion.plan.mission.table import BY_THE_PAD, COMMITTED, FINAL, impossible, last_request
+from companion.plan.mission.table import BY_THE_PAD, COMMITTED, FINAL, ON_PAD, impossible, last_request
 from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, constant_pace
@@ -158,16 +158,10 @@ class Planner:
         self._see(inputs, now_s)
         self._set_pace(inputs, now_s)
         self._react(inputs, now_s)
-        self._steering.turn(now_s)
         return PlanStep(
             time_s=now_s,
             phase=self.phase,
-            reference=self._generator.reference(
-                now_s,
-                self._steering.minimum_height_m(now_s),
-                self._steering.cone(),
-                self._steering.level_off(now_s),
-            ),
+            reference=self._steering.reference(now_s),
             actions=self._requests.due(now_s),
             notices=tuple(self._notices),
             speed_m_s=self._generator.speed_m_s,
@@ -271,7 +265,7 @@ class Planner:
     def _circumstances(self, inputs: PlanInputs, now_s: float) -> Circumstances:
         landed = inputs.autopilot.landed
         return Circumstances(
-            on_surface=self._steering.on_pad or landed is LandedState.ON_GROUND,
+            on_surface=self._machine.state in ON_PAD or landed is LandedState.ON_GROUND,
             airborne=landed is LandedState.IN_AIR,
             disarm_asked=self._requests.asked(ActionKind.DISARM),
             heard=now_s - self._heard_s <= GAP_S,
@@ -280,14 +274,14 @@ class Planner:
             may_finish=self._finish_descent,
             in_offboard=in_offboard(inputs.autopilot),
             ends_inside=self._ends_inside(inputs),
-            feet_down=self._steering.feet_down(now_s),
+            feet_down=self._steering.touchdown.feet_down(now_s),
             standing=not self._not_standing(inputs, now_s),
             near=self._near(),
         )
 
     def _not_standing(self, inputs: PlanInputs, now_s: float) -> str:
         """Why a vehicle that was landing does not stand upright on the pad; "" when it does."""
-        touched = self._steering.on_pad or self._steering.feet_down(now_s)
+        touched = self._machine.state in ON_PAD or self._steering.touchdown.feet_down(now_s)
         return not_standing(
             self._pad.sight,
             inputs,
@@ -306,7 +300,7 @@ class Planner:
     def _ends_inside(self, inputs: PlanInputs) -> bool:
         """Whether a landing that begins now ends inside the fence, wherever the pad drives."""
         pad, turn_rate_rad_s = self._pad.motion, 0.0 if inputs.pad is None else inputs.pad.turn_rate_rad_s
-        duration_s = self._steering.way_down_s
+        duration_s = self._steering.touchdown.way_down_s()
         return self._monitor.bounds.inside_after(
             duration_s, pad, turn_rate_rad_s, inputs.vehicle, inputs.autopilot
         )

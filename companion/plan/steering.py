@@ -7,10 +7,11 @@ counts from the pad, NED axes. m, s, rad.
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 from companion.base.geometry import yaw_from_quat
-from companion.base.messages import Action, ActionKind, DescentCone, LevelOff, Phase, Refusal
+from companion.base.messages import Action, ActionKind, Phase, Reference, Refusal
 from companion.base.motion import Motion
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.estimate_steps import EstimateSteps
@@ -26,7 +27,7 @@ from companion.plan.mission.orders import ORDER_EVENTS, refusal
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Branch, DetectedEvent, Effect, MissionEvent, State
-from companion.plan.mission.table import BY_THE_PAD, COMMITTED, ON_PAD, OVER_PAD
+from companion.plan.mission.table import BY_THE_PAD, COMMITTED, LOW, ON_PAD
 from companion.plan.notices import NOTICE_THRESHOLD_M, NoticeSink
 from companion.plan.obstacles.obstacle_monitor import ObstacleMonitor
 from companion.plan.search.search import Search
@@ -73,7 +74,7 @@ class PhaseSteering:
         )
         self.search = Search(config.search, generator, config.mission.pad_speed_m_s)
         self._landing = Landing(config.landing, vehicle, generator)
-        self._touchdown = TouchdownSequence(
+        self.touchdown = TouchdownSequence(
             config.touchdown,
             vehicle,
             config.landing.wait_height_m,
@@ -100,19 +101,14 @@ class PhaseSteering:
         }
 
     @property
-    def on_pad(self) -> bool:
-        """Whether the feet stand on the pad."""
-        return self._machine.state in ON_PAD
-
-    @property
     def presses_down(self) -> bool:
         """Whether the vehicle is to be kept on the pad without thrust."""
-        return self.on_pad and not self._touchdown.unconfirmed
+        return self._machine.state in ON_PAD and not self.touchdown.unconfirmed
 
     @property
-    def way_down_s(self) -> float:
-        """How long (s) the final descent takes, until the motors are off."""
-        return self._touchdown.way_down_s()
+    def unloading(self) -> float:
+        """The share of the thrust (0 to 1) that is taken away, for the feet to carry."""
+        return self.touchdown.unloading(self._machine.state)
 
     def steer(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Steer the reference for this cycle; returns what is detected."""
@@ -121,31 +117,22 @@ class PhaseSteering:
         self.obstacle_monitor.tell(now_s)
         return event
 
-    def minimum_height_m(self, now_s: float) -> float | None:
-        """What the controller may not go below, over the pad."""
-        by_pad = self._generator.active and self._generator.origin == "pad"
-        if by_pad and self._machine.state in {State.APPROACH, State.DESCEND}:
-            return self._landing.minimum_height_m(now_s)
-        return None
-
-    def cone(self) -> DescentCone | None:
-        """Where the controller is to keep the vehicle over the pad, until that is committed to land."""
-        descending = self._machine.state in OVER_PAD | {State.DESCEND}
-        return self._landing.cone if descending and self._generator.origin == "pad" else None
-
-    def level_off(self, now_s: float) -> LevelOff | None:
-        """When the vehicle is to be level, in its final descent and as it leaves the pad again."""
-        level = self._machine.state in COMMITTED or self._touchdown.leaving(now_s)
-        return self._touchdown.level_off() if level else None
-
-    @property
-    def unloading(self) -> float:
-        """The share of the thrust (0 to 1) that is taken away, for the feet to carry."""
-        return self._touchdown.unloading(self._machine.state)
-
-    def feet_down(self, now_s: float) -> bool:
-        """Whether echoes alone show the feet on the pad, when no other sign can be had any more."""
-        return self._touchdown.feet_down(now_s)
+    def reference(self, now_s: float) -> Reference | None:
+        """Where the vehicle should be, with the bounds over the pad that the state asks for."""
+        self._turn(now_s)
+        reference, state = self._generator.reference(now_s), self._machine.state
+        if reference is None:
+            return None
+        by_pad = reference.origin == "pad"
+        above = by_pad and state in {State.APPROACH, State.DESCEND}
+        descends = by_pad and state in LOW
+        level = state in COMMITTED or self.touchdown.leaving(now_s)
+        return replace(
+            reference,
+            minimum_height_m=self._landing.minimum_height_m(now_s) if above else None,
+            cone=self._landing.cone if descends else None,
+            level_off=self.touchdown.level_off() if level else None,
+        )
 
     # ------------------------------------------------------------ entering a state
 
@@ -169,9 +156,9 @@ class PhaseSteering:
         elif state is State.APPROACH:
             self._enter_approach(previous, now_s)
         elif state is State.WAIT and previous is State.DESCEND:
-            self._touchdown.begin(now_s, _LAST_TRY_SLACK if self._machine.last_try else 1.0)
+            self.touchdown.begin(now_s, _LAST_TRY_SLACK if self._machine.last_try else 1.0)
         elif state.phase is Phase.TOUCHDOWN:
-            self._touchdown.enter(state, inputs.vehicle, now_s)
+            self.touchdown.enter(state, inputs.vehicle, now_s)
         elif state.phase in {Phase.HOLD, Phase.ABORT}:
             self._enter_hold(previous, had, inputs, now_s)
 
@@ -291,8 +278,8 @@ class PhaseSteering:
         wrong = self._ground_near(now_s)
         if wrong is not None:
             return wrong
-        if self._touchdown.leaving(now_s):
-            self._touchdown.leave(inputs, self._pad.sight, now_s)
+        if self.touchdown.leaving(now_s):
+            self.touchdown.leave(inputs, self._pad.sight, now_s)
             return None
         self._keep_near_pad(inputs, now_s)
         fly = self._landing.approach if self._machine.state is State.APPROACH else self._landing.descend
@@ -325,7 +312,7 @@ class PhaseSteering:
             if wrong is not None:
                 return wrong
             self._keep_near_pad(inputs, now_s)
-        event = self._touchdown.step(state, self._pad.sight, inputs, now_s)
+        event = self.touchdown.step(state, self._pad.sight, inputs, now_s)
         if event is not None and event[0] is MissionEvent.COMMIT and self._config.mission.align_heading:
             words = misaligned_heading(self._pad.sight, inputs.vehicle)
             if words:
@@ -359,7 +346,7 @@ class PhaseSteering:
         if distance_m > 0.0 and self._machine.in_control:
             self._say("strayed", f"reference error {distance_m:.1f} m: replanned", now_s, "warning")
 
-    def turn(self, now_s: float) -> None:
+    def _turn(self, now_s: float) -> None:
         """Slew the heading to the pad's over the pad, if the settings say so."""
         over_pad = self._machine.state in BY_THE_PAD and self._config.mission.align_heading
         sight = self._pad.sight if over_pad else None

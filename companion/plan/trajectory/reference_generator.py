@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import Final, Literal
 
 from companion.base.geometry import Vector3, add, dot, norm, scale, subtract, wrap_angle
-from companion.base.messages import DescentCone, LevelOff, Reference
+from companion.base.messages import Reference
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
 from companion.plan.obstacles.avoidance import Avoidance
@@ -289,13 +289,7 @@ class ReferenceGenerator:
             self.heading_rad = wrap_angle(self.heading_rad + max(-most, min(most, error)))
         self._turned_s = now_s
 
-    def reference(
-        self,
-        now_s: float,
-        minimum_height_m: float | None,
-        cone: DescentCone | None = None,
-        level_off: LevelOff | None = None,
-    ) -> Reference | None:
+    def reference(self, now_s: float) -> Reference | None:
         """The rows over the horizon, (horizon_steps + 1, 3) each."""
         if self._trajectory is None:
             return None
@@ -304,19 +298,7 @@ class ReferenceGenerator:
             upright = self._level.rows(now_s, self._count, self._step_s)
             for row, vertical in zip(rows, upright, strict=True):
                 row[:, 2] = vertical[:, 2]
-        position, velocity, acceleration = rows
-        return Reference(
-            now_s,
-            self.origin,
-            self._step_s,
-            position,
-            velocity,
-            acceleration,
-            self.heading_rad,
-            minimum_height_m,
-            cone,
-            level_off,
-        )
+        return Reference(now_s, self.origin, self._step_s, *rows, self.heading_rad)
 
     def _look_from_frame(self) -> None:
         self.avoidance.see_from(self._pad if self.origin == "pad" else STILL)

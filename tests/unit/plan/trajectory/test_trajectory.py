@@ -417,13 +417,12 @@ def test_without_a_wish_the_heading_stays_and_no_rate_is_saved_up() -> None:
 
 def test_the_reference_holds_the_horizon_from_now_on() -> None:
     g = generator()
-    assert g.reference(0.0, None) is None
+    assert g.reference(0.0) is None
     g.start("pad", Motion((1.0, 2.0, -5.0), (0.5, 0.0, 0.0)), 4.0)
-    reference = g.reference(4.5, 0.33)
+    reference = g.reference(4.5)
     assert reference is not None
     assert reference.position_m.shape == (21, 3)
     assert reference.time_s == 4.5
-    assert reference.minimum_height_m == 0.33
     for k in (0, 7, 20):
         np.testing.assert_allclose(reference.position_m[k], g.at(4.5 + 0.1 * k).position_m, atol=1e-9)
 
@@ -469,7 +468,7 @@ def test_level_flight_climbs_to_its_floor_without_a_step() -> None:
     for before, after in pairwise(way):
         assert norm(subtract(after.velocity_m_s, before.velocity_m_s)) < 4.0 * CYCLE_S
     now = 239 * CYCLE_S
-    reference = g.reference(now, None)
+    reference = g.reference(now)
     assert reference is not None
     for k, row in enumerate(reference.position_m):
         assert row == pytest.approx(g.at(now + k * reference.step_s).position_m, abs=1e-9)
