@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Final
 
 from companion.base.messages import Action, Phase
-from companion.plan.mission.states import Branch, Guard, MissionEvent, State
+from companion.plan.events import MissionEvent
+from companion.plan.mission.states import Branch, Guard, State
 from companion.plan.mission.table import ANYWHERE, FINAL, IN_AIR, LIVE, ROWS, TABLE
 
 PAGE: Final = Path(__file__).resolve().parent / "reference" / "state-machine.md"

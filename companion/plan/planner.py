@@ -23,26 +23,19 @@ from companion.base.messages import (
     Refusal,
 )
 from companion.config import PlanConfig, VehicleConfig
+from companion.plan.events import DetectedEvent, MissionEvent
+from companion.plan.inputs import PlanInputs
 from companion.plan.landing.echo_check import EchoCheck
 from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack
 from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.upright import not_standing
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
-from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.mode_monitor import in_land, in_offboard
 from companion.plan.mission.orders import estimate_problems, not_ready
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
-from companion.plan.mission.states import (
-    Authority,
-    Branch,
-    Circumstances,
-    DetectedEvent,
-    Effect,
-    MissionEvent,
-    State,
-)
+from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, State
 from companion.plan.mission.table import BY_THE_PAD, COMMITTED, FINAL, ON_PAD, impossible, last_request
 from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance

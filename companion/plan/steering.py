@@ -11,10 +11,12 @@ from dataclasses import replace
 from typing import Final
 
 from companion.base.geometry import yaw_from_quat
-from companion.base.messages import Action, ActionKind, Phase, Reference, Refusal
+from companion.base.messages import Action, ActionKind, PadState, Phase, Reference, Refusal, VehicleState
 from companion.base.motion import Motion
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.estimate_steps import EstimateSteps
+from companion.plan.events import DetectedEvent, MissionEvent
+from companion.plan.inputs import PlanInputs
 from companion.plan.landing.approach_descent import Landing, Unseen
 from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack, misaligned_heading, vehicle_motion
@@ -22,12 +24,11 @@ from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.departure import Departure
 from companion.plan.mission.hold import Hold
-from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.orders import ORDER_EVENTS, refusal
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
-from companion.plan.mission.states import Authority, Branch, DetectedEvent, Effect, MissionEvent, State
-from companion.plan.mission.table import BY_THE_PAD, COMMITTED, LOW, ON_PAD
+from companion.plan.mission.states import Authority, Branch, Effect, State
+from companion.plan.mission.table import BY_THE_PAD, COMMITTED, LAST_CENTIMETRES, LOW, ON_PAD
 from companion.plan.notices import NOTICE_THRESHOLD_M, NoticeSink
 from companion.plan.obstacles.obstacle_monitor import ObstacleMonitor
 from companion.plan.search.search import Search
@@ -37,6 +38,38 @@ from companion.plan.trajectory.waypoints import Waypoints
 _LAST_TRY_SLACK: Final = 1.6  # nothing follows it but handing back: what is acceptable at all counts then
 _UNCONTRADICTED_S: Final = 2.0  # no echoes may contradict a pad for so long before it is flown to again
 _STREAMING: Final = (MissionEvent.STREAMING, "setpoints are sent")
+
+
+def enter_touchdown(
+    touchdown: TouchdownSequence, state: State, vehicle: VehicleState | None, now_s: float
+) -> None:
+    """Begin with one of the states within a try."""
+    match state:
+        case State.SINK:
+            touchdown.commit(now_s)
+        case State.RISE:
+            touchdown.break_off(now_s)
+        case State.SET_DOWN:
+            touchdown.begin_set_down(vehicle, now_s)
+        case State.STAND:
+            touchdown.begin_stand(now_s)
+
+
+def touch_down(
+    touchdown: TouchdownSequence, state: State, sight: PadState | None, inputs: PlanInputs, now_s: float
+) -> DetectedEvent | None:
+    """A cycle of the touchdown in one of its states."""
+    touchdown.see(sight, inputs.vehicle, now_s)
+    match state:
+        case State.WAIT:
+            return touchdown.wait(sight, now_s)
+        case State.RISE:
+            return touchdown.rise(sight, now_s)
+        case State.SINK:
+            return touchdown.sink(sight, inputs, now_s)
+        case State.SET_DOWN:
+            return touchdown.set_down(sight, inputs, now_s)
+    return touchdown.stand(sight, inputs, now_s, in_land=state is State.AUTO_LAND)
 
 
 class PhaseSteering:
@@ -108,7 +141,7 @@ class PhaseSteering:
     @property
     def unloading(self) -> float:
         """The share of the thrust (0 to 1) that is taken away, for the feet to carry."""
-        return self.touchdown.unloading(self._machine.state)
+        return self.touchdown.unloading if self._machine.state in LAST_CENTIMETRES else 0.0
 
     def steer(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Steer the reference for this cycle; returns what is detected."""
@@ -158,7 +191,7 @@ class PhaseSteering:
         elif state is State.WAIT and previous is State.DESCEND:
             self.touchdown.begin(now_s, _LAST_TRY_SLACK if self._machine.last_try else 1.0)
         elif state.phase is Phase.TOUCHDOWN:
-            self.touchdown.enter(state, inputs.vehicle, now_s)
+            enter_touchdown(self.touchdown, state, inputs.vehicle, now_s)
         elif state.phase in {Phase.HOLD, Phase.ABORT}:
             self._enter_hold(previous, had, inputs, now_s)
 
@@ -312,7 +345,7 @@ class PhaseSteering:
             if wrong is not None:
                 return wrong
             self._keep_near_pad(inputs, now_s)
-        event = self.touchdown.step(state, self._pad.sight, inputs, now_s)
+        event = touch_down(self.touchdown, state, self._pad.sight, inputs, now_s)
         if event is not None and event[0] is MissionEvent.COMMIT and self._config.mission.align_heading:
             words = misaligned_heading(self._pad.sight, inputs.vehicle)
             if words:

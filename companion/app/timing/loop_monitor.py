@@ -20,8 +20,8 @@ from companion.base.messages import AutopilotSetup
 from companion.link.autopilot_setup import SHORTEST_TIMEOUT_S
 from companion.link.session import Session
 from companion.link.transport import backlog_read
+from companion.plan.inputs import ComputerLoad
 from companion.plan.landing.contact import UNSEEN_S
-from companion.plan.mission.inputs import ComputerLoad
 
 BUFFER_S: Final = 1.0  # Linux' usual buffer holds more than this
 _LOOK_S: Final = 0.02

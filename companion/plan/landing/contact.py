@@ -17,8 +17,8 @@ from companion.base.messages import LandedState, PadState, RangeSample, VehicleS
 from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
-from companion.plan.mission.inputs import PlanInputs
-from companion.plan.mission.states import DetectedEvent, MissionEvent
+from companion.plan.events import DetectedEvent, MissionEvent
+from companion.plan.inputs import PlanInputs
 
 FRESH_S = 0.3  # of IMU and echoes
 UNSEEN_S = 0.2  # five frames lost in a row at 30 Hz; a slower vision's every frame

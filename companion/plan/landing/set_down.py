@@ -8,10 +8,10 @@ from __future__ import annotations
 from companion.base.messages import LandedState, PadState, VehicleState
 from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
+from companion.plan.events import DetectedEvent, MissionEvent
+from companion.plan.inputs import PlanInputs
 from companion.plan.landing.contact import ContactTest, contact_signs, imu_fresh, link_silent
 from companion.plan.landing.relative_state import vehicle_motion
-from companion.plan.mission.inputs import PlanInputs
-from companion.plan.mission.states import DetectedEvent, MissionEvent
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 # A reference that far below makes the controller sink two or three times as fast as is planned.
@@ -25,14 +25,14 @@ class SetDown:
         self, config: TouchdownConfig, vehicle: VehicleConfig, generator: ReferenceGenerator
     ) -> None:
         self._config, self._vehicle, self._generator = config, vehicle, generator
-        self.contact_test = ContactTest(config)
 
     def begin(self, vehicle: VehicleState | None, now_s: float) -> None:
         """Sink from the vehicle's own motion on, and no more sideways than that."""
-        self.contact_test = ContactTest(self._config)
         self._sink_from(vehicle, now_s)
 
-    def step(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+    def step(
+        self, sight: PadState | None, inputs: PlanInputs, contact_test: ContactTest, now_s: float
+    ) -> DetectedEvent | None:
         """Go on down; returns what shows that something solid is below."""
         if self._runs_ahead(inputs, now_s):
             self._sink_from(inputs.vehicle, now_s)
@@ -52,8 +52,8 @@ class SetDown:
             sink_m_s=None if inputs.vehicle is None else inputs.vehicle.velocity_ned_m_s[2],
             imu_fresh=imu_fresh(inputs.vehicle, now_s),
         )
-        self.contact_test.update(signs, now_s, down=signs.down and not link_silent(inputs))
-        if self.contact_test.contact:
+        contact_test.update(signs, now_s, down=signs.down and not link_silent(inputs))
+        if contact_test.contact:
             return MissionEvent.CONTACT, signs.in_words()
         return None
 

@@ -14,9 +14,9 @@ from companion.base.geometry import norm, tilt_from_quat
 from companion.base.messages import PadState, Quantity, SourceComparison, VehicleState
 from companion.config import VehicleConfig
 from companion.plan.debounce import Debounce
+from companion.plan.inputs import PlanInputs
 from companion.plan.landing.contact import UNSEEN_S, echo_height_m, imu_fresh
 from companion.plan.landing.relative_state import predicted
-from companion.plan.mission.inputs import PlanInputs
 
 # So still for so long it is not in somebody's hands; further aslant an echo is not from below.
 _STILL_S: Final = 2.0

@@ -1,7 +1,7 @@
 """The touchdown, over the last third of a metre: wait over the pad, sink at a constant speed, rise, stand.
 
 Heights count from the vehicle's reference point: with the feet on the pad it is leg_height over it.
-Relative to the pad, NED axes, m and s. The mission's table decides which of them.
+Relative to the pad, NED axes, m and s. What is detected says what may follow; the mission's table decides.
 
 Contact is soft while the pad's acceleration is small: the vehicle follows an acceleration with a lag (about
 0.2 s), so its speed relative to the pad is off by acceleration x lag, whatever the pad's speed. During the
@@ -18,6 +18,8 @@ from companion.base.messages import LevelOff, PadState, RangeSample, VehicleStat
 from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
+from companion.plan.events import DetectedEvent, MissionEvent
+from companion.plan.inputs import PlanInputs
 from companion.plan.landing.contact import (
     FRESH_S,
     UNSEEN_S,
@@ -34,8 +36,6 @@ from companion.plan.landing.short_echoes import ShortEchoes
 from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.tilt_prediction import TiltPrediction, level_at
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle, slides_off, stopping_m
-from companion.plan.mission.inputs import PlanInputs
-from companion.plan.mission.states import DetectedEvent, MissionEvent, State
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 # Time constant with which the reference's height follows the vehicle's.
@@ -59,9 +59,9 @@ _AGREES_M = 0.05
 
 
 class TouchdownSequence:
-    """One try after another: `begin` at each, `enter` at each of its states, `step` every cycle.
+    """One try after another: `begin` at each, and in every cycle `see` and what the vehicle does then.
 
-    Steers the reference in the pad's frame.
+    Steers the reference in the pad's frame; each returns what is detected, and why.
     """
 
     def __init__(
@@ -98,52 +98,24 @@ class TouchdownSequence:
         self._levelling = Levelling(config, vehicle, self._standing_height.std_m)
         self._left = False
 
-    def enter(self, state: State, vehicle: VehicleState | None, now_s: float) -> None:
-        """Begin with one of the states within a try."""
-        if state is State.SINK:
-            self._commit(now_s)
-        elif state is State.RISE:
-            self._break_off(now_s)
-        elif state is State.SET_DOWN:
-            self._set_down.begin(vehicle, now_s)
-            self._standing.begin(now_s, self._sight)  # what an earlier try stood counts no more
-            self._levelling.reset()
-            self._levelling.stay(now_s)
-        elif state is State.STAND:
-            self._standing.begin(now_s, self._sight)
-            self._stay_down(now_s)
-
-    def step(
-        self, state: State, sight: PadState | None, inputs: PlanInputs, now_s: float
-    ) -> DetectedEvent | None:
-        """Steer for one cycle; returns what is detected, and why."""
+    def see(self, sight: PadState | None, vehicle: VehicleState | None, now_s: float) -> None:
+        """Take in a cycle's estimates."""
         self._sight = sight
-        if inputs.vehicle is not None:
-            self.tilt.note(inputs.vehicle.attitude, sight, now_s)
-        if state is State.SINK:
-            return self._sink(sight, inputs, now_s)
-        if state is State.SET_DOWN:
-            self._levelling.stay(now_s)
-            return self._set_down.step(sight, inputs, now_s)
-        if state in {State.STAND, State.AUTO_LAND}:
-            return self._stand(state, sight, inputs, now_s)
-        event = self._wait(sight, now_s)
-        if event is None and state is State.RISE and not self._generator.rising(now_s):
-            return MissionEvent.RISEN, "on the way back up"
-        return event
+        if vehicle is not None:
+            self.tilt.note(vehicle.attitude, sight, now_s)
 
     @property
     def unconfirmed(self) -> bool:
         """Whether nothing shows the feet on the pad since our setpoints may not have arrived."""
         return self._standing.unconfirmed
 
-    def unloading(self, state: State) -> float:
-        """The share of the thrust (0 to 1) that is taken away in that state, for the feet to carry.
+    @property
+    def unloading(self) -> float:
+        """The share of the thrust (0 to 1) that is taken away on the way down, for the feet to carry.
 
         No more than what would make a fall, from where the feet may still be, too hard a contact.
         """
-        tests = {State.SINK: self._contact_test, State.SET_DOWN: self._set_down.contact_test}
-        share, sight = tests[state].share if state in tests else 0.0, self._sight
+        share, sight = self._contact_test.share, self._sight
         if share > 0.0 and sight is not None and sight.unseen_s <= UNSEEN_S:
             falls_m = sight.height_m - self._vehicle.leg_height_m - self._standing_height.std_m
             if falls_m > 0.0:
@@ -156,7 +128,8 @@ class TouchdownSequence:
 
     # ------------------------------------------------------------ wait, and rise to where it waits
 
-    def _wait(self, sight: PadState | None, now_s: float) -> DetectedEvent | None:
+    def wait(self, sight: PadState | None, now_s: float) -> DetectedEvent | None:
+        """Hover over the pad for a moment to land."""
         c, tolerance = self._config, self._tolerance
         waited_s = now_s - self._since_s
         self._generator.fly_to(Motion((0.0, 0.0, -self._wait_height_m)), now_s)
@@ -180,6 +153,13 @@ class TouchdownSequence:
         if self._settled.held_s(ready, now_s) >= c.settled_s:
             return MissionEvent.COMMIT, "committed to land: sinking"
         return None
+
+    def rise(self, sight: PadState | None, now_s: float) -> DetectedEvent | None:
+        """Climb back to where it waits."""
+        event = self.wait(sight, now_s)
+        if event is None and not self._generator.rising(now_s):
+            return MissionEvent.RISEN, "on the way back up"
+        return event
 
     def _tilt_to_commit_m_s2(self, now_s: float) -> float:
         return min(
@@ -208,7 +188,8 @@ class TouchdownSequence:
 
     # ------------------------------------------------------------ sink
 
-    def _commit(self, now_s: float) -> None:
+    def commit(self, now_s: float) -> None:
+        """Begin to sink."""
         c = self._config
         self._sunk_s = now_s
         self._contact_test = ContactTest(c)
@@ -218,7 +199,8 @@ class TouchdownSequence:
         left_m = self._generator.at(now_s).position_m[2] + blended_m + self._vehicle.leg_height_m
         self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / speed_m_s
 
-    def _sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+    def sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+        """Go down at a constant speed, until the feet touch or something is wrong."""
         unfelt_s = 0.0 if inputs.vehicle is None else now_s - inputs.vehicle.sensed_time_s
         silent = unfelt_s > FRESH_S
         if sight is not None and not silent and (slides := self._slides(sight)):
@@ -355,19 +337,38 @@ class TouchdownSequence:
         if sight is not None and sight.unseen_s <= UNSEEN_S:
             self._generator.shift_down(share * (-sight.height_m - self._generator.at(now_s).position_m[2]))
 
-    def _break_off(self, now_s: float) -> None:
-        """Rise at once; waiting goes on from the reference's own state."""
+    def break_off(self, now_s: float) -> None:
+        """Begin to rise, at once; waiting goes on from the reference's own state."""
         self._generator.rise(now_s)
         self._levelling.reset()
         self._settled, self._too_fast, self._far_aside, self._deeper = (Debounce() for _ in range(4))
 
-    # ------------------------------------------------------------ stand
+    # ------------------------------------------------------------ set down, and stand
 
-    def _stand(
-        self, state: State, sight: PadState | None, inputs: PlanInputs, now_s: float
-    ) -> DetectedEvent | None:
+    def begin_set_down(self, vehicle: VehicleState | None, now_s: float) -> None:
+        """Begin to go straight down, level."""
+        self._contact_test = ContactTest(self._config)
+        self._set_down.begin(vehicle, now_s)
+        self._standing.begin(now_s, self._sight)  # what an earlier try stood counts no more
+        self._levelling.reset()
+        self._levelling.stay(now_s)
+
+    def set_down(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+        """Go straight down, without the pad."""
+        self._levelling.stay(now_s)
+        return self._set_down.step(sight, inputs, self._contact_test, now_s)
+
+    def begin_stand(self, now_s: float) -> None:
+        """The feet are on the pad."""
+        self._standing.begin(now_s, self._sight)
         self._stay_down(now_s)
-        if why := self._leaves(state, sight, inputs, now_s):
+
+    def stand(
+        self, sight: PadState | None, inputs: PlanInputs, now_s: float, *, in_land: bool
+    ) -> DetectedEvent | None:
+        """Stay on the pad; `in_land`: the autopilot lands there."""
+        self._stay_down(now_s)
+        if why := self._leaves(sight, inputs, now_s, in_land=in_land):
             self._lift_off(sight, now_s)
             return MissionEvent.OFF_PAD, why
         return self._standing.step(sight, inputs, now_s)
@@ -390,11 +391,11 @@ class TouchdownSequence:
         self._levelling.reset()
         self._levelling.stay(now_s)
 
-    def _leaves(self, state: State, sight: PadState | None, inputs: PlanInputs, now_s: float) -> str:
+    def _leaves(self, sight: PadState | None, inputs: PlanInputs, now_s: float, *, in_land: bool) -> str:
         """Why it does not stay on the pad; "" while it does."""
         why = self._standing.off_by_itself(sight, inputs, now_s)
         # LAND is asked for just where nothing shows the feet down
-        if why and (state is State.STAND or not self._standing.unconfirmed):
+        if why and not (in_land and self._standing.unconfirmed):
             return why
         away = sight is not None and self._standing.off_pad(sight, now_s)
         slips = self._standing.arrives(now_s) or self._standing.doubted

@@ -13,7 +13,7 @@ from typing import Final
 from companion.base.geometry import Quaternion, quat_rotate
 from companion.base.messages import LandedState, PadState
 from companion.config import VehicleConfig
-from companion.plan.mission.inputs import PlanInputs
+from companion.plan.inputs import PlanInputs
 
 _FRESH_S: Final = 1.0
 # No deck that is landed on tilts so far (24 deg is refused for a ship's), and legs that stand do not either.

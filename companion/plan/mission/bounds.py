@@ -15,7 +15,7 @@ from companion.base.messages import AutopilotState, PadState, VehicleState
 from companion.base.motion import Motion
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
-from companion.plan.mission.states import DetectedEvent, MissionEvent
+from companion.plan.events import DetectedEvent, MissionEvent
 
 # A request, its answer and the begin of the braking: 0.2 s each on a slow link, and 0.4 s more to tilt.
 _OBEYED_S: Final = 0.8

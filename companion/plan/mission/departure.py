@@ -12,11 +12,12 @@ from companion.base.messages import Action, ActionKind, AutopilotState, LandedSt
 from companion.base.second_sources import refused
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
+from companion.plan.events import DetectedEvent, MissionEvent
+from companion.plan.inputs import PlanInputs
 from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack, vehicle_motion
-from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.mode_monitor import in_offboard
-from companion.plan.mission.states import DetectedEvent, MissionEvent, State
+from companion.plan.mission.states import State
 from companion.plan.notices import NoticeSink
 from companion.plan.obstacles.obstacle_monitor import ObstacleMonitor
 from companion.plan.trajectory.waypoints import Waypoints

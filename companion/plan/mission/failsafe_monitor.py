@@ -17,13 +17,14 @@ from companion.base.messages import (
 from companion.base.second_sources import TABLE, Reaction
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
+from companion.plan.events import DetectedEvent, MissionEvent
+from companion.plan.inputs import PlanInputs
 from companion.plan.landing.contact import FRESH_S
 from companion.plan.mission.bounds import Bounds
 from companion.plan.mission.departure import refused_words, rival_words
-from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.mode_monitor import WITHOUT_STICKS, ModeMonitor, short_name
 from companion.plan.mission.state_machine import StateMachine
-from companion.plan.mission.states import DetectedEvent, MissionEvent, State
+from companion.plan.mission.states import State
 from companion.plan.mission.table import FINAL, ON_GROUND
 
 # Without IMU samples for so long the estimate is lost. In the final descent it takes as long as that nearly

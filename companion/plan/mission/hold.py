@@ -12,9 +12,9 @@ from companion.base.geometry import Vector3, norm, subtract
 from companion.base.messages import VehicleState
 from companion.base.motion import Motion
 from companion.config import PlanConfig
+from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack, vehicle_motion
-from companion.plan.mission.states import DetectedEvent, MissionEvent
 from companion.plan.notices import NoticeSink
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 

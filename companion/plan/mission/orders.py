@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from companion.base.messages import AutopilotState, LandedState, Order, OrderKind, Refusal, VehicleState
 from companion.base.second_sources import refused
 from companion.config import MissionConfig, PlanConfig
+from companion.plan.events import MissionEvent
+from companion.plan.inputs import PlanInputs
 from companion.plan.mission.bounds import Bounds
 from companion.plan.mission.departure import TWIN_GONE_S, refused_words, rival_words
-from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.mode_monitor import in_offboard
-from companion.plan.mission.states import MissionEvent
 
 ORDER_EVENTS = {OrderKind.LAND: MissionEvent.LAND_ORDERED, OrderKind.FLY: MissionEvent.FLY_ORDERED}
 _STALE_S = 0.5

@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 from companion.base.messages import Phase
-from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, MissionEvent, State
+from companion.plan.events import MissionEvent
+from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, State
 from companion.plan.mission.table import follows
 
 

@@ -1,4 +1,4 @@
-"""The vocabulary of the mission's table: states, events, who has the vehicle, guards, effects, rows.
+"""The vocabulary of the mission's table: states, who has the vehicle, guards, effects, rows.
 
 A state is a phase of the mission, or one of its sub-phases: the touchdown has six, a hold has two. No clock,
 no I/O.
@@ -10,6 +10,7 @@ from enum import StrEnum
 from typing import Final
 
 from companion.base.messages import Action, Phase
+from companion.plan.events import MissionEvent
 
 
 class State(StrEnum):
@@ -47,65 +48,6 @@ _PART_OF: Final = {
     ),
     State.AWAIT_LINK: Phase.HOLD,
 }
-
-
-class MissionEvent(StrEnum):
-    """What can happen to a mission."""
-
-    LAND_ORDERED = "land_ordered"  # in standby, and nothing stands against it
-    FLY_ORDERED = "fly_ordered"
-    READY = "ready"  # autopilot connected and ready to arm, our estimate aligned
-    ALREADY_ARMED = "already_armed"  # and not by us
-    ALIGNMENT_LOST = "alignment_lost"  # our estimate's, before the autopilot would arm
-    ARMED = "armed"
-    AIRBORNE = "airborne"  # take-off height reached
-    BLOCKED = "blocked"  # the same, but an obstacle is in the straight way that the autopilot would fly
-    HOME_UNKNOWN = "home_unknown"  # the same, but where the obstacles are is not known
-    ARRIVED = "arrived"  # at the waypoint, slow
-    ONWARD = "onward"  # the same, but further waypoints are ours to fly to
-    STREAMING = "streaming"  # setpoints have left for long enough to ask for control
-    CONTROL_GRANTED = "control_granted"  # and the autopilot obeys setpoints
-    PAD_SEEN = "pad_seen"  # steadily, and setpoints of ours are obeyed where that matters
-    CENTRED = "centred"  # above the pad, within the descent cone
-    LOW = "low"  # at the height from which touchdown is one straight go
-    COMMIT = "commit"  # aligned over a pad that is gentle, for a moment
-    CLEAR = "clear"  # at rest by our setpoints, and clear of the pad
-    BREAK_OFF = "break_off"  # in the final descent, with room to stop
-    RISEN = "risen"  # climbing after a break-off
-    CONTACT = "contact"  # several signs say that the feet stand on the pad
-    LANDING_DETECTED = "landing_detected"  # by the autopilot
-    AT_REST = "at_rest"  # shown to rest on the pad, without the autopilot's word
-    UNPROVEN = "unproven"  # neither, and nothing shows the feet down
-    PAD_GONE = "pad_gone"  # in the final descent, where there is no room to rise either
-    OFF_PAD = "off_pad"  # it does not stay: the pad is well below or slides, or a silent link may have it off
-    PAD_LOST = "pad_lost"
-    GROUND_NEAR = "ground_near"  # echoes far nearer than the pad's estimate: the estimate is wrong
-    MISALIGNED = "misaligned"  # no touchdown from here: climb and try again
-    REFUSED = "refused"  # an action, as often as it may be asked
-    TIMEOUT = "timeout"  # of the phase
-    OVERTIME = "overtime"  # of the whole mission, from take-off or the order to land
-    DISARMED = "disarmed"
-    TAKEN_OVER = "taken_over"
-    STOP = "stop_requested"
-    SUSPENDED = "suspended"  # our computer was: what is known is from long before
-    LINK_LOST = "link_lost"
-    LINK_UP = "link_up"
-    COMPUTER_LATE = "computer_late"  # ours is too slow to fly by
-    LINK_LATE = "link_late"  # answers come, but too late to fly by
-    RIVAL = "rival"  # somebody else sends setpoints to the vehicle
-    ESTIMATE_LOST = "estimate_lost"
-    CONTROL_FAILED = "control_failed"  # the controller finds no plan, and has long commanded to stop
-    VELOCITY_UNCERTAIN = "velocity_uncertain"  # ours, though there is an estimate
-    BATTERY_CRITICAL = "battery_critical"
-    BATTERY_LOW = "battery_low"
-    OUT_OF_BOUNDS = "out_of_bounds"  # the fence or the ceiling, with room to stop before it
-    ESTIMATE_DISPUTED = "estimate_disputed"  # our own motion, by a second source of it
-    PAD_DISPUTED = "pad_disputed"  # what the pad's estimate rests on, by a second source of it
-    PAD_TOO_FAST = "pad_too_fast"  # to be followed
-
-
-# what is detected, and why
-DetectedEvent = tuple[MissionEvent, str]
 
 
 class Authority(StrEnum):

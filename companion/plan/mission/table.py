@@ -19,16 +19,8 @@ from dataclasses import replace
 from typing import Final
 
 from companion.base.messages import Action, ActionKind
-from companion.plan.mission.states import (
-    Authority,
-    Branch,
-    Circumstances,
-    Effect,
-    Guard,
-    MissionEvent,
-    State,
-    TableRow,
-)
+from companion.plan.events import MissionEvent
+from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, Guard, State, TableRow
 
 E, S = MissionEvent, State
 FINAL: Final = frozenset({S.LANDED, S.ABORT})

@@ -12,7 +12,7 @@ import numpy as np
 from companion.base.geometry import Vector3, add, norm
 from companion.base.motion import Motion
 from companion.config import ConfigError, MissionConfig, PlanConfig
-from companion.plan.mission.states import DetectedEvent, MissionEvent
+from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 

@@ -29,7 +29,7 @@ from companion.base.messages import (
 from companion.config import LinkConfig
 from companion.estimate.input_tally import InputTally
 from companion.link.session import Session
-from companion.plan.mission.inputs import ComputerLoad
+from companion.plan.inputs import ComputerLoad
 
 PERIOD_S = 1.0 / 30.0
 LONGEST_S = (1.0 + EARLIEST + LATEST) * PERIOD_S

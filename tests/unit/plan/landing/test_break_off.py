@@ -7,7 +7,7 @@ import pytest
 from companion.base.geometry import quat_from_euler
 from companion.base.messages import LandedState
 from companion.base.motion import Motion
-from companion.plan.mission.states import MissionEvent
+from companion.plan.events import MissionEvent
 from tests.unit.plan.landing.touchdown_attempt import (
     CONFIG,
     CYCLE_S,

@@ -8,8 +8,8 @@ import pytest
 from companion.base.messages import LandedState, PadState
 from companion.config import TouchdownConfig
 from companion.control.attitude import attitude_from_acceleration
+from companion.plan.events import MissionEvent
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle
-from companion.plan.mission.states import MissionEvent
 from tests.unit.plan.landing.touchdown_attempt import (
     CONFIG,
     CYCLE_S,

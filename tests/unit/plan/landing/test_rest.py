@@ -7,9 +7,9 @@ import pytest
 from companion.base.geometry import GRAVITY_M_S2
 from companion.base.messages import ActionKind, AutopilotState, LandedState, PadState, Phase
 from companion.config import TouchdownConfig
+from companion.plan.events import MissionEvent
+from companion.plan.inputs import PlanInputs
 from companion.plan.landing.contact import LandDetector
-from companion.plan.mission.inputs import PlanInputs
-from companion.plan.mission.states import MissionEvent
 from tests.unit.control.controller_inputs import vehicle_state
 from tests.unit.plan.landing.touchdown_attempt import CYCLE_S, sight
 from tests.unit.plan.mission.planner_world import world

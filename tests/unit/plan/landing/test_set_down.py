@@ -3,10 +3,12 @@
 from dataclasses import replace
 
 from companion.base.messages import AutopilotState, LandedState, RangeSample
+from companion.plan.events import MissionEvent
+from companion.plan.inputs import PlanInputs
 from companion.plan.landing.relative_state import PadTrack
-from companion.plan.mission.inputs import PlanInputs
-from companion.plan.mission.states import Authority, Circumstances, MissionEvent, State
+from companion.plan.mission.states import Authority, Circumstances, State
 from companion.plan.mission.table import follows
+from companion.plan.steering import enter_touchdown, touch_down
 from tests.unit.control.controller_inputs import vehicle_state
 from tests.unit.plan.landing.touchdown_attempt import CYCLE_S, sight, sinking
 from tests.unit.plan.plan_harness import LEG_M
@@ -17,12 +19,12 @@ LANDING = AutopilotState(0.0, connected=True, armed=True, offboard=False, landed
 def test_under_the_autopilots_land_the_contact_is_felt() -> None:
     """Feet down, the pad seen at the feet, short echoes: nothing sinks any more."""
     sequence, now_s = sinking()._sequence, 10.0
-    sequence.enter(State.SET_DOWN, vehicle_state(now_s), now_s)
+    enter_touchdown(sequence, State.SET_DOWN, vehicle_state(now_s), now_s)
     found = None
     for _ in range(60):
         now_s += CYCLE_S
         inputs = PlanInputs(vehicle_state(now_s), None, LANDING, range=RangeSample(now_s, 0.1))
-        found = found or sequence.step(State.SET_DOWN, sight(height=LEG_M), inputs, now_s)
+        found = found or touch_down(sequence, State.SET_DOWN, sight(height=LEG_M), inputs, now_s)
     assert found is not None
     assert found[0] is MissionEvent.CONTACT
 
@@ -30,15 +32,15 @@ def test_under_the_autopilots_land_the_contact_is_felt() -> None:
 def test_what_an_earlier_try_stood_does_not_cut_the_motors_of_a_later_one() -> None:
     sequence, now_s = sinking()._sequence, 10.0
     inputs = PlanInputs(vehicle_state(now_s), None, LANDING, range=RangeSample(now_s, 0.1))
-    sequence.enter(State.STAND, vehicle_state(now_s), now_s)
+    enter_touchdown(sequence, State.STAND, vehicle_state(now_s), now_s)
     for k in range(20):  # beyond its first moments, in which it may still slide
         at_s = now_s + k * CYCLE_S
         resting = replace(inputs, vehicle=vehicle_state(at_s), range=RangeSample(at_s, 0.1))
-        sequence.step(State.STAND, sight(height=LEG_M), resting, at_s)
+        touch_down(sequence, State.STAND, sight(height=LEG_M), resting, at_s)
     later_s = now_s + 20.0
-    sequence.enter(State.SET_DOWN, vehicle_state(later_s), later_s)
+    enter_touchdown(sequence, State.SET_DOWN, vehicle_state(later_s), later_s)
     landing = replace(inputs, vehicle=vehicle_state(later_s), range=RangeSample(later_s, 0.1))
-    assert sequence.step(State.AUTO_LAND, sight(height=LEG_M), landing, later_s) is None
+    assert touch_down(sequence, State.AUTO_LAND, sight(height=LEG_M), landing, later_s) is None
 
 
 def test_with_a_rival_low_over_the_pad_nothing_rises_in_the_mode_that_obeys_it() -> None:

@@ -9,11 +9,12 @@ from companion.base.geometry import ZERO3
 from companion.base.messages import AutopilotState, Phase, Quantity
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, TouchdownConfig
+from companion.plan.inputs import PlanInputs
 from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.touchdown import TouchdownSequence
-from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import State
 from companion.plan.planner import Planner
+from companion.plan.steering import touch_down
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import still
@@ -87,7 +88,7 @@ def test_a_try_begins_with_what_was_measured_until_then() -> None:
     height.measured_m["the pad"] = (LEG_M + 0.03, 0.0)
     generator.start("pad", Motion((0.0, 0.0, -1.0), ZERO3), 0.0)
     sequence.begin(0.0, 1.0)
-    sequence.step(State.WAIT, None, PlanInputs(None, None, AutopilotState(0.0)), 0.0)
+    touch_down(sequence, State.WAIT, None, PlanInputs(None, None, AutopilotState(0.0)), 0.0)
     end = generator.at(20.0).position_m[2]
     assert end == pytest.approx(-(LEG_M + 0.027 + 0.35), abs=1e-3)
 

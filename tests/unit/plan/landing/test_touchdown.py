@@ -15,9 +15,10 @@ from companion.base.messages import (
 )
 from companion.base.motion import Motion
 from companion.plan.debounce import Debounce
+from companion.plan.events import MissionEvent
+from companion.plan.inputs import PlanInputs
 from companion.plan.landing.contact import contact_signs, link_silent
-from companion.plan.mission.inputs import PlanInputs
-from companion.plan.mission.states import MissionEvent, State
+from companion.plan.mission.states import State
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.control.controller_inputs import vehicle_state
 from tests.unit.plan.landing.touchdown_attempt import (

@@ -7,9 +7,10 @@ import pytest
 
 from companion.base.geometry import IDENTITY, quat_from_euler
 from companion.base.messages import LandedState, PadState, Phase
+from companion.plan.events import MissionEvent
+from companion.plan.inputs import PlanInputs
 from companion.plan.landing.upright import not_standing
-from companion.plan.mission.inputs import PlanInputs
-from companion.plan.mission.states import MissionEvent, State
+from companion.plan.mission.states import State
 from companion.plan.mission.table import TABLE
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import still

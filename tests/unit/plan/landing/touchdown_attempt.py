@@ -13,11 +13,13 @@ from companion.base.messages import (
 )
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, TouchdownConfig
+from companion.plan.events import DetectedEvent, MissionEvent
+from companion.plan.inputs import PlanInputs
 from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.touchdown import TouchdownSequence
-from companion.plan.mission.inputs import PlanInputs
-from companion.plan.mission.states import Circumstances, DetectedEvent, MissionEvent, State
-from companion.plan.mission.table import COMMITTED, ON_PAD, TOUCHDOWN, follows
+from companion.plan.mission.states import Circumstances, State
+from companion.plan.mission.table import COMMITTED, LAST_CENTIMETRES, ON_PAD, TOUCHDOWN, follows
+from companion.plan.steering import enter_touchdown, touch_down
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
@@ -66,7 +68,7 @@ class Attempt:
 
     @property
     def unloading(self) -> float:
-        return self._sequence.unloading(self.state)
+        return self._sequence.unloading if self.state in LAST_CENTIMETRES else 0.0
 
     @property
     def unconfirmed(self) -> bool:
@@ -90,14 +92,14 @@ class Attempt:
     ) -> DetectedEvent | None:
         autopilot = AutopilotState(now_s, landed=landed, connected=True)
         inputs = PlanInputs(vehicle, None, autopilot, range=echo, link=LinkHealth(silent_s))
-        detected = self._sequence.step(self.state, seen, inputs, now_s)
+        detected = touch_down(self._sequence, self.state, seen, inputs, now_s)
         if detected is None:
             return None
         branch = follows(self.state, detected[0], Circumstances())
         if branch is None or branch.to not in TOUCHDOWN:
             return detected
         self.state = branch.to
-        self._sequence.enter(self.state, vehicle, now_s)
+        enter_touchdown(self._sequence, self.state, vehicle, now_s)
         if self.state is State.RISE:
             self.broken_off_by = detected[1]
         if self.state is State.STAND:

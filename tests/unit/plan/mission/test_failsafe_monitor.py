@@ -18,11 +18,12 @@ from companion.base.messages import (
 from companion.base.motion import Motion
 from companion.base.second_sources import ROWS, SIGMA_THRESHOLD, Reaction, SourceRow
 from companion.config import MissionConfig, PhaseTimesConfig, PlanConfig
+from companion.plan.events import MissionEvent
+from companion.plan.inputs import ComputerLoad, PlanInputs
 from companion.plan.mission.bounds import Bounds, moved_m, stopping_m
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
-from companion.plan.mission.inputs import ComputerLoad, PlanInputs
 from companion.plan.mission.state_machine import StateMachine
-from companion.plan.mission.states import Authority, Circumstances, MissionEvent, State
+from companion.plan.mission.states import Authority, Circumstances, State
 from companion.plan.mission.table import FINAL, IN_AIR, follows
 from tests.unit.plan.compared import STD, differ
 from tests.unit.plan.mission.planner_world import world

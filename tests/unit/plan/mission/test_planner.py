@@ -10,7 +10,7 @@ import pytest
 from companion.base.geometry import Vector3, ned_from_geodetic
 from companion.base.messages import ActionKind, LandedState, Order, OrderKind, Phase, PlanStep
 from companion.config import Cylinder, MissionConfig, PlanConfig
-from companion.plan.mission.inputs import ComputerLoad
+from companion.plan.inputs import ComputerLoad
 from companion.plan.mission.mode_monitor import TAKES_S
 from companion.plan.planner import Planner
 from tests.unit.plan.mission.planner_world import GOOD, world

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from companion.base.messages import ActionKind, Phase
+from companion.plan.events import MissionEvent
 from companion.plan.mission.state_machine import StateMachine
-from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, Guard, MissionEvent, State
+from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, Guard, State
 from companion.plan.mission.table import (
     ANYWHERE,
     COMMITTED,
