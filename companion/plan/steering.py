@@ -274,7 +274,7 @@ class PhaseSteering:
             return None
         if self._pad.steady(now_s):
             return MissionEvent.PAD_SEEN, "between the waypoints"
-        actual = vehicle_motion(inputs.vehicle, now_s)
+        actual = vehicle_motion(inputs.vehicle)
         self._keep_near(actual, now_s)
         if not self._machine.in_control:
             # PX4 switches to offboard only while setpoints stream
@@ -285,7 +285,7 @@ class PhaseSteering:
     def _look_for_pad(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         if inputs.vehicle is None or not self._generator.active:
             return None
-        actual = vehicle_motion(inputs.vehicle, now_s)
+        actual = vehicle_motion(inputs.vehicle)
         self._keep_near(actual, now_s)
         if self.steps.step_m is not None:
             self.search.go_along(self.steps.step_m)
@@ -370,7 +370,7 @@ class PhaseSteering:
         """Unseen, the reference is in the EKF's NED, and what moves there is the vehicle alone."""
         sight = self._pad.sight
         if self._generator.origin == "local" and inputs.vehicle is not None:
-            self._keep_near(vehicle_motion(inputs.vehicle, now_s), now_s)
+            self._keep_near(vehicle_motion(inputs.vehicle), now_s)
         elif sight is not None and sight.age_s <= self._config.landing.pause_unseen_s:
             self._keep_near(sight.vehicle_from_pad, now_s)
 

@@ -1,6 +1,7 @@
-"""What is known of the pad right now: the estimate predicted to now, and whether the pad is seen steadily.
+"""What is known of the pad right now, and whether it is seen steadily.
 
-Relative quantities are pad minus vehicle, NED axes, as in `PadState`. Metres, seconds, radians.
+The estimates come predicted to the cycle's time. Relative quantities are pad minus vehicle, NED axes, as in
+`PadState`. Metres, seconds, radians.
 """
 
 from __future__ import annotations
@@ -8,47 +9,19 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from companion.base.geometry import add, scale, wrap_angle, yaw_from_quat
+from companion.base.geometry import add, wrap_angle, yaw_from_quat
 from companion.base.messages import PadState, VehicleState
 from companion.base.motion import Motion
 from companion.plan.landing.contact import KNOWN_S, UNSEEN_S
 
-# the prediction's longest step: an estimate that is older shows in `seen_time_s` instead
-_LONGEST_STEP_S = 0.3
 # A heading farther off the pad's is told; so is a pad that turns faster.
 _HEADING_OFF_DEG = 15.0
 _TURNS_DEG_S = 10.0
 
 
-def predicted(pad: PadState | None, now_s: float) -> PadState | None:
-    """The newest estimate predicted to now: at constant relative velocity, turning at constant rate."""
-    if pad is None:
-        return None
-    step_s = min(_LONGEST_STEP_S, max(0.0, now_s - pad.time_s))
-    return replace(
-        pad,
-        time_s=now_s,
-        relative_position_ned_m=add(
-            pad.relative_position_ned_m, scale(pad.relative_velocity_ned_m_s, step_s)
-        ),
-        heading_rad=pad.heading_rad + pad.heading_rate_rad_s * step_s,
-    )
-
-
-def pad_motion(vehicle: VehicleState, pad: PadState, now_s: float) -> Motion:
-    """The pad in the EKF's NED, predicted to now; `pad` is predicted to now already."""
-    return Motion(
-        add(vehicle_motion(vehicle, now_s).position_m, pad.relative_position_ned_m),
-        pad.velocity_ned_m_s,
-        pad.acceleration_ned_m_s2,
-    )
-
-
-def vehicle_motion(vehicle: VehicleState, now_s: float) -> Motion:
-    """The vehicle in the EKF's NED, predicted to now, without acceleration."""
-    step_s = min(_LONGEST_STEP_S, max(0.0, now_s - vehicle.time_s))
-    p, d = vehicle.position_ned_m, scale(vehicle.velocity_ned_m_s, step_s)
-    return Motion((p[0] + d[0], p[1] + d[1], p[2] + d[2]), vehicle.velocity_ned_m_s)
+def vehicle_motion(vehicle: VehicleState) -> Motion:
+    """The vehicle in the EKF's NED, without acceleration."""
+    return Motion(vehicle.position_ned_m, vehicle.velocity_ned_m_s)
 
 
 def misaligned_heading(pad: PadState | None, vehicle: VehicleState | None) -> str:
@@ -93,7 +66,7 @@ class SteadySightings:
 
 
 class PadTrack:
-    """What the planner holds of the pad: `sight`, predicted to now, and its motion in the EKF's NED."""
+    """What the planner holds of the pad: `sight`, and its motion in the EKF's NED."""
 
     def __init__(self, sightings: int, gap_s: float) -> None:
         self._sightings = SteadySightings(sightings, gap_s)
@@ -103,10 +76,10 @@ class PadTrack:
     def update(self, pad: PadState | None, vehicle: VehicleState | None, now_s: float) -> None:
         """Take in a cycle's estimates; the motion of the last cycle that had both is kept."""
         self._sightings.note(pad, now_s)
-        sight = predicted(pad, now_s)
-        self.sight = None if sight is None else replace(sight, delay_s=self._sightings.delay_s)
-        if self.sight is not None and vehicle is not None:
-            self.motion = pad_motion(vehicle, self.sight, now_s)
+        self.sight = None if pad is None else replace(pad, delay_s=self._sightings.delay_s)
+        if pad is not None and vehicle is not None:
+            place = add(vehicle.position_ned_m, pad.relative_position_ned_m)
+            self.motion = Motion(place, pad.velocity_ned_m_s, pad.acceleration_ned_m_s2)
 
     def steady(self, now_s: float) -> bool:
         """Whether the pad is in view, not just for a frame."""

@@ -64,13 +64,13 @@ class SetDown:
             return False
         if link_silent(inputs) or not autopilot.offboard:
             return True
-        ahead_m = self._generator.at(now_s).position_m[2] - vehicle_motion(vehicle, now_s).position_m[2]
+        ahead_m = self._generator.at(now_s).position_m[2] - vehicle_motion(vehicle).position_m[2]
         # without the IMU its height is a guess
         return imu_fresh(vehicle, now_s) and ahead_m > _AHEAD_M
 
     def _sink_from(self, vehicle: VehicleState | None, now_s: float) -> None:
         if vehicle is not None:
-            actual = vehicle_motion(vehicle, now_s)
+            actual = vehicle_motion(vehicle)
             down = Motion(actual.position_m, (0.0, 0.0, actual.velocity_m_s[2]))
             self._generator.start("local", down, now_s)
         self._generator.sink(self._config.contact_speed_m_s, self._config.blend_s, now_s)

@@ -16,7 +16,6 @@ from companion.config import VehicleConfig
 from companion.plan.debounce import Debounce
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing.contact import UNSEEN_S, echo_height_m, imu_fresh
-from companion.plan.landing.relative_state import predicted
 
 # So still for so long it is not in somebody's hands; further aslant an echo is not from below.
 _STILL_S: Final = 2.0
@@ -61,7 +60,7 @@ class StandingHeight:
             self._echo_s = echo.time_s
             if echo.distance_m > self._nearest_echo_m + _ECHO_NOISE_M:
                 self._learn("the rangefinder", self._by_echo, echo_m, now_s)
-        sight = predicted(inputs.pad, now_s)
+        sight = inputs.pad
         if sight is not None and self._stands_on(sight) and sight.seen_time_s > self._seen_s:
             self._seen_s = sight.seen_time_s
             self._learn("the pad", self._by_pad, sight.height_m, now_s)

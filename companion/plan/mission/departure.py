@@ -179,7 +179,7 @@ class Departure:
         home_ned_m = self._obstacle_monitor.home_ned_m
         if vehicle is None or home_ned_m is None:
             return None
-        return self._waypoints.at_first(vehicle_motion(vehicle, vehicle.time_s), home_ned_m)
+        return self._waypoints.at_first(vehicle_motion(vehicle), home_ned_m)
 
     def _to_waypoint(self, vehicle: VehicleState | None, autopilot: AutopilotState) -> DetectedEvent | None:
         if vehicle is None or vehicle.origin is None or autopilot.home is None:

@@ -47,7 +47,7 @@ class Hold:
         """Come to rest, from the reference's own motion when there is one."""
         pad = self._pad.motion
         if not self._generator.active or (self._generator.origin == "pad" and pad is None):
-            self._generator.start("local", vehicle_motion(vehicle, now_s), now_s)
+            self._generator.start("local", vehicle_motion(vehicle), now_s)
             return
         if pad is not None:
             self._generator.change_frame("local", pad, now_s)
@@ -73,7 +73,7 @@ class Hold:
         """Go on; detects that the vehicle is at rest where it holds. `step_m`: of the EKF's position."""
         if self._place is None or vehicle is None or not self._generator.active:
             return None
-        actual = vehicle_motion(vehicle, now_s)
+        actual = vehicle_motion(vehicle)
         if step_m is not None:
             self._place = self._after_step(self._place, step_m, actual, now_s)
         if self._climbs:

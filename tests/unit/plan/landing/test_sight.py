@@ -5,13 +5,7 @@ import pytest
 
 from companion.base.geometry import quat_from_euler
 from companion.base.messages import PadState
-from companion.plan.landing.relative_state import (
-    PadTrack,
-    SteadySightings,
-    misaligned_heading,
-    pad_motion,
-    predicted,
-)
+from companion.plan.landing.relative_state import PadTrack, SteadySightings, misaligned_heading
 from tests.unit.control.controller_inputs import vehicle_state
 from tests.unit.plan.pad_paths import still
 from tests.unit.plan.plan_harness import ORIGIN_NED_M, PlanWorld
@@ -32,38 +26,26 @@ def pad(time_s: float = 10.0, seen_s: float = 9.9) -> PadState:
     )
 
 
-def test_the_prediction_is_the_pad_relative_to_the_vehicle_now() -> None:
-    sight = predicted(pad(), 10.1)
-    assert sight is not None
-    assert sight.relative_position_ned_m == pytest.approx((1.05, -2.0, 4.9))
-    assert sight.vehicle_from_pad.position_m == pytest.approx((-1.05, 2.0, -4.9))
+def test_a_sight_is_the_vehicle_seen_from_the_pad() -> None:
+    sight = pad()
+    assert sight.vehicle_from_pad.position_m == (-1.0, 2.0, -5.0)
     assert sight.vehicle_from_pad.velocity_m_s == (-0.5, 0.0, 1.0)
     assert sight.sink_m_s == 1.0
-    assert sight.height_m == pytest.approx(4.9)
-    assert sight.lateral_m == pytest.approx((1.05**2 + 4.0) ** 0.5)
+    assert sight.height_m == 5.0
+    assert sight.lateral_m == pytest.approx(5.0**0.5)
     assert sight.lateral_speed_m_s == pytest.approx(0.5)
-    assert sight.heading_rad == pytest.approx(0.21)
-    assert sight.age_s == pytest.approx(0.2)
-
-
-def test_a_filter_that_stopped_is_not_predicted_on_but_ages() -> None:
-    sight = predicted(pad(), 20.0)
-    assert sight is not None
-    assert sight.relative_position_ned_m[0] == pytest.approx(1.15)
-    assert sight.age_s == pytest.approx(10.1)
-    assert predicted(None, 20.0) is None
+    assert sight.age_s == pytest.approx(0.1)
 
 
 def test_the_pad_in_our_frame_is_where_it_truly_is() -> None:
     w = PlanWorld(still(10.6, 0.8))
     w.position = (9.0, 1.0, -6.0)
     w._sense()
-    vehicle, sight = w.inputs().vehicle, predicted(w.inputs().pad, 0.0)
-    assert vehicle is not None
-    assert sight is not None
-    place = pad_motion(vehicle, sight, 0.0).position_m
+    track = PadTrack(1, 0.5)
+    track.update(w.inputs().pad, w.inputs().vehicle, 0.0)
+    assert track.motion is not None
     truth = [p - o for p, o in zip((10.6, 0.8, -0.3), ORIGIN_NED_M, strict=True)]
-    assert place == pytest.approx(truth)
+    assert track.motion.position_m == pytest.approx(truth)
 
 
 @pytest.mark.parametrize("period_s", [0.033, 0.25])
