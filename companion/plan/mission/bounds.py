@@ -5,7 +5,6 @@ at the speed v towards it that takes v t + v^2 / (2 a), with the time t until a 
 deceleration a that both autopilots reach in it. m, s; NED.
 """
 
-import cmath
 import math
 from collections.abc import Iterator
 from typing import Final
@@ -16,6 +15,7 @@ from companion.base.motion import Motion
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
 from companion.plan.events import DetectedEvent, MissionEvent
+from companion.plan.trajectory.coordinate_frames import along_arc
 
 # A request, its answer and the begin of the braking: 0.2 s each on a slow link, and 0.4 s more to tilt.
 _OBEYED_S: Final = 0.8
@@ -23,25 +23,12 @@ _OBEYED_S: Final = 0.8
 _BRAKES_M_S2: Final = 2.0
 # An estimate passes the bound for a moment when the pad is first seen.
 _TOO_FAST_S: Final = 0.5
-# A slower turn than this is a straight line over the seconds of a landing.
-_STRAIGHT_RAD_S: Final = 0.02
 
 
 def stopping_m(speed_m_s: float) -> float:
     """How far (m) the vehicle still gets at a speed towards a bound; 0 when it flies away from it."""
     speed = max(0.0, speed_m_s)
     return speed * _OBEYED_S + speed * speed / (2.0 * _BRAKES_M_S2)
-
-
-def moved_m(velocity_ned_m_s: Vector3, turn_rate_rad_s: float, duration_s: float) -> tuple[float, float]:
-    """How far (m, north and east) what keeps its speed and its turn gets in a time."""
-    velocity = complex(*velocity_ned_m_s[:2])
-    if abs(turn_rate_rad_s) < _STRAIGHT_RAD_S:
-        way = velocity * duration_s
-    else:
-        turned = cmath.exp(1j * turn_rate_rad_s * duration_s)
-        way = velocity * (turned - 1.0) / (1j * turn_rate_rad_s)
-    return way.real, way.imag
 
 
 class Bounds:
@@ -73,9 +60,9 @@ class Bounds:
         if pad is None or vehicle is None or vehicle.origin is None or autopilot.home is None:
             return True
         here = self._from_home(vehicle, autopilot, autopilot.home, vehicle.origin)
-        north, east, _ = add(here, subtract(pad.position_m, vehicle.position_ned_m))
-        way_n, way_e = moved_m(pad.velocity_m_s, turn_rate_rad_s, duration_s)
-        return math.hypot(north + way_n, east + way_e) <= self._config.fence_m
+        from_home_m = add(here, subtract(pad.position_m, vehicle.position_ned_m))
+        north, east = along_arc(from_home_m, pad.velocity_m_s, turn_rate_rad_s, duration_s)
+        return math.hypot(north, east) <= self._config.fence_m
 
     def _from_home(
         self, vehicle: VehicleState, autopilot: AutopilotState, home: Vector3, origin: Vector3

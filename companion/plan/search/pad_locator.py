@@ -11,10 +11,8 @@ from companion.base.geometry import ZERO3, Vector3, ned_from_geodetic, wrap_angl
 from companion.base.messages import PadBeacon
 from companion.base.motion import Motion
 from companion.config import SearchConfig
+from companion.plan.trajectory.coordinate_frames import COURSE_M_S, FASTEST_TURN_RAD_S, along_arc
 
-# Slower than this a pad has no course; a faster turn is noise, or turning back.
-_COURSE_M_S = 0.3
-_FASTEST_TURN_RAD_S = 1.0
 # Courses are compared over this time: over less they differ by noise, over more it may have circled.
 _TURN_OVER_S = 1.0
 _LONGEST_TURN_OVER_S = 3.0
@@ -39,13 +37,10 @@ class Lead:
         age_s = now_s - self.time_s
         t = max(0.0, min(age_s, longest_s))
         p, v, w = self.position_ned_m, self.velocity_ned_m_s, self.turn_rate_rad_s
-        angle = w * t
-        along = math.sin(angle) / w if abs(angle) > 1e-4 else t
-        across = (1.0 - math.cos(angle)) / w if abs(angle) > 1e-4 else 0.5 * angle * t
-        place = (p[0] + along * v[0] - across * v[1], p[1] + across * v[0] + along * v[1], 0.0)
+        place = (*along_arc(p, v, w, t), 0.0)
         if age_s >= longest_s:
             return Motion(place)
-        c, s = math.cos(angle), math.sin(angle)
+        c, s = math.cos(w * t), math.sin(w * t)
         vx, vy = c * v[0] - s * v[1], s * v[0] + c * v[1]
         followed = math.copysign(min(abs(w), _MOST_ACCELERATION_M_S2 / max(math.hypot(vx, vy), 1e-6)), w)
         return Motion(place, (vx, vy, 0.0), (-followed * vy, followed * vx, 0.0))
@@ -61,14 +56,14 @@ def turn_rate(before: Lead | None, time_s: float, velocity: Vector3) -> float:
     if time_s - before.time_s > _LONGEST_TURN_OVER_S:
         return 0.0
     old = before.velocity_ned_m_s
-    if min(math.hypot(old[0], old[1]), math.hypot(velocity[0], velocity[1])) < _COURSE_M_S:
+    if min(math.hypot(old[0], old[1]), math.hypot(velocity[0], velocity[1])) < COURSE_M_S:
         return 0.0
     turned = wrap_angle(math.atan2(velocity[1], velocity[0]) - math.atan2(old[1], old[0]))
     return _believed(turned / (time_s - before.time_s))
 
 
 def _believed(rate_rad_s: float) -> float:
-    return rate_rad_s if abs(rate_rad_s) <= _FASTEST_TURN_RAD_S else 0.0
+    return rate_rad_s if abs(rate_rad_s) <= FASTEST_TURN_RAD_S else 0.0
 
 
 class PadLocator:
@@ -110,7 +105,7 @@ class PadLocator:
         p, v, a = pad.position_m, pad.velocity_m_s, pad.acceleration_m_s2
         age_s = now_s - seen_s
         flat = v[0] * v[0] + v[1] * v[1]
-        rate = _believed((v[0] * a[1] - v[1] * a[0]) / flat) if flat > _COURSE_M_S**2 else 0.0
+        rate = _believed((v[0] * a[1] - v[1] * a[0]) / flat) if flat > COURSE_M_S**2 else 0.0
         self._sight = Lead(seen_s, (p[0] - v[0] * age_s, p[1] - v[1] * age_s, 0.0), v, rate)
 
     @property

@@ -3,17 +3,18 @@
 Space is the EKF's NED; a frame is the motion of its origin, its axes are NED's. m, s.
 """
 
+import math
 from typing import Final
 
 import numpy as np
 
-from companion.base.geometry import ZERO3, FloatArray, add, scale
+from companion.base.geometry import ZERO3, FloatArray, Vector3, add, scale
 from companion.base.motion import Motion
 
 STILL: Final = Motion(ZERO3)
-# Slower than this a pad has no course; a faster turn is noise.
-_COURSE_M_S: Final = 0.3
-_FASTEST_TURN_RAD_S: Final = 1.0
+# Slower than this a pad has no course; a faster turn is noise, or turning back.
+COURSE_M_S: Final = 0.3
+FASTEST_TURN_RAD_S: Final = 1.0
 
 
 def in_space(motion: Motion, frame: Motion) -> Motion:
@@ -30,12 +31,24 @@ def space_seen_from(frame: Motion) -> Motion:
     return Motion(scale(frame.position_m, -1.0), scale(frame.velocity_m_s, -1.0))
 
 
+def along_arc(
+    place_m: Vector3, velocity_m_s: Vector3, turn_rate_rad_s: float, duration_s: float
+) -> tuple[float, float]:
+    """Where (m, north and east) what keeps its speed and its turn gets to in a time."""
+    (pn, pe, _), (vn, ve, _) = place_m, velocity_m_s
+    angle = turn_rate_rad_s * duration_s
+    turns = abs(angle) > 1e-4
+    along_s = math.sin(angle) / turn_rate_rad_s if turns else duration_s
+    across_s = (1.0 - math.cos(angle)) / turn_rate_rad_s if turns else 0.5 * angle * duration_s
+    return pn + along_s * vn - across_s * ve, pe + across_s * vn + along_s * ve
+
+
 def predicted_places(frame: Motion, times_s: FloatArray) -> FloatArray:
     """Where a frame will be, (n, 3), at times (n,) from now: along the arc that its acceleration gives."""
     (vn, ve, vd), (an, ae, _) = frame.velocity_m_s, frame.acceleration_m_s2
     square = vn * vn + ve * ve
-    turn = (vn * ae - ve * an) / square if square > _COURSE_M_S**2 else 0.0
-    angle = max(-_FASTEST_TURN_RAD_S, min(_FASTEST_TURN_RAD_S, turn)) * times_s
+    turn = (vn * ae - ve * an) / square if square > COURSE_M_S**2 else 0.0
+    angle = max(-FASTEST_TURN_RAD_S, min(FASTEST_TURN_RAD_S, turn)) * times_s
     # sin(a) / a and (1 - cos(a)) / a, which numpy's sinc has for a = 0 too
     along, across = np.sinc(angle / np.pi), np.sinc(angle / (2.0 * np.pi)) * np.sin(0.5 * angle)
     north, east = times_s * (along * vn - across * ve), times_s * (along * ve + across * vn)

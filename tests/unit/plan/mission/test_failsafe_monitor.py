@@ -20,11 +20,12 @@ from companion.base.second_sources import ROWS, SIGMA_THRESHOLD, Reaction, Sourc
 from companion.config import MissionConfig, PhaseTimesConfig, PlanConfig
 from companion.plan.events import MissionEvent
 from companion.plan.inputs import ComputerLoad, PlanInputs
-from companion.plan.mission.bounds import Bounds, moved_m, stopping_m
+from companion.plan.mission.bounds import Bounds, stopping_m
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Circumstances, State
 from companion.plan.mission.table import FINAL, IN_AIR, follows
+from companion.plan.trajectory.coordinate_frames import along_arc
 from tests.unit.plan.compared import STD, differ
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import line, still
@@ -489,9 +490,9 @@ def test_a_pad_that_drives_home_is_landed_on_however_near_to_the_fence() -> None
 
 
 def test_what_turns_gets_as_far_as_its_arc() -> None:
-    assert moved_m((3.0, 4.0, 9.0), 0.0, 2.0) == (6.0, 8.0)
+    assert along_arc((1.0, 0.0, -2.0), (3.0, 4.0, 9.0), 0.0, 2.0) == (7.0, 8.0)
     # a quarter of a circle of 2 m to the right of north
-    north, east = moved_m((1.0, 0.0, 0.0), 0.5, math.pi)
+    north, east = along_arc((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.5, math.pi)
     assert north == pytest.approx(2.0)
     assert east == pytest.approx(2.0)
 
