@@ -32,7 +32,7 @@ from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.upright import not_standing
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.mode_monitor import in_land, in_offboard
-from companion.plan.mission.orders import estimate_problems, not_ready
+from companion.plan.mission.readiness import estimate_problems, not_ready
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, State

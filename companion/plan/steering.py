@@ -24,7 +24,7 @@ from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.departure import Departure
 from companion.plan.mission.hold import Hold
-from companion.plan.mission.orders import ORDER_EVENTS, refusal
+from companion.plan.mission.readiness import ORDER_EVENTS, refusal
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Branch, Effect, State

@@ -9,20 +9,18 @@ from dataclasses import replace
 
 from companion.base.geometry import Vector3, geodetic_from_ned, ned_from_geodetic
 from companion.base.messages import Action, ActionKind, AutopilotState, LandedState, VehicleState
-from companion.base.second_sources import refused
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
 from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack, vehicle_motion
-from companion.plan.mission.mode_monitor import in_offboard
+from companion.plan.mission.readiness import not_ready_to_arm
 from companion.plan.mission.states import State
 from companion.plan.notices import NoticeSink
 from companion.plan.obstacles.obstacle_monitor import ObstacleMonitor
 from companion.plan.trajectory.waypoints import Waypoints
 
-TWIN_GONE_S = 5.0  # heartbeats come once a second
 _REMIND_S = 10.0
 # The autopilots end a take-off somewhat below its height: up is within this of it, or settled for a while at
 # this share of it.
@@ -30,29 +28,6 @@ _NEARLY_UP_M = 0.5
 _SETTLED_SHARE = 0.7
 _SETTLED_M_S = 0.2
 _SETTLED_S = 1.5
-
-
-def refused_words(autopilot: AutopilotState) -> str:
-    """What the link refused for its version or its signature, if anything, to follow other words."""
-    if autopilot.mavlink_1:
-        return " (it sends MAVLink 1; expected MAVLink 2: SERIALx_PROTOCOL 2, MAV_PROTO_VER 0 or 2)"
-    count = autopilot.refused_frames
-    return f" ({count} frames refused: no right signature, see link.signing_key)" if count else ""
-
-
-def rival_words(autopilot: AutopilotState, now_s: float, within_s: float = TWIN_GONE_S) -> str:
-    """Who else has just sent setpoints to the vehicle, in words; "" when nobody has."""
-    if autopilot.rival is None or now_s - autopilot.rival_time_s > within_s:
-        return ""
-    system_id, component_id = autopilot.rival
-    return f"setpoints of system {system_id}, component {component_id}"
-
-
-def offboard_words(autopilot: AutopilotState) -> str:
-    """Why a PX4 that was found in OFFBOARD is not ready to arm, to follow other words; "" for any other."""
-    if not in_offboard(autopilot):
-        return ""
-    return " (in OFFBOARD PX4 is not, without setpoints: change its mode, for example to Hold)"
 
 
 class Departure:
@@ -109,13 +84,10 @@ class Departure:
         autopilot = inputs.autopilot
         if autopilot.connected and autopilot.armed:
             return MissionEvent.ALREADY_ARMED, "not by this app"
-        missing = [text for text, there in self._needs(inputs.vehicle, autopilot, now_s) if not there]
-        if inputs.computer.problem is not None:
-            missing.insert(0, f"a faster computer: {inputs.computer.problem}")
-        missing += [f"two sources to agree ({words})" for _, words in refused(inputs.comparisons)]
+        missing = [*not_ready_to_arm(inputs, self._config, now_s)]
         if not missing:
             return MissionEvent.READY, "ready to arm"
-        self.remind("waiting", f"waiting for {', '.join(missing)}", now_s)
+        self.remind("waiting", f"waiting: {', '.join(missing)}", now_s)
         return None
 
     def remind(self, kind: str, text: str, now_s: float) -> None:
@@ -123,34 +95,6 @@ class Departure:
         if now_s - self._reminded_s >= _REMIND_S:
             self._reminded_s = now_s
             self._say(kind, text, now_s, "info")
-
-    def _needs(
-        self, vehicle: VehicleState | None, autopilot: AutopilotState, now_s: float
-    ) -> tuple[tuple[str, bool], ...]:
-        low, share = self._config.battery.low, autopilot.battery_share
-        late_s, most_s = autopilot.round_trip_s, self._config.largest_round_trip_s
-        late = "" if late_s is None else f": round trip {late_s:.2f} s, limit {most_s:g}"
-        charged = share is None or share > low
-        charge = "" if share is None else f": {100.0 * share:.0f} % left, limit {100.0 * low:.0f} %"
-        return (
-            (f"the autopilot{refused_words(autopilot)}", autopilot.connected),
-            (
-                "a PX4 or ArduPilot that flies a multirotor",
-                not autopilot.connected or autopilot.autopilot_kind is not None,
-            ),
-            ("the home position", autopilot.home is not None),
-            (f"the autopilot to be ready to arm{offboard_words(autopilot)}", autopilot.ready_to_arm),
-            ("the autopilot's position estimate", autopilot.ekf_ready is not False),
-            ("attitude alignment", vehicle is not None and vehicle.aligned),
-            ("GPS", vehicle is not None and vehicle.has_gps and vehicle.origin is not None),
-            (f"a charged battery{charge}", charged),
-            (f"a quicker link{late}", late_s is None or late_s <= most_s),
-            ("the duplicate companion to leave", now_s - autopilot.twin_time_s > TWIN_GONE_S),
-            (
-                f"others to stop: {rival_words(autopilot, now_s)}",
-                not rival_words(autopilot, now_s),
-            ),
-        )
 
     def _take_off(
         self, vehicle: VehicleState | None, autopilot: AutopilotState, now_s: float

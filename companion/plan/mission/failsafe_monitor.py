@@ -21,8 +21,8 @@ from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing.contact import FRESH_S
 from companion.plan.mission.bounds import Bounds
-from companion.plan.mission.departure import refused_words, rival_words
 from companion.plan.mission.mode_monitor import WITHOUT_STICKS, ModeMonitor, short_name
+from companion.plan.mission.readiness import late_words, refused_words, rival_words, velocity_words
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import State
 from companion.plan.mission.table import FINAL, ON_GROUND
@@ -171,10 +171,9 @@ class FailsafeMonitor:
             yield MissionEvent.COMPUTER_LATE, inputs.computer.problem
         if others := rival_words(autopilot, now_s, _RIVAL_S):
             yield MissionEvent.RIVAL, others
-        late_s, most_s = autopilot.round_trip_s, self._config.largest_round_trip_s
         known = autopilot.connected and now_s - autopilot.round_trip_time_s <= _OLDEST_ROUND_TRIP_S
-        if known and late_s is not None and late_s > most_s:
-            yield MissionEvent.LINK_LATE, f"round trip {late_s:.2f} s, limit {most_s:g}"
+        if known and (late := late_words(autopilot, self._config)):
+            yield MissionEvent.LINK_LATE, late
 
     def _control(self, failure: str, now_s: float) -> Iterator[DetectedEvent]:
         if self._no_plan.held_s(bool(failure), now_s) >= _NO_PLAN_S:
@@ -196,9 +195,8 @@ class FailsafeMonitor:
         longest_s = _STALE_SINKING_S if follows else _STALE_ESTIMATE_S
         if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > longest_s:
             yield MissionEvent.ESTIMATE_LOST, "no current vehicle estimate"
-        elif not vehicle.velocity_std_m_s <= self._config.largest_speed_std_m_s:
-            std_m_s, most_m_s = vehicle.velocity_std_m_s, self._config.largest_speed_std_m_s
-            yield MissionEvent.VELOCITY_UNCERTAIN, f"{std_m_s:.1f} m/s, limit {most_m_s:g}"
+        elif uncertain := velocity_words(vehicle, self._config):
+            yield MissionEvent.VELOCITY_UNCERTAIN, uncertain
 
     def _time(self, now_s: float) -> Iterator[DetectedEvent]:
         assert self._phase_since_s is not None

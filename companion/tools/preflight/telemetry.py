@@ -19,7 +19,7 @@ from companion.config import CompanionConfig
 from companion.link.codec import MARKER, SIGNATURE_BYTES, SIGNED_FLAG, V2_MARKER, mavlink
 from companion.link.dialect import CURRENT_MODE
 from companion.link.streams import pose_rates_hz, telemetry_rates_hz
-from companion.plan.mission.departure import offboard_words
+from companion.plan.mission.readiness import offboard_words
 from companion.tools.preflight.findings import Finding, FindingGroup
 from companion.tools.preflight.parameters import ParameterReadings
 

@@ -24,7 +24,7 @@ def test_a_board_that_lies_12_deg_askew_does_not_take_off(tmp_path: Path) -> Non
     )
     assert outcome is Outcome.ABORTED
     assert {step.phase for step in log.kept["plan"]} == {Phase.CONNECT, Phase.ABORT}
-    assert "two sources to agree (attitude: our horizon roll" in notices(log)
+    assert "waiting: attitude: our horizon roll" in notices(log)
     assert "12." in notices(log)
 
 

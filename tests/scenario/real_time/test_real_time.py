@@ -143,7 +143,7 @@ def test_killed_before_it_armed_the_next_start_arms_nothing_until_it_is_permitte
     with simulator:
         assert run("permit", "--record", flights).code == 0  # nobody sits at a terminal here
         with started(*fly) as killed:
-            wait_for_line(killed, "waiting for")
+            wait_for_line(killed, "waiting: ")
         with started(*fly) as again:
             wait_for_line(again, "standby: the last flight was begun and never ended")
             time.sleep(12.0)  # the vehicle was ready to arm within 9 s

@@ -13,7 +13,7 @@ from companion.link.notices import UNHEARD
 from companion.link.session import Session
 from companion.link.streams import telemetry_rates_hz
 from companion.link.timing.timesync import clock_ns
-from companion.plan.mission.departure import refused_words
+from companion.plan.mission.readiness import refused_words
 from tests.unit.link.fake_autopilot import FakeAutopilot
 from tests.unit.link.session_flight import SessionFlight
 

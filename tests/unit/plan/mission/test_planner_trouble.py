@@ -45,7 +45,7 @@ def test_an_autopilot_whose_filter_does_not_know_where_it_is_is_not_asked_to_arm
     w.autopilot.ekf_ready_from_s = 30.0
     flight = w.fly(60.0)
     assert min(t for t, kind in w.autopilot.heard if kind is ActionKind.ARM) > 30.0
-    assert "waiting for the autopilot's position estimate" in flight.told("waiting")
+    assert "waiting: no position estimate of the autopilot's" in flight.told("waiting")
 
 
 def test_a_take_off_whose_answers_are_lost_is_landed_not_left_in_the_air() -> None:
@@ -273,9 +273,9 @@ def test_on_the_way_it_is_handed_back_and_said(change: dict[str, Any], said: str
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"round_trip_s": 0.5}, "a quicker link: round trip 0.50 s, limit 0.3"),
-        ({"battery_share": 0.25}, "charged battery: 25 % left, limit 25 %"),
-        ({"ready_from_s": 1e9}, "waiting for the autopilot to be ready to arm"),
+        ({"round_trip_s": 0.5}, "link late: round trip 0.50 s, limit 0.3"),
+        ({"battery_share": 0.25}, "battery low: 25 % left, limit 25 %"),
+        ({"ready_from_s": 1e9}, "waiting: autopilot not ready to arm"),
         ({"ready_from_s": 1e9, "mode": "OFFBOARD"}, "in OFFBOARD PX4 is not, without setpoints"),
     ],
 )
@@ -311,7 +311,7 @@ def test_nobody_takes_off_beside_another_companion_with_the_same_ids() -> None:
     w = world(still())
     w.autopilot.twin_until_s = 12.0
     flight = w.fly(20.0)
-    assert any("the duplicate companion to leave" in text for text in flight.told("waiting"))
+    assert any("duplicate companion on the link" in text for text in flight.told("waiting"))
     arms = [t for t, kind in w.autopilot.heard if kind is ActionKind.ARM]
     assert min(arms) > 12.0 + 5.0
 

@@ -1,0 +1,159 @@
+"""What stands against a flight, in words: before the autopilot is asked to arm, and before control is taken.
+
+Pure. An order is followed or refused in the cycle in which it comes, never kept for later: whoever gave it
+looks at the vehicle now. What the failsafes look at while it flies they word alike.
+"""
+
+from collections.abc import Iterator
+
+from companion.base.messages import AutopilotState, LandedState, Order, OrderKind, Refusal, VehicleState
+from companion.base.second_sources import refused
+from companion.config import MissionConfig, PlanConfig
+from companion.plan.events import MissionEvent
+from companion.plan.inputs import PlanInputs
+from companion.plan.mission.bounds import Bounds
+from companion.plan.mission.mode_monitor import in_offboard
+
+ORDER_EVENTS = {OrderKind.LAND: MissionEvent.LAND_ORDERED, OrderKind.FLY: MissionEvent.FLY_ORDERED}
+_TWIN_GONE_S = 5.0  # heartbeats come once a second
+_STALE_S = 0.5
+
+
+def refused_words(autopilot: AutopilotState) -> str:
+    """What the link refused for its version or its signature, if anything, to follow other words."""
+    if autopilot.mavlink_1:
+        return " (it sends MAVLink 1; expected MAVLink 2: SERIALx_PROTOCOL 2, MAV_PROTO_VER 0 or 2)"
+    count = autopilot.refused_frames
+    return f" ({count} frames refused: no right signature, see link.signing_key)" if count else ""
+
+
+def rival_words(autopilot: AutopilotState, now_s: float, within_s: float = _TWIN_GONE_S) -> str:
+    """Who else has just sent setpoints to the vehicle, in words; "" when nobody has."""
+    if autopilot.rival is None or now_s - autopilot.rival_time_s > within_s:
+        return ""
+    system_id, component_id = autopilot.rival
+    return f"setpoints of system {system_id}, component {component_id}"
+
+
+def offboard_words(autopilot: AutopilotState) -> str:
+    """Why a PX4 that was found in OFFBOARD is not ready to arm, to follow other words; "" for any other."""
+    if not in_offboard(autopilot):
+        return ""
+    return " (in OFFBOARD PX4 is not, without setpoints: change its mode, for example to Hold)"
+
+
+def late_words(autopilot: AutopilotState, mission: MissionConfig) -> str:
+    """That the autopilot's answers take too long to fly by; "" where they do not, or none has come."""
+    late_s, most_s = autopilot.round_trip_s, mission.largest_round_trip_s
+    return "" if late_s is None or late_s <= most_s else f"round trip {late_s:.2f} s, limit {most_s:g}"
+
+
+def velocity_words(vehicle: VehicleState, mission: MissionConfig) -> str:
+    """That its velocity is not known well enough to fly by; "" when it is."""
+    std_m_s, most_m_s = vehicle.velocity_std_m_s, mission.largest_speed_std_m_s
+    return "" if std_m_s <= most_m_s else f"{std_m_s:.1f} m/s, limit {most_m_s:g}"
+
+
+def not_ready_to_arm(inputs: PlanInputs, mission: MissionConfig, now_s: float) -> Iterator[str]:
+    """What a flight from the ground waits for."""
+    autopilot, vehicle = inputs.autopilot, inputs.vehicle
+    yield from _either_way(inputs, mission, now_s, "low", mission.battery.low)
+    if not autopilot.ready_to_arm:
+        yield f"autopilot not ready to arm{offboard_words(autopilot)}"
+    if autopilot.ekf_ready is False:
+        yield "no position estimate of the autopilot's"
+    if vehicle is None or not vehicle.aligned:
+        yield "attitude not aligned"
+    if vehicle is None or not vehicle.has_gps or vehicle.origin is None:
+        yield "no GPS position"
+
+
+def not_ready(
+    inputs: PlanInputs, mission: MissionConfig, now_s: float, *, ours: bool = False
+) -> Iterator[str]:
+    """What stands against a landing wherever the vehicle is; on the ground it can be ready too.
+
+    `ours`: setpoints that fly it now are our own.
+    """
+    yield from _either_way(inputs, mission, now_s, "critical", mission.battery.critical)
+    # PX4 flies in it only while somebody's setpoints come, and we send none
+    if inputs.autopilot.armed and in_offboard(inputs.autopilot) and not ours:
+        yield "already in OFFBOARD by another program's setpoints"
+    if inputs.camera_problem is not None:
+        yield f"no pad camera: {inputs.camera_problem}"
+    yield from estimate_problems(inputs.vehicle, mission, now_s)
+
+
+def _either_way(
+    inputs: PlanInputs, mission: MissionConfig, now_s: float, battery: str, least_share: float
+) -> Iterator[str]:
+    autopilot = inputs.autopilot
+    if not autopilot.connected:
+        yield f"no heartbeat from the autopilot{refused_words(autopilot)}"
+    elif autopilot.autopilot_kind is None:
+        yield "no PX4 or ArduPilot multirotor"
+    if autopilot.motors_cut:
+        yield "kill switch, emergency stop or flight termination"
+    if autopilot.home is None:
+        yield "no home position for the fence"
+    if late := late_words(autopilot, mission):
+        yield f"link late: {late}"
+    share = autopilot.battery_share
+    if share is not None and share <= least_share:
+        yield f"battery {battery}: {100.0 * share:.0f} % left, limit {100.0 * least_share:.0f} %"
+    if now_s - autopilot.twin_time_s <= _TWIN_GONE_S:
+        yield "duplicate companion on the link; expected one"
+    if others := rival_words(autopilot, now_s):
+        yield f"foreign setpoints: {others}"
+    if inputs.computer.problem is not None:
+        yield inputs.computer.problem
+    for _, words in refused(inputs.comparisons):
+        yield words
+
+
+def estimate_problems(vehicle: VehicleState | None, mission: MissionConfig, now_s: float) -> Iterator[str]:
+    """What stands against flying by an estimate of the vehicle."""
+    if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > _STALE_S:
+        yield "no current vehicle estimate"
+    elif vehicle.origin is None:
+        yield "no GPS position in our estimate yet"
+    elif uncertain := velocity_words(vehicle, mission):
+        yield f"velocity uncertain: {uncertain}"
+
+
+def refusal(order: Order, inputs: PlanInputs, config: PlanConfig, now_s: float) -> Refusal | None:
+    """Why an order is not followed now; None when it is."""
+    if order.kind is OrderKind.STOP:
+        return Refusal("nothing to stop: in standby")
+    if order.kind is OrderKind.FLY:
+        return _not_flying(inputs, config)
+    missing = next(_missing_to_land(inputs, config, now_s), None)
+    return None if missing is None else Refusal(missing)
+
+
+def _not_flying(inputs: PlanInputs, config: PlanConfig) -> Refusal | None:
+    """What the flight itself waits for (`Departure`) is no reason; who may not arm, and who did, is."""
+    if not config.mission.may_arm:
+        return Refusal("not allowed: plan.mission.may_arm is false", lasting=True)
+    if inputs.autopilot.connected and inputs.autopilot.armed:
+        return Refusal("the vehicle is armed already; order a landing instead")
+    return None
+
+
+def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> Iterator[str]:
+    if inputs.autopilot.connected:
+        yield from _not_in_the_air(inputs.autopilot)
+    yield from not_ready(inputs, config.mission, now_s)
+    if inputs.thrust_doubt:
+        yield inputs.thrust_doubt
+    if config.obstacles:
+        yield "plan.obstacles need a take-off by the app"
+    for _, words in Bounds(config.mission).detect(inputs.vehicle, None, inputs.autopilot, now_s):
+        yield words
+
+
+def _not_in_the_air(autopilot: AutopilotState) -> Iterator[str]:
+    if not autopilot.armed:
+        yield "the vehicle is not armed"
+    if autopilot.landed is LandedState.ON_GROUND:
+        yield "the vehicle is on the ground"
