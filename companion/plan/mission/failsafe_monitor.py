@@ -25,7 +25,7 @@ from companion.plan.mission.mode_monitor import WITHOUT_STICKS, ModeMonitor, sho
 from companion.plan.mission.readiness import late_words, refused_words, rival_words, velocity_words
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import State
-from companion.plan.mission.table import FINAL, ON_GROUND
+from companion.plan.mission.table import FINAL, ON_GROUND, by_gravity
 
 # Without IMU samples for so long the estimate is lost. In the final descent it takes as long as that nearly
 # lasts: the vehicle goes on with the pad, and LAND would brake it over one that drives on. After that the
@@ -126,30 +126,22 @@ class FailsafeMonitor:
         silence = f"no heartbeat from the autopilot{refused_words(autopilot)}"
         if heard:
             silence = f"nothing has shown for {inputs.link.silent_s:.0f} s that the autopilot hears us"
+        cut, lost, E = heard and autopilot.motors_cut, not heard or inputs.link.lost, MissionEvent
         signs = (
-            (
-                control_granted and autopilot.offboard,
-                MissionEvent.CONTROL_GRANTED,
-                "the autopilot follows setpoints",
-            ),
-            (heard and not autopilot.armed, MissionEvent.DISARMED, "motors off"),
-            (
-                heard and autopilot.motors_cut,
-                MissionEvent.TAKEN_OVER,
-                "kill switch, emergency stop or flight termination",
-            ),
-            (taken_over, MissionEvent.TAKEN_OVER, _mode_words(inputs)),
-            (inputs.stop_requested, MissionEvent.STOP, "by the operator"),
-            (inputs.computer.woke, MissionEvent.SUSPENDED, "this computer"),
-            (not heard or inputs.link.lost, MissionEvent.LINK_LOST, silence),
+            (control_granted and autopilot.offboard, E.CONTROL_GRANTED, "the autopilot follows setpoints"),
+            (heard and not autopilot.armed, E.DISARMED, "motors off"),
+            (cut, E.TAKEN_OVER, "kill switch, emergency stop or flight termination"),
+            (taken_over, E.TAKEN_OVER, _mode_words(inputs)),
+            (inputs.stop_requested, E.STOP, "by the operator"),
+            (inputs.computer.woke, E.SUSPENDED, "this computer"),
+            (lost, E.LINK_LOST, silence),
+            (not lost, E.LINK_UP, "heartbeat again"),
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
         found += [*self._late(inputs, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
         found += [*self._control(inputs.control_failure, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
-        found += [*_disputed(inputs.comparisons, bounds), *bounds, *self._time(now_s)]
-        found += [(MissionEvent.LINK_UP, "heartbeat again")] if heard and not inputs.link.lost else []
-        return tuple(found)
+        return by_gravity([*found, *_disputed(inputs.comparisons, bounds), *bounds, *self._time(now_s)])
 
     def after_end(self, autopilot: AutopilotState, asked: frozenset[ActionKind]) -> tuple[DetectedEvent, ...]:
         """Whether somebody has taken the vehicle while the mission's end still asks for this."""

@@ -19,7 +19,7 @@ from dataclasses import replace
 from typing import Final
 
 from companion.base.messages import Action, ActionKind
-from companion.plan.events import MissionEvent
+from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, Guard, State, TableRow
 
 E, S = MissionEvent, State
@@ -41,12 +41,14 @@ UNFOLLOWED: Final = (E.PAD_DISPUTED, E.PAD_TOO_FAST)  # the pad's estimate leads
 OUTSIDE: Final = (E.OUT_OF_BOUNDS, E.OVERTIME)  # of the mission's space or time
 LATE: Final = (E.COMPUTER_LATE, E.LINK_LATE)  # setpoints of ours come too late
 BLIND: Final = (E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED)  # setpoints of ours lead nowhere
-# what may be detected in any state: each state has a row or a reason for none
+# What may be detected in any state, the gravest first: what causes others comes before them. Each state has a
+# row or a reason for none.
 ANYWHERE: Final = (
-    *(E.DISARMED, E.TAKEN_OVER, E.STOP, E.SUSPENDED, E.LINK_LOST, E.LINK_UP, *LATE, E.RIVAL),
-    *(E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED, E.VELOCITY_UNCERTAIN, E.BATTERY_CRITICAL),
-    *(E.BATTERY_LOW, E.OUT_OF_BOUNDS, E.PAD_DISPUTED, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT),
+    *(E.DISARMED, E.TAKEN_OVER, E.STOP, E.SUSPENDED, E.LINK_LOST, E.COMPUTER_LATE, E.RIVAL, E.LINK_LATE),
+    *(E.ESTIMATE_LOST, E.VELOCITY_UNCERTAIN, E.CONTROL_FAILED, E.BATTERY_CRITICAL, E.BATTERY_LOW),
+    *(E.ESTIMATE_DISPUTED, E.PAD_DISPUTED, E.OUT_OF_BOUNDS, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT, E.LINK_UP),
 )
+_GRAVITY: Final = {event: place for place, event in enumerate((E.CONTROL_GRANTED, *ANYWHERE))}
 
 _ARM, _TAKE_OFF, _GO_TO = Action(ActionKind.ARM), Action(ActionKind.TAKE_OFF), Action(ActionKind.GO_TO)
 _TAKE_CONTROL, _HOLD = Action(ActionKind.TAKE_CONTROL), Action(ActionKind.HOLD)
@@ -348,6 +350,11 @@ TABLE: Final = _table(ROWS)
 def impossible(state: State, event: MissionEvent) -> bool:
     """Whether an event cannot arise in a state."""
     return TABLE[state, event] is IMPOSSIBLE
+
+
+def by_gravity(events: Iterable[DetectedEvent]) -> tuple[DetectedEvent, ...]:
+    """What may be detected anywhere in the order in which it acts, until one changes the state."""
+    return tuple(sorted(events, key=lambda event: _GRAVITY[event[0]]))
 
 
 def last_request(state: State, *, ours: bool, stands: bool) -> Action | None:

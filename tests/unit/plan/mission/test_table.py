@@ -21,6 +21,7 @@ from companion.plan.mission.table import (
     ROWS,
     TABLE,
     TOUCHDOWN,
+    by_gravity,
     follows,
     impossible,
 )
@@ -377,6 +378,13 @@ def test_a_search_begins_anew_where_its_pilot_has_flown_until_control_is_granted
     flown = Circumstances(Authority.NONE, ordered_in_air=True)
     assert taken(S.SEARCH, E.CONTROL_GRANTED, flown).effects == (Effect.SEARCH_FROM_HERE,)
     assert taken(S.SEARCH, E.CONTROL_GRANTED, Circumstances(Authority.NONE)).effects == ()
+
+
+def test_what_is_graver_acts_first_and_what_is_as_grave_in_the_order_in_which_it_was_found() -> None:
+    found = [(event, "") for event in reversed(ANYWHERE)]
+    assert [event for event, _ in by_gravity(found)] == list(ANYWHERE)
+    twice = [(E.TIMEOUT, "a"), (E.TAKEN_OVER, "b"), (E.TAKEN_OVER, "c"), (E.CONTROL_GRANTED, "d")]
+    assert [reason for _, reason in by_gravity(twice)] == ["d", "b", "c", "a"]
 
 
 def test_a_low_battery_changes_no_state_and_begins_no_new_try() -> None:
