@@ -21,7 +21,7 @@ from companion.app.action_queue import ActionQueue
 from companion.app.announcer import Announcer
 from companion.app.calibration_warnings import forced_calibrations
 from companion.app.hardware import ActionsFactory, Hardware
-from companion.app.missions import END_PHASES, Missions
+from companion.app.missions import Missions
 from companion.app.service.systemd import ServiceNotifier
 from companion.app.stages import build_stages
 from companion.app.status import STATUS_PERIOD_S, FrameRate, Status
@@ -53,7 +53,6 @@ from companion.plan.planner import PlanInputs
 
 LINK_TICK_S: Final = 0.05
 LAST_HOLD_S: Final = 2.0
-NO_MORE_ACTIONS: Final = (*END_PHASES, Phase.HOLD)  # entering one of these clears the action queue
 # there an error in the settings ends the app
 ON_THE_GROUND: Final = (Phase.STANDBY, Phase.CONNECT, Phase.ARM)
 
@@ -102,7 +101,7 @@ class App:
         self._latency_ms: float | None = None
         self._short_of: set[str] = set()  # told of, in this mission
         self._last_exposure_s: float | None = None
-        self._stop_requested = self._on_pad = False
+        self._stop_requested = False
         self._start_s = self._clock.now_s()
 
     @property
@@ -220,7 +219,7 @@ class App:
         self._short_of.clear()
         self._action_queue.clear()
         self._action_results.clear()
-        self._on_pad, self._control_failure = False, ""
+        self._control_failure = ""
         return False
 
     async def _control_step(self, now_s: float, late_s: float) -> None:
@@ -290,10 +289,8 @@ class App:
             thrust_doubt="" if self._controller is None else self._controller.thrust.doubt,
             link=self.session.health(now_s),
         )
-        before, plan = self.phase, self.missions.step(inputs, now_s)
-        # a disarming that was asked for on the pad is none for a vehicle that has left it
-        left_pad, self._on_pad = self._on_pad and not plan.on_ground, plan.on_ground
-        if left_pad or (plan.phase in NO_MORE_ACTIONS and plan.phase is not before):
+        plan = self.missions.step(inputs, now_s)
+        if self.missions.withdraws:
             self._action_queue.clear()
         self._log.write("plan", plan, now_s)
         for notice in plan.notices:

@@ -64,6 +64,11 @@ class Missions:
     def order(self) -> Order | None:
         return self._desk.followed
 
+    @property
+    def withdraws(self) -> bool:
+        """Whether what was asked for before the last cycle, and waits to be sent, is withdrawn."""
+        return self._planner.withdraws
+
     def control_failed(self, why: str) -> Action | None:
         """Say so, and what the autopilot is asked for; returns that."""
         word = self._planner.last_request(self._session.state)

@@ -36,7 +36,15 @@ from companion.plan.mission.readiness import estimate_problems, not_ready
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, State
-from companion.plan.mission.table import BY_THE_PAD, COMMITTED, FINAL, ON_PAD, impossible, last_request
+from companion.plan.mission.table import (
+    BY_THE_PAD,
+    COMMITTED,
+    FINAL,
+    ON_PAD,
+    WITHDRAWS,
+    impossible,
+    last_request,
+)
 from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, constant_pace
@@ -53,7 +61,12 @@ __all__ = ["PlanInputs", "Planner"]
 
 
 class Planner:
-    """One mission, from connecting to standing on the pad."""
+    """One mission, from connecting to standing on the pad.
+
+    `withdraws`: what was asked for before this cycle, and waits to be sent, is withdrawn.
+    """
+
+    withdraws = False
 
     def __init__(
         self,
@@ -150,7 +163,11 @@ class Planner:
         inputs = self._checked(inputs, now_s)
         self._see(inputs, now_s)
         self._set_pace(inputs, now_s)
+        pressed, before = self._steering.presses_down, self.phase
         self._react(inputs, now_s)
+        # a disarming that was asked for on the pad is none for a vehicle that has left it
+        left_pad = pressed and not self._steering.presses_down
+        self.withdraws = left_pad or (self._machine.state in WITHDRAWS and self.phase is not before)
         return PlanStep(
             time_s=now_s,
             phase=self.phase,

@@ -37,6 +37,8 @@ LOW: Final = OVER_PAD | {S.DESCEND}  # it may be just over the pad, and has not 
 HOLDING: Final = frozenset({S.HOLD, S.AWAIT_LINK})
 # the pad's estimate carries the vehicle
 BY_THE_PAD: Final = TOUCHDOWN | {S.APPROACH, S.DESCEND}
+# what was asked before and waits to be sent is withdrawn as it comes to one of these
+WITHDRAWS: Final = FINAL | HOLDING
 UNFOLLOWED: Final = (E.PAD_DISPUTED, E.PAD_TOO_FAST)  # the pad's estimate leads astray, or too fast
 OUTSIDE: Final = (E.OUT_OF_BOUNDS, E.OVERTIME)  # of the mission's space or time
 LATE: Final = (E.COMPUTER_LATE, E.LINK_LATE)  # setpoints of ours come too late
