@@ -126,14 +126,6 @@ def _echo_within(echo: RangeSample | None, distance_m: float, now_s: float) -> b
     return echo is not None and now_s - echo.time_s <= FRESH_S and echo.distance_m <= distance_m
 
 
-def link_silent(inputs: PlanInputs) -> bool:
-    """Whether the autopilot has been silent for about as long as it waits for setpoints.
-
-    Then it may fly by itself: what the vehicle does says nothing any more by what we command.
-    """
-    return inputs.link.silent
-
-
 def imu_fresh(vehicle: VehicleState | None, now_s: float) -> bool:
     """Whether our IMU is heard."""
     return vehicle is not None and now_s - vehicle.sensed_time_s <= FRESH_S
@@ -212,7 +204,7 @@ class LandDetector:
         """
         able = self._able.held_s(imu_fresh(inputs.vehicle, now_s), now_s) >= FRESH_S
         landed = inputs.autopilot.landed is LandedState.ON_GROUND
-        self.doubted = not landed and (self.doubted or link_silent(inputs))
+        self.doubted = not landed and (self.doubted or inputs.link.silent)
         seen = sight if sight is not None and sight.unseen_s <= UNSEEN_S else None
         self.unconfirmed = self.doubted and seen is None
         if not self.doubted:

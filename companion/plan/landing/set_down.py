@@ -10,7 +10,7 @@ from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing.contact import ContactTest, contact_signs, imu_fresh, link_silent
+from companion.plan.landing.contact import ContactTest, contact_signs, imu_fresh
 from companion.plan.landing.relative_state import vehicle_motion
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
@@ -52,7 +52,7 @@ class SetDown:
             sink_m_s=None if inputs.vehicle is None else inputs.vehicle.velocity_ned_m_s[2],
             imu_fresh=imu_fresh(inputs.vehicle, now_s),
         )
-        contact_test.update(signs, now_s, down=signs.down and not link_silent(inputs))
+        contact_test.update(signs, now_s, down=signs.down and not inputs.link.silent)
         if contact_test.contact:
             return MissionEvent.CONTACT, signs.in_words()
         return None
@@ -62,7 +62,7 @@ class SetDown:
         vehicle, autopilot = inputs.vehicle, inputs.autopilot
         if vehicle is None:
             return False
-        if link_silent(inputs) or not autopilot.offboard:
+        if inputs.link.silent or not autopilot.offboard:
             return True
         ahead_m = self._generator.at(now_s).position_m[2] - vehicle_motion(vehicle).position_m[2]
         # without the IMU its height is a guess

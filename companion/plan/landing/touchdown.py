@@ -28,7 +28,6 @@ from companion.plan.landing.contact import (
     LandDetector,
     contact_signs,
     echo_height_m,
-    link_silent,
 )
 from companion.plan.landing.levelling import Levelling
 from companion.plan.landing.set_down import SetDown
@@ -220,7 +219,7 @@ class TouchdownSequence:
             imu_fresh=not silent,
         )
         # by itself it may hold its height just over the pad: there its feet are seen, or nothing is felt
-        obeys = not link_silent(inputs)
+        obeys = not inputs.link.silent
         near = obeys and sight is not None and self._near(sight, unfelt_s)
         stands = signs.down and (obeys or signs.low)
         self._contact_test.update(signs, now_s, down=stands, near=near)
@@ -375,7 +374,7 @@ class TouchdownSequence:
 
     def leave(self, inputs: PlanInputs, sight: PadState | None, now_s: float) -> None:
         """Go on leaving the pad: while the link is silent, ever again from where the autopilot has it."""
-        if link_silent(inputs):
+        if inputs.link.silent:
             self._lift_off(sight, now_s)
 
     def leaving(self, now_s: float) -> bool:

@@ -17,7 +17,7 @@ from companion.base.motion import Motion
 from companion.plan.debounce import Debounce
 from companion.plan.events import MissionEvent
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing.contact import contact_signs, link_silent
+from companion.plan.landing.contact import contact_signs
 from companion.plan.mission.states import State
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.control.controller_inputs import vehicle_state
@@ -578,5 +578,4 @@ def test_next_to_the_pad_the_reference_goes_on_so_that_standing_shows() -> None:
 def test_how_long_a_silence_is_one_the_vehicles_own_time_out_says(
     keeps_s: float, silent_s: float, counts: bool
 ) -> None:
-    autopilot = AutopilotState(0.0, connected=True)
-    assert link_silent(PlanInputs(None, None, autopilot, link=LinkHealth(silent_s, keeps_s))) is counts
+    assert LinkHealth(silent_s, keeps_s).silent is counts
