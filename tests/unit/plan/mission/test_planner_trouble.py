@@ -232,6 +232,27 @@ def test_every_change_of_phase_is_reported() -> None:
     assert told == [phase.value for _, phase in flight.phases[1:]]
 
 
+def test_what_waits_to_be_sent_is_withdrawn_as_it_holds_and_as_it_ends() -> None:
+    w, withdrawn = world(still()), list[Phase]()
+    w.each = lambda w, step: withdrawn.extend([step.phase] * w.planner.withdraws)
+    w.fly(90.0, until=lambda w: w.flight.phase is Phase.TOUCHDOWN)
+    assert withdrawn == []
+    w.stop = True
+    w.fly(20.0)
+    assert withdrawn == [Phase.HOLD, Phase.ABORT]
+
+
+def test_what_was_asked_for_on_the_pad_is_withdrawn_where_nothing_shows_that_it_stands_there() -> None:
+    w = world(still())
+    w.fly(90.0, until=lambda w: bool(w.flight.steps) and w.flight.steps[-1].on_ground)
+    assert w.flight.steps[-1].on_ground
+    assert not w.planner.withdraws
+    w.silent_from_s, w.blind = w.now_s - 2.0, lambda _t, _height: True
+    w.fly(5.0, until=lambda w: not w.flight.steps[-1].on_ground)
+    assert not w.flight.steps[-1].on_ground
+    assert w.planner.withdraws
+
+
 def test_stopped_just_over_a_heaving_pad_it_climbs_clear_of_it_before_it_is_returned() -> None:
     w = world(heave(0.25))
     w.fly(90.0, until=lambda w: w.flight.phase is Phase.TOUCHDOWN)
