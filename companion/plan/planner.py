@@ -98,7 +98,7 @@ class Planner:
         self._finish_descent = mission.battery.finish_descent
         self._notices: list[Notice] = []
         self._heard_s = -math.inf
-        self._fence_m, self._fence_reported, self._leaving_reported = mission.fence_m, False, False
+        self._fence_m, self._warned = mission.fence_m, set[str]()
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
         self._monitor = FailsafeMonitor(mission, self._machine)
         self._pad = PadTrack(search.sightings, SIGHTINGS_GAP_S)
@@ -230,10 +230,9 @@ class Planner:
             return False
         north, east, _ = ned_from_geodetic(beacon.latitude_deg, beacon.longitude_deg, beacon.altitude_m, home)
         distance_m, fence_m = math.hypot(north, east), self._fence_m
-        if distance_m > fence_m and not self._fence_reported:
-            self._fence_reported = True
+        if distance_m > fence_m:
             words = f"pad beacon ignored: {distance_m:.0f} m from home, fence {fence_m:.0f} m"
-            self._say("fence", words, beacon.time_s, "warning")
+            self._warn_once("beacon", "fence", words, beacon.time_s)
         return distance_m <= fence_m
 
     def _react(self, inputs: PlanInputs, now_s: float) -> None:
@@ -326,10 +325,9 @@ class Planner:
             reason = f"{reason}, no landing: {fell}"
         branch = machine.follows(event, self._circumstances(inputs, now_s))
         if branch is None:
-            if event is MissionEvent.COMMIT and not self._leaving_reported:
-                self._leaving_reported = True
+            if event is MissionEvent.COMMIT:
                 words = f"waiting: the pad leaves the fence ({self._fence_m:.0f} m) before contact"
-                self._say("fence", words, now_s, "warning")
+                self._warn_once(event, "fence", words, now_s)
             return
         if impossible(state, event):
             self._say("unexpected", f"{event.value} in {state.value}: holding", now_s, "error")
@@ -360,9 +358,9 @@ class Planner:
             self._say("leave_offboard", "mode Hold instead of OFFBOARD, so that it can be armed", now_s)
         if Effect.SEARCH_FROM_HERE in branch.effects:
             self._steering.search_from_here(inputs, now_s)
-        if Effect.NO_NEW_TRY in branch.effects and not self._machine.no_new_try:
+        if Effect.NO_NEW_TRY in branch.effects:
             self._machine.no_new_try = True  # it stays low, whatever the load does to it
-            self._say("battery", f"battery low: {reason}, no new try", now_s, "warning")
+            self._warn_once(Effect.NO_NEW_TRY, "battery", f"battery low: {reason}, no new try", now_s)
 
     def _tell(self, before: State, event: MissionEvent, reason: str, now_s: float) -> None:
         """Announce a change of phase, and those within the touchdown that matter."""
@@ -379,6 +377,11 @@ class Planner:
             self._say("contact", f"{where}: {reason}", now_s)
         elif self._machine.state is State.SET_DOWN:
             self._say("set_down", f"{reason}: landing in LAND mode", now_s, "warning")
+
+    def _warn_once(self, of: str, kind: str, text: str, now_s: float) -> None:
+        if of not in self._warned:
+            self._warned.add(of)
+            self._say(kind, text, now_s, "warning")
 
     def _say(self, kind: str, text: str, now_s: float, severity: NoticeSeverity = "info") -> None:
         self._notices.append(Notice(now_s, kind, text, severity))
