@@ -45,6 +45,7 @@ _UNSHOWN_S = 2.0
 _UNSHOWN_AFTER_S = 4.0
 # Tilting more than this it is not about to stand, whatever is near.
 _MOST_FOOT_TILT_RAD = math.radians(15.0)
+_STANDS_S = FRESH_S  # at the slowest sink echoes would shorten by four times their noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +166,36 @@ class ContactTest:
     def contact(self) -> bool:
         """Whether it stands."""
         return self.share >= 1.0
+
+
+class ShortEchoes:
+    """Short echoes in a row, of what the feet stand on: that they shorten no more shows the feet down.
+
+    That is all that can be had without IMU and camera.
+    """
+
+    def __init__(self, sink_m_s: float) -> None:
+        """None yet; `sink_m_s` is the slowest that is planned."""
+        self._sink_m_s = sink_m_s
+        self._row: list[RangeSample] = []
+
+    def note(self, echo: RangeSample | None) -> None:
+        """Take the newest echo, if it is short; None breaks the row."""
+        if echo is None:
+            self._row = []
+        elif not self._row or echo.time_s > self._row[-1].time_s:
+            self._row.append(echo)
+
+    def standing(self, now_s: float) -> bool:
+        """Whether they have shortened by less than half of a sink, over long enough, up to now."""
+        if not self._row or now_s - self._row[-1].time_s > FRESH_S:
+            return False
+        newest = self._row[-1]
+        before = [echo for echo in self._row if newest.time_s - echo.time_s >= _STANDS_S]
+        if not before:
+            return False
+        lasted_s = newest.time_s - before[-1].time_s
+        return before[-1].distance_m - newest.distance_m <= 0.5 * self._sink_m_s * lasted_s
 
 
 class LandDetector:

@@ -34,60 +34,49 @@ def misaligned_heading(pad: PadState | None, vehicle: VehicleState | None) -> st
     return f"heading {off_deg:.0f} deg off the pad's{turns}" if off_deg > _HEADING_OFF_DEG else ""
 
 
-class SteadySightings:
-    """Whether the pad is seen steadily: so many sightings, none longer than a gap after the one before.
+class PadTrack:
+    """What the planner holds of the pad: `sight`, and its motion in the EKF's NED.
 
-    They are counted, whatever time they take: a slow computer sees the pad in every frame of fewer.
+    It is seen steadily after so many sightings, none longer than a gap after the one before. They are
+    counted, whatever time they take: a slow computer sees the pad in every frame of fewer.
     """
 
-    def __init__(self, count: int, gap_s: float) -> None:
-        self._needed, self._gap_s = count, gap_s
+    def __init__(self, sightings: int, gap_s: float) -> None:
+        self._needed, self._gap_s = sightings, gap_s
         self._count = 0
         self._seen_s = -math.inf
-        self.delay_s = 0.0  # of the newest one: from its exposure until it came
-
-    def note(self, pad: PadState | None, now_s: float) -> None:
-        """Count the newest sighting, which has come by now."""
-        if pad is None or pad.seen_time_s <= self._seen_s:
-            return
-        self._count = self._count + 1 if pad.seen_time_s - self._seen_s <= self._gap_s else 1
-        # how long ago the first one came is not known; one that comes later than a pad is known for is old
-        delay_s = now_s - pad.seen_time_s if math.isfinite(self._seen_s) else 0.0
-        self.delay_s = min(max(0.0, delay_s), KNOWN_S - UNSEEN_S)
-        self._seen_s = pad.seen_time_s
-
-    def forget(self) -> None:
-        """Count from zero again."""
-        self._count = 0
-
-    def steady(self, now_s: float) -> bool:
-        """Whether enough have come, the newest one not long ago."""
-        return self._count >= self._needed and now_s - self._seen_s <= self._gap_s
-
-
-class PadTrack:
-    """What the planner holds of the pad: `sight`, and its motion in the EKF's NED."""
-
-    def __init__(self, sightings: int, gap_s: float) -> None:
-        self._sightings = SteadySightings(sightings, gap_s)
+        self._delay_s = 0.0  # of the newest sighting: from its exposure until it came
         self.sight: PadState | None = None
         self.motion: Motion | None = None
 
     def update(self, pad: PadState | None, vehicle: VehicleState | None, now_s: float) -> None:
         """Take in a cycle's estimates; the motion of the last cycle that had both is kept."""
-        self._sightings.note(pad, now_s)
-        self.sight = None if pad is None else replace(pad, delay_s=self._sightings.delay_s)
-        if pad is not None and vehicle is not None:
+        if pad is None:
+            self.sight = None
+            return
+        if pad.seen_time_s > self._seen_s:
+            self._note(pad.seen_time_s, now_s)
+        self.sight = replace(pad, delay_s=self._delay_s)
+        if vehicle is not None:
             place = add(vehicle.position_ned_m, pad.relative_position_ned_m)
             self.motion = Motion(place, pad.velocity_ned_m_s, pad.acceleration_ned_m_s2)
 
+    def _note(self, seen_s: float, now_s: float) -> None:
+        """Count the newest sighting, which has come by now."""
+        self._count = self._count + 1 if seen_s - self._seen_s <= self._gap_s else 1
+        # how long ago the first one came is not known; one that comes later than a pad is known for is old
+        delay_s = now_s - seen_s if math.isfinite(self._seen_s) else 0.0
+        self._delay_s = min(max(0.0, delay_s), KNOWN_S - UNSEEN_S)
+        self._seen_s = seen_s
+
     def steady(self, now_s: float) -> bool:
         """Whether the pad is in view, not just for a frame."""
-        return self.motion is not None and self._sightings.steady(now_s)
+        seen = self._count >= self._needed and now_s - self._seen_s <= self._gap_s
+        return self.motion is not None and seen
 
     def distrust(self) -> None:
         """What was seen proved wrong: only new sightings count."""
-        self._sightings.forget()
+        self._count = 0
 
     def in_words(self) -> str:
         """Where it is, for a notice."""

@@ -26,12 +26,12 @@ from companion.plan.landing.contact import (
     ContactSigns,
     ContactTest,
     LandDetector,
+    ShortEchoes,
     contact_signs,
     echo_height_m,
 )
 from companion.plan.landing.levelling import Levelling
 from companion.plan.landing.set_down import SetDown
-from companion.plan.landing.short_echoes import ShortEchoes
 from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.tilt_prediction import TiltPrediction, level_at
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle, slides_off, stopping_m

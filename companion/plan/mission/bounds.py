@@ -37,7 +37,6 @@ class Bounds:
     def __init__(self, config: MissionConfig) -> None:
         self._config = config
         self._too_fast, self._too_hard = Debounce(), Debounce()
-        self._home: tuple[Vector3, Vector3, Vector3] | None = None
 
     def detect(
         self, vehicle: VehicleState | None, pad: PadState | None, autopilot: AutopilotState, now_s: float
@@ -68,18 +67,12 @@ class Bounds:
         self, vehicle: VehicleState, autopilot: AutopilotState, home: Vector3, origin: Vector3
     ) -> Vector3:
         """The vehicle's place from home (NED, m); without GPS ours drifts: the worse of both."""
-        ours = subtract(vehicle.position_ned_m, self._home_local(home, origin))
+        ours = subtract(vehicle.position_ned_m, ned_from_geodetic(*home, origin))
         if vehicle.has_gps or autopilot.global_position is None:
             return ours
         theirs = ned_from_geodetic(*autopilot.global_position, home)
         north, east, _ = max(ours, theirs, key=lambda place: math.hypot(*place[:2]))
         return north, east, min(ours[2], theirs[2])
-
-    def _home_local(self, home: Vector3, origin: Vector3) -> Vector3:
-        """Home in the EKF's NED; worked out once for a home and an origin."""
-        if self._home is None or self._home[:2] != (home, origin):
-            self._home = (home, origin, ned_from_geodetic(*home, origin))
-        return self._home[2]
 
     def _space(self, vehicle: VehicleState, from_home_m: Vector3) -> Iterator[DetectedEvent]:
         c = self._config

@@ -47,7 +47,6 @@ class Departure:
         self._waypoints, self._obstacle_monitor, self._say = waypoints, obstacle_monitor, say
         self._settled = Debounce()
         self._reminded_s = -math.inf
-        self._waypoint: tuple[Vector3, Vector3, Vector3] | None = None
 
     def with_numbers(self, action: Action, autopilot: AutopilotState) -> Action:
         """One of the table's requests with the mission's numbers in it."""
@@ -128,7 +127,7 @@ class Departure:
     def _to_waypoint(self, vehicle: VehicleState | None, autopilot: AutopilotState) -> DetectedEvent | None:
         if vehicle is None or vehicle.origin is None or autopilot.home is None:
             return None
-        waypoint = self._waypoint_local(autopilot.home, vehicle.origin)
+        waypoint = ned_from_geodetic(*self._waypoint_geodetic(autopilot.home), vehicle.origin)
         p, v = vehicle.position_ned_m, vehicle.velocity_ned_m_s
         distance_m = math.hypot(p[0] - waypoint[0], p[1] - waypoint[1])
         slow = math.hypot(v[0], v[1]) <= self._config.arrival_speed_m_s
@@ -139,9 +138,3 @@ class Departure:
     def _waypoint_geodetic(self, home: Vector3) -> Vector3:
         north, east = self._config.waypoint_ned_m
         return geodetic_from_ned((north, east, 0.0), home)
-
-    def _waypoint_local(self, home: Vector3, origin: Vector3) -> Vector3:
-        """The waypoint in the EKF's NED; worked out once for a home and an origin."""
-        if self._waypoint is None or self._waypoint[:2] != (home, origin):
-            self._waypoint = (home, origin, ned_from_geodetic(*self._waypoint_geodetic(home), origin))
-        return self._waypoint[2]

@@ -5,7 +5,7 @@ import pytest
 
 from companion.base.geometry import quat_from_euler
 from companion.base.messages import PadState
-from companion.plan.landing.relative_state import PadTrack, SteadySightings, misaligned_heading
+from companion.plan.landing.relative_state import PadTrack, misaligned_heading
 from tests.unit.control.controller_inputs import vehicle_state
 from tests.unit.plan.pad_paths import still
 from tests.unit.plan.plan_harness import ORIGIN_NED_M, PlanWorld
@@ -50,21 +50,22 @@ def test_the_pad_in_our_frame_is_where_it_truly_is() -> None:
 
 @pytest.mark.parametrize("period_s", [0.033, 0.25])
 def test_steady_means_so_many_sightings_without_a_gap_whatever_time_they_take(period_s: float) -> None:
-    s = SteadySightings(3, 0.5)
+    s, vehicle = PadTrack(3, 0.5), vehicle_state(0.0)
     times = [1.0 + k * period_s for k in range(3)]
     for t in times[:2]:
-        s.note(pad(t, t), t + 0.1)
-        s.note(pad(t + 0.03, t), t + 0.13)  # the same sighting, predicted on
+        s.update(pad(t, t), vehicle, t + 0.1)
+        s.update(pad(t + 0.03, t), vehicle, t + 0.13)  # the same sighting, predicted on
     assert not s.steady(times[1])
-    s.note(pad(times[2], times[2]), times[2] + 0.1)
-    assert s.delay_s == pytest.approx(0.1)
+    s.update(pad(times[2], times[2]), vehicle, times[2] + 0.1)
+    assert s.sight is not None
+    assert s.sight.delay_s == pytest.approx(0.1)
     assert s.steady(times[2])
     assert s.steady(times[2] + 0.49)
     assert not s.steady(times[2] + 0.51)
-    s.note(None, times[2] + 0.51)
+    s.update(None, vehicle, times[2] + 0.51)
     assert not s.steady(times[2] + 0.51)
     late_s = times[2] + 0.52
-    s.note(pad(late_s, late_s), late_s)  # after a gap one is one
+    s.update(pad(late_s, late_s), vehicle, late_s)  # after a gap one is one
     assert not s.steady(late_s)
 
 
