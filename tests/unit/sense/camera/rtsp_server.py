@@ -23,7 +23,7 @@ LAUNCH = (
 )
 
 
-class Sender:
+class Pusher:
     """Pushes a frame whenever one is due and wanted."""
 
     def __init__(self) -> None:
@@ -51,7 +51,7 @@ def main(port: str) -> None:
     factory.set_launch(LAUNCH)
     factory.connect(
         "media-configure",
-        lambda _, media: media.get_element().get_child_by_name("source").connect("need-data", Sender().push),
+        lambda _, media: media.get_element().get_child_by_name("source").connect("need-data", Pusher().push),
     )
     server.get_mount_points().add_factory("/camera", factory)
     server.attach(None)
