@@ -5,7 +5,7 @@
 #   sudo systemd/install.sh      the same from a checkout: builds a wheel, and fetches what it needs
 # The new version is laid beside the one in use, and only once it is whole are the two switched, the service restarted
 # and checked; if it is not well, the one before is put back. Nothing in /etc/companion is changed, nor who owns it.
-# Exit codes: 0 installed, 1 taken back, 2 nothing was changed, with one line that says why.
+# Exit codes: 0 installed or removed, 1 taken back (or a removal interrupted), 2 nothing was changed, with one line that says why.
 set -euo pipefail
 readonly HERE="$(cd "$(dirname "$(readlink -f "$0")")" && pwd)"
 # shellcheck source=systemd/versions.sh
@@ -24,14 +24,18 @@ if [ "${1:-}" = "--remove" ]; then
         "" | *"does not answer"*) ;;
         *) fail "$reason: nothing was removed; expected a vehicle on the ground, disarmed" ;;
     esac
+    trap '' HUP
+    trap 'echo "$(basename "$0"): the removal was interrupted; expected it again: ${AS_ROOT}$0 --remove" >&2; exit 1' INT TERM
+    say "removing: may take minutes on a Raspberry Pi"
     systemctl disable --now companion.service 2>/dev/null || true
-    rm -f "$UNIT"
-    rm -rf "$PREFIX"
+    # first what others go by: interrupted later on, nothing leads to half a version, or takes it for a whole one
     for program in "${PROGRAMS[@]}" companion-rollback; do
         rm -f "$PROGRAMS_FOLDER/$program"
     done
+    rm -f "$UNIT" "$CURRENT" "$PREVIOUS" "$VERSIONS"/*/COMPLETE
     systemctl daemon-reload
-    echo "removed; settings stay in $SETTINGS, flight logs in $FLIGHTS"
+    rm -rf "$PREFIX"
+    say "removed; settings stay in $SETTINGS, flight logs in $FLIGHTS, and what 'companion setup' has changed"
     exit 0
 fi
 [ $# -eq 0 ] || fail "unknown argument '$1'; expected none or --remove"
@@ -47,7 +51,7 @@ free_mb="$(($(stat -f --format='%a * %S' "$PREFIX") / 1000000))"
 adopt_old_layout
 reason="$(why_no_restart)"
 [ -z "$reason" ] || fail "$reason: nothing was changed; expected a vehicle on the ground, disarmed, or" \
-    "'sudo systemctl stop companion', and this command again"
+    "'${AS_ROOT}systemctl stop companion', and this command again"
 
 cleanup() {
     [ -z "$work" ] || rm -rf "$work"
@@ -153,8 +157,9 @@ put_link "$PREFIX/tools/companion-rollback" "$PROGRAMS_FOLDER/companion-rollback
 first="$(in_use)"
 activate "$name"
 [ -n "$first" ] && exit 0
-say "next, on a Raspberry Pi, UARTs, I2C and the rest: sudo companion setup"
-say "then look through $SETTINGS/companion.yaml, and see what is missing: sudo -u $SERVICE_USER companion check"
-say "then: sudo systemctl enable --now companion"
-say "it stands by and flies nothing unasked: companion status, companion order land; see docs/how-to/service.md"
-say "root and the group companion may ask it: usermod -aG companion ${SUDO_USER:-USER}, and a new login"
+say "next, on a Raspberry Pi, UARTs, I2C and the rest: ${AS_ROOT}companion setup"
+say "then look through $SETTINGS/companion.yaml, and see what is missing: ${AS_SERVICE}companion check"
+say "then: ${AS_ROOT}systemctl enable --now companion"
+say "it stands by and flies nothing unasked: ${AS_ROOT}companion status, ${AS_ROOT}companion order land;" \
+    "see docs/how-to/service.md"
+say "root and the group companion may ask it: ${AS_ROOT}usermod -aG companion ${SUDO_USER:-USER}, and a new login"

@@ -21,6 +21,10 @@ readonly PREVIOUS="$PREFIX/previous"
 readonly SERVICE_USER="${COMPANION_USER:-companion}"
 # for the service, and for the calibrations and checks by hand
 readonly PROGRAMS=(companion companion-sitl calibrate-camera calibrate-magnetometer calibrate-mount)
+# before the commands that a person is told: who is root without sudo may have none
+readonly AS_ROOT="${SUDO_USER:+sudo }"
+if [ -n "$AS_ROOT" ]; then AS_SERVICE="sudo -u $SERVICE_USER "; else AS_SERVICE="runuser -u $SERVICE_USER -- "; fi
+readonly AS_SERVICE
 # how long a new version may take to be up, and how long it then has to stay up: longer than its watchdog
 readonly PATIENCE_S="${COMPANION_PATIENCE_S:-60}"
 readonly STEADY_S="${COMPANION_STEADY_S:-5}"
@@ -170,10 +174,10 @@ activate() {
     complete "$name" || fail "$name is not installed; expected one of: $(list_versions | tr '\n' ' ')"
     reason="$(why_no_restart)"
     [ -z "$reason" ] || fail "$reason: nothing was switched, ${before:-nothing} stays in use; expected a vehicle on" \
-        "the ground, disarmed, or 'sudo systemctl stop companion', and this command again"
+        "the ground, disarmed, or '${AS_ROOT}systemctl stop companion', and this command again"
     reason="$(unreadable | tr '\n' ' ')"
     [ -z "$reason" ] || say "the service (user $SERVICE_USER) cannot read ${reason}: if it has to," \
-        "sudo chown $SERVICE_USER: ${reason}"
+        "${AS_ROOT}chown $SERVICE_USER: ${reason}"
     reason="$(accepts_settings "$name")" || fail "$name does not start with these settings; nothing was switched:" \
         "$(tail -n 1 <<<"$reason")"
     if [ "$name" = "$before" ]; then
@@ -194,9 +198,9 @@ activate() {
     trap - INT TERM
     prune
     if [ "$ran" = yes ]; then
-        say "$name is in use; the service runs, and answers (before: $before; back: companion-rollback)"
+        say "$name is in use; the service runs, and answers (before: $before; back: ${AS_ROOT}companion-rollback)"
     else
-        say "$name is in use; the service does not run${before:+: sudo systemctl start companion}"
+        say "$name is in use; the service does not run${before:+: ${AS_ROOT}systemctl start companion}"
     fi
 }
 
@@ -233,6 +237,8 @@ prune() {
     for folder in "$VERSIONS"/*/; do
         name="$(basename "$folder")"
         case "$name" in "$(in_use)" | "$(one_before)") continue ;; esac
+        # first: half a version must not be taken for a whole one
+        rm -f "$folder/COMPLETE"
         [ ! -e "$folder/OLD_LAYOUT" ] || remove_old_layout
         rm -rf "$folder"
     done

@@ -86,7 +86,7 @@ def test_the_releases_readme_names_nothing_that_a_release_lacks() -> None:
 
 def test_no_line_of_the_installer_changes_who_owns_the_settings() -> None:
     text = (SYSTEMD / "install.sh").read_text() + (SYSTEMD / "versions.sh").read_text()
-    commands = [line for line in text.splitlines() if "chown" in line and "sudo chown" not in line]
+    commands = [line for line in text.splitlines() if "chown" in line and "${AS_ROOT}chown" not in line]
     assert commands == []
 
 
@@ -314,3 +314,39 @@ def test_removed_nothing_but_settings_is_left(system: System, tmp_path: Path) ->
     assert not system.prefix.exists()
     assert list((system.base / "usr/local/bin").iterdir()) == []
     assert key.read_text() == "secret"
+
+
+@pytest.mark.parametrize("signal", ["TERM", "HUP"])
+def test_a_removal_that_is_interrupted_leaves_nothing_that_leads_to_half_a_version(
+    signal: str, system: System, tmp_path: Path
+) -> None:
+    """GIVEN a signal while the folder is deleted THEN no link, no unit, no version counts as whole."""
+    bundle = next(system.base.parent.parent.glob("companion-1.0-*"))
+    slow = system.programs / "rm"
+    half = 'kill -TERM $PPID; exec /bin/rm -rf "$2/versions/1.0/.venv/bin"' if signal == "TERM" else ""
+    slow.write_text(
+        f'#!/bin/sh\ncase "$*" in *opt/companion) kill -{signal} $PPID; {half} ;; esac\nexec /bin/rm "$@"\n'
+    )
+    slow.chmod(0o755)
+    done = system.run(bundle / "install.sh", "--remove")
+    assert done.stdout.startswith("removing: may take minutes")
+    assert list((system.base / "usr/local/bin").iterdir()) == []
+    assert not (system.base / "etc/systemd/system/companion.service").exists()
+    if signal == "HUP":  # a lost ssh connection
+        assert (done.returncode, system.prefix.exists()) == (0, False)
+        return
+    assert done.returncode == 1
+    assert f"interrupted; expected it again: {bundle}/install.sh --remove" in done.stderr
+    slow.unlink()
+    installed(system, tmp_path, "1.0")
+    assert system.run(system.base / "usr/local/bin/companion", "--version").stdout == "1.0\n"
+
+
+@pytest.mark.parametrize(("user", "root", "service"), [("pilot", "sudo ", "sudo -u"), ("", "", "runuser -u")])
+def test_what_to_do_next_is_said_as_who_installs_can_do_it(
+    user: str, root: str, service: str, empty: System, tmp_path: Path
+) -> None:
+    done = empty.run(release(tmp_path, "1.0") / "install.sh", SUDO_USER=user)
+    assert f": {root}companion status, {root}companion order land" in done.stdout
+    assert f"missing: {service} root " in done.stdout
+    assert f"then: {root}systemctl enable" in done.stdout
