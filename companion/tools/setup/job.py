@@ -28,14 +28,21 @@ def go_through(machine: Machine, config: CompanionConfig, answers: Answers) -> b
     """
     if answers is Answers.ASKED and not sys.stdin.isatty():
         raise ConfigError("setup: no terminal to ask at; expected --plan, --yes, or a terminal")
-    well, reboot = True, False
+    well, reboot, changed, left = True, False, 0, 0
     for number, look in enumerate(STEPS, 1):
         step = look(machine, config)
         show(number, step)
-        if step.state is not StepState.TO_DO or not _agreed(step, answers):
+        if step.state is not StepState.TO_DO:
+            continue
+        if not _agreed(step, answers):
+            left += step.needed
             continue
         done = all(_change(machine, change) for change in step.changes)
         well, reboot = well and done, reboot or step.reboots
+        changed, left = changed + done, left + (not done)
+    steps = "step" if left == 1 else "steps"
+    open_words = f", {left} {steps} that the settings need left open" if left else ""
+    typer.echo(f"\n{changed or 'nothing'} changed{open_words}")
     if reboot:
         typer.echo("\nreboot, so that it counts: sudo reboot; then: companion check")
     return well

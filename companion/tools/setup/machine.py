@@ -110,6 +110,12 @@ class Machine:
         words = self.read("/proc/device-tree/model") or ""
         return next((model for names, model in MODELS.items() if any(name in words for name in names)), None)
 
+    @property
+    def no_model(self) -> str:
+        """Why there is no model."""
+        words = (self.read("/proc/device-tree/model") or "").strip()
+        return f"not known here: {words}" if "Raspberry Pi" in words else "not a Raspberry Pi"
+
     def boot_file(self, name: str) -> str:
         """A file of the boot partition, where this system has that."""
         return f"/boot/firmware/{name}" if self.path("/boot/firmware").is_dir() else f"/boot/{name}"

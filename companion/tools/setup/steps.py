@@ -14,9 +14,9 @@ from companion.tools.setup.boot_files import has_overlay, parameter, with_lines,
 from companion.tools.setup.machine import Machine, Model
 
 MODULES_FILE: Final = "/etc/modules-load.d/companion.conf"
+OFFLINE: Final = "needs a network: without one, leave it out"
 I2C_BAUD: Final = "400000"
 GROUPS: Final = ("companion", "dialout", "i2c", "spi", "video", "gpio")
-_NO_PI: Final = "not a Raspberry Pi that is known here"
 
 
 class StepState(StrEnum):
@@ -84,7 +84,7 @@ def _uart(
 ) -> Step:
     model = machine.model
     if model is None:
-        return _left_out(title, _NO_PI)
+        return _left_out(title, machine.no_model)
     line = pick(model)
     if line is None:
         return _left_out(
@@ -127,7 +127,7 @@ def serial_console(machine: Machine, config: CompanionConfig) -> Step:
     title, name = "login console off the serial port", machine.boot_file("cmdline.txt")
     text = machine.read(name)
     if machine.model is None or text is None:
-        return _left_out(title, _NO_PI if text is not None else f"there is no {name}")
+        return _left_out(title, machine.no_model if machine.model is None else f"there is no {name}")
     after = without_serial_console(text)
     if after == text:
         return _done(title, f"{name} has none")
@@ -141,7 +141,7 @@ def i2c(machine: Machine, config: CompanionConfig) -> Step:
     title, model = "I2C at 400 kHz, and /dev/i2c-1", machine.model
     needed = config.sense.source == "boards" and config.sense.imu.bus.startswith("i2c:")
     if model is None:
-        return _left_out(title, _NO_PI)
+        return _left_out(title, machine.no_model)
     lines = ("dtparam=i2c_arm=on", f"dtparam=i2c_arm_baudrate={I2C_BAUD}")
     missing = tuple(line for line in lines if not _is_set(machine, model, line))
     files = ("/etc/modules", MODULES_FILE, "/etc/modules-load.d/modules.conf")
@@ -161,7 +161,7 @@ def spi(machine: Machine, config: CompanionConfig) -> Step:
     title, model = "SPI", machine.model
     needed = config.sense.source == "boards" and config.sense.imu.bus.startswith("spi:")
     if model is None:
-        return _left_out(title, _NO_PI)
+        return _left_out(title, machine.no_model)
     if _is_set(machine, model, "dtparam=spi=on"):
         return _done(title, "on", needed=needed)
     changes = _in_config_txt(machine, title, ("dtparam=spi=on",))
@@ -177,7 +177,8 @@ def groups(machine: Machine, config: CompanionConfig) -> Step:
     """The user who runs sudo may ask the service, and use the devices for calibrations."""
     title, user = "groups of the user", machine.user
     if user is None:
-        return _left_out(title, "run by sudo, it adds the user who does")
+        names = ",".join(GROUPS)
+        return _left_out(title, f"no user named; expected sudo by that user, or: usermod -aG {names} USER")
     members = machine.group_members()
     missing = [group for group in GROUPS if group in members and user not in members[group]]
     if not missing:
@@ -203,7 +204,7 @@ def packages(machine: Machine, config: CompanionConfig) -> Step:
         return _done(title, f"{', '.join(module for module, need in wanted.items() if need)}: there")
     names = tuple(f"python3-{module}" for module in missing)
     install = Program(("apt-get", "install", "--yes", "--no-install-recommends", *names))
-    why = f"the settings need {', '.join(missing)}; needs a network"
+    why = f"the settings need {', '.join(missing)}; {OFFLINE}"
     return Step(title, StepState.TO_DO, why, True, (Program(("apt-get", "update")), install))
 
 
@@ -221,7 +222,7 @@ def time_synchronisation(machine: Machine, config: CompanionConfig) -> Step:
     why = "logs and signing need the date; a Raspberry Pi does not keep it"
     if "CanNTP=no" in told.split():
         install = Program(("apt-get", "install", "--yes", "systemd-timesyncd"))
-        return Step(title, StepState.TO_DO, f"{why}; needs a network", True, (install, on))
+        return Step(title, StepState.TO_DO, f"{why}; {OFFLINE}", True, (install, on))
     return Step(title, StepState.TO_DO, why, True, (on,))
 
 

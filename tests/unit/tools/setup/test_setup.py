@@ -110,6 +110,11 @@ def test_a_computer_that_is_no_pi_is_left_as_it_is(tmp_path: Path) -> None:
     machine = Machine(tmp_path, Programs(tmp_path), frozenset().__contains__)
     changes = [change for step in steps(machine).values() for change in step.changes]
     assert [getattr(change, "words", None) for change in changes] == [("timedatectl", "set-ntp", "true")]
+    left_out = [step.detail for name, step in steps(machine).items() if name not in {"groups", "packages"}]
+    assert set(left_out[:-1]) == {"not a Raspberry Pi"}
+    assert "usermod -aG companion,dialout,i2c,spi,video,gpio USER" in steps(machine)["groups"].detail
+    other = raspberry_pi(tmp_path, "Raspberry Pi 9")
+    assert steps(other)["serial_console"].detail == "not known here: Raspberry Pi 9 Rev 1.4"
 
 
 def test_a_plan_changes_nothing_and_shows_every_change(
@@ -123,6 +128,7 @@ def test_a_plan_changes_nothing_and_shows_every_change(
     for line in ("+ dtoverlay=uart5", "- console=serial0,115200", "+ i2c-dev", "run: modprobe i2c-dev"):
         assert line in told
     assert "+ dtoverlay=uart3" in told
+    assert told.endswith("\nnothing changed, 6 steps that the settings need left open\n")
     assert "the settings do not need it" in told  # the autopilot is at a UDP port in the shipped settings
 
 
