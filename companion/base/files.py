@@ -22,6 +22,12 @@ _SERVICE_PREFIX: Final = Path("/opt/companion")
 _SERVICE_SETTINGS: Final = Path("/etc/companion/companion.yaml")
 
 
+def shipped_file(name: str) -> Path:
+    """A shipped file of settings as a person finds it, in the version that is in use."""
+    installed = CONFIG_FOLDER.is_relative_to(_SERVICE_PREFIX)
+    return (_SERVICE_PREFIX / "current" / "configs" if installed else CONFIG_FOLDER) / name
+
+
 def default_settings() -> Path:
     """The settings of who names none: the service's for the program that it runs, else the shipped ones."""
     installed = CONFIG_FOLDER.is_relative_to(_SERVICE_PREFIX) and os.access(_SERVICE_SETTINGS, os.F_OK)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from companion.app.sensing import load_used_magnetometer
+from companion.base.files import shipped_file
 from companion.config import (
     CONFIG_FOLDER,
     CameraConfig,
@@ -66,7 +67,8 @@ def _read(found: list[Finding], name: str, load: Callable[[], T]) -> T | None:
 def _vehicle(config: CompanionConfig, vehicle: VehicleConfig) -> Finding:
     shipped = (CONFIG_FOLDER / "vehicles" / f"{config.vehicle}.yaml").is_file()
     if shipped:
-        hint = "measure your own into a copy of it (configs/vehicles/), and name that in the settings"
+        copied = shipped_file(f"vehicles/{config.vehicle}.yaml")
+        hint = f"measure your own into a copy of {copied} beside the settings, and name that there"
         return _SETTINGS.warn("vehicle", f"'{vehicle.name}', a shipped example", hint)
     return _SETTINGS.ok("vehicle", f"'{vehicle.name}', hover thrust {vehicle.hover_thrust:g}")
 

@@ -12,6 +12,7 @@ from rich.text import Text
 from companion.base.geometry import Vector3
 
 NO_HINT = ""
+TAKEN: Final = "is running and has it: two programs on one device harm both"
 
 
 class FindingState(StrEnum):
@@ -131,6 +132,8 @@ def summary_line(findings: list[Finding]) -> str:
     ]
     left = not_looked_at(findings)
     verdict = "of what was looked at nothing fails" if left else "nothing fails"
+    if any(finding.state is FindingState.NOT_CHECKED and TAKEN in finding.detail for finding in findings):
+        verdict = "no preflight check, since a running app has the devices"
     if failed:
         verdict = f"not ready to fly: {', '.join(failed)}"
     return f"{detail}; {verdict}" + (f"; not looked at: {', '.join(left)}" if left else "")

@@ -18,7 +18,7 @@ from companion.tools.preflight.autopilot import check_link, without_link
 from companion.tools.preflight.calibrations import check_files
 from companion.tools.preflight.computer import check_computer
 from companion.tools.preflight.devices import check_devices, without_devices
-from companion.tools.preflight.findings import NO_HINT, Finding, FindingGroup
+from companion.tools.preflight.findings import NO_HINT, TAKEN, Finding, FindingGroup
 
 # of the difference of two horizons at rest: accelerometers' offsets, and how the boards lie
 HORIZON_STD_DEG: Final = 0.8
@@ -57,7 +57,9 @@ def _declination(found: Sequence[Finding], config: EstimateConfig, now: datetime
     """The setting of the field against the model's where it stands: our fix, else the autopilot's home."""
     told_ned_ut, told_std_ut = config.magnetic_field_ned_ut, config.ekf.field_std_ut
     if told_ned_ut is None:
-        return _GROUP.skip(Quantity.DECLINATION, "the World Magnetic Model's at the first fix is taken")
+        return _GROUP.skip(
+            Quantity.DECLINATION, "the World Magnetic Model's is taken in flight; it needs a GPS fix"
+        )
     place = next((finding.place for finding in found if finding.place is not None), None)
     if place is None:
         return _GROUP.skip(Quantity.DECLINATION, "it takes a GPS fix, or the autopilot's home")
@@ -81,7 +83,6 @@ def _words(horizon_rad: tuple[float, float]) -> str:
 
 # ---------------------------------------------------------------- the preflight check
 
-TAKEN: Final = "is running and has it: two programs on one device harm both"
 STOP_IT: Final = f"sudo systemctl stop {SERVICE}, check, and start it again"
 
 

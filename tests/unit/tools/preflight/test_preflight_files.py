@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 import yaml
 
+from companion.base import files
 from companion.config import CONFIG_FOLDER, CompanionConfig, load_config
 from companion.tools.preflight.calibrations import check_files
 from companion.tools.preflight.findings import Finding, FindingState
@@ -100,3 +101,13 @@ def test_files_that_are_missing_or_wrong_fail_one_by_one(tmp_path: Path) -> None
     fails = {f.name for f in findings if f.state is FindingState.FAIL}
     assert fails == {"camera", "pad"}
     assert all("\n" not in f.detail for f in findings)
+
+
+def test_of_an_installed_version_the_file_to_copy_is_named_by_the_link_to_the_one_in_use(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        files, "CONFIG_FOLDER", Path("/opt/companion/versions/1.0/.venv/lib/companion/configs")
+    )
+    shown = files.shipped_file("vehicles/x500.yaml")
+    assert shown == Path("/opt/companion/current/configs/vehicles/x500.yaml")
