@@ -18,6 +18,7 @@ from companion.app.service.systemd import SERVICE, service_state
 from companion.base.clock import sleep_s
 from companion.base.errors import ConfigError
 from companion.base.messages import OrderKind, OrderOutcome
+from companion.base.second_sources import SourceState
 
 STATUS_HELP: Final = """Show what the service does: phase, inputs, estimate, pad, machine, last events.
 
@@ -199,12 +200,14 @@ def _table(report: dict[str, Any]) -> Table:
     return table
 
 
-_SOURCE_STYLES: Final = {"refused": "bold red", "differs": "yellow", "not measured": "dim"}
+_SOURCE_STYLES: Final = {"refused": "bold red", "differs": "yellow"}
 
 
 def _rows(r: dict[str, Any]) -> Iterator[tuple[str, str | Text]]:
     problems = r["problems"]
-    yield "state", Text("; ".join(problems), style="bold red") if problems else Text("healthy", style="green")
+    head = "" if r["order"] else "NOT READY: "  # an order is carried out
+    words = Text(head + "; ".join(problems), style="bold red") if problems else Text("healthy", style="green")
+    yield "state", words
     order = f", {r['order']}" if r["order"] else ""
     yield "phase", f"{r['phase'].replace('_', ' ')}{order}, up {_duration(r['up_s'])}"
     battery = "" if r["battery_percent"] is None else f", battery {r['battery_percent']:.0f} %"
@@ -215,7 +218,10 @@ def _rows(r: dict[str, Any]) -> Iterator[tuple[str, str | Text]]:
     yield "estimate", _estimate(r)
     yield "pad", _pad(r)
     for entry in r["sources"]:
-        yield entry["quantity"], Text(entry["words"], style=_SOURCE_STYLES.get(entry["state"], ""))
+        if entry["state"] != SourceState.NOT_MEASURED:
+            yield entry["quantity"], Text(entry["words"], style=_SOURCE_STYLES.get(entry["state"], ""))
+    if waiting := [e["quantity"] for e in r["sources"] if e["state"] == SourceState.NOT_MEASURED]:
+        yield "not measured yet", Text(", ".join(waiting), style="dim")
     for name, latency in r["latency"].items():
         yield (
             f"exposure to {name}",

@@ -4,6 +4,7 @@ import asyncio
 import errno
 import json
 import os
+import re
 import socket
 import stat
 import threading
@@ -51,6 +52,7 @@ REPORT: dict[str, Any] = {
             "words": "our horizon pitch 12.6 deg, the autopilot's -0.3",
         },
         {"quantity": "heading", "state": "not measured", "words": "not measured yet"},
+        {"quantity": "position", "state": "not measured", "words": "not measured yet"},
     ],
     "latency": {"frame": {"p50_ms": 41.0, "p99_ms": 63.0}},
     "late_cycles_percent": 0.1,
@@ -152,7 +154,10 @@ async def test_status_shows_it_and_its_exit_code_says_healthy_or_not(
     service.report["inputs"][0].update(unused=True, reason="stamped ahead")
     _, words = await command(service, path, lambda: status_command(False, False, path), capsys)
     assert "NOT USED, refused 7: stamped ahead" in words
+    assert re.search(r"not measured yet +heading, position", words)
     service.report["problems"] = ["camera: no frame yet"]
+    _, words = await command(service, path, lambda: status_command(False, False, path), capsys)
+    assert re.search(r"state +NOT READY: camera: no frame yet", words)
     code, words = await command(service, path, lambda: status_command(False, True, path), capsys)
     assert (code, json.loads(words)["problems"]) == (1, ["camera: no frame yet"])
 
