@@ -18,7 +18,8 @@ import os
 import re
 import socket
 from collections import deque
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from typing import Final
 from urllib.parse import urlsplit
 
@@ -81,8 +82,8 @@ class StreamDevice:
 
     def _open_url(self, url: str) -> Capture:
         self._must_answer(url)
-        os.environ.setdefault(OPTIONS_VARIABLE, OPTIONS)
-        capture = cv2.VideoCapture(url, cv2.CAP_FFMPEG, [*_limits(), cv2.CAP_PROP_N_THREADS, 1])
+        with _options():
+            capture = cv2.VideoCapture(url, cv2.CAP_FFMPEG, [*_limits(), cv2.CAP_PROP_N_THREADS, 1])
         if not capture.isOpened():
             raise self._missing("its host answers, but gives no video")
         return capture
@@ -142,6 +143,19 @@ class StreamDevice:
             f"no exposure stamps: frames count as {1e3 * self._latency_s:.0f} ms old on arrival "
             f"(sense.vision.unstamped_latency_s), which scatters by {1e3 * scatter_s:.0f} ms"
         )
+
+
+@contextmanager
+def _options() -> Iterator[None]:
+    """FFmpeg's options for a stream, unless the user has set some; by them a file loses its last frame."""
+    ours = OPTIONS_VARIABLE not in os.environ
+    if ours:
+        os.environ[OPTIONS_VARIABLE] = OPTIONS
+    try:
+        yield
+    finally:
+        if ours:
+            os.environ.pop(OPTIONS_VARIABLE, None)
 
 
 def _limits() -> list[int]:
