@@ -12,7 +12,6 @@ velocity loop adds to a velocity setpoint nothing here bounds. NED and FRD, SI u
 """
 
 import math
-from dataclasses import replace
 
 from companion.base.geometry import (
     GRAVITY_M_S2,
@@ -50,20 +49,12 @@ class LimitsGate:
         self._last_by_tilt: Vector3 | None = None
 
     def apply(
-        self,
-        setpoint: Setpoint,
-        now_s: float,
-        *,
-        on_ground: bool = False,
-        pressed_m_s2: float = 0.0,
-        unloading: float = 0.0,
+        self, setpoint: Setpoint, now_s: float, *, on_ground: bool = False, pressed_m_s2: float = 0.0
     ) -> tuple[Setpoint, tuple[str, ...]]:
         """The setpoint within all bounds, stamped `now_s`, and the names of the bounds that it broke.
 
         `on_ground` lifts the least thrust: there none at all is what shows the autopilot that it has landed.
-        What presses it down by `pressed_m_s2` may be met beyond the bound on vertical acceleration. The share
-        `unloading` of the thrust is taken away for the feet to carry, and comes back at once: no bound on
-        change holds for it.
+        What presses it down by `pressed_m_s2` may be met beyond the bound on vertical acceleration.
 
         The stamp never runs backwards. After a `reset` nothing is known to have been sent, and the bounds on
         change (jerk, heading rate) do not apply to the first setpoint.
@@ -88,15 +79,7 @@ class LimitsGate:
             holds_horizontal_velocity=setpoint.holds_horizontal_velocity or "horizontal_speed" in broken,
         )
         self._last = limited
-        return self._unloaded(limited, unloading) if unloading > 0.0 else limited, tuple(broken)
-
-    def _unloaded(self, setpoint: Setpoint, share: float) -> Setpoint:
-        x, y, z = setpoint.acceleration_ned_m_s2
-        z = min(self._config.vertical_acceleration_m_s2, GRAVITY_M_S2 - (GRAVITY_M_S2 - z) * (1.0 - share))
-        thrust = setpoint.thrust
-        if thrust is not None:
-            thrust = max(self._config.minimum_thrust, thrust * (1.0 - share))
-        return replace(setpoint, acceleration_ned_m_s2=(x, y, z), thrust=thrust)
+        return limited, tuple(broken)
 
     def _time(self, now_s: float, broken: list[str]) -> tuple[float, float]:
         if self._last is None:

@@ -69,18 +69,19 @@ def test_to_an_autopilot_that_chooses_the_thrust_it_is_an_acceleration_downwards
     assert answer[0].acceleration_ned_m_s2[2] == pytest.approx(0.2 * GRAVITY_M_S2, abs=0.05)
 
 
-@pytest.mark.parametrize("kind", ["velocity", "attitude"])
-def test_thrust_that_was_taken_away_comes_back_at_once(kind: str) -> None:
+def test_thrust_that_was_taken_away_comes_back_at_once() -> None:
     flown = {}
     for share in (0.0, 0.3):
-        fly = controller(setpoint=kind)
+        fly = controller(setpoint="attitude")
         for k in range(8):
             now = k * PERIOD_S
             plan = plan_step(now, hover_reference(now), unloading=share if 2 <= k < 7 else 0.0)
             answer = fly.step(plan, vehicle_state(now), pad_state(now), now)
         assert answer is not None
-        flown[share] = answer[0].acceleration_ned_m_s2[2]
-    assert flown[0.3] < flown[0.0] + 0.1  # down; what it has begun to fall by is met as well
+        thrust = answer[0].thrust
+        assert thrust is not None
+        flown[share] = thrust
+    assert flown[0.3] > 0.99 * flown[0.0]  # what it has begun to fall by is met as well
 
 
 @pytest.mark.parametrize("direction_deg", [0.0, 90.0, 180.0, 270.0])
