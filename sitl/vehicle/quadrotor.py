@@ -8,6 +8,12 @@ whose gyroscopic part is (-q h, +p h, 0): roll and pitch have opposite signs, wh
 
 Thrust, contact, wind and the rotational drag are held over a step; within it drag and rotation are integrated
 by RK4. It all runs on plain floats, because arrays of three cost ten times as much.
+
+Thrust changes with the air through the rotors. By blade-element theory a rotor loses thrust in proportion
+to its speed and to the flow along its shaft beyond that of hover: the vehicle's own through the air, and the
+wake's by Glauert's momentum equation, T = 2 rho A v sqrt(V_edge^2 + (V_climb + v)^2). A vehicle that climbs
+loses thrust, one that flies edgewise gains it (J. G. Leishman, Principles of Helicopter Aerodynamics, 2nd
+ed., 2.14, 3.5). The wake settles within some 5 ms and has no state of its own.
 """
 
 import math
@@ -54,7 +60,7 @@ class QuadrotorParameters(StrictModel):
     motor_fall_s: float = Field(gt=0.001, le=0.5)
     rotor_inertia_kg_m2: float = Field(ge=0.0, le=0.01)
     rotor_drag_plane_n_s2_m_rad: float = Field(ge=0.0, le=0.01)
-    rotor_drag_axial_n_s2_m_rad: float = Field(ge=0.0, le=0.01)
+    rotor_inflow_loss_n_s2_m_rad: float = Field(ge=0.0, le=0.01)
     body_drag_area_m2: float = Field(ge=0.0, le=1.0)
     linear_drag_n_s_m: float = Field(default=0.0, ge=0.0, le=10.0)
     turning_drag_n_m_s: float = Field(default=0.0, ge=0.0, le=1.0)
@@ -109,7 +115,8 @@ class Quadrotor:
         self._body_drag = 0.5 * AIR_DENSITY_KG_M3 * parameters.body_drag_area_m2 / self.mass_kg
         speed = parameters.max_rotor_speed_rad_s
         self._plane_drag = parameters.rotor_drag_plane_n_s2_m_rad * speed / self.mass_kg
-        self._axial_drag = parameters.rotor_drag_axial_n_s2_m_rad * speed / self.mass_kg
+        self._inflow_loss = parameters.rotor_inflow_loss_n_s2_m_rad * speed / self._layout.count
+        self._disc = 2.0 * AIR_DENSITY_KG_M3 * math.pi * parameters.rotor_radius_m**2
         self._linear_drag = parameters.linear_drag_n_s_m / self.mass_kg
         self._momentum = parameters.rotor_inertia_kg_m2 * speed
         self._lag_dt_s = 0.0
@@ -141,12 +148,13 @@ class Quadrotor:
         speeds, thrust, spin, torque = self._rotors(
             state.thrust_share, share, mean, thrust_ratio or self.free_air, dt_s
         )
+        thrust -= self._lost(state, wind_ned_m_s, thrust, speeds)
         ix, iy, iz = self._inertia
         drag, (p, q, r) = self.parameters.turning_drag_n_m_s, state.rate_body_rad_s
         held: _Held = (
             *wind_ned_m_s,
-            self._plane_drag * speeds + self._linear_drag,
-            self._axial_drag * speeds + self._linear_drag,
+            self._plane_drag * speeds,
+            self._linear_drag,
             self._body_drag,
             thrust / self.mass_kg,
             force_ned_n[0] / self.mass_kg,
@@ -161,6 +169,30 @@ class Quadrotor:
         )
         x = state.velocity_ned_m_s + state.attitude + state.rate_body_rad_s
         return packed(state, *_rk4(state.position_ned_m, x, held, dt_s), share, dt_s)
+
+    def _lost(self, state: QuadrotorState, wind: Vector3, thrust_n: float, speeds: float) -> float:
+        """Thrust (N) that all rotors lose to the air through them; negative: gained.
+
+        All share one wake. Its speed solves momentum against blade element by Newton's method, from above:
+        the excess is convex there, so it falls to the one solution in which the wake goes down. A descent
+        faster than hover's wake meets its own vortex ring, where the theory does not hold: it gains no more.
+        """
+        if not self._inflow_loss or thrust_n <= 0.0:
+            return 0.0
+        (vn, ve, vd), (wn, we, wd), (w, a, b, c) = state.velocity_ned_m_s, wind, state.attitude
+        n, e, d = vn - wn, ve - we, vd - wd
+        climb = -(2.0 * (a * c + w * b) * n + 2.0 * (b * c - w * a) * e + (1.0 - 2.0 * (a * a + b * b)) * d)
+        edge_2 = max(0.0, n * n + e * e + d * d - climb * climb)
+        slope, each = self._inflow_loss * speeds, thrust_n / self._layout.count
+        hover = sqrt(each / self._disc)
+        climb = max(-hover, climb)
+        wake = hover - min(0.0, climb)
+        for _ in range(3):
+            along = climb + wake
+            flow = sqrt(edge_2 + along * along) + 1e-9
+            excess = self._disc * wake * flow - each + slope * (along - hover)
+            wake -= excess / (self._disc * (flow + wake * along / flow) + slope)
+        return slope * (climb + wake - hover) * self._layout.count
 
     def _spin(
         self, share: RotorValues, commands: RotorValues, dt_s: float
@@ -209,18 +241,18 @@ def _lag(time_constant_s: float, dt_s: float) -> tuple[float, float]:
 def _slope(x: Moving, k: Moving, h: float, held: _Held) -> Moving:
     """Eqs. (6)-(8) at x + h k: how velocity, attitude and rate change, by Newton, Euler, q' = q * (0, w) / 2.
 
-    In its plane and along its axis a rotor drags differently: as if along every axis like in the plane, and
-    the difference along the axis alone. So of the rotation only the body's down axis in NED is needed.
+    A rotor drags in its plane only: as if along every axis, less the part along the shaft. So of the rotation
+    only the body's down axis in NED is needed.
     """
     vn, ve, vd, w, a, b, c, p, q, r = x
     kn, ke, kd, kw, ka, kb, kc, kp, kq, kr = k
-    wn, we, wd, plane, axial, body, thrust, fn, fe, fd, hx, hy, tx, ty, tz, jx, jy, jz = held
+    wn, we, wd, plane, linear, body, thrust, fn, fe, fd, hx, hy, tx, ty, tz, jx, jy, jz = held
     w, a, b, c = w + h * kw, a + h * ka, b + h * kb, c + h * kc
     p, q, r = p + h * kp, q + h * kq, r + h * kr
     an, ae, ad = vn + h * kn - wn, ve + h * ke - we, vd + h * kd - wd
     dn, de, dd = 2.0 * (a * c + w * b), 2.0 * (b * c - w * a), 1.0 - 2.0 * (a * a + b * b)
-    drag = plane + body * sqrt(an * an + ae * ae + ad * ad)
-    along = (plane - axial) * (dn * an + de * ae + dd * ad) - thrust
+    drag = plane + linear + body * sqrt(an * an + ae * ae + ad * ad)
+    along = plane * (dn * an + de * ae + dd * ad) - thrust
     return (
         along * dn - drag * an + fn,
         along * de - drag * ae + fe,

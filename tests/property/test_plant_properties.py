@@ -22,7 +22,7 @@ SMOOTH = X500.body.model_copy(
     update={
         "inertia_kg_m2": (0.012, 0.02, 0.03),
         "rotor_drag_plane_n_s2_m_rad": 0.0,
-        "rotor_drag_axial_n_s2_m_rad": 0.0,
+        "rotor_inflow_loss_n_s2_m_rad": 0.0,
         "body_drag_area_m2": 0.0,
     }
 )

@@ -20,7 +20,14 @@ from companion.config import validate
 from sitl.mavlink.telemetry import battery_status, sys_status
 from sitl.scenario.scenario import Scenario, load_airframe
 from sitl.vehicle.battery import CAPACITY_MAH, CELLS, Battery
-from sitl.vehicle.quadrotor import Motors, Quadrotor, QuadrotorParameters, QuadrotorState, resting_state
+from sitl.vehicle.quadrotor import (
+    AIR_DENSITY_KG_M3,
+    Motors,
+    Quadrotor,
+    QuadrotorParameters,
+    QuadrotorState,
+    resting_state,
+)
 from sitl.vehicle.rotors import RotorValues
 from sitl.world.world import World
 from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight
@@ -37,7 +44,7 @@ def changed(**values: Any) -> QuadrotorParameters:
 
 
 def without_drag() -> QuadrotorParameters:
-    return changed(rotor_drag_plane_n_s2_m_rad=0.0, rotor_drag_axial_n_s2_m_rad=0.0, body_drag_area_m2=0.0)
+    return changed(rotor_drag_plane_n_s2_m_rad=0.0, rotor_inflow_loss_n_s2_m_rad=0.0, body_drag_area_m2=0.0)
 
 
 def hovering(**values: Any) -> QuadrotorState:
@@ -146,7 +153,8 @@ def test_a_step_of_another_length_has_the_same_lag() -> None:
 
 
 def test_integration_is_of_fourth_order() -> None:
-    vehicle = Quadrotor(X500)
+    # thrust is held over a step, and with it what the air through the rotors takes of it
+    vehicle = Quadrotor(changed(rotor_inflow_loss_n_s2_m_rad=0.0))
     share: RotorValues = (0.45, 0.55, 0.47, 0.5)
 
     def flown(dt: float) -> np.ndarray[Any, Any]:
@@ -164,6 +172,47 @@ def test_integration_is_of_fourth_order() -> None:
     coarse = np.linalg.norm(flown(0.04) - exact)
     fine = np.linalg.norm(flown(0.02) - exact)
     assert 12.0 < coarse / fine < 20.0
+
+
+def specific_thrust(velocity_ned_m_s: Vector3, pitch_deg: float = 0.0) -> float:
+    """Acceleration along the shaft at the throttle of hover, without any drag."""
+    vehicle = Quadrotor(changed(rotor_drag_plane_n_s2_m_rad=0.0, body_drag_area_m2=0.0))
+    attitude = quat_from_euler(0.0, math.radians(pitch_deg), 0.0)
+    state = hovering(velocity_ned_m_s=velocity_ned_m_s, attitude=attitude)
+    return -vehicle.step(state, ALL_HOVER, 1e-6).specific_force_body_m_s2[2]
+
+
+def test_thrust_by_momentum_and_blade_element_theory() -> None:
+    """Glauert's equation solved by halving, for flow from every side."""
+    disc = 2.0 * AIR_DENSITY_KG_M3 * math.pi * X500.rotor_radius_m**2
+    slope = X500.rotor_inflow_loss_n_s2_m_rad * X500.max_rotor_speed_rad_s * math.sqrt(HOVER)
+    weight = X500.mass_kg * GRAVITY_M_S2 / 4.0
+    hover = math.sqrt(weight / disc)
+    for speed in (1.0, 5.0, 10.0, 15.0):
+        for pitch_deg in (-30.0, -10.0, 0.0, 10.0):
+            climb, edge = (
+                -speed * math.sin(math.radians(pitch_deg)),
+                speed * math.cos(math.radians(pitch_deg)),
+            )
+            low, high = 0.0, 30.0
+            for _ in range(60):
+                wake = 0.5 * (low + high)
+                short = weight - slope * (climb + wake - hover) - disc * wake * math.hypot(edge, climb + wake)
+                low, high = (wake, high) if short > 0.0 else (low, wake)
+            expected = (weight - slope * (climb + low - hover)) * 4.0 / X500.mass_kg
+            assert specific_thrust((speed, 0.0, 0.0), pitch_deg) == pytest.approx(expected, abs=2e-3)
+
+
+def test_edgewise_flow_lifts_and_a_climb_costs() -> None:
+    """Known of every helicopter: translational lift, and damping of vertical motion."""
+    level = [specific_thrust((speed, 0.0, 0.0)) for speed in (0.0, 3.0, 6.0, 9.0)]
+    assert level == sorted(level)
+    assert 1.2 < level[3] / level[0] < 1.5
+    climbing = [specific_thrust((0.0, 0.0, down)) for down in (2.0, 1.0, 0.0, -1.0, -2.0)]
+    assert climbing == sorted(climbing, reverse=True)
+    assert 0.5 < climbing[1] - climbing[2] < 1.0
+    # deeper than hover's own wake nothing more is gained
+    assert specific_thrust((0.0, 0.0, 8.0)) == pytest.approx(specific_thrust((0.0, 0.0, 20.0)), abs=1e-6)
 
 
 @pytest.mark.parametrize("yaw_deg", [0, 90, 180, 270])
