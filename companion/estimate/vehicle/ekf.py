@@ -179,7 +179,7 @@ class VehicleEkf(EkfState):
             measured = -measured
         rotation = np.diag([tilt_noise_rad**2, tilt_noise_rad**2, heading_noise_rad**2])
         apart = rotation_vector_from_quat(quat_multiply(attitude, quat_conjugate(self.attitude)))
-        root = np.linalg.cholesky(self.rotation_covariance() + rotation)
+        root = np.linalg.cholesky(self.rotation_covariance() + rotation + self._unjudged())
         # along the quaternion's length there is nothing to learn: any noise that keeps R regular
         length = 1e-2 * np.outer(expected, expected)
         gate_noise = model.attitude_covariance(self.attitude, rotation) + length
@@ -197,6 +197,16 @@ class VehicleEkf(EkfState):
         counted = mag.accepted and not mag.refused_in_a_row
         return np.diag((0.0, 0.0, UNKNOWN_HEADING_RAD**2 if counted else 0.0))
 
+    def _unjudged(self) -> FloatArray:
+        """Variance (3, 3) about NED axes of what the pre-filter cannot judge: while fixes hold the heading, a
+        compass that keeps to one side is its own matter. A steel deck turns it so, within size and dip."""
+        known = self._fixes_fit and self.gates.get("mag", Gate()).accepted
+        return np.diag((0.0, 0.0, UNKNOWN_HEADING_RAD**2 if known else 0.0))
+
+    @property
+    def _fixes_fit(self) -> bool:
+        return self.time_s - self.gps_time_s < GPS_TIMEOUT_S
+
     def _handle_inconsistency(self, attitude: Quaternion, rotation: FloatArray, apart: Vector3) -> None:
         """Doubt our attitude when the pre-filter's keeps to one side of it; then start again from that.
 
@@ -206,7 +216,7 @@ class VehicleEkf(EkfState):
         """
         if not self.watch.misfits:
             return
-        fixes_fit = self.time_s - self.gps_time_s < GPS_TIMEOUT_S
+        fixes_fit = self._fixes_fit
         if fixes_fit and self.fix_watch.refutes(apart[2]):
             self.watch = self.watch.renewed()
             return

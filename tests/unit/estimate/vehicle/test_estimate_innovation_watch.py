@@ -129,6 +129,23 @@ def test_fixes_of_a_vehicle_that_turns_say_which_heading_is_wrong(wrong: str) ->
     assert math.isfinite(ekf.watch.doubted_s) == (wrong == "ours")
 
 
+@pytest.mark.parametrize("fixes", [True, False])
+def test_a_deck_that_turns_the_compass_turns_no_heading_that_fixes_hold(fixes: bool) -> None:
+    """Hovering, no turn of velocity to show the heading: the compass has its own test, the fixes hold it."""
+    ekf, deck = sure_ekf(), quat_from_euler(0.0, 0.0, 35 * DEGREE)
+    for k in range(1, 1501):
+        turned = deck if k > 500 else IDENTITY
+        field = quat_rotate_inverse(turned, FIELD) if k % 10 == 5 else None
+        step = ImuStep(
+            ZERO3, DOWN_FORCE, 2, field, turned if k % 10 == 0 else None, TILT_NOISE, HEADING_NOISE
+        )
+        ekf.apply(0.01 * k, step)
+        if fixes and k % 20 == 0:
+            ekf.apply(ekf.time_s, GpsStep(ZERO3, ZERO3, (3.0, 3.0, 4.5), (0.15, 0.15, 0.2)))
+    assert math.isfinite(ekf.watch.doubted_s) != fixes
+    assert (apart_deg(ekf, IDENTITY) < 10.0) == fixes
+
+
 def test_an_attitude_that_fits_is_left_alone() -> None:
     ekf = sure_ekf()
     run(ekf, 20.0, quat_from_euler(3 * DEGREE, -3 * DEGREE, 5 * DEGREE))
