@@ -57,8 +57,14 @@ class ThrustGuard:
         self.fault = self._fell or self.doubt
 
     def watch(self, sink_m_s: float, planned_m_s: float, now_s: float) -> None:
-        """Compare how fast it sinks with the plan. Who falls is not to be flown by thrust any more."""
+        """Compare how fast it sinks with the plan. Who falls is not flown by thrust, until it is caught.
+
+        The autopilot's own velocity loop catches it; the thrust that does so is felt meanwhile, and `begin`
+        asks whether it is known well enough to be ours again.
+        """
         faster_m_s = min(sink_m_s - planned_m_s, self._plant.hover.unexplained_m_s)
+        if self._fell and sink_m_s <= planned_m_s:
+            self._fell = ""
         if not self._plant.by_attitude or faster_m_s <= FALLS_M_S:
             self._falls_since_s = None
             return

@@ -343,9 +343,19 @@ def test_who_falls_is_handed_to_the_autopilots_own_loops_within_half_a_second() 
     first = next(k for k, words in enumerate(told) if words)
     assert 0.3 < first * PERIOD_S <= 0.55
     assert "faster than planned" in told[first]
-    setpoint, report = step(controller, 40 * PERIOD_S)
-    assert setpoint.attitude is None  # and stays so, whatever comes
+    setpoint, report = step(controller, 40 * PERIOD_S, 3.9)
+    assert setpoint.attitude is None  # and stays so while it sinks
     assert report.failure == told[-1]
+
+
+def test_who_was_caught_is_flown_by_thrust_again() -> None:
+    """By the thrust that the autopilot has caught it with, once that is known."""
+    controller = ardupilot(measures_thrust=False)
+    sinking(controller, [0.1 * k for k in range(40)])
+    step(controller, 40 * PERIOD_S, -0.1, -5.0)
+    setpoint, report = step(controller, 41 * PERIOD_S, -0.1)
+    assert setpoint.attitude is not None
+    assert report.failure == ""
 
 
 @pytest.mark.parametrize(
