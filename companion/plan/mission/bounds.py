@@ -12,6 +12,7 @@ from typing import Final
 from companion.base.geometry import Vector3, add, ned_from_geodetic, subtract
 from companion.base.messages import AutopilotState, PadState, VehicleState
 from companion.base.motion import Motion
+from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
 from companion.plan.events import DetectedEvent, MissionEvent
@@ -21,8 +22,8 @@ from companion.plan.trajectory.coordinate_frames import along_arc
 _OBEYED_S: Final = 0.8
 # PX4 brakes with MPC_ACC_HOR (3 m/s²), ArduCopter's BRAKE with 2.5 m/s²; up and down with less.
 _BRAKES_M_S2: Final = 2.0
-# An estimate passes the bound for a moment when the pad is first seen.
-_TOO_FAST_S: Final = 0.5
+# An acceleration passes the bound for a moment when the pad is first seen; of a speed its uncertainty tells.
+_TOO_HARD_S: Final = 0.5
 
 
 def stopping_m(speed_m_s: float) -> float:
@@ -36,7 +37,7 @@ class Bounds:
 
     def __init__(self, config: MissionConfig) -> None:
         self._config = config
-        self._too_fast, self._too_hard = Debounce(), Debounce()
+        self._too_hard = Debounce()
 
     def detect(
         self, vehicle: VehicleState | None, pad: PadState | None, autopilot: AutopilotState, now_s: float
@@ -87,12 +88,16 @@ class Bounds:
 
     def _pad(self, pad: PadState | None, now_s: float) -> Iterator[DetectedEvent]:
         c = self._config
-        speed = acceleration = 0.0
+        acceleration = 0.0
         if pad is not None:
-            speed = math.hypot(*pad.velocity_ned_m_s[:2])
+            speed, uncertain_m_s = (
+                math.hypot(*pad.velocity_ned_m_s[:2]),
+                SIGMA_THRESHOLD * pad.velocity_std_m_s,
+            )
+            if speed - uncertain_m_s > c.pad_speed_m_s:
+                words = f"{speed:.1f} ±{uncertain_m_s:.1f} m/s, limit {c.pad_speed_m_s:g}"
+                yield MissionEvent.PAD_TOO_FAST, words
             acceleration = math.hypot(*pad.acceleration_ned_m_s2[:2])
-        if self._too_fast.held_s(speed > c.pad_speed_m_s, now_s) >= _TOO_FAST_S:
-            yield MissionEvent.PAD_TOO_FAST, f"{speed:.1f} m/s, limit {c.pad_speed_m_s:g}"
-        if self._too_hard.held_s(acceleration > c.pad_acceleration_m_s2, now_s) >= _TOO_FAST_S:
+        if self._too_hard.held_s(acceleration > c.pad_acceleration_m_s2, now_s) >= _TOO_HARD_S:
             most = c.pad_acceleration_m_s2
             yield MissionEvent.PAD_TOO_FAST, f"{acceleration:.1f} m/s², limit {most:g}"

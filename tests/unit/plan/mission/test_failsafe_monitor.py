@@ -418,20 +418,30 @@ def test_without_home_or_an_estimate_there_is_nothing_to_count_from() -> None:
     assert found(None) == []
 
 
-@pytest.mark.parametrize(
-    ("speed", "acceleration", "followed"),
-    [(4.9, 0.0, True), (5.1, 0.0, False), (1.0, 4.9, True), (1.0, 5.1, False)],
-)
-def test_a_pad_that_is_too_fast_for_half_a_second_is_not_followed(
-    speed: float, acceleration: float, followed: bool
-) -> None:
+def moving_pad(speed: float, acceleration: float, std_m_s: float) -> PadState:
     zero = (0.0, 0.0, 0.0)
-    pad = PadState(
-        0.0, zero, zero, (0.0, speed, 9.0), (acceleration, 0.0, 9.0), 0.0, 0.0, 0.1, 0.1, seen_time_s=0.0
+    return PadState(
+        0.0, zero, zero, (0.0, speed, 9.0), (acceleration, 0.0, 9.0), 0.0, 0.0, 0.1, std_m_s, seen_time_s=0.0
     )
+
+
+@pytest.mark.parametrize(
+    ("speed", "std_m_s", "followed"),
+    [(4.9, 0.0, True), (5.1, 0.0, False), (5.25, 0.1, True), (5.35, 0.1, False), (9.0, 1.4, True)],
+)
+def test_a_pad_that_is_surely_too_fast_is_not_followed(speed: float, std_m_s: float, followed: bool) -> None:
+    """Unseen for two seconds, or just found, its speed says little."""
+    events = list(Bounds(BOUNDED).detect(None, moving_pad(speed, 0.0, std_m_s), AutopilotState(0.0), 0.0))
+    assert [event for event, _ in events] == ([] if followed else [MissionEvent.PAD_TOO_FAST])
+
+
+@pytest.mark.parametrize(("acceleration", "followed"), [(4.9, True), (5.1, False)])
+def test_a_pad_that_turns_too_hard_for_half_a_second_is_not_followed(
+    acceleration: float, followed: bool
+) -> None:
     bounds, autopilot = Bounds(BOUNDED), AutopilotState(0.0)
     for step in range(18):
-        events = list(bounds.detect(None, pad, autopilot, step / 30.0))
+        events = list(bounds.detect(None, moving_pad(1.0, acceleration, 0.1), autopilot, step / 30.0))
         if step / 30.0 < 0.5:
             assert events == []
     assert [event for event, _ in events] == ([] if followed else [MissionEvent.PAD_TOO_FAST])
