@@ -99,7 +99,7 @@ class App:
         self._action_results: list[ActionResult] = []
         self._service = ServiceNotifier()
         self._latency_ms: float | None = None
-        self._short_of: set[str] = set()  # told of, in this mission
+        self._short_of: dict[str, str] = {}  # what this mission's wind took all of, and the words told
         self._last_exposure_s: float | None = None
         self._stop_requested = False
         self._start_s = self._clock.now_s()
@@ -286,6 +286,7 @@ class App:
             comparisons=self.sources.look(),
             computer=self.loop_monitor.load,
             control_failure=self._control_failure,
+            shortage="; ".join(self._short_of.values()),
             thrust_doubt="" if self._controller is None else self._controller.thrust.doubt,
             link=self.session.health(now_s),
         )
@@ -307,8 +308,8 @@ class App:
         self._log.write("setpoint", sent, now_s)
         self._log.write("control_report", report, now_s)
         if report.short_of and report.short_of not in self._short_of:
-            self._short_of.add(report.short_of)
-            self.announcer.notify("control", _shortage(report), "warning")
+            self._short_of[report.short_of] = words = _shortage(report)
+            self.announcer.notify("control", words, "warning")
         # later setpoints that still live on the same sighting say nothing about the latency
         if sent.exposure_time_s is not None and sent.exposure_time_s != self._last_exposure_s:
             self._latency_ms = 1e3 * (now_s - sent.exposure_time_s)

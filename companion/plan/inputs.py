@@ -33,7 +33,7 @@ class PlanInputs:
 
     `comparisons`: what was measured by two sources.
     `control_failure`: why the last setpoint was a stop. `thrust_doubt`: what stands against control by
-    thrust.
+    thrust. `shortage`: what the wind has taken all of in this mission, thrust or tilt.
     """
 
     vehicle: VehicleState | None
@@ -48,5 +48,6 @@ class PlanInputs:
     comparisons: tuple[SourceComparison, ...] = ()
     computer: ComputerLoad = ComputerLoad()
     control_failure: str = ""
+    shortage: str = ""
     thrust_doubt: str = ""
     link: LinkHealth = field(default_factory=LinkHealth)

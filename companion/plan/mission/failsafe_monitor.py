@@ -59,6 +59,12 @@ def _mode_words(inputs: PlanInputs) -> str:
     return words
 
 
+def _cause(event: MissionEvent, shortage: str) -> str:
+    """A wind that could not be held against leads out of the fence, and past every time limit."""
+    led_away = event in {MissionEvent.OUT_OF_BOUNDS, MissionEvent.OVERTIME, MissionEvent.TIMEOUT}
+    return f"; {shortage}" if led_away and shortage else ""
+
+
 def _disputed(
     comparisons: Sequence[SourceComparison], bounds: Sequence[DetectedEvent]
 ) -> Iterator[DetectedEvent]:
@@ -141,7 +147,8 @@ class FailsafeMonitor:
         found += [*self._late(inputs, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
         found += [*self._control(inputs.control_failure, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
-        return by_gravity([*found, *_disputed(inputs.comparisons, bounds), *bounds, *self._time(now_s)])
+        found += [*_disputed(inputs.comparisons, bounds), *bounds, *self._time(now_s)]
+        return by_gravity([(event, words + _cause(event, inputs.shortage)) for event, words in found])
 
     def after_end(self, autopilot: AutopilotState, asked: frozenset[ActionKind]) -> tuple[DetectedEvent, ...]:
         """Whether somebody has taken the vehicle while the mission's end still asks for this."""

@@ -109,6 +109,14 @@ def taken_over(
     return MissionEvent.TAKEN_OVER in events
 
 
+@pytest.mark.parametrize("shortage", ["", "too little thrust for this wind (5.8 m/s2): it drifts"])
+def test_an_end_by_time_names_the_wind_that_led_to_it(shortage: str) -> None:
+    watch, _ = monitor(State.SEARCH)
+    watch.phase_begins(0.0)
+    words = dict(watch.detect(replace(inputs(), shortage=shortage), 100.0, control_granted=True))
+    assert words[MissionEvent.TIMEOUT] == "60 s in search" + (f"; {shortage}" if shortage else "")
+
+
 def test_all_is_well_is_nothing() -> None:
     assert gravest(inputs()) is None
 
