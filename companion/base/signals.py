@@ -64,8 +64,10 @@ def run_until_stopped(
         with asyncio.Runner(loop_factory=loop_factory) as runner:
             return runner.run(main)
     stopped = False
+    # asyncio asks who handles SIGINT, for which Python puts the task in words, with what it has returned
+    returned: list[T] = []
 
-    async def heard() -> T:
+    async def heard() -> None:
         task = asyncio.current_task()
         assert task is not None
 
@@ -78,11 +80,12 @@ def run_until_stopped(
 
         with stopping_on_signals(stop):
             signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
-            return await main
+            returned.append(await main)
 
     try:
         with signals_held_back(), asyncio.Runner(loop_factory=loop_factory) as runner:
-            return runner.run(heard())
+            runner.run(heard())
+            return returned[0]
     except asyncio.CancelledError:
         if stopped:
             raise KeyboardInterrupt from None

@@ -99,8 +99,9 @@ def _illegible(pad: Layout) -> str | None:
         code = np.asarray(cv2.aruco.generateImageMarker(dictionary, marker.id, marker.cells)) < 128
         changed = np.zeros_like(code)
         for other in pad.markers:
-            under = marker.cells_under(other) if other is not marker else None
-            if under is not None:
+            if other is marker or not _may_meet(marker, other, 0.0):
+                continue
+            if (under := marker.cells_under(other)) is not None:
                 changed[under] |= code[under] | (_filled(marker, other)[under] > 0.5)
         most = int(ERROR_CORRECTION_RATE * dictionary.maxCorrectionBits)
         if (lost := int(changed.sum())) > most:

@@ -75,20 +75,24 @@ class LoopMonitor:
     @property
     def load(self) -> ComputerLoad:
         """Whether the computer keeps up, for the planner."""
-        return ComputerLoad(self._too_slow(), max(self._late_s, default=0.0), self.woke)
+        latest_s = max(self._late_s, default=0.0)
+        return ComputerLoad(self._too_slow(latest_s), latest_s, self.woke)
 
-    def _too_slow(self) -> str | None:
+    def _too_slow(self, latest_s: float) -> str | None:
         """In words, that it is too slow to fly by. One stall is not: what stands still again and again is."""
         vision_s = None if self._pace is None else self._pace.vision_s
-        recent, stall_s = list(self._late_s)[-LATELY:], self.stall_s
-        late_s = fmean([min(late, stall_s) for late in recent]) if len(recent) == LATELY else 0.0
-        if late_s > LATEST_S:
+        if latest_s > LATEST_S and len(self._late_s) >= LATELY and (late_s := self._lately_s()) > LATEST_S:
             late_ms, most_ms = 1e3 * late_s, 1e3 * LATEST_S
             return f"computer too slow: control {late_ms:.0f} ms late, limit {most_ms:.0f}"
         if vision_s is not None and vision_s > UNSEEN_S:
             took_ms, most_ms = 1e3 * vision_s, 1e3 * UNSEEN_S
             return f"computer too slow: vision {took_ms:.0f} ms a frame, limit {most_ms:.0f}"
         return None
+
+    def _lately_s(self) -> float:
+        """How late the last cycles were on average, no stall counting for more than it takes to be one."""
+        stall_s = self.stall_s
+        return fmean([min(late_s, stall_s) for late_s in list(self._late_s)[-LATELY:]])
 
     @property
     def silent(self) -> bool:

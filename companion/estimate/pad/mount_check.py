@@ -46,7 +46,7 @@ class _Seen(NamedTuple):
 
 
 class MountCheck:
-    """Feed it every sighting; `comparison` is what they show."""
+    """Feed it every sighting; `comparisons` is what they show."""
 
     def __init__(
         self, motion: MotionHistory, camera_position_body_m: Vector3, camera_yaw_deg: float = 0.0
@@ -57,6 +57,9 @@ class MountCheck:
         self._compared_s = self._updated_s = -math.inf
         self._n11 = self._n12 = self._n22 = self._b1 = self._b2 = 0.0
         self._count = 0.0
+        # the camera's yaw of the vehicle's file against the one that the pad's motion shows (deg); none: not
+        # known
+        self.comparisons: tuple[SourceComparison, ...] = ()
 
     def take(self, time_s: float, pad_position_body_m: Vector3, variance_m2: float) -> None:
         """Take in a sighting at its corrected time; `variance_m2` is its position's, an axis."""
@@ -85,34 +88,8 @@ class MountCheck:
             if time_s - self._compared_s >= apart_s:
                 self._compared_s = time_s
                 self._compare(first, middle, self._seen[-1])
+                self.comparisons = self._found()
             return
-
-    @property
-    def comparisons(self) -> tuple[SourceComparison, ...]:
-        """The camera's yaw of the vehicle's file against the one that the pad's motion shows (deg); none:
-        nobody knows.
-        """
-        determinant = self._n11 * self._n22 - self._n12 * self._n12
-        if self._count < FEWEST or determinant <= 0.0:
-            return ()
-        cosine = (self._n22 * self._b1 - self._n12 * self._b2) / determinant
-        sine = (self._n11 * self._b2 - self._n12 * self._b1) / determinant
-        length, error_rad = math.hypot(cosine, sine), math.atan2(sine, cosine)
-        if not LENGTH[0] <= length <= LENGTH[1]:
-            return ()
-        # of the angle: across the vector, over its length
-        u, v = -sine / length, cosine / length
-        variance = (u * u * self._n22 - 2.0 * u * v * self._n12 + v * v * self._n11) / determinant
-        shown_rad = wrap_angle(math.radians(self._camera_yaw_deg) + error_rad)
-        found = SourceComparison(
-            self._compared_s,
-            Quantity.CAMERA_ROTATION,
-            f"{self._camera_yaw_deg:.0f} deg",
-            f"{math.degrees(shown_rad):.0f} deg",
-            difference=math.degrees(abs(error_rad)),
-            std=math.degrees(math.sqrt(variance) / length),
-        )
-        return (found,)
 
     def _before(self, time_s: float, before_s: float, apart_s: float) -> _Seen | None:
         nearest = min(self._seen, key=lambda seen: abs(time_s - before_s - seen.time_s))
@@ -140,6 +117,29 @@ class MountCheck:
             self._b1 += weight * p * w
             self._b2 += weight * q * w
         self._count += 1.0
+
+    def _found(self) -> tuple[SourceComparison, ...]:
+        determinant = self._n11 * self._n22 - self._n12 * self._n12
+        if self._count < FEWEST or determinant <= 0.0:
+            return ()
+        cosine = (self._n22 * self._b1 - self._n12 * self._b2) / determinant
+        sine = (self._n11 * self._b2 - self._n12 * self._b1) / determinant
+        length, error_rad = math.hypot(cosine, sine), math.atan2(sine, cosine)
+        if not LENGTH[0] <= length <= LENGTH[1]:
+            return ()
+        # of the angle: across the vector, over its length
+        u, v = -sine / length, cosine / length
+        variance = (u * u * self._n22 - 2.0 * u * v * self._n12 + v * v * self._n11) / determinant
+        shown_rad = wrap_angle(math.radians(self._camera_yaw_deg) + error_rad)
+        found = SourceComparison(
+            self._compared_s,
+            Quantity.CAMERA_ROTATION,
+            f"{self._camera_yaw_deg:.0f} deg",
+            f"{math.degrees(shown_rad):.0f} deg",
+            difference=math.degrees(abs(error_rad)),
+            std=math.degrees(math.sqrt(variance) / length),
+        )
+        return (found,)
 
     def _forget(self, time_s: float) -> None:
         kept = math.exp(-max(0.0, time_s - self._updated_s) / FORGETTING_S)

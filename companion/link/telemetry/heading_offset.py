@@ -91,7 +91,8 @@ class HeadingOffset:
         """Our attitude at a time within the history, None when it is older than that."""
         if self._ours[-1][0] == time_s:
             return self._ours[-1][1]
-        for (early_s, early), (late_s, late) in pairwise(self._ours):
+        # what is asked for is among the newest
+        for (late_s, late), (early_s, early) in pairwise(reversed(self._ours)):
             if early_s <= time_s < late_s:
                 return _interpolate(early, late, (time_s - early_s) / (late_s - early_s))
         return None
