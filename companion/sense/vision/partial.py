@@ -132,10 +132,10 @@ class PartialMarkers:
 
         start = (quad - origin + 0.5) / shrink - 0.5
         fit = fit_prints(seen, PROPORTIONAL, [marker], start[None], part[None], straightened)
-        if not np.isfinite(fit.covariance_px2[0, 0, 0]):
-            return None
         rays = fit.corners[0] / focal
         corners, _ = self._lens.project(np.column_stack((rays, np.ones(4))))
+        if not np.isfinite(fit.covariance_px2[0]).all() or not np.isfinite(corners).all():
+            return None
         covariance = _turned(fit.covariance_px2[0], self._lens.slopes(rays) / focal)
         # what shows an edge alone, or nothing, leaves no covariance that can be relied on
         if not 0.0 < float(np.trace(covariance)) < len(covariance) * (VAGUE_CELLS * cell_px) ** 2:
@@ -157,6 +157,8 @@ def _turned(covariance: FloatArray, slopes: FloatArray) -> FloatArray:
 
 def _largest(inside: NDArray[np.bool_]) -> FloatArray | None:
     """The largest rectangle of a marker's grid (n, n) that is `inside`: (2, 2) in cells; None without one."""
+    if not inside.any():
+        return None
     low, high = np.triu_indices(len(inside), 1)
     size = high - low
     # how many places are not inside, above and to the left of each

@@ -122,8 +122,8 @@ def fit_prints(
     quiet = np.array([marker.quiet_m / marker.cell_m for marker in markers])
     pixels = _pixels_about(image, light, corners, np.minimum(quiet, QUIET_CELLS) / across)
     if straightened is not None:
-        at = straightened(pixels.at.reshape(-1, 2)).reshape(pixels.at.shape)
-        pixels = pixels._replace(at=at.astype(np.float32))
+        straight = straightened(pixels.at.reshape(-1, 2).astype(np.float64)).astype(np.float32)
+        pixels = pixels._replace(at=straight.reshape(pixels.at.shape))
         quads = straightened(corners.reshape(-1, 2)).reshape(corners.shape)
         corners = quads.copy()
     least, unlike = LEAST_BLUR_PX / cell_px, np.zeros_like(pixels.light)
