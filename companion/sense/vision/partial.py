@@ -123,8 +123,8 @@ class PartialMarkers:
         if shrink > 1:
             size = (seen.shape[1] // shrink, seen.shape[0] // shrink)
             seen = seen[: size[1] * shrink, : size[0] * shrink]
-            seen = cv2.resize(seen, size, interpolation=cv2.INTER_AREA)
-            seen = np.asarray(cv2.GaussianBlur(seen, (0, 0), SMOOTHED_PX), np.uint8)
+            shrunk = cv2.resize(seen, size, interpolation=cv2.INTER_AREA)
+            seen = np.asarray(cv2.GaussianBlur(shrunk, (0, 0), SMOOTHED_PX), np.uint8)
         origin, focal = np.array([left, top], dtype=np.float64), self._lens.focal_px / shrink
 
         def straightened(shrunk: FloatArray) -> FloatArray:
