@@ -2,7 +2,7 @@
 
     python -m benchmarks vision               # the whole of it
     python -m benchmarks vision --quick       # every bar on few frames, under 2 minutes
-    python -m benchmarks vision --only speed  # tables, clutter, flips, speed or photos
+    python -m benchmarks vision --only speed  # tables, clutter, flips, speed, families or photos
     python -m benchmarks vision DATA          # also photographs, DATA/aruco, and DATA/photoreal
     python -m benchmarks vision --only sweep  # every pad, camera and height: twenty minutes
 
@@ -33,6 +33,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemaining
 
 from benchmarks.report import BenchReport
 from benchmarks.vision.cases import SEED, SHOTS_OF_A_BOARD, CaseOutcome, VisionCase, false_pads, run_chunk
+from benchmarks.vision.families import FAMILIES, FamilyRun, family_table, run_family
 from benchmarks.vision.photos import SETS, photo_table, photoreal_table, read_photos, read_set
 from benchmarks.vision.speed import HEIGHTS_M, Times, measure
 from benchmarks.vision.sweep import SweepOutcome, cases, sweep, sweep_table
@@ -52,7 +53,7 @@ from benchmarks.vision.tables import (
 )
 
 SMOKE: Final = ("--only", "clutter", "--clutter", "10", "--jobs", "1")
-PARTS: Final = ("tables", "clutter", "flips", "speed", "photos", "photoreal", "sweep")
+PARTS: Final = ("tables", "clutter", "flips", "speed", "families", "photos", "photoreal", "sweep")
 SHOTS_OF_A_CHUNK: Final = 100
 DATA_FOLDER: Final = "aruco"
 PHOTOREAL_FOLDER: Final = "photoreal"
@@ -62,7 +63,7 @@ PHOTOREAL_FOLDER: Final = "photoreal"
 class Amount:
     """How many frames: of each case of one marker and of the pad, of clutter, of each kind of flip, timed.
 
-    And at each height of the sweep.
+    And hovers of each family and height, and frames at each height of the sweep.
     """
 
     marker: int
@@ -70,11 +71,12 @@ class Amount:
     clutter: int
     flips: int
     timed: int
+    families: int
     sweep: int
 
 
-FULL: Final = Amount(marker=1000, pad=1000, clutter=10_000, flips=10_000, timed=150, sweep=3)
-QUICK: Final = Amount(marker=40, pad=60, clutter=200, flips=200, timed=20, sweep=1)
+FULL: Final = Amount(marker=1000, pad=1000, clutter=10_000, flips=10_000, timed=150, families=3, sweep=3)
+QUICK: Final = Amount(marker=40, pad=60, clutter=200, flips=200, timed=20, families=1, sweep=1)
 
 
 @dataclass(frozen=True)
@@ -171,6 +173,12 @@ def timed(frames: int, report: BenchReport) -> list[Times]:
         return [measure(*each, frames) for each in progress.track(wanted, description="timing")]
 
 
+def by_family(hovers: int, report: BenchReport) -> list[FamilyRun]:
+    """Every family; nothing else of the bench runs meanwhile."""
+    with Progress(console=report, transient=True) as progress:
+        return [run_family(each, hovers) for each in progress.track(FAMILIES, description="by family")]
+
+
 def swept(shots: int, jobs: int, report: BenchReport) -> list[SweepOutcome]:
     """Every pad before every camera."""
     cv2.setNumThreads(1)
@@ -201,6 +209,10 @@ def measured(parts: Sequence[str], amount: Amount, jobs: int, data: Path | None,
         bars |= held
     if "speed" in parts:
         grid, held = speed_table(timed(amount.timed, report))
+        report.show(grid)
+        bars |= held
+    if "families" in parts:
+        grid, held = family_table(by_family(amount.families, report))
         report.show(grid)
         bars |= held
     if "sweep" in parts:

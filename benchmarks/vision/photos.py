@@ -250,7 +250,10 @@ class Peer:
 
     def look(self, image: NDArray[np.uint8]) -> Pose | None:
         """The pose from all corners."""
-        points, pixels = self.read(image)
+        return self.pose(*self.read(image))
+
+    def pose(self, points: FloatArray, pixels: FloatArray) -> Pose | None:
+        """The pose from corners on the pad (n, 3) and in the image (n, 2)."""
         if len(points) == 0:
             return None
         given = (points, pixels, self._matrix, self._distortion)

@@ -156,11 +156,12 @@ class PadBeforeCamera:
         board: Texture | None = None,
         *,
         finer: int = 1,
+        pad: Pad | None = None,
     ) -> None:
         """`finer`: each pixel is the mean of so many by so many places, for corners to a hundredth of one."""
         self.camera = camera_named(size)
-        self.pad = pad_of(side_cm)
-        self._single = side_cm > 0.0
+        self.pad = pad_of(side_cm) if pad is None else pad
+        self._single = len(self.pad.markers) == 1
         self._rng = rng
         settings = ImagingSettings()
         noise = rng.spawn(1)[0]

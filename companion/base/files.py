@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from companion.base.errors import ConfigError
 
-YAML_SUFFIXES: Final = (".yaml", ".yml")
+YAML_SUFFIXES: Final = (".yaml", ".yml", ".json")  # JSON is YAML, too
 _PACKAGE: Final = Path(__file__).resolve().parents[1]
 # an installed package has them within it, a checkout beside it
 _INSTALLED: Final = _PACKAGE / "configs"

@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from companion.base.geometry import FloatArray
 from companion.config import ConfigError, StrictModel, find_file, load_model
+from companion.pad.landing_target import is_landing_target, pad_of
 from companion.pad.marker import Marker, dictionary_named
 from companion.pad.rules import extent, impossible, unfit
 from companion.pad.sheet import Sheet, Tiling, tile
@@ -34,7 +35,11 @@ class Pad(StrictModel):
     @model_validator(mode="before")
     @classmethod
     def _grouped_by_size(cls, data: Any) -> Any:
-        """Markers without a group get one by their size: nearest to the largest, the smallest or between."""
+        """Markers without a group get one by their size: nearest to the largest, the smallest or between.
+
+        The file may be another project's `landing-target.json`.
+        """
+        data = pad_of(data) if is_landing_target(data) else data
         given = data.get("markers") if isinstance(data, dict) else None
         if not isinstance(given, (list, tuple)) or not given or not all(isinstance(m, dict) for m in given):
             return data

@@ -242,18 +242,25 @@ def _by_prints(
     for d, quad, shown, blur_px in zip(found, *fits, strict=True):
         if not math.isfinite(shown[0, 0]):
             continue
-        off_px = DOT_STD * dot_m * d.side_px / d.marker.side_m
-        sides = sides_to_corners(quad)
-        covariance = shown + off_px**2 * (sides @ sides.T)
-        made[d.marker] = replace(
-            d,
-            corners_px=quad,
-            corner_std_px=math.sqrt(np.trace(covariance) / len(covariance)),
-            shrunk_std_px=(math.hypot(ENCODED * encoding_error * float(blur_px), off_px),) * 4,
-            refined=True,
-            covariance_px2=covariance,
-        )
+        made[d.marker] = by_print(d, quad, shown, float(blur_px), encoding_error, dot_m)
     return made
+
+
+def by_print(
+    d: Detection, quad: FloatArray, shown: FloatArray, blur_px: float, encoding_error: float, dot_m: float
+) -> Detection:
+    """A detection with corners (4, 2) that its print has shown, and their covariance by that (8, 8) px2."""
+    off_px = DOT_STD * dot_m * d.side_px / d.marker.side_m
+    sides = sides_to_corners(quad)
+    covariance = shown + off_px**2 * (sides @ sides.T)
+    return replace(
+        d,
+        corners_px=quad,
+        corner_std_px=math.sqrt(np.trace(covariance) / len(covariance)),
+        shrunk_std_px=(math.hypot(ENCODED * encoding_error * blur_px, off_px),) * 4,
+        refined=True,
+        covariance_px2=covariance,
+    )
 
 
 def _by_sides(

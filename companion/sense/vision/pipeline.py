@@ -7,6 +7,7 @@ looks towards the image's top edge) after being rolled by `camera_roll_deg` (pos
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,8 +32,9 @@ from companion.pad import Pad
 from companion.sense.vision.aruco import ENOUGH, GROUPS, Detection, PadDetector, SearchPass
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.paper_pose import paper_pose
+from companion.sense.vision.partial import PartialMarkers
 from companion.sense.vision.pose import MAXIMUM_TURN_RAD, PoseFit, fit_poses
-from companion.sense.vision.print_check import PrintCheck
+from companion.sense.vision.print_check import PrintCheck, correctable
 from companion.sense.vision.search import CELL_PX, SearchPlanner
 from companion.sense.vision.unread import UnreadMarkers
 
@@ -68,6 +70,7 @@ class Vision:
         self._detector = PadDetector(pad, config, self._lens)
         self._print = PrintCheck(pad, self._lens)
         self._unread = UnreadMarkers(pad, self._lens, config, self._print)
+        self._partial = PartialMarkers(pad, self._lens, self._print)
         self._body_from_camera = body_from_camera(vehicle)
         self._rotation = matrix_from_quat(self._body_from_camera)
         self._mount = np.array(vehicle.camera_position_body_m)
@@ -87,7 +90,8 @@ class Vision:
         climb_m_s = 0.0 if prior is None else prior.climb_m_s
         rate = ZERO3 if prior is None else self._to_camera(prior.rate_body_rad_s)
         motion = (down, climb_m_s, rate)
-        looks = self._expected(prior)
+        expected = self._expected(prior)
+        looks = () if expected is None else self._planner.expected(*expected)
         wide = self._planner.widened(looks[0]) if looks else self._whole_frame(prior)
         found: list[Detection] = []
         coarse: VisionResult | None = None
@@ -106,13 +110,21 @@ class Vision:
             coarse = coarse or result
         for seen in lucky:
             coarse = coarse or self._result(frame, seen, True, motion)
+        if coarse is None and expected is not None:
+            parts = self._partial.find(frame.image, *expected)
+            coarse = self._result(frame, [], False, motion, parts)
         return coarse or VisionResult(None, count_groups(tuple(found)), bool(wide), read=tuple(found))
 
     def _result(
-        self, frame: Frame, read: list[Detection], everywhere: bool, motion: _Motion
+        self,
+        frame: Frame,
+        read: list[Detection],
+        everywhere: bool,
+        motion: _Motion,
+        parts: Sequence[Detection] = (),
     ) -> VisionResult | None:
-        """The sighting that markers give which were read, if they give one."""
-        found = self._detector.refine(frame.image, read)
+        """The sighting that markers give which were read, or measured in part, if they give one."""
+        found = list(parts) or self._detector.refine(frame.image, read)
         pose = self._pose(frame, found, motion, read) if found else None
         if pose is None:
             return None
@@ -141,6 +153,13 @@ class Vision:
                 sure = [d for d in found if d.refined]
                 fits = fit_poses([*sure, *more], *given, starts) or fits
         pose = fits.pose()
+        if read and len(pose.used) == 1 and (wrong := self._print.wrong_cells(frame.image, pose.used[0])):
+            # where something lies on a marker that was read, a corner may have been guessed
+            rest = self._partial.find(frame.image, pose.camera_from_pad, pose.position_camera_m, 0.0)
+            fits = fit_poses(rest, *given)
+            if fits is None and wrong > correctable(pose.used[0].marker):
+                return None
+            pose = pose if fits is None else fits.pose()
         if len(pose.used) == 1 and not self._print.bears_out(frame.image, pose, read):
             return None
         turn_rad2 = float(np.linalg.eigvalsh(pose.covariance[3:, 3:])[-1])
@@ -160,12 +179,12 @@ class Vision:
     def _to_camera(self, v_body: Vector3) -> Vector3:
         return quat_rotate(quat_conjugate(self._body_from_camera), v_body)
 
-    def _expected(self, prior: PadPrior | None) -> tuple[SearchPass, ...]:
+    def _expected(self, prior: PadPrior | None) -> tuple[FloatArray, FloatArray, float] | None:
+        """The pad's turn (3, 3) and place (3,) in camera axes, and the place's standard deviation."""
         if prior is None or prior.pad_position_body_m is None or prior.body_from_pad is None:
-            return ()
-        position = self._position(prior.pad_position_body_m)
+            return None
         camera_from_pad = self._rotation.T @ matrix_from_quat(prior.body_from_pad)
-        return self._planner.expected(camera_from_pad, position, prior.position_std_m)
+        return camera_from_pad, self._position(prior.pad_position_body_m), prior.position_std_m
 
 
 def sighting_of(

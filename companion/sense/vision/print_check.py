@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.base.geometry import FloatArray
-from companion.pad import Marker, Pad
-from companion.sense.vision.aruco import Detection
+from companion.pad import ERROR_CORRECTION_RATE, Marker, Pad, dictionary_named
+from companion.sense.vision.aruco import SMALL_CELL_PX, Detection
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.pose import PoseFit
 from companion.sense.vision.print_fit import white_cells
@@ -35,6 +35,7 @@ class PrintCheck:
     def __init__(self, pad: Pad, lens: Lens) -> None:
         self._lens = lens
         self._prints = {marker: _cells(marker) for marker in pad.markers}
+        self._bare = {marker: _bare(marker, pad) for marker in pad.markers}
 
     def bears_out(self, image: NDArray[np.uint8], pose: PoseFit, read: Sequence[Detection] = ()) -> bool:
         """Whether another marker is where the pose has it, or none is to be seen there.
@@ -56,16 +57,43 @@ class PrintCheck:
         there, _ = self._lens.project(middle @ pose.camera_from_pad.T + pose.position_camera_m)
         return bool(np.hypot(*(there[0] - seen.corners_px.mean(axis=0))) < 0.5 * seen.side_px)
 
-    def likeness(self, image: NDArray[np.uint8], marker: Marker, corners_px: FloatArray) -> float:
-        """Correlation of a marker's print with the image between its corners (4, 2) px."""
+    def likeness(
+        self,
+        image: NDArray[np.uint8],
+        marker: Marker,
+        corners_px: FloatArray,
+        part: FloatArray | None = None,
+    ) -> float:
+        """Correlation of a marker's print with the image between its corners (4, 2) px.
+
+        Of a `part` (2, 2) of it, from a first to a last corner in cells, the corners are the part's.
+        """
         _, white = self._prints[marker]
-        count = marker.cells
-        square = np.array([(0, 0), (count, 0), (count, count), (0, count)], np.float32)
-        middles = np.arange(-1, count + 1) + 0.5
-        down, right = np.meshgrid(middles, middles, indexing="ij")
-        places = np.stack((right, down), axis=-1).reshape(1, -1, 2)
-        across = cv2.getPerspectiveTransform(square, corners_px.astype(np.float32))
-        return self._alike(image, cv2.perspectiveTransform(places, across)[0], white)
+        if part is None:
+            every = np.array([(0.0, 0.0), (marker.cells, marker.cells)])
+            return self._alike(image, _pixels_at(_middles(marker).reshape(-1, 2), corners_px, every), white)
+        inside, grey = _seen(image, marker, corners_px, part)
+        return _correlation(grey, white[inside]) if len(grey) else 0.0
+
+    def wrong_cells(self, image: NDArray[np.uint8], found: Detection) -> int:
+        """How many cells of a marker that was read are not of their colour; 0 where cells run together."""
+        if found.side_px < SMALL_CELL_PX * found.marker.cells:
+            return 0
+        whole = np.array([(0.0, 0.0), (found.marker.cells, found.marker.cells)])
+        return len(self.covered(image, found.marker, found.corners_px, whole))
+
+    def covered(
+        self, image: NDArray[np.uint8], marker: Marker, corners_px: FloatArray, part: FloatArray
+    ) -> FloatArray:
+        """Middles (k, 2), in cells, of those cells of a part that are not of their colour."""
+        _, white = self._prints[marker]
+        inside, grey = _seen(image, marker, corners_px, part)
+        bare = self._bare[marker][inside]
+        expected = white[inside] > 0.5
+        if expected.all() or not expected.any():
+            return np.empty((0, 2))
+        between = 0.5 * (np.median(grey[expected]) + np.median(grey[~expected]))
+        return np.asarray(_middles(marker)[inside][bare & ((grey > between) != expected)])
 
     def _likeness(self, image: NDArray[np.uint8], pose: PoseFit, marker: Marker) -> float | None:
         """The same where a pose has it; None where it is cut off or too small."""
@@ -78,11 +106,56 @@ class PrintCheck:
         return self._alike(image, pixels, white)
 
     def _alike(self, image: NDArray[np.uint8], pixels: FloatArray, white: FloatArray) -> float:
-        u, v = pixels.astype(np.float32).T
-        seen = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        grey = np.asarray(seen, dtype=np.float64).reshape(white.shape)
+        grey = _grey(image, pixels).reshape(white.shape)
         # any marker's black frame is like another's: the code has to be like by itself, too
         return min(_correlation(grey, white), _correlation(grey[2:-2, 2:-2], white[2:-2, 2:-2]))
+
+
+def correctable(marker: Marker) -> int:
+    """How many wrong cells of its code a marker is read with."""
+    return int(ERROR_CORRECTION_RATE * dictionary_named(marker.dictionary).maxCorrectionBits)
+
+
+def _bare(marker: Marker, pad: Pad) -> NDArray[np.bool_]:
+    """On which of a marker's cells, and of those about it, no smaller marker of the pad lies."""
+    bare = np.ones((marker.cells + 2, marker.cells + 2), np.bool_)
+    for other in pad.markers:
+        if other.side_m < marker.side_m and (under := marker.cells_under(other)) is not None:
+            bare[1:-1, 1:-1][under] = False
+    return bare
+
+
+def _middles(marker: Marker) -> FloatArray:
+    """Of a marker's cells, a row of the white around it included: rows, columns, and right and down."""
+    middles = np.arange(-1, marker.cells + 1) + 0.5
+    down, right = np.meshgrid(middles, middles, indexing="ij")
+    return np.stack((right, down), axis=-1)
+
+
+def _seen(
+    image: NDArray[np.uint8], marker: Marker, corners_px: FloatArray, part: FloatArray
+) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Which cells' middles lie in a part, of rows and columns, and how bright they (n,) are."""
+    middles = _middles(marker)
+    inside = ((middles > part[0]) & (middles < part[1])).all(axis=2)
+    if not inside.any():
+        return inside, np.empty(0)
+    return inside, _grey(image, _pixels_at(middles[inside], corners_px, part))
+
+
+def _pixels_at(places: FloatArray, corners_px: FloatArray, part: FloatArray) -> FloatArray:
+    """Where places (n, 2), in cells, are in the image (n, 2), by a part's corners (4, 2) px."""
+    (left, top), (right, bottom) = part.tolist()
+    square = np.array([(left, top), (right, top), (right, bottom), (left, bottom)], np.float32)
+    across = cv2.getPerspectiveTransform(square, corners_px.astype(np.float32))
+    return np.asarray(cv2.perspectiveTransform(places[None], across)[0])
+
+
+def _grey(image: NDArray[np.uint8], pixels: FloatArray) -> FloatArray:
+    """Brightness (n,) at places (n, 2) px."""
+    u, v = pixels.astype(np.float32).T
+    seen = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(seen, dtype=np.float64).reshape(-1)
 
 
 def _correlation(a: FloatArray, b: FloatArray) -> float:

@@ -13,7 +13,7 @@ u right, v down, whole numbers at pixel centres.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Final, NamedTuple
 
@@ -55,6 +55,7 @@ LEAST: Final = 1e-9
 LEAST_FREE: Final = 0.2
 CORNERS: Final = 8
 UNKNOWNS: Final = CORNERS + 3  # blur, black and white
+_SQUARE: Final = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
 
 
 class PrintFit(NamedTuple):
@@ -92,7 +93,12 @@ class _Step(NamedTuple):
 # a print that is nowhere divides by nothing, and is lost; OpenBLAS on arm64 says so of sums that are finite
 @np.errstate(all="ignore")
 def fit_prints(
-    image: NDArray[np.uint8], light: FloatImage, markers: Sequence[Marker], quads: FloatArray
+    image: NDArray[np.uint8],
+    light: FloatImage,
+    markers: Sequence[Marker],
+    quads: FloatArray,
+    parts: FloatArray | None = None,
+    straightened: Callable[[FloatArray], FloatArray] | None = None,
 ) -> PrintFit:
     """Lay each marker's print on the image, from corners (m, 4, 2) px that are right to half a cell.
 
@@ -101,24 +107,38 @@ def fit_prints(
         light: (256,) light of each grey value.
         markers: whose prints.
         quads: where they are.
+        parts: (m, 2, 2) the first and the last corner, in cells, of the rectangles that the quads are of, of
+            which half a cell more is looked at; none: the whole markers.
+        straightened: where pixels (n, 2) would be without the lens's distortion, which bends what is large in
+            the image; what is returned is there, too.
     """
     corners, cells = np.array(quads, dtype=np.float64), np.array([marker.cells for marker in markers])
-    cell_px = _sides(corners) / cells
+    squares = _SQUARE * cells[:, None, None]
+    if parts is not None:
+        squares = parts[:, :1] + _SQUARE * (parts[:, 1:] - parts[:, :1])
+    across = (squares[:, 2] - squares[:, 0]).mean(axis=1)
+    cell_px = _sides(corners) / across
     blur = np.full(len(markers), USUAL_BLUR_PX) / cell_px
     quiet = np.array([marker.quiet_m / marker.cell_m for marker in markers])
-    pixels = _pixels_about(image, light, corners, np.minimum(quiet, QUIET_CELLS) / cells)
+    pixels = _pixels_about(image, light, corners, np.minimum(quiet, QUIET_CELLS) / across)
+    if straightened is not None:
+        straight = straightened(pixels.at.reshape(-1, 2).astype(np.float64)).astype(np.float32)
+        pixels = pixels._replace(at=straight.reshape(pixels.at.shape))
+        quads = straightened(corners.reshape(-1, 2)).reshape(corners.shape)
+        corners = quads.copy()
     least, unlike = LEAST_BLUR_PX / cell_px, np.zeros_like(pixels.light)
     shown = pixels.shown & ~pixels.full
-    for number in range(MOST_ROUNDS):
-        at, to_pixels = _on_markers(pixels.at, corners, cells)
+    # parts are begun with from farther off, and something may lie on them
+    for number in range(MOST_ROUNDS if parts is None else 2 * MOST_ROUNDS):
+        at, to_pixels = _on_markers(pixels.at, corners, squares)
         levels = np.rint(np.log(blur) / math.log(BLUR_STEP))
         blur = BLUR_STEP**levels
         about = np.clip(quiet - CLEAR_SIGMA * blur, 0.0, QUIET_CELLS)
-        counts = (shown & _clear(at, cells, about)).astype(np.float32)
+        counts = (shown & _clear(at, squares, about)).astype(np.float32)
         # what fits badly is known when the rest fits well
         weight = counts / (1.0 + unlike) if number >= PLAIN_ROUNDS else counts
         prints = [_texture(*each) for each in zip(markers, levels.astype(int).tolist(), strict=True)]
-        step = _step(at, pixels.light, prints, cells, weight)
+        step = _step(at, pixels.light, prints, squares, weight)
         blur = np.sqrt(np.clip(blur**2 + step.change[:, CORNERS], least**2, MOST_BLUR_CELLS**2))
         moves = (to_pixels @ step.change[:, :CORNERS].reshape(-1, 4, 2, 1))[..., 0]
         corners, moved = corners - moves, np.abs(moves).max(axis=(1, 2))
@@ -189,11 +209,8 @@ def _pixels_about(
     return _Pixels(at, np.minimum(light[seen], light[FULL_GREY]), shown, shown & (seen >= FULL_GREY))
 
 
-def _on_markers(
-    at: FloatImage, corners: FloatArray, cells: NDArray[np.int_]
-) -> tuple[FloatImage, FloatArray]:
+def _on_markers(at: FloatImage, corners: FloatArray, square: FloatArray) -> tuple[FloatImage, FloatArray]:
     """Places (m, n, 2) of pixels on markers; and at each corner a cell's way in pixels (m, 4, 2, 2)."""
-    square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * cells[:, None, None]
     squares, seen_at = square.astype(np.float32), corners.astype(np.float32)
     across = np.array([cv2.getPerspectiveTransform(*each) for each in zip(squares, seen_at, strict=True)])
     back = np.linalg.inv(across).astype(np.float32)
@@ -203,9 +220,10 @@ def _on_markers(
     return seen[..., :2] / seen[..., 2:], ways / depth[..., None, None]
 
 
-def _clear(at: FloatImage, cells: NDArray[np.int_], about: FloatArray) -> NDArray[np.bool_]:
-    """Which places (m, n) lie on the marker or so many cells (m,) about it."""
-    low, high = -about[:, None, None], (cells + about)[:, None, None]
+def _clear(at: FloatImage, squares: FloatArray, about: FloatArray) -> NDArray[np.bool_]:
+    """Which places (m, n) lie on what is looked at or so many cells (m,) about it."""
+    low = squares[:, None, 0] - about[:, None, None]
+    high = squares[:, None, 2] + about[:, None, None]
     return np.asarray(((at > low) & (at < high)).all(axis=2))
 
 
@@ -213,7 +231,7 @@ def _step(
     at: FloatImage,
     seen_light: FloatImage,
     prints: list[FloatImage],
-    cells: NDArray[np.int_],
+    squares: FloatArray,
     weight: FloatImage,
 ) -> _Step:
     """One step of weighted least squares, black and white first: the rest is in terms of their contrast."""
@@ -226,9 +244,10 @@ def _step(
     levels, left = _solved(jacobian[:, -2:], seen_light, weight)
     jacobian[:, (0, 1, CORNERS)] *= levels[:, 1, None, None]
     slopes = jacobian[:, None, :2]
-    x, y = np.ascontiguousarray(np.moveaxis(at / cells[:, None, None].astype(np.float32), 2, 0))
-    last = x * y
-    shares = np.stack((1.0 - x - y + last, x - last, last, y - last), axis=1)
+    first, last = squares[:, None, 0].astype(np.float32), squares[:, None, 2].astype(np.float32)
+    x, y = np.ascontiguousarray(np.moveaxis((at - first) / (last - first), 2, 0))
+    both = x * y
+    shares = np.stack((1.0 - x - y + both, x - both, both, y - both), axis=1)
     jacobian[:, :CORNERS] = (shares[:, :, None] * slopes).reshape(len(at), CORNERS, -1)
     change, left = _solved(jacobian, left, weight)
     return _Step(change.astype(np.float64), jacobian, left, weight)

@@ -148,7 +148,7 @@ def run_pad(pad: str, options: PadOptions) -> None:
     elif options.output is not None:
         if options.single is not None:
             _write_file(made, options.output.with_suffix(".yaml"), console)
-        if options.single is None or options.output.suffix.lower() not in YAML_SUFFIXES:
+        if options.single is None or options.output.suffix.lower() != YAML_SUFFIXES[0]:
             _print(made, options.output, console)
 
 

@@ -170,6 +170,23 @@ async def test_a_stream_that_went_is_opened_anew(camera: CameraConfig) -> None:
     assert LONGEST_PAUSE_S + stream.CONNECT_S <= 2.0  # a host that is away is asked again within that
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("away_s", [0.5, 2.0, 4.0])
+async def test_a_stream_is_back_within_two_seconds_of_its_server(camera: CameraConfig, away_s: float) -> None:
+    with mjpeg_server() as port:
+        kept = await keep_camera(f"http://127.0.0.1:{port}/", camera, LATENCY_S)
+        await kept.next()
+    await asyncio.sleep(away_s)
+    with mjpeg_server(port):
+        back_s = asyncio.get_running_loop().time()
+        async with asyncio.timeout(20.0):
+            while (frame := await kept.next()).received_s < back_s:
+                pass
+        kept.close()
+    print(f"away for {away_s:g} s, back after {frame.received_s - back_s:.2f} s")
+    assert frame.received_s - back_s < 2.0
+
+
 @pytest.mark.parametrize("scheme", ["http", "rtsp"])
 async def test_an_app_ends_while_a_server_keeps_the_opening_waiting(
     scheme: str, camera: CameraConfig
