@@ -112,10 +112,7 @@ def fit_prints(
         straightened: where pixels (n, 2) would be without the lens's distortion, which bends what is large in
             the image; what is returned is there, too.
     """
-    corners, cells = np.array(quads, dtype=np.float64), np.array([marker.cells for marker in markers])
-    squares = _SQUARE * cells[:, None, None]
-    if parts is not None:
-        squares = parts[:, :1] + _SQUARE * (parts[:, 1:] - parts[:, :1])
+    corners, squares = np.array(quads, dtype=np.float64), _squares(markers, parts)
     across = (squares[:, 2] - squares[:, 0]).mean(axis=1)
     cell_px = _sides(corners) / across
     blur = np.full(len(markers), USUAL_BLUR_PX) / cell_px
@@ -153,6 +150,13 @@ def fit_prints(
     lost |= ~(_explained(step, pixels.light) > LEAST_EXPLAINED)
     corners[lost], covariance[lost] = quads[lost], np.inf
     return PrintFit(corners, covariance, blur * cell_px)
+
+
+def _squares(markers: Sequence[Marker], parts: FloatArray | None) -> FloatArray:
+    """Corners (m, 4, 2) in cells of what is laid on the image: whole markers, or parts of them."""
+    if parts is None:
+        return np.asarray(_SQUARE * np.array([marker.cells for marker in markers])[:, None, None])
+    return np.asarray(parts[:, :1] + _SQUARE * (parts[:, 1:] - parts[:, :1]))
 
 
 def white_cells(marker: Marker) -> FloatArray:

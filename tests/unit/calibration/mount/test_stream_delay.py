@@ -46,7 +46,7 @@ def number_of(image: NDArray[np.uint8]) -> int:
     return sum(int(image[FIELD_PX // 2, bit * FIELD_PX + FIELD_PX // 2] > 128) << bit for bit in range(BITS))
 
 
-class Player(http.server.BaseHTTPRequestHandler):
+class StreamServer(http.server.BaseHTTPRequestHandler):
     """Sends each picture so long after its exposure as the camera, encoder and network take."""
 
     def do_GET(self) -> None:
@@ -68,7 +68,7 @@ class Player(http.server.BaseHTTPRequestHandler):
 
 @contextmanager
 def playing(pictures: list[tuple[float, bytes]]) -> Iterator[str]:
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Player) as server:
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), StreamServer) as server:
         server.daemon_threads, server.pictures = True, pictures  # type: ignore[attr-defined]
         threading.Thread(target=server.serve_forever, daemon=True).start()
         yield f"http://127.0.0.1:{server.server_port}/"
