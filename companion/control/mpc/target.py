@@ -82,8 +82,9 @@ def make_target(reference: Reference, times_s: FloatArray, origin: PadPrediction
 def _horizontal_bound(level_off: LevelOff, times_s: FloatArray) -> FloatArray:
     """The greatest horizontal input (N,) over each of the steps between `times_s` (N+1,)."""
     middle_s = 0.5 * (times_s[1:] + times_s[:-1])
-    within = (middle_s >= level_off.from_s) & (middle_s <= level_off.until_s)
-    return np.where(within, GRAVITY_M_S2 * math.tan(level_off.tilt_rad), np.inf)
+    level, before = (GRAVITY_M_S2 * math.tan(tilt) for tilt in (level_off.tilt_rad, level_off.before_rad))
+    bound = np.where(middle_s < level_off.from_s, before, level)
+    return np.where(middle_s <= level_off.until_s, bound, np.inf)
 
 
 def stop_reference(time_s: float, position_ned_m: Vector3, heading_rad: float) -> Reference:

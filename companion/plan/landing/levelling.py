@@ -2,10 +2,10 @@
 
 The vehicle levels shortly before contact, and briefly: a level vehicle cannot follow the pad and drifts. If
 contact comes late it stays level while the drift is small, and longer where it is so low that a tilt would
-put a foot on the pad. The controller does not know of it before: it would tilt further until then, to be
-ahead of the pad, and a contact that comes 0.1 s early would meet that tilt. In that time the tilt is bounded
-to a little more than pad and wind have needed so far. The more tilt is levelled off, the firmer it sets down:
-less time to drift in. NED, SI units.
+put a foot on the pad. The controller knows of it before, and is on its way against the drift when it begins.
+Until then the tilt is bounded to a little more than pad and wind have needed so far: a contact that comes
+0.1 s early would meet it. The more tilt is levelled off, the firmer it sets down: less time to drift in.
+NED, SI units.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ AFTER_S: Final = 0.11
 CONTACT_STD_M: Final = 0.015
 # Near the pad the air carries, and the sink slows below what is planned; below this share of it not for long.
 SLOWEST_SINK: Final = 0.5
-# So long before the contact the tilt is bounded by what has been needed, and so much.
-STEADY_S: Final = 0.7
+# So long before the contact the controller knows of it; until it goes level the tilt is bounded by what has
+# been needed, and so much.
+AHEAD_S: Final = 0.7
 BEYOND_M_S2: Final = 0.6
 # Of the speed over the pad that one may start down with; what is gentle on the feet is a bit more.
 FASTEST_DRIFT: Final = 2.0
@@ -54,7 +55,7 @@ class Levelling:
         self._from_s: float | None = None
         self._lead_s = self._needed_m_s2 = 0.0
         self._too_low_s = -math.inf
-        self._steady: LevelOff | None = None
+        self._ahead: LevelOff | None = None
         self.planned_m_s = self._config.contact_speed_m_s
 
     def sink_m_s(self, needed_m_s2: float) -> float:
@@ -89,7 +90,7 @@ class Levelling:
     def window(self) -> LevelOff | None:
         """Until when the vehicle may tilt how far at most; None until the contact is near."""
         if self._from_s is None:
-            return self._steady
+            return self._ahead
         late_s = max(0.0, self.due_s - self._lead_s - self._from_s)
         excess_m_s2 = self._needed_m_s2 - self._level_m_s2
         if excess_m_s2 > 0.0:
@@ -115,10 +116,15 @@ class Levelling:
                 lead_s,
                 tilt.predicted_acceleration_m_s2(0.0),
             )
-        self._steady = None
-        if now_s >= self.due_s - STEADY_S:
+        self._ahead = None
+        if now_s >= self.due_s - AHEAD_S:
             most_m_s2 = max(self._level_m_s2, tilt.predicted_acceleration_m_s2(0.0) + BEYOND_M_S2)
-            self._steady = LevelOff(now_s, now_s + STEADY_S, math.atan(most_m_s2 / GRAVITY_M_S2))
+            self._ahead = LevelOff(
+                self.due_s - lead_s,
+                self.due_s + AFTER_S,
+                self._tilt_rad,
+                math.atan(most_m_s2 / GRAVITY_M_S2),
+            )
         # no tilt that would put a foot on the pad, unless the level vehicle drifts so fast that this is worse
         slow = sight.lateral_speed_m_s <= FASTEST_DRIFT * self._config.lateral_speed_m_s
         hangs_m = self._vehicle.foot_reach_m * math.sin(math.atan(self._needed_m_s2 / GRAVITY_M_S2))

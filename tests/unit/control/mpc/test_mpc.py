@@ -741,16 +741,25 @@ def sideways(mpc: Mpc, target: Target) -> FloatArray:
     return np.hypot(solution.inputs_m_s2[:, 0], solution.inputs_m_s2[:, 1])
 
 
-def test_the_reference_tells_the_steps_within_the_time() -> None:
-    still = np.zeros((2, 3))
-    reference = Reference(
-        5.0, "pad", 0.1, still, still, still, 0.0, level_off=LevelOff(5.3, 5.6, math.radians(6.0))
-    )
+@pytest.mark.parametrize("before_deg", [12.0, 90.0])
+def test_the_reference_tells_the_steps_before_and_within_the_time(before_deg: float) -> None:
+    still, before_rad = np.zeros((2, 3)), math.radians(before_deg)
+    level_off = LevelOff(5.3, 5.6, math.radians(6.0), before_rad)
+    reference = Reference(5.0, "pad", 0.1, still, still, still, 0.0, level_off=level_off)
     target = make_target(reference, 5.0 + 0.1 * np.arange(11, dtype=np.float64), origin_at_rest(11))
     assert target.horizontal_bound_m_s2 is not None
-    level = np.flatnonzero(np.isfinite(target.horizontal_bound_m_s2)).tolist()
-    assert level == [3, 4, 5]
-    assert target.horizontal_bound_m_s2[3] == pytest.approx(LEVEL_M_S2)
+    expected = [GRAVITY_M_S2 * math.tan(before_rad)] * 3 + [LEVEL_M_S2] * 3 + [math.inf] * 4
+    assert target.horizontal_bound_m_s2.tolist() == pytest.approx(expected)
+
+
+def test_it_moves_against_the_drift_before_it_levels_off() -> None:
+    mpc, target = Mpc(CONFIG, (0.11, 0.11, 0.04)), turning(window(5, 9))
+    solution = mpc.solve(
+        Motion((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 2.0, 0.0)), target, (0.0, 0.0, 0.0), (0.0, 2.0, 0.0)
+    )
+    drift_m_s = solution.states[:, 4] - target.velocity_m_s[1:, 1]
+    assert drift_m_s[4] > 0.03
+    assert drift_m_s[9] < -0.03
 
 
 def test_it_levels_off_in_time_and_tilts_again_afterwards() -> None:

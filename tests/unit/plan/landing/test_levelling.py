@@ -133,7 +133,9 @@ def test_a_tilt_that_cannot_be_levelled_off_is_waited_out_however_long_it_lasts(
 
 
 @pytest.mark.parametrize("needed_m_s2", [0.0, 1.0, 2.0])
-def test_shortly_before_it_levels_off_a_gust_is_met_by_a_little_more_tilt_at_most(needed_m_s2: float) -> None:
+def test_shortly_before_it_levels_off_it_says_so_and_a_gust_is_met_by_a_little_more_tilt_at_most(
+    needed_m_s2: float,
+) -> None:
     level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
     for over_m, near in ((0.25, False), (0.14, True)):
         touchdown = levelling(needed_m_s2)
@@ -142,7 +144,9 @@ def test_shortly_before_it_levels_off_a_gust_is_met_by_a_little_more_tilt_at_mos
         bound = touchdown.level_off()
         assert (bound is not None) == near
     assert bound is not None
-    assert GRAVITY_M_S2 * math.tan(bound.tilt_rad) == pytest.approx(max(level_m_s2, needed_m_s2 + 0.6))
+    assert GRAVITY_M_S2 * math.tan(bound.before_rad) == pytest.approx(max(level_m_s2, needed_m_s2 + 0.6))
+    assert bound.tilt_rad == pytest.approx(math.radians(CONFIG.contact_tilt_deg))
+    assert bound.from_s > 1.0  # and the controller knows when it will
 
 
 @pytest.mark.parametrize(("excess_m_s2", "longer_s"), [(0.0, 0.95), (0.5, 0.24), (0.8, 0.15)])
