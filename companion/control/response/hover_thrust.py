@@ -32,6 +32,8 @@ AIR_G2_S: Final = 2.0 * AIR_G**2 * AIR_S  # both ways
 # The innovations' mean is that of so long: a thrust that acts some hundredths of a second later or earlier
 # than believed leaves little of one.
 MEAN_S: Final = 0.1
+# Of the bandwidth: a speed that was not explained outlasts what is learnt from it, or no fall would be felt.
+FORGETS: Final = 0.5
 # So little is lost until the estimate is right: 0.1 g for the filter's first second is 0.2 m at most.
 KNOWN_STD: Final = 0.1
 # A thrust that holds the vehicle is believed unless it is surely beyond these shares of all that was told.
@@ -45,7 +47,7 @@ class HoverThrust:
         """`told` counts with the standard deviation `std` (as a share), at least the settled one.
 
         `bandwidth_rad_s`: how fast a change is followed once settled, which sets the random walk.
-        `unexplained_m_s`: the speed down that the innovations of late, as fast forgotten, add up to.
+        `unexplained_m_s`: the speed down that the innovations of late add up to.
         """
         self._lift = 1.0 / told
         self._bandwidth_rad_s = bandwidth_rad_s
@@ -80,7 +82,9 @@ class HoverThrust:
         if not (math.isfinite(felt) and math.isfinite(made)) or elapsed_s <= 0.0:
             return 1.0
         self.unexplained_m_s += elapsed_s * (
-            acceleration_down_m_s2 - predicted_down_m_s2 - self._bandwidth_rad_s * self.unexplained_m_s
+            acceleration_down_m_s2
+            - predicted_down_m_s2
+            - FORGETS * self._bandwidth_rad_s * self.unexplained_m_s
         )
         before, thrust = self._lift, max(0.0, made) / self._lift
         # less than nothing is felt by what falls upside down alone: the lift stays positive
