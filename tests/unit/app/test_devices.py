@@ -19,7 +19,7 @@ from companion.app.devices import AwaitedBus, AwaitedPort, AwaitedTransport, ope
 from companion.app.hardware import Hardware
 from companion.app.sensing import Sensing
 from companion.app.supervision import supervised
-from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock
 from companion.base.errors import ConfigError, DeviceMissing
 from companion.base.messages import Frame
 from companion.config import CameraConfig, CompanionConfig, SenseConfig, VehicleConfig, find_file, load_model
@@ -37,6 +37,7 @@ from companion.tools.pad_check.wizard import Say
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
 from tests.unit.sense.camera.camera_frames import ScriptedCamera
+from tests.virtual_time import in_virtual_time
 
 
 class UnpluggedLine:
@@ -265,34 +266,31 @@ class PortPluggedInLate:
     def close(self) -> None: ...
 
 
-def test_a_port_that_is_not_there_is_told_once_and_its_silence_only_when_it_is() -> None:
+@in_virtual_time
+async def test_a_port_that_is_not_there_is_told_once_and_its_silence_only_when_it_is() -> None:
     told: list[tuple[float, str]] = []
+    clock = Clock()
 
-    async def main() -> None:
-        clock = Clock()
+    def notify(kind: str, text: str, severity: Severity) -> None:
+        del kind, severity
+        told.append((clock.now_s(), text))
 
-        def notify(kind: str, text: str, severity: Severity) -> None:
-            del kind, severity
-            told.append((clock.now_s(), text))
-
-        camera: Any = SimpleNamespace(next=asyncio.Event().wait)
-        vision: Any = None
-        hardware = Hardware(
-            memory_pair()[0], camera, gps_port=PortPluggedInLate(clock), range_port=PortPluggedInLate(clock)
-        )
-        sensing = Sensing(
-            CompanionConfig(), hardware, vision, RecentSamples(),
-            clock=clock, log=FlightLog(None, start_unix_s=0.0), notify=notify,
-        )  # fmt: skip
-        tasks = [
-            asyncio.create_task(supervised(name, work, notify, lambda: True))
-            for name, work in sensing.tasks().items()
-        ]
-        await clock.sleep_until(20.0)
-        for task in tasks:
-            task.cancel()
-
-    run_in_virtual_time(main())
+    camera: Any = SimpleNamespace(next=asyncio.Event().wait)
+    vision: Any = None
+    hardware = Hardware(
+        memory_pair()[0], camera, gps_port=PortPluggedInLate(clock), range_port=PortPluggedInLate(clock)
+    )
+    sensing = Sensing(
+        CompanionConfig(), hardware, vision, RecentSamples(),
+        clock=clock, log=FlightLog(None, start_unix_s=0.0), notify=notify,
+    )  # fmt: skip
+    tasks = [
+        asyncio.create_task(supervised(name, work, notify, lambda: True))
+        for name, work in sensing.tasks().items()
+    ]
+    await clock.sleep_until(20.0)
+    for task in tasks:
+        task.cancel()
     before = sorted(text for time_s, text in told if time_s < PLUGGED_IN_S)
     assert before == [f"gps lost: {MISSING}", f"ultrasonic lost: {MISSING}"]
     after = {text for time_s, text in told if time_s > PLUGGED_IN_S}
@@ -308,29 +306,26 @@ PAD = load_pad("moving_1300")
 LOST_S, FOUND_S = 1.0, 2.5
 
 
-def test_the_pad_is_seen_again_and_people_are_reported_when_the_camera_comes_back() -> None:
+@in_virtual_time
+async def test_the_pad_is_seen_again_and_people_are_reported_when_the_camera_comes_back() -> None:
     told = list[tuple[float, str, str, str]]()
     samples, problems = RecentSamples(), dict[float, str | None]()
-
-    async def main() -> None:
-        clock = Clock()
-        sensing = Sensing(
-            CompanionConfig(),
-            Hardware(memory_pair()[0], over_the_pad(unplugged_from_s=LOST_S, until_s=FOUND_S)),
-            Vision(PAD, CAMERA, VEHICLE, CompanionConfig().sense.vision),
-            samples,
-            clock=clock,
-            log=FlightLog(None, start_unix_s=0.0),
-            notify=lambda kind, text, severity: told.append((clock.now_s(), kind, text, severity)),
-        )
-        tasks = [asyncio.create_task(run(work)) for work in sensing.tasks().values()]
-        for time_s in (0.9, 1.5, 4.5):
-            await clock.sleep_until(time_s)
-            problems[time_s] = sensing.camera_problem
-        for task in tasks:
-            task.cancel()
-
-    run_in_virtual_time(main())
+    clock = Clock()
+    sensing = Sensing(
+        CompanionConfig(),
+        Hardware(memory_pair()[0], over_the_pad(unplugged_from_s=LOST_S, until_s=FOUND_S)),
+        Vision(PAD, CAMERA, VEHICLE, CompanionConfig().sense.vision),
+        samples,
+        clock=clock,
+        log=FlightLog(None, start_unix_s=0.0),
+        notify=lambda kind, text, severity: told.append((clock.now_s(), kind, text, severity)),
+    )
+    tasks = [asyncio.create_task(run(work)) for work in sensing.tasks().values()]
+    for time_s in (0.9, 1.5, 4.5):
+        await clock.sleep_until(time_s)
+        problems[time_s] = sensing.camera_problem
+    for task in tasks:
+        task.cancel()
     times = [sighting.time_s for sighting in samples.sightings]
     assert min(times) < 0.2
     assert not [time_s for time_s in times if LOST_S + 0.05 < time_s < FOUND_S]
@@ -368,54 +363,48 @@ class FrozenPicture:
         pass
 
 
-def test_a_picture_that_stands_still_with_new_stamps_is_no_sighting() -> None:
+@in_virtual_time
+async def test_a_picture_that_stands_still_with_new_stamps_is_no_sighting() -> None:
     told = list[str]()
     samples = RecentSamples()
-
-    async def main() -> None:
-        clock = Clock()
-        sensing = Sensing(
-            CompanionConfig(),
-            Hardware(memory_pair()[0], FrozenPicture(frozen_from_s=1.0)),
-            Vision(PAD, CAMERA, VEHICLE, CompanionConfig().sense.vision),
-            samples,
-            clock=clock,
-            log=FlightLog(None, start_unix_s=0.0),
-            notify=lambda _kind, text, _severity: told.append(text),
-        )
-        task = asyncio.create_task(run(sensing.tasks()["camera"]))
-        await clock.sleep_until(2.0)
-        task.cancel()
-
-    run_in_virtual_time(main())
+    clock = Clock()
+    sensing = Sensing(
+        CompanionConfig(),
+        Hardware(memory_pair()[0], FrozenPicture(frozen_from_s=1.0)),
+        Vision(PAD, CAMERA, VEHICLE, CompanionConfig().sense.vision),
+        samples,
+        clock=clock,
+        log=FlightLog(None, start_unix_s=0.0),
+        notify=lambda _kind, text, _severity: told.append(text),
+    )
+    task = asyncio.create_task(run(sensing.tasks()["camera"]))
+    await clock.sleep_until(2.0)
+    task.cancel()
     times = [sighting.time_s for sighting in samples.sightings]
     assert len(times) > 10
     assert max(times) < 1.05
     assert [text.partition(": ")[2] for text in told] == ["the same image repeated"]
 
 
-def test_before_take_off_a_look_at_the_pad_now_and_then_is_enough() -> None:
+@in_virtual_time
+async def test_before_take_off_a_look_at_the_pad_now_and_then_is_enough() -> None:
     samples, counts = RecentSamples(), list[int]()
-
-    async def main() -> None:
-        clock = Clock()
-        sensing = Sensing(
-            CompanionConfig(),
-            Hardware(memory_pair()[0], FrozenPicture(frozen_from_s=math.inf)),
-            Vision(PAD, CAMERA, VEHICLE, CompanionConfig().sense.vision),
-            samples,
-            clock=clock,
-            log=FlightLog(None, start_unix_s=0.0),
-            notify=lambda _kind, _text, _severity: None,
-        )
-        sensing.on_ground = lambda: clock.now_s() < 2.0
-        task = asyncio.create_task(run(sensing.tasks()["camera"]))
-        for time_s in (2.0, 4.0):
-            await clock.sleep_until(time_s)
-            counts.append(sensing.frame_count)
-        task.cancel()
-
-    run_in_virtual_time(main())
+    clock = Clock()
+    sensing = Sensing(
+        CompanionConfig(),
+        Hardware(memory_pair()[0], FrozenPicture(frozen_from_s=math.inf)),
+        Vision(PAD, CAMERA, VEHICLE, CompanionConfig().sense.vision),
+        samples,
+        clock=clock,
+        log=FlightLog(None, start_unix_s=0.0),
+        notify=lambda _kind, _text, _severity: None,
+    )
+    sensing.on_ground = lambda: clock.now_s() < 2.0
+    task = asyncio.create_task(run(sensing.tasks()["camera"]))
+    for time_s in (2.0, 4.0):
+        await clock.sleep_until(time_s)
+        counts.append(sensing.frame_count)
+    task.cancel()
     times = [sighting.time_s for sighting in samples.sightings]
     on_ground = sum(time_s < 1.95 for time_s in times)
     assert 8 <= on_ground <= 11
@@ -446,16 +435,14 @@ def over_the_pad(*, unplugged_from_s: float, until_s: float) -> KeptCamera:
     return KeptCamera(ScriptedCamera(show), open_it, patience_with(CAMERA, "device"))
 
 
-def test_the_check_says_how_the_camera_does() -> None:
-    async def main() -> list[str]:
-        said, transport = list[Say](), memory_pair()[0]
-        frames = over_the_pad(unplugged_from_s=1e6, until_s=1e6)
-        check = PadCheck(CompanionConfig(), Hardware(transport, frames), Outlets(said.append), linked=False)
-        with suppress(TimeoutError):
-            await asyncio.wait_for(check.run(), 4.0)
-        return [line.text for line in said if line.text.startswith("camera")]
-
-    (line,) = run_in_virtual_time(main())
+@in_virtual_time
+async def test_the_check_says_how_the_camera_does() -> None:
+    said, transport = list[Say](), memory_pair()[0]
+    frames = over_the_pad(unplugged_from_s=1e6, until_s=1e6)
+    check = PadCheck(CompanionConfig(), Hardware(transport, frames), Outlets(said.append), linked=False)
+    with suppress(TimeoutError):
+        await asyncio.wait_for(check.run(), 4.0)
+    (line,) = [line.text for line in said if line.text.startswith("camera")]
     rate, rest = line.split(" frames/s looked at, ")
     assert 25.0 < float(rate.removeprefix("camera: ")) < 32.0
     assert rest == "20 ms old on arrival; the driver says: exposure 4.00 ms, gain 2"

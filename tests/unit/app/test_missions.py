@@ -4,7 +4,7 @@ import pytest
 
 from companion.app.announcer import Announcer
 from companion.app.missions import Missions
-from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock
 from companion.base.messages import (
     Action,
     ActionKind,
@@ -23,6 +23,7 @@ from companion.link.session import Session
 from companion.plan.mission.states import Authority, State
 from companion.plan.planner import PlanInputs, Planner
 from tests.unit.plan.mission.planner_world import world
+from tests.virtual_time import in_virtual_time
 
 
 def last_request(
@@ -105,21 +106,18 @@ class Scripted(Planner):
         ),
     ],
 )
-def test_who_ordered_a_landing_is_told_why_it_held_and_how_it_ended(
+@in_virtual_time
+async def test_who_ordered_a_landing_is_told_why_it_held_and_how_it_ended(
     steps: list[tuple[Phase, str]], told: str
 ) -> None:
     replies = list[OrderReply]()
-
-    async def flight() -> None:
-        clock, session, log = Clock(), Session(LinkConfig()), FlightLog(None, 0.0)
-        planner = Scripted((Phase.SEARCH, "search: land ordered"), *steps)
-        announcer = Announcer(clock, log, lambda _notice: None)
-        missions = Missions(lambda _why: planner, session, log, announcer, clock, standby=None, stays=True)
-        missions.give(Order(0.0, OrderKind.LAND, "a test"), replies.append)
-        for _ in range(1 + len(steps)):
-            missions.step(PlanInputs(None, None, AutopilotState(0.0)), clock.now_s())
-        await clock.sleep_until(clock.now_s() + 2.0)
-        assert missions.finished(busy=False)
-
-    run_in_virtual_time(flight())
+    clock, session, log = Clock(), Session(LinkConfig()), FlightLog(None, 0.0)
+    planner = Scripted((Phase.SEARCH, "search: land ordered"), *steps)
+    announcer = Announcer(clock, log, lambda _notice: None)
+    missions = Missions(lambda _why: planner, session, log, announcer, clock, standby=None, stays=True)
+    missions.give(Order(0.0, OrderKind.LAND, "a test"), replies.append)
+    for _ in range(1 + len(steps)):
+        missions.step(PlanInputs(None, None, AutopilotState(0.0)), clock.now_s())
+    await clock.sleep_until(clock.now_s() + 2.0)
+    assert missions.finished(busy=False)
     assert [reply.text for reply in replies] == ["", told]

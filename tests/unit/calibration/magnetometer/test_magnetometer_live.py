@@ -28,6 +28,7 @@ from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.vehicle.hand_motion import HandMotion
 from tests.unit.calibration.magnetometer.magnetometer_truth import turned
 from tests.unit.sense.imu.imu_rig import FIELD, REST, STILL, ImuRig
+from tests.virtual_time import in_virtual_time
 
 SITL_FIELD = TrueField(magnetic_field_ned_ut(USUAL_HOMES["px4"]), "the simulator's")
 
@@ -100,21 +101,19 @@ def test_the_calibration_makes_the_drivers_field_true() -> None:
     assert np.mean(sizes) == pytest.approx(SITL_FIELD.strength_ut, rel=0.01)
 
 
-def test_an_autopilots_compass_is_calibrated_over_mavlink() -> None:
-    async def main() -> Any:
-        ours, theirs = memory_pair()
+@in_virtual_time
+async def test_an_autopilots_compass_is_calibrated_over_mavlink() -> None:
+    ours, theirs = memory_pair()
 
-        async def collected(vehicle: InProcess) -> Any:
-            source = AutopilotCompass(ours, "the line")
-            try:
-                recording = await collect(source, CollectionLimits(60.0), Console(file=io.StringIO()))
-            finally:
-                source.close()
-            return recording, vehicle.simulation.sensor_truth.autopilot.magnetometer
+    async def collected(vehicle: InProcess) -> Any:
+        source = AutopilotCompass(ours, "the line")
+        try:
+            recording = await collect(source, CollectionLimits(60.0), Console(file=io.StringIO()))
+        finally:
+            source.close()
+        return recording, vehicle.simulation.sensor_truth.autopilot.magnetometer
 
-        return await carry("tumble", collected, link=theirs)
-
-    recording, flaws = run_in_virtual_time(main())
+    recording, flaws = await carry("tumble", collected, link=theirs)
     assert recording.source == "the line (HIGHRES_IMU)"
     done = calibrated(recording)
     assert done.file.axes == "body"

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock
 from companion.base.messages import Action, ActionResult
 from companion.config import LinkConfig
 from companion.link.actions.actions import PymavlinkActions
@@ -12,6 +12,7 @@ from companion.link.inbox import memory_pair
 from companion.link.session import Session
 from companion.link.transport import Transport
 from tests.unit.link.fake_autopilot import FakeAutopilot
+from tests.virtual_time import in_virtual_time
 
 Answer = Callable[[bytes, float], bytes]
 
@@ -33,7 +34,8 @@ async def simulate(autopilot: FakeAutopilot, end: Transport, ground: Answer | No
             await asyncio.sleep(0.01)
 
 
-def fly(
+@in_virtual_time
+async def fly(
     autopilot: FakeAutopilot,
     story: Callable[[PymavlinkActions, Session], Awaitable[list[ActionResult]]],
     config: LinkConfig | None = None,
@@ -42,30 +44,24 @@ def fly(
     attitude_setpoints: bool = False,
 ) -> list[ActionResult]:
     """Connect, let the telemetry settle, and run a story of actions."""
+    clock, settings = Clock(), config or LinkConfig()
+    ours, theirs = memory_pair()
+    session = Session(settings)
+    actions = PymavlinkActions(session, ours.write, clock, settings, attitude_setpoints=attitude_setpoints)
 
-    async def main() -> list[ActionResult]:
-        clock, settings = Clock(), config or LinkConfig()
-        ours, theirs = memory_pair()
-        session = Session(settings)
-        actions = PymavlinkActions(
-            session, ours.write, clock, settings, attitude_setpoints=attitude_setpoints
-        )
+    async def listen() -> None:
+        while True:
+            session.receive(await ours.read(), clock.now_s())
+            ours.write(session.tick(clock.now_s()))
 
-        async def listen() -> None:
-            while True:
-                session.receive(await ours.read(), clock.now_s())
-                ours.write(session.tick(clock.now_s()))
-
-        tasks = [asyncio.ensure_future(listen()), asyncio.ensure_future(simulate(autopilot, theirs, ground))]
-        await asyncio.sleep(settle_s)
-        try:
-            return await story(actions, session)
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
-
-    return run_in_virtual_time(main())
+    tasks = [asyncio.ensure_future(listen()), asyncio.ensure_future(simulate(autopilot, theirs, ground))]
+    await asyncio.sleep(settle_s)
+    try:
+        return await story(actions, session)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
 
 
 def perform(

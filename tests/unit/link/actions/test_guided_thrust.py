@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock
 from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
 from companion.base.messages import Action, ActionKind, ActionResult, Setpoint
 from companion.config import LinkConfig
@@ -16,6 +16,7 @@ from sitl.autopilot.control.estimator import NO_ERRORS
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight, SimpleVehicle, frame_450
+from tests.virtual_time import in_virtual_time
 
 HOVER_THRUST = 0.35
 STEP_S = 0.01
@@ -40,38 +41,35 @@ def hovering() -> AutopilotFlight:
     return flight
 
 
-def fly_by_attitude(config: LinkConfig, options: int) -> ControlTaken:
+@in_virtual_time
+async def fly_by_attitude(config: LinkConfig, options: int) -> ControlTaken:
     """Take control of a hovering ArduPilot and send level attitudes with the vehicle's hover thrust."""
+    flight, clock = hovering(), Clock()
+    flight.autopilot.parameters.set("GUID_OPTIONS", options)
+    endpoint, session = MavlinkEndpoint(flight.autopilot), Session(config)
 
-    async def main() -> ControlTaken:
-        flight, clock = hovering(), Clock()
-        flight.autopilot.parameters.set("GUID_OPTIONS", options)
-        endpoint, session = MavlinkEndpoint(flight.autopilot), Session(config)
+    def send(data: bytes) -> None:
+        endpoint.receive(data, flight.now_s)
 
-        def send(data: bytes) -> None:
-            endpoint.receive(data, flight.now_s)
+    async def world() -> None:
+        while True:
+            session.receive(endpoint.transmit(flight.now_s), clock.now_s())
+            send(session.tick(clock.now_s()))
+            flight.run(STEP_S)
+            await asyncio.sleep(STEP_S)
 
-        async def world() -> None:
-            while True:
-                session.receive(endpoint.transmit(flight.now_s), clock.now_s())
-                send(session.tick(clock.now_s()))
-                flight.run(STEP_S)
-                await asyncio.sleep(STEP_S)
-
-        stepping = asyncio.ensure_future(world())
-        await asyncio.sleep(1.1)
-        actions = PymavlinkActions(session, send, clock, config, attitude_setpoints=True)
-        result = await actions.perform(Action(ActionKind.TAKE_CONTROL))
-        for _ in range(60):
-            level = quat_from_euler(0.0, 0.0, 0.0)
-            setpoint = Setpoint(clock.now_s(), attitude=level, thrust=HOVER_THRUST)
-            send(session.send_setpoint(setpoint, clock.now_s()))
-            await asyncio.sleep(1.0 / 30.0)
-        stepping.cancel()
-        await asyncio.gather(stepping, return_exceptions=True)
-        return ControlTaken(result, flight.autopilot.parameters["GUID_OPTIONS"], flight.vehicle.velocity[2])
-
-    return run_in_virtual_time(main())
+    stepping = asyncio.ensure_future(world())
+    await asyncio.sleep(1.1)
+    actions = PymavlinkActions(session, send, clock, config, attitude_setpoints=True)
+    result = await actions.perform(Action(ActionKind.TAKE_CONTROL))
+    for _ in range(60):
+        level = quat_from_euler(0.0, 0.0, 0.0)
+        setpoint = Setpoint(clock.now_s(), attitude=level, thrust=HOVER_THRUST)
+        send(session.send_setpoint(setpoint, clock.now_s()))
+        await asyncio.sleep(1.0 / 30.0)
+    stepping.cancel()
+    await asyncio.gather(stepping, return_exceptions=True)
+    return ControlTaken(result, flight.autopilot.parameters["GUID_OPTIONS"], flight.vehicle.velocity[2])
 
 
 @pytest.mark.parametrize(("options", "allowed"), [(8, False), (0, True)])

@@ -5,78 +5,67 @@ import socket
 
 import pytest
 
-from companion.base.clock import run_in_virtual_time
 from companion.link.codec import Codec, mavlink
 from companion.link.inbox import memory_pair
 from companion.link.transport import backlog_read, open_transport
 from tests.unit.link.transport.transport_ends import free_port
+from tests.virtual_time import in_virtual_time
 
 # ---------------------------------------------------------------- in process
 
 
-def test_the_pipe_delivers_in_order_after_its_latency() -> None:
-    async def main() -> tuple[bytes, float]:
-        one, other = memory_pair(latency_s=0.005)
-        for i in range(50):
-            one.write(bytes([i]))
-        data = await other.read()
-        arrived_s = asyncio.get_running_loop().time()
-        while len(data) < 50:
-            data += await other.read()
-        return data, arrived_s
-
-    data, arrived_s = run_in_virtual_time(main())
+@in_virtual_time
+async def test_the_pipe_delivers_in_order_after_its_latency() -> None:
+    one, other = memory_pair(latency_s=0.005)
+    for i in range(50):
+        one.write(bytes([i]))
+    data = await other.read()
+    arrived_s = asyncio.get_running_loop().time()
+    while len(data) < 50:
+        data += await other.read()
     assert data == bytes(range(50))
     assert arrived_s == pytest.approx(0.005)
 
 
-def test_the_pipe_goes_both_ways() -> None:
-    async def main() -> tuple[bytes, bytes]:
-        one, other = memory_pair()
-        one.write(b"there")
-        there = await other.read()
-        other.write(b"back")
-        return there, await one.read()
-
-    assert run_in_virtual_time(main()) == (b"there", b"back")
+@in_virtual_time
+async def test_the_pipe_goes_both_ways() -> None:
+    one, other = memory_pair()
+    one.write(b"there")
+    there = await other.read()
+    other.write(b"back")
+    assert (there, await one.read()) == (b"there", b"back")
 
 
-def test_what_has_arrived_is_read_before_the_end_is_reported() -> None:
-    async def main() -> bytes:
-        one, other = memory_pair()
-        one.write(b"last")
-        await asyncio.sleep(0.01)
-        one.close()
-        last = await other.read()
-        with pytest.raises(OSError, match="closed"):
-            await other.read()
-        other.write(b"nobody")
-        return last
-
-    assert run_in_virtual_time(main()) == b"last"
+@in_virtual_time
+async def test_what_has_arrived_is_read_before_the_end_is_reported() -> None:
+    one, other = memory_pair()
+    one.write(b"last")
+    await asyncio.sleep(0.01)
+    one.close()
+    last = await other.read()
+    with pytest.raises(OSError, match="closed"):
+        await other.read()
+    other.write(b"nobody")
+    assert last == b"last"
 
 
-def test_closing_wakes_who_reads() -> None:
-    async def main() -> None:
-        one, _ = memory_pair()
-        reading = asyncio.ensure_future(one.read())
-        await asyncio.sleep(0.01)
-        one.close()
-        with pytest.raises(OSError, match="closed"):
-            await reading
-
-    run_in_virtual_time(main())
+@in_virtual_time
+async def test_closing_wakes_who_reads() -> None:
+    one, _ = memory_pair()
+    reading = asyncio.ensure_future(one.read())
+    await asyncio.sleep(0.01)
+    one.close()
+    with pytest.raises(OSError, match="closed"):
+        await reading
 
 
-def test_a_reader_that_sleeps_finds_new_bytes_not_a_heap_of_old_ones() -> None:
-    async def main() -> bytes:
-        one, other = memory_pair()
-        for i in range(100):
-            one.write(bytes([i]) * 1000)
-        await asyncio.sleep(1.0)
-        return await other.read()
-
-    data = run_in_virtual_time(main())
+@in_virtual_time
+async def test_a_reader_that_sleeps_finds_new_bytes_not_a_heap_of_old_ones() -> None:
+    one, other = memory_pair()
+    for i in range(100):
+        one.write(bytes([i]) * 1000)
+    await asyncio.sleep(1.0)
+    data = await other.read()
     assert len(data) <= 1 << 16
     assert data.endswith(bytes([99]) * 1000)
 

@@ -4,12 +4,12 @@ import asyncio
 
 import pytest
 
-from companion.base.clock import run_in_virtual_time
 from companion.config import ConfigError
 from companion.link.codec import Codec, mavlink
 from companion.link.signing import LinkSigning, SigningKey
 from companion.link.transport import UdpTransport, open_transport
 from tests.unit.link.transport.transport_ends import free_port
+from tests.virtual_time import in_virtual_time
 
 
 def heartbeat_of(system_id: int, component_id: int = 1, autopilot: int = mavlink.MAV_AUTOPILOT_PX4) -> bytes:
@@ -57,25 +57,22 @@ class Wire(asyncio.DatagramTransport):
 AUTOPILOT, STRAY = ("127.0.0.1", 14550), ("192.0.2.7", 999)
 
 
-def answered_to(
+@in_virtual_time
+async def answered_to(
     *heard: tuple[float, bytes, tuple[str, int]], system_id: int = 1, signing: LinkSigning | None = None
 ) -> list[object]:
     """Whom a listener writes to after each of these datagrams."""
-
-    async def main() -> list[object]:
-        loop, wire = asyncio.get_running_loop(), Wire()
-        transport = UdpTransport(system_id, signing)
-        transport._socket = wire
-        peers: list[object] = []
-        for time_s, data, address in heard:
-            await asyncio.sleep(time_s - loop.time())
-            transport.datagram_received(data, address)
-            wire.sent_to.clear()
-            transport.write(b"setpoint")
-            peers += wire.sent_to or [None]
-        return peers
-
-    return run_in_virtual_time(main())
+    loop, wire = asyncio.get_running_loop(), Wire()
+    transport = UdpTransport(system_id, signing)
+    transport._socket = wire
+    peers: list[object] = []
+    for time_s, data, address in heard:
+        await asyncio.sleep(time_s - loop.time())
+        transport.datagram_received(data, address)
+        wire.sent_to.clear()
+        transport.write(b"setpoint")
+        peers += wire.sent_to or [None]
+    return peers
 
 
 @pytest.mark.parametrize(
@@ -132,15 +129,13 @@ def test_a_stranger_that_goes_on_is_told_once(caplog: pytest.LogCaptureFixture) 
     assert caplog.messages == ["link: 192.0.2.7:999 ignored: no heartbeat of system 1"]
 
 
-def test_what_strangers_say_is_not_heard() -> None:
-    async def main() -> tuple[bytes, int]:
-        transport = UdpTransport(1)
-        transport.datagram_received(HEARTBEAT, AUTOPILOT)
-        transport.datagram_received(heartbeat_of(1, 1), STRAY)
-        transport.datagram_received(b"last", AUTOPILOT)
-        return await transport.read(), transport.strangers
-
-    assert run_in_virtual_time(main()) == (HEARTBEAT + b"last", 1)
+@in_virtual_time
+async def test_what_strangers_say_is_not_heard() -> None:
+    transport = UdpTransport(1)
+    transport.datagram_received(HEARTBEAT, AUTOPILOT)
+    transport.datagram_received(heartbeat_of(1, 1), STRAY)
+    transport.datagram_received(b"last", AUTOPILOT)
+    assert (await transport.read(), transport.strangers) == (HEARTBEAT + b"last", 1)
 
 
 async def test_a_caller_survives_that_nobody_listens_yet() -> None:

@@ -21,6 +21,7 @@ from companion.sense.camera.health import CameraHealth, patience_with
 from companion.sense.camera.keeper import CameraReport, KeptCamera, LiveSource
 from companion.sense.camera.reader import Device, EndOfFrames, Newest, ThreadedCamera
 from tests.unit.sense.camera.camera_frames import AGE_S, ScriptedCamera, noisy_frame
+from tests.virtual_time import in_virtual_time
 
 Act = Callable[[Frame], Frame | None]
 
@@ -61,7 +62,8 @@ def gone(_: Frame) -> Frame:
     raise OSError("unplugged")
 
 
-def run(
+@in_virtual_time
+async def run(
     camera: CameraConfig,
     acts: list[Act | Exception],
     lasting_s: float,
@@ -85,22 +87,19 @@ def run(
             into.append((Clock().now_s(), await get()))
             into[-1] = (Clock().now_s(), into[-1][1])
 
-    async def main() -> None:
-        kept = KeptCamera(await open_it(), open_it, patience_with(camera, "socket" if socket else "device"))
-        tasks = [
-            asyncio.create_task(collect(kept.report, seen.reports)),
-            asyncio.create_task(collect(kept.next, seen.frames)),
-        ]
-        for _ in range(round(lasting_s / 0.1)):
-            await asyncio.sleep(0.1)
-            seen.problems.append(kept.problem)
-        if tasks[1].done():
-            seen.error = tasks[1].exception()  # type: ignore[assignment]
-        for task in tasks:
-            task.cancel()
-        kept.close()
-
-    run_in_virtual_time(main())
+    kept = KeptCamera(await open_it(), open_it, patience_with(camera, "socket" if socket else "device"))
+    tasks = [
+        asyncio.create_task(collect(kept.report, seen.reports)),
+        asyncio.create_task(collect(kept.next, seen.frames)),
+    ]
+    for _ in range(round(lasting_s / 0.1)):
+        await asyncio.sleep(0.1)
+        seen.problems.append(kept.problem)
+    if tasks[1].done():
+        seen.error = tasks[1].exception()  # type: ignore[assignment]
+    for task in tasks:
+        task.cancel()
+    kept.close()
     return seen
 
 
@@ -201,24 +200,22 @@ def test_no_more_than_a_few_drivers_are_left_hanging(camera: CameraConfig) -> No
     assert len(seen.told("driver hangs")) == 1
 
 
-def test_a_camera_whose_driver_hangs_in_opening_is_tried_a_few_times(camera: CameraConfig) -> None:
+@in_virtual_time
+async def test_a_camera_whose_driver_hangs_in_opening_is_tried_a_few_times(camera: CameraConfig) -> None:
     never, makers = threading.Event(), list[float]()
 
     def hang(_: threading.Event) -> Device:
         never.wait()
         raise OSError
 
-    async def main() -> list[str]:
-        async def open_it() -> LiveSource:
-            makers.append(Clock().now_s())
-            return await ThreadedCamera.open(hang)
+    async def open_it() -> LiveSource:
+        makers.append(Clock().now_s())
+        return await ThreadedCamera.open(hang)
 
-        kept = KeptCamera(ScriptedCamera(gone), open_it, patience_with(camera, "device"))
-        await asyncio.sleep(200.0)
-        kept.close()
-        return [(await kept.report()).text for _ in range(3)]
-
-    told = run_in_virtual_time(main())
+    kept = KeptCamera(ScriptedCamera(gone), open_it, patience_with(camera, "device"))
+    await asyncio.sleep(200.0)
+    kept.close()
+    told = [(await kept.report()).text for _ in range(3)]
     never.set()
     assert told == [
         "camera: unplugged",
@@ -351,17 +348,14 @@ def test_short_gaps_are_reported_once_each_and_the_camera_is_not_closed_for_them
     assert len(seen.told("no frame for")) == len(seen.told("frames again after")) == 4
 
 
-def test_what_a_driver_did_not_take_is_reported_as_a_warning(camera: CameraConfig) -> None:
-    async def main() -> CameraReport:
-        source = ScriptedCamera(good)
-        source.notes.append("gain 30 asked for, the driver says 0")
-        kept = KeptCamera(source, lambda: asyncio.sleep(0, source), patience_with(camera, "device"))
-        report = await kept.report()
-        kept.close()
-        assert source.closed
-        return report
-
-    report = run_in_virtual_time(main())
+@in_virtual_time
+async def test_what_a_driver_did_not_take_is_reported_as_a_warning(camera: CameraConfig) -> None:
+    source = ScriptedCamera(good)
+    source.notes.append("gain 30 asked for, the driver says 0")
+    kept = KeptCamera(source, lambda: asyncio.sleep(0, source), patience_with(camera, "device"))
+    report = await kept.report()
+    kept.close()
+    assert source.closed
     assert report == CameraReport("camera: gain 30 asked for, the driver says 0", "warning")
 
 

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 import pytest
 
-from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock
 from companion.base.geometry import Vector3, ned_from_geodetic
 from companion.base.messages import GpsFix
 from companion.config import GpsConfig
@@ -23,6 +23,7 @@ from sitl.devices.ports import AppEnd, MemoryPort, PtyPort
 from sitl.devices.uart import as_received
 from sitl.sensors.sensors import NO_GPS_ERRORS, GpsReading, GpsSensor
 from tests.unit.sense.gps.test_neo6m import BYTE_S, CONFIG, gga, posllh, rmc, sol, velned
+from tests.virtual_time import in_virtual_time
 
 HOME: Vector3 = (47.0, 8.0, 400.0)
 STILL: Vector3 = (0.0, 0.0, 0.0)
@@ -75,17 +76,14 @@ class BaudRateRig:
             await asyncio.sleep(0.2)
 
 
-def virtual(wake_baud: int, baud: int, script: Callable[[BaudRateRig], object]) -> BaudRateRig:
+@in_virtual_time
+async def virtual(wake_baud: int, baud: int, script: Callable[[BaudRateRig], object]) -> BaudRateRig:
     """Run `script(rig)`, a coroutine, in virtual time."""
-
-    async def main() -> BaudRateRig:
-        line = MemoryPort(baud)
-        line.set_baud(wake_baud)
-        rig = BaudRateRig(wake_baud, GpsConfig.model_validate({"baud": baud}), line, line.app)
-        await script(rig)  # type: ignore[misc]
-        return rig
-
-    return run_in_virtual_time(main())
+    line = MemoryPort(baud)
+    line.set_baud(wake_baud)
+    rig = BaudRateRig(wake_baud, GpsConfig.model_validate({"baud": baud}), line, line.app)
+    await script(rig)  # type: ignore[misc]
+    return rig
 
 
 # ---------------------------------------------------------------- the rate itself

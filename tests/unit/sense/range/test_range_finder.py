@@ -15,7 +15,7 @@ from gpiozero.pins.pi import PiPin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock
 from companion.base.messages import RangeSample
 from companion.config import ConfigError, RangeConfig, validate
 from companion.sense.imu.i2c import SensorError
@@ -27,50 +27,48 @@ from companion.sense.range.us100 import Us100
 from sitl.devices.ports import MemoryPort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice, frame, millimetres
 from sitl.sensors.sensors import NO_RANGE_ERRORS, RangeErrors, RangeSensor
+from tests.virtual_time import in_virtual_time
 
 Kind = Literal["frames", "polled"]
 KINDS: list[Kind] = ["frames", "polled"]
 
 
-def measure(
+@in_virtual_time
+async def measure(
     kind: Kind, seconds: float, silent_from_s: float = 1e9, silent_until_s: float = 1e9
 ) -> tuple[list[RangeSample], list[str | None]]:
     """A sensor that goes down from 3 m at 0.5 m/s; its samples, and its problem once a second."""
+    line, clock = MemoryPort(9600), Clock()
+    finder = make_range_finder(RangeConfig(kind=kind), line.app, clock)
+    assert isinstance(finder, SerialRange)
+    sensor = RangeSensor(NO_RANGE_ERRORS, np.random.default_rng(1))
+    device = UltrasonicDevice(sensor) if kind == "frames" else PolledUltrasonicDevice(sensor)
+    samples: list[RangeSample] = []
+    problems: list[str | None] = []
 
-    async def main() -> tuple[list[RangeSample], list[str | None]]:
-        line, clock = MemoryPort(9600), Clock()
-        finder = make_range_finder(RangeConfig(kind=kind), line.app, clock)
-        assert isinstance(finder, SerialRange)
-        sensor = RangeSensor(NO_RANGE_ERRORS, np.random.default_rng(1))
-        device = UltrasonicDevice(sensor) if kind == "frames" else PolledUltrasonicDevice(sensor)
-        samples: list[RangeSample] = []
-        problems: list[str | None] = []
+    async def world() -> None:
+        while True:
+            now_s = clock.now_s()
+            device.silent = silent_from_s <= now_s < silent_until_s
+            device.receive(line.receive())
+            line.send(device.step(now_s, 3.0 - 0.5 * now_s))
+            await asyncio.sleep(0.0025)
 
-        async def world() -> None:
-            while True:
-                now_s = clock.now_s()
-                device.silent = silent_from_s <= now_s < silent_until_s
-                device.receive(line.receive())
-                line.send(device.step(now_s, 3.0 - 0.5 * now_s))
-                await asyncio.sleep(0.0025)
+    async def listen() -> None:
+        while True:
+            samples.extend(await finder.read())
 
-        async def listen() -> None:
-            while True:
-                samples.extend(await finder.read())
+    async def watch() -> None:
+        while True:
+            await asyncio.sleep(1.0)
+            finder.watch(clock.now_s())
+            problems.append(finder.problem)
 
-        async def watch() -> None:
-            while True:
-                await asyncio.sleep(1.0)
-                finder.watch(clock.now_s())
-                problems.append(finder.problem)
-
-        tasks = [asyncio.create_task(run()) for run in (world, listen, watch)]
-        await asyncio.sleep(seconds)
-        for task in tasks:
-            task.cancel()
-        return samples, problems
-
-    return run_in_virtual_time(main())
+    tasks = [asyncio.create_task(run()) for run in (world, listen, watch)]
+    await asyncio.sleep(seconds)
+    for task in tasks:
+        task.cancel()
+    return samples, problems
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -7,7 +7,7 @@ from unittest.mock import Mock
 
 import numpy as np
 
-from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock
 from companion.base.geometry import GRAVITY_M_S2, Vector3, quat_from_euler
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import GpsConfig, ImuConfig, RangeConfig
@@ -24,6 +24,7 @@ from sitl.faults.schedule import FaultSchedule
 from sitl.faults.targets import FaultTargets
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.quadrotor import Motors, QuadrotorState
+from tests.virtual_time import in_virtual_time
 
 STEP_S = 1.0 / 400.0
 FORCE: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
@@ -109,19 +110,16 @@ async def _world(rack: SensorRack, seconds: float, faults: Sequence[Fault]) -> N
         await clock.sleep_until((k + 1) * STEP_S)
 
 
-def fly(seed: int, seconds: float, faults: Sequence[Fault] = ()) -> DriverSamples:
+@in_virtual_time
+async def fly(seed: int, seconds: float, faults: Sequence[Fault] = ()) -> DriverSamples:
     """The vehicle turns and drifts eastward 2 m over the floor; what do the app's drivers make of it?"""
-
-    async def main() -> DriverSamples:
-        gps_line, range_line = MemoryPort(9600), MemoryPort(9600)
-        rack = SensorRack(
-            seed, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, gps_port=gps_line, range_port=range_line
-        )
-        drivers = _Drivers(rack, gps_line, range_line)
-        tasks = drivers.start()
-        await _world(rack, seconds, faults)
-        for task in tasks:
-            task.cancel()
-        return drivers.heard
-
-    return run_in_virtual_time(main())
+    gps_line, range_line = MemoryPort(9600), MemoryPort(9600)
+    rack = SensorRack(
+        seed, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, gps_port=gps_line, range_port=range_line
+    )
+    drivers = _Drivers(rack, gps_line, range_line)
+    tasks = drivers.start()
+    await _world(rack, seconds, faults)
+    for task in tasks:
+        task.cancel()
+    return drivers.heard

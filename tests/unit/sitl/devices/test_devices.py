@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock
 from companion.base.geometry import GRAVITY_M_S2, Vector3
 from sitl.devices.mpu9250 import Ak8963Device, Mpu9250Device
 from sitl.devices.neo6m import Neo6mDevice, nmea, ubx
@@ -24,6 +24,7 @@ from sitl.sensors.sensors import (
     RangeSensor,
 )
 from tests.unit.sitl.devices.sensor_desk import FORCE, STEP_S, fly
+from tests.virtual_time import in_virtual_time
 
 # ---------------------------------------------------------------- NEO-6M
 
@@ -118,47 +119,41 @@ def test_a_polled_one_answers_when_it_is_asked_and_its_echo_is_back() -> None:
 # ---------------------------------------------------------------- the line
 
 
-def test_bytes_take_their_time_at_the_baud_rate() -> None:
-    async def main() -> None:
-        clock = Clock()
-        port = MemoryPort(9600)
-        port.send(bytes(96))
-        count = 0
-        while count < 96:
-            count += len(await port.app.read())
-        assert clock.now_s() == pytest.approx(0.1)
-        port.app.write(b"to the device")
-        assert port.receive() == b""
-        await asyncio.sleep(0.1)
-        assert port.receive() == b"to the device"
-
-    run_in_virtual_time(main())
+@in_virtual_time
+async def test_bytes_take_their_time_at_the_baud_rate() -> None:
+    clock = Clock()
+    port = MemoryPort(9600)
+    port.send(bytes(96))
+    count = 0
+    while count < 96:
+        count += len(await port.app.read())
+    assert clock.now_s() == pytest.approx(0.1)
+    port.app.write(b"to the device")
+    assert port.receive() == b""
+    await asyncio.sleep(0.1)
+    assert port.receive() == b"to the device"
 
 
-def test_what_the_line_cannot_carry_is_lost_and_does_not_pile_up() -> None:
-    async def main() -> int:
-        port = MemoryPort(9600)
-        for _ in range(50):
-            port.send(bytes(960))
-        await asyncio.sleep(30.0)
-        return len(await port.app.read())
-
+@in_virtual_time
+async def test_what_the_line_cannot_carry_is_lost_and_does_not_pile_up() -> None:
     # one second is let wait, and the second that began before that was full
-    assert run_in_virtual_time(main()) <= 2 * 960
+    port = MemoryPort(9600)
+    for _ in range(50):
+        port.send(bytes(960))
+    await asyncio.sleep(30.0)
+    assert len(await port.app.read()) <= 2 * 960
 
 
-def test_unplugging_wakes_the_reader_with_an_error() -> None:
-    async def main() -> None:
-        port = MemoryPort(9600)
-        reading = asyncio.create_task(port.app.read())
-        await asyncio.sleep(1.0)
-        port.close()
-        with pytest.raises(OSError, match="unplugged"):
-            await reading
-        with pytest.raises(OSError, match="unplugged"):
-            port.app.write(b"x")
-
-    run_in_virtual_time(main())
+@in_virtual_time
+async def test_unplugging_wakes_the_reader_with_an_error() -> None:
+    port = MemoryPort(9600)
+    reading = asyncio.create_task(port.app.read())
+    await asyncio.sleep(1.0)
+    port.close()
+    with pytest.raises(OSError, match="unplugged"):
+        await reading
+    with pytest.raises(OSError, match="unplugged"):
+        port.app.write(b"x")
 
 
 # ---------------------------------------------------------------- all of them, with the drivers

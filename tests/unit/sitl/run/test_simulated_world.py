@@ -24,6 +24,7 @@ from sitl.sensors.inertial import ImuErrors, ImuSensor
 from sitl.sensors.sensors import MagErrors, MagSensor
 from sitl.vehicle.quadrotor import QuadrotorState
 from sitl.world.world import World
+from tests.virtual_time import in_virtual_time
 
 SMALL = {"camera": {"rate_hz": 10.0}}
 
@@ -64,28 +65,25 @@ class SentMessages(NamedTuple):
     report: SimulationReport
 
 
-def stand(seconds: float, *, keep_truth: bool = True, **values: Any) -> SentMessages:
+@in_virtual_time
+async def stand(seconds: float, *, keep_truth: bool = True, **values: Any) -> SentMessages:
     """A vehicle stands at home for a while."""
-
-    async def main() -> SentMessages:
-        desk, frames = OtherEnd(), list[Frame]()
-        scenario = validate(Scenario, {"name": "x", "description": "x", **SMALL, **values}, "x")
-        simulation = Simulation(
-            scenario,
-            3,
-            link=desk,
-            gps_port=MemoryPort(9600),
-            range_port=MemoryPort(9600),
-            deliver_frame=frames.append,
-            keep_truth=keep_truth,
-        )
-        task = asyncio.create_task(simulation.run())
-        await Clock().sleep_until(seconds)
-        task.cancel()
-        await asyncio.wait([task])
-        return SentMessages(desk, frames, simulation.report(Phase.SEARCH))
-
-    return run_in_virtual_time(main())
+    desk, frames = OtherEnd(), list[Frame]()
+    scenario = validate(Scenario, {"name": "x", "description": "x", **SMALL, **values}, "x")
+    simulation = Simulation(
+        scenario,
+        3,
+        link=desk,
+        gps_port=MemoryPort(9600),
+        range_port=MemoryPort(9600),
+        deliver_frame=frames.append,
+        keep_truth=keep_truth,
+    )
+    task = asyncio.create_task(simulation.run())
+    await Clock().sleep_until(seconds)
+    task.cancel()
+    await asyncio.wait([task])
+    return SentMessages(desk, frames, simulation.report(Phase.SEARCH))
 
 
 def test_a_vehicle_that_is_served_for_days_keeps_no_truth() -> None:
@@ -318,15 +316,12 @@ def simulation(link: DeafLink, frames: list[Frame], *, camera: bool) -> Simulati
     )
 
 
-def served(*, camera: bool) -> tuple[bytes, list[Frame]]:
+@in_virtual_time
+async def served(*, camera: bool) -> tuple[bytes, list[Frame]]:
     link, frames = DeafLink(), list[Frame]()
-
-    async def serve() -> None:
-        world = asyncio.create_task(simulation(link, frames, camera=camera).run())
-        await Clock().sleep_until(0.5)
-        world.cancel()
-
-    run_in_virtual_time(serve())
+    world = asyncio.create_task(simulation(link, frames, camera=camera).run())
+    await Clock().sleep_until(0.5)
+    world.cancel()
     return link.sent, frames
 
 
@@ -352,13 +347,11 @@ def test_a_world_that_fails_ends_the_simulation(monkeypatch: pytest.MonkeyPatch)
     assert caught.group_contains(ArithmeticError, match="no such world")
 
 
-def test_a_cancelled_simulation_ticks_no_more() -> None:
-    async def serve() -> float:
-        world = simulation(DeafLink(), [], camera=False)
-        task = asyncio.create_task(world.run())
-        await Clock().sleep_until(0.2)
-        task.cancel()
-        await Clock().sleep_until(1.0)
-        return world.report(Phase.ABORT).duration_s
-
-    assert run_in_virtual_time(serve()) < 0.25
+@in_virtual_time
+async def test_a_cancelled_simulation_ticks_no_more() -> None:
+    world = simulation(DeafLink(), [], camera=False)
+    task = asyncio.create_task(world.run())
+    await Clock().sleep_until(0.2)
+    task.cancel()
+    await Clock().sleep_until(1.0)
+    assert world.report(Phase.ABORT).duration_s < 0.25

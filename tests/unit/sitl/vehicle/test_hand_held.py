@@ -48,6 +48,7 @@ from sitl.vehicle.hand_motion import HandMotion
 from sitl.vehicle.hand_paths import FACES
 from sitl.world.hand_held import HandHeldWorld
 from tests.unit.sitl.run.test_server import child_in
+from tests.virtual_time import in_virtual_time
 
 MAGNETIC_FIELD_NED_UT = magnetic_field_ned_ut(USUAL_HOMES["px4"])
 STEP_S = 0.0025
@@ -80,46 +81,43 @@ async def read_imu(vehicle: InProcess, until_s: float) -> tuple[list[ImuSample],
     return imu, mag
 
 
-def test_the_drivers_read_a_still_vehicle_with_the_true_flaws() -> None:
-    async def main() -> None:
-        async with carried(scenario(sensors={"calibrated": False}), 5, "still", camera=False) as vehicle:
-            imu, mag = await read_imu(vehicle, 4.0)
-            truth, attitude = vehicle.simulation.sensor_truth.boards, vehicle.simulation.world.state.attitude
-        sensor_from_body = truth.sensor_from_body
-        up = sensor_from_body @ (0.0, 0.0, -9.80665)
-        force = sensor_from_body @ np.mean([s.specific_force_body_m_s2 for s in imu], axis=0)
-        assert force == pytest.approx(truth.accelerometer.matrix @ up + truth.accelerometer.offset, abs=0.03)
-        rate = sensor_from_body @ np.mean([s.rate_body_rad_s for s in imu], axis=0)
-        assert rate == pytest.approx(truth.gyroscope.offset, abs=math.radians(0.1))
-        field_body = quat_rotate(quat_conjugate(attitude), MAGNETIC_FIELD_NED_UT)
-        field = sensor_from_body @ np.mean([s.field_body_ut for s in mag], axis=0)
-        expected = truth.magnetometer.matrix @ sensor_from_body @ field_body + truth.magnetometer.offset
-        assert field == pytest.approx(expected, abs=0.5)
-
-    run_in_virtual_time(main())
+@in_virtual_time
+async def test_the_drivers_read_a_still_vehicle_with_the_true_flaws() -> None:
+    async with carried(scenario(sensors={"calibrated": False}), 5, "still", camera=False) as vehicle:
+        imu, mag = await read_imu(vehicle, 4.0)
+        truth, attitude = vehicle.simulation.sensor_truth.boards, vehicle.simulation.world.state.attitude
+    sensor_from_body = truth.sensor_from_body
+    up = sensor_from_body @ (0.0, 0.0, -9.80665)
+    force = sensor_from_body @ np.mean([s.specific_force_body_m_s2 for s in imu], axis=0)
+    assert force == pytest.approx(truth.accelerometer.matrix @ up + truth.accelerometer.offset, abs=0.03)
+    rate = sensor_from_body @ np.mean([s.rate_body_rad_s for s in imu], axis=0)
+    assert rate == pytest.approx(truth.gyroscope.offset, abs=math.radians(0.1))
+    field_body = quat_rotate(quat_conjugate(attitude), MAGNETIC_FIELD_NED_UT)
+    field = sensor_from_body @ np.mean([s.field_body_ut for s in mag], axis=0)
+    expected = truth.magnetometer.matrix @ sensor_from_body @ field_body + truth.magnetometer.offset
+    assert field == pytest.approx(expected, abs=0.5)
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_uncalibrated_is_as_bad_as_the_data_sheet_allows(seed: int) -> None:
-    async def main() -> None:
-        boards = InProcess(scenario(sensors={"calibrated": False}), seed).simulation.sensor_truth
-        for truth in (boards.boards, boards.autopilot):
-            assert np.abs(truth.accelerometer.offset).max() <= ACCEL_OFFSET_M_S2
-            assert np.abs(truth.gyroscope.offset).max() <= GYRO_OFFSET_RAD_S
-            assert np.abs(truth.accelerometer.matrix - np.eye(3)).max() <= 0.03
-            iron = truth.magnetometer
-            assert HARD_IRON_UT[0] <= np.linalg.norm(iron.offset) <= HARD_IRON_UT[1]
-            assert iron.matrix == pytest.approx(iron.matrix.T)
-            gains = np.linalg.eigvalsh(iron.matrix)
-            assert 0.7 <= gains.min() < gains.max() <= 1.3
-        assert not np.allclose(boards.boards.magnetometer.offset, boards.autopilot.magnetometer.offset)
-        usual = InProcess(scenario(), seed).simulation.sensor_truth.boards
-        assert np.linalg.norm(usual.magnetometer.offset) < 4.0
-
-    run_in_virtual_time(main())
+@in_virtual_time
+async def test_uncalibrated_is_as_bad_as_the_data_sheet_allows(seed: int) -> None:
+    boards = InProcess(scenario(sensors={"calibrated": False}), seed).simulation.sensor_truth
+    for truth in (boards.boards, boards.autopilot):
+        assert np.abs(truth.accelerometer.offset).max() <= ACCEL_OFFSET_M_S2
+        assert np.abs(truth.gyroscope.offset).max() <= GYRO_OFFSET_RAD_S
+        assert np.abs(truth.accelerometer.matrix - np.eye(3)).max() <= 0.03
+        iron = truth.magnetometer
+        assert HARD_IRON_UT[0] <= np.linalg.norm(iron.offset) <= HARD_IRON_UT[1]
+        assert iron.matrix == pytest.approx(iron.matrix.T)
+        gains = np.linalg.eigvalsh(iron.matrix)
+        assert 0.7 <= gains.min() < gains.max() <= 1.3
+    assert not np.allclose(boards.boards.magnetometer.offset, boards.autopilot.magnetometer.offset)
+    usual = InProcess(scenario(), seed).simulation.sensor_truth.boards
+    assert np.linalg.norm(usual.magnetometer.offset) < 4.0
 
 
-def test_a_camera_that_sits_askew_shows_the_pad_askew_and_stamps_late() -> None:
+@in_virtual_time
+async def test_a_camera_that_sits_askew_shows_the_pad_askew_and_stamps_late() -> None:
     """The sighting of a camera with a mount error is that of a right one, turned, at another time."""
 
     async def first_frame(**camera: Any) -> tuple[Frame, CameraTruth]:
@@ -128,40 +126,35 @@ def test_a_camera_that_sits_askew_shows_the_pad_askew_and_stamps_late() -> None:
             frame = await vehicle.frames.next()
             return replace(frame, time_s=frame.time_s - start_s), vehicle.simulation.sensor_truth.camera
 
-    async def main() -> None:
-        straight, nominal = await first_frame()
-        askew, truth = await first_frame(mount_error_deg=[3.0, -2.0, 4.0], stamp_error_s=0.02)
-        assert askew.time_s - straight.time_s == pytest.approx(0.02, abs=1e-9)
-        error = matrix_from_quat(quat_from_euler(*(math.radians(a) for a in (3.0, -2.0, 4.0))))
-        assert truth.body_from_camera == pytest.approx(error @ nominal.body_from_camera)
-        camera = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
-        mounted = load_model(VehicleConfig, find_file("vehicles", "x500"))
-        vision = Vision(load_pad("moving_1300"), camera, mounted, VisionConfig())
-        rights, offs = (vision.step(frame, None).sighting for frame in (straight, askew))
-        assert rights is not None
-        assert offs is not None
-        # what is believed to be straight sees the pad turned by the inverse
-        seen = matrix_from_quat(offs.body_from_pad) @ matrix_from_quat(rights.body_from_pad).T
-        assert np.degrees(np.linalg.norm(seen - error.T)) < 0.8
-
-    run_in_virtual_time(main())
+    straight, nominal = await first_frame()
+    askew, truth = await first_frame(mount_error_deg=[3.0, -2.0, 4.0], stamp_error_s=0.02)
+    assert askew.time_s - straight.time_s == pytest.approx(0.02, abs=1e-9)
+    error = matrix_from_quat(quat_from_euler(*(math.radians(a) for a in (3.0, -2.0, 4.0))))
+    assert truth.body_from_camera == pytest.approx(error @ nominal.body_from_camera)
+    camera = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
+    mounted = load_model(VehicleConfig, find_file("vehicles", "x500"))
+    vision = Vision(load_pad("moving_1300"), camera, mounted, VisionConfig())
+    rights, offs = (vision.step(frame, None).sighting for frame in (straight, askew))
+    assert rights is not None
+    assert offs is not None
+    # what is believed to be straight sees the pad turned by the inverse
+    seen = matrix_from_quat(offs.body_from_pad) @ matrix_from_quat(rights.body_from_pad).T
+    assert np.degrees(np.linalg.norm(seen - error.T)) < 0.8
 
 
 @pytest.mark.parametrize(("motion", "length_s", "share"), [("sway", 20.0, 0.85), ("over-pad", 40.0, 0.97)])
-def test_the_pad_stays_in_view(motion: HandMotion, length_s: float, share: float) -> None:
-    async def main() -> None:
-        camera = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
-        mounted = load_model(VehicleConfig, find_file("vehicles", "x500"))
-        vision, clock, seen = Vision(load_pad("moving_1300"), camera, mounted, VisionConfig()), Clock(), []
-        async with carried(scenario(camera={"rate_hz": 5.0}), 1, motion) as vehicle:
-            while clock.now_s() < length_s:
-                frame = await vehicle.frames.next()
-                # far and near pads are looked for in turn
-                sightings = [vision.step(frame, None).sighting for _ in range(2)]
-                seen.append(any(sighting is not None for sighting in sightings))
-        assert np.mean(seen) >= share
-
-    run_in_virtual_time(main())
+@in_virtual_time
+async def test_the_pad_stays_in_view(motion: HandMotion, length_s: float, share: float) -> None:
+    camera = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
+    mounted = load_model(VehicleConfig, find_file("vehicles", "x500"))
+    vision, clock, seen = Vision(load_pad("moving_1300"), camera, mounted, VisionConfig()), Clock(), []
+    async with carried(scenario(camera={"rate_hz": 5.0}), 1, motion) as vehicle:
+        while clock.now_s() < length_s:
+            frame = await vehicle.frames.next()
+            # far and near pads are looked for in turn
+            sightings = [vision.step(frame, None).sighting for _ in range(2)]
+            seen.append(any(sighting is not None for sighting in sightings))
+    assert np.mean(seen) >= share
 
 
 def test_a_world_that_fails_is_reported() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 
 from companion.app.hardware import Hardware
-from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock
 from companion.base.messages import Frame, ImuSample, MagSample, PadSighting, RangeSample
 from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate
 from companion.link.inbox import memory_pair
@@ -24,6 +24,7 @@ from companion.tools.pad_check.wizard import Report, Say
 from sitl.run.in_process import carried
 from sitl.scenario.scenario import Scenario
 from sitl.vehicle.hand_motion import HandMotion
+from tests.virtual_time import in_virtual_time
 
 SEED = 3
 # as the shipped settings have it
@@ -125,7 +126,8 @@ def vehicle_file(folder: Path, **values: Any) -> str:
     return str(path)
 
 
-def check(
+@in_virtual_time
+async def check(
     config: CompanionConfig | None = None,
     *,
     motion: HandMotion = "over-pad",
@@ -147,27 +149,23 @@ def check(
     camera = {"rate_hz": 12.0, **scenario.pop("camera", {})}
     described = {"name": "x", "description": "x", "pad": pad, "camera": camera, **scenario}
     carried_in = validate(Scenario, described, "test")
-
-    async def main() -> Checked:
-        said = list[Say]()
-        app_end, vehicle_end = memory_pair()
-        heard = KeptSamples()
-        line = vehicle_end if linked and not deaf else None
-        async with carried(carried_in, seed, motion, link=line) as vehicle:
-            if arm:
-                vehicle.simulation.autopilot.arm(force=True)
-            if silent_from_s is not None:
-                asyncio.get_running_loop().call_later(silent_from_s, setattr, vehicle_end, "write", _nowhere)
-            frames = vehicle.frames if change is None else ChangedFrames(vehicle.frames, change)
-            boards = config is None or config.sense.source == "boards"
-            hardware = Hardware(
-                app_end,
-                frames,
-                imu_bus=vehicle.imu_bus if boards else None,
-                range_port=vehicle.range_port if boards else None,
-            )
-            outlets = Outlets(said.append)
-            checking = PadCheck(config or settings(), hardware, outlets, linked=linked, samples=heard)
-            return Checked(await checking.run(), said, heard.all)
-
-    return run_in_virtual_time(main())
+    said = list[Say]()
+    app_end, vehicle_end = memory_pair()
+    heard = KeptSamples()
+    line = vehicle_end if linked and not deaf else None
+    async with carried(carried_in, seed, motion, link=line) as vehicle:
+        if arm:
+            vehicle.simulation.autopilot.arm(force=True)
+        if silent_from_s is not None:
+            asyncio.get_running_loop().call_later(silent_from_s, setattr, vehicle_end, "write", _nowhere)
+        frames = vehicle.frames if change is None else ChangedFrames(vehicle.frames, change)
+        boards = config is None or config.sense.source == "boards"
+        hardware = Hardware(
+            app_end,
+            frames,
+            imu_bus=vehicle.imu_bus if boards else None,
+            range_port=vehicle.range_port if boards else None,
+        )
+        outlets = Outlets(said.append)
+        checking = PadCheck(config or settings(), hardware, outlets, linked=linked, samples=heard)
+        return Checked(await checking.run(), said, heard.all)
