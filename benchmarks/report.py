@@ -6,9 +6,11 @@ the lines and the bars.
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import platform
+import resource
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
@@ -150,6 +152,12 @@ def machine() -> dict[str, Any]:
         "system": platform.platform(),
         "python": platform.python_version(),
     }
+
+
+def resident_mb() -> float:
+    """What this process holds in memory."""
+    gc.collect()
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
 
 
 def _rows(table: Table) -> dict[str, Any]:

@@ -9,8 +9,6 @@ steps and tasks are noted; the first quarter is for warming up. One line says at
 
 import argparse
 import asyncio
-import gc
-import resource
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -23,7 +21,7 @@ from unittest import mock
 import numpy as np
 from rich.table import Table
 
-from benchmarks.report import BenchReport
+from benchmarks.report import BenchReport, resident_mb
 from companion.app.app import App
 from companion.app.hardware import make_own_actions
 from companion.base.clock import run_in_virtual_time
@@ -49,7 +47,6 @@ MINUTE_S: Final = 60.0
 WARM_SHARE: Final = 0.25
 GROWN_MB: Final = 10.0
 SLOWER: Final = 1.3
-_PAGE_MB: Final = resource.getpagesize() / 1e6
 _SETTINGS: Final[dict[str, Any]] = {
     "plan": {"mission": {"total_timeout_s": 3600.0}, "landing": {"retries": 20}},
 }
@@ -66,12 +63,6 @@ class Minute:
     step_p99_ms: float
     tasks: int
     tries: int
-
-
-def resident_mb() -> float:
-    """What this process holds in memory."""
-    gc.collect()
-    return int(Path("/proc/self/statm").read_text().split()[1]) * _PAGE_MB
 
 
 class Interrupted:

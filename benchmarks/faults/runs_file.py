@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Final, cast
 
 from benchmarks.faults.cases import FaultRun, PhaseName
-from benchmarks.faults.judge import Outcome
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import CONFIG_FOLDER
 from sitl.campaign.manifest import code_digest
@@ -38,11 +37,6 @@ class FaultRow:
         """What was flown."""
         autopilot = cast(AutopilotKind, self.autopilot)
         return FaultRun(self.fault, cast(PhaseName, self.phase), self.scenario, self.seed, autopilot)
-
-    @property
-    def ending(self) -> Outcome:
-        """How it ended."""
-        return cast(Outcome, self.outcome)
 
 
 WORDS: Final = ("fault", "phase", "scenario", "autopilot", "code", "outcome", "unsafe", "said")

@@ -7,9 +7,7 @@ begins anew with the next seed. Prints a table and ends in one line that says wh
 """
 
 import argparse
-import gc
 import random
-import resource
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -19,7 +17,7 @@ from typing import Final
 from rich.table import Table
 
 from benchmarks.mutations.targets import gps, imu, link, texts, trees, ultrasonic
-from benchmarks.report import BenchReport
+from benchmarks.report import BenchReport, resident_mb
 from companion.base.clock import wall_clock_s
 from sitl.campaign.tables import Bar
 
@@ -37,7 +35,6 @@ TARGETS: Final[dict[str, tuple[Target, float]]] = {
 WARM_SHARE: Final = 0.25  # of the inputs, until memory counts
 MEMORY_MB: Final = 4.0
 SHOWN: Final = 5
-_PAGE_MB: Final = resource.getpagesize() / 1e6
 
 
 @dataclass
@@ -49,12 +46,6 @@ class TargetResult:
     took_s: float = 0.0
     grown_mb: float = 0.0
     failures: list[str] = field(default_factory=list)
-
-
-def resident_mb() -> float:
-    """What this process holds in memory."""
-    gc.collect()
-    return int(Path("/proc/self/statm").read_text().split()[1]) * _PAGE_MB
 
 
 def run_target(name: str, target: Target, count: int, seed: int) -> TargetResult:

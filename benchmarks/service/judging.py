@@ -12,7 +12,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
@@ -307,15 +307,6 @@ class UdpWitness:
         """A command of the ground station's to the autopilot."""
         filled = (*parameters, *(0.0,) * (7 - len(parameters)))
         self._vehicle_side.send(self._pilot.encode(command_long(number, filled, 1, 1)))
-
-    def until(self, holds: Callable[[Beat], bool], most_s: float) -> bool:
-        """Wait for a heartbeat of which something holds; whether one came in time."""
-        by_s, seen = time.monotonic() + most_s, len(self.seen.beats)
-        while time.monotonic() < by_s:
-            if any(holds(beat) for beat in self.seen.beats[seen:]):
-                return True
-            time.sleep(0.05)
-        return False
 
     def _relay(self) -> None:
         app: tuple[str, int] | None = None

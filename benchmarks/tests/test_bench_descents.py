@@ -43,14 +43,20 @@ def test_a_fifth_quicker_than_the_best_fixed_speed_holds(mine_s: float, holds: b
     assert "0.8 x fixed 2" in str(bar)
 
 
-@pytest.mark.parametrize("worse", [{"lateral_m": 0.06}, {"contact_m_s": 0.25}])
-def test_a_fixed_speed_that_touches_down_worse_is_no_measure(worse: dict[str, float]) -> None:
-    groups = {
-        FUZZY: rows(FUZZY, 7.2),
-        "fixed 1": rows("fixed 1", 9.0),
-        "fixed 2": rows("fixed 2", 5.0, **worse),
-    }
-    (bar,) = bars(groups)
+@pytest.mark.parametrize(
+    ("name", "down_s", "worse"),
+    [
+        ("fixed 2", 5.0, {"lateral_m": 0.06}),
+        ("fixed 2", 5.0, {"contact_m_s": 0.25}),
+        (PACED, 2.0, {}),  # the same rules at another pace
+    ],
+)
+def test_what_touches_down_worse_or_is_no_fixed_speed_is_no_measure(
+    name: str, down_s: float, worse: dict[str, float]
+) -> None:
+    (bar,) = bars(
+        {FUZZY: rows(FUZZY, 7.2), "fixed 1": rows("fixed 1", 9.0), name: rows(name, down_s, **worse)}
+    )
     assert bar.holds
     assert "0.8 x fixed 1" in str(bar)
 
@@ -75,16 +81,6 @@ def test_a_switch_flies_by_the_law_that_was_put() -> None:
     assert (switch(1.0, 0.0, 0.0), switch.pace(conditions)) == (1.0, 1.0)
     switch.name = "two"
     assert (switch(1.0, 0.0, 0.0), switch.pace(conditions)) == (2.0, 0.5)
-
-
-def test_the_same_rules_at_another_pace_are_no_fixed_speed() -> None:
-    groups = {
-        FUZZY: rows(FUZZY, 7.2),
-        PACED: rows(PACED, 2.0),
-        "fixed 1": rows("fixed 1", 9.0),
-    }
-    (bar,) = bars(groups)
-    assert bar.holds
 
 
 def test_rows_are_read_back(tmp_path: Path) -> None:

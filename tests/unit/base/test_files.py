@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -66,33 +67,27 @@ def test_a_device_stays_one(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [device]
 
 
-def test_a_disk_that_fills_up_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("write", "place", "name"), [(write_atomically, Path, "write_bytes"), (write_durably, os, "fsync")]
+)
+def test_a_disk_that_fills_up_leaves_the_old_file_and_nothing_else(
+    write: Callable[[Path, str], None],
+    place: object,
+    name: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     path = tmp_path / "result.json"
     path.write_text("old")
 
-    def full(self: Path, _: bytes) -> int:
-        self.touch()
+    def full(file: Path | int, *_: object) -> None:
+        if isinstance(file, Path):
+            file.touch()
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(place, name, full)
     with pytest.raises(ConfigError, match="No space left"):
-        write_atomically(path, "new")
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_disk_that_fills_up_leaves_no_half_of_a_latch(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "latch.json"
-    write_durably(path, "old")
-
-    def full(_: int) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(ConfigError, match="No space left"):
-        write_durably(path, "new")
+        write(path, "new")
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 

@@ -408,17 +408,34 @@ def test_in_virtual_time_the_flight_waits_for_the_disk(card: SlowCard) -> None:
     assert len(card.written) == disk.QUEUE_SIZE + 500
 
 
-def test_a_full_card_ends_the_log_and_nothing_else() -> None:
-    def full(_item: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
+@pytest.mark.parametrize(
+    ("error", "after_it", "problem"),
+    [
+        (
+            OSError(errno.ENOSPC, "No space left on device"),
+            [],
+            "the flight log on disk ends here: No space left on device",
+        ),
+        (
+            ValueError("not a number"),
+            ["b"],
+            "1 messages could not be written to the log: ValueError: not a number",
+        ),
+    ],
+)
+def test_a_full_card_ends_the_log_and_what_cannot_be_written_leaves_the_rest_whole(
+    error: Exception, after_it: list[object], problem: str
+) -> None:
+    def fails(_item: object) -> None:
+        raise error
 
     written: list[object] = []
     writer = DiskWriter()
-    writer.put(full, "a")
+    writer.put(fails, "a")
     writer.put(written.append, "b")
     writer.finish()
-    assert written == []
-    assert writer.problem == "the flight log on disk ends here: No space left on device"
+    assert written == after_it
+    assert writer.problem == problem
 
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), ValueError("NaN")])
@@ -434,19 +451,6 @@ def test_whatever_a_write_raises_it_is_counted_reported_and_the_files_are_closed
     assert closed == ["mcap", "tlog"]
     assert writer.problem is not None
     assert ("No space left" if isinstance(error, OSError) else "3 messages") in writer.problem
-
-
-def test_what_cannot_be_written_leaves_the_rest_of_the_log_whole() -> None:
-    def no_number(_item: object) -> None:
-        raise ValueError("not a number")
-
-    written: list[object] = []
-    writer = DiskWriter()
-    writer.put(no_number, "a")
-    writer.put(written.append, "b")
-    writer.finish()
-    assert written == ["b"]
-    assert writer.problem == ("1 messages could not be written to the log: ValueError: not a number")
 
 
 def test_a_full_queue_keeps_no_file_from_being_closed(card: SlowCard) -> None:

@@ -1,5 +1,6 @@
 """Orders over the link: who may give them, what an edge is, and what is answered."""
 
+import math
 from typing import Any
 
 import pytest
@@ -87,10 +88,18 @@ def test_nobody_else_gives_orders_and_nobody_else_s_are_taken() -> None:
     assert (orders.take(), orders.answers()) == ([], [])
 
 
-@pytest.mark.parametrize("value", [4.0, 0.5, float("nan"), float("inf")])
-def test_what_is_no_order_is_answered_as_unsupported(value: float) -> None:
-    orders = listener()
-    orders.hear_command(from_system(command(mavlink.MAV_CMD_USER_1, value)), US, 5.0)
+@pytest.mark.parametrize(
+    ("number", "value", "turned_on"),
+    [
+        *((mavlink.MAV_CMD_USER_1, value, True) for value in (4.0, 0.5, math.nan, math.inf)),
+        (mavlink.MAV_CMD_NAV_LAND, 0.0, False),
+    ],
+)
+def test_what_is_no_order_or_is_turned_off_is_answered_as_unsupported(
+    number: int, value: float, turned_on: bool
+) -> None:
+    orders = listener(mavlink=turned_on)
+    orders.hear_command(from_system(command(number, value)), US, 5.0)
     assert orders.take() == []
     assert [a.result for a in orders.answers()] == [mavlink.MAV_RESULT_UNSUPPORTED]
 
@@ -104,13 +113,6 @@ def test_who_asks_how_it_stands_orders_nothing() -> None:
     assert orders.take() == []
     assert orders.take_question()
     assert not orders.take_question()
-
-
-def test_with_commands_turned_off_they_are_unsupported() -> None:
-    orders = listener(mavlink=False)
-    orders.hear_command(from_system(command(mavlink.MAV_CMD_NAV_LAND)), US, 5.0)
-    assert orders.take() == []
-    assert [a.result for a in orders.answers()] == [mavlink.MAV_RESULT_UNSUPPORTED]
 
 
 def test_a_repeat_is_answered_as_before_and_orders_nothing() -> None:

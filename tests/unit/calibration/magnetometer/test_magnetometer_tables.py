@@ -82,6 +82,10 @@ def stamped(stamp: str, separator: str, labels: tuple[str, str, str] = ("", "", 
     return "\n".join(lines)
 
 
+def printed(row: str, before: str = "", after: str = "") -> str:
+    return before + "\n".join(row.format(*values) for values in RAW.tolist()) + after
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -91,20 +95,6 @@ def stamped(stamp: str, separator: str, labels: tuple[str, str, str] = ("", "", 
         stamped("2026-11-27T12:03:{:02d}.{:03d}Z,", ","),
         stamped("12:03:{:02d}.{:03d} -> ", ",", ("mx:", "my:", "mz:")),
         stamped("", "\t", ("MagX = ", "MagY = ", "MagZ = ")),
-    ],
-)
-def test_a_serial_monitors_time_stamps_and_labels_cost_no_column(tmp_path: Path, text: str) -> None:
-    found = read(tmp_path / "monitor.txt", text)
-    assert found.raw == pytest.approx(RAW, abs=1e-3)
-
-
-def printed(row: str, before: str = "", after: str = "") -> str:
-    return before + "\n".join(row.format(*values) for values in RAW.tolist()) + after
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
         printed("({:.4f}, {:.4f}, {:.4f})"),  # print(sensor.magnetic)
         printed("Magnetometer: ({:.4f}, {:.4f}, {:.4f})"),
         printed("[{:.4f} {:.4f} {:.4f}]"),  # NumPy's
@@ -116,9 +106,10 @@ def printed(row: str, before: str = "", after: str = "") -> str:
         printed('{{"acc": [0.0, 0.0, 9.8], "mag": [{:.4f}, {:.4f}, {:.4f}]}}'),
     ],
 )
-def test_rows_as_python_and_json_print_them_are_read(tmp_path: Path, text: str) -> None:
-    found = read(tmp_path / "printed.txt", text)
-    assert found.raw == pytest.approx(RAW, abs=1e-3)
+def test_a_serial_monitors_stamps_and_labels_and_what_python_and_json_print_cost_no_column(
+    tmp_path: Path, text: str
+) -> None:
+    assert read(tmp_path / "printed.txt", text).raw == pytest.approx(RAW, abs=1e-3)
 
 
 def test_labels_name_the_columns(tmp_path: Path) -> None:

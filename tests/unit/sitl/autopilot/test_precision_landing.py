@@ -69,18 +69,12 @@ class TargetStation(Station):
         return math.dist(self.flight.vehicle.position[:2], place[:2])
 
 
-@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
-def test_it_lands_on_a_pad_that_stands(autopilot_kind: AutopilotKind) -> None:
+@pytest.mark.parametrize(
+    ("autopilot_kind", "by_angles"), [("px4", False), ("ardupilot", False), ("ardupilot", True)]
+)
+def test_it_lands_on_a_pad_that_stands(autopilot_kind: AutopilotKind, by_angles: bool) -> None:
     landing = TargetStation(autopilot_kind)
-    landing.begin()
-    landing.down(40.0)
-    assert not landing.flight.autopilot.armed
-    assert landing.off_m < 0.1
-
-
-def test_ardupilot_takes_angles_and_a_distance() -> None:
-    landing = TargetStation("ardupilot")
-    landing.by_angles = True
+    landing.by_angles = by_angles  # and a distance, which ArduPilot takes too
     landing.begin()
     landing.down(40.0)
     assert not landing.flight.autopilot.armed

@@ -8,6 +8,7 @@ import pytest
 from companion.base.geometry import quat_from_euler
 from sitl.firmware import ardupilot
 from sitl.vehicle.quadrotor import QuadrotorState
+from sitl.vehicle.rotors import RotorValues
 from tests.unit.sitl.firmware.fake_firmware import (
     HOME,
     STEP_S,
@@ -49,14 +50,15 @@ def test_pulses_that_come_twice_are_answered_once(tmp_path: Path) -> None:
     assert len(stamps) == 20
 
 
-def test_the_pulses_of_right_left_front_rear_become_front_right_rear_left(tmp_path: Path) -> None:
-    with running(fake("ardupilot", tmp_path, motors=[0.2, 0.4, 0.1, 0.3])) as firmware:
-        assert firmware.step(moment(STEP_S)) == (0.1, 0.2, 0.3, 0.4)
-
-
-def test_pulses_beyond_off_and_full_are_off_and_full(tmp_path: Path) -> None:
-    with running(fake("ardupilot", tmp_path, motors=[-1.0, 1.2, 0.0, 1.0])) as firmware:
-        assert firmware.step(moment(STEP_S)) == (0.0, 0.0, 1.0, 1.0)
+@pytest.mark.parametrize(
+    ("right_left_front_rear", "shares"),
+    [([0.2, 0.4, 0.1, 0.3], (0.1, 0.2, 0.3, 0.4)), ([-1.0, 1.2, 0.0, 1.0], (0.0, 0.0, 1.0, 1.0))],
+)
+def test_pulses_come_front_right_rear_left_within_off_and_full(
+    tmp_path: Path, right_left_front_rear: list[float], shares: RotorValues
+) -> None:
+    with running(fake("ardupilot", tmp_path, motors=right_left_front_rear)) as firmware:
+        assert firmware.step(moment(STEP_S)) == shares
 
 
 # ---------------------------------------------------------------- what it is told
