@@ -154,7 +154,7 @@ class ControlConfig(StrictModel):
         position_m=0.145, velocity_m_s=0.4, acceleration_m_s2=4.0, effort_m_s2=1.0, effort_change_m_s2=4.0
     )
     vertical: TrackingConfig = TrackingConfig(
-        position_m=0.12, velocity_m_s=0.2, acceleration_m_s2=4.0, effort_m_s2=2.0, effort_change_m_s2=4.0
+        position_m=0.11, velocity_m_s=0.15, acceleration_m_s2=4.0, effort_m_s2=2.0, effort_change_m_s2=4.0
     )
     pid: PidConfig = PidConfig()
     limits: LimitsConfig = LimitsConfig()

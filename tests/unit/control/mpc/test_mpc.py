@@ -315,7 +315,7 @@ def test_the_floor_holds_against_a_reference_below_it() -> None:
     start = Motion((0.0, 0.0, -1.0), ZERO3, ZERO3)
     free = Mpc(CONFIG, LAGS_S).solve(start, hover_at((0.0, 0.0, -0.5)), ZERO3, ZERO3)
     held = Mpc(CONFIG, LAGS_S).solve(start, hover_at((0.0, 0.0, -0.5), -0.6), ZERO3, ZERO3)
-    assert free.states[-1, 2] > -0.53
+    assert free.states[-1, 2] > -0.56  # far below the floor
     assert held.solved
     assert held.states[:, 2].max() < -0.6 + 0.015
 
