@@ -42,7 +42,7 @@ from companion.estimate.vehicle.ekf_inputs import (
     SecondAttitudeStep,
 )
 from companion.estimate.vehicle.ekf_start import InitialState
-from companion.estimate.vehicle.ekf_state import EYE, EYE3, FORCE_ERROR_S, EkfSnapshot, EkfState
+from companion.estimate.vehicle.ekf_state import EYE, EYE3, EkfSnapshot, EkfState
 from companion.estimate.vehicle.fix_watch import LastFix
 from companion.estimate.vehicle.gyro_bias_check import BiasStep
 from companion.estimate.vehicle.imu_noise import StepNoise
@@ -98,12 +98,11 @@ class VehicleEkf(EkfState):
     def _shown_by_fixes(self, noise: StepNoise) -> StepNoise:
         """Vibration says how much the force's mean may be off; fixes show whether it is.
 
-        What they have shown lasts without them; at least it is off by what vibration usually leaves, as
-        far as they have left room for that.
+        What they have shown lasts without them; at least it is off by what vibration usually leaves.
         """
         shown = min(noise.force_error_m_s2, self.fix_watch.force_error_m_s2)
         if self.time_s - self.gps_time_s > GPS_TIMEOUT_S:
-            shown = max(shown, self.fix_watch.vibration_share * noise.usual_force_error_m_s2)
+            shown = max(shown, noise.usual_force_error_m_s2)
         return noise._replace(force_error_m_s2=shown)
 
     def carried(
@@ -303,8 +302,7 @@ class VehicleEkf(EkfState):
         lag = GPS_TIME_ERROR_S * self.x[model.ACCELERATION]
         R = np.diag(np.square(fix.velocity_std_m_s)) + np.outer(lag, lag)
         innovation = np.array(fix.velocity_ned_m_s) - expected
-        vibration = fix.vibration_force_m_s2**2 * FORCE_ERROR_S * (time_s - self.gps_time_s)
-        self._watch_fix(innovation, C @ self.P @ C.T + R, vibration)
+        self._watch_fix(innovation, C @ self.P @ C.T + R)
         R *= self.fix_watch.noise_factor
         fits = self._update("gps_velocity", innovation, C, R, R)
         expected, C = model.gps_position_model(self.x, self._antenna_body_m, later_s)
@@ -321,9 +319,9 @@ class VehicleEkf(EkfState):
             keep_speed = not self.gates["gps_velocity"].refused_in_a_row
             self._start_from(time_s, fix, keep_speed)
 
-    def _watch_fix(self, innovation: FloatArray, S: FloatArray, vibration_m2_s2: float) -> None:
+    def _watch_fix(self, innovation: FloatArray, S: FloatArray) -> None:
         test = normalised_innovation_squared(innovation, S) / len(innovation)
-        self.fix_watch = self.fix_watch.after(vector3(innovation), test, vibration_m2_s2)
+        self.fix_watch = self.fix_watch.after(vector3(innovation), test)
         gate = self.gates.get("gps_velocity", Gate())
         if self.fix_watch.suspicious(self.time_s, gate.refused_in_a_row):
             self._suspect_bias()

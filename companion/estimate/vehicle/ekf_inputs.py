@@ -52,16 +52,12 @@ class ImuStep:
 
 @dataclass(frozen=True, slots=True)
 class GpsStep:
-    """A fix in the EKF's NED: where the antenna was, and how fast.
-
-    `vibration_force_m_s2` is by how much the vibration at that time usually sets the mean force off.
-    """
+    """A fix in the EKF's NED: where the antenna was, and how fast."""
 
     position_ned_m: Vector3
     velocity_ned_m_s: Vector3
     position_std_m: Vector3
     velocity_std_m_s: Vector3
-    vibration_force_m_s2: float = 0.0
 
 
 class AttitudeStep(NamedTuple):
@@ -93,7 +89,7 @@ def at_rest(ours: Quaternion, theirs: Quaternion) -> SecondAttitudeStep:
     )
 
 
-def gps_step(fix: GpsFix, origin: Vector3, config: EkfConfig, vibration_force_m_s2: float) -> GpsStep:
+def gps_step(fix: GpsFix, origin: Vector3, config: EkfConfig) -> GpsStep:
     """A fix in NED about the origin (latitude deg, longitude deg, altitude m), with the noise to expect."""
     factor = config.gps_accuracy_factor
     across = max(factor * fix.horizontal_accuracy_m, config.gps_position_noise_m)
@@ -105,5 +101,4 @@ def gps_step(fix: GpsFix, origin: Vector3, config: EkfConfig, vibration_force_m_
         velocity_ned_m_s=fix.velocity_ned_m_s,
         position_std_m=(across, across, along),
         velocity_std_m_s=(speed, speed, climb),
-        vibration_force_m_s2=vibration_force_m_s2,
     )

@@ -4,8 +4,7 @@ A bias that steps tilts the estimate, and a tilt drives the velocity away from t
 seconds. Noise, however large, has no direction; a receiver that hangs or jumps is refused by its own test.
 So the excess alone says nothing: it has to last in one direction, of fixes that are still taken.
 An excess without a direction is noise that is larger than claimed, or of a time that is uncertain: it makes
-the next fixes count for less. Noise and all, it is the most that vibration can have added to the velocity's
-error between two fixes: that share of what vibration might add goes on when there are none.
+the next fixes count for less.
 
 Changes of velocity show the heading, without any compass: between two fixes the receiver's and ours differ
 by the turn about down that ours lacks. What those of late leave of its uncertainty says whether another
@@ -50,17 +49,13 @@ class FixWatch(NamedTuple):
     scatter: float = 1.0
     mean_m_s: Vector3 = ZERO3
     mean_square: float = 0.0
-    vibration_m2_s2: float = 0.0  # on an axis, what vibration may have added to that
     suspected_s: float = -math.inf
     last: LastFix | None = None
     turn_information: float = 0.0  # 1/rad²
     informed_turn: float = 0.0  # that times the turn about down (rad) that our heading lacks
 
-    def after(self, innovation_m_s: Vector3, test: float, vibration_m2_s2: float = 0.0) -> FixWatch:
-        """With one fix more; `test` is its normalised innovation squared, a degree of freedom.
-
-        `vibration_m2_s2` is the variance on an axis that vibration may have added since the fix before.
-        """
+    def after(self, innovation_m_s: Vector3, test: float) -> FixWatch:
+        """With one fix more; `test` is its normalised innovation squared, a degree of freedom."""
         mean = add(self.mean_m_s, scale(subtract(innovation_m_s, self.mean_m_s), DIRECTION_SHARE))
         square = dot(innovation_m_s, innovation_m_s)
         return self._replace(
@@ -68,7 +63,6 @@ class FixWatch(NamedTuple):
             scatter=self.scatter + SCATTER_SHARE * (min(test, LARGEST_TEST) - self.scatter),
             mean_m_s=mean,
             mean_square=self.mean_square + DIRECTION_SHARE * (square - self.mean_square),
-            vibration_m2_s2=self.vibration_m2_s2 + DIRECTION_SHARE * (vibration_m2_s2 - self.vibration_m2_s2),
         )
 
     def turned(self, fix: LastFix, predicted_m_s: Vector3, variance_m2_s2: float) -> FixWatch:
@@ -97,12 +91,6 @@ class FixWatch(NamedTuple):
     def noise_factor(self) -> float:
         """By how much the variance of the next fix's velocity exceeds what is claimed, 1 at least."""
         return 1.0 if self._one_sided else max(self.scatter, 1.0)
-
-    @property
-    def vibration_share(self) -> float:
-        """The share of the force's error by vibration that the fixes' scatter leaves room for, 1 at most."""
-        most = 3.0 * self.vibration_m2_s2
-        return math.sqrt(self.mean_square / most) if self.mean_square < most else 1.0
 
     @property
     def force_error_m_s2(self) -> float:
