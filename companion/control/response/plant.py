@@ -32,7 +32,7 @@ from companion.control.response.hover_thrust import TOLD_STD, HeldThrust, HoverT
 LASTING_SHARE: Final = 0.25
 # along down that is all there is to meet the air under the rotors; the autopilot's own velocity loop damps it
 # By attitude the hover thrust's estimate does it, as fast as this.
-LASTING_DOWN_SHARE: Final = {"velocity": 0.25, "acceleration": 1.5, "attitude": 0.3}
+LASTING_DOWN_SHARE: Final = {"velocity": 0.25, "acceleration": 1.0, "attitude": 0.3}
 OTHERS_AFTER_S: Final = 0.2  # since our own attitudes were last observed
 
 

@@ -119,12 +119,12 @@ class Levelling:
         self._ahead = None
         if now_s >= self.due_s - AHEAD_S:
             most_m_s2 = max(self._level_m_s2, tilt.predicted_acceleration_m_s2(0.0) + BEYOND_M_S2)
-            self._ahead = LevelOff(
-                self.due_s - lead_s,
-                self.due_s + AFTER_S,
-                self._tilt_rad,
-                math.atan(most_m_s2 / GRAVITY_M_S2),
-            )
+            # a vehicle that is held up has its contact ever as far ahead: it would lean for it and drift
+            sinks = fresh and sight.sink_m_s >= SLOWEST_SINK * self.planned_m_s
+            until_s = self.due_s + AFTER_S
+            level_s = self.due_s - self._tilts_on_s(tilt.tilt_rad) if sinks else until_s
+            before_rad = math.atan(most_m_s2 / GRAVITY_M_S2)
+            self._ahead = LevelOff(level_s, until_s, self._tilt_rad, before_rad)
         # no tilt that would put a foot on the pad, unless the level vehicle drifts so fast that this is worse
         slow = sight.lateral_speed_m_s <= FASTEST_DRIFT * self._config.lateral_speed_m_s
         hangs_m = self._vehicle.foot_reach_m * math.sin(math.atan(self._needed_m_s2 / GRAVITY_M_S2))
@@ -146,5 +146,8 @@ class Levelling:
     def _levelling_s(self, tilt_rad: float) -> float:
         """How long before the contact it has to begin to level off from a tilt."""
         excess_m_s2 = GRAVITY_M_S2 * math.tan(tilt_rad) - self._level_m_s2
-        early_s = self._std_m / self.sink_m_s(GRAVITY_M_S2 * math.tan(tilt_rad))
-        return TILTS_ON_S + early_s + max(0.0, excess_m_s2) / LEVELS_M_S3
+        return self._tilts_on_s(tilt_rad) + max(0.0, excess_m_s2) / LEVELS_M_S3
+
+    def _tilts_on_s(self, tilt_rad: float) -> float:
+        """How long before the contact the command has to be level for a contact that comes early."""
+        return TILTS_ON_S + self._std_m / self.sink_m_s(GRAVITY_M_S2 * math.tan(tilt_rad))

@@ -74,11 +74,12 @@ def test_every_shipped_loop_has_margins(
 
 
 @pytest.mark.parametrize("late_s", [0.02, 0.05])
+@pytest.mark.parametrize("axis", [SIDEWAYS, DOWN])
 @pytest.mark.parametrize(("autopilot_kind", "kind"), FLOWN)
 def test_an_acceleration_measured_later_than_believed_leaves_the_margins(
-    autopilot_kind: AutopilotKind, kind: Kind, late_s: float
+    autopilot_kind: AutopilotKind, kind: Kind, axis: int, late_s: float
 ) -> None:
-    case = replace(_case("x500", autopilot_kind, kind, SIDEWAYS), sensor_late_s=late_s)
+    case = replace(_case("x500", autopilot_kind, kind, axis), sensor_late_s=late_s)
     found = margins(*loop_transfer(case))
     assert found.delay_s >= LEAST_DELAY_S
     assert found.phase_deg >= LEAST_PHASE_DEG

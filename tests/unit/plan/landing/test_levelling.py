@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
+from companion.base.geometry import GRAVITY_M_S2, Vector3, quat_from_euler
 from companion.base.messages import LandedState, RangeSample
 from companion.plan.events import MissionEvent
 from companion.plan.landing.levelling import AFTER_S, CONTACT_STD_M, TILTS_ON_S, Levelling
@@ -132,6 +132,9 @@ def test_a_tilt_that_cannot_be_levelled_off_is_waited_out_however_long_it_lasts(
         assert (touchdown.broken_off_by == "too much tilt at contact") == breaks_off
 
 
+SINKS: Vector3 = (0.0, 0.0, CONFIG.contact_speed_m_s)
+
+
 @pytest.mark.parametrize("needed_m_s2", [0.0, 1.0, 2.0])
 def test_shortly_before_it_levels_off_it_says_so_and_a_gust_is_met_by_a_little_more_tilt_at_most(
     needed_m_s2: float,
@@ -139,14 +142,25 @@ def test_shortly_before_it_levels_off_it_says_so_and_a_gust_is_met_by_a_little_m
     level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
     for over_m, near in ((0.25, False), (0.14, True)):
         touchdown = levelling(needed_m_s2)
-        touchdown.step(sight(height=LEG_M + over_m), None, LandedState.IN_AIR, 1.0)
+        touchdown.step(sight(height=LEG_M + over_m, velocity=SINKS), None, LandedState.IN_AIR, 1.0)
         assert not touchdown.levels_off
         bound = touchdown.level_off()
         assert (bound is not None) == near
     assert bound is not None
     assert GRAVITY_M_S2 * math.tan(bound.before_rad) == pytest.approx(max(level_m_s2, needed_m_s2 + 0.6))
     assert bound.tilt_rad == pytest.approx(math.radians(CONFIG.contact_tilt_deg))
-    assert bound.from_s > 1.0  # and the controller knows when it will
+    assert 1.0 < bound.from_s < bound.until_s  # and the controller knows when it will
+
+
+def test_it_is_not_told_of_a_contact_that_a_vehicle_held_up_will_not_make() -> None:
+    touchdown = levelling(2.0)
+    held_up = sight(height=LEG_M + 0.14, velocity=(0.0, 0.0, 0.0))
+    touchdown.step(held_up, None, LandedState.IN_AIR, 1.0)
+    bound = touchdown.level_off()
+    assert not touchdown.levels_off
+    assert bound is not None
+    assert bound.from_s == bound.until_s
+    assert GRAVITY_M_S2 * math.tan(bound.before_rad) == pytest.approx(2.6)
 
 
 @pytest.mark.parametrize(("excess_m_s2", "longer_s"), [(0.0, 0.95), (0.5, 0.24), (0.8, 0.15)])
