@@ -13,7 +13,7 @@ A gust that sinks is none of that: it lasts, and it is strong. While the mean of
 than air and covariance make it, the covariance is opened until it explains that mean (a strong tracking
 filter, Zhou and Frank 1996, on the mean): the thrust follows a gust within a fraction of a second, small
 changes as slowly as the margins of a vehicle that differs from its model want it. (At 13 rad/s of bandwidth,
-which a gust opens it to for a moment, the loop of an x500 has 42 deg and 88 ms of margin; 24 deg and 47 ms
+which a gust opens it to for a moment, the loop of an x500 has 38 deg and 67 ms of margin; 20 deg and 32 ms
 where the acceleration is measured 50 ms later than believed.)
 """
 
