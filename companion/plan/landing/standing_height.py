@@ -49,7 +49,8 @@ class StandingHeight:
         """Take in a cycle's echo and estimates; flying says nothing."""
         vehicle = inputs.vehicle
         still = inputs.autopilot.connected and not inputs.autopilot.armed and _still(vehicle, now_s)
-        if self._still.held_s(still, now_s) < _STILL_S or vehicle is None:
+        still_s = self._still.held_s(still, now_s)
+        if not still:
             self._by_echo.clear()
             self._by_pad.clear()
             self._moved = True
@@ -59,11 +60,11 @@ class StandingHeight:
         if echo is not None and echo_m is not None and echo.time_s > self._echo_s:
             self._echo_s = echo.time_s
             if echo.distance_m > self._nearest_echo_m + _ECHO_NOISE_M:
-                self._learn("the rangefinder", self._by_echo, echo_m, now_s)
+                self._learn("the rangefinder", self._by_echo, echo_m, still_s, now_s)
         sight = inputs.pad
         if sight is not None and self._stands_on(sight) and sight.seen_time_s > self._seen_s:
             self._seen_s = sight.seen_time_s
-            self._learn("the pad", self._by_pad, sight.height_m, now_s)
+            self._learn("the pad", self._by_pad, sight.height_m, still_s, now_s)
 
     @property
     def vehicle(self) -> VehicleConfig:
@@ -99,9 +100,12 @@ class StandingHeight:
             for source, (measured_m, std_m) in found[-1:]
         )
 
-    def _learn(self, source: str, recent_m: deque[float], height_m: float, now_s: float) -> None:
+    def _learn(
+        self, source: str, recent_m: deque[float], height_m: float, still_s: float, now_s: float
+    ) -> None:
         recent_m.append(height_m)
-        if len(recent_m) == _COUNT and max(recent_m) - min(recent_m) <= _SPREAD_M:
+        agree = len(recent_m) == _COUNT and max(recent_m) - min(recent_m) <= _SPREAD_M
+        if agree and still_s >= _STILL_S:
             if self._moved:
                 self.measured_m.clear()  # it stood elsewhere: on a bench, say
                 self._moved = False
