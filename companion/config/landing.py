@@ -65,7 +65,8 @@ class LandingConfig(StrictModel):
     """Tries after the first; more is worse: each is another time low over the pad. Lower it for a small
     battery"""
     pause_unseen_s: float = Field(default=0.5, gt=0.0, le=5.0)
-    """Unseen this long: the descent pauses; raise it where single frames are often lost"""
+    """Unseen this long: the descent pauses, and just over the pad it climbs and tries again; raise it where
+    single frames are often lost"""
     lost_unseen_s: float = Field(default=5.0, gt=0.0, le=10.0)
     """Unseen this long: the pad is lost; longer is worse: it follows a prediction. Lower it for a pad that
     changes its course often"""
@@ -125,8 +126,8 @@ class TouchdownConfig(StrictModel):
     blend_s: float = Field(default=0.8, ge=0.2, le=3.0)
     """Time from waiting to the contact's sink rate; raise it for a heavy vehicle"""
     blind_s: float = Field(default=1.5, ge=0.1, le=5.0)
-    """Unseen this long just over the pad: climb and try again. Longer is worse: it sinks on by a prediction.
-    Lower it for a pad that changes its course often"""
+    """Unseen this long on the last way down: climb and try again. Longer is worse: it sinks on by a
+    prediction. Lower it for a pad that changes its course often"""
     overdue_s: float = Field(default=1.5, ge=0.3, le=10.0)
     """No contact this long after it was due: climb and try again; raise it for a pad whose height is known
     badly"""

@@ -110,7 +110,7 @@ class PhaseSteering:
         self.touchdown = TouchdownSequence(
             config.touchdown,
             vehicle,
-            config.landing.wait_height_m,
+            config.landing,
             generator,
             pad_half_width_m,
             standing_height,

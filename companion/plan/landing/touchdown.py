@@ -16,7 +16,7 @@ import math
 from companion.base.geometry import GRAVITY_M_S2
 from companion.base.messages import LevelOff, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
-from companion.config import TouchdownConfig, VehicleConfig
+from companion.config import LandingConfig, TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
 from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.inputs import PlanInputs
@@ -67,7 +67,7 @@ class TouchdownSequence:
         self,
         config: TouchdownConfig,
         vehicle: VehicleConfig,
-        wait_height_m: float,
+        landing: LandingConfig,
         generator: ReferenceGenerator,
         pad_half_width_m: float,
         standing_height: StandingHeight | None = None,
@@ -76,7 +76,7 @@ class TouchdownSequence:
         self._config, self._generator = config, generator
         self._standing_height = standing_height or StandingHeight(vehicle)
         self._feet_on_pad_m = pad_half_width_m - vehicle.foot_reach_m
-        self._waits_over_m = wait_height_m
+        self._landing = landing
         self._sight: PadState | None = None
         self.begin(0.0, tolerance_scale=1.0)
 
@@ -84,7 +84,7 @@ class TouchdownSequence:
         """Start a try; `tolerance_scale` widens its tolerances."""
         config, vehicle = self._config, self._standing_height.vehicle
         self._vehicle = vehicle
-        self._wait_height_m = vehicle.leg_height_m + self._waits_over_m
+        self._wait_height_m = vehicle.leg_height_m + self._landing.wait_height_m
         self._low_m = vehicle.leg_height_m + 2.0 * config.contact_margin_m
         self._standing = LandDetector(config, vehicle)
         self._set_down = SetDown(config, vehicle, self._generator)
@@ -132,8 +132,10 @@ class TouchdownSequence:
         c, tolerance = self._config, self._tolerance
         waited_s = now_s - self._since_s
         self._generator.fly_to(Motion((0.0, 0.0, -self._wait_height_m)), now_s)
-        if sight is None or sight.age_s > c.blind_s:
-            return MissionEvent.PAD_LOST, f"not seen for {c.blind_s:.1f} s just above the pad"
+        # as in the descent: an unseen pad's predicted height sinks or rises without end, and is soon a guess
+        if sight is None or sight.age_s > self._landing.pause_unseen_s:
+            unseen_s = self._landing.pause_unseen_s
+            return MissionEvent.PAD_LOST, f"not seen for {unseen_s:.1f} s just above the pad"
         tolerance.note_tilt(self._tilt_at_contact_m_s2(), now_s)
         ready = (
             aligned(sight, self._wait_height_m, tolerance.slack_by_now(now_s), c)

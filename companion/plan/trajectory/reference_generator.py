@@ -132,9 +132,14 @@ class ReferenceGenerator:
         return distance_m
 
     def take_up(self, actual: Motion, now_s: float) -> None:
-        """Put the reference onto the estimate; its acceleration goes on."""
-        kept = self.at(now_s).acceleration_m_s2
-        self.rest(Motion(actual.position_m, actual.velocity_m_s, kept), now_s)
+        """Put the reference onto the estimate; its acceleration goes on, and so does a climb of its own.
+
+        A vehicle that the wind blows off its way is not kept low by it.
+        """
+        before, level = self.at(now_s), self._level
+        self.rest(Motion(actual.position_m, actual.velocity_m_s, before.acceleration_m_s2), now_s)
+        if abs(actual.position_m[2] - before.position_m[2]) <= RESET_DISTANCE_M:
+            self._level = level
 
     def see(self, home_ned_m: Vector3 | None, pad: Motion | None) -> None:
         """Take in where home is, from which obstacles count, and how the pad moves; EKF's NED."""
@@ -228,8 +233,8 @@ class ReferenceGenerator:
     def fly_level(self, target: Motion, lowest_down_m: float, now_s: float) -> float:
         """As `fly_to`, but the height is kept: any climb or sink is stopped, at once and by itself.
 
-        Once level, it climbs to `lowest_down_m` (of the present frame) if it is lower than that; returns the
-        climb (m) that begins with this cycle, else 0. A `rise` is flown to its end first.
+        Once it does not sink, it climbs to `lowest_down_m` (of the present frame) if it is lower than that;
+        returns the climb (m) that begins with this cycle, else 0. A `rise` is flown to its end first.
         """
         if self.rising(now_s):
             return 0.0
@@ -239,12 +244,14 @@ class ReferenceGenerator:
         (vx, vy, _), (ax, ay, _) = target.velocity_m_s, target.acceleration_m_s2
         self._fly_to(Motion((x, y, start.position_m[2]), (vx, vy, 0.0), (ax, ay, 0.0)), now_s, level=True)
         z, upright = start.position_m[2], _upright(start)
-        if level is None:
-            level = brake(upright, now_s, _LEVEL_OFF_M_S2)
-        elif now_s >= level.end_s and z - lowest_down_m > _TOO_LOW_M:
+        too_low = z - lowest_down_m > _TOO_LOW_M
+        rises = level is None and start.velocity_m_s[2] < 0.0
+        if too_low and (rises or (level is not None and now_s >= level.end_s)):
             climb_m = z - lowest_down_m
             duration_s = self._config.minimum_time_s + _PEAK * climb_m / self._config.vertical_speed_m_s
             level = plan(upright, Motion((0.0, 0.0, lowest_down_m)), now_s, duration_s)
+        elif level is None:
+            level = brake(upright, now_s, _LEVEL_OFF_M_S2)
         self._level = level
         return climb_m
 

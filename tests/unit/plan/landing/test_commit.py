@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from companion.base.messages import LandedState, PadState
-from companion.config import TouchdownConfig
+from companion.config import LandingConfig, TouchdownConfig
 from companion.control.attitude import attitude_from_acceleration
 from companion.plan.events import MissionEvent
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle
@@ -80,8 +80,11 @@ def test_the_last_try_has_more_slack() -> None:
     assert wait(fresh(tolerance_scale=1.6), sight(aside=0.085), 30.0)[0] < 1.0
 
 
-def test_a_pad_unseen_while_waiting_is_lost() -> None:
-    assert wait(fresh(), sight(age=CONFIG.blind_s + 0.01), 5.0) == (0.0, MissionEvent.PAD_LOST)
+def test_a_pad_unseen_while_waiting_is_lost_as_soon_as_the_descent_would_not_go_by_it() -> None:
+    pause_s = LandingConfig().pause_unseen_s
+    assert pause_s < CONFIG.blind_s
+    assert wait(fresh(), sight(age=pause_s + 0.01), 5.0) == (0.0, MissionEvent.PAD_LOST)
+    assert wait(fresh(), sight(age=pause_s - 0.1), 0.05)[1] is None
 
 
 @pytest.mark.parametrize(("share", "commits"), [(0.95, True), (1.05, False)])

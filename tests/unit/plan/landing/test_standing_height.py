@@ -8,7 +8,7 @@ from companion.base import second_sources
 from companion.base.geometry import ZERO3
 from companion.base.messages import AutopilotState, Phase, Quantity
 from companion.base.motion import Motion
-from companion.config import GuidanceConfig, TouchdownConfig
+from companion.config import GuidanceConfig, LandingConfig, TouchdownConfig
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.touchdown import TouchdownSequence
@@ -84,7 +84,7 @@ def test_a_try_begins_with_what_was_measured_until_then() -> None:
     """Legs 3 cm longer than the file says: it waits higher, and goes level for a sooner contact."""
     height, _ = stood(LEG_M, on_pad=True)
     generator = ReferenceGenerator(GuidanceConfig(), lambda _d, _v, _a: 0.4, 20, 0.1)
-    sequence = TouchdownSequence(TouchdownConfig(), VEHICLE, 0.35, generator, 0.5, height)
+    sequence = TouchdownSequence(TouchdownConfig(), VEHICLE, LandingConfig(), generator, 0.5, height)
     height.measured_m["the pad"] = (LEG_M + 0.03, 0.0)
     generator.start("pad", Motion((0.0, 0.0, -1.0), ZERO3), 0.0)
     sequence.begin(0.0, 1.0)

@@ -12,7 +12,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.base.motion import Motion
-from companion.config import GuidanceConfig, TouchdownConfig
+from companion.config import GuidanceConfig, LandingConfig, TouchdownConfig
 from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing.standing_height import StandingHeight
@@ -115,7 +115,7 @@ def fresh(
     generator.start("pad", Motion((0.0, 0.0, -WAIT_M)), 0.0)
     standing = StandingHeight(VEHICLE)
     standing.measured_m["the rangefinder"] = VEHICLE.leg_height_m, 0.0
-    sequence = TouchdownSequence(config, VEHICLE, 0.35, generator, half_width_m, standing)
+    sequence = TouchdownSequence(config, VEHICLE, LandingConfig(), generator, half_width_m, standing)
     sequence.begin(0.0, tolerance_scale)
     return Attempt(sequence, generator)
 

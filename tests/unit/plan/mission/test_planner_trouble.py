@@ -14,7 +14,7 @@ from tests.unit.plan.compared import differ
 from tests.unit.plan.mission.planner_world import GOOD, world
 from tests.unit.plan.pad_paths import circle, heave, line, still
 from tests.unit.plan.plan_autopilot import HOME
-from tests.unit.plan.plan_harness import LEG_M, TABLE, VEHICLE, PlanWorld
+from tests.unit.plan.plan_harness import LEG_M, STEP_S, TABLE, VEHICLE, PlanWorld
 
 
 def test_refusals_are_waited_out() -> None:
@@ -429,6 +429,23 @@ def test_unseen_it_keeps_its_height_whatever_is_believed_of_the_pads(phase: Phas
     # over the place where the pad goes on to, and lands once it is seen again
     assert aside_m[-1] < aside_m[0] + 1.0
     assert w.fly(120.0).phase is Phase.LANDED
+
+
+@pytest.mark.parametrize("gust_m_s2", [0.0, 5.0])
+def test_unseen_just_over_a_pad_that_seems_to_fall_it_climbs_at_once(gust_m_s2: float) -> None:
+    # GIVEN a vehicle that waits over the pad, without a rangefinder
+    w = world(circle())
+    w.fly(60.0, until=lambda x: x.flight.phases != [] and x.flight.phase is Phase.TOUCHDOWN)
+    w.range_lost, w.blind_drift_m_s = True, 0.4
+    gone_s, waits_m = w.now_s, w.flight.heights_m[-1]
+    # WHEN the pad is unseen and seems to fall, and a gust blows the vehicle off its way
+    w.blind = lambda _t, _h: True
+    w.gust = lambda t: (gust_m_s2, 0.0, 0.0) if t > gone_s + 0.5 else (0.0, 0.0, 0.0)
+    w.fly(3.5, until=lambda _w: False)
+    # THEN it sinks after the pad no longer than the descent would, and climbs whatever the wind does
+    heights_m = w.flight.heights_m[-round(3.5 / STEP_S) :]
+    assert min(heights_m) > LEG_M + 0.1
+    assert heights_m[-1] > waits_m + 0.5
 
 
 def test_unseen_low_over_the_ground_it_climbs_to_the_floor_and_says_so() -> None:

@@ -474,6 +474,34 @@ def test_level_flight_climbs_to_its_floor_without_a_step() -> None:
         assert row == pytest.approx(g.at(now + k * reference.step_s).position_m, abs=1e-9)
 
 
+def test_level_flight_goes_on_with_a_climb_to_its_floor() -> None:
+    g = generator()
+    g.start("local", Motion((0.0, 0.0, -4.0)), 0.0)
+    g.rise(0.0)
+    now = 0.4
+    assert g.fly_level(Motion((3.0, 1.0, 0.0)), -5.0, now) > 0.8
+    speeds_m_s = [g.at(now + k * CYCLE_S).velocity_m_s[2] for k in range(60)]
+    assert max(speeds_m_s) < 0.0  # it never stops
+
+
+def test_what_is_blown_off_its_way_goes_on_climbing() -> None:
+    g = generator()
+    g.start("local", Motion((0.0, 0.0, -4.0)), 0.0)
+    for k in range(60):
+        g.fly_level(Motion((9.0, 0.0, 0.0)), -6.0, k * CYCLE_S)
+    now, aim = 60 * CYCLE_S, Motion((9.0, 0.0, 0.0))
+    before = g.at(now)
+    x, y, z = before.position_m
+    assert g.keep_near(Motion((x - 1.0, y, z + 0.3), (-1.0, 0.0, 0.2)), now) > 0.8
+    assert g.at(now).position_m == pytest.approx((x - 1.0, y, z))
+    assert g.at(now).velocity_m_s == pytest.approx((-1.0, 0.0, before.velocity_m_s[2]))
+    g.fly_level(aim, -6.0, now)
+    assert g.at(now + 3.0).position_m[2] < z - 1.0
+    # but one that is itself far below starts anew from there
+    assert g.keep_near(Motion((x - 1.0, y, z + 1.0)), now) > 0.8
+    assert g.at(now).position_m[2] == z + 1.0
+
+
 def test_level_flight_ends_with_the_next_plan() -> None:
     g, way = level_flight(math.inf)
     now = 240 * CYCLE_S
