@@ -281,6 +281,9 @@ class TouchdownSequence:
         self._give_way(sight if high and not signs.stalled else None, now_s)
         tilts_on = not self._levelling.begun
         self._levelling.expect(sight, self.tilt, now_s)
+        if high and sight.unseen_s <= UNSEEN_S and not signs.stalled:
+            # a gust may have held it up: as long as it sinks from above, the contact is due by what is seen
+            self._contact_due_s = max(self._contact_due_s, self._levelling.due_s)
         if tilts_on and self._levelling.begun and sight.unseen_s <= UNSEEN_S:
             self._sink_firmer(now_s)
         wrong = self._wrong(sight, now_s)
