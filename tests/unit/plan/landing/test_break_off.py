@@ -53,6 +53,23 @@ def test_sinking_too_fast_it_breaks_off_unless_it_is_down_already(
         assert wait(touchdown, sight(), 9.0)[1] is None
 
 
+def test_it_goes_on_down_after_a_gust_that_held_it_up_and_not_when_held_for_good() -> None:
+    touchdown, height_m, found, now_s = sinking(), WAIT_M, None, 0.5
+    # sinks to 12 cm over the pad, is held up, sinks a little, is held up again
+    for sink_m_s, lasts_s in ((0.19, 1.1), (-0.02, 1.2), (0.15, 0.3), (-0.02, 1.2), (0.15, 0.2)):
+        for _ in range(round(lasts_s / CYCLE_S)):
+            now_s, height_m = now_s + CYCLE_S, height_m - sink_m_s * CYCLE_S
+            seen = sight(height=height_m, velocity=(0.0, 0.0, sink_m_s))
+            assert touchdown.step(seen, None, LandedState.IN_AIR, now_s) is None
+            assert touchdown.committed
+    held_s = now_s
+    while found is None and now_s < held_s + 5.0:
+        now_s += CYCLE_S
+        found = touchdown.step(sight(height=height_m), None, LandedState.IN_AIR, now_s)
+    assert found == (MissionEvent.MISALIGNED, "no contact 1.5 s after the expected time")
+    assert now_s - held_s == pytest.approx(CONFIG.overdue_s, abs=0.5)
+
+
 def test_a_break_off_climbs_at_once() -> None:
     touchdown = sinking()
     now_s, low = 1.0, sight(0.1, LEG_M + 0.25, velocity=(0.0, 0.0, 0.19))
