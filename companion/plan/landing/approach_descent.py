@@ -128,7 +128,7 @@ class Landing:
         if self._generator.origin == "pad":
             self._generator.change_frame("local", pad.motion, now_s)
             self._blind_down_m = self._goal_down_m(pad.motion, goal_m, now_s)
-            if self._generator.at(now_s).position_m[2] > self._blind_down_m:
+            if self._generator.at(now_s).position_m[2] - self._blind_down_m > NOTICE_THRESHOLD_M:
                 self._generator.rise(now_s)  # at once: how far below the unseen pad is, is soon a guess
         climb_m = self._generator.fly_level(
             unseen.place, min(unseen.lowest_down_m, self._blind_down_m), now_s
