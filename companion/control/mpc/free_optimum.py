@@ -1,6 +1,6 @@
-"""The MPC's optimum without its inequalities: a start that is exact wherever no constraint binds.
+"""The MPC's optimum without its inequalities, which is exact if no constraint binds.
 
-Solves eq. 39 under eq. 38 alone: P z + q + A'y = 0, A z = b, by a factorisation that is made once.
+Solves eq. 39 under eq. 38: P z + q + A'y = 0, A z = b, by a factorisation that is made once.
 """
 
 import numpy as np

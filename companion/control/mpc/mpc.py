@@ -1,14 +1,14 @@
 """Model predictive control (eqs. 38 and 39, with constraints): the next accelerations to command.
 
 Frame: NED axes, at rest or in straight unaccelerated motion; the controller puts the pad's own motion into
-the reference, so that nothing here depends on the pad. SI units. The optimum without constraints is the
-answer wherever it breaks none, by one solve with factors that are made once. Else OSQP goes on from there, or
-from its own last solution: its matrices are set up once, a step changes vectors only.
+the reference, so that nothing here depends on the pad. SI units. If the optimum without constraints breaks
+none, it is the answer, by one solve with factors that are made once. Otherwise OSQP continues from it, or
+from its own last solution: its matrices are set up once, and a step changes vectors only.
 
-Iterations bound the work, in slices; between two of them a stopwatch, when there is one, may say that the
-time is up. An answer that is not nearly converged is replaced: out of time by the last solution, moved on;
-out of iterations, which happens while a wind needs more than the bounds allow, by the optimum without
-constraints, cut to the inputs' bounds.
+The number of iterations is bounded, and they run in slices. Between two slices an optional stopwatch may
+end the solve. An answer that has not nearly converged is replaced. If time ran out, the last solution is
+shifted and used. If the iterations ran out, which happens while a wind needs more than the bounds allow,
+the optimum without constraints is used, limited to the inputs' bounds.
 """
 
 import math
