@@ -135,7 +135,7 @@ ROWS: Final = (
         second="the echo",
         unit="m",
         before=_SHOWN,
-        in_flight="if echoes are far shorter than the height over the pad, the app searches again (ground near)",
+        in_flight="if echoes are far shorter than that height, the app searches again (ground near)",
     ),
     SourceRow(
         Quantity.PAD_SCALE,
