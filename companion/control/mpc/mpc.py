@@ -16,12 +16,13 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3
 from companion.base.late_import import imported_late
 from companion.base.motion import Motion
 from companion.config import ControlConfig
-from companion.control.mpc.free_optimum import FreeOptimum
 from companion.control.mpc.input_bounds import (
     INPUT_ROWS,
     OCTAGON,
@@ -66,6 +67,24 @@ SETTINGS: Final[dict[str, Any]] = {
 AT_BOUND = 0.98  # of it, sideways: OSQP stops short of a bound
 # the gate bounds the whole vector's jerk, here it is each axis': stay within it, and clear of jitter
 JERK_SHARE = 0.95 / 3.0**0.5
+
+
+class FreeOptimum:
+    """The minimum of 1/2 z'Pz + q'z with A z = b, for fixed P and A: eq. 39 under eq. 38, no inequalities.
+
+    Solves P z + q + A'y = 0, A z = b by a factorisation that is made once.
+    """
+
+    def __init__(self, P_upper: sparse.csc_matrix, A: sparse.csc_matrix) -> None:
+        """`P_upper` (n, n) is P's upper triangle; `A` (m, n)."""
+        self.P = P_upper + sparse.triu(P_upper, k=1).T
+        self._factors = splu(sparse.bmat([[self.P, A.T], [A, None]], format="csc"))
+        self._n = self.P.shape[0]
+
+    def solve(self, q: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """z (n,) and the multipliers y (m,)."""
+        answer = self._factors.solve(np.concatenate([-q, b]))
+        return answer[: self._n], answer[self._n :]
 
 
 class Mpc:
