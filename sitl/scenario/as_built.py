@@ -191,7 +191,7 @@ class AsBuiltSettings(StrictModel):
     )
     other_place: bool = Field(
         default=True,
-        description="The flight takes place elsewhere, within 60° of latitude, so that the magnetic field is another",
+        description="The flight takes place elsewhere, within 60° of latitude: another magnetic field",
     )
     deck_field_ut: float = Field(
         default=30.0, ge=0.0, le=200.0, description="Magnetic field of a steel deck at both compasses"
