@@ -16,10 +16,10 @@ INTRODUCTION: Final = """\
 
 Written by `python -m docs.second_sources` from `companion/base/second_sources.py`.
 
-Each quantity of this table has two sources. A difference beyond the notice is announced, with both
-figures, and flown with. Beyond the bound the app acts as the last two columns say. A difference counts
-when it exceeds notice or bound by three of its own standard deviations. The refusal of an order, the
-failsafe in flight, `companion check` and `companion status` use this table and the same words.
+Each quantity in this table has two sources, which the app compares. If the difference exceeds the notice
+value, the app announces it with both figures and flies on. If it exceeds the bound, the app acts as in the
+last two columns. A difference counts only if it exceeds the value by three of its own standard deviations.
+The refusal of an order, the failsafe in flight, `companion check` and `companion status` all use this table.
 
 | Quantity | First source | Second source | Notice | Bound | Before control is taken | In flight |
 |---|---|---|---|---|---|---|

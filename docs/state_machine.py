@@ -52,19 +52,19 @@ INTRODUCTION: Final = """\
 # The state machine
 
 Written by `python -m docs.state_machine` from `companion/plan/mission/table.py`, which alone decides where a
-mission goes. At most one event acts in a control cycle. Of the events that have a row in the present state
-it is the most serious failsafe, else a request that was refused too often, else what the state itself
-detects.
+mission goes. At most one event acts in a control cycle, and only if it has a row for the present state.
+The order is: the most serious failsafe, then a request that was refused too often, then an event that the
+state itself detects.
 
-Control of the vehicle is *none* until the autopilot grants it and says that it obeys setpoints, then *ours*,
-and *released* once it went back to the autopilot or a pilot took it. After that the app requests nothing
-more in this mission.
+Control of the vehicle is *none* until the autopilot grants it and reports that it obeys setpoints. Then it is
+*ours*. It is *released* when the app returns it to the autopilot or a pilot takes it; after that the app
+requests nothing more in this mission.
 """
 # a search in vain returns control and does nothing else; rows that end in the same branches name it
 RETURN_CONTROL: Final = TABLE[State.SEARCH, MissionEvent.TIMEOUT]
 RETURN: Final = "return control"
 IMPOSSIBLE: Final = """\
-An event that stands in neither table for a state cannot occur there. If it occurs all the same, the app
+An event that is in neither table for a state cannot occur there. If it does occur, the app
 reports it, asks the autopilot to hold its position (to land, if the vehicle stands) and releases control.
 """
 
@@ -82,7 +82,7 @@ def page_text() -> str:
             INTRODUCTION,
             "![States and how a flight goes through them](../images/state-machine.svg)",
             "",
-            "*Red: control goes back; every state in the air leads there. The table has each row.*",
+            "*Red: states that return control; every state in the air can lead there.*",
             "",
             "<details markdown>",
             "<summary>All transitions as a diagram (Mermaid)</summary>",
@@ -93,12 +93,12 @@ def page_text() -> str:
             "",
             "</details>",
             "",
-            "*in the air* is every state from take off to the last hold. The last table says where a",
-            "failsafe is ignored.",
+            "*in the air* is every state from take off to hold and await link. The last table lists",
+            "where a failsafe is ignored.",
             "",
             "## Transitions",
             "",
-            f"*{RETURN}* stands for these branches, of which the first that fits is taken:",
+            f"*{RETURN}* stands for these branches; the first whose condition holds is taken:",
             "",
             *return_table(),
             "",
@@ -108,11 +108,11 @@ def page_text() -> str:
             "",
             "## Failsafes",
             "",
-            "Looked for in every cycle, the most serious first:",
+            "The app checks these in every cycle, the most serious first:",
             ", ".join(_words(event) for event in ANYWHERE) + ".",
             "",
-            "When control itself fails, and the app ends, it asks one thing more of a vehicle that flies by",
-            "its word: committed to land or standing, the autopilot's LAND, else its hold.",
+            "If the controller fails and the app ends while it has control, it sends one last request:",
+            "LAND if the vehicle is committed to land or stands, otherwise hold.",
             "",
             "## Events that are ignored",
             "",

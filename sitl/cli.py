@@ -56,7 +56,6 @@ cli.command("view", help=VIEW_HELP)(view_command)
 cli.command("hand-held", help=HAND_HELD_HELP, short_help="Serve a vehicle carried by hand.")(
     hand_held_command
 )
-cli.command("hold", help=HAND_HELD_HELP, hidden=True)(hand_held_command)  # its earlier name
 
 
 @cli.callback(invoke_without_command=True)

@@ -1,10 +1,10 @@
-"""The table of second sources: no number that holds the vehicle up is believed on one word.
+"""The table of second sources: each quantity that a flight depends on is compared with another source.
 
-A row names a quantity, its two sources, how far they may be apart, and what follows when they are further.
-Where the two are measured, a monitor makes a `SourceComparison` of them; `companion check`, the refusal of an
-order, the failsafe in flight and `companion status` all judge it by its row, in the same words. The
-difference counts as beyond a bound when it is so for sure: by `SIGMA_THRESHOLD` of its own standard
-deviations. docs/reference/second-sources.md is written from here.
+A row names a quantity, its two sources, the allowed difference, and the reaction to a larger one. A monitor
+measures both and makes a `SourceComparison`. `companion check`, the refusal of an order, the failsafe in
+flight and `companion status` all judge it by its row, in the same words. A difference exceeds a bound only if
+it does so by `SIGMA_THRESHOLD` of its own standard deviations. docs/reference/second-sources.md is written
+from here.
 """
 
 from collections.abc import Iterable, Iterator
@@ -20,8 +20,8 @@ SIGMA_THRESHOLD: Final = 3.0
 class Reaction(StrEnum):
     """What follows in flight, where control is ours."""
 
-    HAND_BACK = "control returns to the autopilot at once; in the last centimetres it lands by LAND"
-    LEAVE_PAD = "it climbs clear of the pad, then control returns to the autopilot"
+    HAND_BACK = "control returns to the autopilot at once; in the last centimetres by LAND"
+    LEAVE_PAD = "the vehicle climbs clear of the pad, then control returns to the autopilot"
     NOTICE = "a notice"
 
 
@@ -59,11 +59,11 @@ class SourceRow:
             object.__setattr__(self, "in_flight", self.reaction.value)
 
     def announces(self, comparison: SourceComparison) -> bool:
-        """Whether the two are surely so far apart that it is announced."""
+        """Whether the difference exceeds the notice by `SIGMA_THRESHOLD`."""
         return _surely_beyond(comparison, self.notice)
 
     def refuses(self, comparison: SourceComparison) -> bool:
-        """Whether the two are surely too far apart to fly."""
+        """Whether the difference exceeds the bound by `SIGMA_THRESHOLD`."""
         return _surely_beyond(comparison, self.bound)
 
     def words(self, comparison: SourceComparison) -> str:
@@ -93,10 +93,10 @@ ROWS: Final = (
         first="the vehicle's file",
         second="the autopilot's parameter; by attitude, the thrust that holds it in the air",
         unit="%",
-        before="announced from 15 % on; by attitude, refused where what holds it is not known to 10 %, "
-        "or is not 0.5 to 1.6 times either",
-        in_flight="learnt from what is felt; falling 0.5 m/s faster than planned, control returns to the "
-        "autopilot",
+        before="announced from 15 % on; by attitude, refused if the measured thrust is not known to 10 %, or "
+        "is not 0.5 to 1.6 times one of the two",
+        in_flight="learnt from the accelerometer; if the vehicle falls 0.5 m/s faster than planned, control "
+        "returns to the autopilot",
     ),
     SourceRow(
         Quantity.ATTITUDE,
@@ -125,7 +125,7 @@ ROWS: Final = (
         unit="deg",
         # the standard deviation holds what model and setting may err by
         notice=0.0,
-        before="announced; the heading that it turns is refused as heading",
+        before="announced; a wrong heading that follows from it is refused as heading",
         in_flight="learnt from the GPS velocities of the first manoeuvres",
         hint="leave estimate.magnetic_field_ned_ut out: the model's is taken",
     ),
@@ -135,7 +135,7 @@ ROWS: Final = (
         second="the echo",
         unit="m",
         before=_SHOWN,
-        in_flight="echoes far nearer than the pad: it searches again (ground near)",
+        in_flight="if echoes are far shorter than that height, the app searches again (ground near)",
     ),
     SourceRow(
         Quantity.PAD_SCALE,
@@ -212,7 +212,7 @@ ROWS: Final = (
         notice=4.0,
         # grass, a place measured by a ruler: 3 cm each; a vehicle that falls from there lands at 1 m/s
         bound=5.0,
-        in_flight="flown is the mean of both, by their variances; contact needs several signs",
+        in_flight="the mean of both, weighted by their variances, is used; contact needs several signs",
         hint="measure from the centre of mass to the feet, and range_position_body_m",
     ),
     SourceRow(
@@ -242,7 +242,7 @@ def judged(comparisons: Iterable[SourceComparison]) -> Iterator[tuple[SourceRow,
 
 
 def announced(comparisons: Iterable[SourceComparison]) -> Iterator[tuple[Quantity, str]]:
-    """Those whose sources are surely further apart than goes unsaid, in words."""
+    """The comparisons beyond the notice, in words."""
     for comparison in comparisons:
         row = TABLE[comparison.quantity]
         if row.announces(comparison):
@@ -250,7 +250,7 @@ def announced(comparisons: Iterable[SourceComparison]) -> Iterator[tuple[Quantit
 
 
 def refused(comparisons: Iterable[SourceComparison]) -> Iterator[tuple[Quantity, str]]:
-    """Those that nobody flies with, in words."""
+    """The comparisons beyond the bound, in words."""
     for comparison in comparisons:
         row = TABLE[comparison.quantity]
         if row.refuses(comparison):

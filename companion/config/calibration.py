@@ -29,9 +29,9 @@ class CameraCalibration(StrictModel):
 
     provenance: Provenance
     board: str
-    """What was shown"""
+    """The board that was shown"""
     board_bow_m: float = Field(ge=0.0)
-    """How far from flat it was found to be"""
+    """Deviation of the board from flat, as found"""
     corners: int = Field(ge=0)
     """Corners used"""
     corners_dropped: int = Field(default=0, ge=0)
@@ -59,4 +59,4 @@ class CameraCalibration(StrictModel):
     largest_tilt_deg: float = Field(ge=0.0, le=90.0)
     """Largest tilt of the board"""
     verdict: tuple[str, ...] = Field(default=())
-    """What speaks against it; it was written by force"""
+    """Why it would have been refused; it was written with --force"""

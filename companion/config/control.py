@@ -20,28 +20,28 @@ class LimitsConfig(StrictModel):
     """Greatest descent rate that is sent. Higher is worse: a wrong height ends in a harder fall. Lower it for
     a vehicle that enters its own downwash"""
     horizontal_acceleration_m_s2: float = Field(default=5.5, gt=0.0, le=10.0)
-    """Greatest horizontal acceleration that is sent. Higher is worse: it tilts farther. Raise it in strong
-    wind, which takes its part of it"""
+    """Greatest horizontal acceleration that is sent. Higher is worse: the vehicle tilts more. Raise it in
+    strong wind, which uses part of it"""
     vertical_acceleration_m_s2: float = Field(default=3.0, gt=0.0, le=8.0)
-    """Greatest vertical acceleration that is asked for, beside what a push downward takes; lower it for a
-    vehicle with little thrust to spare"""
+    """Greatest vertical acceleration that is commanded, in addition to what compensates a downward push;
+    lower it for a vehicle with little thrust to spare"""
     tilt_deg: float = Field(default=30.0, gt=0.0, le=45.0)
     """Greatest tilt of the thrust axis from the vertical; set it below the autopilot's own limit
     (`MPC_TILTMAX_AIR`, `ANGLE_MAX`). Attitude setpoints: of the attitude. Acceleration setpoints, and the
-    acceleration of velocity setpoints: the horizontal part is at most g tan(tilt), so that the tilt is bound
-    at constant vertical speed only. What the autopilot's velocity loop adds is not bound"""
+    acceleration of velocity setpoints: the horizontal part is at most g tan(tilt), so that the tilt is
+    bounded at constant vertical speed only. What the autopilot's velocity loop adds is not bounded"""
     jerk_m_s3: float = Field(default=20.0, gt=0.0, le=200.0)
     """Greatest change of the acceleration. Higher is worse: a wrong plan acts sooner. Lower it for a large
-    frame that answers slowly"""
+    frame with a slow response"""
     heading_rate_deg_s: float = Field(default=90.0, gt=0.0, le=180.0)
     """Greatest turn rate; lower it for a vehicle that yaws slowly"""
     minimum_thrust: float = Field(default=0.05, ge=0.0, le=0.5)
-    """Least thrust in attitude setpoints, 0..1; it holds in the air only. Lower is worse: rotors that hardly
-    turn hold no attitude. Raise it to the autopilot's own least thrust (`MPC_THR_MIN`, `MOT_SPIN_MIN`)"""
+    """Smallest thrust in attitude setpoints, 0..1, in the air only. Lower is worse: slow rotors cannot
+    control the attitude. Raise it to the autopilot's own smallest thrust (`MPC_THR_MIN`, `MOT_SPIN_MIN`)"""
     maximum_thrust: float = Field(default=1.0, gt=0.5, le=1.0)
-    """Greatest thrust in attitude setpoints, 0..1. What roll and pitch need goes before it in the mixers of
-    both autopilots, whose own altitude hold uses all of it. Lower it for a motor or battery that must be
-    spared"""
+    """Greatest thrust in attitude setpoints, 0..1. The mixers of both autopilots give roll and pitch
+    priority over it, and their own altitude hold uses the full thrust. Lower it to protect motors or
+    battery"""
 
 
 class TrackingConfig(StrictModel):
@@ -51,16 +51,16 @@ class TrackingConfig(StrictModel):
     """Position error that costs 1; lower it to track tighter, raise it for more margin
     (docs/explanation/margins.md)"""
     velocity_m_s: float = Field(gt=0.0, le=10.0)
-    """Velocity error that costs 1; lower it for more damping, raise it where velocity noise shakes the
-    vehicle or makes the motors surge (docs/explanation/margins.md)"""
+    """Velocity error that costs 1; lower it for more damping, raise it if velocity noise shakes the vehicle
+    or makes the motors surge (docs/explanation/margins.md)"""
     acceleration_m_s2: float = Field(gt=0.0, le=100.0)
     """Acceleration error that costs 1; lower it for smoother changes of tilt or thrust, at the price of
     lag"""
     effort_m_s2: float = Field(gt=0.0, le=100.0)
-    """Deviation of the command from what the reference needs that costs 1; raise it to use more tilt or
+    """Deviation that costs 1, of the command from what the reference needs; raise it to use more tilt or
     thrust against an error, lower it for calmer flight"""
     effort_change_m_s2: float = Field(gt=0.0, le=100.0)
-    """Change of that deviation, from step to step, that costs 1; lower it for smoother setpoints, raise it
+    """Change of this deviation from step to step that costs 1; lower it for smoother setpoints, raise it
     for quicker ones"""
 
 
@@ -75,8 +75,8 @@ class PidGains(StrictModel):
     integral_gain_1_s3: float = Field(ge=0.0, le=40.0)
     """Acceleration for a metre of error over a second; tune it by `python -m experiments tune-flight-pid`"""
     integral_limit_m_s2: float = Field(default=3.0, ge=0.0, le=8.0)
-    """Greatest acceleration of the integral; raise it for stronger wind, or where the hover thrust is known
-    badly"""
+    """Greatest acceleration of the integral; raise it for stronger wind, or if the hover thrust is
+    uncertain"""
 
 
 class PidConfig(StrictModel):
@@ -90,13 +90,13 @@ class ControlConfig(StrictModel):
     """The tracker and what it sends."""
 
     output: Literal["setpoints", "landing_target"] = Field(default="setpoints", json_schema_extra=OPERATOR)
-    """`setpoints` fly the vehicle; `landing_target` flies nothing: it sends the pad as LANDING_TARGET, to
-    the autopilot's own landing (docs/how-to/vision-only.md); set it where the autopilot is to land by
+    """`setpoints`: the app flies the vehicle; `landing_target`: it only sends the pad as LANDING_TARGET,
+    for the autopilot's own landing (docs/how-to/vision-only.md); set it if the autopilot is to land by
     itself"""
     target_lead_s: float = Field(default=0.0, ge=0.0, le=2.0)
-    """With `output: landing_target`: the target is where the pad will be so much later, since the autopilot
-    follows late; 0 sends it as seen. Set it for a pad that drives, as docs/how-to/vision-only.md says; too
-    long is worse: the vehicle lands ahead of the pad"""
+    """With `output: landing_target`: the target is the pad's predicted position after this time, which
+    compensates for the autopilot's lag; 0 sends it as seen. Set it for a pad that drives, as
+    docs/how-to/vision-only.md says; too long is worse: the vehicle lands in front of the pad"""
     controller: Literal["mpc", "riccati", "pid"] = Field(default="mpc")
     """Tracker of the plan: the constrained MPC, the paper's recursion without constraints, or a PID; change
     it for comparison only"""
@@ -104,13 +104,13 @@ class ControlConfig(StrictModel):
     setpoint: Literal["auto", "velocity", "acceleration", "attitude"] = Field(default="auto")
     """Kind of setpoint: velocity with acceleration; acceleration with the vertical velocity alone (PX4;
     ArduPilot gets attitude then); attitude with thrust; `auto` is `acceleration` to PX4 and `attitude` to
-    ArduPilot. With PX4, change it to `velocity` where the link's delay is not known within 50 ms"""
+    ArduPilot. With PX4, change it to `velocity` if the link's delay is not known within 50 ms"""
     rate_hz: float = Field(default=30.0, ge=10.0, le=100.0)
     """Rate of the loop that plans, controls and sends; lower it on a slow computer"""
     horizon_steps: int = Field(default=20, ge=5, le=100)
     """Steps of the horizon; lower it to save CPU"""
     step_s: float = Field(default=0.1, ge=0.01, le=0.5)
-    """Length of a step; lengthen it with fewer steps, to look as far ahead with less CPU"""
+    """Length of a step; lengthen it with fewer steps, for the same horizon with less CPU"""
     command_delay_s: float = Field(default=0.03, ge=0.0, le=0.2)
     """Delay from the decision to the autopilot's loop; set it to your link's delay"""
     velocity_lookahead_s: float = Field(default=0.02, ge=0.0, le=0.5)
@@ -123,33 +123,32 @@ class ControlConfig(StrictModel):
     autopilot_climb_gain_1_s: float | None = Field(default=None, ge=0.2, le=12.0)
     """The autopilot's vertical velocity gain; set it from a recorded flight"""
     autopilot_lag_s: float | None = Field(default=None, ge=0.01, le=1.5)
-    """What the autopilot's shaping of velocity setpoints adds to the vehicle's lag, horizontally; set it to
-    what `companion identify` finds"""
+    """Additional horizontal lag by the autopilot's shaping of velocity setpoints; set it to what `companion
+    identify` finds"""
     autopilot_climb_lag_s: float | None = Field(default=None, ge=0.01, le=1.5)
-    """What its shaping of velocity adds to the lag, vertically; set it from a recorded flight"""
+    """Additional vertical lag by the autopilot's shaping of velocity setpoints; set it from a recorded
+    flight"""
     acceleration_estimate_lag_s: float = Field(default=0.035, ge=0.001, le=0.2)
     """Lag of the acceleration estimate: sensor and its filters; change it with those filters"""
     maximum_disturbance_m_s2: float = Field(default=5.0, ge=0.0, le=8.0)
     """Greatest disturbance that the observer estimates; raise it for strong wind"""
     maximum_velocity_correction_m_s: float = Field(default=0.6, ge=0.0, le=3.0)
-    """Greatest velocity offset that compensates it, by velocity setpoints; raise it for an autopilot whose
-    velocity is off by more"""
+    """Greatest velocity offset that compensates a disturbance, with velocity setpoints; raise it for an
+    autopilot with a larger velocity error"""
     horizontal_reach_m: float = Field(default=1.65, gt=0.0, le=20.0)
-    """A reference farther off is drawn nearer; lower it where a far reference makes the vehicle tilt too
-    far"""
+    """A reference beyond this distance is moved to it; lower it if a far reference makes the vehicle tilt
+    too much"""
     vertical_reach_m: float = Field(default=0.7, gt=0.0, le=20.0)
-    """A reference farther above or below is drawn nearer; lower it against hard drops"""
+    """A reference farther above or below is moved to this distance; lower it against hard drops"""
     ground_descent_m_s: float = Field(default=1.0, ge=0.1, le=1.5)
-    """On the pad: descent commanded, so that the autopilot reduces its thrust; raise it where the autopilot
-    does not detect its landing"""
+    """Descent rate commanded on the pad, so that the autopilot reduces its thrust; raise it if the
+    autopilot does not detect its landing"""
     ground_acceleration_m_s2: float = Field(default=2.0, ge=0.0, le=3.0)
-    """On the pad: downward acceleration commanded; raise it where the autopilot does not detect its
-    landing"""
+    """Downward acceleration commanded on the pad; raise it if the autopilot does not detect its landing"""
     maximum_iterations: int = Field(default=400, ge=50, le=10000)
     """Largest number of solver iterations; raise it only if solves fail"""
     solve_limit_s: float = Field(default=0.01, gt=0.0, le=0.1)
-    """Longest solve by the clock on the vehicle; beyond it the last plan is used. Lower it on a slow
-    computer"""
+    """Longest solving time on the vehicle; after it the last plan is used. Lower it on a slow computer"""
     horizontal: TrackingConfig = TrackingConfig(
         position_m=0.145, velocity_m_s=0.4, acceleration_m_s2=4.0, effort_m_s2=1.0, effort_change_m_s2=4.0
     )

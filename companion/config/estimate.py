@@ -15,13 +15,13 @@ class AlignmentConfig(StrictModel):
     """Standing still this long gives the first attitude and the gyroscope's bias; raise it for a noisy
     gyroscope"""
     timeout_s: float = Field(default=15.0, ge=1.0, le=120.0)
-    """Started in motion, a rest within this long from the beginning starts the estimate again; raise it for a
-    vehicle that is carried to its place"""
+    """If the start was in motion, a rest within this time from the start restarts the estimate; raise it
+    for a vehicle that is carried to its place"""
     still_rate_rad_s: float = Field(default=0.02, gt=0.0, le=0.2)
     """Standard deviation of the turn rate that counts as still; raise it if wind or a deck shakes the
     vehicle"""
     still_force_m_s2: float = Field(default=0.25, gt=0.0, le=2.0)
-    """Deviation of the specific force that counts as still; raise it with that one"""
+    """Deviation of the specific force that counts as still; raise it together with still_rate_rad_s"""
 
 
 class OrientationConfig(StrictModel):
@@ -45,19 +45,22 @@ class EkfConfig(StrictModel):
     mag_noise_ut: float = Field(default=5.0, gt=0.0, le=20.0)
     """Noise of a magnetometer sample; raise it near motor currents"""
     mag_wander_s: float = Field(default=0.05, ge=0.0, le=100.0)
-    """How long a field's error lasts beyond biases; lower it where the field changes fast (a steel deck)"""
+    """Correlation time of the magnetic field's error beyond its biases; lower it where the field changes
+    fast (a steel deck)"""
     orientation_timeout_s: float = Field(default=3.0, gt=0.0, le=60.0)
-    """The pre-filter's attitude refused this long: the EKF takes it over; raise it where the EKF restarts its
-    attitude without need"""
+    """If the pre-filter's attitude is refused for this time, the EKF adopts it; raise it if the EKF
+    restarts its attitude without need"""
     gps_accuracy_factor: float = Field(default=0.3, gt=0.0, le=5.0)
-    """Standard deviation as a multiple of the accuracy that the receiver claims; raise it for a receiver that
-    claims too much"""
+    """Standard deviation as a multiple of the accuracy that the receiver claims; raise it for a receiver
+    that claims too small an error"""
     gps_position_noise_m: float = Field(default=1.0, gt=0.0, le=50.0)
-    """Least noise of a fix's position, which wanders slowly; lower it only for RTK"""
+    """Smallest noise of a fix's position, which drifts slowly; lower it only for RTK"""
     gps_wander_s: float = Field(default=60.0, ge=0.0, le=1000.0)
-    """How long a GPS position's error lasts; raise it where buildings hold a wrong position for long"""
+    """Correlation time of a GPS position's error; raise it near buildings, where a wrong position lasts
+    long"""
     gps_velocity_noise_m_s: float = Field(default=0.085, gt=0.0, le=5.0)
-    """Least noise of a fix's velocity; raise it for a receiver whose velocities are worse than it claims"""
+    """Smallest noise of a fix's velocity; raise it for a receiver whose velocities are worse than it
+    claims"""
     remember_s: float = Field(default=0.6, ge=0.1, le=3.0)
     """Largest delay of a measurement that is still fused; raise it for a slow link"""
     shaking_bound_m_s2: float = Field(default=2.0, gt=0.0, le=50.0)
@@ -66,11 +69,11 @@ class EkfConfig(StrictModel):
     """Standard deviation of zero velocity, taken as a measurement before the first fix; raise it for a start
     on a moving deck"""
     accel_bias_std_m_s2: float = Field(default=0.1, gt=0.0, le=2.0)
-    """First uncertainty of the accelerometer's bias; raise it without an inertial calibration"""
+    """Initial uncertainty of the accelerometer's bias; raise it without an inertial calibration"""
     field_std_ut: float = Field(default=0.3, gt=0.0, le=20.0)
-    """First uncertainty of the geomagnetic field; raise it when the field setting is a guess"""
+    """Initial uncertainty of the geomagnetic field; raise it if the field setting is a guess"""
     mag_bias_std_ut: float = Field(default=1.0, gt=0.0, le=50.0)
-    """First uncertainty of the magnetometer's bias; raise it without a calibration"""
+    """Initial uncertainty of the magnetometer's bias; raise it without a calibration"""
 
 
 WavePeriod = Annotated[float, Field(ge=1.0, le=30.0)]
@@ -84,15 +87,15 @@ class PadFilterConfig(StrictModel):
     """Process noise of the acceleration of a pad that speeds up or brakes; raise it for a pad that does so
     abruptly"""
     turn_snap_m_s4_rthz: float = Field(default=0.3, gt=0.0, le=50.0)
-    """Process noise of the jerk of a turning pad, beyond the turn itself; lower it for less motion of the
-    vehicle over the pad, raise it for a pad whose bends begin abruptly"""
+    """Process noise of the jerk of a turning pad, in addition to the turn itself; lower it for less motion
+    of the vehicle over the pad, raise it for a pad whose curves begin abruptly"""
     sway_period_s: WavePeriod = Field(default=3.5)
     """Period of the pad's horizontal motion in waves; set it to your deck's"""
     sway_acceleration_std_m_s2: float = Field(default=0.2, gt=0.0, le=10.0)
     """Horizontal acceleration in waves; raise it for higher waves"""
     # vertically: a pad that stays level, and seas of these periods
     wave_periods_s: tuple[WavePeriod, ...] = Field(default=(7.0, 4.5, 2.8), min_length=1, max_length=6)
-    """Periods of the waves that a pad may ride, a model each; change them for a known deck"""
+    """Periods of the waves that may move the pad, one model for each; change them for a known deck"""
     wave_acceleration_std_m_s2: float = Field(default=0.5, gt=0.0, le=10.0)
     """Vertical acceleration in waves; raise it for higher waves"""
     tilt_acceleration_rad_s2_rthz: float = Field(default=0.1, gt=0.0, le=20.0)
@@ -101,8 +104,8 @@ class PadFilterConfig(StrictModel):
     """Factor on the position noise that a sighting states; raise it above 1 for a camera whose noise is
     understated"""
     camera_delay_std_s: float = Field(default=0.03, ge=0.0, le=0.05)
-    """Uncertainty of the camera stamps' delay, which is learnt in flight; 0: it is known; lower it once
-    `calibrate-mount` has measured the delay"""
+    """Uncertainty of the camera stamps' delay, which is learnt in flight; 0: the delay is known; lower it
+    once `calibrate-mount` has measured the delay"""
     exposure_jitter_s: float = Field(default=0.001, ge=0.0, le=0.1)
     """Jitter of the exposure time against the IMU's clock; raise it where frames are stamped on arrival"""
     first_speed_std_m_s: float = Field(default=2.0, gt=0.0, le=20.0)
@@ -110,7 +113,8 @@ class PadFilterConfig(StrictModel):
     range_noise_m: float = Field(default=0.03, gt=0.0, le=1.0)
     """Noise of an echo; raise it for a rough or soft pad surface"""
     sighting_timeout_s: float = Field(default=0.5, gt=0.0, le=10.0)
-    """Sightings refused this long: start again from the next; lower it for a pad that moves abruptly"""
+    """If sightings are refused for this time, the filter starts again from the next one; lower it for a pad
+    that moves abruptly"""
     remember_s: float = Field(default=1.0, ge=0.1, le=5.0)
     """Largest delay of a sighting that is still fused; raise it for a slow camera"""
     forget_s: float = Field(default=10.0, ge=1.0, le=60.0)

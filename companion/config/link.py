@@ -30,26 +30,27 @@ class LinkConfig(StrictModel):
     """
 
     connection: str = Field(default="udpin:127.0.0.1:14540", json_schema_extra=OPERATOR)
-    """Link to the autopilot: `serial:PATH:BAUD`, `udp:HOST:PORT` or `tcp:HOST:PORT` (we call),
-    `udpin:HOST:PORT` (we listen); set it to the wiring's"""
+    """Link to the autopilot: `serial:PATH:BAUD`, `udp:HOST:PORT` or `tcp:HOST:PORT` (the app connects),
+    `udpin:HOST:PORT` (the app listens); set it as wired"""
     actions: Literal["mavsdk", "pymavlink"] = Field(default="mavsdk")
-    """Arming, take-off and the like by MAVSDK, or by pymavlink; change it for signing, or to run without
-    MAVSDK's server. Flights in real time use this setting; with `--fast` it is always pymavlink, since MAVSDK
-    has threads and a clock of its own"""
+    """Library for actions such as arming and take-off: MAVSDK or pymavlink; change it for signing, or to
+    run without MAVSDK's server. Flights in real time use this setting; with `--fast` it is always
+    pymavlink, since MAVSDK has threads and a clock of its own"""
     system_id: int = Field(default=1, ge=0, le=255)
-    """The vehicle's system, and so ours; 0 takes the first autopilot received. Set it when several vehicles
-    share a link"""
+    """System id of the vehicle, which the app uses too; 0 takes the first autopilot received. Set it when
+    several vehicles share a link"""
     component_id: int = Field(default=191, ge=2, le=255)
-    """Our component; change it where another component has this number"""
+    """Component id of the app; change it if another component has this id"""
     mavsdk_component_id: int = Field(default=192, ge=2, le=255)
-    """Component number of MAVSDK; change it where another component has this number"""
+    """Component id of MAVSDK; change it if another component has this id"""
     ground_system_id: int = Field(default=255, ge=1, le=255)
-    """The ground station's system; only its pad position reports are used; set it to the ground station's
-    where it is not the usual 255"""
+    """System id of the ground station; only its pad position reports are used; set it if your ground
+    station does not use 255"""
     beacon_component_id: int | None = Field(default=None, ge=1, le=255)
-    """Component of the ground station's whose FOLLOW_TARGET is the pad's position without being asked for;
-    none: only an answer to our request, accepted by COMMAND_ACK, counts, since ground stations stream their
-    operator's position (Follow Me); set it to that of a beacon that streams"""
+    """Component id, in the ground station's system, whose FOLLOW_TARGET counts as the pad's position
+    without a request. None: only an answer to the app's request, accepted by COMMAND_ACK, counts, since
+    ground stations also stream their operator's position (Follow Me). Set it to that of a beacon that
+    streams"""
     maximum_pad_speed_m_s: float = Field(default=8.0, gt=0.0, le=30.0)
     """A pad position report with a greater speed is refused; raise it for faster pads"""
     heartbeat_timeout_s: float = Field(default=3.0, ge=1.0, le=30.0)
@@ -60,15 +61,16 @@ class LinkConfig(StrictModel):
     command_tries: int = Field(default=4, ge=1, le=10)
     """Tries of a command before it is given up; raise it for a lossy link"""
     force_disarm: bool = Field(default=True)
-    """Allow disarming by force after a touchdown that has stood for seconds; never elsewhere. Without it PX4
-    may stay armed on a moving pad. Turn it off where a pilot disarms"""
+    """Allow disarming by force, only when the vehicle has stood for seconds after a touchdown. Without it
+    PX4 may stay armed on a moving pad. Turn it off if a pilot disarms"""
     set_parameters: bool = Field(default=False, json_schema_extra=OPERATOR)
     """Allow setting bit 3 of ArduPilot's GUID_OPTIONS, which attitude setpoints need; without it arming and
-    control are refused while the bit is missing. Set it where you do not set the parameter yourself"""
+    control are refused while the bit is missing. Set it if you do not set the parameter yourself"""
     signing_key: Path | None = Field(default=None, json_schema_extra=OPERATOR)
-    """File with the key of MAVLink 2 signing, mode 0600: 32 bytes or a passphrase. All that is sent is
-    signed; unsigned frames, and those sent a second time, are refused; needs `actions: pymavlink`. Without it
-    anyone who reaches the link can command the vehicle: set it on a radio or a network that others reach"""
+    """File with the key of MAVLink 2 signing, mode 0600: 32 bytes or a passphrase. All frames sent are
+    signed; received frames that are unsigned or repeated are refused; needs `actions: pymavlink`. Without
+    it anyone who reaches the link can command the vehicle: set it on a radio or a network that others
+    reach"""
 
     @field_validator("connection")
     @classmethod

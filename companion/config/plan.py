@@ -19,11 +19,11 @@ class GuidanceConfig(StrictModel):
     """What the reference may ask for, relative to the pad: a fixed camera must keep it in view."""
 
     minimum_time_s: float = Field(default=1.0, ge=0.3, le=5.0)
-    """T_min of eq. 37: the shortest time for a trajectory; raise it for a vehicle that answers slowly; lower
-    it only to compare with the paper"""
+    """T_min of eq. 37: the shortest time for a trajectory; raise it for a vehicle with a slow response;
+    lower it only to compare with the paper"""
     horizontal_speed_m_s: float = Field(default=3.0, gt=0.0, le=10.0)
-    """Greatest horizontal speed of the reference, relative to the pad, so on top of its own speed; raise it
-    to catch up sooner"""
+    """Greatest horizontal speed of the reference relative to the pad, in addition to the pad's speed; raise
+    it to catch up sooner"""
     vertical_speed_m_s: float = Field(default=1.2, gt=0.0, le=5.0)
     """Greatest vertical speed of the reference; lower it against vortex ring state"""
     horizontal_acceleration_m_s2: float = Field(default=2.0, gt=0.0, le=5.0)
@@ -33,7 +33,7 @@ class GuidanceConfig(StrictModel):
     """Greatest vertical acceleration of the reference; lower it for a heavy vehicle with little thrust to
     spare"""
     heading_rate_deg_s: float = Field(default=30.0, gt=0.0, le=180.0)
-    """Greatest turn rate of the reference, beside that of the pad itself; lower it for a vehicle that yaws
+    """Greatest turn rate of the reference, in addition to the pad's; lower it for a vehicle that yaws
     slowly"""
 
 
@@ -47,8 +47,8 @@ class PlanConfig(StrictModel):
     """Rules for the approach speed: a name in configs/fuzzy, or a path; set it to rules of your own for a
     slower or faster approach (docs/explanation/fuzzy.md)"""
     pace: bool = Field(default=False)
-    """Approach and descent quicker or slower by how well the pad is seen and followed, and by gusts, as the
-    fuzzy rules say; set it to come in more slowly in bad conditions and more quickly in good ones
+    """Adapt the speed of approach and descent to the conditions: how well the pad is seen and followed, and
+    gusts; set it to fly more slowly in bad conditions and faster in good ones
     (docs/explanation/fuzzy.md)"""
     fixed_speed_m_s: float = Field(default=0.9, ge=0.2, le=3.0)
     """With `speed_law: fixed`: the average speed over the remaining path; set it to the speed that you
@@ -56,8 +56,8 @@ class PlanConfig(StrictModel):
     obstacles: tuple[Shape, ...] = Field(default=(), max_length=MOST_OBSTACLES, json_schema_extra=OPERATOR)
     """Obstacles to keep clear of (docs/how-to/obstacles.md); list them as they stand"""
     obstacle_margin_m: float = Field(default=1.5, ge=0.1, le=20.0, json_schema_extra=OPERATOR)
-    """Kept between the rotors' tips and every obstacle; covers the drift of our position. Raise it for long
-    flights or GPS loss"""
+    """Distance kept between the rotor tips and every obstacle; it has to cover the drift of the position.
+    Raise it for long flights or GPS loss"""
     obstacle_ceiling_m: float = Field(default=15.0, ge=1.0, le=120.0, json_schema_extra=OPERATOR)
     """Greatest height over home to pass over an obstacle; set it to the legal one"""
     mission: MissionConfig = MissionConfig()

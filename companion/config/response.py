@@ -18,14 +18,14 @@ class AxisResponse(StrictModel):
     """Along one direction: from the setpoint as it leaves to the acceleration that is flown."""
 
     dead_time_s: float = Field(ge=0.0, le=0.5)
-    """From the setpoint as it leaves until the vehicle begins to answer. Change these with your own frame:
+    """Time from sending a setpoint until the vehicle begins to respond. Change these for your own frame:
     `make bench-response` finds them"""
     frequency_rad_s: float = Field(gt=0.5, le=200.0)
     """Natural frequency of the second-order response"""
     damping: float = Field(gt=0.1, le=3.0)
     """Damping ratio of that response"""
     gain: float = Field(default=1.0, ge=0.5, le=2.0)
-    """Overshoot of a step as a factor; in the long run it is 1"""
+    """Factor on the response to a step at first; in the long run it is 1"""
     velocity_gain_1_s: float = Field(default=0.0, ge=0.0, le=10.0)
     """K: acceleration for each m/s of velocity error, 0 without a velocity loop. Set it with the autopilot's
     own gain (`MPC_XY_VEL_P_ACC`, `MPC_Z_VEL_P_ACC`)"""
@@ -44,10 +44,10 @@ class KindResponse(StrictModel):
     sideways: AxisResponse
     down: AxisResponse
     acceleration_m_s2: float | None = Field(default=None, gt=0.0, le=20.0)
-    """Largest horizontal acceleration that the autopilot flies by its own limits; none: no such limit. Set it
-    to the limit that you set there"""
+    """Largest horizontal acceleration by the autopilot's own limits; none: no such limit. Set it to the
+    autopilot's parameter"""
     jerk_m_s3: float | None = Field(default=None, gt=0.0, le=200.0)
-    """Largest horizontal jerk that it flies; none: no such limit"""
+    """Largest horizontal jerk by the autopilot's own limits; none: no such limit"""
 
 
 class AutopilotResponses(StrictModel):

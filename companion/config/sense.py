@@ -24,7 +24,7 @@ class ImuConfig(StrictModel):
 
     bus: str = Field(default="i2c:1", json_schema_extra=OPERATOR)
     """`i2c:N` for /dev/i2c-N; `spi:B.C` for /dev/spidevB.C; `socket:PATH` or `spi-socket:PATH` for a
-    simulator in another process; set it to the wiring's"""
+    simulator in another process; set it as wired"""
     address: int = Field(default=0x68, ge=0x68, le=0x69, json_schema_extra=OPERATOR)
     """I²C address: 0x68 (104), or 0x69 (105) with AD0 high; set it to the board's"""
     rate_hz: int = Field(default=200, ge=50, le=1000)
@@ -33,8 +33,8 @@ class ImuConfig(StrictModel):
     """How often the chip is read, magnetometer included; its FIFO holds 36 samples; raise it for a faster
     `rate_hz`, lower it to save CPU"""
     read: Literal["fifo", "registers"] = Field(default="fifo")
-    """From the FIFO, or from the output registers as soon as they hold a new sample; change it only for a
-    chip whose FIFO does not work"""
+    """Read samples from the FIFO, or from the output registers as soon as they hold a new sample; change it
+    only for a chip whose FIFO does not work"""
     gyro_range_deg_s: Literal[250, 500, 1000, 2000] = Field(default=500)
     """Full scale of the gyroscope; raise it only if it saturates in flight"""
     accel_range_g: Literal[2, 4, 8, 16] = Field(default=8)
@@ -42,7 +42,7 @@ class ImuConfig(StrictModel):
     filter_hz: Literal[184, 92, 41, 20] = Field(default=92)
     """The chip's digital low-pass filter; lower it against vibration, at the price of delay"""
     mag_path: Literal["master", "bypass"] = Field(default="master")
-    """How the magnetometer is read: through the chip's own I2C master, or past it on our bus (not on SPI);
+    """How the magnetometer is read: through the chip's own I2C master, or directly on the bus (not on SPI);
     change it for chips whose master does not work"""
     mag_rate_hz: Literal[8, 100] = Field(default=100)
     """Magnetometer rate; lower it on a slow bus"""
@@ -87,18 +87,18 @@ class GpsConfig(StrictModel):
     """NEO-6M on a serial port: its rate is found, and then set to `baud`."""
 
     port: str = Field(default="/dev/ttyAMA0", json_schema_extra=OPERATOR)
-    """Serial port of the NEO-6M; set it to the wiring's"""
+    """Serial port of the NEO-6M; set it as wired"""
     baud: Literal[9600, 19200, 38400, 57600, 115200] = Field(default=38400)
     """Baud rate to set; the receiver's present rate is found first. Lower it only on a line that loses
     bytes"""
     rate_hz: int = Field(default=5, ge=1, le=5)
     """Requested fixes per second; lower it for a receiver or line that cannot keep it"""
     latency_s: float = Field(default=0.12, ge=0.0, le=0.5)
-    """From the moment a fix is valid to the first bit of its first message, at least; set it for another
-    receiver"""
+    """Shortest time from the moment for which a fix is valid to the first bit of its first message; set it
+    for another receiver"""
     maximum_hdop: float = Field(default=6.0, ge=1.0, le=50.0)
     """A fix with a larger horizontal dilution of precision is refused; lower it among buildings, where such
-    fixes are wrong; raise it where the app waits for a fix in vain"""
+    fixes are wrong; raise it if the app never gets a fix"""
     antenna_position_body_m: Vector = Field(default=(0.0, 0.0, -0.05), json_schema_extra=OPERATOR)
     """Position of the antenna from the centre of mass, FRD; measure it on your vehicle"""
 
@@ -114,23 +114,23 @@ class RangeConfig(StrictModel):
     """`frames`: a serial port with 4-byte frames; `polled`: a US-100, polled over a serial port; `gpio`:
     trigger and echo pins; set it to the sensor that is mounted"""
     port: str = Field(default="/dev/ttyAMA1", json_schema_extra=OPERATOR)
-    """Serial port of the rangefinder (frames, polled); set it to the wiring's"""
+    """Serial port of the rangefinder (frames, polled); set it as wired"""
     trigger_pin: int = Field(default=23, ge=0, le=27, json_schema_extra=OPERATOR)
-    """Trigger pin, Broadcom number (gpio); set it to the wiring's"""
+    """Trigger pin, Broadcom number (gpio); set it as wired"""
     echo_pin: int = Field(default=24, ge=0, le=27, json_schema_extra=OPERATOR)
-    """Echo pin, Broadcom number, behind a divider to 3.3 V (gpio); set it to the wiring's"""
+    """Echo pin, Broadcom number, behind a divider to 3.3 V (gpio); set it as wired"""
     rate_hz: float = Field(default=12.5, ge=2.0, le=16.0)
-    """Polling rate (polled, gpio); lower it where the echo of one pulse reaches the next"""
+    """Polling rate (polled, gpio); lower it if the echo of one pulse arrives after the next pulse"""
     air_temperature_c: float = Field(default=20.0, ge=-30.0, le=50.0)
-    """Air temperature, for the speed of sound (gpio); 10 °C off are nearly 2 % of the height. Set it to the
-    day's"""
+    """Air temperature, for the speed of sound (gpio); an error of 10 °C makes the height wrong by nearly 2
+    %. Set it to the day's temperature"""
     minimum_m: float = Field(default=0.03, ge=0.02, le=0.5)
     """Shorter distances are refused; raise it if legs or ground give false ones"""
     maximum_m: float = Field(default=4.5, ge=0.5, le=10.0)
     """Longer distances are refused; set it to the sensor's range"""
     maximum_speed_m_s: float = Field(default=3.0, ge=0.5, le=20.0)
-    """A distance that changes faster is a spike until the next one confirms it; raise it for a pad that moves
-    up and down faster than this"""
+    """A distance that changes faster counts as a spike unless the next one confirms it; raise it for a pad
+    that moves up and down faster than this"""
 
     @model_validator(mode="after")
     def _pins_differ(self) -> RangeConfig:
@@ -163,14 +163,14 @@ class AutopilotSensorsConfig(StrictModel):
     gps_latency_s: float = Field(default=0.12, ge=0.0, le=0.5)
     """Age of a GPS fix at its stamp; raise it for a slow receiver"""
     range_source: Literal["autopilot", "boards"] = Field(default="autopilot", json_schema_extra=OPERATOR)
-    """`autopilot`: its rangefinder; `boards`: the rangefinder on the companion computer; change it where the
-    autopilot has no rangefinder of its own"""
+    """`autopilot`: its rangefinder; `boards`: the rangefinder on the companion computer; change it if the
+    autopilot has no rangefinder"""
     range_rate_hz: float = Field(default=20.0, ge=1.0, le=100.0)
     """Requested rangefinder rate; lower it on a slow serial line"""
     magnetometer_calibration: str | None = Field(default=None, json_schema_extra=OPERATOR)
     """File of `calibrate-magnetometer` (docs/how-to/calibrate-magnetometer.md), applied on top of the
-    autopilot's own calibration; none: readings are used as received; set it where the autopilot's own
-    calibration leaves the heading off"""
+    autopilot's own calibration; none: readings are used as received; set it if the heading is wrong with
+    the autopilot's own calibration"""
 
 
 # roads and loading areas slope by a few degrees; a deck that rolls by 15 deg from side to side tilts up to 13
@@ -186,8 +186,8 @@ class VisionConfig(StrictModel):
     `gstreamer:PIPELINE`, `video:FILE` or `images:FOLDER` for a recording; `socket:PATH` or `tcp:HOST:PORT`
     for frames from another process (docs/reference/camera-frames.md); set it to the camera that is mounted"""
     unstamped_latency_s: float = Field(default=0.045, ge=0.0, le=0.5)
-    """Assumed age, on arrival, of a frame that carries no time: a network camera's, some of another
-    process's; set it to what you measured (docs/how-to/cameras.md)"""
+    """Assumed age on arrival of a frame without a time stamp (from a network camera, or from another
+    process without a clock); set it to the measured value (docs/how-to/cameras.md)"""
     pose: Literal["joint", "paper"] = Field(default="joint")
     """`joint`: one fit to all corners; `paper`: the mean of single-marker poses (eq. 1). Change it for
     comparison only"""
@@ -196,14 +196,14 @@ class VisionConfig(StrictModel):
     maximum_markers: int = Field(default=8, ge=1, le=100)
     """Largest number of markers refined and used in one frame; lower it to save CPU"""
     corner_noise_px: float = Field(default=0.005, gt=0.0, le=5.0)
-    """Noise of a corner, each axis, beyond what the scatter of its marker's sides shows; raise it for a soft
-    lens or a creased print"""
+    """Noise of a corner, each axis, in addition to the scatter of its marker's sides; raise it for a
+    blurred lens or a creased print"""
     scale_error: float = Field(default=0.003, ge=0.0, le=0.1)
     """Calibration error as a share of the distance; raise it for a poor calibration"""
     pad_on: Literal["fixed", "vehicle", "ship"] = Field(default="fixed", json_schema_extra=OPERATOR)
     """What the pad lies on: the ground (`fixed`), a car or a trailer (`vehicle`, tilts by 3° standard
-    deviation) or a ship (`ship`, by 6°); set it to yours. A pad that tilts by four times as much is
-    refused"""
+    deviation) or a ship (`ship`, by 6°); set it to yours. A pad tilted by more than four standard
+    deviations is refused"""
     level_std_deg: float = Field(default=2.0, gt=0.0, le=30.0)
     """Standard deviation of pad tilt and horizon error together; raise it for a pad that is not level"""
     relative_speed_std_m_s: float = Field(default=0.5, gt=0.0, le=20.0)
@@ -236,8 +236,8 @@ class SenseConfig(StrictModel):
 
     source: Literal["boards", "autopilot"] = Field(default="boards", json_schema_extra=OPERATOR)
     """Source of IMU, magnetometer, GPS and range: `boards` on the companion computer, or `autopilot` by
-    telemetry (docs/how-to/telemetry-sensors.md); set it to `autopilot` where the companion computer has no
-    sensors of its own"""
+    telemetry (docs/how-to/telemetry-sensors.md); set it to `autopilot` if the companion computer has no
+    sensors"""
     autopilot: AutopilotSensorsConfig = AutopilotSensorsConfig()
     imu: ImuConfig = ImuConfig()
     gps: GpsConfig = GpsConfig()

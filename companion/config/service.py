@@ -18,16 +18,16 @@ class OrdersConfig(StrictModel):
     """Who may ask for a landing; whatever is left out asks for nothing. See docs/how-to/service.md."""
 
     mavlink: bool = Field(default=True, json_schema_extra=OPERATOR)
-    """Take MAV_CMD_NAV_LAND, MAV_CMD_DO_LAND_START and MAV_CMD_USER_1 from `link.ground_system_id` for
-    orders; turn it off where others share the link without signing"""
+    """Take MAV_CMD_NAV_LAND, MAV_CMD_DO_LAND_START and MAV_CMD_USER_1 from `link.ground_system_id` as
+    orders; turn it off if others use the link without signing"""
     rc_channel: int | None = Field(default=None, ge=1, le=18, json_schema_extra=OPERATOR)
     """RC channel whose rise above `rc_on_us` orders a landing, and whose fall stops it; set it to a free
     switch"""
     rc_on_us: int = Field(default=1700, ge=1000, le=2000, json_schema_extra=OPERATOR)
-    """Pulse width (µs) above which that switch is on; set it to the transmitter's switch"""
+    """Pulse width (µs) above which the switch is on; set it for your transmitter's switch"""
     flight_mode: ModeName | None = Field(default=None, json_schema_extra=OPERATOR)
     """Flight mode whose entry by the pilot, from a mode flown by hand, orders a landing, for example GUIDED
-    on ArduPilot; not RTL, LAND or BRAKE; see docs/how-to/service.md; set it where the pilot has no free
+    on ArduPilot; not RTL, LAND or BRAKE; see docs/how-to/service.md; set it if the pilot has no free
     switch"""
     mission_item: int | None = Field(default=None, ge=0, le=65535, json_schema_extra=OPERATOR)
     """Number of the mission item that orders a landing when it is reached; set it to the last waypoint of
@@ -45,22 +45,22 @@ class ServeConfig(StrictModel):
     """Who may look at the app with a browser; without an address nobody. See docs/how-to/live-page.md."""
 
     address: str | None = Field(default=None, json_schema_extra=OPERATOR)
-    """Address and port of the live page (docs/how-to/live-page.md), ADDRESS:PORT, an IP address or localhost;
-    none: no page. `--serve` goes over it. Anything but loopback needs a token. Set it to watch every flight
-    of the service"""
+    """Address and port of the live page (docs/how-to/live-page.md), ADDRESS:PORT, an IP address or
+    localhost; none: no page. `--serve` overrides it. Any address except loopback needs a token. Set it to
+    watch every flight of the service"""
     token_file: Path | None = Field(default=None, json_schema_extra=OPERATOR)
-    """File with the page's token, mode 0600; else the environment variable COMPANION_SERVE_TOKEN. With a
-    token nothing is shown without it. Set it where others reach the network"""
+    """File with the page's token, mode 0600; by default the environment variable COMPANION_SERVE_TOKEN is
+    used. If there is a token, the page shows nothing without it. Set it if others can reach the network"""
     allow_commands: bool = Field(default=False, json_schema_extra=OPERATOR)
-    """Whether the page has buttons to land and to stop; needs a token. Set it where an operator orders
+    """Whether the page has buttons to land and to stop; needs a token. Set it if an operator orders
     landings by the page"""
     host_names: tuple[str, ...] = Field(default=(), max_length=16)
-    """Names by which browsers may call the page, beside IP addresses, localhost and the machine's own name;
-    set it for a name of your own network"""
+    """Names by which browsers may address the page, besides IP addresses, localhost and the machine's own
+    name; set it for a name of your own network"""
     rate_hz: float = Field(default=10.0, ge=1.0, le=30.0)
     """Pictures a second at most; lower it on a slow network"""
     most_viewers: int = Field(default=4, ge=1, le=16)
-    """Browsers at once; more are turned away; lower it for a slow computer or radio"""
+    """Largest number of browsers at once; more are refused; lower it for a slow computer or radio"""
 
     @field_validator("address")
     @classmethod

@@ -81,16 +81,16 @@ class CameraConfig(CaptureConfig):
     cy_px: float = Field(gt=0.0, lt=8192.0)
     """Principal point, from the top"""
     projection: Literal["perspective", "fisheye"] = Field(default="perspective")
-    """Whether straight lines stay nearly straight (`perspective`), or the image grows with the angle
-    (`fisheye`), for lenses beyond 120° across"""
+    """`perspective`: straight lines stay nearly straight; `fisheye`: the distance from the centre grows
+    with the angle, for lenses beyond 120°"""
     distortion: tuple[float, ...]
     """K1, k2, p1, p2, k3 (eq. 3), and for the rational model k4, k5, k6; of a fisheye k1, k2, k3, k4"""
     encoding: Literal["srgb", "linear"] | tuple[float, ...] = Field(default="srgb")
-    """How the camera makes grey values of light: srgb, linear, or a table: the light (0 to 1) of evenly
+    """How the camera encodes light as grey values: srgb, linear, or a table: the light (0 to 1) of evenly
     spaced grey values. `calibrate-camera` measures it; a wrong one moves every edge by up to 0.3 px"""
     encoding_error: float = Field(default=0.02, ge=0.0, le=1.0)
-    """By which share the exponent of that curve may be off (standard deviation). `calibrate-camera` measures
-    it; more for a camera whose contrast is automatic"""
+    """Standard deviation of the exponent of this curve, as a share. `calibrate-camera` measures it; larger
+    for a camera with automatic contrast"""
     calibration: CameraCalibration | None = None
 
     @model_validator(mode="after")
@@ -139,8 +139,8 @@ class ModelConfig(StrictModel):
     """
 
     layout: Literal["plus", "x"]
-    """A rotor in front (`plus`) or a pair of rotors (`x`). The model serves the paper's experiments alone:
-    measure it for a vehicle that you compare them on"""
+    """A rotor in front (`plus`) or a pair of rotors (`x`). The model is used by the paper's experiments
+    only: measure it for a vehicle that you compare in them"""
     mass_kg: float = Field(gt=0.1, le=20.0)
     """Take-off mass"""
     inertia_kg_m2: tuple[Inertia, Inertia, Inertia]
@@ -167,8 +167,8 @@ class VehicleConfig(StrictModel):
     camera_position_body_m: Vector
     """Position of the camera from the centre of mass, FRD; measure it"""
     camera_yaw_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
-    """Clockwise seen from above; 0: the image's top edge points forward. `companion check` finds a wrong
-    quarter turn"""
+    """Rotation of the camera, clockwise seen from above; 0: the image's top edge points forward. `companion
+    check --pad` finds an error of 90°"""
     camera_tilt_deg: float = Field(default=0.0, ge=-90.0, le=90.0)
     """0: straight down; positive looks forward"""
     camera_roll_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
@@ -178,13 +178,13 @@ class VehicleConfig(StrictModel):
     range_position_body_m: Vector
     """Position of the rangefinder from the centre of mass, FRD; measure it"""
     imu_position_body_m: Vector = Field(default=(0.0, 0.0, 0.0))
-    """Position of the IMU that the app flies by from the centre of mass, FRD; what is not told is learnt in
-    the air; measure it where it is more than 5 cm off"""
+    """Position from the centre of mass, FRD, of the IMU that the app uses; an error of up to 5 cm is learnt
+    in the air; measure it if the IMU is farther from the centre"""
     radius_m: float = Field(default=0.4, gt=0.0, le=3.0)
     """Distance from the centre of mass to the farthest rotor's tip, for obstacles"""
     leg_height_m: float = Field(ge=0.02, le=1.0)
-    """Height of the centre of mass over the feet; measure it: it says where the feet may touch. 5 cm off what
-    rangefinder or pad measure before take-off, orders are refused"""
+    """Height of the centre of mass over the feet; measure it, because it determines the height of the feet.
+    Orders are refused if it differs by 5 cm from what rangefinder or pad measure before take-off"""
     foot_reach_m: float = Field(default=0.18, ge=0.0, le=2.0)
     """Horizontal distance from the centre to the farthest foot"""
     responses: Responses = Responses()

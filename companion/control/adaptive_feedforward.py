@@ -1,14 +1,15 @@
-"""What it takes besides the model to fly the pad's acceleration: feed-forward learnt from the feedback.
+"""Adaptive feed-forward of the pad's acceleration (feedback error learning, Kawato 1990).
 
-The loop is soft (4 1/s² of stiffness, the price of its margins): a tenth of the pad's acceleration not flown
-is 5 cm aside on a circle. Scales of accelerometer and thrust, lags of observers and estimates each miss a few
-hundredths of it, and no constant disturbance describes that, since it turns with the pad. Where the pad
-accelerates by a (a complex number, the horizontal plane), what is missed is about theta a: the real part of
-theta is a scale, the imaginary part a lag. The feedback then works for ever, by theta a in the mean, and
-that effort shows theta (feedback error learning, Kawato 1990).
+The loop has a stiffness of only 4 1/s², which its margins require: a tenth of the pad's acceleration not
+flown is an error of 5 cm on a circle. Scale errors of accelerometer and thrust, and lags of observers and
+estimates, each miss a few hundredths of it. No constant disturbance describes that, since it turns with the
+pad. If the pad accelerates by a (a complex number, the horizontal plane), about theta a is missed: the real
+part of theta is a scale, the imaginary part a lag. The feedback then supplies theta a in the mean, and this
+effort gives theta.
 
-Over a pad that turns at the rate w the loop becomes L (1 + 1 / (T (s - j w))), which `margins.while_turning`
-computes. A pad that does not accelerate teaches nothing, and the loop over it is as ever. NED axes, SI units.
+Over a pad that turns at the rate w the loop becomes L (1 + 1 / (T (s - j w))), which
+`margins.while_turning` computes. Nothing is learnt over a pad that does not accelerate, and the loop is
+unchanged there. NED axes, SI units.
 """
 
 from typing import Final

@@ -1,8 +1,8 @@
-"""Commanded acceleration and heading to attitude and thrust, and back.
+"""Converts commanded acceleration and heading to attitude and thrust, and back.
 
-A multirotor's thrust acts along its own up axis only, so the specific force it must make, f = u - g (NED, g
-down), fixes where that axis points, and the heading fixes the rest (eq. 6, turned round). Frames: NED and
-FRD; quaternions body to NED; the heading is the yaw of the aerospace angles.
+A multirotor's thrust acts along its up axis. So the required specific force f = u - g (NED, g down)
+determines this axis, and the heading determines the rest (eq. 6, inverted). Frames: NED and FRD;
+quaternions body to NED; the heading is the yaw of the aerospace angles.
 """
 
 import math

@@ -1,8 +1,8 @@
-"""The control stage's step: the plan and the states to one setpoint (the paper's Algorithm 2).
+"""One step of the control stage: plan and states to one setpoint (the paper's Algorithm 2).
 
-Everything is brought into one frame for the tracker: NED axes that do not accelerate, with the origin where
-the pad was estimated (the EKF's, for local references). The pad's own motion becomes part of the reference.
-SI units.
+All inputs are transformed to one frame for the tracker: NED axes that do not accelerate, with the origin at
+the pad's estimated position (the EKF's origin for local references). The pad's own motion becomes part of
+the reference. SI units.
 """
 
 import math

@@ -1,11 +1,10 @@
-"""What disturbs the vehicle besides the command, by what is measured and how fast that may be trusted.
+"""The disturbances of the vehicle: what measures each, and at which bandwidth.
 
-- The air's disturbance sideways (`WindObserver`): a multirotor's thrust lies along its up axis, so what its
-  accelerometer feels across that axis is wind and drag. No model of the autopilot comes between, and no
-  loop closes through one.
-- What is left between the command and what the thrust makes (`SlowDisturbanceObserver`): the autopilot's
-  attitude is not quite ours, its integrals wind up, thrust differs from what was assumed. That closes a
-  loop through the autopilot's lag, so it is trusted slowly: `margins` shows how slowly.
+- Wind and drag sideways (`WindObserver`): the thrust lies along the up axis, so the accelerometer measures
+  them across that axis. This needs no model of the autopilot and closes no loop through it.
+- The remaining difference between the command and the acceleration (`SlowDisturbanceObserver`): the
+  autopilot's attitude differs from ours, its integrals wind up, thrust differs from the model. This closes a
+  loop through the autopilot's lag, so its bandwidth is low; `margins` computes how low.
 
 NED axes, SI units.
 """

@@ -1,8 +1,8 @@
-"""The pad as the autopilot's own landing takes it: a position in its frame, at an exposure. Pure.
+"""The pad as a target for the autopilot's own landing: a position in its frame, at an exposure. Pure.
 
-An autopilot that carries its target on at constant velocity (ArduPilot) follows a pad that drives straight
-and lags where it accelerates, as in every bend; one that flies to where the target was told (PX4) lags by
-the pad's speed as well. Body axes are FRD.
+ArduPilot predicts its target at constant velocity: it does not lag behind a pad that drives straight, but
+behind one that accelerates, as in every curve. PX4 flies to the reported position and lags by the pad's
+speed as well. Body axes are FRD.
 """
 
 import math

@@ -1,14 +1,15 @@
-"""The last gate: whatever was planned, nothing beyond these bounds leaves for the autopilot.
+"""The limits gate: no setpoint beyond these bounds is sent to the autopilot.
 
-Every setpoint passes through `LimitsGate.apply`; what was cut is named, so that the log shows it. A
-setpoint with anything in it that is not a finite number becomes a hold: no velocity, no acceleration, the
-last heading. A horizontal velocity that is not sent bounds nothing: past the bound it is sent after all.
+Every setpoint passes through `LimitsGate.apply`, which names each reduction for the log. A setpoint with
+any number that is not finite becomes a hold: no velocity, no acceleration, the last heading. A horizontal
+velocity that is not part of the setpoint has no bound, unless the vehicle exceeds the bound: then the
+velocity is sent after all.
 
-`control.limits.tilt_deg` bounds the tilt of an attitude setpoint as the horizontal acceleration that it gives
-without vertical acceleration, g tan(tilt), so that one bound on its change (jerk) serves both kinds of
-setpoint. The horizontal part of an acceleration has the same bound: together with a downward acceleration it
-takes more tilt than that, which the MPC's own bounds exclude and the gate does not. What an autopilot's
-velocity loop adds to a velocity setpoint nothing here bounds. NED and FRD, SI units.
+`control.limits.tilt_deg` bounds the tilt of an attitude setpoint by its horizontal acceleration without
+vertical acceleration, g tan(tilt), so that one bound on its change (jerk) serves both kinds of setpoint.
+The horizontal part of an acceleration has the same bound. Together with a downward acceleration it needs
+more tilt, which the MPC's own bounds exclude and this gate does not. The acceleration that an autopilot's
+velocity loop adds to a velocity setpoint is not bounded here. NED and FRD, SI units.
 """
 
 import math

@@ -1,10 +1,10 @@
-"""Where the pad will be: its estimated motion carried over the horizon, as a known input to the MPC.
+"""The pad's predicted motion over the horizon, a known input to the MPC.
 
-A pad on a curve turns its velocity and acceleration at the rate omega = (v x a)_z / |v|^2; one that is too
-slow, or brakes rather than turns, for that to be well determined keeps its velocity while its acceleration
-dies away. What its acceleration changes by beyond that, in or out of a bend, dies away as well. The vertical
-acceleration always dies away. A pad that brakes comes to a halt, and does not drive backwards from there. NED
-axes, SI units; the origin is where the pad was estimated.
+A pad on a curve turns its velocity and acceleration at the rate omega = (v x a)_z / |v|^2. If the pad is
+too slow for a well determined omega, or brakes rather than turns, it keeps its velocity and its
+acceleration decays. Any other change of its acceleration, at the beginning or end of a curve, decays as
+well, and the vertical acceleration always does. A pad that brakes comes to a halt and does not drive
+backwards from there. NED axes, SI units; the origin is the pad's estimated position.
 """
 
 import math

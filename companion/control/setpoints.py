@@ -1,12 +1,14 @@
-"""The MPC's answer as what the autopilot takes: acceleration with velocity, or attitude with thrust.
+"""Converts the MPC's answer to setpoints: acceleration with velocity, or attitude with thrust.
 
-Velocity setpoints. The autopilot flies a = a_ff + K (v_sp - v) + its own integral, with the lag tau. We send
-the predicted velocity for the moment at which the setpoint takes effect, so that its loop adds nothing while
-the prediction holds and damps what the prediction did not know, and the MPC's acceleration as a_ff. The
-disturbance that lasts is met by an offset of v_sp, not of a_ff: the biased velocity estimate that mostly
-causes it is then cancelled where it arises, and wind goes over to the autopilot's integral, which an offset
-of a_ff would wind up for ever. What changes fast stays in a_ff: an error in the assumed K scales what an
-offset of v_sp does, and that closes a loop, which has to be slow.
+Velocity setpoints. The autopilot flies a = a_ff + K (v_sp - v) + its own integral, with the lag tau. The
+app sends the velocity that it predicts for the time at which the setpoint takes effect, and the MPC's
+acceleration as a_ff. The autopilot's loop then adds nothing while the prediction holds, and damps
+deviations from it.
+
+A lasting disturbance is compensated by an offset of v_sp and not of a_ff. Its usual cause, a biased
+velocity estimate, is then cancelled at its origin, and wind passes to the autopilot's integral, which an
+offset of a_ff would wind up without end. Fast changes stay in a_ff: an error of the assumed K scales the
+effect of an offset of v_sp, which closes a loop that has to be slow.
 
 NED and FRD, SI units.
 """

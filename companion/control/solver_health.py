@@ -1,8 +1,8 @@
-"""Whether a plan is flown: what each solve comes to, and for how long none has come to a plan worth flying.
+"""Decides from the solver's result whether its plan is flown, and measures how long there has been none.
 
-A search that runs out of iterations, which happens while a wind needs more than the bounds allow, may be near
-enough; else its place is taken by the optimum without constraints, cut to the inputs' bounds. The last answer
-goes on where the time was up, or there is none. m, s, m/s2.
+If the iterations run out, which happens while a wind needs more than the bounds allow, the result may be
+close enough; otherwise the optimum without constraints is used, limited to the inputs' bounds. If time ran
+out, or there is no result, the last answer is used further. m, s, m/s2.
 """
 
 from collections.abc import Collection

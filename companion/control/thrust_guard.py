@@ -1,6 +1,6 @@
-"""Whether control by attitude and thrust may be ours: what holds the vehicle is known, and it does not fall.
+"""Decides whether the app may control by attitude and thrust: hover thrust known, vehicle not falling.
 
-By every other kind of setpoint the autopilot's own loops hold the height. NED, SI units.
+With all other kinds of setpoint the autopilot's own loops hold the height. NED, SI units.
 """
 
 from typing import Final

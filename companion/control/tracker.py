@@ -1,8 +1,8 @@
-"""What flies a reference: the one call that every tracker answers, and the choice among them.
+"""The interface of all trackers, which follow a reference, and the choice among them.
 
 `control.controller` chooses: `mpc` (OSQP, with constraints), `riccati` (the paper's recursion on the same
-model and weights, without constraints) or `pid`. All get the same start, target and period, and what each
-answers passes the same gate of limits. Frame: as the MPC's, NED axes that do not accelerate; SI units.
+model and weights, without constraints) or `pid`. All get the same start, target and period, and their
+answers pass the same limits gate. Frame: as the MPC's, NED axes that do not accelerate; SI units.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""What a tracker is given and what it answers: the target over the horizon, and the inputs that follow it.
+"""The input and output of a tracker: the target over the horizon, and the inputs that follow it.
 
 Frame: NED axes, at rest or in straight unaccelerated motion. SI units.
 """

@@ -1,10 +1,10 @@
-"""Our attitude against the autopilot's: two horizons and two headings, of two boards on one airframe.
+"""Compares our attitude with the autopilot's: horizon and heading of two boards on one airframe.
 
-The down vector in our body axes and in the autopilot's differ by how the two boards lie to one another: in
-body axes that is a constant, whatever the headings and however the vehicle turns, while wrong times and
-vibration come and go. So each report's difference enters a fading mean. Its standard deviation is what both
-filters may err by, which does not average out. A board that lies askew shows at rest; one that slips in
-flight shows within the mean's time, since the autopilot has not turned with it.
+The down vector in our body axes differs from that in the autopilot's by the mounting of the two boards. In
+body axes this is a constant for any heading and rotation, while wrong times and vibration average out. So
+each report's difference enters a fading mean. Its standard deviation is the error that both filters may
+have, which does not average out. A misaligned board shows at rest. A board that slips in flight shows
+within the mean's time, since the autopilot has not turned with it.
 
 Body FRD, rad.
 """

@@ -1,7 +1,7 @@
-"""The estimate stage's step: sensors in, the vehicle's and the pad's state out.
+"""One step of the estimate stage: sensors in, the state of vehicle and pad out.
 
-Fixes, sightings and echoes are fused at the time they were measured, however late they come. No clock, no
-I/O: every sample carries its time, every question names one. NED and FRD, SI units, µT; the vehicle's
+Fixes, sightings and echoes are fused at the time of their measurement, however late they arrive. No clock,
+no I/O: every sample carries its time, and every query names one. NED and FRD, SI units, µT; the vehicle's
 reference point is its centre of mass.
 """
 

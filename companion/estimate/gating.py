@@ -1,10 +1,10 @@
 """Innovation tests, and measurements that arrive late or out of order.
 
-A measurement is accepted when its normalised innovation squared stays below a chi-square bound.
-A late one is fused at its own time: the filter goes back to how it stood before that time, takes the
-measurement, and everything newer once more. So a late measurement gives exactly the result that the
-same measurement would have given on time. A filter that can propagate its errors
-(`LateUpdatePropagator`) need not take the newer ones again: it propagates what the measurement has changed.
+A measurement is accepted if its normalised innovation squared is below a chi-square bound. A late one is
+fused at its own time: the filter returns to its state before that time, takes the measurement, and then all
+newer ones again. So the result is exactly that of a measurement on time. A filter that can propagate its
+errors (`LateUpdatePropagator`) need not take the newer ones again: it propagates the change by the late
+measurement.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""What became of each input's measurements: used or refused, and why the last one was refused. Pure.
+"""Counts each input's measurements: used or refused, with the reason of the last refusal. Pure.
 
-A filter that refuses everything no longer fits, whatever it believes of itself: `starved` says so.
+A filter that refuses everything no longer fits, even if its covariance is small: `starved` reports that.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""How the vehicle has moved in the last seconds: attitude and acceleration at the IMU's rate.
+"""The vehicle's motion in the last seconds: attitude and acceleration at the IMU's rate.
 
-The pad filter asks for the attitude at a frame's exposure, and for the vehicle's motion between two frames
-as two pre-integrated vectors. Velocity and position are running integrals of acceleration alone, from an
-arbitrary start: only differences of them mean anything. NED, SI units, plain floats.
+The pad filter needs the attitude at a frame's exposure, and the vehicle's motion between two frames as two
+pre-integrated vectors. Velocity and position are running integrals of acceleration only, from an arbitrary
+start: only their differences are meaningful. NED, SI units, plain floats.
 """
 
 from __future__ import annotations

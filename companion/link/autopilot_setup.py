@@ -143,7 +143,7 @@ def long_timeout(setup: AutopilotSetup) -> str:
     """Why its time without setpoints is too long; empty when it is not, or not known."""
     if setup.setpoint_timeout_s is None or setup.setpoint_timeout_s <= LONGEST_TIMEOUT_S:
         return ""
-    return "so long it keeps the last tilt when the link is lost"
+    return "it keeps the last tilt this long when the link is lost"
 
 
 def loss_refusal(setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> str:

@@ -55,10 +55,10 @@ class Marker(StrictModel):
     yaw_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
     """0: its top edge points along the heading; an AprilTag's is the one of AprilRobotics' pictures"""
     group: MarkerGroup = "F"
-    """F (far), M (medium) or C (close): the height at which it is looked for; none: by its size among the
-    pad's"""
+    """F (far), M (medium) or C (close): the height at which the marker is searched; none: by its size among
+    the pad's markers"""
     quiet_zone_m: float | None = Field(default=None, ge=0.0, le=1.0)
-    """White all around it; none: a cell of its code"""
+    """White margin all around it; none: one cell of its code"""
 
     @field_validator("dictionary", mode="before")
     @classmethod

@@ -39,7 +39,7 @@ class Sheet(StrictModel):
     size_m: tuple[Metres, Metres] | None = Field(default=None)
     """Size of a large sheet; none: what the board needs"""
     margin_m: float = Field(default=1e-3 * MARGIN_MM, ge=0.006, le=0.1)
-    """Around the part of the board that is on it; printers do not reach the outer half"""
+    """Margin of a sheet around its part of the board; printers cannot print the outer half of it"""
     dots_per_inch: float = Field(default=300.0, ge=30.0, le=2400.0)
     """Resolution of the printer"""
     whole_markers: bool = Field(default=False)

@@ -1,4 +1,4 @@
-"""Debouncing: a condition counts once it has held without a break for a time."""
+"""Debouncing: a condition becomes true only after it has held without interruption for a given time."""
 
 
 class Debounce:

@@ -1,4 +1,4 @@
-"""The steps of the EKF's position, as when GPS is back after an outage: the vehicle itself has not moved.
+"""Steps of the EKF's position, as when GPS returns after an outage: the vehicle itself does not move.
 
 EKF's NED, m, s.
 """

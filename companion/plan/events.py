@@ -1,4 +1,4 @@
-"""What can happen to a mission: what is detected, by the monitors, the search and the landing, and why."""
+"""The events of a mission, as the monitors, the search and the landing detect them, with their reasons."""
 
 from enum import StrEnum
 

@@ -1,4 +1,4 @@
-"""The planner's inputs of a cycle."""
+"""The inputs of the planner in one cycle."""
 
 from dataclasses import dataclass, field
 

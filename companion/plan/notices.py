@@ -1,4 +1,4 @@
-"""How the parts of the planner announce something: kind, text, time and severity."""
+"""The form in which parts of the planner announce something: kind, text, time and severity."""
 
 from collections.abc import Callable
 from typing import Final, Literal

@@ -1,9 +1,9 @@
-"""The planner: from the estimates to the reference, one step a cycle (Algorithm 1).
+"""The planner: estimates to reference, one step each cycle (Algorithm 1).
 
-`Planner.step(inputs, now_s)` turns the inputs into events, which act in order of gravity until one changes
-the state; the mission's table says what follows. The phase steers the reference, which is returned with the
-actions and notices of the cycle. Pure: no I/O, no clock. NED, m, s, rad; references are relative to the pad
-as soon as the pad is what is flown to.
+`Planner.step(inputs, now_s)` turns the inputs into events. They act in order of severity until one changes
+the state; the mission's table decides what follows. The phase steers the reference, which is returned with
+the actions and notices of the cycle. Pure: no I/O, no clock. NED, m, s, rad; references are relative to the
+pad as soon as the vehicle flies to the pad.
 """
 
 import math

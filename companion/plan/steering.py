@@ -1,8 +1,8 @@
-"""How each state flies: what the reference does on entering it and in each of its cycles.
+"""How each state flies: what happens to the reference on entering the state and in each of its cycles.
 
-The mission's table decides which state; here the state steers the reference and detects events. In SEARCH,
-HOLD and ABORT the reference is in the EKF's NED, in APPROACH, DESCEND and the touchdown it
-counts from the pad, NED axes. m, s, rad.
+The mission's table chooses the state; here the state steers the reference and detects events. In SEARCH,
+HOLD and ABORT the reference is in the EKF's NED; in APPROACH, DESCEND and the touchdown it is relative to
+the pad, in NED axes. m, s, rad.
 """
 
 import math

@@ -25,7 +25,10 @@ class DirtSettings(StrictModel):
 
     blobs: int = Field(default=12, ge=1, le=200, description="How many")
     largest_share: float = Field(
-        default=0.08, gt=0.005, le=0.5, description="Width of the largest, of the image's"
+        default=0.08,
+        gt=0.005,
+        le=0.5,
+        description="Width of the largest blob as a share of the image's width",
     )
     opacity: float = Field(
         default=0.7, gt=0.0, le=1.0, description="Opacity of the most opaque blob's middle"
@@ -47,11 +50,17 @@ class DirtSettings(StrictModel):
 class ExposureSettings(StrictModel):
     """What an automatic exposure may do; with `automatic` off, `camera.exposure_s` and `gain` stay."""
 
-    automatic: bool = Field(default=True, description="Follows the mean of the last pictures")
+    automatic: bool = Field(
+        default=True, description="Exposure follows the mean brightness of the last pictures"
+    )
     shortest_s: float = Field(default=0.0001, gt=0.0, le=0.03, description="Shutter")
-    longest_s: float = Field(default=0.01, gt=0.0, le=0.03, description="Shutter; then it amplifies")
-    gain: float = Field(default=1.0, ge=1.0, le=64.0, description="When it is not automatic")
-    most_gain: float = Field(default=16.0, ge=1.0, le=64.0, description="When it is")
+    longest_s: float = Field(
+        default=0.01, gt=0.0, le=0.03, description="Longest exposure; in less light the gain rises"
+    )
+    gain: float = Field(default=1.0, ge=1.0, le=64.0, description="Fixed gain, if exposure is not automatic")
+    most_gain: float = Field(
+        default=16.0, ge=1.0, le=64.0, description="Largest gain, if exposure is automatic"
+    )
 
     @model_validator(mode="after")
     def _shortest_first(self) -> ExposureSettings:

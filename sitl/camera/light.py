@@ -32,9 +32,11 @@ class ShadowSettings(StrictModel):
     penumbra_m: float = Field(default=0.05, ge=0.0, le=5.0, description="Width of its edge")
     course_deg: Angle = Field(default="random", description="Where it goes, clockwise from north")
     speed_m_s: float = Field(default=0.1, ge=-10.0, le=10.0, description="Relative to the pad")
-    crosses_s: float = Field(default=25.0, ge=0.0, le=900.0, description="It is over the pad's centre then")
+    crosses_s: float = Field(
+        default=25.0, ge=0.0, le=900.0, description="Time at which it passes the pad's centre"
+    )
     stripes_m: Annotated[float, Field(gt=0.1, le=100.0)] | None = Field(
-        default=None, description="Light and shade alternate"
+        default=None, description="Width of alternating stripes of light and shade; none: one edge"
     )
 
 
@@ -56,7 +58,10 @@ class LightSettings(StrictModel):
         default=3000.0, ge=0.1, le=150000.0, description="Dusk 50, overcast 3000, sun 80000"
     )
     veil: float = Field(
-        default=0.0, ge=0.0, le=0.9, description="Stray light of a low sun, of a white sheet's"
+        default=0.0,
+        ge=0.0,
+        le=0.9,
+        description="Stray light of a low sun, as a share of a white sheet's brightness",
     )
     shadow: ShadowSettings | None = None
     glare: GlareSettings | None = None

@@ -127,7 +127,10 @@ class ImuBusError(Fault):
 
     kind: Literal["imu_bus_error"]
     every: int = Field(
-        default=40, ge=1, le=10000, description="One transaction in so many; 1 is a cable that is off"
+        default=40,
+        ge=1,
+        le=10000,
+        description="One transaction in this number fails; 1: the cable is disconnected",
     )
 
     def apply(self, targets: FaultTargets) -> None:
@@ -172,9 +175,7 @@ class GyroSpikes(Fault):
 
     kind: Literal["gyro_spikes"]
     share: Share = Field(default=0.01, description="Share of the readings")
-    size_deg_s: float = Field(
-        default=100.0, gt=0.0, le=2000.0, description="Off by up to so much, on one axis"
-    )
+    size_deg_s: float = Field(default=100.0, gt=0.0, le=2000.0, description="Largest error, on one axis")
 
     def apply(self, targets: FaultTargets) -> None:
         targets.rack.inertial.gyro_glitches.spike(self.share, math.radians(self.size_deg_s))
@@ -196,7 +197,7 @@ class AccelSpikes(Fault):
 
     kind: Literal["accel_spikes"]
     share: Share = Field(default=0.01, description="Share of the readings")
-    size_m_s2: float = Field(default=30.0, gt=0.0, le=160.0, description="Off by up to so much, on one axis")
+    size_m_s2: float = Field(default=30.0, gt=0.0, le=160.0, description="Largest error, on one axis")
 
     def apply(self, targets: FaultTargets) -> None:
         targets.rack.inertial.accel_glitches.spike(self.share, self.size_m_s2)
@@ -206,9 +207,11 @@ class AccelClips(Fault):
     """The accelerometer's element saturates, before any filter, under stronger vibration."""
 
     kind: Literal["accel_clips"]
-    range_g: float = Field(default=1.2, ge=0.2, le=16.0, description="Each axis feels no more than this")
+    range_g: float = Field(
+        default=1.2, ge=0.2, le=16.0, description="Largest acceleration that an axis measures"
+    )
     vibration_factor: float = Field(
-        default=4.0, ge=1.0, le=20.0, description="On the rotors' vibration meanwhile"
+        default=4.0, ge=1.0, le=20.0, description="Factor on the rotors' vibration during the fault"
     )
 
     def apply(self, targets: FaultTargets) -> None:
@@ -225,7 +228,7 @@ class ImuTurned(Fault):
         default=(0.0, 12.0, 0.0), description="Angles by which it is turned about forward, right and down"
     )
     slips_for_s: float = Field(
-        default=0.0, ge=0.0, le=10.0, description="How long it takes to slip; 0: it lay so"
+        default=0.0, ge=0.0, le=10.0, description="Duration of the slip; 0: turned from the beginning"
     )
 
     def apply(self, targets: FaultTargets) -> None:
@@ -282,7 +285,7 @@ class MagSpikes(Fault):
 
     kind: Literal["mag_spikes"]
     share: Share = Field(default=0.05, description="Share of the readings")
-    size_ut: float = Field(default=100.0, gt=0.0, le=4900.0, description="Off by up to so much, on one axis")
+    size_ut: float = Field(default=100.0, gt=0.0, le=4900.0, description="Largest error, on one axis")
 
     def apply(self, targets: FaultTargets) -> None:
         targets.rack.magnetometer.glitches.spike(self.share, self.size_ut)
@@ -295,9 +298,7 @@ class GpsLost(Fault):
     """The receiver has too few satellites, or its line is disconnected."""
 
     kind: Literal["gps_lost"]
-    unplugged: bool = Field(
-        default=False, description="Nothing on the line at all, instead of messages without a fix"
-    )
+    unplugged: bool = Field(default=False, description="Send nothing, instead of messages without a fix")
 
     def apply(self, targets: FaultTargets) -> None:
         if self.unplugged:
@@ -331,9 +332,7 @@ class GpsSpikes(Fault):
 
     kind: Literal["gps_spikes"]
     share: Share = Field(default=0.1, description="Share of the fixes")
-    size_m: float = Field(
-        default=30.0, gt=0.0, le=1000.0, description="Off by up to so much, north, east or down"
-    )
+    size_m: float = Field(default=30.0, gt=0.0, le=1000.0, description="Largest error, north, east or down")
 
     def apply(self, targets: FaultTargets) -> None:
         targets.rack.position.glitches.spike(self.share, self.size_m)
@@ -347,9 +346,7 @@ class RangeLost(Fault):
 
     kind: Literal["range_lost"]
     share: Share = Field(default=1.0, description="Share of the pings")
-    unplugged: bool = Field(
-        default=False, description="Nothing on the line at all, instead of frames without an echo"
-    )
+    unplugged: bool = Field(default=False, description="Send nothing, instead of frames without an echo")
 
     def apply(self, targets: FaultTargets) -> None:
         if self.unplugged:
@@ -363,7 +360,7 @@ class RangeStuck(Fault):
 
     kind: Literal["range_stuck"]
     distance_m: Annotated[float, Field(ge=0.0, le=4.5)] | None = Field(
-        default=None, description="None: the last one it had"
+        default=None, description="Distance that is repeated; none: the last one measured"
     )
 
     def apply(self, targets: FaultTargets) -> None:
@@ -385,7 +382,10 @@ class RangeSpikes(Fault):
 
     kind: Literal["range_spikes"]
     share: float = Field(
-        default=0.3, ge=0.0, le=1.0, description="Share of the pings: an echo from anywhere in between"
+        default=0.3,
+        ge=0.0,
+        le=1.0,
+        description="Share of the pings that return an echo from a random distance in between",
     )
 
     def apply(self, targets: FaultTargets) -> None:
@@ -396,7 +396,7 @@ class RangeOtherEcho(Fault):
     """Something nearer than the floor answers now and then: a cable, a strap, grass."""
 
     kind: Literal["range_other_echo"]
-    distance_m: float = Field(default=0.4, ge=0.0, le=4.5, description="Where it hangs")
+    distance_m: float = Field(default=0.4, ge=0.0, le=4.5, description="Distance of the other object")
     share: Share = Field(default=0.7, description="Share of the pings")
 
     def apply(self, targets: FaultTargets) -> None:
@@ -410,8 +410,10 @@ class FrameLate(Fault):
     """A frame is held up on its way; frames taken after it may overtake it."""
 
     kind: Literal["frame_late"]
-    extra_s: float = Field(default=0.25, gt=0.0, le=5.0, description="On top of the camera's own latency")
-    every: int = Field(default=10, ge=1, le=1000, description="One frame in so many; 1 is each")
+    extra_s: float = Field(
+        default=0.25, gt=0.0, le=5.0, description="In addition to the camera's own latency"
+    )
+    every: int = Field(default=10, ge=1, le=1000, description="One frame in this number; 1: each")
 
     def apply(self, targets: FaultTargets) -> None:
         targets.frames.late_s, targets.frames.late_every = self.extra_s, self.every
@@ -425,7 +427,7 @@ class FrameLost(Fault):
         default=1.0, gt=0.0, le=1.0, description="Share of the frames; 1 is a camera that has stalled"
     )
     burst_frames: float = Field(
-        default=1.0, ge=1.0, le=300.0, description="Frames in a row on average; 1: singly"
+        default=1.0, ge=1.0, le=300.0, description="Mean number of frames in a row; 1: single frames"
     )
 
     def apply(self, targets: FaultTargets) -> None:
@@ -500,7 +502,7 @@ class LinkDelay(Fault):
     """Datagrams come late, in their order."""
 
     kind: Literal["link_delay"]
-    extra_s: float = Field(default=0.5, gt=0.0, le=10.0, description="On top of the line's own delay")
+    extra_s: float = Field(default=0.5, gt=0.0, le=10.0, description="In addition to the link's own delay")
     way: LinkDirection = Field(default="both", description="Which direction")
 
     def apply(self, targets: FaultTargets) -> None:
@@ -515,7 +517,7 @@ class MotorWeak(Fault):
     motor: Literal[1, 2, 3, 4, 5, 6, 7, 8, "all"] = Field(
         default=1, description="From the front clockwise; of four: 1 front, 2 right, 3 back, 4 left"
     )
-    thrust_factor: float = Field(default=0.85, ge=0.0, le=1.0, description="What is left of its thrust")
+    thrust_factor: float = Field(default=0.85, ge=0.0, le=1.0, description="Remaining share of its thrust")
 
     def apply(self, targets: FaultTargets) -> None:
         targets.motors.weaken(None if self.motor == "all" else self.motor, self.thrust_factor)
@@ -561,7 +563,8 @@ class PadTwin(Fault):
     )
     east_m: float = Field(default=2.0, ge=-50.0, le=50.0, description="East, from the same point")
     moves: bool = Field(
-        default=True, description="With the pad; else it rests on the ground from where the pad was"
+        default=True,
+        description="Whether it moves with the pad; otherwise it stays on the ground at the pad's position",
     )
 
     def begin(self, targets: FaultTargets, now_s: float) -> None:
@@ -597,7 +600,9 @@ class PadBrakes(_PadDrives):
     """The pad brakes to a standstill, straight on; at the end of the fault it goes on."""
 
     kind: Literal["pad_brakes"]
-    deceleration_m_s2: float = Field(default=3.0, gt=0.0, le=20.0, description="Deceleration until it stands")
+    deceleration_m_s2: float = Field(
+        default=3.0, gt=0.0, le=20.0, description="Deceleration until the pad stands still"
+    )
 
     def begin(self, targets: FaultTargets, now_s: float) -> None:
         targets.motion.drive(now_s, 0.0, self.deceleration_m_s2)
@@ -661,7 +666,7 @@ class AutopilotRefuses(AutopilotFault):
 
     kind: Literal["autopilot_refuses"]
     what: Literal["arm", "take_off", "offboard", "land", "disarm", "auto_disarm"] = Field(
-        description="Which request"
+        description="Request that is refused"
     )
 
     def apply(self, targets: FaultTargets) -> None:
@@ -693,7 +698,7 @@ class AutopilotReboots(AutopilotFault):
     """
 
     kind: Literal["autopilot_reboots"]
-    silent_s: float = Field(default=2.0, gt=0.0, le=60.0, description="Nothing is sent or taken")
+    silent_s: float = Field(default=2.0, gt=0.0, le=60.0, description="Time without sending or receiving")
 
     @property
     def lasts_s(self) -> float:
@@ -730,7 +735,9 @@ class BatteryCharge(AutopilotFault):
     """The battery's remaining charge, as reported in SYS_STATUS and BATTERY_STATUS."""
 
     kind: Literal["battery"]
-    remaining_percent: int = Field(default=15, ge=-1, le=100, description="-1: the autopilot does not know")
+    remaining_percent: int = Field(
+        default=15, ge=-1, le=100, description="Remaining charge; -1: unknown to the autopilot"
+    )
 
     def apply(self, targets: FaultTargets) -> None:
         targets.bundled.battery.false_share = 0.01 * self.remaining_percent
@@ -740,9 +747,11 @@ class FollowMe(Fault):
     """The ground station sends its operator's place as FOLLOW_TARGET, unasked, as QGroundControl does."""
 
     kind: Literal["follow_me"]
-    north_m: float = Field(default=20.0, ge=-500.0, le=500.0, description="Where the operator is, from home")
+    north_m: float = Field(
+        default=20.0, ge=-500.0, le=500.0, description="Position of the operator north of home"
+    )
     east_m: float = Field(default=-15.0, ge=-500.0, le=500.0, description="East, from the same point")
-    rate_hz: float = Field(default=1.0, gt=0.0, le=10.0, description="How often it is sent")
+    rate_hz: float = Field(default=1.0, gt=0.0, le=10.0, description="Messages per second")
 
     def apply(self, targets: FaultTargets) -> None:
         targets.station.follow((self.north_m, self.east_m, 0.0), self.rate_hz)
@@ -753,7 +762,7 @@ class SecondCompanion(AutopilotFault):
 
     kind: Literal["second_companion"]
     component_id: int = Field(default=196, ge=1, le=255, description="Component of the vehicle's system")
-    rate_hz: float = Field(default=10.0, gt=0.0, le=50.0, description="How often it sends one")
+    rate_hz: float = Field(default=10.0, gt=0.0, le=50.0, description="Setpoints per second")
 
     def apply(self, targets: FaultTargets) -> None:
         targets.station.second_companion(self.component_id, self.rate_hz)
@@ -763,7 +772,7 @@ class ForgedFrames(Fault):
     """Somebody without the key sends frames in the autopilot's name, with the largest time stamp there is."""
 
     kind: Literal["forged_frames"]
-    rate_hz: float = Field(default=1.0, gt=0.0, le=50.0, description="How often one is sent")
+    rate_hz: float = Field(default=1.0, gt=0.0, le=50.0, description="Frames per second")
 
     def apply(self, targets: FaultTargets) -> None:
         targets.station.forge(self.rate_hz)
@@ -821,7 +830,7 @@ class DiskSlow(ComputerFault):
     """Every write to the log's disk takes long."""
 
     kind: Literal["disk_slow"]
-    write_s: float = Field(default=0.02, gt=0.0, le=10.0, description="Each, by the clock on the wall")
+    write_s: float = Field(default=0.02, gt=0.0, le=10.0, description="Real time that each write takes")
 
     def apply(self, targets: FaultTargets) -> None:
         targets.host.disk_write_s = self.write_s

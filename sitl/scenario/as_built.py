@@ -155,43 +155,52 @@ class AsBuiltSettings(StrictModel):
     """
 
     hover_thrust: Part = Field(
-        default=0.35, description="Error of the hover thrust that app and autopilot are given"
+        default=0.35, description="Error of the hover thrust that app and autopilot assume, as a share"
     )
     thrust_exponent: tuple[Low, High] = Field(
         default=(
             0.6,
             2.0,
         ),
-        description="Power of thrust over command, from, to; told: 1",
+        description="Exponent of thrust over command, from, to; the app assumes 1",
     )
-    mass: Part = Field(default=0.2, description="Error of the mass")
-    leg_height_m: float = Field(default=0.03, ge=0.0, le=0.08, description="Longer or shorter legs")
-    imu_offset_m: float = Field(default=0.1, ge=0.0, le=0.5, description="Both IMUs from the centre of mass")
-    camera_mount_deg: float = Field(default=2.0, ge=0.0, le=30.0, description="About each axis")
-    focal_length: Part = Field(default=0.015, description="Error of the focal length")
-    pad_print: Part = Field(default=0.015, description="Error of the pad's size")
+    mass: Part = Field(default=0.2, description="Error of the mass, as a share")
+    leg_height_m: float = Field(
+        default=0.03, ge=0.0, le=0.08, description="Error of the leg height, longer or shorter"
+    )
+    imu_offset_m: float = Field(
+        default=0.1, ge=0.0, le=0.5, description="Largest distance of both IMUs from the centre of mass"
+    )
+    camera_mount_deg: float = Field(
+        default=2.0, ge=0.0, le=30.0, description="Error of the camera's mounting about each axis"
+    )
+    focal_length: Part = Field(default=0.015, description="Error of the focal length, as a share")
+    pad_print: Part = Field(default=0.015, description="Error of the pad's printed size, as a share")
     stamp_s: float = Field(default=0.02, ge=0.0, le=0.1, description="Constant error of the frames' stamps")
     stamp_jitter_s: float = Field(
-        default=0.005, ge=0.0, le=0.03, description="Random error of each stamp, at most"
+        default=0.005, ge=0.0, le=0.03, description="Largest random error of each stamp"
     )
     link_delay_s: float = Field(
-        default=0.04, ge=0.0, le=0.5, description="Delay of the MAVLink line, on one side"
+        default=0.04, ge=0.0, le=0.5, description="Delay of the MAVLink link, in one direction"
     )
     vibration: float = Field(
-        default=15.0, ge=1.0, le=50.0, description="Factor on the rotors' vibration, from 1"
+        default=15.0,
+        ge=1.0,
+        le=50.0,
+        description="Largest factor on the rotors' vibration; the smallest is 1",
     )
     other_place: bool = Field(
         default=True,
-        description="It flies elsewhere than the app's magnetic field is of, within 60° of latitude",
+        description="The flight takes place elsewhere, within 60° of latitude: another magnetic field",
     )
     deck_field_ut: float = Field(
-        default=30.0, ge=0.0, le=200.0, description="Field of a steel deck, for both compasses"
+        default=30.0, ge=0.0, le=200.0, description="Magnetic field of a steel deck at both compasses"
     )
     yaw_reset_deg: float = Field(
-        default=15.0, ge=0.0, le=180.0, description="The bundled autopilot's heading leaps once"
+        default=15.0, ge=0.0, le=180.0, description="Step of the bundled autopilot's heading, once"
     )
     exactly: dict[str, float | tuple[float, ...]] = Field(
-        default_factory=dict, description="Values that are not drawn"
+        default_factory=dict, description="Errors by name that are set instead of drawn"
     )
 
     @model_validator(mode="after")

@@ -167,7 +167,7 @@ class SensorSettings(StrictModel):
     )
     imu_interface: Literal["i2c", "spi"] = Field(default="i2c", description="How the MPU9250 is wired")
     ultrasonic: Literal["frames", "polled"] = Field(
-        default="frames", description="One that sends 4-byte frames, or a US-100 that is polled"
+        default="frames", description="Rangefinder that sends 4-byte frames, or a US-100 that is polled"
     )
 
 
@@ -224,7 +224,10 @@ class Scenario(StrictModel):
     name: str = Field(min_length=1, description="Name of the scenario")
     description: str = Field(min_length=1, description="One line")
     time_limit_s: float = Field(
-        default=120.0, ge=5.0, le=900.0, description="The flight is judged at this time at the latest"
+        default=120.0,
+        ge=5.0,
+        le=900.0,
+        description="The flight ends and is judged at this time at the latest",
     )
     autopilot: AutopilotKind = Field(
         default="px4", description="Autopilot profile of the simulated autopilot"

@@ -57,14 +57,14 @@ class GustSettings(StrictModel):
 class DiscreteGust(StrictModel):
     """One gust at a known time, or the same again and again: rises and falls as (1 - cos)."""
 
-    at_s: float = Field(ge=0.0, le=900.0, description="It begins then, from the start of the simulation")
+    at_s: float = Field(ge=0.0, le=900.0, description="Begin of the gust, from the start of the simulation")
     amplitude_m_s: float = Field(gt=0.0, le=20.0, description="Peak, at 6.1 m like the mean wind")
     duration_s: float = Field(default=3.0, ge=0.2, le=60.0, description="Duration from calm to calm")
     from_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | Literal["wind"] = Field(
         default="wind", description="Where it comes from"
     )
     every_s: Annotated[float, Field(ge=1.0, le=900.0)] | None = Field(
-        default=None, description="Again after so long; none: once"
+        default=None, description="Period of repetition; none: once"
     )
 
     @model_validator(mode="after")

@@ -1,1 +1,1 @@
-"""What the MPC is compared with: PID and the paper's Riccati recursion."""
+"""Baselines for the MPC: a PID and the paper's Riccati recursion."""

@@ -1,10 +1,10 @@
-"""A PID as a competent engineer would fly it: what the MPC and the recursion are held against.
+"""A well-tuned PID, a baseline for the MPC and the recursion.
 
 Per axis, u = a_ref + K_p e + K_d e' + integral of K_i e, with e the target's position minus the vehicle's
-where the command takes effect: the same prediction past the delay, the same reference with its velocity
-and acceleration fed forward, the same drawing near of far targets as the others get. A disturbance is met by
-the integral alone; it is held while the command is at its bound and the error would drive it further
-(clamping), and is bounded itself. Gains: `control.pid`, from `python -m experiments tune-flight-pid`.
+when the command takes effect. Prediction over the delay, reference with velocity and acceleration fed
+forward, and the approach of far targets are those of the other trackers. Only the integral counteracts a
+disturbance. It is held while the command is at its bound and the error would drive it further (clamping),
+and is bounded itself. Gains: `control.pid`, from `python -m experiments tune-flight-pid`.
 
 Frame: as the MPC's, NED axes that do not accelerate; SI units.
 """

@@ -1,10 +1,10 @@
-"""The paper's recursion (eqs. 39-42) as a tracker: the MPC's model, weights and reference, no constraints.
+"""The paper's recursion (eqs. 39-42) as a tracker: the MPC's model, weights and reference, unconstrained.
 
-Eq. 39 prices the input itself. As in the MPC it is the command's deviation v from what the reference needs
-that costs, and its change besides, so each axis carries its last v: the state is (p, v, a of three axes,
-three last deviations), the recursion's input the change of the deviations, and what the reference needs
-against the disturbance drives the state as a known drift. Where no constraint binds the answer is the
-MPC's; what a constraint would have bounded is left to the gate of limits.
+Eq. 39 prices the input itself. Here, as in the MPC, the cost is on the command's deviation v from what the
+reference needs, and on its change. So each axis carries its last v: the state is (p, v, a of three axes,
+three last deviations), the recursion's input is the change of the deviations, and what the reference needs
+against the disturbance enters as a known drift. If no constraint binds, the answer is the MPC's; otherwise
+the limits gate bounds it.
 
 Frame: as the MPC's, NED axes that do not accelerate; SI units.
 """

@@ -1,9 +1,10 @@
-"""What the MPC's inputs may be: a polytope about zero that lies within every limit on one command.
+"""The bounds of the MPC's inputs: a polytope about zero that lies within every limit on one command.
 
-The input u (m/s2, NED) is made by the specific force f = u - g, which points up, tilted. Bounded are its
-horizontal part, its vertical part, the tilt of f (with the vertical part: a vehicle that accelerates
-downwards is tilted further for the same horizontal part), and its size, which is the thrust. Circles and
-spheres become planes from within, so that what the MPC plans is never cut by the gate. SI units.
+The input u (m/s2, NED) is produced by the specific force f = u - g, which points up and is tilted. The
+bounds limit its horizontal part, its vertical part, the tilt of f (together with the vertical part, since a
+vehicle that accelerates downwards tilts more for the same horizontal part), and its magnitude, which is the
+thrust. Circles and spheres are replaced by planes inside of them, so that the gate never reduces what the
+MPC plans. SI units.
 """
 
 import math

@@ -1,14 +1,14 @@
 """Model predictive control (eqs. 38 and 39, with constraints): the next accelerations to command.
 
 Frame: NED axes, at rest or in straight unaccelerated motion; the controller puts the pad's own motion into
-the reference, so that nothing here depends on the pad. SI units. The optimum without constraints is the
-answer wherever it breaks none, by one solve with factors that are made once. Else OSQP goes on from there, or
-from its own last solution: its matrices are set up once, a step changes vectors only.
+the reference, so that nothing here depends on the pad. SI units. If the optimum without constraints breaks
+none, it is the answer, by one solve with factors that are made once. Otherwise OSQP continues from it, or
+from its own last solution: its matrices are set up once, and a step changes vectors only.
 
-Iterations bound the work, in slices; between two of them a stopwatch, when there is one, may say that the
-time is up. An answer that is not nearly converged is replaced: out of time by the last solution, moved on;
-out of iterations, which happens while a wind needs more than the bounds allow, by the optimum without
-constraints, cut to the inputs' bounds.
+The number of iterations is bounded, and they run in slices. Between two slices an optional stopwatch may
+end the solve. An answer that has not nearly converged is replaced. If time ran out, the last solution is
+shifted and used. If the iterations ran out, which happens while a wind needs more than the bounds allow,
+the optimum without constraints is used, limited to the inputs' bounds.
 """
 
 import math
@@ -16,12 +16,13 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3
 from companion.base.late_import import imported_late
 from companion.base.motion import Motion
 from companion.config import ControlConfig
-from companion.control.mpc.free_optimum import FreeOptimum
 from companion.control.mpc.input_bounds import (
     INPUT_ROWS,
     OCTAGON,
@@ -66,6 +67,24 @@ SETTINGS: Final[dict[str, Any]] = {
 AT_BOUND = 0.98  # of it, sideways: OSQP stops short of a bound
 # the gate bounds the whole vector's jerk, here it is each axis': stay within it, and clear of jitter
 JERK_SHARE = 0.95 / 3.0**0.5
+
+
+class FreeOptimum:
+    """The minimum of 1/2 z'Pz + q'z with A z = b, for fixed P and A: eq. 39 under eq. 38, no inequalities.
+
+    Solves P z + q + A'y = 0, A z = b by a factorisation that is made once.
+    """
+
+    def __init__(self, P_upper: sparse.csc_matrix, A: sparse.csc_matrix) -> None:
+        """`P_upper` (n, n) is P's upper triangle; `A` (m, n)."""
+        self.P = P_upper + sparse.triu(P_upper, k=1).T
+        self._factors = splu(sparse.bmat([[self.P, A.T], [A, None]], format="csc"))
+        self._n = self.P.shape[0]
+
+    def solve(self, q: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """z (n,) and the multipliers y (m,)."""
+        answer = self._factors.solve(np.concatenate([-q, b]))
+        return answer[: self._n], answer[self._n :]
 
 
 class Mpc:

@@ -1,8 +1,8 @@
-"""The plan's reference as the MPC's target: resampled to the moment the command takes effect, and with the
-pad's own motion added where the reference rides on the pad.
+"""The plan's reference as the MPC's target.
 
-Frames: in, the reference's (pad's or EKF's origin); out, NED axes that do not accelerate, with the origin
-where the pad was estimated. SI units.
+It is resampled to the time at which the command takes effect, and the pad's own motion is added if the
+reference is relative to the pad. Frames: in, the reference's (pad's or EKF's origin); out, NED axes that do
+not accelerate, with the origin at the pad's estimated position. SI units.
 """
 
 import math

@@ -1,1 +1,1 @@
-"""How the vehicle answers setpoints: model, identification, margins."""
+"""The vehicle's response to setpoints: model, identification, margins."""

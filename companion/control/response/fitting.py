@@ -1,9 +1,9 @@
-"""Settings made to fit how the vehicle answers: no quicker than it bears, no more asked than passes.
+"""Adapts the settings of `control` to the vehicle's response: loop frequency and accelerations.
 
-The weights of `control` are those for a response as quick as `QUICK_S`. For a slower one the loop's own
-frequency goes down in proportion, so that the same phase is lost in it. For one that rings it stays as far
-below the ringing as the square of its peak says: what is fed back of velocity and of tilt peaks there, too.
-`margins` shows what is left. SI units.
+The weights of `control` fit a response as fast as `QUICK_S`. For a slower response the loop's frequency is
+reduced in proportion, so that the loss of phase stays the same. For an oscillating response the loop stays
+below the resonance by the square of its peak, since the feedback of velocity and tilt has the same peak.
+`margins` computes the remaining margins. SI units.
 """
 
 from typing import Final

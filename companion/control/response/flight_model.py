@@ -1,9 +1,9 @@
-"""How a multirotor under an autopilot answers an acceleration command: per axis p' = v, v' = a,
-a' = (u + d - a) / tau (eq. 38 with w = d).
+"""The response of a multirotor under an autopilot to an acceleration command (eq. 38 with w = d).
 
-u is the commanded acceleration, d a disturbance (wind, a thrust scale that is off) as the acceleration it
-adds, tau the lag of attitude and motors (sideways) or of the motors alone (down). Frames: any that does not
-turn or accelerate, NED axes; SI units. Discretised exactly under a zero-order hold.
+Per axis p' = v, v' = a, a' = (u + d - a) / tau. u is the commanded acceleration, d a disturbance (wind, a
+wrong thrust scale) as the acceleration that it adds, tau the lag of attitude and motors (sideways) or of
+the motors only (down). Frames: any that does not turn or accelerate, NED axes; SI units. Discretised
+exactly under a zero-order hold.
 """
 
 import math

@@ -1,7 +1,8 @@
-"""What was commanded lately, and what the vehicle makes of it until the next command arrives.
+"""The latest commands, and the vehicle's predicted state when the next command arrives.
 
-A command that leaves at t reaches the autopilot's loop at t + delay. To know where the vehicle will be when
-the next one arrives, the commands that are still under way are flown through the model first. NED, SI units.
+A command that is sent at t reaches the autopilot's loop at t + delay. To predict the vehicle's state when
+the next one arrives, the commands that are still on their way are applied to the model first. NED, SI
+units.
 """
 
 from collections import deque

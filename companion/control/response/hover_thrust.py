@@ -1,20 +1,21 @@
-"""The share of full thrust that carries the weight: one estimate with its covariance, from what is felt.
+"""The hover thrust as a share of full thrust: one estimate with its covariance, from the accelerometer.
 
 A scalar Kalman filter. State: lift x = 1 / hover thrust, a random walk. Measurement: the upward specific
-force f, in g, that the accelerometer feels while a thrust T acts (the upward part, of full thrust):
+force f, in g, while a thrust T acts (its upward part, as a share of full thrust):
 
     f = x T + v
 
-v is what the air adds, `AIR_G` for `AIR_S` at a time: it counts as white noise of density `AIR_G2_S`. What T
-and f say together is the same whoever flies, so that control is taken over with the thrust that holds the
-vehicle. (PX4's hover thrust estimator has this form, with the hover thrust as its state.)
+v is the force of the air, `AIR_G` for `AIR_S` at a time; it is treated as white noise of density
+`AIR_G2_S`. The relation between T and f does not depend on who flies, so the app takes control with the
+thrust that already holds the vehicle. (PX4's hover thrust estimator has this form, with the hover thrust as
+its state.)
 
-A gust that sinks is none of that: it lasts, and it is strong. While the mean of the innovations is larger
-than air and covariance make it, the covariance is opened until it explains that mean (a strong tracking
-filter, Zhou and Frank 1996, on the mean): the thrust follows a gust within a fraction of a second, small
-changes as slowly as the margins of a vehicle that differs from its model want it. (At 13 rad/s of bandwidth,
-which a gust opens it to for a moment, the loop of an x500 has 38 deg and 67 ms of margin; 20 deg and 32 ms
-where the acceleration is measured 50 ms later than believed.)
+A sinking gust does not fit this noise: it is strong and it lasts. While the mean of the innovations is
+larger than air and covariance explain, the covariance is increased until it explains that mean (a strong
+tracking filter, Zhou and Frank 1996, on the mean). So the thrust follows a gust within a fraction of a
+second, and small changes as slowly as the margins of a vehicle that differs from its model require. (At 13
+rad/s of bandwidth, which a gust causes for a moment, the loop of an x500 has 38 deg and 67 ms of margin; 20
+deg and 32 ms if the acceleration is measured 50 ms later than assumed.)
 """
 
 from __future__ import annotations

@@ -1,13 +1,15 @@
-"""How a vehicle under its autopilot answers setpoints, from a flight: the flight model's numbers.
+"""Identifies the numbers of the flight model from a flight of a vehicle under its autopilot.
 
 The model is `flight_model`'s, with the autopilot's velocity loop closed around it: per axis
-    v' = a,  a' = (u + K (v_sp - v) + d - a) / tau
-with u and v_sp the setpoint's acceleration and velocity as they left `delay_s` before, d the disturbance. By
-attitude setpoints K = 0 and u is what attitude and thrust make.
 
-The flight is cut into windows of 1 s (over longer ones d does not keep, and as setpoints answer the
-disturbance, the lag would come out too long). What each begins with (v, a) and its d are free and enter
-linearly, so they are projected out; K and tau are those with the least squares of what is left of the
+    v' = a,  a' = (u + K (v_sp - v) + d - a) / tau
+
+with u and v_sp the setpoint's acceleration and velocity that were sent `delay_s` before, d the disturbance.
+For attitude setpoints K = 0, and u is the acceleration of attitude and thrust.
+
+The flight is divided into windows of 1 s. (In longer ones d does not stay constant, and since setpoints
+respond to the disturbance, the lag would be overestimated.) The initial v and a of each window and its d
+are free and enter linearly, so they are projected out. K and tau minimise the squares of the remaining
 velocity. North and east share theirs. Standard deviations allow for correlated residuals within a window.
 NED, SI units.
 """

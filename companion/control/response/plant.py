@@ -1,7 +1,7 @@
-"""The vehicle under its autopilot, as control models it.
+"""The vehicle under its autopilot as the controller models it.
 
-What was commanded, what disturbs it, what thrust is worth: joins the command history, the disturbance
-observer and the hover thrust's estimate. NED and FRD, SI units.
+It joins the command history, the disturbance observer and the estimate of the hover thrust. NED and FRD, SI
+units.
 """
 
 import math

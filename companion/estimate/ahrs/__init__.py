@@ -1,1 +1,1 @@
-"""Orientation without position: alignment, Madgwick and complementary filter."""
+"""Orientation without position: alignment, Madgwick and complementary filters."""

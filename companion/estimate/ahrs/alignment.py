@@ -1,9 +1,9 @@
-"""Standing still: the detector, and the first attitude and gyroscope bias from the mean of a few seconds.
+"""Detects rest, and computes the first attitude and gyroscope bias from the mean of a few seconds.
 
 Samples are judged in blocks of 0.1 s by the standard deviation within the block, so that a constant bias
-is not taken for motion. In motion the gyroscope holds the blocks of the last seconds together: turned into
-the present axes, their mean force is gravity but for the change of velocity over that time, and their mean
-field is the Earth's. FRD, SI units, µT.
+does not look like motion. In motion the gyroscope relates the blocks of the last seconds: rotated into the
+present axes, their mean force is gravity plus the mean change of velocity, and their mean field is the
+Earth's. FRD, SI units, µT.
 """
 
 from __future__ import annotations

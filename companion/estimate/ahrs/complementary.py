@@ -2,16 +2,16 @@
 
     q = γ q_am + (1 - γ) q_ω,   γ = e_ω / (e_ω + e_am)
 
-q_ω is the integrated gyroscope, and e_ω the rate (1/s) at which its error turns the quaternion.
-q_am is q_ω turned the shortest way until it agrees with the reference at hand: gravity for the
-accelerometer, magnetic north for the magnetometer. With both it is the attitude of eq. 13; with one alone
-(the two sensors come at their own rates, and either may be gated out) it changes nothing the other should
-show. e_am = |q_am - q_ω| / dt is the rate of that correction, so a step never turns faster than e_ω: a
-burst of acceleration or a passing car moves the estimate no faster than the gyroscope could have erred.
+q_ω is the integrated gyroscope, and e_ω the rate (1/s) at which its error turns the quaternion. q_am is
+q_ω, rotated the shortest way until it agrees with the reference: gravity for the accelerometer, magnetic
+north for the magnetometer. With both it is the attitude of eq. 13. With only one of them (the sensors have
+their own rates, and either may be gated out) it changes nothing that the other measures. e_am = |q_am -
+q_ω| / dt is the rate of this correction, so a step never turns faster than e_ω: an acceleration or a
+passing car moves the estimate no faster than the gyroscope's error could.
 
-The accelerometer counts only as far as it measures gravity: the specific force is averaged in NED, where
-vibration and short manoeuvres cancel, and gated by its size. The magnetometer counts only when size and
-dip fit the expected field. Plain floats.
+The accelerometer is used only as far as it measures gravity: the specific force is averaged in NED, where
+vibration and short manoeuvres cancel, and gated by its magnitude. The magnetometer is used only if
+magnitude and dip fit the expected field. Plain floats.
 """
 
 from __future__ import annotations

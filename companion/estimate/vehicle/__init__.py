@@ -1,1 +1,1 @@
-"""The vehicle's state: the 31-state EKF and what watches over it."""
+"""The vehicle's state: the 31-state EKF and its monitors."""

@@ -1,10 +1,10 @@
-"""Our attitude reset by the autopilot's, where both go by the same IMU.
+"""Resets our attitude to the autopilot's if both use the same IMU.
 
-With the autopilot's own sensors by telemetry its filter has every sample, ours what the link brings. After a
-gap in the stream ours has missed a turn, the autopilot has not: ours is then set by it. So it is when ours
-is poorly known, as after a start in motion, and when the horizons differ, for longer than a manoeuvre
-explains, by more than both may err. Which way is north each
-finds for itself: the difference of the headings is learnt while all is well, and kept; alone it is no fault.
+With the autopilot's own sensors by telemetry, its filter has every sample, and ours only those that the
+link delivers. After a gap in the stream ours has missed a rotation, so it is reset to the autopilot's. The
+same happens if our attitude is poorly known, as after a start in motion, and if the horizons differ by more
+than both errors for longer than a manoeuvre explains. Each filter finds north itself: the difference of the
+headings is learnt in normal operation and kept; by itself it is no fault.
 
 Rotations about NED axes, rad, s.
 """

@@ -1,9 +1,10 @@
 """The vehicle's 31-state extended Kalman filter (Table 5, eq. 17): IMU, magnetometer, GPS, orientation.
 
-Asynchronous: each input predicts to its own time and updates. The filter can be put back to any earlier
-snapshot: `gating.Timeline` does so for a fix that arrives late. NED and FRD, SI units, µT.
+Asynchronous: each input predicts to its own time and updates. The filter can be reset to any earlier
+snapshot, which `gating.Timeline` uses for a late fix. NED and FRD, SI units, µT.
 
-Between two steps of the IMU nothing moves: a fix is compared with the state extrapolated to its own time.
+Between two steps of the IMU the state is constant: a fix is compared with the state extrapolated to its own
+time.
 """
 
 from __future__ import annotations

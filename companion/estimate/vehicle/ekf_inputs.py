@@ -1,4 +1,4 @@
-"""What the EKF takes in: steps of the IMU, fixes, and corrections from outside. NED and FRD, SI units, µT."""
+"""The inputs of the EKF: steps of the IMU, fixes, and external corrections. NED and FRD, SI units, µT."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the 31-state EKF starts from, and the noise that drives it (Table 5, eq. 17)."""
+"""The initial state and covariance of the 31-state EKF, and its process noise (Table 5, eq. 17)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""State and covariance of the 31-state EKF: prediction and correction (eq. 17), and how it is put back.
+"""State and covariance of the 31-state EKF: prediction, correction (eq. 17) and reset.
 
-The correction is filterpy's. The prediction is not: it leaves out the states that do not move.
+The correction is filterpy's. The prediction is our own: it leaves out the states that do not move.
 
 `x` and `P` are replaced and never changed in place, so that a snapshot costs nothing. NED and FRD, SI, µT.
 

@@ -1,10 +1,10 @@
-"""The magnetometer's samples between two steps of the filter, and how late they are, learnt from turns.
+"""The mean of the magnetometer's samples between two steps of the filter, and their delay, learnt from turns.
 
-A magnetometer converts, filters and is read out, and its stamp knows little of that: 10 to 60 ms are usual
+A magnetometer converts, filters and is read out, mostly after its stamp: delays of 10 to 60 ms are usual
 (13 ms on the boards of BROAD; ArduPilot's EK3_MAG_DELAY is 60). In a turn at w a field that is late by t is
-off by t w x F (NED), F the Earth's: where turns are mostly to one side, the heading goes with them. F stands
-still, so that what a sample has moved by shows t: a scalar Kalman filter of what is left of the sample after
-its running mean, against what is left of w x F after its own. NED and FRD, µT, rad/s, s, plain floats.
+wrong by t w x F (NED), with F the Earth's field. If turns are mostly to one side, the heading follows this
+error. F is constant, so the samples' change shows t. A scalar Kalman filter compares the sample minus its
+running mean with w x F minus its own. NED and FRD, µT, rad/s, s, plain floats.
 """
 
 import math

@@ -1,14 +1,14 @@
-"""Fix after fix off to the same side: the attitude errs, by a gyroscope's bias that has changed.
+"""Detects an attitude error, as after a step of the gyroscope's bias, by fixes that deviate to one side.
 
-A bias that steps tilts the estimate, and a tilt drives the velocity away from the fixes in one direction for
-seconds. Noise, however large, has no direction; a receiver that hangs or jumps is refused by its own test.
-So the excess alone says nothing: it has to last in one direction, of fixes that are still taken.
-An excess without a direction is noise that is larger than claimed, or of a time that is uncertain: it makes
-the next fixes count for less.
+A bias that steps tilts the estimate, and the tilt drives the velocity away from the fixes in one direction
+for seconds. Noise, however large, has no direction; a receiver that hangs or jumps is refused by its own
+test. So a large deviation is not enough: it has to last in one direction, over fixes that are still
+accepted. A large deviation without a direction is noise larger than stated, or an uncertain time; it
+reduces the weight of the next fixes.
 
-Changes of velocity show the heading, without any compass: between two fixes the receiver's and ours differ
-by the turn about down that ours lacks. What those of late leave of its uncertainty says whether another
-heading may be right. Immutable, so that a snapshot may hold it.
+Changes of velocity show the heading without any compass: between two fixes the receiver's and ours differ
+by our heading error. The uncertainty that the latest fixes leave decides whether another heading is
+possible. Immutable, so that a snapshot may hold it.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""The autopilot as a second gyroscope: has the bias of ours stepped?
+"""Detects a step of our gyroscope's bias by the autopilot's attitude, which serves as a second gyroscope.
 
-A step of 2 deg/s (a shock, a supply that sags) turns the attitude away faster than GPS and
-magnetometer correct it: their own errors need slow corrections. The autopilot has an IMU of its own, and what
-it says of its attitude holds how far the vehicle has turned in a window of time. Compared with our gyroscope
-that gives our bias to 0.3 deg/s within a second. Only turns are compared: the autopilot's heading and horizon
-are its own. With `sense.source: autopilot` both are the same sensor, and nothing is found.
+A step of 2 deg/s (a shock, a supply that sags) turns the attitude faster than GPS and magnetometer correct
+it, because they expect slow corrections. The autopilot has its own IMU, and its attitude shows how far the
+vehicle has turned in a window of time. Compared with our gyroscope this gives our bias to 0.3 deg/s within
+a second. Only rotations are compared: the autopilot's heading and horizon may differ. With `sense.source:
+autopilot` both use the same sensor, and nothing is detected.
 
-Other things look like a bias too. A wrong time does while the rate changes, two IMUs that do not lie quite
-alike do in a turn: what they may explain is no step. A heading that is reset turns at once what a bias turns
-bit by bit. An attitude that repeats itself is no news: a living sensor's noise never does.
+Other errors resemble a bias: a wrong time while the rate changes, and a misalignment of the two IMUs in a
+turn. What these can explain does not count. A reset of the heading turns at once by what a bias turns
+gradually. A repeated attitude is ignored, since the noise of a working sensor never repeats.
 
 Body FRD, rad/s, plain floats.
 """

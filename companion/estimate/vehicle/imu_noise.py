@@ -1,12 +1,12 @@
-"""How much the IMU may err over a step: what grows with the vibration, and with a turn that lasts.
+"""The IMU's error over a step: it grows with vibration and with a turn that lasts.
 
-Vibration is no motion of the vehicle. What alternates from sample to sample is vibration: it shows in the
-second difference of three samples. Most of it is gone from a sum of samples; what is left, and what comes in
-by aliasing, is noise of the velocity, and of the attitude: `SlowNoise`. An element that saturates, or that
-rectifies vibration, shifts its mean besides, by a share of what exceeds a bound, for as long as that lasts.
+Vibration alternates from sample to sample, so the second difference of three samples shows it. A sum of
+samples removes most of it. The rest, and what aliasing adds, is noise of velocity and attitude:
+`SlowNoise`. A sensor that saturates, or that rectifies vibration, also shifts its mean, by a share of the
+excess over a bound, for as long as that lasts.
 
-Scale errors and misalignment turn the attitude by a share of the turn itself. A vehicle that tilts and
-levels again has turned by nothing: what counts is the rate that lasts. Plain floats, body FRD, SI units.
+Scale errors and misalignment turn the attitude by a share of the rotation. A vehicle that tilts and levels
+again has not turned in total, so only a lasting rate counts. Plain floats, body FRD, SI units.
 """
 
 from __future__ import annotations

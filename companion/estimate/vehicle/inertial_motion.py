@@ -1,4 +1,4 @@
-"""How the vehicle moves from one IMU sample to the next, by the newest biases: body FRD and NED, SI units."""
+"""The vehicle's motion between two IMU samples, by the newest biases: body FRD and NED, SI units."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
-"""Does the attitude still fit what the orientation pre-filter says? Normalised innovations over a window.
+"""Checks whether the attitude still fits the orientation pre-filter, by normalised innovations over a window.
 
-A single innovation is judged by its gate, at a noise that is wide since it stays alike for seconds: an
-attitude that has run away by 30 deg passes it every time. The innovations of a filter that fits are white, so
-their mean over a window falls with the root of their number; that of one that has run away does not. Whitened
-by their own covariance, the mean's square is chi-square distributed.
+The gate for a single innovation uses a large noise, since this noise is correlated for seconds: an attitude
+that is wrong by 30 deg passes it every time. The innovations of a filter that fits are white, so their mean
+over a window decreases with the square root of their number; those of a wrong filter do not. Whitened by
+their own covariance, the mean's square is chi-square distributed.
 
-When it does not fit, the attitude is doubted: its covariance grows by as much as the two are apart, and what
-is measured next decides. When it still does not fit after that, the filter starts from the pre-filter.
+If it does not fit, the attitude's covariance is increased by the difference of the two, and the next
+measurements decide. If it still does not fit after that, the filter restarts from the pre-filter.
 Immutable, so that a snapshot may hold it.
 """
 

@@ -1,16 +1,16 @@
-"""Where the accelerometer is, learnt in the air, and what it feels of the vehicle's turns.
+"""The accelerometer's position relative to the centre of mass, learnt in the air.
 
-At r from the centre of mass (body) it feels alpha x r + w x (w x r) besides. Across a multirotor's up axis
-there is no thrust, so a vehicle that swings at w rad/s under its thrust feels w^2 r / g of its acceleration
-there once more: as wind, which a controller meets, and which closes a loop that oscillates from 3 cm on. By
-the same token it is learnt within seconds of that swing. A linear Kalman filter over means of the force f by
-triangles of two blocks, whose alpha is the difference of the two blocks' mean rates:
+At r from the centre of mass (body) the accelerometer also measures alpha x r + w x (w x r). Across a
+multirotor's up axis there is no thrust. So a vehicle that swings at w rad/s under its thrust measures w^2 r
+/ g of its acceleration there once more. The controller takes this for wind and counteracts it, which makes
+the loop oscillate from 3 cm on. The same swing shows r within seconds. A linear Kalman filter uses means of
+the force f over triangles of two blocks; alpha is the difference of the two blocks' mean rates:
 
     f = S r + b + noise      S r = alpha x r + mean(w x (w x r))
-    r: a random walk         b: what else is felt, a random walk: the air's force across, the thrust along
+    r: a random walk         b: the other forces, a random walk: the air's across, the thrust along
 
-What carries a vehicle by hand, or rocks it on its feet, turns it about another point: only flight teaches it.
-SI units, FRD.
+A vehicle carried by hand, or rocking on its feet, turns about another point: r is learnt in flight only. SI
+units, FRD.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The EKF's state, carried to now by the IMU, as the stages after it read it. NED and FRD, SI units."""
+"""The EKF's state, extrapolated to now by the IMU, for the following stages. NED and FRD, SI units."""
 
 from __future__ import annotations
 

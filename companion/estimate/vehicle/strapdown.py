@@ -1,9 +1,9 @@
-"""A few IMU samples summed up as one step of constant rate and specific force.
+"""Combines a few IMU samples to one step of constant rate and specific force.
 
-The sum is exact where averages are not: turns about changing axes do not commute (coning), and a force
-measured while turning points elsewhere at the end than at the start (sculling). Between two samples, which
-are the sensor's filtered output at their instants, both are taken as linear. Body FRD, SI units, plain
-floats.
+The combination is exact, unlike an average: rotations about changing axes do not commute (coning), and a
+force measured while turning has another direction at the end than at the start (sculling). Between two
+samples, which are the sensor's filtered output at their times, rate and force are taken as linear. Body
+FRD, SI units, plain floats.
 """
 
 from __future__ import annotations

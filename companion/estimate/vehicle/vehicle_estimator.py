@@ -1,9 +1,9 @@
 """The vehicle's half of the estimate stage: IMU, magnetometer and GPS in, attitude and motion out.
 
-Every IMU sample at once turns the attitude on and gives an acceleration (`motion`, for the pad filter and
-for predictions to now). The mean of every few goes to the EKF, together with the magnetometer and the
-orientation pre-filter's quaternion when their turn has come. A fix is fused at its own time.
-NED and FRD, SI units, µT.
+Every IMU sample immediately updates the attitude and gives an acceleration (`motion`, for the pad filter
+and for predictions to now). The mean of every few samples goes to the EKF, together with the magnetometer
+and the orientation pre-filter's quaternion at their own rates. A fix is fused at its own time. NED and FRD,
+SI units, µT.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
-"""What a gyroscope makes of a yaw: scale and misalignment as three constants, estimated beside the EKF.
+"""The gyroscope's errors in a yaw: scale and misalignment as three constants, estimated beside the EKF.
 
-A yaw at r rad/s shows as (1 + k3) r on the gyroscope's own axis and as k1 r, k2 r on the other two (body).
-In a turn that lasts this is no noise: it turns the attitude further and further, and back when the turn goes
-back. The 31 states know biases alone, so k has a filter of its own beside theirs, the separate-bias estimator
-(Friedland, IEEE Transactions on Automatic Control 14, 1969). With M, the covariance (3, 3) of k, and V, that
-(31, 3) of the state's error with k's, predictions and gains are those of one filter with 34 states:
+A yaw at r rad/s is measured as (1 + k3) r on the gyroscope's own axis and as k1 r, k2 r on the other two
+(body). In a lasting turn this is not noise: it turns the attitude further and further, and back when the
+turn reverses. The 31 states include only biases, so k has a separate filter, the separate-bias estimator
+(Friedland, IEEE Transactions on Automatic Control 14, 1969). With M, the covariance (3, 3) of k, and V,
+that (31, 3) of the state's error with k's, predictions and gains are those of one filter with 34 states:
 
     predict   G = r dx/d(gyroscope's bias)    P += A V Gᵀ + G Vᵀ Aᵀ + G M Gᵀ    V = A V + G M
     correct   k += (C V)ᵀ S⁻¹ y               V -= K C V                         M -= (C V)ᵀ S⁻¹ C V
 
-Fixes alone correct k and M, and before the first one k is left out. A compass's errors turn with the vehicle
-as k's do: what it shows counts for the state and V, as Schmidt has it, and teaches nothing of k. x and P keep
+Only fixes correct k and M, and k is left out before the first fix. A compass's errors turn with the vehicle
+as k's do, so a compass measurement updates the state and V but not k, as in Schmidt's filter. x and P keep
 their form. Immutable: each step gives a new one. Rates in rad/s, k as shares of a rate.
 """
 

@@ -1,8 +1,8 @@
-"""The space and the pads that a mission keeps to: fence, ceiling, and the fastest pad that is followed.
+"""The limits of a mission: fence, ceiling, and the fastest pad that is followed.
 
-They bind the vehicle, whatever it follows. A bound is reached while there is still room to stop before it:
-at the speed v towards it that takes v t + v^2 / (2 a), with the time t until a HOLD is obeyed and the
-deceleration a that both autopilots reach in it. m, s; NED.
+They apply to the vehicle, whatever it follows. A limit counts as reached while the vehicle can still stop
+before it: at the speed v towards it that takes v t + v^2 / (2 a), with the time t until a HOLD is obeyed
+and the deceleration a that both autopilots reach in it. m, s; NED.
 """
 
 import math

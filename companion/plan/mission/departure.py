@@ -1,7 +1,7 @@
-"""From the ground to the waypoint: the part that the autopilot flies itself.
+"""The flight from the ground to the waypoint, which the autopilot flies itself.
 
-Requests use latitude, longitude and height over home, since the autopilot's estimate is not ours; our own
-estimate decides whether the vehicle has arrived. Metres, seconds, degrees.
+Requests use latitude, longitude and height over home, since the autopilot's estimate differs from ours. Our
+own estimate decides whether the vehicle has arrived. Metres, seconds, degrees.
 """
 
 import math

@@ -1,7 +1,8 @@
-"""The failsafe monitor: detects what may happen in any state. The table says what follows.
+"""The failsafe monitor detects events that can occur in any state. The mission's table decides what follows.
 
-Control is ours from the moment the autopilot granted it and says that it obeys setpoints. A mode that we
-did not request is a pilot's word or a failsafe of the autopilot, and that is final (`mode_monitor`).
+The app has control from the moment at which the autopilot grants it and reports that it obeys setpoints. A
+mode that the app did not request was chosen by a pilot or by a failsafe of the autopilot, and ends the
+mission (`mode_monitor`).
 """
 
 from collections.abc import Iterator, Sequence

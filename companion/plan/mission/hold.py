@@ -1,7 +1,7 @@
-"""A hold by our own setpoints: come to rest, and just over the pad climb clear of it first.
+"""A hold by the app's own setpoints: the vehicle comes to rest; just over the pad it first climbs clear.
 
-The pad may move or heave beneath a vehicle that stays low. At rest and clear it has done its part, and the
-autopilot's own hold is as good. When the EKF's position steps, the place that is held steps with it: the
+The pad may move or heave beneath a vehicle that stays low. Once the vehicle is at rest and clear, the
+autopilot's own hold takes over. If the EKF's position steps, the held position steps with it, so that the
 vehicle stays where it is. EKF's NED; m, s.
 """
 

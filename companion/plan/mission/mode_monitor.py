@@ -1,12 +1,14 @@
-"""Whose word the flight mode is: a mode that we did not request is a pilot's, or an autopilot's failsafe.
+"""Decides who chose the flight mode: the app, or a pilot or failsafe, which takes the vehicle from the app.
 
-Before control is ours the autopilot flies what we requested, and may be in the modes that this leads to. The
-mode in which it was found is left alone on the ground; after our first request was accepted, the autopilot
-has `TAKES_S` to change into the mode that was requested. Once it has, the old mode is a pilot's too. The
-same holds for a vehicle that a pilot flew when the landing was ordered. With control ours, only the mode
-that obeys setpoints is ours; and just after a silent link the mode in which PX4 has waited for setpoints.
-After the mission's end, while a hold or a landing is still asked for, the mode in which it ended is ours, and
-the one that is asked for: a LAND that nobody asked for is not, or a hold that is repeated would stop it.
+Before the app has control, the autopilot may be in the modes that the app's requests lead to. On the ground
+the mode in which it was found is accepted; after the first accepted request the autopilot has `TAKES_S` to
+change into the requested mode. From then on the old mode counts as a pilot's too. The same rule applies to
+a vehicle that a pilot flew when the landing was ordered.
+
+With control only the mode that obeys setpoints is accepted, and just after a silent link the mode in which
+PX4 waited for setpoints. After the mission's end, while a hold or a landing is still requested, the mode in
+which it ended and the requested mode are accepted. A LAND that was not requested is not accepted, because a
+repeated hold request would stop it.
 """
 
 import math

@@ -1,7 +1,7 @@
-"""What stands against a flight, in words: before the autopilot is asked to arm, and before control is taken.
+"""The reasons that forbid a flight, in words: checked before arming is requested and before control is taken.
 
-Pure. An order is followed or refused in the cycle in which it comes, never kept for later: whoever gave it
-looks at the vehicle now. What the failsafes look at while it flies they word alike.
+Pure. An order is followed or refused in the cycle in which it arrives and never kept, because whoever gave
+it is looking at the vehicle now. The failsafes in flight use the same words.
 """
 
 from collections.abc import Iterator

@@ -1,8 +1,8 @@
 """The open requests to the autopilot: spacing, retries and giving up.
 
-An action is sent once, again `retry_s` after a refusal or `answer_s` after silence, and `attempts` times
-at most. Arming alone is asked for until its phase ends by time: an autopilot that cannot yet arm is waited
-for, not hammered, and what it lacks is reported whenever that changes. Pure: time is an argument.
+An action is sent once, again `retry_s` after a refusal or `answer_s` after silence, and `attempts` times at
+most. Only arming is repeated until its phase times out, because an autopilot may not be ready to arm yet;
+what it lacks is reported at each change. Pure: time is an argument.
 """
 
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""The mission's state: where it is, who has the vehicle, how many tries it has used. The table moves it."""
+"""The state of the mission: phase, who has control, number of tries used. The mission's table changes it."""
 
 from dataclasses import replace
 

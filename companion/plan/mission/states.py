@@ -1,6 +1,6 @@
-"""The vocabulary of the mission's table: states, who has the vehicle, guards, effects, rows.
+"""The vocabulary of the mission's table: states, owners of control, guards, effects, rows.
 
-A state is a phase of the mission, or one of its sub-phases: the touchdown has six, a hold has two. No clock,
+A state is a phase of the mission or one of its sub-phases: the touchdown has six, a hold has two. No clock,
 no I/O.
 """
 

@@ -1,17 +1,17 @@
-"""The mission's state machine as data: a state and an event give the next state and what is asked.
+"""The mission's state machine as data: a state and an event give the next state and the requests.
 
 Its rules:
-  every pair of a state and an event has one row, or means nothing there, or is impossible;
-  an impossible pair ends in a hold by the autopilot itself, and is announced;
-  every state ends by time but the two last (LANDED, ABORT), STANDBY, which waits for an order, and
-  AUTO_LAND while the autopilot is heard: it goes on to request LAND and disarm, or the motors would stay on;
-  released for good is released: whatever happens then, nothing more is asked of the autopilot;
-  STOP, the bounds and overtime return control to the autopilot, which holds its position: low over the pad
-  once it has climbed clear. A lost or disputed estimate, a controller without a plan and a late link
-  leave no time for that; a vehicle that a pilot flew when the landing was ordered, and that was never
-  ours, stays in the pilot's mode;
-  a PX4 that is disarmed in our OFFBOARD is put into Hold, so that it can be armed again.
-No clock, no I/O: the failsafe monitor and the phases detect events, and here stands what follows.
+  every pair of a state and an event has one row, or is ignored, or is impossible;
+  an impossible pair ends in a hold by the autopilot, and is announced;
+  every state ends by time, except the final ones (LANDED, ABORT), STANDBY, which waits for an order, and
+  AUTO_LAND while the autopilot is received: it goes on to request LAND and disarm, or the motors stay on;
+  control that was released is never taken again in this mission, and nothing more is requested;
+  STOP, the bounds and overtime return control to the autopilot, which holds its position; low over the pad
+  the vehicle climbs clear first. A lost or disputed estimate, a controller without a plan and a late link
+  leave no time for that. A vehicle that a pilot flew when the landing was ordered, and that the app never
+  controlled, stays in the pilot's mode;
+  a PX4 that is disarmed in the app's OFFBOARD is put into Hold, so that it can be armed again.
+No clock, no I/O: the failsafe monitor and the phases detect events, and this table decides what follows.
 """
 
 from collections.abc import Collection, Iterable, Mapping

@@ -1,1 +1,1 @@
-"""Obstacles and the way round them."""
+"""Obstacles and the paths around them."""

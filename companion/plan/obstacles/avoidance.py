@@ -1,12 +1,14 @@
-"""Obstacle avoidance: each planned trajectory is checked over its whole length, and replaced if need be.
+"""Obstacle avoidance: each planned trajectory is checked over its whole length and replaced if necessary.
 
-The reference generator plans as if there were no obstacles. Its trajectory is flown when it keeps the margin,
-to its end and for as long after as a stop takes. If not, a detour goes round or over them by the shortest
-route: smooth if that keeps the margin, else with halts at its corners. Without any detour the vehicle brakes
-and holds (`blocked`); over a pad that is too near to an obstacle it follows higher up (`waiting`). Obstacles
-stand still and the pad moves: clearance is checked in the EKF's NED, with the pad predicted along its arc,
-and the result is returned in the reference's frame. Obstacles count from home, which is not the EKF's
-origin, so that what was surveyed does not move with an estimate. m, s.
+The reference generator plans without obstacles. Its trajectory is flown if it keeps the margin up to its
+end and for the time that a stop takes after it. Otherwise a detour goes around or over the obstacles by the
+shortest route: smooth if that keeps the margin, else with stops at its corners. Without any detour the
+vehicle brakes and holds (`blocked`). Over a pad that is too near to an obstacle it follows at a greater
+height (`waiting`).
+
+Obstacles stand still and the pad moves: clearance is checked in the EKF's NED, with the pad predicted along
+its arc, and the result is returned in the reference's frame. Obstacles are relative to home and not to the
+EKF's origin, so that surveyed positions do not move with an estimate. m, s.
 """
 
 import math

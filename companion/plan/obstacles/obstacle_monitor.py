@@ -1,7 +1,7 @@
-"""Obstacles as the phases need them: where they count from, and the notices about them.
+"""Places the surveyed obstacles in the EKF's frame, and announces what concerns them.
 
-Obstacles are surveyed from the place of the take-off. Our own estimate at take-off says where that is in the
-EKF's NED (m): two GPS receivers disagree by metres, one receiver drifts little over a flight.
+Obstacles are surveyed from the take-off place. The app's own estimate at take-off gives this place in the
+EKF's NED (m): two GPS receivers disagree by metres, while one receiver drifts little during a flight.
 """
 
 import math

@@ -1,8 +1,8 @@
-"""The shortest path round or over obstacles that keeps a margin from all of them.
+"""The shortest path around or over obstacles that keeps a margin from all of them.
 
-The way round is the shortest path in the visibility graph (Lozano-Perez and Wesley, 1979) of the octagons
-about the grown shapes; the way over is the same at a height where some are below. Nothing is drawn at random:
-the same question has the same answer. NED, m, in the obstacles' frame.
+The path around is the shortest path in the visibility graph (Lozano-Perez and Wesley, 1979) of the octagons
+about the grown shapes; the path over them is the same at a height above some of them. Nothing is random:
+the same input gives the same path. NED, m, in the obstacles' frame.
 """
 
 import math

@@ -1,8 +1,8 @@
-"""Obstacles as shapes: how far points and lines are from them.
+"""Obstacles as shapes: distances of points and lines from them.
 
-An obstacle stands on the ground and is solid up to its top: a rectangle with rounded sides, of which a box
-(radius 0) and a cylinder (no rectangle) are the two ends. Grown by a margin it keeps that form. NED, m; the
-frame is the caller's (the planner's counts from home, so that what is surveyed never moves).
+An obstacle stands on the ground and is solid up to its top. Its shape is a rectangle with rounded sides: a
+box has radius 0, a cylinder has no rectangle. Grown by a margin it keeps this form. NED, m; the frame is
+the caller's (the planner's is relative to home, so that surveyed obstacles never move).
 """
 
 from __future__ import annotations

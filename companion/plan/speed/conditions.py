@@ -1,7 +1,8 @@
-"""The conditions of an approach, as the fuzzy speed controller's pace goes by them.
+"""The conditions of an approach, which are the inputs of the fuzzy speed controller's pace.
 
-Three numbers: how well the pad is seen, how well it is followed, and how the wind pushes. What of the speed
-over the pad is planned says nothing here: the closing velocity is an input of V already. NED, SI units.
+They are three numbers: how well the pad is seen, how well it is followed, and how strong the gusts are. The
+planned part of the speed over the pad is subtracted, since the closing velocity is an input of V already.
+NED, SI units.
 """
 
 import math

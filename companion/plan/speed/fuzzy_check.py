@@ -1,4 +1,4 @@
-"""Whether a speed table is what its rules say, and what a pilot would do.
+"""Checks that a speed table agrees with its rules and is monotone as a pilot's speed would be.
 
 Distances in m, closing velocity in m/s and acceleration in m/s², positive towards the target; sight in rad,
 relative speed in m/s, gusts in m/s².

@@ -1,12 +1,12 @@
-"""The rules of the fuzzy controller behind eq. 37 (Figs. 7-9), and what they mean: Mamdani's by scikit-fuzzy.
+"""The rules of the fuzzy controller behind eq. 37 (Figs. 7-9), evaluated by scikit-fuzzy (Mamdani).
 
-Inputs: distance (m) to where the reference is going, closing velocity (m/s) and closing acceleration
-(m/s²), both positive towards it. Output: the average speed V (m/s) for the way. A second set of rules,
-`pace`, gives a factor on V by the conditions of the approach (`companion.plan.speed.conditions`).
+Inputs: distance (m) to the reference's end, closing velocity (m/s) and closing acceleration (m/s²), both
+positive towards it. Output: the average speed V (m/s). A second set of rules, `pace`, gives a factor on V
+by the conditions of the approach (`companion.plan.speed.conditions`).
 
-The rules in configs/fuzzy/NAME.yaml are triangles and trapezoids, clipped output sets, their union, its
-centroid. Two choices make the surface smooth and monotone (never faster when closer at the same speed),
-which min-max inference is not: AND is the product, and rules with the same conclusion add up.
+The rules in configs/fuzzy/NAME.yaml use triangles and trapezoids, clipped output sets, their union, and its
+centroid. Min-max inference is neither smooth nor monotone. Two choices make the surface both (never faster
+when closer at the same speed): AND is the product, and rules with the same conclusion add up.
 """
 
 import hashlib

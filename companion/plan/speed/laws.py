@@ -1,13 +1,13 @@
-"""Which speed law feeds T = |Δ| / V + T_min (eq. 37): `plan.speed_law`.
+"""The choice of the speed law behind T = |Δ| / V + T_min (eq. 37): `plan.speed_law`.
 
-`fuzzy` is the paper's and the default. The two others are what it is held against (`python -m experiments
-profiles`): a `fixed` speed, and a `log_polynomial` of the distance, the kind of profile that the paper cites
-of Alvika et al. [11] without telling its coefficients:
+`fuzzy` is the paper's and the default. The two others are baselines (`python -m experiments profiles`): a
+`fixed` speed, and a `log_polynomial` of the distance, the kind of profile that the paper cites of Alvika et
+al. [11] without coefficients:
 
     V(d) = c0 + c1 L + c2 L² + c3 L³,  L = ln(1 + d / 1 m).
 
-Ours are fitted by least squares to the fuzzy speed controller at rest, over the distances that its table
-tells apart. So both go from the same speed to the same speed, and differ in the closing velocity and
+Its coefficients are a least-squares fit to the fuzzy speed controller at rest, over the distances that the
+fuzzy table resolves. So both laws begin and end at the same speeds, and differ in the closing velocity and
 acceleration, which only the fuzzy speed controller uses. m, m/s, m/s²; closing is positive towards the
 target.
 """

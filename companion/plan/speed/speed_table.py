@@ -1,11 +1,12 @@
-"""How fast to come in: V of T = |Δ| / V + T_min (eq. 37) from the fuzzy rules, by a table.
+"""The approach speed V of T = |Δ| / V + T_min (eq. 37) from a table of the fuzzy rules.
 
-One compute of scikit-fuzzy takes milliseconds, so the rules' surface (`fuzzy_rules.mamdani`) is sampled once
-into NAME.table.json beside the rules and interpolated in flight (`SpeedTable`, microseconds). The table
-carries a hash of the rules; when they have been edited since, it is computed afresh at the start, and
-`companion fuzzy NAME --write-table` writes it again.
+One evaluation by scikit-fuzzy takes milliseconds. So the rules' surface (`fuzzy_rules.mamdani`) is sampled
+once into NAME.table.json beside the rules and interpolated in flight (`SpeedTable`, microseconds). The
+table contains a hash of the rules. After an edit of the rules it is computed at each start, until
+`companion fuzzy NAME --write-table` stores it again.
 
-The rules of the pace, a factor on V by the conditions, are sampled and flown likewise (`PaceTable`).
+The rules of the pace, a factor on V by the conditions, are sampled and interpolated in the same way
+(`PaceTable`).
 
 Distances in m, closing velocity in m/s and acceleration in m/s², positive towards the target.
 """

@@ -1,6 +1,6 @@
-"""Frames that move evenly, a pad's above all: motions seen from one and from space, and where one will be.
+"""Frames in uniform motion, such as a pad's: transformations to and from them, and their predicted motion.
 
-Space is the EKF's NED; a frame is the motion of its origin, its axes are NED's. m, s.
+The fixed frame is the EKF's NED. A frame is the motion of its origin; its axes are NED's. m, s.
 """
 
 import math

@@ -1,13 +1,15 @@
-"""Minimum jerk through several points: quintics one after another, smooth to the fourth derivative.
+"""Minimum jerk through several points: consecutive quintics, smooth to the fourth derivative.
 
-What minimises the integral of the squared jerk through given points at given times is a spline of quintics
-whose jerk and snap too are continuous at each point (Pontryagin, as for eq. 20 within a leg). With eq. 29
-for a leg of T from (x0, v0, a0) to (x1, v1, a1), D = x1 - x0:
+The integral of the squared jerk through given points at given times is smallest for a spline of quintics
+whose jerk and snap are continuous at each point (Pontryagin, as for eq. 20 within a leg). With eq. 29 for a
+leg of T from (x0, v0, a0) to (x1, v1, a1), D = x1 - x0:
+
     jerk at its start  (60 D - T (36 v0 + 24 v1) - T² (9 a0 - 3 a1)) / T³
     jerk at its end    (60 D - T (24 v0 + 36 v1) - T² (3 a0 - 9 a1)) / T³
     snap at its start (-360 D + T (192 v0 + 168 v1) + T² (36 a0 - 24 a1)) / T⁴
     snap at its end    (360 D - T (168 v0 + 192 v1) - T² (24 a0 - 36 a1)) / T⁴
-which is linear in the velocities and accelerations at the points: one solution for all three axes.
+
+These are linear in the velocities and accelerations at the points, so one solution serves all three axes.
 Frame-free, m and s.
 """
 

@@ -1,4 +1,4 @@
-"""A trajectory within the limits of speed and acceleration: as long as it takes, within reason. m, s."""
+"""Lengthens a trajectory until it keeps the limits of speed and acceleration, up to a longest time. m, s."""
 
 import math
 from typing import Final

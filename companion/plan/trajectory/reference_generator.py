@@ -1,12 +1,13 @@
 """The reference generator: one minimum-jerk trajectory in one frame, replanned from its own state.
 
-Replanning starts where the previous reference is now, not where the vehicle is: position, velocity and
-acceleration stay continuous and noise of the estimate never enters them. Only when the vehicle has strayed
-too far is the reference put onto the estimate again.
+Replanning starts from the previous reference and not from the vehicle: position, velocity and acceleration
+stay continuous, and the estimate's noise does not enter them. Only if the vehicle is too far from the
+reference does planning start from the estimate again.
 
-T = |Δ| / V + T_min (eq. 37) with V from the fuzzy controller; T grows further until the way keeps its limits
-of speed and acceleration. Planning happens in the frame that moves with the target, where the end is at rest
-(eqs. 29, 30). Frames, NED axes: places count from the pad ("pad") or the EKF's origin ("local"). m, s, rad.
+T = |Δ| / V + T_min (eq. 37) with V from the fuzzy controller; T is lengthened until the path keeps its
+limits of speed and acceleration. Planning uses the frame that moves with the target, in which the end is at
+rest (eqs. 29, 30). Frames, NED axes: positions are relative to the pad ("pad") or to the EKF's origin
+("local"). m, s, rad.
 """
 
 import math

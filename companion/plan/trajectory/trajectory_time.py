@@ -1,8 +1,8 @@
-"""How long a trajectory takes: T = |Δ| / V + T_min, eq. 37 of the paper.
+"""The duration of a trajectory: T = |Δ| / V + T_min, eq. 37 of the paper.
 
-V is the speed law's (`companion.plan.speed`), T_min the setting `plan.guidance.minimum_time_s`. The reference
-generator asks for this time; `limits.within_limits` lengthens it where speed or acceleration would exceed its
-limit.
+V comes from the speed law (`companion.plan.speed`), T_min is the setting `plan.guidance.minimum_time_s`.
+The reference generator uses this time; `limits.within_limits` lengthens it if speed or acceleration would
+exceed its limit.
 """
 
 

@@ -1,7 +1,7 @@
-"""The way through the waypoints that we fly ourselves: by minimum jerk, round the obstacles between them.
+"""The path through the waypoints that the app flies itself: minimum jerk, around the obstacles between them.
 
-Waypoints are north and east of home (m), with a height over home where it is not the take-off's; what is
-flown is in the EKF's NED. m, s.
+Waypoints are north and east of home (m), with a height over home if it differs from the take-off height;
+the flown path is in the EKF's NED. m, s.
 """
 
 import math

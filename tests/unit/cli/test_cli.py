@@ -80,7 +80,6 @@ NOT_FOUND = {
         ["campaign", "--scenarios", "line", "nope"],
         ["campaign", "--config", "nope.yaml"],
         ["hand-held", "--motion", "still", "--scenario", "nope"],
-        ["hold", "--motion", "still", "--scenario", "nope"],  # its earlier name, for scripts
         ["view", "nope"],
     ],
     "python -m experiments": [

@@ -214,8 +214,8 @@ def test_a_failsafe_that_stops_the_motors_is_no_way_to_fly(action: int) -> None:
         ("ardupilot", None, 0.5, ""),
         ("ardupilot", None, 0.1, "GUID_TIMEOUT is 0.1: too short to detect the lost link"),
         ("ardupilot", None, 1.0, ""),
-        ("ardupilot", None, 3.0, "GUID_TIMEOUT is 3: so long it keeps the last tilt"),
-        ("px4", 5, 1.1, "COM_OF_LOSS_T is 1.1: so long it keeps the last tilt"),
+        ("ardupilot", None, 3.0, "GUID_TIMEOUT is 3: it keeps the last tilt this long"),
+        ("px4", 5, 1.1, "COM_OF_LOSS_T is 1.1: it keeps the last tilt this long"),
     ],
 )
 def test_a_time_out_shorter_or_longer_than_a_landing_bears_is_no_way_to_fly(
