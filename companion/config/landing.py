@@ -66,8 +66,8 @@ class LandingConfig(StrictModel):
     """Tries after the first; more is worse: each is a further risk low over the pad. Lower it for a small
     battery"""
     pause_unseen_s: float = Field(default=0.5, gt=0.0, le=5.0)
-    """If the pad is unseen for this time, the descent pauses, and just over the pad the vehicle climbs and tries
-    again; raise it where single frames are often lost"""
+    """If the pad is unseen for this time, the descent pauses, and just over the pad the vehicle climbs and
+    tries again; raise it where single frames are often lost"""
     lost_unseen_s: float = Field(default=5.0, gt=0.0, le=10.0)
     """If the pad is unseen for this time, it counts as lost; longer is worse: the vehicle follows a
     prediction. Lower it for a pad that changes its course often"""
