@@ -144,6 +144,11 @@ class PadSighting:
     common_variance_m2: float = 0.0
 
 
+# what measures where the pad is, by the topic of the log in which it is recorded
+PadObservation = PadSighting
+PAD_OBSERVATIONS: Final[dict[str, type[PadObservation]]] = {"sighting": PadSighting}
+
+
 @dataclass(frozen=True, slots=True)
 class FrameReport:
     """What became of a frame, seen or not: for the status line, the log and the score."""

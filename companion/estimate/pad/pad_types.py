@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -49,6 +49,10 @@ class PadMeasurement:
     slow_variance_m2: float = 0.0
     tilt_rad: tuple[float, float] | None = None  # as of `PadTilt`
     tilt_std_rad: float = 0.0
+
+    gate: ClassVar[str] = "sighting"
+    relative_velocity: ClassVar[None] = None
+    common: ClassVar[None] = None
 
     @property
     def slow_share(self) -> float:

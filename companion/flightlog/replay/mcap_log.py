@@ -14,11 +14,11 @@ from pydantic import BaseModel
 
 from companion.base.geometry import subtract
 from companion.base.messages import (
+    PAD_OBSERVATIONS,
     AutopilotAttitude,
     GpsFix,
     ImuSample,
     MagSample,
-    PadSighting,
     PadState,
     RangeSample,
     Truth,
@@ -43,8 +43,8 @@ SAMPLES: Final = {
     "mag": MagSample,
     "gps": GpsFix,
     "range": RangeSample,
-    "sighting": PadSighting,
     "autopilot_attitude": AutopilotAttitude,
+    **PAD_OBSERVATIONS,
 }
 STATES: Final = {"vehicle": VehicleState, "pad": PadState}
 Settings = TypeVar("Settings", bound=BaseModel)
