@@ -111,6 +111,9 @@ class PadFilterConfig(StrictModel):
     """Noise of an echo; raise it for a rough or soft pad surface"""
     sighting_timeout_s: float = Field(default=0.5, gt=0.0, le=10.0)
     """Sightings refused this long: start again from the next; lower it for a pad that moves abruptly"""
+    beacon: Literal["search", "track"] = Field(default="search")
+    """What the pad's beacon is for: `search` leads the search alone, `track` starts the pad's estimate, too,
+    and carries it while the pad is unseen; set it for a beacon that is asked for or streams once a second"""
     remember_s: float = Field(default=1.0, ge=0.1, le=5.0)
     """Largest delay of a sighting that is still fused; raise it for a slow camera"""
     forget_s: float = Field(default=10.0, ge=1.0, le=60.0)

@@ -30,6 +30,7 @@ from companion.base.geometry import (
 )
 from companion.base.messages import (
     AutopilotAttitude,
+    CarriedPad,
     GpsFix,
     ImuSample,
     MagSample,
@@ -307,6 +308,25 @@ class StateEstimator:
             tilt_swing_rad=estimate.tilt.swing_rad,
             tilt_frequency_rad_s=estimate.tilt.frequency_rad_s,
             seen_velocity_ned_m_s=add(relative_velocity, self._motion.moved(estimate.seen_time_s, now_s)[1]),
+        )
+
+    def carried_pad(self, now_s: float) -> CarriedPad | None:
+        """The pad, predicted to now_s, while something else than the camera carries its estimate."""
+        snapshot = self._timeline.as_of(now_s)
+        if snapshot is None or not snapshot.observed_time_s > snapshot.seen_time_s:
+            return None
+        if now_s - snapshot.observed_time_s > self._config.pad.forget_s:
+            return None
+        estimate = self._pad.predicted(snapshot, now_s)
+        if estimate is None or not _finite(estimate.x):
+            return None
+        return CarriedPad(
+            time_s=now_s,
+            relative_position_ned_m=vector3(estimate.x[0:3]),
+            velocity_ned_m_s=add(vector3(estimate.x[3:6]), self._vehicle.velocity(now_s)),
+            acceleration_ned_m_s2=vector3(estimate.x[6:9]),
+            lateral_std_m=math.sqrt(max(0.0, 0.5 * float(estimate.P[0, 0] + estimate.P[1, 1]))),
+            observed_time_s=estimate.observed_time_s,
         )
 
     def attitude(self, time_s: float) -> Quaternion | None:

@@ -24,7 +24,7 @@ import numpy as np
 from companion.base.geometry import FloatArray
 
 _SEEN: Final = 2  # a measurement says so much: a pair of states
-PLACE: Final = 0  # the first of the pair that a position says
+PLACE, SPEED = 0, 2  # the first of the pair that a position says, and a velocity
 _ADJUGATE: Final = np.array([[1.0, -1.0], [-1.0, 1.0]])
 
 
@@ -123,6 +123,14 @@ class ModelBank:
     def restore(self, state: BankState) -> None:
         """Go on from a state."""
         self._state = state
+
+    def widen(self, variances: FloatArray) -> None:
+        """Add a pair of states that is correlated with none so far: mean 0, variances (m, 2)."""
+        m, n = self.state.means.shape
+        means, covariances = np.zeros((m, n + _SEEN)), np.zeros((m, n + _SEEN, n + _SEEN))
+        means[:, :n], covariances[:, :n, :n] = self.state.means, self.state.covariances
+        covariances[:, range(n, n + _SEEN), range(n, n + _SEEN)] = variances
+        self._state = BankState(means, covariances, self.state.probabilities)
 
     def predict(self, dt_s: float, step: ModelTransition) -> None:
         """Mix within each group, then move every model."""

@@ -33,12 +33,13 @@ from companion.flightlog.replay.flight_record import (
     RecordedEvent,
     RecordedReference,
     ReplaySetup,
+    Sample,
     Source,
     TrackName,
 )
 from companion.pad import Pad
 
-SAMPLES: Final = {
+SAMPLES: Final[dict[str, type[Sample]]] = {
     "imu": ImuSample,
     "mag": MagSample,
     "gps": GpsFix,
