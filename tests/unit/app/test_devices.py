@@ -453,7 +453,7 @@ async def test_the_check_says_how_the_camera_does() -> None:
 BEACON = PadBeacon(5.0, 47.0, 8.0, 400.0, (1.0, 0.0, 0.0), 1.5, fix_time_s=100.0)
 
 
-class Observed(RecentSamples):
+class ObservedSamples(RecentSamples):
     """Keeps what is no camera's."""
 
     def __init__(self) -> None:
@@ -469,7 +469,7 @@ class Observed(RecentSamples):
 async def test_each_fix_of_a_beacon_is_taken_once_where_it_is_to_be(use: str, taken: list[float]) -> None:
     nothing: Any = None
     camera: Any = SimpleNamespace(next=asyncio.Event().wait)
-    samples = Observed()
+    samples = ObservedSamples()
     config = CompanionConfig.model_validate({"estimate": {"pad": {"beacon": use}}})
     sensing = Sensing(
         config, Hardware(memory_pair()[0], camera), nothing, samples,
