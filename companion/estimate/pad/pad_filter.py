@@ -78,6 +78,8 @@ _NO_AXIS_M2: Final = 1.0  # noise on the vertical models' second axis, where all
 
 # the models' innovations, the mixture's, and its covariance by the upper triangle
 _Compared = tuple[Innovation, Vector3, tuple[float, ...]]
+# of a measurement: the value, its variances, and the pairs of states of which it is the sum
+_Part = tuple[Vector3, tuple[float, float, float, float], tuple[int, ...]]
 
 
 class PadFilter:
@@ -333,33 +335,34 @@ class PadFilter:
         if self._forgotten(time_s, self.observed_time_s):
             self._start_by_fix(time_s, fix)
             return
-        passed = all(self._fits(seen) for seen in self._fix_innovations(fix))
+        parts = self._parts(fix)
+        passed = all(self._fits(self._innovation(*part)) for part in parts)
         self._record(fix.gate, passed)
         if passed:
-            self._update_by(fix)
+            self._update(parts)
             self.observed_time_s = time_s
         elif self._forgotten(time_s, self.seen_time_s) and self.gates[fix.gate].shut_out(
             time_s, FIX_TIMEOUT_S
         ):
             self._start_by_fix(time_s, fix)
 
-    def _update_by(self, fix: Observation) -> None:
-        """Its parts one after the other: the second expects what the first has told."""
-        for part in range(len(self._fix_innovations(fix))):
-            self._bank.update(self._fix_innovations(fix)[part])
+    def _parts(self, fix: Observation) -> tuple[_Part, ...]:
+        """Its position, of which its source's error is a part, and its velocity."""
+        (a, b, _), (_, d, _), (_, _, f) = fix.covariance_ned_m2.tolist()
+        place = (fix.position_ned_m, (a, b, d, f), (PLACE, *self._pair_of(fix.common)))
+        if fix.relative_velocity is None:
+            return (place,)
+        velocity, (north, east, down) = fix.relative_velocity
+        return place, (velocity, (north**2, 0.0, east**2, down**2), (SPEED,))
+
+    def _update(self, parts: Sequence[_Part]) -> None:
+        """One after the other: the second expects what the first has told."""
+        for part in parts:
+            self._bank.update(self._innovation(*part))
 
     def _fits(self, seen: Innovation) -> bool:
         y, (a, b, d, f) = self._mixture(seen)
         return passes(y, (a, b, 0.0, d, 0.0, f))
-
-    def _fix_innovations(self, fix: Observation) -> tuple[Innovation, ...]:
-        """Of its position, of which its source's error is a part, and of its velocity."""
-        (a, b, _), (_, d, _), (_, _, f) = fix.covariance_ned_m2.tolist()
-        place = self._innovation(fix.position_ned_m, (a, b, d, f), (PLACE, *self._pair_of(fix.common)))
-        if fix.relative_velocity is None:
-            return (place,)
-        velocity, (north, east, down) = fix.relative_velocity
-        return place, self._innovation(velocity, (north**2, 0.0, east**2, down**2), (SPEED,))
 
     def _pair_of(self, error: CommonError | None) -> tuple[int, ...]:
         """The first of the pair of states that such an error is, from now on."""
@@ -377,7 +380,7 @@ class PadFilter:
     def _start_by_fix(self, time_s: float, fix: Observation) -> None:
         """Of a pad of which nothing is known the first fix tells all, as every later one its part."""
         self._start_motion(time_s, fix, UNKNOWN_PLACE_M**2 * np.eye(3))
-        self._update_by(fix)
+        self._update(self._parts(fix))
         self.seen_time_s, self.observed_time_s = -math.inf, time_s
         self._turn, self._heading, self._tilt = Turn(), HeadingState(), LEVEL
         self._slow_share, self._refused, self._before_step = 0.0, (), None
