@@ -34,6 +34,7 @@ from companion.base.garbage_collection import infrequent_collection
 from companion.base.messages import (
     ActionResult,
     AutopilotSetup,
+    CarriedPad,
     ControlReport,
     Notice,
     PadState,
@@ -234,8 +235,9 @@ class App:
             vehicle = pad = None
         if self.session.setup is not None:  # it takes a while to make, which is to pass on the ground
             self._control().thrust.feel(vehicle, self.session.state, self.session.setup, now_s)
-        plan = self._plan(vehicle, pad, now_s)
-        for topic, estimate in (("vehicle", vehicle), ("pad", pad)):
+        carried = self.estimator.carried_pad(now_s)
+        plan = self._plan(vehicle, pad, carried, now_s)
+        for topic, estimate in (("vehicle", vehicle), ("pad", pad), ("carried_pad", carried)):
             if estimate is not None:
                 self._log.write(topic, estimate, now_s)
         if self._target is not None:
@@ -272,12 +274,15 @@ class App:
                 self.announcer.notify_once("setup", warning, "warning")
         return self._controller
 
-    def _plan(self, vehicle: VehicleState | None, pad: PadState | None, now_s: float) -> PlanStep:
+    def _plan(
+        self, vehicle: VehicleState | None, pad: PadState | None, carried: CarriedPad | None, now_s: float
+    ) -> PlanStep:
         results, self._action_results = tuple(self._action_results), []
         inputs = PlanInputs(
             vehicle=vehicle,
             pad=pad,
             autopilot=self.session.state,
+            carried=carried,
             beacon=self.session.beacons.beacon,
             range=self.sensing.last_range,
             results=results,
@@ -327,6 +332,7 @@ class App:
             self.session.receive(data, now_s)
             self._stamps.note(ordered=self.session.orders.waiting)
             self.sensing.take_samples(self.session.take_samples())
+            self.sensing.take_beacon(self.session.beacons.beacon)
             self._actions.receive(data)
             self._send(self.session.tick(now_s))
 

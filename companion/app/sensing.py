@@ -33,6 +33,8 @@ from companion.base.messages import (
     ImuSample,
     LandedState,
     MagSample,
+    PadBeacon,
+    PadObservation,
     PadPrior,
     PadSighting,
     RangeSample,
@@ -98,6 +100,7 @@ class Estimates(Protocol):
     def add_gps(self, fix: GpsFix) -> object: ...
     def add_range(self, sample: RangeSample) -> object: ...
     def add_sighting(self, sighting: PadSighting) -> object: ...
+    def observe(self, observation: PadObservation) -> object: ...
     def add_autopilot_attitude(self, sample: AutopilotAttitude) -> object: ...
     def pad_prior(self, time_s: float) -> PadPrior | None: ...
 
@@ -142,6 +145,7 @@ class Sensing:
         self.last_range: RangeSample | None = None
         self.last_frame: FrameReport | None = None
         self.last_sighting: PadSighting | None = None
+        self._beacon: PadBeacon | None = None
         self.frame_count = 0
         self.frame_fused: Callable[[], None] = lambda: None  # called after each that was looked at
         self.on_ground: Callable[[], bool] = lambda: False  # whether the vehicle stands, and nothing is flown
@@ -186,6 +190,15 @@ class Sensing:
                     self._take_fix(sample)
                 case RangeSample():
                     self._take_range(sample)
+
+    def take_beacon(self, beacon: PadBeacon | None) -> None:
+        """The newest word of the pad's beacon, once; a fix that is sent again says nothing new."""
+        before, self._beacon = self._beacon, beacon
+        if beacon is None or beacon == before or self._config.estimate.pad.beacon != "track":
+            return
+        if before is None or beacon.fix_time_s == 0.0 or beacon.fix_time_s != before.fix_time_s:
+            self._estimator.observe(beacon)
+            self._log.write("beacon", beacon, self._clock.now_s())
 
     def _calibrated(self, sample: MagSample) -> MagSample:
         """The autopilot's field in its body axes, by the calibration that is on top of its own."""

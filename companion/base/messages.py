@@ -145,6 +145,31 @@ class PadSighting:
 
 
 @dataclass(frozen=True, slots=True)
+class PadBeacon:
+    """The pad's own GPS over the link: metres off, or centimetres with RTK.
+
+    Its clock is not ours: `time_s` is the arrival's, `fix_time_s` its own, 0 for none. Standard deviations
+    are an axis's; `vertical_std_m` None: 1.5 times the horizontal one's, `velocity_std_m_s` None: the
+    velocity is not measured.
+    """
+
+    time_s: float
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    velocity_ned_m_s: Vector3
+    position_std_m: float
+    vertical_std_m: float | None = None
+    velocity_std_m_s: float | None = None
+    fix_time_s: float = 0.0
+
+
+# what measures where the pad is, by the topic of the log in which it is recorded
+PadObservation = PadSighting | PadBeacon
+PAD_OBSERVATIONS: Final[dict[str, type[PadObservation]]] = {"sighting": PadSighting, "beacon": PadBeacon}
+
+
+@dataclass(frozen=True, slots=True)
 class FrameReport:
     """What became of a frame, seen or not: for the status line, the log and the score."""
 
@@ -320,6 +345,22 @@ class PadState:
         A place in that frame counts from the pad, so it is minus the relative position.
         """
         return Motion(scale(self.relative_position_ned_m, -1.0), scale(self.relative_velocity_ned_m_s, -1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class CarriedPad:
+    """The pad at time_s by what carries its estimate while the camera does not see it.
+
+    Enough to fly to it and to wait over it, never to land on it. Relative to the vehicle as in `PadState`;
+    `lateral_std_m` is of an axis, `observed_time_s` when it was last heard of.
+    """
+
+    time_s: float
+    relative_position_ned_m: Vector3
+    velocity_ned_m_s: Vector3
+    acceleration_ned_m_s2: Vector3
+    lateral_std_m: float
+    observed_time_s: float
 
 
 # ---------------------------------------------------------------- plan
@@ -681,18 +722,6 @@ class AutopilotState:
     rival_time_s: float = float("-inf")
     thrust: float | None = None
     thrust_time_s: float = float("-inf")
-
-
-@dataclass(frozen=True, slots=True)
-class PadBeacon:
-    """The pad's own GPS, sent by the ground station (MAVLink FOLLOW_TARGET): metres, not centimetres."""
-
-    time_s: float
-    latitude_deg: float
-    longitude_deg: float
-    altitude_m: float
-    velocity_ned_m_s: Vector3
-    position_std_m: float
 
 
 # ---------------------------------------------------------------- orders

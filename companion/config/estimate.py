@@ -115,6 +115,10 @@ class PadFilterConfig(StrictModel):
     sighting_timeout_s: float = Field(default=0.5, gt=0.0, le=10.0)
     """If sightings are refused for this time, the filter starts again from the next one; lower it for a pad
     that moves abruptly"""
+    beacon: Literal["search", "track"] = Field(default="search")
+    """Use of the pad's beacon: with `search` it only leads the search; with `track` it also starts the pad's
+    estimate, and carries it while the pad is unseen. Set it for a beacon that is requested or that streams
+    once a second"""
     remember_s: float = Field(default=1.0, ge=0.1, le=5.0)
     """Largest delay of a sighting that is still fused; raise it for a slow camera"""
     forget_s: float = Field(default=10.0, ge=1.0, le=60.0)

@@ -23,10 +23,10 @@ class LinkConfig(StrictModel):
     ours; MAVSDK, which speaks beside us, is another component. `force_disarm` allows disarming by force after
     a touchdown that several signs have confirmed for seconds while the autopilot's land detector still
     believes itself in the air, as it may on a pad that moves; never elsewhere. The pad's beacon is taken from
-    `ground_system_id` alone, as the answer to our request or from its component `beacon_component_id`, and
-    only when it is not faster than `maximum_pad_speed_m_s`. `set_parameters` allows setting the one autopilot
-    parameter that we need: bit 3 of ArduPilot's GUID_OPTIONS, for attitude setpoints; without it control is
-    refused while the bit is missing.
+    `ground_system_id` alone, as the answer to our request or from its component `beacon_component_id`, or
+    from `beacon_system_id`, and only when it is not faster than `maximum_pad_speed_m_s`. `set_parameters`
+    allows setting the one autopilot parameter that we need: bit 3 of ArduPilot's GUID_OPTIONS, for attitude
+    setpoints; without it control is refused while the bit is missing.
     """
 
     connection: str = Field(default="udpin:127.0.0.1:14540", json_schema_extra=OPERATOR)
@@ -51,6 +51,10 @@ class LinkConfig(StrictModel):
     without a request. None: only an answer to the app's request, accepted by COMMAND_ACK, counts, since
     ground stations also stream their operator's position (Follow Me). Set it to that of a beacon that
     streams"""
+    beacon_system_id: int | None = Field(default=None, ge=1, le=255)
+    """System id on the pad whose GLOBAL_POSITION_INT is the pad's position (an autopilot or an RTK rover on
+    the landing platform), as accurate as its GPS_RAW_INT says; then no FOLLOW_TARGET is used. None: there is
+    no such system; set it to that of the pad's"""
     maximum_pad_speed_m_s: float = Field(default=8.0, gt=0.0, le=30.0)
     """A pad position report with a greater speed is refused; raise it for faster pads"""
     heartbeat_timeout_s: float = Field(default=3.0, ge=1.0, le=30.0)
@@ -88,6 +92,10 @@ class LinkConfig(StrictModel):
     def _has_a_component_for_each(self) -> LinkConfig:
         if self.signing_key is not None and self.actions == "mavsdk":
             raise ValueError("signing_key: MAVSDK cannot sign; expected actions: pymavlink with it")
+        if self.beacon_system_id is not None and self.beacon_system_id == self.system_id:
+            raise ValueError(
+                f"beacon_system_id: expected another system than the vehicle's, found {self.system_id} twice"
+            )
         if self.component_id == self.mavsdk_component_id:
             raise ValueError(
                 f"expected mavsdk_component_id to differ from component_id, found {self.component_id} twice"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -29,9 +30,11 @@ from companion.base.geometry import (
 )
 from companion.base.messages import (
     AutopilotAttitude,
+    CarriedPad,
     GpsFix,
     ImuSample,
     MagSample,
+    PadObservation,
     PadPrior,
     PadSighting,
     PadState,
@@ -46,6 +49,8 @@ from companion.estimate.input_tally import GATES, InputTally
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_check import CameraCheck
 from companion.estimate.pad.mount_check import MountCheck
+from companion.estimate.pad.observation import VehicleAtExposure
+from companion.estimate.pad.observation_kinds import BY_MESSAGE
 from companion.estimate.pad.pad_filter import (
     CombinedEstimate,
     HeightMeasurement,
@@ -53,7 +58,6 @@ from companion.estimate.pad.pad_filter import (
     PadInput,
     PadSnapshot,
 )
-from companion.estimate.pad.sighting_in_ned import in_ned
 from companion.estimate.vehicle.vehicle_estimator import FUTURE_S, VehicleEstimator
 
 RANGE_MAXIMUM_TILT_DEG: Final = 20.0  # echoes come back aslant beyond this
@@ -102,7 +106,7 @@ class StateEstimator:
         config = self._config.pad
         self._pad = PadFilter(config, self._motion, self._board_half_width_m)
         self._timeline: Timeline[PadSnapshot, PadInput] = Timeline(self._pad, config.remember_s)
-        self._early: list[PadSighting] = []  # of what the IMU has not come up to
+        self._early: list[PadObservation] = []  # of what the IMU has not come up to
 
     def start_over(self) -> None:
         """Forget vehicle and pad: more time has gone by than any clock shows. The alignment begins again."""
@@ -139,14 +143,8 @@ class StateEstimator:
             and norm(force) <= LARGEST_FORCE_M_S2
         )
         taken = usable and self._vehicle.add_imu(sample)
-        while (
-            taken
-            and self._vehicle.aligned
-            and self._early
-            and self._exposed_s(self._early[0]) <= sample.time_s
-        ):
-            first, *self._early = self._early
-            self._see(first)
+        while taken and self._vehicle.aligned and (due := self._due(sample.time_s)) is not None:
+            self._fuse(self._early.pop(due))
         return self._count("imu", taken)
 
     def add_mag(self, sample: MagSample) -> bool:
@@ -212,38 +210,57 @@ class StateEstimator:
         return self._count("range", self._timeline.add(sample.time_s, measurement))
 
     def add_sighting(self, sighting: PadSighting) -> bool:
-        """Take one sighting, fused at its exposure, if need be once the IMU has come as far.
+        """Take what the camera has seen; see `observe`."""
+        return self.observe(sighting)
+
+    def observe(self, observation: PadObservation) -> bool:
+        """Take a measurement of the pad, fused at its exposure, if need be once the IMU has come as far.
 
         It is refused before the alignment, and before another after the IMU was lost.
         """
-        values = (*sighting.pad_position_body_m, *sighting.body_from_pad, *sighting.covariance.flat)
+        kind = BY_MESSAGE[type(observation)]
         moved_s = self._motion.newest_s  # none before the first sample after the alignment's
         if not self._vehicle.aligned or moved_s is None:
             self._early.clear()
-            return self._count("sighting", False)
-        if not self._usable(sighting.time_s, values):
-            return self._count("sighting", False)
-        if self._exposed_s(sighting) > moved_s:
-            self._early.append(sighting)
+            return self._count(kind.name, False)
+        if not self._usable(observation.time_s, kind.numbers(observation)):
+            return self._count(kind.name, False)
+        if self._exposed_s(observation) > moved_s:
+            self._early.append(observation)
             return True
-        return self._see(sighting)
+        return self._fuse(observation)
 
-    def _exposed_s(self, sighting: PadSighting) -> float:
-        return sighting.time_s + self._camera_check.frame_delay_s
+    def _exposed_s(self, observation: PadObservation) -> float:
+        late = BY_MESSAGE[type(observation)].by_camera
+        return observation.time_s + self._camera_check.frame_delay_s if late else observation.time_s
 
-    def _see(self, sighting: PadSighting) -> bool:
-        time_s = self._exposed_s(sighting)
+    def _due(self, time_s: float) -> int | None:
+        """Which of those that waited for the IMU is the first that it has come up to."""
+        exposed = (self._exposed_s(observation) <= time_s for observation in self._early)
+        return next((place for place, come in enumerate(exposed) if come), None)
+
+    def _fuse(self, observation: PadObservation) -> bool:
+        kind, exposure = BY_MESSAGE[type(observation)], self._exposure(self._exposed_s(observation))
+        measurement = kind.in_ned(observation, exposure)
+        if measurement is None:
+            self._why_not = "the vehicle's own position is unknown"
+            return self._count(kind.name, False)
+        taken = self._timeline.add(exposure.time_s, measurement)
+        if taken and isinstance(observation, PadSighting):
+            variance_m2 = float(np.trace(measurement.covariance_ned_m2)) / 3.0
+            self._camera_check.take(exposure.time_s, observation.pad_position_body_m, variance_m2)
+            self._mount_check.take(exposure.time_s, observation.pad_position_body_m, variance_m2)
+        return self._count(kind.name, taken)
+
+    def _exposure(self, time_s: float) -> VehicleAtExposure:
         attitude = self._motion.attitude(time_s)
         assert attitude is not None
         turned_rad = self._motion.turned_rad(time_s, self._config.pad.exposure_jitter_s)
         gyro_rad2 = self._motion.turn_density_rad2_s * FRAMES_APART_S
-        measurement = in_ned(sighting, attitude, turned_rad**2 + gyro_rad2, self._vehicle.velocity(time_s))
-        taken = self._timeline.add(time_s, measurement)
-        if taken:
-            variance_m2 = float(np.trace(measurement.covariance_ned_m2)) / 3.0
-            self._camera_check.take(time_s, sighting.pad_position_body_m, variance_m2)
-            self._mount_check.take(time_s, sighting.pad_position_body_m, variance_m2)
-        return self._count("sighting", taken)
+        velocity = self._vehicle.velocity(time_s)
+        return VehicleAtExposure(
+            time_s, attitude, turned_rad**2 + gyro_rad2, velocity, partial(self._vehicle.place, time_s)
+        )
 
     # ------------------------------------------------------------ outputs
 
@@ -291,6 +308,25 @@ class StateEstimator:
             tilt_swing_rad=estimate.tilt.swing_rad,
             tilt_frequency_rad_s=estimate.tilt.frequency_rad_s,
             seen_velocity_ned_m_s=add(relative_velocity, self._motion.moved(estimate.seen_time_s, now_s)[1]),
+        )
+
+    def carried_pad(self, now_s: float) -> CarriedPad | None:
+        """The pad, predicted to now_s, while something else than the camera carries its estimate."""
+        snapshot = self._timeline.as_of(now_s)
+        if snapshot is None or not snapshot.observed_time_s > snapshot.seen_time_s:
+            return None
+        if now_s - snapshot.observed_time_s > self._config.pad.forget_s:
+            return None
+        estimate = self._pad.predicted(snapshot, now_s)
+        if estimate is None or not _finite(estimate.x):
+            return None
+        return CarriedPad(
+            time_s=now_s,
+            relative_position_ned_m=vector3(estimate.x[0:3]),
+            velocity_ned_m_s=add(vector3(estimate.x[3:6]), self._vehicle.velocity(now_s)),
+            acceleration_ned_m_s2=vector3(estimate.x[6:9]),
+            lateral_std_m=math.sqrt(max(0.0, 0.5 * float(estimate.P[0, 0] + estimate.P[1, 1]))),
+            observed_time_s=estimate.observed_time_s,
         )
 
     def attitude(self, time_s: float) -> Quaternion | None:

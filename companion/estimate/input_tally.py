@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from companion.base.messages import InputUse
+from companion.estimate.pad.observation_kinds import KINDS
 
 # on the ground nothing is lost by a new start; in the air a receiver may be off for so long
 STARVED_S: Final = 10.0
@@ -18,8 +19,8 @@ STARVED_SAMPLES: Final = 10
 GATES: Final = {
     "gps": ("gps_velocity", "gps_position"),
     "mag": ("field", "mag"),
-    "sighting": ("sighting",),
     "range": ("range",),
+    **{kind.name: (kind.name,) for kind in KINDS},
 }
 NAMES: Final = {"imu": "IMU", "gps": "GPS"}
 
@@ -36,7 +37,7 @@ class _Count:
 
 
 class InputTally:
-    """Counts by input: `imu`, `mag`, `gps`, `range`, `sighting`, `attitude`."""
+    """Counts by input: `imu`, `mag`, `gps`, `range`, `attitude`, and the kinds of observations."""
 
     def __init__(self) -> None:
         self._counts: dict[str, _Count] = {}

@@ -8,7 +8,7 @@ start: only their differences are meaningful. NED, SI units, plain floats.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,18 @@ from companion.base.geometry import (
 
 LEVER_STD_M: Final = 0.05  # of the IMU's place as told, an axis: people put boards up to 10 cm off
 PREDICTED_S = 0.1  # beyond the newest sample an acceleration goes on for so long, and then there is none
+
+
+class VehiclePlace(NamedTuple):
+    """The vehicle's position (m, NED) from `origin` (latitude deg, longitude deg, altitude m).
+
+    The standard deviations (m, m/s) of position and velocity are axis by axis.
+    """
+
+    position_ned_m: Vector3
+    position_std_m: Vector3
+    velocity_std_m_s: Vector3
+    origin: Vector3
 
 
 class MotionHistory:

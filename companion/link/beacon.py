@@ -1,8 +1,8 @@
-"""The pad's own position over MAVLink: FOLLOW_TARGET to PadBeacon. Pure.
+"""The pad's own position over MAVLink: FOLLOW_TARGET or GLOBAL_POSITION_INT to PadBeacon. Pure.
 
-Metres, not centimetres; velocity in NED, m/s. Whoever sends it leads the vehicle, so what cannot be is
-refused, and so is what was not asked for: ground stations stream their operator's own position as
-FOLLOW_TARGET, too (QGroundControl's Follow Me).
+Metres, or centimetres with RTK; velocity in NED, m/s. Whoever sends it leads the vehicle, so what cannot be
+is refused, and so is what was not asked for: ground stations stream their operator's own position as
+FOLLOW_TARGET, too (QGroundControl's Follow Me), and every vehicle its own as GLOBAL_POSITION_INT.
 """
 
 import math
@@ -11,22 +11,28 @@ from typing import Final
 from companion.base.geometry import ZERO3, norm, vector3
 from companion.base.messages import PadBeacon
 from companion.config import LinkConfig
-from companion.link.codec import Message
+from companion.link.codec import Message, mavlink
 
 _HAS_POSITION: Final = 0b01
 _HAS_VELOCITY: Final = 0b10
 _UNKNOWN_STD_M: Final = 5.0
+_VELOCITY_STD_M_S: Final = 0.3  # neither message tells it: a receiver's 0.1, and what a pad turns meanwhile
 _POLE_E7: Final = 900_000_000
 _DATE_LINE_E7: Final = 1_800_000_000
+SYSTEM_BEACON_MESSAGES: Final = frozenset(
+    {mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_GPS_RAW_INT}
+)
 # The fix, the answer, and a slow radio: so long after COMMAND_ACK what comes is the answer.
 ANSWER_S: Final = 8.0
 
 
 class BeaconListener:
-    """Whose FOLLOW_TARGET is the pad's: the newest one is `beacon`.
+    """Which position is the pad's: the newest one is `beacon`.
 
-    It has to come from the ground station: as the answer to our request, which its component has accepted by
-    COMMAND_ACK, or from the component that the settings name, and then from no other.
+    FOLLOW_TARGET has to come from the ground station: as the answer to our request, which its component has
+    accepted by COMMAND_ACK, or from the component that the settings name, and then from no other. Of a system
+    that the settings name GLOBAL_POSITION_INT is the pad's, as accurate as its GPS_RAW_INT says, and then
+    nothing else is.
     """
 
     def __init__(self, config: LinkConfig) -> None:
@@ -34,6 +40,22 @@ class BeaconListener:
         self._accepted_s: dict[int, float] = {}  # by component
         self.beacon: PadBeacon | None = None
         self.ignored: tuple[int, int] | None = None
+        self._stds_m: tuple[float, float | None] = (_UNKNOWN_STD_M, None)
+
+    def is_beacons(self, message: Message) -> bool:
+        """Whether it comes from the system that is the pad's."""
+        system_id: int = message.get_srcSystem()
+        return system_id == self._config.beacon_system_id
+
+    def hear_system(self, message: Message, now_s: float) -> None:
+        """Anything of the system that is the pad's."""
+        message_id = message.get_msgId()
+        if message_id == mavlink.MAVLINK_MSG_ID_GPS_RAW_INT:
+            across_m, up_m = 1e-3 * message.h_acc, 1e-3 * message.v_acc
+            self._stds_m = (across_m or _UNKNOWN_STD_M, up_m or None)
+        elif message_id == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
+            most_m_s = self._config.maximum_pad_speed_m_s
+            self.beacon = system_beacon(message, now_s, most_m_s, self._stds_m) or self.beacon
 
     def accepted(self, component_id: int, now_s: float) -> None:
         """A component of the ground station's will answer our request."""
@@ -47,6 +69,7 @@ class BeaconListener:
             wanted = now_s - self._accepted_s.get(component_id, -math.inf) <= ANSWER_S
         else:
             wanted = component_id == named
+        wanted = wanted and config.beacon_system_id is None
         if wanted and system_id == config.ground_system_id:
             self.beacon = pad_beacon(message, now_s, config.maximum_pad_speed_m_s) or self.beacon
         else:
@@ -72,8 +95,8 @@ def pad_beacon(message: Message, time_s: float, maximum_speed_m_s: float) -> Pad
     if not message.est_capabilities & _HAS_POSITION or not _is_a_place(message.lat, message.lon):
         return None
     velocity = vector3(message.vel) if message.est_capabilities & _HAS_VELOCITY else ZERO3
-    std_m = max(message.position_cov[:2])
-    values = (*velocity, message.alt, *message.position_cov[:2])
+    std_m, up_m = max(message.position_cov[:2]), message.position_cov[2]
+    values = (*velocity, message.alt, *message.position_cov)
     if not all(math.isfinite(value) for value in values) or norm(velocity) > maximum_speed_m_s:
         return None
     return PadBeacon(
@@ -83,6 +106,32 @@ def pad_beacon(message: Message, time_s: float, maximum_speed_m_s: float) -> Pad
         altitude_m=message.alt,
         velocity_ned_m_s=velocity,
         position_std_m=std_m if std_m > 0.0 else _UNKNOWN_STD_M,
+        vertical_std_m=up_m if up_m > 0.0 else None,
+        velocity_std_m_s=_VELOCITY_STD_M_S if message.est_capabilities & _HAS_VELOCITY else None,
+        fix_time_s=1e-3 * message.timestamp,
+    )
+
+
+def system_beacon(
+    message: Message, time_s: float, maximum_speed_m_s: float, stds_m: tuple[float, float | None]
+) -> PadBeacon | None:
+    """The beacon in a GLOBAL_POSITION_INT that came at `time_s`; None when it holds nothing plausible.
+
+    `stds_m`: of its position across and up (None: unknown).
+    """
+    velocity = (0.01 * message.vx, 0.01 * message.vy, 0.01 * message.vz)
+    if not _is_a_place(message.lat, message.lon) or norm(velocity) > maximum_speed_m_s:
+        return None
+    return PadBeacon(
+        time_s=time_s,
+        latitude_deg=message.lat * 1e-7,
+        longitude_deg=message.lon * 1e-7,
+        altitude_m=1e-3 * message.alt,
+        velocity_ned_m_s=velocity,
+        position_std_m=stds_m[0],
+        vertical_std_m=stds_m[1],
+        velocity_std_m_s=_VELOCITY_STD_M_S,
+        fix_time_s=1e-3 * message.time_boot_ms,
     )
 
 

@@ -21,7 +21,7 @@ from companion.base.messages import (
 from companion.config import LinkConfig, OrdersConfig, SenseConfig
 from companion.link import codec
 from companion.link.autopilot_setup import SetupReader
-from companion.link.beacon import BeaconListener
+from companion.link.beacon import SYSTEM_BEACON_MESSAGES, BeaconListener
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, Message, Severity, mavlink
 from companion.link.commands import (
     CommandQueue,
@@ -109,6 +109,7 @@ class Session:
             | self.orders.messages
             | (frozenset() if sense is None else SENSOR_MESSAGES)
             | (frozenset(POSE_RATES_HZ) if follows_pose else frozenset())
+            | (frozenset() if config.beacon_system_id is None else SYSTEM_BEACON_MESSAGES)
         )
         self._codec = Codec(config.system_id or 1, config.component_id, wanted=heard)
         if signing is not None:
@@ -189,6 +190,8 @@ class Session:
             message_id = message.get_msgId()
             if message_id == mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET:
                 self.beacons.hear(message, now_s)
+            elif self.beacons.is_beacons(message):
+                self.beacons.hear_system(message, now_s)
             elif message_id == mavlink.MAVLINK_MSG_ID_COMMAND_ACK:
                 self._hear_answer(message, us, now_s)
             elif message_id in ORDER_MESSAGES:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from companion.base.messages import (
     ActionResult,
     AutopilotState,
+    CarriedPad,
     LinkHealth,
     Order,
     PadBeacon,
@@ -31,14 +32,15 @@ class ComputerLoad:
 class PlanInputs:
     """The newest of everything the planner goes by; `results` holds each answer once, `order` comes once.
 
-    `comparisons`: what was measured by two sources.
-    `control_failure`: why the last setpoint was a stop. `thrust_doubt`: what stands against control by
-    thrust. `shortage`: what the wind has taken all of in this mission, thrust or tilt.
+    `carried`: the pad's estimate while it goes on without the camera. `comparisons`: what was measured by
+    two sources. `control_failure`: why the last setpoint was a stop. `thrust_doubt`: what stands against
+    control by thrust. `shortage`: what the wind has taken all of in this mission, thrust or tilt.
     """
 
     vehicle: VehicleState | None
     pad: PadState | None
     autopilot: AutopilotState
+    carried: CarriedPad | None = None
     beacon: PadBeacon | None = None
     range: RangeSample | None = None
     results: tuple[ActionResult, ...] = ()

@@ -203,8 +203,11 @@ class Planner:
         self._steering.obstacle_monitor.update(self._pad)
         if inputs.vehicle is None:
             return
-        if self._within_fence(inputs):
+        inside = self._within_fence(inputs)
+        if inside:
             self._steering.search.hear(inputs.beacon, inputs.vehicle.origin)
+        carried = inputs.carried if inside else None
+        self._steering.search.locator.carry(carried, inputs.vehicle.position_ned_m)
         if self._pad.motion is not None and inputs.pad is not None:
             self._steering.search.locator.remember(self._pad.motion, inputs.pad.seen_time_s, now_s)
 

@@ -23,7 +23,8 @@ import numpy as np
 
 from companion.base.geometry import FloatArray
 
-_SEEN: Final = 2  # the first so many states are what a measurement says
+_SEEN: Final = 2  # a measurement says so much: a pair of states
+PLACE, SPEED = 0, 2  # the first of the pair that a position says, and a velocity
 _ADJUGATE: Final = np.array([[1.0, -1.0], [-1.0, 1.0]])
 
 
@@ -44,10 +45,14 @@ class ModelTransition(NamedTuple):
 
 
 class Innovation(NamedTuple):
-    """A measurement minus what each model expected (m, 2), with its covariance (m, 2, 2)."""
+    """A measurement minus what each model expected (m, 2), with its covariance (m, 2, 2).
+
+    `shared` (m, n, 2) is the states' covariance with what was measured.
+    """
 
     y: FloatArray
     S: FloatArray
+    shared: FloatArray
 
 
 class Blend(NamedTuple):
@@ -77,9 +82,19 @@ def advance(state: BankState, step: ModelTransition) -> BankState:
     return BankState(means, covariances, state.probabilities)
 
 
-def innovation(state: BankState, z: FloatArray, R: FloatArray) -> Innovation:
-    """Of a measurement of the first two states, for each model: z (m, 2) with noise R (m, 2, 2)."""
-    return Innovation(z - state.means[:, :_SEEN], state.covariances[:, :_SEEN, :_SEEN] + R)
+def innovation(state: BankState, z: FloatArray, R: FloatArray, pairs: Sequence[int] = (PLACE,)) -> Innovation:
+    """Of a measurement z (m, 2) with noise R (m, 2, 2) for each model.
+
+    It is of a sum of pairs of states; `pairs` are the first of each.
+    """
+    first, *more = (slice(pair, pair + _SEEN) for pair in pairs)
+    expected, shared = state.means[:, first], state.covariances[:, :, first]
+    for pair in more:
+        expected, shared = expected + state.means[:, pair], shared + state.covariances[:, :, pair]
+    S = shared[:, first]
+    for pair in more:
+        S = S + shared[:, pair]
+    return Innovation(z - expected, S + R, shared)
 
 
 class ModelBank:
@@ -108,6 +123,14 @@ class ModelBank:
     def restore(self, state: BankState) -> None:
         """Go on from a state."""
         self._state = state
+
+    def widen(self, variances: FloatArray) -> None:
+        """Add a pair of states that is correlated with none so far: mean 0, variances (m, 2)."""
+        m, n = self.state.means.shape
+        means, covariances = np.zeros((m, n + _SEEN)), np.zeros((m, n + _SEEN, n + _SEEN))
+        means[:, :n], covariances[:, :n, :n] = self.state.means, self.state.covariances
+        covariances[:, range(n, n + _SEEN), range(n, n + _SEEN)] = variances
+        self._state = BankState(means, covariances, self.state.probabilities)
 
     def predict(self, dt_s: float, step: ModelTransition) -> None:
         """Mix within each group, then move every model."""
@@ -153,10 +176,9 @@ class ModelBank:
         a, b, c, d = S.reshape(-1, _SEEN * _SEEN).T
         volume = a * d - b * c
         inverse = S[:, ::-1, ::-1] * _ADJUGATE / volume[:, None, None]
-        seen_with = state.covariances[:, :, :_SEEN]
         weighed = inverse @ y
-        means = state.means + (seen_with @ weighed)[:, :, 0]
-        covariances = state.covariances - seen_with @ inverse @ seen_with.transpose(0, 2, 1)
+        means = state.means + (seen.shared @ weighed)[:, :, 0]
+        covariances = state.covariances - seen.shared @ inverse @ seen.shared.transpose(0, 2, 1)
         # this form, unlike Joseph's, makes more of what rounding has left unsymmetric
         covariances = 0.5 * (covariances + covariances.transpose(0, 2, 1))
         north, east = (seen.y * weighed[:, :, 0]).T

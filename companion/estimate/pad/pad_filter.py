@@ -2,26 +2,31 @@
 
 State: relative position (pad - vehicle's reference point, m), relative velocity (m/s), and the pad's own
 acceleration (m/s²). Two groups of models (`pad_models`), one for the plane and one for the vertical, which
-hardly depend on one another. The vehicle's acceleration, measured by the IMU, is a known input; GPS never
-enters the state, so that neither its noise nor its jumps reach the landing. The vehicle's velocity serves
-for a start and for the rate at which the pad's course turns, and there an error does little.
-Sightings are fused at their exposure, echoes at their time; `gating.Timeline` puts late ones in place.
+hardly depend on one another. The vehicle's acceleration, measured by the IMU, is a known input. GPS enters
+the state by a beacon alone, and what it is off by as a state of its own (`common_error`), so that neither its
+noise nor its jumps reach the landing. The vehicle's velocity serves for a start and for the rate at which the
+pad's course turns, and there an error does little. Every kind of `observation` is fused at its exposure,
+echoes at their time; `gating.Timeline` puts late ones in place.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
-from companion.base.geometry import FloatArray, Vector3, add, scale, wrap_angle
+from companion.base.geometry import ZERO3, FloatArray, Vector3, add, scale, wrap_angle
 from companion.config import PadFilterConfig
 from companion.estimate.gating import CHI_SQUARE_999, Gate, passes
 from companion.estimate.motion import MotionHistory
+from companion.estimate.pad.common_error import FIRST, variances_m2, with_common
 from companion.estimate.pad.frame_correction import frame_rotation_increment
 from companion.estimate.pad.heading_filter import HeadingState
 from companion.estimate.pad.model_bank import (
+    PLACE,
+    SPEED,
     BankState,
     Innovation,
     ModelBank,
@@ -29,6 +34,7 @@ from companion.estimate.pad.model_bank import (
     advance,
     innovation,
 )
+from companion.estimate.pad.observation import CommonError, Observation
 from companion.estimate.pad.pad_models import (
     HORIZONTAL,
     TURN,
@@ -59,6 +65,8 @@ MODEL_DWELL_S: Final = 5.0  # a motion keeps its model so long on average
 HEADING_ACCELERATION_RAD_S2_RTHZ: Final = 0.3  # process noise of the pad's turn rate
 HEADING_NOISE_DEG: Final = 0.5  # added to what a sighting says
 SIGHTING_NOISE_FLOOR_M: Final = 0.0002
+UNKNOWN_PLACE_M: Final = 1000.0  # of a pad before the first fix of it
+FIX_TIMEOUT_S: Final = 5.0  # fixes of an unseen pad refused for so long: it starts again from the next
 FIRST_CLIMB_STD_M_S: Final = 0.4  # at the first sighting: pads drive, but hardly rise
 RANGE_MAXIMUM_HEIGHT_M: Final = 2.5  # an ultrasonic's cone of 30° is then 1.3 m wide, as a pad is
 
@@ -70,6 +78,8 @@ _NO_AXIS_M2: Final = 1.0  # noise on the vertical models' second axis, where all
 
 # the models' innovations, the mixture's, and its covariance by the upper triangle
 _Compared = tuple[Innovation, Vector3, tuple[float, ...]]
+# of a measurement: the value, its variances, and the pairs of states of which it is the sum
+_Part = tuple[Vector3, tuple[float, float, float, float], tuple[int, ...]]
 
 
 class PadFilter:
@@ -84,8 +94,8 @@ class PadFilter:
         self._bank = ModelBank(self._models.groups, MODEL_DWELL_S)
         self._turn = Turn()
         self._heading, self._tilt = HeadingState(), LEVEL
-        self.time_s = -math.inf
-        self.seen_time_s = -math.inf
+        self.time_s = self.seen_time_s = self.observed_time_s = -math.inf
+        self._common: tuple[CommonError, ...] = ()  # a pair of states each, after the pad's
         self.started = False
         self._slow_share = 0.0
         self._refused: tuple[RefusedSighting, ...] = ()  # lately, since one was accepted
@@ -107,6 +117,8 @@ class PadFilter:
             self._tilt,
             self._refused,
             self._before_step,
+            self.observed_time_s,
+            self._common,
         )
 
     def restore(self, snapshot: PadSnapshot) -> None:
@@ -115,6 +127,7 @@ class PadFilter:
         self._turn, self.gates, self._slow_share = snapshot.turn, snapshot.gates, snapshot.slow_share
         self._heading, self._tilt = snapshot.heading, snapshot.tilt
         self._refused, self._before_step = snapshot.refused, snapshot.before_step
+        self.observed_time_s, self._common = snapshot.observed_time_s, snapshot.common
         self.started = snapshot.models is not None
         if snapshot.models is not None:
             self._bank.restore(snapshot.models)
@@ -125,8 +138,10 @@ class PadFilter:
             self._predict(time_s)
         if isinstance(item, HeightMeasurement):
             self._take_height(item)
-        else:
+        elif isinstance(item, PadMeasurement):
             self._take_sighting(time_s, item)
+        else:
+            self._take_fix(time_s, item)
 
     # ------------------------------------------------------------ prediction
 
@@ -139,13 +154,13 @@ class PadFilter:
         if snapshot.models is None:
             return None
         dt_s = time_s - snapshot.time_s
-        step, yaw = self._step(snapshot.time_s, time_s, snapshot.turn, snapshot.models, snapshot.seen_time_s)
+        step, yaw = self._step(snapshot, time_s)
         moved = advance(snapshot.models, step)
         heading = snapshot.heading.after(dt_s, HEADING_ACCELERATION_RAD_S2_RTHZ, yaw)
         blend = self._bank.blend(moved)
         return CombinedEstimate(
-            x=blend.mean.take(STATES_AT),
-            P=blend.covariance.take(PAIRS_AT),
+            x=blend.mean[:, :FIRST].take(STATES_AT),
+            P=blend.covariance[:, :FIRST, :FIRST].take(PAIRS_AT),
             heading_rad=wrap_angle(heading.heading_rad),
             heading_rate_rad_s=heading.rate_rad_s,
             heading_std_rad=math.sqrt(heading.heading_variance),
@@ -155,38 +170,47 @@ class PadFilter:
             jerk_m_s3=tuple((moved.probabilities[TURN] * moved.means[TURN, 6:8]).tolist()),
             models=dict(zip(self._names, moved.probabilities.tolist(), strict=True)),
             tilt=snapshot.tilt.after(dt_s, self._config.tilt_acceleration_rad_s2_rthz).tilt,
+            observed_time_s=snapshot.observed_time_s,
         )
 
     def _predict(self, time_s: float) -> None:
         if time_s <= self.time_s:
             return
         dt_s = time_s - self.time_s
-        step, turned_rad = self._step(self.time_s, time_s, self._turn, self._bank.state, self.seen_time_s)
+        step, turned_rad = self._step(self.snapshot(), time_s)
         self._bank.predict(dt_s, step)
         self._heading = self._heading.after(dt_s, HEADING_ACCELERATION_RAD_S2_RTHZ, turned_rad)
         self._tilt = self._tilt.after(dt_s, self._config.tilt_acceleration_rad_s2_rthz)
         self.time_s = time_s
 
-    def _step(
-        self, start_s: float, end_s: float, turn: Turn, models: BankState, seen_s: float
-    ) -> tuple[ModelTransition, float]:
-        """How the models move between two times, the vehicle's motion taken off; how north turns (rad)."""
-        dt_s, correction = end_s - start_s, self._motion.corrected(start_s, end_s)
-        added = frame_rotation_increment(
-            self._motion.moved(start_s, end_s), correction, models.means, dt_s, end_s - seen_s
-        )
-        F, Q = self._models.step(dt_s, turn, self._motion.noise_density_m2_s3)
-        return ModelTransition(F, Q, added.take(self._bank.group_of, axis=0)), correction[2]
+    def _step(self, since: PadSnapshot, end_s: float) -> tuple[ModelTransition, float]:
+        """How the models move since a state, the vehicle's motion taken off; how north turns (rad).
+
+        With a correction of the attitude turns what the camera has seen, not what a fix has said of NED.
+        """
+        assert since.models is not None
+        start_s, dt_s = since.time_s, end_s - since.time_s
+        correction, unseen_s = self._motion.corrected(start_s, end_s), end_s - since.seen_time_s
+        turned = correction if unseen_s <= self._config.forget_s else ZERO3
+        moved = self._motion.moved(start_s, end_s)
+        added = frame_rotation_increment(moved, turned, since.models.means, dt_s, unseen_s)
+        F, Q = self._models.step(dt_s, since.turn, self._motion.noise_density_m2_s3)
+        group_of = self._bank.group_of
+        step = ModelTransition(F, Q, added.take(group_of, axis=0))
+        return with_common(step, since.common, dt_s, group_of), correction[2]
 
     # ------------------------------------------------------------ measurements
 
     def _take_sighting(self, time_s: float, sample: PadMeasurement) -> None:
         R = self._config.sighting_noise_scale**2 * sample.covariance_ned_m2 + _NOISE_FLOOR_M2
-        if not self.started or time_s - self.seen_time_s > self._config.forget_s:
+        if self._forgotten(time_s, self.observed_time_s):
             # of a pad that is forgotten nothing is expected, and the vehicle's way since then is, too
             self._start(time_s, sample, R)
             return
         seen, y, S = self._compared(sample, R)
+        if self._forgotten(time_s, self.seen_time_s):
+            self._see_first(time_s, sample, R, seen if passes(y, S) else None)
+            return
         if not passes(y, S) and self._before_step is not None:
             seen, y, S = self._doubted(self._before_step, time_s, sample, R) or (seen, y, S)
         passed = passes(y, S)
@@ -202,7 +226,20 @@ class PadFilter:
             self._tilt = self._tilt.corrected(sample.tilt_rad, sample.tilt_std_rad, since_s)
         self._turn = self._turned(sample)
         self._slow_share = sample.slow_share
-        self.seen_time_s = time_s
+        self.seen_time_s = self.observed_time_s = time_s
+
+    def _forgotten(self, time_s: float, since_s: float) -> bool:
+        return not self.started or time_s - since_s > self._config.forget_s
+
+    def _see_first(
+        self, time_s: float, sample: PadMeasurement, R: FloatArray, seen: Innovation | None
+    ) -> None:
+        """Take the first sighting of a pad that something else has led to; none where it is not there."""
+        if seen is None:
+            self._start(time_s, sample, R)
+            return
+        self._bank.update(seen)
+        self._begin_view(time_s, sample)
 
     def _refuse(self, time_s: float, sample: PadMeasurement, refused: RefusedSighting) -> None:
         """Start again where refused sightings show that the filter is wrong, or else remember this one."""
@@ -246,14 +283,17 @@ class PadFilter:
         return (north, east, down)
 
     def _innovation(
-        self, position_ned_m: Vector3, variances_m2: tuple[float, float, float, float]
+        self,
+        value_ned: Vector3,
+        variances: tuple[float, float, float, float],
+        pairs: Sequence[int] = (PLACE,),
     ) -> Innovation:
-        """Of a relative position; variances: north, its covariance with east, east, down."""
-        north, east, down = position_ned_m
-        a, b, d, f = variances_m2
+        """Of a relative position, or another sum of pairs; variances: north, with east, east, down."""
+        north, east, down = value_ned
+        a, b, d, f = variances
         groups = np.array([[north, east, a, b, b, d], [down, 0.0, f, 0.0, 0.0, _NO_AXIS_M2]])
         models = groups.take(self._bank.group_of, axis=0)
-        return innovation(self._bank.state, models[:, :2], models[:, 2:].reshape(-1, 2, 2))
+        return innovation(self._bank.state, models[:, :2], models[:, 2:].reshape(-1, 2, 2), pairs)
 
     def _mixture(self, seen: Innovation) -> tuple[Vector3, tuple[float, float, float, float]]:
         """The mixture's innovation, and its variances as above."""
@@ -288,6 +328,64 @@ class PadFilter:
         if passed:
             self._bank.update(seen, _CLIMB)
 
+    # ------------------------------------------------------------ what no camera made
+
+    def _take_fix(self, time_s: float, fix: Observation) -> None:
+        """One whose source may be off for long: how far is estimated beside the pad."""
+        if self._forgotten(time_s, self.observed_time_s):
+            self._start_by_fix(time_s, fix)
+            return
+        parts = self._parts(fix)
+        passed = all(self._fits(self._innovation(*part)) for part in parts)
+        self._record(fix.gate, passed)
+        if passed:
+            self._update(parts)
+            self.observed_time_s = time_s
+        elif self._forgotten(time_s, self.seen_time_s) and self.gates[fix.gate].shut_out(
+            time_s, FIX_TIMEOUT_S
+        ):
+            self._start_by_fix(time_s, fix)
+
+    def _parts(self, fix: Observation) -> tuple[_Part, ...]:
+        """Its position, of which its source's error is a part, and its velocity."""
+        (a, b, _), (_, d, _), (_, _, f) = fix.covariance_ned_m2.tolist()
+        place = (fix.position_ned_m, (a, b, d, f), (PLACE, *self._pair_of(fix.common)))
+        if fix.relative_velocity is None:
+            return (place,)
+        velocity, (north, east, down) = fix.relative_velocity
+        return place, (velocity, (north**2, 0.0, east**2, down**2), (SPEED,))
+
+    def _update(self, parts: Sequence[_Part]) -> None:
+        """One after the other: the second expects what the first has told."""
+        for part in parts:
+            self._bank.update(self._innovation(*part))
+
+    def _fits(self, seen: Innovation) -> bool:
+        y, (a, b, d, f) = self._mixture(seen)
+        return passes(y, (a, b, 0.0, d, 0.0, f))
+
+    def _pair_of(self, error: CommonError | None) -> tuple[int, ...]:
+        """The first of the pair of states that such an error is, from now on."""
+        if error is None:
+            return ()
+        sources = [known.source for known in self._common]
+        if error.source not in sources:
+            self._bank.widen(variances_m2(error).take(self._bank.group_of, axis=0))
+            self._common = (*self._common, error)
+            return (FIRST + 2 * len(sources),)
+        at = sources.index(error.source)
+        self._common = (*self._common[:at], error, *self._common[at + 1 :])
+        return (FIRST + 2 * at,)
+
+    def _start_by_fix(self, time_s: float, fix: Observation) -> None:
+        """Of a pad of which nothing is known the first fix tells all, as every later one its part."""
+        self._start_motion(time_s, fix, UNKNOWN_PLACE_M**2 * np.eye(3))
+        self._update(self._parts(fix))
+        self.seen_time_s, self.observed_time_s = -math.inf, time_s
+        self._turn, self._heading, self._tilt = Turn(), HeadingState(), LEVEL
+        self._slow_share, self._refused, self._before_step = 0.0, (), None
+        self._record(fix.gate, True)
+
     def _record(self, kind: str, passed: bool) -> None:
         self.gates = {**self.gates, kind: self.gates.get(kind, Gate()).after(passed, self.time_s)}
 
@@ -311,7 +409,18 @@ class PadFilter:
     def _start(
         self, time_s: float, sample: PadMeasurement, R: FloatArray, velocity: VelocityEstimate | None = None
     ) -> None:
-        """From one sighting: the pad may stand still or drive at a few m/s, the vehicle's speed is known.
+        """From one sighting; see `_start_motion`."""
+        self._start_motion(time_s, sample, R, velocity)
+        if velocity is None:
+            self._begin_view(time_s, sample)
+            return
+        self._begin_sight(time_s, sample)
+        self._take_heading(sample)  # a stop says nothing of how it turns or tilts
+
+    def _start_motion(
+        self, time_s: float, sample: Observation, R: FloatArray, velocity: VelocityEstimate | None = None
+    ) -> None:
+        """From one place: the pad may stand still or drive at a few m/s, the vehicle's speed is known.
 
         Or with the relative velocity of its own that is given.
         """
@@ -332,18 +441,21 @@ class PadFilter:
         north, east, down = sample.position_ned_m
         means = np.array([[north, east, vn, ve, 0.0, 0.0, 0.0, 0.0], [down, 0.0, vd, *[0.0] * 5]])
         self._bank.start(means, P)
-        self._turn, self._slow_share = Turn(), sample.slow_share
-        self._refused, self._before_step = (), None
-        self.time_s = self.seen_time_s = time_s
-        self.started = True
-        self._record("sighting", True)
-        if velocity is not None:
-            self._take_heading(sample)  # a stop says nothing of how it turns or tilts
-            return
+        self.time_s, self.started, self._common = time_s, True, ()
+
+    def _begin_view(self, time_s: float, sample: PadMeasurement) -> None:
+        """All that only a camera sees begins with this sighting."""
+        self._begin_sight(time_s, sample)
         self._start_heading(sample)
         self._tilt = (
             LEVEL if sample.tilt_rad is None else TiltState.first(sample.tilt_rad, sample.tilt_std_rad)
         )
+
+    def _begin_sight(self, time_s: float, sample: PadMeasurement) -> None:
+        self._turn, self._slow_share = Turn(), sample.slow_share
+        self._refused, self._before_step = (), None
+        self.seen_time_s = self.observed_time_s = time_s
+        self._record("sighting", True)
 
     def _start_heading(self, sample: PadMeasurement) -> None:
         variance = sample.heading_std_rad**2 + math.radians(1.0) ** 2

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from companion.base.geometry import FloatArray, Vector3
 from companion.estimate.gating import Gate
 from companion.estimate.pad.heading_filter import HeadingState
 from companion.estimate.pad.model_bank import BankState
+from companion.estimate.pad.observation import CommonError, RelativeVelocity
 from companion.estimate.pad.pad_models import Turn
 from companion.estimate.pad.tilt_filter import LEVEL, NOT_TILTING, PadTilt, TiltState
 from companion.estimate.pad.velocity_step import RefusedSighting
@@ -50,6 +51,10 @@ class PadMeasurement:
     tilt_rad: tuple[float, float] | None = None  # as of `PadTilt`
     tilt_std_rad: float = 0.0
 
+    gate: ClassVar[str] = "sighting"
+    relative_velocity: ClassVar[None] = None
+    common: ClassVar[None] = None
+
     @property
     def slow_share(self) -> float:
         """The slow error's standard deviation as a share of the distance."""
@@ -66,7 +71,19 @@ class HeightMeasurement:
     noise_m: float
 
 
-PadInput = PadMeasurement | HeightMeasurement
+@dataclass(frozen=True, slots=True)
+class RelativeFix:
+    """An `Observation` that no camera made: it starts the filter and carries it while the pad is unseen."""
+
+    gate: str
+    position_ned_m: Vector3
+    covariance_ned_m2: FloatArray
+    vehicle_velocity_ned_m_s: Vector3
+    relative_velocity: RelativeVelocity | None = None
+    common: CommonError | None = None
+
+
+PadInput = PadMeasurement | HeightMeasurement | RelativeFix
 
 
 class PadSnapshot(NamedTuple):
@@ -82,6 +99,8 @@ class PadSnapshot(NamedTuple):
     tilt: TiltState = LEVEL
     refused: tuple[RefusedSighting, ...] = ()
     before_step: PadSnapshot | None = None
+    observed_time_s: float = -math.inf
+    common: tuple[CommonError, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +125,7 @@ class CombinedEstimate:
     models: dict[str, float] = field(default_factory=dict)
     tilt: PadTilt = NOT_TILTING
     jerk_m_s3: tuple[float, float] = (0.0, 0.0)
+    observed_time_s: float = -math.inf
 
     @property
     def position_std_m(self) -> float:

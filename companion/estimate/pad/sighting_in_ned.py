@@ -1,4 +1,4 @@
-"""A sighting in NED, as the pad filter takes it. Pure."""
+"""A sighting of the camera's in NED, as the pad filter takes it. Pure."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ import numpy as np
 
 from companion.base.geometry import (
     FloatArray,
-    Quaternion,
-    Vector3,
     matrix_from_quat,
     quat_multiply,
     quat_rotate,
     yaw_from_quat,
 )
 from companion.base.messages import PadSighting
-from companion.estimate.pad.pad_filter import PadMeasurement
+from companion.estimate.pad.observation import ObservationKind, VehicleAtExposure
+from companion.estimate.pad.pad_types import PadMeasurement
 
 # the fast part of the attitude's error: a calm vehicle shows 0.004 to 0.008; turns add the exposure's jitter
 ATTITUDE_JITTER_DEG: Final = 0.01
@@ -26,18 +25,17 @@ CALIBRATION_SHARE: Final = (
 )
 
 
-def in_ned(
-    sighting: PadSighting, attitude: Quaternion, jitter_rad2: float, vehicle_velocity_ned_m_s: Vector3
-) -> PadMeasurement:
+def in_ned(sighting: PadSighting, exposure: VehicleAtExposure) -> PadMeasurement:
     """A sighting in NED. Of the attitude's error only the fast part is noise from frame to frame.
 
     The slow part is a constant offset that shrinks with the distance: to treat it as noise would slow the
-    filter down and gain nothing. Fast is `jitter_rad2`, the variance of an angle on an axis: what the
-    gyroscope's noise adds from frame to frame, and what a vehicle that turns makes of the exposure's jitter.
+    filter down and gain nothing. Fast is the exposure's `jitter_rad2`: what the gyroscope's noise adds from
+    frame to frame, and what a vehicle that turns makes of the exposure's jitter.
     """
+    attitude = exposure.attitude
     rotation = matrix_from_quat(attitude)
     position = quat_rotate(attitude, sighting.pad_position_body_m)
-    jitter = math.radians(ATTITUDE_JITTER_DEG) ** 2 + jitter_rad2
+    jitter = math.radians(ATTITUDE_JITTER_DEG) ** 2 + exposure.jitter_rad2
     x, y, z = position
     lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
     covariance: FloatArray = rotation @ sighting.covariance[0:3, 0:3] @ rotation.T
@@ -51,8 +49,16 @@ def in_ned(
         covariance_ned_m2=covariance - slow * np.eye(3) + jitter * (lever @ lever.T),
         heading_rad=yaw_from_quat(quat_multiply(attitude, sighting.body_from_pad)),
         heading_std_rad=math.sqrt(max(turn, 0.0) + jitter),
-        vehicle_velocity_ned_m_s=vehicle_velocity_ned_m_s,
+        vehicle_velocity_ned_m_s=exposure.velocity_ned_m_s,
         slow_variance_m2=slow,
         tilt_rad=(north, east),
         tilt_std_rad=math.sqrt(max(tilt_n, tilt_e, 0.0) + jitter),
     )
+
+
+def numbers(sighting: PadSighting) -> tuple[float, ...]:
+    """All of a sighting that has to be finite."""
+    return (*sighting.pad_position_body_m, *sighting.body_from_pad, *sighting.covariance.flat)
+
+
+SIGHTING: Final = ObservationKind("sighting", PadSighting, numbers, in_ned, by_camera=True)

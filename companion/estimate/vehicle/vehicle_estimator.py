@@ -11,6 +11,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import numpy as np
+
 from companion.base.geometry import (
     ZERO3,
     FloatArray,
@@ -38,7 +40,7 @@ from companion.estimate.ahrs.orientation import (
     tilt_noise_rad,
 )
 from companion.estimate.gating import Gate, Timeline
-from companion.estimate.motion import PREDICTED_S, MotionHistory
+from companion.estimate.motion import PREDICTED_S, MotionHistory, VehiclePlace
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.attitude_reset import (
     GAP_S,
@@ -47,7 +49,7 @@ from companion.estimate.vehicle.attitude_reset import (
     Correction,
     EstimatedAttitude,
 )
-from companion.estimate.vehicle.ekf import VehicleEkf
+from companion.estimate.vehicle.ekf import GPS_TIMEOUT_S, VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuStep, at_rest, gps_step
 from companion.estimate.vehicle.ekf_start import start_state
 from companion.estimate.vehicle.ekf_state import EkfSnapshot
@@ -274,6 +276,18 @@ class VehicleEstimator:
         if self._ekf is None:
             return ZERO3
         return add(vector3(self._ekf.x[model.VELOCITY]), self.motion.moved(self._ekf.time_s, time_s)[1])
+
+    def place(self, time_s: float) -> VehiclePlace | None:
+        """Where on Earth it was at a time near the newest sample's; None without GPS lately."""
+        ekf, origin = self._ekf, self.origin
+        if ekf is None or origin is None or time_s - ekf.gps_time_s >= GPS_TIMEOUT_S:
+            return None
+        x, std = ekf.x, np.sqrt(ekf.P.diagonal())
+        velocity, moved = vector3(x[model.VELOCITY]), self.motion.moved(ekf.time_s, time_s)[0]
+        position = add(vector3(x[model.POSITION]), scale(velocity, time_s - ekf.time_s))
+        return VehiclePlace(
+            add(position, moved), vector3(std[model.POSITION]), vector3(std[model.VELOCITY]), origin
+        )
 
     def state(self, now_s: float, link_late_s: float = 0.0) -> VehicleState | None:
         """The vehicle at now_s; None before the alignment, when the IMU is silent or ahead of the clock.

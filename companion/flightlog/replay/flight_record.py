@@ -14,7 +14,7 @@ from companion.base.messages import (
     GpsFix,
     ImuSample,
     MagSample,
-    PadSighting,
+    PadObservation,
     PadState,
     RangeSample,
     VehicleState,
@@ -23,7 +23,7 @@ from companion.config import CameraConfig, CompanionConfig, VehicleConfig
 from companion.flightlog.errors import RecordedTrack
 from companion.pad import Pad
 
-Sample = ImuSample | MagSample | GpsFix | RangeSample | PadSighting | AutopilotAttitude
+Sample = ImuSample | MagSample | GpsFix | RangeSample | AutopilotAttitude | PadObservation
 TrackName = Literal["attitude", "velocity", "position", "pad_position", "pad_velocity"]
 Source = Literal["recorded", "truth"]
 LogKind = Literal["companion", "ardupilot", "px4"]

@@ -14,11 +14,11 @@ from pydantic import BaseModel
 
 from companion.base.geometry import subtract
 from companion.base.messages import (
+    PAD_OBSERVATIONS,
     AutopilotAttitude,
     GpsFix,
     ImuSample,
     MagSample,
-    PadSighting,
     PadState,
     RangeSample,
     Truth,
@@ -33,18 +33,19 @@ from companion.flightlog.replay.flight_record import (
     RecordedEvent,
     RecordedReference,
     ReplaySetup,
+    Sample,
     Source,
     TrackName,
 )
 from companion.pad import Pad
 
-SAMPLES: Final = {
+SAMPLES: Final[dict[str, type[Sample]]] = {
     "imu": ImuSample,
     "mag": MagSample,
     "gps": GpsFix,
     "range": RangeSample,
-    "sighting": PadSighting,
     "autopilot_attitude": AutopilotAttitude,
+    **PAD_OBSERVATIONS,
 }
 STATES: Final = {"vehicle": VehicleState, "pad": PadState}
 Settings = TypeVar("Settings", bound=BaseModel)

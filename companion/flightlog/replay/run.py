@@ -20,6 +20,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.estimate.estimator import StateEstimator
+from companion.estimate.pad.observation_kinds import BY_MESSAGE
 from companion.flightlog.replay.flight_record import Ask, RecordedEvent, ReplaySetup, Sample
 
 # a log that does not say when its app asked is asked at this rate
@@ -111,8 +112,8 @@ def _take(estimator: StateEstimator, sample: Sample) -> str:
     if isinstance(sample, AutopilotAttitude):
         estimator.add_autopilot_attitude(sample)
         return "autopilot attitude"
-    estimator.add_sighting(sample)
-    return "sighting"
+    estimator.observe(sample)
+    return BY_MESSAGE[type(sample)].name
 
 
 def asked_regularly(events: Sequence[RecordedEvent], rate_hz: float = ASK_RATE_HZ) -> Iterator[RecordedEvent]:

@@ -7,8 +7,8 @@ by metres, but its error changes slowly: a sighting shows it. EKF's NED, m, s an
 import math
 from dataclasses import dataclass
 
-from companion.base.geometry import ZERO3, Vector3, ned_from_geodetic, wrap_angle
-from companion.base.messages import PadBeacon
+from companion.base.geometry import ZERO3, Vector3, add, ned_from_geodetic, wrap_angle
+from companion.base.messages import CarriedPad, PadBeacon
 from companion.base.motion import Motion
 from companion.config import SearchConfig
 from companion.plan.trajectory.coordinate_frames import COURSE_M_S, FASTEST_TURN_RAD_S, along_arc
@@ -21,6 +21,7 @@ _MOST_ACCELERATION_M_S2 = 2.0
 # A sighting this much older still gives the beacon's offset; a larger one is no offset.
 _COMPARABLE_S = 1.5
 _LARGEST_OFFSET_M = 10.0
+_SURELY = 3.0  # standard deviations
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +67,17 @@ def _believed(rate_rad_s: float) -> float:
     return rate_rad_s if abs(rate_rad_s) <= FASTEST_TURN_RAD_S else 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class CarriedLead:
+    """The pad filter's own word while the camera does not see it; std (m) of an axis, EKF's NED."""
+
+    observed_s: float
+    pad: Motion
+    std_m: float
+
+
 class PadLocator:
-    """The newest lead to the pad."""
+    """The newest lead to the pad; while the pad filter goes on without the camera, its word is better."""
 
     def __init__(self, config: SearchConfig) -> None:
         self._config = config
@@ -76,6 +86,7 @@ class PadLocator:
         self._beacon_heard: PadBeacon | None = None
         self._sight: Lead | None = None
         self._offset_m: tuple[float, float] | None = None
+        self._carried: CarriedLead | None = None
         self.start = Lead(-math.inf, ZERO3)
 
     def hear(self, beacon: PadBeacon | None, origin: Vector3 | None) -> bool:
@@ -108,6 +119,26 @@ class PadLocator:
         rate = _believed((v[0] * a[1] - v[1] * a[0]) / flat) if flat > COURSE_M_S**2 else 0.0
         self._sight = Lead(seen_s, (p[0] - v[0] * age_s, p[1] - v[1] * age_s, 0.0), v, rate)
 
+    def carry(self, carried: CarriedPad | None, vehicle_ned_m: Vector3) -> None:
+        """Take in this cycle's estimate of an unseen pad, if something carries it."""
+        if carried is None:
+            self._carried = None
+            return
+        north, east, _ = add(vehicle_ned_m, carried.relative_position_ned_m)
+        (vn, ve, _), (an, ae, _) = carried.velocity_ned_m_s, carried.acceleration_ned_m_s2
+        share = min(1.0, _MOST_ACCELERATION_M_S2 / max(math.hypot(an, ae), 1e-6))
+        pad = Motion((north, east, 0.0), (vn, ve, 0.0), (share * an, share * ae, 0.0))
+        self._carried = CarriedLead(carried.observed_time_s, pad, carried.lateral_std_m)
+
+    def reach_m(self, now_s: float) -> float:
+        """How far from its likely place the pad may be; inf when nobody knows."""
+        carried = self._carried_by(now_s)
+        return math.inf if carried is None else _SURELY * carried.std_m
+
+    def _carried_by(self, now_s: float) -> CarriedLead | None:
+        carried = self._carried
+        return carried if carried and now_s - carried.observed_s <= self._config.lead_s else None
+
     @property
     def beacon_compared(self) -> bool:
         """Whether the beacon's offset is known."""
@@ -134,6 +165,8 @@ class PadLocator:
 
     def likely(self, now_s: float) -> Motion:
         """Where the pad should be now; at rest where the search began when nothing is known."""
+        if (carried := self._carried_by(now_s)) is not None:
+            return carried.pad
         newest = self._newest(now_s)
         if newest is self.start:
             return Motion(newest.position_ned_m)
@@ -141,6 +174,8 @@ class PadLocator:
 
     def source(self, now_s: float) -> str:
         """The source of the newest lead, in words."""
+        if self._carried_by(now_s) is not None:
+            return "by its beacon"
         newest = self._newest(now_s)
         if newest is self.start:
             return "no position known"

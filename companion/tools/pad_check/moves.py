@@ -49,6 +49,7 @@ from companion.base.messages import (
     GpsFix,
     ImuSample,
     MagSample,
+    PadObservation,
     PadPrior,
     PadSighting,
     RangeSample,
@@ -84,6 +85,9 @@ class RecentSamples:
 
     def add_autopilot_attitude(self, sample: AutopilotAttitude) -> None:
         """Nor does this."""
+
+    def observe(self, observation: PadObservation) -> None:
+        """Nor what is no camera's."""
 
     def pad_prior(self, time_s: float) -> PadPrior | None:
         """Nothing is expected: gravity by a sensor that may be mounted wrongly must not guide vision."""

@@ -21,7 +21,7 @@ from companion.app.sensing import Sensing
 from companion.app.supervision import supervised
 from companion.base.clock import Clock
 from companion.base.errors import ConfigError, DeviceMissing
-from companion.base.messages import Frame
+from companion.base.messages import Frame, PadBeacon, PadObservation
 from companion.config import CameraConfig, CompanionConfig, SenseConfig, VehicleConfig, find_file, load_model
 from companion.config.reading import validate
 from companion.flightlog.record import FlightLog
@@ -446,3 +446,36 @@ async def test_the_check_says_how_the_camera_does() -> None:
     rate, rest = line.split(" frames/s looked at, ")
     assert 25.0 < float(rate.removeprefix("camera: ")) < 32.0
     assert rest == "20 ms old on arrival; the driver says: exposure 4.00 ms, gain 2"
+
+
+# ---------------- A beacon's fixes
+
+BEACON = PadBeacon(5.0, 47.0, 8.0, 400.0, (1.0, 0.0, 0.0), 1.5, fix_time_s=100.0)
+
+
+class ObservedSamples(RecentSamples):
+    """Keeps what is no camera's."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.observed: list[PadObservation] = []
+
+    def observe(self, observation: PadObservation) -> None:
+        self.observed.append(observation)
+
+
+@pytest.mark.parametrize(("use", "taken"), [("track", [5.0, 7.0, 8.0, 9.0]), ("search", [])])
+@in_virtual_time
+async def test_each_fix_of_a_beacon_is_taken_once_where_it_is_to_be(use: str, taken: list[float]) -> None:
+    nothing: Any = None
+    camera: Any = SimpleNamespace(next=asyncio.Event().wait)
+    samples = ObservedSamples()
+    config = CompanionConfig.model_validate({"estimate": {"pad": {"beacon": use}}})
+    sensing = Sensing(
+        config, Hardware(memory_pair()[0], camera), nothing, samples,
+        clock=Clock(), log=FlightLog(None, start_unix_s=0.0), notify=lambda *_: None,
+    )  # fmt: skip
+    sensing.take_beacon(None)
+    for time_s, fix_s in ((5.0, 100.0), (5.0, 100.0), (6.0, 100.0), (7.0, 102.0), (8.0, 0.0), (9.0, 0.0)):
+        sensing.take_beacon(replace(BEACON, time_s=time_s, fix_time_s=fix_s))
+    assert [observation.time_s for observation in samples.observed] == taken

@@ -111,3 +111,82 @@ def test_a_beacon_faster_than_any_pad_leaves_the_last_good_one(ground_system_id:
         send(session, time_s, (ground_system_id, 190), north_m_s)
     assert session.beacons.beacon is not None
     assert session.beacons.beacon.time_s == 1.0
+
+
+# ---------------- A system on the pad
+
+PAD_SYSTEM = 42
+
+
+def system_position(north_cm_s: int = 100, latitude_e7: int = 470_000_000, boot_ms: int = 5000) -> Any:
+    return mavlink.MAVLink_global_position_int_message(
+        boot_ms, latitude_e7, 80_000_000, 401_000, 1000, north_cm_s, 0, 0, 65535
+    )
+
+
+def system_accuracy(across_mm: int, up_mm: int) -> Any:
+    return mavlink.MAVLink_gps_raw_int_message(
+        0, 6, 470_000_000, 80_000_000, 401_000, 65535, 65535, 65535, 65535, 20, 0, across_mm, up_mm, 0, 0, 0
+    )
+
+
+def test_the_position_of_the_named_system_is_the_pads_as_accurate_as_it_says() -> None:
+    session, codec = Session(LinkConfig(beacon_system_id=PAD_SYSTEM)), Codec(PAD_SYSTEM, 1)
+    session.receive(codec.encode(system_position()), 1.0)
+    assert session.beacons.beacon is not None
+    assert session.beacons.beacon.position_std_m == 5.0  # it has told none
+    session.receive(codec.encode(system_accuracy(20, 30)) + codec.encode(system_position(boot_ms=6000)), 2.0)
+    assert session.beacons.beacon == PadBeacon(
+        2.0, 47.0, 8.0, 401.0, (1.0, 0.0, 0.0), 0.02, 0.03, session.beacons.beacon.velocity_std_m_s, 6.0
+    )
+
+
+@pytest.mark.parametrize(
+    ("system_id", "settings"), [(43, {"beacon_system_id": PAD_SYSTEM}), (PAD_SYSTEM, {}), (1, {})]
+)
+def test_the_position_of_any_other_system_is_not(system_id: int, settings: dict[str, Any]) -> None:
+    session = Session(LinkConfig(**settings))
+    session.receive(Codec(system_id, 1).encode(system_position()), 1.0)
+    assert session.beacons.beacon is None
+
+
+def test_where_a_system_is_named_no_ground_station_answers_for_it() -> None:
+    session = asked(beacon_system_id=PAD_SYSTEM)
+    answer(session, 3.1)
+    send(session, 3.2)
+    assert session.beacons.beacon is None
+
+
+def test_the_pads_system_is_never_adopted_as_the_vehicle() -> None:
+    session, codec = Session(LinkConfig(system_id=0, beacon_system_id=PAD_SYSTEM)), Codec(PAD_SYSTEM, 1)
+    heartbeat = mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+    )
+    session.receive(codec.encode(heartbeat) + codec.encode(system_position()), 1.0)
+    assert session.system_id == 0
+    assert not session.state.connected
+    assert session.state.global_position is None
+
+
+@pytest.mark.parametrize("wrong", [{"north_cm_s": 900}, {"latitude_e7": 910_000_000}])
+def test_what_no_pad_can_be_leaves_the_last_good_position(wrong: dict[str, int]) -> None:
+    session, codec = Session(LinkConfig(beacon_system_id=PAD_SYSTEM)), Codec(PAD_SYSTEM, 1)
+    session.receive(codec.encode(system_position()), 1.0)
+    session.receive(codec.encode(system_position(**wrong)), 2.0)
+    assert session.beacons.beacon is not None
+    assert session.beacons.beacon.time_s == 1.0
+
+
+def test_the_pads_system_is_not_the_vehicles() -> None:
+    with pytest.raises(ValueError, match="beacon_system_id: expected another system than the vehicle's"):
+        LinkConfig(system_id=7, beacon_system_id=7)
+
+
+def test_what_an_answer_says_of_its_accuracy_is_kept() -> None:
+    session = asked()
+    answer(session, 3.1)
+    session.receive(Codec(*GROUND).encode(follow_target(replace(BEACON, time_s=812.25))), 3.6)
+    assert session.beacons.beacon is not None
+    assert session.beacons.beacon.vertical_std_m == 1.0
+    assert session.beacons.beacon.velocity_std_m_s is not None
+    assert session.beacons.beacon.fix_time_s == 812.25

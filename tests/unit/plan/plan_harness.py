@@ -18,6 +18,7 @@ from companion.base.messages import (
     ActionKind,
     ActionResult,
     AutopilotState,
+    CarriedPad,
     LandedState,
     LinkHealth,
     Notice,
@@ -107,6 +108,8 @@ class PlanWorld:
         self.lie_m: Callable[[float], float] = lambda _t: 0.0  # the believed pad lies so much too low
         self.gust: Callable[[float], Vector3] = lambda _t: ZERO3
         self.beacon_after_s: float | None = None
+        self.carried_off_m: Vector3 | None = None  # something carries the pad's estimate, and is off by this
+        self.carried_std_m = 0.2
         self.vehicle_known, self.stop, self.tilt_rad = True, False, 0.0
         self.silent_from_s = math.inf  # the link
         self.order: Order | None = None  # given once
@@ -163,6 +166,7 @@ class PlanWorld:
             vehicle=self._vehicle() if self.vehicle_known else None,
             pad=self._pad_state,
             autopilot=self._hear(),
+            carried=self._carried(),
             beacon=self._beacon,
             range=self._echo(),
             results=tuple(self._results),
@@ -243,6 +247,15 @@ class PlanWorld:
             latitude, longitude, altitude = geodetic_from_ned(pad, HOME)
             self._beacon = PadBeacon(self.now_s, latitude, longitude, altitude, velocity, 1.5)
             self._asked_s = None
+
+    def _carried(self) -> CarriedPad | None:
+        off = self.carried_off_m
+        if off is None:
+            return None
+        pad, (velocity, acceleration) = self.pad(self.now_s), derivative(self.pad, self.now_s)
+        north, east, down = (p + o - q for p, o, q in zip(pad, off, self.position, strict=True))
+        place = (north, east, down)
+        return CarriedPad(self.now_s, place, velocity, acceleration, self.carried_std_m, self.now_s)
 
     def _believed(self, then_s: float, pad: Vector3, velocity: Vector3, acceleration: Vector3) -> PadState:
         """The pad as last seen, led on at its velocity, with the filter's noise."""
