@@ -95,7 +95,7 @@ class TouchdownSequence:
         self._short_echoes = ShortEchoes(self._config.contact_speed_m_s)
         self.tilt = TiltPrediction()
         self._levelling = Levelling(config, vehicle, self._standing_height.std_m)
-        self._left = False
+        self._left, self._lowest_m = False, math.inf
 
     def see(self, sight: PadState | None, vehicle: VehicleState | None, now_s: float) -> None:
         """Take in a cycle's estimates."""
@@ -133,7 +133,7 @@ class TouchdownSequence:
         waited_s = now_s - self._since_s
         self._generator.fly_to(Motion((0.0, 0.0, -self._wait_height_m)), now_s)
         # as in the descent: an unseen pad's predicted height sinks or rises without end, and is soon a guess
-        if sight is None or sight.age_s > self._landing.pause_unseen_s:
+        if sight is None or sight.unseen_s > self._landing.pause_unseen_s:
             unseen_s = self._landing.pause_unseen_s
             return MissionEvent.PAD_LOST, f"not seen for {unseen_s:.1f} s just above the pad"
         tolerance.note_tilt(self._tilt_at_contact_m_s2(), now_s)
@@ -192,7 +192,7 @@ class TouchdownSequence:
     def commit(self, now_s: float) -> None:
         """Begin to sink."""
         c = self._config
-        self._sunk_s = now_s
+        self._sunk_s, self._lowest_m = now_s, math.inf
         self._contact_test = ContactTest(c)
         speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(self._tilt_at_contact_m_s2())
         self._blended_s = now_s + c.blend_s
@@ -281,8 +281,9 @@ class TouchdownSequence:
         self._give_way(sight if high and not signs.stalled else None, now_s)
         tilts_on = not self._levelling.begun
         self._levelling.expect(sight, self.tilt, now_s)
-        if high and sight.unseen_s <= UNSEEN_S and not signs.stalled:
-            # a gust may have held it up: as long as it sinks from above, the contact is due by what is seen
+        if high and sight.unseen_s <= UNSEEN_S and sight.height_m < self._lowest_m:
+            # a gust may have held it up: while it comes lower than before, the contact is due by what is seen
+            self._lowest_m = sight.height_m
             self._contact_due_s = max(self._contact_due_s, self._levelling.due_s)
         if tilts_on and self._levelling.begun and sight.unseen_s <= UNSEEN_S:
             self._sink_firmer(now_s)

@@ -272,6 +272,8 @@ class ReferenceGenerator:
         """
         start, half_s = self.at(now_s), 0.5 * _RISES_WITHIN_S
         (x, y, z), (vx, vy, vz) = start.position_m, start.velocity_m_s
+        if vz <= -_RISES_M_S:
+            return  # with a deck that rises it climbs faster as it is
         place = (x + half_s * vx, y + half_s * vy, z + half_s * (vz - _RISES_M_S))
         self._rise = plan(start, Motion(place, (0.0, 0.0, -_RISES_M_S)), now_s, _RISES_WITHIN_S)
         self._follow(self._rise, now_s)

@@ -63,9 +63,12 @@ def test_it_goes_on_down_after_a_gust_that_held_it_up_and_not_when_held_for_good
             assert touchdown.step(seen, None, LandedState.IN_AIR, now_s) is None
             assert touchdown.committed
     held_s = now_s
+    # swaying in the gusts it comes no lower: that puts nothing off
     while found is None and now_s < held_s + 5.0:
         now_s += CYCLE_S
-        found = touchdown.step(sight(height=height_m), None, LandedState.IN_AIR, now_s)
+        swing, rate = 0.02 * math.sin(6.0 * (now_s - held_s)), 0.12 * math.cos(6.0 * (now_s - held_s))
+        seen = sight(height=height_m + 0.02 + swing, velocity=(0.0, 0.0, -rate))
+        found = touchdown.step(seen, None, LandedState.IN_AIR, now_s)
     assert found == (MissionEvent.MISALIGNED, "no contact 1.5 s after the expected time")
     assert now_s - held_s == pytest.approx(CONFIG.overdue_s, abs=0.5)
 

@@ -85,6 +85,9 @@ def test_a_pad_unseen_while_waiting_is_lost_as_soon_as_the_descent_would_not_go_
     assert pause_s < CONFIG.blind_s
     assert wait(fresh(), sight(age=pause_s + 0.01), 5.0) == (0.0, MissionEvent.PAD_LOST)
     assert wait(fresh(), sight(age=pause_s - 0.1), 0.05)[1] is None
+    # what camera and vision take is no gap
+    late = replace(sight(age=pause_s + 0.1), delay_s=0.15)
+    assert wait(fresh(), late, 0.05)[1] is None
 
 
 @pytest.mark.parametrize(("share", "commits"), [(0.95, True), (1.05, False)])

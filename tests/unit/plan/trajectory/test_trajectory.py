@@ -484,6 +484,14 @@ def test_level_flight_goes_on_with_a_climb_to_its_floor() -> None:
     assert max(speeds_m_s) < 0.0  # it never stops
 
 
+def test_a_rise_slows_no_climb_that_is_faster() -> None:
+    g = generator()
+    g.start("local", Motion((0.0, 0.0, -4.0)), 0.0)
+    g.sink(-0.5, 0.5, 0.0)
+    g.rise(0.6)
+    assert max(g.at(0.6 + k * CYCLE_S).velocity_m_s[2] for k in range(30)) == pytest.approx(-0.5)
+
+
 def test_what_is_blown_off_its_way_goes_on_climbing() -> None:
     g = generator()
     g.start("local", Motion((0.0, 0.0, -4.0)), 0.0)
