@@ -57,6 +57,7 @@ GPS_CONFIGURATION_PERIOD_S: Final = 0.2
 FAULT_PERIOD_S: Final = 2.0
 WATCH_PERIOD_S: Final = 1.0
 GROUND_LOOK_S: Final = 0.2  # while nothing is flown one frame in so long is searched for the pad
+BEACON_APART_S: Final = 0.9  # a second, less the link's jitter
 GONE_S: Final = 2.0  # a port that is gone is tried once a second
 
 
@@ -192,13 +193,20 @@ class Sensing:
                     self._take_range(sample)
 
     def take_beacon(self, beacon: PadBeacon | None) -> None:
-        """The newest word of the pad's beacon, once; a fix that is sent again says nothing new."""
-        before, self._beacon = self._beacon, beacon
+        """The newest word of the pad's beacon, once a second: a receiver's errors last longer than that.
+
+        A fix that is sent again says nothing new.
+        """
+        before = self._beacon
         if beacon is None or beacon == before or self._config.estimate.pad.beacon != "track":
             return
-        if before is None or beacon.fix_time_s == 0.0 or beacon.fix_time_s != before.fix_time_s:
-            self._estimator.observe(beacon)
-            self._log.write("beacon", beacon, self._clock.now_s())
+        if before is not None:
+            again = beacon.fix_time_s != 0.0 and beacon.fix_time_s == before.fix_time_s
+            if again or beacon.time_s - before.time_s < BEACON_APART_S:
+                return
+        self._beacon = beacon
+        self._estimator.observe(beacon)
+        self._log.write("beacon", beacon, self._clock.now_s())
 
     def _calibrated(self, sample: MagSample) -> MagSample:
         """The autopilot's field in its body axes, by the calibration that is on top of its own."""

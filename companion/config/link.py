@@ -92,10 +92,12 @@ class LinkConfig(StrictModel):
     def _has_a_component_for_each(self) -> LinkConfig:
         if self.signing_key is not None and self.actions == "mavsdk":
             raise ValueError("signing_key: MAVSDK cannot sign; expected actions: pymavlink with it")
-        if self.beacon_system_id is not None and self.beacon_system_id == self.system_id:
-            raise ValueError(
-                f"beacon_system_id: expected another system than the vehicle's, found {self.system_id} twice"
-            )
+        others = {"the vehicle's": self.system_id, "the ground station's": self.ground_system_id}
+        for whose, system_id in others.items():
+            if self.beacon_system_id is not None and self.beacon_system_id == system_id:
+                raise ValueError(
+                    f"beacon_system_id: expected another system than {whose}, found {system_id} twice"
+                )
         if self.component_id == self.mavsdk_component_id:
             raise ValueError(
                 f"expected mavsdk_component_id to differ from component_id, found {self.component_id} twice"

@@ -320,12 +320,15 @@ class StateEstimator:
         estimate = self._pad.predicted(snapshot, now_s)
         if estimate is None or not _finite(estimate.x):
             return None
+        variance_m2 = 0.5 * float(estimate.P[0, 0] + estimate.P[1, 1])
+        if not variance_m2 >= 0.0:
+            return None
         return CarriedPad(
             time_s=now_s,
             relative_position_ned_m=vector3(estimate.x[0:3]),
             velocity_ned_m_s=add(vector3(estimate.x[3:6]), self._vehicle.velocity(now_s)),
             acceleration_ned_m_s2=vector3(estimate.x[6:9]),
-            lateral_std_m=math.sqrt(max(0.0, 0.5 * float(estimate.P[0, 0] + estimate.P[1, 1]))),
+            lateral_std_m=math.sqrt(variance_m2),
             observed_time_s=estimate.observed_time_s,
         )
 

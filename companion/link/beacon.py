@@ -24,6 +24,7 @@ SYSTEM_BEACON_MESSAGES: Final = frozenset(
 )
 # The fix, the answer, and a slow radio: so long after COMMAND_ACK what comes is the answer.
 ANSWER_S: Final = 8.0
+ACCURACY_LASTS_S: Final = 3.0
 
 
 class BeaconListener:
@@ -40,7 +41,9 @@ class BeaconListener:
         self._accepted_s: dict[int, float] = {}  # by component
         self.beacon: PadBeacon | None = None
         self.ignored: tuple[int, int] | None = None
+        # by its GPS_RAW_INT; a system that sends none has a fix for all that is known
         self._stds_m: tuple[float, float | None] = (_UNKNOWN_STD_M, None)
+        self._told_s, self._has_fix = -math.inf, True
 
     def is_beacons(self, message: Message) -> bool:
         """Whether it comes from the system that is the pad's."""
@@ -52,8 +55,11 @@ class BeaconListener:
         message_id = message.get_msgId()
         if message_id == mavlink.MAVLINK_MSG_ID_GPS_RAW_INT:
             across_m, up_m = 1e-3 * message.h_acc, 1e-3 * message.v_acc
-            self._stds_m = (across_m or _UNKNOWN_STD_M, up_m or None)
-        elif message_id == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
+            self._stds_m, self._told_s = (across_m or _UNKNOWN_STD_M, up_m or None), now_s
+            self._has_fix = message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX
+        elif message_id == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT and self._has_fix:
+            if now_s - self._told_s > ACCURACY_LASTS_S:
+                self._stds_m = (_UNKNOWN_STD_M, None)
             most_m_s = self._config.maximum_pad_speed_m_s
             self.beacon = system_beacon(message, now_s, most_m_s, self._stds_m) or self.beacon
 

@@ -336,7 +336,9 @@ class PadFilter:
             self._start_by_fix(time_s, fix)
             return
         parts = self._parts(fix)
-        passed = all(self._fits(self._innovation(*part)) for part in parts)
+        passed = not self._contradicted(time_s, fix.gate) and all(
+            self._fits(self._innovation(*part)) for part in parts
+        )
         self._record(fix.gate, passed)
         if passed:
             self._update(parts)
@@ -345,6 +347,15 @@ class PadFilter:
             time_s, FIX_TIMEOUT_S
         ):
             self._start_by_fix(time_s, fix)
+
+    def _contradicted(self, time_s: float, gate: str) -> bool:
+        """Whether a source's last fix was refused, and the pad is out of sight since, or almost.
+
+        What sightings contradicted does not come true as they end and the pad is known less well.
+        """
+        refused = self.gates.get(gate, Gate()).refused_in_a_row > 0
+        unseen = time_s - self.seen_time_s > self._config.sighting_timeout_s
+        return refused and unseen and not self._forgotten(time_s, self.seen_time_s)
 
     def _parts(self, fix: Observation) -> tuple[_Part, ...]:
         """Its position, of which its source's error is a part, and its velocity."""

@@ -104,7 +104,9 @@ class PadLocator:
         self._beacon = word = Lead(beacon.time_s, position, velocity, rate)
         if self._compared is None or word.time_s - self._compared.time_s >= _TURN_OVER_S:
             self._compared = word
-        return math.dist(expected[:2], position[:2]) > self._config.spacing_m
+        # while the filter takes its fixes it judges them itself
+        carried = self._carried_by(beacon.time_s) is not None
+        return not carried and math.dist(expected[:2], position[:2]) > self._config.spacing_m
 
     def remember(self, pad: Motion, seen_s: float, now_s: float) -> None:
         """Keep the last sighting of the pad; `pad` is the filter's prediction for now.

@@ -201,14 +201,13 @@ class Search:
         """Go on to the next corner; dwell at the centre first."""
         if self._arrived_s is None:
             self._arrived_s = now_s
-        # where all places at which it may be are in view from the centre, no search shows more
-        reach_m, view_m = self.locator.reach_m(now_s), 0.5 * self._config.spacing_m
-        dwells = now_s - self._arrived_s < self._config.dwell_s or reach_m <= view_m
-        if self._corner == 0 and dwells:
+        if self._corner == 0 and now_s - self._arrived_s < self._config.dwell_s:
             return
         north, east = square_spiral(self._corner + 1, self._config.spacing_m)
-        # beyond the radius it restarts: the pad may have come closer
-        farthest_m = min(self._config.radius_m, reach_m + view_m)
+        # beyond the radius it restarts: the pad may have come closer. A place at which it is not seen is one
+        # turn wrong at least, however surely it is told
+        reach_m = self.locator.reach_m(now_s) + 0.5 * self._config.spacing_m
+        farthest_m = min(self._config.radius_m, max(reach_m, math.sqrt(2.0) * self._config.spacing_m))
         self._corner = 0 if math.hypot(north, east) > farthest_m else self._corner + 1
         self._arrived_s, self._turned_s = None, now_s
 

@@ -141,6 +141,20 @@ def test_the_position_of_the_named_system_is_the_pads_as_accurate_as_it_says() -
     )
 
 
+def test_a_pads_receiver_without_a_fix_leads_nobody() -> None:
+    session, codec = Session(LinkConfig(beacon_system_id=PAD_SYSTEM)), Codec(PAD_SYSTEM, 1)
+    lost = system_accuracy(20, 30)
+    lost.fix_type = mavlink.GPS_FIX_TYPE_2D_FIX
+    session.receive(codec.encode(lost) + codec.encode(system_position()), 1.0)
+    assert session.beacons.beacon is None
+    session.receive(codec.encode(system_accuracy(20, 30)) + codec.encode(system_position()), 2.0)
+    assert session.beacons.beacon is not None
+    assert session.beacons.beacon.position_std_m == 0.02
+    # an accuracy of long ago says nothing of now
+    session.receive(codec.encode(system_position(boot_ms=9000)), 6.0)
+    assert session.beacons.beacon.position_std_m == 5.0
+
+
 @pytest.mark.parametrize(
     ("system_id", "settings"), [(43, {"beacon_system_id": PAD_SYSTEM}), (PAD_SYSTEM, {}), (1, {})]
 )
@@ -180,6 +194,10 @@ def test_what_no_pad_can_be_leaves_the_last_good_position(wrong: dict[str, int])
 def test_the_pads_system_is_not_the_vehicles() -> None:
     with pytest.raises(ValueError, match="beacon_system_id: expected another system than the vehicle's"):
         LinkConfig(system_id=7, beacon_system_id=7)
+    with pytest.raises(
+        ValueError, match="beacon_system_id: expected another system than the ground station's"
+    ):
+        LinkConfig(ground_system_id=250, beacon_system_id=250)
 
 
 def test_what_an_answer_says_of_its_accuracy_is_kept() -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from companion.base.geometry import IDENTITY, ZERO3, Vector3, geodetic_from_ned
+from companion.base.geometry import IDENTITY, ZERO3, Vector3, add, geodetic_from_ned
 from companion.base.messages import PadBeacon
 from companion.config import PadFilterConfig
 from companion.estimate.gating import Timeline
@@ -177,6 +177,26 @@ def test_a_jump_of_20_m_moves_no_pad_that_is_seen() -> None:
     assert bench.lateral(20.0 - 1e-9) < 0.03
     assert bench.filter.gates["beacon"].refused == 10
     assert bench.filter.gates["sighting"].refused == 0
+
+
+@pytest.mark.parametrize(
+    ("off", "claimed_m"), [((0.5, 0.0, 0.0), 0.02), ((0.0, 0.0, -0.5), 0.02), ((8.0, 0.0, 0.0), 1.5)]
+)
+def test_what_sightings_contradict_moves_no_pad_that_they_end_at(off: Vector3, claimed_m: float) -> None:
+    own_m = 0.03 if claimed_m < 1.0 else 1.0
+    bench = BeaconBench(bias=ZERO3)
+    for k in range(600):
+        t = k / 30
+        bench.see(t)
+        if k % 30 == 29:
+            # an antenna beside the pad's middle, or a receiver that has jumped
+            fix = told(t + 0.01, add(bench.pad(t + 0.01), off), (SPEED_M_S, 0.0, 0.0), claimed_m)
+            bench.timeline.add(t + 0.01, in_ned(fix, exposure(t + 0.01, own_std_m=own_m)))
+    for k in range(4):
+        t = 20.5 + k
+        fix = told(t, add(bench.pad(t), off), (SPEED_M_S, 0.0, 0.0), claimed_m)
+        bench.timeline.add(t, in_ned(fix, exposure(t, own_std_m=own_m)))
+        assert math.dist(bench.at(t + 0.4).x[:3], bench.pad(t + 0.4)) < 0.3
 
 
 def test_after_a_jump_an_unseen_pad_is_where_its_beacon_lasts() -> None:
