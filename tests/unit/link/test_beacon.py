@@ -145,14 +145,18 @@ def test_a_pads_receiver_without_a_fix_leads_nobody() -> None:
     session, codec = Session(LinkConfig(beacon_system_id=PAD_SYSTEM)), Codec(PAD_SYSTEM, 1)
     lost = system_accuracy(20, 30)
     lost.fix_type = mavlink.GPS_FIX_TYPE_2D_FIX
-    session.receive(codec.encode(lost) + codec.encode(system_position()), 1.0)
-    assert session.beacons.beacon is None
-    session.receive(codec.encode(system_accuracy(20, 30)) + codec.encode(system_position()), 2.0)
-    assert session.beacons.beacon is not None
-    assert session.beacons.beacon.position_std_m == 0.02
+    found: list[float | None] = []
+    messages = (
+        (1.0, codec.encode(lost) + codec.encode(system_position())),
+        (2.0, codec.encode(system_accuracy(20, 30)) + codec.encode(system_position())),
+        (6.0, codec.encode(system_position(boot_ms=9000))),
+    )
+    for now_s, data in messages:
+        session.receive(data, now_s)
+        beacon = session.beacons.beacon
+        found.append(None if beacon is None else beacon.position_std_m)
     # an accuracy of long ago says nothing of now
-    session.receive(codec.encode(system_position(boot_ms=9000)), 6.0)
-    assert session.beacons.beacon.position_std_m == 5.0
+    assert found == [None, 0.02, 5.0]
 
 
 @pytest.mark.parametrize(

@@ -183,20 +183,22 @@ def test_a_jump_of_20_m_moves_no_pad_that_is_seen() -> None:
     ("off", "claimed_m"), [((0.5, 0.0, 0.0), 0.02), ((0.0, 0.0, -0.5), 0.02), ((8.0, 0.0, 0.0), 1.5)]
 )
 def test_what_sightings_contradict_moves_no_pad_that_they_end_at(off: Vector3, claimed_m: float) -> None:
-    own_m = 0.03 if claimed_m < 1.0 else 1.0
-    bench = BeaconBench(bias=ZERO3)
-    for k in range(600):
-        t = k / 30
-        bench.see(t)
-        if k % 30 == 29:
-            # an antenna beside the pad's middle, or a receiver that has jumped
-            fix = told(t + 0.01, add(bench.pad(t + 0.01), off), (SPEED_M_S, 0.0, 0.0), claimed_m)
-            bench.timeline.add(t + 0.01, in_ned(fix, exposure(t + 0.01, own_std_m=own_m)))
-    for k in range(4):
-        t = 20.5 + k
+    own_m, bench = (0.03 if claimed_m < 1.0 else 1.0), BeaconBench(bias=ZERO3)
+
+    def hear(t: float) -> None:
+        # an antenna beside the pad's middle, or a receiver that has jumped
         fix = told(t, add(bench.pad(t), off), (SPEED_M_S, 0.0, 0.0), claimed_m)
-        bench.timeline.add(t, in_ned(fix, exposure(t, own_std_m=own_m)))
-        assert math.dist(bench.at(t + 0.4).x[:3], bench.pad(t + 0.4)) < 0.3
+        relative = in_ned(fix, exposure(t, own_std_m=own_m))
+        assert relative is not None
+        bench.timeline.add(t, relative)
+
+    for k in range(600):
+        bench.see(k / 30)
+        if k % 30 == 29:
+            hear(k / 30 + 0.01)
+    for k in range(4):
+        hear(20.5 + k)
+        assert math.dist(bench.at(20.9 + k).x[:3], bench.pad(20.9 + k)) < 0.3
 
 
 def test_after_a_jump_an_unseen_pad_is_where_its_beacon_lasts() -> None:
