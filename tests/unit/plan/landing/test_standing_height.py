@@ -18,20 +18,25 @@ from companion.plan.steering import touch_down
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import still
-from tests.unit.plan.plan_harness import LEG_M, TABLE, VEHICLE, PlanWorld
+from tests.unit.plan.plan_harness import LEG_M, STEP_S, TABLE, VEHICLE, PlanWorld
 
 
 def stood(
-    leg_m: float, *, echo_m: float | None = None, on_pad: bool = False, nearest_echo_m: float = 0.0
+    leg_m: float,
+    *,
+    echo_m: float | None = None,
+    on_pad: bool = False,
+    nearest_echo_m: float = 0.0,
+    lasts_s: float = 6.0,
 ) -> tuple[StandingHeight, PlanWorld]:
-    """After six seconds on the ground: the true standing height is LEG_M, the file says `leg_m`."""
+    """After `lasts_s` on the ground: the true standing height is LEG_M, the file says `leg_m`."""
     w = world(still())
     w.echo_m, w.range_lost = echo_m, echo_m is None
     w.blind = lambda _t, _height: not on_pad
     if on_pad:
         w.pad = lambda _t: (0.0, 0.0, 0.0)
     height = StandingHeight(VEHICLE.model_copy(update={"leg_height_m": leg_m}), nearest_echo_m)
-    for _ in range(180):
+    for _ in range(round(lasts_s / STEP_S)):
         w.acceleration = ZERO3
         height.update(w.inputs(), w.now_s)
         w.autopilot.ready_from_s = 1e9  # it stays on the ground
@@ -55,6 +60,13 @@ def test_an_echo_before_take_off_says_whether_the_leg_height_is_right(wrong_m: f
         if refused
         else []
     )
+
+
+# the autopilot, and so that it is disarmed, is heard after a second
+@pytest.mark.parametrize(("lasts_s", "measured"), [(2.8, False), (3.2, True)])
+def test_what_was_heard_during_two_seconds_of_rest_counts_as_they_end(lasts_s: float, measured: bool) -> None:
+    height, _ = stood(LEG_M + 0.03, echo_m=ECHO_M, lasts_s=lasts_s)
+    assert bool(height.measured_m) is measured
 
 
 def test_echoes_as_near_as_the_sensor_shows_at_all_say_nothing() -> None:
