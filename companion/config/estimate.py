@@ -44,9 +44,9 @@ class EkfConfig(StrictModel):
     """Highest rate at which the magnetometer is fused; lower it to save CPU"""
     mag_noise_ut: float = Field(default=5.0, gt=0.0, le=20.0)
     """Noise of a magnetometer sample; raise it near motor currents"""
-    mag_wander_s: float = Field(default=0.05, ge=0.0, le=100.0)
-    """Correlation time of the magnetic field's error beyond its biases; lower it where the field changes
-    fast (a steel deck)"""
+    mag_wander_s: float = Field(default=1.0, ge=0.0, le=100.0)
+    """Correlation time of a magnetic disturbance, as near a steel deck, beyond noise and biases; raise it
+    where one lasts longer"""
     orientation_timeout_s: float = Field(default=3.0, gt=0.0, le=60.0)
     """If the pre-filter's attitude is refused for this time, the EKF adopts it; raise it if the EKF
     restarts its attitude without need"""

@@ -192,10 +192,9 @@ class VehicleEkf(EkfState):
             self._restart_attitude(attitude, rotation)
 
     def _counted_already(self) -> FloatArray:
-        """Variance (3, 3) about NED axes: a pre-filter's heading is the field's, which counts by itself while
-        it is not refused."""
-        mag = self.gates.get("mag", Gate())
-        counted = mag.accepted and not mag.refused_in_a_row
+        """Variance (3, 3) about NED axes: a pre-filter's heading is the field's, which counts by itself; of
+        one that is refused it tells nothing either."""
+        counted = self.gates.get("mag", Gate()).accepted
         return np.diag((0.0, 0.0, UNKNOWN_HEADING_RAD**2 if counted else 0.0))
 
     def _unjudged(self) -> FloatArray:
@@ -236,9 +235,17 @@ class VehicleEkf(EkfState):
         self.P, self.watch = P, self.watch.renewed()._replace(restarted_s=self.time_s)
 
     def _take_field(self, field_body_ut: Vector3) -> None:
+        """Take the field (body, µT); one that turns where the gyroscope shows no turn counts little.
+
+        What the state's covariance does not explain of the innovation is a disturbance. Its direction is
+        unknown: a third of the square is its variance on an axis (covariance matching, Mehra, IEEE
+        Transactions on Automatic Control 17, 1972).
+        """
         expected, C = model.mag_model(self.x)
         innovation, east = np.array(field_body_ut) - expected, self._magnetic_east()
-        self._update("mag", innovation, C, self._mag_noise(east), self._mag_gate_noise)
+        explained = float(np.trace(C @ self.P @ C.T))
+        disturbance_ut2 = max(float(innovation @ innovation) - explained, 0.0) / len(innovation)
+        self._update("mag", innovation, C, self._mag_noise(east, disturbance_ut2), self._mag_gate_noise)
         gate = self.gates["mag"]
         if gate.shut_out(self.time_s, MAG_REFUSED_S):
             # a field that fits in size and dip for so long is right, and the heading wrong
@@ -252,15 +259,17 @@ class VehicleEkf(EkfState):
         size = math.hypot(north, east)
         return np.array(quat_rotate_inverse(self.attitude, (-east / size, north / size, 0.0)))
 
-    def _mag_noise(self, east: FloatArray) -> FloatArray:
-        """R (3, 3) in µT²: what is wrong with a field stays, so that many samples show little more than one.
+    def _mag_noise(self, east: FloatArray, disturbance_ut2: float) -> FloatArray:
+        """R (3, 3) in µT² under a disturbance of this variance an axis; `east` (3,) is in body axes.
 
+        A disturbance stays for its correlation time T: of f samples a second each has 2 T f times its
+        variance, as white noise that errs as much over longer times (a Gauss-Markov process does).
         Indoors and near iron size and dip err by more than the tilt: a field shows the heading alone.
         """
         config = self._config
-        alike = max(2.0 * config.mag_wander_s * config.mag_rate_hz, 1.0)
-        across = alike * config.mag_noise_ut**2
-        along = max(alike * MAG_DIP_NOISE_UT**2, across)
+        alike = 2.0 * config.mag_wander_s * config.mag_rate_hz
+        across = config.mag_noise_ut**2 + alike * disturbance_ut2
+        along = max(MAG_DIP_NOISE_UT**2, across)
         return along * EYE3 - (along - across) * np.outer(east, east)
 
     def _suspect_bias(self) -> None:

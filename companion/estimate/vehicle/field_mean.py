@@ -33,10 +33,8 @@ class FieldMean:
     """The mean field since it was last taken; `delay_s` is by how much the samples' stamps are late."""
 
     def __init__(self, config: EkfConfig) -> None:
-        lasts_s = max(2.0 * config.mag_wander_s, 1.0 / config.mag_rate_hz)
-        self._density_ut2_s = (
-            lasts_s * config.mag_noise_ut**2
-        )  # of a field's error on an axis, as white noise
+        # of a field's error on an axis, as white noise
+        self._density_ut2_s = config.mag_noise_ut**2 / config.mag_rate_hz
         self._variance_s2 = DELAY_STD_S**2
         self.delay_s = 0.0
         self._fields, self._sweeps = VectorMean(), VectorMean()
