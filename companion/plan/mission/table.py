@@ -191,8 +191,15 @@ ROWS: Final = (
     _row(E.TIMEOUT, HOLDING | {S.SEARCH}, *_RETURN_CONTROL),
     _row(E.CLEAR, S.HOLD, *_RETURN_CONTROL),
     _row(E.TIMEOUT, S.SINK, _SET_DOWN),
-    _row(E.TIMEOUT, {S.SET_DOWN, S.STAND}, _AUTO_LAND),
-    # without a link nothing arrives: its own failsafe has long taken it, and what then flies is not ours
+    _row(E.TIMEOUT, S.STAND, _AUTO_LAND),
+    # without a link nothing arrives: its own failsafe has long taken it, and what then flies is not ours.
+    # Where nothing has shown a contact, time alone cuts no thrust: it asks for LAND again.
+    _row(
+        E.TIMEOUT,
+        S.SET_DOWN,
+        _end(guard=Guard.UNHEARD),
+        Branch(None, (_LAND,), effects=(Effect.ASK_AFRESH,)),
+    ),
     _row(
         E.TIMEOUT,
         S.AUTO_LAND,

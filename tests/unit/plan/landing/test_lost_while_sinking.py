@@ -149,3 +149,23 @@ def test_a_vehicle_that_held_off_the_pad_unheard_is_not_pressed_down() -> None:
     w.each = lambda _w, step: pressed.append(step.on_ground)
     w.fly(1.0, until=lambda _w: False)
     assert not any(pressed)
+
+
+def test_time_alone_cuts_no_thrust_where_nothing_shows_a_contact() -> None:
+    # GIVEN a vehicle that goes straight down over a pad that drove off, its LAND refused ever again
+    w = world(line(1.0))
+    sinking_to(w, 0.30)
+    w.blind = lambda _t, _height: True
+    w.echo_m = 0.24 - 0.08
+    w.autopilot.refuse = {ActionKind.LAND: 10_000}
+    w.fly(6.0, until=lambda w: bool(w.flight.told("set_down")))
+    w.pad, w.range_lost = lambda _t: (900.0, 0.0, 0.0), True
+    # WHEN the whole time of a touchdown is over before anything is below it
+    w.position = (*w.position[:2], w.position[2] - 30.0)
+    pressed: list[bool] = []
+    w.each = lambda _w, step: pressed.append(step.on_ground)
+    w.fly(60.0, until=lambda _w: False)
+    # THEN it sinks on as slowly as before and asks again
+    assert not any(pressed)
+    assert w.flight.phase is Phase.TOUCHDOWN
+    assert 0.1 < w.velocity[2] < 0.3

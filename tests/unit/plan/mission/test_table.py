@@ -44,7 +44,8 @@ def kinds(branch: Branch) -> list[ActionKind]:
 # ---------------- The mission's table: every pair of state and event, every guard, every action
 
 AFTER_END = (S.ABORT, E.TAKEN_OVER)  # while the end still asks for something
-NOT_BY_TIME = {S.STANDBY, S.AUTO_LAND}  # it waits for the operator; it stands, and asks on
+# it waits for the operator; it goes down or stands, and asks for LAND on
+NOT_BY_TIME = {S.STANDBY, S.SET_DOWN, S.AUTO_LAND}
 EVERY_CIRCUMSTANCE = [
     Circumstances(authority, *flags) for authority in Authority for flags in product((False, True), repeat=9)
 ]
@@ -112,12 +113,12 @@ def test_every_state_can_be_reached_and_left_whatever_the_circumstances(state: S
 
 
 @pytest.mark.parametrize("state", sorted(LIVE - NOT_BY_TIME))
-def test_every_state_ends_by_time_or_stands_on_the_pad_and_asks_on(state: State) -> None:
+def test_every_state_ends_by_time_or_asks_for_land_on(state: State) -> None:
     # following TIMEOUT alone the mission is over after a few phases
     machine = StateMachine(retries=2)
     machine.state, machine.authority = state, Authority.OURS
     for _ in range(5):
-        if machine.state in FINAL | {S.AUTO_LAND}:
+        if machine.state in FINAL | NOT_BY_TIME:
             return
         branch = machine.follows(E.TIMEOUT, Circumstances())
         assert branch is not None
@@ -211,7 +212,7 @@ def test_a_late_link_is_no_line_to_climb_by(state: State) -> None:
 @pytest.mark.parametrize(
     ("state", "event"),
     [
-        *((state, E.TIMEOUT) for state in (S.SINK, S.STAND, S.SET_DOWN)),
+        *((state, E.TIMEOUT) for state in (S.SINK, S.STAND)),
         *((S.SINK, event) for event in (E.PAD_GONE, E.ESTIMATE_LOST)),
         (S.STAND, E.UNPROVEN),
     ],
@@ -222,9 +223,16 @@ def test_land_has_its_own_time_however_late_it_is_asked_for(state: State, event:
     assert Effect.COUNT_AFRESH in branch.effects
 
 
-def test_on_the_pad_without_a_link_it_asks_nobody_for_ever() -> None:
-    branch = taken(S.AUTO_LAND, E.TIMEOUT, Circumstances(Authority.OURS, heard=False))
+@pytest.mark.parametrize("state", [S.SET_DOWN, S.AUTO_LAND])
+def test_without_a_link_it_asks_nobody_for_land_for_ever(state: State) -> None:
+    branch = taken(state, E.TIMEOUT, Circumstances(Authority.OURS, heard=False))
     assert (branch.to, branch.authority, branch.actions) == (S.ABORT, Authority.RELEASED, ())
+
+
+def test_no_time_makes_a_contact_of_going_down() -> None:
+    branch = taken(S.SET_DOWN, E.TIMEOUT)
+    assert (branch.to, kinds(branch)) == (None, [ActionKind.LAND])
+    assert Effect.ASK_AFRESH in branch.effects
 
 
 def test_seen_off_the_pad_in_land_it_comes_down_in_land() -> None:
