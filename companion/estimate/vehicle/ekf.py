@@ -99,11 +99,12 @@ class VehicleEkf(EkfState):
     def _shown_by_fixes(self, noise: StepNoise) -> StepNoise:
         """Vibration says how much the force's mean may be off; fixes show whether it is.
 
-        What they have shown lasts without them; at least it is off by what vibration usually leaves.
+        What they have shown lasts without them; at least it is off by what vibration usually leaves, as far
+        as their velocities have shown that it does.
         """
         shown = min(noise.force_error_m_s2, self.fix_watch.force_error_m_s2)
         if self.time_s - self.gps_time_s > GPS_TIMEOUT_S:
-            shown = max(shown, noise.usual_force_error_m_s2)
+            shown = max(shown, self.fix_watch.drift.share * noise.usual_force_error_m_s2)
         return noise._replace(force_error_m_s2=shown)
 
     def carried(
@@ -340,7 +341,7 @@ class VehicleEkf(EkfState):
         corrected, _ = model.gps_velocity_model(self.x, self._antenna_body_m, time_s - self.time_s)
         variance = float(np.mean(np.square(fix.velocity_std_m_s[:2]) + np.square(lag[:2])))
         last = LastFix(time_s, fix.velocity_ned_m_s, vector3(corrected))
-        self.fix_watch = self.fix_watch.turned(last, predicted_m_s, variance)
+        self.fix_watch = self.fix_watch.turned(last, predicted_m_s, variance, fix.usual_force_error_m_s2)
 
     def _take_bias_step(self, step: BiasStep) -> None:
         """Take the bias that a second gyroscope shows, and turn back what the old one has turned."""

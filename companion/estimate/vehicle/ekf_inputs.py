@@ -52,12 +52,16 @@ class ImuStep:
 
 @dataclass(frozen=True, slots=True)
 class GpsStep:
-    """A fix in the EKF's NED: where the antenna was, and how fast."""
+    """A fix in the EKF's NED: where the antenna was, and how fast.
+
+    `usual_force_error_m_s2` is by how much the vibration at that time usually sets the force off.
+    """
 
     position_ned_m: Vector3
     velocity_ned_m_s: Vector3
     position_std_m: Vector3
     velocity_std_m_s: Vector3
+    usual_force_error_m_s2: float = 0.0
 
 
 class AttitudeStep(NamedTuple):
@@ -89,7 +93,7 @@ def at_rest(ours: Quaternion, theirs: Quaternion) -> SecondAttitudeStep:
     )
 
 
-def gps_step(fix: GpsFix, origin: Vector3, config: EkfConfig) -> GpsStep:
+def gps_step(fix: GpsFix, origin: Vector3, config: EkfConfig, usual_force_error_m_s2: float) -> GpsStep:
     """A fix in NED about the origin (latitude deg, longitude deg, altitude m), with the noise to expect."""
     factor = config.gps_accuracy_factor
     across = max(factor * fix.horizontal_accuracy_m, config.gps_position_noise_m)
@@ -101,4 +105,5 @@ def gps_step(fix: GpsFix, origin: Vector3, config: EkfConfig) -> GpsStep:
         velocity_ned_m_s=fix.velocity_ned_m_s,
         position_std_m=(across, across, along),
         velocity_std_m_s=(speed, speed, climb),
+        usual_force_error_m_s2=usual_force_error_m_s2,
     )

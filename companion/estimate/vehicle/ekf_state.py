@@ -27,7 +27,7 @@ from companion.estimate.vehicle.ekf_start import (
     initial_state,
     noise_density,
 )
-from companion.estimate.vehicle.fix_watch import FixWatch
+from companion.estimate.vehicle.fix_watch import FORCE_ERROR_S, FixWatch
 from companion.estimate.vehicle.imu_noise import STEADY, StepNoise
 from companion.estimate.vehicle.innovation_watch import InnovationWatch
 from companion.estimate.vehicle.yaw_error import YawError
@@ -44,7 +44,6 @@ UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the 
 UNSEEN_ACCELERATION_M_S2: Final = 4.0
 UNSEEN_TURN_RAD_S2: Final = 1.5  # and how fast that changes
 UNSEEN_JERK_M_S3: Final = 6.0
-FORCE_ERROR_S: Final = 1.0  # an erroneous force stays off for so long
 EYE3: Final = np.eye(3)
 EYE4: Final = np.eye(4)
 EYE: Final = np.eye(model.STATES)

@@ -9,6 +9,9 @@ reduces the weight of the next fixes.
 Changes of velocity show the heading without any compass: between two fixes the receiver's and ours differ
 by our heading error. The uncertainty that the latest fixes leave decides whether another heading is
 possible. Immutable, so that a snapshot may hold it.
+
+Over seconds they also show how much of the force's error that vibration usually means is there at all: by
+how much our velocity, uncorrected, drifts from the receiver's. That share goes on when there are none.
 """
 
 from __future__ import annotations
@@ -27,11 +30,14 @@ LARGEST_TEST: Final = 10.0  # one outlier counts as no more
 ONE_SIDED: Final = 0.75  # the mean's square against the mean square: 1 when all point the same way
 _CHANCE: Final = DIRECTION_SHARE / (2.0 - DIRECTION_SHARE)
 CHANCE_MARGIN: Final = 2.0
+FORCE_ERROR_S: Final = 1.0  # an erroneous force stays off for so long
 DRIFT_S: Final = 0.2  # a force that is off leads the velocity away for so long before a fix shows it
 PAUSE_S: Final = 3.0  # for the last suspicion to have its effect
 MOST_REFUSED: Final = 5  # in a row; a jump needs more to show its direction
 HEADING_S: Final = 5.0  # changes of velocity count for the heading that it has had for so long
 LONGEST_CHANGE_S: Final = 1.0  # between two fixes
+DRIFT_SPAN_S: Final = 2.0  # a force that is off for a second or so shows by then, beside a receiver's noise
+DRIFT_SPANS: Final = 10  # the fading mean goes back so far
 
 
 class LastFix(NamedTuple):
@@ -40,6 +46,47 @@ class LastFix(NamedTuple):
     time_s: float
     measured_m_s: Vector3
     estimated_m_s: Vector3
+
+
+class VelocityDrift(NamedTuple):
+    """How our velocity drifts from the receiver's, beside how it would if vibration did what it usually does.
+
+    Level alone: not every receiver tells the climb. `seen` and `expected` (m²/s²) are of a span, the sum of
+    two axes.
+    """
+
+    north_m_s: float = 0.0
+    east_m_s: float = 0.0
+    usual_m2_s2: float = 0.0
+    span_s: float = 0.0
+    spans: int = 0
+    seen_m2_s2: float = 0.0
+    expected_m2_s2: float = 0.0
+
+    def after(self, north_m_s: float, east_m_s: float, usual_m2_s2: float, elapsed_s: float) -> VelocityDrift:
+        """With what has come between two fixes; `usual_m2_s2` is what vibration usually does, on an axis."""
+        north, east = self.north_m_s + north_m_s, self.east_m_s + east_m_s
+        usual, span_s = self.usual_m2_s2 + usual_m2_s2, self.span_s + elapsed_s
+        if span_s < DRIFT_SPAN_S:
+            return self._replace(north_m_s=north, east_m_s=east, usual_m2_s2=usual, span_s=span_s)
+        spans = self.spans + 1
+        share = 1.0 / min(spans, DRIFT_SPANS)
+        seen = self.seen_m2_s2 + share * (north * north + east * east - self.seen_m2_s2)
+        expected = self.expected_m2_s2 + share * (2.0 * usual - self.expected_m2_s2)
+        return VelocityDrift(spans=spans, seen_m2_s2=seen, expected_m2_s2=expected)
+
+    def interrupted(self) -> VelocityDrift:
+        """Without the span that has begun: a fix is missing."""
+        return self._replace(north_m_s=0.0, east_m_s=0.0, usual_m2_s2=0.0, span_s=0.0)
+
+    @property
+    def share(self) -> float:
+        """Of the force's error that vibration usually means, 1 at most."""
+        # a mean of so many spans, of two axes each, errs by this much of itself
+        surely = 1.0 - 1.0 / math.sqrt(min(max(self.spans, 1), DRIFT_SPANS))
+        if self.seen_m2_s2 >= surely * self.expected_m2_s2:
+            return 1.0
+        return math.sqrt(self.seen_m2_s2 / (surely * self.expected_m2_s2))
 
 
 class FixWatch(NamedTuple):
@@ -53,6 +100,7 @@ class FixWatch(NamedTuple):
     last: LastFix | None = None
     turn_information: float = 0.0  # 1/rad²
     informed_turn: float = 0.0  # that times the turn about down (rad) that our heading lacks
+    drift: VelocityDrift = VelocityDrift()
 
     def after(self, innovation_m_s: Vector3, test: float) -> FixWatch:
         """With one fix more; `test` is its normalised innovation squared, a degree of freedom."""
@@ -65,21 +113,27 @@ class FixWatch(NamedTuple):
             mean_square=self.mean_square + DIRECTION_SHARE * (square - self.mean_square),
         )
 
-    def turned(self, fix: LastFix, predicted_m_s: Vector3, variance_m2_s2: float) -> FixWatch:
+    def turned(
+        self, fix: LastFix, predicted_m_s: Vector3, variance_m2_s2: float, usual_force_error_m_s2: float = 0.0
+    ) -> FixWatch:
         """With how the velocity has changed since the last fix; the receiver's errs by a variance an axis.
 
-        `predicted_m_s` is ours before this fix.
+        `predicted_m_s` is ours before this fix, `usual_force_error_m_s2` what vibration usually does to the
+        force for a second or so.
         """
         last, elapsed_s = self.last, math.inf if self.last is None else fix.time_s - self.last.time_s
         if last is None or not 0.0 < elapsed_s <= LONGEST_CHANGE_S:
-            return self._replace(last=fix, turn_information=0.0, informed_turn=0.0)
+            drift = self.drift.interrupted()
+            return self._replace(last=fix, turn_information=0.0, informed_turn=0.0, drift=drift)
         north, east, _ = ours = subtract(predicted_m_s, last.estimated_m_s)
         apart = subtract(subtract(fix.measured_m_s, last.measured_m_s), ours)
+        usual = usual_force_error_m_s2**2 * FORCE_ERROR_S * elapsed_s
         kept, weight = math.exp(-elapsed_s / HEADING_S), 0.5 / variance_m2_s2  # it errs at both fixes
         return self._replace(
             last=fix,
             turn_information=kept * self.turn_information + weight * (north * north + east * east),
             informed_turn=kept * self.informed_turn + weight * (north * apart[1] - east * apart[0]),
+            drift=self.drift.after(apart[0], apart[1], usual, elapsed_s),
         )
 
     def refutes(self, turn_rad: float) -> bool:

@@ -178,7 +178,7 @@ class VehicleEstimator:
         if self._timeline is None:
             return False
         origin = self.origin or place
-        step = gps_step(fix, origin, self._config.ekf)
+        step = gps_step(fix, origin, self._config.ekf, self._noise.now.usual_force_error_m_s2)
         if not self._timeline.add(fix.time_s, step):
             return False
         self.origin = origin

@@ -13,7 +13,7 @@ from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf import VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import GpsStep, ImuStep
 from companion.estimate.vehicle.ekf_start import InitialState
-from companion.estimate.vehicle.fix_watch import FixWatch
+from companion.estimate.vehicle.fix_watch import FixWatch, LastFix, VelocityDrift
 from companion.estimate.vehicle.imu_noise import ImuNoise, StepNoise
 from companion.estimate.vehicle.vehicle_estimator import VehicleEstimator
 
@@ -135,6 +135,43 @@ def test_fixes_that_keep_to_one_side_show_it() -> None:
     assert watched((0.3, 0.0, 0.0) + 0.1 * rng.standard_normal((25, 3))).force_error_m_s2 > 0.8
 
 
+def drifted(force_error_m_s2: float, seed: int, usual_m_s2: float = 0.4, missed: int = 0) -> VelocityDrift:
+    """After 40 s of fixes at 5 Hz, each 0.085 m/s off, with a force off for a second or so at a time.
+
+    Of every `missed` fixes the last did not come.
+    """
+    rng, dt_s, watch = np.random.default_rng(seed), 0.2, FixWatch()
+    force, ours, kept = force_error_m_s2 * rng.standard_normal(3), np.zeros(3), math.exp(-dt_s)
+    for k in range(200):
+        force = kept * force + force_error_m_s2 * math.sqrt(1.0 - kept**2) * rng.standard_normal(3)
+        ours = ours + force * dt_s  # the truth stands still
+        if missed and k % missed < 6:
+            continue
+        predicted, measured = vector3(ours), 0.085 * rng.standard_normal(3)
+        ours = ours + 0.4 * (measured - ours)
+        fix = LastFix(k * dt_s, vector3(measured), vector3(ours))
+        watch = watch.turned(fix, predicted, 0.085**2, usual_m_s2)
+    return watch.drift
+
+
+@pytest.mark.parametrize(
+    ("force_error_m_s2", "least", "most"), [(0.0, 0.2, 0.4), (0.2, 0.45, 0.9), (0.4, 0.85, 1.0)]
+)
+def test_how_velocities_drift_between_fixes_shows_what_vibration_does(
+    force_error_m_s2: float, least: float, most: float
+) -> None:
+    """Of the 0.4 m/s^2 that it usually does."""
+    shares = [drifted(force_error_m_s2, seed).share for seed in range(60)]
+    assert least < np.median(shares) <= most
+    assert np.mean([0.4 * share < force_error_m_s2 / 1.5 for share in shares]) < 0.05
+
+
+def test_without_vibration_or_with_fixes_missing_nothing_is_known_of_what_it_does() -> None:
+    assert FixWatch().drift.share == 1.0
+    assert drifted(0.0, 1, usual_m_s2=0.0).share == 1.0
+    assert drifted(0.0, 1, missed=10).spans == 0
+
+
 BEFORE_IT_IS_LOST = FixWatch()
 SHOWN_TO_BE_OFF = FixWatch(mean_m_s=(0.3, 0.0, 0.0), mean_square=0.09)
 
@@ -170,6 +207,35 @@ def test_what_vibration_usually_does_is_a_share_of_it() -> None:
         noise.add(ZERO3, vector3(RESTING + 8.0 / math.sqrt(3.0) * rng.standard_normal(3)), DT_S)
     assert noise.now.usual_force_error_m_s2 == pytest.approx(0.4, rel=0.2)
     assert noise.now.force_error_m_s2 == pytest.approx(3.0, abs=0.4)
+
+
+def speed_std_after_a_gap(force_error_m_s2: float) -> float:
+    """Stated on a level axis 6 s after the last fix of 20 s; the force is off for a second or so at a time.
+
+    It vibrates by 8 m/s^2 rms from sample to sample, of which a sum keeps nothing.
+    """
+    rng, motion = np.random.default_rng(6), MotionHistory(1.0)
+    vehicle = VehicleEstimator(EstimateConfig(), ZERO3, motion, ZERO3)
+    force, velocity, kept = np.zeros(3), np.zeros(3), math.exp(-DT_S)
+    for k in range(round(26.0 / DT_S)):
+        time_s = k * DT_S
+        flying = time_s > 4.0
+        vehicle.add_mag(MagSample(time_s, (20.9, 0.6, 42.9)))
+        pushed = force_error_m_s2 * math.sqrt(1.0 - kept**2) * rng.standard_normal(3)
+        force = kept * force + flying * pushed
+        shaken = flying * 2.8 * (-1.0) ** k * np.ones(3)
+        vehicle.add_imu(ImuSample(time_s, ZERO3, vector3(RESTING + force + shaken), 20.0))
+        if k % 40 == 0 and time_s < 20.0:
+            seen = vector3(velocity + 0.085 * rng.standard_normal(3))
+            vehicle.add_gps(GpsFix(time_s, 47.0, 8.0, 500.0, seen, 1.0, 1.5, 0.1, 12))
+    covariance = vehicle.covariance()
+    assert covariance is not None
+    return math.sqrt(covariance[3, 3])
+
+
+def test_in_a_gap_vibration_counts_for_what_fixes_have_shown_that_it_does() -> None:
+    assert speed_std_after_a_gap(0.0) < 0.5
+    assert speed_std_after_a_gap(0.4) > 0.75
 
 
 def density_for_the_pad(shaking_m_s2: float, fixes_until_s: float = 0.0, gap_s: float = 0.0) -> float:
