@@ -10,6 +10,10 @@ one. `calibrate-mount camera` measures what that is off by (`camera_time_offset_
 No frame is queued here: one decoding thread (FFmpeg's threads hold back a frame each), no demuxer's buffer,
 and every frame is read as it comes. A host that is not there ends the opening in a second, one that stalls
 the reading in one.
+
+A stream is open once it has given a picture, for which an encoder may let wait till its next key frame.
+What was queued meanwhile comes in a burst, older than it counts: the frames of the first SETTLING_S are
+passed over.
 """
 
 from __future__ import annotations
@@ -39,10 +43,15 @@ PORTS: Final = {"rtsp": 554, "rtsps": 322, "http": 80, "https": 443, "rtmp": 193
 CONNECT_S: Final = 1.0
 OPEN_S: Final = 5.0  # for the first whole picture: an encoder may send one every few seconds only
 READ_S: Final = 1.0
-# FFmpeg's, for OpenCV. TCP: a lost packet of UDP's smears what follows. The
-# rate is not probed for, which takes a second of frames
+SETTLING_S: Final = 0.2
+# FFmpeg's, for OpenCV. The rate is not probed for, which takes a second of frames
 OPTIONS_VARIABLE: Final = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
-OPTIONS: Final = "rtsp_transport;tcp|fflags;nobuffer|flags;low_delay|fpsprobesize;0"
+OPTIONS: Final = "fflags;nobuffer|flags;low_delay|fpsprobesize;0"
+# TCP: a lost packet of UDP's smears what follows. RTSP says what comes, so one packet is probed, and kept:
+# it is the key frame, without which nothing can be decoded until the next one. Sound is not asked for
+RTSP_OPTIONS: Final = (
+    "rtsp_transport;tcp|allowed_media_types;video|flags;low_delay|fpsprobesize;0|probesize;32"
+)
 RHYTHM_FRAMES: Final = 60  # until it is known how evenly frames arrive
 
 
@@ -82,11 +91,32 @@ class StreamDevice:
 
     def _open_url(self, url: str) -> Capture:
         self._must_answer(url)
-        with _options():
+        until_s = self._clock.now_s() + OPEN_S
+        with _options(RTSP_OPTIONS if url.startswith("rtsp") else OPTIONS):
             capture = cv2.VideoCapture(url, cv2.CAP_FFMPEG, [*_limits(), cv2.CAP_PROP_N_THREADS, 1])
-        if not capture.isOpened():
+        if not capture.isOpened() or not self._settle(capture, until_s):
+            capture.release()
             raise self._missing("its host answers, but gives no video")
         return capture
+
+    def _settle(self, capture: Capture, until_s: float) -> bool:
+        """Read over what comes first, once it comes; whether a picture came by then.
+
+        A read ends after READ_S without a picture, though an encoder may be on its way to a key frame.
+        """
+        while True:
+            began_s = self._clock.now_s()
+            good, _ = capture.read()
+            now_s = self._clock.now_s()
+            if good:
+                break
+            ended = now_s - began_s < READ_S / 2.0
+            if ended or now_s + READ_S > until_s:
+                return False
+        settled_s = now_s + SETTLING_S
+        while good and self._clock.now_s() < settled_s:
+            good, _ = capture.read()
+        return True
 
     def _open_pipeline(self, pipeline: str) -> Capture:
         if not cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER):
@@ -94,8 +124,10 @@ class StreamDevice:
                 f"sense.vision.source: {self._shown}: this OpenCV is built without GStreamer; expected the "
                 "distribution's (apt install python3-opencv), or the stream's own URL (rtsp://...)"
             )
+        until_s = self._clock.now_s() + OPEN_S
         capture = cv2.VideoCapture(pipeline, cv2.CAP_GSTREAMER, _limits())
-        if not capture.isOpened():
+        if not capture.isOpened() or not self._settle(capture, until_s):
+            capture.release()
             raise self._missing("the pipeline gives no video")
         return capture
 
@@ -146,11 +178,11 @@ class StreamDevice:
 
 
 @contextmanager
-def _options() -> Iterator[None]:
+def _options(options: str) -> Iterator[None]:
     """FFmpeg's options for a stream, unless the user has set some; by them a file loses its last frame."""
     ours = OPTIONS_VARIABLE not in os.environ
     if ours:
-        os.environ[OPTIONS_VARIABLE] = OPTIONS
+        os.environ[OPTIONS_VARIABLE] = options
     try:
         yield
     finally:

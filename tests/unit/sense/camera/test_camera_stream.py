@@ -2,30 +2,31 @@
 
 import asyncio
 import http.server
+import itertools
+import os
 import socket
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
-from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from companion.base.clock import Clock
+from companion.base.errors import DeviceMissing
 from companion.config import CameraConfig, CompanionConfig, ConfigError, validate, without_password
 from companion.sense.camera import stream
 from companion.sense.camera.keeper import LONGEST_PAUSE_S
 from companion.sense.camera.source import FrameSource, is_camera, keep_camera, open_camera
 from tests.unit.sense.camera.camera_frames import noisy
+from tests.unit.sense.camera.rtsp_camera import rtsp_server
 
 BITS, ROWS = 24, 40
 LATENCY_S = 0.25
-PYTHONS = (sys.executable, "/usr/bin/python3")
 
 
 def stamped_picture(number: int) -> NDArray[np.uint8]:
@@ -67,6 +68,13 @@ class Pictures(http.server.BaseHTTPRequestHandler):
         """It is quiet."""
 
 
+def stamped_pictures() -> Iterator[bytes]:
+    """Grey pictures as `stamped_picture` makes them, 30 a second, for ever."""
+    for number in itertools.count():
+        time.sleep(1 / 30)
+        yield stamped_picture(number).tobytes()
+
+
 @contextmanager
 def mjpeg_server(port: int = 0) -> Iterator[int]:
     """An HTTP-MJPEG camera on loopback; its port."""
@@ -100,25 +108,84 @@ def silent_server(says: bytes = b"") -> Iterator[int]:
             client.close()
 
 
-@contextmanager
-def rtsp_server(port: int = 0) -> Iterator[int]:
-    """GStreamer's RTSP server in a process of its own; its port."""
-    script = str(Path(__file__).with_name("rtsp_server.py"))
-    for python in PYTHONS:
-        process = subprocess.Popen(
-            [python, script, str(port)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-        )
-        assert process.stdout is not None
-        if line := process.stdout.readline():
-            break
-        process.wait()
-    else:
-        pytest.skip("no RTSP server: needs Debian's gir1.2-gst-rtsp-server-1.0, python3-gi and x264enc")
-    try:
-        yield int(line)
-    finally:
-        process.kill()
-        process.wait()
+class ScriptedCapture:
+    """A VideoCapture that waits so long at each read, by its own clock, and then has a picture or none."""
+
+    def __init__(self, script: list[tuple[float, bool]]) -> None:
+        self._script, self._now_s, self.options = script, 100.0, ""
+        self.released = False
+
+    def open(self, *_: object) -> "ScriptedCapture":
+        self.options = os.environ[stream.OPTIONS_VARIABLE]
+        return self
+
+    def now_s(self) -> float:
+        return self._now_s
+
+    def isOpened(self) -> bool:
+        return True
+
+    def read(self) -> tuple[bool, NDArray[np.uint8] | None]:
+        wait_s, good = self._script.pop(0)
+        self._now_s += wait_s
+        return good, noisy(len(self._script)) if good else None
+
+    def release(self) -> None:
+        self.released = True
+
+
+@pytest.fixture
+def opened(
+    camera: CameraConfig, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[ScriptedCapture], stream.StreamDevice]:
+    """Opens a scripted capture as an RTSP camera."""
+
+    def open_it(capture: ScriptedCapture) -> stream.StreamDevice:
+        monkeypatch.setattr(cv2, "VideoCapture", capture.open)
+        with silent_server() as port:
+            url = f"rtsp://127.0.0.1:{port}/camera"
+            return stream.StreamDevice(url, camera, LATENCY_S, cast(Clock, capture))
+
+    return open_it
+
+
+Opened = Callable[[ScriptedCapture], stream.StreamDevice]
+
+
+def test_an_opened_stream_may_keep_us_waiting_for_its_key_frame(opened: Opened) -> None:
+    silence = (stream.READ_S, False)
+    steady = [(1 / 30, True)] * 20
+    device = opened(ScriptedCapture([silence, silence, silence, *steady]))
+    assert device.read().received_s < 100.0 + 3.0 * stream.READ_S + 2.0 * stream.SETTLING_S
+
+
+@pytest.mark.parametrize("script", [[(0.0, False)], [(stream.READ_S, False)] * 20])
+def test_a_stream_that_ends_or_stays_silent_as_it_opens_gives_no_video(
+    opened: Opened, script: list[tuple[float, bool]]
+) -> None:
+    capture = ScriptedCapture(script)
+    with pytest.raises(DeviceMissing, match="its host answers, but gives no video"):
+        opened(capture)
+    assert capture.released
+    assert capture.now_s() - 100.0 <= stream.OPEN_S
+
+
+def test_what_was_queued_as_a_stream_opened_is_passed_over(opened: Opened) -> None:
+    burst, steady = [(0.002, True)] * 30, [(1 / 30, True)] * 20
+    capture = ScriptedCapture([*burst, *steady])
+    device = opened(capture)
+    before_s = capture.now_s()
+    assert device.read().received_s == pytest.approx(before_s + 1 / 30)
+
+
+def test_the_packet_that_is_probed_of_an_rtsp_stream_is_kept(opened: Opened) -> None:
+    capture = ScriptedCapture([(1 / 30, True)] * 20)
+    opened(capture)
+    assert "nobuffer" not in capture.options  # it would be the key frame
+    assert "probesize;32" in capture.options
+    assert "rtsp_transport;tcp" in capture.options
+    assert "allowed_media_types;video" in capture.options  # not a camera's sound
+    assert stream.OPTIONS_VARIABLE not in os.environ
 
 
 async def until_it_fails(source: FrameSource) -> None:
@@ -289,18 +356,33 @@ def test_a_password_is_not_recorded_with_the_settings() -> None:
 
 
 @pytest.mark.slow
-async def test_an_rtsp_stream_is_read_without_a_queue_and_found_again(camera: CameraConfig) -> None:
-    with rtsp_server() as port:
-        kept = await keep_camera(f"rtsp://127.0.0.1:{port}/camera", camera, LATENCY_S)
+async def test_an_rtsp_stream_is_read_without_a_queue(camera: CameraConfig) -> None:
+    with rtsp_server(stamped_pictures()) as port:
+        source = await open_camera(f"rtsp://127.0.0.1:{port}/camera", camera, LATENCY_S)
         ages_s = []
         for _ in range(90):
-            frame = await kept.next()
+            frame = await source.next()
             ages_s.append(age_s(frame.image, frame.received_s))
+        source.close()
+    print(f"frames {1e3 * np.median(ages_s):.0f} ms old as they come, the first {1e3 * ages_s[0]:.0f} ms")
     # decoding holds nothing back: at 30 frames/s a queue of a few would be 0.1 s and more
     assert np.median(ages_s) < 0.1
-    with rtsp_server(port):
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("away_s", [0.5, 2.0, 4.0])
+async def test_an_rtsp_stream_is_back_within_two_seconds_of_its_server(
+    camera: CameraConfig, away_s: float
+) -> None:
+    with rtsp_server(stamped_pictures()) as port:
+        kept = await keep_camera(f"rtsp://127.0.0.1:{port}/camera", camera, LATENCY_S)
+        await kept.next()
+    await asyncio.sleep(away_s)
+    with rtsp_server(stamped_pictures(), port):
         back_s = asyncio.get_running_loop().time()
         async with asyncio.timeout(30.0):
             while (frame := await kept.next()).received_s < back_s:
                 pass
         kept.close()
+    print(f"away for {away_s:g} s, back after {frame.received_s - back_s:.2f} s")
+    assert frame.received_s - back_s < 2.0
