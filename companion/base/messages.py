@@ -207,6 +207,9 @@ class EstimatorInputs:
     inputs: tuple[InputUse, ...]
 
 
+IMU_TIMEOUT_S: Final = 1.5  # without the IMU for longer there is no state of the vehicle to report
+
+
 @dataclass(frozen=True, slots=True)
 class VehicleState:
     """The vehicle at time_s by the 31-state EKF.
@@ -647,7 +650,7 @@ class LinkHealth:
         return self.silent_s < 0.3
 
     @property
-    def late(self) -> bool:
+    def maybe_unheard(self) -> bool:
         """Setpoints may have stopped arriving: a mode that it tells of next may be its own failsafe's."""
         return self.silent_s > 0.5 * self.keeps_setpoint_s
 
@@ -657,7 +660,7 @@ class LinkHealth:
         return self.silent_s >= 0.8 * self.keeps_setpoint_s
 
     @property
-    def holding(self) -> bool:
+    def gave_up_setpoints(self) -> bool:
         """It has given our setpoints up, unless they arrive all the same."""
         return self.silent_s >= self.keeps_setpoint_s
 

@@ -149,8 +149,8 @@ class Controller:
         self._heading.step(plan.reference.heading_rad, elapsed_s)
         if plan.on_ground:
             return self._rest(plan.reference, pad, now_s)
-        heard_again = self._given_up and not link.holding
-        self._given_up = link.holding
+        heard_again = self._given_up and not link.gave_up_setpoints
+        self._given_up = link.gave_up_setpoints
         if not obeyed:
             self._gate.reset()
         if not obeyed or heard_again:

@@ -1,6 +1,7 @@
 """The inputs of the planner in one cycle."""
 
 from dataclasses import dataclass, field
+from typing import Final
 
 from companion.base.messages import (
     ActionResult,
@@ -14,6 +15,8 @@ from companion.base.messages import (
     SourceComparison,
     VehicleState,
 )
+
+LONGEST_CYCLE_S: Final = 0.1  # a cycle that lasts longer counts as one of this
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ from companion.plan.mission.readiness import ORDER_EVENTS, refusal
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Branch, Effect, State
-from companion.plan.mission.table import BY_THE_PAD, COMMITTED, LAST_CENTIMETRES, LOW, ON_PAD
+from companion.plan.mission.table import BY_THE_PAD, COMMITTED, GOING_DOWN, ON_PAD, OVER_PAD_OR_DESCENDING
 from companion.plan.notices import NOTICE_THRESHOLD_M, NoticeSink
 from companion.plan.obstacles.obstacle_monitor import ObstacleMonitor
 from companion.plan.search.search import Search
@@ -141,7 +141,7 @@ class PhaseSteering:
     @property
     def unloading(self) -> float:
         """The share of the thrust (0 to 1) that is taken away, for the feet to carry."""
-        return self.touchdown.unloading if self._machine.state in LAST_CENTIMETRES else 0.0
+        return self.touchdown.unloading if self._machine.state in GOING_DOWN else 0.0
 
     def steer(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Steer the reference for this cycle; returns what is detected."""
@@ -158,7 +158,7 @@ class PhaseSteering:
             return None
         by_pad = reference.origin == "pad"
         above = by_pad and state in {State.APPROACH, State.DESCEND}
-        descends = by_pad and state in LOW
+        descends = by_pad and state in OVER_PAD_OR_DESCENDING
         level = state in COMMITTED or self.touchdown.leaving(now_s)
         return replace(
             reference,

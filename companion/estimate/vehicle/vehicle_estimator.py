@@ -30,7 +30,14 @@ from companion.base.geometry import (
     vector3,
 )
 from companion.base.magnetic_field import field_here
-from companion.base.messages import AutopilotAttitude, GpsFix, ImuSample, MagSample, VehicleState
+from companion.base.messages import (
+    IMU_TIMEOUT_S,
+    AutopilotAttitude,
+    GpsFix,
+    ImuSample,
+    MagSample,
+    VehicleState,
+)
 from companion.config import EstimateConfig
 from companion.estimate.ahrs.alignment import Block, InitialAlignment, StaticAligner, StillnessDetector
 from companion.estimate.ahrs.orientation import (
@@ -63,7 +70,6 @@ from companion.estimate.vehicle.state_output import vehicle_state
 from companion.estimate.vehicle.strapdown import Strapdown
 
 ORIENTATION_RATE_HZ: Final = 10.0  # the pre-filter's error lasts: more often would say nothing new
-IMU_TIMEOUT_S = 1.5  # without the IMU for longer there is no state to report
 LOST_S = 2.0  # and after so long it starts again: where it has turned meanwhile is unknown
 _COMPARE_AGAIN_S = 1.0  # after the autopilot's attitude at rest was refused
 _AGREES_S = 0.5  # two samples so near each other agree on a time that is far from what was

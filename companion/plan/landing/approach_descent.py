@@ -47,7 +47,7 @@ class Landing:
         self._config, self._generator = config, generator
         self._leg_m = vehicle.leg_height_m
         self.goal_m = self._leg_m + config.approach_height_m
-        self.paused = False
+        self._paused = False
         self._begun_s = 0.0
         self._blind_down_m = math.inf
         self.climbs = ""  # how far and why, of a climb that begins with this cycle
@@ -61,7 +61,7 @@ class Landing:
         c = self._config
         first_m = min(height_m, self._leg_m + c.approach_height_m)
         self.goal_m = self._leg_m + c.retry_height_m if again else first_m
-        self.paused = False
+        self._paused = False
         self._begun_s = now_s
         self._chasing = False
 
@@ -91,14 +91,14 @@ class Landing:
             return self._lost(sight)
         wait_m = self._leg_m + self._config.wait_height_m
         if not self._by_sight(pad, sight, 0.0, unseen, now_s):
-            self.paused = True
+            self._paused = True
             return None
-        go_on = self._inside(sight, _BACK_INSIDE if self.paused else 1.0)
+        go_on = self._inside(sight, _BACK_INSIDE if self._paused else 1.0)
         if go_on:
             self._go(wait_m, now_s)
         else:
             self._generator.fly_level(Motion((0.0, 0.0, -sight.height_m)), math.inf, now_s)
-        self.paused = not go_on
+        self._paused = not go_on
         self.climbs = self._chase(sight)
         if sight.height_m <= wait_m + _LOW_MARGIN_M:
             return MissionEvent.LOW, f"{100.0 * (sight.height_m - self._leg_m):.0f} cm over the pad"
@@ -146,7 +146,7 @@ class Landing:
         here_m = max(cone.radius_m + cone.slope * (sight.height_m - cone.apex_height_m), sight.lateral_m)
         climb_m = (soon_m - here_m) / cone.slope
         begins = climb_m > _CHASED_M and not self._chasing
-        self._chasing = climb_m > _CHASED_M or (self._chasing and self.paused)
+        self._chasing = climb_m > _CHASED_M or (self._chasing and self._paused)
         return f"to keep the pad in view, {soon_m:.1f} m aside" if begins else ""
 
     def _goal_down_m(self, pad: Motion, goal_m: float, now_s: float) -> float:

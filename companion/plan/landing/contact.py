@@ -15,10 +15,11 @@ from typing import Final
 from companion.base.geometry import GRAVITY_M_S2, norm
 from companion.base.messages import LandedState, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
+from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
 from companion.plan.events import DetectedEvent, MissionEvent
-from companion.plan.inputs import PlanInputs
+from companion.plan.inputs import LONGEST_CYCLE_S, PlanInputs
 
 FRESH_S = 0.3  # of IMU and echoes
 UNSEEN_S = 0.2  # five frames lost in a row at 30 Hz; a slower vision's every frame
@@ -27,14 +28,13 @@ UNSEEN_S = 0.2  # five frames lost in a row at 30 Hz; a slower vision's every fr
 KNOWN_S = 0.5
 # Held up so far it has stopped, but for what the other feet still come down: a third of the sink asked for.
 _STALLED: Final = 1.0 / 3.0
-_LONGEST_CYCLE_S: Final = 0.1
-# The pad this far below the feet for so long has driven away or fallen: a bounce is lower and shorter.
-_AWAY_M = 0.25
+# A pad this far below the feet is not under them: a bounce, a soft pad and an echo's error are less. For so
+# long it has driven away or fallen: a bounce is shorter.
+AWAY_M = 0.25
 _AWAY_S = 0.3
 _ARRIVES_S = 0.3
 # The camera sees a millimetre: from half of `contact_margin_m` it falls with 0.4 m/s, from 3 cm with 0.8.
 _LIFTED_SHARE = 0.5
-_SIGMA_THRESHOLD = 3.0  # standard deviations
 # Without thrust it falls at g; a third of that is no deck's motion.
 _FALLS_M_S2 = GRAVITY_M_S2 / 3.0
 _FALLS_S = 0.15  # a bump of the pad is over sooner; a fall is 11 cm by then
@@ -67,14 +67,14 @@ class ContactSigns:
         return self.held_up >= _STALLED
 
     @property
-    def near(self) -> bool:
+    def height_says_down(self) -> bool:
         """Whether a height says that the feet are down; both go by the same leg height."""
         return self.low or self.short_echo
 
     @property
     def down(self) -> bool:
         """Whether a height, or else both that are felt, says that the feet are down."""
-        return self.near or (self.stalled and self.landed)
+        return self.height_says_down or (self.stalled and self.landed)
 
     def in_words(self) -> str:
         """Their names."""
@@ -142,18 +142,18 @@ class ContactTest:
     """
 
     def __init__(self, config: TouchdownConfig) -> None:
-        self._down_s, self._near_s = max(config.contact_s, 1e-3), config.land_after_s
+        self._down_s, self._within_hand_s = max(config.contact_s, 1e-3), config.land_after_s
         self.share = 0.0
         self._updated_s: float | None = None
 
-    def update(self, signs: ContactSigns, now_s: float, *, down: bool, near: bool = False) -> None:
-        """Take in a cycle's signs; `down`, `near`: whether the feet are there by signs that count."""
+    def update(self, signs: ContactSigns, now_s: float, *, down: bool, within_hand: bool = False) -> None:
+        """Take in a cycle's signs; `down`, `within_hand`: whether the feet are there by signs that count."""
         last_s, self._updated_s = self._updated_s, now_s
-        elapsed_s = 0.0 if last_s is None else min(_LONGEST_CYCLE_S, now_s - last_s)
-        held_up = signs.held_up if down or near else -1.0
+        elapsed_s = 0.0 if last_s is None else min(LONGEST_CYCLE_S, now_s - last_s)
+        held_up = signs.held_up if down or within_hand else -1.0
         if down and signs.landed:
             held_up = 1.0
-        rises_s = self._down_s if down else self._near_s
+        rises_s = self._down_s if down else self._within_hand_s
         change = held_up * elapsed_s / (rises_s if held_up > 0.0 else self._down_s)
         self.share = max(0.0, min(1.0, self.share + change))
 
@@ -221,7 +221,7 @@ class LandDetector:
 
     def off_pad(self, sight: PadState, now_s: float) -> bool:
         """Whether the pad is seen well below the feet."""
-        away = sight.unseen_s <= UNSEEN_S and sight.height_m > self._vehicle.leg_height_m + _AWAY_M
+        away = sight.unseen_s <= UNSEEN_S and sight.height_m > self._vehicle.leg_height_m + AWAY_M
         return self._away.held_s(away, now_s) >= _AWAY_S
 
     def off_by_itself(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> str:
@@ -243,7 +243,7 @@ class LandDetector:
             return ""
         if seen is None:
             return "link silent, contact not confirmed" if able else ""
-        surely_m = seen.clearance_m - _SIGMA_THRESHOLD * seen.height_std_m
+        surely_m = seen.clearance_m - SIGMA_THRESHOLD * seen.height_std_m
         risen = surely_m > self._stood_m + _LIFTED_SHARE * self._config.contact_margin_m
         # in one sighting more
         return "link silent: the vehicle left the pad" if self._risen.held_s(risen, now_s) > 0.0 else ""

@@ -10,9 +10,8 @@ import math
 from typing import Final
 
 from companion.base.messages import RangeSample
+from companion.plan.landing.height_above_ground import NEAR_ECHO_M
 
-# Farther echoes keep nothing up (see `HeightAboveGround.above`).
-_NEAR_M: Final = 1.5
 # The others have moved so far, and alike, within so long, and the echo has not: nothing is there.
 _MOVED_M: Final = 0.5
 _ALIKE_M: Final = 0.3
@@ -47,7 +46,8 @@ class EchoCheck:
         echo_m = echo.distance_m
         start = self._from or (now_s, echo_m, ours_m, theirs_m)
         moved_m, ours_moved_m, theirs_moved_m = echo_m - start[1], ours_m - start[2], theirs_m - start[3]
-        if abs(moved_m) > _STILL_M or echo_m > _NEAR_M:
+        # farther echoes keep nothing up (see `HeightAboveGround.above`)
+        if abs(moved_m) > _STILL_M or echo_m > NEAR_ECHO_M:
             self.stuck, self._from = False, (now_s, echo_m, ours_m, theirs_m)
             return False
         alike = abs(ours_moved_m - theirs_moved_m) <= _ALIKE_M

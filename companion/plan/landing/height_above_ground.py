@@ -17,7 +17,7 @@ from companion.base.messages import AutopilotState, RangeSample, VehicleState
 _ECHOES: Final = 3
 _SPREAD_M: Final = 0.3
 _FRESH_S: Final = 0.5
-_NEAR_M: Final = 1.5  # an echo this near, and the pad thought to lie
+NEAR_ECHO_M: Final = 1.5  # an echo this near, and the pad thought to lie
 _LOWER_M: Final = 0.8  # so much lower: what is below is not the pad
 
 
@@ -39,7 +39,8 @@ class HeightAboveGround:
     def above(self, height_m: float) -> float | None:
         """`surface_m`, if it is near and a pad that is estimated `height_m` below lies well beneath it."""
         near_m = self.surface_m
-        return near_m if near_m is not None and near_m <= _NEAR_M and height_m - near_m >= _LOWER_M else None
+        contradicts = near_m is not None and near_m <= NEAR_ECHO_M and height_m - near_m >= _LOWER_M
+        return near_m if contradicts else None
 
     def update(
         self, vehicle: VehicleState | None, autopilot: AutopilotState, echo: RangeSample | None, now_s: float

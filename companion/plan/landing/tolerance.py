@@ -10,6 +10,7 @@ from collections import deque
 from statistics import NormalDist
 
 from companion.base.messages import PadState
+from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import TouchdownConfig
 from companion.plan.landing.contact import UNSEEN_S
 
@@ -38,7 +39,6 @@ _STOPS_M_S2 = 2.5
 # Sliding over the pad slows it down by so much, with half its weight on the feet (friction 0.6).
 _SLIDES_M_S2 = 3.0
 _SLIDES_M_S = 0.5  # slower it stays where it touches
-_SIGMA_THRESHOLD = 3.0  # standard deviations
 # While it corrects it tilts this much more than now or at contact: a foot hangs lower.
 _TILTS_MORE_RAD = math.radians(3.0)
 
@@ -80,7 +80,7 @@ def slides_off(sight: PadState, farthest_m: float) -> str:
     slides_s = 0.5 * speed_m_s / _SLIDES_M_S2
     # a filter that has just started says any speed, but not that it knows it
     known = sight.unseen_s <= UNSEEN_S and speed_m_s >= max(
-        _SLIDES_M_S, _SIGMA_THRESHOLD * sight.velocity_std_m_s
+        _SLIDES_M_S, SIGMA_THRESHOLD * sight.velocity_std_m_s
     )
     off = known and math.hypot(x + slides_s * vx, y + slides_s * vy) > farthest_m
     return f"sliding over the pad at {speed_m_s:.1f} m/s" if off else ""
@@ -110,13 +110,13 @@ class Tolerance:
         """Farther aside the feet may miss the pad: it climbs and tries again."""
         return self._config.escape_lateral_m * self.tolerance_scale
 
-    def waits(self, now_s: float) -> float:
+    def waits_passed(self, now_s: float) -> float:
         """How many times `gentle_wait_s` this try has lasted."""
         return (now_s - self._since_s) / self._config.gentle_wait_s
 
     def slack_by_now(self, now_s: float) -> float:
         """The tolerance_scale, wider after two waits."""
-        return self.tolerance_scale * (1.0 if self.waits(now_s) < _WAITS_UNTIL_WIDER else 1.5)
+        return self.tolerance_scale * (1.0 if self.waits_passed(now_s) < _WAITS_UNTIL_WIDER else 1.5)
 
     def exceeds_lateral_tolerance(self, sight: PadState, now_s: float, *, surely: bool = False) -> bool:
         """Whether the vehicle is too far aside to start down, or will be; `surely`: to go on.
@@ -134,7 +134,7 @@ class Tolerance:
 
     def max_horizontal_acceleration_m_s2(self, now_s: float) -> float:
         """How much tilt (m/s²) at contact is borne: grows with the waits, and is no less than a lull's."""
-        lull_m_s2 = self._lull_m_s2 if self.waits(now_s) >= 1.0 else 0.0
+        lull_m_s2 = self._lull_m_s2 if self.waits_passed(now_s) >= 1.0 else 0.0
         return max(self._config.gentle_tilt_m_s2 * self._tolerance_growth(now_s), lull_m_s2)
 
     def most_tilt_rad(self, now_s: float) -> float:
@@ -148,4 +148,4 @@ class Tolerance:
 
     def _tolerance_growth(self, now_s: float) -> float:
         """Factor on the tolerances of tilt and drift, which will not get less by waiting."""
-        return 1.0 + _TOLERANCE_GROWTH * max(0.0, self.waits(now_s) - _WAITS_UNTIL_WIDER)
+        return 1.0 + _TOLERANCE_GROWTH * max(0.0, self.waits_passed(now_s) - _WAITS_UNTIL_WIDER)

@@ -19,7 +19,7 @@ from companion.base.motion import Motion
 from companion.config import LandingConfig, TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
 from companion.plan.events import DetectedEvent, MissionEvent
-from companion.plan.inputs import PlanInputs
+from companion.plan.inputs import LONGEST_CYCLE_S, PlanInputs
 from companion.plan.landing.contact import (
     FRESH_S,
     UNSEEN_S,
@@ -39,10 +39,9 @@ from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 # Time constant with which the reference's height follows the vehicle's.
 _GIVE_WAY_S = 0.3
-_LONGEST_CYCLE_S = 0.1
 # Levelling off it comes to the firmer sink within this.
 _FIRMER_S = 0.25
-_TOO_FAST_S = 0.1
+_WRONG_S = 0.1
 _FASTER_M_S = 0.16  # a planned sink may be exceeded by this, one that nothing feels too
 # It breaks off at this share of the tilt tolerated at the commit; it commits to this share of the tilt that
 # can be levelled off at all, or it would break off at once.
@@ -54,7 +53,7 @@ _DEEPER_M = 0.25
 _DEEPER_S = 0.15
 # Short echoes alone show the feet down where the last estimate has them no higher than this; so near, an echo
 # that agrees with it shows that the pad, unseen for long, is below all the same.
-_NEAR_M = 0.1
+_WITHIN_HAND_M = 0.1
 _AGREES_M = 0.05
 
 
@@ -89,14 +88,17 @@ class TouchdownSequence:
         self._low_m = vehicle.leg_height_m + 2.0 * config.contact_margin_m
         self._standing = LandDetector(config, vehicle)
         self._set_down = SetDown(config, vehicle, self._generator)
-        self._since_s = self._sunk_s = self._contact_due_s = self._blended_s = now_s
+        self._since_s = self._gave_way_s = self._contact_due_s = self._blended_s = now_s
         self._tolerance = Tolerance(self._config, now_s, tolerance_scale)
-        self._settled, self._too_fast, self._far_aside, self._deeper = (Debounce() for _ in range(4))
+        self._reset_debounces()
         self._contact_test = ContactTest(self._config)
         self._short_echoes = ShortEchoes(self._config.contact_speed_m_s)
         self.tilt = TiltPrediction()
         self._levelling = Levelling(config, vehicle, self._standing_height.std_m)
         self._left, self._slower, self._lowest_m = False, False, math.inf
+
+    def _reset_debounces(self) -> None:
+        self._settled, self._too_fast, self._far_aside, self._deeper = (Debounce() for _ in range(4))
 
     def see(self, sight: PadState | None, vehicle: VehicleState | None, now_s: float) -> None:
         """Take in a cycle's estimates."""
@@ -141,7 +143,7 @@ class TouchdownSequence:
         ready = (
             aligned(sight, self._wait_height_m, tolerance.slack_by_now(now_s), c)
             and not tolerance.exceeds_lateral_tolerance(sight, now_s)
-            and (tolerance.waits(now_s) >= 1.0 or gentle(sight, c))
+            and (tolerance.waits_passed(now_s) >= 1.0 or gentle(sight, c))
             and level_at(sight, self._sinks_for_s(), tolerance.most_tilt_rad(now_s))
             and self._tilt_at_contact_m_s2() <= self._tilt_to_commit_m_s2(now_s)
             and self._generator.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self.way_down_s())
@@ -193,7 +195,7 @@ class TouchdownSequence:
     def commit(self, now_s: float) -> None:
         """Begin to sink."""
         c = self._config
-        self._sunk_s, self._slower, self._lowest_m = now_s, False, math.inf
+        self._gave_way_s, self._slower, self._lowest_m = now_s, False, math.inf
         self._contact_test = ContactTest(c)
         speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(self._tilt_at_contact_m_s2())
         self._blended_s = now_s + c.blend_s
@@ -223,11 +225,11 @@ class TouchdownSequence:
         )
         # by itself it may hold its height just over the pad: there its feet are seen, or nothing is felt
         obeys = not inputs.link.silent
-        near = obeys and sight is not None and self._near(sight, unfelt_s)
+        within_hand = obeys and sight is not None and self._within_hand(sight, unfelt_s)
         stands = signs.down and (obeys or signs.low)
-        self._contact_test.update(signs, now_s, down=stands, near=near)
+        self._contact_test.update(signs, now_s, down=stands, within_hand=within_hand)
         touching = stands and self._contact_test.touching
-        self._short_echoes.note(inputs.range if near and signs.short_echo else None)
+        self._short_echoes.note(inputs.range if within_hand and signs.short_echo else None)
         down = sight is not None and sight.age_s > self._config.blind_s and self.feet_down(now_s)
         if down or self._contact_test.contact:
             return MissionEvent.CONTACT, signs.in_words()
@@ -256,7 +258,8 @@ class TouchdownSequence:
         deeper = unseen and echo_m is not None and echo_m > below_m + _DEEPER_M
         gone = self._deeper.held_s(deeper, now_s) >= _DEEPER_S
         agrees = echo_m is not None and abs(echo_m - below_m) <= _AGREES_M
-        if not gone and sight is not None and (sight.age_s <= c.blind_s or (agrees and self._near(sight))):
+        believed = sight is not None and (sight.age_s <= c.blind_s or (agrees and self._within_hand(sight)))
+        if believed and not gone:
             return None
         sink_m_s = self._levelling.planned_m_s if sight is None else sight.sink_m_s
         if not self._has_room(below_m if echo_m is None else echo_m, sink_m_s):
@@ -265,14 +268,14 @@ class TouchdownSequence:
         why = "pad no longer below" if gone else f"not seen for {c.blind_s:.1f} s"
         return MissionEvent.PAD_LOST, f"{why} while sinking"
 
-    def _near(self, sight: PadState, unfelt_s: float = 0.0) -> bool:
-        return sight.height_m - _FASTER_M_S * unfelt_s <= self._vehicle.leg_height_m + _NEAR_M
+    def _within_hand(self, sight: PadState, unfelt_s: float = 0.0) -> bool:
+        return sight.height_m - _FASTER_M_S * unfelt_s <= self._vehicle.leg_height_m + _WITHIN_HAND_M
 
     def _go_down(self, sight: PadState, signs: ContactSigns, now_s: float) -> DetectedEvent | None:
         overdue_s = self._config.overdue_s
         if now_s > self._contact_due_s + overdue_s and not self._contact_test.touching:
             overdue = f"no contact {overdue_s:.1f} s after the expected time"
-            if signs.near:
+            if signs.height_says_down:
                 return MissionEvent.PAD_GONE, overdue
             self._generator.rise(now_s)
             return MissionEvent.MISALIGNED, overdue
@@ -330,7 +333,7 @@ class TouchdownSequence:
         fresh = sight.unseen_s <= UNSEEN_S
         fastest_m_s = min(self._config.fastest_contact_m_s, self._levelling.planned_m_s + _FASTER_M_S)
         fast = fresh and sight.sink_m_s > fastest_m_s
-        if self._too_fast.held_s(fast, now_s) >= _TOO_FAST_S:
+        if self._too_fast.held_s(fast, now_s) >= _WRONG_S:
             return "sinking too fast"
         due_s = self._levelling.due_s if self._levelling.begun else self._contact_due_s
         tilt_m_s2 = self.tilt.predicted_acceleration_m_s2(max(0.0, due_s - now_s))
@@ -338,7 +341,7 @@ class TouchdownSequence:
         if tilt_m_s2 > min(most_m_s2, self._levelling.max_horizontal_acceleration_m_s2):
             return "too much tilt at contact"
         far = fresh and self._tolerance.exceeds_lateral_tolerance(sight, now_s, surely=True)
-        if self._far_aside.held_s(far, now_s) >= _TOO_FAST_S:
+        if self._far_aside.held_s(far, now_s) >= _WRONG_S:
             return f"lateral offset {100.0 * sight.lateral_m:.0f} cm at {sight.lateral_speed_m_s:.2f} m/s"
         return ""
 
@@ -350,8 +353,8 @@ class TouchdownSequence:
 
     def _give_way(self, sight: PadState | None, now_s: float) -> None:
         """Let the reference's height follow the vehicle's; not near the pad, where the vehicle may stand."""
-        share = min(_LONGEST_CYCLE_S, now_s - self._sunk_s) / _GIVE_WAY_S
-        self._sunk_s = now_s
+        share = min(LONGEST_CYCLE_S, now_s - self._gave_way_s) / _GIVE_WAY_S
+        self._gave_way_s = now_s
         if sight is not None and sight.unseen_s <= UNSEEN_S:
             self._generator.shift_down(share * (-sight.height_m - self._generator.at(now_s).position_m[2]))
 
@@ -359,7 +362,7 @@ class TouchdownSequence:
         """Begin to rise, at once; waiting goes on from the reference's own state."""
         self._generator.rise(now_s)
         self._levelling.reset()
-        self._settled, self._too_fast, self._far_aside, self._deeper = (Debounce() for _ in range(4))
+        self._reset_debounces()
 
     # ------------------------------------------------------------ set down, and stand
 

@@ -14,12 +14,11 @@ from companion.base.geometry import Quaternion, quat_rotate
 from companion.base.messages import LandedState, PadState
 from companion.config import VehicleConfig
 from companion.plan.inputs import PlanInputs
+from companion.plan.landing.contact import AWAY_M
 
 _FRESH_S: Final = 1.0
 # No deck that is landed on tilts so far (24 deg is refused for a ship's), and legs that stand do not either.
 _UPRIGHT_RAD: Final = math.radians(30.0)
-# So much deeper than where it would stand: a hop, a soft pad and an echo's error are less.
-_BELOW_M: Final = 0.25
 
 
 def not_standing(
@@ -44,7 +43,7 @@ def not_standing(
         return "attitude unknown"
     if tilt_rad > _UPRIGHT_RAD:
         return f"tilted by {math.degrees(tilt_rad):.0f} deg"
-    if why := _elsewhere(sight, surface_m, vehicle.leg_height_m + _BELOW_M, pad_reach_m):
+    if why := _elsewhere(sight, surface_m, vehicle.leg_height_m + AWAY_M, pad_reach_m):
         return why
     if not touched and inputs.autopilot.landed is not LandedState.ON_GROUND:
         return "contact never confirmed"

@@ -8,6 +8,7 @@ mission (`mode_monitor`).
 from collections.abc import Iterator, Sequence
 
 from companion.base.messages import (
+    IMU_TIMEOUT_S,
     ActionKind,
     AutopilotState,
     PadState,
@@ -26,13 +27,12 @@ from companion.plan.mission.mode_monitor import WITHOUT_STICKS, ModeMonitor, sho
 from companion.plan.mission.readiness import late_words, refused_words, rival_words, velocity_words
 from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import State
-from companion.plan.mission.table import FINAL, ON_GROUND, by_gravity
+from companion.plan.mission.table import BEFORE_TAKE_OFF, FINAL, by_severity
 
 # Without IMU samples for so long the estimate is lost. In the final descent it takes as long as that nearly
 # lasts: the vehicle goes on with the pad, and LAND would brake it over one that drives on. After that the
 # estimator gives none any more. The motion of a pad that was unseen before is from too long ago for that.
 _STALE_ESTIMATE_S = 0.5
-_STALE_SINKING_S = 1.5
 _RIVAL_S = 0.5  # setpoints come at 2 Hz or more
 _OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz
 # So long without a plan the stop is complete, and the vehicle drifts with the wind.
@@ -96,7 +96,7 @@ class FailsafeMonitor:
     def phase_begins(self, now_s: float) -> None:
         """Count the new phase's time from now; the mission's own from take-off."""
         self._phase_since_s = now_s
-        if self._took_off_s is None and self._machine.state not in ON_GROUND:
+        if self._took_off_s is None and self._machine.state not in BEFORE_TAKE_OFF:
             self._took_off_s = now_s
 
     def detect(
@@ -149,7 +149,7 @@ class FailsafeMonitor:
         found += [*self._control(inputs.control_failure, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
         found += [*_disputed(inputs.comparisons, bounds), *bounds, *self._time(now_s)]
-        return by_gravity([(event, words + _cause(event, inputs.shortage)) for event, words in found])
+        return by_severity([(event, words + _cause(event, inputs.shortage)) for event, words in found])
 
     def after_end(self, autopilot: AutopilotState, asked: frozenset[ActionKind]) -> tuple[DetectedEvent, ...]:
         """Whether somebody has taken the vehicle while the mission's end still asks for this."""
@@ -192,7 +192,7 @@ class FailsafeMonitor:
         self, vehicle: VehicleState | None, pad: PadState | None, now_s: float
     ) -> Iterator[DetectedEvent]:
         follows = self._machine.state is State.SINK and _seen_until_lost(vehicle, pad)
-        longest_s = _STALE_SINKING_S if follows else _STALE_ESTIMATE_S
+        longest_s = IMU_TIMEOUT_S if follows else _STALE_ESTIMATE_S
         if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > longest_s:
             yield MissionEvent.ESTIMATE_LOST, "no current vehicle estimate"
         elif uncertain := velocity_words(vehicle, self._config):

@@ -86,7 +86,7 @@ class ModeMonitor:
 
     def listen(self, autopilot: AutopilotState, link: LinkHealth, now_s: float) -> None:
         """Note a silence that began while the autopilot obeyed; after one it has to obey again."""
-        if not link.late:
+        if not link.maybe_unheard:
             self._obeyed = autopilot.connected and autopilot.offboard
         elif self._obeyed:
             self._silent_s = now_s

@@ -25,15 +25,15 @@ from companion.plan.mission.states import Authority, Branch, Circumstances, Effe
 E, S = MissionEvent, State
 FINAL: Final = frozenset({S.LANDED, S.ABORT})
 LIVE: Final = frozenset(State) - FINAL
-ON_GROUND: Final = frozenset({S.STANDBY, S.CONNECT, S.ARM})
-IN_AIR: Final = LIVE - ON_GROUND
+BEFORE_TAKE_OFF: Final = frozenset({S.STANDBY, S.CONNECT, S.ARM})
+IN_AIR: Final = LIVE - BEFORE_TAKE_OFF
 BY_AUTOPILOT: Final = frozenset({S.TAKE_OFF, S.WAYPOINT})
 OVER_PAD: Final = frozenset({S.WAIT, S.RISE})  # waiting for a moment to land
 ON_PAD: Final = frozenset({S.STAND, S.AUTO_LAND})
-LAST_CENTIMETRES: Final = frozenset({S.SINK, S.SET_DOWN})
-COMMITTED: Final = ON_PAD | LAST_CENTIMETRES
+GOING_DOWN: Final = frozenset({S.SINK, S.SET_DOWN})  # committed, the feet not yet on the pad
+COMMITTED: Final = ON_PAD | GOING_DOWN
 TOUCHDOWN: Final = OVER_PAD | COMMITTED
-LOW: Final = OVER_PAD | {S.DESCEND}  # it may be just over the pad, and has not committed
+OVER_PAD_OR_DESCENDING: Final = OVER_PAD | {S.DESCEND}  # it may be just over the pad, and has not committed
 HOLDING: Final = frozenset({S.HOLD, S.AWAIT_LINK})
 # the pad's estimate carries the vehicle
 BY_THE_PAD: Final = TOUCHDOWN | {S.APPROACH, S.DESCEND}
@@ -42,7 +42,8 @@ WITHDRAWS: Final = FINAL | HOLDING
 UNFOLLOWED: Final = (E.PAD_DISPUTED, E.PAD_TOO_FAST)  # the pad's estimate leads astray, or too fast
 OUTSIDE: Final = (E.OUT_OF_BOUNDS, E.OVERTIME)  # of the mission's space or time
 LATE: Final = (E.COMPUTER_LATE, E.LINK_LATE)  # setpoints of ours come too late
-BLIND: Final = (E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED)  # setpoints of ours lead nowhere
+# our setpoints lead nowhere
+NO_OWN_MOTION: Final = (E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED)
 # What may be detected in any state, the gravest first: what causes others comes before them. Each state has a
 # row or a reason for none.
 ANYWHERE: Final = (
@@ -50,7 +51,7 @@ ANYWHERE: Final = (
     *(E.ESTIMATE_LOST, E.VELOCITY_UNCERTAIN, E.CONTROL_FAILED, E.BATTERY_CRITICAL, E.BATTERY_LOW),
     *(E.ESTIMATE_DISPUTED, E.PAD_DISPUTED, E.OUT_OF_BOUNDS, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT, E.LINK_UP),
 )
-_GRAVITY: Final = {event: place for place, event in enumerate((E.CONTROL_GRANTED, *ANYWHERE))}
+_SEVERITY: Final = {event: place for place, event in enumerate((E.CONTROL_GRANTED, *ANYWHERE))}
 
 _ARM, _TAKE_OFF, _GO_TO = Action(ActionKind.ARM), Action(ActionKind.TAKE_OFF), Action(ActionKind.GO_TO)
 _TAKE_CONTROL, _HOLD = Action(ActionKind.TAKE_CONTROL), Action(ActionKind.HOLD)
@@ -112,7 +113,7 @@ _STANDS = "it stands on the pad"
 _NOTHING_ASKED = "nothing is requested yet; an armed vehicle ends the mission in any mode"
 _WAITS_FOR_OPERATOR = "it waits for an order, and asks for nothing"
 _LANDS = "the autopilot lands already"
-_GO_ON: Final = {**_all(LAST_CENTIMETRES, _FINISHES), **_all(ON_PAD, _STANDS)}
+_GO_ON: Final = {**_all(GOING_DOWN, _FINISHES), **_all(ON_PAD, _STANDS)}
 _CLEARS = "it climbs clear of the pad and comes to rest, which returns control; so does its time"
 
 ROWS: Final = (
@@ -209,7 +210,7 @@ ROWS: Final = (
     # ---- anywhere
     _row(
         E.BATTERY_CRITICAL,
-        IN_AIR - COMMITTED - LOW - {S.HOLD},
+        IN_AIR - COMMITTED - OVER_PAD_OR_DESCENDING - {S.HOLD},
         *_RETURN_CONTROL,
         except_={
             **_all({S.STANDBY, S.CONNECT}, _NOTHING_ASKED),
@@ -218,19 +219,19 @@ ROWS: Final = (
             **_GO_ON,
         },
     ),
-    _row(E.BATTERY_CRITICAL, LOW, Branch(None, guard=Guard.MAY_FINISH), *_HOLD_CLEAR),
+    _row(E.BATTERY_CRITICAL, OVER_PAD_OR_DESCENDING, Branch(None, guard=Guard.MAY_FINISH), *_HOLD_CLEAR),
     # the hold brakes at once, within the room that a bound leaves, and climbs no higher than the ceiling
-    *(_row(event, LOW, *_HOLD_CLEAR) for event in OUTSIDE),
+    *(_row(event, OVER_PAD_OR_DESCENDING, *_HOLD_CLEAR) for event in OUTSIDE),
     *(
         _row(
             event,
-            IN_AIR - COMMITTED - LOW - {S.HOLD},
+            IN_AIR - COMMITTED - OVER_PAD_OR_DESCENDING - {S.HOLD},
             *_RETURN_CONTROL,
-            except_={**_all(ON_GROUND, _NOT_YET), S.HOLD: _CLEARS, **_GO_ON},
+            except_={**_all(BEFORE_TAKE_OFF, _NOT_YET), S.HOLD: _CLEARS, **_GO_ON},
         )
         for event in OUTSIDE
     ),
-    *(_row(event, LOW, *_HOLD_CLEAR) for event in UNFOLLOWED),
+    *(_row(event, OVER_PAD_OR_DESCENDING, *_HOLD_CLEAR) for event in UNFOLLOWED),
     *(
         _row(
             event,
@@ -247,16 +248,19 @@ ROWS: Final = (
         except_=_all({S.STANDBY, S.CONNECT}, _NOTHING_ASKED),
     ),
     _row(E.STOP, {S.STANDBY, S.CONNECT}, _GIVE_UP),
-    _row(E.STOP, LOW, *_HOLD_CLEAR),
+    _row(E.STOP, OVER_PAD_OR_DESCENDING, *_HOLD_CLEAR),
     _row(
         E.SUSPENDED,
         S.CONNECT,
         _GIVE_UP,
-        except_={S.STANDBY: _WAITS_FOR_OPERATOR, **_all(LOW, "the estimate, lost with it, ends it")},
+        except_={
+            S.STANDBY: _WAITS_FOR_OPERATOR,
+            **_all(OVER_PAD_OR_DESCENDING, "the estimate, lost with it, ends it"),
+        },
     ),
     *(_row(event, S.ARM, _end(_DISARM)) for event in (E.STOP, E.SUSPENDED)),
     *(
-        _row(event, IN_AIR - LOW, *_RETURN_CONTROL, except_={S.HOLD: _CLEARS, **_GO_ON})
+        _row(event, IN_AIR - OVER_PAD_OR_DESCENDING, *_RETURN_CONTROL, except_={S.HOLD: _CLEARS, **_GO_ON})
         for event in (E.STOP, E.SUSPENDED)
     ),
     _row(
@@ -271,7 +275,7 @@ ROWS: Final = (
         E.DISARMED,
         IN_AIR - ON_PAD - {S.SET_DOWN},
         *(_LEAVE_OFFBOARD, _CONTROL_LOST),
-        except_=_all(ON_GROUND, _NOT_YET),
+        except_=_all(BEFORE_TAKE_OFF, _NOT_YET),
     ),
     _row(
         E.DISARMED,
@@ -284,7 +288,7 @@ ROWS: Final = (
         IN_AIR,
         _NEVER_OURS,
         Branch(S.AWAIT_LINK),
-        except_={**_all(ON_GROUND, _NOT_YET), **_all(HOLDING, "it holds already"), **_GO_ON},
+        except_={**_all(BEFORE_TAKE_OFF, _NOT_YET), **_all(HOLDING, "it holds already"), **_GO_ON},
     ),
     _row(
         E.LINK_UP,
@@ -303,7 +307,7 @@ ROWS: Final = (
             event,
             IN_AIR - COMMITTED - BY_AUTOPILOT,
             *(branch for branch in _RETURN_CONTROL if event in LATE or branch is not _RISE),
-            except_={**_all(ON_GROUND, _NOT_YET), **_all(BY_AUTOPILOT, _FLIES_ITSELF), **_GO_ON},
+            except_={**_all(BEFORE_TAKE_OFF, _NOT_YET), **_all(BY_AUTOPILOT, _FLIES_ITSELF), **_GO_ON},
         )
         for event in (*LATE, E.RIVAL)
     ),
@@ -313,21 +317,21 @@ ROWS: Final = (
             IN_AIR - {S.SINK},
             *_RETURN_CONTROL,
             except_={
-                **_all(ON_GROUND, _NOT_YET),
+                **_all(BEFORE_TAKE_OFF, _NOT_YET),
                 **_all(BY_AUTOPILOT, _FLIES_ITSELF),
                 S.SET_DOWN: _LANDS,
                 **_all(ON_PAD, _STANDS),
             },
         )
-        for event in BLIND
+        for event in NO_OWN_MOTION
     ),
-    *(_row(event, S.SINK, Branch(S.STAND, guard=Guard.FEET_DOWN), _SET_DOWN) for event in BLIND),
+    *(_row(event, S.SINK, Branch(S.STAND, guard=Guard.FEET_DOWN), _SET_DOWN) for event in NO_OWN_MOTION),
     _row(
         E.VELOCITY_UNCERTAIN,
         IN_AIR,
         *_RETURN_CONTROL,
         except_={
-            **_all(ON_GROUND, _NOT_YET),
+            **_all(BEFORE_TAKE_OFF, _NOT_YET),
             **_all(BY_AUTOPILOT, _FLIES_ITSELF),
             **_all(BY_THE_PAD, "over the pad the camera tells"),
         },
@@ -361,9 +365,9 @@ def impossible(state: State, event: MissionEvent) -> bool:
     return TABLE[state, event] is IMPOSSIBLE
 
 
-def by_gravity(events: Iterable[DetectedEvent]) -> tuple[DetectedEvent, ...]:
+def by_severity(events: Iterable[DetectedEvent]) -> tuple[DetectedEvent, ...]:
     """What may be detected anywhere in the order in which it acts, until one changes the state."""
-    return tuple(sorted(events, key=lambda event: _GRAVITY[event[0]]))
+    return tuple(sorted(events, key=lambda event: _SEVERITY[event[0]]))
 
 
 def last_request(state: State, *, ours: bool, stands: bool) -> Action | None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from companion.base.geometry import ZERO3, Vector3, add, ned_from_geodetic, wrap_angle
 from companion.base.messages import CarriedPad, PadBeacon
 from companion.base.motion import Motion
+from companion.base.second_sources import SIGMA_THRESHOLD
 from companion.config import SearchConfig
 from companion.plan.trajectory.coordinate_frames import COURSE_M_S, FASTEST_TURN_RAD_S, along_arc
 
@@ -21,7 +22,6 @@ _MOST_ACCELERATION_M_S2 = 2.0
 # A sighting this much older still gives the beacon's offset; a larger one is no offset.
 _COMPARABLE_S = 1.5
 _LARGEST_OFFSET_M = 10.0
-_SURELY = 3.0  # standard deviations
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +135,7 @@ class PadLocator:
     def reach_m(self, now_s: float) -> float:
         """How far from its likely place the pad may be; inf when nobody knows."""
         carried = self._carried_by(now_s)
-        return math.inf if carried is None else _SURELY * carried.std_m
+        return math.inf if carried is None else SIGMA_THRESHOLD * carried.std_m
 
     def _carried_by(self, now_s: float) -> CarriedLead | None:
         carried = self._carried

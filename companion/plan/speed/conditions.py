@@ -11,11 +11,11 @@ from typing import Final
 
 from companion.base.geometry import Vector3
 from companion.base.messages import Conditions, PadState, VehicleState
+from companion.plan.inputs import LONGEST_CYCLE_S
 
 # A gust lasts for seconds; over this time the wind's force is averaged, and its spread about that.
 GUST_OVER_S: Final = 2.0
 RELATIVE_SPEED_OVER_S: Final = 0.5
-_LONGEST_CYCLE_S: Final = 0.1
 
 PaceLaw = Callable[[Conditions], float]
 
@@ -39,7 +39,7 @@ class ConditionMonitor:
     ) -> None:
         """Note the pad and the vehicle, and the velocity over the pad that is planned, if one is."""
         first = self._noted_s is None
-        elapsed_s = 0.0 if self._noted_s is None else min(_LONGEST_CYCLE_S, max(0.0, now_s - self._noted_s))
+        elapsed_s = 0.0 if self._noted_s is None else min(LONGEST_CYCLE_S, max(0.0, now_s - self._noted_s))
         self._noted_s = now_s
         if vehicle is not None:
             self._feel(

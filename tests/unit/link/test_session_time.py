@@ -122,16 +122,20 @@ def test_one_that_never_tells_the_time_is_heard_by_what_it_says() -> None:
     [
         (0.29, {"fresh"}),
         (0.5, set()),
-        (0.51, {"late"}),
-        (0.8, {"late", "silent"}),
-        (1.0, {"late", "silent", "holding"}),
-        (3.1, {"late", "silent", "holding", "lost"}),
+        (0.51, {"maybe_unheard"}),
+        (0.8, {"maybe_unheard", "silent"}),
+        (1.0, {"maybe_unheard", "silent", "gave_up_setpoints"}),
+        (3.1, {"maybe_unheard", "silent", "gave_up_setpoints", "lost"}),
     ],
 )
 def test_a_silence_counts_by_the_autopilots_own_time_out(silent_s: float, holds: set[str]) -> None:
     link = LinkHealth(silent_s, keeps_setpoint_s=1.0, lost_after_s=3.0)
-    assert {name for name in ("fresh", "late", "silent", "holding", "lost") if getattr(link, name)} == holds
-    assert not LinkHealth(silent_s, keeps_setpoint_s=2.0 * silent_s).late
+    assert {
+        name
+        for name in ("fresh", "maybe_unheard", "silent", "gave_up_setpoints", "lost")
+        if getattr(link, name)
+    } == holds
+    assert not LinkHealth(silent_s, keeps_setpoint_s=2.0 * silent_s).maybe_unheard
 
 
 def test_one_slow_answer_is_no_late_link() -> None:

@@ -18,7 +18,7 @@ from companion.plan.inputs import PlanInputs
 from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.states import Circumstances, State
-from companion.plan.mission.table import COMMITTED, LAST_CENTIMETRES, ON_PAD, TOUCHDOWN, follows
+from companion.plan.mission.table import COMMITTED, GOING_DOWN, ON_PAD, TOUCHDOWN, follows
 from companion.plan.steering import enter_touchdown, touch_down
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE
@@ -68,7 +68,7 @@ class Attempt:
 
     @property
     def unloading(self) -> float:
-        return self._sequence.unloading if self.state in LAST_CENTIMETRES else 0.0
+        return self._sequence.unloading if self.state in GOING_DOWN else 0.0
 
     @property
     def unconfirmed(self) -> bool:

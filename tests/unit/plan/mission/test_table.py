@@ -11,17 +11,17 @@ from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, Guard, State
 from companion.plan.mission.table import (
     ANYWHERE,
+    BEFORE_TAKE_OFF,
     COMMITTED,
     FINAL,
     IN_AIR,
     LIVE,
-    LOW,
-    ON_GROUND,
     ON_PAD,
+    OVER_PAD_OR_DESCENDING,
     ROWS,
     TABLE,
     TOUCHDOWN,
-    by_gravity,
+    by_severity,
     follows,
     impossible,
 )
@@ -76,18 +76,18 @@ def test_what_may_happen_anywhere_is_handled_in_every_state_or_excepted_with_a_r
     [
         (E.STOP, COMMITTED | {S.HOLD}),
         (E.TAKEN_OVER, {S.STANDBY, S.CONNECT}),
-        (E.LINK_LOST, ON_GROUND | COMMITTED | {S.HOLD, S.AWAIT_LINK}),
-        (E.ESTIMATE_LOST, ON_GROUND | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
-        (E.ESTIMATE_DISPUTED, ON_GROUND | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
-        (E.CONTROL_FAILED, ON_GROUND | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
-        (E.DISARMED, ON_GROUND),
-        (E.OVERTIME, ON_GROUND | COMMITTED | {S.HOLD}),
-        (E.LINK_LATE, ON_GROUND | COMMITTED | {S.TAKE_OFF, S.WAYPOINT}),
-        (E.COMPUTER_LATE, ON_GROUND | COMMITTED | {S.TAKE_OFF, S.WAYPOINT}),
-        (E.BATTERY_CRITICAL, ON_GROUND | COMMITTED | {S.HOLD}),
+        (E.LINK_LOST, BEFORE_TAKE_OFF | COMMITTED | {S.HOLD, S.AWAIT_LINK}),
+        (E.ESTIMATE_LOST, BEFORE_TAKE_OFF | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
+        (E.ESTIMATE_DISPUTED, BEFORE_TAKE_OFF | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
+        (E.CONTROL_FAILED, BEFORE_TAKE_OFF | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
+        (E.DISARMED, BEFORE_TAKE_OFF),
+        (E.OVERTIME, BEFORE_TAKE_OFF | COMMITTED | {S.HOLD}),
+        (E.LINK_LATE, BEFORE_TAKE_OFF | COMMITTED | {S.TAKE_OFF, S.WAYPOINT}),
+        (E.COMPUTER_LATE, BEFORE_TAKE_OFF | COMMITTED | {S.TAKE_OFF, S.WAYPOINT}),
+        (E.BATTERY_CRITICAL, BEFORE_TAKE_OFF | COMMITTED | {S.HOLD}),
         (E.BATTERY_LOW, {S.STANDBY, S.CONNECT}),
         (E.SUSPENDED, COMMITTED | {S.STANDBY, S.DESCEND, S.WAIT, S.RISE, S.HOLD}),
-        (E.OUT_OF_BOUNDS, ON_GROUND | COMMITTED | {S.HOLD}),
+        (E.OUT_OF_BOUNDS, BEFORE_TAKE_OFF | COMMITTED | {S.HOLD}),
         (E.PAD_DISPUTED, LIVE - {S.APPROACH, S.DESCEND, S.WAIT, S.RISE}),
         (E.PAD_TOO_FAST, LIVE - {S.APPROACH, S.DESCEND, S.WAIT, S.RISE}),
         (E.TIMEOUT, {S.STANDBY}),
@@ -369,7 +369,7 @@ CLIMBS_CLEAR = {E.STOP, E.OVERTIME, E.OUT_OF_BOUNDS, E.PAD_DISPUTED, E.PAD_TOO_F
 @pytest.mark.parametrize("state", sorted(IN_AIR - COMMITTED))
 def test_stop_overtime_and_a_lost_estimate_return_control_holding(state: State, event: MissionEvent) -> None:
     if TABLE[state, event]:
-        if not (state in LOW and event in CLIMBS_CLEAR):
+        if not (state in OVER_PAD_OR_DESCENDING and event in CLIMBS_CLEAR):
             assert taken(state, event).to is S.ABORT
             assert kinds(taken(state, event)) == [ActionKind.HOLD]
         # one that stands would lift off to hold a position
@@ -390,9 +390,9 @@ def test_a_search_begins_anew_where_its_pilot_has_flown_until_control_is_granted
 
 def test_what_is_graver_acts_first_and_what_is_as_grave_in_the_order_in_which_it_was_found() -> None:
     found = [(event, "") for event in reversed(ANYWHERE)]
-    assert [event for event, _ in by_gravity(found)] == list(ANYWHERE)
+    assert [event for event, _ in by_severity(found)] == list(ANYWHERE)
     twice = [(E.TIMEOUT, "a"), (E.TAKEN_OVER, "b"), (E.TAKEN_OVER, "c"), (E.CONTROL_GRANTED, "d")]
-    assert [reason for _, reason in by_gravity(twice)] == ["d", "b", "c", "a"]
+    assert [reason for _, reason in by_severity(twice)] == ["d", "b", "c", "a"]
 
 
 def test_a_low_battery_changes_no_state_and_begins_no_new_try() -> None:
