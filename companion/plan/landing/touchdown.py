@@ -47,7 +47,6 @@ _FASTER_M_S = 0.16  # a planned sink may be exceeded by this, one that nothing f
 # can be levelled off at all, or it would break off at once.
 _TOO_MUCH_TILT = 1.3
 _COMMITS_BELOW = 0.9
-_UNSEEN_STD = 2.0  # an unseen pad may near the vehicle by so many standard deviations faster
 # Echoes so much deeper than the unseen pad's estimate, for so long: the pad is not below any more.
 _DEEPER_M = 0.25
 _DEEPER_S = 0.15
@@ -95,7 +94,7 @@ class TouchdownSequence:
         self._short_echoes = ShortEchoes(self._config.contact_speed_m_s)
         self.tilt = TiltPrediction()
         self._levelling = Levelling(config, vehicle, self._standing_height.std_m)
-        self._left, self._slower, self._lowest_m = False, False, math.inf
+        self._left, self._lowest_m = False, math.inf
 
     def _reset_debounces(self) -> None:
         self._settled, self._too_fast, self._far_aside, self._deeper = (Debounce() for _ in range(4))
@@ -195,7 +194,7 @@ class TouchdownSequence:
     def commit(self, now_s: float) -> None:
         """Begin to sink."""
         c = self._config
-        self._gave_way_s, self._slower, self._lowest_m = now_s, False, math.inf
+        self._gave_way_s, self._lowest_m = now_s, math.inf
         self._contact_test = ContactTest(c)
         speed_m_s = self._levelling.planned_m_s = self._levelling.sink_m_s(self._tilt_at_contact_m_s2())
         self._blended_s = now_s + c.blend_s
@@ -291,7 +290,6 @@ class TouchdownSequence:
             self._contact_due_s = max(self._contact_due_s, self._levelling.due_s)
         if tilts_on and self._levelling.begun and sight.unseen_s <= UNSEEN_S:
             self._sink_firmer(now_s)
-        self._sink_as_surely(sight, now_s)
         wrong = self._wrong(sight, now_s)
         if wrong and self._has_room(sight.height_m, sight.sink_m_s):
             return MissionEvent.BREAK_OFF, wrong
@@ -307,17 +305,6 @@ class TouchdownSequence:
         if firm_m_s > self._levelling.planned_m_s:
             self._levelling.planned_m_s = firm_m_s
             self._generator.sink(firm_m_s, max(_FIRMER_S, self._blended_s - now_s), now_s)
-
-    def _sink_as_surely(self, sight: PadState, now_s: float) -> None:
-        """Sink onto an unseen pad as slowly as it may be nearing the vehicle, by its covariance.
-
-        One that seems to fall, and does not, is met no faster than planned; what is known well is landed on.
-        """
-        unsure_m_s = 0.0 if sight.unseen_s <= UNSEEN_S else _UNSEEN_STD * sight.sink_std_m_s
-        if unsure_m_s > 0.0 or self._slower:
-            self._slower = unsure_m_s > 0.0
-            blend_s = max(_FIRMER_S, self._blended_s - now_s)
-            self._generator.sink(self._levelling.planned_m_s - unsure_m_s, blend_s, now_s)
 
     def _escapes(self, sight: PadState) -> bool:
         """Whether it is so far aside that it would miss the pad."""

@@ -105,8 +105,6 @@ class PlanWorld:
         self.noise_m = 0.0
         self.jolted: Callable[[float], bool] = lambda _t: False  # the IMU feels 4 m/s2 more, upward
         self.blind_drift_m_s = 0.0  # the believed pad falls so fast while unseen
-        self.blind_drift_m_s2 = 0.0  # and so much faster by the second
-        self.blind_std_m_s2 = 0.0  # its covariance grows as by an acceleration of so much
         self.lie_m: Callable[[float], float] = lambda _t: 0.0  # the believed pad lies so much too low
         self.gust: Callable[[float], Vector3] = lambda _t: ZERO3
         self.beacon_after_s: float | None = None
@@ -263,12 +261,10 @@ class PlanWorld:
         """The pad as last seen, led on at its velocity, with the filter's noise."""
         lead_s = self.now_s - then_s
         relative = [p + v * lead_s - q for p, v, q in zip(pad, velocity, self.position, strict=True)]
-        relative[2] += self.blind_drift_m_s * lead_s + 0.5 * self.blind_drift_m_s2 * lead_s**2
-        relative[2] += self.lie_m(self.now_s)
+        relative[2] += self.blind_drift_m_s * lead_s + self.lie_m(self.now_s)
         noisy = [r + n * (1.0 + 0.4 * abs(relative[2])) for r, n in zip(relative, self._drift, strict=True)]
         if lead_s > 0.0:
-            drift_m_s = self.blind_drift_m_s + self.blind_drift_m_s2 * lead_s
-            velocity = (velocity[0], velocity[1], velocity[2] + drift_m_s)
+            velocity = (velocity[0], velocity[1], velocity[2] + self.blind_drift_m_s)
         relative_velocity = [a - b for a, b in zip(velocity, self.velocity, strict=True)]
         return PadState(
             time_s=self.now_s,
@@ -281,15 +277,7 @@ class PlanWorld:
             position_std_m=0.02,
             velocity_std_m_s=0.02,
             seen_time_s=self._seen_s,
-            covariance=self._covariance(lead_s),
         )
-
-    def _covariance(self, lead_s: float) -> tuple[tuple[float, ...], ...]:
-        by_acceleration = np.kron(
-            [[0.25 * lead_s**4, 0.5 * lead_s**3], [0.5 * lead_s**3, lead_s**2]], np.eye(3)
-        )
-        P = np.diag([0.005**2] * 3 + [0.02**2] * 3) + self.blind_std_m_s2**2 * by_acceleration
-        return tuple(tuple(row) for row in P.tolist())
 
     def _echo(self) -> RangeSample | None:
         height = self.pad(self.now_s)[2] - self.position[2]

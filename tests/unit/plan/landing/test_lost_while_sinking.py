@@ -6,7 +6,7 @@ import pytest
 
 from companion.base.messages import ActionKind, Phase
 from tests.unit.plan.mission.planner_world import world
-from tests.unit.plan.pad_paths import circle, line, still
+from tests.unit.plan.pad_paths import line, still
 from tests.unit.plan.plan_harness import LEG_M, PlanWorld
 
 
@@ -33,30 +33,6 @@ def test_a_pad_that_is_gone_by_the_echoes_is_left_upward_at_once(speed_m_s: floa
     assert min(w.flight.heights_m[before:]) > LEG_M + 0.02
     assert w.velocity[2] < 0.1
     assert any("pad no longer below" in text for text in w.flight.told("phase"))
-
-
-@pytest.mark.parametrize("height_m", [0.45, 0.35, 0.28])
-@pytest.mark.parametrize("range_lost", [True, False])
-def test_an_unseen_pad_that_seems_to_fall_is_met_no_faster_than_planned(
-    height_m: float, range_lost: bool
-) -> None:
-    # GIVEN a vehicle that sinks onto a pad that is seen no more, and seems to fall ever faster
-    w = world(circle())
-    sinking_to(w, height_m)
-    w.blind, w.range_lost = lambda _t, _height: True, range_lost
-    # WHEN its speed is wrong by two of its own standard deviations
-    w.blind_drift_m_s2, w.blind_std_m_s2 = 0.6, 0.3
-    # THEN the sink stays what was planned
-    assert fastest_m_s(w, 1.5) < w.config.touchdown.contact_speed_m_s + 0.06
-
-
-def test_a_pad_unseen_for_a_second_that_is_known_well_is_landed_on() -> None:
-    w = world(line(1.0))
-    sinking_to(w, 0.45)
-    gone_s = w.now_s
-    w.blind = lambda t, _height: t < gone_s + 1.0
-    assert w.fly(20.0).phase is Phase.LANDED
-    assert not w.flight.told("break_off")
 
 
 def test_unseen_for_too_long_with_no_room_to_rise_it_goes_straight_down_in_land() -> None:
