@@ -52,13 +52,15 @@ INTRODUCTION: Final = """\
 # The state machine
 
 Written by `python -m docs.state_machine` from `companion/plan/mission/table.py`, which alone decides where a
-mission goes. At most one event acts in a control cycle, and only if it has a row for the present state.
-The order is: the most serious failsafe, then a request that was refused too often, then an event that the
-state itself detects.
+mission goes. In a control cycle the events act in this order until one changes the state: the failsafes, the
+most serious first; then a request that was refused too often; then an event that the state itself detects.
+An event acts only if it has a row for the present state.
 
 Control of the vehicle is *none* until the autopilot grants it and reports that it obeys setpoints. Then it is
-*ours*. It is *released* when the app returns it to the autopilot or a pilot takes it; after that the app
-requests nothing more in this mission.
+*ours*. It is *released* when the app returns it to the autopilot or a pilot takes it. To return it the app
+repeats the hold or the LAND until it is granted, up to four times. Meanwhile, in ABORT, it holds by its own
+setpoints, unless the row stops them. When a pilot takes the vehicle, what was asked is dropped. Nothing
+new is requested in this mission.
 """
 # a search in vain returns control and does nothing else; rows that end in the same branches name it
 RETURN_CONTROL: Final = TABLE[State.SEARCH, MissionEvent.TIMEOUT]

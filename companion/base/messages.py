@@ -253,7 +253,13 @@ class PadState:
     position is (0, 0, +height). `covariance`, six rows of six, is that of relative position and velocity,
     the horizon's and the calibration's errors included. `turn_rate_rad_s` is that of the pad's course,
     `jerk_ned_m_s3` what its acceleration changes by beyond turning, `models` the probability of each model
-    of its motion. `delay_s` is how long after its exposure the last sighting came, as the planner notes it.
+    of its motion. `delay_s` is how long after its exposure the last sighting came, as the planner notes it;
+    elsewhere it is 0.
+
+    It is seen or predicted, and there is none only before the first sighting and `forget_s` (10 s) after the
+    last. `age_s`, since the last exposure, is how old the knowledge is: approach, descent, `blind_s` and the
+    signs of contact go by it. `unseen_s`, since that sighting came, is whether the camera still sees the pad:
+    the wait over it and all that has to be seen at contact (`UNSEEN_S`) go by that.
 
     `seen_velocity_ned_m_s` is the relative velocity without what the vehicle has accelerated since the last
     sighting: where something else than the air pushed it, as at a contact, the pad may have been pushed too.
@@ -418,7 +424,7 @@ class Action:
     `position` is latitude (deg), longitude (deg) and height over home (m); so is `height_m`, over home: to
     take off to, and for a HOLD to rise to first unless 0. `force` lets a DISARM through
     that the autopilot refuses because it considers itself in the air: in the air it drops the vehicle, so
-    only a touchdown that several signs have confirmed for seconds may ask for it.
+    only a touchdown that is shown to have been at rest for `land_after_s` may ask for it.
     """
 
     kind: ActionKind
@@ -511,7 +517,8 @@ class Conditions:
 class PlanStep:
     """What the planner makes of one cycle. No reference: no setpoint leaves.
 
-    `unloading`: the share of the thrust (0 to 1) to take away, since the feet may stand.
+    `on_ground`: the thrust is taken away, on the pad in the state STAND or AUTO_LAND. `unloading`: the share
+    of the thrust (0 to 1) to take away, since the feet may stand.
     """
 
     time_s: float
@@ -629,6 +636,9 @@ class AutopilotSetup:
 @dataclass(frozen=True, slots=True)
 class LinkHealth:
     """Whether the autopilot still goes by what we send: five degrees of one silence, by its own time-outs.
+
+    With a `keeps_setpoint_s` of 0.5 s and `link.heartbeat_timeout_s` as delivered: `fresh` below 0.3 s,
+    `maybe_unheard` above 0.25 s, `silent` from 0.4 s, `gave_up_setpoints` from 0.5 s, `lost` above 3 s.
 
     `silent_s`: since anything was last heard of it, or showed that it hears us, seen by an app that runs.
     `keeps_setpoint_s`: for how long it goes by the last setpoint that arrived. `lost_after_s`: a link that is

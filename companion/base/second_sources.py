@@ -212,7 +212,8 @@ ROWS: Final = (
         notice=4.0,
         # grass, a place measured by a ruler: 3 cm each; a vehicle that falls from there lands at 1 m/s
         bound=5.0,
-        in_flight="the mean of both, weighted by their variances, is used; contact needs several signs",
+        in_flight="the touchdown uses the mean of both, weighted by their variances, approach and descent "
+        "the file's; a height alone is no contact",
         hint="measure from the centre of mass to the feet, and range_position_body_m",
     ),
     SourceRow(

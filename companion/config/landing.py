@@ -67,7 +67,8 @@ class LandingConfig(StrictModel):
     battery"""
     pause_unseen_s: float = Field(default=0.5, gt=0.0, le=5.0)
     """If the pad is unseen for this time, the descent pauses, and just over the pad the vehicle climbs and
-    tries again; raise it where single frames are often lost"""
+    tries again. The descent counts it from the last exposure, the wait just over the pad from when that
+    sighting came. Raise it where single frames are often lost"""
     lost_unseen_s: float = Field(default=5.0, gt=0.0, le=10.0)
     """If the pad is unseen for this time, it counts as lost; longer is worse: the vehicle follows a
     prediction. Lower it for a pad that changes its course often"""
@@ -90,8 +91,8 @@ class TouchdownConfig(StrictModel):
     """Speed relative to the pad below which the final descent begins; raise it in strong gusts, up to what
     the landing gear bears"""
     settled_s: float = Field(default=0.2, ge=0.0, le=5.0)
-    """Time for which both conditions have to hold; raise it for a steadier vehicle at contact, after a
-    longer wait"""
+    """Time for which every condition of the final descent has to hold; raise it for a steadier vehicle at
+    contact, after a longer wait"""
     gentle_horizontal_m_s2: float = Field(default=1.2, gt=0.0, le=5.0)
     """The pad's horizontal acceleration stays below this at a gentle moment; raise it for a pad that always
     turns harder"""
@@ -108,8 +109,9 @@ class TouchdownConfig(StrictModel):
     """Largest predicted tilt of a swinging deck at contact; the limit widens with the length of a try.
     Raise it for a wide landing gear on a rough sea"""
     gentle_wait_s: float = Field(default=5.0, ge=0.5, le=60.0)
-    """Time to wait for a gentle moment; after twice this time the tolerances for offset and tilt widen
-    gradually, after six times the try has failed. Raise it on a rough deck"""
+    """Time to wait for a gentle moment. After it the pad's acceleration no longer counts, and a lull of the
+    wind is enough. After twice this time the tolerances for offset and speed are 1.5 times as wide, and those
+    for tilt and drift widen steadily; after six times the try has failed. Raise it on a rough deck"""
     contact_speed_m_s: float = Field(default=0.19, ge=0.05, le=0.4)
     """Sink rate at contact, relative to the pad; lower it for fragile legs; higher is worse: a harder
     contact, and a bounce"""
@@ -129,23 +131,27 @@ class TouchdownConfig(StrictModel):
     blend_s: float = Field(default=0.8, ge=0.2, le=3.0)
     """Time of the transition from waiting to the sink rate at contact; raise it for a heavy vehicle"""
     blind_s: float = Field(default=1.5, ge=0.1, le=5.0)
-    """If the pad is unseen for this time on the last way down, the vehicle climbs and tries again. Longer is
-    worse: it descends by a prediction. Lower it for a pad that changes its course often"""
+    """If the pad is unseen for this time since the last exposure on the last way down, the vehicle climbs and
+    tries again; without room to climb, LAND sets it down. Less than 10 cm over contact it goes on while an
+    echo agrees. Longer is worse: it descends by a prediction. Lower it for a pad that changes its course
+    often"""
     overdue_s: float = Field(default=1.5, ge=0.3, le=10.0)
-    """If there is no contact within this time after the expected one, the vehicle climbs and tries again;
-    raise it for a pad whose height is uncertain"""
+    """If there is no contact within this time after the expected one, the vehicle climbs and tries again; if
+    a height says that the feet are down, LAND is commanded instead. Raise it for a pad whose height is
+    uncertain"""
     escape_lateral_m: float = Field(default=0.18, gt=0.0, le=1.0)
     """Lateral offset in the final descent beyond which it climbs and tries again. Larger is worse: a foot may
     miss the pad. Raise it for a large pad, lower it for a small one"""
     contact_margin_m: float = Field(default=0.02, gt=0.0, le=0.2)
     """Feet nearer to the pad than this count as low; raise it if the height is uncertain"""
     contact_s: float = Field(default=0.15, ge=0.0, le=1.0)
-    """Two signs of contact for this long count as contact. Shorter is worse: a false contact reduces the
-    thrust in the air. Raise it for a springy landing gear"""
+    """A height with a stopped sink, or with the autopilot's word, for this long counts as contact. Shorter
+    is worse: a false contact reduces the thrust in the air. Raise it for a springy landing gear"""
     land_after_s: float = Field(default=1.0, ge=0.5, le=30.0)
-    """After this time at rest on the pad without thrust the app disarms, by force if refused. Longer is
-    worse: a link lost meanwhile leaves the motors on. Much shorter is worse too: a bounce may look like
-    rest. Raise it for a landing gear that bounces"""
+    """After this time at rest on the pad without thrust the app disarms, by force if refused. It is also how
+    long a stopped sink, up to 10 cm too high, takes to count as contact. Longer is worse: a link lost
+    meanwhile leaves the motors on. Much shorter is worse too: a bounce may look like rest. Raise it for a
+    landing gear that bounces"""
 
     @property
     def giving_up_s(self) -> float:

@@ -20,9 +20,9 @@ class LinkConfig(StrictModel):
 
     `connection` is serial:PATH:BAUD, udp:HOST:PORT (we call), udpin:HOST:PORT (we listen) or tcp:HOST:PORT
     (we call). `system_id` is the vehicle's and so ours; 0 takes the first autopilot heard. `component_id` is
-    ours; MAVSDK, which speaks beside us, is another component. `force_disarm` allows disarming by force after
-    a touchdown that several signs have confirmed for seconds while the autopilot's land detector still
-    believes itself in the air, as it may on a pad that moves; never elsewhere. The pad's beacon is taken from
+    ours; MAVSDK, which speaks beside us, is another component. `force_disarm` allows disarming by force where
+    the autopilot refuses the plain one after a touchdown that is shown at rest, since its land detector may
+    believe itself in the air on a pad that moves; never elsewhere. The pad's beacon is taken from
     `ground_system_id` alone, as the answer to our request or from its component `beacon_component_id`, or
     from `beacon_system_id`, and only when it is not faster than `maximum_pad_speed_m_s`. `set_parameters`
     allows setting the one autopilot parameter that we need: bit 3 of ArduPilot's GUID_OPTIONS, for attitude
@@ -65,8 +65,9 @@ class LinkConfig(StrictModel):
     command_tries: int = Field(default=4, ge=1, le=10)
     """Tries of a command before it is given up; raise it for a lossy link"""
     force_disarm: bool = Field(default=True)
-    """Allow disarming by force, only when the vehicle has stood for seconds after a touchdown. Without it
-    PX4 may stay armed on a moving pad. Turn it off if a pilot disarms"""
+    """Allow disarming by force, only if the autopilot refuses the plain disarming after a recent sighting or
+    echo has shown the vehicle at rest for `land_after_s` (1 s; without the IMU 3 s). Without it PX4 may stay
+    armed on a moving pad. Turn it off if a pilot disarms"""
     set_parameters: bool = Field(default=False, json_schema_extra=OPERATOR)
     """Allow setting bit 3 of ArduPilot's GUID_OPTIONS, which attitude setpoints need; without it arming and
     control are refused while the bit is missing. Set it if you do not set the parameter yourself"""

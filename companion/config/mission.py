@@ -36,9 +36,9 @@ class PhaseTimesConfig(StrictModel):
     descend_s: float = Field(default=30.0, ge=5.0, le=300.0)
     """Longest descent; then approach again, as a failed try; raise it for a slow descent from high up"""
     touchdown_s: float = Field(default=45.0, ge=5.0, le=300.0)
-    """Longest touchdown, disarming included. After that control returns to the autopilot if the vehicle
-    waits or rises over the pad; later in the touchdown LAND is commanded. Raise it if waiting for a gentle
-    moment takes longer, as in high waves"""
+    """Longest touchdown, disarming included. After that a vehicle that waits or rises over the pad climbs
+    clear and returns control to the autopilot; later in the touchdown LAND is commanded. Raise it if
+    waiting for a gentle moment takes longer, as in high waves"""
     hold_s: float = Field(default=10.0, ge=1.0, le=300.0)
     """Longest hold by the app's own setpoints; then control returns to the autopilot. Shorter is worse:
     control may return low over the pad. Raise it if a pilot needs longer to take over"""

@@ -54,7 +54,7 @@ from companion.plan.trajectory.waypoints import check_places
 
 SIGHTINGS_GAP_S: Final = 0.5  # between two of the `search.sightings`: the pad was out of view
 PACED: Final = frozenset({Phase.APPROACH, Phase.DESCEND})  # flown at the pace of the conditions
-NEAR_M: Final = 1.0  # an autopilot holds its height to half of it
+NEAR_M: Final = 1.0  # lower, the autopilot's hold, good to 0.5 m, may drift onto what is below
 GAP_S: Final = 10.0  # a link that is silent for longer has gone for good
 
 __all__ = ["PlanInputs", "Planner"]

@@ -1,8 +1,8 @@
 """How each state flies: what happens to the reference on entering the state and in each of its cycles.
 
-The mission's table chooses the state; here the state steers the reference and detects events. In SEARCH,
-HOLD and ABORT the reference is in the EKF's NED; in APPROACH, DESCEND and the touchdown it is relative to
-the pad, in NED axes. m, s, rad.
+The mission's table chooses the state; here the state steers the reference and detects events. In APPROACH,
+DESCEND and the touchdown the reference is relative to the pad, in NED axes; in SET_DOWN, in the other states,
+and in APPROACH and DESCEND while the pad is unseen, it is in the EKF's NED. m, s, rad.
 """
 
 import math
@@ -35,7 +35,7 @@ from companion.plan.search.search import Search
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from companion.plan.trajectory.waypoints import Waypoints
 
-_LAST_TRY_SLACK: Final = 1.6  # nothing follows it but handing back: what is acceptable at all counts then
+_LAST_TRY_SLACK: Final = 1.6  # wider tolerances in the last try: after it control is returned
 _UNCONTRADICTED_S: Final = 2.0  # no echoes may contradict a pad for so long before it is flown to again
 _STREAMING: Final = (MissionEvent.STREAMING, "setpoints are sent")
 

@@ -117,7 +117,7 @@ class Landing:
     def _by_sight(self, pad: PadTrack, sight: PadState, goal_m: float, unseen: Unseen, now_s: float) -> bool:
         """Whether the pad is in view; if not, the vehicle flies on level over its predicted place.
 
-        A climb to goal_m over the pad that was under way is ended, at the height as it was last seen.
+        A climb to goal_m that was under way is completed, to the height that the last sighting gave.
         """
         assert pad.motion is not None
         self.climbs = ""

@@ -136,9 +136,9 @@ class ContactTest:
     """Whether the feet carry the vehicle: a cumulative sum (Page's test) for a sink that has become zero.
 
     `share` runs from 0 to 1, contact, within `contact_s` of standing still with the feet down by what they
-    are told to be, within `land_after_s` a hand's breadth over that, since legs may be longer than their
-    file says. It runs back while the vehicle sinks. So much of the thrust is taken away meanwhile: what only
-    a gust holds up sinks at once and is told from what stands, and feet that carry weight do not slide.
+    are told to be, within `land_after_s` up to 10 cm over that (`within_hand`), since legs may be longer than
+    their file says. It runs back while the vehicle sinks. So much of the thrust is taken away meanwhile: what
+    only a gust holds up sinks at once and is told from what stands, and feet that carry weight do not slide.
     """
 
     def __init__(self, config: TouchdownConfig) -> None:
@@ -216,7 +216,7 @@ class LandDetector:
         self.doubted = self.unconfirmed = False
 
     def arrives(self, now_s: float) -> bool:
-        """Whether it may still slide; what says so later is wrong."""
+        """Whether the contact is so recent that the feet may still slide."""
         return now_s - self._since_s <= _ARRIVES_S
 
     def off_pad(self, sight: PadState, now_s: float) -> bool:
@@ -231,7 +231,7 @@ class LandDetector:
         moves on. So a silence makes the contact `doubted`, until rest is proven anew or the autopilot has
         landed. Then only a pad that is seen, where it was seen while we were heard, shows the feet down: an
         echo tells a hand's breadth over it from standing on it no better than the leg height is known.
-        Where the IMU is silent too (all comes by the link), what is not seen says nothing.
+        While the IMU is silent too (it may come by the same link), an unseen pad does not show that it left.
         """
         able = self._able.held_s(imu_fresh(inputs.vehicle, now_s), now_s) >= FRESH_S
         landed = inputs.autopilot.landed is LandedState.ON_GROUND

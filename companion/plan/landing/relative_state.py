@@ -37,6 +37,9 @@ def misaligned_heading(pad: PadState | None, vehicle: VehicleState | None) -> st
 class PadTrack:
     """What the planner holds of the pad: `sight`, and its motion in the EKF's NED.
 
+    `sight` is the pad's estimate, seen or predicted, and None before the first sighting and `forget_s` (10 s)
+    after the last. Whether the pad is seen says `sight.unseen_s`.
+
     It is seen steadily after so many sightings, none longer than a gap after the one before. They are
     counted, whatever time they take: a slow computer sees the pad in every frame of fewer.
     """

@@ -111,7 +111,7 @@ class Tolerance:
         return self._config.escape_lateral_m * self.tolerance_scale
 
     def waits_passed(self, now_s: float) -> float:
-        """How many times `gentle_wait_s` this try has lasted."""
+        """How many `gentle_wait_s` have passed since this try began."""
         return (now_s - self._since_s) / self._config.gentle_wait_s
 
     def slack_by_now(self, now_s: float) -> float:

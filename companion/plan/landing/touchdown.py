@@ -7,6 +7,24 @@ Contact is soft while the pad's acceleration is small: the vehicle follows an ac
 0.2 s), so its speed relative to the pad is off by acceleration x lag, whatever the pad's speed. During the
 sink the speed counts, not the height: what was lost while the pad fell away is not made up for, since that
 would be a faster contact. If it sinks too fast all the same, the vehicle rises and waits again.
+
+It commits (`wait`, `rise`) when all of this has held for `settled_s`:
+  1. the pad is seen; offset, speed over it, height and sink are within their tolerances;
+  2. it is, and soon will be, no farther aside than it may go on with;
+  3. the pad accelerates gently, or `gentle_wait_s` has passed;
+  4. a swinging deck is level enough until the contact;
+  5. the tilt at contact is borne and can be levelled off;
+  6. no obstacle comes near on the way down;
+and, by the mission's table, the pad is inside the fence until the landing ends.
+
+`sink` checks in this order:
+  1. about to slide off the pad, while the IMU is heard: MISALIGNED;
+  2. contact, by its test, or by echoes alone while the pad is unseen for `blind_s`: CONTACT;
+  3. contact begins to show, or the IMU is silent: nothing else counts;
+  4. the pad lost: PAD_LOST with room to rise, else PAD_GONE;
+  5. no contact in time: PAD_GONE if a height says that the feet are down, else MISALIGNED;
+  6. too fast, too much tilt or aside, with room: BREAK_OFF;
+  7. so far aside that a foot may miss the pad: MISALIGNED, even without room.
 """
 
 from __future__ import annotations
@@ -41,7 +59,7 @@ from companion.plan.trajectory.reference_generator import ReferenceGenerator
 _GIVE_WAY_S = 0.3
 # Levelling off it comes to the firmer sink within this.
 _FIRMER_S = 0.25
-_WRONG_S = 0.1
+_WRONG_S = 0.1  # it breaks off for what has been wrong for so long
 _FASTER_M_S = 0.16  # a planned sink may be exceeded by this, one that nothing feels too
 # It breaks off at this share of the tilt tolerated at the commit; it commits to this share of the tilt that
 # can be levelled off at all, or it would break off at once.
@@ -222,7 +240,8 @@ class TouchdownSequence:
             tilt_rad=tilt_rad,
             imu_fresh=not silent,
         )
-        # by itself it may hold its height just over the pad: there its feet are seen, or nothing is felt
+        # While the link is silent the autopilot may hold its height by itself: then only the camera's `low`,
+        # no echo, makes a stopped sink a contact.
         obeys = not inputs.link.silent
         within_hand = obeys and sight is not None and self._within_hand(sight, unfelt_s)
         stands = signs.down and (obeys or signs.low)
@@ -235,7 +254,7 @@ class TouchdownSequence:
         if touching:
             self._levelling.touching(now_s)
         if touching or silent:
-            return None  # silent, what else is believed is only predicted
+            return None  # without the IMU all else is only predicted
         if (lost := self._lost(sight, inputs.range, now_s)) is not None:
             return lost
         assert sight is not None
@@ -278,8 +297,8 @@ class TouchdownSequence:
                 return MissionEvent.PAD_GONE, overdue
             self._generator.rise(now_s)
             return MissionEvent.MISALIGNED, overdue
-        # with the feet nearly down, climbing away would drag them over a pad that they do not slide over;
-        # that it stands shows by a reference that goes on without it
+        # Below twice contact_margin_m the reference is left to run ahead, so that a vehicle that stands is
+        # told by not following it.
         high = sight.height_m > self._low_m
         self._give_way(sight if high and not signs.stalled else None, now_s)
         tilts_on = not self._levelling.begun
@@ -382,7 +401,7 @@ class TouchdownSequence:
         return self._standing.step(sight, inputs, now_s)
 
     def leave(self, inputs: PlanInputs, sight: PadState | None, now_s: float) -> None:
-        """Go on leaving the pad: while the link is silent, ever again from where the autopilot has it."""
+        """Go on leaving the pad; while the link is silent the climb begins anew from where the vehicle is."""
         if inputs.link.silent:
             self._lift_off(sight, now_s)
 

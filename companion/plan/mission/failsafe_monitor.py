@@ -29,9 +29,9 @@ from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import State
 from companion.plan.mission.table import BEFORE_TAKE_OFF, FINAL, by_severity
 
-# Without IMU samples for so long the estimate is lost. In the final descent it takes as long as that nearly
-# lasts: the vehicle goes on with the pad, and LAND would brake it over one that drives on. After that the
-# estimator gives none any more. The motion of a pad that was unseen before is from too long ago for that.
+# Without IMU samples for so long the estimate is lost. In the final descent over a pad that was in view until
+# then it is lost only when the estimator gives none any more (`IMU_TIMEOUT_S`): LAND would brake the vehicle
+# over a pad that drives on. Of a pad that was out of view before, the motion is known from too long ago.
 _STALE_ESTIMATE_S = 0.5
 _RIVAL_S = 0.5  # setpoints come at 2 Hz or more
 _OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz

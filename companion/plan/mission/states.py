@@ -30,7 +30,9 @@ class State(StrEnum):
     RISE = "rise"  # broken off: back up to where it waits
     SET_DOWN = "set_down"  # too low to rise, and nothing to follow: straight down, by the autopilot's LAND
     STAND = "stand"  # the feet are on the pad
-    AUTO_LAND = "auto_land"  # on the pad in the autopilot's LAND mode, until it detects the landing
+    # LAND is asked for and the thrust is taken away: after a contact of SET_DOWN, or after STAND when nothing
+    # shows the feet down or the time is over
+    AUTO_LAND = "auto_land"
     LANDED = "landed"
     HOLD = "hold"
     AWAIT_LINK = "await_link"  # a hold that ends when the autopilot is heard again

@@ -8,8 +8,11 @@ Its rules:
   control that was released is never taken again in this mission, and nothing more is requested;
   STOP, the bounds and overtime return control to the autopilot, which holds its position; low over the pad
   the vehicle climbs clear first. A lost or disputed estimate, a controller without a plan and a late link
-  leave no time for that. A vehicle that a pilot flew when the landing was ordered, and that the app never
-  controlled, stays in the pilot's mode;
+  leave no time for that;
+  COMMITTED states heed, of what may come anywhere, only TAKEN_OVER, DISARMED, their own time and a low
+  battery (no new try), and SINK a lost or disputed estimate and a controller without a plan;
+  a vehicle that a pilot flew when the landing was ordered, and that the app never controlled, stays in the
+  pilot's mode;
   a PX4 that is disarmed in the app's OFFBOARD is put into Hold, so that it can be armed again.
 No clock, no I/O: the failsafe monitor and the phases detect events, and this table decides what follows.
 """
@@ -25,7 +28,7 @@ from companion.plan.mission.states import Authority, Branch, Circumstances, Effe
 E, S = MissionEvent, State
 FINAL: Final = frozenset({S.LANDED, S.ABORT})
 LIVE: Final = frozenset(State) - FINAL
-BEFORE_TAKE_OFF: Final = frozenset({S.STANDBY, S.CONNECT, S.ARM})
+BEFORE_TAKE_OFF: Final = frozenset({S.STANDBY, S.CONNECT, S.ARM})  # in STANDBY a pilot may fly the vehicle
 IN_AIR: Final = LIVE - BEFORE_TAKE_OFF
 BY_AUTOPILOT: Final = frozenset({S.TAKE_OFF, S.WAYPOINT})
 OVER_PAD: Final = frozenset({S.WAIT, S.RISE})  # waiting for a moment to land
@@ -106,13 +109,14 @@ IMPOSSIBLE: Final = (
     Branch(S.HOLD, (_HOLD,), Authority.RELEASED),
 )
 
-_NOT_YET = "on the ground, before take-off"
+_NOT_YET = "before take-off; in standby a pilot may fly"
 _FLIES_ITSELF = "the autopilot navigates"
 _FINISHES = "committed: finishing is gentler than breaking off"
 _STANDS = "it stands on the pad"
 _NOTHING_ASKED = "nothing is requested yet; an armed vehicle ends the mission in any mode"
 _WAITS_FOR_OPERATOR = "it waits for an order, and asks for nothing"
 _LANDS = "the autopilot lands already"
+_LOST_WITH_IT = "the estimate, lost with it, ends it"
 _GO_ON: Final = {**_all(GOING_DOWN, _FINISHES), **_all(ON_PAD, _STANDS)}
 _CLEARS = "it climbs clear of the pad and comes to rest, which returns control; so does its time"
 
@@ -255,13 +259,13 @@ ROWS: Final = (
         _GIVE_UP,
         except_={
             S.STANDBY: _WAITS_FOR_OPERATOR,
-            **_all(OVER_PAD_OR_DESCENDING, "the estimate, lost with it, ends it"),
+            **_all(OVER_PAD_OR_DESCENDING, _LOST_WITH_IT),
         },
     ),
     *(_row(event, S.ARM, _end(_DISARM)) for event in (E.STOP, E.SUSPENDED)),
     *(
-        _row(event, IN_AIR - OVER_PAD_OR_DESCENDING, *_RETURN_CONTROL, except_={S.HOLD: _CLEARS, **_GO_ON})
-        for event in (E.STOP, E.SUSPENDED)
+        _row(event, IN_AIR - OVER_PAD_OR_DESCENDING, *_RETURN_CONTROL, except_={S.HOLD: _CLEARS, **goes_on})
+        for event, goes_on in ((E.STOP, _GO_ON), (E.SUSPENDED, {**_GO_ON, S.SINK: _LOST_WITH_IT}))
     ),
     _row(
         E.TAKEN_OVER,
