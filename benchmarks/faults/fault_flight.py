@@ -120,7 +120,8 @@ def bounds_of(config: CompanionConfig) -> SafetyBounds:
     """What the settings promise."""
     mission = config.plan.mission
     ceiling_m = float(getattr(mission, "ceiling_m", DEFAULT_CEILING_M))
-    return SafetyBounds(config.control.limits, mission.fence_m, ceiling_m)
+    pressed_m_s2 = config.control.maximum_disturbance_m_s2
+    return SafetyBounds(config.control.limits, mission.fence_m, ceiling_m, pressed_m_s2)
 
 
 def fly(

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
@@ -220,6 +221,16 @@ def test_each_unsafe_thing_is_found(spoil: Callable[[WitnessedFlight], None], wo
 
 
 # ---------------------------------------------------------------- what is not unsafe
+
+
+def test_what_presses_it_down_is_met_beyond_the_limit_on_vertical_acceleration_and_no_further() -> None:
+    record = landing()
+    limit = LimitsConfig().vertical_acceleration_m_s2
+    record.setpoints.append(SentSetpoint(30.0, acceleration_ned_m_s2=(0.0, 0.0, -limit - 2.0)))
+    assert "acceleration down" in judge(record, BOUNDS).unsafe[0]
+    assert judge(record, replace(BOUNDS, pressed_m_s2=2.1)) == SafetyVerdict("landed")
+    record.setpoints.append(SentSetpoint(31.0, acceleration_ned_m_s2=(0.0, 0.0, limit + 2.0)))
+    assert "acceleration down" in judge(record, replace(BOUNDS, pressed_m_s2=2.1)).unsafe[0]
 
 
 def test_gentle_touches_of_the_pad_and_the_autopilots_own_of_the_ground_are_safe() -> None:
