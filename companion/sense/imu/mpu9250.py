@@ -64,6 +64,7 @@ _MOST_TEMPERATURE_STEP_C: Final = 5.0
 _SILENT_S: Final = 0.25
 _STUCK_S: Final = 0.5
 _REPEATED_S: Final = 0.05  # and what repeats for longer than this is not handed on: it says nothing new
+_RANGE_ENDS: Final = (-32768, 32767)  # counts; what lies beyond reads as these, by nothing that is known
 _BUS_PATIENCE_POLLS: Final = 5  # so many polls may fail in a row: 100 ms at 50 Hz, of the FIFO's 180 ms
 # centre of an AK8963 measurement (7.2 ms long) before its end, and the mean wait until it is copied
 _MAG_MEASUREMENT_S: Final = 0.0036
@@ -98,7 +99,7 @@ class Mpu9250:
         self._bring_up: BringUp | None = None
         self._ready = False
         self._failed_polls = 0
-        self._last_sample_s = -math.inf
+        self._last_sample_s = self._within_range_s = -math.inf
         self._last_frame = b""
         self._same_frames = 0
         self._last_temperature: int | None = None
@@ -136,9 +137,9 @@ class Mpu9250:
     def poll(self, now: Callable[[], float]) -> tuple[list[ImuSample], list[MagSample]]:
         """All samples since the last poll, oldest first, stamped with when they were measured.
 
-        Empty while the chip is being set up (about 0.2 s after `configure` or a fault), and when a bus
-        transaction has failed that the next poll makes up for. The magnetometer follows some 0.3 s later,
-        or never: see `problem`.
+        Samples at an end of their range are left out. Empty while the chip is being set up (about 0.2 s after
+        `configure` or a fault), and when a bus transaction has failed that the next poll makes up for. The
+        magnetometer follows some 0.3 s later, or never: see `problem`.
 
         Args:
             now: tells the time (s). It is asked here, on whatever thread this runs, at the moment that the
@@ -146,8 +147,8 @@ class Mpu9250:
 
         Raises:
             SamplesLostError: the FIFO was full or out of step and has been emptied; sampling goes on.
-            SensorError: the bus fails again and again, silence or stuck data; the next poll begins to set
-                the chip up anew.
+            SensorError: the bus fails again and again, silence, stuck data, or nothing within the range for
+                0.25 s; the next poll begins to set the chip up anew.
         """
         try:
             if self._ready:
@@ -185,7 +186,7 @@ class Mpu9250:
         if self._bring_up.advance(now_s):
             self._ready = True
             self._failed_polls = 0
-            self._last_sample_s = now_s
+            self._last_sample_s = self._within_range_s = now_s
 
     def _check_identity(self) -> None:
         identity = self._read(WHO_AM_I, 1)[0]
@@ -245,9 +246,14 @@ class Mpu9250:
             times = self._clock.stamp(read_s, frames)
         else:
             times = [self._clock.stamp_newest(read_s)]
+        within = [(time_s, 7 * k) for k, time_s in enumerate(times) if _within_range(words, 7 * k)]
+        if within:
+            self._within_range_s = now_s
+        elif now_s - self._within_range_s > _SILENT_S:
+            raise SensorError(f"at the end of its range for {now_s - self._within_range_s:.2f} s")
         if self._same_frames > _REPEATED_S * self._config.rate_hz:
             return []
-        return [self._sample(time_s, words, 7 * k) for k, time_s in enumerate(times)]
+        return [self._sample(time_s, words, at) for time_s, at in within]
 
     def _check_alive(self, data: bytes, frames: int) -> None:
         newest = data[-FRAME_BYTES:]
@@ -320,6 +326,12 @@ def _to_body(
         if (found := inertial.accelerometer) is not None:
             accel = accel.corrected(found.matrix, found.offset_m_s2)
     return gyro, accel, field
+
+
+def _within_range(words: tuple[int, ...], at: int) -> bool:
+    """Whether no rate and no force of the frame at this word lies at an end of its range."""
+    rates_and_forces = words[at : at + 3] + words[at + 4 : at + 7]
+    return not any(word in _RANGE_ENDS for word in rates_and_forces)
 
 
 def _user_control(config: ImuConfig) -> int:

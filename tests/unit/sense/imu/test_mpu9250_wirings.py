@@ -1,5 +1,6 @@
 """The MPU9250 in every wiring: I2C or SPI, magnetometer through the chip or past it, FIFO or registers."""
 
+import math
 from typing import Any, Literal
 
 import numpy as np
@@ -59,10 +60,16 @@ def test_stamps_are_the_instants_of_measurement(config: ImuConfig, clock_error: 
 
 
 @pytest.mark.parametrize(
-    ("fault", "words"), [("nack", "Remote I/O error"), ("ones", "all ones"), ("stuck", "no sample for")]
+    ("fault", "words"),
+    [
+        ("nack", "Remote I/O error"),
+        ("ones", "all ones"),
+        ("stuck", "no sample for"),
+        ("saturated", "at the end of its range for 0.2"),
+    ],
 )
 def test_a_fault_is_reported_in_one_line_and_recovered_from(
-    config: ImuConfig, fault: Literal["nack", "ones", "stuck"], words: str
+    config: ImuConfig, fault: Literal["nack", "ones", "stuck", "saturated"], words: str
 ) -> None:
     rig = ImuRig(config)
     rig.run(1.0)
@@ -75,6 +82,27 @@ def test_a_fault_is_reported_in_one_line_and_recovered_from(
     rig.run(1.2)
     assert len(rig.imu) > count + 100
     assert len(rig.mag) > mags + 30
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_sample_at_an_end_of_its_range_is_no_measurement(config: ImuConfig, axis: int) -> None:
+    rig = ImuRig(config)
+    rig.run(0.5)
+    for sign in (1.0, -1.0):
+        rate = [0.0, 0.0, 0.0]
+        rate[axis] = sign * math.radians(1.01 * config.gyro_range_deg_s)
+        force = [0.0, 0.0, 9.8]
+        force[axis] = sign * 1.01 * config.accel_range_g * 9.80665
+        for beyond in ((tuple(force), STILL), ((0.0, 0.0, 9.8), tuple(rate))):
+            known = len(rig.imu)
+            rig.device.push_sample(*beyond)
+            rig.run(0.1)
+            heard = rig.imu[known:]
+            assert len(heard) > 0.07 * config.rate_hz  # those beside it count
+            for sample in heard:
+                assert sample.rate_body_rad_s == pytest.approx(STILL, abs=0.1)
+                assert sample.specific_force_body_m_s2 == pytest.approx(REST, abs=0.1)
+    assert not rig.faults
 
 
 def test_a_power_cut_is_mended(config: ImuConfig) -> None:
