@@ -19,7 +19,7 @@ import numpy as np
 import yaml
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.config import find_file, merge, read_yaml
+from companion.config import MissionConfig, find_file, merge, read_yaml
 from sitl.campaign.manifest import CampaignRun, code_digest, scenario_digest
 from sitl.scenario.scenario import Scenario
 
@@ -36,6 +36,7 @@ PASS: Final = {
     "tilt_deg": 8.0,
 }
 PEER_HEIGHT_M: Final = 8.0
+TO_TAKE_OFF_S: Final = 20.0
 STRAIGHT_M_S: Final = (0.0, 1.0, 2.1, 4.2)
 
 
@@ -70,6 +71,8 @@ def _as_built_landing(number: int) -> dict[str, Any]:
         "description": f"Random landing {number}, as built.",
         "autopilot": "ardupilot" if number % 2 else "px4",
         "as_built": {},
+        # longer than the app's own limit: what it cannot land on it hands back, and says why
+        "time_limit_s": MissionConfig().total_timeout_s + TO_TAKE_OFF_S,
     }
 
 
