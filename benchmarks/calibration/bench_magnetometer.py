@@ -38,8 +38,7 @@ from companion.sim.trial import Trial
 from sitl.devices.rack import SensorErrors
 from sitl.run.in_process import carried
 from sitl.run.sensor_setup import sensor_errors
-from sitl.scenario.home import magnetic_field_ned_ut
-from sitl.scenario.scenario import Scenario, SensorSettings
+from sitl.scenario.scenario import Scenario, SensorSettings, magnetic_field_ned_ut
 from tests.unit.calibration.magnetometer.magnetometer_truth import FIELD_UT, turned
 
 SMOKE: Final = ("--seeds", "3", "--flights", "0")

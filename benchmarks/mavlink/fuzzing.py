@@ -16,9 +16,10 @@ from typing import Any, Final
 import numpy as np
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.link.codec import mavlink
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.mavlink.commands import FORCE_MAGIC, HANDLERS, LINK_HANDLERS
-from sitl.mavlink.framing import FrameReader, Signing, dialect
+from sitl.mavlink.framing import FrameReader, Signing
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.network import VEHICLE, Network, Port
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
@@ -35,7 +36,6 @@ from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
 # ---------------------------------------------------------------- garbage
 # Wrong MAVLink of many kinds, made from legal messages: one function a kind.
 
-mavlink: Any = dialect
 
 LEGAL_EVERY: Final = 20  # one frame in so many
 FRAMES_PER_TICK: Final = 20

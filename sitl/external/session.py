@@ -22,7 +22,6 @@ from companion.base.geometry import Vector3, tilt_from_quat
 from companion.base.messages import Frame, Phase, Truth
 from companion.base.signals import stopping_on_signals
 from companion.config import ConfigError, VehicleConfig, find_file, load_model
-from sitl.camera.frame_line import FrameLine
 from sitl.devices.ports import DevicePort, PtyPort
 from sitl.devices.socket_servers import FrameServer
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
@@ -30,11 +29,11 @@ from sitl.external.client import VehicleClient
 from sitl.external.link import check_connection, open_link, open_relay, pump
 from sitl.external.pose import LONGEST_GUESS_S
 from sitl.external.world import ExternalWorld
+from sitl.faults.lines import FrameLine
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.sensor_telemetry import distance_sensor
 from sitl.run.mavlink_line import ByteLink
-from sitl.run.process_control import final_phase, print_json, run_until_finished
-from sitl.run.report import SimulationReport
+from sitl.run.process_control import SimulationReport, final_phase, print_json, run_until_finished
 from sitl.run.scene_camera import SceneCamera
 from sitl.run.sensor_setup import sensor_errors
 from sitl.run.server import REPORT_NAME, SENSOR_BAUD

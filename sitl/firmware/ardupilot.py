@@ -15,17 +15,19 @@ from companion.base.clock import wall_clock_s
 from companion.base.geometry import Vector3
 from companion.config import ConfigError
 from sitl.firmware import FirmwareError
-from sitl.firmware.base import ANSWER_S, Moment, Setup
 from sitl.firmware.process import (
+    ANSWER_S,
     INSTANCES,
     LOOK_S,
     LOOPBACK,
     Datagrams,
+    Moment,
     Process,
+    Setup,
     is_free,
 )
 from sitl.firmware.spec import FirmwareSpec, number_text
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import RotorValues
 
 # magic, frame rate (Hz), frame count, 16 pulses (us); ArduPilot's SIM_JSON documentation
 PULSES: Final = struct.Struct("<HHI16H")

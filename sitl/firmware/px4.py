@@ -16,23 +16,26 @@ from typing import Any, Final
 from companion.base.clock import wall_clock_s
 from companion.base.geometry import scale
 from companion.config import ConfigError
+from companion.link.codec import mavlink
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.firmware import FirmwareError
-from sitl.firmware.base import ANSWER_S, Barometer, Moment, Setup, pressure_hpa
 from sitl.firmware.process import (
+    ANSWER_S,
     INSTANCES,
     LAST_S,
     LOOK_S,
     LOOPBACK,
+    Barometer,
     Datagrams,
+    Moment,
     Process,
+    Setup,
     is_free,
+    pressure_hpa,
 )
 from sitl.firmware.spec import FirmwareSpec, number_text
-from sitl.mavlink.framing import FrameReader, dialect
-from sitl.vehicle.rotors import RotorValues
-
-mavlink: Any = dialect
+from sitl.mavlink.framing import FrameReader
+from sitl.vehicle.quadrotor import RotorValues
 
 SIMULATOR_PORT: Final = 4560
 COMPANION_PORT: Final = 14540

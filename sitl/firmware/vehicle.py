@@ -10,16 +10,16 @@ import numpy as np
 from companion.base.clock import sleep_s, wall_clock_s
 from companion.base.geometry import Quaternion, Vector3
 from companion.config import ConfigError
+from companion.link.codec import mavlink
 from sitl.firmware import FirmwareError
 from sitl.firmware.ardupilot import ArduPilot
-from sitl.firmware.base import Barometer, Firmware, Moment, Setup
+from sitl.firmware.process import Barometer, Firmware, Moment, Setup
 from sitl.firmware.px4 import Px4
 from sitl.firmware.spec import FirmwareSpec
-from sitl.mavlink.framing import FrameReader, MavFrame, dialect
+from sitl.mavlink.framing import FrameReader, MavFrame
 from sitl.mavlink.ground_station import GroundStation
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
-from sitl.vehicle.quadrotor import QuadrotorState
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import QuadrotorState, RotorValues
 from sitl.world.world import World
 
 # what the chip passes on; the firmware filters by itself
@@ -94,7 +94,6 @@ class FirmwareVehicle:
 # ---------------------------------------------------------------- start
 # Starts a firmware and lets it boot, at rest before the world's time 0, until it is ready to arm.
 
-mavlink: Any = dialect
 
 Write = Callable[[Sequence[bytes]], None]
 AUTOPILOT: Final = 1

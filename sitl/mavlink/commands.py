@@ -8,12 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
-from pymavlink.dialects.v20 import common as mavlink
-
+from companion.link.codec import mavlink
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
-from sitl.autopilot.flight.landing_target import LandingTarget
 from sitl.autopilot.flight.manual_control import CHANNELS, Sticks
 from sitl.autopilot.flight.modes import CommandResult
+from sitl.autopilot.flight.profile import LandingTarget
 
 FORCE_MAGIC: Final = 21196
 _ARDUPILOT_FORCE_ARM: Final = 2989

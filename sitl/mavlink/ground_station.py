@@ -13,13 +13,13 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from companion.base.geometry import ZERO3, Vector3, geodetic_from_ned
-from sitl.mavlink.framing import FrameReader, MavFrame, Signing, dialect
+from companion.link.codec import mavlink
+from sitl.mavlink.framing import FrameReader, MavFrame, Signing
 from sitl.scenario.scenario import BeaconSettings
 
 # ---------------------------------------------------------------- intruders
 # Whoever else sends on the vehicle's link: a second companion, and somebody without the key. Sans I/O.
 
-mavlink: Any = dialect
 
 SYSTEM_ID: Final = 255
 COMPONENT_ID: Final = 190

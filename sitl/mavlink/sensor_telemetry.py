@@ -9,15 +9,13 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3, euler_from_quat, geodetic_from_ned, norm, scale
+from companion.link.codec import mavlink
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
-from sitl.mavlink.framing import dialect
 from sitl.mavlink.telemetry import milliseconds, sys_status
 from sitl.sensors.autopilot_sensors import ImuReading, SimulatedAutopilotSensors
 from sitl.sensors.inertial import ImuErrors
 from sitl.sensors.sensors import RangeErrors
 from sitl.world.world import World
-
-mavlink: Any = dialect
 
 # ---------------------------------------------------------------- truth telemetry
 # The truth by MAVLink, as real simulators send it: for an external world around this vehicle.

@@ -11,15 +11,14 @@ from typing import Any, Final
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Vector3, euler_from_quat, norm
 from companion.base.messages import LandedState
+from companion.link.codec import mavlink
 from companion.link.dialect import CURRENT_MODE, CurrentMode
 from sitl.autopilot.control.position_control import tilt_cosine
 from sitl.autopilot.control.setpoints import AttitudeSetpoint
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
-from sitl.mavlink.framing import dialect
-from sitl.mavlink.protocols import mission_protocol
+from sitl.mavlink import mission_protocol
 from sitl.vehicle.battery import CELLS
 
-mavlink: Any = dialect
 Message = Any  # pymavlink's classes are generated without types
 
 _SENSORS: Final = (

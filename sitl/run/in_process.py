@@ -26,7 +26,7 @@ from sitl.firmware.spec import FirmwareSpec
 from sitl.run.mavlink_line import ByteLink
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario, load_scenario
-from sitl.vehicle.hand_motion import HandMotion
+from sitl.vehicle import HandMotion
 
 GPS_BAUD: Final = 38400
 RANGE_BAUD: Final = 9600

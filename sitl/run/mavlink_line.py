@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from companion.base.geometry import Vector3
-from sitl.faults.faulty_link import LinkChannel, LinkSettings
+from sitl.faults.lines import LinkChannel, LinkSettings
 from sitl.mavlink.network import Write
 from sitl.run.tick_timer import TickTimer
 

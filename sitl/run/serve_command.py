@@ -10,9 +10,8 @@ from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.framing import read_key
 from sitl.run.process_control import socket_folder, terminated_as_interrupted
 from sitl.run.server import Service, serve, serve_child
-from sitl.scenario.home import read_home
 from sitl.scenario.listing import signed
-from sitl.scenario.scenario import load_scenario
+from sitl.scenario.scenario import load_scenario, read_home
 
 
 @dataclass(frozen=True, slots=True)

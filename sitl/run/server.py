@@ -31,7 +31,7 @@ from sitl.run.process_control import final_phase, print_json, run_until_finished
 from sitl.run.simulation import Simulation
 from sitl.scenario.listing import app_settings_text
 from sitl.scenario.scenario import Scenario
-from sitl.vehicle.hand_motion import HandMotion
+from sitl.vehicle import HandMotion
 
 REPORT_NAME: Final = "report.json"
 SENSOR_BAUD: Final = 9600

@@ -20,11 +20,11 @@ from companion.base.messages import Frame, Phase, Truth
 from companion.config import ConfigError, VehicleConfig, find_file, load_model
 from sitl.autopilot.control.estimator import ESTIMATORS
 from sitl.autopilot.flight.autopilot import PROFILES, SimulatedAutopilot
-from sitl.camera.frame_line import FrameLine
 from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import DevicePort
 from sitl.faults.faults import Fault
+from sitl.faults.lines import FrameLine
 from sitl.faults.schedule import FaultSchedule, Moments, Schedule, StatusTextMonitor
 from sitl.faults.targets import ComputerFaults, FaultTargets
 from sitl.firmware import FirmwareError
@@ -35,16 +35,14 @@ from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.network import Network
 from sitl.mavlink.sensor_telemetry import TruthMessages
 from sitl.run.mavlink_line import ByteLink, MavlinkLine, VehicleNetwork
-from sitl.run.process_control import interrupted_at_once
-from sitl.run.report import SimulationReport
+from sitl.run.process_control import SimulationReport, interrupted_at_once
 from sitl.run.scene_camera import CameraTruth, SceneCamera
 from sitl.run.sensor_setup import autopilot_sensors, sensor_rack
 from sitl.run.tick_timer import TickTimer
-from sitl.scenario.home import magnetic_field_ned_ut
-from sitl.scenario.scenario import Scenario
+from sitl.scenario.scenario import Scenario, magnetic_field_ned_ut
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.sensors.sensors import BoardTruth, RangeErrors
-from sitl.vehicle.hand_motion import HandMotion
+from sitl.vehicle import HandMotion
 from sitl.world.hand_held import HandHeldWorld
 from sitl.world.score import judge
 from sitl.world.world import FirmGroundWorld, World

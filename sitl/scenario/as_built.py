@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, scale
 from companion.config import StrictModel
 from companion.pad import Pad
-from sitl.faults.faulty_link import LinkSettings
+from sitl.faults.lines import LinkSettings
 from sitl.vehicle.quadrotor import QuadrotorParameters
 
 # random draws of what was built; world, sensors, simulation and faults draw from other streams

@@ -31,8 +31,7 @@ from sitl.sensors.sensors import (
     RangeErrors,
     RangeSensor,
 )
-from sitl.vehicle.quadrotor import QuadrotorState
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import QuadrotorState, RotorValues
 
 MAG_PERIOD_S: Final = 0.02
 GPS_PERIOD_S: Final = 0.2

@@ -29,11 +29,9 @@ from companion.base.geometry import (
 )
 from companion.base.messages import Truth
 from companion.pad import load_pad
-from sitl.pad.incidents import IncidentMotion
-from sitl.pad.motion import PadTruth, build_pad_motion
+from sitl.pad.motion import IncidentMotion, PadTruth, build_pad_motion
 from sitl.scenario.scenario import Scenario, load_airframe
-from sitl.vehicle.quadrotor import Motors, Quadrotor, QuadrotorState, packed, resting_state
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import Motors, Quadrotor, QuadrotorState, RotorValues, packed, resting_state
 from sitl.world.contact import NO_CONTACT, Contact, ContactLoad
 from sitl.world.ground import Obstacles, PadBoard, echo_distance_m, ground_effect_reach_m, rotor_ratios
 from sitl.world.score import TouchdownDetector, TouchdownState

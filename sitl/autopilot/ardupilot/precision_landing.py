@@ -14,15 +14,15 @@ from math import inf, nan
 
 from companion.base.geometry import Vector3, norm, quat_rotate, scale
 from sitl.autopilot.control.setpoints import MotionSetpoint
-from sitl.autopilot.flight.landing_target import (
+from sitl.autopilot.flight.modes import Severity
+from sitl.autopilot.flight.profile import (
     AxisFilter,
     LandingTarget,
     LandingTargetFrame,
+    Parameters,
     VehicleEstimate,
     direction_from_angles,
 )
-from sitl.autopilot.flight.modes import Severity
-from sitl.autopilot.flight.parameters import Parameters
 
 _MAVLINK_TYPE = 1
 _MOVING_OPTION = 1

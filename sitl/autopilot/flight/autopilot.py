@@ -36,20 +36,22 @@ from sitl.autopilot.control.setpoints import (
     StreamedMotion,
 )
 from sitl.autopilot.flight.commander import Commander, Text
-from sitl.autopilot.flight.fence import Fence
-from sitl.autopilot.flight.landing_target import LandingTarget, VehicleEstimate
 from sitl.autopilot.flight.manual_control import ManualControl, RcInput, Sticks
 from sitl.autopilot.flight.mission import MissionInputs, MissionRunner, heading_from_condition
-from sitl.autopilot.flight.mission_items import ItemFrame, MissionCommand, MissionItem, MissionStore
+from sitl.autopilot.flight.mission_items import Fence, ItemFrame, MissionCommand, MissionItem, MissionStore
 from sitl.autopilot.flight.modes import CommandResult, Mode, Severity, StickMode, Task
 from sitl.autopilot.flight.navigator import Navigator
-from sitl.autopilot.flight.parameters import Parameters
-from sitl.autopilot.flight.profile import AutopilotProfile, setpoints_stopped
+from sitl.autopilot.flight.profile import (
+    AutopilotProfile,
+    LandingTarget,
+    Parameters,
+    VehicleEstimate,
+    setpoints_stopped,
+)
 from sitl.autopilot.px4.profile import PX4
 from sitl.sensors.autopilot_sensors import Pace
 from sitl.vehicle.battery import Battery
-from sitl.vehicle.quadrotor import QuadrotorParameters, QuadrotorState
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import QuadrotorParameters, QuadrotorState, RotorValues
 
 RefusedRequest = Literal["arm", "take_off", "offboard", "land", "disarm", "auto_disarm"]
 _CEILING, _CIRCLE = 1, 2  # bits of an autopilot's own fences

@@ -15,8 +15,7 @@ from math import inf, nan
 from companion.base.geometry import Vector3, quat_from_euler, rotate_yaw, wrap_angle
 from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
 from sitl.autopilot.flight.modes import Mode, StickMode, Task, VehicleStatus
-from sitl.autopilot.flight.parameters import Parameters
-from sitl.autopilot.flight.profile import AutopilotProfile
+from sitl.autopilot.flight.profile import AutopilotProfile, Parameters
 
 CHANNELS = 18
 _MIDDLE_US, _SPAN_US = 1500, 500

@@ -21,8 +21,7 @@ from sitl.autopilot.flight.mission_items import (
 )
 from sitl.autopilot.flight.modes import Severity, Task
 from sitl.autopilot.flight.navigator import Navigator
-from sitl.autopilot.flight.parameters import Parameters
-from sitl.autopilot.flight.profile import ParameterMap
+from sitl.autopilot.flight.profile import ParameterMap, Parameters
 
 _MOST_ITEMS_A_STEP = 100
 _FROM_THE_GROUND = (MissionCommand.TAKEOFF, MissionCommand.LAND, MissionCommand.RETURN_TO_LAUNCH)

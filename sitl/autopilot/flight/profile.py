@@ -2,11 +2,18 @@
 
 `px4.profile.PX4` and `ardupilot.profile.ARDUPILOT` are its instances. Other code reads the fields and never
 checks which autopilot it is.
+
+The simulated autopilot's parameter table: what a ground station lists, reads and sets.
+
+Small: the flight code reads the ones that act in flight, the others describe the vehicle. Values keep
+the unit that the real autopilot gives them (ArduPilot: cm/s, cm); `ParameterRef` carries the factor to SI.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple, Protocol
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Quaternion, Vector3
@@ -19,7 +26,6 @@ from sitl.autopilot.control.setpoints import (
     StreamedAttitude,
     StreamedMotion,
 )
-from sitl.autopilot.flight.landing_target import PrecisionLanding
 from sitl.autopilot.flight.mission_items import MissionRules
 from sitl.autopilot.flight.modes import (
     ArmingCheck,
@@ -32,7 +38,176 @@ from sitl.autopilot.flight.modes import (
     Task,
     VehicleStatus,
 )
-from sitl.autopilot.flight.parameters import Parameter, ParameterRef, Parameters
+
+
+class LandingTargetFrame(IntEnum):
+    """MAV_FRAME of a target's position, of the supported ones."""
+
+    LOCAL_NED = 1
+    BODY_FRD = 12
+
+
+@dataclass(frozen=True, slots=True)
+class LandingTarget:
+    """One LANDING_TARGET: a position in `frame` (a MAV_FRAME), or None and the angles off the camera's axis.
+
+    `angles_rad`: to the right, and backwards (angle_y = -forward); `distance_m` 0: unknown.
+    """
+
+    frame: int
+    position_m: Vector3 | None
+    angles_rad: tuple[float, float]
+    distance_m: float
+
+
+class VehicleEstimate(NamedTuple):
+    """The autopilot's estimate of the vehicle at one outer step; height over home (m)."""
+
+    now_s: float
+    position_ned_m: Vector3
+    velocity_ned_m_s: Vector3
+    attitude: Quaternion
+    height_m: float
+    landing_speed_m_s: float
+
+
+class PrecisionLanding(Protocol):
+    """An autopilot's own precision landing."""
+
+    texts: list[tuple[Severity, str]]
+
+    def update_target(self, target: LandingTarget) -> None:
+        """Take a LANDING_TARGET message."""
+        ...
+
+    def watch(self, estimate: VehicleEstimate, dt_s: float) -> None:
+        """Update the target's estimate at each outer step, landing or not."""
+        ...
+
+    def begin(self, *, required: bool) -> None:
+        """Start a landing; `required`: without a target it searches instead of landing at once."""
+        ...
+
+    def fly(self, estimate: VehicleEstimate, dt_s: float) -> MotionSetpoint | None:
+        """The setpoint; None: land as without a target."""
+        ...
+
+
+class AxisFilter:
+    """Position and velocity of the target relative to the vehicle along one axis."""
+
+    def __init__(self, position_m: float, velocity_m_s: float, position_var: float, velocity_var: float):
+        self.position_m = position_m
+        self.velocity_m_s = velocity_m_s
+        self._pp, self._pv, self._vv = position_var, 0.0, velocity_var
+
+    def predict(self, dt_s: float, own_change_m_s: float, velocity_var: float) -> None:
+        """Predict by dt; the vehicle's velocity changes by the given amount, the target's by noise."""
+        self.position_m += (self.velocity_m_s - 0.5 * own_change_m_s) * dt_s
+        self.velocity_m_s -= own_change_m_s
+        self._pp += dt_s * (2.0 * self._pv + dt_s * self._vv)
+        self._pv += dt_s * self._vv
+        self._vv += velocity_var
+
+    def surprise(self, position_m: float, variance: float) -> float:
+        """Normalised innovation squared of a measurement."""
+        return (position_m - self.position_m) ** 2 / (self._pp + variance)
+
+    def fuse(self, position_m: float, variance: float) -> None:
+        """Fuse a measured position."""
+        innovation, total = position_m - self.position_m, self._pp + variance
+        gain_p, gain_v = self._pp / total, self._pv / total
+        self.position_m += gain_p * innovation
+        self.velocity_m_s += gain_v * innovation
+        self._vv -= gain_v * self._pv
+        self._pv -= gain_v * self._pp
+        self._pp -= gain_p * self._pp
+
+
+def direction_from_angles(angles_rad: tuple[float, float]) -> Vector3 | None:
+    """Unit vector (FRD) to a target seen by a downward camera; None when it is not below."""
+    right, backwards = angles_rad
+    if not (abs(right) < 1.5 and abs(backwards) < 1.5):
+        return None
+    x, y = -math.tan(backwards), math.tan(right)
+    length = math.sqrt(x * x + y * y + 1.0)
+    return (x / length, y / length, 1.0 / length)
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One entry: its name (at most 16 characters), default, bounds, whether it is an integer, its bits."""
+
+    name: str
+    default: float
+    minimum: float
+    maximum: float
+    integer: bool = False
+    bits: int = 32
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRef:
+    """A parameter as the flight code reads it: value times `scale` is in SI units."""
+
+    name: str
+    scale: float = 1.0
+
+
+class Parameters:
+    """Current values of a fixed set of parameters, in the order they are listed."""
+
+    def __init__(self, table: Iterable[Parameter]) -> None:
+        self._table = {parameter.name: parameter for parameter in table}
+        self._names = tuple(self._table)
+        self._indices = {name: index for index, name in enumerate(self._names)}
+        self._values: dict[str, float] = {}
+        self.reset()
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._table
+
+    def __getitem__(self, name: str) -> float:
+        return self._values[name]
+
+    def name_at(self, index: int) -> str | None:
+        """Name of the index-th parameter, None past either end."""
+        return self._names[index] if 0 <= index < len(self._names) else None
+
+    def index_of(self, name: str) -> int:
+        """Place of a known name in the list."""
+        return self._indices[name]
+
+    def is_integer(self, name: str) -> bool:
+        """Whether a known parameter holds an integer."""
+        return self._table[name].integer
+
+    def bits(self, name: str) -> int:
+        """Size of a known parameter's number."""
+        return self._table[name].bits
+
+    def reset(self) -> None:
+        """All defaults again."""
+        self._values = {parameter.name: float(parameter.default) for parameter in self._table.values()}
+
+    def si(self, setting: ParameterRef) -> float:
+        """Value in SI units."""
+        return self._values[setting.name] * setting.scale
+
+    def set(self, name: str, value: float) -> bool:
+        """Store a value, rounded for an integer; False (and nothing stored) when unknown or out of bounds."""
+        parameter = self._table.get(name)
+        if parameter is None or not parameter.minimum <= value <= parameter.maximum:
+            return False
+        self._values[name] = float(round(value)) if parameter.integer else value
+        return True
+
 
 AnySetpoint = MotionSetpoint | AttitudeSetpoint
 

@@ -10,9 +10,8 @@ from math import inf, nan
 
 from companion.base.geometry import Vector3
 from sitl.autopilot.control.setpoints import MotionSetpoint
-from sitl.autopilot.flight.landing_target import LandingTarget, LandingTargetFrame, VehicleEstimate
 from sitl.autopilot.flight.modes import Severity
-from sitl.autopilot.flight.parameters import Parameters
+from sitl.autopilot.flight.profile import LandingTarget, LandingTargetFrame, Parameters, VehicleEstimate
 
 _ABOVE_FOR_S = 2.0
 _FRESH_NEAR_GROUND_S = 0.5

@@ -16,12 +16,11 @@ from companion.pad import DICTIONARIES, load_pad
 from sitl.autopilot.flight.modes import CommandResult
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
-from sitl.camera.frame_line import FrameLine
 from sitl.devices.ports import MemoryPort
 from sitl.devices.rack import SensorRack
 from sitl.faults import faults
 from sitl.faults.faults import AutopilotReboots, DiskFull, FrameBlack
-from sitl.faults.faulty_link import LinkChannel, LinkSettings
+from sitl.faults.lines import FrameLine, LinkChannel, LinkSettings
 from sitl.faults.schedule import FaultSchedule, Moments, StatusTextMonitor
 from sitl.faults.targets import FaultTargets
 from sitl.mavlink.telemetry import battery_status, local_position, sys_status

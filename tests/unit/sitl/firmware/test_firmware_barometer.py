@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sitl.firmware.base import NOISE_M, PERIOD_S, WANDER_M, Barometer, pressure_hpa
+from sitl.firmware.process import NOISE_M, PERIOD_S, WANDER_M, Barometer, pressure_hpa
 
 
 @pytest.mark.parametrize(

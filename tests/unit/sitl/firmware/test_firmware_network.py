@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sitl.firmware.base import Moment
+from companion.link.codec import mavlink
+from sitl.firmware.process import Moment
 from sitl.firmware.vehicle import FirmwareNetwork
-from sitl.mavlink.framing import dialect as mavlink
 from sitl.mavlink.ground_station import GroundStation
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import RotorValues
 from tests.unit.sitl.external.external_vehicle import ARDUPILOT, PX4, MessageSender, heartbeat
 from tests.unit.sitl.firmware.fake_firmware import HOME, messages
 

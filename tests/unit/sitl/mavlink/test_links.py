@@ -7,18 +7,17 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.clock import Clock
 from companion.base.geometry import Vector3, ned_from_geodetic
 from companion.config import ConfigError
-from sitl.mavlink.framing import dialect
+from companion.link.codec import mavlink
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.links import MOST_CLIENTS, UDP_SILENCE_S, UNREAD_BYTES, TcpServer, UdpServer, in_datagrams
 from sitl.mavlink.network import Port
 from sitl.scenario.scenario import BeaconSettings
 
-HELLO = bytes(dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3).pack(dialect.MAVLink(None, srcSystem=255)))
+HELLO = bytes(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3).pack(mavlink.MAVLink(None, srcSystem=255)))
 
 
 class Host:

@@ -11,16 +11,16 @@ import pytest
 from benchmarks.mavlink.fuzzing import Fuzz
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import ZERO3
+from companion.link.codec import mavlink
 from companion.link.signing import LinkSigning, SigningKey
 from sitl.autopilot.flight.modes import CommandResult
-from sitl.mavlink.framing import FrameReader, Signing, dialect
+from sitl.mavlink.framing import FrameReader, Signing
 from sitl.mavlink.ground_station import Companion, Forger, GroundStation
 from sitl.mavlink.network import Network
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.quadrotor import resting_state
 from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
 
-mavlink: Any = dialect
 UNIX_S = 1.8e9
 BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 

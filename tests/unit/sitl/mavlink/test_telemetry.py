@@ -16,8 +16,7 @@ from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.external import pose as external_pose
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.mavlink.sensor_telemetry import HIL_STATE, SIM_STATE, TruthMessages
-from sitl.scenario.home import USUAL_HOMES
-from sitl.scenario.scenario import Scenario
+from sitl.scenario.scenario import USUAL_HOMES, Scenario
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.sensors.inertial import NO_IMU_ERRORS
 from sitl.sensors.sensors import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import ZERO3, wrap_angle
-from sitl.pad.incidents import IncidentMotion
-from sitl.pad.motion import PadMotion, PadMotionSettings, PadTruth, build_pad_motion
+from sitl.pad.motion import IncidentMotion, PadMotion, PadMotionSettings, PadTruth, build_pad_motion
 from sitl.pad.paths import (
     CircleMotion,
     FigureEightMotion,

@@ -17,7 +17,7 @@ from companion.config import validate
 from sitl.devices.mpu9250 import Ak8963Device, Mpu9250Device
 from sitl.devices.ports import MemoryPort
 from sitl.run.in_process import MemoryFrames
-from sitl.run.report import SimulationReport
+from sitl.run.process_control import SimulationReport
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.sensors.inertial import ImuErrors, ImuSensor

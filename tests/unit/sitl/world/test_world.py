@@ -23,8 +23,7 @@ from companion.config import Box, ConfigError, Cylinder, Shape, validate
 from companion.pad import load_pad
 from sitl.pad.motion import PadTruth
 from sitl.scenario.scenario import PassBounds, Scenario, load_airframe, load_scenario
-from sitl.vehicle.quadrotor import QuadrotorState, resting_state
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import QuadrotorState, RotorValues, resting_state
 from sitl.world.ground import Obstacles, PadBoard, distance_m, reach_m, rotor_ratios, thrust_ratio
 from sitl.world.score import judge
 from sitl.world.wind import shear

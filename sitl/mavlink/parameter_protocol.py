@@ -11,8 +11,7 @@ import zlib
 from collections.abc import Callable
 from typing import Any, Final
 
-from pymavlink.dialects.v20 import common as mavlink
-
+from companion.link.codec import mavlink
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.autopilot.flight.modes import Severity
 

@@ -13,12 +13,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
-from pymavlink.dialects.v20 import common as mavlink
-
 from companion.base.geometry import Vector3
-from sitl.autopilot.flight.fence import FENCE_COMMANDS, Fence
+from companion.link.codec import mavlink
 from sitl.autopilot.flight.mission_items import (
+    FENCE_COMMANDS,
     PLACES,
+    Fence,
     ItemFrame,
     MissionItem,
     MissionResult,
