@@ -22,6 +22,7 @@ from sitl.mavlink.commands import FORCE_MAGIC, HANDLERS, LINK_HANDLERS
 from sitl.mavlink.framing import FrameReader, Signing
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.network import VEHICLE, Network, Port
+from sitl.scenario.scenario import BeaconSettings
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
 
@@ -121,7 +122,9 @@ class Fuzz:
         sensors = SimulatedAutopilotSensors(
             np.random.default_rng(seed), TICK_S, home=HOME, field_ned_ut=(20.9, 0.6, 42.9), imu_filter=4
         )
-        ground_station = GroundStation(np.random.default_rng(seed), 1.0, HOME, signing=self.signing)
+        ground_station = GroundStation(
+            BeaconSettings(position_std_m=1.0), np.random.default_rng(seed), HOME, signing=self.signing
+        )
         self.network = Network(self.flight.autopilot, sensors, ground_station, self.signing, 1.7e9)
         self.udp, self.tcp, self.quiet = (self._client(n, key) for n in (1, 2, 3))
         self.udp.port = self.network.connect(self.udp.write, datagrams=True)

@@ -33,12 +33,18 @@ from sitl.faults.lines import FrameLine
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.sensor_telemetry import distance_sensor
 from sitl.run.mavlink_line import ByteLink
-from sitl.run.process_control import SimulationReport, final_phase, print_json, run_until_finished
+from sitl.run.process_control import (
+    REPORT_NAME,
+    SENSOR_BAUD,
+    SimulationReport,
+    final_phase,
+    print_json,
+    run_until_finished,
+)
 from sitl.run.scene_camera import SceneCamera
-from sitl.run.sensor_setup import sensor_errors
-from sitl.run.server import REPORT_NAME, SENSOR_BAUD
 from sitl.run.simulation import OUT_OF_RANGE_M, TRUTH_EVERY_TICKS
 from sitl.scenario.scenario import PassBounds, Scenario
+from sitl.sensors.inertial import sensor_errors
 from sitl.sensors.sensors import RangeErrors, RangeSensor
 from sitl.world.score import Verdict
 
@@ -232,7 +238,7 @@ class ExternalSimulation:
             self._tell("WARNING: the vehicle is armed already; the ground is taken to be at its home")
         self.world.begin(ground)
         self._origin_source = self.client.source
-        self._station = GroundStation.of(self._beacon, self._station_rng, ground)
+        self._station = GroundStation(self._beacon, self._station_rng, ground)
         self._tell(
             f"vehicle {self.client.system_id} found by {self.client.source}; ground at latitude "
             f"{ground[0]:.7f}, longitude {ground[1]:.7f}, altitude {ground[2]:.2f} m"

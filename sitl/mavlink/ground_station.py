@@ -41,31 +41,22 @@ class GroundStation:
 
     def __init__(
         self,
+        beacon: BeaconSettings,
         rng: np.random.Generator,
-        position_std_m: float,
         home: Vector3,
-        *,
-        velocity_std_m_s: float = 0.1,
-        delay_s: float = 0.5,
-        rate_hz: float | None = None,
-        available: bool = True,
         signing: Signing | None = None,
     ) -> None:
-        """`rate_hz` is the fix rate of the pad's GPS: an answer has the newest fix; None: a fix per answer.
-        Without a beacon (`available` False) the request is UNSUPPORTED. `position_std_m` is its
-        GPS's, `signing` what its frames are signed with."""
+        """`beacon`: the pad's GPS, without which (`available` False) the request is UNSUPPORTED; `signing`:
+        what its frames are signed with."""
         self.texts: list[tuple[float, int, str]] = []
         self.requests = 0
         self._rng = rng
-        self._std_m = position_std_m
+        self._beacon = beacon
         self._home = home
-        self._velocity_std_m_s = velocity_std_m_s
-        self._delay_s = delay_s
-        self._fix_period_s = 0.0 if rate_hz is None else 1.0 / rate_hz
+        self._fix_period_s = 0.0 if beacon.rate_hz is None else 1.0 / beacon.rate_hz
         self._fix_due_s = -math.inf
         self._fix: tuple[float, Vector3, Vector3] = (0.0, ZERO3, ZERO3)
-        self._available = available
-        north, east, down = (position_std_m * rng.standard_normal(3)).tolist()
+        north, east, down = (beacon.position_std_m * rng.standard_normal(3)).tolist()
         self._offset: Vector3 = (north, east, _VERTICAL_FACTOR * down)
         self._mav = mavlink.MAVLink(None, srcSystem=SYSTEM_ID, srcComponent=COMPONENT_ID)
         self._decoder = mavlink.MAVLink(None)
@@ -94,22 +85,6 @@ class GroundStation:
     def forge(self, rate_hz: float) -> None:
         """Somebody without the key, in the vehicle's name."""
         self.intruders["forged"] = Forger(1.0 / rate_hz)
-
-    @classmethod
-    def of(
-        cls, beacon: BeaconSettings, rng: np.random.Generator, home: Vector3, signing: Signing | None = None
-    ) -> GroundStation:
-        """With a scenario's beacon settings."""
-        return cls(
-            rng,
-            beacon.position_std_m,
-            home,
-            velocity_std_m_s=beacon.velocity_std_m_s,
-            delay_s=beacon.delay_s,
-            rate_hz=beacon.rate_hz,
-            available=beacon.available,
-            signing=signing,
-        )
 
     def receive(self, data: bytes, now_s: float) -> None:
         """Take bytes that have just arrived."""
@@ -155,14 +130,14 @@ class GroundStation:
 
     def _handle_command(self, message: Any, now_s: float) -> None:
         wanted = message.param1
-        known = self._available and (
+        known = self._beacon.available and (
             message.command == mavlink.MAV_CMD_REQUEST_MESSAGE
             and wanted == mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET
         )
         busy = len(self._answers_due_s) >= _MOST_ANSWERS
         if known and not busy:
             self.requests += 1
-            self._answers_due_s.append(now_s + self._delay_s)
+            self._answers_due_s.append(now_s + self._beacon.delay_s)
         result = mavlink.MAV_RESULT_ACCEPTED if known else mavlink.MAV_RESULT_UNSUPPORTED
         result = mavlink.MAV_RESULT_TEMPORARILY_REJECTED if known and busy else result
         self._acknowledgements.append(
@@ -177,9 +152,9 @@ class GroundStation:
             p + offset + _NOISE_STD_M * n
             for p, offset, n in zip(position, self._offset, noise[:3], strict=True)
         ]
-        speed = [v + self._velocity_std_m_s * n for v, n in zip(velocity, noise[3:], strict=True)]
+        speed = [v + self._beacon.velocity_std_m_s * n for v, n in zip(velocity, noise[3:], strict=True)]
         latitude, longitude, altitude = geodetic_from_ned((shown[0], shown[1], shown[2]), self._home)
-        eph = math.hypot(self._std_m, _NOISE_STD_M)
+        eph = math.hypot(self._beacon.position_std_m, _NOISE_STD_M)
         return mavlink.MAVLink_follow_target_message(
             max(0, round(fix_s * 1e3)), _POSITION_AND_VELOCITY, round(latitude * 1e7), round(longitude * 1e7),
             altitude, speed, [0.0] * 3, [1.0, 0.0, 0.0, 0.0], [0.0] * 3,

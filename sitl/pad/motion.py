@@ -20,8 +20,9 @@ stay those of the scenario's motion. NED, SI.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -230,14 +231,6 @@ def _clear_of_home(motion: PadMotion, until_s: float) -> bool:
 AT_ONCE_M_S2: Final = 1e5
 
 
-class Moving(Protocol):
-    """A pad's motion."""
-
-    def at(self, time_s: float) -> PadTruth:
-        """The pad at a time (s)."""
-        ...
-
-
 class Drive(NamedTuple):
     """Straight on from a place, the speed along the course going from one to another at a constant rate."""
 
@@ -294,7 +287,8 @@ class RollRamp(NamedTuple):
 class IncidentMotion:
     """A pad's motion with what happens to it. Times do not go back."""
 
-    def __init__(self, motion: Moving) -> None:
+    def __init__(self, motion: Callable[[float], PadTruth]) -> None:
+        """`motion`: the scenario's, the pad at a time (s)."""
         self._motion = motion
         self._drive: Drive | None = None
         self._tilt: RollRamp | None = None
@@ -305,7 +299,7 @@ class IncidentMotion:
         """The pad at a time (s); one that is gone stays where it was, as its beacon says."""
         if self._gone is not None:
             return self._gone._replace(time_s=time_s)
-        pad = self._motion.at(time_s)
+        pad = self._motion(time_s)
         if self._drive is not None:
             pad = self._drive.applied(pad)
         if self._tilt is not None:

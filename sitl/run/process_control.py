@@ -11,13 +11,16 @@ import threading
 from collections.abc import Coroutine, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from pydantic import TypeAdapter
 
 from companion.base.messages import ContactResult, Outcome, Phase, Truth
 from companion.base.signals import STOPPING
 from companion.config import ConfigError
+
+REPORT_NAME: Final = "report.json"
+SENSOR_BAUD: Final = 9600  # of the lines that an app in another process opens
 
 
 @dataclass(frozen=True, slots=True)

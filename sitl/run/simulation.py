@@ -17,12 +17,13 @@ import numpy as np
 from companion.base.clock import Clock
 from companion.base.geometry import ZERO3, Vector3
 from companion.base.messages import Frame, Phase, Truth
-from companion.config import ConfigError, VehicleConfig, find_file, load_model
+from companion.config import ConfigError, GpsConfig, VehicleConfig, find_file, load_model
 from sitl.autopilot.control.estimator import ESTIMATORS
 from sitl.autopilot.flight.autopilot import PROFILES, SimulatedAutopilot
 from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import DevicePort
+from sitl.devices.rack import SensorRack
 from sitl.faults.faults import Fault
 from sitl.faults.lines import FrameLine
 from sitl.faults.schedule import FaultSchedule, Moments, Schedule, StatusTextMonitor
@@ -37,10 +38,10 @@ from sitl.mavlink.sensor_telemetry import TruthMessages
 from sitl.run.mavlink_line import ByteLink, MavlinkLine, VehicleNetwork
 from sitl.run.process_control import SimulationReport, interrupted_at_once
 from sitl.run.scene_camera import CameraTruth, SceneCamera
-from sitl.run.sensor_setup import autopilot_sensors, sensor_rack
 from sitl.run.tick_timer import TickTimer
 from sitl.scenario.scenario import Scenario, magnetic_field_ned_ut
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
+from sitl.sensors.inertial import sensor_errors
 from sitl.sensors.sensors import BoardTruth, RangeErrors
 from sitl.vehicle import HandMotion
 from sitl.world.hand_held import HandHeldWorld
@@ -112,17 +113,15 @@ class Simulation:
         autopilot_rng, beacon_rng, noise_rng, latency_rng, sensors_rng, lens_rng = streams
         built, fault_rng = world.built, np.random.default_rng((seed, FAULT_STREAM))
         self._home = home = built.home(scenario.place)
-        place = (home, magnetic_field_ned_ut(home))
-        self._rack = sensor_rack(scenario.sensors, seed, PHYSICS_STEP_S, place, gps_port, range_port, built)
         imu_filter = PROFILES[scenario.autopilot].imu_filter if firmware is None else IMU_FILTER
-        sensors = autopilot_sensors(scenario.sensors, sensors_rng, PHYSICS_STEP_S, place, imu_filter, built)
+        self._rack, sensors = self._sensors(seed, sensors_rng, gps_port, range_port, imu_filter)
         self._autopilot_sensors = sensors
         rngs = (noise_rng, latency_rng, lens_rng)
         self._camera = SceneCamera(scenario, self._vehicle, world, *rngs, built=built, begin=Clock().begin)
         self.line = line = MavlinkLine(built.links(scenario.link), fault_rng, self._timer)
         self._frame_line = FrameLine(fault_rng, scenario.camera.lost_share, scenario.camera.lost_burst_frames)
         signing = Signing(scenario.autopilot, signing_key)
-        self._station = station = GroundStation.of(scenario.beacon, beacon_rng, home, signing)
+        self._station = station = GroundStation(scenario.beacon, beacon_rng, home, signing)
         self._flight_controller = self._autopilot(firmware, station, autopilot_rng)
         line.network = self._network(station, signing, unix_at_start_s, serve_truth=serve_truth)
         self.status_text_monitor = StatusTextMonitor()
@@ -233,6 +232,42 @@ class Simulation:
         )
 
     # ------------------------------------------------------------ building it
+
+    def _sensors(
+        self,
+        seed: int,
+        rng: np.random.Generator,
+        gps_port: DevicePort,
+        range_port: DevicePort,
+        imu_filter: int,
+    ) -> tuple[SensorRack, SimulatedAutopilotSensors]:
+        """The app's sensors and the autopilot's own; `imu_filter` is the low-pass of the latter's IMU."""
+        home, settings, built = self._home, self._scenario.sensors, self._world.built
+        field_ned_ut = magnetic_field_ned_ut(home)
+        errors = sensor_errors(settings, built.vibration)
+        rack = SensorRack(
+            seed,
+            PHYSICS_STEP_S,
+            home=home,
+            field_ned_ut=field_ned_ut,
+            gps_port=gps_port,
+            range_port=range_port,
+            gps_config=GpsConfig(latency_s=settings.gps_delay_s),
+            errors=errors,
+            imu_position_body_m=built.imu_offset_body_m,
+            wiring=settings,
+        )
+        own = SimulatedAutopilotSensors(
+            rng,
+            PHYSICS_STEP_S,
+            home=home,
+            field_ned_ut=field_ned_ut,
+            imu_filter=imu_filter,
+            imu_position_body_m=built.autopilot_imu_offset_body_m,
+            gps_latency_s=settings.gps_delay_s,
+            errors=errors,
+        )
+        return rack, own
 
     def _autopilot(
         self, firmware: FirmwareSpec | None, station: GroundStation, rng: np.random.Generator

@@ -117,7 +117,7 @@ class World:
                 pad.heading,
                 np.random.default_rng((seed, _Stream.PAD)),
                 pad.deck,
-            )
+            ).at
         )
         self.pad_state = self.pad_motion.at(0.0)
         self._state = self._at_home(scenario, np.random.default_rng((seed, _Stream.START)))

@@ -10,6 +10,7 @@ from companion.link.codec import mavlink
 from sitl.firmware.process import Moment
 from sitl.firmware.vehicle import FirmwareNetwork
 from sitl.mavlink.ground_station import GroundStation
+from sitl.scenario.scenario import BeaconSettings
 from sitl.vehicle.quadrotor import RotorValues
 from tests.unit.sitl.external.external_vehicle import ARDUPILOT, PX4, MessageSender, heartbeat
 from tests.unit.sitl.firmware.fake_firmware import HOME, messages
@@ -43,7 +44,9 @@ class FirmwareClients:
 
     def __init__(self, clients: int = 1, *, datagrams: bool = True) -> None:
         self.firmware = RecordedFirmware()
-        self.ground_station = GroundStation(np.random.default_rng(0), 0.0, HOME)
+        self.ground_station = GroundStation(
+            BeaconSettings(position_std_m=0.0), np.random.default_rng(0), HOME
+        )
         self.network = FirmwareNetwork(self.firmware, self.ground_station)
         self.heard: list[list[bytes]] = [[] for _ in range(clients)]
         self.ports = [self.network.connect(heard.extend, datagrams=datagrams) for heard in self.heard]

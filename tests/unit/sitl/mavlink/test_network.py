@@ -17,6 +17,7 @@ from sitl.autopilot.flight.modes import CommandResult
 from sitl.mavlink.framing import FrameReader, Signing
 from sitl.mavlink.ground_station import Companion, Forger, GroundStation
 from sitl.mavlink.network import Network
+from sitl.scenario.scenario import BeaconSettings
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.quadrotor import resting_state
 from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
@@ -56,7 +57,9 @@ class NetworkedVehicle:
             np.random.default_rng(0), 0.01, home=HOME, field_ned_ut=(20.9, 0.6, 42.9), imu_filter=2
         )
         signing = Signing(autopilot_kind)
-        self.ground = GroundStation(np.random.default_rng(0), 1.0, HOME, signing=signing)
+        self.ground = GroundStation(
+            BeaconSettings(position_std_m=1.0), np.random.default_rng(0), HOME, signing=signing
+        )
         self.network = Network(self.flight.autopilot, self.sensors, self.ground, signing, UNIX_S)
         self.flight.run(6.0)
 

@@ -18,7 +18,7 @@ from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.mavlink.sensor_telemetry import HIL_STATE, SIM_STATE, TruthMessages
 from sitl.scenario.scenario import USUAL_HOMES, Scenario
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
-from sitl.sensors.inertial import NO_IMU_ERRORS
+from sitl.sensors.inertial import NO_IMU_ERRORS, SensorErrors
 from sitl.sensors.sensors import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS
 from sitl.vehicle.quadrotor import QuadrotorState, resting_state
 from sitl.world.world import World
@@ -35,12 +35,7 @@ class StandingVehicle:
 
     def __init__(self, autopilot_kind: AutopilotKind, seed: int = 1, flawless: bool = True) -> None:
         self.autopilot: SimulatedAutopilot = AutopilotFlight(autopilot_kind).autopilot
-        errors: dict[str, Any] = {
-            "imu_errors": NO_IMU_ERRORS,
-            "mag_errors": NO_MAG_ERRORS,
-            "gps_errors": NO_GPS_ERRORS,
-            "range_errors": NO_RANGE_ERRORS,
-        }
+        flaws = SensorErrors(NO_IMU_ERRORS, NO_MAG_ERRORS, NO_GPS_ERRORS, NO_RANGE_ERRORS)
         self.sensors = SimulatedAutopilotSensors(
             np.random.default_rng(seed),
             DT_S,
@@ -48,7 +43,7 @@ class StandingVehicle:
             field_ned_ut=FIELD_UT,
             imu_filter=self.autopilot.profile.imu_filter,
             antenna_body_m=(0.0, 0.0, 0.0),
-            **(errors if flawless else {}),
+            errors=flaws if flawless else None,
         )
         self.endpoint = MavlinkEndpoint(self.autopilot, self.sensors)
         self.flight = AutopilotFlight(autopilot_kind)

@@ -16,8 +16,8 @@ from companion.pad import Marker, Pad, load_pad
 from companion.sense.imu.mpu9250 import Mpu9250
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
-from sitl.devices.rack import SensorErrors, SensorRack
-from sitl.sensors.inertial import ImuErrors
+from sitl.devices.rack import SensorRack
+from sitl.sensors.inertial import ImuErrors, SensorErrors
 from sitl.sensors.sensors import NO_GPS_ERRORS, NO_RANGE_ERRORS, MagErrors
 from sitl.vehicle.quadrotor import QuadrotorState
 
