@@ -9,7 +9,7 @@ import contextlib
 import sys
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -192,7 +192,7 @@ class ExternalSimulation:
         return SimulationReport(
             outcome=verdict.outcome,
             failures=verdict.failures,
-            touchdown=None if verdict.touchdown is None else asdict(verdict.touchdown),
+            touchdown=verdict.touchdown,
             pad_speed_m_s=pad_speed,
             duration_s=0.0 if self._first_s is None else now_s - self._first_s,
             latest_tick_s=self._latest_tick_s,
@@ -333,7 +333,7 @@ def print_verdict(verdict: Verdict, bounds: PassBounds) -> None:
         table.add_column(heading)
     if verdict.touchdown is not None:
         limits = bounds.model_dump()
-        for name, value in asdict(verdict.touchdown).items():
+        for name, value in verdict.touchdown.items():
             table.add_row(name, f"{value:.3f}", f"<= {limits[name]:g}" if name in limits else "")
     Console(stderr=True).print(table)
 

@@ -13,8 +13,8 @@ from companion.config import ConfigError
 from companion.link.codec import mavlink
 from sitl.firmware import FirmwareError
 from sitl.firmware.ardupilot import ArduPilot
-from sitl.firmware.process import Barometer, Firmware, Moment, Setup
-from sitl.firmware.px4 import Px4
+from sitl.firmware.process import Firmware, Moment, Setup
+from sitl.firmware.px4 import Barometer, Px4
 from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.framing import FrameReader, MavFrame
 from sitl.mavlink.ground_station import GroundStation

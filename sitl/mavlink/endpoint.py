@@ -25,7 +25,7 @@ from sitl.autopilot.control.setpoints import StreamedAttitude, StreamedMotion
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.autopilot.flight.modes import Severity
 from sitl.mavlink.commands import PILOT_INPUTS, execute, request_from_message
-from sitl.mavlink.framing import FrameReader, MavFrame, Signing, number
+from sitl.mavlink.framing import FrameReader, MavFrame, Signing, number, packed
 from sitl.mavlink.mission_protocol import MissionProtocol
 from sitl.mavlink.parameter_protocol import ANSWERS, ParameterProtocol
 from sitl.mavlink.sensor_telemetry import SensorMessages, TruthMessages
@@ -266,14 +266,9 @@ class MavlinkEndpoint:
             return []
         self.signing.advance(self._unix_at_start_s + now_s)
         self.signing.prepare(self._mav, self._link_id)
-        data = [self._pack(message) for message in self._outgoing]
+        data = [packed(self._mav, message) for message in self._outgoing]
         self._outgoing.clear()
         return data
-
-    def _pack(self, message: Message) -> bytes:
-        packed = bytes(message.pack(self._mav))
-        self._mav.seq = (self._mav.seq + 1) % 256
-        return packed
 
     def _is_addressed(self, frame: MavFrame) -> bool:
         system, component = frame.target

@@ -121,6 +121,13 @@ _FIELD: Final = re.compile(r"\d*[a-zA-Z]")
 _TARGET_AT: Final = _target_offsets()
 
 
+def packed(mav: Any, message: Any) -> bytes:
+    """A message's frame by a packer of pymavlink's, whose sequence number goes on."""
+    data = bytes(message.pack(mav))
+    mav.seq = (mav.seq + 1) % 256
+    return data
+
+
 def number(value: float) -> float:
     """A float of a message; NaN, which says "not given", when it is infinite or beyond all that flies."""
     return value if -_BEYOND < value < _BEYOND else math.nan

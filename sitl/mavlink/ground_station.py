@@ -1,4 +1,4 @@
-"""A ground station at the pad, sans I/O: it receives the companion's texts and sends the pad's position.
+"""A ground station at the pad, sans I/O: it sends the pad's position.
 
 MAVLink system 255, component 190. On a request for FOLLOW_TARGET (MAV_CMD_REQUEST_MESSAGE) it sends the
 position of the pad's own GPS half a second later: a receiver of the NEO-6M's class (2.5 m CEP), which is off
@@ -8,13 +8,14 @@ by a constant and a little noise. `position_cov` holds standard deviations (eph,
 from __future__ import annotations
 
 import math
-from typing import Any, Final, Protocol
+from abc import ABC, abstractmethod
+from typing import Any, Final
 
 import numpy as np
 
 from companion.base.geometry import ZERO3, Vector3, geodetic_from_ned
 from companion.link.codec import mavlink
-from sitl.mavlink.framing import FrameReader, MavFrame, Signing
+from sitl.mavlink.framing import FrameReader, MavFrame, Signing, packed
 from sitl.scenario.scenario import BeaconSettings
 
 # ---------------------------------------------------------------- intruders
@@ -23,21 +24,17 @@ from sitl.scenario.scenario import BeaconSettings
 
 SYSTEM_ID: Final = 255
 COMPONENT_ID: Final = 190
-COMPANION_COMPONENT: Final = 191
 
 _HEARTBEAT_S: Final = 1.0
 _NOISE_STD_M: Final = 0.2
 _VERTICAL_FACTOR: Final = 1.5
 _POSITION_AND_VELOCITY: Final = 0b11
 _LINK_ID: Final = 255  # of its signatures; differs from the vehicle's links
-_MOST_TEXTS: Final = 1000
-_MOST_CHUNKS: Final = 16
-_MOST_UNFINISHED: Final = 16  # incomplete texts; the oldest is dropped
 _MOST_ANSWERS: Final = 32  # pending
 
 
 class GroundStation:
-    """One ground station on the vehicle's link; `texts` holds (time s, severity, text) from the companion."""
+    """One ground station on the vehicle's link."""
 
     def __init__(
         self,
@@ -48,7 +45,6 @@ class GroundStation:
     ) -> None:
         """`beacon`: the pad's GPS, without which (`available` False) the request is UNSUPPORTED; `signing`:
         what its frames are signed with."""
-        self.texts: list[tuple[float, int, str]] = []
         self.requests = 0
         self._rng = rng
         self._beacon = beacon
@@ -65,7 +61,6 @@ class GroundStation:
         self._acknowledgements: list[Any] = []
         self._answers_due_s: list[float] = []
         self._heartbeat_due_s = -math.inf
-        self._chunks: dict[tuple[int, int], list[str]] = {}
         self._follow_due_s = -math.inf
         self.clear_faults()
 
@@ -93,9 +88,7 @@ class GroundStation:
 
     def handle(self, frame: MavFrame, now_s: float) -> None:
         """Handle a frame that has just arrived and passed signing."""
-        if frame.message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT and frame.component == COMPANION_COMPONENT:
-            self._handle_text(self._decoder.decode(bytearray(frame.data)), now_s)
-        elif frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and _is_addressed(frame.target):
+        if frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and _is_addressed(frame.target):
             self._handle_command(self._decoder.decode(bytearray(frame.data)), now_s)
 
     def transmit(self, now_s: float, pad_position_ned_m: Vector3, pad_velocity_ned_m_s: Vector3) -> bytes:
@@ -124,9 +117,7 @@ class GroundStation:
     def _pack(self, message: Any) -> bytes:
         if self._signing is not None:
             self._signing.prepare(self._mav, _LINK_ID)
-        packed = bytes(message.pack(self._mav))
-        self._mav.seq = (self._mav.seq + 1) % 256
-        return packed
+        return packed(self._mav, message)
 
     def _handle_command(self, message: Any, now_s: float) -> None:
         wanted = message.param1
@@ -161,23 +152,6 @@ class GroundStation:
             [eph, eph, _VERTICAL_FACTOR * eph], 0,
         )  # fmt: skip
 
-    def _handle_text(self, message: Any, now_s: float) -> None:
-        text = message.text if isinstance(message.text, str) else message.text.decode("ascii", "replace")
-        # "id" of a message object is its own field here, not the message's number
-        text_id = getattr(message, "id", 0)
-        if text_id:
-            key = (message.get_srcSystem(), text_id)
-            if key not in self._chunks and len(self._chunks) >= _MOST_UNFINISHED:
-                del self._chunks[next(iter(self._chunks))]
-            self._chunks.setdefault(key, []).append(text)
-            if len(text) == 50 and len(self._chunks[key]) < _MOST_CHUNKS:
-                return
-            text = "".join(self._chunks.pop(key))
-        # more than a flight has; a sender of more must not fill the memory
-        if len(self.texts) >= _MOST_TEXTS:
-            del self.texts[0]
-        self.texts.append((now_s, message.severity, text))
-
 
 def _is_addressed(target: tuple[int, int]) -> bool:
     system, component = target
@@ -190,55 +164,44 @@ _LATEST_STAMP: Final = (1 << 48) - 256  # the packer counts on from it
 _VELOCITY_ALONE: Final = 0b0000_1101_1100_0111  # of a setpoint's mask: what is ignored
 
 
-class Intruder(Protocol):
-    """Somebody on the link."""
-
-    def due(self, now_s: float) -> bytes:
-        """A frame, when one is due."""
-        ...
-
-
-class Companion:
-    """Tells the vehicle to stand still, in its own name, as often as a companion does."""
+class Intruder(ABC):
+    """Somebody on the link, who sends a frame a period (s)."""
 
     def __init__(self, component_id: int, period_s: float) -> None:
         self._mav = mavlink.MAVLink(None, srcSystem=_VEHICLE[0], srcComponent=component_id)
         self._period_s, self._due_s = period_s, -math.inf
 
     def due(self, now_s: float) -> bytes:
-        """See `Intruder`."""
+        """A frame, when one is due."""
         if now_s < self._due_s:
             return b""
         self._due_s = now_s + self._period_s
-        message = mavlink.MAVLink_set_position_target_local_ned_message(
+        return packed(self._mav, self._message(now_s))
+
+    @abstractmethod
+    def _message(self, now_s: float) -> Any:
+        """What it sends now."""
+
+
+class Companion(Intruder):
+    """Tells the vehicle to stand still, in its own name, as often as a companion does."""
+
+    def _message(self, now_s: float) -> Any:
+        return mavlink.MAVLink_set_position_target_local_ned_message(
             max(0, round(now_s * 1e3)), *_VEHICLE, mavlink.MAV_FRAME_LOCAL_NED, _VELOCITY_ALONE,
             0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
         )  # fmt: skip
-        return _packed(self._mav, message)
 
 
-class Forger:
+class Forger(Intruder):
     """Sends heartbeats as the vehicle's, signed with another key, from the end of time."""
 
     def __init__(self, period_s: float) -> None:
-        self._mav = mavlink.MAVLink(None, srcSystem=_VEHICLE[0], srcComponent=_VEHICLE[1])
+        super().__init__(_VEHICLE[1], period_s)
         self._mav.signing.secret_key, self._mav.signing.sign_outgoing = _WRONG_KEY, True
-        self._mav.signing.timestamp = _LATEST_STAMP
-        self._period_s, self._due_s = period_s, -math.inf
 
-    def due(self, now_s: float) -> bytes:
-        """See `Intruder`."""
-        if now_s < self._due_s:
-            return b""
-        self._due_s = now_s + self._period_s
-        message = mavlink.MAVLink_heartbeat_message(
+    def _message(self, now_s: float) -> Any:
+        self._mav.signing.timestamp = _LATEST_STAMP
+        return mavlink.MAVLink_heartbeat_message(
             mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, 0, 0, mavlink.MAV_STATE_STANDBY, 3
         )
-        self._mav.signing.timestamp = _LATEST_STAMP
-        return _packed(self._mav, message)
-
-
-def _packed(mav: Any, message: Any) -> bytes:
-    packed = bytes(message.pack(mav))
-    mav.seq = (mav.seq + 1) % 256
-    return packed

@@ -100,7 +100,7 @@ class SensorMessages:
         self._field_sent_s = mag.time_s
         return mavlink.MAVLink_highres_imu_message(
             self._boot_us(imu.time_s), *imu.specific_force_m_s2, *imu.rate_rad_s, *scale(mag.field_ut, 0.01),
-            self._pressure_hpa(), 0.0, self._altitude_m(), _TEMPERATURE_C, bits,
+            pressure_hpa(self._altitude_m()), 0.0, self._altitude_m(), _TEMPERATURE_C, bits,
         )  # fmt: skip
 
     def _raw_imu(self, now_s: float) -> Message | None:
@@ -146,17 +146,14 @@ class SensorMessages:
 
     def _scaled_pressure(self, now_s: float) -> Message:
         return mavlink.MAVLink_scaled_pressure_message(
-            milliseconds(self._autopilot, now_s), self._pressure_hpa(), 0.0, round(100.0 * _TEMPERATURE_C)
+            milliseconds(self._autopilot, now_s),
+            pressure_hpa(self._altitude_m()),
+            0.0,
+            round(100.0 * _TEMPERATURE_C),
         )
 
     def _altitude_m(self) -> float:
         return self._autopilot.geodetic(self._autopilot.estimate.position_ned_m)[2]
-
-    def _pressure_hpa(self) -> float:
-        """Of the standard atmosphere at the autopilot's altitude estimate."""
-        return float(
-            _SEA_LEVEL_HPA * (1.0 - _PRESSURE_LAPSE_PER_M * self._altitude_m()) ** _PRESSURE_EXPONENT
-        )
 
     def _servo_outputs(self, now_s: float) -> Message:
         off_us, span_us = _PULSE_US
@@ -203,6 +200,11 @@ class SensorMessages:
     def _boot_us(self, time_s: float) -> int:
         booted_s = self._autopilot.booted_s
         return 0 if booted_s is None else max(0, round((time_s - booted_s) * 1e6))
+
+
+def pressure_hpa(altitude_m: float) -> float:
+    """Pressure (hPa) of the standard atmosphere at an altitude (m AMSL)."""
+    return float(_SEA_LEVEL_HPA * (1.0 - _PRESSURE_LAPSE_PER_M * altitude_m) ** _PRESSURE_EXPONENT)
 
 
 def distance_sensor(boot_ms: int, distance_m: float | None, bounds: RangeErrors) -> Message:

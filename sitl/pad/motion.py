@@ -4,12 +4,6 @@ NED, SI; headings clockwise from north. A path starts anywhere; it is then shift
 meeting point at a meeting time, where the mission looks for it, give or take a seeded spread. What is
 "random" is drawn from the generator handed in, so a seed gives one motion.
 
-Sea motion of a deck, in addition to its path: heave, roll and pitch, each a sum of waves.
-
-SI; roll and pitch are the deck's own (aerospace angles after its heading), about the pad's centre. The waves
-of each share a Pierson-Moskowitz spectrum's energy equally. "Significant" is the mean of the highest third of
-the swings from one side to the other, 4 standard deviations, as with the height of waves.
-
 What happens to a pad on its way: it brakes, turns back, leaves, tilts, or is gone.
 
 `IncidentMotion` follows the scenario's motion until something happens; from then on it drives straight

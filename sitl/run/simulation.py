@@ -9,7 +9,7 @@ Simulation time starts at 0; stamps that leave it (frames, truth) are loop time.
 import asyncio
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -30,12 +30,12 @@ from sitl.faults.schedule import FaultSchedule, Moments, Schedule, StatusTextMon
 from sitl.faults.targets import ComputerFaults, FaultTargets
 from sitl.firmware import FirmwareError
 from sitl.firmware.spec import FirmwareSpec
-from sitl.firmware.vehicle import IMU_FILTER, FirmwareVehicle
+from sitl.firmware.vehicle import IMU_FILTER, FirmwareNetwork, FirmwareVehicle
 from sitl.mavlink.framing import Signing
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.network import Network
 from sitl.mavlink.sensor_telemetry import TruthMessages
-from sitl.run.mavlink_line import ByteLink, MavlinkLine, VehicleNetwork
+from sitl.run.mavlink_line import ByteLink, MavlinkLine
 from sitl.run.process_control import SimulationReport, interrupted_at_once
 from sitl.run.scene_camera import CameraTruth, SceneCamera
 from sitl.run.tick_timer import TickTimer
@@ -220,7 +220,7 @@ class Simulation:
         return SimulationReport(
             outcome=verdict.outcome,
             failures=verdict.failures,
-            touchdown=None if verdict.touchdown is None else asdict(verdict.touchdown),
+            touchdown=verdict.touchdown,
             pad_speed_m_s=pad_speed,
             duration_s=world.time_s,
             latest_tick_s=self._timer.latest_s,
@@ -299,7 +299,7 @@ class Simulation:
 
     def _network(
         self, station: GroundStation, signing: Signing, unix_at_start_s: float, *, serve_truth: bool
-    ) -> VehicleNetwork:
+    ) -> Network | FirmwareNetwork:
         autopilot, sensors = self._flight_controller, self._autopilot_sensors
         if isinstance(autopilot, FirmwareVehicle):
             return autopilot.network

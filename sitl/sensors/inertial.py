@@ -33,6 +33,10 @@ from companion.base.geometry import (
 )
 from sitl.scenario.scenario import SensorSettings
 from sitl.sensors.sensors import (
+    ACCEL_OFFSET_M_S2,
+    ACCEL_SCALE,
+    GYRO_OFFSET_RAD_S,
+    GYRO_SCALE,
     NOISE_BLOCK,
     CalibrationErrors,
     Glitches,
@@ -40,8 +44,7 @@ from sitl.sensors.sensors import (
     MagErrors,
     RangeErrors,
     flawed_rotation,
-    uncalibrated_accelerometer,
-    uncalibrated_gyroscope,
+    uncalibrated,
 )
 from sitl.vehicle.quadrotor import QuadrotorState
 
@@ -287,7 +290,8 @@ class ImuSensor:
         self._rectified = (rectified * rng.standard_normal(3)).tolist()
 
     def _apply_factory_errors(self, rng: np.random.Generator) -> None:
-        accel, gyro = uncalibrated_accelerometer(rng), uncalibrated_gyroscope(rng)
+        accel = uncalibrated(rng, ACCEL_SCALE, ACCEL_OFFSET_M_S2)
+        gyro = uncalibrated(rng, GYRO_SCALE, GYRO_OFFSET_RAD_S)
         self._accel_matrix, self._accel_noise.bias = accel.rows(self._mounting), accel.offset
         self._gyro_matrix, self._gyro_noise.bias = gyro.rows(self._mounting), gyro.offset
 

@@ -301,17 +301,8 @@ class BoardTruth:
     sensor_from_body: FloatArray
 
 
-def uncalibrated_accelerometer(rng: np.random.Generator) -> CalibrationErrors:
-    """An uncalibrated one."""
-    return _uncalibrated(rng, ACCEL_SCALE, ACCEL_OFFSET_M_S2)
-
-
-def uncalibrated_gyroscope(rng: np.random.Generator) -> CalibrationErrors:
-    """An uncalibrated one."""
-    return _uncalibrated(rng, GYRO_SCALE, GYRO_OFFSET_RAD_S)
-
-
-def _uncalibrated(rng: np.random.Generator, scale: float, offset: float) -> CalibrationErrors:
+def uncalibrated(rng: np.random.Generator, scale: float, offset: float) -> CalibrationErrors:
+    """Of a gyroscope or an accelerometer with tolerances of scale and offset (its own unit)."""
     flaw = CROSS_AXIS * rng.uniform(-1.0, 1.0, (3, 3))
     np.fill_diagonal(flaw, scale * rng.uniform(-1.0, 1.0, 3))
     return CalibrationErrors(np.eye(3) + flaw, offset * rng.uniform(-1.0, 1.0, 3))

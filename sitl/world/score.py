@@ -67,6 +67,16 @@ class TouchdownState:
     touches: int = 1
     before_flight: bool = False
 
+    def reported(self) -> dict[str, float]:
+        """The part that the result file has."""
+        return {
+            "lateral_error_m": self.lateral_error_m,
+            "vertical_speed_m_s": self.vertical_speed_m_s,
+            "horizontal_speed_m_s": self.horizontal_speed_m_s,
+            "tilt_deg": self.tilt_deg,
+            "yaw_error_deg": self.yaw_error_deg,
+        }
+
     def and_again(self, touch: TouchdownState) -> TouchdownState:
         """The contact with one more touch: the worst of each figure, time and heading of the first."""
         farther = touch if touch.lateral_error_m > self.lateral_error_m else self
@@ -80,25 +90,6 @@ class TouchdownState:
             impact_speed_m_s=max(self.impact_speed_m_s, touch.impact_speed_m_s),
             on_pad=self.on_pad and touch.on_pad,
             touches=self.touches + 1,
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class TouchdownResult:
-    """The touchdown as the result file has it."""
-
-    lateral_error_m: float
-    vertical_speed_m_s: float
-    horizontal_speed_m_s: float
-    tilt_deg: float
-    yaw_error_deg: float
-
-    @classmethod
-    def of(cls, touchdown: TouchdownState) -> TouchdownResult:
-        """The part of a touchdown that is reported."""
-        t = touchdown
-        return cls(
-            t.lateral_error_m, t.vertical_speed_m_s, t.horizontal_speed_m_s, t.tilt_deg, t.yaw_error_deg
         )
 
 
@@ -206,10 +197,10 @@ def _along_surface(v: Vector3, normal: Vector3) -> Vector3:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The outcome, the touchdown if there was one, a line for each violated bound, and every contact."""
+    """The outcome, the touchdown as reported if any, a line for each violated bound, and every contact."""
 
     outcome: Outcome
-    touchdown: TouchdownResult | None
+    touchdown: dict[str, float] | None
     failures: tuple[str, ...] = ()
     contacts: tuple[ContactResult, ...] = ()
 
@@ -232,7 +223,7 @@ def judge(
     down beside it. Aborted: the app gave up, whatever the place. Timeout: none of these, or on the pad but
     still armed.
     """
-    result = None if touchdown is None else TouchdownResult.of(touchdown)
+    result = None if touchdown is None else touchdown.reported()
     told = tuple(_told(contact, touchdown, bounds) for contact in contacts)
     struck = nearest_obstacle_m is not None and nearest_obstacle_m <= 0.0
     wrong = tuple(map(_in_words, (contact for contact in told if contact.violations)))

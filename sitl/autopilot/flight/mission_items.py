@@ -73,19 +73,7 @@ class ItemFrame(IntEnum):
     RELATIVE = 3
 
 
-NAVIGATION: frozenset[int] = frozenset(
-    {
-        MissionCommand.WAYPOINT,
-        MissionCommand.LOITER_UNLIM,
-        MissionCommand.LOITER_TURNS,
-        MissionCommand.LOITER_TIME,
-        MissionCommand.RETURN_TO_LAUNCH,
-        MissionCommand.LAND,
-        MissionCommand.TAKEOFF,
-        MissionCommand.SPLINE_WAYPOINT,
-        MissionCommand.DELAY,
-    }
-)
+NAVIGATION: frozenset[int] = frozenset(c for c in MissionCommand if c < 95)  # MAV_CMD_NAV_LAST
 # their x and y are a latitude and a longitude, all others' plain numbers
 PLACES: frozenset[int] = frozenset(
     (NAVIGATION - {MissionCommand.RETURN_TO_LAUNCH, MissionCommand.DELAY})
@@ -145,23 +133,23 @@ class MissionRules:
     max_items: int
     retry_s: float
     timeout_s: float
-    home_first: bool
-    asks_for_integers: bool
-    writes_in_place: bool
-    restarts: bool
-    partial_lists: bool
-    guided_items: bool
-    takes_off_before_mission: bool
-    waits_for_start: bool
-    uses_yaw_parameter: bool
-    fences_unite: bool
-    rewinds_on_disarm: bool
-    received_text: str
-    timeout_text: str
-    unknown_current_text: str
-    item_text: str
-    reached_text: str
-    finished_text: str
+    home_first: bool = False
+    asks_for_integers: bool = False
+    writes_in_place: bool = False
+    restarts: bool = False
+    partial_lists: bool = False
+    guided_items: bool = False
+    takes_off_before_mission: bool = False
+    waits_for_start: bool = False
+    uses_yaw_parameter: bool = False
+    fences_unite: bool = False
+    rewinds_on_disarm: bool = False
+    received_text: str = ""
+    timeout_text: str = ""
+    unknown_current_text: str = ""
+    item_text: str = ""
+    reached_text: str = ""
+    finished_text: str = ""
 
     @property
     def first(self) -> int:

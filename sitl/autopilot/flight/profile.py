@@ -266,15 +266,15 @@ class Texts:
     aligned: tuple[str, ...]
     armed: str
     disarmed: str
-    lifted: str
-    landed: str
-    landing: str
+    lifted: str = ""
+    landed: str = ""
+    landing: str = ""
     no_such_mode: str = ""
     terminated: str = ""
     no_mission: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AutopilotProfile:
     """The behaviour of one autopilot.
 
@@ -296,14 +296,14 @@ class AutopilotProfile:
     custom_mode: Callable[[int, int], int]
     flight_version: int
     capabilities: int
-    parameters_bytewise: bool
+    parameters_bytewise: bool = False
     alignment_s: float
     landed_time_s: float
     landed_thrust_share: float
     still_speed_m_s: float
     modes: tuple[Mode, ...]
     boot_mode: str
-    after_disarm_mode: str
+    after_disarm_mode: str = ""
     take_off_mode: str
     after_take_off_mode: str
     hold_mode: str
@@ -312,18 +312,18 @@ class AutopilotProfile:
     read_motion: Callable[[StreamedMotion, Vector3, Quaternion, float], MotionSetpoint | SetpointRefusal]
     read_attitude: Callable[[StreamedAttitude], AnySetpoint | SetpointRefusal]
     as_aged: Callable[[AnySetpoint, float, float, float], AnySetpoint]
-    external_needs_setpoints: bool
-    takes_off_by_setpoint: bool
-    take_off_needs_guided: bool
-    thrust_is_climb_rate: bool
-    thrust_is_upward: bool
-    pitch_channel_reversed: bool
-    turns_by_command: bool
+    external_needs_setpoints: bool = False
+    takes_off_by_setpoint: bool = False
+    take_off_needs_guided: bool = False
+    thrust_is_climb_rate: bool = False
+    thrust_is_upward: bool = False
+    pitch_channel_reversed: bool = False
+    turns_by_command: bool = False
     refused_arming: CommandResult
     refused_mode: CommandResult
     refused_selection: CommandResult
     refused_disarming: CommandResult
-    refused_disarming_text: str
+    refused_disarming_text: str = ""
     unsupported_request: CommandResult
     parameter_map: ParameterMap
     texts: Texts
@@ -336,7 +336,7 @@ class AutopilotProfile:
     precision_landing_tasks: frozenset[Task]
     position_control: Callable[[float], PositionControl]
     attitude_gains: AttitudeGains
-    throttle_hz: float | None
+    throttle_hz: float | None = None
     outer_period_s: float
     imu_messages: tuple[str, ...]
     imu_filter: int

@@ -234,11 +234,6 @@ PX4 = AutopilotProfile(
     as_aged=as_aged,
     external_needs_setpoints=True,
     takes_off_by_setpoint=True,
-    take_off_needs_guided=False,
-    thrust_is_climb_rate=False,
-    thrust_is_upward=False,
-    pitch_channel_reversed=False,
-    turns_by_command=False,
     refused_mode=CommandResult.TEMPORARILY_REJECTED,
     refused_selection=CommandResult.DENIED,
     refused_arming=CommandResult.TEMPORARILY_REJECTED,
@@ -331,21 +326,13 @@ PX4 = AutopilotProfile(
     ),
     parameters=PARAMETERS,
     mission=MissionRules(
-        flown=frozenset(
-            {
-                MissionCommand.WAYPOINT,
-                MissionCommand.LOITER_UNLIM,
-                MissionCommand.LOITER_TIME,
-                MissionCommand.RETURN_TO_LAUNCH,
-                MissionCommand.LAND,
-                MissionCommand.TAKEOFF,
-                MissionCommand.DELAY,
-                MissionCommand.DO_JUMP,
-                MissionCommand.DO_CHANGE_SPEED,
-                MissionCommand.DO_SET_HOME,
-                MissionCommand.DO_LAND_START,
-            }
-        ),
+        flown=frozenset(MissionCommand)
+        - {
+            MissionCommand.LOITER_TURNS,
+            MissionCommand.SPLINE_WAYPOINT,
+            MissionCommand.CONDITION_DELAY,
+            MissionCommand.CONDITION_YAW,
+        },
         # servo, ROI, mounts, camera, gimbal: PX4 takes them whether or not there is one
         without_effect=frozenset(
             {183, 187, 195, 197, 201, 204, 205, 206, 214, 530, 531, 532, 1000, 1001, 2000, 2001}
@@ -354,22 +341,12 @@ PX4 = AutopilotProfile(
         max_items=2000,
         retry_s=0.25,
         timeout_s=5.0,
-        home_first=False,
         asks_for_integers=True,
-        writes_in_place=False,
-        restarts=False,
-        partial_lists=False,
-        guided_items=False,
         takes_off_before_mission=True,
-        waits_for_start=False,
         fences_unite=True,
         uses_yaw_parameter=True,
-        rewinds_on_disarm=False,
-        received_text="",
         timeout_text="Operation timeout",
         unknown_current_text="WPM: WP CURR CMD: Not in list",
-        item_text="",
-        reached_text="",
         finished_text="Mission finished, loitering",
     ),
     precision_landing=Px4PrecisionLanding,
@@ -382,7 +359,6 @@ PX4 = AutopilotProfile(
         # IMU_GYRO_CUTOFF, IMU_DGYRO_CUTOFF, MC_YAW_TQ_CUTOFF
         filters=RateFilters(40.0, 30.0, yaw_torque_hz=2.0),
     ),  # MC_ROLL_P, MC_PITCH_P, MC_YAW_P, MC_YAWRATE_MAX
-    throttle_hz=None,
     outer_period_s=0.01,
     imu_messages=("HIGHRES_IMU",),
     imu_filter=2,  # the chip's own, 92 Hz: HIGHRES_IMU comes before IMU_GYRO_CUTOFF

@@ -15,7 +15,8 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Vector3
 from companion.config import find_file, load_model
 from companion.link.codec import mavlink
-from sitl.firmware.process import Barometer, Firmware, Moment, Setup
+from sitl.firmware.process import Firmware, Moment, Setup
+from sitl.firmware.px4 import Barometer
 from sitl.firmware.spec import FirmwareSpec
 from sitl.firmware.vehicle import start_firmware
 from sitl.mavlink.framing import FrameReader
