@@ -22,6 +22,7 @@ from companion.base.geometry import Vector3, tilt_from_quat
 from companion.base.messages import Frame, Phase, Truth
 from companion.base.signals import stopping_on_signals
 from companion.config import ConfigError, VehicleConfig, find_file, load_model
+from companion.link.codec import Message
 from sitl.devices.ports import DevicePort, PtyPort
 from sitl.devices.socket_servers import FrameServer
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
@@ -49,7 +50,6 @@ from sitl.sensors.sensors import RangeErrors, RangeSensor
 from sitl.world.score import Verdict
 
 RANGE_PERIOD_S: Final = 0.05
-Message = Any  # pymavlink's classes are generated without types
 
 
 class RangefinderMessages:

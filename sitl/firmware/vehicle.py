@@ -84,17 +84,6 @@ class FirmwareVehicle:
         self._firmware.close()
 
 
-# ---------------------------------------------------------------- network
-# Between a firmware and its clients: MAVLink is forwarded unchanged; the ground station receives it too.
-#
-# The counterpart of `sitl.mavlink.network` for the bundled autopilots. Once a tick what the firmware has sent
-# goes to every client, so that load on the machine changes nothing.
-
-
-# ---------------------------------------------------------------- start
-# Starts a firmware and lets it boot, at rest before the world's time 0, until it is ready to arm.
-
-
 Write = Callable[[Sequence[bytes]], None]
 AUTOPILOT: Final = 1
 
@@ -108,7 +97,11 @@ class FirmwarePort:
 
 
 class FirmwareNetwork:
-    """All clients of one firmware, and the state in its heartbeat."""
+    """All clients of one firmware, and the state in its heartbeat: `sitl.mavlink.network` for a firmware.
+
+    MAVLink is forwarded unchanged, to the ground station too. Once a tick what the firmware has sent goes to
+    every client, so that load on the machine changes nothing.
+    """
 
     def __init__(self, firmware: Firmware, ground_station: GroundStation) -> None:
         self.armed = False
@@ -153,6 +146,8 @@ class FirmwareNetwork:
             mode = self._decoder.decode(bytearray(frame.data)).base_mode
             self.armed = bool(mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 
+
+# ---------------------------------------------------------------- start
 
 MOST_BOOT_S: Final = 90.0
 SETTLE_S: Final = 5.0  # ready, it stands so much longer: its biases go on settling

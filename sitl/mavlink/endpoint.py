@@ -19,7 +19,7 @@ from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import ZERO3, Vector3
-from companion.link.codec import mavlink
+from companion.link.codec import Message, mavlink
 from companion.link.dialect import CURRENT_MODE
 from sitl.autopilot.control.setpoints import StreamedAttitude, StreamedMotion
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
@@ -29,7 +29,7 @@ from sitl.mavlink.framing import FrameReader, MavFrame, Signing, number, packed
 from sitl.mavlink.mission_protocol import MissionProtocol
 from sitl.mavlink.parameter_protocol import ANSWERS, ParameterProtocol
 from sitl.mavlink.sensor_telemetry import SensorMessages, TruthMessages
-from sitl.mavlink.telemetry import Message, builders_of
+from sitl.mavlink.telemetry import builders_of
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 
 _LOWEST_RATE_HZ: Final = 0.01

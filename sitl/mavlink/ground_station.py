@@ -18,10 +18,6 @@ from companion.link.codec import mavlink
 from sitl.mavlink.framing import FrameReader, MavFrame, Signing, packed
 from sitl.scenario.scenario import BeaconSettings
 
-# ---------------------------------------------------------------- intruders
-# Whoever else sends on the vehicle's link: a second companion, and somebody without the key. Sans I/O.
-
-
 SYSTEM_ID: Final = 255
 COMPONENT_ID: Final = 190
 
@@ -157,6 +153,9 @@ def _is_addressed(target: tuple[int, int]) -> bool:
     system, component = target
     return system == SYSTEM_ID and component in (0, COMPONENT_ID)
 
+
+# ---------------------------------------------------------------- intruders
+# Whoever else sends on the link: a second companion, and somebody without the key.
 
 _VEHICLE: Final = (1, 1)
 _WRONG_KEY: Final = b"not the key of this vehicle, 32b."[:32]

@@ -11,10 +11,10 @@ Source: mavlink.io's mission protocol; results and time-outs as in `MissionRules
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 from companion.base.geometry import Vector3
-from companion.link.codec import mavlink
+from companion.link.codec import Message, mavlink
 from sitl.autopilot.flight.mission_items import (
     FENCE_COMMANDS,
     PLACES,
@@ -27,7 +27,6 @@ from sitl.autopilot.flight.mission_items import (
 )
 from sitl.autopilot.flight.modes import Severity
 
-Message = Any  # pymavlink's classes are generated without types
 Partner = tuple[int, int]
 
 _MISSION: Final = mavlink.MAV_MISSION_TYPE_MISSION

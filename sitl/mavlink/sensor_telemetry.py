@@ -6,24 +6,16 @@ one; ArduPilot's RAW_IMU and SCALED_IMU repeat the newest field. Both send integ
 
 import math
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Final
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3, euler_from_quat, geodetic_from_ned, norm, scale
-from companion.link.codec import mavlink
+from companion.link.codec import Message, mavlink
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.mavlink.telemetry import milliseconds, sys_status
 from sitl.sensors.autopilot_sensors import ImuReading, SimulatedAutopilotSensors
 from sitl.sensors.inertial import ImuErrors
 from sitl.sensors.sensors import RangeErrors
 from sitl.world.world import World
-
-# ---------------------------------------------------------------- truth telemetry
-# The truth by MAVLink, as real simulators send it: for an external world around this vehicle.
-#
-# ArduPilot's SITL sends SIM_STATE, PX4's HIL_STATE_QUATERNION. The truth is sent only by a simulator that was
-# started to serve it, and only on request; the app never requests it. Integers as the real ones send them.
-
-Message = Any  # pymavlink's classes are generated without types
 
 _IMU_BITS: Final = 0b111_111
 _FIELD_BITS: Final = 0b111_000_000
@@ -234,7 +226,9 @@ HIL_STATE: Final = mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
 
 
 class TruthMessages:
-    """Builds the one message that a simulator of this autopilot's kind has."""
+    """The truth as real simulators send it, for an external world: SIM_STATE by ArduPilot's SITL, else
+    HIL_STATE_QUATERNION. It is sent on request alone, by a simulator that was started to serve it; the app
+    never requests it. Integers as the real ones send them."""
 
     def __init__(self, autopilot: SimulatedAutopilot, world: World, home: Vector3) -> None:
         """`home` is the world's origin: latitude (deg), longitude (deg), altitude (m)."""

@@ -58,14 +58,6 @@ class Service:
     tcp_port: int = TCP_PORT
 
 
-@dataclass(frozen=True, slots=True)
-class _Devices:
-    """A simulation and where its devices are."""
-
-    simulation: Simulation
-    settings: dict[str, Any]  # the app's, which lead there
-
-
 def serve_vehicle(
     scenario: str,
     seed: int,
@@ -139,7 +131,7 @@ async def serve(
     async with contextlib.AsyncExitStack() as stack:
         unix_at_start_s = start_unix_s(virtual=False) + Clock().now_s()
         with _kept_free(service):
-            devices = await _plug_in(
+            simulation, devices = await _plug_in(
                 stack,
                 scenario,
                 seed,
@@ -151,17 +143,17 @@ async def serve(
                 motion=motion,
                 firmware=firmware,
             )
-        companion_port = await _open_udp(stack, devices.simulation, service.bind, service.companion_port)
-        ground_port = await _open_udp(stack, devices.simulation, service.bind, service.ground_port)
-        tcp = TcpServer(devices.simulation.line)
+        companion_port = await _open_udp(stack, simulation, service.bind, service.companion_port)
+        ground_port = await _open_udp(stack, simulation, service.bind, service.ground_port)
+        tcp = TcpServer(simulation.line)
         stack.callback(tcp.close)
         tcp_port = await tcp.open(service.bind, service.tcp_port)
         own = (companion_port, ground_port, tcp_port)
         if settings_path is not None:
             connection = f"udp:{LOOPBACK}:{companion_port}"
-            write_atomically(settings_path, app_settings_text(scenario, connection, devices.settings))
-        with _running(devices.simulation) as flying:
-            print(_greeting(scenario, seed, service, own, devices.settings, motion), flush=True)
+            write_atomically(settings_path, app_settings_text(scenario, connection, devices))
+        with _running(simulation) as flying:
+            print(_greeting(scenario, seed, service, own, devices, motion), flush=True)
             if settings_path is not None:
                 print(f"The app's settings for it are in {settings_path}", flush=True)
             await asyncio.wait([flying])
@@ -182,10 +174,10 @@ async def serve_child(
         ConfigError: a settings file that the scenario names is wrong.
     """
     async with contextlib.AsyncExitStack() as stack:
-        devices = await _plug_in(stack, scenario, seed, folder, motion=motion, firmware=firmware)
-        udp_port = await _open_udp(stack, devices.simulation, LOOPBACK, 0)
-        print_json({"link": {"connection": f"udp:{LOOPBACK}:{udp_port}"}, **devices.settings})
-        await run_until_finished(devices.simulation, folder / REPORT_NAME, final_phase())
+        simulation, devices = await _plug_in(stack, scenario, seed, folder, motion=motion, firmware=firmware)
+        udp_port = await _open_udp(stack, simulation, LOOPBACK, 0)
+        print_json({"link": {"connection": f"udp:{LOOPBACK}:{udp_port}"}, **devices})
+        await run_until_finished(simulation, folder / REPORT_NAME, final_phase())
 
 
 async def _plug_in(
@@ -200,8 +192,11 @@ async def _plug_in(
     keep_truth: bool = True,
     motion: HandMotion | None = None,
     firmware: FirmwareSpec | None = None,
-) -> _Devices:
-    """A simulation with everything but MAVLink connected; the stack takes it all down."""
+) -> tuple[Simulation, dict[str, Any]]:
+    """A simulation with everything but MAVLink connected, and the app's settings that lead to its devices.
+
+    The stack takes it all down.
+    """
     gps_port, range_port = PtyPort(SENSOR_BAUD), PtyPort(SENSOR_BAUD)
     stack.callback(gps_port.close)
     stack.callback(range_port.close)
@@ -235,7 +230,7 @@ async def _plug_in(
             "vision": {"source": f"socket:{folder / 'camera'}"},
         },
     }
-    return _Devices(simulation, settings)
+    return simulation, settings
 
 
 @contextlib.contextmanager

@@ -41,9 +41,6 @@ class MagErrors:
     calibrated: bool = True  # else the iron of `sitl.sensors.sensors`, instead of what a fit leaves of it
 
 
-NO_MAG_ERRORS: Final = MagErrors(0.0, 0.0, 0.0, 0.0)
-
-
 class MagSensor:
     """The magnetometer, in the axes of the accelerometer (its device converts to the AK8963's own)."""
 
@@ -94,9 +91,6 @@ class GpsErrors:
     speed_noise_m_s: float = 0.085  # an axis: 0.1 m/s is the median of the horizontal error
     climb_noise_m_s: float = 0.12
     satellites: int = 9
-
-
-NO_GPS_ERRORS: Final = GpsErrors(0.0, 0.0, 60.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,9 +160,6 @@ class RangeErrors:
     half_beam_rad: float = math.radians(15.0)  # within which a flat floor still answers at full strength
     minimum_m: float = 0.03
     maximum_m: float = 4.5
-
-
-NO_RANGE_ERRORS: Final = RangeErrors(0.0, 0.0, 0.0, 0.0)
 
 
 class RangeSensor:

@@ -16,12 +16,10 @@ from companion.base.geometry import Vector3, norm, quat_rotate, scale
 from sitl.autopilot.control.setpoints import MotionSetpoint
 from sitl.autopilot.flight.modes import Severity
 from sitl.autopilot.flight.profile import (
-    AxisFilter,
     LandingTarget,
     LandingTargetFrame,
     Parameters,
     VehicleEstimate,
-    direction_from_angles,
 )
 
 _MAVLINK_TYPE = 1
@@ -38,6 +36,47 @@ _SLOWEST_M_S = 0.10
 _ACCEPTABLE_M = 0.15
 _BACK_WITHIN_M = 0.5
 _VERY_STRICT, _NOT_STRICT = 2, 0
+
+
+class AxisFilter:
+    """Position and velocity of the target relative to the vehicle along one axis."""
+
+    def __init__(self, position_m: float, velocity_m_s: float, position_var: float, velocity_var: float):
+        self.position_m = position_m
+        self.velocity_m_s = velocity_m_s
+        self._pp, self._pv, self._vv = position_var, 0.0, velocity_var
+
+    def predict(self, dt_s: float, own_change_m_s: float, velocity_var: float) -> None:
+        """Predict by dt; the vehicle's velocity changes by the given amount, the target's by noise."""
+        self.position_m += (self.velocity_m_s - 0.5 * own_change_m_s) * dt_s
+        self.velocity_m_s -= own_change_m_s
+        self._pp += dt_s * (2.0 * self._pv + dt_s * self._vv)
+        self._pv += dt_s * self._vv
+        self._vv += velocity_var
+
+    def surprise(self, position_m: float, variance: float) -> float:
+        """Normalised innovation squared of a measurement."""
+        return (position_m - self.position_m) ** 2 / (self._pp + variance)
+
+    def fuse(self, position_m: float, variance: float) -> None:
+        """Fuse a measured position."""
+        innovation, total = position_m - self.position_m, self._pp + variance
+        gain_p, gain_v = self._pp / total, self._pv / total
+        self.position_m += gain_p * innovation
+        self.velocity_m_s += gain_v * innovation
+        self._vv -= gain_v * self._pv
+        self._pv -= gain_v * self._pp
+        self._pp -= gain_p * self._pp
+
+
+def direction_from_angles(angles_rad: tuple[float, float]) -> Vector3 | None:
+    """Unit vector (FRD) to a target seen by a downward camera; None when it is not below."""
+    right, backwards = angles_rad
+    if not (abs(right) < 1.5 and abs(backwards) < 1.5):
+        return None
+    x, y = -math.tan(backwards), math.tan(right)
+    length = math.sqrt(x * x + y * y + 1.0)
+    return (x / length, y / length, 1.0 / length)
 
 
 class ArdupilotPrecisionLanding:

@@ -21,7 +21,6 @@ from sitl.autopilot.flight.modes import (
     ArmingCheck,
     CommandResult,
     Failsafe,
-    FailsafeAction,
     Mode,
     ModeCheck,
     Severity,
@@ -261,18 +260,14 @@ ARDUPILOT = AutopilotProfile(
     ),
     failsafes=(
         Failsafe(
-            "landed in LAND",
             lambda now: landed_after_flight(now) and now.task in (Task.LAND, Task.PRECISION_LAND),
             0.05,  # the mission registers the landing first
-            FailsafeAction.DISARM,
             Severity.INFO,
             "Disarming motors",
         ),
         Failsafe(
-            "radio lost",
             lambda now: now.rc_lost and not now.landed,
             0.5,
-            FailsafeAction.LEAVE_MODE,
             Severity.WARNING,
             "Radio Failsafe - RTL",
             mode="RTL",
@@ -282,18 +277,14 @@ ARDUPILOT = AutopilotProfile(
         fence_left("Fence breached", (2,), "LAND"),
         fence_left("Fence breached", (4,), "BRAKE"),
         Failsafe(
-            "on the ground",
             lambda now: now.landed,
             10.0,
-            FailsafeAction.DISARM,
             Severity.INFO,
             "Disarming motors",
         ),
         Failsafe(
-            "crashed",
             lambda now: not now.landed and now.tilt_rad > math.radians(45.0),
             2.0,
-            FailsafeAction.DISARM,
             Severity.CRITICAL,
             "Crash: Disarming: AngErr=45>30",
         ),

@@ -7,6 +7,7 @@ MAV_RESULT; texts for the ground are in `take_texts`. SI units.
 
 import dataclasses
 import math
+from collections import deque
 from math import inf, isfinite, isnan, nan
 from typing import Literal
 
@@ -38,7 +39,14 @@ from sitl.autopilot.control.setpoints import (
 from sitl.autopilot.flight.commander import Commander, Text
 from sitl.autopilot.flight.manual_control import ManualControl, RcInput, Sticks
 from sitl.autopilot.flight.mission import MissionInputs, MissionRunner, heading_from_condition
-from sitl.autopilot.flight.mission_items import Fence, ItemFrame, MissionCommand, MissionItem, MissionStore
+from sitl.autopilot.flight.mission_items import (
+    Fence,
+    ItemFrame,
+    MissionCommand,
+    MissionItem,
+    MissionStore,
+    wrong_place,
+)
 from sitl.autopilot.flight.modes import CommandResult, Mode, Severity, StickMode, Task
 from sitl.autopilot.flight.navigator import Navigator
 from sitl.autopilot.flight.profile import (
@@ -253,13 +261,10 @@ class SimulatedAutopilot:
 
     def take_texts(self) -> list[Text]:
         """Severities and texts since the last call."""
-        speakers = (
-            [self.mission.texts]
-            if self._precision_landing is None
-            else [self.mission.texts, self._precision_landing.texts]
-        )
-        texts = list(self._commander.texts)
-        self._commander.texts.clear()
+        speakers: list[deque[Text] | list[Text]] = [self._commander.texts, self.mission.texts]
+        if self._precision_landing is not None:
+            speakers.append(self._precision_landing.texts)
+        texts: list[Text] = []
         for speaker in speakers:
             texts += speaker
             speaker.clear()
@@ -703,7 +708,4 @@ class SimulatedAutopilot:
 
 def _is_place(place: Vector3) -> bool:
     """Latitude, longitude and altitude within their ranges; NaN means the present one."""
-    return all(
-        isnan(value) or abs(value) <= most
-        for value, most in zip(place, (90.0, 180.0, _MOST_ALTITUDE_M), strict=True)
-    )
+    return wrong_place(*(0.0 if isnan(value) else value for value in place)) is None

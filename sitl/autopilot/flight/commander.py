@@ -9,7 +9,6 @@ from math import inf
 from sitl.autopilot.flight.modes import (
     CommandResult,
     Failsafe,
-    FailsafeAction,
     Mode,
     Severity,
     Task,
@@ -130,13 +129,13 @@ class Commander:
                 return
         for index, failsafe in enumerate(self._profile.failsafes):
             # one mode is left at a time, but what a failsafe has landed is disarmed as ever
-            if self._left_by is not None and failsafe.response is not FailsafeAction.DISARM:
+            if self._left_by is not None and failsafe.mode:
                 continue
             if not failsafe.condition(self.situation):
                 if failsafe.over is None or failsafe.over(self.situation) or self._held_s[index] > -inf:
                     self._held_s[index] = 0.0
                 continue
-            if self.stays_armed and failsafe.response is FailsafeAction.DISARM:
+            if self.stays_armed and not failsafe.mode:
                 continue
             self._held_s[index] += dt_s
             if self._held_s[index] >= failsafe.after_s:
@@ -151,7 +150,7 @@ class Commander:
         now.streaming = self.mode.task is Task.SETPOINT
 
     def _respond(self, failsafe: Failsafe) -> None:
-        if failsafe.response is FailsafeAction.DISARM:
+        if not failsafe.mode:
             self._stop(failsafe.severity, failsafe.text)
             return
         self.send_text(failsafe.severity, failsafe.text)

@@ -31,7 +31,6 @@ from sitl.autopilot.flight.modes import (
     ArmingCheck,
     CommandResult,
     Failsafe,
-    FailsafeAction,
     Mode,
     ModeCheck,
     Severity,
@@ -91,47 +90,6 @@ class PrecisionLanding(Protocol):
     def fly(self, estimate: VehicleEstimate, dt_s: float) -> MotionSetpoint | None:
         """The setpoint; None: land as without a target."""
         ...
-
-
-class AxisFilter:
-    """Position and velocity of the target relative to the vehicle along one axis."""
-
-    def __init__(self, position_m: float, velocity_m_s: float, position_var: float, velocity_var: float):
-        self.position_m = position_m
-        self.velocity_m_s = velocity_m_s
-        self._pp, self._pv, self._vv = position_var, 0.0, velocity_var
-
-    def predict(self, dt_s: float, own_change_m_s: float, velocity_var: float) -> None:
-        """Predict by dt; the vehicle's velocity changes by the given amount, the target's by noise."""
-        self.position_m += (self.velocity_m_s - 0.5 * own_change_m_s) * dt_s
-        self.velocity_m_s -= own_change_m_s
-        self._pp += dt_s * (2.0 * self._pv + dt_s * self._vv)
-        self._pv += dt_s * self._vv
-        self._vv += velocity_var
-
-    def surprise(self, position_m: float, variance: float) -> float:
-        """Normalised innovation squared of a measurement."""
-        return (position_m - self.position_m) ** 2 / (self._pp + variance)
-
-    def fuse(self, position_m: float, variance: float) -> None:
-        """Fuse a measured position."""
-        innovation, total = position_m - self.position_m, self._pp + variance
-        gain_p, gain_v = self._pp / total, self._pv / total
-        self.position_m += gain_p * innovation
-        self.velocity_m_s += gain_v * innovation
-        self._vv -= gain_v * self._pv
-        self._pv -= gain_v * self._pp
-        self._pp -= gain_p * self._pp
-
-
-def direction_from_angles(angles_rad: tuple[float, float]) -> Vector3 | None:
-    """Unit vector (FRD) to a target seen by a downward camera; None when it is not below."""
-    right, backwards = angles_rad
-    if not (abs(right) < 1.5 and abs(backwards) < 1.5):
-        return None
-    x, y = -math.tan(backwards), math.tan(right)
-    length = math.sqrt(x * x + y * y + 1.0)
-    return (x / length, y / length, 1.0 / length)
 
 
 @dataclass(frozen=True, slots=True)
@@ -402,10 +360,8 @@ def rc_lost(now: VehicleStatus) -> bool:
 def fence_left(title: str, values: tuple[int, ...], mode: str) -> Failsafe:
     """What follows outside a geofence, where the autopilot's parameter has one of the values."""
     return Failsafe(
-        "fence",
         lambda now: now.fence_broken and not now.landed and now.fence_action in values,
         0.2,
-        FailsafeAction.LEAVE_MODE,
         Severity.CRITICAL,
         title,
         mode=mode,

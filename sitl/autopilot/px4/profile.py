@@ -19,7 +19,6 @@ from sitl.autopilot.flight.modes import (
     ArmingCheck,
     CommandResult,
     Failsafe,
-    FailsafeAction,
     Mode,
     ModeCheck,
     Severity,
@@ -153,10 +152,8 @@ def _offboard_lost(
 ) -> Failsafe:
     """What follows when setpoints stop, where COM_OBL_RC_ACT has one of the values."""
     return Failsafe(
-        "offboard lost",
         lambda now: setpoints_stopped(now) and now.setpoints_lost_action in values,
         0.0,
-        FailsafeAction.LEAVE_MODE if mode else FailsafeAction.DISARM,
         Severity.CRITICAL,
         f"Failsafe activated: No offboard control signal, switching to {title}",
         mode=mode,
@@ -300,10 +297,8 @@ PX4 = AutopilotProfile(
         _offboard_lost((5,), "Hold", mode="AUTO_LOITER"),
         _offboard_lost((6, 7), "Disarm"),
         Failsafe(
-            "radio lost",
             rc_lost,
             5.0,  # COM_FAIL_ACT_T
-            FailsafeAction.LEAVE_MODE,
             Severity.CRITICAL,
             "Failsafe activated: Manual control lost, switching to Return",
             mode="AUTO_RTL",
@@ -312,14 +307,10 @@ PX4 = AutopilotProfile(
         fence_left("Failsafe activated: Geofence violated, switching to Hold", (2,), "AUTO_LOITER"),
         fence_left("Failsafe activated: Geofence violated, switching to Return", (3,), "AUTO_RTL"),
         fence_left("Failsafe activated: Geofence violated, switching to Land", (5,), "AUTO_LAND"),
+        Failsafe(landed_after_flight, 2.0, Severity.INFO, "Disarmed by landing"),
         Failsafe(
-            "landed", landed_after_flight, 2.0, FailsafeAction.DISARM, Severity.INFO, "Disarmed by landing"
-        ),
-        Failsafe(
-            "not taken off",
             never_flown,
             10.0,
-            FailsafeAction.DISARM,
             Severity.INFO,
             "Disarmed by auto preflight disarming",
         ),

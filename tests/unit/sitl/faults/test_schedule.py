@@ -26,12 +26,13 @@ from sitl.faults.targets import FaultTargets
 from sitl.mavlink.telemetry import battery_status, local_position, sys_status
 from sitl.scenario.scenario import Scenario
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
-from sitl.sensors.sensors import NO_RANGE_ERRORS, RangeSensor
+from sitl.sensors.sensors import RangeSensor
 from sitl.vehicle.quadrotor import Motors
 from sitl.world.world import World
 from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight
 from tests.unit.sitl.camera.test_camera import CAMERA, VEHICLE
 from tests.unit.sitl.devices.sensor_desk import FIELD_NED_UT, HOME, STEP_S, fly
+from tests.unit.sitl.sensors.flawless import NO_RANGE_ERRORS
 
 ENCODER = codec.mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
 

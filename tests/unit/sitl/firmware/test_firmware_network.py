@@ -137,7 +137,7 @@ def test_the_ground_station_tells_where_the_pad_is() -> None:
     answers: list[Any] = messages(b"".join(desk.heard[0]))
     assert [answer.get_type() for answer in answers] == ["COMMAND_ACK", "FOLLOW_TARGET"]
     assert answers[1].lat == pytest.approx(47.00009e7, abs=100)
-    assert len(desk.firmware.told) == 4  # the app's two, and the ground station's two
+    assert len(desk.firmware.told) == 3  # the app's one, and the ground station's two
 
 
 def test_whatever_comes_does_no_harm() -> None:

@@ -20,10 +20,10 @@ from sitl.mavlink.sensor_telemetry import HIL_STATE, SIM_STATE, TruthMessages
 from sitl.scenario.scenario import USUAL_HOMES, Scenario
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.sensors.inertial import NO_IMU_ERRORS, SensorErrors
-from sitl.sensors.sensors import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS
 from sitl.vehicle.quadrotor import QuadrotorState, resting_state
 from sitl.world.world import World
 from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
+from tests.unit.sitl.sensors.flawless import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS
 
 DT_S = 1.0 / 400.0
 FIELD_UT = (20.9, 0.6, 42.9)

@@ -18,8 +18,9 @@ from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
 from sitl.devices.rack import SensorRack
 from sitl.sensors.inertial import ImuErrors, SensorErrors
-from sitl.sensors.sensors import NO_GPS_ERRORS, NO_RANGE_ERRORS, MagErrors
+from sitl.sensors.sensors import MagErrors
 from sitl.vehicle.quadrotor import QuadrotorState
+from tests.unit.sitl.sensors.flawless import NO_GPS_ERRORS, NO_RANGE_ERRORS
 
 HALF = math.sqrt(0.5)
 NORTH: Quaternion = (1.0, 0.0, 0.0, 0.0)
