@@ -19,34 +19,15 @@ import math
 import os
 import termios
 import tty
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Final, Protocol
+from typing import Final
 
 _SPEEDS: Final = {
     getattr(termios, f"B{baud}"): baud for baud in (4800, 9600, 19200, 38400, 57600, 115200, 230400)
 }
 _PIECE_BYTES: Final = 64
 _BACKLOG_S: Final = 1.0
-
-
-class DevicePort(Protocol):
-    """The device's side of a serial line."""
-
-    def send(self, data: bytes) -> None:
-        """Put bytes on the line."""
-        ...
-
-    def receive(self) -> bytes:
-        """What has come from the app since the last call."""
-        ...
-
-    def set_baud(self, baud: int) -> None:
-        """Change the device's rate; the app sets its own."""
-        ...
-
-    def close(self) -> None:
-        """Unplug the line."""
-        ...
 
 
 class PacedLine:
@@ -77,6 +58,35 @@ class PacedLine:
         heard = as_received(piece, sent_baud, self._receiver_baud())
         if heard:
             self._deliver(heard)
+
+
+class DevicePort(ABC):
+    """The device's side of a serial line."""
+
+    _line: PacedLine
+
+    def __init__(self) -> None:
+        self._from_app = bytearray()
+
+    @abstractmethod
+    def send(self, data: bytes) -> None:
+        """Put bytes on the line to the app."""
+
+    def receive(self) -> bytes:
+        """What has come from the app since the last call."""
+        if not self._from_app:
+            return b""
+        data = bytes(self._from_app)
+        self._from_app.clear()
+        return data
+
+    def set_baud(self, baud: int) -> None:
+        """Change the device's rate; the app sets its own."""
+        self._line.baud = baud
+
+    @abstractmethod
+    def close(self) -> None:
+        """Unplug the line: the app's end gets OSError."""
 
 
 class AppEnd:
@@ -128,11 +138,11 @@ class AppEnd:
             self._arrived.set()
 
 
-class MemoryPort:
+class MemoryPort(DevicePort):
     """A serial line within one process. Make it inside the running loop."""
 
     def __init__(self, baud: int) -> None:
-        self._from_app = bytearray()
+        super().__init__()
         self.app = AppEnd(baud, self._from_app.extend, lambda: self._line.baud)
         self._line = PacedLine(baud, self.app.deliver, lambda: self.app.baud)
 
@@ -141,30 +151,19 @@ class MemoryPort:
         if data:
             self._line.send(data)
 
-    def receive(self) -> bytes:
-        """What has come from the app since the last call."""
-        if not self._from_app:
-            return b""
-        data = bytes(self._from_app)
-        self._from_app.clear()
-        return data
-
-    def set_baud(self, baud: int) -> None:
-        """Change the device's rate."""
-        self._line.baud = baud
-
     def close(self) -> None:
         """Unplug the line: the app's end gets OSError."""
         self.app.close()
 
 
-class PtyPort:
+class PtyPort(DevicePort):
     """A serial line as a pseudo terminal; the app opens `path`. Make it inside the running loop.
 
     A pseudo terminal has no baud rate, but it stores the one that the app has set.
     """
 
     def __init__(self, baud: int) -> None:
+        super().__init__()
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         settings = termios.tcgetattr(self._slave)
@@ -174,7 +173,6 @@ class PtyPort:
         # our own handle on the slave stays open: without it reading fails while the app has not opened it
         self.path = os.ttyname(self._slave)
         self._loop = asyncio.get_running_loop()
-        self._from_app = bytearray()
         self._line = PacedLine(baud, self._deliver, self._app_baud)
         self._open = True
         self._loop.add_reader(self._master, self._on_readable)
@@ -183,16 +181,6 @@ class PtyPort:
         """Put bytes on the line to the app."""
         if data and self._open:
             self._line.send(data)
-
-    def receive(self) -> bytes:
-        """What has come from the app since the last call."""
-        data = bytes(self._from_app)
-        self._from_app.clear()
-        return data
-
-    def set_baud(self, baud: int) -> None:
-        """Change the device's rate."""
-        self._line.baud = baud
 
     def close(self) -> None:
         """Unplug the line: the app's end gets OSError."""

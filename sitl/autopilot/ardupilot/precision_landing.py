@@ -10,7 +10,7 @@ Without a range finder the height over home replaces the measured height. SI uni
 
 import math
 from collections import deque
-from math import inf, nan
+from math import nan
 
 from companion.base.geometry import Vector3, norm, quat_rotate, scale
 from sitl.autopilot.control.setpoints import MotionSetpoint
@@ -19,6 +19,7 @@ from sitl.autopilot.flight.profile import (
     LandingTarget,
     LandingTargetFrame,
     Parameters,
+    PrecisionLanding,
     VehicleEstimate,
 )
 
@@ -79,11 +80,11 @@ def direction_from_angles(angles_rad: tuple[float, float]) -> Vector3 | None:
     return (x / length, y / length, 1.0 / length)
 
 
-class ArdupilotPrecisionLanding:
+class ArdupilotPrecisionLanding(PrecisionLanding):
     """Precision landing between two boots."""
 
     def __init__(self, parameters: Parameters) -> None:
-        self.texts: list[tuple[Severity, str]] = []
+        super().__init__()
         self._moves = bool(int(parameters["PLND_OPTIONS"]) & _MOVING_OPTION)
         self._raw = int(parameters["PLND_EST_TYPE"]) == _RAW
         self._noise_m_s2 = parameters["PLND_ACC_P_NSE"]
@@ -93,19 +94,12 @@ class ArdupilotPrecisionLanding:
         self._most_retries = int(parameters["PLND_RET_MAX"])
         self._timeout_s = parameters["PLND_TIMEOUT"]
         self._lowest_retry_m = parameters["PLND_ALT_MIN"]
-        self._pending: LandingTarget | None = None
         self._estimates: deque[VehicleEstimate] = deque()
         self._then: VehicleEstimate | None = None
         self._axes: tuple[AxisFilter, AxisFilter] | None = None
         self._rejected = 0
         self._below_m = 0.0
-        self._seen_s = -inf
-        self._frame_reported = False
         self.begin(required=False)
-
-    def update_target(self, target: LandingTarget) -> None:
-        """Store the newest; the next step fuses it."""
-        self._pending = target
 
     def begin(self, *, required: bool) -> None:
         """Start a landing."""
@@ -181,9 +175,7 @@ class ArdupilotPrecisionLanding:
         if target.position_m is None:
             unit = direction_from_angles(target.angles_rad)
         elif target.frame != LandingTargetFrame.BODY_FRD:
-            if not self._frame_reported:
-                self.texts.append((Severity.INFO, "Plnd: Frame not supported"))
-            self._frame_reported = True
+            self._report_frame(Severity.INFO, "Plnd: Frame not supported")
             return None
         else:
             length = norm(target.position_m)

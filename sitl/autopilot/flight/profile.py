@@ -10,10 +10,11 @@ the unit that the real autopilot gives them (ArduPilot: cm/s, cm); `ParameterRef
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Quaternion, Vector3
@@ -70,26 +71,36 @@ class VehicleEstimate(NamedTuple):
     landing_speed_m_s: float
 
 
-class PrecisionLanding(Protocol):
-    """An autopilot's own precision landing."""
+class PrecisionLanding(ABC):
+    """An autopilot's own precision landing; `texts` are for the ground."""
 
-    texts: list[tuple[Severity, str]]
+    def __init__(self) -> None:
+        self.texts: list[tuple[Severity, str]] = []
+        self._pending: LandingTarget | None = None
+        self._seen_s = -math.inf
+        self._frame_reported = False
 
     def update_target(self, target: LandingTarget) -> None:
-        """Take a LANDING_TARGET message."""
-        ...
+        """Take a LANDING_TARGET message; the next step uses the newest."""
+        self._pending = target
 
+    def _report_frame(self, severity: Severity, text: str) -> None:
+        """Report once that the target's frame is not taken."""
+        if not self._frame_reported:
+            self.texts.append((severity, text))
+        self._frame_reported = True
+
+    @abstractmethod
     def watch(self, estimate: VehicleEstimate, dt_s: float) -> None:
         """Update the target's estimate at each outer step, landing or not."""
-        ...
 
+    @abstractmethod
     def begin(self, *, required: bool) -> None:
         """Start a landing; `required`: without a target it searches instead of landing at once."""
-        ...
 
+    @abstractmethod
     def fly(self, estimate: VehicleEstimate, dt_s: float) -> MotionSetpoint | None:
         """The setpoint; None: land as without a target."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
