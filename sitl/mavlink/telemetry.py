@@ -10,7 +10,6 @@ from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Vector3, euler_from_quat, norm
-from companion.base.messages import LandedState
 from companion.link.codec import Message, mavlink
 from companion.link.dialect import CURRENT_MODE, CurrentMode
 from sitl.autopilot.control.position_control import tilt_cosine
@@ -28,13 +27,6 @@ _SENSORS: Final = (
     | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
 )
 _ESTIMATES: Final = mavlink.MAV_SYS_STATUS_SENSOR_GPS | mavlink.MAV_SYS_STATUS_AHRS
-_LANDED: Final = {
-    LandedState.UNDEFINED: mavlink.MAV_LANDED_STATE_UNDEFINED,
-    LandedState.ON_GROUND: mavlink.MAV_LANDED_STATE_ON_GROUND,
-    LandedState.IN_AIR: mavlink.MAV_LANDED_STATE_IN_AIR,
-    LandedState.TAKEOFF: mavlink.MAV_LANDED_STATE_TAKEOFF,
-    LandedState.LANDING: mavlink.MAV_LANDED_STATE_LANDING,
-}
 _ESTIMATOR_FLAGS: Final = (
     mavlink.ESTIMATOR_VELOCITY_HORIZ
     | mavlink.ESTIMATOR_VELOCITY_VERT
@@ -172,7 +164,8 @@ def gps_global_origin(autopilot: SimulatedAutopilot, now_s: float) -> Message | 
 
 def extended_sys_state(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """EXTENDED_SYS_STATE: on the ground or not."""
-    return mavlink.MAVLink_extended_sys_state_message(0, _LANDED[autopilot.landed_state])
+    landed: int = getattr(mavlink, f"MAV_LANDED_STATE_{autopilot.landed_state.name}")
+    return mavlink.MAVLink_extended_sys_state_message(0, landed)
 
 
 def battery_status(autopilot: SimulatedAutopilot, now_s: float) -> Message:

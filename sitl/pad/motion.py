@@ -279,14 +279,17 @@ class RollRamp(NamedTuple):
 
 
 class IncidentMotion:
-    """A pad's motion with what happens to it. Times do not go back."""
+    """A pad's motion with what happens to it. Times do not go back.
+
+    `usual_m_s` is the speed that it had before anything happened to it.
+    """
 
     def __init__(self, motion: Callable[[float], PadTruth]) -> None:
         """`motion`: the scenario's, the pad at a time (s)."""
         self._motion = motion
         self._drive: Drive | None = None
         self._tilt: RollRamp | None = None
-        self._usual_m_s = 0.0
+        self.usual_m_s = 0.0
         self._gone: PadTruth | None = None
 
     def at(self, time_s: float) -> PadTruth:
@@ -308,17 +311,12 @@ class IncidentMotion:
         vn, ve, _ = pad.velocity_ned_m_s
         speed = math.hypot(vn, ve)
         if self._drive is None:
-            self._usual_m_s = speed
+            self.usual_m_s = speed
             course = math.atan2(ve, vn) if speed > 0.0 else pad.heading_rad
         else:
             course = self._drive.course_rad
             speed = self._drive.along(now_s)[1]
         self._drive = Drive(now_s, north, east, course, pad.heading_rad, speed, target_m_s, rate_m_s2)
-
-    @property
-    def usual_m_s(self) -> float:
-        """The speed that it had before anything happened to it."""
-        return self._usual_m_s
 
     def turn_back(self, now_s: float, rate_m_s2: float) -> None:
         """From now on back the way it came, as fast as it came."""

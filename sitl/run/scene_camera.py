@@ -48,7 +48,7 @@ class CameraTruth:
 
 
 class SceneCamera:
-    """Exposes at the camera's rate and renders when the last row has been read."""
+    """Exposes at the camera's rate and renders when the last row has been read, by its `model`."""
 
     def __init__(
         self,
@@ -78,7 +78,7 @@ class SceneCamera:
         vehicle = vehicle.model_copy(
             update={"camera_position_body_m": add(vehicle.camera_position_body_m, settings.mount_offset_m)}
         )
-        self._model = optics.CameraModel(
+        self.model = optics.CameraModel(
             config,
             vehicle,
             built.pad(load_pad(scenario.pad.name)),
@@ -88,7 +88,7 @@ class SceneCamera:
         )
         self.truth = CameraTruth(
             config,
-            self._model.body_from_camera,
+            self.model.body_from_camera,
             vehicle.camera_position_body_m,
             settings.stamp_error_s + built.stamp_s,
         )
@@ -102,15 +102,10 @@ class SceneCamera:
         self._begin, self._drawing = begin, AT_ONCE.submit(lambda: None)
 
     @property
-    def model(self) -> optics.CameraModel:
-        """What renders: for faults of what is in view."""
-        return self._model
-
-    @property
     def exposed_s(self) -> float:
         """When the next frame's last row will have been read (world time)."""
         self.finish()  # an automatic exposure goes by the picture before
-        return self._next_s + 0.5 * self._model.span_s
+        return self._next_s + 0.5 * self.model.span_s
 
     def skip_to(self, now_s: float) -> None:
         """Drop the frames whose exposure ended before now_s (world time); they are counted."""
@@ -127,8 +122,8 @@ class SceneCamera:
             return None
         time_s = self._next_s
         self._next_s += self._period_s
-        image = self._model.blank()
-        self._drawing = self._begin(_draw, image, self._model.expose(time_s, self._scene_at))
+        image = self.model.blank()
+        self._drawing = self._begin(_draw, image, self.model.expose(time_s, self._scene_at))
         late = self._settings.latency_s + self._settings.latency_jitter_s * float(
             self._rng.uniform(-1.0, 1.0)
         )

@@ -294,7 +294,7 @@ class HandHeldWorld(World):
     def step(self, motor_commands: RotorValues, dt_s: float) -> None:
         """Carry everything on by dt (s)."""
         self._wind_blows(Effects(()), dt_s)
-        self._advance(self._felt(self._state, self.time_s + dt_s, dt_s), dt_s)
+        self._advance(self._felt(self.state, self.time_s + dt_s, dt_s), dt_s)
 
     def _felt(self, before: QuadrotorState, time_s: float, dt_s: float) -> QuadrotorState:
         """The state at a time, with the mean accelerations since the one dt before."""

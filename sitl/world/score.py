@@ -96,7 +96,8 @@ class TouchdownState:
 class TouchdownDetector:
     """Watches a flight for its contacts and for a crash.
 
-    A crash stays a crash. `flown`: it has ever been a metre high.
+    A crash stays a crash. `flown`: it has ever been a metre high; `flying`: and touched nothing since, so
+    that its height does not matter.
     """
 
     def __init__(self, *, stands: bool = True) -> None:
@@ -105,7 +106,7 @@ class TouchdownDetector:
         self.crashed = False
         self.nearest_obstacle_m: float | None = None
         self.flown = False
-        self._airborne = self._clear = self._anew = False
+        self.flying = self._clear = self._anew = False
         self._touching = stands
 
     @property
@@ -117,11 +118,6 @@ class TouchdownDetector:
     def begin_flight(self) -> None:
         """What is touched from the next take-off on is another flight's."""
         self._anew = True
-
-    @property
-    def flying(self) -> bool:
-        """Whether it has been high enough since it last stood: then its height does not matter."""
-        return self._airborne
 
     def step(self, time_s: float, state: QuadrotorState, pad: PadTruth, load: ContactLoad) -> None:
         """Look at a state and the contact that is about to act on it."""
@@ -150,7 +146,7 @@ class TouchdownDetector:
                 self._anew = False
                 self.contacts.clear()
         if height_m > AIRBORNE_HEIGHT_M:
-            self._airborne = self.flown = True
+            self.flying = self.flown = True
 
     def _hit(self, time_s: float, state: QuadrotorState, pad: PadTruth, load: ContactLoad) -> None:
         touch = _touch(time_s, state, pad, load.on_board > 0)
@@ -162,7 +158,7 @@ class TouchdownDetector:
             self.contacts[-1] = self.contacts[-1].and_again(touch)
         else:
             self.contacts.append(replace(touch, before_flight=True))
-        self._airborne = self._clear = False
+        self.flying = self._clear = False
 
 
 def _touch(time_s: float, state: QuadrotorState, pad: PadTruth, on_pad: bool) -> TouchdownState:

@@ -77,7 +77,8 @@ Disturbance = Callable[[Effects, float], None]
 class World:
     """A scenario's world under one seed, from rest at home at time 0.
 
-    `disturbances` act in their order at every step; one more is one more function in the list.
+    `disturbances` act in their order at every step; one more is one more function in the list. `state` is
+    the body now, to be changed by `place` alone.
     """
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
@@ -120,7 +121,7 @@ class World:
             ).at
         )
         self.pad_state = self.pad_motion.at(0.0)
-        self._state = self._at_home(scenario, np.random.default_rng((seed, _Stream.START)))
+        self.state = self._at_home(scenario, np.random.default_rng((seed, _Stream.START)))
         self._load: ContactLoad = NO_CONTACT
         self._obstacles = Obstacles(scenario.obstacles, body)
         self._watch = TouchdownDetector()
@@ -139,7 +140,7 @@ class World:
 
     def place(self, state: QuadrotorState) -> None:
         """Set the vehicle's state and clear contacts and history: to start in the air."""
-        self._state = state
+        self.state = state
         self._load = NO_CONTACT
         self._contact.release()
         self._watch = TouchdownDetector(stands=False)
@@ -153,9 +154,9 @@ class World:
         effects = Effects(self._quadrotor.free_air)
         for disturb in self.disturbances:
             disturb(effects, dt_s)
-        self._watch.step(self.time_s, self._state, self.pad_state, self._load)
+        self._watch.step(self.time_s, self.state, self.pad_state, self._load)
         state = self._quadrotor.step(
-            self._state,
+            self.state,
             self.motors.given(motor_commands),
             dt_s,
             wind_ned_m_s=effects.wind_ned_m_s,
@@ -167,7 +168,7 @@ class World:
 
     def _advance(self, state: QuadrotorState, dt_s: float) -> None:
         """Advance the time: the vehicle's new state, and the pad's motion."""
-        self._state = state
+        self.state = state
         self.time_s += dt_s
         self.pad_state = self.pad_motion.at(self.time_s)
         self._watch.beside(self._obstacles.clearance_m(state.position_ned_m))
@@ -176,12 +177,12 @@ class World:
         self._record()
 
     def _wind_blows(self, effects: Effects, dt_s: float) -> None:
-        self.wind_ned_m_s = self._wind.at(self.time_s, -self._state.position_ned_m[2])
+        self.wind_ned_m_s = self._wind.at(self.time_s, -self.state.position_ned_m[2])
         effects.wind_ned_m_s = add(effects.wind_ned_m_s, self.wind_ned_m_s)
 
     def _legs_stand(self, effects: Effects, dt_s: float) -> None:
         if self._clear_m() <= self._contact.reach_m:
-            self._load = self._contact.step(self._state, self.pad_state, dt_s)
+            self._load = self._contact.step(self.state, self.pad_state, dt_s)
             effects.force_ned_n = add(effects.force_ned_n, self._load.force_ned_n)
             effects.torque_body_n_m = add(effects.torque_body_n_m, self._load.torque_body_n_m)
         elif self._load is not NO_CONTACT:
@@ -191,15 +192,15 @@ class World:
     def _ground_effect(self, effects: Effects, dt_s: float) -> None:
         if self._clear_m() <= self._ground_effect_reach_m:
             effects.thrust_ratio = rotor_ratios(
-                self._state, self._rotors, self.airframe.body.rotor_radius_m, self.board, self.pad_state
+                self.state, self._rotors, self.airframe.body.rotor_radius_m, self.board, self.pad_state
             )
 
     def _clear_m(self) -> float:
         """Height over all that could be touched: nothing lies less beneath."""
-        return self.board.ceiling_down_m(self.pad_state) - self._state.position_ned_m[2]
+        return self.board.ceiling_down_m(self.pad_state) - self.state.position_ned_m[2]
 
     def _snapshot(self) -> _Snapshot:
-        return _Snapshot(self.time_s, self._state, self.pad_state, self.wind_ned_m_s, self._load.touching)
+        return _Snapshot(self.time_s, self.state, self.pad_state, self.wind_ned_m_s, self._load.touching)
 
     def _record(self) -> None:
         self._history.append(self._snapshot())
@@ -209,21 +210,16 @@ class World:
     # ------------------------------------------------------------ for sensors
 
     @property
-    def state(self) -> QuadrotorState:
-        """The body now; not to be changed."""
-        return self._state
-
-    @property
     def height_m(self) -> float:
         """Height of the reference point over what lies under it."""
-        north, east, down = self._state.position_ned_m
+        north, east, down = self.state.position_ned_m
         return self.board.surface_down_m(self.pad_state, north, east) - down
 
     def deck_field_ned_ut(self) -> Vector3:
         """The pad's own magnetic field where the vehicle is."""
         if not self.pad_state.is_there:
             return ZERO3
-        away = subtract(self._state.position_ned_m, self.pad_state.position_ned_m)
+        away = subtract(self.state.position_ned_m, self.pad_state.position_ned_m)
         return self.built.deck_field_at(norm(away))
 
     @property
@@ -235,8 +231,8 @@ class World:
     def feet_over_pad_m(self) -> float | None:
         """Height of the feet over the pad's surface, 0 as soon as one touches; None before the flight and
         beside the pad."""
-        north, east, down = self._state.position_ned_m
-        if not self._watch.flown or not self.board.is_under(self.pad_state, self._state.position_ned_m):
+        north, east, down = self.state.position_ned_m
+        if not self._watch.flown or not self.board.is_under(self.pad_state, self.state.position_ned_m):
             return None
         over_m = self.board.surface_down_m(self.pad_state, north, east) - down
         # feet that bear a part of the weight are pressed in less than those of the height they stand at
@@ -253,7 +249,7 @@ class World:
         It is computed when called, from the present state.
         """
         return partial(
-            echo_distance_m, self.board, self.pad_state, self._state, sensor_position_body_m, half_angle_rad
+            echo_distance_m, self.board, self.pad_state, self.state, sensor_position_body_m, half_angle_rad
         )
 
     # ------------------------------------------------------------ for the score and the camera
@@ -281,7 +277,7 @@ class World:
     @property
     def at_rest_on_pad(self) -> bool:
         """Whether it stands at rest relative to the board."""
-        state, pad = self._state, self.pad_state
+        state, pad = self.state, self.pad_state
         carried = pad.velocity_at_ned_m_s(state.position_ned_m)
         still = norm(subtract(state.velocity_ned_m_s, carried)) <= REST_SPEED_M_S
         turned = quat_rotate_inverse(state.attitude, pad.rate_ned_rad_s())
@@ -372,7 +368,7 @@ class FirmGroundWorld(World):
         self._load = NO_CONTACT
         if down >= standing_m and state.velocity_ned_m_s[2] >= 0.0:
             self._load = _STANDS
-            old = self._state
+            old = self.state
             x, y, _ = old.position_ned_m
             stopped = (0.0, 0.0, 0.0, *old.attitude, 0.0, 0.0, 0.0)
             state = packed(old, (x, y, standing_m), stopped, state.thrust_share, dt_s)

@@ -281,7 +281,7 @@ class SimulatedAutopilot:
         elif mode is not None and mode.task is Task.LAND:
             refused = "land"
         if refused in self.refused:
-            return self.profile.refused_mode
+            return self.profile.refused
         self._watch_mission()  # one received since the last step counts already
         return self._commander.change_mode(mode, number)
 
@@ -502,13 +502,13 @@ class SimulatedAutopilot:
     def arm(self, force: bool = False) -> CommandResult:
         """Arm; refused with a text before alignment, when tilting, or in a mode that lands."""
         if "arm" in self.refused:
-            return self.profile.refused_arming
+            return self.profile.refused
         return self._commander.arm(force)
 
     def disarm(self, force: bool = False) -> CommandResult:
         """Disarm; refused in flight unless forced."""
         if "disarm" in self.refused:
-            return self.profile.refused_disarming
+            return self.profile.refused
         return self._commander.disarm(force)
 
     def set_mode(self, custom_mode: int) -> CommandResult:
@@ -598,7 +598,7 @@ class SimulatedAutopilot:
     def reboot(self) -> CommandResult:
         """Reboot on the ground, as after power-up; parameters and mission stay. Refused while armed."""
         if self.armed:
-            return self.profile.refused_arming
+            return self.profile.refused
         self._boot()
         return CommandResult.ACCEPTED
 
@@ -617,7 +617,7 @@ class SimulatedAutopilot:
         """MISSION_START; PX4 arms for it, ArduPilot has to be armed."""
         if not self.mission.flyable or (first >= 0 and not self.mission.select(first)):
             self._commander.send_text(Severity.CRITICAL, self.profile.texts.no_mission)
-            return self.profile.refused_mode
+            return self.profile.refused
         mode = next(mode for mode in self.profile.modes if mode.task is Task.MISSION)
         waits = self.profile.mission.waits_for_start
         if waits and not self.armed:

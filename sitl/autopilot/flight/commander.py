@@ -52,7 +52,7 @@ class Commander:
         refusal = next((c.text for c in self._profile.arming_checks if not c.passes(self.situation)), None)
         if refusal is not None and not force:
             self.send_text(Severity.CRITICAL, refusal)
-            return self._profile.refused_arming
+            return self._profile.refused
         self.armed = True
         self.situation.has_flown = False
         self.send_text(Severity.INFO, self._profile.texts.armed)
@@ -64,7 +64,7 @@ class Commander:
             return CommandResult.ACCEPTED
         if not self.situation.landed and not force:
             self.send_text(Severity.CRITICAL, self._profile.refused_disarming_text)
-            return self._profile.refused_disarming
+            return self._profile.refused
         self._stop(Severity.INFO, self._profile.texts.disarmed)
         return CommandResult.ACCEPTED
 
@@ -72,12 +72,12 @@ class Commander:
         """Enter a mode with its own task; None is a number the autopilot does not know."""
         if mode is None:
             self.send_text(Severity.WARNING, self._profile.texts.no_such_mode.format(number=number))
-            return self._profile.refused_mode
+            return self._profile.refused
         self._refresh()
         refusal = next((c.text for c in self._profile.mode_checks if c.fails(mode, self.situation)), None)
         if refusal is not None:
             self.send_text(Severity.CRITICAL, refusal.format(mode=mode.display_name))
-            return self._profile.refused_mode
+            return self._profile.refused
         self._forget_failsafe()
         self._enter(mode)
         if mode.task is Task.LAND and self.armed:

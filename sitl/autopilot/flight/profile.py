@@ -288,10 +288,8 @@ class AutopilotProfile:
     thrust_is_upward: bool = False
     pitch_channel_reversed: bool = False
     turns_by_command: bool = False
-    refused_arming: CommandResult
-    refused_mode: CommandResult
+    refused: CommandResult
     refused_selection: CommandResult
-    refused_disarming: CommandResult
     refused_disarming_text: str = ""
     unsupported_request: CommandResult
     parameter_map: ParameterMap

@@ -324,13 +324,13 @@ def test_a_refused_request_is_denied_for_as_long_as_the_fault(profile: Any) -> N
     )
     autopilot.set_mode_named(autopilot.profile.take_off_mode if profile == "ardupilot" else "AUTO_LOITER")
     desk.schedule.step(1.0)
-    assert autopilot.arm() is autopilot.profile.refused_arming
-    assert autopilot.arm(force=True) is autopilot.profile.refused_arming
+    assert autopilot.arm() is autopilot.profile.refused
+    assert autopilot.arm(force=True) is autopilot.profile.refused
     desk.schedule.step(2.0)
     assert autopilot.arm() is CommandResult.ACCEPTED
     autopilot.refused = frozenset({"disarm", "land", "offboard", "take_off"})
-    assert autopilot.disarm(force=True) is autopilot.profile.refused_disarming
-    assert autopilot.set_mode_named(autopilot.profile.land_mode) is autopilot.profile.refused_mode
+    assert autopilot.disarm(force=True) is autopilot.profile.refused
+    assert autopilot.set_mode_named(autopilot.profile.land_mode) is autopilot.profile.refused
     assert autopilot.take_off(5.0) is not CommandResult.ACCEPTED
 
 

@@ -253,7 +253,7 @@ def test_a_second_companion_is_obeyed_and_heard() -> None:
     desk = NetworkedVehicle()
     client = NetworkClient(desk.network, 1, 191)
     autopilot = desk.flight.autopilot
-    assert autopilot.set_mode_named("OFFBOARD") is autopilot.profile.refused_mode  # nobody sends setpoints
+    assert autopilot.set_mode_named("OFFBOARD") is autopilot.profile.refused  # nobody sends setpoints
     desk.ground.intruders["setpoints"] = Companion(196, 0.1)
     desk.run(0.5)
     heard = client.heard("SET_POSITION_TARGET_LOCAL_NED")
