@@ -1,6 +1,6 @@
 """The light over the pad: how bright it is, a shadow's edge that passes, and the sun's mirror image.
 
-The camera's response is in `sensor_chip`. Directions NED; lengths in metres. A shadow is a
+The camera's response is in `exposure`. Directions NED; lengths in metres. A shadow is a
 factor on what is seen, glare an addition to it in units of a white sheet's light; both are worked out on the
 camera's mesh (`mesh`), since neither has an edge finer than that.
 

@@ -91,7 +91,7 @@ class ImuErrors:
     full_rotor_hz: float = 130.0  # 7800 rpm; the blades pass at twice that
     rotor_spread: float = 0.02  # of the rotors' speeds about their mean
     accel_rectification_g_g2: float = 0.005  # mean shift (g) a vibration's square (g²), drawn for each axis
-    # False: the data sheet's tolerances (`calibration_errors`) instead of biases and scales
+    # False: the data sheet's tolerances (`CalibrationErrors`) instead of biases and scales
     calibrated: bool = True
 
 

@@ -1,6 +1,6 @@
 """The airframe: a rigid body with lagging rotors, drag and rotor gyroscopics (paper eqs. 5-8).
 
-Frames: NED and FRD; where the rotors are: `sitl.vehicle.quadrotor`. Units are SI; a motor command is 0..1.
+Frames: NED and FRD; where the rotors are: `RotorLayout`. Units are SI; a motor command is 0..1.
 
 The paper writes eqs. (5)(6) z-up and in small-angle Euler rates. Here they are in vector form,
     I w' = torque - w x (I w + h),   h = (0, 0, J_TP (-W1 + W2 - W3 + W4)),
@@ -42,7 +42,11 @@ RotorValues = tuple[float, ...]
 
 @dataclass(frozen=True, slots=True)
 class RotorLayout:
-    """Unit places forward and right of the centre, and the sign of each one's reaction torque (FRD)."""
+    """Unit places forward and right of the centre, and the sign of each one's reaction torque (FRD).
+
+    Rotors are numbered clockwise from the front, seen from above; neighbours turn against one another, the
+    first anticlockwise.
+    """
 
     forward: RotorValues
     right: RotorValues
