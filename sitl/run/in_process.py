@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from companion.base.messages import Frame
-from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.ports import AppEnd, MemoryPort
 from sitl.faults.targets import ComputerFaults
 from sitl.firmware.spec import FirmwareSpec
@@ -103,11 +102,7 @@ class InProcess:
             signing_key=signing_key,
             keep_truth=keep_truth,
         )
-
-    @property
-    def imu_bus(self) -> Mpu9250Device:
-        """The register bus with the MPU9250 on it."""
-        return self.simulation.imu_bus
+        self.imu_bus = self.simulation.imu_bus  # the register bus with the MPU9250 on it
 
 
 @asynccontextmanager

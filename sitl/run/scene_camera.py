@@ -8,29 +8,22 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from companion.base.clock import AT_ONCE
 from companion.base.encoding import light_of_greys
 from companion.base.geometry import FloatArray, Vector3, add
-from companion.base.messages import Frame, Truth
+from companion.base.messages import Frame
 from companion.config import CameraConfig, VehicleConfig, find_file, load_model
 from companion.pad import load_pad
 from sitl.camera import camera as optics
 from sitl.camera.exposure import ImagingSettings
 from sitl.camera.textures import GreyImage
+from sitl.external.world import ExternalWorld
 from sitl.scenario.as_built import AS_BELIEVED, BuiltVehicle
 from sitl.scenario.scenario import Scenario
-
-
-class Scene(Protocol):
-    """A world as the camera sees it."""
-
-    def truth_at(self, time_s: float) -> Truth:
-        """Vehicle and pad at a time of the last 0.3 s, s of the world."""
-        ...
+from sitl.world.world import World
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +47,7 @@ class SceneCamera:
         self,
         scenario: Scenario,
         vehicle: VehicleConfig,
-        world: Scene,
+        world: World | ExternalWorld,
         noise_rng: np.random.Generator,
         latency_rng: np.random.Generator,
         lens_rng: np.random.Generator,
