@@ -78,7 +78,7 @@ class World:
     """A scenario's world under one seed, from rest at home at time 0.
 
     `disturbances` act in their order at every step; one more is one more function in the list. `state` is
-    the body now, to be changed by `place` alone.
+    the body now, to be changed by `place` alone; `contact` what touched, and how, in the last step.
     """
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
@@ -107,7 +107,7 @@ class World:
             (arm * forward, arm * right, up)
             for forward, right in zip(layout.forward, layout.right, strict=True)
         )
-        self._contact = Contact(airframe.legs, body.mass_kg, self.board, self._rotors)
+        self._legs = Contact(airframe.legs, body.mass_kg, self.board, self._rotors)
         self._ground_effect_reach_m = ground_effect_reach_m(body.rotor_radius_m)
         self._wind = Wind(scenario.wind, np.random.default_rng((seed, _Stream.WIND)))
         pad = scenario.pad
@@ -122,7 +122,7 @@ class World:
         )
         self.pad_state = self.pad_motion.at(0.0)
         self.state = self._at_home(scenario, np.random.default_rng((seed, _Stream.START)))
-        self._load: ContactLoad = NO_CONTACT
+        self.contact: ContactLoad = NO_CONTACT
         self._obstacles = Obstacles(scenario.obstacles, body)
         self._watch = TouchdownDetector()
         self._history: deque[_Snapshot] = deque([self._snapshot()])
@@ -141,8 +141,8 @@ class World:
     def place(self, state: QuadrotorState) -> None:
         """Set the vehicle's state and clear contacts and history: to start in the air."""
         self.state = state
-        self._load = NO_CONTACT
-        self._contact.release()
+        self.contact = NO_CONTACT
+        self._legs.release()
         self._watch = TouchdownDetector(stands=False)
         self._watch.airborne(self.height_m - self.landed_reference_height_m)
         self._history = deque([self._snapshot()])
@@ -154,7 +154,7 @@ class World:
         effects = Effects(self._quadrotor.free_air)
         for disturb in self.disturbances:
             disturb(effects, dt_s)
-        self._watch.step(self.time_s, self.state, self.pad_state, self._load)
+        self._watch.step(self.time_s, self.state, self.pad_state, self.contact)
         state = self._quadrotor.step(
             self.state,
             self.motors.given(motor_commands),
@@ -181,13 +181,13 @@ class World:
         effects.wind_ned_m_s = add(effects.wind_ned_m_s, self.wind_ned_m_s)
 
     def _legs_stand(self, effects: Effects, dt_s: float) -> None:
-        if self._clear_m() <= self._contact.reach_m:
-            self._load = self._contact.step(self.state, self.pad_state, dt_s)
-            effects.force_ned_n = add(effects.force_ned_n, self._load.force_ned_n)
-            effects.torque_body_n_m = add(effects.torque_body_n_m, self._load.torque_body_n_m)
-        elif self._load is not NO_CONTACT:
-            self._contact.release()
-            self._load = NO_CONTACT
+        if self._clear_m() <= self._legs.reach_m:
+            self.contact = self._legs.step(self.state, self.pad_state, dt_s)
+            effects.force_ned_n = add(effects.force_ned_n, self.contact.force_ned_n)
+            effects.torque_body_n_m = add(effects.torque_body_n_m, self.contact.torque_body_n_m)
+        elif self.contact is not NO_CONTACT:
+            self._legs.release()
+            self.contact = NO_CONTACT
 
     def _ground_effect(self, effects: Effects, dt_s: float) -> None:
         if self._clear_m() <= self._ground_effect_reach_m:
@@ -200,7 +200,7 @@ class World:
         return self.board.ceiling_down_m(self.pad_state) - self.state.position_ned_m[2]
 
     def _snapshot(self) -> _Snapshot:
-        return _Snapshot(self.time_s, self.state, self.pad_state, self.wind_ned_m_s, self._load.touching)
+        return _Snapshot(self.time_s, self.state, self.pad_state, self.wind_ned_m_s, self.contact.touching)
 
     def _record(self) -> None:
         self._history.append(self._snapshot())
@@ -223,11 +223,6 @@ class World:
         return self.built.deck_field_at(norm(away))
 
     @property
-    def contact(self) -> ContactLoad:
-        """What touched, and how, in the last step."""
-        return self._load
-
-    @property
     def feet_over_pad_m(self) -> float | None:
         """Height of the feet over the pad's surface, 0 as soon as one touches; None before the flight and
         beside the pad."""
@@ -236,7 +231,7 @@ class World:
             return None
         over_m = self.board.surface_down_m(self.pad_state, north, east) - down
         # feet that bear a part of the weight are pressed in less than those of the height they stand at
-        return 0.0 if self._load.on_board else over_m - self.landed_reference_height_m
+        return 0.0 if self.contact.on_board else over_m - self.landed_reference_height_m
 
     @property
     def landed_reference_height_m(self) -> float:
@@ -282,7 +277,7 @@ class World:
         still = norm(subtract(state.velocity_ned_m_s, carried)) <= REST_SPEED_M_S
         turned = quat_rotate_inverse(state.attitude, pad.rate_ned_rad_s())
         steady = norm(subtract(state.rate_body_rad_s, turned)) <= REST_RATE_RAD_S
-        return self._load.on_board >= STANDING_FEET and still and steady
+        return self.contact.on_board >= STANDING_FEET and still and steady
 
     def truth(self) -> Truth:
         """Everything now."""
@@ -365,9 +360,9 @@ class FirmGroundWorld(World):
         """Stop what would sink below the height that it stands at."""
         north, east, down = state.position_ned_m
         standing_m = self.board.surface_down_m(self.pad_state, north, east) - self.landed_reference_height_m
-        self._load = NO_CONTACT
+        self.contact = NO_CONTACT
         if down >= standing_m and state.velocity_ned_m_s[2] >= 0.0:
-            self._load = _STANDS
+            self.contact = _STANDS
             old = self.state
             x, y, _ = old.position_ned_m
             stopped = (0.0, 0.0, 0.0, *old.attitude, 0.0, 0.0, 0.0)
