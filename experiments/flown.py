@@ -18,7 +18,7 @@ from companion.sim.runner import fly
 from companion.sim.scoring import score
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
-from sitl.scenario.home import USUAL_HOMES
+from sitl.scenario.scenario import USUAL_HOMES
 
 SETTINGS: Final = CONFIG_FOLDER / "companion.yaml"
 

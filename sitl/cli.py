@@ -123,13 +123,23 @@ def companion_sitl(
     elif firmware is not None:
         refuse(context, WITH_FIRMWARE, "applies to the bundled autopilot; expected it without --firmware")
     find_file("scenarios", scenario)
-    from sitl.run.serve_command import Served, serve_vehicle  # noqa: PLC0415 - imports what simulates
+    from sitl.firmware.spec import FirmwareSpec  # noqa: PLC0415 - imports what simulates
+    from sitl.run.server import Service, serve_vehicle  # noqa: PLC0415
 
-    flown = (firmware, firmware_path, firmware_param)
-    served = Served(
-        scenario, seed, autopilot, flown, folder, external, signing_key, child, serve_truth, home, settings
+    serve_vehicle(
+        scenario,
+        seed,
+        Service(bind, port, gcs_port, tcp_port),
+        autopilot=autopilot,
+        firmware=FirmwareSpec.of(firmware, firmware_path, firmware_param or ()),
+        home=home,
+        folder=folder,
+        settings=settings,
+        external=external,
+        signing_key=signing_key,
+        child=child,
+        serve_truth=serve_truth,
     )
-    serve_vehicle(served, bind, (port, gcs_port, tcp_port))
 
 
 def refuse(context: typer.Context, allowed: Collection[str], why: str) -> None:

@@ -18,7 +18,7 @@ from companion.base.errors import ConfigError
 from companion.base.files import find_file, must_be_readable
 from companion.base.signals import run_until_stopped, signals_held_back
 from sitl.campaign import SCENARIOS
-from sitl.vehicle.hand_motion import HandMotion
+from sitl.vehicle import HandMotion
 
 FirmwareOption = Annotated[
     AutopilotKind | None,

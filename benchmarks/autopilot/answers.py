@@ -20,8 +20,7 @@ from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.pad.paths import Meeting, StaticMotion
 from sitl.run.simulation import PHYSICS_STEP_S
-from sitl.scenario.home import magnetic_field_ned_ut
-from sitl.scenario.scenario import PadSettings, Scenario
+from sitl.scenario.scenario import PadSettings, Scenario, magnetic_field_ned_ut
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.world.world import World
 

@@ -35,11 +35,9 @@ from companion.base.clock import run_in_virtual_time
 from companion.base.geometry import FloatArray
 from companion.config import ImuConfig
 from companion.sim.trial import Trial
-from sitl.devices.rack import SensorErrors
 from sitl.run.in_process import carried
-from sitl.run.sensor_setup import sensor_errors
-from sitl.scenario.home import magnetic_field_ned_ut
-from sitl.scenario.scenario import Scenario, SensorSettings
+from sitl.scenario.scenario import Scenario, SensorSettings, magnetic_field_ned_ut
+from sitl.sensors.inertial import SensorErrors, sensor_errors
 from tests.unit.calibration.magnetometer.magnetometer_truth import FIELD_UT, turned
 
 SMOKE: Final = ("--seeds", "3", "--flights", "0")
@@ -152,7 +150,7 @@ def flown(seeds: int, report: BenchReport) -> dict[str, bool]:
         trial = Trial.load(SCENARIO, seed)
         with (
             tempfile.TemporaryDirectory() as folder,
-            mock.patch("sitl.run.sensor_setup.sensor_errors", magnetometer_from_the_shop),
+            mock.patch("sitl.run.simulation.sensor_errors", magnetometer_from_the_shop),
         ):
             done, truth = run_in_virtual_time(carried_about(trial.scenario, seed))
             path = Path(folder) / "magnetometer.yaml"

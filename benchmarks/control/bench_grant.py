@@ -27,13 +27,14 @@ from companion.app.hardware import make_own_actions
 from companion.base.clock import run_in_virtual_time
 from companion.config import CONFIG_FOLDER, merge
 from companion.flightlog.record import FlightLog
+from companion.link.codec import mavlink
 from companion.link.inbox import memory_pair
 from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
 from sitl.campaign.tables import Bar
 from sitl.firmware.spec import FirmwareSpec
-from sitl.mavlink.framing import FrameReader, dialect
+from sitl.mavlink.framing import FrameReader
 from sitl.run.in_process import InProcess
 from sitl.run.simulation import Simulation
 from sitl.scenario.as_built import NOTHING_ELSE
@@ -80,7 +81,7 @@ class GrantWitness:
 
     def hear(self, data: bytes, now_s: float) -> None:
         """Take what the app has just sent."""
-        wanted: Any = dialect
+        wanted: Any = mavlink
         kinds = {frame.message_id for frame in self._reader.read(data, now_s)}
         if self._found.began_s is None and wanted.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET in kinds:
             self._found.began_s, self._stepped_s = now_s, now_s

@@ -10,12 +10,11 @@ from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
 from companion.base.geometry import Vector3, horizontal_acceleration, tilt_from_quat, yaw_from_quat
+from companion.link.codec import mavlink
 from sitl.faults.schedule import AppText
-from sitl.mavlink.framing import FrameReader, MavFrame, dialect
+from sitl.mavlink.framing import FrameReader, MavFrame
 from sitl.run.simulation import Simulation
 from sitl.world.score import TouchdownState
-
-mavlink: Any = dialect
 
 SAMPLE_S: Final = 0.02
 _YAW_RATE_IGNORED: Final = 1 << 11

@@ -16,11 +16,13 @@ from typing import Any, Final
 import numpy as np
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.link.codec import mavlink
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.mavlink.commands import FORCE_MAGIC, HANDLERS, LINK_HANDLERS
-from sitl.mavlink.framing import FrameReader, Signing, dialect
+from sitl.mavlink.framing import FrameReader, Signing
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.network import VEHICLE, Network, Port
+from sitl.scenario.scenario import BeaconSettings
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
 
@@ -35,7 +37,6 @@ from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
 # ---------------------------------------------------------------- garbage
 # Wrong MAVLink of many kinds, made from legal messages: one function a kind.
 
-mavlink: Any = dialect
 
 LEGAL_EVERY: Final = 20  # one frame in so many
 FRAMES_PER_TICK: Final = 20
@@ -121,7 +122,9 @@ class Fuzz:
         sensors = SimulatedAutopilotSensors(
             np.random.default_rng(seed), TICK_S, home=HOME, field_ned_ut=(20.9, 0.6, 42.9), imu_filter=4
         )
-        ground_station = GroundStation(np.random.default_rng(seed), 1.0, HOME, signing=self.signing)
+        ground_station = GroundStation(
+            BeaconSettings(position_std_m=1.0), np.random.default_rng(seed), HOME, signing=self.signing
+        )
         self.network = Network(self.flight.autopilot, sensors, ground_station, self.signing, 1.7e9)
         self.udp, self.tcp, self.quiet = (self._client(n, key) for n in (1, 2, 3))
         self.udp.port = self.network.connect(self.udp.write, datagrams=True)

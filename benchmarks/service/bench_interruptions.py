@@ -32,7 +32,7 @@ from benchmarks.report import BenchReport
 from benchmarks.service import judging
 from benchmarks.service.judging import KINDS, InterruptedTrial, Kind, TrialsFile, moment, reached
 from benchmarks.service.running import NEAR, Stage, stage
-from sitl.run.report import read_report
+from sitl.run.process_control import read_report
 
 SMOKE: Final = ("--trials", "1")
 NEEDS: Final = "the machine to itself"

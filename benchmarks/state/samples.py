@@ -16,7 +16,7 @@ from companion.base.geometry import rotation_vector_from_quat as rotation_vector
 from companion.base.messages import PadState, Truth, VehicleState
 from companion.estimate.estimator import StateEstimator
 from companion.flightlog.errors import TruthTrack
-from sitl.scenario.home import USUAL_HOMES
+from sitl.scenario.scenario import USUAL_HOMES
 
 HOME = USUAL_HOMES["px4"]
 

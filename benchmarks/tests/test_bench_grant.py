@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.control.bench_grant import Grant, GrantWitness, bar, rows, scenario_of
-from sitl.mavlink.framing import dialect
-
-mavlink: Any = dialect
+from companion.link.codec import mavlink
 
 
 def attitude_setpoint() -> bytes:

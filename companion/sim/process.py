@@ -13,7 +13,7 @@ from companion.base.errors import ConfigError
 from companion.base.messages import Phase
 from companion.sim.external import External
 from companion.sim.trial import Trial
-from sitl.run.report import SimulationReport, read_report
+from sitl.run.process_control import SimulationReport, read_report
 
 START_TIMEOUT_S: Final = 20.0
 # an external autopilot may still be booting

@@ -33,7 +33,7 @@ from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.trial import Trial
 from sitl.firmware import FirmwareError
 from sitl.run.in_process import InProcess
-from sitl.run.report import SimulationReport
+from sitl.run.process_control import SimulationReport
 
 StatusCallback = Callable[[Status], None]
 

@@ -16,7 +16,7 @@ from companion.flightlog.result import (
     Result,
     SimResult,
 )
-from sitl.scenario.home import USUAL_HOMES
+from sitl.scenario.scenario import USUAL_HOMES
 
 HOME = USUAL_HOMES["px4"]
 

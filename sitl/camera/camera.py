@@ -50,7 +50,7 @@ from sitl.camera.exposure import (
     through,
     vignette,
 )
-from sitl.camera.light import Lighting, LightInView
+from sitl.camera.light import LightInView
 from sitl.camera.mesh import HORIZON, NODE_PX, Part, covers, node_rays, visible_part, within_board
 from sitl.camera.textures import (
     PAD_WHITE,
@@ -183,8 +183,7 @@ class CameraModel:
         light_rng, dirt_rng = rng.spawn(2)
         self._metering: AutoExposure | None = None
         if settings.light is not None:
-            self._lighting = Lighting(settings.light, light_rng)
-            self._light = LightInView(self._lighting, self._node_rays)
+            self._light = LightInView(settings.light, light_rng, self._node_rays)
             self._metering = AutoExposure(settings.exposure, self._exposure_s, settings.light.illuminance_lux)
             self._exposure_s = self._metering.now.exposure_s
         self._encoded = encoding_table(camera.encoding)
@@ -379,7 +378,7 @@ class CameraModel:
         metering = self._metering
         if metering is None:
             return self._noisy(through(self._encoded, image), 1.0)
-        image = through(response(metering.brightness, self._lighting.veil), image)
+        image = through(response(metering.brightness, self._light.veil), image)
         if glow is not None:
             rows, columns = image.shape
             image = add_light(image, glow[:rows, :columns] * (PAD_WHITE * metering.brightness))

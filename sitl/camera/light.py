@@ -1,6 +1,6 @@
 """The light over the pad: how bright it is, a shadow's edge that passes, and the sun's mirror image.
 
-The camera's response is in `sensor_chip`. Directions NED; lengths in metres. A shadow is a
+The camera's response is in `exposure`. Directions NED; lengths in metres. A shadow is a
 factor on what is seen, glare an addition to it in units of a white sheet's light; both are worked out on the
 camera's mesh (`mesh`), since neither has an edge finer than that.
 
@@ -67,46 +67,21 @@ class LightSettings(StrictModel):
     glare: GlareSettings | None = None
 
 
-class Lighting:
-    """A scenario's light under one seed."""
-
-    def __init__(self, settings: LightSettings, rng: np.random.Generator) -> None:
-        self.illuminance_lux = settings.illuminance_lux
-        self.veil = settings.veil
-        self.shadow, self.glare = settings.shadow, settings.glare
-        course = drawn_angle("random" if self.shadow is None else self.shadow.course_deg, rng)
-        azimuth = drawn_angle("random" if self.glare is None else self.glare.azimuth_deg, rng)
-        self._course = (math.cos(course), math.sin(course))
-        elevation = math.radians(90.0 if self.glare is None else self.glare.elevation_deg)
-        flat = math.cos(elevation)
-        self._sun = np.array((flat * math.cos(azimuth), flat * math.sin(azimuth), -math.sin(elevation)))
-
-    def shade(self, shadow: ShadowSettings, north_east_m: FloatArray, time_s: float) -> FloatArray:
-        """Share of the light (...) at places (..., 2) relative to the pad's centre."""
-        ahead = north_east_m @ self._course - shadow.speed_m_s * (time_s - shadow.crosses_s)
-        if shadow.stripes_m is not None:
-            # a triangle wave: zero at each edge, with the edge's own slope there
-            half = 0.5 * shadow.stripes_m
-            ahead = np.abs((ahead + 0.5 * half) % (2.0 * half) - half) - 0.5 * half
-        lit = 0.5 + ahead / max(shadow.penumbra_m, LEAST_PENUMBRA_M)
-        return np.asarray(1.0 - shadow.depth * (1.0 - lit.clip(0.0, 1.0)))
-
-    def mirrored(self, glare: GlareSettings, rays_ned: FloatArray, normal_ned: Vector3) -> FloatArray:
-        """The sun's light (...), of a white sheet's, that such a surface sends up unit rays (..., 3)."""
-        normal = np.array(normal_ned)
-        towards = self._sun - 2.0 * (self._sun @ normal) * normal
-        off2 = 2.0 * (1.0 - rays_ned @ towards)
-        return np.asarray(glare.strength * np.exp(-0.5 * off2 / math.radians(glare.spread_deg) ** 2))
-
-
 class LightInView:
-    """The light as one camera's mesh sees it."""
+    """A scenario's light under one seed, as one camera's mesh sees it."""
 
-    def __init__(self, lighting: Lighting, rays: FloatArray) -> None:
+    def __init__(self, settings: LightSettings, rng: np.random.Generator, rays: FloatArray) -> None:
         """`rays` (rows, columns, 3) are the mesh's in the camera's axes, z = 1."""
-        self._lighting = lighting
+        self.veil = settings.veil
+        self._shadow, self._glare = settings.shadow, settings.glare
         self._rays = rays
         self._unit_rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        course = drawn_angle("random" if self._shadow is None else self._shadow.course_deg, rng)
+        azimuth = drawn_angle("random" if self._glare is None else self._glare.azimuth_deg, rng)
+        self._course = (math.cos(course), math.sin(course))
+        elevation = math.radians(90.0 if self._glare is None else self._glare.elevation_deg)
+        flat = math.cos(elevation)
+        self._sun = np.array((flat * math.cos(azimuth), flat * math.sin(azimuth), -math.sin(elevation)))
 
     def shade(
         self, ned_from_camera: FloatArray, camera_from_pad_ned_m: Vector3, time_s: float
@@ -118,13 +93,13 @@ class LightInView:
             camera_from_pad_ned_m: the camera's place less the pad's; all is taken to lie at its height.
             time_s: the world's.
         """
-        shadow = self._lighting.shadow
+        shadow = self._shadow
         if shadow is None:
             return None
         rays = self._rays @ ned_from_camera.T
         reach = -camera_from_pad_ned_m[2] / np.maximum(rays[..., 2:], HORIZON)
         places = rays[..., :2] * reach + camera_from_pad_ned_m[:2]
-        lit = self._lighting.shade(shadow, places, time_s)
+        lit = self._lit(shadow, places, time_s)
         return np.asarray(pixels_of(255.0 * lit).clip(0.0, 255.0), dtype=np.uint8)
 
     def glow(
@@ -137,8 +112,25 @@ class LightInView:
             normal_ned: of the board.
             inside: how far within the board each node (rows, columns) is, negative outside.
         """
-        glare = self._lighting.glare
+        glare = self._glare
         if glare is None:
             return None
-        light = self._lighting.mirrored(glare, self._unit_rays @ ned_from_camera.T, normal_ned)
+        light = self._mirrored(glare, self._unit_rays @ ned_from_camera.T, normal_ned)
         return np.where(pixels_of(inside) > 0.0, pixels_of(light), np.float32(0.0))
+
+    def _lit(self, shadow: ShadowSettings, north_east_m: FloatArray, time_s: float) -> FloatArray:
+        """Share of the light (...) at places (..., 2) relative to the pad's centre."""
+        ahead = north_east_m @ self._course - shadow.speed_m_s * (time_s - shadow.crosses_s)
+        if shadow.stripes_m is not None:
+            # a triangle wave: zero at each edge, with the edge's own slope there
+            half = 0.5 * shadow.stripes_m
+            ahead = np.abs((ahead + 0.5 * half) % (2.0 * half) - half) - 0.5 * half
+        lit = 0.5 + ahead / max(shadow.penumbra_m, LEAST_PENUMBRA_M)
+        return np.asarray(1.0 - shadow.depth * (1.0 - lit.clip(0.0, 1.0)))
+
+    def _mirrored(self, glare: GlareSettings, rays_ned: FloatArray, normal_ned: Vector3) -> FloatArray:
+        """The sun's light (...), of a white sheet's, that such a surface sends up unit rays (..., 3)."""
+        normal = np.array(normal_ned)
+        towards = self._sun - 2.0 * (self._sun @ normal) * normal
+        off2 = 2.0 * (1.0 - rays_ned @ towards)
+        return np.asarray(glare.strength * np.exp(-0.5 * off2 / math.radians(glare.spread_deg) ** 2))

@@ -25,6 +25,7 @@ from companion.config import (
     validate,
 )
 from sitl.firmware.spec import FirmwareSpec
+from sitl.scenario.listing import shipped
 from sitl.scenario.scenario import Scenario, load_scenario
 
 MANIFEST_NAME: Final = "campaign.json"
@@ -141,7 +142,7 @@ def make_plan(
 def _expanded(sources: Sequence[str]) -> Iterator[str]:
     for source in sources:
         if source == "all":
-            yield from sorted(path.stem for path in (CONFIG_FOLDER / "scenarios").glob("*.yaml"))
+            yield from shipped()
         else:
             yield source
 

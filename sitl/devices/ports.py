@@ -4,44 +4,30 @@
 in another process. The device's side is the same: `send` and `receive`, without waiting. Bytes arrive in
 pieces, as out of a UART's own buffer, and each piece when its last bit would have come. Both ends have a
 baud rate of their own: where they differ, what arrives is garbage.
+
+What a serial receiver makes of bytes that were sent at another rate: the waveform, sampled wrongly.
+
+8N1: a start bit (low), eight data bits with the least first, a stop bit (high). The receiver waits for a
+falling edge and looks at the middle of each of its own bits. A byte whose stop bit is low (a framing error)
+reads as 0, as Linux's tty gives it by default (termios(3), neither IGNPAR nor PARMRK).
 """
 
 import asyncio
 import contextlib
 import errno
+import math
 import os
 import termios
 import tty
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Final, Protocol
-
-from sitl.devices.uart import BITS_PER_BYTE, as_received
+from typing import Final
 
 _SPEEDS: Final = {
     getattr(termios, f"B{baud}"): baud for baud in (4800, 9600, 19200, 38400, 57600, 115200, 230400)
 }
 _PIECE_BYTES: Final = 64
 _BACKLOG_S: Final = 1.0
-
-
-class DevicePort(Protocol):
-    """The device's side of a serial line."""
-
-    def send(self, data: bytes) -> None:
-        """Put bytes on the line."""
-        ...
-
-    def receive(self) -> bytes:
-        """What has come from the app since the last call."""
-        ...
-
-    def set_baud(self, baud: int) -> None:
-        """Change the device's rate; the app sets its own."""
-        ...
-
-    def close(self) -> None:
-        """Unplug the line."""
-        ...
 
 
 class PacedLine:
@@ -72,6 +58,35 @@ class PacedLine:
         heard = as_received(piece, sent_baud, self._receiver_baud())
         if heard:
             self._deliver(heard)
+
+
+class DevicePort(ABC):
+    """The device's side of a serial line."""
+
+    _line: PacedLine
+
+    def __init__(self) -> None:
+        self._from_app = bytearray()
+
+    @abstractmethod
+    def send(self, data: bytes) -> None:
+        """Put bytes on the line to the app."""
+
+    def receive(self) -> bytes:
+        """What has come from the app since the last call."""
+        if not self._from_app:
+            return b""
+        data = bytes(self._from_app)
+        self._from_app.clear()
+        return data
+
+    def set_baud(self, baud: int) -> None:
+        """Change the device's rate; the app sets its own."""
+        self._line.baud = baud
+
+    @abstractmethod
+    def close(self) -> None:
+        """Unplug the line: the app's end gets OSError."""
 
 
 class AppEnd:
@@ -123,11 +138,11 @@ class AppEnd:
             self._arrived.set()
 
 
-class MemoryPort:
+class MemoryPort(DevicePort):
     """A serial line within one process. Make it inside the running loop."""
 
     def __init__(self, baud: int) -> None:
-        self._from_app = bytearray()
+        super().__init__()
         self.app = AppEnd(baud, self._from_app.extend, lambda: self._line.baud)
         self._line = PacedLine(baud, self.app.deliver, lambda: self.app.baud)
 
@@ -136,30 +151,19 @@ class MemoryPort:
         if data:
             self._line.send(data)
 
-    def receive(self) -> bytes:
-        """What has come from the app since the last call."""
-        if not self._from_app:
-            return b""
-        data = bytes(self._from_app)
-        self._from_app.clear()
-        return data
-
-    def set_baud(self, baud: int) -> None:
-        """Change the device's rate."""
-        self._line.baud = baud
-
     def close(self) -> None:
         """Unplug the line: the app's end gets OSError."""
         self.app.close()
 
 
-class PtyPort:
+class PtyPort(DevicePort):
     """A serial line as a pseudo terminal; the app opens `path`. Make it inside the running loop.
 
     A pseudo terminal has no baud rate, but it stores the one that the app has set.
     """
 
     def __init__(self, baud: int) -> None:
+        super().__init__()
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         settings = termios.tcgetattr(self._slave)
@@ -169,7 +173,6 @@ class PtyPort:
         # our own handle on the slave stays open: without it reading fails while the app has not opened it
         self.path = os.ttyname(self._slave)
         self._loop = asyncio.get_running_loop()
-        self._from_app = bytearray()
         self._line = PacedLine(baud, self._deliver, self._app_baud)
         self._open = True
         self._loop.add_reader(self._master, self._on_readable)
@@ -178,16 +181,6 @@ class PtyPort:
         """Put bytes on the line to the app."""
         if data and self._open:
             self._line.send(data)
-
-    def receive(self) -> bytes:
-        """What has come from the app since the last call."""
-        data = bytes(self._from_app)
-        self._from_app.clear()
-        return data
-
-    def set_baud(self, baud: int) -> None:
-        """Change the device's rate."""
-        self._line.baud = baud
 
     def close(self) -> None:
         """Unplug the line: the app's end gets OSError."""
@@ -222,3 +215,46 @@ class PtyPort:
 
 def _unplugged() -> OSError:
     return OSError(errno.EIO, "serial line unplugged")
+
+
+BITS_PER_BYTE: Final = 10
+
+
+def as_received(data: bytes, sent_baud: int, receiver_baud: int) -> bytes:
+    """The bytes that a receiver at `receiver_baud` gets of `data` sent in one go at `sent_baud`."""
+    if sent_baud == receiver_baud or not data:
+        return data
+    wave = _waveform(data)
+    ratio = sent_baud / receiver_baud  # bits of the sender in one of the receiver's
+    heard = bytearray()
+    at = _falling_edge(wave, 0)
+    while at is not None:
+        bits = [_level(wave, at + (k + 0.5) * ratio) for k in range(BITS_PER_BYTE)]
+        value = sum(bit << k for k, bit in enumerate(bits[1:9]))
+        stop = bits[9]
+        if bits[0]:
+            at = _falling_edge(wave, math.ceil(at + 0.5 * ratio))  # a spike, no start bit
+            continue
+        heard.append(value if stop else 0)
+        at = _falling_edge(wave, math.ceil(at + (BITS_PER_BYTE - 0.5) * ratio))
+    return bytes(heard)
+
+
+def _waveform(data: bytes) -> list[int]:
+    wave = [1]
+    for byte in data:
+        wave += [0, *(byte >> k & 1 for k in range(8)), 1]
+    return wave
+
+
+def _level(wave: list[int], at: float) -> int:
+    """The line rests high before and after."""
+    index = int(at)
+    return wave[index] if index < len(wave) else 1
+
+
+def _falling_edge(wave: list[int], start: int) -> int | None:
+    for index in range(max(1, start), len(wave)):
+        if wave[index - 1] and not wave[index]:
+            return index
+    return None

@@ -5,8 +5,7 @@ Each sensor has a random stream of its own, so that a fault in one does not chan
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -24,20 +23,13 @@ from companion.base.geometry import (
     tilt_from_quat,
 )
 from companion.config import GpsConfig, ImuConfig
-from sitl.devices.mpu9250 import Ak8963Device, Interface, Mpu9250Device
+from sitl.devices.mpu9250 import Ak8963Device, Mpu9250Device
 from sitl.devices.neo6m import Neo6mDevice
 from sitl.devices.ports import DevicePort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
-from sitl.sensors.inertial import ImuErrors, ImuSensor, felt_at, moved_at
-from sitl.sensors.sensors import (
-    BoardTruth,
-    GpsErrors,
-    GpsSensor,
-    MagErrors,
-    MagSensor,
-    RangeErrors,
-    RangeSensor,
-)
+from sitl.scenario.scenario import SensorSettings
+from sitl.sensors.inertial import ImuSensor, SensorErrors, felt_at, moved_at
+from sitl.sensors.sensors import BoardTruth, GpsSensor, MagSensor, RangeSensor
 from sitl.vehicle.quadrotor import QuadrotorState
 
 
@@ -101,25 +93,6 @@ SENSOR_FROM_BODY: Final = np.array(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class SensorErrors:
-    """Errors of the sensors."""
-
-    imu: ImuErrors = field(default_factory=ImuErrors)
-    magnetometer: MagErrors = field(default_factory=MagErrors)
-    gps: GpsErrors = field(default_factory=GpsErrors)
-    range: RangeErrors = field(default_factory=RangeErrors)
-
-
-@dataclass(frozen=True, slots=True)
-class Wiring:
-    """Which sensors there are and how they are connected."""
-
-    imu_interface: Interface = "i2c"
-    gps_wake_baud: int = 9600
-    ultrasonic: Literal["frames", "polled"] = "frames"
-
-
 class SensorRack:
     """The vehicle's IMU (a register bus), GPS and ultrasonic (on their serial lines)."""
 
@@ -135,11 +108,11 @@ class SensorRack:
         imu_config: ImuConfig | None = None,
         gps_config: GpsConfig | None = None,
         errors: SensorErrors | None = None,
-        wiring: Wiring | None = None,
+        wiring: SensorSettings | None = None,
         imu_position_body_m: Vector3 = ZERO3,
     ) -> None:
-        """`imu_position_body_m`: where the IMU is, from the centre of mass."""
-        wiring = wiring or Wiring()
+        """`imu_position_body_m`: the IMU from the centre of mass; `wiring`: which sensors there are."""
+        wiring = wiring or SensorSettings()
         imu_config, gps_config = imu_config or ImuConfig(), gps_config or GpsConfig()
         errors = errors or SensorErrors()
         streams = [np.random.default_rng((seed, k)) for k in range(4)]

@@ -13,7 +13,14 @@ from collections.abc import Callable
 from typing import Final
 
 from companion.base.geometry import Vector3
-from companion.link.codec import AUTOPILOT_COMPONENT, Codec, command_long, is_autopilot_heartbeat, mavlink
+from companion.link.codec import (
+    AUTOPILOT_COMPONENT,
+    Codec,
+    Message,
+    command_long,
+    is_autopilot_heartbeat,
+    mavlink,
+)
 from sitl.external.pose import (
     ATTITUDE,
     GLOBAL_POSITION,
@@ -21,7 +28,6 @@ from sitl.external.pose import (
     LOCAL_POSITION,
     SIM_STATE,
     LocalOrigin,
-    Message,
     Sample,
     estimate,
     hil_state,

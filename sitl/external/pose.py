@@ -13,7 +13,7 @@ milliseconds old. NED, FRD, SI; quaternions (w, x, y, z) body to NED.
 
 import math
 from bisect import bisect_right
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from companion.base.geometry import (
     Quaternion,
@@ -29,9 +29,7 @@ from companion.base.geometry import (
     scale,
     subtract,
 )
-from companion.link.codec import mavlink
-
-Message = Any  # pymavlink's classes are generated without types
+from companion.link.codec import Message, mavlink
 
 SIM_STATE: Final = mavlink.MAVLINK_MSG_ID_SIM_STATE
 HIL_STATE: Final = mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION

@@ -9,7 +9,7 @@ import contextlib
 import sys
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -22,7 +22,7 @@ from companion.base.geometry import Vector3, tilt_from_quat
 from companion.base.messages import Frame, Phase, Truth
 from companion.base.signals import stopping_on_signals
 from companion.config import ConfigError, VehicleConfig, find_file, load_model
-from sitl.camera.frame_line import FrameLine
+from companion.link.codec import Message
 from sitl.devices.ports import DevicePort, PtyPort
 from sitl.devices.socket_servers import FrameServer
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
@@ -30,21 +30,26 @@ from sitl.external.client import VehicleClient
 from sitl.external.link import check_connection, open_link, open_relay, pump
 from sitl.external.pose import LONGEST_GUESS_S
 from sitl.external.world import ExternalWorld
+from sitl.faults.lines import FrameLine
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.sensor_telemetry import distance_sensor
 from sitl.run.mavlink_line import ByteLink
-from sitl.run.process_control import final_phase, print_json, run_until_finished
-from sitl.run.report import SimulationReport
+from sitl.run.process_control import (
+    REPORT_NAME,
+    SENSOR_BAUD,
+    SimulationReport,
+    final_phase,
+    print_json,
+    run_until_finished,
+)
 from sitl.run.scene_camera import SceneCamera
-from sitl.run.sensor_setup import sensor_errors
-from sitl.run.server import REPORT_NAME, SENSOR_BAUD
 from sitl.run.simulation import OUT_OF_RANGE_M, TRUTH_EVERY_TICKS
 from sitl.scenario.scenario import PassBounds, Scenario
+from sitl.sensors.inertial import sensor_errors
 from sitl.sensors.sensors import RangeErrors, RangeSensor
 from sitl.world.score import Verdict
 
 RANGE_PERIOD_S: Final = 0.05
-Message = Any  # pymavlink's classes are generated without types
 
 
 class RangefinderMessages:
@@ -187,7 +192,7 @@ class ExternalSimulation:
         return SimulationReport(
             outcome=verdict.outcome,
             failures=verdict.failures,
-            touchdown=None if verdict.touchdown is None else asdict(verdict.touchdown),
+            touchdown=verdict.touchdown,
             pad_speed_m_s=pad_speed,
             duration_s=0.0 if self._first_s is None else now_s - self._first_s,
             latest_tick_s=self._latest_tick_s,
@@ -233,7 +238,7 @@ class ExternalSimulation:
             self._tell("WARNING: the vehicle is armed already; the ground is taken to be at its home")
         self.world.begin(ground)
         self._origin_source = self.client.source
-        self._station = GroundStation.of(self._beacon, self._station_rng, ground)
+        self._station = GroundStation(self._beacon, self._station_rng, ground)
         self._tell(
             f"vehicle {self.client.system_id} found by {self.client.source}; ground at latitude "
             f"{ground[0]:.7f}, longitude {ground[1]:.7f}, altitude {ground[2]:.2f} m"
@@ -328,7 +333,7 @@ def print_verdict(verdict: Verdict, bounds: PassBounds) -> None:
         table.add_column(heading)
     if verdict.touchdown is not None:
         limits = bounds.model_dump()
-        for name, value in asdict(verdict.touchdown).items():
+        for name, value in verdict.touchdown.items():
             table.add_row(name, f"{value:.3f}", f"<= {limits[name]:g}" if name in limits else "")
     Console(stderr=True).print(table)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from typing import TYPE_CHECKING, Annotated, Literal, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from pydantic import Field, model_validator
 
@@ -45,7 +45,7 @@ class Fault(StrictModel):
     """
 
     if TYPE_CHECKING:
-        kind: str  # each has its own, as a literal
+        kind: str
 
     start_s: Since | None = Field(
         default=None, description="It begins this long after the start of the simulation"
@@ -64,6 +64,12 @@ class Fault(StrictModel):
     duration_s: float = Field(
         default=900.0, gt=0.0, le=900.0, description="Duration; by default to the end of the flight"
     )
+
+    def __init_subclass__(cls, *, kind: str = "", **settings: Any) -> None:
+        """`kind` is the class's name in a scenario; without, none can name it."""
+        super().__init_subclass__(**settings)
+        if kind:
+            cls.__annotations__ = {"kind": Literal[kind], **cls.__annotations__}
 
     @model_validator(mode="after")
     def _begins_once(self) -> Fault:
@@ -113,19 +119,16 @@ class ComputerFault(Fault):
 # ---------------------------------------------------------------- IMU
 
 
-class ImuLost(Fault):
+class ImuLost(Fault, kind="imu_lost"):
     """Its cable is off: nothing on the bus answers."""
-
-    kind: Literal["imu_lost"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.rack.imu.fault = "nack"
 
 
-class ImuBusError(Fault):
+class ImuBusError(Fault, kind="imu_bus_error"):
     """The IMU does not acknowledge now and then."""
 
-    kind: Literal["imu_bus_error"]
     every: int = Field(
         default=40,
         ge=1,
@@ -137,28 +140,23 @@ class ImuBusError(Fault):
         targets.rack.imu.nack_every = self.every
 
 
-class ImuStuck(Fault):
+class ImuStuck(Fault, kind="imu_stuck"):
     """It repeats its last rates and forces."""
-
-    kind: Literal["imu_stuck"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.rack.inertial.gyro_glitches.stuck = targets.rack.inertial.accel_glitches.stuck = True
 
 
-class ImuSaturated(Fault):
+class ImuSaturated(Fault, kind="imu_saturated"):
     """Every axis of both is at the end of its range."""
-
-    kind: Literal["imu_saturated"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.rack.imu.fault = "saturated"
 
 
-class GyroBiasStep(Fault):
+class GyroBiasStep(Fault, kind="gyro_bias_step"):
     """The gyroscope's zero moves at once, as after a knock."""
 
-    kind: Literal["gyro_bias_step"]
     rate_body_deg_s: BodyVector = Field(
         default=(1.15, 1.15, 1.15), description="Added to every reading; by default 2 °/s in all"
     )
@@ -170,10 +168,9 @@ class GyroBiasStep(Fault):
         inertial.rate_offset_rad_s = add(inertial.rate_offset_rad_s, step)
 
 
-class GyroSpikes(Fault):
+class GyroSpikes(Fault, kind="gyro_spikes"):
     """Some rates are garbled."""
 
-    kind: Literal["gyro_spikes"]
     share: Share = Field(default=0.01, description="Share of the readings")
     size_deg_s: float = Field(default=100.0, gt=0.0, le=2000.0, description="Largest error, on one axis")
 
@@ -181,10 +178,9 @@ class GyroSpikes(Fault):
         targets.rack.inertial.gyro_glitches.spike(self.share, math.radians(self.size_deg_s))
 
 
-class AccelBiasStep(Fault):
+class AccelBiasStep(Fault, kind="accel_bias_step"):
     """The accelerometer's zero moves at once."""
 
-    kind: Literal["accel_bias_step"]
     force_body_m_s2: BodyVector = Field(default=(0.5, 0.5, 0.0), description="Added to every reading")
 
     def apply(self, targets: FaultTargets) -> None:
@@ -192,10 +188,9 @@ class AccelBiasStep(Fault):
         inertial.force_offset_m_s2 = add(inertial.force_offset_m_s2, self.force_body_m_s2)
 
 
-class AccelSpikes(Fault):
+class AccelSpikes(Fault, kind="accel_spikes"):
     """Some forces are garbled."""
 
-    kind: Literal["accel_spikes"]
     share: Share = Field(default=0.01, description="Share of the readings")
     size_m_s2: float = Field(default=30.0, gt=0.0, le=160.0, description="Largest error, on one axis")
 
@@ -203,10 +198,9 @@ class AccelSpikes(Fault):
         targets.rack.inertial.accel_glitches.spike(self.share, self.size_m_s2)
 
 
-class AccelClips(Fault):
+class AccelClips(Fault, kind="accel_clips"):
     """The accelerometer's element saturates, before any filter, under stronger vibration."""
 
-    kind: Literal["accel_clips"]
     range_g: float = Field(
         default=1.2, ge=0.2, le=16.0, description="Largest acceleration that an axis measures"
     )
@@ -220,10 +214,9 @@ class AccelClips(Fault):
         targets.rack.inertial.vibration_factor *= self.vibration_factor
 
 
-class ImuTurned(Fault):
+class ImuTurned(Fault, kind="imu_turned"):
     """The board with IMU and magnetometer lies otherwise than its file says, or slips in flight."""
 
-    kind: Literal["imu_turned"]
     rotation_body_deg: BodyVector = Field(
         default=(0.0, 12.0, 0.0), description="Angles by which it is turned about forward, right and down"
     )
@@ -237,10 +230,9 @@ class ImuTurned(Fault):
         targets.rack.mount.slips_for_s = self.slips_for_s
 
 
-class Vibration(Fault):
+class Vibration(Fault, kind="vibration"):
     """A propeller is chipped, a frame resonates: the rotors' vibration grows, on the autopilot's IMU too."""
 
-    kind: Literal["vibration"]
     factor: float = Field(default=4.0, ge=1.0, le=20.0, description="On the rotors' vibration")
 
     def apply(self, targets: FaultTargets) -> None:
@@ -251,28 +243,23 @@ class Vibration(Fault):
 # ---------------------------------------------------------------- magnetometer
 
 
-class MagLost(Fault):
+class MagLost(Fault, kind="mag_lost"):
     """It acknowledges nothing."""
-
-    kind: Literal["mag_lost"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.rack.imu.magnetometer.silent = True
 
 
-class MagStuck(Fault):
+class MagStuck(Fault, kind="mag_stuck"):
     """It repeats its last field."""
-
-    kind: Literal["mag_stuck"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.rack.magnetometer.glitches.stuck = True
 
 
-class MagDisturbed(Fault):
+class MagDisturbed(Fault, kind="mag_disturbed"):
     """A field in addition to the earth's: a current, a steel tool, a loudspeaker's magnet."""
 
-    kind: Literal["mag_disturbed"]
     field_body_ut: BodyVector = Field(default=(0.0, 30.0, 0.0), description="Added to the earth's")
 
     def apply(self, targets: FaultTargets) -> None:
@@ -280,10 +267,9 @@ class MagDisturbed(Fault):
             sensor.stray_field_ut = add(sensor.stray_field_ut, self.field_body_ut)
 
 
-class MagSpikes(Fault):
+class MagSpikes(Fault, kind="mag_spikes"):
     """Some fields are garbled."""
 
-    kind: Literal["mag_spikes"]
     share: Share = Field(default=0.05, description="Share of the readings")
     size_ut: float = Field(default=100.0, gt=0.0, le=4900.0, description="Largest error, on one axis")
 
@@ -294,10 +280,9 @@ class MagSpikes(Fault):
 # ---------------------------------------------------------------- GPS
 
 
-class GpsLost(Fault):
+class GpsLost(Fault, kind="gps_lost"):
     """The receiver has too few satellites, or its line is disconnected."""
 
-    kind: Literal["gps_lost"]
     unplugged: bool = Field(default=False, description="Send nothing, instead of messages without a fix")
 
     def apply(self, targets: FaultTargets) -> None:
@@ -308,29 +293,25 @@ class GpsLost(Fault):
             targets.autopilot_sensors.has_sky = False
 
 
-class GpsStuck(Fault):
+class GpsStuck(Fault, kind="gps_stuck"):
     """It repeats its last fix, with advancing time."""
-
-    kind: Literal["gps_stuck"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.rack.position.stuck = True
 
 
-class GpsJump(Fault):
+class GpsJump(Fault, kind="gps_jump"):
     """The fix jumps, with unchanged accuracies: multipath, or another set of satellites."""
 
-    kind: Literal["gps_jump"]
     position_ned_m: BodyVector = Field(default=(5.0, -5.0, 0.0), description="Added to every fix")
 
     def apply(self, targets: FaultTargets) -> None:
         targets.rack.position.jump_ned_m = add(targets.rack.position.jump_ned_m, self.position_ned_m)
 
 
-class GpsSpikes(Fault):
+class GpsSpikes(Fault, kind="gps_spikes"):
     """Some fixes are far off."""
 
-    kind: Literal["gps_spikes"]
     share: Share = Field(default=0.1, description="Share of the fixes")
     size_m: float = Field(default=30.0, gt=0.0, le=1000.0, description="Largest error, north, east or down")
 
@@ -341,10 +322,9 @@ class GpsSpikes(Fault):
 # ---------------------------------------------------------------- ultrasonic
 
 
-class RangeLost(Fault):
+class RangeLost(Fault, kind="range_lost"):
     """It receives no echo, or its line is disconnected."""
 
-    kind: Literal["range_lost"]
     share: Share = Field(default=1.0, description="Share of the pings")
     unplugged: bool = Field(default=False, description="Send nothing, instead of frames without an echo")
 
@@ -355,10 +335,9 @@ class RangeLost(Fault):
             targets.rack.echo.extra_lost = max(targets.rack.echo.extra_lost, self.share)
 
 
-class RangeStuck(Fault):
+class RangeStuck(Fault, kind="range_stuck"):
     """It shows one distance whatever is below: something hangs before it."""
 
-    kind: Literal["range_stuck"]
     distance_m: Annotated[float, Field(ge=0.0, le=4.5)] | None = Field(
         default=None, description="Distance that is repeated; none: the last one measured"
     )
@@ -367,20 +346,18 @@ class RangeStuck(Fault):
         targets.rack.echo.stuck, targets.rack.echo.stuck_m = True, self.distance_m
 
 
-class RangeBiasStep(Fault):
+class RangeBiasStep(Fault, kind="range_bias_step"):
     """It shows too much at once, or too little: air of another temperature, a mount that slipped."""
 
-    kind: Literal["range_bias_step"]
     distance_m: float = Field(default=0.1, ge=-2.0, le=2.0, description="Added to every echo")
 
     def apply(self, targets: FaultTargets) -> None:
         targets.rack.echo.bias_m += self.distance_m
 
 
-class RangeSpikes(Fault):
+class RangeSpikes(Fault, kind="range_spikes"):
     """The ultrasonic receives wrong echoes."""
 
-    kind: Literal["range_spikes"]
     share: float = Field(
         default=0.3,
         ge=0.0,
@@ -392,10 +369,9 @@ class RangeSpikes(Fault):
         targets.rack.echo.extra_spikes = max(targets.rack.echo.extra_spikes, self.share)
 
 
-class RangeOtherEcho(Fault):
+class RangeOtherEcho(Fault, kind="range_other_echo"):
     """Something nearer than the floor answers now and then: a cable, a strap, grass."""
 
-    kind: Literal["range_other_echo"]
     distance_m: float = Field(default=0.4, ge=0.0, le=4.5, description="Distance of the other object")
     share: Share = Field(default=0.7, description="Share of the pings")
 
@@ -406,10 +382,9 @@ class RangeOtherEcho(Fault):
 # ---------------------------------------------------------------- camera
 
 
-class FrameLate(Fault):
+class FrameLate(Fault, kind="frame_late"):
     """A frame is held up on its way; frames taken after it may overtake it."""
 
-    kind: Literal["frame_late"]
     extra_s: float = Field(
         default=0.25, gt=0.0, le=5.0, description="In addition to the camera's own latency"
     )
@@ -419,10 +394,9 @@ class FrameLate(Fault):
         targets.frames.late_s, targets.frames.late_every = self.extra_s, self.every
 
 
-class FrameLost(Fault):
+class FrameLost(Fault, kind="frame_lost"):
     """Frames do not come."""
 
-    kind: Literal["frame_lost"]
     share: float = Field(
         default=1.0, gt=0.0, le=1.0, description="Share of the frames; 1 is a camera that has stalled"
     )
@@ -435,38 +409,31 @@ class FrameLost(Fault):
             targets.frames.lost_share, targets.frames.burst_frames = self.share, self.burst_frames
 
 
-class FrameStuck(Fault):
+class FrameStuck(Fault, kind="frame_stuck"):
     """The same picture comes again and again, with new stamps."""
-
-    kind: Literal["frame_stuck"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.frames.stuck = True
 
 
-class FrameGarbled(Fault):
+class FrameGarbled(Fault, kind="frame_garbled"):
     """Frames are garbage from some row on, as of a loose cable."""
 
-    kind: Literal["frame_garbled"]
     share: Share = Field(default=0.3, description="Share of the frames")
 
     def apply(self, targets: FaultTargets) -> None:
         targets.frames.garbled_share = max(targets.frames.garbled_share, self.share)
 
 
-class FrameBlack(Fault):
+class FrameBlack(Fault, kind="frame_black"):
     """Frames come, but black: a cap on the lens."""
-
-    kind: Literal["frame_black"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.frames.black = True
 
 
-class FrameGarbage(Fault):
+class FrameGarbage(Fault, kind="frame_garbage"):
     """Every frame is random data."""
-
-    kind: Literal["frame_garbage"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.frames.garbage = True
@@ -475,10 +442,9 @@ class FrameGarbage(Fault):
 # ---------------------------------------------------------------- link and motors
 
 
-class LinkBlackout(Fault):
+class LinkBlackout(Fault, kind="link_blackout"):
     """Nothing gets through between vehicle and app."""
 
-    kind: Literal["link_blackout"]
     way: LinkDirection = Field(default="both", description="Which direction")
 
     def apply(self, targets: FaultTargets) -> None:
@@ -486,10 +452,9 @@ class LinkBlackout(Fault):
             way.cut = True
 
 
-class LinkLoss(Fault):
+class LinkLoss(Fault, kind="link_loss"):
     """Datagrams are lost between vehicle and app."""
 
-    kind: Literal["link_loss"]
     share: Share = Field(default=0.5, description="Share of the datagrams")
     way: LinkDirection = Field(default="both", description="Which direction")
 
@@ -498,10 +463,9 @@ class LinkLoss(Fault):
             way.extra_loss = max(way.extra_loss, self.share)
 
 
-class LinkDelay(Fault):
+class LinkDelay(Fault, kind="link_delay"):
     """Datagrams come late, in their order."""
 
-    kind: Literal["link_delay"]
     extra_s: float = Field(default=0.5, gt=0.0, le=10.0, description="In addition to the link's own delay")
     way: LinkDirection = Field(default="both", description="Which direction")
 
@@ -510,10 +474,9 @@ class LinkDelay(Fault):
             way.extra_delay_s += self.extra_s
 
 
-class MotorWeak(Fault):
+class MotorWeak(Fault, kind="motor_weak"):
     """A motor gives less thrust than commanded; all of them: the battery's voltage sags."""
 
-    kind: Literal["motor_weak"]
     motor: Literal[1, 2, 3, 4, 5, 6, 7, 8, "all"] = Field(
         default=1, description="From the front clockwise; of four: 1 front, 2 right, 3 back, 4 left"
     )
@@ -526,38 +489,32 @@ class MotorWeak(Fault):
 # ---------------------------------------------------------------- the pad
 
 
-class PadCovered(Fault):
+class PadCovered(Fault, kind="pad_covered"):
     """A tarpaulin lies over the markers; the board is still there."""
-
-    kind: Literal["pad_covered"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.camera.cover()
 
 
-class PadWrongIds(Fault):
+class PadWrongIds(Fault, kind="pad_wrong_ids"):
     """The board shows other markers than the pad's: another pad."""
-
-    kind: Literal["pad_wrong_ids"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.camera.show_other_ids()
 
 
-class PadResized(Fault):
+class PadResized(Fault, kind="pad_resized"):
     """The pad is printed larger or smaller than its file says, as A3 on A4."""
 
-    kind: Literal["pad_resized"]
     scale: float = Field(default=0.71, ge=0.2, le=3.0, description="Factor on all lengths of the print")
 
     def apply(self, targets: FaultTargets) -> None:
         targets.camera.print_scale = self.scale
 
 
-class PadTwin(Fault):
+class PadTwin(Fault, kind="pad_twin"):
     """A second, identical pad is in view. It is a picture alone: nothing can stand on it."""
 
-    kind: Literal["pad_twin"]
     north_m: float = Field(
         default=0.0, ge=-50.0, le=50.0, description="North, from the pad's centre to its twin's"
     )
@@ -587,19 +544,16 @@ class _PadDrives(Fault):
         targets.motion.drive(now_s, targets.motion.usual_m_s, RESUMES_M_S2)
 
 
-class PadStops(_PadDrives):
+class PadStops(_PadDrives, kind="pad_stops"):
     """The pad stands still at once, as against a kerb; at the end of the fault it goes on."""
-
-    kind: Literal["pad_stops"]
 
     def begin(self, targets: FaultTargets, now_s: float) -> None:
         targets.motion.drive(now_s, 0.0)
 
 
-class PadBrakes(_PadDrives):
+class PadBrakes(_PadDrives, kind="pad_brakes"):
     """The pad brakes to a standstill, straight on; at the end of the fault it goes on."""
 
-    kind: Literal["pad_brakes"]
     deceleration_m_s2: float = Field(
         default=3.0, gt=0.0, le=20.0, description="Deceleration until the pad stands still"
     )
@@ -608,20 +562,18 @@ class PadBrakes(_PadDrives):
         targets.motion.drive(now_s, 0.0, self.deceleration_m_s2)
 
 
-class PadTurnsBack(_PadDrives):
+class PadTurnsBack(_PadDrives, kind="pad_turns_back"):
     """The pad brakes and drives back the way it came."""
 
-    kind: Literal["pad_turns_back"]
     acceleration_m_s2: float = Field(default=2.0, gt=0.0, le=20.0, description="Backwards")
 
     def begin(self, targets: FaultTargets, now_s: float) -> None:
         targets.motion.turn_back(now_s, self.acceleration_m_s2)
 
 
-class PadLeaves(_PadDrives):
+class PadLeaves(_PadDrives, kind="pad_leaves"):
     """The pad drives away, straight on."""
 
-    kind: Literal["pad_leaves"]
     speed_m_s: float = Field(default=6.0, gt=0.0, le=30.0, description="At last")
     acceleration_m_s2: float = Field(default=2.0, gt=0.0, le=20.0, description="Up to it")
 
@@ -629,10 +581,8 @@ class PadLeaves(_PadDrives):
         targets.motion.drive(now_s, self.speed_m_s, self.acceleration_m_s2)
 
 
-class PadVanishes(Fault):
+class PadVanishes(Fault, kind="pad_vanishes"):
     """The pad is gone: neither to be seen nor to be stood on. Its beacon stays where it was."""
-
-    kind: Literal["pad_vanishes"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.camera.shows_pad = False
@@ -644,10 +594,9 @@ class PadVanishes(Fault):
         targets.motion.appear()
 
 
-class PadTilts(Fault):
+class PadTilts(Fault, kind="pad_tilts"):
     """The pad tilts, as on a vehicle that drives on to a kerb."""
 
-    kind: Literal["pad_tilts"]
     roll_deg: float = Field(default=15.0, ge=-45.0, le=45.0, description="About its heading")
     rate_deg_s: float = Field(default=15.0, gt=0.0, le=360.0, description="Rate of tilting")
 
@@ -661,10 +610,9 @@ class PadTilts(Fault):
 # ---------------------------------------------------------------- the autopilot
 
 
-class AutopilotRefuses(AutopilotFault):
+class AutopilotRefuses(AutopilotFault, kind="autopilot_refuses"):
     """It denies a request, with or without force. `auto_disarm`: it does not disarm by itself either."""
 
-    kind: Literal["autopilot_refuses"]
     what: Literal["arm", "take_off", "offboard", "land", "disarm", "auto_disarm"] = Field(
         description="Request that is refused"
     )
@@ -673,10 +621,9 @@ class AutopilotRefuses(AutopilotFault):
         targets.bundled.refused |= {self.what}
 
 
-class PilotMode(AutopilotFault):
+class PilotMode(AutopilotFault, kind="pilot_mode"):
     """The pilot changes the mode, once."""
 
-    kind: Literal["pilot_mode"]
     mode: Literal["position", "hold", "return", "land"] = Field(
         default="position", description="Mode, as the autopilot calls it"
     )
@@ -691,13 +638,12 @@ class PilotMode(AutopilotFault):
         targets.bundled.set_mode_named(self.chosen(targets.bundled.profile))
 
 
-class AutopilotReboots(AutopilotFault):
+class AutopilotReboots(AutopilotFault, kind="autopilot_reboots"):
     """A watchdog's reset in flight: silence, then a new boot time, its hold mode, its default streams.
 
     The motors stay on, as ArduPilot's in-flight recovery keeps them.
     """
 
-    kind: Literal["autopilot_reboots"]
     silent_s: float = Field(default=2.0, gt=0.0, le=60.0, description="Time without sending or receiving")
 
     @property
@@ -713,28 +659,23 @@ class AutopilotReboots(AutopilotFault):
         targets.restart_streams()
 
 
-class AutopilotDisarms(AutopilotFault):
+class AutopilotDisarms(AutopilotFault, kind="autopilot_disarms"):
     """Its motors stop wherever it is: the pilot's switch, or a land detector that errs."""
-
-    kind: Literal["autopilot_disarms"]
 
     def begin(self, targets: FaultTargets, now_s: float) -> None:
         targets.bundled.terminate()
 
 
-class AutopilotPositionLost(AutopilotFault):
+class AutopilotPositionLost(AutopilotFault, kind="autopilot_position_lost"):
     """Its estimator gives no position: none is sent, and it says so. It flies on as it did."""
-
-    kind: Literal["autopilot_position_lost"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.bundled.position_lost = True
 
 
-class BatteryCharge(AutopilotFault):
+class BatteryCharge(AutopilotFault, kind="battery"):
     """The battery's remaining charge, as reported in SYS_STATUS and BATTERY_STATUS."""
 
-    kind: Literal["battery"]
     remaining_percent: int = Field(
         default=15, ge=-1, le=100, description="Remaining charge; -1: unknown to the autopilot"
     )
@@ -743,10 +684,9 @@ class BatteryCharge(AutopilotFault):
         targets.bundled.battery.false_share = 0.01 * self.remaining_percent
 
 
-class FollowMe(Fault):
+class FollowMe(Fault, kind="follow_me"):
     """The ground station sends its operator's place as FOLLOW_TARGET, unasked, as QGroundControl does."""
 
-    kind: Literal["follow_me"]
     north_m: float = Field(
         default=20.0, ge=-500.0, le=500.0, description="Position of the operator north of home"
     )
@@ -757,10 +697,9 @@ class FollowMe(Fault):
         targets.station.follow((self.north_m, self.east_m, 0.0), self.rate_hz)
 
 
-class SecondCompanion(AutopilotFault):
+class SecondCompanion(AutopilotFault, kind="second_companion"):
     """A duplicate of the companion, under another component id, sends setpoints too: stand still."""
 
-    kind: Literal["second_companion"]
     component_id: int = Field(default=196, ge=1, le=255, description="Component of the vehicle's system")
     rate_hz: float = Field(default=10.0, gt=0.0, le=50.0, description="Setpoints per second")
 
@@ -768,10 +707,9 @@ class SecondCompanion(AutopilotFault):
         targets.station.second_companion(self.component_id, self.rate_hz)
 
 
-class ForgedFrames(Fault):
+class ForgedFrames(Fault, kind="forged_frames"):
     """Somebody without the key sends frames in the autopilot's name, with the largest time stamp there is."""
 
-    kind: Literal["forged_frames"]
     rate_hz: float = Field(default=1.0, gt=0.0, le=50.0, description="Frames per second")
 
     def apply(self, targets: FaultTargets) -> None:
@@ -781,55 +719,44 @@ class ForgedFrames(Fault):
 # ---------------------------------------------------------------- the companion computer
 
 
-class ImuNan(ComputerFault):
+class ImuNan(ComputerFault, kind="imu_nan"):
     """The IMU's driver hands on samples that are no numbers."""
-
-    kind: Literal["imu_nan"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.host.imu_nan = True
 
 
-class SolverInfeasible(ComputerFault):
+class SolverInfeasible(ComputerFault, kind="solver_infeasible"):
     """The MPC finds no solution."""
-
-    kind: Literal["solver_infeasible"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.host.solver = "infeasible"
 
 
-class SolverLate(ComputerFault):
+class SolverLate(ComputerFault, kind="solver_late"):
     """The MPC's time is up before it has found its solution, in each cycle."""
-
-    kind: Literal["solver_late"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.host.solver = "late"
 
 
-class SolverNan(ComputerFault):
+class SolverNan(ComputerFault, kind="solver_nan"):
     """The MPC's solution is no number, and it says that it solved."""
-
-    kind: Literal["solver_nan"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.host.solver = "nan"
 
 
-class DiskFull(ComputerFault):
+class DiskFull(ComputerFault, kind="disk_full"):
     """Nothing more can be written to the log's disk."""
-
-    kind: Literal["disk_full"]
 
     def apply(self, targets: FaultTargets) -> None:
         targets.host.disk_full = True
 
 
-class DiskSlow(ComputerFault):
+class DiskSlow(ComputerFault, kind="disk_slow"):
     """Every write to the log's disk takes long."""
 
-    kind: Literal["disk_slow"]
     write_s: float = Field(default=0.02, gt=0.0, le=10.0, description="Real time that each write takes")
 
     def apply(self, targets: FaultTargets) -> None:

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
+from companion.link.codec import mavlink
 from sitl.faults.faults import Fault
 from sitl.faults.targets import FaultTargets
-from sitl.mavlink.framing import FrameReader, MavFrame, dialect
+from sitl.mavlink.framing import FrameReader, MavFrame
 
 # ---------------------------------------------------------------- status text monitor
 # What the app says, heard on its line: STATUSTEXT, the phases and the first sighting in it. Sans I/O.
@@ -144,8 +145,6 @@ class FaultSchedule:
                 self._waiting.remove(fault)
                 self._due.append((since_s + fault.delay_s, fault))
 
-
-mavlink: Any = dialect
 
 _WHOLE_CHUNK_BYTES: Final = 50
 _SIGHTING: Final = "pad seen"

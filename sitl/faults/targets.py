@@ -7,11 +7,10 @@ from typing import Literal
 from companion.base.geometry import ZERO3
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.camera.camera import CameraModel
-from sitl.camera.frame_line import FrameLine
 from sitl.devices.rack import SensorRack
-from sitl.faults.faulty_link import LinkChannel
+from sitl.faults.lines import FrameLine, LinkChannel
 from sitl.mavlink.ground_station import GroundStation
-from sitl.pad.incidents import IncidentMotion
+from sitl.pad.motion import IncidentMotion
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.quadrotor import Motors
 

@@ -15,17 +15,20 @@ from companion.base.clock import wall_clock_s
 from companion.base.geometry import Vector3
 from companion.config import ConfigError
 from sitl.firmware import FirmwareError
-from sitl.firmware.base import ANSWER_S, Moment, Setup
 from sitl.firmware.process import (
+    ANSWER_S,
     INSTANCES,
     LOOK_S,
     LOOPBACK,
     Datagrams,
+    Firmware,
+    Moment,
     Process,
+    Setup,
     is_free,
 )
 from sitl.firmware.spec import FirmwareSpec, number_text
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import RotorValues
 
 # magic, frame rate (Hz), frame count, 16 pulses (us); ArduPilot's SIM_JSON documentation
 PULSES: Final = struct.Struct("<HHI16H")
@@ -41,7 +44,7 @@ _PULSE_US: Final = (1000.0, 1000.0)  # off, and from there to full
 _FRONT, _RIGHT, _REAR, _LEFT = 2, 0, 3, 1
 
 
-class ArduPilot:
+class ArduPilot(Firmware):
     """One ArduCopter. Made, it has been started and waits for its first answer."""
 
     def __init__(self, spec: FirmwareSpec, setup: Setup) -> None:
@@ -78,18 +81,6 @@ class ArduPilot:
             self._socket.sendto(_state(moment, earlier_s), self._peer)
             self._await(ANSWER_S)
         return self._motors
-
-    def read(self) -> list[bytes]:
-        """See `Firmware`."""
-        return self._link.read()
-
-    def write(self, data: bytes) -> None:
-        """See `Firmware`."""
-        self._link.write(data)
-
-    def close(self) -> None:
-        """See `Firmware`."""
-        self._opened.close()
 
     def _await(self, patience_s: float) -> None:
         """Wait for the next pulses; those of a frame that has been answered are a repetition."""

@@ -6,12 +6,18 @@ import signal
 import socket
 import subprocess
 import tempfile
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import IO, Final
+from typing import IO, Final, NamedTuple
 
+from companion.base.geometry import Vector3
 from companion.config import ConfigError
 from sitl.firmware import FirmwareError
+from sitl.scenario.scenario import AirframeConfig
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
+from sitl.vehicle.quadrotor import QuadrotorState, RotorValues
 
 LOOPBACK: Final = "127.0.0.1"
 INSTANCES: Final = 10  # PX4 gives further ones a shared port
@@ -151,3 +157,52 @@ def is_free(kind: socket.SocketKind, port: int) -> bool:
         except OSError:
             return False
     return True
+
+
+# an answer takes a fraction of a millisecond; a machine too busy for this one is hopeless
+ANSWER_S: Final = 5.0
+
+
+class Moment(NamedTuple):
+    """The vehicle at one step, as its sensors have it; `clock_s` is the firmware's time."""
+
+    clock_s: float
+    sensors: SimulatedAutopilotSensors
+    state: QuadrotorState
+
+
+class Setup(NamedTuple):
+    """What the firmware needs to know of the vehicle, set by parameters."""
+
+    airframe: AirframeConfig  # as its builder believes it
+    home: Vector3  # latitude (deg), longitude (deg), altitude (m AMSL) of the world's origin
+    gps_delay_s: float
+    parameters: dict[str, float]  # over all others
+    rate_scale: float = 1.0  # what tuning has multiplied the rate loops' gains by
+
+
+class Firmware(ABC):
+    """A running firmware in lockstep: time passes for it in `step` alone. Making one opens the two below."""
+
+    _link: Datagrams
+    _opened: ExitStack
+
+    @abstractmethod
+    def step(self, moment: Moment) -> RotorValues:
+        """The motors' shares of full thrust (front, right, rear, left) until the next step.
+
+        Raises:
+            FirmwareError: it has ended or does not answer.
+        """
+
+    def read(self) -> list[bytes]:
+        """Datagrams of MAVLink that it has sent since the last call."""
+        return self._link.read()
+
+    def write(self, data: bytes) -> None:
+        """A datagram of MAVLink for it."""
+        self._link.write(data)
+
+    def close(self) -> None:
+        """End it."""
+        self._opened.close()

@@ -11,28 +11,33 @@ import os
 import select
 import socket
 from contextlib import ExitStack, closing
-from typing import Any, Final
+from typing import Final
+
+import numpy as np
 
 from companion.base.clock import wall_clock_s
 from companion.base.geometry import scale
 from companion.config import ConfigError
+from companion.link.codec import mavlink
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.firmware import FirmwareError
-from sitl.firmware.base import ANSWER_S, Barometer, Moment, Setup, pressure_hpa
 from sitl.firmware.process import (
+    ANSWER_S,
     INSTANCES,
     LAST_S,
     LOOK_S,
     LOOPBACK,
     Datagrams,
+    Firmware,
+    Moment,
     Process,
+    Setup,
     is_free,
 )
 from sitl.firmware.spec import FirmwareSpec, number_text
-from sitl.mavlink.framing import FrameReader, dialect
-from sitl.vehicle.rotors import RotorValues
-
-mavlink: Any = dialect
+from sitl.mavlink.framing import FrameReader, packed
+from sitl.mavlink.sensor_telemetry import pressure_hpa
+from sitl.vehicle.quadrotor import RotorValues
 
 SIMULATOR_PORT: Final = 4560
 COMPANION_PORT: Final = 14540
@@ -52,7 +57,34 @@ _FIX_3D: Final = 3
 _OFF: RotorValues = (0.0, 0.0, 0.0, 0.0)
 
 
-class Px4:
+# a MS5611 or BMP388 behind foam: 10 cm of noise, and slow turns of the weather and the airframe's own wash
+NOISE_M: Final = 0.1
+WANDER_M: Final = 0.3
+WANDER_S: Final = 60.0
+PERIOD_S: Final = 0.02
+
+
+class Barometer:
+    """The autopilot's, with noise and wander. Step it at any rate; it has a new reading every `PERIOD_S`."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._wander_m = WANDER_M * float(rng.standard_normal())
+        self._due_s = -math.inf
+
+    def read(self, now_s: float, altitude_m: float) -> float | None:
+        """Pressure altitude (m) when a reading is due, else None; `altitude_m` is the true one."""
+        if now_s < self._due_s - 1e-6:
+            return None
+        in_time = now_s - self._due_s < PERIOD_S
+        self._due_s = (self._due_s if in_time else now_s) + PERIOD_S
+        kept = math.exp(-PERIOD_S / WANDER_S)
+        step, noise = self._rng.standard_normal(2).tolist()
+        self._wander_m = kept * self._wander_m + WANDER_M * math.sqrt(1.0 - kept * kept) * step
+        return altitude_m + self._wander_m + NOISE_M * float(noise)
+
+
+class Px4(Firmware):
     """One PX4. Made, it has been started and has called."""
 
     def __init__(self, spec: FirmwareSpec, setup: Setup, barometer: Barometer) -> None:
@@ -92,18 +124,6 @@ class Px4:
             return self._motors
         self._process.check(LAST_S)
         raise FirmwareError(f"px4 {why}: {self._process.last_words()}")
-
-    def read(self) -> list[bytes]:
-        """See `Firmware`."""
-        return self._link.read()
-
-    def write(self, data: bytes) -> None:
-        """See `Firmware`."""
-        self._link.write(data)
-
-    def close(self) -> None:
-        """See `Firmware`."""
-        self._opened.close()
 
     # ------------------------------------------------------------ in
 
@@ -164,7 +184,8 @@ class Px4:
         if height_m is not None:
             bits |= _BARO
             altitude_m = height_m
-        return self._pack(
+        return packed(
+            self._mav,
             mavlink.MAVLink_hil_sensor_message(
                 time_us, *imu.specific_force_m_s2, *imu.rate_rad_s, *scale(mag.field_ut, _GAUSS_PER_UT),
                 pressure_hpa(altitude_m), 0.0, altitude_m, 25.0, bits, 0,
@@ -180,7 +201,8 @@ class Px4:
         north, east, down = (round(100.0 * v) for v in r.velocity_ned_m_s)
         speed = round(math.hypot(north, east))
         course = round(100.0 * math.degrees(math.atan2(east, north))) % 36000
-        return self._pack(
+        return packed(
+            self._mav,
             mavlink.MAVLink_hil_gps_message(
                 round((UNIX_AT_START_S + moment.clock_s) * 1e6), _FIX_3D,
                 round(r.latitude_deg * 1e7), round(r.longitude_deg * 1e7), round(r.altitude_m * 1e3),
@@ -188,11 +210,6 @@ class Px4:
                 speed, north, east, down, course, r.satellites, 0, 0,
             )
         )  # fmt: skip
-
-    def _pack(self, message: Any) -> bytes:
-        packed = bytes(message.pack(self._mav))
-        self._mav.seq = (self._mav.seq + 1) % 256
-        return packed
 
 
 def _free_instance() -> tuple[socket.socket, Datagrams, int]:

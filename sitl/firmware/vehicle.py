@@ -10,16 +10,16 @@ import numpy as np
 from companion.base.clock import sleep_s, wall_clock_s
 from companion.base.geometry import Quaternion, Vector3
 from companion.config import ConfigError
+from companion.link.codec import mavlink
 from sitl.firmware import FirmwareError
 from sitl.firmware.ardupilot import ArduPilot
-from sitl.firmware.base import Barometer, Firmware, Moment, Setup
-from sitl.firmware.px4 import Px4
+from sitl.firmware.process import Firmware, Moment, Setup
+from sitl.firmware.px4 import Barometer, Px4
 from sitl.firmware.spec import FirmwareSpec
-from sitl.mavlink.framing import FrameReader, MavFrame, dialect
+from sitl.mavlink.framing import FrameReader, MavFrame
 from sitl.mavlink.ground_station import GroundStation
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
-from sitl.vehicle.quadrotor import QuadrotorState
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import QuadrotorState, RotorValues
 from sitl.world.world import World
 
 # what the chip passes on; the firmware filters by itself
@@ -84,18 +84,6 @@ class FirmwareVehicle:
         self._firmware.close()
 
 
-# ---------------------------------------------------------------- network
-# Between a firmware and its clients: MAVLink is forwarded unchanged; the ground station receives it too.
-#
-# The counterpart of `sitl.mavlink.network` for the bundled autopilots. Once a tick what the firmware has sent
-# goes to every client, so that load on the machine changes nothing.
-
-
-# ---------------------------------------------------------------- start
-# Starts a firmware and lets it boot, at rest before the world's time 0, until it is ready to arm.
-
-mavlink: Any = dialect
-
 Write = Callable[[Sequence[bytes]], None]
 AUTOPILOT: Final = 1
 
@@ -109,7 +97,11 @@ class FirmwarePort:
 
 
 class FirmwareNetwork:
-    """All clients of one firmware, and the state in its heartbeat."""
+    """All clients of one firmware, and the state in its heartbeat: `sitl.mavlink.network` for a firmware.
+
+    MAVLink is forwarded unchanged, to the ground station too. Once a tick what the firmware has sent goes to
+    every client, so that load on the machine changes nothing.
+    """
 
     def __init__(self, firmware: Firmware, ground_station: GroundStation) -> None:
         self.armed = False
@@ -154,6 +146,8 @@ class FirmwareNetwork:
             mode = self._decoder.decode(bytearray(frame.data)).base_mode
             self.armed = bool(mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 
+
+# ---------------------------------------------------------------- start
 
 MOST_BOOT_S: Final = 90.0
 SETTLE_S: Final = 5.0  # ready, it stands so much longer: its biases go on settling

@@ -8,12 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
-from pymavlink.dialects.v20 import common as mavlink
-
+from companion.link.codec import Message, mavlink
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
-from sitl.autopilot.flight.landing_target import LandingTarget
 from sitl.autopilot.flight.manual_control import CHANNELS, Sticks
 from sitl.autopilot.flight.modes import CommandResult
+from sitl.autopilot.flight.profile import LandingTarget
 
 FORCE_MAGIC: Final = 21196
 _ARDUPILOT_FORCE_ARM: Final = 2989
@@ -230,7 +229,6 @@ def execute(sender: CommandSender, request: CommandRequest, now_s: float) -> Com
 #
 # Each handler takes (autopilot, message, now_s); invalid values are ignored.
 
-Message = Any  # pymavlink's classes are generated without types
 
 _LEAVE: Final = 0xFFFF
 _RELEASE_UPPER: Final = 0xFFFE

@@ -29,8 +29,6 @@ from companion.link.codec import (
 )
 from companion.link.signing import STAMPS_PER_S, secret_from, stamp_from_unix
 
-dialect: Any = mavlink
-
 PATIENCE_S: Final = 0.1
 _BEYOND: Final = 1e7
 
@@ -110,10 +108,10 @@ def _checked_frame(data: bytearray) -> MavFrame | None:
 def _target_offsets() -> dict[int, tuple[int, int]]:
     """Where in the payload of each message that has one its target's system and component are (-1: not)."""
     found: dict[int, tuple[int, int]] = {}
-    for message_id, kind in dialect.mavlink_map.items():
+    for message_id, kind in mavlink.mavlink_map.items():
         names, types = kind.ordered_fieldnames, _FIELD.findall(kind.unpacker.format)
         at = {name: struct.calcsize("<" + "".join(types[:i])) for i, name in enumerate(names)}
-        system = "target" if message_id == dialect.MAVLINK_MSG_ID_MANUAL_CONTROL else "target_system"
+        system = "target" if message_id == mavlink.MAVLINK_MSG_ID_MANUAL_CONTROL else "target_system"
         if system in at:
             found[message_id] = (at[system], at.get("target_component", -1))
     return found
@@ -121,6 +119,13 @@ def _target_offsets() -> dict[int, tuple[int, int]]:
 
 _FIELD: Final = re.compile(r"\d*[a-zA-Z]")
 _TARGET_AT: Final = _target_offsets()
+
+
+def packed(mav: Any, message: Any) -> bytes:
+    """A message's frame by a packer of pymavlink's, whose sequence number goes on."""
+    data = bytes(message.pack(mav))
+    mav.seq = (mav.seq + 1) % 256
+    return data
 
 
 def number(value: float) -> float:
@@ -143,13 +148,13 @@ _LAST_STAMP: Final = (1 << 48) - 1
 UNSIGNED: Final[dict[AutopilotKind, frozenset[int]]] = {
     "px4": frozenset(
         {
-            dialect.MAVLINK_MSG_ID_HEARTBEAT,
-            dialect.MAVLINK_MSG_ID_RADIO_STATUS,
-            dialect.MAVLINK_MSG_ID_ADSB_VEHICLE,
-            dialect.MAVLINK_MSG_ID_COLLISION,
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+            mavlink.MAVLINK_MSG_ID_RADIO_STATUS,
+            mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE,
+            mavlink.MAVLINK_MSG_ID_COLLISION,
         }
     ),
-    "ardupilot": frozenset({dialect.MAVLINK_MSG_ID_RADIO_STATUS, dialect.MAVLINK_MSG_ID_RADIO}),
+    "ardupilot": frozenset({mavlink.MAVLINK_MSG_ID_RADIO_STATUS, mavlink.MAVLINK_MSG_ID_RADIO}),
 }
 
 

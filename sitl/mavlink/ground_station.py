@@ -1,4 +1,4 @@
-"""A ground station at the pad, sans I/O: it receives the companion's texts and sends the pad's position.
+"""A ground station at the pad, sans I/O: it sends the pad's position.
 
 MAVLink system 255, component 190. On a request for FOLLOW_TARGET (MAV_CMD_REQUEST_MESSAGE) it sends the
 position of the pad's own GPS half a second later: a receiver of the NEO-6M's class (2.5 m CEP), which is off
@@ -8,64 +8,47 @@ by a constant and a little noise. `position_cov` holds standard deviations (eph,
 from __future__ import annotations
 
 import math
-from typing import Any, Final, Protocol
+from abc import ABC, abstractmethod
+from typing import Any, Final
 
 import numpy as np
 
 from companion.base.geometry import ZERO3, Vector3, geodetic_from_ned
-from sitl.mavlink.framing import FrameReader, MavFrame, Signing, dialect
+from companion.link.codec import mavlink
+from sitl.mavlink.framing import FrameReader, MavFrame, Signing, packed
 from sitl.scenario.scenario import BeaconSettings
-
-# ---------------------------------------------------------------- intruders
-# Whoever else sends on the vehicle's link: a second companion, and somebody without the key. Sans I/O.
-
-mavlink: Any = dialect
 
 SYSTEM_ID: Final = 255
 COMPONENT_ID: Final = 190
-COMPANION_COMPONENT: Final = 191
 
 _HEARTBEAT_S: Final = 1.0
 _NOISE_STD_M: Final = 0.2
 _VERTICAL_FACTOR: Final = 1.5
 _POSITION_AND_VELOCITY: Final = 0b11
 _LINK_ID: Final = 255  # of its signatures; differs from the vehicle's links
-_MOST_TEXTS: Final = 1000
-_MOST_CHUNKS: Final = 16
-_MOST_UNFINISHED: Final = 16  # incomplete texts; the oldest is dropped
 _MOST_ANSWERS: Final = 32  # pending
 
 
 class GroundStation:
-    """One ground station on the vehicle's link; `texts` holds (time s, severity, text) from the companion."""
+    """One ground station on the vehicle's link."""
 
     def __init__(
         self,
+        beacon: BeaconSettings,
         rng: np.random.Generator,
-        position_std_m: float,
         home: Vector3,
-        *,
-        velocity_std_m_s: float = 0.1,
-        delay_s: float = 0.5,
-        rate_hz: float | None = None,
-        available: bool = True,
         signing: Signing | None = None,
     ) -> None:
-        """`rate_hz` is the fix rate of the pad's GPS: an answer has the newest fix; None: a fix per answer.
-        Without a beacon (`available` False) the request is UNSUPPORTED. `position_std_m` is its
-        GPS's, `signing` what its frames are signed with."""
-        self.texts: list[tuple[float, int, str]] = []
+        """`beacon`: the pad's GPS, without which (`available` False) the request is UNSUPPORTED; `signing`:
+        what its frames are signed with."""
         self.requests = 0
         self._rng = rng
-        self._std_m = position_std_m
+        self._beacon = beacon
         self._home = home
-        self._velocity_std_m_s = velocity_std_m_s
-        self._delay_s = delay_s
-        self._fix_period_s = 0.0 if rate_hz is None else 1.0 / rate_hz
+        self._fix_period_s = 0.0 if beacon.rate_hz is None else 1.0 / beacon.rate_hz
         self._fix_due_s = -math.inf
         self._fix: tuple[float, Vector3, Vector3] = (0.0, ZERO3, ZERO3)
-        self._available = available
-        north, east, down = (position_std_m * rng.standard_normal(3)).tolist()
+        north, east, down = (beacon.position_std_m * rng.standard_normal(3)).tolist()
         self._offset: Vector3 = (north, east, _VERTICAL_FACTOR * down)
         self._mav = mavlink.MAVLink(None, srcSystem=SYSTEM_ID, srcComponent=COMPONENT_ID)
         self._decoder = mavlink.MAVLink(None)
@@ -74,7 +57,6 @@ class GroundStation:
         self._acknowledgements: list[Any] = []
         self._answers_due_s: list[float] = []
         self._heartbeat_due_s = -math.inf
-        self._chunks: dict[tuple[int, int], list[str]] = {}
         self._follow_due_s = -math.inf
         self.clear_faults()
 
@@ -95,22 +77,6 @@ class GroundStation:
         """Somebody without the key, in the vehicle's name."""
         self.intruders["forged"] = Forger(1.0 / rate_hz)
 
-    @classmethod
-    def of(
-        cls, beacon: BeaconSettings, rng: np.random.Generator, home: Vector3, signing: Signing | None = None
-    ) -> GroundStation:
-        """With a scenario's beacon settings."""
-        return cls(
-            rng,
-            beacon.position_std_m,
-            home,
-            velocity_std_m_s=beacon.velocity_std_m_s,
-            delay_s=beacon.delay_s,
-            rate_hz=beacon.rate_hz,
-            available=beacon.available,
-            signing=signing,
-        )
-
     def receive(self, data: bytes, now_s: float) -> None:
         """Take bytes that have just arrived."""
         for frame in self._reader.read(data, now_s):
@@ -118,9 +84,7 @@ class GroundStation:
 
     def handle(self, frame: MavFrame, now_s: float) -> None:
         """Handle a frame that has just arrived and passed signing."""
-        if frame.message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT and frame.component == COMPANION_COMPONENT:
-            self._handle_text(self._decoder.decode(bytearray(frame.data)), now_s)
-        elif frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and _is_addressed(frame.target):
+        if frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and _is_addressed(frame.target):
             self._handle_command(self._decoder.decode(bytearray(frame.data)), now_s)
 
     def transmit(self, now_s: float, pad_position_ned_m: Vector3, pad_velocity_ned_m_s: Vector3) -> bytes:
@@ -149,20 +113,18 @@ class GroundStation:
     def _pack(self, message: Any) -> bytes:
         if self._signing is not None:
             self._signing.prepare(self._mav, _LINK_ID)
-        packed = bytes(message.pack(self._mav))
-        self._mav.seq = (self._mav.seq + 1) % 256
-        return packed
+        return packed(self._mav, message)
 
     def _handle_command(self, message: Any, now_s: float) -> None:
         wanted = message.param1
-        known = self._available and (
+        known = self._beacon.available and (
             message.command == mavlink.MAV_CMD_REQUEST_MESSAGE
             and wanted == mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET
         )
         busy = len(self._answers_due_s) >= _MOST_ANSWERS
         if known and not busy:
             self.requests += 1
-            self._answers_due_s.append(now_s + self._delay_s)
+            self._answers_due_s.append(now_s + self._beacon.delay_s)
         result = mavlink.MAV_RESULT_ACCEPTED if known else mavlink.MAV_RESULT_UNSUPPORTED
         result = mavlink.MAV_RESULT_TEMPORARILY_REJECTED if known and busy else result
         self._acknowledgements.append(
@@ -177,31 +139,14 @@ class GroundStation:
             p + offset + _NOISE_STD_M * n
             for p, offset, n in zip(position, self._offset, noise[:3], strict=True)
         ]
-        speed = [v + self._velocity_std_m_s * n for v, n in zip(velocity, noise[3:], strict=True)]
+        speed = [v + self._beacon.velocity_std_m_s * n for v, n in zip(velocity, noise[3:], strict=True)]
         latitude, longitude, altitude = geodetic_from_ned((shown[0], shown[1], shown[2]), self._home)
-        eph = math.hypot(self._std_m, _NOISE_STD_M)
+        eph = math.hypot(self._beacon.position_std_m, _NOISE_STD_M)
         return mavlink.MAVLink_follow_target_message(
             max(0, round(fix_s * 1e3)), _POSITION_AND_VELOCITY, round(latitude * 1e7), round(longitude * 1e7),
             altitude, speed, [0.0] * 3, [1.0, 0.0, 0.0, 0.0], [0.0] * 3,
             [eph, eph, _VERTICAL_FACTOR * eph], 0,
         )  # fmt: skip
-
-    def _handle_text(self, message: Any, now_s: float) -> None:
-        text = message.text if isinstance(message.text, str) else message.text.decode("ascii", "replace")
-        # "id" of a message object is its own field here, not the message's number
-        text_id = getattr(message, "id", 0)
-        if text_id:
-            key = (message.get_srcSystem(), text_id)
-            if key not in self._chunks and len(self._chunks) >= _MOST_UNFINISHED:
-                del self._chunks[next(iter(self._chunks))]
-            self._chunks.setdefault(key, []).append(text)
-            if len(text) == 50 and len(self._chunks[key]) < _MOST_CHUNKS:
-                return
-            text = "".join(self._chunks.pop(key))
-        # more than a flight has; a sender of more must not fill the memory
-        if len(self.texts) >= _MOST_TEXTS:
-            del self.texts[0]
-        self.texts.append((now_s, message.severity, text))
 
 
 def _is_addressed(target: tuple[int, int]) -> bool:
@@ -209,61 +154,53 @@ def _is_addressed(target: tuple[int, int]) -> bool:
     return system == SYSTEM_ID and component in (0, COMPONENT_ID)
 
 
+# ---------------------------------------------------------------- intruders
+# Whoever else sends on the link: a second companion, and somebody without the key.
+
 _VEHICLE: Final = (1, 1)
 _WRONG_KEY: Final = b"not the key of this vehicle, 32b."[:32]
 _LATEST_STAMP: Final = (1 << 48) - 256  # the packer counts on from it
 _VELOCITY_ALONE: Final = 0b0000_1101_1100_0111  # of a setpoint's mask: what is ignored
 
 
-class Intruder(Protocol):
-    """Somebody on the link."""
-
-    def due(self, now_s: float) -> bytes:
-        """A frame, when one is due."""
-        ...
-
-
-class Companion:
-    """Tells the vehicle to stand still, in its own name, as often as a companion does."""
+class Intruder(ABC):
+    """Somebody on the link, who sends a frame a period (s)."""
 
     def __init__(self, component_id: int, period_s: float) -> None:
         self._mav = mavlink.MAVLink(None, srcSystem=_VEHICLE[0], srcComponent=component_id)
         self._period_s, self._due_s = period_s, -math.inf
 
     def due(self, now_s: float) -> bytes:
-        """See `Intruder`."""
+        """A frame, when one is due."""
         if now_s < self._due_s:
             return b""
         self._due_s = now_s + self._period_s
-        message = mavlink.MAVLink_set_position_target_local_ned_message(
+        return packed(self._mav, self._message(now_s))
+
+    @abstractmethod
+    def _message(self, now_s: float) -> Any:
+        """What it sends now."""
+
+
+class Companion(Intruder):
+    """Tells the vehicle to stand still, in its own name, as often as a companion does."""
+
+    def _message(self, now_s: float) -> Any:
+        return mavlink.MAVLink_set_position_target_local_ned_message(
             max(0, round(now_s * 1e3)), *_VEHICLE, mavlink.MAV_FRAME_LOCAL_NED, _VELOCITY_ALONE,
             0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
         )  # fmt: skip
-        return _packed(self._mav, message)
 
 
-class Forger:
+class Forger(Intruder):
     """Sends heartbeats as the vehicle's, signed with another key, from the end of time."""
 
     def __init__(self, period_s: float) -> None:
-        self._mav = mavlink.MAVLink(None, srcSystem=_VEHICLE[0], srcComponent=_VEHICLE[1])
+        super().__init__(_VEHICLE[1], period_s)
         self._mav.signing.secret_key, self._mav.signing.sign_outgoing = _WRONG_KEY, True
-        self._mav.signing.timestamp = _LATEST_STAMP
-        self._period_s, self._due_s = period_s, -math.inf
 
-    def due(self, now_s: float) -> bytes:
-        """See `Intruder`."""
-        if now_s < self._due_s:
-            return b""
-        self._due_s = now_s + self._period_s
-        message = mavlink.MAVLink_heartbeat_message(
+    def _message(self, now_s: float) -> Any:
+        self._mav.signing.timestamp = _LATEST_STAMP
+        return mavlink.MAVLink_heartbeat_message(
             mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, 0, 0, mavlink.MAV_STATE_STANDBY, 3
         )
-        self._mav.signing.timestamp = _LATEST_STAMP
-        return _packed(self._mav, message)
-
-
-def _packed(mav: Any, message: Any) -> bytes:
-    packed = bytes(message.pack(mav))
-    mav.seq = (mav.seq + 1) % 256
-    return packed

@@ -9,14 +9,13 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from companion.base.geometry import Vector3
+from companion.link.codec import mavlink
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
-from sitl.mavlink.framing import FrameReader, MavFrame, Signing, dialect
+from sitl.mavlink.framing import FrameReader, MavFrame, Signing
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.sensor_telemetry import TruthMessages
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
-
-mavlink: Any = dialect
 
 Write = Callable[[Sequence[bytes]], None]
 VEHICLE: Final = (1, 1)

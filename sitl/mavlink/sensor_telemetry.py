@@ -6,26 +6,16 @@ one; ArduPilot's RAW_IMU and SCALED_IMU repeat the newest field. Both send integ
 
 import math
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Final
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3, euler_from_quat, geodetic_from_ned, norm, scale
+from companion.link.codec import Message, mavlink
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
-from sitl.mavlink.framing import dialect
 from sitl.mavlink.telemetry import milliseconds, sys_status
 from sitl.sensors.autopilot_sensors import ImuReading, SimulatedAutopilotSensors
 from sitl.sensors.inertial import ImuErrors
 from sitl.sensors.sensors import RangeErrors
 from sitl.world.world import World
-
-mavlink: Any = dialect
-
-# ---------------------------------------------------------------- truth telemetry
-# The truth by MAVLink, as real simulators send it: for an external world around this vehicle.
-#
-# ArduPilot's SITL sends SIM_STATE, PX4's HIL_STATE_QUATERNION. The truth is sent only by a simulator that was
-# started to serve it, and only on request; the app never requests it. Integers as the real ones send them.
-
-Message = Any  # pymavlink's classes are generated without types
 
 _IMU_BITS: Final = 0b111_111
 _FIELD_BITS: Final = 0b111_000_000
@@ -102,7 +92,7 @@ class SensorMessages:
         self._field_sent_s = mag.time_s
         return mavlink.MAVLink_highres_imu_message(
             self._boot_us(imu.time_s), *imu.specific_force_m_s2, *imu.rate_rad_s, *scale(mag.field_ut, 0.01),
-            self._pressure_hpa(), 0.0, self._altitude_m(), _TEMPERATURE_C, bits,
+            pressure_hpa(self._altitude_m()), 0.0, self._altitude_m(), _TEMPERATURE_C, bits,
         )  # fmt: skip
 
     def _raw_imu(self, now_s: float) -> Message | None:
@@ -148,17 +138,14 @@ class SensorMessages:
 
     def _scaled_pressure(self, now_s: float) -> Message:
         return mavlink.MAVLink_scaled_pressure_message(
-            milliseconds(self._autopilot, now_s), self._pressure_hpa(), 0.0, round(100.0 * _TEMPERATURE_C)
+            milliseconds(self._autopilot, now_s),
+            pressure_hpa(self._altitude_m()),
+            0.0,
+            round(100.0 * _TEMPERATURE_C),
         )
 
     def _altitude_m(self) -> float:
         return self._autopilot.geodetic(self._autopilot.estimate.position_ned_m)[2]
-
-    def _pressure_hpa(self) -> float:
-        """Of the standard atmosphere at the autopilot's altitude estimate."""
-        return float(
-            _SEA_LEVEL_HPA * (1.0 - _PRESSURE_LAPSE_PER_M * self._altitude_m()) ** _PRESSURE_EXPONENT
-        )
 
     def _servo_outputs(self, now_s: float) -> Message:
         off_us, span_us = _PULSE_US
@@ -207,6 +194,11 @@ class SensorMessages:
         return 0 if booted_s is None else max(0, round((time_s - booted_s) * 1e6))
 
 
+def pressure_hpa(altitude_m: float) -> float:
+    """Pressure (hPa) of the standard atmosphere at an altitude (m AMSL)."""
+    return float(_SEA_LEVEL_HPA * (1.0 - _PRESSURE_LAPSE_PER_M * altitude_m) ** _PRESSURE_EXPONENT)
+
+
 def distance_sensor(boot_ms: int, distance_m: float | None, bounds: RangeErrors) -> Message:
     """DISTANCE_SENSOR of an ultrasonic that looks down; without an echo it is beyond the farthest."""
     nearest_cm, farthest_cm = round(100.0 * bounds.minimum_m), round(100.0 * bounds.maximum_m)
@@ -234,7 +226,9 @@ HIL_STATE: Final = mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
 
 
 class TruthMessages:
-    """Builds the one message that a simulator of this autopilot's kind has."""
+    """The truth as real simulators send it, for an external world: SIM_STATE by ArduPilot's SITL, else
+    HIL_STATE_QUATERNION. It is sent on request alone, by a simulator that was started to serve it; the app
+    never requests it. Integers as the real ones send them."""
 
     def __init__(self, autopilot: SimulatedAutopilot, world: World, home: Vector3) -> None:
         """`home` is the world's origin: latitude (deg), longitude (deg), altitude (m)."""

@@ -6,21 +6,17 @@ Built from the autopilot's estimate, in MAVLink's units (degrees times 1e7, mm, 
 
 import math
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Vector3, euler_from_quat, norm
-from companion.base.messages import LandedState
+from companion.link.codec import Message, mavlink
 from companion.link.dialect import CURRENT_MODE, CurrentMode
 from sitl.autopilot.control.position_control import tilt_cosine
 from sitl.autopilot.control.setpoints import AttitudeSetpoint
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
-from sitl.mavlink.framing import dialect
-from sitl.mavlink.protocols import mission_protocol
+from sitl.mavlink.mission_protocol import mission_current
 from sitl.vehicle.battery import CELLS
-
-mavlink: Any = dialect
-Message = Any  # pymavlink's classes are generated without types
 
 _SENSORS: Final = (
     mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
@@ -31,13 +27,6 @@ _SENSORS: Final = (
     | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
 )
 _ESTIMATES: Final = mavlink.MAV_SYS_STATUS_SENSOR_GPS | mavlink.MAV_SYS_STATUS_AHRS
-_LANDED: Final = {
-    LandedState.UNDEFINED: mavlink.MAV_LANDED_STATE_UNDEFINED,
-    LandedState.ON_GROUND: mavlink.MAV_LANDED_STATE_ON_GROUND,
-    LandedState.IN_AIR: mavlink.MAV_LANDED_STATE_IN_AIR,
-    LandedState.TAKEOFF: mavlink.MAV_LANDED_STATE_TAKEOFF,
-    LandedState.LANDING: mavlink.MAV_LANDED_STATE_LANDING,
-}
 _ESTIMATOR_FLAGS: Final = (
     mavlink.ESTIMATOR_VELOCITY_HORIZ
     | mavlink.ESTIMATOR_VELOCITY_VERT
@@ -46,15 +35,6 @@ _ESTIMATOR_FLAGS: Final = (
     | mavlink.ESTIMATOR_POS_VERT_ABS
     | mavlink.ESTIMATOR_PRED_POS_HORIZ_REL
     | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS
-)
-_EKF_FLAGS: Final = (
-    mavlink.EKF_VELOCITY_HORIZ
-    | mavlink.EKF_VELOCITY_VERT
-    | mavlink.EKF_POS_HORIZ_REL
-    | mavlink.EKF_POS_HORIZ_ABS
-    | mavlink.EKF_POS_VERT_ABS
-    | mavlink.EKF_PRED_POS_HORIZ_REL
-    | mavlink.EKF_PRED_POS_HORIZ_ABS
 )
 _TEST_RATIOS: Final = (0.05, 0.05, 0.03, 0.05)  # velocity, horizontal and vertical position, compass
 _ACCURACY_M: Final = (0.8, 0.5)
@@ -184,12 +164,8 @@ def gps_global_origin(autopilot: SimulatedAutopilot, now_s: float) -> Message | 
 
 def extended_sys_state(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """EXTENDED_SYS_STATE: on the ground or not."""
-    return mavlink.MAVLink_extended_sys_state_message(0, _LANDED[autopilot.landed_state])
-
-
-def mission_current(autopilot: SimulatedAutopilot, now_s: float) -> Message:
-    """MISSION_CURRENT."""
-    return mission_protocol.mission_current(autopilot.mission)
+    landed: int = getattr(mavlink, f"MAV_LANDED_STATE_{autopilot.landed_state.name}")
+    return mavlink.MAVLink_extended_sys_state_message(0, landed)
 
 
 def battery_status(autopilot: SimulatedAutopilot, now_s: float) -> Message:
@@ -283,7 +259,8 @@ def estimator_status(autopilot: SimulatedAutopilot, now_s: float) -> Message:
 
 def ekf_status_report(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """EKF_STATUS_REPORT (ArduPilot): the same as ESTIMATOR_STATUS in its own words."""
-    flags = mavlink.EKF_ATTITUDE | (_EKF_FLAGS if autopilot.aligned else mavlink.EKF_CONST_POS_MODE)
+    # its flags have the same bits
+    flags = mavlink.EKF_ATTITUDE | (_ESTIMATOR_FLAGS if autopilot.aligned else mavlink.EKF_CONST_POS_MODE)
     return mavlink.MAVLink_ekf_status_report_message(flags, *_TEST_RATIOS, 0.0)
 
 
@@ -314,7 +291,7 @@ BUILDERS: Final[dict[int, Builder]] = {
     mavlink.MAVLINK_MSG_ID_VFR_HUD: vfr_hud,
     mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: position_target,
     mavlink.MAVLINK_MSG_ID_RC_CHANNELS: rc_channels,
-    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: mission_current,
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: lambda autopilot, _: mission_current(autopilot.mission),
 }
 OWN_BUILDERS: Final[dict[AutopilotKind, dict[int, Builder]]] = {
     "px4": {

@@ -19,14 +19,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from companion.base.messages import Frame
-from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.ports import AppEnd, MemoryPort
 from sitl.faults.targets import ComputerFaults
 from sitl.firmware.spec import FirmwareSpec
 from sitl.run.mavlink_line import ByteLink
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario, load_scenario
-from sitl.vehicle.hand_motion import HandMotion
+from sitl.vehicle import HandMotion
 
 GPS_BAUD: Final = 38400
 RANGE_BAUD: Final = 9600
@@ -103,11 +102,7 @@ class InProcess:
             signing_key=signing_key,
             keep_truth=keep_truth,
         )
-
-    @property
-    def imu_bus(self) -> Mpu9250Device:
-        """The register bus with the MPU9250 on it."""
-        return self.simulation.imu_bus
+        self.imu_bus = self.simulation.imu_bus  # the register bus with the MPU9250 on it
 
 
 @asynccontextmanager

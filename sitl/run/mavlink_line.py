@@ -6,9 +6,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from companion.base.geometry import Vector3
-from sitl.faults.faulty_link import LinkChannel, LinkSettings
-from sitl.mavlink.network import Write
+from sitl.faults.lines import LinkChannel, LinkSettings
+from sitl.firmware.vehicle import FirmwareNetwork
+from sitl.mavlink.network import Network, Write
 from sitl.run.tick_timer import TickTimer
 
 
@@ -24,30 +24,10 @@ class ByteLink(Protocol):
         ...
 
 
-class VehicleNetwork(Protocol):
-    """The vehicle's MAVLink links: each client has a port, whose type is the network's own."""
-
-    def connect(self, write: Write, *, datagrams: bool) -> Any:
-        """Open a port."""
-        ...
-
-    def disconnect(self, port: Any) -> None:
-        """Close it."""
-        ...
-
-    def receive(self, port: Any, data: bytes, now_s: float) -> None:
-        """Take what a client sent."""
-        ...
-
-    def transmit(self, now_s: float, pad_position_ned_m: Vector3, pad_velocity_ned_m_s: Vector3) -> None:
-        """Send all that is due."""
-        ...
-
-
 class MavlinkLine:
     """Both directions of the line. `network` is set before the first client connects."""
 
-    network: VehicleNetwork
+    network: Network | FirmwareNetwork
 
     def __init__(
         self, ways: tuple[LinkSettings, LinkSettings], rng: np.random.Generator, timer: TickTimer

@@ -8,29 +8,22 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from companion.base.clock import AT_ONCE
 from companion.base.encoding import light_of_greys
 from companion.base.geometry import FloatArray, Vector3, add
-from companion.base.messages import Frame, Truth
+from companion.base.messages import Frame
 from companion.config import CameraConfig, VehicleConfig, find_file, load_model
 from companion.pad import load_pad
 from sitl.camera import camera as optics
 from sitl.camera.exposure import ImagingSettings
 from sitl.camera.textures import GreyImage
+from sitl.external.world import ExternalWorld
 from sitl.scenario.as_built import AS_BELIEVED, BuiltVehicle
 from sitl.scenario.scenario import Scenario
-
-
-class Scene(Protocol):
-    """A world as the camera sees it."""
-
-    def truth_at(self, time_s: float) -> Truth:
-        """Vehicle and pad at a time of the last 0.3 s, s of the world."""
-        ...
+from sitl.world.world import World
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +41,13 @@ class CameraTruth:
 
 
 class SceneCamera:
-    """Exposes at the camera's rate and renders when the last row has been read."""
+    """Exposes at the camera's rate and renders when the last row has been read, by its `model`."""
 
     def __init__(
         self,
         scenario: Scenario,
         vehicle: VehicleConfig,
-        world: Scene,
+        world: World | ExternalWorld,
         noise_rng: np.random.Generator,
         latency_rng: np.random.Generator,
         lens_rng: np.random.Generator,
@@ -78,7 +71,7 @@ class SceneCamera:
         vehicle = vehicle.model_copy(
             update={"camera_position_body_m": add(vehicle.camera_position_body_m, settings.mount_offset_m)}
         )
-        self._model = optics.CameraModel(
+        self.model = optics.CameraModel(
             config,
             vehicle,
             built.pad(load_pad(scenario.pad.name)),
@@ -88,7 +81,7 @@ class SceneCamera:
         )
         self.truth = CameraTruth(
             config,
-            self._model.body_from_camera,
+            self.model.body_from_camera,
             vehicle.camera_position_body_m,
             settings.stamp_error_s + built.stamp_s,
         )
@@ -102,15 +95,10 @@ class SceneCamera:
         self._begin, self._drawing = begin, AT_ONCE.submit(lambda: None)
 
     @property
-    def model(self) -> optics.CameraModel:
-        """What renders: for faults of what is in view."""
-        return self._model
-
-    @property
     def exposed_s(self) -> float:
         """When the next frame's last row will have been read (world time)."""
         self.finish()  # an automatic exposure goes by the picture before
-        return self._next_s + 0.5 * self._model.span_s
+        return self._next_s + 0.5 * self.model.span_s
 
     def skip_to(self, now_s: float) -> None:
         """Drop the frames whose exposure ended before now_s (world time); they are counted."""
@@ -127,8 +115,8 @@ class SceneCamera:
             return None
         time_s = self._next_s
         self._next_s += self._period_s
-        image = self._model.blank()
-        self._drawing = self._begin(_draw, image, self._model.expose(time_s, self._scene_at))
+        image = self.model.blank()
+        self._drawing = self._begin(_draw, image, self.model.expose(time_s, self._scene_at))
         late = self._settings.latency_s + self._settings.latency_jitter_s * float(
             self._rng.uniform(-1.0, 1.0)
         )

@@ -18,23 +18,32 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import Clock, start_unix_s
 from companion.base.files import write_atomically
-from companion.base.signals import stopping_on_signals
+from companion.base.signals import run_until_stopped, signals_held_back, stopping_on_signals
 from sitl.commands import COMPANION_PORT, GROUND_PORT, LOOPBACK, TCP_PORT
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import PtyPort
 from sitl.devices.socket_servers import FrameServer, serve_registers
+from sitl.external.session import serve_external
 from sitl.firmware.spec import FirmwareSpec
+from sitl.mavlink.framing import read_key
 from sitl.mavlink.links import TcpServer, UdpServer
-from sitl.run.process_control import final_phase, print_json, run_until_finished
+from sitl.run.process_control import (
+    REPORT_NAME,
+    SENSOR_BAUD,
+    final_phase,
+    print_json,
+    run_until_finished,
+    socket_folder,
+    terminated_as_interrupted,
+)
 from sitl.run.simulation import Simulation
-from sitl.scenario.listing import app_settings_text
-from sitl.scenario.scenario import Scenario
-from sitl.vehicle.hand_motion import HandMotion
+from sitl.scenario.listing import app_settings_text, signed
+from sitl.scenario.scenario import Scenario, load_scenario, read_home
+from sitl.vehicle import HandMotion
 
-REPORT_NAME: Final = "report.json"
-SENSOR_BAUD: Final = 9600
 # from which the vehicle sends to those two, as PX4's simulator does; to others it sends from a free one
 _OWN_PORTS: Final = {COMPANION_PORT: 14580, GROUND_PORT: 18570}
 
@@ -49,12 +58,55 @@ class Service:
     tcp_port: int = TCP_PORT
 
 
-@dataclass(frozen=True, slots=True)
-class _Devices:
-    """A simulation and where its devices are."""
+def serve_vehicle(
+    scenario: str,
+    seed: int,
+    service: Service,
+    *,
+    autopilot: AutopilotKind | None,
+    firmware: FirmwareSpec | None,
+    home: str | None,
+    folder: Path | None,
+    settings: Path | None,
+    external: str | None,
+    signing_key: Path | None,
+    child: bool,
+    serve_truth: bool,
+) -> None:
+    """`companion-sitl` without a command, with its options.
 
-    simulation: Simulation
-    settings: dict[str, Any]  # the app's, which lead there
+    Raises:
+        ConfigError: the options, the scenario or a file are wrong.
+        FirmwareError: the firmware ended or does not answer.
+    """
+    loaded = load_scenario(scenario)
+    if autopilot is not None:
+        loaded = loaded.model_copy(update={"autopilot": autopilot})
+    if home is not None:
+        place, heading_deg = read_home(home)
+        loaded = loaded.model_copy(update={"home": place, "start_heading_deg": heading_deg})
+    if firmware is not None:
+        loaded = loaded.model_copy(update={"autopilot": firmware.kind})
+    key = None if signing_key is None else read_key(signing_key)
+    with terminated_as_interrupted(), signals_held_back(), socket_folder(folder) as there:
+        if external is not None:
+            run_until_stopped(serve_external(loaded, seed, there, external, child=child))
+        elif child:
+            run_until_stopped(serve_child(loaded, seed, there, firmware=firmware))
+        else:
+            if signing_key is not None:
+                loaded = signed(loaded, signing_key)
+            serving = serve(
+                loaded,
+                seed,
+                there,
+                service,
+                key,
+                serve_truth=serve_truth,
+                settings_path=settings,
+                firmware=firmware,
+            )
+            run_until_stopped(serving)
 
 
 async def serve(
@@ -79,7 +131,7 @@ async def serve(
     async with contextlib.AsyncExitStack() as stack:
         unix_at_start_s = start_unix_s(virtual=False) + Clock().now_s()
         with _kept_free(service):
-            devices = await _plug_in(
+            simulation, devices = await _plug_in(
                 stack,
                 scenario,
                 seed,
@@ -91,17 +143,17 @@ async def serve(
                 motion=motion,
                 firmware=firmware,
             )
-        companion_port = await _open_udp(stack, devices.simulation, service.bind, service.companion_port)
-        ground_port = await _open_udp(stack, devices.simulation, service.bind, service.ground_port)
-        tcp = TcpServer(devices.simulation.line)
+        companion_port = await _open_udp(stack, simulation, service.bind, service.companion_port)
+        ground_port = await _open_udp(stack, simulation, service.bind, service.ground_port)
+        tcp = TcpServer(simulation.line)
         stack.callback(tcp.close)
         tcp_port = await tcp.open(service.bind, service.tcp_port)
         own = (companion_port, ground_port, tcp_port)
         if settings_path is not None:
             connection = f"udp:{LOOPBACK}:{companion_port}"
-            write_atomically(settings_path, app_settings_text(scenario, connection, devices.settings))
-        with _running(devices.simulation) as flying:
-            print(_greeting(scenario, seed, service, own, devices.settings, motion), flush=True)
+            write_atomically(settings_path, app_settings_text(scenario, connection, devices))
+        with _running(simulation) as flying:
+            print(_greeting(scenario, seed, service, own, devices, motion), flush=True)
             if settings_path is not None:
                 print(f"The app's settings for it are in {settings_path}", flush=True)
             await asyncio.wait([flying])
@@ -122,10 +174,10 @@ async def serve_child(
         ConfigError: a settings file that the scenario names is wrong.
     """
     async with contextlib.AsyncExitStack() as stack:
-        devices = await _plug_in(stack, scenario, seed, folder, motion=motion, firmware=firmware)
-        udp_port = await _open_udp(stack, devices.simulation, LOOPBACK, 0)
-        print_json({"link": {"connection": f"udp:{LOOPBACK}:{udp_port}"}, **devices.settings})
-        await run_until_finished(devices.simulation, folder / REPORT_NAME, final_phase())
+        simulation, devices = await _plug_in(stack, scenario, seed, folder, motion=motion, firmware=firmware)
+        udp_port = await _open_udp(stack, simulation, LOOPBACK, 0)
+        print_json({"link": {"connection": f"udp:{LOOPBACK}:{udp_port}"}, **devices})
+        await run_until_finished(simulation, folder / REPORT_NAME, final_phase())
 
 
 async def _plug_in(
@@ -140,8 +192,11 @@ async def _plug_in(
     keep_truth: bool = True,
     motion: HandMotion | None = None,
     firmware: FirmwareSpec | None = None,
-) -> _Devices:
-    """A simulation with everything but MAVLink connected; the stack takes it all down."""
+) -> tuple[Simulation, dict[str, Any]]:
+    """A simulation with everything but MAVLink connected, and the app's settings that lead to its devices.
+
+    The stack takes it all down.
+    """
     gps_port, range_port = PtyPort(SENSOR_BAUD), PtyPort(SENSOR_BAUD)
     stack.callback(gps_port.close)
     stack.callback(range_port.close)
@@ -175,7 +230,7 @@ async def _plug_in(
             "vision": {"source": f"socket:{folder / 'camera'}"},
         },
     }
-    return _Devices(simulation, settings)
+    return simulation, settings
 
 
 @contextlib.contextmanager

@@ -9,7 +9,7 @@ Simulation time starts at 0; stamps that leave it (frames, truth) are loop time.
 import asyncio
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -17,34 +17,33 @@ import numpy as np
 from companion.base.clock import Clock
 from companion.base.geometry import ZERO3, Vector3
 from companion.base.messages import Frame, Phase, Truth
-from companion.config import ConfigError, VehicleConfig, find_file, load_model
+from companion.config import ConfigError, GpsConfig, VehicleConfig, find_file, load_model
 from sitl.autopilot.control.estimator import ESTIMATORS
 from sitl.autopilot.flight.autopilot import PROFILES, SimulatedAutopilot
-from sitl.camera.frame_line import FrameLine
 from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import DevicePort
+from sitl.devices.rack import SensorRack
 from sitl.faults.faults import Fault
+from sitl.faults.lines import FrameLine
 from sitl.faults.schedule import FaultSchedule, Moments, Schedule, StatusTextMonitor
 from sitl.faults.targets import ComputerFaults, FaultTargets
 from sitl.firmware import FirmwareError
 from sitl.firmware.spec import FirmwareSpec
-from sitl.firmware.vehicle import IMU_FILTER, FirmwareVehicle
+from sitl.firmware.vehicle import IMU_FILTER, FirmwareNetwork, FirmwareVehicle
 from sitl.mavlink.framing import Signing
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.network import Network
 from sitl.mavlink.sensor_telemetry import TruthMessages
-from sitl.run.mavlink_line import ByteLink, MavlinkLine, VehicleNetwork
-from sitl.run.process_control import interrupted_at_once
-from sitl.run.report import SimulationReport
+from sitl.run.mavlink_line import ByteLink, MavlinkLine
+from sitl.run.process_control import SimulationReport, interrupted_at_once
 from sitl.run.scene_camera import CameraTruth, SceneCamera
-from sitl.run.sensor_setup import autopilot_sensors, sensor_rack
 from sitl.run.tick_timer import TickTimer
-from sitl.scenario.home import magnetic_field_ned_ut
-from sitl.scenario.scenario import Scenario
+from sitl.scenario.scenario import Scenario, magnetic_field_ned_ut
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
+from sitl.sensors.inertial import sensor_errors
 from sitl.sensors.sensors import BoardTruth, RangeErrors
-from sitl.vehicle.hand_motion import HandMotion
+from sitl.vehicle import HandMotion
 from sitl.world.hand_held import HandHeldWorld
 from sitl.world.score import judge
 from sitl.world.world import FirmGroundWorld, World
@@ -71,7 +70,11 @@ class SensorTruth:
 
 
 class Simulation:
-    """A scenario with a seed. Make it inside the running loop; simulation time starts with `run`."""
+    """A scenario with a seed. Make it inside the running loop; simulation time starts with `run`.
+
+    `world` is the truth now, `home` latitude (deg), longitude (deg), altitude (m AMSL) where the vehicle
+    starts: for tests and benches.
+    """
 
     def __init__(
         self,
@@ -107,24 +110,22 @@ class Simulation:
         self._scenario, self._timer, self._link = scenario, TickTimer(TICK_S), link
         self._camera_wanted, self._deliver_frame = camera_wanted, deliver_frame
         self._keep_truth, self._truth = keep_truth, list[Truth]()
-        self._world = world = _world(scenario, seed, motion, hands_wait, firm_ground=serve_truth)
+        self.world = world = _world(scenario, seed, motion, hands_wait, firm_ground=serve_truth)
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
         self._range_finder = world.ranging(self._vehicle.range_position_body_m, HALF_BEAM_RAD)
         streams = np.random.default_rng((seed, SIMULATION_STREAM)).spawn(6)
         autopilot_rng, beacon_rng, noise_rng, latency_rng, sensors_rng, lens_rng = streams
         built, fault_rng = world.built, np.random.default_rng((seed, FAULT_STREAM))
-        self._home = home = built.home(scenario.place)
-        place = (home, magnetic_field_ned_ut(home))
-        self._rack = sensor_rack(scenario.sensors, seed, PHYSICS_STEP_S, place, gps_port, range_port, built)
+        self.home = home = built.home(scenario.place)
         imu_filter = PROFILES[scenario.autopilot].imu_filter if firmware is None else IMU_FILTER
-        sensors = autopilot_sensors(scenario.sensors, sensors_rng, PHYSICS_STEP_S, place, imu_filter, built)
+        self._rack, sensors = self._sensors(seed, sensors_rng, gps_port, range_port, imu_filter)
         self._autopilot_sensors = sensors
         rngs = (noise_rng, latency_rng, lens_rng)
         self._camera = SceneCamera(scenario, self._vehicle, world, *rngs, built=built, begin=Clock().begin)
         self.line = line = MavlinkLine(built.links(scenario.link), fault_rng, self._timer)
         self._frame_line = FrameLine(fault_rng, scenario.camera.lost_share, scenario.camera.lost_burst_frames)
         signing = Signing(scenario.autopilot, signing_key)
-        self._station = station = GroundStation.of(scenario.beacon, beacon_rng, home, signing)
+        self._station = station = GroundStation(scenario.beacon, beacon_rng, home, signing)
         self._flight_controller = self._autopilot(firmware, station, autopilot_rng)
         line.network = self._network(station, signing, unix_at_start_s, serve_truth=serve_truth)
         self.status_text_monitor = StatusTextMonitor()
@@ -150,11 +151,6 @@ class Simulation:
             self._flight_controller.close()
 
     @property
-    def home(self) -> Vector3:
-        """Latitude (deg), longitude (deg), altitude (m AMSL) where the vehicle starts: for benches."""
-        return self._home
-
-    @property
     def sensor_truth(self) -> SensorTruth:
         """The true errors of the sensors: for tests and benches."""
         return SensorTruth(self._rack.truth, self._autopilot_sensors.truth, self._camera.truth)
@@ -164,26 +160,21 @@ class Simulation:
         """How far the GPS receiver is off by its slow wander: for benches."""
         return self._rack.position.wander_ned_m
 
-    @property
-    def world(self) -> World:
-        """The truth now: for tests and benches."""
-        return self._world
-
     def fault_schedule(self, faults: Sequence[Fault]) -> FaultSchedule:
         """A schedule of faults of this vehicle; it acts once it is stepped, as `faults` is.
 
         Raises:
             ConfigError: a fault has nothing here that it could act on.
         """
-        world = self._world
+        world = self.world
         return FaultSchedule(
             faults, self._fault_targets, Moments(self.status_text_monitor, lambda: world.feet_over_pad_m)
         )
 
     def begin_motion(self) -> None:
         """Start the hand motion, if it waits."""
-        if isinstance(self._world, HandHeldWorld):
-            self._world.begin()
+        if isinstance(self.world, HandHeldWorld):
+            self.world.begin()
 
     async def run(self) -> None:
         """Go on until cancelled.
@@ -204,7 +195,7 @@ class Simulation:
 
     def report(self, final_phase: Phase) -> SimulationReport:
         """Judge the flight as it stands; `final_phase` is the app's last."""
-        world = self._world
+        world = self.world
         verdict = judge(
             world.touchdown,
             self._scenario.pass_bounds,
@@ -223,7 +214,7 @@ class Simulation:
         return SimulationReport(
             outcome=verdict.outcome,
             failures=verdict.failures,
-            touchdown=None if verdict.touchdown is None else asdict(verdict.touchdown),
+            touchdown=verdict.touchdown,
             pad_speed_m_s=pad_speed,
             duration_s=world.time_s,
             latest_tick_s=self._timer.latest_s,
@@ -236,16 +227,52 @@ class Simulation:
 
     # ------------------------------------------------------------ building it
 
+    def _sensors(
+        self,
+        seed: int,
+        rng: np.random.Generator,
+        gps_port: DevicePort,
+        range_port: DevicePort,
+        imu_filter: int,
+    ) -> tuple[SensorRack, SimulatedAutopilotSensors]:
+        """The app's sensors and the autopilot's own; `imu_filter` is the low-pass of the latter's IMU."""
+        home, settings, built = self.home, self._scenario.sensors, self.world.built
+        field_ned_ut = magnetic_field_ned_ut(home)
+        errors = sensor_errors(settings, built.vibration)
+        rack = SensorRack(
+            seed,
+            PHYSICS_STEP_S,
+            home=home,
+            field_ned_ut=field_ned_ut,
+            gps_port=gps_port,
+            range_port=range_port,
+            gps_config=GpsConfig(latency_s=settings.gps_delay_s),
+            errors=errors,
+            imu_position_body_m=built.imu_offset_body_m,
+            wiring=settings,
+        )
+        own = SimulatedAutopilotSensors(
+            rng,
+            PHYSICS_STEP_S,
+            home=home,
+            field_ned_ut=field_ned_ut,
+            imu_filter=imu_filter,
+            imu_position_body_m=built.autopilot_imu_offset_body_m,
+            gps_latency_s=settings.gps_delay_s,
+            errors=errors,
+        )
+        return rack, own
+
     def _autopilot(
         self, firmware: FirmwareSpec | None, station: GroundStation, rng: np.random.Generator
     ) -> SimulatedAutopilot | FirmwareVehicle:
-        scenario, airframe, built = self._scenario, self._world.believed_airframe, self._world.built
+        scenario, airframe, built = self._scenario, self.world.believed_airframe, self.world.built
         if firmware is None:
             estimator, kind = ESTIMATORS[scenario.estimator], scenario.autopilot
             body = built.told_body(airframe.body)
             # what is tuned on the vehicle turns it as it was meant to
             rates = airframe.rates or PROFILES[kind].attitude_gains.shares.rates(airframe.body)
-            autopilot = SimulatedAutopilot(kind, body, rng, self._home, estimator, rates)
+            autopilot = SimulatedAutopilot(kind, body, rng, self.home, estimator, rates)
             if built.yaw_reset_deg:
                 autopilot.estimate.reset_yaw_at(built.yaw_reset_s, math.radians(built.yaw_reset_deg))
             for name, value in scenario.autopilot_parameters.items():
@@ -255,26 +282,26 @@ class Simulation:
         with interrupted_at_once():
             return FirmwareVehicle(
                 firmware,
-                self._world,
+                self.world,
                 self._autopilot_sensors,
                 station,
                 rng,
-                home=self._home,
+                home=self.home,
                 gps_delay_s=scenario.sensors.gps_delay_s,
                 step_s=PHYSICS_STEP_S,
             )
 
     def _network(
         self, station: GroundStation, signing: Signing, unix_at_start_s: float, *, serve_truth: bool
-    ) -> VehicleNetwork:
+    ) -> Network | FirmwareNetwork:
         autopilot, sensors = self._flight_controller, self._autopilot_sensors
         if isinstance(autopilot, FirmwareVehicle):
             return autopilot.network
-        truth = TruthMessages(autopilot, self._world, self._home) if serve_truth else None
+        truth = TruthMessages(autopilot, self.world, self.home) if serve_truth else None
         return Network(autopilot, sensors, station, signing, unix_at_start_s, truth)
 
     def _targets(self, sensors: SimulatedAutopilotSensors, computer: ComputerFaults | None) -> FaultTargets:
-        world, line, network = self._world, self.line, self.line.network
+        world, line, network = self.world, self.line, self.line.network
         autopilot = self._flight_controller
         return FaultTargets(
             self._rack,
@@ -296,17 +323,17 @@ class Simulation:
     def _tick(self) -> None:
         for _ in range(STEPS_PER_TICK):
             self._step_physics()
-        now_s = self._world.time_s
+        now_s = self.world.time_s
         self._expose(now_s)
-        pad = self._world.pad_motion.at(now_s)
+        pad = self.world.pad_motion.at(now_s)
         self.line.network.transmit(now_s, pad.position_ned_m, pad.velocity_ned_m_s)
         if self._timer.count % TRUTH_EVERY_TICKS == 0:
-            self._world.attitude_setpoint = self._flight_controller.attitude_setpoint
+            self.world.attitude_setpoint = self._flight_controller.attitude_setpoint
             if self._keep_truth:
-                self._truth.append(replace(self._world.truth(), time_s=self._timer.start_s + now_s))
+                self._truth.append(replace(self.world.truth(), time_s=self._timer.start_s + now_s))
 
     def _step_physics(self) -> None:
-        world = self._world
+        world = self.world
         motors = self._autopilot_sensors.motors = self._flight_controller.step(
             world.state, PHYSICS_STEP_S, world.time_s
         )

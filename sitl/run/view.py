@@ -10,7 +10,7 @@ from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Final, Protocol
+from typing import Final
 
 import cv2
 import numpy as np
@@ -77,16 +77,6 @@ class Statistics:
         return f"{self.count} frames, {self.rate_hz:.1f} a second, {age}, {self.dropped} dropped"
 
 
-class Recorder(Protocol):
-    """Keeps pictures."""
-
-    def keep(self, picture: Image, header: FrameHeader, rate_hz: float) -> None:
-        """Write one; `rate_hz` is how often pictures are kept."""
-
-    def close(self) -> None:
-        """Finish."""
-
-
 class PngFolder:
     """One PNG file a frame, named by its sequence number."""
 
@@ -99,7 +89,7 @@ class PngFolder:
         self._folder = make_folder("--record", folder)
 
     def keep(self, picture: Image, header: FrameHeader, rate_hz: float) -> None:
-        """Write a file; see `Recorder`."""
+        """Write a file; `rate_hz` is how often pictures are kept."""
         path = self._folder / f"frame-{header.sequence:08d}.png"
         if not cv2.imwrite(str(path), picture):
             raise ConfigError(f"--record {path}: cannot be written; expected a folder with room")
@@ -127,7 +117,7 @@ class Video:
         self._rate_hz = 0.0
 
     def keep(self, picture: Image, header: FrameHeader, rate_hz: float) -> None:
-        """Append a picture; see `Recorder`."""
+        """Append a picture; `rate_hz` is how often pictures are kept."""
         self._rate_hz = rate_hz
         self._waiting.append(picture.copy())
         if self._writer is not None or len(self._waiting) >= self.WAITING:
@@ -191,7 +181,7 @@ async def view(address: str, options: ViewOptions, statistics: Statistics | None
         stream = await FrameStream.open(address)
     except (OSError, ValueError) as error:
         raise ConfigError(str(error)) from error
-    recorder: Recorder | None = None
+    recorder: PngFolder | Video | None = None
     statistics = statistics or Statistics()
     try:
         recorder = _recorder(options.record)
@@ -211,7 +201,7 @@ async def view(address: str, options: ViewOptions, statistics: Statistics | None
 async def _watch(
     stream: FrameStream,
     options: ViewOptions,
-    recorder: Recorder | None,
+    recorder: PngFolder | Video | None,
     page: MjpegServer,
     statistics: Statistics,
 ) -> None:
@@ -233,7 +223,7 @@ async def _watch(
             _print_status(statistics)
 
 
-def _recorder(path: Path | None) -> Recorder | None:
+def _recorder(path: Path | None) -> PngFolder | Video | None:
     if path is None:
         return None
     suffix = path.suffix.lower()

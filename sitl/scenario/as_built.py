@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, scale
 from companion.config import StrictModel
 from companion.pad import Pad
-from sitl.faults.faulty_link import LinkSettings
+from sitl.faults.lines import LinkSettings
 from sitl.vehicle.quadrotor import QuadrotorParameters
 
 # random draws of what was built; world, sensors, simulation and faults draw from other streams
@@ -247,35 +247,31 @@ def draw(settings: AsBuiltSettings | None, seed: int) -> BuiltVehicle:
         return scale(direction(), most * float(rng.uniform()))
 
     low, high = s.thrust_exponent
-    hover = 1.0 + s.hover_thrust * even()
-    exponent = math.exp(float(rng.uniform(math.log(low), math.log(high))))
-    mass = 1.0 + s.mass * even()
-    legs_m = s.leg_height_m * even()
-    imu, autopilot_imu = offset(s.imu_offset_m), offset(s.imu_offset_m)
-    mount = (s.camera_mount_deg * even(), s.camera_mount_deg * even(), s.camera_mount_deg * even())
-    focal, printed, stamp_s = 1.0 + s.focal_length * even(), 1.0 + s.pad_print * even(), s.stamp_s * even()
-    late_s, to_app = s.link_delay_s * float(rng.uniform()), bool(rng.random() < 0.5)
-    vibration = s.vibration ** float(rng.uniform())
-    latitude, longitude = _LATITUDES_DEG * even(), 180.0 * even()
-    deck, reset_deg = offset(s.deck_field_ut), s.yaw_reset_deg * even()
-    drawn = {
-        "hover_thrust": hover,
-        "thrust_exponent": exponent,
-        "mass": mass,
-        "leg_height_m": legs_m,
-        "imu_offset_body_m": imu,
-        "autopilot_imu_offset_body_m": autopilot_imu,
-        "camera_mount_deg": mount,
-        "focal_length": focal,
-        "pad_print": printed,
-        "stamp_s": stamp_s,
+    drawn: dict[str, Any] = {
+        "hover_thrust": 1.0 + s.hover_thrust * even(),
+        "thrust_exponent": math.exp(float(rng.uniform(math.log(low), math.log(high)))),
+        "mass": 1.0 + s.mass * even(),
+        "leg_height_m": s.leg_height_m * even(),
+        "imu_offset_body_m": offset(s.imu_offset_m),
+        "autopilot_imu_offset_body_m": offset(s.imu_offset_m),
+        "camera_mount_deg": (
+            s.camera_mount_deg * even(),
+            s.camera_mount_deg * even(),
+            s.camera_mount_deg * even(),
+        ),
+        "focal_length": 1.0 + s.focal_length * even(),
+        "pad_print": 1.0 + s.pad_print * even(),
+        "stamp_s": s.stamp_s * even(),
         "stamp_jitter_s": s.stamp_jitter_s,
-        "delay_to_app_s": late_s if to_app else 0.0,
-        "delay_to_vehicle_s": 0.0 if to_app else late_s,
-        "vibration": vibration,
-        "place_deg": (latitude, longitude) if s.other_place else None,
-        "deck_field_ned_ut": deck,
-        "yaw_reset_deg": reset_deg,
+    }
+    late_s, to_app = s.link_delay_s * float(rng.uniform()), bool(rng.random() < 0.5)
+    drawn["delay_to_app_s" if to_app else "delay_to_vehicle_s"] = late_s
+    drawn["vibration"] = s.vibration ** float(rng.uniform())
+    place_deg = (_LATITUDES_DEG * even(), 180.0 * even())
+    drawn |= {
+        "place_deg": place_deg if s.other_place else None,
+        "deck_field_ned_ut": offset(s.deck_field_ut),
+        "yaw_reset_deg": s.yaw_reset_deg * even(),
         # in the air, before the landing: a flight of the benches comes to the pad after about 20 s
         "yaw_reset_s": float(rng.uniform(12.0, 40.0)),
     }

@@ -9,7 +9,6 @@ from typing import Any, Final
 import yaml
 
 from companion.config import CONFIG_FOLDER, merge
-from sitl.pad.motion import PadMotionSettings
 from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.world.wind import WindSettings
 
@@ -78,12 +77,10 @@ def schema_text() -> str:
 
 def pad_words(scenario: Scenario) -> str:
     """How the pad moves."""
-    return _way_words(scenario.pad.motion) + ("" if scenario.pad.deck is None else ", at sea")
-
-
-def _way_words(motion: PadMotionSettings) -> str:
+    motion = scenario.pad.motion
     speed = getattr(motion, "speed_m_s", None)
-    return motion.kind if speed is None else f"{motion.kind} {speed:g} m/s"
+    words = motion.kind if speed is None else f"{motion.kind} {speed:g} m/s"
+    return words + ("" if scenario.pad.deck is None else ", at sea")
 
 
 def wind_words(wind: WindSettings) -> str:

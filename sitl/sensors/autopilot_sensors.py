@@ -20,19 +20,9 @@ from companion.base.geometry import (
     quat_rotate_inverse,
     tilt_from_quat,
 )
-from sitl.sensors.inertial import ImuErrors, ImuSensor, felt_at, moved_at
-from sitl.sensors.sensors import (
-    BoardTruth,
-    GpsErrors,
-    GpsReading,
-    GpsSensor,
-    MagErrors,
-    MagSensor,
-    RangeErrors,
-    RangeSensor,
-)
-from sitl.vehicle.quadrotor import QuadrotorState
-from sitl.vehicle.rotors import RotorValues
+from sitl.sensors.inertial import ImuSensor, SensorErrors, felt_at, moved_at
+from sitl.sensors.sensors import BoardTruth, GpsReading, GpsSensor, MagSensor, RangeSensor
+from sitl.vehicle.quadrotor import QuadrotorState, RotorValues
 
 MAG_PERIOD_S: Final = 0.02
 GPS_PERIOD_S: Final = 0.2
@@ -99,18 +89,15 @@ class SimulatedAutopilotSensors:
         gps_latency_s: float = 0.12,
         antenna_body_m: Vector3 = (0.0, 0.0, -0.05),
         imu_position_body_m: Vector3 = ZERO3,
-        imu_errors: ImuErrors | None = None,
-        mag_errors: MagErrors | None = None,
-        gps_errors: GpsErrors | None = None,
-        range_errors: RangeErrors | None = None,
+        errors: SensorErrors | None = None,
     ) -> None:
         """Make them; each draws from a generator of its own."""
         imu_rng, mag_rng, gps_rng, range_rng = rng.spawn(4)
-        body_axes = np.eye(3)
-        self.inertial = ImuSensor(imu_errors or ImuErrors(), imu_rng, dt_s, body_axes, imu_filter)
-        self._mag = MagSensor(mag_errors or MagErrors(), mag_rng, body_axes)
-        self._gps = GpsSensor(gps_errors or GpsErrors(), gps_rng, home)
-        self._range = RangeSensor(range_errors or RangeErrors(), range_rng)
+        errors, body_axes = errors or SensorErrors(), np.eye(3)
+        self.inertial = ImuSensor(errors.imu, imu_rng, dt_s, body_axes, imu_filter)
+        self._mag = MagSensor(errors.magnetometer, mag_rng, body_axes)
+        self._gps = GpsSensor(errors.gps, gps_rng, home)
+        self._range = RangeSensor(errors.range, range_rng)
         self._field_ned_ut = field_ned_ut
         self.deck_field_ned_ut = ZERO3  # of what is beneath, in addition
         self._imu_position_body_m = imu_position_body_m

@@ -17,7 +17,7 @@ here too: the figures are residuals, unless the sensor is uncalibrated.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -31,13 +31,20 @@ from companion.base.geometry import (
     cross,
     quat_rotate,
 )
+from sitl.scenario.scenario import SensorSettings
 from sitl.sensors.sensors import (
+    ACCEL_OFFSET_M_S2,
+    ACCEL_SCALE,
+    GYRO_OFFSET_RAD_S,
+    GYRO_SCALE,
     NOISE_BLOCK,
     CalibrationErrors,
     Glitches,
+    GpsErrors,
+    MagErrors,
+    RangeErrors,
     flawed_rotation,
-    uncalibrated_accelerometer,
-    uncalibrated_gyroscope,
+    uncalibrated,
 )
 from sitl.vehicle.quadrotor import QuadrotorState
 
@@ -84,7 +91,7 @@ class ImuErrors:
     full_rotor_hz: float = 130.0  # 7800 rpm; the blades pass at twice that
     rotor_spread: float = 0.02  # of the rotors' speeds about their mean
     accel_rectification_g_g2: float = 0.005  # mean shift (g) a vibration's square (g²), drawn for each axis
-    # False: the data sheet's tolerances (`calibration_errors`) instead of biases and scales
+    # False: the data sheet's tolerances (`CalibrationErrors`) instead of biases and scales
     calibrated: bool = True
 
 
@@ -102,6 +109,49 @@ NO_IMU_ERRORS: Final = ImuErrors(
     vibration_rad_s=0.0,
     accel_rectification_g_g2=0.0,
 )
+
+
+@dataclass(frozen=True, slots=True)
+class SensorErrors:
+    """Errors of the sensors of one board."""
+
+    imu: ImuErrors = field(default_factory=ImuErrors)
+    magnetometer: MagErrors = field(default_factory=MagErrors)
+    gps: GpsErrors = field(default_factory=GpsErrors)
+    range: RangeErrors = field(default_factory=RangeErrors)
+
+
+def sensor_errors(settings: SensorSettings, vibration: float = 1.0) -> SensorErrors:
+    """The data sheets' figures times the scenario's factors, and the rotors' vibration times another."""
+    imu, mag, gps, echo = ImuErrors(), MagErrors(), GpsErrors(), RangeErrors()
+    k, g = settings.imu_noise_factor, settings.gps_noise_factor
+    shaking = k * settings.vibration_factor * vibration
+    return SensorErrors(
+        imu=replace(
+            imu,
+            gyro_noise_rad_s_rthz=imu.gyro_noise_rad_s_rthz * k,
+            accel_noise_m_s2_rthz=imu.accel_noise_m_s2_rthz * k,
+            vibration_m_s2=imu.vibration_m_s2 * shaking,
+            vibration_rad_s=imu.vibration_rad_s * shaking,
+            calibrated=settings.calibrated,
+        ),
+        magnetometer=replace(
+            mag, noise_ut=mag.noise_ut * settings.mag_noise_factor, calibrated=settings.calibrated
+        ),
+        gps=replace(
+            gps,
+            wander_horizontal_m=gps.wander_horizontal_m * g,
+            wander_vertical_m=gps.wander_vertical_m * g,
+            noise_m=gps.noise_m * g,
+            speed_noise_m_s=gps.speed_noise_m_s * g,
+            climb_noise_m_s=gps.climb_noise_m_s * g,
+        ),
+        range=replace(
+            echo,
+            noise_m=echo.noise_m * settings.range_noise_factor,
+            noise_share=echo.noise_share * settings.range_noise_factor,
+        ),
+    )
 
 
 class ImuLowPass:
@@ -240,7 +290,8 @@ class ImuSensor:
         self._rectified = (rectified * rng.standard_normal(3)).tolist()
 
     def _apply_factory_errors(self, rng: np.random.Generator) -> None:
-        accel, gyro = uncalibrated_accelerometer(rng), uncalibrated_gyroscope(rng)
+        accel = uncalibrated(rng, ACCEL_SCALE, ACCEL_OFFSET_M_S2)
+        gyro = uncalibrated(rng, GYRO_SCALE, GYRO_OFFSET_RAD_S)
         self._accel_matrix, self._accel_noise.bias = accel.rows(self._mounting), accel.offset
         self._gyro_matrix, self._gyro_noise.bias = gyro.rows(self._mounting), gyro.offset
 

@@ -41,9 +41,6 @@ class MagErrors:
     calibrated: bool = True  # else the iron of `sitl.sensors.sensors`, instead of what a fit leaves of it
 
 
-NO_MAG_ERRORS: Final = MagErrors(0.0, 0.0, 0.0, 0.0)
-
-
 class MagSensor:
     """The magnetometer, in the axes of the accelerometer (its device converts to the AK8963's own)."""
 
@@ -94,9 +91,6 @@ class GpsErrors:
     speed_noise_m_s: float = 0.085  # an axis: 0.1 m/s is the median of the horizontal error
     climb_noise_m_s: float = 0.12
     satellites: int = 9
-
-
-NO_GPS_ERRORS: Final = GpsErrors(0.0, 0.0, 60.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,9 +160,6 @@ class RangeErrors:
     half_beam_rad: float = math.radians(15.0)  # within which a flat floor still answers at full strength
     minimum_m: float = 0.03
     maximum_m: float = 4.5
-
-
-NO_RANGE_ERRORS: Final = RangeErrors(0.0, 0.0, 0.0, 0.0)
 
 
 class RangeSensor:
@@ -301,17 +292,8 @@ class BoardTruth:
     sensor_from_body: FloatArray
 
 
-def uncalibrated_accelerometer(rng: np.random.Generator) -> CalibrationErrors:
-    """An uncalibrated one."""
-    return _uncalibrated(rng, ACCEL_SCALE, ACCEL_OFFSET_M_S2)
-
-
-def uncalibrated_gyroscope(rng: np.random.Generator) -> CalibrationErrors:
-    """An uncalibrated one."""
-    return _uncalibrated(rng, GYRO_SCALE, GYRO_OFFSET_RAD_S)
-
-
-def _uncalibrated(rng: np.random.Generator, scale: float, offset: float) -> CalibrationErrors:
+def uncalibrated(rng: np.random.Generator, scale: float, offset: float) -> CalibrationErrors:
+    """Of a gyroscope or an accelerometer with tolerances of scale and offset (its own unit)."""
     flaw = CROSS_AXIS * rng.uniform(-1.0, 1.0, (3, 3))
     np.fill_diagonal(flaw, scale * rng.uniform(-1.0, 1.0, 3))
     return CalibrationErrors(np.eye(3) + flaw, offset * rng.uniform(-1.0, 1.0, 3))

@@ -1,6 +1,6 @@
 """The airframe: a rigid body with lagging rotors, drag and rotor gyroscopics (paper eqs. 5-8).
 
-Frames: NED and FRD; where the rotors are: `sitl.vehicle.rotors`. Units are SI; a motor command is 0..1.
+Frames: NED and FRD; where the rotors are: `RotorLayout`. Units are SI; a motor command is 0..1.
 
 The paper writes eqs. (5)(6) z-up and in small-angle Euler rates. Here they are in vector form,
     I w' = torque - w x (I w + h),   h = (0, 0, J_TP (-W1 + W2 - W3 + W4)),
@@ -19,7 +19,7 @@ ed., 2.14, 3.5). The wake settles within some 5 ms and has no state of its own.
 import math
 from dataclasses import dataclass
 from math import sqrt
-from typing import Annotated
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
@@ -34,7 +34,67 @@ from companion.base.geometry import (
     quat_rotate_inverse,
 )
 from companion.config import StrictModel
-from sitl.vehicle.rotors import LAYOUTS, LayoutName, RotorLayout, RotorValues
+
+LayoutName = Literal["quad_plus", "quad_x", "hexa", "octa"]
+RotorValues = tuple[float, ...]
+"""One value a rotor: commands (0..1), thrust shares, factors."""
+
+
+@dataclass(frozen=True, slots=True)
+class RotorLayout:
+    """Unit places forward and right of the centre, and the sign of each one's reaction torque (FRD).
+
+    Rotors are numbered clockwise from the front, seen from above; neighbours turn against one another, the
+    first anticlockwise.
+    """
+
+    forward: RotorValues
+    right: RotorValues
+    turns: RotorValues
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self.turns)
+
+    @property
+    def tilting(self) -> float:
+        """What a unit of command along `right` makes of roll, in motors at one arm; of pitch alike."""
+        return sum(right * right for right in self.right)
+
+    def torques(self, thrusts: RotorValues) -> tuple[float, float]:
+        """Roll and pitch torque over the arm's length."""
+        roll = pitch = 0.0
+        for thrust, forward, right in zip(thrusts, self.forward, self.right, strict=True):
+            roll -= right * thrust
+            pitch += forward * thrust
+        return roll, pitch
+
+    def momentum(self, speeds: RotorValues) -> float:
+        """Sum of the speeds about the down axis: those that turn clockwise less the others."""
+        total = 0.0
+        for speed, turn in zip(speeds, self.turns, strict=True):
+            if turn < 0.0:
+                total += speed
+        for speed, turn in zip(speeds, self.turns, strict=True):
+            if turn > 0.0:
+                total -= speed
+        return total
+
+
+def _ring(count: int, first_deg: float) -> RotorLayout:
+    angles = [math.radians(first_deg + 360.0 * k / count) for k in range(count)]
+    turns = tuple(1.0 if k % 2 == 0 else -1.0 for k in range(count))
+    return RotorLayout(tuple(map(math.cos, angles)), tuple(map(math.sin, angles)), turns)
+
+
+LAYOUTS: Final[dict[LayoutName, RotorLayout]] = {
+    "quad_plus": RotorLayout((1.0, 0.0, -1.0, 0.0), (0.0, 1.0, 0.0, -1.0), (1.0, -1.0, 1.0, -1.0)),
+    "quad_x": _ring(4, 45.0),
+    "hexa": _ring(6, 0.0),
+    "octa": _ring(8, 22.5),
+}
+
 
 Positive = Annotated[float, Field(gt=1e-5, le=10.0)]
 AIR_DENSITY_KG_M3 = 1.225

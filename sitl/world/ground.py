@@ -17,8 +17,7 @@ from companion.base.geometry import Quaternion, Vector3, add, dot, quat_rotate, 
 from companion.config import Box, Shape
 from companion.pad import Pad
 from sitl.pad.motion import PadTruth
-from sitl.vehicle.quadrotor import QuadrotorParameters, QuadrotorState
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import QuadrotorParameters, QuadrotorState, RotorValues
 
 # The formula mirrors a source in the plane and is taken to hold for z / R > 0.5; nearer it is frozen.
 LOWEST_HEIGHT_IN_RADII: Final = 0.5

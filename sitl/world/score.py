@@ -67,6 +67,16 @@ class TouchdownState:
     touches: int = 1
     before_flight: bool = False
 
+    def reported(self) -> dict[str, float]:
+        """The part that the result file has."""
+        return {
+            "lateral_error_m": self.lateral_error_m,
+            "vertical_speed_m_s": self.vertical_speed_m_s,
+            "horizontal_speed_m_s": self.horizontal_speed_m_s,
+            "tilt_deg": self.tilt_deg,
+            "yaw_error_deg": self.yaw_error_deg,
+        }
+
     def and_again(self, touch: TouchdownState) -> TouchdownState:
         """The contact with one more touch: the worst of each figure, time and heading of the first."""
         farther = touch if touch.lateral_error_m > self.lateral_error_m else self
@@ -83,29 +93,11 @@ class TouchdownState:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class TouchdownResult:
-    """The touchdown as the result file has it."""
-
-    lateral_error_m: float
-    vertical_speed_m_s: float
-    horizontal_speed_m_s: float
-    tilt_deg: float
-    yaw_error_deg: float
-
-    @classmethod
-    def of(cls, touchdown: TouchdownState) -> TouchdownResult:
-        """The part of a touchdown that is reported."""
-        t = touchdown
-        return cls(
-            t.lateral_error_m, t.vertical_speed_m_s, t.horizontal_speed_m_s, t.tilt_deg, t.yaw_error_deg
-        )
-
-
 class TouchdownDetector:
     """Watches a flight for its contacts and for a crash.
 
-    A crash stays a crash. `flown`: it has ever been a metre high.
+    A crash stays a crash. `flown`: it has ever been a metre high; `flying`: and touched nothing since, so
+    that its height does not matter.
     """
 
     def __init__(self, *, stands: bool = True) -> None:
@@ -114,7 +106,7 @@ class TouchdownDetector:
         self.crashed = False
         self.nearest_obstacle_m: float | None = None
         self.flown = False
-        self._airborne = self._clear = self._anew = False
+        self.flying = self._clear = self._anew = False
         self._touching = stands
 
     @property
@@ -126,11 +118,6 @@ class TouchdownDetector:
     def begin_flight(self) -> None:
         """What is touched from the next take-off on is another flight's."""
         self._anew = True
-
-    @property
-    def flying(self) -> bool:
-        """Whether it has been high enough since it last stood: then its height does not matter."""
-        return self._airborne
 
     def step(self, time_s: float, state: QuadrotorState, pad: PadTruth, load: ContactLoad) -> None:
         """Look at a state and the contact that is about to act on it."""
@@ -159,7 +146,7 @@ class TouchdownDetector:
                 self._anew = False
                 self.contacts.clear()
         if height_m > AIRBORNE_HEIGHT_M:
-            self._airborne = self.flown = True
+            self.flying = self.flown = True
 
     def _hit(self, time_s: float, state: QuadrotorState, pad: PadTruth, load: ContactLoad) -> None:
         touch = _touch(time_s, state, pad, load.on_board > 0)
@@ -171,7 +158,7 @@ class TouchdownDetector:
             self.contacts[-1] = self.contacts[-1].and_again(touch)
         else:
             self.contacts.append(replace(touch, before_flight=True))
-        self._airborne = self._clear = False
+        self.flying = self._clear = False
 
 
 def _touch(time_s: float, state: QuadrotorState, pad: PadTruth, on_pad: bool) -> TouchdownState:
@@ -206,10 +193,10 @@ def _along_surface(v: Vector3, normal: Vector3) -> Vector3:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The outcome, the touchdown if there was one, a line for each violated bound, and every contact."""
+    """The outcome, the touchdown as reported if any, a line for each violated bound, and every contact."""
 
     outcome: Outcome
-    touchdown: TouchdownResult | None
+    touchdown: dict[str, float] | None
     failures: tuple[str, ...] = ()
     contacts: tuple[ContactResult, ...] = ()
 
@@ -232,7 +219,7 @@ def judge(
     down beside it. Aborted: the app gave up, whatever the place. Timeout: none of these, or on the pad but
     still armed.
     """
-    result = None if touchdown is None else TouchdownResult.of(touchdown)
+    result = None if touchdown is None else touchdown.reported()
     told = tuple(_told(contact, touchdown, bounds) for contact in contacts)
     struck = nearest_obstacle_m is not None and nearest_obstacle_m <= 0.0
     wrong = tuple(map(_in_words, (contact for contact in told if contact.violations)))

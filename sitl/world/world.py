@@ -29,11 +29,9 @@ from companion.base.geometry import (
 )
 from companion.base.messages import Truth
 from companion.pad import load_pad
-from sitl.pad.incidents import IncidentMotion
-from sitl.pad.motion import PadTruth, build_pad_motion
+from sitl.pad.motion import IncidentMotion, PadTruth, build_pad_motion
 from sitl.scenario.scenario import Scenario, load_airframe
-from sitl.vehicle.quadrotor import Motors, Quadrotor, QuadrotorState, packed, resting_state
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import Motors, Quadrotor, QuadrotorState, RotorValues, packed, resting_state
 from sitl.world.contact import NO_CONTACT, Contact, ContactLoad
 from sitl.world.ground import Obstacles, PadBoard, echo_distance_m, ground_effect_reach_m, rotor_ratios
 from sitl.world.score import TouchdownDetector, TouchdownState
@@ -79,7 +77,8 @@ Disturbance = Callable[[Effects, float], None]
 class World:
     """A scenario's world under one seed, from rest at home at time 0.
 
-    `disturbances` act in their order at every step; one more is one more function in the list.
+    `disturbances` act in their order at every step; one more is one more function in the list. `state` is
+    the body now, to be changed by `place` alone; `contact` what touched, and how, in the last step.
     """
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
@@ -108,7 +107,7 @@ class World:
             (arm * forward, arm * right, up)
             for forward, right in zip(layout.forward, layout.right, strict=True)
         )
-        self._contact = Contact(airframe.legs, body.mass_kg, self.board, self._rotors)
+        self._legs = Contact(airframe.legs, body.mass_kg, self.board, self._rotors)
         self._ground_effect_reach_m = ground_effect_reach_m(body.rotor_radius_m)
         self._wind = Wind(scenario.wind, np.random.default_rng((seed, _Stream.WIND)))
         pad = scenario.pad
@@ -119,11 +118,11 @@ class World:
                 pad.heading,
                 np.random.default_rng((seed, _Stream.PAD)),
                 pad.deck,
-            )
+            ).at
         )
         self.pad_state = self.pad_motion.at(0.0)
-        self._state = self._at_home(scenario, np.random.default_rng((seed, _Stream.START)))
-        self._load: ContactLoad = NO_CONTACT
+        self.state = self._at_home(scenario, np.random.default_rng((seed, _Stream.START)))
+        self.contact: ContactLoad = NO_CONTACT
         self._obstacles = Obstacles(scenario.obstacles, body)
         self._watch = TouchdownDetector()
         self._history: deque[_Snapshot] = deque([self._snapshot()])
@@ -141,9 +140,9 @@ class World:
 
     def place(self, state: QuadrotorState) -> None:
         """Set the vehicle's state and clear contacts and history: to start in the air."""
-        self._state = state
-        self._load = NO_CONTACT
-        self._contact.release()
+        self.state = state
+        self.contact = NO_CONTACT
+        self._legs.release()
         self._watch = TouchdownDetector(stands=False)
         self._watch.airborne(self.height_m - self.landed_reference_height_m)
         self._history = deque([self._snapshot()])
@@ -155,9 +154,9 @@ class World:
         effects = Effects(self._quadrotor.free_air)
         for disturb in self.disturbances:
             disturb(effects, dt_s)
-        self._watch.step(self.time_s, self._state, self.pad_state, self._load)
+        self._watch.step(self.time_s, self.state, self.pad_state, self.contact)
         state = self._quadrotor.step(
-            self._state,
+            self.state,
             self.motors.given(motor_commands),
             dt_s,
             wind_ned_m_s=effects.wind_ned_m_s,
@@ -169,7 +168,7 @@ class World:
 
     def _advance(self, state: QuadrotorState, dt_s: float) -> None:
         """Advance the time: the vehicle's new state, and the pad's motion."""
-        self._state = state
+        self.state = state
         self.time_s += dt_s
         self.pad_state = self.pad_motion.at(self.time_s)
         self._watch.beside(self._obstacles.clearance_m(state.position_ned_m))
@@ -178,30 +177,30 @@ class World:
         self._record()
 
     def _wind_blows(self, effects: Effects, dt_s: float) -> None:
-        self.wind_ned_m_s = self._wind.at(self.time_s, -self._state.position_ned_m[2])
+        self.wind_ned_m_s = self._wind.at(self.time_s, -self.state.position_ned_m[2])
         effects.wind_ned_m_s = add(effects.wind_ned_m_s, self.wind_ned_m_s)
 
     def _legs_stand(self, effects: Effects, dt_s: float) -> None:
-        if self._clear_m() <= self._contact.reach_m:
-            self._load = self._contact.step(self._state, self.pad_state, dt_s)
-            effects.force_ned_n = add(effects.force_ned_n, self._load.force_ned_n)
-            effects.torque_body_n_m = add(effects.torque_body_n_m, self._load.torque_body_n_m)
-        elif self._load is not NO_CONTACT:
-            self._contact.release()
-            self._load = NO_CONTACT
+        if self._clear_m() <= self._legs.reach_m:
+            self.contact = self._legs.step(self.state, self.pad_state, dt_s)
+            effects.force_ned_n = add(effects.force_ned_n, self.contact.force_ned_n)
+            effects.torque_body_n_m = add(effects.torque_body_n_m, self.contact.torque_body_n_m)
+        elif self.contact is not NO_CONTACT:
+            self._legs.release()
+            self.contact = NO_CONTACT
 
     def _ground_effect(self, effects: Effects, dt_s: float) -> None:
         if self._clear_m() <= self._ground_effect_reach_m:
             effects.thrust_ratio = rotor_ratios(
-                self._state, self._rotors, self.airframe.body.rotor_radius_m, self.board, self.pad_state
+                self.state, self._rotors, self.airframe.body.rotor_radius_m, self.board, self.pad_state
             )
 
     def _clear_m(self) -> float:
         """Height over all that could be touched: nothing lies less beneath."""
-        return self.board.ceiling_down_m(self.pad_state) - self._state.position_ned_m[2]
+        return self.board.ceiling_down_m(self.pad_state) - self.state.position_ned_m[2]
 
     def _snapshot(self) -> _Snapshot:
-        return _Snapshot(self.time_s, self._state, self.pad_state, self.wind_ned_m_s, self._load.touching)
+        return _Snapshot(self.time_s, self.state, self.pad_state, self.wind_ned_m_s, self.contact.touching)
 
     def _record(self) -> None:
         self._history.append(self._snapshot())
@@ -211,38 +210,28 @@ class World:
     # ------------------------------------------------------------ for sensors
 
     @property
-    def state(self) -> QuadrotorState:
-        """The body now; not to be changed."""
-        return self._state
-
-    @property
     def height_m(self) -> float:
         """Height of the reference point over what lies under it."""
-        north, east, down = self._state.position_ned_m
+        north, east, down = self.state.position_ned_m
         return self.board.surface_down_m(self.pad_state, north, east) - down
 
     def deck_field_ned_ut(self) -> Vector3:
         """The pad's own magnetic field where the vehicle is."""
         if not self.pad_state.is_there:
             return ZERO3
-        away = subtract(self._state.position_ned_m, self.pad_state.position_ned_m)
+        away = subtract(self.state.position_ned_m, self.pad_state.position_ned_m)
         return self.built.deck_field_at(norm(away))
-
-    @property
-    def contact(self) -> ContactLoad:
-        """What touched, and how, in the last step."""
-        return self._load
 
     @property
     def feet_over_pad_m(self) -> float | None:
         """Height of the feet over the pad's surface, 0 as soon as one touches; None before the flight and
         beside the pad."""
-        north, east, down = self._state.position_ned_m
-        if not self._watch.flown or not self.board.is_under(self.pad_state, self._state.position_ned_m):
+        north, east, down = self.state.position_ned_m
+        if not self._watch.flown or not self.board.is_under(self.pad_state, self.state.position_ned_m):
             return None
         over_m = self.board.surface_down_m(self.pad_state, north, east) - down
         # feet that bear a part of the weight are pressed in less than those of the height they stand at
-        return 0.0 if self._load.on_board else over_m - self.landed_reference_height_m
+        return 0.0 if self.contact.on_board else over_m - self.landed_reference_height_m
 
     @property
     def landed_reference_height_m(self) -> float:
@@ -255,7 +244,7 @@ class World:
         It is computed when called, from the present state.
         """
         return partial(
-            echo_distance_m, self.board, self.pad_state, self._state, sensor_position_body_m, half_angle_rad
+            echo_distance_m, self.board, self.pad_state, self.state, sensor_position_body_m, half_angle_rad
         )
 
     # ------------------------------------------------------------ for the score and the camera
@@ -283,12 +272,12 @@ class World:
     @property
     def at_rest_on_pad(self) -> bool:
         """Whether it stands at rest relative to the board."""
-        state, pad = self._state, self.pad_state
+        state, pad = self.state, self.pad_state
         carried = pad.velocity_at_ned_m_s(state.position_ned_m)
         still = norm(subtract(state.velocity_ned_m_s, carried)) <= REST_SPEED_M_S
         turned = quat_rotate_inverse(state.attitude, pad.rate_ned_rad_s())
         steady = norm(subtract(state.rate_body_rad_s, turned)) <= REST_RATE_RAD_S
-        return self._load.on_board >= STANDING_FEET and still and steady
+        return self.contact.on_board >= STANDING_FEET and still and steady
 
     def truth(self) -> Truth:
         """Everything now."""
@@ -371,10 +360,10 @@ class FirmGroundWorld(World):
         """Stop what would sink below the height that it stands at."""
         north, east, down = state.position_ned_m
         standing_m = self.board.surface_down_m(self.pad_state, north, east) - self.landed_reference_height_m
-        self._load = NO_CONTACT
+        self.contact = NO_CONTACT
         if down >= standing_m and state.velocity_ned_m_s[2] >= 0.0:
-            self._load = _STANDS
-            old = self._state
+            self.contact = _STANDS
+            old = self.state
             x, y, _ = old.position_ned_m
             stopped = (0.0, 0.0, 0.0, *old.attitude, 0.0, 0.0, 0.0)
             state = packed(old, (x, y, standing_m), stopped, state.thrust_share, dt_s)

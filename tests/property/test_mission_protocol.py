@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilot.flight.autopilot import PROFILES
-from sitl.autopilot.flight.fence import Fence
-from sitl.autopilot.flight.mission_items import MissionStore
-from sitl.mavlink.protocols.mission_protocol import MissionProtocol
+from sitl.autopilot.flight.mission_items import Fence, MissionStore
+from sitl.mavlink.mission_protocol import MissionProtocol
 
 SMALL = st.integers(0, 4)
 NUMBERS = st.sampled_from([0.0, 1.0, -1.0, 5.0, 90.0, 1e30, -1e30, math.nan, math.inf])

@@ -11,8 +11,7 @@ from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, matrix_from_qu
 from sitl.pad.motion import PadTruth, build_pad_motion
 from sitl.pad.paths import FigureEightMotion
 from sitl.scenario.scenario import load_airframe
-from sitl.vehicle.quadrotor import Quadrotor, QuadrotorState
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import Quadrotor, QuadrotorState, RotorValues
 from sitl.world.contact import Contact
 from sitl.world.ground import PadBoard, thrust_ratio
 

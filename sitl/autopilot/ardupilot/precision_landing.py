@@ -10,19 +10,18 @@ Without a range finder the height over home replaces the measured height. SI uni
 
 import math
 from collections import deque
-from math import inf, nan
+from math import nan
 
 from companion.base.geometry import Vector3, norm, quat_rotate, scale
 from sitl.autopilot.control.setpoints import MotionSetpoint
-from sitl.autopilot.flight.landing_target import (
-    AxisFilter,
+from sitl.autopilot.flight.modes import Severity
+from sitl.autopilot.flight.profile import (
     LandingTarget,
     LandingTargetFrame,
+    Parameters,
+    PrecisionLanding,
     VehicleEstimate,
-    direction_from_angles,
 )
-from sitl.autopilot.flight.modes import Severity
-from sitl.autopilot.flight.parameters import Parameters
 
 _MAVLINK_TYPE = 1
 _MOVING_OPTION = 1
@@ -40,11 +39,52 @@ _BACK_WITHIN_M = 0.5
 _VERY_STRICT, _NOT_STRICT = 2, 0
 
 
-class ArdupilotPrecisionLanding:
+class AxisFilter:
+    """Position and velocity of the target relative to the vehicle along one axis."""
+
+    def __init__(self, position_m: float, velocity_m_s: float, position_var: float, velocity_var: float):
+        self.position_m = position_m
+        self.velocity_m_s = velocity_m_s
+        self._pp, self._pv, self._vv = position_var, 0.0, velocity_var
+
+    def predict(self, dt_s: float, own_change_m_s: float, velocity_var: float) -> None:
+        """Predict by dt; the vehicle's velocity changes by the given amount, the target's by noise."""
+        self.position_m += (self.velocity_m_s - 0.5 * own_change_m_s) * dt_s
+        self.velocity_m_s -= own_change_m_s
+        self._pp += dt_s * (2.0 * self._pv + dt_s * self._vv)
+        self._pv += dt_s * self._vv
+        self._vv += velocity_var
+
+    def surprise(self, position_m: float, variance: float) -> float:
+        """Normalised innovation squared of a measurement."""
+        return (position_m - self.position_m) ** 2 / (self._pp + variance)
+
+    def fuse(self, position_m: float, variance: float) -> None:
+        """Fuse a measured position."""
+        innovation, total = position_m - self.position_m, self._pp + variance
+        gain_p, gain_v = self._pp / total, self._pv / total
+        self.position_m += gain_p * innovation
+        self.velocity_m_s += gain_v * innovation
+        self._vv -= gain_v * self._pv
+        self._pv -= gain_v * self._pp
+        self._pp -= gain_p * self._pp
+
+
+def direction_from_angles(angles_rad: tuple[float, float]) -> Vector3 | None:
+    """Unit vector (FRD) to a target seen by a downward camera; None when it is not below."""
+    right, backwards = angles_rad
+    if not (abs(right) < 1.5 and abs(backwards) < 1.5):
+        return None
+    x, y = -math.tan(backwards), math.tan(right)
+    length = math.sqrt(x * x + y * y + 1.0)
+    return (x / length, y / length, 1.0 / length)
+
+
+class ArdupilotPrecisionLanding(PrecisionLanding):
     """Precision landing between two boots."""
 
     def __init__(self, parameters: Parameters) -> None:
-        self.texts: list[tuple[Severity, str]] = []
+        super().__init__()
         self._moves = bool(int(parameters["PLND_OPTIONS"]) & _MOVING_OPTION)
         self._raw = int(parameters["PLND_EST_TYPE"]) == _RAW
         self._noise_m_s2 = parameters["PLND_ACC_P_NSE"]
@@ -54,19 +94,12 @@ class ArdupilotPrecisionLanding:
         self._most_retries = int(parameters["PLND_RET_MAX"])
         self._timeout_s = parameters["PLND_TIMEOUT"]
         self._lowest_retry_m = parameters["PLND_ALT_MIN"]
-        self._pending: LandingTarget | None = None
         self._estimates: deque[VehicleEstimate] = deque()
         self._then: VehicleEstimate | None = None
         self._axes: tuple[AxisFilter, AxisFilter] | None = None
         self._rejected = 0
         self._below_m = 0.0
-        self._seen_s = -inf
-        self._frame_reported = False
         self.begin(required=False)
-
-    def update_target(self, target: LandingTarget) -> None:
-        """Store the newest; the next step fuses it."""
-        self._pending = target
 
     def begin(self, *, required: bool) -> None:
         """Start a landing."""
@@ -142,9 +175,7 @@ class ArdupilotPrecisionLanding:
         if target.position_m is None:
             unit = direction_from_angles(target.angles_rad)
         elif target.frame != LandingTargetFrame.BODY_FRD:
-            if not self._frame_reported:
-                self.texts.append((Severity.INFO, "Plnd: Frame not supported"))
-            self._frame_reported = True
+            self._report_frame(Severity.INFO, "Plnd: Frame not supported")
             return None
         else:
             length = norm(target.position_m)

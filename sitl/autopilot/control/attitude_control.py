@@ -4,7 +4,7 @@ The gains belong to the airframe, per unit of inertia. An airframe without gains
 defaults, which are in shares of what the motors can do (`ShareGains`). Each filter of the gyroscope costs the
 loop a few milliseconds, that of the yaw a tenth of a second. FRD, rad, N m.
 
-Attitude control: quaternion proportional control around the rate loop of `rate_control`.
+Attitude control: quaternion proportional control around that rate loop.
 
 The attitude error becomes a rate setpoint. ArduPilot puts a shaped reference before it (`AttitudeReference`)
 and feeds its rates forward; PX4 uses the setpoint directly. FRD, rad, N m.

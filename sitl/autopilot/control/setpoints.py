@@ -1,6 +1,6 @@
 """Setpoints that the autopilot flies, and the fields of a streamed message in SI units.
 
-The meaning of fields, mask and frame differs between autopilots: `px4.setpoints`, `ardupilot.setpoints`. NED
+The meaning of fields, mask and frame differs between autopilots: `px4.control`, `ardupilot.control`. NED
 in the autopilot's own heading frame, SI units; a value that is not given is NaN.
 """
 

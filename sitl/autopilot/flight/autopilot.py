@@ -7,6 +7,7 @@ MAV_RESULT; texts for the ground are in `take_texts`. SI units.
 
 import dataclasses
 import math
+from collections import deque
 from math import inf, isfinite, isnan, nan
 from typing import Literal
 
@@ -36,20 +37,29 @@ from sitl.autopilot.control.setpoints import (
     StreamedMotion,
 )
 from sitl.autopilot.flight.commander import Commander, Text
-from sitl.autopilot.flight.fence import Fence
-from sitl.autopilot.flight.landing_target import LandingTarget, VehicleEstimate
 from sitl.autopilot.flight.manual_control import ManualControl, RcInput, Sticks
 from sitl.autopilot.flight.mission import MissionInputs, MissionRunner, heading_from_condition
-from sitl.autopilot.flight.mission_items import ItemFrame, MissionCommand, MissionItem, MissionStore
+from sitl.autopilot.flight.mission_items import (
+    Fence,
+    ItemFrame,
+    MissionCommand,
+    MissionItem,
+    MissionStore,
+    wrong_place,
+)
 from sitl.autopilot.flight.modes import CommandResult, Mode, Severity, StickMode, Task
 from sitl.autopilot.flight.navigator import Navigator
-from sitl.autopilot.flight.parameters import Parameters
-from sitl.autopilot.flight.profile import AutopilotProfile, setpoints_stopped
+from sitl.autopilot.flight.profile import (
+    AutopilotProfile,
+    LandingTarget,
+    Parameters,
+    VehicleEstimate,
+    setpoints_stopped,
+)
 from sitl.autopilot.px4.profile import PX4
 from sitl.sensors.autopilot_sensors import Pace
 from sitl.vehicle.battery import Battery
-from sitl.vehicle.quadrotor import QuadrotorParameters, QuadrotorState
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import QuadrotorParameters, QuadrotorState, RotorValues
 
 RefusedRequest = Literal["arm", "take_off", "offboard", "land", "disarm", "auto_disarm"]
 _CEILING, _CIRCLE = 1, 2  # bits of an autopilot's own fences
@@ -251,13 +261,10 @@ class SimulatedAutopilot:
 
     def take_texts(self) -> list[Text]:
         """Severities and texts since the last call."""
-        speakers = (
-            [self.mission.texts]
-            if self._precision_landing is None
-            else [self.mission.texts, self._precision_landing.texts]
-        )
-        texts = list(self._commander.texts)
-        self._commander.texts.clear()
+        speakers: list[deque[Text] | list[Text]] = [self._commander.texts, self.mission.texts]
+        if self._precision_landing is not None:
+            speakers.append(self._precision_landing.texts)
+        texts: list[Text] = []
         for speaker in speakers:
             texts += speaker
             speaker.clear()
@@ -274,7 +281,7 @@ class SimulatedAutopilot:
         elif mode is not None and mode.task is Task.LAND:
             refused = "land"
         if refused in self.refused:
-            return self.profile.refused_mode
+            return self.profile.refused
         self._watch_mission()  # one received since the last step counts already
         return self._commander.change_mode(mode, number)
 
@@ -495,13 +502,13 @@ class SimulatedAutopilot:
     def arm(self, force: bool = False) -> CommandResult:
         """Arm; refused with a text before alignment, when tilting, or in a mode that lands."""
         if "arm" in self.refused:
-            return self.profile.refused_arming
+            return self.profile.refused
         return self._commander.arm(force)
 
     def disarm(self, force: bool = False) -> CommandResult:
         """Disarm; refused in flight unless forced."""
         if "disarm" in self.refused:
-            return self.profile.refused_disarming
+            return self.profile.refused
         return self._commander.disarm(force)
 
     def set_mode(self, custom_mode: int) -> CommandResult:
@@ -591,7 +598,7 @@ class SimulatedAutopilot:
     def reboot(self) -> CommandResult:
         """Reboot on the ground, as after power-up; parameters and mission stay. Refused while armed."""
         if self.armed:
-            return self.profile.refused_arming
+            return self.profile.refused
         self._boot()
         return CommandResult.ACCEPTED
 
@@ -610,7 +617,7 @@ class SimulatedAutopilot:
         """MISSION_START; PX4 arms for it, ArduPilot has to be armed."""
         if not self.mission.flyable or (first >= 0 and not self.mission.select(first)):
             self._commander.send_text(Severity.CRITICAL, self.profile.texts.no_mission)
-            return self.profile.refused_mode
+            return self.profile.refused
         mode = next(mode for mode in self.profile.modes if mode.task is Task.MISSION)
         waits = self.profile.mission.waits_for_start
         if waits and not self.armed:
@@ -701,7 +708,4 @@ class SimulatedAutopilot:
 
 def _is_place(place: Vector3) -> bool:
     """Latitude, longitude and altitude within their ranges; NaN means the present one."""
-    return all(
-        isnan(value) or abs(value) <= most
-        for value, most in zip(place, (90.0, 180.0, _MOST_ALTITUDE_M), strict=True)
-    )
+    return wrong_place(*(0.0 if isnan(value) else value for value in place)) is None

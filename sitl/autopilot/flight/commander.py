@@ -9,7 +9,6 @@ from math import inf
 from sitl.autopilot.flight.modes import (
     CommandResult,
     Failsafe,
-    FailsafeAction,
     Mode,
     Severity,
     Task,
@@ -53,7 +52,7 @@ class Commander:
         refusal = next((c.text for c in self._profile.arming_checks if not c.passes(self.situation)), None)
         if refusal is not None and not force:
             self.send_text(Severity.CRITICAL, refusal)
-            return self._profile.refused_arming
+            return self._profile.refused
         self.armed = True
         self.situation.has_flown = False
         self.send_text(Severity.INFO, self._profile.texts.armed)
@@ -65,7 +64,7 @@ class Commander:
             return CommandResult.ACCEPTED
         if not self.situation.landed and not force:
             self.send_text(Severity.CRITICAL, self._profile.refused_disarming_text)
-            return self._profile.refused_disarming
+            return self._profile.refused
         self._stop(Severity.INFO, self._profile.texts.disarmed)
         return CommandResult.ACCEPTED
 
@@ -73,12 +72,12 @@ class Commander:
         """Enter a mode with its own task; None is a number the autopilot does not know."""
         if mode is None:
             self.send_text(Severity.WARNING, self._profile.texts.no_such_mode.format(number=number))
-            return self._profile.refused_mode
+            return self._profile.refused
         self._refresh()
         refusal = next((c.text for c in self._profile.mode_checks if c.fails(mode, self.situation)), None)
         if refusal is not None:
             self.send_text(Severity.CRITICAL, refusal.format(mode=mode.display_name))
-            return self._profile.refused_mode
+            return self._profile.refused
         self._forget_failsafe()
         self._enter(mode)
         if mode.task is Task.LAND and self.armed:
@@ -130,13 +129,13 @@ class Commander:
                 return
         for index, failsafe in enumerate(self._profile.failsafes):
             # one mode is left at a time, but what a failsafe has landed is disarmed as ever
-            if self._left_by is not None and failsafe.response is not FailsafeAction.DISARM:
+            if self._left_by is not None and failsafe.mode:
                 continue
             if not failsafe.condition(self.situation):
                 if failsafe.over is None or failsafe.over(self.situation) or self._held_s[index] > -inf:
                     self._held_s[index] = 0.0
                 continue
-            if self.stays_armed and failsafe.response is FailsafeAction.DISARM:
+            if self.stays_armed and not failsafe.mode:
                 continue
             self._held_s[index] += dt_s
             if self._held_s[index] >= failsafe.after_s:
@@ -151,7 +150,7 @@ class Commander:
         now.streaming = self.mode.task is Task.SETPOINT
 
     def _respond(self, failsafe: Failsafe) -> None:
-        if failsafe.response is FailsafeAction.DISARM:
+        if not failsafe.mode:
             self._stop(failsafe.severity, failsafe.text)
             return
         self.send_text(failsafe.severity, failsafe.text)

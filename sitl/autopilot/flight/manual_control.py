@@ -15,8 +15,7 @@ from math import inf, nan
 from companion.base.geometry import Vector3, quat_from_euler, rotate_yaw, wrap_angle
 from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
 from sitl.autopilot.flight.modes import Mode, StickMode, Task, VehicleStatus
-from sitl.autopilot.flight.parameters import Parameters
-from sitl.autopilot.flight.profile import AutopilotProfile
+from sitl.autopilot.flight.profile import AutopilotProfile, Parameters
 
 CHANNELS = 18
 _MIDDLE_US, _SPAN_US = 1500, 500
@@ -37,18 +36,6 @@ class Sticks:
     def throttle_is_up(self) -> bool:
         """The throttle stick commands a climb."""
         return self.throttle > _RAISED
-
-
-@dataclass(frozen=True, slots=True)
-class StickScales:
-    """Full scales of one autopilot: m/s, rad, rad/s; `hover` is the thrust of the throttle's middle."""
-
-    speed_m_s: float
-    climb_m_s: float
-    descent_m_s: float
-    tilt_rad: float
-    yaw_rate_rad_s: float
-    hover: float
 
 
 class RcInput:
@@ -91,57 +78,6 @@ class RcInput:
         return self._sticks is not None and now_s - self._heard_s > timeout_s
 
 
-class StickMapper:
-    """Maps sticks to setpoints; holds the heading while the yaw stick is centred."""
-
-    def __init__(self) -> None:
-        self._heading_rad = nan
-
-    def rest(self) -> None:
-        """The sticks do not fly: the next time starts from the present heading."""
-        self._heading_rad = nan
-
-    def setpoint(
-        self, stick_mode: StickMode, sticks: Sticks, scales: StickScales, heading_rad: float, dt_s: float
-    ) -> MotionSetpoint | AttitudeSetpoint | None:
-        """The sticks' setpoint; None when they are centred in a mode that then holds position."""
-        yaw_rate = scales.yaw_rate_rad_s * _outside_band(sticks.yaw)
-        if stick_mode is not StickMode.VELOCITY:
-            return self._tilt(stick_mode, sticks, scales, heading_rad, yaw_rate, dt_s)
-        forward, right = _outside_band(sticks.pitch), _outside_band(sticks.roll)
-        climb = _outside_band(sticks.throttle)
-        if not (forward or right or climb or yaw_rate):
-            return None
-        down = -climb * (scales.climb_m_s if climb > 0.0 else scales.descent_m_s)
-        level: Vector3 = (scales.speed_m_s * forward, scales.speed_m_s * right, down)
-        return MotionSetpoint(
-            velocity_ned_m_s=rotate_yaw(level, heading_rad),
-            yaw_rate_rad_s=yaw_rate,
-            horizontal_speed_m_s=scales.speed_m_s,
-        )
-
-    def _tilt(
-        self,
-        stick_mode: StickMode,
-        sticks: Sticks,
-        scales: StickScales,
-        heading_rad: float,
-        yaw_rate: float,
-        dt_s: float,
-    ) -> AttitudeSetpoint:
-        if yaw_rate or math.isnan(self._heading_rad):
-            self._heading_rad = wrap_angle(heading_rad + yaw_rate * dt_s)
-        attitude = quat_from_euler(
-            scales.tilt_rad * sticks.roll, -scales.tilt_rad * sticks.pitch, self._heading_rad
-        )
-        up = _outside_band(sticks.throttle) if stick_mode is StickMode.ANGLE_AND_CLIMB else sticks.throttle
-        if stick_mode is StickMode.ANGLE_AND_CLIMB:
-            thrust = 0.5 + 0.5 * up
-        else:
-            thrust = scales.hover * (1.0 + up) + max(up, 0.0) * (1.0 - 2.0 * scales.hover)
-        return AttitudeSetpoint(attitude, thrust, yaw_rate)
-
-
 def _axis(channel_us: int) -> float:
     """-1..1 of a channel; a missing one is centred."""
     return 0.0 if channel_us == 0 else min(max((channel_us - _MIDDLE_US) / _SPAN_US, -1.0), 1.0)
@@ -168,7 +104,7 @@ class ManualControl:
         self._parameter_map = profile.parameter_map
         self._parameters = parameters
         self._hover = hover_thrust
-        self._pilot = StickMapper()
+        self._heading_rad = nan  # held while the yaw stick is centred; NaN: the sticks do not fly
 
     def watch(self, now: VehicleStatus, task: Task, now_s: float) -> None:
         """Update the RC fields of the vehicle status."""
@@ -188,9 +124,9 @@ class ManualControl:
         self.stick_mode = None
         sticks = None if mode.sticks is None else self._sticks(now_s)
         if mode.sticks is None or sticks is None:
-            self._pilot.rest()
+            self._heading_rad = nan
             return None
-        setpoint = self._pilot.setpoint(mode.sticks, sticks, self._scales(), heading_rad, dt_s)
+        setpoint = self._by_sticks(mode.sticks, sticks, heading_rad, dt_s)
         if setpoint is not None:
             self.stick_mode = mode.sticks
         return setpoint
@@ -203,13 +139,37 @@ class ManualControl:
         timeout_s = self._parameters.si(self._parameter_map.rc_timeout)
         return timeout_s if timeout_s >= 0.0 else inf
 
-    def _scales(self) -> StickScales:
+    def _by_sticks(
+        self, stick_mode: StickMode, sticks: Sticks, heading_rad: float, dt_s: float
+    ) -> MotionSetpoint | AttitudeSetpoint | None:
+        """The sticks' setpoint; None when they are centred in a mode that then holds position."""
         parameter_map, si = self._parameter_map, self._parameters.si
-        return StickScales(
-            speed_m_s=si(parameter_map.stick_speed),
-            climb_m_s=si(parameter_map.stick_climb),
-            descent_m_s=si(parameter_map.stick_descent),
-            tilt_rad=si(parameter_map.stick_tilt),
-            yaw_rate_rad_s=si(parameter_map.stick_yaw_rate),
-            hover=self._hover,
+        yaw_rate = si(parameter_map.stick_yaw_rate) * _outside_band(sticks.yaw)
+        if stick_mode is not StickMode.VELOCITY:
+            return self._tilt(stick_mode, sticks, heading_rad, yaw_rate, dt_s)
+        forward, right = _outside_band(sticks.pitch), _outside_band(sticks.roll)
+        climb = _outside_band(sticks.throttle)
+        if not (forward or right or climb or yaw_rate):
+            return None
+        down = -climb * si(parameter_map.stick_climb if climb > 0.0 else parameter_map.stick_descent)
+        speed_m_s = si(parameter_map.stick_speed)
+        level: Vector3 = (speed_m_s * forward, speed_m_s * right, down)
+        return MotionSetpoint(
+            velocity_ned_m_s=rotate_yaw(level, heading_rad),
+            yaw_rate_rad_s=yaw_rate,
+            horizontal_speed_m_s=speed_m_s,
         )
+
+    def _tilt(
+        self, stick_mode: StickMode, sticks: Sticks, heading_rad: float, yaw_rate: float, dt_s: float
+    ) -> AttitudeSetpoint:
+        if yaw_rate or math.isnan(self._heading_rad):
+            self._heading_rad = wrap_angle(heading_rad + yaw_rate * dt_s)
+        tilt_rad = self._parameters.si(self._parameter_map.stick_tilt)
+        attitude = quat_from_euler(tilt_rad * sticks.roll, -tilt_rad * sticks.pitch, self._heading_rad)
+        if stick_mode is StickMode.ANGLE_AND_CLIMB:
+            thrust = 0.5 + 0.5 * _outside_band(sticks.throttle)
+        else:
+            up, hover = sticks.throttle, self._hover
+            thrust = hover * (1.0 + up) + max(up, 0.0) * (1.0 - 2.0 * hover)
+        return AttitudeSetpoint(attitude, thrust, yaw_rate)

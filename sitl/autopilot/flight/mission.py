@@ -21,8 +21,7 @@ from sitl.autopilot.flight.mission_items import (
 )
 from sitl.autopilot.flight.modes import Severity, Task
 from sitl.autopilot.flight.navigator import Navigator
-from sitl.autopilot.flight.parameters import Parameters
-from sitl.autopilot.flight.profile import ParameterMap
+from sitl.autopilot.flight.profile import ParameterMap, Parameters
 
 _MOST_ITEMS_A_STEP = 100
 _FROM_THE_GROUND = (MissionCommand.TAKEOFF, MissionCommand.LAND, MissionCommand.RETURN_TO_LAUNCH)
@@ -86,10 +85,10 @@ class MissionRunner:
         self._parameter_map = parameter_map
         self._to_ned = to_ned
         self._handlers: dict[int, Callable[[MissionItem, MissionInputs], MissionOutput | None]] = {
-            MissionCommand.WAYPOINT: self._waypoint,
-            MissionCommand.SPLINE_WAYPOINT: self._waypoint,
+            MissionCommand.WAYPOINT: self._stay,
+            MissionCommand.SPLINE_WAYPOINT: self._stay,
             MissionCommand.LOITER_UNLIM: lambda item, here: self._stay(item, here, math.inf),
-            MissionCommand.LOITER_TIME: lambda item, here: self._stay(item, here, item.parameter(1)),
+            MissionCommand.LOITER_TIME: self._stay,
             MissionCommand.LOITER_TURNS: self._turns,
             MissionCommand.RETURN_TO_LAUNCH: self._return,
             MissionCommand.LAND: self._land,
@@ -135,7 +134,7 @@ class MissionRunner:
         for _ in range(_MOST_ITEMS_A_STEP):
             store.current = max(store.current, min(store.rules.first, len(store)))
             if store.finished or store.current >= len(store):
-                return self._finish(here)
+                return Task.LAND if here.landed else Task.HOLD
             item = store.items[store.current]
             wanted = self._climb_first(item, here) or self._act(item, here)
             if wanted is not None:
@@ -173,9 +172,6 @@ class MissionRunner:
             store.finished, store.current = True, max(0, len(store) - 1)
             store.send_text(Severity.INFO, store.rules.finished_text)
         self._now = _Progress()
-
-    def _finish(self, here: MissionInputs) -> MissionOutput:
-        return Task.LAND if here.landed else Task.HOLD
 
     def _climb_first(self, item: MissionItem, here: MissionInputs) -> Task | None:
         """Take off first, where the autopilot does so by itself."""
@@ -224,11 +220,10 @@ class MissionRunner:
             self._navigator.towards(target, here.position_ned_m), yaw_rad=self._heading(item, target, here)
         )
 
-    def _waypoint(self, item: MissionItem, here: MissionInputs) -> MissionOutput | None:
-        return self._stay(item, here, item.parameter(1))
-
-    def _stay(self, item: MissionItem, here: MissionInputs, seconds: float) -> MissionOutput | None:
-        """Fly to an item's position and stay there."""
+    def _stay(
+        self, item: MissionItem, here: MissionInputs, seconds: float | None = None
+    ) -> MissionOutput | None:
+        """Fly to an item's position and stay there, by default for its parameter 1 (s)."""
         target = self._place(item, here)
         own_radius = item.parameter(2) if item.command == MissionCommand.WAYPOINT else 0.0
         radius = (
@@ -236,7 +231,7 @@ class MissionRunner:
         )
         if self._reached(target, here, radius):
             self._now.waited_s += here.dt_s
-            if self._now.waited_s >= seconds:
+            if self._now.waited_s >= (item.parameter(1) if seconds is None else seconds):
                 return None
         return self._towards(item, target, here)
 

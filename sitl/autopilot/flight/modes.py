@@ -127,26 +127,17 @@ class ModeCheck:
     text: str
 
 
-class FailsafeAction(Enum):
-    """What a failsafe does."""
-
-    DISARM = "disarm"
-    LEAVE_MODE = "leave mode"
-
-
 @dataclass(frozen=True, slots=True)
 class Failsafe:
-    """When `condition` has held for `after_s`, do `response` and send `text`.
+    """When `condition` has held for `after_s`, send `text` and disarm, or go to `mode` if there is one.
 
-    LEAVE_MODE goes to `mode`, and back as soon as the condition has ended; with `over` it stays there, and
+    It goes back as soon as the condition has ended; with `over` it stays there, and
     does not trigger again before that has been so: a mode chosen meanwhile is the pilot's decision.
     `task` is flown there instead of the mode's own.
     """
 
-    name: str
     condition: Condition
     after_s: float
-    response: FailsafeAction
     severity: Severity
     text: str
     mode: str = ""

@@ -9,8 +9,7 @@ from math import nan
 from companion.base.geometry import ZERO3, Vector3
 from sitl.autopilot.control.setpoints import MotionSetpoint
 from sitl.autopilot.flight.modes import Task
-from sitl.autopilot.flight.parameters import Parameters
-from sitl.autopilot.flight.profile import AutopilotProfile
+from sitl.autopilot.flight.profile import AutopilotProfile, Parameters
 
 _HEIGHT_REACHED_M = 0.2
 _HOME_REACHED_M = 0.8

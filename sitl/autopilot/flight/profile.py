@@ -2,11 +2,19 @@
 
 `px4.profile.PX4` and `ardupilot.profile.ARDUPILOT` are its instances. Other code reads the fields and never
 checks which autopilot it is.
+
+The simulated autopilot's parameter table: what a ground station lists, reads and sets.
+
+Small: the flight code reads the ones that act in flight, the others describe the vehicle. Values keep
+the unit that the real autopilot gives them (ArduPilot: cm/s, cm); `ParameterRef` carries the factor to SI.
 """
 
 import math
-from collections.abc import Callable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Quaternion, Vector3
@@ -19,20 +27,156 @@ from sitl.autopilot.control.setpoints import (
     StreamedAttitude,
     StreamedMotion,
 )
-from sitl.autopilot.flight.landing_target import PrecisionLanding
 from sitl.autopilot.flight.mission_items import MissionRules
 from sitl.autopilot.flight.modes import (
     ArmingCheck,
     CommandResult,
     Failsafe,
-    FailsafeAction,
     Mode,
     ModeCheck,
     Severity,
     Task,
     VehicleStatus,
 )
-from sitl.autopilot.flight.parameters import Parameter, ParameterRef, Parameters
+
+
+class LandingTargetFrame(IntEnum):
+    """MAV_FRAME of a target's position, of the supported ones."""
+
+    LOCAL_NED = 1
+    BODY_FRD = 12
+
+
+@dataclass(frozen=True, slots=True)
+class LandingTarget:
+    """One LANDING_TARGET: a position in `frame` (a MAV_FRAME), or None and the angles off the camera's axis.
+
+    `angles_rad`: to the right, and backwards (angle_y = -forward); `distance_m` 0: unknown.
+    """
+
+    frame: int
+    position_m: Vector3 | None
+    angles_rad: tuple[float, float]
+    distance_m: float
+
+
+class VehicleEstimate(NamedTuple):
+    """The autopilot's estimate of the vehicle at one outer step; height over home (m)."""
+
+    now_s: float
+    position_ned_m: Vector3
+    velocity_ned_m_s: Vector3
+    attitude: Quaternion
+    height_m: float
+    landing_speed_m_s: float
+
+
+class PrecisionLanding(ABC):
+    """An autopilot's own precision landing; `texts` are for the ground."""
+
+    def __init__(self) -> None:
+        self.texts: list[tuple[Severity, str]] = []
+        self._pending: LandingTarget | None = None
+        self._seen_s = -math.inf
+        self._frame_reported = False
+
+    def update_target(self, target: LandingTarget) -> None:
+        """Take a LANDING_TARGET message; the next step uses the newest."""
+        self._pending = target
+
+    def _report_frame(self, severity: Severity, text: str) -> None:
+        """Report once that the target's frame is not taken."""
+        if not self._frame_reported:
+            self.texts.append((severity, text))
+        self._frame_reported = True
+
+    @abstractmethod
+    def watch(self, estimate: VehicleEstimate, dt_s: float) -> None:
+        """Update the target's estimate at each outer step, landing or not."""
+
+    @abstractmethod
+    def begin(self, *, required: bool) -> None:
+        """Start a landing; `required`: without a target it searches instead of landing at once."""
+
+    @abstractmethod
+    def fly(self, estimate: VehicleEstimate, dt_s: float) -> MotionSetpoint | None:
+        """The setpoint; None: land as without a target."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One entry: its name (at most 16 characters), default, bounds, whether it is an integer, its bits."""
+
+    name: str
+    default: float
+    minimum: float
+    maximum: float
+    integer: bool = False
+    bits: int = 32
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRef:
+    """A parameter as the flight code reads it: value times `scale` is in SI units."""
+
+    name: str
+    scale: float = 1.0
+
+
+class Parameters:
+    """Current values of a fixed set of parameters, in the order they are listed."""
+
+    def __init__(self, table: Iterable[Parameter]) -> None:
+        self._table = {parameter.name: parameter for parameter in table}
+        self._names = tuple(self._table)
+        self._indices = {name: index for index, name in enumerate(self._names)}
+        self._values: dict[str, float] = {}
+        self.reset()
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._table
+
+    def __getitem__(self, name: str) -> float:
+        return self._values[name]
+
+    def name_at(self, index: int) -> str | None:
+        """Name of the index-th parameter, None past either end."""
+        return self._names[index] if 0 <= index < len(self._names) else None
+
+    def index_of(self, name: str) -> int:
+        """Place of a known name in the list."""
+        return self._indices[name]
+
+    def is_integer(self, name: str) -> bool:
+        """Whether a known parameter holds an integer."""
+        return self._table[name].integer
+
+    def bits(self, name: str) -> int:
+        """Size of a known parameter's number."""
+        return self._table[name].bits
+
+    def reset(self) -> None:
+        """All defaults again."""
+        self._values = {parameter.name: float(parameter.default) for parameter in self._table.values()}
+
+    def si(self, setting: ParameterRef) -> float:
+        """Value in SI units."""
+        return self._values[setting.name] * setting.scale
+
+    def set(self, name: str, value: float) -> bool:
+        """Store a value, rounded for an integer; False (and nothing stored) when unknown or out of bounds."""
+        parameter = self._table.get(name)
+        if parameter is None or not parameter.minimum <= value <= parameter.maximum:
+            return False
+        self._values[name] = float(round(value)) if parameter.integer else value
+        return True
+
 
 AnySetpoint = MotionSetpoint | AttitudeSetpoint
 
@@ -91,15 +235,15 @@ class Texts:
     aligned: tuple[str, ...]
     armed: str
     disarmed: str
-    lifted: str
-    landed: str
-    landing: str
+    lifted: str = ""
+    landed: str = ""
+    landing: str = ""
     no_such_mode: str = ""
     terminated: str = ""
     no_mission: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AutopilotProfile:
     """The behaviour of one autopilot.
 
@@ -121,14 +265,14 @@ class AutopilotProfile:
     custom_mode: Callable[[int, int], int]
     flight_version: int
     capabilities: int
-    parameters_bytewise: bool
+    parameters_bytewise: bool = False
     alignment_s: float
     landed_time_s: float
     landed_thrust_share: float
     still_speed_m_s: float
     modes: tuple[Mode, ...]
     boot_mode: str
-    after_disarm_mode: str
+    after_disarm_mode: str = ""
     take_off_mode: str
     after_take_off_mode: str
     hold_mode: str
@@ -137,18 +281,16 @@ class AutopilotProfile:
     read_motion: Callable[[StreamedMotion, Vector3, Quaternion, float], MotionSetpoint | SetpointRefusal]
     read_attitude: Callable[[StreamedAttitude], AnySetpoint | SetpointRefusal]
     as_aged: Callable[[AnySetpoint, float, float, float], AnySetpoint]
-    external_needs_setpoints: bool
-    takes_off_by_setpoint: bool
-    take_off_needs_guided: bool
-    thrust_is_climb_rate: bool
-    thrust_is_upward: bool
-    pitch_channel_reversed: bool
-    turns_by_command: bool
-    refused_arming: CommandResult
-    refused_mode: CommandResult
+    external_needs_setpoints: bool = False
+    takes_off_by_setpoint: bool = False
+    take_off_needs_guided: bool = False
+    thrust_is_climb_rate: bool = False
+    thrust_is_upward: bool = False
+    pitch_channel_reversed: bool = False
+    turns_by_command: bool = False
+    refused: CommandResult
     refused_selection: CommandResult
-    refused_disarming: CommandResult
-    refused_disarming_text: str
+    refused_disarming_text: str = ""
     unsupported_request: CommandResult
     parameter_map: ParameterMap
     texts: Texts
@@ -161,7 +303,7 @@ class AutopilotProfile:
     precision_landing_tasks: frozenset[Task]
     position_control: Callable[[float], PositionControl]
     attitude_gains: AttitudeGains
-    throttle_hz: float | None
+    throttle_hz: float | None = None
     outer_period_s: float
     imu_messages: tuple[str, ...]
     imu_filter: int
@@ -227,10 +369,8 @@ def rc_lost(now: VehicleStatus) -> bool:
 def fence_left(title: str, values: tuple[int, ...], mode: str) -> Failsafe:
     """What follows outside a geofence, where the autopilot's parameter has one of the values."""
     return Failsafe(
-        "fence",
         lambda now: now.fence_broken and not now.landed and now.fence_action in values,
         0.2,
-        FailsafeAction.LEAVE_MODE,
         Severity.CRITICAL,
         title,
         mode=mode,

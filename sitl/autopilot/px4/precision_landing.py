@@ -6,13 +6,17 @@ of the target is known, so that a moving one is followed at a lag and never met 
 
 import math
 from enum import Enum
-from math import inf, nan
+from math import nan
 
 from companion.base.geometry import Vector3
 from sitl.autopilot.control.setpoints import MotionSetpoint
-from sitl.autopilot.flight.landing_target import LandingTarget, LandingTargetFrame, VehicleEstimate
 from sitl.autopilot.flight.modes import Severity
-from sitl.autopilot.flight.parameters import Parameters
+from sitl.autopilot.flight.profile import (
+    LandingTargetFrame,
+    Parameters,
+    PrecisionLanding,
+    VehicleEstimate,
+)
 
 _ABOVE_FOR_S = 2.0
 _FRESH_NEAR_GROUND_S = 0.5
@@ -29,21 +33,14 @@ class PrecLandState(Enum):
     FALLBACK = "fallback"
 
 
-class Px4PrecisionLanding:
+class Px4PrecisionLanding(PrecisionLanding):
     """The state machine, with its present `state`."""
 
     def __init__(self, parameters: Parameters) -> None:
-        self.texts: list[tuple[Severity, str]] = []
+        super().__init__()
         self._parameters = parameters
-        self._pending: LandingTarget | None = None
         self._target: Vector3 | None = None
-        self._seen_s = -inf
-        self._frame_reported = False
         self.begin(required=True)
-
-    def update_target(self, target: LandingTarget) -> None:
-        """Store the newest."""
-        self._pending = target
 
     def begin(self, *, required: bool) -> None:
         """Start a landing."""
@@ -59,10 +56,8 @@ class Px4PrecisionLanding:
         if target is None:
             return
         if target.position_m is None or target.frame != LandingTargetFrame.LOCAL_NED:
-            if not self._frame_reported:
-                text = f"landing target: coordinate frame {target.frame} unsupported"
-                self.texts.append((Severity.CRITICAL, text))
-            self._frame_reported = True
+            text = f"landing target: coordinate frame {target.frame} unsupported"
+            self._report_frame(Severity.CRITICAL, text)
             return
         self._target, self._seen_s = target.position_m, estimate.now_s
 

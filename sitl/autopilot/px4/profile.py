@@ -3,9 +3,15 @@
 Taken from a recording of PX4 with its own simulator. The landed detector waits until the thrust is under
 MPC_THR_MIN + LNDMC_LOW_T_THR (hover - MPC_THR_MIN), which takes the climb's integral 6 s at a descent of
 0.3 m/s, and then LNDMC_TRIG_TIME.
+
+PX4's parameters: the ones that `px4.PX4` names act in flight, the others are for display.
+
+Names, defaults and bounds after PX4 1.16's parameter reference, in its alphabetical order. Defaults that
+differ from PX4's describe this vehicle or its recording. Units are PX4's (m, m/s, deg, s).
 """
 
 import math
+from typing import Final
 
 from sitl.autopilot.control.attitude_control import AttitudeGains, RateFilters, ShareGains
 from sitl.autopilot.flight.mission_items import MissionCommand, MissionRules
@@ -13,14 +19,12 @@ from sitl.autopilot.flight.modes import (
     ArmingCheck,
     CommandResult,
     Failsafe,
-    FailsafeAction,
     Mode,
     ModeCheck,
     Severity,
     StickMode,
     Task,
 )
-from sitl.autopilot.flight.parameters import ParameterRef
 from sitl.autopilot.flight.profile import (
     FLAG_AUTO,
     FLAG_CUSTOM,
@@ -28,7 +32,9 @@ from sitl.autopilot.flight.profile import (
     FLAG_MANUAL,
     FLAG_STABILIZE,
     AutopilotProfile,
+    Parameter,
     ParameterMap,
+    ParameterRef,
     Texts,
     aligned,
     fence_left,
@@ -41,10 +47,96 @@ from sitl.autopilot.flight.profile import (
     rc_lost,
     setpoints_stopped,
 )
-from sitl.autopilot.px4 import setpoints as px4_setpoints
-from sitl.autopilot.px4.control import Px4Control
-from sitl.autopilot.px4.parameters import PARAMETERS
+from sitl.autopilot.px4.control import Px4Control, as_aged, read_attitude, read_motion
 from sitl.autopilot.px4.precision_landing import Px4PrecisionLanding
+
+
+def _i(name: str, default: int, low: int, high: int) -> Parameter:
+    return Parameter(name, default, low, high, integer=True)
+
+
+_f = Parameter
+_ANY: Final = 2_147_483_647
+
+PARAMETERS: Final[tuple[Parameter, ...]] = (
+    _i("BAT1_SOURCE", 0, -1, 2),
+    _f("BAT_CRIT_THR", 0.07, 0.05, 0.5),
+    _f("BAT_LOW_THR", 0.15, 0.12, 0.5),
+    _i("CAL_ACC0_ID", 1310988, 0, _ANY),
+    _i("CAL_GYRO0_ID", 1310988, 0, _ANY),
+    _i("CAL_MAG0_ID", 197388, 0, _ANY),
+    _i("CAL_MAG0_ROT", 0, -1, 100),
+    _i("CA_AIRFRAME", 0, 0, 17),
+    _i("CA_ROTOR_COUNT", 4, 0, 12),
+    _f("COM_DISARM_LAND", 2.0, -1.0, 20.0),
+    _f("COM_FAIL_ACT_T", 5.0, 0.0, 25.0),
+    _i("COM_FLTMODE1", -1, -1, 16),
+    _i("COM_OBL_RC_ACT", 5, 0, 7),  # PX4's default is 0, of which the app warns
+    _f("COM_OF_LOSS_T", 1.0, 0.0, 60.0),
+    _i("COM_RCL_EXCEPT", 0, 0, 31),
+    _i("COM_RC_IN_MODE", 3, 0, 4),
+    _f("COM_RC_LOSS_T", 0.5, 0.0, 35.0),
+    _i("COM_RC_OVERRIDE", 1, 0, 3),
+    _i("EKF2_MULTI_IMU", 0, 0, 4),
+    _i("GF_ACTION", 0, 0, 5),
+    _f("GF_MAX_HOR_DIST", 0.0, 0.0, 10000.0),
+    _f("IMU_GYRO_CUTOFF", 40.0, 0.0, 1000.0),
+    _f("LNDMC_Z_VEL_MAX", 0.25, 0.0, 1.0),
+    _i("MAV_COMP_ID", 1, 1, 250),
+    _i("MAV_PROTO_VER", 0, 0, 2),
+    _i("MAV_SYS_ID", 1, 1, 250),
+    _i("MAV_TYPE", 2, 0, 22),
+    _f("MC_PITCH_P", 6.5, 0.0, 12.0),
+    _f("MC_ROLLRATE_P", 0.15, 0.01, 0.5),
+    _f("MC_ROLL_P", 6.5, 0.0, 12.0),
+    _f("MC_YAWRATE_MAX", 200.0, 0.0, 1800.0),
+    _f("MC_YAW_P", 2.8, 0.0, 5.0),
+    _f("MIS_TAKEOFF_ALT", 2.5, 0.0, 80.0),
+    _f("MPC_LAND_ALT3", 1.0, 0.0, 122.0),
+    _f("MPC_LAND_CRWL", 0.3, 0.1, 2.0),
+    _f("MPC_LAND_SPEED", 0.7, 0.6, 2.0),
+    _f("MPC_MAN_TILT_MAX", 35.0, 1.0, 70.0),
+    _f("MPC_MAN_Y_MAX", 150.0, 0.0, 400.0),
+    _f("MPC_THR_HOVER", 0.5, 0.1, 0.8),
+    _f("MPC_THR_MAX", 1.0, 0.0, 1.0),
+    _f("MPC_THR_MIN", 0.12, 0.05, 0.5),
+    _f("MPC_TILTMAX_AIR", 45.0, 20.0, 89.0),
+    _f("MPC_TKO_SPEED", 1.5, 1.0, 5.0),
+    _f("MPC_VEL_MANUAL", 10.0, 3.0, 20.0),
+    _f("MPC_XY_CRUISE", 5.0, 3.0, 20.0),
+    _f("MPC_XY_P", 0.95, 0.0, 2.0),
+    _f("MPC_XY_VEL_MAX", 12.0, 0.0, 20.0),
+    _f("MPC_XY_VEL_P_ACC", 1.8, 1.2, 5.0),
+    _f("MPC_Z_P", 1.0, 0.1, 1.5),
+    _f("MPC_Z_VEL_MAX_DN", 1.5, 0.5, 4.0),
+    _f("MPC_Z_VEL_MAX_UP", 3.0, 0.5, 8.0),
+    _f("MPC_Z_V_AUTO_DN", 1.5, 0.5, 4.0),
+    _f("MPC_Z_V_AUTO_UP", 3.0, 0.5, 8.0),
+    _f("NAV_ACC_RAD", 2.0, 0.05, 200.0),
+    _i("NAV_DLL_ACT", 0, 0, 6),
+    _f("NAV_MC_ALT_RAD", 0.8, 0.05, 200.0),
+    _i("NAV_RCL_ACT", 2, 1, 6),
+    _f("PLD_BTOUT", 5.0, 0.0, 50.0),
+    _f("PLD_FAPPR_ALT", 0.1, 0.0, 10.0),
+    _f("PLD_HACC_RAD", 0.2, 0.0, 10.0),
+    _i("PLD_MAX_SRCH", 3, 0, 100),
+    _f("PLD_SRCH_ALT", 10.0, 0.0, 100.0),
+    _f("PLD_SRCH_TOUT", 10.0, 0.0, 100.0),
+    _i("RC_CHAN_CNT", 0, 0, 18),
+    _i("RC_MAP_PITCH", 2, 0, 18),
+    _i("RC_MAP_ROLL", 1, 0, 18),
+    _i("RC_MAP_THROTTLE", 3, 0, 18),
+    _i("RC_MAP_YAW", 4, 0, 18),
+    _i("RTL_PLD_MD", 0, 0, 2),
+    _f("RTL_RETURN_ALT", 10.0, 0.0, 150.0),
+    _i("SDLOG_MODE", 0, -1, 4),
+    _i("SENS_BOARD_ROT", 0, -1, 40),
+    _i("SYS_AUTOCONFIG", 0, 0, 2),
+    _i("SYS_AUTOSTART", 4001, 0, 9999999),
+    _i("SYS_HAS_MAG", 1, 0, 4),
+    _i("SYS_HITL", 0, -1, 2),
+)
+
 
 _AUTO = FLAG_CUSTOM | FLAG_AUTO | FLAG_GUIDED | FLAG_STABILIZE
 _STICKS = FLAG_CUSTOM | FLAG_STABILIZE | FLAG_MANUAL
@@ -60,10 +152,8 @@ def _offboard_lost(
 ) -> Failsafe:
     """What follows when setpoints stop, where COM_OBL_RC_ACT has one of the values."""
     return Failsafe(
-        "offboard lost",
         lambda now: setpoints_stopped(now) and now.setpoints_lost_action in values,
         0.0,
-        FailsafeAction.LEAVE_MODE if mode else FailsafeAction.DISARM,
         Severity.CRITICAL,
         f"Failsafe activated: No offboard control signal, switching to {title}",
         mode=mode,
@@ -136,20 +226,13 @@ PX4 = AutopilotProfile(
     hold_mode="AUTO_LOITER",
     land_mode="AUTO_LAND",
     return_mode="AUTO_RTL",
-    read_motion=px4_setpoints.read_motion,
-    read_attitude=px4_setpoints.read_attitude,
-    as_aged=px4_setpoints.as_aged,
+    read_motion=read_motion,
+    read_attitude=read_attitude,
+    as_aged=as_aged,
     external_needs_setpoints=True,
     takes_off_by_setpoint=True,
-    take_off_needs_guided=False,
-    thrust_is_climb_rate=False,
-    thrust_is_upward=False,
-    pitch_channel_reversed=False,
-    turns_by_command=False,
-    refused_mode=CommandResult.TEMPORARILY_REJECTED,
+    refused=CommandResult.TEMPORARILY_REJECTED,
     refused_selection=CommandResult.DENIED,
-    refused_arming=CommandResult.TEMPORARILY_REJECTED,
-    refused_disarming=CommandResult.TEMPORARILY_REJECTED,
     refused_disarming_text="Disarming denied: not landed",
     unsupported_request=CommandResult.UNSUPPORTED,
     parameter_map=ParameterMap(
@@ -212,10 +295,8 @@ PX4 = AutopilotProfile(
         _offboard_lost((5,), "Hold", mode="AUTO_LOITER"),
         _offboard_lost((6, 7), "Disarm"),
         Failsafe(
-            "radio lost",
             rc_lost,
             5.0,  # COM_FAIL_ACT_T
-            FailsafeAction.LEAVE_MODE,
             Severity.CRITICAL,
             "Failsafe activated: Manual control lost, switching to Return",
             mode="AUTO_RTL",
@@ -224,35 +305,23 @@ PX4 = AutopilotProfile(
         fence_left("Failsafe activated: Geofence violated, switching to Hold", (2,), "AUTO_LOITER"),
         fence_left("Failsafe activated: Geofence violated, switching to Return", (3,), "AUTO_RTL"),
         fence_left("Failsafe activated: Geofence violated, switching to Land", (5,), "AUTO_LAND"),
+        Failsafe(landed_after_flight, 2.0, Severity.INFO, "Disarmed by landing"),
         Failsafe(
-            "landed", landed_after_flight, 2.0, FailsafeAction.DISARM, Severity.INFO, "Disarmed by landing"
-        ),
-        Failsafe(
-            "not taken off",
             never_flown,
             10.0,
-            FailsafeAction.DISARM,
             Severity.INFO,
             "Disarmed by auto preflight disarming",
         ),
     ),
     parameters=PARAMETERS,
     mission=MissionRules(
-        flown=frozenset(
-            {
-                MissionCommand.WAYPOINT,
-                MissionCommand.LOITER_UNLIM,
-                MissionCommand.LOITER_TIME,
-                MissionCommand.RETURN_TO_LAUNCH,
-                MissionCommand.LAND,
-                MissionCommand.TAKEOFF,
-                MissionCommand.DELAY,
-                MissionCommand.DO_JUMP,
-                MissionCommand.DO_CHANGE_SPEED,
-                MissionCommand.DO_SET_HOME,
-                MissionCommand.DO_LAND_START,
-            }
-        ),
+        flown=frozenset(MissionCommand)
+        - {
+            MissionCommand.LOITER_TURNS,
+            MissionCommand.SPLINE_WAYPOINT,
+            MissionCommand.CONDITION_DELAY,
+            MissionCommand.CONDITION_YAW,
+        },
         # servo, ROI, mounts, camera, gimbal: PX4 takes them whether or not there is one
         without_effect=frozenset(
             {183, 187, 195, 197, 201, 204, 205, 206, 214, 530, 531, 532, 1000, 1001, 2000, 2001}
@@ -261,22 +330,12 @@ PX4 = AutopilotProfile(
         max_items=2000,
         retry_s=0.25,
         timeout_s=5.0,
-        home_first=False,
         asks_for_integers=True,
-        writes_in_place=False,
-        restarts=False,
-        partial_lists=False,
-        guided_items=False,
         takes_off_before_mission=True,
-        waits_for_start=False,
         fences_unite=True,
         uses_yaw_parameter=True,
-        rewinds_on_disarm=False,
-        received_text="",
         timeout_text="Operation timeout",
         unknown_current_text="WPM: WP CURR CMD: Not in list",
-        item_text="",
-        reached_text="",
         finished_text="Mission finished, loitering",
     ),
     precision_landing=Px4PrecisionLanding,
@@ -289,7 +348,6 @@ PX4 = AutopilotProfile(
         # IMU_GYRO_CUTOFF, IMU_DGYRO_CUTOFF, MC_YAW_TQ_CUTOFF
         filters=RateFilters(40.0, 30.0, yaw_torque_hz=2.0),
     ),  # MC_ROLL_P, MC_PITCH_P, MC_YAW_P, MC_YAWRATE_MAX
-    throttle_hz=None,
     outer_period_s=0.01,
     imu_messages=("HIGHRES_IMU",),
     imu_filter=2,  # the chip's own, 92 Hz: HIGHRES_IMU comes before IMU_GYRO_CUTOFF

@@ -15,7 +15,7 @@ import pytest
 import yaml
 from pymavlink import mavutil
 
-from sitl.run.report import read_report
+from sitl.run.process_control import read_report
 from sitl.run.tick_timer import LATE_S
 from tests.scenario.flying import (
     FEW_PICTURES,

@@ -22,7 +22,7 @@ from companion.sim.settings import sitl_settings, vehicle_differs
 from companion.sim.trial import Trial
 from sitl.campaign.rows import make_row
 from sitl.campaign.worker import RunResult
-from sitl.run.report import SimulationReport
+from sitl.run.process_control import SimulationReport
 from sitl.run.tick_timer import LATE_S, TickTimer
 from tests.unit.sitl.campaign.campaign_parts import flight
 from tests.unit.sitl.campaign.fake_flights import result

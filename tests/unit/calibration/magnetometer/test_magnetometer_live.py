@@ -23,9 +23,8 @@ from companion.config.magnetometer import MagnetometerCalibration, Sensor, load_
 from companion.link.inbox import memory_pair
 from companion.sense.imu.mpu9250 import Mpu9250
 from sitl.run.in_process import InProcess, carried
-from sitl.scenario.home import USUAL_HOMES, magnetic_field_ned_ut
-from sitl.scenario.scenario import Scenario, load_scenario
-from sitl.vehicle.hand_motion import HandMotion
+from sitl.scenario.scenario import USUAL_HOMES, Scenario, load_scenario, magnetic_field_ned_ut
+from sitl.vehicle import HandMotion
 from tests.unit.calibration.magnetometer.magnetometer_truth import turned
 from tests.unit.sense.imu.imu_rig import FIELD, REST, STILL, ImuRig
 from tests.virtual_time import in_virtual_time

@@ -17,7 +17,7 @@ from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.config import CompanionConfig, InertialCalibration, find_file, merge, validate
 from sitl.run.in_process import InProcess, carried
 from sitl.scenario.scenario import Scenario, load_scenario
-from sitl.vehicle.hand_motion import HandMotion
+from sitl.vehicle import HandMotion
 
 
 @dataclass

@@ -19,10 +19,10 @@ from companion.sense.gps.commands import VERSION_REQUEST, conclusion, port_comma
 from companion.sense.gps.neo6m import ONLY_NMEA, UNHEARD, Neo6m
 from companion.sense.serial_port import SerialPort
 from sitl.devices.neo6m import NAV_SOL, Neo6mDevice, nmea, ubx
-from sitl.devices.ports import AppEnd, MemoryPort, PtyPort
-from sitl.devices.uart import as_received
-from sitl.sensors.sensors import NO_GPS_ERRORS, GpsReading, GpsSensor
+from sitl.devices.ports import AppEnd, MemoryPort, PtyPort, as_received
+from sitl.sensors.sensors import GpsReading, GpsSensor
 from tests.unit.sense.gps.test_neo6m import BYTE_S, CONFIG, gga, posllh, rmc, sol, velned
+from tests.unit.sitl.sensors.flawless import NO_GPS_ERRORS
 from tests.virtual_time import in_virtual_time
 
 HOME: Vector3 = (47.0, 8.0, 400.0)

@@ -26,7 +26,8 @@ from companion.sense.range.ultrasonic import Ultrasonic
 from companion.sense.range.us100 import Us100
 from sitl.devices.ports import MemoryPort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice, frame, millimetres
-from sitl.sensors.sensors import NO_RANGE_ERRORS, RangeErrors, RangeSensor
+from sitl.sensors.sensors import RangeErrors, RangeSensor
+from tests.unit.sitl.sensors.flawless import NO_RANGE_ERRORS
 from tests.virtual_time import in_virtual_time
 
 Kind = Literal["frames", "polled"]

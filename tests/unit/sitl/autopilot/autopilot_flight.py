@@ -25,8 +25,7 @@ from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.autopilot.flight.modes import CommandResult
 from sitl.scenario.scenario import load_airframe
-from sitl.vehicle.quadrotor import QuadrotorParameters, QuadrotorState
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import QuadrotorParameters, QuadrotorState, RotorValues
 
 HOME: Vector3 = (47.0, 8.0, 400.0)
 RATE_HZ = 400

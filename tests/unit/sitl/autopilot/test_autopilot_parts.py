@@ -18,17 +18,15 @@ from sitl.autopilot.control.attitude_control import (
     RateGains,
     turn_about_down,
 )
-from sitl.autopilot.control.cascade import LandedDetector
+from sitl.autopilot.control.cascade import LandedDetector, MotorMixer
 from sitl.autopilot.control.estimator import EstimatorErrors, SimulatedEstimator
-from sitl.autopilot.control.mixer import MotorMixer
 from sitl.autopilot.control.setpoints import MotionSetpoint
 from sitl.autopilot.flight.autopilot import PROFILES
 from sitl.autopilot.flight.modes import Task
-from sitl.autopilot.flight.parameters import Parameter, ParameterRef, Parameters
+from sitl.autopilot.flight.profile import Parameter, ParameterRef, Parameters
 from sitl.autopilot.px4.control import Px4Control
 from sitl.autopilot.px4.profile import PX4
-from sitl.vehicle.quadrotor import QuadrotorState
-from sitl.vehicle.rotors import LAYOUTS, LayoutName, RotorValues
+from sitl.vehicle.quadrotor import LAYOUTS, LayoutName, QuadrotorState, RotorValues
 from tests.unit.sitl.autopilot.autopilot_flight import frame_450
 
 

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import IDENTITY, Vector3, quat_conjugate, quat_rotate, subtract
-from sitl.autopilot.flight.landing_target import AxisFilter, direction_from_angles
+from sitl.autopilot.ardupilot.precision_landing import AxisFilter, direction_from_angles
 from sitl.autopilot.px4.precision_landing import PrecLandState, Px4PrecisionLanding
 from tests.unit.sitl.autopilot.missions.mission_desk import Station
 

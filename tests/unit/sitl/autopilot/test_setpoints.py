@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import IDENTITY, ZERO3, Vector3, quat_from_euler, tilt_from_quat, yaw_from_quat
-from sitl.autopilot.ardupilot import setpoints as ardupilot_setpoints
+from sitl.autopilot.ardupilot import control as ardupilot_setpoints
 from sitl.autopilot.control.setpoints import (
     STOP,
     AttitudeSetpoint,
@@ -31,7 +31,7 @@ from sitl.autopilot.control.shaping import (
     root_law,
     signed_root_law,
 )
-from sitl.autopilot.px4 import setpoints as px4_setpoints
+from sitl.autopilot.px4 import control as px4_setpoints
 from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight, velocity
 from tests.unit.sitl.autopilot.missions.mission_desk import Station
 

@@ -15,11 +15,10 @@ from companion.sense.gps.neo6m import Neo6m
 from companion.sense.imu.i2c import SensorError
 from companion.sense.imu.mpu9250 import Mpu9250
 from companion.sense.range.ultrasonic import Ultrasonic
-from sitl.camera.frame_line import FrameLine
 from sitl.devices.ports import MemoryPort
 from sitl.devices.rack import SensorRack
 from sitl.faults.faults import Fault
-from sitl.faults.faulty_link import LinkChannel, LinkSettings
+from sitl.faults.lines import FrameLine, LinkChannel, LinkSettings
 from sitl.faults.schedule import FaultSchedule
 from sitl.faults.targets import FaultTargets
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors

@@ -16,14 +16,12 @@ from sitl.devices.ports import MemoryPort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice, frame
 from sitl.sensors.inertial import NO_IMU_ERRORS, ImuSensor
 from sitl.sensors.sensors import (
-    NO_GPS_ERRORS,
-    NO_MAG_ERRORS,
-    NO_RANGE_ERRORS,
     GpsSensor,
     MagSensor,
     RangeSensor,
 )
 from tests.unit.sitl.devices.sensor_desk import FORCE, STEP_S, fly
+from tests.unit.sitl.sensors.flawless import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS
 from tests.virtual_time import in_virtual_time
 
 # ---------------------------------------------------------------- NEO-6M

@@ -23,7 +23,7 @@ from sitl.external import link as external_link
 from sitl.external import pose as external_pose
 from sitl.external.link import check_connection, open_link, open_relay, pump
 from sitl.external.pose import LONGEST_GUESS_S, Pose, PoseTrack
-from sitl.run.report import read_report
+from sitl.run.process_control import read_report
 from tests.unit.sitl.external.external_bench import Player
 from tests.unit.sitl.external.external_vehicle import GROUND, LEVEL, PX4, hil_state, sim_state
 

@@ -12,7 +12,6 @@ import yaml
 from companion.base.geometry import GRAVITY_M_S2, ned_from_geodetic
 from companion.base.messages import GpsFix
 from companion.config import ConfigError
-from sitl.camera.frame_line import FrameLine
 from sitl.faults.faults import (
     AccelBiasStep,
     AccelClips,
@@ -40,7 +39,7 @@ from sitl.faults.faults import (
     RangeStuck,
     Vibration,
 )
-from sitl.faults.faulty_link import LinkChannel, LinkSettings
+from sitl.faults.lines import FrameLine, LinkChannel, LinkSettings
 from sitl.scenario.scenario import load_scenario
 from tests.unit.sitl.devices.sensor_desk import DriverSamples, fly
 from tests.unit.sitl.faults.fault_readings import END_S, SECONDS, START_S, TIMES, during, elsewhere, mean

@@ -16,23 +16,23 @@ from companion.pad import DICTIONARIES, load_pad
 from sitl.autopilot.flight.modes import CommandResult
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
-from sitl.camera.frame_line import FrameLine
 from sitl.devices.ports import MemoryPort
 from sitl.devices.rack import SensorRack
 from sitl.faults import faults
 from sitl.faults.faults import AutopilotReboots, DiskFull, FrameBlack
-from sitl.faults.faulty_link import LinkChannel, LinkSettings
+from sitl.faults.lines import FrameLine, LinkChannel, LinkSettings
 from sitl.faults.schedule import FaultSchedule, Moments, StatusTextMonitor
 from sitl.faults.targets import FaultTargets
 from sitl.mavlink.telemetry import battery_status, local_position, sys_status
 from sitl.scenario.scenario import Scenario
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
-from sitl.sensors.sensors import NO_RANGE_ERRORS, RangeSensor
+from sitl.sensors.sensors import RangeSensor
 from sitl.vehicle.quadrotor import Motors
 from sitl.world.world import World
 from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight
 from tests.unit.sitl.camera.test_camera import CAMERA, VEHICLE
 from tests.unit.sitl.devices.sensor_desk import FIELD_NED_UT, HOME, STEP_S, fly
+from tests.unit.sitl.sensors.flawless import NO_RANGE_ERRORS
 
 ENCODER = codec.mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
 
@@ -324,13 +324,13 @@ def test_a_refused_request_is_denied_for_as_long_as_the_fault(profile: Any) -> N
     )
     autopilot.set_mode_named(autopilot.profile.take_off_mode if profile == "ardupilot" else "AUTO_LOITER")
     desk.schedule.step(1.0)
-    assert autopilot.arm() is autopilot.profile.refused_arming
-    assert autopilot.arm(force=True) is autopilot.profile.refused_arming
+    assert autopilot.arm() is autopilot.profile.refused
+    assert autopilot.arm(force=True) is autopilot.profile.refused
     desk.schedule.step(2.0)
     assert autopilot.arm() is CommandResult.ACCEPTED
     autopilot.refused = frozenset({"disarm", "land", "offboard", "take_off"})
-    assert autopilot.disarm(force=True) is autopilot.profile.refused_disarming
-    assert autopilot.set_mode_named(autopilot.profile.land_mode) is autopilot.profile.refused_mode
+    assert autopilot.disarm(force=True) is autopilot.profile.refused
+    assert autopilot.set_mode_named(autopilot.profile.land_mode) is autopilot.profile.refused
     assert autopilot.take_off(5.0) is not CommandResult.ACCEPTED
 
 

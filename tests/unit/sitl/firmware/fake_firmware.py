@@ -14,10 +14,12 @@ import numpy as np
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Vector3
 from companion.config import find_file, load_model
-from sitl.firmware.base import Barometer, Firmware, Moment, Setup
+from companion.link.codec import mavlink
+from sitl.firmware.process import Firmware, Moment, Setup
+from sitl.firmware.px4 import Barometer
 from sitl.firmware.spec import FirmwareSpec
 from sitl.firmware.vehicle import start_firmware
-from sitl.mavlink.framing import FrameReader, dialect
+from sitl.mavlink.framing import FrameReader
 from sitl.scenario.scenario import AirframeConfig
 from sitl.sensors.autopilot_sensors import Field, Fix, ImuReading, SimulatedAutopilotSensors
 from sitl.sensors.sensors import GpsReading
@@ -152,7 +154,7 @@ def step_on(firmware: Firmware, count: int) -> None:
 
 def messages(data: bytes) -> list[Any]:
     """MAVLink out of bytes."""
-    decoder = dialect.MAVLink(None)
+    decoder = mavlink.MAVLink(None)
     return [decoder.decode(bytearray(frame.data)) for frame in FrameReader().read(data, 0.0)]
 
 

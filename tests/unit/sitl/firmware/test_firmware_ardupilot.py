@@ -7,8 +7,7 @@ import pytest
 
 from companion.base.geometry import quat_from_euler
 from sitl.firmware import ardupilot
-from sitl.vehicle.quadrotor import QuadrotorState
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import QuadrotorState, RotorValues
 from tests.unit.sitl.firmware.fake_firmware import (
     HOME,
     STEP_S,

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from sitl.firmware.base import NOISE_M, PERIOD_S, WANDER_M, Barometer, pressure_hpa
+from sitl.firmware.px4 import NOISE_M, PERIOD_S, WANDER_M, Barometer
+from sitl.mavlink.sensor_telemetry import pressure_hpa
 
 
 @pytest.mark.parametrize(

@@ -18,13 +18,12 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
 from sitl.firmware import FirmwareError, ardupilot, process, px4
 from sitl.firmware import vehicle as firmware_vehicle
-from sitl.firmware.base import Moment
-from sitl.firmware.process import Datagrams, Process
+from sitl.firmware.process import Datagrams, Moment, Process
 from sitl.firmware.vehicle import FirmwareVehicle
 from sitl.mavlink.ground_station import GroundStation
-from sitl.scenario.scenario import load_scenario
+from sitl.scenario.scenario import BeaconSettings, load_scenario
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import RotorValues
 from sitl.world.world import World
 from tests.unit.sitl.firmware.fake_firmware import HOME, STEP_S, Fake, fake, runs, sensors_at_rest, soon
 
@@ -43,7 +42,7 @@ def vehicle(program: Fake, sensors: SimulatedAutopilotSensors | None = None) -> 
         program.spec,
         World(load_scenario("static"), 0),
         sensors or sensors_at_rest(),
-        GroundStation(np.random.default_rng(0), 1.0, HOME),
+        GroundStation(BeaconSettings(position_std_m=1.0), np.random.default_rng(0), HOME),
         np.random.default_rng(0),
         home=HOME,
         gps_delay_s=0.12,

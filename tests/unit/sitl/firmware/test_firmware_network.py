@@ -6,18 +6,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sitl.firmware.base import Moment
+from companion.link.codec import mavlink
+from sitl.firmware.process import Firmware, Moment
 from sitl.firmware.vehicle import FirmwareNetwork
-from sitl.mavlink.framing import dialect as mavlink
 from sitl.mavlink.ground_station import GroundStation
-from sitl.vehicle.rotors import RotorValues
+from sitl.scenario.scenario import BeaconSettings
+from sitl.vehicle.quadrotor import RotorValues
 from tests.unit.sitl.external.external_vehicle import ARDUPILOT, PX4, MessageSender, heartbeat
 from tests.unit.sitl.firmware.fake_firmware import HOME, messages
 
 PAD = ((10.0, 5.0, -0.3), (1.0, 0.0, 0.0))
 
 
-class RecordedFirmware:
+class RecordedFirmware(Firmware):
     """A firmware that says what it is given, and keeps what it is told."""
 
     def __init__(self) -> None:
@@ -43,7 +44,9 @@ class FirmwareClients:
 
     def __init__(self, clients: int = 1, *, datagrams: bool = True) -> None:
         self.firmware = RecordedFirmware()
-        self.ground_station = GroundStation(np.random.default_rng(0), 0.0, HOME)
+        self.ground_station = GroundStation(
+            BeaconSettings(position_std_m=0.0), np.random.default_rng(0), HOME
+        )
         self.network = FirmwareNetwork(self.firmware, self.ground_station)
         self.heard: list[list[bytes]] = [[] for _ in range(clients)]
         self.ports = [self.network.connect(heard.extend, datagrams=datagrams) for heard in self.heard]
@@ -123,20 +126,18 @@ def test_it_is_armed_by_the_autopilots_own_heartbeat_alone(system: int) -> None:
         assert desk.network.armed is expected
 
 
-def test_the_ground_station_hears_the_companions_texts_and_tells_where_the_pad_is() -> None:
+def test_the_ground_station_tells_where_the_pad_is() -> None:
     desk = FirmwareClients()
-    text = mavlink.MAVLink_statustext_message(6, b"hello")
     asked = mavlink.MAVLink_command_long_message(
         255, 190, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET, *[0] * 6
     )
-    desk.network.receive(desk.ports[0], COMPANION.pack(text, asked), 0.1)
-    assert desk.ground_station.texts == [(0.1, 6, "hello")]
+    desk.network.receive(desk.ports[0], COMPANION.pack(asked), 0.1)
     desk.transmit(0.2)
     desk.transmit(0.7)
     answers: list[Any] = messages(b"".join(desk.heard[0]))
     assert [answer.get_type() for answer in answers] == ["COMMAND_ACK", "FOLLOW_TARGET"]
     assert answers[1].lat == pytest.approx(47.00009e7, abs=100)
-    assert len(desk.firmware.told) == 4  # the app's two, and the ground station's two
+    assert len(desk.firmware.told) == 3  # the app's one, and the ground station's two
 
 
 def test_whatever_comes_does_no_harm() -> None:

@@ -11,7 +11,7 @@ import pytest
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
 from sitl.firmware import FirmwareError, ardupilot, px4
-from sitl.firmware.base import Firmware
+from sitl.firmware.process import Firmware
 from tests.unit.sitl.firmware.fake_firmware import (
     STEP_S,
     fake,

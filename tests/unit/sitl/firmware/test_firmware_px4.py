@@ -12,7 +12,7 @@ from companion.base.geometry import quat_from_euler
 from companion.config import ConfigError
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.firmware import px4
-from sitl.firmware.base import Firmware
+from sitl.firmware.process import Firmware
 from sitl.vehicle.quadrotor import QuadrotorState, resting_state
 from tests.unit.sitl.firmware.fake_firmware import (
     STEP_S,

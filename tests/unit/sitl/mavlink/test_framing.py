@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
+from companion.link.codec import mavlink
 from companion.link.signing import EPOCH_UNIX_S, STAMPS_PER_S, stamp_from_unix
 from sitl.mavlink.endpoint import MavlinkEndpoint
-from sitl.mavlink.framing import PATIENCE_S, FrameReader, MavFrame, Signing, dialect, number, read_key
+from sitl.mavlink.framing import PATIENCE_S, FrameReader, MavFrame, Signing, number, read_key
 from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight
 
-mavlink: Any = dialect
 SENDER = mavlink.MAVLink(None, srcSystem=7, srcComponent=9)
 COMMAND = bytes(mavlink.MAVLink_command_long_message(1, 2, 512, 0, 148, 0, 0, 0, 0, 0, 0).pack(SENDER))
 PING = bytes(mavlink.MAVLink_timesync_message(0, 77).pack(SENDER))

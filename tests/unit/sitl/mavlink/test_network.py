@@ -11,16 +11,17 @@ import pytest
 from benchmarks.mavlink.fuzzing import Fuzz
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import ZERO3
+from companion.link.codec import mavlink
 from companion.link.signing import LinkSigning, SigningKey
 from sitl.autopilot.flight.modes import CommandResult
-from sitl.mavlink.framing import FrameReader, Signing, dialect
+from sitl.mavlink.framing import FrameReader, Signing
 from sitl.mavlink.ground_station import Companion, Forger, GroundStation
 from sitl.mavlink.network import Network
+from sitl.scenario.scenario import BeaconSettings
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.quadrotor import resting_state
 from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
 
-mavlink: Any = dialect
 UNIX_S = 1.8e9
 BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 
@@ -56,7 +57,9 @@ class NetworkedVehicle:
             np.random.default_rng(0), 0.01, home=HOME, field_ned_ut=(20.9, 0.6, 42.9), imu_filter=2
         )
         signing = Signing(autopilot_kind)
-        self.ground = GroundStation(np.random.default_rng(0), 1.0, HOME, signing=signing)
+        self.ground = GroundStation(
+            BeaconSettings(position_std_m=1.0), np.random.default_rng(0), HOME, signing=signing
+        )
         self.network = Network(self.flight.autopilot, self.sensors, self.ground, signing, UNIX_S)
         self.flight.run(6.0)
 
@@ -250,7 +253,7 @@ def test_a_second_companion_is_obeyed_and_heard() -> None:
     desk = NetworkedVehicle()
     client = NetworkClient(desk.network, 1, 191)
     autopilot = desk.flight.autopilot
-    assert autopilot.set_mode_named("OFFBOARD") is autopilot.profile.refused_mode  # nobody sends setpoints
+    assert autopilot.set_mode_named("OFFBOARD") is autopilot.profile.refused  # nobody sends setpoints
     desk.ground.intruders["setpoints"] = Companion(196, 0.1)
     desk.run(0.5)
     heard = client.heard("SET_POSITION_TARGET_LOCAL_NED")

@@ -15,15 +15,15 @@ from companion.link.session import Session
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.external import pose as external_pose
 from sitl.mavlink.endpoint import MavlinkEndpoint
+from sitl.mavlink.framing import packed
 from sitl.mavlink.sensor_telemetry import HIL_STATE, SIM_STATE, TruthMessages
-from sitl.scenario.home import USUAL_HOMES
-from sitl.scenario.scenario import Scenario
+from sitl.scenario.scenario import USUAL_HOMES, Scenario
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
-from sitl.sensors.inertial import NO_IMU_ERRORS
-from sitl.sensors.sensors import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS
+from sitl.sensors.inertial import NO_IMU_ERRORS, SensorErrors
 from sitl.vehicle.quadrotor import QuadrotorState, resting_state
 from sitl.world.world import World
 from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
+from tests.unit.sitl.sensors.flawless import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS
 
 DT_S = 1.0 / 400.0
 FIELD_UT = (20.9, 0.6, 42.9)
@@ -36,12 +36,7 @@ class StandingVehicle:
 
     def __init__(self, autopilot_kind: AutopilotKind, seed: int = 1, flawless: bool = True) -> None:
         self.autopilot: SimulatedAutopilot = AutopilotFlight(autopilot_kind).autopilot
-        errors: dict[str, Any] = {
-            "imu_errors": NO_IMU_ERRORS,
-            "mag_errors": NO_MAG_ERRORS,
-            "gps_errors": NO_GPS_ERRORS,
-            "range_errors": NO_RANGE_ERRORS,
-        }
+        flaws = SensorErrors(NO_IMU_ERRORS, NO_MAG_ERRORS, NO_GPS_ERRORS, NO_RANGE_ERRORS)
         self.sensors = SimulatedAutopilotSensors(
             np.random.default_rng(seed),
             DT_S,
@@ -49,7 +44,7 @@ class StandingVehicle:
             field_ned_ut=FIELD_UT,
             imu_filter=self.autopilot.profile.imu_filter,
             antenna_body_m=(0.0, 0.0, 0.0),
-            **(errors if flawless else {}),
+            errors=flaws if flawless else None,
         )
         self.endpoint = MavlinkEndpoint(self.autopilot, self.sensors)
         self.flight = AutopilotFlight(autopilot_kind)
@@ -296,5 +291,6 @@ def test_the_app_never_asks_for_it_nor_hears_it(autopilot_kind: AutopilotKind) -
     # one that another client has asked for is not listened to
     before = session.counters.decoded
     port.receive(Codec(1, 26).encode(interval(OF[autopilot_kind], 100.0)), 60.0)
-    session.receive(bytes(port._pack(port._truth.build(OF[autopilot_kind], 60.0))), 60.0)  # type: ignore[union-attr]
+    assert port._truth is not None
+    session.receive(packed(port._mav, port._truth.build(OF[autopilot_kind], 60.0)), 60.0)
     assert session.counters.decoded == before

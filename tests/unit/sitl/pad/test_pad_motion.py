@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import ZERO3, wrap_angle
-from sitl.pad.incidents import IncidentMotion
-from sitl.pad.motion import PadMotion, PadMotionSettings, PadTruth, build_pad_motion
+from sitl.pad.motion import IncidentMotion, PadMotion, PadMotionSettings, PadTruth, build_pad_motion
 from sitl.pad.paths import (
     CircleMotion,
     FigureEightMotion,
@@ -292,11 +291,11 @@ def check_derivatives(motion: IncidentMotion, from_s: float, to_s: float) -> Non
 
 
 def test_without_an_incident_the_motion_is_the_scenarios() -> None:
-    assert IncidentMotion(Straight()).at(7.3) == Straight().at(7.3)
+    assert IncidentMotion(Straight().at).at(7.3) == Straight().at(7.3)
 
 
 def test_it_brakes_at_its_deceleration_and_stands() -> None:
-    motion = IncidentMotion(Straight())
+    motion = IncidentMotion(Straight().at)
     motion.drive(10.0, 0.0, 3.0)
     assert along(motion.at(10.0)) == pytest.approx((15.0, 1.5))
     assert along(motion.at(10.25))[1] == pytest.approx(0.75)
@@ -306,13 +305,13 @@ def test_it_brakes_at_its_deceleration_and_stands() -> None:
 
 
 def test_at_once_means_within_a_millimetre() -> None:
-    motion = IncidentMotion(Straight())
+    motion = IncidentMotion(Straight().at)
     motion.drive(10.0, 0.0)
     assert along(motion.at(11.0)) == pytest.approx((15.0, 0.0), abs=1e-3)
 
 
 def test_it_turns_back_and_drives_as_fast_as_it_came() -> None:
-    motion = IncidentMotion(Straight())
+    motion = IncidentMotion(Straight().at)
     motion.turn_back(10.0, 2.0)
     assert along(motion.at(20.0))[1] == pytest.approx(-1.5)
     assert motion.at(20.0).heading_rad == pytest.approx(COURSE)  # it does not turn round
@@ -320,7 +319,7 @@ def test_it_turns_back_and_drives_as_fast_as_it_came() -> None:
 
 
 def test_it_leaves_and_after_the_fault_it_goes_on_as_before() -> None:
-    motion = IncidentMotion(Straight())
+    motion = IncidentMotion(Straight().at)
     motion.drive(10.0, 6.0, 2.0)
     assert along(motion.at(13.0))[1] == pytest.approx(6.0)
     before = motion.at(13.0)
@@ -330,7 +329,7 @@ def test_it_leaves_and_after_the_fault_it_goes_on_as_before() -> None:
 
 
 def test_one_that_stands_leaves_along_its_heading() -> None:
-    motion = IncidentMotion(StillPad())
+    motion = IncidentMotion(StillPad().at)
     motion.drive(5.0, 6.0, 2.0)
     assert along(motion.at(10.0))[1] == pytest.approx(6.0)
     vn, ve, _ = motion.at(10.0).velocity_ned_m_s
@@ -338,7 +337,7 @@ def test_one_that_stands_leaves_along_its_heading() -> None:
 
 
 def test_it_tilts_to_its_angle_and_back() -> None:
-    motion = IncidentMotion(Straight())
+    motion = IncidentMotion(Straight().at)
     motion.tilt(10.0, math.radians(15.0), math.radians(30.0))
     assert math.degrees(motion.at(10.25).roll_rad) == pytest.approx(7.5)
     assert math.degrees(motion.at(10.25).roll_rate_rad_s) == pytest.approx(30.0)
@@ -349,7 +348,7 @@ def test_it_tilts_to_its_angle_and_back() -> None:
 
 
 def test_one_that_is_gone_stays_for_its_beacon_alone() -> None:
-    motion = IncidentMotion(Straight())
+    motion = IncidentMotion(Straight().at)
     motion.vanish(10.0)
     gone, was = motion.at(11.0), Straight().at(10.0)
     assert (gone.position_ned_m, gone.is_there) == (was.position_ned_m, False)

@@ -16,7 +16,7 @@ import pytest
 
 from companion.config import CONFIG_FOLDER, load_config
 from sitl.cli import main
-from sitl.run.report import read_report
+from sitl.run.process_control import read_report
 
 COMMAND = (sys.executable, "-m", "sitl.cli")
 

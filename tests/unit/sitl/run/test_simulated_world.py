@@ -17,7 +17,7 @@ from companion.config import validate
 from sitl.devices.mpu9250 import Ak8963Device, Mpu9250Device
 from sitl.devices.ports import MemoryPort
 from sitl.run.in_process import MemoryFrames
-from sitl.run.report import SimulationReport
+from sitl.run.process_control import SimulationReport
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.sensors.inertial import ImuErrors, ImuSensor
@@ -281,7 +281,7 @@ def test_what_was_touched_is_forgotten_out_of_reach() -> None:
     stood = world.truth().in_contact
     state = world.state
     # as if thrown up within a step: nothing may be left of the contact
-    world._state = QuadrotorState((*state.position_ned_m[:2], -5.0), attitude=quat_from_euler(0.0, 0.0, 0.0))
+    world.state = QuadrotorState((*state.position_ned_m[:2], -5.0), attitude=quat_from_euler(0.0, 0.0, 0.0))
     world.step((0.0, 0.0, 0.0, 0.0), STEP_S)
     assert (stood, world.truth().in_contact) == (True, False)
     assert world.state.specific_force_body_m_s2 == pytest.approx((0.0, 0.0, 0.0), abs=0.05)

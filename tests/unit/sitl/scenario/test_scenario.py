@@ -19,15 +19,20 @@ from companion.base.messages import MagSample
 from companion.config import CONFIG_FOLDER, ConfigError, ImuConfig, load_config, validate
 from companion.pad import load_pad
 from companion.sense.imu.mpu9250 import Mpu9250
-from sitl.faults.faulty_link import LinkSettings
+from sitl.faults.lines import LinkSettings
 from sitl.run.in_process import carried
 from sitl.scenario.as_built import AS_BELIEVED, NOTHING_ELSE, AsBuiltSettings, BuiltVehicle, draw
-from sitl.scenario.home import HomeSettings, read_home
 from sitl.scenario.listing import listing, schema_text, shipped
-from sitl.scenario.scenario import AirframeConfig, Scenario, load_airframe, load_scenario
+from sitl.scenario.scenario import (
+    AirframeConfig,
+    HomeSettings,
+    Scenario,
+    load_airframe,
+    load_scenario,
+    read_home,
+)
 from sitl.sensors.inertial import felt_at
-from sitl.vehicle.quadrotor import Motors, QuadrotorState
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import Motors, QuadrotorState, RotorValues
 from sitl.world.world import World
 from tests.programs import ProgramHere
 

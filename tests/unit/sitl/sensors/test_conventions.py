@@ -16,10 +16,12 @@ from companion.pad import Marker, Pad, load_pad
 from companion.sense.imu.mpu9250 import Mpu9250
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
-from sitl.devices.rack import SensorErrors, SensorRack
-from sitl.sensors.inertial import ImuErrors
-from sitl.sensors.sensors import NO_GPS_ERRORS, NO_RANGE_ERRORS, MagErrors
+from sitl.devices.ports import DevicePort
+from sitl.devices.rack import SensorRack
+from sitl.sensors.inertial import ImuErrors, SensorErrors
+from sitl.sensors.sensors import MagErrors
 from sitl.vehicle.quadrotor import QuadrotorState
+from tests.unit.sitl.sensors.flawless import NO_GPS_ERRORS, NO_RANGE_ERRORS
 
 HALF = math.sqrt(0.5)
 NORTH: Quaternion = (1.0, 0.0, 0.0, 0.0)
@@ -206,7 +208,7 @@ def test_a_marker_printed_turned_is_turned_clockwise(yaw_deg: float, top: tuple[
 # Axes and signs of the simulated IMU, each against what a person with a model in hand would say.
 
 
-class NoLine:
+class NoLine(DevicePort):
     """A serial line to nowhere."""
 
     def send(self, data: bytes) -> None:

@@ -9,9 +9,6 @@ import pytest
 from companion.base.geometry import GRAVITY_M_S2, Vector3, ned_from_geodetic
 from sitl.sensors.inertial import ACCEL_FILTER, GYRO_FILTER, NO_IMU_ERRORS, ImuErrors, ImuLowPass, ImuSensor
 from sitl.sensors.sensors import (
-    NO_GPS_ERRORS,
-    NO_MAG_ERRORS,
-    NO_RANGE_ERRORS,
     GpsErrors,
     GpsSensor,
     MagErrors,
@@ -19,6 +16,7 @@ from sitl.sensors.sensors import (
     RangeErrors,
     RangeSensor,
 )
+from tests.unit.sitl.sensors.flawless import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS
 
 DT_S = 1.0 / 400.0
 HOME: Vector3 = (47.0, 8.0, 400.0)

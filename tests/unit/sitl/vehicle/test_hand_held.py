@@ -41,12 +41,10 @@ from sitl.cli import main
 from sitl.devices.socket_servers import FrameServer, serve_registers
 from sitl.run.in_process import InProcess, carried
 from sitl.run.scene_camera import CameraTruth
-from sitl.scenario.home import USUAL_HOMES, magnetic_field_ned_ut
-from sitl.scenario.scenario import Scenario, load_scenario
+from sitl.scenario.scenario import USUAL_HOMES, Scenario, load_scenario, magnetic_field_ned_ut
 from sitl.sensors.sensors import ACCEL_OFFSET_M_S2, GYRO_OFFSET_RAD_S, HARD_IRON_UT
-from sitl.vehicle.hand_motion import HandMotion
-from sitl.vehicle.hand_paths import FACES
-from sitl.world.hand_held import HandHeldWorld
+from sitl.vehicle import HandMotion
+from sitl.world.hand_held import FACES, HandHeldWorld
 from tests.unit.sitl.run.test_server import child_in
 from tests.virtual_time import in_virtual_time
 

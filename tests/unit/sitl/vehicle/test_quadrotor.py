@@ -26,9 +26,9 @@ from sitl.vehicle.quadrotor import (
     Quadrotor,
     QuadrotorParameters,
     QuadrotorState,
+    RotorValues,
     resting_state,
 )
-from sitl.vehicle.rotors import RotorValues
 from sitl.world.world import World
 from tests.unit.sitl.autopilot.autopilot_flight import AutopilotFlight
 

@@ -17,8 +17,7 @@ from companion.base.geometry import (
 )
 from sitl.pad.motion import PadTruth
 from sitl.scenario.scenario import load_airframe
-from sitl.vehicle.quadrotor import Quadrotor, QuadrotorState
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import Quadrotor, QuadrotorState, RotorValues
 from sitl.world.contact import NO_CONTACT, Contact
 from sitl.world.ground import PadBoard
 

@@ -23,8 +23,7 @@ from companion.config import Box, ConfigError, Cylinder, Shape, validate
 from companion.pad import load_pad
 from sitl.pad.motion import PadTruth
 from sitl.scenario.scenario import PassBounds, Scenario, load_airframe, load_scenario
-from sitl.vehicle.quadrotor import QuadrotorState, resting_state
-from sitl.vehicle.rotors import RotorValues
+from sitl.vehicle.quadrotor import QuadrotorState, RotorValues, resting_state
 from sitl.world.ground import Obstacles, PadBoard, distance_m, reach_m, rotor_ratios, thrust_ratio
 from sitl.world.score import judge
 from sitl.world.wind import shear
@@ -87,7 +86,7 @@ def test_starts_on_the_pad_when_the_pad_is_at_home() -> None:
 @pytest.mark.parametrize("field", ["velocity_ned_m_s", "rate_body_rad_s"])
 def test_what_moves_at_no_number_is_not_at_rest(field: str) -> None:
     world = run(World(scenario(pad=pad_at(0.0, 0.0, 0.3)), 0), 0.5)
-    world._state = replace(world._state, **{field: (0.0, math.nan, 0.0)})  # type: ignore[arg-type]
+    world.state = replace(world.state, **{field: (0.0, math.nan, 0.0)})  # type: ignore[arg-type]
     assert not world.at_rest_on_pad
 
 

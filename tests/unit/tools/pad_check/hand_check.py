@@ -23,7 +23,7 @@ from companion.tools.pad_check.session import Outlets, PadCheck
 from companion.tools.pad_check.wizard import Report, Say
 from sitl.run.in_process import carried
 from sitl.scenario.scenario import Scenario
-from sitl.vehicle.hand_motion import HandMotion
+from sitl.vehicle import HandMotion
 from tests.virtual_time import in_virtual_time
 
 SEED = 3

@@ -6,8 +6,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.autopilot_kind import AutopilotKind
-from sitl.autopilot.flight.fence import Fence, FenceCommand
-from sitl.autopilot.flight.mission_items import ItemFrame, MissionItem, MissionResult
+from sitl.autopilot.flight.mission_items import Fence, FenceCommand, ItemFrame, MissionItem, MissionResult
 from tests.unit.sitl.autopilot.missions.mission_desk import Station, item
 
 BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])

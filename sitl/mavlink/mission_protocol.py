@@ -11,14 +11,14 @@ Source: mavlink.io's mission protocol; results and time-outs as in `MissionRules
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
-
-from pymavlink.dialects.v20 import common as mavlink
+from typing import Final
 
 from companion.base.geometry import Vector3
-from sitl.autopilot.flight.fence import FENCE_COMMANDS, Fence
+from companion.link.codec import Message, mavlink
 from sitl.autopilot.flight.mission_items import (
+    FENCE_COMMANDS,
     PLACES,
+    Fence,
     ItemFrame,
     MissionItem,
     MissionResult,
@@ -27,7 +27,6 @@ from sitl.autopilot.flight.mission_items import (
 )
 from sitl.autopilot.flight.modes import Severity
 
-Message = Any  # pymavlink's classes are generated without types
 Partner = tuple[int, int]
 
 _MISSION: Final = mavlink.MAV_MISSION_TYPE_MISSION
@@ -246,8 +245,12 @@ class MissionProtocol:
         frame: int = item.frame
         if integers and self._store.rules.asks_for_integers:
             frame = _INTEGER_FRAMES.get(frame, frame)
-        place = (m.seq, m.mission_type)
-        return [message_from_item(item, _sender(m), place, (frame, current), integers=integers)]
+        kind, x, y = mavlink.MAVLink_mission_item_message, item.x, item.y
+        if integers:
+            scale = 1.0 / _DEGREES_E7 if item.command in _IN_DEGREES else 1.0
+            kind, x, y = mavlink.MAVLink_mission_item_int_message, _int32(x * scale), _int32(y * scale)
+        flags = (frame, item.command, int(current), int(item.autocontinue))
+        return [kind(*_sender(m), m.seq, *flags, *item.parameters, x, y, item.z, m.mission_type)]
 
     def _others(self, mission_type: int) -> list[MissionItem]:
         return self._fence.items if mission_type == _FENCE else []
@@ -292,29 +295,6 @@ def item_from_message(m: Message) -> MissionItem:
         y,
         m.z,
         bool(m.autocontinue),
-    )
-
-
-def message_from_item(
-    item: MissionItem,
-    to: Partner,
-    place: tuple[int, int],
-    frame_and_current: tuple[int, bool],
-    *,
-    integers: bool,
-) -> Message:
-    """MISSION_ITEM_INT or MISSION_ITEM: number and MAV_MISSION_TYPE, MAV_FRAME and the current flag."""
-    seq, mission_type = place
-    frame, current = frame_and_current
-    flags = (frame, item.command, int(current), int(item.autocontinue))
-    if not integers:
-        return mavlink.MAVLink_mission_item_message(
-            *to, seq, *flags, *item.parameters, item.x, item.y, item.z, mission_type
-        )
-    scale = 1.0 / _DEGREES_E7 if item.command in _IN_DEGREES else 1.0
-    x, y = (_int32(value * scale) for value in (item.x, item.y))
-    return mavlink.MAVLink_mission_item_int_message(
-        *to, seq, *flags, *item.parameters, x, y, item.z, mission_type
     )
 
 

@@ -9,21 +9,11 @@ import math
 import struct
 import zlib
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Final
 
-from pymavlink.dialects.v20 import common as mavlink
-
+from companion.link.codec import Message, mavlink
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.autopilot.flight.modes import Severity
-
-# ---------------------------------------------------------------- file protocols
-# Logs and files of an autopilot that has none, sans I/O: clients learn that at once instead of waiting.
-#
-# LOG_REQUEST_LIST is answered with an empty list, LOG_REQUEST_DATA with no bytes. A request of MAVLink FTP is
-# answered with a NAK: no such file, or, for what would write, a protected one. Source: mavlink.io, MAVLink
-# FTP.
-
-Message = Any  # pymavlink's classes are generated without types
 
 HASH_NAME: Final = "_HASH_CHECK"
 _BURST: Final = 20
@@ -139,6 +129,13 @@ class ParameterProtocol:
 def _text(value: str | bytes) -> str:
     return value if isinstance(value, str) else value.decode("ascii", "replace")
 
+
+# ---------------------------------------------------------------- file protocols
+# Logs and files of an autopilot that has none, sans I/O: clients learn that at once instead of waiting.
+#
+# LOG_REQUEST_LIST is answered with an empty list, LOG_REQUEST_DATA with no bytes. A request of MAVLink FTP is
+# answered with a NAK: no such file, or, for what would write, a protected one. Source: mavlink.io, MAVLink
+# FTP.
 
 # sequence, session, opcode, size, requested opcode, end of a burst, padding, offset
 _HEADER: Final = struct.Struct("<HBBBBBBI")
