@@ -22,10 +22,9 @@ from companion.base.errors import DeviceMissing
 from companion.config import CameraConfig, CompanionConfig, LinkConfig, RangeConfig, find_file, load_model
 from companion.control.setpoints import resolved
 from companion.link.actions.actions import PymavlinkActions, VehicleActions
-from companion.link.inbox import memory_pair
 from companion.link.session import Session
 from companion.link.signing import LinkSigning, signing_of
-from companion.link.transport import Transport, open_transport
+from companion.link.transport import Transport, memory_pair, open_transport
 from companion.sense.camera.source import FrameSource, keep_camera
 from companion.sense.imu.i2c import RegisterBus, open_bus
 from companion.sense.range.echo_pins import EchoPins

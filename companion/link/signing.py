@@ -21,9 +21,9 @@ EPOCH_UNIX_S: Final = 1_420_070_400
 STAMPS_PER_S: Final = 100_000
 NEW_STREAM_MAY_LAG_S: Final = 60  # the protocol's own
 _NEW_STREAM_MAY_LAG: Final = NEW_STREAM_MAY_LAG_S * STAMPS_PER_S
-_MARKER: Final = 0xFD
-_SIGNED_FLAG: Final = 0x01
-_SIGNATURE_BYTES: Final = 13  # link id, six bytes of stamp, six of the hash
+V2_MARKER: Final = 0xFD
+SIGNED_FLAG: Final = 0x01
+SIGNATURE_BYTES: Final = 13  # link id, six bytes of stamp, six of the hash
 _HASH_BYTES: Final = 6
 _LAST_STAMP: Final = (1 << 48) - 1
 _OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO
@@ -76,7 +76,7 @@ class LinkSigning:
 
     def is_right(self, frame: bytes | bytearray) -> bool:
         """Whether whoever sent this whole frame has the key, now or at any time before."""
-        if frame[0] != _MARKER or not frame[2] & _SIGNED_FLAG:
+        if frame[0] != V2_MARKER or not frame[2] & SIGNED_FLAG:
             return False
         found = hashlib.sha256(self._secret + bytes(frame[:-_HASH_BYTES])).digest()[:_HASH_BYTES]
         return hmac.compare_digest(found, bytes(frame[-_HASH_BYTES:]))
@@ -100,11 +100,11 @@ class LinkSigning:
 
 
 def _stamp_of(frame: bytes | bytearray) -> int:
-    return int.from_bytes(frame[1 - _SIGNATURE_BYTES : -_HASH_BYTES], "little")
+    return int.from_bytes(frame[1 - SIGNATURE_BYTES : -_HASH_BYTES], "little")
 
 
 def _stream_of(frame: bytes | bytearray) -> tuple[int, int, int]:
-    return frame[-_SIGNATURE_BYTES], frame[5], frame[6]
+    return frame[-SIGNATURE_BYTES], frame[5], frame[6]
 
 
 def stamp_from_unix(unix_s: float) -> int:

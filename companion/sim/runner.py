@@ -26,9 +26,8 @@ from companion.base.messages import Phase
 from companion.base.signals import run_until_stopped, stopping_on_signals
 from companion.config import CompanionConfig, merge, validate
 from companion.flightlog.record import FlightLog
-from companion.link.inbox import MemoryTransport, memory_pair
 from companion.link.signing import signing_of
-from companion.link.transport import Transport
+from companion.link.transport import MemoryTransport, Transport, memory_pair
 from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.trial import Trial
 from sitl.firmware import FirmwareError

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.link.dialect import CURRENT_MODE
+from companion.link.codec import CURRENT_MODE
 from sitl.mavlink.framing import dialect
 
 mavlink: Any = dialect

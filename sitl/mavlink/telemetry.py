@@ -11,7 +11,7 @@ from typing import Any, Final
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Vector3, euler_from_quat, norm
 from companion.base.messages import LandedState
-from companion.link.dialect import CURRENT_MODE, CurrentMode
+from companion.link.codec import CURRENT_MODE, CurrentMode
 from sitl.autopilot.control.position_control import tilt_cosine
 from sitl.autopilot.control.setpoints import AttitudeSetpoint
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot

@@ -15,8 +15,7 @@ from companion.base.clock import Clock
 from companion.base.geometry import Vector3
 from companion.base.messages import Action, ActionKind, ActionResult, AutopilotSetup
 from companion.config import LinkConfig
-from companion.link.actions.dialogue import Dialogue
-from companion.link.actions.performing import Handler, Performances, Refused, Unanswered
+from companion.link.actions.dialogue import Dialogue, Handler, Performances, Refused, Unanswered
 from companion.link.autopilot_setup import loss_refusal
 from companion.link.codec import mavlink
 from companion.link.commands import request_message

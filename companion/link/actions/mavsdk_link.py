@@ -28,7 +28,7 @@ from companion.base.clock import Clock
 from companion.base.messages import Action, ActionKind, ActionResult
 from companion.config import ConfigError, LinkConfig
 from companion.link.actions.actions import PymavlinkActions
-from companion.link.actions.performing import Handler, Performances, Refused
+from companion.link.actions.dialogue import Handler, Performances, Refused
 from companion.link.codec import has_command
 from companion.link.session import Session
 

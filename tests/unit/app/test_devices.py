@@ -26,7 +26,7 @@ from companion.config import CameraConfig, CompanionConfig, SenseConfig, Vehicle
 from companion.config.reading import validate
 from companion.flightlog.record import FlightLog
 from companion.link.codec import Severity
-from companion.link.inbox import memory_pair
+from companion.link.transport import memory_pair
 from companion.pad import load_pad
 from companion.sense.camera.health import patience_with
 from companion.sense.camera.keeper import KeptCamera, LiveSource
