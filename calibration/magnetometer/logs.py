@@ -31,7 +31,7 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import vector3
 from companion.base.messages import GpsFix, ImuSample, MagSample
 from companion.config import CompanionConfig, ConfigError
-from companion.config.magnetometer import load_magnetometer_calibration
+from companion.config.calibration import load_magnetometer_calibration
 from companion.flightlog.replay.dataflash import DataFlashLog
 from companion.flightlog.replay.flight_record import RecordingPlace
 from companion.flightlog.replay.mcap_log import read_mcap

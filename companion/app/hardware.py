@@ -1,24 +1,21 @@
 """What the app is plugged into: opening the ports, buses and cameras that the settings name."""
 
-from collections.abc import AsyncIterator, Callable
-from contextlib import ExitStack, asynccontextmanager, closing
+import errno
+import hashlib
+import os
+import socket
+import struct
+import sys
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import ExitStack, asynccontextmanager, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import cast
+from typing import Final, Generic, Protocol, TypeVar, cast
 
-from companion.app.devices import (
-    AwaitedBus,
-    AwaitedPort,
-    AwaitedTransport,
-    ClosableBus,
-    SerialLine,
-    opened_if_there,
-)
-from companion.app.service.autopilot_lock import only_app_at
 from companion.app.service.stamp_file import StampFile
 from companion.base.clock import Clock, unix_time_s
-from companion.base.errors import DeviceMissing
+from companion.base.errors import ConfigError, DeviceMissing
 from companion.config import CameraConfig, CompanionConfig, LinkConfig, RangeConfig, find_file, load_model
 from companion.control.setpoints import resolved
 from companion.link.actions.actions import PymavlinkActions, VehicleActions
@@ -30,6 +27,233 @@ from companion.sense.imu.i2c import RegisterBus, open_bus
 from companion.sense.range.echo_pins import EchoPins
 from companion.sense.range.ultrasonic import RANGE_BAUD
 from companion.sense.serial_port import SerialPort
+
+# ---------------------------------------------------------------- devices that may not be there yet
+# At boot a Raspberry Pi starts the app before every port is there, and an autopilot may be powered later.
+# What reads a device that is missing raises OSError; its task is started again and again (`supervision`),
+# which is what tries to open it. What is written meanwhile is dropped.
+
+
+class Closable(Protocol):
+    """Anything that is given back."""
+
+    def close(self) -> None:
+        """Give it back."""
+
+
+class ReadableLine(Closable, Protocol):
+    """What bytes come from."""
+
+    async def read(self) -> bytes: ...
+
+
+class SerialLine(ReadableLine, Protocol):
+    """A serial line whose rate can be changed: `companion.sense.serial_port.SerialPort`."""
+
+    def write(self, data: bytes) -> None: ...
+    def set_baud(self, baud: int) -> None: ...
+
+
+class ClosableBus(RegisterBus, Closable, Protocol):
+    """A register bus that is given back."""
+
+
+D = TypeVar("D", bound=Closable)
+L = TypeVar("L", bound=ReadableLine)
+
+
+class _Awaited(Generic[D]):
+    """A device while it is there."""
+
+    def __init__(self, device: D | None) -> None:
+        self._device = device
+
+    def close(self) -> None:
+        """Give it back, if it is there."""
+        if self._device is not None:
+            device, self._device = self._device, None
+            with suppress(OSError):
+                device.close()
+
+
+@contextmanager
+def _not_there() -> Iterator[None]:
+    """What cannot be opened is an error of the device, not of the settings."""
+    try:
+        yield
+    except ConfigError as error:
+        raise OSError(str(error)) from error
+
+
+class _AwaitedLine(_Awaited[L]):
+    """A line that is read as bytes come; `open_line` raises ConfigError while it cannot be opened."""
+
+    def __init__(self, device: L | None, open_line: Callable[[], Awaitable[L]]) -> None:
+        super().__init__(device)
+        self._open = open_line
+
+    async def read(self) -> bytes:
+        """Wait for bytes.
+
+        Raises:
+            OSError: it is not there, or has gone.
+        """
+        if self._device is None:
+            with _not_there():
+                self._device = await self._open()
+        try:
+            return await self._device.read()
+        except OSError:
+            self.close()
+            raise
+
+
+class AwaitedPort(_AwaitedLine[SerialLine]):
+    """A serial port to a sensor; `open_port` raises ConfigError while it cannot be opened."""
+
+    def __init__(self, device: SerialLine | None, open_port: Callable[[], SerialLine]) -> None:
+        async def opened() -> SerialLine:
+            return open_port()
+
+        super().__init__(device, opened)
+
+    def write(self, data: bytes) -> None:
+        """Send; dropped while it is not there."""
+        if self._device is not None:
+            try:
+                self._device.write(data)
+            except OSError:
+                self.close()
+
+    def set_baud(self, baud: int) -> None:
+        """Change the rate of a port that is there."""
+        if self._device is not None:
+            try:
+                self._device.set_baud(baud)
+            except OSError:
+                self.close()
+
+
+class AwaitedBus(_Awaited[ClosableBus]):
+    """A register bus; `open_bus` raises ConfigError while it cannot be opened."""
+
+    def __init__(self, device: ClosableBus | None, open_bus: Callable[[], ClosableBus]) -> None:
+        super().__init__(device)
+        self._open = open_bus
+
+    def read(self, address: int, register: int, length: int) -> bytes:
+        """See `RegisterBus`; OSError while it is not there."""
+        with self._opened() as bus:
+            return bus.read(address, register, length)
+
+    def write(self, address: int, register: int, value: int) -> None:
+        """See `RegisterBus`; OSError while it is not there."""
+        with self._opened() as bus:
+            bus.write(address, register, value)
+
+    @contextmanager
+    def _opened(self) -> Iterator[ClosableBus]:
+        """The bus for one transaction; an adapter that was unplugged is opened anew for the next."""
+        if self._device is None:
+            with _not_there():
+                self._device = self._open()
+        try:
+            yield self._device
+        except OSError as error:
+            if error.errno == errno.ENODEV:
+                self.close()
+            raise
+
+
+class AwaitedTransport(_AwaitedLine[Transport]):
+    """The line to the autopilot."""
+
+    def write(self, data: bytes) -> None:
+        """See `Transport`; dropped while it is not there."""
+        if self._device is not None:
+            self._device.write(data)
+
+
+def opened_if_there(open_device: Callable[[], D], *, waits: bool) -> D | None:
+    """A device, or None when it is missing and may be waited for.
+
+    Raises:
+        ConfigError: it cannot be opened, for a reason that does not pass by itself, or may not be waited for.
+    """
+    try:
+        return open_device()
+    except DeviceMissing:
+        if waits:
+            return None
+        raise
+
+
+# ---------------------------------------------------------------- one app at an autopilot
+# Two of them would both answer orders and send setpoints, as one component, and neither would know. A serial
+# port can be had by one process alone, but a UDP or TCP address by many. So the one that flies holds a name,
+# made of the address, in Linux's abstract namespace of sockets: it belongs to no user and no folder, and it
+# is gone with the process that holds it, however that ends (unix(7)). Elsewhere than on Linux nothing is
+# held.
+
+ANOTHER: Final = "another companion"
+# nobody takes their calls: so many are told which process it is, the others that there is one
+ASKED: Final = 100
+_CREDENTIALS: Final = struct.Struct("3i")  # struct ucred: process, user, group
+
+
+@contextmanager
+def only_app_at(connection: str) -> Iterator[None]:
+    """Hold the line to the autopilot while inside.
+
+    Raises:
+        ConfigError: another app on this machine holds it.
+    """
+    if sys.platform != "linux":
+        yield
+        return
+    name = _name(connection)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as held:
+        try:
+            held.bind(name)
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise
+            raise ConfigError(
+                f"link.connection {connection}: {_holder(name) or ANOTHER} is at this autopilot; "
+                "expected it to be stopped ('systemctl stop companion', if it is the service)"
+            ) from None
+        held.listen(ASKED)  # so that who is refused can ask who is there
+        yield
+
+
+def app_at(connection: str) -> str | None:
+    """Which app on this machine is at this autopilot, in words; None: none. Nothing is held by asking."""
+    return _holder(_name(connection)) if sys.platform == "linux" else None
+
+
+def _name(connection: str) -> str:
+    """A name of fixed length, the same for all paths of one device."""
+    kind, _, rest = connection.partition(":")
+    if kind == "serial":
+        path, _, _ = rest.rpartition(":")
+        connection = f"serial:{os.path.realpath(path)}"
+    return f"\0companion-{hashlib.sha256(connection.encode()).hexdigest()[:32]}"
+
+
+def _holder(name: str) -> str | None:
+    """Who holds it, as far as the kernel tells; None: nobody."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
+        asking.setblocking(False)
+        try:
+            asking.connect(name)
+        except BlockingIOError:
+            return ANOTHER
+        except OSError:
+            return None
+        credentials = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    process, _, _ = _CREDENTIALS.unpack(credentials)
+    return f"{ANOTHER} (process {process})" if process > 0 else ANOTHER
+
 
 ActionsFactory = Callable[[Session, Callable[[bytes], None], Clock, CompanionConfig], VehicleActions]
 

@@ -1,15 +1,18 @@
-"""The second sources' newest comparisons, from where they are measured, and what is announced of them."""
+"""What is announced of the second sources' comparisons; and, once a second, what the estimator uses."""
 
+import asyncio
 from collections.abc import Iterator
+from typing import Final
 
 from companion.app.sensing import Notify
-from companion.base.clock import unix_time_s
+from companion.base.clock import Clock, unix_time_s
 from companion.base.geometry import Vector3
 from companion.base.magnetic_field import compare_declination
-from companion.base.messages import Quantity, SourceComparison
+from companion.base.messages import EstimatorInputs, LandedState, Quantity, SourceComparison
 from companion.base.second_sources import announced
 from companion.config import EstimateConfig, VehicleConfig
 from companion.estimate.estimator import StateEstimator
+from companion.flightlog.record import FlightLog
 from companion.link.session import Session
 from companion.plan.landing.standing_height import StandingHeight
 
@@ -74,3 +77,37 @@ class SourceWatch:
         if line is not None and self._session.timesync.settled:
             apart = 100.0 * abs(line.rate)
             yield SourceComparison(line.at_s, Quantity.CLOCK_RATE, "1", f"{1.0 + line.rate:.4f}", apart, 0.0)
+
+
+# ---------------------------------------------------------------- the estimator's inputs
+
+PERIOD_S: Final = 1.0
+
+
+class EstimateWatch:
+    """`run` is a task of the app's."""
+
+    def __init__(
+        self,
+        estimator: StateEstimator,
+        session: Session,
+        log: FlightLog,
+        clock: Clock,
+        notify: Notify,
+    ) -> None:
+        self._estimator, self._session, self._log = estimator, session, log
+        self._clock, self._notify = clock, notify
+
+    async def run(self) -> None:
+        while True:
+            await asyncio.sleep(PERIOD_S)
+            self.look(self._clock.now_s())
+
+    def look(self, now_s: float) -> None:
+        """Log the counts; an estimate that refuses all of an input starts again where nothing flies by it."""
+        self._log.write("estimator_inputs", EstimatorInputs(now_s, self._estimator.tally.uses()), now_s)
+        autopilot = self._session.state
+        if autopilot.armed or autopilot.landed is not LandedState.ON_GROUND:
+            return
+        if (words := self._estimator.recover(now_s)) is not None:
+            self._notify("estimate", words, "warning")

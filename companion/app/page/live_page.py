@@ -15,8 +15,7 @@ from companion.app.page.access import Access, read_access
 from companion.app.page.feed import LiveFeed
 from companion.app.page.look import Reply, Start, Text
 from companion.app.page.process import Line, PageProcess
-from companion.app.service.computer_status import ComputerWatch, throttled
-from companion.app.service.state_report import state_report
+from companion.app.service.state_report import ComputerWatch, state_report, throttled
 from companion.app.supervision import supervised
 from companion.base.clock import Clock, start_unix_s
 from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply

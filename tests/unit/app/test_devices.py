@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 from companion.app import hardware
-from companion.app.devices import AwaitedBus, AwaitedPort, AwaitedTransport, opened_if_there
-from companion.app.hardware import Hardware
+from companion.app.hardware import AwaitedBus, AwaitedPort, AwaitedTransport, Hardware, opened_if_there
 from companion.app.sensing import Sensing
 from companion.app.supervision import supervised
 from companion.base.clock import Clock

@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from companion.app.target_output import OLDEST_S, TargetOutput
+from companion.app.stages import OLDEST_S, TargetOutput
 from companion.base.geometry import IDENTITY
 from companion.base.messages import AutopilotState, LandingTargetPose, PadSighting, PadState, VehicleState
 from companion.config import ControlConfig

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from companion.app.missions import MOST_WAITING, TOO_MANY, OrderDesk
 from companion.app.service import computer_status
 from companion.app.service.commands import _machine
-from companion.app.service.computer_status import ComputerStatus, ComputerWatch, ground_report
-from companion.app.service.order_desk import MOST_WAITING, TOO_MANY, OrderDesk
-from companion.base.message_schema import schema_of
+from companion.app.service.state_report import ComputerStatus, ComputerWatch, ground_report
+from companion.base.message_json import schema_of
 from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply, Phase, Refusal
 from companion.config import CONFIG_FOLDER, LinkConfig
 from companion.link.codec import Codec, mavlink
