@@ -37,7 +37,7 @@ from companion.flightlog.replay.flight_record import RecordingPlace
 from companion.flightlog.replay.mcap_log import read_mcap
 from companion.flightlog.replay.ulog import read_ulog
 from companion.link.codec import Codec, Message, is_autopilot_heartbeat, mavlink
-from companion.link.parameters import reported_value
+from companion.link.commands import reported_value
 from companion.link.telemetry.autopilot_sensors import IMU_MESSAGES, imu_sample, mag_sample, stamp_s
 from companion.link.telemetry.telemetry import AUTOPILOT_KINDS
 

@@ -13,7 +13,7 @@ A mission is one planner's; an app that stays goes back to standby after it, wit
 import asyncio
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from typing import Final
@@ -21,10 +21,9 @@ from typing import Final
 from companion.app.hardware import ActionsFactory, Hardware
 from companion.app.missions import Announcer, Missions
 from companion.app.pacing import LoopMonitor
-from companion.app.sensing import forced_calibrations
+from companion.app.sensing import Notify, forced_calibrations
 from companion.app.service.systemd import ServiceNotifier
 from companion.app.stages import STANDBY_WORDS, build_stages
-from companion.app.supervision import failure_words, supervised
 from companion.base.autopilots import PROFILES
 from companion.base.clock import Clock, handing_over_soon, infrequent_collection
 from companion.base.messages import (
@@ -51,6 +50,61 @@ from companion.link.actions.actions import VehicleActions
 from companion.link.autopilot_setup import loss_warnings
 from companion.link.streams import THRUST_RATES_HZ
 from companion.plan.planner import PlanInputs
+
+# ---------------------------------------------------------------- tasks that fail
+
+# long enough that a task which fails at once costs nothing, short beside what a flight survives without it
+RESTART_PAUSE_S: Final = 1.0
+# what has failed is back once it has run for this long
+BACK_AFTER_S: Final = 2.0
+
+
+async def supervised(
+    name: str, work: Callable[[], Awaitable[None]], notify: Notify, on_ground: Callable[[], bool]
+) -> None:
+    """Run a task; each time it fails, report that and start it again after `RESTART_PAUSE_S`.
+
+    Meanwhile the planner knows what a flight without that device may still do. An internal fault is treated
+    alike: better no GPS than no control. The same failure in a row is reported once, and so is its end.
+
+    Raises:
+        ConfigError: something the user can correct, while the vehicle is still on the ground.
+    """
+    failures, reported = 0, ""
+
+    def say_back() -> None:
+        nonlocal reported
+        reported = ""
+        notify("device_back", f"{name} is back", "info")
+
+    while True:
+        back = asyncio.get_running_loop().call_later(BACK_AFTER_S, say_back) if reported else None
+        try:
+            return await work()
+        except ConfigError as error:
+            if on_ground():
+                raise
+            text = str(error)
+        except Exception as error:
+            text = failure_words(error)
+        finally:
+            if back is not None:
+                back.cancel()
+        failures += 1
+        if text != reported:
+            again = "" if failures == 1 else f" (failure {failures})"
+            notify("device_lost", f"{name} lost: {text}{again}", "error")
+            reported = text
+        await asyncio.sleep(RESTART_PAUSE_S)
+
+
+def failure_words(error: Exception) -> str:
+    """What a person reads of it; the operating system's errors without their number."""
+    if not isinstance(error, OSError):
+        return f"{type(error).__name__}: {error}"
+    reason = error.strerror or str(error)
+    return reason if error.filename is None else f"{error.filename}: {reason}"
+
 
 # ---------------------------------------------------------------- what the terminal shows
 

@@ -1,7 +1,9 @@
 """What the app is plugged into: opening the ports, buses and cameras that the settings name."""
 
+import asyncio
 import errno
 import hashlib
+import json
 import os
 import socket
 import struct
@@ -11,22 +13,117 @@ from contextlib import ExitStack, asynccontextmanager, closing, contextmanager, 
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final, Generic, Protocol, TypeVar, cast
+from typing import Final, Generic, Protocol, TypeVar
 
-from companion.app.service.stamp_file import StampFile
 from companion.base.clock import Clock, unix_time_s
 from companion.base.errors import ConfigError, DeviceMissing
+from companion.base.files import cannot_read, write_durably
 from companion.config import CameraConfig, CompanionConfig, LinkConfig, RangeConfig, find_file, load_model
 from companion.control.setpoints import resolved
 from companion.link.actions.actions import PymavlinkActions, VehicleActions
 from companion.link.session import Session
-from companion.link.signing import LinkSigning, signing_of
+from companion.link.signing import NEW_STREAM_MAY_LAG_S, LinkSigning, signing_of
 from companion.link.transport import Transport, memory_pair, open_transport
 from companion.sense.camera.source import FrameSource, keep_camera
 from companion.sense.imu.i2c import RegisterBus, open_bus
 from companion.sense.range.echo_pins import EchoPins
 from companion.sense.range.ultrasonic import RANGE_BAUD
 from companion.sense.serial_port import SerialPort
+
+# ---------------------------------------------------------------- the signatures' last stamp
+# On disk, so that what was accepted before a restart is not again. A frame that was recorded and is sent
+# again would be as good as new to a process that has just started: for a minute, and on a computer whose
+# clock is behind for as long as that is. The file is written at each order and each new stream of the link,
+# once a minute, and at the end.
+
+STAMP_FILE_NAME: Final = "signing.json"
+
+
+@dataclass(frozen=True, slots=True)
+class StampFile:
+    """The file in a folder, which is made."""
+
+    folder: Path
+
+    @property
+    def path(self) -> Path:
+        return self.folder / STAMP_FILE_NAME
+
+    def read(self) -> int:
+        """The last stamp; 0: there is none.
+
+        Raises:
+            ConfigError: there is a file, and it cannot be read or says something else.
+        """
+        try:
+            stamp = json.loads(self.path.read_text(encoding="utf-8"))["stamp"]
+        except FileNotFoundError:
+            return 0
+        except OSError as error:
+            raise cannot_read(self.path, error) from error
+        except (ValueError, KeyError, TypeError):
+            stamp = None
+        if not isinstance(stamp, int) or stamp < 0:
+            raise ConfigError(
+                f"{self.path}: unreadable; expected the link's last signing stamp. Where the clock is right, "
+                "the file may be deleted"
+            )
+        return stamp
+
+    def write(self, stamp: int) -> None:
+        """Keep a stamp.
+
+        Raises:
+            ConfigError: it cannot be written.
+        """
+        write_durably(self.path, json.dumps({"stamp": stamp}))
+
+
+class StampKeeper:
+    """Writes the link's newest stamp into its file while the app runs; without either it does nothing."""
+
+    def __init__(
+        self, file: StampFile | None, signing: LinkSigning | None, warn: Callable[[str], None]
+    ) -> None:
+        self._file, self._signing, self._warn = file, signing, warn
+        self._streams = 0
+        self._wanted = asyncio.Event()
+
+    def note(self, *, ordered: bool) -> None:
+        """Bytes were received: keep the stamp soon where they held an order, or began a stream."""
+        if self._signing is None:
+            return
+        if ordered or self._signing.streams != self._streams:
+            self._streams = self._signing.streams
+            self._wanted.set()
+
+    async def run(self) -> None:
+        """Keep it from time to time, and at the end. On a disk that is full it goes on with a warning."""
+        if self._file is None or self._signing is None:
+            return
+        try:
+            while True:
+                self._tell(await asyncio.to_thread(self._kept))
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(self._wanted.wait(), NEW_STREAM_MAY_LAG_S)
+                self._wanted.clear()
+        finally:
+            self._tell(self._kept())
+
+    def _kept(self) -> str:
+        """Why it could not be kept; "" when it was."""
+        assert self._file is not None
+        assert self._signing is not None
+        try:
+            self._file.write(self._signing.stamp)
+        except ConfigError as error:
+            return str(error)
+        return ""
+
+    def _tell(self, problem: str) -> None:
+        if problem:
+            self._warn(f"{problem}; recorded orders could be sent again after a restart")
+
 
 # ---------------------------------------------------------------- devices that may not be there yet
 # At boot a Raspberry Pi starts the app before every port is there, and an autopilot may be powered later.
@@ -174,18 +271,16 @@ class AwaitedTransport(_AwaitedLine[Transport]):
             self._device.write(data)
 
 
-def opened_if_there(open_device: Callable[[], D], *, waits: bool) -> D | None:
-    """A device, or None when it is missing and may be waited for.
+def opened_if_there(open_device: Callable[[], D]) -> D | None:
+    """A device, or None when it is missing.
 
     Raises:
-        ConfigError: it cannot be opened, for a reason that does not pass by itself, or may not be waited for.
+        ConfigError: it cannot be opened, for a reason that does not pass by itself.
     """
     try:
         return open_device()
     except DeviceMissing:
-        if waits:
-            return None
-        raise
+        return None
 
 
 # ---------------------------------------------------------------- one app at an autopilot
@@ -315,24 +410,22 @@ async def open_hardware(
 
 async def _open_line(config: LinkConfig, signing: LinkSigning | None, *, waits: bool) -> Transport:
     open_line = partial(open_transport, config.connection, config.system_id, signing)
+    if not waits:
+        return await open_line()
     try:
-        line = await open_line()
+        return AwaitedTransport(await open_line(), open_line)
     except DeviceMissing:
-        if not waits:
-            raise
-        line = None
-    return AwaitedTransport(line, open_line) if waits else cast(Transport, line)
+        return AwaitedTransport(None, open_line)
 
 
 def _open_bus(spec: str, *, waits: bool) -> ClosableBus:
-    bus = opened_if_there(partial(open_bus, spec), waits=waits)
-    return AwaitedBus(bus, partial(open_bus, spec)) if waits else cast(ClosableBus, bus)
+    opened = partial(open_bus, spec)
+    return AwaitedBus(opened_if_there(opened), opened) if waits else opened()
 
 
 def _open_port(path: str, baud: int, *, waits: bool) -> SerialLine:
     open_port = partial(SerialPort, path, baud)
-    port = opened_if_there(open_port, waits=waits)
-    return AwaitedPort(port, open_port) if waits else cast(SerialLine, port)
+    return AwaitedPort(opened_if_there(open_port), open_port) if waits else open_port()
 
 
 def _open_range_port(config: RangeConfig, *, waits: bool) -> SerialLine | EchoPins:

@@ -33,7 +33,7 @@ from companion.plan.planner import PlanInputs, Planner
 
 # ---------------------------------------------------------------- notices
 
-KEPT: Final = 20
+KEPT_NOTICES: Final = 20
 # the same fault again within it is for the log alone: many a second would crowd out everything else
 REPEATED_S: Final = 2.0
 # what the vehicle is about to do is no fault: it is told each time
@@ -49,7 +49,7 @@ class Announcer:
         self._log_problem_reported = False
         self._notified_once: set[str] = set()
         self._told_s: dict[tuple[str, str, Severity], float] = {}
-        self.recent: deque[Notice] = deque(maxlen=KEPT)
+        self.recent: deque[Notice] = deque(maxlen=KEPT_NOTICES)
 
     def notify(self, kind: str, text: str, severity: Severity) -> None:
         """Tell something that happens now."""

@@ -45,9 +45,7 @@ from companion.config.plan import (
 )
 from companion.config.reading import (
     OPERATOR,
-    Model,
     StrictModel,
-    Vector,
     load_model,
     merge,
     read_yaml,
@@ -67,14 +65,12 @@ from companion.config.service import OrdersConfig, RecordConfig, ServeConfig
 from companion.config.vehicle import (
     ARDUPILOT,
     PX4,
-    AutopilotResponses,
     AxisResponse,
     CameraConfig,
     CaptureConfig,
     Kind,
     KindResponse,
     ModelConfig,
-    Responses,
     VehicleConfig,
 )
 

@@ -116,13 +116,7 @@ MOST_GREYS: Final = 256  # of an image of 8 bits
 
 
 class CaptureConfig(StrictModel):
-    """How a camera takes pictures; all that is known of one before it is calibrated.
-
-    `gain` and `focus` are a factor and dioptres with a Raspberry Pi's camera, the driver's own numbers with
-    V4L2; none: gain is left to the camera, and of the focus only the automatic is switched off.
-    `sensor_mode_px` is the size of the Raspberry Pi sensor's mode that images are scaled from, `pixel_format`
-    the four letters of what a V4L2 camera sends, `stamped_at` the moment of a frame that its driver stamps.
-    """
+    """How a camera takes pictures; all that is known of one before it is calibrated."""
 
     size_is: ClassVar[str] = "the size asked for,"
 
@@ -158,13 +152,7 @@ class CaptureConfig(StrictModel):
 
 
 class CameraConfig(CaptureConfig):
-    """A calibrated camera, as `calibrate-camera` writes it (eqs. 2 and 3).
-
-    `distortion` has OpenCV's order: k1 k2 p1 p2 k3, and for the rational model k4 k5 k6 after them; of a
-    fisheye lens k1 k2 k3 k4 (Kannala and Brandt 2006, as OpenCV's fisheye module has it).
-    `encoding` is how it makes grey values of light: sRGB's curve, in proportion (linear), or the light of
-    evenly spaced grey values, from 0 (black) to 1 (full).
-    """
+    """A calibrated camera, as `calibrate-camera` writes it (eqs. 2 and 3)."""
 
     size_is: ClassVar[str] = "the calibration's"
 

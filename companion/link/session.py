@@ -34,13 +34,14 @@ from companion.link.codec import (
 )
 from companion.link.commands import (
     CommandQueue,
+    ParameterRequest,
+    ParameterRequests,
     Pending,
     VehicleCommand,
     request_message,
     set_message_interval,
 )
 from companion.link.orders import ORDER_MESSAGES, OrderListener
-from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.link.signing import LinkSigning
 from companion.link.streams import (
     HEARD,
@@ -420,11 +421,11 @@ class Session:
 
     def read_parameter(self, name: str) -> ParameterRequest:
         """Ask for a parameter; `tick` sends it while the autopilot is connected."""
-        return self._request_parameter(ParameterRequest(name))
+        return self._parameters.submit(ParameterRequest(name))
 
     def set_parameter(self, name: str, value: float) -> ParameterRequest:
         """Set an ArduPilot's integer parameter, likewise."""
-        return self._request_parameter(ParameterRequest(name, wanted=value))
+        return self._parameters.submit(ParameterRequest(name, wanted=value))
 
     def withdraw(self, pending: Pending | ParameterRequest) -> None:
         """Stop repeating what is no longer waited for."""
@@ -432,10 +433,6 @@ class Session:
             self._parameters.withdraw(pending)
         else:
             self._commands.withdraw(pending)
-
-    def _request_parameter(self, request: ParameterRequest) -> ParameterRequest:
-        self._parameters.submit(request)
-        return request
 
     def _watch_connection(self, now_s: float) -> None:
         """Forget, at a loss, all that may have changed unseen; mode and armed stay as last received.

@@ -18,8 +18,7 @@ from companion.config import LinkConfig
 from companion.link.actions.dialogue import Dialogue, Handler, Performances, Refused, Unanswered
 from companion.link.autopilot_setup import loss_refusal
 from companion.link.codec import mavlink
-from companion.link.commands import request_message
-from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST
+from companion.link.commands import GUIDED_OPTIONS, THRUST_IS_THRUST, request_message
 from companion.link.session import Session
 
 _SILENT_S: Final = 0.5  # attitudes come many times a second

@@ -14,8 +14,14 @@ from companion.base.clock import Clock
 from companion.base.geometry import Vector3
 from companion.base.messages import Action, ActionResult
 from companion.link.codec import mavlink
-from companion.link.commands import NO_ANSWER, WITHDRAWN, Pending, VehicleCommand, request_message
-from companion.link.parameters import ParameterRequest
+from companion.link.commands import (
+    NO_ANSWER,
+    WITHDRAWN,
+    ParameterRequest,
+    Pending,
+    VehicleCommand,
+    request_message,
+)
 from companion.link.session import Session
 
 # ---------------------------------------------------------------- performing

@@ -25,7 +25,7 @@ from companion.app.pacing import (
     VisionPace,
 )
 from companion.app.pacing import CYCLES as JUDGED_CYCLES
-from companion.app.source_watch import EstimateWatch
+from companion.app.stages import EstimateWatch
 from companion.base.clock import HAND_OVER_S, Clock, run_in_virtual_time
 from companion.base.messages import (
     UNKNOWN_TIMEOUT_S,
