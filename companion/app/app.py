@@ -46,7 +46,7 @@ from companion.control.controller import BLIND_S, Controller
 from companion.control.response.fitting import misfits
 from companion.control.setpoints import resolved
 from companion.flightlog.record import FlightLog
-from companion.link.actions.actions import VehicleActions
+from companion.link.actions.actions import PymavlinkActions
 from companion.link.autopilot_setup import loss_warnings
 from companion.link.streams import THRUST_RATES_HZ
 from companion.plan.planner import PlanInputs
@@ -151,7 +151,7 @@ URGENT: Final = frozenset({ActionKind.HOLD, ActionKind.LAND, ActionKind.DISARM})
 class ActionQueue:
     """The actions waiting and under way; `on_result` receives each result once."""
 
-    def __init__(self, actions: VehicleActions, on_result: Callable[[ActionResult], None]) -> None:
+    def __init__(self, actions: PymavlinkActions, on_result: Callable[[ActionResult], None]) -> None:
         self._actions, self._on_result = actions, on_result
         self._waiting: deque[Action] = deque()
         self._arrived = asyncio.Event()

@@ -20,7 +20,7 @@ from companion.base.errors import ConfigError, DeviceMissing
 from companion.base.files import cannot_read, write_durably
 from companion.config import CameraConfig, CompanionConfig, LinkConfig, RangeConfig, find_file, load_model
 from companion.control.setpoints import resolved
-from companion.link.actions.actions import PymavlinkActions, VehicleActions
+from companion.link.actions.actions import PymavlinkActions
 from companion.link.session import Session
 from companion.link.signing import NEW_STREAM_MAY_LAG_S, LinkSigning, signing_of
 from companion.link.transport import Transport, memory_pair, open_transport
@@ -350,7 +350,7 @@ def _holder(name: str) -> str | None:
     return f"{ANOTHER} (process {process})" if process > 0 else ANOTHER
 
 
-ActionsFactory = Callable[[Session, Callable[[bytes], None], Clock, CompanionConfig], VehicleActions]
+ActionsFactory = Callable[[Session, Callable[[bytes], None], Clock, CompanionConfig], PymavlinkActions]
 
 
 @dataclass(frozen=True, slots=True)
@@ -436,7 +436,7 @@ def _open_range_port(config: RangeConfig, *, waits: bool) -> SerialLine | EchoPi
 
 def make_actions(
     session: Session, send: Callable[[bytes], None], clock: Clock, config: CompanionConfig
-) -> VehicleActions:
+) -> PymavlinkActions:
     """Actions by what `link.actions` names.
 
     Raises:
@@ -452,7 +452,7 @@ def make_actions(
 
 def make_own_actions(
     session: Session, send: Callable[[bytes], None], clock: Clock, config: CompanionConfig
-) -> VehicleActions:
+) -> PymavlinkActions:
     """Actions by our own session whatever is named, for virtual time."""
     return PymavlinkActions(session, send, clock, config.link, attitude_setpoints=_sends_attitudes(config))
 
