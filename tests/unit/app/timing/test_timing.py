@@ -19,12 +19,12 @@ from companion.app.pacing import (
     EARLIEST,
     FRAMES,
     INTERVALS,
+    JUDGED_CYCLES,
     LATEST,
     ControlTimer,
     LoopMonitor,
     VisionPace,
 )
-from companion.app.pacing import CYCLES as JUDGED_CYCLES
 from companion.app.stages import EstimateWatch
 from companion.base.clock import HAND_OVER_S, Clock, run_in_virtual_time
 from companion.base.messages import (
