@@ -58,7 +58,7 @@ COMMANDS: Final = {
         "Order the service to land, fly, stop.",
         "ORDER_HELP",
     ),
-    "permit": Command("companion.app.service.permit:permit_command", "Let the next start of the app fly."),
+    "permit": Command("companion.app.service.latch:permit_command", "Let the next start of the app fly."),
     "report": Command(
         "companion.flightlog.report.command:report_command", "Write a flight's report as one page."
     ),

@@ -46,7 +46,7 @@ from companion.base.messages import Outcome, Phase
 from companion.config import CONFIG_FOLDER
 from companion.flightlog.record import FlightLog
 from companion.link.codec import Codec, mavlink
-from companion.link.inbox import memory_pair
+from companion.link.transport import memory_pair
 from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial

@@ -36,8 +36,8 @@ from companion.base.messages import Action, ActionKind, Setpoint
 from companion.config import ControlConfig, Kind, LinkConfig, VehicleConfig, find_file, load_model
 from companion.control.setpoints import Heading, attitude_setpoint
 from companion.link.actions.actions import PymavlinkActions
-from companion.link.inbox import memory_pair
 from companion.link.session import Session
+from companion.link.transport import memory_pair
 from sitl.firmware.spec import FirmwareSpec
 from sitl.pad.paths import Meeting, StaticMotion
 from sitl.run.in_process import InProcess

@@ -28,7 +28,7 @@ from companion.base.clock import run_in_virtual_time
 from companion.config import CONFIG_FOLDER, merge
 from companion.flightlog.record import FlightLog
 from companion.link.codec import mavlink
-from companion.link.inbox import memory_pair
+from companion.link.transport import memory_pair
 from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial

@@ -24,7 +24,7 @@ from rich.table import Table
 
 from benchmarks.cpu.cpu_watch import CpuWatch
 from benchmarks.report import BenchReport
-from companion.app.status import Status
+from companion.app.app import Status
 from companion.base.clock import start_unix_s
 from companion.base.messages import Outcome, Phase
 from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate

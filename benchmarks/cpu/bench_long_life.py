@@ -29,7 +29,7 @@ from companion.base.messages import Frame
 from companion.config import CONFIG_FOLDER, merge
 from companion.control.controller import Controller
 from companion.flightlog.record import FlightLog
-from companion.link.inbox import memory_pair
+from companion.link.transport import memory_pair
 from companion.plan.planner import Planner
 from companion.sense.vision.opencv import prepare_opencv
 from companion.sim.runner import hardware_of

@@ -28,8 +28,8 @@ from companion.base.messages import VehicleState
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError
 from companion.flightlog.flights_recorder import FlightsRecorder
 from companion.flightlog.record import FlightLog
-from companion.link.inbox import memory_pair
 from companion.link.signing import KEY_BYTES
+from companion.link.transport import memory_pair
 from companion.sense.vision.opencv import prepare_opencv
 from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings

@@ -37,14 +37,13 @@ from companion.config import (
 )
 from companion.link.codec import Codec, mavlink
 from companion.link.session import Session
-from companion.link.signing import LinkSigning, SigningKey
+from companion.link.signing import LinkSigning
 from companion.pad import load_pad
 from companion.plan.speed.fuzzy_rules import load_rules
 from companion.sense.gps.neo6m import Neo6m
 from companion.sense.imu.i2c import SensorError
 from companion.sense.imu.mpu9250 import Mpu9250
-from companion.sense.range.spike_filter import SpikeFilter
-from companion.sense.range.ultrasonic import Ultrasonic
+from companion.sense.range.ultrasonic import SpikeFilter, Ultrasonic
 from companion.sense.range.us100 import Us100
 from sitl.devices.mpu9250 import Ak8963Device, Mpu9250Device
 from sitl.devices.neo6m import nmea, ubx
@@ -459,19 +458,19 @@ def link(rng: random.Random) -> Iterator[None]:
     noise = np.random.default_rng(rng.randrange(2**32))
     while True:
         for kind in ("px4", "ardupilot"):
-            for key in (None, SigningKey(bytes(32), 1)):
+            for secret in (None, bytes(32)):
                 sense = None if rng.random() < 0.5 else SenseConfig()
-                signing = None if key is None else LinkSigning(key)
+                signing = None if secret is None else LinkSigning(secret, 1)
                 session = Session(LinkConfig(), sense, reads_setup=True, signing=signing)
-                yield from _session(session, kind, key, rng, noise)
+                yield from _session(session, kind, secret, rng, noise)
 
 
 def _session(
-    session: Session, kind: str, key: SigningKey | None, rng: random.Random, noise: np.random.Generator
+    session: Session, kind: str, secret: bytes | None, rng: random.Random, noise: np.random.Generator
 ) -> Iterator[None]:
     senders = (Codec(1, 1), Codec(1, 1), Codec(1, 100), Codec(255, 190), Codec(2, 1))
-    if key is not None:
-        senders[0].sign(LinkSigning(key))
+    if secret is not None:
+        senders[0].sign(LinkSigning(secret, 1))
     now_s, line = 100.0, b""
     for _ in range(NEW_AFTER):
         now_s += rng.choice((0.001, 0.01, 0.05, 0.5))

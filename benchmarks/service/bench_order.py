@@ -44,7 +44,7 @@ NEEDS: Final = "the machine to itself"
 WATCHED_S: Final = 4.0  # until the minute is written, which takes 3 s
 FLOWN_S: Final = 20.0
 LATE_MS: Final = 20.0
-# a cycle that follows the camera lasts so many periods at most: see `companion.app.timing.control_timer`
+# a cycle that follows the camera lasts so many periods at most: see `companion.app.pacing`
 LONGEST_CYCLE: Final = 1.4
 CONTROL_HZ: Final = 30.0
 IMU_GAP: Final = 1.5  # of the usual step: a sample is missing

@@ -30,7 +30,7 @@ from companion.base.clock import start_unix_s
 from companion.base.files import must_be_writable, write_atomically
 from companion.base.signals import run_until_stopped
 from companion.config import CompanionConfig, ConfigError, load_config
-from companion.config.magnetometer import Sensor
+from companion.config.calibration import Sensor
 
 PROGRAM: Final = "calibrate-magnetometer"
 PICTURE_KINDS: Final = (".png", ".pdf", ".svg")

@@ -22,8 +22,7 @@ from companion.base.geometry import FloatArray
 from companion.base.messages import ImuSample, MagSample
 from companion.config import ConfigError, ImuConfig
 from companion.link.codec import Codec, heartbeat, mavlink
-from companion.link.commands import set_message_interval
-from companion.link.parameters import ParameterRequest, ParameterRequests
+from companion.link.commands import ParameterRequest, ParameterRequests, set_message_interval
 from companion.link.streams import TelemetryRates
 from companion.link.telemetry.autopilot_sensors import IMU_MESSAGES
 from companion.link.transport import Transport, open_transport

@@ -31,15 +31,14 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import vector3
 from companion.base.messages import GpsFix, ImuSample, MagSample
 from companion.config import CompanionConfig, ConfigError
-from companion.config.magnetometer import load_magnetometer_calibration
+from companion.config.calibration import load_magnetometer_calibration
 from companion.flightlog.replay.dataflash import DataFlashLog
 from companion.flightlog.replay.flight_record import RecordingPlace
 from companion.flightlog.replay.mcap_log import read_mcap
 from companion.flightlog.replay.ulog import read_ulog
 from companion.link.codec import Codec, Message, is_autopilot_heartbeat, mavlink
-from companion.link.parameters import reported_value
-from companion.link.telemetry import readings
-from companion.link.telemetry.autopilot_sensors import IMU_MESSAGES
+from companion.link.commands import reported_value
+from companion.link.telemetry.autopilot_sensors import IMU_MESSAGES, imu_sample, mag_sample, stamp_s
 from companion.link.telemetry.telemetry import AUTOPILOT_KINDS
 
 # ---------------------------------------------------------------- telemetry
@@ -254,10 +253,10 @@ class Telemetry:
             self._take_imu(number, message)
 
     def _take_imu(self, number: int, message: Message) -> None:
-        time_s = readings.stamp_s(message)
-        if (mag := readings.mag_sample(message, time_s)) is not None:
+        time_s = stamp_s(message)
+        if (mag := mag_sample(message, time_s)) is not None:
             self._mags.setdefault(number, []).append(mag)
-        if (imu := readings.imu_sample(message, time_s)) is not None:
+        if (imu := imu_sample(message, time_s)) is not None:
             self._imus.setdefault(number, []).append(imu)
 
     @property

@@ -12,30 +12,28 @@ A mission is one planner's; an app that stays goes back to standby after it, wit
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Awaitable, Callable
 from contextlib import nullcontext, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
-from companion.app.action_queue import ActionQueue
-from companion.app.announcer import Announcer
-from companion.app.calibration_warnings import forced_calibrations
 from companion.app.hardware import ActionsFactory, Hardware
-from companion.app.missions import Missions
+from companion.app.missions import Announcer, Missions
+from companion.app.pacing import LoopMonitor
+from companion.app.sensing import Notify, forced_calibrations
 from companion.app.service.systemd import ServiceNotifier
-from companion.app.stages import build_stages
-from companion.app.status import STATUS_PERIOD_S, FrameRate, Status
-from companion.app.supervision import failure_words, supervised
-from companion.app.target_output import STANDBY_WORDS
-from companion.app.timing.loop_monitor import LoopMonitor
+from companion.app.stages import STANDBY_WORDS, build_stages
 from companion.base.autopilots import PROFILES
-from companion.base.clock import Clock, handing_over_soon
-from companion.base.garbage_collection import infrequent_collection
+from companion.base.clock import Clock, handing_over_soon, infrequent_collection
 from companion.base.messages import (
+    Action,
+    ActionKind,
     ActionResult,
     AutopilotSetup,
     CarriedPad,
     ControlReport,
+    FrameReport,
     Notice,
     PadState,
     Phase,
@@ -48,9 +46,159 @@ from companion.control.controller import BLIND_S, Controller
 from companion.control.response.fitting import misfits
 from companion.control.setpoints import resolved
 from companion.flightlog.record import FlightLog
+from companion.link.actions.actions import PymavlinkActions
 from companion.link.autopilot_setup import loss_warnings
 from companion.link.streams import THRUST_RATES_HZ
 from companion.plan.planner import PlanInputs
+
+# ---------------------------------------------------------------- tasks that fail
+
+# long enough that a task which fails at once costs nothing, short beside what a flight survives without it
+RESTART_PAUSE_S: Final = 1.0
+# what has failed is back once it has run for this long
+BACK_AFTER_S: Final = 2.0
+
+
+async def supervised(
+    name: str, work: Callable[[], Awaitable[None]], notify: Notify, on_ground: Callable[[], bool]
+) -> None:
+    """Run a task; each time it fails, report that and start it again after `RESTART_PAUSE_S`.
+
+    Meanwhile the planner knows what a flight without that device may still do. An internal fault is treated
+    alike: better no GPS than no control. The same failure in a row is reported once, and so is its end.
+
+    Raises:
+        ConfigError: something the user can correct, while the vehicle is still on the ground.
+    """
+    failures, reported = 0, ""
+
+    def say_back() -> None:
+        nonlocal reported
+        reported = ""
+        notify("device_back", f"{name} is back", "info")
+
+    while True:
+        back = asyncio.get_running_loop().call_later(BACK_AFTER_S, say_back) if reported else None
+        try:
+            return await work()
+        except ConfigError as error:
+            if on_ground():
+                raise
+            text = str(error)
+        except Exception as error:
+            text = failure_words(error)
+        finally:
+            if back is not None:
+                back.cancel()
+        failures += 1
+        if text != reported:
+            again = "" if failures == 1 else f" (failure {failures})"
+            notify("device_lost", f"{name} lost: {text}{again}", "error")
+            reported = text
+        await asyncio.sleep(RESTART_PAUSE_S)
+
+
+def failure_words(error: Exception) -> str:
+    """What a person reads of it; the operating system's errors without their number."""
+    if not isinstance(error, OSError):
+        return f"{type(error).__name__}: {error}"
+    reason = error.strerror or str(error)
+    return reason if error.filename is None else f"{error.filename}: {reason}"
+
+
+# ---------------------------------------------------------------- what the terminal shows
+
+STATUS_PERIOD_S: Final = 0.25
+FRAME_RATE_WINDOW_S: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """What the terminal shows; times count from the app's start."""
+
+    time_s: float
+    phase: Phase
+    mode: str
+    vehicle: VehicleState | None
+    pad: PadState | None
+    last_frame: FrameReport | None
+    frame_rate_hz: float
+    latency_ms: float | None
+    notices: tuple[Notice, ...]
+    camera_problem: str | None = None
+
+
+class FrameRate:
+    """Frames per second over the last `FRAME_RATE_WINDOW_S`, from a count that is read every period."""
+
+    def __init__(self) -> None:
+        self._counts = deque([0], maxlen=round(FRAME_RATE_WINDOW_S / STATUS_PERIOD_S) + 1)
+
+    def add(self, count: int) -> float:
+        """Take the count of all frames so far; returns the rate (Hz)."""
+        self._counts.append(count)
+        return (self._counts[-1] - self._counts[0]) / (STATUS_PERIOD_S * (len(self._counts) - 1))
+
+
+# ---------------------------------------------------------------- the queue of the mission's actions
+# Most are performed one after another. Hold, land and disarm overtake everything: the action under way is
+# cancelled and what waits is dropped, so that no late command undoes them. A request to the ground station
+# for the pad's position does not wait in the queue.
+
+URGENT: Final = frozenset({ActionKind.HOLD, ActionKind.LAND, ActionKind.DISARM})
+
+
+class ActionQueue:
+    """The actions waiting and under way; `on_result` receives each result once."""
+
+    def __init__(self, actions: PymavlinkActions, on_result: Callable[[ActionResult], None]) -> None:
+        self._actions, self._on_result = actions, on_result
+        self._waiting: deque[Action] = deque()
+        self._arrived = asyncio.Event()
+        self._beside: set[asyncio.Task[None]] = set()
+        self._under_way: ActionKind | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether an action is waiting or under way."""
+        return self._under_way is not None or bool(self._waiting)
+
+    def add(self, action: Action) -> None:
+        """Append an action; an urgent one goes before all others."""
+        if action.kind is ActionKind.REQUEST_PAD_POSITION:
+            task = asyncio.create_task(self._perform(action))
+            self._beside.add(task)
+            task.add_done_callback(self._beside.discard)
+            return
+        if action.kind in URGENT:
+            self._waiting = deque(waiting for waiting in self._waiting if waiting.kind in URGENT)
+            if self._under_way not in URGENT:
+                self._actions.cancel()
+        self._waiting.append(action)
+        self._arrived.set()
+
+    def clear(self) -> None:
+        """Drop what waits and cancel what is under way."""
+        self._waiting.clear()
+        self._actions.cancel()
+
+    async def run(self) -> None:
+        try:
+            while True:
+                while self._waiting:
+                    action = self._waiting.popleft()
+                    self._under_way = action.kind
+                    await self._perform(action)
+                    self._under_way = None
+                self._arrived.clear()
+                await self._arrived.wait()
+        finally:
+            for task in self._beside:
+                task.cancel()
+
+    async def _perform(self, action: Action) -> None:
+        self._on_result(await self._actions.perform(action))
+
 
 LINK_TICK_S: Final = 0.05
 LAST_HOLD_S: Final = 2.0

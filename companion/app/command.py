@@ -14,10 +14,15 @@ from rich.console import Console
 from companion.app.app import App
 from companion.app.hardware import Hardware, make_actions, open_hardware
 from companion.app.page.live_page import LivePage
-from companion.app.service.computer_status import ComputerWatch, ground_report, throttled
 from companion.app.service.latch import FlightLatch, state_folder, unattended
 from companion.app.service.local_socket import served, socket_path
-from companion.app.service.state_report import StateReport, state_report
+from companion.app.service.state_report import (
+    ComputerWatch,
+    StateReport,
+    ground_report,
+    state_report,
+    throttled,
+)
 from companion.app.terminal import StatusView
 from companion.base.clock import Clock, start_unix_s, unix_time_s
 from companion.base.errors import ConfigError

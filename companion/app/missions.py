@@ -1,28 +1,177 @@
-"""One mission after another: each has a planner of its own, and each order its answers.
+"""One mission after another: each has a planner of its own, and each order its answers; notices to people.
 
 An app that flies at once has one mission. One that stays begins in standby, follows an order, and goes back
 to standby once the mission has ended and nothing that was asked of the autopilot is open.
+
+    link (commands, switch, mode, mission) ─┐                 ┌─► planner, for one cycle
+    local socket (`companion order`) ───────┴─► OrderDesk ────┤
+                                            ◄── replies ──────┴── refused, followed, ended
 """
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Final
 
-from companion.app.announcer import Announcer
-from companion.app.service.order_desk import OrderDesk
 from companion.base.clock import Clock
 from companion.base.messages import (
     Action,
+    Notice,
     Order,
+    OrderKind,
     OrderOutcome,
     OrderReply,
     Phase,
     PlanStep,
+    Refusal,
 )
 from companion.flightlog.flights_recorder import FlightsRecorder
 from companion.flightlog.record import FlightLog
+from companion.link.codec import Severity
 from companion.link.session import Session
 from companion.plan.planner import PlanInputs, Planner
+
+# ---------------------------------------------------------------- notices
+
+KEPT_NOTICES: Final = 20
+# the same fault again within it is for the log alone: many a second would crowd out everything else
+REPEATED_S: Final = 2.0
+# what the vehicle is about to do is no fault: it is told each time
+_ACTIONS: Final = frozenset({"climb"})
+
+
+class Announcer:
+    """Takes notices; `deliver` sends each on to the ground station and the service manager."""
+
+    def __init__(self, clock: Clock, log: FlightLog, deliver: Callable[[Notice], None]) -> None:
+        self._clock, self._log, self._deliver = clock, log, deliver
+        self._new: list[Notice] = []
+        self._log_problem_reported = False
+        self._notified_once: set[str] = set()
+        self._told_s: dict[tuple[str, str, Severity], float] = {}
+        self.recent: deque[Notice] = deque(maxlen=KEPT_NOTICES)
+
+    def notify(self, kind: str, text: str, severity: Severity) -> None:
+        """Tell something that happens now."""
+        self.publish(Notice(self._clock.now_s(), kind, text, severity))
+
+    def notify_once(self, kind: str, text: str, severity: Severity) -> None:
+        """Tell something that holds on; what was told before goes into the log alone: each flight has it."""
+        if text not in self._notified_once:
+            self._notified_once.add(text)
+            self.notify(kind, text, severity)
+        else:
+            now_s = self._clock.now_s()
+            self._log.write("notice", Notice(now_s, kind, text, severity), now_s)
+
+    def publish(self, notice: Notice) -> None:
+        """Tell the log, the terminal and the ground station; the log alone of a fault that was just told."""
+        self._log.write("notice", notice, notice.time_s)
+        fault = notice.severity != "info" and notice.kind not in _ACTIONS
+        if fault and self._just_told(notice):
+            return
+        self._new.append(notice)
+        self.recent.append(notice)
+        self._deliver(notice)
+
+    def _just_told(self, notice: Notice) -> bool:
+        told, now_s = (notice.kind, notice.text, notice.severity), notice.time_s
+        self._told_s = {key: time_s for key, time_s in self._told_s.items() if now_s - time_s < REPEATED_S}
+        return self._told_s.setdefault(told, now_s) < now_s
+
+    def take(self) -> list[Notice]:
+        """The notices since the last call."""
+        new, self._new = self._new, []
+        return new
+
+    def watch_log(self) -> None:
+        """Tell once that the log on disk has a gap or has ended; the flight goes on."""
+        problem = self._log.problem
+        reported, self._log_problem_reported = self._log_problem_reported, problem is not None
+        if problem is not None and not reported:
+            self.notify("record", problem, "warning")
+
+
+# ---------------------------------------------------------------- orders
+
+ReplyCallback = Callable[[Order, OrderReply], None]
+# of one kind, of one cycle and the last few: more is a fault of whoever sends them
+MOST_WAITING: Final = 8
+TOO_MANY: Final = "too many orders"
+
+
+class OrderDesk:
+    """Give orders with `take`; each cycle ask `next_order`, and tell what the planner made of it."""
+
+    def __init__(self, on_reply: ReplyCallback) -> None:
+        """`on_reply` receives every answer: a refusal or IN_PROGRESS, and later how it ended."""
+        self._on_reply = on_reply
+        self._waiting: deque[Order] = deque()
+        self._followed: Order | None = None
+        self._stops: list[Order] = []
+
+    @property
+    def followed(self) -> Order | None:
+        """The order that the present mission carries out."""
+        return self._followed
+
+    @property
+    def stop_requested(self) -> bool:
+        """Whether the present mission is to be stopped."""
+        return bool(self._stops)
+
+    def take(self, orders: Iterable[Order]) -> None:
+        """Take orders in. Too many of a kind are refused; of another kind they keep no stop out."""
+        for order in orders:
+            if _count(self._waiting, order.kind) < MOST_WAITING:
+                self._waiting.append(order)
+            else:
+                self._reply(order, OrderOutcome.TEMPORARILY_REJECTED, TOO_MANY, order.time_s)
+
+    def next_order(self, phase: Phase, now_s: float) -> Order | None:
+        """The order for this cycle's planner, in standby; in a mission all but a stop are refused."""
+        if not self._waiting:
+            return None
+        if phase is Phase.STANDBY:
+            return self._waiting.popleft()
+        while self._waiting:
+            order = self._waiting.popleft()
+            if order.kind is not OrderKind.STOP:
+                busy = f"busy: {phase.value.replace('_', ' ')}"
+                self._reply(order, OrderOutcome.TEMPORARILY_REJECTED, busy, now_s)
+            elif len(self._stops) >= MOST_WAITING:
+                self._reply(order, OrderOutcome.TEMPORARILY_REJECTED, TOO_MANY, now_s)
+            else:
+                self._stops.append(order)
+                self._reply(order, OrderOutcome.IN_PROGRESS, "", now_s)
+        return None
+
+    def decided(self, order: Order, refusal: Refusal | None, now_s: float) -> None:
+        """What the planner made of this cycle's order."""
+        if refusal is None:
+            self._followed = order
+            self._reply(order, OrderOutcome.IN_PROGRESS, "", now_s)
+        else:
+            outcome = OrderOutcome.DENIED if refusal.lasting else OrderOutcome.TEMPORARILY_REJECTED
+            self._reply(order, outcome, refusal.text, now_s)
+
+    def mission_ended(self, phase: Phase, words: str, now_s: float) -> None:
+        """The mission has ended in LANDED or ABORT, for the reason in `words`."""
+        if self._followed is not None:
+            stopped = OrderOutcome.CANCELLED if self._stops else OrderOutcome.FAILED
+            outcome = OrderOutcome.ACCEPTED if phase is Phase.LANDED else stopped
+            self._reply(self._followed, outcome, words, now_s)
+        for stop in self._stops:
+            self._reply(stop, OrderOutcome.ACCEPTED, words, now_s)
+        self._followed, self._stops = None, []
+
+    def _reply(self, order: Order, outcome: OrderOutcome, text: str, now_s: float) -> None:
+        self._on_reply(order, OrderReply(now_s, order.kind, order.source, outcome, text))
+
+
+def _count(orders: Iterable[Order], kind: OrderKind) -> int:
+    return sum(order.kind is kind for order in orders)
+
 
 # how long the app goes on recording after the flight has ended, so that the log holds the standstill
 LINGER_S: Final = 1.0

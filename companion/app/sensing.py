@@ -19,9 +19,8 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from companion.app.devices import SerialLine
-from companion.app.hardware import Hardware
-from companion.app.timing.vision_pace import VisionPace
+from companion.app.hardware import Hardware, SerialLine
+from companion.app.pacing import VisionPace
 from companion.base.clock import Clock
 from companion.base.geometry import vector3
 from companion.base.messages import (
@@ -39,8 +38,17 @@ from companion.base.messages import (
     PadSighting,
     RangeSample,
 )
-from companion.config import CompanionConfig, SenseConfig, StrictModel, load_inertial
-from companion.config.magnetometer import MagnetometerCalibration, Sensor, load_magnetometer_calibration
+from companion.config import (
+    CameraConfig,
+    CompanionConfig,
+    SenseConfig,
+    StrictModel,
+    find_file,
+    load_inertial,
+    load_model,
+    load_mount,
+)
+from companion.config.calibration import MagnetometerCalibration, Sensor, load_magnetometer_calibration
 from companion.flightlog.record import FlightLog
 from companion.link.codec import Severity
 from companion.link.telemetry.autopilot_sensors import Sample, TelemetrySensors
@@ -393,3 +401,30 @@ class Sensing:
         if now_s - self._fault_reported_s >= FAULT_PERIOD_S:
             self._fault_reported_s = now_s
             self._notify("sensor", text, "warning")
+
+
+# ---------------------------------------------------------------- calibrations that were written by force
+
+
+def forced_calibrations(config: CompanionConfig) -> Iterator[str]:
+    """A line for each calibration that was written by force, with the reasons.
+
+    Raises:
+        ConfigError: a file is missing or wrong.
+    """
+    camera = load_model(CameraConfig, find_file("cameras", config.camera)).calibration
+    if camera is not None and camera.verdict:
+        yield _line(config.camera, camera.verdict)
+    mount = load_mount(config.mount, config.camera)
+    if mount is not None and mount.forced:
+        yield _line(str(config.mount), mount.forced)
+    magnetometer = load_used_magnetometer(config.sense)
+    if magnetometer is not None and magnetometer.quality.verdict == "refused":
+        yield _line("the magnetometer", magnetometer.quality.reasons)
+    inertial = load_inertial(config.sense)
+    if inertial is not None and inertial.forced:
+        yield _line(str(config.sense.imu.inertial_calibration), inertial.forced)
+
+
+def _line(name: str, reasons: tuple[str, ...]) -> str:
+    return f"calibration of {name} was written by force: {'; '.join(reasons)}"

@@ -1,26 +1,41 @@
-"""The stages of one flight, made from the settings."""
+"""The stages of one flight, made from the settings, and what watches them."""
 
+import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Final
 
-from companion.app.hardware import Hardware
+from companion.app.hardware import Hardware, StampKeeper
+from companion.app.pacing import ControlTimer
 from companion.app.sensing import Notify, Sensing
-from companion.app.service.stamp_file import StampKeeper
-from companion.app.source_watch import SourceWatch
-from companion.app.target_output import TargetOutput
-from companion.app.timing.control_timer import ControlTimer
-from companion.app.timing.estimate_watch import EstimateWatch
+from companion.base.autopilots import PROFILES
 from companion.base.clock import Clock, unix_time_s
 from companion.base.files import find_file
+from companion.base.geometry import Quaternion, Vector3, quat_rotate_inverse
+from companion.base.magnetic_field import compare_declination
+from companion.base.messages import (
+    EstimatorInputs,
+    LandedState,
+    LandingTargetPose,
+    PadSighting,
+    PadState,
+    Quantity,
+    SourceComparison,
+    VehicleState,
+)
+from companion.base.second_sources import announced
 from companion.config import (
     CameraConfig,
     CompanionConfig,
+    ControlConfig,
+    EstimateConfig,
     VehicleConfig,
     load_model,
     load_mount,
     load_vehicle,
 )
+from companion.control.landing_target import SeenPad, TargetLead, landing_target
 from companion.estimate.estimator import StateEstimator
 from companion.flightlog.record import FlightLog
 from companion.link.session import Session
@@ -30,6 +45,171 @@ from companion.plan.landing.standing_height import StandingHeight
 from companion.plan.planner import Planner
 from companion.plan.speed.laws import load_speed_controller
 from companion.sense.vision.pipeline import Vision
+
+# ---------------------------------------------------------------- watches
+
+
+class SourceWatch:
+    """Ask it in every cycle; each quantity whose sources differ is announced once a mission."""
+
+    def __init__(
+        self,
+        estimator: StateEstimator,
+        session: Session,
+        standing_height: StandingHeight,
+        config: EstimateConfig,
+        vehicle: VehicleConfig,
+        notify: Notify,
+    ) -> None:
+        self._estimator, self._session, self._standing_height = estimator, session, standing_height
+        self._config, self._vehicle, self._notify = config, vehicle, notify
+        self._declination: tuple[Vector3, SourceComparison] | None = None  # and where
+        self._announced: set[Quantity] = set()
+
+    def begin(self) -> None:
+        """A new mission."""
+        self._announced.clear()
+        self._estimator.begin_checks()
+
+    @property
+    def comparisons(self) -> tuple[SourceComparison, ...]:
+        """The newest of each."""
+        return (
+            *self._estimator.comparisons,
+            *self._of_the_place(),
+            *self._of_the_link(),
+            *self._standing_height.comparisons,
+        )
+
+    def look(self) -> tuple[SourceComparison, ...]:
+        """The newest of each; announces what was not announced before."""
+        found = self.comparisons
+        for quantity, words in announced(found):
+            if quantity not in self._announced:
+                self._announced.add(quantity)
+                self._notify("sources", words, "warning")
+        return found
+
+    def _of_the_place(self) -> Iterator[SourceComparison]:
+        """The geomagnetic field that was told, where the first fix is; looked up once."""
+        place, told = self._estimator.origin, self._config.magnetic_field_ned_ut
+        if place is None or told is None:
+            return
+        if self._declination is None or self._declination[0] != place:
+            std_ut = self._config.ekf.field_std_ut
+            self._declination = place, compare_declination(told, std_ut, place, unix_time_s())
+        yield self._declination[1]
+
+    def _of_the_link(self) -> Iterator[SourceComparison]:
+        setup, line = self._session.setup, self._session.timesync.line
+        if setup is not None and setup.hover_thrust is not None:
+            told, own = self._vehicle.hover_thrust, setup.hover_thrust
+            apart = 100.0 * abs(own / told - 1.0)
+            yield SourceComparison(0.0, Quantity.HOVER_THRUST, f"{told:.2f}", f"{own:.2f}", apart, 0.0)
+        if line is not None and self._session.timesync.settled:
+            apart = 100.0 * abs(line.rate)
+            yield SourceComparison(line.at_s, Quantity.CLOCK_RATE, "1", f"{1.0 + line.rate:.4f}", apart, 0.0)
+
+
+# ---------------------------------------------------------------- the estimator's inputs
+
+ESTIMATE_WATCH_S: Final = 1.0
+
+
+class EstimateWatch:
+    """`run` is a task of the app's."""
+
+    def __init__(
+        self,
+        estimator: StateEstimator,
+        session: Session,
+        log: FlightLog,
+        clock: Clock,
+        notify: Notify,
+    ) -> None:
+        self._estimator, self._session, self._log = estimator, session, log
+        self._clock, self._notify = clock, notify
+
+    async def run(self) -> None:
+        while True:
+            await asyncio.sleep(ESTIMATE_WATCH_S)
+            self.look(self._clock.now_s())
+
+    def look(self, now_s: float) -> None:
+        """Log the counts; an estimate that refuses all of an input starts again where nothing flies by it."""
+        self._log.write("estimator_inputs", EstimatorInputs(now_s, self._estimator.tally.uses()), now_s)
+        autopilot = self._session.state
+        if autopilot.armed or autopilot.landed is not LandedState.ON_GROUND:
+            return
+        if (words := self._estimator.recover(now_s)) is not None:
+            self._notify("estimate", words, "warning")
+
+
+# ---------------------------------------------------------------- vision only
+# The pad as a landing target for the autopilot's own landing, and nothing else: one target for each exposure
+# that shows the pad, as soon as all that it needs has come. A pad that is not seen is silence. Where there is
+# an estimate of the vehicle, an exposure counts once the pad filter has taken it; else it is sent as the
+# frame shows it. Nothing here flies.
+
+STANDBY_WORDS: Final = "vision only: the pad is sent to the autopilot, which lands by itself"
+OLDEST_TARGET_S: Final = 1.0  # an exposure that could not be sent by then says nothing of now
+
+
+class TargetOutput:
+    """Ask `due` in every cycle."""
+
+    def __init__(self, config: ControlConfig, pad: Pad, estimator: StateEstimator, session: Session) -> None:
+        self._size_m = (pad.width_m, pad.length_m)
+        self._lead = TargetLead(config.target_lead_s) if config.target_lead_s > 0.0 else None
+        self._estimator, self._session = estimator, session
+        self._sent_exposure_s = float("-inf")
+
+    def due(
+        self, vehicle: VehicleState | None, pad: PadState | None, sighting: PadSighting | None, now_s: float
+    ) -> LandingTargetPose | None:
+        """The target of the newest exposure that shows the pad, unless it has been sent or is old.
+
+        `vehicle` and `pad` are the estimates at now_s, `sighting` is the newest one.
+        """
+        kind, seen, estimate = self._session.state.autopilot_kind, None, None
+        if vehicle is None or not vehicle.aligned:
+            seen = None if sighting is None else SeenPad.by_sighting(sighting)
+        elif pad is not None:
+            at_exposure = self._estimator.pad(pad.seen_time_s)
+            attitude = self._estimator.attitude(pad.seen_time_s)
+            if at_exposure is not None and attitude is not None:
+                seen, estimate = SeenPad.by_estimate(at_exposure, attitude), (at_exposure, attitude)
+        if kind is None or not self._session.state.connected or seen is None:
+            return None
+        if not self._sent_exposure_s < seen.time_s <= now_s <= seen.time_s + OLDEST_TARGET_S:
+            return None
+        make, own_pose = PROFILES[kind], None
+        if make.target_frame == "local_ned":
+            own_pose = self._own_pose(seen.time_s)
+            if own_pose is None:
+                return None  # it may come until the next cycle
+        self._sent_exposure_s = seen.time_s
+        if estimate is not None and self._lead is not None:
+            at_exposure, attitude = estimate
+            moved_ned_m = self._lead.ned_m(at_exposure, now_s, make)
+            seen = seen.moved(quat_rotate_inverse(attitude, moved_ned_m))
+        return landing_target(seen, self._size_m, own_pose)
+
+    def _own_pose(self, time_s: float) -> tuple[Vector3, Quaternion] | None:
+        pose = None if self._session.poses is None else self._session.poses.at(time_s)
+        return None if pose is None else (pose.position_ned_m, pose.attitude)
+
+    def problems(self, now_s: float) -> list[str]:
+        """What keeps the pad from being sent, if it is seen."""
+        state = self._session.state
+        if not state.connected:
+            return ["autopilot: no heartbeat"]
+        if state.autopilot_kind is None:
+            return ["autopilot: expected PX4 or ArduPilot"]
+        local = PROFILES[state.autopilot_kind].target_frame == "local_ned"
+        if local and (self._session.poses is None or not self._session.poses.fresh(now_s)):
+            return ["autopilot: its position and attitude do not come (LOCAL_POSITION_NED, ATTITUDE)"]
+        return []
 
 
 @dataclass(frozen=True, slots=True)

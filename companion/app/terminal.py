@@ -15,7 +15,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from companion.app.status import Status
+from companion.app.app import Status
 from companion.base.messages import MarkerGroup, Notice
 
 NOTICES_SHOWN: Final = 8

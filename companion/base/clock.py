@@ -22,6 +22,9 @@ from companion.base.signals import run_until_stopped
 T = TypeVar("T")
 P = ParamSpec("P")
 ALLOCATIONS_BETWEEN_COLLECTIONS: Final = 50_000  # CPython's own: 700
+# of the youngest objects, after so many more than have died; of those that outlived it, after so many such;
+# of all, practically never (CPython's own: 700, 10, 10)
+IN_FLIGHT: Final = (5_000, 3, 1_000_000)
 LOOK_OUTSIDE_EVERY: Final = 64  # turns of the virtual loop: a few milliseconds
 BESIDE: Final = 2  # threads: a picture is drawn while the one before is searched
 # how long a thread that wants the interpreter waits for the one that has it; CPython's own: 5 ms
@@ -206,6 +209,24 @@ def _collecting_seldom() -> Iterator[None]:
         yield
     finally:
         gc.set_threshold(*before)
+
+
+@contextmanager
+def infrequent_collection() -> Iterator[None]:
+    """While inside, what is there already is passed over, and a collection takes a millisecond or two.
+
+    A full one walks every object of the program and its libraries: it stops the control loop for a tenth of a
+    second on a desktop, longer on a small board. Nearly all that a flight makes dies at once without it.
+    """
+    before = gc.get_threshold()
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(*IN_FLIGHT)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+        gc.unfreeze()
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """Files: where settings are found, and writing so that nobody ever sees half of a file."""
 
+import fcntl
 import io
 import os
 import shutil
@@ -220,3 +221,23 @@ def write_durably(path: Path, content: str) -> None:
         raise ConfigError(
             f"{path}: cannot be written: {error.strerror}; expected a folder to write to"
         ) from None
+
+
+# ---------------------------------------------------------------- devices
+# One program of ours at a device: a second one reads away what the first waits for, or sets it up anew. A
+# lock on the open file (flock(2)): the kernel drops it with the file, however the program ends. It keeps
+# nobody else away who does not ask for it, such as `i2cdetect`.
+
+TAKEN: Final = "busy; expected a device that no other program has open"
+
+
+def take_alone(descriptor: int) -> None:
+    """Take an open device for this program.
+
+    Raises:
+        BlockingIOError: another one has it.
+    """
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise BlockingIOError(error.errno, TAKEN) from None

@@ -19,9 +19,7 @@ from companion.config.estimate import (
     OrientationConfig,
     PadFilterConfig,
 )
-from companion.config.landing import LandingConfig, SearchConfig, TouchdownConfig
 from companion.config.link import CONNECTION_FORM, LinkConfig
-from companion.config.mission import MissionConfig, PhaseTimesConfig
 from companion.config.mounting import (
     AccelerometerCalibration,
     GyroCalibration,
@@ -32,28 +30,27 @@ from companion.config.mounting import (
     load_mount,
     load_vehicle,
 )
-from companion.config.obstacles import MOST_OBSTACLES, Box, Cylinder, Shape
-from companion.config.plan import GuidanceConfig, PlanConfig
+from companion.config.plan import (
+    MOST_OBSTACLES,
+    Box,
+    Cylinder,
+    GuidanceConfig,
+    LandingConfig,
+    MissionConfig,
+    PhaseTimesConfig,
+    PlanConfig,
+    SearchConfig,
+    Shape,
+    TouchdownConfig,
+)
 from companion.config.reading import (
     OPERATOR,
-    Model,
     StrictModel,
-    Vector,
     load_model,
     merge,
     read_yaml,
     validate,
     validate_recorded,
-)
-from companion.config.record import RecordConfig
-from companion.config.response import (
-    ARDUPILOT,
-    PX4,
-    AutopilotResponses,
-    AxisResponse,
-    Kind,
-    KindResponse,
-    Responses,
 )
 from companion.config.sense import (
     AutopilotSensorsConfig,
@@ -64,8 +61,18 @@ from companion.config.sense import (
     VisionConfig,
     without_password,
 )
-from companion.config.service import OrdersConfig, ServeConfig
-from companion.config.vehicle import CameraConfig, CaptureConfig, ModelConfig, VehicleConfig
+from companion.config.service import OrdersConfig, RecordConfig, ServeConfig
+from companion.config.vehicle import (
+    ARDUPILOT,
+    PX4,
+    AxisResponse,
+    CameraConfig,
+    CaptureConfig,
+    Kind,
+    KindResponse,
+    ModelConfig,
+    VehicleConfig,
+)
 
 # settings that may be paths
 NAMED_FILES: Final = (

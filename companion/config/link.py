@@ -16,18 +16,7 @@ CONNECTION_FORM = re.compile(
 
 
 class LinkConfig(StrictModel):
-    """The autopilot's port, who we are on it, and how long we wait.
-
-    `connection` is serial:PATH:BAUD, udp:HOST:PORT (we call), udpin:HOST:PORT (we listen) or tcp:HOST:PORT
-    (we call). `system_id` is the vehicle's and so ours; 0 takes the first autopilot heard. `component_id` is
-    ours; MAVSDK, which speaks beside us, is another component. `force_disarm` allows disarming by force where
-    the autopilot refuses the plain one after a touchdown that is shown at rest, since its land detector may
-    believe itself in the air on a pad that moves; never elsewhere. The pad's beacon is taken from
-    `ground_system_id` alone, as the answer to our request or from its component `beacon_component_id`, or
-    from `beacon_system_id`, and only when it is not faster than `maximum_pad_speed_m_s`. `set_parameters`
-    allows setting the one autopilot parameter that we need: bit 3 of ArduPilot's GUID_OPTIONS, for attitude
-    setpoints; without it control is refused while the bit is missing.
-    """
+    """The autopilot's port, who we are on it, and how long we wait."""
 
     connection: str = Field(default="udpin:127.0.0.1:14540", json_schema_extra=OPERATOR)
     """Link to the autopilot: `serial:PATH:BAUD`, `udp:HOST:PORT` or `tcp:HOST:PORT` (the app connects),

@@ -104,11 +104,7 @@ class GpsConfig(StrictModel):
 
 
 class RangeConfig(StrictModel):
-    """Downward ultrasonic.
-
-    `kind`: "frames" for a serial port on which it talks by itself (JSN-SR04T in serial mode, A02YYUW: 4-byte
-    frames); "polled" for a US-100 (2 bytes); "gpio" for trigger and echo pins (HC-SR04, JSN-SR04T in mode 0).
-    """
+    """Downward ultrasonic: a JSN-SR04T or A02YYUW (`frames`), a US-100 (`polled`), an HC-SR04 (`gpio`)."""
 
     kind: Literal["frames", "polled", "gpio"] = Field(default="frames", json_schema_extra=OPERATOR)
     """`frames`: a serial port with 4-byte frames; `polled`: a US-100, polled over a serial port; `gpio`:

@@ -1,4 +1,4 @@
-"""Settings of the service: the orders that a companion in standby takes, and the live page."""
+"""Settings of the service: the orders that a companion in standby takes, its records, the live page."""
 
 import ipaddress
 from pathlib import Path
@@ -7,6 +7,19 @@ from typing import Annotated, Final
 from pydantic import Field, field_validator
 
 from companion.config.reading import OPERATOR, StrictModel
+
+
+class RecordConfig(StrictModel):
+    """What is looked at before a flight's log begins: the oldest flights are removed first."""
+
+    total_mb: float = Field(default=8000.0, ge=100.0)
+    """Size of all recorded flights together (10⁶ bytes); the oldest are removed before a flight's log
+    begins, the newest is kept. A minute of flight takes about 25. Raise it on a large disk, lower it on a
+    small one"""
+    free_mb: float = Field(default=1000.0, ge=0.0)
+    """The oldest flights are also removed until this much is free on the disk; raise it if other programs
+    need the disk"""
+
 
 ModeName = Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_.]*$", max_length=32)]
 ADDRESS_FORM: Final = "ADDRESS:PORT, for example 127.0.0.1:8080 or [::1]:8080"

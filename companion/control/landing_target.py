@@ -8,7 +8,7 @@ speed as well. Body axes are FRD.
 import math
 from dataclasses import dataclass, replace
 
-from companion.base.autopilots.profile import AutopilotMake
+from companion.base.autopilots import AutopilotMake
 from companion.base.geometry import (
     Quaternion,
     Vector3,

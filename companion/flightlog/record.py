@@ -24,8 +24,7 @@ from mcap.writer import CompressionType, Writer
 from pydantic import BaseModel
 from pydantic_core import to_json
 
-from companion.base.message_json import encode
-from companion.base.message_schema import schema_of
+from companion.base.message_json import encode, schema_of
 from companion.base.messages import Frame
 from companion.config import ConfigError
 from companion.flightlog.disk import DiskWriter

@@ -6,7 +6,7 @@ from typing import Final
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.autopilots import PROFILES
 from companion.base.messages import AutopilotSetup
-from companion.link.parameters import ParameterRequest, ParameterRequests, all_names, value_of
+from companion.link.commands import ParameterRequest, ParameterRequests, all_names, value_of
 
 _CENTI: Final = 0.01
 CIRCLE_FENCE: Final = 2  # FENCE_TYPE bit 1, about home

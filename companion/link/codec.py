@@ -1,7 +1,7 @@
 """MAVLink 2 bytes <-> messages: framing, the messages we build. Pure.
 
 Both sides of the link use it: the app and the bundled simulator. pymavlink is untyped, so it gets its names
-here once: `mavlink` (see `dialect`), and `Message` for what it makes. Frames and units are MAVLink's: local
+here once: `mavlink`, and `Message` for what it makes. Frames and units are MAVLink's: local
 NED in m, angles in rad, quaternions (w, x, y, z), latitude and longitude in 1e-7 deg.
 
 Framing is our own and pymavlink decodes whole frames only: its parser drops everything a false start byte
@@ -10,14 +10,74 @@ claims, where this one goes back to the next byte, so that garbage never costs a
 
 import math
 import re
+import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
+from pymavlink.dialects.v20 import ardupilotmega
+
 from companion.base.geometry import ZERO3, Vector3, norm
 from companion.base.messages import LandingTargetPose, Setpoint
-from companion.link.dialect import mavlink as mavlink  # noqa: PLC0414 - named here for all
-from companion.link.signing import LinkSigning
+from companion.link.signing import SIGNATURE_BYTES, SIGNED_FLAG, V2_MARKER, LinkSigning
+
+# ---------------------------------------------------------------- the dialect
+# pymavlink's `ardupilotmega` (which holds `common`), and CURRENT_MODE: it has moved into `common` in 2024,
+# and PX4 1.15 and later send it; the pymavlink in use has it in development only, whose dialects take a
+# second to import. It is built here from the message's definition.
+
+mavlink: Any = ardupilotmega
+CURRENT_MODE: Final = 436
+
+
+class CurrentMode(mavlink.MAVLink_message):  # type: ignore[misc]
+    """CURRENT_MODE: `custom_mode` as in HEARTBEAT, sent at a rate that can be set."""
+
+    id = CURRENT_MODE
+    msgname = "CURRENT_MODE"
+    fieldnames = ("standard_mode", "custom_mode", "intended_custom_mode")
+    ordered_fieldnames = ("custom_mode", "intended_custom_mode", "standard_mode")
+    fieldtypes = ("uint8_t", "uint32_t", "uint32_t")
+    fielddisplays_by_name: Final[dict[str, str]] = {}
+    fieldenums_by_name: Final[dict[str, str]] = {"standard_mode": "MAV_STANDARD_MODE"}
+    fieldunits_by_name: Final[dict[str, str]] = {}
+    native_format = bytearray(b"<IIB")
+    orders = (2, 0, 1)
+    lengths = (1, 1, 1)
+    array_lengths = (0, 0, 0)
+    crc_extra = 193
+    unpacker = struct.Struct("<IIB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, standard_mode: int, custom_mode: int, intended_custom_mode: int) -> None:
+        super().__init__(self.id, self.msgname)
+        self._fieldnames = self.fieldnames
+        self._instance_field = self.instance_field
+        self._instance_offset = self.instance_offset
+        self.standard_mode = standard_mode
+        self.custom_mode = custom_mode
+        self.intended_custom_mode = intended_custom_mode
+
+    def pack(self, mav: Any, force_mavlink1: bool = False) -> bytes:
+        """The frame, as pymavlink's own messages pack themselves."""
+        payload = self.unpacker.pack(self.custom_mode, self.intended_custom_mode, self.standard_mode)
+        frame: bytes = self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1)
+        return frame
+
+
+mavlink.mavlink_map.setdefault(CURRENT_MODE, CurrentMode)
+
+
+def message_number(name: str) -> int:
+    """MAVLink's number of a message.
+
+    Raises:
+        KeyError: the dialect has no such message.
+    """
+    number: int = CURRENT_MODE if name == CurrentMode.msgname else vars(mavlink)[f"MAVLINK_MSG_ID_{name}"]
+    return number
+
 
 Message = Any
 
@@ -34,12 +94,9 @@ _NANS: Final = (_NAN,) * 7
 # ---------------------------------------------------------------- framing
 
 MARKER: Final = re.compile(b"[\xfd\xfe]")
-V2_MARKER: Final = 0xFD
 _V2_HEADER_BYTES: Final = 10
 _V1_HEADER_BYTES: Final = 6
 _CRC_BYTES: Final = 2
-SIGNED_FLAG: Final = 0x01
-SIGNATURE_BYTES: Final = 13
 
 
 @dataclass(slots=True)

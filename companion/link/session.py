@@ -6,6 +6,7 @@ component 1 of `config.system_id`, or the first one received when that is 0.
 """
 
 import math
+from collections import deque
 from dataclasses import replace
 from typing import Final
 
@@ -22,17 +23,25 @@ from companion.config import LinkConfig, OrdersConfig, SenseConfig
 from companion.link import codec
 from companion.link.autopilot_setup import SetupReader
 from companion.link.beacon import SYSTEM_BEACON_MESSAGES, BeaconListener
-from companion.link.codec import AUTOPILOT_COMPONENT, Codec, Message, Severity, mavlink
+from companion.link.codec import (
+    AUTOPILOT_COMPONENT,
+    Codec,
+    Message,
+    Severity,
+    is_twins_heartbeat,
+    mavlink,
+    status_texts,
+)
 from companion.link.commands import (
     CommandQueue,
+    ParameterRequest,
+    ParameterRequests,
     Pending,
     VehicleCommand,
     request_message,
     set_message_interval,
 )
-from companion.link.notices import Notices
 from companion.link.orders import ORDER_MESSAGES, OrderListener
-from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.link.signing import LinkSigning
 from companion.link.streams import (
     HEARD,
@@ -42,12 +51,70 @@ from companion.link.streams import (
     telemetry_rates_hz,
 )
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, Sample, TelemetrySensors
-from companion.link.telemetry.heading_offset import HeadingOffset
-from companion.link.telemetry.poses import PoseHistory
+from companion.link.telemetry.poses import HeadingOffset, PoseHistory
 from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state, without_old
-from companion.link.telemetry.twins import SETPOINT_MESSAGES, with_twin
-from companion.link.timing.boot_clock import BootClock
-from companion.link.timing.timesync import TimeSync, clock_ns
+from companion.link.timesync import BootClock, TimeSync, clock_ns
+
+# ---------------------------------------------------------------- others on the link
+# A second companion with another component id is a component of the vehicle's like any other, until it sends
+# setpoints. (A router passes those on to the autopilot alone: then only the autopilot's mode tells.)
+
+SETPOINT_MESSAGES: Final = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET,
+        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
+        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
+    }
+)
+
+
+def with_twin(
+    state: AutopilotState, message: Message, us: tuple[int, int], process: int, now_s: float
+) -> AutopilotState | None:
+    """The state with what this message tells of them; None: it is no such message."""
+    if is_twins_heartbeat(message, us, process):
+        return replace(state, twin_time_s=now_s)
+    if message.get_msgId() not in SETPOINT_MESSAGES:
+        return None
+    sender = message.get_srcSystem(), message.get_srcComponent()
+    ours = sender == us or message.target_system not in {0, us[0]}
+    return state if ours else replace(state, rival=sender, rival_time_s=now_s)
+
+
+# ---------------------------------------------------------------- texts to people
+# What was told into a silent link is sent again when it is heard: the texts that matter most come from the
+# silence itself.
+
+SILENT_S: Final = 1.5  # a link that carries heartbeats alone, one a second, is up
+UNHEARD: Final = 5  # so few are sent again: setpoints wait behind them
+
+
+class Notices:
+    """Makes the messages; `heard` is called with every message of the autopilot's."""
+
+    def __init__(self) -> None:
+        self._told = 0
+        # since the autopilot was last heard: it shows only later that the link is silent
+        self._unheard: deque[tuple[str, Severity]] = deque(maxlen=UNHEARD)
+
+    def tell(self, text: str, severity: Severity) -> list[Message]:
+        """A text now."""
+        if severity != "info" and (text, severity) not in self._unheard:
+            self._unheard.append((text, severity))
+        return self._messages(text, severity)
+
+    def heard(self, silent_s: float) -> list[Message]:
+        """What is sent again, now that the autopilot is heard after so long; infinite: for the first time."""
+        unheard = list(self._unheard)
+        self._unheard.clear()
+        if not SILENT_S < silent_s < math.inf:
+            return []
+        return [message for told in unheard for message in self._messages(*told)]
+
+    def _messages(self, text: str, severity: Severity) -> list[Message]:
+        self._told = self._told % 0xFFFF + 1
+        return status_texts(text, severity, self._told)
+
 
 _STAMPED: Final = frozenset(
     {
@@ -354,11 +421,11 @@ class Session:
 
     def read_parameter(self, name: str) -> ParameterRequest:
         """Ask for a parameter; `tick` sends it while the autopilot is connected."""
-        return self._request_parameter(ParameterRequest(name))
+        return self._parameters.submit(ParameterRequest(name))
 
     def set_parameter(self, name: str, value: float) -> ParameterRequest:
         """Set an ArduPilot's integer parameter, likewise."""
-        return self._request_parameter(ParameterRequest(name, wanted=value))
+        return self._parameters.submit(ParameterRequest(name, wanted=value))
 
     def withdraw(self, pending: Pending | ParameterRequest) -> None:
         """Stop repeating what is no longer waited for."""
@@ -366,10 +433,6 @@ class Session:
             self._parameters.withdraw(pending)
         else:
             self._commands.withdraw(pending)
-
-    def _request_parameter(self, request: ParameterRequest) -> ParameterRequest:
-        self._parameters.submit(request)
-        return request
 
     def _watch_connection(self, now_s: float) -> None:
         """Forget, at a loss, all that may have changed unseen; mode and armed stay as last received.

@@ -10,7 +10,6 @@ Source: mavlink.io, "Message Signing".
 import hashlib
 import hmac
 import stat
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -21,24 +20,12 @@ EPOCH_UNIX_S: Final = 1_420_070_400
 STAMPS_PER_S: Final = 100_000
 NEW_STREAM_MAY_LAG_S: Final = 60  # the protocol's own
 _NEW_STREAM_MAY_LAG: Final = NEW_STREAM_MAY_LAG_S * STAMPS_PER_S
-_MARKER: Final = 0xFD
-_SIGNED_FLAG: Final = 0x01
-_SIGNATURE_BYTES: Final = 13  # link id, six bytes of stamp, six of the hash
+V2_MARKER: Final = 0xFD
+SIGNED_FLAG: Final = 0x01
+SIGNATURE_BYTES: Final = 13  # link id, six bytes of stamp, six of the hash
 _HASH_BYTES: Final = 6
 _LAST_STAMP: Final = (1 << 48) - 1
 _OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO
-
-
-@dataclass(frozen=True, slots=True)
-class SigningKey:
-    """The secret, the time stamp to begin with, and the last one that is known to have been used before.
-
-    What was accepted up to `kept_stamp`, by an earlier process, is not accepted again.
-    """
-
-    secret: bytes
-    stamp: int
-    kept_stamp: int = 0
 
 
 class LinkSigning:
@@ -48,15 +35,12 @@ class LinkSigning:
     session takes a frame in, so that `is_right` and `is_fresh` change nothing; `accepts` does.
     """
 
-    def __init__(self, key: SigningKey) -> None:
-        self._secret, self._kept_stamp = key.secret, key.kept_stamp
-        self.stamp = self._began = max(key.stamp, key.kept_stamp)
+    def __init__(self, secret: bytes, stamp: int, kept_stamp: int = 0) -> None:
+        """Begin at a stamp. What an earlier process accepted, up to `kept_stamp`, is not accepted again."""
+        self.secret, self._kept_stamp = secret, kept_stamp
+        self.stamp = self._began = max(stamp, kept_stamp)
         self._began_s: float | None = None
         self._streams: dict[tuple[int, int, int], int] = {}
-
-    @property
-    def secret(self) -> bytes:
-        return self._secret
 
     @property
     def streams(self) -> int:
@@ -76,9 +60,9 @@ class LinkSigning:
 
     def is_right(self, frame: bytes | bytearray) -> bool:
         """Whether whoever sent this whole frame has the key, now or at any time before."""
-        if frame[0] != _MARKER or not frame[2] & _SIGNED_FLAG:
+        if frame[0] != V2_MARKER or not frame[2] & SIGNED_FLAG:
             return False
-        found = hashlib.sha256(self._secret + bytes(frame[:-_HASH_BYTES])).digest()[:_HASH_BYTES]
+        found = hashlib.sha256(self.secret + bytes(frame[:-_HASH_BYTES])).digest()[:_HASH_BYTES]
         return hmac.compare_digest(found, bytes(frame[-_HASH_BYTES:]))
 
     def is_fresh(self, frame: bytes | bytearray) -> bool:
@@ -100,11 +84,11 @@ class LinkSigning:
 
 
 def _stamp_of(frame: bytes | bytearray) -> int:
-    return int.from_bytes(frame[1 - _SIGNATURE_BYTES : -_HASH_BYTES], "little")
+    return int.from_bytes(frame[1 - SIGNATURE_BYTES : -_HASH_BYTES], "little")
 
 
 def _stream_of(frame: bytes | bytearray) -> tuple[int, int, int]:
-    return frame[-_SIGNATURE_BYTES], frame[5], frame[6]
+    return frame[-SIGNATURE_BYTES], frame[5], frame[6]
 
 
 def stamp_from_unix(unix_s: float) -> int:
@@ -119,8 +103,8 @@ def secret_from(data: bytes) -> bytes | None:
     return hashlib.sha256(data.strip()).digest() if data.strip() else None
 
 
-def read_signing_key(path: Path, unix_s: float, kept_stamp: int = 0) -> SigningKey:
-    """The app's key; only its owner may read the file. `kept_stamp`: see `SigningKey`.
+def read_signing_key(path: Path, unix_s: float, kept_stamp: int = 0) -> LinkSigning:
+    """The signing by the app's key; only its owner may read the file. `kept_stamp`: see `LinkSigning`.
 
     Raises:
         ConfigError: it cannot be read, is empty, or others may read it.
@@ -138,7 +122,7 @@ def read_signing_key(path: Path, unix_s: float, kept_stamp: int = 0) -> SigningK
     secret = secret_from(data)
     if secret is None:
         raise ConfigError(f"link.signing_key {path}: empty; expected 32 bytes or a passphrase")
-    return SigningKey(secret, stamp_from_unix(unix_s), kept_stamp)
+    return LinkSigning(secret, stamp_from_unix(unix_s), kept_stamp)
 
 
 def signing_of(config: LinkConfig, unix_s: float, kept_stamp: int = 0) -> LinkSigning | None:
@@ -149,4 +133,4 @@ def signing_of(config: LinkConfig, unix_s: float, kept_stamp: int = 0) -> LinkSi
     """
     if config.signing_key is None:
         return None
-    return LinkSigning(read_signing_key(config.signing_key, unix_s, kept_stamp))
+    return read_signing_key(config.signing_key, unix_s, kept_stamp)

@@ -9,8 +9,7 @@ from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.autopilots import PROFILES
-from companion.link.codec import mavlink
-from companion.link.dialect import CURRENT_MODE, message_number
+from companion.link.codec import CURRENT_MODE, mavlink, message_number
 
 # what is decoded; the rest is checked and passed over
 HEARD: Final = frozenset(

@@ -12,6 +12,7 @@ import logging
 import math
 import os
 import socket
+from collections import deque
 from collections.abc import Callable
 from typing import Final, Protocol
 
@@ -19,11 +20,129 @@ import serial
 
 from companion.base.clock import Clock
 from companion.base.errors import ConfigError, DeviceMissing
-from companion.base.udp_socket import UdpSocket
+from companion.base.udp_socket import Inbox, UdpSocket
 from companion.config import CONNECTION_FORM
 from companion.link.codec import autopilot_heartbeats
-from companion.link.serial_transport import READ_BYTES, WRITE_QUEUE_BYTES, SerialTransport
 from companion.link.signing import LinkSigning
+
+# ---------------------------------------------------------------- a serial port
+
+WRITE_QUEUE_BYTES: Final = 2048  # 0.36 s of a line at 57600 baud
+READ_BYTES: Final = 4096
+
+
+class SerialTransport:
+    """A serial port, raw, 8N1, without flow control.
+
+    Raises:
+        OSError: the port is missing, busy or not a serial port (pyserial's SerialException is one).
+    """
+
+    def __init__(self, path: str, baud: int) -> None:
+        self._port = serial.Serial(path, baud, timeout=0, exclusive=True)
+        self._fd = self._port.fileno()
+        os.set_blocking(self._fd, False)
+        self._loop = asyncio.get_running_loop()
+        self._inbox = Inbox()
+        self._outbox = bytearray()
+        self.dropped_bytes = 0
+        self._loop.add_reader(self._fd, self._read_ready)
+
+    async def read(self) -> bytes:
+        return await self._inbox.read()
+
+    def write(self, data: bytes) -> None:
+        """See `Transport`: whole writes are dropped while the line is stuck."""
+        if not self._port.is_open:
+            return
+        if len(self._outbox) + len(data) > WRITE_QUEUE_BYTES:
+            self.dropped_bytes += len(data)
+            return
+        idle = not self._outbox
+        self._outbox += data
+        if idle:
+            self._write_ready()
+            if self._outbox:
+                self._loop.add_writer(self._fd, self._write_ready)
+
+    def close(self) -> None:
+        self._stop(OSError(f"{self._port.name} is closed"))
+
+    def _read_ready(self) -> None:
+        try:
+            data = os.read(self._fd, READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._stop(error)
+            return
+        if data:
+            self._inbox.put(data)
+        else:
+            self._stop(OSError(f"{self._port.name} is gone"))
+
+    def _write_ready(self) -> None:
+        try:
+            sent = os.write(self._fd, self._outbox)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._stop(error)
+            return
+        del self._outbox[:sent]
+        if not self._outbox:
+            self._loop.remove_writer(self._fd)
+
+    def _stop(self, error: OSError) -> None:
+        self._inbox.fail(error)
+        if self._port.is_open:
+            self._loop.remove_reader(self._fd)
+            self._loop.remove_writer(self._fd)
+            self._outbox.clear()
+            self._port.close()
+
+
+# ---------------------------------------------------------------- within the process
+
+
+class MemoryTransport:
+    """One end of a pipe within the process: bytes arrive `latency_s` of loop time later, in order."""
+
+    def __init__(self, latency_s: float) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._latency_s = latency_s
+        self._inbox = Inbox()
+        self._under_way: deque[bytes] = deque()
+        self._peer: MemoryTransport | None = None
+
+    async def read(self) -> bytes:
+        return await self._inbox.read()
+
+    def write(self, data: bytes) -> None:
+        peer = self._peer
+        if peer is None or not data:
+            return
+        # the loop does not promise an order among timers due together, so each takes the oldest
+        peer._under_way.append(data)
+        self._loop.call_later(self._latency_s, peer._deliver)
+
+    def close(self) -> None:
+        """Both ends are closed, as when a cable is pulled."""
+        for end in (self, self._peer):
+            if end is not None:
+                end._peer = None
+                end._inbox.fail(OSError("the pipe is closed"))
+
+    def _deliver(self) -> None:
+        self._inbox.put(self._under_way.popleft())
+
+
+def memory_pair(latency_s: float = 0.002) -> tuple[MemoryTransport, MemoryTransport]:
+    """The two ends of an in-process pipe; call it inside the loop."""
+    one, other = MemoryTransport(latency_s), MemoryTransport(latency_s)
+    one._peer, other._peer = other, one
+    return one, other
+
 
 _PEER_SILENCE_S: Final = 3.0
 _QUIET_TURNS: Final = 3

@@ -12,7 +12,7 @@ from typing import Final
 import serial
 
 from companion.base.errors import ConfigError, DeviceMissing
-from companion.sense.exclusive import TAKEN
+from companion.base.files import TAKEN
 
 # what opening a device that is not there ends in; what has just been plugged in may be nobody's yet
 ABSENT: Final = frozenset(

@@ -17,18 +17,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from companion.app.app import App
+from companion.app.app import App, Status
 from companion.app.hardware import Hardware, make_actions, make_own_actions, open_hardware
 from companion.app.page.live_page import LivePage
-from companion.app.status import Status
 from companion.base.clock import Clock, run_in_virtual_time, unix_time_s, wall_clock_s
 from companion.base.messages import Phase
 from companion.base.signals import run_until_stopped, stopping_on_signals
 from companion.config import CompanionConfig, merge, validate
 from companion.flightlog.record import FlightLog
-from companion.link.inbox import MemoryTransport, memory_pair
 from companion.link.signing import signing_of
-from companion.link.transport import Transport
+from companion.link.transport import MemoryTransport, Transport, memory_pair
 from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.trial import Trial
 from sitl.firmware import FirmwareError

@@ -18,16 +18,20 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
 from companion.link.codec import (
     MARKER,
-    SIGNATURE_BYTES,
-    SIGNED_FLAG,
-    V2_MARKER,
     check_sum_is_right,
     frame_size,
     header_bytes,
     mavlink,
     message_id_of,
 )
-from companion.link.signing import STAMPS_PER_S, secret_from, stamp_from_unix
+from companion.link.signing import (
+    SIGNATURE_BYTES,
+    SIGNED_FLAG,
+    STAMPS_PER_S,
+    V2_MARKER,
+    secret_from,
+    stamp_from_unix,
+)
 
 PATIENCE_S: Final = 0.1
 _BEYOND: Final = 1e7

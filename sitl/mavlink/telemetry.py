@@ -10,8 +10,7 @@ from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Vector3, euler_from_quat, norm
-from companion.link.codec import Message, mavlink
-from companion.link.dialect import CURRENT_MODE, CurrentMode
+from companion.link.codec import CURRENT_MODE, CurrentMode, Message, mavlink
 from sitl.autopilot.control.position_control import tilt_cosine
 from sitl.autopilot.control.setpoints import AttitudeSetpoint
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from companion.config import LinkConfig
 from companion.link.codec import Codec, heartbeat, mavlink
 from companion.link.session import Session
-from companion.link.signing import LinkSigning, SigningKey
+from companion.link.signing import LinkSigning
 from companion.link.streams import HEARD
 
 GOOD = Codec(1, 1).encode(
@@ -72,7 +72,7 @@ FRAMES = 12
 
 
 def signing(secret: bytes = KEY, stamp: int = STAMP, kept_stamp: int = 0) -> LinkSigning:
-    return LinkSigning(SigningKey(secret, stamp, kept_stamp))
+    return LinkSigning(secret, stamp, kept_stamp)
 
 
 def frames_of(secret: bytes, stamp: int, system_id: int, count: int = FRAMES) -> list[bytes]:

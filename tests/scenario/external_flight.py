@@ -18,7 +18,7 @@ from companion.base.clock import run_in_virtual_time
 from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate
 from companion.flightlog.record import FlightLog
 from companion.flightlog.result import Result
-from companion.link.inbox import MemoryTransport, memory_pair
+from companion.link.transport import MemoryTransport, memory_pair
 from companion.sim.external import External
 from companion.sim.runner import SitlFlight
 from companion.sim.scoring import score

@@ -12,13 +12,13 @@ from typing import Any, Final
 
 from companion.app.app import App
 from companion.app.hardware import make_own_actions
+from companion.base.autopilots import mode_parameters
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.messages import LandedState, Phase
 from companion.config import CONFIG_FOLDER, merge, validate
 from companion.flightlog.flights_recorder import FlightsRecorder
 from companion.link.codec import Codec, command_long, mavlink
-from companion.link.inbox import MemoryTransport, memory_pair
-from companion.link.modes import mode_parameters
+from companion.link.transport import MemoryTransport, memory_pair
 from companion.sense.vision.opencv import prepare_opencv
 from companion.sim.runner import hardware_of
 from companion.sim.settings import sitl_settings

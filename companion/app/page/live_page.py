@@ -10,14 +10,12 @@ import yaml
 from pydantic import BaseModel
 from pydantic_core import to_json
 
-from companion.app.app import App
+from companion.app.app import App, supervised
 from companion.app.page.access import Access, read_access
 from companion.app.page.feed import LiveFeed
 from companion.app.page.look import Reply, Start, Text
 from companion.app.page.process import Line, PageProcess
-from companion.app.service.computer_status import ComputerWatch, throttled
-from companion.app.service.state_report import state_report
-from companion.app.supervision import supervised
+from companion.app.service.state_report import ComputerWatch, state_report, throttled
 from companion.base.clock import Clock, start_unix_s
 from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply
 from companion.config import CameraConfig, CompanionConfig, VehicleConfig

@@ -1,4 +1,4 @@
-"""The page's server: its files, a WebSocket for what is live, and what `downloads` serves.
+"""The page's server: its files, a WebSocket for what is live, the flights' logs and the settings.
 
 Whoever has not shown the token takes no viewer's place, and keeps no connection from anybody: the oldest of
 them makes room for a new one.
@@ -6,19 +6,186 @@ them makes room for a new one.
 
 import asyncio
 import json
+import tempfile
+import zipfile
+from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from html import escape
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from companion.app.page.access import host_is_ours, own_names, same_origin, same_token
-from companion.app.page.downloads import add_file_routes
 from companion.app.page.look import Reply, Start, Text
-from companion.app.page.viewer import Viewer
 from companion.base.clock import Clock
+from companion.flightlog.flights import numbered_flights
+
+# ---------------------------------------------------------------- what is given to keep
+# The flights' logs as zip files, and the settings to read. Whoever asks shows the token, where there is one,
+# as a bearer's (RFC 6750). Nothing is changed from here.
+
+MEGABYTE: Final = 1e6
+_PIECE: Final = 256 * 1024
+
+
+def add_file_routes(app: web.Application, start: Start) -> None:
+    """`/flights`, `/flights/NAME` and `/settings`."""
+
+    async def flights(request: web.Request) -> web.Response:
+        _let_in(request, start)
+        return web.json_response(await asyncio.to_thread(listed, start.flights))
+
+    async def flight(request: web.Request) -> web.StreamResponse:
+        _let_in(request, start)
+        folder = next((f for f in _folders(start.flights) if f.name == request.match_info["name"]), None)
+        if folder is None:
+            raise web.HTTPNotFound(text="no such flight\n")
+        with tempfile.TemporaryFile() as packed:
+            await asyncio.to_thread(pack, folder, packed)
+            return await _sent(request, packed, f"{folder.name}.zip")
+
+    async def settings(request: web.Request) -> web.Response:
+        _let_in(request, start)
+        return web.Response(text=start.settings_text)
+
+    app.add_routes(
+        [
+            web.get("/flights", flights),
+            web.get("/flights/{name}", flight),
+            web.get("/settings", settings),
+        ]
+    )
+
+
+def listed(root: Path | None) -> list[dict[str, Any]]:
+    """The flights, newest first, with their sizes."""
+    return [
+        {
+            "name": folder.name,
+            "megabytes": sum(p.stat().st_size for p in folder.rglob("*") if p.is_file()) / MEGABYTE,
+        }
+        for folder in reversed(_folders(root))
+    ]
+
+
+def pack(folder: Path, packed: IO[bytes]) -> None:
+    """All of a flight's folder as `companion logs export` has it; the log is compressed already."""
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_STORED) as archive:
+        for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+            archive.write(path, Path(folder.name) / path.relative_to(folder))
+
+
+async def _sent(request: web.Request, packed: IO[bytes], name: str) -> web.StreamResponse:
+    size = packed.tell()
+    packed.seek(0)
+    answer = web.StreamResponse(
+        headers={
+            "Content-Type": "application/zip",
+            "Content-Length": str(size),
+            "Content-Disposition": f'attachment; filename="{name}"',
+            "X-Content-Type-Options": "nosniff",
+            "Cache-Control": "no-store",
+        }
+    )
+    await answer.prepare(request)
+    while piece := await asyncio.to_thread(packed.read, _PIECE):
+        await answer.write(piece)
+    await answer.write_eof()
+    return answer
+
+
+def _folders(root: Path | None) -> list[Path]:
+    return [] if root is None else list(numbered_flights(root))
+
+
+def _let_in(request: web.Request, start: Start) -> None:
+    """See that the token is shown.
+
+    Raises:
+        HTTPForbidden: it is not.
+    """
+    kind, _, given = request.headers.get("Authorization", "").partition(" ")
+    if start.token is not None and not (kind == "Bearer" and same_token(given, start.token)):
+        raise web.HTTPForbidden(text="needs the token\n")
+
+
+# ---------------------------------------------------------------- one viewer
+
+# Pictures under way: of two, a busy browser's second waits behind the first and is older by a fifth. A slow
+# line or phone gets fewer, not older ones.
+MOST_UNDER_WAY: Final = 1
+MOST_REPLIES: Final = 8
+# whoever takes nothing for so long has gone
+SENDING_S: Final = 10.0
+# a browser tells of each picture that it has drawn, and of what a finger does
+MOST_MESSAGES_A_S: Final = 40.0
+BURST: Final = 80.0
+
+
+class Viewer:
+    """Takes what is offered and sends what its browser can take."""
+
+    def __init__(self, socket: web.WebSocketResponse, clock: Clock) -> None:
+        self._socket, self._clock = socket, clock
+        self._picture: tuple[int, bytes] | None = None
+        self._texts: dict[str, str] = {}
+        self._replies: deque[str] = deque(maxlen=MOST_REPLIES)
+        self._under_way: deque[int] = deque()
+        self._changed = asyncio.Event()
+        self._allowance, self._counted_s = BURST, clock.now_s()
+        self.unanswered: set[str] = set()  # kinds of orders that wait for their first answer
+
+    def offer_picture(self, number: int, data: bytes) -> None:
+        """A new picture, in place of one that still waits."""
+        self._picture = (number, data)
+        self._changed.set()
+
+    def offer(self, kind: str, text: str) -> None:
+        """JSON, in place of what still waits of its kind."""
+        self._texts[kind] = text
+        self._changed.set()
+
+    def reply(self, text: str) -> None:
+        """An answer to this viewer's order."""
+        self._replies.append(text)
+        self._changed.set()
+
+    def drawn(self, number: int) -> None:
+        """It has drawn a picture, and therefore is done with those before."""
+        while self._under_way and self._under_way[0] <= number:
+            self._under_way.popleft()
+        self._changed.set()
+
+    def may_speak(self) -> bool:
+        """Count a message of its; False when it sends more than any browser would."""
+        now_s = self._clock.now_s()
+        self._allowance = min(BURST, self._allowance + MOST_MESSAGES_A_S * (now_s - self._counted_s)) - 1.0
+        self._counted_s = now_s
+        return self._allowance >= 0.0
+
+    async def send(self) -> None:
+        """Send until the connection ends.
+
+        Raises:
+            TimeoutError: it takes nothing any more.
+            OSError: it has gone.
+        """
+        while True:
+            await self._changed.wait()
+            self._changed.clear()
+            texts = [*self._replies, *self._texts.values()]
+            self._replies.clear()
+            self._texts.clear()
+            async with asyncio.timeout(SENDING_S):
+                for text in texts:
+                    await self._socket.send_str(text)
+                if self._picture is not None and len(self._under_way) < MOST_UNDER_WAY:
+                    (number, data), self._picture = self._picture, None
+                    self._under_way.append(number)
+                    await self._socket.send_bytes(data)
+
 
 STATIC: Final = Path(__file__).parent / "static"
 WAITING: Final = Path(__file__).parent / "wait.html"

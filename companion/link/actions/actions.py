@@ -1,28 +1,28 @@
-"""What a mission asks of the autopilot besides setpoints: the interface, and how our own session does it.
+"""What a mission asks of the autopilot besides setpoints, and how our own session does it.
 
 PX4 and ArduPilot differ in nearly every one. Heights are over home; both autopilots get altitudes over the
 sea where they go somewhere. Nothing here sends setpoints: they come from the control loop alone, so that they
 stop when it stops.
 """
 
+import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
-from typing import Final, Protocol
+from typing import Any, Final
 
 from companion.base.autopilots import PROFILES
 from companion.base.clock import Clock
 from companion.base.geometry import Vector3
 from companion.base.messages import Action, ActionKind, ActionResult, AutopilotSetup
 from companion.config import LinkConfig
-from companion.link.actions.dialogue import Dialogue
-from companion.link.actions.performing import Handler, Performances, Refused, Unanswered
+from companion.link.actions.dialogue import Dialogue, Refused, Unanswered
 from companion.link.autopilot_setup import loss_refusal
 from companion.link.codec import mavlink
-from companion.link.commands import request_message
-from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST
+from companion.link.commands import GUIDED_OPTIONS, THRUST_IS_THRUST, WITHDRAWN, request_message
 from companion.link.session import Session
 
+_WORDS_S: Final = 0.2  # a refusal's reason comes as a text of its own, before or after it
 _SILENT_S: Final = 0.5  # attitudes come many times a second
 _SETUP_S: Final = 5.0  # each of its parameters is asked for four times, half a second apart
 _LOOK_S: Final = 0.05
@@ -30,31 +30,11 @@ _RISEN_SHARE: Final = 0.7  # autopilots brake early
 _FORCE: Final = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM: whatever the checks say
 
 
-class VehicleActions(Protocol):
-    """Asks the autopilot or the ground station for something and reports how it went."""
-
-    async def start(self) -> None:
-        """Make ready; before the first `receive`."""
-
-    def receive(self, data: bytes) -> None:
-        """Hand on what the transport received, which may be more than one implementation's business."""
-
-    async def perform(self, action: Action) -> ActionResult:
-        """Do one thing; wait for the answer, not for the vehicle to be there. A refusal is a result."""
-
-    def cancel(self) -> None:
-        """The purpose of all that is under way is void, as when a pilot has taken over.
-
-        From this call on nothing of it is sent or repeated, and each `perform` under way returns
-        "withdrawn" at the loop's next turns. What is asked for afterwards need not wait for any of it.
-        """
-
-    async def close(self) -> None:
-        """Give everything back."""
+Handler = Callable[[Action], Coroutine[Any, Any, None]]
 
 
 class PymavlinkActions:
-    """Actions as MAVLink commands of our own session.
+    """Asks the autopilot or the ground station for something, as MAVLink commands of our own session.
 
     `send` takes the bytes to the transport; `attitude_setpoints` shows that the setpoints will be attitude
     and thrust, for which an ArduPilot must be set up. Runs on any loop, in virtual time too.
@@ -73,7 +53,7 @@ class PymavlinkActions:
         self._session, self._clock = session, clock
         self._config = config
         self._attitude_setpoints = attitude_setpoints
-        self._performances = Performances(session, clock)
+        self._under_way: list[asyncio.Task[ActionResult]] = []
         self._handlers: dict[ActionKind, Handler] = {
             ActionKind.ARM: self._arm,
             ActionKind.TAKE_OFF: self._take_off,
@@ -87,20 +67,50 @@ class PymavlinkActions:
         }
 
     async def start(self) -> None:
-        """Nothing to make ready."""
+        """Make ready, before the first `receive`; here nothing."""
 
     def receive(self, data: bytes) -> None:
-        """Nothing: the session hears everything already."""
+        """Hand on what the transport received; the session hears it already."""
 
     async def close(self) -> None:
-        """Nothing to give back."""
+        """Give everything back; here nothing."""
 
     async def perform(self, action: Action) -> ActionResult:
-        return await self._performances.perform(self._handlers[action.kind], action)
+        """Do one thing; wait for the answer, not for the vehicle to be there. A refusal is a result."""
+        work = asyncio.create_task(self._result(self._handlers[action.kind], action))
+        self._under_way.append(work)
+        try:
+            await asyncio.wait((work,))
+        finally:
+            self._under_way.remove(work)
+            work.cancel()  # when it is we who are cancelled; nothing once it is done
+        if work.cancelled():
+            return ActionResult(self._clock.now_s(), action.kind, accepted=False, text=WITHDRAWN)
+        return work.result()
 
     def cancel(self) -> None:
+        """The purpose of all that is under way is void, as when a pilot has taken over.
+
+        From this call on nothing of it is sent or repeated, and each `perform` under way returns
+        "withdrawn" at the loop's next turns. What is asked for afterwards need not wait for any of it.
+        """
         self.dialogue.withdraw()
-        self._performances.cancel()
+        for work in self._under_way:
+            work.cancel()
+
+    async def _result(self, handler: Handler, action: Action) -> ActionResult:
+        """How a handler ends; a refusal carries the autopilot's text of that time."""
+        session, clock = self._session, self._clock
+        heard_before = session.texts_heard
+        try:
+            await handler(action)
+        except Refused as refusal:
+            await clock.sleep_until(clock.now_s() + _WORDS_S)
+            count = session.texts_heard - heard_before
+            words = session.state.texts[-count:] if count > 0 else ()
+            text = "; ".join((str(refusal), *words))
+            return ActionResult(clock.now_s(), action.kind, accepted=False, text=text)
+        return ActionResult(clock.now_s(), action.kind, accepted=True)
 
     # ------------------------------------------------------------ the actions
 

@@ -8,19 +8,29 @@ from collections.abc import Callable
 from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.autopilots import PROFILES
-from companion.base.autopilots.profile import AutopilotMake
+from companion.base.autopilots import PROFILES, AutopilotMake, mode_parameters
 from companion.base.clock import Clock
 from companion.base.geometry import Vector3
-from companion.link.actions.performing import Refused, Unanswered
 from companion.link.codec import mavlink
-from companion.link.commands import NO_ANSWER, Pending, VehicleCommand, request_message
-from companion.link.modes import mode_parameters
-from companion.link.parameters import ParameterRequest
+from companion.link.commands import (
+    NO_ANSWER,
+    ParameterRequest,
+    Pending,
+    VehicleCommand,
+    request_message,
+)
 from companion.link.session import Session
 
 _POLL_S: Final = 0.01
 _CONFIRM_S: Final = 2.5  # some autopilots report a new mode only in the next heartbeat, at 1 Hz
+
+
+class Refused(Exception):  # noqa: N818 - it reads as what happened
+    """An action came to nothing; the text says why."""
+
+
+class Unanswered(Refused):
+    """Nothing was heard of it, so that it may have been carried out or not."""
 
 
 def _wanted_still() -> str:

@@ -25,10 +25,10 @@ from mavsdk.exceptions import MavsdkError
 
 from companion.base.autopilots import PROFILES
 from companion.base.clock import Clock
-from companion.base.messages import Action, ActionKind, ActionResult
+from companion.base.messages import Action
 from companion.config import ConfigError, LinkConfig
 from companion.link.actions.actions import PymavlinkActions
-from companion.link.actions.performing import Handler, Performances, Refused
+from companion.link.actions.dialogue import Refused
 from companion.link.codec import has_command
 from companion.link.session import Session
 
@@ -44,8 +44,8 @@ _LOG_LEVELS: Final = {
 _log = logging.getLogger(__name__)
 
 
-class MavsdkActions:
-    """`VehicleActions` by MAVSDK, in real time only: it has a clock and threads of its own."""
+class MavsdkActions(PymavlinkActions):
+    """Actions by MAVSDK, in real time only: it has a clock and threads of its own. What it lacks is ours."""
 
     def __init__(
         self,
@@ -58,27 +58,12 @@ class MavsdkActions:
     ) -> None:
         if clock.virtual:
             raise ConfigError("link.actions: mavsdk cannot run in virtual time; expected pymavlink")
-        self._session = session
+        super().__init__(session, send, clock, config, attitude_setpoints=attitude_setpoints)
         self._send = send
-        self._clock = clock
-        self._config = config
-        self._own = PymavlinkActions(session, send, clock, config, attitude_setpoints=attitude_setpoints)
-        self._performances = Performances(session, clock)
         self._mavsdk: Any = None
         self._action: Any = None
         self._calls: set[asyncio.Future[Any]] = set()
         self._withdrawn_calls: set[asyncio.Future[Any]] = set()
-        self._handlers: dict[ActionKind, Handler] = {
-            ActionKind.ARM: self._arm,
-            ActionKind.TAKE_OFF: self._take_off,
-            ActionKind.GO_TO: self._go_to,
-            ActionKind.TAKE_CONTROL: self._own.take_control,
-            ActionKind.LEAVE_OFFBOARD: self._own.leave_offboard,
-            ActionKind.HOLD: self._hold,
-            ActionKind.LAND: self._land,
-            ActionKind.DISARM: self._disarm,
-            ActionKind.REQUEST_PAD_POSITION: self._own.request_pad_position,
-        }
 
     async def start(self) -> None:
         """Start MAVSDK; it finds the autopilot by what `receive` hands on."""
@@ -105,13 +90,9 @@ class MavsdkActions:
         if self._mavsdk is not None:
             self._mavsdk._mavsdk.pass_received_raw_bytes(data)
 
-    async def perform(self, action: Action) -> ActionResult:
-        return await self._performances.perform(self._handlers[action.kind], action)
-
     def cancel(self) -> None:
         self._withdrawn_calls |= self._calls
-        self._own.cancel()
-        self._performances.cancel()
+        super().cancel()
 
     async def close(self) -> None:
         """Wait for the calls under way (MAVSDK gives up by itself), then end its threads."""
@@ -135,12 +116,12 @@ class MavsdkActions:
 
     async def _arm(self, action: Action) -> None:
         await self._connect()
-        await self._own.require_setup()
-        profile = self._own.dialogue.profile()
+        await self.require_setup()
+        profile = self.dialogue.profile()
         if profile.takes_off_under_control:
-            await self._own.dialogue.set_mode(profile.control_mode)
+            await self.dialogue.set_mode(profile.control_mode)
         await self._try(self._action.arm())
-        await self._own.dialogue.confirm(lambda: self._session.state.armed, "armed")
+        await self.dialogue.confirm(lambda: self._session.state.armed, "armed")
 
     async def _take_off(self, action: Action) -> None:
         await self._connect()
@@ -149,46 +130,46 @@ class MavsdkActions:
 
     async def _go_to(self, action: Action) -> None:
         await self._connect()
-        latitude_deg, longitude_deg, altitude_m = self._own.destination(action)
+        latitude_deg, longitude_deg, altitude_m = self.destination(action)
         heading_deg = math.nan if action.heading_rad is None else math.degrees(action.heading_rad)
         await self._try(self._action.goto_location(latitude_deg, longitude_deg, altitude_m, heading_deg))
 
-    async def _hold(self, action: Action) -> None:
+    async def hold(self, action: Action, void: Callable[[], str] | None = None) -> None:
         """By MAVSDK; should it fail, by ours: stopping must not hang on one library. To rise is ours.
 
         Not where another mode was chosen meanwhile, by a pilot or a failsafe.
         """
-        void = self._own.unless_taken(*(profile.hold_mode for profile in PROFILES.values()))
+        void = void or self.unless_taken(*(profile.hold_mode for profile in PROFILES.values()))
         if action.height_m != 0.0:
-            return await self._own.hold(action, void)
+            return await super().hold(action, void)
         try:
             await self._connect()
             await self._try(self._action.hold())
-            self._own.dialogue.ask_for_heartbeat()
+            self.dialogue.ask_for_heartbeat()
         except Refused:
-            await self._own.hold(action, void)
+            await super().hold(action, void)
 
-    async def _land(self, action: Action) -> None:
-        """As `_hold`."""
-        void = self._own.unless_taken(*(profile.land_mode for profile in PROFILES.values()))
+    async def land(self, action: Action, void: Callable[[], str] | None = None) -> None:
+        """As `hold`."""
+        void = void or self.unless_taken(*(profile.land_mode for profile in PROFILES.values()))
         try:
             await self._connect()
             await self._try(self._action.land())
-            self._own.dialogue.ask_for_heartbeat()
+            self.dialogue.ask_for_heartbeat()
         except Refused:
-            await self._own.land(action, void)
+            await super().land(action, void)
 
-    async def _disarm(self, action: Action) -> None:
+    async def disarm(self, action: Action) -> None:
         """By MAVSDK, which refuses in the air; then by ours, which may force it where asked and allowed."""
         before = self._session.state.mode
         try:
             await self._connect()
             await self._try(self._action.disarm())
-            await self._own.dialogue.confirm(lambda: not self._session.state.armed, "disarmed")
+            await self.dialogue.confirm(lambda: not self._session.state.armed, "disarmed")
         except Refused:
             if self._session.state.mode != before:
                 raise  # another pilot has the vehicle by now
-            await self._own.disarm(action)
+            await super().disarm(action)
 
     # ------------------------------------------------------------ MAVSDK
 
@@ -202,7 +183,7 @@ class MavsdkActions:
             raise Refused("MAVSDK is not running")
         if self._withdrawn_calls:
             raise Refused("MAVSDK is still busy with what was withdrawn")
-        self._own.dialogue.autopilot_kind()
+        self.dialogue.autopilot_kind()
         if self._action is not None:
             return
         system = await self._call(self._mavsdk.first_autopilot(_DISCOVERY_S))

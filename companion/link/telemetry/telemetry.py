@@ -9,12 +9,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from companion.base.autopilots import PROFILES
+from companion.base.autopilots import PROFILES, mode_name
 from companion.base.geometry import Vector3, quat_from_euler, quat_normalise, vector3
 from companion.base.messages import AutopilotState, LandedState
-from companion.link.codec import Message, mavlink
-from companion.link.dialect import CURRENT_MODE
-from companion.link.modes import mode_name
+from companion.link.codec import CURRENT_MODE, Message, mavlink
 
 KEPT_TEXTS: Final = 10
 _CHUNK_BYTES: Final = 50

@@ -22,8 +22,8 @@ import numpy as np
 from companion.base.clock import Clock, boot_clock_ahead_s
 from companion.base.errors import DeviceMissing
 from companion.config import CaptureConfig, ConfigError
+from companion.sense.camera.health import StampPoint, StampReader
 from companion.sense.camera.reader import ReadBack, Shot, check_size
-from companion.sense.camera.stamps import StampPoint, StampReader
 
 BUFFERS: Final = 4
 WAIT_S: Final = 2.0  # for a frame; picamera2 by itself waits for ever, and a stalled camera stays taken

@@ -9,8 +9,8 @@ Sources, as in `sense.vision.source`:
     v4l2:0                            /dev/video0                             v4l2
     v4l2:/dev/v4l/by-id/NAME          the same camera after each start        v4l2
     picamera2:0                       libcamera's first camera                picamera
-    video:flight.mp4                  a video file, in real time              folder_replay
-    images:frames                     a folder of images, in real time        folder_replay
+    video:flight.mp4                  a video file, in real time              photos
+    images:frames                     a folder of images, in real time        photos
     socket:/run/companion/frames      another process (docs/reference/camera-frames.md) frame_socket
     tcp:127.0.0.1:5600                the same over TCP
     rtsp://HOST/PATH, http://HOST/PATH, gstreamer:PIPELINE  a camera on the network  stream
@@ -27,10 +27,10 @@ from companion.base.errors import DeviceMissing
 from companion.base.formats.frame_stream import ADDRESS_FORM
 from companion.base.messages import Frame
 from companion.config import CaptureConfig, ConfigError, without_password
-from companion.sense.camera.folder_replay import open_folder, open_video
 from companion.sense.camera.frame_socket import SocketCamera
 from companion.sense.camera.health import patience_with
 from companion.sense.camera.keeper import KeptCamera, LiveSource
+from companion.sense.camera.photos import open_folder, open_video
 from companion.sense.camera.picamera import Picamera2Device
 from companion.sense.camera.reader import MakeDevice, OpeningHangs, ThreadedCamera
 from companion.sense.camera.stream import STREAM_FORM, StreamDevice

@@ -22,8 +22,8 @@ import cv2
 from companion.base.clock import Clock
 from companion.base.errors import DeviceMissing
 from companion.config import CaptureConfig
+from companion.sense.camera.health import StampPoint, StampReader
 from companion.sense.camera.reader import ReadBack, Shot, check_size, grey
-from companion.sense.camera.stamps import StampPoint, StampReader
 
 MANUAL_EXPOSURE: Final = 1  # V4L2_EXPOSURE_MANUAL
 EXPOSURE_UNIT_S: Final = 1e-4  # of V4L2_CID_EXPOSURE_ABSOLUTE

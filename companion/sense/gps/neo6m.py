@@ -1,6 +1,6 @@
 """A u-blox GPS receiver (NEO-6M to M10): its settings as UBX commands, its bytes to fixes. No I/O.
 
-It wakes up at 1 Hz with NMEA at 9600 baud; its baud rate is found and moved to `config.baud` (`baud_rate`),
+It wakes up at 1 Hz with NMEA at 9600 baud; its baud rate is found and moved to `config.baud` (`BaudRate`),
 then it is asked for NAV-POSLLH, -VELNED, -SOL, -STATUS and -DOP at `config.rate_hz` and no NMEA
 (`commands`; u-blox 6 Receiver Description GPS.G6-SW-10018). The messages of one epoch carry the same time
 of week (iTOW) and make one fix (`fixes`). One that refuses NAV-SOL or does not send it (M9 and later) is
@@ -18,13 +18,14 @@ from pyubx2 import UBXReader
 
 from companion.base.messages import GpsFix
 from companion.config import GpsConfig
-from companion.sense.gps.baud_rate import SILENCE_S, BaudRate
 from companion.sense.gps.commands import (
     FIX_MESSAGES,
     NEXT_DIALECT,
     PVT_MESSAGE,
+    SILENCE_S,
     TRUST_MESSAGES,
     VERSION_REQUEST,
+    BaudRate,
     Dialect,
     baud_commands,
     command_name,
@@ -40,8 +41,13 @@ from companion.sense.gps.fixes import (
     fix_from_ubx,
     has_fix,
 )
-from companion.sense.gps.framing import UBX_OVERHEAD, FrameSplitter, GpsMessage
-from companion.sense.gps.sentences import parse_sentence, seconds_of_day
+from companion.sense.gps.framing import (
+    UBX_OVERHEAD,
+    FrameSplitter,
+    GpsMessage,
+    parse_sentence,
+    seconds_of_day,
+)
 
 ANSWER_TIMEOUT_S: Final = 1.0  # at 9600 baud a receiver's second of NMEA stands before the answer
 TRIES: Final = 5

@@ -14,6 +14,7 @@ from typing import Final, Protocol
 import smbus2
 
 from companion.base.errors import ConfigError, DeviceMissing
+from companion.base.files import take_alone
 from companion.base.formats.bus_format import (
     REPLY_HEADER_BYTES,
     BusFormatError,
@@ -22,7 +23,6 @@ from companion.base.formats.bus_format import (
     decode_reply_header,
     encode_request,
 )
-from companion.sense.exclusive import take_alone
 from companion.sense.imu.spi import SpiBus
 
 SMBUS_BLOCK_BYTES: Final = 32

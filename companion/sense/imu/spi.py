@@ -9,7 +9,7 @@ import errno
 from typing import Any, Final
 
 from companion.base.errors import ConfigError, DeviceMissing
-from companion.sense.exclusive import take_alone
+from companion.base.files import take_alone
 
 READ_BIT: Final = 0x80
 REGISTER_HZ: Final = 1_000_000

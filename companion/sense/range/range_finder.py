@@ -13,8 +13,7 @@ from companion.base.messages import RangeSample
 from companion.config import RangeConfig
 from companion.sense.imu.i2c import SensorError
 from companion.sense.range.echo_pins import EchoPins, EchoPulse
-from companion.sense.range.spike_filter import SpikeFilter
-from companion.sense.range.ultrasonic import Ultrasonic
+from companion.sense.range.ultrasonic import SpikeFilter, Ultrasonic
 from companion.sense.range.us100 import Us100
 
 SILENCE_S: Final = 1.0

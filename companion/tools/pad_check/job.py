@@ -9,8 +9,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from companion.app.calibration_warnings import forced_calibrations
 from companion.app.hardware import open_hardware
+from companion.app.sensing import forced_calibrations
 from companion.base.files import write_atomically
 from companion.base.formats.mjpeg import serving
 from companion.base.signals import run_until_stopped

@@ -17,7 +17,7 @@ from companion.base.clock import Clock, start_unix_s
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import CompanionConfig, ConfigError, VehicleConfig
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec
-from companion.link.parameters import ParameterRequest
+from companion.link.commands import ParameterRequest
 from companion.link.session import Session
 from companion.link.signing import signing_of
 from companion.link.transport import Transport, open_transport

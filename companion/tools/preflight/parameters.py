@@ -37,7 +37,7 @@ from companion.link.autopilot_setup import (
     short_timeout,
 )
 from companion.link.codec import AUTOPILOT_COMPONENT, mavlink
-from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST, all_names, value_of
+from companion.link.commands import GUIDED_OPTIONS, THRUST_IS_THRUST, all_names, value_of
 from companion.tools.preflight.findings import Finding, FindingGroup, FindingState, ParameterChange
 
 GROUP: Final = "autopilot's parameters"

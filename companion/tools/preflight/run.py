@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from companion.app.service.autopilot_lock import app_at
+from companion.app.hardware import app_at
 from companion.app.service.systemd import SERVICE, ServiceState, service_state
 from companion.base.clock import start_unix_s
 from companion.base.magnetic_field import compare_declination

@@ -11,13 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
-from companion.base.autopilots import PROFILES
-from companion.base.autopilots.profile import version_text
+from companion.base.autopilots import PROFILES, version_text
 from companion.base.geometry import euler_from_quat
 from companion.base.messages import AutopilotState, GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import CompanionConfig
-from companion.link.codec import MARKER, SIGNATURE_BYTES, SIGNED_FLAG, V2_MARKER, mavlink
-from companion.link.dialect import CURRENT_MODE
+from companion.link.codec import CURRENT_MODE, MARKER, mavlink
+from companion.link.signing import SIGNATURE_BYTES, SIGNED_FLAG, V2_MARKER
 from companion.link.streams import pose_rates_hz, telemetry_rates_hz
 from companion.plan.mission.readiness import offboard_words
 from companion.tools.preflight.findings import Finding, FindingGroup

@@ -16,13 +16,11 @@ from benchmarks.faults import fault_flight
 from benchmarks.faults.cases import FaultRun, faultless, scenario_of
 from benchmarks.faults.witness import WitnessedFlight
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.autopilots import PROFILES
+from companion.base.autopilots import PROFILES, custom_mode
 from companion.base.clock import Clock
 from companion.config import merge
-from companion.link.codec import AUTOPILOT_COMPONENT, Codec, mavlink
-from companion.link.dialect import CURRENT_MODE
-from companion.link.inbox import MemoryTransport, memory_pair
-from companion.link.modes import custom_mode
+from companion.link.codec import AUTOPILOT_COMPONENT, CURRENT_MODE, Codec, mavlink
+from companion.link.transport import MemoryTransport, memory_pair
 from sitl.scenario.scenario import Scenario
 from tests.scenario.flights.forked import fly_forked
 from tests.scenario.flying import FEW_PICTURES

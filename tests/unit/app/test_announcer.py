@@ -1,6 +1,6 @@
 """What people are told, and what only the log is told again."""
 
-from companion.app.announcer import REPEATED_S, Announcer
+from companion.app.missions import REPEATED_S, Announcer
 from companion.base.clock import Clock
 from companion.base.messages import Notice
 from companion.flightlog.record import FlightLog

@@ -15,10 +15,9 @@ import numpy as np
 import pytest
 
 from companion.app import hardware
-from companion.app.devices import AwaitedBus, AwaitedPort, AwaitedTransport, opened_if_there
-from companion.app.hardware import Hardware
+from companion.app.app import supervised
+from companion.app.hardware import AwaitedBus, AwaitedPort, AwaitedTransport, Hardware, opened_if_there
 from companion.app.sensing import Sensing
-from companion.app.supervision import supervised
 from companion.base.clock import Clock
 from companion.base.errors import ConfigError, DeviceMissing
 from companion.base.messages import Frame, PadBeacon, PadObservation
@@ -26,7 +25,7 @@ from companion.config import CameraConfig, CompanionConfig, SenseConfig, Vehicle
 from companion.config.reading import validate
 from companion.flightlog.record import FlightLog
 from companion.link.codec import Severity
-from companion.link.inbox import memory_pair
+from companion.link.transport import memory_pair
 from companion.pad import load_pad
 from companion.sense.camera.health import patience_with
 from companion.sense.camera.keeper import KeptCamera, LiveSource
@@ -172,15 +171,13 @@ def test_a_chip_that_does_not_answer_leaves_the_bus_open() -> None:
 
 def test_only_what_is_missing_is_waited_for() -> None:
     shelf = Shelf()
-    assert opened_if_there(shelf.open_line, waits=True) is None
-    with pytest.raises(DeviceMissing):
-        opened_if_there(shelf.open_line, waits=False)
+    assert opened_if_there(shelf.open_line) is None
 
     def misspelt() -> UnpluggedLine:
         raise ConfigError("no such kind of port")
 
     with pytest.raises(ConfigError, match="no such kind"):
-        opened_if_there(misspelt, waits=True)
+        opened_if_there(misspelt)
 
 
 # ---------------- Which ports and buses are opened, by where the sensors are

@@ -7,7 +7,7 @@ from rich.console import Console
 
 from calibration.magnetometer.collect import CoverageProgress, drawn
 from calibration.magnetometer.ellipsoid import CELLS
-from companion.app.status import Status
+from companion.app.app import Status
 from companion.app.terminal import status_table
 from companion.base.messages import Phase
 

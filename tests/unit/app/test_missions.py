@@ -2,8 +2,7 @@
 
 import pytest
 
-from companion.app.announcer import Announcer
-from companion.app.missions import Missions
+from companion.app.missions import Announcer, Missions
 from companion.base.clock import Clock
 from companion.base.messages import (
     Action,

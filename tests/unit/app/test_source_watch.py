@@ -1,6 +1,6 @@
 """What is announced of the second sources: the magnetic field that is set, where the first fix shows us."""
 
-from companion.app.source_watch import SourceWatch
+from companion.app.stages import SourceWatch
 from companion.base.geometry import Vector3
 from companion.base.magnetic_field import field_ned_ut
 from companion.base.messages import Quantity

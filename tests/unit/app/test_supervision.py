@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from companion.app.supervision import BACK_AFTER_S, RESTART_PAUSE_S, supervised
+from companion.app.app import BACK_AFTER_S, RESTART_PAUSE_S, supervised
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.errors import ConfigError
 from companion.link.codec import Severity

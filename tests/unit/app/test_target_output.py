@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from companion.app.target_output import OLDEST_S, TargetOutput
+from companion.app.stages import OLDEST_TARGET_S, TargetOutput
 from companion.base.geometry import IDENTITY
 from companion.base.messages import AutopilotState, LandingTargetPose, PadSighting, PadState, VehicleState
 from companion.config import ControlConfig
@@ -79,7 +79,7 @@ def test_a_sighting_that_the_filter_has_refused_is_not_sent() -> None:
 
 
 def test_what_is_old_is_not_sent_any_more() -> None:
-    assert Desk().due(10.0 + OLDEST_S + 0.01) is None
+    assert Desk().due(10.0 + OLDEST_TARGET_S + 0.01) is None
     assert Desk().due(9.99) is None  # nor what is still to come
 
 
@@ -104,7 +104,7 @@ def test_px4_waits_for_its_own_pose_and_not_for_long() -> None:
     late = Desk("px4")
     late.take_pose(9.99)
     late.take_pose(10.03)
-    assert late.due(10.0 + OLDEST_S + 0.05) is None
+    assert late.due(10.0 + OLDEST_TARGET_S + 0.05) is None
 
 
 def test_nothing_goes_to_an_autopilot_that_is_lost_or_unknown() -> None:

@@ -14,8 +14,8 @@ import pytest
 import typer
 from rich.console import Console
 
+from companion.app.app import Status
 from companion.app.command import EXIT_CODES, Output
-from companion.app.status import Status
 from companion.app.terminal import StatusView
 from companion.base.geometry import ZERO3
 from companion.base.messages import FrameReport, Notice, Outcome, PadState, Phase, VehicleState

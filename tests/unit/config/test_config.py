@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import yaml
 
-from companion.app.calibration_warnings import forced_calibrations
+from companion.app.sensing import forced_calibrations
 from companion.config import (
     CONFIG_FOLDER,
     NAMED_FILES,

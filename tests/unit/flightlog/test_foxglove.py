@@ -20,8 +20,7 @@ from mcap.reader import make_reader
 
 from companion.base import messages as ours
 from companion.base.geometry import quat_from_euler, quat_rotate
-from companion.base.message_json import decode, encode
-from companion.base.message_schema import schema_of
+from companion.base.message_json import decode, encode, schema_of
 from companion.base.messages import (
     ControlReport,
     Frame,

@@ -18,8 +18,7 @@ from mcap.reader import make_reader
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.base.message_json import encode
-from companion.base.message_schema import schema_of
+from companion.base.message_json import encode, schema_of
 from companion.base.messages import (
     Frame,
     ImuSample,

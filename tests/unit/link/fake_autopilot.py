@@ -7,9 +7,8 @@ import math
 from dataclasses import dataclass, field
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.link.codec import Codec, Message, mavlink, status_texts, timesync
-from companion.link.dialect import CurrentMode
-from companion.link.modes import custom_mode
+from companion.base.autopilots import custom_mode
+from companion.link.codec import Codec, CurrentMode, Message, mavlink, status_texts, timesync
 
 ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
 DENIED = mavlink.MAV_RESULT_DENIED

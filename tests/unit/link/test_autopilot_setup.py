@@ -7,7 +7,7 @@ from companion.base.autopilots import PROFILES
 from companion.base.messages import AutopilotSetup
 from companion.link.autopilot_setup import SetupReader, loss_refusal, loss_warnings
 from companion.link.codec import mavlink
-from companion.link.parameters import ParameterRequests
+from companion.link.commands import ParameterRequests
 
 TOLD: dict[str, float] = {
     "ANGLE_MAX": 3000.0, "WPNAV_ACCEL": 250.0, "PSC_JERK_XY": 5.0,

@@ -15,8 +15,7 @@ from companion.base.messages import (
     OrderReply,
 )
 from companion.config import LinkConfig, OrdersConfig
-from companion.link.codec import Codec, command_int, command_long, heartbeat, mavlink
-from companion.link.dialect import CURRENT_MODE
+from companion.link.codec import CURRENT_MODE, Codec, command_int, command_long, heartbeat, mavlink
 from companion.link.orders import SETTLES_S, UNBROKEN_S, OrderListener
 from companion.link.session import Session
 from tests.unit.link.fake_autopilot import FakeAutopilot

@@ -7,7 +7,7 @@ import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.link.codec import Codec, mavlink
-from companion.link.parameters import ParameterRequest, ParameterRequests
+from companion.link.commands import ParameterRequest, ParameterRequests
 
 INT8, INT32, REAL32 = (
     mavlink.MAV_PARAM_TYPE_INT8,

@@ -9,10 +9,9 @@ from companion.base.geometry import quat_from_euler, yaw_from_quat
 from companion.base.messages import LandingTargetPose, Setpoint
 from companion.config import LinkConfig, SenseConfig
 from companion.link.codec import Codec, heartbeat, mavlink, status_texts
-from companion.link.notices import UNHEARD
-from companion.link.session import Session
+from companion.link.session import UNHEARD, Session
 from companion.link.streams import telemetry_rates_hz
-from companion.link.timing.timesync import clock_ns
+from companion.link.timesync import clock_ns
 from companion.plan.mission.readiness import refused_words
 from tests.unit.link.fake_autopilot import FakeAutopilot
 from tests.unit.link.session_flight import SessionFlight

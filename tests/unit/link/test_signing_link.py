@@ -14,7 +14,6 @@ from companion.link.signing import (
     EPOCH_UNIX_S,
     STAMPS_PER_S,
     LinkSigning,
-    SigningKey,
     read_signing_key,
     stamp_from_unix,
 )
@@ -29,7 +28,7 @@ COMMAND = VehicleCommand(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, 0.0))
 
 
 def signing_of(secret: bytes, stamp: int = STAMP, kept_stamp: int = 0) -> LinkSigning:
-    return LinkSigning(SigningKey(secret, stamp, kept_stamp))
+    return LinkSigning(secret, stamp, kept_stamp)
 
 
 def sender(secret: bytes = KEY, stamp: int = STAMP, system_id: int = 1, component_id: int = 1) -> Codec:
@@ -84,7 +83,7 @@ def test_an_autopilot_that_demands_signatures_refuses_an_app_without() -> None:
 
 
 def test_a_clock_that_is_years_behind_does_no_harm() -> None:
-    session = Session(LinkConfig(), signing=LinkSigning(SigningKey(KEY, 0)))
+    session = Session(LinkConfig(), signing=LinkSigning(KEY, 0))
     signing = Signing("px4", KEY)
     endpoint = MavlinkEndpoint(AutopilotFlight("px4").autopilot, signing=signing, unix_at_start_s=UNIX_S)
     asked = session.command(COMMAND)
@@ -144,7 +143,8 @@ def key_file(folder: Path, content: bytes, mode: int = 0o600) -> Path:
 
 
 def test_the_key_is_32_bytes_or_a_passphrase(tmp_path: Path) -> None:
-    assert read_signing_key(key_file(tmp_path, KEY), EPOCH_UNIX_S + 2.0) == SigningKey(KEY, 200_000)
+    key = read_signing_key(key_file(tmp_path, KEY), EPOCH_UNIX_S + 2.0)
+    assert (key.secret, key.stamp) == (KEY, 200_000)
     words = read_signing_key(key_file(tmp_path, b"open sesame\n"), UNIX_S)
     assert words.secret == hashlib.sha256(b"open sesame").digest()
 

@@ -12,9 +12,9 @@ import pytest
 from companion.app.app import App
 from companion.app.page import live_page
 from companion.app.page.feed import TRACK_PERIOD_S, TRACK_S, LiveFeed
+from companion.app.page.listener import Painter
 from companion.app.page.live_page import MOST_OPEN_ORDERS, LivePage
 from companion.app.page.look import Look, Reply, Text
-from companion.app.page.picture import Painter
 from companion.app.page.process import PageProcess
 from companion.base.messages import (
     FrameReport,

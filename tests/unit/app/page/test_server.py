@@ -28,11 +28,18 @@ from companion.app.page.access import (
     same_token,
     url_of,
 )
-from companion.app.page.listener import _protocol
+from companion.app.page.listener import Painter, _protocol
 from companion.app.page.look import Look, Reply, Start, Text, TrackPoint
-from companion.app.page.picture import Painter
-from companion.app.page.server import FILES, LONGEST_MESSAGE, STATIC, TOO_MANY, WRONG_TOKEN, PageServer
-from companion.app.page.viewer import BURST, MOST_UNDER_WAY
+from companion.app.page.server import (
+    BURST,
+    FILES,
+    LONGEST_MESSAGE,
+    MOST_UNDER_WAY,
+    STATIC,
+    TOO_MANY,
+    WRONG_TOKEN,
+    PageServer,
+)
 from companion.base.errors import ConfigError
 from companion.base.messages import Frame
 from companion.config import CameraConfig, ServeConfig, find_file, load_model, load_vehicle, validate

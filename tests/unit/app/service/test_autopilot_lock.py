@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from companion.app.service.autopilot_lock import ASKED, app_at, only_app_at
+from companion.app.hardware import ASKED, app_at, only_app_at
 from companion.config import CONFIG_FOLDER, ConfigError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the lock is Linux's")
 HOLDS = """
 import sys, time
-from companion.app.service.autopilot_lock import only_app_at
+from companion.app.hardware import only_app_at
 with only_app_at(sys.argv[1]):
     print("held", flush=True)
     time.sleep(60.0)

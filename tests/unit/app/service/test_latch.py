@@ -12,14 +12,14 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from companion.app.command import Output, fly_the_vehicle
+from companion.app.hardware import STAMP_FILE_NAME as STAMP_NAME
+from companion.app.hardware import StampFile, StampKeeper
 from companion.app.service import latch as latch_module
 from companion.app.service.latch import FILE_NAME, PERMIT_S, FlightLatch, LatchState, state_folder, unattended
-from companion.app.service.stamp_file import FILE_NAME as STAMP_NAME
-from companion.app.service.stamp_file import StampFile, StampKeeper
 from companion.base.errors import ConfigError
 from companion.cli import cli
 from companion.link.codec import Codec, heartbeat
-from companion.link.signing import LinkSigning, SigningKey
+from companion.link.signing import LinkSigning
 from tests.unit.link.transport.transport_ends import free_port
 
 
@@ -250,12 +250,12 @@ KEY, STAMP = bytes(range(32)), 30_000_000_000_000
 
 
 def signing(kept_stamp: int = 0) -> LinkSigning:
-    return LinkSigning(SigningKey(KEY, STAMP, kept_stamp))
+    return LinkSigning(KEY, STAMP, kept_stamp)
 
 
 def signed(stamp: int, component_id: int = 1) -> bytes:
     codec = Codec(1, component_id)
-    codec.sign(LinkSigning(SigningKey(KEY, stamp)))
+    codec.sign(LinkSigning(KEY, stamp))
     return codec.encode(heartbeat())
 
 

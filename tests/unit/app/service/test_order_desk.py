@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from companion.app.service import computer_status
+from companion.app.missions import MOST_WAITING, TOO_MANY, OrderDesk
+from companion.app.service import state_report
 from companion.app.service.commands import _machine
-from companion.app.service.computer_status import ComputerStatus, ComputerWatch, ground_report
-from companion.app.service.order_desk import MOST_WAITING, TOO_MANY, OrderDesk
-from companion.base.message_schema import schema_of
+from companion.app.service.state_report import ComputerStatus, ComputerWatch, ground_report
+from companion.base.message_json import schema_of
 from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply, Phase, Refusal
 from companion.config import CONFIG_FOLDER, LinkConfig
 from companion.link.codec import Codec, mavlink
@@ -142,13 +142,13 @@ def test_temperature_and_clock_frequency_are_the_kernel_s(
         "cpuinfo_max_freq": "1800000\n",
     }.items():
         (tmp_path / name).write_text(text, "ascii")
-    monkeypatch.setattr(computer_status, "_THERMAL", tmp_path / "temp")
-    monkeypatch.setattr(computer_status, "_CLOCK", tmp_path)
+    monkeypatch.setattr(state_report, "_THERMAL", tmp_path / "temp")
+    monkeypatch.setattr(state_report, "_CLOCK", tmp_path)
     hot = ComputerWatch(0.0).state(1.0, None)
     assert (hot.temperature_deg_c, hot.clock_mhz, hot.full_clock_mhz) == (81.4, 1000.0, 1800.0)
     assert _machine(asdict(hot)).endswith("81 °C, 1000 of 1800 MHz")
     assert schema_of(ComputerStatus)["required"] == ["memory_mb"]
-    monkeypatch.setattr(computer_status, "_CLOCK", tmp_path / "none")
+    monkeypatch.setattr(state_report, "_CLOCK", tmp_path / "none")
     assert ComputerWatch(0.0).state(1.0, None).clock_mhz is None
 
 

@@ -12,11 +12,20 @@ import numpy as np
 import pytest
 
 from companion.app.app import App
-from companion.app.timing.control_timer import EARLIEST, INTERVALS, LATEST, ControlTimer
-from companion.app.timing.estimate_watch import EstimateWatch
-from companion.app.timing.loop_monitor import BUFFER_S, CYCLES, LoopMonitor
-from companion.app.timing.vision_pace import CALM_CYCLES, FRAMES, VisionPace
-from companion.app.timing.vision_pace import CYCLES as JUDGED_CYCLES
+from companion.app.pacing import (
+    BUFFER_S,
+    CALM_CYCLES,
+    CYCLES,
+    EARLIEST,
+    FRAMES,
+    INTERVALS,
+    JUDGED_CYCLES,
+    LATEST,
+    ControlTimer,
+    LoopMonitor,
+    VisionPace,
+)
+from companion.app.stages import EstimateWatch
 from companion.base.clock import HAND_OVER_S, Clock, run_in_virtual_time
 from companion.base.messages import (
     UNKNOWN_TIMEOUT_S,

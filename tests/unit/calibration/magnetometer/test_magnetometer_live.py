@@ -19,8 +19,8 @@ from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.geometry import FloatArray, matrix_from_quat, quat_from_euler
 from companion.base.messages import MagSample
 from companion.config import CompanionConfig, ConfigError, ImuConfig, SenseConfig
-from companion.config.magnetometer import MagnetometerCalibration, Sensor, load_magnetometer_calibration
-from companion.link.inbox import memory_pair
+from companion.config.calibration import MagnetometerCalibration, Sensor, load_magnetometer_calibration
+from companion.link.transport import memory_pair
 from companion.sense.imu.mpu9250 import Mpu9250
 from sitl.run.in_process import InProcess, carried
 from sitl.scenario.scenario import USUAL_HOMES, Scenario, load_scenario, magnetic_field_ned_ut

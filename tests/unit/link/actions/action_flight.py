@@ -8,9 +8,8 @@ from companion.base.clock import Clock
 from companion.base.messages import Action, ActionResult
 from companion.config import LinkConfig
 from companion.link.actions.actions import PymavlinkActions
-from companion.link.inbox import memory_pair
 from companion.link.session import Session
-from companion.link.transport import Transport
+from companion.link.transport import Transport, memory_pair
 from tests.unit.link.fake_autopilot import FakeAutopilot
 from tests.virtual_time import in_virtual_time
 

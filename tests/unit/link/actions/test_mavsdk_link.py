@@ -17,8 +17,8 @@ from companion.link.actions import mavsdk_link
 from companion.link.actions.actions import PymavlinkActions
 from companion.link.actions.mavsdk_link import MavsdkActions
 from companion.link.codec import mavlink
-from companion.link.inbox import memory_pair
 from companion.link.session import Session
+from companion.link.transport import memory_pair
 from tests.unit.link.actions.action_flight import autopilot_of
 from tests.unit.link.fake_autopilot import FakeAutopilot
 

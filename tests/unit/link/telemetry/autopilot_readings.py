@@ -8,8 +8,7 @@ from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import AutopilotSensorsConfig, SenseConfig
 from companion.link.codec import Codec, Message, mavlink
 from companion.link.telemetry.autopilot_sensors import TelemetrySensors
-from companion.link.timing.boot_clock import BootClock
-from companion.link.timing.timesync import TimeSync
+from companion.link.timesync import BootClock, TimeSync
 
 OFFSET_S = 50.0  # the autopilot's clock is ahead of ours by this
 START_S = 100.0

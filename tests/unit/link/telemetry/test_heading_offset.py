@@ -14,7 +14,7 @@ from companion.base.geometry import (
     wrap_angle,
 )
 from companion.base.messages import Setpoint
-from companion.link.telemetry.heading_offset import JUMP_SAMPLES, HeadingOffset
+from companion.link.telemetry.poses import JUMP_SAMPLES, HeadingOffset
 
 YAWS = [0.0, 90.0, 180.0, 270.0]
 

@@ -8,9 +8,8 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.autopilots import PROFILES
 from companion.base.messages import GpsFix, MagSample, RangeSample
 from companion.link.codec import mavlink
-from companion.link.telemetry.autopilot_sensors import CLIMB_ACCURACY_M_S
-from companion.link.telemetry.readings import UNKNOWN_SPEED_M_S
-from companion.link.timing.boot_clock import WRAP_S, BootClock
+from companion.link.telemetry.autopilot_sensors import CLIMB_ACCURACY_M_S, UNKNOWN_SPEED_M_S
+from companion.link.timesync import WRAP_S, BootClock
 from tests.unit.link.telemetry.autopilot_readings import (
     START_S,
     ReadAutopilot,

@@ -6,7 +6,7 @@ import pytest
 
 from companion.base.geometry import GRAVITY_M_S2
 from companion.base.messages import RangeSample
-from companion.link.telemetry.readings import gps_fix, imu_sample, mag_sample, range_sample, stamp_s
+from companion.link.telemetry.autopilot_sensors import gps_fix, imu_sample, mag_sample, range_sample, stamp_s
 from tests.unit.link.telemetry.autopilot_readings import distance, gps, highres, raw, scaled
 
 T = 3.0

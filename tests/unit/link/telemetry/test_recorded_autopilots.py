@@ -18,8 +18,7 @@ from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import CONFIG_FOLDER, SenseConfig
 from companion.link.codec import Codec, mavlink
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, Sample, TelemetrySensors
-from companion.link.timing.boot_clock import BootClock
-from companion.link.timing.timesync import TimeSync
+from companion.link.timesync import BootClock, TimeSync
 
 # a worktree lies one folder deeper than a checkout
 FOLDERS = [folder / "shared" / "data" / "autopilot" for folder in CONFIG_FOLDER.resolve().parents[1:3]]

@@ -6,12 +6,10 @@ from dataclasses import replace
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.autopilots import PROFILES
+from companion.base.autopilots import PROFILES, custom_mode, mode_name, mode_parameters
 from companion.base.geometry import euler_from_quat, quat_from_euler
 from companion.base.messages import AutopilotState, LandedState
-from companion.link.codec import Codec, Message, mavlink, status_texts
-from companion.link.dialect import CurrentMode
-from companion.link.modes import custom_mode, mode_name, mode_parameters
+from companion.link.codec import Codec, CurrentMode, Message, mavlink, status_texts
 from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state
 
 FRESH = AutopilotState(time_s=0.0)

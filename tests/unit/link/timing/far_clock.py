@@ -4,8 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from companion.link.timing.boot_clock import BootClock, Instant
-from companion.link.timing.timesync import TimeSync
+from companion.link.timesync import BootClock, Instant, TimeSync
 
 Delay = Callable[[float], float]
 IMU_S = 0.005

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.link.timing.boot_clock import SLOWEST
+from companion.link.timesync import SLOWEST
 from tests.unit.link.timing.far_clock import IMU_S, FarClock, StampedSample, usable
 
 ONE_STEP = 1.5 * IMU_S

@@ -6,8 +6,7 @@ import socket
 import pytest
 
 from companion.link.codec import Codec, mavlink
-from companion.link.inbox import memory_pair
-from companion.link.transport import backlog_read, open_transport
+from companion.link.transport import backlog_read, memory_pair, open_transport
 from tests.unit.link.transport.transport_ends import free_port
 from tests.virtual_time import in_virtual_time
 

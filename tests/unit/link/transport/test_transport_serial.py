@@ -8,8 +8,7 @@ import tty
 import pytest
 
 from companion.config import ConfigError
-from companion.link.serial_transport import SerialTransport
-from companion.link.transport import TcpTransport, UdpTransport, open_transport
+from companion.link.transport import SerialTransport, TcpTransport, UdpTransport, open_transport
 
 
 async def read_count(transport: UdpTransport | SerialTransport, count: int) -> bytes:

@@ -6,7 +6,7 @@ import pytest
 
 from companion.config import ConfigError
 from companion.link.codec import Codec, mavlink
-from companion.link.signing import LinkSigning, SigningKey
+from companion.link.signing import LinkSigning
 from companion.link.transport import UdpTransport, open_transport
 from tests.unit.link.transport.transport_ends import free_port
 from tests.virtual_time import in_virtual_time
@@ -173,13 +173,13 @@ STAMP = 30_000_000_000_000
 
 def signed_heartbeat(stamp: int = STAMP, key: bytes = KEY) -> bytes:
     codec = Codec(1, 1)
-    codec.sign(LinkSigning(SigningKey(key, stamp)))
+    codec.sign(LinkSigning(key, stamp))
     kind, none = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4
     return codec.encode(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, 4, 3))
 
 
 def our_signing() -> LinkSigning:
-    return LinkSigning(SigningKey(KEY, STAMP))
+    return LinkSigning(KEY, STAMP)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 
 from companion.base.clock import Clock
 from companion.config import CameraConfig, ConfigError
-from companion.sense.camera.folder_replay import open_folder, open_video, recorded_times
+from companion.sense.camera.photos import open_folder, open_video, recorded_times
 from companion.sense.camera.reader import EndOfFrames
 from companion.sense.camera.source import keep_camera, open_camera
 from tests.unit.sense.camera.camera_frames import noisy

@@ -2,7 +2,7 @@
 
 import pytest
 
-from companion.sense.camera.stamps import ENOUGH_UNSTAMPED, StampPoint, StampReader, mid_exposure_s
+from companion.sense.camera.health import ENOUGH_UNSTAMPED, StampPoint, StampReader, mid_exposure_s
 
 EXPOSURE_S, READOUT_S = 0.004, 0.012
 

@@ -14,8 +14,16 @@ from companion.base.clock import Clock
 from companion.base.geometry import Vector3, ned_from_geodetic
 from companion.base.messages import GpsFix
 from companion.config import GpsConfig
-from companion.sense.gps.baud_rate import CHANGES, LISTEN_S, SILENCE_S, BaudRate
-from companion.sense.gps.commands import VERSION_REQUEST, conclusion, port_command, trial
+from companion.sense.gps.commands import (
+    CHANGES,
+    LISTEN_S,
+    SILENCE_S,
+    VERSION_REQUEST,
+    BaudRate,
+    conclusion,
+    port_command,
+    trial,
+)
 from companion.sense.gps.neo6m import ONLY_NMEA, UNHEARD, Neo6m
 from companion.sense.serial_port import SerialPort
 from sitl.devices.neo6m import NAV_SOL, Neo6mDevice, nmea, ubx

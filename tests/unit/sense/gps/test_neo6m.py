@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from companion.base.messages import GpsFix
 from companion.config import GpsConfig
-from companion.sense.gps.baud_rate import SILENCE_S
+from companion.sense.gps.commands import SILENCE_S
 from companion.sense.gps.fixes import EpochClock
 from companion.sense.gps.framing import FrameSplitter
 from companion.sense.gps.neo6m import ABOVE_ELLIPSOID, Neo6m

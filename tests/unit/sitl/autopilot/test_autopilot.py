@@ -6,6 +6,7 @@ from math import nan
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.autopilots import custom_mode
 from companion.base.geometry import (
     quat_from_euler,
     tilt_from_quat,
@@ -13,7 +14,6 @@ from companion.base.geometry import (
     yaw_from_quat,
 )
 from companion.base.messages import LandedState
-from companion.link.modes import custom_mode
 from sitl.autopilot.control.setpoints import LocalFrame, MotionSetpoint, StreamedMotion
 from sitl.autopilot.flight.modes import CommandResult
 from sitl.mavlink.telemetry import current_mode

@@ -12,7 +12,7 @@ from benchmarks.mavlink.fuzzing import Fuzz
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import ZERO3
 from companion.link.codec import mavlink
-from companion.link.signing import LinkSigning, SigningKey
+from companion.link.signing import LinkSigning
 from sitl.autopilot.flight.modes import CommandResult
 from sitl.mavlink.framing import FrameReader, Signing
 from sitl.mavlink.ground_station import Companion, Forger, GroundStation
@@ -266,7 +266,7 @@ def test_frames_without_the_key_bear_the_largest_stamp_and_are_refused() -> None
     key = bytes(range(32))
     forged = FrameReader(datagrams=True).read(Forger(1.0).due(0.0), 0.0)
     signing = Signing("px4", key)
-    link = LinkSigning(SigningKey(key, 0))
+    link = LinkSigning(key, 0)
     assert [(frame.system, frame.component, frame.signed) for frame in forged] == [(1, 1, True)]
     assert int.from_bytes(forged[0].data[-12:-6], "little") > (1 << 48) - 300
     assert not link.accepts(forged[0].data)

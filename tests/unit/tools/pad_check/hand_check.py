@@ -14,7 +14,7 @@ from companion.app.hardware import Hardware
 from companion.base.clock import Clock
 from companion.base.messages import Frame, ImuSample, MagSample, PadSighting, RangeSample
 from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate
-from companion.link.inbox import memory_pair
+from companion.link.transport import memory_pair
 from companion.sense.camera.source import FrameSource
 from companion.sim.settings import SIMULATED_HARDWARE
 from companion.tools.pad_check.causes import Mounting

@@ -14,8 +14,7 @@ import pytest
 
 from companion.base.messages import AutopilotState, GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import CompanionConfig, validate
-from companion.link.codec import Codec, mavlink
-from companion.link.dialect import CURRENT_MODE
+from companion.link.codec import CURRENT_MODE, Codec, mavlink
 from companion.link.streams import POSE_RATES_HZ, telemetry_rates_hz
 from companion.tools.preflight import autopilot
 from companion.tools.preflight.findings import FindingState

@@ -1,1 +1,0 @@
-"""When control cycles begin, and what a cycle does that comes late."""
