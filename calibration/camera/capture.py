@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.camera.board import CalibrationBoard
-from calibration.camera.kinds import Model
+from calibration.camera.command import Model
 from calibration.camera.quality import assess
 from calibration.camera.solver import UnsolvableError
 from calibration.camera.views import (

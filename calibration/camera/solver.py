@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import digamma, polygamma
 
 from calibration.camera.board import Surface
-from calibration.camera.kinds import Model
+from calibration.camera.command import Model
 from calibration.camera.views import FEWEST_POINTS, BoardView, on_a_plane
 from companion.base.geometry import FloatArray
 from companion.sense.vision.lens import FISHEYE

@@ -17,6 +17,7 @@ from companion.base.geometry import FloatArray
 from companion.config import ConfigError
 from companion.config.magnetometer import Sensor
 from companion.flightlog.log_file import log_file
+from companion.flightlog.replay.flight_record import UT_PER
 
 _MAGNETOMETER: Final = re.compile(r"^(m|b|h|mf|.*mag.*|.*compass.*)$")
 # beside one that has been through a calibration
@@ -164,8 +165,6 @@ def read_numpy_table(path: Path) -> SampleTable:
 #
 # The Earth's field is between 22 and 67 µT everywhere on the ground.
 
-# µT in one of each
-UT_PER: Final = {"T": 1e6, "G": 100.0, "mT": 1e3, "uT": 1.0, "mG": 0.1, "nT": 1e-3}
 _SPELLINGS: Final = {
     "t": "T", "tesla": "T", "g": "G", "gs": "G", "gauss": "G", "ga": "G", "mt": "mT", "millitesla": "mT",
     "ut": "uT", "µt": "uT", "μt": "uT", "microtesla": "uT", "mg": "mG", "mgauss": "mG", "mga": "mG",
