@@ -67,8 +67,9 @@ def calibrate_camera(job: CameraCalibrationJob, board: CalibrationBoard) -> None
         RefusedError: the calibration is not good enough.
     """
     must_be_writable("--output", job.output)
-    if job.keep is not None:
-        _empty_folder("--keep", job.keep)
+    # an earlier attempt that took no picture has left its board there
+    if job.keep is not None and any(p.name != BOARD_FILE for p in make_folder("--keep", job.keep).iterdir()):
+        raise ConfigError(f"--keep {job.keep}: holds files already; expected a new or empty folder")
     capture = job.capture
     if any(is_camera(source) for source in job.sources):
         if len(job.sources) > 1:
@@ -119,12 +120,6 @@ def _finish(
         typer.echo(f"not good enough: {reason}")
     good = f"good; name it in the app's settings: camera: {job.output}"
     typer.echo(f"{job.output}: {'written by force' if result.reasons else good}")
-
-
-def _empty_folder(option: str, folder: Path) -> None:
-    # an earlier attempt that took no picture has left its board there
-    if any(path.name != BOARD_FILE for path in make_folder(option, folder).iterdir()):
-        raise ConfigError(f"{option} {folder}: holds files already; expected a new or empty folder")
 
 
 # ---------------------------------------------------------------- result

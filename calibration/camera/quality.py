@@ -66,7 +66,9 @@ def assess(
     """
     solution = solve(views, size_px, board, model)
     known = uncertainty(solution)
-    coverage = ImageCoverage.of((s.view for s in solution.seen), [s.turn for s in solution.seen], size_px)
+    coverage = ImageCoverage(size_px)
+    for seen in solution.seen:
+        coverage.add(seen.view, seen.turn)
     brown = None if model == "brown" else _held_out_of_brown(views, size_px, board)
     found = Assessment(
         solution=solution,

@@ -253,16 +253,12 @@ def text_map(covered: BoolArray) -> list[str]:
     discs = [_cells_by_pixel(2 * _ROWS, _ROWS, sign) for sign in (1.0, -1.0)]
     lines = [f"{'to the belly':^{2 * _ROWS}}   {'to the top':^{2 * _ROWS}}"]
     lines += [
-        "   ".join("".join(_character(cell, covered) for cell in row) for row in rows)
+        "   ".join(
+            "".join(" " if cell < 0 else "#" if covered[cell] else "." for cell in row) for row in rows
+        )
         for rows in zip(*discs, strict=True)
     ]
     return lines
-
-
-def _character(cell: int, covered: BoolArray) -> str:
-    if cell < 0:
-        return " "
-    return "#" if covered[cell] else "."
 
 
 def picture(now: CoverageProgress) -> NDArray[np.uint8]:

@@ -319,8 +319,11 @@ def fit_ellipsoid(
     middle, size = refined.centre, 1.0 / _mean_scale(refined.matrix)
     scaled, sigma = (thinned - middle) / size, sigma / size
     x = pack(Ellipsoid(refined.matrix * size, np.zeros(3)))
-    normal, correlation = _information(x, scaled[kept], sigma)
+    jacobian = distance(x, scaled[kept]).jacobian()
+    normal = jacobian.T @ jacobian / sigma**2
+    correlation = correlation_samples(_residuals(x, scaled[kept], sigma))
     covariance = np.asarray(correlation * np.linalg.pinv(normal), dtype=float)
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     chosen: Objective = "likelihood" if objective == "auto" else objective
     if objective == "residual" or (objective == "auto" and _is_better_plain(x, scaled[kept])):
         chosen = "residual"
@@ -334,7 +337,7 @@ def fit_ellipsoid(
         radius=size / _mean_scale(unpack(x).matrix),
         kept=np.abs(_residuals(x, (raw - middle) / size, sigma)) <= _outlier_limit(len(scaled)) * sigma,
         noise=sigma,
-        condition=_condition(normal),
+        condition=float(np.linalg.cond(normal / np.outer(scale, scale))),
         correlation_samples=correlation,
     )
 
@@ -352,12 +355,8 @@ def whiteness_sigma(residuals: FloatArray) -> float:
 # ---------------------------------------------------------------- objectives
 
 
-def _plain(x: FloatArray, raw: FloatArray) -> FloatArray:
-    return unpack(x).deviation(raw)
-
-
 def _fit_plain(x: FloatArray, raw: FloatArray) -> FloatArray:
-    return np.asarray(least_squares(_plain, x, args=(raw,), x_scale="jac").x)
+    return np.asarray(least_squares(lambda at: unpack(at).deviation(raw), x, x_scale="jac").x)
 
 
 def _fit_likelihood(x: FloatArray, raw: FloatArray, sigma: float) -> FloatArray:
@@ -422,16 +421,6 @@ def _is_better_plain(x: FloatArray, raw: FloatArray) -> bool:
     return whole and whiteness_sigma(length) > _CORRELATED_SIGMA
 
 
-# ---------------------------------------------------------------- uncertainty
-
-
-def _information(x: FloatArray, raw: FloatArray, sigma: float) -> tuple[FloatArray, float]:
-    """J^T J / σ² of the likelihood (9, 9), and the residuals' correlation in samples."""
-    jacobian = distance(x, raw).jacobian()
-    normal: FloatArray = jacobian.T @ jacobian / sigma**2
-    return normal, correlation_samples(_residuals(x, raw, sigma))
-
-
 def correlation_samples(residuals: FloatArray) -> float:
     """Integrated autocorrelation of residuals in order: 1 for white noise (Sokal's window, at five times it).
 
@@ -446,11 +435,6 @@ def correlation_samples(residuals: FloatArray) -> float:
     times = 2.0 * np.cumsum(correlation / correlation[0]) - 1.0
     within = np.flatnonzero(np.arange(len(times)) >= 5.0 * times)
     return max(1.0, float(times[within[0]] if within.size else times.max()))
-
-
-def _condition(normal: FloatArray) -> float:
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return float(np.linalg.cond(normal / np.outer(scale, scale)))
 
 
 def _mean_scale(matrix: FloatArray) -> float:

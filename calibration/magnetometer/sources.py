@@ -262,7 +262,8 @@ def _of_table(
     if known is not None and radius is not None:
         _must_be_the_earths(source, radius, known, by_option=unit is not None)
     if known is None:
-        known = _by_size(recording.raw, radius, field_ut)
+        whole = bool(np.array_equal(recording.raw, np.round(recording.raw)))
+        known = COUNTS if radius is None else infer_unit(radius, field_ut, whole_numbers=whole)
         unit_text = "counts of the sensor, so nothing is said of its scale" if known == COUNTS else known
         recording.notes.append(f"unit by the field's size: {unit_text}; --unit takes another")
     if known == COUNTS:
@@ -279,12 +280,6 @@ def _radius(raw: FloatArray, rng: np.random.Generator) -> float | None:
     except NoEllipsoidError:
         return None
     return 1.0 / float(np.cbrt(np.linalg.det(matrix)))
-
-
-def _by_size(raw: FloatArray, radius: float | None, field_ut: float | None) -> str:
-    if radius is None:
-        return COUNTS
-    return infer_unit(radius, field_ut, whole_numbers=bool(np.array_equal(raw, np.round(raw))))
 
 
 def _must_be_the_earths(source: str, radius: float, unit: str, *, by_option: bool) -> None:

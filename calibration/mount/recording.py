@@ -330,13 +330,12 @@ class GravityFreePadDetector:
             ValueError: the image is not of the calibrated camera's size.
         """
         self._lens.check(frame.image)
-        for looks in (self._expected(), self._everywhere()):
-            for look in looks:
-                found = self._detector.detect(frame.image, look)
-                pose = estimate_pose(found, self._lens, self._config, None) if found else None
-                if pose is not None:
-                    self._last = pose
-                    return sighting_of(frame, pose, self._camera, self._rotation, self._mount)
+        for look in (*self._expected(), *self._planner.whole_frame(1), *self._planner.whole_frame(0)):
+            found = self._detector.detect(frame.image, look)
+            pose = estimate_pose(found, self._lens, self._config, None) if found else None
+            if pose is not None:
+                self._last = pose
+                return sighting_of(frame, pose, self._camera, self._rotation, self._mount)
         self._last = None
         return None
 
@@ -346,6 +345,3 @@ class GravityFreePadDetector:
         position: FloatArray = self._last.position_camera_m
         strayed_m = STRAYED * float(np.linalg.norm(position))
         return self._planner.expected(self._last.camera_from_pad, position, strayed_m)
-
-    def _everywhere(self) -> tuple[SearchPass, ...]:
-        return (*self._planner.whole_frame(1), *self._planner.whole_frame(0))
