@@ -1,18 +1,27 @@
-"""What the calibration programs have in common: how they end.
+"""What the calibration programs have in common: options, how they end, and what day it is.
 
 Exit codes: 0 calibrated (or made what was asked for), 1 refused: the line says why, 2 something the user can
 mend, reported in one line on standard error, 130 interrupted.
 """
 
 from collections.abc import Sequence
-from typing import Final, NoReturn
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Final, NoReturn
 
 import typer
 
-from companion.base.command_line import INTERRUPTED, USER_ERROR, Ending, run_program
+from companion.base.clock import start_unix_s
+from companion.base.command_line import INTERRUPTED, Ending, run_program
 
 REFUSED: Final = 1
-__all__ = ["INTERRUPTED", "REFUSED", "USER_ERROR", "RefusedError", "run"]
+
+ForceOption = Annotated[
+    bool, typer.Option("--force", help="Write the file even if it is refused; the file says so.")
+]
+PlotsOption = Annotated[
+    Path | None, typer.Option("--plots", help="Write plots to this folder.", metavar="DIR")
+]
 
 
 class RefusedError(Exception):
@@ -32,3 +41,8 @@ def run(app: typer.Typer, name: str, words: Sequence[str] | None = None) -> NoRe
         endings={RefusedError: Ending(REFUSED, "refused: ")},
         interrupted=Ending(INTERRUPTED, "interrupted; nothing was written"),
     )
+
+
+def today() -> str:
+    """The date and time of a calibration, as its file has it: ISO 8601, UTC."""
+    return datetime.fromtimestamp(start_unix_s(virtual=True), UTC).isoformat(timespec="seconds")

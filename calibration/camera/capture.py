@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.camera.board import CalibrationBoard
-from calibration.camera.kinds import Model
+from calibration.camera.command import Model
 from calibration.camera.quality import assess
 from calibration.camera.solver import UnsolvableError
 from calibration.camera.views import (
@@ -249,6 +249,7 @@ WHITE: Final = (255, 255, 255)
 TINT: Final = 0.25
 # text and lines are drawn for an image of this width
 DESIGN_WIDTH_PX: Final = 960
+FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def draw(
@@ -270,9 +271,7 @@ def draw(
     cv2.rectangle(picture, (0, height - bar), (width, height), (0, 0, 0), -1)
     status = f"{len(session.views)} views, {100 * session.coverage.share:.0f} % seen: {text}"
     at = (round(8 * unit), height - round(9 * unit))
-    cv2.putText(
-        picture, status, at, cv2.FONT_HERSHEY_SIMPLEX, 0.6 * unit, WHITE, max(1, round(unit)), cv2.LINE_AA
-    )
+    cv2.putText(picture, status, at, FONT, 0.6 * unit, WHITE, max(1, round(unit)), cv2.LINE_AA)
     return np.asarray(picture, dtype=np.uint8)
 
 
@@ -295,18 +294,10 @@ def _tilt_marks(picture: Any, session: CaptureSession, unit: float) -> None:
         words = f"{name} away {min(session.coverage.tilt_count(name), VIEWS_A_TILT)}/{VIEWS_A_TILT}"
         x, y = places[name]
         at = (round(x * width), round(y * height))
-        size, _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, 0.55 * unit, max(1, round(unit)))
+        scale, thick = 0.55 * unit, max(1, round(unit))
+        size, _ = cv2.getTextSize(words, FONT, scale, thick)
         pad = round(4 * unit)
         box = (at[0] - pad, at[1] - size[1] - pad), (at[0] + size[0] + pad, at[1] + pad)
         cv2.rectangle(picture, *box, (0, 0, 0), -1)
         colour = DONE if done else SEEN
-        cv2.putText(
-            picture,
-            words,
-            at,
-            cv2.FONT_HERSHEY_SIMPLEX,
-            0.55 * unit,
-            colour,
-            max(1, round(unit)),
-            cv2.LINE_AA,
-        )
+        cv2.putText(picture, words, at, FONT, scale, colour, thick, cv2.LINE_AA)

@@ -8,11 +8,15 @@ from typing import Annotated, Final, Literal
 
 import typer
 
-from calibration.camera.kinds import DEFAULT_BOARD, Model, Pattern
-from calibration.command_line import run
+from calibration.command_line import ForceOption, PlotsOption, run
 from companion.base.command_line import VersionOption, new_app
+from companion.base.errors import ConfigError
 from companion.base.files import must_exist
 
+Pattern = Literal["charuco", "grid", "chessboard"]
+Model = Literal["brown", "rational", "fisheye"]
+DEFAULT_BOARD: Final = "charuco_a4"
+LIVE_SIZE_PX: Final = (1280, 720)
 NAME: Final = "calibrate-camera"
 HELP: Final = """Calibrate a camera with a printed board: focal length, principal point, distortion.
 
@@ -128,12 +132,8 @@ def command(
         int | None,
         typer.Option("--serve", help="Live: show the preview in a browser on this port.", min=0, max=65535),
     ] = None,
-    plots: Annotated[
-        Path | None, typer.Option("--plots", help="Write plots to this folder.", metavar="DIR")
-    ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Write the file even if it is refused; the file says so.")
-    ] = False,
+    plots: PlotsOption = None,
+    force: ForceOption = False,
     version: VersionOption = False,
 ) -> None:
     """Print a board, or calibrate.
@@ -147,28 +147,51 @@ def command(
         if ":" not in source:  # which cameras have
             must_exist(Path(source), "expected a camera, a folder of photos, a photo or a video")
     # OpenCV is imported once the photos are there
-    from calibration.camera.job import (  # noqa: PLC0415
-        BoardOptions,
-        CameraCalibrationJob,
-        CameraOptions,
-        calibrate_camera,
-        print_board,
-    )
+    from calibration.camera.board import read_dictionary  # noqa: PLC0415
+    from calibration.camera.gathering import choose_board, two_numbers  # noqa: PLC0415
+    from calibration.camera.job import CameraCalibrationJob, calibrate_camera, print_board  # noqa: PLC0415
+    from companion.config import CaptureConfig, validate  # noqa: PLC0415
     from companion.sense.vision.opencv import prepare_opencv  # noqa: PLC0415
 
     prepare_opencv()
-    shown = BoardOptions(board, pattern, square_mm, marker_mm, gap_mm, dictionary, legacy_pattern)
+    shown = choose_board(
+        board,
+        given,
+        pattern=pattern,
+        square_m=_metres(square_mm),
+        marker_m=_metres(marker_mm),
+        gap_m=_metres(gap_mm),
+        dictionary=None if dictionary is None else read_dictionary(dictionary),
+        legacy_pattern=legacy_pattern or None,
+    )
     if make_board is not None:
-        print_board(shown, given, make_board, paper)
+        print_board(shown, make_board, paper)
         return
-    camera = CameraOptions(
-        name or output.stem, size, rate, exposure_ms, readout_ms, gain, focus, sensor_mode, pixel_format
+    if not given:
+        raise ConfigError("SOURCE: expected a camera (v4l2:0) or photos; or --make-board")
+    width, height = LIVE_SIZE_PX if size is None else two_numbers(size, "--size")
+    values = {
+        "name": name or output.stem,
+        "width_px": width,
+        "height_px": height,
+        "rate_hz": rate,
+        "exposure_s": 1e-3 * exposure_ms,
+        "readout_s": 1e-3 * readout_ms,
+        "gain": gain,
+        "focus": focus,
+        "sensor_mode_px": None if sensor_mode is None else two_numbers(sensor_mode, "--sensor-mode"),
+        "pixel_format": pixel_format,
+    }
+    capture = validate(CaptureConfig, values, NAME)
+    sized = size is not None
+    job = CameraCalibrationJob(
+        given, capture, sized, model, views, output, keep, overlay, serve, plots, force=force
     )
-    calibrate_camera(
-        CameraCalibrationJob(
-            given, shown, camera, model, views, output, keep, overlay, serve, plots, force=force
-        )
-    )
+    calibrate_camera(job, shown)
+
+
+def _metres(millimetres: float | None) -> float | None:
+    return None if millimetres is None else 1e-3 * millimetres
 
 
 def main() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,22 +11,15 @@ import numpy as np
 import typer
 import yaml
 
-from calibration.camera.board import CalibrationBoard, Surface, board_yaml, read_dictionary, write_board
+from calibration.camera.board import CalibrationBoard, Surface, board_yaml, write_board
 from calibration.camera.capture import LiveOptions, capture_live
+from calibration.camera.command import NAME, Model
 from calibration.camera.encoding import MeasuredEncoding, measure_encoding
-from calibration.camera.gathering import (
-    BOARD_FILE,
-    CollectedViews,
-    choose_board,
-    two_numbers,
-    views_of_photos,
-)
-from calibration.camera.kinds import Model, Pattern
+from calibration.camera.gathering import BOARD_FILE, CollectedViews, views_of_photos
 from calibration.camera.quality import Assessment, assess
 from calibration.camera.solver import UnsolvableError
-from calibration.command_line import RefusedError
+from calibration.command_line import RefusedError, today
 from companion import __version__
-from companion.base.clock import start_unix_s
 from companion.base.files import make_folder, must_be_writable, write_atomically
 from companion.base.printing.paper import PaperName
 from companion.base.signals import run_until_stopped
@@ -35,83 +27,17 @@ from companion.config import CameraConfig, CaptureConfig, ConfigError, validate,
 from companion.config.calibration import CameraCalibration, Provenance
 from companion.sense.camera.source import is_camera
 
-NAME: Final = "calibrate-camera"
-LIVE_SIZE_PX: Final = (1280, 720)
-
-
-@dataclass(frozen=True, slots=True)
-class BoardOptions:
-    """The board by the command line; None: as its file says."""
-
-    words: str | None
-    pattern: Pattern | None
-    square_mm: float | None
-    marker_mm: float | None
-    gap_mm: float | None
-    dictionary: str | None
-    legacy_pattern: bool
-
-    def chosen(self, sources: Sequence[str]) -> CalibrationBoard:
-        """The board that these options describe.
-
-        Raises:
-            ConfigError: there is no such board.
-        """
-        given = {
-            "pattern": self.pattern,
-            "square_m": None if self.square_mm is None else 1e-3 * self.square_mm,
-            "marker_m": None if self.marker_mm is None else 1e-3 * self.marker_mm,
-            "gap_m": None if self.gap_mm is None else 1e-3 * self.gap_mm,
-            "dictionary": None if self.dictionary is None else read_dictionary(self.dictionary),
-            "legacy_pattern": self.legacy_pattern or None,
-        }
-        return choose_board(self.words, {k: v for k, v in given.items() if v is not None}, sources)
-
-
-@dataclass(frozen=True, slots=True)
-class CameraOptions:
-    """How the camera takes images; all of it goes into the camera's file."""
-
-    name: str
-    size: str | None
-    rate_hz: float
-    exposure_ms: float
-    readout_ms: float
-    gain: float | None
-    focus: float | None
-    sensor_mode: str | None
-    pixel_format: str | None
-
-    def settings(self) -> CaptureConfig:
-        """The same as the app's settings have it.
-
-        Raises:
-            ConfigError: a value is out of range.
-        """
-        width, height = LIVE_SIZE_PX if self.size is None else two_numbers(self.size, "--size")
-        mode = self.sensor_mode
-        values: dict[str, Any] = {
-            "name": self.name,
-            "width_px": width,
-            "height_px": height,
-            "rate_hz": self.rate_hz,
-            "exposure_s": 1e-3 * self.exposure_ms,
-            "readout_s": 1e-3 * self.readout_ms,
-            "gain": self.gain,
-            "focus": self.focus,
-            "sensor_mode_px": None if mode is None else two_numbers(mode, "--sensor-mode"),
-            "pixel_format": self.pixel_format,
-        }
-        return validate(CaptureConfig, values, NAME)
-
 
 @dataclass(frozen=True, slots=True)
 class CameraCalibrationJob:
-    """One run: where views come from, the distortion model, and where the results go."""
+    """One run: where views come from, the distortion model, and where the results go.
+
+    `capture` is how the camera takes images, which all goes into its file; `sized`: their size was named.
+    """
 
     sources: Sequence[str]
-    board: BoardOptions
-    camera: CameraOptions
+    capture: CaptureConfig
+    sized: bool
     model: Model
     most_views: int
     output: Path
@@ -122,38 +48,35 @@ class CameraCalibrationJob:
     force: bool
 
 
-def print_board(options: BoardOptions, sources: Sequence[str], output: Path, paper: PaperName) -> None:
+def print_board(board: CalibrationBoard, output: Path, paper: PaperName) -> None:
     """Write the board's PDF, PNG and YAML.
 
     Raises:
-        ConfigError: there is no such board, it does not fit the paper, or a file cannot be written.
+        ConfigError: it does not fit the paper, or a file cannot be written.
     """
-    board = options.chosen(sources)
     must_be_writable("--make-board", output)
     for path in write_board(board, output, paper):
         typer.echo(f"{path}: {board.text}")
 
 
-def calibrate_camera(job: CameraCalibrationJob) -> None:
+def calibrate_camera(job: CameraCalibrationJob, board: CalibrationBoard) -> None:
     """Collect views, calibrate, judge and write.
 
     Raises:
         ConfigError: the user can correct it.
         RefusedError: the calibration is not good enough.
     """
-    board = job.board.chosen(job.sources)
-    if not job.sources:
-        raise ConfigError("SOURCE: expected a camera (v4l2:0) or photos; or --make-board")
     must_be_writable("--output", job.output)
-    if job.keep is not None:
-        _empty_folder("--keep", job.keep)
-    capture = job.camera.settings()
+    # an earlier attempt that took no picture has left its board there
+    if job.keep is not None and any(p.name != BOARD_FILE for p in make_folder("--keep", job.keep).iterdir()):
+        raise ConfigError(f"--keep {job.keep}: holds files already; expected a new or empty folder")
+    capture = job.capture
     if any(is_camera(source) for source in job.sources):
         if len(job.sources) > 1:
             raise ConfigError(f"{' '.join(job.sources)}: expected one camera alone, or photos")
-        found = _live(job, board, capture)
+        found = _live(job, board)
     else:
-        if job.camera.size is not None:
+        if job.sized:
             raise ConfigError("--size: only for a live camera; photos have their own size")
         found = views_of_photos(board, [Path(s) for s in job.sources], job.keep, typer.echo)
         sized = {"width_px": found.size_px[0], "height_px": found.size_px[1]}
@@ -161,12 +84,12 @@ def calibrate_camera(job: CameraCalibrationJob) -> None:
     _finish(job, found, board, capture)
 
 
-def _live(job: CameraCalibrationJob, board: CalibrationBoard, capture: CaptureConfig) -> CollectedViews:
+def _live(job: CameraCalibrationJob, board: CalibrationBoard) -> CollectedViews:
     if job.keep is not None:
         write_atomically(job.keep / BOARD_FILE, board_yaml(board))
     typer.echo(f"looking for {board.text}")
     options = LiveOptions(
-        job.sources[0], capture, job.most_views, job.model, job.keep, job.overlay, job.serve_port
+        job.sources[0], job.capture, job.most_views, job.model, job.keep, job.overlay, job.serve_port
     )
     session = run_until_stopped(capture_live(board, options, typer.echo))
     return CollectedViews(session.views, session.size_px, without_password(options.source))
@@ -195,19 +118,8 @@ def _finish(
     write_atomically(job.output, camera_yaml(camera))
     for reason in result.reasons:
         typer.echo(f"not good enough: {reason}")
-    typer.echo(_verdict(result, job.output))
-
-
-def _verdict(result: Assessment, output: Path) -> str:
-    if result.reasons:
-        return f"{output}: written by force"
-    return f"{output}: good; name it in the app's settings: camera: {output}"
-
-
-def _empty_folder(option: str, folder: Path) -> None:
-    # an earlier attempt that took no picture has left its board there
-    if any(path.name != BOARD_FILE for path in make_folder(option, folder).iterdir()):
-        raise ConfigError(f"{option} {folder}: holds files already; expected a new or empty folder")
+    good = f"good; name it in the app's settings: camera: {job.output}"
+    typer.echo(f"{job.output}: {'written by force' if result.reasons else good}")
 
 
 # ---------------------------------------------------------------- result
@@ -239,7 +151,7 @@ def camera_config(
         provenance=Provenance(
             tool=f"{NAME} {__version__}",
             source=source,
-            date=datetime.fromtimestamp(start_unix_s(virtual=True), UTC).isoformat(timespec="seconds"),
+            date=today(),
             samples=len(solution.seen),
             dropped=len(solution.dropped_views),
         ),

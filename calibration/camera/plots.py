@@ -1,6 +1,5 @@
 """Pictures of a camera's calibration: errors over the image, coverage, and the board's poses (PNG)."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,26 +18,16 @@ ERROR_COLOUR: Final = "tab:blue"
 ARROW_SHARE: Final = 0.03
 
 
-def write_plots(folder: Path, found: Assessment, board: CalibrationBoard) -> list[Path]:
-    """Draw all into a folder, which is made; returns their paths.
+def write_plots(folder: Path, found: Assessment, board: CalibrationBoard) -> None:
+    """Draw all into a folder, which is made.
 
     Raises:
         ConfigError: the folder cannot be written.
     """
-    drawings: dict[
-        str, tuple[Callable[[Figure, Assessment, CalibrationBoard], None], tuple[float, float]]
-    ] = {
-        "errors": (_errors, (11.0, 6.8)),
-        "coverage": (_coverage, (10.0, 6.2)),
-        "poses": (_poses, (8.5, 7.5)),
-    }
-    written = []
-    for name, (draw, size) in drawings.items():
-        figure = Figure(figsize=size, layout="constrained")
-        draw(figure, found, board)
-        written.append(make_folder("--plots", folder) / f"{name}.png")
-        save_figure(figure, written[-1], dpi=110)
-    return written
+    make_folder("--plots", folder)
+    drawings = (_errors(found), "errors"), (_coverage(found), "coverage"), (_poses(found, board), "poses")
+    for figure, name in drawings:
+        save_figure(figure, folder / f"{name}.png", dpi=110)
 
 
 def _image_axes(axes: Any, size_px: tuple[int, int]) -> None:
@@ -46,8 +35,9 @@ def _image_axes(axes: Any, size_px: tuple[int, int]) -> None:
     axes.set_aspect("equal")
 
 
-def _errors(figure: Figure, found: Assessment, board: CalibrationBoard) -> None:
+def _errors(found: Assessment) -> Figure:
     """Each corner's error as an arrow, much enlarged, over how certain the calibration is there."""
+    figure = Figure(figsize=(11.0, 6.8), layout="constrained")
     solution = found.solution
     width, height = size = solution.camera.size_px
     axes = figure.add_subplot()
@@ -82,10 +72,12 @@ def _errors(figure: Figure, found: Assessment, board: CalibrationBoard) -> None:
         + ("" if held is None else f", {held:.3f} px on views held out")
     )
     _image_axes(axes, size)
+    return figure
 
 
-def _coverage(figure: Figure, found: Assessment, board: CalibrationBoard) -> None:
+def _coverage(found: Assessment) -> Figure:
     """All corners used, and the cells where there were none."""
+    figure = Figure(figsize=(10.0, 6.2), layout="constrained")
     width, height = size = found.solution.camera.size_px
     axes = figure.add_subplot()
     for row, column in np.argwhere(~found.coverage.covered).tolist():
@@ -98,10 +90,12 @@ def _coverage(figure: Figure, found: Assessment, board: CalibrationBoard) -> Non
         "(red: too few)"
     )
     _image_axes(axes, size)
+    return figure
 
 
-def _poses(figure: Figure, found: Assessment, board: CalibrationBoard) -> None:
+def _poses(found: Assessment, board: CalibrationBoard) -> Figure:
     """The boards before the camera, in its axes: x right, z away from it, and up where the image's top is."""
+    figure = Figure(figsize=(8.5, 7.5), layout="constrained")
     axes: Any = figure.add_subplot(projection="3d")
     width, height = board.size_m
     outline = np.array([(0, 0, 0), (width, 0, 0), (width, height, 0), (0, height, 0), (0, 0, 0)], dtype=float)
@@ -125,3 +119,4 @@ def _poses(figure: Figure, found: Assessment, board: CalibrationBoard) -> None:
         f"{len(found.solution.seen)} boards before the camera, tilted by up to "
         f"{found.coverage.largest_tilt_deg:.0f}°"
     )
+    return figure

@@ -1,13 +1,13 @@
 """The acceptance test of a camera calibration: good enough to fly with, or why not. Pure."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from calibration.camera.board import Surface
-from calibration.camera.kinds import Model
+from calibration.camera.command import Model
 from calibration.camera.solver import (
     CameraSolution,
     Intrinsics,
@@ -66,7 +66,9 @@ def assess(
     """
     solution = solve(views, size_px, board, model)
     known = uncertainty(solution)
-    coverage = ImageCoverage.of((s.view for s in solution.seen), [s.turn for s in solution.seen], size_px)
+    coverage = ImageCoverage(size_px)
+    for seen in solution.seen:
+        coverage.add(seen.view, seen.turn)
     brown = None if model == "brown" else _held_out_of_brown(views, size_px, board)
     found = Assessment(
         solution=solution,
@@ -79,8 +81,8 @@ def assess(
         brown_held_out_rms_px=brown,
         reasons=(),
     )
-    reasons = tuple(text for judge in _JUDGES for text in judge(found))
-    return replace(found, reasons=reasons)
+    judges = (_views, _seen, _sure, _fits, _unfolded)
+    return replace(found, reasons=tuple(text for judge in judges for text in judge(found)))
 
 
 def _held_out_of_brown(views: Sequence[BoardView], size_px: tuple[int, int], board: Surface) -> float | None:
@@ -184,9 +186,6 @@ def _unfolded(found: Assessment) -> list[str]:
             "expected the board nearer to them, or the other --model"
         ]
     return []
-
-
-_JUDGES: Final[tuple[Callable[[Assessment], list[str]], ...]] = (_views, _seen, _sure, _fits, _unfolded)
 
 
 def unfolded_share(camera: Intrinsics) -> float:

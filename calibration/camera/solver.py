@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import digamma, polygamma
 
 from calibration.camera.board import Surface
-from calibration.camera.kinds import Model
+from calibration.camera.command import Model
 from calibration.camera.views import FEWEST_POINTS, BoardView, on_a_plane
 from companion.base.geometry import FloatArray
 from companion.sense.vision.lens import FISHEYE
@@ -60,7 +60,11 @@ def solve(
     Raises:
         UnsolvableError: too few views, or views that do not determine the camera.
     """
-    read = [v for v in (_without_misread(view, size_px) for view in views) if v is not None]
+    read = []
+    for view in views:
+        fits = on_a_plane(view.points_m, view.corners_px, size_px)
+        if np.count_nonzero(fits) >= FEWEST_POINTS:  # what fits no plane was misread
+            read.append(view.only(fits))
     kept = read
     solution = fit(kept, size_px, board, model)
     for _ in range(ROUNDS):
@@ -212,12 +216,6 @@ def held_out_rms_px(solution: CameraSolution) -> float | None:
 
 
 # ---------------------------------------------------------------- outliers
-
-
-def _without_misread(view: BoardView, size_px: tuple[int, int]) -> BoardView | None:
-    """The view without corners that fit no plane."""
-    fits = on_a_plane(view.points_m, view.corners_px, size_px)
-    return view.only(fits) if np.count_nonzero(fits) >= FEWEST_POINTS else None
 
 
 def _posed(solution: CameraSolution, views: Sequence[BoardView]) -> Iterator[PosedView]:

@@ -10,7 +10,7 @@ why ChArUco and chessboards calibrate better.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -173,10 +173,11 @@ class BoardFinder:
     def _window_px(self, points_m: FloatArray, corners_px: FloatArray) -> int:
         """Half the side of the window in which a corner is refined."""
         board = self.board
+        bits = 4 if board.pattern == "chessboard" else int(board.grid.getDictionary().markerSize)
         free_m = {
             "charuco": 0.5 * (board.square_m - board.marker_m),
             # a marker's border is one cell wide
-            "grid": min(board.gap_m, board.marker_m / (self._bits() + 2)),
+            "grid": min(board.gap_m, board.marker_m / (bits + 2)),
             "chessboard": 0.5 * board.square_m,
         }[board.pattern]
         homography, _ = cv2.findHomography(points_m[:, :2], corners_px)
@@ -184,9 +185,6 @@ class BoardFinder:
         pixels = cv2.perspectiveTransform(steps, homography)
         free_px = np.linalg.norm(pixels[:, 1:] - pixels[:, :1], axis=2).min()
         return int(np.clip(WINDOW_SHARE * free_px, *WINDOW_PX))
-
-    def _bits(self) -> int:
-        return 4 if self.board.pattern == "chessboard" else int(self.board.grid.getDictionary().markerSize)
 
 
 def on_a_plane(points_m: FloatArray, corners_px: FloatArray, size_px: Sequence[int]) -> NDArray[np.bool_]:
@@ -377,16 +375,6 @@ class ImageCoverage:
         self.size_px = size_px
         self.corner_count: NDArray[np.int64] = np.zeros((ROWS, COLUMNS), dtype=np.int64)
         self.tilts: list[Tilt] = []
-
-    @classmethod
-    def of(
-        cls, views: Iterable[BoardView], turns: Sequence[FloatArray], size_px: tuple[int, int]
-    ) -> ImageCoverage:
-        """Of views with known rotation vectors."""
-        made = cls(size_px)
-        for view, turn in zip(views, turns, strict=True):
-            made.add(view, turn)
-        return made
 
     def add(self, view: BoardView, turn: FloatArray | None = None) -> None:
         """Take in a view; without its rotation vector that is worked out roughly."""

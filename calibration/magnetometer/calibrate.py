@@ -33,7 +33,7 @@ from companion.base.geometry import FloatArray, Vector3, vector3
 from companion.base.magnetic_field import FIRST_YEAR, LAST_YEAR, field_ned_ut
 from companion.config import CompanionConfig, ConfigError
 from companion.config.calibration import MagnetometerCalibration, MagnetometerQuality, Provenance
-from companion.flightlog.replay.flight_record import RecordingPlace
+from companion.flightlog.replay.flight_record import SECONDS_PER_YEAR, RecordingPlace
 
 _LEAST_KEPT: Final = 0.1  # of the samples; fewer are what happened to lie near something
 _LEAST_SPAN: Final = 0.2  # of the field there is: an ellipsoid smaller than that is one of the noise
@@ -115,10 +115,8 @@ def calibrate(
 
 def _alignment(recording: MagnetometerRecording, fit: EllipsoidFit, sphere: FloatArray) -> AxisMisalignment:
     """The rotation into the accelerometer's axes."""
-    found = None
-    if recording.force is not None:
-        used = fit.kept & np.isfinite(recording.force).all(axis=1)
-        found = align(_directions(sphere[used]), recording.force[used])
+    beside = _beside_gravity(recording, fit, sphere)
+    found = None if beside is None else align(*beside)
     if found is None:
         raise UnfitError(
             "--align needs an accelerometer's samples beside the magnetometer's, at rest or slow"
@@ -134,10 +132,7 @@ def _figures(
     alignment: AxisMisalignment | None,
 ) -> Figures:
     """What the verdict is made of."""
-    dip = None
-    if recording.force is not None:
-        used = fit.kept & np.isfinite(recording.force).all(axis=1)
-        dip = dip_of(_directions(sphere[used]), recording.force[used])
+    beside = _beside_gravity(recording, fit, sphere)
     deviation = fit.ellipsoid.deviation(recording.raw)
     directions = _directions(sphere[fit.kept])
     return Figures(
@@ -146,30 +141,34 @@ def _figures(
         residual=_rms(deviation),
         residual_kept=_rms(deviation[fit.kept]),
         coverage=covered_share(directions),
-        next_turn=suggest_next_rotation(directions, _mounting(recording)),
+        next_turn=suggest_next_rotation(directions, recording.body_from_sensor),
         strength_ratio=None
         if field is None or recording.unit == "counts"
         else fit.radius / field.strength_ut,
-        dip=dip,
+        dip=None if beside is None else dip_of(*beside),
         true_dip_deg=None if field is None else field.dip_deg,
         alignment=alignment,
     )
 
 
+def _beside_gravity(
+    recording: MagnetometerRecording, fit: EllipsoidFit, sphere: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """Directions (n, 3) of what is kept that has a specific force (n, 3) beside it; None: not measured."""
+    if recording.force is None:
+        return None
+    used = fit.kept & np.isfinite(recording.force).all(axis=1)
+    return _directions(sphere[used]), recording.force[used]
+
+
 def _directions(sphere: FloatArray) -> FloatArray:
-    unit: FloatArray = sphere / np.linalg.norm(sphere, axis=1)[:, None]
-    return unit
-
-
-def _mounting(recording: MagnetometerRecording) -> FloatArray:
-    """Not known, the sensor's axes are taken for the vehicle's."""
-    return np.eye(3) if recording.body_from_sensor is None else recording.body_from_sensor
+    return np.asarray(sphere / np.linalg.norm(sphere, axis=1)[:, None])
 
 
 def _fit(
     recording: MagnetometerRecording, rng: np.random.Generator, objective: Objective | None
 ) -> EllipsoidFit:
-    raw, mounting = recording.raw, _mounting(recording)
+    raw, mounting = recording.raw, recording.body_from_sensor
     try:
         fit = fit_ellipsoid(raw, rng, objective or "auto")
     except NoEllipsoidError as error:
@@ -296,4 +295,4 @@ def year_of(date: str | None) -> float | None:
 
 def _decimal(date: datetime) -> float:
     start = datetime(date.year, 1, 1, tzinfo=UTC)
-    return date.year + (date - start).total_seconds() / (365.2425 * 86_400.0)
+    return date.year + (date - start).total_seconds() / SECONDS_PER_YEAR

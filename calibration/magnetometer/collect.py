@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -58,19 +57,28 @@ async def collect(source: LiveCompass, limits: CollectionLimits, console: Consol
     """
     clock = Clock()
     start_s = looked_s = clock.now_s()
+    reported_s = start_s - _LINE_S
     now = CoverageProgress(0, np.zeros(CELLS, dtype=bool), None, "")
+    # a map that is drawn over and over; for what is no terminal a line now and then
+    terminal = Live(console=console, auto_refresh=False) if console.is_terminal else nullcontext()
     async with serving(limits.port, console.print) as browser:
-        with _screen(console) as screen:
+        with terminal as screen:
             while clock.now_s() - start_s < limits.time_s:
                 mags, imus = await source.more()
                 if clock.now_s() - looked_s < _LOOK_S:
                     continue
                 looked_s = clock.now_s()
                 now = progress(*paired(mags, imus[-_RECENT:]), source.body_from_sensor)
-                screen.show(now, looked_s - start_s)
+                enough = now.share >= ENOUGH
+                if screen is not None:
+                    screen.update(drawn(now, looked_s - start_s), refresh=True)
+                elif looked_s - reported_s >= _LINE_S or enough:
+                    reported_s = looked_s
+                    line = f"{_progress(now, looked_s - start_s)}; next: {now.hint}"
+                    console.print(line, highlight=False, markup=False)
                 if browser.viewer_count:
                     browser.show(picture(now))
-                if now.share >= ENOUGH and now.samples >= LEAST_SAMPLES:
+                if enough and now.samples >= LEAST_SAMPLES:
                     break
     if limits.picture is not None and now.samples:
         # samples that took minutes are not given up for a picture
@@ -83,56 +91,12 @@ async def collect(source: LiveCompass, limits: CollectionLimits, console: Consol
     return source.recording()
 
 
-# ---------------------------------------------------------------- on the terminal
-
-
-class _Screen(Protocol):
-    def show(self, now: CoverageProgress, elapsed_s: float) -> None:
-        """Show how far it is."""
-
-
-class _Lines:
-    """For what is no terminal: a line now and then."""
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._reported_s = -_LINE_S
-
-    def show(self, now: CoverageProgress, elapsed_s: float) -> None:
-        if elapsed_s - self._reported_s >= _LINE_S or now.share >= ENOUGH:
-            self._reported_s = elapsed_s
-            self._console.print(_line(now, elapsed_s), highlight=False, markup=False)
-
-
-class _Map:
-    """A map that is drawn over and over."""
-
-    def __init__(self, live: Live) -> None:
-        self._live = live
-
-    def show(self, now: CoverageProgress, elapsed_s: float) -> None:
-        self._live.update(drawn(now, elapsed_s), refresh=True)
-
-
 def drawn(now: CoverageProgress, elapsed_s: float) -> Group:
     """The map, how far it is, and what to do next on lines of its own: it is the instruction."""
     if not now.samples:
         return Group(Text("no samples yet"))
     lines = [*text_map(now.covered), _progress(now, elapsed_s)]
     return Group(*(Text(line) for line in lines), Text(f"next: {now.hint}", style="bold", overflow="fold"))
-
-
-@contextmanager
-def _screen(console: Console) -> Iterator[_Screen]:
-    if not console.is_terminal:
-        yield _Lines(console)
-        return
-    with Live(console=console, auto_refresh=False) as live:
-        yield _Map(live)
-
-
-def _line(now: CoverageProgress, elapsed_s: float) -> str:
-    return f"{_progress(now, elapsed_s)}; next: {now.hint}"
 
 
 def _progress(now: CoverageProgress, elapsed_s: float) -> str:
@@ -239,8 +203,7 @@ def _turn(wanted: FloatArray, now: FloatArray) -> FloatArray:
     if sine < 1e-6:
         # the other way about: any axis across will do
         axis = np.cross(now, np.eye(3)[int(np.argmin(np.abs(now)))])
-    rotation: FloatArray = math.atan2(sine, cosine) * axis / max(float(np.linalg.norm(axis)), 1e-12)
-    return rotation
+    return math.atan2(sine, cosine) * axis / max(float(np.linalg.norm(axis)), 1e-12)
 
 
 def _lowest(turn: FloatArray, down: FloatArray) -> str:
@@ -290,16 +253,12 @@ def text_map(covered: BoolArray) -> list[str]:
     discs = [_cells_by_pixel(2 * _ROWS, _ROWS, sign) for sign in (1.0, -1.0)]
     lines = [f"{'to the belly':^{2 * _ROWS}}   {'to the top':^{2 * _ROWS}}"]
     lines += [
-        "   ".join("".join(_character(cell, covered) for cell in row) for row in rows)
+        "   ".join(
+            "".join(" " if cell < 0 else "#" if covered[cell] else "." for cell in row) for row in rows
+        )
         for rows in zip(*discs, strict=True)
     ]
     return lines
-
-
-def _character(cell: int, covered: BoolArray) -> str:
-    if cell < 0:
-        return " "
-    return "#" if covered[cell] else "."
 
 
 def picture(now: CoverageProgress) -> NDArray[np.uint8]:

@@ -133,15 +133,28 @@ def calibrate_command(
     # what computes is imported once the files are there
     from calibration.magnetometer.job import (  # noqa: PLC0415
         MagnetometerCalibrationJob,
-        SampleSource,
         calibrate_magnetometer,
     )
 
-    source = SampleSource(recording, columns, unit, sensor, bus, connect, time_limit_s, serve)
-    picture = None if no_plot else plot or output.with_suffix(".png")
-    calibrate_magnetometer(
-        MagnetometerCalibrationJob(source, config, position, date, align, fit, output, picture, force=force)
+    job = MagnetometerCalibrationJob(
+        recording,
+        columns,
+        unit,
+        sensor,
+        bus,
+        connect,
+        time_limit_s,
+        serve,
+        config,
+        position,
+        date,
+        align,
+        fit,
+        output,
+        None if no_plot else plot or output.with_suffix(".png"),
+        force=force,
     )
+    calibrate_magnetometer(job)
 
 
 def main() -> None:

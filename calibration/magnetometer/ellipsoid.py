@@ -52,21 +52,18 @@ class Ellipsoid:
 
     def apply(self, raw: FloatArray) -> FloatArray:
         """Raw readings (n, 3) to the unit sphere (n, 3)."""
-        sphere: FloatArray = (raw - self.centre) @ self.matrix.T
-        return sphere
+        return (raw - self.centre) @ self.matrix.T
 
     def deviation(self, raw: FloatArray) -> FloatArray:
         """How far each reading (n,) is off the sphere, as a share of its radius."""
-        off: FloatArray = np.linalg.norm(self.apply(raw), axis=1) - 1.0
-        return off
+        return np.asarray(np.linalg.norm(self.apply(raw), axis=1) - 1.0)
 
     def rough_distance(self, raw: FloatArray) -> FloatArray:
         """Distance (n,) of each reading from the ellipsoid in raw units, to first order (Sampson 1982)."""
         sphere = self.apply(raw)
         length = np.maximum(np.linalg.norm(sphere, axis=1), 1e-9)
         slope = np.linalg.norm(sphere @ self.matrix, axis=1) / length
-        distance: FloatArray = np.abs(length - 1.0) / slope
-        return distance
+        return np.asarray(np.abs(length - 1.0) / slope)
 
     def rescaled(self, centre: FloatArray, factor: float) -> Ellipsoid:
         """The same in raw units that are (old / factor + centre)."""
@@ -147,8 +144,7 @@ def _quadric(points: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eig(np.linalg.solve(_CONSTRAINT, upper - cross @ rest))
     leading = vectors[:, int(np.argmax(values.real))].real
     leading = leading * np.sign(leading[:3].sum())
-    coefficients: FloatArray = np.concatenate([leading, -rest @ leading])
-    return coefficients
+    return np.concatenate([leading, -rest @ leading])
 
 
 def _from_quadric(quadric: FloatArray) -> Ellipsoid:
@@ -179,8 +175,7 @@ _NEAREST_POLE: Final = 0.95  # of the way to where a reading deep inside has no 
 
 def pack(ellipsoid: Ellipsoid) -> FloatArray:
     """The vector x (9,) of an ellipsoid."""
-    x: FloatArray = np.concatenate([ellipsoid.matrix[_ROWS, _COLUMNS], ellipsoid.centre])
-    return x
+    return np.concatenate([ellipsoid.matrix[_ROWS, _COLUMNS], ellipsoid.centre])
 
 
 def unpack(x: FloatArray) -> Ellipsoid:
@@ -215,8 +210,7 @@ class Distance:
         """Of `signed` with respect to x, (n, 9)."""
         product = self.sphere[:, _ROWS] * self.foot[:, _COLUMNS]
         product[:, 3:] += self.sphere[:, _COLUMNS[3:]] * self.foot[:, _ROWS[3:]]
-        rows: FloatArray = np.concatenate([product / self.slope[:, None], -self.normal], axis=1)
-        return rows
+        return np.concatenate([product / self.slope[:, None], -self.normal], axis=1)
 
 
 def distance(x: FloatArray, raw: FloatArray) -> Distance:
@@ -301,8 +295,7 @@ class EllipsoidFit:
     @property
     def centre_std(self) -> FloatArray:
         """Standard deviations (3,) of the hard iron, as shares of the field."""
-        std: FloatArray = np.sqrt(np.diag(self.covariance)[6:])
-        return std
+        return np.sqrt(np.diag(self.covariance)[6:])
 
     @property
     def matrix_std(self) -> float:
@@ -326,8 +319,11 @@ def fit_ellipsoid(
     middle, size = refined.centre, 1.0 / _mean_scale(refined.matrix)
     scaled, sigma = (thinned - middle) / size, sigma / size
     x = pack(Ellipsoid(refined.matrix * size, np.zeros(3)))
-    normal, correlation = _information(x, scaled[kept], sigma)
+    jacobian = distance(x, scaled[kept]).jacobian()
+    normal = jacobian.T @ jacobian / sigma**2
+    correlation = correlation_samples(_residuals(x, scaled[kept], sigma))
     covariance = np.asarray(correlation * np.linalg.pinv(normal), dtype=float)
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     chosen: Objective = "likelihood" if objective == "auto" else objective
     if objective == "residual" or (objective == "auto" and _is_better_plain(x, scaled[kept])):
         chosen = "residual"
@@ -341,7 +337,7 @@ def fit_ellipsoid(
         radius=size / _mean_scale(unpack(x).matrix),
         kept=np.abs(_residuals(x, (raw - middle) / size, sigma)) <= _outlier_limit(len(scaled)) * sigma,
         noise=sigma,
-        condition=_condition(normal),
+        condition=float(np.linalg.cond(normal / np.outer(scale, scale))),
         correlation_samples=correlation,
     )
 
@@ -359,13 +355,8 @@ def whiteness_sigma(residuals: FloatArray) -> float:
 # ---------------------------------------------------------------- objectives
 
 
-def _plain(x: FloatArray, raw: FloatArray) -> FloatArray:
-    return unpack(x).deviation(raw)
-
-
 def _fit_plain(x: FloatArray, raw: FloatArray) -> FloatArray:
-    solved: FloatArray = least_squares(_plain, x, args=(raw,), x_scale="jac").x
-    return solved
+    return np.asarray(least_squares(lambda at: unpack(at).deviation(raw), x, x_scale="jac").x)
 
 
 def _fit_likelihood(x: FloatArray, raw: FloatArray, sigma: float) -> FloatArray:
@@ -382,8 +373,7 @@ def _fit_likelihood(x: FloatArray, raw: FloatArray, sigma: float) -> FloatArray:
 
 def _residuals(x: FloatArray, raw: FloatArray, sigma: float) -> FloatArray:
     found = distance(x, raw)
-    residuals: FloatArray = found.signed - sigma**2 * found.curvature
-    return residuals
+    return found.signed - sigma**2 * found.curvature
 
 
 def _refine(raw: FloatArray, start: Ellipsoid) -> tuple[FloatArray, BoolArray, float]:
@@ -431,16 +421,6 @@ def _is_better_plain(x: FloatArray, raw: FloatArray) -> bool:
     return whole and whiteness_sigma(length) > _CORRELATED_SIGMA
 
 
-# ---------------------------------------------------------------- uncertainty
-
-
-def _information(x: FloatArray, raw: FloatArray, sigma: float) -> tuple[FloatArray, float]:
-    """J^T J / σ² of the likelihood (9, 9), and the residuals' correlation in samples."""
-    jacobian = distance(x, raw).jacobian()
-    normal: FloatArray = jacobian.T @ jacobian / sigma**2
-    return normal, correlation_samples(_residuals(x, raw, sigma))
-
-
 def correlation_samples(residuals: FloatArray) -> float:
     """Integrated autocorrelation of residuals in order: 1 for white noise (Sokal's window, at five times it).
 
@@ -455,11 +435,6 @@ def correlation_samples(residuals: FloatArray) -> float:
     times = 2.0 * np.cumsum(correlation / correlation[0]) - 1.0
     within = np.flatnonzero(np.arange(len(times)) >= 5.0 * times)
     return max(1.0, float(times[within[0]] if within.size else times.max()))
-
-
-def _condition(normal: FloatArray) -> float:
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return float(np.linalg.cond(normal / np.outer(scale, scale)))
 
 
 def _mean_scale(matrix: FloatArray) -> float:
@@ -484,8 +459,7 @@ def lattice(count: int) -> FloatArray:
     z = 1.0 - 2.0 * k / count
     longitude = math.pi * (1.0 + math.sqrt(5.0)) * k
     radius = np.sqrt(1.0 - z * z)
-    points: FloatArray = np.stack([radius * np.cos(longitude), radius * np.sin(longitude), z], axis=1)
-    return points
+    return np.stack([radius * np.cos(longitude), radius * np.sin(longitude), z], axis=1)
 
 
 _CENTRES: Final = lattice(CELLS)
@@ -493,8 +467,7 @@ _CENTRES: Final = lattice(CELLS)
 
 def cells_of(directions: FloatArray) -> NDArray[np.intp]:
     """The cell of each unit vector (n, 3)."""
-    cells: NDArray[np.intp] = np.argmax(directions @ _CENTRES.T, axis=1)
-    return cells
+    return np.asarray(np.argmax(directions @ _CENTRES.T, axis=1))
 
 
 def covered_cells(directions: FloatArray) -> BoolArray:

@@ -1,15 +1,15 @@
 """What `calibrate-magnetometer` does: read or collect samples, calibrate, judge and write."""
 
 import sys
+from contextlib import closing
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from rich.console import Console
 
-from calibration.command_line import RefusedError
+from calibration.command_line import RefusedError, today
 from calibration.magnetometer.calibrate import (
     Calibrated,
     TrueField,
@@ -20,27 +20,28 @@ from calibration.magnetometer.calibrate import (
     year_of,
 )
 from calibration.magnetometer.collect import CollectionLimits, collect
+from calibration.magnetometer.command import PROGRAM
 from calibration.magnetometer.ellipsoid import Objective
-from calibration.magnetometer.live import open_autopilot, open_chip
+from calibration.magnetometer.live import AutopilotCompass, Mpu9250Compass
 from calibration.magnetometer.recording import MagnetometerRecording
 from calibration.magnetometer.report import lines, result_table, write_picture, yaml_text
 from calibration.magnetometer.sources import read_recording
 from companion import __version__
-from companion.base.clock import start_unix_s
 from companion.base.files import must_be_writable, write_atomically
 from companion.base.signals import run_until_stopped
 from companion.config import CompanionConfig, ConfigError, load_config
 from companion.config.calibration import Sensor
+from companion.link.transport import open_transport
+from companion.sense.imu.i2c import open_bus
 
-PROGRAM: Final = "calibrate-magnetometer"
 PICTURE_KINDS: Final = (".png", ".pdf", ".svg")
 _PLAIN_WIDTH: Final = 140
 _SEED: Final = 0  # of the robust start's random subsets: the same samples give the same file
 
 
 @dataclass(frozen=True, slots=True)
-class SampleSource:
-    """Where samples come from: a recording with what its table holds, or a live sensor."""
+class MagnetometerCalibrationJob:
+    """One run: a recording with what its table holds, or a live sensor; reference field, fit, results."""
 
     recording: Path | None
     columns: str | None
@@ -50,13 +51,6 @@ class SampleSource:
     connect: str | None
     time_limit_s: float
     serve_port: int | None
-
-
-@dataclass(frozen=True, slots=True)
-class MagnetometerCalibrationJob:
-    """One run: samples, the reference field, how to fit, and where the results go."""
-
-    source: SampleSource
     config: Path | None
     position: str | None
     date: str | None
@@ -77,7 +71,7 @@ def calibrate_magnetometer(job: MagnetometerCalibrationJob) -> None:
     # a file or a pipe has no width: no figure is broken across lines there
     console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
     settings = CompanionConfig() if job.config is None else load_config(job.config)
-    sensor: Sensor = _choice("--sensor", job.source.sensor, ("mpu9250", "autopilot", "other"))  # type: ignore[assignment]
+    sensor: Sensor = _choice("--sensor", job.sensor, ("mpu9250", "autopilot", "other"))  # type: ignore[assignment]
     objective = _choice("--fit", job.objective, ("auto", "likelihood", "residual"))
     year = year_of(job.date)
     field = field_by(job.position, year, settings, job.config)
@@ -111,46 +105,41 @@ def _samples(
     settings: CompanionConfig,
     console: Console,
 ) -> MagnetometerRecording:
-    source = job.source
-    if source.recording is None:
-        limits = CollectionLimits(
-            source.time_limit_s, job.output.with_suffix(".coverage.png"), source.serve_port
-        )
-        return run_until_stopped(_live(source, job.config is not None, settings, limits, console))
-    if source.bus is not None or source.connect is not None or source.serve_port is not None:
+    if job.recording is None:
+        return run_until_stopped(_live(job, settings, console))
+    if job.bus is not None or job.connect is not None or job.serve_port is not None:
         raise ConfigError("RECORDING: expected it without --bus, --connect and --serve, which are live")
-    strength = None if field is None else field.strength_ut
     return read_recording(
-        source.recording,
-        columns=source.columns,
-        unit=source.unit,
+        job.recording,
+        columns=job.columns,
+        unit=job.unit,
         sensor=sensor,
-        field_ut=strength,
-        rng=_rng(),
+        field_ut=None if field is None else field.strength_ut,
+        rng=np.random.default_rng(_SEED),
     )
 
 
 async def _live(
-    source: SampleSource,
-    configured: bool,
-    settings: CompanionConfig,
-    limits: CollectionLimits,
-    console: Console,
+    job: MagnetometerCalibrationJob, settings: CompanionConfig, console: Console
 ) -> MagnetometerRecording:
     """Collect from the sensor that an option names, else from the one that the settings use."""
-    bus, connect = source.bus, source.connect
+    limits = CollectionLimits(job.time_limit_s, job.output.with_suffix(".coverage.png"), job.serve_port)
+    bus, connect, configured = job.bus, job.connect, job.config is not None
     if bus is not None and connect is not None:
         raise ConfigError("--bus and --connect: expected one of them")
     if connect is None and bus is None and configured and settings.sense.source == "autopilot":
         connect = settings.link.connection
     if connect is not None:
-        async with open_autopilot(connect) as autopilot:
+        with (
+            closing(await open_transport(connect)) as transport,
+            closing(AutopilotCompass(transport, connect)) as autopilot,
+        ):
             return await collect(autopilot, limits, console)
     if bus is None and not configured:
         raise ConfigError("nothing to calibrate: expected RECORDING, --bus, --connect or --config")
     imu = settings.sense.imu if bus is None else settings.sense.imu.model_copy(update={"bus": bus})
-    async with open_chip(imu) as chip:
-        return await collect(chip, limits, console)
+    with closing(open_bus(imu.bus)) as opened:
+        return await collect(Mpu9250Compass(opened, imu), limits, console)
 
 
 def _calibrated(
@@ -159,16 +148,15 @@ def _calibrated(
     objective: Objective | None,
     job: MagnetometerCalibrationJob,
 ) -> Calibrated:
-    now = datetime.fromtimestamp(start_unix_s(virtual=True), UTC)
     try:
         return calibrate(
             taken,
-            _rng(),
+            np.random.default_rng(_SEED),
             field=field,
             aligned=job.align,
             objective=objective,
             tool=f"{PROGRAM} {__version__}",
-            date=now.strftime("%Y-%m-%dT%H:%M:%SZ"),
+            date=today(),
         )
     except UnfitError as error:
         in_vain = "; --force has nothing to write" if job.force else ""
@@ -199,10 +187,6 @@ def _draw(done: Calibrated, picture: Path | None, console: Console) -> ConfigErr
         return error
     console.print(f"picture in {picture}", highlight=False, markup=False)
     return None
-
-
-def _rng() -> np.random.Generator:
-    return np.random.default_rng(_SEED)
 
 
 def _choice(option: str, word: str, known: tuple[str, ...]) -> str:

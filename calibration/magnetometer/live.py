@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, closing
 from typing import Final, Protocol
 
 import numpy as np
@@ -25,8 +23,8 @@ from companion.link.codec import Codec, heartbeat, mavlink
 from companion.link.commands import ParameterRequest, ParameterRequests, set_message_interval
 from companion.link.streams import TelemetryRates
 from companion.link.telemetry.autopilot_sensors import IMU_MESSAGES
-from companion.link.transport import Transport, open_transport
-from companion.sense.imu.i2c import RegisterBus, SensorError, open_bus
+from companion.link.transport import Transport
+from companion.sense.imu.i2c import RegisterBus, SensorError
 from companion.sense.imu.mpu9250 import Mpu9250
 
 BATCH_S: Final = 0.1
@@ -50,20 +48,6 @@ class LiveCompass(Protocol):
 
     def recording(self) -> MagnetometerRecording:
         """All that has been measured."""
-
-
-# ---------------------------------------------------------------- MPU9250
-
-
-@asynccontextmanager
-async def open_chip(config: ImuConfig) -> AsyncIterator[Mpu9250Compass]:
-    """The MPU9250 that the settings describe.
-
-    Raises:
-        ConfigError: its bus cannot be opened.
-    """
-    with closing(open_bus(config.bus)) as bus:
-        yield Mpu9250Compass(bus, config)
 
 
 class Mpu9250Compass:
@@ -110,24 +94,6 @@ class Mpu9250Compass:
         raw, force = paired(self._mags, self._imus)
         turn = self.body_from_sensor
         return MagnetometerRecording(self._name, "mpu9250", raw, force=force, body_from_sensor=turn).checked()
-
-
-# ---------------------------------------------------------------- autopilot
-
-
-@asynccontextmanager
-async def open_autopilot(connection: str) -> AsyncIterator[AutopilotCompass]:
-    """The autopilot at the other end of a link.
-
-    Raises:
-        ConfigError: the link cannot be opened.
-    """
-    with closing(await open_transport(connection)) as transport:
-        source = AutopilotCompass(transport, connection)
-        try:
-            yield source
-        finally:
-            source.close()
 
 
 class AutopilotCompass:

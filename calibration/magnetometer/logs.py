@@ -12,7 +12,6 @@ What is in them has been through a calibration as often as not:
 
 import contextlib
 import io
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,8 +19,6 @@ import numpy as np
 from pyulog import ULog
 
 from calibration.magnetometer.recording import (
-    UT_PER_GAUSS,
-    UT_PER_MGAUSS,
     MagnetometerRecording,
     mounting,
     onboard_of,
@@ -33,7 +30,7 @@ from companion.base.messages import GpsFix, ImuSample, MagSample
 from companion.config import CompanionConfig, ConfigError
 from companion.config.calibration import load_magnetometer_calibration
 from companion.flightlog.replay.dataflash import DataFlashLog
-from companion.flightlog.replay.flight_record import RecordingPlace
+from companion.flightlog.replay.flight_record import SECONDS_PER_YEAR, UT_PER, RecordingPlace
 from companion.flightlog.replay.mcap_log import read_mcap
 from companion.flightlog.replay.ulog import read_ulog
 from companion.link.codec import Codec, Message, is_autopilot_heartbeat, mavlink
@@ -49,11 +46,101 @@ from companion.link.telemetry.telemetry import AUTOPILOT_KINDS
 # field as the autopilot has calibrated it, in its body axes; its parameters, where they are heard, say how,
 # and that is taken off again. PX4's RAW_IMU and SCALED_IMU hold the raw field in the compass's own axes.
 
-_SECONDS_PER_YEAR: Final = 365.2425 * 86_400.0
-_FIRST_YEAR: Final = 2000.0
+_HEARTBEAT: Final = mavlink.MAVLINK_MSG_ID_HEARTBEAT
+_PARAMETER: Final = mavlink.MAVLINK_MSG_ID_PARAM_VALUE
+_POSITION: Final = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+_TIME: Final = mavlink.MAVLINK_MSG_ID_SYSTEM_TIME
+_COMPASS: Final = frozenset(number for order in IMU_MESSAGES.values() for number in order)
+# PX4's raw ones stand last: without the better one
+_ORDERS: Final = {
+    "ardupilot": IMU_MESSAGES["ardupilot"],
+    "px4": (*IMU_MESSAGES["px4"], mavlink.MAVLINK_MSG_ID_SCALED_IMU, mavlink.MAVLINK_MSG_ID_RAW_IMU),
+}
+HEARD: Final = frozenset({_HEARTBEAT, _PARAMETER, _POSITION, _TIME, *_COMPASS})
 
 
-# ---------------------------------------------------------------- MAVLink
+class Telemetry:
+    """What the messages of one autopilot say, live or of a .tlog."""
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+        self.autopilot_kind: AutopilotKind | None = None
+        self.system_id = 0
+        self.parameters: dict[str, float] = {}
+        self._mags: dict[int, list[MagSample]] = {}
+        self._imus: dict[int, list[ImuSample]] = {}
+        self._place: tuple[float, float, float] | None = None
+        self._year: float | None = None
+
+    def take(self, message: Message) -> None:
+        """Take one of HEARD."""
+        number = message.get_msgId()
+        if number == _HEARTBEAT:
+            if self.autopilot_kind is None and is_autopilot_heartbeat(message):
+                self.autopilot_kind = AUTOPILOT_KINDS.get(message.autopilot)
+                self.system_id = message.get_srcSystem()
+        elif self.system_id and message.get_srcSystem() != self.system_id:
+            return
+        elif number == _PARAMETER:
+            self.parameters[message.param_id] = reported_value(message, self.autopilot_kind)
+        elif number == _POSITION:
+            if message.lat or message.lon:
+                self._place = (message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
+        elif number == _TIME:
+            if message.time_unix_usec:
+                self._year = 1970.0 + 1e-6 * message.time_unix_usec / SECONDS_PER_YEAR
+        else:
+            self._take_imu(number, message)
+
+    def _take_imu(self, number: int, message: Message) -> None:
+        time_s = stamp_s(message)
+        if (mag := mag_sample(message, time_s)) is not None:
+            self._mags.setdefault(number, []).append(mag)
+        if (imu := imu_sample(message, time_s)) is not None:
+            self._imus.setdefault(number, []).append(imu)
+
+    @property
+    def number(self) -> int | None:
+        """The message whose magnetometer is used: the best that has come; None: none has."""
+        order = _ORDERS[self.autopilot_kind or "ardupilot"]
+        return next((number for number in order if self._mags.get(number)), None)
+
+    @property
+    def newest(self) -> tuple[list[MagSample], list[ImuSample]]:
+        """All samples so far of the message that is used."""
+        number = self.number
+        return ([], []) if number is None else (self._mags[number], self._imus.get(number, []))
+
+    def recording(self) -> MagnetometerRecording:
+        """What has come.
+
+        Raises:
+            ConfigError: no magnetometer has.
+        """
+        number = self.number
+        if number is None:
+            kinds = "RAW_IMU, SCALED_IMU or HIGHRES_IMU"
+            raise ConfigError(f"{self._source}: no magnetometer in it; expected {kinds} of an autopilot")
+        raw, force = paired(self._mags[number], self._imus.get(number, []))
+        name = mavlink.mavlink_map[number].msgname
+        recording = MagnetometerRecording(f"{self._source} ({name})", "autopilot", raw, force=force)
+        if self._place is not None:
+            recording.place = RecordingPlace(*self._place, self._year)
+        if self.autopilot_kind == "px4" and number not in IMU_MESSAGES["px4"]:
+            recording.sensor = "other"
+            recording.notes.append(
+                f"PX4's {name} has the raw compass in its own axes, which the app never uses"
+            )
+        elif self.autopilot_kind is not None:
+            recording.onboard = onboard_of(self.autopilot_kind, self.parameters)
+            if recording.onboard is None:
+                recording.notes.append(
+                    "the autopilot's compass parameters are not known (or its compass is turned): the "
+                    "calibration goes on top of whatever they are"
+                )
+            else:
+                recording.raw = recording.onboard.undo(recording.raw)
+        return recording
 
 
 def read_tlog(path: Path) -> MagnetometerRecording:
@@ -69,6 +156,8 @@ def read_tlog(path: Path) -> MagnetometerRecording:
 
 
 # ---------------------------------------------------------------- DataFlash
+
+_FIRST_YEAR: Final = 2000.0
 
 
 def read_dataflash_compass(path: Path) -> MagnetometerRecording:
@@ -118,11 +207,11 @@ def _messages(log: Any, kinds: list[str]) -> dict[str, list[Any]]:
 
 
 def _mgauss(message: Any, name: str) -> list[float]:
-    return [UT_PER_MGAUSS * float(getattr(message, f"{name}{axis}", 0.0)) for axis in "XYZ"]
+    return [UT_PER["mG"] * float(getattr(message, f"{name}{axis}", 0.0)) for axis in "XYZ"]
 
 
 def _place(fix: Any) -> RecordingPlace:
-    year = 1970.0 + fix._timestamp / _SECONDS_PER_YEAR
+    year = 1970.0 + fix._timestamp / SECONDS_PER_YEAR
     # without the receiver's time the log counts from its start
     return RecordingPlace(fix.Lat, fix.Lng, fix.Alt, year if year > _FIRST_YEAR else None)
 
@@ -143,7 +232,7 @@ def read_ulog_compass(path: Path) -> MagnetometerRecording:
     topic = next((topic for topic in log.data_list if topic.multi_id == 0), None)
     onboard = onboard_of("px4", dict(log.initial_parameters))
     if topic is not None and len(topic.data["timestamp"]):
-        fields = UT_PER_GAUSS * np.stack([np.asarray(topic.data[a], dtype=float) for a in "xyz"], axis=1)
+        fields = UT_PER["G"] * np.stack([np.asarray(topic.data[a], dtype=float) for a in "xyz"], axis=1)
         times = (1e-6 * np.asarray(topic.data["timestamp"], dtype=float)).tolist()
         mags = [MagSample(t, vector3(f)) for t, f in zip(times, fields.tolist(), strict=True)]
         raw, force = paired(mags, imus)
@@ -204,107 +293,3 @@ def _uncalibrated(recording: MagnetometerRecording, config: CompanionConfig) -> 
         recording.raw = applied.undo(recording.raw)
         recording.notes.append(f"{settings.magnetometer_calibration}, which it was flown with, was taken off")
     return recording
-
-
-_HEARTBEAT: Final = mavlink.MAVLINK_MSG_ID_HEARTBEAT
-_PARAMETER: Final = mavlink.MAVLINK_MSG_ID_PARAM_VALUE
-_POSITION: Final = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
-_TIME: Final = mavlink.MAVLINK_MSG_ID_SYSTEM_TIME
-_COMPASS: Final = frozenset(number for order in IMU_MESSAGES.values() for number in order)
-# PX4's raw ones stand last: without the better one
-_ORDERS: Final = {
-    "ardupilot": IMU_MESSAGES["ardupilot"],
-    "px4": (*IMU_MESSAGES["px4"], mavlink.MAVLINK_MSG_ID_SCALED_IMU, mavlink.MAVLINK_MSG_ID_RAW_IMU),
-}
-HEARD: Final = frozenset({_HEARTBEAT, _PARAMETER, _POSITION, _TIME, *_COMPASS})
-
-
-class Telemetry:
-    """What the messages of one autopilot say, live or of a .tlog."""
-
-    def __init__(self, source: str) -> None:
-        self._source = source
-        self.autopilot_kind: AutopilotKind | None = None
-        self.system_id = 0
-        self.parameters: dict[str, float] = {}
-        self._mags: dict[int, list[MagSample]] = {}
-        self._imus: dict[int, list[ImuSample]] = {}
-        self._place: tuple[float, float, float] | None = None
-        self._year: float | None = None
-
-    def take(self, message: Message) -> None:
-        """Take one of HEARD."""
-        number = message.get_msgId()
-        if number == _HEARTBEAT:
-            if self.autopilot_kind is None and is_autopilot_heartbeat(message):
-                self.autopilot_kind = AUTOPILOT_KINDS.get(message.autopilot)
-                self.system_id = message.get_srcSystem()
-        elif self.system_id and message.get_srcSystem() != self.system_id:
-            return
-        elif number == _PARAMETER:
-            self.parameters[message.param_id] = reported_value(message, self.autopilot_kind)
-        elif number == _POSITION:
-            if message.lat or message.lon:
-                self._place = (message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
-        elif number == _TIME:
-            if message.time_unix_usec:
-                self._year = 1970.0 + 1e-6 * message.time_unix_usec / _SECONDS_PER_YEAR
-        else:
-            self._take_imu(number, message)
-
-    def _take_imu(self, number: int, message: Message) -> None:
-        time_s = stamp_s(message)
-        if (mag := mag_sample(message, time_s)) is not None:
-            self._mags.setdefault(number, []).append(mag)
-        if (imu := imu_sample(message, time_s)) is not None:
-            self._imus.setdefault(number, []).append(imu)
-
-    @property
-    def number(self) -> int | None:
-        """The message whose magnetometer is used: the best that has come; None: none has."""
-        order = _ORDERS[self.autopilot_kind or "ardupilot"]
-        return next((number for number in order if self._mags.get(number)), None)
-
-    @property
-    def newest(self) -> tuple[list[MagSample], list[ImuSample]]:
-        """All samples so far of the message that is used."""
-        number = self.number
-        return ([], []) if number is None else (self._mags[number], self._imus.get(number, []))
-
-    def recording(self) -> MagnetometerRecording:
-        """What has come.
-
-        Raises:
-            ConfigError: no magnetometer has.
-        """
-        number = self.number
-        if number is None:
-            kinds = "RAW_IMU, SCALED_IMU or HIGHRES_IMU"
-            raise ConfigError(f"{self._source}: no magnetometer in it; expected {kinds} of an autopilot")
-        raw, force = paired(self._mags[number], self._imus.get(number, []))
-        name = mavlink.mavlink_map[number].msgname
-        recording = MagnetometerRecording(f"{self._source} ({name})", "autopilot", raw, force=force)
-        if self._place is not None:
-            recording.place = RecordingPlace(*self._place, self._year)
-        if self.autopilot_kind == "px4" and number not in IMU_MESSAGES["px4"]:
-            recording.sensor = "other"
-            recording.notes.append(
-                f"PX4's {name} has the raw compass in its own axes, which the app never uses"
-            )
-        elif self.autopilot_kind is not None:
-            _undo(recording, self.autopilot_kind, self.parameters)
-        return recording
-
-
-def _undo(
-    recording: MagnetometerRecording, autopilot_kind: AutopilotKind, parameters: Mapping[str, float]
-) -> None:
-    """Turn what was heard into what the compass measured, where the parameters are known."""
-    recording.onboard = onboard_of(autopilot_kind, parameters)
-    if recording.onboard is None:
-        recording.notes.append(
-            "the autopilot's compass parameters are not known (or its compass is turned): the calibration "
-            "goes on top of whatever they are"
-        )
-        return
-    recording.raw = recording.onboard.undo(recording.raw)

@@ -165,8 +165,7 @@ def calm(force: FloatArray) -> BoolArray:
     """Mask (n,) of the specific forces (n, 3) that are about as large as gravity (the median)."""
     size = np.linalg.norm(force, axis=1)
     middle = np.nanmedian(size)
-    mask: BoolArray = np.abs(size - middle) <= _CALM_SHARE * middle
-    return mask
+    return np.asarray(np.abs(size - middle) <= _CALM_SHARE * middle)
 
 
 def dip_of(directions: FloatArray, force: FloatArray) -> Dip | None:
@@ -206,21 +205,18 @@ def align(directions: FloatArray, force: FloatArray) -> AxisMisalignment | None:
 
 
 def _weighted(x: FloatArray, fields: FloatArray, force: FloatArray, weight: float) -> FloatArray:
-    residuals: FloatArray = np.concatenate([weight * _off_dip(x, fields, force), x[:3] / _PRIOR_RAD])
-    return residuals
+    return np.concatenate([weight * _off_dip(x, fields, force), x[:3] / _PRIOR_RAD])
 
 
 def _off_dip(x: FloatArray, fields: FloatArray, force: FloatArray) -> FloatArray:
     """How far the dip (n,) of fields that are turned by x[:3] is off x[3], rad."""
-    off: FloatArray = _dips(Rotation.from_rotvec(x[:3]).apply(fields), force) - x[3]
-    return off
+    return np.asarray(_dips(Rotation.from_rotvec(x[:3]).apply(fields), force) - x[3])
 
 
 def _dips(directions: FloatArray, force: FloatArray) -> FloatArray:
     """The angle (n,) of unit fields below the horizontal, rad."""
     sines = -np.sum(directions * force, axis=1) / np.linalg.norm(force, axis=1)
-    dips: FloatArray = np.arcsin(np.clip(sines, -1.0, 1.0))
-    return dips
+    return np.asarray(np.arcsin(np.clip(sines, -1.0, 1.0)))
 
 
 # ---------------------------------------------------------------- missing turns

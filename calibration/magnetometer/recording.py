@@ -14,7 +14,7 @@ from companion.base.geometry import FloatArray, Vector3, matrix_from_quat, quat_
 from companion.base.messages import ImuSample, MagSample
 from companion.config import ConfigError
 from companion.config.calibration import AXES_OF, Axes, RawUnit, Sensor
-from companion.flightlog.replay.flight_record import RecordingPlace
+from companion.flightlog.replay.flight_record import UT_PER, RecordingPlace
 
 MOST_FIELD: Final = 1e9  # in whatever unit: beyond it stands what no sensor measured
 # what drivers give in the place of a reading: least and most of 16 and 32 bits, the HMC5883L's overflow
@@ -32,7 +32,7 @@ class MagnetometerRecording:
         raw: (n, 3) in `unit`, in `axes`.
         force: (n, 3) specific force in the same axes (+g upwards at rest), in any unit; None: not measured.
         place: where and when, if the recording says so.
-        body_from_sensor: (3, 3) how the sensor is mounted, from `axes` to FRD; None: not known.
+        body_from_sensor: (3, 3) how the sensor is mounted, from `axes` to FRD; not known: as if along it.
         onboard: what the autopilot does to its compass before anybody hears it; None: it is no autopilot's,
             or not known.
         notes: what a reader of the result should know.
@@ -44,7 +44,7 @@ class MagnetometerRecording:
     unit: RawUnit = "uT"
     force: FloatArray | None = None
     place: RecordingPlace | None = None
-    body_from_sensor: FloatArray | None = None
+    body_from_sensor: FloatArray = field(default_factory=lambda: np.eye(3))
     onboard: Onboard | None = None
     notes: list[str] = field(default_factory=list)
 
@@ -124,8 +124,6 @@ def mounting(body_from_sensor_deg: Vector3) -> FloatArray:
 #
 # In both the off-diagonal three are the elements xy, xz and yz.
 
-UT_PER_MGAUSS: Final = 0.1
-UT_PER_GAUSS: Final = 100.0
 _AXES: Final = "XYZ"
 _ELEMENTS: Final = ((0, 1), (0, 2), (1, 2))
 # a rotation that leaves the axes as they are: none, or "internal: the board's"
@@ -154,8 +152,7 @@ class Onboard:
 
     def undo(self, heard: FloatArray) -> FloatArray:
         """Raw readings (n, 3) of what is heard (n, 3), µT."""
-        raw: FloatArray = heard @ np.linalg.inv(self.matrix).T - self.offset_ut
-        return raw
+        return heard @ np.linalg.inv(self.matrix).T - self.offset_ut
 
     def on_top(self, matrix: FloatArray, centre: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What does to the heard readings as `matrix (raw - centre)` does to the raw ones."""
@@ -166,14 +163,14 @@ def onboard_of(autopilot_kind: AutopilotKind, parameters: Mapping[str, float]) -
     """By an autopilot's parameters; None when they do not say what it does."""
     used = {name: parameters[name] for name in NAMES[autopilot_kind] if name in parameters}
     if autopilot_kind == "ardupilot":
-        offset, unit = [used.get(f"COMPASS_OFS_{axis}") for axis in _AXES], UT_PER_MGAUSS
+        offset, unit = [used.get(f"COMPASS_OFS_{axis}") for axis in _AXES], UT_PER["mG"]
         diagonal = [used.get(f"COMPASS_DIA_{axis}", 1.0) for axis in _AXES]
         if not any(diagonal):  # as ArduPilot has it: none
             diagonal = [1.0, 1.0, 1.0]
         rest = [used.get(f"COMPASS_ODI_{axis}", 0.0) for axis in _AXES]
         factor = used.get("COMPASS_SCALE", 0.0) or 1.0
     else:
-        offset, unit = [used.get(f"CAL_MAG0_{axis}OFF") for axis in _AXES], -UT_PER_GAUSS
+        offset, unit = [used.get(f"CAL_MAG0_{axis}OFF") for axis in _AXES], -UT_PER["G"]
         diagonal = [used.get(f"CAL_MAG0_{axis}SCALE", 1.0) for axis in _AXES]
         rest, factor = [used.get(f"CAL_MAG0_{axis}ODIAG", 0.0) for axis in _AXES], 1.0
     known = [value for value in offset if value is not None]
@@ -190,10 +187,10 @@ def parameters_for(
     """The parameters that have the autopilot reckon `matrix (raw - centre)`: a symmetric matrix, µT."""
     rest = [float(matrix[i, j]) for i, j in _ELEMENTS]
     if autopilot_kind == "ardupilot":
-        offsets, form = (-centre_ut / UT_PER_MGAUSS).tolist(), "COMPASS_{kind}_{axis}"
+        offsets, form = (-centre_ut / UT_PER["mG"]).tolist(), "COMPASS_{kind}_{axis}"
         kinds, more = {"OFS": offsets, "DIA": np.diag(matrix).tolist(), "ODI": rest}, {"COMPASS_SCALE": 1.0}
     else:
-        offsets, form = (centre_ut / UT_PER_GAUSS).tolist(), "CAL_MAG0_{axis}{kind}"
+        offsets, form = (centre_ut / UT_PER["G"]).tolist(), "CAL_MAG0_{axis}{kind}"
         kinds, more = {"OFF": offsets, "SCALE": np.diag(matrix).tolist(), "ODIAG": rest}, {}
     named = {
         form.format(kind=kind, axis=axis): value

@@ -40,9 +40,8 @@ def result_table(done: Calibrated, field: TrueField | None) -> Table:
         "samples", f"{figures.samples}, of them {figures.samples - figures.kept} dropped as outliers"
     )
     table.add_row("sphere covered", f"{figures.coverage:.0%}")
-    table.add_row(
-        "hard iron", f"{_numbers(done.centre)} {unit} ({_shares(quality.hard_iron_std)} of the field)"
-    )
+    stds = " ".join(f"{std:.2%}" for std in quality.hard_iron_std)
+    table.add_row("hard iron", f"{_numbers(done.centre)} {unit} (± {stds} of the field)")
     for name, row in zip(
         ("soft iron", "", ""), done.matrix / (file.field_strength / fit.radius), strict=True
     ):
@@ -82,10 +81,6 @@ def lines(done: Calibrated, *, refused: bool = False) -> list[str]:
 
 def _numbers(values: object, form: str = "8.3f") -> str:
     return " ".join(f"{float(value):{form}}" for value in values)  # type: ignore[attr-defined]
-
-
-def _shares(values: tuple[float, float, float]) -> str:
-    return "± " + " ".join(f"{value:.2%}" for value in values)
 
 
 # ---------------------------------------------------------------- pictures

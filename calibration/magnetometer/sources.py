@@ -17,6 +17,7 @@ from companion.base.geometry import FloatArray
 from companion.config import ConfigError
 from companion.config.calibration import Sensor
 from companion.flightlog.log_file import log_file
+from companion.flightlog.replay.flight_record import UT_PER
 
 _MAGNETOMETER: Final = re.compile(r"^(m|b|h|mf|.*mag.*|.*compass.*)$")
 # beside one that has been through a calibration
@@ -164,8 +165,6 @@ def read_numpy_table(path: Path) -> SampleTable:
 #
 # The Earth's field is between 22 and 67 µT everywhere on the ground.
 
-# µT in one of each
-UT_PER: Final = {"T": 1e6, "G": 100.0, "mT": 1e3, "uT": 1.0, "mG": 0.1, "nT": 1e-3}
 _SPELLINGS: Final = {
     "t": "T", "tesla": "T", "g": "G", "gs": "G", "gauss": "G", "ga": "G", "mt": "mT", "millitesla": "mT",
     "ut": "uT", "µt": "uT", "μt": "uT", "microtesla": "uT", "mg": "mG", "mgauss": "mG", "mga": "mG",
@@ -263,7 +262,8 @@ def _of_table(
     if known is not None and radius is not None:
         _must_be_the_earths(source, radius, known, by_option=unit is not None)
     if known is None:
-        known = _by_size(recording.raw, radius, field_ut)
+        whole = bool(np.array_equal(recording.raw, np.round(recording.raw)))
+        known = COUNTS if radius is None else infer_unit(radius, field_ut, whole_numbers=whole)
         unit_text = "counts of the sensor, so nothing is said of its scale" if known == COUNTS else known
         recording.notes.append(f"unit by the field's size: {unit_text}; --unit takes another")
     if known == COUNTS:
@@ -280,12 +280,6 @@ def _radius(raw: FloatArray, rng: np.random.Generator) -> float | None:
     except NoEllipsoidError:
         return None
     return 1.0 / float(np.cbrt(np.linalg.det(matrix)))
-
-
-def _by_size(raw: FloatArray, radius: float | None, field_ut: float | None) -> str:
-    if radius is None:
-        return COUNTS
-    return infer_unit(radius, field_ut, whole_numbers=bool(np.array_equal(raw, np.round(raw))))
 
 
 def _must_be_the_earths(source: str, radius: float, unit: str, *, by_option: bool) -> None:

@@ -5,13 +5,21 @@ from typing import Annotated, Final
 
 import typer
 
-from calibration.command_line import run
-from calibration.mount import FACES
+from calibration.command_line import ForceOption, PlotsOption, run
 from companion.base.command_line import VersionOption, new_app
 from companion.base.errors import ConfigError
 from companion.base.files import DEFAULT_SETTINGS, find_file, must_be_readable, must_be_writable, must_exist
 
 NAME: Final = "calibrate-mount"
+# body axes (FRD): which way is down when the vehicle lies on that face
+FACES: Final[dict[str, tuple[float, float, float]]] = {
+    "level": (0.0, 0.0, 1.0),
+    "upside-down": (0.0, 0.0, -1.0),
+    "nose-down": (1.0, 0.0, 0.0),
+    "nose-up": (-1.0, 0.0, 0.0),
+    "right-down": (0.0, 1.0, 0.0),
+    "left-down": (0.0, -1.0, 0.0),
+}
 HELP: Final = """Calibrate the IMU and the camera mount (camera-IMU extrinsics and time offset) in the field.
 
 First calibrate the IMU (once, on a table). Then record while you move the vehicle over the pad, and solve
@@ -37,10 +45,6 @@ def calibrate_mount(*, version: VersionOption = False) -> None:
 
 ConfigOption = Annotated[Path, typer.Option("--config", help="The app's settings.", metavar="FILE")]
 OutputOption = Annotated[Path, typer.Option("--output", "-o", help="File to write.", metavar="FILE")]
-ForceOption = Annotated[
-    bool, typer.Option("--force", help="Write the file even if it is refused; the file says so.")
-]
-
 
 ACCELEROMETER_HELP: Final = """Calibrate accelerometer offset, scale and skew on six faces, and the gyro bias.
 
@@ -201,9 +205,7 @@ def camera_command(
         str | None,
         typer.Option("--camera", help="Camera file to use instead of the recording's.", metavar="FILE"),
     ] = None,
-    plots: Annotated[
-        Path | None, typer.Option("--plots", help="Write plots to this folder.", metavar="DIR")
-    ] = None,
+    plots: PlotsOption = None,
     position_std: Annotated[
         float,
         typer.Option(
@@ -227,9 +229,9 @@ def camera_command(
     must_be_writable("-o", output)
     must_exist(log, EXPECTED)
     lens = None if camera is None else find_file("cameras", camera)
-    from calibration.mount.result import SolveJob, solve_mount  # noqa: PLC0415 - once the files are there
+    from calibration.mount.result import solve_mount  # noqa: PLC0415 - once the files are there
 
-    solve_mount(SolveJob(log, output, lens, plots, position_std, max_rotation_deg, force=force))
+    solve_mount(log, output, lens, plots, position_std, max_rotation_deg, force=force)
 
 
 def main() -> None:

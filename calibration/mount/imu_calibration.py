@@ -12,21 +12,17 @@ from typing import Final
 import numpy as np
 import typer
 
-from calibration.command_line import RefusedError
-from calibration.mount import FACES
-from calibration.mount.record_motion import read_imu, until_done
-from calibration.mount.recording import ImuSamples, inertial_of, read_log
-from calibration.mount.result import provenance
-from calibration.mount.shared import (
-    MountSensors,
+from calibration.command_line import RefusedError, today
+from calibration.mount.command import FACES
+from calibration.mount.record_motion import (
     SensorOpener,
     connected_sensors,
-    inertial_file,
-    judge,
     new_log,
-    now,
-    write_file,
+    read_imu,
+    until_done,
 )
+from calibration.mount.recording import ImuSamples, inertial_of, read_log
+from calibration.mount.result import judge, listed, provenance, write_file
 from calibration.mount.six_faces import (
     AccelerometerFit,
     FaceGuide,
@@ -59,7 +55,7 @@ from companion.config import (
     load_config,
     load_model,
 )
-from companion.flightlog.log_file import LOG_NAMES
+from companion.flightlog.log_file import log_file
 from companion.pad import load_pad
 from companion.sense.imu.mpu9250 import Mpu9250
 
@@ -143,7 +139,7 @@ def calibrate_accelerometer(rested: StaticRecording, output: Path, *, force: boo
         accelerometer=accelerometer_calibration(fit, faces),
         gyro=gyro_calibration(gyro),
         forced=against,
-        provenance=provenance(rested.source, now(), sum(rest.samples for rest in rested.rests), 0),
+        provenance=provenance(rested.source, today(), sum(rest.samples for rest in rested.rests), 0),
     )
     write_file(output, calibration, "sense: {{imu: {{inertial_calibration: {}}}}}")
 
@@ -156,7 +152,7 @@ def calibrate_gyro_bias(job: ImuJob) -> None:
         RefusedError: it is not good enough.
     """
     settings = load_config(job.config)
-    before = inertial_file(job.output) if job.output.exists() else None
+    before = load_model(InertialCalibration, job.output) if job.output.exists() else None
     if job.log is None:
         rested = run_until_stopped(stillness_from(settings, job.keep, connected_sensors, virtual=False))
     else:
@@ -175,7 +171,7 @@ def calibrate_gyro_bias(job: ImuJob) -> None:
         accelerometer=None if kept is None else kept.accelerometer,
         gyro=gyro_calibration(fit),
         forced=tuple(dict.fromkeys((*(() if kept is None else kept.forced), *against))),
-        provenance=provenance(source, now(), sum(rest.samples for rest in rested.rests), 0),
+        provenance=provenance(source, today(), sum(rest.samples for rest in rested.rests), 0),
     )
     write_file(job.output, calibration, "sense: {{imu: {{inertial_calibration: {}}}}}")
 
@@ -186,67 +182,12 @@ def _accelerometer_of(before: InertialCalibration) -> str:
     return ACCELEROMETER_OF + (origin if mark else f"{before.provenance.source}, {before.provenance.date}")
 
 
-async def faces_from(
-    config: CompanionConfig, keep: Path | None, sensors_of: SensorOpener, *, virtual: bool
-) -> StaticRecording:
-    """Static intervals on six faces, live."""
-    imu = config.sense.imu
-    async with sensors_of(config, False) as sensors:
-        with _SampleLog(config, keep, virtual=virtual) as kept:
-            samples, guide = await six_faces_live(imu, sensors, typer.echo, LONGEST_FACES_S, kept.take)
-    return StaticRecording(
-        find_static_intervals(samples), imu.bus, imu, tuple(guide.asked), tuple(guide.rests)
-    )
-
-
-async def stillness_from(
-    config: CompanionConfig, keep: Path | None, sensors_of: SensorOpener, *, virtual: bool
-) -> StaticRecording:
-    """One static interval, live."""
-    imu = config.sense.imu
-    async with sensors_of(config, False) as sensors:
-        with _SampleLog(config, keep, virtual=virtual) as kept:
-            samples = await still_live(imu, sensors, typer.echo, GYRO_STILL_S, LONGEST_STILL_S, kept.take)
-    return StaticRecording(find_static_intervals(samples), imu.bus, imu)
-
-
-class _SampleLog:
-    """A log of a live run's samples, in a folder if one was given."""
-
-    def __init__(self, config: CompanionConfig, folder: Path | None, *, virtual: bool) -> None:
-        self._log = None if folder is None else new_log(folder, virtual=virtual)
-        if self._log is not None:
-            imu = config.sense.imu.model_copy(update={"inertial_calibration": None})
-            sense = config.sense.model_copy(update={"imu": imu})
-            self._log.write_settings(
-                config=config.model_copy(update={"sense": sense}),
-                vehicle=load_model(VehicleConfig, find_file("vehicles", config.vehicle)),
-                pad=load_pad(config.pad),
-            )
-
-    def __enter__(self) -> _SampleLog:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if self._log is None:
-            return
-        if kind is None:
-            self._log.close()
-        else:  # Ctrl-C as well: half a recording is none
-            self._log.discard()
-
-    def take(self, sample: ImuSample, now_s: float) -> None:
-        """Log one."""
-        if self._log is not None:
-            self._log.write("imu", sample, now_s)
-
-
 def _rested(job: ImuJob, log: Path, imu: ImuConfig) -> StaticRecording:
     """The static intervals of a file."""
     if not log.is_dir() and log.suffix != ".mcap":
         samples = read_table(log, job.columns, job.rate_hz, job.gyro_unit)
         return StaticRecording(find_static_intervals(samples), str(log), imu)
-    file = log / LOG_NAMES[0] if log.is_dir() else log
+    file = log_file(log)
     record = read_log(file)
     if record.rig is not None and record.rig.config.sense.source != "boards":
         raise ConfigError(
@@ -287,18 +228,16 @@ def _ordered(rested: StaticRecording, order: str) -> StaticRecording:
 LOOK_S: Final = 0.5
 REMIND_S: Final = 10.0
 
-Tell = Callable[[str], None]
-Keep = Callable[[ImuSample, float], None]
 
-
-async def six_faces_live(
-    imu: ImuConfig, sensors: MountSensors, tell: Tell, longest_s: float, keep: Keep | None = None
-) -> tuple[ImuSamples, FaceGuide]:
-    """Ask for the six faces in turn; returns all samples (sensor axes), and what was asked and measured.
+async def faces_from(
+    config: CompanionConfig, keep: Path | None, sensors_of: SensorOpener, *, virtual: bool
+) -> StaticRecording:
+    """Static intervals on six faces, live: ask for the faces in turn.
 
     Raises:
         ConfigError: the sensor does not answer, or not all faces came in time.
     """
+    imu = config.sense.imu
     turn = mounting_matrix(imu.body_from_sensor_deg)
     samples, guide, clock = ImuBuffer(turn), FaceGuide(turn), Clock()
 
@@ -306,69 +245,76 @@ async def six_faces_live(
         start_s = clock.now_s()
         advised_s, advised = -REMIND_S, ""
         while not guide.done:
-            if clock.now_s() - start_s > longest_s:
-                raise ConfigError(f"no end after {longest_s:g} s; expected: {guide.advice}")
+            if clock.now_s() - start_s > LONGEST_FACES_S:
+                raise ConfigError(f"no end after {LONGEST_FACES_S:g} s; expected: {guide.advice}")
             if guide.advice != advised or clock.now_s() - advised_s >= REMIND_S:
                 advised_s, advised = clock.now_s(), guide.advice
-                tell(advised)
+                typer.echo(advised)
             await asyncio.sleep(LOOK_S)
             if (line := guide.take(samples.since(guide.after_s))) is not None:
-                tell(line)
+                typer.echo(line)
 
-    await _with_imu(imu, sensors, tell, samples, watch, keep)
-    return samples.since(-1e9), guide
+    await _collect(config, keep, sensors_of, samples, watch, virtual=virtual)
+    return StaticRecording(
+        find_static_intervals(samples.since(-math.inf)), imu.bus, imu, tuple(guide.asked), tuple(guide.rests)
+    )
 
 
-async def still_live(
-    imu: ImuConfig,
-    sensors: MountSensors,
-    tell: Tell,
-    seconds: float,
-    longest_s: float,
-    keep: Keep | None = None,
-) -> ImuSamples:
-    """Wait for a static interval of `seconds`; returns all samples (sensor axes).
+async def stillness_from(
+    config: CompanionConfig, keep: Path | None, sensors_of: SensorOpener, *, virtual: bool
+) -> StaticRecording:
+    """One static interval of GYRO_STILL_S, live.
 
     Raises:
         ConfigError: the sensor does not answer, or is not left alone.
     """
+    imu = config.sense.imu
     samples, clock = ImuBuffer(mounting_matrix(imu.body_from_sensor_deg)), Clock()
 
     async def watch() -> None:
         start_s = clock.now_s()
-        tell(f"leave it alone for {seconds:g} s")
+        typer.echo(f"leave it alone for {GYRO_STILL_S:g} s")
         while not any(
-            rest.to_s - rest.from_s >= seconds for rest in find_static_intervals(samples.since(start_s))
+            rest.to_s - rest.from_s >= GYRO_STILL_S for rest in find_static_intervals(samples.since(start_s))
         ):
-            if clock.now_s() - start_s > longest_s:
+            if clock.now_s() - start_s > LONGEST_STILL_S:
                 raise ConfigError(
-                    f"not still for {seconds:g} s within {longest_s:g} s; expected it left alone"
+                    f"not still for {GYRO_STILL_S:g} s within {LONGEST_STILL_S:g} s; expected it left alone"
                 )
             await asyncio.sleep(LOOK_S)
 
-    await _with_imu(imu, sensors, tell, samples, watch, keep)
-    return samples.since(-1e9)
+    await _collect(config, keep, sensors_of, samples, watch, virtual=virtual)
+    return StaticRecording(find_static_intervals(samples.since(-math.inf)), imu.bus, imu)
 
 
-async def _with_imu(
-    imu: ImuConfig,
-    sensors: MountSensors,
-    tell: Tell,
+async def _collect(
+    config: CompanionConfig,
+    keep: Path | None,
+    sensors_of: SensorOpener,
     samples: ImuBuffer,
     watch: Callable[[], Awaitable[None]],
-    keep: Keep | None,
+    *,
+    virtual: bool,
 ) -> None:
-    """Run `watch` to its end while samples come."""
-    # uncalibrated: an earlier calibration must not enter this one
-    driver = Mpu9250(sensors.imu_bus, imu)
+    """Run `watch` to its end while samples come; they are logged in the folder `keep`, if one was given."""
     clock = Clock()
+    async with sensors_of(config, False) as sensors:
+        with new_log(keep, virtual=virtual) as log:
+            imu = config.sense.imu.model_copy(update={"inertial_calibration": None})
+            sense = config.sense.model_copy(update={"imu": imu})
+            log.write_settings(
+                config=config.model_copy(update={"sense": sense}),
+                vehicle=load_model(VehicleConfig, find_file("vehicles", config.vehicle)),
+                pad=load_pad(config.pad),
+            )
 
-    def take(sample: ImuSample) -> None:
-        if keep is not None:
-            keep(sample, clock.now_s())
-        samples.add(sample)
+            def take(sample: ImuSample) -> None:
+                log.write("imu", sample, clock.now_s())
+                samples.add(sample)
 
-    await until_done(watch, read_imu(driver, imu, take, tell))
+            # uncalibrated: an earlier calibration must not enter this one
+            driver = Mpu9250(sensors.imu_bus, config.sense.imu)
+            await until_done(watch, read_imu(driver, config.sense.imu, take, typer.echo))
 
 
 # ---------------------------------------------------------------- result
@@ -401,10 +347,10 @@ def accelerometer_lines(fit: AccelerometerFit, faces: Sequence[str]) -> list[str
     skew = np.abs(fit.matrix - np.diag(np.diag(fit.matrix))).max()
     return [
         f"rests         {len(fit.residuals)}, faces down: {', '.join(faces)}",
-        f"offset        {_list(fit.offset, '+.3f')} m/s² "
-        f"(standard deviations {_list(fit.offset_std, '.3f')})",
-        f"scale         {_list(np.diag(fit.matrix), '.4f')} (standard deviations "
-        f"{_list(fit.scale_std, '.4f')}), skew up to {skew:.4f}",
+        f"offset        {listed(fit.offset, '+.3f')} m/s² "
+        f"(standard deviations {listed(fit.offset_std, '.3f')})",
+        f"scale         {listed(np.diag(fit.matrix), '.4f')} (standard deviations "
+        f"{listed(fit.scale_std, '.4f')}), skew up to {skew:.4f}",
         f"|a| - g       {before:.3f} m/s² rms as measured, {after:.4f} calibrated",
     ]
 
@@ -413,7 +359,9 @@ def gyro_lines(fit: GyroFit) -> list[str]:
     """Summary lines of the gyroscope."""
     bias, std = np.degrees(fit.bias), math.degrees(fit.std)
     warmth = f" at {fit.temperature_c:.0f} °C" if math.isfinite(fit.temperature_c) else ""
-    return [f"gyroscope     {_list(bias, '+.3f')} deg/s at rest{warmth}, changing by {std:.3f} between rests"]
+    return [
+        f"gyroscope     {listed(bias, '+.3f')} deg/s at rest{warmth}, changing by {std:.3f} between rests"
+    ]
 
 
 def mounting_line(
@@ -427,13 +375,9 @@ def mounting_line(
     now = mounting_matrix(configured_deg)
     if any(np.abs(mounting_matrix(m) - now).max() < 0.5 for m in fitting):
         return None
-    is_said = f"sense.imu.body_from_sensor_deg is [{_list(configured_deg, 'g', ', ')}]"
+    is_said = f"sense.imu.body_from_sensor_deg is [{listed(configured_deg, 'g', ', ')}]"
     if len(fitting) == 1:
-        return f"{is_said}; what was asked and felt fits [{_list(fitting[0], 'g', ', ')}]"
+        return f"{is_said}; what was asked and felt fits [{listed(fitting[0], 'g', ', ')}]"
     if fitting:
         return f"{is_said}, which does not fit what was asked and felt"
     return None
-
-
-def _list(values: object, form: str, between: str = " ") -> str:
-    return between.join(format(float(v), form) for v in np.asarray(values).tolist())

@@ -108,13 +108,15 @@ class Unknowns:
 
     def true_rate(self, measured: FloatArray) -> FloatArray:
         """Rates (..., 3) corrected for the gyroscope's errors, to first order."""
-        flaw = self.values[GYRO_MATRIX].reshape(3, 3)
-        return np.asarray((measured - self.values[GYRO_BIAS]) @ (np.eye(3) - flaw).T)
+        return self._true(measured, GYRO_BIAS, GYRO_MATRIX)
 
     def true_force(self, measured: FloatArray) -> FloatArray:
         """Specific forces (..., 3) corrected for the accelerometer's errors, to first order."""
-        flaw = self.values[ACCEL_MATRIX].reshape(3, 3)
-        return np.asarray((measured - self.values[ACCEL_BIAS]) @ (np.eye(3) - flaw).T)
+        return self._true(measured, ACCEL_BIAS, ACCEL_MATRIX)
+
+    def _true(self, measured: FloatArray, bias: slice, matrix: slice) -> FloatArray:
+        flaw = self.values[matrix].reshape(3, 3)
+        return np.asarray((measured - self.values[bias]) @ (np.eye(3) - flaw).T)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import AbstractAsyncContextManager, ExitStack, asynccontextmanager, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -17,8 +18,7 @@ from numpy.typing import NDArray
 from calibration.command_line import RefusedError
 from calibration.mount.command import NAME
 from calibration.mount.recording import INERTIAL, MARK, GravityFreePadDetector, RecordingMark
-from calibration.mount.shared import MountSensors, SensorOpener, connected_sensors, new_log
-from companion.base.clock import Clock
+from companion.base.clock import Clock, start_unix_s
 from companion.base.formats.mjpeg import MjpegServer, serving
 from companion.base.geometry import norm
 from companion.base.messages import Frame, FrameReport, ImuSample, PadSighting
@@ -34,10 +34,12 @@ from companion.config import (
     load_inertial,
     load_model,
 )
+from companion.flightlog.log_file import LOG_NAMES
 from companion.flightlog.record import FlightLog
 from companion.pad import load_pad
+from companion.sense.camera.source import FrameSource, open_camera
 from companion.sense.imu.fifo import SamplesLostError
-from companion.sense.imu.i2c import SensorError
+from companion.sense.imu.i2c import RegisterBus, SensorError, open_bus
 from companion.sense.imu.mpu9250 import Mpu9250
 
 
@@ -71,17 +73,70 @@ async def record(
         ConfigError: the folder holds a recording, or a device does not answer.
     """
     async with sensors_of(config, True) as sensors, serving(serve, typer.echo) as page:
-        log = new_log(folder, virtual=virtual)
-        try:
+        with new_log(folder, virtual=virtual) as log:
             progress = await MountRecorder(config, sensors, log, typer.echo, page).run(longest_s)
-        except BaseException:  # Ctrl-C as well: half a recording is none
-            log.discard()
-            raise
-        log.close()
         if log.problem is not None:  # the last of it is written at the end
             log.discard()
             raise ConfigError(f"{folder}: {log.problem}; expected room for the recording")
     return progress
+
+
+@contextmanager
+def new_log(folder: Path | None, *, virtual: bool) -> Iterator[FlightLog]:
+    """A log in a folder that has none yet, closed at the end; without a folder it keeps nothing.
+
+    Raises:
+        ConfigError: it holds one, or cannot be written.
+    """
+    if folder is not None and (folder / LOG_NAMES[0]).exists():
+        raise ConfigError(f"{folder}: holds a recording already; expected a new or empty folder")
+    log = FlightLog(folder, start_unix_s(virtual=virtual))
+    try:
+        yield log
+    except BaseException:  # Ctrl-C as well: half a recording is none
+        log.discard()
+        raise
+    log.close()
+
+
+# ---------------------------------------------------------------- sensors
+# The vehicle's own boards that a mount calibration needs: IMU, and camera if wanted. No autopilot.
+
+
+@dataclass(frozen=True, slots=True)
+class MountSensors:
+    """Open sensors; a simulator in the same process has the same interfaces."""
+
+    imu_bus: RegisterBus
+    frames: FrameSource | None = None
+
+
+SensorOpener = Callable[[CompanionConfig, bool], AbstractAsyncContextManager[MountSensors]]
+
+
+@asynccontextmanager
+async def connected_sensors(config: CompanionConfig, camera: bool) -> AsyncIterator[MountSensors]:
+    """Open what the settings name, and close it again at the end.
+
+    Raises:
+        ConfigError: the settings take the inertial samples from the autopilot; or a bus or the camera is
+            missing, taken or misspelt; one line says which.
+    """
+    if config.sense.source != "boards":
+        raise ConfigError(
+            f"sense.source: '{config.sense.source}'; live it takes boards, expected those or the log of a "
+            "flight over the pad"
+        )
+    vision = config.sense.vision
+    with ExitStack() as opened:
+        bus = opened.enter_context(closing(open_bus(config.sense.imu.bus)))
+        frames: FrameSource | None = None
+        if camera:
+            lens = load_model(CameraConfig, find_file("cameras", config.camera))
+            frames = opened.enter_context(
+                closing(await open_camera(vision.source, lens, vision.unstamped_latency_s))
+            )
+        yield MountSensors(bus, frames)
 
 
 # ---------------------------------------------------------------- live

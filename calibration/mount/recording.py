@@ -18,9 +18,9 @@ from typing import Final
 
 import cv2
 import numpy as np
-from mcap.records import Channel, Message, Metadata
 from numpy.typing import NDArray
 
+from calibration.mount.command import EXPECTED
 from companion.base.geometry import FloatArray, matrix_from_quat
 from companion.base.messages import Frame, ImuSample, PadSighting
 from companion.config import (
@@ -33,7 +33,7 @@ from companion.config import (
     VisionConfig,
     validate,
 )
-from companion.flightlog.log_file import LOG_NAMES, SETTINGS_RECORD, records
+from companion.flightlog.log_file import SETTINGS_RECORD, LogReader, log_file
 from companion.flightlog.replay.flight_record import FlightRecord, ReplaySetup
 from companion.flightlog.replay.mcap_log import read_mcap
 from companion.pad import Pad
@@ -51,7 +51,6 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 MARK: Final = "recording"
 # and that of the inertial samples' calibration, as the app leaves it, too
 INERTIAL: Final = "inertial"
-EXPECTED: Final = "expected the folder or the flight.mcap of 'calibrate-mount record' or of a flight"
 
 
 class RecordingMark(StrictModel):
@@ -84,7 +83,7 @@ def read_recording(path: Path, camera: CameraConfig | None = None) -> MountRecor
     Raises:
         ConfigError: it is no such log, or holds no inertial samples or settings.
     """
-    file = path / LOG_NAMES[0] if path.is_dir() else path
+    file = log_file(path)
     record = read_log(file)
     rig = record.rig
     if rig is None or rig.camera is None:
@@ -120,11 +119,11 @@ def read_log(file: Path) -> FlightRecord:
     try:
         with file.open("rb") as stream:
             start = stream.read(len(MAGIC))
-        if start != MAGIC:
-            raise ConfigError(f"{file}: not a flight log of ours; {EXPECTED}")
-        return read_mcap(file)
     except OSError as error:
         raise ConfigError(f"{file}: cannot be read: {error.strerror}; {EXPECTED}") from error
+    if start != MAGIC:
+        raise ConfigError(f"{file}: not a flight log of ours; {EXPECTED}")
+    return read_mcap(file)
 
 
 def inertial_of(record: FlightRecord, file: Path) -> ImuSamples:
@@ -202,11 +201,11 @@ def _sightings(
 
 def _settings(file: Path) -> dict[str, str]:
     """What the log was made under, as JSON by name."""
-    with file.open("rb") as stream:
-        for record in records(stream, lambda: None):
-            if isinstance(record, Metadata) and record.name == SETTINGS_RECORD:
-                return dict(record.metadata)
-    return {}
+    reader = LogReader(file)
+    for _ in reader.messages():
+        if SETTINGS_RECORD in reader.metadata:
+            break
+    return reader.metadata.get(SETTINGS_RECORD, {})
 
 
 def _calibrated(settings: dict[str, str], file: Path) -> InertialCalibration | None:
@@ -221,10 +220,12 @@ def frames_of(file: Path) -> Iterator[Frame]:
     An image's stamp in the log is UTC; a frame's report, which is written the moment it is made, says by how
     much the two differ.
     """
-    start_unix_s = _start_unix_s(file)
-    if start_unix_s is None:
+    reports = (message for topic, message in LogReader(file).messages() if topic == "frame_report")
+    if (report := next(reports, None)) is None:
         return
-    for number, message in enumerate(_messages(file, "/camera")):
+    start_unix_s = 1e-9 * report.log_time - float(json.loads(report.data)["done_s"])
+    images = (message for topic, message in LogReader(file).messages() if topic == "camera")
+    for number, message in enumerate(images):
         image = json.loads(message.data)
         stamp = image["timestamp"]
         time_s = stamp["sec"] - start_unix_s + 1e-9 * stamp["nsec"]
@@ -232,23 +233,6 @@ def frames_of(file: Path) -> Iterator[Frame]:
         grey = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
         if grey is not None:
             yield Frame(time_s, time_s, number, np.asarray(grey, dtype=np.uint8))
-
-
-def _start_unix_s(file: Path) -> float | None:
-    """UTC (s) at the log's time 0, by the first frame's report; None without one."""
-    for message in _messages(file, "/frame_report"):
-        return 1e-9 * message.log_time - float(json.loads(message.data)["done_s"])
-    return None
-
-
-def _messages(file: Path, topic: str) -> Iterator[Message]:
-    topics: dict[int, str] = {}
-    with file.open("rb") as stream:
-        for record in records(stream, lambda: None):
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            elif isinstance(record, Message) and topics[record.channel_id] == topic:
-                yield record
 
 
 # ---------------------------------------------------------------- samples
@@ -346,13 +330,12 @@ class GravityFreePadDetector:
             ValueError: the image is not of the calibrated camera's size.
         """
         self._lens.check(frame.image)
-        for looks in (self._expected(), self._everywhere()):
-            for look in looks:
-                found = self._detector.detect(frame.image, look)
-                pose = estimate_pose(found, self._lens, self._config, None) if found else None
-                if pose is not None:
-                    self._last = pose
-                    return sighting_of(frame, pose, self._camera, self._rotation, self._mount)
+        for look in (*self._expected(), *self._planner.whole_frame(1), *self._planner.whole_frame(0)):
+            found = self._detector.detect(frame.image, look)
+            pose = estimate_pose(found, self._lens, self._config, None) if found else None
+            if pose is not None:
+                self._last = pose
+                return sighting_of(frame, pose, self._camera, self._rotation, self._mount)
         self._last = None
         return None
 
@@ -362,6 +345,3 @@ class GravityFreePadDetector:
         position: FloatArray = self._last.position_camera_m
         strayed_m = STRAYED * float(np.linalg.norm(position))
         return self._planner.expected(self._last.camera_from_pad, position, strayed_m)
-
-    def _everywhere(self) -> tuple[SearchPass, ...]:
-        return (*self._planner.whole_frame(1), *self._planner.whole_frame(0))

@@ -1,19 +1,22 @@
 """What `calibrate-mount camera` does: a recording in, the mount file and its plots out."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import typer
+import yaml
 
-from calibration.command_line import RefusedError
+from calibration.command_line import RefusedError, today
+from calibration.mount.command import NAME
 from calibration.mount.model import ACCEL_MATRIX, GYRO_BIAS, GYRO_MATRIX, POSITION, MountPrior, log
 from calibration.mount.plots import write_mount_plots
 from calibration.mount.recording import MountRecording, read_recording
-from calibration.mount.shared import judge, now, write_file
 from calibration.mount.solver import WIDEST_OFFSET_S, MountSolution, NoSolutionError, solve
+from companion import __version__
+from companion.base.files import write_atomically
 from companion.base.geometry import (
     BODY_FROM_DOWNWARD_CAMERA,
     FloatArray,
@@ -25,50 +28,70 @@ from companion.base.geometry import (
     quat_multiply,
     vector3,
 )
-from companion.config import CameraConfig, MountCalibration, MountStd, load_model
+from companion.config import CameraConfig, MountCalibration, MountStd, StrictModel, load_model
 from companion.config.calibration import Provenance
-from companion.flightlog.version import versions
 from companion.sense.vision.pipeline import body_from_camera
 
 
-@dataclass(frozen=True, slots=True)
-class SolveJob:
-    """What is asked for; `lens` is a camera file to use instead of the recording's."""
-
-    log: Path
-    output: Path
-    lens: Path | None
-    plots: Path | None
-    position_std_m: float
-    max_rotation_deg: float
-    force: bool
-
-
-def solve_mount(job: SolveJob) -> None:
-    """Solve, show, judge and write.
+def solve_mount(
+    log: Path,
+    output: Path,
+    lens: Path | None,
+    plots: Path | None,
+    position_std_m: float,
+    max_rotation_deg: float,
+    *,
+    force: bool,
+) -> None:
+    """Solve, show, judge and write; `lens` is a camera file to use instead of the recording's.
 
     Raises:
         ConfigError: the recording is none, or the file cannot be written.
         RefusedError: it is not good enough.
     """
-    lens = None if job.lens is None else load_model(CameraConfig, job.lens)
-    recording = read_recording(job.log, lens)
+    recording = read_recording(log, None if lens is None else load_model(CameraConfig, lens))
     place = np.array(recording.vehicle.camera_position_body_m)
-    prior = prior_of(recording, job.position_std_m)
+    prior = prior_of(recording, position_std_m)
     try:
         found = solve(recording.inertial, recording.sightings, place, shutter_s(recording), prior)
     except NoSolutionError as error:
-        raise RefusedError(f"{job.log}: {error}") from error
+        raise RefusedError(f"{log}: {error}") from error
     configured = configured_rotation(recording)
-    against = reasons(found, configured, place, job.max_rotation_deg)
-    calibration = mount_calibration(found, recording, against, now())
+    against = reasons(found, configured, place, max_rotation_deg)
+    calibration = mount_calibration(found, recording, against, today())
     for line in mount_lines(calibration, found, recording):
         typer.echo(line)
-    if job.plots is not None:
-        pictures = write_mount_plots(job.plots, found, recording.inertial, configured)
+    if plots is not None:
+        pictures = write_mount_plots(plots, found, recording.inertial, configured)
         typer.echo(f"pictures      {', '.join(str(path) for path in pictures)}")
-    judge(against, force=job.force)
-    write_file(job.output, calibration, "mount: {}")
+    judge(against, force=force)
+    write_file(output, calibration, "mount: {}")
+
+
+def judge(against: tuple[str, ...], *, force: bool) -> None:
+    """Say the verdict.
+
+    Raises:
+        RefusedError: something speaks against it, and it is not forced.
+    """
+    if against and not force:
+        raise RefusedError("; ".join(against))
+    for reason in against:
+        typer.echo(f"forced, though: {reason}")
+    if not against:
+        typer.echo("verdict       good")
+
+
+def write_file(path: Path, calibration: StrictModel, setting: str) -> None:
+    """Write a calibration; `setting` is a format of what the settings say then, for people.
+
+    Raises:
+        ConfigError: it cannot be written.
+    """
+    said = setting.format(path)
+    text = yaml.safe_dump(calibration.model_dump(mode="json"), sort_keys=False, allow_unicode=True, width=110)
+    write_atomically(path, f"# Written by {NAME}; the app reads it by the setting {said}\n{text}")
+    typer.echo(f"written       {path}; the settings then say {said}")
 
 
 # ---------------------------------------------------------------- result
@@ -83,15 +106,10 @@ def shutter_s(recording: MountRecording) -> float:
 
 def prior_of(recording: MountRecording, position_std_m: float) -> MountPrior:
     """The prior for this vehicle; a calibrated accelerometer has a smaller one."""
-    lens_rad = recording.config.sense.vision.scale_error
+    prior = MountPrior(position_m=position_std_m, lens_rad=recording.config.sense.vision.scale_error)
     if recording.calibrated is None or recording.calibrated.accelerometer is None:
-        return MountPrior(position_m=position_std_m, lens_rad=lens_rad)
-    return MountPrior(
-        position_m=position_std_m,
-        lens_rad=lens_rad,
-        accel_bias_m_s2=0.03,
-        accel_scale=0.002,
-    )
+        return prior
+    return replace(prior, accel_bias_m_s2=0.03, accel_scale=0.002)
 
 
 def configured_rotation(recording: MountRecording) -> FloatArray:
@@ -108,8 +126,7 @@ def camera_angles_deg(rotation: FloatArray) -> tuple[float, float, float]:
 
 def provenance(source: str, date: str, used: int, dropped: int) -> Provenance:
     """Where a calibration comes from."""
-    tool = f"calibrate-mount {versions().get('companion', '')}".strip()
-    return Provenance(tool=tool, source=source, date=date, samples=used, dropped=dropped)
+    return Provenance(tool=f"{NAME} {__version__}", source=source, date=date, samples=used, dropped=dropped)
 
 
 def mount_calibration(
@@ -147,11 +164,11 @@ def mount_lines(found: MountCalibration, solution: MountSolution, recording: Mou
         f"{solution.segments} segments; they scatter by {solution.scatter:.2f} of what they say",
         f"roll, tilt, yaw of the camera  {found.camera_roll_deg:+.2f} {found.camera_tilt_deg:+.2f} "
         f"{found.camera_yaw_deg:+.2f} deg (settings: {before[0]:+.2f} {before[1]:+.2f} {before[2]:+.2f})",
-        f"turned from the settings  {_list(turned, '+.2f')} deg about forward, right, down "
-        f"(standard deviations {_list(std.rotation_deg, '.2f')})",
-        f"position      {_list(found.camera_position_body_m, '+.3f')} m "
-        f"(standard deviations {_list(std.position_m, '.3f')}; settings "
-        f"{_list(vehicle.camera_position_body_m, '+.3f')})",
+        f"turned from the settings  {listed(turned, '+.2f')} deg about forward, right, down "
+        f"(standard deviations {listed(std.rotation_deg, '.2f')})",
+        f"position      {listed(found.camera_position_body_m, '+.3f')} m "
+        f"(standard deviations {listed(std.position_m, '.3f')}; settings "
+        f"{listed(vehicle.camera_position_body_m, '+.3f')})",
         f"time offset   {1e3 * found.time_offset_s:+.1f} ms, to be added to frames' stamps "
         f"(standard deviation {1e3 * std.time_offset_s:.1f})",
     ]
@@ -160,8 +177,9 @@ def mount_lines(found: MountCalibration, solution: MountSolution, recording: Mou
     return [*rows, *(f"note: {note}" for note in recording.notes)]
 
 
-def _list(values: object, form: str) -> str:
-    return " ".join(format(float(v), form) for v in np.asarray(values).tolist())
+def listed(values: object, form: str, between: str = " ") -> str:
+    """Numbers in one form, one after another."""
+    return between.join(format(float(v), form) for v in np.asarray(values).tolist())
 
 
 def _rounded(values: FloatArray) -> Vector3:
@@ -203,7 +221,8 @@ def reasons(
     return (
         *_amount(solution),
         *_certainty(solution),
-        *_agreement(solution),
+        *_steadiness(solution),
+        *_consistency(solution),
         *_plausible(solution, configured, configured_position_m, most_rotation_deg),
     )
 
@@ -241,10 +260,6 @@ def _certainty(solution: MountSolution) -> list[str]:
             f"expected {1e3 * MOST_OFFSET_STD_S:g} ms; turn it more quickly"
         )
     return found
-
-
-def _agreement(solution: MountSolution) -> list[str]:
-    return [*_steadiness(solution), *_consistency(solution)]
 
 
 def _steadiness(solution: MountSolution) -> list[str]:

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import least_squares
 
-from calibration.mount import FACES
+from calibration.mount.command import FACES
 from calibration.mount.recording import ImuSamples, Indices
 from companion.base.geometry import (
     GRAVITY_M_S2,
@@ -246,17 +246,15 @@ def find_static_intervals(inertial: ImuSamples) -> list[StaticInterval]:
     rests, begin = [], 0
     for k in range(len(edges)):
         goes_on = k < len(edges) - 1 and _still(inertial, edges[k], edges[k + 1])
-        if k > begin and not (goes_on and _same(forces, begin, k)):
+        # a block belongs to those before it if it measures the same force
+        if k > begin and not (
+            goes_on and np.linalg.norm(forces[k] - forces[begin:k].mean(axis=0)) < SAME_FORCE_M_S2
+        ):
             rests += _rest(inertial, edges, begin, k)
             begin = k
         if not goes_on:
             begin = k + 1
     return rests
-
-
-def _same(forces: FloatArray, begin: int, k: int) -> bool:
-    """Whether block k measures the same force as the blocks from `begin` on."""
-    return float(np.linalg.norm(forces[k] - forces[begin:k].mean(axis=0))) < SAME_FORCE_M_S2
 
 
 def _still(inertial: ImuSamples, a: int, b: int) -> bool:

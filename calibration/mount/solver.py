@@ -519,7 +519,13 @@ def correlate(inertial: ImuSamples, sightings: PadObservations) -> CoarseAlignme
     turned = transposed(sightings.camera_from_pad)
     # camera axes at the first, from camera axes at the second
     camera = log(transposed(turned[first]) @ turned[second])
-    angle = _running_angle(inertial)
+    # the integral of the rate (rad, each axis by itself) up to each sample
+    steps = np.diff(inertial.time_s)[:, None] * 0.5 * (inertial.rate[1:] + inertial.rate[:-1])
+    angles = np.vstack((np.zeros(3), np.cumsum(steps, axis=0)))
+
+    def angle(times_s: FloatArray) -> FloatArray:
+        return np.stack([np.interp(times_s, inertial.time_s, a) for a in angles.T], axis=1)
+
     spans = sightings.time_s[second] - sightings.time_s[first]
     grid = np.arange(-WIDEST_OFFSET_S, WIDEST_OFFSET_S + 1e-9, OFFSET_STEP_S)
     fits = []
@@ -539,18 +545,6 @@ def _pairs(times_s: FloatArray) -> tuple[Indices, Indices]:
     first, second = first[inside], second[inside]
     near = times_s[second] - times_s[first] <= LONGEST_PAIR_S
     return first[near], second[near]
-
-
-class _running_angle:  # noqa: N801 - it reads as the function that it makes
-    """The integral of the rate (rad, each axis by itself) up to a time."""
-
-    def __init__(self, inertial: ImuSamples) -> None:
-        steps = np.diff(inertial.time_s)[:, None] * 0.5 * (inertial.rate[1:] + inertial.rate[:-1])
-        self._time_s = inertial.time_s
-        self._angle = np.vstack((np.zeros(3), np.cumsum(steps, axis=0)))
-
-    def __call__(self, times_s: FloatArray) -> FloatArray:
-        return np.stack([np.interp(times_s, self._time_s, a) for a in self._angle.T], axis=1)
 
 
 def _fit(camera: FloatArray, gyro: FloatArray, spans_s: FloatArray) -> tuple[FloatArray, FloatArray, float]:

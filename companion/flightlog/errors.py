@@ -37,8 +37,7 @@ class RecordedTrack:
         after = np.clip(after, 1, len(self.time_s) - 1)
         exact = self.time_s[np.clip(np.searchsorted(self.time_s, times_s), 0, len(self) - 1)] == times_s
         near = self.time_s[after] - self.time_s[after - 1] <= TRACK_GAP_S
-        mask: FloatArray = inside & (near | exact)
-        return mask
+        return np.asarray(inside & (near | exact))
 
     def at(self, times_s: FloatArray) -> FloatArray:
         """Rows at times within the track; quaternions are of unit length."""

@@ -151,9 +151,7 @@ def export(folder: Path, output: Path | None) -> None:
         ConfigError: it holds no log, or the file exists or cannot be written.
     """
     must_be_readable(folder / "flight.mcap")
-    target = output or Path(f"{folder.resolve().name}.zip")
-    if target.is_file() or target.is_dir():
-        raise ConfigError(f"{target}: exists already; expected a new file, by --output")
+    target = _new(output or Path(f"{folder.resolve().name}.zip"))
     try:
         # the log is compressed already
         with (
@@ -173,8 +171,7 @@ def convert_log(log: Path, output: Path | None, form: str) -> None:
     Raises:
         ConfigError: the log cannot be read, or the tables cannot be written.
     """
-    source = log / "flight.mcap" if log.is_dir() else log
-    must_be_readable(source)
+    source = _source(log)
     from companion.flightlog.tables import TableFormat, convert  # noqa: PLC0415 - reported first
 
     folder = output or source.with_name("tables")
@@ -188,13 +185,23 @@ def repair_log(log: Path, output: Path | None) -> None:
     Raises:
         ConfigError: the log cannot be read, or the new file exists or cannot be written.
     """
-    source = log / "flight.mcap" if log.is_dir() else log
-    must_be_readable(source)
-    target = output or source.with_name(REPAIRED_NAME)
-    if target.is_file() or target.is_dir():
-        raise ConfigError(f"{target}: exists already; expected a new file, by --output")
+    source = _source(log)
+    target = _new(output or source.with_name(REPAIRED_NAME))
     from companion.flightlog.repair import repair  # noqa: PLC0415 - a wrong name is reported without it
 
     saved = repair(source, target)
     was = "cut short" if saved.cut else "whole"
     typer.echo(f"{target}: {saved.messages} messages over {saved.seconds:.1f} s; {source} was {was}")
+
+
+def _source(log: Path) -> Path:
+    """The file of a flight's folder, or itself, once it is seen to be readable."""
+    source = log / "flight.mcap" if log.is_dir() else log
+    must_be_readable(source)
+    return source
+
+
+def _new(target: Path) -> Path:
+    if target.is_file() or target.is_dir():
+        raise ConfigError(f"{target}: exists already; expected a new file, by --output")
+    return target

@@ -18,7 +18,7 @@ import struct
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import IO, Any, Final, Literal, NamedTuple
+from typing import IO, Any, Final, Literal, NamedTuple, Protocol
 
 from mcap.writer import CompressionType, Writer
 from pydantic import BaseModel
@@ -38,7 +38,6 @@ from companion.flightlog.log_file import (
     SETTINGS_RECORD,
     VERSIONS_RECORD,
 )
-from companion.flightlog.tap import NoTap, Tap
 from companion.flightlog.version import SettingsRecord
 
 MAVLINK2_MAGIC: Final = 0xFD
@@ -92,6 +91,27 @@ class BufferedCall(NamedTuple):
     time_s: float
     method: Literal["write", "write_frame", "write_mavlink"]
     arguments: tuple[Any, ...]
+
+
+class Tap(Protocol):
+    """Who hears of all that is logged, on the control loop: whatever it does delays control."""
+
+    def know(self, settings: Mapping[str, BaseModel]) -> None: ...
+    def note(self, topic: str, message: Any, time_s: float) -> None: ...
+    def frame(self, frame: Frame) -> None: ...
+
+
+class NoTap:
+    """Nobody hears."""
+
+    def know(self, settings: Mapping[str, BaseModel]) -> None:
+        """See `Tap`."""
+
+    def note(self, topic: str, message: Any, time_s: float) -> None:
+        """See `Tap`."""
+
+    def frame(self, frame: Frame) -> None:
+        """See `Tap`."""
 
 
 class FlightLog:

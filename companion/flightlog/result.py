@@ -18,7 +18,6 @@ from companion.base.messages import (
     ContactResult,
     ControlReport,
     FrameReport,
-    Notice,
     Outcome,
     PadSighting,
     Phase,
@@ -188,7 +187,10 @@ def build_result(
         latency_ms=latency(kept.get("setpoint", ()), kept.get("control_report", ())),
         control=control_result(kept.get("control_report", ())),
         sim=SimResult(real_time_factor=round(real_time_factor, 2)),
-        events=tuple(_event(notice) for notice in kept.get("notice", ())),
+        events=tuple(
+            ResultEvent(time_s=_round(notice.time_s), kind=notice.kind, text=notice.text)
+            for notice in kept.get("notice", ())
+        ),
     )
 
 
@@ -200,10 +202,6 @@ def _rounded(contact: ContactResult) -> ContactResult:
     numbers: dict[str, Any] = {k: _round(v) for k, v in asdict(contact).items() if isinstance(v, float)}
     north, east, down = map(_round, contact.position_ned_m)
     return replace(contact, **numbers, position_ned_m=(north, east, down))
-
-
-def _event(notice: Notice) -> ResultEvent:
-    return ResultEvent(time_s=_round(notice.time_s), kind=notice.kind, text=notice.text)
 
 
 def phase_times(plans: Sequence[PlanStep]) -> PhaseTimes:
@@ -237,12 +235,10 @@ def control_result(reports: Sequence[ControlReport]) -> ControlResult:
 def _vision(
     reports: Sequence[FrameReport], sightings: Sequence[PadSighting], track: TruthTrack
 ) -> CameraResult:
-    errors = sighting_errors_body_m(sightings, track)[1]
-    rmse = math.sqrt(float(np.mean(np.sum(errors**2, axis=1)))) if len(errors) else None
     return CameraResult(
         frames=len(reports),
         frames_with_pad=sum(report.seen for report in reports),
-        relative_position_rmse_m=None if rmse is None else _round(rmse),
+        relative_position_rmse_m=_rms(sighting_errors_body_m(sightings, track)[1]),
     )
 
 

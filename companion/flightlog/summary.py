@@ -5,14 +5,12 @@ was cut short has no index and is read through.
 """
 
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.records import Message
 
 from companion.base.message_json import decode
 from companion.base.messages import Outcome, PadState, Phase
@@ -107,17 +105,13 @@ def _by_index(stream: IO[bytes]) -> _Read | None:
             return None
         counts = summary.statistics.channel_message_counts
         there = {c.topic[1:] for c in summary.channels.values() if c.topic[1:] in TOPICS and counts.get(c.id)}
-        last = {topic: json.loads(_last(reader, f"/{topic}").data) for topic in sorted(there)}
+        newest = {topic: next(reader.iter_messages([f"/{topic}"], reverse=True)) for topic in sorted(there)}
+        last = {topic: json.loads(message.data) for topic, (_, _, message) in newest.items()}
         statistics = summary.statistics
         first_ns = statistics.message_start_time if statistics.message_count else None
         return _Read(first_ns, statistics.message_end_time, last)
     except (McapError, EOFError, ValueError):
         return None
-
-
-def _last(reader: Any, topic: str) -> Message:
-    newest: Iterator[tuple[Any, Any, Message]] = reader.iter_messages([topic], reverse=True)
-    return next(newest)[2]
 
 
 def _through(folder: Path) -> _Read:

@@ -3,17 +3,22 @@
 Markers are squares in the pad's plane, turned by their yaw; lengths in metres, in messages millimetres.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import combinations
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
 
 from companion.base.geometry import FloatArray
 from companion.pad.marker import ERROR_CORRECTION_RATE, Corners, Marker, dictionary_named
-from companion.pad.sheet import EXACT_M, Interval, Sheet, tile
+from companion.pad.sheet import EXACT_M, Interval, tile
+
+if TYPE_CHECKING:
+    from companion.pad.layout import Pad
 
 # of a cell: single markers on dark ground were read as well with 0.67 of a cell of white around them as with
 # a whole one; with 0.6 a fifth of the large ones was lost, with 0.5 half
@@ -26,31 +31,18 @@ MIDDLE_SHARE: Final = 0.6
 MIDDLES: Final = 8
 
 
-class Layout(Protocol):
-    """What the rules are about."""
-
-    @property
-    def length_m(self) -> float: ...
-    @property
-    def width_m(self) -> float: ...
-    @property
-    def sheet(self) -> Sheet: ...
-    @property
-    def markers(self) -> tuple[Marker, ...]: ...
-
-
-def impossible(pad: Layout) -> str | None:
+def impossible(pad: Pad) -> str | None:
     """Why there can be no such pad, naming the markers; None when there can."""
     return _first((_repeated, _over_the_edge, _overlapping, _illegible), pad)
 
 
-def unfit(pad: Layout) -> str | None:
+def unfit(pad: Pad) -> str | None:
     """Why the pad cannot be printed, or not be read once it is, naming the markers; None when it can."""
     rules = (_without_quiet_zone, _quiet_zone_over_the_edge, _quiet_zone_cut_into, _too_fine, _too_large)
     return _first((*rules, _divided), pad)
 
 
-def _first(rules: Sequence[Callable[[Layout], str | None]], pad: Layout) -> str | None:
+def _first(rules: Sequence[Callable[[Pad], str | None]], pad: Pad) -> str | None:
     return next((text for rule in rules if (text := rule(pad)) is not None), None)
 
 
@@ -65,18 +57,18 @@ def overlap(a: Corners, b: Corners) -> bool:
     return not any(_apart(a, b, side) for side in (*_directions(a), *_directions(b)))
 
 
-def _repeated(pad: Layout) -> str | None:
+def _repeated(pad: Pad) -> str | None:
     names = [marker.name for marker in pad.markers]
     repeated = _named(dict.fromkeys(name for name in names if names.count(name) > 1))
     return repeated and f"markers repeated: {repeated}; expected each dictionary and id once"
 
 
-def _over_the_edge(pad: Layout) -> str | None:
+def _over_the_edge(pad: Pad) -> str | None:
     over = _named(marker.name for marker in pad.markers if not _on_board(marker.square_pad_m(), pad))
     return over and f"over the board's edge: {over}; expected markers within it"
 
 
-def _overlapping(pad: Layout) -> str | None:
+def _overlapping(pad: Pad) -> str | None:
     pairs = ((a, b) for a, b in combinations(pad.markers, 2) if _may_meet(a, b, 0.0) and not _nested(a, b))
     found = _named(f"{a.name} and {b.name}" for a, b in pairs if overlap(a.square_pad_m(), b.square_pad_m()))
     return found and f"markers overlap: {found}"
@@ -87,7 +79,7 @@ def _nested(a: Marker, b: Marker) -> bool:
     return a.cells_under(b) is not None or b.cells_under(a) is not None
 
 
-def _illegible(pad: Layout) -> str | None:
+def _illegible(pad: Pad) -> str | None:
     """What lies within a code may change no more of its cells than are corrected.
 
     They become white, but those whose middle the other's black square fills to more than a half: these are
@@ -123,7 +115,7 @@ def _filled(marker: Marker, other: Marker) -> FloatArray:
     return np.asarray(inside.reshape(marker.cells, MIDDLES, -1, MIDDLES).mean(axis=(1, 3)))
 
 
-def _without_quiet_zone(pad: Layout) -> str | None:
+def _without_quiet_zone(pad: Pad) -> str | None:
     bare = _named(
         f"{m.name} ({_mm(m.quiet_m)}; expected {_mm(LEAST_QUIET_CELLS * m.cell_m)} or more)"
         for m in pad.markers
@@ -132,7 +124,7 @@ def _without_quiet_zone(pad: Layout) -> str | None:
     return bare and f"too narrow a quiet zone about {bare}"
 
 
-def _quiet_zone_over_the_edge(pad: Layout) -> str | None:
+def _quiet_zone_over_the_edge(pad: Pad) -> str | None:
     cut = _named(
         f"{marker.name} ({_mm(marker.quiet_m)})"
         for marker in pad.markers
@@ -141,7 +133,7 @@ def _quiet_zone_over_the_edge(pad: Layout) -> str | None:
     return cut and f"the quiet zone is cut by the board's edge: {cut}; expected so much white within it"
 
 
-def _quiet_zone_cut_into(pad: Layout) -> str | None:
+def _quiet_zone_cut_into(pad: Pad) -> str | None:
     cut = _named(
         f"{a.name} ({_mm(a.quiet_m)}) by {b.name}"
         for pair in combinations(pad.markers, 2)
@@ -152,7 +144,7 @@ def _quiet_zone_cut_into(pad: Layout) -> str | None:
     return cut and f"the quiet zone is cut into: {cut}; expected so much white between them"
 
 
-def _too_fine(pad: Layout) -> str | None:
+def _too_fine(pad: Pad) -> str | None:
     least_m = LEAST_DOTS * pad.sheet.dot_m
     fine = _named(f"{m.name} ({_mm(m.cell_m)})" for m in pad.markers if m.cell_m < least_m - EXACT_M)
     return fine and (
@@ -161,14 +153,14 @@ def _too_fine(pad: Layout) -> str | None:
     )
 
 
-def _too_large(pad: Layout) -> str | None:
+def _too_large(pad: Pad) -> str | None:
     if tile(pad.sheet, (pad.length_m, pad.width_m), ()) is not None:
         return None
     board = f"{_mm(pad.width_m)} x {_mm(pad.length_m)}"
     return f"sheet: no room for a board of {board}; expected one of at most {pad.sheet.tile_words}"
 
 
-def _divided(pad: Layout) -> str | None:
+def _divided(pad: Pad) -> str | None:
     if not pad.sheet.whole_markers:
         return None
     extents = [extent(marker.square_pad_m()) for marker in pad.markers]
@@ -183,7 +175,7 @@ def _divided(pad: Layout) -> str | None:
     )
 
 
-def _on_board(corners: Corners, pad: Layout) -> bool:
+def _on_board(corners: Corners, pad: Pad) -> bool:
     x, y = 0.5 * pad.length_m + EXACT_M, 0.5 * pad.width_m + EXACT_M
     return all(abs(a) <= x and abs(b) <= y for a, b in corners)
 

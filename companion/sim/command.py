@@ -17,12 +17,11 @@ from companion.flightlog.report.command import write_report
 from companion.flightlog.report.tables import result_table
 from companion.flightlog.result import Result
 from companion.sense.vision.opencv import prepare_opencv
-from companion.sim.external import External
 from companion.sim.process import SimulatorError
 from companion.sim.runner import SitlFlight, fly
 from companion.sim.scoring import reason, score
 from companion.sim.settings import calibrations_left_out, sitl_settings, vehicle_differs
-from companion.sim.trial import Trial
+from companion.sim.trial import External, Trial
 from sitl.firmware.spec import FirmwareSpec
 from sitl.run.tick_timer import LATE_S
 
@@ -86,38 +85,30 @@ def fly_in_sitl(config_path: Path, trial: Trial, output: Output, *, fast: bool) 
     return EXIT_CODES[result.outcome]
 
 
-def _write_page(trial: Trial, folder: Path) -> None:
-    """The page, where the library that draws its plots is installed: a flight needs none."""
-    try:
-        write_report(folder, bounds=trial.scenario.pass_bounds.model_dump())
-    except ConfigError as error:
-        print(f"companion: no page: {error}", file=sys.stderr)
-
-
 def publish(trial: Trial, result: Result, flight: SitlFlight, output: Output) -> None:
     """Write the result, print the table, and say in one line what was wrong if something was."""
-    output.console.print(result_table(result, trial.scenario.pass_bounds.model_dump()))
+    bounds = trial.scenario.pass_bounds.model_dump()
+    output.console.print(result_table(result, bounds))
     nearest_m = flight.report.nearest_obstacle_m
     if nearest_m is not None:
         output.console.print(f"nearest to an obstacle: {nearest_m:.2f} m from the rotors' tips")
-    late_s = flight.report.latest_tick_s
-    if late_s > LATE_S:
-        print(
-            f"companion: the simulator ran up to {late_s:.1f} s late: too busy a machine for real time",
-            file=sys.stderr,
-        )
+    late = None
+    if flight.report.latest_tick_s > LATE_S:
+        late = f"the simulator ran up to {flight.report.latest_tick_s:.1f} s late"
     elif flight.late_share > LATE_SHARE:
-        print(
-            f"companion: {100.0 * flight.late_share:.0f} % of the control cycles came late: "
-            "too busy a machine for real time",
-            file=sys.stderr,
-        )
+        late = f"{100.0 * flight.late_share:.0f} % of the control cycles came late"
+    if late is not None:
+        print(f"companion: {late}: too busy a machine for real time", file=sys.stderr)
     if result.outcome is not Outcome.LANDED:
         print_error("companion", f"{result.outcome}: {reason(result, flight)}", EXIT_CODES[result.outcome])
     text = result.model_dump_json(indent=2) + "\n"  # after the table: the disk may be full
     if output.record is not None:
         write_atomically(output.record / "result.json", text)
-        _write_page(trial, output.record)
+        try:
+            # where the library that draws its plots is installed: a flight needs none
+            write_report(output.record, bounds=bounds)
+        except ConfigError as error:
+            print(f"companion: no page: {error}", file=sys.stderr)
         output.console.print(f"logs and report in {output.record}", highlight=False, soft_wrap=True)
     if output.json_file is not None:
         write_atomically(output.json_file, text)

@@ -87,15 +87,11 @@ def answer(line: bytes) -> Answer:
 
 
 def flights_command() -> None:
-    prepare_opencv()
-    serve_flights()
-
-
-def serve_flights() -> None:
     """Answer standard input's lines until it ends. Standard output is for answers alone.
 
     What a library prints by itself (OSQP does, from C) goes to standard error.
     """
+    prepare_opencv()
     with os.fdopen(os.dup(sys.stdout.fileno()), "wb", buffering=0) as answers:
         os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
         requests: SimpleQueue[bytes] = SimpleQueue()

@@ -11,8 +11,7 @@ from typing import Any, Final
 
 from companion.base.errors import ConfigError
 from companion.base.messages import Phase
-from companion.sim.external import External
-from companion.sim.trial import Trial
+from companion.sim.trial import External, Trial
 from sitl.run.process_control import SimulationReport, read_report
 
 START_TIMEOUT_S: Final = 20.0
@@ -27,13 +26,6 @@ CLEAR_UP_S: Final = 3.0
 
 class SimulatorError(Exception):
     """The simulator's process failed; the text is the one line to show."""
-
-
-def _world_options(trial: Trial) -> tuple[str, ...]:
-    """How the simulator learns of the user's autopilot, or of the firmware that flies."""
-    if trial.external is not None:
-        return ("--external", trial.external.world or trial.external.app)
-    return () if trial.firmware is None else trial.firmware.options
 
 
 class SimulatorProcess:
@@ -55,11 +47,15 @@ class SimulatorProcess:
             ConfigError: it ended or said nothing in time; the line is its own.
         """
         words = folder / "stderr"
+        # how it learns of the user's autopilot, or of the firmware that flies
+        world: tuple[str, ...] = () if trial.firmware is None else trial.firmware.options
+        if trial.external is not None:
+            world = ("--external", trial.external.world or trial.external.app)
         with words.open("wb") as stderr:
             process = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-m", "sitl.cli", "--child", "--scenario", str(trial.path)),
                 *("--seed", str(trial.seed), "--folder", str(folder)),
-                *_world_options(trial),
+                *world,
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=stderr,

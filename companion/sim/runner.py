@@ -26,7 +26,7 @@ from companion.base.signals import run_until_stopped, stopping_on_signals
 from companion.config import CompanionConfig, merge, validate
 from companion.flightlog.record import FlightLog
 from companion.link.signing import signing_of
-from companion.link.transport import MemoryTransport, Transport, memory_pair
+from companion.link.transport import Transport, memory_pair
 from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.trial import Trial
 from sitl.firmware import FirmwareError
@@ -99,7 +99,15 @@ async def _virtual_flight(
         firmware=trial.firmware,
     )
     with closing(vehicle.simulation):
-        return await _fly_in_process(vehicle, app_end, config, trial, log, on_status)
+        app = App(config, hardware_of(vehicle, app_end, config), log, make_own_actions, on_status)
+        started_s = wall_clock_s()
+        world = asyncio.create_task(vehicle.simulation.run())
+        try:
+            phase = await _fly(app, trial.scenario.time_limit_s, world)
+        finally:
+            await _cancel(world)
+        factor = Clock().now_s() / (wall_clock_s() - started_s)
+        return SitlFlight(vehicle.simulation.report(phase), factor, app.loop_monitor.late_share)
 
 
 def hardware_of(vehicle: InProcess, app_end: Transport, config: CompanionConfig) -> Hardware:
@@ -115,25 +123,6 @@ def hardware_of(vehicle: InProcess, app_end: Transport, config: CompanionConfig)
     )
 
 
-async def _fly_in_process(
-    vehicle: InProcess,
-    app_end: MemoryTransport,
-    config: CompanionConfig,
-    trial: Trial,
-    log: FlightLog,
-    on_status: StatusCallback,
-) -> SitlFlight:
-    app = App(config, hardware_of(vehicle, app_end, config), log, make_own_actions, on_status)
-    started_s = wall_clock_s()
-    world = asyncio.create_task(vehicle.simulation.run())
-    try:
-        phase = await _fly(app, trial.scenario.time_limit_s, world)
-    finally:
-        await _cancel(world)
-    factor = Clock().now_s() / (wall_clock_s() - started_s)
-    return SitlFlight(vehicle.simulation.report(phase), factor, app.loop_monitor.late_share)
-
-
 # ---------------------------------------------------------------- real time
 
 
@@ -143,31 +132,21 @@ async def _real_flight(
     with tempfile.TemporaryDirectory(prefix="companion-") as folder:
         simulator = await SimulatorProcess.start(trial, Path(folder))
         try:
-            return await _fly_against(simulator, config, trial, log, on_status)
+            wired = validate(
+                CompanionConfig, merge(config.model_dump(), simulator.endpoints), "the simulator's endpoints"
+            )
+            page = LivePage(wired, log)
+            world = asyncio.create_task(simulator.watch())
+            try:
+                async with open_hardware(wired) as hardware:
+                    app = App(wired, hardware, log, make_actions, on_status)
+                    async with page.served(app):
+                        phase = await _fly(app, trial.time_limit_s, world)
+            finally:
+                await _cancel(world)
+            report = await simulator.finish(phase)
         finally:
             await simulator.kill()
-
-
-async def _fly_against(
-    simulator: SimulatorProcess,
-    config: CompanionConfig,
-    trial: Trial,
-    log: FlightLog,
-    on_status: StatusCallback,
-) -> SitlFlight:
-    wired = validate(
-        CompanionConfig, merge(config.model_dump(), simulator.endpoints), "the simulator's endpoints"
-    )
-    page = LivePage(wired, log)
-    world = asyncio.create_task(simulator.watch())
-    try:
-        async with open_hardware(wired) as hardware:
-            app = App(wired, hardware, log, make_actions, on_status)
-            async with page.served(app):
-                phase = await _fly(app, trial.time_limit_s, world)
-    finally:
-        await _cancel(world)
-    report = await simulator.finish(phase)
     # both processes count by the same clock of the kernel's
     elapsed_s = Clock().now_s() - report.truth[0].time_s
     return SitlFlight(report, report.duration_s / elapsed_s, app.loop_monitor.late_share)

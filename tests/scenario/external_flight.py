@@ -19,11 +19,10 @@ from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate
 from companion.flightlog.record import FlightLog
 from companion.flightlog.result import Result
 from companion.link.transport import MemoryTransport, memory_pair
-from companion.sim.external import External
 from companion.sim.runner import SitlFlight
 from companion.sim.scoring import score
 from companion.sim.settings import sitl_settings
-from companion.sim.trial import Trial
+from companion.sim.trial import External, Trial
 from sitl.devices.ports import MemoryPort
 from sitl.external.session import ExternalConnections, ExternalSimulation
 from sitl.run.in_process import RANGE_BAUD, MemoryFrames

@@ -36,7 +36,7 @@ M = TypeVar("M", VehicleState, PadState)
 
 
 class LiveFeed:
-    """Takes what the log takes (`companion.flightlog.tap.Tap`)."""
+    """Takes what the log takes (`companion.flightlog.record.Tap`)."""
 
     def __init__(self, rate_hz: float, meter: Meter | None = None) -> None:
         """At most `rate_hz` pictures a second; `meter` counts already, else one is kept here."""

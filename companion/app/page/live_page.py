@@ -20,8 +20,7 @@ from companion.base.clock import Clock, start_unix_s
 from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply
 from companion.config import CameraConfig, CompanionConfig, VehicleConfig
 from companion.flightlog.flights_recorder import FlightsRecorder
-from companion.flightlog.record import FlightLog
-from companion.flightlog.tap import NoTap
+from companion.flightlog.record import FlightLog, NoTap
 from companion.pad import Pad
 
 SOURCE: Final = "the live page"

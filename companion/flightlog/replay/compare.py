@@ -246,13 +246,11 @@ def attitude_errors_deg(ours: FloatArray, theirs: FloatArray) -> FloatArray:
     total = 2.0 * np.arctan2(np.hypot(tilt, z), np.abs(w))
     inclination = 2.0 * np.arctan2(tilt, turn)
     heading = 2.0 * np.arctan2(np.where(w < 0.0, -z, z), np.abs(w))
-    degrees: FloatArray = np.degrees(np.stack([total, inclination, heading], axis=1))
-    return degrees
+    return np.asarray(np.degrees(np.stack([total, inclination, heading], axis=1)))
 
 
 def _lengths(series: Series) -> FloatArray:
-    lengths: FloatArray = np.linalg.norm(series[1], axis=1)
-    return lengths
+    return np.asarray(np.linalg.norm(series[1], axis=1))
 
 
 def _figures(errors: FloatArray) -> ErrorFigures | None:

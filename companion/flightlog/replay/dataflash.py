@@ -27,6 +27,8 @@ from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import ConfigError
 from companion.flightlog.errors import track_of
 from companion.flightlog.replay.flight_record import (
+    SECONDS_PER_YEAR,
+    UT_PER,
     FlightRecord,
     RecordedEvent,
     RecordedReference,
@@ -36,7 +38,6 @@ from companion.flightlog.replay.flight_record import (
     TrackName,
 )
 
-UT_PER_MGAUSS: Final = 0.1
 # what the driver assumes of a u-blox receiver when no parameter says otherwise (AP_GPS)
 GPS_LATENCY_S: Final = 0.2
 # a fix's error, as multiples of HDOP, where the receiver's own figure was not logged
@@ -47,7 +48,6 @@ SPEED_ACCURACY_M_S: Final = 0.3
 EKF_MESSAGES: Final = ("XKF1", "NKF1", "EKF1")
 SECONDS_PER_WEEK: Final = 604_800.0
 GPS_EPOCH_YEAR: Final = 1980.0 + 5.0 / 366.0
-SECONDS_PER_YEAR: Final = 365.2425 * 86_400.0
 DOWNWARD: Final = 25  # MAV_SENSOR_ROTATION_PITCH_270
 RANGE_GOOD: Final = 4
 
@@ -139,7 +139,7 @@ class _Reading:
 
     def _take_mag(self, m: Any, time_s: float) -> None:
         if getattr(m, "Health", 1):
-            field = scale((m.MagX, m.MagY, m.MagZ), UT_PER_MGAUSS)
+            field = scale((m.MagX, m.MagY, m.MagZ), UT_PER["mG"])
             self._arrive(time_s, MagSample(time_s, self._levelled(field)))
 
     def _levelled(self, board: Vector3) -> Vector3:

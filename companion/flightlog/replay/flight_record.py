@@ -6,7 +6,7 @@ Times are seconds of the log's own clock; a sample's `time_s` is when it was mea
 """
 
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 from companion.base.geometry import Vector3
 from companion.base.messages import (
@@ -27,6 +27,9 @@ Sample = ImuSample | MagSample | GpsFix | RangeSample | AutopilotAttitude | PadO
 TrackName = Literal["attitude", "velocity", "position", "pad_position", "pad_velocity"]
 Source = Literal["recorded", "truth"]
 LogKind = Literal["companion", "ardupilot", "px4"]
+SECONDS_PER_YEAR: Final = 365.2425 * 86_400.0
+# µT in one of each unit of a magnetic field
+UT_PER: Final = {"T": 1e6, "G": 100.0, "mT": 1e3, "uT": 1.0, "mG": 0.1, "nT": 1e-3}
 
 
 @dataclass(frozen=True, slots=True)

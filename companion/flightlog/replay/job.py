@@ -13,9 +13,9 @@ from companion.config import ConfigError
 from companion.flightlog.log_file import LOG_NAMES, log_file
 from companion.flightlog.replay.compare import ReplayResult, build_result
 from companion.flightlog.replay.flight_record import FlightRecord
+from companion.flightlog.replay.plausible import shortcomings, why_unaligned
 from companion.flightlog.replay.plots import replay_lines, replay_table, write_page
 from companion.flightlog.replay.reading import read_log
-from companion.flightlog.replay.refusal import shortcomings, why_unaligned
 from companion.flightlog.replay.run import Replayed, replay
 from companion.flightlog.replay.settings import Choice, choose
 from companion.flightlog.version import versions

@@ -21,6 +21,8 @@ from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import ConfigError
 from companion.flightlog.errors import track_of
 from companion.flightlog.replay.flight_record import (
+    SECONDS_PER_YEAR,
+    UT_PER,
     FlightRecord,
     RecordedEvent,
     RecordedReference,
@@ -29,7 +31,6 @@ from companion.flightlog.replay.flight_record import (
     TrackName,
 )
 
-UT_PER_GAUSS: Final = 100.0
 # PX4's RELATIVE_TIMESTAMP_INVALID
 NO_TIMESTAMP: Final = 0x7FFFFFFF
 GPS_DELAY_MS: Final = 110.0  # the default of either name
@@ -37,7 +38,6 @@ GPS_DELAY_MS: Final = 110.0  # the default of either name
 GPS_DELAYS: Final = ("SENS_GPS0_DELAY", "EKF2_GPS_DELAY")
 ANTENNAS: Final = ("SENS_GPS0_OFF", "EKF2_GPS_POS_")
 DOWNWARD: Final = 25  # MAV_SENSOR_ROTATION_PITCH_270
-SECONDS_PER_YEAR: Final = 365.2425 * 86_400.0
 HEADER_BYTES: Final = 16
 
 Columns = Mapping[str, Any]
@@ -123,7 +123,7 @@ class _Reading:
         known = np.flatnonzero(ages != NO_TIMESTAMP)
         fresh = known[np.diff(measured[known], prepend=-1) > 0]
         arrivals = np.asarray(data["timestamp"])[fresh].tolist()
-        fields = (UT_PER_GAUSS * _rows(data, "magnetometer_ga")[fresh]).tolist()
+        fields = (UT_PER["G"] * _rows(data, "magnetometer_ga")[fresh]).tolist()
         for arrival, time, field in zip(arrivals, measured[fresh].tolist(), fields, strict=True):
             yield RecordedEvent(1e-6 * arrival, MagSample(1e-6 * time, vector3(field)))
 
@@ -142,8 +142,7 @@ class _Reading:
 
         x, y, z = values("ODIAG", 0.0)
         matrix = np.diag(values("SCALE", 1.0)) + np.array([[0.0, x, y], [x, 0.0, z], [y, z, 0.0]])
-        calibrated: FloatArray = (field_ga - np.array(values("OFF", 0.0))) @ matrix.T
-        return calibrated
+        return np.asarray((field_ga - np.array(values("OFF", 0.0))) @ matrix.T)
 
     def _gps(self) -> Iterator[RecordedEvent]:
         data = self._gps_data()
@@ -228,8 +227,7 @@ def _times(data: Columns) -> list[float]:
 
 
 def _columns(data: Columns, *names: str) -> FloatArray:
-    rows: FloatArray = np.stack([np.asarray(data[name], dtype=float) for name in names], axis=1)
-    return rows
+    return np.stack([np.asarray(data[name], dtype=float) for name in names], axis=1)
 
 
 def _rows(data: Columns, name: str) -> FloatArray:
@@ -241,7 +239,7 @@ def _flags(data: Columns, *names: str) -> Any:
 
 
 def _mag_events(times_s: list[float], field_ga: FloatArray) -> Iterator[RecordedEvent]:
-    for time_s, field in zip(times_s, (UT_PER_GAUSS * field_ga).tolist(), strict=True):
+    for time_s, field in zip(times_s, (UT_PER["G"] * field_ga).tolist(), strict=True):
         yield RecordedEvent(time_s, MagSample(time_s, vector3(field)))
 
 

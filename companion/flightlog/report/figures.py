@@ -5,6 +5,8 @@ The truth is drawn where there is one (the simulator's); else the estimates stan
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
 from typing import Any, Final
 
 import numpy as np
@@ -12,11 +14,10 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from companion.base.geometry import FloatArray
-from companion.base.messages import Phase
+from companion.base.messages import Phase, PlanStep
 from companion.config import Cylinder, PlanConfig, Shape
 from companion.flightlog.errors import TruthTrack, estimate_errors, sighting_errors_body_m
 from companion.flightlog.report.logged_flight import LoggedFlight
-from companion.flightlog.report.phases import PhaseSpan, phase_spans
 from companion.flightlog.result import setpoint_delays_s
 from companion.pad.colours import GROUP_COLOURS
 
@@ -33,6 +34,22 @@ NAMES_PX: Final = 95  # over the plots, for the phases' names
 # a band that is narrower than this share of the flight has its name in the hover text alone
 NAMED_SHARE: Final = 0.045
 AXES: Final = ("north", "east", "down")
+# by kind: on the ground, on the way, looking, closing in, down; what goes wrong is warm
+PHASE_COLOURS: Final = {
+    Phase.STANDBY: "#95a5a6",
+    Phase.CONNECT: "#b2babb",
+    Phase.ARM: "#7f8c8d",
+    Phase.TAKE_OFF: "#5d6d7e",
+    Phase.WAYPOINT: "#aeb6bf",
+    Phase.ROUTE: "#85929e",
+    Phase.SEARCH: "#f4d03f",
+    Phase.APPROACH: "#5dade2",
+    Phase.DESCEND: "#58d68d",
+    Phase.TOUCHDOWN: "#1e8449",
+    Phase.LANDED: "#a569bd",
+    Phase.HOLD: "#eb984e",
+    Phase.ABORT: "#e74c3c",
+}
 
 
 def figures(
@@ -66,7 +83,10 @@ def figures(
 
 def path_figure(flight: LoggedFlight, track: TruthTrack | None) -> go.Figure | None:
     """Vehicle, pad and obstacles in three dimensions, equal axes, z up."""
-    paths = _true_paths(track) if track is not None else _estimated_paths(flight)
+    paths = _estimated_paths(flight)
+    if track is not None:
+        columns = {"vehicle": "position", "pad": "pad_position"}
+        paths = {name: track.at(column, track.time_s) for name, column in columns.items()}
     if not len(paths["vehicle"]):
         return None
     figure = go.Figure()
@@ -98,13 +118,14 @@ def path_figure(flight: LoggedFlight, track: TruthTrack | None) -> go.Figure | N
 
 def _equal_axes(figure: go.Figure) -> dict[str, Any]:
     """One scale on all axes, the longest side 1, so that the whole of it is before the camera."""
-    sides = {}
+    sides, ranges = dict[str, float](), dict[str, list[float]]()
     for axis in "xyz":
         values = np.concatenate([np.asarray(trace[axis], dtype=float) for trace in figure.data])
-        sides[axis] = max(float(np.ptp(values)), 1.0)
+        side = sides[axis] = max(float(np.ptp(values)), 1.0)
+        middle = 0.5 * float(values.min() + values.max())
+        ranges[axis] = [middle - 0.5 * side, middle + 0.5 * side]
     longest = max(sides.values())
     ratio = {axis: side / longest for axis, side in sides.items()}
-    ranges = {axis: _around(figure, axis, sides[axis]) for axis in "xyz"}
     # from the south-west, so that north and east rise away from whoever looks
     camera = {"eye": {"x": -0.95, "y": -1.15, "z": 0.8}}
     return {
@@ -113,18 +134,6 @@ def _equal_axes(figure: go.Figure) -> dict[str, Any]:
         "camera": camera,
         **{f"{axis}axis_range": span for axis, span in ranges.items()},
     }
-
-
-def _around(figure: go.Figure, axis: str, side_m: float) -> list[float]:
-    """The range of this length about the middle of what is drawn."""
-    values = np.concatenate([np.asarray(trace[axis], dtype=float) for trace in figure.data])
-    middle = 0.5 * float(values.min() + values.max())
-    return [middle - 0.5 * side_m, middle + 0.5 * side_m]
-
-
-def _true_paths(track: TruthTrack) -> dict[str, FloatArray]:
-    times = track.time_s
-    return {"vehicle": track.at("position", times), "pad": track.at("pad_position", times)}
 
 
 def _estimated_paths(flight: LoggedFlight) -> dict[str, FloatArray]:
@@ -169,7 +178,7 @@ def height_figure(
     if track is None and not pads:
         return None
     seen_s = [pad.time_s for pad in pads]
-    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
+    figure = stacked("height (m)", "sink rate (m/s)")
     if track is not None:
         times = track.time_s
         height = (track.at("pad_position", times) - track.at("position", times))[:, 2]
@@ -178,9 +187,7 @@ def height_figure(
         add_line(figure, times, sink, VEHICLE_COLOUR, "truth", 2, legend=False)
     add_dots(figure, seen_s, [pad.height_m for pad in pads], ESTIMATE_COLOUR, "pad filter", 1)
     add_dots(figure, seen_s, [pad.sink_m_s for pad in pads], ESTIMATE_COLOUR, "pad filter", 2, legend=False)
-    label_rows(figure, "height (m)", "sink rate (m/s)")
     _mark_pass(figure, pass_m_s, 2)
-    figure.update_layout(height=int(1.6 * HEIGHT_PX))
     return _over_time(figure, flight, track)
 
 
@@ -192,7 +199,7 @@ def lateral_figure(
     if track is None and not pads:
         return None
     seen_s = [pad.time_s for pad in pads]
-    figure = make_subplots(rows=1, cols=1)
+    figure = stacked("lateral (m)")
     if track is not None:
         offset = (track.at("position", track.time_s) - track.at("pad_position", track.time_s))[:, :2]
         distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-3)
@@ -200,7 +207,6 @@ def lateral_figure(
     distances = [max(pad.lateral_m, 1e-3) for pad in pads]
     add_dots(figure, seen_s, distances, ESTIMATE_COLOUR, "pad filter", 1)
     figure.update_yaxes(type="log", dtick="D2")  # labels at 1, 2, 5: all nine overprint
-    label_rows(figure, "lateral (m)")
     _mark_pass(figure, pass_m, 1)
     return _over_time(figure, flight, track)
 
@@ -210,7 +216,7 @@ def velocity_figure(flight: LoggedFlight) -> go.Figure | None:
     vehicles, setpoints = flight.kept.get("vehicle", ()), flight.kept.get("setpoint", ())
     if not vehicles:
         return None
-    figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.04)
+    figure = stacked(*(f"{axis} (m/s)" for axis in AXES))
     times, sent = [v.time_s for v in vehicles], [s.time_s for s in setpoints]
     for k in range(3):
         first = k == 0
@@ -218,8 +224,6 @@ def velocity_figure(flight: LoggedFlight) -> go.Figure | None:
         add_line(figure, times, flown, VEHICLE_COLOUR, "estimate", k + 1, legend=first)
         commanded = [s.velocity_ned_m_s[k] for s in setpoints]
         add_line(figure, sent, commanded, ESTIMATE_COLOUR, "setpoint", k + 1, legend=first)
-    label_rows(figure, *(f"{axis} (m/s)" for axis in AXES))
-    figure.update_layout(height=int(1.8 * HEIGHT_PX))
     return _over_time(figure, flight)
 
 
@@ -229,7 +233,7 @@ def stated_figure(flight: LoggedFlight) -> go.Figure | None:
     if not vehicles:
         return None
     # a plot for each unit: degrees and metres have no scale in common
-    figure = make_subplots(rows=4, cols=1, shared_xaxes=True, vertical_spacing=0.04)
+    figure = stacked("attitude (°)", "velocity (m/s)", "pad position (m)", "pad velocity (m/s)")
     times, seen_s = [v.time_s for v in vehicles], [pad.time_s for pad in pads]
     attitude = [math.degrees(v.attitude_std_rad) for v in vehicles]
     add_line(figure, times, attitude, VEHICLE_COLOUR, "attitude", 1)
@@ -237,8 +241,6 @@ def stated_figure(flight: LoggedFlight) -> go.Figure | None:
     add_dots(figure, seen_s, [pad.position_std_m for pad in pads], ESTIMATE_COLOUR, "pad position", 3)
     add_dots(figure, seen_s, [pad.velocity_std_m_s for pad in pads], "#148f77", "pad velocity", 4)
     figure.update_yaxes(type="log", dtick="D2")  # labels at 1, 2, 5: all nine overprint
-    label_rows(figure, "attitude (°)", "velocity (m/s)", "pad position (m)", "pad velocity (m/s)")
-    figure.update_layout(height=int(2.4 * HEIGHT_PX))
     return _over_time(figure, flight)
 
 
@@ -247,7 +249,7 @@ def error_figure(flight: LoggedFlight, track: TruthTrack | None) -> go.Figure | 
     if track is None or not flight.kept.get("vehicle"):
         return None
     errors = estimate_errors(flight.kept, track)
-    figure = make_subplots(rows=4, cols=1, shared_xaxes=True, vertical_spacing=0.04)
+    figure = stacked("attitude (°)", "velocity (m/s)", "pad position (m)", "pad velocity (m/s)")
     add_line(figure, errors["time_s"], errors["attitude_deg"], "black", "attitude", 1, legend=False)
     seen_s, seen_m = sighting_errors_body_m(flight.kept.get("sighting", ()), track)
     add_dots(figure, seen_s, np.linalg.norm(seen_m, axis=1), "grey", "sightings (distance)", 3)
@@ -258,8 +260,6 @@ def error_figure(flight: LoggedFlight, track: TruthTrack | None) -> go.Figure | 
     ):
         for axis, colour, values in zip(AXES, AXIS_COLOURS, errors[name].T, strict=True):
             add_line(figure, errors[times], values, colour, axis, row, legend=row == 2)
-    label_rows(figure, "attitude (°)", "velocity (m/s)", "pad position (m)", "pad velocity (m/s)")
-    figure.update_layout(height=int(2.4 * HEIGHT_PX))
     return _over_time(figure, flight, track)
 
 
@@ -315,46 +315,36 @@ def latency_figure(flight: LoggedFlight) -> go.Figure | None:
 # ---------------------------------------------------------------- parts
 
 
+STACK_HEIGHTS: Final = {1: 1.0, 2: 1.6, 3: 1.8, 4: 2.4}  # of HEIGHT_PX
+
+
+def stacked(*labels: str) -> go.Figure:
+    """Plots over one time, one under another, each with the label of its axis."""
+    rows = len(labels)
+    spacing = 0.06 if rows == 2 else 0.04
+    figure = make_subplots(rows=rows, cols=1, shared_xaxes=True, vertical_spacing=spacing)
+    label_rows(figure, *labels)
+    return figure.update_layout(height=int(STACK_HEIGHTS[rows] * HEIGHT_PX))
+
+
 def add_line(
     figure: go.Figure, times: Any, values: Any, colour: str, name: str, row: int, *, legend: bool = True
 ) -> None:
-    line = {"color": colour, "width": 1.5}
-    figure.add_scattergl(
-        x=np.asarray(times),
-        y=np.asarray(values),
-        mode="lines",
-        line=line,
-        name=name,
-        legendgroup=name,
-        showlegend=legend,
-        row=row,
-        col=1,
-    )
+    look = {"mode": "lines", "line": {"color": colour, "width": 1.5}}
+    _add(figure, times, values, name, row, showlegend=legend, **look)
 
 
 def add_dots(
-    figure: go.Figure,
-    times: Any,
-    values: Any,
-    colour: str,
-    name: str,
-    row: int,
-    *,
-    legend: bool = True,
+    figure: go.Figure, times: Any, values: Any, colour: str, name: str, row: int, *, legend: bool = True
 ) -> None:
-    if not len(times):
-        return
-    figure.add_scattergl(
-        x=np.asarray(times),
-        y=np.asarray(values),
-        mode="markers",
-        marker={"color": colour, "size": 3},
-        name=name,
-        legendgroup=name,
-        showlegend=legend,
-        row=row,
-        col=1,
-    )
+    if len(times):
+        look = {"mode": "markers", "marker": {"color": colour, "size": 3}}
+        _add(figure, times, values, name, row, showlegend=legend, **look)
+
+
+def _add(figure: go.Figure, times: Any, values: Any, name: str, row: int, **look: Any) -> None:
+    at = {"x": np.asarray(times), "y": np.asarray(values), "row": row, "col": 1}
+    figure.add_scattergl(name=name, legendgroup=name, **at, **look)
 
 
 def label_rows(figure: go.Figure, *labels: str) -> None:
@@ -367,6 +357,30 @@ def _mark_pass(figure: go.Figure, bound: float | None, row: int) -> None:
     if bound is not None:
         line = {"color": PASS_COLOUR, "dash": "dash", "width": 1}
         figure.add_hline(y=bound, line=line, annotation_text="passes below, at the touchdown", row=row, col=1)
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseSpan:
+    """One stay in a phase; times (s) of the messages it was made from."""
+
+    phase: Phase
+    start_s: float
+    end_s: float
+
+    @property
+    def name(self) -> str:
+        return self.phase.value.replace("_", " ")
+
+    @property
+    def colour(self) -> str:
+        return PHASE_COLOURS[self.phase]
+
+
+def phase_spans(plans: Sequence[PlanStep]) -> list[PhaseSpan]:
+    """The stays in their order; one lasts until the next begins, the last until the last plan."""
+    starts = [(Phase(phase), next(steps).time_s) for phase, steps in groupby(plans, lambda p: p.phase)]
+    ends = [start_s for _, start_s in starts[1:]] + [plan.time_s for plan in plans[-1:]]
+    return [PhaseSpan(phase, start_s, end_s) for (phase, start_s), end_s in zip(starts, ends, strict=True)]
 
 
 def _over_time(

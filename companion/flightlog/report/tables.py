@@ -13,14 +13,10 @@ DECIMALS: Final = {"m": 3, "m/s": 2, "°": 1, "ms": 0}
 MOST_DECIMALS: Final = 6
 
 
-def title_of(result: Result) -> str:
-    """What was flown and how it ended, in one line."""
-    return f"{result.scenario}, seed {result.seed}: {result.outcome}"
-
-
 def result_table(result: Result, bounds: Mapping[str, float]) -> Table:
     """The result as a table for the terminal; `bounds` maps the touchdown's keys to what passes."""
-    table = Table(title=title_of(result), title_justify="left")
+    title = f"{result.scenario}, seed {result.seed}: {result.outcome}"
+    table = Table(title=title, title_justify="left")
     table.add_column("")
     table.add_column("measured", justify="right")
     table.add_column("passes at", justify="right")

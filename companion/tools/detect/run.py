@@ -91,11 +91,6 @@ class PadFinder:
         self._vision = Vision(pad, camera, CAMERA_ALONE, config)
         self._camera_from_body = matrix_from_quat(body_from_camera(CAMERA_ALONE)).T
 
-    @property
-    def size_px(self) -> tuple[int, int]:
-        """Width and height that the calibration is for."""
-        return self.lens.size_px
-
     def find(self, image: NDArray[np.uint8]) -> Found:
         """Look for what is far and for what is near, as the app does in two frames that follow each other.
 
@@ -148,7 +143,9 @@ def draw(image: NDArray[np.uint8], found: Found, pad: Pad, lens: Lens, text: str
     for detection in found.markers:
         colour = UNUSED if found.view is None else GROUP_COLOURS[detection.marker.group]
         _lines(picture, detection.corners_px, colour, width, closed=True)
-        _mark(picture, detection.corners_px[0], colour, unit)
+        # a dot at the first corner: top left of the code
+        first, radius = _fixed(detection.corners_px[0]), round(4 * unit * (1 << SHIFT))
+        cv2.circle(picture, first, radius, colour, -1, cv2.LINE_AA, shift=SHIFT)
         above = detection.corners_px.min(axis=0) - (0.0, 9.0 * unit)
         above[0] = detection.corners_px[:, 0].mean()
         _write(picture, str(detection.marker.id), above, colour, max(0.6 * unit, LEAST_TEXT))
@@ -196,11 +193,6 @@ def _lines(
     if len(points) > 1:
         fixed = np.rint(points * (1 << SHIFT)).astype(np.int32)
         cv2.polylines(picture, [fixed], bool(closed and whole), colour, width, cv2.LINE_AA, shift=SHIFT)
-
-
-def _mark(picture: Any, pixel: FloatArray, colour: tuple[int, int, int], unit: float) -> None:
-    """A dot at a marker's first corner: top left of its code."""
-    cv2.circle(picture, _fixed(pixel), round(4 * unit * (1 << SHIFT)), colour, -1, cv2.LINE_AA, shift=SHIFT)
 
 
 def _fixed(pixel: FloatArray) -> tuple[int, int]:
@@ -279,7 +271,7 @@ def detect_all(
 
     try:
         for photo in read_photos(photo_paths(sources), say):
-            if photo.size_px != finder.size_px:
+            if photo.size_px != finder.lens.size_px:
                 tally.other_sizes[photo.size_px] += 1
                 continue
             begun_s = wall_clock_s()
@@ -298,8 +290,8 @@ def detect_all(
         if overlays is not None:
             overlays.close()
     if not tally.times_s:
-        raise ConfigError(f"{sources[0]}: {'; '.join(tally.lines(finder.size_px))}")
-    for text in (*tally.lines(finder.size_px), *(() if overlays is None else overlays.lines())):
+        raise ConfigError(f"{sources[0]}: {'; '.join(tally.lines(finder.lens.size_px))}")
+    for text in (*tally.lines(finder.lens.size_px), *(() if overlays is None else overlays.lines())):
         say(text)
     return bool(tally.distances_m)
 
@@ -350,7 +342,9 @@ class Overlays:
             ConfigError: it cannot be written.
         """
         if photo.frame is None:
-            self._write_photo(self._free(photo.path, ".png"), picture)
+            path = self._free(photo.path, ".png")
+            write_atomically(path, cv2.imencode(".png", picture)[1].tobytes())
+            self._written.append(path)
         else:
             self._video(photo, picture).write(picture)
 
@@ -369,10 +363,6 @@ class Overlays:
             number += 1
             free = self._folder / f"{source.stem}-{number}{ending}"
         return free
-
-    def _write_photo(self, path: Path, picture: NDArray[np.uint8]) -> None:
-        write_atomically(path, cv2.imencode(".png", picture)[1].tobytes())
-        self._written.append(path)
 
     def _video(self, photo: Photo, picture: NDArray[np.uint8]) -> Any:
         if photo.path not in self._videos:

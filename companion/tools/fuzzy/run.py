@@ -45,9 +45,7 @@ def draw(rules: FuzzyRules, table: SpeedTable, path: Path) -> None:
     Raises:
         ConfigError: it cannot be written.
     """
-    sets: list[tuple[RuleSet, AnyTable]] = [(rules, table)]
-    if rules.pace is not None and table.pace is not None:
-        sets.append((rules.pace, table.pace))
+    sets = _sets(rules, table)
     figure = Figure(figsize=(15.0, 8.5 * len(sets)), dpi=110, layout="constrained")
     halves: Any = figure.subfigures(2 * len(sets), 1, height_ratios=(1.0, 1.7) * len(sets))
     for (rule_set, surface), terms, surfaces in zip(sets, halves[::2], halves[1::2], strict=True):
@@ -59,6 +57,14 @@ def draw(rules: FuzzyRules, table: SpeedTable, path: Path) -> None:
             _draw_surface(axes, rule_set, surface, value)
     figure.suptitle(f"{rules.name}: the expert's terms, the speed V, and its pace by the conditions")
     save_figure(figure, path)
+
+
+def _sets(rules: FuzzyRules, table: SpeedTable) -> list[tuple[RuleSet, AnyTable]]:
+    """The rules of the speed and, where there are, those of its pace, with their tables."""
+    sets: list[tuple[RuleSet, AnyTable]] = [(rules, table)]
+    if rules.pace is not None and table.pace is not None:
+        sets.append((rules.pace, table.pace))
+    return sets
 
 
 def _draw_terms(axes: Any, terms: Terms, label: str) -> None:
@@ -130,9 +136,7 @@ def run_fuzzy(rules: str, plot: Path | None, points: int, seed: int, *, rewrite:
     read = load_rules(rules)
     written = write_table(rules) if rewrite else None
     table, how = load_table(rules)
-    sets: list[tuple[RuleSet, AnyTable]] = [(read, table)]
-    if read.pace is not None and table.pace is not None:
-        sets.append((read.pace, table.pace))
+    sets = _sets(read, table)
     for rule_set, _ in sets:
         for block in rule_tables(rule_set):
             console.print(block)

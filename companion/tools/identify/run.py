@@ -77,18 +77,14 @@ def response_table(record: IdentificationLog, found: Identified) -> Table:
         verdict = _verdict(changed=hover.adopted != hover.assumed, withheld=hover.withheld)
         numbers = (f"{hover.assumed:.3f}", f"{hover.found:.3f}", f"{hover.std:.4f}")
         grid.add_row("hover thrust", *numbers, "", verdict)
-    learnt = learnt_hover_thrust(record)
+    # the controller's own estimate at the end of a flight by attitude
+    reports = record.messages["control_report"]
+    learnt = reports[-1].get("hover_thrust") if record.by_attitude and reports else None
     if learnt is not None:
         grid.add_row(
             "hover thrust, in flight", f"{record.vehicle.hover_thrust:.3f}", f"{learnt:.3f}", "", "", ""
         )
     return grid
-
-
-def learnt_hover_thrust(record: IdentificationLog) -> float | None:
-    """The controller's own estimate at the end of a flight by attitude."""
-    reports = record.messages["control_report"]
-    return reports[-1].get("hover_thrust") if record.by_attitude and reports else None
 
 
 def _verdict(*, changed: bool, withheld: bool) -> str:

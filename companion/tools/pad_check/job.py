@@ -116,17 +116,21 @@ def check_vehicle(
 
 def show_findings(found: list[Finding], json_file: Path | None) -> None:
     """The table and one line for all; as JSON instead when that is for standard output."""
+    if json_file != STANDARD_OUTPUT:
+        console = Console()
+        console.print(findings_table(found))
+        state = worst(found)
+        if state is FindingState.OK and not_looked_at(found):
+            state = FindingState.WARNING
+        console.print(Text(summary_line(found), STYLES[state]), soft_wrap=True)
+    _write_json(json_file, findings_json(found))
+
+
+def _write_json(json_file: Path | None, text: str) -> None:
     if json_file == STANDARD_OUTPUT:
-        print(findings_json(found), end="")
-        return
-    console = Console()
-    console.print(findings_table(found))
-    state = worst(found)
-    if state is FindingState.OK and not_looked_at(found):
-        state = FindingState.WARNING
-    console.print(Text(summary_line(found), STYLES[state]), soft_wrap=True)
-    if json_file is not None:
-        write_atomically(json_file, findings_json(found))
+        print(text, end="")
+    elif json_file is not None:
+        write_atomically(json_file, text)
 
 
 def check_over_pad(config: Path, json_file: Path | None, *, linked: bool, port: int | None) -> None:
@@ -145,10 +149,7 @@ def check_over_pad(config: Path, json_file: Path | None, *, linked: bool, port: 
         console.print(f"warning: {doubt}", style="yellow", highlight=False, markup=False, soft_wrap=True)
     report = run_until_stopped(_check(settings, console, linked=linked, port=port))
     show(report, console)
-    if json_file == STANDARD_OUTPUT:
-        print(report_json(report), end="")
-    elif json_file is not None:
-        write_atomically(json_file, report_json(report))
+    _write_json(json_file, report_json(report))
     raise typer.Exit(0 if report.passed else 1)
 
 

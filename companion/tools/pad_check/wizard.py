@@ -170,7 +170,8 @@ class Wizard:
         elif not self.finished:
             rest = find_rest(samples, now_s)
             if rest is not None:
-                self._note_rest(rest)
+                if not self._rests or rest.start_s >= self._rests[-1].end_s:
+                    self._rests.append(rest)
                 self._take_rest(rest, samples, now_s)
             self._watch(samples, now_s)
         said, self._said = self._said, []
@@ -222,10 +223,6 @@ class Wizard:
         newest_s = self._departing[-1].end_s if self._departing else -math.inf
         settled = (rest for rest in reversed(self._departing) if rest.end_s <= newest_s - SETTLED_S)
         return next(settled, self._base)
-
-    def _note_rest(self, rest: StandstillMeans) -> None:
-        if not self._rests or rest.start_s >= self._rests[-1].end_s:
-            self._rests.append(rest)
 
     def _rate_bias(self) -> Vector3:
         """The gyroscope's zero: what it says on the mean of all rests, whose sway has no direction."""

@@ -1,7 +1,7 @@
 """`companion pad`: its options and help. What draws and judges is imported once the files are there."""
 
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import typer
 
@@ -70,18 +70,21 @@ def pad_command(
     Raises:
         ConfigError: the pad breaks a rule, or a file cannot be written.
     """
-    spread = {"offset_m": offset, "tilt_deg": tilt, "speed_m_s": speed}
-    given = {name: value for name, value in spread.items() if value is not None}
+    given = _given(offset_m=offset, tilt_deg=tilt, speed_m_s=speed)
     if not coverage and (given or camera is not None):
         raise ConfigError("--camera, --offset, --tilt and --speed: expected with --coverage")
-    chosen = {"dictionary": family, "id": number, "side_m": size}
-    alone = {name: value for name, value in chosen.items() if value is not None}
+    alone = _given(dictionary=family, id=number, side_m=size)
     if pad != SINGLE:
         if alone:
             raise ConfigError("--family, --id and --size: expected with single")
         find_file("pads", pad)
     if camera is not None:
         find_file("cameras", camera)
-    from companion.tools.pads.run import PadOptions, run_pad  # noqa: PLC0415 - see above
+    from companion.tools.pads.run import run_pad  # noqa: PLC0415 - see above
 
-    run_pad(pad, PadOptions(output, paper, coverage, camera, given, alone if pad == SINGLE else None))
+    single = alone if pad == SINGLE else None
+    run_pad(pad, output, paper, coverage=coverage, camera=camera, spread=given, single=single)
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}

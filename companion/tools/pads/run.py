@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal
 
@@ -35,21 +35,17 @@ from companion.tools.pads.printing import draw_pad
 TABLE_HEIGHTS_M: Final = (0.05, 0.08, 0.1, 0.15, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 15.0)
 TICKS_M: Final = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 SURE_RECALL: Final = 0.99
-COLOURS: Final = GROUP_COLOURS
 NAMES: Final[dict[MarkerGroup, str]] = {"F": "F (far)", "M": "M (medium)", "C": "C (close)"}
 
 
 def coverage_table(coverage: PredictedRecall) -> Table:
     """Recall in per cent, a row a height."""
     made = Table(title="predicted recall (%) by height", title_justify="left")
-    for name in ("m", *(NAMES[g] for g in GROUPS if g in coverage.groups), "pad"):
+    there = [g for g in GROUPS if g in coverage.groups]
+    for name in ("m", *(NAMES[g] for g in there), "pad"):
         made.add_column(name, justify="right")
-    columns = [
-        coverage.heights_m,
-        *(coverage.groups[g] for g in GROUPS if g in coverage.groups),
-        coverage.pad,
-    ]
-    for height, *recalls in zip(*columns, strict=True):
+    columns = (coverage.groups[g] for g in there)
+    for height, *recalls in zip(coverage.heights_m, *columns, coverage.pad, strict=True):
         made.add_row(f"{height:g}", *(f"{100 * r:.1f}" for r in recalls))
     return made
 
@@ -98,7 +94,7 @@ def draw_coverage(coverage: PredictedRecall, pad: Pad, camera: CameraConfig, pat
     axes = figure.subplots()
     axes.plot(coverage.heights_m, 100.0 * coverage.pad, color="0.7", linewidth=5.0, label="pad")
     for group, recall in coverage.groups.items():
-        axes.plot(coverage.heights_m, 100.0 * recall, color=COLOURS[group], label=NAMES[group])
+        axes.plot(coverage.heights_m, 100.0 * recall, color=GROUP_COLOURS[group], label=NAMES[group])
     if not (math.isnan(coverage.blind_height_m) or coverage.seen_at_the_lowest):
         words = f"blind: {blind_words(coverage)}"
         axes.axvspan(coverage.heights_m[0], coverage.blind_height_m, color="0.9", label=words)
@@ -118,38 +114,37 @@ def draw_coverage(coverage: PredictedRecall, pad: Pad, camera: CameraConfig, pat
 DEFAULT_CAMERA: Final = "sitl_640x480"
 
 
-@dataclass(frozen=True, slots=True)
-class PadOptions:
-    """What to do with a pad: the sheet, where the print or the picture goes, and for whom it is judged."""
-
-    output: Path | None
-    paper: Literal[PaperName, "large"] | None
-    coverage: bool
-    camera: str | None
-    spread: Mapping[str, float]
-    single: Mapping[str, object] | None = None  # the marker of a pad that has but one; None: a pad's file
-
-
-def run_pad(pad: str, options: PadOptions) -> None:
-    """Check, print or judge.
+def run_pad(
+    pad: str,
+    output: Path | None,
+    paper: Literal[PaperName, "large"] | None,
+    *,
+    coverage: bool,
+    camera: str | None,
+    spread: Mapping[str, float],
+    single: Mapping[str, object] | None,
+) -> None:
+    """Check, print or judge; `single` is the marker of a pad that has but one, None: `pad` is a file.
 
     Raises:
         ConfigError: the pad breaks a rule, or a file cannot be written.
     """
     prepare_opencv()
     console = Console()
-    made = load_pad(pad) if options.single is None else single_pad(options.single)
-    if options.paper is not None:
-        made = on_paper(made, options.paper, pad)
+    made = load_pad(pad) if single is None else single_pad(single)
+    if paper is not None:
+        made = on_paper(made, paper, pad)
     _say(console, *summary(made))
-    if options.coverage:
-        spread = replace(HOVER, **options.spread)
-        _judge(made, options.camera or DEFAULT_CAMERA, spread, options.output, console)
-    elif options.output is not None:
-        if options.single is not None:
-            _write_file(made, options.output.with_suffix(".yaml"), console)
-        if options.single is None or options.output.suffix.lower() != YAML_SUFFIXES[0]:
-            _print(made, options.output, console)
+    if coverage:
+        _judge(made, camera or DEFAULT_CAMERA, replace(HOVER, **spread), output, console)
+    elif output is not None:
+        if single is not None:
+            path = output.with_suffix(".yaml")
+            body = yaml.safe_dump(made.model_dump(mode="json", exclude_defaults=True), sort_keys=False)
+            write_atomically(path, f"# Written by companion pad single\n{body}")
+            _say(console, f"{path}: name it in the settings: pad: {path}")
+        if single is None or output.suffix.lower() != YAML_SUFFIXES[0]:
+            _print(made, output, console)
 
 
 def single_pad(marker: Mapping[str, object]) -> Pad:
@@ -164,13 +159,6 @@ def single_pad(marker: Mapping[str, object]) -> Pad:
     name = f"{one.dictionary}_{one.id}_{1e3 * one.side_m:.0f}"
     data = {"name": name, "width_m": board_m, "length_m": board_m, "markers": [given]}
     return checked(validate(Pad, data, "single"), "single")
-
-
-def _write_file(pad: Pad, path: Path, console: Console) -> None:
-    """The pad as the settings name it."""
-    body = yaml.safe_dump(pad.model_dump(mode="json", exclude_defaults=True), sort_keys=False)
-    write_atomically(path, f"# Written by companion pad single\n{body}")
-    _say(console, f"{path}: name it in the settings: pad: {path}")
 
 
 def on_paper(pad: Pad, paper: Literal[PaperName, "large"], source: str) -> Pad:

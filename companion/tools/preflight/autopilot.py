@@ -17,7 +17,6 @@ from companion.base.clock import Clock, start_unix_s
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import CompanionConfig, ConfigError, VehicleConfig
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec
-from companion.link.commands import ParameterRequest
 from companion.link.session import Session
 from companion.link.signing import signing_of
 from companion.link.transport import Transport, open_transport
@@ -96,40 +95,26 @@ def _without_autopilot(why: str, hint: str = NO_HINT) -> list[Finding]:
 
 def _silence(listener: _Listener, connection: str) -> Finding:
     """What a link without the autopilot's heartbeat has instead."""
-    session, detail = listener.session, f"{connection}: no heartbeat within {HEARTBEAT_PATIENCE_S:g} s"
-    counters, kind = session.counters, connection.partition(":")[0]
+    session, kind = listener.session, connection.partition(":")[0]
+    counters, lead = session.counters, f"{connection}: no heartbeat within {HEARTBEAT_PATIENCE_S:g} s, "
+    detail, hint = f"{lead}not one byte", SILENCE_HINTS[kind]
     if session.state.mavlink_1:
-        return _GROUP.fail(
-            "heartbeat",
-            f"{connection}: the autopilot sends MAVLink 1; expected MAVLink 2",
-            "ArduPilot: SERIALx_PROTOCOL 2 of this port; PX4: MAV_PROTO_VER 0 or 2",
-        )
-    if session.stranger is not None:
-        return _GROUP.fail(
-            "heartbeat",
-            f"{detail}, but system {session.stranger}'s",
-            "set link.system_id to the vehicle's, or to 0",
-        )
-    if counters.refused:
-        return _GROUP.fail(
-            "heartbeat",
-            f"{detail}, but {counters.refused} frames without our signature",
-            "the autopilot signs with another key, or not at all: see link.signing_key",
-        )
-    if counters.decoded + counters.passed_over:
-        return _GROUP.fail(
-            "heartbeat",
-            f"{detail}, but other MAVLink",
-            "is this line the autopilot's? see SERIALx_PROTOCOL, MAV_x_CONFIG",
-        )
-    if counters.skipped_bytes:
-        return _GROUP.fail(
-            "heartbeat",
-            f"{detail}, but {counters.skipped_bytes} bytes that are no MAVLink 2",
-            f"{'the baud rate, in link.connection and in the autopilot; ' if kind == 'serial' else ''}"
-            "MAV_PROTO_VER, SERIALx_PROTOCOL 2",
-        )
-    return _GROUP.fail("heartbeat", f"{detail}, not one byte", SILENCE_HINTS[kind])
+        detail = f"{connection}: the autopilot sends MAVLink 1; expected MAVLink 2"
+        hint = "ArduPilot: SERIALx_PROTOCOL 2 of this port; PX4: MAV_PROTO_VER 0 or 2"
+    elif session.stranger is not None:
+        detail = f"{lead}but system {session.stranger}'s"
+        hint = "set link.system_id to the vehicle's, or to 0"
+    elif counters.refused:
+        detail = f"{lead}but {counters.refused} frames without our signature"
+        hint = "the autopilot signs with another key, or not at all: see link.signing_key"
+    elif counters.decoded + counters.passed_over:
+        detail = f"{lead}but other MAVLink"
+        hint = "is this line the autopilot's? see SERIALx_PROTOCOL, MAV_x_CONFIG"
+    elif counters.skipped_bytes:
+        detail = f"{lead}but {counters.skipped_bytes} bytes that are no MAVLink 2"
+        baud = "the baud rate, in link.connection and in the autopilot; " if kind == "serial" else ""
+        hint = f"{baud}MAV_PROTO_VER, SERIALx_PROTOCOL 2"
+    return _GROUP.fail("heartbeat", detail, hint)
 
 
 @dataclass(eq=False)
@@ -196,14 +181,12 @@ class _Listener:
                 for kind in (ImuSample, MagSample, GpsFix, RangeSample)
             },
             sensors_problem=self.problem,
-            parameters=_readings(self.session.system_id, asked),
+            parameters=ParameterReadings(
+                self.session.system_id,
+                {request.name: request.value for request in asked},
+                {request.name: request.mav_type for request in asked if request.mav_type is not None},
+            ),
         )
-
-
-def _readings(system_id: int, asked: list[ParameterRequest]) -> ParameterReadings:
-    values = {request.name: request.value for request in asked}
-    types = {request.name: request.mav_type for request in asked if request.mav_type is not None}
-    return ParameterReadings(system_id, values, types)
 
 
 @asynccontextmanager

@@ -1,7 +1,6 @@
 """The files that the settings name: whether they are there, fit one another, and are fresh."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final, TypeVar
@@ -30,16 +29,10 @@ T = TypeVar("T")
 _SETTINGS, _GROUP = FindingGroup("settings"), FindingGroup("calibration")
 
 
-@dataclass(frozen=True, slots=True)
-class Files:
-    """What the settings name, as far as it can be read."""
-
-    camera: CameraConfig | None
-    vehicle: VehicleConfig | None
-
-
-def check_files(config: CompanionConfig, path: Path, now: datetime) -> tuple[Files, list[Finding]]:
-    """Findings about settings and calibrations, `now` in UTC; and the files for the checks that need them."""
+def check_files(
+    config: CompanionConfig, path: Path, now: datetime
+) -> tuple[CameraConfig | None, VehicleConfig | None, list[Finding]]:
+    """Camera and vehicle as far as they can be read, and findings about the files; `now` in UTC."""
     found = [_SETTINGS.ok("file", str(path))]
     camera = _read(found, "camera", lambda: load_model(CameraConfig, find_file("cameras", config.camera)))
     vehicle = _read(found, "vehicle", lambda: load_vehicle(config.vehicle, config.mount, config.camera))
@@ -52,7 +45,7 @@ def check_files(config: CompanionConfig, path: Path, now: datetime) -> tuple[Fil
     if config.sense.source == "boards":
         found.append(_inertial(config, now))
     found.append(_magnetometer(config, now))
-    return Files(camera, vehicle), found
+    return camera, vehicle, found
 
 
 def _read(found: list[Finding], name: str, load: Callable[[], T]) -> T | None:
@@ -79,16 +72,14 @@ def _camera(config: CompanionConfig, camera: CameraConfig, now: datetime) -> Fin
         hint = "calibrate-camera: heights and the touchdown are off by as much as its numbers are"
         return _GROUP.warn("camera", f"'{camera.name}' {size}: not written by calibrate-camera", hint)
     detail = f"'{camera.name}' {size}, {made.rms_px:.2f} px, {_date(made.provenance)}"
-    if made.verdict:
-        return _forced("camera", detail, made.verdict, "calibrate-camera")
     source, used = made.provenance.source, config.sense.vision.shown_source
-    if _is_device(source) and _is_device(used) and source != used:
+    if not made.verdict and _is_device(source) and _is_device(used) and source != used:
         return _GROUP.warn(
             "camera",
             f"{detail}: taken with {source}, sense.vision.source is {used}",
             "is it the same camera?",
         )
-    return _aged("camera", detail, made.provenance, now, OLDEST, "calibrate-camera")
+    return _judged("camera", detail, made.verdict, made.provenance, now, "calibrate-camera")
 
 
 def _mount(config: CompanionConfig, camera: CameraConfig, now: datetime) -> Finding:
@@ -101,14 +92,12 @@ def _mount(config: CompanionConfig, camera: CameraConfig, now: datetime) -> Find
         return _GROUP.warn("mount", "none named ('mount')", hint)
     offset_ms = 1e3 * made.time_offset_s
     detail = f"yaw {made.camera_yaw_deg:.1f}°, stamps {offset_ms:+.0f} ms, {_date(made.provenance)}"
-    if made.forced:
-        return _forced("mount", detail, made.forced, "calibrate-mount camera")
-    if camera.calibration is not None:
+    if not made.forced and camera.calibration is not None:
         mounted, calibrated = _when(made.provenance), _when(camera.calibration.provenance)
         if mounted is not None and calibrated is not None and mounted < calibrated:
             hint = "calibrate-mount camera again: it was found with the camera's former numbers"
             return _GROUP.warn("mount", f"{detail}: older than the camera's calibration", hint)
-    return _aged("mount", detail, made.provenance, now, OLDEST, "calibrate-mount camera")
+    return _judged("mount", detail, made.forced, made.provenance, now, "calibrate-mount camera")
 
 
 def _inertial(config: CompanionConfig, now: datetime) -> Finding:
@@ -120,9 +109,7 @@ def _inertial(config: CompanionConfig, now: datetime) -> Finding:
         hint = "calibrate-mount accelerometer, then sense.imu.inertial_calibration"
         return _GROUP.warn("inertial", "none named (sense.imu.inertial_calibration)", hint)
     detail = f"{made.provenance.source}, {_date(made.provenance)}"
-    if made.forced:
-        return _forced("inertial", detail, made.forced, "calibrate-mount accelerometer")
-    return _aged("inertial", detail, made.provenance, now, OLDEST, "calibrate-mount accelerometer")
+    return _judged("inertial", detail, made.forced, made.provenance, now, "calibrate-mount accelerometer")
 
 
 def _magnetometer(config: CompanionConfig, now: datetime) -> Finding:
@@ -136,20 +123,28 @@ def _magnetometer(config: CompanionConfig, now: datetime) -> Finding:
         hint = "calibrate-magnetometer, then sense.imu.magnetometer_calibration; else the heading drifts"
         return _GROUP.warn("magnetometer", "none named (sense.imu.magnetometer_calibration)", hint)
     detail = f"{made.quality.verdict}, {_date(made.provenance)}"
-    if made.quality.verdict == "refused":
-        return _forced("magnetometer", detail, made.quality.reasons, "calibrate-magnetometer")
-    return _aged("magnetometer", detail, made.provenance, now, OLDEST_COMPASS, "calibrate-magnetometer")
+    against = (made.quality.reasons or ("",)) if made.quality.verdict == "refused" else ()
+    return _judged(
+        "magnetometer", detail, against, made.provenance, now, "calibrate-magnetometer", OLDEST_COMPASS
+    )
 
 
 # ---------------------------------------------------------------- what they have in common
 
 
-def _forced(name: str, detail: str, reasons: tuple[str, ...], tool: str) -> Finding:
-    return _GROUP.warn(name, f"{detail}: written by force: {'; '.join(reasons)}", f"{tool} again")
-
-
-def _aged(name: str, detail: str, made: Provenance, now: datetime, oldest: timedelta, tool: str) -> Finding:
+def _judged(
+    name: str,
+    detail: str,
+    forced: tuple[str, ...],
+    made: Provenance,
+    now: datetime,
+    tool: str,
+    oldest: timedelta = OLDEST,
+) -> Finding:
+    """Was it written by force (against these reasons), and how old is it?"""
     when = _when(made)
+    if forced:
+        return _GROUP.warn(name, f"{detail}: written by force: {'; '.join(forced)}", f"{tool} again")
     if when is None:
         return _GROUP.warn(name, f"{detail}: without a date", f"{tool} again")
     if when > now + timedelta(days=1):

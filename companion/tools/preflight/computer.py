@@ -18,13 +18,9 @@ _GROUP: Final = FindingGroup("computer")
 
 def check_computer(record: Path | None, state: ServiceState | None, now: datetime) -> list[Finding]:
     """All findings about the computer; `record` is where flights are kept, if not in the usual place."""
-    return [_clock(now), _disk(record or _flights_folder(state)), _power(), _service(state)]
-
-
-def _flights_folder(state: ServiceState | None) -> Path:
-    """Where flights are kept: the service's folder where it is installed, else where we are."""
     installed = SERVICE_FOLDER.is_dir() or (state is not None and state.load == "loaded")
-    return SERVICE_FOLDER if installed else Path.cwd()
+    folder = record or (SERVICE_FOLDER if installed else Path.cwd())
+    return [_clock(now), _disk(folder), _power(), _service(state)]
 
 
 def _clock(now: datetime) -> Finding:

@@ -16,7 +16,7 @@ import numpy as np
 from companion.base.clock import Clock
 from companion.base.geometry import GRAVITY_M_S2, norm
 from companion.base.messages import Frame, GpsFix, ImuSample, MagSample, RangeSample
-from companion.config import CameraConfig, CompanionConfig, ConfigError, RangeConfig
+from companion.config import CameraConfig, CompanionConfig, ConfigError
 from companion.sense.camera.health import FrameJudge
 from companion.sense.camera.keeper import LiveSource
 from companion.sense.camera.reader import EndOfFrames, ReadBack
@@ -279,7 +279,13 @@ def _fix(fixes: list[GpsFix], receiver: Neo6m) -> Finding:
 
 async def _range(config: CompanionConfig) -> list[Finding]:
     bounds, clock = config.sense.range, Clock()
-    with closing(_range_port(bounds, clock)) as port:
+    by_pins = bounds.kind == "gpio"
+    opened: SerialPort | EchoPins = (
+        EchoPins(bounds.trigger_pin, bounds.echo_pin, clock)
+        if by_pins
+        else SerialPort(bounds.port, RANGE_BAUD)
+    )
+    with closing(opened) as port:
         finder, samples = make_range_finder(bounds, port, clock), list[RangeSample]()
         until_s = clock.now_s() + ECHO_TIMEOUT_S
         finder.watch(clock.now_s())
@@ -288,7 +294,7 @@ async def _range(config: CompanionConfig) -> list[Finding]:
                 async with asyncio.timeout(POLL_S):
                     samples += await finder.read()
         finder.watch(clock.now_s())
-    where = f"pins {bounds.trigger_pin}, {bounds.echo_pin}" if bounds.kind == "gpio" else bounds.port
+    where = f"pins {bounds.trigger_pin}, {bounds.echo_pin}" if by_pins else bounds.port
     if finder.problem is not None:
         return [_RANGE.fail("echo", f"{where}: {finder.problem}", "wiring, sense.range.kind, its supply")]
     if not samples:
@@ -296,9 +302,3 @@ async def _range(config: CompanionConfig) -> list[Finding]:
         return [_RANGE.warn("echo", f"{where}: answers, and no distance to use", hint)]
     distance_m = median(sample.distance_m for sample in samples)
     return [_RANGE.ok("echo", f"{distance_m:.2f} m, {len(samples) / ECHO_TIMEOUT_S:.0f} a second")]
-
-
-def _range_port(bounds: RangeConfig, clock: Clock) -> SerialPort | EchoPins:
-    if bounds.kind == "gpio":
-        return EchoPins(bounds.trigger_pin, bounds.echo_pin, clock)
-    return SerialPort(bounds.port, RANGE_BAUD)

@@ -94,7 +94,7 @@ async def preflight(
     An app that is running keeps its devices. Not `linked`, the autopilot is left out.
     """
     now = datetime.fromtimestamp(start_unix_s(virtual=True), UTC)
-    files, found = check_files(config, path, now)
+    camera, vehicle, found = check_files(config, path, now)
     state = service_state()
     if (running := _running(config, state)) is not None:
         who, hint = running
@@ -102,8 +102,8 @@ async def preflight(
         link = without_link(f"{who} {TAKEN}", hint)
     else:
         devices, link = await asyncio.gather(
-            check_devices(config, files.camera),
-            check_link(config, files.vehicle) if linked else _not_linked(),
+            check_devices(config, camera),
+            check_link(config, vehicle) if linked else asyncio.sleep(0.0, without_link("--no-link", NO_HINT)),
         )
     found += devices + link + compared(devices, link, config.estimate, now)
     return found + check_computer(record, state, now)
@@ -115,7 +115,3 @@ def _running(config: CompanionConfig, state: ServiceState | None) -> tuple[str, 
         return "the service", STOP_IT
     who = app_at(config.link.connection)
     return None if who is None else (who, "stop it, check, and start it again")
-
-
-async def _not_linked() -> list[Finding]:
-    return without_link("--no-link", NO_HINT)

@@ -106,11 +106,10 @@ class Heard:
 
 def judge(heard: Heard, config: CompanionConfig) -> list[Finding]:
     """Everything but the parameters."""
-    found = [
-        _heartbeat(heard),
-        _disarmed(heard.state),
-        *_attitude(heard.state),
-        *(_for_a_flight(heard, config) if config.control.output == "setpoints" else ()),
+    found = [_heartbeat(heard), _disarmed(heard.state), *_attitude(heard.state)]
+    if config.control.output == "setpoints":  # the app flies
+        found += [replace(_ready(heard.state), place=heard.state.home), _battery(heard.state, config)]
+    found += [
         _signing(heard.refused, config),
         _losses(heard.line),
         _clock(clock_settled=heard.clock_settled),
@@ -119,11 +118,6 @@ def judge(heard: Heard, config: CompanionConfig) -> list[Finding]:
     if config.sense.source == "autopilot":
         found += _sensors(heard, config)
     return found
-
-
-def _for_a_flight(heard: Heard, config: CompanionConfig) -> list[Finding]:
-    """What matters where the app flies."""
-    return [replace(_ready(heard.state), place=heard.state.home), _battery(heard.state, config)]
 
 
 def _heartbeat(heard: Heard) -> Finding:

@@ -90,8 +90,15 @@ def _uart(
         return _left_out(
             title, f"a {model.name} has no further UART: use a USB adapter, or USB of the device"
         )
+    return _line(machine, model, title, line, line, why, needed=needed)
+
+
+def _line(
+    machine: Machine, model: Model, title: str, line: str, done: str, why: str, *, needed: bool
+) -> Step:
+    """One line of config.txt."""
     if _is_set(machine, model, line):
-        return _done(title, line, needed=needed)
+        return _done(title, done, needed=needed)
     changes = _in_config_txt(machine, title, (line,))
     return Step(title, StepState.TO_DO, why, needed, changes, reboots=True)
 
@@ -162,12 +169,8 @@ def spi(machine: Machine, config: CompanionConfig) -> Step:
     needed = config.sense.source == "boards" and config.sense.imu.bus.startswith("spi:")
     if model is None:
         return _left_out(title, machine.no_model)
-    if _is_set(machine, model, "dtparam=spi=on"):
-        return _done(title, "on", needed=needed)
-    changes = _in_config_txt(machine, title, ("dtparam=spi=on",))
-    return Step(
-        title, StepState.TO_DO, f"sense.imu.bus: {config.sense.imu.bus}", needed, changes, reboots=True
-    )
+    why = f"sense.imu.bus: {config.sense.imu.bus}"
+    return _line(machine, model, title, "dtparam=spi=on", "on", why, needed=needed)
 
 
 # ---------------------------------------------------------------- the system

@@ -22,10 +22,9 @@ from companion.base.messages import FrameReport, Notice, Outcome, PadState, Phas
 from companion.cli import SERVE_ADDRESS, cli
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, ServeConfig, validate
 from companion.sim import process
-from companion.sim.external import External
 from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.settings import sitl_settings
-from companion.sim.trial import Trial
+from companion.sim.trial import External, Trial
 from tests.programs import ProgramHere
 
 

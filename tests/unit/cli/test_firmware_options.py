@@ -8,10 +8,9 @@ import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import CONFIG_FOLDER, ConfigError
-from companion.sim.external import External
 from companion.sim.flights import Request
 from companion.sim.settings import sitl_settings
-from companion.sim.trial import Trial
+from companion.sim.trial import External, Trial
 from sitl import cli as simulator
 from sitl.campaign.manifest import CampaignRun, check_goes_on, make_plan
 from sitl.campaign.worker import Worker

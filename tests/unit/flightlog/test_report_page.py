@@ -19,10 +19,9 @@ from companion.cli import cli
 from companion.config import CONFIG_FOLDER, ConfigError
 from companion.flightlog.record import FlightLog
 from companion.flightlog.report.command import write_report
-from companion.flightlog.report.figures import figures
+from companion.flightlog.report.figures import PHASE_COLOURS, figures, phase_spans
 from companion.flightlog.report.logged_flight import SensorRecord, read_flight
 from companion.flightlog.report.page import differences, sensor_rows
-from companion.flightlog.report.phases import PHASE_COLOURS, phase_spans
 from companion.flightlog.report.tables import stage_text
 from companion.flightlog.result import build_result
 from companion.pad.colours import GROUP_COLOURS, bgr

@@ -29,8 +29,7 @@ from companion.base.messages import (
     Reference,
 )
 from companion.config import CompanionConfig, ConfigError, validate
-from companion.flightlog.record import FlightLog
-from companion.flightlog.tap import NoTap
+from companion.flightlog.record import FlightLog, NoTap
 from tests.unit.app.page.test_server import START, frame, start
 from tests.unit.flightlog.test_foxglove import SIGHTING, VEHICLE
 from tests.unit.flightlog.test_result import pad_at, vehicle_at

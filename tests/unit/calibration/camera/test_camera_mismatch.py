@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from calibration.camera.board import CalibrationBoard
-from calibration.camera.gathering import views_of_photos
+from calibration.camera.gathering import hint, views_of_photos, what_is_seen
 from calibration.camera.job import summary_lines
-from calibration.camera.mismatch import hint, what_is_seen
 from calibration.camera.quality import assess
 from calibration.camera.views import BoardFinder, on_a_plane
 from companion.config import CameraConfig, ConfigError, find_file, load_model

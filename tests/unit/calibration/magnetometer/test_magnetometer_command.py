@@ -31,7 +31,7 @@ def csv(name: str, raw: FloatArray, force: FloatArray | None = None) -> str:
 
 def calibrate(*words: str) -> int:
     with pytest.raises(SystemExit) as ended:
-        run(command.cli, job.PROGRAM, words)
+        run(command.cli, command.PROGRAM, words)
     assert isinstance(ended.value.code, int)
     return ended.value.code
 
@@ -49,6 +49,7 @@ def test_a_recording_becomes_a_file_a_picture_and_a_table(capsys: pytest.Capture
     assert np.linalg.norm(np.array(file.hard_iron) - CASE.centre) < 0.015 * FIELD_UT
     assert np.linalg.norm(file.apply(CASE.raw), axis=1).mean() == pytest.approx(strength, rel=3e-3)
     assert file.provenance.samples + file.provenance.dropped == 1500
+    assert file.provenance.date.endswith("+00:00")  # as camera and mount have it
     assert file.quality.verdict == "usable"
     assert Path("magnetometer.png").stat().st_size > 20_000
     # the same samples give the same file, but for the date

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from calibration.mount.model import GYRO_MATRIX, exp, log, nearest_rotation
-from calibration.mount.record_motion import record
-from calibration.mount.shared import MountSensors, SensorOpener
+from calibration.mount.record_motion import MountSensors, SensorOpener, record
 from calibration.mount.solver import MountSolution
 from companion.base.clock import run_in_virtual_time
 from companion.base.geometry import GRAVITY_M_S2, FloatArray

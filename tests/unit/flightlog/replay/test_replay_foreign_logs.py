@@ -21,8 +21,7 @@ from companion.flightlog.replay.flight_record import (
     Sample,
     Source,
 )
-from companion.flightlog.replay.plausible import implausible
-from companion.flightlog.replay.refusal import shortcomings, why_unaligned
+from companion.flightlog.replay.plausible import implausible, shortcomings, why_unaligned
 from companion.flightlog.replay.run import replay
 from companion.flightlog.replay.settings import choose
 from companion.flightlog.replay.ulog import read_ulog

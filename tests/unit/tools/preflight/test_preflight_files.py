@@ -53,7 +53,7 @@ def written(
 
 
 def found(config: CompanionConfig, now: datetime = NOW) -> dict[str, Finding]:
-    return {f"{f.group} {f.name}": f for f in check_files(config, Path("mine.yaml"), now)[1]}
+    return {f"{f.group} {f.name}": f for f in check_files(config, Path("mine.yaml"), now)[2]}
 
 
 def test_fresh_calibrations_are_well(tmp_path: Path) -> None:
@@ -96,8 +96,8 @@ def test_a_mount_of_another_camera_fails(tmp_path: Path) -> None:
 
 def test_files_that_are_missing_or_wrong_fail_one_by_one(tmp_path: Path) -> None:
     config = written(tmp_path, settings={"pad": "no_such_pad", "camera": "none.yaml", "mount": None})
-    files, findings = check_files(config, Path("mine.yaml"), NOW)
-    assert files.camera is None
+    camera, _, findings = check_files(config, Path("mine.yaml"), NOW)
+    assert camera is None
     fails = {f.name for f in findings if f.state is FindingState.FAIL}
     assert fails == {"camera", "pad"}
     assert all("\n" not in f.detail for f in findings)
