@@ -17,11 +17,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from companion.link.dialect import CURRENT_MODE
-
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import ZERO3, Vector3
-from companion.link.codec import Message, mavlink
+from companion.link.codec import CURRENT_MODE, Message, mavlink
 from sitl.autopilot.control.setpoints import StreamedAttitude, StreamedMotion
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
 from sitl.autopilot.flight.modes import Severity
