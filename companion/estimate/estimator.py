@@ -143,7 +143,9 @@ class StateEstimator:
             and norm(force) <= LARGEST_FORCE_M_S2
         )
         taken = usable and self._vehicle.add_imu(sample)
-        while taken and self._vehicle.aligned and (due := self._due(sample.time_s)) is not None:
+        while (
+            self._early and taken and self._vehicle.aligned and (due := self._due(sample.time_s)) is not None
+        ):
             self._fuse(self._early.pop(due))
         return self._count("imu", taken)
 
