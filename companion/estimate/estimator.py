@@ -287,7 +287,8 @@ class StateEstimator:
         relative_velocity = vector3(estimate.x[3:6])
         covariance = self._covariance(estimate)
         variance = covariance.diagonal()
-        if not (variance[:3].sum() >= 0.0 and variance[3:].sum() >= 0.0):
+        place_variance, speed_variance = float(variance[:3].sum()), float(variance[3:].sum())
+        if not (place_variance >= 0.0 and speed_variance >= 0.0):
             return None
         return PadState(
             time_s=now_s,
@@ -297,8 +298,8 @@ class StateEstimator:
             acceleration_ned_m_s2=vector3(estimate.x[6:9]),
             heading_rad=estimate.heading_rad,
             heading_rate_rad_s=estimate.heading_rate_rad_s,
-            position_std_m=math.sqrt(float(variance[:3].sum())),
-            velocity_std_m_s=math.sqrt(float(variance[3:].sum())),
+            position_std_m=math.sqrt(place_variance),
+            velocity_std_m_s=math.sqrt(speed_variance),
             seen_time_s=estimate.seen_time_s,
             covariance=tuple(tuple(row) for row in covariance.tolist()),
             turn_rate_rad_s=estimate.turn_rate_rad_s,
