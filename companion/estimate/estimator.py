@@ -45,7 +45,7 @@ from companion.base.messages import (
 from companion.config import EstimateConfig, VehicleConfig
 from companion.estimate.attitude_check import AttitudeCheck
 from companion.estimate.gating import Timeline
-from companion.estimate.input_tally import GATES, InputTally
+from companion.estimate.input_tally import InputTally
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_check import CameraCheck
 from companion.estimate.pad.mount_check import MountCheck
@@ -418,7 +418,7 @@ class StateEstimator:
             why_not = ""
         elif not why_not:
             why_not = "older than what is remembered" if self._vehicle.aligned else "before the alignment"
-        self.tally.note(kind, why_not, {gate: self._refused_by(gate) for gate in GATES.get(kind, ())})
+        self.tally.note(kind, why_not, self._refused_by)
         return taken
 
 
