@@ -45,7 +45,7 @@ from companion.base.messages import (
 from companion.config import EstimateConfig, VehicleConfig
 from companion.estimate.attitude_check import AttitudeCheck
 from companion.estimate.gating import Timeline
-from companion.estimate.input_tally import GATES, InputTally
+from companion.estimate.input_tally import InputTally
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_check import CameraCheck
 from companion.estimate.pad.mount_check import MountCheck
@@ -143,7 +143,9 @@ class StateEstimator:
             and norm(force) <= LARGEST_FORCE_M_S2
         )
         taken = usable and self._vehicle.add_imu(sample)
-        while taken and self._vehicle.aligned and (due := self._due(sample.time_s)) is not None:
+        while (
+            self._early and taken and self._vehicle.aligned and (due := self._due(sample.time_s)) is not None
+        ):
             self._fuse(self._early.pop(due))
         return self._count("imu", taken)
 
@@ -285,7 +287,8 @@ class StateEstimator:
         relative_velocity = vector3(estimate.x[3:6])
         covariance = self._covariance(estimate)
         variance = covariance.diagonal()
-        if not (variance[:3].sum() >= 0.0 and variance[3:].sum() >= 0.0):
+        place_variance, speed_variance = float(variance[:3].sum()), float(variance[3:].sum())
+        if not (place_variance >= 0.0 and speed_variance >= 0.0):
             return None
         return PadState(
             time_s=now_s,
@@ -295,8 +298,8 @@ class StateEstimator:
             acceleration_ned_m_s2=vector3(estimate.x[6:9]),
             heading_rad=estimate.heading_rad,
             heading_rate_rad_s=estimate.heading_rate_rad_s,
-            position_std_m=math.sqrt(float(variance[:3].sum())),
-            velocity_std_m_s=math.sqrt(float(variance[3:].sum())),
+            position_std_m=math.sqrt(place_variance),
+            velocity_std_m_s=math.sqrt(speed_variance),
             seen_time_s=estimate.seen_time_s,
             covariance=tuple(tuple(row) for row in covariance.tolist()),
             turn_rate_rad_s=estimate.turn_rate_rad_s,
@@ -415,7 +418,7 @@ class StateEstimator:
             why_not = ""
         elif not why_not:
             why_not = "older than what is remembered" if self._vehicle.aligned else "before the alignment"
-        self.tally.note(kind, why_not, {gate: self._refused_by(gate) for gate in GATES.get(kind, ())})
+        self.tally.note(kind, why_not, self._refused_by)
         return taken
 
 

@@ -6,6 +6,7 @@ A filter that refuses everything no longer fits, even if its covariance is small
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -42,13 +43,17 @@ class InputTally:
     def __init__(self) -> None:
         self._counts: dict[str, _Count] = {}
 
-    def note(self, kind: str, why_not: str, gates: dict[str, int]) -> None:
-        """Count one; `why_not` is empty where it was taken, `gates` are its own tests' refusals so far."""
+    def note(self, kind: str, why_not: str, refused_by: Callable[[str], int]) -> None:
+        """Count one; `why_not` is empty where it was taken, `refused_by` tells a test's refusals so far."""
         count = self._counts.get(kind)
         if count is None:
             count = self._counts[kind] = _Count()
-        failed = [name for name in GATES.get(kind, ()) if gates.get(name, 0) > count.gated.get(name, 0)]
-        count.gated = gates
+        failed = []
+        for name in GATES.get(kind, ()):
+            refused = refused_by(name)
+            if refused > count.gated.get(name, 0):
+                failed.append(name)
+            count.gated[name] = refused
         if why_not:
             count.unusable += 1
         elif failed:

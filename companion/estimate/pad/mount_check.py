@@ -78,6 +78,8 @@ class MountCheck:
         )
         while self._seen[0].time_s < time_s - 2.0 * (1.0 + NEAR) * APART_S[0]:
             del self._seen[0]
+        if time_s - self._compared_s < min(APART_S):
+            return
         for apart_s in APART_S:
             first, middle = (
                 self._before(time_s, 2.0 * apart_s, apart_s),

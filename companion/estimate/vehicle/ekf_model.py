@@ -15,8 +15,7 @@ Every function returns plain values and Jacobians; none changes its arguments.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +25,14 @@ from companion.base.geometry import (
     FloatArray,
     Quaternion,
     Vector3,
+    add,
     cross,
     euler_from_quat,
     quat_multiply,
     quat_normalise,
     quat_rotate,
     quat_rotate_inverse,
+    scale,
     vector3,
 )
 
@@ -183,8 +184,7 @@ def _turned(q: Quaternion, rotation: Vector3, scale_by: float) -> tuple[Quaterni
     return quat_multiply(q, turn), jacobian
 
 
-@dataclass(frozen=True, slots=True)
-class InertialInput:
+class InertialInput(NamedTuple):
     """What the IMU measured over a step, u of eq. 17: the constant rate and specific force (body) that would
     have turned and accelerated the vehicle as the samples did."""
 
@@ -208,21 +208,20 @@ def transition(x: FloatArray, u: InertialInput, dt_s: float) -> tuple[FloatArray
     q_mid, turning_half = _turned((qw, qx, qy, qz), (0.5 * rx, 0.5 * ry, 0.5 * rz), -0.5 * dt_s)
     q_after = quat_normalise(q_after)
     an, ae, ad = quat_rotate(q_mid, force)
-    acceleration = np.array((an, ae, ad + GRAVITY_M_S2))
-    gained = acceleration * dt_s
-    after = x.copy()
-    after[ATTITUDE] = (*q_after, *euler_from_quat(q_after))
-    after[POSITION] += dt_s * (x[VELOCITY] + 0.5 * gained)
-    after[VELOCITY] += gained
-    after[RATE] = (rx / dt_s, ry / dt_s, rz / dt_s)
-    after[ACCELERATION] = acceleration
+    acceleration = (an, ae, ad + GRAVITY_M_S2)
+    gained = scale(acceleration, dt_s)
+    state[ATTITUDE] = (*q_after, *euler_from_quat(q_after))
+    state[POSITION] = add(state[POSITION], scale(add(state[VELOCITY], scale(gained, 0.5)), dt_s))
+    state[VELOCITY] = add(state[VELOCITY], gained)
+    state[RATE] = (rx / dt_s, ry / dt_s, rz / dt_s)
+    state[ACCELERATION] = acceleration
     accelerating = rotation_jacobian(q_mid, force) @ (dt_s * turning_half)
     showing = euler_jacobian(q_after) @ turning
     pushing = _inverse_rotation(q_mid).T * -dt_s
     gaining = np.concatenate((accelerating.ravel(), pushing.ravel()))
     parts = (_CONSTANTS, (dt_s,), turning.ravel(), showing.ravel(), gaining, gaining / dt_s)
     A: FloatArray = np.concatenate((*parts, (0.5 * dt_s) * gaining)).take(_PLACES)
-    return after, A
+    return np.array(state), A
 
 
 def mag_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -147,8 +147,8 @@ class EkfState:
         self.yaw_error, G = self.yaw_error.predicted(A, yaw_rad_s, dt_s)
         P[:n] = A @ P[:m] + G @ before.T
         P[:, :n] = P[:, :m] @ A.T + self.yaw_error.with_state @ G.T
-        turn_variance, velocity_variance = self._inertial_noise(noise, dt_s, samples)
         self.force_density_m2_s3 = self._force_density(noise, dt_s, samples)
+        turn_variance, velocity_variance = self._inertial_noise(noise, dt_s, samples)
         velocity_std, turn_std = math.sqrt(velocity_variance), math.sqrt(turn_variance)
         G = A[:, model.IMU_BIASES] / dt_s * (*[velocity_std] * 3, *[turn_std] * 3)
         P[:n, :n] += G @ G.T
@@ -179,7 +179,7 @@ class EkfState:
         r = 0.0 if self.has_position else r  # a yaw's are in `yaw_error`
         turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples + noise.rate_density_rad2_s * dt_s
         turn += GYRO_SCALE_ERROR**2 * (p * p + q * q + r * r) * dt_s
-        velocity = self._force_density(noise, dt_s, samples) * dt_s
+        velocity = self.force_density_m2_s3 * dt_s
         velocity += noise.force_error_m_s2**2 * FORCE_ERROR_S * dt_s
         rate = min(UNSEEN_RATE_RAD_S, UNSEEN_TURN_RAD_S2 * unseen_s)
         acceleration = min(UNSEEN_ACCELERATION_M_S2, UNSEEN_JERK_M_S3 * unseen_s)
@@ -209,7 +209,7 @@ class EkfState:
         x, P, L = ekf.x, ekf.P, EYE - ekf.K @ C
         J = self._normalise(x)
         yaw_error = self.yaw_error.learnt(innovation, C, ekf.SI) if by_fix else self.yaw_error
-        self.yaw_error = yaw_error.considered(C, ekf.K).turned(J)
+        self.yaw_error = yaw_error.considered(C, ekf.K, J)
         P[model.QUATERNION] = J @ P[model.QUATERNION]
         P[:, model.QUATERNION] = P[:, model.QUATERNION] @ J.T
         P = 0.5 * (P + P.T)

@@ -72,6 +72,7 @@ class InertialMotion:
     def add(
         self,
         sample: ImuSample,
+        of_turning: Vector3,
         dt_s: float,
         mean_rate: Vector3,
         mean_force: Vector3,
@@ -79,17 +80,19 @@ class InertialMotion:
     ) -> None:
         """Take a sample, and the means since the one before, dt_s ago; the pre-filter goes along.
 
-        The forces are the centre of mass's: what its place adds is off (see `lever_arm`).
+        `of_turning` is what its place adds to the sample's force (m/s², body; see `lever_arm`): `mean_force`
+        is the centre of mass's already.
         """
         turned = subtract(mean_rate, self.gyro_bias_rad_s)
         without_yaw_error = subtract(turned, scale(self._yaw_share, turned[2]))
         self.attitude = quat_integrate(self.attitude, without_yaw_error, dt_s)
-        orientation.update_imu(turned, subtract(mean_force, self.accel_bias_m_s2), dt_s)
-        self.rate_body_rad_s = subtract(sample.rate_body_rad_s, self.gyro_bias_rad_s)
-        felt = _acceleration(self.attitude, subtract(sample.specific_force_body_m_s2, self.accel_bias_m_s2))
         # a rotor's tone lies near half of the samples' rate: a low-pass leaves a tenth of it as wind, of the
         # means between samples next to nothing
         force = subtract(mean_force, self.accel_bias_m_s2)
+        orientation.update_imu(turned, force, dt_s)
+        self.rate_body_rad_s = subtract(sample.rate_body_rad_s, self.gyro_bias_rad_s)
+        unturned = subtract(sample.specific_force_body_m_s2, of_turning)
+        felt = _acceleration(self.attitude, subtract(unturned, self.accel_bias_m_s2))
         acceleration = _acceleration(self.attitude, force)
         span_s = None if sample.interval_s is None else dt_s
         k = dt_s / (ACCELERATION_FILTER_S + dt_s)

@@ -20,6 +20,11 @@ from companion.estimate.gating import CHI_SQUARE_999
 from companion.estimate.vehicle.fix_watch import FixWatch
 
 WINDOW_S: Final = 3.0
+_TROUBLES: Final = (
+    "attitude uncertain: biased against the orientation filter",
+    "attitude uncertain: velocity biased against GPS",
+    "attitude reset to the orientation filter",
+)
 AGAIN_S: Final = 3.0 * WINDOW_S  # a misfit so soon after a doubt: the doubt has not cured it
 
 
@@ -66,15 +71,17 @@ class TroubleReport:
     """Puts what the filter has done about its own misfit in words, each time once."""
 
     def __init__(self) -> None:
-        self._reported_s = {"doubted": -math.inf, "fixes": -math.inf, "restarted": -math.inf}
+        self._reported_s = (-math.inf, -math.inf, -math.inf)
 
     def news(self, watch: InnovationWatch, fixes: FixWatch) -> tuple[str, ...]:
         """What was not said before."""
-        happened = {
-            "doubted": (watch.doubted_s, "attitude uncertain: biased against the orientation filter"),
-            "fixes": (fixes.suspected_s, "attitude uncertain: velocity biased against GPS"),
-            "restarted": (watch.restarted_s, "attitude reset to the orientation filter"),
-        }
-        fresh = {kind: what for kind, what in happened.items() if what[0] > self._reported_s[kind]}
-        self._reported_s |= {kind: when_s for kind, (when_s, _) in fresh.items()}
-        return tuple(words for _, words in fresh.values())
+        happened_s, reported_s = (watch.doubted_s, fixes.suspected_s, watch.restarted_s), self._reported_s
+        if happened_s == reported_s:
+            return ()
+        self._reported_s = (
+            max(happened_s[0], reported_s[0]),
+            max(happened_s[1], reported_s[1]),
+            max(happened_s[2], reported_s[2]),
+        )
+        times_s = zip(happened_s, reported_s, _TROUBLES, strict=True)
+        return tuple(words for happened, reported, words in times_s if happened > reported)

@@ -8,7 +8,7 @@ FRD, SI units, plain floats.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from companion.base.geometry import (
     IDENTITY,
@@ -25,8 +25,7 @@ from companion.base.geometry import (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Increment:
+class Increment(NamedTuple):
     """The constant rate and specific force that do over span_s what the samples did."""
 
     span_s: float

@@ -134,7 +134,9 @@ class VehicleEstimator:
         self.newest_s = sample.time_s
         if max(dt_s, elapsed_s) > LOST_S and self._ekf is not None:
             self.start_over()
-        block = self._detector.add(sample.time_s, sample.rate_body_rad_s, sample.specific_force_body_m_s2)
+        block = None
+        if self._resting or self._aligner is not None:  # in flight nothing asks whether it stands still
+            block = self._detector.add(sample.time_s, sample.rate_body_rad_s, sample.specific_force_body_m_s2)
         if self._ekf is not None:
             if block is not None:
                 self._still_block = block.still
@@ -374,10 +376,8 @@ class VehicleEstimator:
         last_mean, self._last_mean_rate = self._last_mean_rate or mean_rate, mean_rate
         of_turning = self._lever.felt_m_s2(last_mean, mean_rate, dt_s)
         mean_force = subtract(mean_force, of_turning)
-        force = subtract(raw[1], of_turning)
-        sample = ImuSample(sample.time_s, raw[0], force, sample.temperature_c, sample.interval_s)
         self._strapdown.add(dt_s, mean_rate, mean_force)
-        self._inertial.add(sample, dt_s, mean_rate, mean_force, self._orientation)
+        self._inertial.add(sample, of_turning, dt_s, mean_rate, mean_force, self._orientation)
 
     def _collect(self, sample: ImuSample, dt_s: float) -> None:
         """Give the EKF a step when the samples have lasted for one, to the nearest sample."""
@@ -385,21 +385,16 @@ class VehicleEstimator:
             return
         assert self._timeline is not None
         assert self._ekf is not None
-        assert self._orientation is not None
         time_s, mean, noise = sample.time_s, self._strapdown.take(), self._noise.now
         self._second_gyro.add_rate(time_s, mean.rate_body_rad_s, mean.span_s)
         self.motion.turn_density_rad2_s = noise.rate_density_rad2_s
-        with_attitude = self._is_due(time_s - self._orientation_step_s, ORIENTATION_RATE_HZ)
-        settled, trusted = time_s >= self._settled_s, time_s - self._mag_trusted_s < MAG_TIMEOUT_S
         step = ImuStep(
-            rate_body_rad_s=mean.rate_body_rad_s,
-            specific_force_body_m_s2=mean.specific_force_body_m_s2,
-            samples=mean.samples,
+            mean.rate_body_rad_s,
+            mean.specific_force_body_m_s2,
+            mean.samples,
+            self._field_at(time_s),
+            *self._orientation_at(time_s),
             noise=noise,
-            field_body_ut=self._field_at(time_s),
-            attitude=self._orientation_at(time_s) if with_attitude else None,
-            tilt_noise_rad=tilt_noise_rad(self._orientation, self._inertial.disturbance_m_s2, settled),
-            heading_noise_rad=heading_noise_rad(self._expected_ut, trusted, settled),
             still=self._resting and self._still_block,
             at_rest=self._resting and self._still_block and not self._ekf.has_position,
             span_s=self._span_s,
@@ -433,7 +428,15 @@ class VehicleEstimator:
         """Attitude at a time near the newest sample's; further on its rotation is unknown."""
         return self._inertial.turned(self._inertial.attitude, min(time_s - self.newest_s, PREDICTED_S))
 
-    def _orientation_at(self, time_s: float) -> Quaternion:
+    def _orientation_at(self, time_s: float) -> tuple[Quaternion | None, float, float]:
+        """The pre-filter's attitude, and the noise (rad) of its tilt and heading; no attitude out of turn."""
         assert self._orientation is not None
+        if not self._is_due(time_s - self._orientation_step_s, ORIENTATION_RATE_HZ):
+            return None, 0.0, 0.0
         self._orientation_step_s = time_s
-        return self._inertial.turned(self._orientation.attitude, time_s - self.newest_s)
+        settled, trusted = time_s >= self._settled_s, time_s - self._mag_trusted_s < MAG_TIMEOUT_S
+        return (
+            self._inertial.turned(self._orientation.attitude, time_s - self.newest_s),
+            tilt_noise_rad(self._orientation, self._inertial.disturbance_m_s2, settled),
+            heading_noise_rad(self._expected_ut, trusted, settled),
+        )

@@ -53,9 +53,14 @@ class YawError(NamedTuple):
         covariance = self.covariance + _WALK_RTS**2 * dt_s * _EYE3
         return YawError(self.share, covariance, with_state), G
 
-    def considered(self, C: FloatArray, K: FloatArray) -> YawError:
-        """After a measurement with Jacobian C and gain K that teaches nothing of k."""
-        return self._replace(with_state=self.with_state - K @ (C @ self.with_state))
+    def considered(self, C: FloatArray, K: FloatArray, J: FloatArray) -> YawError:
+        """After a measurement with Jacobian C and gain K that teaches nothing of k.
+
+        The quaternion's errors have then been transformed by J (4, 4).
+        """
+        with_state = self.with_state - K @ (C @ self.with_state)
+        with_state[model.QUATERNION] = J @ with_state[model.QUATERNION]
+        return YawError(self.share, self.covariance, with_state)
 
     def learnt(self, innovation: FloatArray, C: FloatArray, inverse: FloatArray) -> YawError:
         """k and its covariance after a measurement; `inverse` is that of the innovation's covariance."""
@@ -65,12 +70,6 @@ class YawError(NamedTuple):
         return self._replace(
             share=self.share + gain @ innovation, covariance=0.5 * (covariance + covariance.T)
         )
-
-    def turned(self, J: FloatArray) -> YawError:
-        """After the quaternion's errors have been transformed by J (4, 4)."""
-        with_state = self.with_state.copy()
-        with_state[model.QUATERNION] = J @ with_state[model.QUATERNION]
-        return self._replace(with_state=with_state)
 
     def without(self, *states: slice) -> YawError:
         """These states have been set anew."""

@@ -45,7 +45,7 @@ def rocked(imu_body_m: Vector3, believed_m: Vector3) -> float:
         lever = add(cross(alpha, imu_body_m), cross(rate, cross(rate, imu_body_m)))
         force = subtract(add(thrust, lever), arm.felt_m_s2(before, rate, STEP_S))
         sample, before = ImuSample(t, rate, force, 25.0), rate
-        motion.add(sample, STEP_S, ZERO3, sample.specific_force_body_m_s2, orientation)
+        motion.add(sample, ZERO3, STEP_S, ZERO3, sample.specific_force_body_m_s2, orientation)
         if k > 20:
             largest = max(largest, math.hypot(*motion.side_force_ned_m_s2[:2]))
     return largest
@@ -69,7 +69,7 @@ def test_the_history_is_told_by_what_the_attitude_is_corrected() -> None:
     rate: Vector3 = (0.002 * yaw, 0.0, 1.005 * yaw)
     motion.follow(IDENTITY, 0.0, share)
     for k in range(1, 201):
-        motion.add(ImuSample(k * STEP_S, rate, force, 25.0), STEP_S, rate, force, orientation)
+        motion.add(ImuSample(k * STEP_S, rate, force, 25.0), ZERO3, STEP_S, rate, force, orientation)
     assert yaw_from_quat(motion.attitude) == pytest.approx(yaw, abs=1e-4)
     motion.follow(quat_from_euler(0.003, 0.0, yaw - 0.01), 0.0, share)
     x, y, z = history.corrected(0.5, 1.1)
@@ -88,7 +88,7 @@ def test_vibration_does_not_go_on_beyond_the_newest_sample() -> None:
     for k in range(1, 401):
         shaken = 2.0 * math.sin(math.tau * 90.0 * k * STEP_S)
         force: Vector3 = (shaken, 0.0, -GRAVITY_M_S2)
-        motion.add(ImuSample(k * STEP_S, ZERO3, force, 25.0), STEP_S, ZERO3, force, orientation)
+        motion.add(ImuSample(k * STEP_S, ZERO3, force, 25.0), ZERO3, STEP_S, ZERO3, force, orientation)
         (_, (north, _, _)) = history.moved(k * STEP_S, k * STEP_S + 0.012)
         swings.append(north)
         speeds.append(motion.acceleration_ned_m_s2[0] * 0.012)
@@ -106,7 +106,7 @@ def test_a_blow_is_not_carried_on_while_the_next_samples_are_late() -> None:
     )
     for k in range(1, 101):
         force: Vector3 = (-127.0 if k == 100 else 0.0, 0.0, -GRAVITY_M_S2)
-        motion.add(ImuSample(k * step_s, ZERO3, force, 25.0), step_s, ZERO3, force, orientation)
+        motion.add(ImuSample(k * step_s, ZERO3, force, 25.0), ZERO3, step_s, ZERO3, force, orientation)
     (_, (later, _, _)) = history.moved(100 * step_s, 100 * step_s + 0.08)
     assert abs(later) < 0.25
     assert motion.acceleration_ned_m_s2[0] < -30.0  # it is felt all the same
@@ -126,7 +126,7 @@ def test_a_rotors_tone_is_no_wind_with_the_accelerometer_off_its_place(tone_hz: 
         turning = arm.felt_m_s2(last_mean, mean_rate, STEP_S)
         mean = subtract(scale(add(last_force, force), 0.5), turning)
         sample = ImuSample(k * STEP_S, rate, subtract(force, turning), 25.0)
-        motion.add(sample, STEP_S, mean_rate, mean, orientation)
+        motion.add(sample, ZERO3, STEP_S, mean_rate, mean, orientation)
         last_rate, last_mean, last_force = rate, mean_rate, force
         if k > 50:
             largest = max(largest, math.hypot(*motion.side_force_ned_m_s2[:2]))
