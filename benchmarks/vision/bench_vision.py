@@ -242,15 +242,16 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
         "--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=", ".join(PARTS)
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--clutter", type=int, help=f"frames of clutter (default {FULL.clutter})")
+    for part, of in (("clutter", "clutter"), ("flips", "one marker, and as many of the pad, for flips")):
+        number = getattr(FULL, part)
+        parser.add_argument(f"--{part}", type=int, metavar="N", help=f"frames of {of} (default {number})")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="write a contact sheet there")
     chosen = parser.parse_args(arguments)
     folders = (DATA_FOLDER, PHOTOREAL_FOLDER)
     if chosen.data is not None and not any((chosen.data / name).is_dir() for name in folders):
         parser.error(f"{chosen.data}: expected a folder with {' or '.join(folders)} in it")
     amount = QUICK if chosen.quick else FULL
-    if chosen.clutter is not None:
-        amount = replace(amount, clutter=chosen.clutter)
+    amount = replace(amount, clutter=chosen.clutter or amount.clutter, flips=chosen.flips or amount.flips)
     report = BenchReport(width=200)
     if chosen.pictures is not None:
         contact_sheet(chosen.pictures / "vision_frames.png")
