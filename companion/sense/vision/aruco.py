@@ -274,21 +274,15 @@ def _by_sides(
     else:
         refined = refine_quads(image, quads, cells, lens.bows(quads), lens.light, lens.encoding_error)
     made = {}
-    parts = (part.tolist() for part in refined)
-    for d, quad, offset, turn, shrunk, crowded in zip(found, *parts, strict=True):
+    parts = (part.tolist() for part in refined[1:])
+    for d, quad, offset, turn, shrunk, crowded in zip(found, refined.corners, *parts, strict=True):
         if not math.isfinite(offset):
             continue
         off_px = DOT_STD * dot_m * d.side_px / d.marker.side_m
         off = math.hypot(offset, crowded, off_px)
         std = math.hypot(off, turn)
-        made[d.marker] = replace(
-            d,
-            corners_px=np.array(quad),
-            corner_std_px=std,
-            offset_share=(off / max(std, 1e-6)) ** 2,
-            shrunk_std_px=tuple(math.hypot(by, off_px) for by in shrunk),
-            refined=True,
-        )
+        share, shrunk_px = (off / max(std, 1e-6)) ** 2, tuple([math.hypot(by, off_px) for by in shrunk])
+        made[d.marker] = Detection(d.marker, d.corners_pad_m, quad, d.side_px, std, share, shrunk_px, True)
     return made
 
 
@@ -314,7 +308,7 @@ def farthest_apart(found: list[Detection], maximum: int, beside: Sequence[Detect
 def sides_px(quads: FloatArray) -> FloatArray:
     """Mean length (n,) of the two diagonals of quads (n, 4, 2), over sqrt(2)."""
     across = quads[:, 2:] - quads[:, :2]
-    return np.asarray(math.sqrt(0.5) * np.hypot(across[..., 0], across[..., 1]).mean(axis=1))
+    return np.asarray(math.sqrt(0.5) * (0.5 * np.hypot(across[..., 0], across[..., 1]).sum(axis=1)))
 
 
 def _outlined(quads: FloatArray) -> FloatArray:
