@@ -1,6 +1,7 @@
 """The vision bench's own reckoning: where corners truly are, the bound, flips, bands, clutter and tables."""
 
 import math
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from benchmarks.vision import shots
 from benchmarks.vision.cases import CaseOutcome, VisionCase, clutter_board, random_code
 from benchmarks.vision.judge import UNKNOWNS, JudgedShot, _errors, _rows, bound_m2, noise_px
-from benchmarks.vision.photos import outer_border
+from benchmarks.vision.photos import TAG_FAMILY, TagCounts, outer_border, read_tags, tag_table
 from benchmarks.vision.shots import (
     BenchShot,
     HoverFlight,
@@ -235,6 +236,31 @@ def test_the_border_of_dark_pixels_is_half_a_pixel_further_out() -> None:
     square = np.array([(10.0, 10.0), (20.0, 10.0), (20.0, 20.0), (10.0, 20.0)])
     out = np.array([(9.5, 9.5), (20.5, 9.5), (20.5, 20.5), (9.5, 20.5)])
     assert outer_border(square) == pytest.approx(out)
+
+
+def test_tags_are_counted_by_their_places_and_not_by_their_numbers(tmp_path: Path) -> None:
+    """Cells of 4 px, one tag thrice on dark ground with a cell of white about each, one of them turned."""
+    dictionary = cv2.aruco.getPredefinedDictionary(TAG_FAMILY)
+    tag = np.pad(cv2.aruco.generateImageMarker(dictionary, 0, 32), 4, constant_values=220)
+    picture = np.full((120, 260), 70, np.uint8)
+    for left, drawn in ((10, tag), (90, tag[::-1, ::-1]), (170, tag)):
+        picture[40:80, left : left + 40] = drawn
+    noise = np.random.default_rng(13).normal(0.0, 2.0, picture.shape)
+    noisy = (cv2.GaussianBlur(picture, (0, 0), 0.7) + noise).clip(0, 255).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "a_c.jpg"), noisy)
+    lines = [
+        f"{number}, ({at} 44), ({at + 32} 44), ({at + 32} 76), ({at} 76)\n"
+        for number, at in ((0, 14), (0, 94))
+    ]
+    (tmp_path / "a_c.txt").write_text("".join(lines))
+    counted = read_tags(tmp_path)
+    assert counted == [TagCounts("a_c.jpg", 2, 2, counted[0].peers, 0)]
+    assert tag_table(counted)[1] == {"one tag many times": True}
+    (tmp_path / "a_c.txt").write_text("7" + lines[0][1:])
+    counted = read_tags(tmp_path)
+    assert (counted[0].ours, counted[0].false) == (1, 3)
+    assert tag_table(counted)[1] == {"one tag many times": False}
+    assert tag_table([TagCounts("nothing read", 2, 0, 2, 0)])[1] == {"one tag many times": False}
 
 
 # ---------------------------------------------------------------- bars

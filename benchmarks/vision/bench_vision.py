@@ -3,7 +3,7 @@
     python -m benchmarks vision               # the whole of it
     python -m benchmarks vision --quick       # every bar on few frames, under 2 minutes
     python -m benchmarks vision --only speed  # tables, clutter, flips, speed, families or photos
-    python -m benchmarks vision DATA          # also photographs, DATA/aruco, and DATA/photoreal
+    python -m benchmarks vision DATA          # also photographs, DATA/aruco and apriltag, and DATA/photoreal
     python -m benchmarks vision --only sweep  # every pad, camera and height: twenty minutes
 
 Frames are rendered by the simulator's camera (f = 1065 px at 1280x720, and 640x480) under a vehicle that
@@ -30,11 +30,20 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import cv2
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+from rich.table import Table
 
 from benchmarks.report import BenchReport
 from benchmarks.vision.cases import SEED, SHOTS_OF_A_BOARD, CaseOutcome, VisionCase, false_pads, run_chunk
 from benchmarks.vision.families import FAMILIES, FamilyRun, family_table, run_family
-from benchmarks.vision.photos import SETS, photo_table, photoreal_table, read_photos, read_set
+from benchmarks.vision.photos import (
+    SETS,
+    photo_table,
+    photoreal_table,
+    read_photos,
+    read_set,
+    read_tags,
+    tag_table,
+)
 from benchmarks.vision.speed import HEIGHTS_M, Times, measure
 from benchmarks.vision.sweep import SweepOutcome, cases, sweep, sweep_table
 from benchmarks.vision.tables import (
@@ -55,8 +64,7 @@ from benchmarks.vision.tables import (
 SMOKE: Final = ("--only", "clutter", "--clutter", "10", "--jobs", "1")
 PARTS: Final = ("tables", "clutter", "flips", "speed", "families", "photos", "photoreal", "sweep")
 SHOTS_OF_A_CHUNK: Final = 100
-DATA_FOLDER: Final = "aruco"
-PHOTOREAL_FOLDER: Final = "photoreal"
+ARUCO_FOLDER, TAGS_FOLDER, PHOTOREAL_FOLDER = DATA_FOLDERS = ("aruco", "apriltag", "photoreal")
 
 
 @dataclass(frozen=True)
@@ -219,38 +227,43 @@ def measured(parts: Sequence[str], amount: Amount, jobs: int, data: Path | None,
         grid, held = sweep_table(swept(amount.sweep, jobs, report))
         report.show(grid)
         bars |= held
-    if "photoreal" in parts and data is not None and (data / PHOTOREAL_FOLDER).is_dir():
-        folders = {name: data / PHOTOREAL_FOLDER / name for name in SETS}
-        grid, held = photoreal_table([read_set(folder, SETS[name]) for name, folder in folders.items()])
-        report.show(grid)
-        bars |= held
-    if "photos" in parts and data is not None and (data / DATA_FOLDER).is_dir():
-        grid, held = photo_table(read_photos(data / DATA_FOLDER))
+    for grid, held in from_data(parts, data):
         report.show(grid)
         bars |= held
     return bars
+
+
+def from_data(parts: Sequence[str], data: Path | None) -> Iterator[tuple[Table, Bars]]:
+    """Tables and bars of those pictures that are there."""
+    folders = {name: data / name for name in DATA_FOLDERS if data is not None and (data / name).is_dir()}
+    if "photoreal" in parts and (folder := folders.get(PHOTOREAL_FOLDER)):
+        yield photoreal_table([read_set(folder / name, SETS[name]) for name in SETS])
+    if "photos" in parts and (folder := folders.get(ARUCO_FOLDER)):
+        yield photo_table(read_photos(folder))
+    if "photos" in parts and (folder := folders.get(TAGS_FOLDER)):
+        yield tag_table(read_tags(folder))
 
 
 def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Measure, show and judge."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument(
-        "data", nargs="?", type=Path, metavar="DATA", help="a folder with aruco or photoreal in it"
+        "data", nargs="?", type=Path, metavar="DATA", help=f"a folder with {' or '.join(DATA_FOLDERS)} in it"
     )
     parser.add_argument("--quick", action="store_true", help="few frames: under 2 minutes")
     parser.add_argument(
         "--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=", ".join(PARTS)
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--clutter", type=int, help=f"frames of clutter (default {FULL.clutter})")
+    for part, of in (("clutter", "clutter"), ("flips", "one marker, and as many of the pad, for flips")):
+        number = getattr(FULL, part)
+        parser.add_argument(f"--{part}", type=int, metavar="N", help=f"frames of {of} (default {number})")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="write a contact sheet there")
     chosen = parser.parse_args(arguments)
-    folders = (DATA_FOLDER, PHOTOREAL_FOLDER)
-    if chosen.data is not None and not any((chosen.data / name).is_dir() for name in folders):
-        parser.error(f"{chosen.data}: expected a folder with {' or '.join(folders)} in it")
+    if chosen.data is not None and not any((chosen.data / name).is_dir() for name in DATA_FOLDERS):
+        parser.error(f"{chosen.data}: expected a folder with {' or '.join(DATA_FOLDERS)} in it")
     amount = QUICK if chosen.quick else FULL
-    if chosen.clutter is not None:
-        amount = replace(amount, clutter=chosen.clutter)
+    amount = replace(amount, clutter=chosen.clutter or amount.clutter, flips=chosen.flips or amount.flips)
     report = BenchReport(width=200)
     if chosen.pictures is not None:
         contact_sheet(chosen.pictures / "vision_frames.png")

@@ -150,6 +150,74 @@ def photo_table(photos: list[PhotoErrors]) -> tuple[Table, dict[str, bool]]:
     return grid, {"photographs": bool(photos) and all(photo.holds for photo in photos)}
 
 
+# ---------------------------------------------------------------- one tag many times
+# AprilRobotics' test pictures (their test/data): prints of tag 36h11 number 0 lie about by the dozen, many
+# of cells of 2 to 5 px. Beside each lies a text, a line for each tag that their detector reads: its number
+# and its corners. To believe none of the sightings of a code where there are several is the pad's rule, not
+# the reader's.
+
+TAG_FAMILY: Final = cv2.aruco.DICT_APRILTAG_36h11
+SAME_TAG_PX: Final = 4.0
+
+
+@dataclass(frozen=True)
+class TagCounts:
+    """Of one picture: tags in the reference, how many of them we and the peer read, and ours of other ids."""
+
+    name: str
+    printed: int
+    ours: int
+    peers: int
+    false: int
+
+
+def read_tags(folder: Path) -> list[TagCounts]:
+    """All pictures that have references.
+
+    Raises:
+        OSError: a file is missing, or is no picture.
+    """
+    return [_tags_in(path.with_suffix(".jpg"), path) for path in sorted(folder.glob("*_c.txt"))]
+
+
+def _tags_in(picture: Path, references: Path) -> TagCounts:
+    image = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise OSError(f"{picture}: not a picture")
+    numbers, middles = [], []
+    for line in references.read_text(encoding="utf-8").splitlines():
+        number, *corners = line.translate(str.maketrans("(),", "   ")).split()
+        numbers.append(int(number))
+        middles.append(np.array(corners, dtype=np.float64).reshape(4, 2).mean(axis=0))
+    dictionary = cv2.aruco.getPredefinedDictionary(TAG_FAMILY)
+    reader = CodeReader([dictionary], [(0, k) for k in range(len(dictionary.bytesList))])
+    codes = reader.read(np.asarray(image, np.uint8), VisionConfig().minimum_side_px)
+    quads, _, _ = cv2.aruco.ArucoDetector(dictionary, cv2.aruco.DetectorParameters()).detectMarkers(image)
+    ours, peers = (
+        _matched(middles, [np.asarray(quad).reshape(4, 2).mean(axis=0) for quad in found])
+        for found in ([code.corners_px for code in codes], quads)
+    )
+    false = sum(code.number not in numbers for code in codes)
+    return TagCounts(picture.name, len(numbers), ours, peers, false)
+
+
+def _matched(references: list[FloatArray], found: list[FloatArray]) -> int:
+    """How many of the references (2,) px have a sighting about them."""
+    return sum(any(np.hypot(*(each - at)) < SAME_TAG_PX for each in found) for at in references)
+
+
+def tag_table(pictures: list[TagCounts]) -> tuple[Table, dict[str, bool]]:
+    """What was read beside what their detector and OpenCV's read."""
+    grid = Table(title="AprilRobotics' pictures: one tag many times")
+    for heading in ("picture", "tags", "read", "OpenCV's", "others (0)"):
+        grid.add_column(heading, justify="right")
+    for each in pictures:
+        numbers = (each.printed, each.ours, each.peers, each.false)
+        grid.add_row(each.name, *(str(number) for number in numbers))
+    held = bool(pictures) and all(each.ours and not each.false for each in pictures)
+    return grid, {"one tag many times": held}
+
+
 # ---------------------------------------------------------------- photoreal
 # Photoreal pictures of printed pads with the true pose of each, beside OpenCV's detector and pose.
 #

@@ -1,8 +1,8 @@
 """Finds the pad's markers in an image: the one file that uses OpenCV's ArUco interface.
 
-Shapes and names are those of OpenCV 5.0 (ids are (n,), corners a tuple of (1, 4, 2)). Dictionaries are
-cut to the ids that are printed on the pad, and few bit errors are forgiven: that is faster, and a
-pattern on the ground is not taken for a marker.
+Shapes and names are those of OpenCV 5.0 (ids are (n,), corners a tuple of (1, 4, 2)). Dictionaries hold
+no more than the codes that are looked for, and few bit errors are forgiven: that is faster (a square is
+compared with one code after another, 6 us each), and a pattern on the ground is not taken for a marker.
 
 Corners are pixels (u right, v down), whole numbers at pixel centres, in OpenCV's order: top-left,
 top-right, bottom-right, bottom-left of the printed code.
@@ -175,11 +175,11 @@ class CodeReader:
         self._parameters.perspectiveRemovePixelPerCell = CELL_SAMPLES
         self._parameters.perspectiveRemoveIgnoredMarginPerCell = 1.0 / CELL_SAMPLES
         self._parameters.minDistanceToBorder = BORDER_PX
-        # a dictionary is cut behind the last id of the list
-        last = [max((i for which, i in codes if which == k), default=0) for k in range(len(dictionaries))]
+        # of each dictionary the ids of the list, in rows that OpenCV counts anew
+        self._ids = [sorted({i for which, i in codes if which == k}) for k in range(len(dictionaries))]
         cut = [
-            cv2.aruco.Dictionary(full.bytesList[: end + 1], full.markerSize, full.maxCorrectionBits)
-            for full, end in zip(dictionaries, last, strict=True)
+            cv2.aruco.Dictionary(full.bytesList[ids], full.markerSize, full.maxCorrectionBits)
+            for full, ids in zip(dictionaries, self._ids, strict=True)
         ]
         self._detector = cv2.aruco.ArucoDetector(cut, self._parameters) if codes else None
 
@@ -196,12 +196,13 @@ class CodeReader:
         self._detector.setDetectorParameters(self._parameters)
         quads, ids, _, which = self._detector.detectMarkersMultiDict(image)
         outlines = np.array(quads, dtype=np.float64).reshape(-1, 4, 2)
-        numbers = (self._order.get(code) for code in zip(_flat(which), _flat(ids), strict=True))
+        rows = zip(_flat(which), _flat(ids), strict=True)
+        numbers = [self._order[k, self._ids[k][row]] for k, row in rows]
         large = (sides_px(outlines) >= outline_px).tolist()
         found = [
             Code(number, corners)
             for number, corners, enough in zip(numbers, outlines, large, strict=True)
-            if number is not None and enough
+            if enough
         ]
         return sorted(found, key=lambda code: code.number)
 
@@ -273,21 +274,15 @@ def _by_sides(
     else:
         refined = refine_quads(image, quads, cells, lens.bows(quads), lens.light, lens.encoding_error)
     made = {}
-    parts = (part.tolist() for part in refined)
-    for d, quad, offset, turn, shrunk, crowded in zip(found, *parts, strict=True):
+    parts = (part.tolist() for part in refined[1:])
+    for d, quad, offset, turn, shrunk, crowded in zip(found, refined.corners, *parts, strict=True):
         if not math.isfinite(offset):
             continue
         off_px = DOT_STD * dot_m * d.side_px / d.marker.side_m
         off = math.hypot(offset, crowded, off_px)
         std = math.hypot(off, turn)
-        made[d.marker] = replace(
-            d,
-            corners_px=np.array(quad),
-            corner_std_px=std,
-            offset_share=(off / max(std, 1e-6)) ** 2,
-            shrunk_std_px=tuple(math.hypot(by, off_px) for by in shrunk),
-            refined=True,
-        )
+        share, shrunk_px = (off / max(std, 1e-6)) ** 2, tuple([math.hypot(by, off_px) for by in shrunk])
+        made[d.marker] = Detection(d.marker, d.corners_pad_m, quad, d.side_px, std, share, shrunk_px, True)
     return made
 
 
@@ -313,7 +308,7 @@ def farthest_apart(found: list[Detection], maximum: int, beside: Sequence[Detect
 def sides_px(quads: FloatArray) -> FloatArray:
     """Mean length (n,) of the two diagonals of quads (n, 4, 2), over sqrt(2)."""
     across = quads[:, 2:] - quads[:, :2]
-    return np.asarray(math.sqrt(0.5) * np.hypot(across[..., 0], across[..., 1]).mean(axis=1))
+    return np.asarray(math.sqrt(0.5) * (0.5 * np.hypot(across[..., 0], across[..., 1]).sum(axis=1)))
 
 
 def _outlined(quads: FloatArray) -> FloatArray:

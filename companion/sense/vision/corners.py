@@ -194,7 +194,7 @@ def _outwards(normal: FloatArray, by: FloatArray) -> FloatArray:
 def _lengths(corners: FloatArray) -> FloatArray:
     """Mean length (m,) of the sides."""
     across = corners[:, (1, 2, 3, 0)] - corners
-    return np.asarray(np.sqrt((across**2).sum(axis=2)).mean(axis=1))
+    return np.asarray(0.25 * np.sqrt((across**2).sum(axis=2)).sum(axis=1))
 
 
 def _sides(corners: FloatArray, image_width_px: int, bow_px: FloatArray | None) -> Sides:
@@ -202,7 +202,7 @@ def _sides(corners: FloatArray, image_width_px: int, bow_px: FloatArray | None) 
     length = np.maximum(np.sqrt((across**2).sum(axis=2)), 1.0)
     along = across / length[..., None]
     normal = along[..., ::-1] * (1.0, -1.0)
-    end = np.maximum(END_SHARE, END_PX / length.mean(axis=1))
+    end = np.maximum(END_SHARE, END_PX / (0.25 * length.sum(axis=1)))
     span = 1.0 - 2.0 * np.minimum(end, MOST_END_SHARE)
     if bow_px is None:
         bow_std = BOW / image_width_px * length**2
@@ -275,11 +275,12 @@ def _side_std(sides: Sides, curves: _Curves, used: FloatArray) -> tuple[FloatArr
     """
     u = 1.0 / sides.span
     ends = np.stack((np.ones_like(u), u, u**2), axis=1) @ _POLYNOMIALS
-    length = sides.length.mean(axis=1)
+    length = 0.25 * sides.length.sum(axis=1)
     spacing = length * sides.span / (NORMALS - 1)
     alike = np.maximum(CORRELATED_PX / spacing, 1.0)
     place = curves.scatter_px() ** 2 * alike / np.maximum(used, 0.1)
     shrink = _shrink(sides)
-    bow = (shrink**2).mean(axis=1) * place + (((1.0 - shrink) * _bow_std(sides)) ** 2).mean(axis=1)
+    bow = 0.25 * (shrink**2).sum(axis=1) * place
+    bow += 0.25 * (((1.0 - shrink) * _bow_std(sides)) ** 2).sum(axis=1)
     offset = ends[:, 0] ** 2 * place + ends[:, 2] ** 2 * bow
     return np.sqrt(offset), np.sqrt(ends[:, 1] ** 2 * place)

@@ -283,7 +283,7 @@ def _accept(
 ) -> PoseFits:
     """Poses with their covariances: the corners' noise as observed, and what they do not show."""
     scale = _scale(fits[0], problem)
-    row_px = float(np.mean([d.corners_px[:, 1].mean() for d in used]))
+    row_px = float(np.array([d.corners_px[:, 1] for d in used]).mean(axis=1).mean())
     rms_px = float(np.sqrt((errors_px**2).mean()))
     made = []
     for fit in fits:
