@@ -343,8 +343,10 @@ class Controller:
             return 1.0
         asked, disturbance = vector3(solution.inputs_m_s2[0].tolist()), self._plant.disturbance_ned_m_s2
         period_s = 0.5 / self._config.rate_hz
-        flown = advance(motion, add(asked, disturbance), period_s, self._lags_s).acceleration_m_s2
-        thrust = ZERO3 if self._raises_thrust else subtract(flown, disturbance)
+        thrust = ZERO3
+        if not self._raises_thrust:
+            flown = advance(motion, add(asked, disturbance), period_s, self._lags_s).acceleration_m_s2
+            thrust = subtract(flown, disturbance)
         return tilt_compensation(thrust, asked, math.radians(self._config.limits.tilt_deg))
 
     def _heading_command(self) -> Heading:
