@@ -156,14 +156,12 @@ class Controller:
         if not obeyed or heard_again:
             self._flying = False
         if vehicle.imu_age_s > BLIND_S:
-            setpoint, report = self._wait_for_imu(plan.phase, plan.reference, vehicle, pad, now_s)
-            return setpoint, replace(report, obeyed=obeyed)
+            return self._wait_for_imu(plan, plan.reference, vehicle, pad, now_s, obeyed=obeyed)
         if self._flying and not self._stopped:
             self._plant.observe(vehicle, elapsed_s, learns=link.fresh)
         else:
             self._begin(vehicle)
-        setpoint, report = self._fly(plan, plan.reference, vehicle, pad, now_s, learns=link.fresh)
-        return setpoint, replace(report, obeyed=obeyed)
+        return self._fly(plan, plan.reference, vehicle, pad, now_s, learns=link.fresh, obeyed=obeyed)
 
     def _elapsed(self, vehicle: VehicleState, now_s: float) -> float:
         """Time (s) since the last step; 0 after a pause, from which all starts again."""
@@ -185,14 +183,21 @@ class Controller:
         self._flying = True
 
     def _wait_for_imu(
-        self, phase: Phase, reference: Reference, vehicle: VehicleState, pad: PadState | None, now_s: float
+        self,
+        plan: PlanStep,
+        reference: Reference,
+        vehicle: VehicleState,
+        pad: PadState | None,
+        now_s: float,
+        *,
+        obeyed: bool,
     ) -> tuple[Setpoint, ControlReport]:
         """Until IMU samples come again or the estimate is given up; its motion is unknown meanwhile.
 
         It keeps its velocity and height. Sinking onto a pad it goes on down, with the pad, which may turn.
         """
         plant, self._flying = self._plant, False
-        sink_m_s = blind_sink_m_s(reference, pad) if phase is Phase.TOUCHDOWN else None
+        sink_m_s = blind_sink_m_s(reference, pad) if plan.phase is Phase.TOUCHDOWN else None
         followed = pad if sink_m_s is not None and reference.origin == "pad" else None
         velocity = vehicle.velocity_ned_m_s if followed is None else followed.velocity_ned_m_s
         setpoint = blind_setpoint(
@@ -212,6 +217,7 @@ class Controller:
             limited=limited,
             hover_thrust=plant.hover_thrust,
             blind=True,
+            obeyed=obeyed,
         )
 
     def _rest(
@@ -231,6 +237,7 @@ class Controller:
         now_s: float,
         *,
         learns: bool,
+        obeyed: bool,
     ) -> tuple[Setpoint, ControlReport]:
         if reference.origin == "pad" and pad is None:
             reference = stop_reference(now_s, vehicle.position_ned_m, reference.heading_rad)
@@ -238,12 +245,11 @@ class Controller:
         planned_m_s = float(reference.velocity_m_s[0, 2] + start.prediction.velocity_m_s[0, 2])
         self.thrust.watch(vehicle.velocity_ned_m_s[2], planned_m_s, now_s)
         target = within_reach(
-            make_target(reference, start.times_s, start.prediction),
+            make_target(reference, start.times_s, start.prediction, self._plant.hover_thrust),
             start.motion.position_m,
             self._config.horizontal_reach_m,
             self._config.vertical_reach_m,
         )
-        target = replace(target, hover_thrust=self._plant.hover_thrust)
         pad_acceleration = vector3(start.prediction.acceleration_m_s2[0].tolist())
         missing = self._feedforward.missing_m_s2(pad_acceleration)
         disturbance = subtract(self._plant.disturbance_ahead_ned_m_s2, missing)
@@ -278,6 +284,7 @@ class Controller:
             cut_s=self._health.cut_s,
             failure=self.thrust.fault or self._health.failure(limited),
             short_of=self._health.short_of,
+            obeyed=obeyed,
         )
 
     def _learn(self, start: _Start, target: Target, disturbance: Vector3, solution: TrackingSolution) -> None:
@@ -336,8 +343,10 @@ class Controller:
             return 1.0
         asked, disturbance = vector3(solution.inputs_m_s2[0].tolist()), self._plant.disturbance_ned_m_s2
         period_s = 0.5 / self._config.rate_hz
-        flown = advance(motion, add(asked, disturbance), period_s, self._lags_s).acceleration_m_s2
-        thrust = ZERO3 if self._raises_thrust else subtract(flown, disturbance)
+        thrust = ZERO3
+        if not self._raises_thrust:
+            flown = advance(motion, add(asked, disturbance), period_s, self._lags_s).acceleration_m_s2
+            thrust = subtract(flown, disturbance)
         return tilt_compensation(thrust, asked, math.radians(self._config.limits.tilt_deg))
 
     def _heading_command(self) -> Heading:

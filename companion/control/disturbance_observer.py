@@ -17,6 +17,7 @@ from companion.base.geometry import (
     ZERO3,
     Vector3,
     add,
+    between,
     dot,
     horizontal_acceleration,
     norm,
@@ -112,9 +113,8 @@ class SlowDisturbanceObserver:
 
         A measurement that is not finite is passed over.
         """
-        measured = (velocity, acceleration, thrust)
-        if all(math.isfinite(value) for vector in measured for value in vector):
-            for axis, v, a, f in zip(self._axes, *measured, strict=True):
+        if all(map(math.isfinite, (*velocity, *acceleration, *thrust))):
+            for axis, v, a, f in zip(self._axes, velocity, acceleration, thrust, strict=True):
                 axis.correct(v, a, f, elapsed_s, self._maximum_m_s2)
 
     def keep(self, velocity_ned_m_s: Vector3) -> None:
@@ -234,14 +234,13 @@ class WindObserver:
 
     def _velocity_at(self, ahead_s: float) -> Vector3:
         """The vehicle's velocity sideways so long from now (m/s, NED), by tilt and air."""
-        north, east, _ = add(
-            self._velocity_m_s, scale(add(self.thrust_ned_m_s2, self.wind_ned_m_s2), ahead_s)
-        )
-        return (north, east, 0.0)
+        (vx, vy, _), (tx, ty, _), (wx, wy, _) = self._velocity_m_s, self.thrust_ned_m_s2, self.wind_ned_m_s2
+        return (vx + (tx + wx) * ahead_s, vy + (ty + wy) * ahead_s, 0.0)
 
     def _with_drag(self, at_rest_m_s2: Vector3, velocity_m_s: Vector3) -> Vector3:
-        x, y, _ = subtract(at_rest_m_s2, scale(velocity_m_s, self.drag_per_s))
-        return (_clamp(x, self._maximum_m_s2), _clamp(y, self._maximum_m_s2), 0.0)
+        (x, y, _), (vx, vy, _), drag_per_s = at_rest_m_s2, velocity_m_s, self.drag_per_s
+        bound = self._maximum_m_s2
+        return (_clamp(x - vx * drag_per_s, bound), _clamp(y - vy * drag_per_s, bound), 0.0)
 
     def _without_drag(self, moving_m_s2: Vector3, velocity_m_s: Vector3) -> Vector3:
         return add(moving_m_s2, scale(velocity_m_s, self.drag_per_s))
@@ -279,9 +278,7 @@ class WindObserver:
 
 
 def _follow(state: Vector3, measured: Vector3, exponent: float) -> Vector3:
-    share = _share(exponent)
-    x, y, z = (a + share * (b - a) for a, b in zip(state, measured, strict=True))
-    return (x, y, z)
+    return between(state, measured, _share(exponent))
 
 
 def _share(exponent: float) -> float:

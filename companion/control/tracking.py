@@ -75,6 +75,6 @@ class TrackingSolution:
 def needed_inputs(target: Target, disturbance_m_s2: Vector3, lags_s: Vector3, step_s: float) -> FloatArray:
     """Inputs (N, 3) under which the model flies the target's acceleration against the disturbance."""
     a = target.acceleration_m_s2
-    slope = np.diff(a, axis=0) / step_s
+    slope = (a[1:] - a[:-1]) / step_s
     needed: FloatArray = 0.5 * (a[:-1] + a[1:]) + np.array(lags_s) * slope - np.array(disturbance_m_s2)
     return needed

@@ -326,7 +326,7 @@ class Planner:
             and (fell := self._not_standing(inputs, now_s))
         ):
             reason = f"{reason}, no landing: {fell}"
-        branch = machine.follows(event, self._circumstances(inputs, now_s))
+        branch = machine.follows(event, self._circumstances(inputs, now_s)) if machine.heeds(event) else None
         if branch is None:
             if event is MissionEvent.COMMIT:
                 words = f"waiting: the pad leaves the fence ({self._fence_m:.0f} m) before contact"

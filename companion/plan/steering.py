@@ -7,7 +7,6 @@ and in APPROACH and DESCEND while the pad is unseen, it is in the EKF's NED. m, 
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Final
 
 from companion.base.geometry import yaw_from_quat
@@ -153,15 +152,14 @@ class PhaseSteering:
     def reference(self, now_s: float) -> Reference | None:
         """Where the vehicle should be, with the bounds over the pad that the state asks for."""
         self._turn(now_s)
-        reference, state = self._generator.reference(now_s), self._machine.state
-        if reference is None:
+        if not self._generator.active:
             return None
-        by_pad = reference.origin == "pad"
+        by_pad, state = self._generator.origin == "pad", self._machine.state
         above = by_pad and state in {State.APPROACH, State.DESCEND}
         descends = by_pad and state in OVER_PAD_OR_DESCENDING
         level = state in COMMITTED or self.touchdown.leaving(now_s)
-        return replace(
-            reference,
+        return self._generator.reference(
+            now_s,
             minimum_height_m=self._landing.minimum_height_m(now_s) if above else None,
             cone=self._landing.cone if descends else None,
             level_off=self.touchdown.level_off() if level else None,

@@ -36,9 +36,11 @@ def input_rows(limits: LimitsConfig) -> FloatArray:
 
 
 def input_bounds(
-    limits: LimitsConfig, hover_thrust: float, pressed_m_s2: float = 0.0
+    limits: LimitsConfig, rows: FloatArray, hover_thrust: float, pressed_m_s2: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper bounds (17,) of `input_rows`, for a share of full thrust that carries the weight.
+    """Lower and upper bounds (17,) of `rows`, the `input_rows` of the same limits.
+
+    `hover_thrust` is the share of full thrust that carries the weight.
 
     What presses it down by `pressed_m_s2` may be met beyond the bound on vertical acceleration, which is for
     what is flown: bounded with it, a vehicle in a falling gust keeps the bound and falls.
@@ -55,7 +57,6 @@ def input_bounds(
     upper = np.array([*[side] * 4, min(vertical, sink), *[tilt] * 8, *[thrust] * 4])
     lower = np.array([*[-side] * 4, -climb, *[-math.inf] * 12])
     # a plane that the first five rows imply gets no bound: such a row costs OSQP no iterations
-    rows = input_rows(limits)
     vertically = np.maximum(rows[:, 2] * upper[4], rows[:, 2] * lower[4])
     reach = np.hypot(rows[:, 0], rows[:, 1]) * side / OCTAGON_WITHIN_CIRCLE + vertically
     upper[5:][reach[5:] <= upper[5:]] = math.inf
@@ -75,7 +76,7 @@ def side_left_m_s2(limits: LimitsConfig, hover_thrust: float) -> float:
 def shrunk(input_m_s2: FloatArray, rows: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """The input (3,), or as much of it, in its own direction, as the bounds allow."""
     reach = rows @ input_m_s2
-    return input_m_s2 / max(1.0, float(np.max(np.where(reach > 0.0, reach / upper, reach / lower))))
+    return input_m_s2 / max(1.0, float(np.where(reach > 0.0, reach / upper, reach / lower).max()))
 
 
 def cut_sideways(

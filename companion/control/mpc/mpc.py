@@ -186,6 +186,7 @@ class Mpc:
         ):
             self._l[rows[name]], self._u[rows[name]] = low, high
         self._l[rows["dynamics"]] = self._u[rows["dynamics"]] = 0.0
+        self._later_changes = JERK_SHARE * limits.jerk_m_s3 * self._dt * np.arange(self._N)
         self._first_change = JERK_SHARE * limits.jerk_m_s3 * self._period_s
         self._input_rows = input_rows(limits)
         self._tilt_tangent = math.tan(math.radians(limits.tilt_deg))
@@ -213,15 +214,17 @@ class Mpc:
 
     def _linear_cost(self, target: Target, needed: FloatArray, last_input: FloatArray) -> FloatArray:
         q = np.zeros(self._layout.variables)
-        reference = np.hstack([target.position_m, target.velocity_m_s, target.acceleration_m_s2])
+        rows = (target.position_m, target.velocity_m_s, target.acceleration_m_s2)
+        reference = np.concatenate(rows, axis=1)
         states = q[self._layout.states].reshape(self._N, 9)
         states[:-1] = -self._q_state * reference[1:-1]
         inputs = q[self._layout.inputs].reshape(self._N, 3)
         # the change that the reference itself needs is free
-        change = np.diff(needed, axis=0, prepend=needed[:1])
-        first = last_input + (needed[1] - needed[0]) * (self._period_s / self._dt)
-        inputs[:] = -self._R * needed - self._S * change
-        inputs[:-1] += self._S * change[1:]
+        change = needed[1:] - needed[:-1]
+        first = last_input + change[0] * (self._period_s / self._dt)
+        inputs[:] = -self._R * needed
+        inputs[1:] -= self._S * change
+        inputs[:-1] += self._S * change
         inputs[0] -= self._S * first
         self._terminal_cost(states[-1], inputs[-1], reference[-1], needed[-1])
         return q
@@ -229,7 +232,7 @@ class Mpc:
     def _terminal_cost(
         self, state: FloatArray, last: FloatArray, reference: FloatArray, needed: FloatArray
     ) -> None:
-        goal = np.vstack([reference.reshape(3, 3), needed]).T  # (axis, [p, v, a, u])
+        goal = np.concatenate((reference.reshape(3, 3), needed[None])).T  # (axis, [p, v, a, u])
         pull = np.einsum("aij,aj->ai", self._terminal, goal)
         state[:] = -pull[:, :3].T.reshape(9)
         last -= pull[:, 3]
@@ -265,10 +268,13 @@ class Mpc:
         if bounded_for == self._bounded_for:
             return
         self._bounded_for = hover_thrust, _ = bounded_for
-        self._input_lower, self._input_upper = input_bounds(self._limits, hover_thrust, pressed_m_s2)
+        self._input_lower, self._input_upper = input_bounds(
+            self._limits, self._input_rows, hover_thrust, pressed_m_s2
+        )
         self._side_left_m_s2 = side_left_m_s2(self._limits, hover_thrust)
         rows = self._rows["input"]
-        self._l[rows], self._u[rows] = np.tile([self._input_lower, self._input_upper], self._N)
+        self._l[rows].reshape(self._N, INPUT_ROWS)[:] = self._input_lower
+        self._u[rows].reshape(self._N, INPUT_ROWS)[:] = self._input_upper
 
     def _bound_sideways(
         self, horizontal_bound_m_s2: FloatArray | None, last_input: FloatArray, needed_down: FloatArray
@@ -278,15 +284,14 @@ class Mpc:
         Height comes first: what its own input down leaves of the thrust, and of the tilt, is for the place.
         """
         full = self._input_upper[0]
-        down = np.clip(needed_down, 0.0, self._limits.vertical_acceleration_m_s2)
+        down = np.minimum(np.maximum(needed_down, 0.0), self._limits.vertical_acceleration_m_s2)
         by_tilt = self._tilt_tangent * (GRAVITY_M_S2 - down)
         most = np.minimum(full, np.minimum(self._side_left_m_s2, by_tilt) * OCTAGON_WITHIN_CIRCLE)
         self._short = "thrust" if self._side_left_m_s2 < by_tilt[0] else "tilt", float(most[0])
         if horizontal_bound_m_s2 is not None:
             most = np.minimum(most, horizontal_bound_m_s2 * OCTAGON_WITHIN_CIRCLE)
-        change = JERK_SHARE * self._limits.jerk_m_s3 * self._dt
-        reach = float(np.max(np.abs(OCTAGON @ last_input[:2])))
-        still = reach - self._first_change - change * np.arange(self._N)
+        reach = float(np.abs(OCTAGON @ last_input[:2]).max())
+        still = reach - self._first_change - self._later_changes
         most = np.minimum(full, np.maximum(most, still))
         rows = self._rows["input"]
         self._u[rows].reshape(self._N, INPUT_ROWS)[:, :4] = most[:, None]
@@ -344,7 +349,7 @@ class Mpc:
         elif outcome is SolveOutcome.KEPT:
             self._move_on(inputs, states)
         short_of, most = self._short
-        at_bound = float(np.max(np.abs(OCTAGON @ inputs[0, :2]))) >= AT_BOUND * most
+        at_bound = float(np.abs(OCTAGON @ inputs[0, :2]).max()) >= AT_BOUND * most
         short_of = short_of if at_bound else ""
         return TrackingSolution(inputs.copy(), states.copy(), outcome, iterations, late, short_of)
 

@@ -108,11 +108,8 @@ def axis_cost(weights: TrackingConfig, step_s: float, tau_s: float) -> AxisCost:
 def axis_costs(config: ControlConfig, lags_s: Vector3) -> tuple[AxisCost, AxisCost, AxisCost]:
     """Costs along north, east and down."""
     x, y, z = lags_s
-    return (
-        axis_cost(config.horizontal, config.step_s, x),
-        axis_cost(config.horizontal, config.step_s, y),
-        axis_cost(config.vertical, config.step_s, z),
-    )
+    sideways = {lag_s: axis_cost(config.horizontal, config.step_s, lag_s) for lag_s in {x, y}}
+    return sideways[x], sideways[y], axis_cost(config.vertical, config.step_s, z)
 
 
 def step_matrices(step_s: float, lags_s: Vector3) -> tuple[FloatArray, FloatArray]:

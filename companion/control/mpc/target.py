@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, wrap_angle
+from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, subtract, vector3, wrap_angle
 from companion.base.messages import LevelOff, Reference
 from companion.control.pad_prediction import PadPrediction
 from companion.control.tracking import Cone, Target
@@ -24,9 +24,9 @@ def sample(reference: Reference, times_s: FloatArray) -> tuple[FloatArray, Float
     Beyond its last row the reference goes straight on; before its first it is at rest at that row.
     """
     last_row = len(reference.position_m) - 1
-    rows = np.hstack([reference.position_m, reference.velocity_m_s, reference.acceleration_m_s2])
+    rows = np.concatenate((reference.position_m, reference.velocity_m_s, reference.acceleration_m_s2), axis=1)
     place = (times_s - reference.time_s) / reference.step_s
-    inside = np.clip(place, 0.0, last_row)
+    inside = np.minimum(np.maximum(place, 0.0), last_row)
     below = np.minimum(inside.astype(int), max(last_row - 1, 0))
     above = np.minimum(below + 1, last_row)
     share = (inside - below)[:, None]
@@ -45,8 +45,7 @@ def within_reach(
     A quadratic cost pulls the harder the farther the goal is, past all soft bounds; drawn near, a far goal is
     approached at a steady speed.
     """
-    away = [float(value) for value in target.position_m[0]]
-    x, y, z = (away[i] - position_m[i] for i in range(3))
+    x, y, z = subtract(vector3(target.position_m[0]), position_m)
     distance = math.hypot(x, y)
     excess = max(0.0, 1.0 - horizontal_reach_m / distance) if distance > 0.0 else 0.0
     down = z - max(-vertical_reach_m, min(vertical_reach_m, z))
@@ -56,7 +55,9 @@ def within_reach(
     return replace(target, position_m=target.position_m - shift)
 
 
-def make_target(reference: Reference, times_s: FloatArray, origin: PadPrediction) -> Target:
+def make_target(
+    reference: Reference, times_s: FloatArray, origin: PadPrediction, hover_thrust: float | None = None
+) -> Target:
     """The target at `times_s` (N+1,): the reference on top of how its origin moves."""
     position, velocity, acceleration = sample(reference, times_s)
     position += origin.displacement_m
@@ -73,6 +74,7 @@ def make_target(reference: Reference, times_s: FloatArray, origin: PadPrediction
         acceleration + origin.acceleration_m_s2,
         floor,
         cone,
+        hover_thrust,
         horizontal_bound_m_s2=None
         if reference.level_off is None
         else _horizontal_bound(reference.level_off, times_s),

@@ -65,19 +65,17 @@ class CommandHistory:
     def segments(self, from_s: float, to_s: float) -> list[tuple[float, SentCommand | None]]:
         """Pieces (duration, command in effect) of the time between; None before the first takes effect."""
         pieces: list[tuple[float, SentCommand | None]] = []
-        current: SentCommand | None = None
-        time_s = from_s
-        for command in self._commands:
-            begins_s = command.sent_s + self._delay_s
-            if begins_s >= to_s:
+        ends_s = to_s
+        for command in reversed(self._commands):  # the newest alone matter
+            if ends_s <= from_s:
                 break
-            if begins_s > time_s:
-                pieces.append((begins_s - time_s, current))
-                time_s = begins_s
-            current = command
-        if to_s > time_s:
-            pieces.append((to_s - time_s, current))
-        return pieces
+            begins_s = max(from_s, command.sent_s + self._delay_s)
+            if begins_s < ends_s:
+                pieces.append((ends_s - begins_s, command))
+                ends_s = begins_s
+        if ends_s > from_s:
+            pieces.append((ends_s - from_s, None))
+        return pieces[::-1]
 
     def carry(
         self, motion: Motion, from_s: float, to_s: float, disturbance_m_s2: Vector3, lags_s: Vector3

@@ -46,6 +46,8 @@ class Landing:
     def __init__(self, config: LandingConfig, vehicle: VehicleConfig, generator: ReferenceGenerator) -> None:
         self._config, self._generator = config, generator
         self._leg_m = vehicle.leg_height_m
+        # where the controller is to keep a descent: a little wider than where the plan stops going down
+        self.cone = DescentCone(config.cone_slope, config.cone_floor_m, self._leg_m)
         self.goal_m = self._leg_m + config.approach_height_m
         self._paused = False
         self._begun_s = 0.0
@@ -107,12 +109,6 @@ class Landing:
     def minimum_height_m(self, now_s: float) -> float:
         """What the controller may not go below; never above where the reference is."""
         return max(0.0, min(self._leg_m + _FLOOR_M, -self._generator.at(now_s).position_m[2] - 0.05))
-
-    @property
-    def cone(self) -> DescentCone:
-        """Where the controller is to keep a descent: a little wider than where the plan stops going down."""
-        c = self._config
-        return DescentCone(c.cone_slope, c.cone_floor_m, self._leg_m)
 
     def _by_sight(self, pad: PadTrack, sight: PadState, goal_m: float, unseen: Unseen, now_s: float) -> bool:
         """Whether the pad is in view; if not, the vehicle flies on level over its predicted place.

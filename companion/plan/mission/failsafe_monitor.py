@@ -37,6 +37,7 @@ _RIVAL_S = 0.5  # setpoints come at 2 Hz or more
 _OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz
 # So long without a plan the stop is complete, and the vehicle drifts with the wind.
 _NO_PLAN_S = 1.0
+_LED_AWAY = frozenset({MissionEvent.OUT_OF_BOUNDS, MissionEvent.OVERTIME, MissionEvent.TIMEOUT})
 _EVENTS: dict[Reaction | None, MissionEvent] = {
     Reaction.HAND_BACK: MissionEvent.ESTIMATE_DISPUTED,
     Reaction.LEAVE_PAD: MissionEvent.PAD_DISPUTED,
@@ -60,10 +61,33 @@ def _mode_words(inputs: PlanInputs) -> str:
     return words
 
 
+def _signs(inputs: PlanInputs, *, control_granted: bool, taken_over: bool) -> Iterator[DetectedEvent]:
+    """What the autopilot, its link and the operator say."""
+    autopilot, E = inputs.autopilot, MissionEvent
+    if control_granted and autopilot.offboard:
+        yield E.CONTROL_GRANTED, "the autopilot follows setpoints"
+    if autopilot.connected and not autopilot.armed:
+        yield E.DISARMED, "motors off"
+    if autopilot.connected and autopilot.motors_cut:
+        yield E.TAKEN_OVER, "kill switch, emergency stop or flight termination"
+    if taken_over:
+        yield E.TAKEN_OVER, _mode_words(inputs)
+    if inputs.stop_requested:
+        yield E.STOP, "by the operator"
+    if inputs.computer.woke:
+        yield E.SUSPENDED, "this computer"
+    if not autopilot.connected:
+        yield E.LINK_LOST, f"no heartbeat from the autopilot{refused_words(autopilot)}"
+    elif inputs.link.lost:
+        words = f"nothing has shown for {inputs.link.silent_s:.0f} s that the autopilot hears us"
+        yield E.LINK_LOST, words
+    else:
+        yield E.LINK_UP, "heartbeat again"
+
+
 def _cause(event: MissionEvent, shortage: str) -> str:
     """A wind that could not be held against leads out of the fence, and past every time limit."""
-    led_away = event in {MissionEvent.OUT_OF_BOUNDS, MissionEvent.OVERTIME, MissionEvent.TIMEOUT}
-    return f"; {shortage}" if led_away and shortage else ""
+    return f"; {shortage}" if shortage and event in _LED_AWAY else ""
 
 
 def _disputed(
@@ -76,9 +100,8 @@ def _disputed(
     seems_fast = any(event is MissionEvent.PAD_TOO_FAST for event, _ in bounds)
     for comparison in comparisons:
         row = TABLE[comparison.quantity]
-        event = _EVENTS.get(row.reaction)
-        feigns = seems_fast and event is MissionEvent.PAD_DISPUTED and row.announces(comparison)
-        if event is not None and (feigns or row.refuses(comparison)):
+        feigns = seems_fast and row.reaction is Reaction.LEAVE_PAD and row.announces(comparison)
+        if (feigns or row.refuses(comparison)) and (event := _EVENTS.get(row.reaction)):
             yield event, row.words(comparison)
 
 
@@ -118,9 +141,8 @@ class FailsafeMonitor:
         state, autopilot = self._machine.state, inputs.autopilot
         if state in FINAL:
             return ()
-        heard = autopilot.connected
         self._modes.listen(autopilot, inputs.link, now_s)
-        taken_over = heard and self._modes.taken_over(
+        taken_over = autopilot.connected and self._modes.taken_over(
             state,
             self._machine.authority,
             autopilot,
@@ -130,21 +152,7 @@ class FailsafeMonitor:
             ordered_in_air=self._machine.ordered_in_air,
             asked=asked,
         )
-        silence = f"no heartbeat from the autopilot{refused_words(autopilot)}"
-        if heard:
-            silence = f"nothing has shown for {inputs.link.silent_s:.0f} s that the autopilot hears us"
-        cut, lost, E = heard and autopilot.motors_cut, not heard or inputs.link.lost, MissionEvent
-        signs = (
-            (control_granted and autopilot.offboard, E.CONTROL_GRANTED, "the autopilot follows setpoints"),
-            (heard and not autopilot.armed, E.DISARMED, "motors off"),
-            (cut, E.TAKEN_OVER, "kill switch, emergency stop or flight termination"),
-            (taken_over, E.TAKEN_OVER, _mode_words(inputs)),
-            (inputs.stop_requested, E.STOP, "by the operator"),
-            (inputs.computer.woke, E.SUSPENDED, "this computer"),
-            (lost, E.LINK_LOST, silence),
-            (not lost, E.LINK_UP, "heartbeat again"),
-        )
-        found = [(event, reason) for holds, event, reason in signs if holds]
+        found = [*_signs(inputs, control_granted=control_granted, taken_over=taken_over)]
         found += [*self._late(inputs, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
         found += [*self._control(inputs.control_failure, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]

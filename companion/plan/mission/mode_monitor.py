@@ -44,7 +44,7 @@ def short_name(mode: str) -> str:
 
 
 def _control(kind: AutopilotKind) -> str:
-    return short_name(PROFILES[kind].control_mode)
+    return PROFILES[kind].control_mode
 
 
 def in_land(autopilot: AutopilotState) -> bool:

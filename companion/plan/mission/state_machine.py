@@ -5,7 +5,7 @@ from dataclasses import replace
 from companion.base.messages import Phase
 from companion.plan.events import MissionEvent
 from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, State
-from companion.plan.mission.table import follows
+from companion.plan.mission.table import TABLE, follows
 
 
 class StateMachine:
@@ -34,6 +34,10 @@ class StateMachine:
     def last_try(self) -> bool:
         """Whether the next try that fails is the last."""
         return self.no_new_try or self._tries >= self._retries
+
+    def heeds(self, event: MissionEvent) -> bool:
+        """Whether an event may mean anything in the present state."""
+        return bool(TABLE[self.state, event])
 
     def follows(self, event: MissionEvent, circumstances: Circumstances) -> Branch | None:
         """What follows an event now; None: it means nothing. Authority and tries are the machine's own."""

@@ -41,15 +41,16 @@ class State(StrEnum):
     @property
     def phase(self) -> Phase:
         """The phase that this is, or is a part of."""
-        return _PART_OF.get(self) or Phase(self.value)
+        return _PHASES[self]
 
 
-_PART_OF: Final = {
+_PARTS: Final = {
     **dict.fromkeys(
         (State.WAIT, State.SINK, State.RISE, State.SET_DOWN, State.STAND, State.AUTO_LAND), Phase.TOUCHDOWN
     ),
     State.AWAIT_LINK: Phase.HOLD,
 }
+_PHASES: Final = {state: _PARTS.get(state) or Phase(state.value) for state in State}
 
 
 class Authority(StrEnum):

@@ -78,7 +78,7 @@ def _end(*actions: Action, guard: Guard = Guard.ALWAYS) -> Branch:
 
 
 def _all(states: Iterable[State], reason: str) -> dict[State, str]:
-    return dict.fromkeys(states, reason)
+    return dict.fromkeys(sorted(states), reason)  # in one order, whatever order the set has
 
 
 _GIVE_UP: Final = _end()

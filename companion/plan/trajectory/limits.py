@@ -35,23 +35,16 @@ def within_limits(
 
 def _stretch(trajectory: Trajectory, start: Motion, limits: GuidanceConfig) -> float:
     """By what factor the duration should grow; what the start already exceeds cannot be helped."""
-    c = limits
-    flat, steep = _flat(start.velocity_m_s), abs(start.velocity_m_s[2])
-    push, lift = _flat(start.acceleration_m_s2), abs(start.acceleration_m_s2[2])
+    v, a = start.velocity_m_s, start.acceleration_m_s2
+    fastest, steepest = max(limits.horizontal_speed_m_s, _flat(v)), max(limits.vertical_speed_m_s, abs(v[2]))
+    push = max(limits.horizontal_acceleration_m_s2, _flat(a))
+    lift = max(limits.vertical_acceleration_m_s2, abs(a[2]))
     speed = acceleration = 1.0
     for tau in _CHECKED_AT:
         motion = trajectory.at(trajectory.start_s + tau * trajectory.duration_s)
         v, a = motion.velocity_m_s, motion.acceleration_m_s2
-        speed = max(
-            speed,
-            _flat(v) / max(c.horizontal_speed_m_s, flat),
-            abs(v[2]) / max(c.vertical_speed_m_s, steep),
-        )
-        acceleration = max(
-            acceleration,
-            _flat(a) / max(c.horizontal_acceleration_m_s2, push),
-            abs(a[2]) / max(c.vertical_acceleration_m_s2, lift),
-        )
+        speed = max(speed, _flat(v) / fastest, abs(v[2]) / steepest)
+        acceleration = max(acceleration, _flat(a) / push, abs(a[2]) / lift)
     return max(speed, math.sqrt(acceleration))
 
 

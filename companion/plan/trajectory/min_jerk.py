@@ -60,10 +60,21 @@ class Trajectory:
 
     def at(self, time_s: float) -> Motion:
         """State at a time; the start's before it, the final position led by the final velocity after."""
+        tau, beyond_s = self._progress(time_s)
+        x, y, z = self.axes
+        px, vx, ax = _axis_at(x, tau, beyond_s, self.duration_s)
+        py, vy, ay = _axis_at(y, tau, beyond_s, self.duration_s)
+        pz, vz, az = _axis_at(z, tau, beyond_s, self.duration_s)
+        return Motion((px, py, pz), (vx, vy, vz), (ax, ay, az))
+
+    def down_m(self, time_s: float) -> float:
+        """The third coordinate alone of the position at a time, as by `at`."""
+        return _axis_at(self.axes[2], *self._progress(time_s), self.duration_s)[0]
+
+    def _progress(self, time_s: float) -> tuple[float, float]:
+        """tau, and how long the end has been past (s)."""
         tau = min(1.0, max(0.0, (time_s - self.start_s) / self.duration_s))
-        beyond_s = max(0.0, time_s - self.end_s)
-        x, y, z = (_axis_at(c, tau, self.duration_s, beyond_s) for c in self.axes)
-        return Motion((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2]))
+        return tau, max(0.0, time_s - self.end_s)
 
     def rows(self, time_s: float, count: int, step_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Positions, velocities and accelerations, each (count, 3), at time_s + k * step_s."""
@@ -83,7 +94,7 @@ _FIRST = np.array([[1.0], [2.0], [3.0], [4.0], [5.0]])
 _SECOND = np.array([[2.0], [6.0], [12.0], [20.0]])
 
 
-def _axis_at(c: Coefficients, tau: float, duration_s: float, beyond_s: float) -> tuple[float, float, float]:
+def _axis_at(c: Coefficients, tau: float, beyond_s: float, duration_s: float) -> tuple[float, float, float]:
     position = c[0] + tau * (c[1] + tau * (c[2] + tau * (c[3] + tau * (c[4] + tau * c[5]))))
     slope = c[1] + tau * (2.0 * c[2] + tau * (3.0 * c[3] + tau * (4.0 * c[4] + tau * 5.0 * c[5])))
     velocity = slope / duration_s

@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import Final, Literal
 
 from companion.base.geometry import Vector3, add, dot, norm, scale, subtract, wrap_angle
-from companion.base.messages import Reference
+from companion.base.messages import DescentCone, LevelOff, Reference
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
 from companion.plan.obstacles.avoidance import Avoidance
@@ -221,14 +221,14 @@ class ReferenceGenerator:
         over_something = isinstance(self._trajectory, Course)
         beyond_m = 0.0
         for after_s in (share * lasts_s for share in _OVERSHOOT_SAMPLES):
-            there = way.at(now_s + after_s).position_m[2]
+            there = way.down_m(now_s + after_s)
             goal_then = goal + drift * after_s
             above_m = 0.0 if over_something else min(z, goal, goal_then) - there
             beyond_m = max(beyond_m, there - max(z, goal, goal_then), above_m)
         if beyond_m <= _MAX_OVERSHOOT_M:
             return None
         level = brake(_upright(start), now_s, _LEVEL_OFF_M_S2)
-        stopped_m = abs(level.at(level.end_s).position_m[2] - z)
+        stopped_m = abs(level.down_m(level.end_s) - z)
         return level if stopped_m < beyond_m else None
 
     def fly_level(self, target: Motion, lowest_down_m: float, now_s: float) -> float:
@@ -299,8 +299,15 @@ class ReferenceGenerator:
             self.heading_rad = wrap_angle(self.heading_rad + max(-most, min(most, error)))
         self._turned_s = now_s
 
-    def reference(self, now_s: float) -> Reference | None:
-        """The rows over the horizon, (horizon_steps + 1, 3) each."""
+    def reference(
+        self,
+        now_s: float,
+        *,
+        minimum_height_m: float | None = None,
+        cone: DescentCone | None = None,
+        level_off: LevelOff | None = None,
+    ) -> Reference | None:
+        """The rows over the horizon, (horizon_steps + 1, 3) each, and the bounds that go with them."""
         if self._trajectory is None:
             return None
         rows = self._trajectory.rows(now_s, self._count, self._step_s)
@@ -308,7 +315,9 @@ class ReferenceGenerator:
             upright = self._level.rows(now_s, self._count, self._step_s)
             for row, vertical in zip(rows, upright, strict=True):
                 row[:, 2] = vertical[:, 2]
-        return Reference(now_s, self.origin, self._step_s, *rows, self.heading_rad)
+        return Reference(
+            now_s, self.origin, self._step_s, *rows, self.heading_rad, minimum_height_m, cone, level_off
+        )
 
     def _look_from_frame(self) -> None:
         self.avoidance.see_from(self._pad if self.origin == "pad" else STILL)

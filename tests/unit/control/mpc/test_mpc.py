@@ -518,7 +518,8 @@ LIMITS = LimitsConfig()
 
 def _allowed(limits: LimitsConfig, hover_thrust: float, count: int = 3000) -> FloatArray:
     """Inputs on the polytope's surface, in directions from everywhere."""
-    rows, (lower, upper) = input_rows(limits), input_bounds(limits, hover_thrust)
+    rows = input_rows(limits)
+    lower, upper = input_bounds(limits, rows, hover_thrust)
     directions = np.random.default_rng(1).normal(size=(count, 3))
     return np.array([shrunk(1e3 * each, rows, lower, upper) for each in directions])
 
@@ -552,7 +553,8 @@ def test_hardly_anything_is_given_away() -> None:
 
 
 def test_a_vehicle_that_lets_itself_fall_may_push_less_to_the_side() -> None:
-    rows, (lower, upper) = input_rows(LIMITS), input_bounds(LIMITS, 0.5)
+    rows = input_rows(LIMITS)
+    lower, upper = input_bounds(LIMITS, rows, 0.5)
     level, falling = (shrunk(np.array([8.0, 0.0, z]), rows, lower, upper) for z in (0.0, 5.0))
     assert level[0] == pytest.approx(LIMITS.horizontal_acceleration_m_s2 * math.cos(math.pi / 8))
     tilt = math.degrees(math.atan(falling[0] / (GRAVITY_M_S2 - falling[2])))
@@ -561,7 +563,8 @@ def test_a_vehicle_that_lets_itself_fall_may_push_less_to_the_side() -> None:
 
 @pytest.mark.parametrize("hover_thrust", [0.05, 0.1, 0.9, 1.3])
 def test_whatever_was_learnt_hovering_is_allowed(hover_thrust: float) -> None:
-    lower, upper = input_bounds(LimitsConfig(minimum_thrust=0.5, maximum_thrust=0.6), hover_thrust)
+    limits = LimitsConfig(minimum_thrust=0.5, maximum_thrust=0.6)
+    lower, upper = input_bounds(limits, input_rows(limits), hover_thrust)
     assert (upper > 0.0).all()
     assert (lower < 0.0).all()
 
@@ -586,8 +589,10 @@ def test_who_has_no_thrust_to_spare_still_leans_a_little(hover_thrust: float) ->
 
 
 def test_planes_that_others_imply_are_left_out() -> None:
-    assert np.isinf(input_bounds(LIMITS, 0.5)[1][13:]).all()  # 0.9 of full thrust is out of reach
-    assert np.isfinite(input_bounds(LIMITS, 0.8)[1][13:]).all()
+    assert np.isinf(
+        input_bounds(LIMITS, input_rows(LIMITS), 0.5)[1][13:]
+    ).all()  # 0.9 of full thrust is out of reach
+    assert np.isfinite(input_bounds(LIMITS, input_rows(LIMITS), 0.8)[1][13:]).all()
 
 
 # ---------------- References resampled and carried along with the pad
