@@ -534,7 +534,7 @@ class App:
 
 
 def _shortage(report: ControlReport) -> str:
-    """What the wind takes all of, with the figure that says so."""
+    """What there is too little of, and what the wind takes: little, where the vehicle does not follow."""
     pushes_m_s2 = math.hypot(*report.disturbance_ned_m_s2[:2])
     hover = "" if report.hover_thrust is None else f", hover thrust {report.hover_thrust:.2f}"
-    return f"too little {report.short_of} for this wind ({pushes_m_s2:.1f} m/s2{hover}): it drifts"
+    return f"too little {report.short_of}: it drifts (wind {pushes_m_s2:.1f} m/s2{hover})"

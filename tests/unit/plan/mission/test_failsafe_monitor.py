@@ -109,7 +109,7 @@ def taken_over(
     return MissionEvent.TAKEN_OVER in events
 
 
-@pytest.mark.parametrize("shortage", ["", "too little thrust for this wind (5.8 m/s2): it drifts"])
+@pytest.mark.parametrize("shortage", ["", "too little thrust: it drifts (wind 5.8 m/s2)"])
 def test_an_end_by_time_names_the_wind_that_led_to_it(shortage: str) -> None:
     watch, _ = monitor(State.SEARCH)
     watch.phase_begins(0.0)
