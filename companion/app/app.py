@@ -374,7 +374,7 @@ class App:
     async def _control_step(self, now_s: float, late_s: float) -> None:
         """One cycle: newest estimates to a setpoint."""
         self.session.correct_clock(self.estimator.link_delay_s)
-        self.sensing.take_attitude(self.session.state)
+        self.sensing.take_motion(self.session.state)
         for kind, words in self.estimator.take_notices():
             self.announcer.notify(kind, words, "warning")
         vehicle, pad = self.estimator.vehicle(now_s), self.estimator.pad(now_s)

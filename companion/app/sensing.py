@@ -22,7 +22,7 @@ import numpy as np
 from companion.app.hardware import Hardware, SerialLine
 from companion.app.pacing import VisionPace
 from companion.base.clock import Clock
-from companion.base.geometry import vector3
+from companion.base.geometry import Vector3, vector3
 from companion.base.messages import (
     AutopilotAttitude,
     AutopilotState,
@@ -111,6 +111,7 @@ class Estimates(Protocol):
     def add_sighting(self, sighting: PadSighting) -> object: ...
     def observe(self, observation: PadObservation) -> object: ...
     def add_autopilot_attitude(self, sample: AutopilotAttitude) -> object: ...
+    def add_autopilot_velocity(self, time_s: float, velocity_ned_m_s: Vector3) -> object: ...
     def pad_prior(self, time_s: float) -> PadPrior | None: ...
 
 
@@ -159,7 +160,7 @@ class Sensing:
         self.frame_fused: Callable[[], None] = lambda: None  # called after each that was looked at
         self.on_ground: Callable[[], bool] = lambda: False  # whether the vehicle stands, and nothing is flown
         self._gone_s: dict[str, float] = {}  # ports, and when
-        self._fault_reported_s = self._attitude_s = float("-inf")
+        self._fault_reported_s = self._attitude_s = self._velocity_s = float("-inf")
         # a camera that is kept judges its frames itself
         kept = isinstance(hardware.frames, KeptCamera)
         self._frame_judge = None if kept else FrameJudge(oldest_s=math.inf)
@@ -256,8 +257,12 @@ class Sensing:
             self._estimator.add_mag(mag)
             self._log.write("mag", mag, now_s)
 
-    def take_attitude(self, autopilot: AutopilotState) -> None:
-        """The newest attitude that the autopilot has reported, once."""
+    def take_motion(self, autopilot: AutopilotState) -> None:
+        """The newest attitude and velocity that the autopilot has reported, each once."""
+        velocity = autopilot.velocity_ned_m_s
+        if velocity is not None and autopilot.velocity_time_s > self._velocity_s:
+            self._velocity_s = autopilot.velocity_time_s
+            self._estimator.add_autopilot_velocity(self._velocity_s, velocity)
         if autopilot.attitude is None or autopilot.attitude_time_s <= self._attitude_s:
             return
         self._attitude_s = autopilot.attitude_time_s

@@ -702,7 +702,8 @@ class AutopilotState:
     has sent setpoints to the vehicle, last at `rival_time_s`. `refused_frames`: what came without a
     right signature, where the link demands one. `mavlink_1`: it speaks version 1 alone, which is not
     listened to; PX4 begins so, until it receives our version 2. `thrust`: what its rotors are asked for, as
-    a share of full thrust (ArduPilot: the upward part), measured at `thrust_time_s`. `version`: of its
+    a share of full thrust (ArduPilot: the upward part), measured at `thrust_time_s`. `velocity_ned_m_s`: by
+    its own filter, while that says that it knows, measured at `velocity_time_s`. `version`: of its
     firmware: major, minor and patch.
     """
 
@@ -721,6 +722,8 @@ class AutopilotState:
     attitude_time_s: float = float("-inf")
     global_position: Vector3 | None = None
     global_position_time_s: float = float("-inf")
+    velocity_ned_m_s: Vector3 | None = None
+    velocity_time_s: float = float("-inf")
     home: Vector3 | None = None
     texts: tuple[str, ...] = ()
     battery_share: float | None = None
@@ -796,6 +799,7 @@ class Quantity(StrEnum):
     HOVER_THRUST = "hover thrust"
     ATTITUDE = "attitude"
     HEADING = "heading"
+    VELOCITY = "velocity"
     DECLINATION = "magnetic declination"
     HEIGHT_OVER_PAD = "height over the pad"
     PAD_SCALE = "pad's scale"

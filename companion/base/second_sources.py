@@ -119,6 +119,16 @@ ROWS: Final = (
         hint="is one compass disturbed, or the IMU's board turned?",
     ),
     SourceRow(
+        Quantity.VELOCITY,
+        first="ours",
+        second="the autopilot's",
+        unit="m/s",
+        notice=0.5,
+        bound=1.0,
+        reaction=Reaction.HAND_BACK,
+        hint="has the IMU's board come loose, or is one of the GPS receivers wrong?",
+    ),
+    SourceRow(
         Quantity.DECLINATION,
         first="magnetic_field_ned_ut",
         second="the World Magnetic Model at the GPS position",

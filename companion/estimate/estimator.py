@@ -59,6 +59,7 @@ from companion.estimate.pad.pad_filter import (
     PadSnapshot,
 )
 from companion.estimate.vehicle.vehicle_estimator import FUTURE_S, VehicleEstimator
+from companion.estimate.velocity_check import VelocityCheck
 
 RANGE_MAXIMUM_TILT_DEG: Final = 20.0  # echoes come back aslant beyond this
 ATTITUDE_WANDER_RAD_S: Final = 0.3  # how fast the horizon's error changes: a share of itself a second
@@ -101,6 +102,7 @@ class StateEstimator:
         self._camera_check = CameraCheck(self._motion, delay_std_s, self._board_half_width_m, axis)
         self._mount_check = MountCheck(self._motion, airframe.camera_position_body_m, airframe.camera_yaw_deg)
         self._attitude_check = AttitudeCheck(self._motion)
+        self._velocity_check = VelocityCheck()
 
     def _no_pad(self) -> None:
         config = self._config.pad
@@ -112,6 +114,7 @@ class StateEstimator:
         """Forget vehicle and pad: more time has gone by than any clock shows. The alignment begins again."""
         self._vehicle.start_over()
         self._attitude_check.forget()
+        self._velocity_check.forget()
         self.begin_checks()
         self._no_pad()
 
@@ -174,6 +177,14 @@ class StateEstimator:
             self._attitude_check.take(sample)
         return self._count("attitude", usable and self._vehicle.add_autopilot_attitude(sample))
 
+    def add_autopilot_velocity(self, time_s: float, velocity_ned_m_s: Vector3) -> None:
+        """Compare the autopilot's velocity at a time with ours, which it does not correct."""
+        covariance = self._vehicle.covariance()
+        if covariance is None or self.origin is None or not self._usable(time_s, velocity_ned_m_s):
+            return
+        std_m_s = math.sqrt(max(covariance.diagonal()[3:5]))
+        self._velocity_check.take(time_s, self._vehicle.velocity(time_s), velocity_ned_m_s, std_m_s)
+
     def take_notices(self) -> tuple[tuple[str, str], ...]:
         """What was found since the last call, kind and words: a correction of the attitude."""
         corrections, self._vehicle.corrections = self._vehicle.corrections, ()
@@ -193,7 +204,8 @@ class StateEstimator:
     def comparisons(self) -> tuple[SourceComparison, ...]:
         """What has been measured by two sources, of the table of `companion.base.second_sources`."""
         attitudes = self._attitude_check.comparisons(self._vehicle.rotation_covariance())
-        return (*attitudes, *self._mount_check.comparisons, *self._camera_check.comparisons)
+        by_link = (*attitudes, *self._velocity_check.comparisons)
+        return (*by_link, *self._mount_check.comparisons, *self._camera_check.comparisons)
 
     def add_range(self, sample: RangeSample) -> bool:
         """Take one echo; it counts when the pad filter knows that the sensor is over the board and low."""

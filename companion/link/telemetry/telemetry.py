@@ -204,7 +204,11 @@ def _global_position(state: AutopilotState, message: Message, time_s: float) -> 
     if message.lat == 0 and message.lon == 0:
         return state  # ArduPilot's value for unknown
     position = vector3((message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3))
-    return replace(state, time_s=time_s, global_position=position, global_position_time_s=time_s)
+    state = replace(state, time_s=time_s, global_position=position, global_position_time_s=time_s)
+    if state.ekf_ready is False or time_s <= state.velocity_time_s:
+        return state  # an ArduPilot that does not know it sends zero
+    velocity = vector3((message.vx * 1e-2, message.vy * 1e-2, message.vz * 1e-2))
+    return replace(state, velocity_ned_m_s=velocity, velocity_time_s=time_s)
 
 
 def _home_position(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:

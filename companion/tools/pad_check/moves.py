@@ -86,6 +86,9 @@ class RecentSamples:
     def add_autopilot_attitude(self, sample: AutopilotAttitude) -> None:
         """Nor does this."""
 
+    def add_autopilot_velocity(self, time_s: float, velocity_ned_m_s: Vector3) -> None:
+        """Nor does this."""
+
     def observe(self, observation: PadObservation) -> None:
         """Nor what is no camera's."""
 

@@ -147,6 +147,15 @@ def test_a_position_comes_in_degrees_and_metres() -> None:
     assert home.home == pytest.approx((47.0, 8.0, 400.5))
 
 
+def test_a_velocity_comes_in_metres_a_second_of_a_filter_that_knows_it_and_never_an_older_one() -> None:
+    message = mavlink.MAVLink_global_position_int_message(10, 471234567, -81234567, 412340, 0, 123, -45, 6, 0)
+    known = after(message, time_s=3.0)
+    assert known.velocity_ned_m_s == pytest.approx((1.23, -0.45, 0.06))
+    assert known.velocity_time_s == 3.0
+    assert after(message, known, 2.9).velocity_time_s == 3.0
+    assert after(message, replace(FRESH, ekf_ready=False)).velocity_ned_m_s is None
+
+
 @pytest.mark.parametrize(("number", "landed"), list(enumerate(LandedState)))
 def test_landed_state(number: int, landed: LandedState) -> None:
     assert after(mavlink.MAVLink_extended_sys_state_message(0, number)).landed is landed
