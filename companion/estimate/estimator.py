@@ -204,7 +204,7 @@ class StateEstimator:
     def comparisons(self) -> tuple[SourceComparison, ...]:
         """What has been measured by two sources, of the table of `companion.base.second_sources`."""
         attitudes = self._attitude_check.comparisons(self._vehicle.rotation_covariance())
-        by_link = (*attitudes, *self._velocity_check.comparisons)
+        by_link = (*attitudes, *self._velocity_check.comparisons(self._vehicle.newest_s))
         return (*by_link, *self._mount_check.comparisons, *self._camera_check.comparisons)
 
     def add_range(self, sample: RangeSample) -> bool:

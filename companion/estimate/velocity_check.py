@@ -43,10 +43,9 @@ class VelocityCheck:
         self._std_m_s = math.hypot(std_m_s, std_m_s, OTHER_VELOCITY_STD_M_S)
         self._last_s, self._figures = time_s, (ours, theirs)
 
-    @property
-    def comparisons(self) -> tuple[SourceComparison, ...]:
-        """Of the velocities (m/s); none before a report."""
-        if self._figures is None:
+    def comparisons(self, now_s: float) -> tuple[SourceComparison, ...]:
+        """Of the velocities (m/s); none where no report has come lately."""
+        if self._figures is None or now_s - self._last_s > FORGET_S:
             return ()
         ours, theirs = (f"north {v[0]:.1f}, east {v[1]:.1f} m/s" for v in self._figures)
         difference = math.hypot(self._north_m_s, self._east_m_s)

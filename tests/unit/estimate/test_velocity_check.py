@@ -25,12 +25,12 @@ def compared(
         ours, theirs = rng.normal((0.5, east, -0.3), noise_m_s, (2, 3)).tolist()
         ours[1] += drift_m_s2 * max(0.0, time_s - 5.0)
         check.take(time_s, tuple(ours), tuple(theirs), std_m_s)
-    [found] = check.comparisons
+    [found] = check.comparisons(5.0 + lasts_s)
     return found
 
 
 def test_before_a_report_nothing_is_compared() -> None:
-    assert VelocityCheck().comparisons == ()
+    assert VelocityCheck().comparisons(1.0) == ()
 
 
 def test_two_filters_that_agree_are_not_announced() -> None:
@@ -56,7 +56,7 @@ def test_climbs_are_not_compared() -> None:
     check = VelocityCheck()
     for k in range(20):
         check.take(REPORT_S * k, (1.0, 2.0, 5.0), (1.0, 2.0, -5.0), 0.1)
-    assert check.comparisons[0].difference == pytest.approx(0.0)
+    assert check.comparisons(4.0)[0].difference == pytest.approx(0.0)
 
 
 def test_what_it_began_with_is_forgotten() -> None:
@@ -64,7 +64,8 @@ def test_what_it_began_with_is_forgotten() -> None:
     check.take(1.0, (9.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.1)
     check.forget()
     check.take(1.2, (0.1, 0.0, 0.0), (0.0, 0.0, 0.0), 0.1)
-    assert check.comparisons[0].difference == pytest.approx(0.1)
-    # a gap in the reports: the mean begins anew
+    assert check.comparisons(1.3)[0].difference == pytest.approx(0.1)
+    # no report for long: nothing is compared, and the mean begins anew
+    assert check.comparisons(8.9) == ()
     check.take(9.0, (3.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.1)
-    assert check.comparisons[0].difference == pytest.approx(3.0)
+    assert check.comparisons(9.1)[0].difference == pytest.approx(3.0)
