@@ -23,13 +23,12 @@ from companion.base.messages import (
     Refusal,
 )
 from companion.config import PlanConfig, VehicleConfig
-from companion.plan.events import DetectedEvent, MissionEvent
+from companion.plan.events import DetectedEvent, MissionEvent, NoticeSeverity
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing.echo_check import EchoCheck
-from companion.plan.landing.height_above_ground import HeightAboveGround
+from companion.plan.landing.contact import not_standing
+from companion.plan.landing.height_above_ground import EchoCheck, HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack
 from companion.plan.landing.standing_height import StandingHeight
-from companion.plan.landing.upright import not_standing
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.mode_monitor import in_land, in_offboard
 from companion.plan.mission.readiness import estimate_problems, not_ready
@@ -45,7 +44,6 @@ from companion.plan.mission.table import (
     impossible,
     last_request,
 )
-from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, constant_pace
 from companion.plan.steering import PhaseSteering
@@ -200,7 +198,7 @@ class Planner:
         self._pad.update(inputs.pad, inputs.vehicle, now_s)
         self._ground.update(inputs.vehicle, inputs.autopilot, inputs.range, now_s)
         self._steering.steps.update(inputs.vehicle)
-        self._steering.obstacle_monitor.update(self._pad)
+        self._generator.see(self._ground.home_ned_m, self._pad.motion)
         if inputs.vehicle is None:
             return
         inside = self._within_fence(inputs)

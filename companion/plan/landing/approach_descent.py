@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from companion.base.messages import DescentCone, PadState
 from companion.base.motion import Motion
 from companion.config import LandingConfig, VehicleConfig
-from companion.plan.events import DetectedEvent, MissionEvent
+from companion.plan.events import NOTICE_THRESHOLD_M, DetectedEvent, MissionEvent
 from companion.plan.landing.relative_state import PadTrack
-from companion.plan.notices import NOTICE_THRESHOLD_M
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 # At the height of the goal, and slow enough to stay in the cone: the descent corrects the rest on the way.

@@ -16,7 +16,7 @@ from companion.plan.mission.mode_monitor import in_offboard
 
 ORDER_EVENTS = {OrderKind.LAND: MissionEvent.LAND_ORDERED, OrderKind.FLY: MissionEvent.FLY_ORDERED}
 _TWIN_GONE_S = 5.0  # heartbeats come once a second
-_STALE_S = 0.5
+STALE_ESTIMATE_S = 0.5  # without IMU samples for so long the estimate is lost
 
 
 def refused_words(autopilot: AutopilotState) -> str:
@@ -113,7 +113,7 @@ def _either_way(
 
 def estimate_problems(vehicle: VehicleState | None, mission: MissionConfig, now_s: float) -> Iterator[str]:
     """What stands against flying by an estimate of the vehicle."""
-    if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > _STALE_S:
+    if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > STALE_ESTIMATE_S:
         yield "no current vehicle estimate"
     elif vehicle.origin is None:
         yield "no GPS position in our estimate yet"
