@@ -17,7 +17,7 @@ from companion.config import PlanConfig, VehicleConfig
 from companion.plan.estimate_steps import EstimateSteps
 from companion.plan.events import NOTICE_THRESHOLD_M, DetectedEvent, MissionEvent, NoticeSink
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing.approach_descent import Landing, Unseen
+from companion.plan.landing.approach_descent import Landing
 from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack, misaligned_heading, vehicle_motion
 from companion.plan.landing.standing_height import StandingHeight
@@ -26,10 +26,16 @@ from companion.plan.mission.departure import Departure
 from companion.plan.mission.hold import Hold
 from companion.plan.mission.readiness import ORDER_EVENTS, refusal
 from companion.plan.mission.requests import Requests
-from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Branch, Effect, State
-from companion.plan.mission.table import BY_THE_PAD, COMMITTED, GOING_DOWN, ON_PAD, OVER_PAD_OR_DESCENDING
-from companion.plan.obstacles.obstacle_monitor import ObstacleMonitor
+from companion.plan.mission.table import (
+    BY_THE_PAD,
+    COMMITTED,
+    GOING_DOWN,
+    ON_PAD,
+    OVER_PAD_OR_DESCENDING,
+    StateMachine,
+)
+from companion.plan.obstacles.avoidance import ObstacleMonitor
 from companion.plan.search.search import Search
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from companion.plan.trajectory.waypoints import Waypoints
@@ -229,7 +235,7 @@ class PhaseSteering:
         return math.inf if down_m is None else down_m
 
     def _enter_approach(self, previous: State, now_s: float) -> None:
-        if self._generator.origin == "local" and self._pad.motion is not None:
+        if self._pad.motion is not None:
             self._generator.change_frame("pad", self._pad.motion, now_s)
         again = previous in BY_THE_PAD
         self._landing.begin(-self._generator.at(now_s).position_m[2], again, now_s)
@@ -313,8 +319,7 @@ class PhaseSteering:
             return None
         self._keep_near_pad(inputs, now_s)
         fly = self._landing.approach if self._machine.state is State.APPROACH else self._landing.descend
-        place = self.search.locator.likely(now_s)
-        event = fly(self._pad, Unseen(place, self._lowest_down_m()), now_s)
+        event = fly(self._pad, self.search.locator.likely(now_s), self._lowest_down_m(), now_s)
         if self._pad.sight is not None and self.search.ask_again(self._pad.sight.age_s, now_s):
             self._requests.tell(Action(ActionKind.REQUEST_PAD_POSITION))
         if self._landing.climbs:

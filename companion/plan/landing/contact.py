@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from companion.base.geometry import GRAVITY_M_S2, Quaternion, norm, quat_rotate
+from companion.base.geometry import GRAVITY_M_S2, Quaternion, norm, tilt_from_quat
 from companion.base.messages import LandedState, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
 from companion.base.second_sources import SIGMA_THRESHOLD
@@ -301,8 +301,7 @@ def not_standing(
     middle to its corner. `surface_m`: the height over what several echoes agree on. `touched`: the feet have
     been shown down.
     """
-    attitudes = [*_attitudes(inputs, now_s)]
-    tilt_rad = max((_tilt_rad(attitude) for attitude in attitudes), default=None)
+    tilt_rad = max(map(tilt_from_quat, _attitudes(inputs, now_s)), default=None)
     if tilt_rad is None:
         return "attitude unknown"
     if tilt_rad > _UPRIGHT_RAD:
@@ -331,7 +330,3 @@ def _attitudes(inputs: PlanInputs, now_s: float) -> Iterator[Quaternion]:
     autopilot = inputs.autopilot
     if autopilot.attitude is not None and now_s - autopilot.attitude_time_s <= _ATTITUDE_FRESH_S:
         yield autopilot.attitude
-
-
-def _tilt_rad(attitude: Quaternion) -> float:
-    return math.acos(max(-1.0, min(1.0, quat_rotate(attitude, (0.0, 0.0, 1.0))[2])))

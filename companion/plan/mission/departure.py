@@ -14,7 +14,7 @@ from companion.plan.debounce import Debounce
 from companion.plan.events import DetectedEvent, MissionEvent, NoticeSink
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing.height_above_ground import HeightAboveGround
-from companion.plan.landing.relative_state import PadTrack, vehicle_motion
+from companion.plan.landing.relative_state import PadTrack
 from companion.plan.mission.readiness import not_ready_to_arm
 from companion.plan.mission.states import State
 from companion.plan.obstacles.avoidance import Avoidance
@@ -72,7 +72,7 @@ class Departure:
             return self._take_off(vehicle, autopilot, now_s)
         if self._pad.steady(now_s):
             return MissionEvent.PAD_SEEN, "on the way to the waypoint"
-        return self._at_first(vehicle) if self._waypoints.further else self._to_waypoint(vehicle, autopilot)
+        return None if vehicle is None else self._on_the_way(vehicle, autopilot)
 
     def _connect(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         autopilot = inputs.autopilot
@@ -110,15 +110,10 @@ class Departure:
             return MissionEvent.BLOCKED, "obstacles on the straight path to the waypoint: flying round them"
         return MissionEvent.AIRBORNE, f"{height_m:.1f} m up"
 
-    def _at_first(self, vehicle: VehicleState | None) -> DetectedEvent | None:
-        """Whether the autopilot has come to the first of several waypoints, which all count alike."""
-        home_ned_m = self._avoidance.home_ned_m
-        if vehicle is None or home_ned_m is None:
-            return None
-        return self._waypoints.at_first(vehicle_motion(vehicle), home_ned_m)
-
-    def _to_waypoint(self, vehicle: VehicleState | None, autopilot: AutopilotState) -> DetectedEvent | None:
-        if vehicle is None or vehicle.origin is None or autopilot.home is None:
+    def _on_the_way(self, vehicle: VehicleState, autopilot: AutopilotState) -> DetectedEvent | None:
+        if self._config.waypoints_ned_m:  # the first of several, which all count alike
+            return self._waypoints.at_first(vehicle, self._avoidance.home_ned_m)
+        if vehicle.origin is None or autopilot.home is None:
             return None
         waypoint = ned_from_geodetic(*self._waypoint_geodetic(autopilot.home), vehicle.origin)
         p, v = vehicle.position_ned_m, vehicle.velocity_ned_m_s

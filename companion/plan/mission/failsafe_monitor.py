@@ -31,9 +31,8 @@ from companion.plan.mission.readiness import (
     rival_words,
     velocity_words,
 )
-from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import State
-from companion.plan.mission.table import BEFORE_TAKE_OFF, FINAL, by_severity
+from companion.plan.mission.table import BEFORE_TAKE_OFF, FINAL, StateMachine, by_severity
 
 _RIVAL_S = 0.5  # setpoints come at 2 Hz or more
 _OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz

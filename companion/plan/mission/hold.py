@@ -43,12 +43,11 @@ class Hold:
 
     def stand_still(self, vehicle: VehicleState, now_s: float) -> None:
         """Come to rest, from the reference's own motion when there is one."""
-        pad = self._pad.motion
-        if not self._generator.active or (self._generator.origin == "pad" and pad is None):
+        if not self._generator.active:
             self._generator.start("local", vehicle_motion(vehicle), now_s)
             return
-        if pad is not None:
-            self._generator.change_frame("local", pad, now_s)
+        if self._pad.motion is not None:
+            self._generator.change_frame("local", self._pad.motion, now_s)
         self._generator.rest(self._generator.at(now_s), now_s)
 
     def begin(self, vehicle: VehicleState, now_s: float, *, over_pad: bool) -> None:

@@ -142,7 +142,10 @@ def _not_flying(inputs: PlanInputs, config: PlanConfig) -> Refusal | None:
 
 def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> Iterator[str]:
     if inputs.autopilot.connected:
-        yield from _not_in_the_air(inputs.autopilot)
+        if not inputs.autopilot.armed:
+            yield "the vehicle is not armed"
+        if inputs.autopilot.landed is LandedState.ON_GROUND:
+            yield "the vehicle is on the ground"
     yield from not_ready(inputs, config.mission, now_s)
     if inputs.thrust_doubt:
         yield inputs.thrust_doubt
@@ -150,10 +153,3 @@ def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> It
         yield "plan.obstacles need a take-off by the app"
     for _, words in Bounds(config.mission).detect(inputs.vehicle, None, inputs.autopilot, now_s):
         yield words
-
-
-def _not_in_the_air(autopilot: AutopilotState) -> Iterator[str]:
-    if not autopilot.armed:
-        yield "the vehicle is not armed"
-    if autopilot.landed is LandedState.ON_GROUND:
-        yield "the vehicle is on the ground"

@@ -21,6 +21,7 @@ import numpy as np
 from companion.base.geometry import FloatArray, Vector3, add, norm, scale, subtract
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
+from companion.plan.events import NoticeSink
 from companion.plan.obstacles.obstacles import (
     Obstacle,
     clearance_m,
@@ -60,6 +61,13 @@ _SLACK_M: Final = 0.01
 _EXTRA_S: Final = 0.5
 # Waiting over a pad, so much higher than the margin asks for.
 _ABOVE_M: Final = 0.1
+_TELL_AGAIN_S: Final = 2.0
+_WORDS: Final = {
+    "blocked": "no clear path past the obstacles: holding",
+    "waiting_over": "pad too near to an obstacle: waiting over it",
+    "detour": "obstacle ahead: flying round it",
+    "clear": "clear of the obstacles again",
+}
 
 
 class Avoidance:
@@ -128,7 +136,7 @@ class Avoidance:
             self.waiting = found is None and may_wait
             if self.waiting:
                 found = self._over(start, target, now_s)
-            kept = found or (kept if _under_way(kept, now_s) else None)
+            kept = found or (kept if kept is not None and now_s < kept.end_s else None)
             if kept is not None:  # what takes long is planned less often
                 self._next_s = now_s + max(_THINK_AGAIN_S, _THINK_AGAIN_SHARE * (kept.end_s - now_s))
         self._detour, self.blocked = kept, kept is None
@@ -309,6 +317,22 @@ class Avoidance:
         return stop
 
 
+class ObstacleMonitor:
+    """The notices about the obstacles; call `tell` in every cycle."""
+
+    def __init__(self, avoidance: Avoidance, say: NoticeSink) -> None:
+        self._avoidance, self._say = avoidance, say
+        self._reported, self._reported_s = "clear", -math.inf
+
+    def tell(self, now_s: float) -> None:
+        """Announce a detour, that there is none, and when the path is straight again."""
+        way = self._avoidance.situation
+        if way == self._reported or now_s - self._reported_s < _TELL_AGAIN_S:
+            return
+        self._say(way, _WORDS[way], now_s, "warning" if way in {"blocked", "waiting_over"} else "info")
+        self._reported, self._reported_s = way, now_s
+
+
 def _places(way: PlannedPath, frame: Motion, now_s: float, from_s: float, to_s: float) -> FloatArray:
     """Where a way in a frame leads in space from one time after now to another, (n, 3)."""
     count = min(_MOST_CHECKS, 1 + math.ceil((to_s - from_s) / _CHECK_STEP_S)) + 1
@@ -317,10 +341,6 @@ def _places(way: PlannedPath, frame: Motion, now_s: float, from_s: float, to_s: 
     if frame is not STILL:
         points += predicted_places(frame, from_s + step_s * np.arange(count, dtype=float))
     return points
-
-
-def _under_way(course: Course | None, now_s: float) -> bool:
-    return course is not None and now_s < course.end_s
 
 
 def _on(course: Course, start: Motion, now_s: float, *, level: bool) -> bool:

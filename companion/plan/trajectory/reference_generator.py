@@ -104,11 +104,11 @@ class ReferenceGenerator:
     def start(self, origin: ReferenceFrame, motion: Motion, now_s: float) -> None:
         """Begin afresh at a state, coming to rest in the frame."""
         self.origin = origin
+        self._look_from_frame()
         self.rest(motion, now_s)
 
     def rest(self, motion: Motion, now_s: float) -> None:
         """Come to rest in the present frame from a state."""
-        self._look_from_frame()
         self._follow(self.avoidance.brake(motion, now_s), now_s)
 
     def stop(self) -> None:
@@ -153,10 +153,10 @@ class ReferenceGenerator:
             self.avoidance.home_ned_m = home_ned_m
         if pad is not None:
             self._pad = pad
+            self._look_from_frame()
 
     def stays_clear(self, place: Vector3, duration_s: float) -> bool:
         """Whether a place in the present frame, going with it, keeps clear of the obstacles for so long."""
-        self._look_from_frame()
         return self.avoidance.free_for(place, duration_s)
 
     def fly_along(self, points: Sequence[Vector3], now_s: float) -> None:
@@ -169,7 +169,6 @@ class ReferenceGenerator:
             if same and self.avoidance.still_clear(self._along, now_s):
                 self.time_to_go_s = max(0.0, self._along.end_s - now_s)
                 return
-        self._look_from_frame()
         course = self.avoidance.along(self.at(now_s), points, now_s)
         if course is None:
             # held as it is: `rest` would forget that there is no way
@@ -202,7 +201,6 @@ class ReferenceGenerator:
         longest_s = _LONGEST_TIMES * (self._config.minimum_time_s + slowest_s + stopping_s)
         relative = within_limits(moving, asked_s, longest_s, now_s, self._config)
         direct = carried(relative, target, now_s)
-        self._look_from_frame()
         way = self.avoidance.way(
             direct, target, now_s, level=level, may_wait=self.origin == "pad" and not level
         )
