@@ -26,7 +26,7 @@ from companion.base.messages import Conditions, Outcome, Phase, PlanStep, Refere
 from companion.config import GuidanceConfig, PlanConfig
 from companion.flightlog.errors import TruthTrack
 from companion.plan.speed.laws import load_speed_controller
-from companion.plan.trajectory.trajectory_time import trajectory_time_s
+from companion.plan.trajectory.min_jerk import trajectory_time_s
 from experiments.flown import EndedFlight, fly_scenario
 
 DESCENTS: Final = frozenset({Phase.APPROACH, Phase.DESCEND})

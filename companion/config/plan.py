@@ -182,8 +182,6 @@ class TouchdownConfig(StrictModel):
         return self
 
 
-# ---------------------------------------------------------------- mission
-
 # ---------------------------------------------------------------- obstacles
 # As an operator surveys them: upright cylinders and boxes that stand on the ground. Places are north and east
 # of home (m), heights over home (m); what is under a top is solid down to the ground. The simulator's
@@ -224,6 +222,8 @@ Shape = Annotated[Cylinder | Box, Field(discriminator="kind")]
 # the ways round so many are ready within seconds; time and memory grow with the cube
 MOST_OBSTACLES: Final = 24
 
+
+# ---------------------------------------------------------------- mission
 
 Height = Annotated[float, Field(ge=1.0, le=50.0)]
 # north and east of home (m), and height over home (m, up) where it is not that of the take-off

@@ -1,6 +1,16 @@
-"""The events of a mission, as the monitors, the search and the landing detect them, with their reasons."""
+"""The events of a mission, as the monitors, the search and the landing detect them, with their reasons.
 
+Beside them the form in which parts of the planner announce something: kind, text, time and severity.
+"""
+
+from collections.abc import Callable
 from enum import StrEnum
+from typing import Final, Literal
+
+NoticeSeverity = Literal["info", "warning", "error"]
+NoticeSink = Callable[[str, str, float, NoticeSeverity], None]
+
+NOTICE_THRESHOLD_M: Final = 0.2  # a climb that is announced
 
 
 class MissionEvent(StrEnum):

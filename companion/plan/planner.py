@@ -23,29 +23,27 @@ from companion.base.messages import (
     Refusal,
 )
 from companion.config import PlanConfig, VehicleConfig
-from companion.plan.events import DetectedEvent, MissionEvent
+from companion.plan.events import DetectedEvent, MissionEvent, NoticeSeverity
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing.echo_check import EchoCheck
-from companion.plan.landing.height_above_ground import HeightAboveGround
+from companion.plan.landing.contact import not_standing
+from companion.plan.landing.height_above_ground import EchoCheck, HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack
 from companion.plan.landing.standing_height import StandingHeight
-from companion.plan.landing.upright import not_standing
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.mode_monitor import in_land, in_offboard
 from companion.plan.mission.readiness import estimate_problems, not_ready
 from companion.plan.mission.requests import Requests
-from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, State
 from companion.plan.mission.table import (
     BY_THE_PAD,
     COMMITTED,
     FINAL,
     ON_PAD,
+    TABLE,
     WITHDRAWS,
+    StateMachine,
     impossible,
-    last_request,
 )
-from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.speed.conditions import ConditionMonitor, PaceLaw, constant_pace
 from companion.plan.steering import PhaseSteering
@@ -95,10 +93,9 @@ class Planner:
         self._vehicle, self._pad_reach_m = vehicle, pad_reach_m
         search = config.search
         self._machine = StateMachine(config.landing.retries, may_fly=standby is None)
-        self._finish_descent = mission.battery.finish_descent
         self._notices: list[Notice] = []
         self._heard_s = -math.inf
-        self._fence_m, self._warned = mission.fence_m, set[str]()
+        self._warned = set[str]()
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
         self._monitor = FailsafeMonitor(mission, self._machine)
         self._pad = PadTrack(search.sightings, SIGHTINGS_GAP_S)
@@ -107,7 +104,6 @@ class Planner:
         avoidance = Avoidance(config, vehicle.radius_m)
         self._generator = ReferenceGenerator(config.guidance, law, horizon_steps, step_s, avoidance)
         self._pace, self._monitored = pace, ConditionMonitor()
-        self._conditions: Conditions | None = None
         self._steering = PhaseSteering(
             config,
             vehicle,
@@ -133,11 +129,17 @@ class Planner:
         return self._steering.refused
 
     def last_request(self, autopilot: AutopilotState) -> Action | None:
-        """What is asked for when control has failed: it flies by our word, or its return is asked for."""
+        """What is asked for when control has failed: it flies by our word, or its return is asked for.
+
+        None: somebody else flies it.
+        """
         machine = self._machine
         ours = machine.authority is Authority.OURS or (machine.in_control and self.waiting)
-        stands = autopilot.landed is LandedState.ON_GROUND
-        return last_request(machine.state, ours=autopilot.offboard and ours, stands=stands)
+        if not (autopilot.offboard and ours):
+            return None
+        # to hold a position a vehicle that stands would lift off
+        stands = autopilot.landed is LandedState.ON_GROUND or machine.state in COMMITTED
+        return Action(ActionKind.LAND if stands else ActionKind.HOLD)
 
     @property
     def waiting(self) -> bool:
@@ -162,7 +164,7 @@ class Planner:
         self._standing_height.update(inputs, now_s)
         inputs = self._checked(inputs, now_s)
         self._see(inputs, now_s)
-        self._set_pace(inputs, now_s)
+        conditions = self._set_pace(inputs, now_s)
         pressed, before = self._steering.presses_down, self.phase
         self._react(inputs, now_s)
         # a disarming that was asked for on the pad is none for a vehicle that has left it
@@ -178,7 +180,7 @@ class Planner:
             time_to_go_s=self._generator.time_to_go_s,
             on_ground=self._steering.presses_down,
             unloading=self._steering.unloading,
-            conditions=self._conditions if self.phase in PACED else None,
+            conditions=conditions if self.phase in PACED else None,
         )
 
     def _checked(self, inputs: PlanInputs, now_s: float) -> PlanInputs:
@@ -200,7 +202,7 @@ class Planner:
         self._pad.update(inputs.pad, inputs.vehicle, now_s)
         self._ground.update(inputs.vehicle, inputs.autopilot, inputs.range, now_s)
         self._steering.steps.update(inputs.vehicle)
-        self._steering.obstacle_monitor.update(self._pad)
+        self._generator.see(self._ground.home_ned_m, self._pad.motion)
         if inputs.vehicle is None:
             return
         inside = self._within_fence(inputs)
@@ -211,17 +213,18 @@ class Planner:
         if self._pad.motion is not None and inputs.pad is not None:
             self._steering.search.locator.remember(self._pad.motion, inputs.pad.seen_time_s, now_s)
 
-    def _set_pace(self, inputs: PlanInputs, now_s: float) -> None:
+    def _set_pace(self, inputs: PlanInputs, now_s: float) -> Conditions | None:
         """By the conditions on the way to the pad; the final descent has its own speed."""
         generator = self._generator
         over_pad = generator.active and generator.origin == "pad"
         planned_m_s = generator.at(now_s).velocity_m_s if over_pad else None
         self._monitored.update(self._pad.sight, inputs.vehicle, planned_m_s, now_s)
-        self._conditions, generator.pace = None, 1.0
+        generator.pace = 1.0
         found = self._monitored.now
-        if found is not None and self.phase in PACED:
-            generator.pace = self._pace(found)
-            self._conditions = replace(found, pace=generator.pace)
+        if found is None or self.phase not in PACED:
+            return None
+        generator.pace = self._pace(found)
+        return replace(found, pace=generator.pace)
 
     def _within_fence(self, inputs: PlanInputs) -> bool:
         """Whether the beacon lies inside the fence; one outside is announced once and ignored.
@@ -232,7 +235,7 @@ class Planner:
         if beacon is None or home is None:
             return False
         north, east, _ = ned_from_geodetic(beacon.latitude_deg, beacon.longitude_deg, beacon.altitude_m, home)
-        distance_m, fence_m = math.hypot(north, east), self._fence_m
+        distance_m, fence_m = math.hypot(north, east), self._mission.fence_m
         if distance_m > fence_m:
             words = f"pad beacon ignored: {distance_m:.0f} m from home, fence {fence_m:.0f} m"
             self._warn_once("beacon", "fence", words, beacon.time_s)
@@ -283,7 +286,7 @@ class Planner:
             heard=now_s - self._heard_s <= GAP_S,
             # a request that is asked afresh is not granted yet, while the autopilot lands all the same
             land_granted=self._requests.granted(ActionKind.LAND) or in_land(inputs.autopilot),
-            may_finish=self._finish_descent,
+            may_finish=self._mission.battery.finish_descent,
             in_offboard=in_offboard(inputs.autopilot),
             ends_inside=self._ends_inside(inputs),
             feet_down=self._steering.touchdown.feet_down(now_s),
@@ -326,10 +329,10 @@ class Planner:
             and (fell := self._not_standing(inputs, now_s))
         ):
             reason = f"{reason}, no landing: {fell}"
-        branch = machine.follows(event, self._circumstances(inputs, now_s)) if machine.heeds(event) else None
+        branch = machine.follows(event, self._circumstances(inputs, now_s)) if TABLE[state, event] else None
         if branch is None:
             if event is MissionEvent.COMMIT:
-                words = f"waiting: the pad leaves the fence ({self._fence_m:.0f} m) before contact"
+                words = f"waiting: the pad leaves the fence ({self._mission.fence_m:.0f} m) before contact"
                 self._warn_once(event, "fence", words, now_s)
             return
         if impossible(state, event):
@@ -362,7 +365,6 @@ class Planner:
         if Effect.SEARCH_FROM_HERE in branch.effects:
             self._steering.search_from_here(inputs, now_s)
         if Effect.NO_NEW_TRY in branch.effects:
-            self._machine.no_new_try = True  # it stays low, whatever the load does to it
             self._warn_once(Effect.NO_NEW_TRY, "battery", f"battery low: {reason}, no new try", now_s)
 
     def _tell(self, before: State, event: MissionEvent, reason: str, now_s: float) -> None:

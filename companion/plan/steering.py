@@ -7,6 +7,7 @@ and in APPROACH and DESCEND while the pad is unseen, it is in the EKF's NED. m, 
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 from companion.base.geometry import yaw_from_quat
@@ -14,9 +15,9 @@ from companion.base.messages import Action, ActionKind, PadState, Phase, Referen
 from companion.base.motion import Motion
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.estimate_steps import EstimateSteps
-from companion.plan.events import DetectedEvent, MissionEvent
+from companion.plan.events import NOTICE_THRESHOLD_M, DetectedEvent, MissionEvent, NoticeSink
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing.approach_descent import Landing, Unseen
+from companion.plan.landing.approach_descent import Landing
 from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack, misaligned_heading, vehicle_motion
 from companion.plan.landing.standing_height import StandingHeight
@@ -25,11 +26,16 @@ from companion.plan.mission.departure import Departure
 from companion.plan.mission.hold import Hold
 from companion.plan.mission.readiness import ORDER_EVENTS, refusal
 from companion.plan.mission.requests import Requests
-from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Branch, Effect, State
-from companion.plan.mission.table import BY_THE_PAD, COMMITTED, GOING_DOWN, ON_PAD, OVER_PAD_OR_DESCENDING
-from companion.plan.notices import NOTICE_THRESHOLD_M, NoticeSink
-from companion.plan.obstacles.obstacle_monitor import ObstacleMonitor
+from companion.plan.mission.table import (
+    BY_THE_PAD,
+    COMMITTED,
+    GOING_DOWN,
+    ON_PAD,
+    OVER_PAD_OR_DESCENDING,
+    StateMachine,
+)
+from companion.plan.obstacles.avoidance import ObstacleMonitor
 from companion.plan.search.search import Search
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 from companion.plan.trajectory.waypoints import Waypoints
@@ -86,34 +92,35 @@ class PhaseSteering:
         requests: Requests,
         say: NoticeSink,
         pad_half_width_m: float,
-        standby: str | None = None,
-        standing_height: StandingHeight | None = None,
+        standby: str | None,
+        standing_height: StandingHeight,
     ) -> None:
         self._standby = standby
         self.refused: Refusal | None = None  # this cycle's order
         self._config, self._leg_m = config, vehicle.leg_height_m
         self._machine, self._generator, self._pad, self._ground = machine, generator, pad, ground
         self._requests, self._say = requests, say
-        self.obstacle_monitor, self.steps = ObstacleMonitor(generator, ground, say), EstimateSteps()
+        self._obstacle_monitor, self.steps = ObstacleMonitor(generator.avoidance, say), EstimateSteps()
         self._waypoints = Waypoints(config.mission, generator)
         self.departure = Departure(
             config.mission,
             pad=pad,
             ground=ground,
             waypoints=self._waypoints,
-            obstacle_monitor=self.obstacle_monitor,
+            avoidance=generator.avoidance,
             say=say,
         )
         self.search = Search(config.search, generator, config.mission.pad_speed_m_s)
         self._landing = Landing(config.landing, vehicle, generator)
-        self.touchdown = TouchdownSequence(
+        self._new_try = partial(
+            TouchdownSequence,
             config.touchdown,
-            vehicle,
             config.landing,
             generator,
-            pad_half_width_m,
             standing_height,
+            pad_half_width_m,
         )
+        self.touchdown = self._new_try(0.0)
         self._held = Hold(config, vehicle.leg_height_m, generator=generator, pad=pad, ground=ground, say=say)
         self._begun_s, self._contradicted_s = 0.0, -math.inf
         self._steered_by: dict[Phase, Callable[[PlanInputs, float], DetectedEvent | None]] = {
@@ -146,7 +153,7 @@ class PhaseSteering:
         """Steer the reference for this cycle; returns what is detected."""
         self.refused = None
         event = self._steered_by[self._machine.phase](inputs, now_s)
-        self.obstacle_monitor.tell(now_s)
+        self._obstacle_monitor.tell(now_s)
         return event
 
     def reference(self, now_s: float) -> Reference | None:
@@ -178,8 +185,6 @@ class PhaseSteering:
             self._generator.stop()
         elif state is State.TAKE_OFF:
             self._ground.stands_here(inputs.vehicle)
-            self.obstacle_monitor.stands_here(inputs.vehicle)
-            self.departure.lift_off()
         elif state is State.ROUTE:
             self._enter_route(previous, inputs, now_s)
         elif state is State.SEARCH:
@@ -187,7 +192,7 @@ class PhaseSteering:
         elif state is State.APPROACH:
             self._enter_approach(previous, now_s)
         elif state is State.WAIT and previous is State.DESCEND:
-            self.touchdown.begin(now_s, _LAST_TRY_SLACK if self._machine.last_try else 1.0)
+            self.touchdown = self._new_try(now_s, _LAST_TRY_SLACK if self._machine.last_try else 1.0)
         elif state.phase is Phase.TOUCHDOWN:
             enter_touchdown(self.touchdown, state, inputs.vehicle, now_s)
         elif state.phase in {Phase.HOLD, Phase.ABORT}:
@@ -230,7 +235,7 @@ class PhaseSteering:
         return math.inf if down_m is None else down_m
 
     def _enter_approach(self, previous: State, now_s: float) -> None:
-        if self._generator.origin == "local" and self._pad.motion is not None:
+        if self._pad.motion is not None:
             self._generator.change_frame("pad", self._pad.motion, now_s)
         again = previous in BY_THE_PAD
         self._landing.begin(-self._generator.at(now_s).position_m[2], again, now_s)
@@ -267,7 +272,7 @@ class PhaseSteering:
 
     def _fly_route(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Through the waypoints that are ours; the pad in view ends it."""
-        home_ned_m = self.obstacle_monitor.home_ned_m
+        home_ned_m = self._generator.avoidance.home_ned_m
         if inputs.vehicle is None or home_ned_m is None or not self._generator.active:
             return None
         if self._pad.steady(now_s):
@@ -314,8 +319,7 @@ class PhaseSteering:
             return None
         self._keep_near_pad(inputs, now_s)
         fly = self._landing.approach if self._machine.state is State.APPROACH else self._landing.descend
-        place = self.search.locator.likely(now_s)
-        event = fly(self._pad, Unseen(place, self._lowest_down_m()), now_s)
+        event = fly(self._pad, self.search.locator.likely(now_s), self._lowest_down_m(), now_s)
         if self._pad.sight is not None and self.search.ask_again(self._pad.sight.age_s, now_s):
             self._requests.tell(Action(ActionKind.REQUEST_PAD_POSITION))
         if self._landing.climbs:

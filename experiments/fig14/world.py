@@ -18,7 +18,7 @@ from companion.config import Box, Cylinder
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m, line_clear, route
 from companion.plan.speed.speed_table import SpeedTable, load_table
 from companion.plan.trajectory.course import Course, through
-from companion.plan.trajectory.trajectory_time import trajectory_time_s
+from companion.plan.trajectory.min_jerk import trajectory_time_s
 from sitl.pad.motion import PadMotion, build_pad_motion
 from sitl.pad.paths import Meeting, RandomTurnsMotion
 from sitl.vehicle.quadrotor import QuadrotorParameters

@@ -64,6 +64,7 @@ SETTINGS: Final[dict[str, Any]] = {
     "warm_starting": True,
     "verbose": False,
 }
+FIRST_HOVER_THRUST = 0.5  # share of full thrust that carries the weight, until a target gives it
 AT_BOUND = 0.98  # of it, sideways: OSQP stops short of a bound
 # the gate bounds the whole vector's jerk, here it is each axis': stay within it, and clear of jitter
 JERK_SHARE = 0.95 / 3.0**0.5
@@ -95,12 +96,8 @@ class Mpc:
         config: ControlConfig,
         lags_s: Vector3,
         stopwatch: Callable[[], float] | None = None,
-        hover_thrust: float = 0.5,
     ) -> None:
-        """`lags_s` are `flight_model.lags`; `stopwatch` gives seconds, by which a solve may come to its end.
-
-        `hover_thrust` is the share of full thrust that carries the weight, until a target gives it.
-        """
+        """`lags_s` are `flight_model.lags`; `stopwatch` gives seconds, by which a solve may end."""
         self._limits = config.limits
         self._stopwatch = stopwatch or (lambda: 0.0)
         self._solve_limit_s = config.solve_limit_s
@@ -113,8 +110,11 @@ class Mpc:
         self._layout = QpLayout(self._N)
         self._rows = self._layout.rows()
         self._A, self._B = step_matrices(self._dt, lags_s)
-        self._stack_weights()
-        self._fixed_bounds(config, hover_thrust)
+        self._q_state = np.array([np.diag(c.Q)[i] for i in range(3) for c in self._costs])
+        self._R = np.array([c.R for c in self._costs])
+        self._S = np.array([c.S for c in self._costs])
+        self._terminal = np.stack([c.terminal for c in self._costs])
+        self._fixed_bounds(config)
         self._solver = self._set_up(min(SLICE_ITERATIONS, config.maximum_iterations))
         self.reset()
 
@@ -168,13 +168,7 @@ class Mpc:
 
     # ------------------------------------------------------------ set-up
 
-    def _stack_weights(self) -> None:
-        self._q_state = np.array([[np.diag(c.Q)[i] for i in range(3) for c in self._costs]])[0]
-        self._R = np.array([c.R for c in self._costs])
-        self._S = np.array([c.S for c in self._costs])
-        self._terminal = np.stack([c.terminal for c in self._costs])
-
-    def _fixed_bounds(self, config: ControlConfig, hover_thrust: float) -> None:
+    def _fixed_bounds(self, config: ControlConfig) -> None:
         limits, rows = config.limits, self._rows
         count = rows["floor"].stop
         self._l, self._u = np.full(count, -np.inf), np.full(count, np.inf)
@@ -191,7 +185,7 @@ class Mpc:
         self._input_rows = input_rows(limits)
         self._tilt_tangent = math.tan(math.radians(limits.tilt_deg))
         self._bounded_for = math.nan, 0.0
-        self._bound_inputs(hover_thrust, 0.0)
+        self._bound_inputs(FIRST_HOVER_THRUST, 0.0)
 
     def _set_up(self, iterations: int) -> osqp.OSQP:
         P = cost_matrix(self._costs, self._N)

@@ -9,14 +9,12 @@ since the prediction of a height from few sightings sinks or rises without end.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from companion.base.messages import DescentCone, PadState
 from companion.base.motion import Motion
 from companion.config import LandingConfig, VehicleConfig
-from companion.plan.events import DetectedEvent, MissionEvent
+from companion.plan.events import NOTICE_THRESHOLD_M, DetectedEvent, MissionEvent
 from companion.plan.landing.relative_state import PadTrack
-from companion.plan.notices import NOTICE_THRESHOLD_M
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
 # At the height of the goal, and slow enough to stay in the cone: the descent corrects the rest on the way.
@@ -32,16 +30,11 @@ _CHASED_M = 0.5
 _FLOOR_M = 0.15  # over where it would stand: a pad that heaves does not reach the feet in the descent
 
 
-@dataclass(frozen=True, slots=True)
-class Unseen:
-    """What the vehicle goes by while the pad is unseen: its likely place, and a floor; EKF's NED."""
-
-    place: Motion
-    lowest_down_m: float
-
-
 class Landing:
-    """Approach and descent; `begin` at each approach."""
+    """Approach and descent; `begin` at each approach.
+
+    While the pad is unseen the vehicle goes by its likely place, and a floor, `lowest_down_m`; EKF's NED.
+    """
 
     def __init__(self, config: LandingConfig, vehicle: VehicleConfig, generator: ReferenceGenerator) -> None:
         self._config, self._generator = config, generator
@@ -67,12 +60,14 @@ class Landing:
         self._begun_s = now_s
         self._chasing = False
 
-    def approach(self, pad: PadTrack, unseen: Unseen, now_s: float) -> DetectedEvent | None:
+    def approach(
+        self, pad: PadTrack, likely: Motion, lowest_down_m: float, now_s: float
+    ) -> DetectedEvent | None:
         """Towards the point above the pad, down a slope that keeps the pad in view."""
         sight = pad.sight
         if sight is None or min(sight.age_s, now_s - self._begun_s) > self._config.lost_unseen_s:
             return self._lost(sight)
-        if not self._by_sight(pad, sight, self.goal_m, unseen, now_s):
+        if not self._by_sight(pad, sight, self.goal_m, likely, lowest_down_m, now_s):
             return None
         self._go(self._slope_m(sight, now_s), now_s)
         near = abs(sight.height_m - self.goal_m) <= min(_CENTRED_MARGIN_M, 0.25 * self.goal_m)
@@ -86,13 +81,15 @@ class Landing:
         aside_m = max(math.hypot(x, y), sight.lateral_m)
         return max(self.goal_m, min(-z, aside_m / self._config.approach_slope))
 
-    def descend(self, pad: PadTrack, unseen: Unseen, now_s: float) -> DetectedEvent | None:
+    def descend(
+        self, pad: PadTrack, likely: Motion, lowest_down_m: float, now_s: float
+    ) -> DetectedEvent | None:
         """Straight down to where touchdown starts, only inside the cone and with the pad in view."""
         sight = pad.sight
         if sight is None or sight.age_s > self._config.lost_unseen_s:
             return self._lost(sight)
         wait_m = self._leg_m + self._config.wait_height_m
-        if not self._by_sight(pad, sight, 0.0, unseen, now_s):
+        if not self._by_sight(pad, sight, 0.0, likely, lowest_down_m, now_s):
             self._paused = True
             return None
         go_on = self._inside(sight, _BACK_INSIDE if self._paused else 1.0)
@@ -110,7 +107,15 @@ class Landing:
         """What the controller may not go below; never above where the reference is."""
         return max(0.0, min(self._leg_m + _FLOOR_M, -self._generator.at(now_s).position_m[2] - 0.05))
 
-    def _by_sight(self, pad: PadTrack, sight: PadState, goal_m: float, unseen: Unseen, now_s: float) -> bool:
+    def _by_sight(
+        self,
+        pad: PadTrack,
+        sight: PadState,
+        goal_m: float,
+        likely: Motion,
+        lowest_down_m: float,
+        now_s: float,
+    ) -> bool:
         """Whether the pad is in view; if not, the vehicle flies on level over its predicted place.
 
         A climb to goal_m that was under way is completed, to the height that the last sighting gave.
@@ -123,12 +128,12 @@ class Landing:
             return True
         if self._generator.origin == "pad":
             self._generator.change_frame("local", pad.motion, now_s)
-            self._blind_down_m = self._goal_down_m(pad.motion, goal_m, now_s)
-            if self._generator.at(now_s).position_m[2] - self._blind_down_m > NOTICE_THRESHOLD_M:
+            # the goal, if that is higher than here, by no more than a retry climbs
+            here_m = self._generator.at(now_s).position_m[2]
+            self._blind_down_m = max(pad.motion.position_m[2] - goal_m, here_m - self._config.retry_height_m)
+            if here_m - self._blind_down_m > NOTICE_THRESHOLD_M:
                 self._generator.rise(now_s)  # at once: how far below the unseen pad is, is soon a guess
-        climb_m = self._generator.fly_level(
-            unseen.place, min(unseen.lowest_down_m, self._blind_down_m), now_s
-        )
+        climb_m = self._generator.fly_level(likely, min(lowest_down_m, self._blind_down_m), now_s)
         if climb_m > NOTICE_THRESHOLD_M:
             self.climbs = f"{climb_m:.1f} m while the pad is unseen"
         return False
@@ -144,11 +149,6 @@ class Landing:
         begins = climb_m > _CHASED_M and not self._chasing
         self._chasing = climb_m > _CHASED_M or (self._chasing and self._paused)
         return f"to keep the pad in view, {soon_m:.1f} m aside" if begins else ""
-
-    def _goal_down_m(self, pad: Motion, goal_m: float, now_s: float) -> float:
-        """Down of the goal, if that is higher than here, by no more than a retry climbs."""
-        here_m = self._generator.at(now_s).position_m[2]
-        return max(pad.position_m[2] - goal_m, here_m - self._config.retry_height_m)
 
     def _go(self, height_m: float, now_s: float) -> None:
         self._generator.fly_to(Motion((0.0, 0.0, -height_m)), now_s)

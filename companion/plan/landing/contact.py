@@ -3,16 +3,19 @@
 Contact is felt: the vehicle stops sinking although its reference goes on down, as PX4's and ArduPilot's land
 detectors have it. A height says only where that may be, and by the same number, `leg_height_m`, whether the
 camera or an echo measures it: one that is 8 cm wrong would cut the thrust 8 cm up.
+A motor that stops is no landing by itself: a kill switch, a crash detected and a vehicle that has toppled
+over the pad's edge end in the same word.
 Heights count from the vehicle's reference point: with the feet on the pad it is leg_height over it. m, s.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from companion.base.geometry import GRAVITY_M_S2, norm
+from companion.base.geometry import GRAVITY_M_S2, Quaternion, norm, tilt_from_quat
 from companion.base.messages import LandedState, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
 from companion.base.second_sources import SIGMA_THRESHOLD
@@ -46,6 +49,9 @@ _UNSHOWN_AFTER_S = 4.0
 # Tilting more than this it is not about to stand, whatever is near.
 _MOST_FOOT_TILT_RAD = math.radians(15.0)
 _STANDS_S = FRESH_S  # at the slowest sink echoes would shorten by four times their noise
+_ATTITUDE_FRESH_S: Final = 1.0
+# No deck that is landed on tilts so far (24 deg is refused for a ship's), and legs that stand do not either.
+_UPRIGHT_RAD: Final = math.radians(30.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,15 +205,13 @@ class ShortEchoes:
 
 
 class LandDetector:
-    """A vehicle on the pad, from `begin` on: detects that it rests there, and that it left."""
+    """A vehicle on the pad: detects that it rests there, and that it left."""
 
-    def __init__(self, config: TouchdownConfig, vehicle: VehicleConfig) -> None:
-        self._config, self._vehicle = config, vehicle
-        self.begin(0.0)
-
-    def begin(self, now_s: float, sight: PadState | None = None) -> None:
+    def __init__(
+        self, config: TouchdownConfig, vehicle: VehicleConfig, now_s: float, sight: PadState | None = None
+    ) -> None:
         """The feet are on the pad from now on: where they were felt, if the file has shorter legs."""
-        self._since_s = now_s
+        self._config, self._vehicle, self._since_s = config, vehicle, now_s
         felt_m = 0.0 if sight is None or sight.age_s > KNOWN_S else sight.height_m
         self._stood_m = max(self._vehicle.leg_height_m, felt_m)
         self._feet_m = self._stood_m + self._config.contact_margin_m
@@ -279,3 +283,50 @@ class LandDetector:
         falls = self._falling.held_s(jolted and not silent, now_s) >= _FALLS_S
         rested_s = self._resting.held_s(down and not falls, now_s)
         return rested_s - _UNFELT_S if silent else rested_s
+
+
+def not_standing(
+    sight: PadState | None,
+    inputs: PlanInputs,
+    vehicle: VehicleConfig,
+    pad_reach_m: float,
+    now_s: float,
+    *,
+    surface_m: float | None,
+    touched: bool,
+) -> str:
+    """Why it does not stand upright on the pad, in words; "" when it does.
+
+    Both attitudes count, ours and the autopilot's, as long as they are fresh. `pad_reach_m`: from the pad's
+    middle to its corner. `surface_m`: the height over what several echoes agree on. `touched`: the feet have
+    been shown down.
+    """
+    tilt_rad = max(map(tilt_from_quat, _attitudes(inputs, now_s)), default=None)
+    if tilt_rad is None:
+        return "attitude unknown"
+    if tilt_rad > _UPRIGHT_RAD:
+        return f"tilted by {math.degrees(tilt_rad):.0f} deg"
+    if why := _elsewhere(sight, surface_m, vehicle.leg_height_m + AWAY_M, pad_reach_m):
+        return why
+    if not touched and inputs.autopilot.landed is not LandedState.ON_GROUND:
+        return "contact never confirmed"
+    return ""
+
+
+def _elsewhere(sight: PadState | None, surface_m: float | None, deepest_m: float, pad_reach_m: float) -> str:
+    """Where the pad is instead, by a fresh sight or else by the echoes; "" where neither says so."""
+    if sight is None or sight.age_s > _ATTITUDE_FRESH_S:
+        away = surface_m is not None and surface_m > deepest_m
+        return f"surface {surface_m:.1f} m below" if away else ""
+    if sight.lateral_m > pad_reach_m:
+        return f"{sight.lateral_m:.1f} m beside the pad's centre"
+    return f"the pad is {sight.height_m:.1f} m below" if sight.height_m > deepest_m else ""
+
+
+def _attitudes(inputs: PlanInputs, now_s: float) -> Iterator[Quaternion]:
+    ours = inputs.vehicle
+    if ours is not None and ours.aligned and now_s - ours.sensed_time_s <= _ATTITUDE_FRESH_S:
+        yield ours.attitude
+    autopilot = inputs.autopilot
+    if autopilot.attitude is not None and now_s - autopilot.attitude_time_s <= _ATTITUDE_FRESH_S:
+        yield autopilot.attitude

@@ -1,23 +1,27 @@
-"""When the vehicle goes level for the contact, and for how long.
+"""When the vehicle goes level for the contact, and for how long; how far pad and vehicle tilt by then.
 
 The vehicle levels shortly before contact, and briefly: a level vehicle cannot follow the pad and drifts. If
 contact comes late it stays level while the drift is small, and longer where it is so low that a tilt would
 put a foot on the pad. The controller knows of it before, and is on its way against the drift when it begins.
 Until then the tilt is bounded to a little more than pad and wind have needed so far: a contact that comes
 0.1 s early would meet it. The more tilt is levelled off, the firmer it sets down: less time to drift in.
-NED, SI units.
+
+A swing goes on as it is for a part of its period: from the mean, by the tilt and its rate at the swing's own
+frequency. The vehicle's tilt against the wind stays, that for the pad's acceleration turns with its course:
+over a pad on a circle there is a moment at which the two are against one another.
+NED, rad, SI units.
 """
 
 from __future__ import annotations
 
+import cmath
 import math
 from typing import Final
 
-from companion.base.geometry import GRAVITY_M_S2
+from companion.base.geometry import GRAVITY_M_S2, Quaternion, horizontal_acceleration, tilt_from_quat
 from companion.base.messages import LevelOff, PadState
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.landing.contact import UNSEEN_S
-from companion.plan.landing.tilt_prediction import TiltPrediction
 
 # From the decision to level off until the tilt has begun to fall (command, dead time, the gate of jerk), and
 # how fast it then falls.
@@ -36,6 +40,60 @@ AHEAD_S: Final = 0.7
 BEYOND_M_S2: Final = 0.6
 # Of the speed over the pad that one may start down with; what is gentle on the feet is a bit more.
 FASTEST_DRIFT: Final = 2.0
+# a pad that swings less, root mean square, hardly tilts by 5 deg, and our own error swings by as much as 0.6
+SWINGS_RAD: Final = math.radians(2.0)
+# a swing of several periods at once is known for about so long
+SWING_KNOWN_S: Final = 4.0
+
+
+def tilt_in_rad(sight: PadState, ahead_s: float) -> float:
+    """How far the pad will tilt (rad) so much later."""
+    turned = sight.tilt_frequency_rad_s * ahead_s
+    known = math.exp(-0.5 * (ahead_s / SWING_KNOWN_S) ** 2)
+    rate_s = math.sin(turned) / sight.tilt_frequency_rad_s if turned > 0.0 else ahead_s
+    return math.hypot(
+        *(
+            mean + known * (math.cos(turned) * (tilt - mean) + rate_s * rate)
+            for mean, tilt, rate in zip(
+                sight.tilt_mean_rad, sight.tilt_rad, sight.tilt_rate_rad_s, strict=True
+            )
+        )
+    )
+
+
+def level_at(sight: PadState, ahead_s: float, most_rad: float) -> bool:
+    """Whether a contact so much later meets the pad level enough; a pad that does not swing is as it is."""
+    return sight.tilt_swing_rad < SWINGS_RAD or tilt_in_rad(sight, ahead_s) <= most_rad
+
+
+class TiltPrediction:
+    """How far the vehicle tilts, and will have to, as the horizontal acceleration that its thrust makes."""
+
+    SMOOTHING_S: Final = 0.25
+
+    def __init__(self) -> None:
+        self.tilt_rad = 0.0
+        # complex: north + i east
+        self._lasting_m_s2, self._with_pad_m_s2, self._turn_rad_s = 0j, 0j, 0.0
+        self._noted_s: float | None = None
+
+    def note(self, attitude: Quaternion, sight: PadState | None, now_s: float) -> None:
+        """Take in the vehicle's attitude; an unseen pad goes on as it did."""
+        if sight is not None:
+            self._with_pad_m_s2 = complex(*sight.acceleration_ned_m_s2[:2])
+            self._turn_rad_s = sight.turn_rate_rad_s
+        self.tilt_rad = tilt_from_quat(attitude)
+        lasting = complex(*horizontal_acceleration(attitude)) - self._with_pad_m_s2
+        first = self._noted_s is None
+        elapsed_s = 0.0 if self._noted_s is None else max(0.0, now_s - self._noted_s)
+        share = 1.0 if first else -math.expm1(-elapsed_s / self.SMOOTHING_S)
+        self._noted_s = now_s
+        self._lasting_m_s2 += share * (lasting - self._lasting_m_s2)
+
+    def predicted_acceleration_m_s2(self, ahead_s: float) -> float:
+        """How much it will take (m/s²) so much later."""
+        turned = cmath.rect(1.0, self._turn_rad_s * ahead_s)
+        return abs(self._lasting_m_s2 + self._with_pad_m_s2 * turned)
 
 
 class Levelling:

@@ -28,14 +28,18 @@ class SetDown:
 
     def begin(self, vehicle: VehicleState | None, now_s: float) -> None:
         """Sink from the vehicle's own motion on, and no more sideways than that."""
-        self._sink_from(vehicle, now_s)
+        if vehicle is not None:
+            actual = vehicle_motion(vehicle)
+            down = Motion(actual.position_m, (0.0, 0.0, actual.velocity_m_s[2]))
+            self._generator.start("local", down, now_s)
+        self._generator.sink(self._config.contact_speed_m_s, self._config.blend_s, now_s)
 
     def step(
         self, sight: PadState | None, inputs: PlanInputs, contact_test: ContactTest, now_s: float
     ) -> DetectedEvent | None:
         """Go on down; returns what shows that something solid is below."""
         if self._runs_ahead(inputs, now_s):
-            self._sink_from(inputs.vehicle, now_s)
+            self.begin(inputs.vehicle, now_s)
         landed = inputs.autopilot.landed
         if landed is LandedState.ON_GROUND:
             return MissionEvent.LANDING_DETECTED, "the autopilot reports landed"
@@ -64,13 +68,6 @@ class SetDown:
             return False
         if inputs.link.silent or not autopilot.offboard:
             return True
-        ahead_m = self._generator.at(now_s).position_m[2] - vehicle_motion(vehicle).position_m[2]
+        ahead_m = self._generator.at(now_s).position_m[2] - vehicle.position_ned_m[2]
         # without the IMU its height is a guess
         return imu_fresh(vehicle, now_s) and ahead_m > _AHEAD_M
-
-    def _sink_from(self, vehicle: VehicleState | None, now_s: float) -> None:
-        if vehicle is not None:
-            actual = vehicle_motion(vehicle)
-            down = Motion(actual.position_m, (0.0, 0.0, actual.velocity_m_s[2]))
-            self._generator.start("local", down, now_s)
-        self._generator.sink(self._config.contact_speed_m_s, self._config.blend_s, now_s)

@@ -90,7 +90,7 @@ class Tolerance:
     """The tolerances of one try, from `since_s` on; `tolerance_scale` widens all of them."""
 
     def __init__(self, config: TouchdownConfig, since_s: float, tolerance_scale: float) -> None:
-        self._config, self._since_s, self.tolerance_scale = config, since_s, tolerance_scale
+        self._config, self.since_s, self.tolerance_scale = config, since_s, tolerance_scale
         self._tilts: deque[tuple[float, float]] = deque()  # of the last gentle_wait_s: when, m/s²
         self._lull_m_s2 = 0.0
 
@@ -112,7 +112,7 @@ class Tolerance:
 
     def waits_passed(self, now_s: float) -> float:
         """How many `gentle_wait_s` have passed since this try began."""
-        return (now_s - self._since_s) / self._config.gentle_wait_s
+        return (now_s - self.since_s) / self._config.gentle_wait_s
 
     def slack_by_now(self, now_s: float) -> float:
         """The tolerance_scale, wider after two waits."""

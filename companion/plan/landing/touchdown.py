@@ -34,11 +34,12 @@ import math
 from companion.base.geometry import GRAVITY_M_S2
 from companion.base.messages import LevelOff, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
-from companion.config import LandingConfig, TouchdownConfig, VehicleConfig
+from companion.config import LandingConfig, TouchdownConfig
 from companion.plan.debounce import Debounce
 from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.inputs import LONGEST_CYCLE_S, PlanInputs
 from companion.plan.landing.contact import (
+    AWAY_M,
     FRESH_S,
     UNSEEN_S,
     ContactSigns,
@@ -48,10 +49,9 @@ from companion.plan.landing.contact import (
     contact_signs,
     echo_height_m,
 )
-from companion.plan.landing.levelling import Levelling
+from companion.plan.landing.levelling import Levelling, TiltPrediction, level_at
 from companion.plan.landing.set_down import SetDown
 from companion.plan.landing.standing_height import StandingHeight
-from companion.plan.landing.tilt_prediction import TiltPrediction, level_at
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle, slides_off, stopping_m
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
@@ -65,8 +65,7 @@ _FASTER_M_S = 0.16  # a planned sink may be exceeded by this, one that nothing f
 # can be levelled off at all, or it would break off at once.
 _TOO_MUCH_TILT = 1.3
 _COMMITS_BELOW = 0.9
-# Echoes so much deeper than the unseen pad's estimate, for so long: the pad is not below any more.
-_DEEPER_M = 0.25
+# Echoes deeper than the unseen pad's estimate by `AWAY_M`, for so long: the pad is not below any more.
 _DEEPER_S = 0.15
 # Short echoes alone show the feet down where the last estimate has them no higher than this; so near, an echo
 # that agrees with it shows that the pad, unseen for long, is below all the same.
@@ -75,7 +74,7 @@ _AGREES_M = 0.05
 
 
 class TouchdownSequence:
-    """One try after another: `begin` at each, and in every cycle `see` and what the vehicle does then.
+    """One try: in every cycle `see`, and what the vehicle does then.
 
     Steers the reference in the pad's frame; each returns what is detected, and why.
     """
@@ -83,39 +82,31 @@ class TouchdownSequence:
     def __init__(
         self,
         config: TouchdownConfig,
-        vehicle: VehicleConfig,
         landing: LandingConfig,
         generator: ReferenceGenerator,
+        standing_height: StandingHeight,
         pad_half_width_m: float,
-        standing_height: StandingHeight | None = None,
+        now_s: float,
+        tolerance_scale: float = 1.0,
     ) -> None:
-        """`standing_height` has watched the vehicle stand: a try begins with the leg height by then."""
-        self._config, self._generator = config, generator
-        self._standing_height = standing_height or StandingHeight(vehicle)
+        """Start a try with the leg height that is known by now; `tolerance_scale` widens its tolerances."""
+        self._config, self._landing, self._generator = config, landing, generator
+        self._vehicle = vehicle = standing_height.vehicle
+        self._leg_std_m = standing_height.std_m
         self._feet_on_pad_m = pad_half_width_m - vehicle.foot_reach_m
-        self._landing = landing
-        self._sight: PadState | None = None
-        self.begin(0.0, tolerance_scale=1.0)
-
-    def begin(self, now_s: float, tolerance_scale: float) -> None:
-        """Start a try; `tolerance_scale` widens its tolerances."""
-        config, vehicle = self._config, self._standing_height.vehicle
-        self._vehicle = vehicle
-        self._wait_height_m = vehicle.leg_height_m + self._landing.wait_height_m
+        self._wait_height_m = vehicle.leg_height_m + landing.wait_height_m
         self._low_m = vehicle.leg_height_m + 2.0 * config.contact_margin_m
-        self._standing = LandDetector(config, vehicle)
-        self._set_down = SetDown(config, vehicle, self._generator)
-        self._since_s = self._gave_way_s = self._contact_due_s = self._blended_s = now_s
-        self._tolerance = Tolerance(self._config, now_s, tolerance_scale)
-        self._reset_debounces()
-        self._contact_test = ContactTest(self._config)
-        self._short_echoes = ShortEchoes(self._config.contact_speed_m_s)
-        self.tilt = TiltPrediction()
-        self._levelling = Levelling(config, vehicle, self._standing_height.std_m)
-        self._left, self._lowest_m = False, math.inf
-
-    def _reset_debounces(self) -> None:
+        self._sight: PadState | None = None
+        self._standing = LandDetector(config, vehicle, now_s)
+        self._set_down = SetDown(config, vehicle, generator)
+        self._gave_way_s = self._contact_due_s = self._blended_s = now_s
+        self._tolerance = Tolerance(config, now_s, tolerance_scale)
         self._settled, self._too_fast, self._far_aside, self._deeper = (Debounce() for _ in range(4))
+        self._contact_test = ContactTest(config)
+        self._short_echoes = ShortEchoes(config.contact_speed_m_s)
+        self.tilt = TiltPrediction()
+        self._levelling = Levelling(config, vehicle, self._leg_std_m)
+        self._left, self._lowest_m = False, math.inf
 
     def see(self, sight: PadState | None, vehicle: VehicleState | None, now_s: float) -> None:
         """Take in a cycle's estimates."""
@@ -136,7 +127,7 @@ class TouchdownSequence:
         """
         share, sight = self._contact_test.share, self._sight
         if share > 0.0 and sight is not None and sight.unseen_s <= UNSEEN_S:
-            falls_m = sight.height_m - self._vehicle.leg_height_m - self._standing_height.std_m
+            falls_m = sight.height_m - self._vehicle.leg_height_m - self._leg_std_m
             if falls_m > 0.0:
                 share = min(share, self._config.fastest_contact_m_s**2 / (2.0 * GRAVITY_M_S2 * falls_m))
         return share
@@ -150,7 +141,7 @@ class TouchdownSequence:
     def wait(self, sight: PadState | None, now_s: float) -> DetectedEvent | None:
         """Hover over the pad for a moment to land."""
         c, tolerance = self._config, self._tolerance
-        waited_s = now_s - self._since_s
+        waited_s = now_s - tolerance.since_s
         self._generator.fly_to(Motion((0.0, 0.0, -self._wait_height_m)), now_s)
         # as in the descent: an unseen pad's predicted height sinks or rises without end, and is soon a guess
         if sight is None or sight.unseen_s > self._landing.pause_unseen_s:
@@ -273,7 +264,7 @@ class TouchdownSequence:
         unseen = sight is None or sight.unseen_s > UNSEEN_S
         echo_m = echo_height_m(echo, self._vehicle, now_s)
         below_m = math.inf if sight is None else sight.height_m
-        deeper = unseen and echo_m is not None and echo_m > below_m + _DEEPER_M
+        deeper = unseen and echo_m is not None and echo_m > below_m + AWAY_M
         gone = self._deeper.held_s(deeper, now_s) >= _DEEPER_S
         agrees = echo_m is not None and abs(echo_m - below_m) <= _AGREES_M
         believed = sight is not None and (sight.age_s <= c.blind_s or (agrees and self._within_hand(sight)))
@@ -368,7 +359,8 @@ class TouchdownSequence:
         """Begin to rise, at once; waiting goes on from the reference's own state."""
         self._generator.rise(now_s)
         self._levelling.reset()
-        self._reset_debounces()
+        for begun in (self._settled, self._too_fast, self._far_aside, self._deeper):
+            begun.held_s(False, now_s)
 
     # ------------------------------------------------------------ set down, and stand
 
@@ -376,7 +368,7 @@ class TouchdownSequence:
         """Begin to go straight down, level."""
         self._contact_test = ContactTest(self._config)
         self._set_down.begin(vehicle, now_s)
-        self._standing.begin(now_s, self._sight)  # what an earlier try stood counts no more
+        self._standing = LandDetector(self._config, self._vehicle, now_s, self._sight)
         self._levelling.reset()
         self._levelling.stay(now_s)
 
@@ -387,7 +379,7 @@ class TouchdownSequence:
 
     def begin_stand(self, now_s: float) -> None:
         """The feet are on the pad."""
-        self._standing.begin(now_s, self._sight)
+        self._standing = LandDetector(self._config, self._vehicle, now_s, self._sight)
         self._stay_down(now_s)
 
     def stand(

@@ -11,14 +11,13 @@ from companion.base.geometry import Vector3, geodetic_from_ned, ned_from_geodeti
 from companion.base.messages import Action, ActionKind, AutopilotState, LandedState, VehicleState
 from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
-from companion.plan.events import DetectedEvent, MissionEvent
+from companion.plan.events import DetectedEvent, MissionEvent, NoticeSink
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing.height_above_ground import HeightAboveGround
-from companion.plan.landing.relative_state import PadTrack, vehicle_motion
+from companion.plan.landing.relative_state import PadTrack
 from companion.plan.mission.readiness import not_ready_to_arm
 from companion.plan.mission.states import State
-from companion.plan.notices import NoticeSink
-from companion.plan.obstacles.obstacle_monitor import ObstacleMonitor
+from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.trajectory.waypoints import Waypoints
 
 _REMIND_S = 10.0
@@ -40,11 +39,11 @@ class Departure:
         pad: PadTrack,
         ground: HeightAboveGround,
         waypoints: Waypoints,
-        obstacle_monitor: ObstacleMonitor,
+        avoidance: Avoidance,
         say: NoticeSink,
     ) -> None:
         self._config, self._pad, self._ground = config, pad, ground
-        self._waypoints, self._obstacle_monitor, self._say = waypoints, obstacle_monitor, say
+        self._waypoints, self._avoidance, self._say = waypoints, avoidance, say
         self._settled = Debounce()
         self._reminded_s = -math.inf
 
@@ -60,10 +59,6 @@ class Departure:
             return replace(action, height_m=0.0 if here_m is None else here_m + action.height_m)
         return action
 
-    def lift_off(self) -> None:
-        """Begin to watch the climb."""
-        self._settled = Debounce()
-
     def step(self, state: State, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """What is detected in one of these states."""
         vehicle, autopilot = inputs.vehicle, inputs.autopilot
@@ -77,7 +72,7 @@ class Departure:
             return self._take_off(vehicle, autopilot, now_s)
         if self._pad.steady(now_s):
             return MissionEvent.PAD_SEEN, "on the way to the waypoint"
-        return self._at_first(vehicle) if self._waypoints.further else self._to_waypoint(vehicle, autopilot)
+        return None if vehicle is None else self._on_the_way(vehicle, autopilot)
 
     def _connect(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         autopilot = inputs.autopilot
@@ -106,26 +101,19 @@ class Departure:
         settled = self._settled.held_s(calm, now_s) >= _SETTLED_S
         if height_m < wanted_m - min(_NEARLY_UP_M, 0.1 * wanted_m) and not settled:
             return None
-        if vehicle is None or self._obstacle_monitor.lost:
+        if vehicle is None or self._avoidance.lost:
             return (
                 MissionEvent.HOME_UNKNOWN,
                 "no estimate at take-off: position of the obstacles unknown",
             )
-        if not self._obstacle_monitor.straight_clear(
-            vehicle.position_ned_m, self._waypoints.first_from_home_m
-        ):
+        if not self._avoidance.straight_clear(vehicle.position_ned_m, self._waypoints.first_from_home_m):
             return MissionEvent.BLOCKED, "obstacles on the straight path to the waypoint: flying round them"
         return MissionEvent.AIRBORNE, f"{height_m:.1f} m up"
 
-    def _at_first(self, vehicle: VehicleState | None) -> DetectedEvent | None:
-        """Whether the autopilot has come to the first of several waypoints, which all count alike."""
-        home_ned_m = self._obstacle_monitor.home_ned_m
-        if vehicle is None or home_ned_m is None:
-            return None
-        return self._waypoints.at_first(vehicle_motion(vehicle), home_ned_m)
-
-    def _to_waypoint(self, vehicle: VehicleState | None, autopilot: AutopilotState) -> DetectedEvent | None:
-        if vehicle is None or vehicle.origin is None or autopilot.home is None:
+    def _on_the_way(self, vehicle: VehicleState, autopilot: AutopilotState) -> DetectedEvent | None:
+        if self._config.waypoints_ned_m:  # the first of several, which all count alike
+            return self._waypoints.at_first(vehicle, self._avoidance.home_ned_m)
+        if vehicle.origin is None or autopilot.home is None:
             return None
         waypoint = ned_from_geodetic(*self._waypoint_geodetic(autopilot.home), vehicle.origin)
         p, v = vehicle.position_ned_m, vehicle.velocity_ned_m_s

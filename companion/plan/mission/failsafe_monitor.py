@@ -24,15 +24,16 @@ from companion.plan.inputs import PlanInputs
 from companion.plan.landing.contact import FRESH_S
 from companion.plan.mission.bounds import Bounds
 from companion.plan.mission.mode_monitor import WITHOUT_STICKS, ModeMonitor, short_name
-from companion.plan.mission.readiness import late_words, refused_words, rival_words, velocity_words
-from companion.plan.mission.state_machine import StateMachine
+from companion.plan.mission.readiness import (
+    STALE_ESTIMATE_S,
+    late_words,
+    refused_words,
+    rival_words,
+    velocity_words,
+)
 from companion.plan.mission.states import State
-from companion.plan.mission.table import BEFORE_TAKE_OFF, FINAL, by_severity
+from companion.plan.mission.table import BEFORE_TAKE_OFF, FINAL, StateMachine, by_severity
 
-# Without IMU samples for so long the estimate is lost. In the final descent over a pad that was in view until
-# then it is lost only when the estimator gives none any more (`IMU_TIMEOUT_S`): LAND would brake the vehicle
-# over a pad that drives on. Of a pad that was out of view before, the motion is known from too long ago.
-_STALE_ESTIMATE_S = 0.5
 _RIVAL_S = 0.5  # setpoints come at 2 Hz or more
 _OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz
 # So long without a plan the stop is complete, and the vehicle drifts with the wind.
@@ -199,8 +200,11 @@ class FailsafeMonitor:
     def _estimate(
         self, vehicle: VehicleState | None, pad: PadState | None, now_s: float
     ) -> Iterator[DetectedEvent]:
+        # In the final descent over a pad that was in view until then it is lost only when the estimator gives
+        # none any more: LAND would brake the vehicle over a pad that drives on. Of a pad that was out of view
+        # before, the motion is known from too long ago.
         follows = self._machine.state is State.SINK and _seen_until_lost(vehicle, pad)
-        longest_s = IMU_TIMEOUT_S if follows else _STALE_ESTIMATE_S
+        longest_s = IMU_TIMEOUT_S if follows else STALE_ESTIMATE_S
         if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > longest_s:
             yield MissionEvent.ESTIMATE_LOST, "no current vehicle estimate"
         elif uncertain := velocity_words(vehicle, self._config):

@@ -12,13 +12,11 @@ from companion.base.geometry import Vector3, norm, subtract
 from companion.base.messages import VehicleState
 from companion.base.motion import Motion
 from companion.config import PlanConfig
-from companion.plan.events import DetectedEvent, MissionEvent
+from companion.plan.events import NOTICE_THRESHOLD_M, DetectedEvent, MissionEvent, NoticeSink
 from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack, vehicle_motion
-from companion.plan.notices import NoticeSink
 from companion.plan.trajectory.reference_generator import ReferenceGenerator
 
-_WORTH_CLIMBING_M: Final = 0.2
 # At rest, as far as gusts let it be: what the autopilot's hold takes over without a swing.
 _SLOW_M_S: Final = 0.3
 _NEAR_M: Final = 0.3
@@ -45,12 +43,11 @@ class Hold:
 
     def stand_still(self, vehicle: VehicleState, now_s: float) -> None:
         """Come to rest, from the reference's own motion when there is one."""
-        pad = self._pad.motion
-        if not self._generator.active or (self._generator.origin == "pad" and pad is None):
+        if not self._generator.active:
             self._generator.start("local", vehicle_motion(vehicle), now_s)
             return
-        if pad is not None:
-            self._generator.change_frame("local", pad, now_s)
+        if self._pad.motion is not None:
+            self._generator.change_frame("local", self._pad.motion, now_s)
         self._generator.rest(self._generator.at(now_s), now_s)
 
     def begin(self, vehicle: VehicleState, now_s: float, *, over_pad: bool) -> None:
@@ -58,7 +55,7 @@ class Hold:
         climb_m = self._climb_m() if over_pad else 0.0
         self.stand_still(vehicle, now_s)
         x, y, z = self._generator.resting_place_m()
-        self._climbs = climb_m > _WORTH_CLIMBING_M
+        self._climbs = climb_m > NOTICE_THRESHOLD_M
         self._place = (x, y, z - climb_m if self._climbs else z)
         if self._climbs:
             self._say("climb", f"climbing {climb_m:.1f} m clear of the pad", now_s, "warning")

@@ -16,7 +16,7 @@ from companion.plan.mission.mode_monitor import in_offboard
 
 ORDER_EVENTS = {OrderKind.LAND: MissionEvent.LAND_ORDERED, OrderKind.FLY: MissionEvent.FLY_ORDERED}
 _TWIN_GONE_S = 5.0  # heartbeats come once a second
-_STALE_S = 0.5
+STALE_ESTIMATE_S = 0.5  # without IMU samples for so long the estimate is lost
 
 
 def refused_words(autopilot: AutopilotState) -> str:
@@ -113,7 +113,7 @@ def _either_way(
 
 def estimate_problems(vehicle: VehicleState | None, mission: MissionConfig, now_s: float) -> Iterator[str]:
     """What stands against flying by an estimate of the vehicle."""
-    if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > _STALE_S:
+    if vehicle is None or not vehicle.aligned or now_s - vehicle.sensed_time_s > STALE_ESTIMATE_S:
         yield "no current vehicle estimate"
     elif vehicle.origin is None:
         yield "no GPS position in our estimate yet"
@@ -142,7 +142,10 @@ def _not_flying(inputs: PlanInputs, config: PlanConfig) -> Refusal | None:
 
 def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> Iterator[str]:
     if inputs.autopilot.connected:
-        yield from _not_in_the_air(inputs.autopilot)
+        if not inputs.autopilot.armed:
+            yield "the vehicle is not armed"
+        if inputs.autopilot.landed is LandedState.ON_GROUND:
+            yield "the vehicle is on the ground"
     yield from not_ready(inputs, config.mission, now_s)
     if inputs.thrust_doubt:
         yield inputs.thrust_doubt
@@ -150,10 +153,3 @@ def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> It
         yield "plan.obstacles need a take-off by the app"
     for _, words in Bounds(config.mission).detect(inputs.vehicle, None, inputs.autopilot, now_s):
         yield words
-
-
-def _not_in_the_air(autopilot: AutopilotState) -> Iterator[str]:
-    if not autopilot.armed:
-        yield "the vehicle is not armed"
-    if autopilot.landed is LandedState.ON_GROUND:
-        yield "the vehicle is on the ground"

@@ -1,4 +1,4 @@
-"""The mission's state machine as data: a state and an event give the next state and the requests.
+"""The mission's state machine: as data, a state and an event give the next state and the requests.
 
 Its rules:
   every pair of a state and an event has one row, or is ignored, or is impossible;
@@ -21,7 +21,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Final
 
-from companion.base.messages import Action, ActionKind
+from companion.base.messages import Action, ActionKind, Phase
 from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, Guard, State, TableRow
 
@@ -374,12 +374,6 @@ def by_severity(events: Iterable[DetectedEvent]) -> tuple[DetectedEvent, ...]:
     return tuple(sorted(events, key=lambda event: _SEVERITY[event[0]]))
 
 
-def last_request(state: State, *, ours: bool, stands: bool) -> Action | None:
-    """What is asked for when control itself has failed, and the app ends; None: somebody else flies it."""
-    # to hold a position a vehicle that stands would lift off
-    return (_LAND if stands or state in COMMITTED else _HOLD) if ours else None
-
-
 def follows(state: State, event: MissionEvent, circumstances: Circumstances) -> Branch | None:
     """What follows an event; None: it means nothing in this state. Released, nothing is asked any more."""
     branches = TABLE[state, event]
@@ -387,3 +381,50 @@ def follows(state: State, event: MissionEvent, circumstances: Circumstances) -> 
     if branch is not None and circumstances.authority is Authority.RELEASED:
         return replace(branch, actions=())
     return branch
+
+
+class StateMachine:
+    """Asks the table what follows, and takes it."""
+
+    def __init__(self, retries: int, *, may_fly: bool = True) -> None:
+        """Ready to connect; in standby, if it may not fly until it is ordered to."""
+        self._retries_left = retries
+        self.state = State.CONNECT if may_fly else State.STANDBY
+        self.authority = Authority.NONE
+        self.ordered_in_air = False  # somebody else flies it until control is ours
+
+    @property
+    def phase(self) -> Phase:
+        """The phase of the present state."""
+        return self.state.phase
+
+    @property
+    def in_control(self) -> bool:
+        """Whether control was granted, though it may have been returned or taken since."""
+        return self.authority is not Authority.NONE
+
+    @property
+    def last_try(self) -> bool:
+        """Whether the next try that fails is the last."""
+        return self._retries_left <= 0
+
+    def follows(self, event: MissionEvent, circumstances: Circumstances) -> Branch | None:
+        """What follows an event now; None: it means nothing. Authority and tries are the machine's own."""
+        ours = replace(
+            circumstances,
+            authority=self.authority,
+            tries_left=not self.last_try,
+            ordered_in_air=self.ordered_in_air,
+        )
+        return follows(self.state, event, ours)
+
+    def take(self, branch: Branch) -> None:
+        """Go where a branch leads."""
+        if self.state is State.STANDBY and branch.to is State.SEARCH:
+            self.ordered_in_air = True
+        self.state = branch.to or self.state
+        self.authority = branch.authority or self.authority
+        if Effect.COUNT_TRY in branch.effects:
+            self._retries_left -= 1
+        if Effect.NO_NEW_TRY in branch.effects:
+            self._retries_left = 0  # it stays low, whatever the load does to it

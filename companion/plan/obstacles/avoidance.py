@@ -21,6 +21,7 @@ import numpy as np
 from companion.base.geometry import FloatArray, Vector3, add, norm, scale, subtract
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
+from companion.plan.events import NoticeSink
 from companion.plan.obstacles.obstacles import (
     Obstacle,
     clearance_m,
@@ -60,6 +61,13 @@ _SLACK_M: Final = 0.01
 _EXTRA_S: Final = 0.5
 # Waiting over a pad, so much higher than the margin asks for.
 _ABOVE_M: Final = 0.1
+_TELL_AGAIN_S: Final = 2.0
+_WORDS: Final = {
+    "blocked": "no clear path past the obstacles: holding",
+    "waiting_over": "pad too near to an obstacle: waiting over it",
+    "detour": "obstacle ahead: flying round it",
+    "clear": "clear of the obstacles again",
+}
 
 
 class Avoidance:
@@ -72,35 +80,22 @@ class Avoidance:
             prepare(self._obstacles, self._margin_m + spare_m)
         self._ceiling_down_m = -config.obstacle_ceiling_m
         self._limits: GuidanceConfig = config.guidance
-        self._home_ned_m: Vector3 | None = None
+        self.home_ned_m: Vector3 | None = None  # in the EKF's NED, from where the obstacles count
         self._detour: Course | None = None
         self._next_s = -math.inf
-        self._frame = STILL
+        self.frame = STILL  # how the reference's frame moves in the EKF's NED
         self._corners: list[tuple[float, Vector3]] = []  # of the detour: when they are passed, and where
         self.blocked = self.waiting = False
 
     @property
-    def any(self) -> bool:
-        """Whether there are obstacles."""
-        return bool(self._obstacles)
-
-    @property
     def needed(self) -> bool:
         """Whether there are obstacles, and home is known."""
-        return self.any and self._home_ned_m is not None
+        return bool(self._obstacles) and self.home_ned_m is not None
 
     @property
-    def detouring(self) -> bool:
-        """Whether a detour is flown."""
-        return self._detour is not None
-
-    def home_at(self, home_ned_m: Vector3) -> None:
-        """Where home is in the EKF's NED, from where the obstacles count."""
-        self._home_ned_m = home_ned_m
-
-    def see_from(self, frame: Motion) -> None:
-        """Set how the reference's frame moves in the EKF's NED; `STILL` for the EKF's NED itself."""
-        self._frame = frame
+    def lost(self) -> bool:
+        """Whether there are obstacles, but it is not known where: none of them would be kept clear of."""
+        return bool(self._obstacles) and self.home_ned_m is None
 
     def forget(self) -> None:
         """Drop the detour: a new reference begins."""
@@ -141,7 +136,7 @@ class Avoidance:
             self.waiting = found is None and may_wait
             if self.waiting:
                 found = self._over(start, target, now_s)
-            kept = found or (kept if _under_way(kept, now_s) else None)
+            kept = found or (kept if kept is not None and now_s < kept.end_s else None)
             if kept is not None:  # what takes long is planned less often
                 self._next_s = now_s + max(_THINK_AGAIN_S, _THINK_AGAIN_SHARE * (kept.end_s - now_s))
         self._detour, self.blocked = kept, kept is None
@@ -163,37 +158,45 @@ class Avoidance:
 
     def brake(self, start: Motion, now_s: float) -> Trajectory:
         """Come to rest in the reference's frame, as gently as that keeps clear."""
-        return self._braked(start, self._frame, now_s)
+        return self._braked(start, self.frame, now_s)
 
-    def straight_clear(self, start: Vector3, goal: Vector3) -> bool:
-        """Whether the straight line between two points in space keeps the margin."""
+    def straight_clear(self, start: Vector3, goal_from_home_m: Vector3) -> bool:
+        """Whether the straight line from a point in space to a place that counts from home keeps clear."""
         if not self.needed:
             return True
-        assert self._home_ned_m is not None
-        home = self._home_ned_m
-        return line_clear(subtract(start, home), subtract(goal, home), self._obstacles, self._margin_m)
+        assert self.home_ned_m is not None
+        return line_clear(subtract(start, self.home_ned_m), goal_from_home_m, self._obstacles, self._margin_m)
 
     def free_for(self, place: Vector3, duration_s: float) -> bool:
         """Whether a place in the reference's frame, going with it, stays clear for so long."""
         if not self.needed:
             return True
         times_s = np.arange(0.0, duration_s + _CHECK_STEP_S, _CHECK_STEP_S)
-        points = np.array(place) + predicted_places(self._frame, times_s)
+        points = np.array(place) + predicted_places(self.frame, times_s)
         return bool(np.min(self._clearance_m(points)) >= self._margin_m)
 
     def still_clear(self, way: PlannedPath, now_s: float) -> bool:
         """Whether what is left of a way keeps the margin."""
         return not self.needed or self._clear(way, now_s)
 
+    @property
+    def situation(self) -> str:
+        """What the obstacles make of the path, as `ObstacleMonitor` announces it."""
+        if self.blocked:
+            return "blocked"
+        if self.waiting:
+            return "waiting_over"
+        return "clear" if self._detour is None else "detour"
+
     # ------------------------------------------------------------ judging
 
     def _clear(self, way: PlannedPath, now_s: float) -> bool:
-        return self._keeps_clear(way, now_s, self._frame)
+        return self._keeps_clear(way, now_s, self.frame)
 
     def _keeps_clear(self, way: PlannedPath, now_s: float, frame: Motion = STILL) -> bool:
         """Whether a way in a frame keeps the margin to its stop; from within it, never nearer than it got."""
         last = in_space(way.at(way.end_s), frame)
-        after_s = _EXTRA_S + self._stop_s(norm(last.velocity_m_s))
+        after_s = _EXTRA_S + 1.5 * norm(last.velocity_m_s) / self._limits.horizontal_acceleration_m_s2
         whole_s = max(_CHECK_STEP_S, way.end_s - now_s) + after_s
         close_s = min(whole_s, _MOST_CHECKS * _CHECK_STEP_S)
         points = [_places(way, frame, now_s, 0.0, close_s)]
@@ -203,25 +206,22 @@ class Avoidance:
         least_m = np.minimum(self._margin_m, np.maximum.accumulate(clearance)) - _SLACK_M
         return bool(np.all(clearance >= least_m))
 
-    def _stop_s(self, speed_m_s: float) -> float:
-        return 1.5 * speed_m_s / self._limits.horizontal_acceleration_m_s2
-
     def _clearance_m(self, points: FloatArray) -> FloatArray:
-        assert self._home_ned_m is not None
-        return clearance_m(points - np.array(self._home_ned_m), self._obstacles)
+        assert self.home_ned_m is not None
+        return clearance_m(points - np.array(self.home_ned_m), self._obstacles)
 
     # ------------------------------------------------------------ finding a way
 
     def _round(self, start: Motion, target: Motion, now_s: float, level: bool) -> Course | None:
         """A way round or over, in the reference's frame."""
-        start, target = in_space(start, self._frame), in_space(target, self._frame)
+        start, target = in_space(start, self.frame), in_space(target, self.frame)
         met = target.position_m
         for _ in range(2):  # where the target is met depends on the way there
             ways = self._ways(start.position_m, met, now_s, level)
             if not ways:
                 return None
             time_s = paced(start, ways[0], target, now_s, self._limits).duration_s
-            if time_s > _LONGEST_LEAD_S and self._frame is STILL:
+            if time_s > _LONGEST_LEAD_S and self.frame is STILL:
                 # its motion can be predicted for a while only
                 target = Motion(add(target.position_m, scale(target.velocity_m_s, _LONGEST_LEAD_S)))
                 met, time_s = target.position_m, 0.0
@@ -231,7 +231,7 @@ class Avoidance:
                 found = pace(start, via, target, now_s, self._limits)
                 if self._keeps_clear(found, now_s):
                     self._corners = [(leg.end_s, c) for leg, c in zip(found.legs, via, strict=False)]
-                    return found.carried(space_seen_from(self._frame), now_s)
+                    return found.carried(space_seen_from(self.frame), now_s)
         return None
 
     def _ways(self, here: Vector3, there: Vector3, now_s: float, level: bool) -> list[list[Vector3]]:
@@ -258,13 +258,13 @@ class Avoidance:
 
     def _over(self, start: Motion, target: Motion, now_s: float) -> Course | None:
         """To over the target: no lower than now, or higher up, or else as near as it may."""
-        assert self._home_ned_m is not None
-        here, home_down = start.position_m[2] + self._frame.position_m[2], self._home_ned_m[2]
+        assert self.home_ned_m is not None
+        here, home_down = start.position_m[2] + self.frame.position_m[2], self.home_ned_m[2]
         tops = {home_down + o.top_down_m - self._margin_m - _ABOVE_M for o in self._obstacles}
         higher = sorted((t for t in tops if home_down + self._ceiling_down_m <= t < here), reverse=True)
         for down in (here, *higher):
             north, east, _ = target.position_m
-            raised = Motion((north, east, down - self._frame.position_m[2]), target.velocity_m_s)
+            raised = Motion((north, east, down - self.frame.position_m[2]), target.velocity_m_s)
             found = self._round(start, raised, now_s, level=False)
             if found is not None:
                 return found
@@ -272,42 +272,40 @@ class Avoidance:
 
     def _beside(self, start: Motion, target: Motion, now_s: float) -> Course | None:
         """To the place nearest to over the target that is clear, at the present height: it stays in view."""
-        assert self._home_ned_m is not None
-        target = in_space(target, self._frame)
+        assert self.home_ned_m is not None
+        target = in_space(target, self.frame)
         north, east, _ = add(target.position_m, scale(target.velocity_m_s, _THINK_AGAIN_S))
-        down = start.position_m[2] + self._frame.position_m[2]
-        over = subtract((north, east, down), self._home_ned_m)
+        down = start.position_m[2] + self.frame.position_m[2]
+        over = subtract((north, east, down), self.home_ned_m)
         free = nearest_free(over, self._obstacles, self._margin_m + _ABOVE_M)
         if free is None:
             return None
-        place = subtract(add(free, self._home_ned_m), self._frame.position_m)
-        return self._round(start, Motion(place, scale(self._frame.velocity_m_s, -1.0)), now_s, level=True)
+        place = subtract(add(free, self.home_ned_m), self.frame.position_m)
+        return self._round(start, Motion(place, scale(self.frame.velocity_m_s, -1.0)), now_s, level=True)
 
     def _via(self, places: Sequence[Vector3], spare_m: float, *, level: bool = False) -> list[Vector3] | None:
         """The points between the first place and the last, those on the way round included."""
         if not self.needed:
             return list(places[1:-1])
-        assert self._home_ned_m is not None
+        assert self.home_ned_m is not None
         ceiling = None if level else self._ceiling_down_m
-        from_home = [subtract(place, self._home_ned_m) for place in places]
-        if spare_m != _SPARES_M[-1] and self._nearer(from_home[0], self._margin_m + spare_m):
+        from_home = [subtract(place, self.home_ned_m) for place in places]
+        margin_m = self._margin_m + spare_m
+        here_m = from_home[:1]
+        if spare_m != _SPARES_M[-1] and clearance_m(np.array(here_m), self._obstacles)[0] < margin_m:
             return None  # it would go out sideways first, where less room is enough
         via: list[Vector3] = []
         for here, there in pairwise(from_home):
-            margin_m = self._margin_m + spare_m
             corners = route(here, there, self._obstacles, margin_m, ceiling_down_m=ceiling)
             if corners is None:
                 return None
-            via += [*(add(corner, self._home_ned_m) for corner in corners), add(there, self._home_ned_m)]
+            via += [*(add(corner, self.home_ned_m) for corner in corners), add(there, self.home_ned_m)]
         return via[:-1]
-
-    def _nearer(self, from_home: Vector3, margin_m: float) -> bool:
-        return bool(clearance_m(np.array([from_home]), self._obstacles)[0] < margin_m)
 
     def _stop(self, start: Motion, now_s: float) -> Trajectory:
         """Come to rest in space, seen from the reference's frame."""
-        stop = self._braked(in_space(start, self._frame), STILL, now_s)
-        return carried(stop, space_seen_from(self._frame), now_s)
+        stop = self._braked(in_space(start, self.frame), STILL, now_s)
+        return carried(stop, space_seen_from(self.frame), now_s)
 
     def _braked(self, start: Motion, frame: Motion, now_s: float) -> Trajectory:
         """Come to rest in a frame; harder where the gentle stop comes too near."""
@@ -319,6 +317,22 @@ class Avoidance:
         return stop
 
 
+class ObstacleMonitor:
+    """The notices about the obstacles; call `tell` in every cycle."""
+
+    def __init__(self, avoidance: Avoidance, say: NoticeSink) -> None:
+        self._avoidance, self._say = avoidance, say
+        self._reported, self._reported_s = "clear", -math.inf
+
+    def tell(self, now_s: float) -> None:
+        """Announce a detour, that there is none, and when the path is straight again."""
+        way = self._avoidance.situation
+        if way == self._reported or now_s - self._reported_s < _TELL_AGAIN_S:
+            return
+        self._say(way, _WORDS[way], now_s, "warning" if way in {"blocked", "waiting_over"} else "info")
+        self._reported, self._reported_s = way, now_s
+
+
 def _places(way: PlannedPath, frame: Motion, now_s: float, from_s: float, to_s: float) -> FloatArray:
     """Where a way in a frame leads in space from one time after now to another, (n, 3)."""
     count = min(_MOST_CHECKS, 1 + math.ceil((to_s - from_s) / _CHECK_STEP_S)) + 1
@@ -327,10 +341,6 @@ def _places(way: PlannedPath, frame: Motion, now_s: float, from_s: float, to_s: 
     if frame is not STILL:
         points += predicted_places(frame, from_s + step_s * np.arange(count, dtype=float))
     return points
-
-
-def _under_way(course: Course | None, now_s: float) -> bool:
-    return course is not None and now_s < course.end_s
 
 
 def _on(course: Course, start: Motion, now_s: float, *, level: bool) -> bool:

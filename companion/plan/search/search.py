@@ -72,8 +72,8 @@ class Search:
         self._hold_m = ZERO3
         self._corner = 0
         self._arrived_s: float | None = None
-        self._begun_s = self._control_s = self._next_request_s = self._reported_s = self._turned_s = -math.inf
-        self._had_control = False
+        self._begun_s = self._next_request_s = self._reported_s = self._turned_s = -math.inf
+        self._control_s: float | None = None  # since when control is ours
         self._in_view = Debounce()
 
     def hear(self, beacon: PadBeacon | None, origin: Vector3 | None) -> None:
@@ -156,10 +156,10 @@ class Search:
         seen = self._takes_up(pad, now_s) and believed
         if not in_control:
             # PX4 switches to offboard only while setpoints stream
-            self._had_control = False
+            self._control_s = None
             return SearchStep(streaming=now_s - self._begun_s >= self._config.stream_s)
-        if not self._had_control:
-            self._had_control, self._control_s = True, now_s
+        if self._control_s is None:
+            self._control_s = now_s
             self._generator.take_up(actual, now_s)
         if seen:
             return SearchStep(seen=True)
@@ -169,7 +169,7 @@ class Search:
         flying = not self._waits_for_it(now_s) and flying
         if flying:
             self._generator.fly_to(self._target(now_s), now_s)
-        elif in_control and now_s - self._begun_s >= _STOPPED_S:
+        elif now_s - self._begun_s >= _STOPPED_S:
             self._generator.fly_to(Motion((*self._hold_m[:2], self._down_m)), now_s)
         tell = request and now_s - self._reported_s >= _TELL_S
         if tell:

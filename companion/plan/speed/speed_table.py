@@ -11,15 +11,12 @@ The rules of the pace, a factor on V by the conditions, are sampled and interpol
 Distances in m, closing velocity in m/s and acceleration in m/s², positive towards the target.
 """
 
-from __future__ import annotations
-
 import json
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import ValidationError
@@ -43,24 +40,7 @@ SLOWEST_M_S = 0.05  # eq. 37 divides by it
 # ---------------------------------------------------------------- what flies: the table
 
 
-@dataclass(frozen=True, slots=True)
-class SpeedTable:
-    """The surface on a grid, with trilinear interpolation; beyond the grid the nearest edge holds."""
-
-    distance_m: tuple[float, ...]
-    velocity_m_s: tuple[float, ...]
-    acceleration_m_s2: tuple[float, ...]
-    speed_m_s: Grid
-    pace: PaceTable | None = None  # without it the same in all conditions
-
-    def __call__(self, distance_m: float, velocity_m_s: float, acceleration_m_s2: float) -> float:
-        """Average speed V (m/s) for a way to go, closing velocity and closing acceleration (eq. 37)."""
-        axes = (self.distance_m, self.velocity_m_s, self.acceleration_m_s2)
-        return _trilinear(axes, self.speed_m_s, (distance_m, velocity_m_s, acceleration_m_s2))
-
-
-@dataclass(frozen=True, slots=True)
-class PaceTable:
+class PaceTable(StrictModel):
     """The factor on V by the conditions, interpolated as `SpeedTable`."""
 
     sight_rad: tuple[float, ...]
@@ -72,6 +52,25 @@ class PaceTable:
         """The factor for how well the pad is seen, how well it is followed, and the gusts."""
         axes = (self.sight_rad, self.relative_speed_m_s, self.gust_m_s2)
         return _trilinear(axes, self.factor, (sight_rad, relative_speed_m_s, gust_m_s2))
+
+
+class SpeedTable(StrictModel):
+    """The surface on a grid, with trilinear interpolation; beyond the grid the nearest edge holds.
+
+    It is stored beside its rules as it is; `fingerprint` is theirs.
+    """
+
+    fingerprint: str
+    distance_m: tuple[float, ...]
+    velocity_m_s: tuple[float, ...]
+    acceleration_m_s2: tuple[float, ...]
+    speed_m_s: Grid
+    pace: PaceTable | None = None  # without it the same in all conditions
+
+    def __call__(self, distance_m: float, velocity_m_s: float, acceleration_m_s2: float) -> float:
+        """Average speed V (m/s) for a way to go, closing velocity and closing acceleration (eq. 37)."""
+        axes = (self.distance_m, self.velocity_m_s, self.acceleration_m_s2)
+        return _trilinear(axes, self.speed_m_s, (distance_m, velocity_m_s, acceleration_m_s2))
 
 
 def _trilinear(axes: Axes, values: Grid, at: tuple[float, float, float]) -> float:
@@ -95,18 +94,17 @@ def _cell(axis: tuple[float, ...], value: float) -> tuple[int, float]:
 
 def build_table(rules: FuzzyRules) -> SpeedTable:
     """Sample scikit-fuzzy's surfaces between the outermost corners that matter (about 4 s)."""
-    axes, speeds = _sampled(rules, (_DISTANCE_FRACTIONS, _RATE_FRACTIONS, _RATE_FRACTIONS))
-    if rules.pace is None:
-        return SpeedTable(*axes, speed_m_s=speeds)
-    inputs, factors = _sampled(rules.pace, (_RATE_FRACTIONS,) * 3)
-    return SpeedTable(*axes, speed_m_s=speeds, pace=PaceTable(*inputs, factor=factors))
+    surface = _sampled(rules, (_DISTANCE_FRACTIONS, _RATE_FRACTIONS, _RATE_FRACTIONS))
+    pace = None if rules.pace is None else PaceTable(**_sampled(rules.pace, (_RATE_FRACTIONS,) * 3))
+    return SpeedTable(fingerprint=rules.fingerprint(_SAMPLING), **surface, pace=pace)
 
 
-def _sampled(rules: RuleSet, fractions: Sequence[tuple[float, ...]]) -> tuple[Axes, Grid]:
+def _sampled(rules: RuleSet, fractions: Sequence[tuple[float, ...]]) -> dict[str, Any]:
+    """Its axes and its outputs, by their names."""
     x, y, z = (_axis(rules.terms(name), shares) for name, shares in zip(rules.inputs, fractions, strict=True))
     points = np.stack([grid.ravel() for grid in np.meshgrid(x, y, z, indexing="ij")], axis=1)
     outputs = mamdani(rules, points).reshape(len(x), len(y), len(z))
-    return (x, y, z), _as_grid(np.round(outputs, 4).tolist())
+    return {**dict(zip(rules.inputs, (x, y, z), strict=True)), rules.output: np.round(outputs, 4).tolist()}
 
 
 def _axis(terms: Terms, fractions: tuple[float, ...]) -> tuple[float, ...]:
@@ -118,31 +116,7 @@ def _axis(terms: Terms, fractions: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(round(sample, 6) for sample in (*samples, corners[-1]))
 
 
-def _as_grid(values: list[list[list[float]]]) -> Grid:
-    return tuple(tuple(tuple(row) for row in plane) for plane in values)
-
-
 # ---------------------------------------------------------------- the file
-
-
-class PaceFile(StrictModel):
-    """The pace's part of it."""
-
-    sight_rad: tuple[float, ...]
-    relative_speed_m_s: tuple[float, ...]
-    gust_m_s2: tuple[float, ...]
-    factor: Grid
-
-
-class TableFile(StrictModel):
-    """The table as stored beside its rules."""
-
-    fingerprint: str
-    distance_m: tuple[float, ...]
-    velocity_m_s: tuple[float, ...]
-    acceleration_m_s2: tuple[float, ...]
-    speed_m_s: Grid
-    pace: PaceFile | None = None
 
 
 def load_table(name: str | Path) -> tuple[SpeedTable, Literal["stored", "computed"]]:
@@ -170,9 +144,8 @@ def write_table(name: str | Path) -> Path:
     rules = load_model(FuzzyRules, path)
     table = build_table(rules)
     _flyable(table, path)
-    rows = asdict(table)
     target = _table_path(path)
-    text = json.dumps({"fingerprint": rules.fingerprint(_SAMPLING), **rows}, separators=(",", ":"))
+    text = json.dumps(table.model_dump(), separators=(",", ":"))
     write_atomically(target, text.replace("]],[[", "]],\n[[") + "\n")
     return target
 
@@ -201,12 +174,7 @@ def _table_path(rules: Path) -> Path:
 def _read_table(path: Path, fingerprint: str) -> SpeedTable | None:
     """The stored table, or None when there is none, it is damaged, or it is another rule base's."""
     try:
-        stored = TableFile.model_validate_json(path.read_bytes())
+        stored = SpeedTable.model_validate_json(path.read_bytes())
     except (OSError, ValidationError):
         return None
-    if stored.fingerprint != fingerprint:
-        return None
-    pace = None if stored.pace is None else PaceTable(**dict(stored.pace))
-    return SpeedTable(
-        stored.distance_m, stored.velocity_m_s, stored.acceleration_m_s2, stored.speed_m_s, pace
-    )
+    return stored if stored.fingerprint == fingerprint else None

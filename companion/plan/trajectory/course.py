@@ -26,14 +26,13 @@ import numpy as np
 from companion.base.geometry import FloatArray, Vector3, add, norm, scale
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig
-from companion.plan.trajectory.min_jerk import Trajectory, carried, plan
+from companion.plan.trajectory.min_jerk import REST_PEAK, Trajectory, carried, plan
 
 _MOST_STRETCHES: Final = 8
 # So near to the limits is near enough: behind a target that runs, the last few per cent take for ever.
 _NEAR_ENOUGH: Final = 1.05
 _CHECKED_PER_LEG: Final = 8
-_REST_PEAK: Final = 1.875  # from rest to rest the greatest speed is so many times the mean
-_REST_PUSH: Final = 5.7735  # and the greatest acceleration so many times distance / time²
+_REST_PUSH: Final = 5.7735  # from rest to rest the greatest acceleration so many times distance / time²
 _MEAN_SHARE: Final = 0.8  # of the greatest speed, as the mean of a leg that is passed through
 _SHORTEST_S: Final = 0.3
 
@@ -224,7 +223,7 @@ def _from_rest_s(p: Vector3, q: Vector3, limits: GuidanceConfig) -> float:
         abs(q[2] - p[2]) / limits.vertical_acceleration_m_s2,
     )
     crossing_s = _crossing_s(p, q, limits.horizontal_speed_m_s, limits.vertical_speed_m_s)
-    return max(_SHORTEST_S, _REST_PEAK * crossing_s, math.sqrt(_REST_PUSH * push))
+    return max(_SHORTEST_S, REST_PEAK * crossing_s, math.sqrt(_REST_PUSH * push))
 
 
 def _stretch(course: Course, start: Motion, target: Motion, limits: GuidanceConfig) -> float:

@@ -1,4 +1,4 @@
-"""Minimum-jerk trajectories: one quintic an axis (eqs. 20-30).
+"""Minimum-jerk trajectories: one quintic an axis (eqs. 20-30), their duration (eq. 37) and their limits.
 
 Frame-free: whatever frame the boundary states are in (pad-relative NED or the EKF's NED) the
 trajectory is in. Metres and seconds; tau = (t - t0) / T runs from 0 to 1.
@@ -11,14 +11,31 @@ meet a point that moves. With x(1) = xf, x'(1) = T vf, x''(1) = T² af the three
 which for vf = af = 0 gives back eq. 30.
 """
 
+import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from companion.base.geometry import FloatArray
+from companion.base.geometry import FloatArray, Vector3
 from companion.base.motion import Motion
+from companion.config import GuidanceConfig
 
 Coefficients = tuple[float, float, float, float, float, float]
+
+REST_PEAK: Final = 1.875  # from rest to rest the greatest speed is so many times the mean
+_CHECKED_AT: Final = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
+_MOST_STRETCHES: Final = 4
+_SHORTEST_STOP_S: Final = 0.6
+
+
+def trajectory_time_s(distance_m: float, speed_m_s: float, minimum_time_s: float) -> float:
+    """T (s) of a way |Δ| (m) at an average speed V (m/s): T = |Δ| / V + T_min, eq. 37 of the paper.
+
+    V comes from the speed law (`companion.plan.speed`), T_min is the setting `plan.guidance.minimum_time_s`.
+    `within_limits` lengthens it if speed or acceleration would exceed its limit.
+    """
+    return distance_m / speed_m_s + minimum_time_s
 
 
 def quintic(
@@ -123,12 +140,12 @@ def plan(start: Motion, final: Motion, start_s: float, duration_s: float) -> Tra
     )
 
 
-def brake(start: Motion, start_s: float, deceleration_m_s2: float, shortest_s: float = 0.6) -> Trajectory:
+def brake(start: Motion, start_s: float, deceleration_m_s2: float) -> Trajectory:
     """Come to rest along the present velocity, about as gently as the given deceleration (m/s²)."""
     v = start.velocity_m_s
     speed = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]) ** 0.5
     # a quintic from speed v to rest over v T / 2 peaks at 1.5 v / T
-    duration_s = max(shortest_s, 1.5 * speed / deceleration_m_s2)
+    duration_s = max(_SHORTEST_STOP_S, 1.5 * speed / deceleration_m_s2)
     p = start.position_m
     half = 0.5 * duration_s
     final = Motion((p[0] + half * v[0], p[1] + half * v[1], p[2] + half * v[2]))
@@ -150,3 +167,43 @@ def carried(trajectory: Trajectory, by: Motion, at_s: float) -> Trajectory:
         )
     )
     return Trajectory(trajectory.start_s, trajectory.duration_s, (x, y, z))
+
+
+def within_limits(
+    moving: Motion, duration_s: float, longest_s: float, now_s: float, limits: GuidanceConfig
+) -> Trajectory:
+    """The way to the origin at rest, longer than asked where speed or acceleration would be too much.
+
+    Within reason: an acceleration at the start lasts the longer the longer the way, and more time makes
+    the speed that it leads to worse.
+    """
+    best, least = None, math.inf
+    for _ in range(_MOST_STRETCHES + 1):
+        trajectory = plan(moving, Motion((0.0, 0.0, 0.0)), now_s, duration_s)
+        stretch = _stretch(trajectory, moving, limits)
+        if best is None or stretch < least:
+            best, least = trajectory, stretch
+        if stretch <= 1.001:
+            break
+        duration_s = min(duration_s * min(stretch, 1.5), longest_s)
+    assert best is not None
+    return best
+
+
+def _stretch(trajectory: Trajectory, start: Motion, limits: GuidanceConfig) -> float:
+    """By what factor the duration should grow; what the start already exceeds cannot be helped."""
+    v, a = start.velocity_m_s, start.acceleration_m_s2
+    fastest, steepest = max(limits.horizontal_speed_m_s, _flat(v)), max(limits.vertical_speed_m_s, abs(v[2]))
+    push = max(limits.horizontal_acceleration_m_s2, _flat(a))
+    lift = max(limits.vertical_acceleration_m_s2, abs(a[2]))
+    speed = acceleration = 1.0
+    for tau in _CHECKED_AT:
+        motion = trajectory.at(trajectory.start_s + tau * trajectory.duration_s)
+        v, a = motion.velocity_m_s, motion.acceleration_m_s2
+        speed = max(speed, _flat(v) / fastest, abs(v[2]) / steepest)
+        acceleration = max(acceleration, _flat(a) / push, abs(a[2]) / lift)
+    return max(speed, math.sqrt(acceleration))
+
+
+def _flat(v: Vector3) -> float:
+    return math.hypot(v[0], v[1])

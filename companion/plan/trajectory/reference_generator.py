@@ -22,9 +22,15 @@ from companion.config import GuidanceConfig, PlanConfig
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.trajectory.coordinate_frames import STILL
 from companion.plan.trajectory.course import Course, PlannedPath
-from companion.plan.trajectory.limits import within_limits
-from companion.plan.trajectory.min_jerk import Trajectory, brake, carried, plan
-from companion.plan.trajectory.trajectory_time import trajectory_time_s
+from companion.plan.trajectory.min_jerk import (
+    REST_PEAK,
+    Trajectory,
+    brake,
+    carried,
+    plan,
+    trajectory_time_s,
+    within_limits,
+)
 
 RESET_DISTANCE_M: Final = 0.8  # reference to estimate: beyond it the reference starts afresh
 
@@ -42,7 +48,6 @@ _LEVEL_OFF_M_S2 = 3.0
 _TOO_LOW_M = 0.15
 _LONGEST_TIMES = 6.0
 _SAME_POINT_M = 0.5
-_PEAK = 1.875  # a quintic's greatest speed over its mean
 
 
 class ReferenceGenerator:
@@ -99,11 +104,11 @@ class ReferenceGenerator:
     def start(self, origin: ReferenceFrame, motion: Motion, now_s: float) -> None:
         """Begin afresh at a state, coming to rest in the frame."""
         self.origin = origin
+        self._look_from_frame()
         self.rest(motion, now_s)
 
     def rest(self, motion: Motion, now_s: float) -> None:
         """Come to rest in the present frame from a state."""
-        self._look_from_frame()
         self._follow(self.avoidance.brake(motion, now_s), now_s)
 
     def stop(self) -> None:
@@ -145,13 +150,13 @@ class ReferenceGenerator:
     def see(self, home_ned_m: Vector3 | None, pad: Motion | None) -> None:
         """Take in where home is, from which obstacles count, and how the pad moves; EKF's NED."""
         if home_ned_m is not None:
-            self.avoidance.home_at(home_ned_m)
+            self.avoidance.home_ned_m = home_ned_m
         if pad is not None:
             self._pad = pad
+            self._look_from_frame()
 
     def stays_clear(self, place: Vector3, duration_s: float) -> bool:
         """Whether a place in the present frame, going with it, keeps clear of the obstacles for so long."""
-        self._look_from_frame()
         return self.avoidance.free_for(place, duration_s)
 
     def fly_along(self, points: Sequence[Vector3], now_s: float) -> None:
@@ -164,7 +169,6 @@ class ReferenceGenerator:
             if same and self.avoidance.still_clear(self._along, now_s):
                 self.time_to_go_s = max(0.0, self._along.end_s - now_s)
                 return
-        self._look_from_frame()
         course = self.avoidance.along(self.at(now_s), points, now_s)
         if course is None:
             # held as it is: `rest` would forget that there is no way
@@ -197,7 +201,6 @@ class ReferenceGenerator:
         longest_s = _LONGEST_TIMES * (self._config.minimum_time_s + slowest_s + stopping_s)
         relative = within_limits(moving, asked_s, longest_s, now_s, self._config)
         direct = carried(relative, target, now_s)
-        self._look_from_frame()
         way = self.avoidance.way(
             direct, target, now_s, level=level, may_wait=self.origin == "pad" and not level
         )
@@ -249,7 +252,7 @@ class ReferenceGenerator:
         rises = level is None and start.velocity_m_s[2] < 0.0
         if too_low and (rises or (level is not None and now_s >= level.end_s)):
             climb_m = z - lowest_down_m
-            duration_s = self._config.minimum_time_s + _PEAK * climb_m / self._config.vertical_speed_m_s
+            duration_s = self._config.minimum_time_s + REST_PEAK * climb_m / self._config.vertical_speed_m_s
             level = plan(upright, Motion((0.0, 0.0, lowest_down_m)), now_s, duration_s)
         elif level is None:
             level = brake(upright, now_s, _LEVEL_OFF_M_S2)
@@ -320,7 +323,7 @@ class ReferenceGenerator:
         )
 
     def _look_from_frame(self) -> None:
-        self.avoidance.see_from(self._pad if self.origin == "pad" else STILL)
+        self.avoidance.frame = self._pad if self.origin == "pad" else STILL
 
     def _follow(self, trajectory: PlannedPath, now_s: float) -> None:
         self.avoidance.forget()

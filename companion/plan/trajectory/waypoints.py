@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import Vector3, add, norm
+from companion.base.messages import VehicleState
 from companion.base.motion import Motion
 from companion.config import ConfigError, MissionConfig, PlanConfig
 from companion.plan.events import DetectedEvent, MissionEvent
@@ -57,28 +58,24 @@ class Waypoints:
 
     def __init__(self, config: MissionConfig, generator: ReferenceGenerator) -> None:
         self._config, self._generator = config, generator
+        self._places = _places(config)
         self._left: list[Vector3] = []
-        self._last: Vector3 | None = None
 
     @property
     def first_from_home_m(self) -> Vector3:
         """The waypoint to which the autopilot would fly, NED from home."""
-        return _places(self._config)[0]
-
-    @property
-    def further(self) -> bool:
-        """Whether there are more than the autopilot flies to."""
-        return bool(self._config.waypoints_ned_m)
+        return self._places[0]
 
     def begin(self, *, with_first: bool) -> None:
         """Start over; `with_first` when the autopilot has not flown to the first."""
-        self._left = _places(self._config)[0 if with_first else 1 :]
-        self._last = self._left[-1] if self._left else None
+        self._left = self._places[0 if with_first else 1 :]
 
-    def at_first(self, actual: Motion, home_ned_m: Vector3) -> DetectedEvent | None:
+    def at_first(self, vehicle: VehicleState, home_ned_m: Vector3 | None) -> DetectedEvent | None:
         """Whether the vehicle is at the first waypoint, slow; in the EKF's NED."""
-        first, v = add(self.first_from_home_m, home_ned_m), actual.velocity_m_s
-        distance_m = math.dist(actual.position_m[:2], first[:2])
+        if home_ned_m is None:
+            return None
+        first, v = add(self.first_from_home_m, home_ned_m), vehicle.velocity_ned_m_s
+        distance_m = math.dist(vehicle.position_ned_m[:2], first[:2])
         slow = math.hypot(v[0], v[1]) <= self._config.arrival_speed_m_s
         if distance_m <= self._config.arrival_radius_m and slow:
             return MissionEvent.ONWARD, f"{distance_m:.1f} m from the first waypoint"
@@ -86,12 +83,10 @@ class Waypoints:
 
     def step(self, actual: Motion, home_ned_m: Vector3, now_s: float) -> DetectedEvent | None:
         """One cycle with control ours; `actual` and home are in the EKF's NED."""
-        if self._last is None:
-            return MissionEvent.ARRIVED, "no further waypoints"
         reference = self._generator.at(now_s).position_m
         while self._left and math.dist(reference, add(self._left[0], home_ned_m)) <= _PASSED_M:
             self._left.pop(0)
-        last = add(self._last, home_ned_m)
+        last = add(self._places[-1], home_ned_m)
         self._generator.fly_along([*(add(p, home_ned_m) for p in self._left[:-1]), last], now_s)
         slow = norm(actual.velocity_m_s) <= self._config.arrival_speed_m_s
         distance_m = math.dist(actual.position_m, last)

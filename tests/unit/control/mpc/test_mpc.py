@@ -344,7 +344,7 @@ def test_a_start_beyond_the_bounds_still_has_a_solution_that_goes_back(start: Mo
 
 def test_thrust_is_bounded_by_what_hovering_takes_by_now() -> None:
     start, up = Motion((0.0, 0.0, 0.0), ZERO3, ZERO3), hover_at((0.0, 0.0, -0.7))
-    mpc = Mpc(CONFIG, LAGS_S, hover_thrust=0.5)
+    mpc = Mpc(CONFIG, LAGS_S)
     strong = mpc.solve(start, up, ZERO3, ZERO3).inputs_m_s2
     weak = mpc.solve(start, replace(up, hover_thrust=0.8), ZERO3, ZERO3).inputs_m_s2
     most = CONFIG.limits.maximum_thrust / 0.8 * GRAVITY_M_S2

@@ -10,7 +10,7 @@ from companion.base.geometry import ZERO3
 from companion.base.messages import PadState
 from companion.config import PadFilterConfig
 from companion.estimate.pad.tilt_filter import PadTilt, TiltState
-from companion.plan.landing.tilt_prediction import level_at, tilt_in_rad
+from companion.plan.landing.levelling import level_at, tilt_in_rad
 
 FRAME_S = 1.0 / 30.0
 ROLL_RAD, PERIOD_S, LIST_RAD = math.radians(8.0), 8.0, math.radians(2.0)

@@ -3,7 +3,7 @@
 import pytest
 
 from companion.base.messages import Phase, RangeSample
-from companion.plan.landing.echo_check import EchoCheck
+from companion.plan.landing.height_above_ground import EchoCheck
 from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.pad_paths import still
 

@@ -7,8 +7,7 @@ import pytest
 from companion.base.geometry import GRAVITY_M_S2, Vector3, quat_from_euler
 from companion.base.messages import LandedState, RangeSample
 from companion.plan.events import MissionEvent
-from companion.plan.landing.levelling import AFTER_S, CONTACT_STD_M, TILTS_ON_S, Levelling
-from companion.plan.landing.tilt_prediction import TiltPrediction
+from companion.plan.landing.levelling import AFTER_S, CONTACT_STD_M, TILTS_ON_S, Levelling, TiltPrediction
 from tests.unit.plan.landing.touchdown_attempt import (
     CONFIG,
     CYCLE_S,

@@ -27,8 +27,7 @@ def rests_at_s(
     silent_s: float = 0.0,
 ) -> float:
     """When standing since 0 s is proven by rest; inf when not within 5 s."""
-    standing = LandDetector(TouchdownConfig(), VEHICLE)
-    standing.begin(0.0)
+    standing = LandDetector(TouchdownConfig(), VEHICLE, 0.0)
     for k in range(150):
         now_s = k * CYCLE_S
         acceleration = (0.0, 0.0, GRAVITY_M_S2 if falls(now_s) else 0.0)

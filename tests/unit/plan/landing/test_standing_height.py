@@ -96,10 +96,9 @@ def test_a_try_begins_with_what_was_measured_until_then() -> None:
     """Legs 3 cm longer than the file says: it waits higher, and goes level for a sooner contact."""
     height, _ = stood(LEG_M, on_pad=True)
     generator = ReferenceGenerator(GuidanceConfig(), lambda _d, _v, _a: 0.4, 20, 0.1)
-    sequence = TouchdownSequence(TouchdownConfig(), VEHICLE, LandingConfig(), generator, 0.5, height)
     height.measured_m["the pad"] = (LEG_M + 0.03, 0.0)
     generator.start("pad", Motion((0.0, 0.0, -1.0), ZERO3), 0.0)
-    sequence.begin(0.0, 1.0)
+    sequence = TouchdownSequence(TouchdownConfig(), LandingConfig(), generator, height, 0.5, 0.0)
     touch_down(sequence, State.WAIT, None, PlanInputs(None, None, AutopilotState(0.0)), 0.0)
     end = generator.at(20.0).position_m[2]
     assert end == pytest.approx(-(LEG_M + 0.027 + 0.35), abs=1e-3)

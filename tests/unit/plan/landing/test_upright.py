@@ -9,7 +9,7 @@ from companion.base.geometry import IDENTITY, quat_from_euler
 from companion.base.messages import LandedState, PadState, Phase
 from companion.plan.events import MissionEvent
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing.upright import not_standing
+from companion.plan.landing.contact import not_standing
 from companion.plan.mission.states import State
 from companion.plan.mission.table import TABLE
 from tests.unit.plan.mission.planner_world import world

@@ -115,8 +115,9 @@ def fresh(
     generator.start("pad", Motion((0.0, 0.0, -WAIT_M)), 0.0)
     standing = StandingHeight(VEHICLE)
     standing.measured_m["the rangefinder"] = VEHICLE.leg_height_m, 0.0
-    sequence = TouchdownSequence(config, VEHICLE, LandingConfig(), generator, half_width_m, standing)
-    sequence.begin(0.0, tolerance_scale)
+    sequence = TouchdownSequence(
+        config, LandingConfig(), generator, standing, half_width_m, 0.0, tolerance_scale
+    )
     return Attempt(sequence, generator)
 
 

@@ -22,9 +22,8 @@ from companion.plan.events import MissionEvent
 from companion.plan.inputs import ComputerLoad, PlanInputs
 from companion.plan.mission.bounds import Bounds, stopping_m
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
-from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Circumstances, State
-from companion.plan.mission.table import FINAL, IN_AIR, follows
+from companion.plan.mission.table import FINAL, IN_AIR, StateMachine, follows
 from companion.plan.trajectory.coordinate_frames import along_arc
 from tests.unit.plan.compared import STD, differ
 from tests.unit.plan.mission.planner_world import world

@@ -7,7 +7,6 @@ import pytest
 
 from companion.base.messages import ActionKind, Phase
 from companion.plan.events import MissionEvent
-from companion.plan.mission.state_machine import StateMachine
 from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, Guard, State
 from companion.plan.mission.table import (
     ANYWHERE,
@@ -21,6 +20,7 @@ from companion.plan.mission.table import (
     ROWS,
     TABLE,
     TOUCHDOWN,
+    StateMachine,
     by_severity,
     follows,
     impossible,

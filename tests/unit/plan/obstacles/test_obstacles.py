@@ -426,7 +426,7 @@ def test_no_graph_is_made_in_flight() -> None:
     made = _graph.cache_info().misses
     g.start("local", Motion(from_home(0.0, 0.0, 5.0)), 0.0)
     fly(g, Motion(from_home(45.0, 0.0, 4.0)), 3.0)
-    assert g.avoidance.detouring
+    assert g.avoidance.situation == "detour"
     assert _graph.cache_info().misses == made
     assert _graph.cache_info().currsize <= _graph.cache_parameters()["maxsize"]
 

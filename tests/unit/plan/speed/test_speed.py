@@ -75,7 +75,7 @@ def test_only_the_fuzzy_pilot_looks_at_the_conditions_and_only_if_asked() -> Non
 
 
 def test_rules_without_a_pace_come_in_alike_in_all_conditions() -> None:
-    assert by_conditions(replace(SHIPPED_TABLE, pace=None))(Conditions(0.2, 3.0, 3.0)) == 1.0
+    assert by_conditions(SHIPPED_TABLE.model_copy(update={"pace": None}))(Conditions(0.2, 3.0, 3.0)) == 1.0
 
 
 # ---------------- The conditions that the pace goes by: what raises each of the three, and what does not
@@ -349,7 +349,7 @@ def test_a_wrong_entry_is_found_and_placed(table: SpeedTable) -> None:
     row = 20
     planes = list(table.speed_m_s)
     planes[row] = tuple(tuple(1.05 * speed for speed in line) for line in planes[row])
-    wrong = replace(table, speed_m_s=tuple(planes))
+    wrong = table.model_copy(update={"speed_m_s": tuple(planes)})
     error = table_error(RULES, wrong, 1200, np.random.default_rng(7))
     assert not error.holds
     assert table.distance_m[row - 1] < error.worst_at[0] < table.distance_m[row + 1]
@@ -363,7 +363,7 @@ def test_the_shipped_rules_are_a_pilots(table: SpeedTable) -> None:
 def test_the_other_way_round_is_no_pilots(table: SpeedTable, axis: int) -> None:
     name = INPUTS[axis]
     flipped = np.flip(np.array(table.speed_m_s), axis=axis).tolist()
-    slips = worst_slips(RULES, replace(table, speed_m_s=tuple(tuple(map(tuple, plane)) for plane in flipped)))
+    slips = worst_slips(RULES, table.model_copy(update={"speed_m_s": flipped}))
     assert slips[name] > 0.05
     assert [other for other, slip in slips.items() if slip > 0.01] == [name]
 
@@ -375,5 +375,5 @@ def test_the_pace_is_checked_likewise(table: SpeedTable) -> None:
     assert table_error(RULES.pace, table.pace, 600, np.random.default_rng(7)).holds
     assert max(worst_slips(RULES.pace, table.pace).values()) < 1e-3
     flipped = np.flip(np.array(table.pace.factor), axis=2).tolist()
-    rash = replace(table.pace, factor=tuple(tuple(map(tuple, plane)) for plane in flipped))
+    rash = table.pace.model_copy(update={"factor": flipped})
     assert worst_slips(RULES.pace, rash)["gust_m_s2"] > 0.05
