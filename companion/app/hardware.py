@@ -127,7 +127,7 @@ class StampKeeper:
 
 # ---------------------------------------------------------------- devices that may not be there yet
 # At boot a Raspberry Pi starts the app before every port is there, and an autopilot may be powered later.
-# What reads a device that is missing raises OSError; its task is started again and again (`supervision`),
+# What reads a device that is missing raises OSError; its task is started again and again,
 # which is what tries to open it. What is written meanwhile is dropped.
 
 

@@ -703,8 +703,8 @@ class AutopilotState:
     right signature, where the link demands one. `mavlink_1`: it speaks version 1 alone, which is not
     listened to; PX4 begins so, until it receives our version 2. `thrust`: what its rotors are asked for, as
     a share of full thrust (ArduPilot: the upward part), measured at `thrust_time_s`. `velocity_ned_m_s`: by
-    its own filter, while that says that it knows, measured at `velocity_time_s`. `version`: of its
-    firmware: major, minor and patch.
+    its own filter, where that does not say that it knows none, measured at `velocity_time_s`.
+    `version`: of its firmware: major, minor and patch.
     """
 
     time_s: float

@@ -21,6 +21,7 @@ class Reaction(StrEnum):
     """What follows in flight, where control is ours."""
 
     HAND_BACK = "control returns to the autopilot at once; in the last centimetres by LAND"
+    HAND_BACK_AWAY = "control returns to the autopilot at once, unless the vehicle flies by the pad"
     LEAVE_PAD = "the vehicle climbs clear of the pad, then control returns to the autopilot"
     NOTICE = "a notice"
 
@@ -121,12 +122,12 @@ ROWS: Final = (
     SourceRow(
         Quantity.VELOCITY,
         first="ours",
-        second="the autopilot's",
+        second="the autopilot's and the GPS receiver's",
         unit="m/s",
         notice=0.5,
         bound=1.0,
-        reaction=Reaction.HAND_BACK,
-        hint="has the IMU's board come loose, or is one of the GPS receivers wrong?",
+        reaction=Reaction.HAND_BACK_AWAY,
+        hint="has the IMU's board come loose?",
     ),
     SourceRow(
         Quantity.DECLINATION,

@@ -165,6 +165,9 @@ class StateEstimator:
         usable = self._usable(fix.time_s, (*place, *fix.velocity_ned_m_s, *accuracy, climb_accuracy))
         if usable and self.origin is None:
             self._attitude_check.forget()  # the first fix may turn north
+        if usable and self._vehicle.aligned:
+            ours = self._vehicle.velocity(fix.time_s)
+            self._velocity_check.take_fix(fix.time_s, ours, fix.velocity_ned_m_s)
         return self._count("gps", usable and self._vehicle.add_gps(fix))
 
     def add_autopilot_attitude(self, sample: AutopilotAttitude) -> bool:
@@ -179,11 +182,10 @@ class StateEstimator:
 
     def add_autopilot_velocity(self, time_s: float, velocity_ned_m_s: Vector3) -> None:
         """Compare the autopilot's velocity at a time with ours, which it does not correct."""
-        covariance = self._vehicle.covariance()
-        if covariance is None or self.origin is None or not self._usable(time_s, velocity_ned_m_s):
-            return
-        std_m_s = math.sqrt(max(covariance.diagonal()[3:5]))
-        self._velocity_check.take(time_s, self._vehicle.velocity(time_s), velocity_ned_m_s, std_m_s)
+        place = self._vehicle.place(time_s) if self._usable(time_s, velocity_ned_m_s) else None
+        if place is not None:
+            ours, std_m_s = self._vehicle.velocity(time_s), max(place.velocity_std_m_s[:2])
+            self._velocity_check.take(time_s, ours, velocity_ned_m_s, std_m_s)
 
     def take_notices(self) -> tuple[tuple[str, str], ...]:
         """What was found since the last call, kind and words: a correction of the attitude."""

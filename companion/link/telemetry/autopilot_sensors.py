@@ -1,6 +1,6 @@
 """The autopilot's own IMU, magnetometer, GPS and rangefinder as our sensors, by its telemetry. Pure.
 
-Each sample carries the instant of its measurement (`boot_clock`, less the settings' latencies), whatever
+Each sample carries the instant of its measurement (`timesync`, less the settings' latencies), whatever
 the link's delay. Of the messages that may carry the IMU the best one that comes is taken, in the order of
 `IMU_MESSAGES`; a lesser one only while the better ones are silent. `watch` says in one line what is missing.
 

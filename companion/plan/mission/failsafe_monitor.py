@@ -41,6 +41,7 @@ _NO_PLAN_S = 1.0
 _LED_AWAY = frozenset({MissionEvent.OUT_OF_BOUNDS, MissionEvent.OVERTIME, MissionEvent.TIMEOUT})
 _EVENTS: dict[Reaction | None, MissionEvent] = {
     Reaction.HAND_BACK: MissionEvent.ESTIMATE_DISPUTED,
+    Reaction.HAND_BACK_AWAY: MissionEvent.VELOCITY_UNCERTAIN,
     Reaction.LEAVE_PAD: MissionEvent.PAD_DISPUTED,
 }
 

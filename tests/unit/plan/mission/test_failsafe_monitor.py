@@ -23,7 +23,7 @@ from companion.plan.inputs import ComputerLoad, PlanInputs
 from companion.plan.mission.bounds import Bounds, stopping_m
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.states import Authority, Circumstances, State
-from companion.plan.mission.table import FINAL, IN_AIR, StateMachine, follows
+from companion.plan.mission.table import BY_THE_PAD, FINAL, IN_AIR, StateMachine, follows
 from companion.plan.trajectory.coordinate_frames import along_arc
 from tests.unit.plan.compared import STD, differ
 from tests.unit.plan.mission.planner_world import world
@@ -85,15 +85,17 @@ def test_what_two_sources_say_is_flown_with_up_to_its_bound(row: SourceRow) -> N
     # GIVEN a difference just within, and one just beyond what is surely more than the bound
     events: dict[Reaction | None, MissionEvent] = {
         Reaction.HAND_BACK: MissionEvent.ESTIMATE_DISPUTED,
+        Reaction.HAND_BACK_AWAY: MissionEvent.VELOCITY_UNCERTAIN,
         Reaction.LEAVE_PAD: MissionEvent.PAD_DISPUTED,
     }
-    meant = events.get(row.reaction)
+    meant, away = events.get(row.reaction), row.reaction is Reaction.HAND_BACK_AWAY
     surely = SIGMA_THRESHOLD * STD
     for more, flown in ((-0.01, True), (0.01, row.bound is None or meant is None)):
         shown = differ(row.quantity, (row.bound or 1e6) + surely + more)
         # THEN the gravest event is that its sources differ, with both figures, or nothing
         given = replace(inputs(), comparisons=(shown,))
-        assert gravest(given) is (None if flown else meant)
+        assert gravest(given, State.SEARCH if away else State.APPROACH) is (None if flown else meant)
+        assert not away or all(gravest(given, state) is None for state in BY_THE_PAD)
         if meant is not None and not flown:
             found = dict(monitor()[0].detect(given, 50.0, control_granted=False))
             assert shown.first in found[meant]

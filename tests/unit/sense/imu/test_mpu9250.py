@@ -55,7 +55,10 @@ def test_every_range_is_scaled_alike_and_nothing_beyond_it_is_handed_on(
     )
     rig = ImuRig(config)
     rig.run(0.5, lambda _now_s: beyond)
-    assert not rig.imu
+    # for a moment as the range's end, then as nothing that is known
+    assert len(rig.imu) < 0.15 * config.rate_hz
+    assert rig.imu[-1].specific_force_body_m_s2[2] == pytest.approx(-accel_range * GRAVITY_M_S2, abs=0.04)
+    assert rig.imu[-1].rate_body_rad_s[0] == pytest.approx(math.radians(gyro_range), rel=1e-3)
     assert "at the end of its range" in str(rig.faults[0])
 
 
