@@ -83,7 +83,6 @@ class StateEstimator:
         board_half_width_m: float,
     ) -> None:
         self._config, self._board_half_width_m = config, board_half_width_m
-        self._range_position_body_m = vehicle.range_position_body_m
         self._airframe, self._antenna_m = vehicle, antenna_position_body_m
         self.tally = InputTally()
         self._why_not = ""
@@ -207,7 +206,9 @@ class StateEstimator:
         # under the axis, with the difference as its noise
         height_m = sample.distance_m * math.cos(tilt_rad)
         noise_m = math.hypot(self._config.pad.range_noise_m, sample.distance_m - height_m)
-        measurement = HeightMeasurement(height_m, quat_rotate(attitude, self._range_position_body_m), noise_m)
+        measurement = HeightMeasurement(
+            height_m, quat_rotate(attitude, self._airframe.range_position_body_m), noise_m
+        )
         self._camera_check.take_echo(sample.time_s, measurement)
         return self._count("range", self._timeline.add(sample.time_s, measurement))
 
@@ -378,11 +379,8 @@ class StateEstimator:
 
     @property
     def _gates(self) -> dict[str, int]:
-        return self._pad_gates | self._vehicle.gates
-
-    @property
-    def _pad_gates(self) -> dict[str, int]:
-        return {kind: gate.refused for kind, gate in self._pad.gates.items()}
+        """How many measurements of each kind have failed their innovation test."""
+        return {kind: gate.refused for kind, gate in self._pad.gates.items()} | self._vehicle.gates
 
     # ------------------------------------------------------------ the pad
 
@@ -408,17 +406,13 @@ class StateEstimator:
             self._why_not = ""
         return not self._why_not
 
-    def _refused_by(self, gate: str) -> int:
-        found = self._pad.gates.get(gate)
-        return self._vehicle.refused_by(gate) if found is None else found.refused
-
     def _count(self, kind: str, taken: bool) -> bool:
         why_not, self._why_not = self._why_not, ""
         if taken:
             why_not = ""
         elif not why_not:
             why_not = "older than what is remembered" if self._vehicle.aligned else "before the alignment"
-        self.tally.note(kind, why_not, self._refused_by)
+        self.tally.note(kind, why_not, lambda gate: self._gates.get(gate, 0))
         return taken
 
 

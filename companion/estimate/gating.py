@@ -60,6 +60,10 @@ class Gate(NamedTuple):
         since_s = self.refused_since_s if self.refused_in_a_row else time_s
         return Gate(self.accepted, self.refused + 1, self.refused_in_a_row + 1, since_s)
 
+    def opened(self) -> Gate:
+        """Without those refused in a row: they have been dealt with."""
+        return Gate(self.accepted, self.refused)
+
     def shut_out(self, time_s: float, timeout_s: float, at_least: int = 3) -> bool:
         """Whether all measurements have been refused for so long that the filter must be the one in error."""
         return self.refused_in_a_row >= at_least and time_s - self.refused_since_s >= timeout_s

@@ -202,3 +202,9 @@ class MotionHistory:
         old = bisect_right(self._times_s, before_s)
         del self._times_s[:old], self._attitudes[:old], self._speeds[:old], self._places[:old]
         del self._corrections[:old]
+
+
+def rotation_lever(place: Vector3) -> FloatArray:
+    """The matrix (3, 3) that makes of a small rotation what it moves a place by: rotation x place."""
+    x, y, z = place
+    return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])

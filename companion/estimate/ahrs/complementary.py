@@ -24,7 +24,9 @@ from companion.base.geometry import (
     Quaternion,
     Vector3,
     cross,
+    dot,
     norm,
+    quat_conjugate,
     quat_integrate,
     quat_multiply,
     quat_normalise,
@@ -63,7 +65,7 @@ def blend(q_gyro: Quaternion, q_reference: Quaternion, gyro_error_rate: float, d
 
 def shortest_turn(start: Vector3, end: Vector3) -> Quaternion:
     """Unit quaternion of the shortest rotation of one unit vector onto another."""
-    cosine = start[0] * end[0] + start[1] * end[1] + start[2] * end[2]
+    cosine = dot(start, end)
     if cosine < -0.999999:
         # opposite: any axis at right angles will do
         other = (1.0, 0.0, 0.0) if abs(start[0]) < 0.9 else (0.0, 1.0, 0.0)
@@ -105,7 +107,7 @@ class OrientationFilter:
             before = q
             q = blend(q, quat_multiply(turn, q), GYRO_ERROR_RATE, dt_s)
             # the average is in the frame that has just been turned
-            undone = quat_multiply(q, (before[0], -before[1], -before[2], -before[3]))
+            undone = quat_multiply(q, quat_conjugate(before))
             self._force_ned_m_s2 = quat_rotate(undone, force)
         self.attitude = q
         return q
@@ -122,6 +124,6 @@ class OrientationFilter:
             turn = (math.cos(half), 0.0, 0.0, math.sin(half))
             before = self.attitude
             self.attitude = blend(before, quat_multiply(turn, before), HEADING_ERROR_RATE, dt_s)
-            done = quat_multiply(self.attitude, (before[0], -before[1], -before[2], -before[3]))
+            done = quat_multiply(self.attitude, quat_conjugate(before))
             self._force_ned_m_s2 = quat_rotate(done, self._force_ned_m_s2)
         return self.attitude

@@ -57,8 +57,8 @@ from companion.base.geometry import (
     vector3,
 )
 from companion.base.messages import Quantity, SourceComparison
-from companion.estimate.motion import MotionHistory
-from companion.estimate.pad.pad_types import HeightMeasurement
+from companion.estimate.motion import MotionHistory, rotation_lever
+from companion.estimate.pad.pad_types import HIGHEST_ECHO_M, HeightMeasurement
 
 SCALE_STD: Final = 0.3  # before anything is known
 SCALE_WALK_RTS: Final = 1e-3  # a lens that heats, an echo's air
@@ -79,7 +79,6 @@ MOUNT_STD_RAD: Final = 0.02
 FOCAL_STD: Final = 0.01
 # lower, an offset of the echoes of some centimetres, which never averages out, would pass for a wrong scale
 LOWEST_ECHO_M: Final = 1.0
-HIGHEST_ECHO_M: Final = 2.5  # an ultrasonic's cone is then as wide as a pad
 ECHO_APART_S: Final = 0.05  # an echo and a sighting of one moment
 RATE_SPAN_S: Final = 0.01
 LONGEST_GAP_S: Final = 1.0  # between sightings; then the pad's motion begins again, scale and delay stay
@@ -89,7 +88,7 @@ LARGEST_DELAY_S: Final = 0.1
 UNSETTLED_S: Final = 0.005  # what is still to be corrected of the delay: less does not show in the scale
 SLEW: Final = 0.01  # s a second: what is corrected moves slowly, so that sightings stay in order
 _Q, _V, _A, _K, _D, _R = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, slice(11, 14)
-_M, _F, _BODY = slice(14, 17), 17, slice(11, 18)
+_F, _BODY = 17, slice(11, 18)  # m is 14:17
 _STATES: Final = 18
 _EYE3: Final = np.eye(3)
 
@@ -193,9 +192,9 @@ class CameraCheck:
 
     def _body(self, attitude: Quaternion, pad_body_m: Vector3) -> FloatArray:
         """How the pad's place as seen (NED) changes by what is constant in the body (3, 7)."""
-        (x, y, z), columns = pad_body_m, np.zeros((3, 7))
+        columns = np.zeros((3, 7))
         columns[:, :3] = _EYE3
-        columns[:, 3:6] = ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))
+        columns[:, 3:6] = rotation_lever(pad_body_m)
         columns[:, 6] = self._axis * (self._axis @ np.array(pad_body_m))
         turned: FloatArray = matrix_from_quat(attitude) @ columns
         return turned

@@ -44,6 +44,7 @@ from companion.estimate.pad.pad_models import (
     vertical_names,
 )
 from companion.estimate.pad.pad_types import (
+    HIGHEST_ECHO_M,
     PAIRS_AT,
     STATES_AT,
     CombinedEstimate,
@@ -68,7 +69,6 @@ SIGHTING_NOISE_FLOOR_M: Final = 0.0002
 UNKNOWN_PLACE_M: Final = 1000.0  # of a pad before the first fix of it
 FIX_TIMEOUT_S: Final = 5.0  # fixes of an unseen pad refused for so long: it starts again from the next
 FIRST_CLIMB_STD_M_S: Final = 0.4  # at the first sighting: pads drive, but hardly rise
-RANGE_MAXIMUM_HEIGHT_M: Final = 2.5  # an ultrasonic's cone of 30° is then 1.3 m wide, as a pad is
 
 __all__ = ["CombinedEstimate", "HeightMeasurement", "PadFilter", "PadInput", "PadMeasurement", "PadSnapshot"]
 
@@ -163,7 +163,6 @@ class PadFilter:
             P=blend.covariance[:, :FIRST, :FIRST].take(PAIRS_AT),
             heading_rad=wrap_angle(heading.heading_rad),
             heading_rate_rad_s=heading.rate_rad_s,
-            heading_std_rad=math.sqrt(heading.heading_variance),
             seen_time_s=snapshot.seen_time_s,
             turn_rate_rad_s=snapshot.turn.rate_rad_s,
             slow_share=snapshot.slow_share,
@@ -320,7 +319,7 @@ class PadFilter:
         z = sample.height_m + down
         seen = self._innovation((north, east, z), (0.0, 0.0, 0.0, sample.noise_m**2))
         (away_n, away_e, higher), (a, _, d, f) = self._mixture(seen)
-        low = z - higher < RANGE_MAXIMUM_HEIGHT_M
+        low = z - higher < HIGHEST_ECHO_M
         if not low or math.hypot(away_n, away_e) + math.sqrt(a + d) >= self._half_width_m:
             return  # the pad's middle is too far from under the sensor
         passed = higher * higher <= CHI_SQUARE_999[1] * f

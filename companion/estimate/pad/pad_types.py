@@ -11,8 +11,9 @@ from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 
-from companion.base.geometry import FloatArray, Vector3
+from companion.base.geometry import FloatArray, Vector3, vector3
 from companion.estimate.gating import Gate
+from companion.estimate.motion import rotation_lever
 from companion.estimate.pad.heading_filter import HeadingState
 from companion.estimate.pad.model_bank import BankState
 from companion.estimate.pad.observation import CommonError, RelativeVelocity
@@ -60,6 +61,9 @@ class PadMeasurement:
         """The slow error's standard deviation as a share of the distance."""
         x, y, z = self.position_ned_m
         return math.sqrt(self.slow_variance_m2 / max(x * x + y * y + z * z, 1e-6))
+
+
+HIGHEST_ECHO_M: Final = 2.5  # an ultrasonic's cone of 30° is then 1.3 m wide, as a pad is
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +122,6 @@ class CombinedEstimate:
     P: FloatArray
     heading_rad: float
     heading_rate_rad_s: float
-    heading_std_rad: float
     seen_time_s: float = field(default=-math.inf)
     turn_rate_rad_s: float = 0.0
     slow_share: float = 0.0
@@ -139,21 +142,10 @@ class CombinedEstimate:
         alike. One that wanders, and a calibration that is off, give a vehicle at rest a velocity.
         """
         position, velocity = self.x[0:3], self.x[3:6]
-        swings = np.vstack((_lever(position), _lever(velocity)))
+        swings = np.vstack((rotation_lever(vector3(position)), rotation_lever(vector3(velocity))))
         total = self.P[:6, :6] + swings @ rotation_covariance @ swings.T
         total[3:, 3:] += wander_rad_s**2 * (swings[:3] @ rotation_covariance @ swings[:3].T)
         share = self.slow_share**2
         total[:3, :3] += share * float(position @ position) * _EYE3
         total[3:, 3:] += share * float(velocity @ velocity) * _EYE3
         return total
-
-    @property
-    def velocity_std_m_s(self) -> float:
-        """Standard deviation of the relative velocity, all axes together."""
-        return math.sqrt(self.P[3, 3] + self.P[4, 4] + self.P[5, 5])
-
-
-def _lever(place: FloatArray) -> FloatArray:
-    """The matrix (3, 3) that makes of a small rotation what it moves a place by: rotation x place."""
-    x, y, z = place.tolist()
-    return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])

@@ -43,7 +43,7 @@ from companion.estimate.vehicle.ekf_inputs import (
     SecondAttitudeStep,
 )
 from companion.estimate.vehicle.ekf_start import InitialState
-from companion.estimate.vehicle.ekf_state import EYE, EYE3, EkfSnapshot, EkfState
+from companion.estimate.vehicle.ekf_state import EYE, EYE3, FIXES, EkfSnapshot, EkfState
 from companion.estimate.vehicle.fix_watch import LastFix
 from companion.estimate.vehicle.gyro_bias_check import BiasStep
 from companion.estimate.vehicle.imu_noise import StepNoise
@@ -126,7 +126,7 @@ class VehicleEkf(EkfState):
         dx, dP = self.x - base.x, self.P - base.P
         if np.abs(dx[model.QUATERNION]).max() > LARGEST_CARRIED:
             return None
-        fixed = {kind: gate for kind, gate in self.gates.items() if kind.startswith("gps")}
+        fixed = {kind: gate for kind, gate in self.gates.items() if kind in FIXES}
         after, since = [self.snapshot()], EYE
         for past in later:
             if (moved := past.moved) is None:
@@ -252,7 +252,7 @@ class VehicleEkf(EkfState):
             # a field that fits in size and dip for so long is right, and the heading wrong
             if not (self.fix_watch.refutes(WRONG_HEADING_RAD) and self.fix_watch.refutes(-WRONG_HEADING_RAD)):
                 self._inflate_rotation(np.diag((0.0, 0.0, WRONG_HEADING_RAD**2)))
-            self.gates = {**self.gates, "mag": Gate(gate.accepted, gate.refused)}
+            self.gates = {**self.gates, "mag": gate.opened()}
 
     def _magnetic_east(self) -> FloatArray:
         """Unit vector (3,) in body axes, horizontal and square to the field: along it the heading shows."""
@@ -303,7 +303,7 @@ class VehicleEkf(EkfState):
         self._update("still", -self.x[states], C, R, None)
 
     def _take_gps(self, time_s: float, fix: GpsStep) -> None:
-        timeout_s, later_s = GPS_REFUSED_S, time_s - self.time_s
+        later_s = time_s - self.time_s
         if not self.has_position:
             self._start_from(time_s, fix, keep_speed=False)
             return
@@ -325,8 +325,7 @@ class VehicleEkf(EkfState):
         if fits:
             self.gps_time_s = time_s
             self._watch_heading(time_s, fix, predicted, lag)
-        kinds = ("gps_velocity", "gps_position")
-        if any(self.gates[kind].shut_out(time_s, timeout_s) for kind in kinds):
+        if any(self.gates[kind].shut_out(time_s, GPS_REFUSED_S) for kind in FIXES):
             keep_speed = not self.gates["gps_velocity"].refused_in_a_row
             self._start_from(time_s, fix, keep_speed)
 
@@ -379,7 +378,5 @@ class VehicleEkf(EkfState):
         self.x, self.P, self._moved = x, P, None
         self.yaw_error = self.yaw_error.without(states)
         self.has_position, self.gps_time_s = True, time_s
-        fresh = {
-            kind: Gate(g.accepted, g.refused) for kind, g in self.gates.items() if kind.startswith("gps")
-        }
+        fresh = {kind: gate.opened() for kind, gate in self.gates.items() if kind in FIXES}
         self.gates = {**self.gates, **fresh}
