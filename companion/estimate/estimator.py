@@ -51,13 +51,8 @@ from companion.estimate.pad.camera_check import CameraCheck
 from companion.estimate.pad.mount_check import MountCheck
 from companion.estimate.pad.observation import VehicleAtExposure
 from companion.estimate.pad.observation_kinds import BY_MESSAGE
-from companion.estimate.pad.pad_filter import (
-    CombinedEstimate,
-    HeightMeasurement,
-    PadFilter,
-    PadInput,
-    PadSnapshot,
-)
+from companion.estimate.pad.pad_filter import PadFilter
+from companion.estimate.pad.pad_types import CombinedEstimate, HeightMeasurement, PadInput, PadSnapshot
 from companion.estimate.vehicle.vehicle_estimator import FUTURE_S, VehicleEstimator
 
 RANGE_MAXIMUM_TILT_DEG: Final = 20.0  # echoes come back aslant beyond this
@@ -286,7 +281,9 @@ class StateEstimator:
             return None
         position = vector3(estimate.x[0:3])
         relative_velocity = vector3(estimate.x[3:6])
-        covariance = self._covariance(estimate)
+        rotation = self._vehicle.rotation_covariance()
+        rotation = np.zeros((3, 3)) if rotation is None else rotation
+        covariance = estimate.covariance(rotation, ATTITUDE_WANDER_RAD_S)
         variance = covariance.diagonal()
         place_variance, speed_variance = float(variance[:3].sum()), float(variance[3:].sum())
         if not (place_variance >= 0.0 and speed_variance >= 0.0):
@@ -389,10 +386,6 @@ class StateEstimator:
         if snapshot is None or time_s - snapshot.seen_time_s > self._config.pad.forget_s:
             return None
         return self._pad.predicted(snapshot, time_s)
-
-    def _covariance(self, estimate: CombinedEstimate) -> FloatArray:
-        rotation = self._vehicle.rotation_covariance()
-        return estimate.covariance(np.zeros((3, 3)) if rotation is None else rotation, ATTITUDE_WANDER_RAD_S)
 
     # ------------------------------------------------------------ what may come in
 

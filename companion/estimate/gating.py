@@ -115,11 +115,6 @@ class Timeline(Generic[S, Item]):
         self._items: list[Item] = []
         self._after: list[S] = []
 
-    @property
-    def newest_s(self) -> float | None:
-        """Time of the newest input, or None before the first."""
-        return self._times_s[-1] if self._times_s else None
-
     def add(self, time_s: float, item: Item) -> bool:
         """Take an input at its own time; False when it is older than everything remembered.
 
@@ -128,7 +123,9 @@ class Timeline(Generic[S, Item]):
         place = bisect_right(self._times_s, time_s)
         if self._times_s and place == 0:
             return False
-        carried = self._carried(place, time_s, item) if place < len(self._times_s) else None
+        carried = None
+        if self._carrier is not None and place < len(self._times_s):
+            carried = self._carrier.carried(self._after[place - 1], self._after[place:], time_s, item)
         self._times_s.insert(place, time_s)
         self._items.insert(place, item)
         if carried is not None:
@@ -138,11 +135,6 @@ class Timeline(Generic[S, Item]):
             self._take_again(place)
         self._forget()
         return True
-
-    def _carried(self, place: int, time_s: float, item: Item) -> list[S] | None:
-        if self._carrier is None:
-            return None
-        return self._carrier.carried(self._after[place - 1], self._after[place:], time_s, item)
 
     def _take_again(self, place: int) -> None:
         """Take all inputs from a place on."""

@@ -7,18 +7,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import ClassVar, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from companion.base.geometry import FloatArray, Vector3, vector3
 from companion.estimate.gating import Gate
 from companion.estimate.motion import rotation_lever
-from companion.estimate.pad.heading_filter import HeadingState
 from companion.estimate.pad.model_bank import BankState
-from companion.estimate.pad.observation import CommonError, RelativeVelocity
+from companion.estimate.pad.observation import CommonError, RelativeFix
 from companion.estimate.pad.pad_models import Turn
-from companion.estimate.pad.tilt_filter import LEVEL, NOT_TILTING, PadTilt, TiltState
+from companion.estimate.pad.tilt_filter import LEVEL, NOT_TILTING, AngleState, PadTilt, TiltState
 from companion.estimate.pad.velocity_step import RefusedSighting
 
 _EYE3: Final = np.eye(3)
@@ -52,10 +51,6 @@ class PadMeasurement:
     tilt_rad: tuple[float, float] | None = None  # as of `PadTilt`
     tilt_std_rad: float = 0.0
 
-    gate: ClassVar[str] = "sighting"
-    relative_velocity: ClassVar[None] = None
-    common: ClassVar[None] = None
-
     @property
     def slow_share(self) -> float:
         """The slow error's standard deviation as a share of the distance."""
@@ -75,18 +70,6 @@ class HeightMeasurement:
     noise_m: float
 
 
-@dataclass(frozen=True, slots=True)
-class RelativeFix:
-    """An `Observation` that no camera made: it starts the filter and carries it while the pad is unseen."""
-
-    gate: str
-    position_ned_m: Vector3
-    covariance_ned_m2: FloatArray
-    vehicle_velocity_ned_m_s: Vector3
-    relative_velocity: RelativeVelocity | None = None
-    common: CommonError | None = None
-
-
 PadInput = PadMeasurement | HeightMeasurement | RelativeFix
 
 
@@ -96,7 +79,7 @@ class PadSnapshot(NamedTuple):
     time_s: float
     models: BankState | None
     turn: Turn
-    heading: HeadingState
+    heading: AngleState
     gates: dict[str, Gate]
     seen_time_s: float
     slow_share: float

@@ -39,9 +39,6 @@ from companion.base.geometry import (
 )
 from companion.estimate.motion import rotation_lever
 
-STATES: Final = 31
-MOVING: Final = 19  # the first rows change by themselves, the biases and the field after them do not
-COUPLED: Final = 25  # and what they change by is in the first columns, up to the gyroscope's bias
 QUATERNION: Final = slice(0, 4)
 EULER: Final = slice(4, 7)
 RATE: Final = slice(7, 10)
@@ -50,10 +47,13 @@ VELOCITY: Final = slice(13, 16)
 ACCELERATION: Final = slice(16, 19)
 ACCEL_BIAS: Final = slice(19, 22)
 GYRO_BIAS: Final = slice(22, 25)
-IMU_BIASES: Final = slice(19, 25)  # the accelerometer's and the gyroscope's
 FIELD: Final = slice(25, 28)
 MAG_BIAS: Final = slice(28, 31)
-ATTITUDE: Final = slice(0, 7)  # the quaternion and its Euler angles
+STATES: Final[int] = MAG_BIAS.stop
+MOVING: Final[int] = ACCELERATION.stop  # these rows change by themselves, the biases and the field do not
+COUPLED: Final[int] = GYRO_BIAS.stop  # and what they change by is in these columns
+ATTITUDE: Final = slice(QUATERNION.start, EULER.stop)
+IMU_BIASES: Final = slice(ACCEL_BIAS.start, GYRO_BIAS.stop)
 
 _EYE3: Final = np.eye(3)
 _CONSTANTS: Final = np.array((0.0, 1.0, -1.0))

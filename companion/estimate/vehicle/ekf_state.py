@@ -227,6 +227,12 @@ class EkfState:
         x[model.ATTITUDE] = (*unit, *euler_from_quat(unit))
         return np.asarray((EYE4 - q[:, None] * q) / size)
 
+    def _widen(self, states: slice, std: float) -> None:
+        """Three states may have changed by a standard deviation of so much, each for itself."""
+        P = self.P.copy()
+        P[states, states] += std**2 * EYE3
+        self.P = P
+
     def _inflate_rotation(self, rotation_variance: FloatArray) -> None:
         """Add variance (3, 3) of a small rotation about NED axes (rad²) to quaternion and Euler angles."""
         P, q = self.P.copy(), self.attitude

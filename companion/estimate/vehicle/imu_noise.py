@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 from companion.base.geometry import ZERO3, Vector3, add, dot, scale
@@ -30,8 +31,9 @@ GAP_STEPS: Final = 3.0  # so many times the step before
 LARGEST_ERROR_M_S2: Final = 3.0
 _SECOND_DIFFERENCE_VARIANCE: Final = 6.0  # of 1, -2, 1, for white noise
 _THIRD_DIFFERENCE: Final = (1.0, -3.0, 3.0, -1.0)
-_SQUARES: Final = 20.0  # the sum of its factors' squares, and of its neighbouring factors' products
-_PRODUCTS: Final = -15.0
+# the sum of its factors' squares, and of its neighbouring factors' products
+_SQUARES: Final = sum(a * a for a in _THIRD_DIFFERENCE)
+_PRODUCTS: Final = sum(a * b for a, b in pairwise(_THIRD_DIFFERENCE))
 
 
 class StepNoise(NamedTuple):

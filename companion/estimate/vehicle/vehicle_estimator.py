@@ -211,7 +211,7 @@ class VehicleEstimator:
             return True
         if self._resting and sample.time_s >= self._compare_s:
             self._compare_at_rest(sample)
-        step = self._second_gyro.add_attitude(sample.time_s, sample.attitude, self._inertial.gyro_bias_rad_s)
+        step = self._second_gyro.add_attitude(sample, self._inertial.gyro_bias_rad_s)
         if step is not None:
             self._timeline.add(self.newest_s, step)
             self._read_ekf()

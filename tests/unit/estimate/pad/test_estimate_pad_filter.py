@@ -10,10 +10,10 @@ from companion.base.geometry import IDENTITY, Vector3
 from companion.config import PadFilterConfig
 from companion.estimate.gating import Timeline
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad.pad_filter import (
+from companion.estimate.pad.pad_filter import PadFilter
+from companion.estimate.pad.pad_types import (
     CombinedEstimate,
     HeightMeasurement,
-    PadFilter,
     PadInput,
     PadMeasurement,
     PadSnapshot,
