@@ -31,18 +31,16 @@ def normalised_innovation_squared(innovation: FloatArray, covariance: FloatArray
 
 
 def passes(y: Vector3, S: tuple[float, ...]) -> bool:
-    """Whether an innovation of three axes passes; its covariance by the upper triangle, row by row."""
-    return _normalised_squared(y, S) <= CHI_SQUARE_999[3]
+    """Whether an innovation of three axes passes; its covariance by the upper triangle, row by row.
 
-
-def _normalised_squared(y: Vector3, S: tuple[float, ...]) -> float:
-    """y' S^-1 y, S by its upper triangle; Cramer's rule, for a call of a solver costs more than that."""
+    By Cramer's rule, for a call of a solver costs more than that.
+    """
     a, b, c, d, e, f = S
     u, v, w = y
     p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
     squares = p * u * u + (a * f - c * c) * v * v + (a * d - b * b) * w * w
     products = q * u * v + r * u * w + (b * c - a * e) * v * w
-    return (squares + 2.0 * products) / (a * p + b * q + c * r)
+    return (squares + 2.0 * products) / (a * p + b * q + c * r) <= CHI_SQUARE_999[3]
 
 
 class Gate(NamedTuple):

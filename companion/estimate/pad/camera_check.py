@@ -115,19 +115,28 @@ class CameraCheck:
         self.imu_by_link, self.half_trip_s = False, 0.0  # of the link's round trip; 0: not known
         self.link_delay_s = 0.0
         self._x = np.zeros(_STATES)
-        self._x[_K] = 1.0
         camera = [MOUNT_STD_RAD**2] * 3 + [FOCAL_STD**2]
-        self._P = np.diag([0.0] * 9 + [SCALE_STD**2, delay_std_s**2] + [0.0] * 3 + camera)
-        # of the scale: the present span's time and beginning (mean, variance), and what the earlier ones have
-        # told (mean, information); whether echoes have
-        self._span_s, self._span_began = 0.0, (1.0, SCALE_STD**2)
-        self._spans: list[tuple[float, float]] = []
-        self._heard = False
+        self._P = np.diag([0.0] * 10 + [delay_std_s**2] + [0.0] * 3 + camera)
         self._down_body: Vector3 = (0.0, 0.0, 1.0)  # at the last sighting
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Forget what was compared, but the delay: another mission, or a time that no clock shows."""
         self._time_s = -math.inf
         self._echoes: deque[tuple[float, float]] = deque(maxlen=4)  # time (s), our height over it (m)
         self._heights_m: tuple[float, float, float] | None = None  # when, as it is seen, by echoes
         self._ratios: list[float] = []  # of the height that is seen to the echo's
+        self._forget_scale()
+
+    def _forget_scale(self) -> None:
+        self._x[_K] = 1.0
+        self._P[_K, :], self._P[:, _K] = 0.0, 0.0
+        self._P[_K, _K] = SCALE_STD**2
+        # the present span's time and beginning (mean, variance), and what the earlier ones have told (mean,
+        # information); whether echoes have
+        self._span_s, self._span_began = 0.0, (1.0, SCALE_STD**2)
+        self._spans: list[tuple[float, float]] = []
+        self._heard = False
 
     @property
     def frame_delay_s(self) -> float:
@@ -293,14 +302,6 @@ class CameraCheck:
         self._update(-H @ self._x, H, np.array([[variance]]))
         self._heard = True
 
-    def _forget_scale(self) -> None:
-        self._x[_K] = 1.0
-        self._P[_K, :], self._P[:, _K] = 0.0, 0.0
-        self._P[_K, _K] = SCALE_STD**2
-        self._span_s, self._span_began = 0.0, (1.0, SCALE_STD**2)
-        self._spans.clear()
-        self._heard = False
-
     def _update(self, y: FloatArray, H: FloatArray, R: FloatArray, *, scale: bool = True) -> None:
         """An update; without `scale` that is only considered (Schmidt): it learns nothing."""
         PH = self._P @ H.T
@@ -345,13 +346,6 @@ class CameraCheck:
 
     def _by_link(self, delay_s: float) -> bool:
         return self.imu_by_link and abs(delay_s) - self.delay_std_s <= self.half_trip_s
-
-    def begin_anew(self) -> None:
-        """Forget what was compared, but the delay: another mission, or a time that no clock shows."""
-        self._time_s, self._heights_m = -math.inf, None
-        self._echoes.clear()
-        self._ratios.clear()
-        self._forget_scale()
 
     @property
     def _height(self) -> tuple[SourceComparison, ...]:

@@ -201,7 +201,12 @@ class PadFilter:
             return
         seen, y, S = self._compared(sample, R)
         if self._forgotten(time_s, self.seen_time_s):
-            self._see_first(time_s, sample, R, seen if passes(y, S) else None)
+            # the first of a pad that something else has led to; where it is not there, that was wrong
+            if passes(y, S):
+                self._bank.update(seen)
+                self._begin_view(time_s, sample)
+            else:
+                self._start(time_s, sample, R)
             return
         if not passes(y, S) and self._before_step is not None:
             seen, y, S = self._doubted(self._before_step, time_s, sample, R) or (seen, y, S)
@@ -222,16 +227,6 @@ class PadFilter:
 
     def _forgotten(self, time_s: float, since_s: float) -> bool:
         return not self._bank.started or time_s - since_s > self._config.forget_s
-
-    def _see_first(
-        self, time_s: float, sample: PadMeasurement, R: FloatArray, seen: Innovation | None
-    ) -> None:
-        """Take the first sighting of a pad that something else has led to; none where it is not there."""
-        if seen is None:
-            self._start(time_s, sample, R)
-            return
-        self._bank.update(seen)
-        self._begin_view(time_s, sample)
 
     def _refuse(self, time_s: float, sample: PadMeasurement, refused: RefusedSighting) -> None:
         """Start again where refused sightings show that the filter is wrong, or else remember this one."""

@@ -94,15 +94,13 @@ class SlowNoise:
     """
 
     def __init__(self) -> None:
-        self._begun: tuple[Vector3, float] = (ZERO3, 0.0)  # a triangle's first half and its weight
-        self._means: deque[Vector3] = deque(maxlen=len(_THIRD_DIFFERENCE))
         self.density = 0.0
-        self._begin_block()
+        self.skip_gap()
 
     def skip_gap(self) -> None:
         """Samples are missing: what the vehicle did meanwhile is no noise of those around."""
-        self._begun = (ZERO3, 0.0)
-        self._means.clear()
+        self._begun: tuple[Vector3, float] = (ZERO3, 0.0)  # a triangle's first half and its weight
+        self._means: deque[Vector3] = deque(maxlen=len(_THIRD_DIFFERENCE))
         self._begin_block()
 
     def _begin_block(self) -> None:

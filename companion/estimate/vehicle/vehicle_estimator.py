@@ -88,28 +88,33 @@ class VehicleEstimator:
         self._config = config
         self._antenna_body_m = antenna_body_m
         self.motion = motion
-        self._detector = StillnessDetector(config.alignment)
-        self._aligner: StaticAligner | None = StaticAligner(config.alignment)
-        self._found: InitialAlignment | None = None  # the last
         self._expected_ut = ZERO3  # the field that it was aligned by
-        self._orientation: Orientation | None = None
-        self._ekf: VehicleEkf | None = None
-        self._timeline: Timeline[EkfSnapshot, EkfInput] | None = None
         self.origin: Vector3 | None = None
         self._field_ned_ut = config.magnetic_field_ned_ut  # the Earth's; None: not known yet
         self.newest_s = self._leap_s = -math.inf
         self._fields = FieldMean(config.ekf)
         self._fields_untrusted = 0  # of the wrong size or dip
-        self._noise = ImuNoise(config.ekf)
-        self._begin_steps()
         self.corrections: tuple[str, ...] = ()  # of the attitude, in words, not yet reported
-        self._last_raw: tuple[Vector3, Vector3] | None = None
-        self._last_mean_rate: Vector3 | None = None
         self._inertial, self._trouble = InertialMotion(motion), TroubleReport()
         self._lever = LeverArm(imu_body_m)
         self._resting = self._still_block = False
         self._mag_s = self._compare_s = self._field_step_s = self._orientation_step_s = -math.inf
         self._mag_trusted_s = self._settled_s = -math.inf
+        self.start_over()
+
+    def start_over(self) -> None:
+        """Forget all but the time of the newest sample; the alignment begins again."""
+        config = self._config
+        self._detector = StillnessDetector(config.alignment)
+        self._aligner: StaticAligner | None = StaticAligner(config.alignment)
+        self._found: InitialAlignment | None = None  # the last
+        self._orientation: Orientation | None = None
+        self._ekf: VehicleEkf | None = None
+        self._timeline: Timeline[EkfSnapshot, EkfInput] | None = None
+        self._last_raw: tuple[Vector3, Vector3] | None = None
+        self._last_mean_rate: Vector3 | None = None
+        self._noise = ImuNoise(config.ekf)
+        self._begin_steps()
 
     def _begin_steps(self) -> None:
         """Without any sample or report that an EKF has not taken in."""
@@ -360,15 +365,6 @@ class VehicleEstimator:
         self._mag_trusted_s = time_s
         self._settled_s = time_s if found.still else time_s + SETTLING_S
         return True
-
-    def start_over(self) -> None:
-        """Forget all but the time of the newest sample; the alignment begins again."""
-        config = self._config.alignment
-        self._detector, self._aligner = StillnessDetector(config), StaticAligner(config)
-        self._orientation = self._ekf = self._timeline = self._last_raw = self._last_mean_rate = None
-        self._found = None
-        self._begin_steps()
-        self._noise = ImuNoise(self._config.ekf)
 
     @property
     def aligned(self) -> bool:
