@@ -149,7 +149,7 @@ class PadRenderer:
         )
         self._lens = Lens(self._camera)
         self._planner = SearchPlanner(pad, self._lens, settings)
-        self._detector = PadDetector(pad, settings)
+        self._detector = PadDetector(pad, settings, self._lens)
         self._attitude = quat_from_euler(math.radians(1.5), math.radians(-2.0), math.radians(12.0))
 
     def view(self, height_m: float) -> Colour:

@@ -21,7 +21,8 @@ from benchmarks.state.streams import INPUTS, Stream, feed, new_estimator
 from companion.base.clock import wall_clock_s
 from companion.base.geometry import FloatArray
 from companion.config import CompanionConfig
-from companion.estimate.pad.pad_filter import PadFilter, PadMeasurement
+from companion.estimate.pad.pad_filter import PadFilter
+from companion.estimate.pad.pad_types import PadMeasurement
 from companion.estimate.vehicle.ekf import VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import ImuStep
 from companion.sim.trial import Trial

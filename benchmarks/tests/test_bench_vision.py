@@ -43,6 +43,7 @@ from companion.base.geometry import (
 from companion.base.messages import PadSighting
 from companion.config import VisionConfig
 from companion.sense.vision.aruco import GROUPS, PadDetector, SearchPass
+from companion.sense.vision.lens import Lens
 from sitl.run.scene_camera import perturbed_lens
 from sitl.run.simulation import PHYSICS_STEP_S
 
@@ -63,7 +64,8 @@ def test_corners_are_where_the_detector_finds_them_in_the_middle_of_their_rows()
     for _ in range(4):
         shot = stage.shoot(2.0)
         whole = SearchPass(0, 0, 1280, 720, 1, GROUPS)
-        for found in PadDetector(stage.pad, VisionConfig()).detect(shot.frame.image, whole):
+        detector = PadDetector(stage.pad, VisionConfig(), Lens(stage.camera))
+        for found in detector.detect(shot.frame.image, whole):
             true_px, _ = stage.pixels(shot.scene, found.corners_pad_m)
             misses.append(found.corners_px - true_px)
     all_misses = np.concatenate(misses)
@@ -210,7 +212,7 @@ def test_clutter_holds_no_code_of_the_pad() -> None:
     assert image.std() > 20.0
     assert 0.5 <= side_m <= 6.0
     whole = SearchPass(0, 0, image.shape[1], image.shape[0], 1, GROUPS)
-    assert len(PadDetector(pad, VisionConfig()).detect(image, whole)) <= 1
+    assert len(PadDetector(pad, VisionConfig(), Lens(camera_named("640x480"))).detect(image, whole)) <= 1
     assert random_code(pad)(rng, 60).min() == 0
 
 

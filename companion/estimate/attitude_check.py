@@ -12,7 +12,6 @@ Body FRD, rad.
 from __future__ import annotations
 
 import math
-from collections import deque
 from typing import Final
 
 from companion.base.geometry import (
@@ -21,12 +20,11 @@ from companion.base.geometry import (
     cross,
     dot,
     euler_from_quat,
-    quat_conjugate,
-    quat_multiply,
     quat_rotate_inverse,
 )
 from companion.base.messages import AutopilotAttitude, Quantity, SourceComparison
 from companion.estimate.motion import MotionHistory
+from companion.estimate.vehicle.attitude_reset import DOWN, ReportQueue, heading_between
 from companion.estimate.vehicle.ekf_inputs import OTHER_COMPASS_STD_RAD, OTHER_HORIZON_STD_RAD
 
 TIME_CONSTANT_S: Final = 0.5
@@ -37,8 +35,6 @@ LAG_STD_S: Final = 0.1  # of a report's stamp, before anything is known
 LAG_NOISE_RAD: Final = math.radians(0.5)  # of one difference
 LAG_FORGETTING_S: Final = 20.0
 SHARED: Final = 0.2
-_KEPT: Final = 50
-_DOWN: Final = (0.0, 0.0, 1.0)
 
 
 class AttitudeCheck:
@@ -46,7 +42,7 @@ class AttitudeCheck:
 
     def __init__(self, motion: MotionHistory) -> None:
         self._motion = motion
-        self._waiting: deque[AutopilotAttitude] = deque(maxlen=_KEPT)
+        self._waiting = ReportQueue()
         self.forget()
 
     def forget(self) -> None:
@@ -63,10 +59,8 @@ class AttitudeCheck:
 
     def take(self, report: AutopilotAttitude) -> None:
         """Take a report; it counts once our own samples have come as far."""
-        newest_s = self._motion.newest_s
         self._waiting.append(report)
-        while newest_s is not None and self._waiting and self._waiting[0].time_s <= newest_s:
-            due = self._waiting.popleft()
+        for due in self._waiting.due(self._motion.newest_s):
             ours = self._motion.attitude(due.time_s)
             if ours is not None and due.time_s > self._last_s:
                 self._compare(due.time_s, ours, due.attitude)
@@ -111,12 +105,11 @@ class AttitudeCheck:
     def _compare(self, time_s: float, ours: Quaternion, theirs: Quaternion) -> None:
         if time_s - self._last_s > FORGET_S:
             self._since_s, self._reports = time_s, 0
-        ours_down, theirs_down = quat_rotate_inverse(ours, _DOWN), quat_rotate_inverse(theirs, _DOWN)
+        ours_down, theirs_down = quat_rotate_inverse(ours, DOWN), quat_rotate_inverse(theirs, DOWN)
         x, y, _ = cross(theirs_down, ours_down)
         sine = math.hypot(x, y)
         angle = math.atan2(sine, dot(theirs_down, ours_down)) / sine if sine > 1e-9 else 1.0
-        w, _, _, z = quat_multiply(ours, quat_conjugate(theirs))
-        heading_rad = math.remainder(2.0 * math.atan2(z, w), math.tau)
+        heading_rad = heading_between(ours, theirs)
         # an average at first, so that it is right at once; then a low-pass
         self._reports += 1
         low_pass = -math.expm1(-(time_s - self._last_s) / TIME_CONSTANT_S)

@@ -51,13 +51,8 @@ from companion.estimate.pad.camera_check import CameraCheck
 from companion.estimate.pad.mount_check import MountCheck
 from companion.estimate.pad.observation import VehicleAtExposure
 from companion.estimate.pad.observation_kinds import BY_MESSAGE
-from companion.estimate.pad.pad_filter import (
-    CombinedEstimate,
-    HeightMeasurement,
-    PadFilter,
-    PadInput,
-    PadSnapshot,
-)
+from companion.estimate.pad.pad_filter import PadFilter
+from companion.estimate.pad.pad_types import CombinedEstimate, HeightMeasurement, PadInput, PadSnapshot
 from companion.estimate.vehicle.vehicle_estimator import FUTURE_S, VehicleEstimator
 from companion.estimate.velocity_check import VelocityCheck
 
@@ -84,7 +79,6 @@ class StateEstimator:
         board_half_width_m: float,
     ) -> None:
         self._config, self._board_half_width_m = config, board_half_width_m
-        self._range_position_body_m = vehicle.range_position_body_m
         self._airframe, self._antenna_m = vehicle, antenna_position_body_m
         self.tally = InputTally()
         self._why_not = ""
@@ -221,7 +215,9 @@ class StateEstimator:
         # under the axis, with the difference as its noise
         height_m = sample.distance_m * math.cos(tilt_rad)
         noise_m = math.hypot(self._config.pad.range_noise_m, sample.distance_m - height_m)
-        measurement = HeightMeasurement(height_m, quat_rotate(attitude, self._range_position_body_m), noise_m)
+        measurement = HeightMeasurement(
+            height_m, quat_rotate(attitude, self._airframe.range_position_body_m), noise_m
+        )
         self._camera_check.take_echo(sample.time_s, measurement)
         return self._count("range", self._timeline.add(sample.time_s, measurement))
 
@@ -299,7 +295,9 @@ class StateEstimator:
             return None
         position = vector3(estimate.x[0:3])
         relative_velocity = vector3(estimate.x[3:6])
-        covariance = self._covariance(estimate)
+        rotation = self._vehicle.rotation_covariance()
+        rotation = np.zeros((3, 3)) if rotation is None else rotation
+        covariance = estimate.covariance(rotation, ATTITUDE_WANDER_RAD_S)
         variance = covariance.diagonal()
         place_variance, speed_variance = float(variance[:3].sum()), float(variance[3:].sum())
         if not (place_variance >= 0.0 and speed_variance >= 0.0):
@@ -392,11 +390,8 @@ class StateEstimator:
 
     @property
     def _gates(self) -> dict[str, int]:
-        return self._pad_gates | self._vehicle.gates
-
-    @property
-    def _pad_gates(self) -> dict[str, int]:
-        return {kind: gate.refused for kind, gate in self._pad.gates.items()}
+        """How many measurements of each kind have failed their innovation test."""
+        return {kind: gate.refused for kind, gate in self._pad.gates.items()} | self._vehicle.gates
 
     # ------------------------------------------------------------ the pad
 
@@ -405,10 +400,6 @@ class StateEstimator:
         if snapshot is None or time_s - snapshot.seen_time_s > self._config.pad.forget_s:
             return None
         return self._pad.predicted(snapshot, time_s)
-
-    def _covariance(self, estimate: CombinedEstimate) -> FloatArray:
-        rotation = self._vehicle.rotation_covariance()
-        return estimate.covariance(np.zeros((3, 3)) if rotation is None else rotation, ATTITUDE_WANDER_RAD_S)
 
     # ------------------------------------------------------------ what may come in
 
@@ -422,17 +413,13 @@ class StateEstimator:
             self._why_not = ""
         return not self._why_not
 
-    def _refused_by(self, gate: str) -> int:
-        found = self._pad.gates.get(gate)
-        return self._vehicle.refused_by(gate) if found is None else found.refused
-
     def _count(self, kind: str, taken: bool) -> bool:
         why_not, self._why_not = self._why_not, ""
         if taken:
             why_not = ""
         elif not why_not:
             why_not = "older than what is remembered" if self._vehicle.aligned else "before the alignment"
-        self.tally.note(kind, why_not, self._refused_by)
+        self.tally.note(kind, why_not, lambda gate: self._gates.get(gate, 0))
         return taken
 
 

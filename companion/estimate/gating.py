@@ -31,18 +31,16 @@ def normalised_innovation_squared(innovation: FloatArray, covariance: FloatArray
 
 
 def passes(y: Vector3, S: tuple[float, ...]) -> bool:
-    """Whether an innovation of three axes passes; its covariance by the upper triangle, row by row."""
-    return _normalised_squared(y, S) <= CHI_SQUARE_999[3]
+    """Whether an innovation of three axes passes; its covariance by the upper triangle, row by row.
 
-
-def _normalised_squared(y: Vector3, S: tuple[float, ...]) -> float:
-    """y' S^-1 y, S by its upper triangle; Cramer's rule, for a call of a solver costs more than that."""
+    By Cramer's rule, for a call of a solver costs more than that.
+    """
     a, b, c, d, e, f = S
     u, v, w = y
     p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
     squares = p * u * u + (a * f - c * c) * v * v + (a * d - b * b) * w * w
     products = q * u * v + r * u * w + (b * c - a * e) * v * w
-    return (squares + 2.0 * products) / (a * p + b * q + c * r)
+    return (squares + 2.0 * products) / (a * p + b * q + c * r) <= CHI_SQUARE_999[3]
 
 
 class Gate(NamedTuple):
@@ -59,6 +57,10 @@ class Gate(NamedTuple):
             return Gate(self.accepted + 1, self.refused)
         since_s = self.refused_since_s if self.refused_in_a_row else time_s
         return Gate(self.accepted, self.refused + 1, self.refused_in_a_row + 1, since_s)
+
+    def opened(self) -> Gate:
+        """Without those refused in a row: they have been dealt with."""
+        return Gate(self.accepted, self.refused)
 
     def shut_out(self, time_s: float, timeout_s: float, at_least: int = 3) -> bool:
         """Whether all measurements have been refused for so long that the filter must be the one in error."""
@@ -111,11 +113,6 @@ class Timeline(Generic[S, Item]):
         self._items: list[Item] = []
         self._after: list[S] = []
 
-    @property
-    def newest_s(self) -> float | None:
-        """Time of the newest input, or None before the first."""
-        return self._times_s[-1] if self._times_s else None
-
     def add(self, time_s: float, item: Item) -> bool:
         """Take an input at its own time; False when it is older than everything remembered.
 
@@ -124,7 +121,9 @@ class Timeline(Generic[S, Item]):
         place = bisect_right(self._times_s, time_s)
         if self._times_s and place == 0:
             return False
-        carried = self._carried(place, time_s, item) if place < len(self._times_s) else None
+        carried = None
+        if self._carrier is not None and place < len(self._times_s):
+            carried = self._carrier.carried(self._after[place - 1], self._after[place:], time_s, item)
         self._times_s.insert(place, time_s)
         self._items.insert(place, item)
         if carried is not None:
@@ -134,11 +133,6 @@ class Timeline(Generic[S, Item]):
             self._take_again(place)
         self._forget()
         return True
-
-    def _carried(self, place: int, time_s: float, item: Item) -> list[S] | None:
-        if self._carrier is None:
-            return None
-        return self._carrier.carried(self._after[place - 1], self._after[place:], time_s, item)
 
     def _take_again(self, place: int) -> None:
         """Take all inputs from a place on."""

@@ -118,8 +118,7 @@ class MotionHistory:
         before, after = self._attitudes[place - 1], self._attitudes[place]
         start_s = self._times_s[place - 1]
         share = (time_s - start_s) / (self._times_s[place] - start_s)
-        turn = rotation_vector_from_quat(quat_multiply(quat_conjugate(before), after))
-        return quat_normalise(quat_multiply(before, quat_from_rotation_vector(scale(turn, share))))
+        return quat_normalise(part_way(before, after, share))
 
     def turn(self, from_s: float, turn: Quaternion) -> None:
         """Turn (about NED axes) the attitudes from a time on: they have proved wrong."""
@@ -152,7 +151,7 @@ class MotionHistory:
         before, after = self.attitude(time_s - span_s), self.attitude(time_s + span_s)
         if before is None or after is None:
             return 0.0
-        return 0.5 * norm(rotation_vector_from_quat(quat_multiply(quat_conjugate(before), after)))
+        return 0.5 * norm(turn_between(before, after))
 
     def rate_body_rad_s(self, time_s: float, span_s: float) -> Vector3:
         """Mean rate of turn (rad/s, body axes) over `span_s` about a time, or the last that is known."""
@@ -161,7 +160,7 @@ class MotionHistory:
         before, after = self.attitude(end_s - span_s), self.attitude(end_s)
         if before is None or after is None:
             return ZERO3
-        return scale(rotation_vector_from_quat(quat_multiply(quat_conjugate(before), after)), 1.0 / span_s)
+        return scale(turn_between(before, after), 1.0 / span_s)
 
     def moved(self, start_s: float, end_s: float) -> tuple[Vector3, Vector3]:
         """Change of position (m) beyond constant velocity's, and of velocity (m/s), between two times."""
@@ -202,3 +201,19 @@ class MotionHistory:
         old = bisect_right(self._times_s, before_s)
         del self._times_s[:old], self._attitudes[:old], self._speeds[:old], self._places[:old]
         del self._corrections[:old]
+
+
+def turn_between(before: Quaternion, after: Quaternion) -> Vector3:
+    """The rotation vector (rad, body) that takes one attitude to another."""
+    return rotation_vector_from_quat(quat_multiply(quat_conjugate(before), after))
+
+
+def part_way(before: Quaternion, after: Quaternion, share: float) -> Quaternion:
+    """The attitude at a share of the shortest turn between two."""
+    return quat_multiply(before, quat_from_rotation_vector(scale(turn_between(before, after), share)))
+
+
+def rotation_lever(place: Vector3) -> FloatArray:
+    """The matrix (3, 3) that makes of a small rotation what it moves a place by: rotation x place."""
+    x, y, z = place
+    return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])

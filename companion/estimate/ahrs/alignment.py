@@ -48,13 +48,13 @@ class StillnessDetector:
     def __init__(self, config: AlignmentConfig) -> None:
         self._config = config
         self._start_s = math.nan
-        self._count = 0
-        self._rate: Vector3 = ZERO3
-        self._force: Vector3 = ZERO3
         self._first_rate: Vector3 = ZERO3
         self._first_force: Vector3 = ZERO3
-        self._rate_squares = 0.0
-        self._force_squares = 0.0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._count, self._rate, self._force = 0, ZERO3, ZERO3
+        self._rate_squares = self._force_squares = 0.0
 
     def add(self, time_s: float, rate_body_rad_s: Vector3, specific_force_m_s2: Vector3) -> Block | None:
         """Take one sample; the finished block when this sample begins a new one."""
@@ -79,8 +79,7 @@ class StillnessDetector:
         force_std = math.sqrt(max(self._force_squares / n - norm(force) ** 2, 0.0))
         still = n >= 3 and rate_std < config.still_rate_rad_s and force_std < config.still_force_m_s2
         block = Block(add(rate, self._first_rate), add(force, self._first_force), n, still)
-        self._count, self._rate, self._force = 0, ZERO3, ZERO3
-        self._rate_squares = self._force_squares = 0.0
+        self._begin()
         return block
 
 
@@ -112,12 +111,15 @@ class StaticAligner:
     def __init__(self, config: AlignmentConfig) -> None:
         self._config = config
         self._start_s: float | None = None
-        self._rate, self._force, self._field = ZERO3, ZERO3, ZERO3
-        self._count = self._blocks = self._fields = 0
+        self._restart()
         self._turn: Quaternion = IDENTITY  # since the first block
         self._felt: deque[_Felt] = deque(maxlen=math.ceil(config.still_s / BLOCK_S))
         self._block_field, self._block_fields = ZERO3, 0
         self._end_s: float | None = None
+
+    def _restart(self) -> None:
+        self._rate, self._force, self._field = ZERO3, ZERO3, ZERO3
+        self._count = self._blocks = self._fields = 0
 
     def add_field(self, field_body_ut: Vector3) -> None:
         """Take one magnetometer sample."""
@@ -184,10 +186,6 @@ class StaticAligner:
         rate_change = norm(subtract(block.rate_body_rad_s, scale(self._rate, k)))
         force_change = norm(subtract(block.specific_force_body_m_s2, scale(self._force, k)))
         return rate_change < config.still_rate_rad_s and force_change < config.still_force_m_s2
-
-    def _restart(self) -> None:
-        self._rate, self._force, self._field = ZERO3, ZERO3, ZERO3
-        self._count = self._blocks = self._fields = 0
 
 
 def _mean(vectors: list[Vector3]) -> Vector3:

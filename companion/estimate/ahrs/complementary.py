@@ -24,7 +24,9 @@ from companion.base.geometry import (
     Quaternion,
     Vector3,
     cross,
+    dot,
     norm,
+    quat_conjugate,
     quat_integrate,
     quat_multiply,
     quat_normalise,
@@ -34,7 +36,6 @@ from companion.base.geometry import (
 
 # of the quaternion, which turns half as fast as the body: a gyroscope that errs by 1.1 deg/s
 GYRO_ERROR_RATE: Final = 0.01
-HEADING_ERROR_RATE: Final = 0.01  # the same about the vertical
 ACCEL_AVERAGE_S: Final = 2.0  # manoeuvres shorter than this average out of the specific force
 ACCEL_GATE_M_S2: Final = 0.8  # averages that differ more from gravity say nothing of the horizon
 MAG_GATE: Final = 0.15  # share of the field's size
@@ -63,7 +64,7 @@ def blend(q_gyro: Quaternion, q_reference: Quaternion, gyro_error_rate: float, d
 
 def shortest_turn(start: Vector3, end: Vector3) -> Quaternion:
     """Unit quaternion of the shortest rotation of one unit vector onto another."""
-    cosine = start[0] * end[0] + start[1] * end[1] + start[2] * end[2]
+    cosine = dot(start, end)
     if cosine < -0.999999:
         # opposite: any axis at right angles will do
         other = (1.0, 0.0, 0.0) if abs(start[0]) < 0.9 else (0.0, 1.0, 0.0)
@@ -101,12 +102,7 @@ class OrientationFilter:
         self._force_ned_m_s2 = force
         size = norm(force)
         if abs(size - GRAVITY_M_S2) < ACCEL_GATE_M_S2:
-            turn = shortest_turn(scale(force, 1.0 / size), (0.0, 0.0, -1.0))
-            before = q
-            q = blend(q, quat_multiply(turn, q), GYRO_ERROR_RATE, dt_s)
-            # the average is in the frame that has just been turned
-            undone = quat_multiply(q, (before[0], -before[1], -before[2], -before[3]))
-            self._force_ned_m_s2 = quat_rotate(undone, force)
+            q = self._corrected(q, shortest_turn(scale(force, 1.0 / size), (0.0, 0.0, -1.0)), dt_s)
         self.attitude = q
         return q
 
@@ -120,8 +116,11 @@ class OrientationFilter:
         if self.mag_trusted:
             half = 0.5 * math.remainder(self._declination_rad - math.atan2(east, north), math.tau)
             turn = (math.cos(half), 0.0, 0.0, math.sin(half))
-            before = self.attitude
-            self.attitude = blend(before, quat_multiply(turn, before), HEADING_ERROR_RATE, dt_s)
-            done = quat_multiply(self.attitude, (before[0], -before[1], -before[2], -before[3]))
-            self._force_ned_m_s2 = quat_rotate(done, self._force_ned_m_s2)
+            self.attitude = self._corrected(self.attitude, turn, dt_s)
         return self.attitude
+
+    def _corrected(self, q: Quaternion, turn: Quaternion, dt_s: float) -> Quaternion:
+        """Draw q to what a turn (NED) makes of it; the average force is in the frame that this turns."""
+        drawn = blend(q, quat_multiply(turn, q), GYRO_ERROR_RATE, dt_s)
+        self._force_ned_m_s2 = quat_rotate(quat_multiply(drawn, quat_conjugate(q)), self._force_ned_m_s2)
+        return drawn

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final, Protocol
+from typing import Final
 
 from companion.base.geometry import GRAVITY_M_S2, Quaternion, Vector3, norm
 from companion.config import EstimateConfig
@@ -16,28 +16,7 @@ ORIENTATION_TILT_NOISE_DEG: Final = 12.0  # of the pre-filter's attitude in flig
 SETTLING_NOISE_RAD: Final = 1.0
 
 
-class Orientation(Protocol):
-    """What the pre-filters have in common; the two properties show the EKF how far to trust one."""
-
-    attitude: Quaternion
-
-    @property
-    def gravity_error_m_s2(self) -> float:
-        """By how much what the accelerometer measures differs from gravity in size."""
-        ...
-
-    @property
-    def mag_trusted(self) -> bool:
-        """Whether the last magnetometer sample fitted the expected field."""
-        ...
-
-    def update_imu(self, rate_body_rad_s: Vector3, specific_force_m_s2: Vector3, dt_s: float) -> Quaternion:
-        """One bias-free IMU sample."""
-        ...
-
-    def update_mag(self, field_body_ut: Vector3, dt_s: float) -> Quaternion:
-        """One magnetometer sample."""
-        ...
+Orientation = OrientationFilter | MadgwickFilter
 
 
 def new_orientation(config: EstimateConfig, field: Vector3, attitude: Quaternion) -> Orientation:

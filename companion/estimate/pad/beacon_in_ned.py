@@ -17,10 +17,10 @@ from companion.base.messages import PadBeacon
 from companion.estimate.pad.observation import (
     CommonError,
     ObservationKind,
+    RelativeFix,
     RelativeVelocity,
     VehicleAtExposure,
 )
-from companion.estimate.pad.pad_types import RelativeFix
 
 WANDER_S: Final = 60.0  # as `estimate.ekf.gps_wander_s` has it of ours
 NOISE_SHARE: Final = 0.3  # of what both are off by; the rest does not change from fix to fix

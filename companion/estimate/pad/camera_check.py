@@ -57,8 +57,8 @@ from companion.base.geometry import (
     vector3,
 )
 from companion.base.messages import Quantity, SourceComparison
-from companion.estimate.motion import MotionHistory
-from companion.estimate.pad.pad_types import HeightMeasurement
+from companion.estimate.motion import MotionHistory, rotation_lever
+from companion.estimate.pad.pad_types import HIGHEST_ECHO_M, HeightMeasurement
 
 SCALE_STD: Final = 0.3  # before anything is known
 SCALE_WALK_RTS: Final = 1e-3  # a lens that heats, an echo's air
@@ -79,7 +79,6 @@ MOUNT_STD_RAD: Final = 0.02
 FOCAL_STD: Final = 0.01
 # lower, an offset of the echoes of some centimetres, which never averages out, would pass for a wrong scale
 LOWEST_ECHO_M: Final = 1.0
-HIGHEST_ECHO_M: Final = 2.5  # an ultrasonic's cone is then as wide as a pad
 ECHO_APART_S: Final = 0.05  # an echo and a sighting of one moment
 RATE_SPAN_S: Final = 0.01
 LONGEST_GAP_S: Final = 1.0  # between sightings; then the pad's motion begins again, scale and delay stay
@@ -89,7 +88,7 @@ LARGEST_DELAY_S: Final = 0.1
 UNSETTLED_S: Final = 0.005  # what is still to be corrected of the delay: less does not show in the scale
 SLEW: Final = 0.01  # s a second: what is corrected moves slowly, so that sightings stay in order
 _Q, _V, _A, _K, _D, _R = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, slice(11, 14)
-_M, _F, _BODY = slice(14, 17), 17, slice(11, 18)
+_F, _BODY = 17, slice(11, 18)  # m is 14:17
 _STATES: Final = 18
 _EYE3: Final = np.eye(3)
 
@@ -116,19 +115,28 @@ class CameraCheck:
         self.imu_by_link, self.half_trip_s = False, 0.0  # of the link's round trip; 0: not known
         self.link_delay_s = 0.0
         self._x = np.zeros(_STATES)
-        self._x[_K] = 1.0
         camera = [MOUNT_STD_RAD**2] * 3 + [FOCAL_STD**2]
-        self._P = np.diag([0.0] * 9 + [SCALE_STD**2, delay_std_s**2] + [0.0] * 3 + camera)
-        # of the scale: the present span's time and beginning (mean, variance), and what the earlier ones have
-        # told (mean, information); whether echoes have
-        self._span_s, self._span_began = 0.0, (1.0, SCALE_STD**2)
-        self._spans: list[tuple[float, float]] = []
-        self._heard = False
+        self._P = np.diag([0.0] * 10 + [delay_std_s**2] + [0.0] * 3 + camera)
         self._down_body: Vector3 = (0.0, 0.0, 1.0)  # at the last sighting
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Forget what was compared, but the delay: another mission, or a time that no clock shows."""
         self._time_s = -math.inf
         self._echoes: deque[tuple[float, float]] = deque(maxlen=4)  # time (s), our height over it (m)
         self._heights_m: tuple[float, float, float] | None = None  # when, as it is seen, by echoes
         self._ratios: list[float] = []  # of the height that is seen to the echo's
+        self._forget_scale()
+
+    def _forget_scale(self) -> None:
+        self._x[_K] = 1.0
+        self._P[_K, :], self._P[:, _K] = 0.0, 0.0
+        self._P[_K, _K] = SCALE_STD**2
+        # the present span's time and beginning (mean, variance), and what the earlier ones have told (mean,
+        # information); whether echoes have
+        self._span_s, self._span_began = 0.0, (1.0, SCALE_STD**2)
+        self._spans: list[tuple[float, float]] = []
+        self._heard = False
 
     @property
     def frame_delay_s(self) -> float:
@@ -193,9 +201,9 @@ class CameraCheck:
 
     def _body(self, attitude: Quaternion, pad_body_m: Vector3) -> FloatArray:
         """How the pad's place as seen (NED) changes by what is constant in the body (3, 7)."""
-        (x, y, z), columns = pad_body_m, np.zeros((3, 7))
+        columns = np.zeros((3, 7))
         columns[:, :3] = _EYE3
-        columns[:, 3:6] = ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))
+        columns[:, 3:6] = rotation_lever(pad_body_m)
         columns[:, 6] = self._axis * (self._axis @ np.array(pad_body_m))
         turned: FloatArray = matrix_from_quat(attitude) @ columns
         return turned
@@ -294,14 +302,6 @@ class CameraCheck:
         self._update(-H @ self._x, H, np.array([[variance]]))
         self._heard = True
 
-    def _forget_scale(self) -> None:
-        self._x[_K] = 1.0
-        self._P[_K, :], self._P[:, _K] = 0.0, 0.0
-        self._P[_K, _K] = SCALE_STD**2
-        self._span_s, self._span_began = 0.0, (1.0, SCALE_STD**2)
-        self._spans.clear()
-        self._heard = False
-
     def _update(self, y: FloatArray, H: FloatArray, R: FloatArray, *, scale: bool = True) -> None:
         """An update; without `scale` that is only considered (Schmidt): it learns nothing."""
         PH = self._P @ H.T
@@ -346,13 +346,6 @@ class CameraCheck:
 
     def _by_link(self, delay_s: float) -> bool:
         return self.imu_by_link and abs(delay_s) - self.delay_std_s <= self.half_trip_s
-
-    def begin_anew(self) -> None:
-        """Forget what was compared, but the delay: another mission, or a time that no clock shows."""
-        self._time_s, self._heights_m = -math.inf, None
-        self._echoes.clear()
-        self._ratios.clear()
-        self._forget_scale()
 
     @property
     def _height(self) -> tuple[SourceComparison, ...]:

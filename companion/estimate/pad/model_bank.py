@@ -120,8 +120,13 @@ class ModelBank:
         assert self._state is not None
         return self._state
 
-    def restore(self, state: BankState) -> None:
-        """Go on from a state."""
+    @property
+    def started(self) -> bool:
+        """Whether anything is known."""
+        return self._state is not None
+
+    def restore(self, state: BankState | None) -> None:
+        """Go on from a state; None: of nothing."""
         self._state = state
 
     def widen(self, variances: FloatArray) -> None:

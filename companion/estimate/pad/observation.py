@@ -1,4 +1,4 @@
-"""What a kind of measurement of the pad says of itself; the filter takes every kind by this alone.
+"""What a kind of measurement of the pad says of itself; the filter takes all but sightings by this alone.
 
 A new kind is one file, which turns its message to NED, and a line in `observation_kinds`. Its errors are said
 here, for they decide what it is worth: noise from one to the next is averaged out, an error that all of a
@@ -7,23 +7,40 @@ source have in common never is. NED, SI units. Pure.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Final, Generic, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from companion.base.geometry import FloatArray, Quaternion, Vector3
 from companion.estimate.motion import VehiclePlace
+from companion.estimate.pad.model_bank import ModelTransition
+
+FIRST: Final = 8  # the states before those of common errors are the pad's
+_NO_AXIS_M2: Final = 1e-12  # the vertical has no second axis
 
 
 class CommonError(NamedTuple):
-    """What all positions of a source are off by alike: it wanders with this standard deviation (m, an axis).
+    """What all positions of a source are off by alike: a Gauss-Markov process of this standard deviation (m).
 
-    It has forgotten itself after `lasts_s`. The filter estimates it beside the pad.
+    It has forgotten itself after `lasts_s`. A receiver's metres change over a minute. Taken for noise, many
+    fixes would average them away and outweigh sightings. So the filter has them as states beside the pad's:
+    with the covariance that they gather with these they are found by the first sighting, and what a fix then
+    says is worth as little as its error has wandered since.
     """
 
     source: str
     std_ned_m: Vector3
     lasts_s: float
+
+    @property
+    def variances_m2(self) -> FloatArray:
+        """Of the plane's and the vertical's pair of states (2, 2)."""
+        north, east, down = self.std_ned_m
+        return np.array([[north**2, east**2], [down**2, _NO_AXIS_M2]])
 
 
 class RelativeVelocity(NamedTuple):
@@ -33,38 +50,25 @@ class RelativeVelocity(NamedTuple):
     std_ned_m_s: Vector3
 
 
-class Observation(Protocol):
-    """A measurement as the filter takes it: pad minus vehicle at the exposure, NED."""
+@dataclass(frozen=True, slots=True)
+class RelativeFix:
+    """A measurement that no camera made: it starts the filter and carries it while the pad is unseen.
 
-    @property
-    def gate(self) -> str:
-        """The name of its innovation test."""
-        ...
+    Args:
+        gate: the name of its innovation test.
+        position_ned_m: pad minus vehicle at the exposure.
+        covariance_ned_m2: of the noise from one to the next alone (3, 3).
+        vehicle_velocity_ned_m_s: at the exposure.
+        relative_velocity: where the source measures that, too.
+        common: what its positions are off by alike; None: nothing.
+    """
 
-    @property
-    def position_ned_m(self) -> Vector3:
-        """The relative position (m)."""
-        ...
-
-    @property
-    def covariance_ned_m2(self) -> FloatArray:
-        """Of the noise from one to the next alone (3, 3), m²."""
-        ...
-
-    @property
-    def vehicle_velocity_ned_m_s(self) -> Vector3:
-        """The vehicle's velocity at the exposure (m/s)."""
-        ...
-
-    @property
-    def relative_velocity(self) -> RelativeVelocity | None:
-        """The relative velocity, where the source measures that, too."""
-        ...
-
-    @property
-    def common(self) -> CommonError | None:
-        """What its positions are off by alike; None: nothing."""
-        ...
+    gate: str
+    position_ned_m: Vector3
+    covariance_ned_m2: FloatArray
+    vehicle_velocity_ned_m_s: Vector3
+    relative_velocity: RelativeVelocity | None = None
+    common: CommonError | None = None
 
 
 class VehicleAtExposure(NamedTuple):
@@ -81,17 +85,8 @@ class VehicleAtExposure(NamedTuple):
     place: Callable[[], VehiclePlace | None]
 
 
-class Timed(Protocol):
-    """A message with the time of its exposure."""
-
-    @property
-    def time_s(self) -> float:
-        """When it was measured (s)."""
-        ...
-
-
-M = TypeVar("M", bound=Timed)
-Z = TypeVar("Z", bound=Observation)
+M = TypeVar("M")
+Z = TypeVar("Z")
 
 
 @dataclass(frozen=True)
@@ -111,3 +106,23 @@ class ObservationKind(Generic[M, Z]):
     numbers: Callable[[M], Iterable[float]]
     in_ned: Callable[[M, VehicleAtExposure], Z | None]
     by_camera: bool = False
+
+
+def with_common(
+    step: ModelTransition, errors: Sequence[CommonError], dt_s: float, group_of: NDArray[np.intp]
+) -> ModelTransition:
+    """How the models move with these errors beside the pad, of whose states `step` is.
+
+    An error fades to what it is on average, 0, and noise keeps its variance.
+    """
+    if not errors:
+        return step
+    m, n = step.moved.shape[0], FIRST + 2 * len(errors)
+    F, Q, moved = np.zeros((m, n, n)), np.zeros((m, n, n)), np.zeros((m, n))
+    F[:, :FIRST, :FIRST], Q[:, :FIRST, :FIRST], moved[:, :FIRST] = step
+    for number, error in enumerate(errors):
+        pair = range(FIRST + 2 * number, FIRST + 2 * number + 2)
+        keep = math.exp(-dt_s / error.lasts_s)
+        F[:, pair, pair] = keep
+        Q[:, pair, pair] = (1.0 - keep * keep) * error.variances_m2.take(group_of, axis=0)
+    return ModelTransition(F, Q, moved)

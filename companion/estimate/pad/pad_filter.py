@@ -3,9 +3,9 @@
 State: relative position (pad - vehicle's reference point, m), relative velocity (m/s), and the pad's own
 acceleration (m/s²). Two groups of models (`pad_models`), one for the plane and one for the vertical, which
 hardly depend on one another. The vehicle's acceleration, measured by the IMU, is a known input. GPS enters
-the state by a beacon alone, and what it is off by as a state of its own (`common_error`), so that neither its
+the state by a beacon alone, and what it is off by as a state of its own (`CommonError`), so that neither its
 noise nor its jumps reach the landing. The vehicle's velocity serves for a start and for the rate at which the
-pad's course turns, and there an error does little. Every kind of `observation` is fused at its exposure,
+pad's course turns, and there an error does little. Every kind of measurement is fused at its exposure,
 echoes at their time; `gating.Timeline` puts late ones in place.
 """
 
@@ -21,9 +21,7 @@ from companion.base.geometry import ZERO3, FloatArray, Vector3, add, scale, wrap
 from companion.config import PadFilterConfig
 from companion.estimate.gating import CHI_SQUARE_999, Gate, passes
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad.common_error import FIRST, variances_m2, with_common
 from companion.estimate.pad.frame_correction import frame_rotation_increment
-from companion.estimate.pad.heading_filter import HeadingState
 from companion.estimate.pad.model_bank import (
     PLACE,
     SPEED,
@@ -34,7 +32,7 @@ from companion.estimate.pad.model_bank import (
     advance,
     innovation,
 )
-from companion.estimate.pad.observation import CommonError, Observation
+from companion.estimate.pad.observation import FIRST, CommonError, RelativeFix, with_common
 from companion.estimate.pad.pad_models import (
     HORIZONTAL,
     TURN,
@@ -44,6 +42,7 @@ from companion.estimate.pad.pad_models import (
     vertical_names,
 )
 from companion.estimate.pad.pad_types import (
+    HIGHEST_ECHO_M,
     PAIRS_AT,
     STATES_AT,
     CombinedEstimate,
@@ -52,7 +51,7 @@ from companion.estimate.pad.pad_types import (
     PadMeasurement,
     PadSnapshot,
 )
-from companion.estimate.pad.tilt_filter import LEVEL, TiltState
+from companion.estimate.pad.tilt_filter import LEVEL, AngleState, TiltState
 from companion.estimate.pad.velocity_step import (
     RefusedSighting,
     VelocityEstimate,
@@ -68,9 +67,6 @@ SIGHTING_NOISE_FLOOR_M: Final = 0.0002
 UNKNOWN_PLACE_M: Final = 1000.0  # of a pad before the first fix of it
 FIX_TIMEOUT_S: Final = 5.0  # fixes of an unseen pad refused for so long: it starts again from the next
 FIRST_CLIMB_STD_M_S: Final = 0.4  # at the first sighting: pads drive, but hardly rise
-RANGE_MAXIMUM_HEIGHT_M: Final = 2.5  # an ultrasonic's cone of 30° is then 1.3 m wide, as a pad is
-
-__all__ = ["CombinedEstimate", "HeightMeasurement", "PadFilter", "PadInput", "PadMeasurement", "PadSnapshot"]
 
 _NOISE_FLOOR_M2: Final = SIGHTING_NOISE_FLOOR_M**2 * np.eye(3)
 _CLIMB: Final = 1  # the second of the bank's groups
@@ -93,10 +89,9 @@ class PadFilter:
         self._names = (*HORIZONTAL, *vertical_names(config))
         self._bank = ModelBank(self._models.groups, MODEL_DWELL_S)
         self._turn = Turn()
-        self._heading, self._tilt = HeadingState(), LEVEL
+        self._heading, self._tilt = AngleState(), LEVEL
         self.time_s = self.seen_time_s = self.observed_time_s = -math.inf
         self._common: tuple[CommonError, ...] = ()  # a pair of states each, after the pad's
-        self.started = False
         self._slow_share = 0.0
         self._refused: tuple[RefusedSighting, ...] = ()  # lately, since one was accepted
         self._before_step: PadSnapshot | None = None  # until a sighting confirms the step
@@ -108,7 +103,7 @@ class PadFilter:
         """The whole state; cheap, since every step makes new arrays."""
         return PadSnapshot(
             self.time_s,
-            self._bank.state if self.started else None,
+            self._bank.state if self._bank.started else None,
             self._turn,
             self._heading,
             self.gates,
@@ -128,13 +123,11 @@ class PadFilter:
         self._heading, self._tilt = snapshot.heading, snapshot.tilt
         self._refused, self._before_step = snapshot.refused, snapshot.before_step
         self.observed_time_s, self._common = snapshot.observed_time_s, snapshot.common
-        self.started = snapshot.models is not None
-        if snapshot.models is not None:
-            self._bank.restore(snapshot.models)
+        self._bank.restore(snapshot.models)
 
     def apply(self, time_s: float, item: PadInput) -> None:
         """Predict to time_s and take the input in."""
-        if self.started:
+        if self._bank.started:
             self._predict(time_s)
         if isinstance(item, HeightMeasurement):
             self._take_height(item)
@@ -161,9 +154,8 @@ class PadFilter:
         return CombinedEstimate(
             x=blend.mean[:, :FIRST].take(STATES_AT),
             P=blend.covariance[:, :FIRST, :FIRST].take(PAIRS_AT),
-            heading_rad=wrap_angle(heading.heading_rad),
+            heading_rad=wrap_angle(heading.angle_rad),
             heading_rate_rad_s=heading.rate_rad_s,
-            heading_std_rad=math.sqrt(heading.heading_variance),
             seen_time_s=snapshot.seen_time_s,
             turn_rate_rad_s=snapshot.turn.rate_rad_s,
             slow_share=snapshot.slow_share,
@@ -209,7 +201,12 @@ class PadFilter:
             return
         seen, y, S = self._compared(sample, R)
         if self._forgotten(time_s, self.seen_time_s):
-            self._see_first(time_s, sample, R, seen if passes(y, S) else None)
+            # the first of a pad that something else has led to; where it is not there, that was wrong
+            if passes(y, S):
+                self._bank.update(seen)
+                self._begin_view(time_s, sample)
+            else:
+                self._start(time_s, sample, R)
             return
         if not passes(y, S) and self._before_step is not None:
             seen, y, S = self._doubted(self._before_step, time_s, sample, R) or (seen, y, S)
@@ -229,17 +226,7 @@ class PadFilter:
         self.seen_time_s = self.observed_time_s = time_s
 
     def _forgotten(self, time_s: float, since_s: float) -> bool:
-        return not self.started or time_s - since_s > self._config.forget_s
-
-    def _see_first(
-        self, time_s: float, sample: PadMeasurement, R: FloatArray, seen: Innovation | None
-    ) -> None:
-        """Take the first sighting of a pad that something else has led to; none where it is not there."""
-        if seen is None:
-            self._start(time_s, sample, R)
-            return
-        self._bank.update(seen)
-        self._begin_view(time_s, sample)
+        return not self._bank.started or time_s - since_s > self._config.forget_s
 
     def _refuse(self, time_s: float, sample: PadMeasurement, refused: RefusedSighting) -> None:
         """Start again where refused sightings show that the filter is wrong, or else remember this one."""
@@ -303,9 +290,9 @@ class PadFilter:
         return (north, east, down), (a, b, d, f)
 
     def _take_heading(self, sample: PadMeasurement) -> None:
-        innovation = wrap_angle(sample.heading_rad - self._heading.heading_rad)
+        innovation = wrap_angle(sample.heading_rad - self._heading.angle_rad)
         noise = sample.heading_std_rad**2 + math.radians(HEADING_NOISE_DEG) ** 2
-        passed = innovation * innovation <= CHI_SQUARE_999[1] * (self._heading.heading_variance + noise)
+        passed = innovation * innovation <= CHI_SQUARE_999[1] * (self._heading.variance + noise)
         self._record("heading", passed)
         if passed:
             self._heading = self._heading.corrected(innovation, noise)
@@ -314,13 +301,13 @@ class PadFilter:
 
     def _take_height(self, sample: HeightMeasurement) -> None:
         """Height of the sensor over the board = relative position's z - the sensor's own offset."""
-        if not self.started:
+        if not self._bank.started:
             return
         north, east, down = sample.sensor_offset_ned_m
         z = sample.height_m + down
         seen = self._innovation((north, east, z), (0.0, 0.0, 0.0, sample.noise_m**2))
         (away_n, away_e, higher), (a, _, d, f) = self._mixture(seen)
-        low = z - higher < RANGE_MAXIMUM_HEIGHT_M
+        low = z - higher < HIGHEST_ECHO_M
         if not low or math.hypot(away_n, away_e) + math.sqrt(a + d) >= self._half_width_m:
             return  # the pad's middle is too far from under the sensor
         passed = higher * higher <= CHI_SQUARE_999[1] * f
@@ -330,7 +317,7 @@ class PadFilter:
 
     # ------------------------------------------------------------ what no camera made
 
-    def _take_fix(self, time_s: float, fix: Observation) -> None:
+    def _take_fix(self, time_s: float, fix: RelativeFix) -> None:
         """One whose source may be off for long: how far is estimated beside the pad."""
         if self._forgotten(time_s, self.observed_time_s):
             self._start_by_fix(time_s, fix)
@@ -357,7 +344,7 @@ class PadFilter:
         unseen = time_s - self.seen_time_s > self._config.sighting_timeout_s
         return refused and unseen and not self._forgotten(time_s, self.seen_time_s)
 
-    def _parts(self, fix: Observation) -> tuple[_Part, ...]:
+    def _parts(self, fix: RelativeFix) -> tuple[_Part, ...]:
         """Its position, of which its source's error is a part, and its velocity."""
         (a, b, _), (_, d, _), (_, _, f) = fix.covariance_ned_m2.tolist()
         place = (fix.position_ned_m, (a, b, d, f), (PLACE, *self._pair_of(fix.common)))
@@ -381,19 +368,19 @@ class PadFilter:
             return ()
         sources = [known.source for known in self._common]
         if error.source not in sources:
-            self._bank.widen(variances_m2(error).take(self._bank.group_of, axis=0))
+            self._bank.widen(error.variances_m2.take(self._bank.group_of, axis=0))
             self._common = (*self._common, error)
             return (FIRST + 2 * len(sources),)
         at = sources.index(error.source)
         self._common = (*self._common[:at], error, *self._common[at + 1 :])
         return (FIRST + 2 * at,)
 
-    def _start_by_fix(self, time_s: float, fix: Observation) -> None:
+    def _start_by_fix(self, time_s: float, fix: RelativeFix) -> None:
         """Of a pad of which nothing is known the first fix tells all, as every later one its part."""
         self._start_motion(time_s, fix, UNKNOWN_PLACE_M**2 * np.eye(3))
         self._update(self._parts(fix))
         self.seen_time_s, self.observed_time_s = -math.inf, time_s
-        self._turn, self._heading, self._tilt = Turn(), HeadingState(), LEVEL
+        self._turn, self._heading, self._tilt = Turn(), AngleState(), LEVEL
         self._slow_share, self._refused, self._before_step = 0.0, (), None
         self._record(fix.gate, True)
 
@@ -429,7 +416,11 @@ class PadFilter:
         self._take_heading(sample)  # a stop says nothing of how it turns or tilts
 
     def _start_motion(
-        self, time_s: float, sample: Observation, R: FloatArray, velocity: VelocityEstimate | None = None
+        self,
+        time_s: float,
+        sample: PadMeasurement | RelativeFix,
+        R: FloatArray,
+        velocity: VelocityEstimate | None = None,
     ) -> None:
         """From one place: the pad may stand still or drive at a few m/s, the vehicle's speed is known.
 
@@ -452,7 +443,7 @@ class PadFilter:
         north, east, down = sample.position_ned_m
         means = np.array([[north, east, vn, ve, 0.0, 0.0, 0.0, 0.0], [down, 0.0, vd, *[0.0] * 5]])
         self._bank.start(means, P)
-        self.time_s, self.started, self._common = time_s, True, ()
+        self.time_s, self._common = time_s, ()
 
     def _begin_view(self, time_s: float, sample: PadMeasurement) -> None:
         """All that only a camera sees begins with this sighting."""
@@ -470,5 +461,5 @@ class PadFilter:
 
     def _start_heading(self, sample: PadMeasurement) -> None:
         variance = sample.heading_std_rad**2 + math.radians(1.0) ** 2
-        self._heading = HeadingState(sample.heading_rad, 0.0, variance, 0.0, 0.5**2)
+        self._heading = AngleState(sample.heading_rad, 0.0, variance, 0.0, 0.5**2)
         self._record("heading", True)

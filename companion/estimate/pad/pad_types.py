@@ -7,17 +7,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import ClassVar, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from companion.base.geometry import FloatArray, Vector3
+from companion.base.geometry import FloatArray, Vector3, vector3
 from companion.estimate.gating import Gate
-from companion.estimate.pad.heading_filter import HeadingState
+from companion.estimate.motion import rotation_lever
 from companion.estimate.pad.model_bank import BankState
-from companion.estimate.pad.observation import CommonError, RelativeVelocity
+from companion.estimate.pad.observation import CommonError, RelativeFix
 from companion.estimate.pad.pad_models import Turn
-from companion.estimate.pad.tilt_filter import LEVEL, NOT_TILTING, PadTilt, TiltState
+from companion.estimate.pad.tilt_filter import LEVEL, NOT_TILTING, AngleState, PadTilt, TiltState
 from companion.estimate.pad.velocity_step import RefusedSighting
 
 _EYE3: Final = np.eye(3)
@@ -51,15 +51,14 @@ class PadMeasurement:
     tilt_rad: tuple[float, float] | None = None  # as of `PadTilt`
     tilt_std_rad: float = 0.0
 
-    gate: ClassVar[str] = "sighting"
-    relative_velocity: ClassVar[None] = None
-    common: ClassVar[None] = None
-
     @property
     def slow_share(self) -> float:
         """The slow error's standard deviation as a share of the distance."""
         x, y, z = self.position_ned_m
         return math.sqrt(self.slow_variance_m2 / max(x * x + y * y + z * z, 1e-6))
+
+
+HIGHEST_ECHO_M: Final = 2.5  # an ultrasonic's cone of 30° is then 1.3 m wide, as a pad is
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,18 +70,6 @@ class HeightMeasurement:
     noise_m: float
 
 
-@dataclass(frozen=True, slots=True)
-class RelativeFix:
-    """An `Observation` that no camera made: it starts the filter and carries it while the pad is unseen."""
-
-    gate: str
-    position_ned_m: Vector3
-    covariance_ned_m2: FloatArray
-    vehicle_velocity_ned_m_s: Vector3
-    relative_velocity: RelativeVelocity | None = None
-    common: CommonError | None = None
-
-
 PadInput = PadMeasurement | HeightMeasurement | RelativeFix
 
 
@@ -92,7 +79,7 @@ class PadSnapshot(NamedTuple):
     time_s: float
     models: BankState | None
     turn: Turn
-    heading: HeadingState
+    heading: AngleState
     gates: dict[str, Gate]
     seen_time_s: float
     slow_share: float
@@ -118,7 +105,6 @@ class CombinedEstimate:
     P: FloatArray
     heading_rad: float
     heading_rate_rad_s: float
-    heading_std_rad: float
     seen_time_s: float = field(default=-math.inf)
     turn_rate_rad_s: float = 0.0
     slow_share: float = 0.0
@@ -139,21 +125,10 @@ class CombinedEstimate:
         alike. One that wanders, and a calibration that is off, give a vehicle at rest a velocity.
         """
         position, velocity = self.x[0:3], self.x[3:6]
-        swings = np.vstack((_lever(position), _lever(velocity)))
+        swings = np.vstack((rotation_lever(vector3(position)), rotation_lever(vector3(velocity))))
         total = self.P[:6, :6] + swings @ rotation_covariance @ swings.T
         total[3:, 3:] += wander_rad_s**2 * (swings[:3] @ rotation_covariance @ swings[:3].T)
         share = self.slow_share**2
         total[:3, :3] += share * float(position @ position) * _EYE3
         total[3:, 3:] += share * float(velocity @ velocity) * _EYE3
         return total
-
-    @property
-    def velocity_std_m_s(self) -> float:
-        """Standard deviation of the relative velocity, all axes together."""
-        return math.sqrt(self.P[3, 3] + self.P[4, 4] + self.P[5, 5])
-
-
-def _lever(place: FloatArray) -> FloatArray:
-    """The matrix (3, 3) that makes of a small rotation what it moves a place by: rotation x place."""
-    x, y, z = place.tolist()
-    return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])

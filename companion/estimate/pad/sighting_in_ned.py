@@ -15,6 +15,7 @@ from companion.base.geometry import (
     yaw_from_quat,
 )
 from companion.base.messages import PadSighting
+from companion.estimate.motion import rotation_lever
 from companion.estimate.pad.observation import ObservationKind, VehicleAtExposure
 from companion.estimate.pad.pad_types import PadMeasurement
 
@@ -36,8 +37,7 @@ def in_ned(sighting: PadSighting, exposure: VehicleAtExposure) -> PadMeasurement
     rotation = matrix_from_quat(attitude)
     position = quat_rotate(attitude, sighting.pad_position_body_m)
     jitter = math.radians(ATTITUDE_JITTER_DEG) ** 2 + exposure.jitter_rad2
-    x, y, z = position
-    lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    lever = rotation_lever(position)
     covariance: FloatArray = rotation @ sighting.covariance[0:3, 0:3] @ rotation.T
     # the calibration's share does not change from frame to frame; what is left has to be a covariance
     slow = min(sighting.common_variance_m2, CALIBRATION_SHARE * float(np.linalg.eigvalsh(covariance)[0]))

@@ -12,6 +12,8 @@ Rotations about NED axes, rad, s.
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from companion.base.geometry import (
@@ -34,16 +36,8 @@ HEADING_AFTER_GAP_RAD: Final = math.radians(4.0)
 MISTIMED_S: Final = 0.03  # their reports and our samples: a turn makes that much of difference
 PERSISTS_S: Final = 0.2
 LEARNING_S: Final = 5.0
-REPORTS_KEPT: Final = 20
-_DOWN: Final = (0.0, 0.0, 1.0)
-
-
-class EstimatedAttitude(NamedTuple):
-    """Ours at a time, its horizon's standard deviation (rad), and how fast it turned (rad/s)."""
-
-    attitude: Quaternion
-    tilt_std_rad: float
-    turning_rad_s: float
+REPORTS_KEPT: Final = 50
+DOWN: Final = (0.0, 0.0, 1.0)
 
 
 class Correction(NamedTuple):
@@ -56,11 +50,23 @@ class Correction(NamedTuple):
     why: str
 
 
-class AttitudeReset:
-    """Compares report by report; each waits until our own samples have come as far."""
+class ReportQueue(deque[AutopilotAttitude]):
+    """The autopilot's reports, each of which waits until our own samples have come as far."""
 
     def __init__(self) -> None:
-        self._reports: tuple[AutopilotAttitude, ...] = ()
+        super().__init__(maxlen=REPORTS_KEPT)
+
+    def due(self, newest_s: float | None) -> Iterator[AutopilotAttitude]:
+        """Take out those that our samples have come up to."""
+        while newest_s is not None and self and self[0].time_s <= newest_s:
+            yield self.popleft()
+
+
+class AttitudeReset:
+    """Compares report by report; `reports` are those to come."""
+
+    def __init__(self) -> None:
+        self.reports = ReportQueue()
         self._heading_rad: float | None = None  # ours less theirs
         self._learnt_s = 0.0
         self._wrong_since_s: float | None = None
@@ -70,27 +76,25 @@ class AttitudeReset:
         """Our stream goes on at time_s, after nothing had come for so long."""
         self._gap = (time_s, lasted_s)
 
-    def take(self, report: AutopilotAttitude) -> None:
-        """Take a report in."""
-        self._reports = (*self._reports, report)[-REPORTS_KEPT:]
+    def compare(
+        self, report: AutopilotAttitude, ours: Quaternion, tilt_std_rad: float, turning_rad_s: float
+    ) -> Correction | None:
+        """Ours corrected by a report, if that has to be.
 
-    def due(self, newest_s: float) -> AutopilotAttitude | None:
-        """The next report that our samples have come up to."""
-        if not self._reports or self._reports[0].time_s > newest_s:
-            return None
-        report, self._reports = self._reports[0], self._reports[1:]
-        return report
-
-    def compare(self, report: AutopilotAttitude, own: EstimatedAttitude) -> Correction | None:
-        """Ours corrected by a report, if that has to be."""
-        tilt_rad, heading_rad = apart(own.attitude, report.attitude)
+        Args:
+            report: theirs.
+            ours: at its time.
+            tilt_std_rad: the standard deviation of our horizon.
+            turning_rad_s: how fast we turned.
+        """
+        tilt_rad, heading_rad = apart(ours, report.attitude)
         if self._heading_rad is None:
             self._heading_rad, self._learnt_s = heading_rad, report.time_s
         off_rad = math.remainder(heading_rad - self._heading_rad, math.tau)
-        limit_rad = DEVIATIONS * math.hypot(own.tilt_std_rad, THEIR_STD_RAD) + MISTIMED_S * own.turning_rad_s
+        limit_rad = DEVIATIONS * math.hypot(tilt_std_rad, THEIR_STD_RAD) + MISTIMED_S * turning_rad_s
         if self._gap is not None:
             return self._after_gap(report, tilt_rad, off_rad)
-        if own.tilt_std_rad > POORLY_KNOWN_RAD and tilt_rad > AFTER_GAP_RAD:
+        if tilt_std_rad > POORLY_KNOWN_RAD and tilt_rad > AFTER_GAP_RAD:
             return self._correction(report, report.time_s, tilt_rad, "ours was uncertain")
         if tilt_rad <= max(limit_rad, LEAST_APART_RAD):
             self._wrong_since_s = None
@@ -127,6 +131,11 @@ class AttitudeReset:
 
 def apart(ours: Quaternion, theirs: Quaternion) -> tuple[float, float]:
     """How far the horizons are apart (rad, 0 to pi), and by how much our heading is ahead of theirs (rad)."""
-    cosine = dot(quat_rotate_inverse(ours, _DOWN), quat_rotate_inverse(theirs, _DOWN))
+    cosine = dot(quat_rotate_inverse(ours, DOWN), quat_rotate_inverse(theirs, DOWN))
+    return math.acos(max(-1.0, min(1.0, cosine))), heading_between(ours, theirs)
+
+
+def heading_between(ours: Quaternion, theirs: Quaternion) -> float:
+    """By how much our heading is ahead of theirs (rad)."""
     w, _, _, z = quat_multiply(ours, quat_conjugate(theirs))
-    return math.acos(max(-1.0, min(1.0, cosine))), math.remainder(2.0 * math.atan2(z, w), math.tau)
+    return math.remainder(2.0 * math.atan2(z, w), math.tau)

@@ -43,7 +43,7 @@ from companion.estimate.vehicle.ekf_inputs import (
     SecondAttitudeStep,
 )
 from companion.estimate.vehicle.ekf_start import InitialState
-from companion.estimate.vehicle.ekf_state import EYE, EYE3, EkfSnapshot, EkfState
+from companion.estimate.vehicle.ekf_state import EYE, EYE3, FIXES, EkfSnapshot, EkfState
 from companion.estimate.vehicle.fix_watch import LastFix
 from companion.estimate.vehicle.gyro_bias_check import BiasStep
 from companion.estimate.vehicle.imu_noise import StepNoise
@@ -73,9 +73,6 @@ class VehicleEkf(EkfState):
         super().__init__(config, start)
         self._antenna_body_m = antenna_body_m
         self._mag_gate_noise = config.mag_noise_ut**2 * EYE3
-        self._still_noise = np.diag([0.002**2] * 3)
-        self._unaided_noise = np.diag([config.unaided_speed_m_s**2] * 3)
-        self._rest_noise = np.diag([0.05**2] * 3)
 
     def apply(self, time_s: float, item: EkfInput) -> None:
         """Take the input in: a step of the IMU moves the state to its time, a fix corrects it."""
@@ -126,7 +123,7 @@ class VehicleEkf(EkfState):
         dx, dP = self.x - base.x, self.P - base.P
         if np.abs(dx[model.QUATERNION]).max() > LARGEST_CARRIED:
             return None
-        fixed = {kind: gate for kind, gate in self.gates.items() if kind.startswith("gps")}
+        fixed = {kind: gate for kind, gate in self.gates.items() if kind in FIXES}
         after, since = [self.snapshot()], EYE
         for past in later:
             if (moved := past.moved) is None:
@@ -168,11 +165,11 @@ class VehicleEkf(EkfState):
         if step.attitude is not None:
             self._take_attitude(step.attitude, step.tilt_noise_rad, step.heading_noise_rad)
             if not self.has_position:
-                self._take_zero(model.VELOCITY, self._unaided_noise)
+                self._take_zero(model.VELOCITY, self._config.unaided_speed_m_s)
         if step.still:
-            self._take_zero(model.RATE, self._still_noise)
+            self._take_zero(model.RATE, 0.002)
         if step.at_rest:
-            self._take_zero(model.VELOCITY, self._rest_noise)
+            self._take_zero(model.VELOCITY, 0.05)
 
     def _take_attitude(self, attitude: Quaternion, tilt_noise_rad: float, heading_noise_rad: float) -> None:
         expected, C = model.attitude_model(self.x)
@@ -231,9 +228,8 @@ class VehicleEkf(EkfState):
     def _restart_attitude(self, attitude: Quaternion, rotation: FloatArray) -> None:
         """Take the pre-filter's attitude; what has led away from it may be the gyroscope's bias."""
         self._start_attitude(attitude, rotation)
-        P = self.P.copy()
-        P[model.GYRO_BIAS, model.GYRO_BIAS] += SUSPECTED_BIAS_RAD_S**2 * EYE3
-        self.P, self.watch = P, self.watch.renewed()._replace(restarted_s=self.time_s)
+        self._widen(model.GYRO_BIAS, SUSPECTED_BIAS_RAD_S)
+        self.watch = self.watch.renewed()._replace(restarted_s=self.time_s)
 
     def _take_field(self, field_body_ut: Vector3) -> None:
         """Take the field (body, µT); one that turns where the gyroscope shows no turn counts little.
@@ -252,7 +248,7 @@ class VehicleEkf(EkfState):
             # a field that fits in size and dip for so long is right, and the heading wrong
             if not (self.fix_watch.refutes(WRONG_HEADING_RAD) and self.fix_watch.refutes(-WRONG_HEADING_RAD)):
                 self._inflate_rotation(np.diag((0.0, 0.0, WRONG_HEADING_RAD**2)))
-            self.gates = {**self.gates, "mag": Gate(gate.accepted, gate.refused)}
+            self.gates = {**self.gates, "mag": gate.opened()}
 
     def _magnetic_east(self) -> FloatArray:
         """Unit vector (3,) in body axes, horizontal and square to the field: along it the heading shows."""
@@ -276,9 +272,8 @@ class VehicleEkf(EkfState):
     def _suspect_bias(self) -> None:
         """Open the filter for another bias of the gyroscope, and for the turn it has made already."""
         self._inflate_rotation(SUSPECTED_TURN_RAD**2 * EYE3)
-        P = self.P.copy()
-        P[model.GYRO_BIAS, model.GYRO_BIAS] += SUSPECTED_BIAS_RAD_S**2 * EYE3
-        self.P, self.fix_watch = P, self.fix_watch.suspected(self.time_s)
+        self._widen(model.GYRO_BIAS, SUSPECTED_BIAS_RAD_S)
+        self.fix_watch = self.fix_watch.suspected(self.time_s)
 
     def _take_anchor(self, step: AttitudeStep) -> None:
         """Turn the attitude; what was measured with the wrong one has gone into the velocity."""
@@ -286,9 +281,7 @@ class VehicleEkf(EkfState):
         attitude = quat_normalise(quat_multiply(step.turn, self.attitude))
         self._start_attitude(attitude, np.diag((tilt, tilt, heading)))
         turned_rad = norm(rotation_vector_from_quat(step.turn))
-        P = self.P.copy()
-        P[model.VELOCITY, model.VELOCITY] += (GRAVITY_M_S2 * turned_rad * WRONG_FOR_S) ** 2 * EYE3
-        self.P = P
+        self._widen(model.VELOCITY, GRAVITY_M_S2 * turned_rad * WRONG_FOR_S)
 
     def _take_second(self, step: SecondAttitudeStep) -> None:
         """Another attitude; all of it is refused when its heading or its horizon cannot be."""
@@ -297,13 +290,13 @@ class VehicleEkf(EkfState):
         R = np.diag((step.tilt_std_rad**2, step.tilt_std_rad**2, step.heading_std_rad**2))
         self._update("second_attitude", np.array(step.turn_rad), C, R, R)
 
-    def _take_zero(self, states: slice, R: FloatArray) -> None:
+    def _take_zero(self, states: slice, std: float) -> None:
         C = np.zeros((3, model.STATES))
-        C[:, states] = np.eye(3)
-        self._update("still", -self.x[states], C, R, None)
+        C[:, states] = EYE3
+        self._update("still", -self.x[states], C, std**2 * EYE3, None)
 
     def _take_gps(self, time_s: float, fix: GpsStep) -> None:
-        timeout_s, later_s = GPS_REFUSED_S, time_s - self.time_s
+        later_s = time_s - self.time_s
         if not self.has_position:
             self._start_from(time_s, fix, keep_speed=False)
             return
@@ -325,8 +318,7 @@ class VehicleEkf(EkfState):
         if fits:
             self.gps_time_s = time_s
             self._watch_heading(time_s, fix, predicted, lag)
-        kinds = ("gps_velocity", "gps_position")
-        if any(self.gates[kind].shut_out(time_s, timeout_s) for kind in kinds):
+        if any(self.gates[kind].shut_out(time_s, GPS_REFUSED_S) for kind in FIXES):
             keep_speed = not self.gates["gps_velocity"].refused_in_a_row
             self._start_from(time_s, fix, keep_speed)
 
@@ -379,7 +371,5 @@ class VehicleEkf(EkfState):
         self.x, self.P, self._moved = x, P, None
         self.yaw_error = self.yaw_error.without(states)
         self.has_position, self.gps_time_s = True, time_s
-        fresh = {
-            kind: Gate(g.accepted, g.refused) for kind, g in self.gates.items() if kind.startswith("gps")
-        }
+        fresh = {kind: gate.opened() for kind, gate in self.gates.items() if kind in FIXES}
         self.gates = {**self.gates, **fresh}

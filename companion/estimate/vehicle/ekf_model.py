@@ -28,6 +28,8 @@ from companion.base.geometry import (
     add,
     cross,
     euler_from_quat,
+    matrix_from_quat,
+    quat_conjugate,
     quat_multiply,
     quat_normalise,
     quat_rotate,
@@ -35,10 +37,8 @@ from companion.base.geometry import (
     scale,
     vector3,
 )
+from companion.estimate.motion import rotation_lever
 
-STATES: Final = 31
-MOVING: Final = 19  # the first rows change by themselves, the biases and the field after them do not
-COUPLED: Final = 25  # and what they change by is in the first columns, up to the gyroscope's bias
 QUATERNION: Final = slice(0, 4)
 EULER: Final = slice(4, 7)
 RATE: Final = slice(7, 10)
@@ -47,10 +47,13 @@ VELOCITY: Final = slice(13, 16)
 ACCELERATION: Final = slice(16, 19)
 ACCEL_BIAS: Final = slice(19, 22)
 GYRO_BIAS: Final = slice(22, 25)
-IMU_BIASES: Final = slice(19, 25)  # the accelerometer's and the gyroscope's
 FIELD: Final = slice(25, 28)
 MAG_BIAS: Final = slice(28, 31)
-ATTITUDE: Final = slice(0, 7)  # the quaternion and its Euler angles
+STATES: Final[int] = MAG_BIAS.stop
+MOVING: Final[int] = ACCELERATION.stop  # these rows change by themselves, the biases and the field do not
+COUPLED: Final[int] = GYRO_BIAS.stop  # and what they change by is in these columns
+ATTITUDE: Final = slice(QUATERNION.start, EULER.stop)
+IMU_BIASES: Final = slice(ACCEL_BIAS.start, GYRO_BIAS.stop)
 
 _EYE3: Final = np.eye(3)
 _CONSTANTS: Final = np.array((0.0, 1.0, -1.0))
@@ -107,7 +110,7 @@ def rotation_jacobian(q: Quaternion, v: Vector3) -> FloatArray:
 
 def inverse_rotation_jacobian(q: Quaternion, v: Vector3) -> FloatArray:
     """d(R(q)ᵀ v)/dq, (3, 4): the rotation by the conjugate, whose vector part has the other sign."""
-    jacobian = rotation_jacobian((q[0], -q[1], -q[2], -q[3]), v)
+    jacobian = rotation_jacobian(quat_conjugate(q), v)
     jacobian[:, 1:] *= -1.0
     return jacobian
 
@@ -217,7 +220,7 @@ def transition(x: FloatArray, u: InertialInput, dt_s: float) -> tuple[FloatArray
     state[ACCELERATION] = acceleration
     accelerating = rotation_jacobian(q_mid, force) @ (dt_s * turning_half)
     showing = euler_jacobian(q_after) @ turning
-    pushing = _inverse_rotation(q_mid).T * -dt_s
+    pushing = matrix_from_quat(q_mid) * -dt_s
     gaining = np.concatenate((accelerating.ravel(), pushing.ravel()))
     parts = (_CONSTANTS, (dt_s,), turning.ravel(), showing.ravel(), gaining, gaining / dt_s)
     A: FloatArray = np.concatenate((*parts, (0.5 * dt_s) * gaining)).take(_PLACES)
@@ -229,7 +232,7 @@ def mag_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
     q, field = quaternion_of(x), vector3(x[FIELD])
     C = np.zeros((3, STATES))
     C[:, QUATERNION] = inverse_rotation_jacobian(q, field)
-    C[:, FIELD] = _inverse_rotation(q)
+    C[:, FIELD] = matrix_from_quat(q).T
     C[:, MAG_BIAS] = _EYE3
     return x[MAG_BIAS] + quat_rotate_inverse(q, field), C
 
@@ -251,12 +254,11 @@ def gps_velocity_model(
 ) -> tuple[FloatArray, FloatArray]:
     """Antenna's velocity v + a t + R (ω × l), t = later_s after the state's time: (3,) m/s, and (3, 31)."""
     q, lever = quaternion_of(x), cross(vector3(x[RATE]), antenna_body_m)
-    lx, ly, lz = antenna_body_m
     C = np.zeros((3, STATES))
     C[:, VELOCITY] = _EYE3
     C[:, ACCELERATION] = later_s * _EYE3
     C[:, QUATERNION] = rotation_jacobian(q, lever)
-    C[:, RATE] = _inverse_rotation(q).T @ np.array([[0.0, lz, -ly], [-lz, 0.0, lx], [ly, -lx, 0.0]])
+    C[:, RATE] = matrix_from_quat(q) @ rotation_lever(antenna_body_m)
     return x[VELOCITY] + later_s * x[ACCELERATION] + quat_rotate(q, lever), C
 
 
@@ -291,14 +293,3 @@ def rotation_from_quaternion(q: Quaternion) -> FloatArray:
     """d(small rotation about NED axes, rad)/dq at q, (3, 4)."""
     jacobian: FloatArray = 2.0 * right_matrix(q)[:, 1:].T
     return jacobian
-
-
-def _inverse_rotation(q: Quaternion) -> FloatArray:
-    w, x, y, z = q
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )

@@ -30,13 +30,11 @@ from companion.estimate.vehicle.ekf_start import (
 from companion.estimate.vehicle.fix_watch import FORCE_ERROR_S, FixWatch
 from companion.estimate.vehicle.imu_noise import STEADY, StepNoise
 from companion.estimate.vehicle.innovation_watch import InnovationWatch
-from companion.estimate.vehicle.yaw_error import YawError
+from companion.estimate.vehicle.yaw_error import GYRO_SCALE_ERROR, YawError
 
 # its statistics and its grid filter bring all of scipy.stats and scipy.ndimage, a third of our start
 with imported_late("filterpy.stats", "filterpy.discrete_bayes"):
     from filterpy.kalman import ExtendedKalmanFilter
-
-GYRO_SCALE_ERROR: Final = 0.005  # scale and misalignment as a share of the rate that lasts for seconds
 
 FIXES: Final = frozenset({"gps_velocity", "gps_position"})
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
@@ -229,6 +227,12 @@ class EkfState:
         x[model.ATTITUDE] = (*unit, *euler_from_quat(unit))
         return np.asarray((EYE4 - q[:, None] * q) / size)
 
+    def _widen(self, states: slice, std: float) -> None:
+        """Three states may have changed by a standard deviation of so much, each for itself."""
+        P = self.P.copy()
+        P[states, states] += std**2 * EYE3
+        self.P = P
+
     def _inflate_rotation(self, rotation_variance: FloatArray) -> None:
         """Add variance (3, 3) of a small rotation about NED axes (rad²) to quaternion and Euler angles."""
         P, q = self.P.copy(), self.attitude
@@ -245,5 +249,4 @@ class EkfState:
         self.x, self.P, self._moved = x, P, None
         self.yaw_error = self.yaw_error.without(model.ATTITUDE)
         self._inflate_rotation(rotation_variance)
-        gate = self.gates.get("orientation", Gate())
-        self.gates = {**self.gates, "orientation": Gate(gate.accepted, gate.refused)}
+        self.gates = {**self.gates, "orientation": self.gates.get("orientation", Gate()).opened()}

@@ -11,6 +11,7 @@ import math
 from typing import Final
 
 from companion.base.geometry import (
+    ZERO3,
     Quaternion,
     Vector3,
     add,
@@ -23,31 +24,29 @@ from companion.base.geometry import (
     subtract,
 )
 from companion.config import EkfConfig
-from companion.estimate.vehicle.inertial_motion import VectorMean
 
 DELAY_STD_S: Final = 0.05  # before anything has turned
 FADING_S: Final = 2.0  # what changes more slowly is the place's field, or an error of the attitude
 
 
 class FieldMean:
-    """The mean field since it was last taken; `delay_s` is by how much the samples' stamps are late."""
+    """The mean field since it was last taken, of `count` samples; `delay_s` is how late their stamps are."""
 
     def __init__(self, config: EkfConfig) -> None:
         # of a field's error on an axis, as white noise
         self._density_ut2_s = config.mag_noise_ut**2 / config.mag_rate_hz
         self._variance_s2 = DELAY_STD_S**2
         self.delay_s = 0.0
-        self._fields, self._sweeps = VectorMean(), VectorMean()
-        self._lasting: tuple[Vector3, Vector3] | None = None
+        self.start_over()
 
     def start_over(self) -> None:
         """The attitude is another; the sensor, and so its delay, is the same."""
-        self._fields, self._sweeps, self._lasting = VectorMean(), VectorMean(), None
+        self._begin()
+        self._lasting: tuple[Vector3, Vector3] | None = None
 
-    @property
-    def count(self) -> int:
-        """Samples since it was last taken."""
-        return self._fields.count
+    def _begin(self) -> None:
+        self.count = 0
+        self._fields = self._sweeps = ZERO3  # sums
 
     @property
     def delay_std_s(self) -> float:
@@ -62,8 +61,9 @@ class FieldMean:
 
     def add(self, attitude: Quaternion, field_body_ut: Vector3, rate_body_rad_s: Vector3) -> None:
         """Take a sample that is on time."""
-        self._fields.add(quat_rotate(attitude, field_body_ut))
-        self._sweeps.add(quat_rotate(attitude, cross(rate_body_rad_s, field_body_ut)))
+        self._fields = add(self._fields, quat_rotate(attitude, field_body_ut))
+        self._sweeps = add(self._sweeps, quat_rotate(attitude, cross(rate_body_rad_s, field_body_ut)))
+        self.count += 1
 
     def take(self, span_s: float) -> Vector3:
         """The mean (NED) over span_s; then it starts again.
@@ -71,7 +71,8 @@ class FieldMean:
         Raises:
             ZeroDivisionError: there was no sample.
         """
-        field, sweep = self._fields.take(), self._sweeps.take()
+        field, sweep = scale(self._fields, 1.0 / self.count), scale(self._sweeps, 1.0 / self.count)
+        self._begin()
         self._learn(add(field, scale(sweep, self.delay_s)), sweep, min(span_s, FADING_S))
         return field
 

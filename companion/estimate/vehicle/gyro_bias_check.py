@@ -37,6 +37,7 @@ from companion.base.geometry import (
     subtract,
 )
 from companion.base.messages import AutopilotAttitude
+from companion.estimate.motion import part_way, turn_between
 
 WINDOW_S: Final = 0.75
 STRIDE_S: Final = 0.25  # from one window's start to the next's
@@ -77,14 +78,14 @@ class SecondGyro:
             old = bisect_left(self._times_s, time_s - REMEMBER_S)
             del self._times_s[:old], self._turns[:old]
 
-    def add_attitude(self, time_s: float, attitude: Quaternion, gyro_bias_rad_s: Vector3) -> BiasStep | None:
+    def add_attitude(self, report: AutopilotAttitude, gyro_bias_rad_s: Vector3) -> BiasStep | None:
         """Take the autopilot's attitude; the step, when two windows agree that the bias is another.
 
         Each waits for the next: it may be newer than our own newest sample.
         """
-        if self._newest is not None and attitude == self._newest.attitude:
+        if self._newest is not None and report.attitude == self._newest.attitude:
             return None
-        waiting, self._newest = self._newest, AutopilotAttitude(time_s, attitude)
+        waiting, self._newest = self._newest, report
         return None if waiting is None else self._compare(waiting, gyro_bias_rad_s)
 
     def _compare(self, report: AutopilotAttitude, gyro_bias_rad_s: Vector3) -> BiasStep | None:
@@ -127,8 +128,7 @@ class SecondGyro:
         earlier = self._turned_between(start_s - WRONG_TIME_S, end_s - WRONG_TIME_S)
         if ours is None or earlier is None:
             return 0.0
-        delay = rotation_vector_from_quat(quat_multiply(quat_conjugate(earlier), ours))
-        delay = scale(delay, 1.0 / (end_s - start_s))
+        delay = scale(turn_between(earlier, ours), 1.0 / (end_s - start_s))
         share = dot(change, delay) / max(dot(delay, delay), 1e-12)
         left = subtract(change, scale(delay, min(max(share, -1.0), 1.0)))
         return norm(left) - SKEW * norm(rotation_vector_from_quat(ours)) / (end_s - start_s)
@@ -147,7 +147,7 @@ class SecondGyro:
         if ours is None:
             return None
         theirs = quat_multiply(quat_conjugate(start.attitude), end.attitude)
-        excess = rotation_vector_from_quat(quat_multiply(quat_conjugate(theirs), ours))
+        excess = turn_between(theirs, ours)
         # it is in the axes of the end, a constant bias in those of the middle
         middle = quat_from_rotation_vector(scale(rotation_vector_from_quat(ours), 0.5))
         return scale(quat_rotate(middle, excess), 1.0 / (end.time_s - start.time_s))
@@ -164,7 +164,5 @@ class SecondGyro:
         if place == 0 or place == len(self._times_s):
             return None
         before_s, after_s = self._times_s[place - 1], self._times_s[place]
-        turn = quat_multiply(quat_conjugate(self._turns[place - 1]), self._turns[place])
         share = (time_s - before_s) / (after_s - before_s)
-        part = quat_from_rotation_vector(scale(rotation_vector_from_quat(turn), share))
-        return quat_multiply(self._turns[place - 1], part)
+        return part_way(self._turns[place - 1], self._turns[place], share)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 from companion.base.geometry import ZERO3, Vector3, add, dot, scale
@@ -30,8 +31,9 @@ GAP_STEPS: Final = 3.0  # so many times the step before
 LARGEST_ERROR_M_S2: Final = 3.0
 _SECOND_DIFFERENCE_VARIANCE: Final = 6.0  # of 1, -2, 1, for white noise
 _THIRD_DIFFERENCE: Final = (1.0, -3.0, 3.0, -1.0)
-_SQUARES: Final = 20.0  # the sum of its factors' squares, and of its neighbouring factors' products
-_PRODUCTS: Final = -15.0
+# the sum of its factors' squares, and of its neighbouring factors' products
+_SQUARES: Final = sum(a * a for a in _THIRD_DIFFERENCE)
+_PRODUCTS: Final = sum(a * b for a, b in pairwise(_THIRD_DIFFERENCE))
 
 
 class StepNoise(NamedTuple):
@@ -92,15 +94,13 @@ class SlowNoise:
     """
 
     def __init__(self) -> None:
-        self._begun: tuple[Vector3, float] = (ZERO3, 0.0)  # a triangle's first half and its weight
-        self._means: deque[Vector3] = deque(maxlen=len(_THIRD_DIFFERENCE))
         self.density = 0.0
-        self._begin_block()
+        self.skip_gap()
 
     def skip_gap(self) -> None:
         """Samples are missing: what the vehicle did meanwhile is no noise of those around."""
-        self._begun = (ZERO3, 0.0)
-        self._means.clear()
+        self._begun: tuple[Vector3, float] = (ZERO3, 0.0)  # a triangle's first half and its weight
+        self._means: deque[Vector3] = deque(maxlen=len(_THIRD_DIFFERENCE))
         self._begin_block()
 
     def _begin_block(self) -> None:

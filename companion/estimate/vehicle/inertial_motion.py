@@ -31,25 +31,6 @@ from companion.estimate.motion import MotionHistory
 ACCELERATION_FILTER_S: Final = 0.02  # low-pass of acceleration and side force given to planner and controller
 
 
-class VectorMean:
-    """The mean of vectors since it was last taken."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._sum: Vector3 = ZERO3
-
-    def add(self, value: Vector3) -> None:
-        """Take one vector in."""
-        self._sum = add(self._sum, value)
-        self.count += 1
-
-    def take(self) -> Vector3:
-        """The mean; then it starts again."""
-        result = scale(self._sum, 1.0 / self.count)
-        self.count, self._sum = 0, ZERO3
-        return result
-
-
 class InertialMotion:
     """Attitude, rate, acceleration and side force at the newest sample; each sample goes to the history, too.
 

@@ -71,17 +71,12 @@ class TroubleReport:
     """Puts what the filter has done about its own misfit in words, each time once."""
 
     def __init__(self) -> None:
-        self._reported_s = (-math.inf, -math.inf, -math.inf)
+        self._reported_s = (-math.inf,) * len(_TROUBLES)
 
     def news(self, watch: InnovationWatch, fixes: FixWatch) -> tuple[str, ...]:
         """What was not said before."""
-        happened_s, reported_s = (watch.doubted_s, fixes.suspected_s, watch.restarted_s), self._reported_s
-        if happened_s == reported_s:
-            return ()
-        self._reported_s = (
-            max(happened_s[0], reported_s[0]),
-            max(happened_s[1], reported_s[1]),
-            max(happened_s[2], reported_s[2]),
-        )
-        times_s = zip(happened_s, reported_s, _TROUBLES, strict=True)
-        return tuple(words for happened, reported, words in times_s if happened > reported)
+        happened_s = (watch.doubted_s, fixes.suspected_s, watch.restarted_s)
+        times_s = zip(happened_s, self._reported_s, _TROUBLES, strict=True)
+        new = tuple(words for happened, reported, words in times_s if happened > reported)
+        self._reported_s = tuple(map(max, happened_s, self._reported_s))
+        return new

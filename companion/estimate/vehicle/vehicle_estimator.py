@@ -54,7 +54,6 @@ from companion.estimate.vehicle.attitude_reset import (
     THEIR_STD_RAD,
     AttitudeReset,
     Correction,
-    EstimatedAttitude,
 )
 from companion.estimate.vehicle.ekf import GPS_TIMEOUT_S, VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuStep, at_rest, gps_step
@@ -66,9 +65,9 @@ from companion.estimate.vehicle.imu_noise import ImuNoise
 from companion.estimate.vehicle.inertial_motion import InertialMotion
 from companion.estimate.vehicle.innovation_watch import TroubleReport
 from companion.estimate.vehicle.lever_arm import LeverArm
-from companion.estimate.vehicle.state_output import vehicle_state
 from companion.estimate.vehicle.strapdown import Strapdown
 
+ALIGNED_STD_RAD: Final = math.radians(20.0)  # an attitude known less well is none to fly by
 ORIENTATION_RATE_HZ: Final = 10.0  # the pre-filter's error lasts: more often would say nothing new
 LOST_S = 2.0  # and after so long it starts again: where it has turned meanwhile is unknown
 _COMPARE_AGAIN_S = 1.0  # after the autopilot's attitude at rest was refused
@@ -89,28 +88,40 @@ class VehicleEstimator:
         self._config = config
         self._antenna_body_m = antenna_body_m
         self.motion = motion
-        self._detector = StillnessDetector(config.alignment)
-        self._aligner: StaticAligner | None = StaticAligner(config.alignment)
-        self._found: InitialAlignment | None = None  # the last
         self._expected_ut = ZERO3  # the field that it was aligned by
-        self._orientation: Orientation | None = None
-        self._ekf: VehicleEkf | None = None
-        self._timeline: Timeline[EkfSnapshot, EkfInput] | None = None
         self.origin: Vector3 | None = None
         self._field_ned_ut = config.magnetic_field_ned_ut  # the Earth's; None: not known yet
         self.newest_s = self._leap_s = -math.inf
-        self._strapdown, self._fields = Strapdown(), FieldMean(config.ekf)
+        self._fields = FieldMean(config.ekf)
         self._fields_untrusted = 0  # of the wrong size or dip
-        self._second_gyro, self._reset, self._noise = SecondGyro(), AttitudeReset(), ImuNoise(config.ekf)
         self.corrections: tuple[str, ...] = ()  # of the attitude, in words, not yet reported
-        self._last_raw: tuple[Vector3, Vector3] | None = None
-        self._last_mean_rate: Vector3 | None = None
-        self._span_s: float | None = None  # of the samples not yet given to the EKF, by their own clock
         self._inertial, self._trouble = InertialMotion(motion), TroubleReport()
         self._lever = LeverArm(imu_body_m)
         self._resting = self._still_block = False
         self._mag_s = self._compare_s = self._field_step_s = self._orientation_step_s = -math.inf
         self._mag_trusted_s = self._settled_s = -math.inf
+        self.start_over()
+
+    def start_over(self) -> None:
+        """Forget all but the time of the newest sample; the alignment begins again."""
+        config = self._config
+        self._detector = StillnessDetector(config.alignment)
+        self._aligner: StaticAligner | None = StaticAligner(config.alignment)
+        self._found: InitialAlignment | None = None  # the last
+        self._orientation: Orientation | None = None
+        self._ekf: VehicleEkf | None = None
+        self._timeline: Timeline[EkfSnapshot, EkfInput] | None = None
+        self._last_raw: tuple[Vector3, Vector3] | None = None
+        self._last_mean_rate: Vector3 | None = None
+        self._noise = ImuNoise(config.ekf)
+        self._begin_steps()
+
+    def _begin_steps(self) -> None:
+        """Without any sample or report that an EKF has not taken in."""
+        self._strapdown = Strapdown()
+        self._span_s: float | None = None  # of the samples in it, by their own clock
+        self._fields.start_over()
+        self._second_gyro, self._reset = SecondGyro(), AttitudeReset()
 
     # ------------------------------------------------------------ inputs
 
@@ -205,7 +216,7 @@ class VehicleEstimator:
             return True
         if self._resting and sample.time_s >= self._compare_s:
             self._compare_at_rest(sample)
-        step = self._second_gyro.add_attitude(sample.time_s, sample.attitude, self._inertial.gyro_bias_rad_s)
+        step = self._second_gyro.add_attitude(sample, self._inertial.gyro_bias_rad_s)
         if step is not None:
             self._timeline.add(self.newest_s, step)
             self._read_ekf()
@@ -229,15 +240,14 @@ class VehicleEstimator:
     def _reset_to(self, report: AutopilotAttitude) -> None:
         """Correct the attitude by the autopilot's, where that has to be."""
         assert self._ekf is not None
-        self._reset.take(report)
-        while (due := self._reset.due(self.newest_s)) is not None:
+        self._reset.reports.append(report)
+        for due in self._reset.reports.due(self.newest_s):
             ours = self.motion.attitude(due.time_s)
             if ours is None:
                 continue
             x, y, z = self._ekf.rotation_covariance().diagonal().tolist()
-            correction = self._reset.compare(
-                due, EstimatedAttitude(ours, math.sqrt(x + y), norm(self._inertial.rate_body_rad_s))
-            )
+            turning_rad_s = norm(self._inertial.rate_body_rad_s)
+            correction = self._reset.compare(due, ours, math.sqrt(x + y), turning_rad_s)
             if correction is not None:
                 turn = quat_multiply(correction.attitude, quat_conjugate(ours))
                 heading_std_rad = max(math.sqrt(z), 2.0 * THEIR_STD_RAD)
@@ -264,12 +274,6 @@ class VehicleEstimator:
             return {}
         counts = {kind: gate.refused for kind, gate in self._ekf.gates.items()}
         return {**counts, "field": self._fields_untrusted}
-
-    def refused_by(self, kind: str) -> int:
-        """How many measurements of a kind have failed their innovation test."""
-        if self._ekf is None:
-            return 0
-        return self._fields_untrusted if kind == "field" else self._ekf.gates.get(kind, Gate()).refused
 
     def rotation_covariance(self) -> FloatArray | None:
         """Covariance (3, 3) of the attitude about NED axes (rad²); None before the alignment."""
@@ -305,10 +309,32 @@ class VehicleEstimator:
         ekf, imu_age_s = self._ekf, now_s - self.newest_s
         if ekf is None or not -FUTURE_S <= imu_age_s <= IMU_TIMEOUT_S + link_late_s:
             return None
-        moved = self.motion.moved(ekf.time_s, now_s)
-        attitude = self._attitude_near(max(now_s, self.newest_s))
-        silent_s = imu_age_s - link_late_s
-        return vehicle_state(ekf, self._inertial, moved, attitude, now_s, silent_s, self.origin)
+        imu_age_s -= link_late_s
+        place, speed = self.motion.moved(ekf.time_s, now_s)
+        velocity = vector3(ekf.x[model.VELOCITY])
+        position = add(vector3(ekf.x[model.POSITION]), scale(velocity, now_s - ekf.time_s))
+        variance, inertial = ekf.P.diagonal(), self._inertial
+        attitude_std_rad = 2.0 * math.sqrt(float(variance[model.QUATERNION].sum()))
+        return VehicleState(
+            time_s=now_s,
+            attitude=self._attitude_near(max(now_s, self.newest_s)),
+            # an older sample's rate says nothing any more
+            rate_body_rad_s=inertial.rate_body_rad_s if imu_age_s <= PREDICTED_S else ZERO3,
+            position_ned_m=add(position, place),
+            velocity_ned_m_s=add(velocity, speed),
+            acceleration_ned_m_s2=inertial.acceleration_ned_m_s2,
+            gyro_bias_rad_s=inertial.gyro_bias_rad_s,
+            accel_bias_m_s2=inertial.accel_bias_m_s2,
+            attitude_std_rad=attitude_std_rad,
+            velocity_std_m_s=math.sqrt(float(variance[model.VELOCITY].sum())),
+            position_std_m=math.sqrt(float(variance[model.POSITION].sum())),
+            aligned=attitude_std_rad < ALIGNED_STD_RAD,
+            has_gps=now_s - ekf.gps_time_s < GPS_TIMEOUT_S,
+            origin=self.origin,
+            imu_age_s=max(imu_age_s, 0.0),
+            side_force_ned_m_s2=inertial.side_force_ned_m_s2,
+            acceleration_density_m2_s3=ekf.force_density_m2_s3,
+        )
 
     # ------------------------------------------------------------ alignment
 
@@ -329,9 +355,7 @@ class VehicleEstimator:
         if start is None:
             return False
         self._found = found
-        self._strapdown, self._span_s = Strapdown(), None
-        self._fields.start_over()
-        self._second_gyro, self._reset = SecondGyro(), AttitudeReset()
+        self._begin_steps()
         self._expected_ut = start.field_ned_ut
         self._orientation = new_orientation(self._config, start.field_ned_ut, start.attitude)
         self._ekf = VehicleEkf(self._config.ekf, self._antenna_body_m, start)
@@ -341,17 +365,6 @@ class VehicleEstimator:
         self._mag_trusted_s = time_s
         self._settled_s = time_s if found.still else time_s + SETTLING_S
         return True
-
-    def start_over(self) -> None:
-        """Forget all but the time of the newest sample; the alignment begins again."""
-        config = self._config.alignment
-        self._detector, self._aligner = StillnessDetector(config), StaticAligner(config)
-        self._orientation = self._ekf = self._timeline = self._last_raw = self._last_mean_rate = None
-        self._found = None
-        self._strapdown, self._span_s = Strapdown(), None
-        self._fields.start_over()
-        self._second_gyro, self._reset = SecondGyro(), AttitudeReset()
-        self._noise = ImuNoise(self._config.ekf)
 
     @property
     def aligned(self) -> bool:

@@ -23,7 +23,7 @@ import numpy as np
 from companion.base.geometry import FloatArray, Vector3, scale, subtract, vector3
 from companion.estimate.vehicle import ekf_model as model
 
-SHARE_STD: Final = 0.005  # scale and misalignment of a calibrated MEMS gyroscope
+GYRO_SCALE_ERROR: Final = 0.005  # scale and misalignment of a calibrated MEMS gyroscope
 _WALK_RTS: Final = 1e-4  # with the temperature
 
 _EYE3: Final = np.eye(3)
@@ -39,7 +39,7 @@ class YawError(NamedTuple):
     @staticmethod
     def first() -> YawError:
         """Calibrated, and nothing known beyond that."""
-        return YawError(np.zeros(3), SHARE_STD**2 * _EYE3, np.zeros((model.STATES, 3)))
+        return YawError(np.zeros(3), GYRO_SCALE_ERROR**2 * _EYE3, np.zeros((model.STATES, 3)))
 
     def taken_off(self, rate_body_rad_s: Vector3, yaw_rad_s: float) -> Vector3:
         """A measured rate without what a yaw has added to it."""

@@ -11,6 +11,7 @@ What waits is a generator that yields the seconds to wait before it goes on, so 
 from collections.abc import Generator
 from typing import Final, Protocol
 
+from companion.sense.imu.fifo import USER_CTRL
 from companion.sense.imu.i2c import RegisterBus, SensorError
 
 ADDRESS: Final = 0x0C
@@ -18,7 +19,6 @@ BLOCK_REGISTER: Final = 0x02  # ST1
 BLOCK_BYTES: Final = 8  # ST1, three axes of 16 bits, ST2; reading ST2 lets the next measurement in
 
 _READ: Final = 0x80
-_USER_CTRL: Final = 0x6A
 _MASTER_RESET: Final = 0x02
 _EXT_SENS_DATA: Final = 0x49
 _SLV0_ADDR, _SLV0_REG, _SLV0_CTRL = 0x25, 0x26, 0x27
@@ -70,7 +70,7 @@ class MasterPath:
         # nothing may be under way when the master starts anew, or the slave is left hanging
         self._set(_SLV0_CTRL, 0x00)
         yield 0.01
-        self._set(_USER_CTRL, self._user_control | _MASTER_RESET)
+        self._set(USER_CTRL, self._user_control | _MASTER_RESET)
         yield 0.01
 
     def read(self, register: int) -> Generator[float, None, int]:

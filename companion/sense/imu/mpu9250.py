@@ -23,10 +23,18 @@ from companion.config.calibration import MagnetometerCalibration
 from companion.config.mounting import InertialCalibration
 from companion.sense.imu.ak8963 import Ak8963, BringUp
 from companion.sense.imu.ak8963_path import BypassPath, MasterPath, Waits
-from companion.sense.imu.fifo import FRAME_BYTES, Fifo, SamplesLostError
+from companion.sense.imu.fifo import (
+    FIFO_ENABLE,
+    FIFO_OVERFLOW,
+    FRAME_BYTES,
+    SMPLRT_DIV,
+    USER_CTRL,
+    Fifo,
+    OutputRegisters,
+    SamplesLostError,
+)
 from companion.sense.imu.i2c import RegisterBus, SensorError
 from companion.sense.imu.mounting import BodyAxes, body_axes
-from companion.sense.imu.output_registers import OutputRegisters
 from companion.sense.imu.sample_clock import SampleClock
 
 IDENTITIES: Final = {0x71: "MPU9250", 0x73: "MPU9255"}
@@ -37,9 +45,8 @@ _FILTER: Final = {184: (1, 0.0029), 92: (2, 0.0039), 41: (3, 0.0059), 20: (4, 0.
 _GYRO_RANGE: Final = {250: 0, 500: 1, 1000: 2, 2000: 3}
 _ACCEL_RANGE: Final = {2: 0, 4: 1, 8: 2, 16: 3}
 
-_SMPLRT_DIV: Final = 0x19  # CONFIG, GYRO_CONFIG, ACCEL_CONFIG and ACCEL_CONFIG2 follow
 _FIFO_EN, _I2C_MST_CTRL, _INT_PIN_CFG = 0x23, 0x24, 0x37
-_USER_CTRL, _PWR_MGMT_1, _PWR_MGMT_2 = 0x6A, 0x6B, 0x6C
+_PWR_MGMT_1, _PWR_MGMT_2 = 0x6B, 0x6C
 WHO_AM_I: Final = 0x75
 
 _RESET: Final = 0x80
@@ -48,7 +55,6 @@ _FIFO_STOPS_WHEN_FULL: Final = 0x40
 _FIFO_ACCEL_TEMP_GYRO: Final = 0xF8
 _BYPASS: Final = 0x02
 # USER_CTRL
-_FIFO_ENABLE: Final = 0x40
 _USER_MASTER: Final = 0x20
 _I2C_OFF: Final = 0x10  # on SPI, or what passes on the lines may be taken for I2C
 # stop between reads, 400 kHz; not waiting for the external data: a dead magnetometer holds nothing up
@@ -56,7 +62,6 @@ _MASTER_400_KHZ: Final = 0x1D
 
 # The flag is set whether or not it is enabled on most chips; enabled it is on all. The pin is not used.
 _INT_ENABLE: Final = 0x38
-_FIFO_OVERFLOW: Final = 0x10
 _COUNTS_PER_DEG_C: Final = 333.87
 # A chip's temperature follows its surroundings over seconds. From one sample to the next a jump like this is
 # a word that is no temperature: the frames are shifted.
@@ -109,7 +114,7 @@ class Mpu9250:
         if self._config.mag_path == "bypass":
             return Ak8963(BypassPath(self._bus), self._config.mag_rate_hz)
         # while the FIFO fills, a restart of the master must not stop it
-        filling = _FIFO_ENABLE if self._config.read == "fifo" else 0
+        filling = FIFO_ENABLE if self._config.read == "fifo" else 0
         path = MasterPath(self._bus, self._address, self._user_control | filling)
         return Ak8963(path, self._config.mag_rate_hz)
 
@@ -202,11 +207,11 @@ class Mpu9250:
         self._write(_PWR_MGMT_1, _CLOCK_PLL)
         self._write(_PWR_MGMT_2, 0x00)
         yield 0.05
-        self._write(_USER_CTRL, self._user_control)
+        self._write(USER_CTRL, self._user_control)
         self._write_settings()
         self._write(_INT_PIN_CFG, _BYPASS if self._config.mag_path == "bypass" else 0x00)
         self._write(_I2C_MST_CTRL, _MASTER_400_KHZ)
-        self._write(_INT_ENABLE, _FIFO_OVERFLOW if self._config.read == "fifo" else 0x00)
+        self._write(_INT_ENABLE, FIFO_OVERFLOW if self._config.read == "fifo" else 0x00)
         self._write(_FIFO_EN, _FIFO_ACCEL_TEMP_GYRO if self._config.read == "fifo" else 0x00)
         self._samples.reset()
         self._clock.restart()
@@ -215,8 +220,8 @@ class Mpu9250:
 
     def _write_settings(self) -> None:
         for offset, value in enumerate(self._settings):
-            self._write(_SMPLRT_DIV + offset, value)
-        taken = self._read(_SMPLRT_DIV, len(self._settings))
+            self._write(SMPLRT_DIV + offset, value)
+        taken = self._read(SMPLRT_DIV, len(self._settings))
         if taken != self._settings:
             raise SensorError(f"settings not taken: wrote {self._settings.hex()}, read {taken.hex()}")
 
@@ -345,7 +350,7 @@ def _user_control(config: ImuConfig) -> int:
 
 
 def _settings(config: ImuConfig) -> bytes:
-    """SMPLRT_DIV, CONFIG, GYRO_CONFIG, ACCEL_CONFIG and ACCEL_CONFIG2."""
+    """SMPLRT_DIV and the registers after it: CONFIG, GYRO_CONFIG, ACCEL_CONFIG and ACCEL_CONFIG2."""
     dlpf = _FILTER[config.filter_hz][0]
     return bytes(
         (

@@ -1,6 +1,6 @@
 """The downward ultrasonic, whichever it is: distances along its axis, without spikes.
 
-`SerialRange` joins a serial line and the driver of what talks on it (`ultrasonic`, `us100`); `EchoRange`
+`SerialRange` joins a serial line and the driver of what talks on it (`ultrasonic`); `EchoRange`
 times pulses on GPIO pins (`echo_pins`). Both pass what they find through a `SpikeFilter`.
 """
 
@@ -13,10 +13,8 @@ from companion.base.messages import RangeSample
 from companion.config import RangeConfig
 from companion.sense.imu.i2c import SensorError
 from companion.sense.range.echo_pins import EchoPins, EchoPulse
-from companion.sense.range.ultrasonic import SpikeFilter, Ultrasonic
-from companion.sense.range.us100 import Us100
+from companion.sense.range.ultrasonic import SILENCE_S, SpikeFilter, Ultrasonic, Us100
 
-SILENCE_S: Final = 1.0
 _SOUND_AT_0_C_M_S: Final = 331.3
 _SOUND_PER_C_M_S: Final = 0.606
 

@@ -25,7 +25,6 @@ from companion.base.messages import MarkerGroup
 from companion.config import VisionConfig
 from companion.pad import ERROR_CORRECTION_RATE, Marker, Pad, dictionary_named
 from companion.sense.vision.corners import ENCODED, refine_quads
-from companion.sense.vision.edges import PROPORTIONAL
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.print_fit import fit_prints
 
@@ -97,8 +96,7 @@ class Code:
 class PadDetector:
     """Reads the markers of one pad. It keeps no memory of earlier frames."""
 
-    def __init__(self, pad: Pad, config: VisionConfig, lens: Lens | None = None) -> None:
-        """`lens`: how sides bow in the image, for better corners."""
+    def __init__(self, pad: Pad, config: VisionConfig, lens: Lens) -> None:
         self._pad = pad
         self._config = config
         self._lens = lens
@@ -125,8 +123,7 @@ class PadDetector:
             size = (part.shape[1] // s, part.shape[0] // s)
             part = part[: size[1] * s, : size[0] * s]
             part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        if self._lens is not None:
-            part = np.asarray(cv2.LUT(part, self._lens.legible), dtype=np.uint8)
+        part = np.asarray(cv2.LUT(part, self._lens.legible), dtype=np.uint8)
         if where.enlarge > 1:
             size = (part.shape[1] * where.enlarge, part.shape[0] * where.enlarge)
             part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
@@ -214,7 +211,7 @@ def _printed_once(codes: list[Code]) -> list[Code]:
 
 
 def refine_corners(
-    image: NDArray[np.uint8], found: list[Detection], lens: Lens | None = None, dot_m: float = 0.0
+    image: NDArray[np.uint8], found: list[Detection], lens: Lens, dot_m: float
 ) -> list[Detection]:
     """The detections with their corners where each marker's sides meet; those alone, where there are any.
 
@@ -233,17 +230,16 @@ def refine_corners(
 
 
 def _by_prints(
-    image: NDArray[np.uint8], found: list[Detection], lens: Lens | None, dot_m: float
+    image: NDArray[np.uint8], found: list[Detection], lens: Lens, dot_m: float
 ) -> dict[Marker, Detection]:
     """Those of the detections whose print was found, by markers."""
     quads = np.array([d.corners_px for d in found])
-    light, encoding_error = (PROPORTIONAL, 0.0) if lens is None else (lens.light, lens.encoding_error)
-    fits = fit_prints(image, light, [d.marker for d in found], quads)
+    fits = fit_prints(image, lens.light, [d.marker for d in found], quads)
     made = {}
     for d, quad, shown, blur_px in zip(found, *fits, strict=True):
         if not math.isfinite(shown[0, 0]):
             continue
-        made[d.marker] = by_print(d, quad, shown, float(blur_px), encoding_error, dot_m)
+        made[d.marker] = by_print(d, quad, shown, float(blur_px), lens.encoding_error, dot_m)
     return made
 
 
@@ -265,14 +261,11 @@ def by_print(
 
 
 def _by_sides(
-    image: NDArray[np.uint8], found: list[Detection], lens: Lens | None, dot_m: float
+    image: NDArray[np.uint8], found: list[Detection], lens: Lens, dot_m: float
 ) -> dict[Marker, Detection]:
     """Those of the detections whose sides could be followed, by markers."""
     quads, cells = np.array([d.corners_px for d in found]), np.array([d.marker.cells for d in found])
-    if lens is None:
-        refined = refine_quads(image, quads, cells)
-    else:
-        refined = refine_quads(image, quads, cells, lens.bows(quads), lens.light, lens.encoding_error)
+    refined = refine_quads(image, quads, cells, lens.bows(quads), lens.light, lens.encoding_error)
     made = {}
     parts = (part.tolist() for part in refined[1:])
     for d, quad, offset, turn, shrunk, crowded in zip(found, refined.corners, *parts, strict=True):

@@ -26,6 +26,7 @@ from companion.sense.vision.edges import (
     Places,
     Sides,
     decoded,
+    mean_side,
     median,
     places_along,
 )
@@ -128,7 +129,7 @@ def refine_quads(
     quads: FloatArray,
     cells: FloatArray,
     bow_px: FloatArray | None = None,
-    light: NDArray[np.float32] | None = None,
+    light: NDArray[np.float32] = PROPORTIONAL,
     encoding_error: float = 0.0,
 ) -> Refined:
     """Move the corners of markers to where their sides meet.
@@ -139,15 +140,14 @@ def refine_quads(
         cells: (m,) across each marker, the black border included.
         bow_px: (m, 4) how far outwards the middle of each side lies from between its corners, by the lens;
             without it sides bow as lenses bend them.
-        light: (256,) light of each grey value, 255 at most; without it grey values are in proportion to it.
+        light: (256,) light of each grey value, 255 at most.
         encoding_error: by which share the light's exponent may be off, one standard deviation.
     """
     corners = np.array(quads, dtype=np.float64)
-    farthest = np.minimum(np.maximum(REACH_CELLS * _lengths(corners) / cells, REACH_PX[0]), REACH_PX[1])
+    farthest = np.minimum(np.maximum(REACH_CELLS * mean_side(corners) / cells, REACH_PX[0]), REACH_PX[1])
     # beyond the picture there is nothing to see: a side by its edge is looked at no farther than that
     room = _room(corners, image.shape)
     farthest = np.minimum(np.maximum(room, LEAST_REACH_PX), farthest)
-    light = PROPORTIONAL if light is None else light
     patches = decoded(image, corners, 2.5 * farthest, light)
     reach = farthest
     for _ in range(MOST_ROUNDS):
@@ -172,7 +172,7 @@ def refine_quads(
     lost |= room < REACH_BLURS * places.blur_px.max(axis=1)
     corners[lost], offset_std[lost], turn_std[lost] = quads[lost], np.inf, np.inf
     blur = places.blur_px
-    crowded = CROWDED_SHARE * np.maximum(blur - CROWDED_CELL * (_lengths(corners) / cells)[:, None], 0.0)
+    crowded = CROWDED_SHARE * np.maximum(blur - CROWDED_CELL * (mean_side(corners) / cells)[:, None], 0.0)
     eaten = np.where(places.full[:, None], blur, 0.0)
     corners[~lost] += _outwards(sides.normal, EATEN_MEAN * eaten)[~lost]
     shrunk = np.sqrt((EATEN_STD * eaten) ** 2 + crowded**2 + (ENCODED * encoding_error * blur) ** 2)
@@ -189,12 +189,6 @@ def _outwards(normal: FloatArray, by: FloatArray) -> FloatArray:
     """How corners (m, 4, 2) move when sides with these normals (m, 4, 2) move outwards by so many (m, 4)."""
     moved = by[..., None] * normal
     return np.asarray(moved + moved[:, (3, 0, 1, 2)])
-
-
-def _lengths(corners: FloatArray) -> FloatArray:
-    """Mean length (m,) of the sides."""
-    across = corners[:, (1, 2, 3, 0)] - corners
-    return np.asarray(0.25 * np.sqrt((across**2).sum(axis=2)).sum(axis=1))
 
 
 def _sides(corners: FloatArray, image_width_px: int, bow_px: FloatArray | None) -> Sides:

@@ -32,11 +32,10 @@ from companion.pad import Pad
 from companion.sense.vision.aruco import ENOUGH, GROUPS, Detection, PadDetector, SearchPass
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.paper_pose import paper_pose
-from companion.sense.vision.partial import PartialMarkers
 from companion.sense.vision.pose import MAXIMUM_TURN_RAD, PoseFit, fit_poses
 from companion.sense.vision.print_check import PrintCheck, correctable
 from companion.sense.vision.search import CELL_PX, SearchPlanner
-from companion.sense.vision.unread import UnreadMarkers
+from companion.sense.vision.unread import PartialMarkers, UnreadMarkers
 
 # what is known of it, in camera axes: gravity's direction, if it is, the speed of climb, the rate of turn
 _Motion = tuple[Vector3 | None, float, Vector3]

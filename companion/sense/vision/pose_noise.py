@@ -50,10 +50,7 @@ def whitening(
     and that of its ends by its turn. Markers that have a covariance of their corners (8, 8), u and v of each
     in turn, err by that.
     """
-    m = len(sigma)
-    corners = rays.reshape(m, 4, 2)
-    along = corners[:, (1, 2, 3, 0)] - corners
-    along /= np.sqrt((along**2).sum(axis=2))[..., None]
+    m, along = len(sigma), _along(rays)
     k, side = np.arange(m)[:, None], np.arange(4)
     white = np.zeros((m, 4, 2, 2, m, 4))  # marker, side, kind | direction, marker, corner
     for direction, normal in enumerate((along[..., 1], -along[..., 0])):
@@ -77,13 +74,18 @@ def corner_covariance_px2(detection: Detection, config: VisionConfig) -> FloatAr
 
 def shrinking(rays: FloatArray, std: FloatArray) -> FloatArray:
     """How each ray moves (2n, 1) when all sides (m, 4) lie in by one standard deviation of theirs."""
-    corners = rays.reshape(-1, 4, 2)
-    along = corners[:, (1, 2, 3, 0)] - corners
-    along /= np.sqrt((along**2).sum(axis=2))[..., None]
+    along = _along(rays)
     inward = np.stack((-along[..., 1], along[..., 0]), axis=2)
     inward *= std[..., None]
     both = inward + inward[:, (3, 0, 1, 2)]
     return np.asarray(both.reshape(-1, 2).T.reshape(-1, 1))
+
+
+def _along(rays: FloatArray) -> FloatArray:
+    """Directions (m, 4, 2) of the sides between corners (4m, 2)."""
+    corners = rays.reshape(-1, 4, 2)
+    along = corners[:, (1, 2, 3, 0)] - corners
+    return np.asarray(along / np.sqrt((along**2).sum(axis=2))[..., None])
 
 
 def unseen_m2(distance_m: float, delay_s: FloatArray, focal_px: float) -> float:

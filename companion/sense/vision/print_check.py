@@ -70,8 +70,8 @@ class PrintCheck:
         """
         _, white = self._prints[marker]
         if part is None:
-            every = np.array([(0.0, 0.0), (marker.cells, marker.cells)])
-            return self._alike(image, _pixels_at(_middles(marker).reshape(-1, 2), corners_px, every), white)
+            middles = _middles(marker).reshape(-1, 2)
+            return self._alike(image, _pixels_at(middles, corners_px, _whole(marker)), white)
         inside, grey = _seen(image, marker, corners_px, part)
         return _correlation(grey, white[inside]) if len(grey) else 0.0
 
@@ -79,8 +79,7 @@ class PrintCheck:
         """How many cells of a marker that was read are not of their colour; 0 where cells run together."""
         if found.side_px < SMALL_CELL_PX * found.marker.cells:
             return 0
-        whole = np.array([(0.0, 0.0), (found.marker.cells, found.marker.cells)])
-        return len(self.covered(image, found.marker, found.corners_px, whole))
+        return len(self.covered(image, found.marker, found.corners_px, _whole(found.marker)))
 
     def covered(
         self, image: NDArray[np.uint8], marker: Marker, corners_px: FloatArray, part: FloatArray
@@ -123,6 +122,11 @@ def _bare(marker: Marker, pad: Pad) -> NDArray[np.bool_]:
         if other.side_m < marker.side_m and (under := marker.cells_under(other)) is not None:
             bare[1:-1, 1:-1][under] = False
     return bare
+
+
+def _whole(marker: Marker) -> FloatArray:
+    """The first and the last corner (2, 2), in cells, of all of a marker."""
+    return np.array([(0.0, 0.0), (marker.cells, marker.cells)])
 
 
 def _middles(marker: Marker) -> FloatArray:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from companion.base.geometry import FloatArray
 from companion.pad import Marker, dictionary_named
-from companion.sense.vision.edges import FULL_GREY
+from companion.sense.vision.edges import FULL_GREY, mean_side
 
 FloatImage = NDArray[np.float32]
 
@@ -114,7 +114,7 @@ def fit_prints(
     """
     corners, squares = np.array(quads, dtype=np.float64), _squares(markers, parts)
     across = (squares[:, 2] - squares[:, 0]).mean(axis=1)
-    cell_px = _sides(corners) / across
+    cell_px = mean_side(corners) / across
     blur = np.full(len(markers), USUAL_BLUR_PX) / cell_px
     quiet = np.array([marker.quiet_m / marker.cell_m for marker in markers])
     pixels = _pixels_about(image, light, corners, np.minimum(quiet, QUIET_CELLS) / across)
@@ -181,12 +181,6 @@ def _drawn(marker: Marker) -> FloatImage:
     """A print with its white: (t, t) float32, which takes 50 to 70 kB."""
     cells = np.pad(white_cells(marker), BORDER - 1, constant_values=1.0).astype(np.float32)
     return np.asarray(cells.repeat(TEXELS, axis=0).repeat(TEXELS, axis=1))
-
-
-def _sides(corners: FloatArray) -> FloatArray:
-    """Mean length (m,) of the sides."""
-    across = corners[:, (1, 2, 3, 0)] - corners
-    return np.asarray(np.sqrt((across**2).sum(axis=2)).mean(axis=1))
 
 
 def _pixels_about(

@@ -256,7 +256,7 @@ def test_a_state_that_is_no_number_is_no_state(
 def test_a_pad_that_is_nowhere_is_no_pad(place: int, monkeypatch: pytest.MonkeyPatch) -> None:
     estimator = new_estimator()
     x, sure = np.zeros(9), np.eye(9)
-    estimate = CombinedEstimate(x, sure, 0.0, 0.0, 0.1, seen_time_s=1.0)
+    estimate = CombinedEstimate(x, sure, 0.0, 0.0, seen_time_s=1.0)
     monkeypatch.setattr(estimator, "_pad_at", lambda _time_s: estimate)
     assert estimator.pad(1.0) is not None
     x[place] = math.nan

@@ -11,7 +11,8 @@ from companion.config import PadFilterConfig
 from companion.estimate.estimator import ATTITUDE_WANDER_RAD_S
 from companion.estimate.gating import Gate, Timeline
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad.pad_filter import CombinedEstimate, HeightMeasurement, PadFilter
+from companion.estimate.pad.pad_filter import PadFilter
+from companion.estimate.pad.pad_types import CombinedEstimate, HeightMeasurement
 from tests.unit.estimate.pad.pad_track import IMU_HZ, SimulatedPadTrack, lever
 from tests.unit.estimate.pad.single_model_filter import SingleModelFilter
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from companion.base.geometry import GRAVITY_M_S2, IDENTITY, FloatArray, vector3
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad.pad_filter import HeightMeasurement, PadMeasurement
+from companion.estimate.pad.pad_types import HeightMeasurement, PadMeasurement
 from sitl.pad.motion import PadMotionSettings, build_pad_motion
 from sitl.pad.paths import (
     CircleMotion,

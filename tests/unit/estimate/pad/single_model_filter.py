@@ -11,7 +11,7 @@ from filterpy.kalman import KalmanFilter
 
 from companion.base.geometry import FloatArray
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad.pad_filter import PadMeasurement
+from companion.estimate.pad.pad_types import PadMeasurement
 
 JERK_M_S3_RTHZ = 1.0
 TIME_CONSTANTS_S = (1.5, 1.5, 1.0)

@@ -13,14 +13,8 @@ from companion.estimate.gating import Timeline
 from companion.estimate.motion import MotionHistory, VehiclePlace
 from companion.estimate.pad.beacon_in_ned import NOISE_SHARE, in_ned
 from companion.estimate.pad.observation import VehicleAtExposure
-from companion.estimate.pad.pad_filter import (
-    FIX_TIMEOUT_S,
-    CombinedEstimate,
-    PadFilter,
-    PadInput,
-    PadMeasurement,
-    PadSnapshot,
-)
+from companion.estimate.pad.pad_filter import FIX_TIMEOUT_S, PadFilter
+from companion.estimate.pad.pad_types import CombinedEstimate, PadInput, PadMeasurement, PadSnapshot
 
 ORIGIN = (47.0, 8.0, 400.0)
 BIAS: Vector3 = (2.0, -1.5, 3.0)  # of a beacon's GPS that claims 1.5 m, minus ours

@@ -10,7 +10,8 @@ from companion.config import PadFilterConfig
 from companion.estimate.gating import Timeline
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.frame_correction import frame_rotation_increment
-from companion.estimate.pad.pad_filter import PadFilter, PadInput, PadMeasurement, PadSnapshot
+from companion.estimate.pad.pad_filter import PadFilter
+from companion.estimate.pad.pad_types import PadInput, PadMeasurement, PadSnapshot
 
 CORRECTED_S = 4.0
 CORRECTION_RAD = (0.005, -0.004, 0.02)  # about NED axes: 0.4 deg of tilt and 1.1 deg of heading

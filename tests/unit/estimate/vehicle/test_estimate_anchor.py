@@ -22,7 +22,7 @@ from companion.config.estimate import PadFilterConfig
 from companion.estimate.estimator import StateEstimator
 from companion.estimate.vehicle.attitude_reset import (
     AttitudeReset,
-    EstimatedAttitude,
+    ReportQueue,
     apart,
 )
 from tests.unit.estimate.estimate_flight import (
@@ -54,7 +54,8 @@ FLIGHT = EstimateFlight(
     swing, heading=kick, seed=31, duration_s=24.0, sensors=frozenset({"imu", "mag", "gps"})
 )
 NORTH_OF_THEIRS = quat_from_euler(0.0, 0.0, 0.4)  # their heading is their own
-SURE = EstimatedAttitude(quat_from_euler(0.0, 0.0, 0.4), 0.5 * DEGREE, 0.0)
+OURS = quat_from_euler(0.0, 0.0, 0.4)
+SURE, STEADY = 0.5 * DEGREE, 0.0  # our horizon's deviation, and how fast we turn
 
 
 @dataclass(frozen=True)
@@ -124,11 +125,12 @@ def test_an_autopilot_that_finds_north_elsewhere_turns_nothing() -> None:
 
 
 def words(
-    reset: AttitudeReset, own: EstimatedAttitude, theirs: Quaternion, seconds: float, from_s: float = 0.0
+    reset: AttitudeReset, theirs: Quaternion, seconds: float, std_rad: float = SURE, rate: float = STEADY
 ) -> list[float]:
     """When ours is set right, of words at 30 Hz."""
     found = [
-        reset.compare(AutopilotAttitude(from_s + k / 30.0, theirs), own) for k in range(round(30 * seconds))
+        reset.compare(AutopilotAttitude(k / 30.0, theirs), OURS, std_rad, rate)
+        for k in range(round(30 * seconds))
     ]
     return [correction.time_s for correction in found if correction is not None]
 
@@ -138,11 +140,11 @@ def tilted(roll_deg: float) -> Quaternion:
 
 
 def test_horizons_a_little_apart_are_left_alone() -> None:
-    assert words(AttitudeReset(), SURE, tilted(4.0), 10.0) == []
+    assert words(AttitudeReset(), tilted(4.0), 10.0) == []
 
 
 def test_horizons_far_apart_are_set_right_once_that_lasts() -> None:
-    [first, *_] = words(AttitudeReset(), SURE, tilted(8.0), 1.0)
+    [first, *_] = words(AttitudeReset(), tilted(8.0), 1.0)
     assert 0.2 <= first < 0.3
 
 
@@ -150,18 +152,19 @@ def test_a_single_word_that_is_off_changes_nothing() -> None:
     reset = AttitudeReset()
     for k in range(60):
         theirs = tilted(30.0) if k % 10 == 0 else tilted(0.0)
-        assert reset.compare(AutopilotAttitude(k / 30.0, theirs), SURE) is None
+        assert reset.compare(AutopilotAttitude(k / 30.0, theirs), OURS, SURE, STEADY) is None
 
 
 def test_a_fast_turn_may_hide_as_much_as_it_makes_in_the_time_that_may_be_off() -> None:
-    turning = SURE._replace(turning_rad_s=5.0)
-    assert words(AttitudeReset(), turning, tilted(8.0), 2.0) == []
+    assert words(AttitudeReset(), tilted(8.0), 2.0, rate=5.0) == []
 
 
 def test_what_is_set_right_keeps_our_own_heading() -> None:
     reset = AttitudeReset()
-    assert words(reset, SURE, tilted(0.0), 2.0) == []
-    found = [reset.compare(AutopilotAttitude(3.0 + k / 30.0, tilted(10.0)), SURE) for k in range(30)]
+    assert words(reset, tilted(0.0), 2.0) == []
+    found = [
+        reset.compare(AutopilotAttitude(3.0 + k / 30.0, tilted(10.0)), OURS, SURE, STEADY) for k in range(30)
+    ]
     first = next(correction for correction in found if correction is not None)
     tilt_rad, heading_rad = apart(first.attitude, tilted(10.0))
     assert tilt_rad == pytest.approx(0.0, abs=1e-6)
@@ -169,16 +172,15 @@ def test_what_is_set_right_keeps_our_own_heading() -> None:
 
 
 def test_an_attitude_that_is_poorly_known_is_taken_from_the_autopilot_at_once() -> None:
-    poor = SURE._replace(tilt_std_rad=15.0 * DEGREE)
-    assert words(AttitudeReset(), poor, tilted(10.0), 0.1)[0] == 0.0
+    assert words(AttitudeReset(), tilted(10.0), 0.1, std_rad=15.0 * DEGREE)[0] == 0.0
 
 
 def test_words_wait_until_our_own_samples_have_come_as_far() -> None:
-    reset = AttitudeReset()
-    reset.take(AutopilotAttitude(1.0, tilted(0.0)))
-    assert reset.due(0.99) is None
-    assert reset.due(1.0) == AutopilotAttitude(1.0, tilted(0.0))
-    assert reset.due(2.0) is None
+    reports = ReportQueue()
+    reports.append(AutopilotAttitude(1.0, tilted(0.0)))
+    assert list(reports.due(None)) == list(reports.due(0.99)) == []
+    assert list(reports.due(1.0)) == [AutopilotAttitude(1.0, tilted(0.0))]
+    assert list(reports.due(2.0)) == []
 
 
 # ---------------------------------------------------------------- late, and silent

@@ -21,6 +21,7 @@ from companion.base.geometry import (
     scale,
     vector3,
 )
+from companion.base.messages import AutopilotAttitude
 from companion.estimate.vehicle.gyro_bias_check import BiasStep, SecondGyro
 
 Told = Callable[[float], tuple[float, Quaternion] | None]  # what arrives from the autopilot, if anything
@@ -81,7 +82,7 @@ class SteppedBias:
             bias = add(BIAS, self.step_rad_s) if t >= STEP_S else BIAS
             gyro.add_rate(t, add(add(rate, bias), vector3(0.003 * rng.normal(size=3))), IMU_S)
             heard = (told or self.on_time)(t) if k % TOLD_EVERY == 0 else None
-            step = gyro.add_attitude(*heard, believed) if heard is not None else None
+            step = gyro.add_attitude(AutopilotAttitude(*heard), believed) if heard is not None else None
             if step is not None:
                 self.found.append((t, step))
                 believed = step.gyro_bias_rad_s
@@ -185,4 +186,4 @@ def test_a_heading_set_anew_is_no_step(jump_deg: float) -> None:
 
 def test_an_attitude_before_our_first_rate_tells_nothing() -> None:
     gyro = SecondGyro()
-    assert [gyro.add_attitude(0.1 * k, IDENTITY, ZERO3) for k in range(30)] == [None] * 30
+    assert [gyro.add_attitude(AutopilotAttitude(0.1 * k, IDENTITY), ZERO3) for k in range(30)] == [None] * 30

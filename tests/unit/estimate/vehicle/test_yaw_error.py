@@ -11,7 +11,7 @@ from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf_start import InitialState
 from companion.estimate.vehicle.ekf_state import EkfState
 from companion.estimate.vehicle.imu_noise import StepNoise
-from companion.estimate.vehicle.yaw_error import SHARE_STD, YawError
+from companion.estimate.vehicle.yaw_error import GYRO_SCALE_ERROR, YawError
 
 DEGREE = math.radians(1.0)
 FIELD_NED_UT = (20.9, 0.6, 42.9)
@@ -82,7 +82,7 @@ def test_a_turn_shows_what_it_is_measured_as_once_the_heading_is_known_after_it(
     ekf._correct(np.array([-too_far]), C, np.array([[(0.1 * DEGREE) ** 2]]), by_fix=True)
     # the start's heading and the gyroscope's bias have their share of it
     assert 0.0025 < ekf.yaw_error.share[2] < 0.005
-    assert math.sqrt(ekf.yaw_error.covariance[2, 2]) < 0.7 * SHARE_STD
+    assert math.sqrt(ekf.yaw_error.covariance[2, 2]) < 0.7 * GYRO_SCALE_ERROR
 
 
 def test_a_compass_teaches_nothing_of_it() -> None:
@@ -112,7 +112,7 @@ def test_without_fixes_it_is_noise() -> None:
     for k in range(1, 101):
         ekf.predict(STEP_S * k, turning(ZERO3, 0.5), noise=StepNoise(lasting_rate_rad_s=(0.0, 0.0, 0.5)))
     noisy, still = ekf.rotation_covariance()[2, 2], standing().rotation_covariance()[2, 2]
-    assert noisy > still + 0.9 * (0.5 * SHARE_STD) ** 2
+    assert noisy > still + 0.9 * (0.5 * GYRO_SCALE_ERROR) ** 2
     assert np.abs(ekf.yaw_error.with_state).max() == 0.0
 
 

@@ -21,8 +21,7 @@ from companion.config import ConfigError, RangeConfig, validate
 from companion.sense.imu.i2c import SensorError
 from companion.sense.range.echo_pins import EchoPins
 from companion.sense.range.range_finder import EchoRange, SerialRange, make_range_finder
-from companion.sense.range.ultrasonic import MARGIN_M, MARGIN_SHARE, SpikeFilter, Ultrasonic
-from companion.sense.range.us100 import Us100
+from companion.sense.range.ultrasonic import MARGIN_M, MARGIN_SHARE, SpikeFilter, Ultrasonic, Us100
 from sitl.devices.ports import MemoryPort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice, frame, millimetres
 from sitl.sensors.sensors import RangeErrors, RangeSensor

@@ -222,7 +222,7 @@ def test_the_least_side_is_the_markers_and_not_its_outlines(least_px: float, rea
     assert [code.number for code in codes] == read
 
 
-def test_small_markers_are_measured_as_far_as_others_are_not_enough(pad: Pad) -> None:
+def test_small_markers_are_measured_as_far_as_others_are_not_enough(pad: Pad, camera: CameraConfig) -> None:
     """A print costs ten times a side's; of small ones those that lie farthest from the others are fitted."""
     large = [m for m in pad.markers if m.group == "F"]
     small = [m for m in pad.markers if m.group == "M"]
@@ -242,7 +242,7 @@ def test_small_markers_are_measured_as_far_as_others_are_not_enough(pad: Pad) ->
 
     large_found, small_found = found(large[:4], 72, 40), found(small[:4], 21, 300)
     for beside, fitted in ((4, 0), (3, 1), (0, 4)):
-        made = aruco.refine_corners(image, large_found[:beside] + small_found)
+        made = aruco.refine_corners(image, large_found[:beside] + small_found, Lens(camera), 0.0)
         assert [d.marker.group for d in made] == ["F"] * beside + ["M"] * fitted
         assert all(d.refined for d in made)
 

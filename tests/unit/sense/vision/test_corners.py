@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from companion.base.encoding import decoding_table, encoding_table, light_of_greys
 from companion.base.geometry import FloatArray
 from companion.sense.vision.corners import refine_quads
+from companion.sense.vision.edges import PROPORTIONAL
 
 SIZE = 240
 SIDE_PX = 118.0
@@ -149,7 +150,7 @@ def test_sides_are_found_in_light_however_it_is_encoded(turn_deg: float) -> None
     truth = square(math.radians(turn_deg))
     encoded = np.asarray(cv2.LUT(drawn(truth), encoding_table("srgb")), np.uint8)
     off = []
-    for light in (None, decoding_table("srgb")):
+    for light in (PROPORTIONAL, decoding_table("srgb")):
         refined = refine_quads(encoded, truth[None], np.array([CELLS]), np.zeros((1, 4)), light)
         off.append(float(np.mean(along_sides(refined.corners[0], truth)[0])))
     # the white seems larger by a share of the blur, and in light by nothing

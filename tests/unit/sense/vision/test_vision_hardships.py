@@ -133,10 +133,12 @@ def test_markers_that_the_frame_cuts_do_not_bend_the_pose(
     assert is_true(result.sighting, truth)
 
 
-def corners_in(frame: Frame, pad: Pad) -> dict[int, FloatArray]:
+def corners_in(frame: Frame, pad: Pad, camera: CameraConfig) -> dict[int, FloatArray]:
     """Corners (4, 2) px of the far markers that are read, by id."""
     height, width = frame.image.shape
-    found = PadDetector(pad, VisionConfig()).detect(frame.image, SearchPass(0, 0, width, height, 1, ("F",)))
+    found = PadDetector(pad, VisionConfig(), Lens(camera)).detect(
+        frame.image, SearchPass(0, 0, width, height, 1, ("F",))
+    )
     return {d.marker.id: d.corners_px for d in found}
 
 
@@ -144,7 +146,7 @@ def test_dirt_on_a_marker_costs_that_marker_and_not_the_pose(
     vision: Vision, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig
 ) -> None:
     frame, truth = Studio(pad, camera, vehicle, ImagingSettings()).shoot((0.0, 0.0, -4.0))
-    corners = corners_in(frame, pad)
+    corners = corners_in(frame, pad, camera)
     for marker, corner, radius in ((0, 0, 3), (1, 2, 6), (2, 1, 14)):
         dirty = frame.image.copy()
         at = tuple(round(v) for v in corners[marker][corner])
@@ -187,7 +189,7 @@ def test_one_code_of_the_pad_by_itself_is_not_the_pad(
     image = frame.image.copy()
     image[200 : 200 + mark.shape[0], 300 : 300 + mark.shape[1]] = mark
     lone = replace(frame, image=image)
-    assert len(corners_in(lone, pad)) == 1  # it is read
+    assert len(corners_in(lone, pad, camera)) == 1  # it is read
     assert vision.step(lone, PadPrior(0.0, DOWN)).sighting is None
     assert vision.step(lone, PadPrior(0.0, DOWN)).sighting is None
 
@@ -197,7 +199,7 @@ def test_one_marker_is_believed_where_the_print_about_it_is_the_pads(
 ) -> None:
     frame, _ = Studio(pad, camera, vehicle, ImagingSettings()).shoot((0.0, 0.0, -5.0))
     lens, config = Lens(camera), VisionConfig()
-    found = PadDetector(pad, config).detect(frame.image, SearchPass(0, 0, 640, 480, 1, ("F",)))
+    found = PadDetector(pad, config, lens).detect(frame.image, SearchPass(0, 0, 640, 480, 1, ("F",)))
     check = PrintCheck(pad, lens)
     for detection in found:
         pose = estimate_pose([detection], lens, config, DOWN)
