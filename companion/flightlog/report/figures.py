@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 import plotly.graph_objects as go
+import plotly.io
 from plotly.subplots import make_subplots
 
 from companion.base.geometry import FloatArray
@@ -21,6 +22,7 @@ from companion.flightlog.report.logged_flight import LoggedFlight
 from companion.flightlog.result import setpoint_delays_s
 from companion.pad.colours import GROUP_COLOURS
 
+plotly.io.templates.default = "plotly_white"
 VEHICLE_COLOUR: Final = "#c0392b"
 PAD_COLOUR: Final = "#27ae60"
 OBSTACLE_COLOUR: Final = "#7f8c8d"
@@ -384,23 +386,30 @@ def phase_spans(plans: Sequence[PlanStep]) -> list[PhaseSpan]:
 
 
 def _over_time(
-    figure: go.Figure, flight: LoggedFlight, track: TruthTrack | None = None, row: int | str = "all"
+    figure: go.Figure, flight: LoggedFlight, track: TruthTrack | None = None, row: int | None = None
 ) -> go.Figure:
-    """The phases behind the curves, their names over the uppermost; lines at the contact and at landed."""
+    """The phases behind the curves, their names over the uppermost; lines at the contact and at landed.
+
+    In all rows, or in one. All at once: plotly copies and checks what is there with each that is added.
+    """
     spans = phase_spans(flight.kept.get("plan", ()))
     seconds = spans[-1].end_s - spans[0].start_s if spans else 0.0
     marks = [("contact", time_s) for time_s in _contacts_s(track)]
     marks += [("landed", span.start_s) for span in spans if span.phase is Phase.LANDED][:1]
-    timed = {"row": row, "col": 1}
-    for name, time_s in marks:
+    shapes, words = list(figure.layout.shapes), list(figure.layout.annotations)
+    for axis in figure.select_yaxes(row=row):
+        y = axis.plotly_name.replace("axis", "")
+        on = {"xref": y.replace("y", "x"), "yref": f"{y} domain", "y0": 0, "y1": 1}
         line = {"color": "black", "dash": "dot", "width": 1}
-        figure.add_vline(x=time_s, line=line, annotation_text=name, annotation_textangle=-90, **timed)
-    for span in spans:
-        look = {"fillcolor": span.colour, "opacity": 0.18, "line_width": 0, "layer": "below"}
-        figure.add_vrect(x0=span.start_s, x1=span.end_s, **look, **timed)
-        if span.end_s - span.start_s > NAMED_SHARE * seconds:
-            figure.add_annotation(**_name_of(span))
-    plain(figure).update_layout(hovermode="x unified", margin_t=NAMES_PX)
+        shapes += [{"type": "line", "x0": time_s, "x1": time_s, "line": line, **on} for _, time_s in marks]
+        band = {"type": "rect", "opacity": 0.18, "line": {"width": 0}, "layer": "below", **on}
+        shapes += [{"x0": s.start_s, "x1": s.end_s, "fillcolor": s.colour, **band} for s in spans]
+        at = {"y": 1, "xref": on["xref"], "yref": on["yref"], "xanchor": "left", "yanchor": "top"}
+        words += [
+            {"x": time_s, "text": name, "textangle": -90, "showarrow": False, **at} for name, time_s in marks
+        ]
+    words += [_name_of(span) for span in spans if span.end_s - span.start_s > NAMED_SHARE * seconds]
+    plain(figure).update_layout(shapes=shapes, annotations=words, hovermode="x unified", margin_t=NAMES_PX)
     return figure
 
 
@@ -430,7 +439,6 @@ def plain(figure: go.Figure) -> go.Figure:
     if figure.layout.height is None:
         figure.update_layout(height=HEIGHT_PX)
     figure.update_layout(
-        template="plotly_white",
         margin={"l": 60, "r": 20, "t": 50, "b": 70},
         legend={
             "orientation": "h",
