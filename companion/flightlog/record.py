@@ -18,7 +18,7 @@ import struct
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import IO, Any, Final, Literal, NamedTuple, Protocol
+from typing import IO, Any, Final, Literal, NamedTuple
 
 from mcap.writer import CompressionType, Writer
 from pydantic import BaseModel
@@ -52,18 +52,15 @@ def split_packets(data: bytes) -> tuple[list[bytes], bytes]:
         if data[at] not in (MAVLINK1_MAGIC, MAVLINK2_MAGIC):
             at += 1
             continue
-        length = _packet_length(data, at)
-        if length is None or at + length > len(data):
+        if at + 3 > len(data) or at + (length := _packet_length(data, at)) > len(data):
             break
         packets.append(data[at : at + length])
         at += length
     return packets, data[at:]
 
 
-def _packet_length(data: bytes, at: int) -> int | None:
-    """Bytes of the packet that starts at `at`; None while its header is not all there."""
-    if at + 3 > len(data):
-        return None
+def _packet_length(data: bytes, at: int) -> int:
+    """Bytes of the packet that starts at `at`, by its first three."""
     payload = data[at + 1]
     if data[at] == MAVLINK1_MAGIC:
         return payload + 8
@@ -93,25 +90,17 @@ class BufferedCall(NamedTuple):
     arguments: tuple[Any, ...]
 
 
-class Tap(Protocol):
-    """Who hears of all that is logged, on the control loop: whatever it does delays control."""
-
-    def know(self, settings: Mapping[str, BaseModel]) -> None: ...
-    def note(self, topic: str, message: Any, time_s: float) -> None: ...
-    def frame(self, frame: Frame) -> None: ...
-
-
-class NoTap:
-    """Nobody hears."""
+class Tap:
+    """Who hears of all that is logged, on the control loop: whatever it does delays control. Here: nobody."""
 
     def know(self, settings: Mapping[str, BaseModel]) -> None:
-        """See `Tap`."""
+        """The settings that the app flies with."""
 
     def note(self, topic: str, message: Any, time_s: float) -> None:
-        """See `Tap`."""
+        """A message was logged."""
 
     def frame(self, frame: Frame) -> None:
-        """See `Tap`."""
+        """A camera frame, before vision looks at it."""
 
 
 class FlightLog:
@@ -146,7 +135,7 @@ class FlightLog:
         self._made_folder = folder is not None and not folder.exists()
         self._files: _Files | None = None
         self._disk: DiskWriter | None = None
-        self.tap: Tap = NoTap()
+        self.tap = Tap()
         if folder is not None:
             try:
                 folder.mkdir(parents=True, exist_ok=True)

@@ -20,7 +20,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from companion.app.page.access import host_is_ours, own_names, same_origin, same_token
 from companion.app.page.look import Reply, Start, Text
 from companion.base.clock import Clock
-from companion.flightlog.flights import numbered_flights
+from companion.flightlog.flights import numbered_flights, size_bytes
 
 # ---------------------------------------------------------------- what is given to keep
 # The flights' logs as zip files, and the settings to read. Whoever asks shows the token, where there is one,
@@ -64,7 +64,7 @@ def listed(root: Path | None) -> list[dict[str, Any]]:
     return [
         {
             "name": folder.name,
-            "megabytes": sum(p.stat().st_size for p in folder.rglob("*") if p.is_file()) / MEGABYTE,
+            "megabytes": size_bytes(folder) / MEGABYTE,
         }
         for folder in reversed(_folders(root))
     ]
@@ -97,7 +97,7 @@ async def _sent(request: web.Request, packed: IO[bytes], name: str) -> web.Strea
 
 
 def _folders(root: Path | None) -> list[Path]:
-    return [] if root is None else list(numbered_flights(root))
+    return [] if root is None else numbered_flights(root)
 
 
 def _let_in(request: web.Request, start: Start) -> None:

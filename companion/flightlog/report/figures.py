@@ -4,7 +4,7 @@ The truth is drawn where there is one (the simulator's); else the estimates stan
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any, Final
@@ -63,20 +63,16 @@ def figures(
     """
     pass_m, pass_m_s = ((bounds or {}).get(key) for key in ("lateral_error_m", "vertical_speed_m_s"))
     track = TruthTrack(flight.truth) if len(flight.truth) > 1 else None
-    drawings: dict[str, tuple[str, Callable[[], go.Figure | None]]] = {
-        "path": ("Path", lambda: path_figure(flight, track)),
-        "height": (
-            "Height over the pad",
-            lambda: height_figure(flight, track, pass_m_s),
-        ),
-        "lateral": ("Lateral distance", lambda: lateral_figure(flight, track, pass_m)),
-        "velocity": ("Velocity", lambda: velocity_figure(flight)),
-        "stated": ("Stated errors", lambda: stated_figure(flight)),
-        "errors": ("Errors against the truth", lambda: error_figure(flight, track)),
-        "markers": ("Markers", lambda: marker_figure(flight, track)),
-        "latency": ("Latency", lambda: latency_figure(flight)),
+    drawn = {
+        "path": ("Path", path_figure(flight, track)),
+        "height": ("Height over the pad", height_figure(flight, track, pass_m_s)),
+        "lateral": ("Lateral distance", lateral_figure(flight, track, pass_m)),
+        "velocity": ("Velocity", velocity_figure(flight)),
+        "stated": ("Stated errors", stated_figure(flight)),
+        "errors": ("Errors against the truth", error_figure(flight, track)),
+        "markers": ("Markers", marker_figure(flight, track)),
+        "latency": ("Latency", latency_figure(flight)),
     }
-    drawn = {name: (title, draw()) for name, (title, draw) in drawings.items()}
     return {name: (title, figure) for name, (title, figure) in drawn.items() if figure is not None}
 
 
