@@ -27,7 +27,6 @@ from companion.flightlog.flights import numbered_flights, size_bytes
 # as a bearer's (RFC 6750). Nothing is changed from here.
 
 MEGABYTE: Final = 1e6
-_PIECE: Final = 256 * 1024
 
 
 def add_file_routes(app: web.Application, start: Start) -> None:
@@ -42,9 +41,13 @@ def add_file_routes(app: web.Application, start: Start) -> None:
         folder = next((f for f in _folders(start.flights) if f.name == request.match_info["name"]), None)
         if folder is None:
             raise web.HTTPNotFound(text="no such flight\n")
-        with tempfile.TemporaryFile() as packed:
+        with tempfile.NamedTemporaryFile(suffix=".zip") as packed:
             await asyncio.to_thread(pack, folder, packed)
-            return await _sent(request, packed, f"{folder.name}.zip")
+            packed.flush()
+            headers = {**HEADERS, "Content-Disposition": f'attachment; filename="{folder.name}.zip"'}
+            answer = web.FileResponse(packed.name, headers=headers)
+            await answer.prepare(request)
+            return answer
 
     async def settings(request: web.Request) -> web.Response:
         _let_in(request, start)
@@ -75,25 +78,6 @@ def pack(folder: Path, packed: IO[bytes]) -> None:
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_STORED) as archive:
         for path in sorted(p for p in folder.rglob("*") if p.is_file()):
             archive.write(path, Path(folder.name) / path.relative_to(folder))
-
-
-async def _sent(request: web.Request, packed: IO[bytes], name: str) -> web.StreamResponse:
-    size = packed.tell()
-    packed.seek(0)
-    answer = web.StreamResponse(
-        headers={
-            "Content-Type": "application/zip",
-            "Content-Length": str(size),
-            "Content-Disposition": f'attachment; filename="{name}"',
-            "X-Content-Type-Options": "nosniff",
-            "Cache-Control": "no-store",
-        }
-    )
-    await answer.prepare(request)
-    while piece := await asyncio.to_thread(packed.read, _PIECE):
-        await answer.write(piece)
-    await answer.write_eof()
-    return answer
 
 
 def _folders(root: Path | None) -> list[Path]:
