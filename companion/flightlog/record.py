@@ -131,7 +131,7 @@ class FlightLog:
         self._start_unix_s, self._keeps = start_unix_s, keeps
         self._frame_period_s = 1.0 / frame_rate_hz
         self._next_frame_s = float("-inf")
-        self._folder = folder
+        self.folder = folder
         self._made_folder = folder is not None and not folder.exists()
         self._files: _Files | None = None
         self._disk: DiskWriter | None = None
@@ -146,10 +146,6 @@ class FlightLog:
                 raise ConfigError(f"--record {folder}: cannot be written: {error.strerror}") from error
             self._disk = DiskWriter(waits=virtual)
             self._files = _Files(self._disk, mcap, tlog, folder)
-
-    @property
-    def folder(self) -> Path | None:
-        return self._folder
 
     @property
     def problem(self) -> str | None:
@@ -231,11 +227,11 @@ class FlightLog:
     def discard(self) -> None:
         """Close the log and remove its files: nothing was flown, and the folder is free for the next try."""
         self.close()
-        if self._folder is not None:
+        if self.folder is not None:
             for name in (*LOG_NAMES, SETTINGS_NAME):
-                (self._folder / name).unlink(missing_ok=True)
+                (self.folder / name).unlink(missing_ok=True)
             if self._made_folder:
-                self._folder.rmdir()
+                self.folder.rmdir()
 
     def _unix_ns(self, time_s: float) -> int:
         return int((self._start_unix_s + time_s) * 1e9)
