@@ -23,7 +23,7 @@ from companion.app.missions import Announcer, Missions
 from companion.app.pacing import LoopMonitor
 from companion.app.sensing import Notify, forced_calibrations
 from companion.app.service.systemd import ServiceNotifier
-from companion.app.stages import STANDBY_WORDS, build_stages
+from companion.app.stages import STANDBY_WORDS, Stages
 from companion.base.autopilots import PROFILES
 from companion.base.clock import Clock, handing_over_soon, infrequent_collection
 from companion.base.messages import (
@@ -230,7 +230,7 @@ class App:
         self._config, self._hardware, self._log, self._on_status = config, hardware, log, on_status
         self._clock = Clock()
         self.announcer = Announcer(self._clock, log, self._deliver)
-        stages = build_stages(config, hardware, log, self._clock, self.announcer.notify)
+        stages = Stages(config, hardware, log, self._clock, self.announcer.notify)
         self._vehicle, self.session, self._timer = stages.vehicle, stages.session, stages.control_timer
         self.estimator, self.sensing, self.sources = stages.estimator, stages.sensing, stages.sources
         self._stamps, self._watch, self._target = stages.stamps, stages.estimate_watch, stages.target

@@ -216,17 +216,16 @@ class AwaitedPort(_AwaitedLine[SerialLine]):
 
     def write(self, data: bytes) -> None:
         """Send; dropped while it is not there."""
-        if self._device is not None:
-            try:
-                self._device.write(data)
-            except OSError:
-                self.close()
+        self._if_there(lambda port: port.write(data))
 
     def set_baud(self, baud: int) -> None:
         """Change the rate of a port that is there."""
+        self._if_there(lambda port: port.set_baud(baud))
+
+    def _if_there(self, act: Callable[[SerialLine], None]) -> None:
         if self._device is not None:
             try:
-                self._device.set_baud(baud)
+                act(self._device)
             except OSError:
                 self.close()
 

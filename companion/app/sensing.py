@@ -85,12 +85,8 @@ def load_used_magnetometer(sense: SenseConfig) -> MagnetometerCalibration | None
     return load_magnetometer_calibration(path, sensor, f"{key}.magnetometer_calibration")
 
 
-class Notify(Protocol):
-    """How a task publishes a notice."""
-
-    def __call__(self, kind: str, text: str, severity: Severity) -> None:
-        """Publish a notice."""
-        ...
+# publishes a notice: its kind, text and severity
+Notify = Callable[[str, str, Severity], None]
 
 
 class FrameProcessor(Protocol):

@@ -3,7 +3,6 @@
 import asyncio
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Final
 
 from companion.app.hardware import Hardware, StampKeeper
@@ -212,74 +211,56 @@ class TargetOutput:
         return []
 
 
-@dataclass(frozen=True, slots=True)
 class Stages:
     """What the tasks of the app work with. The controller follows when the autopilot is known."""
 
-    vehicle: VehicleConfig
-    session: Session
-    estimator: StateEstimator
-    sensing: Sensing
-    sources: SourceWatch
-    control_timer: ControlTimer
-    stamps: StampKeeper
-    estimate_watch: EstimateWatch
-    target: TargetOutput | None  # with `control.output: landing_target`
-    make_planner: Callable[[str | None], Planner]  # of a mission; given why it stands by, if it does
+    def __init__(
+        self, config: CompanionConfig, hardware: Hardware, log: FlightLog, clock: Clock, notify: Notify
+    ) -> None:
+        """Make the stages and write the settings that they use into the log.
 
-
-def build_stages(
-    config: CompanionConfig,
-    hardware: Hardware,
-    log: FlightLog,
-    clock: Clock,
-    notify: Notify,
-) -> Stages:
-    """Make the stages and write the settings that they use into the log.
-
-    Raises:
-        ConfigError: a settings file named in the configuration is missing or wrong.
-    """
-    mount = load_mount(config.mount, config.camera)
-    vehicle = load_vehicle(config.vehicle, config.mount, config.camera)
-    camera = load_model(CameraConfig, find_file("cameras", config.camera))
-    pad = load_pad(config.pad)
-    antenna = config.sense.gps.antenna_position_body_m
-    session = _session(config, hardware.signing)
-    estimator = StateEstimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
-    sensing = Sensing(
-        config,
-        hardware,
-        Vision(pad, camera, vehicle, config.sense.vision),
-        estimator,
-        session.onboard,
-        clock=clock,
-        log=log,
-        notify=notify,
-        frame_time_offset_s=vehicle.camera_time_offset_s,
-    )
-    control_timer = ControlTimer(clock, 1.0 / config.control.rate_hz)
-    sensing.frame_fused = control_timer.frame_fused
-    log.write_settings(
-        config=config,
-        vehicle=vehicle,
-        camera=camera,
-        pad=pad,
-        **sensing.calibrations,
-        **({} if mount is None else {"mount": mount}),
-    )
-    standing_height = StandingHeight(vehicle, config.sense.range.minimum_m)
-    make_planner = _planner_maker(config, vehicle, pad, standing_height)
-    sources = SourceWatch(estimator, session, standing_height, config.estimate, vehicle, notify)
-    stamps = StampKeeper(
-        hardware.stamp_file, hardware.signing, lambda text: notify("signing", text, "warning")
-    )
-    watch = EstimateWatch(estimator, session, log, clock, notify)
-    tells = config.control.output == "landing_target"
-    target = TargetOutput(config.control, pad, estimator, session) if tells else None
-    return Stages(
-        vehicle, session, estimator, sensing, sources, control_timer, stamps, watch, target, make_planner
-    )
+        Raises:
+            ConfigError: a settings file named in the configuration is missing or wrong.
+        """
+        mount = load_mount(config.mount, config.camera)
+        vehicle = self.vehicle = load_vehicle(config.vehicle, config.mount, config.camera)
+        camera = load_model(CameraConfig, find_file("cameras", config.camera))
+        pad = load_pad(config.pad)
+        antenna, half_width_m = config.sense.gps.antenna_position_body_m, 0.5 * min(pad.width_m, pad.length_m)
+        session = self.session = _session(config, hardware.signing)
+        estimator = self.estimator = StateEstimator(config.estimate, vehicle, antenna, half_width_m)
+        self.sensing = Sensing(
+            config,
+            hardware,
+            Vision(pad, camera, vehicle, config.sense.vision),
+            estimator,
+            session.onboard,
+            clock=clock,
+            log=log,
+            notify=notify,
+            frame_time_offset_s=vehicle.camera_time_offset_s,
+        )
+        self.control_timer = ControlTimer(clock, 1.0 / config.control.rate_hz)
+        self.sensing.frame_fused = self.control_timer.frame_fused
+        log.write_settings(
+            config=config,
+            vehicle=vehicle,
+            camera=camera,
+            pad=pad,
+            **self.sensing.calibrations,
+            **({} if mount is None else {"mount": mount}),
+        )
+        standing_height = StandingHeight(vehicle, config.sense.range.minimum_m)
+        # of a mission; given why it stands by, if it does
+        self.make_planner = _planner_maker(config, vehicle, pad, standing_height)
+        self.sources = SourceWatch(estimator, session, standing_height, config.estimate, vehicle, notify)
+        self.stamps = StampKeeper(
+            hardware.stamp_file, hardware.signing, lambda text: notify("signing", text, "warning")
+        )
+        self.estimate_watch = EstimateWatch(estimator, session, log, clock, notify)
+        self.target: TargetOutput | None = None
+        if config.control.output == "landing_target":
+            self.target = TargetOutput(config.control, pad, estimator, session)
 
 
 def _planner_maker(

@@ -9,6 +9,7 @@ import math
 import types
 import typing
 from enum import StrEnum
+from functools import cache
 from typing import Any, Final, Literal, TypeVar, Union
 
 import numpy as np
@@ -28,7 +29,7 @@ def encode(message: Any) -> bytes:
 
 def _fields_of(message: Any) -> dict[str, Any]:
     """What is known, by name; rows as one list."""
-    names, rows = _layout(type(message))
+    names, rows = _layout(type(message))  # type: ignore[arg-type]
     values = {name: value for name in names if (value := getattr(message, name)) is not None}
     for name, value in values.items():
         if hasattr(value, "__dataclass_fields__"):
@@ -40,26 +41,19 @@ def _fields_of(message: Any) -> dict[str, Any]:
     return values
 
 
-_Layout = tuple[tuple[str, ...], tuple[str, ...]]
-_LAYOUTS: Final[dict[type[Any], _Layout]] = {}
-
-
-def _layout(kind: type[Any]) -> _Layout:
+@cache
+def _layout(kind: type[Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The names of all fields, and of those that hold their rows as tuples."""
-    if kind not in _LAYOUTS:
-        if not dataclasses.is_dataclass(kind):
-            raise TypeError(f"cannot log a {kind.__name__}")
-        fields = dataclasses.fields(kind)
-        rows = tuple(item.name for item in fields if str(item.type).startswith("tuple[tuple"))
-        _LAYOUTS[kind] = (tuple(item.name for item in fields), rows)
-    return _LAYOUTS[kind]
+    if not dataclasses.is_dataclass(kind):
+        raise TypeError(f"cannot log a {kind.__name__}")
+    rows = tuple(name for name, annotation, _ in _fields(kind) if annotation.startswith("tuple[tuple"))
+    return tuple(name for name, _, _ in _fields(kind)), rows
 
 
-def columns_of(kind: type[Any], name: str) -> int | None:
-    """How many numbers a row of this field has; None for a field without rows."""
-    (item,) = (item for item in dataclasses.fields(kind) if item.name == name)
-    columns: int | None = item.metadata.get(COLUMNS)
-    return columns
+@cache
+def _fields(kind: type[Any]) -> tuple[tuple[str, str, int | None], ...]:
+    """Of each field its name, its type as it is written, and how many numbers a row of it has."""
+    return tuple((item.name, str(item.type), item.metadata.get(COLUMNS)) for item in dataclasses.fields(kind))
 
 
 def _plain(value: Any) -> Any:
@@ -80,9 +74,9 @@ def decode(kind: type[T], plain: dict[str, Any]) -> T:
         ValueError: an array is not one of numbers.
     """
     values = {
-        item.name: _value(str(item.type), plain[item.name], item.metadata.get(COLUMNS))
-        for item in dataclasses.fields(kind)  # type: ignore[arg-type]
-        if item.name in plain
+        name: _value(annotation, plain[name], columns)
+        for name, annotation, columns in _fields(kind)  # type: ignore[arg-type]
+        if name in plain
     }
     return kind(**values)
 
@@ -114,18 +108,18 @@ _PLAIN: Final[dict[Any, str]] = {float: "number", int: "integer", bool: "boolean
 def schema_of(kind: Any) -> Schema:
     """The schema of a message dataclass, with the fields that are always there as `required`."""
     hints = typing.get_type_hints(kind)
-    fields = dataclasses.fields(kind)
+    fields = _fields(kind)
     return {
         "type": "object",
         "title": kind.__name__,
         "description": (kind.__doc__ or "").partition("\n")[0],
-        "properties": {item.name: _field(kind, item.name, hints[item.name]) for item in fields},
-        "required": [item.name for item in fields if _known(hints[item.name]) is hints[item.name]],
+        "properties": {name: _field(name, hints[name], columns) for name, _, columns in fields},
+        "required": [name for name, _, _ in fields if _known(hints[name]) is hints[name]],
     }
 
 
-def _field(kind: type[Any], name: str, hint: Any) -> Schema:
-    schema = dict(_kind(_known(hint), columns_of(kind, name)))
+def _field(name: str, hint: Any, columns: int | None) -> Schema:
+    schema = dict(_kind(_known(hint), columns))
     words = [*_axes(name, schema), *filter(None, (without_unit(name)[1],))]
     if "description" in schema:
         words.insert(0, schema.pop("description"))

@@ -32,11 +32,10 @@ class RecordedTrack:
 
     def covers(self, times_s: FloatArray) -> FloatArray:
         """Mask (n,) of the times that have a sample on both sides, near enough to interpolate between."""
-        after = np.searchsorted(self.time_s, times_s)
         inside = (times_s >= self.time_s[0]) & (times_s <= self.time_s[-1])
-        after = np.clip(after, 1, len(self.time_s) - 1)
-        exact = self.time_s[np.clip(np.searchsorted(self.time_s, times_s), 0, len(self) - 1)] == times_s
-        near = self.time_s[after] - self.time_s[after - 1] <= TRACK_GAP_S
+        after = np.minimum(np.searchsorted(self.time_s, times_s), len(self) - 1)
+        exact = self.time_s[after] == times_s
+        near = np.diff(self.time_s)[np.maximum(after, 1) - 1] <= TRACK_GAP_S
         return np.asarray(inside & (near | exact))
 
     def at(self, times_s: FloatArray) -> FloatArray:

@@ -30,7 +30,10 @@ MOST_KEPT: Final = 120_000  # messages, whatever their stamps say
 
 
 class FlightsRecorder(FlightLog):
-    """A `FlightLog` of many flights: `begin` and `end` each; without a folder only the meter runs."""
+    """A `FlightLog` of many flights: `begin` and `end` each; without a folder only the meter runs.
+
+    `root` is where the flights' folders are.
+    """
 
     def __init__(
         self,
@@ -44,7 +47,7 @@ class FlightsRecorder(FlightLog):
         """
         super().__init__(None, start_unix_s())
         self._clock_offset_s = start_unix_s
-        self._root, self._make_room = folder, make_room
+        self.root, self._make_room = folder, make_room
         self._opener = ThreadPoolExecutor(1, thread_name_prefix="flight-log-opener")
         if folder is not None:
             self._opener.submit(lambda: None)  # starts its thread now: a flight's begin needs no new one
@@ -57,11 +60,6 @@ class FlightsRecorder(FlightLog):
         self._settings_record: Future[SettingsRecord] | None = None
         self._failed: str | None = None
         self.meter = Meter()
-
-    @property
-    def root(self) -> Path | None:
-        """Where the flights' folders are."""
-        return self._root
 
     @property
     def flight_folder(self) -> Path | None:
@@ -78,9 +76,9 @@ class FlightsRecorder(FlightLog):
     def begin(self) -> None:
         """A flight begins; it is flown also where it cannot be recorded, and `problem` says so."""
         self._failed = None
-        if self._root is None or self._flight is not None or self._opening is not None:
+        if self.root is None or self._flight is not None or self._opening is not None:
             return
-        self._opening = self._opener.submit(self._open, self._root)
+        self._opening = self._opener.submit(self._open, self.root)
 
     def _open(self, root: Path) -> FlightLog:
         if self._ending is not None:
@@ -148,7 +146,7 @@ class FlightsRecorder(FlightLog):
     def write_settings(self, **settings: BaseModel) -> None:
         """See `FlightLog`; every flight's log gets them."""
         self._settings |= settings
-        if self._root is not None:  # made now, on the ground: at an order it would delay control
+        if self.root is not None:  # made now, on the ground: at an order it would delay control
             self._settings_record = self._opener.submit(SettingsRecord.of, dict(self._settings))
         self.tap.know(settings)
 
@@ -181,7 +179,7 @@ class FlightsRecorder(FlightLog):
     ) -> None:
         if (flight := self._opened()) is not None:
             getattr(flight, method)(*arguments)
-        elif self._root is not None:
+        elif self.root is not None:
             minute = self._minute
             minute.append(BufferedCall(time_s, method, arguments))
             while minute and time_s - minute[0].time_s > KEPT_S:

@@ -18,7 +18,7 @@ import struct
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import IO, Any, Final, Literal, NamedTuple, Protocol
+from typing import IO, Any, Final, Literal, NamedTuple
 
 from mcap.writer import CompressionType, Writer
 from pydantic import BaseModel
@@ -52,18 +52,15 @@ def split_packets(data: bytes) -> tuple[list[bytes], bytes]:
         if data[at] not in (MAVLINK1_MAGIC, MAVLINK2_MAGIC):
             at += 1
             continue
-        length = _packet_length(data, at)
-        if length is None or at + length > len(data):
+        if at + 3 > len(data) or at + (length := _packet_length(data, at)) > len(data):
             break
         packets.append(data[at : at + length])
         at += length
     return packets, data[at:]
 
 
-def _packet_length(data: bytes, at: int) -> int | None:
-    """Bytes of the packet that starts at `at`; None while its header is not all there."""
-    if at + 3 > len(data):
-        return None
+def _packet_length(data: bytes, at: int) -> int:
+    """Bytes of the packet that starts at `at`, by its first three."""
     payload = data[at + 1]
     if data[at] == MAVLINK1_MAGIC:
         return payload + 8
@@ -93,25 +90,17 @@ class BufferedCall(NamedTuple):
     arguments: tuple[Any, ...]
 
 
-class Tap(Protocol):
-    """Who hears of all that is logged, on the control loop: whatever it does delays control."""
-
-    def know(self, settings: Mapping[str, BaseModel]) -> None: ...
-    def note(self, topic: str, message: Any, time_s: float) -> None: ...
-    def frame(self, frame: Frame) -> None: ...
-
-
-class NoTap:
-    """Nobody hears."""
+class Tap:
+    """Who hears of all that is logged, on the control loop: whatever it does delays control. Here: nobody."""
 
     def know(self, settings: Mapping[str, BaseModel]) -> None:
-        """See `Tap`."""
+        """The settings that the app flies with."""
 
     def note(self, topic: str, message: Any, time_s: float) -> None:
-        """See `Tap`."""
+        """A message was logged."""
 
     def frame(self, frame: Frame) -> None:
-        """See `Tap`."""
+        """A camera frame, before vision looks at it."""
 
 
 class FlightLog:
@@ -142,11 +131,11 @@ class FlightLog:
         self._start_unix_s, self._keeps = start_unix_s, keeps
         self._frame_period_s = 1.0 / frame_rate_hz
         self._next_frame_s = float("-inf")
-        self._folder = folder
+        self.folder = folder
         self._made_folder = folder is not None and not folder.exists()
         self._files: _Files | None = None
         self._disk: DiskWriter | None = None
-        self.tap: Tap = NoTap()
+        self.tap = Tap()
         if folder is not None:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
@@ -157,10 +146,6 @@ class FlightLog:
                 raise ConfigError(f"--record {folder}: cannot be written: {error.strerror}") from error
             self._disk = DiskWriter(waits=virtual)
             self._files = _Files(self._disk, mcap, tlog, folder)
-
-    @property
-    def folder(self) -> Path | None:
-        return self._folder
 
     @property
     def problem(self) -> str | None:
@@ -242,11 +227,11 @@ class FlightLog:
     def discard(self) -> None:
         """Close the log and remove its files: nothing was flown, and the folder is free for the next try."""
         self.close()
-        if self._folder is not None:
+        if self.folder is not None:
             for name in (*LOG_NAMES, SETTINGS_NAME):
-                (self._folder / name).unlink(missing_ok=True)
+                (self.folder / name).unlink(missing_ok=True)
             if self._made_folder:
-                self._folder.rmdir()
+                self.folder.rmdir()
 
     def _unix_ns(self, time_s: float) -> int:
         return int((self._start_unix_s + time_s) * 1e9)

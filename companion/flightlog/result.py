@@ -31,11 +31,13 @@ _DIGITS: Final = 6
 _TIME_FIELDS: Final = ("time_s", "seen_time_s", "exposure_time_s", "received_s", "done_s")
 
 
-class _Part(BaseModel):
+class ResultPart(BaseModel):
+    """A part of a result contract."""
+
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class FirstContact(_Part):
+class FirstContact(ResultPart):
     """The moment of the first contact, relative to the pad and by truth."""
 
     lateral_error_m: float
@@ -45,13 +47,13 @@ class FirstContact(_Part):
     yaw_error_deg: float
 
 
-class PadResult(_Part):
+class PadResult(ResultPart):
     """The pad's own speed at touchdown (or at the end)."""
 
     speed_m_s: float
 
 
-class PhaseTimes(_Part):
+class PhaseTimes(ResultPart):
     """How long the phases took."""
 
     search_s: float
@@ -60,7 +62,7 @@ class PhaseTimes(_Part):
     total_s: float
 
 
-class CameraResult(_Part):
+class CameraResult(ResultPart):
     """What the camera gave; the error is the sightings', before any filter."""
 
     frames: int
@@ -68,7 +70,7 @@ class CameraResult(_Part):
     relative_position_rmse_m: float | None
 
 
-class EstimateResult(_Part):
+class EstimateResult(ResultPart):
     """Estimates against the truth while airborne."""
 
     attitude_rmse_deg: float | None
@@ -76,7 +78,7 @@ class EstimateResult(_Part):
     pad_velocity_rmse_m_s: float | None
 
 
-class Latency(_Part):
+class Latency(ResultPart):
     """From a frame's mid-exposure to the first setpoint that used it; how late control cycles began."""
 
     exposure_to_setpoint_p50: float | None
@@ -85,7 +87,7 @@ class Latency(_Part):
     cycle_late_p99: float | None = None
 
 
-class ControlResult(_Part):
+class ControlResult(ResultPart):
     """How the tracker fared: its cycles, those without a solution, and how often what left was cut."""
 
     cycles: int = 0
@@ -97,13 +99,13 @@ class ControlResult(_Part):
     iterations_p99: float | None = None
 
 
-class SimResult(_Part):
+class SimResult(ResultPart):
     """How fast the simulation ran."""
 
     real_time_factor: float
 
 
-class ResultEvent(_Part):
+class ResultEvent(ResultPart):
     """Something that happened."""
 
     time_s: float
@@ -111,7 +113,7 @@ class ResultEvent(_Part):
     text: str
 
 
-class Result(_Part):
+class Result(ResultPart):
     """The whole contract."""
 
     scenario: str
@@ -178,9 +180,11 @@ def build_result(
         seed=seed,
         as_built=None if as_built is None else dict(as_built),
         outcome=outcome,
-        touchdown=None if touchdown is None else FirstContact(**{k: _round(v) for k, v in touchdown.items()}),
+        touchdown=None
+        if touchdown is None
+        else FirstContact(**{k: six_decimals(v) for k, v in touchdown.items()}),
         contacts=tuple(map(_rounded, contacts)),
-        pad=PadResult(speed_m_s=_round(pad_speed_m_s)),
+        pad=PadResult(speed_m_s=six_decimals(pad_speed_m_s)),
         time=phase_times(kept.get("plan", ())),
         vision=_vision(kept.get("frame_report", ()), kept.get("sighting", ()), track),
         estimate=_estimate(kept, track),
@@ -188,19 +192,20 @@ def build_result(
         control=control_result(kept.get("control_report", ())),
         sim=SimResult(real_time_factor=round(real_time_factor, 2)),
         events=tuple(
-            ResultEvent(time_s=_round(notice.time_s), kind=notice.kind, text=notice.text)
+            ResultEvent(time_s=six_decimals(notice.time_s), kind=notice.kind, text=notice.text)
             for notice in kept.get("notice", ())
         ),
     )
 
 
-def _round(value: float) -> float:
+def six_decimals(value: float) -> float:
+    """As a contract states it."""
     return round(float(value), _DIGITS)
 
 
 def _rounded(contact: ContactResult) -> ContactResult:
-    numbers: dict[str, Any] = {k: _round(v) for k, v in asdict(contact).items() if isinstance(v, float)}
-    north, east, down = map(_round, contact.position_ned_m)
+    numbers: dict[str, Any] = {k: six_decimals(v) for k, v in asdict(contact).items() if isinstance(v, float)}
+    north, east, down = map(six_decimals, contact.position_ned_m)
     return replace(contact, **numbers, position_ned_m=(north, east, down))
 
 
@@ -211,10 +216,10 @@ def phase_times(plans: Sequence[PlanStep]) -> PhaseTimes:
         spent[now.phase] += following.time_s - now.time_s
     total = plans[-1].time_s - plans[0].time_s if plans else 0.0
     return PhaseTimes(
-        search_s=_round(spent[Phase.SEARCH]),
-        approach_s=_round(spent[Phase.APPROACH]),
-        descent_s=_round(spent[Phase.DESCEND] + spent[Phase.TOUCHDOWN]),
-        total_s=_round(total),
+        search_s=six_decimals(spent[Phase.SEARCH]),
+        approach_s=six_decimals(spent[Phase.APPROACH]),
+        descent_s=six_decimals(spent[Phase.DESCEND] + spent[Phase.TOUCHDOWN]),
+        total_s=six_decimals(total),
     )
 
 
@@ -228,7 +233,7 @@ def control_result(reports: Sequence[ControlReport]) -> ControlResult:
         stopped=sum(report.stopped for report in reports),
         blind=sum(report.blind for report in reports),
         limited=sum(bool(report.limited) for report in reports),
-        iterations_p99=_round(np.percentile(iterations, 99)) if iterations else None,
+        iterations_p99=six_decimals(np.percentile(iterations, 99)) if iterations else None,
     )
 
 
@@ -253,7 +258,7 @@ def _estimate(kept: Mapping[str, Sequence[Any]], track: TruthTrack) -> EstimateR
 
 def _rms(rows: FloatArray) -> float | None:
     """Root mean square of the rows' lengths; None without rows."""
-    return _round(math.sqrt(float(np.mean(np.sum(rows**2, axis=1))))) if len(rows) else None
+    return six_decimals(math.sqrt(float(np.mean(np.sum(rows**2, axis=1))))) if len(rows) else None
 
 
 def latency(setpoints: Sequence[Setpoint], reports: Sequence[ControlReport] = ()) -> Latency:

@@ -24,6 +24,7 @@ from companion.base.messages import (
 from companion.config import CompanionConfig, VehicleConfig
 from companion.flightlog.foxglove.scene import time_to_touchdown_s
 from companion.flightlog.meter import Meter
+from companion.flightlog.record import Tap
 
 TRACK_PERIOD_S: Final = 0.2
 TRACK_S: Final = 120.0
@@ -35,8 +36,8 @@ OLDEST_STATE_S: Final = 0.5
 M = TypeVar("M", VehicleState, PadState)
 
 
-class LiveFeed:
-    """Takes what the log takes (`companion.flightlog.record.Tap`)."""
+class LiveFeed(Tap):
+    """Takes what the log takes."""
 
     def __init__(self, rate_hz: float, meter: Meter | None = None) -> None:
         """At most `rate_hz` pictures a second; `meter` counts already, else one is kept here."""
@@ -63,15 +64,12 @@ class LiveFeed:
         }
 
     def know(self, settings: Mapping[str, BaseModel]) -> None:
-        """The settings that the app flies with."""
         self.settings |= settings
 
     def frame(self, frame: Frame) -> None:
-        """A camera frame, before vision looks at it."""
         self._frame = frame
 
     def note(self, topic: str, message: Any, time_s: float) -> None:
-        """A message was logged."""
         if self._counts:
             self.meter.note(topic, message, time_s)
         take = self._takers.get(topic)

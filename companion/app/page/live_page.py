@@ -20,7 +20,7 @@ from companion.base.clock import Clock, start_unix_s
 from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply
 from companion.config import CameraConfig, CompanionConfig, VehicleConfig
 from companion.flightlog.flights_recorder import FlightsRecorder
-from companion.flightlog.record import FlightLog, NoTap
+from companion.flightlog.record import FlightLog, Tap
 from companion.pad import Pad
 
 SOURCE: Final = "the live page"
@@ -86,7 +86,7 @@ class LivePage:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-            self._log.tap = NoTap()
+            self._log.tap = Tap()
 
     def _start(self, access: Access) -> Start:
         settings = self._feed.settings

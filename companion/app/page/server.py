@@ -20,14 +20,13 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from companion.app.page.access import host_is_ours, own_names, same_origin, same_token
 from companion.app.page.look import Reply, Start, Text
 from companion.base.clock import Clock
-from companion.flightlog.flights import numbered_flights
+from companion.flightlog.flights import numbered_flights, size_bytes
 
 # ---------------------------------------------------------------- what is given to keep
 # The flights' logs as zip files, and the settings to read. Whoever asks shows the token, where there is one,
 # as a bearer's (RFC 6750). Nothing is changed from here.
 
 MEGABYTE: Final = 1e6
-_PIECE: Final = 256 * 1024
 
 
 def add_file_routes(app: web.Application, start: Start) -> None:
@@ -42,9 +41,13 @@ def add_file_routes(app: web.Application, start: Start) -> None:
         folder = next((f for f in _folders(start.flights) if f.name == request.match_info["name"]), None)
         if folder is None:
             raise web.HTTPNotFound(text="no such flight\n")
-        with tempfile.TemporaryFile() as packed:
+        with tempfile.NamedTemporaryFile(suffix=".zip") as packed:
             await asyncio.to_thread(pack, folder, packed)
-            return await _sent(request, packed, f"{folder.name}.zip")
+            packed.flush()
+            headers = {**HEADERS, "Content-Disposition": f'attachment; filename="{folder.name}.zip"'}
+            answer = web.FileResponse(packed.name, headers=headers)
+            await answer.prepare(request)
+            return answer
 
     async def settings(request: web.Request) -> web.Response:
         _let_in(request, start)
@@ -64,7 +67,7 @@ def listed(root: Path | None) -> list[dict[str, Any]]:
     return [
         {
             "name": folder.name,
-            "megabytes": sum(p.stat().st_size for p in folder.rglob("*") if p.is_file()) / MEGABYTE,
+            "megabytes": size_bytes(folder) / MEGABYTE,
         }
         for folder in reversed(_folders(root))
     ]
@@ -77,27 +80,8 @@ def pack(folder: Path, packed: IO[bytes]) -> None:
             archive.write(path, Path(folder.name) / path.relative_to(folder))
 
 
-async def _sent(request: web.Request, packed: IO[bytes], name: str) -> web.StreamResponse:
-    size = packed.tell()
-    packed.seek(0)
-    answer = web.StreamResponse(
-        headers={
-            "Content-Type": "application/zip",
-            "Content-Length": str(size),
-            "Content-Disposition": f'attachment; filename="{name}"',
-            "X-Content-Type-Options": "nosniff",
-            "Cache-Control": "no-store",
-        }
-    )
-    await answer.prepare(request)
-    while piece := await asyncio.to_thread(packed.read, _PIECE):
-        await answer.write(piece)
-    await answer.write_eof()
-    return answer
-
-
 def _folders(root: Path | None) -> list[Path]:
-    return [] if root is None else list(numbered_flights(root))
+    return [] if root is None else numbered_flights(root)
 
 
 def _let_in(request: web.Request, start: Start) -> None:

@@ -4,7 +4,6 @@ import math
 import os
 import resource
 import shutil
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -12,6 +11,7 @@ from typing import Any, Final
 from pydantic import BaseModel, ConfigDict
 
 from companion.app.app import App
+from companion.app.service.systemd import throttled_bits
 from companion.base.messages import InputUse, Notice
 from companion.base.second_sources import SourceState, judged
 from companion.flightlog.meter import Meter, Rate
@@ -22,7 +22,6 @@ from companion.link.codec import Message, computer_status
 _THERMAL: Final = Path("/sys/class/thermal/thermal_zone0/temp")  # 0.001 deg C
 _CLOCK: Final = Path("/sys/devices/system/cpu/cpu0/cpufreq")  # files in kHz
 _MEGABYTE: Final = 1e6
-_VCGENCMD_S: Final = 1.0
 # bits of `vcgencmd get_throttled` that hold now (Raspberry Pi documentation)
 _THROTTLED: Final = {0: "under-voltage", 1: "frequency capped", 2: "throttled", 3: "soft temperature limit"}
 
@@ -88,17 +87,8 @@ def ground_report(status: ComputerStatus, folder: Path | None, unix_s: float, up
 
 def throttled() -> tuple[str, ...] | None:
     """What holds the Raspberry Pi's processor back now; None on another machine. Takes some milliseconds."""
-    program = shutil.which("vcgencmd")
-    if program is None:
-        return None
-    try:
-        said = subprocess.run(
-            [program, "get_throttled"], capture_output=True, text=True, timeout=_VCGENCMD_S, check=True
-        ).stdout
-        bits = int(said.strip().removeprefix("throttled="), 16)
-    except (OSError, ValueError, subprocess.SubprocessError):
-        return None
-    return tuple(words for bit, words in _THROTTLED.items() if bits >> bit & 1)
+    bits = throttled_bits()
+    return None if bits is None else tuple(words for bit, words in _THROTTLED.items() if bits >> bit & 1)
 
 
 def _cpu_s() -> float:

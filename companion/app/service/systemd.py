@@ -9,11 +9,13 @@ import os
 import shutil
 import socket
 import subprocess
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 
 SERVICE: Final = "companion.service"
 PATIENCE_S: Final = 5.0
+VCGENCMD_S: Final = 1.0
 
 
 class ServiceNotifier:
@@ -69,15 +71,23 @@ class ServiceState:
         return self.active in {"active", "activating", "reloading", "deactivating"}
 
 
-def output_of(*words: str) -> str | None:
+def output_of(*words: str, within_s: float = PATIENCE_S) -> str | None:
     """What a program prints; None when there is none, or when it does not end well."""
     if shutil.which(words[0]) is None:
         return None
     try:
-        done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+        done = subprocess.run(words, capture_output=True, text=True, timeout=within_s, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return None
     return done.stdout if done.returncode == 0 else None
+
+
+def throttled_bits() -> int | None:
+    """What a Raspberry Pi says of its supply and its heat, by `vcgencmd get_throttled`; None elsewhere."""
+    said = output_of("vcgencmd", "get_throttled", within_s=VCGENCMD_S) or ""
+    with suppress(ValueError):
+        return int(said.partition("=")[2], 16)
+    return None
 
 
 def service_state() -> ServiceState | None:

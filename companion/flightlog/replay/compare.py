@@ -9,30 +9,26 @@ import math
 from typing import Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from companion.base.geometry import FloatArray, Vector3, ned_from_geodetic, norm
 from companion.base.message_json import encode
-from companion.flightlog.errors import RecordedTrack, settled, track_of
+from companion.flightlog.errors import RecordedTrack, settled
 from companion.flightlog.replay.flight_record import (
     FlightRecord,
     LogKind,
     RecordedReference,
     Source,
     TrackName,
+    tracks_of_states,
 )
 from companion.flightlog.replay.plausible import implausible
 from companion.flightlog.replay.run import Replayed
+from companion.flightlog.result import ResultPart, six_decimals
 
 _STATES_OF_AN_ANSWER: Final = 2  # the vehicle's and the pad's
-_DIGITS: Final = 6
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class ErrorFigures(_Part):
+class ErrorFigures(ResultPart):
     """Of the lengths of the errors."""
 
     rms: float
@@ -41,7 +37,7 @@ class ErrorFigures(_Part):
     samples: int
 
 
-class ReplayErrors(_Part):
+class ReplayErrors(ResultPart):
     """Replay minus reference; None where one of the two has nothing."""
 
     attitude_deg: ErrorFigures | None
@@ -53,21 +49,21 @@ class ReplayErrors(_Part):
     pad_velocity_m_s: ErrorFigures | None
 
 
-class Biases(_Part):
+class Biases(ResultPart):
     """What the EKF makes of the sensors at the end."""
 
     gyro_rad_s: Vector3
     accel_m_s2: Vector3
 
 
-class FieldUsed(_Part):
+class FieldUsed(ResultPart):
     """The Earth's field that the estimators expected, and who says so."""
 
     ned_ut: Vector3
     source: str
 
 
-class Repetition(_Part):
+class Repetition(ResultPart):
     """Whether the states are the recorded ones to the bit; else from when on they are not."""
 
     identical: bool
@@ -75,7 +71,7 @@ class Repetition(_Part):
     differs_from_s: float | None
 
 
-class ReplayResult(_Part):
+class ReplayResult(ResultPart):
     """The whole contract."""
 
     log: str
@@ -150,8 +146,8 @@ def build_result(
     return ReplayResult(
         log=log,
         kind=record.kind,
-        duration_s=_round(record.events[-1].arrival_s - start_s),
-        aligned_after_s=_round(vehicles[0].time_s - first) if vehicles else None,
+        duration_s=six_decimals(record.events[-1].arrival_s - start_s),
+        aligned_after_s=six_decimals(vehicles[0].time_s - first) if vehicles else None,
         settings=settings,
         field=field,
         samples=dict(sorted(replayed.samples.items())),
@@ -199,15 +195,7 @@ def repetition(record: FlightRecord, replayed: Replayed) -> Repetition:
 
 def tracks_of(replayed: Replayed) -> dict[TrackName, RecordedTrack]:
     """The replay's own tracks; the pad's from 2 s after it came into view, while it is in view."""
-    vehicles, pads = replayed.vehicles, settled(replayed.pads)
-    found: dict[TrackName, RecordedTrack | None] = {
-        "attitude": track_of((v.time_s, v.attitude) for v in vehicles),
-        "velocity": track_of((v.time_s, v.velocity_ned_m_s) for v in vehicles),
-        "position": track_of((v.time_s, v.position_ned_m) for v in vehicles if v.origin is not None),
-        "pad_position": track_of((p.time_s, p.relative_position_ned_m) for p in pads),
-        "pad_velocity": track_of((p.time_s, p.velocity_ned_m_s) for p in pads),
-    }
-    return {name: track for name, track in found.items() if track is not None}
+    return tracks_of_states(replayed.vehicles, settled(replayed.pads))
 
 
 def _origin(replayed: Replayed) -> Vector3 | None:
@@ -258,12 +246,8 @@ def _figures(errors: FloatArray) -> ErrorFigures | None:
         return None
     sizes = np.abs(errors)
     return ErrorFigures(
-        rms=_round(math.sqrt(float(np.mean(sizes**2)))),
-        p95=_round(float(np.percentile(sizes, 95))),
-        worst=_round(float(sizes.max())),
+        rms=six_decimals(math.sqrt(float(np.mean(sizes**2)))),
+        p95=six_decimals(float(np.percentile(sizes, 95))),
+        worst=six_decimals(float(sizes.max())),
         samples=len(sizes),
     )
-
-
-def _round(value: float) -> float:
-    return round(float(value), _DIGITS)

@@ -25,7 +25,6 @@ from companion.base.geometry import (
 )
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import ConfigError
-from companion.flightlog.errors import track_of
 from companion.flightlog.replay.flight_record import (
     SECONDS_PER_YEAR,
     UT_PER,
@@ -34,8 +33,9 @@ from companion.flightlog.replay.flight_record import (
     RecordedReference,
     RecordingPlace,
     Sample,
-    Source,
-    TrackName,
+    antenna_by,
+    known_references,
+    known_tracks,
 )
 
 # what the driver assumes of a u-blox receiver when no parameter says otherwise (AP_GPS)
@@ -205,49 +205,32 @@ class _Reading:
     # ------------------------------------------------------------ the end
 
     def finish(self, damage: str | None) -> FlightRecord:
-        references: dict[Source, RecordedReference] = {}
         motion = next((rows for name in EKF_MESSAGES if (rows := self._motion[name])), [])
         recorded = _reference(self._attitudes, self._places)
-        if (velocity := track_of((time_s, v) for time_s, v, _ in motion)) is not None:
-            recorded.tracks["velocity"] = velocity
-        local = track_of((time_s, p) for time_s, _, p in motion)
-        if "position" not in recorded.tracks and local is not None:
-            recorded.tracks["position"] = local
-        truth = _reference(self._true_attitudes, self._true_places)
-        if recorded.tracks:
-            references["recorded"] = recorded
-        if truth.tracks:
-            references["truth"] = truth
+        local = known_tracks(
+            velocity=((time_s, velocity) for time_s, velocity, _ in motion),
+            position=((time_s, position) for time_s, _, position in motion),
+        )
+        recorded = RecordedReference(local | recorded.tracks, recorded.origin)
         return FlightRecord(
             kind="ardupilot",
             events=self._events,
-            references=references,
+            references=known_references(recorded, _reference(self._true_attitudes, self._true_places)),
             place=self._place,
-            antenna_position_body_m=self._antenna(),
+            antenna_position_body_m=antenna_by(self.parameters, "GPS1_POS_", "GPS_POS1_"),
             notes=[damage] if damage else [],
         )
-
-    def _antenna(self) -> Vector3 | None:
-        for prefix in ("GPS1_POS", "GPS_POS1"):
-            if f"{prefix}_X" in self.parameters:
-                x, y, z = (self.parameters.get(f"{prefix}_{axis}", 0.0) for axis in "XYZ")
-                return (x, y, z)
-        return None
 
 
 def _reference(
     attitudes: list[tuple[float, Quaternion]], places: list[tuple[float, Vector3]]
 ) -> RecordedReference:
-    tracks: dict[TrackName, Any] = {}
-    if (attitude := track_of(attitudes)) is not None:
-        tracks["attitude"] = attitude
     known = [(time_s, place) for time_s, place in places if place[0] or place[1]]
-    origin = known[0][1] if known else None
-    if origin is not None:
-        position = track_of((time_s, ned_from_geodetic(*place, origin)) for time_s, place in known)
-        if position is not None:
-            tracks["position"] = position
-    return RecordedReference(tracks, origin if "position" in tracks else None)
+    tracks = known_tracks(
+        attitude=attitudes,
+        position=((time_s, ned_from_geodetic(*place, known[0][1])) for time_s, place in known),
+    )
+    return RecordedReference(tracks, known[0][1] if "position" in tracks else None)
 
 
 def _attitude(m: Any) -> Quaternion:

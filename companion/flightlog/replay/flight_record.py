@@ -5,6 +5,7 @@ Times are seconds of the log's own clock; a sample's `time_s` is when it was mea
 `arrival_s` when the estimators could have had it. NED and FRD, SI units, µT.
 """
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal, NamedTuple
 
@@ -20,7 +21,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import CameraConfig, CompanionConfig, VehicleConfig
-from companion.flightlog.errors import RecordedTrack
+from companion.flightlog.errors import RecordedTrack, track_of
 from companion.pad import Pad
 
 Sample = ImuSample | MagSample | GpsFix | RangeSample | AutopilotAttitude | PadObservation
@@ -96,3 +97,39 @@ class FlightRecord:
     antenna_position_body_m: Vector3 | None = None
     cut: str | None = None
     notes: list[str] = field(default_factory=list)
+
+
+def known_tracks(**samples: Iterable[tuple[float, Sequence[float]]]) -> dict[TrackName, RecordedTrack]:
+    """The tracks by name of (time, row) pairs, of those that have any; see `track_of`."""
+    tracks = {name: track_of(pairs) for name, pairs in samples.items()}
+    return {name: track for name, track in tracks.items() if track is not None}  # type: ignore[misc]
+
+
+def tracks_of_states(
+    vehicles: Sequence[VehicleState], pads: Sequence[PadState]
+) -> dict[TrackName, RecordedTrack]:
+    """The tracks of the estimates; the position's once it has an origin."""
+    return known_tracks(
+        attitude=((v.time_s, v.attitude) for v in vehicles),
+        velocity=((v.time_s, v.velocity_ned_m_s) for v in vehicles),
+        position=((v.time_s, v.position_ned_m) for v in vehicles if v.origin is not None),
+        pad_position=((p.time_s, p.relative_position_ned_m) for p in pads),
+        pad_velocity=((p.time_s, p.velocity_ned_m_s) for p in pads),
+    )
+
+
+def known_references(
+    recorded: RecordedReference, truth: RecordedReference
+) -> dict[Source, RecordedReference]:
+    """Those of the two that have tracks."""
+    found: dict[Source, RecordedReference] = {"recorded": recorded, "truth": truth}
+    return {source: reference for source, reference in found.items() if reference.tracks}
+
+
+def antenna_by(parameters: Mapping[str, float], *prefixes: str) -> Vector3 | None:
+    """Where the GPS antenna is by an autopilot's parameters, of the first names that it has; FRD (m)."""
+    for prefix in prefixes:
+        if f"{prefix}X" in parameters:
+            x, y, z = (float(parameters.get(f"{prefix}{axis}", 0.0)) for axis in "XYZ")
+            return (x, y, z)
+    return None

@@ -25,7 +25,6 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import CameraConfig, CompanionConfig, ConfigError, VehicleConfig, validate_recorded
-from companion.flightlog.errors import RecordedTrack, track_of
 from companion.flightlog.log_file import SETTINGS_RECORD, VERSIONS_RECORD, LogReader
 from companion.flightlog.replay.flight_record import (
     Ask,
@@ -34,8 +33,9 @@ from companion.flightlog.replay.flight_record import (
     RecordedReference,
     ReplaySetup,
     Sample,
-    Source,
-    TrackName,
+    known_references,
+    known_tracks,
+    tracks_of_states,
 )
 from companion.pad import Pad
 
@@ -106,16 +106,11 @@ class _Reading:
     # ------------------------------------------------------------ the end
 
     def finish(self) -> FlightRecord:
-        recorded = _states_reference(self._states)
-        references: dict[Source, RecordedReference] = {"recorded": recorded} if recorded.tracks else {}
-        truth = _truth_reference(self._truth)
-        if truth.tracks:
-            references["truth"] = truth
         seconds = 0.0 if self._first_ns is None else 1e-9 * (self._newest_ns - self._first_ns)
         return FlightRecord(
             kind="companion",
             events=self._events,
-            references=references,
+            references=known_references(_states_reference(self._states), _truth_reference(self._truth)),
             rig=self._rig(),
             states=self._states,
             versions=self._reader.metadata.get(VERSIONS_RECORD, {}),
@@ -151,13 +146,7 @@ def _states_reference(states: list[VehicleState | PadState]) -> RecordedReferenc
     pads = [state for state in states if isinstance(state, PadState)]
     origins = [vehicle.origin for vehicle in vehicles if vehicle.origin is not None]
     return RecordedReference(
-        _tracks(
-            attitude=track_of((v.time_s, v.attitude) for v in vehicles),
-            velocity=track_of((v.time_s, v.velocity_ned_m_s) for v in vehicles),
-            position=track_of((v.time_s, v.position_ned_m) for v in vehicles if v.origin is not None),
-            pad_position=track_of((p.time_s, p.relative_position_ned_m) for p in pads),
-            pad_velocity=track_of((p.time_s, p.velocity_ned_m_s) for p in pads),
-        ),
+        tracks_of_states(vehicles, pads),
         origins[-1] if origins else None,
     )
 
@@ -166,17 +155,13 @@ def _truth_reference(truth: list[Truth]) -> RecordedReference:
     """The truth in the air: on the ground the vehicle does not use the estimates."""
     flown = [record for record in truth if not record.in_contact]
     return RecordedReference(
-        _tracks(
-            attitude=track_of((t.time_s, t.vehicle_attitude) for t in flown),
-            velocity=track_of((t.time_s, t.vehicle_velocity_ned_m_s) for t in flown),
-            position=track_of((t.time_s, t.vehicle_position_ned_m) for t in flown),
-            pad_position=track_of(
+        known_tracks(
+            attitude=((t.time_s, t.vehicle_attitude) for t in flown),
+            velocity=((t.time_s, t.vehicle_velocity_ned_m_s) for t in flown),
+            position=((t.time_s, t.vehicle_position_ned_m) for t in flown),
+            pad_position=(
                 (t.time_s, subtract(t.pad_position_ned_m, t.vehicle_position_ned_m)) for t in flown
             ),
-            pad_velocity=track_of((t.time_s, t.pad_velocity_ned_m_s) for t in flown),
+            pad_velocity=((t.time_s, t.pad_velocity_ned_m_s) for t in flown),
         )
     )
-
-
-def _tracks(**tracks: RecordedTrack | None) -> dict[TrackName, RecordedTrack]:
-    return {name: track for name, track in tracks.items() if track is not None}  # type: ignore[misc]

@@ -144,7 +144,7 @@ def figures(drawing: _Drawing) -> dict[str, tuple[str, go.Figure]]:
     found = {
         "attitude": ("Attitude", _attitude(drawing)),
         "velocity": ("Velocity NED", _vector(drawing, "velocity", "m/s")),
-        "biases": ("Biases, body axes", _biases(drawing.replayed, drawing)),
+        "biases": ("Biases, body axes", _biases(drawing)),
         "refused": ("Measurements refused: not usable, or by the innovation test (_gate)", _refused(drawing)),
     }
     if "position" in drawing.ours:
@@ -190,9 +190,9 @@ def _vector(drawing: _Drawing, name: TrackName, unit: str) -> go.Figure:
     return figure
 
 
-def _biases(replayed: Replayed, drawing: _Drawing) -> go.Figure:
+def _biases(drawing: _Drawing) -> go.Figure:
     """What the EKF makes of gyroscope and accelerometer."""
-    figure, vehicles = _rows(2), replayed.vehicles
+    figure, vehicles = _rows(2), drawing.replayed.vehicles
     times = drawing.seconds(np.array([v.time_s for v in vehicles]))
     gyro = np.degrees([v.gyro_bias_rad_s for v in vehicles])
     accel = np.array([v.accel_bias_m_s2 for v in vehicles])

@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 from companion.base.messages import (
     AutopilotAttitude,
@@ -69,11 +69,14 @@ def replay(
         on_progress: called now and then with the share (0..1) that is done.
     """
     estimator, result = new_estimator(rig), Replayed()
+    takers = _takers(estimator)
     refused_s, asked_s, every = -math.inf, -math.inf, max(len(events) // 100, 1)
     has_asks = any(isinstance(event.item, Ask) for event in events)
     for k, (_, item) in enumerate(events if has_asks else asked_regularly(events)):
         if not isinstance(item, Ask):
-            result.samples[_take(estimator, item)] += 1
+            kind, take = takers[type(item)]
+            take(item)
+            result.samples[kind] += 1
         else:
             asked_s = item.time_s
             _ask(estimator, asked_s, result)
@@ -95,25 +98,16 @@ def _ask(estimator: StateEstimator, time_s: float, result: Replayed) -> None:
             result.states.append(pad)
 
 
-def _take(estimator: StateEstimator, sample: Sample) -> str:
-    """Hand over one sample; returns its kind."""
-    if isinstance(sample, ImuSample):
-        estimator.add_imu(sample)
-        return "imu"
-    if isinstance(sample, MagSample):
-        estimator.add_mag(sample)
-        return "mag"
-    if isinstance(sample, GpsFix):
-        estimator.add_gps(sample)
-        return "gps"
-    if isinstance(sample, RangeSample):
-        estimator.add_range(sample)
-        return "range"
-    if isinstance(sample, AutopilotAttitude):
-        estimator.add_autopilot_attitude(sample)
-        return "autopilot attitude"
-    estimator.observe(sample)
-    return BY_MESSAGE[type(sample)].name
+def _takers(estimator: StateEstimator) -> dict[type[Sample], tuple[str, Callable[[Any], object]]]:
+    """By the type of a sample what its kind is called, and who takes it."""
+    return {
+        ImuSample: ("imu", estimator.add_imu),
+        MagSample: ("mag", estimator.add_mag),
+        GpsFix: ("gps", estimator.add_gps),
+        RangeSample: ("range", estimator.add_range),
+        AutopilotAttitude: ("autopilot attitude", estimator.add_autopilot_attitude),
+        **{message: (kind.name, estimator.observe) for message, kind in BY_MESSAGE.items()},
+    }
 
 
 def asked_regularly(events: Sequence[RecordedEvent], rate_hz: float = ASK_RATE_HZ) -> Iterator[RecordedEvent]:

@@ -19,7 +19,6 @@ from pyulog import ULog
 from companion.base.geometry import FloatArray, Vector3, quat_from_euler, vector3
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import ConfigError
-from companion.flightlog.errors import track_of
 from companion.flightlog.replay.flight_record import (
     SECONDS_PER_YEAR,
     UT_PER,
@@ -27,8 +26,9 @@ from companion.flightlog.replay.flight_record import (
     RecordedEvent,
     RecordedReference,
     RecordingPlace,
-    Source,
-    TrackName,
+    antenna_by,
+    known_references,
+    known_tracks,
 )
 
 # PX4's RELATIVE_TIMESTAMP_INVALID
@@ -59,9 +59,9 @@ def read_ulog(path: Path) -> FlightRecord:
     return FlightRecord(
         kind="px4",
         events=reading.events(),
-        references=reading.references(),
+        references=known_references(reading.reference(""), reading.reference("_groundtruth")),
         place=reading.place(),
-        antenna_position_body_m=reading.antenna(),
+        antenna_position_body_m=antenna_by(log.initial_parameters, *ANTENNAS),
         cut=None if _is_whole(path) else "the log is cut within a message: read up to there",
         notes=["damaged places in the log passed over"] if log.file_corruption else [],
     )
@@ -191,35 +191,20 @@ class _Reading:
             )
         return None
 
-    def antenna(self) -> Vector3 | None:
-        for prefix in ANTENNAS:
-            if f"{prefix}X" in self._parameters:
-                x, y, z = (float(self._parameters[f"{prefix}{axis}"]) for axis in "XYZ")
-                return (x, y, z)
-        return None
-
-    def references(self) -> dict[Source, RecordedReference]:
-        found: dict[Source, RecordedReference] = {}
-        suffixes: dict[Source, str] = {"recorded": "", "truth": "_groundtruth"}
-        for source, suffix in suffixes.items():
-            reference = self._reference(suffix)
-            if reference.tracks:
-                found[source] = reference
-        return found
-
-    def _reference(self, suffix: str) -> RecordedReference:
-        tracks: dict[TrackName, Any] = {}
+    def reference(self, suffix: str) -> RecordedReference:
+        """By PX4's estimates; with the suffix of its simulators by the truth."""
+        samples: dict[str, Any] = {}
         origin = None
         if (data := self._topics.get(f"vehicle_attitude{suffix}")) is not None:
-            tracks["attitude"] = track_of(zip(_times(data), _attitudes(data), strict=True))
+            samples["attitude"] = zip(_times(data), _attitudes(data), strict=True)
         if (data := self._topics.get(f"vehicle_local_position{suffix}")) is not None:
             velocity, position = _columns(data, "vx", "vy", "vz"), _columns(data, "x", "y", "z")
             velocity[~_flags(data, "v_xy_valid", "v_z_valid")] = math.nan
             position[~_flags(data, "xy_valid", "z_valid")] = math.nan
-            tracks["velocity"] = track_of(zip(_times(data), velocity.tolist(), strict=True))
-            tracks["position"] = track_of(zip(_times(data), position.tolist(), strict=True))
+            samples["velocity"] = zip(_times(data), velocity.tolist(), strict=True)
+            samples["position"] = zip(_times(data), position.tolist(), strict=True)
             origin = _origin(data)
-        return RecordedReference({name: track for name, track in tracks.items() if track is not None}, origin)
+        return RecordedReference(known_tracks(**samples), origin)
 
 
 def _times(data: Columns) -> list[float]:

@@ -4,13 +4,14 @@ The truth is drawn where there is one (the simulator's); else the estimates stan
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any, Final
 
 import numpy as np
 import plotly.graph_objects as go
+import plotly.io
 from plotly.subplots import make_subplots
 
 from companion.base.geometry import FloatArray
@@ -21,6 +22,7 @@ from companion.flightlog.report.logged_flight import LoggedFlight
 from companion.flightlog.result import setpoint_delays_s
 from companion.pad.colours import GROUP_COLOURS
 
+plotly.io.templates.default = "plotly_white"
 VEHICLE_COLOUR: Final = "#c0392b"
 PAD_COLOUR: Final = "#27ae60"
 OBSTACLE_COLOUR: Final = "#7f8c8d"
@@ -61,20 +63,16 @@ def figures(
     """
     pass_m, pass_m_s = ((bounds or {}).get(key) for key in ("lateral_error_m", "vertical_speed_m_s"))
     track = TruthTrack(flight.truth) if len(flight.truth) > 1 else None
-    drawings: dict[str, tuple[str, Callable[[], go.Figure | None]]] = {
-        "path": ("Path", lambda: path_figure(flight, track)),
-        "height": (
-            "Height over the pad",
-            lambda: height_figure(flight, track, pass_m_s),
-        ),
-        "lateral": ("Lateral distance", lambda: lateral_figure(flight, track, pass_m)),
-        "velocity": ("Velocity", lambda: velocity_figure(flight)),
-        "stated": ("Stated errors", lambda: stated_figure(flight)),
-        "errors": ("Errors against the truth", lambda: error_figure(flight, track)),
-        "markers": ("Markers", lambda: marker_figure(flight, track)),
-        "latency": ("Latency", lambda: latency_figure(flight)),
+    drawn = {
+        "path": ("Path", path_figure(flight, track)),
+        "height": ("Height over the pad", height_figure(flight, track, pass_m_s)),
+        "lateral": ("Lateral distance", lateral_figure(flight, track, pass_m)),
+        "velocity": ("Velocity", velocity_figure(flight)),
+        "stated": ("Stated errors", stated_figure(flight)),
+        "errors": ("Errors against the truth", error_figure(flight, track)),
+        "markers": ("Markers", marker_figure(flight, track)),
+        "latency": ("Latency", latency_figure(flight)),
     }
-    drawn = {name: (title, draw()) for name, (title, draw) in drawings.items()}
     return {name: (title, figure) for name, (title, figure) in drawn.items() if figure is not None}
 
 
@@ -384,23 +382,30 @@ def phase_spans(plans: Sequence[PlanStep]) -> list[PhaseSpan]:
 
 
 def _over_time(
-    figure: go.Figure, flight: LoggedFlight, track: TruthTrack | None = None, row: int | str = "all"
+    figure: go.Figure, flight: LoggedFlight, track: TruthTrack | None = None, row: int | None = None
 ) -> go.Figure:
-    """The phases behind the curves, their names over the uppermost; lines at the contact and at landed."""
+    """The phases behind the curves, their names over the uppermost; lines at the contact and at landed.
+
+    In all rows, or in one. All at once: plotly copies and checks what is there with each that is added.
+    """
     spans = phase_spans(flight.kept.get("plan", ()))
     seconds = spans[-1].end_s - spans[0].start_s if spans else 0.0
     marks = [("contact", time_s) for time_s in _contacts_s(track)]
     marks += [("landed", span.start_s) for span in spans if span.phase is Phase.LANDED][:1]
-    timed = {"row": row, "col": 1}
-    for name, time_s in marks:
+    shapes, words = list(figure.layout.shapes), list(figure.layout.annotations)
+    for axis in figure.select_yaxes(row=row):
+        y = axis.plotly_name.replace("axis", "")
+        on = {"xref": y.replace("y", "x"), "yref": f"{y} domain", "y0": 0, "y1": 1}
         line = {"color": "black", "dash": "dot", "width": 1}
-        figure.add_vline(x=time_s, line=line, annotation_text=name, annotation_textangle=-90, **timed)
-    for span in spans:
-        look = {"fillcolor": span.colour, "opacity": 0.18, "line_width": 0, "layer": "below"}
-        figure.add_vrect(x0=span.start_s, x1=span.end_s, **look, **timed)
-        if span.end_s - span.start_s > NAMED_SHARE * seconds:
-            figure.add_annotation(**_name_of(span))
-    plain(figure).update_layout(hovermode="x unified", margin_t=NAMES_PX)
+        shapes += [{"type": "line", "x0": time_s, "x1": time_s, "line": line, **on} for _, time_s in marks]
+        band = {"type": "rect", "opacity": 0.18, "line": {"width": 0}, "layer": "below", **on}
+        shapes += [{"x0": s.start_s, "x1": s.end_s, "fillcolor": s.colour, **band} for s in spans]
+        at = {"y": 1, "xref": on["xref"], "yref": on["yref"], "xanchor": "left", "yanchor": "top"}
+        words += [
+            {"x": time_s, "text": name, "textangle": -90, "showarrow": False, **at} for name, time_s in marks
+        ]
+    words += [_name_of(span) for span in spans if span.end_s - span.start_s > NAMED_SHARE * seconds]
+    plain(figure).update_layout(shapes=shapes, annotations=words, hovermode="x unified", margin_t=NAMES_PX)
     return figure
 
 
@@ -430,7 +435,6 @@ def plain(figure: go.Figure) -> go.Figure:
     if figure.layout.height is None:
         figure.update_layout(height=HEIGHT_PX)
     figure.update_layout(
-        template="plotly_white",
         margin={"l": 60, "r": 20, "t": 50, "b": 70},
         legend={
             "orientation": "h",

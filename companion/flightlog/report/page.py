@@ -17,7 +17,7 @@ from companion.base.messages import Outcome
 from companion.config import CompanionConfig
 from companion.flightlog.report.figures import figures
 from companion.flightlog.report.logged_flight import LoggedFlight, SensorRecord
-from companion.flightlog.report.tables import result_rows, stage_text
+from companion.flightlog.report.tables import flight_texts, result_rows
 from companion.flightlog.result import latency, phase_times
 
 PAGE_NAME: Final = "report.html"
@@ -122,25 +122,16 @@ def _said(flight: LoggedFlight) -> str:
 def _verdict_rows(flight: LoggedFlight, bounds: Mapping[str, float]) -> Sequence[Sequence[str]]:
     if flight.result is not None:
         return result_rows(flight.result, bounds)
-    spent = phase_times(flight.kept["plan"])
-    stages_s = (spent.search_s, spent.approach_s, spent.descent_s)
     reports = flight.kept.get("frame_report", ())
     delays = latency(flight.kept.get("setpoint", ()), flight.kept.get("control_report", ()))
-    rows = [
-        ("outcome", flight.outcome, ""),
-        ("search / approach / descent", " / ".join(map(stage_text, stages_s)) + " s", ""),
-        ("whole flight", f"{spent.total_s:.1f} s", ""),
-        ("frames with the pad", f"{sum(r.seen for r in reports)} of {len(reports)}", ""),
-    ]
-    pads = flight.kept.get("pad", ())
-    if pads:
-        rows.append(("from the pad's centre at the end, as estimated", f"{pads[-1].lateral_m:.3f} m", ""))
-    if delays.exposure_to_setpoint_p50 is not None:
-        text = (
-            f"{delays.exposure_to_setpoint_p50:.0f} ms (median), {delays.exposure_to_setpoint_p99:.0f} (p99)"
-        )
-        rows.append(("exposure to setpoint", text, ""))
-    return rows
+    seen, times = sum(report.seen for report in reports), phase_times(flight.kept["plan"])
+    texts = {"outcome": flight.outcome, **flight_texts(times, seen, len(reports))}
+    if pads := flight.kept.get("pad", ()):
+        texts["from the pad's centre at the end, as estimated"] = f"{pads[-1].lateral_m:.3f} m"
+    if (median_ms := delays.exposure_to_setpoint_p50) is not None:
+        text = f"{median_ms:.0f} ms (median), {delays.exposure_to_setpoint_p99:.0f} (p99)"
+        texts["exposure to setpoint"] = text
+    return [(name, text, "") for name, text in texts.items()]
 
 
 SENSOR_COLUMNS: Final = ("", "samples", "a second", "longest gap", "age when used, median", "p99")

@@ -6,7 +6,7 @@ from typing import Final
 from rich.table import Table
 
 from companion.base.units import without_unit
-from companion.flightlog.result import Result
+from companion.flightlog.result import PhaseTimes, Result
 
 # decimals that mean something: a landing is not repeated to the tenth of a millimetre or of a millisecond
 DECIMALS: Final = {"m": 3, "m/s": 2, "°": 1, "ms": 0}
@@ -25,9 +25,15 @@ def result_table(result: Result, bounds: Mapping[str, float]) -> Table:
     return table
 
 
-def stage_text(seconds: float) -> str:
-    """How long a stage took; a dash for one that was never reached."""
-    return f"{seconds:.1f}" if seconds > 0.0 else "-"
+def flight_texts(time: PhaseTimes, frames_with_pad: int, frames: int) -> dict[str, str]:
+    """What is known of every flight; a dash for a stage that was never reached."""
+    stages_s = (time.search_s, time.approach_s, time.descent_s)
+    stages = " / ".join(f"{seconds:.1f}" if seconds > 0.0 else "-" for seconds in stages_s)
+    return {
+        "search / approach / descent": f"{stages} s",
+        "whole flight": f"{time.total_s:.1f} s",
+        "frames with the pad": f"{frames_with_pad} of {frames}",
+    }
 
 
 def result_rows(result: Result, bounds: Mapping[str, float]) -> list[tuple[str, str, str]]:
@@ -39,12 +45,9 @@ def result_rows(result: Result, bounds: Mapping[str, float]) -> list[tuple[str, 
             bound = bounds.get(key)
             limit = "" if bound is None else f"<= {bound:g} {unit}"
             rows.append((f"touchdown {name}", figure(value, unit, bound), limit))
-    spent = (result.time.search_s, result.time.approach_s, result.time.descent_s)
     texts = {
         "pad speed": f"{result.pad.speed_m_s:.2f} m/s",
-        "search / approach / descent": " / ".join(map(stage_text, spent)) + " s",
-        "whole flight": f"{result.time.total_s:.1f} s",
-        "frames with the pad": f"{result.vision.frames_with_pad} of {result.vision.frames}",
+        **flight_texts(result.time, result.vision.frames_with_pad, result.vision.frames),
         "sighting error (rms)": _optional(result.vision.relative_position_rmse_m, "m"),
         "attitude error (rms)": _optional(result.estimate.attitude_rmse_deg, "°"),
         "velocity error (rms)": _optional(result.estimate.velocity_rmse_m_s, "m/s"),

@@ -142,7 +142,7 @@ def draw(image: NDArray[np.uint8], found: Found, pad: Pad, lens: Lens, text: str
     width = max(2, round(2 * unit))
     for detection in found.markers:
         colour = UNUSED if found.view is None else GROUP_COLOURS[detection.marker.group]
-        _lines(picture, detection.corners_px, colour, width, closed=True)
+        _outline(picture, detection.corners_px, colour, width)
         # a dot at the first corner: top left of the code
         first, radius = _fixed(detection.corners_px[0]), round(4 * unit * (1 << SHIFT))
         cv2.circle(picture, first, radius, colour, -1, cv2.LINE_AA, shift=SHIFT)
@@ -150,7 +150,7 @@ def draw(image: NDArray[np.uint8], found: Found, pad: Pad, lens: Lens, text: str
         above[0] = detection.corners_px[:, 0].mean()
         _write(picture, str(detection.marker.id), above, colour, max(0.6 * unit, LEAST_TEXT))
     if found.view is not None:
-        _lines(picture, _seen(lens, found.view, board_outline(pad)), OUTLINE, width, closed=True)
+        _outline(picture, _seen(lens, found.view, board_outline(pad)), OUTLINE, width)
         length_m = AXIS_SHARE * min(pad.length_m, pad.width_m, found.view.distance_m)
         _draw_axes(picture, lens, found.view, length_m, unit)
     bar = round(28 * unit)
@@ -185,14 +185,13 @@ def _draw_axes(picture: Any, lens: Lens, view: PadView, length_m: float, unit: f
             _write(picture, name, end, colour, max(0.5 * unit, LEAST_TEXT))
 
 
-def _lines(
-    picture: Any, pixels: FloatArray, colour: tuple[int, int, int], width: int, *, closed: bool
-) -> None:
-    whole = np.isfinite(pixels).all()
-    points = pixels if whole else pixels[np.isfinite(pixels).all(axis=1)]
+def _outline(picture: Any, pixels: FloatArray, colour: tuple[int, int, int], width: int) -> None:
+    """A closed line; an open one through what the lens can see of it."""
+    whole = bool(np.isfinite(pixels).all())
+    points = pixels[np.isfinite(pixels).all(axis=1)]
     if len(points) > 1:
         fixed = np.rint(points * (1 << SHIFT)).astype(np.int32)
-        cv2.polylines(picture, [fixed], bool(closed and whole), colour, width, cv2.LINE_AA, shift=SHIFT)
+        cv2.polylines(picture, [fixed], whole, colour, width, cv2.LINE_AA, shift=SHIFT)
 
 
 def _fixed(pixel: FloatArray) -> tuple[int, int]:

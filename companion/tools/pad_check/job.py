@@ -16,7 +16,7 @@ from companion.base.formats.mjpeg import serving
 from companion.base.signals import run_until_stopped
 from companion.config import CompanionConfig, ConfigError, load_config
 from companion.sense.vision.opencv import prepare_opencv
-from companion.tools.pad_check.session import Outlets, PadCheck
+from companion.tools.pad_check.session import PadCheck
 from companion.tools.pad_check.wizard import Report, Say
 from companion.tools.preflight.findings import (
     STYLES,
@@ -154,12 +154,14 @@ def check_over_pad(config: Path, json_file: Path | None, *, linked: bool, port: 
 
 
 async def _check(config: CompanionConfig, console: Console, *, linked: bool, port: int | None) -> Report:
+    def say(said: Say) -> None:
+        console.print(line(said), highlight=False, soft_wrap=True)
+
     async with (
         serving(port, lambda text: console.print(text, highlight=False)) as page,
         open_hardware(config, linked=linked) as hardware,
     ):
-        outlets = Outlets(lambda said: console.print(line(said), highlight=False, soft_wrap=True), page)
-        return await PadCheck(config, hardware, outlets, linked=linked).run()
+        return await PadCheck(config, hardware, say, page=page, linked=linked).run()
 
 
 def show(report: Report, console: Console) -> None:

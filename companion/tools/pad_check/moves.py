@@ -21,6 +21,7 @@ from itertools import pairwise
 from typing import Final, TypeVar
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from companion.base.geometry import (
     GRAVITY_M_S2,
@@ -311,16 +312,11 @@ def _rest_to_rest(times_s: FloatArray, accelerations_m_s2: FloatArray) -> FloatA
 
     On the mean of such a time a hand stands still, at no instant of it does it quite.
     """
-    velocities = _integrated(times_s, accelerations_m_s2)
+    velocities = cumulative_trapezoid(accelerations_m_s2, times_s, axis=0, initial=0.0)
     first, last = times_s <= times_s[0] + REST_S, times_s >= times_s[-1] - REST_S
     begin_s, end_s = times_s[first].mean(), times_s[last].mean()
     start, end = velocities[first].mean(axis=0), velocities[last].mean(axis=0)
     share = (times_s - begin_s) / max(end_s - begin_s, REST_S)
-    places = _integrated(times_s, velocities - start - share[:, None] * (end - start))
+    level = velocities - start - share[:, None] * (end - start)
+    places = cumulative_trapezoid(level, times_s, axis=0, initial=0.0)
     return np.asarray(places[last].mean(axis=0) - places[first].mean(axis=0))
-
-
-def _integrated(times_s: FloatArray, values: FloatArray) -> FloatArray:
-    """The integral from the first time on, by trapezoids."""
-    pieces = 0.5 * (values[1:] + values[:-1]) * np.diff(times_s)[:, None]
-    return np.vstack((np.zeros((1, values.shape[1])), np.cumsum(pieces, axis=0)))

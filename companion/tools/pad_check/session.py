@@ -10,7 +10,8 @@ Nothing is asked of the autopilot but its telemetry, and nothing goes on while i
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from functools import partial
 from statistics import median
 from typing import Any, Final
 
@@ -102,14 +103,6 @@ CAMERA_LOOK_S: Final = 2.0  # over which its rate is counted
 ARMED: Final = "the autopilot says armed; expected a disarmed vehicle, best with its propellers off"
 
 
-@dataclass(frozen=True, slots=True)
-class Outlets:
-    """Where the check shows itself."""
-
-    say: Callable[[Say], None]
-    page: MjpegServer = field(default_factory=MjpegServer)
-
-
 class PadCheck:
     """One check over the pad. Make it inside the running loop."""
 
@@ -117,17 +110,21 @@ class PadCheck:
         self,
         config: CompanionConfig,
         hardware: Hardware,
-        outlets: Outlets,
+        say: Callable[[Say], None],
         *,
+        page: MjpegServer | None = None,
         linked: bool = True,
         samples: RecentSamples | None = None,
     ) -> None:
-        """Wire it; `linked`: an autopilot is there and has to be disarmed. `samples`: where they are kept.
+        """Wire it.
+
+        `say` and `page` are where the check shows itself. `linked`: an autopilot is there and has to be
+        disarmed. `samples`: where they are kept.
 
         Raises:
             ConfigError: a settings file named in the configuration is missing or wrong.
         """
-        self._config, self._outlets, self._linked = config, outlets, linked
+        self._config, self._say, self._page, self._linked = config, say, page, linked
         self._clock = Clock()
         vehicle = load_vehicle(config.vehicle, config.mount, config.camera)
         camera = load_model(CameraConfig, find_file("cameras", config.camera))
@@ -161,7 +158,8 @@ class PadCheck:
             ConfigError: the autopilot is armed or silent, or a sensor's settings are wrong.
         """
         works = {**self._sensing.tasks(), "camera's figures": self._camera_task}
-        works["picture"] = self._picture_task
+        if self._page is not None:
+            works["picture"] = partial(self._picture_task, self._page)
         if self._linked:
             works |= {"autopilot link": self._receive_task, "heartbeat": self._link_task}
         try:
@@ -185,7 +183,7 @@ class PadCheck:
         while not wizard.finished:
             self._refuse_armed()
             for said in wizard.step(self._samples, self._clock.now_s(), mirrored=self._mirror.mirrored):
-                self._outlets.say(said)
+                self._say(said)
             await asyncio.sleep(STEP_PERIOD_S)
         return wizard.report()
 
@@ -242,10 +240,9 @@ class PadCheck:
         detail = f"camera: {rate_hz:.1f} frames/s looked at, {1e3 * median(ages_s):.0f} ms old on arrival"
         if isinstance(self._frames, KeptCamera):
             detail += f"; the driver says: {self._frames.read_back}"
-        self._outlets.say(Say(detail))
+        self._say(Say(detail))
 
-    async def _picture_task(self) -> None:
-        page = self._outlets.page
+    async def _picture_task(self, page: MjpegServer) -> None:
         while True:
             await asyncio.sleep(PICTURE_PERIOD_S)
             if page.viewer_count and self._mirror.last is not None and self._wizard is not None:
@@ -260,7 +257,7 @@ class PadCheck:
             self._tell("device_lost", f"{name} lost: {error}", "error")
 
     def _tell(self, kind: str, text: str, severity: Severity) -> None:
-        self._outlets.say(Say(text, "note" if severity == "info" else "bad"))
+        self._say(Say(text, "note" if severity == "info" else "bad"))
 
 
 def _mounting(config: CompanionConfig, vehicle: VehicleConfig) -> Mounting:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import expit, ndtri
 
 from companion.base.geometry import FloatArray
 from companion.base.messages import MarkerGroup
@@ -41,8 +41,8 @@ class RecallModel:
 
     def __call__(self, cell_px: FloatArray, blur_px: FloatArray | float) -> FloatArray:
         """Probability (...) that a marker wholly in view is read, by its cell's width and the blur (px)."""
-        large = _logistic(self.cell_steepness * np.log(cell_px / self.cell_px))
-        sharp = _logistic(self.blur_steepness * np.log(self.blur_cells * cell_px / blur_px))
+        large = expit(self.cell_steepness * np.log(cell_px / self.cell_px))
+        sharp = expit(self.blur_steepness * np.log(self.blur_cells * cell_px / blur_px))
         return np.asarray(self.most * large * sharp)
 
 
@@ -61,10 +61,6 @@ class Optics:
         """
         circle_px = focal_px * self.aperture_m * abs(1.0 / distance_m - 1.0 / self.focus_m)
         return math.hypot(self.lens_blur_px, 0.25 * circle_px, stroke_px / math.sqrt(12.0))
-
-
-def _logistic(x: FloatArray) -> FloatArray:
-    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(x, -50.0, 50.0))))
 
 
 # `python -m experiments pad-recall` with its defaults

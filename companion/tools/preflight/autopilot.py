@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, closing
 from dataclasses import dataclass, field
 from typing import Final
 
 from companion.base.clock import Clock, start_unix_s
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
-from companion.config import CompanionConfig, ConfigError, VehicleConfig
+from companion.config import CompanionConfig, ConfigError, LinkConfig, SenseConfig, VehicleConfig
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec
 from companion.link.session import Session
 from companion.link.signing import signing_of
@@ -29,7 +29,7 @@ from companion.tools.preflight.parameters import (
     Wanted,
     judge_parameters,
     parameter_names,
-    with_changes,
+    with_change,
 )
 from companion.tools.preflight.telemetry import FrameCounter, Heard
 
@@ -57,8 +57,10 @@ async def check_link(config: CompanionConfig, vehicle: VehicleConfig | None) -> 
     """All findings about the autopilot; `vehicle` is None when its file cannot be read."""
     connection = config.link.connection
     try:
-        async with _listening(config) as listener:
-            if not await listener.heartbeat():
+        sense = config.sense if config.sense.source == "autopilot" else None
+        follows_pose = config.control.output == "landing_target"
+        async with listening(config.link, sense, follows_pose=follows_pose) as listener:
+            if not await listener.until(lambda: listener.session.state.connected, HEARTBEAT_PATIENCE_S):
                 return [_silence(listener, connection), *_without_autopilot(_NO_HEARTBEAT)]
             heard = await listener.look(config.control.output)
     except ConfigError as error:
@@ -78,7 +80,8 @@ async def check_link(config: CompanionConfig, vehicle: VehicleConfig | None) -> 
         return [*found, FindingGroup(GROUP).skip("parameters", why)]
     read = heard.parameters
     wanted = Wanted.of(config, vehicle, kind, read.system_id)
-    return found + with_changes(judge_parameters(kind, read.values, wanted), read, wanted)
+    judged = judge_parameters(kind, read.values, wanted)
+    return [*found, *(with_change(finding, read, wanted) for finding in judged)]
 
 
 def without_link(why: str, hint: str) -> list[Finding]:
@@ -93,7 +96,7 @@ def _without_autopilot(why: str, hint: str = NO_HINT) -> list[Finding]:
     ]
 
 
-def _silence(listener: _Listener, connection: str) -> Finding:
+def _silence(listener: LinkListener, connection: str) -> Finding:
     """What a link without the autopilot's heartbeat has instead."""
     session, kind = listener.session, connection.partition(":")[0]
     counters, lead = session.counters, f"{connection}: no heartbeat within {HEARTBEAT_PATIENCE_S:g} s, "
@@ -118,12 +121,13 @@ def _silence(listener: _Listener, connection: str) -> Finding:
 
 
 @dataclass(eq=False)
-class _Listener:
-    """The open link, and what has been heard on it."""
+class LinkListener:
+    """The open link, tended by tasks of its own, and what has been heard on it."""
 
     session: Session
     transport: Transport
     clock: Clock
+    works: tuple[asyncio.Task[None], ...] = ()
     counts: Counter[int] = field(default_factory=Counter)
     samples: Counter[type] = field(default_factory=Counter)
     line: FrameCounter = field(default_factory=FrameCounter)
@@ -154,11 +158,12 @@ class _Listener:
             self.problem = self.session.onboard.watch(self.clock.now_s())
             await asyncio.sleep(WATCH_S)
 
-    async def heartbeat(self) -> bool:
-        until_s = self.clock.now_s() + HEARTBEAT_PATIENCE_S
-        while not self.session.state.connected and self.clock.now_s() < until_s:  # noqa: ASYNC110
+    async def until(self, holds: Callable[[], bool], patience_s: float) -> bool:
+        """Wait until something holds, or so long; whether it does."""
+        until_s = self.clock.now_s() + patience_s
+        while not holds() and self.clock.now_s() < until_s:  # noqa: ASYNC110 - the session tells nobody
             await asyncio.sleep(TICK_S)
-        return self.session.state.connected
+        return holds()
 
     async def look(self, output: Output) -> Heard:
         """Count for a while what comes, and read the parameters meanwhile that this output depends on."""
@@ -190,21 +195,22 @@ class _Listener:
 
 
 @asynccontextmanager
-async def _listening(config: CompanionConfig) -> AsyncIterator[_Listener]:
+async def listening(
+    link: LinkConfig, sense: SenseConfig | None, *, follows_pose: bool
+) -> AsyncIterator[LinkListener]:
     """The link, open and tended; a link that is lost raises OSError at the end of what goes on with it."""
-    link = config.link
     signing = signing_of(link, start_unix_s(virtual=True))
-    sense = config.sense if config.sense.source == "autopilot" else None
-    session = Session(link, sense, signing=signing, follows_pose=config.control.output == "landing_target")
+    session = Session(link, sense, signing=signing, follows_pose=follows_pose)
     with closing(await open_transport(link.connection, link.system_id, signing)) as transport:
-        listener = _Listener(session, transport, Clock())
-        works = [asyncio.create_task(work()) for work in (listener.receive, listener.tick, listener.watch)]
+        listener = LinkListener(session, transport, Clock())
+        works = (listener.receive, listener.tick, listener.watch)
+        listener.works = tuple(asyncio.create_task(work()) for work in works)
         try:
             yield listener
         finally:
-            for work in works:
+            for work in listener.works:
                 work.cancel()
-            ends = await asyncio.gather(*works, return_exceptions=True)
+            ends = await asyncio.gather(*listener.works, return_exceptions=True)
             for end in ends:
                 if isinstance(end, OSError):
                     raise end

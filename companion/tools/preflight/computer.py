@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from companion.app.service.systemd import SERVICE, ServiceState, output_of
+from companion.app.service.systemd import SERVICE, ServiceState, output_of, throttled_bits
 from companion.tools.preflight.findings import Finding, FindingGroup
 
 SERVICE_FOLDER: Final = Path("/var/lib/companion")
@@ -56,10 +56,8 @@ def _disk(folder: Path) -> Finding:
 
 
 def _power() -> Finding:
-    detail = output_of("vcgencmd", "get_throttled")
-    try:
-        bits = int((detail or "").partition("=")[2], 16)
-    except ValueError:
+    bits = throttled_bits()
+    if bits is None:
         return _GROUP.skip("power", "no vcgencmd: not a Raspberry Pi, or not for this user")
     if bits & UNDER_VOLTAGE:
         return _GROUP.fail(

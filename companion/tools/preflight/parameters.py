@@ -429,12 +429,8 @@ HEADER: Final = f"""\
 """
 
 
-def with_changes(findings: Sequence[Finding], read: ParameterReadings, wanted: Wanted) -> list[Finding]:
-    """The findings about parameters; those that differ with what the parameter is to become."""
-    return [_with_change(finding, read, wanted) for finding in findings]
-
-
-def _with_change(finding: Finding, read: ParameterReadings, wanted: Wanted) -> Finding:
+def with_change(finding: Finding, read: ParameterReadings, wanted: Wanted) -> Finding:
+    """The finding about a parameter; of one that differs with what it is to become."""
     value = read.values.get(finding.name)
     if value is None or finding.state not in {FindingState.WARNING, FindingState.FAIL}:
         return finding

@@ -31,7 +31,7 @@ from companion.sense.camera.health import patience_with
 from companion.sense.camera.keeper import KeptCamera, LiveSource
 from companion.sense.vision.pipeline import Vision
 from companion.tools.pad_check.moves import RecentSamples
-from companion.tools.pad_check.session import Outlets, PadCheck
+from companion.tools.pad_check.session import PadCheck
 from companion.tools.pad_check.wizard import Say
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
@@ -436,7 +436,7 @@ def over_the_pad(*, unplugged_from_s: float, until_s: float) -> KeptCamera:
 async def test_the_check_says_how_the_camera_does() -> None:
     said, transport = list[Say](), memory_pair()[0]
     frames = over_the_pad(unplugged_from_s=1e6, until_s=1e6)
-    check = PadCheck(CompanionConfig(), Hardware(transport, frames), Outlets(said.append), linked=False)
+    check = PadCheck(CompanionConfig(), Hardware(transport, frames), said.append, linked=False)
     with suppress(TimeoutError):
         await asyncio.wait_for(check.run(), 4.0)
     (line,) = [line.text for line in said if line.text.startswith("camera")]

@@ -22,8 +22,8 @@ from companion.flightlog.report.command import write_report
 from companion.flightlog.report.figures import PHASE_COLOURS, figures, phase_spans
 from companion.flightlog.report.logged_flight import SensorRecord, read_flight
 from companion.flightlog.report.page import differences, sensor_rows
-from companion.flightlog.report.tables import stage_text
-from companion.flightlog.result import build_result
+from companion.flightlog.report.tables import flight_texts
+from companion.flightlog.result import PhaseTimes, build_result
 from companion.pad.colours import GROUP_COLOURS, bgr
 from tests.browser import DESK, PHONE, browser
 from tests.unit.flightlog.replay.log_files import own_rig
@@ -276,7 +276,12 @@ def test_the_errors_are_those_against_the_truth(tmp_path: Path) -> None:
 
 
 def test_a_stage_that_was_never_reached_has_no_time() -> None:
-    assert [stage_text(seconds) for seconds in (0.0, 4.96)] == ["-", "5.0"]
+    times = PhaseTimes(search_s=0.0, approach_s=4.96, descent_s=0.0, total_s=12.0)
+    assert flight_texts(times, 3, 4) == {
+        "search / approach / descent": "- / 5.0 / - s",
+        "whole flight": "12.0 s",
+        "frames with the pad": "3 of 4",
+    }
 
 
 def test_the_marker_groups_have_one_colour_set() -> None:

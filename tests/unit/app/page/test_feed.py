@@ -29,7 +29,7 @@ from companion.base.messages import (
     Reference,
 )
 from companion.config import CompanionConfig, ConfigError, validate
-from companion.flightlog.record import FlightLog, NoTap
+from companion.flightlog.record import FlightLog, Tap
 from tests.unit.app.page.test_server import START, frame, start
 from tests.unit.flightlog.test_foxglove import SIGHTING, VEHICLE
 from tests.unit.flightlog.test_result import pad_at, vehicle_at
@@ -347,6 +347,6 @@ async def test_pictures_are_made_while_somebody_looks_and_the_plots_begin_with_w
 async def test_without_an_address_the_log_has_no_tap() -> None:
     log = FlightLog(None, 0.0)
     page_of(log, address=None)
-    assert isinstance(log.tap, NoTap)
+    assert type(log.tap) is Tap
     with pytest.raises(ConfigError, match="expected a token"):
         page_of(log, address="0.0.0.0:0")

@@ -19,7 +19,7 @@ from companion.sense.camera.source import FrameSource
 from companion.sim.settings import SIMULATED_HARDWARE
 from companion.tools.pad_check.causes import Mounting
 from companion.tools.pad_check.moves import RecentSamples
-from companion.tools.pad_check.session import Outlets, PadCheck
+from companion.tools.pad_check.session import PadCheck
 from companion.tools.pad_check.wizard import Report, Say
 from sitl.run.in_process import carried
 from sitl.scenario.scenario import Scenario
@@ -166,6 +166,5 @@ async def check(
             imu_bus=vehicle.imu_bus if boards else None,
             range_port=vehicle.range_port if boards else None,
         )
-        outlets = Outlets(said.append)
-        checking = PadCheck(config or settings(), hardware, outlets, linked=linked, samples=heard)
+        checking = PadCheck(config or settings(), hardware, said.append, linked=linked, samples=heard)
         return Checked(await checking.run(), said, heard.all)

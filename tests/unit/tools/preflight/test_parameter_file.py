@@ -22,7 +22,7 @@ from companion.tools.preflight.parameters import (
     Wanted,
     judge_parameters,
     parameter_file,
-    with_changes,
+    with_change,
 )
 
 VEHICLE = load_model(VehicleConfig, find_file("vehicles", "x500"))
@@ -77,7 +77,8 @@ def found(
     kind: AutopilotKind, values: dict[str, float], types: dict[str, int] | None = None
 ) -> list[Finding]:
     read = ParameterReadings(7, values, types or {})
-    return with_changes(judge_parameters(kind, values, wanted(kind)), read, wanted(kind))
+    judged = judge_parameters(kind, values, wanted(kind))
+    return [with_change(finding, read, wanted(kind)) for finding in judged]
 
 
 def as_qgroundcontrol(text: str) -> dict[str, tuple[int, int, float, int]]:

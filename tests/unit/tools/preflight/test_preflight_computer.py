@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from companion.app.service import systemd
 from companion.app.service.systemd import ServiceState
 from companion.config import CompanionConfig
 from companion.tools.preflight import computer, run
@@ -28,7 +29,8 @@ def found(
 ) -> dict[str, Finding]:
     """The findings where these programs answer so."""
     detail = {"timedatectl": "yes\n", "vcgencmd": "throttled=0x0\n", **(answers or {})}
-    monkeypatch.setattr(computer, "output_of", lambda *words: detail.get(words[0]) or None)
+    for module in (computer, systemd):
+        monkeypatch.setattr(module, "output_of", lambda *words, **_: detail.get(words[0]) or None)
     return {finding.name: finding for finding in computer.check_computer(folder, state, now)}
 
 
