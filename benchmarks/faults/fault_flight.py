@@ -19,12 +19,12 @@ from benchmarks.faults.forks import Forks
 from benchmarks.faults.judge import HOLD_MODES, SafetyBounds, SafetyVerdict, judge
 from benchmarks.faults.sent_limits import OBEYED_MODES
 from benchmarks.faults.standing_by import play
-from benchmarks.faults.witness import Commanded, FaultWitness, TruthSample, WitnessedFlight
+from benchmarks.faults.witness import Commanded, FaultWitness, SentSetpoint, TruthSample, WitnessedFlight
 from companion.app.app import App
 from companion.app.hardware import make_own_actions
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import run_in_virtual_time
-from companion.base.messages import VehicleState
+from companion.base.messages import ControlReport, VehicleState
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError
 from companion.flightlog.flights_recorder import FlightsRecorder
 from companion.flightlog.record import FlightLog
@@ -120,8 +120,7 @@ def bounds_of(config: CompanionConfig) -> SafetyBounds:
     """What the settings promise."""
     mission = config.plan.mission
     ceiling_m = float(getattr(mission, "ceiling_m", DEFAULT_CEILING_M))
-    pressed_m_s2 = config.control.maximum_disturbance_m_s2
-    return SafetyBounds(config.control.limits, mission.fence_m, ceiling_m, pressed_m_s2)
+    return SafetyBounds(config.control.limits, mission.fence_m, ceiling_m)
 
 
 def fly(
@@ -211,6 +210,7 @@ async def _fly(
         if plan.reference is not None
     ]
     record.samples = list(with_belief(record.samples, log.kept["vehicle"]))
+    record.setpoints = list(with_pressure(record.setpoints, log.kept["control_report"]))
     record.fault_began = simulation.faults.all_begun
     record.texts = list(simulation.status_text_monitor.texts)
     record.crashed, record.at_rest_on_pad = simulation.world.crashed, simulation.world.at_rest_on_pad
@@ -227,6 +227,19 @@ def with_belief(samples: Sequence[TruthSample], believed: Sequence[VehicleState]
             state, after = after, next(following)
         low_m = 0.0 if state is None else state.position_ned_m[2] - sample.position_ned_m[2]
         yield sample._replace(believed_low_m=low_m)
+
+
+def with_pressure(
+    setpoints: Sequence[SentSetpoint], reports: Sequence[ControlReport]
+) -> Iterator[SentSetpoint]:
+    """The setpoints with what the app felt press on the vehicle by the report of their control cycle."""
+    following = iter((*reports, None))
+    report, after = None, next(following)
+    for sent in setpoints:
+        while after is not None and after.time_s <= sent.time_s:
+            report, after = after, next(following)
+        pressed_m_s2 = 0.0 if report is None else max(0.0, report.disturbance_ned_m_s2[2])
+        yield sent._replace(pressed_m_s2=pressed_m_s2)
 
 
 async def _play(story: StandingBy, app: App, vehicle: InProcess, record: WitnessedFlight) -> None:

@@ -55,16 +55,11 @@ _WARNING: Final = 4
 
 @dataclass(frozen=True, slots=True)
 class SafetyBounds:
-    """What a flight has to keep: the gate's limits, fence and ceiling (m from home, over home).
-
-    `pressed_m_s2`: so much downwards the app may know of that presses on the vehicle; it is met beyond the
-    limit on vertical acceleration.
-    """
+    """What a flight has to keep: the gate's limits, fence and ceiling (m from home, over home)."""
 
     limits: LimitsConfig
     fence_m: float
     ceiling_m: float
-    pressed_m_s2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +79,7 @@ def judge(record: WitnessedFlight, bounds: SafetyBounds) -> SafetyVerdict:
         *_disarmings(record),
         *_strayed(record, bounds),
         *_climbs(record),
-        *broken_limits(record, bounds.limits, bounds.pressed_m_s2),
+        *broken_limits(record, bounds.limits),
         *(
             (*_silent_end(record), *_left_alone(record))
             if record.unasked_from_s is None

@@ -26,11 +26,11 @@ OBEYED_S: Final = 2.0
 ON_SURFACE_M: Final = 0.05
 
 
-def broken_limits(record: WitnessedFlight, limits: LimitsConfig, pressed_m_s2: float = 0.0) -> Iterator[str]:
-    """The first setpoint outside the limits; see `broken_limit`."""
+def broken_limits(record: WitnessedFlight, limits: LimitsConfig) -> Iterator[str]:
+    """The first setpoint outside the limits."""
     where = _Where(record.samples)
     for sent in record.setpoints:
-        broken = broken_limit(sent, limits, pressed_m_s2, in_air=where.in_air(sent.time_s))
+        broken = broken_limit(sent, limits, in_air=where.in_air(sent.time_s))
         if broken:
             yield f"setpoint at {sent.time_s:.1f} s: {broken}"
             return
@@ -67,19 +67,14 @@ class _Where:
         return self._at(time_s) is not None and time_s - self._since_s >= OBEYED_S
 
 
-def broken_limit(
-    sent: SentSetpoint, limits: LimitsConfig, pressed_m_s2: float = 0.0, *, in_air: bool = True
-) -> str:
-    """The limit that a setpoint breaks; empty when none.
-
-    What presses the vehicle down by up to `pressed_m_s2` may be met beyond the limit on acceleration.
-    """
+def broken_limit(sent: SentSetpoint, limits: LimitsConfig, *, in_air: bool = True) -> str:
+    """The limit that a setpoint breaks; empty when none."""
     if not sent.finite:
         return "not finite"
     return next(
         (
             f"{name} {value:.2f}"
-            for name, value, low, high in _bounded(sent, limits, pressed_m_s2, in_air)
+            for name, value, low, high in _bounded(sent, limits, in_air)
             if not low - (ROUNDING - 1.0) * abs(low) <= value <= high * ROUNDING
         ),
         "",
@@ -104,7 +99,7 @@ def broken_change(last: SentSetpoint, sent: SentSetpoint, limits: LimitsConfig) 
 
 
 def _bounded(
-    sent: SentSetpoint, limits: LimitsConfig, pressed_m_s2: float, in_air: bool
+    sent: SentSetpoint, limits: LimitsConfig, in_air: bool
 ) -> Iterator[tuple[str, float, float, float]]:
     """What a setpoint holds, between what it has to lie."""
     yield "tilt (deg)", math.degrees(sent.tilt_rad), 0.0, limits.tilt_deg
@@ -121,4 +116,4 @@ def _bounded(
         north, east, down = sent.acceleration_ned_m_s2
         yield "acceleration (m/s2)", math.hypot(north, east), 0.0, limits.horizontal_acceleration_m_s2
         most = limits.vertical_acceleration_m_s2
-        yield "acceleration down (m/s2)", down, -most - pressed_m_s2, most
+        yield "acceleration down (m/s2)", down, -most - sent.pressed_m_s2, most

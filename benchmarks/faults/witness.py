@@ -61,7 +61,8 @@ class Disarming(NamedTuple):
 class SentSetpoint(NamedTuple):
     """A setpoint as it left the app; None where the message says that it holds no such thing.
 
-    `tilt_ned_m_s2` is the level acceleration that an attitude gives without a vertical one.
+    `tilt_ned_m_s2` is the level acceleration that an attitude gives without a vertical one. `pressed_m_s2`:
+    by so much the app felt the vehicle pressed down, which may be met beyond the limit on acceleration.
     """
 
     time_s: float
@@ -73,6 +74,7 @@ class SentSetpoint(NamedTuple):
     tilt_ned_m_s2: Vector3 | None = None
     thrust: float | None = None
     finite: bool = True
+    pressed_m_s2: float = 0.0
 
 
 class Commanded(NamedTuple):

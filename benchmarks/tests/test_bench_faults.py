@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import pytest
 
+from benchmarks.faults.fault_flight import with_pressure
 from benchmarks.faults.judge import SafetyBounds, SafetyVerdict, judge
+from benchmarks.faults.sent_limits import broken_limit
 from benchmarks.faults.witness import (
     Disarming,
     GroundTouch,
@@ -17,6 +18,7 @@ from benchmarks.faults.witness import (
     local_setpoint,
 )
 from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
+from companion.base.messages import ControlReport
 from companion.config import LimitsConfig
 from companion.link import codec
 from sitl.faults.schedule import AppText
@@ -224,13 +226,18 @@ def test_each_unsafe_thing_is_found(spoil: Callable[[WitnessedFlight], None], wo
 
 
 def test_what_presses_it_down_is_met_beyond_the_limit_on_vertical_acceleration_and_no_further() -> None:
-    record = landing()
     limit = LimitsConfig().vertical_acceleration_m_s2
-    record.setpoints.append(SentSetpoint(30.0, acceleration_ned_m_s2=(0.0, 0.0, -limit - 2.0)))
-    assert "acceleration down" in judge(record, BOUNDS).unsafe[0]
-    assert judge(record, replace(BOUNDS, pressed_m_s2=2.1)) == SafetyVerdict("landed")
-    record.setpoints.append(SentSetpoint(31.0, acceleration_ned_m_s2=(0.0, 0.0, limit + 2.0)))
-    assert "acceleration down" in judge(record, replace(BOUNDS, pressed_m_s2=2.1)).unsafe[0]
+    reports = [ControlReport(k, True, 5, 0.01, disturbance_ned_m_s2=(0.0, 0.0, 2.1 * k)) for k in (0, 1)]
+    up = (0.0, 0.0, -limit - 2.0)
+    early, late = with_pressure([SentSetpoint(t, acceleration_ned_m_s2=up) for t in (0.5, 1.01)], reports)
+    assert "acceleration down" in broken_limit(early, LimitsConfig())
+    assert broken_limit(late, LimitsConfig()) == ""
+    assert "acceleration down" in broken_limit(
+        late._replace(acceleration_ned_m_s2=(0.0, 0.0, -limit - 2.2)), LimitsConfig()
+    )
+    assert "acceleration down" in broken_limit(
+        late._replace(acceleration_ned_m_s2=(0.0, 0.0, limit + 0.1)), LimitsConfig()
+    )
 
 
 def test_gentle_touches_of_the_pad_and_the_autopilots_own_of_the_ground_are_safe() -> None:

@@ -582,7 +582,7 @@ class ControlReport:
     `blind`: for want of IMU samples it flew on by its last motion or the pad's. `cut_s`: for how long in a
     row what was flown is the optimum without constraints, cut to the inputs' bounds. `cycle_late_s` is how
     much later than due the cycle began: the event loop's delay. `failure`: why no plan is flown; "" while
-    one is. `short_of`: what the wind has taken all of for a while ("thrust", "tilt").
+    one is. `short_of`: what there has been too little of for a while ("thrust", "tilt").
     """
 
     time_s: float
