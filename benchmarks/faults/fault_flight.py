@@ -50,8 +50,6 @@ LOOK_S: Final = 0.1
 STANDS_S: Final = 55.0
 # a pad that has just braked rocks what stands on it
 SETTLES_S: Final = 5.0
-# where no setting says how high the vehicle may fly
-DEFAULT_CEILING_M: Final = 40.0
 
 
 # docs/reference/autopilot-parameters.md: what the autopilot is to do when setpoints stop, where a case says
@@ -119,8 +117,7 @@ def judged(run: FaultRun, record: WitnessedFlight, config: CompanionConfig) -> S
 def bounds_of(config: CompanionConfig) -> SafetyBounds:
     """What the settings promise."""
     mission = config.plan.mission
-    ceiling_m = float(getattr(mission, "ceiling_m", DEFAULT_CEILING_M))
-    return SafetyBounds(config.control.limits, mission.fence_m, ceiling_m)
+    return SafetyBounds(config.control.limits, mission.fence_m, mission.ceiling_m)
 
 
 def fly(

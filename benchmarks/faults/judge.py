@@ -3,38 +3,25 @@
 Of the app the judge reads two heights: that of its reference, whose climbs have to be announced, and the
 vehicle's as the app believes it.
 
-Unsafe is a crash; touching anything, the pad included, faster than 0.3 m/s sideways or 0.7 m/s down relative
-to it; touching the ground by the app's setpoints and flying on; disarming in the air; flying outside fence
-or ceiling by the app's setpoints; a climb that was not announced; a setpoint outside the limits; an end
-without a text that says why; an end in the air in a mode that waits for setpoints; "landed" told of a vehicle
-beside the pad; a mode changed that the pilot, or a failsafe, has chosen.
+What is unsafe: docs/results/benchmarks.md, "Faults by phase".
 """
 
 import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 from benchmarks.faults.climbs import unannounced_climbs
-from benchmarks.faults.sent_limits import OBEYED_MODES, broken_limits
+from benchmarks.faults.sent_limits import OBEYED_MODES, ON_SURFACE_M, broken_limits
 from benchmarks.faults.witness import TruthSample, WitnessedFlight
 from companion.config import LimitsConfig
 
 Outcome = Literal["landed", "held", "pilot", "returned", "stands", "not flown", "unsafe"]
-OUTCOMES: Final[tuple[Outcome, ...]] = (
-    "landed",
-    "held",
-    "pilot",
-    "returned",
-    "stands",
-    "not flown",
-    "unsafe",
-)
+OUTCOMES: Final[tuple[Outcome, ...]] = get_args(Outcome)
 
 SIDEWAYS_M_S: Final = 0.3
 DOWN_M_S: Final = 0.7
-ON_SURFACE_M: Final = 0.05
 # what is disarmed and stands may be run over by the pad, which nobody on board can help
 AFTER_DISARMING_S: Final = 1.0
 # the autopilot's own position is off by its GPS

@@ -21,7 +21,7 @@ class Reaction(StrEnum):
     """What follows in flight, where control is ours."""
 
     HAND_BACK = "control returns to the autopilot at once; in the last centimetres by LAND"
-    HAND_BACK_AWAY = "control returns to the autopilot at once, unless the vehicle flies by the pad"
+    HAND_BACK_AWAY = "control returns to the autopilot at once; not in approach, descent or touchdown"
     LEAVE_PAD = "the vehicle climbs clear of the pad, then control returns to the autopilot"
     NOTICE = "a notice"
 
@@ -122,7 +122,7 @@ ROWS: Final = (
     SourceRow(
         Quantity.VELOCITY,
         first="ours",
-        second="the autopilot's and the GPS receiver's",
+        second="the nearer of the autopilot's and the GPS receiver's",
         unit="m/s",
         notice=0.5,
         bound=1.0,

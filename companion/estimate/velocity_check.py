@@ -1,17 +1,16 @@
-"""Judges our horizontal velocity by two others: the GPS receiver's and that of the autopilot's own filter.
+"""Compares our horizontal velocity with two others: the GPS receiver's and that of the autopilot's filter.
 
-An IMU whose board turns on the airframe in flight leads our velocity away by 3 m/s each second (20 deg), and
-fixes that contradict it are refused as a receiver's error at first. The attitude follows seconds later, by
-what the fixes say. The other two velocities show it within about one second.
+If the IMU's board turns by 20 deg in flight, our velocity drifts by 3 m/s each second. Fixes that contradict
+it are refused as outliers at first, and the attitude check follows only seconds later.
 
-Ours is in doubt where both others contradict it, in each report of the last 0.6 s: with one of them wrong, or
-for a moment, two of three agree. Where no fix corrects them both filters err alike, so that the autopilot's
-is taken to be as uncertain as ours. NED, m/s.
+Ours is disputed if both other velocities contradict it in each report of 0.6 s: with one of them wrong, or
+for a moment, two of three agree. Without fixes both filters drift alike, so the autopilot's gets our standard
+deviation. NED, m/s.
 """
 
 import math
 from collections import deque
-from typing import Final, NamedTuple
+from typing import Final
 
 from companion.base.geometry import Vector3
 from companion.base.messages import Quantity, SourceComparison
@@ -22,14 +21,6 @@ FRESH_S: Final = 1.0  # of a report, and of a fix
 OTHER_VELOCITY_STD_M_S: Final = 0.3
 
 
-class _Report(NamedTuple):
-    time_s: float
-    ours: Vector3
-    theirs: Vector3
-    apart_m_s: float  # from ours: the autopilot's, or the receiver's if that is nearer
-    std_m_s: float
-
-
 class VelocityCheck:
     """Feed it every fix, and every report of the autopilot; `comparisons` is what they say."""
 
@@ -38,33 +29,29 @@ class VelocityCheck:
 
     def forget(self) -> None:
         """Begin again: ours has."""
-        self._reports: deque[_Report] = deque(maxlen=REPORTS)
-        self._fix_s, self._fix_apart_m_s = -math.inf, math.inf
+        self._reports: deque[SourceComparison] = deque(maxlen=REPORTS)
+        self._fix: tuple[float, Vector3, Vector3] | None = None
 
     def take_fix(self, time_s: float, ours: Vector3, receivers: Vector3) -> None:
         """Take the receiver's velocity at a time, and ours as it was before that fix."""
-        self._fix_s, self._fix_apart_m_s = time_s, _apart(ours, receivers)
+        self._fix = time_s, ours, receivers
 
     def take(self, time_s: float, ours: Vector3, theirs: Vector3, std_m_s: float) -> None:
         """Take the autopilot's at a time; `std_m_s`: of ours at that time, on an axis."""
         if self._reports and not 0.0 < time_s - self._reports[-1].time_s <= FRESH_S:
             self._reports.clear()
-        apart_m_s = _apart(ours, theirs)
-        if abs(time_s - self._fix_s) <= FRESH_S:
-            apart_m_s = min(apart_m_s, self._fix_apart_m_s)
+        pairs = [(ours[:2], theirs[:2])]
+        if self._fix is not None and abs(time_s - self._fix[0]) <= FRESH_S:
+            pairs.append((self._fix[1][:2], self._fix[2][:2]))
+        nearest = min(pairs, key=lambda pair: math.dist(*pair))
+        first, second = (f"north {north:.1f}, east {east:.1f} m/s" for north, east in nearest)
         std_m_s = math.hypot(std_m_s, std_m_s, OTHER_VELOCITY_STD_M_S)
-        self._reports.append(_Report(time_s, ours, theirs, apart_m_s, std_m_s))
-
-    def comparisons(self, now_s: float) -> tuple[SourceComparison, ...]:
-        """Of the velocities (m/s); none without enough reports lately."""
-        if len(self._reports) < REPORTS or now_s - self._reports[-1].time_s > FRESH_S:
-            return ()
-        least, newest = min(self._reports, key=lambda report: report.apart_m_s), self._reports[-1]
-        ours, theirs = (f"north {v[0]:.1f}, east {v[1]:.1f} m/s" for v in (newest.ours, newest.theirs))
-        return (
-            SourceComparison(newest.time_s, Quantity.VELOCITY, ours, theirs, least.apart_m_s, least.std_m_s),
+        self._reports.append(
+            SourceComparison(time_s, Quantity.VELOCITY, first, second, math.dist(*nearest), std_m_s)
         )
 
-
-def _apart(one: Vector3, other: Vector3) -> float:
-    return math.hypot(one[0] - other[0], one[1] - other[1])
+    def comparisons(self, now_s: float) -> tuple[SourceComparison, ...]:
+        """Of the velocities (m/s), by the report nearest to ours; none without enough of them lately."""
+        if len(self._reports) < REPORTS or now_s - self._reports[-1].time_s > FRESH_S:
+            return ()
+        return (min(self._reports, key=lambda report: report.difference),)

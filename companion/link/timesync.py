@@ -137,7 +137,7 @@ _SETTLED: Final = 5
 _KEPT: Final = 50  # questions whose answer may still come: of 5 s and more
 _RECENT: Final = 3  # answers, of which the quickest tells how late the link is
 _RECENT_S: Final = 3.0
-_RESTART_S: Final = 2.0  # a clock that is off by more is another one
+_ANOTHER_CLOCK_S: Final = 2.0  # a clock that is off by more is another one
 _BACK_S: Final = 0.1  # and so is one that has gone back by more
 _NS: Final = 1e9
 
@@ -158,14 +158,14 @@ class TimeSync:
         return None if self._filter is None else self._filter.line
 
     @property
-    def offset_s(self) -> float | None:
-        """The autopilot's clock minus ours at the newest answer; None before the first."""
-        return None if self._filter is None else self._filter.line.offset_s
-
-    @property
     def settled(self) -> bool:
         """Whether there have been enough answers to choose from since the start, or a restart over there."""
         return self._answers >= _SETTLED
+
+    @property
+    def offset_s(self) -> float | None:
+        """The autopilot's clock minus ours at the newest answer; None before the first."""
+        return None if self._filter is None else self._filter.line.offset_s
 
     @property
     def round_trip_s(self) -> float | None:
@@ -213,7 +213,10 @@ class TimeSync:
             return False  # the questions were under way together: the answers may come in any order
         theirs_s = trip.theirs_s - newest.theirs_s
         passed_s = trip.received_s - newest.sent_s
-        return theirs_s < -_BACK_S or abs(theirs_s - passed_s) > _RESTART_S + trip.length_s + newest.length_s
+        return (
+            theirs_s < -_BACK_S
+            or abs(theirs_s - passed_s) > _ANOTHER_CLOCK_S + trip.length_s + newest.length_s
+        )
 
 
 def clock_ns(now_s: float) -> int:

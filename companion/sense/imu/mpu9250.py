@@ -70,7 +70,6 @@ _SILENT_S: Final = 0.25
 _STUCK_S: Final = 0.5
 _REPEATED_S: Final = 0.05  # and what repeats for longer than this is not handed on: it says nothing new
 _RANGE_ENDS: Final = (-32768, 32767)  # counts; what lies beyond reads as these
-_RATES_AND_FORCES: Final = (0, 1, 2, 4, 5, 6)  # of a frame's words; the temperature is between
 _BUS_PATIENCE_POLLS: Final = 5  # so many polls may fail in a row: 100 ms at 50 Hz, of the FIFO's 180 ms
 # centre of an AK8963 measurement (7.2 ms long) before its end, and the mean wait until it is copied
 _MAG_MEASUREMENT_S: Final = 0.0036
@@ -143,10 +142,9 @@ class Mpu9250:
     def poll(self, now: Callable[[], float]) -> tuple[list[ImuSample], list[MagSample]]:
         """All samples since the last poll, oldest first, stamped with when they were measured.
 
-        Samples at an end of their range are left out where all words are, or for longer than 50 ms. Empty
-        while the chip is being set up (about 0.2 s after `configure` or a fault), and when a bus transaction
-        has failed that the next poll makes up for. The magnetometer follows some 0.3 s later, or never: see
-        `problem`.
+        A saturated sample is passed on for 50 ms at most, and not at all if all six axes are. Empty while the
+        chip is being set up (about 0.2 s after `configure` or a fault), and when a bus transaction has failed
+        that the next poll makes up for. The magnetometer follows some 0.3 s later, or never: see `problem`.
 
         Args:
             now: tells the time (s). It is asked here, on whatever thread this runs, at the moment that the
@@ -154,8 +152,8 @@ class Mpu9250:
 
         Raises:
             SamplesLostError: the FIFO was full or out of step and has been emptied; sampling goes on.
-            SensorError: the bus fails again and again, silence, stuck data, or nothing within the range for
-                0.25 s; the next poll begins to set the chip up anew.
+            SensorError: the bus fails again and again, silence, stuck data, or saturation for 0.25 s; the
+                next poll begins to set the chip up anew.
         """
         try:
             if self._ready:
@@ -253,18 +251,17 @@ class Mpu9250:
             times = self._clock.stamp(read_s, frames)
         else:
             times = [self._clock.stamp_newest(read_s)]
-        at_end = [_words_at_end(words, 7 * k) for k in range(len(times))]
-        if 0 in at_end:
+        saturated = [_saturated(words, 7 * k) for k in range(len(times))]
+        if 0 in saturated:
             self._within_range_s = now_s
-        clipped_s = now_s - self._within_range_s
-        if clipped_s > _SILENT_S:
-            raise SensorError(f"at the end of its range for {clipped_s:.2f} s")
+        lasts_s = now_s - self._within_range_s
+        if lasts_s > _SILENT_S:
+            raise SensorError(f"saturated for {lasts_s:.2f} s")
         if self._same_frames > _REPEATED_S * self._config.rate_hz:
             return []
-        # in a shock an end of the range is nearest to the truth; what lasts, or has all words there, is none
-        most = 0 if clipped_s > _REPEATED_S else len(_RATES_AND_FORCES) - 1
-        times_at = [(time_s, 7 * k) for k, time_s in enumerate(times) if at_end[k] <= most]
-        return [self._sample(time_s, words, at) for time_s, at in times_at]
+        # in a shock the end of the range is nearest to the truth; all axes at once, or for long, are a fault
+        most = 0 if lasts_s > _REPEATED_S else 5
+        return [self._sample(t, words, 7 * k) for k, t in enumerate(times) if saturated[k] <= most]
 
     def _check_alive(self, data: bytes, frames: int) -> None:
         newest = data[-FRAME_BYTES:]
@@ -339,9 +336,9 @@ def _to_body(
     return gyro, accel, field
 
 
-def _words_at_end(words: tuple[int, ...], at: int) -> int:
-    """How many of the frame's rates and forces, its words from `at` on, lie at an end of their range."""
-    return sum(words[at + k] in _RANGE_ENDS for k in _RATES_AND_FORCES)
+def _saturated(words: tuple[int, ...], at: int) -> int:
+    """How many of the six axes of the frame that begins at this word lie at an end of their range."""
+    return sum(word in _RANGE_ENDS for word in (*words[at : at + 3], *words[at + 4 : at + 7]))
 
 
 def _user_control(config: ImuConfig) -> int:

@@ -66,7 +66,7 @@ def test_stamps_are_the_instants_of_measurement(config: ImuConfig, clock_error: 
         ("nack", "Remote I/O error"),
         ("ones", "all ones"),
         ("stuck", "no sample for"),
-        ("saturated", "at the end of its range for 0.2"),
+        ("saturated", "saturated for 0.2"),
     ],
 )
 def test_a_fault_is_reported_in_one_line_and_recovered_from(
