@@ -32,7 +32,8 @@ from companion.base.clock import start_unix_s
 from companion.base.geometry import FloatArray, Vector3, vector3
 from companion.base.magnetic_field import FIRST_YEAR, LAST_YEAR, field_ned_ut
 from companion.config import CompanionConfig, ConfigError
-from companion.config.calibration import MagnetometerCalibration, MagnetometerQuality, Provenance
+from companion.config.calibration import Provenance
+from companion.config.magnetometer import MagnetometerCalibration, MagnetometerQuality
 from companion.flightlog.replay.flight_record import SECONDS_PER_YEAR, RecordingPlace
 
 _LEAST_KEPT: Final = 0.1  # of the samples; fewer are what happened to lie near something

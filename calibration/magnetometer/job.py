@@ -30,7 +30,7 @@ from companion import __version__
 from companion.base.files import must_be_writable, write_atomically
 from companion.base.signals import run_until_stopped
 from companion.config import CompanionConfig, ConfigError, load_config
-from companion.config.calibration import Sensor
+from companion.config.magnetometer import Sensor
 from companion.link.transport import open_transport
 from companion.sense.imu.i2c import open_bus
 

@@ -28,7 +28,7 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import vector3
 from companion.base.messages import GpsFix, ImuSample, MagSample
 from companion.config import CompanionConfig, ConfigError
-from companion.config.calibration import load_magnetometer_calibration
+from companion.config.magnetometer import load_magnetometer_calibration
 from companion.flightlog.replay.dataflash import DataFlashLog
 from companion.flightlog.replay.flight_record import SECONDS_PER_YEAR, UT_PER, RecordingPlace
 from companion.flightlog.replay.mcap_log import read_mcap

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration.magnetometer.ellipsoid import WHOLE, BoolArray, EllipsoidFit, correlation_samples
 from companion.base.geometry import FloatArray
-from companion.config.calibration import Verdict
+from companion.config.magnetometer import Verdict
 
 
 @dataclass(frozen=True, slots=True)

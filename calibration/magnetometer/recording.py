@@ -13,7 +13,7 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import FloatArray, Vector3, matrix_from_quat, quat_from_euler
 from companion.base.messages import ImuSample, MagSample
 from companion.config import ConfigError
-from companion.config.calibration import AXES_OF, Axes, RawUnit, Sensor
+from companion.config.magnetometer import AXES_OF, Axes, RawUnit, Sensor
 from companion.flightlog.replay.flight_record import UT_PER, RecordingPlace
 
 MOST_FIELD: Final = 1e9  # in whatever unit: beyond it stands what no sensor measured

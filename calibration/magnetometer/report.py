@@ -12,7 +12,7 @@ from calibration.magnetometer.calibrate import Calibrated, TrueField
 from calibration.magnetometer.ellipsoid import BoolArray
 from companion.base.files import save_figure
 from companion.base.geometry import FloatArray
-from companion.config.calibration import MagnetometerCalibration
+from companion.config.magnetometer import MagnetometerCalibration
 
 _HEAD: Final = """# A magnetometer's calibration: calibrated = soft_iron (raw - hard_iron),
 # raw in {unit}, {axes} axes. Written by calibrate-magnetometer. {use}

@@ -15,7 +15,7 @@ from calibration.tables import read_arrays, read_text, vectors
 from companion.base.files import cannot_read
 from companion.base.geometry import FloatArray
 from companion.config import ConfigError
-from companion.config.calibration import Sensor
+from companion.config.magnetometer import Sensor
 from companion.flightlog.log_file import log_file
 from companion.flightlog.replay.flight_record import UT_PER
 

@@ -48,7 +48,7 @@ from companion.config import (
     load_model,
     load_mount,
 )
-from companion.config.calibration import MagnetometerCalibration, Sensor, load_magnetometer_calibration
+from companion.config.magnetometer import MagnetometerCalibration, Sensor, load_magnetometer_calibration
 from companion.flightlog.record import FlightLog
 from companion.link.codec import Severity
 from companion.link.telemetry.autopilot_sensors import Sample, TelemetrySensors

@@ -19,7 +19,7 @@ from typing import Final
 from companion.base.geometry import GRAVITY_M_S2, Vector3
 from companion.base.messages import ImuSample, MagSample
 from companion.config import ImuConfig
-from companion.config.calibration import MagnetometerCalibration
+from companion.config.magnetometer import MagnetometerCalibration
 from companion.config.mounting import InertialCalibration
 from companion.sense.imu.ak8963 import Ak8963, BringUp
 from companion.sense.imu.ak8963_path import BypassPath, MasterPath, Waits

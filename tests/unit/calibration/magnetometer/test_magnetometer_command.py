@@ -11,7 +11,7 @@ from calibration.magnetometer import command, job
 from companion.base.geometry import FloatArray
 from companion.base.magnetic_field import field_ned_ut
 from companion.config import ConfigError, load_model
-from companion.config.calibration import MagnetometerCalibration
+from companion.config.magnetometer import MagnetometerCalibration
 from tests.unit.calibration.magnetometer.magnetometer_truth import FIELD_UT, turned
 
 CASE = turned(11, samples=1500)

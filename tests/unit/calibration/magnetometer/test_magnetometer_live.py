@@ -19,7 +19,7 @@ from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.geometry import FloatArray, matrix_from_quat, quat_from_euler
 from companion.base.messages import MagSample
 from companion.config import CompanionConfig, ConfigError, ImuConfig, SenseConfig
-from companion.config.calibration import MagnetometerCalibration, Sensor, load_magnetometer_calibration
+from companion.config.magnetometer import MagnetometerCalibration, Sensor, load_magnetometer_calibration
 from companion.link.transport import memory_pair
 from companion.sense.imu.mpu9250 import Mpu9250
 from sitl.run.in_process import InProcess, carried

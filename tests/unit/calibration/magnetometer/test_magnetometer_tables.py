@@ -22,7 +22,7 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import FloatArray, vector3
 from companion.base.messages import ImuSample, MagSample
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, VehicleConfig, find_file, load_model
-from companion.config.calibration import Sensor
+from companion.config.magnetometer import Sensor
 from companion.flightlog.record import FlightLog
 from companion.link.codec import Codec, mavlink
 from companion.pad import load_pad

@@ -257,13 +257,12 @@ def test_a_twin_is_seen_beside_the_pad(moves: bool) -> None:
 # ---------------------------------------------------------------- sensors and line
 
 
-def test_a_saturated_imu_shows_the_end_of_its_range_on_every_axis() -> None:
+def test_a_saturated_imu_is_at_the_end_of_its_range_on_every_axis_and_no_sample_of_it_counts() -> None:
     heard = fly(3, 4.0, [faults.ImuSaturated(kind="imu_saturated", start_s=2.0, duration_s=1.0)])
-    # at its end on every axis each sample is as the last: the driver hands on the first of them alone
     during = [s for s in heard.imu if 2.005 < s.time_s < 2.9]
     after = [s for s in heard.imu if s.time_s > 3.2]
-    assert during
-    assert {abs(v) > 8.0 for s in during for v in s.rate_body_rad_s} == {True}
+    assert not during
+    assert len(after) > 100
     assert max(abs(v) for s in after for v in s.rate_body_rad_s) < 1.0
 
 
