@@ -176,8 +176,10 @@ def read_yaml(path: Path, key: str | None = None) -> dict[str, Any]:
         raise ConfigError(f"{path}{where}: broken YAML: {problem}") from error
     except ValueError as error:  # a date that there is not
         raise ConfigError(f"{path}: broken YAML: {error}") from error
+    if data is None:
+        return {}  # empty, or all of it is commented out
     if not isinstance(data, dict):
-        raise ConfigError(f"{path}: expected a mapping of keys to values, found {type(data).__name__}")
+        raise ConfigError(f"{path}: expected a mapping of keys to values, found {data!r:.40}")
     return data
 
 

@@ -349,9 +349,12 @@ def timesync(tc1_ns: int, ts1_ns: int) -> Message:
     return mavlink.MAVLink_timesync_message(tc1_ns, ts1_ns)
 
 
+_IN_ASCII: Final = str.maketrans({"±": "+-", "°": "deg", "µ": "u", "²": "2", "³": "3"})
+
+
 def status_texts(text: str, severity: Severity, text_id: int) -> list[Message]:
     """STATUSTEXT in ASCII, in chunks of 50 bytes under `text_id` (1..65535) when the text is longer."""
-    data = text.encode("ascii", "replace")
+    data = text.translate(_IN_ASCII).encode("ascii", "replace")
     chunks = [data[i : i + _TEXT_BYTES] for i in range(0, max(len(data), 1), _TEXT_BYTES)]
     if len(chunks) > 1 and len(chunks[-1]) == _TEXT_BYTES:
         chunks.append(b"")  # a text ends with a chunk that is not full

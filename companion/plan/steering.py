@@ -307,7 +307,7 @@ class PhaseSteering:
         if step.worth_telling:
             doing = "searching" if step.flying else "holding"
             known = self.search.locator.source(now_s)
-            self._say("pad_lost", f"pad lost: {doing} ({known}), position requested", now_s, "warning")
+            self._say("pad_lost", f"pad not in view: {doing} ({known}), position requested", now_s, "warning")
         return (MissionEvent.PAD_SEEN, self._pad.in_words()) if step.seen else None
 
     def _come_in(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:

@@ -29,6 +29,11 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
+@pytest.mark.parametrize("text", ["", "# all of it\n# is commented out\n", "{}\n"])
+def test_a_file_that_sets_nothing_leaves_every_default(tmp_path: Path, text: str) -> None:
+    assert load_config(write(tmp_path, text)) == load_config(write(tmp_path, "plan: {}\n"))
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [

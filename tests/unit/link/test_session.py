@@ -222,6 +222,11 @@ def test_a_notice_becomes_a_status_text() -> None:
     assert [m.text for m in messages] == ["pad lost: climbing by 2 m"]
 
 
+def test_figures_in_a_notice_stay_readable_in_ascii() -> None:
+    [message] = Codec(1).decode(Session(LinkConfig()).send_notice("1.0 ±0.1 m/s², 5° off, 30 µT", "warning"))
+    assert message.text == "1.0 +-0.1 m/s2, 5deg off, 30 uT"
+
+
 def texts_of(flight: SessionFlight) -> list[str]:
     return [m.text for _, m in flight.sent_of("STATUSTEXT")]
 

@@ -344,7 +344,7 @@ def test_a_pad_that_is_not_at_the_waypoint_is_found_by_its_beacon() -> None:
     flight = w.fly(120.0)
     assert flight.phase is Phase.LANDED
     first = flight.told("pad_lost")[0]
-    assert first.startswith("pad lost: holding")
+    assert first.startswith("pad not in view: holding")
     assert first.endswith("position requested")
     assert any("by its beacon" in text for text in flight.told("pad_lost"))
 
