@@ -106,8 +106,9 @@ class PadFilterConfig(StrictModel):
     camera_delay_std_s: float = Field(default=0.03, ge=0.0, le=0.05)
     """Uncertainty of the camera stamps' delay, which is learnt in flight; 0: the delay is known; lower it
     once `calibrate-mount` has measured the delay"""
-    exposure_jitter_s: float = Field(default=0.001, ge=0.0, le=0.1)
-    """Jitter of the exposure time against the IMU's clock; raise it where frames are stamped on arrival"""
+    exposure_jitter_s: float = Field(default=0.003, ge=0.0, le=0.1)
+    """Jitter of the exposure time against the IMU's clock; lower it for a camera that stamps in hardware,
+    raise it for one whose arrivals scatter by more"""
     first_speed_std_m_s: float = Field(default=2.0, gt=0.0, le=20.0)
     """Uncertainty of the pad's speed at the first sighting; raise it for faster pads"""
     range_noise_m: float = Field(default=0.03, gt=0.0, le=1.0)

@@ -87,6 +87,12 @@ def sprint(t: float) -> Vector3:
     return (0.7 * s, 0.7 * s, -7.0 * smooth(t, 5.0, 10.0))
 
 
+def gusts(t: float) -> Vector3:
+    """At 13 m, tilted to and fro by 20 deg, about an axis that turns."""
+    away = 0.25 * smooth(t, 10.0, 16.0) * math.sin(3.8 * t)
+    return (away * math.cos(1.4 * t), away * math.sin(1.4 * t), -13.0 * smooth(t, 5.0, 10.0))
+
+
 def pad_at_rest(t: float) -> Vector3:
     return (1.0, -0.5, 0.0)
 
@@ -141,6 +147,7 @@ class EstimateFlight:
     gps_delay_s: tuple[float, float] = (0.12, 0.25)
     pad_hidden_s: tuple[float, float] = (1e9, 1e9)
     sighting_delay_s: float = 0.08
+    stamp_jitter_s: float = 0.0  # of the sightings' times, standard deviation
     sensors: frozenset[str] = field(default=frozenset({"imu", "mag", "gps", "range", "sighting"}))
 
     # ------------------------------------------------------------ truth
@@ -225,8 +232,17 @@ class EstimateFlight:
         position = vector3(np.array(quat_rotate_inverse(q, vector3(relative))) + std[:3] * noise[:3])
         truth = quat_multiply(quat_conjugate(q), quat_from_euler(0.0, 0.0, self.pad_heading(t)))
         turned = quat_multiply(quat_from_rotation_vector(vector3(std[3:] * noise[3:])), truth)
+        stamped_s = t + self.stamp_jitter_s * float(rng.normal()) if self.stamp_jitter_s else t
         sighting = PadSighting(
-            t, round(t * 30), position, turned, np.diag(std**2), "F", (0, 1), {"F": 2, "M": 0, "C": 0}, 0.3
+            stamped_s,
+            round(t * 30),
+            position,
+            turned,
+            np.diag(std**2),
+            "F",
+            (0, 1),
+            {"F": 2, "M": 0, "C": 0},
+            0.3,
         )
         return [(t + self.sighting_delay_s, sighting)]
 
