@@ -5,6 +5,7 @@ close enough; otherwise the optimum without constraints is used, limited to the 
 out, or there is no result, the last answer is used further. m, s, m/s2.
 """
 
+import math
 from collections.abc import Collection
 
 from companion.control.tracking import SolveOutcome, TrackingSolution
@@ -43,11 +44,13 @@ class SolverHealth:
         self.short_of = ""  # for longer than a gust
 
     def note(self, solution: TrackingSolution) -> None:
-        """Count how often in a row it came to this."""
+        """Count how often in a row it came to this, and how much more often than not it was short."""
         self._kept = self._kept + 1 if solution.outcome is SolveOutcome.KEPT else 0
         self._cut = self._cut + 1 if solution.outcome is SolveOutcome.CUT else 0
-        self._short = self._short + 1 if solution.short_of else 0
-        self.short_of = solution.short_of if self._short / self._rate_hz >= GUST_S else ""
+        # a cumulative sum: a turbulent wind takes all there is, lets go and takes it again
+        most = math.ceil(GUST_S * self._rate_hz)
+        self._short = min(most, self._short + 1) if solution.short_of else max(0, self._short - 1)
+        self.short_of = solution.short_of if self._short == most else ""
 
     @property
     def stopped(self) -> bool:

@@ -93,3 +93,12 @@ def test_what_a_gust_takes_is_not_told(lasts_s: float, short: bool) -> None:
     for _ in range(round(lasts_s * RATE_HZ)):
         health.note(answer(SolveOutcome.SOLVED, short_of="thrust"))
     assert health.short_of == ("thrust" if short else "")
+
+
+@pytest.mark.parametrize(("share", "short"), [(0.4, False), (0.7, True)])
+def test_a_turbulent_wind_that_takes_all_more_often_than_not_is_told(share: float, short: bool) -> None:
+    health, told = SolverHealth(RATE_HZ), set[str]()
+    for k in range(round(20.0 * RATE_HZ)):
+        health.note(answer(SolveOutcome.SOLVED, short_of="tilt" if k % 10 < 10.0 * share else ""))
+        told.add(health.short_of)
+    assert ("tilt" in told) is short
