@@ -54,7 +54,8 @@ class LimitsGate:
     ) -> tuple[Setpoint, tuple[str, ...]]:
         """The setpoint within all bounds, stamped `now_s`, and the names of the bounds that it broke.
 
-        `on_ground` lifts the least thrust: there none at all is what shows the autopilot that it has landed.
+        `on_ground` lifts the least thrust, and the bound on acceleration downwards: there no thrust at all is
+        what shows the autopilot that it has landed.
         What presses it down by `pressed_m_s2` may be met beyond the bound on vertical acceleration.
 
         The stamp never runs backwards. After a `reset` nothing is known to have been sent, and the bounds on
@@ -70,7 +71,11 @@ class LimitsGate:
             time_s=time_s,
             velocity_ned_m_s=self._velocity(setpoint.velocity_ned_m_s, broken),
             acceleration_ned_m_s2=self._acceleration(
-                setpoint.acceleration_ned_m_s2, max(0.0, pressed_m_s2), step_s, broken
+                setpoint.acceleration_ned_m_s2,
+                step_s,
+                broken,
+                pressed_m_s2=max(0.0, pressed_m_s2),
+                on_ground=on_ground,
             ),
             heading_rad=heading,
             heading_rate_rad_s=self._heading_rate(setpoint.heading_rate_rad_s, broken),
@@ -102,12 +107,19 @@ class LimitsGate:
         return (x, y, _between(velocity[2], low, high, "vertical_speed", broken))
 
     def _acceleration(
-        self, acceleration: Vector3, pressed_m_s2: float, step_s: float, broken: list[str]
+        self,
+        acceleration: Vector3,
+        step_s: float,
+        broken: list[str],
+        *,
+        pressed_m_s2: float,
+        on_ground: bool,
     ) -> Vector3:
-        most = min(self._config.horizontal_acceleration_m_s2, self._by_tilt_m_s2)
-        x, y = _within(acceleration[0], acceleration[1], most, "horizontal_acceleration", broken)
+        side = min(self._config.horizontal_acceleration_m_s2, self._by_tilt_m_s2)
+        x, y = _within(acceleration[0], acceleration[1], side, "horizontal_acceleration", broken)
         bound = self._config.vertical_acceleration_m_s2
-        z = _between(acceleration[2], -bound - pressed_m_s2, bound, "vertical_acceleration", broken)
+        most = GRAVITY_M_S2 if on_ground else bound
+        z = _between(acceleration[2], -bound - pressed_m_s2, most, "vertical_acceleration", broken)
         last = self._last.acceleration_ned_m_s2 if self._last else None
         return self._slewed((x, y, z), last, step_s, "jerk", broken)
 

@@ -31,6 +31,9 @@ from companion.control.attitude import (
 from companion.control.response.flight_model import advance
 
 GROUND_THRUST: Final = 0.0  # on the ground: ArduPilot has landed at none alone
+# With it and `ground_descent_m_s` PX4's velocity loop (MPC_Z_VEL_P_ACC 4) asks for 9 m/s2 down: its least
+# thrust. A horizontal velocity loop beside it would turn the least error into a large tilt of what is left.
+GROUND_PRESS_M_S2: Final = 5.0
 # A reference that waits over the pad moves by less.
 _SINKS_M_S: Final = 0.05
 # Blind it goes down nearly as firmly as the final descent ever does: what it does not see adds up.
@@ -126,9 +129,10 @@ def ground_setpoint(now_s: float, config: ControlConfig, pad: PadState | None, h
     """Rest on the pad: press down, so that the autopilot takes the thrust away, and do not tilt.
 
     Where the autopilot skips its horizontal velocity loop in the air it skips it here, too: that integral
-    is from when it last held against the wind, and would tilt a standing vehicle over its feet.
+    is from when it last held against the wind, and would tilt a standing vehicle over its feet. Then nearly
+    all of the thrust may go at once: feet that carry half of the weight slide in a wind.
     """
-    along = pad.velocity_ned_m_s if pad else ZERO3
+    along, holds = pad.velocity_ned_m_s if pad else ZERO3, config.setpoint != "acceleration"
     if config.setpoint == "attitude":
         return Setpoint(
             time_s=now_s,
@@ -140,9 +144,9 @@ def ground_setpoint(now_s: float, config: ControlConfig, pad: PadState | None, h
     return Setpoint(
         time_s=now_s,
         velocity_ned_m_s=(along[0], along[1], config.ground_descent_m_s),
-        acceleration_ned_m_s2=(0.0, 0.0, config.ground_acceleration_m_s2),
+        acceleration_ned_m_s2=(0.0, 0.0, config.ground_acceleration_m_s2 if holds else GROUND_PRESS_M_S2),
         heading_rad=heading.heading_rad,
-        holds_horizontal_velocity=config.setpoint != "acceleration",
+        holds_horizontal_velocity=holds,
     )
 
 

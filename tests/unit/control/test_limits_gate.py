@@ -294,6 +294,11 @@ def test_on_the_ground_alone_the_thrust_may_go_to_nothing() -> None:
     assert broken == ("thrust",)
     full = Setpoint(0.0, attitude=IDENTITY, thrust=1.0)
     assert _gate().apply(full, 0.0, on_ground=True)[0].thrust == CONFIG.maximum_thrust
+    pressed = Setpoint(0.0, acceleration_ned_m_s2=(0.0, 0.0, 12.0))
+    limited, broken = _gate().apply(pressed, 0.0, on_ground=True)
+    assert limited.acceleration_ned_m_s2 == (0.0, 0.0, GRAVITY_M_S2)
+    assert broken == ("vertical_acceleration",)
+    assert _gate().apply(pressed, 0.0)[0].acceleration_ned_m_s2[2] == CONFIG.vertical_acceleration_m_s2
 
 
 @pytest.mark.parametrize(("speed_m_s", "sent"), [(5.99, False), (6.01, True)])
