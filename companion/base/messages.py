@@ -518,7 +518,8 @@ class PlanStep:
     """What the planner makes of one cycle. No reference: no setpoint leaves.
 
     `on_ground`: the thrust is taken away, on the pad in the state STAND or AUTO_LAND. `unloading`: the share
-    of the thrust (0 to 1) to take away, since the feet may stand.
+    of the thrust (0 to 1) to take away, since the feet may stand. `feet_near`: so low that what holds it up
+    may be what the feet stand on.
     """
 
     time_s: float
@@ -531,6 +532,7 @@ class PlanStep:
     on_ground: bool = False
     conditions: Conditions | None = None
     unloading: float = 0.0
+    feet_near: bool = False
 
 
 # ---------------------------------------------------------------- control

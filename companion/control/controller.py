@@ -158,7 +158,7 @@ class Controller:
         if vehicle.imu_age_s > BLIND_S:
             return self._wait_for_imu(plan, plan.reference, vehicle, pad, now_s, obeyed=obeyed)
         if self._flying and not self._stopped:
-            self._plant.observe(vehicle, elapsed_s, learns=link.fresh)
+            self._plant.observe(vehicle, elapsed_s, learns=link.fresh, feet_near=plan.feet_near)
         else:
             self._begin(vehicle)
         return self._fly(plan, plan.reference, vehicle, pad, now_s, learns=link.fresh, obeyed=obeyed)

@@ -83,6 +83,7 @@ class SlowDisturbanceObserver:
         """Start again from what the thrust makes by now, all as commanded, and an estimate of what lasts."""
         x, y, z = map(_Axis, self._bandwidths_rad_s, velocity_ned_m_s, made_ned_m_s2, lasting_ned_m_s2)
         self._axes = (x, y, z)
+        self._free_down_m_s2 = z.lasting  # when nothing but air was under the feet
 
     @property
     def lasting_ned_m_s2(self) -> Vector3:
@@ -108,14 +109,27 @@ class SlowDisturbanceObserver:
             for axis, wanted, lag_s in zip(self._axes, wanted_ned_m_s2, self._lags_s, strict=True):
                 axis.predict(wanted, duration_s, lag_s, self._sensor_lag_s)
 
-    def correct(self, velocity: Vector3, acceleration: Vector3, thrust: Vector3, elapsed_s: float) -> None:
+    def correct(
+        self,
+        velocity: Vector3,
+        acceleration: Vector3,
+        thrust: Vector3,
+        elapsed_s: float,
+        *,
+        feet_near: bool = False,
+    ) -> None:
         """Take in measured velocity, acceleration and what the thrust made, as late as the acceleration.
 
-        A measurement that is not finite is passed over.
+        A measurement that is not finite is passed over. With `feet_near` nothing that holds it up is learnt.
         """
         if all(map(math.isfinite, (*velocity, *acceleration, *thrust))):
             for axis, v, a, f in zip(self._axes, velocity, acceleration, thrust, strict=True):
                 axis.correct(v, a, f, elapsed_s, self._maximum_m_s2)
+        down = self._axes[2]
+        if not feet_near:
+            self._free_down_m_s2 = down.lasting
+        # a downdraught that was known may end: that it holds up less is no surface
+        down.lasting = max(down.lasting, min(0.0, self._free_down_m_s2))
 
     def keep(self, velocity_ned_m_s: Vector3) -> None:
         """Keep what lasts: whether the commands are flown is not known."""

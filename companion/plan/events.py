@@ -57,6 +57,7 @@ class MissionEvent(StrEnum):
     COMPUTER_LATE = "computer_late"  # ours is too slow to fly by
     LINK_LATE = "link_late"  # answers come, but too late to fly by
     RIVAL = "rival"  # somebody else sends setpoints to the vehicle
+    TIPPED_OVER = "tipped_over"  # it lies on its side, by both attitudes and by what is felt
     ESTIMATE_LOST = "estimate_lost"
     CONTROL_FAILED = "control_failed"  # the controller finds no plan, and has long commanded to stop
     VELOCITY_UNCERTAIN = "velocity_uncertain"  # ours, though there is an estimate

@@ -57,6 +57,9 @@ GAP_S: Final = 10.0  # a link that is silent for longer has gone for good
 
 __all__ = ["PlanInputs", "Planner"]
 
+# while one of these is acted upon no other event of the cycle counts
+_NOTHING_ELSE = frozenset({MissionEvent.REFUSED, MissionEvent.TIPPED_OVER})
+
 
 class Planner:
     """One mission, from connecting to standing on the pad.
@@ -178,8 +181,9 @@ class Planner:
             notices=tuple(self._notices),
             speed_m_s=self._generator.speed_m_s,
             time_to_go_s=self._generator.time_to_go_s,
-            on_ground=self._steering.presses_down,
+            on_ground=self._steering.presses_down or (self._monitor.lies and self._generator.active),
             unloading=self._steering.unloading,
+            feet_near=self._steering.feet_near(inputs.range, now_s),
             conditions=conditions if self.phase in PACED else None,
         )
 
@@ -246,7 +250,7 @@ class Planner:
         before = self._machine.state
         for event, reason in self._failsafes(inputs, now_s):
             self._take(event, reason, inputs, now_s)
-            if self._machine.state is not before or event is MissionEvent.REFUSED:
+            if self._machine.state is not before or event in _NOTHING_ELSE:
                 break
         else:
             detected = self._steering.steer(inputs, now_s)
@@ -329,6 +333,8 @@ class Planner:
             and (fell := self._not_standing(inputs, now_s))
         ):
             reason = f"{reason}, no landing: {fell}"
+        elif event is MissionEvent.DISARMED and self._monitor.lies:
+            reason = f"{reason}, tipped over"
         branch = machine.follows(event, self._circumstances(inputs, now_s)) if TABLE[state, event] else None
         if branch is None:
             if event is MissionEvent.COMMIT:
@@ -345,6 +351,8 @@ class Planner:
                 self._monitor.phase_begins(now_s)
             self._steering.enter(branch, state, had, inputs, now_s)
         self._carry_out(branch, reason, inputs, now_s)
+        if event is MissionEvent.TIPPED_OVER and machine.state is state:
+            self._warn_once(event, "tipped_over", f"tipped over: {reason}: motors off requested", now_s)
         for action in branch.actions:
             self._requests.ask(self._steering.departure.with_numbers(action, inputs.autopilot), now_s)
 

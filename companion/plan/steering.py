@@ -11,13 +11,23 @@ from functools import partial
 from typing import Final
 
 from companion.base.geometry import yaw_from_quat
-from companion.base.messages import Action, ActionKind, PadState, Phase, Reference, Refusal, VehicleState
+from companion.base.messages import (
+    Action,
+    ActionKind,
+    PadState,
+    Phase,
+    RangeSample,
+    Reference,
+    Refusal,
+    VehicleState,
+)
 from companion.base.motion import Motion
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.estimate_steps import EstimateSteps
 from companion.plan.events import NOTICE_THRESHOLD_M, DetectedEvent, MissionEvent, NoticeSink
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing.approach_descent import Landing
+from companion.plan.landing.contact import AWAY_M, KNOWN_S, WITHIN_HAND_M, echo_height_m
 from companion.plan.landing.height_above_ground import HeightAboveGround
 from companion.plan.landing.relative_state import PadTrack, misaligned_heading, vehicle_motion
 from companion.plan.landing.standing_height import StandingHeight
@@ -97,7 +107,8 @@ class PhaseSteering:
     ) -> None:
         self._standby = standby
         self.refused: Refusal | None = None  # this cycle's order
-        self._config, self._leg_m = config, vehicle.leg_height_m
+        self._config, self._vehicle = config, vehicle
+        self._pad_half_width_m = pad_half_width_m
         self._machine, self._generator, self._pad, self._ground = machine, generator, pad, ground
         self._requests, self._say = requests, say
         self._obstacle_monitor, self.steps = ObstacleMonitor(generator.avoidance, say), EstimateSteps()
@@ -123,6 +134,7 @@ class PhaseSteering:
         self.touchdown = self._new_try(0.0)
         self._held = Hold(config, vehicle.leg_height_m, generator=generator, pad=pad, ground=ground, say=say)
         self._begun_s, self._contradicted_s = 0.0, -math.inf
+        self._left_pad = False  # and the hold has not begun
         self._steered_by: dict[Phase, Callable[[PlanInputs, float], DetectedEvent | None]] = {
             Phase.STANDBY: self._stand_by,
             Phase.CONNECT: self._depart,
@@ -148,6 +160,18 @@ class PhaseSteering:
     def unloading(self) -> float:
         """The share of the thrust (0 to 1) that is taken away, for the feet to carry."""
         return self.touchdown.unloading if self._machine.state in GOING_DOWN else 0.0
+
+    def feet_near(self, echo: RangeSample | None, now_s: float) -> bool:
+        """Whether the feet may stand on something, by sight or echo; legs may be longer than told."""
+        if self._machine.state not in BY_THE_PAD:
+            return False
+        sight, near_m = self._pad.sight, self._vehicle.leg_height_m + WITHIN_HAND_M
+        if sight is not None and sight.age_s <= KNOWN_S and sight.height_m > near_m + AWAY_M:
+            return False  # the echo is stuck
+        over_pad = sight is not None and sight.age_s <= KNOWN_S and sight.lateral_m <= self._pad_half_width_m
+        echo_m = echo_height_m(echo, self._vehicle, now_s)
+        seen = over_pad and sight is not None and sight.height_m <= near_m
+        return seen or (echo_m is not None and echo_m <= near_m)
 
     def steer(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Steer the reference for this cycle; returns what is detected."""
@@ -240,7 +264,7 @@ class PhaseSteering:
         again = previous in BY_THE_PAD
         self._landing.begin(-self._generator.at(now_s).position_m[2], again, now_s)
         if again:
-            height_m = self._landing.goal_m - self._leg_m
+            height_m = self._landing.goal_m - self._vehicle.leg_height_m
             self._say("climb", f"back to {height_m:.1f} m over the pad to try again", now_s, "warning")
 
     def _enter_hold(self, previous: State, had: Authority, inputs: PlanInputs, now_s: float) -> None:
@@ -251,6 +275,10 @@ class PhaseSteering:
             self._held.end()
             return
         low = self._machine.phase is Phase.HOLD and previous in BY_THE_PAD - {State.APPROACH}
+        if low and self.touchdown.leaving(now_s):
+            self._held.end()  # it leaves the pad first, level
+            self._left_pad = True
+            return
         self._held.begin(inputs.vehicle, now_s, over_pad=low)
 
     # ------------------------------------------------------------ the phases
@@ -355,6 +383,12 @@ class PhaseSteering:
         return event
 
     def _hold(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+        if self.touchdown.leaving(now_s):
+            self.touchdown.leave(inputs, self._pad.sight, now_s)
+            return None
+        if self._left_pad and self._generator.active and inputs.vehicle is not None:
+            self._held.begin(inputs.vehicle, now_s, over_pad=True)
+        self._left_pad = False
         at_rest = self._held.step(inputs.vehicle, self.steps.step_m, now_s)
         self._end(inputs, now_s)
         # what has been released already, or waits for the link, ends otherwise

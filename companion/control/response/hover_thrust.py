@@ -50,7 +50,7 @@ class HoverThrust:
         `bandwidth_rad_s`: how fast a change is followed once settled, which sets the random walk.
         `unexplained_m_s`: the speed down that the innovations of late add up to.
         """
-        self._lift = 1.0 / told
+        self._lift = self._free_lift = 1.0 / told  # the second: when nothing but air was under the feet
         self._bandwidth_rad_s = bandwidth_rad_s
         self.unexplained_m_s, self._mean_g = 0.0, 0.0
         self._walk = AIR_G2_S * bandwidth_rad_s**2
@@ -73,11 +73,13 @@ class HoverThrust:
         elapsed_s: float,
         *,
         follows_gusts: bool = False,
+        feet_near: bool = False,
     ) -> float:
         """Take in what is felt over `elapsed_s`; returns by how much the lift has changed, as a factor.
 
         `predicted_down_m_s2`: what the thrust makes by the present estimate, as late as it is measured. What
-        carries more than the thrust may be a pad under the feet, and only lifts: that is followed slowly.
+        carries more than the thrust may be a pad under the feet, and only lifts: that is followed slowly, and
+        with `feet_near` not at all.
         """
         felt, made = (1.0 - a / GRAVITY_M_S2 for a in (acceleration_down_m_s2, predicted_down_m_s2))
         if not (math.isfinite(felt) and math.isfinite(made)) or elapsed_s <= 0.0:
@@ -97,6 +99,9 @@ class HoverThrust:
             self._variance = max(self._variance, (self._mean_g**2 - by_air_g2) / thrust**2)
         gain = self._variance * thrust / (self._variance * thrust**2 + AIR_G2_S / elapsed_s)
         self._lift += gain * innovation_g
+        if not feet_near:
+            self._free_lift = self._lift
+        self._lift = min(self._lift, self._free_lift)
         self._mean_g -= gain * thrust * innovation_g  # so much of it is explained from now on
         self._variance *= 1.0 - gain * thrust
         return self._lift / before

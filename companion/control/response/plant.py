@@ -118,11 +118,14 @@ class Plant:
         self._observed_s = vehicle.time_s
         self._history.clear()
 
-    def observe(self, vehicle: VehicleState, elapsed_s: float, *, learns: bool = True) -> None:
+    def observe(
+        self, vehicle: VehicleState, elapsed_s: float, *, learns: bool = True, feet_near: bool = False
+    ) -> None:
         """Compare what the vehicle does with what was commanded; the last call was `elapsed_s` ago.
 
         Without `learns` what was commanded may explain nothing: only the wind, which no command explains, is
-        learnt.
+        learnt. With `feet_near` what holds it up may be what it stands on, and is not learnt: it is gone as
+        soon as the vehicle rises, which would first take back the thrust that was given up for it.
         """
         for duration_s, command in self._history.segments(self._observed_s, vehicle.time_s):
             self._lasting.predict(self._wanted(command, vehicle), duration_s)
@@ -133,11 +136,19 @@ class Plant:
             self._lasting.keep(vehicle.velocity_ned_m_s)
             return
         self._lasting.correct(
-            vehicle.velocity_ned_m_s, acceleration, self._wind.late_thrust_ned_m_s2, elapsed_s
+            vehicle.velocity_ned_m_s,
+            acceleration,
+            self._wind.late_thrust_ned_m_s2,
+            elapsed_s,
+            feet_near=feet_near,
         )
         if self.by_attitude:
             made_m_s2 = self._lasting.delayed_response_down_m_s2
-            self._weigh(self.hover.correct(acceleration[2], made_m_s2, elapsed_s, follows_gusts=True))
+            self._weigh(
+                self.hover.correct(
+                    acceleration[2], made_m_s2, elapsed_s, follows_gusts=True, feet_near=feet_near
+                )
+            )
             self._weighed_s = vehicle.time_s
 
     def hold(self, vehicle: VehicleState, thrust: float | None, elapsed_s: float) -> None:

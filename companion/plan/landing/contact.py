@@ -31,6 +31,8 @@ UNSEEN_S = 0.2  # five frames lost in a row at 30 Hz; a slower vision's every fr
 KNOWN_S = 0.5
 # Held up so far it has stopped, but for what the other feet still come down: a third of the sink asked for.
 _STALLED: Final = 1.0 / 3.0
+# Over the standing height that the file says, the feet may stand: legs may be longer than that.
+WITHIN_HAND_M: Final = 0.1
 # A pad this far below the feet is not under them: a bounce, a soft pad and an echo's error are less. For so
 # long it has driven away or fallen: a bounce is shorter.
 AWAY_M = 0.25
@@ -40,7 +42,7 @@ _ARRIVES_S = 0.3
 _LIFTED_SHARE = 0.5
 # Without thrust it falls at g; a third of that is no deck's motion.
 _FALLS_M_S2 = GRAVITY_M_S2 / 3.0
-_FALLS_S = 0.15  # a bump of the pad is over sooner; a fall is 11 cm by then
+FALLS_S: Final = 0.15  # a bump of the pad is over sooner; a fall is 11 cm by then
 # Without the IMU rest has to last so much longer: nothing stays up without thrust for that long.
 _UNFELT_S = 2.0
 # Where nothing shows the feet down, for so long and so long after the contact: no landing is proven.
@@ -52,6 +54,10 @@ _STANDS_S = FRESH_S  # at the slowest sink echoes would shorten by four times th
 _ATTITUDE_FRESH_S: Final = 1.0
 # No deck that is landed on tilts so far (24 deg is refused for a ship's), and legs that stand do not either.
 _UPRIGHT_RAD: Final = math.radians(30.0)
+# No flight of ours tilts so far. What flies like that, or falls, accelerates by g or nearly so, or is so fast
+# that its drag is 1.7 g.
+_LIES_RAD: Final = math.radians(60.0)
+_DRAGGED_M_S: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,7 +286,7 @@ class LandDetector:
         """
         silent = not imu_fresh(vehicle, now_s)
         jolted = vehicle is not None and norm(vehicle.acceleration_ned_m_s2) > _FALLS_M_S2
-        falls = self._falling.held_s(jolted and not silent, now_s) >= _FALLS_S
+        falls = self._falling.held_s(jolted and not silent, now_s) >= FALLS_S
         rested_s = self._resting.held_s(down and not falls, now_s)
         return rested_s - _UNFELT_S if silent else rested_s
 
@@ -311,6 +317,19 @@ def not_standing(
     if not touched and inputs.autopilot.landed is not LandedState.ON_GROUND:
         return "contact never confirmed"
     return ""
+
+
+def accelerates(vehicle: VehicleState | None) -> bool:
+    """Whether it accelerates as what rests on something does not, or nothing tells."""
+    return vehicle is None or norm(vehicle.acceleration_ned_m_s2) > _FALLS_M_S2
+
+
+def lying_rad(inputs: PlanInputs, now_s: float) -> float:
+    """How far it is tilted where both attitudes have it on its side, at no speed of a flight; else 0."""
+    tilts_rad = [tilt_from_quat(attitude) for attitude in _attitudes(inputs, now_s)]
+    if len(tilts_rad) < 2 or min(tilts_rad) <= _LIES_RAD or inputs.vehicle is None:
+        return 0.0
+    return 0.0 if norm(inputs.vehicle.velocity_ned_m_s) > _DRAGGED_M_S else min(tilts_rad)
 
 
 def _elsewhere(sight: PadState | None, surface_m: float | None, deepest_m: float, pad_reach_m: float) -> str:

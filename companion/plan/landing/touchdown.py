@@ -42,6 +42,7 @@ from companion.plan.landing.contact import (
     AWAY_M,
     FRESH_S,
     UNSEEN_S,
+    WITHIN_HAND_M,
     ContactSigns,
     ContactTest,
     LandDetector,
@@ -67,9 +68,8 @@ _TOO_MUCH_TILT = 1.3
 _COMMITS_BELOW = 0.9
 # Echoes deeper than the unseen pad's estimate by `AWAY_M`, for so long: the pad is not below any more.
 _DEEPER_S = 0.15
-# Short echoes alone show the feet down where the last estimate has them no higher than this; so near, an echo
+# Where the last estimate has the feet within `WITHIN_HAND_M`, short echoes alone show them down, and an echo
 # that agrees with it shows that the pad, unseen for long, is below all the same.
-_WITHIN_HAND_M = 0.1
 _AGREES_M = 0.05
 
 
@@ -216,7 +216,7 @@ class TouchdownSequence:
         unfelt_s = 0.0 if inputs.vehicle is None else now_s - inputs.vehicle.sensed_time_s
         silent = unfelt_s > FRESH_S
         if sight is not None and not silent and (slides := self._slides(sight)):
-            self._generator.rise(now_s)
+            self._lift_off(sight, now_s)
             return MissionEvent.MISALIGNED, slides
         # far aside it tilts because it flies back or escapes: it is not about to stand
         tilt_rad = 0.0 if sight is not None and self._escapes(sight) else self.tilt.tilt_rad
@@ -278,7 +278,7 @@ class TouchdownSequence:
         return MissionEvent.PAD_LOST, f"{why} while sinking"
 
     def _within_hand(self, sight: PadState, unfelt_s: float = 0.0) -> bool:
-        return sight.height_m - _FASTER_M_S * unfelt_s <= self._vehicle.leg_height_m + _WITHIN_HAND_M
+        return sight.height_m - _FASTER_M_S * unfelt_s <= self._vehicle.leg_height_m + WITHIN_HAND_M
 
     def _go_down(self, sight: PadState, signs: ContactSigns, now_s: float) -> DetectedEvent | None:
         overdue_s = self._config.overdue_s
@@ -286,7 +286,7 @@ class TouchdownSequence:
             overdue = f"no contact {overdue_s:.1f} s after the expected time"
             if signs.height_says_down:
                 return MissionEvent.PAD_GONE, overdue
-            self._generator.rise(now_s)
+            self._lift_off(sight, now_s)
             return MissionEvent.MISALIGNED, overdue
         # Below twice contact_margin_m the reference is left to run ahead, so that a vehicle that stands is
         # told by not following it.

@@ -5,6 +5,7 @@ mode that the app did not request was chosen by a pilot or by a failsafe of the 
 mission (`mode_monitor`).
 """
 
+import math
 from collections.abc import Iterator, Sequence
 
 from companion.base.messages import (
@@ -21,7 +22,7 @@ from companion.config import MissionConfig
 from companion.plan.debounce import Debounce
 from companion.plan.events import DetectedEvent, MissionEvent
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing.contact import FRESH_S
+from companion.plan.landing.contact import FALLS_S, FRESH_S, accelerates, lying_rad
 from companion.plan.mission.bounds import Bounds
 from companion.plan.mission.mode_monitor import WITHOUT_STICKS, ModeMonitor, short_name
 from companion.plan.mission.readiness import (
@@ -38,6 +39,7 @@ _RIVAL_S = 0.5  # setpoints come at 2 Hz or more
 _OLDEST_ROUND_TRIP_S = 3.0  # TIMESYNC goes out at 5 Hz
 # So long without a plan the stop is complete, and the vehicle drifts with the wind.
 _NO_PLAN_S = 1.0
+_LIES_S = 1.0  # a vehicle that is thrown over and comes back is not at rest meanwhile
 _LED_AWAY = frozenset({MissionEvent.OUT_OF_BOUNDS, MissionEvent.OVERTIME, MissionEvent.TIMEOUT})
 _EVENTS: dict[Reaction | None, MissionEvent] = {
     Reaction.HAND_BACK: MissionEvent.ESTIMATE_DISPUTED,
@@ -114,7 +116,8 @@ class FailsafeMonitor:
         self._config, self._machine = config, machine
         self._modes = ModeMonitor(config.take_off_height_m)
         self.bounds = Bounds(config)
-        self._no_plan = Debounce()
+        self._no_plan, self._lying, self._falling = (Debounce() for _ in range(3))
+        self.lies = False  # on its side, by all that tells
         self._took_off_s: float | None = None
         self._phase_since_s: float | None = None
 
@@ -155,6 +158,7 @@ class FailsafeMonitor:
             asked=asked,
         )
         found = [*_signs(inputs, control_granted=control_granted, taken_over=taken_over)]
+        found += self._tipped_over(inputs, now_s)
         found += [*self._late(inputs, now_s), *self._estimate(inputs.vehicle, inputs.pad, now_s)]
         found += [*self._control(inputs.control_failure, now_s), *self._battery(autopilot)]
         bounds = [*self.bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s)]
@@ -170,6 +174,14 @@ class FailsafeMonitor:
         if self._modes.taken_since_end(autopilot, asked):
             return ((MissionEvent.TAKEN_OVER, f"mode {autopilot.mode}: no further requests"),)
         return ()
+
+    def _tipped_over(self, inputs: PlanInputs, now_s: float) -> Iterator[DetectedEvent]:
+        tilt_rad = lying_rad(inputs, now_s)
+        # what is dragged by its motors is jolted; what falls is not for so short a time
+        falls = self._falling.held_s(accelerates(inputs.vehicle), now_s) >= FALLS_S
+        self.lies = self._lying.held_s(tilt_rad > 0.0 and not falls, now_s) >= _LIES_S
+        if self.lies:
+            yield MissionEvent.TIPPED_OVER, f"tilted by {math.degrees(tilt_rad):.0f} deg and at rest"
 
     def _late(self, inputs: PlanInputs, now_s: float) -> Iterator[DetectedEvent]:
         """Whether our computer or the link takes too long, or another program sends setpoints too.

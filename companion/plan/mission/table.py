@@ -50,7 +50,8 @@ NO_OWN_MOTION: Final = (E.ESTIMATE_LOST, E.ESTIMATE_DISPUTED, E.CONTROL_FAILED)
 # What may be detected in any state, the gravest first: what causes others comes before them. Each state has a
 # row or a reason for none.
 ANYWHERE: Final = (
-    *(E.DISARMED, E.TAKEN_OVER, E.STOP, E.SUSPENDED, E.LINK_LOST, E.COMPUTER_LATE, E.RIVAL, E.LINK_LATE),
+    *(E.DISARMED, E.TAKEN_OVER, E.TIPPED_OVER, E.STOP, E.SUSPENDED, E.LINK_LOST, E.COMPUTER_LATE),
+    *(E.RIVAL, E.LINK_LATE),
     *(E.ESTIMATE_LOST, E.VELOCITY_UNCERTAIN, E.CONTROL_FAILED, E.BATTERY_CRITICAL, E.BATTERY_LOW),
     *(E.ESTIMATE_DISPUTED, E.PAD_DISPUTED, E.OUT_OF_BOUNDS, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT, E.LINK_UP),
 )
@@ -59,7 +60,7 @@ _SEVERITY: Final = {event: place for place, event in enumerate((E.CONTROL_GRANTE
 _ARM, _TAKE_OFF, _GO_TO = Action(ActionKind.ARM), Action(ActionKind.TAKE_OFF), Action(ActionKind.GO_TO)
 _TAKE_CONTROL, _HOLD = Action(ActionKind.TAKE_CONTROL), Action(ActionKind.HOLD)
 _LAND, _DISARM = Action(ActionKind.LAND), Action(ActionKind.DISARM)
-# In the air it would drop the vehicle: only once the vehicle is shown to stand.
+# In the air it would drop the vehicle: only once the vehicle is shown to stand, or to lie on its side.
 _FORCE_DISARM = Action(ActionKind.DISARM, force=True)
 
 
@@ -275,6 +276,15 @@ ROWS: Final = (
     ),
     # a hold or a landing that is still asked for would take the vehicle from whoever has it now
     _row(E.TAKEN_OVER, S.ABORT, Branch(None, effects=(Effect.ASK_NOTHING,))),
+    # The motors of a vehicle on its side drag it over the ground, and no landing is detected there. It is
+    # asked again as long as it lies there. Setpoints without thrust go on, or PX4 would change its mode.
+    _row(
+        E.TIPPED_OVER,
+        IN_AIR,
+        _NEVER_OURS,
+        Branch(None, (_FORCE_DISARM,)),
+        except_=_all(BEFORE_TAKE_OFF, _NOT_YET),
+    ),
     _row(
         E.DISARMED,
         IN_AIR - ON_PAD - {S.SET_DOWN},

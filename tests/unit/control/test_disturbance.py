@@ -88,6 +88,18 @@ def test_a_jump_of_the_estimate_hardly_disturbs() -> None:
     assert abs(observer.lasting_ned_m_s2[0]) < 0.05
 
 
+@pytest.mark.parametrize(("pushes_m_s2", "known_m_s2"), [(-3.0, -0.2), (3.0, 3.0)])
+def test_what_may_be_the_surface_under_the_feet_is_not_learnt(pushes_m_s2: float, known_m_s2: float) -> None:
+    """It is gone as soon as the vehicle rises; what presses it down, or was known before, is not."""
+    observer = SlowDisturbanceObserver(LAGS_S, SENSOR_LAG_S, 5.0, BANDWIDTHS_RAD_S)
+    observer.start(ZERO3, ZERO3, (0.0, 0.0, -0.2))
+    thrust = (0.0, 0.0, pushes_m_s2)
+    for _ in range(300):
+        observer.correct(ZERO3, thrust, thrust, PERIOD_S, feet_near=True)
+        observer.keep(ZERO3)
+    assert observer.lasting_ned_m_s2[2] == pytest.approx(known_m_s2, abs=0.6)
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_passes_over_a_measurement_that_is_not_finite(bad: float) -> None:
     observer = SlowDisturbanceObserver(LAGS_S, SENSOR_LAG_S, 3.0, BANDWIDTHS_RAD_S)

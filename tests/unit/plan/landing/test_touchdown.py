@@ -93,6 +93,24 @@ def test_a_pad_that_stops_beneath_it_is_left_at_once_even_when_the_feet_touch() 
         assert sinking().step(stays, RangeSample(1.0, 0.1), LandedState.IN_AIR, 1.0) is None
 
 
+def test_a_vehicle_that_slides_rises_from_where_it_is_and_level() -> None:
+    """The reference has run on below the pad: a climb from there would first press the feet down."""
+    touchdown, now_s = sinking(), 1.0
+    slides = sight(aside=0.05, height=0.2, velocity=(1.4, 0.0, 0.0))
+    while touchdown.reference.at(now_s).position_m[2] < -0.15:
+        now_s += CYCLE_S
+        assert (
+            touchdown.step(sight(height=0.2, velocity=(0.0, 0.0, 0.2)), None, LandedState.IN_AIR, now_s)
+            is None
+        )
+    assert touchdown.step(slides, None, LandedState.IN_AIR, now_s) is not None
+    assert touchdown.reference.at(now_s).position_m == pytest.approx((0.05, 0.0, -0.2))
+    assert touchdown.reference.at(now_s + 0.3).velocity_m_s[2] == pytest.approx(-0.3)
+    level = touchdown.level_off()
+    assert level is not None
+    assert level.from_s <= now_s
+
+
 def test_a_vehicle_that_the_contact_stopped_does_not_slide_until_sightings_show_it() -> None:
     """The last sighting, before the contact, saw the pad at rest beneath it; the IMU felt 1.4 m/s less."""
     stopped = sight(aside=0.05, height=0.2, velocity=(1.4, 0.0, 0.0), age=0.07)

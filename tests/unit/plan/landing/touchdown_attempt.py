@@ -53,6 +53,7 @@ class Attempt:
         self.broken_off_by = ""
         self.contact_s = math.nan
         self.level_off = sequence.level_off
+        self.reference = generator
 
     @property
     def committed(self) -> bool:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from companion.base.geometry import Vector3, add, geodetic_from_ned
+from companion.base.geometry import Vector3, add, geodetic_from_ned, quat_from_euler
 from companion.base.messages import (
     ActionKind,
     AutopilotState,
@@ -116,6 +116,46 @@ def test_an_end_by_time_names_the_wind_that_led_to_it(shortage: str) -> None:
     watch.phase_begins(0.0)
     words = dict(watch.detect(replace(inputs(), shortage=shortage), 100.0, control_granted=True))
     assert words[MissionEvent.TIMEOUT] == "60 s in search" + (f"; {shortage}" if shortage else "")
+
+
+@pytest.mark.parametrize(
+    ("ours_deg", "theirs_deg", "falls_m_s2", "jolts_m_s2", "speed_m_s", "for_s", "lies"),
+    [
+        (92.0, 88.0, 0.2, 0.2, 0.0, 1.1, True),
+        (92.0, 88.0, 0.2, 6.0, 4.0, 1.1, True),  # its motors drag it over the ground
+        (92.0, 88.0, 0.2, 0.2, 0.0, 0.9, False),  # thrown over, it may come back
+        (92.0, 4.0, 0.2, 0.2, 0.0, 3.0, False),  # one of them is wrong, and a comparison says so
+        (92.0, None, 0.2, 0.2, 0.0, 3.0, False),
+        (92.0, 88.0, 6.0, 6.0, 0.0, 3.0, False),  # in the air
+        (62.0, 62.0, 0.2, 0.2, 17.0, 3.0, False),  # in the air, fast
+        (50.0, 50.0, 0.2, 0.2, 0.0, 3.0, False),
+    ],
+)
+def test_a_vehicle_lies_on_its_side_by_both_attitudes_and_at_rest(
+    ours_deg: float,
+    theirs_deg: float | None,
+    falls_m_s2: float,
+    jolts_m_s2: float,
+    speed_m_s: float,
+    for_s: float,
+    lies: bool,
+) -> None:
+    watch, _ = monitor(State.APPROACH)
+    theirs = None if theirs_deg is None else quat_from_euler(math.radians(theirs_deg), 0.0, 0.0)
+    given = inputs(replace(FLYING, attitude=theirs))
+    assert given.vehicle is not None
+    ours = quat_from_euler(math.radians(ours_deg), 0.0, 0.0)
+    vehicle = replace(given.vehicle, attitude=ours, velocity_ned_m_s=(speed_m_s, 0.0, 0.0))
+    events = list[MissionEvent]()
+    for k in range(round(for_s / 0.1) + 1):
+        now_s = 50.0 + 0.1 * k
+        heard = replace(given.autopilot, attitude_time_s=now_s)
+        felt_m_s2 = jolts_m_s2 if k % 4 == 0 else falls_m_s2
+        fresh = replace(vehicle, time_s=now_s, acceleration_ned_m_s2=(0.0, 0.0, felt_m_s2))
+        found = watch.detect(replace(given, vehicle=fresh, autopilot=heard), now_s, control_granted=False)
+        events = [event for event, _ in found]
+    assert (MissionEvent.TIPPED_OVER in events) is lies
+    assert not lies or events[0] is MissionEvent.TIPPED_OVER
 
 
 def test_all_is_well_is_nothing() -> None:

@@ -1,12 +1,13 @@
 """The planner in a closed loop: refusals, pilots, stops, lost links and lost estimates."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from companion.base.geometry import Vector3, geodetic_from_ned
+from companion.base.geometry import ZERO3, Vector3, geodetic_from_ned
 from companion.base.messages import Action, ActionKind, ActionResult, Phase, PlanStep, Quantity, RangeSample
 from companion.config import LandingConfig, MissionConfig, PlanConfig
 from companion.plan.planner import Planner
@@ -698,3 +699,66 @@ def test_land_that_is_asked_for_in_a_gap_of_the_link_is_asked_again_after_it() -
     w.autopilot.refuse, w.autopilot.doubts = {}, False
     # THEN it is not given up
     assert w.fly(30.0).phase is Phase.LANDED
+
+
+@pytest.mark.parametrize("kind", ["px4", "ardupilot"])
+def test_a_vehicle_on_its_side_is_disarmed_though_the_first_answer_is_lost(kind: Any) -> None:
+    w, forced, thrust = world(), list[float](), set[bool]()
+    w.autopilot.autopilot_kind, w.autopilot.doubts = kind, True
+    w.fly(90.0, until=lambda w: bool(w.flight.phases) and w.flight.phase is Phase.APPROACH)
+    # GIVEN that it lies on the ground, where its link is bad at first; PX4 needs setpoints to stay as it is
+    began_s = sent_s = w.now_s
+    w.tilt_rad = math.radians(92.0)
+    answer = w.autopilot.answer
+
+    def lost(action: Action, position: Vector3, now_s: float) -> ActionResult | None:
+        if action.kind is ActionKind.DISARM and action.force:
+            forced.append(now_s - began_s)
+        return None if now_s - began_s < 2.5 else answer(action, position, now_s)
+
+    def lies(w: PlanWorld, step: PlanStep) -> None:
+        nonlocal sent_s
+        w.velocity = w.acceleration = ZERO3
+        if step.reference is not None:
+            sent_s = w.now_s
+        elif kind == "px4" and w.autopilot.armed and w.now_s - sent_s > 1.0:
+            w.autopilot.mode = "LOITER"
+        if w.now_s - began_s > 1.2 and w.autopilot.armed:
+            thrust.add(step.on_ground)
+
+    w.autopilot.answer, w.each = lost, lies  # type: ignore[method-assign]
+    w.fly(30.0)
+    # THEN it is asked again until the motors are off, and no thrust is asked for meanwhile
+    assert len(forced) == 2
+    assert not w.autopilot.armed
+    assert thrust == {True}
+    assert w.flight.told("phase")[-1] == "abort: disarmed: motors off, tipped over"
+
+
+@pytest.mark.parametrize("retries", [0, 2])
+def test_a_slide_over_the_pad_ends_in_a_climb_on_the_last_try_too(retries: int) -> None:
+    w = world(config=PlanConfig.model_validate({"landing": {"retries": retries}}))
+    slid_s, climbs, level = math.inf, list[float](), list[bool]()
+    believed = w._believed
+
+    def slides(w: PlanWorld, step: PlanStep) -> None:
+        nonlocal slid_s
+        feet_m = w.pad(w.now_s)[2] - w.position[2] - LEG_M
+        if step.phase is Phase.TOUCHDOWN and feet_m < 0.03 and slid_s == math.inf:
+            w.velocity, w.acceleration, slid_s = (1.9, 0.0, 0.15), ZERO3, w.now_s
+        if step.reference is not None and 0.15 < w.now_s - slid_s < 0.25:
+            level.append(step.reference.level_off is not None)
+        if step.reference is not None and 0.3 < w.now_s - slid_s < 1.2:
+            climbs.append(float(step.reference.velocity_m_s[0, 2]))
+
+    def as_seen(*args: Any) -> Any:
+        pad = believed(*args)
+        return replace(pad, seen_velocity_ned_m_s=pad.relative_velocity_ned_m_s)
+
+    w.each = slides
+    w._believed = as_seen  # type: ignore[method-assign,assignment]
+    w.fly(120.0, until=lambda w: w.now_s - slid_s > 1.2)
+    assert level
+    assert all(level)
+    assert max(climbs) < -0.1
+    assert climbs[-1] < -0.25
