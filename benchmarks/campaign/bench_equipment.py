@@ -91,7 +91,7 @@ _LINE: Final = {"kind": "line", "speed_m_s": 1.0, "meet": {"time_s": 24.0}}
 _LENS: Final = {"camera": {"config": FISHEYE}, "companion": {"camera": FISHEYE}}
 CASES: Final = (
     EquipmentCase("tag", "lone_tag", TAG_SEEDS),
-    EquipmentCase("tag-line", "lone_tag", TAG_SEEDS, {"pad": {"motion": _LINE}}),
+    EquipmentCase("tag-line", "lone_tag", changes={"pad": {"motion": _LINE}}),
     *(EquipmentCase(f"fisheye-{name}", name, changes=_LENS) for name in ("static", "line", "circle")),
     EquipmentCase("network-delay-short", "line", changes=_late(DELAY_ERROR_S)),
     EquipmentCase("network-delay-long", "line", changes=_late(-DELAY_ERROR_S)),
@@ -231,7 +231,9 @@ def fly_covered(
 def main(arguments: Sequence[str] | None = None) -> BenchReport:
     """Fly, print the tables, and say which bars hold."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--seeds", type=int, help="of each case; else 20 of the tag's and 5 of the others")
+    parser.add_argument(
+        "--seeds", type=int, help="of each case; else 20 of the standing tag and 5 of the others"
+    )
     parser.add_argument("--case", default="", help="cases whose name begins so, alone")
     parser.add_argument("--px4", type=Path, help="the program px4")
     parser.add_argument("--arducopter", type=Path, help="the program arducopter")
