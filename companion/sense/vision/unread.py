@@ -54,6 +54,8 @@ FITTED_SIDE_PX: Final = 72.0
 # and is smoothed by so much: what is sharper than its pixels is like a print of no blur, and fits nowhere
 SMOOTHED_PX: Final = 0.9
 STEPS: Final = 2  # a cell is divided into
+# a part that is narrower has too few edges side by side: its blur, its shade and its width are not told apart
+LEAST_ACROSS_CELLS: Final = 2.5
 # of the part that is in the image: where more is not like the print, it is something else
 LEAST_LEFT: Final = 0.4
 
@@ -240,11 +242,11 @@ def _turned(covariance: FloatArray, slopes: FloatArray) -> FloatArray:
 
 
 def _largest(inside: NDArray[np.bool_]) -> FloatArray | None:
-    """The largest rectangle of a marker's grid (n, n) that is `inside`: (2, 2) in cells; None without one."""
+    """The largest rectangle of a grid (n, n) that is `inside`, not too narrow: (2, 2) in cells, or None."""
     if not inside.any():
         return None
     low, high = np.triu_indices(len(inside), 1)
-    size = high - low
+    size = np.where(high - low >= LEAST_ACROSS_CELLS * STEPS, high - low, 0)
     # how many places are not inside, above and to the left of each
     outside = np.pad((~inside).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     rows = outside[high + 1] - outside[low]
