@@ -3,8 +3,10 @@
 A side's place is found from black and white to either hand of it. Where blur reaches across a cell, the code
 inside draws the side to where it is not. So all edges of the code are fitted at once: the blurred print is
 laid on the pixels about the marker by least squares, in light. What is fitted, for each marker: how its four
-corners move, black, white and the blur. Pixels that fit badly (a shadow's edge, grass, glare) count for less,
-and white that is cut off for nothing. How the pixels scatter where they show a corner says how certain it is.
+corners move, black, white and the blur. A part of a marker fills the image, and a lens vignettes: there white
+varies smoothly, or what is darker to one hand of a side would draw the side. Pixels that fit badly (a
+shadow's edge, grass, glare) count for less, and white that is cut off for nothing. How the pixels scatter
+where they show a corner says how certain it is.
 
 Places on a marker are in cells, from its top-left corner: x along its top edge, y down its left one. Pixels:
 u right, v down, whole numbers at pixel centres.
@@ -54,7 +56,8 @@ UNSEEN: Final = 1e-6
 LEAST: Final = 1e-9
 LEAST_FREE: Final = 0.2
 CORNERS: Final = 8
-UNKNOWNS: Final = CORNERS + 3  # blur, black and white
+BLUR, LEVELS = CORNERS, CORNERS + 1  # the unknowns after the corners
+LIT: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))  # powers of x and y by which white varies
 _SQUARE: Final = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
 
 
@@ -82,7 +85,7 @@ class _Pixels(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """How the unknowns change (m, 11); the Jacobian (m, 11, n), and what is left of the light (m, n)."""
+    """How the k unknowns change (m, k); the Jacobian (m, k, n), and what is left of the light (m, n)."""
 
     change: FloatArray
     jacobian: FloatImage
@@ -135,8 +138,8 @@ def fit_prints(
         # what fits badly is known when the rest fits well
         weight = counts / (1.0 + unlike) if number >= PLAIN_ROUNDS else counts
         prints = [_texture(*each) for each in zip(markers, levels.astype(int).tolist(), strict=True)]
-        step = _step(at, pixels.light, prints, squares, weight)
-        blur = np.sqrt(np.clip(blur**2 + step.change[:, CORNERS], least**2, MOST_BLUR_CELLS**2))
+        step = _step(at, pixels.light, prints, squares, weight, LIT if parts is not None else LIT[:1])
+        blur = np.sqrt(np.clip(blur**2 + step.change[:, BLUR], least**2, MOST_BLUR_CELLS**2))
         moves = (to_pixels @ step.change[:, :CORNERS].reshape(-1, 4, 2, 1))[..., 0]
         corners, moved = corners - moves, np.abs(moves).max(axis=(1, 2))
         unlike = _unlike(step)
@@ -231,19 +234,23 @@ def _step(
     prints: list[FloatImage],
     squares: FloatArray,
     weight: FloatImage,
+    lit: Sequence[tuple[int, int]],
 ) -> _Step:
     """One step of weighted least squares, black and white first: the rest is in terms of their contrast."""
     texels = (at + np.float32(BORDER)) * np.float32(TEXELS) - np.float32(0.5)
-    jacobian = np.empty((len(at), UNKNOWNS, at.shape[1]), np.float32)
-    for row, print_, place in zip(jacobian, prints, texels, strict=True):
-        seen = cv2.remap(print_, *_split(place), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
-        row[-1], row[0], row[1], row[CORNERS] = np.asarray(seen, np.float32).T
-    jacobian[:, -2] = 1.0
-    levels, left = _solved(jacobian[:, -2:], seen_light, weight)
-    jacobian[:, (0, 1, CORNERS)] *= levels[:, 1, None, None]
-    slopes = jacobian[:, None, :2]
     first, last = squares[:, None, 0].astype(np.float32), squares[:, None, 2].astype(np.float32)
     x, y = np.ascontiguousarray(np.moveaxis((at - first) / (last - first), 2, 0))
+    shine = np.stack([(2.0 * x - 1.0) ** i * (2.0 * y - 1.0) ** j for i, j in lit], axis=1)
+    jacobian = np.empty((len(at), LEVELS + 1 + len(lit), at.shape[1]), np.float32)
+    white = jacobian[:, LEVELS + 1 :]
+    for row, print_, place in zip(jacobian, prints, texels, strict=True):
+        seen = cv2.remap(print_, *_split(place), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
+        row[LEVELS + 1], row[0], row[1], row[BLUR] = np.asarray(seen, np.float32).T
+    white[:] = white[:, :1] * shine
+    jacobian[:, LEVELS] = 1.0
+    levels, left = _solved(jacobian[:, LEVELS:], seen_light, weight)
+    jacobian[:, (0, 1, BLUR)] *= (levels[:, None, 1:] @ shine).astype(np.float32)
+    slopes = jacobian[:, None, :2]
     both = x * y
     shares = np.stack((1.0 - x - y + both, x - both, both, y - both), axis=1)
     jacobian[:, :CORNERS] = (shares[:, :, None] * slopes).reshape(len(at), CORNERS, -1)

@@ -37,7 +37,7 @@ from companion.sense.vision.edges import PROPORTIONAL
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.pose import PoseFit
 from companion.sense.vision.print_check import CELL_PX, LIKENESS, PrintCheck
-from companion.sense.vision.print_fit import fit_prints
+from companion.sense.vision.print_fit import PrintFit, fit_prints
 from companion.sense.vision.search import EDGE_PX
 
 # one that is expected with a larger standard deviation may be refined to its neighbour's side: cells
@@ -47,11 +47,15 @@ FOUND_FROM_CELLS: Final = 0.5
 EXPECTED_SIGMA: Final = 2.0
 # one whose corners are less certain is not held by what is seen of it: cells
 LOOSE_CELLS: Final = 0.1
-# edges are as well seen in an image whose cells are shrunk to so many pixels
+# a print is found in an image whose cells are shrunk to so many pixels, and then measured in one in which the
+# sides of what is in view are so long: where a few cells fill the image, their edges are all that there is
 FITTED_CELL_PX: Final = 8.0
+FITTED_SIDE_PX: Final = 72.0
 # and is smoothed by so much: what is sharper than its pixels is like a print of no blur, and fits nowhere
 SMOOTHED_PX: Final = 0.9
 STEPS: Final = 2  # a cell is divided into
+# a part that is narrower has too few edges side by side: its blur, its shade and its width are not told apart
+LEAST_ACROSS_CELLS: Final = 2.5
 # of the part that is in the image: where more is not like the print, it is something else
 LEAST_LEFT: Final = 0.4
 
@@ -180,11 +184,31 @@ class PartialMarkers:
         self, image: NDArray[np.uint8], marker: Marker, pixels: FloatArray, part: FloatArray
     ) -> Detection | None:
         quad = _quad(pixels, part)
-        cell_px = float(sides_px(quad[None])[0]) / math.sqrt(_area(part))
+        side_px = float(sides_px(quad[None])[0])
+        cell_px = side_px / math.sqrt(_area(part))
         if cell_px < CELL_PX:
             return None
-        shrink = max(1, int(cell_px / FITTED_CELL_PX))
-        margin = FOUND_FROM_CELLS * cell_px
+        coarse, fine = max(1, int(cell_px / FITTED_CELL_PX)), max(1, int(side_px / FITTED_SIDE_PX))
+        fit = self._laid(image, marker, quad, part, coarse)
+        if fit is not None and fine < coarse:
+            fit = self._laid(image, marker, fit.corners[0], part, fine) or fit
+        if fit is None:
+            return None
+        corners, covariance = fit.corners[0], fit.covariance_px2[0]
+        # what shows an edge alone, or nothing, leaves no covariance that can be relied on
+        if not 0.0 < float(np.trace(covariance)) < len(covariance) * (LOOSE_CELLS * cell_px) ** 2:
+            return None
+        if self._prints.likeness(image, marker, corners, part) < LIKENESS:
+            return None
+        d = Detection(marker, _corners_pad_m(marker, part), corners, cell_px * marker.cells)
+        blur_px = float(fit.blur_px[0])
+        return by_print(d, corners, covariance, blur_px, self._lens.encoding_error, self._dot_m)
+
+    def _laid(
+        self, image: NDArray[np.uint8], marker: Marker, quad: FloatArray, part: FloatArray, shrink: int
+    ) -> PrintFit | None:
+        """The print as it lies in an image that is shrunk, from corners (4, 2) px."""
+        margin = FOUND_FROM_CELLS * float(sides_px(quad[None])[0]) / math.sqrt(_area(part))
         left, top = np.maximum(quad.min(axis=0) - margin, 0.0).astype(int).tolist()
         right, bottom = (quad.max(axis=0) + margin + 1.0).astype(int).tolist()
         # a pixel that shows black and white is as bright as both together in light, not in grey values
@@ -206,14 +230,7 @@ class PartialMarkers:
         if not np.isfinite(fit.covariance_px2[0]).all() or not np.isfinite(corners).all():
             return None
         covariance = _turned(fit.covariance_px2[0], self._lens.slopes(rays) / focal)
-        # what shows an edge alone, or nothing, leaves no covariance that can be relied on
-        if not 0.0 < float(np.trace(covariance)) < len(covariance) * (LOOSE_CELLS * cell_px) ** 2:
-            return None
-        if self._prints.likeness(image, marker, corners, part) < LIKENESS:
-            return None
-        d = Detection(marker, _corners_pad_m(marker, part), corners, cell_px * marker.cells)
-        blur_px = shrink * float(fit.blur_px[0])
-        return by_print(d, corners, covariance, blur_px, self._lens.encoding_error, self._dot_m)
+        return PrintFit(corners[None], covariance[None], shrink * fit.blur_px)
 
 
 def _turned(covariance: FloatArray, slopes: FloatArray) -> FloatArray:
@@ -225,11 +242,11 @@ def _turned(covariance: FloatArray, slopes: FloatArray) -> FloatArray:
 
 
 def _largest(inside: NDArray[np.bool_]) -> FloatArray | None:
-    """The largest rectangle of a marker's grid (n, n) that is `inside`: (2, 2) in cells; None without one."""
+    """The largest rectangle of a grid (n, n) that is `inside`, not too narrow: (2, 2) in cells, or None."""
     if not inside.any():
         return None
     low, high = np.triu_indices(len(inside), 1)
-    size = high - low
+    size = np.where(high - low >= LEAST_ACROSS_CELLS * STEPS, high - low, 0)
     # how many places are not inside, above and to the left of each
     outside = np.pad((~inside).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     rows = outside[high + 1] - outside[low]

@@ -83,6 +83,17 @@ def test_a_tag_that_has_grown_out_of_the_image_is_seen_where_it_is_expected(
         assert over.seen(over.without_place()) is None
 
 
+@pytest.mark.parametrize("yaw_rad", [0.2, 0.4, 0.6, 1.8, 2.4])
+@pytest.mark.parametrize("lens_m", [0.3, 0.35, 0.4])
+def test_a_few_cells_that_fill_a_vignetted_image_are_measured_to_a_millimetre(
+    tag: Pad, wide: CameraConfig, vehicle: VehicleConfig, lens_m: float, yaw_rad: float
+) -> None:
+    over = Over(tag, wide, vehicle, lens_m, yaw_rad)  # corners have a quarter less light
+    sighting = over.seen(over.prior())
+    assert sighting is not None
+    assert np.linalg.norm(over.off(sighting)) < 0.001
+
+
 @pytest.mark.parametrize("lens_m", [1.5, 2.5, 4.0])
 @pytest.mark.parametrize("share", [0.1, 0.2, 0.3])
 @pytest.mark.parametrize("grey", [10, 90, 230])
