@@ -119,21 +119,26 @@ class Levelling:
     def sink_m_s(self, needed_m_s2: float) -> float:
         """The sink rate for a contact at which pad and wind need so much tilt.
 
-        What the level vehicle lacks of it makes it drift, from a standard deviation above the contact, where
-        it goes level, to two below, where it may be late: firm enough that the drift stays small.
+        What the level vehicle lacks of it makes it drift for as long as the contact is late: firm enough that
+        the drift stays small.
         """
         c = self._config
         excess_m_s2 = needed_m_s2 - self._level_m_s2
-        firm_m_s = excess_m_s2 * 3.0 * self._std_m / c.lateral_speed_m_s
-        return max(c.contact_speed_m_s, min(c.firm_contact_m_s, firm_m_s))
+        return max(
+            c.contact_speed_m_s, min(c.firm_contact_m_s, excess_m_s2 * self._late_m / c.lateral_speed_m_s)
+        )
 
     @property
     def max_horizontal_acceleration_m_s2(self) -> float:
         """The most tilt that can be levelled off: the rest makes it drift while the contact may be late."""
         c = self._config
         firmest_m_s = max(c.contact_speed_m_s, c.firm_contact_m_s)
-        late_m = 2.0 * self._std_m
-        return self._level_m_s2 + FASTEST_DRIFT * c.lateral_speed_m_s * firmest_m_s / late_m
+        return self._level_m_s2 + FASTEST_DRIFT * c.lateral_speed_m_s * firmest_m_s / self._late_m
+
+    @property
+    def _late_m(self) -> float:
+        """What the contact may lie deeper than expected (two standard deviations)."""
+        return 2.0 * self._std_m
 
     @property
     def begun(self) -> bool:
