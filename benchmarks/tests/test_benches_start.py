@@ -14,6 +14,7 @@ import pytest
 
 from benchmarks.command import discover, main
 from benchmarks.report import ROOT, commit
+from benchmarks.service import bench_page
 
 
 @pytest.mark.fast
@@ -90,3 +91,12 @@ def test_results_that_cannot_be_written_are_said_before_anything_is_measured(
 def test_a_name_that_is_none_is_answered_with_those_there_are(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["wings"]) == 2
     assert "wings: no such benchmark; expected one of" in capsys.readouterr().err
+
+
+def test_without_chromium_the_delay_is_not_measured_and_the_bench_fails(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bench_page, "program", lambda: None)
+    assert bench_page.main(["--part", "pixel"]).exit_status == 1
+    *_, last = capsys.readouterr().out.splitlines()
+    assert last == "bars: from exposure to pixel, p50 NOT MEASURED, from exposure to pixel, p99 NOT MEASURED"
