@@ -166,12 +166,13 @@ class PhaseSteering:
         if self._machine.state not in BY_THE_PAD:
             return False
         sight, near_m = self._pad.sight, self._vehicle.leg_height_m + WITHIN_HAND_M
-        if sight is not None and sight.age_s <= KNOWN_S and sight.height_m > near_m + AWAY_M:
-            return False  # the echo is stuck
-        over_pad = sight is not None and sight.age_s <= KNOWN_S and sight.lateral_m <= self._pad_half_width_m
+        if sight is not None and sight.age_s <= KNOWN_S:
+            if sight.height_m > near_m + AWAY_M:
+                return False  # whatever the echo says: it is stuck
+            if sight.height_m <= near_m and sight.lateral_m <= self._pad_half_width_m:
+                return True
         echo_m = echo_height_m(echo, self._vehicle, now_s)
-        seen = over_pad and sight is not None and sight.height_m <= near_m
-        return seen or (echo_m is not None and echo_m <= near_m)
+        return echo_m is not None and echo_m <= near_m
 
     def steer(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Steer the reference for this cycle; returns what is detected."""

@@ -480,3 +480,23 @@ def test_critical_in_the_descent_it_is_finished_as_the_settings_say(finishes: bo
     w.autopilot.battery_share = 0.1
     w.fly(40.0)
     assert w.flight.phase is (Phase.LANDED if finishes else Phase.ABORT)
+
+
+@pytest.mark.parametrize("echo_m", [None, 0.06])
+def test_the_feet_are_near_low_over_the_pad_alone_whatever_a_stuck_echo_says(echo_m: float | None) -> None:
+    w, near = world(), set[bool]()
+    heights_m: dict[bool, list[float]] = {True: [], False: []}
+
+    def note(w: PlanWorld, step: PlanStep) -> None:
+        if step.phase in {Phase.APPROACH, Phase.DESCEND, Phase.TOUCHDOWN} and not step.on_ground:
+            heights_m[step.feet_near].append(w.pad(w.now_s)[2] - w.position[2] - LEG_M)
+        elif step.phase in {Phase.SEARCH, Phase.WAYPOINT}:
+            near.add(step.feet_near)
+        if step.phase is Phase.TOUCHDOWN:
+            w.echo_m = echo_m
+
+    w.each = note
+    assert w.fly(120.0).phase is Phase.LANDED
+    assert near == {False}
+    assert 0.08 < max(heights_m[True]) < (0.13 if echo_m is None else 0.4)
+    assert min(heights_m[False]) > 0.05
