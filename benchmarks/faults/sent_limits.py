@@ -11,7 +11,7 @@ from itertools import pairwise
 from typing import Final
 
 from benchmarks.faults.witness import SentSetpoint, TruthSample, WitnessedFlight
-from companion.base.geometry import norm, subtract, wrap_angle
+from companion.base.geometry import GRAVITY_M_S2, norm, subtract, wrap_angle
 from companion.config import LimitsConfig
 
 OBEYED_MODES: Final = ("OFFBOARD", "GUIDED")
@@ -116,4 +116,5 @@ def _bounded(
         north, east, down = sent.acceleration_ned_m_s2
         yield "acceleration (m/s2)", math.hypot(north, east), 0.0, limits.horizontal_acceleration_m_s2
         most = limits.vertical_acceleration_m_s2
-        yield "acceleration down (m/s2)", down, -most - sent.pressed_m_s2, most
+        # on the pad, as the thrust, all of it may be taken away
+        yield "acceleration down (m/s2)", down, -most - sent.pressed_m_s2, most if in_air else GRAVITY_M_S2

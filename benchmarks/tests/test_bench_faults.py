@@ -238,6 +238,10 @@ def test_what_presses_it_down_is_met_beyond_the_limit_on_vertical_acceleration_a
     assert "acceleration down" in broken_limit(
         late._replace(acceleration_ned_m_s2=(0.0, 0.0, limit + 0.1)), LimitsConfig()
     )
+    # AND on the pad all of the thrust may be taken away, no more
+    for down_m_s2, broken in ((GRAVITY_M_S2, False), (GRAVITY_M_S2 + 0.1, True)):
+        pressed = late._replace(acceleration_ned_m_s2=(0.0, 0.0, down_m_s2))
+        assert bool(broken_limit(pressed, LimitsConfig(), in_air=False)) is broken
 
 
 def test_gentle_touches_of_the_pad_and_the_autopilots_own_of_the_ground_are_safe() -> None:
