@@ -517,9 +517,9 @@ class Conditions:
 class PlanStep:
     """What the planner makes of one cycle. No reference: no setpoint leaves.
 
-    `on_ground`: the thrust is taken away, on the pad in the state STAND or AUTO_LAND. `unloading`: the share
-    of the thrust (0 to 1) to take away, since the feet may stand. `feet_near`: so low that what holds it up
-    may be what the feet stand on.
+    `on_ground`: the thrust is taken away, on the pad in the state STAND or AUTO_LAND, or on its side.
+    `unloading`: the share of the thrust (0 to 1) to take away, since the feet may stand. `feet_near`: so low
+    that what holds it up may be what the feet stand on.
     """
 
     time_s: float

@@ -144,7 +144,8 @@ class ControlConfig(StrictModel):
     """Descent rate commanded on the pad, so that the autopilot reduces its thrust; raise it if the
     autopilot does not detect its landing"""
     ground_acceleration_m_s2: float = Field(default=2.0, ge=0.0, le=3.0)
-    """Downward acceleration commanded on the pad; raise it if the autopilot does not detect its landing"""
+    """Downward acceleration commanded on the pad with `velocity` setpoints; raise it if the autopilot does
+    not detect its landing"""
     maximum_iterations: int = Field(default=400, ge=50, le=10000)
     """Largest number of solver iterations; raise it only if solves fail"""
     solve_limit_s: float = Field(default=0.01, gt=0.0, le=0.1)

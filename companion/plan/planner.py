@@ -58,7 +58,7 @@ GAP_S: Final = 10.0  # a link that is silent for longer has gone for good
 __all__ = ["PlanInputs", "Planner"]
 
 # while one of these is acted upon no other event of the cycle counts
-_NOTHING_ELSE = frozenset({MissionEvent.REFUSED, MissionEvent.TIPPED_OVER})
+_NOTHING_ELSE: Final = frozenset({MissionEvent.REFUSED, MissionEvent.TIPPED_OVER})
 
 
 class Planner:

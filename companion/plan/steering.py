@@ -134,7 +134,6 @@ class PhaseSteering:
         self.touchdown = self._new_try(0.0)
         self._held = Hold(config, vehicle.leg_height_m, generator=generator, pad=pad, ground=ground, say=say)
         self._begun_s, self._contradicted_s = 0.0, -math.inf
-        self._left_pad = False  # and the hold has not begun
         self._steered_by: dict[Phase, Callable[[PlanInputs, float], DetectedEvent | None]] = {
             Phase.STANDBY: self._stand_by,
             Phase.CONNECT: self._depart,
@@ -277,8 +276,7 @@ class PhaseSteering:
             return
         low = self._machine.phase is Phase.HOLD and previous in BY_THE_PAD - {State.APPROACH}
         if low and self.touchdown.leaving(now_s):
-            self._held.end()  # it leaves the pad first, level
-            self._left_pad = True
+            self._held.end()  # it leaves the pad first, level; `_hold` begins it
             return
         self._held.begin(inputs.vehicle, now_s, over_pad=low)
 
@@ -387,9 +385,8 @@ class PhaseSteering:
         if self.touchdown.leaving(now_s):
             self.touchdown.leave(inputs, self._pad.sight, now_s)
             return None
-        if self._left_pad and self._generator.active and inputs.vehicle is not None:
+        if not self._held.begun and self._generator.active and inputs.vehicle is not None:
             self._held.begin(inputs.vehicle, now_s, over_pad=True)
-        self._left_pad = False
         at_rest = self._held.step(inputs.vehicle, self.steps.step_m, now_s)
         self._end(inputs, now_s)
         # what has been released already, or waits for the link, ends otherwise

@@ -285,8 +285,7 @@ class LandDetector:
         silent IMU feels no fall: then it has to be shown down for longer.
         """
         silent = not imu_fresh(vehicle, now_s)
-        jolted = vehicle is not None and norm(vehicle.acceleration_ned_m_s2) > _FALLS_M_S2
-        falls = self._falling.held_s(jolted and not silent, now_s) >= FALLS_S
+        falls = self._falling.held_s(accelerates(vehicle) and not silent, now_s) >= FALLS_S
         rested_s = self._resting.held_s(down and not falls, now_s)
         return rested_s - _UNFELT_S if silent else rested_s
 

@@ -60,6 +60,11 @@ class Hold:
         if self._climbs:
             self._say("climb", f"climbing {climb_m:.1f} m clear of the pad", now_s, "warning")
 
+    @property
+    def begun(self) -> bool:
+        """Whether there is a place to hold."""
+        return self._place is not None
+
     def end(self) -> None:
         """There is nothing to hold by."""
         self._place, self._climbs = None, False
