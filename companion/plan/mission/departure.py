@@ -1,7 +1,7 @@
 """The flight from the ground to the waypoint, which the autopilot flies itself.
 
-Requests use latitude, longitude and height over home, since the autopilot's estimate differs from ours. Our
-own estimate decides whether the vehicle has arrived. Metres, seconds, degrees.
+Requests use latitude, longitude and height over home, since the autopilot's estimate differs from ours.
+Metres, seconds, degrees.
 """
 
 import math
@@ -111,17 +111,24 @@ class Departure:
         return MissionEvent.AIRBORNE, f"{height_m:.1f} m up"
 
     def _on_the_way(self, vehicle: VehicleState, autopilot: AutopilotState) -> DetectedEvent | None:
-        if self._config.waypoints_ned_m:  # the first of several, which all count alike
-            return self._waypoints.at_first(vehicle, self._avoidance.home_ned_m)
-        if vehicle.origin is None or autopilot.home is None:
+        """Whether it is slow at the first waypoint, by our estimate or by the autopilot's, which flies there.
+
+        The two differ by metres, and an autopilot that stands where it was sent comes no nearer.
+        """
+        if autopilot.home is None:
             return None
-        waypoint = ned_from_geodetic(*self._waypoint_geodetic(autopilot.home), vehicle.origin)
-        p, v = vehicle.position_ned_m, vehicle.velocity_ned_m_s
-        distance_m = math.hypot(p[0] - waypoint[0], p[1] - waypoint[1])
-        slow = math.hypot(v[0], v[1]) <= self._config.arrival_speed_m_s
-        if distance_m <= self._config.arrival_radius_m and slow:
-            return MissionEvent.ARRIVED, f"{distance_m:.1f} m from the waypoint"
-        return None
+        waypoint, distances_m = self._waypoint_geodetic(autopilot.home), [math.inf]
+        if vehicle.origin is not None:
+            there = ned_from_geodetic(*waypoint, vehicle.origin)
+            distances_m.append(math.dist(vehicle.position_ned_m[:2], there[:2]))
+        if autopilot.global_position is not None:
+            there = ned_from_geodetic(*waypoint, autopilot.global_position)
+            distances_m.append(math.hypot(*there[:2]))
+        distance_m, speed_m_s = min(distances_m), math.hypot(*vehicle.velocity_ned_m_s[:2])
+        if distance_m > self._config.arrival_radius_m or speed_m_s > self._config.arrival_speed_m_s:
+            return None
+        event = MissionEvent.ONWARD if self._config.waypoints_ned_m else MissionEvent.ARRIVED
+        return event, f"{distance_m:.1f} m from the waypoint"
 
     def _waypoint_geodetic(self, home: Vector3) -> Vector3:
         north, east = self._config.waypoint_ned_m

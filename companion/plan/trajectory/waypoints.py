@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import Vector3, add, norm
-from companion.base.messages import VehicleState
 from companion.base.motion import Motion
 from companion.config import ConfigError, MissionConfig, PlanConfig
 from companion.plan.events import DetectedEvent, MissionEvent
@@ -69,17 +68,6 @@ class Waypoints:
     def begin(self, *, with_first: bool) -> None:
         """Start over; `with_first` when the autopilot has not flown to the first."""
         self._left = self._places[0 if with_first else 1 :]
-
-    def at_first(self, vehicle: VehicleState, home_ned_m: Vector3 | None) -> DetectedEvent | None:
-        """Whether the vehicle is at the first waypoint, slow; in the EKF's NED."""
-        if home_ned_m is None:
-            return None
-        first, v = add(self.first_from_home_m, home_ned_m), vehicle.velocity_ned_m_s
-        distance_m = math.dist(vehicle.position_ned_m[:2], first[:2])
-        slow = math.hypot(v[0], v[1]) <= self._config.arrival_speed_m_s
-        if distance_m <= self._config.arrival_radius_m and slow:
-            return MissionEvent.ONWARD, f"{distance_m:.1f} m from the first waypoint"
-        return None
 
     def step(self, actual: Motion, home_ned_m: Vector3, now_s: float) -> DetectedEvent | None:
         """One cycle with control ours; `actual` and home are in the EKF's NED."""

@@ -111,6 +111,7 @@ class PlanWorld:
         self.carried_off_m: Vector3 | None = None  # something carries the pad's estimate, and is off by this
         self.carried_std_m = 0.2
         self.vehicle_known, self.stop, self.tilt_rad = True, False, 0.0
+        self.estimate_off_m: Vector3 = ZERO3  # the error of our estimate of the vehicle's position
         self.silent_from_s = math.inf  # the link
         self.order: Order | None = None  # given once
         self.camera_problem: str | None = None
@@ -180,7 +181,7 @@ class PlanWorld:
     # ------------------------------------------------------------ what the planner is told
 
     def _vehicle(self) -> VehicleState:
-        p = self.position
+        p = add(self.position, self.estimate_off_m)
         return VehicleState(
             time_s=self.now_s,
             attitude=quat_from_euler(self.tilt_rad, 0.0, 1.2),

@@ -49,6 +49,17 @@ def test_a_single_waypoint_is_the_autopilots_as_ever() -> None:
     assert world.flight.phase is Phase.LANDED
 
 
+@pytest.mark.parametrize("further", [(), ((14.0, 0.0),)])
+def test_it_has_arrived_where_the_autopilot_took_it_though_our_estimate_differs(
+    further: tuple[tuple[float, float], ...],
+) -> None:
+    config = PlanConfig(mission=MissionConfig(waypoints_ned_m=further))
+    world = PlanWorld(still(200.0, 200.0), config=config)
+    world.estimate_off_m = (1.6, -1.6, 0.0)
+    world.fly(40.0, until=lambda w: bool(w.flight.phases) and w.flight.phase is Phase.SEARCH)
+    assert world.flight.phase is Phase.SEARCH
+
+
 def test_further_waypoints_are_flown_through_by_our_own_setpoints() -> None:
     mission = MissionConfig(waypoints_ned_m=((14.0, 8.0), (20.0, 8.0, 9.0)))
     world = PlanWorld(still(26.0, 6.0), config=PlanConfig(mission=mission))
