@@ -219,7 +219,11 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
     done = {row.run: row for row in file.read(code)}
     left = [run for run in asked if run not in done]
     report.show(f"{len(asked)} flights, {len(left)} to fly")
-    done.update(fly_left(left, code, options.jobs, file, report))
+    try:
+        done.update(fly_left(left, code, options.jobs, file, report))
+    except KeyboardInterrupt:
+        print("stopped: the same command goes on with what is left", file=sys.stderr)
+        os._exit(130)  # the flight's loop was broken off, and would tell of each of its tasks
     rows = [done[run] for run in asked if run in done]
     for autopilot in options.autopilots:
         report.show(f"{autopilot}:")

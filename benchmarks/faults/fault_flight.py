@@ -7,7 +7,7 @@ autopilot makes of what it was handed belongs to how the flight ended.
 import asyncio
 import secrets
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -39,6 +39,7 @@ from sitl.faults.faults import PilotMode
 from sitl.faults.targets import ComputerFaults
 from sitl.mavlink.framing import read_key
 from sitl.run.in_process import InProcess
+from sitl.run.process_control import interrupted_at_once
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario
 
@@ -136,7 +137,7 @@ def fly(
     config = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
     faults = ComputerFaults()
     with _log(on_disk, story) as log, applied(faults):
-        record = run_in_virtual_time(_fly(trial, config, log, faults, prepare, story))
+        record = run_in_virtual_time(_interruptible(_fly(trial, config, log, faults, prepare, story)))
         faults.clear_faults()  # what is left of the log is written
         log.close()
     return record, config
@@ -161,6 +162,12 @@ def _log(on_disk: bool, story: StandingBy | None) -> Iterator[FlightLog]:
         return
     with tempfile.TemporaryDirectory(prefix="bench-faults-") as folder:
         yield FlightLog(Path(folder), start_unix_s=0.0)
+
+
+async def _interruptible(flight: Awaitable[WitnessedFlight]) -> WitnessedFlight:
+    """Fly, ended by a signal at once: the loop's own word of it goes to any process that shares its pipe."""
+    with interrupted_at_once():
+        return await flight
 
 
 async def _fly(
