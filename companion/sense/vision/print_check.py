@@ -100,7 +100,7 @@ class PrintCheck:
         pixels, _ = self._lens.project(points @ pose.camera_from_pad.T + pose.position_camera_m)
         width, height = self._lens.size_px
         inside = (pixels > 0.0).all() and (pixels < (width - 1, height - 1)).all()
-        if not inside or float(np.abs(pixels[1] - pixels[0]).max()) < CELL_PX:
+        if not inside or float(np.linalg.norm(pixels[1] - pixels[0])) < CELL_PX:
             return None
         return self._alike(image, pixels, white)
 

@@ -270,6 +270,22 @@ def test_indoor_400_is_found_where_only_close_markers_are_in_view(
     assert any(look.sighting is not None for look in looks)
 
 
+@pytest.mark.parametrize("yaw_deg", [0.0, 45.0])
+def test_a_single_code_in_clutter_is_no_pad_whichever_way_it_is_turned(
+    pad: Pad, camera: CameraConfig, yaw_deg: float
+) -> None:
+    """Cells of 2.4 px: where the other large markers should be there is noise."""
+    lens, rng = Lens(camera), np.random.default_rng(4)
+    large = max(pad.markers, key=lambda marker: marker.side_m)
+    distance_m = camera.fx_px * large.side_m / large.cells / 2.4
+    clutter = rng.integers(0, 256, (camera.height_px, camera.width_px)).astype(np.uint8)
+    rotation = camera_from_pad_at(math.radians(yaw_deg))
+    seen = [d for d in detections(pad, camera, rotation, (0.0, 0.0, distance_m)) if d.marker is large]
+    pose = estimate_pose(seen, lens, VisionConfig(), None)
+    assert pose is not None
+    assert not PrintCheck(pad, lens).bears_out(clutter, pose)
+
+
 def test_a_marker_that_was_read_by_the_pictures_edge_bears_out_the_only_one_that_was_measured(
     camera: CameraConfig, vehicle: VehicleConfig
 ) -> None:
