@@ -119,13 +119,17 @@ CASES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class PrecisionLandingResult:
-    """How one went; the numbers are NaN without a touchdown. `targets`: how many were sent."""
+    """How one went; the numbers are NaN without a touchdown. `targets`: how many were sent.
+
+    `failures`: why it was no landing.
+    """
 
     landed: bool
     lateral_m: float
     vertical_m_s: float
     seconds: float
     targets: int
+    failures: tuple[str, ...] = ()
 
 
 class Operator:
@@ -375,6 +379,7 @@ async def _operate(
         touch.vertical_speed_m_s,
         touch.time_s - began_s,
         count.targets,
+        verdict.failures,
     )
 
 
@@ -436,9 +441,9 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
         kinds = tuple(kind for kind in kinds if programs[kind])
     for kind in kinds:
         for case in (case for case in CASES if case.name.startswith(options.case)):
-            seeds = range(options.first, options.first + options.runs)
-            landings = [
-                fly(
+            landings = []
+            for seed in range(options.first, options.first + options.runs):
+                landing = fly(
                     kind,
                     case,
                     seed,
@@ -447,8 +452,9 @@ def main(arguments: Sequence[str] | None = None) -> BenchReport:
                     program=programs[kind],
                     parameters=options.param,
                 )
-                for seed in seeds
-            ]
+                landings.append(landing)
+                if not landing.landed:
+                    print(f"seed {seed}: {'; '.join(landing.failures) or 'no touchdown'}", flush=True)
             name = kind if programs[kind] else f"{kind}, bundled"
             cells = row(name, kind, case, landings)
             table.add_row(*cells)
