@@ -158,7 +158,7 @@ class GyroBiasStep(Fault, kind="gyro_bias_step"):
     """The gyroscope's zero moves at once, as after a knock."""
 
     rate_body_deg_s: BodyVector = Field(
-        default=(1.15, 1.15, 1.15), description="Added to every reading; by default 2 °/s in all"
+        default=(1.15, 1.15, 1.15), description="Added to every reading; by default 2 °/s in total"
     )
 
     def apply(self, targets: FaultTargets) -> None:
