@@ -55,7 +55,7 @@ class CameraCalibration(StrictModel):
     distortion_std: tuple[float, ...]
     """Standard deviation of each distortion coefficient"""
     projection_std_px: float = Field(ge=0.0)
-    """Where the calibration is least certain in the image"""
+    """Uncertainty of an image point's direction where it is largest in the image"""
     coverage: float = Field(ge=0.0, le=1.0)
     """Share of the image where corners were seen"""
     largest_tilt_deg: float = Field(ge=0.0, le=90.0)

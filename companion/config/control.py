@@ -27,9 +27,10 @@ class LimitsConfig(StrictModel):
     lower it for a vehicle with little thrust to spare"""
     tilt_deg: float = Field(default=30.0, gt=0.0, le=45.0)
     """Greatest tilt of the thrust axis from the vertical; set it below the autopilot's own limit
-    (`MPC_TILTMAX_AIR`, `ANGLE_MAX`). Attitude setpoints: of the attitude. Acceleration setpoints, and the
-    acceleration of velocity setpoints: the horizontal part is at most g tan(tilt), so that the tilt is
-    bounded at constant vertical speed only. What the autopilot's velocity loop adds is not bounded"""
+    (`MPC_TILTMAX_AIR`, `ANGLE_MAX`). With attitude setpoints it bounds the attitude. With acceleration
+    setpoints, and for the acceleration of velocity setpoints, it bounds the horizontal part to g
+    tan(tilt), and so the tilt at constant vertical speed only. What the autopilot's velocity loop adds
+    is not bounded"""
     jerk_m_s3: float = Field(default=20.0, gt=0.0, le=200.0)
     """Greatest change of the acceleration. Higher is worse: a wrong plan acts sooner. Lower it for a large
     frame with a slow response"""
@@ -114,8 +115,8 @@ class ControlConfig(StrictModel):
     command_delay_s: float = Field(default=0.03, ge=0.0, le=0.2)
     """Delay from the decision to the autopilot's loop; set it to your link's delay"""
     velocity_lookahead_s: float = Field(default=0.02, ge=0.0, le=0.5)
-    """Beyond `command_delay_s`, the moment whose predicted velocity is sent by velocity setpoints; raise it
-    for an autopilot that follows velocities late"""
+    """Velocity setpoints send the velocity predicted for this time after `command_delay_s`; raise it for an
+    autopilot that follows velocities late"""
     # measured on this very vehicle, by velocity setpoints: instead of what its file says of the autopilot
     autopilot_velocity_gain_1_s: float | None = Field(default=None, ge=0.2, le=12.0)
     """The autopilot's own gain from velocity error to acceleration, horizontally; set it to what `companion

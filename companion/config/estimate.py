@@ -45,8 +45,8 @@ class EkfConfig(StrictModel):
     mag_noise_ut: float = Field(default=5.0, gt=0.0, le=20.0)
     """Noise of a magnetometer sample; raise it near motor currents"""
     mag_wander_s: float = Field(default=1.0, ge=0.0, le=100.0)
-    """Correlation time of a magnetic disturbance, as near a steel deck, beyond noise and biases; raise it
-    where one lasts longer"""
+    """Correlation time of a magnetic disturbance beyond noise and biases, such as that of a steel deck;
+    raise it where disturbances last longer"""
     orientation_timeout_s: float = Field(default=3.0, gt=0.0, le=60.0)
     """If the pre-filter's attitude is refused for this time, the EKF adopts it; raise it if the EKF
     restarts its attitude without need"""
@@ -66,8 +66,8 @@ class EkfConfig(StrictModel):
     shaking_bound_m_s2: float = Field(default=2.0, gt=0.0, le=50.0)
     """Vibration beyond this lowers the accelerometer's weight; raise it only if normal flight exceeds it"""
     unaided_speed_m_s: float = Field(default=1.0, gt=0.0, le=100.0)
-    """Standard deviation of zero velocity, taken as a measurement before the first fix; raise it for a start
-    on a moving deck"""
+    """Before the first fix zero velocity is fused as a measurement with this standard deviation; raise it
+    for a start on a moving deck"""
     accel_bias_std_m_s2: float = Field(default=0.1, gt=0.0, le=2.0)
     """Initial uncertainty of the accelerometer's bias; raise it without an inertial calibration"""
     field_std_ut: float = Field(default=0.3, gt=0.0, le=20.0)

@@ -43,7 +43,7 @@ class LinkConfig(StrictModel):
     beacon_system_id: int | None = Field(default=None, ge=1, le=255)
     """System id on the pad whose GLOBAL_POSITION_INT is the pad's position (an autopilot or an RTK rover on
     the landing platform), as accurate as its GPS_RAW_INT says; then no FOLLOW_TARGET is used. None: there is
-    no such system; set it to that of the pad's"""
+    no such system; set it to the id of the system on the pad"""
     maximum_pad_speed_m_s: float = Field(default=8.0, gt=0.0, le=30.0)
     """A pad position report with a greater speed is refused; raise it for faster pads"""
     heartbeat_timeout_s: float = Field(default=3.0, ge=1.0, le=30.0)

@@ -70,8 +70,8 @@ class LandingConfig(StrictModel):
     battery"""
     pause_unseen_s: float = Field(default=0.5, gt=0.0, le=5.0)
     """If the pad is unseen for this time, the descent pauses, and just over the pad the vehicle climbs and
-    tries again. The descent counts it from the last exposure, the wait just over the pad from when that
-    sighting came. Raise it where single frames are often lost"""
+    tries again. In the descent the time counts from the last exposure, just over the pad from the arrival of
+    that sighting. Raise it where single frames are often lost"""
     lost_unseen_s: float = Field(default=5.0, gt=0.0, le=10.0)
     """If the pad is unseen for this time, it counts as lost; longer is worse: the vehicle follows a
     prediction. Lower it for a pad that changes its course often"""
@@ -105,7 +105,7 @@ class TouchdownConfig(StrictModel):
     """Largest tilt at contact, to which the vehicle levels; raise it for wind in which it cannot level;
     more is worse: one foot touches first, and the vehicle slides"""
     gentle_tilt_m_s2: float = Field(default=1.6, gt=0.0, le=6.0)
-    """Horizontal acceleration by tilt that following the pad may take at a gentle moment, wind included;
+    """Largest horizontal acceleration, wind included, that following the pad may need at a gentle moment;
     raise it in strong wind. Contact is never accepted if the vehicle cannot level within contact_tilt_deg
     and lateral_speed_m_s"""
     contact_deck_tilt_deg: float = Field(default=5.0, ge=1.0, le=30.0)
@@ -134,27 +134,28 @@ class TouchdownConfig(StrictModel):
     blend_s: float = Field(default=0.8, ge=0.2, le=3.0)
     """Time of the transition from waiting to the sink rate at contact; raise it for a heavy vehicle"""
     blind_s: float = Field(default=1.5, ge=0.1, le=5.0)
-    """If the pad is unseen for this time since the last exposure on the last way down, the vehicle climbs and
-    tries again; without room to climb, LAND sets it down. Less than 10 cm over contact it goes on while an
-    echo agrees. Longer is worse: it descends by a prediction. Lower it for a pad that changes its course
-    often"""
+    """If the pad is unseen for this time in the final descent, counted from the last exposure, the vehicle
+    climbs and tries again; without room to climb, LAND sets it down. Less than 10 cm over contact it goes on
+    while an echo agrees. Longer is worse: the vehicle descends by a prediction. Lower it for a pad that
+    changes its course often"""
     overdue_s: float = Field(default=1.5, ge=0.3, le=10.0)
     """If there is no contact within this time after the expected one, the vehicle climbs and tries again; if
-    a height says that the feet are down, LAND is commanded instead. Raise it for a pad whose height is
+    a height shows that the feet are down, LAND is commanded instead. Raise it for a pad whose height is
     uncertain"""
     escape_lateral_m: float = Field(default=0.18, gt=0.0, le=1.0)
-    """Lateral offset in the final descent beyond which it climbs and tries again. Larger is worse: a foot may
-    miss the pad. Raise it for a large pad, lower it for a small one"""
+    """Lateral offset in the final descent beyond which the vehicle climbs and tries again. Larger is worse:
+    a foot may miss the pad. Raise it for a large pad, lower it for a small one"""
     contact_margin_m: float = Field(default=0.02, gt=0.0, le=0.2)
     """Feet nearer to the pad than this count as low; raise it if the height is uncertain"""
     contact_s: float = Field(default=0.15, ge=0.0, le=1.0)
-    """A height with a stopped sink, or with the autopilot's word, for this long counts as contact. Shorter
-    is worse: a false contact reduces the thrust in the air. Raise it for a springy landing gear"""
+    """A height that shows the feet down, with a stopped sink or the autopilot's landed state, for this long
+    counts as contact. Shorter is worse: a false contact reduces the thrust in the air. Raise it for a
+    springy landing gear"""
     land_after_s: float = Field(default=1.0, ge=0.5, le=30.0)
-    """After this time at rest on the pad without thrust the app disarms, by force if refused. It is also how
-    long a stopped sink, up to 10 cm too high, takes to count as contact. Longer is worse: a link lost
-    meanwhile leaves the motors on. Much shorter is worse too: a bounce may look like rest. Raise it for a
-    landing gear that bounces"""
+    """After this time at rest on the pad without thrust the app disarms, by force if refused. A stopped sink
+    up to 10 cm too high also counts as contact after this time. Longer is worse: a link lost meanwhile
+    leaves the motors on. Much shorter is worse too: a bounce may look like rest. Raise it for a landing gear
+    that bounces"""
 
     @property
     def giving_up_s(self) -> float:

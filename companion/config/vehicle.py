@@ -31,7 +31,7 @@ class AxisResponse(StrictModel):
     damping: float = Field(gt=0.1, le=3.0)
     """Damping ratio of that response"""
     gain: float = Field(default=1.0, ge=0.5, le=2.0)
-    """Factor on the response to a step at first; in the long run it is 1"""
+    """Initial factor on the response to a step; it settles to 1"""
     velocity_gain_1_s: float = Field(default=0.0, ge=0.0, le=10.0)
     """K: acceleration for each m/s of velocity error, 0 without a velocity loop. Set it with the autopilot's
     own gain (`MPC_XY_VEL_P_ACC`, `MPC_Z_VEL_P_ACC`)"""
@@ -168,7 +168,8 @@ class CameraConfig(CaptureConfig):
     """`perspective`: straight lines stay nearly straight; `fisheye`: the distance from the centre grows
     with the angle, for lenses beyond 120°"""
     distortion: tuple[float, ...]
-    """K1, k2, p1, p2, k3 (eq. 3), and for the rational model k4, k5, k6; of a fisheye k1, k2, k3, k4"""
+    """Coefficients k1, k2, p1, p2, k3 (eq. 3), for the rational model also k4, k5, k6; for a fisheye k1, k2,
+    k3, k4"""
     encoding: Literal["srgb", "linear"] | tuple[float, ...] = Field(default="srgb")
     """How the camera encodes light as grey values: srgb, linear, or a table: the light (0 to 1) of evenly
     spaced grey values. `calibrate-camera` measures it; a wrong one moves every edge by up to 0.3 px"""

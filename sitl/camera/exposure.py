@@ -53,7 +53,7 @@ class ExposureSettings(StrictModel):
     automatic: bool = Field(
         default=True, description="Exposure follows the mean brightness of the last pictures"
     )
-    shortest_s: float = Field(default=0.0001, gt=0.0, le=0.03, description="Shutter")
+    shortest_s: float = Field(default=0.0001, gt=0.0, le=0.03, description="Shortest exposure")
     longest_s: float = Field(
         default=0.01, gt=0.0, le=0.03, description="Longest exposure; in less light the gain rises"
     )

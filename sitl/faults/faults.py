@@ -158,7 +158,7 @@ class GyroBiasStep(Fault, kind="gyro_bias_step"):
     """The gyroscope's zero moves at once, as after a knock."""
 
     rate_body_deg_s: BodyVector = Field(
-        default=(1.15, 1.15, 1.15), description="Added to every reading; by default 2 °/s in all"
+        default=(1.15, 1.15, 1.15), description="Added to every reading; by default 2 °/s in total"
     )
 
     def apply(self, targets: FaultTargets) -> None:
@@ -233,7 +233,7 @@ class ImuTurned(Fault, kind="imu_turned"):
 class Vibration(Fault, kind="vibration"):
     """A propeller is chipped, a frame resonates: the rotors' vibration grows, on the autopilot's IMU too."""
 
-    factor: float = Field(default=4.0, ge=1.0, le=20.0, description="On the rotors' vibration")
+    factor: float = Field(default=4.0, ge=1.0, le=20.0, description="Factor on the rotors' vibration")
 
     def apply(self, targets: FaultTargets) -> None:
         targets.rack.inertial.vibration_factor *= self.factor
@@ -260,7 +260,7 @@ class MagStuck(Fault, kind="mag_stuck"):
 class MagDisturbed(Fault, kind="mag_disturbed"):
     """A field in addition to the earth's: a current, a steel tool, a loudspeaker's magnet."""
 
-    field_body_ut: BodyVector = Field(default=(0.0, 30.0, 0.0), description="Added to the earth's")
+    field_body_ut: BodyVector = Field(default=(0.0, 30.0, 0.0), description="Added to the Earth's field")
 
     def apply(self, targets: FaultTargets) -> None:
         for sensor in (targets.rack.magnetometer, targets.autopilot_sensors):
@@ -362,7 +362,7 @@ class RangeSpikes(Fault, kind="range_spikes"):
         default=0.3,
         ge=0.0,
         le=1.0,
-        description="Share of the pings that return an echo from a random distance in between",
+        description="Share of the pings that return an echo from a random shorter distance",
     )
 
     def apply(self, targets: FaultTargets) -> None:
@@ -565,7 +565,7 @@ class PadBrakes(_PadDrives, kind="pad_brakes"):
 class PadTurnsBack(_PadDrives, kind="pad_turns_back"):
     """The pad brakes and drives back the way it came."""
 
-    acceleration_m_s2: float = Field(default=2.0, gt=0.0, le=20.0, description="Backwards")
+    acceleration_m_s2: float = Field(default=2.0, gt=0.0, le=20.0, description="Acceleration backwards")
 
     def begin(self, targets: FaultTargets, now_s: float) -> None:
         targets.motion.turn_back(now_s, self.acceleration_m_s2)
@@ -574,8 +574,10 @@ class PadTurnsBack(_PadDrives, kind="pad_turns_back"):
 class PadLeaves(_PadDrives, kind="pad_leaves"):
     """The pad drives away, straight on."""
 
-    speed_m_s: float = Field(default=6.0, gt=0.0, le=30.0, description="At last")
-    acceleration_m_s2: float = Field(default=2.0, gt=0.0, le=20.0, description="Up to it")
+    speed_m_s: float = Field(default=6.0, gt=0.0, le=30.0, description="Final speed")
+    acceleration_m_s2: float = Field(
+        default=2.0, gt=0.0, le=20.0, description="Acceleration up to that speed"
+    )
 
     def begin(self, targets: FaultTargets, now_s: float) -> None:
         targets.motion.drive(now_s, self.speed_m_s, self.acceleration_m_s2)
@@ -597,7 +599,7 @@ class PadVanishes(Fault, kind="pad_vanishes"):
 class PadTilts(Fault, kind="pad_tilts"):
     """The pad tilts, as on a vehicle that drives on to a kerb."""
 
-    roll_deg: float = Field(default=15.0, ge=-45.0, le=45.0, description="About its heading")
+    roll_deg: float = Field(default=15.0, ge=-45.0, le=45.0, description="Angle about its heading")
     rate_deg_s: float = Field(default=15.0, gt=0.0, le=360.0, description="Rate of tilting")
 
     def begin(self, targets: FaultTargets, now_s: float) -> None:
@@ -700,7 +702,9 @@ class FollowMe(Fault, kind="follow_me"):
 class SecondCompanion(AutopilotFault, kind="second_companion"):
     """A duplicate of the companion, under another component id, sends setpoints too: stand still."""
 
-    component_id: int = Field(default=196, ge=1, le=255, description="Component of the vehicle's system")
+    component_id: int = Field(
+        default=196, ge=1, le=255, description="Its component id, in the vehicle's system"
+    )
     rate_hz: float = Field(default=10.0, gt=0.0, le=50.0, description="Setpoints per second")
 
     def apply(self, targets: FaultTargets) -> None:

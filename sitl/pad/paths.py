@@ -366,7 +366,7 @@ class WaypointsMotion(StrictModel):
         default=0.0,
         ge=0.0,
         le=600.0,
-        description="At the first point at this time, coming straight from behind it",
+        description="Time at which the pad passes the first point, coming straight",
     )
     spread_m: float = Field(
         default=0.0, ge=0.0, le=30.0, description="Largest random shift of the whole path"

@@ -197,7 +197,7 @@ class SensorSettings(StrictModel):
 
     calibrated: bool = Field(
         default=True,
-        description="`false`: IMUs and magnetometers uncalibrated, with the iron of the vehicle about them",
+        description="`false`: uncalibrated IMUs and magnetometers, with the vehicle's iron near them",
     )
     imu_noise_factor: float = Field(
         default=1.0,
@@ -247,7 +247,7 @@ class BeaconSettings(StrictModel):
     )
     rate_hz: Annotated[float, Field(gt=0.0, le=10.0)] | None = Field(
         default=None,
-        description="Rate of its fixes; an answer carries the newest; none: a fix made for the answer",
+        description="Rate of its fixes; an answer has the newest; none: each answer has a fresh fix",
     )
     delay_s: float = Field(default=0.5, ge=0.0, le=5.0, description="Delay from the request to the answer")
 
@@ -294,8 +294,8 @@ class Scenario(StrictModel):
     autopilot_parameters: dict[str, float] = Field(
         default_factory=dict,
         description=(
-            "Parameters of the bundled autopilot by name, instead of its defaults: MOT_THST_HOVER as "
-            "somebody typed it"
+            "Parameters of the bundled autopilot by name, instead of its defaults: for example a wrong "
+            "MOT_THST_HOVER"
         ),
     )
     airframe: str = Field(default="x500", description="A name in configs/airframes, or a path")
