@@ -220,7 +220,6 @@ def test_parameters_keep_their_bounds_and_integers() -> None:
     assert parameters["SPEED_CM"] == 150.0
 
 
-@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 def test_every_name_in_a_profiles_table_leads_somewhere(autopilot_kind: AutopilotKind) -> None:
     table = PROFILES[autopilot_kind]
     names = [table.boot_mode, table.take_off_mode, table.after_take_off_mode, table.hold_mode]
