@@ -230,7 +230,7 @@ def test_the_delay_is_the_settings_and_varies_by_the_jitter() -> None:
 
 def test_jitter_keeps_the_order_even_when_longer_than_the_pauses_and_reordered_ones_are_overtaken() -> None:
     for settings, share in (({"jitter_s": 0.2}, 0.0), ({"reorder_share": 0.1, "reorder_hold_s": 0.05}, 0.1)):
-        when = [arrival for arrival in arrivals(**settings) if arrival is not None]
+        when = [arrival for arrival in arrivals(1, **settings) if arrival is not None]
         overtaken = sum(a >= b for a, b in pairwise(when))
         assert overtaken / len(when) == pytest.approx(share, abs=0.2 * share)
 
