@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -18,13 +19,43 @@ from sitl.campaign import run as running
 from sitl.campaign.manifest import CampaignRun
 from sitl.campaign.plots import write_plots
 from sitl.campaign.rows import CSV_NAME, RunsFile, read_rows
-from sitl.campaign.run import INTERRUPTED, CampaignMeter, Options
-from sitl.campaign.worker import RunResult
+from sitl.campaign.run import INTERRUPTED, CampaignMeter, Options, run_campaign
+from sitl.campaign.worker import RunResult, Worker, fly_locally
 from sitl.cli import main
 from tests.programs import ProgramHere
-from tests.unit.sitl.campaign.campaign_command import options, run, seeds
 from tests.unit.sitl.campaign.campaign_parts import PLOTS, row, scenario_file
-from tests.unit.sitl.campaign.fake_flights import DIES, HANGS, IS_REFUSED, MISSES
+from tests.unit.sitl.campaign.fake_flights import COMMAND, DIES, HANGS, IS_REFUSED, MISSES
+
+
+def options(
+    folder: Path | None, *sources: str, first_seed: int = 0, runs: int = 2, bars: bool = False
+) -> Options:
+    return Options(sources or ("static",), runs, first_seed, 2, folder, None, None, bars, quiet=True)
+
+
+def run(chosen: Options) -> tuple[int, str]:
+    out = io.StringIO()
+    code = run_campaign(chosen, Console(file=out, width=80))
+    return code, out.getvalue()
+
+
+def seeds(folder: Path) -> list[int]:
+    return [each.seed for each in read_rows(folder / CSV_NAME)]
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[CampaignRun]:
+    """Stand-ins fly and nothing is drawn, which takes seconds; what was asked for is kept."""
+    monkeypatch.setattr("sitl.campaign.plots.write_plots", lambda *_: [])
+    flights: list[CampaignRun] = []
+
+    def fly(wanted: Sequence[CampaignRun], jobs: int) -> Iterator[RunResult]:
+        flights.extend(wanted)
+        return fly_locally(wanted, jobs, partial(Worker, COMMAND))
+
+    monkeypatch.setattr(running, "fly_locally", fly)
+    return flights
+
 
 # ---------------------------------------------------------------- from start to end
 

@@ -59,9 +59,6 @@ def test_the_worst_are_crashes_then_what_never_landed_then_the_farthest_off() ->
     assert [each.seed for each in worst(rows, 6)] == [4, 5, 2, 3, 1, 6]
 
 
-# ---------------------------------------------------------------- bars
-
-
 @pytest.mark.parametrize(
     ("change", "broken"),
     [
@@ -86,9 +83,6 @@ def test_the_median_is_that_of_each_scenario() -> None:
 def test_nothing_measured_holds_no_bar() -> None:
     assert not any(bar.holds for bar in bars([row(outcome="failed")]))
     assert not any(bar.holds for bar in bars([]))
-
-
-# ---------------------------------------------------------------- for people
 
 
 def mixed() -> list[Row]:

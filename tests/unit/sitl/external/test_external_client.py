@@ -106,45 +106,42 @@ def test_a_rate_that_comes_is_not_asked_for_again_and_one_that_is_lost_is(ardupi
     assert ardupilot.asked()[SIM] >= 4
 
 
-def test_poses_come_out_and_others_are_not_heard() -> None:
-    bench = ClientBench(ARDUPILOT)
-    bench.hear(sim_state((9.0, 9.0, -9.0)))  # before anybody said who it is
-    bench.run(0.02, sim_state((1.0, 2.0, -3.0)))
-    bench.hear(sim_state((50.0, 0.0, 0.0)), sender=MessageSender(system=7))
-    bench.hear(sim_state((50.0, 0.0, 0.0)), sender=MessageSender(component=30))
-    bench.hear(heartbeat(PX4, armed=True), sender=MessageSender(system=7))
-    (sample,) = bench.client.take_samples()
+def test_poses_come_out_and_others_are_not_heard(ardupilot: ClientBench) -> None:
+    ardupilot.hear(sim_state((9.0, 9.0, -9.0)))  # before anybody said who it is
+    ardupilot.run(0.02, sim_state((1.0, 2.0, -3.0)))
+    ardupilot.hear(sim_state((50.0, 0.0, 0.0)), sender=MessageSender(system=7))
+    ardupilot.hear(sim_state((50.0, 0.0, 0.0)), sender=MessageSender(component=30))
+    ardupilot.hear(heartbeat(PX4, armed=True), sender=MessageSender(system=7))
+    (sample,) = ardupilot.client.take_samples()
     assert ned_from_geodetic(*sample.place, GROUND) == pytest.approx((1.0, 2.0, -3.0), abs=0.012)
     assert sample.time_s == 100.0
-    assert not bench.client.armed
-    assert bench.client.source == "SIM_STATE"
+    assert not ardupilot.client.armed
+    assert ardupilot.client.source == "SIM_STATE"
 
 
-def test_a_stamp_is_turned_into_our_time_by_timesync_and_no_stamp_means_now() -> None:
-    bench = ClientBench(PX4)
-    bench.run(0.5)
-    question = [m for m in bench.sent if m.get_type() == "TIMESYNC"][-1]
+def test_a_stamp_is_turned_into_our_time_by_timesync_and_no_stamp_means_now(px4: ClientBench) -> None:
+    px4.run(0.5)
+    question = [m for m in px4.sent if m.get_type() == "TIMESYNC"][-1]
     # the vehicle's clock shows 40 s when ours shows 100 s and a little
-    bench.now_s = question.ts1 / 1e9 + 0.004
-    bench.hear(mavlink.MAVLink_timesync_message(40_000_000_000, question.ts1))
+    px4.now_s = question.ts1 / 1e9 + 0.004
+    px4.hear(mavlink.MAVLink_timesync_message(40_000_000_000, question.ts1))
     middle_s = question.ts1 / 1e9 + 0.002
-    bench.client.take_samples()
-    bench.now_s = middle_s + 1.010
-    bench.hear(hil_state((0.0, 0.0, 0.0), time_usec=41_000_000))
-    bench.hear(hil_state((0.0, 0.0, 0.0)))
-    bench.hear(hil_state((0.0, 0.0, 0.0), time_usec=77_000_000))  # of another clock
-    stamped, unstamped, wrong = (s.time_s for s in bench.client.take_samples())
+    px4.client.take_samples()
+    px4.now_s = middle_s + 1.010
+    px4.hear(hil_state((0.0, 0.0, 0.0), time_usec=41_000_000))
+    px4.hear(hil_state((0.0, 0.0, 0.0)))
+    px4.hear(hil_state((0.0, 0.0, 0.0), time_usec=77_000_000))  # of another clock
+    stamped, unstamped, wrong = (s.time_s for s in px4.client.take_samples())
     assert stamped == pytest.approx(middle_s + 1.0, abs=1e-6)
-    assert unstamped == wrong == bench.now_s
+    assert unstamped == wrong == px4.now_s
 
 
-def test_a_pose_has_the_time_of_the_vehicle_s_own_clock() -> None:
-    bench = ClientBench(PX4)
-    bench.run(0.02)
-    bench.hear(attitude(time_ms=7000), hil_state((0.0, 0.0, 0.0)))
-    bench.now_s += 0.05  # in which it has stood still for 40 ms
-    bench.hear(attitude(time_ms=7010), hil_state((0.0, 0.0, 0.0)))
-    first, second = bench.client.take_samples()
+def test_a_pose_has_the_time_of_the_vehicle_s_own_clock(px4: ClientBench) -> None:
+    px4.run(0.02)
+    px4.hear(attitude(time_ms=7000), hil_state((0.0, 0.0, 0.0)))
+    px4.now_s += 0.05  # in which it has stood still for 40 ms
+    px4.hear(attitude(time_ms=7010), hil_state((0.0, 0.0, 0.0)))
+    first, second = px4.client.take_samples()
     assert second.simulated_s - first.simulated_s == pytest.approx(0.01)
     assert second.time_s - first.time_s == pytest.approx(0.05)
 
@@ -152,50 +149,49 @@ def test_a_pose_has_the_time_of_the_vehicle_s_own_clock() -> None:
 ESTIMATE = (attitude(), place(), local())
 
 
-def test_without_the_truth_it_warns_once_and_takes_the_estimates() -> None:
-    bench = ClientBench(PX4)
-    bench.run(12.0, *ESTIMATE)
-    (text,) = bench.texts
+def test_without_the_truth_it_warns_once_and_takes_the_estimates(px4: ClientBench) -> None:
+    px4.run(12.0, *ESTIMATE)
+    (text,) = px4.texts
     assert text.startswith("WARNING: no HIL_STATE_QUATERNION within 5 s, so no truth")
-    sample = bench.client.take_samples()[-1]
-    assert bench.client.source == ESTIMATES
+    sample = px4.client.take_samples()[-1]
+    assert px4.client.source == ESTIMATES
     assert sample.place == pytest.approx(GROUND, abs=1e-6)
     assert sample.velocity_ned_m_s == (1.0, 0.0, 0.0)
-    bench.hear(local(4.0))
-    moved = ned_from_geodetic(*bench.client.take_samples()[-1].place, GROUND)
+    px4.hear(local(4.0))
+    moved = ned_from_geodetic(*px4.client.take_samples()[-1].place, GROUND)
     assert moved == pytest.approx((1.0, 0.0, 0.0), abs=1e-4)
 
 
 TRUE_PLACE = (0.3, -0.4, 1.2)  # from where the estimates have it
 
 
-def test_a_truth_that_comes_late_takes_their_place_on_the_ground_and_not_in_the_air() -> None:
-    bench = ClientBench(ARDUPILOT)
-    bench.run(7.0, *ESTIMATE)
-    bench.client.take_samples()
-    bench.armed = True
-    bench.run(1.0, sim_state(TRUE_PLACE))
-    assert bench.client.take_samples() == []
-    bench.armed = False
+def test_a_truth_that_comes_late_takes_their_place_on_the_ground_and_not_in_the_air(
+    ardupilot: ClientBench,
+) -> None:
+    ardupilot.run(7.0, *ESTIMATE)
+    ardupilot.client.take_samples()
+    ardupilot.armed = True
+    ardupilot.run(1.0, sim_state(TRUE_PLACE))
+    assert ardupilot.client.take_samples() == []
+    ardupilot.armed = False
     # what the estimates said in the same breath is not taken for truth
-    bench.hear(heartbeat(ARDUPILOT), *ESTIMATE, sim_state(TRUE_PLACE))
-    (sample,) = bench.client.take_samples()
+    ardupilot.hear(heartbeat(ARDUPILOT), *ESTIMATE, sim_state(TRUE_PLACE))
+    (sample,) = ardupilot.client.take_samples()
     assert ned_from_geodetic(*sample.place, GROUND) == pytest.approx(TRUE_PLACE, abs=0.012)
-    assert bench.client.source == "SIM_STATE"
-    assert bench.texts[1:] == [
+    assert ardupilot.client.source == "SIM_STATE"
+    assert ardupilot.texts[1:] == [
         "SIM_STATE comes after all, but the vehicle is armed: keeping to the estimates",
         "SIM_STATE comes after all: the pose is the simulator's truth",
     ]
 
 
-def test_after_a_flight_on_estimates_its_score_is_kept_to() -> None:
-    bench = ClientBench(ARDUPILOT)
-    bench.run(7.0, *ESTIMATE)
-    bench.client.take_samples()
-    bench.client.flown = True
-    bench.run(0.8, sim_state(TRUE_PLACE))
-    assert bench.client.source == ESTIMATES
-    assert bench.texts[1:] == [
+def test_after_a_flight_on_estimates_its_score_is_kept_to(ardupilot: ClientBench) -> None:
+    ardupilot.run(7.0, *ESTIMATE)
+    ardupilot.client.take_samples()
+    ardupilot.client.flown = True
+    ardupilot.run(0.8, sim_state(TRUE_PLACE))
+    assert ardupilot.client.source == ESTIMATES
+    assert ardupilot.texts[1:] == [
         "SIM_STATE comes after all, but the vehicle has flown: keeping to the estimates"
     ]
 

@@ -14,11 +14,32 @@ from sitl.faults.faults import Fault, FrameLate, FrameLost, GpsLost, GyroBiasSte
 from sitl.faults.lines import FrameLine, LinkChannel, LinkSettings
 from sitl.scenario.scenario import Scenario
 from tests.unit.sitl.devices.sensor_desk import DriverSamples, fly
-from tests.unit.sitl.faults.fault_readings import END_S, SECONDS, START_S, TIMES, during, elsewhere, mean
 
+START_S, END_S, SECONDS = 6.0, 8.0, 10.0
+TIMES: dict[str, Any] = {"start_s": START_S, "duration_s": END_S - START_S}
+SETTLE_S = 0.05  # the filters' delay, and samples that are averages
 RATE, FORCE = "rate_body_rad_s", "specific_force_body_m_s2"
 
 # ---------------------------------------------------------------- one by one
+
+
+def during(samples: list[Any]) -> list[Any]:
+    return [sample for sample in samples if START_S + SETTLE_S < sample.time_s < END_S - SETTLE_S]
+
+
+def elsewhere(samples: list[Any]) -> list[Any]:
+    """Before the fault, and after it."""
+    return [s for s in samples if s.time_s < START_S - SETTLE_S or s.time_s > END_S + SETTLE_S]
+
+
+def mean(samples: list[Any], name: str) -> Any:
+    return np.mean([getattr(sample, name) for sample in samples], axis=0)
+
+
+@pytest.fixture(scope="module")
+def healthy() -> DriverSamples:
+    """Of a flight without a fault, which those with one are compared with."""
+    return fly(3, SECONDS)
 
 
 def scenario_with(*faults: dict[str, Any]) -> Scenario:

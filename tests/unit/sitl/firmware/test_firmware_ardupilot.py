@@ -32,9 +32,6 @@ def word_after(program: Fake, option: str) -> str:
     return words[words.index(option) + 1]
 
 
-# ---------------------------------------------------------------- lockstep
-
-
 def test_each_step_is_two_frames_that_end_with_it_and_waits_for_their_answers(program: Fake) -> None:
     with running(program) as firmware:
         for count in range(1, 30):
@@ -52,9 +49,6 @@ def test_pulses_that_come_twice_are_answered_once(tmp_path: Path) -> None:
     stamps = [line["timestamp"] for line in program.sensors]
     assert stamps == sorted(set(stamps))
     assert len(stamps) == 20
-
-
-# ---------------------------------------------------------------- what it is told
 
 
 def test_it_is_reported_of_sensors_and_state_in_si_units_ned_and_frd(program: Fake) -> None:
@@ -86,9 +80,6 @@ def test_it_is_told_its_parameters_where_it_stands_and_whom_to_talk_to(program: 
         actuator = motors["MOT_SPIN_MIN"] + (motors["MOT_SPIN_MAX"] - motors["MOT_SPIN_MIN"]) * throttle
         pulse_us = motors["MOT_PWM_MIN"] + (motors["MOT_PWM_MAX"] - motors["MOT_PWM_MIN"]) * actuator
         assert ardupilot._share(round(pulse_us)) == pytest.approx(throttle, abs=1e-3)
-
-
-# ---------------------------------------------------------------- what goes wrong
 
 
 def test_what_is_no_answer_of_its_own_is_not_taken_for_one(tmp_path: Path) -> None:

@@ -88,9 +88,6 @@ def test_without_a_free_instance_it_is_said_and_nothing_is_left(
     assert not list(tmp_path.glob(f"{PROGRAMS[kind]}-*"))
 
 
-# ---------------------------------------------------------------- what goes wrong
-
-
 def test_one_that_ends_before_it_answers_is_reported_by_its_last_words(
     kind: AutopilotKind, tmp_path: Path
 ) -> None:

@@ -41,9 +41,6 @@ def told(program: Fake, kind: str) -> list[Any]:
     return [message for message in program.sensors if message.get_type() == kind]
 
 
-# ---------------------------------------------------------------- lockstep
-
-
 def test_each_step_waits_for_the_answer_to_its_own_time(program: Fake) -> None:
     with running(program) as firmware:
         for count in range(1, 30):
@@ -59,9 +56,6 @@ def test_while_it_boots_the_motors_are_off_and_nobody_waits_for_it(
     monkeypatch.setattr(px4, "BOOTING_STEP_S", 0.002)
     with running(fake("px4", tmp_path, boot_steps=1000, motors=[0.5] * 4)) as firmware:
         assert {firmware.step(at) for at in moments(20)} == {(0.0, 0.0, 0.0, 0.0)}
-
-
-# ---------------------------------------------------------------- what it is told
 
 
 def test_inertial_sensors_are_in_si_units_the_field_in_gauss_and_the_pose_for_it_to_find_out(
@@ -125,9 +119,6 @@ def test_a_fix_is_in_integers_and_its_course_is_where_it_goes(
     assert (heard.vel, heard.cog) == (speed, course)
 
 
-# ---------------------------------------------------------------- parameters
-
-
 def test_it_is_reported_of_the_vehicle_and_the_receivers_delay_by_values_that_are_never_its_own_defaults(
     program: Fake,
 ) -> None:
@@ -148,9 +139,6 @@ def test_it_is_reported_of_the_vehicle_and_the_receivers_delay_by_values_that_ar
     assert told["EKF2_GPS_DELAY"] == 200
 
 
-# ---------------------------------------------------------------- instances
-
-
 @contextlib.contextmanager
 def taken(port: int, kind: socket.SocketKind) -> Iterator[None]:
     with contextlib.closing(socket.socket(socket.AF_INET, kind)) as other:
@@ -166,9 +154,6 @@ def test_an_instance_with_a_port_in_use_is_passed_over(port: int, program: Fake)
     with taken(port, socket.SOCK_DGRAM), running(program):
         pass
     assert 0 not in program.instances
-
-
-# ---------------------------------------------------------------- what goes wrong
 
 
 def test_a_folder_that_is_no_build_is_said(program: Fake) -> None:

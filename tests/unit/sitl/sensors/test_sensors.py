@@ -30,9 +30,6 @@ def imu_run(errors: ImuErrors, steps: int, throttle: float, seed: int = 1) -> tu
     return np.array([s[0] for s in samples]), np.array([s[1] for s in samples])
 
 
-# ---------------------------------------------------------------- IMU
-
-
 def test_without_errors_the_imu_feels_the_truth_in_its_own_axes() -> None:
     mount = np.diag((1.0, -1.0, -1.0))
     sensor = ImuSensor(NO_IMU_ERRORS, np.random.default_rng(1), DT_S, mount)
@@ -123,9 +120,6 @@ def test_the_same_seed_gives_the_same_flight() -> None:
     assert not np.array_equal(first[0], other[0])
 
 
-# ---------------------------------------------------------------- magnetometer
-
-
 @pytest.mark.parametrize("yaw_deg", [0, 90, 180, 270])
 def test_the_magnetometer_feels_the_field_in_the_accelerometers_axes(yaw_deg: int) -> None:
     turned = math.radians(yaw_deg)
@@ -142,9 +136,6 @@ def test_magnetometer_noise_and_the_motors_current() -> None:
     full = np.array([sensor.sample((20.0, 0.0, 40.0), 1.0) for _ in range(3000)])
     assert idle.std(axis=0) == pytest.approx(np.full(3, 0.6), rel=0.1)
     assert np.linalg.norm(full.mean(axis=0) - idle.mean(axis=0)) == pytest.approx(1.0, abs=0.1)
-
-
-# ---------------------------------------------------------------- GPS
 
 
 def test_without_errors_gps_is_the_truth() -> None:
@@ -164,9 +155,6 @@ def test_gps_wanders_slowly_and_hisses_little() -> None:
     # from one fix to the next: white noise and 0.2 s of the wander
     expected = math.sqrt(2 * 0.1**2 + 2 * (1.0 - math.exp(-0.2 / 60.0)))
     assert np.diff(wander[:, 0]).std() == pytest.approx(expected, rel=0.1)
-
-
-# ---------------------------------------------------------------- ultrasonic
 
 
 @pytest.mark.parametrize(

@@ -42,32 +42,20 @@ def test_the_wind_is_weaker_near_the_ground(height: float, share: float) -> None
     assert shear(0.0) == shear(-1.0) == shear(0.3) > 0.3
 
 
-def ensemble(steps: tuple[int, ...], count: int = 3000) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Samples (count, len(steps), 3) of independent fields after so many steps each."""
-    generator = rng(7)
-    rows = []
-    for _ in range(count):
-        field = DrydenTurbulence(10.0, 8.0, generator)
-        walk = [field.step() for _ in range(max(steps))]
-        rows.append([walk[step - 1] for step in steps])
-    return np.array(rows)
-
-
-def test_turbulence_has_the_standards_variance_from_the_first_sample_on() -> None:
-    field = DrydenTurbulence(10.0, 8.0, rng())
+def test_turbulence_has_the_standards_variance_from_the_first_sample_on_and_the_drydens_memory() -> None:
+    field, lag, generator = DrydenTurbulence(10.0, 8.0, rng()), 40, rng(7)
     expected = (field.std_horizontal_m_s, field.std_horizontal_m_s, field.std_vertical_m_s)
     assert field.std_vertical_m_s == pytest.approx(1.0)
     assert field.std_horizontal_m_s == pytest.approx(1.93, abs=0.01)  # 0.1935 ** -0.4
-    std = ensemble((1, 40)).std(axis=0)
+    walks = []
+    for _ in range(3000):
+        independent = DrydenTurbulence(10.0, 8.0, generator)
+        walk = [independent.step() for _ in range(1 + lag)]
+        walks.append((walk[0], walk[lag]))
+    samples = np.array(walks)
     # the estimate's own deviation is 1.3 %
-    np.testing.assert_allclose(std, np.array([expected, expected]), rtol=0.05)
-
-
-def test_turbulence_has_the_drydens_memory() -> None:
-    """Correlation after tau: exp(-tau / T) along the wind; exp(-tau / T) (1 - tau / 2T) across it."""
-    field = DrydenTurbulence(10.0, 8.0, rng())
-    lag = 40
-    samples = ensemble((1, 1 + lag))
+    np.testing.assert_allclose(samples.std(axis=0), np.array([expected, expected]), rtol=0.05)
+    # correlation after tau: exp(-tau / T) along the wind; exp(-tau / T) (1 - tau / 2T) across it
     correlation = [np.corrcoef(samples[:, 0, i], samples[:, 1, i])[0, 1] for i in range(3)]
     tau = lag * TURBULENCE_STEP_S
     along = math.exp(-tau / field.time_horizontal_s)
@@ -118,9 +106,6 @@ def test_a_seed_gives_one_wind_and_another_seed_another() -> None:
 
     assert blown(5) == blown(5)
     assert blown(5) != blown(6)
-
-
-# ---------------------------------------------------------------- by name, and at a time
 
 
 def test_light_moderate_and_severe_are_the_standards_winds_at_twenty_feet() -> None:
