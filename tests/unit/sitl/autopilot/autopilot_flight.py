@@ -211,3 +211,9 @@ def in_the_air(autopilot_kind: AutopilotKind, **options: object) -> AutopilotFli
     flight.take_off()
     flight.take_control()
     return flight
+
+
+def set_down(flight: AutopilotFlight, north: float = 0.0) -> None:
+    """Sink by setpoints until the feet touch."""
+    while flight.vehicle.height_m > 0.0:
+        flight.run(0.1, velocity(north, 0.0, 0.5))

@@ -26,44 +26,47 @@ from tests.unit.sitl.autopilot.autopilot_flight import (
     in_the_air,
     landed_state,
     ready,
+    set_down,
     velocity,
 )
-
-BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
-
 
 # ---------------------------------------------------------------- arming and taking off
 
 
-@BOTH
-def test_it_refuses_to_arm_before_its_estimator_is_aligned(autopilot_kind: AutopilotKind) -> None:
-    flight = AutopilotFlight(autopilot_kind)
+def test_it_refuses_to_arm_before_its_estimator_is_aligned_and_disarms_unless_it_is_flown(
+    flight: AutopilotFlight,
+) -> None:
     flight.run(1.0)
     assert not ready(flight)
-    assert flight.autopilot.arm() in (CommandResult.TEMPORARILY_REJECTED, CommandResult.FAILED)
-    assert not flight.autopilot.armed
+    refused = flight.autopilot.arm() in (CommandResult.TEMPORARILY_REJECTED, CommandResult.FAILED)
+    assert (refused, flight.autopilot.armed) == (True, False)
     flight.run(0.1)
     assert any(text.startswith(("Arming denied", "Arm: Need Position")) for text in flight.texts)
     flight.run(5.0)
     assert ready(flight)
     assert flight.autopilot.arm() is CommandResult.ACCEPTED
+    flight.run(9.5)
+    assert flight.autopilot.armed
+    flight.run(1.0)
+    assert not flight.autopilot.armed
 
 
-@BOTH
 def test_it_climbs_to_the_height_at_a_metre_and_a_half_a_second_and_holds(
-    autopilot_kind: AutopilotKind,
+    flight: AutopilotFlight, autopilot_kind: AutopilotKind
 ) -> None:
-    flight = AutopilotFlight(autopilot_kind)
     flight.take_off(6.0)
     assert flight.vehicle.height_m == pytest.approx(6.0, abs=0.1)
     assert math.dist(flight.vehicle.velocity, ZERO) < 0.05
     assert landed_state(flight) is LandedState.IN_AIR
     assert flight.autopilot.mode == ("AUTO_LOITER" if autopilot_kind == "px4" else "GUIDED")
+    # disarming in flight needs force
+    assert flight.autopilot.disarm() in (CommandResult.TEMPORARILY_REJECTED, CommandResult.FAILED)
+    assert flight.autopilot.armed
+    assert flight.autopilot.disarm(force=True) is CommandResult.ACCEPTED
+    assert not flight.autopilot.armed
 
 
-@BOTH
-def test_the_climb_keeps_to_its_speed(autopilot_kind: AutopilotKind) -> None:
-    flight = AutopilotFlight(autopilot_kind)
+def test_the_climb_keeps_to_its_speed(flight: AutopilotFlight, autopilot_kind: AutopilotKind) -> None:
     flight.run(6.0)
     flight.autopilot.set_mode(4)
     flight.autopilot.arm()
@@ -83,46 +86,29 @@ def test_px4_takes_its_own_height_when_none_is_given() -> None:
     assert flight.vehicle.height_m == pytest.approx(4.0, abs=0.2)
 
 
-def test_ardupilot_takes_off_only_armed_in_guided_and_from_the_ground() -> None:
+def test_ardupilot_takes_off_only_armed_in_guided_from_the_ground_and_by_no_setpoint() -> None:
     flight = AutopilotFlight("ardupilot")
     flight.run(6.0)
     assert flight.autopilot.take_off(5.0) is CommandResult.FAILED
     flight.autopilot.arm()
     assert flight.autopilot.take_off(5.0) is CommandResult.FAILED
     flight.autopilot.set_mode(4)
+    flight.run(2.0, velocity(0.0, 0.0, -1.0))
+    assert flight.vehicle.height_m == 0.0
     assert flight.autopilot.take_off(5.0) is CommandResult.ACCEPTED
     flight.run(8.0)
     assert flight.autopilot.take_off(5.0) is CommandResult.FAILED
+    flight.autopilot.set_mode(5)  # outside GUIDED
+    flight.run(2.0, velocity(2.0))
+    assert abs(flight.vehicle.velocity[0]) < 0.1
 
 
-@BOTH
-def test_armed_but_not_flown_it_disarms_by_itself(autopilot_kind: AutopilotKind) -> None:
-    flight = AutopilotFlight(autopilot_kind)
-    flight.run(6.0)
-    flight.autopilot.arm()
-    flight.run(9.5)
-    assert flight.autopilot.armed
-    flight.run(1.0)
-    assert not flight.autopilot.armed
-
-
-@BOTH
-def test_disarming_in_flight_needs_force(autopilot_kind: AutopilotKind) -> None:
-    flight = AutopilotFlight(autopilot_kind)
-    flight.take_off()
-    assert flight.autopilot.disarm() in (CommandResult.TEMPORARILY_REJECTED, CommandResult.FAILED)
-    assert flight.autopilot.armed
-    assert flight.autopilot.disarm(force=True) is CommandResult.ACCEPTED
-    assert not flight.autopilot.armed
-
-
-@BOTH
-def test_it_takes_off_in_any_heading_and_keeps_it(autopilot_kind: AutopilotKind) -> None:
-    for heading in (0.0, math.pi / 2, math.pi, -math.pi / 2):
-        flight = AutopilotFlight(autopilot_kind, heading_rad=heading)
-        flight.take_off(3.0)
-        assert abs(wrap_angle(yaw_from_quat(flight.vehicle.attitude) - heading)) < 0.02
-        assert math.hypot(*flight.vehicle.position[:2]) < 0.1
+@pytest.mark.parametrize("heading", [0.0, math.pi / 2, math.pi, -math.pi / 2])
+def test_it_takes_off_in_any_heading_and_keeps_it(autopilot_kind: AutopilotKind, heading: float) -> None:
+    flight = AutopilotFlight(autopilot_kind, heading_rad=heading)
+    flight.take_off(3.0)
+    assert abs(wrap_angle(yaw_from_quat(flight.vehicle.attitude) - heading)) < 0.02
+    assert math.hypot(*flight.vehicle.position[:2]) < 0.1
 
 
 # ---------------------------------------------------------------- modes and failsafes
@@ -144,11 +130,8 @@ def test_px4_leaves_offboard_when_setpoints_stop_and_comes_back_with_them() -> N
     flight.run(2.0, velocity(1.0))
     flight.run(0.9)
     assert flight.autopilot.mode == "OFFBOARD"
-    flight.run(0.4)
-    assert flight.autopilot.mode == "POSCTL"
-    assert flight.autopilot.in_failsafe
+    flight.run(3.4)  # nobody at the sticks: level, and down at MPC_LAND_SPEED
     assert any("offboard" in text for text in flight.texts)
-    flight.run(3.0)  # nobody at the sticks: level, and down at MPC_LAND_SPEED
     assert tilt_from_quat(flight.vehicle.attitude) < math.radians(1.0)
     assert flight.vehicle.velocity[2] == pytest.approx(0.7, abs=0.05)
     flight.run(0.2, STAND_STILL)
@@ -169,16 +152,10 @@ def test_px4_does_what_its_parameter_says_when_setpoints_stop(action: int, mode:
     flight.run(3.0)
     if action in (4, 5):  # neither goes on with the speed over ground that it had
         assert math.hypot(*flight.vehicle.velocity[:2]) < 0.1
-
-
-@pytest.mark.parametrize("action", [0, 4])
-def test_px4_disarms_what_its_failsafe_has_landed_while_setpoints_stay_away(action: int) -> None:
-    flight = in_the_air("px4")
-    flight.autopilot.parameters.set("COM_OBL_RC_ACT", float(action))
-    flight.run(1.0, STAND_STILL)
-    flight.run(25.0)
-    assert flight.texts[-2:] == ["Landing detected", "Disarmed by landing"]
-    assert not flight.autopilot.armed
+    if action in (0, 4):  # what it has landed is disarmed, though setpoints stay away
+        flight.run(22.0)
+        assert flight.texts[-2:] == ["Landing detected", "Disarmed by landing"]
+        assert not flight.autopilot.armed
 
 
 @pytest.mark.parametrize("action", [6, 7])
@@ -217,25 +194,14 @@ def test_an_ardupilot_position_does_not_time_out() -> None:
     assert flight.vehicle.position[0] == pytest.approx(x + 20.0, abs=0.3)
 
 
-def test_ardupilot_ignores_setpoints_outside_guided_and_on_the_ground() -> None:
-    flight = AutopilotFlight("ardupilot")
-    flight.run(6.0)
-    flight.autopilot.set_mode(4)
-    flight.autopilot.arm()
-    flight.run(2.0, velocity(0.0, 0.0, -1.0))
-    assert flight.vehicle.height_m == 0.0
-    flight.autopilot.take_off(4.0)
-    flight.run(8.0)
-    flight.autopilot.set_mode(5)
-    flight.run(2.0, velocity(2.0))
-    assert abs(flight.vehicle.velocity[0]) < 0.1
-
-
-def test_px4_takes_off_on_an_upward_setpoint_in_offboard() -> None:
+def test_px4_takes_off_on_an_upward_setpoint_in_offboard_where_it_does_not_arm_without_setpoints() -> None:
     flight = AutopilotFlight("px4")
     flight.run(4.0, STAND_STILL)
     flight.autopilot.set_mode(PX4_OFFBOARD)
-    flight.autopilot.arm()
+    flight.run(2.0)
+    assert flight.autopilot.arm() is CommandResult.TEMPORARILY_REJECTED
+    flight.run(0.5, STAND_STILL)
+    assert flight.autopilot.arm() is CommandResult.ACCEPTED
     flight.run(1.0, STAND_STILL)
     assert flight.vehicle.height_m == 0.0
     flight.run(4.0, velocity(0.0, 0.0, -1.0))
@@ -251,9 +217,7 @@ def test_px4_does_not_take_offset_frames_and_says_so() -> None:
     assert flight.autopilot.mode == "AUTO_LOITER"
 
 
-@BOTH
-def test_going_to_a_place_ends_there_in_the_heading_asked_for(autopilot_kind: AutopilotKind) -> None:
-    flight = AutopilotFlight(autopilot_kind)
+def test_going_to_a_place_ends_there_in_the_heading_asked_for(flight: AutopilotFlight) -> None:
     flight.take_off()
     target = flight.autopilot.geodetic((12.0, -7.0, -9.18))
     assert flight.autopilot.go_to(target, over_home=False, yaw_rad=1.0) is CommandResult.ACCEPTED
@@ -262,9 +226,9 @@ def test_going_to_a_place_ends_there_in_the_heading_asked_for(autopilot_kind: Au
     assert yaw_from_quat(flight.vehicle.attitude) == pytest.approx(1.0, abs=0.03)
 
 
-@BOTH
-def test_landing_slows_down_touches_gently_and_disarms(autopilot_kind: AutopilotKind) -> None:
-    flight = AutopilotFlight(autopilot_kind)
+def test_landing_slows_down_touches_gently_and_disarms(
+    flight: AutopilotFlight, autopilot_kind: AutopilotKind
+) -> None:
     flight.take_off(5.0)
     assert flight.autopilot.set_mode_named(flight.autopilot.profile.land_mode) is CommandResult.ACCEPTED
     # PX4 crawls below MPC_LAND_ALT3, ArduPilot keeps LAND_SPEED from LAND_ALT_LOW (10 m) down
@@ -278,22 +242,12 @@ def test_landing_slows_down_touches_gently_and_disarms(autopilot_kind: Autopilot
     assert landed_state(flight) is LandedState.ON_GROUND
 
 
-@BOTH
-def test_returning_comes_home_and_lands(autopilot_kind: AutopilotKind) -> None:
-    flight = in_the_air(autopilot_kind)
-    flight.run(6.0, velocity(2.0, 1.0))
-    flight.autopilot.set_mode_named(flight.autopilot.profile.return_mode)
-    flight.run(50.0)
-    assert not flight.autopilot.armed
-    assert math.hypot(*flight.vehicle.position[:2]) < 1.0
-
-
-def test_px4_does_not_arm_in_offboard_without_setpoints() -> None:
-    flight = AutopilotFlight("px4")
-    flight.run(4.0, STAND_STILL)
-    flight.autopilot.set_mode(PX4_OFFBOARD)
-    flight.run(2.0)
-    assert flight.autopilot.arm() is CommandResult.TEMPORARILY_REJECTED
+def test_returning_comes_home_and_lands(airborne: AutopilotFlight) -> None:
+    airborne.run(6.0, velocity(2.0, 1.0))
+    airborne.autopilot.set_mode_named(airborne.autopilot.profile.return_mode)
+    airborne.run(50.0)
+    assert not airborne.autopilot.armed
+    assert math.hypot(*airborne.vehicle.position[:2]) < 1.0
 
 
 def test_ardupilot_disarms_a_vehicle_that_has_turned_over() -> None:
@@ -310,8 +264,7 @@ def test_ardupilot_disarms_a_vehicle_that_has_turned_over() -> None:
 
 def test_it_says_when_it_has_landed_and_disarmed_by_itself() -> None:
     flight = in_the_air("px4")
-    while flight.vehicle.height_m > 0.0:
-        flight.run(0.1, velocity(0.0, 0.0, 0.5))
+    set_down(flight)
     flight.run(12.0, velocity(0.0, 0.0, 0.3))
     assert flight.texts.index("Landing detected") < flight.texts.index("Disarmed by landing")
     assert not flight.autopilot.armed

@@ -19,23 +19,20 @@ from tests.unit.sitl.autopilot.autopilot_flight import (
     STAND_STILL,
     AutopilotFlight,
     frame_450,
-    in_the_air,
     landed_state,
+    set_down,
     velocity,
 )
 
-BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 HOVER = 0.36
 STEP_S = 0.01
 
 
-@BOTH
-def test_it_stops_soon_however_long_it_could_not_fly_as_fast_as_asked(autopilot_kind: AutopilotKind) -> None:
-    flight = in_the_air(autopilot_kind)
-    flight.vehicle.wind_ned_m_s = (-18.0, 0.0, 0.0)
-    reached = flight.run(15.0, velocity(14.0))[-1]
+def test_it_stops_soon_however_long_it_could_not_fly_as_fast_as_asked(airborne: AutopilotFlight) -> None:
+    airborne.vehicle.wind_ned_m_s = (-18.0, 0.0, 0.0)
+    reached = airborne.run(15.0, velocity(14.0))[-1]
     assert reached.velocity[0] < 13.0  # the tilt is at its limit
-    stopped = flight.run(12.0, STAND_STILL)
+    stopped = airborne.run(12.0, STAND_STILL)
     furthest = max(stopped, key=lambda sample: sample.position[0])
     assert furthest.position[0] - reached.position[0] < 20.0
     assert furthest.time_s - reached.time_s < 6.0
@@ -52,7 +49,6 @@ def test_ardupilots_tilt_goes_on_at_its_limit_and_is_reported() -> None:
     assert all(told[200:])
 
 
-@BOTH
 @pytest.mark.parametrize("pressed_s", [1.0, 6.0])
 def test_a_climb_raises_the_thrust_as_soon_however_long_it_stood_pressed_down(
     autopilot_kind: AutopilotKind, pressed_s: float
@@ -72,23 +68,19 @@ def test_a_climb_raises_the_thrust_as_soon_however_long_it_stood_pressed_down(
     assert needed * STEP_S < (0.1 if autopilot_kind == "px4" else 1.8)
 
 
-@BOTH
 @pytest.mark.parametrize("stood_s", [0.4, 0.8])
 def test_a_commanded_climb_ends_the_suspicion_of_the_ground(
-    autopilot_kind: AutopilotKind, stood_s: float
+    airborne: AutopilotFlight, stood_s: float
 ) -> None:
-    flight = in_the_air(autopilot_kind)
-    while flight.vehicle.height_m > 0.0:
-        flight.run(0.1, velocity(0.0, 0.0, 0.5))
-    flight.run(stood_s, velocity(0.0, 0.0, 1.0))
-    assert landed_state(flight) is not LandedState.ON_GROUND
+    set_down(airborne)
+    airborne.run(stood_s, velocity(0.0, 0.0, 1.0))
+    assert landed_state(airborne) is not LandedState.ON_GROUND
     for _ in range(40):
-        flight.run(0.1, velocity(0.0, 0.0, -1.0))
-        assert landed_state(flight) is not LandedState.ON_GROUND
-    assert flight.vehicle.height_m > 0.5
+        airborne.run(0.1, velocity(0.0, 0.0, -1.0))
+        assert landed_state(airborne) is not LandedState.ON_GROUND
+    assert airborne.vehicle.height_m > 0.5
 
 
-@BOTH
 def test_while_the_motors_spool_up_a_climb_by_the_sticks_integrates_no_more_than_one_by_velocity(
     autopilot_kind: AutopilotKind,
 ) -> None:
@@ -104,15 +96,13 @@ def test_while_the_motors_spool_up_a_climb_by_the_sticks_integrates_no_more_than
     assert by_sticks == pytest.approx(by_velocity)
 
 
-@BOTH
 def test_disarmed_and_armed_again_within_one_step_it_starts_from_the_ground(
-    autopilot_kind: AutopilotKind,
+    airborne: AutopilotFlight,
 ) -> None:
-    flight: AutopilotFlight = in_the_air(autopilot_kind)
-    assert flight.autopilot.disarm(force=True) is CommandResult.ACCEPTED
-    assert flight.autopilot.arm(force=True) is CommandResult.ACCEPTED
-    flight.run(0.2, STAND_STILL)
-    assert flight.autopilot.armed
-    assert landed_state(flight) is LandedState.ON_GROUND
-    assert flight.autopilot.thrust == 0.0
-    assert flight.vehicle.velocity[2] > 1.0
+    assert airborne.autopilot.disarm(force=True) is CommandResult.ACCEPTED
+    assert airborne.autopilot.arm(force=True) is CommandResult.ACCEPTED
+    airborne.run(0.2, STAND_STILL)
+    assert airborne.autopilot.armed
+    assert landed_state(airborne) is LandedState.ON_GROUND
+    assert airborne.autopilot.thrust == 0.0
+    assert airborne.vehicle.velocity[2] > 1.0

@@ -11,7 +11,6 @@ from pymavlink.dialects.v20 import common as mavlink
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import IDENTITY, Vector3, quat_conjugate, quat_rotate, subtract
 from sitl.autopilot.ardupilot.precision_landing import AxisFilter, direction_from_angles
-from sitl.autopilot.px4.precision_landing import PrecLandState, Px4PrecisionLanding
 from tests.unit.sitl.autopilot.missions.mission_desk import Station
 
 BODY_FRD, LOCAL_NED = mavlink.MAV_FRAME_BODY_FRD, mavlink.MAV_FRAME_LOCAL_NED
@@ -38,10 +37,11 @@ class TargetStation(Station):
         self.frame = BODY_FRD if autopilot_kind == "ardupilot" else LOCAL_NED
         self.flight.take_off(4.0)
 
-    def begin(self) -> None:
-        """Say land."""
+    def land(self, seconds: float) -> None:
+        """Say so, and fly on."""
         land = mavlink.MAV_CMD_NAV_LAND if self.autopilot_kind == "ardupilot" else 23
         assert self.command(land) == 0
+        self.down(seconds)
 
     def down(self, seconds: float) -> None:
         """Fly on under targets, until disarmed."""
@@ -75,8 +75,7 @@ class TargetStation(Station):
 def test_it_lands_on_a_pad_that_stands(autopilot_kind: AutopilotKind, by_angles: bool) -> None:
     landing = TargetStation(autopilot_kind)
     landing.by_angles = by_angles  # and a distance, which ArduPilot takes too
-    landing.begin()
-    landing.down(40.0)
+    landing.land(40.0)
     assert not landing.flight.autopilot.armed
     assert landing.off_m < 0.1
 
@@ -88,8 +87,7 @@ def moving(now_s: float) -> Vector3:
 @pytest.mark.parametrize(("options", "lag_m"), [(1.0, 0.1), (0.0, 0.5)])
 def test_ardupilot_follows_a_moving_pad_if_set_to(options: float, lag_m: float) -> None:
     landing = TargetStation("ardupilot", moving, PLND_OPTIONS=options, PLND_XY_DIST_MAX=0.1)
-    landing.begin()
-    landing.down(8.0)
+    landing.land(8.0)
     assert (landing.off_m < lag_m) == (options == 1.0)
     # and does not sink where it is not over it
     assert (landing.flight.vehicle.height_m < 2.5) == (options == 1.0)
@@ -97,23 +95,20 @@ def test_ardupilot_follows_a_moving_pad_if_set_to(options: float, lag_m: float) 
 
 def test_px4_never_gets_over_a_moving_pad() -> None:
     landing = TargetStation("px4", moving)
-    landing.begin()
-    landing.down(20.0)
+    landing.land(20.0)
     assert 0.4 < landing.off_m < 2.0
     assert landing.flight.vehicle.height_m > 3.5
 
 
 def test_without_precision_landing_ardupilot_lands_where_it_is() -> None:
     landing = TargetStation("ardupilot", PLND_ENABLED=0.0)
-    landing.begin()
-    landing.down(20.0)
+    landing.land(20.0)
     assert landing.off_m > 0.6
 
 
 def test_ardupilot_waits_for_a_lost_target_seeks_it_and_lands_in_the_end() -> None:
     landing = TargetStation("ardupilot", PLND_TIMEOUT=2.0, PLND_RET_MAX=1.0)
-    landing.begin()
-    landing.down(3.0)
+    landing.land(3.0)
     landing.visible = False
     landing.down(2.5)
     held = landing.flight.vehicle.height_m
@@ -124,22 +119,15 @@ def test_ardupilot_waits_for_a_lost_target_seeks_it_and_lands_in_the_end() -> No
     assert not landing.flight.autopilot.armed
 
 
-def stage(landing: TargetStation) -> PrecLandState:
-    precision_landing = landing.flight.autopilot._precision_landing
-    assert isinstance(precision_landing, Px4PrecisionLanding)
-    return precision_landing.state
-
-
 def test_px4_searches_higher_up_and_then_lands() -> None:
     landing = TargetStation("px4", PLD_SRCH_ALT=6.0, PLD_SRCH_TOUT=4.0, PLD_BTOUT=1.0)
     landing.visible = False
-    landing.begin()
-    landing.down(3.5)
+    landing.land(3.5)
     assert landing.flight.vehicle.height_m > 5.0
-    assert stage(landing) is PrecLandState.SEARCH
+    assert landing.off_m > 0.6
     landing.visible = True
-    landing.down(1.0)
-    assert stage(landing) is PrecLandState.APPROACH
+    landing.down(3.0)
+    assert landing.off_m < 0.2  # it is approached
     landing.visible = False
     landing.down(60.0)
     assert not landing.flight.autopilot.armed
@@ -158,10 +146,9 @@ def test_frames_that_it_does_not_take_are_said_once(
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1e30])
-@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 def test_broken_targets_do_no_harm(autopilot_kind: AutopilotKind, value: float) -> None:
     landing = TargetStation(autopilot_kind)
-    landing.begin()
+    landing.land(0.0)
     for valid in (0, 1):
         broken = mavlink.MAVLink_landing_target_message(
             0, 0, landing.frame, value, value, value, 0, 0, value, value, value, (value,) * 4, 2, valid

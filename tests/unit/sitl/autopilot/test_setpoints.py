@@ -354,7 +354,7 @@ def test_a_path_to_a_place_keeps_its_limits_and_overshoots_little(distance_m: fl
     assert jerkiest <= LIMITS.jerk * 1.001
 
 
-def test_one_axis_moves_as_a_plane_does_along_one_of_its_axes() -> None:
+def test_one_axis_moves_as_a_plane_does_along_one_of_its_axes_and_an_acceleration_is_flown_on() -> None:
     line, plane = Path1(), Path2()
     for step in range(600):
         wish = 1.0 if step < 300 else -0.5
@@ -362,9 +362,6 @@ def test_one_axis_moves_as_a_plane_does_along_one_of_its_axes() -> None:
         plane.to_velocity((wish, 0.0), (0.0, 0.0), LIMITS, DT_S)
     assert (line.position, line.velocity) == pytest.approx((plane.position[0], plane.velocity[0]))
     assert line.velocity == pytest.approx(-0.5, abs=1e-2)
-
-
-def test_an_acceleration_is_reached_at_the_jerk_and_flown_on() -> None:
     path = Path1()
     for _ in range(200):
         path.to_acceleration(1.0, LIMITS, DT_S)
@@ -417,7 +414,6 @@ def test_a_low_pass_starts_from_its_first_value_and_lags_by_its_cutoff() -> None
 # ----------------
 # Flying by hand: RC override and joystick, in the modes that sticks fly, and when they are lost.
 
-BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 VELOCITY_MODE = {"px4": "POSCTL", "ardupilot": "LOITER"}
 ANGLE_MODE = {"px4": "ALTCTL", "ardupilot": "ALT_HOLD"}
 THRUST_MODE = {"px4": "STABILIZED", "ardupilot": "STABILIZE"}
@@ -447,7 +443,6 @@ def hovering(autopilot_kind: AutopilotKind, mode: dict[str, str]) -> Station:
     return station
 
 
-@BOTH
 def test_sticks_fly_velocities_and_letting_go_holds(autopilot_kind: AutopilotKind) -> None:
     station = hovering(autopilot_kind, VELOCITY_MODE)
     hold(station, joystick(x=300, y=-300, z=600), 4.0)
@@ -459,7 +454,6 @@ def test_sticks_fly_velocities_and_letting_go_holds(autopilot_kind: AutopilotKin
     assert math.dist(station.flight.vehicle.velocity, (0.0, 0.0, 0.0)) < 0.15
 
 
-@BOTH
 def test_sticks_tilt_the_vehicle_and_turn_it_while_its_height_is_held(autopilot_kind: AutopilotKind) -> None:
     station = hovering(autopilot_kind, ANGLE_MODE)
     height = station.flight.vehicle.height_m
@@ -471,7 +465,6 @@ def test_sticks_tilt_the_vehicle_and_turn_it_while_its_height_is_held(autopilot_
     assert station.flight.vehicle.height_m == pytest.approx(height, abs=0.5)
 
 
-@BOTH
 def test_the_throttle_is_thrust_in_the_simplest_mode(autopilot_kind: AutopilotKind) -> None:
     station = hovering(autopilot_kind, THRUST_MODE)
     hold(station, joystick(z=700), 1.5)
@@ -480,7 +473,6 @@ def test_the_throttle_is_thrust_in_the_simplest_mode(autopilot_kind: AutopilotKi
     assert station.flight.vehicle.velocity[2] > 0.5
 
 
-@BOTH
 def test_channels_fly_as_the_joystick_does_and_are_reported(autopilot_kind: AutopilotKind) -> None:
     station = hovering(autopilot_kind, VELOCITY_MODE)
     forward = 1300 if autopilot_kind == "ardupilot" else 1700
@@ -490,18 +482,15 @@ def test_channels_fly_as_the_joystick_does_and_are_reported(autopilot_kind: Auto
     assert (told.chan1_raw, told.chan2_raw, told.chancount) == (1500, forward, 18)
 
 
-@BOTH
-def test_nobody_at_the_sticks_from_the_start_triggers_nothing(autopilot_kind: AutopilotKind) -> None:
-    station = Station(autopilot_kind)
+def test_nobody_at_the_sticks_from_the_start_triggers_nothing(station: Station) -> None:
     station.flight.take_off(3.0)
-    station.flight.autopilot.set_mode_named(VELOCITY_MODE[autopilot_kind])
+    station.flight.autopilot.set_mode_named(VELOCITY_MODE[station.autopilot_kind])
     station.run(12.0)
-    assert station.flight.autopilot.mode == VELOCITY_MODE[autopilot_kind]
+    assert station.flight.autopilot.mode == VELOCITY_MODE[station.autopilot_kind]
     assert {m.chancount for m in station.heard if m.get_type() == "RC_CHANNELS"} == {0}
     assert station.flight.vehicle.height_m == pytest.approx(3.0, abs=0.3)
 
 
-@BOTH
 def test_sticks_that_fall_silent_bring_it_home_once(autopilot_kind: AutopilotKind) -> None:
     station = hovering(autopilot_kind, VELOCITY_MODE)
     hold(station, override(1500, 1500, 1500, 1500), 1.0)
@@ -516,7 +505,6 @@ def test_sticks_that_fall_silent_bring_it_home_once(autopilot_kind: AutopilotKin
     assert station.flight.autopilot.mode == station.flight.autopilot.profile.hold_mode
 
 
-@BOTH
 def test_released_channels_are_no_loss(autopilot_kind: AutopilotKind) -> None:
     station = hovering(autopilot_kind, VELOCITY_MODE)
     hold(station, override(1500, 1500, 1500, 1500), 0.5)
@@ -535,27 +523,19 @@ def test_exceptions_keep_a_mode_without_sticks() -> None:
     assert station.flight.autopilot.mode == "AUTO_RTL"
 
 
-def heard(station: Station) -> bool:
-    return station.flight.autopilot.rc_input.channels is not None
-
-
 def test_ardupilot_heeds_its_own_ground_station_alone_and_does_not_arm_with_the_throttle_up() -> None:
     station = Station("ardupilot")
-    station.us.srcSystem = 42
-    station.send(joystick(z=900))
-    assert not heard(station)
-    station.us.srcSystem = 255
-    station.send(joystick(z=900))
-    assert heard(station)
+    for system, heeded in ((42, False), (255, True)):
+        station.us.srcSystem = system
+        station.send(joystick(z=900))
+        assert (station.flight.autopilot.rc_input.channels is not None) is heeded
     station.run(0.1)
     assert station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == mavlink.MAV_RESULT_FAILED
 
 
-@BOTH
-def test_the_throttle_lifts_it_off_and_a_pushed_down_one_lands_it(autopilot_kind: AutopilotKind) -> None:
-    station = Station(autopilot_kind)
+def test_the_throttle_lifts_it_off_and_a_pushed_down_one_lands_it(station: Station) -> None:
     hold(station, joystick(), 0.3)
-    station.flight.autopilot.set_mode_named(VELOCITY_MODE[autopilot_kind])
+    station.flight.autopilot.set_mode_named(VELOCITY_MODE[station.autopilot_kind])
     assert station.flight.autopilot.arm() == 0
     hold(station, joystick(), 1.0)
     assert station.flight.vehicle.height_m == 0.0

@@ -16,9 +16,9 @@ from companion.base.formats.frame_format import FrameHeader, pack_frame
 from companion.base.formats.mjpeg import MjpegServer
 from companion.base.messages import Frame
 from companion.config import CONFIG_FOLDER, ConfigError
-from sitl.cli import main
 from sitl.devices.socket_servers import FrameServer
 from sitl.run.view import Statistics, ViewOptions, annotated, view
+from tests.programs import ProgramHere
 
 GREY = np.full((120, 160), 90, np.uint8)
 RATE_HZ = 100.0
@@ -49,14 +49,13 @@ async def camera(where: Path | int) -> AsyncIterator[str]:
 
 @pytest.mark.parametrize("kind", ["unix", "tcp"])
 async def test_every_nth_frame_becomes_a_file(kind: str, tmp_path: Path) -> None:
+    pictures = tmp_path / "pictures"
     async with camera(tmp_path / "camera" if kind == "unix" else 0) as address:
-        statistics = await view(address, ViewOptions(tmp_path / "pictures", every=3, frames=4))
-    files = sorted(path.name for path in (tmp_path / "pictures").iterdir())
-    assert files[0] == "frame-00000000.png"
-    assert len(files) == 4
+        statistics = await view(address, ViewOptions(pictures, every=3, frames=4))
+    first, second, *others = sorted(path.name for path in pictures.iterdir())
     # the 4th frame that came is number 5
-    assert files[1] == "frame-00000005.png"
-    picture = cv2.imread(str(tmp_path / "pictures" / files[0]))
+    assert (first, second, len(others)) == ("frame-00000000.png", "frame-00000005.png", 2)
+    picture = cv2.imread(str(pictures / first))
     assert picture is not None
     assert picture.shape == (120, 160, 3)
     assert (picture[:90] == 90).all()
@@ -70,10 +69,7 @@ async def test_a_video_has_the_frames_and_their_rate(tmp_path: Path) -> None:
     async with camera(tmp_path / "camera") as address:
         statistics = await view(address, ViewOptions(path, frames=40))
     video = cv2.VideoCapture(str(path))
-    count = 0
-    while video.read()[0]:
-        count += 1
-    assert count == 40
+    assert [video.read()[0] for _ in range(41)] == [True] * 40 + [False]
     assert 0.5 * statistics.rate_hz < video.get(cv2.CAP_PROP_FPS) < 2.0 * statistics.rate_hz
     video.release()
 
@@ -176,13 +172,9 @@ async def test_what_is_no_frame_is_an_error(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(
-    arguments: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
+    arguments: tuple[str, ...], expected: str, program: ProgramHere
 ) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(("view", *arguments))
-    assert ended.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert expected in line
+    assert expected in program("companion-sitl", "view", *arguments).refusal
 
 
 async def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:

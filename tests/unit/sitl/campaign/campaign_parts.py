@@ -37,3 +37,6 @@ def scenario_file(folder: Path, name: str = "short", **values: Any) -> Path:
         yaml.safe_dump({"name": name, "description": "For a test.", "time_limit_s": 5.0, **values})
     )
     return path
+
+
+PLOTS = {f"{name}.png" for name in ("outcomes", "lateral", "vertical_speed", "touchdowns")}

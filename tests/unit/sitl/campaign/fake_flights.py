@@ -19,23 +19,17 @@ WAIT_S: Final = 0.2
 
 def answer(seed: int, scenario: str) -> dict[str, Any]:
     """What is answered to a request; a scenario's name is its file's."""
+    nothing = {"result": None, "reason": "", "touchdown_pad_m": None, "refused": None, "fault": None}
     if seed == IS_REFUSED:
-        return {"result": None, "reason": "", "touchdown_pad_m": None, "refused": "a.yaml: no", "fault": None}
+        return {**nothing, "refused": "a.yaml: no"}
     if seed == FAULTS:
-        return {
-            "result": None,
-            "reason": "",
-            "touchdown_pad_m": None,
-            "refused": None,
-            "fault": "KeyError: 'x'",
-        }
+        return {**nothing, "fault": "KeyError: 'x'"}
     missed = seed == MISSES
     return {
+        **nothing,
         "result": result(seed, scenario, "missed" if missed else "landed"),
         "reason": "lateral error 0.91 m, expected at most 0.15" if missed else "",
         "touchdown_pad_m": [1e-3 * seed, 0.0],
-        "refused": None,
-        "fault": None,
     }
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -18,16 +19,42 @@ from sitl.campaign import run as running
 from sitl.campaign.manifest import CampaignRun
 from sitl.campaign.plots import write_plots
 from sitl.campaign.rows import CSV_NAME, RunsFile, read_rows
-from sitl.campaign.run import INTERRUPTED, CampaignMeter, Options
-from sitl.campaign.worker import RunResult
+from sitl.campaign.run import INTERRUPTED, CampaignMeter, Options, run_campaign
+from sitl.campaign.worker import RunResult, Worker, fly_locally
 from sitl.cli import main
-from tests.unit.sitl.campaign.campaign_command import options, run, seeds
-from tests.unit.sitl.campaign.campaign_parts import row, scenario_file
-from tests.unit.sitl.campaign.fake_flights import DIES, HANGS, IS_REFUSED, MISSES
+from tests.programs import ProgramHere
+from tests.unit.sitl.campaign.campaign_parts import PLOTS, row, scenario_file
+from tests.unit.sitl.campaign.fake_flights import COMMAND, DIES, HANGS, IS_REFUSED, MISSES
 
-LEFT = {"campaign.json", CSV_NAME, "summary.txt", "outcomes.png", "lateral.png", "vertical_speed.png"} | {
-    "touchdowns.png"
-}
+
+def options(
+    folder: Path | None, *sources: str, first_seed: int = 0, runs: int = 2, bars: bool = False
+) -> Options:
+    return Options(sources or ("static",), runs, first_seed, 2, folder, None, None, bars, quiet=True)
+
+
+def run(chosen: Options) -> tuple[int, str]:
+    out = io.StringIO()
+    code = run_campaign(chosen, Console(file=out, width=80))
+    return code, out.getvalue()
+
+
+def seeds(folder: Path) -> list[int]:
+    return [each.seed for each in read_rows(folder / CSV_NAME)]
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[CampaignRun]:
+    """Stand-ins fly and nothing is drawn, which takes seconds; what was asked for is kept."""
+    monkeypatch.setattr("sitl.campaign.plots.write_plots", lambda *_: [])
+    flights: list[CampaignRun] = []
+
+    def fly(wanted: Sequence[CampaignRun], jobs: int) -> Iterator[RunResult]:
+        flights.extend(wanted)
+        return fly_locally(wanted, jobs, partial(Worker, COMMAND))
+
+    monkeypatch.setattr(running, "fly_locally", fly)
+    return flights
 
 
 # ---------------------------------------------------------------- from start to end
@@ -40,41 +67,29 @@ def test_a_campaign_leaves_rows_tables_and_plots(
     folder = tmp_path / "new" / "deep"
     code, text = run(options(folder, "static", "line"))
     assert code == 0
-    assert {path.name for path in folder.iterdir()} - {"runs.parquet"} == LEFT
+    assert {path.name for path in folder.iterdir()} - {"runs.parquet"} == PLOTS | {
+        "campaign.json",
+        CSV_NAME,
+        "summary.txt",
+    }
     assert len(read_rows(folder / CSV_NAME)) == len(asked) == 4
     assert "100 % (51.0 to 100.0)" in text
     assert "100 % (51.0 to 100.0)" in (folder / "summary.txt").read_text()
 
 
-def test_the_same_command_again_flies_nothing_and_tells_the_same(
-    tmp_path: Path, asked: list[CampaignRun]
-) -> None:
-    first = run(options(tmp_path))[1]
-    asked.clear()
-    code, again = run(options(tmp_path))
-    assert (code, asked) == (0, [])
-    assert again.partition("How the runs ended")[2] == first.partition("How the runs ended")[2]
+def test_the_command_again_flies_only_what_has_no_row(tmp_path: Path, asked: list[CampaignRun]) -> None:
+    def flown(*sources: str, runs: int = 2) -> tuple[set[tuple[str, int]], str]:
+        asked.clear()
+        code, text = run(options(tmp_path, *sources, runs=runs))
+        assert code == 0
+        return {(each.scenario, each.seed) for each in asked}, text.partition("How the runs ended")[2]
 
-
-def test_more_seeds_and_scenarios_fly_only_the_new_ones(tmp_path: Path, asked: list[CampaignRun]) -> None:
-    run(options(tmp_path))
-    asked.clear()
-    assert run(options(tmp_path, "static", "line", runs=3))[0] == 0
-    assert {(each.scenario, each.seed) for each in asked} == {
-        ("static", 2),
-        ("line", 0),
-        ("line", 1),
-        ("line", 2),
-    }
-
-
-def test_a_row_that_is_deleted_is_flown_again(tmp_path: Path, asked: list[CampaignRun]) -> None:
-    run(options(tmp_path, runs=3))
+    _, first = flown()
+    assert flown() == (set(), first)  # and tells the same
     lines = (tmp_path / CSV_NAME).read_text().splitlines(keepends=True)
     (tmp_path / CSV_NAME).write_text("".join(line for line in lines if not line.startswith("static,1,")))
-    asked.clear()
-    run(options(tmp_path, runs=3))
-    assert [each.seed for each in asked] == [1]
+    assert flown()[0] == {("static", 1)}
+    assert flown("static", "line", runs=3)[0] == {("static", 2), ("line", 0), ("line", 1), ("line", 2)}
 
 
 def test_without_a_folder_nothing_is_kept(
@@ -98,17 +113,14 @@ def test_a_run_that_fails_has_a_row_and_the_status_says_so(tmp_path: Path, asked
     assert f"companion --sitl --fast --scenario static --seed {DIES}" in text
 
 
-def test_a_run_that_misses_is_no_failure_but_breaks_the_bars(
+def test_a_run_that_misses_is_no_failure_but_breaks_the_bars_which_else_hold(
     tmp_path: Path, asked: list[CampaignRun]
 ) -> None:
     assert run(options(tmp_path, first_seed=MISSES, runs=1))[0] == 0
     code, text = run(options(tmp_path, first_seed=MISSES, runs=1, bars=True))
     assert code == 1
     assert text.splitlines()[-1].startswith("bars: landed 0 of 1 FAILS, ")
-
-
-def test_bars_that_hold_end_in_0(tmp_path: Path, asked: list[CampaignRun]) -> None:
-    code, text = run(options(tmp_path, runs=5, bars=True))
+    code, text = run(options(tmp_path / "good", runs=5, bars=True))
     assert code == 0
     assert "FAILS" not in text.splitlines()[-1]
 
@@ -116,9 +128,8 @@ def test_bars_that_hold_end_in_0(tmp_path: Path, asked: list[CampaignRun]) -> No
 def test_a_refusal_of_the_apps_ends_it_with_what_is_flown_kept(
     tmp_path: Path, asked: list[CampaignRun]
 ) -> None:
-    chosen = options(tmp_path, first_seed=IS_REFUSED, runs=1)
     with pytest.raises(ConfigError, match=r"a\.yaml: no"):
-        run(chosen)
+        run(options(tmp_path, first_seed=IS_REFUSED, runs=1))
     assert seeds(tmp_path) == []
 
 
@@ -150,55 +161,42 @@ def test_a_terminal_gets_a_bar_with_the_landings() -> None:
 # ---------------- `companion-sitl campaign`: what it refuses, in one line
 
 
-def refused(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
+def refused(program: ProgramHere, *words: object) -> str:
     """The one line of a command that exits with 2."""
-    with pytest.raises(SystemExit) as ended:
-        main(["campaign", *map(str, words)])
-    assert ended.value.code == 2
-    line = capsys.readouterr().err
-    assert line.count("\n") == 1
-    return line
+    return program("companion-sitl", "campaign", *words).refusal
 
 
-def test_another_campaigns_folder_is_refused(
-    tmp_path: Path, asked: list[CampaignRun], capsys: pytest.CaptureFixture[str]
+def test_a_folder_of_another_campaign_or_that_another_writes_is_refused_and_stays(
+    tmp_path: Path, asked: list[CampaignRun], program: ProgramHere
 ) -> None:
     run(options(tmp_path))
-    before = (tmp_path / CSV_NAME).read_bytes()
-    line = refused(capsys, "--scenarios", "line", "--runs", "2", "--out", tmp_path)
+    before = [(tmp_path / name).read_bytes() for name in (CSV_NAME, "campaign.json")]
+    line = refused(program, "--scenarios", "line", "--runs", "2", "--out", tmp_path)
     assert line.startswith(f"companion-sitl: --out {tmp_path}: holds another campaign: it flies 'static' too")
-    assert (tmp_path / CSV_NAME).read_bytes() == before
+    held = RunsFile(tmp_path)
+    assert "another campaign writes it" in refused(program, "--scenarios", "static", "--out", tmp_path)
+    held.close()
+    assert [(tmp_path / name).read_bytes() for name in (CSV_NAME, "campaign.json")] == before
 
 
 @pytest.mark.parametrize("wrong", ["static,0,", "elsewhere,0,"])
 def test_rows_that_come_twice_or_from_elsewhere_are_refused(
-    wrong: str, tmp_path: Path, asked: list[CampaignRun], capsys: pytest.CaptureFixture[str]
+    wrong: str, tmp_path: Path, asked: list[CampaignRun], program: ProgramHere
 ) -> None:
     run(options(tmp_path))
     path = tmp_path / CSV_NAME
     first = next(line for line in path.read_text().splitlines() if line.startswith("static,0,"))
     path.write_text(path.read_text() + first.replace("static,0,", wrong) + "\n")
-    line = refused(capsys, "--scenarios", "static", "--runs", "2", "--out", tmp_path)
+    line = refused(program, "--scenarios", "static", "--runs", "2", "--out", tmp_path)
     assert "runs.csv:4: " in line
     assert "expected one row a run" in line
 
 
-def test_a_folder_that_another_writes_keeps_its_manifest(
-    tmp_path: Path, asked: list[CampaignRun], capsys: pytest.CaptureFixture[str]
-) -> None:
-    run(options(tmp_path))
-    before = (tmp_path / "campaign.json").read_bytes()
-    held = RunsFile(tmp_path)
-    assert "another campaign writes it" in refused(capsys, "--scenarios", "static", "--out", tmp_path)
-    held.close()
-    assert (tmp_path / "campaign.json").read_bytes() == before
-
-
-def test_rows_without_a_manifest_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_without_a_manifest_are_refused(tmp_path: Path, program: ProgramHere) -> None:
     held = RunsFile(tmp_path)
     held.append(row())
     held.close()
-    assert "without its campaign.json" in refused(capsys, "--scenarios", "static", "--out", tmp_path)
+    assert "without its campaign.json" in refused(program, "--scenarios", "static", "--out", tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -213,23 +211,21 @@ def test_rows_without_a_manifest_are_refused(tmp_path: Path, capsys: pytest.Capt
         (["--out", "/dev/null/here"], "--out /dev/null/here: cannot be made"),
     ],
 )
-def test_what_a_user_gets_wrong_is_one_line(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert said in refused(capsys, *words)
+def test_what_a_user_gets_wrong_is_one_line(words: list[str], said: str, program: ProgramHere) -> None:
+    assert said in refused(program, *words)
 
 
 def test_without_dask_the_line_names_the_extra(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, program: ProgramHere, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.delitem(sys.modules, "sitl.campaign.cluster", raising=False)
-    line = refused(capsys, "--scenarios", "static", "--scheduler", "tcp://127.0.0.1:1", "--out", tmp_path)
+    line = refused(program, "--scenarios", "static", "--scheduler", "tcp://127.0.0.1:1", "--out", tmp_path)
     assert "needs Dask" in line
     assert "pip install 'companion-landing[campaign]'" in line
 
 
-def test_the_words_of_the_command_are_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_words_of_the_command_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     taken: list[Options] = []
 
     def take(chosen: Options, _console: Console) -> int:
@@ -237,21 +233,14 @@ def test_the_words_of_the_command_are_taken(tmp_path: Path, monkeypatch: pytest.
         return 0
 
     monkeypatch.setattr(running, "run_campaign", take)
-    for words in (
-        ["--scenarios", "line", "circle", "--runs", "3", "--bars"],
-        ["--quiet", "--first-seed", "7"],
-    ):
+    for words in ("--scenarios line circle --runs 3 --bars", "--quiet --first-seed 7"):
         with pytest.raises(SystemExit) as ended:
-            main(["campaign", *words])
+            main(["campaign", *words.split()])
         assert not ended.value.code
-    assert (taken[0].sources, taken[0].runs, taken[0].bars, taken[0].folder) == (
-        ("line", "circle"),
-        3,
-        True,
-        None,
-    )
-    assert taken[0].jobs == len(os.sched_getaffinity(0))
-    assert (taken[1].sources, taken[1].first_seed, taken[1].quiet) == (SCENARIOS, 7, True)
+    first, second = taken
+    assert (first.sources, first.runs, first.bars, first.folder) == (("line", "circle"), 3, True, None)
+    assert first.jobs == len(os.sched_getaffinity(0))
+    assert (second.sources, second.first_seed, second.quiet) == (SCENARIOS, 7, True)
 
 
 def test_what_goes_on_is_the_command_that_was_given(tmp_path: Path) -> None:
@@ -313,18 +302,18 @@ def test_killed_it_has_lost_nothing_and_goes_on(tmp_path: Path, monkeypatch: pyt
     assert seeds(tmp_path) == expected
     with (tmp_path / CSV_NAME).open("a") as stream:
         stream.write(f"static,{HANGS},lan")
-    flown: list[CampaignRun] = []
+    flown: list[int] = []
 
     def fly(wanted: Sequence[CampaignRun], _jobs: int) -> Iterator[RunResult]:
-        flown.extend(wanted)
         for each in wanted:
+            flown.append(each.seed)
             yield RunResult(each, 1.0, error="not flown")
 
     monkeypatch.setattr(running, "fly_locally", fly)
     monkeypatch.setattr("sitl.campaign.plots.write_plots", lambda *_: [])
     run(options(tmp_path, first_seed=HANGS - 22, runs=25))
-    assert [each.seed for each in flown] == [HANGS, HANGS + 1, HANGS + 2]
-    assert seeds(tmp_path) == [*expected, HANGS, HANGS + 1, HANGS + 2]
+    assert flown == [HANGS, HANGS + 1, HANGS + 2]
+    assert seeds(tmp_path) == expected + flown
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

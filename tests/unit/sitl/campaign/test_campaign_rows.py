@@ -2,6 +2,7 @@
 
 import os
 import re
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from sitl.campaign.rows import (
     CSV_NAME,
     OUTCOMES,
     RESULT_KEYS,
+    Row,
     RunsFile,
     make_row,
     pending,
@@ -41,14 +43,8 @@ def result_keys(model: type[BaseModel], prefix: str = "") -> set[str]:
 
 
 def test_every_figure_of_the_result_has_its_column() -> None:
-    assert set(RESULT_KEYS.values()) == result_keys(Result) - {
-        "scenario",
-        "seed",
-        "as_built",
-        "outcome",
-        "contacts",
-        "events",
-    }
+    others = {"scenario", "seed", "as_built", "outcome", "contacts", "events"}
+    assert set(RESULT_KEYS.values()) == result_keys(Result) - others
     assert set(RESULT_KEYS) <= set(COLUMNS)
 
 
@@ -59,7 +55,7 @@ def test_every_column_is_documented() -> None:
     assert told == list(COLUMNS)
 
 
-def test_a_landing_fills_its_row() -> None:
+def test_a_landing_fills_its_row_and_what_never_came_down_or_failed_has_no_touchdown() -> None:
     flown = RunResult(flight(40), 9.876, result(40, "static", "landed"), "", [0.01, -0.02])
     made = make_row(flown, VERSION)
     assert made.landed
@@ -68,15 +64,9 @@ def test_a_landing_fills_its_row() -> None:
     assert (made.frames, made.total_s, made.pad_velocity_rmse_m_s) == (900, 30.0, None)
     assert (made.wall_s, made.version, made.error) == (9.88, VERSION, "")
     assert made.command == "companion --sitl --fast --scenario static --seed 40"
-
-
-def test_a_run_that_never_came_down_has_no_touchdown() -> None:
     ended = {**result(1, "static", "timeout"), "touchdown": None}
     made = make_row(RunResult(flight(1), 9.0, ended, "never touched down"), VERSION)
     assert (made.outcome, made.reason, made.touchdown_lateral_m) == ("timeout", "never touched down", None)
-
-
-def test_a_failed_run_has_its_last_words_on_one_line() -> None:
     made = make_row(RunResult(flight(1), 9.0, error="killed by SIGKILL:\n  no memory\n"), VERSION)
     assert (made.outcome, made.error, made.total_s) == ("failed", "killed by SIGKILL: no memory", None)
 
@@ -84,63 +74,59 @@ def test_a_failed_run_has_its_last_words_on_one_line() -> None:
 # ---------------------------------------------------------------- the file
 
 
-def filled(folder: Path, count: int = 3) -> Path:
-    file = RunsFile(folder)
-    for seed in range(count):
-        file.append(row(seed=seed, outcome=OUTCOMES[seed], lateral_m=0.01 * seed, reason='"beside", it'))
-    file.close()
-    return folder / CSV_NAME
+ROWS = [row(seed=s, outcome=OUTCOMES[s], lateral_m=0.01 * s, reason='"beside", it') for s in range(3)]
 
 
-def test_rows_come_back_as_they_were_written(tmp_path: Path) -> None:
-    path = filled(tmp_path)
-    expected = [row(seed=s, outcome=OUTCOMES[s], lateral_m=0.01 * s, reason='"beside", it') for s in range(3)]
-    assert read_rows(path) == expected
-    again = RunsFile(tmp_path)
-    assert again.rows == expected
-    again.close()
+@pytest.fixture
+def filled(tmp_path: Path) -> Path:
+    append(tmp_path, *ROWS)
+    return tmp_path / CSV_NAME
+
+
+def append(folder: Path, *rows: Row) -> None:
+    with closing(RunsFile(folder)) as file:
+        for each in rows:
+            file.append(each)
+
+
+def test_rows_come_back_as_they_were_written_and_two_campaigns_do_not_write_one_file(
+    filled: Path, tmp_path: Path
+) -> None:
+    assert read_rows(filled) == ROWS
+    with closing(RunsFile(tmp_path)) as again:
+        assert again.rows == ROWS
+        with pytest.raises(ConfigError, match="another campaign writes it"):
+            RunsFile(tmp_path)
+    RunsFile(tmp_path).close()
 
 
 @pytest.mark.parametrize("left_over", ["static,3,land", "static", '"'])
-def test_half_a_line_is_cut_off(left_over: str, tmp_path: Path) -> None:
-    path = filled(tmp_path)
-    whole = path.read_bytes()
-    path.write_bytes(whole + left_over.encode())
-    file = RunsFile(tmp_path)
-    file.append(row(seed=3))
-    file.close()
-    assert path.read_bytes().startswith(whole)
-    assert [each.seed for each in read_rows(path)] == [0, 1, 2, 3]
+def test_half_a_line_is_cut_off(left_over: str, filled: Path, tmp_path: Path) -> None:
+    whole = filled.read_bytes()
+    filled.write_bytes(whole + left_over.encode())
+    append(tmp_path, row(seed=3))
+    assert filled.read_bytes().startswith(whole)
+    assert [each.seed for each in read_rows(filled)] == [0, 1, 2, 3]
 
 
 def test_half_a_heading_is_begun_anew(tmp_path: Path) -> None:
     (tmp_path / CSV_NAME).write_text("scenario,se")
-    file = RunsFile(tmp_path)
-    file.close()
+    append(tmp_path)
     assert (tmp_path / CSV_NAME).read_text() == ",".join(COLUMNS) + "\n"
 
 
-def test_a_full_disk_leaves_whole_rows_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = filled(tmp_path)
-    before = path.read_bytes()
-    file = RunsFile(tmp_path)
-    write = os.write
-    monkeypatch.setattr(os, "write", lambda descriptor, data: write(descriptor, data[:10]))
-    with pytest.raises(ConfigError, match=r"runs\.csv: cannot be written: no space"):
+def test_a_full_disk_leaves_whole_rows_and_says_so(
+    filled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, write = filled.read_bytes(), os.write
+    with closing(RunsFile(tmp_path)) as file:
+        monkeypatch.setattr(os, "write", lambda descriptor, data: write(descriptor, data[:10]))
+        with pytest.raises(ConfigError, match=r"runs\.csv: cannot be written: no space"):
+            file.append(row(seed=9))
+        monkeypatch.undo()
+        assert filled.read_bytes() == before
         file.append(row(seed=9))
-    monkeypatch.undo()
-    assert path.read_bytes() == before
-    file.append(row(seed=9))
-    file.close()
-    assert [each.seed for each in read_rows(path)] == [0, 1, 2, 9]
-
-
-def test_two_campaigns_do_not_write_one_file(tmp_path: Path) -> None:
-    first = RunsFile(tmp_path)
-    with pytest.raises(ConfigError, match="another campaign writes it"):
-        RunsFile(tmp_path)
-    first.close()
-    RunsFile(tmp_path).close()
+    assert [each.seed for each in read_rows(filled)] == [0, 1, 2, 9]
 
 
 @pytest.mark.parametrize(
@@ -191,30 +177,19 @@ def manifest(
     return make_plan([str(source) for source in sources], first_seed, runs, config).manifest
 
 
-def test_every_scenario_is_flown_under_a_seed_before_the_next_seed() -> None:
-    plan = make_plan(["static", "line"], 5, 2, None)
-    assert [(run.scenario, run.seed) for run in plan.flights()] == [
-        ("static", 5),
-        ("line", 5),
-        ("static", 6),
-        ("line", 6),
-    ]
+def test_every_scenario_is_flown_once_under_a_seed_before_the_next_seed() -> None:
+    plan = make_plan(["static", "line", "line"], 5, 2, None)
+    flown = [(run.scenario, run.seed) for run in plan.flights()]
+    assert flown == [("static", 5), ("line", 5), ("static", 6), ("line", 6)]
     assert {run.time_limit_s for run in plan.flights()} == {s.time_limit_s for s in plan.scenarios.values()}
 
 
-def test_all_is_every_shipped_scenario() -> None:
+def test_all_is_every_shipped_scenario_and_may_stand_beside_files_of_ones_own(tmp_path: Path) -> None:
     shipped = {path.stem for path in (CONFIG_FOLDER / "scenarios").glob("*.yaml")}
     assert set(make_plan(["all"], 0, 1, None).scenarios) == shipped
     assert set(SCENARIOS) <= shipped
-
-
-def test_all_may_stand_beside_files_of_ones_own(tmp_path: Path) -> None:
-    scenarios = make_plan(["all", str(scenario_file(tmp_path, "mine"))], 0, 1, None).scenarios
-    assert {"static", "mine"} <= set(scenarios)
-
-
-def test_a_scenario_named_twice_is_flown_once() -> None:
-    assert list(make_plan(["line", "line"], 0, 1, None).scenarios) == ["line"]
+    both = make_plan(["all", str(scenario_file(tmp_path, "mine"))], 0, 1, None).scenarios
+    assert set(both) == shipped | {"mine"}
 
 
 def test_two_scenarios_of_one_name_are_refused(tmp_path: Path) -> None:
@@ -238,13 +213,11 @@ def test_the_command_repeats_a_run_from_anywhere(tmp_path: Path, monkeypatch: py
 # ---------------------------------------------------------------- the same or another
 
 
-def test_the_same_words_are_the_same_campaign(tmp_path: Path) -> None:
-    old, new = manifest("static", "line"), manifest("static", "line")
-    assert new == old
-    check_goes_on(old, new, tmp_path)
-
-
-def test_more_seeds_and_scenarios_go_on_with_it(tmp_path: Path) -> None:
+def test_the_same_words_are_the_same_campaign_and_more_seeds_and_scenarios_go_on_with_it(
+    tmp_path: Path,
+) -> None:
+    assert manifest("static", "line") == manifest("static", "line")
+    check_goes_on(manifest("static", "line"), manifest("static", "line"), tmp_path)
     old, new = manifest("static", runs=3, first_seed=2), manifest("static", "line", runs=6)
     check_goes_on(old, new, tmp_path)
     with pytest.raises(ConfigError, match="it flies 'line' too"):

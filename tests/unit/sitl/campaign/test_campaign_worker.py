@@ -35,17 +35,15 @@ def alive(pid: int) -> bool:
 
 
 def test_one_process_flies_several_and_is_then_replaced(worker: Worker) -> None:
-    processes = [process_of(worker.fly(flight(seed))) for seed in range(5)]
+    flown = [worker.fly(flight(seed, "line")) for seed in range(5)]
+    processes = [process_of(each) for each in flown]
     assert len(set(processes[:3])) == 1
     assert processes[3] == processes[4] != processes[0]
     assert not alive(processes[0])
-
-
-def test_a_flown_run_has_its_result_and_its_place(worker: Worker) -> None:
-    flown = worker.fly(flight(12, "line"))
-    assert flown.result is not None
-    assert (flown.result["seed"], flown.result["scenario"], flown.error) == (12, "line", "")
-    assert flown.touchdown_pad_m == [0.012, 0.0]
+    for seed, each in enumerate(flown):
+        assert each.result is not None
+        assert (each.result["seed"], each.result["scenario"], each.error) == (seed, "line", "")
+        assert each.touchdown_pad_m == [1e-3 * seed, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -78,11 +76,6 @@ def test_a_command_that_is_not_there_or_says_nothing_is_a_failed_run() -> None:
     worker = Worker(("/bin/sh", "-c", "exit 3"))
     assert worker.fly(flight(0)).error == "ended with exit status 3: no output"
     worker.close()
-
-
-def test_what_the_app_refuses_ends_the_campaign(worker: Worker) -> None:
-    with pytest.raises(ConfigError, match=r"^a\.yaml: no$"):
-        worker.fly(flight(IS_REFUSED))
 
 
 def test_stopping_from_another_thread_ends_the_run_and_all_further_ones(worker: Worker) -> None:
@@ -125,8 +118,8 @@ def test_closing_it_early_leaves_nothing_running() -> None:
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("campaign")]
 
 
-def test_a_refusal_comes_out_of_the_pool() -> None:
-    with pytest.raises(ConfigError, match="no"):
+def test_what_the_app_refuses_comes_out_of_the_pool_and_ends_the_campaign() -> None:
+    with pytest.raises(ConfigError, match=r"^a\.yaml: no$"):
         list(fly_locally([flight(IS_REFUSED), flight(HANGS)], 2, lambda: Worker(COMMAND)))
 
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from companion.base.geometry import ZERO3, Vector3
 from companion.base.messages import Outcome, Phase
 from companion.config import ConfigError
 from sitl.external.world import ExternalWorld
@@ -57,6 +58,8 @@ def test_a_landing_on_the_pad_is_scored() -> None:
     assert touchdown.horizontal_speed_m_s == pytest.approx(0.0, abs=1e-6)
     verdict = world.judge(Phase.LANDED)
     assert (verdict.outcome, verdict.failures) == (Outcome.LANDED, ())
+    assert world.at_rest_on_pad
+    assert world.pad_at(START_S + contact_s + 0.9).velocity_ned_m_s == (0.0, 0.0, 0.0)
 
 
 def test_beside_the_pad_is_missed_and_armed_is_no_landing() -> None:
@@ -72,7 +75,7 @@ def test_a_hard_landing_is_a_crash_and_no_flight_is_a_timeout() -> None:
     flight, contact_s = hop(4.0, 3.0, sink_m_s=3.0)
     world = play(ExternalWorld(static(), 0), flight, contact_s + 2.0)
     assert world.judge(Phase.LANDED).outcome is Outcome.CRASHED
-    stood = play(ExternalWorld(static(), 0), lambda _: ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 3.0)
+    stood = play(ExternalWorld(static(), 0), lambda _: (ZERO3, ZERO3), 3.0)
     assert stood.touchdown is None
     assert stood.judge(Phase.SEARCH).outcome is Outcome.TIMEOUT
 
@@ -82,7 +85,7 @@ def test_a_touch_before_the_landing_counts_and_not_that_of_the_flight_before() -
     beside, at_s = hop(4.0, 0.5)
     onto, contact_s = hop(4.0, 3.0)
 
-    def twice(time_s: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    def twice(time_s: float) -> tuple[Vector3, Vector3]:
         return beside(time_s) if time_s < at_s + 0.5 else onto(time_s - at_s - 0.5)
 
     end_s = at_s + 0.5 + contact_s + 1.0
@@ -104,23 +107,20 @@ def test_a_touch_before_the_landing_counts_and_not_that_of_the_flight_before() -
 def test_the_pad_lies_on_the_ground_whatever_height_the_scenario_gives_it() -> None:
     world = ExternalWorld(load_scenario("line"), 0)
     assert world.pad_at(START_S).position_ned_m[2] == 0.0
-    play(world, lambda _: ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 1.0)
+    play(world, lambda _: (ZERO3, ZERO3), 1.0)
     # the vehicle's reference point stands over its feet
     assert world.truth_at(START_S).vehicle_position_ned_m == pytest.approx((0.0, 0.0, -STANDING_M), abs=1e-6)
 
 
-def test_a_pad_that_heaves_is_refused_in_one_line() -> None:
-    with pytest.raises(
-        ConfigError, match=r"'heave': its pad leaves the ground.*expected one that stays level"
-    ):
-        ExternalWorld(load_scenario("heave"), 0)
-
-
-def test_a_deck_at_sea_is_refused_in_one_line() -> None:
+def test_a_pad_that_heaves_or_lies_at_sea_is_refused_in_one_line() -> None:
     settings = static().model_dump(by_alias=True)
     settings["pad"] |= {"deck": {}, "surface_height_m": 2.0}
-    with pytest.raises(ConfigError, match=r"^scenario 't': pad.deck: expected none, since the ground.*$"):
-        ExternalWorld(Scenario.model_validate(settings), 0)
+    for wrong, words in (
+        (load_scenario("heave"), r"'heave': its pad leaves the ground.*expected one that stays level"),
+        (Scenario.model_validate(settings), r"^scenario 't': pad.deck: expected none, since the ground.*$"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            ExternalWorld(wrong, 0)
 
 
 @pytest.mark.parametrize("name", ["static", "line", "circle", "figure_8"])
@@ -133,7 +133,7 @@ def test_the_pad_sets_off_when_the_vehicle_is_armed() -> None:
     world.begin(GROUND)
     still = world.pad_at(START_S - 1.0)
     assert still.velocity_ned_m_s == (0.0, 0.0, 0.0)
-    play(world, lambda _: ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 10.0)
+    play(world, lambda _: (ZERO3, ZERO3), 10.0)
     assert world.pad_at(START_S - 0.5).position_ned_m == still.position_ned_m
     met = world.pad_at(START_S + 10.0)
     assert met.position_ned_m == pytest.approx((4.0, 3.0, 0.0), abs=1e-6)
@@ -208,7 +208,7 @@ def test_a_moving_pad_waits_under_a_vehicle_that_stands_on_it_and_goes_on_after_
     world = ExternalWorld(line(0.4), 0)
     contact_s = 10.0  # when the pad is at (4, 3)
 
-    def flight(time_s: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    def flight(time_s: float) -> tuple[Vector3, Vector3]:
         east = 3.0 + 0.4 * (min(time_s, contact_s) - contact_s)
         height = max(0.0, sink_m_s * (contact_s - time_s))
         if time_s < contact_s - down_s:
@@ -227,13 +227,6 @@ def test_a_moving_pad_waits_under_a_vehicle_that_stands_on_it_and_goes_on_after_
     # it stood from contact to 12 s, and has gone on since
     gone = world.pad_at(START_S + 13.9).position_ned_m[1] - 3.0
     assert gone == pytest.approx(0.4 * 1.9, abs=0.03)
-
-
-def test_while_it_stands_there_it_is_at_rest_on_the_pad() -> None:
-    flight, contact_s = hop(4.0, 3.0)
-    world = play(ExternalWorld(static(), 0), flight, contact_s + 1.0)
-    assert world.at_rest_on_pad
-    assert world.pad_at(START_S + contact_s + 0.9).velocity_ned_m_s == (0.0, 0.0, 0.0)
 
 
 def test_the_same_seed_gives_the_bundled_simulators_pad() -> None:

@@ -1,7 +1,5 @@
 """The pad goes with the vehicle that touches it, and drives on after it."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -12,13 +10,6 @@ from sitl.pad.motion import build_pad_motion
 from sitl.scenario.scenario import Scenario
 
 FRICTION = 0.6
-
-
-def motion(speed_m_s: float) -> Any:
-    meet = {"point_ned_m": [0.0, 0.0], "time_s": 10.0, "spread_m": 0.0}
-    pad = {"motion": {"kind": "line", "speed_m_s": speed_m_s, "course_deg": 90.0, "meet": meet}}
-    scenario = Scenario.model_validate({"name": "t", "description": "t", "pad": {"heading": 0.0, **pad}})
-    return build_pad_motion(scenario.pad.motion, 0.0, scenario.pad.heading, np.random.default_rng(0))
 
 
 class StoppedVehicle:
@@ -42,6 +33,23 @@ class StoppedVehicle:
         return Pose(time_s, (0.0, east, -0.18), (0.0, speed, 0.0), IDENTITY, ZERO3, self.simulated_s(time_s))
 
 
+def departed(vehicle: StoppedVehicle, *, touched: bool = True) -> TouchedPad:
+    """A pad at 1 m/s, met at 10 s by a vehicle that touches it then."""
+    meet = {"point_ned_m": [0.0, 0.0], "time_s": 10.0, "spread_m": 0.0}
+    settings = {
+        "motion": {"kind": "line", "speed_m_s": 1.0, "course_deg": 90.0, "meet": meet},
+        "heading": 0.0,
+    }
+    pad = Scenario.model_validate({"name": "t", "description": "t", "pad": settings}).pad
+    moved = TouchedPad(
+        build_pad_motion(pad.motion, 0.0, pad.heading, np.random.default_rng(0)), FRICTION, vehicle.at
+    )
+    moved.depart(0.0)
+    if touched:
+        moved.touch(vehicle.at(10.0))
+    return moved
+
+
 def away(pad: TouchedPad, vehicle: StoppedVehicle, time_s: float) -> float:
     """How far east of the vehicle the pad is."""
     return pad.at(time_s).position_ned_m[1] - vehicle.at(time_s).position_ned_m[1]
@@ -50,9 +58,7 @@ def away(pad: TouchedPad, vehicle: StoppedVehicle, time_s: float) -> float:
 @pytest.mark.parametrize("stops_in_s", [0.0, 0.2])
 def test_it_stops_with_the_vehicle_however_that_is_stopped(stops_in_s: float) -> None:
     vehicle = StoppedVehicle(1.0, stops_in_s)
-    pad = TouchedPad(motion(1.0), FRICTION, vehicle.at)
-    pad.depart(0.0)
-    pad.touch(vehicle.at(10.0))
+    pad = departed(vehicle)
     for time_s in (9.9, 10.0, 10.05, 10.1, 10.5, 11.0):
         assert away(pad, vehicle, time_s) == pytest.approx(0.0, abs=1e-9)
     assert pad.at(9.9).velocity_ned_m_s == pytest.approx((0.0, 1.0, 0.0))
@@ -61,9 +67,7 @@ def test_it_stops_with_the_vehicle_however_that_is_stopped(stops_in_s: float) ->
 
 def test_what_their_speeds_differed_by_ends_by_friction() -> None:
     vehicle = StoppedVehicle(0.4)
-    pad = TouchedPad(motion(1.0), FRICTION, vehicle.at)
-    pad.depart(0.0)
-    pad.touch(vehicle.at(10.0))
+    pad = departed(vehicle)
     slid_m = 0.6**2 / (2.0 * FRICTION * 9.80665)
     assert away(pad, vehicle, 11.0) == pytest.approx(slid_m, rel=1e-3)
     assert pad.at(11.0).velocity_ned_m_s == pytest.approx(ZERO3)
@@ -71,9 +75,7 @@ def test_what_their_speeds_differed_by_ends_by_friction() -> None:
 
 def test_clear_of_the_feet_it_drives_on_from_where_it_is_and_the_past_stays_as_it_was() -> None:
     vehicle = StoppedVehicle(1.0)
-    pad = TouchedPad(motion(1.0), FRICTION, vehicle.at)
-    pad.depart(0.0)
-    pad.touch(vehicle.at(10.0))
+    pad = departed(vehicle)
     stood: Vector3 = pad.at(10.9).position_ned_m
     pad.release(11.0)
     assert pad.at(10.9).position_ned_m == pytest.approx(stood)
@@ -84,8 +86,7 @@ def test_clear_of_the_feet_it_drives_on_from_where_it_is_and_the_past_stays_as_i
 def test_it_stands_still_while_the_vehicle_s_simulator_does() -> None:
     vehicle = StoppedVehicle(1.0)
     vehicle.pauses_s = 0.25
-    pad = TouchedPad(motion(1.0), FRICTION, vehicle.at)
-    pad.depart(0.0)
+    pad = departed(vehicle, touched=False)
     before, after = pad.at(5.0).position_ned_m, pad.at(5.25).position_ned_m
     assert after == pytest.approx(before)
     assert pad.at(6.25).position_ned_m[1] == pytest.approx(before[1] + 1.0)

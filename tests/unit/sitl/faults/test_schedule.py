@@ -7,9 +7,11 @@ from unittest.mock import Mock
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from companion.base.geometry import IDENTITY
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.geometry import IDENTITY, Vector3
 from companion.config import ConfigError
 from companion.link import codec
 from companion.pad import DICTIONARIES, load_pad
@@ -60,28 +62,26 @@ def black(**when: Any) -> FrameBlack:
     return FrameBlack(kind="frame_black", **when)
 
 
-def black_from_to(
-    fault: FrameBlack, words: StatusTextMonitor, heights_m: dict[float, float]
-) -> tuple[float, float]:
+SAID = {
+    10: "search: arrived: 0.6 m from the waypoint",
+    20: "approach: pad seen: lateral offset 3.3 m, 7.0 m below, and a long tail of words",
+    25: "search: pad lost: unseen for 5 s",
+}
+
+
+def black_from_to(fault: FrameBlack, heights_m: dict[float, float]) -> tuple[float, float]:
     """Between which whole seconds the frames are black; the height is the last one given."""
-    now = {"s": 0.0}
-    moments = Moments(words, lambda: next((heights_m[t] for t in reversed(heights_m) if t <= now["s"]), None))
-    at = targets()
+    words, at, seen = StatusTextMonitor(), targets(), list[float]()
+    now_s = 0.0
+    moments = Moments(words, lambda: next((heights_m[t] for t in reversed(heights_m) if t <= now_s), None))
     schedule = FaultSchedule([fault], at, moments)
-    seen = []
     for second in range(40):
-        now["s"] = float(second)
-        if second == 10:
-            words.hear(said("search: arrived: 0.6 m from the waypoint"), 10.0)
-        if second == 20:
-            words.hear(
-                said("approach: pad seen: lateral offset 3.3 m, 7.0 m below, and a long tail of words"), 20.0
-            )
-        if second == 25:
-            words.hear(said("search: pad lost: unseen for 5 s"), 25.0)
-        schedule.step(float(second))
+        now_s = float(second)
+        if second in SAID:
+            words.hear(said(SAID[second]), now_s)
+        schedule.step(now_s)
         if at.frames.black:
-            seen.append(float(second))
+            seen.append(now_s)
     assert schedule.all_begun == bool(seen)
     assert seen == [float(s) for s in range(int(seen[0]), int(seen[-1]) + 1)] if seen else True
     return (seen[0], seen[-1]) if seen else (-1.0, -1.0)
@@ -104,11 +104,9 @@ def test_a_fault_begins_when_its_moment_has_come_and_once(
     when: dict[str, Any], expected: tuple[float, float]
 ) -> None:
     heights_m = {15.0: 6.0, 30.0: 1.2, 31.0: 0.9, 33.0: 0.0, 35.0: 1.5, 36.0: 0.2}
-    assert black_from_to(black(**when), StatusTextMonitor(), heights_m) == expected
-
-
-def test_beside_the_pad_there_is_no_height_over_it() -> None:
-    assert black_from_to(black(below_m=3.0), StatusTextMonitor(), {}) == (-1.0, -1.0)
+    assert black_from_to(black(**when), heights_m) == expected
+    if "below_m" in when:  # beside the pad there is no height over it
+        assert black_from_to(black(**when), {}) == (-1.0, -1.0)
 
 
 @pytest.mark.parametrize(
@@ -135,18 +133,12 @@ def test_overlapping_faults_end_each_for_itself() -> None:
 
 def test_words_are_put_together_and_only_the_first_of_a_phase_counts() -> None:
     words = StatusTextMonitor()
-    long = "approach: pad seen: " + "x" * 80
+    long, whole = "approach: pad seen: " + "x" * 80, "y" * 100  # of whole chunks: it ends with an empty one
     words.hear(said("search: arrived") + said(long, 2), 3.0)
-    words.hear(said("search: pad lost", 3), 9.0)
-    assert [t.text for t in words.texts] == ["search: arrived", long, "search: pad lost"]
+    words.hear(said("search: pad lost", 3) + said(whole, 7), 9.0)
+    assert [t.text for t in words.texts] == ["search: arrived", long, "search: pad lost", whole]
     assert words.phase_began_s == {"search": 3.0, "approach": 3.0}
     assert words.sighted_s == 3.0
-
-
-def test_a_text_of_whole_chunks_ends_with_an_empty_one() -> None:
-    words = StatusTextMonitor()
-    words.hear(said("y" * 100, 7), 1.0)
-    assert [t.text for t in words.texts] == ["y" * 100]
 
 
 # ---------------------------------------------------------------- what is not there cannot fail
@@ -185,12 +177,18 @@ class FaultedParts:
     def _restart(self) -> None:
         self.restarted += 1
 
+    def picture(self, now_s: float, place: Vector3) -> NDArray[np.uint8]:
+        """From a place over a pad that is 10 m north."""
+        self.schedule.step(now_s)
+        return self.camera.render(now_s, lambda _: ScenePose(place, IDENTITY, (10.0, 0.0, -0.3), 0.0))
+
+    def bright(self, now_s: float, place: Vector3) -> int:
+        """Pixels as bright as a pad's paper."""
+        return int((self.picture(now_s, place) > 190).sum())
+
     def codes(self, now_s: float) -> set[int]:
         """Ids in view of the largest dictionary, hovering 4 m over the pad's place."""
-        self.schedule.step(now_s)
-        pose = ScenePose((10.0, 0.0, -4.0), IDENTITY, (10.0, 0.0, -0.3), 0.0)
-        image = self.camera.render(now_s, lambda _time_s: pose)
-        found: set[int] = set()
+        image, found = self.picture(now_s, (10.0, 0.0, -4.0)), set[int]()
         for name in {marker.dictionary for marker in PAD.markers}:
             detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(DICTIONARIES[name]))
             ids = detector.detectMarkers(image)[1]
@@ -205,53 +203,40 @@ def times(**more: Any) -> dict[str, Any]:
 OWN = {marker.id for marker in PAD.markers}
 
 
-def test_under_a_tarpaulin_no_code_is_seen() -> None:
-    desk = FaultedParts(faults.PadCovered(kind="pad_covered", **times()))
-    assert desk.codes(0.0) & OWN
-    assert desk.codes(1.0) == set()
-    assert desk.codes(2.0) & OWN
-
-
-def test_another_pad_shows_other_codes() -> None:
-    desk = FaultedParts(faults.PadWrongIds(kind="pad_wrong_ids", **times()))
-    own = desk.codes(0.0)
-    assert own
-    assert own <= OWN
-    others = desk.codes(1.0)
-    assert others
-    assert not others & own
+def test_under_a_tarpaulin_no_code_is_seen_and_another_pad_shows_others() -> None:
+    covered = faults.PadCovered(kind="pad_covered", **times())
+    for fault in (covered, faults.PadWrongIds(kind="pad_wrong_ids", **times())):
+        desk = FaultedParts(fault)
+        before, meanwhile, after = (desk.codes(now_s) for now_s in (0.0, 1.0, 2.0))
+        assert before == after
+        assert before
+        assert before <= OWN
+        assert not meanwhile & before
+        assert bool(meanwhile) == isinstance(fault, faults.PadWrongIds)
 
 
 def test_a_pad_that_vanishes_is_in_no_picture_and_comes_back() -> None:
     desk = FaultedParts(faults.PadVanishes(kind="pad_vanishes", **times()))
-    pose = ScenePose((10.0, 0.0, -4.0), IDENTITY, (10.0, 0.0, -0.3), 0.0)
-    shown = []
-    for now_s in (0.0, 1.0, 2.0):
-        desk.schedule.step(now_s)
-        bright = int((desk.camera.render(now_s, lambda _t: pose) > 190).sum())
-        shown.append((bright > 1000, desk.world.pad_motion.at(now_s).is_there))
+    shown = [
+        (desk.bright(now_s, (10.0, 0.0, -4.0)) > 1000, desk.world.pad_motion.at(now_s).is_there)
+        for now_s in (0.0, 1.0, 2.0)
+    ]
     assert shown == [(True, True), (False, False), (True, True)]
 
 
 @pytest.mark.parametrize("moves", [True, False])
 def test_a_twin_is_seen_beside_the_pad(moves: bool) -> None:
     desk = FaultedParts(faults.PadTwin(kind="pad_twin", north_m=0.0, east_m=1.6, moves=moves, **times()))
-    pose = ScenePose((10.0, 0.8, -6.0), IDENTITY, (10.0, 0.0, -0.3), 0.0)
-
-    def bright(now_s: float) -> int:
-        """Pixels as bright as a pad's paper."""
-        desk.schedule.step(now_s)
-        return int((desk.camera.render(now_s, lambda _t: pose) > 190).sum())
-
-    alone = bright(0.0)
+    between = (10.0, 0.8, -6.0)
+    alone = desk.bright(0.0, between)
     if moves:
-        assert bright(1.0) == pytest.approx(2 * alone, rel=0.1)
+        assert desk.bright(1.0, between) == pytest.approx(2 * alone, rel=0.1)
     else:  # it rests where the world's pad was, out of this picture or in it
         place = desk.world.pad_motion.at(1.0).position_ned_m
         desk.schedule.step(1.0)
         assert desk.camera.twin_ned_m is not None
         assert desk.camera.twin_ned_m((50.0, 50.0, -3.0))[1] == pytest.approx(place[1] + 1.6)
-    assert bright(2.0) == alone
+    assert desk.bright(2.0, between) == alone
 
 
 # ---------------------------------------------------------------- sensors and line
@@ -289,7 +274,7 @@ def test_something_nearer_answers_now_and_then_and_nothing_farther_does() -> Non
     assert {round(d, 6) for d in (sensor.sample(0.2) for _ in range(50)) if d is not None} == {0.2}
 
 
-def test_what_is_under_way_is_not_overtaken_when_the_delay_ends() -> None:
+def test_what_is_under_way_is_not_overtaken_when_the_delay_ends_and_a_share_is_lost() -> None:
     way = LinkChannel(LinkSettings(), np.random.default_rng(0))
     assert way.arrival_s(1.0) == 1.0
     way.extra_delay_s = 0.5
@@ -301,27 +286,31 @@ def test_what_is_under_way_is_not_overtaken_when_the_delay_ends() -> None:
     assert following is not None
     assert following > late
     assert way.arrival_s(3.0) == 3.0
-
-
-def test_a_share_is_lost() -> None:
-    way = LinkChannel(LinkSettings(), np.random.default_rng(0))
     way.extra_loss = 0.5
-    assert np.mean([way.arrival_s(float(k)) is None for k in range(400)]) == pytest.approx(0.5, abs=0.08)
+    assert np.mean([way.arrival_s(4.0 + k) is None for k in range(400)]) == pytest.approx(0.5, abs=0.08)
 
 
 # ---------------------------------------------------------------- the autopilot
 
 
-@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
-def test_a_refused_request_is_denied_for_as_long_as_the_fault(profile: Any) -> None:
-    flight = AutopilotFlight(profile)
+@pytest.fixture
+def px4() -> AutopilotFlight:
+    """Ready to arm."""
+    flight = AutopilotFlight("px4")
+    flight.run(5.0)
+    return flight
+
+
+def test_a_refused_request_is_denied_for_as_long_as_the_fault_and_the_motors_stop_in_the_air_too(
+    flight: AutopilotFlight, autopilot_kind: AutopilotKind
+) -> None:
     flight.run(8.0)
     autopilot = flight.autopilot
-    desk = FaultedParts(
-        faults.AutopilotRefuses(kind="autopilot_refuses", what="arm", **times()),
-        autopilot=autopilot,
+    refuses = faults.AutopilotRefuses(kind="autopilot_refuses", what="arm", **times())
+    desk = FaultedParts(refuses, autopilot=autopilot)
+    autopilot.set_mode_named(
+        autopilot.profile.take_off_mode if autopilot_kind == "ardupilot" else "AUTO_LOITER"
     )
-    autopilot.set_mode_named(autopilot.profile.take_off_mode if profile == "ardupilot" else "AUTO_LOITER")
     desk.schedule.step(1.0)
     assert autopilot.arm() is autopilot.profile.refused
     assert autopilot.arm(force=True) is autopilot.profile.refused
@@ -331,6 +320,13 @@ def test_a_refused_request_is_denied_for_as_long_as_the_fault(profile: Any) -> N
     assert autopilot.disarm(force=True) is autopilot.profile.refused
     assert autopilot.set_mode_named(autopilot.profile.land_mode) is autopilot.profile.refused
     assert autopilot.take_off(5.0) is not CommandResult.ACCEPTED
+    autopilot.refused = frozenset()
+    disarms = faults.AutopilotDisarms(kind="autopilot_disarms", **times())
+    desk = FaultedParts(disarms, autopilot=autopilot)
+    desk.schedule.step(0.9)
+    assert autopilot.armed
+    desk.schedule.step(1.0)
+    assert not autopilot.armed
 
 
 def test_an_autopilot_that_does_not_disarm_by_itself_stays_armed() -> None:
@@ -343,71 +339,49 @@ def test_an_autopilot_that_does_not_disarm_by_itself_stays_armed() -> None:
     assert [flight.autopilot.armed for flight in flights] == [False, True]
 
 
-def test_the_pilot_changes_the_mode_once() -> None:
-    flight = AutopilotFlight("px4")
-    flight.run(5.0)
+def test_the_pilot_changes_the_mode_once(px4: AutopilotFlight) -> None:
     desk = FaultedParts(
-        faults.PilotMode(kind="pilot_mode", mode="position", **times()), autopilot=flight.autopilot
+        faults.PilotMode(kind="pilot_mode", mode="position", **times()), autopilot=px4.autopilot
     )
     desk.schedule.step(1.0)
-    assert flight.autopilot.mode == "POSCTL"
-    flight.autopilot.set_mode_named("AUTO_LOITER")
+    assert px4.autopilot.mode == "POSCTL"
+    px4.autopilot.set_mode_named("AUTO_LOITER")
     desk.schedule.step(1.5)
     desk.schedule.step(2.0)
-    assert flight.autopilot.mode == "AUTO_LOITER"
+    assert px4.autopilot.mode == "AUTO_LOITER"
 
 
-@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
-def test_the_motors_stop_in_the_air_as_well(profile: Any) -> None:
-    flight = AutopilotFlight(profile)
-    flight.run(8.0)
-    autopilot = flight.autopilot
-    autopilot.set_mode_named(autopilot.profile.take_off_mode)
-    assert autopilot.arm() is CommandResult.ACCEPTED
-    desk = FaultedParts(faults.AutopilotDisarms(kind="autopilot_disarms", **times()), autopilot=autopilot)
-    desk.schedule.step(0.9)
-    assert autopilot.armed
-    desk.schedule.step(1.0)
-    assert not autopilot.armed
-
-
-def test_a_reboot_is_silent_and_starts_the_clock_and_the_streams_again() -> None:
-    flight = AutopilotFlight("px4")
-    flight.run(5.0)
-    flight.autopilot.set_mode_named("POSCTL")
+def test_a_reboot_is_silent_and_starts_the_clock_and_the_streams_again(px4: AutopilotFlight) -> None:
+    px4.autopilot.set_mode_named("POSCTL")
     reboots = faults.AutopilotReboots(kind="autopilot_reboots", start_s=6.0, silent_s=2.0)
-    desk = FaultedParts(reboots, autopilot=flight.autopilot)
+    desk = FaultedParts(reboots, autopilot=px4.autopilot)
     desk.schedule.step(6.0)
-    assert (flight.autopilot.booted_s, flight.autopilot.mode, desk.restarted) == (6.0, "AUTO_LOITER", 1)
+    assert (px4.autopilot.booted_s, px4.autopilot.mode, desk.restarted) == (6.0, "AUTO_LOITER", 1)
     assert desk.targets.to_app.arrival_s(7.9) is None
     desk.schedule.step(8.0)
     assert desk.targets.to_app.arrival_s(8.1) == 8.1
     assert desk.restarted == 1
 
 
-def test_without_its_position_the_autopilot_sends_none() -> None:
-    flight = AutopilotFlight("px4")
-    flight.run(5.0)
+def test_without_its_position_the_autopilot_sends_none(px4: AutopilotFlight) -> None:
     lost = faults.AutopilotPositionLost(kind="autopilot_position_lost", **times())
-    desk = FaultedParts(lost, autopilot=flight.autopilot)
-    assert local_position(flight.autopilot, 5.0) is not None
+    desk = FaultedParts(lost, autopilot=px4.autopilot)
+    assert local_position(px4.autopilot, 5.0) is not None
     desk.schedule.step(1.0)
-    flight.run(0.1)
-    assert local_position(flight.autopilot, 5.1) is None
-    assert not flight.autopilot.ready_to_arm
+    px4.run(0.1)
+    assert local_position(px4.autopilot, 5.1) is None
+    assert not px4.autopilot.ready_to_arm
     desk.schedule.step(2.0)
-    flight.run(0.1)
-    assert local_position(flight.autopilot, 5.2) is not None
+    px4.run(0.1)
+    assert local_position(px4.autopilot, 5.2) is not None
 
 
 def test_the_battery_is_reported_in_both_messages() -> None:
-    flight = AutopilotFlight("px4")
-    desk = FaultedParts(
-        faults.BatteryCharge(kind="battery", remaining_percent=12, **times()),
-        autopilot=flight.autopilot,
-    )
-    desk.schedule.step(1.0)
-    assert sys_status(flight.autopilot, 1.0).battery_remaining == 12
-    assert battery_status(flight.autopilot, 1.0).battery_remaining == 12
-    desk.schedule.step(2.0)
-    assert sys_status(flight.autopilot, 2.0).battery_remaining == 100
+    charge = faults.BatteryCharge(kind="battery", remaining_percent=12, **times())
+    autopilot = AutopilotFlight("px4").autopilot
+    schedule = FaultedParts(charge, autopilot=autopilot).schedule
+    schedule.step(1.0)
+    assert sys_status(autopilot, 1.0).battery_remaining == 12
+    assert battery_status(autopilot, 1.0).battery_remaining == 12
+    schedule.step(2.0)
+    assert sys_status(autopilot, 2.0).battery_remaining == 100

@@ -181,9 +181,16 @@ def open_files() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 
 
-def parameters(program: Fake) -> dict[str, str]:
-    """What it was given, by name, as it was written."""
+def given(program: Fake, setup: Setup | None = None) -> dict[str, str]:
+    """The parameters that it is started with, by name, as they are written."""
+    with running(program, setup):
+        pass
     if program.spec.kind == "ardupilot":
         return dict(line.split() for line in program.started["parameters"].splitlines())
     prefix = "PX4_PARAM_"
     return {n.removeprefix(prefix): value for n, value in program.started.items() if n.startswith(prefix)}
+
+
+def heard(firmware: Firmware) -> list[Any]:
+    """What it says by its MAVLink."""
+    return messages(b"".join(firmware.read()))

@@ -5,20 +5,26 @@ from pathlib import Path
 
 import pytest
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import quat_from_euler
 from sitl.firmware import ardupilot
-from sitl.vehicle.quadrotor import QuadrotorState, RotorValues
+from sitl.vehicle.quadrotor import QuadrotorState
 from tests.unit.sitl.firmware.fake_firmware import (
     HOME,
     STEP_S,
     Fake,
     fake,
+    given,
     moment,
     moments,
-    parameters,
     running,
     setup_of,
 )
+
+
+@pytest.fixture
+def kind() -> AutopilotKind:
+    return "ardupilot"
 
 
 def word_after(program: Fake, option: str) -> str:
@@ -26,11 +32,7 @@ def word_after(program: Fake, option: str) -> str:
     return words[words.index(option) + 1]
 
 
-# ---------------------------------------------------------------- lockstep
-
-
-def test_each_step_is_two_frames_that_end_with_it_and_waits_for_their_answers(tmp_path: Path) -> None:
-    program = fake("ardupilot", tmp_path)
+def test_each_step_is_two_frames_that_end_with_it_and_waits_for_their_answers(program: Fake) -> None:
     with running(program) as firmware:
         for count in range(1, 30):
             clock_s = 1.0 + count * STEP_S
@@ -49,22 +51,7 @@ def test_pulses_that_come_twice_are_answered_once(tmp_path: Path) -> None:
     assert len(stamps) == 20
 
 
-@pytest.mark.parametrize(
-    ("right_left_front_rear", "shares"),
-    [([0.2, 0.4, 0.1, 0.3], (0.1, 0.2, 0.3, 0.4)), ([-1.0, 1.2, 0.0, 1.0], (0.0, 0.0, 1.0, 1.0))],
-)
-def test_pulses_come_front_right_rear_left_within_off_and_full(
-    tmp_path: Path, right_left_front_rear: list[float], shares: RotorValues
-) -> None:
-    with running(fake("ardupilot", tmp_path, motors=right_left_front_rear)) as firmware:
-        assert firmware.step(moment(STEP_S)) == shares
-
-
-# ---------------------------------------------------------------- what it is told
-
-
-def test_it_is_reported_of_sensors_and_state_in_si_units_ned_and_frd(tmp_path: Path) -> None:
-    program = fake("ardupilot", tmp_path)
+def test_it_is_reported_of_sensors_and_state_in_si_units_ned_and_frd(program: Fake) -> None:
     attitude = quat_from_euler(0.3, -0.2, 1.0)
     state = QuadrotorState((10.0, -20.0, -5.0), velocity_ned_m_s=(1.0, -2.0, 0.5), attitude=attitude)
     with running(program) as firmware:
@@ -77,45 +64,22 @@ def test_it_is_reported_of_sensors_and_state_in_si_units_ned_and_frd(tmp_path: P
     assert told["no_time_sync"] == 1
 
 
-def test_it_is_reported_where_it_stands_and_whom_to_talk_to(tmp_path: Path) -> None:
-    program = fake("ardupilot", tmp_path)
-    with running(program):
-        pass
-    assert word_after(program, "--model") == "JSON:127.0.0.1"
-    latitude, longitude, altitude, heading = map(float, word_after(program, "--home").split(","))
-    assert (latitude, longitude, altitude, heading) == (*HOME, 0.0)
-    assert word_after(program, "--serial0").startswith("udpclient:127.0.0.1:")
-
-
-# ---------------------------------------------------------------- parameters
-
-
-def test_its_parameters_are_those_of_the_vehicle(tmp_path: Path) -> None:
-    program = fake("ardupilot", tmp_path)
+def test_it_is_told_its_parameters_where_it_stands_and_whom_to_talk_to(program: Fake) -> None:
     setup = setup_of(program.spec)
-    with running(program, setup):
-        pass
-    given = parameters(program)
-    assert (given["FRAME_CLASS"], given["FRAME_TYPE"]) == ("1", "6")
-    assert float(given["MOT_THST_HOVER"]) == pytest.approx(setup.airframe.body.hover_share())
-    assert (given["MOT_PWM_MIN"], given["MOT_PWM_MAX"], given["MOT_THST_EXPO"]) == ("1000", "2000", "0")
-    assert (given["SIM_RATE_HZ"], given["SCHED_LOOP_RATE"]) == ("800", "400")
-
-
-@pytest.mark.parametrize("throttle", [0.0, 0.21, 0.5, 1.0])
-def test_a_share_of_its_throttle_is_that_share_of_the_plants_thrust(throttle: float, tmp_path: Path) -> None:
-    program = fake("ardupilot", tmp_path)
-    with running(program):
-        pass
-    given = {name: float(value) for name, value in parameters(program).items() if name.startswith("MOT_")}
-    # Thrust_Linearization::thrust_to_actuator without its curve, then output_to_pwm
-    actuator = given["MOT_SPIN_MIN"] + (given["MOT_SPIN_MAX"] - given["MOT_SPIN_MIN"]) * throttle
-    pulse_us = given["MOT_PWM_MIN"] + (given["MOT_PWM_MAX"] - given["MOT_PWM_MIN"]) * actuator
-    assert given["MOT_THST_EXPO"] == 0.0
-    assert ardupilot._share(round(pulse_us)) == pytest.approx(throttle, abs=1e-3)
-
-
-# ---------------------------------------------------------------- what goes wrong
+    told = given(program, setup)
+    assert (told["FRAME_CLASS"], told["FRAME_TYPE"]) == ("1", "6")
+    assert float(told["MOT_THST_HOVER"]) == pytest.approx(setup.airframe.body.hover_share())
+    assert (told["MOT_PWM_MIN"], told["MOT_PWM_MAX"], told["MOT_THST_EXPO"]) == ("1000", "2000", "0")
+    assert (told["SIM_RATE_HZ"], told["SCHED_LOOP_RATE"]) == ("800", "400")
+    assert word_after(program, "--model") == "JSON:127.0.0.1"
+    assert [float(word) for word in word_after(program, "--home").split(",")] == [*HOME, 0.0]
+    assert word_after(program, "--serial0").startswith("udpclient:127.0.0.1:")
+    motors = {name: float(value) for name, value in told.items() if name.startswith("MOT_")}
+    for throttle in (0.0, 0.21, 0.5, 1.0):  # is that share of the plant's thrust:
+        # Thrust_Linearization::thrust_to_actuator without its curve, then output_to_pwm
+        actuator = motors["MOT_SPIN_MIN"] + (motors["MOT_SPIN_MAX"] - motors["MOT_SPIN_MIN"]) * throttle
+        pulse_us = motors["MOT_PWM_MIN"] + (motors["MOT_PWM_MAX"] - motors["MOT_PWM_MIN"]) * actuator
+        assert ardupilot._share(round(pulse_us)) == pytest.approx(throttle, abs=1e-3)
 
 
 def test_what_is_no_answer_of_its_own_is_not_taken_for_one(tmp_path: Path) -> None:

@@ -27,8 +27,6 @@ from sitl.vehicle.quadrotor import RotorValues
 from sitl.world.world import World
 from tests.unit.sitl.firmware.fake_firmware import HOME, STEP_S, Fake, fake, runs, sensors_at_rest, soon
 
-BOTH = pytest.mark.parametrize("kind", ["px4", "ardupilot"])
-
 
 @pytest.fixture(autouse=True)
 def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,7 +74,6 @@ def stamps(program: Fake) -> list[float]:
 # ---------------------------------------------------------------- the boot
 
 
-@BOTH
 def test_it_boots_until_it_is_ready_and_a_while_longer(kind: AutopilotKind, tmp_path: Path) -> None:
     program = fake(kind, tmp_path, boot_steps=100)
     with booted(program):
@@ -85,16 +82,13 @@ def test_it_boots_until_it_is_ready_and_a_while_longer(kind: AutopilotKind, tmp_
     assert 0.15 <= stamps(program)[-1] <= 0.8
 
 
-@BOTH
-def test_its_clock_goes_on_from_the_boot_and_never_stands_still(kind: AutopilotKind, tmp_path: Path) -> None:
-    program = fake(kind, tmp_path)
+def test_its_clock_goes_on_from_the_boot_and_never_stands_still(kind: AutopilotKind, program: Fake) -> None:
     with booted(program) as flies:
         fly(flies, 20)
     told, step_s = stamps(program), STEP_S if kind == "px4" else STEP_S / 2
     assert np.diff(told) == pytest.approx(np.full(len(told) - 1, step_s), abs=2e-6)
 
 
-@BOTH
 def test_a_boot_leaves_the_flights_sensors_as_they_were(kind: AutopilotKind, tmp_path: Path) -> None:
     plain, flown = sensors_at_rest(7), sensors_at_rest(7)
     plain.enable()
@@ -109,14 +103,12 @@ def test_a_boot_leaves_the_flights_sensors_as_they_were(kind: AutopilotKind, tmp
     assert plain.gps is not None
 
 
-@BOTH
 def test_it_flies_on_its_own_motors_by_the_worlds_state(kind: AutopilotKind, tmp_path: Path) -> None:
     with booted(fake(kind, tmp_path, motors=[0.5] * 4)) as flies:
         assert fly(flies, 3) == [(0.5,) * 4] * 3
         assert flies.attitude_setpoint == flies._world.state.attitude
 
 
-@BOTH
 def test_it_is_armed_as_its_heartbeat_tells(kind: AutopilotKind, tmp_path: Path) -> None:
     with booted(fake(kind, tmp_path, armed=True)) as flies:
         assert not flies.armed  # not heard since
@@ -125,12 +117,10 @@ def test_it_is_armed_as_its_heartbeat_tells(kind: AutopilotKind, tmp_path: Path)
         assert flies.armed
 
 
-@BOTH
 def test_while_it_boots_a_ground_station_asks_it_for_what_tells_that_it_is_ready(
-    kind: AutopilotKind, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    program: Fake, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(firmware_vehicle, "SETTLE_S", 1.2)  # it is asked once a second
-    program = fake(kind, tmp_path)
     with booted(program):
         pass
     (system,) = {message.get_srcSystem() for message in program.mavlink}
@@ -142,7 +132,6 @@ def test_while_it_boots_a_ground_station_asks_it_for_what_tells_that_it_is_ready
 # ---------------------------------------------------------------- what goes wrong
 
 
-@BOTH
 @pytest.mark.parametrize(
     ("behaviour", "reason"),
     [
@@ -166,7 +155,6 @@ def test_one_that_is_never_ready_is_refused_with_its_reason(
     assert program.is_gone
 
 
-@BOTH
 def test_one_that_ends_while_it_boots_is_refused_with_its_last_words(
     kind: AutopilotKind, tmp_path: Path
 ) -> None:
@@ -176,16 +164,14 @@ def test_one_that_ends_while_it_boots_is_refused_with_its_last_words(
     assert program.is_gone
 
 
-@BOTH
 @pytest.mark.parametrize("kind_of_end", [KeyboardInterrupt, ZeroDivisionError])
 def test_nothing_is_left_when_the_boot_is_broken_off(
-    kind: AutopilotKind, kind_of_end: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: AutopilotKind, kind_of_end: type[BaseException], program: Fake, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def breaks_off(_firmware: object, _moment: Moment) -> RotorValues:
         raise kind_of_end
 
     monkeypatch.setattr({"px4": px4.Px4, "ardupilot": ardupilot.ArduPilot}[kind], "step", breaks_off)
-    program = fake(kind, tmp_path)
     with pytest.raises(kind_of_end):
         vehicle(program)
     assert program.is_gone

@@ -58,6 +58,10 @@ class FirmwareClients:
     def transmit(self, now_s: float) -> None:
         self.network.transmit(now_s, *PAD)
 
+    def say(self, data: bytes, now_s: float) -> None:
+        """By the first client."""
+        self.network.receive(self.ports[0], data, now_s)
+
 
 COMPANION = MessageSender(1, 191)
 
@@ -71,25 +75,18 @@ def test_the_beacon_beats_for_the_firmware_and_for_every_client() -> None:
     assert len(desk.firmware.told) == 1
 
 
-def test_what_the_firmware_says_reaches_every_client_unchanged() -> None:
-    desk = FirmwareClients(3)
-    said = [
-        MessageSender().pack(heartbeat(PX4), heartbeat(PX4)),
-        b"no MAVLink at all",
-        MessageSender().pack(heartbeat(PX4)),
-    ]
+def test_what_the_firmware_says_reaches_every_client_unchanged_that_has_not_gone() -> None:
+    desk, beat = FirmwareClients(3), heartbeat(PX4)
+    said = [MessageSender().pack(beat, beat), b"no MAVLink at all", MessageSender().pack(beat)]
     desk.firmware.says = list(said)
     desk.transmit(0.1)
     assert desk.heard == [said] * 3
     desk.transmit(0.2)
     assert desk.heard == [said] * 3  # nothing has come since
-
-
-def test_what_a_client_says_reaches_the_firmware_frame_by_frame() -> None:
-    desk = FirmwareClients()
-    frames = [COMPANION.pack(heartbeat(ARDUPILOT)) for _ in range(3)]
-    desk.network.receive(desk.ports[0], b"".join(frames), 0.1)
-    assert desk.firmware.told == frames
+    desk.network.disconnect(desk.ports[0])
+    desk.firmware.says = [b"said"]
+    desk.transmit(0.3)
+    assert desk.heard == [said, [*said, b"said"], [*said, b"said"]]
 
 
 def test_a_stream_of_bytes_is_cut_into_frames_however_it_comes() -> None:
@@ -97,24 +94,18 @@ def test_a_stream_of_bytes_is_cut_into_frames_however_it_comes() -> None:
     frames = [COMPANION.pack(heartbeat(ARDUPILOT)) for _ in range(3)]
     data = b"noise" + b"".join(frames)
     for at in range(0, len(data), 7):
-        desk.network.receive(desk.ports[0], data[at : at + 7], 0.01)
+        desk.say(data[at : at + 7], 0.01)
     assert desk.firmware.told == frames
 
 
-def test_half_a_frame_in_a_datagram_does_not_hold_up_the_next() -> None:
+def test_what_a_client_says_reaches_the_firmware_frame_by_frame_and_half_a_one_holds_up_none() -> None:
     desk = FirmwareClients()
-    frame = COMPANION.pack(heartbeat(ARDUPILOT))
-    desk.network.receive(desk.ports[0], frame[:9], 0.1)
-    desk.network.receive(desk.ports[0], frame, 0.101)
-    assert desk.firmware.told == [frame]
-
-
-def test_a_client_that_has_gone_is_not_written_to() -> None:
-    desk = FirmwareClients(2)
-    desk.network.disconnect(desk.ports[0])
-    desk.firmware.says = [b"said"]
-    desk.transmit(0.1)
-    assert desk.heard == [[], [b"said"]]
+    frames = [COMPANION.pack(heartbeat(ARDUPILOT)) for _ in range(4)]
+    desk.say(b"".join(frames[:3]), 0.1)
+    assert desk.firmware.told == frames[:3]
+    desk.say(frames[3][:9], 0.2)
+    desk.say(frames[3], 0.201)
+    assert desk.firmware.told == frames
 
 
 @pytest.mark.parametrize("system", [1, 3])
@@ -131,7 +122,7 @@ def test_the_ground_station_tells_where_the_pad_is() -> None:
     asked = mavlink.MAVLink_command_long_message(
         255, 190, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET, *[0] * 6
     )
-    desk.network.receive(desk.ports[0], COMPANION.pack(asked), 0.1)
+    desk.say(COMPANION.pack(asked), 0.1)
     desk.transmit(0.2)
     desk.transmit(0.7)
     answers: list[Any] = messages(b"".join(desk.heard[0]))
@@ -147,6 +138,6 @@ def test_whatever_comes_does_no_harm() -> None:
     desk.firmware.says = list(junk)
     desk.transmit(0.1)
     for number, data in enumerate(junk):
-        desk.network.receive(desk.ports[0], data, 0.2 + 0.01 * number)
+        desk.say(data, 0.2 + 0.01 * number)
     assert desk.heard == [junk]
     assert desk.firmware.told == []

@@ -11,43 +11,52 @@ import pytest
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
 from sitl.firmware import FirmwareError, ardupilot, px4
-from sitl.firmware.process import Firmware
+from sitl.vehicle.quadrotor import RotorValues
 from tests.unit.sitl.firmware.fake_firmware import (
     STEP_S,
+    Fake,
     fake,
-    messages,
+    given,
+    heard,
     moment,
     moments,
     open_files,
-    parameters,
     running,
     step_on,
 )
 
 MODULES: dict[AutopilotKind, Any] = {"px4": px4, "ardupilot": ardupilot}
 PROGRAMS: dict[AutopilotKind, str] = {"px4": "px4", "ardupilot": "arducopter"}
-each = pytest.mark.parametrize("kind", MODULES)
 
 
-@pytest.fixture(autouse=True)
-def answered_from_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However busy the machine, the fake is not taken for one that boots."""
-    monkeypatch.setattr(px4, "BOOTING_STEP_S", 5.0)
+pytestmark = pytest.mark.usefixtures("answered_from_the_first")
 
 
-@each
+@pytest.mark.parametrize(
+    ("kind", "told", "motors"),
+    [
+        ("px4", [0.125, 0.25, 0.375, 0.5], (0.125, 0.25, 0.375, 0.5)),
+        ("px4", [-0.5, 1.5, float("nan"), 1.0], (0.0, 1.0, 0.0, 1.0)),
+        # right, left, front, rear
+        ("ardupilot", [0.2, 0.4, 0.1, 0.3], (0.1, 0.2, 0.3, 0.4)),
+        ("ardupilot", [-1.0, 1.2, 0.0, 1.0], (0.0, 0.0, 1.0, 1.0)),
+    ],
+)
+def test_motors_come_front_right_rear_left_within_off_and_full(
+    kind: AutopilotKind, told: list[float], motors: RotorValues, tmp_path: Path
+) -> None:
+    with running(fake(kind, tmp_path, motors=told)) as firmware:
+        assert firmware.step(moment(STEP_S)) == motors
+
+
 def test_a_users_parameter_is_over_all_others_and_keeps_its_digits(
     kind: AutopilotKind, tmp_path: Path
 ) -> None:
     own = "MPC_THR_HOVER" if kind == "px4" else "MOT_THST_HOVER"
-    program = fake(kind, tmp_path, {own: 0.4, "SOME_NUMBER": 12345678.0, "SMALL": 0.123456789})
-    with running(program):
-        pass
-    given = parameters(program)
-    assert (given[own], given["SOME_NUMBER"], given["SMALL"]) == ("0.4", "12345678", "0.123456789")
+    told = given(fake(kind, tmp_path, {own: 0.4, "SOME_NUMBER": 12345678.0, "SMALL": 0.123456789}))
+    assert (told[own], told["SOME_NUMBER"], told["SMALL"]) == ("0.4", "12345678", "0.123456789")
 
 
-@each
 def test_two_at_once_have_ports_of_their_own(kind: AutopilotKind, tmp_path: Path) -> None:
     programs = [fake(kind, tmp_path / name, motors=[share] * 4) for name, share in (("a", 0.25), ("b", 0.75))]
     with running(programs[0]) as first, running(programs[1]) as second:
@@ -61,11 +70,6 @@ def test_two_at_once_have_ports_of_their_own(kind: AutopilotKind, tmp_path: Path
         assert systems == [{one + 1}, {other + 1}]  # PX4 numbers itself so
 
 
-def heard(firmware: Firmware) -> list[Any]:
-    return messages(b"".join(firmware.read()))
-
-
-@each
 def test_without_a_free_instance_it_is_said_and_nothing_is_left(
     kind: AutopilotKind, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -84,10 +88,6 @@ def test_without_a_free_instance_it_is_said_and_nothing_is_left(
     assert not list(tmp_path.glob(f"{PROGRAMS[kind]}-*"))
 
 
-# ---------------------------------------------------------------- what goes wrong
-
-
-@each
 def test_one_that_ends_before_it_answers_is_reported_by_its_last_words(
     kind: AutopilotKind, tmp_path: Path
 ) -> None:
@@ -130,7 +130,6 @@ def test_one_that_never_says_anything_is_reported(
         ),
     ],
 )
-@each
 def test_one_that_ends_or_is_silent_in_flight_is_reported(
     kind: AutopilotKind,
     behaviour: dict[str, Any],
@@ -145,9 +144,8 @@ def test_one_that_ends_or_is_silent_in_flight_is_reported(
     assert str(caught.value) == words.format(PROGRAMS[kind])
 
 
-@each
-def test_nothing_is_left_of_it_in_the_end(kind: AutopilotKind, tmp_path: Path) -> None:
-    program, files = fake(kind, tmp_path), open_files()
+def test_nothing_is_left_of_it_in_the_end(kind: AutopilotKind, program: Fake) -> None:
+    files = open_files()
     with running(program) as firmware:
         firmware.step(moment(STEP_S))
         assert Path(program.started["folder"]).name.startswith(f"{PROGRAMS[kind]}-")

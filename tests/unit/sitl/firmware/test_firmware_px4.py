@@ -8,21 +8,20 @@ from typing import Any
 
 import pytest
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import quat_from_euler
 from companion.config import ConfigError
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.firmware import px4
-from sitl.firmware.process import Firmware
 from sitl.vehicle.quadrotor import QuadrotorState, resting_state
 from tests.unit.sitl.firmware.fake_firmware import (
     STEP_S,
     Fake,
     fake,
     fix,
-    messages,
+    given,
     moment,
     moments,
-    parameters,
     running,
     setup_of,
 )
@@ -30,21 +29,19 @@ from tests.unit.sitl.firmware.fake_firmware import (
 IMU, MAG, BARO = 0b111_111, 0b111_000_000, 0b1_1010_0000_0000
 
 
-@pytest.fixture(autouse=True)
-def answered_from_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However busy the machine, the fake is not taken for one that boots."""
-    monkeypatch.setattr(px4, "BOOTING_STEP_S", 5.0)
+pytestmark = pytest.mark.usefixtures("answered_from_the_first")
+
+
+@pytest.fixture
+def kind() -> AutopilotKind:
+    return "px4"
 
 
 def told(program: Fake, kind: str) -> list[Any]:
     return [message for message in program.sensors if message.get_type() == kind]
 
 
-# ---------------------------------------------------------------- lockstep
-
-
-def test_each_step_waits_for_the_answer_to_its_own_time(tmp_path: Path) -> None:
-    program = fake("px4", tmp_path)
+def test_each_step_waits_for_the_answer_to_its_own_time(program: Fake) -> None:
     with running(program) as firmware:
         for count in range(1, 30):
             clock_s = 1.0 + count * STEP_S
@@ -61,34 +58,22 @@ def test_while_it_boots_the_motors_are_off_and_nobody_waits_for_it(
         assert {firmware.step(at) for at in moments(20)} == {(0.0, 0.0, 0.0, 0.0)}
 
 
-def test_motors_come_front_right_rear_left_as_they_were_given(tmp_path: Path) -> None:
-    with running(fake("px4", tmp_path, motors=[0.1, 0.2, 0.3, 0.4])) as firmware:
-        assert firmware.step(moment(STEP_S)) == pytest.approx((0.1, 0.2, 0.3, 0.4))
-
-
-def test_motors_stay_within_what_a_motor_can_do(tmp_path: Path) -> None:
-    with running(fake("px4", tmp_path, motors=[-0.5, 1.5, float("nan"), 1.0])) as firmware:
-        assert firmware.step(moment(STEP_S)) == (0.0, 1.0, 0.0, 1.0)
-
-
-# ---------------------------------------------------------------- what it is told
-
-
-def test_inertial_sensors_are_in_si_units_and_the_field_in_gauss(tmp_path: Path) -> None:
-    program = fake("px4", tmp_path)
+def test_inertial_sensors_are_in_si_units_the_field_in_gauss_and_the_pose_for_it_to_find_out(
+    program: Fake,
+) -> None:
+    state = QuadrotorState((10.0, -20.0, -5.0), attitude=quat_from_euler(0.3, -0.2, 1.0))
+    sensed = {"force": (0.1, -0.2, -9.7), "rate": (0.3, -0.4, 0.5), "field": (20.0, -1.0, 43.0)}
     with running(program) as firmware:
-        firmware.step(
-            moment(STEP_S, force=(0.1, -0.2, -9.7), rate=(0.3, -0.4, 0.5), field=(20.0, -1.0, 43.0))
-        )
-    (heard,) = told(program, "HIL_SENSOR")
+        firmware.step(moment(STEP_S, state, **sensed))
+    (heard,) = program.sensors
+    assert heard.get_type() == "HIL_SENSOR"
     assert (heard.xacc, heard.yacc, heard.zacc) == pytest.approx((0.1, -0.2, -9.7))
     assert (heard.xgyro, heard.ygyro, heard.zgyro) == pytest.approx((0.3, -0.4, 0.5))
     assert (heard.xmag, heard.ymag, heard.zmag) == pytest.approx((0.20, -0.01, 0.43))
     assert heard.id == 0
 
 
-def test_what_has_no_new_reading_is_not_marked_as_new(tmp_path: Path) -> None:
-    program = fake("px4", tmp_path)
+def test_what_has_no_new_reading_is_not_marked_as_new(program: Fake) -> None:
     with running(program) as firmware:
         for count in range(1, 10):
             firmware.step(moment(count * STEP_S, mag_s=0.0 if count < 5 else 1.0))
@@ -97,8 +82,7 @@ def test_what_has_no_new_reading_is_not_marked_as_new(tmp_path: Path) -> None:
     assert fields == [IMU | MAG | BARO, IMU, IMU, IMU, IMU | MAG, IMU, IMU, IMU, IMU | BARO]
 
 
-def test_the_pressure_is_that_of_its_height_in_hectopascals(tmp_path: Path) -> None:
-    program = fake("px4", tmp_path)
+def test_the_pressure_is_that_of_its_height_in_hectopascals(program: Fake) -> None:
     with running(program) as firmware:
         for count in range(1, 40):
             state = resting_state((0.0, 0.0, -500.0 if count > 20 else 0.0), 0.0)
@@ -121,9 +105,8 @@ def test_the_pressure_is_that_of_its_height_in_hectopascals(tmp_path: Path) -> N
     ],
 )
 def test_a_fix_is_in_integers_and_its_course_is_where_it_goes(
-    velocity: tuple[float, float, float], speed: int, course: int, tmp_path: Path
+    velocity: tuple[float, float, float], speed: int, course: int, program: Fake
 ) -> None:
-    program = fake("px4", tmp_path)
     with running(program) as firmware:
         firmware.step(moment(0.5, fix=fix(0.45, velocity)))
         firmware.step(moment(0.5 + STEP_S, fix=fix(0.45, velocity)))  # the same one, told once
@@ -136,50 +119,24 @@ def test_a_fix_is_in_integers_and_its_course_is_where_it_goes(
     assert (heard.vel, heard.cog) == (speed, course)
 
 
-def test_attitude_and_place_are_for_it_to_find_out(tmp_path: Path) -> None:
-    program = fake("px4", tmp_path)
-    state = QuadrotorState((10.0, -20.0, -5.0), attitude=quat_from_euler(0.3, -0.2, 1.0))
-    with running(program) as firmware:
-        firmware.step(moment(STEP_S, state))
-    assert {message.get_type() for message in program.sensors} == {"HIL_SENSOR"}
-
-
-# ---------------------------------------------------------------- parameters
-
-
-def test_it_is_reported_of_a_plus_frame_by_values_that_are_never_its_own_defaults(tmp_path: Path) -> None:
-    program = fake("px4", tmp_path)
-    setup = setup_of(program.spec)
+def test_it_is_reported_of_the_vehicle_and_the_receivers_delay_by_values_that_are_never_its_own_defaults(
+    program: Fake,
+) -> None:
+    setup = setup_of(program.spec, gps_delay_s=0.2)
     # PX4's default for this one: told as it is, it would count as not set
     body = setup.airframe.body.model_copy(update={"torque_to_thrust_m": 0.05})
-    with running(program, setup._replace(airframe=setup.airframe.model_copy(update={"body": body}))):
-        pass
-    set_ = {name: float(value) for name, value in parameters(program).items()}
+    setup = setup._replace(airframe=setup.airframe.model_copy(update={"body": body}))
+    told = {name: float(value) for name, value in given(program, setup).items()}
     arm_m = body.arm_length_m
     for rotor, place in enumerate(((arm_m, 0.0), (0.0, arm_m), (-arm_m, 0.0), (0.0, -arm_m))):
-        found = set_[f"CA_ROTOR{rotor}_PX"], set_[f"CA_ROTOR{rotor}_PY"]
+        found = told[f"CA_ROTOR{rotor}_PX"], told[f"CA_ROTOR{rotor}_PY"]
         assert found == pytest.approx(place, abs=1e-4)
         assert 0.0 not in found
-    turns = [set_[f"CA_ROTOR{rotor}_KM"] for rotor in range(4)]
+    turns = [told[f"CA_ROTOR{rotor}_KM"] for rotor in range(4)]
     assert turns == pytest.approx([0.05, -0.05, 0.05, -0.05], abs=1e-4)  # front and rear anticlockwise
     assert not {0.05, -0.05, 0.0} & set(turns)
-
-
-def test_it_is_reported_of_the_hover_thrust_and_the_receivers_delay(tmp_path: Path) -> None:
-    program = fake("px4", tmp_path)
-    setup = setup_of(program.spec, gps_delay_s=0.2)
-    with running(program, setup):
-        pass
-    set_ = {name: float(value) for name, value in parameters(program).items()}
-    assert set_["MPC_THR_HOVER"] == pytest.approx(setup.airframe.body.hover_share(), abs=1e-5)
-    assert set_["EKF2_GPS_DELAY"] == 200
-
-
-# ---------------------------------------------------------------- instances
-
-
-def heard(firmware: Firmware) -> list[Any]:
-    return messages(b"".join(firmware.read()))
+    assert told["MPC_THR_HOVER"] == pytest.approx(body.hover_share(), abs=1e-5)
+    assert told["EKF2_GPS_DELAY"] == 200
 
 
 @contextlib.contextmanager
@@ -193,29 +150,23 @@ def taken(port: int, kind: socket.SocketKind) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("port", [14540, 14580, 18570])
-def test_an_instance_with_a_port_in_use_is_passed_over(port: int, tmp_path: Path) -> None:
-    program = fake("px4", tmp_path)
+def test_an_instance_with_a_port_in_use_is_passed_over(port: int, program: Fake) -> None:
     with taken(port, socket.SOCK_DGRAM), running(program):
         pass
     assert 0 not in program.instances
 
 
-# ---------------------------------------------------------------- what goes wrong
-
-
-def test_a_folder_that_is_no_build_is_said(tmp_path: Path) -> None:
-    program = fake("px4", tmp_path)
+def test_a_folder_that_is_no_build_is_said(program: Fake) -> None:
     script = program.spec.path.parent.parent / "etc" / "init.d-posix" / "rcS"
     script.unlink()
-    with pytest.raises(ConfigError) as caught, running(program):
-        pass
+    with pytest.raises(ConfigError) as caught:
+        given(program)
     assert str(caught.value) == (
         f"--firmware-path {program.spec.path}: expected {script} beside the program's folder"
     )
 
 
-def test_what_is_no_program_for_this_machine_is_said(tmp_path: Path) -> None:
-    program = fake("px4", tmp_path)
+def test_what_is_no_program_for_this_machine_is_said(program: Fake) -> None:
     program.spec.path.write_bytes(b"\x7fELF of another kind")
-    with pytest.raises(ConfigError, match=r"px4: cannot be run \(Exec format error\)"), running(program):
-        pass
+    with pytest.raises(ConfigError, match=r"px4: cannot be run \(Exec format error\)"):
+        given(program)

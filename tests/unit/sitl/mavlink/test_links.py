@@ -3,6 +3,7 @@
 import asyncio
 import math
 import socket
+from collections import defaultdict
 from typing import Any, cast
 
 import numpy as np
@@ -170,135 +171,126 @@ PAD_VELOCITY: Vector3 = (1.0, 0.5, 0.0)
 COMPANION = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
 
 
-def ask(ground: GroundStation, now_s: float, message_id: float = 144.0, target: int = 255) -> None:
-    request = mavlink.MAVLink_command_long_message(target, 0, 512, 0, message_id, 0, 0, 0, 0, 0, 0)
+@pytest.fixture
+def ground() -> GroundStation:
+    return station()
+
+
+def station(seed: int = 1, **beacon: Any) -> GroundStation:
+    return GroundStation(BeaconSettings(**beacon), np.random.default_rng(seed), HOME)
+
+
+def ask(
+    ground: GroundStation, now_s: float, message_id: float = 144.0, target: int = 255, part: int = 0
+) -> None:
+    request = mavlink.MAVLink_command_long_message(target, part, 512, 0, message_id, 0, 0, 0, 0, 0, 0)
     ground.receive(bytes(request.pack(COMPANION)), now_s)
 
 
-def listen(ground: GroundStation, now_s: float) -> list[Any]:
-    return mavlink.MAVLink(None).parse_buffer(ground.transmit(now_s, PAD, PAD_VELOCITY)) or []
+def listen(ground: GroundStation, now_s: float, pad: Vector3 = PAD) -> dict[str, list[Any]]:
+    """Its messages by type."""
+    heard: dict[str, list[Any]] = defaultdict(list)
+    for message in mavlink.MAVLink(None).parse_buffer(ground.transmit(now_s, pad, PAD_VELOCITY)) or []:
+        heard[message.get_type()].append(message)
+    return heard
 
 
-def answered(seed: int, std_m: float = 1.5) -> Any:
-    ground = GroundStation(BeaconSettings(position_std_m=std_m), np.random.default_rng(seed), HOME)
-    ask(ground, 0.0)
-    return next(m for m in listen(ground, 0.5) if m.get_type() == "FOLLOW_TARGET")
+def place(message: Any) -> Vector3:
+    return ned_from_geodetic(message.lat * 1e-7, message.lon * 1e-7, message.alt, HOME)
 
 
-def test_a_request_is_acknowledged_at_once_and_answered_half_a_second_later() -> None:
-    ground = GroundStation(BeaconSettings(), np.random.default_rng(1), HOME)
+def test_a_request_is_acknowledged_at_once_and_answered_half_a_second_later(ground: GroundStation) -> None:
     ask(ground, 10.0)
-    acknowledgement = next(m for m in listen(ground, 10.0) if m.get_type() == "COMMAND_ACK")
+    acknowledgement = listen(ground, 10.0)["COMMAND_ACK"][0]
     assert (acknowledgement.command, acknowledgement.result) == (512, 0)
     assert (acknowledgement.target_system, acknowledgement.target_component) == (1, 191)
-    assert not [m for m in listen(ground, 10.49) if m.get_type() == "FOLLOW_TARGET"]
-    answers = [m for m in listen(ground, 10.5) if m.get_type() == "FOLLOW_TARGET"]
-    assert len(answers) == 1
-    assert (answers[0].get_srcSystem(), answers[0].get_srcComponent()) == (255, 190)
-    assert not [m for m in listen(ground, 11.5) if m.get_type() == "FOLLOW_TARGET"]
+    assert not listen(ground, 10.49)["FOLLOW_TARGET"]
+    (answer,) = listen(ground, 10.5)["FOLLOW_TARGET"]
+    assert (answer.get_srcSystem(), answer.get_srcComponent()) == (255, 190)
+    assert not listen(ground, 11.5)["FOLLOW_TARGET"]
 
 
 def test_the_answer_is_the_pads_place_to_within_a_gps_receivers_error() -> None:
     errors = []
     for seed in range(40):
-        message = answered(seed)
-        shown = ned_from_geodetic(message.lat * 1e-7, message.lon * 1e-7, message.alt, HOME)
-        errors.append([s - p for s, p in zip(shown, PAD, strict=True)])
+        ground = station(seed, position_std_m=1.5)
+        ask(ground, 0.0)
+        (message,) = listen(ground, 0.5)["FOLLOW_TARGET"]
+        errors.append(np.subtract(place(message), PAD))
         assert math.dist(message.vel, PAD_VELOCITY) < 0.6
         assert message.position_cov[0] == pytest.approx(1.5, abs=0.1)
         assert message.est_capabilities == 3
-    spread = np.std(np.array(errors), axis=0)
+    spread = np.std(errors, axis=0)
     assert spread[0] == pytest.approx(1.5, abs=0.5)
     assert spread[2] > spread[0]
 
 
 def test_its_error_stays_the_same_over_a_flight() -> None:
-    ground = GroundStation(BeaconSettings(), np.random.default_rng(3), HOME)
-    shown = []
+    ground, shown = station(3), []
     for k in range(5):
         ask(ground, float(k))
-        message = next(m for m in listen(ground, k + 0.5) if m.get_type() == "FOLLOW_TARGET")
-        shown.append(ned_from_geodetic(message.lat * 1e-7, message.lon * 1e-7, message.alt, HOME)[0])
+        shown.append(place(listen(ground, k + 0.5)["FOLLOW_TARGET"][0])[0])
     assert max(shown) - min(shown) < 1.2
 
 
-def test_other_requests_are_refused_and_those_for_others_ignored() -> None:
-    ground = GroundStation(BeaconSettings(), np.random.default_rng(1), HOME)
+def test_other_requests_are_refused_and_those_for_others_ignored(ground: GroundStation) -> None:
     ask(ground, 0.0, message_id=33.0)
     ask(ground, 0.0, message_id=math.nan)
-    results = [m.result for m in listen(ground, 0.0) if m.get_type() == "COMMAND_ACK"]
+    results = [m.result for m in listen(ground, 0.0)["COMMAND_ACK"]]
     assert results == [mavlink.MAV_RESULT_UNSUPPORTED] * 2
     ask(ground, 0.0, target=1)
-    assert not [m for m in listen(ground, 0.6) if m.get_type() != "HEARTBEAT"]
+    ask(ground, 0.0, part=191)  # another component of its system
+    assert listen(ground, 0.6).keys() <= {"HEARTBEAT"}
 
 
-def test_it_beats_once_a_second() -> None:
-    ground = GroundStation(BeaconSettings(), np.random.default_rng(1), HOME)
-    beats = [m for k in range(40) for m in listen(ground, k / 10) if m.get_type() == "HEARTBEAT"]
+def test_it_beats_once_a_second(ground: GroundStation) -> None:
+    beats = [m for k in range(40) for m in listen(ground, k / 10)["HEARTBEAT"]]
     assert len(beats) == 4
     assert beats[0].type == mavlink.MAV_TYPE_GCS
 
 
-def test_random_bytes_do_no_harm() -> None:
-    ground = GroundStation(BeaconSettings(), np.random.default_rng(1), HOME)
+def test_random_bytes_do_no_harm(ground: GroundStation) -> None:
     ground.receive(np.random.default_rng(0).bytes(3000), 0.0)
     for _ in range(10):
         ask(ground, 0.0)
     assert ground.requests > 0
 
 
-def test_whoever_floods_it_does_not_fill_the_memory() -> None:
-    ground = GroundStation(BeaconSettings(), np.random.default_rng(1), HOME)
+def test_whoever_floods_it_does_not_fill_the_memory(ground: GroundStation) -> None:
     for _ in range(500):
         ask(ground, 0.0)
-    heard = listen(ground, 0.0)
-    results = [m.result for m in heard if m.get_type() == "COMMAND_ACK"]
+    results = [m.result for m in listen(ground, 0.0)["COMMAND_ACK"]]
     assert results.count(mavlink.MAV_RESULT_ACCEPTED) == 32
     assert results.count(mavlink.MAV_RESULT_TEMPORARILY_REJECTED) == len(results) - 32
-    assert len([m for m in listen(ground, 0.5) if m.get_type() == "FOLLOW_TARGET"]) == 32
-
-
-def test_another_component_of_its_system_is_somebody_else() -> None:
-    ground = GroundStation(BeaconSettings(), np.random.default_rng(1), HOME)
-    request = mavlink.MAVLink_command_long_message(255, 191, 512, 0, 144, 0, 0, 0, 0, 0, 0)
-    ground.receive(bytes(request.pack(COMPANION)), 0.0)
-    assert not [m for m in listen(ground, 0.6) if m.get_type() != "HEARTBEAT"]
+    assert len(listen(ground, 0.5)["FOLLOW_TARGET"]) == 32
 
 
 # ---------------------------------------------------------------- a beacon's settings
 
 
 def test_a_pad_without_a_beacon_is_reported_of_and_gives_no_answer() -> None:
-    ground = GroundStation(BeaconSettings(available=False), np.random.default_rng(1), HOME)
+    ground = station(available=False)
     ask(ground, 1.0)
-    acknowledgement = next(m for m in listen(ground, 1.0) if m.get_type() == "COMMAND_ACK")
-    assert acknowledgement.result == mavlink.MAV_RESULT_UNSUPPORTED
-    assert not [m for m in listen(ground, 5.0) if m.get_type() == "FOLLOW_TARGET"]
+    assert listen(ground, 1.0)["COMMAND_ACK"][0].result == mavlink.MAV_RESULT_UNSUPPORTED
+    assert not listen(ground, 5.0)["FOLLOW_TARGET"]
 
 
 def test_the_answer_is_the_newest_fix_after_the_delay() -> None:
-    beacon = BeaconSettings(position_std_m=0.0, rate_hz=0.5, delay_s=0.1)
-    ground = GroundStation(beacon, np.random.default_rng(1), HOME)
+    ground = station(position_std_m=0.0, rate_hz=0.5, delay_s=0.1)
     assert listen(ground, 10.0)  # a fix at 10 s, the next at 12 s
     ask(ground, 11.0)
-    assert not [m for m in listen(ground, 11.05) if m.get_type() == "FOLLOW_TARGET"]
-    moved = (PAD[0] + 5.0, PAD[1], PAD[2])
-    messages = mavlink.MAVLink(None).parse_buffer(ground.transmit(11.1, moved, PAD_VELOCITY)) or []
-    answer = next(m for m in messages if m.get_type() == "FOLLOW_TARGET")
+    assert not listen(ground, 11.05)["FOLLOW_TARGET"]
+    (answer,) = listen(ground, 11.1, (PAD[0] + 5.0, PAD[1], PAD[2]))["FOLLOW_TARGET"]
     assert answer.timestamp == 10_000
-    shown = ned_from_geodetic(answer.lat * 1e-7, answer.lon * 1e-7, answer.alt, HOME)
-    assert shown[0] == pytest.approx(PAD[0], abs=1.0)
+    assert place(answer)[0] == pytest.approx(PAD[0], abs=1.0)
 
 
 def test_the_beacons_velocity_is_as_good_as_it_is_said_to_be() -> None:
     def off(std_m_s: float) -> float:
-        beacon = BeaconSettings(velocity_std_m_s=std_m_s)
-        ground = GroundStation(beacon, np.random.default_rng(3), HOME)
-        errors = []
+        ground, errors = station(3, velocity_std_m_s=std_m_s), []
         for k in range(60):
             ask(ground, float(k))
-            answer = next(m for m in listen(ground, k + 0.6) if m.get_type() == "FOLLOW_TARGET")
-            errors.append(math.dist(answer.vel, PAD_VELOCITY))
+            errors.append(math.dist(listen(ground, k + 0.6)["FOLLOW_TARGET"][0].vel, PAD_VELOCITY))
         return float(np.mean(errors))
 
     assert off(0.0) < 1e-6

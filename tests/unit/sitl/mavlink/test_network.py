@@ -23,7 +23,6 @@ from sitl.vehicle.quadrotor import resting_state
 from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
 
 UNIX_S = 1.8e9
-BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 
 
 class NetworkClient:
@@ -68,29 +67,44 @@ class NetworkedVehicle:
             self.flight.run(0.01)
             self.network.transmit(self.flight.now_s, ZERO3, ZERO3)
 
+    def client(self, system: int, component: int = 1) -> NetworkClient:
+        return NetworkClient(self.network, system, component)
+
+
+@pytest.fixture
+def desk() -> NetworkedVehicle:
+    return NetworkedVehicle()
+
+
+@pytest.fixture
+def one(desk: NetworkedVehicle) -> NetworkClient:
+    return desk.client(255)
+
+
+@pytest.fixture
+def other(desk: NetworkedVehicle) -> NetworkClient:
+    return desk.client(254)
+
 
 def command(number: int, *values: float, target: tuple[int, int] = (1, 1)) -> Any:
     return mavlink.MAVLink_command_long_message(*target, number, 0, *values, *(0.0,) * (7 - len(values)))
 
 
-def test_rates_and_sequence_numbers_are_each_client_s_own() -> None:
-    desk = NetworkedVehicle()
-    one, other = NetworkClient(desk.network, 255, 1), NetworkClient(desk.network, 254, 1)
+def test_rates_and_sequence_numbers_are_each_client_s_own(
+    desk: NetworkedVehicle, one: NetworkClient, other: NetworkClient
+) -> None:
     one.send(command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_ATTITUDE, 1e6))
     one.heard()
     other.heard()
     desk.run(2.0)
-    frames, others = one.heard(), other.heard()
-    assert Counter(m.get_type() for m in frames)["ATTITUDE"] == 2
-    assert Counter(m.get_type() for m in others)["ATTITUDE"] == 100
-    for heard in (frames, others):
+    for client, attitudes in ((one, 2), (other, 100)):
+        heard = client.heard()
+        assert Counter(m.get_type() for m in heard)["ATTITUDE"] == attitudes
         ours = [m.get_seq() for m in heard if m.get_srcSystem() == 1]
         assert all((b - a) % 256 == 1 for a, b in pairwise(ours))
 
 
-def test_answers_go_to_the_sender_at_once_and_texts_to_all() -> None:
-    desk = NetworkedVehicle()
-    one, other = NetworkClient(desk.network, 255, 1), NetworkClient(desk.network, 254, 1)
+def test_answers_go_to_the_sender_at_once_and_texts_to_all(one: NetworkClient, other: NetworkClient) -> None:
     one.send(command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0))
     assert [m.result for m in one.heard("COMMAND_ACK")] == [0]
     heard = other.heard()
@@ -98,9 +112,9 @@ def test_answers_go_to_the_sender_at_once_and_texts_to_all() -> None:
     assert "Armed by external command" in [m.text for m in heard if m.get_type() == "STATUSTEXT"]
 
 
-def test_a_text_that_time_brings_goes_to_all() -> None:
-    desk = NetworkedVehicle()
-    one, other = NetworkClient(desk.network, 255, 1), NetworkClient(desk.network, 254, 1)
+def test_a_text_that_time_brings_goes_to_all(
+    desk: NetworkedVehicle, one: NetworkClient, other: NetworkClient
+) -> None:
     desk.run(0.5)
     one.send(mavlink.MAVLink_mission_count_message(1, 1, 3, 0), desk.flight.now_s)
     desk.run(10.0)
@@ -108,20 +122,16 @@ def test_a_text_that_time_brings_goes_to_all() -> None:
         assert [m.text for m in client.heard("STATUSTEXT")][-1] == "Operation timeout"
 
 
-def test_a_parameter_that_one_sets_is_reported_to_all() -> None:
-    desk = NetworkedVehicle()
-    one, other = NetworkClient(desk.network, 255, 1), NetworkClient(desk.network, 254, 1)
+def test_a_parameter_that_one_sets_is_reported_to_all(one: NetworkClient, other: NetworkClient) -> None:
     one.send(mavlink.MAVLink_param_set_message(1, 1, b"MIS_TAKEOFF_ALT", 7.0, 9))
-    assert [m.param_value for m in one.heard("PARAM_VALUE")] == [7.0]
-    assert [m.param_value for m in other.heard("PARAM_VALUE")] == [7.0]
+    for client in (one, other):
+        assert [m.param_value for m in client.heard("PARAM_VALUE")] == [7.0]
 
 
-def test_what_is_for_another_goes_where_that_one_was_heard_and_nowhere_else() -> None:
-    desk = NetworkedVehicle()
-    ground, companion, third = (NetworkClient(desk.network, *who) for who in ((255, 1), (1, 191), (30, 1)))
-    beat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)
+def test_what_is_for_another_goes_where_that_one_was_heard_and_nowhere_else(desk: NetworkedVehicle) -> None:
+    ground, companion, third = desk.client(255), desk.client(1, 191), desk.client(30)
     for client in (ground, companion, third):
-        client.send(beat)
+        client.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3))
     assert {m.get_srcSystem() for m in ground.heard("HEARTBEAT")} == {1, 30}
     companion.heard()
     third.heard()
@@ -131,72 +141,46 @@ def test_what_is_for_another_goes_where_that_one_was_heard_and_nowhere_else() ->
     assert not ground.heard("COMMAND_ACK"), "it was not for the autopilot"
 
 
-@pytest.mark.parametrize(
-    "message",
-    [
+def test_some_things_are_not_passed_on(
+    desk: NetworkedVehicle, one: NetworkClient, other: NetworkClient
+) -> None:
+    for message in (
         mavlink.MAVLink_setup_signing_message(0, 0, bytes(32), 0),
         mavlink.MAVLink_radio_status_message(0, 0, 0, 0, 0, 0, 0),
         command(mavlink.MAV_CMD_REQUEST_MESSAGE, 148.0),
-    ],
-)
-def test_some_things_are_not_passed_on(message: Any) -> None:
-    desk = NetworkedVehicle()
-    one, other = NetworkClient(desk.network, 255, 1), NetworkClient(desk.network, 254, 1)
-    one.send(message)
-    assert not other.heard(message.get_type())
-
-
-def test_the_vehicle_s_own_frames_that_come_back_are_dropped() -> None:
-    desk = NetworkedVehicle()
-    loop, other = NetworkClient(desk.network, 1, 1), NetworkClient(desk.network, 254, 1)
-    loop.send(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 0, 3))
+    ):
+        one.send(message)
+        assert not other.heard(message.get_type())
+    # nor the vehicle's own frames that come back
+    desk.client(1).send(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 0, 3))
     assert not other.heard()
 
 
-def test_the_beacon_at_the_pad_is_heard_by_all_when_one_asks() -> None:
-    desk = NetworkedVehicle()
-    companion, other = NetworkClient(desk.network, 1, 191), NetworkClient(desk.network, 254, 1)
+def test_the_beacon_at_the_pad_is_heard_by_all_when_one_asks(
+    desk: NetworkedVehicle, other: NetworkClient
+) -> None:
+    companion = desk.client(1, 191)
     companion.send(command(mavlink.MAV_CMD_REQUEST_MESSAGE, 144.0, target=(255, 0)))
     desk.run(1.0)
-    assert [m.get_srcSystem() for m in companion.heard("FOLLOW_TARGET")] == [255]
-    assert len(other.heard("FOLLOW_TARGET")) == 1
+    for client in (companion, other):
+        assert [m.get_srcSystem() for m in client.heard("FOLLOW_TARGET")] == [255]
 
 
 # ---------------------------------------------------------------- messages that need the vehicle's context
 
 
-def test_timesync_is_answered_with_the_time_of_arrival() -> None:
-    desk = NetworkedVehicle()
-    client = NetworkClient(desk.network, 255, 1)
+def test_timesync_is_answered_with_the_time_of_arrival_and_pings_are(desk: NetworkedVehicle) -> None:
+    client = desk.client(250, 3)
     client.send(mavlink.MAVLink_timesync_message(0, 9), now_s=6.00123)
     assert client.heard("TIMESYNC")[0].tc1 == 6_001_230_000
-
-
-def test_pings_are_answered() -> None:
-    desk = NetworkedVehicle()
-    client = NetworkClient(desk.network, 250, 3)
     client.send(mavlink.MAVLink_ping_message(11, 12, 0, 0))
     (answer,) = client.heard("PING")
     assert (answer.time_usec, answer.seq, answer.target_system, answer.target_component) == (11, 12, 250, 3)
 
 
-def test_stream_groups_are_ardupilot_s() -> None:
-    counts = []
-    for autopilot_kind in ("ardupilot", "px4"):
-        desk = NetworkedVehicle(autopilot_kind)
-        client = NetworkClient(desk.network, 255, 1)
-        client.send(mavlink.MAVLink_request_data_stream_message(1, 1, 10, 5, 1))
-        client.heard()
-        desk.run(2.0)
-        counts.append(len(client.heard("ATTITUDE")))
-    assert counts == [10, 100]
-
-
-@BOTH
 def test_health_is_reported_as_it_is(autopilot_kind: AutopilotKind) -> None:
     desk = NetworkedVehicle(autopilot_kind)
-    client = NetworkClient(desk.network, 255, 1)
-    state = resting_state((0.0, 0.0, -0.18), 0.0)
+    client, state = desk.client(255), resting_state((0.0, 0.0, -0.18), 0.0)
     gps, mag = mavlink.MAV_SYS_STATUS_SENSOR_GPS, mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
 
     def ill() -> int:
@@ -217,16 +201,22 @@ def test_health_is_reported_as_it_is(autopilot_kind: AutopilotKind) -> None:
     assert ill() == mag
 
 
-@BOTH
-def test_everything_that_is_streamed_by_default_is_said(autopilot_kind: AutopilotKind) -> None:
+def test_what_is_streamed_by_default_is_said_and_stream_groups_are_ardupilot_s(
+    autopilot_kind: AutopilotKind,
+) -> None:
     desk = NetworkedVehicle(autopilot_kind)
-    client = NetworkClient(desk.network, 255, 1)
+    client = desk.client(255)
     desk.run(3.0)
     kinds = {m.get_type() for m in client.heard()}
     common = {"VFR_HUD", "SYSTEM_TIME", "VIBRATION", "SERVO_OUTPUT_RAW", "RC_CHANNELS", "BATTERY_STATUS"}
-    own = {"px4": {"ALTITUDE", "ESTIMATOR_STATUS"}, "ardupilot": {"EKF_STATUS_REPORT"}}
-    assert common | own[autopilot_kind] <= kinds
-    assert not own["px4" if autopilot_kind == "ardupilot" else "ardupilot"] & kinds
+    px4, ardupilot = {"ALTITUDE", "ESTIMATOR_STATUS"}, {"EKF_STATUS_REPORT"}
+    own, others = (px4, ardupilot) if autopilot_kind == "px4" else (ardupilot, px4)
+    assert common | own <= kinds
+    assert not others & kinds
+    client.send(mavlink.MAVLink_request_data_stream_message(1, 1, 10, 5, 1), desk.flight.now_s)
+    client.heard()
+    desk.run(2.0)
+    assert len(client.heard("ATTITUDE")) == (100 if autopilot_kind == "px4" else 10)
 
 
 # ---------------------------------------------------------------- what a vehicle has to stand
@@ -242,17 +232,14 @@ def test_wrong_frames_cost_no_legal_one(autopilot_kind: AutopilotKind, key: byte
     assert (found.refused > 1000) is (key is not None)
 
 
-@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 def test_orders_that_make_no_sense_cost_no_legal_frame(autopilot_kind: AutopilotKind) -> None:
     found = Fuzz(autopilot_kind, 3, orders=True).run(5000)
     assert found.holds, found
     assert found.kinds["orders"] > 3000
 
 
-def test_a_second_companion_is_obeyed_and_heard() -> None:
-    desk = NetworkedVehicle()
-    client = NetworkClient(desk.network, 1, 191)
-    autopilot = desk.flight.autopilot
+def test_a_second_companion_is_obeyed_and_heard(desk: NetworkedVehicle) -> None:
+    client, autopilot = desk.client(1, 191), desk.flight.autopilot
     assert autopilot.set_mode_named("OFFBOARD") is autopilot.profile.refused  # nobody sends setpoints
     desk.ground.intruders["setpoints"] = Companion(196, 0.1)
     desk.run(0.5)

@@ -1,4 +1,4 @@
-"""Logs and files of a vehicle without any: every request of a client has an answer."""
+"""Logs and files of a vehicle without any, and its parameters: every request of a client has an answer."""
 
 import struct
 import zlib
@@ -51,21 +51,15 @@ def test_a_request_for_a_file_is_refused_with_a_reason(opcode: int, error: int) 
 
 
 @pytest.mark.parametrize("opcode", [0, 1, 2])
-def test_sessions_are_ended_without_having_begun(opcode: int) -> None:
-    [reply] = answers(ftp(opcode, sequence=0xFFFF))
+def test_sessions_are_ended_without_having_begun_and_an_answer_is_not_answered(opcode: int) -> None:
+    [reply] = answers(ftp(opcode, sequence=0xFFFF), ftp(ACK), ftp(NAK))
     sequence, _, kind, size, asked, *_ = HEADER.unpack_from(bytes(reply.payload))
     assert (sequence, kind, size, asked) == (0, ACK, 0, opcode)
-
-
-@pytest.mark.parametrize("opcode", [ACK, NAK])
-def test_an_answer_is_not_answered(opcode: int) -> None:
-    assert answers(ftp(opcode)) == []
 
 
 # ----------------
 # The parameter protocol and tables of both autopilots: paced lists, types, bounds, hash, reboots.
 
-BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 INT8, INT16, INT32, REAL32 = 2, 4, 6, 9
 
 
@@ -81,7 +75,6 @@ def as_float(value: int) -> float:
     return float(struct.unpack("<f", struct.pack("<i", value))[0])
 
 
-@BOTH
 def test_a_list_is_complete_in_order_and_paced(autopilot_kind: AutopilotKind) -> None:
     station = Station(autopilot_kind, 0.1)
     station.send(mavlink.MAVLink_param_request_list_message(1, 1))
@@ -136,13 +129,14 @@ def test_ardupilot_casts_integers_and_names_no_index_in_answers_by_name() -> Non
     assert not read(station, b"NONE")
 
 
-@BOTH
+WRITABLE = {"px4": "NAV_ACC_RAD", "ardupilot": "WPNAV_RADIUS"}
+
+
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 1e30, -1e30])
 def test_values_out_of_bounds_are_answered_by_the_one_that_stands(
     autopilot_kind: AutopilotKind, value: float
 ) -> None:
-    station = Station(autopilot_kind, 0.1)
-    name = "NAV_ACC_RAD" if autopilot_kind == "px4" else "WPNAV_RADIUS"
+    station, name = Station(autopilot_kind, 0.1), WRITABLE[autopilot_kind]
     before = station.flight.autopilot.parameters[name]
     assert store(station, name.encode(), value, REAL32)[0].param_value == before
 
@@ -168,31 +162,21 @@ def test_px4s_hash_changes_with_a_value_and_ends_a_list() -> None:
     assert not [m for m in station.run(0.5) if m.get_type() == "PARAM_VALUE"]
 
 
-@BOTH
-def test_values_and_mission_outlive_a_reboot_which_is_one(autopilot_kind: AutopilotKind) -> None:
-    station = Station(autopilot_kind)
-    name = "NAV_ACC_RAD" if autopilot_kind == "px4" else "WPNAV_RADIUS"
+def test_values_outlive_a_reboot_which_is_one_until_storage_is_reset(station: Station) -> None:
+    autopilot, name = station.flight.autopilot, WRITABLE[station.autopilot_kind]
+    before = autopilot.parameters[name]
     store(station, name.encode(), 7.5, REAL32)
-    station.flight.autopilot.set_mode_named(station.flight.autopilot.profile.hold_mode)
+    autopilot.set_mode_named(autopilot.profile.hold_mode)
     assert station.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1) == 0
     station.run(0.5)
-    assert not station.flight.autopilot.aligned
-    assert station.flight.autopilot.mode == station.flight.autopilot.profile.boot_mode
-    assert station.flight.autopilot.parameters[name] == 7.5
-    assert station.flight.autopilot.arm() != 0
+    assert not autopilot.aligned
+    assert autopilot.mode == autopilot.profile.boot_mode
+    assert autopilot.parameters[name] == 7.5
+    for action, value in ((1, 7.5), (2, before)):  # 2: all as at first
+        assert station.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, action) == 0
+        assert autopilot.parameters[name] == value
+    assert autopilot.arm() != 0
     station.run(6.0)
-    assert station.flight.autopilot.arm() == 0
+    assert autopilot.arm() == 0
     assert station.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1) != 0
-    assert station.flight.autopilot.armed
-
-
-@BOTH
-def test_storage_resets_all_when_ordered_to(autopilot_kind: AutopilotKind) -> None:
-    station = Station(autopilot_kind, 0.1)
-    name = "NAV_ACC_RAD" if autopilot_kind == "px4" else "WPNAV_RADIUS"
-    before = station.flight.autopilot.parameters[name]
-    store(station, name.encode(), 7.5, REAL32)
-    assert station.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 1) == 0
-    assert station.flight.autopilot.parameters[name] == 7.5
-    assert station.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 2) == 0
-    assert station.flight.autopilot.parameters[name] == before
+    assert autopilot.armed

@@ -23,12 +23,11 @@ from sitl.sensors.inertial import NO_IMU_ERRORS, SensorErrors
 from sitl.vehicle.quadrotor import QuadrotorState, resting_state
 from sitl.world.world import World
 from tests.unit.sitl.autopilot.autopilot_flight import HOME, AutopilotFlight
+from tests.unit.sitl.autopilot.missions.mission_desk import of
 from tests.unit.sitl.sensors.flawless import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS
 
 DT_S = 1.0 / 400.0
 FIELD_UT = (20.9, 0.6, 42.9)
-BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
-YAWS = pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 180.0, 270.0])
 
 
 class StandingVehicle:
@@ -68,34 +67,21 @@ class StandingVehicle:
         return self.endpoint.set_interval(getattr(mavlink, f"MAVLINK_MSG_ID_{name}"), 1e6 / rate_hz)
 
 
-def of(messages: list[Any], name: str) -> list[Any]:
-    return [message for message in messages if message.get_type() == name]
+IMU = {"px4": ["HIGHRES_IMU"], "ardupilot": ["RAW_IMU", "SCALED_IMU"]}
 
 
-@pytest.mark.parametrize(
-    ("autopilot_kind", "has", "has_not"),
-    [
-        ("px4", ["HIGHRES_IMU"], ["RAW_IMU", "SCALED_IMU"]),
-        ("ardupilot", ["RAW_IMU", "SCALED_IMU"], ["HIGHRES_IMU"]),
-    ],
-)
-def test_each_autopilot_has_its_own_imu_messages(
-    autopilot_kind: AutopilotKind, has: list[str], has_not: list[str]
-) -> None:
-    vehicle = StandingVehicle(autopilot_kind)
-    assert [name for name in has + has_not if vehicle.ask(name, 100.0)] == has
-    heard = vehicle.run(2.0)
-    for name in has:
-        assert len(of(heard, name)) == pytest.approx(200, abs=3)
+@pytest.fixture
+def vehicle(autopilot_kind: AutopilotKind) -> StandingVehicle:
+    """Asked for its own IMU messages, of the two alone that it has."""
+    vehicle, own = StandingVehicle(autopilot_kind), IMU[autopilot_kind]
+    assert [name for name in (*IMU["px4"], *IMU["ardupilot"]) if vehicle.ask(name, 100.0)] == own
+    return vehicle
 
 
-@BOTH
-@YAWS
+@pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 180.0, 270.0])
 def test_a_tilting_vehicle_that_moves_is_reported_in_the_messages_own_units(
-    autopilot_kind: AutopilotKind, yaw_deg: float
+    vehicle: StandingVehicle, autopilot_kind: AutopilotKind, yaw_deg: float
 ) -> None:
-    vehicle = StandingVehicle(autopilot_kind)
-    vehicle.ask("HIGHRES_IMU" if autopilot_kind == "px4" else "RAW_IMU", 50.0)
     yaw = math.radians(yaw_deg)
     vehicle.state = QuadrotorState(
         position_ned_m=(30.0, -20.0, -7.0),
@@ -105,34 +91,33 @@ def test_a_tilting_vehicle_that_moves_is_reported_in_the_messages_own_units(
         specific_force_body_m_s2=(1.0, -2.0, -9.0),
     )
     heard = vehicle.run(12.0)
+    for name in IMU[autopilot_kind]:
+        assert len(of(heard, name)) == pytest.approx(1200, abs=18)
     fix = of(heard, "GPS_RAW_INT")[-1]
     assert fix.fix_type == mavlink.GPS_FIX_TYPE_3D_FIX
     assert (fix.vel, fix.cog) == (150, round(100 * yaw_deg))
     assert fix.alt == pytest.approx(407_000, abs=5)
-    if autopilot_kind == "px4":
-        imu = of(heard, "HIGHRES_IMU")[-1]
-        assert (imu.xacc, imu.yacc, imu.zacc) == pytest.approx((1.0, -2.0, -9.0))
-        assert (imu.xgyro, imu.ygyro, imu.zgyro) == pytest.approx((0.1, -0.2, 0.3))
-        field_ut = (100 * imu.xmag, 100 * imu.ymag, 100 * imu.zmag)
-    else:
-        imu = of(heard, "RAW_IMU")[-1]
-        g = GRAVITY_M_S2 / 1e3
-        assert (imu.xacc * g, imu.yacc * g, imu.zacc * g) == pytest.approx((1.0, -2.0, -9.0), abs=0.011)
-        assert (imu.xgyro, imu.ygyro, imu.zgyro) == pytest.approx((100, -200, 300), abs=1)
-        field_ut = (0.1 * imu.xmag, 0.1 * imu.ymag, 0.1 * imu.zmag)
-    north, east, down = FIELD_UT
-    c, s = math.cos(yaw), math.sin(yaw)
-    assert field_ut == pytest.approx((c * north + s * east, -s * north + c * east, down), abs=0.11)
+    imu = of(heard, IMU[autopilot_kind][0])[-1]
+    # m/s², rad/s and gauss; milli-g, mrad/s and milligauss
+    g, per_rad_s, field_ut = 1.0, 1.0, 100.0
+    close: tuple[float | None, float | None] = (None, None)
+    if autopilot_kind == "ardupilot":
+        g, per_rad_s, field_ut, close = GRAVITY_M_S2 / 1e3, 1e3, 0.1, (0.011, 1.0)
+    assert (imu.xacc * g, imu.yacc * g, imu.zacc * g) == pytest.approx((1.0, -2.0, -9.0), abs=close[0])
+    turned = [rate * per_rad_s for rate in (0.1, -0.2, 0.3)]
+    assert [imu.xgyro, imu.ygyro, imu.zgyro] == pytest.approx(turned, abs=close[1])
+    (north, east, down), c, s = FIELD_UT, math.cos(yaw), math.sin(yaw)
+    assert (imu.xmag * field_ut, imu.ymag * field_ut, imu.zmag * field_ut) == pytest.approx(
+        (c * north + s * east, -s * north + c * east, down), abs=0.11
+    )
 
 
-@BOTH
-def test_stamps_count_from_boot_and_a_fix_is_stamped_when_it_comes(autopilot_kind: AutopilotKind) -> None:
-    vehicle = StandingVehicle(autopilot_kind)
-    vehicle.ask("HIGHRES_IMU" if autopilot_kind == "px4" else "RAW_IMU", 100.0)
-    heard = vehicle.run(12.0)
-    booted_s = vehicle.autopilot.booted_s
+def test_stamps_count_from_boot_and_a_fix_is_stamped_when_it_comes(
+    vehicle: StandingVehicle, autopilot_kind: AutopilotKind
+) -> None:
+    heard, booted_s = vehicle.run(12.0), vehicle.autopilot.booted_s
     assert booted_s is not None
-    imu = of(heard, "HIGHRES_IMU" if autopilot_kind == "px4" else "RAW_IMU")[-1]
+    imu = of(heard, IMU[autopilot_kind][0])[-1]
     assert imu.time_usec * 1e-6 == pytest.approx(vehicle.flight.now_s - booted_s, abs=0.006)
     stamps = [m.time_usec * 1e-6 + booted_s for m in of(heard, "GPS_RAW_INT") if m.fix_type >= 3]
     assert [(stamp - 0.12) % 0.2 for stamp in stamps[-5:]] == pytest.approx(
@@ -140,8 +125,11 @@ def test_stamps_count_from_boot_and_a_fix_is_stamped_when_it_comes(autopilot_kin
     )
 
 
-def test_px4_says_which_fields_are_new() -> None:
+def test_px4_says_which_fields_are_new_and_nobody_who_asks_costs_nothing() -> None:
     vehicle = StandingVehicle("px4")
+    vehicle.run(1.0)
+    assert vehicle.sensors.imu is None
+    assert vehicle.sensors.range is None
     vehicle.ask("HIGHRES_IMU", 200.0)
     bits = [m.fields_updated for m in of(vehicle.run(1.0), "HIGHRES_IMU")]
     assert set(bits) == {0b111_111, 0b111_111_111}
@@ -160,7 +148,6 @@ def test_the_rangefinder_tells_centimetres_and_a_lost_echo_lies_out_of_range() -
     assert all(m.current_distance > m.max_distance for m in far[2:])
 
 
-@BOTH
 def test_gps_has_its_own_noise_and_no_fix_before_the_alignment(autopilot_kind: AutopilotKind) -> None:
     vehicle = StandingVehicle(autopilot_kind, flawless=False)
     heard = of(vehicle.run(12.0), "GPS_RAW_INT")
@@ -168,16 +155,6 @@ def test_gps_has_its_own_noise_and_no_fix_before_the_alignment(autopilot_kind: A
     fixes = [m for m in heard if m.fix_type >= 3]
     assert len({(m.lat, m.lon, m.alt) for m in fixes}) > 0.9 * len(fixes)
     assert np.std([m.alt for m in fixes]) > 50  # mm, on the ground
-
-
-def test_nobody_who_asks_costs_nothing() -> None:
-    vehicle = StandingVehicle("px4")
-    vehicle.run(1.0)
-    assert vehicle.sensors.imu is None
-    assert vehicle.sensors.range is None
-    vehicle.ask("HIGHRES_IMU", 50.0)
-    vehicle.run(0.1)
-    assert vehicle.sensors.imu is not None
 
 
 def test_the_same_seed_gives_the_same_samples_whoever_else_draws() -> None:
@@ -214,7 +191,6 @@ def test_however_late_its_fixes_come_none_is_lost(latency_s: float) -> None:
 
 PX4_HOME = USUAL_HOMES["px4"]
 
-AUTOPILOT_KINDS: tuple[AutopilotKind, ...] = ("px4", "ardupilot")
 OF = {"px4": HIL_STATE, "ardupilot": SIM_STATE}
 STATE = QuadrotorState(
     (3.0, -4.0, -5.0), (0.5, 0.25, -1.0), quat_from_euler(0.1, -0.2, 2.5), (0.1, -0.2, 0.3)
@@ -242,7 +218,6 @@ def interval(message_id: int, rate_hz: float) -> Any:
     return command_long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, (message_id, 1e6 / rate_hz, 0, 0, 0, 0, 0), 1)
 
 
-@pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)
 def test_it_is_the_truth_at_the_rate_asked_for(autopilot_kind: AutopilotKind) -> None:
     told = [m for m in heard(endpoint(autopilot_kind, serving=True), interval(OF[autopilot_kind], 100.0))
             if m.get_msgId() == OF[autopilot_kind]]  # fmt: skip
@@ -256,7 +231,6 @@ def test_it_is_the_truth_at_the_rate_asked_for(autopilot_kind: AutopilotKind) ->
     assert sample.rate_body_rad_s == pytest.approx(STATE.rate_body_rad_s, abs=1e-6)
 
 
-@pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)
 def test_nobody_gets_it_unasked_nor_from_a_simulator_that_does_not_serve_it(
     autopilot_kind: AutopilotKind,
 ) -> None:
@@ -270,7 +244,6 @@ def test_nobody_gets_it_unasked_nor_from_a_simulator_that_does_not_serve_it(
     assert mavlink.MAV_RESULT_ACCEPTED not in results
 
 
-@pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)
 def test_the_app_never_asks_for_it_nor_hears_it(autopilot_kind: AutopilotKind) -> None:
     """A minute of the app's session, with the autopilot's own sensors, against a simulator that serves it."""
     port = endpoint(autopilot_kind, serving=True)

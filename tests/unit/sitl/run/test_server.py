@@ -15,10 +15,11 @@ from typing import Any
 import pytest
 
 from companion.config import CONFIG_FOLDER, load_config
-from sitl.cli import main
 from sitl.run.process_control import read_report
+from tests.programs import ProgramHere
 
 COMMAND = (sys.executable, "-m", "sitl.cli")
+FREE_PORTS = ("--port", "0", "--gcs-port", "0", "--tcp-port", "0")
 
 
 @pytest.mark.parametrize(
@@ -47,28 +48,16 @@ COMMAND = (sys.executable, "-m", "sitl.cli")
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(
-    arguments: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
+    arguments: tuple[str, ...], expected: str, program: ProgramHere
 ) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(arguments)
-    assert ended.value.code == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    (line,) = said.err.splitlines()
-    assert line.startswith(f"companion-sitl: {expected}")
+    assert program("companion-sitl", *arguments).refusal.startswith(f"companion-sitl: {expected}")
 
 
-def test_a_port_in_use_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_STREAM)) as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
+def test_a_port_in_use_is_said(program: ProgramHere) -> None:
+    with closing(socket.create_server(("127.0.0.1", 0))) as other:
         port = other.getsockname()[1]
-        with pytest.raises(SystemExit):
-            main(("--port", "0", "--gcs-port", "0", "--tcp-port", str(port)))
-    assert (
-        f"TCP port 127.0.0.1:{port}: already in use; expected a free port at an address"
-        in capsys.readouterr().err
-    )
+        refusal = program("companion-sitl", "--port", 0, "--gcs-port", 0, "--tcp-port", port).refusal
+    assert f"TCP port 127.0.0.1:{port}: already in use; expected a free port at an address" in refusal
 
 
 @contextmanager
@@ -100,15 +89,9 @@ def test_it_says_where_it_listens_and_judges_when_asked(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["camera", "registers"])
-def test_a_file_in_a_sockets_place_is_said(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_in_a_sockets_place_is_said(name: str, tmp_path: Path, program: ProgramHere) -> None:
     (tmp_path / name).write_text("a file")
-    with pytest.raises(SystemExit) as ended:
-        main(("--folder", str(tmp_path), "--port", "0", "--gcs-port", "0", "--tcp-port", "0"))
-    assert ended.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "is in the way of a socket" in line
+    assert "is in the way of a socket" in program("companion-sitl", "--folder", tmp_path, *FREE_PORTS).refusal
     assert (tmp_path / name).read_text() == "a file"
 
 
@@ -120,35 +103,29 @@ def short_path() -> Iterator[Path]:
 
 
 def test_terminated_while_it_starts_it_leaves_nothing(short_path: Path) -> None:
-    place = short_path
     with subprocess.Popen(
-        (*COMMAND, "--port", "0", "--gcs-port", "0", "--tcp-port", "0"),
+        (*COMMAND, *FREE_PORTS),
         cwd=CONFIG_FOLDER.parent,
-        env={**os.environ, "TMPDIR": str(place)},
+        env={**os.environ, "TMPDIR": str(short_path)},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     ) as process:
         until = time.monotonic() + 20.0
-        while not list(place.glob("companion-sitl-*")) and time.monotonic() < until:
+        while not list(short_path.glob("companion-sitl-*")) and time.monotonic() < until:
             time.sleep(0.01)
         process.terminate()
         _, errors = process.communicate(timeout=20.0)
-    assert not list(place.iterdir())
+    assert not list(short_path.iterdir())
     assert (process.returncode, errors) == (130, b"")
 
 
 def test_a_child_ends_with_its_standard_input() -> None:
+    words, nothing = (*COMMAND, "--child"), subprocess.DEVNULL
     done = subprocess.run(
-        (*COMMAND, "--child"),
-        cwd=CONFIG_FOLDER.parent,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        timeout=20,
-        check=False,
+        words, cwd=CONFIG_FOLDER.parent, stdin=nothing, capture_output=True, timeout=20, check=False
     )
-    assert done.returncode == 0
-    assert done.stderr == b""
+    assert (done.returncode, done.stderr) == (0, b"")
 
 
 def test_the_settings_that_lead_to_a_served_vehicle_are_the_apps(tmp_path: Path) -> None:
@@ -159,9 +136,8 @@ def test_the_settings_that_lead_to_a_served_vehicle_are_the_apps(tmp_path: Path)
     (tmp_path / "key").write_text("a passphrase")
     (tmp_path / "key").chmod(0o600)
     words = ("--scenario", "desk.yaml", "--settings", "settings.yaml", "--signing-key", "key")
-    ports = ("--port", "0", "--gcs-port", "0", "--tcp-port", "0")
     with subprocess.Popen(
-        (*COMMAND, *words, *ports),
+        (*COMMAND, *words, *FREE_PORTS),
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         text=True,

@@ -68,6 +68,13 @@ def board_off_middle(image: Image) -> tuple[float, float]:
     return float(columns.mean()) - 319.5, float(rows.mean()) - 239.5
 
 
+def off_towards(half: str, image: Image) -> tuple[float, float]:
+    """The same along the way to a half of the image, and across it."""
+    right, down = board_off_middle(image)
+    halves = {"upper": (-down, right), "lower": (down, right), "right": (right, down), "left": (-right, down)}
+    return halves[half]
+
+
 def codes(image: Image, dictionary: int) -> dict[int, FloatArray]:
     """The codes that OpenCV reads: id to corners (4, 2), top left of the print first."""
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(dictionary))
@@ -75,7 +82,6 @@ def codes(image: Image, dictionary: int) -> dict[int, FloatArray]:
     assert ids is not None, "no code in the picture"
     return {
         int(i): np.asarray(c, dtype=np.float64).reshape(4, 2)
-        for i, c in zip(ids.ravel(), corners, strict=True)
         for i, c in zip(ids.ravel(), corners, strict=True)
     }
 
@@ -101,13 +107,7 @@ def codes(image: Image, dictionary: int) -> dict[int, FloatArray]:
 def test_a_level_vehicle_sees_the_pad_on_the_side_on_which_it_lies(
     attitude: Quaternion, pad_at: Vector3, half: str
 ) -> None:
-    right, down = board_off_middle(picture((0.0, 0.0, -5.0), attitude, pad_at=pad_at))
-    along, across = {
-        "upper": (-down, right),
-        "lower": (down, right),
-        "right": (right, down),
-        "left": (-right, down),
-    }[half]
+    along, across = off_towards(half, picture((0.0, 0.0, -5.0), attitude, pad_at=pad_at))
     # 1.2 m from 4.92 m up at 532 px: 130 px, less or more by the 3 cm that the camera sits ahead
     assert along == pytest.approx(130.0, abs=10.0)
     assert abs(across) < 10.0
@@ -149,8 +149,7 @@ def test_a_turned_or_tilted_camera_sees_the_pad_where_its_mount_says(
     mount: dict[str, float], pad_at: Vector3, half: str
 ) -> None:
     image = picture((0.0, 0.0, -5.0), pad_at=pad_at, vehicle=VEHICLE.model_copy(update=mount))
-    right, down = board_off_middle(image)
-    along, across = {"upper": (-down, right), "lower": (down, right), "left": (-right, down)}[half]
+    along, across = off_towards(half, image)
     assert along > 50.0
     assert abs(across) < 15.0
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.base.geometry import GRAVITY_M_S2, Vector3, ned_from_geodetic
+from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, ned_from_geodetic
 from sitl.sensors.inertial import ACCEL_FILTER, GYRO_FILTER, NO_IMU_ERRORS, ImuErrors, ImuLowPass, ImuSensor
 from sitl.sensors.sensors import (
     GpsErrors,
@@ -24,17 +24,10 @@ REST: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
 STILL: Vector3 = (0.0, 0.0, 0.0)
 
 
-def imu_run(
-    errors: ImuErrors, steps: int, throttle: float, seed: int = 1
-) -> tuple[
-    np.ndarray[tuple[int, ...], np.dtype[np.float64]], np.ndarray[tuple[int, ...], np.dtype[np.float64]]
-]:
+def imu_run(errors: ImuErrors, steps: int, throttle: float, seed: int = 1) -> tuple[FloatArray, FloatArray]:
     sensor = ImuSensor(errors, np.random.default_rng(seed), DT_S, np.eye(3))
     samples = [sensor.sample(REST, STILL, throttle) for _ in range(steps)]
     return np.array([s[0] for s in samples]), np.array([s[1] for s in samples])
-
-
-# ---------------------------------------------------------------- IMU
 
 
 def test_without_errors_the_imu_feels_the_truth_in_its_own_axes() -> None:
@@ -108,13 +101,12 @@ def test_the_filter_delays_a_ramp_by_the_data_sheets_time(
     assert 1999 * DT_S - out[0] == pytest.approx(delay_s, abs=0.0018)
 
 
-def test_the_filter_passes_the_corner_frequency_at_minus_three_decibels() -> None:
+def test_the_filter_passes_the_corner_frequency_at_minus_three_decibels_and_settled_it_makes_no_step() -> (
+    None
+):
     filter_ = ImuLowPass(41.0, 0.0, DT_S)
     wave = [filter_.step(math.sin(math.tau * 41.0 * k * DT_S), 0.0, 0.0)[0] for k in range(4000)]
     assert np.std(wave[1000:]) * math.sqrt(2.0) == pytest.approx(math.sqrt(0.5), rel=0.02)
-
-
-def test_a_settled_filter_starts_without_a_step() -> None:
     filter_ = ImuLowPass(41.0, 0.0059, DT_S)
     filter_.settle((1.0, -2.0, 3.0))
     for _ in range(50):
@@ -126,9 +118,6 @@ def test_the_same_seed_gives_the_same_flight() -> None:
     other = imu_run(ImuErrors(), 600, 0.5, 4)
     assert np.array_equal(first[0], second[0])
     assert not np.array_equal(first[0], other[0])
-
-
-# ---------------------------------------------------------------- magnetometer
 
 
 @pytest.mark.parametrize("yaw_deg", [0, 90, 180, 270])
@@ -149,9 +138,6 @@ def test_magnetometer_noise_and_the_motors_current() -> None:
     assert np.linalg.norm(full.mean(axis=0) - idle.mean(axis=0)) == pytest.approx(1.0, abs=0.1)
 
 
-# ---------------------------------------------------------------- GPS
-
-
 def test_without_errors_gps_is_the_truth() -> None:
     sensor = GpsSensor(NO_GPS_ERRORS, np.random.default_rng(1), HOME)
     reading = sensor.sample(0.0, (30.0, -40.0, -7.0), (1.0, 2.0, -0.5))
@@ -162,44 +148,33 @@ def test_without_errors_gps_is_the_truth() -> None:
 
 def test_gps_wanders_slowly_and_hisses_little() -> None:
     sensor = GpsSensor(GpsErrors(), np.random.default_rng(6), HOME)
-    errors = []
-    for k in range(20000):
-        r = sensor.sample(0.2 * k, STILL, STILL)
-        errors.append(
-            (
-                (r.latitude_deg - HOME[0]) * 111_174.0,
-                (r.longitude_deg - HOME[1]) * 76_056.0,
-                r.altitude_m - HOME[2],
-            )
-        )
-    wander = np.array(errors)
+    read = [sensor.sample(0.2 * k, STILL, STILL) for k in range(20000)]
+    shown = np.array([(r.latitude_deg, r.longitude_deg, r.altitude_m) for r in read])
+    wander = (shown - HOME) * (111_174.0, 76_056.0, 1.0)
     assert wander.std(axis=0) == pytest.approx((1.0, 1.0, 1.5), rel=0.3)
     # from one fix to the next: white noise and 0.2 s of the wander
     expected = math.sqrt(2 * 0.1**2 + 2 * (1.0 - math.exp(-0.2 / 60.0)))
     assert np.diff(wander[:, 0]).std() == pytest.approx(expected, rel=0.1)
 
 
-# ---------------------------------------------------------------- ultrasonic
-
-
-def test_without_errors_the_echo_is_the_height() -> None:
-    sensor = RangeSensor(NO_RANGE_ERRORS, np.random.default_rng(1))
-    assert sensor.sample(1.5) == pytest.approx(1.5)
-
-
 @pytest.mark.parametrize(
-    ("tilt_deg", "longer"), [(0, 1.0), (10, 1.0), (15, 1.0), (35, 1.0 / math.cos(math.radians(20)))]
+    ("height_m", "tilt_deg", "heard_m"),
+    [
+        (1.5, 0.0, 1.5),
+        (0.01, 0.0, 0.03),  # near and far ends of the range
+        (4.49, 0.0, 4.49),
+        (4.51, 0.0, None),
+        (2.0, 10.0, 2.0),  # the nearest point in the beam
+        (2.0, 15.0, 2.0),
+        (2.0, 35.0, 2.0 / math.cos(math.radians(20))),
+    ],
 )
-def test_a_tilted_sensor_hears_the_nearest_point_in_its_beam(tilt_deg: float, longer: float) -> None:
+def test_without_errors_the_echo_is_of_the_nearest_point_in_its_beam(
+    height_m: float, tilt_deg: float, heard_m: float | None
+) -> None:
     sensor = RangeSensor(NO_RANGE_ERRORS, np.random.default_rng(1))
-    assert sensor.sample(2.0, math.radians(tilt_deg)) == pytest.approx(2.0 * longer)
-
-
-def test_near_and_far_ends_of_the_range() -> None:
-    sensor = RangeSensor(NO_RANGE_ERRORS, np.random.default_rng(1))
-    assert sensor.sample(0.01) == 0.03
-    assert sensor.sample(4.49) == pytest.approx(4.49)
-    assert sensor.sample(4.51) is None
+    heard = sensor.sample(height_m, math.radians(tilt_deg))
+    assert heard == (heard_m if heard_m is None else pytest.approx(heard_m))
 
 
 def test_shares_of_lost_and_wrong_echoes_and_the_noise_of_the_rest() -> None:

@@ -37,7 +37,6 @@ from companion.config import (
 from companion.pad import load_pad
 from companion.sense.imu.mpu9250 import Mpu9250
 from companion.sense.vision.pipeline import Vision
-from sitl.cli import main
 from sitl.devices.socket_servers import FrameServer, serve_registers
 from sitl.run.in_process import InProcess, carried
 from sitl.run.scene_camera import CameraTruth
@@ -45,6 +44,7 @@ from sitl.scenario.scenario import USUAL_HOMES, Scenario, load_scenario, magneti
 from sitl.sensors.sensors import ACCEL_OFFSET_M_S2, GYRO_OFFSET_RAD_S, HARD_IRON_UT
 from sitl.vehicle import HandMotion
 from sitl.world.hand_held import FACES, HandHeldWorld
+from tests.programs import ProgramHere
 from tests.unit.sitl.run.test_server import child_in
 from tests.virtual_time import in_virtual_time
 
@@ -249,13 +249,9 @@ def test_a_client_that_comes_for_frames_or_registers_is_reported(tmp_path: Path)
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(
-    words: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...], expected: str, program: ProgramHere
 ) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(("hand-held", *words))
-    assert ended.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"companion-sitl: {expected}")
+    assert program("companion-sitl", "hand-held", *words).refusal.startswith(f"companion-sitl: {expected}")
 
 
 def test_it_is_served_as_a_process(tmp_path: Path) -> None:

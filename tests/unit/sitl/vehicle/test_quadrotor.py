@@ -8,6 +8,7 @@ import pytest
 
 from companion.base.geometry import (
     GRAVITY_M_S2,
+    Quaternion,
     Vector3,
     matrix_from_quat,
     quat_from_euler,
@@ -37,6 +38,7 @@ X500 = load_airframe("x500").body
 HOVER = X500.hover_share()
 ALL_HOVER: RotorValues = (HOVER, HOVER, HOVER, HOVER)
 OFF: RotorValues = (0.0, 0.0, 0.0, 0.0)
+HALF: RotorValues = (0.5, 0.5, 0.5, 0.5)
 
 
 def changed(**values: Any) -> QuadrotorParameters:
@@ -134,22 +136,14 @@ def test_spinning_a_rotor_up_turns_the_body_against_it() -> None:
     assert state.rate_body_rad_s[2] > 0.0
 
 
-def test_motors_lag_by_their_time_constants() -> None:
+def test_motors_lag_by_their_time_constants_in_steps_of_any_length() -> None:
     vehicle = Quadrotor(changed(motor_rise_s=0.05, motor_fall_s=0.1))
-    state = hovering(thrust_share=(0.5, 0.5, 0.5, 0.5))
-    for _ in range(20):
-        state = vehicle.step(state, (1.0, 1.0, 0.0, 7.0), DT)
     rise, fall = 1.0 - 0.5 * math.exp(-1.0), 0.5 * math.exp(-0.5)
-    assert state.thrust_share == pytest.approx((rise, rise, fall, rise), rel=1e-9)
-
-
-def test_a_step_of_another_length_has_the_same_lag() -> None:
-    vehicle = Quadrotor(X500)
-    coarse = vehicle.step(hovering(), (0.9, 0.9, 0.9, 0.9), 0.01)
-    fine = hovering()
-    for _ in range(10):
-        fine = vehicle.step(fine, (0.9, 0.9, 0.9, 0.9), 0.001)
-    assert coarse.thrust_share == pytest.approx(fine.thrust_share, rel=1e-12)
+    for steps in (5, 20, 50):
+        state = hovering(thrust_share=HALF)
+        for _ in range(steps):
+            state = vehicle.step(state, (1.0, 1.0, 0.0, 7.0), 0.05 / steps)
+        assert state.thrust_share == pytest.approx((rise, rise, fall, rise), rel=1e-9)
 
 
 def test_integration_is_of_fourth_order() -> None:
@@ -247,39 +241,28 @@ def test_tilting_accelerates_where_it_tilts(roll: float, pitch: float, way: Vect
     assert along == pytest.approx(GRAVITY_M_S2 * math.sin(0.1), rel=0.01)
 
 
-def test_drifts_with_the_wind_in_the_end() -> None:
+def test_wind_tilts_by_about_six_degrees_at_five_metres_a_second_and_carries_along_in_the_end() -> None:
     vehicle, state = Quadrotor(X500), hovering()
+    force = vehicle.step(state, ALL_HOVER, DT, wind_ned_m_s=(5.0, 0.0, 0.0)).specific_force_body_m_s2
+    assert 5.0 < math.degrees(math.atan2(force[0], GRAVITY_M_S2)) < 7.0
     for _ in range(20000):
         state = vehicle.step(state, ALL_HOVER, DT, wind_ned_m_s=(4.0, -2.0, 0.0))
     assert state.velocity_ned_m_s == pytest.approx((4.0, -2.0, 0.0), abs=0.05)
 
 
-def test_five_metres_of_wind_take_about_six_degrees_of_tilt() -> None:
-    force = Quadrotor(X500).step(hovering(), ALL_HOVER, DT, wind_ned_m_s=(5.0, 0.0, 0.0))
-    tilt = math.degrees(math.atan2(force.specific_force_body_m_s2[0], GRAVITY_M_S2))
-    assert 5.0 < tilt < 7.0
-
-
-def test_climbing_costs_thrust() -> None:
+def test_climbing_costs_thrust_and_an_unknown_load_makes_it_sink() -> None:
     state = Quadrotor(X500).step(hovering(velocity_ned_m_s=(0.0, 0.0, -2.0)), ALL_HOVER, DT)
     assert -GRAVITY_M_S2 < state.specific_force_body_m_s2[2] < -GRAVITY_M_S2 + 4.0
-
-
-def test_an_unknown_load_makes_it_sink() -> None:
     state = Quadrotor(X500, mass_factor=1.1).step(hovering(), ALL_HOVER, DT)
     assert state.velocity_ned_m_s[2] / DT == pytest.approx(GRAVITY_M_S2 * (1.0 - 1.0 / 1.1), rel=1e-3)
 
 
-def test_an_outer_force_is_felt_by_the_accelerometer_and_gravity_is_not() -> None:
-    tilted = quat_from_euler(0.2, -0.1, 2.0)
+@pytest.mark.parametrize("attitude", [quat_from_euler(0.0, 0.0, 0.0), quat_from_euler(0.2, -0.1, 2.0)])
+def test_an_outer_force_is_felt_by_the_accelerometer_and_gravity_is_not(attitude: Quaternion) -> None:
     state = Quadrotor(without_drag()).step(
-        resting_state((0.0, 0.0, -5.0), 0.0), OFF, DT, force_ned_n=(1.5, 0.0, 0.0)
+        QuadrotorState((0.0, 0.0, -5.0), attitude=attitude), OFF, DT, force_ned_n=(1.5, 0.0, 0.0)
     )
-    assert state.specific_force_body_m_s2 == pytest.approx((1.0, 0.0, 0.0), abs=1e-9)
-    state = Quadrotor(without_drag()).step(
-        QuadrotorState((0.0, 0.0, -5.0), attitude=tilted), OFF, DT, force_ned_n=(1.5, 0.0, 0.0)
-    )
-    expected = matrix_from_quat(tilted).T @ np.array([1.0, 0.0, 0.0])
+    expected = matrix_from_quat(attitude).T @ np.array([1.0, 0.0, 0.0])
     np.testing.assert_allclose(state.specific_force_body_m_s2, expected, atol=1e-9)
 
 
@@ -295,15 +278,10 @@ def test_the_rates_it_reports_are_those_it_turns_by() -> None:
 
 # ---------------- Weak motors: what is left of each command, and that the vehicle feels it
 
-HALF = (0.5, 0.5, 0.5, 0.5)
 
-
-def test_sound_motors_give_what_is_asked() -> None:
-    assert Motors().given(HALF) is HALF
-
-
-def test_one_is_weak_or_all_are_and_mended_they_are_sound() -> None:
+def test_one_is_weak_or_all_are_and_sound_ones_give_what_is_asked() -> None:
     motors = Motors()
+    assert motors.given(HALF) is HALF
     motors.weaken(2, 0.85)
     assert motors.given((0.2, 0.4, 0.6, 0.8)) == pytest.approx((0.2, 0.34, 0.6, 0.8))
     motors.weaken(None, 0.5)
@@ -343,8 +321,6 @@ def test_a_sagging_battery_costs_lift_and_turns_nothing() -> None:
 
 # ---------------- The battery: full at first, drained by thrust, sagging under load
 
-HOVER_SHARES = (0.5, 0.5, 0.5, 0.5)
-
 
 def drained(motors: tuple[float, ...], seconds: int) -> Battery:
     battery = Battery(max_thrust_n=7.36)
@@ -353,25 +329,22 @@ def drained(motors: tuple[float, ...], seconds: int) -> Battery:
     return battery
 
 
-def test_it_is_full_at_first() -> None:
-    battery = drained(HOVER_SHARES, 0)
-    assert battery.share == 1.0
-    assert battery.voltage_v == pytest.approx(4.2 * CELLS)
-
-
-def test_a_hover_lasts_about_twenty_minutes() -> None:
-    assert drained(HOVER_SHARES, 600).share == pytest.approx(0.5, abs=0.1)
-    assert drained(HOVER_SHARES, 1500).share < 0.1
+def test_it_is_full_at_first_and_a_hover_lasts_about_twenty_minutes() -> None:
+    full = drained(HALF, 0)
+    assert full.share == 1.0
+    assert full.voltage_v == pytest.approx(4.2 * CELLS)
+    assert drained(HALF, 600).share == pytest.approx(0.5, abs=0.1)
+    assert drained(HALF, 1500).share < 0.1
 
 
 def test_what_has_flowed_is_what_is_missing() -> None:
-    battery = drained(HOVER_SHARES, 120)
+    battery = drained(HALF, 120)
     assert battery.share == pytest.approx(1.0 - battery.consumed_mah / CAPACITY_MAH)
     assert battery.consumed_mah == pytest.approx(battery.current_a * 120.0 / 3.6, rel=0.03)
 
 
 def test_more_thrust_takes_more_and_sags_deeper() -> None:
-    off, hover, full = (drained(motors, 1) for motors in ((0.0,) * 4, HOVER_SHARES, (1.0,) * 4))
+    off, hover, full = (drained(motors, 1) for motors in ((0.0,) * 4, HALF, (1.0,) * 4))
     assert off.current_a < 1.0 < hover.current_a
     # power goes with thrust to the power of 1.5
     assert full.current_a / hover.current_a == pytest.approx(2.0**1.5, rel=0.1)

@@ -131,8 +131,6 @@ def test_whatever_the_outcome_a_touch_that_counts_is_told(values: dict[str, Any]
     assert any("before the landing" in failure for failure in verdict.failures)
 
 
-# ---------------------------------------------------------------- what is one contact
-
 PAD = build_pad_motion(StaticMotion(kind="static"), 0.0, 0.0, np.random.default_rng(0)).at(0.0)
 ON_PAD = ContactLoad(on_board=4)
 

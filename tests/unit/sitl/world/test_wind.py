@@ -38,38 +38,24 @@ def test_the_wind_is_weaker_near_the_ground(height: float, share: float) -> None
     assert shear(height) == pytest.approx(share, abs=0.001)
     wind = Wind(WindSettings(mean_m_s=10.0, from_deg=180.0), rng())
     assert wind.at(0.0, height)[0] == pytest.approx(10.0 * share, abs=0.01)
-
-
-def test_the_profile_ends_before_the_logarithm_does() -> None:
+    # the profile ends before the logarithm does
     assert shear(0.0) == shear(-1.0) == shear(0.3) > 0.3
 
 
-def ensemble(steps: tuple[int, ...], count: int = 3000) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Samples (count, len(steps), 3) of independent fields after so many steps each."""
-    generator = rng(7)
-    rows = []
-    for _ in range(count):
-        field = DrydenTurbulence(10.0, 8.0, generator)
-        walk = [field.step() for _ in range(max(steps))]
-        rows.append([walk[step - 1] for step in steps])
-    return np.array(rows)
-
-
-def test_turbulence_has_the_standards_variance_from_the_first_sample_on() -> None:
-    field = DrydenTurbulence(10.0, 8.0, rng())
+def test_turbulence_has_the_standards_variance_from_the_first_sample_on_and_the_drydens_memory() -> None:
+    field, lag, generator = DrydenTurbulence(10.0, 8.0, rng()), 40, rng(7)
     expected = (field.std_horizontal_m_s, field.std_horizontal_m_s, field.std_vertical_m_s)
     assert field.std_vertical_m_s == pytest.approx(1.0)
     assert field.std_horizontal_m_s == pytest.approx(1.93, abs=0.01)  # 0.1935 ** -0.4
-    std = ensemble((1, 40)).std(axis=0)
+    walks = []
+    for _ in range(3000):
+        independent = DrydenTurbulence(10.0, 8.0, generator)
+        walk = [independent.step() for _ in range(1 + lag)]
+        walks.append((walk[0], walk[lag]))
+    samples = np.array(walks)
     # the estimate's own deviation is 1.3 %
-    np.testing.assert_allclose(std, np.array([expected, expected]), rtol=0.05)
-
-
-def test_turbulence_has_the_drydens_memory() -> None:
-    """Correlation after tau: exp(-tau / T) along the wind; exp(-tau / T) (1 - tau / 2T) across it."""
-    field = DrydenTurbulence(10.0, 8.0, rng())
-    lag = 40
-    samples = ensemble((1, 1 + lag))
+    np.testing.assert_allclose(samples.std(axis=0), np.array([expected, expected]), rtol=0.05)
+    # correlation after tau: exp(-tau / T) along the wind; exp(-tau / T) (1 - tau / 2T) across it
     correlation = [np.corrcoef(samples[:, 0, i], samples[:, 1, i])[0, 1] for i in range(3)]
     tau = lag * TURBULENCE_STEP_S
     along = math.exp(-tau / field.time_horizontal_s)
@@ -80,23 +66,13 @@ def test_turbulence_has_the_drydens_memory() -> None:
     assert field.time_vertical_s * 8.0 == pytest.approx(6.1, abs=0.05)
 
 
-def test_severity_follows_the_wind_at_twenty_feet() -> None:
-    assert W20_M_S["light"] == pytest.approx(7.72, abs=0.01)
-    assert W20_M_S["moderate"] == pytest.approx(15.43, abs=0.01)
-
-
-def test_turbulence_is_continuous_between_its_samples() -> None:
+def test_turbulence_is_continuous_between_its_samples_and_goes_not_through_the_surface() -> None:
     wind = Wind(WindSettings(mean_m_s=5.0, turbulence="moderate"), rng())
     series = np.array([wind.at(0.0025 * i, 10.0) for i in range(4000)])
     assert np.abs(np.diff(series, axis=0)).max() < 0.15
     assert series.std(axis=0).min() > 0.2
-
-
-def test_no_vertical_wind_goes_through_the_surface() -> None:
-    wind = Wind(WindSettings(mean_m_s=5.0, turbulence="moderate"), rng())
-    low = [wind.at(0.02 * i, 0.0)[2] for i in range(200)]
-    assert max(map(abs, low)) == 0.0
-    assert abs(wind.at(4.0, FADE_HEIGHT_M)[2]) > 0.0
+    assert {wind.at(10.0 + 0.02 * i, 0.0)[2] for i in range(200)} == {0.0}
+    assert abs(wind.at(14.0, FADE_HEIGHT_M)[2]) > 0.0
 
 
 def test_gusts_reach_their_amplitude_smoothly_and_leave_calm_between() -> None:
@@ -132,10 +108,8 @@ def test_a_seed_gives_one_wind_and_another_seed_another() -> None:
     assert blown(5) != blown(6)
 
 
-# ---------------------------------------------------------------- by name, and at a time
-
-
 def test_light_moderate_and_severe_are_the_standards_winds_at_twenty_feet() -> None:
+    assert pytest.approx(0.514444, abs=1e-6) == KNOT_M_S
     assert {name: w20 / KNOT_M_S for name, w20 in W20_M_S.items()} == pytest.approx(
         {"none": 0.0, "light": 15.0, "moderate": 30.0, "severe": 45.0}
     )
@@ -152,16 +126,11 @@ def gusty(**values: object) -> Wind:
     return Wind(WindSettings(mean_m_s=2.0, from_deg=180.0, gust=gust), rng())
 
 
-def test_a_gust_comes_at_its_time_and_once() -> None:
-    wind = gusty()
-    speeds = [wind.at(t, 20 * FOOT_M)[0] for t in (9.9, 11.0, 12.0, 13.0, 14.1, 40.0)]
+def test_a_gust_comes_at_its_time_and_once_or_again_and_from_elsewhere() -> None:
+    once, again = gusty(), gusty(every_s=10.0, from_deg=90.0)
+    speeds = [once.at(t, 20 * FOOT_M)[0] for t in (9.9, 11.0, 12.0, 13.0, 14.1, 40.0)]
     assert speeds == pytest.approx([2.0, 5.0, 8.0, 5.0, 2.0, 2.0])
-
-
-def test_a_gust_may_come_again_and_from_elsewhere() -> None:
-    wind = gusty(every_s=10.0, from_deg=90.0)
-    assert [wind.at(t, 20 * FOOT_M)[1] for t in (5.0, 12.0, 22.0, 27.0, 32.0)] == pytest.approx(
-        [0.0, -6.0, -6.0, 0.0, -6.0], abs=1e-9
-    )
+    speeds = [again.at(t, 20 * FOOT_M)[1] for t in (5.0, 12.0, 22.0, 27.0, 32.0)]
+    assert speeds == pytest.approx([0.0, -6.0, -6.0, 0.0, -6.0], abs=1e-9)
     with pytest.raises(ValueError, match="at least duration_s"):
         gusty(every_s=2.0)

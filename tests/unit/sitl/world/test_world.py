@@ -77,22 +77,14 @@ def test_a_disturbance_is_one_more_function() -> None:
     assert run(world, 0.1).state.velocity_ned_m_s[1] == pytest.approx(0.2, rel=0.02)
 
 
-def test_starts_on_the_pad_when_the_pad_is_at_home() -> None:
+def test_starts_on_the_pad_when_the_pad_is_at_home_and_what_moves_at_no_number_is_not_at_rest() -> None:
     world = run(World(scenario(pad=pad_at(0.0, 0.0, 0.3)), 0), 0.5)
     assert world.truth().vehicle_position_ned_m[2] == pytest.approx(-0.3 - STAND, abs=1e-4)
     assert world.at_rest_on_pad
-
-
-@pytest.mark.parametrize("field", ["velocity_ned_m_s", "rate_body_rad_s"])
-def test_what_moves_at_no_number_is_not_at_rest(field: str) -> None:
-    world = run(World(scenario(pad=pad_at(0.0, 0.0, 0.3)), 0), 0.5)
-    world.state = replace(world.state, **{field: (0.0, math.nan, 0.0)})  # type: ignore[arg-type]
-    assert not world.at_rest_on_pad
-
-
-def test_a_fixed_start_heading_is_kept() -> None:
-    truth = World(scenario(start_heading_deg=90.0), 3).truth()
-    assert yaw_from_quat(truth.vehicle_attitude) == pytest.approx(math.pi / 2)
+    resting = world.state
+    for field in ("velocity_ned_m_s", "rate_body_rad_s"):
+        world.state = replace(resting, **{field: (0.0, math.nan, 0.0)})  # type: ignore[arg-type]
+        assert not world.at_rest_on_pad
 
 
 def test_the_same_seed_gives_the_same_flight_to_the_bit_and_another_seed_another() -> None:
@@ -108,11 +100,12 @@ def test_the_same_seed_gives_the_same_flight_to_the_bit_and_another_seed_another
     assert flown(7) != flown(8)
 
 
-def test_a_heading_drawn_or_fixed_leaves_the_wind_as_it_is() -> None:
+def test_a_fixed_start_heading_is_kept_and_leaves_the_wind_as_it_is() -> None:
     wind = {"mean_m_s": 5.0, "turbulence": "light"}
-    one = run(World(scenario(wind=wind), 5), 0.1)
-    other = run(World(scenario(wind=wind, start_heading_deg=10.0), 5), 0.1)
-    assert one.wind_ned_m_s == pytest.approx(other.wind_ned_m_s, abs=1e-6)
+    drawn = World(scenario(wind=wind), 5)
+    fixed = World(scenario(wind=wind, start_heading_deg=90.0), 5)
+    assert yaw_from_quat(fixed.truth().vehicle_attitude) == pytest.approx(math.pi / 2)
+    assert run(drawn, 0.1).wind_ned_m_s == pytest.approx(run(fixed, 0.1).wind_ned_m_s, abs=1e-6)
 
 
 def test_a_touchdown_is_measured_just_before_contact_and_relative_to_the_pad() -> None:
@@ -232,15 +225,13 @@ def test_wind_tilts_on_the_vehicle() -> None:
 @pytest.mark.parametrize("heading_deg", [0, 90, 180, 270])
 def test_the_range_is_the_plumb_distance_within_the_cone(heading_deg: int) -> None:
     world = World(scenario(pad=pad_at(20.0, 0.0, 0.5)), 0)
-    cone = math.radians(15.0)
-    sensor = (-0.03, 0.0, 0.08)
-    heading = math.radians(heading_deg)
-    put(world, 2.0, attitude=quat_from_euler(0.0, 0.0, heading))
-    assert world.ranging(sensor, cone)() == pytest.approx(2.0 + STAND - 0.08)
-    put(world, 2.0, attitude=quat_from_euler(0.2, 0.0, heading))
-    assert world.ranging(sensor, cone)() == pytest.approx(2.18 - 0.08 * math.cos(0.2), abs=1e-9)
-    put(world, 2.0, attitude=quat_from_euler(0.3, 0.0, heading))
-    assert world.ranging(sensor, cone)() is None
+    for roll, distance in (
+        (0.0, pytest.approx(2.0 + STAND - 0.08)),
+        (0.2, pytest.approx(2.18 - 0.08 * math.cos(0.2), abs=1e-9)),
+        (0.3, None),
+    ):
+        put(world, 2.0, attitude=quat_from_euler(roll, 0.0, math.radians(heading_deg)))
+        assert world.ranging((-0.03, 0.0, 0.08), math.radians(15.0))() == distance
 
 
 def test_the_range_beside_the_pad_is_to_the_ground_or_to_the_boards_edge_whichever_answers_first() -> None:
@@ -307,31 +298,24 @@ def pad_truth(position: Vector3 = (0.0, 0.0, -1.0), heading: float = 0.0) -> Pad
     return PadTruth(0.0, position, ZERO3, ZERO3, heading, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("radii", "ratio"), [(0.5, 4.0 / 3.0), (1.0, 16.0 / 15.0), (2.0, 64.0 / 63.0), (4.0, 256.0 / 255.0)]
-)
-def test_thrust_follows_cheeseman_and_bennett(radii: float, ratio: float) -> None:
-    assert thrust_ratio(radii * R, R) == pytest.approx(ratio)
-
-
-@pytest.mark.parametrize("height", [0.4 * R, 0.01, 0.0, -0.2])
-def test_thrust_is_bounded_where_the_formula_ends(height: float) -> None:
-    assert thrust_ratio(height, R) == pytest.approx(4.0 / 3.0)
-
-
-def test_thrust_grows_steadily_towards_the_ground() -> None:
+def test_thrust_follows_cheeseman_and_bennett_and_is_bounded_where_their_formula_ends() -> None:
+    for radii, ratio in ((0.5, 4.0 / 3.0), (1.0, 16.0 / 15.0), (2.0, 64.0 / 63.0), (4.0, 256.0 / 255.0)):
+        assert thrust_ratio(radii * R, R) == pytest.approx(ratio)
+    for height in (0.4 * R, 0.01, 0.0, -0.2):
+        assert thrust_ratio(height, R) == pytest.approx(4.0 / 3.0)
     ratios = [thrust_ratio(0.02 * i, R) for i in range(100)]
     assert ratios == sorted(ratios, reverse=True)
     assert ratios[-1] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_only_rotors_over_the_board_feel_it() -> None:
+def test_only_rotors_over_the_board_feel_it_and_none_high_up() -> None:
     board = PadBoard(0.5, 0.5)
     # the front rotor's hub is over the rear edge of a high board, the others over the ground
     state = QuadrotorState((-0.6, 0.0, -1.2))
     ratios = rotor_ratios(state, ROTORS, R, board, pad_truth())
     assert ratios[0] == pytest.approx(thrust_ratio(0.25, R))
     assert ratios[1:] == pytest.approx((thrust_ratio(1.25, R),) * 3)
+    assert rotor_ratios(QuadrotorState((0.0, 0.0, -5.0)), ROTORS, R, PadBoard(1, 1), pad_truth()) == (1,) * 4
 
 
 def test_a_tilted_vehicle_has_its_low_rotor_deeper_in_ground_effect() -> None:
@@ -339,15 +323,6 @@ def test_a_tilted_vehicle_has_its_low_rotor_deeper_in_ground_effect() -> None:
     ratios = rotor_ratios(state, ROTORS, R, PadBoard(0.5, 0.5), pad_truth((50.0, 0.0, -0.1)))
     assert ratios[1] > ratios[0] == pytest.approx(ratios[2])
     assert ratios[0] > ratios[3]
-
-
-def test_high_up_there_is_none() -> None:
-    assert rotor_ratios(QuadrotorState((0.0, 0.0, -5.0)), ROTORS, R, PadBoard(1, 1), pad_truth()) == (
-        1,
-        1,
-        1,
-        1,
-    )
 
 
 @pytest.mark.parametrize("heading_deg", [0, 90, 180, 270])
@@ -362,14 +337,11 @@ def test_the_board_turns_with_the_heading(heading_deg: int) -> None:
     assert board.surface_down_m(pad, *aside) == 0.0
 
 
-def test_the_distance_to_the_board_is_to_its_nearest_point() -> None:
+def test_the_board_has_the_pads_size_and_its_distance_is_to_its_nearest_point() -> None:
+    assert PadBoard.of(load_pad("moving_1300")) == PadBoard(0.65, 0.65)
     board, pad = PadBoard(0.5, 0.5), pad_truth()
     assert board.distance_m(pad, (0.2, 0.1, -3.0)) == pytest.approx((0.0, 2.0))
     assert board.distance_m(pad, (0.8, 0.9, -3.0)) == pytest.approx((0.5, 2.0))
-
-
-def test_the_board_has_the_pads_size() -> None:
-    assert PadBoard.of(load_pad("moving_1300")) == PadBoard(0.65, 0.65)
 
 
 # ---------------- test_obstacles
@@ -420,28 +392,15 @@ def test_touching_one_is_a_crash_and_passing_close_by_is_not() -> None:
 
 
 def test_the_verdict_says_what_it_was() -> None:
-    verdict = judge(
-        None,
-        PassBounds(),
-        contacts=(),
-        crashed=True,
-        at_rest_on_pad=False,
-        disarmed=False,
-        final_phase=Phase.SEARCH,
-        nearest_obstacle_m=-0.1,
-    )
+    ended = {"crashed": True, "at_rest_on_pad": False, "disarmed": False, "final_phase": Phase.SEARCH}
+    verdict = judge(None, PassBounds(), contacts=(), nearest_obstacle_m=-0.1, **ended)  # type: ignore[arg-type]
     assert (verdict.outcome, verdict.failures) == (Outcome.CRASHED, ("touched an obstacle",))
 
 
 def test_an_obstacle_of_no_kind_is_refused_in_one_line() -> None:
-    with pytest.raises(
-        ConfigError, match=r"obstacles.0.kind: expected one of 'cylinder', 'box', found 'cone'"
-    ):
-        validate(
-            Scenario,
-            {"name": "x", "description": "y", "obstacles": [{"kind": "cone", "centre_ned_m": [0, 0]}]},
-            "file",
-        )
+    words = r"obstacles.0.kind: expected one of 'cylinder', 'box', found 'cone'"
+    with pytest.raises(ConfigError, match=words):
+        scenario(obstacles=[{"kind": "cone", "centre_ned_m": [0, 0]}])
 
 
 @pytest.mark.parametrize("name", ["obstacles", "gate", "roadside"])

@@ -3,8 +3,7 @@
 import math
 from typing import Any
 
-import pytest
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.base.autopilot_kind import AutopilotKind
 from sitl.mavlink.endpoint import MavlinkEndpoint
@@ -17,8 +16,8 @@ NANS = (math.nan,) * 7
 class Station:
     """A flight with its endpoint, and a ground station (system 255) at the other end."""
 
-    def __init__(self, autopilot_kind: AutopilotKind, booted_s: float = 6.0) -> None:
-        self.autopilot_kind = autopilot_kind
+    def __init__(self, autopilot_kind: AutopilotKind, booted_s: float = 6.0, rate_hz: int = 20) -> None:
+        self.autopilot_kind, self.rate_hz = autopilot_kind, rate_hz
         self.flight = AutopilotFlight(autopilot_kind)
         self.endpoint = MavlinkEndpoint(self.flight.autopilot)
         self.us = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
@@ -27,10 +26,10 @@ class Station:
         self.run(booted_s)
 
     def run(self, seconds: float) -> list[Any]:
-        """Step on, listening at 20 Hz; returns the messages heard meanwhile."""
+        """Step on; returns the messages heard meanwhile."""
         new: list[Any] = []
-        for _ in range(max(1, round(seconds * 20))):
-            self.flight.run(0.05)
+        for _ in range(max(1, round(seconds * self.rate_hz))):
+            self.flight.run(1.0 / self.rate_hz)
             new += self.parser.parse_buffer(self.endpoint.transmit(self.flight.now_s)) or []
         self.heard += new
         return new
@@ -66,9 +65,21 @@ class Station:
             for number in range(count)
         ]
 
+    @property
+    def first(self) -> int:
+        """The number of a mission's first item: ArduPilot's item 0 is home."""
+        return 1 if self.autopilot_kind == "ardupilot" else 0
+
+    def mission(self, items: list[Any]) -> list[Any]:
+        """Numbered items, after home where that is item 0."""
+        listed = [item(16)] * self.first + items
+        for number, each in enumerate(listed):
+            each.seq = number
+        return listed
+
     def fly(self, items: list[Any]) -> None:
         """Upload, arm and start; home goes first where it has to."""
-        assert self.upload(mission(self.autopilot_kind, items)) == 0
+        assert self.upload(self.mission(items)) == 0
         if self.autopilot_kind == "ardupilot":
             assert self.flight.autopilot.set_mode(4) == 0
             assert self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 0
@@ -84,6 +95,11 @@ class Station:
         return [m.seq for m in self.heard if m.get_type() == "MISSION_ITEM_REACHED"]
 
 
+def of(messages: list[Any], name: str) -> list[Any]:
+    """Those of a type."""
+    return [message for message in messages if message.get_type() == name]
+
+
 ANSWERS = {
     "COMMAND_ACK",
     "PARAM_VALUE",
@@ -95,14 +111,6 @@ ANSWERS = {
     "MISSION_REQUEST",
     "MISSION_REQUEST_INT",
 }
-
-
-def mission(autopilot_kind: AutopilotKind, items: list[Any]) -> list[Any]:
-    """Numbered items, after home where that is item 0."""
-    listed = [item(16), *items] if autopilot_kind == "ardupilot" else items
-    for number, each in enumerate(listed):
-        each.seq = number
-    return listed
 
 
 def item(
@@ -128,7 +136,4 @@ def plain(command: int, *parameters: float) -> Any:
     return mavlink.MAVLink_mission_item_int_message(1, 1, 0, 2, command, 0, 1, *filled, 0, 0, 0.0, 0)
 
 
-# ---------------- Kinds of mission items, for missions over MAVLink
-
-BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 WAYPOINT, TAKE_OFF, LAND, RETURN = 16, 22, 21, 20

@@ -9,7 +9,6 @@ from companion.base.autopilot_kind import AutopilotKind
 from sitl.autopilot.flight.mission_items import Fence, FenceCommand, ItemFrame, MissionItem, MissionResult
 from tests.unit.sitl.autopilot.missions.mission_desk import Station, item
 
-BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 FENCE: Final = mavlink.MAV_MISSION_TYPE_FENCE
 DEGREE_M: Final = 111_170.0
 SQUARE: Final = ((-20.0, -20.0), (20.0, -20.0), (20.0, 20.0), (-20.0, 20.0))
@@ -37,9 +36,6 @@ def broken(items: list[MissionItem], north_m: float, east_m: float, *, unite: bo
     fence = Fence(unite)
     assert fence.replace(items)
     return fence.broken_at(north_m / DEGREE_M, east_m / DEGREE_M)
-
-
-# ---------------------------------------------------------------- what it means
 
 
 @pytest.mark.parametrize(
@@ -75,12 +71,7 @@ def test_no_fence_is_never_broken() -> None:
     assert not broken(area(FenceCommand.RETURN_POINT, ((0.0, 0.0),), 0.0), 1e5, 0.0)
 
 
-# ---------------------------------------------------------------- the protocol
-
-
-@BOTH
-def test_a_fence_is_read_back_as_it_was_uploaded_beside_the_mission(autopilot_kind: AutopilotKind) -> None:
-    station = Station(autopilot_kind)
+def test_a_fence_is_read_back_as_it_was_uploaded_beside_the_mission(station: Station) -> None:
     sent = polygon(FenceCommand.STAY_IN_POLYGON)
     assert station.upload(sent, FENCE) == MissionResult.ACCEPTED
     got = station.download(FENCE)
@@ -92,11 +83,7 @@ def test_a_fence_is_read_back_as_it_was_uploaded_beside_the_mission(autopilot_ki
     assert station.download(FENCE) == []
 
 
-@BOTH
-def test_a_polygon_that_lacks_corners_is_refused_and_the_old_fence_stays(
-    autopilot_kind: AutopilotKind,
-) -> None:
-    station = Station(autopilot_kind)
+def test_a_polygon_that_lacks_corners_is_refused_and_the_old_fence_stays(station: Station) -> None:
     assert station.upload(polygon(FenceCommand.STAY_IN_POLYGON), FENCE) == 0
     short = polygon(FenceCommand.STAY_IN_POLYGON)[:3]
     assert station.upload(short, FENCE) == MissionResult.ERROR
@@ -113,9 +100,6 @@ def test_mavsdks_circle_of_no_size_is_an_error_to_an_ardupilot(
     """MAVSDK's example sends one for "no circle"; the real ArduCopter refuses it."""
     circle = item(FenceCommand.STAY_IN_CIRCLE, seq=4, frame=5, mission_type=FENCE)
     assert Station(autopilot_kind).upload([*polygon(FenceCommand.STAY_IN_POLYGON), circle], FENCE) == result
-
-
-# ---------------------------------------------------------------- in flight
 
 
 def fenced_flight(autopilot_kind: AutopilotKind, action: float) -> Station:

@@ -10,14 +10,12 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import yaw_from_quat
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from tests.unit.sitl.autopilot.missions.mission_desk import (
-    BOTH,
     LAND,
     RETURN,
     TAKE_OFF,
     WAYPOINT,
     Station,
     item,
-    mission,
     plain,
 )
 
@@ -30,28 +28,17 @@ def results(messages: list[Any]) -> list[int]:
     return [m.type for m in messages if m.get_type() == "MISSION_ACK"]
 
 
-@BOTH
-def test_a_mission_comes_back_as_it_was_sent(autopilot_kind: AutopilotKind) -> None:
-    station = Station(autopilot_kind)
-    sent = mission(
-        autopilot_kind, [item(TAKE_OFF, 0, 0, 5), item(WAYPOINT, 10, -4, 6), plain(178, 1, 3), item(LAND)]
-    )
+def test_a_mission_comes_back_as_it_was_sent_after_home_where_that_is_item_0(station: Station) -> None:
+    ways = [item(TAKE_OFF, 0, 0, 5), item(WAYPOINT, 10, -4, 6), plain(178, 1, 3), item(LAND)]
+    sent = station.mission(ways)
     assert station.upload(sent) == 0
     back = station.download()
     assert [m.command for m in back] == [m.command for m in sent]
-    flown = slice(1, None) if autopilot_kind == "ardupilot" else slice(None)
-    for ours, theirs in zip(sent[flown], back[flown], strict=True):
-        assert (ours.x, ours.y, ours.z) == (theirs.x, theirs.y, theirs.z)
-        assert ours.param1 == theirs.param1
-    assert back[-1].frame == (6 if autopilot_kind == "px4" else 3)
-
-
-def test_ardupilots_item_0_is_home_whatever_was_sent() -> None:
-    station = Station("ardupilot")
-    station.upload(mission("ardupilot", [item(WAYPOINT, 10, 0, 5)]))
-    home = station.download()[0]
-    assert home.frame == mavlink.MAV_FRAME_GLOBAL
-    assert home.z == pytest.approx(400.18, abs=0.05)
+    for ours, theirs in zip(ways, back[-len(ways) :], strict=True):
+        assert (ours.x, ours.y, ours.z, ours.param1) == (theirs.x, theirs.y, theirs.z, theirs.param1)
+    assert back[-1].frame == (6 if station.autopilot_kind == "px4" else 3)
+    if station.autopilot_kind == "ardupilot":  # whatever was sent for it
+        assert (back[0].frame, back[0].z) == (mavlink.MAV_FRAME_GLOBAL, pytest.approx(400.18, abs=0.05))
 
 
 @pytest.mark.parametrize(
@@ -87,28 +74,20 @@ def test_each_asks_in_its_own_way_and_takes_both_kinds_of_item(
         assert (asked.x, asked.y, asked.z) == pytest.approx((47.001, 8.001, 12.0), abs=1e-5)
 
 
-@BOTH
-def test_a_request_that_got_lost_is_repeated_and_silence_ends_the_upload(
-    autopilot_kind: AutopilotKind,
-) -> None:
-    station = Station(autopilot_kind)
+def test_a_request_that_got_lost_is_repeated_and_silence_ends_the_upload(station: Station) -> None:
     station.send(count(2))
     repeated = [m for m in station.run(2.2) if m.get_type().startswith("MISSION_REQUEST")]
-    assert len(repeated) == pytest.approx(8 if autopilot_kind == "px4" else 2, abs=1)
+    assert len(repeated) == pytest.approx(8 if station.autopilot_kind == "px4" else 2, abs=1)
     assert {m.seq for m in repeated} == {0}
     assert results(station.run(7.0)) == [15]
     assert results(station.send(item(WAYPOINT))) == [1]
 
 
-@BOTH
-def test_an_item_out_of_sequence_does_not_end_the_upload(autopilot_kind: AutopilotKind) -> None:
-    station = Station(autopilot_kind)
-    items = mission(
-        autopilot_kind, [item(WAYPOINT, 1, 0, 5), item(WAYPOINT, 2, 0, 5), item(WAYPOINT, 3, 0, 5)]
-    )
+def test_an_item_out_of_sequence_does_not_end_the_upload(station: Station) -> None:
+    items = station.mission([item(WAYPOINT, 1, 0, 5), item(WAYPOINT, 2, 0, 5), item(WAYPOINT, 3, 0, 5)])
     station.send(count(len(items)))
     answer = station.send(items[2])[-1]
-    if autopilot_kind == "px4":
+    if station.autopilot_kind == "px4":
         assert (answer.get_type(), answer.seq) == ("MISSION_REQUEST_INT", 0)
     else:
         assert results([answer]) == [13]
@@ -119,21 +98,16 @@ def test_an_item_out_of_sequence_does_not_end_the_upload(autopilot_kind: Autopil
     assert results(station.send(items[-1])) == [0]
 
 
-def test_a_second_count_starts_ardupilot_anew_and_is_refused_by_a_busy_px4() -> None:
-    for autopilot_kind, expected in (("px4", [1]), ("ardupilot", [])):
-        station = Station(autopilot_kind)  # type: ignore[arg-type]
-        items = mission(autopilot_kind, [item(WAYPOINT, n, 0, 5) for n in range(3)])  # type: ignore[arg-type]
-        station.send(count(len(items)))
-        station.send(items[0])
-        answers = station.send(count(2))
-        assert results(answers) == expected
-        if autopilot_kind == "ardupilot":
-            assert answers[-1].seq == 0
+def test_a_second_count_starts_ardupilot_anew_and_is_refused_by_a_busy_px4(station: Station) -> None:
+    items = station.mission([item(WAYPOINT, n, 0, 5) for n in range(3)])
+    station.send(count(len(items)))
+    station.send(items[0])
+    answers = station.send(count(2))
+    assert results(answers) == ([1] if station.autopilot_kind == "px4" else [])
+    assert station.autopilot_kind == "px4" or answers[-1].seq == 0
 
 
-@BOTH
-def test_somebody_elses_items_are_denied(autopilot_kind: AutopilotKind) -> None:
-    station = Station(autopilot_kind)
+def test_somebody_elses_items_are_denied(station: Station) -> None:
     station.send(count(1))
     station.us.srcSystem = 254
     assert results(station.send(item(WAYPOINT)))[0] != 0
@@ -142,7 +116,6 @@ def test_somebody_elses_items_are_denied(autopilot_kind: AutopilotKind) -> None:
     assert results(station.send(item(WAYPOINT))) == [0]
 
 
-@BOTH
 def test_one_upload_at_a_time_over_all_links(autopilot_kind: AutopilotKind) -> None:
     station = Station(autopilot_kind, 0.1)
     first, second = station.endpoint, MavlinkEndpoint(station.flight.autopilot)
@@ -156,7 +129,6 @@ def test_one_upload_at_a_time_over_all_links(autopilot_kind: AutopilotKind) -> N
     assert station.send(count(1))[-1].seq == 0
 
 
-@BOTH
 @pytest.mark.parametrize(
     ("wrong", "result"),
     [
@@ -172,8 +144,7 @@ def test_one_upload_at_a_time_over_all_links(autopilot_kind: AutopilotKind) -> N
         (item(WAYPOINT, 0, 0, 5, mission_type=1), 1),
     ],
 )
-def test_wrong_items_are_refused(autopilot_kind: AutopilotKind, wrong: Any, result: int) -> None:
-    station = Station(autopilot_kind)
+def test_wrong_items_are_refused(station: Station, wrong: Any, result: int) -> None:
     station.send(count(1))
     assert results(station.send(wrong)) == [result]
 
@@ -184,7 +155,6 @@ def test_conditions_and_circles_are_ardupilots_alone() -> None:
         assert Station("ardupilot", 0.1).upload([item(command)]) == 0
 
 
-@BOTH
 def test_lists_too_long_fences_and_rally_points(autopilot_kind: AutopilotKind) -> None:
     station = Station(autopilot_kind, 0.1)
     assert results(station.send(count(60_000))) == [4]
@@ -198,10 +168,9 @@ def test_lists_too_long_fences_and_rally_points(autopilot_kind: AutopilotKind) -
     assert station.send(mavlink.MAVLink_mission_request_int_message(1, 1, 5))[-1].type == 1
 
 
-@BOTH
 def test_clearing_and_choosing_the_current_item(autopilot_kind: AutopilotKind) -> None:
     station = Station(autopilot_kind, 0.1)
-    station.upload(mission(autopilot_kind, [item(WAYPOINT, n, 0, 5) for n in range(4)]))
+    station.upload(station.mission([item(WAYPOINT, n, 0, 5) for n in range(4)]))
     current = station.send(mavlink.MAVLink_mission_set_current_message(1, 1, 2))
     assert current[-1].seq == 2
     assert station.command(mavlink.MAV_CMD_DO_SET_MISSION_CURRENT, 3) == 0
@@ -213,7 +182,7 @@ def test_clearing_and_choosing_the_current_item(autopilot_kind: AutopilotKind) -
 
 def test_part_of_ardupilots_list_can_be_replaced() -> None:
     station = Station("ardupilot", 0.1)
-    items = mission("ardupilot", [item(WAYPOINT, n, 0, 5) for n in range(4)])
+    items = station.mission([item(WAYPOINT, n, 0, 5) for n in range(4)])
     station.upload(items)
     part = mavlink.MAVLink_mission_write_partial_list_message(1, 1, 2, 3)
     assert station.send(part)[-1].seq == 2
@@ -230,9 +199,7 @@ def test_part_of_ardupilots_list_can_be_replaced() -> None:
 # ---------------- Missions that are flown as each autopilot does
 
 
-@BOTH
-def test_a_mission_is_flown_from_take_off_to_landing(autopilot_kind: AutopilotKind) -> None:
-    station = Station(autopilot_kind)
+def test_a_mission_is_flown_from_take_off_to_landing(station: Station) -> None:
     station.fly(
         [
             item(TAKE_OFF, 0, 0, 5),
@@ -247,53 +214,39 @@ def test_a_mission_is_flown_from_take_off_to_landing(autopilot_kind: AutopilotKi
     station.run(26.0)
     assert math.dist(station.flight.vehicle.position[:2], (12.0, 8.0)) < 0.6
     assert not station.flight.autopilot.armed
-    first = 1 if autopilot_kind == "ardupilot" else 0
-    assert station.reached() == list(range(first, first + 5))
+    assert station.reached() == list(range(station.first, station.first + 5))
     # rewound: it can be flown again
     assert station.flight.autopilot.mission.current == 0
 
 
-@BOTH
-def test_a_jump_is_taken_as_often_as_it_says(autopilot_kind: AutopilotKind) -> None:
-    station = Station(autopilot_kind)
-    first = 1 if autopilot_kind == "ardupilot" else 0
-    station.fly(
-        [item(TAKE_OFF, 0, 0, 4), item(WAYPOINT, 6, 0, 4), item(WAYPOINT, 0, 0, 4), plain(177, first + 1, 2)]
-    )
+def test_a_jump_is_taken_as_often_as_it_says(station: Station) -> None:
+    there, back = item(WAYPOINT, 6, 0, 4), item(WAYPOINT, 0, 0, 4)
+    station.fly([item(TAKE_OFF, 0, 0, 4), there, back, plain(177, station.first + 1, 2)])
     station.run(50.0)
-    assert station.reached().count(first + 1) == 3
+    assert station.reached().count(station.first + 1) == 3
     assert station.flight.autopilot.mission.finished
     assert station.flight.autopilot.armed
     assert math.dist(station.flight.vehicle.velocity, (0.0, 0.0, 0.0)) < 0.1
 
 
-@BOTH
-def test_jumps_that_lead_nowhere_do_no_harm(autopilot_kind: AutopilotKind) -> None:
-    station = Station(autopilot_kind)
+def test_jumps_that_lead_nowhere_do_no_harm(station: Station) -> None:
     station.fly([item(TAKE_OFF, 0, 0, 3), plain(177, 2, -1), plain(177, 1, -1)])
     station.run(8.0)
     assert station.flight.vehicle.height_m == pytest.approx(3.0, abs=0.3)
 
 
-@BOTH
-def test_a_loop_with_nothing_to_fly_is_reported_of_once_a_second_at_most(
-    autopilot_kind: AutopilotKind,
-) -> None:
-    station = Station(autopilot_kind)
-    first = 1 if autopilot_kind == "ardupilot" else 0
-    station.fly([item(TAKE_OFF, 0, 0, 3), item(WAYPOINT, 0, 0, 3), plain(177, first, -1)])
+def test_a_loop_with_nothing_to_fly_is_reported_of_once_a_second_at_most(station: Station) -> None:
+    station.fly([item(TAKE_OFF, 0, 0, 3), item(WAYPOINT, 0, 0, 3), plain(177, station.first, -1)])
     station.run(6.0)
     before = len(station.heard)
     station.run(5.0)
     new = [m for m in station.heard[before:] if m.get_type() in ("MISSION_ITEM_REACHED", "STATUSTEXT")]
     assert 4 <= len(new) <= 30
-    assert first + 2 not in station.reached()  # a jump is no place to be reached
+    assert station.first + 2 not in station.reached()  # a jump is no place to be reached
     assert station.flight.vehicle.height_m == pytest.approx(3.0, abs=0.3)
 
 
-@BOTH
-def test_returning_is_an_item_too(autopilot_kind: AutopilotKind) -> None:
-    station = Station(autopilot_kind)
+def test_returning_is_an_item_too(station: Station) -> None:
     for name, value in (("RTL_RETURN_ALT", 5.0), ("RTL_ALT", 500.0)):
         station.flight.autopilot.parameters.set(name, value)
     station.fly([item(TAKE_OFF, 0, 0, 4), item(WAYPOINT, 8, 0, 4), plain(RETURN)])
@@ -321,18 +274,15 @@ def test_ardupilot_turns_circles_and_waits() -> None:
     assert min(s.position[1] for s in samples) == pytest.approx(-5.0, abs=0.7)
 
 
-def test_px4_heads_where_a_waypoint_says_and_ardupilot_along_the_way() -> None:
-    for autopilot_kind, heading in (("px4", math.pi), ("ardupilot", math.pi / 2)):
-        station = Station(autopilot_kind)  # type: ignore[arg-type]
-        station.fly([item(TAKE_OFF, 0, 0, 4), item(WAYPOINT, 0, 20, 4, (0.0, 0.0, 0.0, 180.0))])
-        station.run(8.5)
-        turned = yaw_from_quat(station.flight.vehicle.attitude)
-        assert abs(math.remainder(turned - heading, 2.0 * math.pi)) < 0.15
+def test_px4_heads_where_a_waypoint_says_and_ardupilot_along_the_way(station: Station) -> None:
+    station.fly([item(TAKE_OFF, 0, 0, 4), item(WAYPOINT, 0, 20, 4, (0.0, 0.0, 0.0, 180.0))])
+    station.run(8.5)
+    heading = math.pi if station.autopilot_kind == "px4" else math.pi / 2
+    turned = yaw_from_quat(station.flight.vehicle.attitude)
+    assert abs(math.remainder(turned - heading, 2.0 * math.pi)) < 0.15
 
 
-@BOTH
-def test_a_mission_can_be_left_and_gone_on_with(autopilot_kind: AutopilotKind) -> None:
-    station = Station(autopilot_kind)
+def test_a_mission_can_be_left_and_gone_on_with(station: Station) -> None:
     station.fly([item(TAKE_OFF, 0, 0, 4), item(WAYPOINT, 30, 0, 4), item(WAYPOINT, 0, 0, 4)])
     station.run(8.0)
     assert station.command(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0) == 0
@@ -349,13 +299,12 @@ def test_a_mission_can_be_left_and_gone_on_with(autopilot_kind: AutopilotKind) -
     assert station.flight.autopilot.mission.current == current
 
 
-def test_without_a_mission_its_mode_is_refused() -> None:
-    for autopilot_kind, mode, result in (("px4", 4 << 16 | 4 << 24, 1), ("ardupilot", 3, 4)):
-        station = Station(autopilot_kind)  # type: ignore[arg-type]
-        assert station.flight.autopilot.set_mode(mode) == result
-        assert station.command(mavlink.MAV_CMD_MISSION_START, 0, 0) == result
-        station.run(0.2)
-        assert any("Mission" in text or "AUTO" in text for text in station.texts)
+def test_without_a_mission_its_mode_is_refused(station: Station) -> None:
+    mode, result = (4 << 16 | 4 << 24, 1) if station.autopilot_kind == "px4" else (3, 4)
+    assert station.flight.autopilot.set_mode(mode) == result
+    assert station.command(mavlink.MAV_CMD_MISSION_START, 0, 0) == result
+    station.run(0.2)
+    assert any("Mission" in text or "AUTO" in text for text in station.texts)
 
 
 def test_px4_climbs_by_itself_before_a_first_waypoint_and_ardupilot_wants_a_take_off() -> None:
@@ -364,7 +313,7 @@ def test_px4_climbs_by_itself_before_a_first_waypoint_and_ardupilot_wants_a_take
     station.run(10.0)
     assert station.flight.vehicle.position[0] == pytest.approx(8.0, abs=0.5)
     station = Station("ardupilot")
-    station.upload(mission("ardupilot", [item(WAYPOINT, 8, 0, 6)]))
+    station.upload(station.mission([item(WAYPOINT, 8, 0, 6)]))
     station.flight.autopilot.set_mode(4)
     station.flight.autopilot.arm()
     assert station.command(mavlink.MAV_CMD_MISSION_START, 0, 0) == 4
@@ -372,15 +321,12 @@ def test_px4_climbs_by_itself_before_a_first_waypoint_and_ardupilot_wants_a_take
     assert "Auto: Missing Takeoff Cmd" in station.texts
 
 
-@BOTH
-def test_landing_start_and_the_current_item_are_reported(autopilot_kind: AutopilotKind) -> None:
-    station = Station(autopilot_kind)
+def test_landing_start_and_the_current_item_are_reported(station: Station) -> None:
     assert station.command(mavlink.MAV_CMD_DO_LAND_START) == 4
     station.fly([item(TAKE_OFF, 0, 0, 4), item(17, 20, 0, 4), item(189), item(LAND, 0, 0, 0)])
     station.run(7.0)
     told = [m for m in station.run(1.2) if m.get_type() == "MISSION_CURRENT"]
-    first = 1 if autopilot_kind == "ardupilot" else 0
-    assert (told[-1].seq, told[-1].total) == (first + 1, 4)
+    assert (told[-1].seq, told[-1].total) == (station.first + 1, 4)
     assert station.command(mavlink.MAV_CMD_DO_LAND_START) == 0
     station.run(25.0)
     assert not station.flight.autopilot.armed
