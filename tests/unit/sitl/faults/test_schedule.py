@@ -321,6 +321,7 @@ def test_a_refused_request_is_denied_for_as_long_as_the_fault_and_the_motors_sto
     assert autopilot.set_mode_named(autopilot.profile.land_mode) is autopilot.profile.refused
     assert autopilot.take_off(5.0) is not CommandResult.ACCEPTED
     autopilot.refused = frozenset()
+    autopilot.set_mode_named(autopilot.profile.take_off_mode)
     disarms = faults.AutopilotDisarms(kind="autopilot_disarms", **times())
     desk = FaultedParts(disarms, autopilot=autopilot)
     desk.schedule.step(0.9)
