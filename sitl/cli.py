@@ -85,12 +85,10 @@ def companion_sitl(
         typer.Option(help="Accept signed frames only: a file of 32 bytes or a passphrase.", metavar="FILE"),
     ] = None,
     folder: Annotated[
-        Path | None,
-        typer.Option(help="Where the sockets go; else a temporary folder.", metavar="DIR"),
+        Path | None, typer.Option(help="Where the sockets go; else a temporary folder.", metavar="DIR")
     ] = None,
     settings: Annotated[
-        Path | None,
-        typer.Option(help="Write the app's settings for it here, for --config.", metavar="FILE"),
+        Path | None, typer.Option(help="Write the app's settings for it here, for --config.", metavar="FILE")
     ] = None,
     external: Annotated[
         str | None,

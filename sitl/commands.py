@@ -72,7 +72,6 @@ def scenarios_command(
 
 
 def schema_command() -> None:
-    """Print the schema."""
     from sitl.scenario.listing import schema_text  # noqa: PLC0415 - as above
 
     typer.echo(schema_text(), nl=False)
@@ -95,7 +94,6 @@ def view_command(
         typer.Option(min=0, max=65535, help="Show them in a browser, on this port; 0 takes a free one."),
     ] = None,
 ) -> None:
-    """Show or record frames."""
     address = socket if socket.startswith(("socket:", "tcp:")) else f"socket:{socket}"
     if address.startswith("socket:") and not Path(address.removeprefix("socket:")).exists():
         raise ConfigError(f"{address}: No such file or directory; {EXPECTED}")

@@ -86,12 +86,10 @@ class CaptureSession:
         return CaptureStep(True, f"view {len(self.views)} kept; {self.hint()}")
 
     def hint(self) -> str:
-        """What to do next, in words."""
         hints = self.coverage.hints()
         return hints[0] if hints else "all has been seen"
 
     def _still_for(self, time_s: float, view: BoardView) -> float:
-        """For how long the board has not moved."""
         if self._last is None or not 0.0 < time_s - self._last[0] < FORGOTTEN_S:
             self._still_since_s = None
             return 0.0

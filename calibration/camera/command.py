@@ -39,8 +39,7 @@ app = new_app()
 @app.command(help=HELP)
 def command(
     sources: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="SOURCE", help="A camera, or photos.", show_default=False),
+        list[str] | None, typer.Argument(metavar="SOURCE", help="A camera, or photos.", show_default=False)
     ] = None,
     *,
     board: Annotated[
@@ -195,7 +194,6 @@ def _metres(millimetres: float | None) -> float | None:
 
 
 def main() -> None:
-    """Entry point."""
     run(app, NAME)
 
 

@@ -98,7 +98,6 @@ def _live(job: CameraCalibrationJob, board: CalibrationBoard) -> CollectedViews:
 def _finish(
     job: CameraCalibrationJob, found: CollectedViews, board: CalibrationBoard, capture: CaptureConfig
 ) -> None:
-    """Calibrate from views, show the result, judge and write it."""
     try:
         result = assess(found.views, found.size_px, board.surface, job.model)
     except UnsolvableError as error:
@@ -187,7 +186,6 @@ def _distortion_names(count: int) -> tuple[str, ...]:
 
 
 def camera_yaml(camera: CameraConfig) -> str:
-    """The file's text."""
     assert camera.calibration is not None
     words = ", ".join(_distortion_names(len(camera.distortion)))
     forced = (
@@ -199,7 +197,6 @@ def camera_yaml(camera: CameraConfig) -> str:
 
 
 def summary_lines(found: Assessment) -> list[str]:
-    """The result for a person, a line each."""
     solution, std = found.solution, found.uncertainty.std
     camera = solution.camera
     lines = [

@@ -276,7 +276,6 @@ class Intrinsics:
 
     @property
     def matrix(self) -> FloatArray:
-        """K (3, 3)."""
         fx, fy, cx, cy = self.numbers[:4]
         return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
@@ -287,7 +286,6 @@ class Intrinsics:
 
     @property
     def model(self) -> Model:
-        """The distortion model."""
         return MODELS[len(self.distortion)]
 
     def project(
@@ -325,7 +323,6 @@ class PosedView:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square of the errors' lengths."""
         return rms(self.errors_px)
 
 
@@ -545,7 +542,6 @@ class Uncertainty:
 
     @property
     def std(self) -> FloatArray:
-        """Standard deviations of the camera's parameters."""
         return np.sqrt(np.diag(self.covariance))
 
 

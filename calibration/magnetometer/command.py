@@ -63,9 +63,7 @@ def calibrate_command(
     config: Annotated[
         Path | None,
         typer.Option(
-            "--config",
-            help="The app's settings: sensor, bus, mounting, magnetic field.",
-            metavar="FILE",
+            "--config", help="The app's settings: sensor, bus, mounting, magnetic field.", metavar="FILE"
         ),
     ] = None,
     position: Annotated[
@@ -158,7 +156,6 @@ def calibrate_command(
 
 
 def main() -> None:
-    """The console script's entry point."""
     run(cli, PROGRAM)
 
 

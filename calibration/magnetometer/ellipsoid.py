@@ -174,12 +174,10 @@ _NEAREST_POLE: Final = 0.95  # of the way to where a reading deep inside has no 
 
 
 def pack(ellipsoid: Ellipsoid) -> FloatArray:
-    """The vector x (9,) of an ellipsoid."""
     return np.concatenate([ellipsoid.matrix[_ROWS, _COLUMNS], ellipsoid.centre])
 
 
 def unpack(x: FloatArray) -> Ellipsoid:
-    """The ellipsoid of a vector x (9,)."""
     matrix = np.empty((3, 3))
     matrix[_ROWS, _COLUMNS] = matrix[_COLUMNS, _ROWS] = x[:6]
     return Ellipsoid(matrix, x[6:])
@@ -466,7 +464,6 @@ _CENTRES: Final = lattice(CELLS)
 
 
 def cells_of(directions: FloatArray) -> NDArray[np.intp]:
-    """The cell of each unit vector (n, 3)."""
     return np.asarray(np.argmax(directions @ _CENTRES.T, axis=1))
 
 

@@ -66,7 +66,6 @@ class Mpu9250Compass:
         self._fault: str | None = None
 
     async def more(self) -> tuple[list[MagSample], list[ImuSample]]:
-        """See `LiveCompass`."""
         end_s = self._clock.now_s() + BATCH_S
         while (now_s := self._clock.now_s()) < end_s:
             await self._poll()
@@ -90,7 +89,6 @@ class Mpu9250Compass:
         self._imus += imus
 
     def recording(self) -> MagnetometerRecording:
-        """See `LiveCompass`."""
         raw, force = paired(self._mags, self._imus)
         turn = self.body_from_sensor
         return MagnetometerRecording(self._name, "mpu9250", raw, force=force, body_from_sensor=turn).checked()
@@ -113,11 +111,9 @@ class AutopilotCompass:
         self._reader = asyncio.create_task(self._read())
 
     def close(self) -> None:
-        """Stop listening."""
         self._reader.cancel()
 
     async def more(self) -> tuple[list[MagSample], list[ImuSample]]:
-        """See `LiveCompass`."""
         await asyncio.sleep(BATCH_S)
         now_s = self._clock.now_s()
         if self._reader.done() and (error := self._reader.exception()) is not None:
@@ -160,5 +156,4 @@ class AutopilotCompass:
             self._transport.write(self._codec.encode(message))
 
     def recording(self) -> MagnetometerRecording:
-        """See `LiveCompass`."""
         return self._telemetry.recording().checked()

@@ -18,12 +18,7 @@ from typing import Any, Final
 import numpy as np
 from pyulog import ULog
 
-from calibration.magnetometer.recording import (
-    MagnetometerRecording,
-    mounting,
-    onboard_of,
-    paired,
-)
+from calibration.magnetometer.recording import MagnetometerRecording, mounting, onboard_of, paired
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import vector3
 from companion.base.messages import GpsFix, ImuSample, MagSample
@@ -285,7 +280,6 @@ def read_own_log(path: Path) -> MagnetometerRecording:
 
 
 def _uncalibrated(recording: MagnetometerRecording, config: CompanionConfig) -> MagnetometerRecording:
-    """Take off what the flight's settings had applied."""
     settings = config.sense.imu if recording.sensor == "mpu9250" else config.sense.autopilot
     if settings.magnetometer_calibration is not None:
         key = f"{recording.source}: flown with a calibration"

@@ -25,7 +25,6 @@ _USE: Final = {
 
 
 def yaml_text(file: MagnetometerCalibration) -> str:
-    """The file's text."""
     head = _HEAD.format(unit=file.raw_unit, axes=file.axes, use=_USE[file.sensor])
     plain = file.model_dump(mode="json")
     return head + str(yaml.safe_dump(plain, sort_keys=False, default_flow_style=None, width=100))

@@ -82,9 +82,7 @@ LogArgument = Annotated[
 
 
 @cli.command(
-    "accelerometer",
-    help=ACCELEROMETER_HELP,
-    short_help="Calibrate accelerometer and gyro bias on six faces.",
+    "accelerometer", help=ACCELEROMETER_HELP, short_help="Calibrate accelerometer and gyro bias on six faces."
 )
 def accelerometer_command(
     log: LogArgument = None,
@@ -235,7 +233,6 @@ def camera_command(
 
 
 def main() -> None:
-    """Entry point."""
     run(cli, NAME)
 
 

@@ -14,13 +14,7 @@ import typer
 
 from calibration.command_line import RefusedError, today
 from calibration.mount.command import FACES
-from calibration.mount.record_motion import (
-    SensorOpener,
-    connected_sensors,
-    new_log,
-    read_imu,
-    until_done,
-)
+from calibration.mount.record_motion import SensorOpener, connected_sensors, new_log, read_imu, until_done
 from calibration.mount.recording import ImuSamples, inertial_of, read_log
 from calibration.mount.result import judge, listed, provenance, write_file
 from calibration.mount.six_faces import (
@@ -322,7 +316,6 @@ async def _collect(
 
 
 def accelerometer_calibration(fit: AccelerometerFit, faces: Sequence[str]) -> AccelerometerCalibration:
-    """The file's accelerometer part."""
     rows = np.round(fit.matrix, 6)
     return AccelerometerCalibration(
         offset_m_s2=vector3(np.round(fit.offset, 5)),
@@ -342,7 +335,6 @@ def gyro_calibration(fit: GyroFit) -> GyroCalibration:
 
 
 def accelerometer_lines(fit: AccelerometerFit, faces: Sequence[str]) -> list[str]:
-    """Summary lines of the accelerometer."""
     before, after = (float(np.sqrt(np.mean(m**2))) for m in (fit.raw_residuals, fit.residuals))
     skew = np.abs(fit.matrix - np.diag(np.diag(fit.matrix))).max()
     return [
@@ -356,7 +348,6 @@ def accelerometer_lines(fit: AccelerometerFit, faces: Sequence[str]) -> list[str
 
 
 def gyro_lines(fit: GyroFit) -> list[str]:
-    """Summary lines of the gyroscope."""
     bias, std = np.degrees(fit.bias), math.degrees(fit.std)
     warmth = f" at {fit.temperature_c:.0f} °C" if math.isfinite(fit.temperature_c) else ""
     return [

@@ -292,7 +292,6 @@ class MountRecorder:
 
 
 def annotated(image: NDArray[np.uint8], progress: MotionProgress) -> NDArray[np.uint8]:
-    """The picture with what is missing written into it."""
     canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     lines = (progress.advice, f"pad seen {progress.sightings} times, {progress.seconds:.0f} s")
     scale = image.shape[1] / 1100.0
@@ -336,7 +335,6 @@ class MotionProgress:
     complete: bool
 
     def line(self) -> str:
-        """One line for a terminal."""
         roll, pitch, yaw = (f"{100.0 * share:.0f}%" for share in self.turned)
         return (
             f"{self.seconds:3.0f} s, pad seen {self.sightings} times; roll {roll}, pitch {pitch}, yaw {yaw}, "
@@ -368,12 +366,10 @@ class MotionCoverage:
             self._quick_s += dt_s
 
     def add_sighting(self, sighting: PadSighting) -> None:
-        """Take a sighting."""
         self._sightings += 1
         self._seen_s = max(self._seen_s, sighting.time_s)
 
     def progress(self) -> MotionProgress:
-        """The progress now."""
         seconds = 0.0 if self._start_s is None else self._now_s - self._start_s
         roll, pitch, yaw = (min(1.0, turned / ENOUGH_TURN_RAD) for turned in self._turned)
         quick = min(1.0, self._quick_s / ENOUGH_QUICK_S)

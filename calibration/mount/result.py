@@ -125,14 +125,12 @@ def camera_angles_deg(rotation: FloatArray) -> tuple[float, float, float]:
 
 
 def provenance(source: str, date: str, used: int, dropped: int) -> Provenance:
-    """Where a calibration comes from."""
     return Provenance(tool=f"{NAME} {__version__}", source=source, date=date, samples=used, dropped=dropped)
 
 
 def mount_calibration(
     solution: MountSolution, recording: MountRecording, forced: tuple[str, ...], date: str
 ) -> MountCalibration:
-    """The mount file."""
     roll, tilt, yaw = camera_angles_deg(solution.unknowns.body_from_camera)
     rotation_std = np.degrees(np.sqrt(np.diag(solution.rotation_covariance)))
     used = int(solution.kept.sum())
@@ -155,7 +153,6 @@ def mount_calibration(
 
 
 def mount_lines(found: MountCalibration, solution: MountSolution, recording: MountRecording) -> list[str]:
-    """The summary lines."""
     vehicle, std = recording.vehicle, found.std
     turned = np.degrees(rotation_from(solution, configured_rotation(recording)))
     before = (vehicle.camera_roll_deg, vehicle.camera_tilt_deg, vehicle.camera_yaw_deg)

@@ -123,7 +123,6 @@ def face_of(force: FloatArray, body_from_sensor: FloatArray) -> str | None:
 
 
 def faces_down(rests: Sequence[StaticInterval], body_from_sensor: FloatArray) -> list[str]:
-    """The faces that were down in some rest."""
     seen = {face_of(rest.force, body_from_sensor) for rest in rests}
     return [name for name in FACES if name in seen]
 
@@ -303,18 +302,11 @@ class ImuBuffer:
         self._rows: list[tuple[float, ...]] = []
 
     def add(self, sample: ImuSample) -> None:
-        """Add one sample, in body axes."""
         self._rows.append(
-            (
-                sample.time_s,
-                *sample.rate_body_rad_s,
-                *sample.specific_force_body_m_s2,
-                sample.temperature_c,
-            )
+            (sample.time_s, *sample.rate_body_rad_s, *sample.specific_force_body_m_s2, sample.temperature_c)
         )
 
     def since(self, time_s: float) -> ImuSamples:
-        """The samples from a time on."""
         rows = np.array([row for row in self._rows if row[0] >= time_s]).reshape(-1, 8)
         return ImuSamples(rows[:, 0], rows[:, 1:4] @ self._turn, rows[:, 4:7] @ self._turn, rows[:, 7])
 
@@ -330,12 +322,10 @@ class FaceGuide:
 
     @property
     def done(self) -> bool:
-        """Whether every face asked for has its static interval."""
         return not self._left
 
     @property
     def advice(self) -> str:
-        """What to do now."""
         if self.done:
             return "enough"
         return f"{len(self.rests) + 1} of {len(FACES)}: {ASKED[self._left[0]]}, and let go of it"

@@ -197,11 +197,9 @@ class CameraModel:
         self.shows_pad = True
 
     def cover(self) -> None:
-        """A tarpaulin over the markers."""
         self._pad_texture = covered_texture(self._pad)
 
     def show_other_ids(self) -> None:
-        """Another pad's markers."""
         self._pad_texture = other_ids_texture(self._pad)
 
     @property
@@ -211,7 +209,6 @@ class CameraModel:
         return self._exposure_s + self._readout_s
 
     def blank(self) -> GreyImage:
-        """Room for a picture."""
         return np.empty((self._camera.height_px, self._camera.width_px), np.uint8)
 
     def render(self, time_s: float, scene_at: Callable[[float], ScenePose]) -> GreyImage:

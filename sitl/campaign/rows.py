@@ -94,7 +94,6 @@ RESULT_KEYS: Final = {
 
 
 def make_row(flown: RunResult, version: str) -> Row:
-    """The row of a run that has ended."""
     flight, result = flown.flight, flown.result
     along, across = flown.touchdown_pad_m or (None, None)
     return Row(
@@ -169,7 +168,6 @@ class RunsFile:
         self.rows.append(row)
 
     def close(self) -> None:
-        """Let go of it."""
         os.close(self._file)
 
     def _write(self, values: Sequence[str]) -> None:

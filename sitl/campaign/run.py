@@ -53,7 +53,6 @@ class Options:
 
     @property
     def command(self) -> str:
-        """The command line that continues it."""
         words = ["companion-sitl", "campaign", "--scenarios", *self.sources, "--runs", str(self.runs)]
         given = {
             "--first-seed": self.first_seed or None,
@@ -146,7 +145,6 @@ def _fly(plan: Plan, runs: RunsFile, options: Options, console: Console) -> None
 
 
 def _flown(flights: Sequence[CampaignRun], options: Options) -> Generator[RunResult, None, None]:
-    """Where they are flown."""
     if options.scheduler is None:
         return fly_locally(flights, options.jobs)
     try:
@@ -233,7 +231,6 @@ class CampaignMeter:
             self._bar.stop()
 
     def take(self, row: Row) -> None:
-        """A run has ended."""
         tenth = self._done * LINES_IN_ALL // self._total
         self._done += 1
         self._landed += row.landed

@@ -175,7 +175,6 @@ class Worker:
         return lines[-1] if lines else "no output"
 
     def _said(self) -> int:
-        """How many bytes of standard error there are."""
         return os.fstat(self._words.fileno()).st_size if self._words else 0
 
 

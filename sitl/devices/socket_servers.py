@@ -119,7 +119,6 @@ class FrameServer:
 
     @property
     def client_count(self) -> int:
-        """How many are connected."""
         return len(self._clients)
 
     @property
@@ -144,7 +143,6 @@ class FrameServer:
             self._server = await UnixServer.start(self._serve, self._where)
 
     def deliver(self, frame: Frame) -> None:
-        """Send a frame to every client that can take it."""
         free = [c for c in self._clients if c.transport.get_write_buffer_size() == 0]
         if not free:
             return
@@ -153,7 +151,6 @@ class FrameServer:
             client.write(data)
 
     async def close(self) -> None:
-        """Stop listening, part from all clients and remove the socket."""
         if self._server is not None:
             self._server.close()
         for client in self._clients:
@@ -186,13 +183,9 @@ class FrameServer:
 class RegisterDevice(Protocol):
     """What answers on the bus. OSError is a bus fault."""
 
-    def read(self, address: int, register: int, length: int) -> bytes:
-        """Read registers."""
-        ...
+    def read(self, address: int, register: int, length: int) -> bytes: ...
 
-    def write(self, address: int, register: int, value: int) -> None:
-        """Write one register."""
-        ...
+    def write(self, address: int, register: int, value: int) -> None: ...
 
 
 def answer(device: RegisterDevice, request: bytes) -> bytes:

@@ -68,7 +68,6 @@ class PolledUltrasonicDevice:
 
     @property
     def next_s(self) -> float:
-        """Time of the next ping or transmission."""
         if self._asked:
             return -math.inf
         return self._answer_s if self._answer else math.inf

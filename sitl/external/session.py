@@ -88,22 +88,16 @@ class Relay(ByteLink, Protocol):
     """The app's connection to the vehicle, if it shares the world's."""
 
     @property
-    def has_peer(self) -> bool:
-        """Whether the app has sent anything."""
-        ...
+    def has_peer(self) -> bool: ...
 
 
 class FrameSink(Protocol):
     """Takes the camera's frames."""
 
     @property
-    def client_count(self) -> int:
-        """How many are watching."""
-        ...
+    def client_count(self) -> int: ...
 
-    def deliver(self, frame: Frame) -> None:
-        """A frame has arrived."""
-        ...
+    def deliver(self, frame: Frame) -> None: ...
 
 
 @dataclass(slots=True)
@@ -162,7 +156,6 @@ class ExternalSimulation:
         self._reported_touchdown_s: float | None = None
 
     async def run(self) -> None:
-        """Go on until cancelled."""
         connections = self._connections
         async with asyncio.TaskGroup() as group:
             group.create_task(

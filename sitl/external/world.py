@@ -288,16 +288,13 @@ class TouchedPad:
 
     @property
     def departed(self) -> bool:
-        """Whether it has set off."""
         return self._stretches[-1].since_s > _BEFORE_ALL
 
     @property
     def carries(self) -> bool:
-        """Whether the vehicle stands on it."""
         return self._stretches[-1].contact is not None
 
     def depart(self, time_s: float) -> None:
-        """Set off."""
         self._append(_Stretch(time_s, drives=True, simulated_s=self._simulated_s(time_s)))
 
     def touch(self, pose: Pose) -> None:

@@ -32,7 +32,6 @@ class StatusTextMonitor:
         self._chunks: dict[int, list[str]] = {}
 
     def hear(self, data: bytes, now_s: float) -> None:
-        """Take bytes that the app has just sent."""
         for frame in self._reader.read(data, now_s):
             if frame.message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
                 self._take(frame, now_s)

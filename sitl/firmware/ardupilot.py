@@ -74,7 +74,6 @@ class ArduPilot(Firmware):
             self._opened = opened.pop_all()
 
     def step(self, moment: Moment) -> RotorValues:
-        """See `Firmware`."""
         assert self._peer is not None
         for frame in range(FRAMES_PER_STEP):
             earlier_s = (FRAMES_PER_STEP - 1 - frame) / (FRAMES_PER_STEP * STEP_HZ)

@@ -111,7 +111,6 @@ class Px4(Firmware):
             self._opened = opened.pop_all()
 
     def step(self, moment: Moment) -> RotorValues:
-        """See `Firmware`."""
         time_us = round(moment.clock_s * 1e6)
         try:
             self._socket.sendall(self._sensors(moment, time_us) + self._gps(moment))

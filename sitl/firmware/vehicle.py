@@ -80,7 +80,6 @@ class FirmwareVehicle:
         return self._world.state.attitude
 
     def close(self) -> None:
-        """End it."""
         self._firmware.close()
 
 
@@ -118,7 +117,6 @@ class FirmwareNetwork:
         return port
 
     def disconnect(self, port: Any) -> None:
-        """Close a port."""
         self._ports.remove(port)
 
     def receive(self, port: Any, data: bytes, now_s: float) -> None:

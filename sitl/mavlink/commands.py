@@ -17,10 +17,7 @@ from sitl.autopilot.flight.profile import LandingTarget
 FORCE_MAGIC: Final = 21196
 _ARDUPILOT_FORCE_ARM: Final = 2989
 _NOT_GIVEN_E7: Final = 0x7FFFFFFF
-_OVER_HOME: Final = {
-    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-}
+_OVER_HOME: Final = {mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT}
 _POSITION_OF_LONG: Final = mavlink.MAV_FRAME_GLOBAL
 _GLOBAL_FRAMES: Final = _OVER_HOME | {mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT}
 _REBOOT: Final = (1, 3)  # 3 stays in the boot loader, which is not simulated

@@ -102,7 +102,6 @@ def attitude(autopilot: SimulatedAutopilot, now_s: float) -> Message:
 
 
 def attitude_quaternion(autopilot: SimulatedAutopilot, now_s: float) -> Message:
-    """ATTITUDE_QUATERNION."""
     estimate = autopilot.estimate
     return mavlink.MAVLink_attitude_quaternion_message(
         milliseconds(autopilot, now_s), *estimate.attitude, *estimate.rate_body_rad_s

@@ -48,7 +48,6 @@ class SimulationReport:
 
 
 def write_report(report: SimulationReport, path: Path) -> None:
-    """Write a report as JSON."""
     path.write_bytes(TypeAdapter(SimulationReport).dump_json(report))
 
 
@@ -65,9 +64,7 @@ def read_report(path: Path) -> SimulationReport:
 class FlightRun(Protocol):
     """A simulation that runs until it is cancelled, and judges the flight as it stands."""
 
-    async def run(self) -> None:
-        """Go on until cancelled."""
-        ...
+    async def run(self) -> None: ...
 
     def report(self, final_phase: Phase) -> SimulationReport:
         """Judge; `final_phase` is the app's last."""
@@ -121,7 +118,6 @@ async def final_phase() -> Phase | None:
 
 
 def print_json(message: dict[str, Any]) -> None:
-    """Put one line of JSON on standard output."""
     print(json.dumps(message), flush=True)
 
 

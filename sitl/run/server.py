@@ -228,7 +228,7 @@ async def _plug_in(
             "gps": {"port": gps_port.path},
             "range": {"port": range_port.path},
             "vision": {"source": f"socket:{folder / 'camera'}"},
-        },
+        }
     }
     return simulation, settings
 

@@ -136,7 +136,6 @@ class Simulation:
 
     @property
     def imu_bus(self) -> Mpu9250Device:
-        """The register bus of the companion computer's IMU."""
         return self._rack.imu
 
     @property
@@ -146,7 +145,6 @@ class Simulation:
         return self._flight_controller
 
     def close(self) -> None:
-        """End the firmware, if there is one."""
         if isinstance(self._flight_controller, FirmwareVehicle):
             self._flight_controller.close()
 
@@ -172,7 +170,6 @@ class Simulation:
         )
 
     def begin_motion(self) -> None:
-        """Start the hand motion, if it waits."""
         if isinstance(self.world, HandHeldWorld):
             self.world.begin()
 

@@ -34,7 +34,6 @@ class TickTimer:
 
     @property
     def now_s(self) -> float:
-        """The loop's time."""
         return self._clock.now_s()
 
     @property

@@ -54,7 +54,6 @@ class Statistics:
         self._ages: deque[float] = deque(maxlen=_WINDOW)
 
     def take(self, header: FrameHeader, received_s: float) -> None:
-        """Count a frame that has come."""
         if self._last_sequence is not None:
             step = (header.sequence - self._last_sequence) % 2**32
             self.dropped += max(0, step - 1) if step < 2**31 else 0  # a restarted server drops none
@@ -72,7 +71,6 @@ class Statistics:
         return (len(arrivals) - 1) / span_s if span_s > 0.0 else 0.0
 
     def __str__(self) -> str:
-        """One line for people."""
         age = f"{1e3 * median(self._ages):.0f} ms old" if self._ages else "without times"
         return f"{self.count} frames, {self.rate_hz:.1f} a second, {age}, {self.dropped} dropped"
 

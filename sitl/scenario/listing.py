@@ -17,7 +17,6 @@ INDENT: Final = 2 * " "
 
 
 def shipped() -> list[str]:
-    """The names of the shipped scenarios."""
     return sorted(path.stem for path in (CONFIG_FOLDER / "scenarios").glob("*.yaml"))
 
 

@@ -62,7 +62,6 @@ class MagSensor:
 
     @property
     def calibration_errors(self) -> CalibrationErrors:
-        """True calibration errors, in sensor axes, µT."""
         return CalibrationErrors.of(self._matrix, self._mounting, np.array(self._offset))
 
     def sample(self, field_body_ut: Vector3, throttle: float) -> Vector3:
@@ -172,7 +171,6 @@ class RangeSensor:
         self.clear_faults()
 
     def clear_faults(self) -> None:
-        """Clear all faults."""
         self.extra_spikes = 0.0
         self.extra_lost = 0.0
         self.bias_m = 0.0
@@ -219,7 +217,6 @@ class Glitches:
         self.clear_faults()
 
     def clear_faults(self) -> None:
-        """Clear all faults."""
         self.stuck = False
         self.spike_share = 0.0
         self.spike_size = 0.0
@@ -230,7 +227,6 @@ class Glitches:
         self.spike_size = max(self.spike_size, size)
 
     def out(self, value: Vector3) -> Vector3:
-        """The output for a reading."""
         if self.stuck:
             return self._last
         self._last = value

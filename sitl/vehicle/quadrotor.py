@@ -54,7 +54,6 @@ class RotorLayout:
 
     @property
     def count(self) -> int:
-        """How many there are."""
         return len(self.turns)
 
     @property
@@ -128,7 +127,6 @@ class QuadrotorParameters(StrictModel):
 
     @property
     def layout(self) -> RotorLayout:
-        """Where the rotors are."""
         return LAYOUTS[self.rotors]
 
     def hover_share(self) -> float:
@@ -155,7 +153,6 @@ class QuadrotorState:
 
 
 def resting_state(position_ned_m: Vector3, heading_rad: float, rotors: int = 4) -> QuadrotorState:
-    """A level vehicle with stopped motors."""
     attitude = quat_from_euler(0.0, 0.0, heading_rad)
     return QuadrotorState(position_ned_m=position_ned_m, attitude=attitude, thrust_share=(0.0,) * rotors)
 

@@ -75,7 +75,6 @@ class ContactLoad:
 
     @property
     def touching(self) -> bool:
-        """Whether anything touches."""
         return self.on_board + self.on_ground > 0
 
 
@@ -135,7 +134,6 @@ class Contact:
         return ContactLoad(force, torque, touched["board"], touched["ground"])
 
     def release(self) -> None:
-        """Release all contacts."""
         for point in self._points:
             point.surface = None
 

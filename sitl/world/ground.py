@@ -39,7 +39,6 @@ class PadBoard:
 
     @classmethod
     def of(cls, pad: Pad) -> PadBoard:
-        """The board of a pad's layout."""
         return cls(0.5 * pad.length_m, 0.5 * pad.width_m)
 
     def local(self, pad: PadTruth, point_ned_m: Vector3) -> Vector3:
@@ -123,11 +122,7 @@ def ground_effect_reach_m(radius_m: float) -> float:
 
 
 def rotor_ratios(
-    state: QuadrotorState,
-    rotors_body_m: tuple[Vector3, ...],
-    radius_m: float,
-    board: PadBoard,
-    pad: PadTruth,
+    state: QuadrotorState, rotors_body_m: tuple[Vector3, ...], radius_m: float, board: PadBoard, pad: PadTruth
 ) -> RotorValues:
     """Ground effect of each rotor over what lies under its own hub."""
     position = state.position_ned_m

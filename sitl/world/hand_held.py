@@ -67,7 +67,6 @@ class PoseWaypoint(NamedTuple):
 
 
 def arrivals_s(stations: Sequence[PoseWaypoint]) -> list[float]:
-    """When each rest begins."""
     begins = [0.0]
     for before, after in pairwise(stations):
         begins.append(begins[-1] + before.hold_s + after.move_s)
@@ -118,7 +117,6 @@ def swung(middle: Six, waves: Sequence[Waves]) -> HandPath:
 
 
 def added(*helds: PoseAndRate) -> PoseAndRate:
-    """The sum of places and of rates."""
     return PoseAndRate(
         _six(map(sum, zip(*(held.place for held in helds), strict=True))),
         _six(map(sum, zip(*(held.rate for held in helds), strict=True))),
@@ -292,7 +290,6 @@ class HandHeldWorld(World):
             self._begun_s = self.time_s
 
     def step(self, motor_commands: RotorValues, dt_s: float) -> None:
-        """Carry everything on by dt (s)."""
         self._wind_blows(Effects(()), dt_s)
         self._advance(self._felt(self.state, self.time_s + dt_s, dt_s), dt_s)
 

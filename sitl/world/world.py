@@ -216,7 +216,6 @@ class World:
         return self.board.surface_down_m(self.pad_state, north, east) - down
 
     def deck_field_ned_ut(self) -> Vector3:
-        """The pad's own magnetic field where the vehicle is."""
         if not self.pad_state.is_there:
             return ZERO3
         away = subtract(self.state.position_ned_m, self.pad_state.position_ned_m)
@@ -261,7 +260,6 @@ class World:
 
     @property
     def crashed(self) -> bool:
-        """Whether it crashed or turned over."""
         return self._watch.crashed
 
     @property
@@ -280,7 +278,6 @@ class World:
         return self.contact.on_board >= STANDING_FEET and still and steady
 
     def truth(self) -> Truth:
-        """Everything now."""
         return self._truth_of(self._history[-1])
 
     def truth_at(self, time_s: float) -> Truth:

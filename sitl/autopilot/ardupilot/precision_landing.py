@@ -60,7 +60,6 @@ class AxisFilter:
         return (position_m - self.position_m) ** 2 / (self._pp + variance)
 
     def fuse(self, position_m: float, variance: float) -> None:
-        """Fuse a measured position."""
         innovation, total = position_m - self.position_m, self._pp + variance
         gain_p, gain_v = self._pp / total, self._pv / total
         self.position_m += gain_p * innovation
@@ -102,7 +101,6 @@ class ArdupilotPrecisionLanding(PrecisionLanding):
         self.begin(required=False)
 
     def begin(self, *, required: bool) -> None:
-        """Start a landing."""
         self._found = False
         self._retries = 0
         self._last_seen_at: Vector3 | None = None

@@ -274,12 +274,7 @@ ARDUPILOT = AutopilotProfile(
         fence_left("Fence breached", (1, 3, 5), "RTL"),
         fence_left("Fence breached", (2,), "LAND"),
         fence_left("Fence breached", (4,), "BRAKE"),
-        Failsafe(
-            lambda now: now.landed,
-            10.0,
-            Severity.INFO,
-            "Disarming motors",
-        ),
+        Failsafe(lambda now: now.landed, 10.0, Severity.INFO, "Disarming motors"),
         Failsafe(
             lambda now: not now.landed and now.tilt_rad > math.radians(45.0),
             2.0,

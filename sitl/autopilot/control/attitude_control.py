@@ -97,7 +97,6 @@ class RateControl:
         self.reset()
 
     def reset(self) -> None:
-        """Reset the integral and the filters."""
         self._integral = ZERO3
         self._gyro.reset()
         self._target: Vector3 | None = None
@@ -157,12 +156,10 @@ class SecondOrderLowPass:
         self.reset()
 
     def reset(self) -> None:
-        """Reset."""
         self._one: Vector3 | None = None
         self._two = ZERO3
 
     def step(self, value: Vector3, dt_s: float) -> Vector3:
-        """Filter one value."""
         if dt_s != self._dt_s:
             self._dt_s = dt_s
             omega = math.tan(math.pi * min(self._cutoff_hz * dt_s, 0.45))
@@ -249,7 +246,6 @@ class AttitudeControl:
         self._rates = RateControl(inertia_kg_m2, rates, gains.filters)
 
     def reset(self) -> None:
-        """Reset the rate loop."""
         self._rates.reset()
 
     def step(

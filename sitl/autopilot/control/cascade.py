@@ -160,7 +160,6 @@ class Cascade:
 
     @property
     def landed(self) -> bool:
-        """On the ground, motors idle at most."""
         return self._detector.landed
 
     @property
@@ -212,7 +211,6 @@ class Cascade:
         still_speed_m_s: float,
         dt_s: float,
     ) -> None:
-        """One outer step in flight."""
         frozen = self._spool < 1.0
         self._spool = min(1.0, self._spool + dt_s / _SPOOL_UP_S)
         if isinstance(setpoint, AttitudeSetpoint):

@@ -111,7 +111,6 @@ class SimulatedEstimator:
 
     @property
     def motion(self) -> tuple[Vector3, Vector3, Vector3]:
-        """Position, velocity and acceleration."""
         return self.position_ned_m, self.velocity_ned_m_s, self.acceleration_ned_m_s2
 
     def reset_yaw_at(self, time_s: float, by_rad: float) -> None:
@@ -119,7 +118,6 @@ class SimulatedEstimator:
         self._yaw_reset = (time_s, by_rad)
 
     def step_to(self, now_s: float) -> None:
-        """Let what is due happen."""
         if self._yaw_reset is None or now_s < self._yaw_reset[0]:
             return
         by_rad, self._yaw_reset = self._yaw_reset[1], None

@@ -43,7 +43,6 @@ def root_law(error: float, gain: float, limit: float, dt_s: float) -> float:
 
 
 def signed_root_law(error: float, gain: float, limit: float, dt_s: float) -> float:
-    """The same for an error of either sign."""
     return math.copysign(root_law(abs(error), gain, limit, dt_s), error)
 
 
@@ -138,12 +137,10 @@ class Path1:
         self.to_velocity(min(max(wish, -top[0]), top[1]) + velocity, acceleration, by, dt)
 
     def to_velocity(self, velocity: float, acceleration: float, by: ShapingLimits, dt: float) -> None:
-        """One step towards a velocity, on top of an acceleration."""
         wish = signed_root_law(velocity - self.velocity, by.velocity_gain, by.jerk, dt)
         self.to_acceleration(clamp(wish, by.acceleration) + acceleration, by, dt)
 
     def to_acceleration(self, acceleration: float, by: ShapingLimits, dt: float) -> None:
-        """One step towards an acceleration, and on along the path."""
         self.acceleration += clamp(acceleration - self.acceleration, by.jerk * dt)
         limit = self.limit
         way, gain = self.velocity * dt + 0.5 * self.acceleration * dt * dt, self.acceleration * dt
@@ -167,7 +164,6 @@ class FirstOrderLowPass:
         self.value: float | None = None
 
     def step(self, value: float, dt_s: float) -> float:
-        """Filter one value."""
         if self.value is None:
             self.value = value
         else:
@@ -175,5 +171,4 @@ class FirstOrderLowPass:
         return self.value
 
     def reset(self) -> None:
-        """Reset."""
         self.value = None

@@ -130,12 +130,10 @@ class SimulatedAutopilot:
 
     @property
     def armed(self) -> bool:
-        """Motors live."""
         return self._commander.armed
 
     @property
     def mode(self) -> str:
-        """Name of the flight mode."""
         return self._commander.mode.name
 
     @property
@@ -151,7 +149,6 @@ class SimulatedAutopilot:
 
     @property
     def task(self) -> Task:
-        """What is being flown."""
         return self._commander.task
 
     @property
@@ -185,7 +182,6 @@ class SimulatedAutopilot:
 
     @property
     def in_failsafe(self) -> bool:
-        """A failsafe has taken over."""
         return self._commander.in_failsafe
 
     @property
@@ -200,14 +196,12 @@ class SimulatedAutopilot:
 
     @property
     def fence_enabled(self) -> bool:
-        """There is a fence, and it is switched on."""
         switch = self.profile.parameter_map.fence_enabled
         present = bool(self.fence.items) or bool(self._own_fences())
         return present and (switch is None or self.parameters.si(switch) != 0.0)
 
     @property
     def fence_broken(self) -> bool:
-        """The vehicle is outside a fence that is switched on."""
         if not self.fence_enabled or not self.aligned:
             return False
         latitude, longitude, _ = self.geodetic(self.estimate.position_ned_m)
@@ -221,10 +215,7 @@ class SimulatedAutopilot:
     def _beyond_own_fence(self) -> bool:
         own = self.profile.parameter_map
         north, east, down = subtract(self.estimate.position_ned_m, self.home_ned_m)
-        bounds = (
-            (_CIRCLE, own.fence_radius, math.hypot(north, east)),
-            (_CEILING, own.fence_ceiling, -down),
-        )
+        bounds = ((_CIRCLE, own.fence_radius, math.hypot(north, east)), (_CEILING, own.fence_ceiling, -down))
         return any(
             self._own_fences() & bit and most is not None and value > self.parameters.si(most)
             for bit, most, value in bounds
@@ -247,7 +238,6 @@ class SimulatedAutopilot:
 
     @property
     def rc_input(self) -> RcInput:
-        """The RC input."""
         return self._manual_control.rc_input
 
     @property
@@ -304,7 +294,6 @@ class SimulatedAutopilot:
         return ned_from_geodetic(latitude, longitude, altitude, self._origin)
 
     def _home_item(self) -> MissionItem:
-        """Home as a mission's item 0."""
         latitude, longitude, altitude = self.geodetic(self.home_ned_m)
         parameters = (0.0, 0.0, 0.0, 0.0)
         return MissionItem(
@@ -352,7 +341,6 @@ class SimulatedAutopilot:
             self._navigator.speeds.forget()
 
     def _watch(self, up_s: float, setpoint_age_s: float) -> None:
-        """Update the commander's vehicle status."""
         now = self._commander.situation
         now.home_set = up_s >= self.profile.home_s
         if self.position_lost:
@@ -512,7 +500,6 @@ class SimulatedAutopilot:
         return self._commander.disarm(force)
 
     def set_mode(self, custom_mode: int) -> CommandResult:
-        """Change to the mode of that custom_mode."""
         return self._change_mode(self.profile.mode_by_number(custom_mode), custom_mode)
 
     def take_off(self, altitude_m: float) -> CommandResult:
@@ -568,7 +555,6 @@ class SimulatedAutopilot:
         return CommandResult.UNSUPPORTED if mode is None else self._change_mode(mode)
 
     def change_speed(self, kind: int, speed_m_s: float) -> CommandResult:
-        """DO_CHANGE_SPEED."""
         if not self._navigator.speeds.change(kind, speed_m_s):
             return CommandResult.DENIED
         if self.task is Task.GO_TO and kind in (0, 1) and speed_m_s > 0.0:
@@ -608,7 +594,6 @@ class SimulatedAutopilot:
         self._commander.recover()
 
     def send_text(self, severity: Severity, text: str) -> None:
-        """Queue a STATUSTEXT."""
         self._commander.send_text(severity, text)
 
     # ------------------------------------------------------------ missions
@@ -658,7 +643,6 @@ class SimulatedAutopilot:
             self.rc_input.manual(sticks, now_s)
 
     def handle_landing_target(self, target: LandingTarget) -> None:
-        """LANDING_TARGET."""
         if self._precision_landing is not None:
             self._precision_landing.update_target(target)
 
@@ -684,7 +668,6 @@ class SimulatedAutopilot:
         self.stream_fields(dataclasses.replace(fields, is_global=True, position_m=local), now_s)
 
     def stream_attitude(self, fields: StreamedAttitude, now_s: float) -> None:
-        """SET_ATTITUDE_TARGET."""
         self._take(self.profile.read_attitude(fields), now_s)
 
     def _take(self, wish: MotionSetpoint | AttitudeSetpoint | SetpointRefusal, now_s: float) -> None:

@@ -85,7 +85,6 @@ class PrecisionLanding(ABC):
         self._pending = target
 
     def _report_frame(self, severity: Severity, text: str) -> None:
-        """Report once that the target's frame is not taken."""
         if not self._frame_reported:
             self.texts.append((severity, text))
         self._frame_reported = True
@@ -150,23 +149,18 @@ class Parameters:
         return self._names[index] if 0 <= index < len(self._names) else None
 
     def index_of(self, name: str) -> int:
-        """Place of a known name in the list."""
         return self._indices[name]
 
     def is_integer(self, name: str) -> bool:
-        """Whether a known parameter holds an integer."""
         return self._table[name].integer
 
     def bits(self, name: str) -> int:
-        """Size of a known parameter's number."""
         return self._table[name].bits
 
     def reset(self) -> None:
-        """All defaults again."""
         self._values = {parameter.name: float(parameter.default) for parameter in self._table.values()}
 
     def si(self, setting: ParameterRef) -> float:
-        """Value in SI units."""
         return self._values[setting.name] * setting.scale
 
     def set(self, name: str, value: float) -> bool:
@@ -327,7 +321,6 @@ class AutopilotProfile:
 
 
 def landed_after_flight(now: VehicleStatus) -> bool:
-    """On the ground again."""
     return now.landed and now.has_flown
 
 
@@ -342,12 +335,10 @@ def level(now: VehicleStatus) -> bool:
 
 
 def aligned(now: VehicleStatus) -> bool:
-    """The estimator knows attitude and position."""
     return now.aligned
 
 
 def mode_armable(now: VehicleStatus) -> bool:
-    """The present mode allows arming."""
     return now.armable
 
 
@@ -362,7 +353,6 @@ def not_from_flight(mode: Mode, now: VehicleStatus) -> bool:
 
 
 def rc_lost(now: VehicleStatus) -> bool:
-    """RC input was received, and no longer is."""
     return now.rc_lost
 
 

@@ -306,12 +306,7 @@ PX4 = AutopilotProfile(
         fence_left("Failsafe activated: Geofence violated, switching to Return", (3,), "AUTO_RTL"),
         fence_left("Failsafe activated: Geofence violated, switching to Land", (5,), "AUTO_LAND"),
         Failsafe(landed_after_flight, 2.0, Severity.INFO, "Disarmed by landing"),
-        Failsafe(
-            never_flown,
-            10.0,
-            Severity.INFO,
-            "Disarmed by auto preflight disarming",
-        ),
+        Failsafe(never_flown, 10.0, Severity.INFO, "Disarmed by auto preflight disarming"),
     ),
     parameters=PARAMETERS,
     mission=MissionRules(
