@@ -358,10 +358,8 @@ async def _operate(
         await asyncio.sleep(LOOK_S)
     await asyncio.sleep(1.0)
     verdict = judge(
-        world.touchdown,
+        world.watch,
         BOUNDS,
-        contacts=world.contacts,
-        crashed=world.crashed,
         at_rest_on_pad=world.at_rest_on_pad,
         disarmed=not operator.armed,
         final_phase=Phase.LANDED,

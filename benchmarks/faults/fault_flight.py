@@ -211,7 +211,7 @@ async def _fly(
     record.fault_began = simulation.faults.all_begun
     record.texts = list(simulation.status_text_monitor.texts)
     record.crashed, record.at_rest_on_pad = simulation.world.crashed, simulation.world.at_rest_on_pad
-    record.contacts = list(simulation.world.contacts)
+    record.contacts = list(simulation.world.watch.contacts)
     return record
 
 

@@ -338,11 +338,7 @@ def sheet_mm(board: CalibrationBoard, paper: PaperName) -> tuple[float, float]:
 
 
 def write_board(board: CalibrationBoard, path: Path, paper: PaperName) -> list[Path]:
-    """Write the PDF, and beside it the PNG and the board's own file; returns what was written.
-
-    Raises:
-        ConfigError: it does not fit the paper, or a file cannot be written.
-    """
+    """Write the PDF, and beside it the PNG and the board's own file; returns what was written."""
     sheet = sheet_mm(board, paper)
     page = _draw(board, sheet)
     written = [name for kind in (".pdf", ".png") for name in save([page], path.with_suffix(kind))]

@@ -224,11 +224,7 @@ class _Capture:
 
 
 def write_image(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write a picture whole, in the format that the name's ending says.
-
-    Raises:
-        ConfigError: it cannot be written.
-    """
+    """Write a picture whole, in the format that the name's ending says."""
     try:
         good, data = cv2.imencode(path.suffix or ".png", image)
     except cv2.error as error:

@@ -135,12 +135,7 @@ def command(
     force: ForceOption = False,
     version: VersionOption = False,
 ) -> None:
-    """Print a board, or calibrate.
-
-    Raises:
-        ConfigError: the user can correct it.
-        RefusedError: the calibration is not good enough.
-    """
+    """Print a board, or calibrate."""
     given = sources or []
     for source in given:
         if ":" not in source:  # which cameras have

@@ -49,23 +49,14 @@ class CameraCalibrationJob:
 
 
 def print_board(board: CalibrationBoard, output: Path, paper: PaperName) -> None:
-    """Write the board's PDF, PNG and YAML.
-
-    Raises:
-        ConfigError: it does not fit the paper, or a file cannot be written.
-    """
+    """Write the board's PDF, PNG and YAML."""
     must_be_writable("--make-board", output)
     for path in write_board(board, output, paper):
         typer.echo(f"{path}: {board.text}")
 
 
 def calibrate_camera(job: CameraCalibrationJob, board: CalibrationBoard) -> None:
-    """Collect views, calibrate, judge and write.
-
-    Raises:
-        ConfigError: the user can correct it.
-        RefusedError: the calibration is not good enough.
-    """
+    """Collect views, calibrate, judge and write."""
     must_be_writable("--output", job.output)
     # an earlier attempt that took no picture has left its board there
     if job.keep is not None and any(p.name != BOARD_FILE for p in make_folder("--keep", job.keep).iterdir()):

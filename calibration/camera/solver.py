@@ -88,11 +88,7 @@ def fit(
     model: Model,
     guess: Intrinsics | None = None,
 ) -> CameraSolution:
-    """Least squares over all corners: OpenCV's with a flat board, then with the board's shape.
-
-    Raises:
-        UnsolvableError: as `solve`.
-    """
+    """Least squares over all corners: OpenCV's with a flat board, then with the board's shape."""
     fewest = FEWEST_VIEWS_FOR_SHAPE if model == "fisheye" else FEWEST_VIEWS
     if len(views) < fewest:
         raise UnsolvableError(f"{len(views)} usable views of the board; expected {fewest} or more")
@@ -399,11 +395,7 @@ def normal_equations(camera: Intrinsics, surface: Surface, seen: PosedView) -> V
 
 
 def refine(solution: CameraSolution) -> CameraSolution:
-    """Gauss-Newton from a good initial guess to convergence; each step is halved until the cost falls.
-
-    Raises:
-        UnsolvableError: the views leave some of the parameters undetermined.
-    """
+    """Gauss-Newton from a good initial guess to convergence; each step is halved until the cost falls."""
     for _ in range(STEPS):
         parts = [normal_equations(solution.camera, solution.surface, seen) for seen in solution.seen]
         information = np.sum([part.information for part in parts], axis=0)
@@ -463,11 +455,7 @@ WEIGHT_HALVINGS: Final = 60
 
 
 def weighted(solution: CameraSolution) -> CameraSolution:
-    """Refit with each view weighted by its own error variance.
-
-    Raises:
-        UnsolvableError: the views leave some of the parameters undetermined.
-    """
+    """Refit with each view weighted by its own error variance."""
     for _ in range(WEIGHT_ROUNDS):
         weights = view_weights(solution)
         before = np.array([seen.weight for seen in solution.seen])
@@ -480,11 +468,7 @@ def weighted(solution: CameraSolution) -> CameraSolution:
 
 
 def view_weights(solution: CameraSolution) -> FloatArray:
-    """The weight of each view; 1 at the common variance.
-
-    Raises:
-        UnsolvableError: as `weighted`.
-    """
+    """The weight of each view; 1 at the common variance."""
     information = [normal_equations(solution.camera, solution.surface, s).information for s in solution.seen]
     total = np.sum(information, axis=0)
     inverse = solve_scaled(total, np.eye(len(total)))

@@ -17,13 +17,13 @@ from rich.text import Text
 
 from calibration.magnetometer.ellipsoid import (
     CELLS,
+    CENTRES,
     BoolArray,
     Ellipsoid,
     NoEllipsoidError,
     algebraic_fit,
     cells_of,
     covered_cells,
-    lattice,
 )
 from calibration.magnetometer.live import LiveCompass
 from calibration.magnetometer.recording import MagnetometerRecording, paired
@@ -50,11 +50,7 @@ class CollectionLimits:
 
 
 async def collect(source: LiveCompass, limits: CollectionLimits, console: Console) -> MagnetometerRecording:
-    """Collect until the sphere is covered or the time is up.
-
-    Raises:
-        ConfigError: no samples come, or the port cannot be had.
-    """
+    """Collect until the sphere is covered or the time is up."""
     clock = Clock()
     start_s = looked_s = clock.now_s()
     reported_s = start_s - _LINE_S
@@ -116,7 +112,6 @@ _WORTH_TELLING_DEG: Final = 15.0
 _WORST_RATIO: Final = 3.0
 # a smaller ellipsoid is not the Earth's field turned about, but a sensor's noise where it is held still
 _LEAST_FIELD_UT: Final = 15.0
-_CENTRES: Final = lattice(CELLS)
 _TURNS: Final = (("roll right", "roll left"), ("nose up", "nose down"), ("turn right", "turn left"))
 _FACES: Final = (("nose", "tail"), ("right side", "left side"), ("belly", "top"))
 
@@ -182,7 +177,7 @@ def hint(covered: BoolArray, now: FloatArray, down: FloatArray | None) -> str:
     missing = np.flatnonzero(~covered)
     if not missing.size:
         return "all covered"
-    centres = _CENTRES[missing]
+    centres = CENTRES[missing]
     holes = np.sum(centres @ centres.T > _HOLE_COSINE, axis=1) + 0.5 * (centres @ now)
     wanted = centres[int(np.argmax(holes))]
     turn = _turn(wanted, now)

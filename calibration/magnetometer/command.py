@@ -118,12 +118,7 @@ def calibrate_command(
     ] = False,
     version: VersionOption = False,
 ) -> None:
-    """Read or collect, calibrate, judge, write.
-
-    Raises:
-        ConfigError: the user can correct it.
-        RefusedError: the calibration is not good enough.
-    """
+    """Read or collect, calibrate, judge, write."""
     if recording is not None:
         must_exist(recording, "expected a recording")
     if config is not None:

@@ -460,11 +460,11 @@ def lattice(count: int) -> FloatArray:
     return np.stack([radius * np.cos(longitude), radius * np.sin(longitude), z], axis=1)
 
 
-_CENTRES: Final = lattice(CELLS)
+CENTRES: Final = lattice(CELLS)
 
 
 def cells_of(directions: FloatArray) -> NDArray[np.intp]:
-    return np.asarray(np.argmax(directions @ _CENTRES.T, axis=1))
+    return np.asarray(np.argmax(directions @ CENTRES.T, axis=1))
 
 
 def covered_cells(directions: FloatArray) -> BoolArray:

@@ -62,12 +62,7 @@ class MagnetometerCalibrationJob:
 
 
 def calibrate_magnetometer(job: MagnetometerCalibrationJob) -> None:
-    """Read or collect, calibrate, judge and write.
-
-    Raises:
-        ConfigError: the user can correct it.
-        RefusedError: the calibration is not good enough.
-    """
+    """Read or collect, calibrate, judge and write."""
     # a file or a pipe has no width: no figure is broken across lines there
     console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
     settings = CompanionConfig() if job.config is None else load_config(job.config)

@@ -95,11 +95,7 @@ _AXES: Final = "xyz"
 
 
 def write_picture(path: Path, done: Calibrated) -> None:
-    """Write the figure, by its suffix as PNG, PDF or SVG.
-
-    Raises:
-        ConfigError: it cannot be written.
-    """
+    """Write the figure, by its suffix as PNG, PDF or SVG."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import, and not always needed
 
     chosen = np.unique(np.linspace(0, len(done.sphere) - 1, _MOST_POINTS).astype(int))

@@ -30,7 +30,6 @@ from calibration.mount.six_faces import (
     fit_gyro,
     fitting_mountings,
     gyro_reasons,
-    mounting_matrix,
 )
 from calibration.mount.table import read_table
 from companion.base.clock import Clock
@@ -51,6 +50,7 @@ from companion.config import (
 )
 from companion.flightlog.log_file import log_file
 from companion.pad import load_pad
+from companion.sense.imu.mounting import mounting_matrix
 from companion.sense.imu.mpu9250 import Mpu9250
 
 ACCELEROMETER_OF: Final = "accelerometer of "
@@ -89,12 +89,7 @@ class StaticRecording:
 
 
 def calibrate_on_faces(job: ImuJob, order: str | None) -> None:
-    """Collect static intervals, fit, judge and write; `order` is that of the faces in a recording.
-
-    Raises:
-        ConfigError: no samples, or the file cannot be written.
-        RefusedError: it is not good enough.
-    """
+    """Collect static intervals, fit, judge and write; `order` is that of the faces in a recording."""
     settings = load_config(job.config)
     if job.log is None:
         rested = run_until_stopped(faces_from(settings, job.keep, connected_sensors, virtual=False))
@@ -106,12 +101,7 @@ def calibrate_on_faces(job: ImuJob, order: str | None) -> None:
 
 
 def calibrate_accelerometer(rested: StaticRecording, output: Path, *, force: bool) -> None:
-    """Fit, judge and write.
-
-    Raises:
-        ConfigError: the file cannot be written.
-        RefusedError: it is not good enough.
-    """
+    """Fit, judge and write."""
     if not rested.rests:
         raise RefusedError(
             f"{rested.source}: it never lay still; expected rests of 2 s and more on six faces"
@@ -139,12 +129,7 @@ def calibrate_accelerometer(rested: StaticRecording, output: Path, *, force: boo
 
 
 def calibrate_gyro_bias(job: ImuJob) -> None:
-    """Take the mean at rest, judge and write; an accelerometer part that is there stays.
-
-    Raises:
-        ConfigError: no samples, or the file cannot be written.
-        RefusedError: it is not good enough.
-    """
+    """Take the mean at rest, judge and write; an accelerometer part that is there stays."""
     settings = load_config(job.config)
     before = load_model(InertialCalibration, job.output) if job.output.exists() else None
     if job.log is None:
@@ -201,11 +186,7 @@ def _rested(job: ImuJob, log: Path, imu: ImuConfig) -> StaticRecording:
 
 
 def _ordered(rested: StaticRecording, order: str) -> StaticRecording:
-    """With the faces in the order that the user gives.
-
-    Raises:
-        ConfigError: a name is no face's, or there are not as many rests.
-    """
+    """With the faces in the order that the user gives."""
     names = tuple(name.strip() for name in order.split(","))
     if unknown := [name for name in names if name not in FACES]:
         raise ConfigError(f"--order: no face '{unknown[0]}'; expected some of {', '.join(FACES)}")

@@ -20,11 +20,7 @@ GYRO_NAME, MISSES_NAME = "mount_rates.png", "mount_residuals.png"
 def write_mount_plots(
     folder: Path, solution: MountSolution, inertial: ImuSamples, configured: FloatArray
 ) -> list[Path]:
-    """Write both pictures; returns their paths.
-
-    Raises:
-        ConfigError: the folder cannot be written.
-    """
+    """Write both pictures; returns their paths."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - half a second
     from matplotlib.figure import Figure  # noqa: PLC0415
 

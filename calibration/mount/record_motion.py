@@ -44,12 +44,7 @@ from companion.sense.imu.mpu9250 import Mpu9250
 
 
 def record_motion(config: Path, folder: Path, seconds: float, serve: int | None) -> None:
-    """Record from the vehicle's boards until the motion is enough.
-
-    Raises:
-        ConfigError: the folder holds a recording, or a device does not answer.
-        RefusedError: the time was not enough.
-    """
+    """Record from the vehicle's boards until the motion is enough."""
     settings = load_config(config)
     cv2.setNumThreads(1)
     progress = run_until_stopped(record(settings, folder, seconds, serve, connected_sensors, virtual=False))

@@ -43,12 +43,7 @@ def solve_mount(
     *,
     force: bool,
 ) -> None:
-    """Solve, show, judge and write; `lens` is a camera file to use instead of the recording's.
-
-    Raises:
-        ConfigError: the recording is none, or the file cannot be written.
-        RefusedError: it is not good enough.
-    """
+    """Solve, show, judge and write; `lens` is a camera file to use instead of the recording's."""
     recording = read_recording(log, None if lens is None else load_model(CameraConfig, lens))
     place = np.array(recording.vehicle.camera_position_body_m)
     prior = prior_of(recording, position_std_m)

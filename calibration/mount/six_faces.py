@@ -20,15 +20,7 @@ from scipy.optimize import least_squares
 
 from calibration.mount.command import FACES
 from calibration.mount.recording import ImuSamples, Indices
-from companion.base.geometry import (
-    GRAVITY_M_S2,
-    FloatArray,
-    Vector3,
-    euler_from_quat,
-    matrix_from_quat,
-    quat_from_euler,
-    quat_from_matrix,
-)
+from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, euler_from_quat, quat_from_matrix
 from companion.base.messages import ImuSample
 
 MEAN_STD_M_S2: Final = 0.01  # of an interval's mean: noise, and thermal drift within minutes
@@ -107,12 +99,6 @@ def fit_gyro(rests: Sequence[StaticInterval]) -> GyroFit:
 
 
 # ---------------------------------------------------------------- faces and the mounting
-
-
-def mounting_matrix(body_from_sensor_deg: Vector3) -> FloatArray:
-    """Body from sensor (3, 3) by the settings' roll, pitch, yaw."""
-    roll, pitch, yaw = (math.radians(angle) for angle in body_from_sensor_deg)
-    return matrix_from_quat(quat_from_euler(roll, pitch, yaw))
 
 
 def face_of(force: FloatArray, body_from_sensor: FloatArray) -> str | None:

@@ -67,11 +67,7 @@ class Options:
 
 
 def run_campaign(options: Options, console: Console) -> int:
-    """Fly the runs without a row, then print the summary; returns the exit code.
-
-    Raises:
-        ConfigError: a user error.
-    """
+    """Fly the runs without a row, then print the summary; returns the exit code."""
     plan = make_plan(options.sources, options.first_seed, options.runs, options.config, options.firmware)
     with contextlib.ExitStack() as stack:
         folder = options.folder or Path(

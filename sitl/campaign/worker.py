@@ -190,11 +190,7 @@ def _ending(code: int) -> str:
 def fly_locally(
     flights: Sequence[CampaignRun], jobs: int, make_worker: Callable[[], Worker] = Worker
 ) -> Generator[RunResult, None, None]:
-    """Fly runs, `jobs` at a time; they come as they end. Close it early and nothing is left running.
-
-    Raises:
-        ConfigError: the app refuses a scenario or the settings.
-    """
+    """Fly runs, `jobs` at a time; they come as they end. Close it early and nothing is left running."""
     workers = [make_worker() for _ in range(min(jobs, len(flights)))]
     idle: SimpleQueue[Worker] = SimpleQueue()
     for worker in workers:

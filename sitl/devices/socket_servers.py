@@ -210,9 +210,6 @@ async def serve_registers(
     """Start serving `device` at the socket `path`, replacing a stale one; close the server to end.
 
     `on_client` is called for each client, at its first request.
-
-    Raises:
-        ConfigError: the path cannot be used.
     """
 
     async def converse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

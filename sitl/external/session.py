@@ -190,7 +190,7 @@ class ExternalSimulation:
             duration_s=0.0 if self._first_s is None else now_s - self._first_s,
             latest_tick_s=self._latest_tick_s,
             truth=tuple(self._truth),
-            nearest_obstacle_m=self.world.nearest_obstacle_m,
+            nearest_obstacle_m=self.world.watch.nearest_obstacle_m,
             contacts=verdict.contacts,
         )
 
@@ -346,11 +346,7 @@ def print_verdict(verdict: Verdict, bounds: PassBounds) -> None:
 async def serve_external(
     scenario: Scenario, seed: int, folder: Path, connection: str, *, child: bool = False
 ) -> None:
-    """Run the world until standard input or a signal ends it; see the module's docstring.
-
-    Raises:
-        ConfigError: the connection is none, a port is taken, or the scenario does not suit.
-    """
+    """Run the world until standard input or a signal ends it; see the module's docstring."""
     check_connection(connection, "--external")
     async with contextlib.AsyncExitStack() as stack:
         link = await open_link(connection, tell)

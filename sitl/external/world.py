@@ -91,14 +91,14 @@ class ExternalWorld:
         self._load = NO_CONTACT
         self._in_air: Pose | None = None
         self._last: Pose
-        self._watch = TouchdownDetector()
+        self.watch = TouchdownDetector()
         self._pad.stop()
 
     def see(self, sample: Sample, *, armed: bool) -> None:
         """Take the vehicle's next pose; `begin` comes first."""
         assert self.origin is not None
         if armed and not self.armed and self._load.touching:
-            self._watch.begin_flight()
+            self.watch.begin_flight()
         self.armed = armed
         north, east, down = ned_from_geodetic(*sample.place, self.origin)
         position = (north, east, down - self._standing_m)
@@ -134,12 +134,12 @@ class ExternalWorld:
             self._load = NO_CONTACT
             self._in_air = pose
         # the message with the contact has the vehicle already stopped: take the one before
-        self._watch.beside(self._obstacles.clearance_m(pose.position_ned_m))
+        self.watch.beside(self._obstacles.clearance_m(pose.position_ned_m))
         touches_now = self._load.touching and not touched
         state = self._in_air if touches_now and self._in_air is not None else pose
-        self._watch.step(pose.time_s, _body(state), self.pad_at(state.time_s), self._load)
-        self._watch.airborne(lowest_m)
-        self.flown = self.flown or (self.armed and self._watch.flying)
+        self.watch.step(pose.time_s, _body(state), self.pad_at(state.time_s), self._load)
+        self.watch.airborne(lowest_m)
+        self.flown = self.flown or (self.armed and self.watch.flying)
         if self._load.on_board and self._pad.departed and not self._pad.carries:
             self._pad.touch(state)
         elif not self._load.touching and self._pad.carries:
@@ -183,12 +183,7 @@ class ExternalWorld:
     @property
     def touchdown(self) -> TouchdownState | None:
         """The last contact, after a flight above 1 m."""
-        return self._watch.touchdown
-
-    @property
-    def nearest_obstacle_m(self) -> float | None:
-        """The least distance from the rotors' tips to an obstacle so far; None without any."""
-        return self._watch.nearest_obstacle_m
+        return self.watch.touchdown
 
     @property
     def at_rest_on_pad(self) -> bool:
@@ -200,23 +195,16 @@ class ExternalWorld:
     def judge(self, final_phase: Phase) -> Verdict:
         """The verdict as it stands; `final_phase` is the app's last."""
         return judge(
-            self._watch.touchdown,
+            self.watch,
             self._bounds,
-            contacts=self._watch.contacts,
-            crashed=self._watch.crashed,
             at_rest_on_pad=self.at_rest_on_pad,
             disarmed=not self.armed,
             final_phase=final_phase,
-            nearest_obstacle_m=self._watch.nearest_obstacle_m,
         )
 
 
 def _check_level(motion: PadMotion, scenario: Scenario) -> None:
-    """Refuse a pad that leaves the ground: the vehicle's own simulator knows no other surface.
-
-    Raises:
-        ConfigError: it does.
-    """
+    """Refuse a pad that leaves the ground: the vehicle's own simulator knows no other surface."""
     if scenario.pad.deck is not None:
         raise ConfigError(
             f"scenario '{scenario.name}': pad.deck: expected none, since the ground of an external simulator "

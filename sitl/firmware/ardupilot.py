@@ -148,9 +148,6 @@ def _free_instance() -> tuple[Datagrams, int]:
 
     It listens on its second and third serial ports, but only after a while: so that two instances do not
     start with one instance, our end has the number of its first port.
-
-    Raises:
-        ConfigError: none is free.
     """
     for instance in range(INSTANCES):
         first = BASE_PORT + PORTS_PER_INSTANCE * instance

@@ -159,11 +159,7 @@ _EKF_NEEDS: Final = (
 
 
 def start_firmware(spec: FirmwareSpec, setup: Setup, barometer: Barometer) -> Firmware:
-    """A running firmware, which has not booted.
-
-    Raises:
-        ConfigError: it cannot be started.
-    """
+    """A running firmware, which has not booted."""
     return Px4(spec, setup, barometer) if spec.kind == "px4" else ArduPilot(spec, setup)
 
 

@@ -124,9 +124,6 @@ async def serve(
     """Serve a vehicle until Ctrl-C or SIGTERM; `serve_truth`: clients may request the truth.
 
     With a `motion` it is carried by hand. The app's settings that lead to it go to `settings_path`.
-
-    Raises:
-        ConfigError: a port is taken, or a settings file that the scenario names is wrong.
     """
     async with contextlib.AsyncExitStack() as stack:
         unix_at_start_s = start_unix_s(virtual=False) + Clock().now_s()
@@ -168,11 +165,7 @@ async def serve_child(
     motion: HandMotion | None = None,
     firmware: FirmwareSpec | None = None,
 ) -> None:
-    """Run a simulation for a parent process until standard input ends it; see the module's docstring.
-
-    Raises:
-        ConfigError: a settings file that the scenario names is wrong.
-    """
+    """Run a simulation for a parent process until standard input ends it; see the module's docstring."""
     async with contextlib.AsyncExitStack() as stack:
         simulation, devices = await _plug_in(stack, scenario, seed, folder, motion=motion, firmware=firmware)
         udp_port = await _open_udp(stack, simulation, LOOPBACK, 0)

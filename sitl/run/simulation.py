@@ -194,14 +194,11 @@ class Simulation:
         """Judge the flight as it stands; `final_phase` is the app's last."""
         world = self.world
         verdict = judge(
-            world.touchdown,
+            world.watch,
             self._scenario.pass_bounds,
-            contacts=world.contacts,
-            crashed=world.crashed,
             at_rest_on_pad=world.at_rest_on_pad,
             disarmed=not self._flight_controller.armed,
             final_phase=final_phase,
-            nearest_obstacle_m=world.nearest_obstacle_m,
         )
         pad_speed = (
             float(np.linalg.norm(world.pad_state.velocity_ned_m_s))
@@ -216,7 +213,7 @@ class Simulation:
             duration_s=world.time_s,
             latest_tick_s=self._timer.latest_s,
             truth=tuple(self._truth),
-            nearest_obstacle_m=world.nearest_obstacle_m,
+            nearest_obstacle_m=world.watch.nearest_obstacle_m,
             touchdown_pad_m=None if world.touchdown is None else world.touchdown.offset_pad_m,
             as_built=None if self._scenario.as_built is None else world.built.told(),
             contacts=tuple(replace(c, time_s=self._timer.start_s + c.time_s) for c in verdict.contacts),

@@ -48,9 +48,6 @@ class TickTimer:
     async def run(self, tick: Callable[[], None]) -> None:
         """Tick until cancelled, by the loop's timers: a task that sleeps in between costs three times as
         much.
-
-        Raises:
-            Exception: `tick` raised it.
         """
         loop = asyncio.get_running_loop()
         failed: asyncio.Future[None] = loop.create_future()

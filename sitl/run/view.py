@@ -237,11 +237,7 @@ def _print_status(statistics: Statistics) -> None:
 
 
 def run_view(address: str, options: ViewOptions) -> None:
-    """Show or record frames until Ctrl-C, then say how they came.
-
-    Raises:
-        ConfigError: nobody serves frames there, or they cannot be recorded.
-    """
+    """Show or record frames until Ctrl-C, then say how they came."""
     with terminated_as_interrupted():
         statistics = run_until_stopped(_view_until_stopped(address, options))
     print(f"\n{statistics}" if sys.stdout.isatty() else statistics)

@@ -110,9 +110,6 @@ class Contact:
         """The load for the coming step of dt."""
         half = 0.5 * dt_s
         clear_m = self._board.ceiling_down_m(pad) - state.position_ned_m[2]
-        if clear_m > self.reach_m:
-            self.release()
-            return NO_CONTACT
         w, x, y, z = state.attitude
         # the body's axes' shares downwards: most points are too high to touch
         down_x, down_y, down_z = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)

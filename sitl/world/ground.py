@@ -116,17 +116,12 @@ def thrust_ratio(height_m: float, radius_m: float) -> float:
     return 1.0 / (1.0 - share * share)
 
 
-def ground_effect_reach_m(radius_m: float) -> float:
-    """Height over all surfaces above which there is no ground effect."""
-    return NEGLIGIBLE_HEIGHT_IN_RADII * radius_m
-
-
 def rotor_ratios(
     state: QuadrotorState, rotors_body_m: tuple[Vector3, ...], radius_m: float, board: PadBoard, pad: PadTruth
 ) -> RotorValues:
     """Ground effect of each rotor over what lies under its own hub."""
     position = state.position_ned_m
-    if board.ceiling_down_m(pad) - position[2] > ground_effect_reach_m(radius_m):
+    if board.ceiling_down_m(pad) - position[2] > NEGLIGIBLE_HEIGHT_IN_RADII * radius_m:
         return (1.0,) * len(rotors_body_m)
     ratios = []
     for rotor in rotors_body_m:

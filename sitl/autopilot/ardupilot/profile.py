@@ -37,12 +37,10 @@ from sitl.autopilot.flight.profile import (
     ParameterMap,
     ParameterRef,
     Texts,
-    aligned,
     fence_left,
     landed_after_flight,
     level,
     mission_missing,
-    mode_armable,
     not_from_flight,
 )
 
@@ -251,8 +249,8 @@ ARDUPILOT = AutopilotProfile(
         ModeCheck(not_from_flight, "Mode change to {mode} failed: throttle too high"),
     ),
     arming_checks=(
-        ArmingCheck(mode_armable, "Arm: Mode not armable"),
-        ArmingCheck(aligned, "Arm: Need Position Estimate"),
+        ArmingCheck(lambda now: now.armable, "Arm: Mode not armable"),
+        ArmingCheck(lambda now: now.aligned, "Arm: Need Position Estimate"),
         ArmingCheck(level, "Arm: Leaning"),
         ArmingCheck(lambda now: not now.throttle_up, "Arm: Throttle too high"),
     ),

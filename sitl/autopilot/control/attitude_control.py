@@ -18,7 +18,7 @@ from pydantic import Field
 
 from companion.base.geometry import IDENTITY, ZERO3, Quaternion, Vector3, quat_integrate
 from companion.config import StrictModel
-from sitl.autopilot.control.shaping import clamp, signed_root_law
+from sitl.autopilot.control.shaping import clamp, low_pass_share, signed_root_law
 from sitl.vehicle.quadrotor import QuadrotorParameters
 
 Gain = Annotated[float, Field(ge=0.0, le=200.0)]
@@ -179,10 +179,7 @@ class SecondOrderLowPass:
 
 
 def _filter_share(cutoff_hz: float | None, dt_s: float) -> float:
-    """Coefficient of a first-order low-pass for one step."""
-    if cutoff_hz is None:
-        return 1.0
-    return dt_s / (dt_s + 1.0 / (2.0 * math.pi * cutoff_hz))
+    return 1.0 if cutoff_hz is None else low_pass_share(cutoff_hz, dt_s)
 
 
 def _towards(x: Vector3, to: Vector3, share: float) -> Vector3:

@@ -151,23 +151,25 @@ class Path1:
             self.velocity += gain
 
 
+def low_pass_share(cutoff_hz: float, dt_s: float) -> float:
+    """How far a first-order low-pass follows in one step."""
+    return dt_s / (dt_s + 1.0 / (2.0 * math.pi * cutoff_hz))
+
+
 def low_pass(value: float, to: float, cutoff_hz: float, dt_s: float) -> float:
     """A filtered value one step on."""
-    return value + dt_s / (dt_s + 1.0 / (2.0 * math.pi * cutoff_hz)) * (to - value)
+    return value + low_pass_share(cutoff_hz, dt_s) * (to - value)
 
 
 class FirstOrderLowPass:
     """A first-order filter that starts from its first value."""
 
     def __init__(self, cutoff_hz: float) -> None:
-        self._lag_s = 1.0 / (2.0 * math.pi * cutoff_hz)
+        self._cutoff_hz = cutoff_hz
         self.value: float | None = None
 
     def step(self, value: float, dt_s: float) -> float:
-        if self.value is None:
-            self.value = value
-        else:
-            self.value += dt_s / (dt_s + self._lag_s) * (value - self.value)
+        self.value = value if self.value is None else low_pass(self.value, value, self._cutoff_hz, dt_s)
         return self.value
 
     def reset(self) -> None:

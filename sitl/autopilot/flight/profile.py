@@ -324,22 +324,9 @@ def landed_after_flight(now: VehicleStatus) -> bool:
     return now.landed and now.has_flown
 
 
-def never_flown(now: VehicleStatus) -> bool:
-    """Armed, but not flown yet."""
-    return now.landed and not now.has_flown
-
-
 def level(now: VehicleStatus) -> bool:
     """Tilted by less than 20 degrees."""
     return now.tilt_rad < math.radians(20.0)
-
-
-def aligned(now: VehicleStatus) -> bool:
-    return now.aligned
-
-
-def mode_armable(now: VehicleStatus) -> bool:
-    return now.armable
 
 
 def mission_missing(mode: Mode, now: VehicleStatus) -> bool:
@@ -350,10 +337,6 @@ def mission_missing(mode: Mode, now: VehicleStatus) -> bool:
 def not_from_flight(mode: Mode, now: VehicleStatus) -> bool:
     """A manual mode, in flight, without RC input."""
     return not mode.in_flight and now.armed and not now.landed and not now.rc_available
-
-
-def rc_lost(now: VehicleStatus) -> bool:
-    return now.rc_lost
 
 
 def fence_left(title: str, values: tuple[int, ...], mode: str) -> Failsafe:

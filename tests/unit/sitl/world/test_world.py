@@ -25,7 +25,7 @@ from sitl.pad.motion import PadTruth
 from sitl.scenario.scenario import PassBounds, Scenario, load_airframe, load_scenario
 from sitl.vehicle.quadrotor import QuadrotorState, RotorValues, resting_state
 from sitl.world.ground import Obstacles, PadBoard, distance_m, reach_m, rotor_ratios, thrust_ratio
-from sitl.world.score import judge
+from sitl.world.score import TouchdownDetector, judge
 from sitl.world.wind import shear
 from sitl.world.world import Effects, World
 
@@ -126,7 +126,7 @@ def test_a_touchdown_is_measured_just_before_contact_and_relative_to_the_pad() -
         velocity_ned_m_s=(0.1, 2.0, 0.2),
         attitude=quat_from_euler(0.05, 0.0, 0.8),
     )
-    world._watch.airborne(2.0)  # as if it had come down from there
+    world.watch.airborne(2.0)  # as if it had come down from there
     fall_to = math.hypot(0.2, math.sqrt(2 * GRAVITY_M_S2 * 0.05))
     while world.touchdown is None:
         world.step(OFF, DT)
@@ -415,21 +415,14 @@ def test_touching_one_is_a_crash_and_passing_close_by_is_not() -> None:
     assert not near.crashed
     assert near.truth().obstacle_clearance_m == pytest.approx(1.5 - 1.1 - 0.377, abs=1e-3)
     assert touched.crashed
-    assert touched.nearest_obstacle_m is not None
-    assert touched.nearest_obstacle_m < 0.0
+    assert touched.watch.nearest_obstacle_m is not None
+    assert touched.watch.nearest_obstacle_m < 0.0
 
 
 def test_the_verdict_says_what_it_was() -> None:
-    verdict = judge(
-        None,
-        PassBounds(),
-        contacts=(),
-        crashed=True,
-        at_rest_on_pad=False,
-        disarmed=False,
-        final_phase=Phase.SEARCH,
-        nearest_obstacle_m=-0.1,
-    )
+    watch = TouchdownDetector()
+    watch.beside(-0.1)
+    verdict = judge(watch, PassBounds(), at_rest_on_pad=False, disarmed=False, final_phase=Phase.SEARCH)
     assert (verdict.outcome, verdict.failures) == (Outcome.CRASHED, ("touched an obstacle",))
 
 
