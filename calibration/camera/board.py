@@ -315,8 +315,6 @@ def _bends(u: FloatArray, v: FloatArray) -> FloatArray:
 
 
 # ---------------------------------------------------------------- printing
-# The board on paper at its true size: a PDF (and PNG) with a ruler to check the print by.
-#
 # Coordinates on the sheet are millimetres from its lower left corner, as PDF has them.
 
 

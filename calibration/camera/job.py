@@ -12,7 +12,7 @@ import typer
 import yaml
 
 from calibration.camera.board import CalibrationBoard, Surface, board_yaml, write_board
-from calibration.camera.capture import LiveOptions, capture_live
+from calibration.camera.capture import capture_live
 from calibration.camera.command import NAME, Model
 from calibration.camera.encoding import MeasuredEncoding, measure_encoding
 from calibration.camera.gathering import BOARD_FILE, CollectedViews, views_of_photos
@@ -79,11 +79,8 @@ def _live(job: CameraCalibrationJob, board: CalibrationBoard) -> CollectedViews:
     if job.keep is not None:
         write_atomically(job.keep / BOARD_FILE, board_yaml(board))
     typer.echo(f"looking for {board.text}")
-    options = LiveOptions(
-        job.sources[0], job.capture, job.most_views, job.model, job.keep, job.overlay, job.serve_port
-    )
-    session = run_until_stopped(capture_live(board, options, typer.echo))
-    return CollectedViews(session.views, session.size_px, without_password(options.source))
+    session = run_until_stopped(capture_live(board, job, typer.echo))
+    return CollectedViews(session.views, session.size_px, without_password(job.sources[0]))
 
 
 def _finish(
@@ -113,7 +110,6 @@ def _finish(
 
 
 # ---------------------------------------------------------------- result
-# What a camera's calibration leaves: the YAML that the app reads, and lines for a person. Pure.
 
 NAMES: Final = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE_NAMES: Final = ("k1", "k2", "k3", "k4")

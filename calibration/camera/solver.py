@@ -30,18 +30,6 @@ HALF_ANGLES_DEG: Final = (50.0, 65.0, 80.0, 95.0)
 FISHEYE_ROUNDS: Final = 4
 POSE_STEPS: Final = 5
 
-# ---------------------------------------------------------------- weights
-# Weights of the views by the variance of their reprojection errors. Pure.
-#
-# A view that is near, in focus and at rest has more precise corners, and determines most of the camera. With
-# equal weights the result is less precise than it could be, and its stated uncertainty is too large. So the
-# weight of a view is the inverse variance of its own errors. Few corners estimate a variance poorly, so it is
-# shrunk towards the common variance: more if there are fewer corners or the views are more alike (Smyth's
-# empirical Bayes variances, 2004).
-#
-# Outliers are removed before. Weights have a lower bound, because a wrong model shows in some views more than
-# in others, and those must keep their say.
-
 ROUNDS: Final = 8
 FOLDS: Final = 5
 
@@ -245,8 +233,6 @@ def _same(some: Sequence[BoardView], others: Sequence[BoardView]) -> bool:
 
 
 # ---------------------------------------------------------------- adjustment
-# Bundle adjustment of the intrinsics, the board's poses, and the board's shape. Pure.
-#
 # The model is eqs. 2 and 3: pixel = K distort(x/z, y/z), with distortion k1 k2 p1 p2 k3, or with the rational
 # model's k4 k5 k6 after them (radial factor (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶)). The
 # vector of a camera's parameters is fx fy cx cy, then the distortion; a fisheye's is k1 k2 k3 k4 (`lens`).
@@ -444,6 +430,16 @@ def _stepped(
     return solution, False
 
 
+# ---------------------------------------------------------------- weights
+# A view that is near, in focus and at rest has more precise corners, and determines most of the camera. With
+# equal weights the result is less precise than it could be, and its stated uncertainty is too large. So the
+# weight of a view is the inverse variance of its own errors. Few corners estimate a variance poorly, so it is
+# shrunk towards the common variance: more if there are fewer corners or the views are more alike (Smyth's
+# empirical Bayes variances, 2004).
+#
+# Outliers are removed before. Weights have a lower bound, because a wrong model shows in some views more than
+# in others, and those must keep their say.
+
 WEIGHT_ROUNDS: Final = 4
 SMALLEST_CHANGE: Final = 0.01  # of a weight
 # a view that is farther off than this is not less sharp: the model does not fit it, which is to be seen
@@ -501,8 +497,6 @@ def empirical_bayes_variance(variances: FloatArray, freedom: FloatArray) -> tupl
 
 
 # ---------------------------------------------------------------- uncertainty
-# The uncertainty of a calibration: of the intrinsics, and of the projection over the image. Pure.
-#
 # The usual standard deviations, σ² (JᵀJ)⁻¹ with σ from the residuals, hold when all corners err independently
 # and alike. They do not. Some views are sharper than others: `weights` accounts for that. And the errors
 # within a view are correlated. So the scores of the views, corrected for leverage, are compared with their

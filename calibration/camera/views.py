@@ -301,8 +301,6 @@ def _about(
 
 
 # ---------------------------------------------------------------- coverage
-# What of the image and of the board's tilts has been seen, and what to show next, in words. Pure.
-#
 # The image is a mesh of `COLUMNS` x `ROWS` cells; a cell counts once `PER_CELL` corners were seen in it. The
 # board's tilt is the angle between its normal and the line of sight along the optical axis, in four
 # directions named by the edge of the board, as seen in the image, that is farther away.

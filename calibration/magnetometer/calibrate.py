@@ -235,7 +235,6 @@ def _file(
 
 
 # ---------------------------------------------------------------- true field
-# The Earth's field where and when a magnetometer is calibrated: by position and date, or by the settings.
 
 _CARRIED_ON_YEARS: Final = 10.0  # the model errs by a degree or so as far beyond its years
 _POSITION: Final = re.compile(r"\s*([-+\d.]+)\s*,\s*([-+\d.]+)\s*(?:,\s*([-+\d.]+)\s*)?")

@@ -83,8 +83,6 @@ def _numbers(values: object, form: str = "8.3f") -> str:
 
 
 # ---------------------------------------------------------------- pictures
-# The calibration as a picture: the raw ellipsoid against the calibrated sphere (the paper's Fig. 5).
-#
 # Above in three dimensions and by planes, all in shares of the field; below the residuals' histograms, before
 # (about the best sphere) and after.
 

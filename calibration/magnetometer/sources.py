@@ -161,8 +161,6 @@ def read_numpy_table(path: Path) -> SampleTable:
 
 
 # ---------------------------------------------------------------- units
-# Units of the magnetic field: by name, by a column's heading, or worked out from the field's size.
-#
 # The Earth's field is between 22 and 67 µT everywhere on the ground.
 
 _SPELLINGS: Final = {

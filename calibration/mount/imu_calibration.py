@@ -293,7 +293,6 @@ async def _collect(
 
 
 # ---------------------------------------------------------------- result
-# The IMU calibration file and the summary lines, from the fits.
 
 
 def accelerometer_calibration(fit: AccelerometerFit, faces: Sequence[str]) -> AccelerometerCalibration:

@@ -95,7 +95,6 @@ def new_log(folder: Path | None, *, virtual: bool) -> Iterator[FlightLog]:
 
 
 # ---------------------------------------------------------------- sensors
-# The vehicle's own boards that a mount calibration needs: IMU, and camera if wanted. No autopilot.
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +134,6 @@ async def connected_sensors(config: CompanionConfig, camera: bool) -> AsyncItera
 
 
 # ---------------------------------------------------------------- live
-# Reads the sensors live: a thin shell of tasks around the drivers.
-#
 # Every IMU sample and every sighting goes into the log before it is used.
 
 PROGRESS_S: Final = 1.0
@@ -298,8 +295,6 @@ def annotated(image: NDArray[np.uint8], progress: MotionProgress) -> NDArray[np.
 
 
 # ---------------------------------------------------------------- coverage
-# The motion that a recording still lacks, as a hint to the person who holds the vehicle over the pad.
-#
 # Pure: samples in, hints out. Only motion with the pad in view counts: the total rotation about each body
 # axis (extrinsic rotation is observable with rotation about two axes at least), and the time of fast rotation
 # (a time offset of one millisecond is a rotation of 0.06° at 60°/s).

@@ -90,7 +90,6 @@ def write_file(path: Path, calibration: StrictModel, setting: str) -> None:
 
 
 # ---------------------------------------------------------------- result
-# The mount file and the summary lines, from a solution.
 
 
 def shutter_s(recording: MountRecording) -> float:
@@ -179,8 +178,6 @@ def _rounded(values: FloatArray) -> Vector3:
 
 
 # ---------------------------------------------------------------- verdict
-# The acceptance test of a mount calibration: each reason to refuse it in one line.
-#
 # Pure. Limits are in stated standard deviations, or far from what a good recording gives.
 
 FEWEST_SIGHTINGS: Final = 120

@@ -195,8 +195,6 @@ def gyro_reasons(fit: GyroFit, rests: Sequence[StaticInterval]) -> tuple[str, ..
 
 
 # ---------------------------------------------------------------- static intervals
-# Finds the static intervals of a recording: where the IMU lay still.
-#
 # Pure; axes as given. A static interval lasts at least REST_S. In it, both sensors scatter by no more than
 # noise and the vibration of a table, and the specific force is constant. Both ends are cut off, because hands
 # let go and take hold there.
@@ -269,8 +267,6 @@ def _rest(inertial: ImuSamples, edges: Indices, begin: int, end: int) -> list[St
 
 
 # ---------------------------------------------------------------- guide
-# Guides a person through the six faces, and buffers the samples. Pure except for the growing buffer.
-#
 # A face counts once the vehicle has lain on it for HOLD_S, whichever face was asked for: the calibration
 # needs no order. If the face asked for and the face measured differ, the configured mounting of the chip is
 # wrong.

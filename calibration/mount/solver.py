@@ -47,14 +47,6 @@ FEWEST_PER_SEGMENT: Final = 8
 STUDENT_FREEDOM: Final = 5.0
 ROBUST_ITERATIONS: Final = 12
 
-# ---------------------------------------------------------------- correlation
-# The coarse alignment: time offset and rotation that make the camera's rotation match the gyroscope's.
-#
-# Between two sightings the camera rotates by c (camera axes). Over the same time, shifted by the offset, the
-# gyroscope measures a rotation g (body axes). With the right offset g = R c + b dt, where b is the gyro bias.
-# For every offset on a grid, Kabsch's method with outlier weights gives R; the offset with the best fit wins.
-# This needs no initial guess, so it also finds a camera that is mounted the wrong way round.
-
 ITERATIONS: Final = 12
 CONVERGED: Final = 0.03  # of a standard deviation
 NEARLY_CONVERGED: Final = 1.0
@@ -356,8 +348,6 @@ def _halves(reduced: ReducedNormalEquations, covariance: FloatArray) -> FloatArr
 
 
 # ---------------------------------------------------------------- least squares
-# The least-squares problem of a mount calibration: residuals of sightings, and the normal equations.
-#
 # The prediction of a sighting follows from its segment's start state, the integrated motion since then, and
 # the extrinsics. The difference, in standard deviations of the sighting, gives six residuals. The start
 # states (nine unknowns per segment) are eliminated with the Schur complement, so the system to solve is 35 x
@@ -487,6 +477,12 @@ class MountLeastSquares:
         """Sums (s, ...) over each segment's sightings."""
         return np.asarray(np.add.reduceat(values, self._first, axis=0))
 
+
+# ---------------------------------------------------------------- correlation
+# Between two sightings the camera rotates by c (camera axes). Over the same time, shifted by the offset, the
+# gyroscope measures a rotation g (body axes). With the right offset g = R c + b dt, where b is the gyro bias.
+# For every offset on a grid, Kabsch's method with outlier weights gives R; the offset with the best fit wins.
+# This needs no initial guess, so it also finds a camera that is mounted the wrong way round.
 
 PAIR_S: Final = 0.25  # long enough to rotate by more than a pose's noise, short enough to neglect coning
 LONGEST_PAIR_S: Final = 0.5

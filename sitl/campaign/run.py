@@ -196,7 +196,6 @@ def _verdict(rows: Sequence[Row], console: Console, *, bars: bool) -> int:
 
 
 # ---------------------------------------------------------------- progress
-# How far a campaign is: a live bar on a terminal, a line now and then in a log.
 
 LINES_IN_ALL: Final = 10
 

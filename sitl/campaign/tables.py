@@ -106,7 +106,6 @@ def print_worst(console: Console, rows: Sequence[Row]) -> None:
 
 
 # ---------------------------------------------------------------- figures
-# Statistics of a campaign: success rate with its interval, errors at touchdown, the worst runs, bars.
 
 CONFIDENCE: Final = 0.95
 # the worst first; a run that came down is judged by how far off it was

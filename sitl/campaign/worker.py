@@ -184,7 +184,6 @@ def _ending(code: int) -> str:
 
 
 # ---------------------------------------------------------------- pool
-# Runs side by side on this machine: one process a job, each flying one run after another.
 
 
 def fly_locally(

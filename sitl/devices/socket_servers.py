@@ -101,8 +101,6 @@ def _remove(path: Path) -> None:
 
 
 # ---------------------------------------------------------------- frame server
-# Serves frames to other processes on a unix socket or a TCP port (companion/base/formats/frame_format.py).
-#
 # A client that has not taken its last frame yet misses this one: the camera never waits.
 
 

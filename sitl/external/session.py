@@ -40,6 +40,7 @@ from sitl.run.process_control import (
     SimulationReport,
     final_phase,
     print_json,
+    report_of,
     run_until_finished,
 )
 from sitl.run.scene_camera import SceneCamera
@@ -175,23 +176,14 @@ class ExternalSimulation:
 
     def report(self, final_phase: Phase) -> SimulationReport:
         """Judge the flight as it stands; `final_phase` is the app's last."""
-        now_s, verdict = self._clock.now_s(), self.world.judge(final_phase)
-        touchdown = self.world.touchdown
-        pad_speed = (
-            float(np.linalg.norm(self.world.pad_at(now_s).velocity_ned_m_s))
-            if touchdown is None
-            else touchdown.pad_speed_m_s
-        )
-        return SimulationReport(
-            outcome=verdict.outcome,
-            failures=verdict.failures,
-            touchdown=verdict.touchdown,
-            pad_speed_m_s=pad_speed,
+        now_s = self._clock.now_s()
+        return report_of(
+            self.world.judge(final_phase),
+            self.world.watch,
+            self.world.pad_at(now_s),
             duration_s=0.0 if self._first_s is None else now_s - self._first_s,
             latest_tick_s=self._latest_tick_s,
-            truth=tuple(self._truth),
-            nearest_obstacle_m=self.world.watch.nearest_obstacle_m,
-            contacts=verdict.contacts,
+            truth=self._truth,
         )
 
     # ------------------------------------------------------------ the link

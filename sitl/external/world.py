@@ -229,8 +229,6 @@ def _body(pose: Pose) -> QuadrotorState:
 
 
 # ---------------------------------------------------------------- touched pad
-# The pad of an external vehicle: it drives along its motion, and with the vehicle while that stands on it.
-#
 # An external simulator's own ground stops a vehicle that comes down on a moving pad; a real deck would carry
 # it. Camera and rangefinder see the same of both: the vehicle at rest over the pad. So from the contact on
 # the pad goes where the vehicle goes, message by message: it stops with it. What their speeds differed by at

@@ -99,12 +99,7 @@ class ArduPilot(Firmware):
         if magic != MAGIC or frame <= self._frame:
             return False
         self._peer, self._frame = peer, frame
-        self._motors = (
-            _share(pulses[_FRONT]),
-            _share(pulses[_RIGHT]),
-            _share(pulses[_REAR]),
-            _share(pulses[_LEFT]),
-        )
+        self._motors = tuple(_share(pulses[motor]) for motor in (_FRONT, _RIGHT, _REAR, _LEFT))
         return True
 
     def _command(self, spec: FirmwareSpec, instance: int, home: Vector3, parameters: str) -> list[str]:

@@ -149,7 +149,6 @@ def _is_addressed(target: tuple[int, int]) -> bool:
 
 
 # ---------------------------------------------------------------- intruders
-# Whoever else sends on the link: a second companion, and somebody without the key.
 
 _VEHICLE: Final = (1, 1)
 _WRONG_KEY: Final = b"not the key of this vehicle, 32b."[:32]

@@ -36,7 +36,7 @@ from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.network import Network
 from sitl.mavlink.sensor_telemetry import TruthMessages
 from sitl.run.mavlink_line import ByteLink, MavlinkLine
-from sitl.run.process_control import SimulationReport, interrupted_at_once
+from sitl.run.process_control import SimulationReport, interrupted_at_once, report_of
 from sitl.run.scene_camera import CameraTruth, SceneCamera
 from sitl.run.tick_timer import TickTimer
 from sitl.scenario.scenario import Scenario, magnetic_field_ned_ut
@@ -200,20 +200,16 @@ class Simulation:
             disarmed=not self._flight_controller.armed,
             final_phase=final_phase,
         )
-        pad_speed = (
-            float(np.linalg.norm(world.pad_state.velocity_ned_m_s))
-            if world.touchdown is None
-            else world.touchdown.pad_speed_m_s
-        )
-        return SimulationReport(
-            outcome=verdict.outcome,
-            failures=verdict.failures,
-            touchdown=verdict.touchdown,
-            pad_speed_m_s=pad_speed,
+        report = report_of(
+            verdict,
+            world.watch,
+            world.pad_state,
             duration_s=world.time_s,
             latest_tick_s=self._timer.latest_s,
-            truth=tuple(self._truth),
-            nearest_obstacle_m=world.watch.nearest_obstacle_m,
+            truth=self._truth,
+        )
+        return replace(
+            report,
             touchdown_pad_m=None if world.touchdown is None else world.touchdown.offset_pad_m,
             as_built=None if self._scenario.as_built is None else world.built.told(),
             contacts=tuple(replace(c, time_s=self._timer.start_s + c.time_s) for c in verdict.contacts),

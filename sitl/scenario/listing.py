@@ -52,7 +52,6 @@ def _wide(scenarios: Sequence[Scenario]) -> str:
 
 
 # ---------------------------------------------------------------- app settings
-# The app's settings for a served vehicle, as a file for `--config`.
 
 
 def settings_text(scenario: Scenario) -> str:

@@ -202,8 +202,6 @@ class RangeSensor:
 
 
 # ---------------------------------------------------------------- glitches
-# Faults of a three-axis sensor's output: spikes and stuck readings.
-#
 # Pure; the sensor's own axes and units. It has its own random numbers, so that a fault changes no other
 # noise.
 
@@ -238,8 +236,6 @@ class Glitches:
 
 
 # ---------------------------------------------------------------- calibration errors
-# Calibration errors of three-axis sensors: scale, misalignment and offset before calibration.
-#
 #     measured = matrix @ true + offset        (the sensor's own axes, SI units, field in µT)
 #
 # Of the IMU: tolerances of the MPU-9250 product specification PS-MPU-9250A-01 rev. 1.1 (tables 1 and 2),

@@ -383,8 +383,6 @@ def packed(old: QuadrotorState, place: Vector3, x: Moving, share: RotorValues, d
 
 
 # ---------------------------------------------------------------- actuators
-# Motor effectiveness: each motor gives a share of the commanded thrust, by its own thrust curve.
-#
 # A worn propeller, a tired speed controller or a battery's sagging voltage costs thrust and reaction torque
 # alike, so the command itself is scaled, before the motor's lag.
 

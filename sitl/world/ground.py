@@ -133,8 +133,6 @@ def rotor_ratios(
 
 
 # ---------------------------------------------------------------- obstacles
-# The scenario's obstacles as they are: whether the vehicle touches one, and how far it is from the nearest.
-#
 # The vehicle counts as a sphere about its centre that reaches to the farthest rotor's tip, so that no tilt
 # hides a blade. NED from home, m. Independent of the app's planner, so that no mistake is shared.
 # They are solid to the ground and touched is crashed; a pad drives through, pictures and echoes show none.

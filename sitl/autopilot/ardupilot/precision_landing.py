@@ -220,17 +220,13 @@ class ArdupilotPrecisionLanding(PrecisionLanding):
             self._retrying = True
             self.texts.append((Severity.INFO, "PrecLand: Retrying"))
         if math.dist(self._last_seen_at, estimate.position_ned_m) < _BACK_WITHIN_M:
-            self._retrying, self._seen_s = (
-                False,
-                estimate.now_s - _FRESH_S,
-            )  # arrived, no target: wait once more
+            # arrived, no target: wait once more
+            self._retrying, self._seen_s = False, estimate.now_s - _FRESH_S
         return MotionSetpoint(self._last_seen_at)
 
     def _give_up(self, estimate: VehicleEstimate) -> MotionSetpoint | None:
         """Land at the present position, or hover if PLND_STRICT is 2."""
-        if self._strict == _VERY_STRICT:
-            return MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, 0.0))
-        return None
+        return MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, 0.0)) if self._strict == _VERY_STRICT else None
 
 
 def precision_landing(parameters: Parameters) -> ArdupilotPrecisionLanding | None:

@@ -77,13 +77,8 @@ NAVIGATION: frozenset[int] = frozenset(c for c in MissionCommand if c < 95)  # M
 # their x and y are a latitude and a longitude, all others' plain numbers
 PLACES: frozenset[int] = frozenset(
     (NAVIGATION - {MissionCommand.RETURN_TO_LAUNCH, MissionCommand.DELAY})
-    | {
-        MissionCommand.DO_SET_HOME,
-        MissionCommand.DO_LAND_START,
-        31,
-        195,
-        201,
-    }  # LOITER_TO_ALT, DO_SET_ROI(_LOCATION)
+    | {MissionCommand.DO_SET_HOME, MissionCommand.DO_LAND_START}
+    | {31, 195, 201}  # LOITER_TO_ALT, DO_SET_ROI(_LOCATION)
 )
 
 
@@ -273,10 +268,8 @@ class MissionStore:
 
     def landing_start(self) -> int | None:
         """Number of the item DO_LAND_START, None without."""
-        commands = [item.command for item in self.items]
-        return (
-            commands.index(MissionCommand.DO_LAND_START) if MissionCommand.DO_LAND_START in commands else None
-        )
+        numbered = enumerate(self.items)
+        return next((k for k, item in numbered if item.command == MissionCommand.DO_LAND_START), None)
 
     def starts_with_take_off(self) -> bool:
         flown = (item for item in self.items[self.rules.first :] if item.command in NAVIGATION)
