@@ -27,6 +27,7 @@ from sitl.commands import (
     FirmwareOption,
     FirmwareParamOption,
     FirmwarePathOption,
+    FolderOption,
     GroundPortOption,
     PortOption,
     TcpPortOption,
@@ -85,9 +86,7 @@ def companion_sitl(
         Path | None,
         typer.Option(help="Accept signed frames only: a file of 32 bytes or a passphrase.", metavar="FILE"),
     ] = None,
-    folder: Annotated[
-        Path | None, typer.Option(help="Where the sockets go; else a temporary folder.", metavar="DIR")
-    ] = None,
+    folder: FolderOption = None,
     settings: Annotated[
         Path | None, typer.Option(help="Write the app's settings for it here, for --config.", metavar="FILE")
     ] = None,

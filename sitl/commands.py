@@ -20,6 +20,9 @@ from companion.base.signals import run_until_stopped, signals_held_back
 from sitl.campaign import SCENARIOS
 from sitl.vehicle import HandMotion
 
+FolderOption = Annotated[
+    Path | None, typer.Option(help="Where the sockets go; else a temporary folder.", metavar="DIR")
+]
 FirmwareOption = Annotated[
     AutopilotKind | None,
     typer.Option("--firmware", help="Fly the real firmware in lockstep instead of the bundled autopilot."),
@@ -125,9 +128,7 @@ def hand_held_command(
     motion: Annotated[HandMotion, typer.Option(help="How it is carried.")],
     scenario: Annotated[str, typer.Option(help="A name in configs/scenarios, or a file.")] = "static",
     seed: Annotated[int, typer.Option(min=0, help="Repeats it.")] = 0,
-    folder: Annotated[
-        Path | None, typer.Option(help="Where the sockets go; else a temporary folder.", metavar="DIR")
-    ] = None,
+    folder: FolderOption = None,
     settings: Annotated[
         Path | None,
         typer.Option(help="Write the app's settings here; else among the sockets.", metavar="FILE"),

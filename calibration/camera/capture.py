@@ -17,7 +17,6 @@ from calibration.camera.quality import assess
 from calibration.camera.solver import UnsolvableError
 from calibration.camera.views import (
     COLUMNS,
-    ENOUGH_VIEWS,
     ROWS,
     TILTS,
     VIEWS_A_TILT,
@@ -64,11 +63,6 @@ class CaptureSession:
         self._last: tuple[float, BoardView] | None = None
         self._still_since_s: float | None = None
         self._sharpest_px = float("inf")
-
-    @property
-    def complete(self) -> bool:
-        """Whether all that is asked for has been seen."""
-        return len(self.views) >= ENOUGH_VIEWS and self.coverage.complete
 
     def step(self, time_s: float, view: BoardView | None) -> CaptureStep:
         """Take one frame's view of the board (None: not found), at its time."""
@@ -186,7 +180,7 @@ class _Capture:
                 continue
             if self._job.keep is not None:
                 await asyncio.to_thread(write_image, self._job.keep / name, frame.image)
-            if self.session.complete and await self._is_good():
+            if self.session.coverage.complete and await self._is_good():
                 break
 
     async def _is_good(self) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 import yaml
 from rich.table import Table
 
+from calibration.command_line import listed
 from calibration.magnetometer.calibrate import Calibrated, TrueField
 from calibration.magnetometer.ellipsoid import BoolArray
 from companion.base.files import save_figure
@@ -40,11 +41,11 @@ def result_table(done: Calibrated, field: TrueField | None) -> Table:
     )
     table.add_row("sphere covered", f"{figures.coverage:.0%}")
     stds = " ".join(f"{std:.2%}" for std in quality.hard_iron_std)
-    table.add_row("hard iron", f"{_numbers(done.centre)} {unit} (± {stds} of the field)")
+    table.add_row("hard iron", f"{listed(done.centre, '8.3f')} {unit} (± {stds} of the field)")
     for name, row in zip(
         ("soft iron", "", ""), done.matrix / (file.field_strength / fit.radius), strict=True
     ):
-        table.add_row(name, f"{_numbers(row, '8.4f')}" + (f"  (± {fit.matrix_std:.2%})" if name else ""))
+        table.add_row(name, listed(row, "8.4f") + (f"  (± {fit.matrix_std:.2%})" if name else ""))
     table.add_row("field as measured", f"{fit.radius:.4g} {unit}")
     if field is not None:
         found = f"{field.strength_ut:.2f} µT, dip {field.dip_deg:.1f}°: {field.source}"
@@ -76,10 +77,6 @@ def lines(done: Calibrated, *, refused: bool = False) -> list[str]:
         said.append(f"{name}: {same} as parameters of its own (set these, or use the file: not both):")
         said += [f"  {key} {value:.5f}" for key, value in done.parameters.items()]
     return said
-
-
-def _numbers(values: object, form: str = "8.3f") -> str:
-    return " ".join(f"{float(value):{form}}" for value in values)  # type: ignore[attr-defined]
 
 
 # ---------------------------------------------------------------- pictures

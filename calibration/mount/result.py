@@ -9,7 +9,7 @@ import numpy as np
 import typer
 import yaml
 
-from calibration.command_line import RefusedError, today
+from calibration.command_line import RefusedError, listed, today
 from calibration.mount.command import NAME
 from calibration.mount.model import ACCEL_MATRIX, GYRO_BIAS, GYRO_MATRIX, POSITION, MountPrior, log
 from calibration.mount.plots import write_mount_plots
@@ -166,11 +166,6 @@ def mount_lines(found: MountCalibration, solution: MountSolution, recording: Mou
     if solution.std(POSITION).max() > 0.8 * solution.prior.position_m:
         rows.append("the position is the settings': the motion says no more of it")
     return [*rows, *(f"note: {note}" for note in recording.notes)]
-
-
-def listed(values: object, form: str, between: str = " ") -> str:
-    """Numbers in one form, one after another."""
-    return between.join(format(float(v), form) for v in np.asarray(values).tolist())
 
 
 def _rounded(values: FloatArray) -> Vector3:

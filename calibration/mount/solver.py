@@ -131,42 +131,28 @@ def solve(
     Raises:
         NoSolutionError: too little was seen, or it contradicts itself.
     """
-    try:
-        return _solved(inertial, sightings, position_m, shutter_s, prior or MountPrior())
-    except np.linalg.LinAlgError as error:
-        raise NoSolutionError(NO_FIT) from error
-
-
-def _solved(
-    inertial: ImuSamples,
-    sightings: PadObservations,
-    position_m: FloatArray,
-    shutter_s: float,
-    prior: MountPrior,
-) -> MountSolution:
+    prior = prior or MountPrior()
     try:
         coarse = correlate(inertial, sightings)
     except ValueError as error:
         raise NoSolutionError(str(error)) from error
-    problem = _problem(inertial, sightings, coarse.time_offset_s)
     prior_mean = np.zeros(COUNT)
     prior_mean[POSITION], prior_mean[SHUTTER] = position_m, (shutter_s, 0.5 * shutter_s)
     unknowns = Unknowns(coarse.body_from_camera, prior_mean.copy())
     unknowns.values[OFFSET], unknowns.values[GYRO_BIAS] = coarse.time_offset_s, coarse.gyro_bias
-    fit = _Fit(
-        problem,
-        unknowns,
-        _initial_starts(problem, unknowns),
-        prior_mean,
-        prior.standard_deviations(shutter_s),
-    )
-    fit.run_robust()
-    for _ in range(ROUNDS):
-        fit.drop_outliers()
+    std = prior.standard_deviations(shutter_s)
+    try:
+        problem = _problem(inertial, sightings, coarse.time_offset_s)
+        fit = _Fit(problem, unknowns, _initial_starts(problem, unknowns), prior_mean, std)
+        fit.run_robust()
+        for _ in range(ROUNDS):
+            fit.drop_outliers()
+            fit.run()
+            fit.weigh()
         fit.run()
-        fit.weigh()
-    fit.run()
-    return fit.solution(coarse, prior)
+        return fit.solution(coarse, prior)
+    except np.linalg.LinAlgError as error:
+        raise NoSolutionError(NO_FIT) from error
 
 
 def _problem(inertial: ImuSamples, sightings: PadObservations, offset_s: float) -> MountLeastSquares:
