@@ -60,7 +60,6 @@ def scenarios_command(
         str | None, typer.Argument(help="A name in configs/scenarios, or a file.", show_default=False)
     ] = None,
 ) -> None:
-    """List, or show one."""
     if name is not None:
         find_file("scenarios", name)
     from sitl.scenario.listing import listing, settings_text  # noqa: PLC0415 - not for what is not there
@@ -138,7 +137,6 @@ def hand_held_command(
     tcp_port: TcpPortOption = TCP_PORT,
     child: Annotated[bool, typer.Option("--child", hidden=True)] = False,
 ) -> None:
-    """Serve until Ctrl-C; as a child until standard input ends."""
     find_file("scenarios", scenario)
     # what simulates is imported once the scenario is there
     from sitl.run.process_control import socket_folder, terminated_as_interrupted  # noqa: PLC0415
@@ -200,7 +198,6 @@ def campaign_command(
     bars: Annotated[bool, typer.Option("--bars", help="Judge the landings by the project's bars.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No live bar: lines, as for a log.")] = False,
 ) -> None:
-    """Fly a campaign, or go on with one."""
     if scheduler is not None and jobs is not None:
         raise ConfigError("--jobs: the cluster has its own; expected it without --scheduler")
     sources = (*(scenarios or ()), *(more or ())) or SCENARIOS

@@ -325,7 +325,6 @@ class CameraSolution:
 
     @property
     def squares(self) -> float:
-        """The cost: the squared errors, weighted by view (px²)."""
         return sum(s.weight * float(np.sum(s.errors_px**2)) for s in self.seen)
 
 

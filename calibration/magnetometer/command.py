@@ -118,7 +118,6 @@ def calibrate_command(
     ] = False,
     version: VersionOption = False,
 ) -> None:
-    """Read or collect, calibrate, judge, write."""
     if recording is not None:
         must_exist(recording, "expected a recording")
     if config is not None:

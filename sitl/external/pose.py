@@ -196,7 +196,6 @@ class PoseTrack:
 
     @property
     def newest(self) -> Pose | None:
-        """The newest pose; None before the first."""
         return self._poses[-1] if self._poses else None
 
     def put(self, pose: Pose) -> Pose | None:

@@ -175,7 +175,6 @@ class ExternalSimulation:
                 await self._clock.sleep_until(due_s)
 
     def report(self, final_phase: Phase) -> SimulationReport:
-        """Judge the flight as it stands; `final_phase` is the app's last."""
         now_s = self._clock.now_s()
         return report_of(
             self.world.judge(final_phase),

@@ -193,7 +193,6 @@ class ExternalWorld:
         return resting and self._load.on_board >= STANDING_FEET
 
     def judge(self, final_phase: Phase) -> Verdict:
-        """The verdict as it stands; `final_phase` is the app's last."""
         return judge(
             self.watch,
             self._bounds,
@@ -293,7 +292,6 @@ class TouchedPad:
         )
 
     def release(self, time_s: float) -> None:
-        """Drive on: the vehicle has risen."""
         last = self._stretches[-1]
         displaced = add(last.displaced_m, self._carried_m(last, time_s))
         begun_s = self._simulated_s(time_s)

@@ -111,7 +111,6 @@ class FirmwareNetwork:
         self._ports: list[FirmwarePort] = []
 
     def connect(self, write: Write, *, datagrams: bool) -> FirmwarePort:
-        """Open a port for a client; `datagrams`: whole ones are handed to `receive`."""
         port = FirmwarePort(write, datagrams=datagrams)
         self._ports.append(port)
         return port
@@ -159,7 +158,6 @@ _EKF_NEEDS: Final = (
 
 
 def start_firmware(spec: FirmwareSpec, setup: Setup, barometer: Barometer) -> Firmware:
-    """A running firmware, which has not booted."""
     return Px4(spec, setup, barometer) if spec.kind == "px4" else ArduPilot(spec, setup)
 
 

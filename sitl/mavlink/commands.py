@@ -204,7 +204,6 @@ LINK_HANDLERS: Final[dict[int, Callable[[MavlinkEndpoint, CommandRequest, float]
 
 
 def execute(link: MavlinkEndpoint, request: CommandRequest, now_s: float) -> CommandResult:
-    """Execute a command; one that is not in the table is UNSUPPORTED."""
     if (handler := HANDLERS.get(request.command)) is not None:
         return handler(link.autopilot, request)
     of_link = LINK_HANDLERS.get(request.command)

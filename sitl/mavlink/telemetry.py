@@ -52,7 +52,6 @@ def milliseconds(autopilot: SimulatedAutopilot, now_s: float) -> int:
 
 
 def heartbeat(autopilot: SimulatedAutopilot, now_s: float) -> Message:
-    """HEARTBEAT: mode, armed, state."""
     base_mode, custom_mode = autopilot.mode_numbers
     if autopilot.in_failsafe:
         state = mavlink.MAV_STATE_CRITICAL
@@ -161,7 +160,6 @@ def gps_global_origin(autopilot: SimulatedAutopilot, now_s: float) -> Message | 
 
 
 def extended_sys_state(autopilot: SimulatedAutopilot, now_s: float) -> Message:
-    """EXTENDED_SYS_STATE: on the ground or not."""
     landed: int = getattr(mavlink, f"MAV_LANDED_STATE_{autopilot.landed_state.name}")
     return mavlink.MAVLink_extended_sys_state_message(0, landed)
 
@@ -188,7 +186,6 @@ def system_time(autopilot: SimulatedAutopilot, now_s: float) -> Message:
 
 
 def autopilot_version(autopilot: SimulatedAutopilot, now_s: float) -> Message:
-    """AUTOPILOT_VERSION: capabilities and version."""
     profile = autopilot.profile
     return mavlink.MAVLink_autopilot_version_message(
         profile.capabilities, profile.flight_version, 0, 0, 1, [0] * 8, [0] * 8, [0] * 8, 0, 0, 1

@@ -191,7 +191,6 @@ class Simulation:
             raise (group_of_errors if of_firmware is None else of_firmware.exceptions[0]) from None
 
     def report(self, final_phase: Phase) -> SimulationReport:
-        """Judge the flight as it stands; `final_phase` is the app's last."""
         world = self.world
         verdict = judge(
             world.watch,

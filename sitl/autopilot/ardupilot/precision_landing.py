@@ -230,6 +230,5 @@ class ArdupilotPrecisionLanding(PrecisionLanding):
 
 
 def precision_landing(parameters: Parameters) -> ArdupilotPrecisionLanding | None:
-    """The precision landing that the parameters enable at boot, or None."""
     enabled = parameters["PLND_ENABLED"] >= 1.0 and int(parameters["PLND_TYPE"]) == _MAVLINK_TYPE
     return ArdupilotPrecisionLanding(parameters) if enabled else None

@@ -114,7 +114,6 @@ class LandedDetector:
         self.landed = self._sign_for_s >= self.landed_time_s
 
     def lift_off(self) -> None:
-        """Take-off: no longer on the ground."""
         self.landed = self.contact = False
         self._sign_for_s = 0.0
 

@@ -403,7 +403,6 @@ class SimulatedAutopilot:
             self._commander.send_text(Severity.INFO, texts.landed)
 
     def _wanted(self) -> MotionSetpoint | AttitudeSetpoint:
-        """The setpoint of the present task; after a task is done, the next one starts."""
         heading = yaw_from_quat(self.estimate.attitude)
         if self.task is Task.SETPOINT and self._setpoint is not None:
             self._navigator.let_go()  # the next hold starts at a new position
@@ -451,7 +450,6 @@ class SimulatedAutopilot:
         return setpoint
 
     def _precision_landing_setpoint(self, task: Task) -> MotionSetpoint | None:
-        """The setpoint of the autopilot's precision landing, or None."""
         precision_landing = self._precision_landing
         if precision_landing is None or task not in self.profile.precision_landing_tasks:
             self._precision_landing_active = False

@@ -117,7 +117,6 @@ class ManualControl:
     def setpoint(
         self, mode: Mode, heading_rad: float, now_s: float, dt_s: float
     ) -> MotionSetpoint | AttitudeSetpoint | None:
-        """The sticks' setpoint in a manual mode; None: hold."""
         self.stick_mode = None
         sticks = None if mode.sticks is None else self._sticks(now_s)
         if mode.sticks is None or sticks is None:
