@@ -53,7 +53,7 @@ def milliseconds(autopilot: SimulatedAutopilot, now_s: float) -> int:
 
 def heartbeat(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     base_mode, custom_mode = autopilot.mode_numbers
-    if autopilot.in_failsafe:
+    if autopilot.commander.in_failsafe:
         state = mavlink.MAV_STATE_CRITICAL
     elif autopilot.armed:
         state = mavlink.MAV_STATE_ACTIVE
@@ -67,7 +67,7 @@ def heartbeat(autopilot: SimulatedAutopilot, now_s: float) -> Message:
 def current_mode(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """CURRENT_MODE of a PX4 from 1.15 on; it names no standard mode of most of its modes."""
     _, custom_mode = autopilot.mode_numbers
-    return CurrentMode(0, custom_mode, autopilot.intended_mode_number)
+    return CurrentMode(0, custom_mode, autopilot.commander.intended_mode.custom_mode)
 
 
 def sys_status(autopilot: SimulatedAutopilot, now_s: float, unhealthy: int = 0) -> Message:
@@ -144,7 +144,7 @@ def global_position(autopilot: SimulatedAutopilot, now_s: float) -> Message | No
 
 def home_position(autopilot: SimulatedAutopilot, now_s: float) -> Message | None:
     """HOME_POSITION: where it was armed, in both kinds of coordinates."""
-    if not autopilot.home_set:
+    if not autopilot.commander.situation.home_set:
         return None
     home = autopilot.home_ned_m
     return mavlink.MAVLink_home_position_message(
