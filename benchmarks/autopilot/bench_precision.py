@@ -364,7 +364,7 @@ async def _operate(
         disarmed=not operator.armed,
         final_phase=Phase.LANDED,
     )
-    touch = world.touchdown
+    touch = world.watch.touchdown
     if touch is None:
         return PrecisionLandingResult(False, math.nan, math.nan, math.nan, count.targets)
     return PrecisionLandingResult(

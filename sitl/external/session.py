@@ -265,7 +265,7 @@ class ExternalSimulation:
 
     def _report_landing(self) -> None:
         """A table of each landing, for people, when the vehicle has disarmed after it."""
-        touchdown = self.world.touchdown
+        touchdown = self.world.watch.touchdown
         if touchdown is None or self.world.armed or touchdown.time_s == self._reported_touchdown_s:
             return
         self._reported_touchdown_s = touchdown.time_s

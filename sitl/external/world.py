@@ -38,7 +38,7 @@ from sitl.scenario.scenario import Scenario, load_airframe
 from sitl.vehicle.quadrotor import QuadrotorState
 from sitl.world.contact import NO_CONTACT, ContactLoad
 from sitl.world.ground import Obstacles, PadBoard
-from sitl.world.score import TouchdownDetector, TouchdownState, Verdict, judge
+from sitl.world.score import TouchdownDetector, Verdict, judge
 
 PAD_STREAM: Final = 12  # the bundled world's: the same seed gives the same way of the pad
 # A foot this near counts as down: a simulator's ground is level with the first stand to a centimetre, and a
@@ -179,11 +179,6 @@ class ExternalWorld:
             return None
         height = -(pose.position_ned_m[2] + quat_rotate(pose.attitude, sensor_body_m)[2])
         return height if height > 0.0 and tilt_from_quat(pose.attitude) <= half_beam_rad else None
-
-    @property
-    def touchdown(self) -> TouchdownState | None:
-        """The last contact, after a flight above 1 m."""
-        return self.watch.touchdown
 
     @property
     def at_rest_on_pad(self) -> bool:

@@ -209,7 +209,7 @@ class Simulation:
         )
         return replace(
             report,
-            touchdown_pad_m=None if world.touchdown is None else world.touchdown.offset_pad_m,
+            touchdown_pad_m=None if world.watch.touchdown is None else world.watch.touchdown.offset_pad_m,
             as_built=None if self._scenario.as_built is None else world.built.told(),
             contacts=tuple(replace(c, time_s=self._timer.start_s + c.time_s) for c in verdict.contacts),
         )

@@ -34,7 +34,7 @@ from sitl.scenario.scenario import Scenario, load_airframe
 from sitl.vehicle.quadrotor import Motors, Quadrotor, QuadrotorState, RotorValues, packed, resting_state
 from sitl.world.contact import NO_CONTACT, Contact, ContactLoad
 from sitl.world.ground import Obstacles, PadBoard, echo_distance_m, rotor_ratios
-from sitl.world.score import TouchdownDetector, TouchdownState
+from sitl.world.score import TouchdownDetector
 from sitl.world.wind import Wind
 
 HISTORY_S: Final = 0.35
@@ -243,15 +243,6 @@ class World:
         )
 
     # ------------------------------------------------------------ for the score and the camera
-
-    @property
-    def touchdown(self) -> TouchdownState | None:
-        """The last contact, after a flight above 1 m."""
-        return self.watch.touchdown
-
-    @property
-    def crashed(self) -> bool:
-        return self.watch.crashed
 
     @property
     def at_rest_on_pad(self) -> bool:
