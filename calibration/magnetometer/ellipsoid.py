@@ -257,6 +257,7 @@ def distance(x: FloatArray, raw: FloatArray) -> Distance:
 # stated as uncertainty.
 
 Objective = Literal["likelihood", "residual"]
+Asked = Objective | Literal["auto"]
 
 MOST_SAMPLES: Final = 30_000  # more say no more: evenly thinned
 _ROUNDS: Final = 12
@@ -301,9 +302,7 @@ class EllipsoidFit:
         return float(np.sqrt(np.diag(self.covariance)[:6].max()))
 
 
-def fit_ellipsoid(
-    raw: FloatArray, rng: np.random.Generator, objective: Objective | Literal["auto"] = "auto"
-) -> EllipsoidFit:
+def fit_ellipsoid(raw: FloatArray, rng: np.random.Generator, objective: Asked = "auto") -> EllipsoidFit:
     """Fit readings (n, 3), in the order in which they were taken, in any unit.
 
     Raises:

@@ -24,9 +24,7 @@ from companion.link.codec import (
 from sitl.external.pose import (
     ATTITUDE,
     GLOBAL_POSITION,
-    HIL_STATE,
     LOCAL_POSITION,
-    SIM_STATE,
     LocalOrigin,
     Sample,
     estimate,
@@ -35,6 +33,7 @@ from sitl.external.pose import (
     place_of,
     sim_state,
 )
+from sitl.mavlink.sensor_telemetry import HIL_STATE, SIM_STATE
 
 COMPONENT: Final = mavlink.MAV_COMP_ID_USER2
 RATE_HZ: Final = 100.0  # requested rate of the truth, and of the estimates in its place

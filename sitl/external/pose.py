@@ -31,8 +31,6 @@ from companion.base.geometry import (
 )
 from companion.link.codec import Message, mavlink
 
-SIM_STATE: Final = mavlink.MAVLINK_MSG_ID_SIM_STATE
-HIL_STATE: Final = mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
 LOCAL_POSITION: Final = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
 ATTITUDE: Final = mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
 GLOBAL_POSITION: Final = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT

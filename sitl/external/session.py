@@ -44,13 +44,12 @@ from sitl.run.process_control import (
     run_until_finished,
 )
 from sitl.run.scene_camera import SceneCamera
-from sitl.run.simulation import OUT_OF_RANGE_M, TRUTH_EVERY_TICKS
+from sitl.run.simulation import TRUTH_EVERY_TICKS
 from sitl.scenario.scenario import PassBounds, Scenario
+from sitl.sensors.autopilot_sensors import RANGE_PERIOD_S
 from sitl.sensors.inertial import sensor_errors
-from sitl.sensors.sensors import RangeErrors, RangeSensor
+from sitl.sensors.sensors import OUT_OF_RANGE_M, RangeErrors, RangeSensor
 from sitl.world.score import Verdict
-
-RANGE_PERIOD_S: Final = 0.05
 
 
 class RangefinderMessages:

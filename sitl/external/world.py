@@ -36,7 +36,7 @@ from sitl.external.pose import JUMP_M, MEMORY_S, Pose, PoseTrack, Sample
 from sitl.pad.motion import PadMotion, PadTruth, build_pad_motion
 from sitl.scenario.scenario import Scenario, load_airframe
 from sitl.vehicle.quadrotor import QuadrotorState
-from sitl.world.contact import NO_CONTACT, ContactLoad
+from sitl.world.contact import NO_CONTACT, REST_SPEED_M_S, STANDING_FEET, ContactLoad
 from sitl.world.ground import Obstacles, PadBoard
 from sitl.world.score import TouchdownDetector, Verdict, judge
 
@@ -44,8 +44,6 @@ PAD_STREAM: Final = 12  # the bundled world's: the same seed gives the same way 
 # A foot this near counts as down: a simulator's ground is level with the first stand to a centimetre, and a
 # message in 10 ms of a descent at 0.3 m/s is 3 mm.
 CONTACT_M: Final = 0.02
-STANDING_FEET: Final = 3
-REST_SPEED_M_S: Final = 0.05
 LEVEL_M: Final = 0.01
 _LEVEL_EVERY_S: Final = 0.5
 

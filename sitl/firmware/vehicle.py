@@ -19,6 +19,7 @@ from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.framing import FrameReader, MavFrame
 from sitl.mavlink.ground_station import GroundStation
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
+from sitl.sensors.sensors import OUT_OF_RANGE_M
 from sitl.vehicle.quadrotor import QuadrotorState, RotorValues
 from sitl.world.world import World
 
@@ -149,7 +150,6 @@ class FirmwareNetwork:
 MOST_BOOT_S: Final = 90.0
 SETTLE_S: Final = 5.0  # ready, it stands so much longer: its biases go on settling
 STEPS_PER_LOOK: Final = 20
-OUT_OF_RANGE_M: Final = 99.0
 GROUND_STATION: Final = (255, 190)
 # what ArduCopter wants for flying by setpoints: velocity, and a position on the globe
 _EKF_NEEDS: Final = (

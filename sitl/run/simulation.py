@@ -42,7 +42,7 @@ from sitl.run.tick_timer import TickTimer
 from sitl.scenario.scenario import Scenario, magnetic_field_ned_ut
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.sensors.inertial import sensor_errors
-from sitl.sensors.sensors import BoardTruth, RangeErrors
+from sitl.sensors.sensors import OUT_OF_RANGE_M, BoardTruth, RangeErrors
 from sitl.vehicle import HandMotion
 from sitl.world.hand_held import HandHeldWorld
 from sitl.world.score import judge
@@ -56,7 +56,6 @@ RANGE_EVERY_TICKS: Final = 2
 # random draws of the simulation and of its faults; world and sensors draw from (seed, 0..14)
 SIMULATION_STREAM: Final = 20
 FAULT_STREAM: Final = 21
-OUT_OF_RANGE_M: Final = 99.0
 HALF_BEAM_RAD: Final = RangeErrors().half_beam_rad
 
 

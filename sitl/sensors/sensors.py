@@ -17,6 +17,7 @@ import numpy as np
 
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3, add, geodetic_from_ned
 
+OUT_OF_RANGE_M: Final = 99.0  # a height without an echo
 NOISE_BLOCK: Final = 256  # noise is drawn in blocks: one call costs as much as a hundred numbers
 
 

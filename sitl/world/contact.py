@@ -37,6 +37,9 @@ from sitl.world.ground import PadBoard
 Metres = Annotated[float, Field(ge=-2.0, le=2.0)]
 Place = tuple[Metres, Metres, Annotated[float, Field(gt=0.0, le=2.0)]]
 Surface = Literal["board", "ground"]
+# a vehicle stands by so many feet, and is at rest below this speed against what it stands on
+STANDING_FEET: Final = 3
+REST_SPEED_M_S: Final = 0.05
 # A point that is this deep under the board's top did not come from above: it is beside or beneath it.
 DEEPEST_ENTRY_M: Final = 0.02
 MARGIN_M: Final = 0.05

@@ -32,16 +32,14 @@ from companion.pad import load_pad
 from sitl.pad.motion import IncidentMotion, PadTruth, build_pad_motion
 from sitl.scenario.scenario import Scenario, load_airframe
 from sitl.vehicle.quadrotor import Motors, Quadrotor, QuadrotorState, RotorValues, packed, resting_state
-from sitl.world.contact import NO_CONTACT, Contact, ContactLoad
+from sitl.world.contact import NO_CONTACT, REST_SPEED_M_S, STANDING_FEET, Contact, ContactLoad
 from sitl.world.ground import Obstacles, PadBoard, echo_distance_m, rotor_ratios
 from sitl.world.score import TouchdownDetector
 from sitl.world.wind import Wind
 
 HISTORY_S: Final = 0.35
 CLOCK_SLACK_S: Final = 1e-6
-REST_SPEED_M_S: Final = 0.05
 REST_RATE_RAD_S: Final = 0.1
-STANDING_FEET: Final = 3
 
 
 class _Stream(IntEnum):
