@@ -1,10 +1,10 @@
-"""What the calibration programs have in common: options, how they end, and what day it is.
+"""What the calibration programs have in common: options, how they end, what day it is, and numbers in a row.
 
 Exit codes: 0 calibrated (or made what was asked for), 1 refused: the line says why, 2 something the user can
 mend, reported in one line on standard error, 130 interrupted.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Final, NoReturn
@@ -46,3 +46,8 @@ def run(app: typer.Typer, name: str, words: Sequence[str] | None = None) -> NoRe
 def today() -> str:
     """The date and time of a calibration, as its file has it: ISO 8601, UTC."""
     return datetime.fromtimestamp(start_unix_s(virtual=True), UTC).isoformat(timespec="seconds")
+
+
+def listed(values: Iterable[float], form: str, between: str = " ") -> str:
+    """Numbers in one form, one after another."""
+    return between.join(format(float(value), form) for value in values)

@@ -62,11 +62,7 @@ def read_text(path: Path, expected: str) -> TextTable:
 
 
 def read_arrays(path: Path) -> dict[str, Any]:
-    """The arrays of a .npz by their names in lower case; of a .npy its own, by "".
-
-    Raises:
-        ConfigError: unreadable.
-    """
+    """The arrays of a .npz by their names in lower case; of a .npy its own, by ""."""
     try:
         loaded = np.load(path, allow_pickle=False)
         arrays = dict(loaded) if path.suffix.lower() == ".npz" else {"": loaded}

@@ -13,6 +13,7 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.command_line import INTERRUPTED, Ending, VersionOption, new_app, run_program
 from companion.base.errors import ConfigError
 from companion.base.files import find_file
+from companion.base.signals import run_until_stopped, signals_held_back
 from sitl.commands import (
     CAMPAIGN_HELP,
     COMPANION_PORT,
@@ -26,6 +27,7 @@ from sitl.commands import (
     FirmwareOption,
     FirmwareParamOption,
     FirmwarePathOption,
+    FolderOption,
     GroundPortOption,
     PortOption,
     TcpPortOption,
@@ -84,13 +86,9 @@ def companion_sitl(
         Path | None,
         typer.Option(help="Accept signed frames only: a file of 32 bytes or a passphrase.", metavar="FILE"),
     ] = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option(help="Where the sockets go; else a temporary folder.", metavar="DIR"),
-    ] = None,
+    folder: FolderOption = None,
     settings: Annotated[
-        Path | None,
-        typer.Option(help="Write the app's settings for it here, for --config.", metavar="FILE"),
+        Path | None, typer.Option(help="Write the app's settings for it here, for --config.", metavar="FILE")
     ] = None,
     external: Annotated[
         str | None,
@@ -123,23 +121,45 @@ def companion_sitl(
     elif firmware is not None:
         refuse(context, WITH_FIRMWARE, "applies to the bundled autopilot; expected it without --firmware")
     find_file("scenarios", scenario)
-    from sitl.firmware.spec import FirmwareSpec  # noqa: PLC0415 - imports what simulates
-    from sitl.run.server import Service, serve_vehicle  # noqa: PLC0415
+    # what simulates is imported once the scenario is there
+    from sitl.external.session import serve_external  # noqa: PLC0415
+    from sitl.firmware.spec import FirmwareSpec  # noqa: PLC0415
+    from sitl.mavlink.framing import read_key  # noqa: PLC0415
+    from sitl.run.process_control import socket_folder, terminated_as_interrupted  # noqa: PLC0415
+    from sitl.run.server import Service, serve, serve_child  # noqa: PLC0415
+    from sitl.scenario.listing import signed  # noqa: PLC0415
+    from sitl.scenario.scenario import load_scenario, read_home  # noqa: PLC0415
 
-    serve_vehicle(
-        scenario,
-        seed,
-        Service(bind, port, gcs_port, tcp_port),
-        autopilot=autopilot,
-        firmware=FirmwareSpec.of(firmware, firmware_path, firmware_param or ()),
-        home=home,
-        folder=folder,
-        settings=settings,
-        external=external,
-        signing_key=signing_key,
-        child=child,
-        serve_truth=serve_truth,
-    )
+    spec = FirmwareSpec.of(firmware, firmware_path, firmware_param or ())
+    loaded = load_scenario(scenario)
+    if autopilot is not None:
+        loaded = loaded.model_copy(update={"autopilot": autopilot})
+    if home is not None:
+        place, heading_deg = read_home(home)
+        loaded = loaded.model_copy(update={"home": place, "start_heading_deg": heading_deg})
+    if spec is not None:
+        loaded = loaded.model_copy(update={"autopilot": spec.kind})
+    key = None if signing_key is None else read_key(signing_key)
+    with terminated_as_interrupted(), signals_held_back(), socket_folder(folder) as there:
+        if external is not None:
+            serving = serve_external(loaded, seed, there, external, child=child)
+        elif child:
+            serving = serve_child(loaded, seed, there, firmware=spec)
+        else:
+            if signing_key is not None:
+                loaded = signed(loaded, signing_key)
+            service = Service(bind, port, gcs_port, tcp_port)
+            serving = serve(
+                loaded,
+                seed,
+                there,
+                service,
+                key,
+                serve_truth=serve_truth,
+                settings_path=settings,
+                firmware=spec,
+            )
+        run_until_stopped(serving)
 
 
 def refuse(context: typer.Context, allowed: Collection[str], why: str) -> None:

@@ -20,6 +20,9 @@ from companion.base.signals import run_until_stopped, signals_held_back
 from sitl.campaign import SCENARIOS
 from sitl.vehicle import HandMotion
 
+FolderOption = Annotated[
+    Path | None, typer.Option(help="Where the sockets go; else a temporary folder.", metavar="DIR")
+]
 FirmwareOption = Annotated[
     AutopilotKind | None,
     typer.Option("--firmware", help="Fly the real firmware in lockstep instead of the bundled autopilot."),
@@ -57,11 +60,6 @@ def scenarios_command(
         str | None, typer.Argument(help="A name in configs/scenarios, or a file.", show_default=False)
     ] = None,
 ) -> None:
-    """List, or show one.
-
-    Raises:
-        ConfigError: there is no such scenario, or it breaks a rule.
-    """
     if name is not None:
         find_file("scenarios", name)
     from sitl.scenario.listing import listing, settings_text  # noqa: PLC0415 - not for what is not there
@@ -72,7 +70,6 @@ def scenarios_command(
 
 
 def schema_command() -> None:
-    """Print the schema."""
     from sitl.scenario.listing import schema_text  # noqa: PLC0415 - as above
 
     typer.echo(schema_text(), nl=False)
@@ -95,7 +92,6 @@ def view_command(
         typer.Option(min=0, max=65535, help="Show them in a browser, on this port; 0 takes a free one."),
     ] = None,
 ) -> None:
-    """Show or record frames."""
     address = socket if socket.startswith(("socket:", "tcp:")) else f"socket:{socket}"
     if address.startswith("socket:") and not Path(address.removeprefix("socket:")).exists():
         raise ConfigError(f"{address}: No such file or directory; {EXPECTED}")
@@ -131,9 +127,7 @@ def hand_held_command(
     motion: Annotated[HandMotion, typer.Option(help="How it is carried.")],
     scenario: Annotated[str, typer.Option(help="A name in configs/scenarios, or a file.")] = "static",
     seed: Annotated[int, typer.Option(min=0, help="Repeats it.")] = 0,
-    folder: Annotated[
-        Path | None, typer.Option(help="Where the sockets go; else a temporary folder.", metavar="DIR")
-    ] = None,
+    folder: FolderOption = None,
     settings: Annotated[
         Path | None,
         typer.Option(help="Write the app's settings here; else among the sockets.", metavar="FILE"),
@@ -143,11 +137,6 @@ def hand_held_command(
     tcp_port: TcpPortOption = TCP_PORT,
     child: Annotated[bool, typer.Option("--child", hidden=True)] = False,
 ) -> None:
-    """Serve until Ctrl-C; as a child until standard input ends.
-
-    Raises:
-        ConfigError: the scenario is wrong, a port is taken, or the folder is none.
-    """
     find_file("scenarios", scenario)
     # what simulates is imported once the scenario is there
     from sitl.run.process_control import socket_folder, terminated_as_interrupted  # noqa: PLC0415
@@ -209,11 +198,6 @@ def campaign_command(
     bars: Annotated[bool, typer.Option("--bars", help="Judge the landings by the project's bars.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No live bar: lines, as for a log.")] = False,
 ) -> None:
-    """Fly a campaign, or go on with one.
-
-    Raises:
-        ConfigError: a user error.
-    """
     if scheduler is not None and jobs is not None:
         raise ConfigError("--jobs: the cluster has its own; expected it without --scheduler")
     sources = (*(scenarios or ()), *(more or ())) or SCENARIOS

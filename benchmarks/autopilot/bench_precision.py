@@ -362,15 +362,13 @@ async def _operate(
         await asyncio.sleep(LOOK_S)
     await asyncio.sleep(1.0)
     verdict = judge(
-        world.touchdown,
+        world.watch,
         BOUNDS,
-        contacts=world.contacts,
-        crashed=world.crashed,
         at_rest_on_pad=world.at_rest_on_pad,
         disarmed=not operator.armed,
         final_phase=Phase.LANDED,
     )
-    touch = world.touchdown
+    touch = world.watch.touchdown
     if touch is None:
         return PrecisionLandingResult(False, math.nan, math.nan, math.nan, count.targets)
     return PrecisionLandingResult(

@@ -26,7 +26,7 @@ from rich.table import Table
 from benchmarks.report import BenchReport
 from benchmarks.state.streams import fly_stream, rerun, rms, settings_of
 from calibration.magnetometer.calibrate import Calibrated, TrueField, calibrate
-from calibration.magnetometer.collect import CollectionLimits, collect
+from calibration.magnetometer.collect import collect
 from calibration.magnetometer.ellipsoid import fit_ellipsoid
 from calibration.magnetometer.live import Mpu9250Compass
 from calibration.magnetometer.report import yaml_text
@@ -103,7 +103,7 @@ def real(data: Path | None, report: BenchReport) -> dict[str, bool]:
         rng = np.random.default_rng(0)
         path = data / "magnetometer" / name
         recording = read_recording(path, columns=None, unit=None, sensor="other", field_ut=None, rng=rng)
-        done = calibrate(recording, rng, field=None, aligned=False, objective=None, tool="bench", date="")
+        done = calibrate(recording, rng, field=None, aligned=False, tool="bench", date="")
         quality = done.file.quality
         figures = (f"{100 * quality.residual:.3f}", f"{100 * published:.3f}")
         grid.add_row(name, str(len(recording.raw)), *figures, quality.verdict)
@@ -125,11 +125,11 @@ async def carried_about(scenario: Scenario, seed: int) -> tuple[Calibrated, Floa
     """Calibrate a vehicle that is turned about by hand; and its true hard iron (µT)."""
     async with carried(scenario, seed, "tumble", camera=False) as vehicle:
         source = Mpu9250Compass(vehicle.imu_bus, ImuConfig())
-        recording = await collect(source, CollectionLimits(150.0), Console(file=io.StringIO()))
+        recording = await collect(source, Console(file=io.StringIO()), 150.0)
         truth = vehicle.simulation.sensor_truth.boards.magnetometer.offset
     field = TrueField(magnetic_field_ned_ut(scenario.place), "the simulator's")
     rng = np.random.default_rng(0)
-    return calibrate(recording, rng, field=field, aligned=False, objective=None, tool="bench", date=""), truth
+    return calibrate(recording, rng, field=field, aligned=False, tool="bench", date=""), truth
 
 
 def attitude_deg(trial: Trial) -> tuple[float, str]:

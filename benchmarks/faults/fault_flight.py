@@ -217,8 +217,8 @@ async def _fly(
     record.setpoints = list(with_pressure(record.setpoints, log.kept["control_report"]))
     record.fault_began = simulation.faults.all_begun
     record.texts = list(simulation.status_text_monitor.texts)
-    record.crashed, record.at_rest_on_pad = simulation.world.crashed, simulation.world.at_rest_on_pad
-    record.contacts = list(simulation.world.contacts)
+    record.crashed, record.at_rest_on_pad = simulation.world.watch.crashed, simulation.world.at_rest_on_pad
+    record.contacts = list(simulation.world.watch.contacts)
     return record
 
 
@@ -263,11 +263,11 @@ async def _run_app(app: App, limit_s: float, vehicle: InProcess, record: Witness
     flight = asyncio.create_task(app.run())
     world, autopilot = vehicle.simulation.world, vehicle.simulation.autopilot
     moved_s = 0.0
-    while not flight.done() and world.time_s < min(limit_s, moved_s + STANDS_S) and not world.crashed:
+    while not flight.done() and world.time_s < min(limit_s, moved_s + STANDS_S) and not world.watch.crashed:
         if not (world.at_rest_on_pad and autopilot.armed):
             moved_s = world.time_s
         await asyncio.wait([flight], timeout=LOOK_S)
-    if flight.done() or world.crashed:
+    if flight.done() or world.watch.crashed:
         record.app_ended_s = world.time_s
     else:
         record.app_stopped_s = world.time_s
@@ -286,7 +286,7 @@ async def _aftermath(vehicle: InProcess, record: WitnessedFlight) -> None:
     """Go on until it is disarmed and at rest, has held for a while, or has crashed."""
     world, autopilot = vehicle.simulation.world, vehicle.simulation.autopilot
     began_s = ended_s = held_s = world.time_s
-    while autopilot.armed and not world.crashed and world.time_s < ended_s + AFTERMATH_S:
+    while autopilot.armed and not world.watch.crashed and world.time_s < ended_s + AFTERMATH_S:
         if autopilot.mode in OBEYED_MODES and world.time_s < began_s + DRIFTS_S:
             ended_s = world.time_s
         if autopilot.mode not in HOLD_MODES:

@@ -74,7 +74,6 @@ class CalibrationBoard(StrictModel):
 
     @property
     def marker_count(self) -> int:
-        """How many codes are on it."""
         cells = self.columns * self.rows
         return {"charuco": cells // 2, "grid": cells, "chessboard": 0}[self.pattern]
 
@@ -90,7 +89,6 @@ class CalibrationBoard(StrictModel):
 
     @property
     def size_m(self) -> tuple[float, float]:
-        """Width and height of the pattern."""
         if self.pattern == "grid":
             pitch = self.marker_m + self.gap_m
             return self.columns * pitch - self.gap_m, self.rows * pitch - self.gap_m
@@ -133,7 +131,6 @@ class CalibrationBoard(StrictModel):
 
     @cached_property
     def grid(self) -> cv2.aruco.GridBoard:
-        """As OpenCV has it."""
         return cv2.aruco.GridBoard((self.columns, self.rows), self.marker_m, self.gap_m, self._codes)
 
     @cached_property
@@ -265,11 +262,9 @@ class Surface:
         return BEND_COUNT + (self.marker_m is not None)
 
     def flat(self) -> Surface:
-        """The board as specified."""
         return replace(self, numbers=np.zeros(self.count))
 
     def stepped(self, step: FloatArray) -> Surface:
-        """The surface after a step (count,) of its numbers."""
         return replace(self, numbers=self.numbers + step)
 
     def of(self, points_m: FloatArray) -> FloatArray:
@@ -290,7 +285,6 @@ class Surface:
 
     @property
     def bend_m(self) -> FloatArray:
-        """The bend's numbers (3,)."""
         return self.numbers[:BEND_COUNT]
 
     @property
@@ -321,8 +315,6 @@ def _bends(u: FloatArray, v: FloatArray) -> FloatArray:
 
 
 # ---------------------------------------------------------------- printing
-# The board on paper at its true size: a PDF (and PNG) with a ruler to check the print by.
-#
 # Coordinates on the sheet are millimetres from its lower left corner, as PDF has them.
 
 
@@ -344,11 +336,7 @@ def sheet_mm(board: CalibrationBoard, paper: PaperName) -> tuple[float, float]:
 
 
 def write_board(board: CalibrationBoard, path: Path, paper: PaperName) -> list[Path]:
-    """Write the PDF, and beside it the PNG and the board's own file; returns what was written.
-
-    Raises:
-        ConfigError: it does not fit the paper, or a file cannot be written.
-    """
+    """Write the PDF, and beside it the PNG and the board's own file; returns what was written."""
     sheet = sheet_mm(board, paper)
     page = _draw(board, sheet)
     written = [name for kind in (".pdf", ".png") for name in save([page], path.with_suffix(kind))]
@@ -383,6 +371,5 @@ def _draw(board: CalibrationBoard, sheet: tuple[float, float]) -> Page:
 
 
 def pattern_corner_mm(board: CalibrationBoard, sheet: tuple[float, float]) -> tuple[float, float]:
-    """Where the pattern's top left corner is on the sheet."""
     width, height = (1e3 * side for side in board.size_m)
     return 0.5 * (sheet[0] - width), 0.5 * (sheet[1] + FOOT_MM + height)

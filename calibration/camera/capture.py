@@ -1,22 +1,22 @@
 """Which frames of a moving picture are worth keeping: sharp, still, and of something not yet seen. Pure."""
 
+from __future__ import annotations
+
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.camera.board import CalibrationBoard
-from calibration.camera.command import Model
 from calibration.camera.quality import assess
 from calibration.camera.solver import UnsolvableError
 from calibration.camera.views import (
     COLUMNS,
-    ENOUGH_VIEWS,
     ROWS,
     TILTS,
     VIEWS_A_TILT,
@@ -26,8 +26,11 @@ from calibration.camera.views import (
 )
 from companion.base.files import write_atomically
 from companion.base.formats.mjpeg import MjpegServer, serving
-from companion.config import CaptureConfig, ConfigError, without_password
+from companion.config import ConfigError, without_password
 from companion.sense.camera.source import FrameSource, open_camera
+
+if TYPE_CHECKING:
+    from calibration.camera.job import CameraCalibrationJob
 
 # an edge wider than this is blurred, unless this lens makes no sharper ones
 SHARP_EDGE_PX: Final = 3.5
@@ -61,11 +64,6 @@ class CaptureSession:
         self._still_since_s: float | None = None
         self._sharpest_px = float("inf")
 
-    @property
-    def complete(self) -> bool:
-        """Whether all that is asked for has been seen."""
-        return len(self.views) >= ENOUGH_VIEWS and self.coverage.complete
-
     def step(self, time_s: float, view: BoardView | None) -> CaptureStep:
         """Take one frame's view of the board (None: not found), at its time."""
         if view is None:
@@ -86,12 +84,10 @@ class CaptureSession:
         return CaptureStep(True, f"view {len(self.views)} kept; {self.hint()}")
 
     def hint(self) -> str:
-        """What to do next, in words."""
         hints = self.coverage.hints()
         return hints[0] if hints else "all has been seen"
 
     def _still_for(self, time_s: float, view: BoardView) -> float:
-        """For how long the board has not moved."""
         if self._last is None or not 0.0 < time_s - self._last[0] < FORGOTTEN_S:
             self._still_since_s = None
             return 0.0
@@ -126,21 +122,8 @@ def _distance_px(one: BoardView, other: BoardView) -> float | None:
 OVERLAY_PERIOD_S: Final = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class LiveOptions:
-    """How to capture. `keep` and `overlay` are where frames and the overlay's picture go, if anywhere."""
-
-    source: str
-    capture: CaptureConfig
-    most_views: int
-    model: Model
-    keep: Path | None = None
-    overlay: Path | None = None
-    serve_port: int | None = None
-
-
 async def capture_live(
-    board: CalibrationBoard, options: LiveOptions, tell: Callable[[str], None]
+    board: CalibrationBoard, job: CameraCalibrationJob, tell: Callable[[str], None]
 ) -> CaptureSession:
     """Capture until the views calibrate the camera, or there are as many as wanted.
 
@@ -150,16 +133,17 @@ async def capture_live(
         ConfigError: no such camera, images of another size, the camera went away, or a port or folder that
             cannot be used.
     """
-    source = await open_camera(options.source, options.capture)
+    camera = job.sources[0]
+    source = await open_camera(camera, job.capture)
     try:
-        async with serving(options.serve_port, tell) as server:
+        async with serving(job.serve_port, tell) as server:
             for note in source.take_notes():
                 tell(f"camera: {note}")
-            capture = _Capture(board, options, server, tell)
+            capture = _Capture(board, job, server, tell)
             await capture.run(source)
             return capture.session
     except OSError as error:
-        raise ConfigError(f"{without_password(options.source)}: {error}") from error
+        raise ConfigError(f"{without_password(camera)}: {error}") from error
     finally:
         source.close()
 
@@ -168,20 +152,24 @@ class _Capture:
     """One run of it."""
 
     def __init__(
-        self, board: CalibrationBoard, options: LiveOptions, server: MjpegServer, tell: Callable[[str], None]
+        self,
+        board: CalibrationBoard,
+        job: CameraCalibrationJob,
+        server: MjpegServer,
+        tell: Callable[[str], None],
     ) -> None:
-        size = (options.capture.width_px, options.capture.height_px)
+        size = (job.capture.width_px, job.capture.height_px)
         self.session = CaptureSession(size)
         self._finder = BoardFinder(board)
         self._board = board
-        self._options = options
+        self._job = job
         self._server = server
         self._tell = tell
         self._reported = ""
         self._overlay_s = float("-inf")
 
     async def run(self, source: FrameSource) -> None:
-        while len(self.session.views) < self._options.most_views:
+        while len(self.session.views) < self._job.most_views:
             frame = await source.next()
             name = f"view-{len(self.session.views) + 1:04d}.png"
             view = await asyncio.to_thread(self._finder.find, frame.image, name)
@@ -190,9 +178,9 @@ class _Capture:
             await self._show(frame.image, view, step.text, frame.time_s)
             if not step.kept:
                 continue
-            if self._options.keep is not None:
-                await asyncio.to_thread(write_image, self._options.keep / name, frame.image)
-            if self.session.complete and await self._is_good():
+            if self._job.keep is not None:
+                await asyncio.to_thread(write_image, self._job.keep / name, frame.image)
+            if self.session.coverage.complete and await self._is_good():
                 break
 
     async def _is_good(self) -> bool:
@@ -200,7 +188,7 @@ class _Capture:
         board, size = self._board, self.session.size_px
         try:
             found = await asyncio.to_thread(
-                assess, list(self.session.views), size, board.surface, self._options.model
+                assess, list(self.session.views), size, board.surface, self._job.model
             )
         except UnsolvableError as error:
             self._say(f"more views, please: {error}")
@@ -215,22 +203,18 @@ class _Capture:
             self._tell(text)
 
     async def _show(self, image: NDArray[np.uint8], view: BoardView | None, text: str, time_s: float) -> None:
-        file_due = self._options.overlay is not None and time_s - self._overlay_s >= OVERLAY_PERIOD_S
+        file_due = self._job.overlay is not None and time_s - self._overlay_s >= OVERLAY_PERIOD_S
         if not file_due and self._server.viewer_count == 0:
             return
         picture = await asyncio.to_thread(draw, image, self.session, view, text)
         self._server.show(picture)
-        if file_due and self._options.overlay is not None:
+        if file_due and self._job.overlay is not None:
             self._overlay_s = time_s
-            await asyncio.to_thread(write_image, self._options.overlay, picture)
+            await asyncio.to_thread(write_image, self._job.overlay, picture)
 
 
 def write_image(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write a picture whole, in the format that the name's ending says.
-
-    Raises:
-        ConfigError: it cannot be written.
-    """
+    """Write a picture whole, in the format that the name's ending says."""
     try:
         good, data = cv2.imencode(path.suffix or ".png", image)
     except cv2.error as error:
@@ -239,7 +223,6 @@ def write_image(path: Path, image: NDArray[np.uint8]) -> None:
 
 
 # ---------------------------------------------------------------- overlay
-# The live picture: the board's corners, what of the image and of the tilts is missing, and the next hint.
 
 # blue, green, red
 MISSING: Final = (40, 40, 200)

@@ -39,8 +39,7 @@ app = new_app()
 @app.command(help=HELP)
 def command(
     sources: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="SOURCE", help="A camera, or photos.", show_default=False),
+        list[str] | None, typer.Argument(metavar="SOURCE", help="A camera, or photos.", show_default=False)
     ] = None,
     *,
     board: Annotated[
@@ -136,12 +135,7 @@ def command(
     force: ForceOption = False,
     version: VersionOption = False,
 ) -> None:
-    """Print a board, or calibrate.
-
-    Raises:
-        ConfigError: the user can correct it.
-        RefusedError: the calibration is not good enough.
-    """
+    """Print a board, or calibrate."""
     given = sources or []
     for source in given:
         if ":" not in source:  # which cameras have
@@ -195,7 +189,6 @@ def _metres(millimetres: float | None) -> float | None:
 
 
 def main() -> None:
-    """Entry point."""
     run(app, NAME)
 
 

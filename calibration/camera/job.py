@@ -12,7 +12,7 @@ import typer
 import yaml
 
 from calibration.camera.board import CalibrationBoard, Surface, board_yaml, write_board
-from calibration.camera.capture import LiveOptions, capture_live
+from calibration.camera.capture import capture_live
 from calibration.camera.command import NAME, Model
 from calibration.camera.encoding import MeasuredEncoding, measure_encoding
 from calibration.camera.gathering import BOARD_FILE, CollectedViews, views_of_photos
@@ -49,23 +49,14 @@ class CameraCalibrationJob:
 
 
 def print_board(board: CalibrationBoard, output: Path, paper: PaperName) -> None:
-    """Write the board's PDF, PNG and YAML.
-
-    Raises:
-        ConfigError: it does not fit the paper, or a file cannot be written.
-    """
+    """Write the board's PDF, PNG and YAML."""
     must_be_writable("--make-board", output)
     for path in write_board(board, output, paper):
         typer.echo(f"{path}: {board.text}")
 
 
 def calibrate_camera(job: CameraCalibrationJob, board: CalibrationBoard) -> None:
-    """Collect views, calibrate, judge and write.
-
-    Raises:
-        ConfigError: the user can correct it.
-        RefusedError: the calibration is not good enough.
-    """
+    """Collect views, calibrate, judge and write."""
     must_be_writable("--output", job.output)
     # an earlier attempt that took no picture has left its board there
     if job.keep is not None and any(p.name != BOARD_FILE for p in make_folder("--keep", job.keep).iterdir()):
@@ -88,17 +79,13 @@ def _live(job: CameraCalibrationJob, board: CalibrationBoard) -> CollectedViews:
     if job.keep is not None:
         write_atomically(job.keep / BOARD_FILE, board_yaml(board))
     typer.echo(f"looking for {board.text}")
-    options = LiveOptions(
-        job.sources[0], job.capture, job.most_views, job.model, job.keep, job.overlay, job.serve_port
-    )
-    session = run_until_stopped(capture_live(board, options, typer.echo))
-    return CollectedViews(session.views, session.size_px, without_password(options.source))
+    session = run_until_stopped(capture_live(board, job, typer.echo))
+    return CollectedViews(session.views, session.size_px, without_password(job.sources[0]))
 
 
 def _finish(
     job: CameraCalibrationJob, found: CollectedViews, board: CalibrationBoard, capture: CaptureConfig
 ) -> None:
-    """Calibrate from views, show the result, judge and write it."""
     try:
         result = assess(found.views, found.size_px, board.surface, job.model)
     except UnsolvableError as error:
@@ -123,7 +110,6 @@ def _finish(
 
 
 # ---------------------------------------------------------------- result
-# What a camera's calibration leaves: the YAML that the app reads, and lines for a person. Pure.
 
 NAMES: Final = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE_NAMES: Final = ("k1", "k2", "k3", "k4")
@@ -187,7 +173,6 @@ def _distortion_names(count: int) -> tuple[str, ...]:
 
 
 def camera_yaml(camera: CameraConfig) -> str:
-    """The file's text."""
     assert camera.calibration is not None
     words = ", ".join(_distortion_names(len(camera.distortion)))
     forced = (
@@ -199,7 +184,6 @@ def camera_yaml(camera: CameraConfig) -> str:
 
 
 def summary_lines(found: Assessment) -> list[str]:
-    """The result for a person, a line each."""
     solution, std = found.solution, found.uncertainty.std
     camera = solution.camera
     lines = [

@@ -19,11 +19,7 @@ ARROW_SHARE: Final = 0.03
 
 
 def write_plots(folder: Path, found: Assessment, board: CalibrationBoard) -> None:
-    """Draw all into a folder, which is made.
-
-    Raises:
-        ConfigError: the folder cannot be written.
-    """
+    """Draw all into a folder, which is made."""
     make_folder("--plots", folder)
     drawings = (_errors(found), "errors"), (_coverage(found), "coverage"), (_poses(found, board), "poses")
     for figure, name in drawings:

@@ -30,18 +30,6 @@ HALF_ANGLES_DEG: Final = (50.0, 65.0, 80.0, 95.0)
 FISHEYE_ROUNDS: Final = 4
 POSE_STEPS: Final = 5
 
-# ---------------------------------------------------------------- weights
-# Weights of the views by the variance of their reprojection errors. Pure.
-#
-# A view that is near, in focus and at rest has more precise corners, and determines most of the camera. With
-# equal weights the result is less precise than it could be, and its stated uncertainty is too large. So the
-# weight of a view is the inverse variance of its own errors. Few corners estimate a variance poorly, so it is
-# shrunk towards the common variance: more if there are fewer corners or the views are more alike (Smyth's
-# empirical Bayes variances, 2004).
-#
-# Outliers are removed before. Weights have a lower bound, because a wrong model shows in some views more than
-# in others, and those must keep their say.
-
 ROUNDS: Final = 8
 FOLDS: Final = 5
 
@@ -88,11 +76,7 @@ def fit(
     model: Model,
     guess: Intrinsics | None = None,
 ) -> CameraSolution:
-    """Least squares over all corners: OpenCV's with a flat board, then with the board's shape.
-
-    Raises:
-        UnsolvableError: as `solve`.
-    """
+    """Least squares over all corners: OpenCV's with a flat board, then with the board's shape."""
     fewest = FEWEST_VIEWS_FOR_SHAPE if model == "fisheye" else FEWEST_VIEWS
     if len(views) < fewest:
         raise UnsolvableError(f"{len(views)} usable views of the board; expected {fewest} or more")
@@ -249,8 +233,6 @@ def _same(some: Sequence[BoardView], others: Sequence[BoardView]) -> bool:
 
 
 # ---------------------------------------------------------------- adjustment
-# Bundle adjustment of the intrinsics, the board's poses, and the board's shape. Pure.
-#
 # The model is eqs. 2 and 3: pixel = K distort(x/z, y/z), with distortion k1 k2 p1 p2 k3, or with the rational
 # model's k4 k5 k6 after them (radial factor (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶)). The
 # vector of a camera's parameters is fx fy cx cy, then the distortion; a fisheye's is k1 k2 k3 k4 (`lens`).
@@ -276,7 +258,6 @@ class Intrinsics:
 
     @property
     def matrix(self) -> FloatArray:
-        """K (3, 3)."""
         fx, fy, cx, cy = self.numbers[:4]
         return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
@@ -287,7 +268,6 @@ class Intrinsics:
 
     @property
     def model(self) -> Model:
-        """The distortion model."""
         return MODELS[len(self.distortion)]
 
     def project(
@@ -325,7 +305,6 @@ class PosedView:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square of the errors' lengths."""
         return rms(self.errors_px)
 
 
@@ -346,7 +325,6 @@ class CameraSolution:
 
     @property
     def squares(self) -> float:
-        """The cost: the squared errors, weighted by view (px²)."""
         return sum(s.weight * float(np.sum(s.errors_px**2)) for s in self.seen)
 
 
@@ -402,11 +380,7 @@ def normal_equations(camera: Intrinsics, surface: Surface, seen: PosedView) -> V
 
 
 def refine(solution: CameraSolution) -> CameraSolution:
-    """Gauss-Newton from a good initial guess to convergence; each step is halved until the cost falls.
-
-    Raises:
-        UnsolvableError: the views leave some of the parameters undetermined.
-    """
+    """Gauss-Newton from a good initial guess to convergence; each step is halved until the cost falls."""
     for _ in range(STEPS):
         parts = [normal_equations(solution.camera, solution.surface, seen) for seen in solution.seen]
         information = np.sum([part.information for part in parts], axis=0)
@@ -455,6 +429,16 @@ def _stepped(
     return solution, False
 
 
+# ---------------------------------------------------------------- weights
+# A view that is near, in focus and at rest has more precise corners, and determines most of the camera. With
+# equal weights the result is less precise than it could be, and its stated uncertainty is too large. So the
+# weight of a view is the inverse variance of its own errors. Few corners estimate a variance poorly, so it is
+# shrunk towards the common variance: more if there are fewer corners or the views are more alike (Smyth's
+# empirical Bayes variances, 2004).
+#
+# Outliers are removed before. Weights have a lower bound, because a wrong model shows in some views more than
+# in others, and those must keep their say.
+
 WEIGHT_ROUNDS: Final = 4
 SMALLEST_CHANGE: Final = 0.01  # of a weight
 # a view that is farther off than this is not less sharp: the model does not fit it, which is to be seen
@@ -466,11 +450,7 @@ WEIGHT_HALVINGS: Final = 60
 
 
 def weighted(solution: CameraSolution) -> CameraSolution:
-    """Refit with each view weighted by its own error variance.
-
-    Raises:
-        UnsolvableError: the views leave some of the parameters undetermined.
-    """
+    """Refit with each view weighted by its own error variance."""
     for _ in range(WEIGHT_ROUNDS):
         weights = view_weights(solution)
         before = np.array([seen.weight for seen in solution.seen])
@@ -483,11 +463,7 @@ def weighted(solution: CameraSolution) -> CameraSolution:
 
 
 def view_weights(solution: CameraSolution) -> FloatArray:
-    """The weight of each view; 1 at the common variance.
-
-    Raises:
-        UnsolvableError: as `weighted`.
-    """
+    """The weight of each view; 1 at the common variance."""
     information = [normal_equations(solution.camera, solution.surface, s).information for s in solution.seen]
     total = np.sum(information, axis=0)
     inverse = solve_scaled(total, np.eye(len(total)))
@@ -520,8 +496,6 @@ def empirical_bayes_variance(variances: FloatArray, freedom: FloatArray) -> tupl
 
 
 # ---------------------------------------------------------------- uncertainty
-# The uncertainty of a calibration: of the intrinsics, and of the projection over the image. Pure.
-#
 # The usual standard deviations, σ² (JᵀJ)⁻¹ with σ from the residuals, hold when all corners err independently
 # and alike. They do not. Some views are sharper than others: `weights` accounts for that. And the errors
 # within a view are correlated. So the scores of the views, corrected for leverage, are compared with their
@@ -545,7 +519,6 @@ class Uncertainty:
 
     @property
     def std(self) -> FloatArray:
-        """Standard deviations of the camera's parameters."""
         return np.sqrt(np.diag(self.covariance))
 
 

@@ -58,7 +58,6 @@ class BoardView:
     edges: FloatArray = field(default_factory=lambda: NO_EDGES)
 
     def only(self, kept: NDArray[np.bool_]) -> BoardView:
-        """The view with some of its points."""
         return BoardView(
             self.name, self.ids[kept], self.points_m[kept], self.corners_px[kept], self.edge_px, self.edges
         )
@@ -302,8 +301,6 @@ def _about(
 
 
 # ---------------------------------------------------------------- coverage
-# What of the image and of the board's tilts has been seen, and what to show next, in words. Pure.
-#
 # The image is a mesh of `COLUMNS` x `ROWS` cells; a cell counts once `PER_CELL` corners were seen in it. The
 # board's tilt is the angle between its normal and the line of sight along the optical axis, in four
 # directions named by the edge of the board, as seen in the image, that is farther away.
@@ -390,17 +387,14 @@ class ImageCoverage:
 
     @property
     def covered(self) -> NDArray[np.bool_]:
-        """Which cells (rows, columns) have been seen."""
         return np.asarray(self.corner_count >= PER_CELL)
 
     @property
     def share(self) -> float:
-        """Of the image's cells that have been seen."""
         return float(self.covered.mean())
 
     @property
     def largest_tilt_deg(self) -> float:
-        """Of all views."""
         return max((tilt.angle_deg for tilt in self.tilts), default=0.0)
 
     @property
@@ -415,16 +409,13 @@ class ImageCoverage:
 
     @property
     def missing_tilts(self) -> list[str]:
-        """The edges that have not been away often enough."""
         return [name for name in TILTS if self.tilt_count(name) < VIEWS_A_TILT]
 
     def tilt_count(self, direction: str) -> int:
-        """How many views had that edge away."""
         return sum(direction in tilt.directions for tilt in self.tilts)
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is missing."""
         return not self.hints()
 
     def hints(self) -> list[str]:

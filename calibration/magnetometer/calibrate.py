@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 
 from calibration.magnetometer.ellipsoid import (
+    Asked,
     EllipsoidFit,
     NoEllipsoidError,
-    Objective,
     covered_share,
     fit_ellipsoid,
 )
@@ -86,7 +86,7 @@ def calibrate(
     *,
     field: TrueField | None,
     aligned: bool,
-    objective: Objective | None,
+    objective: Asked = "auto",
     tool: str,
     date: str,
 ) -> Calibrated:
@@ -166,12 +166,10 @@ def _directions(sphere: FloatArray) -> FloatArray:
     return np.asarray(sphere / np.linalg.norm(sphere, axis=1)[:, None])
 
 
-def _fit(
-    recording: MagnetometerRecording, rng: np.random.Generator, objective: Objective | None
-) -> EllipsoidFit:
+def _fit(recording: MagnetometerRecording, rng: np.random.Generator, objective: Asked) -> EllipsoidFit:
     raw, mounting = recording.raw, recording.body_from_sensor
     try:
-        fit = fit_ellipsoid(raw, rng, objective or "auto")
+        fit = fit_ellipsoid(raw, rng, objective)
     except NoEllipsoidError as error:
         raise UnfitError(f"{error}; next: {beside_plane(raw, mounting)}") from error
     if fit.kept.mean() < _LEAST_KEPT or not np.isfinite(fit.covariance).all():
@@ -235,7 +233,6 @@ def _file(
 
 
 # ---------------------------------------------------------------- true field
-# The Earth's field where and when a magnetometer is calibrated: by position and date, or by the settings.
 
 _CARRIED_ON_YEARS: Final = 10.0  # the model errs by a degree or so as far beyond its years
 _POSITION: Final = re.compile(r"\s*([-+\d.]+)\s*,\s*([-+\d.]+)\s*(?:,\s*([-+\d.]+)\s*)?")

@@ -17,13 +17,13 @@ from rich.text import Text
 
 from calibration.magnetometer.ellipsoid import (
     CELLS,
+    CENTRES,
     BoolArray,
     Ellipsoid,
     NoEllipsoidError,
     algebraic_fit,
     cells_of,
     covered_cells,
-    lattice,
 )
 from calibration.magnetometer.live import LiveCompass
 from calibration.magnetometer.recording import MagnetometerRecording, paired
@@ -40,30 +40,23 @@ _RECENT: Final = 200  # inertial samples: guidance needs the newest alone
 _LINE_S: Final = 3.0
 
 
-@dataclass(frozen=True, slots=True)
-class CollectionLimits:
-    """When to stop though it is not covered; where the picture goes; the browser's port (None: none)."""
-
-    time_s: float
-    picture: Path | None = None
-    port: int | None = None
-
-
-async def collect(source: LiveCompass, limits: CollectionLimits, console: Console) -> MagnetometerRecording:
-    """Collect until the sphere is covered or the time is up.
-
-    Raises:
-        ConfigError: no samples come, or the port cannot be had.
-    """
+async def collect(
+    source: LiveCompass,
+    console: Console,
+    limit_s: float,
+    picture: Path | None = None,
+    port: int | None = None,
+) -> MagnetometerRecording:
+    """Collect until the sphere is covered or the time is up; `port` is the browser's (None: none)."""
     clock = Clock()
     start_s = looked_s = clock.now_s()
     reported_s = start_s - _LINE_S
     now = CoverageProgress(0, np.zeros(CELLS, dtype=bool), None, "")
     # a map that is drawn over and over; for what is no terminal a line now and then
     terminal = Live(console=console, auto_refresh=False) if console.is_terminal else nullcontext()
-    async with serving(limits.port, console.print) as browser:
+    async with serving(port, console.print) as browser:
         with terminal as screen:
-            while clock.now_s() - start_s < limits.time_s:
+            while clock.now_s() - start_s < limit_s:
                 mags, imus = await source.more()
                 if clock.now_s() - looked_s < _LOOK_S:
                     continue
@@ -77,14 +70,14 @@ async def collect(source: LiveCompass, limits: CollectionLimits, console: Consol
                     line = f"{_progress(now, looked_s - start_s)}; next: {now.hint}"
                     console.print(line, highlight=False, markup=False)
                 if browser.viewer_count:
-                    browser.show(picture(now))
+                    browser.show(drawn_map(now))
                 if enough and now.samples >= LEAST_SAMPLES:
                     break
-    if limits.picture is not None and now.samples:
+    if picture is not None and now.samples:
         # samples that took minutes are not given up for a picture
-        line = f"coverage in {limits.picture}"
+        line = f"coverage in {picture}"
         try:
-            write_atomically(limits.picture, cv2.imencode(".png", picture(now))[1].tobytes())
+            write_atomically(picture, cv2.imencode(".png", drawn_map(now))[1].tobytes())
         except ConfigError as error:
             line = str(error)
         console.print(line, highlight=False, markup=False)
@@ -116,7 +109,6 @@ _WORTH_TELLING_DEG: Final = 15.0
 _WORST_RATIO: Final = 3.0
 # a smaller ellipsoid is not the Earth's field turned about, but a sensor's noise where it is held still
 _LEAST_FIELD_UT: Final = 15.0
-_CENTRES: Final = lattice(CELLS)
 _TURNS: Final = (("roll right", "roll left"), ("nose up", "nose down"), ("turn right", "turn left"))
 _FACES: Final = (("nose", "tail"), ("right side", "left side"), ("belly", "top"))
 
@@ -182,7 +174,7 @@ def hint(covered: BoolArray, now: FloatArray, down: FloatArray | None) -> str:
     missing = np.flatnonzero(~covered)
     if not missing.size:
         return "all covered"
-    centres = _CENTRES[missing]
+    centres = CENTRES[missing]
     holes = np.sum(centres @ centres.T > _HOLE_COSINE, axis=1) + 0.5 * (centres @ now)
     wanted = centres[int(np.argmax(holes))]
     turn = _turn(wanted, now)
@@ -261,7 +253,7 @@ def text_map(covered: BoolArray) -> list[str]:
     return lines
 
 
-def picture(now: CoverageProgress) -> NDArray[np.uint8]:
+def drawn_map(now: CoverageProgress) -> NDArray[np.uint8]:
     """The map as an image, blue, green, red."""
     side = _DISC_PX + 2 * _MARGIN_PX
     image: Any = np.full((side + _TEXT_PX, 2 * side, 3), _BACK, dtype=np.uint8)

@@ -63,9 +63,7 @@ def calibrate_command(
     config: Annotated[
         Path | None,
         typer.Option(
-            "--config",
-            help="The app's settings: sensor, bus, mounting, magnetic field.",
-            metavar="FILE",
+            "--config", help="The app's settings: sensor, bus, mounting, magnetic field.", metavar="FILE"
         ),
     ] = None,
     position: Annotated[
@@ -120,12 +118,6 @@ def calibrate_command(
     ] = False,
     version: VersionOption = False,
 ) -> None:
-    """Read or collect, calibrate, judge, write.
-
-    Raises:
-        ConfigError: the user can correct it.
-        RefusedError: the calibration is not good enough.
-    """
     if recording is not None:
         must_exist(recording, "expected a recording")
     if config is not None:
@@ -158,7 +150,6 @@ def calibrate_command(
 
 
 def main() -> None:
-    """The console script's entry point."""
     run(cli, PROGRAM)
 
 

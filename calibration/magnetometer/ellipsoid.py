@@ -174,12 +174,10 @@ _NEAREST_POLE: Final = 0.95  # of the way to where a reading deep inside has no 
 
 
 def pack(ellipsoid: Ellipsoid) -> FloatArray:
-    """The vector x (9,) of an ellipsoid."""
     return np.concatenate([ellipsoid.matrix[_ROWS, _COLUMNS], ellipsoid.centre])
 
 
 def unpack(x: FloatArray) -> Ellipsoid:
-    """The ellipsoid of a vector x (9,)."""
     matrix = np.empty((3, 3))
     matrix[_ROWS, _COLUMNS] = matrix[_COLUMNS, _ROWS] = x[:6]
     return Ellipsoid(matrix, x[6:])
@@ -259,6 +257,7 @@ def distance(x: FloatArray, raw: FloatArray) -> Distance:
 # stated as uncertainty.
 
 Objective = Literal["likelihood", "residual"]
+Asked = Objective | Literal["auto"]
 
 MOST_SAMPLES: Final = 30_000  # more say no more: evenly thinned
 _ROUNDS: Final = 12
@@ -303,9 +302,7 @@ class EllipsoidFit:
         return float(np.sqrt(np.diag(self.covariance)[:6].max()))
 
 
-def fit_ellipsoid(
-    raw: FloatArray, rng: np.random.Generator, objective: Objective | Literal["auto"] = "auto"
-) -> EllipsoidFit:
+def fit_ellipsoid(raw: FloatArray, rng: np.random.Generator, objective: Asked = "auto") -> EllipsoidFit:
     """Fit readings (n, 3), in the order in which they were taken, in any unit.
 
     Raises:
@@ -462,12 +459,11 @@ def lattice(count: int) -> FloatArray:
     return np.stack([radius * np.cos(longitude), radius * np.sin(longitude), z], axis=1)
 
 
-_CENTRES: Final = lattice(CELLS)
+CENTRES: Final = lattice(CELLS)
 
 
 def cells_of(directions: FloatArray) -> NDArray[np.intp]:
-    """The cell of each unit vector (n, 3)."""
-    return np.asarray(np.argmax(directions @ _CENTRES.T, axis=1))
+    return np.asarray(np.argmax(directions @ CENTRES.T, axis=1))
 
 
 def covered_cells(directions: FloatArray) -> BoolArray:

@@ -19,9 +19,9 @@ from calibration.magnetometer.calibrate import (
     field_by,
     year_of,
 )
-from calibration.magnetometer.collect import CollectionLimits, collect
+from calibration.magnetometer.collect import collect
 from calibration.magnetometer.command import PROGRAM
-from calibration.magnetometer.ellipsoid import Objective
+from calibration.magnetometer.ellipsoid import Asked
 from calibration.magnetometer.live import AutopilotCompass, Mpu9250Compass
 from calibration.magnetometer.recording import MagnetometerRecording
 from calibration.magnetometer.report import lines, result_table, write_picture, yaml_text
@@ -62,25 +62,19 @@ class MagnetometerCalibrationJob:
 
 
 def calibrate_magnetometer(job: MagnetometerCalibrationJob) -> None:
-    """Read or collect, calibrate, judge and write.
-
-    Raises:
-        ConfigError: the user can correct it.
-        RefusedError: the calibration is not good enough.
-    """
+    """Read or collect, calibrate, judge and write."""
     # a file or a pipe has no width: no figure is broken across lines there
     console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
     settings = CompanionConfig() if job.config is None else load_config(job.config)
     sensor: Sensor = _choice("--sensor", job.sensor, ("mpu9250", "autopilot", "other"))  # type: ignore[assignment]
-    objective = _choice("--fit", job.objective, ("auto", "likelihood", "residual"))
+    objective: Asked = _choice("--fit", job.objective, ("auto", "likelihood", "residual"))  # type: ignore[assignment]
     year = year_of(job.date)
     field = field_by(job.position, year, settings, job.config)
     _check_outputs(job)
     taken = _samples(job, sensor, field, settings, console)
     if field is None and taken.place is not None:
         field = field_at(taken.place, year, f"{taken.source}'s own position")
-    kind: Objective | None = None if objective == "auto" else objective  # type: ignore[assignment]
-    done = _calibrated(taken, field, kind, job)
+    done = _calibrated(taken, field, objective, job)
     console.print(result_table(done, field))
     refused = done.file.quality.verdict == "refused" and not job.force
     for line in lines(done, refused=refused):
@@ -123,7 +117,7 @@ async def _live(
     job: MagnetometerCalibrationJob, settings: CompanionConfig, console: Console
 ) -> MagnetometerRecording:
     """Collect from the sensor that an option names, else from the one that the settings use."""
-    limits = CollectionLimits(job.time_limit_s, job.output.with_suffix(".coverage.png"), job.serve_port)
+    picture = job.output.with_suffix(".coverage.png")
     bus, connect, configured = job.bus, job.connect, job.config is not None
     if bus is not None and connect is not None:
         raise ConfigError("--bus and --connect: expected one of them")
@@ -134,18 +128,18 @@ async def _live(
             closing(await open_transport(connect)) as transport,
             closing(AutopilotCompass(transport, connect)) as autopilot,
         ):
-            return await collect(autopilot, limits, console)
+            return await collect(autopilot, console, job.time_limit_s, picture, job.serve_port)
     if bus is None and not configured:
         raise ConfigError("nothing to calibrate: expected RECORDING, --bus, --connect or --config")
     imu = settings.sense.imu if bus is None else settings.sense.imu.model_copy(update={"bus": bus})
     with closing(open_bus(imu.bus)) as opened:
-        return await collect(Mpu9250Compass(opened, imu), limits, console)
+        return await collect(Mpu9250Compass(opened, imu), console, job.time_limit_s, picture, job.serve_port)
 
 
 def _calibrated(
     taken: MagnetometerRecording,
     field: TrueField | None,
-    objective: Objective | None,
+    objective: Asked,
     job: MagnetometerCalibrationJob,
 ) -> Calibrated:
     try:

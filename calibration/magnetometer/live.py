@@ -14,7 +14,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from calibration.magnetometer.logs import HEARD, Telemetry
-from calibration.magnetometer.recording import NAMES, MagnetometerRecording, mounting, paired
+from calibration.magnetometer.recording import NAMES, MagnetometerRecording, paired
 from companion.base.clock import Clock
 from companion.base.geometry import FloatArray
 from companion.base.messages import ImuSample, MagSample
@@ -25,6 +25,7 @@ from companion.link.streams import TelemetryRates
 from companion.link.telemetry.autopilot_sensors import IMU_MESSAGES
 from companion.link.transport import Transport
 from companion.sense.imu.i2c import RegisterBus, SensorError
+from companion.sense.imu.mounting import mounting_matrix
 from companion.sense.imu.mpu9250 import Mpu9250
 
 BATCH_S: Final = 0.1
@@ -55,7 +56,7 @@ class Mpu9250Compass:
 
     def __init__(self, bus: RegisterBus, config: ImuConfig) -> None:
         unturned = config.model_copy(update={"body_from_sensor_deg": (0.0, 0.0, 0.0)})
-        self.body_from_sensor = mounting(config.body_from_sensor_deg)
+        self.body_from_sensor = mounting_matrix(config.body_from_sensor_deg)
         self._driver = Mpu9250(bus, unturned)
         self._name = f"MPU9250 on {config.bus}"
         self._poll_s = 1.0 / config.poll_hz
@@ -66,7 +67,6 @@ class Mpu9250Compass:
         self._fault: str | None = None
 
     async def more(self) -> tuple[list[MagSample], list[ImuSample]]:
-        """See `LiveCompass`."""
         end_s = self._clock.now_s() + BATCH_S
         while (now_s := self._clock.now_s()) < end_s:
             await self._poll()
@@ -90,7 +90,6 @@ class Mpu9250Compass:
         self._imus += imus
 
     def recording(self) -> MagnetometerRecording:
-        """See `LiveCompass`."""
         raw, force = paired(self._mags, self._imus)
         turn = self.body_from_sensor
         return MagnetometerRecording(self._name, "mpu9250", raw, force=force, body_from_sensor=turn).checked()
@@ -113,11 +112,9 @@ class AutopilotCompass:
         self._reader = asyncio.create_task(self._read())
 
     def close(self) -> None:
-        """Stop listening."""
         self._reader.cancel()
 
     async def more(self) -> tuple[list[MagSample], list[ImuSample]]:
-        """See `LiveCompass`."""
         await asyncio.sleep(BATCH_S)
         now_s = self._clock.now_s()
         if self._reader.done() and (error := self._reader.exception()) is not None:
@@ -160,5 +157,4 @@ class AutopilotCompass:
             self._transport.write(self._codec.encode(message))
 
     def recording(self) -> MagnetometerRecording:
-        """See `LiveCompass`."""
         return self._telemetry.recording().checked()

@@ -18,12 +18,7 @@ from typing import Any, Final
 import numpy as np
 from pyulog import ULog
 
-from calibration.magnetometer.recording import (
-    MagnetometerRecording,
-    mounting,
-    onboard_of,
-    paired,
-)
+from calibration.magnetometer.recording import MagnetometerRecording, onboard_of, paired
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import vector3
 from companion.base.messages import GpsFix, ImuSample, MagSample
@@ -37,6 +32,7 @@ from companion.link.codec import Codec, Message, is_autopilot_heartbeat, mavlink
 from companion.link.commands import reported_value
 from companion.link.telemetry.autopilot_sensors import IMU_MESSAGES, imu_sample, mag_sample, stamp_s
 from companion.link.telemetry.telemetry import AUTOPILOT_KINDS
+from companion.sense.imu.mounting import mounting_matrix
 
 # ---------------------------------------------------------------- telemetry
 # An autopilot's compass by its MAVLink messages, live or of a .tlog.
@@ -278,14 +274,13 @@ def read_own_log(path: Path) -> MagnetometerRecording:
     if config.sense.source == "autopilot":
         recording.sensor = "autopilot"
     else:
-        recording.body_from_sensor = body_from_sensor = mounting(config.sense.imu.body_from_sensor_deg)
+        recording.body_from_sensor = body_from_sensor = mounting_matrix(config.sense.imu.body_from_sensor_deg)
         recording.raw = body @ body_from_sensor
         recording.force = None if force is None else force @ body_from_sensor
     return _uncalibrated(recording, config)
 
 
 def _uncalibrated(recording: MagnetometerRecording, config: CompanionConfig) -> MagnetometerRecording:
-    """Take off what the flight's settings had applied."""
     settings = config.sense.imu if recording.sensor == "mpu9250" else config.sense.autopilot
     if settings.magnetometer_calibration is not None:
         key = f"{recording.source}: flown with a calibration"

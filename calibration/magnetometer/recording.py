@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
@@ -10,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.geometry import FloatArray, Vector3, matrix_from_quat, quat_from_euler
+from companion.base.geometry import FloatArray
 from companion.base.messages import ImuSample, MagSample
 from companion.config import ConfigError
 from companion.config.magnetometer import AXES_OF, Axes, RawUnit, Sensor
@@ -104,12 +103,6 @@ def paired(mags: list[MagSample], imus: list[ImuSample]) -> tuple[FloatArray, Fl
     force = forces[nearest]
     force[np.abs(times[nearest] - wanted) > _PAIRED_S] = np.nan
     return raw, force
-
-
-def mounting(body_from_sensor_deg: Vector3) -> FloatArray:
-    """Rotation (3, 3) from a chip's axes into the body's (FRD), of its roll, pitch and yaw."""
-    angles = (math.radians(angle) for angle in body_from_sensor_deg)
-    return matrix_from_quat(quat_from_euler(*angles))
 
 
 # ---------------------------------------------------------------- onboard

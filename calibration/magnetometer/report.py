@@ -8,6 +8,7 @@ import numpy as np
 import yaml
 from rich.table import Table
 
+from calibration.command_line import listed
 from calibration.magnetometer.calibrate import Calibrated, TrueField
 from calibration.magnetometer.ellipsoid import BoolArray
 from companion.base.files import save_figure
@@ -25,7 +26,6 @@ _USE: Final = {
 
 
 def yaml_text(file: MagnetometerCalibration) -> str:
-    """The file's text."""
     head = _HEAD.format(unit=file.raw_unit, axes=file.axes, use=_USE[file.sensor])
     plain = file.model_dump(mode="json")
     return head + str(yaml.safe_dump(plain, sort_keys=False, default_flow_style=None, width=100))
@@ -41,11 +41,11 @@ def result_table(done: Calibrated, field: TrueField | None) -> Table:
     )
     table.add_row("sphere covered", f"{figures.coverage:.0%}")
     stds = " ".join(f"{std:.2%}" for std in quality.hard_iron_std)
-    table.add_row("hard iron", f"{_numbers(done.centre)} {unit} (± {stds} of the field)")
+    table.add_row("hard iron", f"{listed(done.centre, '8.3f')} {unit} (± {stds} of the field)")
     for name, row in zip(
         ("soft iron", "", ""), done.matrix / (file.field_strength / fit.radius), strict=True
     ):
-        table.add_row(name, f"{_numbers(row, '8.4f')}" + (f"  (± {fit.matrix_std:.2%})" if name else ""))
+        table.add_row(name, listed(row, "8.4f") + (f"  (± {fit.matrix_std:.2%})" if name else ""))
     table.add_row("field as measured", f"{fit.radius:.4g} {unit}")
     if field is not None:
         found = f"{field.strength_ut:.2f} µT, dip {field.dip_deg:.1f}°: {field.source}"
@@ -79,13 +79,7 @@ def lines(done: Calibrated, *, refused: bool = False) -> list[str]:
     return said
 
 
-def _numbers(values: object, form: str = "8.3f") -> str:
-    return " ".join(f"{float(value):{form}}" for value in values)  # type: ignore[attr-defined]
-
-
 # ---------------------------------------------------------------- pictures
-# The calibration as a picture: the raw ellipsoid against the calibrated sphere (the paper's Fig. 5).
-#
 # Above in three dimensions and by planes, all in shares of the field; below the residuals' histograms, before
 # (about the best sphere) and after.
 
@@ -96,11 +90,7 @@ _AXES: Final = "xyz"
 
 
 def write_picture(path: Path, done: Calibrated) -> None:
-    """Write the figure, by its suffix as PNG, PDF or SVG.
-
-    Raises:
-        ConfigError: it cannot be written.
-    """
+    """Write the figure, by its suffix as PNG, PDF or SVG."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import, and not always needed
 
     chosen = np.unique(np.linspace(0, len(done.sphere) - 1, _MOST_POINTS).astype(int))

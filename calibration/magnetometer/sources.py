@@ -161,8 +161,6 @@ def read_numpy_table(path: Path) -> SampleTable:
 
 
 # ---------------------------------------------------------------- units
-# Units of the magnetic field: by name, by a column's heading, or worked out from the field's size.
-#
 # The Earth's field is between 22 and 67 µT everywhere on the ground.
 
 _SPELLINGS: Final = {
@@ -283,11 +281,7 @@ def _radius(raw: FloatArray, rng: np.random.Generator) -> float | None:
 
 
 def _must_be_the_earths(source: str, radius: float, unit: str, *, by_option: bool) -> None:
-    """Units differ by ten at least: a field that is the Earth's in another one is in that.
-
-    Raises:
-        ConfigError: it is.
-    """
+    """Units differ by ten at least: a field that is the Earth's in another one is in that."""
     other = infer_unit(radius, None, whole_numbers=False)
     if COUNTS in (unit, other) or unit == other:
         return

@@ -82,9 +82,7 @@ LogArgument = Annotated[
 
 
 @cli.command(
-    "accelerometer",
-    help=ACCELEROMETER_HELP,
-    short_help="Calibrate accelerometer and gyro bias on six faces.",
+    "accelerometer", help=ACCELEROMETER_HELP, short_help="Calibrate accelerometer and gyro bias on six faces."
 )
 def accelerometer_command(
     log: LogArgument = None,
@@ -101,12 +99,6 @@ def accelerometer_command(
     keep: KeepOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Collect static intervals, fit, judge and write.
-
-    Raises:
-        ConfigError: no samples, or the file cannot be written.
-        RefusedError: it is not good enough.
-    """
     must_be_writable("-o", output)
     _check(log, config, gyro_unit)
     from calibration.mount.imu_calibration import ImuJob, calibrate_on_faces  # noqa: PLC0415 - once the files are there
@@ -126,12 +118,6 @@ def gyro_command(
     keep: KeepOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Take the mean at rest, judge and write.
-
-    Raises:
-        ConfigError: no samples, or the file cannot be written.
-        RefusedError: it is not good enough.
-    """
     must_be_writable("-o", output)
     _check(log, config, gyro_unit)
     from calibration.mount.imu_calibration import ImuJob, calibrate_gyro_bias  # noqa: PLC0415 - once the files are there
@@ -172,12 +158,6 @@ def record_command(
         typer.Option("--serve", min=0, max=65535, help="Show the image in a browser on this port."),
     ] = None,
 ) -> None:
-    """Record until the motion is enough.
-
-    Raises:
-        ConfigError: the folder holds a recording, or a device does not answer.
-        RefusedError: the time was not enough.
-    """
     must_be_readable(config)
     from calibration.mount.record_motion import record_motion  # noqa: PLC0415 - once the settings are there
 
@@ -220,12 +200,6 @@ def camera_command(
     ] = 10.0,
     force: ForceOption = False,
 ) -> None:
-    """Solve, show, judge and write.
-
-    Raises:
-        ConfigError: the recording is none, or the file cannot be written.
-        RefusedError: it is not good enough.
-    """
     must_be_writable("-o", output)
     must_exist(log, EXPECTED)
     lens = None if camera is None else find_file("cameras", camera)
@@ -235,7 +209,6 @@ def camera_command(
 
 
 def main() -> None:
-    """Entry point."""
     run(cli, NAME)
 
 

@@ -12,17 +12,11 @@ from typing import Final
 import numpy as np
 import typer
 
-from calibration.command_line import RefusedError, today
+from calibration.command_line import RefusedError, listed, today
 from calibration.mount.command import FACES
-from calibration.mount.record_motion import (
-    SensorOpener,
-    connected_sensors,
-    new_log,
-    read_imu,
-    until_done,
-)
+from calibration.mount.record_motion import SensorOpener, connected_sensors, new_log, read_imu, until_done
 from calibration.mount.recording import ImuSamples, inertial_of, read_log
-from calibration.mount.result import judge, listed, provenance, write_file
+from calibration.mount.result import judge, provenance, write_file
 from calibration.mount.six_faces import (
     AccelerometerFit,
     FaceGuide,
@@ -36,7 +30,6 @@ from calibration.mount.six_faces import (
     fit_gyro,
     fitting_mountings,
     gyro_reasons,
-    mounting_matrix,
 )
 from calibration.mount.table import read_table
 from companion.base.clock import Clock
@@ -57,6 +50,7 @@ from companion.config import (
 )
 from companion.flightlog.log_file import log_file
 from companion.pad import load_pad
+from companion.sense.imu.mounting import mounting_matrix
 from companion.sense.imu.mpu9250 import Mpu9250
 
 ACCELEROMETER_OF: Final = "accelerometer of "
@@ -95,12 +89,7 @@ class StaticRecording:
 
 
 def calibrate_on_faces(job: ImuJob, order: str | None) -> None:
-    """Collect static intervals, fit, judge and write; `order` is that of the faces in a recording.
-
-    Raises:
-        ConfigError: no samples, or the file cannot be written.
-        RefusedError: it is not good enough.
-    """
+    """Collect static intervals, fit, judge and write; `order` is that of the faces in a recording."""
     settings = load_config(job.config)
     if job.log is None:
         rested = run_until_stopped(faces_from(settings, job.keep, connected_sensors, virtual=False))
@@ -112,12 +101,7 @@ def calibrate_on_faces(job: ImuJob, order: str | None) -> None:
 
 
 def calibrate_accelerometer(rested: StaticRecording, output: Path, *, force: bool) -> None:
-    """Fit, judge and write.
-
-    Raises:
-        ConfigError: the file cannot be written.
-        RefusedError: it is not good enough.
-    """
+    """Fit, judge and write."""
     if not rested.rests:
         raise RefusedError(
             f"{rested.source}: it never lay still; expected rests of 2 s and more on six faces"
@@ -145,12 +129,7 @@ def calibrate_accelerometer(rested: StaticRecording, output: Path, *, force: boo
 
 
 def calibrate_gyro_bias(job: ImuJob) -> None:
-    """Take the mean at rest, judge and write; an accelerometer part that is there stays.
-
-    Raises:
-        ConfigError: no samples, or the file cannot be written.
-        RefusedError: it is not good enough.
-    """
+    """Take the mean at rest, judge and write; an accelerometer part that is there stays."""
     settings = load_config(job.config)
     before = load_model(InertialCalibration, job.output) if job.output.exists() else None
     if job.log is None:
@@ -207,11 +186,7 @@ def _rested(job: ImuJob, log: Path, imu: ImuConfig) -> StaticRecording:
 
 
 def _ordered(rested: StaticRecording, order: str) -> StaticRecording:
-    """With the faces in the order that the user gives.
-
-    Raises:
-        ConfigError: a name is no face's, or there are not as many rests.
-    """
+    """With the faces in the order that the user gives."""
     names = tuple(name.strip() for name in order.split(","))
     if unknown := [name for name in names if name not in FACES]:
         raise ConfigError(f"--order: no face '{unknown[0]}'; expected some of {', '.join(FACES)}")
@@ -318,11 +293,9 @@ async def _collect(
 
 
 # ---------------------------------------------------------------- result
-# The IMU calibration file and the summary lines, from the fits.
 
 
 def accelerometer_calibration(fit: AccelerometerFit, faces: Sequence[str]) -> AccelerometerCalibration:
-    """The file's accelerometer part."""
     rows = np.round(fit.matrix, 6)
     return AccelerometerCalibration(
         offset_m_s2=vector3(np.round(fit.offset, 5)),
@@ -342,7 +315,6 @@ def gyro_calibration(fit: GyroFit) -> GyroCalibration:
 
 
 def accelerometer_lines(fit: AccelerometerFit, faces: Sequence[str]) -> list[str]:
-    """Summary lines of the accelerometer."""
     before, after = (float(np.sqrt(np.mean(m**2))) for m in (fit.raw_residuals, fit.residuals))
     skew = np.abs(fit.matrix - np.diag(np.diag(fit.matrix))).max()
     return [
@@ -356,7 +328,6 @@ def accelerometer_lines(fit: AccelerometerFit, faces: Sequence[str]) -> list[str
 
 
 def gyro_lines(fit: GyroFit) -> list[str]:
-    """Summary lines of the gyroscope."""
     bias, std = np.degrees(fit.bias), math.degrees(fit.std)
     warmth = f" at {fit.temperature_c:.0f} °C" if math.isfinite(fit.temperature_c) else ""
     return [

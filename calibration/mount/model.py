@@ -250,8 +250,6 @@ def at_times(
 
 
 # ---------------------------------------------------------------- rotations
-# Rotations by the thousand: exponential and logarithm of rotation vectors, as arrays.
-#
 # `companion.base.geometry` decides order and sign; these are the same functions over a leading axis.
 
 SMALL_RAD = 1e-6

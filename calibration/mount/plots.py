@@ -20,20 +20,14 @@ GYRO_NAME, MISSES_NAME = "mount_rates.png", "mount_residuals.png"
 def write_mount_plots(
     folder: Path, solution: MountSolution, inertial: ImuSamples, configured: FloatArray
 ) -> list[Path]:
-    """Write both pictures; returns their paths.
-
-    Raises:
-        ConfigError: the folder cannot be written.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - half a second
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    """Write both pictures; returns their paths."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - half a second
 
     rates, residuals = Figure((11, 8), layout="constrained"), Figure((11, 8), layout="constrained")
     _draw_rates(rates, solution, inertial, configured)
     _draw_residuals(residuals, solution)
     paths = [make_folder("--plots", folder) / name for name in (GYRO_NAME, MISSES_NAME)]
     for figure, path in zip((rates, residuals), paths, strict=True):
-        FigureCanvasAgg(figure)
         save_figure(figure, path, dpi=100)
     return paths
 

@@ -44,12 +44,7 @@ from companion.sense.imu.mpu9250 import Mpu9250
 
 
 def record_motion(config: Path, folder: Path, seconds: float, serve: int | None) -> None:
-    """Record from the vehicle's boards until the motion is enough.
-
-    Raises:
-        ConfigError: the folder holds a recording, or a device does not answer.
-        RefusedError: the time was not enough.
-    """
+    """Record from the vehicle's boards until the motion is enough."""
     settings = load_config(config)
     cv2.setNumThreads(1)
     progress = run_until_stopped(record(settings, folder, seconds, serve, connected_sensors, virtual=False))
@@ -100,7 +95,6 @@ def new_log(folder: Path | None, *, virtual: bool) -> Iterator[FlightLog]:
 
 
 # ---------------------------------------------------------------- sensors
-# The vehicle's own boards that a mount calibration needs: IMU, and camera if wanted. No autopilot.
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +134,6 @@ async def connected_sensors(config: CompanionConfig, camera: bool) -> AsyncItera
 
 
 # ---------------------------------------------------------------- live
-# Reads the sensors live: a thin shell of tasks around the drivers.
-#
 # Every IMU sample and every sighting goes into the log before it is used.
 
 PROGRESS_S: Final = 1.0
@@ -292,7 +284,6 @@ class MountRecorder:
 
 
 def annotated(image: NDArray[np.uint8], progress: MotionProgress) -> NDArray[np.uint8]:
-    """The picture with what is missing written into it."""
     canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     lines = (progress.advice, f"pad seen {progress.sightings} times, {progress.seconds:.0f} s")
     scale = image.shape[1] / 1100.0
@@ -304,8 +295,6 @@ def annotated(image: NDArray[np.uint8], progress: MotionProgress) -> NDArray[np.
 
 
 # ---------------------------------------------------------------- coverage
-# The motion that a recording still lacks, as a hint to the person who holds the vehicle over the pad.
-#
 # Pure: samples in, hints out. Only motion with the pad in view counts: the total rotation about each body
 # axis (extrinsic rotation is observable with rotation about two axes at least), and the time of fast rotation
 # (a time offset of one millisecond is a rotation of 0.06° at 60°/s).
@@ -336,7 +325,6 @@ class MotionProgress:
     complete: bool
 
     def line(self) -> str:
-        """One line for a terminal."""
         roll, pitch, yaw = (f"{100.0 * share:.0f}%" for share in self.turned)
         return (
             f"{self.seconds:3.0f} s, pad seen {self.sightings} times; roll {roll}, pitch {pitch}, yaw {yaw}, "
@@ -368,12 +356,10 @@ class MotionCoverage:
             self._quick_s += dt_s
 
     def add_sighting(self, sighting: PadSighting) -> None:
-        """Take a sighting."""
         self._sightings += 1
         self._seen_s = max(self._seen_s, sighting.time_s)
 
     def progress(self) -> MotionProgress:
-        """The progress now."""
         seconds = 0.0 if self._start_s is None else self._now_s - self._start_s
         roll, pitch, yaw = (min(1.0, turned / ENOUGH_TURN_RAD) for turned in self._turned)
         quick = min(1.0, self._quick_s / ENOUGH_QUICK_S)

@@ -236,8 +236,6 @@ def frames_of(file: Path) -> Iterator[Frame]:
 
 
 # ---------------------------------------------------------------- samples
-# The input of the mount calibration: IMU samples and sightings of one recording, as arrays.
-#
 # Body axes are FRD; camera axes OpenCV's; the pad's frame has x along its heading, y to its right, z down.
 # Times are seconds of the recording's clock: a sighting's is its frame's stamp (plus its rows' share of the
 # readout); the calibration finds its time offset.

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 import yaml
 
-from calibration.command_line import RefusedError, today
+from calibration.command_line import RefusedError, listed, today
 from calibration.mount.command import NAME
 from calibration.mount.model import ACCEL_MATRIX, GYRO_BIAS, GYRO_MATRIX, POSITION, MountPrior, log
 from calibration.mount.plots import write_mount_plots
@@ -43,12 +43,7 @@ def solve_mount(
     *,
     force: bool,
 ) -> None:
-    """Solve, show, judge and write; `lens` is a camera file to use instead of the recording's.
-
-    Raises:
-        ConfigError: the recording is none, or the file cannot be written.
-        RefusedError: it is not good enough.
-    """
+    """Solve, show, judge and write; `lens` is a camera file to use instead of the recording's."""
     recording = read_recording(log, None if lens is None else load_model(CameraConfig, lens))
     place = np.array(recording.vehicle.camera_position_body_m)
     prior = prior_of(recording, position_std_m)
@@ -95,7 +90,6 @@ def write_file(path: Path, calibration: StrictModel, setting: str) -> None:
 
 
 # ---------------------------------------------------------------- result
-# The mount file and the summary lines, from a solution.
 
 
 def shutter_s(recording: MountRecording) -> float:
@@ -125,14 +119,12 @@ def camera_angles_deg(rotation: FloatArray) -> tuple[float, float, float]:
 
 
 def provenance(source: str, date: str, used: int, dropped: int) -> Provenance:
-    """Where a calibration comes from."""
     return Provenance(tool=f"{NAME} {__version__}", source=source, date=date, samples=used, dropped=dropped)
 
 
 def mount_calibration(
     solution: MountSolution, recording: MountRecording, forced: tuple[str, ...], date: str
 ) -> MountCalibration:
-    """The mount file."""
     roll, tilt, yaw = camera_angles_deg(solution.unknowns.body_from_camera)
     rotation_std = np.degrees(np.sqrt(np.diag(solution.rotation_covariance)))
     used = int(solution.kept.sum())
@@ -155,7 +147,6 @@ def mount_calibration(
 
 
 def mount_lines(found: MountCalibration, solution: MountSolution, recording: MountRecording) -> list[str]:
-    """The summary lines."""
     vehicle, std = recording.vehicle, found.std
     turned = np.degrees(rotation_from(solution, configured_rotation(recording)))
     before = (vehicle.camera_roll_deg, vehicle.camera_tilt_deg, vehicle.camera_yaw_deg)
@@ -177,18 +168,11 @@ def mount_lines(found: MountCalibration, solution: MountSolution, recording: Mou
     return [*rows, *(f"note: {note}" for note in recording.notes)]
 
 
-def listed(values: object, form: str, between: str = " ") -> str:
-    """Numbers in one form, one after another."""
-    return between.join(format(float(v), form) for v in np.asarray(values).tolist())
-
-
 def _rounded(values: FloatArray) -> Vector3:
     return vector3([round(float(v), 4) for v in values])
 
 
 # ---------------------------------------------------------------- verdict
-# The acceptance test of a mount calibration: each reason to refuse it in one line.
-#
 # Pure. Limits are in stated standard deviations, or far from what a good recording gives.
 
 FEWEST_SIGHTINGS: Final = 120

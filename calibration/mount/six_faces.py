@@ -20,15 +20,7 @@ from scipy.optimize import least_squares
 
 from calibration.mount.command import FACES
 from calibration.mount.recording import ImuSamples, Indices
-from companion.base.geometry import (
-    GRAVITY_M_S2,
-    FloatArray,
-    Vector3,
-    euler_from_quat,
-    matrix_from_quat,
-    quat_from_euler,
-    quat_from_matrix,
-)
+from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, euler_from_quat, quat_from_matrix
 from companion.base.messages import ImuSample
 
 MEAN_STD_M_S2: Final = 0.01  # of an interval's mean: noise, and thermal drift within minutes
@@ -109,12 +101,6 @@ def fit_gyro(rests: Sequence[StaticInterval]) -> GyroFit:
 # ---------------------------------------------------------------- faces and the mounting
 
 
-def mounting_matrix(body_from_sensor_deg: Vector3) -> FloatArray:
-    """Body from sensor (3, 3) by the settings' roll, pitch, yaw."""
-    roll, pitch, yaw = (math.radians(angle) for angle in body_from_sensor_deg)
-    return matrix_from_quat(quat_from_euler(roll, pitch, yaw))
-
-
 def face_of(force: FloatArray, body_from_sensor: FloatArray) -> str | None:
     """Which face is down at a specific force (3,) in sensor axes; None when it lies on an edge."""
     down = -(body_from_sensor @ force) / np.linalg.norm(force)
@@ -123,7 +109,6 @@ def face_of(force: FloatArray, body_from_sensor: FloatArray) -> str | None:
 
 
 def faces_down(rests: Sequence[StaticInterval], body_from_sensor: FloatArray) -> list[str]:
-    """The faces that were down in some rest."""
     seen = {face_of(rest.force, body_from_sensor) for rest in rests}
     return [name for name in FACES if name in seen]
 
@@ -210,8 +195,6 @@ def gyro_reasons(fit: GyroFit, rests: Sequence[StaticInterval]) -> tuple[str, ..
 
 
 # ---------------------------------------------------------------- static intervals
-# Finds the static intervals of a recording: where the IMU lay still.
-#
 # Pure; axes as given. A static interval lasts at least REST_S. In it, both sensors scatter by no more than
 # noise and the vibration of a table, and the specific force is constant. Both ends are cut off, because hands
 # let go and take hold there.
@@ -284,8 +267,6 @@ def _rest(inertial: ImuSamples, edges: Indices, begin: int, end: int) -> list[St
 
 
 # ---------------------------------------------------------------- guide
-# Guides a person through the six faces, and buffers the samples. Pure except for the growing buffer.
-#
 # A face counts once the vehicle has lain on it for HOLD_S, whichever face was asked for: the calibration
 # needs no order. If the face asked for and the face measured differ, the configured mounting of the chip is
 # wrong.
@@ -303,18 +284,11 @@ class ImuBuffer:
         self._rows: list[tuple[float, ...]] = []
 
     def add(self, sample: ImuSample) -> None:
-        """Add one sample, in body axes."""
         self._rows.append(
-            (
-                sample.time_s,
-                *sample.rate_body_rad_s,
-                *sample.specific_force_body_m_s2,
-                sample.temperature_c,
-            )
+            (sample.time_s, *sample.rate_body_rad_s, *sample.specific_force_body_m_s2, sample.temperature_c)
         )
 
     def since(self, time_s: float) -> ImuSamples:
-        """The samples from a time on."""
         rows = np.array([row for row in self._rows if row[0] >= time_s]).reshape(-1, 8)
         return ImuSamples(rows[:, 0], rows[:, 1:4] @ self._turn, rows[:, 4:7] @ self._turn, rows[:, 7])
 
@@ -330,12 +304,10 @@ class FaceGuide:
 
     @property
     def done(self) -> bool:
-        """Whether every face asked for has its static interval."""
         return not self._left
 
     @property
     def advice(self) -> str:
-        """What to do now."""
         if self.done:
             return "enough"
         return f"{len(self.rests) + 1} of {len(FACES)}: {ASKED[self._left[0]]}, and let go of it"

@@ -47,14 +47,6 @@ FEWEST_PER_SEGMENT: Final = 8
 STUDENT_FREEDOM: Final = 5.0
 ROBUST_ITERATIONS: Final = 12
 
-# ---------------------------------------------------------------- correlation
-# The coarse alignment: time offset and rotation that make the camera's rotation match the gyroscope's.
-#
-# Between two sightings the camera rotates by c (camera axes). Over the same time, shifted by the offset, the
-# gyroscope measures a rotation g (body axes). With the right offset g = R c + b dt, where b is the gyro bias.
-# For every offset on a grid, Kabsch's method with outlier weights gives R; the offset with the best fit wins.
-# This needs no initial guess, so it also finds a camera that is mounted the wrong way round.
-
 ITERATIONS: Final = 12
 CONVERGED: Final = 0.03  # of a standard deviation
 NEARLY_CONVERGED: Final = 1.0
@@ -139,42 +131,28 @@ def solve(
     Raises:
         NoSolutionError: too little was seen, or it contradicts itself.
     """
-    try:
-        return _solved(inertial, sightings, position_m, shutter_s, prior or MountPrior())
-    except np.linalg.LinAlgError as error:
-        raise NoSolutionError(NO_FIT) from error
-
-
-def _solved(
-    inertial: ImuSamples,
-    sightings: PadObservations,
-    position_m: FloatArray,
-    shutter_s: float,
-    prior: MountPrior,
-) -> MountSolution:
+    prior = prior or MountPrior()
     try:
         coarse = correlate(inertial, sightings)
     except ValueError as error:
         raise NoSolutionError(str(error)) from error
-    problem = _problem(inertial, sightings, coarse.time_offset_s)
     prior_mean = np.zeros(COUNT)
     prior_mean[POSITION], prior_mean[SHUTTER] = position_m, (shutter_s, 0.5 * shutter_s)
     unknowns = Unknowns(coarse.body_from_camera, prior_mean.copy())
     unknowns.values[OFFSET], unknowns.values[GYRO_BIAS] = coarse.time_offset_s, coarse.gyro_bias
-    fit = _Fit(
-        problem,
-        unknowns,
-        _initial_starts(problem, unknowns),
-        prior_mean,
-        prior.standard_deviations(shutter_s),
-    )
-    fit.run_robust()
-    for _ in range(ROUNDS):
-        fit.drop_outliers()
+    std = prior.standard_deviations(shutter_s)
+    try:
+        problem = _problem(inertial, sightings, coarse.time_offset_s)
+        fit = _Fit(problem, unknowns, _initial_starts(problem, unknowns), prior_mean, std)
+        fit.run_robust()
+        for _ in range(ROUNDS):
+            fit.drop_outliers()
+            fit.run()
+            fit.weigh()
         fit.run()
-        fit.weigh()
-    fit.run()
-    return fit.solution(coarse, prior)
+        return fit.solution(coarse, prior)
+    except np.linalg.LinAlgError as error:
+        raise NoSolutionError(NO_FIT) from error
 
 
 def _problem(inertial: ImuSamples, sightings: PadObservations, offset_s: float) -> MountLeastSquares:
@@ -356,8 +334,6 @@ def _halves(reduced: ReducedNormalEquations, covariance: FloatArray) -> FloatArr
 
 
 # ---------------------------------------------------------------- least squares
-# The least-squares problem of a mount calibration: residuals of sightings, and the normal equations.
-#
 # The prediction of a sighting follows from its segment's start state, the integrated motion since then, and
 # the extrinsics. The difference, in standard deviations of the sighting, gives six residuals. The start
 # states (nine unknowns per segment) are eliminated with the Schur complement, so the system to solve is 35 x
@@ -487,6 +463,12 @@ class MountLeastSquares:
         """Sums (s, ...) over each segment's sightings."""
         return np.asarray(np.add.reduceat(values, self._first, axis=0))
 
+
+# ---------------------------------------------------------------- correlation
+# Between two sightings the camera rotates by c (camera axes). Over the same time, shifted by the offset, the
+# gyroscope measures a rotation g (body axes). With the right offset g = R c + b dt, where b is the gyro bias.
+# For every offset on a grid, Kabsch's method with outlier weights gives R; the offset with the best fit wins.
+# This needs no initial guess, so it also finds a camera that is mounted the wrong way round.
 
 PAIR_S: Final = 0.25  # long enough to rotate by more than a pose's noise, short enough to neglect coning
 LONGEST_PAIR_S: Final = 0.5

@@ -110,6 +110,7 @@ def body_from_camera(yaw_rad: float, tilt_rad: float, roll_rad: float = 0.0) -> 
 
 
 FARTHEST_TEXEL: Final = 30000.0
+GROUND_SEED: Final = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +145,6 @@ class CameraModel:
         settings: ImagingSettings,
         rng: np.random.Generator,
         *,
-        ground_seed: int = 1,
         mount_error_deg: Vector3 = ZERO3,
         board: Texture | None = None,
         instants: int = 3,
@@ -174,7 +174,7 @@ class CameraModel:
         self.clear_faults()
         # the place of a second pad's surface, from that of the pad's; None: there is none
         self.twin_ned_m: Callable[[Vector3], Vector3] | None = None
-        self._ground_texture = ground_texture(ground_seed)
+        self._ground_texture = ground_texture(GROUND_SEED)
         self._node_rays = node_rays(camera)
         self._ray_x, self._ray_y = (np.ascontiguousarray(self._node_rays[..., k]) for k in (0, 1))
         row_px = NODE_PX * (np.arange(self._node_rays.shape[0]) - 1.0) + 0.5 * (NODE_PX - 1)
@@ -197,11 +197,9 @@ class CameraModel:
         self.shows_pad = True
 
     def cover(self) -> None:
-        """A tarpaulin over the markers."""
         self._pad_texture = covered_texture(self._pad)
 
     def show_other_ids(self) -> None:
-        """Another pad's markers."""
         self._pad_texture = other_ids_texture(self._pad)
 
     @property
@@ -211,7 +209,6 @@ class CameraModel:
         return self._exposure_s + self._readout_s
 
     def blank(self) -> GreyImage:
-        """Room for a picture."""
         return np.empty((self._camera.height_px, self._camera.width_px), np.uint8)
 
     def render(self, time_s: float, scene_at: Callable[[float], ScenePose]) -> GreyImage:

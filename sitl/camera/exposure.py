@@ -205,7 +205,6 @@ class AutoExposure:
         return self._lux * self.now.exposure_s * self.now.gain / RIGHT_EXPOSURE_LUX_S
 
     def look(self, image: GreyImage) -> None:
-        """Take the last picture into account."""
         if not self._settings.automatic:
             return
         s, mean = self._settings, max(float(cv2.mean(image)[0]), 1.0)
@@ -247,7 +246,6 @@ def levelled(std_grey: FloatArray, encoding: Encoding = "linear") -> tuple[GreyI
 
 
 def through(table: GreyImage, image: GreyImage) -> GreyImage:
-    """An image through a table."""
     return np.asarray(cv2.LUT(image, table), dtype=np.uint8)
 
 

@@ -75,7 +75,6 @@ def _with_another_id(marker: Marker) -> Marker:
 
 @lru_cache(maxsize=4)
 def covered_texture(pad: Pad) -> Texture:
-    """The board under a grey tarpaulin."""
     size = (round(pad.length_m * TARPAULIN_PER_M), round(pad.width_m * TARPAULIN_PER_M))
     return board_texture(np.full(size, TARPAULIN_GREY, np.uint8), pad.width_m, pad.length_m)
 
@@ -114,13 +113,7 @@ def ground_texture(seed: int) -> Texture:
 def _board_level(image: GreyImage, width_m: float, length_m: float) -> TextureLevel:
     rows, columns = image.shape
     per_x, per_y = rows / length_m, columns / width_m
-    affine = np.array(
-        [
-            [0.0, per_y, 0.5 * columns - 0.5],
-            [-per_x, 0.0, 0.5 * rows - 0.5],
-            [0.0, 0.0, 1.0],
-        ]
-    )
+    affine = np.array([[0.0, per_y, 0.5 * columns - 0.5], [-per_x, 0.0, 0.5 * rows - 0.5], [0.0, 0.0, 1.0]])
     return TextureLevel(image, min(per_x, per_y), affine)
 
 

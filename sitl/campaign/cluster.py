@@ -88,9 +88,5 @@ def fly_here(flight: CampaignRun) -> RunResult:
 
 @lru_cache(maxsize=256)
 def identity(source: str, config: str | None) -> str:
-    """What decides a run here, but for its seed: see `CampaignRun.identity`.
-
-    Raises:
-        ConfigError: a file is missing here.
-    """
+    """What decides a run here, but for its seed: see `CampaignRun.identity`."""
     return f"{code_digest()}-{scenario_digest(source, config)}"

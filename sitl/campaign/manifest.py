@@ -52,7 +52,6 @@ class CampaignRun:
 
     @property
     def command(self) -> str:
-        """The command line that repeats it."""
         words = ["companion", "--sitl", "--fast", "--scenario", self.source, "--seed", str(self.seed)]
         words += () if self.firmware is None else self.firmware.options
         return shlex.join(words if self.config is None else [*words, "--config", self.config])
@@ -80,7 +79,6 @@ class Manifest(StrictModel):
 
     @property
     def seeds(self) -> range:
-        """All seeds."""
         return range(self.first_seed, self.first_seed + self.runs)
 
 

@@ -259,7 +259,6 @@ def draw_places(
 
 
 def _draw_pad(axes: Any, pad: Pad) -> None:
-    """The board's outline and its markers, faint."""
     corner = (-0.5 * pad.width_m, -0.5 * pad.length_m)
     axes.add_patch(
         Rectangle(corner, pad.width_m, pad.length_m, facecolor="#fafafa", edgecolor="black", linewidth=1.4)

@@ -21,7 +21,7 @@ from sitl.campaign.manifest import CampaignRun
 from sitl.campaign.worker import RunResult
 
 RowOutcome = Literal["landed", "missed", "aborted", "timeout", "crashed", "failed"]
-OUTCOMES: Final[tuple[RowOutcome, ...]] = ("landed", "missed", "aborted", "timeout", "crashed", "failed")
+OUTCOMES: Final[tuple[RowOutcome, ...]] = get_args(RowOutcome)
 CSV_NAME: Final = "runs.csv"
 PARQUET_NAME: Final = "runs.parquet"
 
@@ -94,7 +94,6 @@ RESULT_KEYS: Final = {
 
 
 def make_row(flown: RunResult, version: str) -> Row:
-    """The row of a run that has ended."""
     flight, result = flown.flight, flown.result
     along, across = flown.touchdown_pad_m or (None, None)
     return Row(
@@ -164,15 +163,13 @@ class RunsFile:
         Raises:
             ConfigError: it cannot be written; what was written before stays.
         """
-        values = row.model_dump()
-        self._write([_text(values[name]) for name in COLUMNS])
+        self._write(list(row.model_dump().values()))
         self.rows.append(row)
 
     def close(self) -> None:
-        """Let go of it."""
         os.close(self._file)
 
-    def _write(self, values: Sequence[str]) -> None:
+    def _write(self, values: Sequence[object]) -> None:
         line = io.StringIO(newline="")
         csv.writer(line, lineterminator="\n").writerow(values)
         data = line.getvalue().encode()
@@ -184,10 +181,6 @@ class RunsFile:
         except OSError as error:
             os.ftruncate(self._file, before)
             raise ConfigError(f"{self.path}: cannot be written: {error.strerror}") from error
-
-
-def _text(value: object) -> str:
-    return "" if value is None else str(value)
 
 
 def _cut_half_line(file: int, path: Path) -> None:

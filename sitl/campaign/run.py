@@ -53,7 +53,6 @@ class Options:
 
     @property
     def command(self) -> str:
-        """The command line that continues it."""
         words = ["companion-sitl", "campaign", "--scenarios", *self.sources, "--runs", str(self.runs)]
         given = {
             "--first-seed": self.first_seed or None,
@@ -68,11 +67,7 @@ class Options:
 
 
 def run_campaign(options: Options, console: Console) -> int:
-    """Fly the runs without a row, then print the summary; returns the exit code.
-
-    Raises:
-        ConfigError: a user error.
-    """
+    """Fly the runs without a row, then print the summary; returns the exit code."""
     plan = make_plan(options.sources, options.first_seed, options.runs, options.config, options.firmware)
     with contextlib.ExitStack() as stack:
         folder = options.folder or Path(
@@ -146,7 +141,6 @@ def _fly(plan: Plan, runs: RunsFile, options: Options, console: Console) -> None
 
 
 def _flown(flights: Sequence[CampaignRun], options: Options) -> Generator[RunResult, None, None]:
-    """Where they are flown."""
     if options.scheduler is None:
         return fly_locally(flights, options.jobs)
     try:
@@ -202,7 +196,6 @@ def _verdict(rows: Sequence[Row], console: Console, *, bars: bool) -> int:
 
 
 # ---------------------------------------------------------------- progress
-# How far a campaign is: a live bar on a terminal, a line now and then in a log.
 
 LINES_IN_ALL: Final = 10
 
@@ -233,7 +226,6 @@ class CampaignMeter:
             self._bar.stop()
 
     def take(self, row: Row) -> None:
-        """A run has ended."""
         tenth = self._done * LINES_IN_ALL // self._total
         self._done += 1
         self._landed += row.landed

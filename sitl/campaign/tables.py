@@ -96,7 +96,6 @@ def _spread_text(found: Percentiles | None, factor: float, digits: int) -> str:
 
 
 def print_worst(console: Console, rows: Sequence[Row]) -> None:
-    """The worst runs, each with the command that repeats it."""
     shown = worst(rows, WORST_SHOWN)
     console.print(f"The {len(shown)} worst runs, and what repeats each:" if len(shown) > 1 else "The run:")
     for row in shown:
@@ -107,7 +106,6 @@ def print_worst(console: Console, rows: Sequence[Row]) -> None:
 
 
 # ---------------------------------------------------------------- figures
-# Statistics of a campaign: success rate with its interval, errors at touchdown, the worst runs, bars.
 
 CONFIDENCE: Final = 0.95
 # the worst first; a run that came down is judged by how far off it was
@@ -129,7 +127,6 @@ class Share:
 
     @property
     def value(self) -> float:
-        """The share itself."""
         return self.hits / self.of
 
     def __str__(self) -> str:

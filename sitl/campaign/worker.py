@@ -175,7 +175,6 @@ class Worker:
         return lines[-1] if lines else "no output"
 
     def _said(self) -> int:
-        """How many bytes of standard error there are."""
         return os.fstat(self._words.fileno()).st_size if self._words else 0
 
 
@@ -185,17 +184,12 @@ def _ending(code: int) -> str:
 
 
 # ---------------------------------------------------------------- pool
-# Runs side by side on this machine: one process a job, each flying one run after another.
 
 
 def fly_locally(
     flights: Sequence[CampaignRun], jobs: int, make_worker: Callable[[], Worker] = Worker
 ) -> Generator[RunResult, None, None]:
-    """Fly runs, `jobs` at a time; they come as they end. Close it early and nothing is left running.
-
-    Raises:
-        ConfigError: the app refuses a scenario or the settings.
-    """
+    """Fly runs, `jobs` at a time; they come as they end. Close it early and nothing is left running."""
     workers = [make_worker() for _ in range(min(jobs, len(flights)))]
     idle: SimpleQueue[Worker] = SimpleQueue()
     for worker in workers:

@@ -60,7 +60,6 @@ class Mpu9250Device:
         interface: Interface = "i2c",
         identity: int = 0x71,
         clock_error: float = 0.003,
-        temperature_c: float = 38.0,
     ) -> None:
         self._imu = imu
         self.magnetometer = magnetometer
@@ -68,7 +67,7 @@ class Mpu9250Device:
         self._interface = interface
         self._identity = identity
         self._clock = 1.0 + clock_error
-        self.temperature_c = temperature_c
+        self.temperature_c = 38.0
         self.fault: Fault = "none"
         self.nack_every = 0  # one transaction in so many is not acknowledged; 0: all are
         self._transactions = 0
@@ -324,8 +323,6 @@ AK8963_ADDRESS: Final = 0x0C
 _WIA, _ST1, _HXL, _ST2, _CNTL1, _CNTL2, _ASAX = 0x00, 0x02, 0x03, 0x09, 0x0A, 0x0B, 0x10
 
 # ---------------------------------------------------------------- ak8963
-# The AK8963 magnetometer as registers, on the MPU9250's inner bus.
-#
 # After PS-MPU-9250A-01 rev. 1.1: power-down, continuous (8 and 100 Hz) and fuse-ROM modes, 16 or 14 bits,
 # ST1 data-ready, ST2 overflow. Its axes are not the accelerometer's: x and y are swapped, z is opposite.
 

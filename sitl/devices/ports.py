@@ -147,12 +147,10 @@ class MemoryPort(DevicePort):
         self._line = PacedLine(baud, self.app.deliver, lambda: self.app.baud)
 
     def send(self, data: bytes) -> None:
-        """Put bytes on the line to the app."""
         if data:
             self._line.send(data)
 
     def close(self) -> None:
-        """Unplug the line: the app's end gets OSError."""
         self.app.close()
 
 
@@ -178,12 +176,10 @@ class PtyPort(DevicePort):
         self._loop.add_reader(self._master, self._on_readable)
 
     def send(self, data: bytes) -> None:
-        """Put bytes on the line to the app."""
         if data and self._open:
             self._line.send(data)
 
     def close(self) -> None:
-        """Unplug the line: the app's end gets OSError."""
         if self._open:
             self._open = False
             self._loop.remove_reader(self._master)

@@ -63,7 +63,6 @@ class BoardMount:
         return force, add(quat_rotate_inverse(self._board, rate_body), slip_rate)
 
     def seen(self, field_body: Vector3) -> Vector3:
-        """A field (body axes) in the board's axes."""
         return field_body if self._board == IDENTITY else quat_rotate_inverse(self._board, field_body)
 
     def _move(self) -> Vector3:
@@ -141,7 +140,6 @@ class SensorRack:
 
     @property
     def truth(self) -> BoardTruth:
-        """True calibration errors of IMU and magnetometer."""
         imu = self.inertial
         return BoardTruth(
             imu.accel_calibration_errors,
@@ -151,7 +149,6 @@ class SensorRack:
         )
 
     def clear_faults(self) -> None:
-        """Clear all faults."""
         imu, inertial = self.imu, self.inertial
         imu.wake()
         imu.magnetometer.silent = False

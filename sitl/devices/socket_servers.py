@@ -101,8 +101,6 @@ def _remove(path: Path) -> None:
 
 
 # ---------------------------------------------------------------- frame server
-# Serves frames to other processes on a unix socket or a TCP port (companion/base/formats/frame_format.py).
-#
 # A client that has not taken its last frame yet misses this one: the camera never waits.
 
 
@@ -119,7 +117,6 @@ class FrameServer:
 
     @property
     def client_count(self) -> int:
-        """How many are connected."""
         return len(self._clients)
 
     @property
@@ -144,7 +141,6 @@ class FrameServer:
             self._server = await UnixServer.start(self._serve, self._where)
 
     def deliver(self, frame: Frame) -> None:
-        """Send a frame to every client that can take it."""
         free = [c for c in self._clients if c.transport.get_write_buffer_size() == 0]
         if not free:
             return
@@ -153,7 +149,6 @@ class FrameServer:
             client.write(data)
 
     async def close(self) -> None:
-        """Stop listening, part from all clients and remove the socket."""
         if self._server is not None:
             self._server.close()
         for client in self._clients:
@@ -186,13 +181,9 @@ class FrameServer:
 class RegisterDevice(Protocol):
     """What answers on the bus. OSError is a bus fault."""
 
-    def read(self, address: int, register: int, length: int) -> bytes:
-        """Read registers."""
-        ...
+    def read(self, address: int, register: int, length: int) -> bytes: ...
 
-    def write(self, address: int, register: int, value: int) -> None:
-        """Write one register."""
-        ...
+    def write(self, address: int, register: int, value: int) -> None: ...
 
 
 def answer(device: RegisterDevice, request: bytes) -> bytes:
@@ -217,9 +208,6 @@ async def serve_registers(
     """Start serving `device` at the socket `path`, replacing a stale one; close the server to end.
 
     `on_client` is called for each client, at its first request.
-
-    Raises:
-        ConfigError: the path cannot be used.
     """
 
     async def converse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

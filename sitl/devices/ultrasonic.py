@@ -36,7 +36,6 @@ class UltrasonicDevice:
         return min(self._next_s, self._answer_s) if self._frame else self._next_s
 
     def step(self, now_s: float, height_m: float, tilt_rad: float = 0.0) -> bytes:
-        """Bytes that start on the line now; `height_m` of the sensor over the floor under it."""
         if self._next_s is None:
             self._next_s = now_s
         if now_s >= self._next_s:
@@ -68,13 +67,11 @@ class PolledUltrasonicDevice:
 
     @property
     def next_s(self) -> float:
-        """Time of the next ping or transmission."""
         if self._asked:
             return -math.inf
         return self._answer_s if self._answer else math.inf
 
     def step(self, now_s: float, height_m: float, tilt_rad: float = 0.0) -> bytes:
-        """Bytes that start on the line now; `height_m` of the sensor over the floor under it."""
         for command in self._asked:
             if command == _ASK_DISTANCE:
                 distance_m = self._sensor.sample(height_m, tilt_rad)
@@ -96,7 +93,6 @@ def millimetres(distance_m: float | None) -> bytes:
 
 
 def frame(distance_m: float | None) -> bytes:
-    """The serial frame of a distance; 0 mm when there is no echo."""
     high, low = millimetres(distance_m)
     return bytes((0xFF, high, low, (0xFF + high + low) & 0xFF))
 

@@ -24,9 +24,7 @@ from companion.link.codec import (
 from sitl.external.pose import (
     ATTITUDE,
     GLOBAL_POSITION,
-    HIL_STATE,
     LOCAL_POSITION,
-    SIM_STATE,
     LocalOrigin,
     Sample,
     estimate,
@@ -35,6 +33,7 @@ from sitl.external.pose import (
     place_of,
     sim_state,
 )
+from sitl.mavlink.sensor_telemetry import HIL_STATE, SIM_STATE
 
 COMPONENT: Final = mavlink.MAV_COMP_ID_USER2
 RATE_HZ: Final = 100.0  # requested rate of the truth, and of the estimates in its place
@@ -51,10 +50,7 @@ _SLOW_WINDOWS: Final = 2
 _NS: Final = 1e9
 
 TRUTH: Final[dict[int, str]] = {SIM_STATE: "SIM_STATE", HIL_STATE: "HIL_STATE_QUATERNION"}
-TRUTH_OF: Final = {
-    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: (SIM_STATE,),
-    mavlink.MAV_AUTOPILOT_PX4: (HIL_STATE,),
-}
+TRUTH_OF: Final = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: (SIM_STATE,), mavlink.MAV_AUTOPILOT_PX4: (HIL_STATE,)}
 ESTIMATES: Final = "LOCAL_POSITION_NED and ATTITUDE_QUATERNION"
 _ESTIMATE_RATES_HZ: Final = {LOCAL_POSITION: 50.0, GLOBAL_POSITION: 5.0}
 _HOME: Final = mavlink.MAVLINK_MSG_ID_HOME_POSITION
@@ -72,13 +68,11 @@ class StampClock:
         self._trips: deque[tuple[float, float]] = deque(maxlen=_TRIPS)
 
     def ask(self, now_s: float) -> Message:
-        """A question to send now."""
         sent_ns = max(1, round(now_s * _NS))
         self._asked.append(sent_ns)
         return mavlink.MAVLink_timesync_message(0, sent_ns)
 
     def hear(self, message: Message, now_s: float) -> None:
-        """Take an answer to one of ours."""
         if message.tc1 == 0 or message.ts1 not in self._asked:
             return
         self._asked.remove(message.ts1)
@@ -134,7 +128,6 @@ class VehicleClient:
     # ------------------------------------------------------------ in
 
     def receive(self, data: bytes, now_s: float) -> None:
-        """Take bytes that have just come."""
         for message in self._codec.decode(data):
             if message.get_srcComponent() != AUTOPILOT_COMPONENT:
                 continue
@@ -225,7 +218,6 @@ class VehicleClient:
     # ------------------------------------------------------------ out
 
     def encode(self, message: Message) -> bytes:
-        """A message from a component beside the vehicle's autopilot."""
         return self._codec.encode(message)
 
     def transmit(self, now_s: float) -> bytes:

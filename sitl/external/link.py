@@ -34,7 +34,6 @@ class TcpEnd:
         self._task = asyncio.create_task(self._stay_connected(host, port), name=self._name)
 
     async def read(self) -> bytes:
-        """Wait for bytes."""
         return await self._inbox.read()
 
     def write(self, data: bytes) -> None:
@@ -44,7 +43,6 @@ class TcpEnd:
             writer.write(data)
 
     def close(self) -> None:
-        """Part, for good."""
         self._task.cancel()
         if self._writer is not None:
             self._writer.transport.abort()
@@ -68,7 +66,6 @@ class TcpEnd:
             await asyncio.sleep(RETRY_S)
 
     def _complain(self, reason: str) -> None:
-        """Report a problem once while it lasts."""
         if not self._warned:
             self._warned = True
             self._tell(f"{self._name}: {reason}; trying again every {RETRY_S:g} s")
@@ -120,7 +117,6 @@ async def open_link(spec: str, tell: Tell) -> ExternalLink:
 
 
 def _reason(error: OSError) -> str:
-    """What went wrong in one short clause."""
     return os.strerror(error.errno) if error.errno is not None and error.errno > 0 else str(error)
 
 

@@ -31,8 +31,6 @@ from companion.base.geometry import (
 )
 from companion.link.codec import Message, mavlink
 
-SIM_STATE: Final = mavlink.MAVLINK_MSG_ID_SIM_STATE
-HIL_STATE: Final = mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
 LOCAL_POSITION: Final = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
 ATTITUDE: Final = mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
 GLOBAL_POSITION: Final = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
@@ -196,7 +194,6 @@ class PoseTrack:
 
     @property
     def newest(self) -> Pose | None:
-        """The newest pose; None before the first."""
         return self._poses[-1] if self._poses else None
 
     def put(self, pose: Pose) -> Pose | None:

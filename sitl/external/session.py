@@ -40,16 +40,16 @@ from sitl.run.process_control import (
     SimulationReport,
     final_phase,
     print_json,
+    report_of,
     run_until_finished,
 )
 from sitl.run.scene_camera import SceneCamera
-from sitl.run.simulation import OUT_OF_RANGE_M, TRUTH_EVERY_TICKS
+from sitl.run.simulation import TRUTH_EVERY_TICKS
 from sitl.scenario.scenario import PassBounds, Scenario
+from sitl.sensors.autopilot_sensors import RANGE_PERIOD_S
 from sitl.sensors.inertial import sensor_errors
-from sitl.sensors.sensors import RangeErrors, RangeSensor
+from sitl.sensors.sensors import OUT_OF_RANGE_M, RangeErrors, RangeSensor
 from sitl.world.score import Verdict
-
-RANGE_PERIOD_S: Final = 0.05
 
 
 class RangefinderMessages:
@@ -88,22 +88,16 @@ class Relay(ByteLink, Protocol):
     """The app's connection to the vehicle, if it shares the world's."""
 
     @property
-    def has_peer(self) -> bool:
-        """Whether the app has sent anything."""
-        ...
+    def has_peer(self) -> bool: ...
 
 
 class FrameSink(Protocol):
     """Takes the camera's frames."""
 
     @property
-    def client_count(self) -> int:
-        """How many are watching."""
-        ...
+    def client_count(self) -> int: ...
 
-    def deliver(self, frame: Frame) -> None:
-        """A frame has arrived."""
-        ...
+    def deliver(self, frame: Frame) -> None: ...
 
 
 @dataclass(slots=True)
@@ -162,7 +156,6 @@ class ExternalSimulation:
         self._reported_touchdown_s: float | None = None
 
     async def run(self) -> None:
-        """Go on until cancelled."""
         connections = self._connections
         async with asyncio.TaskGroup() as group:
             group.create_task(
@@ -181,24 +174,14 @@ class ExternalSimulation:
                 await self._clock.sleep_until(due_s)
 
     def report(self, final_phase: Phase) -> SimulationReport:
-        """Judge the flight as it stands; `final_phase` is the app's last."""
-        now_s, verdict = self._clock.now_s(), self.world.judge(final_phase)
-        touchdown = self.world.touchdown
-        pad_speed = (
-            float(np.linalg.norm(self.world.pad_at(now_s).velocity_ned_m_s))
-            if touchdown is None
-            else touchdown.pad_speed_m_s
-        )
-        return SimulationReport(
-            outcome=verdict.outcome,
-            failures=verdict.failures,
-            touchdown=verdict.touchdown,
-            pad_speed_m_s=pad_speed,
+        now_s = self._clock.now_s()
+        return report_of(
+            self.world.judge(final_phase),
+            self.world.watch,
+            self.world.pad_at(now_s),
             duration_s=0.0 if self._first_s is None else now_s - self._first_s,
             latest_tick_s=self._latest_tick_s,
-            truth=tuple(self._truth),
-            nearest_obstacle_m=self.world.nearest_obstacle_m,
-            contacts=verdict.contacts,
+            truth=self._truth,
         )
 
     # ------------------------------------------------------------ the link
@@ -281,7 +264,7 @@ class ExternalSimulation:
 
     def _report_landing(self) -> None:
         """A table of each landing, for people, when the vehicle has disarmed after it."""
-        touchdown = self.world.touchdown
+        touchdown = self.world.watch.touchdown
         if touchdown is None or self.world.armed or touchdown.time_s == self._reported_touchdown_s:
             return
         self._reported_touchdown_s = touchdown.time_s
@@ -353,11 +336,7 @@ def print_verdict(verdict: Verdict, bounds: PassBounds) -> None:
 async def serve_external(
     scenario: Scenario, seed: int, folder: Path, connection: str, *, child: bool = False
 ) -> None:
-    """Run the world until standard input or a signal ends it; see the module's docstring.
-
-    Raises:
-        ConfigError: the connection is none, a port is taken, or the scenario does not suit.
-    """
+    """Run the world until standard input or a signal ends it; see the module's docstring."""
     check_connection(connection, "--external")
     async with contextlib.AsyncExitStack() as stack:
         link = await open_link(connection, tell)

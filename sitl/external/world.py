@@ -36,16 +36,14 @@ from sitl.external.pose import JUMP_M, MEMORY_S, Pose, PoseTrack, Sample
 from sitl.pad.motion import PadMotion, PadTruth, build_pad_motion
 from sitl.scenario.scenario import Scenario, load_airframe
 from sitl.vehicle.quadrotor import QuadrotorState
-from sitl.world.contact import NO_CONTACT, ContactLoad
+from sitl.world.contact import NO_CONTACT, REST_SPEED_M_S, STANDING_FEET, ContactLoad
 from sitl.world.ground import Obstacles, PadBoard
-from sitl.world.score import TouchdownDetector, TouchdownState, Verdict, judge
+from sitl.world.score import TouchdownDetector, Verdict, judge
 
 PAD_STREAM: Final = 12  # the bundled world's: the same seed gives the same way of the pad
 # A foot this near counts as down: a simulator's ground is level with the first stand to a centimetre, and a
 # message in 10 ms of a descent at 0.3 m/s is 3 mm.
 CONTACT_M: Final = 0.02
-STANDING_FEET: Final = 3
-REST_SPEED_M_S: Final = 0.05
 LEVEL_M: Final = 0.01
 _LEVEL_EVERY_S: Final = 0.5
 
@@ -91,14 +89,14 @@ class ExternalWorld:
         self._load = NO_CONTACT
         self._in_air: Pose | None = None
         self._last: Pose
-        self._watch = TouchdownDetector()
+        self.watch = TouchdownDetector()
         self._pad.stop()
 
     def see(self, sample: Sample, *, armed: bool) -> None:
         """Take the vehicle's next pose; `begin` comes first."""
         assert self.origin is not None
         if armed and not self.armed and self._load.touching:
-            self._watch.begin_flight()
+            self.watch.begin_flight()
         self.armed = armed
         north, east, down = ned_from_geodetic(*sample.place, self.origin)
         position = (north, east, down - self._standing_m)
@@ -134,12 +132,12 @@ class ExternalWorld:
             self._load = NO_CONTACT
             self._in_air = pose
         # the message with the contact has the vehicle already stopped: take the one before
-        self._watch.beside(self._obstacles.clearance_m(pose.position_ned_m))
+        self.watch.beside(self._obstacles.clearance_m(pose.position_ned_m))
         touches_now = self._load.touching and not touched
         state = self._in_air if touches_now and self._in_air is not None else pose
-        self._watch.step(pose.time_s, _body(state), self.pad_at(state.time_s), self._load)
-        self._watch.airborne(lowest_m)
-        self.flown = self.flown or (self.armed and self._watch.flying)
+        self.watch.step(pose.time_s, _body(state), self.pad_at(state.time_s), self._load)
+        self.watch.airborne(lowest_m)
+        self.flown = self.flown or (self.armed and self.watch.flying)
         if self._load.on_board and self._pad.departed and not self._pad.carries:
             self._pad.touch(state)
         elif not self._load.touching and self._pad.carries:
@@ -181,16 +179,6 @@ class ExternalWorld:
         return height if height > 0.0 and tilt_from_quat(pose.attitude) <= half_beam_rad else None
 
     @property
-    def touchdown(self) -> TouchdownState | None:
-        """The last contact, after a flight above 1 m."""
-        return self._watch.touchdown
-
-    @property
-    def nearest_obstacle_m(self) -> float | None:
-        """The least distance from the rotors' tips to an obstacle so far; None without any."""
-        return self._watch.nearest_obstacle_m
-
-    @property
     def at_rest_on_pad(self) -> bool:
         """Whether it stands on the board."""
         pose = self.track.newest
@@ -198,25 +186,17 @@ class ExternalWorld:
         return resting and self._load.on_board >= STANDING_FEET
 
     def judge(self, final_phase: Phase) -> Verdict:
-        """The verdict as it stands; `final_phase` is the app's last."""
         return judge(
-            self._watch.touchdown,
+            self.watch,
             self._bounds,
-            contacts=self._watch.contacts,
-            crashed=self._watch.crashed,
             at_rest_on_pad=self.at_rest_on_pad,
             disarmed=not self.armed,
             final_phase=final_phase,
-            nearest_obstacle_m=self._watch.nearest_obstacle_m,
         )
 
 
 def _check_level(motion: PadMotion, scenario: Scenario) -> None:
-    """Refuse a pad that leaves the ground: the vehicle's own simulator knows no other surface.
-
-    Raises:
-        ConfigError: it does.
-    """
+    """Refuse a pad that leaves the ground: the vehicle's own simulator knows no other surface."""
     if scenario.pad.deck is not None:
         raise ConfigError(
             f"scenario '{scenario.name}': pad.deck: expected none, since the ground of an external simulator "
@@ -241,8 +221,6 @@ def _body(pose: Pose) -> QuadrotorState:
 
 
 # ---------------------------------------------------------------- touched pad
-# The pad of an external vehicle: it drives along its motion, and with the vehicle while that stands on it.
-#
 # An external simulator's own ground stops a vehicle that comes down on a moving pad; a real deck would carry
 # it. Camera and rangefinder see the same of both: the vehicle at rest over the pad. So from the contact on
 # the pad goes where the vehicle goes, message by message: it stops with it. What their speeds differed by at
@@ -288,16 +266,13 @@ class TouchedPad:
 
     @property
     def departed(self) -> bool:
-        """Whether it has set off."""
         return self._stretches[-1].since_s > _BEFORE_ALL
 
     @property
     def carries(self) -> bool:
-        """Whether the vehicle stands on it."""
         return self._stretches[-1].contact is not None
 
     def depart(self, time_s: float) -> None:
-        """Set off."""
         self._append(_Stretch(time_s, drives=True, simulated_s=self._simulated_s(time_s)))
 
     def touch(self, pose: Pose) -> None:
@@ -310,7 +285,6 @@ class TouchedPad:
         )
 
     def release(self, time_s: float) -> None:
-        """Drive on: the vehicle has risen."""
         last = self._stretches[-1]
         displaced = add(last.displaced_m, self._carried_m(last, time_s))
         begun_s = self._simulated_s(time_s)

@@ -80,7 +80,6 @@ class Fault(StrictModel):
 
     @property
     def lasts_s(self) -> float:
-        """How long it is there."""
         return self.duration_s
 
     def check(self, targets: FaultTargets) -> None:
@@ -100,7 +99,6 @@ class AutopilotFault(Fault):
     """One of the bundled autopilot."""
 
     def check(self, targets: FaultTargets) -> None:
-        """See `Fault`."""
         if targets.autopilot is None:
             raise ConfigError(f"faults: {self.kind} needs the bundled autopilot, not a firmware")
 
@@ -109,7 +107,6 @@ class ComputerFault(Fault):
     """One of the companion computer. It acts in a harness that runs the app in the simulator's process."""
 
     def check(self, targets: FaultTargets) -> None:
-        """See `Fault`."""
         if targets.computer is None:
             raise ConfigError(
                 f"faults: {self.kind} is the companion computer's, which make bench-faults simulates"

@@ -32,7 +32,6 @@ class StatusTextMonitor:
         self._chunks: dict[int, list[str]] = {}
 
     def hear(self, data: bytes, now_s: float) -> None:
-        """Take bytes that the app has just sent."""
         for frame in self._reader.read(data, now_s):
             if frame.message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
                 self._take(frame, now_s)
@@ -121,20 +120,19 @@ class FaultSchedule:
         """Once per physics step, before the sensors' step."""
         if self._waiting:
             self._look(now_s)
-        begun = [fault for begins_s, fault in self._due if begins_s <= now_s]
+        begun = [(begins_s, fault) for begins_s, fault in self._due if begins_s <= now_s]
         ended = [fault for until_s, fault in self._present if until_s <= now_s]
         if not begun and not ended:
             return
-        until_s = {id(fault): begins_s + fault.lasts_s for begins_s, fault in self._due}
         self._due = [(begins_s, fault) for begins_s, fault in self._due if begins_s > now_s]
         self._present = [(end_s, fault) for end_s, fault in self._present if end_s > now_s]
-        self._present += [(until_s[id(fault)], fault) for fault in begun]
+        self._present += [(begins_s + fault.lasts_s, fault) for begins_s, fault in begun]
         self._targets.clear_faults()
         for _, fault in self._present:
             fault.apply(self._targets)
         for fault in ended:
             fault.end(self._targets, now_s)
-        for fault in begun:
+        for _, fault in begun:
             fault.begin(self._targets, now_s)
 
     def _look(self, now_s: float) -> None:

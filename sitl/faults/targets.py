@@ -24,7 +24,6 @@ class ComputerFaults:
         self.clear_faults()
 
     def clear_faults(self) -> None:
-        """All well."""
         self.solver: SolverFault = "none"
         self.imu_nan = False
         self.disk_full = False

@@ -74,7 +74,6 @@ class ArduPilot(Firmware):
             self._opened = opened.pop_all()
 
     def step(self, moment: Moment) -> RotorValues:
-        """See `Firmware`."""
         assert self._peer is not None
         for frame in range(FRAMES_PER_STEP):
             earlier_s = (FRAMES_PER_STEP - 1 - frame) / (FRAMES_PER_STEP * STEP_HZ)
@@ -100,12 +99,7 @@ class ArduPilot(Firmware):
         if magic != MAGIC or frame <= self._frame:
             return False
         self._peer, self._frame = peer, frame
-        self._motors = (
-            _share(pulses[_FRONT]),
-            _share(pulses[_RIGHT]),
-            _share(pulses[_REAR]),
-            _share(pulses[_LEFT]),
-        )
+        self._motors = tuple(_share(pulses[motor]) for motor in (_FRONT, _RIGHT, _REAR, _LEFT))
         return True
 
     def _command(self, spec: FirmwareSpec, instance: int, home: Vector3, parameters: str) -> list[str]:
@@ -149,9 +143,6 @@ def _free_instance() -> tuple[Datagrams, int]:
 
     It listens on its second and third serial ports, but only after a while: so that two instances do not
     start with one instance, our end has the number of its first port.
-
-    Raises:
-        ConfigError: none is free.
     """
     for instance in range(INSTANCES):
         first = BASE_PORT + PORTS_PER_INSTANCE * instance

@@ -93,7 +93,6 @@ class Process:
         return next((line for line in lines if line), "no output")
 
     def close(self) -> None:
-        """End it, with all that it has started, and clear up."""
         if self._child is not None and self._child.poll() is None:
             os.killpg(self._child.pid, signal.SIGKILL)
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -142,7 +141,6 @@ class Datagrams:
                 self._socket.sendto(data, self._peer)
 
     def close(self) -> None:
-        """Give the port back."""
         self._socket.close()
 
 
@@ -196,13 +194,10 @@ class Firmware(ABC):
         """
 
     def read(self) -> list[bytes]:
-        """Datagrams of MAVLink that it has sent since the last call."""
         return self._link.read()
 
     def write(self, data: bytes) -> None:
-        """A datagram of MAVLink for it."""
         self._link.write(data)
 
     def close(self) -> None:
-        """End it."""
         self._opened.close()

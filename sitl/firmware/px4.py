@@ -111,7 +111,6 @@ class Px4(Firmware):
             self._opened = opened.pop_all()
 
     def step(self, moment: Moment) -> RotorValues:
-        """See `Firmware`."""
         time_us = round(moment.clock_s * 1e6)
         try:
             self._socket.sendall(self._sensors(moment, time_us) + self._gps(moment))
@@ -213,11 +212,7 @@ class Px4(Firmware):
 
 
 def _free_instance() -> tuple[socket.socket, Datagrams, int]:
-    """Its simulator's port and its companion's, and the instance that has them and whose own ports are free.
-
-    Raises:
-        ConfigError: none is.
-    """
+    """Its simulator's port and its companion's, and the instance whose own ports are free as well."""
     for instance in range(INSTANCES):
         server = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

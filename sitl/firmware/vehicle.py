@@ -19,6 +19,7 @@ from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.framing import FrameReader, MavFrame
 from sitl.mavlink.ground_station import GroundStation
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
+from sitl.sensors.sensors import OUT_OF_RANGE_M
 from sitl.vehicle.quadrotor import QuadrotorState, RotorValues
 from sitl.world.world import World
 
@@ -80,7 +81,6 @@ class FirmwareVehicle:
         return self._world.state.attitude
 
     def close(self) -> None:
-        """End it."""
         self._firmware.close()
 
 
@@ -112,13 +112,11 @@ class FirmwareNetwork:
         self._ports: list[FirmwarePort] = []
 
     def connect(self, write: Write, *, datagrams: bool) -> FirmwarePort:
-        """Open a port for a client; `datagrams`: whole ones are handed to `receive`."""
         port = FirmwarePort(write, datagrams=datagrams)
         self._ports.append(port)
         return port
 
     def disconnect(self, port: Any) -> None:
-        """Close a port."""
         self._ports.remove(port)
 
     def receive(self, port: Any, data: bytes, now_s: float) -> None:
@@ -152,7 +150,6 @@ class FirmwareNetwork:
 MOST_BOOT_S: Final = 90.0
 SETTLE_S: Final = 5.0  # ready, it stands so much longer: its biases go on settling
 STEPS_PER_LOOK: Final = 20
-OUT_OF_RANGE_M: Final = 99.0
 GROUND_STATION: Final = (255, 190)
 # what ArduCopter wants for flying by setpoints: velocity, and a position on the globe
 _EKF_NEEDS: Final = (
@@ -161,11 +158,6 @@ _EKF_NEEDS: Final = (
 
 
 def start_firmware(spec: FirmwareSpec, setup: Setup, barometer: Barometer) -> Firmware:
-    """A running firmware, which has not booted.
-
-    Raises:
-        ConfigError: it cannot be started.
-    """
     return Px4(spec, setup, barometer) if spec.kind == "px4" else ArduPilot(spec, setup)
 
 

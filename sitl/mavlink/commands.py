@@ -3,10 +3,12 @@
 Both kinds of message become a `CommandRequest`; the function's result is sent as COMMAND_ACK.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from companion.link.codec import Message, mavlink
 from sitl.autopilot.flight.autopilot import SimulatedAutopilot
@@ -14,13 +16,13 @@ from sitl.autopilot.flight.manual_control import CHANNELS, Sticks
 from sitl.autopilot.flight.modes import CommandResult
 from sitl.autopilot.flight.profile import LandingTarget
 
+if TYPE_CHECKING:
+    from sitl.mavlink.endpoint import MavlinkEndpoint
+
 FORCE_MAGIC: Final = 21196
 _ARDUPILOT_FORCE_ARM: Final = 2989
 _NOT_GIVEN_E7: Final = 0x7FFFFFFF
-_OVER_HOME: Final = {
-    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-}
+_OVER_HOME: Final = {mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT}
 _POSITION_OF_LONG: Final = mavlink.MAV_FRAME_GLOBAL
 _GLOBAL_FRAMES: Final = _OVER_HOME | {mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT}
 _REBOOT: Final = (1, 3)  # 3 stays in the boot loader, which is not simulated
@@ -34,21 +36,6 @@ _WITH_PLACE: Final = {
     mavlink.MAV_CMD_DO_LAND_START,
 }
 _NAV_PRECLAND: Final = 23  # PX4's own, where MAVLink's dialects have NAV_LAND_LOCAL
-
-
-class CommandSender(Protocol):
-    """The endpoint's functions that commands use, and the autopilot."""
-
-    autopilot: SimulatedAutopilot
-
-    def send_once(self, message_id: int, now_s: float) -> bool:
-        """Send a telemetry message now; False when there is no such message."""
-
-    def set_interval(self, message_id: int, interval_us: float) -> bool:
-        """Change how often a telemetry message is sent; False when there is no such message."""
-
-    def send_message_interval(self, message_id: int) -> None:
-        """Send MESSAGE_INTERVAL for one message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,25 +138,25 @@ def _store_parameters(autopilot: SimulatedAutopilot, request: CommandRequest) ->
     return CommandResult.ACCEPTED
 
 
-def _request_message(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    if sender.send_once(request.whole(1), now_s):
+def _request_message(link: MavlinkEndpoint, request: CommandRequest, now_s: float) -> CommandResult:
+    if link.send_once(request.whole(1), now_s):
         return CommandResult.ACCEPTED
-    return sender.autopilot.profile.unsupported_request
+    return link.autopilot.profile.unsupported_request
 
 
-def _set_interval(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    accepted = sender.set_interval(request.whole(1), request.parameters[1])
+def _set_interval(link: MavlinkEndpoint, request: CommandRequest, now_s: float) -> CommandResult:
+    accepted = link.set_interval(request.whole(1), request.parameters[1])
     return CommandResult.ACCEPTED if accepted else CommandResult.FAILED
 
 
-def _get_interval(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    sender.send_message_interval(request.whole(1))
+def _get_interval(link: MavlinkEndpoint, request: CommandRequest, now_s: float) -> CommandResult:
+    link.send_message_interval(request.whole(1))
     return CommandResult.ACCEPTED
 
 
-def _sender_of(message_id: int) -> Callable[[CommandSender, CommandRequest, float], CommandResult]:
-    def send(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-        sender.send_once(message_id, now_s)
+def _sender_of(message_id: int) -> Callable[[MavlinkEndpoint, CommandRequest, float], CommandResult]:
+    def send(link: MavlinkEndpoint, request: CommandRequest, now_s: float) -> CommandResult:
+        link.send_once(message_id, now_s)
         return CommandResult.ACCEPTED
 
     return send
@@ -207,7 +194,7 @@ HANDLERS: Final[dict[int, Handler]] = {
     _NAV_PRECLAND: lambda ap, _: ap.precision_land(),
 }
 # those that concern the link they come over
-LINK_HANDLERS: Final[dict[int, Callable[[CommandSender, CommandRequest, float], CommandResult]]] = {
+LINK_HANDLERS: Final[dict[int, Callable[[MavlinkEndpoint, CommandRequest, float], CommandResult]]] = {
     mavlink.MAV_CMD_REQUEST_MESSAGE: _request_message,
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: _set_interval,
     mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: _get_interval,
@@ -216,17 +203,14 @@ LINK_HANDLERS: Final[dict[int, Callable[[CommandSender, CommandRequest, float], 
 }
 
 
-def execute(sender: CommandSender, request: CommandRequest, now_s: float) -> CommandResult:
-    """Execute a command; one that is not in the table is UNSUPPORTED."""
+def execute(link: MavlinkEndpoint, request: CommandRequest, now_s: float) -> CommandResult:
     if (handler := HANDLERS.get(request.command)) is not None:
-        return handler(sender.autopilot, request)
+        return handler(link.autopilot, request)
     of_link = LINK_HANDLERS.get(request.command)
-    return CommandResult.UNSUPPORTED if of_link is None else of_link(sender, request, now_s)
+    return CommandResult.UNSUPPORTED if of_link is None else of_link(link, request, now_s)
 
 
 # ---------------------------------------------------------------- pilot inputs
-# Messages that control the autopilot without commands: RC override, manual control, LANDING_TARGET.
-#
 # Each handler takes (autopilot, message, now_s); invalid values are ignored.
 
 

@@ -218,7 +218,6 @@ class MavlinkEndpoint:
     # ------------------------------------------------------------ bytes
 
     def receive(self, data: bytes, now_s: float) -> None:
-        """Take bytes that have just arrived."""
         for frame in self.frames(data, now_s):
             self.handle(frame, now_s)
 
@@ -233,7 +232,6 @@ class MavlinkEndpoint:
         return [frame for frame in self._reader.read(data, now_s) if self.signing.accepts(frame)]
 
     def handle(self, frame: MavFrame, now_s: float) -> None:
-        """Handle a frame if it is addressed to this component."""
         handler = self._handlers.get(frame.message_id)
         if handler is None or not self._is_addressed(frame):
             return
@@ -292,7 +290,6 @@ class MavlinkEndpoint:
         return True
 
     def queue(self, message: Message) -> None:
-        """Send a message over this link."""
         self._outgoing.append(message)
 
     def announce(self, message: Message) -> None:

@@ -16,14 +16,7 @@ from typing import Any, Final, NamedTuple
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
-from companion.link.codec import (
-    MARKER,
-    check_sum_is_right,
-    frame_size,
-    header_bytes,
-    mavlink,
-    message_id_of,
-)
+from companion.link.codec import MARKER, check_sum_is_right, frame_size, header_bytes, mavlink, message_id_of
 from companion.link.signing import (
     SIGNATURE_BYTES,
     SIGNED_FLAG,
@@ -204,7 +197,6 @@ class Signing:
         self.stamp = max(self.stamp, stamp_from_unix(unix_s))
 
     def accepts(self, frame: MavFrame) -> bool:
-        """Whether a frame passes signing."""
         if self.key is None or (frame.signed and self._is_genuine(frame, self.key)):
             return True
         if frame.message_id in self._unsigned:

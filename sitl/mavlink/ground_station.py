@@ -33,11 +33,7 @@ class GroundStation:
     """One ground station on the vehicle's link."""
 
     def __init__(
-        self,
-        beacon: BeaconSettings,
-        rng: np.random.Generator,
-        home: Vector3,
-        signing: Signing | None = None,
+        self, beacon: BeaconSettings, rng: np.random.Generator, home: Vector3, signing: Signing | None = None
     ) -> None:
         """`beacon`: the pad's GPS, without which (`available` False) the request is UNSUPPORTED; `signing`:
         what its frames are signed with."""
@@ -78,12 +74,10 @@ class GroundStation:
         self.intruders["forged"] = Forger(1.0 / rate_hz)
 
     def receive(self, data: bytes, now_s: float) -> None:
-        """Take bytes that have just arrived."""
         for frame in self._reader.read(data, now_s):
             self.handle(frame, now_s)
 
     def handle(self, frame: MavFrame, now_s: float) -> None:
-        """Handle a frame that has just arrived and passed signing."""
         if frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and _is_addressed(frame.target):
             self._handle_command(self._decoder.decode(bytearray(frame.data)), now_s)
 
@@ -155,7 +149,6 @@ def _is_addressed(target: tuple[int, int]) -> bool:
 
 
 # ---------------------------------------------------------------- intruders
-# Whoever else sends on the link: a second companion, and somebody without the key.
 
 _VEHICLE: Final = (1, 1)
 _WRONG_KEY: Final = b"not the key of this vehicle, 32b."[:32]
@@ -171,7 +164,6 @@ class Intruder(ABC):
         self._period_s, self._due_s = period_s, -math.inf
 
     def due(self, now_s: float) -> bytes:
-        """A frame, when one is due."""
         if now_s < self._due_s:
             return b""
         self._due_s = now_s + self._period_s

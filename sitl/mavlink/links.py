@@ -31,17 +31,11 @@ _NO_ADDRESS: Final = (OSError, OverflowError, UnicodeError)  # the last for an i
 class Vehicle(Protocol):
     """Where the sockets connect clients."""
 
-    def connect(self, write: Write, *, datagrams: bool) -> Port:
-        """Open a port for a client."""
-        ...
+    def connect(self, write: Write, *, datagrams: bool) -> Port: ...
 
-    def receive(self, port: Port, data: bytes) -> None:
-        """Take bytes that have just come from a client."""
-        ...
+    def receive(self, port: Port, data: bytes) -> None: ...
 
-    def disconnect(self, port: Port) -> None:
-        """Close a port."""
-        ...
+    def disconnect(self, port: Port) -> None: ...
 
 
 class UdpServer(asyncio.DatagramProtocol):
@@ -97,7 +91,6 @@ class UdpServer(asyncio.DatagramProtocol):
         self._write_paused = False
 
     def close(self) -> None:
-        """Close the socket."""
         if self._removal_timer is not None:
             self._removal_timer.cancel()
         for address in tuple(self._clients):
@@ -113,7 +106,6 @@ class UdpServer(asyncio.DatagramProtocol):
         return self._add_client(address) if len(self._clients) < MOST_CLIENTS else None
 
     def _remove_periodically(self) -> None:
-        """Remove inactive clients periodically."""
         self._remove_inactive()
         self._removal_timer = asyncio.get_running_loop().call_later(SWEEP_PERIOD_S, self._remove_periodically)
 
@@ -125,8 +117,6 @@ class UdpServer(asyncio.DatagramProtocol):
                 self._remove_client(address)
 
     def _add_client(self, address: Address) -> Port:
-        """A port for a new client."""
-
         def write(frames: Sequence[bytes]) -> None:
             if self._socket is None or self._socket.is_closing() or self._write_paused:
                 return
@@ -164,7 +154,6 @@ class TcpServer:
         return int(self._server.sockets[0].getsockname()[1])
 
     def close(self) -> None:
-        """Stop listening and disconnect all clients."""
         if self._server is not None:
             self._server.close()
         for client in tuple(self._clients):
@@ -198,7 +187,6 @@ class _TcpClient(asyncio.Protocol):
             self._port = None
 
     def close(self) -> None:
-        """Disconnect at once."""
         if self._transport is not None:
             self._transport.abort()
 

@@ -210,12 +210,9 @@ class MissionProtocol:
 
     def _ask(self, upload: _Upload, now_s: float) -> Message:
         upload.asked_s = now_s
-        integers = self._store.rules.asks_for_integers
-        kind = (
-            mavlink.MAVLink_mission_request_int_message
-            if integers
-            else mavlink.MAVLink_mission_request_message
-        )
+        kind = mavlink.MAVLink_mission_request_message
+        if self._store.rules.asks_for_integers:
+            kind = mavlink.MAVLink_mission_request_int_message
         return kind(*upload.partner, upload.next, upload.mission_type)
 
     def _on_ack(self, m: Message, now_s: float) -> list[Message]:

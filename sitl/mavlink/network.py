@@ -21,11 +21,7 @@ Write = Callable[[Sequence[bytes]], None]
 VEHICLE: Final = (1, 1)
 # a key for one link, and a radio's status of one link
 _NEVER_FORWARDED: Final = frozenset(
-    {
-        mavlink.MAVLINK_MSG_ID_SETUP_SIGNING,
-        mavlink.MAVLINK_MSG_ID_RADIO,
-        mavlink.MAVLINK_MSG_ID_RADIO_STATUS,
-    }
+    {mavlink.MAVLINK_MSG_ID_SETUP_SIGNING, mavlink.MAVLINK_MSG_ID_RADIO, mavlink.MAVLINK_MSG_ID_RADIO_STATUS}
 )
 _MOST_NODES: Final = 64
 
@@ -90,7 +86,6 @@ class Network:
         return port
 
     def disconnect(self, port: Port) -> None:
-        """Close a port."""
         self._ports.remove(port)
 
     def restart(self) -> None:
@@ -140,7 +135,6 @@ class Network:
                 port.write(answers)
 
     def _send_texts(self) -> None:
-        """Send the autopilot's texts on all links."""
         for severity, text in self._autopilot.take_texts():
             for port in self._ports:
                 port.endpoint.send_text(severity, text)

@@ -82,7 +82,7 @@ class ParameterProtocol:
             return []
         if self._bytewise:
             if m.param_type != self._type(name):
-                self._autopilot.send_text(Severity.CRITICAL, f"param types mismatch param: {name}")
+                self._autopilot.commander.send_text(Severity.CRITICAL, f"param types mismatch param: {name}")
                 return []
             if parameters.is_integer(name):
                 value = float(struct.unpack("<i", struct.pack("<f", value))[0])

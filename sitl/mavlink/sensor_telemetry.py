@@ -70,7 +70,6 @@ class SensorMessages:
         }
 
     def __contains__(self, message_id: int) -> bool:
-        """Whether this autopilot has such a message."""
         return message_id in self._builders
 
     def ask(self, message_id: int) -> None:
@@ -237,11 +236,9 @@ class TruthMessages:
         self._message_id = HIL_STATE if is_px4 else SIM_STATE
 
     def __contains__(self, message_id: int) -> bool:
-        """Whether there is such a message."""
         return bool(message_id == self._message_id)
 
     def build(self, message_id: int, now_s: float) -> Message:
-        """The message of this moment."""
         return self._hil_state(now_s) if message_id == HIL_STATE else self._sim_state()
 
     def _sim_state(self) -> Message:

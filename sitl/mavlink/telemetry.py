@@ -52,9 +52,8 @@ def milliseconds(autopilot: SimulatedAutopilot, now_s: float) -> int:
 
 
 def heartbeat(autopilot: SimulatedAutopilot, now_s: float) -> Message:
-    """HEARTBEAT: mode, armed, state."""
     base_mode, custom_mode = autopilot.mode_numbers
-    if autopilot.in_failsafe:
+    if autopilot.commander.in_failsafe:
         state = mavlink.MAV_STATE_CRITICAL
     elif autopilot.armed:
         state = mavlink.MAV_STATE_ACTIVE
@@ -68,7 +67,7 @@ def heartbeat(autopilot: SimulatedAutopilot, now_s: float) -> Message:
 def current_mode(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """CURRENT_MODE of a PX4 from 1.15 on; it names no standard mode of most of its modes."""
     _, custom_mode = autopilot.mode_numbers
-    return CurrentMode(0, custom_mode, autopilot.intended_mode_number)
+    return CurrentMode(0, custom_mode, autopilot.commander.intended_mode.custom_mode)
 
 
 def sys_status(autopilot: SimulatedAutopilot, now_s: float, unhealthy: int = 0) -> Message:
@@ -102,7 +101,6 @@ def attitude(autopilot: SimulatedAutopilot, now_s: float) -> Message:
 
 
 def attitude_quaternion(autopilot: SimulatedAutopilot, now_s: float) -> Message:
-    """ATTITUDE_QUATERNION."""
     estimate = autopilot.estimate
     return mavlink.MAVLink_attitude_quaternion_message(
         milliseconds(autopilot, now_s), *estimate.attitude, *estimate.rate_body_rad_s
@@ -146,7 +144,7 @@ def global_position(autopilot: SimulatedAutopilot, now_s: float) -> Message | No
 
 def home_position(autopilot: SimulatedAutopilot, now_s: float) -> Message | None:
     """HOME_POSITION: where it was armed, in both kinds of coordinates."""
-    if not autopilot.home_set:
+    if not autopilot.commander.situation.home_set:
         return None
     home = autopilot.home_ned_m
     return mavlink.MAVLink_home_position_message(
@@ -162,7 +160,6 @@ def gps_global_origin(autopilot: SimulatedAutopilot, now_s: float) -> Message | 
 
 
 def extended_sys_state(autopilot: SimulatedAutopilot, now_s: float) -> Message:
-    """EXTENDED_SYS_STATE: on the ground or not."""
     landed: int = getattr(mavlink, f"MAV_LANDED_STATE_{autopilot.landed_state.name}")
     return mavlink.MAVLink_extended_sys_state_message(0, landed)
 
@@ -189,7 +186,6 @@ def system_time(autopilot: SimulatedAutopilot, now_s: float) -> Message:
 
 
 def autopilot_version(autopilot: SimulatedAutopilot, now_s: float) -> Message:
-    """AUTOPILOT_VERSION: capabilities and version."""
     profile = autopilot.profile
     return mavlink.MAVLink_autopilot_version_message(
         profile.capabilities, profile.flight_version, 0, 0, 1, [0] * 8, [0] * 8, [0] * 8, 0, 0, 1

@@ -117,11 +117,7 @@ class PadTruth(NamedTuple):
         cy, sy = math.cos(self.heading_rad), math.sin(self.heading_rad)
         cp, sp = math.cos(self.pitch_rad), math.sin(self.pitch_rad)
         roll, pitch = self.roll_rate_rad_s, self.pitch_rate_rad_s
-        return (
-            roll * cp * cy - pitch * sy,
-            roll * cp * sy + pitch * cy,
-            self.heading_rate_rad_s - roll * sp,
-        )
+        return (roll * cp * cy - pitch * sy, roll * cp * sy + pitch * cy, self.heading_rate_rad_s - roll * sp)
 
     def velocity_at_ned_m_s(self, place_ned_m: Vector3) -> Vector3:
         """Velocity of the board at a place on it: the pad's, and its turning."""
@@ -153,7 +149,6 @@ class PadMotion:
         self._deck = deck
 
     def at(self, time_s: float) -> PadTruth:
-        """The pad at a time (s)."""
         place = self._path(time_s)
         fixed = self._heading_rad
         pad = PadTruth(
@@ -329,11 +324,9 @@ class IncidentMotion:
         self._tilt = RollRamp(now_s, begins, roll_rad, rate_rad_s)
 
     def vanish(self, now_s: float) -> None:
-        """It is gone from now on."""
         self._gone = self.at(now_s)._replace(
             velocity_ned_m_s=(0.0, 0.0, 0.0), acceleration_ned_m_s2=(0.0, 0.0, 0.0), is_there=False
         )
 
     def appear(self) -> None:
-        """It is there again."""
         self._gone = None

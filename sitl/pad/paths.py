@@ -537,7 +537,6 @@ class DeckMotion:
         self._pitch = draw_waves(math.radians(s.significant_pitch_deg), s.peak_period_s, rng)
 
     def at(self, time_s: float) -> DeckState:
-        """The deck at a time (s)."""
         return DeckState(
             sum_of_waves(self._heave, time_s, 0.0),
             sum_of_waves(self._roll, time_s, 0.0)[:2],

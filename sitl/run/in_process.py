@@ -39,7 +39,6 @@ class MemoryFrames:
         self._arrived = asyncio.Event()
 
     def deliver(self, frame: Frame) -> None:
-        """A frame has arrived."""
         self._frame = frame
         self._arrived.set()
 

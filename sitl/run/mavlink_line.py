@@ -49,11 +49,9 @@ class MavlinkLine:
         return self.network.connect(send, datagrams=datagrams)
 
     def disconnect(self, port: Any) -> None:
-        """Disconnect a client."""
         self.network.disconnect(port)
 
     def receive(self, port: Any, data: bytes) -> None:
-        """Take bytes that a client has just sent."""
         for hear in self.listeners:
             hear(data, self._timer.elapsed_s)
 

@@ -1,5 +1,7 @@
 """The interface to the parent process: JSON lines on standard output, one command on standard input."""
 
+from __future__ import annotations
+
 import asyncio
 import contextlib
 import json
@@ -8,16 +10,21 @@ import signal
 import sys
 import tempfile
 import threading
-from collections.abc import Coroutine, Iterator
+from collections.abc import Coroutine, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
+import numpy as np
 from pydantic import TypeAdapter
 
 from companion.base.messages import ContactResult, Outcome, Phase, Truth
 from companion.base.signals import STOPPING
 from companion.config import ConfigError
+
+if TYPE_CHECKING:
+    from sitl.pad.motion import PadTruth
+    from sitl.world.score import TouchdownDetector, Verdict
 
 REPORT_NAME: Final = "report.json"
 SENSOR_BAUD: Final = 9600  # of the lines that an app in another process opens
@@ -47,8 +54,34 @@ class SimulationReport:
     as_built: dict[str, float | list[float]] | None = None
 
 
+def report_of(
+    verdict: Verdict,
+    watch: TouchdownDetector,
+    pad: PadTruth,
+    *,
+    duration_s: float,
+    latest_tick_s: float,
+    truth: Iterable[Truth],
+) -> SimulationReport:
+    """A flight as it was judged; without a touchdown the pad's speed is that of `pad`, as it is now."""
+    touchdown = watch.touchdown
+    pad_speed_m_s = (
+        float(np.linalg.norm(pad.velocity_ned_m_s)) if touchdown is None else touchdown.pad_speed_m_s
+    )
+    return SimulationReport(
+        outcome=verdict.outcome,
+        failures=verdict.failures,
+        touchdown=verdict.touchdown,
+        pad_speed_m_s=pad_speed_m_s,
+        duration_s=duration_s,
+        latest_tick_s=latest_tick_s,
+        truth=tuple(truth),
+        nearest_obstacle_m=watch.nearest_obstacle_m,
+        contacts=verdict.contacts,
+    )
+
+
 def write_report(report: SimulationReport, path: Path) -> None:
-    """Write a report as JSON."""
     path.write_bytes(TypeAdapter(SimulationReport).dump_json(report))
 
 
@@ -65,9 +98,7 @@ def read_report(path: Path) -> SimulationReport:
 class FlightRun(Protocol):
     """A simulation that runs until it is cancelled, and judges the flight as it stands."""
 
-    async def run(self) -> None:
-        """Go on until cancelled."""
-        ...
+    async def run(self) -> None: ...
 
     def report(self, final_phase: Phase) -> SimulationReport:
         """Judge; `final_phase` is the app's last."""
@@ -121,7 +152,6 @@ async def final_phase() -> Phase | None:
 
 
 def print_json(message: dict[str, Any]) -> None:
-    """Put one line of JSON on standard output."""
     print(json.dumps(message), flush=True)
 
 

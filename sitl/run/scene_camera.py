@@ -121,10 +121,7 @@ class SceneCamera:
             self._rng.uniform(-1.0, 1.0)
         )
         frame = Frame(
-            time_s=time_s + self._stamp_error_s(),
-            received_s=time_s,
-            sequence=self._sequence,
-            image=image,
+            time_s=time_s + self._stamp_error_s(), received_s=time_s, sequence=self._sequence, image=image
         )
         self._sequence += 1
         return frame, time_s + late

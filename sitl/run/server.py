@@ -18,17 +18,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import Clock, start_unix_s
 from companion.base.files import write_atomically
-from companion.base.signals import run_until_stopped, signals_held_back, stopping_on_signals
+from companion.base.signals import stopping_on_signals
 from sitl.commands import COMPANION_PORT, GROUND_PORT, LOOPBACK, TCP_PORT
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import PtyPort
 from sitl.devices.socket_servers import FrameServer, serve_registers
-from sitl.external.session import serve_external
 from sitl.firmware.spec import FirmwareSpec
-from sitl.mavlink.framing import read_key
 from sitl.mavlink.links import TcpServer, UdpServer
 from sitl.run.process_control import (
     REPORT_NAME,
@@ -36,12 +33,10 @@ from sitl.run.process_control import (
     final_phase,
     print_json,
     run_until_finished,
-    socket_folder,
-    terminated_as_interrupted,
 )
 from sitl.run.simulation import Simulation
-from sitl.scenario.listing import app_settings_text, signed
-from sitl.scenario.scenario import Scenario, load_scenario, read_home
+from sitl.scenario.listing import app_settings_text
+from sitl.scenario.scenario import Scenario
 from sitl.vehicle import HandMotion
 
 # from which the vehicle sends to those two, as PX4's simulator does; to others it sends from a free one
@@ -56,57 +51,6 @@ class Service:
     companion_port: int = COMPANION_PORT
     ground_port: int = GROUND_PORT
     tcp_port: int = TCP_PORT
-
-
-def serve_vehicle(
-    scenario: str,
-    seed: int,
-    service: Service,
-    *,
-    autopilot: AutopilotKind | None,
-    firmware: FirmwareSpec | None,
-    home: str | None,
-    folder: Path | None,
-    settings: Path | None,
-    external: str | None,
-    signing_key: Path | None,
-    child: bool,
-    serve_truth: bool,
-) -> None:
-    """`companion-sitl` without a command, with its options.
-
-    Raises:
-        ConfigError: the options, the scenario or a file are wrong.
-        FirmwareError: the firmware ended or does not answer.
-    """
-    loaded = load_scenario(scenario)
-    if autopilot is not None:
-        loaded = loaded.model_copy(update={"autopilot": autopilot})
-    if home is not None:
-        place, heading_deg = read_home(home)
-        loaded = loaded.model_copy(update={"home": place, "start_heading_deg": heading_deg})
-    if firmware is not None:
-        loaded = loaded.model_copy(update={"autopilot": firmware.kind})
-    key = None if signing_key is None else read_key(signing_key)
-    with terminated_as_interrupted(), signals_held_back(), socket_folder(folder) as there:
-        if external is not None:
-            run_until_stopped(serve_external(loaded, seed, there, external, child=child))
-        elif child:
-            run_until_stopped(serve_child(loaded, seed, there, firmware=firmware))
-        else:
-            if signing_key is not None:
-                loaded = signed(loaded, signing_key)
-            serving = serve(
-                loaded,
-                seed,
-                there,
-                service,
-                key,
-                serve_truth=serve_truth,
-                settings_path=settings,
-                firmware=firmware,
-            )
-            run_until_stopped(serving)
 
 
 async def serve(
@@ -124,9 +68,6 @@ async def serve(
     """Serve a vehicle until Ctrl-C or SIGTERM; `serve_truth`: clients may request the truth.
 
     With a `motion` it is carried by hand. The app's settings that lead to it go to `settings_path`.
-
-    Raises:
-        ConfigError: a port is taken, or a settings file that the scenario names is wrong.
     """
     async with contextlib.AsyncExitStack() as stack:
         unix_at_start_s = start_unix_s(virtual=False) + Clock().now_s()
@@ -168,11 +109,7 @@ async def serve_child(
     motion: HandMotion | None = None,
     firmware: FirmwareSpec | None = None,
 ) -> None:
-    """Run a simulation for a parent process until standard input ends it; see the module's docstring.
-
-    Raises:
-        ConfigError: a settings file that the scenario names is wrong.
-    """
+    """Run a simulation for a parent process until standard input ends it; see the module's docstring."""
     async with contextlib.AsyncExitStack() as stack:
         simulation, devices = await _plug_in(stack, scenario, seed, folder, motion=motion, firmware=firmware)
         udp_port = await _open_udp(stack, simulation, LOOPBACK, 0)
@@ -228,7 +165,7 @@ async def _plug_in(
             "gps": {"port": gps_port.path},
             "range": {"port": range_port.path},
             "vision": {"source": f"socket:{folder / 'camera'}"},
-        },
+        }
     }
     return simulation, settings
 

@@ -36,13 +36,13 @@ from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.network import Network
 from sitl.mavlink.sensor_telemetry import TruthMessages
 from sitl.run.mavlink_line import ByteLink, MavlinkLine
-from sitl.run.process_control import SimulationReport, interrupted_at_once
+from sitl.run.process_control import SimulationReport, interrupted_at_once, report_of
 from sitl.run.scene_camera import CameraTruth, SceneCamera
 from sitl.run.tick_timer import TickTimer
 from sitl.scenario.scenario import Scenario, magnetic_field_ned_ut
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.sensors.inertial import sensor_errors
-from sitl.sensors.sensors import BoardTruth, RangeErrors
+from sitl.sensors.sensors import OUT_OF_RANGE_M, BoardTruth, RangeErrors
 from sitl.vehicle import HandMotion
 from sitl.world.hand_held import HandHeldWorld
 from sitl.world.score import judge
@@ -56,7 +56,6 @@ RANGE_EVERY_TICKS: Final = 2
 # random draws of the simulation and of its faults; world and sensors draw from (seed, 0..14)
 SIMULATION_STREAM: Final = 20
 FAULT_STREAM: Final = 21
-OUT_OF_RANGE_M: Final = 99.0
 HALF_BEAM_RAD: Final = RangeErrors().half_beam_rad
 
 
@@ -136,7 +135,6 @@ class Simulation:
 
     @property
     def imu_bus(self) -> Mpu9250Device:
-        """The register bus of the companion computer's IMU."""
         return self._rack.imu
 
     @property
@@ -146,7 +144,6 @@ class Simulation:
         return self._flight_controller
 
     def close(self) -> None:
-        """End the firmware, if there is one."""
         if isinstance(self._flight_controller, FirmwareVehicle):
             self._flight_controller.close()
 
@@ -172,7 +169,6 @@ class Simulation:
         )
 
     def begin_motion(self) -> None:
-        """Start the hand motion, if it waits."""
         if isinstance(self.world, HandHeldWorld):
             self.world.begin()
 
@@ -194,33 +190,25 @@ class Simulation:
             raise (group_of_errors if of_firmware is None else of_firmware.exceptions[0]) from None
 
     def report(self, final_phase: Phase) -> SimulationReport:
-        """Judge the flight as it stands; `final_phase` is the app's last."""
         world = self.world
         verdict = judge(
-            world.touchdown,
+            world.watch,
             self._scenario.pass_bounds,
-            contacts=world.contacts,
-            crashed=world.crashed,
             at_rest_on_pad=world.at_rest_on_pad,
             disarmed=not self._flight_controller.armed,
             final_phase=final_phase,
-            nearest_obstacle_m=world.nearest_obstacle_m,
         )
-        pad_speed = (
-            float(np.linalg.norm(world.pad_state.velocity_ned_m_s))
-            if world.touchdown is None
-            else world.touchdown.pad_speed_m_s
-        )
-        return SimulationReport(
-            outcome=verdict.outcome,
-            failures=verdict.failures,
-            touchdown=verdict.touchdown,
-            pad_speed_m_s=pad_speed,
+        report = report_of(
+            verdict,
+            world.watch,
+            world.pad_state,
             duration_s=world.time_s,
             latest_tick_s=self._timer.latest_s,
-            truth=tuple(self._truth),
-            nearest_obstacle_m=world.nearest_obstacle_m,
-            touchdown_pad_m=None if world.touchdown is None else world.touchdown.offset_pad_m,
+            truth=self._truth,
+        )
+        return replace(
+            report,
+            touchdown_pad_m=None if world.watch.touchdown is None else world.watch.touchdown.offset_pad_m,
             as_built=None if self._scenario.as_built is None else world.built.told(),
             contacts=tuple(replace(c, time_s=self._timer.start_s + c.time_s) for c in verdict.contacts),
         )

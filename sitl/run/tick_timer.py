@@ -34,7 +34,6 @@ class TickTimer:
 
     @property
     def now_s(self) -> float:
-        """The loop's time."""
         return self._clock.now_s()
 
     @property
@@ -49,9 +48,6 @@ class TickTimer:
     async def run(self, tick: Callable[[], None]) -> None:
         """Tick until cancelled, by the loop's timers: a task that sleeps in between costs three times as
         much.
-
-        Raises:
-            Exception: `tick` raised it.
         """
         loop = asyncio.get_running_loop()
         failed: asyncio.Future[None] = loop.create_future()

@@ -54,7 +54,6 @@ class Statistics:
         self._ages: deque[float] = deque(maxlen=_WINDOW)
 
     def take(self, header: FrameHeader, received_s: float) -> None:
-        """Count a frame that has come."""
         if self._last_sequence is not None:
             step = (header.sequence - self._last_sequence) % 2**32
             self.dropped += max(0, step - 1) if step < 2**31 else 0  # a restarted server drops none
@@ -72,7 +71,6 @@ class Statistics:
         return (len(arrivals) - 1) / span_s if span_s > 0.0 else 0.0
 
     def __str__(self) -> str:
-        """One line for people."""
         age = f"{1e3 * median(self._ages):.0f} ms old" if self._ages else "without times"
         return f"{self.count} frames, {self.rate_hz:.1f} a second, {age}, {self.dropped} dropped"
 
@@ -239,11 +237,7 @@ def _print_status(statistics: Statistics) -> None:
 
 
 def run_view(address: str, options: ViewOptions) -> None:
-    """Show or record frames until Ctrl-C, then say how they came.
-
-    Raises:
-        ConfigError: nobody serves frames there, or they cannot be recorded.
-    """
+    """Show or record frames until Ctrl-C, then say how they came."""
     with terminated_as_interrupted():
         statistics = run_until_stopped(_view_until_stopped(address, options))
     print(f"\n{statistics}" if sys.stdout.isatty() else statistics)

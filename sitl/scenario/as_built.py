@@ -110,7 +110,6 @@ class BuiltVehicle:
         return min(1.0, believed.hover_share() / self.hover_thrust)
 
     def pad(self, layout: Pad) -> Pad:
-        """The pad as it was printed."""
         k = self.pad_print
         if k == 1.0:
             return layout
@@ -158,11 +157,7 @@ class AsBuiltSettings(StrictModel):
         default=0.35, description="Error of the hover thrust that app and autopilot assume, as a share"
     )
     thrust_exponent: tuple[Low, High] = Field(
-        default=(
-            0.6,
-            2.0,
-        ),
-        description="Exponent of thrust over command, from, to; the app assumes 1",
+        default=(0.6, 2.0), description="Exponent of thrust over command, from, to; the app assumes 1"
     )
     mass: Part = Field(default=0.2, description="Error of the mass, as a share")
     leg_height_m: float = Field(

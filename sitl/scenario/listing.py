@@ -17,7 +17,6 @@ INDENT: Final = 2 * " "
 
 
 def shipped() -> list[str]:
-    """The names of the shipped scenarios."""
     return sorted(path.stem for path in (CONFIG_FOLDER / "scenarios").glob("*.yaml"))
 
 
@@ -53,7 +52,6 @@ def _wide(scenarios: Sequence[Scenario]) -> str:
 
 
 # ---------------------------------------------------------------- app settings
-# The app's settings for a served vehicle, as a file for `--config`.
 
 
 def settings_text(scenario: Scenario) -> str:

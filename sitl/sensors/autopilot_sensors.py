@@ -12,14 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from companion.base.geometry import (
-    ZERO3,
-    Vector3,
-    add,
-    norm,
-    quat_rotate_inverse,
-    tilt_from_quat,
-)
+from companion.base.geometry import ZERO3, Vector3, add, norm, quat_rotate_inverse, tilt_from_quat
 from sitl.sensors.inertial import ImuSensor, SensorErrors, felt_at, moved_at
 from sitl.sensors.sensors import BoardTruth, GpsReading, GpsSensor, MagSensor, RangeSensor
 from sitl.vehicle.quadrotor import QuadrotorState, RotorValues
@@ -119,7 +112,6 @@ class SimulatedAutopilotSensors:
 
     @property
     def truth(self) -> BoardTruth:
-        """True calibration errors of IMU and compass, in body axes."""
         return BoardTruth(
             self.inertial.accel_calibration_errors,
             self.inertial.gyro_calibration_errors,
@@ -128,7 +120,6 @@ class SimulatedAutopilotSensors:
         )
 
     def enable(self) -> None:
-        """Enable IMU, compass and rangefinder from the next step on."""
         self._enabled = True
 
     @property

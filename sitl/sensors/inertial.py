@@ -22,15 +22,7 @@ from typing import Final
 
 import numpy as np
 
-from companion.base.geometry import (
-    GRAVITY_M_S2,
-    ZERO3,
-    FloatArray,
-    Vector3,
-    add,
-    cross,
-    quat_rotate,
-)
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3, add, cross, quat_rotate
 from sitl.scenario.scenario import SensorSettings
 from sitl.sensors.sensors import (
     ACCEL_OFFSET_M_S2,
@@ -186,11 +178,7 @@ class ImuLowPass:
         b2 = 2.0 * b
         s1[0], s1[1], s1[2] = b2 * x - a1 * fx + s2[0], b2 * y - a1 * fy + s2[1], b2 * z - a1 * fz + s2[2]
         s2[0], s2[1], s2[2] = b * x - a2 * fx, b * y - a2 * fy, b * z - a2 * fz
-        out = (
-            fx + share * (last[0] - fx),
-            fy + share * (last[1] - fy),
-            fz + share * (last[2] - fz),
-        )
+        out = (fx + share * (last[0] - fx), fy + share * (last[1] - fy), fz + share * (last[2] - fz))
         last[0], last[1], last[2] = fx, fy, fz
         return out
 
@@ -210,7 +198,6 @@ class _NoiseBlocks:
         self._values: list[list[float]] = []
 
     def next(self) -> list[float]:
-        """The three values of the next step."""
         if not self._values:
             self._draw()
         return self._values.pop()

@@ -17,6 +17,7 @@ import numpy as np
 
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3, add, geodetic_from_ned
 
+OUT_OF_RANGE_M: Final = 99.0  # a height without an echo
 NOISE_BLOCK: Final = 256  # noise is drawn in blocks: one call costs as much as a hundred numbers
 
 
@@ -62,7 +63,6 @@ class MagSensor:
 
     @property
     def calibration_errors(self) -> CalibrationErrors:
-        """True calibration errors, in sensor axes, µT."""
         return CalibrationErrors.of(self._matrix, self._mounting, np.array(self._offset))
 
     def sample(self, field_body_ut: Vector3, throttle: float) -> Vector3:
@@ -172,7 +172,6 @@ class RangeSensor:
         self.clear_faults()
 
     def clear_faults(self) -> None:
-        """Clear all faults."""
         self.extra_spikes = 0.0
         self.extra_lost = 0.0
         self.bias_m = 0.0
@@ -204,8 +203,6 @@ class RangeSensor:
 
 
 # ---------------------------------------------------------------- glitches
-# Faults of a three-axis sensor's output: spikes and stuck readings.
-#
 # Pure; the sensor's own axes and units. It has its own random numbers, so that a fault changes no other
 # noise.
 
@@ -219,7 +216,6 @@ class Glitches:
         self.clear_faults()
 
     def clear_faults(self) -> None:
-        """Clear all faults."""
         self.stuck = False
         self.spike_share = 0.0
         self.spike_size = 0.0
@@ -230,7 +226,6 @@ class Glitches:
         self.spike_size = max(self.spike_size, size)
 
     def out(self, value: Vector3) -> Vector3:
-        """The output for a reading."""
         if self.stuck:
             return self._last
         self._last = value
@@ -242,8 +237,6 @@ class Glitches:
 
 
 # ---------------------------------------------------------------- calibration errors
-# Calibration errors of three-axis sensors: scale, misalignment and offset before calibration.
-#
 #     measured = matrix @ true + offset        (the sensor's own axes, SI units, field in µT)
 #
 # Of the IMU: tolerances of the MPU-9250 product specification PS-MPU-9250A-01 rev. 1.1 (tables 1 and 2),

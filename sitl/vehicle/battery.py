@@ -28,7 +28,6 @@ class Battery:
     """One battery, charged, with motors of a known full thrust (N)."""
 
     def __init__(self, max_thrust_n: float) -> None:
-        """Full."""
         self.consumed_mah = 0.0
         self.consumed_j = 0.0
         self.current_a = 0.0

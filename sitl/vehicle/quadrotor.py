@@ -54,7 +54,6 @@ class RotorLayout:
 
     @property
     def count(self) -> int:
-        """How many there are."""
         return len(self.turns)
 
     @property
@@ -128,7 +127,6 @@ class QuadrotorParameters(StrictModel):
 
     @property
     def layout(self) -> RotorLayout:
-        """Where the rotors are."""
         return LAYOUTS[self.rotors]
 
     def hover_share(self) -> float:
@@ -155,7 +153,6 @@ class QuadrotorState:
 
 
 def resting_state(position_ned_m: Vector3, heading_rad: float, rotors: int = 4) -> QuadrotorState:
-    """A level vehicle with stopped motors."""
     attitude = quat_from_euler(0.0, 0.0, heading_rad)
     return QuadrotorState(position_ned_m=position_ned_m, attitude=attitude, thrust_share=(0.0,) * rotors)
 
@@ -386,8 +383,6 @@ def packed(old: QuadrotorState, place: Vector3, x: Moving, share: RotorValues, d
 
 
 # ---------------------------------------------------------------- actuators
-# Motor effectiveness: each motor gives a share of the commanded thrust, by its own thrust curve.
-#
 # A worn propeller, a tired speed controller or a battery's sagging voltage costs thrust and reaction torque
 # alike, so the command itself is scaled, before the motor's lag.
 

@@ -37,6 +37,9 @@ from sitl.world.ground import PadBoard
 Metres = Annotated[float, Field(ge=-2.0, le=2.0)]
 Place = tuple[Metres, Metres, Annotated[float, Field(gt=0.0, le=2.0)]]
 Surface = Literal["board", "ground"]
+# a vehicle stands by so many feet, and is at rest below this speed against what it stands on
+STANDING_FEET: Final = 3
+REST_SPEED_M_S: Final = 0.05
 # A point that is this deep under the board's top did not come from above: it is beside or beneath it.
 DEEPEST_ENTRY_M: Final = 0.02
 MARGIN_M: Final = 0.05
@@ -75,7 +78,6 @@ class ContactLoad:
 
     @property
     def touching(self) -> bool:
-        """Whether anything touches."""
         return self.on_board + self.on_ground > 0
 
 
@@ -111,9 +113,6 @@ class Contact:
         """The load for the coming step of dt."""
         half = 0.5 * dt_s
         clear_m = self._board.ceiling_down_m(pad) - state.position_ned_m[2]
-        if clear_m > self.reach_m:
-            self.release()
-            return NO_CONTACT
         w, x, y, z = state.attitude
         # the body's axes' shares downwards: most points are too high to touch
         down_x, down_y, down_z = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
@@ -135,7 +134,6 @@ class Contact:
         return ContactLoad(force, torque, touched["board"], touched["ground"])
 
     def release(self) -> None:
-        """Release all contacts."""
         for point in self._points:
             point.surface = None
 

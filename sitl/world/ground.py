@@ -39,7 +39,6 @@ class PadBoard:
 
     @classmethod
     def of(cls, pad: Pad) -> PadBoard:
-        """The board of a pad's layout."""
         return cls(0.5 * pad.length_m, 0.5 * pad.width_m)
 
     def local(self, pad: PadTruth, point_ned_m: Vector3) -> Vector3:
@@ -117,21 +116,12 @@ def thrust_ratio(height_m: float, radius_m: float) -> float:
     return 1.0 / (1.0 - share * share)
 
 
-def ground_effect_reach_m(radius_m: float) -> float:
-    """Height over all surfaces above which there is no ground effect."""
-    return NEGLIGIBLE_HEIGHT_IN_RADII * radius_m
-
-
 def rotor_ratios(
-    state: QuadrotorState,
-    rotors_body_m: tuple[Vector3, ...],
-    radius_m: float,
-    board: PadBoard,
-    pad: PadTruth,
+    state: QuadrotorState, rotors_body_m: tuple[Vector3, ...], radius_m: float, board: PadBoard, pad: PadTruth
 ) -> RotorValues:
     """Ground effect of each rotor over what lies under its own hub."""
     position = state.position_ned_m
-    if board.ceiling_down_m(pad) - position[2] > ground_effect_reach_m(radius_m):
+    if board.ceiling_down_m(pad) - position[2] > NEGLIGIBLE_HEIGHT_IN_RADII * radius_m:
         return (1.0,) * len(rotors_body_m)
     ratios = []
     for rotor in rotors_body_m:
@@ -143,8 +133,6 @@ def rotor_ratios(
 
 
 # ---------------------------------------------------------------- obstacles
-# The scenario's obstacles as they are: whether the vehicle touches one, and how far it is from the nearest.
-#
 # The vehicle counts as a sphere about its centre that reaches to the farthest rotor's tip, so that no tilt
 # hides a blade. NED from home, m. Independent of the app's planner, so that no mistake is shared.
 # They are solid to the ground and touched is crashed; a pad drives through, pictures and echoes show none.

@@ -67,7 +67,6 @@ class PoseWaypoint(NamedTuple):
 
 
 def arrivals_s(stations: Sequence[PoseWaypoint]) -> list[float]:
-    """When each rest begins."""
     begins = [0.0]
     for before, after in pairwise(stations):
         begins.append(begins[-1] + before.hold_s + after.move_s)
@@ -118,7 +117,6 @@ def swung(middle: Six, waves: Sequence[Waves]) -> HandPath:
 
 
 def added(*helds: PoseAndRate) -> PoseAndRate:
-    """The sum of places and of rates."""
     return PoseAndRate(
         _six(map(sum, zip(*(held.place for held in helds), strict=True))),
         _six(map(sum, zip(*(held.rate for held in helds), strict=True))),
@@ -156,17 +154,6 @@ def _wave(
 
 
 # ---------------------------------------------------------------- the motions
-
-
-def carrying(motion: HandMotion, standing_m: float, rng: np.random.Generator) -> CarriedMotion:
-    """The paths of a motion, with random variations.
-
-    Args:
-        motion: which.
-        standing_m: height of the reference point when the vehicle stands.
-        rng: for tremor, order, sizes and speeds.
-    """
-    return _MOTIONS[motion](standing_m, rng)
 
 
 def _still(standing_m: float, rng: np.random.Generator) -> CarriedMotion:
@@ -251,6 +238,7 @@ def _over_pad(standing_m: float, rng: np.random.Generator) -> CarriedMotion:
     return CarriedMotion(rests(stations), tremor(rng), arrivals_s(stations)[-1])
 
 
+# by the height (m) of the reference point when the vehicle stands, and the draws of tremor, sizes and speeds
 _MOTIONS: Final[dict[HandMotion, Callable[[float, np.random.Generator], CarriedMotion]]] = {
     "still": _still,
     "tumble": _tumble,
@@ -280,7 +268,7 @@ class HandHeldWorld(World):
         """
         super().__init__(scenario, seed)
         rng = np.random.default_rng((seed, HAND_STREAM))
-        self._carrying: CarriedMotion = carrying(motion, self.landed_reference_height_m, rng)
+        self._carrying = _MOTIONS[motion](self.landed_reference_height_m, rng)
         self._begun_s = math.inf if waits and math.isfinite(self._carrying.round_s) else 0.0
         self._origin_ned_m = self.pad_state.position_ned_m
         self._heading_rad = float(rng.uniform(-math.pi, math.pi))
@@ -292,7 +280,6 @@ class HandHeldWorld(World):
             self._begun_s = self.time_s
 
     def step(self, motor_commands: RotorValues, dt_s: float) -> None:
-        """Carry everything on by dt (s)."""
         self._wind_blows(Effects(()), dt_s)
         self._advance(self._felt(self.state, self.time_s + dt_s, dt_s), dt_s)
 

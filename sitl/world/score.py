@@ -12,7 +12,7 @@ taken from the last state before contact forces acted.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -202,28 +202,26 @@ class Verdict:
 
 
 def judge(
-    touchdown: TouchdownState | None,
+    watch: TouchdownDetector,
     bounds: PassBounds,
     *,
-    contacts: Sequence[TouchdownState],
-    crashed: bool,
     at_rest_on_pad: bool,
     disarmed: bool,
     final_phase: Phase,
-    nearest_obstacle_m: float | None = None,
 ) -> Verdict:
-    """Judge a flight that has ended, or whose time is up.
+    """Judge a flight that has ended, or whose time is up, by what was seen of it.
 
     Landed: its only contact is the touchdown, on the pad within the bounds, and it stands on it and is
     disarmed. Missed: it touched down but touched something before, violated a bound, left the pad or came
     down beside it. Aborted: the app gave up, whatever the place. Timeout: none of these, or on the pad but
     still armed.
     """
+    touchdown, nearest_m = watch.touchdown, watch.nearest_obstacle_m
     result = None if touchdown is None else touchdown.reported()
-    told = tuple(_told(contact, touchdown, bounds) for contact in contacts)
-    struck = nearest_obstacle_m is not None and nearest_obstacle_m <= 0.0
+    told = tuple(_told(contact, touchdown, bounds) for contact in watch.contacts)
+    struck = nearest_m is not None and nearest_m <= 0.0
     wrong = tuple(map(_in_words, (contact for contact in told if contact.violations)))
-    if crashed or struck:
+    if watch.crashed or struck:
         why = "touched an obstacle" if struck else "crashed"
         return Verdict(Outcome.CRASHED, result, (why, *wrong), told)
     if final_phase is Phase.ABORT:

@@ -6,7 +6,7 @@ NED from home, the ground at z = 0; FRD; SI. The app gets it only through the si
 import math
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
@@ -32,16 +32,14 @@ from companion.pad import load_pad
 from sitl.pad.motion import IncidentMotion, PadTruth, build_pad_motion
 from sitl.scenario.scenario import Scenario, load_airframe
 from sitl.vehicle.quadrotor import Motors, Quadrotor, QuadrotorState, RotorValues, packed, resting_state
-from sitl.world.contact import NO_CONTACT, Contact, ContactLoad
-from sitl.world.ground import Obstacles, PadBoard, echo_distance_m, ground_effect_reach_m, rotor_ratios
-from sitl.world.score import TouchdownDetector, TouchdownState
+from sitl.world.contact import NO_CONTACT, REST_SPEED_M_S, STANDING_FEET, Contact, ContactLoad
+from sitl.world.ground import Obstacles, PadBoard, echo_distance_m, rotor_ratios
+from sitl.world.score import TouchdownDetector
 from sitl.world.wind import Wind
 
 HISTORY_S: Final = 0.35
 CLOCK_SLACK_S: Final = 1e-6
-REST_SPEED_M_S: Final = 0.05
 REST_RATE_RAD_S: Final = 0.1
-STANDING_FEET: Final = 3
 
 
 class _Stream(IntEnum):
@@ -108,7 +106,6 @@ class World:
             for forward, right in zip(layout.forward, layout.right, strict=True)
         )
         self._legs = Contact(airframe.legs, body.mass_kg, self.board, self._rotors)
-        self._ground_effect_reach_m = ground_effect_reach_m(body.rotor_radius_m)
         self._wind = Wind(scenario.wind, np.random.default_rng((seed, _Stream.WIND)))
         pad = scenario.pad
         self.pad_motion = IncidentMotion(
@@ -124,7 +121,7 @@ class World:
         self.state = self._at_home(scenario, np.random.default_rng((seed, _Stream.START)))
         self.contact: ContactLoad = NO_CONTACT
         self._obstacles = Obstacles(scenario.obstacles, body)
-        self._watch = TouchdownDetector()
+        self.watch = TouchdownDetector()
         self._history: deque[_Snapshot] = deque([self._snapshot()])
         self.disturbances: list[Disturbance] = [self._wind_blows, self._legs_stand, self._ground_effect]
 
@@ -143,8 +140,8 @@ class World:
         self.state = state
         self.contact = NO_CONTACT
         self._legs.release()
-        self._watch = TouchdownDetector(stands=False)
-        self._watch.airborne(self.height_m - self.landed_reference_height_m)
+        self.watch = TouchdownDetector(stands=False)
+        self.watch.airborne(self.height_m - self.landed_reference_height_m)
         self._history = deque([self._snapshot()])
 
     # ------------------------------------------------------------ stepping
@@ -154,7 +151,7 @@ class World:
         effects = Effects(self._quadrotor.free_air)
         for disturb in self.disturbances:
             disturb(effects, dt_s)
-        self._watch.step(self.time_s, self.state, self.pad_state, self.contact)
+        self.watch.step(self.time_s, self.state, self.pad_state, self.contact)
         state = self._quadrotor.step(
             self.state,
             self.motors.given(motor_commands),
@@ -171,9 +168,9 @@ class World:
         self.state = state
         self.time_s += dt_s
         self.pad_state = self.pad_motion.at(self.time_s)
-        self._watch.beside(self._obstacles.clearance_m(state.position_ned_m))
-        if not self._watch.flying:
-            self._watch.airborne(self.height_m - self.landed_reference_height_m)
+        self.watch.beside(self._obstacles.clearance_m(state.position_ned_m))
+        if not self.watch.flying:
+            self.watch.airborne(self.height_m - self.landed_reference_height_m)
         self._record()
 
     def _wind_blows(self, effects: Effects, dt_s: float) -> None:
@@ -181,7 +178,9 @@ class World:
         effects.wind_ned_m_s = add(effects.wind_ned_m_s, self.wind_ned_m_s)
 
     def _legs_stand(self, effects: Effects, dt_s: float) -> None:
-        if self._clear_m() <= self._legs.reach_m:
+        # nothing that could be touched lies less beneath
+        clear_m = self.board.ceiling_down_m(self.pad_state) - self.state.position_ned_m[2]
+        if clear_m <= self._legs.reach_m:
             self.contact = self._legs.step(self.state, self.pad_state, dt_s)
             effects.force_ned_n = add(effects.force_ned_n, self.contact.force_ned_n)
             effects.torque_body_n_m = add(effects.torque_body_n_m, self.contact.torque_body_n_m)
@@ -190,14 +189,9 @@ class World:
             self.contact = NO_CONTACT
 
     def _ground_effect(self, effects: Effects, dt_s: float) -> None:
-        if self._clear_m() <= self._ground_effect_reach_m:
-            effects.thrust_ratio = rotor_ratios(
-                self.state, self._rotors, self.airframe.body.rotor_radius_m, self.board, self.pad_state
-            )
-
-    def _clear_m(self) -> float:
-        """Height over all that could be touched: nothing lies less beneath."""
-        return self.board.ceiling_down_m(self.pad_state) - self.state.position_ned_m[2]
+        effects.thrust_ratio = rotor_ratios(
+            self.state, self._rotors, self.airframe.body.rotor_radius_m, self.board, self.pad_state
+        )
 
     def _snapshot(self) -> _Snapshot:
         return _Snapshot(self.time_s, self.state, self.pad_state, self.wind_ned_m_s, self.contact.touching)
@@ -216,7 +210,6 @@ class World:
         return self.board.surface_down_m(self.pad_state, north, east) - down
 
     def deck_field_ned_ut(self) -> Vector3:
-        """The pad's own magnetic field where the vehicle is."""
         if not self.pad_state.is_there:
             return ZERO3
         away = subtract(self.state.position_ned_m, self.pad_state.position_ned_m)
@@ -227,7 +220,7 @@ class World:
         """Height of the feet over the pad's surface, 0 as soon as one touches; None before the flight and
         beside the pad."""
         north, east, down = self.state.position_ned_m
-        if not self._watch.flown or not self.board.is_under(self.pad_state, self.state.position_ned_m):
+        if not self.watch.flown or not self.board.is_under(self.pad_state, self.state.position_ned_m):
             return None
         over_m = self.board.surface_down_m(self.pad_state, north, east) - down
         # feet that bear a part of the weight are pressed in less than those of the height they stand at
@@ -250,26 +243,6 @@ class World:
     # ------------------------------------------------------------ for the score and the camera
 
     @property
-    def touchdown(self) -> TouchdownState | None:
-        """The last contact, after a flight above 1 m."""
-        return self._watch.touchdown
-
-    @property
-    def contacts(self) -> Sequence[TouchdownState]:
-        """Every contact of the flight, but for standing before it."""
-        return tuple(self._watch.contacts)
-
-    @property
-    def crashed(self) -> bool:
-        """Whether it crashed or turned over."""
-        return self._watch.crashed
-
-    @property
-    def nearest_obstacle_m(self) -> float | None:
-        """The least distance from the rotors' tips to an obstacle so far; None without any."""
-        return self._watch.nearest_obstacle_m
-
-    @property
     def at_rest_on_pad(self) -> bool:
         """Whether it stands at rest relative to the board."""
         state, pad = self.state, self.pad_state
@@ -280,7 +253,6 @@ class World:
         return self.contact.on_board >= STANDING_FEET and still and steady
 
     def truth(self) -> Truth:
-        """Everything now."""
         return self._truth_of(self._history[-1])
 
     def truth_at(self, time_s: float) -> Truth:

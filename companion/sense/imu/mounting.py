@@ -39,8 +39,13 @@ def body_axes(body_from_sensor_deg: Vector3, factor: float) -> BodyAxes:
 
     `factor` is what one of its numbers is worth, in the unit of measurement.
     """
+    return BodyAxes(_rows(mounting_matrix(body_from_sensor_deg) * factor), ZERO3, factor)
+
+
+def mounting_matrix(body_from_sensor_deg: Vector3) -> FloatArray:
+    """Rotation (3, 3) from a chip's axes into the body's (FRD), of its roll, pitch and yaw."""
     roll, pitch, yaw = (math.radians(angle) for angle in body_from_sensor_deg)
-    return BodyAxes(_rows(matrix_from_quat(quat_from_euler(roll, pitch, yaw)) * factor), ZERO3, factor)
+    return matrix_from_quat(quat_from_euler(roll, pitch, yaw))
 
 
 def _rows(matrix: FloatArray) -> Rows:

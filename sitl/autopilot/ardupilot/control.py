@@ -116,14 +116,8 @@ class ArdupilotControl(PositionControl):
         self._down_kind: _Kind | None = None
         self._integral: Two = (0.0, 0.0)
         self._commanded: Two = (0.0, 0.0)
-        self._error_x, self._error_y = (
-            FirstOrderLowPass(gains.velocity_hz),
-            FirstOrderLowPass(gains.velocity_hz),
-        )
-        self._rate_x, self._rate_y = (
-            FirstOrderLowPass(gains.velocity_hz),
-            FirstOrderLowPass(gains.velocity_hz),
-        )
+        self._error_x, self._error_y = (FirstOrderLowPass(gains.velocity_hz) for _ in range(2))
+        self._rate_x, self._rate_y = (FirstOrderLowPass(gains.velocity_hz) for _ in range(2))
         self._climb_error = FirstOrderLowPass(gains.climb_hz)
         self._throttle_error = FirstOrderLowPass(gains.throttle_hz)
         self._felt = SecondOrderLowPass(gains.accelerometer_hz)

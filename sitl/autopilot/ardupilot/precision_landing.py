@@ -60,7 +60,6 @@ class AxisFilter:
         return (position_m - self.position_m) ** 2 / (self._pp + variance)
 
     def fuse(self, position_m: float, variance: float) -> None:
-        """Fuse a measured position."""
         innovation, total = position_m - self.position_m, self._pp + variance
         gain_p, gain_v = self._pp / total, self._pv / total
         self.position_m += gain_p * innovation
@@ -102,7 +101,6 @@ class ArdupilotPrecisionLanding(PrecisionLanding):
         self.begin(required=False)
 
     def begin(self, *, required: bool) -> None:
-        """Start a landing."""
         self._found = False
         self._retries = 0
         self._last_seen_at: Vector3 | None = None
@@ -222,20 +220,15 @@ class ArdupilotPrecisionLanding(PrecisionLanding):
             self._retrying = True
             self.texts.append((Severity.INFO, "PrecLand: Retrying"))
         if math.dist(self._last_seen_at, estimate.position_ned_m) < _BACK_WITHIN_M:
-            self._retrying, self._seen_s = (
-                False,
-                estimate.now_s - _FRESH_S,
-            )  # arrived, no target: wait once more
+            # arrived, no target: wait once more
+            self._retrying, self._seen_s = False, estimate.now_s - _FRESH_S
         return MotionSetpoint(self._last_seen_at)
 
     def _give_up(self, estimate: VehicleEstimate) -> MotionSetpoint | None:
         """Land at the present position, or hover if PLND_STRICT is 2."""
-        if self._strict == _VERY_STRICT:
-            return MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, 0.0))
-        return None
+        return MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, 0.0)) if self._strict == _VERY_STRICT else None
 
 
 def precision_landing(parameters: Parameters) -> ArdupilotPrecisionLanding | None:
-    """The precision landing that the parameters enable at boot, or None."""
     enabled = parameters["PLND_ENABLED"] >= 1.0 and int(parameters["PLND_TYPE"]) == _MAVLINK_TYPE
     return ArdupilotPrecisionLanding(parameters) if enabled else None

@@ -37,12 +37,10 @@ from sitl.autopilot.flight.profile import (
     ParameterMap,
     ParameterRef,
     Texts,
-    aligned,
     fence_left,
     landed_after_flight,
     level,
     mission_missing,
-    mode_armable,
     not_from_flight,
 )
 
@@ -251,8 +249,8 @@ ARDUPILOT = AutopilotProfile(
         ModeCheck(not_from_flight, "Mode change to {mode} failed: throttle too high"),
     ),
     arming_checks=(
-        ArmingCheck(mode_armable, "Arm: Mode not armable"),
-        ArmingCheck(aligned, "Arm: Need Position Estimate"),
+        ArmingCheck(lambda now: now.armable, "Arm: Mode not armable"),
+        ArmingCheck(lambda now: now.aligned, "Arm: Need Position Estimate"),
         ArmingCheck(level, "Arm: Leaning"),
         ArmingCheck(lambda now: not now.throttle_up, "Arm: Throttle too high"),
     ),
@@ -274,12 +272,7 @@ ARDUPILOT = AutopilotProfile(
         fence_left("Fence breached", (1, 3, 5), "RTL"),
         fence_left("Fence breached", (2,), "LAND"),
         fence_left("Fence breached", (4,), "BRAKE"),
-        Failsafe(
-            lambda now: now.landed,
-            10.0,
-            Severity.INFO,
-            "Disarming motors",
-        ),
+        Failsafe(lambda now: now.landed, 10.0, Severity.INFO, "Disarming motors"),
         Failsafe(
             lambda now: not now.landed and now.tilt_rad > math.radians(45.0),
             2.0,

@@ -18,7 +18,7 @@ from pydantic import Field
 
 from companion.base.geometry import IDENTITY, ZERO3, Quaternion, Vector3, quat_integrate
 from companion.config import StrictModel
-from sitl.autopilot.control.shaping import clamp, signed_root_law
+from sitl.autopilot.control.shaping import clamp, low_pass_share, signed_root_law
 from sitl.vehicle.quadrotor import QuadrotorParameters
 
 Gain = Annotated[float, Field(ge=0.0, le=200.0)]
@@ -97,7 +97,6 @@ class RateControl:
         self.reset()
 
     def reset(self) -> None:
-        """Reset the integral and the filters."""
         self._integral = ZERO3
         self._gyro.reset()
         self._target: Vector3 | None = None
@@ -157,12 +156,10 @@ class SecondOrderLowPass:
         self.reset()
 
     def reset(self) -> None:
-        """Reset."""
         self._one: Vector3 | None = None
         self._two = ZERO3
 
     def step(self, value: Vector3, dt_s: float) -> Vector3:
-        """Filter one value."""
         if dt_s != self._dt_s:
             self._dt_s = dt_s
             omega = math.tan(math.pi * min(self._cutoff_hz * dt_s, 0.45))
@@ -182,10 +179,7 @@ class SecondOrderLowPass:
 
 
 def _filter_share(cutoff_hz: float | None, dt_s: float) -> float:
-    """Coefficient of a first-order low-pass for one step."""
-    if cutoff_hz is None:
-        return 1.0
-    return dt_s / (dt_s + 1.0 / (2.0 * math.pi * cutoff_hz))
+    return 1.0 if cutoff_hz is None else low_pass_share(cutoff_hz, dt_s)
 
 
 def _towards(x: Vector3, to: Vector3, share: float) -> Vector3:
@@ -249,7 +243,6 @@ class AttitudeControl:
         self._rates = RateControl(inertia_kg_m2, rates, gains.filters)
 
     def reset(self) -> None:
-        """Reset the rate loop."""
         self._rates.reset()
 
     def step(

@@ -114,7 +114,6 @@ class LandedDetector:
         self.landed = self._sign_for_s >= self.landed_time_s
 
     def lift_off(self) -> None:
-        """Take-off: no longer on the ground."""
         self.landed = self.contact = False
         self._sign_for_s = 0.0
 
@@ -160,7 +159,6 @@ class Cascade:
 
     @property
     def landed(self) -> bool:
-        """On the ground, motors idle at most."""
         return self._detector.landed
 
     @property
@@ -212,7 +210,6 @@ class Cascade:
         still_speed_m_s: float,
         dt_s: float,
     ) -> None:
-        """One outer step in flight."""
         frozen = self._spool < 1.0
         self._spool = min(1.0, self._spool + dt_s / _SPOOL_UP_S)
         if isinstance(setpoint, AttitudeSetpoint):

@@ -48,35 +48,34 @@ class EstimatorErrors:
 
 
 NO_ERRORS = EstimatorErrors(0.0, 0.0, 3.0, 20.0, 0.0, 0.0, (0.0, 0.0), 0.0)
-# Measured on PX4 1.16 with SIH standing on the ground and hovering: its velocity wanders by decimetres a
-# second, and a position held fast by GPS does not follow it (so the leak is short).
-SIH_ERRORS = EstimatorErrors(
-    horizontal_velocity_std_m_s=0.25,
-    vertical_velocity_std_m_s=0.15,
-    velocity_correlation_s=4.0,
-    position_leak_s=1.0,
-    position_offset_std_m=0.2,
-    height_offset_std_m=0.2,
-    heading_bias_deg=(0.0, 0.0),
-    tilt_error_deg=0.1,
-)
-# ArduCopter with its own simulator: a velocity that is off by a centimetre or two a second for half a minute.
-ARDUCOPTER_SITL_ERRORS = EstimatorErrors(
-    horizontal_velocity_std_m_s=0.017,
-    vertical_velocity_std_m_s=0.002,
-    velocity_correlation_s=30.0,
-    position_leak_s=1.0,
-    position_offset_std_m=0.0,
-    height_offset_std_m=0.0,
-    heading_bias_deg=(0.0, 0.0),
-    tilt_error_deg=0.0,
-)
 EstimatorName = Literal["typical", "exact", "sih", "arducopter_sitl"]
 ESTIMATORS: Final[dict[EstimatorName, EstimatorErrors]] = {
     "typical": EstimatorErrors(),
     "exact": NO_ERRORS,
-    "sih": SIH_ERRORS,
-    "arducopter_sitl": ARDUCOPTER_SITL_ERRORS,
+    # Measured on PX4 1.16 with SIH standing on the ground and hovering: its velocity wanders by decimetres a
+    # second, and a position held fast by GPS does not follow it (so the leak is short).
+    "sih": EstimatorErrors(
+        horizontal_velocity_std_m_s=0.25,
+        vertical_velocity_std_m_s=0.15,
+        velocity_correlation_s=4.0,
+        position_leak_s=1.0,
+        position_offset_std_m=0.2,
+        height_offset_std_m=0.2,
+        heading_bias_deg=(0.0, 0.0),
+        tilt_error_deg=0.1,
+    ),
+    # ArduCopter with its own simulator: a velocity that is off by a centimetre or two a second for half a
+    # minute.
+    "arducopter_sitl": EstimatorErrors(
+        horizontal_velocity_std_m_s=0.017,
+        vertical_velocity_std_m_s=0.002,
+        velocity_correlation_s=30.0,
+        position_leak_s=1.0,
+        position_offset_std_m=0.0,
+        height_offset_std_m=0.0,
+        heading_bias_deg=(0.0, 0.0),
+        tilt_error_deg=0.0,
+    ),
 }
 
 
@@ -111,7 +110,6 @@ class SimulatedEstimator:
 
     @property
     def motion(self) -> tuple[Vector3, Vector3, Vector3]:
-        """Position, velocity and acceleration."""
         return self.position_ned_m, self.velocity_ned_m_s, self.acceleration_ned_m_s2
 
     def reset_yaw_at(self, time_s: float, by_rad: float) -> None:
@@ -119,7 +117,6 @@ class SimulatedEstimator:
         self._yaw_reset = (time_s, by_rad)
 
     def step_to(self, now_s: float) -> None:
-        """Let what is due happen."""
         if self._yaw_reset is None or now_s < self._yaw_reset[0]:
             return
         by_rad, self._yaw_reset = self._yaw_reset[1], None
@@ -137,10 +134,8 @@ class SimulatedEstimator:
         errors = self._errors
         decay = math.exp(-dt_s / errors.velocity_correlation_s)
         kick = math.sqrt(1.0 - decay * decay)
-        horizontal, vertical = (
-            kick * errors.horizontal_velocity_std_m_s,
-            kick * errors.vertical_velocity_std_m_s,
-        )
+        horizontal = kick * errors.horizontal_velocity_std_m_s
+        vertical = kick * errors.vertical_velocity_std_m_s
         noise_n, noise_e, noise_d = self._draw3()
         en, ee, ed = self._velocity_error
         en = decay * en + horizontal * noise_n

@@ -140,5 +140,4 @@ def unit_attitude(values: tuple[float, float, float, float]) -> Quaternion | Non
 
 
 def is_finite(vector: Vector3) -> bool:
-    """Whether all three are finite."""
     return isfinite(vector[0]) and isfinite(vector[1]) and isfinite(vector[2])

@@ -43,7 +43,6 @@ def root_law(error: float, gain: float, limit: float, dt_s: float) -> float:
 
 
 def signed_root_law(error: float, gain: float, limit: float, dt_s: float) -> float:
-    """The same for an error of either sign."""
     return math.copysign(root_law(abs(error), gain, limit, dt_s), error)
 
 
@@ -138,12 +137,10 @@ class Path1:
         self.to_velocity(min(max(wish, -top[0]), top[1]) + velocity, acceleration, by, dt)
 
     def to_velocity(self, velocity: float, acceleration: float, by: ShapingLimits, dt: float) -> None:
-        """One step towards a velocity, on top of an acceleration."""
         wish = signed_root_law(velocity - self.velocity, by.velocity_gain, by.jerk, dt)
         self.to_acceleration(clamp(wish, by.acceleration) + acceleration, by, dt)
 
     def to_acceleration(self, acceleration: float, by: ShapingLimits, dt: float) -> None:
-        """One step towards an acceleration, and on along the path."""
         self.acceleration += clamp(acceleration - self.acceleration, by.jerk * dt)
         limit = self.limit
         way, gain = self.velocity * dt + 0.5 * self.acceleration * dt * dt, self.acceleration * dt
@@ -154,26 +151,26 @@ class Path1:
             self.velocity += gain
 
 
+def low_pass_share(cutoff_hz: float, dt_s: float) -> float:
+    """How far a first-order low-pass follows in one step."""
+    return dt_s / (dt_s + 1.0 / (2.0 * math.pi * cutoff_hz))
+
+
 def low_pass(value: float, to: float, cutoff_hz: float, dt_s: float) -> float:
     """A filtered value one step on."""
-    return value + dt_s / (dt_s + 1.0 / (2.0 * math.pi * cutoff_hz)) * (to - value)
+    return value + low_pass_share(cutoff_hz, dt_s) * (to - value)
 
 
 class FirstOrderLowPass:
     """A first-order filter that starts from its first value."""
 
     def __init__(self, cutoff_hz: float) -> None:
-        self._lag_s = 1.0 / (2.0 * math.pi * cutoff_hz)
+        self._cutoff_hz = cutoff_hz
         self.value: float | None = None
 
     def step(self, value: float, dt_s: float) -> float:
-        """Filter one value."""
-        if self.value is None:
-            self.value = value
-        else:
-            self.value += dt_s / (dt_s + self._lag_s) * (value - self.value)
+        self.value = value if self.value is None else low_pass(self.value, value, self._cutoff_hz, dt_s)
         return self.value
 
     def reset(self) -> None:
-        """Reset."""
         self.value = None

@@ -108,7 +108,7 @@ class SimulatedAutopilot:
     def _boot(self) -> None:
         """Reset everything but the parameters and the mission, as a reboot does."""
         self.booted_s: float | None = None
-        self._commander = Commander(self.profile)
+        self.commander = Commander(self.profile)
         self._navigator = Navigator(self.profile, self.parameters)
         self._cascade = Cascade(self.profile, self._airframe, self._rates)
         self._runner = MissionRunner(
@@ -130,45 +130,32 @@ class SimulatedAutopilot:
 
     @property
     def armed(self) -> bool:
-        """Motors live."""
-        return self._commander.armed
+        return self.commander.armed
 
     @property
     def mode(self) -> str:
-        """Name of the flight mode."""
-        return self._commander.mode.name
+        return self.commander.mode.name
 
     @property
     def mode_numbers(self) -> tuple[int, int]:
         """HEARTBEAT's base_mode and custom_mode."""
-        mode = self._commander.mode
+        mode = self.commander.mode
         return mode.base_mode | (128 if self.armed else 0), mode.custom_mode
 
     @property
-    def intended_mode_number(self) -> int:
-        """CURRENT_MODE's intended_custom_mode: what is flown again once a failsafe that left it is over."""
-        return self._commander.intended_mode.custom_mode
-
-    @property
     def task(self) -> Task:
-        """What is being flown."""
-        return self._commander.task
+        return self.commander.task
 
     @property
     def obeys_setpoints(self) -> bool:
         """It flies a streamed setpoint whose time is not up."""
-        now = self._commander.situation
+        now = self.commander.situation
         return self.task is Task.SETPOINT and now.setpoint_age_s <= now.setpoint_timeout_s
 
     @property
     def aligned(self) -> bool:
         """The estimator knows attitude and position."""
-        return self._commander.situation.aligned
-
-    @property
-    def home_set(self) -> bool:
-        """Home is set, even if the position is not yet known."""
-        return self._commander.situation.home_set
+        return self.commander.situation.aligned
 
     @property
     def ready_to_arm(self) -> bool:
@@ -176,7 +163,7 @@ class SimulatedAutopilot:
 
         That is a known position, and for PX4's OFFBOARD setpoints that keep coming.
         """
-        now, mode = self._commander.situation, self._commander.mode
+        now, mode = self.commander.situation, self.commander.mode
         needs_position = mode.sticks in (None, StickMode.VELOCITY)
         known = now.aligned if needs_position else now.home_set
         if self.profile.external_needs_setpoints and setpoints_stopped(now):
@@ -184,30 +171,23 @@ class SimulatedAutopilot:
         return known and (now.tilt_rad < math.radians(20.0) or not now.landed)
 
     @property
-    def in_failsafe(self) -> bool:
-        """A failsafe has taken over."""
-        return self._commander.in_failsafe
-
-    @property
     def landed_state(self) -> LandedState:
         """EXTENDED_SYS_STATE's landed_state."""
         if self._cascade.landed:
             return LandedState.ON_GROUND
-        if self._commander.flown is Task.TAKE_OFF:
+        if self.commander.flown is Task.TAKE_OFF:
             return LandedState.TAKEOFF
-        landing = self._commander.flown in (Task.LAND, Task.PRECISION_LAND)
+        landing = self.commander.flown in (Task.LAND, Task.PRECISION_LAND)
         return LandedState.LANDING if landing else LandedState.IN_AIR
 
     @property
     def fence_enabled(self) -> bool:
-        """There is a fence, and it is switched on."""
         switch = self.profile.parameter_map.fence_enabled
         present = bool(self.fence.items) or bool(self._own_fences())
         return present and (switch is None or self.parameters.si(switch) != 0.0)
 
     @property
     def fence_broken(self) -> bool:
-        """The vehicle is outside a fence that is switched on."""
         if not self.fence_enabled or not self.aligned:
             return False
         latitude, longitude, _ = self.geodetic(self.estimate.position_ned_m)
@@ -221,10 +201,7 @@ class SimulatedAutopilot:
     def _beyond_own_fence(self) -> bool:
         own = self.profile.parameter_map
         north, east, down = subtract(self.estimate.position_ned_m, self.home_ned_m)
-        bounds = (
-            (_CIRCLE, own.fence_radius, math.hypot(north, east)),
-            (_CEILING, own.fence_ceiling, -down),
-        )
+        bounds = ((_CIRCLE, own.fence_radius, math.hypot(north, east)), (_CEILING, own.fence_ceiling, -down))
         return any(
             self._own_fences() & bit and most is not None and value > self.parameters.si(most)
             for bit, most, value in bounds
@@ -247,7 +224,6 @@ class SimulatedAutopilot:
 
     @property
     def rc_input(self) -> RcInput:
-        """The RC input."""
         return self._manual_control.rc_input
 
     @property
@@ -261,7 +237,7 @@ class SimulatedAutopilot:
 
     def take_texts(self) -> list[Text]:
         """Severities and texts since the last call."""
-        speakers: list[deque[Text] | list[Text]] = [self._commander.texts, self.mission.texts]
+        speakers: list[deque[Text] | list[Text]] = [self.commander.texts, self.mission.texts]
         if self._precision_landing is not None:
             speakers.append(self._precision_landing.texts)
         texts: list[Text] = []
@@ -283,12 +259,12 @@ class SimulatedAutopilot:
         if refused in self.refused:
             return self.profile.refused
         self._watch_mission()  # one received since the last step counts already
-        return self._commander.change_mode(mode, number)
+        return self.commander.change_mode(mode, number)
 
     def _watch_mission(self) -> None:
         if self._mission_version != self.mission.version:
             self._mission_version = self.mission.version
-            now = self._commander.situation
+            now = self.commander.situation
             now.mission_ready = self.mission.flyable
             now.mission_climbs = self.mission.starts_with_take_off()
 
@@ -304,7 +280,6 @@ class SimulatedAutopilot:
         return ned_from_geodetic(latitude, longitude, altitude, self._origin)
 
     def _home_item(self) -> MissionItem:
-        """Home as a mission's item 0."""
         latitude, longitude, altitude = self.geodetic(self.home_ned_m)
         parameters = (0.0, 0.0, 0.0, 0.0)
         return MissionItem(
@@ -318,7 +293,7 @@ class SimulatedAutopilot:
         self.estimate.update_attitude(truth)
         if self._pace.due(now_s):
             self._outer(truth, now_s)
-        armed = self._commander.armed
+        armed = self.commander.armed
         motors = self._motors = self._cascade.step(self.estimate, dt_s) if armed else self._stopped
         return motors
 
@@ -335,14 +310,14 @@ class SimulatedAutopilot:
         self._note_arming()  # by a failsafe in this one
         if self._precision_landing is not None:
             self._precision_landing.watch(self._view(), self.profile.outer_period_s)
-        if self._commander.armed:
+        if self.commander.armed:
             self._fly()
         elif not self._navigator.home_is_fixed:
             self._navigator.home_ned_m = estimate.position_ned_m
 
     def _note_arming(self) -> None:
         """Reset the cascade after every arming and disarming, however close together."""
-        now = (self._commander.armed, self._commander.disarmings)
+        now = (self.commander.armed, self.commander.disarmings)
         if now == self._arming_seen:
             return
         stopped, self._arming_seen = now[1] != self._arming_seen[1], now
@@ -352,15 +327,14 @@ class SimulatedAutopilot:
             self._navigator.speeds.forget()
 
     def _watch(self, up_s: float, setpoint_age_s: float) -> None:
-        """Update the commander's vehicle status."""
-        now = self._commander.situation
+        now = self.commander.situation
         now.home_set = up_s >= self.profile.home_s
         if self.position_lost:
             now.aligned = False
         elif not now.aligned and up_s >= self.profile.alignment_s:
             now.aligned = True
             for text in self.profile.texts.aligned:
-                self._commander.send_text(Severity.INFO, text)
+                self.commander.send_text(Severity.INFO, text)
         now.landed = self._cascade.landed
         now.has_flown = now.has_flown or self._cascade.airborne
         now.tilt_rad = tilt_from_quat(self.estimate.attitude)
@@ -374,8 +348,8 @@ class SimulatedAutopilot:
         self._watch_mission()
         self._manual_control.watch(now, self.task, self._now_s)
         self._runner.started = self._runner.started or now.throttle_up
-        self._commander.stays_armed = "auto_disarm" in self.refused
-        self._commander.update(self.profile.outer_period_s)
+        self.commander.stays_armed = "auto_disarm" in self.refused
+        self.commander.update(self.profile.outer_period_s)
 
     def _begin_task(self) -> None:
         """The task has changed since the last step."""
@@ -389,16 +363,14 @@ class SimulatedAutopilot:
         setpoint = self.wanted = self._wanted()
         cascade, texts = self._cascade, self.profile.texts
         if cascade.landed:
-            lifts = self.profile.takes_off_by_setpoint or self._commander.mode.by_attitude
+            lifts = self.profile.takes_off_by_setpoint or self.commander.mode.by_attitude
             by_setpoint = self.task is Task.SETPOINT and lifts
-            may_lift = (
-                by_setpoint or self._manual_control.stick_mode or self._commander.flown is Task.TAKE_OFF
-            )
+            may_lift = by_setpoint or self._manual_control.stick_mode or self.commander.flown is Task.TAKE_OFF
             by_climb_rate = self._thrust_is_climb_rate()
             if not may_lift or not cascade.wants_up(setpoint, self.estimate, by_climb_rate):
                 return
             cascade.lift_off()
-            self._commander.send_text(Severity.INFO, texts.lifted)
+            self.commander.send_text(Severity.INFO, texts.lifted)
         if (hover := self.profile.parameter_map.hover_thrust) is not None:
             believed = self.parameters.si(hover)
             learnt = cascade.learn_hover(believed, self.estimate, self.profile.outer_period_s)
@@ -412,20 +384,19 @@ class SimulatedAutopilot:
         )
         if cascade.landed:
             self._navigator.let_go()
-            self._commander.send_text(Severity.INFO, texts.landed)
+            self.commander.send_text(Severity.INFO, texts.landed)
 
     def _wanted(self) -> MotionSetpoint | AttitudeSetpoint:
-        """The setpoint of the present task; after a task is done, the next one starts."""
         heading = yaw_from_quat(self.estimate.attitude)
         if self.task is Task.SETPOINT and self._setpoint is not None:
             self._navigator.let_go()  # the next hold starts at a new position
-            now = self._commander.situation
+            now = self.commander.situation
             return self.profile.as_aged(self._setpoint, now.setpoint_age_s, now.setpoint_timeout_s, heading)
-        if self.task is Task.HOLD and self._commander.mode.by_attitude:
+        if self.task is Task.HOLD and self.commander.mode.by_attitude:
             self._navigator.let_go()
             return self.profile.as_aged(_NO_ATTITUDE, math.inf, 0.0, heading)
         by_sticks = self._manual_control.setpoint(
-            self._commander.mode, heading, self._now_s, self.profile.outer_period_s
+            self.commander.mode, heading, self._now_s, self.profile.outer_period_s
         )
         if by_sticks is not None:
             self._navigator.let_go()
@@ -436,7 +407,7 @@ class SimulatedAutopilot:
                 self.estimate.position_ned_m, heading, self._cascade.landed, self.profile.outer_period_s
             )
             wanted = self._runner.step(here)
-            self._commander.subtask = wanted if isinstance(wanted, Task) else None
+            self.commander.subtask = wanted if isinstance(wanted, Task) else None
             if isinstance(wanted, MotionSetpoint):
                 self._navigator.let_go()
                 return wanted
@@ -459,11 +430,10 @@ class SimulatedAutopilot:
             return setpoint
         if task is Task.TAKE_OFF:
             self.set_mode_named(self.profile.after_take_off_mode)
-        self._commander.begin(following)
+        self.commander.begin(following)
         return setpoint
 
     def _precision_landing_setpoint(self, task: Task) -> MotionSetpoint | None:
-        """The setpoint of the autopilot's precision landing, or None."""
         precision_landing = self._precision_landing
         if precision_landing is None or task not in self.profile.precision_landing_tasks:
             self._precision_landing_active = False
@@ -503,16 +473,15 @@ class SimulatedAutopilot:
         """Arm; refused with a text before alignment, when tilting, or in a mode that lands."""
         if "arm" in self.refused:
             return self.profile.refused
-        return self._commander.arm(force)
+        return self.commander.arm(force)
 
     def disarm(self, force: bool = False) -> CommandResult:
         """Disarm; refused in flight unless forced."""
         if "disarm" in self.refused:
             return self.profile.refused
-        return self._commander.disarm(force)
+        return self.commander.disarm(force)
 
     def set_mode(self, custom_mode: int) -> CommandResult:
-        """Change to the mode of that custom_mode."""
         return self._change_mode(self.profile.mode_by_number(custom_mode), custom_mode)
 
     def take_off(self, altitude_m: float) -> CommandResult:
@@ -529,14 +498,14 @@ class SimulatedAutopilot:
             if not _LEAST_TAKE_OFF_M <= altitude_m <= _MOST_ALTITUDE_M:
                 return CommandResult.FAILED
             self._navigator.climb_to_m = altitude_m
-            self._commander.begin(Task.TAKE_OFF)
+            self.commander.begin(Task.TAKE_OFF)
             return CommandResult.ACCEPTED
         if not self._cascade.landed:
             return self.set_mode_named(self.profile.hold_mode)
         height = altitude_m - self.geodetic(self._navigator.home_ned_m)[2]
         if self.profile.parameter_map.take_off_height and not _LEAST_TAKE_OFF_M <= height <= _MOST_ALTITUDE_M:
             height = self.parameters.si(self.profile.parameter_map.take_off_height)
-            self._commander.send_text(Severity.INFO, f"Using default takeoff altitude: {height:.2f} m")
+            self.commander.send_text(Severity.INFO, f"Using default takeoff altitude: {height:.2f} m")
         self._navigator.climb_to_m = height
         return self.set_mode_named(self.profile.take_off_mode)
 
@@ -554,7 +523,7 @@ class SimulatedAutopilot:
             self._navigator.target_ned_m = self._local(place, over_home)
             self._navigator.target_yaw_rad = yaw_rad if isfinite(yaw_rad) else nan
             self._navigator.target_speed_m_s = speed_m_s
-            self._commander.begin(Task.GO_TO)
+            self.commander.begin(Task.GO_TO)
         return result
 
     def go_to_where_guided(self, place: Vector3, over_home: bool) -> bool:
@@ -568,7 +537,6 @@ class SimulatedAutopilot:
         return CommandResult.UNSUPPORTED if mode is None else self._change_mode(mode)
 
     def change_speed(self, kind: int, speed_m_s: float) -> CommandResult:
-        """DO_CHANGE_SPEED."""
         if not self._navigator.speeds.change(kind, speed_m_s):
             return CommandResult.DENIED
         if self.task is Task.GO_TO and kind in (0, 1) and speed_m_s > 0.0:
@@ -592,7 +560,7 @@ class SimulatedAutopilot:
 
     def terminate(self) -> CommandResult:
         """Flight termination: motors off."""
-        self._commander.terminate()
+        self.commander.terminate()
         return CommandResult.ACCEPTED
 
     def reboot(self) -> CommandResult:
@@ -605,18 +573,14 @@ class SimulatedAutopilot:
     def recover(self, now_s: float) -> None:
         """A watchdog's reset: the motors stay on, the time since boot begins again, and it holds."""
         self.booted_s, self._setpoint, self._setpoint_s = now_s, None, -inf
-        self._commander.recover()
-
-    def send_text(self, severity: Severity, text: str) -> None:
-        """Queue a STATUSTEXT."""
-        self._commander.send_text(severity, text)
+        self.commander.recover()
 
     # ------------------------------------------------------------ missions
 
     def start_mission(self, first: int = -1) -> CommandResult:
         """MISSION_START; PX4 arms for it, ArduPilot has to be armed."""
         if not self.mission.flyable or (first >= 0 and not self.mission.select(first)):
-            self._commander.send_text(Severity.CRITICAL, self.profile.texts.no_mission)
+            self.commander.send_text(Severity.CRITICAL, self.profile.texts.no_mission)
             return self.profile.refused
         mode = next(mode for mode in self.profile.modes if mode.task is Task.MISSION)
         waits = self.profile.mission.waits_for_start
@@ -658,7 +622,6 @@ class SimulatedAutopilot:
             self.rc_input.manual(sticks, now_s)
 
     def handle_landing_target(self, target: LandingTarget) -> None:
-        """LANDING_TARGET."""
         if self._precision_landing is not None:
             self._precision_landing.update_target(target)
 
@@ -684,26 +647,25 @@ class SimulatedAutopilot:
         self.stream_fields(dataclasses.replace(fields, is_global=True, position_m=local), now_s)
 
     def stream_attitude(self, fields: StreamedAttitude, now_s: float) -> None:
-        """SET_ATTITUDE_TARGET."""
         self._take(self.profile.read_attitude(fields), now_s)
 
     def _take(self, wish: MotionSetpoint | AttitudeSetpoint | SetpointRefusal, now_s: float) -> None:
         if isinstance(wish, SetpointRefusal):
-            self._commander.send_text(Severity.CRITICAL, wish.text)
+            self.commander.send_text(Severity.CRITICAL, wish.text)
         else:
             self.stream(wish, now_s)
 
     def stream(self, setpoint: MotionSetpoint | AttitudeSetpoint, now_s: float) -> None:
         """Take a streamed setpoint: stored always, flown in OFFBOARD or GUIDED only."""
-        mode, moves = self._commander.mode, isinstance(setpoint, MotionSetpoint)
+        mode, moves = self.commander.mode, isinstance(setpoint, MotionSetpoint)
         if isinstance(setpoint, MotionSetpoint):
             setpoint = dataclasses.replace(setpoint, streamed=True)
         self._setpoint, self._setpoint_s = setpoint, now_s
-        self._commander.situation.setpoint_age_s = 0.0
+        self.commander.situation.setpoint_age_s = 0.0
         if mode.by_attitude and moves:
-            self._commander.begin(mode.task)
+            self.commander.begin(mode.task)
         elif mode.takes_setpoints and (mode.by_attitude or not self._cascade.landed):
-            self._commander.begin(Task.SETPOINT)
+            self.commander.begin(Task.SETPOINT)
 
 
 def _is_place(place: Vector3) -> bool:

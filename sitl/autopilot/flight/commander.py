@@ -6,14 +6,7 @@ Everything that differs between autopilots comes from the tables of the `Autopil
 from collections import deque
 from math import inf
 
-from sitl.autopilot.flight.modes import (
-    CommandResult,
-    Failsafe,
-    Mode,
-    Severity,
-    Task,
-    VehicleStatus,
-)
+from sitl.autopilot.flight.modes import CommandResult, Failsafe, Mode, Severity, Task, VehicleStatus
 from sitl.autopilot.flight.profile import AutopilotProfile
 
 Text = tuple[Severity, str]

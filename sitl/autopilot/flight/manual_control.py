@@ -34,7 +34,6 @@ class Sticks:
 
     @property
     def throttle_is_up(self) -> bool:
-        """The throttle stick commands a climb."""
         return self.throttle > _RAISED
 
 
@@ -74,7 +73,6 @@ class RcInput:
         return self._sticks if now_s - self._heard_s <= timeout_s else None
 
     def lost(self, now_s: float, timeout_s: float) -> bool:
-        """RC input was received, and has timed out."""
         return self._sticks is not None and now_s - self._heard_s > timeout_s
 
 
@@ -107,7 +105,6 @@ class ManualControl:
         self._heading_rad = nan  # held while the yaw stick is centred; NaN: the sticks do not fly
 
     def watch(self, now: VehicleStatus, task: Task, now_s: float) -> None:
-        """Update the RC fields of the vehicle status."""
         sticks = self._sticks(now_s)
         now.rc_available = sticks is not None
         now.throttle_up = sticks is not None and sticks.throttle_is_up
@@ -120,7 +117,6 @@ class ManualControl:
     def setpoint(
         self, mode: Mode, heading_rad: float, now_s: float, dt_s: float
     ) -> MotionSetpoint | AttitudeSetpoint | None:
-        """The sticks' setpoint in a manual mode; None: hold."""
         self.stick_mode = None
         sticks = None if mode.sticks is None else self._sticks(now_s)
         if mode.sticks is None or sticks is None:

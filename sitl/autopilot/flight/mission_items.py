@@ -77,13 +77,8 @@ NAVIGATION: frozenset[int] = frozenset(c for c in MissionCommand if c < 95)  # M
 # their x and y are a latitude and a longitude, all others' plain numbers
 PLACES: frozenset[int] = frozenset(
     (NAVIGATION - {MissionCommand.RETURN_TO_LAUNCH, MissionCommand.DELAY})
-    | {
-        MissionCommand.DO_SET_HOME,
-        MissionCommand.DO_LAND_START,
-        31,
-        195,
-        201,
-    }  # LOITER_TO_ALT, DO_SET_ROI(_LOCATION)
+    | {MissionCommand.DO_SET_HOME, MissionCommand.DO_LAND_START}
+    | {31, 195, 201}  # LOITER_TO_ALT, DO_SET_ROI(_LOCATION)
 )
 
 
@@ -153,11 +148,9 @@ class MissionRules:
 
     @property
     def first(self) -> int:
-        """Number of the first item that is flown."""
         return 1 if self.home_first else 0
 
     def check(self, item: MissionItem, frame: int) -> MissionResult:
-        """May an item with that MAV_FRAME be uploaded?"""
         if item.command not in self.flown and item.command not in self.without_effect:
             return MissionResult.UNSUPPORTED
         if item_frame(frame) is None:
@@ -212,7 +205,6 @@ class MissionStore:
 
     @property
     def flyable(self) -> bool:
-        """The mission has an item to fly."""
         return any(item.command in NAVIGATION for item in self.items[self.rules.first :])
 
     def item(self, number: int) -> MissionItem:
@@ -245,7 +237,6 @@ class MissionStore:
         self.send_text(Severity.INFO, self.rules.received_text)
 
     def clear(self) -> None:
-        """Clear the mission."""
         self.items = []
         self._renewed()
 
@@ -277,13 +268,10 @@ class MissionStore:
 
     def landing_start(self) -> int | None:
         """Number of the item DO_LAND_START, None without."""
-        commands = [item.command for item in self.items]
-        return (
-            commands.index(MissionCommand.DO_LAND_START) if MissionCommand.DO_LAND_START in commands else None
-        )
+        numbered = enumerate(self.items)
+        return next((k for k, item in numbered if item.command == MissionCommand.DO_LAND_START), None)
 
     def starts_with_take_off(self) -> bool:
-        """The first item that is flown is a take-off."""
         flown = (item for item in self.items[self.rules.first :] if item.command in NAVIGATION)
         first = next(flown, None)
         return first is not None and first.command == MissionCommand.TAKEOFF
@@ -327,7 +315,6 @@ class _Area:
     radius_m: float = 0.0
 
     def holds(self, latitude_deg: float, longitude_deg: float) -> bool:
-        """Whether the place is inside."""
         if len(self.corners) == 1:
             north_m, east_m, _ = ned_from_geodetic(latitude_deg, longitude_deg, 0.0, (*self.corners[0], 0.0))
             return math.hypot(north_m, east_m) < self.radius_m
@@ -355,7 +342,6 @@ class Fence:
     _areas: tuple[_Area, ...] = ()
 
     def check(self, item: MissionItem, frame: ItemFrame | None) -> MissionResult:
-        """May an item with that frame be uploaded?"""
         if item.command not in FENCE_COMMANDS:
             return MissionResult.UNSUPPORTED
         if frame is None:
@@ -375,7 +361,6 @@ class Fence:
         return True
 
     def broken_at(self, latitude_deg: float, longitude_deg: float) -> bool:
-        """Whether a vehicle there is where it must not be."""
         held = [(area.stay_in, area.holds(latitude_deg, longitude_deg)) for area in self._areas]
         stays_in = [inside for stay_in, inside in held if stay_in]
         kept_in = not stays_in or (any(stays_in) if self.unite else all(stays_in))

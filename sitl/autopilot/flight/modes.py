@@ -74,7 +74,6 @@ class Mode:
 
     @property
     def display_name(self) -> str:
-        """The mode's name in texts."""
         return self.title or self.name
 
 

@@ -36,7 +36,6 @@ class SpeedSetpoints:
         self._changed: list[float | None] = [None, None, None]
 
     def forget(self) -> None:
-        """Back to the parameters'."""
         self._changed = [None, None, None]
 
     def change(self, kind: int, speed_m_s: float) -> bool:

@@ -85,7 +85,6 @@ class PrecisionLanding(ABC):
         self._pending = target
 
     def _report_frame(self, severity: Severity, text: str) -> None:
-        """Report once that the target's frame is not taken."""
         if not self._frame_reported:
             self.texts.append((severity, text))
         self._frame_reported = True
@@ -150,23 +149,18 @@ class Parameters:
         return self._names[index] if 0 <= index < len(self._names) else None
 
     def index_of(self, name: str) -> int:
-        """Place of a known name in the list."""
         return self._indices[name]
 
     def is_integer(self, name: str) -> bool:
-        """Whether a known parameter holds an integer."""
         return self._table[name].integer
 
     def bits(self, name: str) -> int:
-        """Size of a known parameter's number."""
         return self._table[name].bits
 
     def reset(self) -> None:
-        """All defaults again."""
         self._values = {parameter.name: float(parameter.default) for parameter in self._table.values()}
 
     def si(self, setting: ParameterRef) -> float:
-        """Value in SI units."""
         return self._values[setting.name] * setting.scale
 
     def set(self, name: str, value: float) -> bool:
@@ -327,28 +321,12 @@ class AutopilotProfile:
 
 
 def landed_after_flight(now: VehicleStatus) -> bool:
-    """On the ground again."""
     return now.landed and now.has_flown
-
-
-def never_flown(now: VehicleStatus) -> bool:
-    """Armed, but not flown yet."""
-    return now.landed and not now.has_flown
 
 
 def level(now: VehicleStatus) -> bool:
     """Tilted by less than 20 degrees."""
     return now.tilt_rad < math.radians(20.0)
-
-
-def aligned(now: VehicleStatus) -> bool:
-    """The estimator knows attitude and position."""
-    return now.aligned
-
-
-def mode_armable(now: VehicleStatus) -> bool:
-    """The present mode allows arming."""
-    return now.armable
 
 
 def mission_missing(mode: Mode, now: VehicleStatus) -> bool:
@@ -359,11 +337,6 @@ def mission_missing(mode: Mode, now: VehicleStatus) -> bool:
 def not_from_flight(mode: Mode, now: VehicleStatus) -> bool:
     """A manual mode, in flight, without RC input."""
     return not mode.in_flight and now.armed and not now.landed and not now.rc_available
-
-
-def rc_lost(now: VehicleStatus) -> bool:
-    """RC input was received, and no longer is."""
-    return now.rc_lost
 
 
 def fence_left(title: str, values: tuple[int, ...], mode: str) -> Failsafe:

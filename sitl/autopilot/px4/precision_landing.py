@@ -11,12 +11,7 @@ from math import nan
 from companion.base.geometry import Vector3
 from sitl.autopilot.control.setpoints import MotionSetpoint
 from sitl.autopilot.flight.modes import Severity
-from sitl.autopilot.flight.profile import (
-    LandingTargetFrame,
-    Parameters,
-    PrecisionLanding,
-    VehicleEstimate,
-)
+from sitl.autopilot.flight.profile import LandingTargetFrame, Parameters, PrecisionLanding, VehicleEstimate
 
 _ABOVE_FOR_S = 2.0
 _FRESH_NEAR_GROUND_S = 0.5
@@ -43,7 +38,6 @@ class Px4PrecisionLanding(PrecisionLanding):
         self.begin(required=True)
 
     def begin(self, *, required: bool) -> None:
-        """Start a landing."""
         self.state = PrecLandState.START
         self._required = required
         self._searches = 0
@@ -51,7 +45,6 @@ class Px4PrecisionLanding(PrecisionLanding):
         self._height_ned_m = 0.0
 
     def watch(self, estimate: VehicleEstimate, dt_s: float) -> None:
-        """Take a new measurement."""
         target, self._pending = self._pending, None
         if target is None:
             return
@@ -62,7 +55,6 @@ class Px4PrecisionLanding(PrecisionLanding):
         self._target, self._seen_s = target.position_m, estimate.now_s
 
     def fly(self, estimate: VehicleEstimate, dt_s: float) -> MotionSetpoint | None:
-        """One step of the state machine."""
         steps = {
             PrecLandState.START: self._start,
             PrecLandState.APPROACH: self._approach,
@@ -133,7 +125,6 @@ class Px4PrecisionLanding(PrecisionLanding):
         return self._search(estimate)
 
     def _give_up(self) -> MotionSetpoint | None:
-        """Land as without a target."""
         self.state = PrecLandState.FALLBACK
         return None
 

@@ -36,15 +36,11 @@ from sitl.autopilot.flight.profile import (
     ParameterMap,
     ParameterRef,
     Texts,
-    aligned,
     fence_left,
     landed_after_flight,
     level,
     mission_missing,
-    mode_armable,
-    never_flown,
     not_from_flight,
-    rc_lost,
     setpoints_stopped,
 )
 from sitl.autopilot.px4.control import Px4Control, as_aged, read_attitude, read_motion
@@ -282,10 +278,10 @@ PX4 = AutopilotProfile(
         )
     ),
     arming_checks=(
-        ArmingCheck(aligned, "Arming denied: Resolve system health failures first"),
+        ArmingCheck(lambda now: now.aligned, "Arming denied: Resolve system health failures first"),
         ArmingCheck(level, "Arming denied: Attitude failure (roll or pitch)"),
         ArmingCheck(lambda now: not setpoints_stopped(now), "Arming denied: No offboard control signal"),
-        ArmingCheck(mode_armable, "Arming denied: Mode not suitable for takeoff"),
+        ArmingCheck(lambda now: now.armable, "Arming denied: Mode not suitable for takeoff"),
     ),
     failsafes=(
         # nobody is at the sticks that Position, Altitude and Stabilized are for
@@ -295,7 +291,7 @@ PX4 = AutopilotProfile(
         _offboard_lost((5,), "Hold", mode="AUTO_LOITER"),
         _offboard_lost((6, 7), "Disarm"),
         Failsafe(
-            rc_lost,
+            lambda now: now.rc_lost,
             5.0,  # COM_FAIL_ACT_T
             Severity.CRITICAL,
             "Failsafe activated: Manual control lost, switching to Return",
@@ -307,7 +303,7 @@ PX4 = AutopilotProfile(
         fence_left("Failsafe activated: Geofence violated, switching to Land", (5,), "AUTO_LAND"),
         Failsafe(landed_after_flight, 2.0, Severity.INFO, "Disarmed by landing"),
         Failsafe(
-            never_flown,
+            lambda now: now.landed and not now.has_flown,
             10.0,
             Severity.INFO,
             "Disarmed by auto preflight disarming",

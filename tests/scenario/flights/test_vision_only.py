@@ -56,7 +56,7 @@ def test_the_pilots_landing_ends_on_the_pad_and_the_app_flies_nothing(kind: Auto
         else:
             field.pilot(23)  # NAV_PRECLAND
         await field.until(lambda: not field.autopilot.armed, 60.0, "disarmed")
-        touchdown = field.vehicle.simulation.world.touchdown
+        touchdown = field.vehicle.simulation.world.watch.touchdown
         assert touchdown is not None
         assert touchdown.lateral_error_m < 0.15
         assert field.app.phase is Phase.STANDBY

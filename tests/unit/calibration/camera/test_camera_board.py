@@ -296,7 +296,7 @@ def test_it_is_complete_when_all_has_been_seen() -> None:
         stepped(session, [seen(pose, right_px)] * 8, start_s=10.0 * number)
     assert session.coverage.missing_tilts == []
     assert session.coverage.missing_corners == []
-    assert session.complete
+    assert session.coverage.complete
     assert session.hint() == "all has been seen"
 
 

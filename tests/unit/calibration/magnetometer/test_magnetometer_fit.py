@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.magnetometer.calibrate import Calibrated, TrueField, UnfitError, calibrate
-from calibration.magnetometer.collect import hint, picture, progress, text_map
+from calibration.magnetometer.collect import drawn_map, hint, progress, text_map
 from calibration.magnetometer.ellipsoid import (
     CELLS,
     BoolArray,
@@ -198,7 +198,7 @@ def vague(index: int, std: float) -> EllipsoidFit:
 
 def calibrated(raw: FloatArray, **options: object) -> Calibrated:
     recording = MagnetometerRecording("test", "mpu9250", raw)
-    given = {"field": None, "aligned": False, "objective": None, "tool": "t", "date": "d", **options}
+    given = {"field": None, "aligned": False, "tool": "t", "date": "d", **options}
     return calibrate(recording, np.random.default_rng(0), **given)  # type: ignore[arg-type]
 
 
@@ -326,7 +326,7 @@ def recording(
 def refusal(made: MagnetometerRecording, rng: np.random.Generator) -> str:
     """Why no good calibration comes of it; empty where one does."""
     try:
-        done = calibrate(made, rng, field=None, aligned=False, objective=None, tool="test", date="")
+        done = calibrate(made, rng, field=None, aligned=False, tool="test", date="")
     except UnfitError as error:
         return str(error)
     quality = done.file.quality
@@ -442,6 +442,6 @@ def test_the_map_shows_the_hole_where_it_is() -> None:
     left, right = zip(*((line[:22], line[25:]) for line in lines[1:]), strict=True)
     assert "." in left[5][8:14]  # the belly's disc has it in the middle
     assert not any("." in line for line in right)
-    image = picture(now)
+    image = drawn_map(now)
     assert image.shape == (430, 720, 3)
     assert image.max() > 200

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from calibration.magnetometer.calibrate import Calibrated, TrueField, UnfitError, calibrate
-from calibration.magnetometer.collect import ENOUGH, CollectionLimits, collect
+from calibration.magnetometer.collect import ENOUGH, collect
 from calibration.magnetometer.live import AutopilotCompass, Mpu9250Compass
 from calibration.magnetometer.recording import MagnetometerRecording
 from calibration.magnetometer.report import yaml_text
@@ -49,7 +49,7 @@ def carry(
 
 def calibrated(recording: Any) -> Calibrated:
     rng = np.random.default_rng(0)
-    return calibrate(recording, rng, field=SITL_FIELD, aligned=False, objective=None, tool="t", date="d")
+    return calibrate(recording, rng, field=SITL_FIELD, aligned=False, tool="t", date="d")
 
 
 def offset_error(done: Calibrated, truth: FloatArray) -> float:
@@ -63,7 +63,7 @@ def test_the_chip_turned_about_is_calibrated_to_the_truth(tmp_path: Path) -> Non
 
     async def collected(vehicle: InProcess) -> Any:
         source = Mpu9250Compass(vehicle.imu_bus, ImuConfig())
-        recording = await collect(source, CollectionLimits(150.0, picture), Console(file=shown, width=200))
+        recording = await collect(source, Console(file=shown, width=200), 150.0, picture)
         return recording, vehicle.simulation.sensor_truth.boards.magnetometer
 
     recording, flaws = run_in_virtual_time(carry("tumble", collected))
@@ -86,7 +86,7 @@ def test_the_chip_turned_about_is_calibrated_to_the_truth(tmp_path: Path) -> Non
 def test_the_calibration_makes_the_drivers_field_true() -> None:
     async def collected(vehicle: InProcess) -> Any:
         recording = await collect(
-            Mpu9250Compass(vehicle.imu_bus, ImuConfig()), CollectionLimits(30.0), Console(file=io.StringIO())
+            Mpu9250Compass(vehicle.imu_bus, ImuConfig()), Console(file=io.StringIO()), 30.0
         )
         file = calibrated(recording).file
         clock, driver, found = Clock(), Mpu9250(vehicle.imu_bus, ImuConfig(), file), []
@@ -107,7 +107,7 @@ async def test_an_autopilots_compass_is_calibrated_over_mavlink() -> None:
     async def collected(vehicle: InProcess) -> Any:
         source = AutopilotCompass(ours, "the line")
         try:
-            recording = await collect(source, CollectionLimits(60.0), Console(file=io.StringIO()))
+            recording = await collect(source, Console(file=io.StringIO()), 60.0)
         finally:
             source.close()
         return recording, vehicle.simulation.sensor_truth.autopilot.magnetometer
@@ -122,9 +122,7 @@ async def test_an_autopilots_compass_is_calibrated_over_mavlink() -> None:
 
 def test_a_vehicle_that_stands_still_is_refused() -> None:
     async def collected(vehicle: InProcess) -> Any:
-        return await collect(
-            Mpu9250Compass(vehicle.imu_bus, ImuConfig()), CollectionLimits(20.0), Console(file=io.StringIO())
-        )
+        return await collect(Mpu9250Compass(vehicle.imu_bus, ImuConfig()), Console(file=io.StringIO()), 20.0)
 
     recording = run_in_virtual_time(carry("still", collected))
     with pytest.raises(UnfitError, match="was it turned about at all"):
@@ -143,9 +141,7 @@ class DeadBus:
 
 def test_a_chip_or_an_autopilot_that_is_not_there_is_reported() -> None:
     async def chip() -> None:
-        await collect(
-            Mpu9250Compass(DeadBus(), ImuConfig()), CollectionLimits(60.0), Console(file=io.StringIO())
-        )
+        await collect(Mpu9250Compass(DeadBus(), ImuConfig()), Console(file=io.StringIO()), 60.0)
 
     with pytest.raises(ConfigError, match=r"MPU9250 on i2c:1: .*Remote I/O error; expected its magnetometer"):
         run_in_virtual_time(chip())
@@ -153,7 +149,7 @@ def test_a_chip_or_an_autopilot_that_is_not_there_is_reported() -> None:
     async def autopilot() -> None:
         source = AutopilotCompass(memory_pair()[0], "the line")
         try:
-            await collect(source, CollectionLimits(60.0), Console(file=io.StringIO()))
+            await collect(source, Console(file=io.StringIO()), 60.0)
         finally:
             source.close()
 
@@ -169,7 +165,7 @@ CASE = turned(5, samples=2000, half=False)
 def made(sensor: Sensor) -> MagnetometerCalibration:
     recording = MagnetometerRecording("test", sensor, CASE.raw)
     rng = np.random.default_rng(0)
-    return calibrate(recording, rng, field=None, aligned=False, objective=None, tool="t", date="d").file
+    return calibrate(recording, rng, field=None, aligned=False, tool="t", date="d").file
 
 
 def sense(sensor: Sensor, path: Path, *, source: str) -> SenseConfig:

@@ -306,7 +306,7 @@ def read_log(path: Path) -> MagnetometerRecording:
 
 def calibrated(recording: MagnetometerRecording, case: Turned = CASE) -> Calibrated:
     rng = np.random.default_rng(0)
-    done = calibrate(recording, rng, field=FIELD, aligned=False, objective=None, tool="t", date="d")
+    done = calibrate(recording, rng, field=FIELD, aligned=False, tool="t", date="d")
     assert done.centre == pytest.approx(case.centre, abs=0.15)
     return done
 
@@ -510,7 +510,5 @@ def test_real_logs_are_fitted_no_worse_than_published(name: str, residual: float
     if not path.exists():
         pytest.skip(f"{path} is not there: somebody's recording, not part of the project")
     recording = read_log(path)
-    done = calibrate(
-        recording, np.random.default_rng(0), field=None, aligned=False, objective=None, tool="t", date="d"
-    )
+    done = calibrate(recording, np.random.default_rng(0), field=None, aligned=False, tool="t", date="d")
     assert done.file.quality.residual <= residual + 5e-6

@@ -22,13 +22,12 @@ from calibration.mount.six_faces import (
     fit_gyro,
     fitting_mountings,
     gyro_reasons,
-    mounting_matrix,
 )
 from calibration.mount.table import canonical, read_table
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.config import ConfigError, ImuConfig, InertialCalibration, SenseConfig, load_inertial
 from companion.config.calibration import Provenance
-from companion.sense.imu.mounting import body_axes
+from companion.sense.imu.mounting import body_axes, mounting_matrix
 from tests.unit.sense.imu.imu_rig import ImuRig
 
 USUAL = (180.0, 0.0, 0.0)

@@ -131,6 +131,7 @@ def test_px4_leaves_offboard_when_setpoints_stop_and_comes_back_with_them() -> N
     flight.run(0.9)
     assert flight.autopilot.mode == "OFFBOARD"
     flight.run(3.4)  # nobody at the sticks: level, and down at MPC_LAND_SPEED
+    assert flight.autopilot.commander.in_failsafe
     assert any("offboard" in text for text in flight.texts)
     assert tilt_from_quat(flight.vehicle.attitude) < math.radians(1.0)
     assert flight.vehicle.velocity[2] == pytest.approx(0.7, abs=0.05)
@@ -147,7 +148,7 @@ def test_px4_does_what_its_parameter_says_when_setpoints_stop(action: int, mode:
     flight.run(2.0, velocity(1.0))
     flight.run(1.3)
     assert flight.autopilot.mode == mode
-    assert flight.autopilot.in_failsafe
+    assert flight.autopilot.commander.in_failsafe
     assert current_mode(flight.autopilot, 0.0).intended_custom_mode == custom_mode("px4", "OFFBOARD")
     flight.run(3.0)
     if action in (4, 5):  # neither goes on with the speed over ground that it had

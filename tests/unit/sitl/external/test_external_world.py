@@ -48,7 +48,7 @@ def play(
 def test_a_landing_on_the_pad_is_scored() -> None:
     flight, contact_s = hop(4.05, 3.0)
     world = play(ExternalWorld(static(), 0), flight, contact_s + 2.0, disarm_s=contact_s + 1.0)
-    touchdown = world.touchdown
+    touchdown = world.watch.touchdown
     assert touchdown is not None
     assert touchdown.on_pad
     assert touchdown.time_s == pytest.approx(START_S + contact_s, abs=0.1)
@@ -76,7 +76,7 @@ def test_a_hard_landing_is_a_crash_and_no_flight_is_a_timeout() -> None:
     world = play(ExternalWorld(static(), 0), flight, contact_s + 2.0)
     assert world.judge(Phase.LANDED).outcome is Outcome.CRASHED
     stood = play(ExternalWorld(static(), 0), lambda _: (ZERO3, ZERO3), 3.0)
-    assert stood.touchdown is None
+    assert stood.watch.touchdown is None
     assert stood.judge(Phase.SEARCH).outcome is Outcome.TIMEOUT
 
 
@@ -180,7 +180,7 @@ def test_estimates_that_rose_by_themselves_are_no_flight_and_the_truth_beneath_n
     assert not world.flown
     world.begin(GROUND)
     world.see(sample(START_S + 1.0, (0.0, 0.0, 0.0)), armed=False)
-    assert world.touchdown is None
+    assert world.watch.touchdown is None
 
 
 def test_the_touchdown_is_measured_against_the_pad_of_the_same_moment() -> None:
@@ -194,11 +194,11 @@ def test_the_touchdown_is_measured_against_the_pad_of_the_same_moment() -> None:
         pad = world.pad_at(time_s).position_ned_m
         moves = (0.0, speed_m_s, sink_m_s) if height_m else (0.0, 0.0, 0.0)
         world.see(sample(time_s, (pad[0], pad[1], -height_m), moves), armed=True)
-        if world.touchdown is not None:
+        if world.watch.touchdown is not None:
             break
-    assert world.touchdown is not None
-    assert world.touchdown.on_pad
-    assert world.touchdown.lateral_error_m < 1e-3
+    assert world.watch.touchdown is not None
+    assert world.watch.touchdown.on_pad
+    assert world.watch.touchdown.lateral_error_m < 1e-3
 
 
 def test_a_moving_pad_waits_under_a_vehicle_that_stands_on_it_and_goes_on_after_it() -> None:
@@ -219,7 +219,7 @@ def test_a_moving_pad_waits_under_a_vehicle_that_stands_on_it_and_goes_on_after_
         return (4.0, east, -height), (0.0, 0.4 if moving else 0.0, sink_m_s if moving else 0.0)
 
     play(world, flight, 14.0)
-    touchdown = world.touchdown
+    touchdown = world.watch.touchdown
     assert touchdown is not None
     assert touchdown.horizontal_speed_m_s == pytest.approx(0.0, abs=1e-3)
     assert touchdown.pad_speed_m_s == pytest.approx(0.4, abs=1e-6)

@@ -202,13 +202,13 @@ def test_touchdown_is_scored_along_the_decks_normal() -> None:
     on_deck(world, 1.2)
     tilt_deg = math.degrees(tilt_from_quat(world.state.attitude))
     assert tilt_deg > 5.0
-    while world.touchdown is None:
+    while world.watch.touchdown is None:
         world.step((0.0, 0.0, 0.0, 0.0), DT)
-    assert world.touchdown.on_pad
+    assert world.watch.touchdown.on_pad
     # it fell along with the deck's tilt of then; the deck has turned on a little since
     now_deg = math.degrees(tilt_from_normal(world.pad_state, world.state.attitude))
-    assert world.touchdown.tilt_deg == pytest.approx(now_deg, abs=0.3)
-    assert world.touchdown.tilt_deg < 0.8 * tilt_deg
+    assert world.watch.touchdown.tilt_deg == pytest.approx(now_deg, abs=0.3)
+    assert world.watch.touchdown.tilt_deg < 0.8 * tilt_deg
 
 
 def test_the_ultrasonic_hears_the_deck_along_its_normal() -> None:

@@ -31,19 +31,15 @@ GOOD = TouchdownState(
 )
 
 
-def judged(touchdown: TouchdownState | None = GOOD, **values: Any) -> Verdict:
-    flight = {
-        "contacts": () if touchdown is None else (touchdown,),
-        "crashed": False,
-        "at_rest_on_pad": True,
-        "disarmed": True,
-        "final_phase": Phase.LANDED,
-    }
-    return judge(touchdown, PassBounds(), **{**flight, **values})
+def judged(*contacts: TouchdownState, crashed: bool = False, flown: bool = True, **values: Any) -> Verdict:
+    watch = TouchdownDetector()
+    watch.contacts, watch.crashed, watch.flown = list(contacts), crashed, flown
+    flight = {"at_rest_on_pad": True, "disarmed": True, "final_phase": Phase.LANDED}
+    return judge(watch, PassBounds(), **{**flight, **values})
 
 
 def test_a_good_landing_is_landed_and_reported() -> None:
-    verdict = judged()
+    verdict = judged(GOOD)
     assert verdict.outcome is Outcome.LANDED
     assert verdict.failures == ()
     assert list((verdict.touchdown or {}).values()) == [0.04, 0.3, 0.1, 2.0, -5.0]
@@ -84,7 +80,7 @@ def test_each_bound_holds_up_to_itself_and_no_further(field: str, bound: float) 
 def test_each_ending_has_its_outcome_and_a_reason(
     touchdown: TouchdownState | None, values: dict[str, Any], outcome: Outcome
 ) -> None:
-    verdict = judged(touchdown, **values)
+    verdict = judged(*([] if touchdown is None else [touchdown]), **values)
     assert verdict.outcome is outcome
     assert verdict.outcome is not Outcome.LANDED
     assert verdict.failures
@@ -96,7 +92,7 @@ GENTLE = dataclasses.replace(GOOD, time_s=20.0, vertical_speed_m_s=0.1, on_pad=F
 
 def test_a_gentle_touch_before_the_landing_is_a_failed_flight_with_its_place_and_speeds() -> None:
     """The vehicle fell at the grant of control, brushed the ground, flew on and landed in the middle."""
-    verdict = judged(GOOD, contacts=(GENTLE, GOOD))
+    verdict = judged(GENTLE, GOOD)
     assert verdict.outcome is Outcome.MISSED
     assert verdict.failures == (
         "touched the ground 6.0 m from the pad's centre at 0.10 m/s down, 0.10 m/s sideways: "
@@ -110,23 +106,25 @@ def test_a_gentle_touch_before_the_landing_is_a_failed_flight_with_its_place_and
 
 def test_hops_of_the_take_off_count_when_they_are_harder_than_allowed() -> None:
     hop = dataclasses.replace(GENTLE, before_flight=True)
-    assert judged(GOOD, contacts=(hop, GOOD)).outcome is Outcome.LANDED
+    assert judged(hop, GOOD).outcome is Outcome.LANDED
     slides = dataclasses.replace(hop, horizontal_speed_m_s=1.3)
-    assert judged(GOOD, contacts=(slides, GOOD)).outcome is Outcome.LANDED
+    assert judged(slides, GOOD).outcome is Outcome.LANDED
     hard = dataclasses.replace(hop, vertical_speed_m_s=0.9)
-    assert judged(GOOD, contacts=(hard, GOOD)).outcome is Outcome.MISSED
+    assert judged(hard, GOOD).outcome is Outcome.MISSED
 
 
 @pytest.mark.parametrize(
-    ("values", "outcome"),
+    ("contacts", "values", "outcome"),
     [
-        ({"final_phase": Phase.ABORT}, Outcome.ABORTED),
-        ({"crashed": True}, Outcome.CRASHED),
-        ({"touchdown": None, "contacts": (GENTLE,), "final_phase": Phase.SEARCH}, Outcome.TIMEOUT),
+        ([GENTLE, GOOD], {"final_phase": Phase.ABORT}, Outcome.ABORTED),
+        ([GENTLE, GOOD], {"crashed": True}, Outcome.CRASHED),
+        ([GENTLE], {"flown": False, "final_phase": Phase.SEARCH}, Outcome.TIMEOUT),
     ],
 )
-def test_whatever_the_outcome_a_touch_that_counts_is_told(values: dict[str, Any], outcome: Outcome) -> None:
-    verdict = judged(**{"touchdown": GOOD, "contacts": (GENTLE, GOOD), **values})
+def test_whatever_the_outcome_a_touch_that_counts_is_told(
+    contacts: list[TouchdownState], values: dict[str, Any], outcome: Outcome
+) -> None:
+    verdict = judged(*contacts, **values)
     assert verdict.outcome is outcome
     assert any("before the landing" in failure for failure in verdict.failures)
 
@@ -165,7 +163,7 @@ def test_what_rises_higher_than_a_bounce_has_flown_on_and_the_next_touch_is_anot
     first, second = told.detector.contacts
     assert told.detector.touchdown is second
     assert (first.vertical_speed_m_s, second.vertical_speed_m_s) == (0.3, 0.2)
-    verdict = judged(second, contacts=(first, second))
+    verdict = judged(first, second)
     assert verdict.outcome is Outcome.MISSED
 
 
@@ -175,7 +173,7 @@ def test_standing_is_no_contact_and_a_hop_before_the_flight_is_none_of_the_fligh
     assert hop.before_flight
     assert (hop.vertical_speed_m_s, hop.touches) == (0.2, 2)
     assert not landing.before_flight
-    assert judged(landing, contacts=(hop, landing)).outcome is Outcome.LANDED
+    assert judged(hop, landing).outcome is Outcome.LANDED
 
 
 def test_a_hop_higher_than_a_bounce_is_a_touch_before_the_landing() -> None:

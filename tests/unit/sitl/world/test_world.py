@@ -25,7 +25,7 @@ from sitl.pad.motion import PadTruth
 from sitl.scenario.scenario import PassBounds, Scenario, load_airframe, load_scenario
 from sitl.vehicle.quadrotor import QuadrotorState, RotorValues, resting_state
 from sitl.world.ground import Obstacles, PadBoard, distance_m, reach_m, rotor_ratios, thrust_ratio
-from sitl.world.score import judge
+from sitl.world.score import TouchdownDetector, judge
 from sitl.world.wind import shear
 from sitl.world.world import Effects, World
 
@@ -61,8 +61,8 @@ def test_starts_standing_at_home_with_a_drawn_heading() -> None:
     for world in worlds:
         assert run(world, 1.0).truth().vehicle_position_ned_m == pytest.approx((0.0, 0.0, -STAND), abs=1e-6)
         assert world.truth().in_contact
-        assert world.touchdown is None
-        assert not world.crashed
+        assert world.watch.touchdown is None
+        assert not world.watch.crashed
         assert world.state.specific_force_body_m_s2 == pytest.approx((0.0, 0.0, -GRAVITY_M_S2), abs=1e-3)
     headings = {round(yaw_from_quat(world.truth().vehicle_attitude), 3) for world in worlds}
     assert len(headings) == 4
@@ -119,11 +119,11 @@ def test_a_touchdown_is_measured_just_before_contact_and_relative_to_the_pad() -
         velocity_ned_m_s=(0.1, 2.0, 0.2),
         attitude=quat_from_euler(0.05, 0.0, 0.8),
     )
-    world._watch.airborne(2.0)  # as if it had come down from there
+    world.watch.airborne(2.0)  # as if it had come down from there
     fall_to = math.hypot(0.2, math.sqrt(2 * GRAVITY_M_S2 * 0.05))
-    while world.touchdown is None:
+    while world.watch.touchdown is None:
         world.step(OFF, DT)
-    touchdown = world.touchdown
+    touchdown = world.watch.touchdown
     assert touchdown.on_pad
     assert touchdown.lateral_error_m == pytest.approx(0.06, abs=0.02)
     assert touchdown.vertical_speed_m_s == pytest.approx(fall_to, abs=0.12)
@@ -131,27 +131,27 @@ def test_a_touchdown_is_measured_just_before_contact_and_relative_to_the_pad() -
     assert touchdown.tilt_deg == pytest.approx(math.degrees(0.05), abs=0.1)
     assert touchdown.yaw_error_deg == pytest.approx(math.degrees(0.8) - 30.0, abs=0.1)
     assert touchdown.pad_speed_m_s == pytest.approx(2.0)
-    assert not world.crashed
+    assert not world.watch.crashed
     # what came after contact did not change it
-    assert run(world, 2.0).touchdown == touchdown
+    assert run(world, 2.0).watch.touchdown == touchdown
     assert world.at_rest_on_pad
 
 
 def test_a_hop_below_a_metre_is_no_flight_and_a_later_flight_replaces_the_touchdown() -> None:
     world = put(World(scenario(pad=pad_at(20.0, 0.0)), 0), 0.1)
-    assert run(world, 1.0).touchdown is None
+    assert run(world, 1.0).watch.touchdown is None
     full: RotorValues = (0.9, 0.9, 0.9, 0.9)
     while world.height_m < 1.5:
         world.step(full, DT)
     run(world, 3.0, (0.46, 0.46, 0.46, 0.46))
     run(world, 3.0)
-    assert world.touchdown is not None
-    first = world.touchdown.time_s
+    assert world.watch.touchdown is not None
+    first = world.watch.touchdown.time_s
     while world.height_m < 1.5:
         world.step(full, DT)
     run(world, 6.0)
-    assert world.touchdown is not None
-    assert world.touchdown.time_s > first
+    assert world.watch.touchdown is not None
+    assert world.watch.touchdown.time_s > first
 
 
 def test_feet_that_touch_the_pad_are_not_above_it_however_little_they_bear() -> None:
@@ -176,17 +176,17 @@ def test_touching_the_ground_beside_the_pad_is_not_on_the_pad() -> None:
     world = World(scenario(pad=pad_at(20.0, 0.0)), 0)
     world.place(QuadrotorState((17.0, 0.0, -1.3)))
     run(world, 1.0)
-    assert world.touchdown is not None
-    assert not world.touchdown.on_pad
-    assert world.touchdown.lateral_error_m == pytest.approx(3.0, abs=0.05)
+    assert world.watch.touchdown is not None
+    assert not world.watch.touchdown.on_pad
+    assert world.watch.touchdown.lateral_error_m == pytest.approx(3.0, abs=0.05)
     assert not world.at_rest_on_pad
 
 
 def test_a_fall_from_two_metres_is_a_crash() -> None:
     world = run(put(World(scenario(pad=pad_at(20.0, 0.0)), 0), 2.0), 2.0)
-    assert world.crashed
-    assert world.touchdown is not None
-    assert world.touchdown.impact_speed_m_s > 2.0
+    assert world.watch.crashed
+    assert world.watch.touchdown is not None
+    assert world.watch.touchdown.impact_speed_m_s > 2.0
 
 
 def test_lying_on_its_side_or_back_is_a_crash() -> None:
@@ -194,10 +194,10 @@ def test_lying_on_its_side_or_back_is_a_crash() -> None:
     for roll_deg in (70.0, 180.0):
         attitude = quat_from_euler(math.radians(roll_deg), 0.0, 0.0)
         world.place(QuadrotorState((0.0, 0.0, -0.2), attitude=attitude))
-        assert run(world, 0.5).crashed
+        assert run(world, 0.5).watch.crashed
     # tilting that far in the air is only bad style
     world.place(QuadrotorState((0.0, 0.0, -20.0), attitude=quat_from_euler(math.radians(70.0), 0.0, 0.0)))
-    assert not run(world, 0.1).crashed
+    assert not run(world, 0.1).watch.crashed
 
 
 def test_hovering_low_over_the_pad_takes_less_thrust() -> None:
@@ -384,16 +384,17 @@ def world_at(east_m: float) -> World:
 
 def test_touching_one_is_a_crash_and_passing_close_by_is_not() -> None:
     near, touched = world_at(1.1), world_at(1.13)
-    assert not near.crashed
+    assert not near.watch.crashed
     assert near.truth().obstacle_clearance_m == pytest.approx(1.5 - 1.1 - 0.377, abs=1e-3)
-    assert touched.crashed
-    assert touched.nearest_obstacle_m is not None
-    assert touched.nearest_obstacle_m < 0.0
+    assert touched.watch.crashed
+    assert touched.watch.nearest_obstacle_m is not None
+    assert touched.watch.nearest_obstacle_m < 0.0
 
 
 def test_the_verdict_says_what_it_was() -> None:
-    ended = {"crashed": True, "at_rest_on_pad": False, "disarmed": False, "final_phase": Phase.SEARCH}
-    verdict = judge(None, PassBounds(), contacts=(), nearest_obstacle_m=-0.1, **ended)  # type: ignore[arg-type]
+    watch = TouchdownDetector()
+    watch.beside(-0.1)
+    verdict = judge(watch, PassBounds(), at_rest_on_pad=False, disarmed=False, final_phase=Phase.SEARCH)
     assert (verdict.outcome, verdict.failures) == (Outcome.CRASHED, ("touched an obstacle",))
 
 
