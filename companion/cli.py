@@ -21,43 +21,25 @@ from companion.base.files import DEFAULT_SETTINGS, find_file, must_be_readable
 from sitl.commands import FirmwareOption, FirmwareParamOption, FirmwarePathOption
 
 PROGRAM: Final = "companion"
+TOOLS: Final = "companion.tools.commands"
 COMMANDS: Final = {
     "replay": Command(
         "companion.flightlog.replay.command:replay_command", "Run the estimators again over a log."
     ),
-    "identify": Command(
-        "companion.tools.identify.command:identify_command",
-        "Identify the vehicle's response from a flight.",
-    ),
+    "identify": Command(f"{TOOLS}:identify_command", "Identify the vehicle's response from a flight."),
     "check": Command(
-        "companion.tools.pad_check.command:check_command",
-        "Check everything before a flight; --pad: sensors and axes, by hand.",
+        f"{TOOLS}:check_command", "Check everything before a flight; --pad: sensors and axes, by hand."
     ),
-    "detect": Command(
-        "companion.tools.detect.command:detect_command", "Find the pad in your own photos and videos."
-    ),
-    "fuzzy": Command(
-        "companion.tools.fuzzy.command:fuzzy_command", "Show the fuzzy speed controller, its rules and table."
-    ),
-    "pad": Command(
-        "companion.tools.pads.command:pad_command", "Check and print a pad; show how a camera sees it."
-    ),
+    "detect": Command(f"{TOOLS}:detect_command", "Find the pad in your own photos and videos."),
+    "fuzzy": Command(f"{TOOLS}:fuzzy_command", "Show the fuzzy speed controller, its rules and table."),
+    "pad": Command(f"{TOOLS}:pad_command", "Check and print a pad; show how a camera sees it."),
     "logs": Command("companion.flightlog.logs:logs_command", "List, export, convert, repair flight logs."),
     "settings": Command(
-        "companion.tools.settings.command:settings_command", "Explain settings: unit, default, meaning."
+        "companion.tools.settings:settings_command", "Explain settings: unit, default, meaning."
     ),
-    "setup": Command(
-        "companion.tools.setup.command:setup_command",
-        "Switch on what the wiring needs, on a Raspberry Pi.",
-    ),
-    "status": Command(
-        "companion.app.service.commands:status_command", "Show what the running service does.", "STATUS_HELP"
-    ),
-    "order": Command(
-        "companion.app.service.commands:order_command",
-        "Order the service to land, fly, stop.",
-        "ORDER_HELP",
-    ),
+    "setup": Command(f"{TOOLS}:setup_command", "Switch on what the wiring needs, on a Raspberry Pi."),
+    "status": Command("companion.app.service.commands:status_command", "Show what the running service does."),
+    "order": Command("companion.app.service.commands:order_command", "Order the service to land, fly, stop."),
     "permit": Command("companion.app.service.latch:permit_command", "Let the next start of the app fly."),
     "report": Command(
         "companion.flightlog.report.command:report_command", "Write a flight's report as one page."

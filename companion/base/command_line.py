@@ -42,19 +42,19 @@ PIPE_CLOSED: Final = 141  # as a shell reports a program that SIGPIPE has ended
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command: `function` as "package.module:name", one line, and where in that module its help is."""
+    """A command: `function` as "module:NAME_command", with its help as `NAME_HELP` there, and one line."""
 
     function: str
     summary: str
-    help_name: str = "HELP"
     hidden: bool = False
 
     def load(self, name: str) -> Any:
         """Import the module and build the command that Typer runs."""
         module_name, _, function_name = self.function.partition(":")
         module = import_module(module_name)
+        told = getattr(module, f"{function_name.removesuffix('_command').upper()}_HELP")
         app = new_app(add_completion=False)
-        app.command(name, help=getattr(module, self.help_name))(getattr(module, function_name))
+        app.command(name, help=told)(getattr(module, function_name))
         return typer.main.get_command(app)
 
 

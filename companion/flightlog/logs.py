@@ -15,7 +15,7 @@ import typer
 from companion.base.files import must_be_readable, replaced
 from companion.config import ConfigError
 
-HELP: Final = """List the recorded flights; export one, repair its log or convert that to tables.
+LOGS_HELP: Final = """List the recorded flights; export one, repair its log or convert that to tables.
 
 \b
 companion logs --record flights

@@ -7,7 +7,7 @@ import typer
 
 from companion.base.files import must_be_readable, must_exist, unpacked
 
-HELP: Final = """Run the estimators again over a recorded log, and hold them against what was recorded.
+REPLAY_HELP: Final = """Run the estimators again over a recorded log, and hold them against what was recorded.
 
 LOG is a flight's folder, its flight.mcap or exported zip, an ArduPilot .bin, or a PX4 .ulg.
 

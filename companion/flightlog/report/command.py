@@ -10,7 +10,8 @@ from companion.base.files import must_be_readable, unpacked
 from companion.config import ConfigError
 from companion.flightlog.log_file import LOG_NAMES, log_file
 
-HELP: Final = """Write a flight's report: one HTML page with verdict, events, plots to zoom and pictures.
+REPORT_HELP: Final = """\
+Write a flight's report: one HTML page with verdict, events, plots to zoom and pictures.
 
 The page needs no network and no other file, so it can be sent by mail.
 
